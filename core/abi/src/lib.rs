@@ -1,0 +1,1 @@
+//! The binary contract between the Panoscope host and its plugins.

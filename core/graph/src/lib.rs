@@ -1,0 +1,1 @@
+//! Graph files of Panoscope: text to checked graph, with diagnostics.

@@ -1,0 +1,1 @@
+//! Drawing: lines, boxes, text, colour maps.

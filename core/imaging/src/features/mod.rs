@@ -1,0 +1,1 @@
+//! Local features: integral image, SURF, matching.

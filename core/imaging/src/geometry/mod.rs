@@ -1,0 +1,1 @@
+//! Projective geometry: homographies and robust estimation.

@@ -1,0 +1,1 @@
+//! Stereo: rectification, matching, filtering, reprojection.

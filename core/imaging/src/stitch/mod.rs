@@ -1,0 +1,1 @@
+//! Stitching: warp, exposure, seam, blend, canvas.

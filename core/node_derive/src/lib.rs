@@ -1,0 +1,1 @@
+//! Derives for ports, parameters and packets of Panoscope nodes.

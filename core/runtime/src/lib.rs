@@ -1,0 +1,1 @@
+//! The Panoscope runtime: loader, scheduler, parameters, timing.

@@ -1,0 +1,1 @@
+//! Sources: cameras, video files, images, pipelines.

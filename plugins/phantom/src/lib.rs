@@ -1,0 +1,1 @@
+//! A rendered tissue scene seen by two or four cameras, with exact truth.

@@ -1,0 +1,1 @@
+//! Writers of images, videos, tables and raw data.

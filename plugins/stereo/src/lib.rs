@@ -1,0 +1,1 @@
+//! Rectification, disparity, depth and measurement.

@@ -1,0 +1,1 @@
+//! Registration and compositing of overlapping views.
