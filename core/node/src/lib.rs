@@ -1,1 +1,148 @@
 //! What the author of a Panoscope node uses.
+//!
+//! A node is a type that implements [`Node`]: it names its ports and parameters as plain structs and processes one
+//! tick per call. [`export_plugin!`] makes a plugin of one or more nodes. The rest is typed access to what
+//! the host lends: [`Image`], [`Value`], [`List`] for inputs, [`Slot`] for outputs, [`Context`] for everything else.
+
+extern crate self as panoscope_node;
+
+pub mod context;
+pub mod detections;
+pub mod error;
+pub mod export;
+pub mod host;
+pub mod input;
+pub mod output;
+pub mod packet;
+pub mod param;
+pub mod port;
+pub mod table;
+
+pub use context::{Context, Open, Pool};
+pub use detections::{Detections, Instances, LabeledDetections, LabeledInstances};
+pub use error::{NodeError, Result};
+pub use input::{AnyImage, Cloud, Image, Kept, List, Text, Value};
+pub use output::Slot;
+pub use packet::{
+    AnyFormat, Bgr8, Confidence, Depth, Disparity, Gray8, Gray16, GrayF32, Mask, Packet, Plain, Plane, PlaneFormat,
+    PointCloud, Rgba8, TextPacket, name16, name32,
+};
+pub use panoscope_abi as abi;
+pub use panoscope_imaging::{Parallel, View, ViewMut};
+pub use panoscope_node_derive::{Choice, Packet, Params, Ports};
+pub use param::{Choice, ParamField, Params};
+pub use port::{NoPorts, PortField, Ports, RawCall};
+pub use table::{Table, TableData};
+
+/// One processing node.
+///
+/// An instance is used by one thread at a time, but not always the same one. `process` sees no clock and no random
+/// number except the host's, allocates nothing in steady state, and leaves an output empty by not making it.
+pub trait Node: Sized + Send + 'static {
+    /// Name, family and kind.
+    const INFO: NodeInfo;
+    /// Input ports, see [`macro@Ports`]; [`NoPorts`] for none.
+    type In<'f>: Ports<'f>;
+    /// Output ports, see [`macro@Ports`]; [`NoPorts`] for none.
+    type Out<'f>: Ports<'f>;
+    /// Parameters, see [`macro@Params`].
+    type Params: Params;
+
+    /// Makes an instance: loads models, opens devices, builds tables. May take long.
+    fn open(open: &Open<'_>, params: &Self::Params) -> Result<Self>;
+
+    /// Processes one tick.
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: Self::In<'f>,
+        out: Self::Out<'f>,
+        params: &Self::Params,
+    ) -> Result<()>;
+
+    /// State worth handing to a replacement of this node while the graph runs.
+    fn save_state(&self) -> Option<Vec<u8>> {
+        None
+    }
+
+    /// Takes over what an earlier instance saved.
+    fn load_state(&mut self, _state: &[u8]) -> Result<()> {
+        Ok(())
+    }
+}
+
+/// When and where the host may run a node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Short calculation on the shared pool.
+    Compute,
+    /// May wait: owns a thread.
+    Blocking,
+    /// Control loop: owns a thread of high priority.
+    Realtime,
+}
+
+/// What a node type says of itself.
+#[derive(Clone, Copy, Debug)]
+pub struct NodeInfo {
+    /// Name in graph files, `snake_case`.
+    pub name: &'static str,
+    /// Family: source, stereo, stitch, tools, arm, overlay, sink, filter.
+    pub family: &'static str,
+    /// What the node does.
+    pub doc: &'static str,
+    /// Where it runs.
+    pub kind: Kind,
+    /// Makes ticks without any input.
+    pub source: bool,
+    /// Owns a device.
+    pub exclusive: bool,
+    /// Acts on the world outside the graph.
+    pub side_effects: bool,
+}
+
+impl NodeInfo {
+    const fn new(kind: Kind, name: &'static str, family: &'static str, doc: &'static str) -> Self {
+        assert!(!name.is_empty() && !doc.is_empty(), "a node type needs a name and a doc text");
+        Self { name, family, doc, kind, source: false, exclusive: false, side_effects: false }
+    }
+
+    /// A short calculation.
+    pub const fn compute(name: &'static str, family: &'static str, doc: &'static str) -> Self {
+        Self::new(Kind::Compute, name, family, doc)
+    }
+
+    /// A node that may wait.
+    pub const fn blocking(name: &'static str, family: &'static str, doc: &'static str) -> Self {
+        Self::new(Kind::Blocking, name, family, doc)
+    }
+
+    /// A control loop.
+    pub const fn realtime(name: &'static str, family: &'static str, doc: &'static str) -> Self {
+        Self::new(Kind::Realtime, name, family, doc)
+    }
+
+    /// Marks a node that makes ticks.
+    pub const fn source(mut self) -> Self {
+        self.source = true;
+        self
+    }
+
+    /// Marks a node that owns a device.
+    pub const fn exclusive(mut self) -> Self {
+        self.exclusive = true;
+        self
+    }
+
+    /// Marks a node that acts on the world outside the graph.
+    pub const fn side_effects(mut self) -> Self {
+        self.side_effects = true;
+        self
+    }
+}
+
+#[doc(hidden)]
+pub mod __private {
+    pub use crate::param::{Declared, DefaultValue, param, wrong_param_count};
+    pub use crate::port::port;
+}

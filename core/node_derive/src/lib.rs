@@ -1,1 +1,45 @@
 //! Derives for ports, parameters and packets of Panoscope nodes.
+//!
+//! They describe; they never call anything. What they generate names only items of `panoscope_node`.
+
+mod choice;
+mod docs;
+mod packet;
+mod params;
+mod ports;
+
+use proc_macro::TokenStream;
+use syn::{DeriveInput, parse_macro_input};
+
+fn answer(result: syn::Result<proc_macro2::TokenStream>) -> TokenStream {
+    result.unwrap_or_else(|error| error.to_compile_error()).into()
+}
+
+/// Makes a struct whose fields are ports usable as a node's `In` or `Out`.
+///
+/// Every field needs a doc comment: it is the port's tooltip.
+#[proc_macro_derive(Ports)]
+pub fn derive_ports(input: TokenStream) -> TokenStream {
+    answer(ports::expand(&parse_macro_input!(input as DeriveInput)))
+}
+
+/// Makes a struct usable as a node's parameters.
+///
+/// Every field needs a doc comment and `#[param(default = ...)]`; numbers need `range = low..=high`.
+/// Further: `step = ...`, `unit = "px"`, `reopen`, `must_exist`.
+#[proc_macro_derive(Params, attributes(param))]
+pub fn derive_params(input: TokenStream) -> TokenStream {
+    answer(params::expand(&parse_macro_input!(input as DeriveInput)))
+}
+
+/// Makes an enum without fields usable as a parameter; variants are named in `snake_case` in graph files.
+#[proc_macro_derive(Choice)]
+pub fn derive_choice(input: TokenStream) -> TokenStream {
+    answer(choice::expand(&parse_macro_input!(input as DeriveInput)))
+}
+
+/// Makes a `#[repr(C)]`, `Copy` struct of plain data a packet type of its own: `#[packet(name = "my_type")]`.
+#[proc_macro_derive(Packet, attributes(packet))]
+pub fn derive_packet(input: TokenStream) -> TokenStream {
+    answer(packet::expand(&parse_macro_input!(input as DeriveInput)))
+}

@@ -1,0 +1,158 @@
+use core::ffi::c_void;
+
+use crate::{BufferId, ChunkFn, Frame, PortRange, Status, Str, Tick};
+
+/// A parameter's value at a point in time.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct ParamValue {
+    /// One of the `PARAM_` constants.
+    pub kind: u32,
+    /// The chosen entry of a `PARAM_CHOICE`.
+    pub index: u32,
+    /// `PARAM_BOOL` (0 or 1) and `PARAM_INT`.
+    pub int_value: i64,
+    /// `PARAM_FLOAT`.
+    pub float_value: f64,
+    /// `PARAM_TEXT`, `PARAM_PATH` (absolute) and the name of a `PARAM_CHOICE`.
+    pub text: Str,
+    /// `PARAM_FLOATS`.
+    pub floats: *const f64,
+    /// Count of `floats`.
+    pub floats_len: usize,
+}
+
+// SAFETY: a value is immutable while a snapshot that holds it lives.
+unsafe impl Send for ParamValue {}
+// SAFETY: as above.
+unsafe impl Sync for ParamValue {}
+
+/// Set in [`Call::flags`] in `batch` mode.
+pub const CALL_BATCH: u32 = 1;
+
+/// Arguments of [`crate::NodeType::open`].
+#[repr(C)]
+#[derive(Debug)]
+pub struct OpenCall {
+    /// Size of this struct in bytes.
+    pub struct_size: u32,
+    /// `CALL_` bits.
+    pub flags: u32,
+    /// The host's functions; the same for the life of the plugin.
+    pub host: *const Host,
+    /// Handle for host functions that take a `call`.
+    pub call: *mut c_void,
+    /// The node's name in the graph.
+    pub node_id: Str,
+    /// Values in the order of the type's declaration.
+    pub params: *const ParamValue,
+    /// Count of `params`.
+    pub params_len: usize,
+    /// Folder of the graph file, absolute.
+    pub graph_dir: Str,
+    /// Bit `i` is set when output `i` has a reader (outputs above 63 count as read).
+    pub outputs_read: u64,
+}
+
+/// Arguments of [`crate::NodeType::process`].
+#[repr(C)]
+#[derive(Debug)]
+pub struct Call {
+    /// Size of this struct in bytes.
+    pub struct_size: u32,
+    /// `CALL_` bits.
+    pub flags: u32,
+    /// The host's functions.
+    pub host: *const Host,
+    /// Handle for host functions that take a `call`.
+    pub call: *mut c_void,
+    /// The tick being processed. A source may set `capture_ns`; the host numbers it.
+    pub tick: Tick,
+    /// All input frames, flattened; `input_ranges` says which belong to which port.
+    pub inputs: *const Frame,
+    /// Count of `inputs`.
+    pub inputs_len: usize,
+    /// One range per declared input port.
+    pub input_ranges: *const PortRange,
+    /// Count of `input_ranges`.
+    pub input_ranges_len: usize,
+    /// One frame per declared output port, empty at the start of the call; filled by [`Host::alloc`] and [`Host::forward`].
+    pub outputs: *mut Frame,
+    /// Count of `outputs`.
+    pub outputs_len: usize,
+    /// Values in the order of the type's declaration.
+    pub params: *const ParamValue,
+    /// Count of `params`.
+    pub params_len: usize,
+    /// Changes whenever `params` change.
+    pub params_version: u64,
+    /// Bit `i` is set when output `i` has a reader (outputs above 63 count as read).
+    pub outputs_read: u64,
+}
+
+/// Errors that stop a node.
+pub const LOG_ERROR: u32 = 1;
+/// Something a user should know.
+pub const LOG_WARN: u32 = 2;
+/// Progress.
+pub const LOG_INFO: u32 = 3;
+/// For whoever debugs the node.
+pub const LOG_DEBUG: u32 = 4;
+
+/// What the host offers. One table per plugin; valid until the process ends.
+///
+/// Functions that take a `call` want the handle of the running [`Call`] or [`OpenCall`].
+#[repr(C)]
+#[derive(Debug)]
+pub struct Host {
+    /// Size of this struct in bytes: functions past it do not exist in this host.
+    pub struct_size: u32,
+    /// [`crate::ABI_MAJOR`] of the host.
+    pub abi_major: u32,
+    /// [`crate::ABI_MINOR`] of the host.
+    pub abi_minor: u32,
+    /// Threads of the host's pool.
+    pub threads: u32,
+    /// Handle for `parallel_for`, `retain`, `release` and `resolve`.
+    pub ctx: *mut c_void,
+    /// Makes output `output` of the running call: a buffer of `len` bytes, described by the other arguments. Contents are unspecified.
+    pub alloc: Option<
+        unsafe extern "C" fn(
+            call: *mut c_void,
+            output: u32,
+            format: u32,
+            width: u32,
+            height: u32,
+            stride_bytes: u32,
+            len: usize,
+        ) -> Status,
+    >,
+    /// Makes output `output` the same buffer as `frame` (an input of this call, or a retained frame). Nothing is copied.
+    pub forward: Option<unsafe extern "C" fn(call: *mut c_void, output: u32, frame: *const Frame) -> Status>,
+    /// Makes sure that output `output` is shared with nobody, by a counted copy if need be, so that it may be written.
+    pub make_mut: Option<unsafe extern "C" fn(call: *mut c_void, output: u32) -> Status>,
+    /// Keeps a buffer beyond the call.
+    pub retain: Option<unsafe extern "C" fn(ctx: *mut c_void, buffer: BufferId)>,
+    /// Gives a kept buffer back.
+    pub release: Option<unsafe extern "C" fn(ctx: *mut c_void, buffer: BufferId)>,
+    /// Address of a buffer that the caller holds; null when there is no such buffer.
+    pub resolve: Option<unsafe extern "C" fn(ctx: *mut c_void, buffer: BufferId) -> *mut u8>,
+    /// Runs `body(data, i)` for `i` in `0..chunks` on the host's pool; the caller takes part.
+    pub parallel_for:
+        Option<unsafe extern "C" fn(ctx: *mut c_void, chunks: usize, body: ChunkFn, data: *mut c_void) -> Status>,
+    /// A line for the host's log, with the node's name added by the host.
+    pub log: Option<unsafe extern "C" fn(call: *mut c_void, level: u32, message: Str)>,
+    /// Says why the call is about to answer `STATUS_ERROR` or `STATUS_PANIC`.
+    pub fail: Option<unsafe extern "C" fn(call: *mut c_void, message: Str)>,
+    /// A named number of the node, shown beside its timing.
+    pub metric: Option<unsafe extern "C" fn(call: *mut c_void, name: Str, value: f64)>,
+    /// The next number of a generator seeded by node and tick: the same in every run.
+    pub random: Option<unsafe extern "C" fn(call: *mut c_void) -> u64>,
+    /// Takes bytes of [`crate::NodeType::save_state`].
+    pub save: Option<unsafe extern "C" fn(sink: *mut c_void, bytes: *const u8, len: usize)>,
+}
+
+// SAFETY: the table is immutable and its functions may be called from any thread.
+unsafe impl Send for Host {}
+// SAFETY: as above.
+unsafe impl Sync for Host {}

@@ -1,0 +1,179 @@
+//! What a node may ask of the host besides its frames.
+
+use std::marker::PhantomData;
+use std::path::Path;
+
+use crate::Parallel;
+use crate::abi;
+use crate::host;
+use crate::port::RawCall;
+
+/// The host's thread pool.
+#[derive(Clone, Copy)]
+pub struct Pool<'f> {
+    host: &'f abi::Host,
+}
+
+impl Parallel for Pool<'_> {
+    fn threads(&self) -> usize {
+        self.host.threads as usize
+    }
+
+    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
+        match chunks {
+            0 => {}
+            1 => body(0),
+            _ => host::parallel_for(self.host, chunks, body),
+        }
+    }
+}
+
+/// The running call.
+pub struct Context<'f> {
+    raw: RawCall<'f>,
+    pool: Pool<'f>,
+    ended: std::cell::Cell<bool>,
+}
+
+fn log(host: &abi::Host, call: *mut std::ffi::c_void, level: u32, message: &str) {
+    if let Some(log) = host.log {
+        // SAFETY: `call` is the handle of the running call; the text is borrowed for the length of the function.
+        unsafe { log(call, level, abi::Str::borrow(message)) }
+    }
+}
+
+impl<'f> Context<'f> {
+    pub(crate) fn new(raw: RawCall<'f>) -> Self {
+        // SAFETY: the host's call and its function table are valid for `'f`.
+        let host = unsafe { &*(*raw.raw()).host };
+        Self { raw, pool: Pool { host }, ended: std::cell::Cell::new(false) }
+    }
+
+    fn call(&self) -> &abi::Call {
+        // SAFETY: the host's call is valid for `'f`; fields that change are copied out at once.
+        unsafe { &*self.raw.raw() }
+    }
+
+    /// The host's threads, for kernels.
+    pub fn pool(&self) -> &Pool<'f> {
+        &self.pool
+    }
+
+    /// The tick being processed.
+    pub fn tick(&self) -> abi::Tick {
+        self.call().tick
+    }
+
+    /// Whether the graph runs in `batch` mode.
+    pub fn is_batch(&self) -> bool {
+        self.call().flags & abi::CALL_BATCH != 0
+    }
+
+    /// For sources: the media time of what was captured.
+    pub fn set_capture_ns(&self, capture_ns: i64) {
+        // SAFETY: the host reads the field after the call; nobody else holds a reference to it now.
+        unsafe { (*self.raw.raw()).tick.capture_ns = capture_ns }
+    }
+
+    /// For sources: nothing comes after this call, whose outputs are dropped.
+    pub fn end(&self) {
+        self.ended.set(true);
+    }
+
+    pub(crate) fn ended(&self) -> bool {
+        self.ended.get()
+    }
+
+    /// The next number of a generator seeded by node and tick: the same in every run.
+    pub fn random(&self) -> u64 {
+        match self.pool.host.random {
+            // SAFETY: the handle of the running call.
+            Some(random) => unsafe { random(self.call().call) },
+            None => 0,
+        }
+    }
+
+    /// A named number, shown beside the node's timing.
+    pub fn metric(&self, name: &str, value: f64) {
+        if let Some(metric) = self.pool.host.metric {
+            // SAFETY: the handle of the running call; the text is borrowed for the length of the function.
+            unsafe { metric(self.call().call, abi::Str::borrow(name), value) }
+        }
+    }
+
+    /// Something the user should know.
+    pub fn warn(&self, message: &str) {
+        log(self.pool.host, self.call().call, abi::LOG_WARN, message);
+    }
+
+    /// Progress.
+    pub fn info(&self, message: &str) {
+        log(self.pool.host, self.call().call, abi::LOG_INFO, message);
+    }
+
+    /// For whoever debugs the node.
+    pub fn debug(&self, message: &str) {
+        log(self.pool.host, self.call().call, abi::LOG_DEBUG, message);
+    }
+}
+
+/// The call that opens a node.
+pub struct Open<'a> {
+    call: *mut abi::OpenCall,
+    pool: Pool<'a>,
+    lifetime: PhantomData<&'a abi::OpenCall>,
+}
+
+impl<'a> Open<'a> {
+    /// Wraps the host's call.
+    ///
+    /// # Safety
+    /// `call` and everything it points to is valid for `'a`.
+    pub(crate) unsafe fn new(call: *mut abi::OpenCall) -> Self {
+        // SAFETY: the caller's promise.
+        let host = unsafe { &*(*call).host };
+        Self { call, pool: Pool { host }, lifetime: PhantomData }
+    }
+
+    fn call(&self) -> &'a abi::OpenCall {
+        // SAFETY: valid for `'a` (promised to `new`).
+        unsafe { &*self.call }
+    }
+
+    /// The node's name in the graph.
+    pub fn node_id(&self) -> &'a str {
+        // SAFETY: texts of the call are valid for `'a`.
+        unsafe { self.call().node_id.text() }.unwrap_or("")
+    }
+
+    /// Folder of the graph file. `Path` parameters are absolute already.
+    pub fn graph_dir(&self) -> &'a Path {
+        // SAFETY: texts of the call are valid for `'a`.
+        Path::new(unsafe { self.call().graph_dir.text() }.unwrap_or(""))
+    }
+
+    /// Whether output `index` has a reader.
+    pub fn is_read(&self, index: usize) -> bool {
+        index >= 64 || self.call().outputs_read >> index & 1 == 1
+    }
+
+    /// Whether the graph runs in `batch` mode.
+    pub fn is_batch(&self) -> bool {
+        self.call().flags & abi::CALL_BATCH != 0
+    }
+
+    /// The host's threads, for tables that take long to build.
+    pub fn pool(&self) -> &Pool<'a> {
+        &self.pool
+    }
+
+    /// Something the user should know.
+    pub fn warn(&self, message: &str) {
+        log(self.pool.host, self.call().call, abi::LOG_WARN, message);
+    }
+
+    /// Progress.
+    pub fn info(&self, message: &str) {
+        log(self.pool.host, self.call().call, abi::LOG_INFO, message);
+    }
+}

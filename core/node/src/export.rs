@@ -1,0 +1,265 @@
+//! From [`Node`] to the contract's function table.
+
+use std::any::Any;
+use std::cell::RefCell;
+use std::ffi::c_void;
+use std::marker::PhantomData;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use crate::abi::{self, Str};
+use crate::context::{Context, Open};
+use crate::error::NodeError;
+use crate::param::Params;
+use crate::port::{Ports, RawCall};
+use crate::{Kind, Node};
+
+struct Instance<N: Node> {
+    node: N,
+    params: N::Params,
+    params_version: u64,
+}
+
+/// The contract's view of a node type.
+pub struct NodeTypeOf<N>(PhantomData<N>);
+
+impl<N: Node> NodeTypeOf<N> {
+    /// The descriptor.
+    pub const NODE_TYPE: abi::NodeType = abi::NodeType {
+        struct_size: size_of::<abi::NodeType>() as u32,
+        kind: match N::INFO.kind {
+            Kind::Compute => abi::KIND_COMPUTE,
+            Kind::Blocking => abi::KIND_BLOCKING,
+            Kind::Realtime => abi::KIND_REALTIME,
+        },
+        flags: if N::INFO.source { abi::NODE_SOURCE } else { 0 }
+            | if N::INFO.exclusive { abi::NODE_EXCLUSIVE } else { 0 }
+            | if N::INFO.side_effects { abi::NODE_SIDE_EFFECTS } else { 0 },
+        reserved: 0,
+        name: Str::new(N::INFO.name),
+        family: Str::new(N::INFO.family),
+        doc: Str::new(N::INFO.doc),
+        inputs: <N::In<'static> as Ports<'static>>::PORTS.as_ptr(),
+        inputs_len: <N::In<'static> as Ports<'static>>::PORTS.len(),
+        outputs: <N::Out<'static> as Ports<'static>>::PORTS.as_ptr(),
+        outputs_len: <N::Out<'static> as Ports<'static>>::PORTS.len(),
+        params: <N::Params as Params>::PARAMS.as_ptr(),
+        params_len: <N::Params as Params>::PARAMS.len(),
+        open: Some(open::<N>),
+        process: Some(process::<N>),
+        close: Some(close::<N>),
+        save_state: Some(save_state::<N>),
+        load_state: Some(load_state::<N>),
+    };
+}
+
+unsafe fn values<'a>(params: *const abi::ParamValue, len: usize) -> &'a [abi::ParamValue] {
+    // SAFETY: the host describes the snapshot for the length of the call.
+    if len == 0 { &[] } else { unsafe { std::slice::from_raw_parts(params, len) } }
+}
+
+unsafe fn fail(host: *const abi::Host, call: *mut c_void, message: &str) {
+    // SAFETY: the host's table and handle are valid for the length of the call.
+    unsafe {
+        if let Some(fail) = (*host).fail {
+            fail(call, Str::borrow(message));
+        }
+    }
+}
+
+thread_local! {
+    /// Where the last panic of this thread happened, left by the hook for the guard.
+    static PANIC_PLACE: RefCell<Option<String>> = const { RefCell::new(None) };
+}
+
+/// Keeps a node's panic off the terminal and remembers its place: the host tells the user.
+pub fn install_panic_hook() {
+    std::panic::set_hook(Box::new(|info| {
+        let place = info.location().map(|l| format!("{}:{}", l.file(), l.line()));
+        PANIC_PLACE.with(|slot| *slot.borrow_mut() = place);
+    }));
+}
+
+fn panic_text(payload: &(dyn Any + Send)) -> String {
+    let words = payload
+        .downcast_ref::<&str>()
+        .map(|s| (*s).to_owned())
+        .or_else(|| payload.downcast_ref::<String>().cloned())
+        .unwrap_or_else(|| "no message".to_owned());
+    match PANIC_PLACE.with(|slot| slot.borrow_mut().take()) {
+        Some(place) => format!("panicked at {place}: {words}"),
+        None => format!("panicked: {words}"),
+    }
+}
+
+/// Runs a call of the contract; errors and panics become words and a status.
+unsafe fn guarded(
+    host: *const abi::Host,
+    call: *mut c_void,
+    body: impl FnOnce() -> Result<abi::Status, NodeError>,
+) -> abi::Status {
+    match catch_unwind(AssertUnwindSafe(body)) {
+        Ok(Ok(status)) => status,
+        Ok(Err(error)) => {
+            // SAFETY: the caller's host and handle.
+            unsafe { fail(host, call, error.message()) };
+            error.status()
+        }
+        Err(payload) => {
+            let text = panic_text(&*payload);
+            // A payload whose drop panics must not cross the boundary.
+            let _ = catch_unwind(AssertUnwindSafe(move || drop(payload)));
+            // SAFETY: the caller's host and handle.
+            unsafe { fail(host, call, &text) };
+            abi::STATUS_PANIC
+        }
+    }
+}
+
+unsafe extern "C" fn open<N: Node>(open: *mut abi::OpenCall, instance: *mut *mut c_void) -> abi::Status {
+    // SAFETY: the host's call is valid for its length.
+    let (host, call) = unsafe { ((*open).host, (*open).call) };
+    // SAFETY: as above.
+    unsafe {
+        guarded(host, call, || {
+            let params = N::Params::read(values((*open).params, (*open).params_len))?;
+            let node = N::open(&Open::new(open), &params)?;
+            let boxed = Box::new(Instance { node, params, params_version: u64::MAX });
+            *instance = Box::into_raw(boxed).cast();
+            Ok(abi::STATUS_OK)
+        })
+    }
+}
+
+unsafe extern "C" fn process<N: Node>(instance: *mut c_void, call: *mut abi::Call) -> abi::Status {
+    // SAFETY: the host's call is valid for its length; the instance came from `open` and is used by one thread at a time.
+    unsafe {
+        let (host, handle) = ((*call).host, (*call).call);
+        let this = &mut *instance.cast::<Instance<N>>();
+        guarded(host, handle, || {
+            if this.params_version != (*call).params_version {
+                this.params = N::Params::read(values((*call).params, (*call).params_len))?;
+                this.params_version = (*call).params_version;
+            }
+            let raw = RawCall::new(call);
+            let input = <N::In<'_> as Ports<'_>>::bind(raw)?;
+            let out = <N::Out<'_> as Ports<'_>>::bind(raw)?;
+            let context = Context::new(raw);
+            this.node.process(&context, input, out, &this.params)?;
+            Ok(if context.ended() { abi::STATUS_END } else { abi::STATUS_OK })
+        })
+    }
+}
+
+unsafe extern "C" fn close<N: Node>(instance: *mut c_void) {
+    // SAFETY: the host closes what `open` made, once.
+    let boxed = unsafe { Box::from_raw(instance.cast::<Instance<N>>()) };
+    let _ = catch_unwind(AssertUnwindSafe(move || drop(boxed)));
+}
+
+unsafe extern "C" fn save_state<N: Node>(
+    instance: *mut c_void,
+    host: *const abi::Host,
+    sink: *mut c_void,
+) -> abi::Status {
+    // SAFETY: an open instance that no other thread uses, and the host's table.
+    unsafe {
+        let this = &*instance.cast::<Instance<N>>();
+        match catch_unwind(AssertUnwindSafe(|| this.node.save_state())) {
+            Ok(Some(bytes)) => {
+                if let Some(save) = (*host).save {
+                    save(sink, bytes.as_ptr(), bytes.len());
+                }
+                abi::STATUS_OK
+            }
+            Ok(None) => abi::STATUS_OK,
+            Err(_) => abi::STATUS_PANIC,
+        }
+    }
+}
+
+unsafe extern "C" fn load_state<N: Node>(instance: *mut c_void, bytes: *const u8, len: usize) -> abi::Status {
+    // SAFETY: an open instance that no other thread uses, and `len` readable bytes.
+    unsafe {
+        let this = &mut *instance.cast::<Instance<N>>();
+        let bytes = if len == 0 { &[] } else { std::slice::from_raw_parts(bytes, len) };
+        match catch_unwind(AssertUnwindSafe(|| this.node.load_state(bytes))) {
+            Ok(Ok(())) => abi::STATUS_OK,
+            Ok(Err(_)) => abi::STATUS_ERROR,
+            Err(_) => abi::STATUS_PANIC,
+        }
+    }
+}
+
+/// Called by the host once after loading.
+///
+/// # Safety
+/// `host` is the host's function table and outlives the process.
+pub unsafe extern "C" fn attach(host: *const abi::Host) -> abi::Status {
+    // SAFETY: the caller's promise.
+    unsafe { crate::host::attach(host) };
+    install_panic_hook();
+    abi::STATUS_OK
+}
+
+/// Makes this crate a plugin with the given nodes. Once per cdylib.
+///
+/// The plugin is named after its crate without a leading `panoscope-`, or as said: `export_plugin!["my_name"; A, B]`. The symbol is
+/// left out without the crate's default feature `plugin`, so that tests can link several plugins into one binary.
+#[macro_export]
+macro_rules! export_plugin {
+    ($($node:ty),+ $(,)?) => {
+        $crate::export_plugin![$crate::export::plugin_name(env!("CARGO_PKG_NAME")); $($node),+];
+    };
+    ($name:expr; $($node:ty),+ $(,)?) => {
+        /// The plugin's descriptor.
+        pub static PANOSCOPE_PLUGIN: $crate::abi::Plugin = {
+            #[used]
+            #[unsafe(link_section = ".note.panoscope")]
+            static NOTE: $crate::abi::Note = $crate::abi::Note::new(
+                $name,
+                env!("CARGO_PKG_VERSION"),
+                &[$(<$node as $crate::Node>::INFO.name),+],
+            );
+            static TYPES: $crate::export::NodeTypes<{ [$(stringify!($node)),+].len() }> =
+                $crate::export::NodeTypes([$(&$crate::export::NodeTypeOf::<$node>::NODE_TYPE),+]);
+            $crate::abi::Plugin {
+                magic: $crate::abi::MAGIC,
+                abi_major: $crate::abi::ABI_MAJOR,
+                abi_minor: $crate::abi::ABI_MINOR,
+                struct_size: ::core::mem::size_of::<$crate::abi::Plugin>() as u32,
+                reserved: 0,
+                name: $crate::abi::Str::new($name),
+                version: $crate::abi::Str::new(env!("CARGO_PKG_VERSION")),
+                doc: $crate::abi::Str::new(env!("CARGO_PKG_DESCRIPTION")),
+                node_types: TYPES.0.as_ptr().cast(),
+                node_types_len: TYPES.0.len(),
+                note: &NOTE,
+                attach: Some($crate::export::attach),
+            }
+        };
+
+        /// Answers the plugin's descriptor.
+        #[cfg(feature = "plugin")]
+        #[unsafe(no_mangle)]
+        pub extern "C" fn panoscope_plugin() -> *const $crate::abi::Plugin {
+            &raw const PANOSCOPE_PLUGIN
+        }
+    };
+}
+
+/// Pointers to the descriptors of a plugin.
+pub struct NodeTypes<const N: usize>(pub [&'static abi::NodeType; N]);
+
+/// `panoscope-stitch` -> `stitch`.
+pub const fn plugin_name(package: &'static str) -> &'static str {
+    let prefix = b"panoscope-";
+    let bytes = package.as_bytes();
+    let mut i = 0;
+    while i < prefix.len() {
+        if i >= bytes.len() || bytes[i] != prefix[i] {
+            return package;
+        }
+        i += 1;
+    }
+    package.split_at(prefix.len()).1
+}

@@ -1,0 +1,69 @@
+//! The host's functions that need no running call.
+
+use std::ffi::c_void;
+use std::sync::atomic::{AtomicPtr, Ordering};
+
+use crate::abi;
+
+/// Every cdylib has its own copy of this static; `attach` fills it before any node opens.
+static HOST: AtomicPtr<abi::Host> = AtomicPtr::new(std::ptr::null_mut());
+
+/// Remembers the host's function table.
+///
+/// # Safety
+/// `host` stays valid until the process ends.
+pub unsafe fn attach(host: *const abi::Host) {
+    HOST.store(host.cast_mut(), Ordering::Release);
+}
+
+fn host() -> Option<&'static abi::Host> {
+    // SAFETY: null, or a table that outlives the process (promised to `attach`).
+    unsafe { HOST.load(Ordering::Acquire).as_ref() }
+}
+
+pub(crate) fn retain(buffer: abi::BufferId) {
+    if let Some(host) = host()
+        && let Some(retain) = host.retain
+    {
+        // SAFETY: the buffer is lent to the running call, so it is alive.
+        unsafe { retain(host.ctx, buffer) }
+    }
+}
+
+pub(crate) fn release(buffer: abi::BufferId) {
+    if let Some(host) = host()
+        && let Some(release) = host.release
+    {
+        // SAFETY: balances one earlier `retain`.
+        unsafe { release(host.ctx, buffer) }
+    }
+}
+
+/// Runs `body` on the host's pool.
+pub(crate) fn parallel_for(host: &abi::Host, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
+    unsafe extern "C" fn chunk(data: *mut c_void, index: usize) {
+        // SAFETY: `data` is the `Loop` below, alive until the host's `parallel_for` returns.
+        let this = unsafe { &*data.cast::<Loop<'_>>() };
+        let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| (this.body)(index)));
+        if let Err(payload) = result {
+            let mut first = this.panic.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+            first.get_or_insert(payload);
+        }
+    }
+    struct Loop<'a> {
+        body: &'a (dyn Fn(usize) + Sync),
+        panic: std::sync::Mutex<Option<Box<dyn std::any::Any + Send>>>,
+    }
+    let mut this = Loop { body, panic: std::sync::Mutex::new(None) };
+    let status = match host.parallel_for {
+        // SAFETY: the host calls `chunk` with `data` only until it returns.
+        Some(run) => unsafe { run(host.ctx, chunks, Some(chunk), (&raw mut this).cast()) },
+        None => abi::STATUS_INVALID,
+    };
+    if let Some(payload) = this.panic.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()) {
+        std::panic::resume_unwind(payload);
+    }
+    if status != abi::STATUS_OK {
+        (0..chunks).for_each(body);
+    }
+}

@@ -1,0 +1,349 @@
+//! Typed inputs, borrowed from the host for the length of the call.
+
+use std::marker::PhantomData;
+use std::ops::Deref;
+
+use crate::View;
+use crate::abi;
+use crate::error::{NodeError, Result};
+use crate::host;
+use crate::packet::{IMAGE_FORMATS, Packet, Plain, Plane};
+use crate::port::{PortField, RawCall, nameless};
+
+/// A type made from one frame.
+pub trait FromFrame<'f>: Sized {
+    /// Declaration without name and doc.
+    const PORT: abi::Port;
+
+    /// Checks the frame and wraps it.
+    fn from_frame(frame: &'f abi::Frame) -> Result<Self>;
+}
+
+impl<'f, T: FromFrame<'f>> PortField<'f> for T {
+    const PORT: abi::Port = T::PORT;
+
+    fn bind(call: RawCall<'f>, index: usize, name: &'static str) -> Result<Self> {
+        match call.input(index).first() {
+            Some(frame) if !frame.is_empty() => in_port(T::from_frame(frame), name),
+            _ => Err(NodeError::new(format!("input `{name}` is required but empty"))),
+        }
+    }
+}
+
+impl<'f, T: FromFrame<'f>> PortField<'f> for Option<T> {
+    const PORT: abi::Port = abi::Port { flags: abi::PORT_OPTIONAL, ..T::PORT };
+
+    fn bind(call: RawCall<'f>, index: usize, name: &'static str) -> Result<Self> {
+        match call.input(index).first() {
+            Some(frame) if !frame.is_empty() => in_port(T::from_frame(frame), name).map(Some),
+            _ => Ok(None),
+        }
+    }
+}
+
+fn in_port<T>(result: Result<T>, name: &str) -> Result<T> {
+    result.map_err(|error| NodeError::new(format!("input `{name}`: {error}")))
+}
+
+/// A port that takes any number of frames, in the order of the graph file.
+#[derive(Clone, Copy)]
+pub struct List<'f, T> {
+    frames: &'f [abi::Frame],
+    item: PhantomData<T>,
+}
+
+impl<'f, T: FromFrame<'f>> PortField<'f> for List<'f, T> {
+    const PORT: abi::Port = abi::Port { flags: abi::PORT_LIST, ..T::PORT };
+
+    fn bind(call: RawCall<'f>, index: usize, name: &'static str) -> Result<Self> {
+        let frames = call.input(index);
+        for frame in frames {
+            if !frame.is_empty() {
+                in_port(T::from_frame(frame), name)?;
+            }
+        }
+        Ok(Self { frames, item: PhantomData })
+    }
+}
+
+impl<'f, T: FromFrame<'f>> List<'f, T> {
+    /// How many frames are connected.
+    pub fn len(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// Whether none is connected.
+    pub fn is_empty(&self) -> bool {
+        self.frames.is_empty()
+    }
+
+    /// Entry `index`; `None` when it is empty for this tick.
+    pub fn get(&self, index: usize) -> Option<T> {
+        let frame = self.frames.get(index)?;
+        if frame.is_empty() { None } else { T::from_frame(frame).ok() }
+    }
+
+    /// All entries in order; empty ones are `None`.
+    pub fn iter(&self) -> impl Iterator<Item = Option<T>> + use<'f, T> {
+        let list = Self { frames: self.frames, item: PhantomData };
+        (0..list.frames.len()).map(move |index| list.get(index))
+    }
+}
+
+/// A plane of pixels: `Image<'f, Bgr8>`, `Image<'f, Disparity>`.
+pub struct Image<'f, P> {
+    frame: &'f abi::Frame,
+    plane: PhantomData<P>,
+}
+
+impl<P> Clone for Image<'_, P> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+impl<P> Copy for Image<'_, P> {}
+
+/// The elements of a frame, after checking that they lie inside the buffer.
+fn elements<'f, T: Plain>(frame: &'f abi::Frame, channels: usize) -> Result<(&'f [T], usize)> {
+    let size = size_of::<T>();
+    let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
+    let row = width * channels * size;
+    let need = if height == 0 { 0 } else { (height - 1) * stride + row };
+    if stride < row || stride % size != 0 || need > frame.len || (frame.data as usize) % align_of::<T>() != 0 {
+        return Err(NodeError::new(format!(
+            "a {width}x{height} frame with {stride} bytes a row does not fit its {} bytes",
+            frame.len
+        )));
+    }
+    if need == 0 {
+        return Ok((&[], stride / size));
+    }
+    // SAFETY: the host lends `len` bytes at `data` for the call; size and alignment were checked.
+    Ok((unsafe { std::slice::from_raw_parts(frame.data.cast(), need / size) }, stride / size))
+}
+
+impl<'f, P: Plane> FromFrame<'f> for Image<'f, P> {
+    const PORT: abi::Port = nameless(P::PACKET, 0, abi::format_bit(P::FORMAT), 0);
+
+    fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
+        if frame.format != P::FORMAT {
+            return Err(NodeError::new(format!("format {} was expected, {} arrived", P::FORMAT, frame.format)));
+        }
+        elements::<P::Element>(frame, P::CHANNELS)?;
+        Ok(Self { frame, plane: PhantomData })
+    }
+}
+
+impl<'f, P: Plane> Image<'f, P> {
+    /// Columns in px.
+    pub fn width(&self) -> usize {
+        self.frame.width as usize
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.frame.height as usize
+    }
+
+    /// The pixels.
+    pub fn view(&self) -> View<'f, P::Element> {
+        let (data, stride) = elements(self.frame, P::CHANNELS).unwrap_or((&[], 0));
+        View::with_stride(data, self.width(), self.height(), P::CHANNELS, stride)
+    }
+
+    /// When the picture was taken, media time.
+    pub fn capture_ns(&self) -> i64 {
+        self.frame.tick.capture_ns
+    }
+
+    /// The host's description.
+    pub fn frame(&self) -> &'f abi::Frame {
+        self.frame
+    }
+
+    /// Keeps the buffer beyond this call.
+    pub fn keep(&self) -> Kept<P> {
+        host::retain(self.frame.buffer);
+        Kept { frame: *self.frame, plane: PhantomData }
+    }
+}
+
+/// An image of a format known only when it arrives.
+#[derive(Clone, Copy)]
+pub struct AnyImage<'f> {
+    frame: &'f abi::Frame,
+}
+
+impl<'f> FromFrame<'f> for AnyImage<'f> {
+    const PORT: abi::Port = nameless("image", 0, IMAGE_FORMATS, 0);
+
+    fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
+        match frame.format {
+            abi::FORMAT_GRAY8 => elements::<u8>(frame, 1).map(|_| ()),
+            abi::FORMAT_BGR8 => elements::<u8>(frame, 3).map(|_| ()),
+            abi::FORMAT_RGBA8 => elements::<u8>(frame, 4).map(|_| ()),
+            abi::FORMAT_GRAY16 => elements::<u16>(frame, 1).map(|_| ()),
+            abi::FORMAT_F32 => elements::<f32>(frame, 1).map(|_| ()),
+            other => Err(NodeError::new(format!("format {other} is no image"))),
+        }?;
+        Ok(Self { frame })
+    }
+}
+
+impl<'f> AnyImage<'f> {
+    /// As a plane, when it has that format.
+    pub fn as_plane<P: crate::PlaneFormat>(&self) -> Option<Image<'f, P>> {
+        Image::from_frame(self.frame).ok()
+    }
+
+    /// One of the contract's `FORMAT_` constants.
+    pub fn format(&self) -> u32 {
+        self.frame.format
+    }
+
+    /// Columns in px.
+    pub fn width(&self) -> usize {
+        self.frame.width as usize
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.frame.height as usize
+    }
+
+    /// The host's description.
+    pub fn frame(&self) -> &'f abi::Frame {
+        self.frame
+    }
+}
+
+/// A frame kept beyond the call that lent it.
+pub struct Kept<P> {
+    frame: abi::Frame,
+    plane: PhantomData<P>,
+}
+
+impl<P: Plane> Kept<P> {
+    /// The pixels.
+    pub fn view(&self) -> View<'_, P::Element> {
+        let image: Image<'_, P> = Image { frame: &self.frame, plane: PhantomData };
+        let (data, stride) = elements(image.frame, P::CHANNELS).unwrap_or((&[], 0));
+        View::with_stride(data, image.width(), image.height(), P::CHANNELS, stride)
+    }
+
+    /// The host's description.
+    pub fn frame(&self) -> &abi::Frame {
+        &self.frame
+    }
+}
+
+impl<P> Drop for Kept<P> {
+    fn drop(&mut self) {
+        host::release(self.frame.buffer);
+    }
+}
+
+/// Plain data: a homography, a calibration, an own packet.
+#[derive(Clone, Copy)]
+pub struct Value<'f, T> {
+    value: &'f T,
+    frame: &'f abi::Frame,
+}
+
+impl<T> Value<'_, T> {
+    /// The tick that this value belongs to.
+    pub fn tick(&self) -> abi::Tick {
+        self.frame.tick
+    }
+}
+
+impl<'f, T: Packet> FromFrame<'f> for Value<'f, T> {
+    const PORT: abi::Port = nameless(T::NAME, T::LAYOUT_HASH, 0, 0);
+
+    fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
+        if frame.len < size_of::<T>() || (frame.data as usize) % align_of::<T>() != 0 {
+            return Err(NodeError::new(format!("`{}` is {} bytes, {} arrived", T::NAME, size_of::<T>(), frame.len)));
+        }
+        // SAFETY: size and alignment checked; plain data has no invalid bit pattern.
+        Ok(Self { value: unsafe { &*frame.data.cast::<T>() }, frame })
+    }
+}
+
+impl<T> Deref for Value<'_, T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        self.value
+    }
+}
+
+/// A coloured point cloud of `width` x `height` points.
+#[derive(Clone, Copy)]
+pub struct Cloud<'f> {
+    frame: &'f abi::Frame,
+}
+
+impl<'f> FromFrame<'f> for Cloud<'f> {
+    const PORT: abi::Port = nameless("cloud", 0, abi::format_bit(abi::FORMAT_CLOUD), 0);
+
+    fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
+        let need = frame.width as usize * frame.height as usize * size_of::<abi::CloudPoint>();
+        if frame.len < need || (frame.data as usize) % align_of::<abi::CloudPoint>() != 0 {
+            return Err(NodeError::new(format!("a cloud of {need} bytes was expected, {} arrived", frame.len)));
+        }
+        Ok(Self { frame })
+    }
+}
+
+impl<'f> Cloud<'f> {
+    /// Points per row.
+    pub fn width(&self) -> usize {
+        self.frame.width as usize
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.frame.height as usize
+    }
+
+    /// The points, row after row.
+    pub fn points(&self) -> &'f [abi::CloudPoint] {
+        let count = self.width() * self.height();
+        if count == 0 {
+            return &[];
+        }
+        // SAFETY: size and alignment checked in `from_frame`.
+        unsafe { std::slice::from_raw_parts(self.frame.data.cast(), count) }
+    }
+}
+
+/// A line or more of UTF-8.
+#[derive(Clone, Copy)]
+pub struct Text<'f> {
+    text: &'f str,
+}
+
+impl<'f> FromFrame<'f> for Text<'f> {
+    const PORT: abi::Port = nameless("text", 0, 0, 0);
+
+    fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
+        Ok(Self { text: std::str::from_utf8(bytes(frame))? })
+    }
+}
+
+impl Deref for Text<'_> {
+    type Target = str;
+
+    fn deref(&self) -> &str {
+        self.text
+    }
+}
+
+/// All bytes of a frame.
+pub(crate) fn bytes(frame: &abi::Frame) -> &[u8] {
+    if frame.len == 0 {
+        return &[];
+    }
+    // SAFETY: the host lends `len` bytes at `data` for the length of the call.
+    unsafe { std::slice::from_raw_parts(frame.data, frame.len) }
+}

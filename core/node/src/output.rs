@@ -1,0 +1,191 @@
+//! Typed outputs: buffers of the host, moved to it when the call returns. An output that is not made is empty.
+
+use std::marker::PhantomData;
+
+use crate::ViewMut;
+use crate::abi;
+use crate::error::{NodeError, Result};
+use crate::packet::{AnyFormat, IMAGE_FORMATS, Packet, Plain, Plane, PlaneFormat, PointCloud, TextPacket, bytes_of};
+use crate::port::{PortField, RawCall, nameless};
+
+/// An output port.
+pub struct Slot<'f, T> {
+    call: RawCall<'f>,
+    index: u32,
+    packet: PhantomData<T>,
+}
+
+/// What an output port may carry.
+pub trait SlotPacket {
+    /// Declaration without name and doc.
+    const PORT: abi::Port;
+}
+
+impl<P: Plane> SlotPacket for PlaneOf<P> {
+    const PORT: abi::Port = nameless(P::PACKET, 0, abi::format_bit(P::FORMAT), 0);
+}
+
+/// Keeps the two families of packets apart for the compiler.
+pub struct PlaneOf<P>(PhantomData<P>);
+
+macro_rules! slot_ports {
+    ($($ty:ty => $port:expr),* $(,)?) => {$(
+        impl<'f> PortField<'f> for Slot<'f, $ty> {
+            const PORT: abi::Port = $port;
+
+            fn bind(call: RawCall<'f>, index: usize, _: &'static str) -> Result<Self> {
+                Ok(Slot::new(call, index))
+            }
+        }
+    )*};
+}
+slot_ports! {
+    crate::Gray8 => <PlaneOf<crate::Gray8> as SlotPacket>::PORT,
+    crate::Bgr8 => <PlaneOf<crate::Bgr8> as SlotPacket>::PORT,
+    crate::Rgba8 => <PlaneOf<crate::Rgba8> as SlotPacket>::PORT,
+    crate::Gray16 => <PlaneOf<crate::Gray16> as SlotPacket>::PORT,
+    crate::GrayF32 => <PlaneOf<crate::GrayF32> as SlotPacket>::PORT,
+    crate::Mask => <PlaneOf<crate::Mask> as SlotPacket>::PORT,
+    crate::Disparity => <PlaneOf<crate::Disparity> as SlotPacket>::PORT,
+    crate::Confidence => <PlaneOf<crate::Confidence> as SlotPacket>::PORT,
+    crate::Depth => <PlaneOf<crate::Depth> as SlotPacket>::PORT,
+    AnyFormat => nameless("image", 0, IMAGE_FORMATS, 0),
+    PointCloud => nameless("cloud", 0, abi::format_bit(abi::FORMAT_CLOUD), 0),
+    TextPacket => nameless("text", 0, 0, 0),
+    crate::table::TableData => nameless("table", 0, 0, 0),
+    crate::detections::LabeledDetections => nameless("detections", 0, 0, 0),
+    crate::detections::LabeledInstances => nameless("instances", 0, 0, 0),
+}
+
+impl<'f, T: Packet> PortField<'f> for Slot<'f, T> {
+    const PORT: abi::Port = nameless(T::NAME, T::LAYOUT_HASH, 0, 0);
+
+    fn bind(call: RawCall<'f>, index: usize, _: &'static str) -> Result<Self> {
+        Ok(Slot::new(call, index))
+    }
+}
+
+impl<'f, T> Slot<'f, T> {
+    fn new(call: RawCall<'f>, index: usize) -> Self {
+        Self { call, index: index as u32, packet: PhantomData }
+    }
+
+    /// Whether anyone reads this output: work for nobody can be left out.
+    pub fn is_read(&self) -> bool {
+        // SAFETY: the host's call is valid for `'f`.
+        let read = unsafe { (*self.call.raw()).outputs_read };
+        self.index >= 64 || read >> self.index & 1 == 1
+    }
+
+    /// Makes this output the very buffer of an input; nothing is copied.
+    pub fn forward(&mut self, frame: &abi::Frame) -> Result<()> {
+        // SAFETY: the host's call is valid for `'f`, and so is its function table.
+        let status = unsafe {
+            let call = self.call.raw();
+            match (*(*call).host).forward {
+                Some(forward) => forward((*call).call, self.index, frame),
+                None => abi::STATUS_INVALID,
+            }
+        };
+        outcome(status, 0)
+    }
+
+    fn allocate(&mut self, format: u32, width: usize, height: usize, stride: usize, len: usize) -> Result<abi::Frame> {
+        let (Ok(width), Ok(height), Ok(stride)) = (u32::try_from(width), u32::try_from(height), u32::try_from(stride))
+        else {
+            return Err(NodeError::new(format!("an output of {width}x{height} is too large")));
+        };
+        // SAFETY: the host's call is valid for `'f`, and so is its function table.
+        let status = unsafe {
+            let call = self.call.raw();
+            match (*(*call).host).alloc {
+                Some(alloc) => alloc((*call).call, self.index, format, width, height, stride, len),
+                None => abi::STATUS_INVALID,
+            }
+        };
+        outcome(status, len)?;
+        Ok(self.call.output(self.index))
+    }
+
+    /// A writable buffer of `len` bytes.
+    pub(crate) fn allocate_bytes(&mut self, len: usize) -> Result<&mut [u8]> {
+        let frame = self.allocate(abi::FORMAT_BYTES, 0, 0, 0, len)?;
+        if len == 0 {
+            return Ok(&mut []);
+        }
+        // SAFETY: the host lends `len` fresh bytes to this call alone; `self` stays borrowed.
+        Ok(unsafe { std::slice::from_raw_parts_mut(frame.data, len) })
+    }
+
+    fn allocate_plane<E: Plain>(
+        &mut self,
+        format: u32,
+        channels: usize,
+        width: usize,
+        height: usize,
+    ) -> Result<ViewMut<'_, E>> {
+        if width == 0 || height == 0 {
+            return Err(NodeError::new(format!("an output of {width}x{height} has no pixels")));
+        }
+        let row = width * channels;
+        let Some(count) = row.checked_mul(height).filter(|n| n.checked_mul(size_of::<E>()).is_some()) else {
+            return Err(NodeError::new(format!("an output of {width}x{height} is too large")));
+        };
+        let frame = self.allocate(format, width, height, row * size_of::<E>(), count * size_of::<E>())?;
+        // SAFETY: the host lends fresh, initialised, 64-byte-aligned memory to this call alone; `self` stays borrowed.
+        let data = unsafe { std::slice::from_raw_parts_mut(frame.data.cast(), count) };
+        Ok(ViewMut::new(data, width, height, channels))
+    }
+}
+
+fn outcome(status: abi::Status, len: usize) -> Result<()> {
+    match status {
+        abi::STATUS_OK => Ok(()),
+        abi::STATUS_EXHAUSTED => Err(NodeError::with_status(
+            format!("the host's frame memory is used up ({len} bytes wanted)"),
+            abi::STATUS_EXHAUSTED,
+        )),
+        other => Err(NodeError::new(format!("the host refused an output ({other})"))),
+    }
+}
+
+impl<P: Plane> Slot<'_, P> {
+    /// Makes the output: `width` x `height` pixels, rows without padding, contents unspecified.
+    pub fn alloc(&mut self, width: usize, height: usize) -> Result<ViewMut<'_, P::Element>> {
+        self.allocate_plane(P::FORMAT, P::CHANNELS, width, height)
+    }
+}
+
+impl Slot<'_, AnyFormat> {
+    /// Makes the output with format `P`.
+    pub fn alloc_as<P: PlaneFormat>(&mut self, width: usize, height: usize) -> Result<ViewMut<'_, P::Element>> {
+        self.allocate_plane(P::FORMAT, P::CHANNELS, width, height)
+    }
+}
+
+impl<T: Packet> Slot<'_, T> {
+    /// Makes the output.
+    pub fn set(&mut self, value: T) -> Result<()> {
+        let bytes = self.allocate_bytes(size_of::<T>())?;
+        bytes.copy_from_slice(bytes_of(std::slice::from_ref(&value)));
+        Ok(())
+    }
+}
+
+impl Slot<'_, TextPacket> {
+    /// Makes the output.
+    pub fn set_text(&mut self, text: &str) -> Result<()> {
+        self.allocate_bytes(text.len())?.copy_from_slice(text.as_bytes());
+        Ok(())
+    }
+}
+
+// SAFETY: repr(C), three floats and four bytes without padding.
+unsafe impl Plain for abi::CloudPoint {}
+
+impl Slot<'_, PointCloud> {
+    /// Makes the output: `width` x `height` points, contents unspecified.
+    pub fn alloc_cloud(&mut self, width: usize, height: usize) -> Result<ViewMut<'_, abi::CloudPoint>> {
+        self.allocate_plane(abi::FORMAT_CLOUD, 1, width, height)
+    }
+}

@@ -1,0 +1,289 @@
+//! Parameters: one declaration feeds the parser, `describe` and the editor.
+
+use std::path::PathBuf;
+
+use crate::abi;
+use crate::error::{NodeError, Result};
+
+/// A struct of parameters, made by `#[derive(Params)]`.
+pub trait Params: Sized + Send + 'static {
+    /// The declarations, in order.
+    const PARAMS: &'static [abi::Param];
+
+    /// Reads values in the order of the declarations.
+    fn read(values: &[abi::ParamValue]) -> Result<Self>;
+}
+
+impl Params for () {
+    const PARAMS: &'static [abi::Param] = &[];
+
+    fn read(_: &[abi::ParamValue]) -> Result<Self> {
+        Ok(())
+    }
+}
+
+/// A type that a parameter may have.
+pub trait ParamField: Sized {
+    /// One of the `PARAM_` kinds.
+    const KIND: u32;
+    /// What the type itself can hold.
+    const LIMITS: (f64, f64);
+    /// Words of a choice.
+    const CHOICES: &'static [abi::Str] = &[];
+
+    /// Reads the value.
+    fn read(value: &abi::ParamValue) -> Result<Self>;
+}
+
+/// An enum that a parameter chooses from, made by `#[derive(Choice)]`.
+pub trait Choice: Sized {
+    /// Names in graph files.
+    const WORDS: &'static [abi::Str];
+
+    /// The variant of that index in `WORDS`.
+    fn from_index(index: u32) -> Option<Self>;
+}
+
+/// Largest whole number a parameter may hold: numbers cross as f64.
+const MAX_INT: f64 = 9_007_199_254_740_992.0;
+
+macro_rules! int_field {
+    ($($ty:ty),*) => {$(
+        impl ParamField for $ty {
+            const KIND: u32 = abi::PARAM_INT;
+            const LIMITS: (f64, f64) = {
+                let (min, max) = (<$ty>::MIN as f64, <$ty>::MAX as f64);
+                (if min < -MAX_INT { -MAX_INT } else { min }, if max > MAX_INT { MAX_INT } else { max })
+            };
+
+            fn read(value: &abi::ParamValue) -> Result<Self> {
+                expect_kind(value, Self::KIND)?;
+                <$ty>::try_from(value.int_value).map_err(|_| NodeError::new(format!("{} does not fit", value.int_value)))
+            }
+        }
+    )*};
+}
+int_field!(u8, u16, u32, u64, usize, i8, i16, i32, i64);
+
+macro_rules! float_field {
+    ($($ty:ty),*) => {$(
+        impl ParamField for $ty {
+            const KIND: u32 = abi::PARAM_FLOAT;
+            const LIMITS: (f64, f64) = (<$ty>::MIN as f64, <$ty>::MAX as f64);
+
+            fn read(value: &abi::ParamValue) -> Result<Self> {
+                expect_kind(value, Self::KIND)?;
+                Ok(value.float_value as $ty)
+            }
+        }
+    )*};
+}
+float_field!(f32, f64);
+
+impl ParamField for bool {
+    const KIND: u32 = abi::PARAM_BOOL;
+    const LIMITS: (f64, f64) = (0.0, 1.0);
+
+    fn read(value: &abi::ParamValue) -> Result<Self> {
+        expect_kind(value, Self::KIND)?;
+        Ok(value.int_value != 0)
+    }
+}
+
+fn text(value: &abi::ParamValue) -> Result<&str> {
+    // SAFETY: the host keeps the snapshot's texts alive for the length of the call.
+    unsafe { value.text.text() }.ok_or_else(|| NodeError::new("a text parameter is not UTF-8"))
+}
+
+impl ParamField for String {
+    const KIND: u32 = abi::PARAM_TEXT;
+    const LIMITS: (f64, f64) = (0.0, 0.0);
+
+    fn read(value: &abi::ParamValue) -> Result<Self> {
+        expect_kind(value, Self::KIND)?;
+        Ok(text(value)?.to_owned())
+    }
+}
+
+impl ParamField for PathBuf {
+    const KIND: u32 = abi::PARAM_PATH;
+    const LIMITS: (f64, f64) = (0.0, 0.0);
+
+    fn read(value: &abi::ParamValue) -> Result<Self> {
+        expect_kind(value, Self::KIND)?;
+        Ok(PathBuf::from(text(value)?))
+    }
+}
+
+impl ParamField for Vec<f64> {
+    const KIND: u32 = abi::PARAM_FLOATS;
+    const LIMITS: (f64, f64) = (0.0, 4096.0);
+
+    fn read(value: &abi::ParamValue) -> Result<Self> {
+        expect_kind(value, Self::KIND)?;
+        if value.floats_len == 0 {
+            return Ok(Vec::new());
+        }
+        // SAFETY: the host keeps the snapshot's numbers alive for the length of the call.
+        Ok(unsafe { std::slice::from_raw_parts(value.floats, value.floats_len) }.to_vec())
+    }
+}
+
+/// Makes a [`Choice`] a [`ParamField`]; called by the derive.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! choice_param_field {
+    ($ty:ty) => {
+        impl $crate::ParamField for $ty {
+            const KIND: u32 = $crate::abi::PARAM_CHOICE;
+            const LIMITS: (f64, f64) = (0.0, 0.0);
+            const CHOICES: &'static [$crate::abi::Str] = <$ty as $crate::Choice>::WORDS;
+
+            fn read(value: &$crate::abi::ParamValue) -> $crate::Result<Self> {
+                <$ty as $crate::Choice>::from_index(value.index)
+                    .ok_or_else(|| $crate::NodeError::new("the host chose an entry that does not exist"))
+            }
+        }
+    };
+}
+
+fn expect_kind(value: &abi::ParamValue, kind: u32) -> Result<()> {
+    if value.kind == kind {
+        return Ok(());
+    }
+    Err(NodeError::new(format!("a parameter of kind {kind} was given a value of kind {}", value.kind)))
+}
+
+/// The host passed another number of values than were declared.
+pub fn wrong_param_count(expected: usize, found: usize) -> NodeError {
+    NodeError::new(format!("{expected} parameters are declared, the host passed {found}"))
+}
+
+/// The literal after `default =`.
+pub enum DefaultValue {
+    /// A number.
+    Number(f64),
+    /// `true` or `false`.
+    Flag(bool),
+    /// A text, a path or the word of a choice.
+    Text(&'static str),
+    /// A list of numbers.
+    Floats(&'static [f64]),
+}
+
+/// What the derive knows of a parameter.
+pub struct Declared {
+    /// Name in graph files.
+    pub name: &'static str,
+    /// Tooltip.
+    pub doc: &'static str,
+    /// Unit or empty.
+    pub unit: &'static str,
+    /// `PARAM_` kind of the field's type.
+    pub kind: u32,
+    /// What the field's type can hold.
+    pub limits: (f64, f64),
+    /// Words of a choice.
+    pub choices: &'static [abi::Str],
+    /// Default.
+    pub default: DefaultValue,
+    /// Low end of the range.
+    pub min: Option<f64>,
+    /// High end of the range.
+    pub max: Option<f64>,
+    /// Step or 0.
+    pub step: f64,
+    /// A change reopens the node.
+    pub reopen: bool,
+    /// The path must exist.
+    pub must_exist: bool,
+}
+
+const fn same(a: &[u8], b: &[u8]) -> bool {
+    if a.len() != b.len() {
+        return false;
+    }
+    let mut i = 0;
+    while i < a.len() {
+        if a[i] != b[i] {
+            return false;
+        }
+        i += 1;
+    }
+    true
+}
+
+/// Checks a declaration at compile time and lays it out for the contract.
+pub const fn param(d: Declared) -> abi::Param {
+    let mut out = abi::Param {
+        name: abi::Str::new(d.name),
+        doc: abi::Str::new(d.doc),
+        unit: abi::Str::new(d.unit),
+        kind: d.kind,
+        flags: if d.reopen { abi::PARAM_REOPEN } else { 0 } | if d.must_exist { abi::PARAM_MUST_EXIST } else { 0 },
+        default_number: 0.0,
+        min: d.limits.0,
+        max: d.limits.1,
+        step: d.step,
+        default_text: abi::Str::EMPTY,
+        choices: d.choices.as_ptr(),
+        choices_len: d.choices.len(),
+        default_floats: std::ptr::null(),
+        default_floats_len: 0,
+    };
+    if let (Some(min), Some(max)) = (d.min, d.max) {
+        assert!(min <= max, "the range of a parameter is empty");
+        assert!(min >= d.limits.0 && max <= d.limits.1, "the range of a parameter does not fit its type");
+        out.min = min;
+        out.max = max;
+    } else {
+        assert!(
+            d.kind != abi::PARAM_INT && d.kind != abi::PARAM_FLOAT,
+            "a number needs a range: #[param(default = 64, range = 16..=256)]"
+        );
+    }
+    match d.default {
+        DefaultValue::Number(number) => {
+            assert!(
+                d.kind == abi::PARAM_INT || d.kind == abi::PARAM_FLOAT,
+                "the default does not fit the field's type"
+            );
+            assert!(number >= out.min && number <= out.max, "the default lies outside the range");
+            out.default_number = number;
+        }
+        DefaultValue::Flag(flag) => {
+            assert!(d.kind == abi::PARAM_BOOL, "the default does not fit the field's type");
+            out.default_number = if flag { 1.0 } else { 0.0 };
+        }
+        DefaultValue::Text(text) => {
+            if d.kind == abi::PARAM_CHOICE {
+                let mut index = 0;
+                loop {
+                    assert!(index < d.choices.len(), "the default is none of the choices");
+                    // SAFETY: `choices` are static texts made by the derive.
+                    if same(unsafe { d.choices[index].bytes() }, text.as_bytes()) {
+                        break;
+                    }
+                    index += 1;
+                }
+                out.default_number = index as f64;
+            } else {
+                assert!(
+                    d.kind == abi::PARAM_TEXT || d.kind == abi::PARAM_PATH,
+                    "the default does not fit the field's type"
+                );
+            }
+            out.default_text = abi::Str::new(text);
+        }
+        DefaultValue::Floats(floats) => {
+            assert!(d.kind == abi::PARAM_FLOATS, "the default does not fit the field's type");
+            assert!(
+                floats.len() as f64 >= out.min && floats.len() as f64 <= out.max,
+                "the default's length is outside the range"
+            );
+            out.default_floats = floats.as_ptr();
+            out.default_floats_len = floats.len();
+        }
+    }
+    out
+}

@@ -1,0 +1,100 @@
+//! Ports: how the fields of a node's `In` and `Out` find their frames.
+
+use std::marker::PhantomData;
+
+use crate::abi;
+use crate::error::Result;
+
+/// The running call as the host describes it.
+#[derive(Clone, Copy)]
+pub struct RawCall<'f> {
+    call: *mut abi::Call,
+    lifetime: PhantomData<&'f abi::Call>,
+}
+
+impl<'f> RawCall<'f> {
+    /// Wraps the host's call.
+    ///
+    /// # Safety
+    /// `call` and everything it points to is valid for `'f`.
+    pub(crate) unsafe fn new(call: *mut abi::Call) -> Self {
+        Self { call, lifetime: PhantomData }
+    }
+
+    /// The host's call.
+    pub(crate) fn raw(self) -> *mut abi::Call {
+        self.call
+    }
+
+    /// The frames of input port `index`; empty when the host knows fewer ports.
+    pub(crate) fn input(self, index: usize) -> &'f [abi::Frame] {
+        // SAFETY: the host describes `inputs` and `input_ranges` for the length of the call.
+        unsafe {
+            let call = &*self.call;
+            if index >= call.input_ranges_len {
+                return &[];
+            }
+            let range = *call.input_ranges.add(index);
+            if range.count == 0 || range.first as usize + range.count as usize > call.inputs_len {
+                return &[];
+            }
+            std::slice::from_raw_parts(call.inputs.add(range.first as usize), range.count as usize)
+        }
+    }
+
+    /// A copy of output `index`'s frame.
+    pub(crate) fn output(self, index: u32) -> abi::Frame {
+        // SAFETY: the host describes `outputs` for the length of the call; a copy is read, no reference made.
+        unsafe {
+            let call = self.call;
+            if index as usize >= (*call).outputs_len { abi::Frame::EMPTY } else { *(*call).outputs.add(index as usize) }
+        }
+    }
+}
+
+/// A struct of ports, made by `#[derive(Ports)]`.
+pub trait Ports<'f>: Sized {
+    /// The declarations, in order.
+    const PORTS: &'static [abi::Port];
+
+    /// Finds every field's frames.
+    fn bind(call: RawCall<'f>) -> Result<Self>;
+}
+
+/// For nodes without inputs or without outputs.
+#[derive(Clone, Copy, Debug)]
+pub struct NoPorts;
+
+impl<'f> Ports<'f> for NoPorts {
+    const PORTS: &'static [abi::Port] = &[];
+
+    fn bind(_: RawCall<'f>) -> Result<Self> {
+        Ok(Self)
+    }
+}
+
+/// A type that a port's field may have.
+pub trait PortField<'f>: Sized {
+    /// Declaration without name and doc.
+    const PORT: abi::Port;
+
+    /// Finds the frames of port `index`.
+    fn bind(call: RawCall<'f>, index: usize, name: &'static str) -> Result<Self>;
+}
+
+/// A declaration without name and doc.
+pub(crate) const fn nameless(packet: &'static str, layout_hash: u64, formats: u32, flags: u32) -> abi::Port {
+    abi::Port {
+        name: abi::Str::EMPTY,
+        doc: abi::Str::EMPTY,
+        packet: abi::Str::new(packet),
+        layout_hash,
+        formats,
+        flags,
+    }
+}
+
+/// Gives a declaration its name and doc; called by the derive.
+pub const fn port(name: &'static str, doc: &'static str, port: abi::Port) -> abi::Port {
+    abi::Port { name: abi::Str::new(name), doc: abi::Str::new(doc), ..port }
+}

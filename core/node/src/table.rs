@@ -1,0 +1,94 @@
+//! Packet `table`: named columns of numbers.
+
+use crate::abi::{self, TableHeader};
+use crate::error::{NodeError, Result};
+use crate::input::{FromFrame, bytes};
+use crate::output::Slot;
+use crate::packet::{Plain, bytes_of};
+use crate::port::nameless;
+
+/// Marks an output of type `table`.
+#[derive(Clone, Copy, Debug)]
+pub enum TableData {}
+
+// SAFETY: repr(C), four u32.
+unsafe impl Plain for TableHeader {}
+const _: () = assert!(size_of::<TableHeader>() == 16);
+
+/// Named columns of numbers.
+#[derive(Clone, Copy)]
+pub struct Table<'f> {
+    names: &'f str,
+    columns: usize,
+    values: &'f [f64],
+}
+
+impl<'f> FromFrame<'f> for Table<'f> {
+    const PORT: abi::Port = nameless("table", 0, 0, 0);
+
+    fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
+        let all = bytes(frame);
+        let short = || NodeError::new(format!("a table is cut off after {} bytes", all.len()));
+        if all.len() < size_of::<TableHeader>() || (frame.data as usize) % 8 != 0 {
+            return Err(short());
+        }
+        // SAFETY: length and alignment checked; plain data.
+        let header = unsafe { &*all.as_ptr().cast::<TableHeader>() };
+        let names_at = size_of::<TableHeader>();
+        let values_at = names_at + header.names_len as usize;
+        let count = header.rows as usize * header.columns as usize;
+        if values_at % 8 != 0 || all.len() < values_at + count * 8 {
+            return Err(short());
+        }
+        let names = std::str::from_utf8(&all[names_at..values_at])?.trim_end_matches('\0');
+        // SAFETY: inside the buffer and a multiple of 8 from its aligned start.
+        let values = unsafe { std::slice::from_raw_parts(all.as_ptr().add(values_at).cast(), count) };
+        Ok(Self { names, columns: header.columns as usize, values })
+    }
+}
+
+impl<'f> Table<'f> {
+    /// Column names with their units, such as `distance_mm`.
+    pub fn names(&self) -> impl Iterator<Item = &'f str> + use<'f> {
+        self.names.lines()
+    }
+
+    /// Rows of `columns` numbers.
+    pub fn rows(&self) -> impl Iterator<Item = &'f [f64]> + use<'f> {
+        self.values.chunks_exact(self.columns.max(1))
+    }
+}
+
+impl Slot<'_, TableData> {
+    /// Makes the output: `names` one per column, `values` in row order.
+    pub fn set_table(&mut self, names: &[&str], values: &[f64]) -> Result<()> {
+        let columns = names.len();
+        if columns == 0 || values.len() % columns != 0 {
+            return Err(NodeError::new(format!("{} numbers do not fill rows of {columns}", values.len())));
+        }
+        let text_len: usize = names.iter().map(|name| name.len()).sum::<usize>() + columns - 1;
+        let header = TableHeader {
+            rows: (values.len() / columns) as u32,
+            columns: columns as u32,
+            names_len: text_len.next_multiple_of(8) as u32,
+            reserved: 0,
+        };
+        let (a, b) = (bytes_of(std::slice::from_ref(&header)), bytes_of(values));
+        let out = self.allocate_bytes(a.len() + header.names_len as usize + b.len())?;
+        let (head, rest) = out.split_at_mut(a.len());
+        head.copy_from_slice(a);
+        let (text, numbers) = rest.split_at_mut(header.names_len as usize);
+        text.fill(0);
+        let mut at = 0;
+        for (index, name) in names.iter().enumerate() {
+            if index > 0 {
+                text[at] = b'\n';
+                at += 1;
+            }
+            text[at..at + name.len()].copy_from_slice(name.as_bytes());
+            at += name.len();
+        }
+        numbers.copy_from_slice(b);
+        Ok(())
+    }
+}
