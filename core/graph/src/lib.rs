@@ -1,1 +1,36 @@
-//! Graph files of Panoscope: text to checked graph, with diagnostics.
+//! Graph files: TOML text and a plain [`Catalog`] of node types become a checked [`Graph`], or [`Diagnostics`] that name
+//! every mistake of the file at once. Knows nothing of plugins, threads or frames.
+//!
+//! ```
+//! use panoscope_graph::{Catalog, GraphText, check};
+//!
+//! let text = GraphText::parse("wide.toml".as_ref(), "plugins = [\"phantom\"]\n[nodes.scope]\ntype = \"fantom\"\n");
+//! assert_eq!(text.plugins(), ["phantom"]); // load these, and fill the catalog with what they offer
+//! let mistakes = check(&text, &Catalog::default()).into_result().unwrap_err();
+//! assert!(mistakes.render(false).contains("wide.toml:1:12")); // no such plugin
+//! ```
+
+mod accept;
+pub mod catalog;
+mod check;
+pub mod checked;
+mod diagnostic;
+mod dot;
+pub mod edit;
+#[cfg(feature = "abi")]
+pub mod from_abi;
+mod nearest;
+mod parse;
+mod schema;
+mod shape;
+mod source;
+mod text;
+pub mod value;
+
+pub use catalog::{Catalog, NodeKind, NodeType, PacketType, Param, ParamKind, PluginProblem, Port};
+pub use check::{Checked, check};
+pub use checked::{Align, Edge, Graph, Mode, Node, OnFault, ParamValue, Pin, Preset};
+pub use diagnostic::{Diagnostic, Diagnostics, Note, Severity};
+pub use dot::to_dot;
+pub use schema::json_schema;
+pub use text::GraphText;

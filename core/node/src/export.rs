@@ -1,14 +1,13 @@
 //! From [`Node`] to the contract's function table.
 
-use std::any::Any;
-use std::cell::RefCell;
 use std::ffi::c_void;
 use std::marker::PhantomData;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use crate::abi::{self, Str};
 use crate::context::{Context, Open};
 use crate::error::NodeError;
+use crate::guard;
+pub use crate::guard::install_panic_hook;
 use crate::param::Params;
 use crate::port::{Ports, RawCall};
 use crate::{Kind, Node};
@@ -66,50 +65,23 @@ unsafe fn fail(host: *const abi::Host, call: *mut c_void, message: &str) {
     }
 }
 
-thread_local! {
-    /// Where the last panic of this thread happened, left by the hook for the guard.
-    static PANIC_PLACE: RefCell<Option<String>> = const { RefCell::new(None) };
-}
-
-/// Keeps a node's panic off the terminal and remembers its place: the host tells the user.
-pub fn install_panic_hook() {
-    std::panic::set_hook(Box::new(|info| {
-        let place = info.location().map(|l| format!("{}:{}", l.file(), l.line()));
-        PANIC_PLACE.with(|slot| *slot.borrow_mut() = place);
-    }));
-}
-
-fn panic_text(payload: &(dyn Any + Send)) -> String {
-    let words = payload
-        .downcast_ref::<&str>()
-        .map(|s| (*s).to_owned())
-        .or_else(|| payload.downcast_ref::<String>().cloned())
-        .unwrap_or_else(|| "no message".to_owned());
-    match PANIC_PLACE.with(|slot| slot.borrow_mut().take()) {
-        Some(place) => format!("panicked at {place}: {words}"),
-        None => format!("panicked: {words}"),
-    }
-}
-
 /// Runs a call of the contract; errors and panics become words and a status.
 unsafe fn guarded(
     host: *const abi::Host,
     call: *mut c_void,
     body: impl FnOnce() -> Result<abi::Status, NodeError>,
 ) -> abi::Status {
-    match catch_unwind(AssertUnwindSafe(body)) {
+    match guard::catch(body) {
         Ok(Ok(status)) => status,
         Ok(Err(error)) => {
             // SAFETY: the caller's host and handle.
             unsafe { fail(host, call, error.message()) };
             error.status()
         }
-        Err(payload) => {
-            let text = panic_text(&*payload);
-            // A payload whose drop panics must not cross the boundary.
-            let _ = catch_unwind(AssertUnwindSafe(move || drop(payload)));
+        Err(caught) => {
             // SAFETY: the caller's host and handle.
-            unsafe { fail(host, call, &text) };
+            unsafe { fail(host, call, &caught.text()) };
+            caught.discard();
             abi::STATUS_PANIC
         }
     }
@@ -153,7 +125,9 @@ unsafe extern "C" fn process<N: Node>(instance: *mut c_void, call: *mut abi::Cal
 unsafe extern "C" fn close<N: Node>(instance: *mut c_void) {
     // SAFETY: the host closes what `open` made, once.
     let boxed = unsafe { Box::from_raw(instance.cast::<Instance<N>>()) };
-    let _ = catch_unwind(AssertUnwindSafe(move || drop(boxed)));
+    if let Err(caught) = guard::catch(move || drop(boxed)) {
+        caught.discard();
+    }
 }
 
 unsafe extern "C" fn save_state<N: Node>(
@@ -164,7 +138,7 @@ unsafe extern "C" fn save_state<N: Node>(
     // SAFETY: an open instance that no other thread uses, and the host's table.
     unsafe {
         let this = &*instance.cast::<Instance<N>>();
-        match catch_unwind(AssertUnwindSafe(|| this.node.save_state())) {
+        match guard::catch(|| this.node.save_state()) {
             Ok(Some(bytes)) => {
                 if let Some(save) = (*host).save {
                     save(sink, bytes.as_ptr(), bytes.len());
@@ -172,7 +146,10 @@ unsafe extern "C" fn save_state<N: Node>(
                 abi::STATUS_OK
             }
             Ok(None) => abi::STATUS_OK,
-            Err(_) => abi::STATUS_PANIC,
+            Err(caught) => {
+                caught.discard();
+                abi::STATUS_PANIC
+            }
         }
     }
 }
@@ -182,10 +159,13 @@ unsafe extern "C" fn load_state<N: Node>(instance: *mut c_void, bytes: *const u8
     unsafe {
         let this = &mut *instance.cast::<Instance<N>>();
         let bytes = if len == 0 { &[] } else { std::slice::from_raw_parts(bytes, len) };
-        match catch_unwind(AssertUnwindSafe(|| this.node.load_state(bytes))) {
+        match guard::catch(|| this.node.load_state(bytes)) {
             Ok(Ok(())) => abi::STATUS_OK,
             Ok(Err(_)) => abi::STATUS_ERROR,
-            Err(_) => abi::STATUS_PANIC,
+            Err(caught) => {
+                caught.discard();
+                abi::STATUS_PANIC
+            }
         }
     }
 }

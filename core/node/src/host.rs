@@ -4,6 +4,7 @@ use std::ffi::c_void;
 use std::sync::atomic::{AtomicPtr, Ordering};
 
 use crate::abi;
+use crate::guard::{self, Caught};
 
 /// Every cdylib has its own copy of this static; `attach` fills it before any node opens.
 static HOST: AtomicPtr<abi::Host> = AtomicPtr::new(std::ptr::null_mut());
@@ -44,15 +45,22 @@ pub(crate) fn parallel_for(host: &abi::Host, chunks: usize, body: &(dyn Fn(usize
     unsafe extern "C" fn chunk(data: *mut c_void, index: usize) {
         // SAFETY: `data` is the `Loop` below, alive until the host's `parallel_for` returns.
         let this = unsafe { &*data.cast::<Loop<'_>>() };
-        let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| (this.body)(index)));
-        if let Err(payload) = result {
-            let mut first = this.panic.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-            first.get_or_insert(payload);
+        if let Err(caught) = guard::catch(|| (this.body)(index)) {
+            let mut panic = this.panic.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+            // The lowest index wins, so that a node fails with the same words whatever the number of threads.
+            match &*panic {
+                Some((first, _)) if *first < index => caught.discard(),
+                _ => {
+                    if let Some((_, later)) = panic.replace((index, caught)) {
+                        later.discard();
+                    }
+                }
+            }
         }
     }
     struct Loop<'a> {
         body: &'a (dyn Fn(usize) + Sync),
-        panic: std::sync::Mutex<Option<Box<dyn std::any::Any + Send>>>,
+        panic: std::sync::Mutex<Option<(usize, Caught)>>,
     }
     let mut this = Loop { body, panic: std::sync::Mutex::new(None) };
     let status = match host.parallel_for {
@@ -60,8 +68,8 @@ pub(crate) fn parallel_for(host: &abi::Host, chunks: usize, body: &(dyn Fn(usize
         Some(run) => unsafe { run(host.ctx, chunks, Some(chunk), (&raw mut this).cast()) },
         None => abi::STATUS_INVALID,
     };
-    if let Some(payload) = this.panic.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()) {
-        std::panic::resume_unwind(payload);
+    if let Some((_, caught)) = this.panic.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()) {
+        caught.resume();
     }
     if status != abi::STATUS_OK {
         (0..chunks).for_each(body);

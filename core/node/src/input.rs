@@ -66,6 +66,16 @@ impl<'f, T: FromFrame<'f>> PortField<'f> for List<'f, T> {
     }
 }
 
+/// A list that may stay unconnected.
+impl<'f, T: FromFrame<'f>> PortField<'f> for Option<List<'f, T>> {
+    const PORT: abi::Port = abi::Port { flags: abi::PORT_LIST | abi::PORT_OPTIONAL, ..T::PORT };
+
+    fn bind(call: RawCall<'f>, index: usize, name: &'static str) -> Result<Self> {
+        let list = <List<'f, T> as PortField<'f>>::bind(call, index, name)?;
+        Ok(if list.is_empty() { None } else { Some(list) })
+    }
+}
+
 impl<'f, T: FromFrame<'f>> List<'f, T> {
     /// How many frames are connected.
     pub fn len(&self) -> usize {
@@ -328,6 +338,13 @@ impl<'f> FromFrame<'f> for Text<'f> {
 
     fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
         Ok(Self { text: std::str::from_utf8(bytes(frame))? })
+    }
+}
+
+impl<'f> Text<'f> {
+    /// The text, for as long as the frame is lent.
+    pub fn as_str(&self) -> &'f str {
+        self.text
     }
 }
 

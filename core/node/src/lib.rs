@@ -10,6 +10,9 @@ pub mod context;
 pub mod detections;
 pub mod error;
 pub mod export;
+mod guard;
+#[cfg(feature = "harness")]
+pub mod harness;
 pub mod host;
 pub mod input;
 pub mod output;
@@ -101,23 +104,42 @@ pub struct NodeInfo {
     pub side_effects: bool,
 }
 
+const fn is_snake_case(name: &str) -> bool {
+    let bytes = name.as_bytes();
+    let mut i = 0;
+    while i < bytes.len() {
+        let lower = bytes[i].is_ascii_lowercase();
+        if !(lower || (i > 0 && (bytes[i].is_ascii_digit() || bytes[i] == b'_'))) {
+            return false;
+        }
+        i += 1;
+    }
+    i > 0
+}
+
 impl NodeInfo {
+    #[track_caller]
     const fn new(kind: Kind, name: &'static str, family: &'static str, doc: &'static str) -> Self {
-        assert!(!name.is_empty() && !doc.is_empty(), "a node type needs a name and a doc text");
+        assert!(is_snake_case(name), "the first argument is the node type's name in graph files, in `snake_case`");
+        assert!(!family.is_empty(), "a node type needs a family, such as \"filter\"");
+        assert!(!doc.is_empty(), "a node type needs a text that says what it does");
         Self { name, family, doc, kind, source: false, exclusive: false, side_effects: false }
     }
 
     /// A short calculation.
+    #[track_caller]
     pub const fn compute(name: &'static str, family: &'static str, doc: &'static str) -> Self {
         Self::new(Kind::Compute, name, family, doc)
     }
 
     /// A node that may wait.
+    #[track_caller]
     pub const fn blocking(name: &'static str, family: &'static str, doc: &'static str) -> Self {
         Self::new(Kind::Blocking, name, family, doc)
     }
 
     /// A control loop.
+    #[track_caller]
     pub const fn realtime(name: &'static str, family: &'static str, doc: &'static str) -> Self {
         Self::new(Kind::Realtime, name, family, doc)
     }
@@ -143,6 +165,9 @@ impl NodeInfo {
 
 #[doc(hidden)]
 pub mod __private {
-    pub use crate::param::{Declared, DefaultValue, param, wrong_param_count};
+    pub use crate::packet::plain_size;
+    pub use crate::param::{
+        Declared, DefaultValue, has_word, is_flag, is_floats, is_number, is_text, on_step, param, wrong_param_count,
+    };
     pub use crate::port::port;
 }

@@ -90,6 +90,38 @@ impl<'f, T> Slot<'f, T> {
         outcome(status, 0)
     }
 
+    /// Makes this output the buffer of an input, then a copy of its own.
+    fn copy_of(&mut self, frame: &abi::Frame) -> Result<()> {
+        self.forward(frame)?;
+        // SAFETY: the host's call is valid for `'f`, and so is its function table.
+        let status = unsafe {
+            let call = self.call.raw();
+            match (*(*call).host).make_mut {
+                Some(make_mut) => make_mut((*call).call, self.index),
+                None => abi::STATUS_INVALID,
+            }
+        };
+        outcome(status, frame.len)?;
+        if self.call.output(self.index).data == frame.data {
+            // The input is lent for the whole call, so its buffer cannot be this call's alone.
+            return Err(NodeError::new("the host gave a frame to be written that others read"));
+        }
+        Ok(())
+    }
+
+    /// The pixels of a frame that [`Slot::copy_of`] made.
+    fn writable<E: Plain>(&mut self, frame: &abi::Frame, channels: usize) -> Result<ViewMut<'_, E>> {
+        let (width, height, size) = (frame.width as usize, frame.height as usize, size_of::<E>());
+        let stride = frame.stride_bytes as usize;
+        let need = height.saturating_sub(1) * stride + width * channels * size;
+        if width == 0 || height == 0 || need > frame.len || stride % size != 0 || frame.data as usize % size != 0 {
+            return Err(NodeError::new(format!("a {width}x{height} frame cannot be copied to an output")));
+        }
+        // SAFETY: the host made this buffer for this output alone; size and alignment were checked; `self` stays borrowed.
+        let data = unsafe { std::slice::from_raw_parts_mut(frame.data.cast(), need / size) };
+        Ok(ViewMut::with_stride(data, width, height, channels, stride / size))
+    }
+
     fn allocate(&mut self, format: u32, width: usize, height: usize, stride: usize, len: usize) -> Result<abi::Frame> {
         let (Ok(width), Ok(height), Ok(stride)) = (u32::try_from(width), u32::try_from(height), u32::try_from(stride))
         else {
@@ -156,7 +188,23 @@ impl<P: Plane> Slot<'_, P> {
     }
 }
 
+impl<P: Plane> Slot<'_, P> {
+    /// Makes the output `image`, to be drawn on. The host copies it, and counts the copy, while anybody else holds the frame.
+    pub fn alloc_copy(&mut self, image: &crate::Image<'_, P>) -> Result<ViewMut<'_, P::Element>> {
+        self.copy_of(image.frame())?;
+        let frame = self.call.output(self.index);
+        self.writable(&frame, P::CHANNELS)
+    }
+}
+
 impl Slot<'_, AnyFormat> {
+    /// As [`Slot::alloc_copy`] for a format known only when the image arrives.
+    pub fn alloc_copy_as<P: PlaneFormat>(&mut self, image: &crate::Image<'_, P>) -> Result<ViewMut<'_, P::Element>> {
+        self.copy_of(image.frame())?;
+        let frame = self.call.output(self.index);
+        self.writable(&frame, P::CHANNELS)
+    }
+
     /// Makes the output with format `P`.
     pub fn alloc_as<P: PlaneFormat>(&mut self, width: usize, height: usize) -> Result<ViewMut<'_, P::Element>> {
         self.allocate_plane(P::FORMAT, P::CHANNELS, width, height)

@@ -6,6 +6,11 @@ use crate::abi;
 ///
 /// # Safety
 /// The type is `repr(C)` or a primitive, has no padding and no invalid bit pattern.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no plain data",
+    label = "not plain data",
+    note = "packets hold numbers, arrays of numbers and structs with `#[derive(Packet)]`: no `bool`, reference, `String` or `Vec`"
+)]
 pub unsafe trait Plain: Copy + Send + Sync + 'static {}
 
 macro_rules! plain {
@@ -142,4 +147,9 @@ pub(crate) const IMAGE_FORMATS: u32 = abi::format_bit(abi::FORMAT_GRAY8)
 pub(crate) fn bytes_of<T: Plain>(items: &[T]) -> &[u8] {
     // SAFETY: plain data has no padding, so every byte is initialised.
     unsafe { std::slice::from_raw_parts(items.as_ptr().cast(), size_of_val(items)) }
+}
+
+/// Size of a field, which must be plain data; called by the derive.
+pub const fn plain_size<T: Plain>() -> usize {
+    size_of::<T>()
 }

@@ -23,6 +23,11 @@ impl Params for () {
 }
 
 /// A type that a parameter may have.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no type for a parameter",
+    label = "not a parameter",
+    note = "parameters are `bool`, whole numbers up to 64 bits, `f32`, `f64`, `String`, `PathBuf`, `Vec<f64>` and enums with `#[derive(Choice)]`"
+)]
 pub trait ParamField: Sized {
     /// One of the `PARAM_` kinds.
     const KIND: u32;
@@ -30,6 +35,8 @@ pub trait ParamField: Sized {
     const LIMITS: (f64, f64);
     /// Words of a choice.
     const CHOICES: &'static [abi::Str] = &[];
+    /// What the compiler says when the default is none of the choices.
+    const CHOICES_TEXT: &'static str = "";
 
     /// Reads the value.
     fn read(value: &abi::ParamValue) -> Result<Self>;
@@ -39,6 +46,8 @@ pub trait ParamField: Sized {
 pub trait Choice: Sized {
     /// Names in graph files.
     const WORDS: &'static [abi::Str];
+    /// What the compiler says when a default is none of the words.
+    const WORDS_TEXT: &'static str;
 
     /// The variant of that index in `WORDS`.
     fn from_index(index: u32) -> Option<Self>;
@@ -138,6 +147,7 @@ macro_rules! choice_param_field {
             const KIND: u32 = $crate::abi::PARAM_CHOICE;
             const LIMITS: (f64, f64) = (0.0, 0.0);
             const CHOICES: &'static [$crate::abi::Str] = <$ty as $crate::Choice>::WORDS;
+            const CHOICES_TEXT: &'static str = <$ty as $crate::Choice>::WORDS_TEXT;
 
             fn read(value: &$crate::abi::ParamValue) -> $crate::Result<Self> {
                 <$ty as $crate::Choice>::from_index(value.index)
@@ -213,7 +223,47 @@ const fn same(a: &[u8], b: &[u8]) -> bool {
     true
 }
 
-/// Checks a declaration at compile time and lays it out for the contract.
+/// Whether the type is a number; called by the derive.
+pub const fn is_number<T: ParamField>() -> bool {
+    T::KIND == abi::PARAM_INT || T::KIND == abi::PARAM_FLOAT
+}
+
+/// Whether the type is a switch; called by the derive.
+pub const fn is_flag<T: ParamField>() -> bool {
+    T::KIND == abi::PARAM_BOOL
+}
+
+/// Whether the type takes a text as default; called by the derive.
+pub const fn is_text<T: ParamField>() -> bool {
+    T::KIND == abi::PARAM_TEXT || T::KIND == abi::PARAM_PATH || T::KIND == abi::PARAM_CHOICE
+}
+
+/// Whether the type is a list of numbers; called by the derive.
+pub const fn is_floats<T: ParamField>() -> bool {
+    T::KIND == abi::PARAM_FLOATS
+}
+
+/// Whether a whole number can be reached by steps from the low end; called by the derive.
+pub const fn on_step<T: ParamField>(number: f64, min: f64, step: f64) -> bool {
+    T::KIND != abi::PARAM_INT || (step >= 1.0 && (number - min) % step == 0.0)
+}
+
+/// Whether a word is one of the type's choices, or the type is no choice; called by the derive.
+pub const fn has_word<T: ParamField>(word: &str) -> bool {
+    T::KIND != abi::PARAM_CHOICE || index_of(T::CHOICES, word) < T::CHOICES.len()
+}
+
+/// Place of a word; the list's length when it is not there.
+const fn index_of(words: &[abi::Str], word: &str) -> usize {
+    let mut index = 0;
+    // SAFETY: choices are static texts made by the derive.
+    while index < words.len() && !same(unsafe { words[index].bytes() }, word.as_bytes()) {
+        index += 1;
+    }
+    index
+}
+
+/// Lays a declaration out for the contract. The derive has checked it, with messages that point at the text.
 pub const fn param(d: Declared) -> abi::Param {
     let mut out = abi::Param {
         name: abi::Str::new(d.name),
@@ -232,55 +282,19 @@ pub const fn param(d: Declared) -> abi::Param {
         default_floats_len: 0,
     };
     if let (Some(min), Some(max)) = (d.min, d.max) {
-        assert!(min <= max, "the range of a parameter is empty");
-        assert!(min >= d.limits.0 && max <= d.limits.1, "the range of a parameter does not fit its type");
         out.min = min;
         out.max = max;
-    } else {
-        assert!(
-            d.kind != abi::PARAM_INT && d.kind != abi::PARAM_FLOAT,
-            "a number needs a range: #[param(default = 64, range = 16..=256)]"
-        );
     }
     match d.default {
-        DefaultValue::Number(number) => {
-            assert!(
-                d.kind == abi::PARAM_INT || d.kind == abi::PARAM_FLOAT,
-                "the default does not fit the field's type"
-            );
-            assert!(number >= out.min && number <= out.max, "the default lies outside the range");
-            out.default_number = number;
-        }
-        DefaultValue::Flag(flag) => {
-            assert!(d.kind == abi::PARAM_BOOL, "the default does not fit the field's type");
-            out.default_number = if flag { 1.0 } else { 0.0 };
-        }
+        DefaultValue::Number(number) => out.default_number = number,
+        DefaultValue::Flag(flag) => out.default_number = if flag { 1.0 } else { 0.0 },
         DefaultValue::Text(text) => {
             if d.kind == abi::PARAM_CHOICE {
-                let mut index = 0;
-                loop {
-                    assert!(index < d.choices.len(), "the default is none of the choices");
-                    // SAFETY: `choices` are static texts made by the derive.
-                    if same(unsafe { d.choices[index].bytes() }, text.as_bytes()) {
-                        break;
-                    }
-                    index += 1;
-                }
-                out.default_number = index as f64;
-            } else {
-                assert!(
-                    d.kind == abi::PARAM_TEXT || d.kind == abi::PARAM_PATH,
-                    "the default does not fit the field's type"
-                );
+                out.default_number = index_of(d.choices, text) as f64;
             }
             out.default_text = abi::Str::new(text);
         }
         DefaultValue::Floats(floats) => {
-            assert!(d.kind == abi::PARAM_FLOATS, "the default does not fit the field's type");
-            assert!(
-                floats.len() as f64 >= out.min && floats.len() as f64 <= out.max,
-                "the default's length is outside the range"
-            );
             out.default_floats = floats.as_ptr();
             out.default_floats_len = floats.len();
         }

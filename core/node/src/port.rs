@@ -74,6 +74,11 @@ impl<'f> Ports<'f> for NoPorts {
 }
 
 /// A type that a port's field may have.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no port",
+    label = "not a port",
+    note = "inputs are `Image<'f, Gray8>`, `AnyImage<'f>`, `Value<'f, T>`, `Text<'f>`, `Table<'f>`, `Cloud<'f>`, `Detections<'f>`, `Instances<'f>`, in `Option<...>` or `List<'f, ...>` if wanted; outputs are `Slot<'f, T>`"
+)]
 pub trait PortField<'f>: Sized {
     /// Declaration without name and doc.
     const PORT: abi::Port;

@@ -26,10 +26,10 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
     let mut idents = Vec::new();
     for variant in &data.variants {
         if !matches!(variant.fields, Fields::Unit) {
-            return Err(Error::new_spanned(variant, "a choice has no fields"));
+            return Err(Error::new_spanned(&variant.fields, "a choice has no fields"));
         }
         if docs::text(&variant.attrs).is_empty() {
-            return Err(Error::new_spanned(variant, format!("choice `{}` needs a doc comment", variant.ident)));
+            return Err(Error::new_spanned(&variant.ident, format!("choice `{}` needs a doc comment", variant.ident)));
         }
         words.push(snake_case(&variant.ident.to_string()));
         idents.push(&variant.ident);
@@ -37,10 +37,12 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
     if words.is_empty() {
         return Err(Error::new_spanned(name, "a choice has at least one variant"));
     }
+    let words_text = format!("the default is none of the choices: {}", words.join(", "));
     let indices = 0..words.len() as u32;
     Ok(quote! {
         impl ::panoscope_node::Choice for #name {
             const WORDS: &'static [::panoscope_node::abi::Str] = &[#(::panoscope_node::abi::Str::new(#words)),*];
+            const WORDS_TEXT: &'static str = #words_text;
             fn from_index(index: u32) -> Option<Self> {
                 match index {
                     #(#indices => Some(Self::#idents),)*

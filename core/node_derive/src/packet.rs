@@ -1,7 +1,7 @@
 //! `#[derive(Packet)]`.
 
 use proc_macro2::TokenStream;
-use quote::{ToTokens, quote};
+use quote::{ToTokens, quote, quote_spanned};
 use syn::{Data, DeriveInput, Error, Fields, LitStr, Result};
 
 pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
@@ -27,7 +27,7 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
                     packet_name = Some(meta.value()?.parse::<LitStr>()?);
                     Ok(())
                 } else {
-                    Err(meta.error("`name` is the only key"))
+                    Err(meta.error("`name` is the only key: `#[packet(name = \"my_type\")]`"))
                 }
             })?;
         }
@@ -41,6 +41,11 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
     let Some(packet_name) = packet_name else {
         return Err(Error::new_spanned(name, "a packet needs a name for graph files: `#[packet(name = \"my_type\")]`"));
     };
+    let text = packet_name.value();
+    let shape = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+    if !text.starts_with(|c: char| c.is_ascii_lowercase()) || !text.chars().all(shape) {
+        return Err(Error::new_spanned(packet_name, format!("`{text}` is no name for a packet: write it in `snake_case`")));
+    }
     let types: Vec<_> = fields.named.iter().map(|f| &f.ty).collect();
     let mut layout = String::new();
     for field in &fields.named {
@@ -48,15 +53,16 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
         let ty = field.ty.to_token_stream().to_string().replace(' ', "");
         layout.push_str(&format!("{ident}:{ty};"));
     }
+    // Padding bytes would make recordings differ from run to run.
+    let padding = format!("packet `{name}` has padding between its fields: order them by size or add reserved fields");
+    let no_padding = quote_spanned! {name.span()=>
+        const _: () = ::core::assert!(
+            0 #(+ ::panoscope_node::__private::plain_size::<#types>())* == ::core::mem::size_of::<#name>(),
+            #padding
+        );
+    };
     Ok(quote! {
-        const _: () = {
-            const fn plain<T: ::panoscope_node::Plain>() -> usize { ::core::mem::size_of::<T>() }
-            // Padding bytes would make recordings differ from run to run.
-            assert!(
-                0 #(+ plain::<#types>())* == ::core::mem::size_of::<#name>(),
-                "the packet has padding between its fields: order them by size or add reserved fields"
-            );
-        };
+        #no_padding
         // SAFETY: repr(C), every field is plain data and there is no padding (asserted above).
         unsafe impl ::panoscope_node::Plain for #name {}
         impl ::panoscope_node::Packet for #name {

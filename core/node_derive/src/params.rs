@@ -1,9 +1,10 @@
 //! `#[derive(Params)]`.
 
 use proc_macro2::TokenStream;
-use quote::quote;
+use quote::{ToTokens, quote, quote_spanned};
 use syn::parse::{Parse, ParseStream};
-use syn::{Data, DeriveInput, Error, Expr, ExprLit, ExprRange, Fields, Ident, Lit, LitStr, RangeLimits, Result, Token};
+use syn::spanned::Spanned;
+use syn::{Data, DeriveInput, Error, Expr, ExprLit, ExprRange, ExprUnary, Fields, Ident, Lit, LitStr, RangeLimits, Result, Token, Type, UnOp};
 
 use crate::docs;
 
@@ -54,6 +55,16 @@ impl Parse for Attribute {
         let mut out = Attribute::default();
         while !input.is_empty() {
             let key: Ident = input.parse()?;
+            let twice = match key.to_string().as_str() {
+                "default" => out.default.is_some(),
+                "range" => out.range.is_some(),
+                "step" => out.step.is_some(),
+                "unit" => out.unit.is_some(),
+                _ => false,
+            };
+            if twice {
+                return Err(Error::new(key.span(), format!("`{key}` is given twice")));
+            }
             match key.to_string().as_str() {
                 "reopen" => out.reopen = true,
                 "must_exist" => out.must_exist = true,
@@ -91,20 +102,140 @@ impl Parse for Attribute {
     }
 }
 
+/// Number types whose need for a range shows without asking the compiler.
+const NUMBERS: &[&str] = &["u8", "u16", "u32", "u64", "usize", "i8", "i16", "i32", "i64", "f32", "f64"];
+
+/// What can be seen in the text is an error here; what only the compiler knows becomes an assertion that points at the text.
+struct Checks {
+    asserts: TokenStream,
+}
+
+impl Checks {
+    /// `known` is the condition's value when the text alone tells it.
+    fn check(&mut self, at: &dyn ToTokens, known: Option<bool>, condition: TokenStream, message: String) -> Result<()> {
+        match known {
+            Some(true) => {}
+            Some(false) => return Err(Error::new_spanned(at.to_token_stream(), message)),
+            None => {
+                let span = at.to_token_stream().span();
+                self.asserts.extend(quote_spanned!(span=> const _: () = ::core::assert!(#condition, #message);));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The number that a literal stands for.
+fn literal(expr: &Expr) -> Option<f64> {
+    match expr {
+        Expr::Lit(ExprLit { lit: Lit::Int(number), .. }) => number.base10_parse().ok(),
+        Expr::Lit(ExprLit { lit: Lit::Float(number), .. }) => number.base10_parse().ok(),
+        Expr::Unary(ExprUnary { op: UnOp::Neg(_), expr, .. }) => literal(expr).map(|n| -n),
+        Expr::Paren(inner) => literal(&inner.expr),
+        _ => None,
+    }
+}
+
+fn checks(ident: &Ident, ty: &Type, attribute: &Attribute, default: &Expr) -> Result<TokenStream> {
+    let private = quote!(::panoscope_node::__private);
+    let mut out = Checks { asserts: TokenStream::new() };
+    let shown = |tokens: &dyn ToTokens| tidy(&tokens.to_token_stream().to_string());
+    let (ty_text, default_text) = (shown(ty), shown(default));
+    let is_number = NUMBERS.contains(&ty_text.as_str());
+    let limits = quote!(<#ty as ::panoscope_node::ParamField>::LIMITS);
+    let (fits, what) = match kind_of(default) {
+        DefaultKind::Number => (quote!(#private::is_number::<#ty>()), "a number"),
+        DefaultKind::Flag => (quote!(#private::is_flag::<#ty>()), "true or false"),
+        DefaultKind::Text => (quote!(#private::is_text::<#ty>()), "a text"),
+        DefaultKind::Floats(_) => (quote!(#private::is_floats::<#ty>()), "a list of numbers"),
+    };
+    let known = is_number.then_some(matches!(kind_of(default), DefaultKind::Number));
+    out.check(default, known, fits, format!("`{ident}`: {what} is no default for `{ty_text}`"))?;
+    if let (DefaultKind::Text, Expr::Lit(ExprLit { lit: Lit::Str(text), .. })) = (kind_of(default), default) {
+        let choices = quote!(<#ty as ::panoscope_node::ParamField>::CHOICES_TEXT);
+        out.asserts.extend(quote_spanned! {default.span()=>
+            const _: () = if !#private::has_word::<#ty>(#text) { ::core::panic!("{}", #choices) };
+        });
+    }
+    let Some((range, low, high)) = attribute.range.as_ref().and_then(|r| Some((r, r.start.as_deref()?, r.end.as_deref()?)))
+    else {
+        let message = format!("`{ident}`: a number needs a range: `#[param(default = {default_text}, range = 0..=100)]`");
+        out.check(ident, is_number.then_some(false), quote!(!#private::is_number::<#ty>()), message)?;
+        return Ok(out.asserts);
+    };
+    let text = format!("{}..={}", shown(low), shown(high));
+    let (low_known, high_known, default_known) = (literal(low), literal(high), literal(default));
+    let ordered = low_known.zip(high_known).map(|(low, high)| low <= high);
+    let (low, high) = (quote!(((#low) as f64)), quote!(((#high) as f64)));
+    out.check(range, ordered, quote!(#low <= #high), format!("`{ident}`: the range {text} is empty"))?;
+    let inside = quote!(#low >= #limits.0 && #high <= #limits.1);
+    out.check(range, None, inside, format!("`{ident}`: the range {text} does not fit into `{ty_text}`"))?;
+    match kind_of(default) {
+        DefaultKind::Number => {
+            let known = low_known.zip(high_known).zip(default_known).map(|((low, high), n)| n >= low && n <= high);
+            let inside = quote!((#default) as f64 >= #low && (#default) as f64 <= #high);
+            let message = format!("`{ident}`: the default {default_text} lies outside the range {text}");
+            out.check(default, known, inside, message)?;
+            if let Some(step) = &attribute.step {
+                let on = quote!(#private::on_step::<#ty>((#default) as f64, #low, (#step) as f64));
+                let step = shown(step);
+                let message = format!("`{ident}`: the default {default_text} is not on the steps of {step} from {text}");
+                out.check(default, None, on, message)?;
+            }
+        }
+        DefaultKind::Floats(count) => {
+            let count = count as f64;
+            let known = low_known.zip(high_known).map(|(low, high)| count >= low && count <= high);
+            let message = format!("`{ident}`: the default has {count} numbers, the range of lengths is {text}");
+            out.check(default, known, quote!(#count >= #low && #count <= #high), message)?;
+        }
+        DefaultKind::Flag | DefaultKind::Text => {
+            let message = format!("`{ident}`: only numbers and lists have a range");
+            out.check(range, Some(false), TokenStream::new(), message)?;
+        }
+    }
+    Ok(out.asserts)
+}
+
+/// Tokens as a person writes them.
+fn tidy(text: &str) -> String {
+    let mut out = text.replace("- ", "-");
+    for sign in ["<", ">", "::", "(", ")", ","] {
+        out = out.replace(&format!(" {sign}"), sign);
+        if sign != ">" && sign != "," {
+            out = out.replace(&format!("{sign} "), sign);
+        }
+    }
+    out
+}
+
+enum DefaultKind {
+    Number,
+    Flag,
+    Text,
+    Floats(usize),
+}
+
+fn kind_of(default: &Expr) -> DefaultKind {
+    match default {
+        Expr::Lit(ExprLit { lit: Lit::Str(_), .. }) => DefaultKind::Text,
+        Expr::Lit(ExprLit { lit: Lit::Bool(_), .. }) => DefaultKind::Flag,
+        Expr::Array(list) => DefaultKind::Floats(list.elems.len()),
+        _ => DefaultKind::Number,
+    }
+}
+
 /// Which kind of default was written is seen from the literal; whether it fits the field is asserted at compile time.
 fn default_value(default: &Expr) -> TokenStream {
-    match default {
-        Expr::Lit(ExprLit { lit: Lit::Str(text), .. }) => {
-            quote!(::panoscope_node::__private::DefaultValue::Text(#text))
-        }
-        Expr::Lit(ExprLit { lit: Lit::Bool(flag), .. }) => {
-            quote!(::panoscope_node::__private::DefaultValue::Flag(#flag))
-        }
-        Expr::Array(list) => {
+    let value = quote!(::panoscope_node::__private::DefaultValue);
+    match (kind_of(default), default) {
+        (DefaultKind::Text, text) => quote!(#value::Text(#text)),
+        (DefaultKind::Flag, flag) => quote!(#value::Flag(#flag)),
+        (DefaultKind::Floats(_), Expr::Array(list)) => {
             let numbers = list.elems.iter();
-            quote!(::panoscope_node::__private::DefaultValue::Floats(&[#((#numbers) as f64),*]))
+            quote!(#value::Floats(&[#((#numbers) as f64),*]))
         }
-        number => quote!(::panoscope_node::__private::DefaultValue::Number((#number) as f64)),
+        (_, number) => quote!(#value::Number((#number) as f64)),
     }
 }
 
@@ -122,6 +253,7 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
     };
     let mut params = Vec::new();
     let mut reads = Vec::new();
+    let mut asserts = Vec::new();
     for (index, field) in fields.iter().enumerate() {
         let ident = field.ident.as_ref().expect("named fields have names");
         let doc = docs::text(&field.attrs);
@@ -139,7 +271,7 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
         let param_name = ident.to_string();
         let param_name = param_name.trim_start_matches("r#");
         let Some(default) = &attribute.default else {
-            return Err(Error::new_spanned(ident, format!("parameter `{ident}` needs a default")));
+            return Err(Error::new_spanned(ident, format!("parameter `{ident}` needs a default: `#[param(default = ...)]`")));
         };
         if let Some(unit) = &attribute.unit
             && !UNITS.contains(&unit.value().as_str())
@@ -149,7 +281,8 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
                 format!("`{}` is no unit known here; units are: {}", unit.value(), UNITS.join(", ")),
             ));
         }
-        let unit = attribute.unit.map(|u| u.value()).unwrap_or_default();
+        let unit = attribute.unit.as_ref().map(LitStr::value).unwrap_or_default();
+        asserts.push(checks(ident, ty, &attribute, default)?);
         let (min, max) = match &attribute.range {
             Some(range) => {
                 let (Some(start), Some(end)) = (&range.start, &range.end) else {
@@ -185,6 +318,7 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
     }
     let count = fields.len();
     Ok(quote! {
+        #(#asserts)*
         impl ::panoscope_node::Params for #name {
             const PARAMS: &'static [::panoscope_node::abi::Param] = &[#(#params),*];
             fn read(values: &[::panoscope_node::abi::ParamValue]) -> ::panoscope_node::Result<Self> {

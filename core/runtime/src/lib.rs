@@ -1,1 +1,28 @@
-//! The Panoscope runtime: loader, scheduler, parameters, timing.
+//! The Panoscope runtime: it loads plugins, runs checked graphs and tells how they do.
+//!
+//! [`Loader`] finds plugins and fills the graph crate's catalogue; [`Engine`] opens the nodes of a checked graph and walks ticks through
+//! them. Nothing here knows what a node does.
+
+mod cell;
+pub mod clock;
+mod convert;
+pub mod elf;
+mod engine;
+mod host;
+mod join;
+pub mod loader;
+pub mod log;
+pub mod memory;
+pub mod params;
+mod plan;
+pub mod pool;
+mod preview;
+mod region;
+mod report;
+mod schedule;
+pub mod stats;
+
+pub use engine::{Engine, Options, Outcome, SetError, StartError};
+pub use loader::Loader;
+pub use preview::Preview;
+pub use report::{Machine, NodeReport, PathReport, Report};

@@ -1,1 +1,25 @@
 //! Writers of images, videos, tables and raw data.
+//!
+//! Every writer is a node of one file; what the bytes of a format look like stands in [`formats`], and how a file comes
+//! to its name (folders, `{seq}`, part files, errors with their mend) in [`target`].
+
+pub mod formats;
+pub mod picture;
+pub mod preview;
+pub mod target;
+pub mod write_cloud;
+pub mod write_images;
+pub mod write_raw;
+pub mod write_table;
+pub mod write_video;
+
+use panoscope_node::export_plugin;
+
+export_plugin![
+    write_images::WriteImages,
+    write_video::WriteVideo,
+    write_raw::WriteRaw,
+    write_table::WriteTable,
+    write_cloud::WriteCloud,
+    preview::Preview,
+];

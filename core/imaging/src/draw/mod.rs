@@ -1,1 +1,18 @@
 //! Drawing: lines, boxes, text, colour maps.
+//!
+//! Everything draws on BGR views of bytes, clips to the picture, ignores coordinates that are not finite and gives the
+//! same bytes on every machine.
+
+mod colormap;
+mod font;
+mod overlay;
+mod shapes;
+mod text;
+
+pub use colormap::{Colormap, colorize};
+pub use overlay::{ScaleBar, blend_mask, scale_bar};
+pub use shapes::{arrow, circle, cross, fill_circle, fill_polygon, fill_rectangle, line, polygon, polyline, rectangle};
+pub use text::{text, text_size};
+
+/// Blue, green, red.
+pub type Color = [u8; 3];

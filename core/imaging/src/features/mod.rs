@@ -1,1 +1,26 @@
 //! Local features: integral image, SURF, matching.
+
+pub mod color;
+mod describe;
+pub mod evaluate;
+mod hessian;
+pub mod integral;
+mod isotropic;
+pub mod matching;
+mod pyramid;
+pub mod registration;
+pub mod simd;
+pub mod surf;
+#[cfg(test)]
+pub(crate) mod testing;
+#[cfg(test)]
+mod tests;
+
+pub use color::{GrayBuffer, bgr_to_gray, gray_from, shrink_gray};
+pub use describe::{DESCRIPTOR_LEN, Descriptor};
+pub use evaluate::{Precision, Repeatability, precision, repeatability};
+pub use integral::Integral;
+pub use matching::{Gate, Match, MatchParams, Matcher};
+pub use registration::{RegisterParams, RegisterSurf, Registration, RegistrationState};
+pub use simd::Simd;
+pub use surf::{Features, Keypoints, Surf, SurfParams};

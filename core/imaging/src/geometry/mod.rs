@@ -1,1 +1,16 @@
 //! Projective geometry: homographies and robust estimation.
+
+pub mod homography;
+pub mod plausible;
+pub mod ransac;
+pub mod roi;
+mod solve;
+pub mod stability;
+#[cfg(test)]
+mod tests;
+
+pub use homography::{Homography, Point};
+pub use plausible::Plausibility;
+pub use ransac::{Ransac, RansacError, RansacFit, RansacParams};
+pub use roi::{Rect, overlap_roi, overlap_rois};
+pub use stability::{Stabilized, median_error, stabilize};

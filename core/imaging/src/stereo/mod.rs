@@ -1,1 +1,73 @@
 //! Stereo: rectification, matching, filtering, reprojection.
+//!
+//! Disparities are f32, in full-resolution pixels of the left rectified view, positive when
+//! `x_right = x_left - disparity`, NaN where nothing is known. Every stage takes a [`Roi`] and
+//! computes nothing outside it.
+
+mod bilateral_grid;
+pub mod bilateral_solver;
+pub mod block_matching;
+mod block_matching_finish;
+mod block_matching_kernel;
+pub mod camera;
+pub mod confidence;
+mod error;
+pub mod evaluate;
+pub mod formats;
+mod grid_solver;
+mod guide_weights;
+mod prefilter;
+pub mod rectify;
+pub mod remap;
+pub mod reproject;
+pub mod rotation;
+pub mod semi_global;
+mod semi_global_kernel;
+mod simd;
+mod tridiagonal;
+pub mod wls;
+
+pub use bilateral_solver::{BilateralSolver, BilateralSolverParams};
+pub use block_matching::{BlockMatcher, BlockMatchingParams};
+pub use camera::{CameraModel, StereoCameras};
+pub use confidence::{Confidence, ConfidenceParams};
+pub use error::StereoError;
+pub use evaluate::{DisparityScore, SurfaceScore, score_disparity, score_surface};
+pub use formats::FloatImage;
+pub use rectify::{Rectification, RectifiedCamera, RectifyParams};
+pub use remap::RemapTable;
+pub use reproject::{ReprojectInput, ReprojectParams, reproject};
+pub use semi_global::{SemiGlobalMatcher, SemiGlobalParams};
+pub use wls::{FilterInput, WlsFilter, WlsParams};
+
+/// Rectangle of the left view in which a stage works; outside it outputs are NaN.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Roi {
+    /// First column.
+    pub x: usize,
+    /// First row.
+    pub y: usize,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+impl Roi {
+    /// The whole of an image.
+    pub fn full(width: usize, height: usize) -> Self {
+        Self { x: 0, y: 0, width, height }
+    }
+
+    /// The part of this rectangle inside an image of `width` x `height`.
+    pub fn clamped(self, width: usize, height: usize) -> Self {
+        let x = self.x.min(width);
+        let y = self.y.min(height);
+        Self { x, y, width: self.width.min(width - x), height: self.height.min(height - y) }
+    }
+
+    /// Whether nothing is inside.
+    pub fn is_empty(self) -> bool {
+        self.width == 0 || self.height == 0
+    }
+}

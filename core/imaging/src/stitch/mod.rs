@@ -1,1 +1,29 @@
 //! Stitching: warp, exposure, seam, blend, canvas.
+//!
+//! [`Compositor`] joins two or more views whose homographies are known (thesis chapter 2.2 and 2.3.2): the reference
+//! view is copied, the others are warped, exposure is evened out in the overlap, a seam is found on the shrunken overlap
+//! and held from frame to frame, and the pictures are blended in a zone around the seam only.
+
+mod blend;
+mod canvas;
+mod compositor;
+mod graph_cut;
+mod mark;
+mod paint;
+mod params;
+mod projective;
+mod pyramid;
+mod seam;
+mod segments;
+mod taps;
+#[cfg(test)]
+mod tests;
+pub mod warp;
+
+pub use compositor::Compositor;
+pub use graph_cut::GridCut;
+pub use params::{
+    BlendMethod, Canvas, CompositeError, CompositeParams, CompositeReport, ExposureMethod, GeometryFault,
+    GeometryState, MAX_VIEWS, SeamCost, SeamMethod,
+};
+pub use projective::{IDENTITY, apply, invert, multiply, warped_corners};

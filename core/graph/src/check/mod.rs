@@ -1,0 +1,202 @@
+//! Everything that needs the catalog: names, types, limits, and how ticks flow through the wiring.
+
+mod flow;
+mod inputs;
+mod params;
+mod preset;
+mod types;
+
+use crate::catalog::{Catalog, NodeType, PacketType};
+use crate::checked::{Align, Edge, Graph, Node, ParamValue, Preset};
+use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
+use crate::text::GraphText;
+use std::collections::{HashMap, HashSet};
+use std::ops::Range;
+
+/// Outcome of [`check`].
+#[derive(Clone, Debug)]
+pub struct Checked {
+    /// The graph, when there is no error.
+    pub graph: Option<Graph>,
+    /// All errors and warnings, sorted by position.
+    pub diagnostics: Diagnostics,
+}
+
+impl Checked {
+    /// The graph and its warnings, or all that is wrong.
+    pub fn into_result(self) -> Result<(Graph, Diagnostics), Diagnostics> {
+        match self.graph {
+            Some(graph) => Ok((graph, self.diagnostics)),
+            None => Err(self.diagnostics),
+        }
+    }
+}
+
+/// Checks a graph against the node types of this machine: the catalog may hold more than the plugins the graph lists.
+/// Reports every mistake at once, those of [`GraphText::parse`] and [`GraphText::set`] included.
+pub fn check(text: &GraphText, catalog: &Catalog) -> Checked {
+    let mut checker = Checker {
+        text,
+        catalog,
+        diagnostics: text.diagnostics.clone(),
+        ids: HashMap::new(),
+        listed: text.plugins.iter().map(|p| p.value.as_str()).collect(),
+        types: Vec::new(),
+        links: Vec::new(),
+    };
+    for (index, node) in text.nodes.iter().enumerate() {
+        checker.ids.entry(node.id.value.as_str()).or_insert(index);
+    }
+    checker.plugins();
+    checker.types = text.nodes.iter().map(|node| checker.node_type(node)).collect();
+    checker.empty();
+    let params = checker.params();
+    checker.inputs();
+    let order = checker.flow();
+    let pinned = checker.pins();
+    checker.finish(params, order, pinned)
+}
+
+/// A connection as far as it could be resolved.
+struct Link<'a> {
+    from_node: usize,
+    from_port: Option<usize>,
+    to_node: usize,
+    to_port: Option<usize>,
+    /// Name of the input as written.
+    to_name: &'a str,
+    list_index: usize,
+    align: Align,
+    queue: Option<u32>,
+    delay: u8,
+    trigger: Option<&'a Range<usize>>,
+    convert: bool,
+    span: &'a Range<usize>,
+}
+
+struct Checker<'a> {
+    text: &'a GraphText,
+    catalog: &'a Catalog,
+    diagnostics: Diagnostics,
+    /// Position of each node; the first of several of one name.
+    ids: HashMap<&'a str, usize>,
+    /// Plugins the file lists.
+    listed: HashSet<&'a str>,
+    /// Per node, its type's position in the catalog.
+    types: Vec<Option<usize>>,
+    links: Vec<Link<'a>>,
+}
+
+impl<'a> Checker<'a> {
+    fn error(&mut self, code: &'static str, span: &Range<usize>, message: String) -> &mut Diagnostic {
+        self.diagnostics.push(Diagnostic::new(Severity::Error, code, &self.text.source, span, message))
+    }
+
+    fn warning(&mut self, code: &'static str, span: &Range<usize>, message: String) -> &mut Diagnostic {
+        self.diagnostics.push(Diagnostic::new(Severity::Warning, code, &self.text.source, span, message))
+    }
+
+    /// Type of a node, if it is known.
+    fn type_of(&self, node: usize) -> Option<&'a NodeType> {
+        self.types[node].map(|t| &self.catalog.node_types[t])
+    }
+
+    fn id(&self, node: usize) -> &'a str {
+        &self.text.nodes[node].id.value
+    }
+
+    fn empty(&mut self) {
+        if self.text.nodes.is_empty() && !self.text.incomplete && !self.diagnostics.has_errors() {
+            self.error("empty-graph", &(0..0), "this graph has no nodes".to_owned())
+                .help("add one, as in\n[nodes.scope]\ntype = \"phantom\"");
+        }
+    }
+
+    fn finish(mut self, params: Vec<Vec<ParamValue>>, order: Vec<usize>, pinned: Preset) -> Checked {
+        self.diagnostics.finish(&self.text.source.name);
+        if self.diagnostics.has_errors() {
+            return Checked { graph: None, diagnostics: self.diagnostics };
+        }
+        let mut nodes = Vec::with_capacity(self.text.nodes.len());
+        for ((node, type_index), params) in self.text.nodes.iter().zip(&self.types).zip(params) {
+            // Without errors every type is known.
+            let Some(type_index) = *type_index else { continue };
+            let node_type = &self.catalog.node_types[type_index];
+            nodes.push(Node {
+                id: node.id.value.clone(),
+                type_index,
+                type_name: node_type.name.clone(),
+                plugin: node_type.plugin.clone(),
+                params,
+                on_fault: node.on_fault,
+                budget_ms: node.budget_ms,
+                max_rate_hz: node.max_rate_hz,
+                cpu: node.cpu,
+                span: node.id.span.clone(),
+                line: self.text.source.line(node.id.span.start),
+            });
+        }
+        let mut edges: Vec<Edge> = self.links.iter().filter_map(edge).collect();
+        edges.sort_by_key(|e| (e.to_node, e.to_port, e.list_index));
+        let graph = Graph {
+            name: self.text.name().to_owned(),
+            mode: self.text.mode,
+            plugins: self.text.plugins(),
+            nodes,
+            edges,
+            order,
+            preset: pinned,
+            editor: self.text.editor.clone(),
+        };
+        Checked { graph: Some(graph), diagnostics: self.diagnostics }
+    }
+}
+
+fn edge(link: &Link<'_>) -> Option<Edge> {
+    Some(Edge {
+        from_node: link.from_node,
+        from_port: link.from_port?,
+        to_node: link.to_node,
+        to_port: link.to_port?,
+        list_index: link.list_index,
+        align: link.align,
+        queue: link.queue,
+        delay: link.delay,
+        trigger: link.trigger.is_some(),
+        convert: link.convert,
+        span: link.span.clone(),
+    })
+}
+
+/// How an output fits an input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fit {
+    Yes,
+    /// The output may send bgr8, the input takes gray8.
+    Convert,
+    Type,
+    Format,
+    Layout,
+}
+
+fn fit(output: &PacketType, input: &PacketType) -> Fit {
+    if input.name == PacketType::ANY || output.name == PacketType::ANY {
+        return Fit::Yes;
+    }
+    if output.name != input.name {
+        return Fit::Type;
+    }
+    if output.layout_hash != 0 && input.layout_hash != 0 && output.layout_hash != input.layout_hash {
+        return Fit::Layout;
+    }
+    let (sent, taken) = (&output.formats, &input.formats);
+    let sends = |format: &str| sent.iter().any(|f| f == format);
+    let takes = |format: &str| taken.iter().any(|f| f == format);
+    if taken.is_empty() {
+        return Fit::Yes;
+    }
+    if takes("gray8") && !takes("bgr8") && (sent.is_empty() || sends("bgr8")) {
+        return Fit::Convert;
+    }
+    if sent.is_empty() || sent.iter().any(|f| takes(f)) { Fit::Yes } else { Fit::Format }
+}

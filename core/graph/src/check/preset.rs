@@ -1,0 +1,72 @@
+//! The settings a preset offers.
+
+use super::Checker;
+use super::params::limits;
+use crate::catalog::ParamKind;
+use crate::checked::{Pin, Preset};
+use crate::nearest::{list, nearest};
+use crate::text::PinText;
+use std::ops::Range;
+
+impl<'a> Checker<'a> {
+    pub(super) fn pins(&mut self) -> Preset {
+        Preset { pinned: self.text.pins.iter().filter_map(|pin| self.pin(pin)).collect() }
+    }
+
+    fn pin(&mut self, pin: &'a PinText) -> Option<Pin> {
+        let (name, span) = (&pin.param.value, &pin.param.span);
+        let Some((id, param)) = name.split_once('.').filter(|(n, p)| !n.is_empty() && !p.is_empty()) else {
+            self.error("bad-reference", span, format!("`{name}` is no reference to a parameter"))
+                .label("expected \"node.parameter\"")
+                .help("as in { param = \"wide.blend_px\" }");
+            return None;
+        };
+        let Some(&node) = self.ids.get(id) else {
+            self.unknown_node(span, id);
+            return None;
+        };
+        let node_type = self.type_of(node)?;
+        let Some(index) = node_type.param(param) else {
+            self.unknown_param(span, node_type, param);
+            return None;
+        };
+        let declared = &node_type.params[index];
+        let (min, max) = match declared.kind {
+            ParamKind::Int { min, max, .. } => (min.map(|m| m as f64), max.map(|m| m as f64)),
+            ParamKind::Float { min, max, .. } => (min, max),
+            _ => {
+                if let Some((low, _)) = &pin.range {
+                    let message = format!("`{name}` is {}, so it has no range", declared.kind.expected());
+                    self.error("useless-range", &low.span, message).help("remove `range`");
+                }
+                (None, None)
+            }
+        };
+        if let Some((low, high)) = &pin.range {
+            for end in [low, high] {
+                if min.is_some_and(|m| end.value < m) || max.is_some_and(|m| end.value > m) {
+                    let message = format!("{} lies outside what `{name}` allows, {}", end.value, limits(declared));
+                    self.error("pin-range", &end.span, message).help("a preset may narrow a range, never widen it");
+                }
+            }
+        }
+        let range = pin.range.as_ref().map(|(low, high)| (low.value, high.value));
+        let label = pin.label.clone().unwrap_or_else(|| param.to_owned());
+        Some(Pin { node, param: index, range, label })
+    }
+
+    /// A reference to a node that is not there.
+    pub(super) fn unknown_node(&mut self, span: &Range<usize>, id: &str) {
+        // Its table may be one of the lines that could not be read.
+        if self.text.incomplete {
+            return;
+        }
+        let near = nearest(id, self.text.nodes.iter().map(|n| n.id.value.as_str()));
+        let label = near.map(|n| format!("did you mean `{n}`?")).unwrap_or_default();
+        let ids = list(self.text.nodes.iter().map(|n| n.id.value.as_str()), 12, "and");
+        let span = span.start..(span.start + id.len()).min(span.end);
+        self.error("unknown-node", &span, format!("there is no node `{id}`"))
+            .label(label)
+            .help(format!("nodes: {ids}"));
+    }
+}

@@ -1,0 +1,156 @@
+//! Plugins and node types.
+
+use super::Checker;
+use crate::nearest::{list, nearest};
+use crate::text::NodeText;
+use std::collections::HashMap;
+
+impl<'a> Checker<'a> {
+    pub(super) fn plugins(&mut self) {
+        let mut seen: HashMap<&str, &std::ops::Range<usize>> = HashMap::new();
+        let known: Vec<&str> = self.known_plugins();
+        for plugin in &self.text.plugins {
+            let name = plugin.value.as_str();
+            if let Some(first) = seen.get(name) {
+                let source = &self.text.source;
+                self.warning("duplicate-plugin", &plugin.span, format!("plugin `{name}` is listed twice"))
+                    .help("remove one of the two")
+                    .note(source, first, "first here");
+                continue;
+            }
+            seen.insert(name, &plugin.span);
+            if let Some(problem) = self.catalog.problem(name) {
+                let mut message = format!("plugin `{name}` cannot be used: {}", problem.message);
+                if !problem.file.is_empty() {
+                    message.push_str(&format!(" ({})", problem.file));
+                }
+                self.error("plugin-unusable", &plugin.span, message).help(problem.help.clone());
+            } else if !self.catalog.has_plugin(name) {
+                let catalog = self.catalog;
+                let offers = catalog.node_types.iter().find(|t| t.name == name).map(|t| t.plugin.as_str());
+                let near = nearest(name, known.iter().copied());
+                let label = match (near, offers) {
+                    (_, Some(plugin)) => format!("a node type of plugin `{plugin}`, not a plugin"),
+                    (Some(near), None) => format!("did you mean \"{near}\"?"),
+                    (None, None) => String::new(),
+                };
+                let mut help = match offers {
+                    Some(plugin) => format!("write \"{plugin}\""),
+                    None if known.is_empty() => "no plugin was found at all".to_owned(),
+                    None => format!("plugins found: {}", list(known.iter().copied(), 12, "and")),
+                };
+                if offers.is_none() && near.is_none() {
+                    help.push_str("\nplugins are looked for beside the program, in PANOSCOPE_PLUGIN_PATH and in the graph's `plugin_paths`");
+                }
+                // What was meant counts as listed, so that its node types are no mistakes as well.
+                self.listed.extend(offers.or(near));
+                self.error("unknown-plugin", &plugin.span, format!("there is no plugin `{name}`"))
+                    .label(label)
+                    .help(help);
+            }
+        }
+    }
+
+    fn known_plugins(&self) -> Vec<&'a str> {
+        let mut known: Vec<&str> = self.catalog.plugins.iter().map(String::as_str).collect();
+        known.extend(self.catalog.node_types.iter().map(|t| t.plugin.as_str()));
+        known.sort_unstable();
+        known.dedup();
+        known
+    }
+
+    /// Whether a listed plugin is missing or unusable, so that its node types are not known.
+    fn blind(&self) -> bool {
+        let usable = |p: &str| self.catalog.has_plugin(p) && self.catalog.problem(p).is_none();
+        self.text.plugins.iter().any(|p| !usable(&p.value))
+    }
+
+    /// Position of a node's type in the catalog. Where the mistake leaves no doubt about what was meant, the checks go on
+    /// with that.
+    pub(super) fn node_type(&mut self, node: &'a NodeText) -> Option<usize> {
+        let name = node.type_name.as_ref()?;
+        let catalog = self.catalog;
+        let plugin_of = |i: &usize| catalog.node_types[*i].plugin.as_str();
+        let all = catalog.find(&name.value);
+        let listed: Vec<usize> = all.iter().copied().filter(|i| self.listed.contains(plugin_of(i))).collect();
+        match (listed.as_slice(), all.as_slice()) {
+            (&[only], _) => Some(only),
+            ([_, _, ..], _) => {
+                let plugins = list(listed.iter().map(plugin_of), 6, "and");
+                let names: Vec<String> =
+                    listed.iter().map(|i| format!("type = \"{}/{}\"", plugin_of(i), name.value)).collect();
+                self.error(
+                    "ambiguous-type",
+                    &name.span,
+                    format!("node type `{}` is offered by several plugins: {plugins}", name.value),
+                )
+                .label("which one?")
+                .help(format!("write {}", names.join(" or ")));
+                None
+            }
+            ([], []) => {
+                self.unknown_type(node, &name.value);
+                None
+            }
+            // The list of plugins could not be read.
+            ([], some) if self.text.incomplete && self.listed.is_empty() => (some.len() == 1).then(|| some[0]),
+            ([], some) => {
+                let plugins = list(some.iter().map(plugin_of), 6, "or");
+                let verb = if some.len() == 1 { "which" } else { "none of which" };
+                let not = if some.len() == 1 { "does not list" } else { "lists" };
+                self.error(
+                    "plugin-not-listed",
+                    &name.span,
+                    format!("node type `{}` belongs to plugin {plugins}, {verb} `plugins` {not}", name.value),
+                )
+                .help(format!("add \"{}\" to `plugins`", plugin_of(&some[0])));
+                if some.len() == 1 { Some(some[0]) } else { None }
+            }
+        }
+    }
+
+    fn unknown_type(&mut self, node: &'a NodeText, name: &str) {
+        let Some(span) = node.type_name.as_ref().map(|t| &t.span) else { return };
+        let bare = name.rsplit('/').next().unwrap_or(name);
+        let (here, elsewhere): (Vec<_>, Vec<_>) =
+            self.catalog.node_types.iter().partition(|t| self.listed.contains(t.plugin.as_str()));
+        let near = nearest(bare, here.iter().map(|t| t.name.as_str()));
+        let far = nearest(bare, elsewhere.iter().map(|t| t.name.as_str()));
+        // Its plugin may be the one that is missing, and that is reported already.
+        if (self.blind() || self.text.incomplete) && near.is_none() && far.is_none() {
+            return;
+        }
+        let right_elsewhere = self.catalog.find(bare).first().map(|&i| &self.catalog.node_types[i]);
+        let (label, help) = match (right_elsewhere, near, far) {
+            (Some(right), _, _) if name.contains('/') => (
+                format!("did you mean \"{}/{bare}\"?", right.plugin),
+                format!("node type `{bare}` belongs to plugin `{}`", right.plugin),
+            ),
+            (_, Some(near), _) => (format!("did you mean \"{near}\"?"), String::new()),
+            (_, None, Some(far)) => {
+                let plugin = elsewhere.iter().find(|t| t.name == far).map_or("", |t| t.plugin.as_str());
+                (
+                    format!("did you mean \"{far}\"?"),
+                    format!("`{far}` belongs to plugin `{plugin}`; add it to `plugins`"),
+                )
+            }
+            _ => (String::new(), self.type_help()),
+        };
+        self.error("unknown-type", span, format!("there is no node type `{name}`")).label(label).help(help);
+    }
+
+    fn type_help(&self) -> String {
+        let names: Vec<&str> = self
+            .catalog
+            .node_types
+            .iter()
+            .filter(|t| self.listed.contains(t.plugin.as_str()))
+            .map(|t| t.name.as_str())
+            .collect();
+        if names.is_empty() {
+            "`plugins` lists no plugin that offers node types; `panoscope list` shows all".to_owned()
+        } else {
+            format!("the listed plugins offer {}; `panoscope list` shows all", list(names, 10, "and"))
+        }
+    }
+}

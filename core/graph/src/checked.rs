@@ -1,0 +1,203 @@
+//! A graph that passed every check: names resolved to indices, defaults filled in, order known. The runtime builds from this.
+
+use crate::catalog::{Catalog, NodeType};
+use serde::Serialize;
+use std::ops::Range;
+use std::path::PathBuf;
+
+/// What happens when work arrives faster than it is done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// The newest frame wins; whole ticks are dropped and counted.
+    #[default]
+    Live,
+    /// No frame is lost; sources wait.
+    Batch,
+}
+
+/// What the host does when a node faults.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OnFault {
+    /// Open it again, with back-off.
+    #[default]
+    Restart,
+    /// Leave it out: its outputs are empty.
+    Bypass,
+    /// End the run.
+    Stop,
+}
+
+/// How packets of an input are matched with the other inputs of the node.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Align {
+    /// Same tick on all exact inputs.
+    #[default]
+    Exact,
+    /// Newest value; does not wait.
+    Latest,
+    /// Closest capture time.
+    Nearest {
+        /// How far apart capture times may be, and how long to wait, in ms. More than 0.
+        tolerance_ms: f64,
+    },
+}
+
+impl Align {
+    /// The word a graph file uses.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::Exact => "exact",
+            Self::Latest => "latest",
+            Self::Nearest { .. } => "nearest",
+        }
+    }
+}
+
+/// Value of a parameter, already of the declared type and inside its limits.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ParamValue {
+    /// true or false.
+    Bool(bool),
+    /// Whole number.
+    Int(i64),
+    /// Finite number.
+    Float(f64),
+    /// One of the declared words.
+    Choice {
+        /// Position in the declared list.
+        index: usize,
+        /// The word.
+        name: String,
+    },
+    /// Free text.
+    Text(String),
+    /// Path resolved against the folder of the graph file; empty when not set.
+    Path(PathBuf),
+    /// List of finite numbers.
+    Floats(Vec<f64>),
+}
+
+/// A checked graph. Positions in `nodes` are in file order and are what edges and `order` name.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Graph {
+    /// Name given by the file, or the stem of the file's name.
+    pub name: String,
+    /// Live or batch.
+    pub mode: Mode,
+    /// Plugins the file lists, without repetitions.
+    pub plugins: Vec<String>,
+    /// Nodes in file order.
+    pub nodes: Vec<Node>,
+    /// Edges, sorted by (`to_node`, `to_port`, `list_index`).
+    pub edges: Vec<Edge>,
+    /// Node positions such that every edge without delay goes forward; ties in file order.
+    pub order: Vec<usize>,
+    /// What a surgeon may touch.
+    pub preset: Preset,
+    /// The `[editor]` table as written; the graph never interprets it.
+    pub editor: toml::Table,
+}
+
+impl Graph {
+    /// Position of the node called `id`.
+    pub fn node(&self, id: &str) -> Option<usize> {
+        self.nodes.iter().position(|n| n.id == id)
+    }
+
+    /// Edges into `node`, sorted by port and list position.
+    pub fn inputs_of(&self, node: usize) -> &[Edge] {
+        let start = self.edges.partition_point(|e| e.to_node < node);
+        let end = self.edges.partition_point(|e| e.to_node <= node);
+        &self.edges[start..end]
+    }
+
+    /// Edges out of `node`.
+    pub fn outputs_of(&self, node: usize) -> impl Iterator<Item = &Edge> {
+        self.edges.iter().filter(move |e| e.from_node == node)
+    }
+}
+
+/// One node of a checked graph.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Node {
+    /// Its name in the file.
+    pub id: String,
+    /// Position in [`Catalog::node_types`] of the catalog it was checked against.
+    pub type_index: usize,
+    /// Name of its type, without the plugin.
+    pub type_name: String,
+    /// Plugin that offers the type.
+    pub plugin: String,
+    /// Values in the type's declaration order, defaults filled in.
+    pub params: Vec<ParamValue>,
+    /// What the host does when it faults.
+    pub on_fault: OnFault,
+    /// Time it should not exceed per tick, ms.
+    pub budget_ms: Option<f64>,
+    /// It fires at most this often, Hz.
+    pub max_rate_hz: Option<f64>,
+    /// Core its thread is pinned to.
+    pub cpu: Option<u32>,
+    /// Bytes of its id in the text.
+    pub span: Range<usize>,
+    /// Line of its id, from 1.
+    pub line: usize,
+}
+
+impl Node {
+    /// The node's type. The catalog must be the one the graph was checked against.
+    pub fn node_type<'c>(&self, catalog: &'c Catalog) -> &'c NodeType {
+        &catalog.node_types[self.type_index]
+    }
+}
+
+/// One connection of a checked graph.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Edge {
+    /// Producing node, a position in [`Graph::nodes`].
+    pub from_node: usize,
+    /// Output, a position in the producer's [`NodeType::outputs`].
+    pub from_port: usize,
+    /// Consuming node.
+    pub to_node: usize,
+    /// Input, a position in the consumer's [`NodeType::inputs`].
+    pub to_port: usize,
+    /// Position in a list input; 0 for others.
+    pub list_index: usize,
+    /// How it is matched with the consumer's other inputs.
+    pub align: Align,
+    /// Packets that may wait on the edge, at least 1; `None` leaves it to the scheduler.
+    pub queue: Option<u32>,
+    /// 0, or 1 for the producer's value of the consumer's previous tick.
+    pub delay: u8,
+    /// The consumer (with only `latest` inputs) fires on this one only.
+    pub trigger: bool,
+    /// The producer may send bgr8 where the consumer wants gray8: the host converts once per output.
+    pub convert: bool,
+    /// Bytes of the reference in the text.
+    pub span: Range<usize>,
+}
+
+/// The `[preset]` table.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Preset {
+    /// Settings that stay reachable in the theatre.
+    pub pinned: Vec<Pin>,
+}
+
+/// One setting a surgeon may touch.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Pin {
+    /// Node, a position in [`Graph::nodes`].
+    pub node: usize,
+    /// Parameter, a position in the type's `params`.
+    pub param: usize,
+    /// Allowed range, inside the parameter's own; `None` for parameters without numbers.
+    pub range: Option<(f64, f64)>,
+    /// Text shown beside it; the parameter's name when the file gives none.
+    pub label: String,
+}

@@ -1,0 +1,399 @@
+//! Changes to a graph file that leave every other byte as it was: comments, order, spacing. For the editor and `lock`.
+//! Two things are tidied by `toml_edit`: spaces inside a table's header, and a mixture of line ends.
+
+use crate::value::{Kind, Value};
+use thiserror::Error;
+use toml_edit::{Array, DocumentMut, InlineTable, Item, Table, TableLike, Value as EditValue};
+
+/// Why a file could not be changed. The text is as before then.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum EditError {
+    /// The text is no TOML.
+    #[error("the graph file is not TOML: {message}")]
+    Syntax {
+        /// What the parser says.
+        message: String,
+    },
+    /// No node of that name.
+    #[error("there is no node `{id}`")]
+    NoNode {
+        /// The name looked for.
+        id: String,
+    },
+    /// A node of that name exists already.
+    #[error("there is already a node `{id}`")]
+    NodeExists {
+        /// The name.
+        id: String,
+    },
+    /// A name that no node may have.
+    #[error("`{id}` cannot name a node: letters, digits, _ and - only, a letter or _ first")]
+    BadId {
+        /// The name.
+        id: String,
+    },
+    /// A part of the file is of another TOML type than it must be.
+    #[error("{place} is not {expected}")]
+    Shape {
+        /// Which part, such as `nodes.wide.params`.
+        place: String,
+        /// What it must be.
+        expected: &'static str,
+    },
+}
+
+/// A graph file under edit.
+#[derive(Clone, Debug)]
+pub struct GraphEdit {
+    document: DocumentMut,
+    /// Whether the file ends its lines with CR LF, which `toml_edit` reads as LF.
+    crlf: bool,
+    /// Whether the last line has a line end; `toml_edit` always writes one.
+    final_newline: bool,
+}
+
+impl GraphEdit {
+    /// Opens the text of a graph file. It must be TOML; it need not be a right graph.
+    pub fn parse(text: &str) -> Result<Self, EditError> {
+        let document =
+            text.parse().map_err(|e: toml_edit::TomlError| EditError::Syntax { message: e.message().to_owned() })?;
+        let crlf = text.contains("\r\n");
+        let final_newline = text.is_empty() || text.ends_with('\n');
+        Ok(Self { document, crlf, final_newline })
+    }
+
+    /// The text with all changes so far.
+    pub fn text(&self) -> String {
+        let mut text = self.document.to_string();
+        if !self.final_newline && text.ends_with('\n') {
+            text.pop();
+        }
+        if self.crlf { text.replace("\r\n", "\n").replace('\n', "\r\n") } else { text }
+    }
+
+    /// Sets a parameter of a node, keeping a comment behind the old value.
+    pub fn set_param(&mut self, id: &str, param: &str, value: &toml::Value) -> Result<(), EditError> {
+        let value = edit_value(value);
+        set(self.table_of(id, "params")?, param, value);
+        Ok(())
+    }
+
+    /// Removes a parameter, so that its default holds again. Nothing happens when it is not there.
+    pub fn unset_param(&mut self, id: &str, param: &str) -> Result<(), EditError> {
+        self.table_of(id, "params")?.remove(param);
+        self.drop_if_empty(id, "params")
+    }
+
+    /// Connects an input: one reference as `"node.port"`, several as a list.
+    pub fn set_input(&mut self, id: &str, input: &str, from: &[&str]) -> Result<(), EditError> {
+        let value = match from {
+            [one] => EditValue::from(*one),
+            several => EditValue::Array(several.iter().copied().collect::<Array>()),
+        };
+        set(self.table_of(id, "inputs")?, input, value);
+        Ok(())
+    }
+
+    /// Disconnects an input. Nothing happens when it is not there.
+    pub fn remove_input(&mut self, id: &str, input: &str) -> Result<(), EditError> {
+        self.table_of(id, "inputs")?.remove(input);
+        self.drop_if_empty(id, "inputs")
+    }
+
+    /// Adds a node behind the last one. Its plugin is not added to `plugins`; see [`add_plugin`](Self::add_plugin).
+    pub fn add_node(&mut self, id: &str, type_name: &str) -> Result<(), EditError> {
+        good_id(id)?;
+        let last = self.last_node_position();
+        let nodes = self.nodes()?;
+        if nodes.contains_key(id) {
+            return Err(EditError::NodeExists { id: id.to_owned() });
+        }
+        let mut node = Table::new();
+        node.insert("type", toml_edit::value(type_name));
+        node.decor_mut().set_prefix("\n");
+        // Tables of one position keep their order, so the new one lands behind the last node and before what follows.
+        node.set_position(last);
+        nodes.insert(id, Item::Table(node));
+        Ok(())
+    }
+
+    /// Lists a plugin, unless it is listed already.
+    pub fn add_plugin(&mut self, plugin: &str) -> Result<(), EditError> {
+        let root = self.document.as_table_mut();
+        let item = root.entry("plugins").or_insert_with(|| toml_edit::value(Array::new()));
+        let array = item.as_array_mut().ok_or(EditError::Shape { place: "plugins".to_owned(), expected: "a list" })?;
+        if !array.iter().any(|p| p.as_str() == Some(plugin)) {
+            array.push(plugin);
+        }
+        Ok(())
+    }
+
+    /// Removes a node with its table, every connection that reads it, its pins in the preset and its place in the editor.
+    pub fn remove_node(&mut self, id: &str) -> Result<(), EditError> {
+        let nodes = self.nodes()?;
+        if nodes.remove(id).is_none() {
+            return Err(EditError::NoNode { id: id.to_owned() });
+        }
+        let pins = |value: &EditValue| {
+            let param = value.as_inline_table().and_then(|t| t.get("param")).and_then(EditValue::as_str);
+            param.and_then(|p| p.split_once('.')).is_some_and(|(node, _)| node == id)
+        };
+        if let Some(pinned) = self.document.get_mut("preset").and_then(|p| p.get_mut("pinned"))
+            && let Some(pinned) = pinned.as_array_mut()
+        {
+            pinned.retain(|value| !pins(value));
+        }
+        if let Some(editor) = self.document.get_mut("editor").and_then(Item::as_table_like_mut) {
+            editor.remove(id);
+        }
+        self.each_input(|inputs| {
+            let gone: Vec<String> =
+                inputs.iter_mut().filter_map(|(key, item)| without(item, id).then(|| key.get().to_owned())).collect();
+            for key in gone {
+                inputs.remove(&key);
+            }
+        })
+    }
+
+    /// Gives a node another name, in its table, in every connection that reads it, and in the preset.
+    pub fn rename_node(&mut self, old: &str, new: &str) -> Result<(), EditError> {
+        good_id(new)?;
+        let nodes = self.nodes()?;
+        if !nodes.contains_key(old) {
+            return Err(EditError::NoNode { id: old.to_owned() });
+        }
+        if old == new {
+            return Ok(());
+        }
+        if nodes.contains_key(new) {
+            return Err(EditError::NodeExists { id: new.to_owned() });
+        }
+        rename_key(nodes, old, new);
+        self.each_input(|inputs| {
+            for (_, item) in inputs.iter_mut() {
+                rename_references(item, old, new);
+            }
+        })?;
+        if let Some(pinned) = self.document.get_mut("preset").and_then(|p| p.get_mut("pinned")) {
+            for_each_table(pinned, |pin| {
+                if let Some(value) = pin.get_mut("param").and_then(Item::as_value_mut) {
+                    rename_reference(value, old, new);
+                }
+            });
+        }
+        if let Some(editor) = self.document.get_mut("editor").and_then(Item::as_table_like_mut)
+            && !editor.contains_key(new)
+            && let Some(item) = editor.remove(old)
+        {
+            editor.insert(new, item);
+        }
+        Ok(())
+    }
+
+    /// Sets where the editor draws a node, in `[editor]`.
+    pub fn set_position(&mut self, id: &str, x: f64, y: f64) {
+        let mut at = InlineTable::new();
+        at.insert("x", x.into());
+        at.insert("y", y.into());
+        let root = self.document.as_table_mut();
+        let editor = root.entry("editor").or_insert_with(|| Item::Table(Table::new()));
+        if let Some(editor) = editor.as_table_like_mut() {
+            set(editor, id, EditValue::InlineTable(at));
+        }
+    }
+
+    fn nodes(&mut self) -> Result<&mut Table, EditError> {
+        let nodes = self.document.as_table_mut().entry("nodes").or_insert_with(|| {
+            let mut table = Table::new();
+            table.set_implicit(true);
+            Item::Table(table)
+        });
+        nodes
+            .as_table_mut()
+            .ok_or(EditError::Shape { place: "nodes".to_owned(), expected: "a table such as [nodes.scope]" })
+    }
+
+    fn node(&mut self, id: &str) -> Result<&mut dyn TableLike, EditError> {
+        let node = self.nodes()?.get_mut(id).ok_or_else(|| EditError::NoNode { id: id.to_owned() })?;
+        node.as_table_like_mut().ok_or_else(|| EditError::Shape { place: format!("nodes.{id}"), expected: "a table" })
+    }
+
+    /// `inputs` or `params` of a node, made when absent.
+    fn table_of(&mut self, id: &str, part: &str) -> Result<&mut dyn TableLike, EditError> {
+        let node = self.node(id)?;
+        if !node.contains_key(part) {
+            node.insert(part, Item::Value(EditValue::InlineTable(InlineTable::new())));
+        }
+        node.get_mut(part)
+            .and_then(Item::as_table_like_mut)
+            .ok_or_else(|| EditError::Shape { place: format!("nodes.{id}.{part}"), expected: "a table" })
+    }
+
+    fn drop_if_empty(&mut self, id: &str, part: &str) -> Result<(), EditError> {
+        let node = self.node(id)?;
+        if node.get(part).and_then(Item::as_table_like).is_some_and(|t| t.is_empty()) {
+            node.remove(part);
+        }
+        Ok(())
+    }
+
+    fn each_input(&mut self, mut change: impl FnMut(&mut dyn TableLike)) -> Result<(), EditError> {
+        let mut emptied = Vec::new();
+        for (key, node) in self.nodes()?.iter_mut() {
+            let Some(node) = node.as_table_like_mut() else { continue };
+            let Some(inputs) = node.get_mut("inputs").and_then(Item::as_table_like_mut) else { continue };
+            let had = !inputs.is_empty();
+            change(inputs);
+            if had && inputs.is_empty() {
+                emptied.push(key.get().to_owned());
+            }
+        }
+        emptied.into_iter().try_for_each(|id| self.drop_if_empty(&id, "inputs"))
+    }
+
+    /// Position of the last table that belongs to a node.
+    fn last_node_position(&self) -> Option<isize> {
+        fn deepest(table: &Table) -> Option<isize> {
+            let below = table.iter().filter_map(|(_, item)| item.as_table()).filter_map(deepest).max();
+            table.position().max(below)
+        }
+        self.document.get("nodes").and_then(Item::as_table).and_then(deepest)
+    }
+}
+
+fn good_id(id: &str) -> Result<(), EditError> {
+    let start = id.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_');
+    if start && id.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-') {
+        Ok(())
+    } else {
+        Err(EditError::BadId { id: id.to_owned() })
+    }
+}
+
+/// Sets a value, keeping the spaces and the comment around the old one.
+fn set(table: &mut dyn TableLike, key: &str, mut value: EditValue) {
+    match table.get_mut(key) {
+        Some(item) => {
+            if let Some(old) = item.as_value() {
+                *value.decor_mut() = old.decor().clone();
+            }
+            *item = Item::Value(value);
+        }
+        None => {
+            table.insert(key, Item::Value(value));
+        }
+    }
+}
+
+fn edit_value(value: &toml::Value) -> EditValue {
+    match value {
+        toml::Value::String(text) => text.as_str().into(),
+        toml::Value::Integer(i) => (*i).into(),
+        toml::Value::Float(f) => (*f).into(),
+        toml::Value::Boolean(b) => (*b).into(),
+        // No parameter takes a date; its text is refused by the check like any other.
+        toml::Value::Datetime(d) => d.to_string().into(),
+        toml::Value::Array(items) => EditValue::Array(items.iter().map(edit_value).collect()),
+        toml::Value::Table(table) => {
+            EditValue::InlineTable(table.iter().map(|(k, v)| (k.as_str(), edit_value(v))).collect())
+        }
+    }
+}
+
+fn reads(value: &EditValue, id: &str) -> bool {
+    let text = match value {
+        EditValue::InlineTable(table) => table.get("from").and_then(EditValue::as_str),
+        other => other.as_str(),
+    };
+    text.and_then(|t| t.split_once('.')).is_some_and(|(node, _)| node == id)
+}
+
+/// Takes connections that read `id` out of an input; answers whether nothing is left of it.
+fn without(item: &mut Item, id: &str) -> bool {
+    if let Some(array) = item.as_array_mut() {
+        array.retain(|v| !reads(v, id));
+        return array.is_empty();
+    }
+    match item {
+        Item::Value(value) => reads(value, id),
+        Item::Table(table) => {
+            table.get("from").and_then(Item::as_str).and_then(|t| t.split_once('.')).is_some_and(|(n, _)| n == id)
+        }
+        _ => false,
+    }
+}
+
+fn rename_references(item: &mut Item, old: &str, new: &str) {
+    if let Some(array) = item.as_array_mut() {
+        for value in array.iter_mut() {
+            match value {
+                EditValue::InlineTable(table) => {
+                    if let Some(from) = table.get_mut("from") {
+                        rename_reference(from, old, new);
+                    }
+                }
+                other => rename_reference(other, old, new),
+            }
+        }
+        return;
+    }
+    if let Some(table) = item.as_table_like_mut() {
+        if let Some(from) = table.get_mut("from").and_then(Item::as_value_mut) {
+            rename_reference(from, old, new);
+        }
+    } else if let Some(value) = item.as_value_mut() {
+        rename_reference(value, old, new);
+    }
+}
+
+/// `old.port` becomes `new.port`, with the spaces around it kept.
+fn rename_reference(value: &mut EditValue, old: &str, new: &str) {
+    let Some((node, rest)) = value.as_str().and_then(|t| t.split_once('.')) else { return };
+    if node == old {
+        let mut renamed = EditValue::from(format!("{new}.{rest}"));
+        *renamed.decor_mut() = value.decor().clone();
+        *value = renamed;
+    }
+}
+
+fn for_each_table(item: &mut Item, mut act: impl FnMut(&mut dyn TableLike)) {
+    if let Some(array) = item.as_array_mut() {
+        for value in array.iter_mut() {
+            if let EditValue::InlineTable(table) = value {
+                act(table);
+            }
+        }
+    } else if let Some(tables) = item.as_array_of_tables_mut() {
+        for table in tables.iter_mut() {
+            act(table);
+        }
+    }
+}
+
+/// Renames a key in place: the order of the others stays.
+fn rename_key(table: &mut Table, old: &str, new: &str) {
+    let order: Vec<String> = table.iter().map(|(k, _)| k.to_owned()).collect();
+    let mut taken = Vec::with_capacity(order.len());
+    for key in order {
+        if let Some((mut name, item)) = table.remove_entry(&key) {
+            if key == old {
+                let renamed = toml_edit::Key::new(new)
+                    .with_leaf_decor(name.leaf_decor().clone())
+                    .with_dotted_decor(name.dotted_decor().clone());
+                name = renamed;
+            }
+            taken.push((name, item));
+        }
+    }
+    for (name, item) in taken {
+        table.insert_formatted(&name, item);
+    }
+}
+
+/// A value of the command line or the editor, for [`GraphEdit::set_param`].
+pub fn parse_value(text: &str) -> toml::Value {
+    match crate::parse::parse_value(text) {
+        Some(Value { value: Kind::HugeInt(_), .. }) | None => toml::Value::String(text.to_owned()),
+        Some(value) => value.value.plain(),
+    }
+}

@@ -1,0 +1,211 @@
+//! JSON Schema of graph files, so that editors complete and check them while they are typed.
+
+use crate::catalog::{Catalog, NodeType, Param, ParamKind, Port};
+use serde_json::{Map, Value, json};
+
+const NODE_ID: &str = "^[A-Za-z_][A-Za-z0-9_-]*$";
+const REFERENCE: &str = "^[A-Za-z_][A-Za-z0-9_-]*\\.[^.]+$";
+
+/// Schema (draft 2020-12) of a graph made of the catalog's node types. Names of ports and parameters are closed lists;
+/// what a schema cannot say (references, packets, cycles) is left to [`check`](crate::check).
+pub fn json_schema(catalog: &Catalog) -> Value {
+    let mut plugins: Vec<&str> = catalog.plugins.iter().map(String::as_str).collect();
+    plugins.extend(catalog.node_types.iter().map(|t| t.plugin.as_str()));
+    plugins.sort_unstable();
+    plugins.dedup();
+    let nodes: Vec<Value> = catalog.node_types.iter().map(|t| node_schema(catalog, t)).collect();
+    let node = if nodes.is_empty() { json!({ "type": "object" }) } else { json!({ "oneOf": nodes }) };
+    json!({
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Panoscope graph",
+        "description": "Nodes of plugins and how they are wired.",
+        "type": "object",
+        "additionalProperties": false,
+        "required": ["nodes"],
+        "properties": {
+            "name": { "type": "string", "description": "Name of the graph; the file's name when absent." },
+            "mode": {
+                "enum": ["live", "batch"],
+                "default": "live",
+                "description": "live: the newest frame wins; batch: no frame is lost."
+            },
+            "plugins": {
+                "type": "array",
+                "items": { "anyOf": [{ "enum": plugins }, { "type": "string" }] },
+                "description": "Plugins whose node types this graph uses."
+            },
+            "plugin_paths": {
+                "type": "array",
+                "items": { "type": "string" },
+                "description": "Further folders to look for plugins, relative to this file."
+            },
+            "nodes": {
+                "type": "object",
+                "propertyNames": { "pattern": NODE_ID },
+                "additionalProperties": { "$ref": "#/$defs/node" },
+                "minProperties": 1
+            },
+            "preset": {
+                "type": "object",
+                "additionalProperties": false,
+                "description": "What a surgeon may touch, and how far.",
+                "properties": { "pinned": { "type": "array", "items": { "$ref": "#/$defs/pin" } } }
+            },
+            "editor": { "type": "object", "description": "Positions of the editor; not read by anything else." }
+        },
+        "$defs": {
+            "node": node,
+            "reference": { "type": "string", "pattern": REFERENCE, "description": "An output: node.port" },
+            "connection": { "anyOf": [{ "$ref": "#/$defs/reference" }, { "$ref": "#/$defs/aligned" }] },
+            "aligned": aligned_schema(),
+            "connections": {
+                "anyOf": [
+                    { "$ref": "#/$defs/connection" },
+                    { "type": "array", "items": { "$ref": "#/$defs/connection" } }
+                ]
+            },
+            "pin": {
+                "type": "object",
+                "additionalProperties": false,
+                "required": ["param"],
+                "properties": {
+                    "param": { "type": "string", "pattern": REFERENCE, "description": "A parameter: node.param" },
+                    "range": {
+                        "type": "array",
+                        "items": { "type": "number" },
+                        "minItems": 2,
+                        "maxItems": 2,
+                        "description": "Lowest and highest value offered."
+                    },
+                    "label": { "type": "string", "description": "Text shown beside it." }
+                }
+            }
+        }
+    })
+}
+
+fn aligned_schema() -> Value {
+    json!({
+        "type": "object",
+        "additionalProperties": false,
+        "required": ["from"],
+        "properties": {
+            "from": { "$ref": "#/$defs/reference" },
+            "align": {
+                "enum": ["exact", "latest", "nearest"],
+                "default": "exact",
+                "description": "exact: same tick; latest: newest value, never waits; nearest: closest in time."
+            },
+            "tolerance_ms": { "type": "number", "exclusiveMinimum": 0, "description": "For nearest: how far apart." },
+            "queue": { "type": "integer", "minimum": 1, "maximum": 1024, "description": "Packets that may wait." },
+            "delay": { "enum": [0, 1], "default": 0, "description": "1: the value of this node's previous tick." },
+            "trigger": { "type": "boolean", "default": false, "description": "The node runs on this input only." }
+        }
+    })
+}
+
+fn node_schema(catalog: &Catalog, node_type: &NodeType) -> Value {
+    // A name that two plugins offer is only right with the plugin's.
+    let full = format!("{}/{}", node_type.plugin, node_type.name);
+    let names = if catalog.find(&node_type.name).len() > 1 { vec![full] } else { vec![node_type.name.clone(), full] };
+    let mut inputs = Map::new();
+    let mut required_inputs = Vec::new();
+    for port in &node_type.inputs {
+        inputs.insert(port.name.clone(), input_schema(port));
+        if !port.optional {
+            required_inputs.push(port.name.as_str());
+        }
+    }
+    let params: Map<String, Value> = node_type.params.iter().map(|p| (p.name.clone(), param_schema(p))).collect();
+    let mut required = vec!["type"];
+    if !required_inputs.is_empty() {
+        required.push("inputs");
+    }
+    json!({
+        "type": "object",
+        "title": node_type.name,
+        "description": node_type.doc,
+        "additionalProperties": false,
+        "required": required,
+        "properties": {
+            "type": { "enum": names, "description": node_type.doc },
+            "inputs": {
+                "type": "object",
+                "additionalProperties": false,
+                "required": required_inputs,
+                "properties": inputs
+            },
+            "params": { "type": "object", "additionalProperties": false, "properties": params },
+            "on_fault": {
+                "enum": ["restart", "bypass", "stop"],
+                "default": "restart",
+                "description": "What the host does when the node faults."
+            },
+            "budget_ms": { "type": "number", "exclusiveMinimum": 0, "description": "Time it should not exceed per tick." },
+            "max_rate_hz": { "type": "number", "exclusiveMinimum": 0, "description": "It runs at most this often." },
+            "cpu": { "type": "integer", "minimum": 0, "maximum": 4095, "description": "Core its thread is pinned to." }
+        }
+    })
+}
+
+fn input_schema(port: &Port) -> Value {
+    let target = if port.list { "#/$defs/connections" } else { "#/$defs/connection" };
+    let formats = match port.packet.formats.as_slice() {
+        [] => String::new(),
+        formats => format!(": {}", formats.join(" or ")),
+    };
+    json!({ "$ref": target, "description": format!("{} ({}{formats})", port.doc, port.packet.name) })
+}
+
+fn param_schema(param: &Param) -> Value {
+    let mut schema = Map::new();
+    let mut put = |key: &str, value: Value| {
+        if !value.is_null() {
+            schema.insert(key.to_owned(), value);
+        }
+    };
+    match &param.kind {
+        ParamKind::Bool { default } => {
+            put("type", json!("boolean"));
+            put("default", json!(default));
+        }
+        ParamKind::Int { default, min, max, step } => {
+            put("type", json!("integer"));
+            put("default", json!(default));
+            put("minimum", json!(min));
+            put("maximum", json!(max));
+            // `multipleOf` counts from 0, steps from the minimum.
+            let aligned = step.filter(|s| *s > 1 && min.unwrap_or(0) % s == 0);
+            put("multipleOf", json!(aligned));
+        }
+        ParamKind::Float { default, min, max, .. } => {
+            put("type", json!("number"));
+            put("default", json!(default));
+            put("minimum", json!(min));
+            put("maximum", json!(max));
+        }
+        ParamKind::Choice { default, choices } => {
+            put("enum", json!(choices));
+            put("default", json!(default));
+        }
+        ParamKind::Text { default } | ParamKind::Path { default, .. } => {
+            put("type", json!("string"));
+            put("default", json!(default));
+        }
+        ParamKind::Floats { default, min_len, max_len } => {
+            put("type", json!("array"));
+            put("default", json!(default));
+            // Numbers may also come in pairs, so the count is not the list's length.
+            put(
+                "items",
+                json!({ "anyOf": [{ "type": "number" }, { "type": "array", "items": { "type": "number" } }] }),
+            );
+            put("maxItems", json!(max_len));
+            put("minItems", if *min_len > 0 { json!(1) } else { Value::Null });
+        }
+    }
+    let unit = if param.unit.is_empty() { String::new() } else { format!(" [{}]", param.unit) };
+    let reopen = if param.reopen { " A change reopens the node." } else { "" };
+    put("description", json!(format!("{}{unit}{reopen}", param.doc)));
+    Value::Object(schema)
+}

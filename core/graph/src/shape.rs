@@ -1,0 +1,433 @@
+//! The shape of a graph file: which tables and keys it may have, and of what TOML type. Names are not looked up here.
+
+use crate::checked::{Align, Mode, OnFault};
+use crate::diagnostic::{Diagnostic, Severity};
+use crate::nearest::{list, nearest};
+use crate::text::{GraphText, InputText, NodeText, PinText, RefText};
+use crate::value::{Kind, Spanned, Table, Value, plain_table};
+use std::collections::HashMap;
+use std::ops::Range;
+
+const TOP: [&str; 7] = ["name", "mode", "plugins", "plugin_paths", "nodes", "preset", "editor"];
+const NODE: [&str; 7] = ["type", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu"];
+const INPUT: [&str; 6] = ["from", "align", "tolerance_ms", "queue", "delay", "trigger"];
+const PIN: [&str; 3] = ["param", "range", "label"];
+
+/// Fills `graph` with what the tree of its file holds; mistakes go to its diagnostics.
+pub(crate) fn read(graph: GraphText, root: &Table) -> GraphText {
+    let mut reader = Reader { graph, ids: HashMap::new() };
+    reader.root(root);
+    reader.graph
+}
+
+struct Reader {
+    graph: GraphText,
+    /// Where each node's name stands first.
+    ids: HashMap<String, Range<usize>>,
+}
+
+impl Reader {
+    fn error(&mut self, code: &'static str, span: &Range<usize>, message: String) -> &mut Diagnostic {
+        let d = Diagnostic::new(Severity::Error, code, &self.graph.source, span, message);
+        self.graph.diagnostics.push(d)
+    }
+
+    fn wrong_type(&mut self, what: &str, expected: &str, found: &Value) -> &mut Diagnostic {
+        let message = format!("{what} must be {expected}, this is {}", found.value.found());
+        self.error("wrong-type", &found.span, message).label(format!("expected {expected}"))
+    }
+
+    /// The key as it was meant: itself when known, else it is reported, and answered is the nearest one that the table
+    /// does not have, so that a slip of the pen hides nothing below it.
+    fn key<'k>(&mut self, what: &str, key: &'k Spanned<String>, known: &[&'static str], table: &'k Table) -> &'k str {
+        if known.contains(&key.value.as_str()) {
+            return &key.value;
+        }
+        let near = nearest(&key.value, known.iter().copied());
+        self.unknown_key(what, key, known);
+        near.filter(|n| !table.iter().any(|(k, _)| k.value == *n)).unwrap_or("")
+    }
+
+    fn unknown_key(&mut self, what: &str, key: &Spanned<String>, known: &[&str]) {
+        let near = nearest(&key.value, known.iter().copied());
+        let message = format!("{what} has no key `{}`", key.value);
+        let help = format!("allowed are {}", list(known.iter().copied(), 20, "and"));
+        let d = self.error("unknown-key", &key.span, message).help(help);
+        if let Some(near) = near {
+            d.label(format!("did you mean `{near}`?"));
+        }
+    }
+
+    fn text(&mut self, what: &str, value: &Value) -> Option<Spanned<String>> {
+        let Some(text) = value.value.text() else {
+            self.wrong_type(what, "a text in quotes", value);
+            return None;
+        };
+        Some(Spanned::new(text.to_owned(), value.span.clone()))
+    }
+
+    fn table<'v>(&mut self, what: &str, expected: &str, value: &'v Value) -> Option<&'v Table> {
+        let Kind::Table(table) = &value.value else {
+            self.wrong_type(what, expected, value);
+            return None;
+        };
+        Some(table)
+    }
+
+    /// One of a few words, each standing for a value.
+    fn word<T: Copy>(&mut self, what: &str, value: &Value, words: &[(&str, T)]) -> Option<T> {
+        let text = self.text(&format!("`{what}`"), value)?;
+        if let Some((_, result)) = words.iter().find(|(w, _)| *w == text.value) {
+            return Some(*result);
+        }
+        let known = || words.iter().map(|(w, _)| *w);
+        // Close in meaning goes before close in letters.
+        let meant = if text.value == "newest" { "latest" } else { text.value.as_str() };
+        let near = known().find(|w| *w == meant).or_else(|| nearest(meant, known()));
+        let label = near.map(|n| format!("did you mean \"{n}\"?"));
+        let help = format!("`{what}` is {}", known().map(|w| format!("\"{w}\"")).collect::<Vec<_>>().join(" or "));
+        let message = format!("\"{}\" is no value of `{what}`", text.value);
+        self.error("unknown-word", &value.span, message).label(label.unwrap_or_default()).help(help);
+        None
+    }
+
+    /// A number above 0.
+    fn positive(&mut self, what: &str, value: &Value) -> Option<f64> {
+        let Some(number) = value.value.number() else {
+            self.wrong_type(&format!("`{what}`"), "a number", value);
+            return None;
+        };
+        if !(number.is_finite() && number > 0.0) {
+            self.error("out-of-range", &value.span, format!("`{what}` must be more than 0"))
+                .label("expected more than 0");
+            return None;
+        }
+        Some(number)
+    }
+
+    /// A whole number in a range.
+    fn whole(&mut self, what: &str, value: &Value, range: std::ops::RangeInclusive<i64>) -> Option<i64> {
+        let Kind::Int(number) = value.value else {
+            self.wrong_type(&format!("`{what}`"), "a whole number", value);
+            return None;
+        };
+        if !range.contains(&number) {
+            let (low, high) = (range.start(), range.end());
+            let message = format!("`{what}` is {number}, allowed are {low} to {high}");
+            self.error("out-of-range", &value.span, message).label(format!("expected {low} to {high}"));
+            return None;
+        }
+        Some(number)
+    }
+
+    fn root(&mut self, root: &Table) {
+        for (key, value) in root {
+            match self.key("a graph file", key, &TOP, root) {
+                "name" => self.graph.name = self.text("`name`", value),
+                "mode" => {
+                    let words = [("live", Mode::Live), ("batch", Mode::Batch)];
+                    self.graph.mode = self.word("mode", value, &words).unwrap_or_default();
+                }
+                "plugins" => self.graph.plugins = self.texts("plugins", "[\"phantom\", \"sinks\"]", value),
+                "plugin_paths" => self.graph.plugin_paths = self.texts("plugin_paths", "[\"../my_plugins\"]", value),
+                "nodes" => self.nodes(value),
+                "preset" => self.preset(value),
+                "editor" => {
+                    if let Some(table) = self.table("`editor`", "a table", value) {
+                        self.graph.editor = plain_table(table);
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn texts(&mut self, what: &str, example: &str, value: &Value) -> Vec<Spanned<String>> {
+        let items = match &value.value {
+            Kind::List(items) => items.as_slice(),
+            found => {
+                let text = found.text();
+                let written = text.map_or_else(|| example.to_owned(), |t| format!("[\"{t}\"]"));
+                self.wrong_type(&format!("`{what}`"), "a list of texts", value)
+                    .help(format!("write {what} = {written}"));
+                // A single text leaves no doubt; with anything else, what seems missing may stand there.
+                self.graph.incomplete |= text.is_none();
+                return text.map(|t| Spanned::new(t.to_owned(), value.span.clone())).into_iter().collect();
+            }
+        };
+        items.iter().filter_map(|item| self.text(&format!("an entry of `{what}`"), item)).collect()
+    }
+
+    fn nodes(&mut self, value: &Value) {
+        let Some(nodes) = self.table("`nodes`", "a table of nodes such as [nodes.scope]", value) else { return };
+        for (id, value) in nodes {
+            self.node_id(id);
+            match self.table("a node", "a table such as [nodes.scope]", value) {
+                Some(table) => self.node(id, table),
+                // It stays known, so that references to it are no mistakes as well.
+                None => self.graph.nodes.push(NodeText { type_broken: true, ..NodeText::new(id) }),
+            }
+        }
+    }
+
+    fn node_id(&mut self, id: &Spanned<String>) {
+        let mut chars = id.value.chars();
+        let start = chars.next().is_some_and(|c| c.is_ascii_alphabetic() || c == '_');
+        if !start || !chars.all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-') {
+            self.error("bad-node-id", &id.span, format!("`{}` cannot name a node", id.value)).help(
+                "a node's name starts with a letter or _ and goes on with letters, digits, _ and -, all of ASCII",
+            );
+        }
+        if let Some(first) = self.ids.get(&id.value).cloned() {
+            let line = self.graph.source.line(first.start);
+            let message = format!("two nodes are called `{}`; the first is in line {line}", id.value);
+            let d = Diagnostic::new(Severity::Error, "duplicate-node", &self.graph.source, &id.span, message);
+            self.graph
+                .diagnostics
+                .push(d)
+                .label("again here")
+                .help("give one of them another name, and change the references that mean it")
+                .note(&self.graph.source, &first, "first here");
+        } else {
+            self.ids.insert(id.value.clone(), id.span.clone());
+        }
+    }
+
+    fn node(&mut self, id: &Spanned<String>, table: &Table) {
+        let mut node = NodeText::new(id);
+        for (key, value) in table {
+            match self.key("a node", key, &NODE, table) {
+                "type" => {
+                    node.type_name = self.text("`type`", value);
+                    node.type_broken = node.type_name.is_none();
+                }
+                "inputs" => {
+                    let expected = "a table such as { left = \"scope.left\" }";
+                    if let Some(inputs) = self.table("`inputs`", expected, value) {
+                        node.inputs = inputs.iter().map(|(port, value)| self.input(port, value)).collect();
+                    }
+                }
+                "params" => {
+                    let expected = "a table such as { seed = 7 }";
+                    node.params = self.table("`params`", expected, value).cloned().unwrap_or_default();
+                }
+                "on_fault" => {
+                    let words = [("restart", OnFault::Restart), ("bypass", OnFault::Bypass), ("stop", OnFault::Stop)];
+                    node.on_fault = self.word("on_fault", value, &words).unwrap_or_default();
+                }
+                "budget_ms" => node.budget_ms = self.positive("budget_ms", value),
+                "max_rate_hz" => node.max_rate_hz = self.positive("max_rate_hz", value),
+                "cpu" => node.cpu = self.whole("cpu", value, 0..=4095).map(|n| n as u32),
+                _ => {}
+            }
+        }
+        if node.type_name.is_none() && !node.type_broken && !self.graph.incomplete {
+            let message = format!("node `{}` has no `type`", id.value);
+            self.error("missing-type", &id.span, message)
+                .label("which node type?")
+                .help("add a line such as type = \"phantom\"; `panoscope list` shows all types");
+        }
+        self.graph.nodes.push(node);
+    }
+
+    fn input(&mut self, port: &Spanned<String>, value: &Value) -> InputText {
+        let items = match &value.value {
+            Kind::List(items) => items.as_slice(),
+            _ => std::slice::from_ref(value),
+        };
+        let refs: Vec<RefText> = items.iter().filter_map(|item| self.connection(item)).collect();
+        InputText {
+            port: port.clone(),
+            broken: refs.len() < items.len(),
+            refs,
+            span: value.span.clone(),
+            is_list: matches!(value.value, Kind::List(_)),
+        }
+    }
+
+    fn connection(&mut self, value: &Value) -> Option<RefText> {
+        match &value.value {
+            Kind::Text(text) => self.reference(text, &value.span),
+            Kind::Table(table) => self.connection_table(value, table),
+            _ => {
+                self.wrong_type("an input", "\"node.port\" or { from = \"node.port\" }", value);
+                None
+            }
+        }
+    }
+
+    fn reference(&mut self, text: &str, span: &Range<usize>) -> Option<RefText> {
+        // Inside the quotes, where the text has no escapes.
+        let inside = span.start + 1..span.end.saturating_sub(1);
+        let span = if self.graph.source.text.get(inside.clone()) == Some(text) { inside } else { span.clone() };
+        let parts: Vec<&str> = text.split('.').collect();
+        if let [node, port] = parts[..]
+            && !node.is_empty()
+            && !port.is_empty()
+            && text == text.trim()
+        {
+            return Some(RefText {
+                node: node.to_owned(),
+                port: port.to_owned(),
+                span,
+                align: Align::Exact,
+                queue: None,
+                delay: 0,
+                trigger: None,
+            });
+        }
+        let help = match parts[..] {
+            _ if text != text.trim() => "remove the spaces inside the quotes".to_owned(),
+            [node] if !node.is_empty() => format!("name the output too, as in \"{node}.left\""),
+            _ => "write node, a dot, and the output's name, as in \"scope.left\"".to_owned(),
+        };
+        self.error("bad-reference", &span, format!("`{text}` is no reference to an output"))
+            .label("expected \"node.port\"")
+            .help(help);
+        None
+    }
+
+    fn connection_table(&mut self, value: &Value, table: &Table) -> Option<RefText> {
+        let mut reference = None;
+        let mut from_given = false;
+        let mut align = Align::Exact;
+        let mut align_given = false;
+        let mut tolerance = None;
+        let mut tolerance_key = None;
+        let (mut queue, mut delay, mut trigger) = (None, 0, None);
+        for (key, value) in table {
+            match self.key("an input", key, &INPUT, table) {
+                "from" => {
+                    from_given = true;
+                    reference = self.text("`from`", value).and_then(|t| self.reference(&t.value, &t.span));
+                }
+                "align" => {
+                    let nearest = Align::Nearest { tolerance_ms: 0.0 };
+                    let words = [("exact", Align::Exact), ("latest", Align::Latest), ("nearest", nearest)];
+                    align = self.word("align", value, &words).unwrap_or_default();
+                    align_given = true;
+                    if align == nearest {
+                        tolerance_key.get_or_insert(value.span.clone());
+                    }
+                }
+                "tolerance_ms" => {
+                    tolerance = Some((key.span.clone(), self.positive("tolerance_ms", value)));
+                }
+                "queue" => queue = self.whole("queue", value, 1..=1024).map(|n| n as u32),
+                "delay" => delay = self.delay(value),
+                "trigger" => match value.value {
+                    Kind::Bool(on) => trigger = on.then(|| key.span.clone()),
+                    _ => {
+                        self.wrong_type("`trigger`", "true or false", value);
+                    }
+                },
+                _ => {}
+            }
+        }
+        match (&mut align, tolerance) {
+            (Align::Nearest { tolerance_ms }, Some((_, Some(ms)))) => *tolerance_ms = ms,
+            (Align::Nearest { .. }, Some((_, None))) => {}
+            (Align::Nearest { .. }, None) => {
+                let span = tolerance_key.unwrap_or(value.span.clone());
+                self.error("missing-tolerance", &span, "`nearest` needs `tolerance_ms`".to_owned())
+                    .help("say how far apart two pictures may be, as in tolerance_ms = 5");
+            }
+            (other, Some((key, _))) => {
+                let word = other.word();
+                let how = if align_given { "says" } else { "without a word means" };
+                let message = format!("`tolerance_ms` is for align = \"nearest\" only; this input {how} \"{word}\"");
+                self.error("useless-tolerance", &key, message).help("add align = \"nearest\", or remove tolerance_ms");
+            }
+            (_, None) => {}
+        }
+        if !from_given {
+            self.error("missing-from", &value.span, "this input does not say what it is connected to".to_owned())
+                .label("expected `from`")
+                .help("as in { from = \"scope.left\", align = \"latest\" }");
+        }
+        let reference = reference?;
+        Some(RefText { align, queue, delay, trigger, ..reference })
+    }
+
+    fn delay(&mut self, value: &Value) -> u8 {
+        match value.value {
+            Kind::Int(n @ 0..=1) => return n as u8,
+            Kind::Int(n) => {
+                let message = format!("`delay` is {n}, allowed are 0 and 1");
+                self.error("out-of-range", &value.span, message).label("expected 0 or 1").help(
+                    "1 gives the value of the consumer's previous tick; longer delays need a node that stores values",
+                );
+            }
+            _ => {
+                self.wrong_type("`delay`", "0 or 1", value);
+            }
+        }
+        0
+    }
+
+    fn preset(&mut self, value: &Value) {
+        let Some(table) = self.table("`preset`", "a table", value) else { return };
+        for (key, value) in table {
+            if key.value != "pinned" {
+                self.unknown_key("`preset`", key, &["pinned"]);
+                continue;
+            }
+            let Kind::List(items) = &value.value else {
+                self.wrong_type("`pinned`", "a list of tables", value).help(
+                    "as in pinned = [ { param = \"wide.blend_px\", range = [0, 40], label = \"Seam softness\" } ]",
+                );
+                continue;
+            };
+            for item in items {
+                if let Some(table) = self.table("an entry of `pinned`", "a table", item) {
+                    self.pin(item, table);
+                }
+            }
+        }
+    }
+
+    fn pin(&mut self, item: &Value, table: &Table) {
+        let (mut param, mut range, mut label) = (None, None, None);
+        let mut param_given = false;
+        for (key, value) in table {
+            match self.key("an entry of `pinned`", key, &PIN, table) {
+                "param" => {
+                    param_given = true;
+                    param = self.text("`param`", value);
+                }
+                "range" => range = self.pin_range(value),
+                "label" => label = self.text("`label`", value).map(|t| t.value),
+                _ => {}
+            }
+        }
+        if !param_given {
+            self.error("missing-param", &item.span, "this entry of `pinned` names no parameter".to_owned())
+                .help("as in { param = \"wide.blend_px\" }");
+        }
+        if let Some(param) = param {
+            self.graph.pins.push(PinText { param, range, label });
+        }
+    }
+
+    fn pin_range(&mut self, value: &Value) -> Option<(Spanned<f64>, Spanned<f64>)> {
+        let numbers = match &value.value {
+            Kind::List(items) if items.len() == 2 => {
+                let number =
+                    |v: &Value| Some(Spanned::new(v.value.number().filter(|n| n.is_finite())?, v.span.clone()));
+                number(&items[0]).zip(number(&items[1]))
+            }
+            _ => None,
+        };
+        let Some((low, high)) = numbers else {
+            self.error("wrong-type", &value.span, "`range` must be a list of two numbers".to_owned())
+                .label("expected [lowest, highest]");
+            return None;
+        };
+        if low.value >= high.value {
+            let message = format!("`range` goes from {} down to {}", low.value, high.value);
+            self.error("bad-range", &value.span, message).label("expected [lowest, highest]");
+            return None;
+        }
+        Some((low, high))
+    }
+}

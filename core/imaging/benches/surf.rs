@@ -1,0 +1,182 @@
+//! SURF on a synthetic 640x480 texture: detection and description at 500, 1000 and 2000 points.
+//!
+//! `cargo bench -p panoscope-imaging --bench surf` prints minimum and median milliseconds.
+//! `SURF_IMAGE=file.gray,WIDTH,HEIGHT` replaces the texture by a raw 8-bit image.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use panoscope_imaging::features::{Features, Surf, SurfParams};
+use panoscope_imaging::geometry::Rect;
+use panoscope_imaging::{Parallel, Serial, View};
+
+/// The caller and one helper thread that spins between loops, as a pool's warm worker would.
+struct Pair {
+    shared: std::sync::Arc<Shared>,
+    helper: Option<std::thread::JoinHandle<()>>,
+}
+
+type Body = *const (dyn Fn(usize) + Sync);
+
+struct Shared {
+    epoch: AtomicUsize,
+    done: AtomicUsize,
+    next: AtomicUsize,
+    chunks: AtomicUsize,
+    body: std::sync::Mutex<Option<BodyPtr>>,
+}
+
+#[derive(Clone, Copy)]
+struct BodyPtr(Body);
+// SAFETY: the pointer is used only while `run` waits for the helper.
+unsafe impl Send for BodyPtr {}
+
+const STOP: usize = usize::MAX;
+
+impl Pair {
+    fn new() -> Self {
+        let shared = std::sync::Arc::new(Shared {
+            epoch: AtomicUsize::new(0),
+            done: AtomicUsize::new(0),
+            next: AtomicUsize::new(0),
+            chunks: AtomicUsize::new(0),
+            body: std::sync::Mutex::new(None),
+        });
+        let theirs = shared.clone();
+        let helper = std::thread::spawn(move || {
+            let mut seen = 0;
+            loop {
+                let epoch = theirs.epoch.load(Ordering::Acquire);
+                if epoch == STOP {
+                    return;
+                }
+                if epoch == seen {
+                    std::hint::spin_loop();
+                    continue;
+                }
+                seen = epoch;
+                let body = *theirs.body.lock().unwrap();
+                if let Some(body) = body {
+                    // SAFETY: `run` returns only after `done` says this thread has left the loop.
+                    work(&theirs, unsafe { &*body.0 });
+                }
+                theirs.done.store(epoch, Ordering::Release);
+            }
+        });
+        Self { shared, helper: Some(helper) }
+    }
+}
+
+fn work(shared: &Shared, body: &(dyn Fn(usize) + Sync)) {
+    loop {
+        let index = shared.next.fetch_add(1, Ordering::Relaxed);
+        if index >= shared.chunks.load(Ordering::Relaxed) {
+            return;
+        }
+        body(index);
+    }
+}
+
+impl Drop for Pair {
+    fn drop(&mut self) {
+        self.shared.epoch.store(STOP, Ordering::Release);
+        if let Some(helper) = self.helper.take() {
+            let _ = helper.join();
+        }
+    }
+}
+
+impl Parallel for Pair {
+    fn threads(&self) -> usize {
+        2
+    }
+
+    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
+        // SAFETY: only the lifetime is widened; the helper is waited for below.
+        let pointer: Body = unsafe { std::mem::transmute::<&(dyn Fn(usize) + Sync), Body>(body) };
+        *self.shared.body.lock().unwrap() = Some(BodyPtr(pointer));
+        self.shared.next.store(0, Ordering::Relaxed);
+        self.shared.chunks.store(chunks, Ordering::Relaxed);
+        let epoch = self.shared.epoch.load(Ordering::Relaxed) + 1;
+        self.shared.epoch.store(epoch, Ordering::Release);
+        work(&self.shared, body);
+        while self.shared.done.load(Ordering::Acquire) != epoch {
+            std::hint::spin_loop();
+        }
+    }
+}
+
+fn texture(width: usize, height: usize) -> Vec<u8> {
+    // Sums of random bumps of many sizes: keypoints at every scale.
+    let mut state = 0x9e37_79b9_7f4a_7c15u64;
+    let mut random = move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 40) as f32 / (1u64 << 24) as f32
+    };
+    let mut image = vec![128.0f32; width * height];
+    for _ in 0..6000 {
+        let (x, y) = (random() * width as f32, random() * height as f32);
+        let sigma = 1.2 * (random() * 2.5).exp();
+        let height_of = (random() - 0.5) * 120.0;
+        let reach = (sigma * 3.0).ceil() as isize;
+        for dy in -reach..=reach {
+            for dx in -reach..=reach {
+                let (px, py) = (x as isize + dx, y as isize + dy);
+                if px >= 0 && py >= 0 && (px as usize) < width && (py as usize) < height {
+                    let (ex, ey) = (px as f32 - x, py as f32 - y);
+                    let value = height_of * (-(ex * ex + ey * ey) / (2.0 * sigma * sigma)).exp();
+                    image[py as usize * width + px as usize] += value;
+                }
+            }
+        }
+    }
+    image.iter().map(|&value| value.clamp(0.0, 255.0) as u8).collect()
+}
+
+fn measure(label: &str, mut work: impl FnMut() -> usize) {
+    let mut times = Vec::new();
+    let mut points = 0;
+    for _ in 0..40 {
+        let start = Instant::now();
+        points = work();
+        times.push(start.elapsed().as_secs_f64() * 1e3);
+    }
+    times.sort_by(f64::total_cmp);
+    println!("{label:<44} {points:>5} points  min {:>7.3} ms  median {:>7.3} ms", times[0], times[times.len() / 2]);
+}
+
+fn main() {
+    let (data, width, height) = match std::env::var("SURF_IMAGE") {
+        Ok(text) => {
+            let parts: Vec<&str> = text.split(',').collect();
+            let size = |index: usize| parts.get(index).and_then(|part| part.parse().ok()).unwrap_or(0);
+            (std::fs::read(parts[0]).unwrap_or_default(), size(1), size(2))
+        }
+        Err(_) => (texture(640, 480), 640, 480),
+    };
+    let image = View::new(&data, width, height, 1);
+    let pair = Pair::new();
+    let pools: [(&str, &dyn Parallel); 2] = [("1 thread", &Serial), ("2 threads", &pair)];
+    let mut out = Features::default();
+    for (threads, pool) in pools {
+        for upright in [true, false] {
+            let kind = if upright { "upright" } else { "oriented" };
+            for max_points in [500, 1000, 2000] {
+                let mut surf =
+                    Surf::new(SurfParams { max_points, upright, hessian_threshold: 20.0, ..SurfParams::default() });
+                measure(&format!("surf {width}x{height} {kind} {threads}"), || {
+                    surf.detect_and_describe(image, None, 1, pool, &mut out);
+                    out.len()
+                });
+            }
+            let mut surf = Surf::new(SurfParams { max_points: 300, upright, ..SurfParams::default() });
+            let roi = Rect::new(0, 0, width, height);
+            measure(&format!("surf {width}x{height} shrunk by 2 {kind} {threads}"), || {
+                surf.detect_and_describe(image, Some(roi), 2, pool, &mut out);
+                out.len()
+            });
+        }
+    }
+}

@@ -1,0 +1,275 @@
+//! Registration of two views by SURF, on whole frames or on the overlap seen last (thesis, chapter 2, Alg. 2.2).
+
+use super::matching::{Gate, Match, MatchParams, Matcher};
+use super::surf::{Features, Surf, SurfParams};
+use crate::geometry::ransac::{Ransac, RansacParams};
+use crate::geometry::stability::median_error;
+use crate::geometry::{Homography, Plausibility, Point, Rect, overlap_rois};
+use crate::{Parallel, View};
+
+/// Overlaps narrower than this cannot hold the larger filters; the next search covers whole frames.
+const LEAST_ROI_PX: usize = 48;
+
+/// How to register.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RegisterParams {
+    /// Features of both views.
+    pub surf: SurfParams,
+    /// Searches the overlap of the frame before, shrunk; otherwise whole frames at full size.
+    pub roi: bool,
+    /// Shrink factor k of the search regions when `roi` is on (2 at 640x480).
+    pub shrink: usize,
+    /// Matching.
+    pub matching: MatchParams,
+    /// Radius in which matches are sought around the place that the frame before predicts, in pixels; 0: everywhere.
+    pub gate_px: f32,
+    /// Robust estimation; the threshold is in full-frame pixels.
+    pub ransac: RansacParams,
+    /// Inliers below which a homography is not believed; at least 4 (thesis 2.4.3).
+    pub min_inliers: usize,
+    /// What a warped frame may look like.
+    pub plausibility: Plausibility,
+    /// The homography stays while its median error on the new inliers is below this (chapter 4, Algorithm 2),
+    /// in pixels; 0: refit every frame.
+    pub stability_px: f64,
+    /// Failed frames in a row for which the homography before still counts as held rather than lost.
+    pub hold_frames: usize,
+    /// Widens both search regions, in pixels.
+    pub roi_margin_px: usize,
+}
+
+impl Default for RegisterParams {
+    fn default() -> Self {
+        Self {
+            surf: SurfParams { max_points: 600, hessian_threshold: 50.0, ..SurfParams::default() },
+            roi: true,
+            shrink: 2,
+            matching: MatchParams::default(),
+            gate_px: 0.0,
+            ransac: RansacParams::default(),
+            min_inliers: 8,
+            plausibility: Plausibility::default(),
+            stability_px: 0.0,
+            hold_frames: 0,
+            roi_margin_px: 8,
+        }
+    }
+}
+
+/// What a frame's homography is worth.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RegistrationState {
+    /// Measured in this frame (or confirmed by it).
+    Fresh,
+    /// This frame failed; the one before is recent enough to be used.
+    Held,
+    /// This frame failed and nothing recent is known.
+    #[default]
+    Lost,
+}
+
+/// Result for one frame pair.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Registration {
+    /// Maps right-frame pixels to left-frame pixels; the last good one when held or lost, the identity before any.
+    pub left_from_right: Homography,
+    /// Fresh, held or lost.
+    pub state: RegistrationState,
+    /// Keypoints of the left and right view.
+    pub points: (usize, usize),
+    /// Matches given to RANSAC.
+    pub matches: usize,
+    /// Matches that agree with the homography; 0 unless fresh.
+    pub inliers: usize,
+    /// Root mean square reprojection error of the inliers in the left frame, in pixels; 0 unless fresh.
+    pub rms_px: f64,
+    /// Overlap in the left frame (the next search region); the whole frame unless fresh.
+    pub roi_left: Rect,
+    /// Overlap in the right frame.
+    pub roi_right: Rect,
+    /// Whether the homography is the previous frame's, kept by the stability test.
+    pub kept: bool,
+}
+
+/// Registers frame pairs one after the other and remembers overlap and homography.
+#[derive(Clone, Debug)]
+pub struct RegisterSurf {
+    params: RegisterParams,
+    surf: Surf,
+    matcher: Matcher,
+    ransac: Ransac,
+    left: Features,
+    right: Features,
+    matches: Vec<Match>,
+    from: Vec<Point>,
+    to: Vec<Point>,
+    mask: Vec<bool>,
+    errors: Vec<f64>,
+    memory: Option<Memory>,
+    failures: usize,
+}
+
+/// What a good frame leaves behind.
+#[derive(Clone, Copy, Debug)]
+struct Memory {
+    left_from_right: Homography,
+    sizes: [(usize, usize); 2],
+}
+
+impl RegisterSurf {
+    /// A registration without a past.
+    pub fn new(params: RegisterParams) -> Self {
+        Self {
+            params,
+            surf: Surf::new(params.surf),
+            matcher: Matcher::new(),
+            ransac: Ransac::new(),
+            left: Features::default(),
+            right: Features::default(),
+            matches: Vec::new(),
+            from: Vec::new(),
+            to: Vec::new(),
+            mask: Vec::new(),
+            errors: Vec::new(),
+            memory: None,
+            failures: 0,
+        }
+    }
+
+    /// The parameters.
+    pub fn params(&self) -> &RegisterParams {
+        &self.params
+    }
+
+    /// Changes the parameters and keeps what is known of the frame before.
+    pub fn set_params(&mut self, params: RegisterParams) {
+        self.params = params;
+        self.surf.set_params(params.surf);
+    }
+
+    /// Forgets the frame before.
+    pub fn reset(&mut self) {
+        self.memory = None;
+        self.failures = 0;
+    }
+
+    /// Keypoints and descriptors of the last frame pair, left and right.
+    pub fn features(&self) -> (&Features, &Features) {
+        (&self.left, &self.right)
+    }
+
+    /// Matches of the last frame pair, and which of them agree with the homography (all false when it failed).
+    pub fn matches(&self) -> (&[Match], &[bool]) {
+        (&self.matches, &self.mask)
+    }
+
+    /// Registers one pair of views (gray or BGR). Nothing is allocated once the largest frames have been seen.
+    ///
+    /// A failure is a state, not an error: the next frame searches whole frames and so resumes.
+    pub fn register(&mut self, left: View<'_, u8>, right: View<'_, u8>, pool: &dyn Parallel) -> Registration {
+        let sizes = [(left.width, left.height), (right.width, right.height)];
+        let whole = [Rect::new(0, 0, left.width, left.height), Rect::new(0, 0, right.width, right.height)];
+        let memory = self.memory.filter(|memory| memory.sizes == sizes);
+        let trusted = memory.filter(|_| self.failures == 0).map(|memory| memory.left_from_right);
+        let search = match trusted {
+            Some(map) if self.params.roi => self.search_regions(&map, sizes).unwrap_or(whole),
+            _ => whole,
+        };
+        let shrink = if self.params.roi { self.params.shrink.max(1) } else { 1 };
+        self.surf.detect_and_describe(left, Some(search[0]), shrink, pool, &mut self.left);
+        self.surf.detect_and_describe(right, Some(search[1]), shrink, pool, &mut self.right);
+        let gate = trusted
+            .filter(|_| self.params.gate_px > 0.0)
+            .map(|left_from_right| Gate { left_from_right, radius_px: self.params.gate_px });
+        self.matcher.match_features(
+            &self.left,
+            &self.right,
+            &self.params.matching,
+            gate.as_ref(),
+            pool,
+            &mut self.matches,
+        );
+        let mut result = Registration {
+            points: (self.left.len(), self.right.len()),
+            matches: self.matches.len(),
+            roi_left: whole[0],
+            roi_right: whole[1],
+            ..Registration::default()
+        };
+        match self.estimate(trusted, sizes) {
+            Some(found) => {
+                self.failures = 0;
+                self.memory = Some(Memory { left_from_right: found.left_from_right, sizes });
+                let (roi_left, roi_right) = overlap_rois(&found.left_from_right, sizes[0], sizes[1]);
+                result = Registration {
+                    left_from_right: found.left_from_right,
+                    state: RegistrationState::Fresh,
+                    inliers: found.inliers,
+                    rms_px: found.rms_px,
+                    kept: found.kept,
+                    roi_left,
+                    roi_right,
+                    ..result
+                };
+            }
+            None => {
+                self.failures += 1;
+                self.mask.clear();
+                self.mask.resize(self.matches.len(), false);
+                if let Some(memory) = memory {
+                    result.left_from_right = memory.left_from_right;
+                    if self.failures <= self.params.hold_frames {
+                        result.state = RegistrationState::Held;
+                    }
+                }
+            }
+        }
+        result
+    }
+
+    fn search_regions(&self, map: &Homography, sizes: [(usize, usize); 2]) -> Option<[Rect; 2]> {
+        let (left, right) = overlap_rois(map, sizes[0], sizes[1]);
+        let least = LEAST_ROI_PX * self.params.shrink.max(1);
+        let fits = |roi: &Rect| roi.width >= least && roi.height >= least;
+        let margin = self.params.roi_margin_px;
+        (fits(&left) && fits(&right))
+            .then(|| [left.grown(margin, sizes[0].0, sizes[0].1), right.grown(margin, sizes[1].0, sizes[1].1)])
+    }
+
+    fn estimate(&mut self, trusted: Option<Homography>, sizes: [(usize, usize); 2]) -> Option<Estimate> {
+        self.from.clear();
+        self.to.clear();
+        for found in &self.matches {
+            self.to.push(self.left.keypoints.position(found.left as usize));
+            self.from.push(self.right.keypoints.position(found.right as usize));
+        }
+        let params = &self.params;
+        let fit = self.ransac.estimate(&self.from, &self.to, &params.ransac, &mut self.mask).ok()?;
+        if fit.inliers < params.min_inliers.max(4) || !params.plausibility.accepts(&fit.homography, sizes[1]) {
+            return None;
+        }
+        let mut estimate =
+            Estimate { left_from_right: fit.homography, inliers: fit.inliers, rms_px: fit.rms_px, kept: false };
+        if let Some(previous) = trusted.filter(|_| params.stability_px > 0.0) {
+            let mask = &self.mask;
+            let median = median_error(&previous, &self.from, &self.to, |index| mask[index], &mut self.errors);
+            if median.is_some_and(|median| median < params.stability_px) {
+                estimate.left_from_right = previous;
+                estimate.kept = true;
+                let squares: f64 = (0..self.from.len())
+                    .filter(|&index| mask[index])
+                    .map(|index| previous.squared_error(self.from[index], self.to[index]))
+                    .sum();
+                estimate.rms_px = (squares / fit.inliers.max(1) as f64).sqrt();
+            }
+        }
+        Some(estimate)
+    }
+}
+
+struct Estimate {
+    left_from_right: Homography,
+    inliers: usize,
+    rms_px: f64,
+    kept: bool,
+}

@@ -1,0 +1,385 @@
+//! SURF: detection and description of a gray image or a part of it.
+//!
+//! H. Bay, A. Ess, T. Tuytelaars, L. Van Gool, "Speeded-Up Robust Features (SURF)", CVIU 110 (2008).
+
+use super::color::{GrayBuffer, shrink_gray_with};
+use super::describe::{Descriptor, Tables, describe, orientation};
+use super::hessian::{Extremum, HessianDetector};
+use super::integral::Integral;
+use super::isotropic::{Kernels, look};
+use super::pyramid::Pyramid;
+use super::simd::{Simd, grow};
+use crate::geometry::Rect;
+use crate::{Parallel, SharedMut, View};
+
+/// Keypoints per chunk when describing.
+const POINTS_PER_CHUNK: usize = 16;
+/// SURF scale `s` of a filter of one pixel: sigma 1.2 belongs to the 9 x 9 filter.
+const SCALE_PER_SIZE: f32 = 1.2 / 9.0;
+/// Candidates this near can be doubles of each other, in pixels.
+const DOUBLES_CELL_PX: usize = 8;
+/// Doubles differ less than this in size.
+const DOUBLES_SIZE_RATIO: f32 = 1.3;
+
+/// How to detect and describe.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfParams {
+    /// Least determinant of a keypoint, in squared gray levels (the scale of OpenCV's `hessianThreshold`).
+    pub hessian_threshold: f32,
+    /// Octaves, 1..=4.
+    pub octaves: usize,
+    /// Filters per octave, at least 3; the usual 4 leave two that may hold maxima.
+    pub layers: usize,
+    /// Skips the orientation: angle 0, for views that are hardly rotated.
+    pub upright: bool,
+    /// Looks again at each candidate with Gaussian derivatives, which place and rank it the same way however the
+    /// image is turned; costs about a microsecond each.
+    pub second_look: bool,
+    /// Keypoints are ranked by response / size^bias: fine detail is placed more exactly in pixels.
+    pub fine_bias: f32,
+    /// Keypoints at most, strongest first; 0 means all.
+    pub max_points: usize,
+    /// Columns and rows of a grid whose cells share `max_points` evenly before the rest is filled
+    /// with the strongest; 0 means the strongest wherever they are.
+    pub spread: (usize, usize),
+}
+
+impl Default for SurfParams {
+    fn default() -> Self {
+        Self {
+            hessian_threshold: 100.0,
+            octaves: 4,
+            layers: 4,
+            upright: false,
+            second_look: true,
+            fine_bias: 1.0,
+            max_points: 0,
+            spread: (0, 0),
+        }
+    }
+}
+
+/// Keypoints, one list per quantity.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Keypoints {
+    /// Columns, in full-frame pixels; pixel centres are whole numbers.
+    pub x_px: Vec<f32>,
+    /// Rows, in full-frame pixels.
+    pub y_px: Vec<f32>,
+    /// Filter sizes (diameters), in full-frame pixels.
+    pub size_px: Vec<f32>,
+    /// Orientations in radians, x towards y (clockwise as seen); 0 when upright.
+    pub angle_rad: Vec<f32>,
+    /// Determinants.
+    pub response: Vec<f32>,
+    /// Signs of the Laplacian: 1 dark on bright ground, -1 bright on dark ground.
+    pub laplacian: Vec<i8>,
+}
+
+impl Keypoints {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.x_px.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.x_px.is_empty()
+    }
+
+    /// Position of keypoint `index`.
+    pub fn position(&self, index: usize) -> [f64; 2] {
+        [f64::from(self.x_px[index]), f64::from(self.y_px[index])]
+    }
+
+    fn resize(&mut self, count: usize) {
+        self.x_px.resize(count, 0.0);
+        self.y_px.resize(count, 0.0);
+        self.size_px.resize(count, 0.0);
+        self.angle_rad.resize(count, 0.0);
+        self.response.resize(count, 0.0);
+        self.laplacian.resize(count, 0);
+    }
+}
+
+/// Keypoints with their descriptors.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Features {
+    /// Where and how large.
+    pub keypoints: Keypoints,
+    /// One descriptor for each keypoint.
+    pub descriptors: Vec<Descriptor>,
+}
+
+impl Features {
+    /// How many keypoints there are.
+    pub fn len(&self) -> usize {
+        self.keypoints.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.keypoints.is_empty()
+    }
+
+    /// Removes all keypoints and keeps the memory.
+    pub fn clear(&mut self) {
+        self.keypoints.resize(0);
+        self.descriptors.clear();
+    }
+}
+
+/// SURF with its work memory; nothing is allocated once images of the largest size have been seen.
+#[derive(Clone, Debug)]
+pub struct Surf {
+    params: SurfParams,
+    simd: Simd,
+    tables: Tables,
+    kernels: Kernels,
+    gray: GrayBuffer,
+    integral: Integral,
+    pyramid: Pyramid,
+    detector: HessianDetector,
+    found: Vec<Extremum>,
+    counts: Vec<u32>,
+    next: Vec<u32>,
+    kept: Vec<Extremum>,
+}
+
+impl Surf {
+    /// A detector with these parameters.
+    pub fn new(params: SurfParams) -> Self {
+        Self::with_simd(params, Simd::detect())
+    }
+
+    /// A detector that runs on a chosen instruction set.
+    pub fn with_simd(params: SurfParams, simd: Simd) -> Self {
+        Self {
+            params,
+            simd,
+            tables: Tables::new(),
+            kernels: Kernels::new(),
+            gray: GrayBuffer::new(),
+            integral: Integral::new(),
+            pyramid: Pyramid::default(),
+            detector: HessianDetector::default(),
+            found: Vec::new(),
+            counts: Vec::new(),
+            next: Vec::new(),
+            kept: Vec::new(),
+        }
+    }
+
+    /// The parameters.
+    pub fn params(&self) -> &SurfParams {
+        &self.params
+    }
+
+    /// Changes the parameters; memory is kept.
+    pub fn set_params(&mut self, params: SurfParams) {
+        self.params = params;
+    }
+
+    /// Detects and describes keypoints of `image` (gray, or BGR that is converted on the way).
+    ///
+    /// Only `roi` (clipped to the image; `None`: everything) is looked at, shrunk by `shrink` with area
+    /// averages first (0 counts as 1). Keypoints come back in full-frame pixels, strongest first.
+    pub fn detect_and_describe(
+        &mut self,
+        image: View<'_, u8>,
+        roi: Option<Rect>,
+        shrink: usize,
+        pool: &dyn Parallel,
+        out: &mut Features,
+    ) {
+        out.clear();
+        let whole = Rect::new(0, 0, image.width, image.height);
+        let roi = roi.map_or(whole, |roi| roi.intersect(&whole));
+        let shrink = shrink.max(1);
+        if roi.width / shrink == 0 || roi.height / shrink == 0 || image.channels == 0 {
+            return;
+        }
+        let part = image.crop(roi.x, roi.y, roi.width, roi.height);
+        let gray = if shrink == 1 && part.channels == 1 {
+            part
+        } else {
+            shrink_gray_with(self.simd, part, shrink, &mut self.gray, pool);
+            self.gray.view()
+        };
+        self.integral.compute_with(self.simd, gray, pool);
+        self.found.clear();
+        let SurfParams { hessian_threshold, octaves, layers, upright, max_points, .. } = self.params;
+        // A negative threshold would also let saddles through.
+        let threshold = hessian_threshold.max(0.0);
+        self.detector.detect(self.simd, &self.integral, octaves, layers, threshold, pool, &mut self.found);
+        self.pyramid.build(self.simd, gray, pool);
+        let (width, height) = (gray.width, gray.height);
+        // Ranked by box responses, more than wanted; then by what the second look says.
+        self.rank();
+        if self.params.second_look {
+            self.select(width, height, max_points + max_points / 2);
+            self.look_again(pool);
+            self.rank();
+            self.drop_doubles(width, height);
+        }
+        self.select(width, height, max_points);
+        let count = self.found.len();
+        if count == 0 {
+            return;
+        }
+
+        if max_points > 0 {
+            reserve(out, max_points);
+        }
+        out.keypoints.resize(count);
+        out.descriptors.resize(count, Descriptor::default());
+        let ratio = shrink as f32;
+        let centre = (ratio - 1.0) * 0.5;
+        let keypoints = &mut out.keypoints;
+        for (index, point) in self.found.iter().enumerate() {
+            keypoints.x_px[index] = roi.x as f32 + point.x * ratio + centre;
+            keypoints.y_px[index] = roi.y as f32 + point.y * ratio + centre;
+            keypoints.size_px[index] = point.size * ratio;
+            keypoints.response[index] = point.response;
+            keypoints.laplacian[index] = point.laplacian;
+        }
+        let (simd, tables, pyramid, found) = (self.simd, &self.tables, &self.pyramid, &self.found);
+        let angles = SharedMut::new(&mut keypoints.angle_rad);
+        let descriptors = SharedMut::new(&mut out.descriptors);
+        pool.run(count.div_ceil(POINTS_PER_CHUNK), &|chunk| {
+            let first = chunk * POINTS_PER_CHUNK;
+            let len = POINTS_PER_CHUNK.min(count - first);
+            // SAFETY: chunks own disjoint keypoints.
+            let (angles, descriptors) = unsafe { (angles.part(first, len), descriptors.part(first, len)) };
+            for ((point, angle), descriptor) in found[first..first + len].iter().zip(angles).zip(descriptors) {
+                let scale = point.size * SCALE_PER_SIZE;
+                *angle = if upright { 0.0 } else { orientation(simd, tables, pyramid, point.x, point.y, scale) };
+                describe(simd, tables, pyramid, point.x, point.y, scale, *angle, descriptor);
+            }
+        });
+    }
+
+    /// Sets the ranks: responses, biased towards fine detail.
+    fn rank(&mut self) {
+        let bias = self.params.fine_bias;
+        for point in &mut self.found {
+            let size = point.size / 9.0;
+            let penalty = if bias == 1.0 { size } else { size.powf(bias) };
+            point.rank = if penalty > 0.0 { point.response / penalty } else { point.response };
+        }
+    }
+
+    /// Replaces place and strength of every candidate; those without a blob are dropped.
+    fn look_again(&mut self, pool: &dyn Parallel) {
+        let (simd, kernels, pyramid) = (self.simd, &self.kernels, &self.pyramid);
+        let count = self.found.len();
+        let found = SharedMut::new(&mut self.found);
+        pool.run(count.div_ceil(POINTS_PER_CHUNK), &|chunk| {
+            let first = chunk * POINTS_PER_CHUNK;
+            // SAFETY: chunks own disjoint candidates.
+            let points = unsafe { found.part(first, POINTS_PER_CHUNK.min(count - first)) };
+            for point in points {
+                let seen = look(simd, kernels, pyramid, point.x, point.y, point.size * SCALE_PER_SIZE);
+                (point.x, point.y, point.response) = (seen.x, seen.y, seen.response);
+            }
+        });
+        self.found.retain(|point| point.response > 0.0);
+    }
+
+    /// Drops candidates that the second look has brought to the place and size of a better one.
+    ///
+    /// Neighbouring octaves find the same blob; two equal descriptors would fail every ratio test.
+    fn drop_doubles(&mut self, width: usize, height: usize) {
+        self.found.sort_unstable_by(by_rank);
+        let (columns, rows) = (width / DOUBLES_CELL_PX + 1, height / DOUBLES_CELL_PX + 1);
+        // Lists of kept candidates by cell: first of each cell, next of each candidate (both one too high; 0 ends).
+        grow(&mut self.counts, columns * rows);
+        self.counts[..columns * rows].fill(0);
+        self.next.clear();
+        self.kept.clear();
+        for point in &self.found {
+            let cell = |value: f32, limit: usize| ((value.max(0.0) as usize) / DOUBLES_CELL_PX).min(limit - 1);
+            let (column, row) = (cell(point.x, columns), cell(point.y, rows));
+            let reach = (0.5 * SCALE_PER_SIZE * point.size).min(DOUBLES_CELL_PX as f32);
+            let mut double = false;
+            for y in row.saturating_sub(1)..(row + 2).min(rows) {
+                for x in column.saturating_sub(1)..(column + 2).min(columns) {
+                    let mut entry = self.counts[y * columns + x] as usize;
+                    while entry > 0 {
+                        let other = &self.kept[entry - 1];
+                        let (dx, dy) = (other.x - point.x, other.y - point.y);
+                        double |= dx * dx + dy * dy < reach * reach
+                            && other.laplacian == point.laplacian
+                            && other.size < point.size * DOUBLES_SIZE_RATIO
+                            && point.size < other.size * DOUBLES_SIZE_RATIO;
+                        entry = self.next[entry - 1] as usize;
+                    }
+                }
+            }
+            if !double {
+                self.kept.push(*point);
+                let head = &mut self.counts[row * columns + column];
+                self.next.push(*head);
+                *head = self.kept.len() as u32;
+            }
+        }
+        std::mem::swap(&mut self.kept, &mut self.found);
+    }
+
+    /// Sorts the maxima by rank and keeps `limit` of them (0: all).
+    fn select(&mut self, width: usize, height: usize, limit: usize) {
+        let (columns, rows) = self.params.spread;
+        if limit == 0 || self.found.len() <= limit {
+            self.found.sort_unstable_by(by_rank);
+            return;
+        }
+        if columns * rows == 0 {
+            self.found.select_nth_unstable_by(limit - 1, by_rank);
+            self.found.truncate(limit);
+            self.found.sort_unstable_by(by_rank);
+            return;
+        }
+        self.found.sort_unstable_by(by_rank);
+        let cells = columns * rows;
+        grow(&mut self.counts, cells);
+        self.counts[..cells].fill(0);
+        let quota = (limit / cells) as u32;
+        self.kept.clear();
+        let (step_x, step_y) = (columns as f32 / width.max(1) as f32, rows as f32 / height.max(1) as f32);
+        // First each cell's share; what is left over goes to the strongest of the others.
+        let counts = &mut self.counts;
+        let mut share = 0usize;
+        for point in &mut self.found {
+            let column = ((point.x.max(0.0) * step_x) as usize).min(columns - 1);
+            let row = ((point.y.max(0.0) * step_y) as usize).min(rows - 1);
+            let count = &mut counts[row * columns + column];
+            if *count < quota {
+                *count += 1;
+                share += 1;
+                self.kept.push(*point);
+                point.size = -point.size;
+            }
+        }
+        let rest = limit.saturating_sub(share);
+        self.kept.extend(self.found.iter().filter(|point| point.size > 0.0).take(rest));
+        self.kept.sort_unstable_by(by_rank);
+        std::mem::swap(&mut self.kept, &mut self.found);
+    }
+}
+
+/// Best first; every tie is broken by place, so the order never depends on how candidates came.
+fn by_rank(a: &Extremum, b: &Extremum) -> std::cmp::Ordering {
+    b.rank.total_cmp(&a.rank).then(a.y.total_cmp(&b.y)).then(a.x.total_cmp(&b.x)).then(a.size.total_cmp(&b.size))
+}
+
+fn reserve(out: &mut Features, count: usize) {
+    let more = |len: usize| count.saturating_sub(len);
+    let keypoints = &mut out.keypoints;
+    keypoints.x_px.reserve(more(keypoints.x_px.len()));
+    keypoints.y_px.reserve(more(keypoints.y_px.len()));
+    keypoints.size_px.reserve(more(keypoints.size_px.len()));
+    keypoints.angle_rad.reserve(more(keypoints.angle_rad.len()));
+    keypoints.response.reserve(more(keypoints.response.len()));
+    keypoints.laplacian.reserve(more(keypoints.laplacian.len()));
+    out.descriptors.reserve(more(out.descriptors.len()));
+}

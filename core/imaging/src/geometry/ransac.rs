@@ -1,0 +1,324 @@
+//! Seeded RANSAC for homographies (Fischler and Bolles 1981; thesis, section 2.2).
+
+use super::homography::{Homography, Point};
+use crate::features::simd::{Simd, dispatch};
+
+/// How to estimate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RansacParams {
+    /// Largest reprojection error of an inlier in the target frame, in pixels.
+    pub threshold_px: f64,
+    /// Wanted probability that one sample held inliers only.
+    pub confidence: f64,
+    /// Samples at most.
+    pub max_iterations: usize,
+    /// Seed of the sampling; the same seed and pairs give the same result.
+    pub seed: u64,
+}
+
+impl Default for RansacParams {
+    fn default() -> Self {
+        Self { threshold_px: 3.0, confidence: 0.999, max_iterations: 2000, seed: 1 }
+    }
+}
+
+/// What RANSAC found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RansacFit {
+    /// Maps source points to target points, refitted on all inliers.
+    pub homography: Homography,
+    /// How many pairs agree.
+    pub inliers: usize,
+    /// Root mean square error of the inliers in the target frame, in pixels.
+    pub rms_px: f64,
+    /// Samples drawn.
+    pub iterations: usize,
+}
+
+/// Why there is no homography.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RansacError {
+    /// A homography needs four pairs.
+    TooFewMatches {
+        /// How many there were.
+        found: usize,
+    },
+    /// No four pairs without three on a line were in agreement.
+    Degenerate,
+}
+
+impl std::fmt::Display for RansacError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::TooFewMatches { found } => write!(f, "a homography needs at least 4 matches, got {found}"),
+            Self::Degenerate => write!(f, "no four matches in general position agree on a homography"),
+        }
+    }
+}
+
+impl std::error::Error for RansacError {}
+
+/// RANSAC with its work memory.
+#[derive(Clone, Debug, Default)]
+pub struct Ransac {
+    simd: Simd,
+    x: Vec<f32>,
+    y: Vec<f32>,
+    u: Vec<f32>,
+    v: Vec<f32>,
+}
+
+/// splitmix64 (Steele, Lea, Flood 2014).
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    fn below(&mut self, limit: usize) -> usize {
+        ((u128::from(self.next()) * limit as u128) >> 64) as usize
+    }
+}
+
+impl Ransac {
+    /// An estimator without memory yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The homography most pairs agree on; `mask` becomes one flag per pair.
+    ///
+    /// # Errors
+    /// [`RansacError::TooFewMatches`] below four pairs, [`RansacError::Degenerate`] when no sample in general
+    /// position has four inliers.
+    pub fn estimate(
+        &mut self,
+        from: &[Point],
+        to: &[Point],
+        params: &RansacParams,
+        mask: &mut Vec<bool>,
+    ) -> Result<RansacFit, RansacError> {
+        let count = from.len().min(to.len());
+        mask.clear();
+        mask.resize(count, false);
+        if count < 4 {
+            return Err(RansacError::TooFewMatches { found: count });
+        }
+        let (source, target) = (Frame::of(&from[..count]), Frame::of(&to[..count]));
+        let (Some(source), Some(target)) = (source, target) else {
+            return Err(RansacError::Degenerate);
+        };
+        for list in [&mut self.x, &mut self.y, &mut self.u, &mut self.v] {
+            list.clear();
+            list.reserve(count);
+        }
+        for (from, to) in from.iter().zip(to) {
+            let ([x, y], [u, v]) = (source.apply(*from), target.apply(*to));
+            self.x.push(x as f32);
+            self.y.push(y as f32);
+            self.u.push(u as f32);
+            self.v.push(v as f32);
+        }
+        let limit = params.threshold_px.max(1e-6) * target.scale;
+        let limit = (limit * limit) as f32;
+        let mut random = Random(params.seed);
+        let mut best: Option<(usize, [f64; 9])> = None;
+        let mut needed = params.max_iterations.max(1);
+        let mut iterations = 0;
+        while iterations < needed {
+            iterations += 1;
+            let Some(sample) = draw(&mut random, count) else {
+                break;
+            };
+            let pick = |points: &[Point], frame: &Frame| sample.map(|index| frame.apply(points[index]));
+            let Some(map) = from_four(&pick(from, &source), &pick(to, &target)) else {
+                continue;
+            };
+            let inliers = self.count(&map, limit);
+            if inliers > best.map_or(3, |(most, _)| most) {
+                best = Some((inliers, map));
+                needed = needed.min(enough(inliers as f64 / count as f64, params.confidence));
+            }
+        }
+        let Some((_, map)) = best else {
+            return Err(RansacError::Degenerate);
+        };
+        let map = target.inverse().compose(&Homography(map)).compose(&source.matrix());
+        let (map, inliers, squares) = polish(map, &from[..count], &to[..count], params.threshold_px, mask)?;
+        let rms_px = (squares / inliers as f64).sqrt();
+        Ok(RansacFit { homography: map, inliers, rms_px, iterations })
+    }
+
+    fn count(&self, map: &[f64; 9], limit: f32) -> usize {
+        let map: [f32; 9] = map.map(|value| value as f32);
+        let (map, x, y, u, v) = (&map, &self.x[..], &self.y[..], &self.u[..], &self.v[..]);
+        dispatch!(self.simd, count_inliers(map: &[f32; 9], x: &[f32], y: &[f32], u: &[f32], v: &[f32], limit: f32) -> usize)
+    }
+}
+
+/// Refits on the inliers until they stay the same, at most a few times.
+///
+/// The sample's own map is hardly ever the best one, even where it happens to gather a pair or two more, so the
+/// refitted one stands unless it loses a fifth of them.
+fn polish(
+    start: Homography,
+    from: &[Point],
+    to: &[Point],
+    threshold_px: f64,
+    mask: &mut [bool],
+) -> Result<(Homography, usize, f64), RansacError> {
+    let limit = threshold_px * threshold_px;
+    let judge = |map: &Homography, mask: &mut [bool]| {
+        let (mut inliers, mut squares, mut changed) = (0usize, 0.0, false);
+        for (flag, (&from, &to)) in mask.iter_mut().zip(from.iter().zip(to)) {
+            let error = map.squared_error(from, to);
+            changed |= *flag != (error <= limit);
+            *flag = error <= limit;
+            if *flag {
+                inliers += 1;
+                squares += error;
+            }
+        }
+        (inliers, squares, changed)
+    };
+    let (inliers, squares, _) = judge(&start, mask);
+    let mut best = (start, inliers, squares);
+    for _ in 0..4 {
+        let chosen = &*mask;
+        let Some(fitted) = Homography::fit(from, to, |index| chosen[index]) else {
+            break;
+        };
+        let spread_px = (best.2 / best.1.max(1) as f64).sqrt();
+        let map = fitted.refine_robust(from, to, |index| chosen[index], 8, (spread_px * 0.5).max(0.02));
+        let (inliers, squares, changed) = judge(&map, mask);
+        if inliers * 5 < best.1 * 4 {
+            break;
+        }
+        best = (map, inliers, squares);
+        if !changed {
+            break;
+        }
+    }
+    let (inliers, squares, _) = judge(&best.0, mask);
+    if inliers < 4 { Err(RansacError::Degenerate) } else { Ok((best.0, inliers, squares)) }
+}
+
+/// Samples after which the confidence is reached: p = 1 - (1 - w^4)^n.
+fn enough(share: f64, confidence: f64) -> usize {
+    let miss = 1.0 - share.powi(4);
+    if miss <= 1e-12 {
+        return 1;
+    }
+    let samples = (1.0 - confidence.clamp(0.0, 1.0 - 1e-12)).ln() / miss.ln();
+    if samples.is_finite() { samples.ceil().clamp(1.0, 1e9) as usize } else { usize::MAX }
+}
+
+fn draw(random: &mut Random, count: usize) -> Option<[usize; 4]> {
+    let mut sample = [0; 4];
+    for place in 0..4 {
+        // With four or more pairs a few tries always find a new one.
+        let mut tries = 0;
+        loop {
+            let index = random.below(count);
+            if !sample[..place].contains(&index) {
+                sample[place] = index;
+                break;
+            }
+            tries += 1;
+            if tries > 1000 {
+                return None;
+            }
+        }
+    }
+    Some(sample)
+}
+
+#[inline(always)]
+fn count_inliers(map: &[f32; 9], x: &[f32], y: &[f32], u: &[f32], v: &[f32], limit: f32) -> usize {
+    let count = x.len();
+    let (y, u, v) = (&y[..count], &u[..count], &v[..count]);
+    let mut inliers = 0i32;
+    for i in 0..count {
+        let w = map[6] * x[i] + map[7] * y[i] + map[8];
+        let ex = map[0] * x[i] + map[1] * y[i] + map[2] - u[i] * w;
+        let ey = map[3] * x[i] + map[4] * y[i] + map[5] - v[i] * w;
+        // The error times w: no division, and points behind the horizon drop out.
+        let near = (ex * ex + ey * ey <= limit * (w * w)) & (w > 0.0);
+        inliers += i32::from(near);
+    }
+    inliers as usize
+}
+
+/// The homography through four pairs, scaled so that all four lie in front; `None` when three points of a side
+/// are (nearly) on a line, or the sides differ in orientation.
+fn from_four(from: &[Point; 4], to: &[Point; 4]) -> Option<[f64; 9]> {
+    let (a, b) = (basis(from)?, basis(to)?);
+    // Every pair must be on the same side of both bases, or the map folds the sample.
+    if a.1.iter().zip(&b.1).any(|(&a, &b)| a * b <= 0.0) || a.2 * b.2 <= 0.0 {
+        return None;
+    }
+    let inverse = Homography(a.0).inverse_raw()?;
+    let mut map = [0.0; 9];
+    for (index, value) in map.iter_mut().enumerate() {
+        let (row, column) = (index / 3, index % 3);
+        *value = (0..3).map(|k| b.0[row * 3 + k] * inverse[k * 3 + column]).sum();
+    }
+    let weight = map[6] * from[0][0] + map[7] * from[0][1] + map[8];
+    let scale = 1.0 / weight;
+    let map = map.map(|value| value * scale);
+    map.iter().all(|value| value.is_finite()).then_some(map)
+}
+
+/// Least triangle of a sample, in squares of the frame's unit (the spread of all points is about 1).
+const LEAST_TRIANGLE: f64 = 2e-3;
+
+/// The matrix that takes the projective basis to four points, its coefficients and its orientation.
+fn basis(points: &[Point; 4]) -> Option<([f64; 9], [f64; 3], f64)> {
+    let [a, b, c, d] = *points;
+    let cross = |p: Point, q: Point, r: Point| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
+    let whole = cross(a, b, c);
+    let parts = [cross(d, b, c), cross(a, d, c), cross(a, b, d)];
+    let wide = |part: &f64| part.abs() > LEAST_TRIANGLE;
+    if !(wide(&whole) && parts.iter().all(wide)) {
+        return None;
+    }
+    let k = parts.map(|part| part / whole);
+    let matrix = [k[0] * a[0], k[1] * b[0], k[2] * c[0], k[0] * a[1], k[1] * b[1], k[2] * c[1], k[0], k[1], k[2]];
+    Some((matrix, k, whole))
+}
+
+/// Centroid and spread of all points.
+struct Frame {
+    x: f64,
+    y: f64,
+    scale: f64,
+}
+
+impl Frame {
+    fn of(points: &[Point]) -> Option<Self> {
+        let count = points.len() as f64;
+        let (x, y) = points.iter().fold((0.0, 0.0), |(x, y), point| (x + point[0], y + point[1]));
+        let (x, y) = (x / count, y / count);
+        let mean = points.iter().map(|point| (point[0] - x).hypot(point[1] - y)).sum::<f64>() / count;
+        (mean.is_finite() && mean > 1e-9).then(|| Self { x, y, scale: 1.0 / mean })
+    }
+
+    fn apply(&self, point: Point) -> Point {
+        [(point[0] - self.x) * self.scale, (point[1] - self.y) * self.scale]
+    }
+
+    fn matrix(&self) -> Homography {
+        let s = self.scale;
+        Homography([s, 0.0, -s * self.x, 0.0, s, -s * self.y, 0.0, 0.0, 1.0])
+    }
+
+    fn inverse(&self) -> Homography {
+        let s = 1.0 / self.scale;
+        Homography([s, 0.0, self.x, 0.0, s, self.y, 0.0, 0.0, 1.0])
+    }
+}

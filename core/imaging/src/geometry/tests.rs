@@ -1,0 +1,152 @@
+//! Tests of homographies and their robust estimation.
+
+use super::*;
+use crate::features::testing::{corner_error, hash};
+
+fn truth() -> Homography {
+    Homography([0.93, 0.06, 120.0, -0.04, 1.03, -8.0, 1.2e-4, -5.0e-5, 1.0])
+}
+
+fn pairs(count: usize, noise_px: f64, outliers: f64) -> (Vec<Point>, Vec<Point>) {
+    let random = |i: usize, k: i64| hash(i as i64, k, 21);
+    let from: Vec<Point> = (0..count).map(|i| [random(i, 0) * 640.0, random(i, 1) * 480.0]).collect();
+    let to = from.iter().enumerate().map(|(i, &point)| {
+        if random(i, 2) < outliers {
+            return [random(i, 3) * 640.0, random(i, 4) * 480.0];
+        }
+        let [x, y] = truth().map(point);
+        let jitter = |k: i64| (random(i, k) + random(i, k + 1) + random(i, k + 2) - 1.5) * 2.0 * noise_px;
+        [x + jitter(10), y + jitter(20)]
+    });
+    let to = to.collect();
+    (from, to)
+}
+
+#[test]
+fn algebra_holds() {
+    let map = truth();
+    let back = map.inverse().unwrap();
+    let point = [321.5, 77.25];
+    let [x, y] = back.map(map.map(point));
+    assert!((x - point[0]).abs() < 1e-9 && (y - point[1]).abs() < 1e-9);
+    let both = map.compose(&back);
+    assert!(corner_error(&both, &Homography::identity(), 640, 480) < 1e-9);
+    assert!(Homography([0.0; 9]).inverse().is_none());
+    assert!(Homography([f64::NAN; 9]).inverse().is_none());
+    assert!(Homography([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, -0.01, 0.0, 1.0]).map_corners(640, 480).is_none());
+    assert!(map.map_corners(0, 10).is_none());
+}
+
+#[test]
+fn shrunk_regions_are_carried_back() {
+    // The map between the shrunk regions, built forwards from the full one, must come back as the full one.
+    let (to, from, shrink) = ([200.0, 10.0], [0.0, 20.0], 2.0);
+    let half = 0.5;
+    let small_from_full = |origin: Point| {
+        Homography::scaling(1.0 / shrink).compose(&Homography::translation(-origin[0] - half, -origin[1] - half))
+    };
+    let small = small_from_full(to).compose(&truth()).compose(&small_from_full(from).inverse().unwrap());
+    assert!(corner_error(&small.unshrink(to, from, shrink), &truth(), 640, 480) < 1e-8);
+}
+
+#[test]
+fn four_exact_pairs_give_the_map_and_noise_averages_out() {
+    let (from, to) = pairs(4, 0.0, 0.0);
+    let map = Homography::fit(&from, &to, |_| true).unwrap();
+    assert!(corner_error(&map, &truth(), 640, 480) < 1e-6);
+    let (from, to) = pairs(400, 0.5, 0.0);
+    let algebraic = Homography::fit(&from, &to, |_| true).unwrap();
+    let refined = algebraic.refine(&from, &to, |_| true, 10);
+    let error = |map: &Homography| from.iter().zip(&to).map(|(&a, &b)| map.squared_error(a, b)).sum::<f64>();
+    assert!(error(&refined) <= error(&algebraic));
+    assert!(corner_error(&refined, &truth(), 640, 480) < 0.3);
+    // From a bad start the refinement comes to the same place.
+    let mut bad = truth();
+    bad.0[2] += 5.0;
+    bad.0[1] += 0.02;
+    assert!(corner_error(&bad.refine(&from, &to, |_| true, 30), &refined, 640, 480) < 1e-3);
+}
+
+#[test]
+fn degenerate_pairs_have_no_map() {
+    let line: Vec<Point> = (0..20).map(|i| [f64::from(i) * 10.0, f64::from(i) * 5.0]).collect();
+    assert!(Homography::fit(&line, &line, |_| true).is_none());
+    assert!(Homography::fit(&line[..3], &line[..3], |_| true).is_none());
+    assert!(Homography::fit(&[[1.0, 1.0]; 9], &[[2.0, 2.0]; 9], |_| true).is_none());
+    assert!(Homography::fit(&[[f64::NAN, 1.0]; 9], &[[2.0, 2.0]; 9], |_| true).is_none());
+    let mut mask = Vec::new();
+    let params = RansacParams { max_iterations: 200, ..RansacParams::default() };
+    let mut run = |from: &[Point], to: &[Point]| Ransac::new().estimate(from, to, &params, &mut mask);
+    assert_eq!(run(&line[..3], &line[..3]), Err(RansacError::TooFewMatches { found: 3 }));
+    assert_eq!(run(&[], &[]), Err(RansacError::TooFewMatches { found: 0 }));
+    assert_eq!(run(&line, &line), Err(RansacError::Degenerate));
+    assert_eq!(run(&[[5.0, 5.0]; 8], &[[6.0, 6.0]; 8]), Err(RansacError::Degenerate));
+    assert_eq!(run(&[[f64::NAN; 2]; 8], &[[f64::INFINITY; 2]; 8]), Err(RansacError::Degenerate));
+}
+
+#[test]
+fn ransac_finds_the_map_among_outliers() {
+    for (outliers, seed) in [(0.0, 1), (0.3, 2), (0.6, 3)] {
+        let (from, to) = pairs(300, 0.3, outliers);
+        let params = RansacParams { seed, threshold_px: 2.0, ..RansacParams::default() };
+        let mut mask = Vec::new();
+        let fit = Ransac::new().estimate(&from, &to, &params, &mut mask).unwrap();
+        let error = corner_error(&fit.homography, &truth(), 640, 480);
+        assert!(error < 0.5, "{outliers}: off by {error} px, {fit:?}");
+        assert!(fit.rms_px < 1.0 && fit.inliers == mask.iter().filter(|&&flag| flag).count());
+        for (flag, (&a, &b)) in mask.iter().zip(from.iter().zip(&to)) {
+            assert_eq!(*flag, fit.homography.squared_error(a, b) <= 4.0);
+        }
+        let again = Ransac::new().estimate(&from, &to, &params, &mut Vec::new()).unwrap();
+        assert_eq!(again, fit);
+    }
+}
+
+#[test]
+fn implausible_frames_are_refused() {
+    let bounds = Plausibility::default();
+    let size = (640, 480);
+    assert!(bounds.accepts(&truth(), size));
+    assert!(bounds.accepts(&Homography::identity(), size));
+    for (name, map) in [
+        ("mirrored", [-1.0, 0.0, 640.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
+        ("tiny", [0.1, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]),
+        ("huge", [4.0, 0.0, 0.0, 0.0, 4.0, 0.0, 0.0, 0.0, 1.0]),
+        ("squashed", [2.5, 0.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0, 1.0]),
+        ("behind", [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, -0.01, 0.0, 1.0]),
+        ("not a number", [f64::NAN, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
+    ] {
+        assert!(!bounds.accepts(&Homography(map), size), "{name}");
+    }
+    assert!(!bounds.accepts(&Homography::identity(), (0, 0)));
+    let bow = [[0.0, 0.0], [10.0, 10.0], [10.0, 0.0], [0.0, 10.0]];
+    assert!(!plausible::is_convex(&bow));
+}
+
+#[test]
+fn overlap_is_the_bounding_rectangle() {
+    let (left, right) = overlap_rois(&Homography::translation(200.0, -30.0), (640, 480), (640, 480));
+    assert_eq!((left.x, left.y, left.width, left.height), (200, 0, 440, 450));
+    assert_eq!((right.x, right.y, right.width, right.height), (0, 30, 440, 450));
+    let (left, right) = overlap_rois(&Homography::translation(900.0, 0.0), (640, 480), (640, 480));
+    assert!(left.is_empty() && right.is_empty());
+    assert!(overlap_rois(&Homography([f64::NAN; 9]), (640, 480), (640, 480)).0.is_empty());
+    let grown = Rect::new(5, 400, 100, 80).grown(10, 640, 480);
+    assert_eq!(grown, Rect::new(0, 390, 115, 90));
+}
+
+#[test]
+fn a_good_previous_map_stays() {
+    let (from, to) = pairs(100, 0.3, 0.0);
+    let mut work = Vec::new();
+    let mut near = truth();
+    near.0[2] += 0.4;
+    let kept = stabilize(Some(&near), &truth(), &from, &to, |_| true, 1.0, &mut work);
+    assert_eq!(kept, Stabilized { homography: near, kept: true });
+    let mut far = truth();
+    far.0[2] += 3.0;
+    let refit = stabilize(Some(&far), &truth(), &from, &to, |_| true, 1.0, &mut work);
+    assert!(!refit.kept && corner_error(&refit.homography, &truth(), 640, 480) < 0.4);
+    assert!(!stabilize(None, &truth(), &from, &to, |_| true, 1.0, &mut work).kept);
+    assert_eq!(median_error(&truth(), &[], &[], |_| true, &mut work), None);
+}

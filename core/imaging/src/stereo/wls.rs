@@ -1,0 +1,285 @@
+//! Weighted-least-squares smoothing of a disparity map, guided by the left view and by confidence.
+//!
+//! Disparity times confidence and confidence alone are smoothed alike and divided, so that doubtful
+//! pixels take their value from trusted ones without an image edge in between. The two-dimensional
+//! system is replaced by alternating exact solves along rows and columns, with a strength that falls
+//! fourfold from one round to the next (Min et al., "Fast global image smoothing based on weighted
+//! least squares", 2014).
+
+use crate::stereo::confidence::{Confidence, ConfidenceParams};
+use crate::stereo::error::{check_channels, check_size};
+use crate::stereo::guide_weights::weights_row;
+use crate::stereo::tridiagonal::{Planes, horizontal, vertical};
+use crate::stereo::{Roi, StereoError, block_matching::fill_nan, simd};
+use crate::{Parallel, SharedMut, View, ViewMut};
+
+/// Strength and sharpness of the filter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WlsParams {
+    /// Strength of the smoothing, 0 to 1e7.
+    pub lambda: f32,
+    /// Colour distance (Euclidean, 0..=441) over which two pixels' coupling falls to 1/e, 0.1 to 1000.
+    pub sigma_color: f32,
+    /// Rounds of row and column solves, 1 to 8.
+    pub iterations: usize,
+    /// Smoothed confidence below which a pixel stays unknown: 0 fills everything that is reached at all.
+    pub min_support: f32,
+    /// How confidence is judged where none is given.
+    pub confidence: ConfidenceParams,
+}
+
+impl Default for WlsParams {
+    fn default() -> Self {
+        Self { lambda: 8000.0, sigma_color: 1.5, iterations: 3, min_support: 0.02, confidence: Default::default() }
+    }
+}
+
+impl WlsParams {
+    /// Names the first parameter that is out of range.
+    ///
+    /// # Errors
+    /// [`StereoError::Parameter`].
+    pub fn validate(&self) -> Result<(), StereoError> {
+        let refuse = |name, value: String, accepted| Err(StereoError::Parameter { name, value, accepted });
+        if !(0.0..=1e7).contains(&self.lambda) {
+            return refuse("lambda", self.lambda.to_string(), "0 to 1e7");
+        }
+        if !(0.1..=1000.0).contains(&self.sigma_color) {
+            return refuse("sigma_color", self.sigma_color.to_string(), "0.1 to 1000");
+        }
+        if !(1..=8).contains(&self.iterations) {
+            return refuse("iterations", self.iterations.to_string(), "1 to 8");
+        }
+        if !(0.0..=1.0).contains(&self.min_support) {
+            return refuse("min_support", self.min_support.to_string(), "0 to 1");
+        }
+        if self.confidence.scatter_radius_px > 15 {
+            return refuse("scatter_radius_px", self.confidence.scatter_radius_px.to_string(), "0 to 15");
+        }
+        Ok(())
+    }
+}
+
+/// Inputs of one call; all views have one size.
+#[derive(Clone, Copy, Debug)]
+pub struct FilterInput<'a> {
+    /// Rectified left view, gray or BGR.
+    pub guide: View<'a, u8>,
+    /// Left disparity in px, NaN where unmatched.
+    pub disparity: View<'a, f32>,
+    /// Right disparity in px, for the left-right check.
+    pub disparity_right: Option<View<'a, f32>>,
+    /// Confidence 0..=1 to use instead of judging it here.
+    pub confidence: Option<View<'a, f32>>,
+    /// Where to work.
+    pub roi: Roi,
+}
+
+impl FilterInput<'_> {
+    pub(crate) fn check(&self) -> Result<(), StereoError> {
+        let size = (self.disparity.width, self.disparity.height);
+        check_channels("guide", &[1, 3], "1 (gray) or 3 (BGR)", self.guide.channels)?;
+        check_channels("disparity", &[1], "1", self.disparity.channels)?;
+        check_size("guide", size, (self.guide.width, self.guide.height))?;
+        for (what, map) in [("right disparity", self.disparity_right), ("confidence", self.confidence)] {
+            if let Some(map) = map {
+                check_channels(what, &[1], "1", map.channels)?;
+                check_size(what, size, (map.width, map.height))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Copies the given confidence, or judges it, for the ROI's pixels; 0 wherever the disparity is unknown.
+    pub(crate) fn confidence_into(
+        &self,
+        work: &mut Confidence,
+        params: &ConfidenceParams,
+        roi: Roi,
+        avx2: bool,
+        pool: &dyn Parallel,
+        out: &mut [f32],
+    ) {
+        let Some(given) = self.confidence else {
+            work.compute(params, self.guide, self.disparity, self.disparity_right, roi, avx2, pool, out);
+            return;
+        };
+        for (row, out) in out.chunks_exact_mut(roi.width.max(1)).enumerate() {
+            let confidence = &given.row(roi.y + row)[roi.x..roi.x + roi.width];
+            let disparity = &self.disparity.row(roi.y + row)[roi.x..roi.x + roi.width];
+            for ((out, confidence), disparity) in out.iter_mut().zip(confidence).zip(disparity) {
+                // `max` drops NaN.
+                let value = confidence.max(0.0).min(1.0);
+                *out = if disparity.is_finite() { value } else { 0.0 };
+            }
+        }
+    }
+}
+
+/// The filter with its work memory; nothing is allocated once a size has been seen.
+#[derive(Debug)]
+pub struct WlsFilter {
+    params: WlsParams,
+    confidence: Confidence,
+    right: Vec<f32>,
+    down: Vec<f32>,
+    product: Vec<f32>,
+    support: Vec<f32>,
+    factors: Vec<f32>,
+    scratch: Vec<f32>,
+    avx2: bool,
+}
+
+impl WlsFilter {
+    /// A filter with the given parameters.
+    ///
+    /// # Errors
+    /// [`StereoError::Parameter`] when one is out of range.
+    pub fn new(params: WlsParams) -> Result<Self, StereoError> {
+        params.validate()?;
+        Ok(Self {
+            params,
+            confidence: Confidence::default(),
+            right: Vec::new(),
+            down: Vec::new(),
+            product: Vec::new(),
+            support: Vec::new(),
+            factors: Vec::new(),
+            scratch: Vec::new(),
+            avx2: simd::has_avx2(),
+        })
+    }
+
+    /// Takes the portable path even where AVX2 exists (tests compare the two).
+    pub fn force_portable(&mut self) {
+        self.avx2 = false;
+    }
+
+    /// The parameters in use.
+    pub fn params(&self) -> &WlsParams {
+        &self.params
+    }
+
+    /// Changes the parameters; memory is kept.
+    ///
+    /// # Errors
+    /// [`StereoError::Parameter`] when one is out of range; the old ones stay.
+    pub fn set_params(&mut self, params: WlsParams) -> Result<(), StereoError> {
+        params.validate()?;
+        self.params = params;
+        Ok(())
+    }
+
+    /// Smooths `input.disparity`.
+    ///
+    /// `disparity` receives px, NaN where no trusted pixel is near and outside the ROI; `confidence`,
+    /// when asked for, the smoothed confidence 0..=1, 0 outside.
+    ///
+    /// # Errors
+    /// When sizes or channel counts do not agree.
+    pub fn compute(
+        &mut self,
+        input: FilterInput<'_>,
+        pool: &dyn Parallel,
+        mut disparity: ViewMut<'_, f32>,
+        confidence: Option<ViewMut<'_, f32>>,
+    ) -> Result<(), StereoError> {
+        input.check()?;
+        let (width, height) = (input.disparity.width, input.disparity.height);
+        check_size("filtered disparity", (width, height), (disparity.width, disparity.height))?;
+        check_channels("filtered disparity", &[1], "1", disparity.channels)?;
+        if let Some(map) = &confidence {
+            check_size("filtered confidence", (width, height), (map.width, map.height))?;
+            check_channels("filtered confidence", &[1], "1", map.channels)?;
+        }
+        let roi = input.roi.clamped(width, height);
+        if roi != Roi::full(width, height) {
+            fill_nan(&mut disparity, pool);
+        }
+        let mut confidence = confidence;
+        if let Some(map) = &mut confidence
+            && roi != Roi::full(width, height)
+        {
+            for y in 0..height {
+                map.row_mut(y).fill(0.0);
+            }
+        }
+        if roi.is_empty() {
+            return Ok(());
+        }
+        self.prepare(&input, roi, pool);
+
+        let rounds = self.params.iterations;
+        let mut planes = Planes {
+            width: roi.width,
+            height: roi.height,
+            first: &mut self.product,
+            second: &mut self.support,
+            factors: &mut self.factors,
+        };
+        for round in 0..rounds {
+            let strength = self.params.lambda * 0.25f32.powi(round as i32);
+            horizontal(&mut planes, &self.right, strength, &mut self.scratch, self.avx2, pool);
+            vertical(&mut planes, &self.down, strength, self.avx2, pool);
+        }
+
+        let (stride, out) = (disparity.stride, SharedMut::new(disparity.data));
+        let (stride_confidence, out_confidence) = match confidence {
+            Some(map) => (map.stride, Some(SharedMut::new(map.data))),
+            None => (0, None),
+        };
+        let least = self.params.min_support.max(1e-6);
+        pool.run(roi.height, &|row| {
+            let y = roi.y + row;
+            // SAFETY: one row, one chunk.
+            let out = unsafe { out.part(y * stride + roi.x, roi.width) };
+            let at = row * roi.width..(row + 1) * roi.width;
+            let (product, support) = (&self.product[at.clone()], &self.support[at]);
+            for ((out, product), support) in out.iter_mut().zip(product).zip(support) {
+                let value = product / support;
+                *out = if *support >= least { value } else { f32::NAN };
+            }
+            if let Some(map) = &out_confidence {
+                // SAFETY: as above.
+                unsafe { map.part(y * stride_confidence + roi.x, roi.width) }.copy_from_slice(support);
+            }
+        });
+        Ok(())
+    }
+
+    /// Guide weights, confidence, and disparity times confidence.
+    fn prepare(&mut self, input: &FilterInput<'_>, roi: Roi, pool: &dyn Parallel) {
+        let n = roi.width * roi.height;
+        for plane in [&mut self.right, &mut self.down, &mut self.product, &mut self.support, &mut self.factors] {
+            plane.resize(n, 0.0);
+        }
+        input.confidence_into(
+            &mut self.confidence,
+            &self.params.confidence,
+            roi,
+            self.avx2,
+            pool,
+            &mut self.support,
+        );
+        let (right, down) = (SharedMut::new(&mut self.right), SharedMut::new(&mut self.down));
+        let product = SharedMut::new(&mut self.product);
+        let (sigma, avx2, support) = (self.params.sigma_color, self.avx2, &self.support);
+        const CHUNK_ROWS: usize = 16;
+        pool.run(roi.height.div_ceil(CHUNK_ROWS), &|chunk| {
+            for row in chunk * CHUNK_ROWS..((chunk + 1) * CHUNK_ROWS).min(roi.height) {
+                let from = row * roi.width;
+                // SAFETY: one row, one chunk.
+                let (right, down, product) = unsafe {
+                    (right.part(from, roi.width), down.part(from, roi.width), product.part(from, roi.width))
+                };
+                let at = (roi.x, roi.y + row, roi.width);
+                weights_row(input.guide, at, row + 1 == roi.height, sigma, avx2, right, down);
+                let disparity = &input.disparity.row(roi.y + row)[roi.x..roi.x + roi.width];
+                let support = &support[from..from + roi.width];
+                for ((product, disparity), support) in product.iter_mut().zip(disparity).zip(support) {
+                    *product = if *support > 0.0 { disparity * support } else { 0.0 };
+                }
+            }
+        });
+    }
+}

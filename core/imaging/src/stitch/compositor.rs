@@ -1,0 +1,316 @@
+//! The compositor: views and homographies in, panorama out.
+
+use super::blend::{Blender, Ranges};
+use super::canvas::{Bounds, CanvasHolder};
+use super::graph_cut::GridCut;
+use super::mark;
+use super::paint::levels_of;
+use super::params::*;
+use super::projective::{self, IDENTITY};
+use super::seam::Seam;
+use super::segments::Segments;
+use super::taps::{Joined, TAPS, Taps};
+use super::warp::{self, Span};
+use crate::{Parallel, View, ViewMut};
+
+/// Joins views into one panorama. Keeps everything that outlives a frame: canvas, seam, gains, last good geometry,
+/// work memory. In steady state nothing is allocated.
+#[derive(Debug, Default)]
+pub struct Compositor {
+    pub(super) params: CompositeParams,
+    pub(super) holder: CanvasHolder,
+    pub(super) sizes: Vec<(usize, usize)>,
+    pub(super) good: Option<[[f64; 9]; MAX_VIEWS]>,
+    pub(super) prepared: Option<Prepared>,
+    pub(super) placed: Option<(Canvas, usize, [[f64; 9]; MAX_VIEWS])>,
+    pub(super) warps: Vec<Warp>,
+    pub(super) spans: Vec<Vec<Span>>,
+    pub(super) active: usize,
+    pub(super) steps: Vec<Step>,
+    pub(super) gains: [[f32; 3]; MAX_VIEWS],
+    pub(super) gains_known: [bool; MAX_VIEWS],
+    pub(super) joined: Joined,
+    pub(super) cut: GridCut,
+    pub(super) blender: Blender,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Prepared {
+    pub(super) given: [[f64; 9]; MAX_VIEWS],
+    pub(super) given_state: GeometryState,
+    pub(super) canvas: Canvas,
+    pub(super) used: [[f64; 9]; MAX_VIEWS],
+    pub(super) active: usize,
+    pub(super) state: GeometryState,
+    pub(super) fault: Option<GeometryFault>,
+}
+
+/// Geometry of one view on the canvas.
+#[derive(Debug)]
+pub(super) struct Warp {
+    pub(super) source_from_canvas: [f64; 9],
+    pub(super) source_from_tap: [f64; 9],
+    /// Columns and rows to add to a canvas position, when the view is only shifted by whole pixels.
+    pub(super) shift: Option<(i64, i64)>,
+    pub(super) taps: Taps,
+}
+
+/// Work of joining one view to those before it.
+#[derive(Debug, Default)]
+pub(super) struct Step {
+    pub(super) seam: Seam,
+    pub(super) segments: Segments,
+    pub(super) labels: Vec<u8>,
+    pub(super) zone: Option<Zone>,
+    pub(super) ranges: Ranges,
+}
+
+/// Canvas rectangle that is blended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Zone {
+    pub(super) x: usize,
+    pub(super) y: usize,
+    pub(super) width: usize,
+    pub(super) height: usize,
+}
+
+impl Compositor {
+    /// A compositor that has seen nothing yet.
+    pub fn new(params: CompositeParams) -> Self {
+        Self { params, gains: [[1.0; 3]; MAX_VIEWS], ..Self::default() }
+    }
+
+    /// The parameters in force.
+    pub fn params(&self) -> &CompositeParams {
+        &self.params
+    }
+
+    /// Changes parameters between frames. Canvas, seam and gains are kept where the change allows it.
+    pub fn set_params(&mut self, params: CompositeParams) {
+        if params.canvas != self.params.canvas {
+            self.holder.reset();
+        }
+        if params.exposure != self.params.exposure {
+            self.gains = [[1.0; 3]; MAX_VIEWS];
+            self.gains_known = [false; MAX_VIEWS];
+        }
+        self.params = params;
+        self.placed = None;
+        self.prepared = None;
+        for step in &mut self.steps {
+            step.seam.forget();
+        }
+    }
+
+    /// Forgets canvas, seam, gains and geometry, as after a cut in the video. Work memory stays.
+    pub fn reset(&mut self) {
+        self.holder.reset();
+        self.good = None;
+        self.prepared = None;
+        self.placed = None;
+        self.gains = [[1.0; 3]; MAX_VIEWS];
+        self.gains_known = [false; MAX_VIEWS];
+        for step in &mut self.steps {
+            step.seam.forget();
+        }
+    }
+
+    /// The canvas that [`compose`](Self::compose) will draw on when called next with the same arguments.
+    ///
+    /// # Errors
+    /// When views and homographies do not fit together; bad homographies are answered with the last good canvas.
+    pub fn canvas(
+        &mut self,
+        views: &[View<u8>],
+        left_from_view: &[[f64; 9]],
+        state: GeometryState,
+    ) -> Result<Canvas, CompositeError> {
+        Ok(self.prepare(views, left_from_view, state)?.canvas)
+    }
+
+    fn prepare(
+        &mut self,
+        views: &[View<u8>],
+        left_from_view: &[[f64; 9]],
+        given_state: GeometryState,
+    ) -> Result<Prepared, CompositeError> {
+        if views.is_empty() || views.len() > MAX_VIEWS {
+            return Err(CompositeError::ViewCount { views: views.len() });
+        }
+        if left_from_view.len() != views.len() {
+            return Err(CompositeError::HomographyCount { views: views.len(), homographies: left_from_view.len() });
+        }
+        for (view, v) in views.iter().enumerate() {
+            // Offsets are 32 bits and coordinates f32: both hold far beyond any camera.
+            let large = v.width > 16384 || v.height > 16384 || v.stride.saturating_mul(v.height) > i32::MAX as usize;
+            if v.channels != 3 || v.width < 2 || v.height < 2 || large {
+                return Err(CompositeError::View { view, width: v.width, height: v.height, channels: v.channels });
+            }
+        }
+        if self.sizes.len() != views.len() || self.sizes.iter().zip(views).any(|(s, v)| *s != (v.width, v.height)) {
+            self.reset();
+            self.sizes.clear();
+            self.sizes.extend(views.iter().map(|v| (v.width, v.height)));
+        }
+        let mut given = [IDENTITY; MAX_VIEWS];
+        given[..views.len()].copy_from_slice(left_from_view);
+        // Compared by bits: a NaN is the same input as itself.
+        let bits = |h: &[[f64; 9]; MAX_VIEWS]| h.map(|h| h.map(f64::to_bits));
+        if let Some(p) = self.prepared
+            && p.given_state == given_state
+            && bits(&p.given) == bits(&given)
+        {
+            return Ok(p);
+        }
+        let mut fault = None;
+        if given_state != GeometryState::Lost {
+            match self.accept(&given) {
+                Ok(canvas) => {
+                    self.good = Some(given);
+                    let p = Prepared {
+                        given,
+                        given_state,
+                        canvas,
+                        used: given,
+                        active: views.len(),
+                        state: given_state,
+                        fault: None,
+                    };
+                    self.prepared = Some(p);
+                    return Ok(p);
+                }
+                Err(f) => fault = Some(f),
+            }
+        }
+        let state = GeometryState::Lost;
+        let p = match (self.good, self.holder.current()) {
+            (Some(used), Some(canvas)) => {
+                Prepared { given, given_state, canvas, used, active: views.len(), state, fault }
+            }
+            _ => {
+                // Nothing good yet: the reference view alone, on a canvas that is not kept.
+                let (w, h) = self.sizes[0];
+                let (x, y) = ((w - 1) as f64, (h - 1) as f64);
+                let bounds = Bounds { x0: 0.0, y0: 0.0, x1: x, y1: y };
+                let canvas = CanvasHolder::default().update(bounds, &self.params).unwrap_or(Canvas {
+                    width: w,
+                    height: h,
+                    left: 0,
+                    top: 0,
+                });
+                Prepared { given, given_state, canvas, used: [IDENTITY; MAX_VIEWS], active: 1, state, fault }
+            }
+        };
+        self.prepared = Some(p);
+        Ok(p)
+    }
+
+    fn accept(&mut self, given: &[[f64; 9]; MAX_VIEWS]) -> Result<Canvas, GeometryFault> {
+        let mut quads = [[(0.0, 0.0); 4]; MAX_VIEWS];
+        for (view, (w, h)) in self.sizes.iter().enumerate() {
+            quads[view] = projective::warped_corners(&given[view], *w, *h, view)?;
+        }
+        self.holder.update(Bounds::of(quads[..self.sizes.len()].iter()), &self.params)
+    }
+
+    /// Draws the panorama of `views` on `out`.
+    ///
+    /// `left_from_view[i]` (row-major 3x3) maps pixels of view `i` to those of the reference view, which comes first
+    /// and has the identity. With `state` lost, or with homographies that [`GeometryFault`] names, the last good
+    /// geometry stands in and the frame is marked; before any good geometry the reference view alone is shown.
+    /// `out` (BGR) and `mask_out` (gray, 255 where a view lies) must have the size of [`canvas`](Self::canvas).
+    ///
+    /// # Errors
+    /// When views, homographies or outputs do not fit together.
+    pub fn compose(
+        &mut self,
+        views: &[View<u8>],
+        left_from_view: &[[f64; 9]],
+        state: GeometryState,
+        pool: &dyn Parallel,
+        out: &mut ViewMut<u8>,
+        mask_out: Option<&mut ViewMut<u8>>,
+    ) -> Result<CompositeReport, CompositeError> {
+        let p = self.prepare(views, left_from_view, state)?;
+        let Canvas { width, height, .. } = p.canvas;
+        let fits = |v: &ViewMut<u8>, channels: usize| (v.width, v.height, v.channels) == (width, height, channels);
+        if !fits(out, 3) {
+            return Err(CompositeError::Output { width, height, channels: 3 });
+        }
+        if mask_out.as_ref().is_some_and(|m| !fits(m, 1)) {
+            return Err(CompositeError::Output { width, height, channels: 1 });
+        }
+        self.prepared = None;
+        let avx2 = warp::has_avx2();
+        let key = (p.canvas, p.active, p.used);
+        let moved = self.placed != Some(key);
+        if moved {
+            self.place(&p);
+            self.placed = Some(key);
+        }
+        let views = &views[..p.active];
+        let may_learn = p.state != GeometryState::Lost;
+        let (seam_found, seam_cost) = self.plan(views, may_learn, moved, p.canvas, pool, avx2);
+        self.paint(views, p.canvas, pool, out, avx2);
+        if let Some(mask) = mask_out {
+            self.paint_mask(mask, pool);
+        }
+        mark::draw_marks(out, p.canvas, p.state, &self.params);
+        let mut gains = [[1.0; 3]; MAX_VIEWS];
+        gains[..p.active].copy_from_slice(&self.gains[..p.active]);
+        Ok(CompositeReport { state: p.state, fault: p.fault, canvas: p.canvas, seam_found, seam_cost, gains })
+    }
+
+    /// Brings the geometry of all views onto the canvas.
+    fn place(&mut self, p: &Prepared) {
+        let scale = self.scale();
+        let (columns, rows) = (p.canvas.width.div_ceil(scale), p.canvas.height.div_ceil(scale));
+        let step = scale as f64 / TAPS as f64;
+        let shift = [1.0, 0.0, -f64::from(p.canvas.left), 0.0, 1.0, -f64::from(p.canvas.top), 0.0, 0.0, 1.0];
+        let tap = [step, 0.0, step / 2.0 - 0.5, 0.0, step, step / 2.0 - 0.5, 0.0, 0.0, 1.0];
+        while self.warps.len() < p.active {
+            self.warps.push(Warp {
+                source_from_canvas: IDENTITY,
+                source_from_tap: IDENTITY,
+                shift: None,
+                taps: Taps::default(),
+            });
+            self.spans.push(Vec::new());
+            self.steps.push(Step::default());
+        }
+        for view in 0..p.active {
+            let (w, h) = self.sizes[view];
+            // `accept` has refused matrices without an inverse.
+            let inverse = projective::invert(&p.used[view]).unwrap_or(IDENTITY);
+            let mut m = projective::multiply(&inverse, &shift);
+            let centre = projective::apply(&p.used[view], w as f64 / 2.0, h as f64 / 2.0);
+            let (x, y) = (centre.0 + f64::from(p.canvas.left), centre.1 + f64::from(p.canvas.top));
+            if m[6] * x + m[7] * y + m[8] < 0.0 {
+                m = m.map(|v| -v);
+            }
+            let warp = &mut self.warps[view];
+            warp.source_from_canvas = m;
+            warp.source_from_tap = projective::multiply(&m, &tap);
+            let n = m.map(|v| v / m[8]);
+            let whole = (0..9).all(|i| [2, 5].contains(&i) || (n[i] - IDENTITY[i]).abs() < 1e-12)
+                && (n[2] - n[2].round()).abs() < 1e-6
+                && (n[5] - n[5].round()).abs() < 1e-6;
+            warp.shift = whole.then(|| (n[2].round() as i64, n[5].round() as i64));
+            warp::coverage(&m, (w, h), p.canvas.width, p.canvas.height, &mut self.spans[view]);
+            warp.taps.place(columns * TAPS, rows * TAPS, &warp.source_from_tap, (w, h));
+        }
+        self.active = p.active;
+        if p.active > 1 {
+            self.blender.reserve(p.canvas.width, p.canvas.height, levels_of(&self.params));
+            for step in &mut self.steps[..p.active] {
+                step.ranges.reserve(p.canvas.height);
+                step.segments.reserve(p.canvas.height, columns);
+                step.seam.reserve(columns, rows, &mut self.cut);
+            }
+        }
+    }
+
+    pub(super) fn scale(&self) -> usize {
+        self.params.seam_scale.clamp(2, 64)
+    }
+}

@@ -1,0 +1,433 @@
+//! The frame itself: exposure and seam on the coarse samples, then pixels.
+
+use super::blend::{self, Blender, Ranges};
+use super::compositor::{Compositor, Step, Warp, Zone};
+use super::params::*;
+use super::pyramid::{LANES, ONE};
+use super::seam::Seam;
+use super::segments::{BASE_ONLY, BASE_SHOWN, EMPTY, NEW_ONLY, NEW_SHOWN, Segment};
+use super::taps;
+use super::warp::{self, BLOCK, Block, Pixels, Span};
+use crate::{Parallel, SharedMut, View, ViewMut};
+
+/// Canvas rows per chunk.
+const ROWS: usize = 16;
+
+impl Compositor {
+    /// Samples the views, brings gains and seams up to date. Gives whether a seam was found anew, and the cost along it.
+    pub(super) fn plan(
+        &mut self,
+        views: &[View<u8>],
+        may_learn: bool,
+        moved: bool,
+        canvas: Canvas,
+        pool: &dyn Parallel,
+        avx2: bool,
+    ) -> (bool, f32) {
+        let scale = self.scale();
+        for (warp, view) in self.warps.iter_mut().zip(views) {
+            let m = warp.source_from_tap;
+            warp.taps.fill(view, &m, pool, avx2);
+        }
+        let (mut found_any, mut worst_cost) = (false, 0.0f32);
+        let first = taps::fixed_gain(&self.gains[0]);
+        self.joined.start(&self.warps[0].taps, &first);
+        for k in 1..views.len() {
+            let taps = &self.warps[k].taps;
+            if self.params.exposure != ExposureMethod::None
+                && may_learn
+                && let Some(measured) = self.joined.gain_of(taps, self.params.exposure)
+            {
+                taps::smooth_gain(&mut self.gains[k], measured, !self.gains_known[k], &self.params);
+                self.gains_known[k] = true;
+            }
+            let gain = taps::fixed_gain(&self.gains[k]);
+            let step = &mut self.steps[k];
+            step.seam.resize(canvas.width.div_ceil(scale), canvas.height.div_ceil(scale));
+            self.joined.measure(taps, &gain, &mut step.seam);
+            let found = step.seam.update(&self.params, k == 1, may_learn, &mut self.cut);
+            found_any |= found;
+            worst_cost = worst_cost.max(step.seam.cost_along());
+            if moved || step.labels != step.seam.take {
+                step.labels.clone_from(&step.seam.take);
+                let (base, new) = self.spans.split_at(k);
+                step.segments.build((canvas.width, canvas.height), base, &new[0], &step.seam, scale);
+                step.zone = zone(step, &self.params, canvas, scale);
+                let Step { ranges, seam, zone, .. } = step;
+                if let Some(z) = zone {
+                    set_ranges(ranges, seam, *z, levels_of(&self.params), scale);
+                }
+            }
+            if k + 1 < views.len() {
+                self.joined.add(taps, &gain, &step.seam);
+            }
+        }
+        (found_any, worst_cost)
+    }
+
+    /// Draws all views.
+    pub(super) fn paint(
+        &mut self,
+        views: &[View<u8>],
+        canvas: Canvas,
+        pool: &dyn Parallel,
+        out: &mut ViewMut<u8>,
+        avx2: bool,
+    ) {
+        let stride = out.stride;
+        let first = Source::new(&views[0], &self.warps[0], &self.gains[0], avx2);
+        let spans = &self.spans[0];
+        let chunks = canvas.height.div_ceil(ROWS);
+        let rows = |chunk: usize| chunk * ROWS..(chunk * ROWS + ROWS).min(canvas.height);
+        if views.len() == 1 {
+            let target = SharedMut::new(&mut *out.data);
+            pool.run(chunks, &|chunk| {
+                let mut work = Work::default();
+                for y in rows(chunk) {
+                    // SAFETY: rows are split between chunks.
+                    let row = unsafe { target.part(y * stride, canvas.width * 3) };
+                    paint_first(&first, spans[y], y, row, &mut work);
+                }
+            });
+            return;
+        }
+        let levels = levels_of(&self.params);
+        for k in 1..views.len() {
+            let step = &self.steps[k];
+            let source = Source::new(&views[k], &self.warps[k], &self.gains[k], avx2);
+            let zone = step.zone;
+            if let Some(z) = zone {
+                self.blender.reset(z.width, z.height, levels);
+            }
+            {
+                let target = SharedMut::new(&mut *out.data);
+                let differences = SharedMut::new(zone.map_or(&mut [], |_| self.blender.differences()));
+                pool.run(chunks, &|chunk| {
+                    let mut work = Work::default();
+                    for y in rows(chunk) {
+                        // SAFETY: rows are split between chunks.
+                        let row = unsafe { target.part(y * stride, canvas.width * 3) };
+                        if k == 1 {
+                            paint_first(&first, spans[y], y, row, &mut work);
+                        }
+                        let inside = zone.filter(|z| y >= z.y && y < z.y + z.height);
+                        let blended = inside.map(|z| {
+                            // SAFETY: rows are split between chunks.
+                            let d = unsafe { differences.part((y - z.y) * z.width * LANES, z.width * LANES) };
+                            Blended {
+                                zone: z,
+                                active: step.ranges.active(y - z.y),
+                                needed: step.ranges.needed(y - z.y),
+                                out: d,
+                            }
+                        });
+                        paint_new(&source, step.segments.row(y), y, row, blended, &mut work);
+                    }
+                });
+            }
+            if let Some(z) = zone {
+                fill_rows(&mut self.blender, &self.steps[k], z);
+                let bands = self.params.blend == BlendMethod::MultiBand;
+                let Step { segments, ranges, .. } = &self.steps[k];
+                self.blender.build(bands, ranges, pool, avx2);
+                let target = SharedMut::new(&mut *out.data);
+                self.blender.finish(bands, ranges, pool, avx2, &|row, blended, differences| {
+                    let y = z.y + row;
+                    let (start, end) = ranges.active(row);
+                    let (start, end) = (z.x + start, z.x + end);
+                    for segment in segments.row(y) {
+                        let Some((a, b)) = segment.clip(start, end) else { continue };
+                        if segment.kind == EMPTY {
+                            continue;
+                        }
+                        // SAFETY: `finish` hands each row to one chunk.
+                        let pixels = unsafe { target.part(y * stride + a * 3, (b - a) * 3) };
+                        let part = (a - start) * LANES..(b - start) * LANES;
+                        let subtract = segment.kind != NEW_ONLY;
+                        blend::apply(pixels, &blended[part.clone()], &differences[part], subtract, avx2);
+                    }
+                });
+            }
+        }
+    }
+
+    /// Draws 255 where a view lies.
+    pub(super) fn paint_mask(&self, mask: &mut ViewMut<u8>, pool: &dyn Parallel) {
+        let (width, height, stride) = (mask.width, mask.height, mask.stride);
+        let target = SharedMut::new(&mut *mask.data);
+        let spans = &self.spans[..self.active];
+        pool.run(height.div_ceil(64), &|chunk| {
+            for y in chunk * 64..(chunk * 64 + 64).min(height) {
+                // SAFETY: rows are split between chunks.
+                let row = unsafe { target.part(y * stride, width) };
+                row.fill(0);
+                for span in spans.iter().map(|s| s[y]).filter(|s| !s.is_empty()) {
+                    row[span.start as usize..span.end as usize].fill(255);
+                }
+            }
+        });
+    }
+}
+
+/// Halvings of the blend pyramid: the transition is about twice the coarsest level's pixel wide.
+pub(super) fn levels_of(params: &CompositeParams) -> usize {
+    if params.blend == BlendMethod::None || params.blend_px < 2 {
+        return 0;
+    }
+    (params.blend_px.min(256) as f32 / 2.0).log2().round().max(1.0) as usize
+}
+
+/// Distance from the seam, canvas pixels, beyond which weights are zero or one: a weight of the coarsest level gathers
+/// `2 (2^n - 1)` pixels and is spread over `1.5 * 2^n` more.
+fn reach_of(levels: usize) -> usize {
+    4 << levels
+}
+
+/// Narrows the zone row by row to what lies near the seam.
+fn set_ranges(ranges: &mut Ranges, seam: &Seam, z: Zone, levels: usize, scale: usize) {
+    let reach = reach_of(levels);
+    ranges.set(z.width, z.height, |first, end| {
+        let cells = (z.y + first).saturating_sub(reach) / scale..(z.y + end + reach).div_ceil(scale);
+        // Changes that start one row of cells above end here.
+        let (x0, _, x1, _) = seam.bounds_of(cells.start.saturating_sub(1), cells.end)?;
+        Some(((x0 * scale).saturating_sub(reach + z.x), (x1 * scale + reach).saturating_sub(z.x)))
+    });
+}
+
+/// The rectangle around the seam within which weights can differ from zero and one.
+fn zone(step: &Step, params: &CompositeParams, canvas: Canvas, scale: usize) -> Option<Zone> {
+    let levels = levels_of(params);
+    if levels == 0 {
+        return None;
+    }
+    let (x0, y0, x1, y1) = step.seam.bounds()?;
+    let reach = reach_of(levels);
+    let x = (x0 * scale).saturating_sub(reach);
+    let y = (y0 * scale).saturating_sub(reach);
+    let (right, bottom) = ((x1 * scale + reach).min(canvas.width), (y1 * scale + reach).min(canvas.height));
+    (x < right && y < bottom).then_some(Zone { x, y, width: right - x, height: bottom - y })
+}
+
+/// One view, ready to be sampled on the canvas.
+struct Source<'a> {
+    view: View<'a, u8>,
+    source_from_canvas: [f64; 9],
+    shift: Option<(i64, i64)>,
+    gain: [i16; 4],
+    avx2: bool,
+}
+
+#[derive(Default)]
+struct Work {
+    block: Block,
+    pixels: Pixels,
+}
+
+impl<'a> Source<'a> {
+    fn new(view: &View<'a, u8>, warp: &Warp, gain: &[f32; 3], avx2: bool) -> Self {
+        let shift = warp.shift.filter(|_| gain.iter().all(|g| *g == 1.0));
+        Self { view: *view, source_from_canvas: warp.source_from_canvas, shift, gain: taps::fixed_gain(gain), avx2 }
+    }
+
+    /// Samples up to a block of canvas pixels from `(x, y)` on into `work.pixels`.
+    fn sample(&self, x: usize, y: usize, count: usize, work: &mut Work) {
+        let v = &self.view;
+        warp::locate(&self.source_from_canvas, x, y, v.width, v.height, v.stride, count, &mut work.block, self.avx2);
+        warp::sample(v, &work.block, count, &self.gain, &mut work.pixels, self.avx2);
+    }
+
+    /// Writes the canvas columns `start..end` of row `y` into `row`.
+    fn draw(&self, start: usize, end: usize, y: usize, row: &mut [u8], work: &mut Work) {
+        if let Some((dx, dy)) = self.shift {
+            let (sx, sy) = (start as i64 + dx, y as i64 + dy);
+            let at = sy as usize * self.view.stride + sx as usize * 3;
+            row[start * 3..end * 3].copy_from_slice(&self.view.data[at..at + (end - start) * 3]);
+            return;
+        }
+        let mut x = start;
+        while x < end {
+            let n = (end - x).min(BLOCK);
+            self.sample(x, y, n, work);
+            warp::pack_bgr(&work.pixels, &mut row[x * 3..(x + n) * 3], self.avx2);
+            x += n;
+        }
+    }
+}
+
+fn paint_first(source: &Source, span: Span, y: usize, row: &mut [u8], work: &mut Work) {
+    let (start, end) = if span.is_empty() { (0, 0) } else { (span.start as usize, span.end as usize) };
+    row[..start * 3].fill(0);
+    row[end * 3..].fill(0);
+    if start < end {
+        source.draw(start, end, y, row, work);
+    }
+}
+
+/// One row of the blend zone. Columns of `active` and `needed` count from the zone's left.
+struct Blended<'a> {
+    zone: Zone,
+    active: (usize, usize),
+    needed: (usize, usize),
+    out: &'a mut [i16],
+}
+
+/// Draws the new view where it is shown alone; in the blend zone writes differences and weights.
+fn paint_new(
+    source: &Source,
+    segments: &[Segment],
+    y: usize,
+    row: &mut [u8],
+    blended: Option<Blended>,
+    work: &mut Work,
+) {
+    let width = row.len() / 3;
+    let (mut hidden, mut shown) = (width, width);
+    if let Some(Blended { zone, active, needed, out }) = blended {
+        let (n0, n1) = (zone.x + needed.0, zone.x + needed.1);
+        let out = &mut out[needed.0 * LANES..needed.1 * LANES];
+        for segment in segments.iter().filter(|s| s.both()) {
+            let Some((a, b)) = segment.clip(n0, n1) else { continue };
+            let mut x = a;
+            while x < b {
+                let n = (b - x).min(BLOCK);
+                source.sample(x, y, n, work);
+                let part = &mut out[(x - n0) * LANES..(x - n0 + n) * LANES];
+                blend::difference(&row[x * 3..(x + n) * 3], &work.pixels, part, source.avx2);
+                if segment.kind == BASE_SHOWN {
+                    for p in part.as_chunks_mut::<LANES>().0 {
+                        p[3] = ONE;
+                    }
+                }
+                x += n;
+            }
+        }
+        extend_row(segments, (n0, n1), out);
+        (hidden, shown) = (zone.x + active.0, zone.x + active.1);
+    }
+    // Inside the active columns the picture so far stays: the blend adds to it.
+    for segment in segments {
+        match segment.kind {
+            NEW_ONLY => source.draw(segment.start as usize, segment.end as usize, y, row, work),
+            NEW_SHOWN => {
+                for (from, to) in [(0, hidden), (shown, width)] {
+                    if let Some((a, b)) = segment.clip(from, to) {
+                        source.draw(a, b, y, row, work);
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Gives the pixels of a zone row outside the overlap the difference of the nearest pixels inside, and their own weight.
+fn extend_row(segments: &[Segment], (z0, z1): (usize, usize), out: &mut [i16]) {
+    let Some(known) = segments.iter().position(|s| s.both() && s.clip(z0, z1).is_some()) else {
+        return;
+    };
+    let weight_of = |i: usize| {
+        let near = |s: &Segment| match s.kind {
+            BASE_ONLY | BASE_SHOWN => Some(ONE),
+            NEW_ONLY | NEW_SHOWN => Some(0),
+            _ => None,
+        };
+        near(&segments[i])
+            .or_else(|| segments[..i].iter().rev().find_map(near))
+            .or_else(|| segments[i..].iter().find_map(near))
+            .unwrap_or(ONE)
+    };
+    let fill = |out: &mut [i16], i: usize, value: [i16; 3]| {
+        let Some((a, b)) = segments[i].clip(z0, z1) else { return };
+        let lanes = [value[0], value[1], value[2], weight_of(i)];
+        for p in out[(a - z0) * LANES..(b - z0) * LANES].as_chunks_mut::<LANES>().0 {
+            *p = lanes;
+        }
+    };
+    // The mean of a few pixels, so that one noisy pixel does not draw a streak.
+    let mean = |out: &[i16], a: usize, b: usize| -> [i16; 3] {
+        let n = (b - a) as i32;
+        std::array::from_fn(|c| ((a..b).map(|x| i32::from(out[(x - z0) * LANES + c])).sum::<i32>() / n) as i16)
+    };
+    let mut value = [0; 3];
+    for i in known..segments.len() {
+        let Some((a, b)) = segments[i].clip(z0, z1) else { continue };
+        if segments[i].both() {
+            value = mean(out, b.saturating_sub(8).max(a), b);
+        } else {
+            fill(out, i, value);
+        }
+    }
+    if let Some((a, b)) = segments[known].clip(z0, z1) {
+        value = mean(out, a, b.min(a + 8));
+    }
+    for i in 0..known {
+        fill(out, i, value);
+    }
+}
+
+/// Gives rows without overlap the differences of the nearest row that has one.
+fn fill_rows(blender: &mut Blender, step: &Step, z: Zone) {
+    let needed = |r: usize| step.ranges.needed(r);
+    let has = |r: usize| {
+        let (a, b) = needed(r);
+        step.segments.row(z.y + r).iter().any(|s| s.both() && s.clip(z.x + a, z.x + b).is_some())
+    };
+    let row_len = z.width * LANES;
+    let out = blender.differences();
+    let mut above: Option<usize> = None;
+    let mut below: Option<usize> = (0..z.height).find(|r| has(*r));
+    for r in 0..z.height {
+        if has(r) {
+            above = Some(r);
+            continue;
+        }
+        if below.is_some_and(|n| n < r) {
+            below = (r + 1..z.height).find(|n| has(*n));
+        }
+        let from = match (above, below) {
+            (Some(a), Some(n)) => Some(if r - a <= n - r { a } else { n }),
+            (a, n) => a.or(n),
+        };
+        let (start, end) = needed(r);
+        match from {
+            Some(f) => {
+                let (head, tail) = out.split_at_mut(f.max(r) * row_len);
+                let (low, high) = (&mut head[f.min(r) * row_len..][..row_len], &mut tail[..row_len]);
+                let (source, target) = if f < r { (low, high) } else { (high, low) };
+                smooth_row(source, needed(f), target, (start, end));
+            }
+            None => out[r * row_len + start * LANES..r * row_len + end * LANES].fill(0),
+        }
+        let row = &mut out[r * row_len..(r + 1) * row_len];
+        for segment in step.segments.row(z.y + r) {
+            let Some((a, b)) = segment.clip(z.x + start, z.x + end) else { continue };
+            let weight = match segment.kind {
+                BASE_ONLY => ONE,
+                NEW_ONLY => 0,
+                _ => continue,
+            };
+            for p in row[(a - z.x) * LANES..(b - z.x) * LANES].as_chunks_mut::<LANES>().0 {
+                p[3] = weight;
+            }
+        }
+    }
+}
+
+/// Box filter over 33 pixels of a four-lane row whose columns `known` are filled, into the columns `wanted`. Smoothed,
+/// because detail repeated from row to row would be drawn as streaks. The weight lane is copied.
+fn smooth_row(source: &[i16], known: (usize, usize), out: &mut [i16], wanted: (usize, usize)) {
+    const RADIUS: isize = 16;
+    let source = &source.as_chunks::<LANES>().0[known.0..known.1];
+    let inside = |x: isize| (x - known.0 as isize).clamp(0, source.len() as isize - 1) as usize;
+    let at = |x: isize, c: usize| i32::from(source[inside(x)][c]);
+    let first = wanted.0 as isize;
+    let mut sum: [i32; 3] = std::array::from_fn(|c| (-RADIUS..=RADIUS).map(|d| at(first + d, c)).sum());
+    for (x, o) in out.as_chunks_mut::<LANES>().0[wanted.0..wanted.1].iter_mut().enumerate() {
+        let x = first + x as isize;
+        for c in 0..3 {
+            o[c] = (sum[c] / (2 * RADIUS as i32 + 1)) as i16;
+            sum[c] += at(x + RADIUS + 1, c) - at(x - RADIUS, c);
+        }
+        o[3] = source[inside(x)][3];
+    }
+}

@@ -1,0 +1,258 @@
+//! Parameters, states, errors and reports of the compositor.
+
+use std::fmt;
+
+/// How many views one compositor takes at most.
+pub const MAX_VIEWS: usize = 8;
+
+/// How the geometry of this frame came about.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GeometryState {
+    /// Estimated from this frame.
+    #[default]
+    Fresh,
+    /// The estimate of an earlier frame, kept because it still holds.
+    Held,
+    /// No estimate: the homographies are not used, the last good ones stand in.
+    Lost,
+}
+
+/// Where the picture changes from one view to the next.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SeamMethod {
+    /// Later views cover earlier ones.
+    None,
+    /// Shortest path through the overlap, one crossing per row (or column) of the seam grid.
+    /// Where more than two views meet the overlap is no strip, and the graph cut is used.
+    DynamicProgramming,
+    /// Exact minimum cut over the seam grid (thesis 2.2 and Alg. 2.3).
+    #[default]
+    GraphCut,
+}
+
+/// What a seam pays for passing between two cells.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SeamCost {
+    /// Euclidean colour difference of the two views (thesis 2.2).
+    Color,
+    /// Colour difference divided by the local gradient: seams hide along edges (Kwatra et al. 2003, eq. 2).
+    #[default]
+    ColorGradient,
+}
+
+/// How the views are joined along the seam.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BlendMethod {
+    /// Hard seam.
+    None,
+    /// Linear weights over `blend_px`.
+    Feather,
+    /// Laplacian pyramid, the binary mask blurred per band (Burt and Adelson 1983; thesis 2.2).
+    #[default]
+    MultiBand,
+}
+
+/// How the exposure difference between the views is evened out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ExposureMethod {
+    /// Views stay as they are.
+    None,
+    /// One gain per view.
+    #[default]
+    Gain,
+    /// One gain per view and colour channel.
+    ChannelGain,
+}
+
+/// Parameters of a [`Compositor`](super::Compositor).
+#[derive(Clone, Debug, PartialEq)]
+pub struct CompositeParams {
+    /// Where the seam runs.
+    pub seam: SeamMethod,
+    /// What the seam pays.
+    pub seam_cost: SeamCost,
+    /// Canvas pixels per seam cell, each way (thesis: 10 at 640x480). 2..=64.
+    pub seam_scale: usize,
+    /// Frames after which the seam is found anew at the latest; 1 = every frame.
+    pub seam_interval_frames: u32,
+    /// The seam is found anew when the cost along it grows by this factor.
+    pub seam_cost_growth: f32,
+    /// What a cell pays, in colour levels, for leaving the view it showed before: holds the seam still.
+    pub seam_hold_levels: f32,
+    /// How the views are joined.
+    pub blend: BlendMethod,
+    /// Width of the transition across the seam, canvas pixels. 0 = hard seam; at most 256.
+    pub blend_px: usize,
+    /// How exposure is evened out.
+    pub exposure: ExposureMethod,
+    /// Share of a new gain that enters the running one per frame, 0..=1.
+    pub exposure_rate: f32,
+    /// Canvas size in pixels, or `None` to take it from the first good geometry.
+    pub canvas: Option<(usize, usize)>,
+    /// Room kept free around the first geometry, canvas pixels.
+    pub canvas_margin_px: usize,
+    /// Frames in a row that must leave the canvas before it grows; 0 = it never grows.
+    pub canvas_grow_after_frames: u32,
+    /// Upper bound of canvas width and height, pixels.
+    pub max_canvas_side_px: usize,
+    /// Direction of "up" in the reference view, degrees clockwise from the picture's top; `None` draws no cue.
+    pub up_cue_deg: Option<f32>,
+    /// Marks frames whose geometry is lost (red frame and text).
+    pub mark_lost: bool,
+    /// Marks frames whose geometry is held (small amber corner).
+    pub mark_held: bool,
+}
+
+impl Default for CompositeParams {
+    fn default() -> Self {
+        Self {
+            seam: SeamMethod::default(),
+            seam_cost: SeamCost::default(),
+            seam_scale: 10,
+            seam_interval_frames: 15,
+            seam_cost_growth: 1.5,
+            seam_hold_levels: 0.5,
+            blend: BlendMethod::default(),
+            blend_px: 32,
+            exposure: ExposureMethod::default(),
+            exposure_rate: 0.1,
+            canvas: None,
+            canvas_margin_px: 16,
+            canvas_grow_after_frames: 15,
+            max_canvas_side_px: 8192,
+            up_cue_deg: None,
+            mark_lost: true,
+            mark_held: false,
+        }
+    }
+}
+
+/// Size of the panorama and where the reference view lies in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Canvas {
+    /// Columns, pixels.
+    pub width: usize,
+    /// Rows, pixels.
+    pub height: usize,
+    /// Canvas column of the reference plane's x = 0.
+    pub left: i32,
+    /// Canvas row of the reference plane's y = 0.
+    pub top: i32,
+}
+
+/// Why a set of homographies cannot be used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GeometryFault {
+    /// An element is NaN or infinite.
+    NotFinite {
+        /// Index of the view.
+        view: usize,
+    },
+    /// The matrix has no inverse, or a part of the view lies behind the horizon.
+    Singular {
+        /// Index of the view.
+        view: usize,
+    },
+    /// The warped corners do not form a convex quadrilateral of the same turn (thesis 2.4.3).
+    NotConvex {
+        /// Index of the view.
+        view: usize,
+    },
+    /// The warped view is far too large or too small (thesis 2.4.3).
+    Size {
+        /// Index of the view.
+        view: usize,
+    },
+    /// The panorama would be larger than `max_canvas_side_px`.
+    CanvasTooLarge {
+        /// Columns it would need.
+        width: usize,
+        /// Rows it would need.
+        height: usize,
+    },
+}
+
+impl fmt::Display for GeometryFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotFinite { view } => write!(f, "the homography of view {view} is not finite"),
+            Self::Singular { view } => write!(f, "the homography of view {view} is singular or folds the view over"),
+            Self::NotConvex { view } => write!(f, "view {view} warps to a shape that is no convex quadrilateral"),
+            Self::Size { view } => write!(f, "view {view} warps to an implausible size"),
+            Self::CanvasTooLarge { width, height } => write!(f, "the panorama would need {width}x{height} px"),
+        }
+    }
+}
+
+/// A call that cannot be answered. Bad homographies are no error: see [`GeometryFault`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CompositeError {
+    /// No view, or more than [`MAX_VIEWS`].
+    ViewCount {
+        /// Views given.
+        views: usize,
+    },
+    /// Views and homographies differ in number.
+    HomographyCount {
+        /// Views given.
+        views: usize,
+        /// Homographies given.
+        homographies: usize,
+    },
+    /// A view is not BGR, or smaller than 2x2.
+    View {
+        /// Index of the view.
+        view: usize,
+        /// Its columns.
+        width: usize,
+        /// Its rows.
+        height: usize,
+        /// Its channels.
+        channels: usize,
+    },
+    /// An output has not the size (and channels) of the canvas.
+    Output {
+        /// Columns needed.
+        width: usize,
+        /// Rows needed.
+        height: usize,
+        /// Channels needed.
+        channels: usize,
+    },
+}
+
+impl fmt::Display for CompositeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::ViewCount { views } => write!(f, "{views} views given, 1 to {MAX_VIEWS} can be joined"),
+            Self::HomographyCount { views, homographies } => {
+                write!(f, "{views} views but {homographies} homographies given")
+            }
+            Self::View { view, width, height, channels } => {
+                write!(f, "view {view} is {width}x{height} with {channels} channels; BGR of at least 2x2 is needed")
+            }
+            Self::Output { width, height, channels } => {
+                write!(f, "the output must be {width}x{height} with {channels} channels")
+            }
+        }
+    }
+}
+
+impl std::error::Error for CompositeError {}
+
+/// What [`compose`](super::Compositor::compose) did.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CompositeReport {
+    /// State of the geometry that was shown: `Lost` also when the given homographies were refused.
+    pub state: GeometryState,
+    /// Why the given homographies were refused.
+    pub fault: Option<GeometryFault>,
+    /// Canvas drawn on.
+    pub canvas: Canvas,
+    /// True when the seam was found anew in this frame.
+    pub seam_found: bool,
+    /// Mean colour difference along the seam, levels.
+    pub seam_cost: f32,
+    /// Gains applied per view, B, G, R.
+    pub gains: [[f32; 3]; MAX_VIEWS],
+}

@@ -1,0 +1,406 @@
+//! The seam between the pictures joined so far and the next view, on a grid of cells (thesis Alg. 2.3).
+
+use super::graph_cut::GridCut;
+use super::params::{CompositeParams, SeamCost, SeamMethod};
+
+/// What covers a cell: bit 0 the pictures so far, bit 1 the new view.
+pub const BASE: u8 = 1;
+/// See [`BASE`].
+pub const NEW: u8 = 2;
+/// Covered by both.
+pub const BOTH: u8 = 3;
+
+/// Capacities are levels times this.
+const UNIT: f32 = 64.0;
+/// Every cell boundary costs this many levels more, which keeps seams short where all is alike.
+const LENGTH_LEVELS: f32 = 1.0;
+/// A seam on the rim of the overlap pays this many times the price: there is no room to blend.
+const RIM: f32 = 3.0;
+
+/// Labels of one view against those before it.
+#[derive(Debug, Default)]
+pub struct Seam {
+    /// Cells per row.
+    pub columns: usize,
+    /// Rows of cells.
+    pub rows: usize,
+    /// What covers each cell.
+    pub class: Vec<u8>,
+    /// Colour difference per cell, levels.
+    pub cost: Vec<f32>,
+    /// Gradient per cell, levels.
+    pub gradient: Vec<f32>,
+    /// 1 where the new view is shown.
+    pub take: Vec<u8>,
+    known: bool,
+    age_frames: u32,
+    cost_found: f32,
+    weight: Vec<f32>,
+    path_cost: Vec<f32>,
+    path_from: Vec<u32>,
+    path: Vec<u32>,
+    /// Per row of cells: first column, one past the last column and one past the last row of the label changes.
+    changes: Vec<(usize, usize, usize)>,
+}
+
+impl Seam {
+    /// Forgets the seam; the next frame finds a new one without looking back.
+    pub fn forget(&mut self) {
+        self.known = false;
+    }
+
+    /// Reserves memory for a grid of this size, the solver's included.
+    pub fn reserve(&mut self, columns: usize, rows: usize, cut: &mut GridCut) {
+        let path = columns.max(rows) * (columns.min(rows) + 1) + columns.max(rows);
+        self.path_cost.reserve(path.saturating_sub(self.path_cost.len()));
+        self.path_from.reserve(path.saturating_sub(self.path_from.len()));
+        self.path.reserve(columns.max(rows).saturating_sub(self.path.len()));
+        self.changes.reserve(rows.saturating_sub(self.changes.len()));
+        cut.reserve(columns * rows);
+    }
+
+    /// Sets the size of the grid; a change of size forgets the seam.
+    pub fn resize(&mut self, columns: usize, rows: usize) {
+        let n = columns * rows;
+        if (columns, rows) != (self.columns, self.rows) {
+            self.known = false;
+            self.take.clear();
+        }
+        (self.columns, self.rows) = (columns, rows);
+        self.take.resize(n, 0);
+        for f in [&mut self.cost, &mut self.gradient, &mut self.weight, &mut self.path_cost] {
+            f.resize(n.max(columns + 1), 0.0);
+        }
+        self.class.resize(n, 0);
+    }
+
+    /// Mean colour difference at the cells on both sides of the seam inside the overlap, levels.
+    pub fn cost_along(&self) -> f32 {
+        let (mut sum, mut count) = (0.0f64, 0u32);
+        let mut add = |p: usize, q: usize| {
+            if self.class[p] == BOTH && self.class[q] == BOTH && self.take[p] != self.take[q] {
+                sum += f64::from(self.cost[p] + self.cost[q]);
+                count += 2;
+            }
+        };
+        for y in 0..self.rows {
+            for x in 0..self.columns {
+                let p = y * self.columns + x;
+                if x + 1 < self.columns {
+                    add(p, p + 1);
+                }
+                if y + 1 < self.rows {
+                    add(p, p + self.columns);
+                }
+            }
+        }
+        if count == 0 { 0.0 } else { (sum / f64::from(count)) as f32 }
+    }
+
+    /// Brings the labels up to date: found anew when it is time (and `may_find`), else carried over. True when found.
+    pub fn update(&mut self, params: &CompositeParams, strip: bool, may_find: bool, cut: &mut GridCut) -> bool {
+        let found = self.label(params, strip, may_find, cut);
+        self.find_changes();
+        found
+    }
+
+    fn label(&mut self, params: &CompositeParams, strip: bool, may_find: bool, cut: &mut GridCut) -> bool {
+        self.age_frames = self.age_frames.saturating_add(1);
+        for (take, class) in self.take.iter_mut().zip(&self.class) {
+            match *class {
+                BASE => *take = 0,
+                NEW => *take = 1,
+                BOTH if params.seam == SeamMethod::None => *take = 1,
+                _ => {}
+            }
+        }
+        if params.seam == SeamMethod::None {
+            return !std::mem::replace(&mut self.known, true);
+        }
+        let due = !self.known
+            || self.age_frames >= params.seam_interval_frames.max(1)
+            || self.cost_along() > self.cost_found * params.seam_cost_growth.max(1.0) + 2.0;
+        if !due || (self.known && !may_find) {
+            return false;
+        }
+        for i in 0..self.columns * self.rows {
+            self.weight[i] = match params.seam_cost {
+                SeamCost::Color => self.cost[i],
+                SeamCost::ColorGradient => self.cost[i] / (1.0 + self.gradient[i] / 32.0),
+            };
+        }
+        let hold = if self.known { params.seam_hold_levels.clamp(0.0, 255.0) } else { 0.0 };
+        if params.seam == SeamMethod::DynamicProgramming && strip {
+            self.shortest_path(hold);
+        } else {
+            self.minimum_cut(hold, cut);
+        }
+        self.known = true;
+        self.age_frames = 0;
+        self.cost_found = self.cost_along();
+        true
+    }
+
+    /// Price of parting two neighbouring cells, or `None` when either lies outside the overlap and none is at stake.
+    fn price(&self, p: usize, q: usize) -> Option<f32> {
+        match (self.class[p], self.class[q]) {
+            (BOTH, BOTH) => Some(self.weight[p] + self.weight[q] + LENGTH_LEVELS),
+            (BOTH, BASE | NEW) => Some(RIM * (2.0 * self.weight[p] + LENGTH_LEVELS)),
+            (BASE | NEW, BOTH) => Some(RIM * (2.0 * self.weight[q] + LENGTH_LEVELS)),
+            _ => None,
+        }
+    }
+
+    fn minimum_cut(&mut self, hold: f32, cut: &mut GridCut) {
+        let (w, h) = (self.columns, self.rows);
+        // Only the bounds of the overlap enter the graph.
+        let (mut x0, mut x1, mut y0, mut y1) = (w, 0, h, 0);
+        for y in 0..h {
+            for x in 0..w {
+                if self.class[y * w + x] == BOTH {
+                    (x0, x1, y0, y1) = (x0.min(x), x1.max(x + 1), y0.min(y), y1.max(y + 1));
+                }
+            }
+        }
+        if x0 >= x1 {
+            return;
+        }
+        let (gw, gh) = (x1 - x0, y1 - y0);
+        cut.reset(gw, gh);
+        for y in y0..y1 {
+            for x in x0..x1 {
+                let (p, node) = (y * w + x, (y - y0) * gw + x - x0);
+                if self.class[p] != BOTH {
+                    continue;
+                }
+                let bias = (hold * UNIT) as i32;
+                if self.take[p] == 0 {
+                    cut.add_terminal(node, bias, 0);
+                } else {
+                    cut.add_terminal(node, 0, bias);
+                }
+                let side = |cut: &mut GridCut, q: usize, node: usize, edge: Option<bool>| {
+                    let Some(price) = self.price(p, q) else { return };
+                    let price = (price * UNIT) as i32;
+                    match (self.class[q], edge) {
+                        (BOTH, Some(down)) => cut.add_edge(node, down, price),
+                        (BASE, _) => cut.add_terminal(node, price, 0),
+                        (NEW, _) => cut.add_terminal(node, 0, price),
+                        _ => {}
+                    }
+                };
+                if x + 1 < w {
+                    side(cut, p + 1, node, Some(false));
+                }
+                if y + 1 < h {
+                    side(cut, p + w, node, Some(true));
+                }
+                if x > 0 {
+                    side(cut, p - 1, node, None);
+                }
+                if y > 0 {
+                    side(cut, p - w, node, None);
+                }
+            }
+        }
+        cut.solve();
+        for y in y0..y1 {
+            for x in x0..x1 {
+                if self.class[y * w + x] == BOTH {
+                    self.take[y * w + x] = u8::from(cut.is_sink((y - y0) * gw + x - x0));
+                }
+            }
+        }
+    }
+
+    /// One crossing per line of the overlap; lines are rows when the views lie side by side, else columns.
+    fn shortest_path(&mut self, hold: f32) {
+        let (w, h) = (self.columns, self.rows);
+        let mut centre = [[0.0f64; 3]; 2];
+        for y in 0..h {
+            for x in 0..w {
+                let side = match self.class[y * w + x] {
+                    BASE => 0,
+                    NEW => 1,
+                    _ => continue,
+                };
+                for (c, v) in centre[side].iter_mut().zip([x as f64, y as f64, 1.0]) {
+                    *c += v;
+                }
+            }
+        }
+        if centre[1][2] == 0.0 || centre[0][2] == 0.0 {
+            // One picture holds all of the other: nothing to win by a seam.
+            let inside = u8::from(centre[0][2] == 0.0);
+            self.take.iter_mut().zip(&self.class).filter(|(_, c)| **c == BOTH).for_each(|(t, _)| *t = inside);
+            return;
+        }
+        let [a, b] = centre.map(|[x, y, n]| (x / n, y / n));
+        let upright = (b.0 - a.0).abs() >= (b.1 - a.1).abs();
+        let new_last = if upright { b.0 >= a.0 } else { b.1 >= a.1 };
+        let (lines, cells) = if upright { (h, w) } else { (w, h) };
+        let index = |line: usize, cell: usize| if upright { line * w + cell } else { cell * w + line };
+        let stride = cells + 1;
+        self.path_cost.resize(lines * stride, 0.0);
+        self.path_from.resize(lines * stride, 0);
+        self.path.resize(lines, 0);
+        let range = |class: &[u8], line: usize| {
+            let both = |c: &usize| class[index(line, *c)] == BOTH;
+            Some(((0..cells).find(both)?, (0..cells).rev().find(both)? + 1))
+        };
+        let (mut first, mut last): (Option<usize>, Option<usize>) = (None, None);
+        for line in 0..lines {
+            let Some((low, high)) = range(&self.class, line) else {
+                if first.is_some() {
+                    break;
+                }
+                continue;
+            };
+            let above = last.and_then(|l| range(&self.class, l).map(|r| (l, r)));
+            first = first.or(Some(line));
+            for x in low..=high {
+                let mut own = match x {
+                    x if x == low => RIM * (2.0 * self.weight[index(line, low)] + LENGTH_LEVELS),
+                    x if x == high => RIM * (2.0 * self.weight[index(line, high - 1)] + LENGTH_LEVELS),
+                    _ => self.weight[index(line, x - 1)] + self.weight[index(line, x)] + LENGTH_LEVELS,
+                };
+                let changed = (low..high).filter(|c| (self.take[index(line, *c)] == 1) != ((*c >= x) == new_last));
+                own += hold * changed.count() as f32;
+                let mut best = (0.0, x as u32);
+                if let Some((l, (from, to))) = above {
+                    best = (f32::MAX, from as u32);
+                    // Moving sideways parts each cell passed from the one above it.
+                    let mut try_path = |p: usize, way: f32| {
+                        let total = self.path_cost[l * stride + p] + way;
+                        if total < best.0 {
+                            best = (total, p as u32);
+                        }
+                    };
+                    let step = |c: usize| {
+                        let here = self.weight[index(line, c)];
+                        let there = if c >= from && c < to { self.weight[index(l, c)] } else { here };
+                        here + there + LENGTH_LEVELS
+                    };
+                    let mut way = 0.0;
+                    for p in x..=to {
+                        if p >= from {
+                            try_path(p, way);
+                        }
+                        if p < cells {
+                            way += step(p);
+                        }
+                    }
+                    way = 0.0;
+                    for p in (from..x).rev() {
+                        way += step(p);
+                        if p <= to {
+                            try_path(p, way);
+                        }
+                    }
+                }
+                self.path_cost[line * stride + x] = best.0 + own;
+                self.path_from[line * stride + x] = best.1;
+            }
+            last = Some(line);
+        }
+        let (Some(first), Some(last)) = (first, last) else { return };
+        let Some((low, high)) = range(&self.class, last) else { return };
+        let mut at = (low..=high).fold(low, |b, x| {
+            if self.path_cost[last * stride + x] < self.path_cost[last * stride + b] { x } else { b }
+        });
+        for line in (first..=last).rev() {
+            self.path[line] = at as u32;
+            at = self.path_from[line * stride + at] as usize;
+        }
+        for line in first..=last {
+            for cell in 0..cells {
+                if self.class[index(line, cell)] == BOTH {
+                    self.take[index(line, cell)] = u8::from((cell >= self.path[line] as usize) == new_last);
+                }
+            }
+        }
+    }
+
+    /// Finds where labels change, row of cells by row. To be called after [`Seam::update`].
+    fn find_changes(&mut self) {
+        let (w, h) = (self.columns, self.rows);
+        self.changes.clear();
+        let differs = |p: usize, q: usize| self.class[p] != 0 && self.class[q] != 0 && self.take[p] != self.take[q];
+        for y in 0..h {
+            let (mut x0, mut x1, mut down_any) = (w, 0, false);
+            for p in y * w..(y + 1) * w {
+                let x = p - y * w;
+                let (right, down) = (x + 1 < w && differs(p, p + 1), y + 1 < h && differs(p, p + w));
+                if right || down {
+                    (x0, x1) = (x0.min(x), x1.max(x + 1 + usize::from(right)));
+                    down_any |= down;
+                }
+            }
+            self.changes.push((x0, x1, y + 1 + usize::from(down_any)));
+        }
+    }
+
+    /// Bounds (x0, y0, x1, y1; ends excluded) of the cells that touch a change of view.
+    pub fn bounds(&self) -> Option<(usize, usize, usize, usize)> {
+        self.bounds_of(0, self.rows)
+    }
+
+    /// As [`Seam::bounds`], for the changes that start in the rows of cells `first..end`.
+    pub fn bounds_of(&self, first: usize, end: usize) -> Option<(usize, usize, usize, usize)> {
+        let mut bounds: Option<(usize, usize, usize, usize)> = None;
+        for (y, (x0, x1, y1)) in self.changes.iter().enumerate().take(end).skip(first) {
+            if x0 < x1 {
+                let b = bounds.unwrap_or((*x0, y, *x1, *y1));
+                bounds = Some((b.0.min(*x0), b.1, b.2.max(*x1), b.3.max(*y1)));
+            }
+        }
+        bounds
+    }
+
+    /// Columns at which canvas row `y` changes view, and whether it starts with the new one. Labels are interpolated
+    /// between cell centres and cut at one half, so that the enlarged seam has no steps.
+    /// Only cells `first..end` are looked at: labels must not change elsewhere (see [`Seam::bounds`]).
+    pub fn crossings(
+        &self,
+        y: usize,
+        scale: usize,
+        (first, end): (usize, usize),
+        values: &mut Vec<f32>,
+        columns: &mut Vec<u32>,
+    ) -> bool {
+        let (w, h) = (self.columns, self.rows);
+        let at = ((y as f32 + 0.5) / scale as f32 - 0.5).clamp(0.0, (h - 1) as f32);
+        let above = (at as usize).min(h - 1);
+        let below = (above + 1).min(h - 1);
+        let t = at - above as f32;
+        values.clear();
+        for x in first..end {
+            let (p, q) = (above * w + x, below * w + x);
+            values.push(match (self.class[p] != 0, self.class[q] != 0) {
+                (true, true) => f32::from(self.take[p]) * (1.0 - t) + f32::from(self.take[q]) * t,
+                (true, false) => f32::from(self.take[p]),
+                (false, true) => f32::from(self.take[q]),
+                (false, false) => f32::NAN,
+            });
+        }
+        columns.clear();
+        let mut previous: Option<(usize, f32)> = None;
+        let mut starts_new = false;
+        for x in first..end {
+            let v = values[x - first];
+            if v.is_nan() {
+                continue;
+            }
+            if let Some((px, pv)) = previous {
+                if (pv >= 0.5) != (v >= 0.5) {
+                    let cell = px as f32 + (0.5 - pv) / (v - pv) * (x - px) as f32;
+                    columns.push(((cell + 0.5) * scale as f32 - 0.5).ceil().max(0.0) as u32);
+                }
+            } else {
+                starts_new = v >= 0.5;
+            }
+            previous = Some((x, v));
+        }
+        starts_new
+    }
+}

@@ -1,0 +1,173 @@
+//! Coarse samples of the views on the canvas: what the seam and the exposure are found on.
+
+use super::params::{CompositeParams, ExposureMethod};
+use super::seam::{BASE, BOTH, NEW, Seam};
+use super::warp::{self, BLOCK, Block, Pixels, Span, UNIT_GAIN};
+use crate::{Parallel, SharedMut, View};
+
+/// Samples per seam cell, each way.
+pub const TAPS: usize = 2;
+/// Tap rows per chunk.
+const ROWS: usize = 8;
+
+/// Samples of one view: B, G, R, 0 each, without gain.
+#[derive(Debug, Default)]
+pub struct Taps {
+    /// Samples per row.
+    pub columns: usize,
+    /// Rows.
+    pub rows: usize,
+    /// Covered samples per row.
+    pub spans: Vec<Span>,
+    /// Samples; those outside the spans are stale.
+    pub values: Vec<[u8; 4]>,
+}
+
+impl Taps {
+    /// Sets the grid and the geometry: `source_from_tap` maps sample indices to pixels of the view.
+    pub fn place(&mut self, columns: usize, rows: usize, source_from_tap: &[f64; 9], view: (usize, usize)) {
+        (self.columns, self.rows) = (columns, rows);
+        self.values.resize(columns * rows, [0; 4]);
+        warp::coverage(source_from_tap, view, columns, rows, &mut self.spans);
+    }
+
+    /// Samples the view.
+    pub fn fill(&mut self, view: &View<u8>, source_from_tap: &[f64; 9], pool: &dyn Parallel, avx2: bool) {
+        let (columns, rows) = (self.columns, self.rows);
+        let values = SharedMut::new(&mut self.values);
+        let spans = &self.spans;
+        pool.run(rows.div_ceil(ROWS), &|chunk| {
+            let (mut block, mut pixels) = (Block::default(), Pixels::default());
+            for y in chunk * ROWS..(chunk * ROWS + ROWS).min(rows) {
+                let span = spans[y];
+                let mut x = span.start as usize;
+                while x < span.end as usize {
+                    let n = (span.end as usize - x).min(BLOCK);
+                    warp::locate(source_from_tap, x, y, view.width, view.height, view.stride, n, &mut block, avx2);
+                    warp::sample(view, &block, n, &UNIT_GAIN, &mut pixels, avx2);
+                    // SAFETY: rows are split between chunks.
+                    let out = unsafe { values.part(y * columns + x, n) };
+                    for (o, p) in out.iter_mut().zip(pixels.0.as_chunks::<4>().0) {
+                        *o = *p;
+                    }
+                    x += n;
+                }
+            }
+        });
+    }
+}
+
+/// The pictures joined so far, as samples with gains applied; lane 3 is 255 where there is one.
+#[derive(Debug, Default)]
+pub struct Joined {
+    values: Vec<[u8; 4]>,
+}
+
+fn gained(pixel: [u8; 4], gain: &[i16; 4]) -> [u8; 4] {
+    let channel = |c: usize| ((i32::from(pixel[c]) * i32::from(gain[c]) + 8192) >> 14).min(255) as u8;
+    [channel(0), channel(1), channel(2), 255]
+}
+
+impl Joined {
+    /// Starts with the first view.
+    pub fn start(&mut self, taps: &Taps, gain: &[i16; 4]) {
+        self.values.clear();
+        self.values.resize(taps.values.len(), [0; 4]);
+        for (y, span) in taps.spans.iter().enumerate() {
+            for x in span.start as usize..span.end as usize {
+                self.values[y * taps.columns + x] = gained(taps.values[y * taps.columns + x], gain);
+            }
+        }
+    }
+
+    /// Gain of the view that brings its mean to that of the joined pictures in the overlap, B, G, R.
+    /// Dark and saturated samples do not count; `None` when too few are left.
+    pub fn gain_of(&self, taps: &Taps, method: ExposureMethod) -> Option<[f32; 3]> {
+        let (mut base, mut new, mut count) = ([0u64; 3], [0u64; 3], 0);
+        let usable = |p: &[u8; 4]| p[..3].iter().all(|v| *v < 245) && p[..3].iter().any(|v| *v > 12);
+        for (y, span) in taps.spans.iter().enumerate() {
+            for i in
+                y * taps.columns + span.start as usize..y * taps.columns + (span.end as usize).max(span.start as usize)
+            {
+                let (a, b) = (&self.values[i], &taps.values[i]);
+                if a[3] == 255 && usable(a) && usable(b) {
+                    count += 1;
+                    for c in 0..3 {
+                        base[c] += u64::from(a[c]);
+                        new[c] += u64::from(b[c]);
+                    }
+                }
+            }
+        }
+        if count < 32 {
+            return None;
+        }
+        let ratio = |a: u64, b: u64| (a as f32 / (b as f32).max(1.0)).clamp(0.5, 1.99);
+        Some(match method {
+            ExposureMethod::None => [1.0; 3],
+            ExposureMethod::Gain => [ratio(base.iter().sum(), new.iter().sum()); 3],
+            ExposureMethod::ChannelGain => std::array::from_fn(|c| ratio(base[c], new[c])),
+        })
+    }
+
+    /// Fills class, cost and gradient of every cell of the seam grid.
+    pub fn measure(&self, taps: &Taps, gain: &[i16; 4], seam: &mut Seam) {
+        let columns = taps.columns;
+        for cy in 0..seam.rows {
+            for cx in 0..seam.columns {
+                let (mut class, mut cost, mut gradient, mut count) = (0, 0.0f32, 0i32, 0);
+                for y in cy * TAPS..cy * TAPS + TAPS {
+                    for x in cx * TAPS..cx * TAPS + TAPS {
+                        let i = y * columns + x;
+                        let base = self.values[i];
+                        let covered = taps.spans[y].contains(x as u32);
+                        class |= if base[3] == 255 { BASE } else { 0 } | if covered { NEW } else { 0 };
+                        if base[3] != 255 || !covered {
+                            continue;
+                        }
+                        let new = gained(taps.values[i], gain);
+                        let square = |c: usize| (i32::from(base[c]) - i32::from(new[c])).pow(2);
+                        cost += ((square(0) + square(1) + square(2)) as f32).sqrt();
+                        count += 1;
+                        if taps.spans[y].contains(x as u32 + 1) && self.values.get(i + 1).is_some_and(|v| v[3] == 255) {
+                            let step = |a: u8, b: u8| (i32::from(a) - i32::from(b)).abs();
+                            gradient +=
+                                step(self.values[i + 1][1], base[1]) + step(taps.values[i + 1][1], taps.values[i][1]);
+                        }
+                    }
+                }
+                let cell = cy * seam.columns + cx;
+                seam.class[cell] = if count > 0 { BOTH } else { class.min(NEW) };
+                // Euclidean over three channels, brought back to levels of one.
+                seam.cost[cell] = if count > 0 { cost / count as f32 * 0.577_350_26 } else { 0.0 };
+                seam.gradient[cell] = if count > 0 { gradient as f32 / (2 * count) as f32 } else { 0.0 };
+            }
+        }
+    }
+
+    /// Adds the view where the seam shows it.
+    pub fn add(&mut self, taps: &Taps, gain: &[i16; 4], seam: &Seam) {
+        for (y, span) in taps.spans.iter().enumerate() {
+            for x in span.start as usize..span.end as usize {
+                let i = y * taps.columns + x;
+                if self.values[i][3] != 255 || seam.take[y / TAPS * seam.columns + x / TAPS] == 1 {
+                    self.values[i] = gained(taps.values[i], gain);
+                }
+            }
+        }
+    }
+}
+
+/// Gain as Q14 lanes.
+pub fn fixed_gain(gain: &[f32; 3]) -> [i16; 4] {
+    let q = |g: f32| (g * 16384.0 + 0.5).clamp(0.0, 32767.0) as i16;
+    [q(gain[0]), q(gain[1]), q(gain[2]), 0]
+}
+
+/// Moves the running gain towards the measured one.
+pub fn smooth_gain(running: &mut [f32; 3], measured: [f32; 3], first: bool, params: &CompositeParams) {
+    let rate = if first { 1.0 } else { params.exposure_rate.clamp(0.0, 1.0) };
+    for c in 0..3 {
+        running[c] += rate * (measured[c] - running[c]);
+    }
+}

@@ -1,0 +1,347 @@
+//! Perspective warp, bilinear, in blocks of 64 output pixels.
+//!
+//! Coordinates are f32 relative to each block's f64 start (error below 1/1000 px), positions are
+//! rounded to 1/64 px. The portable and the AVX2 path give the same bytes.
+
+use crate::View;
+
+/// Output pixels per block.
+pub const BLOCK: usize = 64;
+
+/// Gain of one, per channel, as [`sample`] takes it (Q14).
+pub const UNIT_GAIN: [i16; 4] = [16384, 16384, 16384, 0];
+
+/// Where a block of output pixels reads its source.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+pub struct Block {
+    /// Byte offset of the upper left neighbour.
+    pub offset: [u32; BLOCK],
+    /// Horizontal weights in 1/64: left in the low byte, right in the high byte.
+    pub horizontal: [u16; BLOCK],
+    /// Vertical weight of the lower row, Q14.
+    pub vertical: [u16; BLOCK],
+}
+
+impl Default for Block {
+    fn default() -> Self {
+        Self { offset: [0; BLOCK], horizontal: [64; BLOCK], vertical: [0; BLOCK] }
+    }
+}
+
+/// Pixels of a block, B G R and a zero each.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+pub struct Pixels(pub [u8; 4 * BLOCK]);
+
+impl Default for Pixels {
+    fn default() -> Self {
+        Self([0; 4 * BLOCK])
+    }
+}
+
+/// True when the CPU has AVX2 (asked once per call site, cached by the standard library).
+pub fn has_avx2() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    {
+        std::arch::is_x86_feature_detected!("avx2")
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    {
+        false
+    }
+}
+
+/// Fills `block` for the output pixels `(x .. x + count, y)`, count at most 64; `source_from_output` maps output pixels to
+/// those of a `width` x `height` BGR view with `stride`. Positions outside are clamped to the border.
+pub fn locate(
+    source_from_output: &[f64; 9],
+    x: usize,
+    y: usize,
+    width: usize,
+    height: usize,
+    stride: usize,
+    count: usize,
+    block: &mut Block,
+    avx2: bool,
+) {
+    let m = source_from_output;
+    let (x, y) = (x as f64, y as f64);
+    let along = |r: usize| (m[r] * x + m[r + 1] * y + m[r + 2]) as f32;
+    let start = [along(0), along(3), along(6)];
+    let step = [m[0] as f32, m[3] as f32, m[6] as f32];
+    let limit = [(width - 1) as f32, (height - 1) as f32];
+    let last = [width as i32 - 2, height as i32 - 2];
+    let count = count.min(BLOCK).div_ceil(8) * 8;
+    #[cfg(target_arch = "x86_64")]
+    if avx2 {
+        // SAFETY: the caller found AVX2 on this CPU; count is a multiple of 8 of at most 64.
+        unsafe { locate_avx2(start, step, limit, last, stride as i32, count, block) };
+        return;
+    }
+    let _ = avx2;
+    locate_body(start, step, limit, last, stride as i32, count, block);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn locate_avx2(
+    s: [f32; 3],
+    d: [f32; 3],
+    limit: [f32; 2],
+    last: [i32; 2],
+    stride: i32,
+    count: usize,
+    block: &mut Block,
+) {
+    use std::arch::x86_64::*;
+    let (one, zero, half) = (_mm256_set1_ps(1.0), _mm256_setzero_ps(), _mm256_set1_ps(0.5));
+    let s = [_mm256_set1_ps(s[0]), _mm256_set1_ps(s[1]), _mm256_set1_ps(s[2])];
+    let d = [_mm256_set1_ps(d[0]), _mm256_set1_ps(d[1]), _mm256_set1_ps(d[2])];
+    let limit = [_mm256_set1_ps(limit[0]), _mm256_set1_ps(limit[1])];
+    let last = [_mm256_set1_epi32(last[0]), _mm256_set1_epi32(last[1])];
+    let (stride, three) = (_mm256_set1_epi32(stride), _mm256_set1_epi32(3));
+    let (unit, first) = (_mm256_set1_ps(64.0), _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0));
+    let mut i = 0;
+    while i < count {
+        let t = _mm256_add_ps(first, _mm256_set1_ps(i as f32));
+        // Multiply and add stay apart, so that the portable path gives the same bits.
+        let along = |k: usize| _mm256_add_ps(s[k], _mm256_mul_ps(d[k], t));
+        let scale = _mm256_div_ps(one, along(2));
+        let place = |k: usize| {
+            let v = _mm256_min_ps(_mm256_max_ps(_mm256_mul_ps(along(k), scale), zero), limit[k]);
+            let v = _mm256_cvttps_epi32(_mm256_add_ps(_mm256_mul_ps(v, unit), half));
+            let whole = _mm256_min_epi32(_mm256_srai_epi32(v, 6), last[k]);
+            (whole, _mm256_sub_epi32(v, _mm256_slli_epi32(whole, 6)))
+        };
+        let ((column, fx), (row, fy)) = (place(0), place(1));
+        let offset = _mm256_add_epi32(_mm256_mullo_epi32(row, stride), _mm256_mullo_epi32(column, three));
+        let horizontal = _mm256_add_epi32(_mm256_sub_epi32(_mm256_slli_epi32(fx, 8), fx), _mm256_set1_epi32(64));
+        let vertical = _mm256_slli_epi32(fy, 8);
+        let both = _mm256_permute4x64_epi64(_mm256_packus_epi32(horizontal, vertical), 0xD8);
+        // SAFETY: i + 8 <= 64, as count is a multiple of 8 of at most 64.
+        unsafe {
+            _mm256_storeu_si256(block.offset.as_mut_ptr().add(i).cast(), offset);
+            _mm_storeu_si128(block.horizontal.as_mut_ptr().add(i).cast(), _mm256_castsi256_si128(both));
+            _mm_storeu_si128(block.vertical.as_mut_ptr().add(i).cast(), _mm256_extracti128_si256(both, 1));
+        }
+        i += 8;
+    }
+}
+
+#[inline]
+fn locate_body(
+    s: [f32; 3],
+    d: [f32; 3],
+    limit: [f32; 2],
+    last: [i32; 2],
+    stride: i32,
+    count: usize,
+    block: &mut Block,
+) {
+    for i in 0..count {
+        let t = i as f32;
+        let scale = 1.0 / (s[2] + d[2] * t);
+        let u = (s[0] + d[0] * t) * scale;
+        let v = (s[1] + d[1] * t) * scale;
+        // NaN falls to zero here, so that the conversions below always see a number in range.
+        let u = if u > 0.0 { u } else { 0.0 };
+        let v = if v > 0.0 { v } else { 0.0 };
+        let u = if u < limit[0] { u } else { limit[0] };
+        let v = if v < limit[1] { v } else { limit[1] };
+        // SAFETY: 0 <= u, v <= limit, and limit * 64 is far below 2^31 for any image that fits in memory as BGR rows
+        // of less than 2^25 pixels, which `compose` checks.
+        let (u, v): (i32, i32) = unsafe { ((u * 64.0 + 0.5).to_int_unchecked(), (v * 64.0 + 0.5).to_int_unchecked()) };
+        let column = (u >> 6).min(last[0]);
+        let row = (v >> 6).min(last[1]);
+        let fx = u - (column << 6);
+        let fy = v - (row << 6);
+        block.offset[i] = (row * stride + column * 3) as u32;
+        block.horizontal[i] = ((64 - fx) | (fx << 8)) as u16;
+        block.vertical[i] = (fy << 8) as u16;
+    }
+}
+
+#[inline(always)]
+fn round_multiply(a: i32, b: i32) -> i32 {
+    (a * b + 0x4000) >> 15
+}
+
+/// Samples the first `count` positions of `block` from a BGR view, times `gain` (Q14), into `out`.
+///
+/// Up to seven pixels past `count` are written with values without meaning.
+pub fn sample(view: &View<u8>, block: &Block, count: usize, gain: &[i16; 4], out: &mut Pixels, avx2: bool) {
+    let count = count.min(BLOCK);
+    #[cfg(target_arch = "x86_64")]
+    if avx2 && view.data.len() >= view.stride + 8 {
+        let padded = count.div_ceil(8) * 8;
+        let far = block.offset[..padded].iter().fold(0, |m, o| m.max(*o)) as usize;
+        // Each neighbour pair is loaded as 8 bytes: the last two pixels of a view without padding go the slow way.
+        if far + view.stride + 8 <= view.data.len() {
+            // SAFETY: AVX2 is present; every load lies inside the view as just checked.
+            unsafe { sample_avx2(view.data.as_ptr(), view.stride, block, padded, gain, out) };
+            return;
+        }
+    }
+    let _ = avx2;
+    for i in 0..count {
+        let at = block.offset[i] as usize;
+        let top = &view.data[at..at + 6];
+        let bottom = &view.data[at + view.stride..at + view.stride + 6];
+        let (left, right) = (i32::from(block.horizontal[i] & 255), i32::from(block.horizontal[i] >> 8));
+        for c in 0..3 {
+            let t = i32::from(top[c]) * left + i32::from(top[c + 3]) * right;
+            let b = i32::from(bottom[c]) * left + i32::from(bottom[c + 3]) * right;
+            let value = t + round_multiply((b - t) * 2, i32::from(block.vertical[i]));
+            out.0[4 * i + c] = ((round_multiply(value, i32::from(gain[c])) + 16) >> 5).clamp(0, 255) as u8;
+        }
+        out.0[4 * i + 3] = 0;
+    }
+}
+
+/// # Safety
+/// For each of the first `count` offsets (a multiple of 8, at most 64), `offset + stride + 8` bytes must be readable.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+unsafe fn sample_avx2(
+    source: *const u8,
+    stride: usize,
+    block: &Block,
+    count: usize,
+    gain: &[i16; 4],
+    out: &mut Pixels,
+) {
+    use std::arch::x86_64::*;
+    let pairs = _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 3, 1, 4, 2, 5, -1, -1, 8, 11, 9, 12, 10, 13, -1, -1));
+    let spread = _mm256_setr_epi8(
+        0, 1, 0, 1, 0, 1, 0, 1, 2, 3, 2, 3, 2, 3, 2, 3, 4, 5, 4, 5, 4, 5, 4, 5, 6, 7, 6, 7, 6, 7, 6, 7,
+    );
+    // SAFETY: `gain` is 8 bytes.
+    let gain = _mm256_set1_epi64x(unsafe { gain.as_ptr().cast::<i64>().read_unaligned() });
+    let half = _mm256_set1_epi16(16);
+    // Two 8-byte loads into one register.
+    let pair = |a: *const u8, b: *const u8| {
+        // SAFETY: both loads lie inside the view, by the caller's promise.
+        unsafe { _mm_castpd_si128(_mm_loadh_pd(_mm_load_sd(a.cast()), b.cast())) }
+    };
+    let four = |i: usize| {
+        // SAFETY: offsets lie inside the view (caller's promise); i + 4 <= 64.
+        unsafe {
+            let o = block.offset.as_ptr().add(i);
+            let (p0, p1) = (source.add(*o as usize), source.add(*o.add(1) as usize));
+            let (p2, p3) = (source.add(*o.add(2) as usize), source.add(*o.add(3) as usize));
+            let top = _mm256_set_m128i(pair(p2, p3), pair(p0, p1));
+            let bottom = _mm256_set_m128i(pair(p2.add(stride), p3.add(stride)), pair(p0.add(stride), p1.add(stride)));
+            let h = block.horizontal.as_ptr().add(i).cast::<i64>().read_unaligned();
+            let h = _mm256_shuffle_epi8(_mm256_set1_epi64x(h), spread);
+            let v = block.vertical.as_ptr().add(i).cast::<i64>().read_unaligned();
+            let v = _mm256_shuffle_epi8(_mm256_set1_epi64x(v), spread);
+            let top = _mm256_maddubs_epi16(_mm256_shuffle_epi8(top, pairs), h);
+            let bottom = _mm256_maddubs_epi16(_mm256_shuffle_epi8(bottom, pairs), h);
+            let difference = _mm256_slli_epi16(_mm256_sub_epi16(bottom, top), 1);
+            let value = _mm256_add_epi16(top, _mm256_mulhrs_epi16(difference, v));
+            _mm256_srai_epi16(_mm256_add_epi16(_mm256_mulhrs_epi16(value, gain), half), 5)
+        }
+    };
+    let mut i = 0;
+    while i < count {
+        let packed = _mm256_permute4x64_epi64(_mm256_packus_epi16(four(i), four(i + 4)), 0xD8);
+        // SAFETY: i + 8 <= 64 pixels of 4 bytes.
+        unsafe { _mm256_storeu_si256(out.0.as_mut_ptr().add(4 * i).cast(), packed) };
+        i += 8;
+    }
+}
+
+/// Writes the first pixels of `pixels` as packed BGR; `out` gives their number (3 bytes each).
+pub fn pack_bgr(pixels: &Pixels, out: &mut [u8], avx2: bool) {
+    let count = out.len() / 3;
+    let mut i = 0;
+    #[cfg(target_arch = "x86_64")]
+    if avx2 {
+        // SAFETY: AVX2 is present.
+        i = unsafe { pack_bgr_avx2(pixels, out) };
+    }
+    let _ = avx2;
+    while i < count {
+        out[3 * i..3 * i + 3].copy_from_slice(&pixels.0[4 * i..4 * i + 3]);
+        i += 1;
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn pack_bgr_avx2(pixels: &Pixels, out: &mut [u8]) -> usize {
+    use std::arch::x86_64::*;
+    let squeeze = _mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1);
+    let mut i = 0;
+    while 3 * i + 16 <= out.len() {
+        // SAFETY: 16 bytes are readable (out.len() / 3 <= 64 pixels) and writable (loop condition).
+        unsafe {
+            let four = _mm_loadu_si128(pixels.0.as_ptr().add(4 * i).cast());
+            _mm_storeu_si128(out.as_mut_ptr().add(3 * i).cast(), _mm_shuffle_epi8(four, squeeze));
+        }
+        i += 4;
+    }
+    i
+}
+
+/// Columns of one row that a view covers, end excluded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Span {
+    /// First column.
+    pub start: u32,
+    /// One past the last column; not above `start` when the row is empty.
+    pub end: u32,
+}
+
+impl Span {
+    /// True when no column is covered.
+    pub fn is_empty(&self) -> bool {
+        self.end <= self.start
+    }
+
+    /// True when the column lies in the span.
+    pub fn contains(&self, x: u32) -> bool {
+        x >= self.start && x < self.end
+    }
+}
+
+/// The columns of each of `rows` output rows whose source position lies inside the view.
+///
+/// `source_from_output` must be scaled so that its third row is positive where the view lies.
+pub fn coverage(
+    source_from_output: &[f64; 9],
+    view: (usize, usize),
+    columns: usize,
+    rows: usize,
+    spans: &mut Vec<Span>,
+) {
+    let m = source_from_output;
+    let (w, h) = ((view.0 - 1) as f64, (view.1 - 1) as f64);
+    // Each border of the view is a half plane a x + b y + c >= 0 of the output.
+    let planes = [
+        [m[0], m[1], m[2]],
+        [m[3], m[4], m[5]],
+        [w * m[6] - m[0], w * m[7] - m[1], w * m[8] - m[2]],
+        [h * m[6] - m[3], h * m[7] - m[4], h * m[8] - m[5]],
+        [m[6], m[7], m[8]],
+    ];
+    spans.clear();
+    for y in 0..rows {
+        let (mut low, mut high) = (0.0f64, columns as f64 - 1.0);
+        for [a, b, c] in planes {
+            let rest = b * y as f64 + c;
+            let slack = 1e-9 * (1.0 + rest.abs());
+            if a > 0.0 {
+                low = low.max((-rest - slack) / a);
+            } else if a < 0.0 {
+                high = high.min((rest + slack) / -a);
+            } else if rest < -slack {
+                high = -1.0;
+            }
+        }
+        let (start, end) = ((low - 1e-6).ceil(), (high + 1e-6).floor() + 1.0);
+        let empty = end <= start;
+        spans.push(if empty { Span::default() } else { Span { start: start.max(0.0) as u32, end: end as u32 } });
+    }
+}

@@ -1,0 +1,224 @@
+//! Frames that a test hands to the node.
+
+use crate::abi::{self, Detection, Frame};
+use crate::detections::{LabeledDetections, LabeledInstances};
+use crate::output::Slot;
+use crate::packet::{Packet, Plane, PointCloud, TextPacket};
+use crate::port::PortField;
+use crate::table::TableData;
+use crate::View;
+
+use super::error::HarnessError;
+use super::outputs::copy_rows;
+use super::{Harness, call, memory, nearest};
+
+/// What waits at an input port for the next call.
+pub(super) enum Pending {
+    /// Nothing was said.
+    Unconnected,
+    /// Frames, [`Frame::EMPTY`] for those said to be empty.
+    Frames(Vec<Frame>),
+}
+
+impl Pending {
+    pub(super) fn buffers(&self) -> usize {
+        match self {
+            Pending::Unconnected => 0,
+            Pending::Frames(frames) => frames.iter().filter(|f| !f.is_empty()).count(),
+        }
+    }
+}
+
+impl<N> Harness<N> {
+    /// Hands an image (or mask, disparity map, ...) of `width` x `height` pixels to an input. On a list input every call adds an entry.
+    /// A mistake is reported by the next [`Harness::process`].
+    pub fn input_image<P: Plane>(
+        &mut self,
+        name: &str,
+        width: usize,
+        height: usize,
+        data: &[P::Element],
+    ) -> &mut Self {
+        self.input_image_with_stride::<P>(name, width, height, width * P::CHANNELS, data)
+    }
+
+    /// As [`Harness::input_image`] with rows that start `stride` elements apart, in `data` and in the frame.
+    pub fn input_image_with_stride<P: Plane>(
+        &mut self,
+        name: &str,
+        width: usize,
+        height: usize,
+        stride: usize,
+        data: &[P::Element],
+    ) -> &mut Self {
+        let row = width * P::CHANNELS;
+        let need = if height == 0 { 0 } else { (height - 1) * stride + row };
+        if width == 0 || height == 0 || stride < row || data.len() < need {
+            let problem = format!(
+                "input `{name}`: {width}x{height} pixels with {stride} elements a row need {need} elements, {} were given",
+                data.len()
+            );
+            return self.refuse(problem);
+        }
+        let size = size_of::<P::Element>();
+        let described = Frame {
+            format: P::FORMAT,
+            width: width as u32,
+            height: height as u32,
+            stride_bytes: (stride * size) as u32,
+            ..Frame::EMPTY
+        };
+        let bytes = crate::packet::bytes_of(&data[..need]);
+        let frame = memory::store(self.pool, bytes, described);
+        self.accept(name, P::PACKET, 0, P::FORMAT, frame)
+    }
+
+    /// Hands plain data to an input: a homography, a calibration, an own packet.
+    pub fn input_value<T: Packet>(&mut self, name: &str, value: T) -> &mut Self {
+        self.made::<T>(name, T::NAME, T::LAYOUT_HASH, |slot| slot.set(value))
+    }
+
+    /// Hands a text to an input.
+    pub fn input_text(&mut self, name: &str, text: &str) -> &mut Self {
+        self.made::<TextPacket>(name, "text", 0, |slot| slot.set_text(text))
+    }
+
+    /// Hands a table to an input: `columns` are names with their units, `values` stand in row order.
+    pub fn input_table(&mut self, name: &str, columns: &[&str], values: &[f64]) -> &mut Self {
+        self.made::<TableData>(name, "table", 0, |slot| slot.set_table(columns, values))
+    }
+
+    /// Hands boxes to an input. `labels` are names separated by line feeds, `image_size` is width, height in px.
+    pub fn input_detections(
+        &mut self,
+        name: &str,
+        items: &[Detection],
+        labels: &str,
+        image_size: (usize, usize),
+    ) -> &mut Self {
+        self.made::<LabeledDetections>(name, "detections", 0, |slot| slot.set_detections(items, labels, image_size))
+    }
+
+    /// Hands boxes with bit masks to an input, see [`crate::detections::mask_len`].
+    pub fn input_instances(
+        &mut self,
+        name: &str,
+        items: &[Detection],
+        labels: &str,
+        image_size: (usize, usize),
+        masks: &[u8],
+    ) -> &mut Self {
+        self.made::<LabeledInstances>(name, "instances", 0, |slot| slot.set_instances(items, labels, image_size, masks))
+    }
+
+    /// Hands a point cloud to an input.
+    pub fn input_cloud(&mut self, name: &str, width: usize, height: usize, points: &[abi::CloudPoint]) -> &mut Self {
+        if points.len() != width * height {
+            return self.refuse(format!("input `{name}`: {width}x{height} points were said, {} given", points.len()));
+        }
+        self.made::<PointCloud>(name, "cloud", 0, |slot| {
+            copy_rows(View::new(points, width, height, 1), slot.alloc_cloud(width, height)?);
+            Ok(())
+        })
+    }
+
+    /// Says that an input is connected but empty for the next tick. On a list input every call adds an empty entry.
+    pub fn input_empty(&mut self, name: &str) -> &mut Self {
+        self.place(name, Frame::EMPTY)
+    }
+
+    fn refuse(&mut self, problem: String) -> &mut Self {
+        self.problem.get_or_insert_with(|| HarnessError::port(problem));
+        self
+    }
+
+    /// Makes a frame the way a node would.
+    fn made<T>(
+        &mut self,
+        name: &str,
+        packet: &str,
+        layout_hash: u64,
+        fill: impl FnOnce(&mut Slot<'_, T>) -> crate::Result<()>,
+    ) -> &mut Self
+    where
+        for<'f> Slot<'f, T>: PortField<'f>,
+    {
+        match call::make_frame::<T>(self.pool, &self.host, fill) {
+            Ok(frame) => self.accept(name, packet, layout_hash, frame.format, Some(frame)),
+            Err(error) => self.refuse(format!("input `{name}`: {error}")),
+        }
+    }
+
+    /// Checks what was given against the port's declaration.
+    fn accept(&mut self, name: &str, packet: &str, layout_hash: u64, format: u32, frame: Option<Frame>) -> &mut Self {
+        let Some(frame) = frame else {
+            return self.refuse(format!("input `{name}`: no more buffers are allowed"));
+        };
+        let problem = self.node_type.input(name).and_then(|index| {
+            let port = &self.node_type.inputs[index].packet;
+            if port.name == panoscope_graph::PacketType::ANY {
+                return None;
+            }
+            if port.name != packet {
+                return Some(format!("input `{name}` takes `{}`, it was given `{packet}`", port.name));
+            }
+            if port.layout_hash != 0 && layout_hash != 0 && port.layout_hash != layout_hash {
+                return Some(format!("input `{name}` takes `{packet}` of another layout"));
+            }
+            let word = format_word(format);
+            (!port.formats.is_empty() && !port.formats.iter().any(|f| f == word))
+                .then(|| format!("input `{name}` takes {}, it was given {word}", port.formats.join(", ")))
+        });
+        match problem {
+            Some(problem) => {
+                memory::release(frame.buffer);
+                self.refuse(problem)
+            }
+            None => self.place(name, frame),
+        }
+    }
+
+    fn place(&mut self, name: &str, frame: Frame) -> &mut Self {
+        let Some(index) = self.node_type.input(name) else {
+            if !frame.is_empty() {
+                memory::release(frame.buffer);
+            }
+            let names = self.node_type.inputs.iter().map(|p| p.name.as_str());
+            let problem = format!("there is no input `{name}`{}", nearest(name, names));
+            return self.refuse(problem);
+        };
+        let is_list = self.node_type.inputs[index].list;
+        match &mut self.pending[index] {
+            Pending::Frames(frames) if is_list => frames.push(frame),
+            Pending::Frames(_) => {
+                if !frame.is_empty() {
+                    memory::release(frame.buffer);
+                }
+                return self.refuse(format!("input `{name}` was given twice; it is no list"));
+            }
+            waiting => *waiting = Pending::Frames(vec![frame]),
+        }
+        self
+    }
+
+    /// Gives up what waits at the inputs.
+    pub(super) fn drop_inputs(&mut self) {
+        for waiting in &mut self.pending {
+            if let Pending::Frames(frames) = std::mem::replace(waiting, Pending::Unconnected) {
+                frames.iter().filter(|f| !f.is_empty()).for_each(|f| memory::release(f.buffer));
+            }
+        }
+    }
+}
+
+fn format_word(format: u32) -> &'static str {
+    match format {
+        abi::FORMAT_GRAY8 => "gray8",
+        abi::FORMAT_BGR8 => "bgr8",
+        abi::FORMAT_RGBA8 => "rgba8",
+        abi::FORMAT_GRAY16 => "gray16",
+        abi::FORMAT_F32 => "f32",
+        abi::FORMAT_CLOUD => "cloud",
+        _ => "bytes",
+    }
+}

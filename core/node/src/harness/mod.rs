@@ -1,0 +1,329 @@
+//! Runs one node in a unit test, with parameters from TOML text and a complete host in the same process.
+//!
+//! ```ignore
+//! let mut node = Harness::<StereoBm>::from_toml("params = { search_px = 64 }")?;
+//! let out = node.input_image::<Gray8>("left", 640, 480, &left).input_image::<Gray8>("right", 640, 480, &right).process()?;
+//! let disparity = out.plane::<Disparity>("disparity")?;
+//! ```
+//!
+//! Parameters are checked as in a graph file, with the same messages. Fresh memory is filled with `0xA5`, so that pixels which a
+//! node forgets show. When the harness is dropped every buffer must have come back, or the test fails.
+
+mod call;
+mod error;
+mod host;
+mod inputs;
+mod memory;
+mod outputs;
+mod params;
+
+use std::ffi::c_void;
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+
+use panoscope_graph::from_abi::{ParamSnapshot, node_types};
+use panoscope_graph::{NodeType, ParamValue};
+
+pub use error::HarnessError;
+pub use outputs::Outputs;
+
+use crate::Node;
+use crate::abi::{self, Str};
+use crate::export::NodeTypeOf;
+
+/// How loud a log line is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Level {
+    /// Stops the node.
+    Error,
+    /// The user should know.
+    Warn,
+    /// Progress.
+    Info,
+    /// For whoever debugs the node.
+    Debug,
+}
+
+/// A line that the node logged.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LogLine {
+    /// How loud.
+    pub level: Level,
+    /// The words.
+    pub message: String,
+}
+
+/// A number that the node reported.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Metric {
+    /// Its name.
+    pub name: String,
+    /// The number.
+    pub value: f64,
+}
+
+/// Stands for a node type that is known only by its descriptor, such as one from C.
+pub enum Foreign {}
+
+/// How a node is opened.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    toml: String,
+    node_id: String,
+    graph_dir: PathBuf,
+    threads: usize,
+    batch: bool,
+    read: Option<Vec<String>>,
+}
+
+impl Default for Setup {
+    fn default() -> Self {
+        let (toml, node_id) = (String::new(), "node".to_owned());
+        Self { toml, node_id, graph_dir: PathBuf::from("."), threads: 1, batch: false, read: None }
+    }
+}
+
+impl From<&str> for Setup {
+    fn from(toml: &str) -> Self {
+        Self { toml: toml.to_owned(), ..Self::default() }
+    }
+}
+
+impl Setup {
+    /// `toml` is what would stand under `[nodes.NAME]`: `params = { ... }`.
+    pub fn new(toml: &str) -> Self {
+        toml.into()
+    }
+
+    /// The node's name in the graph; `node` unless given.
+    pub fn node_id(self, node_id: &str) -> Self {
+        Self { node_id: node_id.to_owned(), ..self }
+    }
+
+    /// Folder of the graph file, which paths are relative to; the current folder unless given.
+    pub fn graph_dir(self, graph_dir: impl AsRef<Path>) -> Self {
+        Self { graph_dir: graph_dir.as_ref().to_owned(), ..self }
+    }
+
+    /// Threads that take part in loops; 1 unless given.
+    pub fn threads(self, threads: usize) -> Self {
+        Self { threads: threads.max(1), ..self }
+    }
+
+    /// As in a graph with `mode = "batch"`.
+    pub fn batch(self) -> Self {
+        Self { batch: true, ..self }
+    }
+
+    /// Only these outputs have a reader; all have one unless given.
+    pub fn read_only(self, outputs: &[&str]) -> Self {
+        Self { read: Some(outputs.iter().map(|o| (*o).to_owned()).collect()), ..self }
+    }
+}
+
+/// One open node and its host.
+pub struct Harness<N = Foreign> {
+    descriptor: *const abi::NodeType,
+    node_type: NodeType,
+    setup: Setup,
+    host: Box<abi::Host>,
+    pool: u32,
+    instance: Option<*mut c_void>,
+    values: Vec<ParamValue>,
+    snapshot: ParamSnapshot,
+    params_version: u64,
+    outputs_read: u64,
+    next_tick: abi::Tick,
+    pending: Vec<inputs::Pending>,
+    problem: Option<HarnessError>,
+    said: host::Said,
+    node: PhantomData<fn() -> N>,
+}
+
+impl<N: Node> Harness<N> {
+    /// Opens the node with the text that would stand under `[nodes.NAME]` of a graph file; empty for the defaults.
+    ///
+    /// # Errors
+    /// Mistakes in the text, with the messages of a graph file; what the node's `open` answers.
+    pub fn from_toml(toml: &str) -> Result<Self, HarnessError> {
+        Self::open(Setup::new(toml))
+    }
+
+    /// Opens the node.
+    ///
+    /// # Errors
+    /// As [`Harness::from_toml`].
+    pub fn open(setup: Setup) -> Result<Self, HarnessError> {
+        // SAFETY: the table is never freed.
+        unsafe { crate::host::attach(host::attached()) };
+        crate::export::install_panic_hook();
+        let descriptor: &'static abi::NodeType = &NodeTypeOf::<N>::NODE_TYPE;
+        let plugin = abi::Plugin {
+            magic: abi::MAGIC,
+            abi_major: abi::ABI_MAJOR,
+            abi_minor: abi::ABI_MINOR,
+            struct_size: size_of::<abi::Plugin>() as u32,
+            reserved: 0,
+            name: Str::new("test"),
+            version: Str::new("0"),
+            doc: Str::EMPTY,
+            node_types: &raw const descriptor as *const *const abi::NodeType,
+            node_types_len: 1,
+            note: std::ptr::null(),
+            attach: None,
+        };
+        // SAFETY: descriptors made by this crate.
+        let node_type = unsafe { node_types(&plugin) }?.remove(0);
+        Self::with(descriptor, node_type, setup)
+    }
+}
+
+impl Harness<Foreign> {
+    /// Opens node type `name` of a plugin's descriptor, such as one that came out of `dlopen`.
+    ///
+    /// # Errors
+    /// A malformed descriptor, an unknown type; else as [`Harness::from_toml`].
+    ///
+    /// # Safety
+    /// `plugin` is the answer of a plugin's entry function, valid until the process ends, and the plugin keeps the contract.
+    pub unsafe fn of_plugin(plugin: *const abi::Plugin, name: &str, setup: Setup) -> Result<Self, HarnessError> {
+        // SAFETY: the caller's promise.
+        let types = unsafe { node_types(plugin) }?;
+        let names = || types.iter().map(|t| t.name.as_str());
+        let Some(index) = names().position(|n| n == name) else {
+            return Err(HarnessError::port(format!("the plugin has no node type `{name}`{}", nearest(name, names()))));
+        };
+        // SAFETY: `node_types` went through the same pointers.
+        unsafe {
+            if let Some(attach) = (*plugin).attach {
+                attach(host::attached());
+            }
+            Self::with(*(*plugin).node_types.add(index), types[index].clone(), setup)
+        }
+    }
+}
+
+impl<N> Harness<N> {
+    fn with(descriptor: *const abi::NodeType, node_type: NodeType, setup: Setup) -> Result<Self, HarnessError> {
+        let values = params::read(&node_type, &setup.graph_dir, &setup.toml)?;
+        let mut outputs_read = u64::MAX;
+        if let Some(read) = &setup.read {
+            outputs_read = 0;
+            for name in read {
+                let Some(index) = node_type.output(name) else {
+                    let names = node_type.outputs.iter().map(|o| o.name.as_str());
+                    return Err(HarnessError::port(format!("there is no output `{name}`{}", nearest(name, names))));
+                };
+                outputs_read |= 1_u64.checked_shl(index as u32).unwrap_or(0);
+            }
+        }
+        let mut harness = Self {
+            descriptor,
+            host: host::table(setup.threads),
+            pool: memory::open_pool(),
+            instance: None,
+            snapshot: ParamSnapshot::new(&values),
+            values,
+            params_version: 0,
+            outputs_read,
+            next_tick: abi::Tick::default(),
+            pending: (0..node_type.inputs.len()).map(|_| inputs::Pending::Unconnected).collect(),
+            problem: None,
+            said: host::Said::default(),
+            node_type,
+            setup,
+            node: PhantomData,
+        };
+        harness.reopen()?;
+        Ok(harness)
+    }
+
+    /// The node type as a graph file sees it: ports, parameters, texts.
+    pub fn node_type(&self) -> &NodeType {
+        &self.node_type
+    }
+
+    /// Gives the node other parameters, as an editor does while the graph runs: what stands in `toml` replaces all earlier text.
+    /// A change of a `reopen` parameter closes the node and opens it again.
+    ///
+    /// # Errors
+    /// As [`Harness::from_toml`]; after mistakes in the text the old parameters stay.
+    pub fn set_params(&mut self, toml: &str) -> Result<(), HarnessError> {
+        let values = params::read(&self.node_type, &self.setup.graph_dir, toml)?;
+        let declared = self.node_type.params.iter().zip(values.iter().zip(&self.values));
+        let reopen = declared.into_iter().any(|(param, (new, old))| param.reopen && new != old);
+        self.snapshot = ParamSnapshot::new(&values);
+        self.values = values;
+        self.params_version += 1;
+        if reopen { self.reopen() } else { Ok(()) }
+    }
+
+    /// The tick of the next call; later calls count on from it. Without it ticks begin at 0, 30 in a second of media time.
+    pub fn at_tick(&mut self, seq: u64, capture_ns: i64) -> &mut Self {
+        self.next_tick = abi::Tick { seq, capture_ns, ..self.next_tick };
+        self
+    }
+
+    /// Allows the node to hold no more than so many buffers at once, inputs included: the next one is refused as exhausted.
+    pub fn limit_buffers(&mut self, buffers: usize) -> &mut Self {
+        memory::limit(self.pool, Some(buffers));
+        self
+    }
+
+    /// Everything the node logged since it was made.
+    pub fn logs(&self) -> &[LogLine] {
+        &self.said.logs
+    }
+
+    /// Every number the node reported since it was made, in order.
+    pub fn metrics(&self) -> &[Metric] {
+        &self.said.metrics
+    }
+
+    /// The last value of a metric.
+    pub fn metric(&self, name: &str) -> Option<f64> {
+        self.said.metrics.iter().rev().find(|m| m.name == name).map(|m| m.value)
+    }
+
+    /// Frames copied by the host because they were written while shared.
+    pub fn copies(&self) -> u64 {
+        self.said.copies
+    }
+
+    /// Bytes of outputs made so far.
+    pub fn allocated_bytes(&self) -> u64 {
+        self.said.allocated_bytes
+    }
+
+    /// Buffers that the node keeps between calls.
+    pub fn kept_buffers(&self) -> usize {
+        let waiting = self.pending.iter().map(inputs::Pending::buffers).sum::<usize>();
+        memory::alive(self.pool).saturating_sub(waiting)
+    }
+}
+
+impl<N> Drop for Harness<N> {
+    fn drop(&mut self) {
+        self.close();
+        self.drop_inputs();
+        let broken = memory::broken(self.pool);
+        let left = memory::close_pool(self.pool);
+        if std::thread::panicking() {
+            return;
+        }
+        assert!(left == 0, "the node was closed and still holds {left} frames: every `retain` needs a `release`");
+        if let Some(problem) = broken {
+            panic!("the node broke the contract: {problem}");
+        }
+    }
+}
+
+/// `, did you mean ...?`, or the list of what there is.
+fn nearest<'a>(wanted: &str, names: impl Iterator<Item = &'a str>) -> String {
+    let names: Vec<&str> = names.collect();
+    match names.as_slice() {
+        [] => ": there are none".to_owned(),
+        names if names.iter().any(|n| n.eq_ignore_ascii_case(wanted)) => format!(": names are lower case ({wanted})"),
+        names => format!("; there are: {}", names.join(", ")),
+    }
+}

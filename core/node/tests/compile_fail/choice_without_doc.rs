@@ -1,0 +1,8 @@
+use panoscope_node::*;
+
+#[derive(Choice)]
+enum Method {
+    Nearest,
+}
+
+fn main() {}

@@ -1,0 +1,9 @@
+use panoscope_node::*;
+
+#[derive(Params)]
+struct Settings {
+    /// Width of the search.
+    search_px: u32,
+}
+
+fn main() {}

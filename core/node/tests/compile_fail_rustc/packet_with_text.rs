@@ -1,0 +1,10 @@
+use panoscope_node::*;
+
+#[repr(C)]
+#[derive(Clone, Copy, Packet)]
+#[packet(name = "beat")]
+struct Beat {
+    name: &'static str,
+}
+
+fn main() {}

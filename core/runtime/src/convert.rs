@@ -1,0 +1,36 @@
+//! Conversions that the host does for readers, once per output and tick.
+
+use panoscope_abi::{self as abi, Frame};
+use panoscope_imaging::{View, ViewMut};
+
+use crate::memory::{FrameRef, memory};
+
+/// Whether a reader of gray8 needs a copy of this frame.
+pub(crate) fn wants(frame: &Frame) -> bool {
+    !frame.is_empty() && frame.format == abi::FORMAT_BGR8
+}
+
+/// The frame as gray8; `None` when frame memory is used up.
+pub(crate) fn to_gray8(source: &FrameRef) -> Option<FrameRef> {
+    let frame = source.frame();
+    let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
+    let need = if height == 0 { 0 } else { (height - 1) * stride + width * 3 };
+    if need > frame.len || stride < width * 3 {
+        return Some(FrameRef::empty(frame.tick));
+    }
+    let (buffer, data) = memory().allocate(width * height).ok()?;
+    // SAFETY: a fresh buffer of at least `width * height` initialised bytes that nobody else sees yet.
+    let out = unsafe { std::slice::from_raw_parts_mut(data, width * height) };
+    if width * height > 0 {
+        let from = View::with_stride(source.bytes(), width, height, 3, stride);
+        panoscope_imaging::features::bgr_to_gray(&from, &mut ViewMut::new(out, width, height, 1));
+    }
+    Some(FrameRef::adopt(Frame {
+        buffer,
+        data,
+        len: width * height,
+        format: abi::FORMAT_GRAY8,
+        stride_bytes: width as u32,
+        ..*frame
+    }))
+}

@@ -1,0 +1,181 @@
+//! A look into a plugin's file before it is loaded: is it whole, and what does its note say?
+//!
+//! A cut-off shared object dies of SIGBUS when it is mapped, and its constructors run before any handshake, so both are settled by
+//! reading the file. Only 64-bit ELF is read.
+
+use panoscope_abi as abi;
+
+/// What the note says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Note {
+    /// ABI major number that the plugin was built with.
+    pub abi_major: u32,
+    /// ABI minor number that the plugin was built with.
+    pub abi_minor: u32,
+    /// Plugin name.
+    pub name: String,
+    /// Plugin version.
+    pub version: String,
+    /// Names of its node types.
+    pub node_types: Vec<String>,
+}
+
+/// Why a file is no usable plugin.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ElfError {
+    /// Not an ELF shared object of this machine.
+    #[error("it is no shared library for this machine ({what})")]
+    NotElf {
+        /// What was seen instead.
+        what: String,
+    },
+    /// Shorter than its own tables say.
+    #[error("it is cut off: {what} ends at byte {end}, the file has {len}")]
+    CutOff {
+        /// Part that is missing.
+        what: &'static str,
+        /// Where the part would end.
+        end: u64,
+        /// Length of the file.
+        len: u64,
+    },
+    /// A shared library without the note.
+    #[error("it carries no Panoscope note, so it is no Panoscope plugin")]
+    NoNote,
+    /// The note does not parse.
+    #[error("its Panoscope note is damaged: {what}")]
+    BadNote {
+        /// What is wrong with it.
+        what: String,
+    },
+}
+
+const PT_LOAD: u32 = 1;
+const SHT_NOBITS: u32 = 8;
+
+struct Reader<'a>(&'a [u8]);
+
+impl Reader<'_> {
+    fn bytes<const N: usize>(&self, at: u64) -> Option<[u8; N]> {
+        let at = usize::try_from(at).ok()?;
+        self.0.get(at..at.checked_add(N)?)?.try_into().ok()
+    }
+
+    fn u16(&self, at: u64) -> Option<u64> {
+        self.bytes(at).map(|b| u64::from(u16::from_le_bytes(b)))
+    }
+
+    fn u32(&self, at: u64) -> Option<u32> {
+        self.bytes(at).map(u32::from_le_bytes)
+    }
+
+    fn u64(&self, at: u64) -> Option<u64> {
+        self.bytes(at).map(u64::from_le_bytes)
+    }
+
+    fn inside(&self, what: &'static str, start: u64, len: u64) -> Result<(), ElfError> {
+        let file_len = self.0.len() as u64;
+        let end = start.saturating_add(len);
+        if end > file_len { Err(ElfError::CutOff { what, end, len: file_len }) } else { Ok(()) }
+    }
+}
+
+/// Checks that every segment and section lies inside the file and reads the note.
+pub fn read_note(file: &[u8]) -> Result<Note, ElfError> {
+    let reader = Reader(file);
+    if file.len() < 4 || &file[..4] != b"\x7fELF" {
+        let what =
+            if file.is_empty() { "the file is empty".to_owned() } else { "it does not begin with ELF".to_owned() };
+        return Err(ElfError::NotElf { what });
+    }
+    reader.inside("the ELF header", 0, 64)?;
+    if file[4] != 2 || file[5] != 1 {
+        return Err(ElfError::NotElf { what: "not 64-bit little-endian".to_owned() });
+    }
+    let machine = reader.u16(18).unwrap_or(0);
+    let expected = if cfg!(target_arch = "x86_64") { 62 } else { 183 };
+    if machine != expected {
+        return Err(ElfError::NotElf { what: format!("built for processor type {machine}, this is {expected}") });
+    }
+    if reader.u16(16) != Some(3) {
+        return Err(ElfError::NotElf { what: "not a shared library".to_owned() });
+    }
+    let lost = |what| ElfError::BadNote { what: format!("{what} cannot be read") };
+    let (programs, sections) = (reader.u64(32).ok_or(lost("header"))?, reader.u64(40).ok_or(lost("header"))?);
+    let program_size = reader.u16(54).ok_or(lost("header"))?;
+    let program_count = reader.u16(56).ok_or(lost("header"))?;
+    let section_size = reader.u16(58).ok_or(lost("header"))?;
+    let section_count = reader.u16(60).ok_or(lost("header"))?;
+    reader.inside("the table of segments", programs, program_size * program_count)?;
+    reader.inside("the table of sections", sections, section_size * section_count)?;
+    let mut notes = Vec::new();
+    for index in 0..program_count {
+        let at = programs + index * program_size;
+        let kind = reader.u32(at).ok_or(lost("segment"))?;
+        let (offset, size) = (reader.u64(at + 8).ok_or(lost("segment"))?, reader.u64(at + 32).ok_or(lost("segment"))?);
+        if kind == PT_LOAD {
+            reader.inside("a segment", offset, size)?;
+        }
+    }
+    for index in 0..section_count {
+        let at = sections + index * section_size;
+        let kind = reader.u32(at + 4).ok_or(lost("section"))?;
+        let (offset, size) = (reader.u64(at + 24).ok_or(lost("section"))?, reader.u64(at + 32).ok_or(lost("section"))?);
+        if kind != SHT_NOBITS {
+            reader.inside("a section", offset, size)?;
+        }
+        if kind == 7 {
+            notes.push((offset, size));
+        }
+    }
+    for (offset, size) in notes {
+        if let Some(note) = find_note(&file[offset as usize..(offset + size) as usize])? {
+            return Ok(note);
+        }
+    }
+    Err(ElfError::NoNote)
+}
+
+fn find_note(section: &[u8]) -> Result<Option<Note>, ElfError> {
+    let reader = Reader(section);
+    let mut at = 0u64;
+    while let (Some(owner_len), Some(body_len), Some(kind)) = (reader.u32(at), reader.u32(at + 4), reader.u32(at + 8)) {
+        let owner_at = at + 12;
+        let body_at = owner_at + u64::from(owner_len).next_multiple_of(4);
+        let owner = section.get(owner_at as usize..(owner_at + u64::from(owner_len)) as usize).unwrap_or(&[]);
+        if owner == abi::NOTE_OWNER && kind == abi::NOTE_TYPE {
+            let end = body_at + u64::from(body_len);
+            let Some(body) = section.get(body_at as usize..end as usize) else {
+                return Err(ElfError::BadNote { what: "it is cut off".to_owned() });
+            };
+            return parse_body(body).map(Some);
+        }
+        at = body_at + u64::from(body_len).next_multiple_of(4);
+    }
+    Ok(None)
+}
+
+fn parse_body(body: &[u8]) -> Result<Note, ElfError> {
+    let reader = Reader(body);
+    let need = 8 + abi::NOTE_NAME_LEN + abi::NOTE_VERSION_LEN;
+    let (Some(abi_major), Some(abi_minor)) = (reader.u32(0), reader.u32(4)) else {
+        return Err(ElfError::BadNote { what: format!("{} bytes instead of at least {need}", body.len()) });
+    };
+    // A note of another major version may have another shape after its first two numbers.
+    let text = |start: usize, len: usize| -> Result<String, ElfError> {
+        let bytes = body.get(start..(start + len).min(body.len())).unwrap_or(&[]);
+        let end = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
+        match std::str::from_utf8(&bytes[..end]) {
+            Ok(text) => Ok(text.to_owned()),
+            Err(_) => Err(ElfError::BadNote { what: "a text is not UTF-8".to_owned() }),
+        }
+    };
+    let name = text(8, abi::NOTE_NAME_LEN)?;
+    let version = text(8 + abi::NOTE_NAME_LEN, abi::NOTE_VERSION_LEN)?;
+    let nodes = text(need, abi::NOTE_NODES_LEN)?;
+    if abi_major == abi::ABI_MAJOR && (name.is_empty() || body.len() < size_of::<abi::NoteBody>()) {
+        return Err(ElfError::BadNote { what: "it is too short or names no plugin".to_owned() });
+    }
+    let node_types = nodes.split(',').filter(|n| !n.is_empty()).map(str::to_owned).collect();
+    Ok(Note { abi_major, abi_minor, name, version, node_types })
+}

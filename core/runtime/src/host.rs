@@ -1,0 +1,239 @@
+//! The functions that the host offers to plugins.
+
+use std::ffi::c_void;
+use std::sync::OnceLock;
+
+use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str};
+
+use crate::log::{Level, Log};
+use crate::memory::{FrameRef, MemoryError, memory};
+use crate::pool;
+use crate::stats::{NodeStats, bump};
+
+/// What stands behind a `call` handle.
+pub(crate) struct CallContext<'a> {
+    /// Output frames of the running call; each non-empty one holds a reference.
+    pub outputs: *mut Frame,
+    pub outputs_len: usize,
+    pub stats: &'a NodeStats,
+    pub log: &'a Log,
+    pub node_id: &'a str,
+    /// What the node said when it failed; reused.
+    pub failure: &'a mut String,
+    pub random: u64,
+    pub tick: abi::Tick,
+    /// In batch an exhausted memory is waited for, in live it drops the tick.
+    pub wait_for_memory: bool,
+    pub metrics: &'a std::sync::Mutex<Vec<(String, f64)>>,
+}
+
+unsafe fn context<'a>(call: *mut c_void) -> Option<&'a mut CallContext<'a>> {
+    // SAFETY: plugins pass back the handle of the running call (the contract).
+    unsafe { call.cast::<CallContext<'a>>().as_mut() }
+}
+
+impl CallContext<'_> {
+    fn output(&mut self, index: u32) -> Option<&mut Frame> {
+        // SAFETY: `outputs` holds `outputs_len` frames for the length of the call.
+        ((index as usize) < self.outputs_len).then(|| unsafe { &mut *self.outputs.add(index as usize) })
+    }
+
+    fn place(&mut self, index: u32, frame: Frame) -> Status {
+        let tick = self.tick;
+        match self.output(index) {
+            Some(slot) => {
+                drop(FrameRef::adopt(*slot));
+                *slot = Frame { tick, ..frame };
+                abi::STATUS_OK
+            }
+            None => {
+                drop(FrameRef::adopt(frame));
+                abi::STATUS_INVALID
+            }
+        }
+    }
+
+    fn allocate(&self, len: usize) -> Result<(BufferId, *mut u8), Status> {
+        let mut patience_ms = if self.wait_for_memory { 5_000 } else { 0 };
+        loop {
+            match memory().allocate(len) {
+                Ok(buffer) => return Ok(buffer),
+                Err(MemoryError::Exhausted { .. }) if patience_ms > 0 => {
+                    patience_ms -= 1;
+                    std::thread::sleep(std::time::Duration::from_millis(1));
+                }
+                Err(MemoryError::Exhausted { .. }) => return Err(abi::STATUS_EXHAUSTED),
+                Err(MemoryError::TooLarge { .. }) => return Err(abi::STATUS_INVALID),
+            }
+        }
+    }
+}
+
+unsafe extern "C" fn alloc(
+    call: *mut c_void,
+    output: u32,
+    format: u32,
+    width: u32,
+    height: u32,
+    stride_bytes: u32,
+    len: usize,
+) -> Status {
+    // SAFETY: see `context`.
+    let Some(context) = (unsafe { context(call) }) else { return abi::STATUS_INVALID };
+    if output as usize >= context.outputs_len {
+        return abi::STATUS_INVALID;
+    }
+    match context.allocate(len) {
+        Ok((buffer, data)) => {
+            let frame = Frame { buffer, data, len, format, width, height, stride_bytes, tick: context.tick };
+            context.place(output, frame)
+        }
+        Err(status) => status,
+    }
+}
+
+unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame) -> Status {
+    // SAFETY: see `context`; the frame is read for the length of this function.
+    let (Some(context), Some(frame)) = (unsafe { (context(call), frame.as_ref()) }) else {
+        return abi::STATUS_INVALID;
+    };
+    if memory().references(frame.buffer) == 0 {
+        return abi::STATUS_INVALID;
+    }
+    memory().retain(frame.buffer);
+    context.place(output, *frame)
+}
+
+unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
+    // SAFETY: see `context`.
+    let Some(context) = (unsafe { context(call) }) else { return abi::STATUS_INVALID };
+    let Some(&mut frame) = context.output(output) else { return abi::STATUS_INVALID };
+    if frame.is_empty() {
+        return abi::STATUS_INVALID;
+    }
+    if memory().references(frame.buffer) == 1 {
+        return abi::STATUS_OK;
+    }
+    match context.allocate(frame.len) {
+        Ok((buffer, data)) => {
+            // SAFETY: two live buffers of at least `len` bytes that do not overlap.
+            unsafe { std::ptr::copy_nonoverlapping(frame.data, data, frame.len) };
+            bump(&context.stats.copies);
+            context.place(output, Frame { buffer, data, ..frame })
+        }
+        Err(status) => status,
+    }
+}
+
+unsafe extern "C" fn retain(_: *mut c_void, buffer: BufferId) {
+    memory().retain(buffer);
+}
+
+unsafe extern "C" fn release(_: *mut c_void, buffer: BufferId) {
+    memory().release(buffer);
+}
+
+unsafe extern "C" fn resolve(_: *mut c_void, buffer: BufferId) -> *mut u8 {
+    memory().resolve(buffer)
+}
+
+unsafe extern "C" fn parallel_for(_: *mut c_void, chunks: usize, body: ChunkFn, data: *mut c_void) -> Status {
+    // SAFETY: the plugin's promise to `parallel_for`.
+    if unsafe { pool::parallel_for(chunks, body, data) } { abi::STATUS_OK } else { abi::STATUS_INVALID }
+}
+
+unsafe fn words<'a>(text: Str) -> std::borrow::Cow<'a, str> {
+    // SAFETY: the plugin lends the text for the length of the call.
+    String::from_utf8_lossy(unsafe { text.bytes() })
+}
+
+unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
+    // SAFETY: see `context` and `words`.
+    if let Some(context) = unsafe { context(call) } {
+        let level = match level {
+            abi::LOG_ERROR => Level::Error,
+            abi::LOG_WARN => Level::Warn,
+            abi::LOG_INFO => Level::Info,
+            _ => Level::Debug,
+        };
+        // SAFETY: as above.
+        context.log.say(level, context.node_id, &unsafe { words(message) });
+    }
+}
+
+unsafe extern "C" fn fail(call: *mut c_void, message: Str) {
+    // SAFETY: see `context` and `words`.
+    if let Some(context) = unsafe { context(call) } {
+        context.failure.clear();
+        // SAFETY: as above.
+        context.failure.push_str(&unsafe { words(message) });
+    }
+}
+
+unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
+    // SAFETY: see `context` and `words`.
+    if let Some(context) = unsafe { context(call) } {
+        // SAFETY: as above.
+        let name = unsafe { words(name) };
+        let mut metrics = context.metrics.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        match metrics.iter_mut().find(|(known, _)| *known == name) {
+            Some((_, slot)) => *slot = value,
+            None => metrics.push((name.into_owned(), value)),
+        }
+    }
+}
+
+unsafe extern "C" fn random(call: *mut c_void) -> u64 {
+    // SAFETY: see `context`.
+    match unsafe { context(call) } {
+        Some(context) => {
+            // SplitMix64 (Steele, Lea, Flood 2014).
+            context.random = context.random.wrapping_add(0x9E37_79B9_7F4A_7C15);
+            let mut z = context.random;
+            z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+            z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+            z ^ (z >> 31)
+        }
+        None => 0,
+    }
+}
+
+unsafe extern "C" fn save(sink: *mut c_void, bytes: *const u8, len: usize) {
+    // SAFETY: `sink` is the `Vec` that the engine passed to `save_state`; `bytes` are lent for the call.
+    unsafe {
+        if let Some(sink) = sink.cast::<Vec<u8>>().as_mut()
+            && len > 0
+        {
+            sink.extend_from_slice(std::slice::from_raw_parts(bytes, len));
+        }
+    }
+}
+
+/// A function table for an engine with `threads` threads.
+pub(crate) fn table(threads: usize) -> Host {
+    Host {
+        struct_size: size_of::<Host>() as u32,
+        abi_major: abi::ABI_MAJOR,
+        abi_minor: abi::ABI_MINOR,
+        threads: threads as u32,
+        ctx: std::ptr::null_mut(),
+        alloc: Some(alloc),
+        forward: Some(forward),
+        make_mut: Some(make_mut),
+        retain: Some(retain),
+        release: Some(release),
+        resolve: Some(resolve),
+        parallel_for: Some(parallel_for),
+        log: Some(log),
+        fail: Some(fail),
+        metric: Some(metric),
+        random: Some(random),
+        save: Some(save),
+    }
+}
+
+/// The table given to plugins when they are loaded; lives as long as the process.
+pub(crate) fn process_table() -> *const Host {
+    static TABLE: OnceLock<Host> = OnceLock::new();
+    TABLE.get_or_init(|| table(std::thread::available_parallelism().map_or(1, usize::from)))
+}

@@ -1,0 +1,340 @@
+//! Finds plugins, reads their notes, loads those that are needed and fills the catalogue.
+
+use std::collections::BTreeMap;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use panoscope_abi as abi;
+use panoscope_graph::{Catalog, NodeType, PluginProblem};
+
+use crate::elf::{self, ElfError, Note};
+use crate::host;
+
+/// Environment variable with further plugin folders, separated by colons.
+pub const PLUGIN_PATH_VARIABLE: &str = "PANOSCOPE_PLUGIN_PATH";
+
+/// Why a plugin could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum LoadError {
+    /// The file cannot be read.
+    #[error("{file} cannot be read: {cause}", file = file.display())]
+    Unreadable {
+        /// The plugin's file.
+        file: PathBuf,
+        /// What the system says.
+        cause: std::io::Error,
+    },
+    /// The file is no whole plugin.
+    #[error("{file} is not used: {cause}", file = file.display())]
+    BadFile {
+        /// The plugin's file.
+        file: PathBuf,
+        /// What is wrong with it.
+        cause: ElfError,
+    },
+    /// Built for another host.
+    #[error("{file} was built for plugin ABI {found}, this host speaks {expected}", file = file.display())]
+    AbiMismatch {
+        /// The plugin's file.
+        file: PathBuf,
+        /// Major number in the plugin's note.
+        found: u32,
+        /// Major number of this host.
+        expected: u32,
+    },
+    /// The dynamic linker refused it.
+    #[error("{file} does not load: {cause}", file = file.display())]
+    Link {
+        /// The plugin's file.
+        file: PathBuf,
+        /// What the dynamic linker says.
+        cause: String,
+    },
+    /// It loaded, but what it says of itself makes no sense.
+    #[error("{file} describes itself wrongly: {cause}", file = file.display())]
+    BadDescriptor {
+        /// The plugin's file.
+        file: PathBuf,
+        /// What is wrong.
+        cause: String,
+    },
+}
+
+impl LoadError {
+    fn file(&self) -> &Path {
+        match self {
+            Self::Unreadable { file, .. }
+            | Self::BadFile { file, .. }
+            | Self::AbiMismatch { file, .. }
+            | Self::Link { file, .. }
+            | Self::BadDescriptor { file, .. } => file,
+        }
+    }
+
+    fn help(&self) -> String {
+        match self {
+            Self::AbiMismatch { .. } => "rebuild the plugin against this version of panoscope".to_owned(),
+            Self::BadFile { .. } | Self::BadDescriptor { .. } => "build or copy the plugin again".to_owned(),
+            Self::Link { .. } => "install the library that is named, or rebuild the plugin".to_owned(),
+            Self::Unreadable { .. } => "check the path and its permissions".to_owned(),
+        }
+    }
+
+    /// For the graph checker.
+    pub fn problem(&self, plugin: &str) -> PluginProblem {
+        PluginProblem {
+            plugin: plugin.to_owned(),
+            file: self.file().display().to_string(),
+            message: self.to_string(),
+            help: self.help(),
+        }
+    }
+}
+
+/// A plugin's file and what its note says.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// The shared library.
+    pub file: PathBuf,
+    /// What stands in its note.
+    pub note: Note,
+}
+
+/// A loaded plugin; it stays mapped until the process ends.
+#[derive(Clone)]
+pub struct Loaded {
+    /// Where it came from.
+    pub found: Found,
+    /// Its node types for the catalogue.
+    pub node_types: Vec<NodeType>,
+    /// Its node types for the engine, in the same order.
+    pub entries: Vec<&'static abi::NodeType>,
+}
+
+/// All plugins that can be seen from here.
+#[derive(Default)]
+pub struct Loader {
+    found: BTreeMap<String, Found>,
+    problems: Vec<PluginProblem>,
+    loaded: Mutex<BTreeMap<String, Result<Loaded, PluginProblem>>>,
+}
+
+/// Folders that are searched: those given, `PANOSCOPE_PLUGIN_PATH`, `plugins` beside the program, the build's folder.
+pub fn search_path(extra: &[PathBuf]) -> Vec<PathBuf> {
+    let mut folders = extra.to_vec();
+    if let Some(list) = std::env::var_os(PLUGIN_PATH_VARIABLE) {
+        folders.extend(std::env::split_paths(&list).filter(|p| !p.as_os_str().is_empty()));
+    }
+    if let Ok(program) = std::env::current_exe()
+        && let Some(folder) = program.parent()
+    {
+        folders.push(folder.join("plugins"));
+        if folder.file_name() == Some(OsStr::new("deps"))
+            && let Some(up) = folder.parent()
+        {
+            folders.push(up.join("plugins"));
+        }
+    }
+    let mut unique: Vec<PathBuf> = Vec::new();
+    for folder in folders {
+        if !unique.contains(&folder) {
+            unique.push(folder);
+        }
+    }
+    unique
+}
+
+/// Reads a plugin's note without loading it.
+pub fn inspect(file: &Path) -> Result<Found, LoadError> {
+    let bytes = std::fs::read(file).map_err(|cause| LoadError::Unreadable { file: file.to_owned(), cause })?;
+    let note = elf::read_note(&bytes).map_err(|cause| LoadError::BadFile { file: file.to_owned(), cause })?;
+    if note.abi_major != abi::ABI_MAJOR {
+        let (found, expected) = (note.abi_major, abi::ABI_MAJOR);
+        return Err(LoadError::AbiMismatch { file: file.to_owned(), found, expected });
+    }
+    Ok(Found { file: file.to_owned(), note })
+}
+
+/// Loads a plugin from a private copy of its file, so that a rebuild never changes what is mapped.
+pub fn load(found: &Found) -> Result<Loaded, LoadError> {
+    let file = &found.file;
+    let link = |cause: String| LoadError::Link { file: file.clone(), cause };
+    let bytes = std::fs::read(file).map_err(|cause| LoadError::Unreadable { file: file.clone(), cause })?;
+    // Checked again on the very bytes that are loaded: the file may have changed since it was found.
+    elf::read_note(&bytes).map_err(|cause| LoadError::BadFile { file: file.clone(), cause })?;
+    let copy = private_copy(file, &bytes).map_err(|e| link(format!("no private copy could be made: {e}")))?;
+    // SAFETY: constructors of the library run here. The note says that it is a plugin of this ABI; a plugin is trusted like
+    // any program its user installs.
+    let library = unsafe {
+        libloading::os::unix::Library::open(Some(&copy.path), libc::RTLD_NOW | libc::RTLD_LOCAL)
+            .map_err(|e| link(clean(&e, &copy.path, file)))
+    };
+    let library = library?;
+    let bad = |cause: String| LoadError::BadDescriptor { file: file.clone(), cause };
+    // SAFETY: the symbol's type is part of the contract.
+    let plugin = unsafe {
+        let entry = library
+            .get::<abi::Entry>(abi::ENTRY_SYMBOL.as_bytes())
+            .map_err(|_| bad(format!("it exports no symbol `{}`", abi::ENTRY_SYMBOL)))?;
+        entry()
+    };
+    // The library stays mapped: its threads, thread-locals and exit handlers cannot be undone safely.
+    std::mem::forget(library);
+    // SAFETY: a descriptor of a plugin that stays mapped; every field is checked before use.
+    let node_types = unsafe { panoscope_graph::from_abi::node_types(plugin) }.map_err(|e| bad(e.to_string()))?;
+    // SAFETY: validated by `node_types`.
+    let descriptor = unsafe { &*plugin };
+    // SAFETY: as above.
+    let name = unsafe { descriptor.name.text() }.unwrap_or("");
+    if name != found.note.name {
+        return Err(bad(format!("its note says `{}`, its code says `{name}`", found.note.name)));
+    }
+    // SAFETY: validated by `node_types`.
+    let entries: Vec<&'static abi::NodeType> =
+        (0..descriptor.node_types_len).map(|index| unsafe { &**descriptor.node_types.add(index) }).collect();
+    if let Some(attach) = descriptor.attach {
+        // SAFETY: the process-wide table outlives every plugin.
+        let status = unsafe { attach(host::process_table()) };
+        if status != abi::STATUS_OK {
+            return Err(bad(format!("it refused the host ({status})")));
+        }
+    }
+    Ok(Loaded { found: found.clone(), node_types, entries })
+}
+
+struct PrivateCopy {
+    path: PathBuf,
+}
+
+/// A copy in memory where the system offers it, else in the folder for temporary files.
+fn private_copy(file: &Path, bytes: &[u8]) -> std::io::Result<PrivateCopy> {
+    use std::io::Write;
+    use std::os::fd::{FromRawFd, IntoRawFd};
+    let name = file.file_name().unwrap_or(OsStr::new("plugin")).to_string_lossy();
+    let c_name = std::ffi::CString::new(name.as_bytes()).map_err(std::io::Error::other)?;
+    // SAFETY: a plain system call with a terminated name.
+    let fd = unsafe { libc::memfd_create(c_name.as_ptr(), libc::MFD_CLOEXEC) };
+    if fd < 0 {
+        return Err(std::io::Error::last_os_error());
+    }
+    // SAFETY: a fresh descriptor that nobody else owns.
+    let mut copy = unsafe { std::fs::File::from_raw_fd(fd) };
+    copy.write_all(bytes)?;
+    // The descriptor stays open like the mapping: debuggers and profilers read symbols through it.
+    Ok(PrivateCopy { path: PathBuf::from(format!("/proc/self/fd/{}", copy.into_raw_fd())) })
+}
+
+fn clean(error: &libloading::Error, copy: &Path, file: &Path) -> String {
+    let mut text = error.to_string();
+    if let Some(source) = std::error::Error::source(error) {
+        text = source.to_string();
+    }
+    text.replace(&copy.display().to_string(), &file.display().to_string())
+}
+
+impl Loader {
+    /// Looks into the given folders, earlier ones first; reads notes, loads nothing.
+    pub fn search(folders: &[PathBuf]) -> Self {
+        let mut this = Self::default();
+        for folder in folders {
+            let Ok(entries) = std::fs::read_dir(folder) else { continue };
+            let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
+            files.sort();
+            for file in files.into_iter().filter(|f| f.extension() == Some(OsStr::new("so"))) {
+                match inspect(&file) {
+                    Ok(found) => {
+                        this.found.entry(found.note.name.clone()).or_insert(found);
+                    }
+                    // Any library may stand in such a folder; only what claims to be a plugin is worth a word.
+                    Err(LoadError::BadFile { cause: ElfError::NoNote, .. }) => {}
+                    Err(error) => this.problems.push(error.problem(&stem(&file))),
+                }
+            }
+        }
+        let found = &this.found;
+        this.problems.retain(|p| !found.contains_key(&p.plugin));
+        this
+    }
+
+    /// Plugins by name.
+    pub fn found(&self) -> impl Iterator<Item = &Found> {
+        self.found.values()
+    }
+
+    /// Files that look like plugins and cannot be used.
+    pub fn problems(&self) -> &[PluginProblem] {
+        &self.problems
+    }
+
+    /// The plugins that offer a node type, from their notes.
+    pub fn offering(&self, node_type: &str) -> Vec<&Found> {
+        self.found.values().filter(|f| f.note.node_types.iter().any(|n| n == node_type)).collect()
+    }
+
+    /// Loads a plugin, once.
+    pub fn load(&self, plugin: &str) -> Result<Loaded, PluginProblem> {
+        let mut loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(done) = loaded.get(plugin) {
+            return done.clone();
+        }
+        let result = match self.found.get(plugin) {
+            Some(found) => load(found).map_err(|e| e.problem(plugin)),
+            None => match self.problems.iter().find(|p| p.plugin == plugin) {
+                Some(problem) => Err(problem.clone()),
+                None => return Err(missing(plugin)),
+            },
+        };
+        loaded.insert(plugin.to_owned(), result.clone());
+        result
+    }
+
+    /// The catalogue for a graph: its listed plugins loaded, all others by name only.
+    pub fn catalog<S: AsRef<str>>(&self, plugins: &[S]) -> Catalog {
+        let mut catalog = Catalog { problems: self.problems.clone(), ..Catalog::default() };
+        for plugin in self.found.keys() {
+            if !plugins.iter().any(|p| p.as_ref() == plugin) {
+                catalog.plugins.push(plugin.clone());
+            }
+        }
+        for plugin in plugins {
+            let plugin = plugin.as_ref();
+            match self.load(plugin) {
+                Ok(loaded) => {
+                    if !catalog.plugins.iter().any(|p| p == plugin) {
+                        catalog.plugins.push(plugin.to_owned());
+                        catalog.node_types.extend(loaded.node_types);
+                    }
+                }
+                Err(problem) if self.found.contains_key(plugin) => catalog.problems.push(problem),
+                Err(_) => {}
+            }
+        }
+        catalog.plugins.sort();
+        catalog
+    }
+
+    /// The engine's entry of a node type.
+    pub fn entry(&self, plugin: &str, node_type: &str) -> Option<&'static abi::NodeType> {
+        let loaded = self.load(plugin).ok()?;
+        let index = loaded.node_types.iter().position(|t| t.name == node_type)?;
+        loaded.entries.get(index).copied()
+    }
+}
+
+fn stem(file: &Path) -> String {
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    let stem = stem.strip_prefix("lib").unwrap_or(&stem);
+    stem.strip_prefix("panoscope_").unwrap_or(stem).to_owned()
+}
+
+fn missing(plugin: &str) -> PluginProblem {
+    PluginProblem {
+        plugin: plugin.to_owned(),
+        file: String::new(),
+        message: format!("no plugin `{plugin}` was found"),
+        help: format!(
+            "folders searched: the graph's plugin_paths, {PLUGIN_PATH_VARIABLE}, `plugins` beside the program"
+        ),
+    }
+}

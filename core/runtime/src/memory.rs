@@ -1,0 +1,303 @@
+//! Frame memory: reference-counted buffers named by (pool, offset).
+//!
+//! One pool per power of two. A pool reserves address space once and touches it slot by slot, so a buffer's address is its pool's base
+//! plus its offset, and never changes. Buffers come back to their pool's free list when the last reference goes.
+
+use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering, fence};
+use std::sync::{Mutex, OnceLock, PoisonError};
+
+use panoscope_abi::{BufferId, Frame};
+
+const SMALLEST_BITS: u32 = 8;
+const LARGEST_BITS: u32 = 30;
+const POOLS: usize = (LARGEST_BITS - SMALLEST_BITS + 1) as usize;
+const MOST_SLOTS: usize = 1 << 16;
+const RESERVE_BYTES: usize = 4 << 30;
+
+struct Pool {
+    base: *mut u8,
+    bits: u32,
+    references: Box<[AtomicU32]>,
+    free: Mutex<Free>,
+}
+
+struct Free {
+    slots: Vec<u32>,
+    untouched: u32,
+}
+
+// SAFETY: `base` is a mapping that is never undone; slots are handed out once at a time under `free` and `references`.
+unsafe impl Send for Pool {}
+// SAFETY: as above.
+unsafe impl Sync for Pool {}
+
+/// The frame memory of the process.
+pub struct Memory {
+    pools: [OnceLock<Option<Pool>>; POOLS],
+    in_use_bytes: AtomicI64,
+    limit_bytes: AtomicI64,
+    allocations: AtomicU64,
+}
+
+/// Why a buffer could not be had.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MemoryError {
+    /// The limit is reached or the pool has no slot left.
+    #[error("frame memory is used up: {wanted_bytes} bytes wanted, {in_use_bytes} in use of {limit_bytes}")]
+    Exhausted {
+        /// Bytes asked for.
+        wanted_bytes: usize,
+        /// Bytes handed out.
+        in_use_bytes: i64,
+        /// Most bytes that may be handed out.
+        limit_bytes: i64,
+    },
+    /// More than any pool holds.
+    #[error("a frame of {wanted_bytes} bytes is larger than the largest buffer of 1 GiB")]
+    TooLarge {
+        /// Bytes asked for.
+        wanted_bytes: usize,
+    },
+}
+
+/// The frame memory of the process.
+pub fn memory() -> &'static Memory {
+    static MEMORY: Memory = Memory {
+        pools: [const { OnceLock::new() }; POOLS],
+        in_use_bytes: AtomicI64::new(0),
+        limit_bytes: AtomicI64::new(2 << 30),
+        allocations: AtomicU64::new(0),
+    };
+    &MEMORY
+}
+
+impl Pool {
+    fn reserve(bits: u32) -> Option<Pool> {
+        let slots = (RESERVE_BYTES >> bits).clamp(2, MOST_SLOTS);
+        // SAFETY: a fresh anonymous mapping; nothing is touched until a slot is used.
+        let base = unsafe {
+            libc::mmap(
+                std::ptr::null_mut(),
+                slots << bits,
+                libc::PROT_READ | libc::PROT_WRITE,
+                libc::MAP_PRIVATE | libc::MAP_ANONYMOUS | libc::MAP_NORESERVE,
+                -1,
+                0,
+            )
+        };
+        if base == libc::MAP_FAILED {
+            return None;
+        }
+        let references = (0..slots).map(|_| AtomicU32::new(0)).collect();
+        let free = Mutex::new(Free { slots: Vec::with_capacity(slots.min(1024)), untouched: 0 });
+        Some(Pool { base: base.cast(), bits, references, free })
+    }
+
+    fn take(&self) -> Option<u32> {
+        let mut free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(slot) = free.slots.pop() {
+            return Some(slot);
+        }
+        if (free.untouched as usize) < self.references.len() {
+            free.untouched += 1;
+            return Some(free.untouched - 1);
+        }
+        None
+    }
+}
+
+impl Memory {
+    /// Most bytes that may be handed out at a time.
+    pub fn set_limit_bytes(&self, limit: i64) {
+        self.limit_bytes.store(limit, Ordering::Relaxed);
+    }
+
+    /// Bytes handed out now (as sizes of the buffers, not of the frames).
+    pub fn in_use_bytes(&self) -> i64 {
+        self.in_use_bytes.load(Ordering::Relaxed)
+    }
+
+    /// Buffers handed out since the process began.
+    pub fn allocations(&self) -> u64 {
+        self.allocations.load(Ordering::Relaxed)
+    }
+
+    fn pool(&self, number: u32) -> Option<&Pool> {
+        self.pools.get((number as usize).checked_sub(1)?)?.get()?.as_ref()
+    }
+
+    /// A buffer of at least `len` bytes with one reference; its contents are what was there before.
+    pub fn allocate(&self, len: usize) -> Result<(BufferId, *mut u8), MemoryError> {
+        let bits = usize::BITS - len.max(1).saturating_sub(1).leading_zeros();
+        let bits = bits.max(SMALLEST_BITS);
+        if bits > LARGEST_BITS {
+            return Err(MemoryError::TooLarge { wanted_bytes: len });
+        }
+        let number = bits - SMALLEST_BITS;
+        let size = 1i64 << bits;
+        let limit_bytes = self.limit_bytes.load(Ordering::Relaxed);
+        let exhausted = |in_use_bytes| MemoryError::Exhausted { wanted_bytes: len, in_use_bytes, limit_bytes };
+        let before = self.in_use_bytes.fetch_add(size, Ordering::Relaxed);
+        let slot = if before + size > limit_bytes {
+            None
+        } else {
+            self.pools[number as usize].get_or_init(|| Pool::reserve(bits)).as_ref().and_then(|p| Some((p, p.take()?)))
+        };
+        let Some((pool, slot)) = slot else {
+            self.in_use_bytes.fetch_sub(size, Ordering::Relaxed);
+            return Err(exhausted(before));
+        };
+        self.allocations.fetch_add(1, Ordering::Relaxed);
+        pool.references[slot as usize].store(1, Ordering::Relaxed);
+        let offset = (slot as u64) << bits;
+        let id = BufferId { pool: number + 1, reserved: 0, offset };
+        // SAFETY: the slot lies inside the reserved mapping.
+        Ok((id, unsafe { pool.base.add(offset as usize) }))
+    }
+
+    /// Address of a buffer, null when there is no such buffer.
+    pub fn resolve(&self, id: BufferId) -> *mut u8 {
+        match self.slot(id) {
+            // SAFETY: the slot lies inside the reserved mapping.
+            Some((pool, _)) => unsafe { pool.base.add(id.offset as usize) },
+            None => std::ptr::null_mut(),
+        }
+    }
+
+    fn slot(&self, id: BufferId) -> Option<(&Pool, usize)> {
+        let pool = self.pool(id.pool)?;
+        let slot = (id.offset >> pool.bits) as usize;
+        (slot < pool.references.len() && (slot as u64) << pool.bits == id.offset).then_some((pool, slot))
+    }
+
+    /// References to a buffer.
+    pub fn references(&self, id: BufferId) -> u32 {
+        self.slot(id).map_or(0, |(pool, slot)| pool.references[slot].load(Ordering::Acquire))
+    }
+
+    /// One reference more.
+    pub fn retain(&self, id: BufferId) {
+        if let Some((pool, slot)) = self.slot(id) {
+            pool.references[slot].fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// One reference less; the last one gives the buffer back.
+    pub fn release(&self, id: BufferId) {
+        let Some((pool, slot)) = self.slot(id) else { return };
+        let before = pool.references[slot].load(Ordering::Relaxed);
+        if before == 0 {
+            return; // A plugin released once too often: the buffer is free already.
+        }
+        if pool.references[slot].fetch_sub(1, Ordering::Release) == 1 {
+            fence(Ordering::Acquire);
+            self.in_use_bytes.fetch_sub(1 << pool.bits, Ordering::Relaxed);
+            pool.free.lock().unwrap_or_else(PoisonError::into_inner).slots.push(slot as u32);
+        }
+    }
+}
+
+/// One reference to a frame's buffer, or to none for an empty port. Lies in memory like the contract's [`Frame`].
+#[derive(Debug)]
+#[repr(transparent)]
+pub struct FrameRef(Frame);
+
+impl FrameRef {
+    /// An empty port at a tick.
+    pub fn empty(tick: panoscope_abi::Tick) -> Self {
+        Self(Frame { tick, ..Frame::EMPTY })
+    }
+
+    /// Takes over one reference that the caller holds.
+    pub fn adopt(frame: Frame) -> Self {
+        Self(frame)
+    }
+
+    /// Gives the reference to the caller.
+    pub fn into_raw(self) -> Frame {
+        let frame = self.0;
+        std::mem::forget(self);
+        frame
+    }
+
+    /// The description.
+    pub fn frame(&self) -> &Frame {
+        &self.0
+    }
+
+    /// The tick.
+    pub fn tick(&self) -> panoscope_abi::Tick {
+        self.0.tick
+    }
+
+    /// Whether the port is empty.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The bytes; empty for an empty port.
+    pub fn bytes(&self) -> &[u8] {
+        if self.0.is_empty() || self.0.len == 0 {
+            return &[];
+        }
+        // SAFETY: this reference keeps the buffer alive; nodes write only buffers that nobody shares.
+        unsafe { std::slice::from_raw_parts(self.0.data, self.0.len) }
+    }
+}
+
+impl Clone for FrameRef {
+    fn clone(&self) -> Self {
+        if !self.0.is_empty() {
+            memory().retain(self.0.buffer);
+        }
+        Self(self.0)
+    }
+}
+
+impl Drop for FrameRef {
+    fn drop(&mut self) {
+        if !self.0.is_empty() {
+            memory().release(self.0.buffer);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn buffers_come_back_and_are_reused() {
+        let memory = memory();
+        let (id, address) = memory.allocate(1000).expect("memory");
+        assert_eq!(memory.resolve(id), address);
+        assert_eq!(address as usize % 64, 0);
+        memory.retain(id);
+        memory.release(id);
+        assert_eq!(memory.references(id), 1);
+        memory.release(id);
+        assert_eq!(memory.references(id), 0);
+        memory.release(id);
+        assert_eq!(memory.references(id), 0, "one release too many does no harm");
+    }
+
+    #[test]
+    fn hostile_ids_name_nothing() {
+        let memory = memory();
+        for id in [
+            BufferId { pool: 0, reserved: 0, offset: 0 },
+            BufferId { pool: 999, reserved: 0, offset: 0 },
+            BufferId { pool: 3, reserved: 0, offset: 77 },
+            BufferId { pool: 3, reserved: 0, offset: u64::MAX },
+        ] {
+            assert!(memory.resolve(id).is_null());
+            memory.retain(id);
+            memory.release(id);
+        }
+    }
+
+    #[test]
+    fn too_much_is_refused() {
+        assert!(matches!(memory().allocate(2 << 30), Err(MemoryError::TooLarge { .. })));
+    }
+}

@@ -1,0 +1,262 @@
+//! The one thread pool: node tasks, and loops of kernels inside nodes.
+
+use std::cell::Cell;
+use std::collections::VecDeque;
+use std::ffi::c_void;
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+use panoscope_abi::ChunkFn;
+
+/// Runs a node task; called on a worker.
+pub type Task = Arc<dyn Fn(u32) + Send + Sync>;
+
+/// A loop whose caller waits on the stack until all chunks are done.
+struct Loop {
+    body: unsafe extern "C" fn(*mut c_void, usize),
+    data: *mut c_void,
+    chunks: usize,
+    next: AtomicUsize,
+    /// Workers inside `help` of this loop.
+    helpers: AtomicU32,
+    caller: std::thread::Thread,
+}
+
+impl Loop {
+    fn run_chunks(&self) {
+        loop {
+            let index = self.next.fetch_add(1, Ordering::Relaxed);
+            if index >= self.chunks {
+                return;
+            }
+            // SAFETY: the plugin's promise to `parallel_for`: callable from any thread for each index once.
+            unsafe { (self.body)(self.data, index) }
+        }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct LoopPtr(*const Loop);
+// SAFETY: a loop is on the list only while its caller waits for it; workers enter under the pool's lock.
+unsafe impl Send for LoopPtr {}
+
+struct State {
+    tasks: VecDeque<u32>,
+    loops: Vec<LoopPtr>,
+    idle: usize,
+    stop: bool,
+}
+
+struct Inner {
+    state: Mutex<State>,
+    wake: Condvar,
+    threads: usize,
+    stopping: AtomicBool,
+}
+
+/// A pool of `threads` workers.
+pub struct Pool {
+    inner: Arc<Inner>,
+    workers: Mutex<Vec<JoinHandle<()>>>,
+}
+
+thread_local! {
+    static CURRENT: Cell<*const Inner> = const { Cell::new(std::ptr::null()) };
+}
+
+fn lock(inner: &Inner) -> MutexGuard<'_, State> {
+    inner.state.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Pool {
+    /// A pool without workers; `start` brings them to life.
+    pub fn new(threads: usize) -> Self {
+        let state = State { tasks: VecDeque::with_capacity(1024), loops: Vec::with_capacity(64), idle: 0, stop: false };
+        let inner = Inner {
+            state: Mutex::new(state),
+            wake: Condvar::new(),
+            threads: threads.max(1),
+            stopping: AtomicBool::new(false),
+        };
+        Self { inner: Arc::new(inner), workers: Mutex::new(Vec::new()) }
+    }
+
+    /// Threads that work.
+    pub fn threads(&self) -> usize {
+        self.inner.threads
+    }
+
+    /// Starts the workers.
+    pub fn start(&self, task: &Task) -> std::io::Result<()> {
+        let mut workers = self.workers.lock().unwrap_or_else(PoisonError::into_inner);
+        for number in 0..self.inner.threads {
+            let (inner, task) = (Arc::clone(&self.inner), Arc::clone(task));
+            let builder = std::thread::Builder::new().name(format!("pool-{number}"));
+            workers.push(builder.spawn(move || worker(&inner, &task))?);
+        }
+        Ok(())
+    }
+
+    /// Makes this pool the one that `parallel_for` uses on the calling thread.
+    pub fn enter(&self) {
+        CURRENT.with(|current| current.set(Arc::as_ptr(&self.inner)));
+    }
+
+    /// Queues a node task.
+    pub fn push(&self, task: u32) {
+        let mut state = lock(&self.inner);
+        state.tasks.push_back(task);
+        let wake = state.idle > 0;
+        drop(state);
+        if wake {
+            self.inner.wake.notify_one();
+        }
+    }
+
+    /// Lets the workers finish what is queued and joins them.
+    pub fn stop(&self) {
+        self.inner.stopping.store(true, Ordering::Relaxed);
+        lock(&self.inner).stop = true;
+        self.inner.wake.notify_all();
+        let workers = std::mem::take(&mut *self.workers.lock().unwrap_or_else(PoisonError::into_inner));
+        for worker in workers {
+            let _ = worker.join();
+        }
+    }
+}
+
+fn worker(inner: &Arc<Inner>, task: &Task) {
+    CURRENT.with(|current| current.set(Arc::as_ptr(inner)));
+    let mut state = lock(inner);
+    loop {
+        // Chunks first: somebody waits for them, and they finish what was begun.
+        let found = state.loops.iter().copied().find(|l| {
+            // SAFETY: on the list, so its caller has not returned.
+            let l = unsafe { &*l.0 };
+            l.next.load(Ordering::Relaxed) < l.chunks
+        });
+        if let Some(found) = found {
+            // SAFETY: as above; counted as helper under the lock, so the caller waits for us.
+            let this = unsafe { &*found.0 };
+            this.helpers.fetch_add(1, Ordering::Relaxed);
+            drop(state);
+            this.run_chunks();
+            let caller = this.caller.clone();
+            if this.helpers.fetch_sub(1, Ordering::Release) == 1 {
+                // `this` may be gone now; its caller's handle was copied.
+                caller.unpark();
+            }
+            state = lock(inner);
+            continue;
+        }
+        if let Some(next) = state.tasks.pop_front() {
+            drop(state);
+            task(next);
+            state = lock(inner);
+            continue;
+        }
+        if state.stop {
+            return;
+        }
+        state.idle += 1;
+        state = inner.wake.wait(state).unwrap_or_else(PoisonError::into_inner);
+        state.idle -= 1;
+    }
+}
+
+/// Runs `body(data, i)` for `i` in `0..chunks`; the caller takes part and, when out of chunks, waits for helpers of
+/// this loop only.
+///
+/// # Safety
+/// `body` may be called from any thread, once per index, with `data` until this returns.
+pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> bool {
+    let Some(body) = body else { return false };
+    let inner = CURRENT.with(Cell::get);
+    // SAFETY: set by `enter` or `worker` on this thread while the pool lives.
+    let inner = unsafe { inner.as_ref() };
+    let Some(inner) = inner.filter(|i| i.threads > 1 && chunks > 1) else {
+        for index in 0..chunks {
+            // SAFETY: the caller's promise.
+            unsafe { body(data, index) }
+        }
+        return true;
+    };
+    let this = Loop {
+        body,
+        data,
+        chunks,
+        next: AtomicUsize::new(0),
+        helpers: AtomicU32::new(0),
+        caller: std::thread::current(),
+    };
+    let wanted = (inner.threads - 1).min(chunks - 1);
+    let mut state = lock(inner);
+    state.loops.push(LoopPtr(&raw const this));
+    let wake = state.idle.min(wanted);
+    drop(state);
+    for _ in 0..wake {
+        inner.wake.notify_one();
+    }
+    this.run_chunks();
+    let mut state = lock(inner);
+    state.loops.retain(|l| !std::ptr::eq(l.0, &raw const this));
+    drop(state);
+    // No worker can enter any more. Helpers run at most one chunk each now: a short wait.
+    let mut spins = 0;
+    while this.helpers.load(Ordering::Acquire) != 0 {
+        if spins < 64 {
+            spins += 1;
+            std::hint::spin_loop();
+        } else {
+            std::thread::park_timeout(std::time::Duration::from_micros(200));
+        }
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::AtomicU64;
+
+    unsafe extern "C" fn add(data: *mut c_void, index: usize) {
+        // SAFETY: the test passes a counter.
+        unsafe { &*data.cast::<AtomicU64>() }.fetch_add(index as u64 + 1, Ordering::Relaxed);
+    }
+
+    #[test]
+    fn every_chunk_runs_once() {
+        for threads in [1, 2, 8] {
+            let pool = Pool::new(threads);
+            pool.start(&(Arc::new(|_| {}) as Task)).expect("threads");
+            pool.enter();
+            for chunks in [0usize, 1, 2, 7, 1000] {
+                let sum = AtomicU64::new(0);
+                // SAFETY: `add` takes a counter.
+                assert!(unsafe { parallel_for(chunks, Some(add), (&raw const sum).cast_mut().cast()) });
+                assert_eq!(sum.load(Ordering::Relaxed), (chunks * (chunks + 1) / 2) as u64);
+            }
+            pool.stop();
+            CURRENT.with(|current| current.set(std::ptr::null()));
+        }
+    }
+
+    unsafe extern "C" fn nested(data: *mut c_void, _: usize) {
+        // SAFETY: `add` takes the same counter.
+        unsafe { parallel_for(10, Some(add), data) };
+    }
+
+    #[test]
+    fn loops_nest() {
+        let pool = Pool::new(3);
+        pool.start(&(Arc::new(|_| {}) as Task)).expect("threads");
+        pool.enter();
+        let sum = AtomicU64::new(0);
+        // SAFETY: `nested` takes a counter.
+        unsafe { parallel_for(20, Some(nested), (&raw const sum).cast_mut().cast()) };
+        assert_eq!(sum.load(Ordering::Relaxed), 20 * 55);
+        pool.stop();
+        CURRENT.with(|current| current.set(std::ptr::null()));
+    }
+}

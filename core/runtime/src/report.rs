@@ -1,0 +1,166 @@
+//! What a run did, as written by `--report` (a contract: see the README).
+
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+
+use panoscope_graph::Graph;
+use serde::Serialize;
+
+use crate::cell::lock;
+use crate::clock;
+use crate::schedule::Shared;
+
+/// Counters and times of a run.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Name of the graph.
+    pub graph: String,
+    /// Ticks that the busiest source made.
+    pub frames: u64,
+    /// Wall time.
+    pub seconds: f64,
+    /// `frames / seconds`.
+    pub fps: f64,
+    /// Per node.
+    pub nodes: BTreeMap<String, NodeReport>,
+    /// Per sink: time from ingest to the end of its work.
+    pub paths: BTreeMap<String, PathReport>,
+    /// Heap allocations per frame in steady state, null when not counted.
+    pub allocations_per_frame: Option<f64>,
+    /// Where it ran.
+    pub machine: Machine,
+}
+
+/// Counters and times of a node.
+#[derive(Clone, Debug, Serialize)]
+pub struct NodeReport {
+    /// Calls.
+    pub count: u64,
+    /// Median time of a call.
+    pub p50_ms: f64,
+    /// 99 % of the calls took no longer.
+    pub p99_ms: f64,
+    /// The longest call.
+    pub max_ms: f64,
+    /// Ticks dropped where they would have entered here.
+    pub dropped: u64,
+    /// Ticks not processed because a required input was empty.
+    pub skipped: u64,
+    /// Errors and panics.
+    pub faults: u64,
+    /// Times it was opened again.
+    pub restarts: u64,
+    /// Calls over the node's budget.
+    pub over_budget: u64,
+    /// Frames copied because a shared one was to be written.
+    pub copies: u64,
+    /// Frames converted for its readers.
+    pub conversions: u64,
+    /// Heap allocations on the calling thread, all calls together; null when not counted.
+    pub allocations: Option<u64>,
+    /// Numbers that the node told.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub metrics: BTreeMap<String, f64>,
+}
+
+/// Age of what a sink took.
+#[derive(Clone, Debug, Serialize)]
+pub struct PathReport {
+    /// Median.
+    pub age_p50_ms: f64,
+    /// 99 % were no older.
+    pub age_p99_ms: f64,
+    /// The oldest.
+    pub age_max_ms: f64,
+}
+
+/// Where a run took place.
+#[derive(Clone, Debug, Serialize)]
+pub struct Machine {
+    /// Processor.
+    pub cpu: String,
+    /// Cores this process may use.
+    pub cores: usize,
+    /// Threads of the pool.
+    pub threads: usize,
+    /// Operating system.
+    pub os: String,
+}
+
+fn ms(ns: u64) -> f64 {
+    (ns as f64 / 1e3).round() / 1e3
+}
+
+impl Machine {
+    /// This machine.
+    pub fn here(threads: usize) -> Self {
+        let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+        let cpu = info.lines().find_map(|l| l.strip_prefix("model name")?.split_once(':'));
+        Self {
+            cpu: cpu.map_or_else(|| std::env::consts::ARCH.to_owned(), |(_, name)| name.trim().to_owned()),
+            cores: std::thread::available_parallelism().map_or(1, usize::from),
+            threads,
+            os: std::env::consts::OS.to_owned(),
+        }
+    }
+}
+
+impl Report {
+    pub(crate) fn of(graph: &Graph, shared: &Shared) -> Self {
+        let end_ns = match shared.end_ns.load(Ordering::Relaxed) {
+            0 => clock::now_ns(),
+            ns => ns,
+        };
+        let seconds = end_ns.saturating_sub(shared.start_ns) as f64 / 1e9;
+        let frames = shared.made.iter().map(|m| m.load(Ordering::Relaxed)).max().unwrap_or(0);
+        let mut nodes = BTreeMap::new();
+        let mut paths = BTreeMap::new();
+        for (cell, wiring) in shared.plan.cells.iter().zip(&shared.plan.wiring) {
+            let stats = &cell.stats;
+            let load = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed);
+            nodes.insert(
+                cell.id.clone(),
+                NodeReport {
+                    count: stats.time.count(),
+                    p50_ms: ms(stats.time.quantile_ns(0.5)),
+                    p99_ms: ms(stats.time.quantile_ns(0.99)),
+                    max_ms: ms(stats.time.max_ns()),
+                    dropped: load(&stats.dropped),
+                    skipped: load(&stats.skipped),
+                    faults: load(&stats.faults),
+                    restarts: load(&stats.restarts),
+                    over_budget: load(&stats.over_budget),
+                    copies: load(&stats.copies),
+                    conversions: load(&stats.conversions),
+                    allocations: shared.around.thread_allocations.map(|_| load(&stats.allocations)),
+                    metrics: lock(&cell.metrics).iter().cloned().collect(),
+                },
+            );
+            if wiring.sink {
+                paths.insert(
+                    cell.id.clone(),
+                    PathReport {
+                        age_p50_ms: ms(stats.age.quantile_ns(0.5)),
+                        age_p99_ms: ms(stats.age.quantile_ns(0.99)),
+                        age_max_ms: ms(stats.age.max_ns()),
+                    },
+                );
+            }
+        }
+        let (from, to) = (*lock(&shared.allocations.from), *lock(&shared.allocations.to));
+        let allocations_per_frame = match (from, to) {
+            (Some((count, seq)), Some((last, end))) if end > seq => Some((last - count) as f64 / (end - seq) as f64),
+            _ => None,
+        };
+        Self {
+            graph: graph.name.clone(),
+            frames,
+            seconds,
+            fps: if seconds > 0.0 { frames as f64 / seconds } else { 0.0 },
+            nodes,
+            paths,
+            allocations_per_frame,
+            machine: Machine::here(shared.pool.threads()),
+        }
+    }
+}

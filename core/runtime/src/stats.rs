@@ -1,0 +1,136 @@
+//! Always-on counters: one writer per node, read by anyone at any time.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+const SUB_BITS: u32 = 5;
+const BUCKETS: usize = ((64 - SUB_BITS as usize) + 1) << SUB_BITS;
+
+/// A histogram of times with about 3 % resolution.
+pub struct Histogram {
+    counts: Box<[AtomicU64]>,
+    total: AtomicU64,
+    max_ns: AtomicU64,
+}
+
+impl Default for Histogram {
+    fn default() -> Self {
+        let counts = (0..BUCKETS).map(|_| AtomicU64::new(0)).collect();
+        Self { counts, total: AtomicU64::new(0), max_ns: AtomicU64::new(0) }
+    }
+}
+
+fn bucket(ns: u64) -> usize {
+    if ns < 1 << SUB_BITS {
+        return ns as usize;
+    }
+    let octave = 63 - ns.leading_zeros();
+    let shift = octave - SUB_BITS;
+    (((shift + 1) as usize) << SUB_BITS) + ((ns >> shift) as usize & ((1 << SUB_BITS) - 1))
+}
+
+fn bucket_middle(index: usize) -> u64 {
+    let (octave, sub) = (index >> SUB_BITS, (index & ((1 << SUB_BITS) - 1)) as u64);
+    if octave == 0 {
+        return sub;
+    }
+    let shift = octave - 1;
+    let low = (sub | 1 << SUB_BITS) << shift;
+    low + (1u64 << shift) / 2
+}
+
+impl Histogram {
+    /// Counts one time. Only one thread at a time may call this.
+    #[inline]
+    pub fn record(&self, ns: u64) {
+        let slot = &self.counts[bucket(ns)];
+        slot.store(slot.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
+        self.total.store(self.total.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
+        if ns > self.max_ns.load(Ordering::Relaxed) {
+            self.max_ns.store(ns, Ordering::Relaxed);
+        }
+    }
+
+    /// How many times were counted.
+    pub fn count(&self) -> u64 {
+        self.total.load(Ordering::Relaxed)
+    }
+
+    /// The longest time in ns.
+    pub fn max_ns(&self) -> u64 {
+        self.max_ns.load(Ordering::Relaxed)
+    }
+
+    /// The time that a share `q` (0..1) of the counts does not exceed, in ns; 0 when nothing was counted.
+    pub fn quantile_ns(&self, q: f64) -> u64 {
+        let total = self.count();
+        if total == 0 {
+            return 0;
+        }
+        let want = ((total as f64 * q).ceil() as u64).clamp(1, total);
+        let mut seen = 0;
+        for (index, count) in self.counts.iter().enumerate() {
+            seen += count.load(Ordering::Relaxed);
+            if seen >= want {
+                return bucket_middle(index).min(self.max_ns());
+            }
+        }
+        self.max_ns()
+    }
+}
+
+/// Counters of a node.
+#[derive(Default)]
+pub struct NodeStats {
+    /// Time inside the node's `process`.
+    pub time: Histogram,
+    /// From ingest of a tick to the end of this node's work on it; kept for sinks.
+    pub age: Histogram,
+    /// Ticks dropped where they would have entered here.
+    pub dropped: AtomicU64,
+    /// Ticks for which a required input was empty.
+    pub skipped: AtomicU64,
+    /// Errors and panics.
+    pub faults: AtomicU64,
+    /// Times the node was opened again.
+    pub restarts: AtomicU64,
+    /// Frames copied because a shared one was to be written.
+    pub copies: AtomicU64,
+    /// Frames converted for readers that want another format.
+    pub conversions: AtomicU64,
+    /// Calls that took longer than the node's budget.
+    pub over_budget: AtomicU64,
+    /// Heap allocations seen on the calling thread.
+    pub allocations: AtomicU64,
+}
+
+/// One more; only the node's runner writes.
+pub(crate) fn bump(counter: &AtomicU64) {
+    counter.fetch_add(1, Ordering::Relaxed);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_within_a_few_percent() {
+        let histogram = Histogram::default();
+        for ns in 1..=10_000u64 {
+            histogram.record(ns * 100);
+        }
+        let p50 = histogram.quantile_ns(0.5) as f64;
+        let p99 = histogram.quantile_ns(0.99) as f64;
+        assert!((p50 / 500_000.0 - 1.0).abs() < 0.04, "{p50}");
+        assert!((p99 / 990_000.0 - 1.0).abs() < 0.04, "{p99}");
+        assert_eq!(histogram.max_ns(), 1_000_000);
+    }
+
+    #[test]
+    fn every_time_has_a_bucket() {
+        for shift in 0..64 {
+            assert!(bucket(1u64 << shift) < BUCKETS);
+        }
+        assert!(bucket(u64::MAX) < BUCKETS);
+        assert_eq!(Histogram::default().quantile_ns(0.5), 0);
+    }
+}

@@ -1,0 +1,56 @@
+//! Puts a release build into a folder, to be run without cargo.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+
+use crate::build::{Means, Profile, build, library_name, place, program_name};
+use crate::workspace::Workspace;
+
+/// Builds in release and copies the program, `plugins/` and `graphs/` into `dir`.
+pub fn install(workspace: &Workspace, dir: &Path) -> Result<()> {
+    let built = build(workspace, Profile::Release)?;
+    let plugin_dir = dir.join("plugins");
+    fs::create_dir_all(&plugin_dir).with_context(|| format!("cannot make {}", plugin_dir.display()))?;
+    for plugin in &workspace.plugins {
+        let name = library_name(&plugin.name);
+        place(&built.plugin_dir.join(&name), &plugin_dir.join(&name), Means::Copy)?;
+    }
+    copy_graphs(&workspace.root.join("graphs"), &dir.join("graphs"))?;
+    // Last, so that a program that starts finds everything it came with.
+    let program = dir.join(program_name());
+    place(&built.program, &program, Means::Copy)?;
+    println!("{}", program.display());
+    Ok(())
+}
+
+/// Copies the graph files of a folder; what runs have written beside them stays behind.
+fn copy_graphs(from: &Path, to: &Path) -> Result<()> {
+    fs::create_dir_all(to).with_context(|| format!("cannot make {}", to.display()))?;
+    for entry in fs::read_dir(from).with_context(|| format!("cannot read {}", from.display()))?.flatten() {
+        let path = entry.path();
+        if path.extension().is_some_and(|extension| extension == "toml") {
+            place(&path, &to.join(entry.file_name()), Means::Copy)?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_graph_files_are_copied() {
+        let folder = std::env::temp_dir().join(format!("xtask_install_{}", std::process::id()));
+        let (from, to) = (folder.join("from"), folder.join("to"));
+        fs::create_dir_all(from.join("out")).unwrap();
+        fs::write(from.join("a.toml"), "name = \"a\"").unwrap();
+        fs::write(from.join("a.mkv"), "video").unwrap();
+        copy_graphs(&from, &to).unwrap();
+        let names: Vec<_> = fs::read_dir(&to).unwrap().flatten().map(|file| file.file_name()).collect();
+        assert_eq!(names, ["a.toml"]);
+        fs::remove_dir_all(&folder).unwrap();
+    }
+}

@@ -1,1 +1,0 @@
-//! Set-up, demo, tests and generated files of Panoscope.

@@ -1,0 +1,118 @@
+//! Set-up, demo, tests and generated files of Panoscope: `cargo xtask <command>`.
+
+mod build;
+mod data;
+mod demo;
+mod generated;
+mod install;
+mod lint;
+mod onnxruntime;
+mod packages;
+mod process;
+mod report;
+mod setup;
+mod system;
+mod tally;
+mod test;
+mod wheel;
+mod workspace;
+
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+
+use crate::build::Profile;
+use crate::packages::Purpose;
+use crate::workspace::Workspace;
+
+const USAGE: &str = "\
+cargo xtask COMMAND
+
+  demo [GRAPH.toml] [--headless] [args of `panoscope run`]
+                       installs what is missing, builds, runs graphs/panorama.toml and says what came out
+  test [SUITE] [-- args of `cargo test`]
+                       installs what is missing, builds, checks format and lints, runs all tests
+  setup [--bench]      installs the system packages that are missing (--bench: the peers of `bench` too)
+  build [--release]    builds the program and its plugins, laid out so that they also run outside cargo
+  bench [args]         builds in release and runs `panoscope bench args`
+  install DIR          puts a release build (program, plugins, graphs) into DIR
+  data                 fetches the test data that comes from Python wheels into target/data
+  onnxruntime          fetches ONNX Runtime's shared library into target/onnxruntime
+  header               writes core/abi/panoscope.h anew from the ABI
+  bless                writes all expected outputs of the tests anew";
+
+fn main() -> ExitCode {
+    match arguments().and_then(|args| dispatch(&args)) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn arguments() -> Result<Vec<String>> {
+    std::env::args_os()
+        .skip(1)
+        .map(|arg| arg.into_string().map_err(|arg| anyhow::anyhow!("the argument {arg:?} is not UTF-8")))
+        .collect()
+}
+
+fn dispatch(args: &[String]) -> Result<ExitCode> {
+    let Some((command, rest)) = args.split_first() else {
+        println!("{USAGE}");
+        return Ok(ExitCode::from(2));
+    };
+    match command.as_str() {
+        "demo" => demo::demo(&Workspace::locate()?, rest)?,
+        "test" => return test::test(&Workspace::locate()?, rest),
+        "setup" => {
+            let bench = flag(rest, "--bench")?;
+            let mut purposes = vec![Purpose::Build, Purpose::Test];
+            purposes.extend(bench.then_some(Purpose::Bench));
+            if setup::ensure(&purposes)? == setup::Outcome::NothingMissing {
+                println!("Nothing is missing.");
+            }
+        }
+        "build" => {
+            let profile = if flag(rest, "--release")? { Profile::Release } else { Profile::Dev };
+            setup::ensure(&[Purpose::Build])?;
+            let built = build::build(&Workspace::locate()?, profile)?;
+            println!("{}\n{}", built.program.display(), built.plugin_dir.display());
+        }
+        "bench" => {
+            setup::ensure(&[Purpose::Build, Purpose::Bench])?;
+            let built = build::build(&Workspace::locate()?, Profile::Release)?;
+            process::run(built.panoscope().arg("bench").args(rest))?;
+        }
+        "install" => {
+            let [dir] = rest else { bail!("install takes one argument, the folder to install into") };
+            setup::ensure(&[Purpose::Build])?;
+            install::install(&Workspace::locate()?, dir.as_ref())?;
+        }
+        "data" => {
+            flag(rest, "")?;
+            println!("{}", data::fetch(&Workspace::locate()?).context("test data was not fetched")?.display());
+        }
+        "onnxruntime" => {
+            flag(rest, "")?;
+            println!("{}", onnxruntime::fetch(&Workspace::locate()?)?.display());
+        }
+        "header" => generated::header(&Workspace::locate()?)?,
+        "bless" => generated::bless(&Workspace::locate()?)?,
+        "help" | "--help" | "-h" => println!("{USAGE}"),
+        other => {
+            eprintln!("error: there is no command `{other}`\n\n{USAGE}");
+            return Ok(ExitCode::from(2));
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Whether `name` stands in `args`; anything else there is a mistake of the caller.
+fn flag(args: &[String], name: &str) -> Result<bool> {
+    match args.iter().find(|arg| *arg != name) {
+        Some(other) => bail!("unexpected argument `{other}`"),
+        None => Ok(!args.is_empty()),
+    }
+}

@@ -1,0 +1,243 @@
+//! The system packages Panoscope needs, and which of them are missing.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::process::find_program;
+use crate::system::System;
+
+/// Folder of Debian's opencv-doc that holds the images the tests read.
+const OPENCV_DOC_DATA: &str = "/usr/share/doc/opencv-doc/examples/data";
+
+/// What a package is needed for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Purpose {
+    /// Compiling and running: nothing works without.
+    Build,
+    /// Test data: tests that need it skip without.
+    Test,
+    /// A peer that benches measure beside us: its figures are left out without.
+    Bench,
+    /// Fetching files from Python wheels.
+    Wheels,
+}
+
+impl Purpose {
+    /// Whether work can go on without packages of this purpose.
+    pub fn is_optional(self) -> bool {
+        matches!(self, Self::Test | Self::Bench)
+    }
+}
+
+/// How a package shows itself where no package database is asked.
+enum Evidence {
+    Program(&'static str),
+    PkgConfig(&'static str),
+    AnyFile(&'static [&'static str]),
+    Libclang,
+}
+
+/// One thing to install, by its name on each system.
+pub struct Package {
+    pub debian: &'static str,
+    fedora: Option<&'static str>,
+    arch: Option<&'static str>,
+    brew: Option<&'static str>,
+    pub purpose: Purpose,
+    evidence: Evidence,
+}
+
+impl Package {
+    /// Its name on a system, where known.
+    pub fn name_on(&self, system: System) -> Option<&'static str> {
+        match system {
+            System::Debian => Some(self.debian),
+            System::Fedora => self.fedora,
+            System::Arch => self.arch,
+            System::MacOs => self.brew,
+            System::Other => None,
+        }
+    }
+}
+
+const fn package(
+    purpose: Purpose,
+    debian: &'static str,
+    others: [Option<&'static str>; 3],
+    evidence: Evidence,
+) -> Package {
+    let [fedora, arch, brew] = others;
+    Package { debian, fedora, arch, brew, purpose, evidence }
+}
+
+/// Everything, in the order it is shown.
+pub static PACKAGES: &[Package] = &[
+    package(Purpose::Build, "gcc", [Some("gcc"), Some("gcc"), Some("gcc")], Evidence::Program("cc")),
+    package(Purpose::Build, "g++", [Some("gcc-c++"), Some("gcc"), Some("gcc")], Evidence::Program("c++")),
+    package(
+        Purpose::Build,
+        "pkg-config",
+        [Some("pkgconf-pkg-config"), Some("pkgconf"), Some("pkgconf")],
+        Evidence::Program("pkg-config"),
+    ),
+    // The `opencv` crate reads OpenCV's headers through libclang and asks the program for the C++ include paths.
+    package(Purpose::Build, "clang", [Some("clang"), Some("clang"), Some("llvm")], Evidence::Program("clang")),
+    package(Purpose::Build, "libclang-dev", [Some("clang-devel"), Some("clang"), Some("llvm")], Evidence::Libclang),
+    package(
+        Purpose::Build,
+        "libopencv-dev",
+        [Some("opencv-devel"), Some("opencv"), Some("opencv")],
+        Evidence::PkgConfig("opencv4"),
+    ),
+    package(
+        Purpose::Build,
+        "libopencv-contrib-dev",
+        [Some("opencv-devel"), Some("opencv"), Some("opencv")],
+        Evidence::AnyFile(&[
+            "/usr/include/opencv4/opencv2/ximgproc.hpp",
+            "/usr/local/include/opencv4/opencv2/ximgproc.hpp",
+            "/opt/homebrew/include/opencv4/opencv2/ximgproc.hpp",
+        ]),
+    ),
+    package(Purpose::Test, "opencv-doc", [None, None, None], Evidence::AnyFile(&[OPENCV_DOC_DATA])),
+    package(
+        Purpose::Bench,
+        "gstreamer1.0-tools",
+        [Some("gstreamer1"), Some("gstreamer"), Some("gstreamer")],
+        Evidence::Program("gst-launch-1.0"),
+    ),
+    package(
+        Purpose::Bench,
+        "gstreamer1.0-plugins-base",
+        [Some("gstreamer1-plugins-base"), Some("gst-plugins-base"), Some("gstreamer")],
+        Evidence::PkgConfig("gstreamer-plugins-base-1.0"),
+    ),
+    package(
+        Purpose::Bench,
+        "libgstreamer1.0-dev",
+        [Some("gstreamer1-devel"), Some("gstreamer"), Some("gstreamer")],
+        Evidence::PkgConfig("gstreamer-1.0"),
+    ),
+    package(
+        Purpose::Wheels,
+        "python3-pip",
+        [Some("python3-pip"), Some("python-pip"), Some("python")],
+        Evidence::Program("pip3"),
+    ),
+];
+
+/// The packages of these purposes that are not there.
+pub fn missing(system: System, purposes: &[Purpose]) -> Vec<&'static Package> {
+    let wanted = PACKAGES.iter().filter(|package| purposes.contains(&package.purpose));
+    if system != System::Debian {
+        return wanted.filter(|package| !shows(&package.evidence)).collect();
+    }
+    let wanted: Vec<_> = wanted.collect();
+    let installed = installed_on_debian(&wanted);
+    wanted
+        .into_iter()
+        .filter(|package| {
+            if package.debian == "opencv-doc" && documentation_is_excluded() {
+                return !shows(&package.evidence);
+            }
+            // A compiler from elsewhere serves as well as the distribution's.
+            let from_elsewhere = matches!(package.evidence, Evidence::Program(_)) && shows(&package.evidence);
+            !installed.contains(package.debian) && !from_elsewhere
+        })
+        .collect()
+}
+
+fn installed_on_debian(packages: &[&Package]) -> BTreeSet<String> {
+    let mut command = Command::new("dpkg-query");
+    command.args(["-W", "-f", "${Package} ${db:Status-Status}\\n"]).args(packages.iter().map(|package| package.debian));
+    // It fails when one of the names is unknown, and still lists the others.
+    let text = command.output().map(|output| output.stdout).unwrap_or_default();
+    installed_names(&String::from_utf8_lossy(&text))
+}
+
+/// Names in lines of `name status` whose status is `installed`.
+fn installed_names(dpkg_query: &str) -> BTreeSet<String> {
+    dpkg_query
+        .lines()
+        .filter_map(|line| line.trim().split_once(' '))
+        .filter(|(_, status)| *status == "installed")
+        .map(|(name, _)| name.to_owned())
+        .collect()
+}
+
+/// Whether dpkg is told to leave documentation out, as container images often do: then an installed opencv-doc
+/// may be empty.
+fn documentation_is_excluded() -> bool {
+    let Ok(folder) = std::fs::read_dir("/etc/dpkg/dpkg.cfg.d") else { return false };
+    folder.flatten().any(|file| {
+        let text = std::fs::read_to_string(file.path()).unwrap_or_default();
+        text.lines().any(|line| line.trim().starts_with("path-exclude") && line.contains("/usr/share/doc"))
+    })
+}
+
+fn shows(evidence: &Evidence) -> bool {
+    match evidence {
+        Evidence::Program(name) => find_program(name).is_some(),
+        Evidence::AnyFile(paths) => paths.iter().any(|path| Path::new(path).exists()),
+        Evidence::PkgConfig(module) => {
+            let found = Command::new("pkg-config").args(["--exists", module]).status();
+            found.is_ok_and(|status| status.success())
+        }
+        Evidence::Libclang => libclang_is_found(),
+    }
+}
+
+fn libclang_is_found() -> bool {
+    let mut folders: Vec<PathBuf> =
+        ["/usr/lib", "/usr/lib64", "/usr/local/lib", "/opt/homebrew/opt/llvm/lib", "/usr/local/opt/llvm/lib"]
+            .map(PathBuf::from)
+            .to_vec();
+    folders.extend(std::env::var_os("LIBCLANG_PATH").map(PathBuf::from));
+    if let Some(clang) = find_program("clang").and_then(|clang| clang.canonicalize().ok()) {
+        folders.extend(clang.ancestors().nth(2).map(|prefix| prefix.join("lib")));
+    }
+    folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).any(|folder| {
+        folder.flatten().any(|file| {
+            let name = file.file_name();
+            let name = name.to_string_lossy();
+            name.starts_with("libclang.so") || name.starts_with("libclang-") || name == "libclang.dylib"
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_installed_packages_count() {
+        let text = "libopencv-dev installed\nclang not-installed\ngcc config-files\npkg-config installed\n\n";
+        let names = installed_names(text);
+        assert_eq!(names.iter().map(String::as_str).collect::<Vec<_>>(), ["libopencv-dev", "pkg-config"]);
+    }
+
+    #[test]
+    fn every_needed_package_is_named_on_every_known_system() {
+        for package in PACKAGES.iter().filter(|package| !package.purpose.is_optional()) {
+            for system in [System::Debian, System::Fedora, System::Arch, System::MacOs] {
+                assert!(package.name_on(system).is_some(), "{} has no name on {system:?}", package.debian);
+            }
+        }
+    }
+
+    #[test]
+    fn only_wanted_purposes_are_looked_for() {
+        assert!(missing(System::Other, &[]).is_empty());
+        let wheels = missing(System::Other, &[Purpose::Wheels]);
+        assert!(wheels.iter().all(|package| package.purpose == Purpose::Wheels));
+    }
+
+    #[test]
+    fn evidence_is_looked_for_not_assumed() {
+        assert!(shows(&Evidence::Program("sh")));
+        assert!(!shows(&Evidence::Program("no-such-program-here")));
+        assert!(!shows(&Evidence::AnyFile(&["/no/such/file"])));
+        assert!(!shows(&Evidence::PkgConfig("no-such-module-here")));
+    }
+}

@@ -1,0 +1,145 @@
+//! `cargo xtask test`: everything that must hold before a change goes in.
+
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+
+use crate::build::{Profile, build};
+use crate::generated::test_environment;
+use crate::lint;
+use crate::packages::Purpose;
+use crate::process;
+use crate::setup;
+use crate::tally::Tally;
+use crate::workspace::Workspace;
+
+/// A named part of the tests.
+struct Suite {
+    name: &'static str,
+    lints: bool,
+    tests: bool,
+}
+
+static SUITES: &[Suite] = &[
+    Suite { name: "all", lints: true, tests: true },
+    Suite { name: "lint", lints: true, tests: false },
+    Suite { name: "code", lints: false, tests: true },
+];
+
+/// What the command line asks for.
+struct Request<'a> {
+    suite: &'static Suite,
+    /// For cargo.
+    cargo_args: &'a [String],
+    /// For the test programs.
+    test_args: &'a [String],
+}
+
+impl<'a> Request<'a> {
+    fn parse(args: &'a [String]) -> Result<Self> {
+        let (suite, passed_on) = split_at_dashes(args);
+        let (cargo_args, test_args) = split_at_dashes(passed_on);
+        let name = match suite {
+            [] => "all",
+            [name] => name.as_str(),
+            [_, other, ..] => bail!("unexpected argument `{other}`; arguments of `cargo test` stand after `--`"),
+        };
+        let suite = SUITES.iter().find(|suite| suite.name == name).with_context(|| {
+            let known: Vec<&str> = SUITES.iter().map(|suite| suite.name).collect();
+            format!("there is no test suite `{name}`; there are: {}", known.join(", "))
+        })?;
+        Ok(Self { suite, cargo_args, test_args })
+    }
+
+    fn names_packages(&self) -> bool {
+        self.cargo_args.iter().any(|arg| arg.starts_with("-p") || arg.starts_with("--package"))
+    }
+}
+
+fn split_at_dashes(args: &[String]) -> (&[String], &[String]) {
+    match args.iter().position(|arg| arg == "--") {
+        Some(at) => (&args[..at], &args[at + 1..]),
+        None => (args, &[]),
+    }
+}
+
+/// Runs a suite. The last line of standard output is `N passed, N failed, N skipped`; a step that fails ends the
+/// run and counts as failed.
+pub fn test(workspace: &Workspace, args: &[String]) -> Result<ExitCode> {
+    let request = Request::parse(args)?;
+    let mut tally = Tally::default();
+    if let Err(error) = steps(workspace, &request, &mut tally) {
+        eprintln!("error: {error:#}");
+        if tally.failed() == 0 {
+            // The outermost context is the step's name.
+            tally.count_failed_step(&error.to_string());
+        }
+    }
+    for line in tally.details() {
+        println!("{line}");
+    }
+    println!("{}", tally.summary());
+    Ok(if tally.failed() == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<()> {
+    timed("set-up", || setup::ensure(&[Purpose::Build, Purpose::Test]).map(drop))?;
+    if request.suite.lints {
+        timed("format", || lint::format(workspace))?;
+        timed("clippy", || lint::clippy(workspace))?;
+    }
+    if request.suite.tests {
+        let built = timed("build", || build(workspace, Profile::Dev))?;
+        let mut cargo = workspace.cargo();
+        test_environment(&mut cargo, workspace, &built);
+        cargo.args(["test", "--no-fail-fast"]);
+        if !request.names_packages() {
+            cargo.arg("--workspace");
+        }
+        // Without it libtest swallows what passing tests say, the reasons of skips among it.
+        cargo.args(request.cargo_args).args(["--", "--show-output"]).args(request.test_args);
+        timed("tests", || {
+            let status = process::filter(&mut cargo, |line| tally.read(line))?;
+            process::check(&cargo, status)
+        })?;
+    }
+    Ok(())
+}
+
+/// Runs a step, tells how long it took and puts its name before its error.
+fn timed<T>(step: &'static str, run: impl FnOnce() -> Result<T>) -> Result<T> {
+    let start = Instant::now();
+    let outcome = run();
+    println!("[{step}: {:.1} s]", start.elapsed().as_secs_f64());
+    outcome.context(step)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn words(text: &str) -> Vec<String> {
+        text.split_whitespace().map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn arguments_go_to_cargo_and_to_the_test_programs() {
+        let args = words("code -- -p panoscope-graph cycle -- --nocapture");
+        let request = Request::parse(&args).unwrap();
+        assert_eq!(request.suite.name, "code");
+        assert_eq!(request.cargo_args, words("-p panoscope-graph cycle"));
+        assert_eq!(request.test_args, words("--nocapture"));
+        assert!(request.names_packages());
+        assert_eq!(Request::parse(&[]).unwrap().suite.name, "all");
+    }
+
+    #[test]
+    fn an_unknown_suite_lists_the_known_ones() {
+        let args = words("fualts");
+        let error = Request::parse(&args).err().unwrap().to_string();
+        assert_eq!(error, "there is no test suite `fualts`; there are: all, lint, code");
+        let args = words("code filter");
+        assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));
+    }
+}

@@ -1,0 +1,118 @@
+//! Where the workspace, its target folder and its plugins are.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result};
+use serde_json::Value;
+
+use crate::process;
+
+/// A plugin crate: a folder under `plugins/`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Plugin {
+    /// The folder's name, which is the plugin's name in a graph.
+    pub name: String,
+    /// The cargo package in it.
+    pub package: String,
+}
+
+/// The repository as cargo sees it.
+#[derive(Debug)]
+pub struct Workspace {
+    pub root: PathBuf,
+    pub target: PathBuf,
+    /// In the order of their names.
+    pub plugins: Vec<Plugin>,
+}
+
+impl Workspace {
+    /// Asks cargo, so that CARGO_TARGET_DIR and configuration files are respected.
+    pub fn locate() -> Result<Self> {
+        // Set anew by `cargo run`, so a repository that was moved is still found.
+        let crate_dir =
+            std::env::var_os("CARGO_MANIFEST_DIR").map_or(PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
+        let root = crate_dir.ancestors().nth(2).context("core/xtask has no workspace above it")?;
+        let text = process::capture(cargo(root).args(["metadata", "--no-deps", "--format-version", "1"]))?;
+        Self::from_metadata(&text)
+    }
+
+    fn from_metadata(text: &str) -> Result<Self> {
+        let metadata: Value = serde_json::from_str(text).context("`cargo metadata` wrote no JSON")?;
+        let path = |key: &str| {
+            metadata[key].as_str().map(PathBuf::from).with_context(|| format!("`cargo metadata` tells no {key}"))
+        };
+        let root = path("workspace_root")?;
+        let plugin_root = root.join("plugins");
+        let mut plugins: Vec<Plugin> = metadata["packages"]
+            .as_array()
+            .context("`cargo metadata` tells no packages")?
+            .iter()
+            .filter_map(|package| {
+                let folder = Path::new(package["manifest_path"].as_str()?).parent()?;
+                (folder.parent()? == plugin_root).then_some(())?;
+                Some(Plugin {
+                    name: folder.file_name()?.to_str()?.to_owned(),
+                    package: package["name"].as_str()?.to_owned(),
+                })
+            })
+            .collect();
+        plugins.sort_by(|a, b| a.name.cmp(&b.name));
+        Ok(Self { target: path("target_directory")?, root, plugins })
+    }
+
+    /// Cargo in the workspace's root.
+    pub fn cargo(&self) -> Command {
+        cargo(&self.root)
+    }
+
+    /// Files fetched for tests and benches.
+    pub fn data_dir(&self) -> PathBuf {
+        self.target.join("data")
+    }
+}
+
+/// Cargo without the variables that `cargo run` set for this program, which would differ from the user's own
+/// calls and make build scripts that watch them run again.
+fn cargo(dir: &Path) -> Command {
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command.current_dir(dir);
+    for (name, _) in std::env::vars_os() {
+        let Some(text) = name.to_str() else { continue };
+        if text.starts_with("CARGO_PKG_") || text.starts_with("CARGO_MANIFEST_") {
+            command.env_remove(name);
+        }
+    }
+    command
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_folders_under_plugins_are_plugins() {
+        let text = r#"{"workspace_root": "/r", "target_directory": "/t", "packages": [
+            {"name": "panoscope-stitch", "manifest_path": "/r/plugins/stitch/Cargo.toml"},
+            {"name": "panoscope-capture", "manifest_path": "/r/plugins/capture/Cargo.toml"},
+            {"name": "panoscope-cli", "manifest_path": "/r/core/cli/Cargo.toml"},
+            {"name": "helper", "manifest_path": "/r/plugins/stitch/helper/Cargo.toml"}]}"#;
+        let workspace = Workspace::from_metadata(text).unwrap();
+        let names: Vec<_> = workspace.plugins.iter().map(|p| (p.name.as_str(), p.package.as_str())).collect();
+        assert_eq!(names, [("capture", "panoscope-capture"), ("stitch", "panoscope-stitch")]);
+        assert_eq!(workspace.target, Path::new("/t"));
+    }
+
+    #[test]
+    fn metadata_without_a_root_is_an_error() {
+        let error = Workspace::from_metadata(r#"{"packages": []}"#).unwrap_err();
+        assert!(error.to_string().contains("workspace_root"), "{error}");
+    }
+
+    #[test]
+    fn this_workspace_is_found() {
+        let workspace = Workspace::locate().unwrap();
+        assert!(workspace.root.join("core/xtask/Cargo.toml").is_file());
+        assert!(workspace.plugins.iter().any(|plugin| plugin.name == "phantom"));
+    }
+}

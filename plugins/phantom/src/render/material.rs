@@ -1,0 +1,360 @@
+//! The tissue's skin: colour, gloss and fine relief, baked once into a periodic map of texels.
+
+use panoscope_imaging::{Parallel, SharedMut};
+
+use super::marks;
+use super::math::{Stream, smoothstep};
+use super::noise::Layers;
+use super::params::{SceneKind, SceneParams};
+use super::relief::{NODES, Relief};
+use super::vessels::{Growth, draw_vessels};
+
+/// Texels per period in each direction.
+pub const TEXELS: usize = 2048;
+/// Slopes are stored in 16 bits: `(slope + SLOPE_LIMIT) / (2 * SLOPE_LIMIT) * 65535`.
+pub const SLOPE_LIMIT: f32 = 6.0;
+
+/// Eight bytes a texel, lowest first: blue, green, red (square roots of the albedo), gloss, slope along
+/// x (high byte, low byte), slope along y (high, low). Bytes are interpolated linearly; a sum of two
+/// linear functions is linear, so that high and low bytes may be put together after interpolation.
+pub fn bake(params: &SceneParams, relief: &Relief, pool: &dyn Parallel) -> Vec<u64> {
+    let texel_mm = relief.period_mm / TEXELS as f32;
+    let palette = Palette::of(params.scene);
+    let mut vessels = vec![0u8; TEXELS * TEXELS];
+    let area = relief.period_mm * relief.period_mm / (128.0 * 128.0);
+    for (i, growth) in palette.vessels.iter().enumerate() {
+        let trees = (growth.trees as f32 * area).ceil() as usize;
+        let mut stream = Stream::new(params.seed, 200 + i as u32);
+        draw_vessels(&mut stream, &Growth { trees, ..*growth }, &mut vessels, TEXELS, texel_mm);
+    }
+    let skin = Skin::new(params, relief, palette, texel_mm, &vessels);
+    let mut bumps = vec![0f32; TEXELS * TEXELS];
+    const ROWS: usize = 16;
+    {
+        let bumps = SharedMut::new(&mut bumps);
+        pool.run(TEXELS / ROWS, &|chunk| {
+            let mut scratch = Vec::new();
+            for y in chunk * ROWS..(chunk + 1) * ROWS {
+                // SAFETY: each chunk takes its own rows.
+                skin.bump_row(y, unsafe { bumps.part(y * TEXELS, TEXELS) }, &mut scratch);
+            }
+        });
+    }
+    let mut texels = vec![0u64; TEXELS * TEXELS];
+    {
+        let (texels, bumps) = (SharedMut::new(&mut texels), &bumps[..]);
+        pool.run(TEXELS / ROWS, &|chunk| {
+            let mut work = RowWork::default();
+            for y in chunk * ROWS..(chunk + 1) * ROWS {
+                // SAFETY: each chunk takes its own rows.
+                skin.texel_row(y, bumps, unsafe { texels.part(y * TEXELS, TEXELS) }, &mut work);
+            }
+        });
+    }
+    texels
+}
+
+/// A tissue: display colour (blue, green, red, square-root scale), gloss, height of its grain in mm.
+#[derive(Clone, Copy, Debug)]
+struct Tissue {
+    colour: [f32; 3],
+    gloss: f32,
+    grain_mm: f32,
+    lobules_mm: f32,
+    mottle: f32,
+    flecks: f32,
+}
+
+struct Palette {
+    first: Tissue,
+    second: Tissue,
+    vessels: Vec<Growth>,
+    vessel: [f32; 3],
+    vessel_share: f32,
+    capillary_share: f32,
+    membrane_share: f32,
+}
+
+impl Palette {
+    fn of(scene: SceneKind) -> Self {
+        let liver = Tissue {
+            colour: [0.24, 0.25, 0.60],
+            gloss: 0.9,
+            grain_mm: 0.5,
+            lobules_mm: 0.0,
+            mottle: 1.3,
+            flecks: 0.50,
+        };
+        let bowel = Tissue {
+            colour: [0.60, 0.61, 0.90],
+            gloss: 1.0,
+            grain_mm: 0.7,
+            lobules_mm: 0.0,
+            mottle: 0.9,
+            flecks: 0.22,
+        };
+        let fat = Tissue {
+            colour: [0.40, 0.66, 0.92],
+            gloss: 0.9,
+            grain_mm: 1.3,
+            lobules_mm: 0.30,
+            mottle: 1.2,
+            flecks: 0.32,
+        };
+        let fine = Growth { trees: 90, trunk_mm: 0.32, twig_mm: 0.07, branching_per_mm: 0.30, tortuosity: 0.10 };
+        let arcade = Growth { trees: 26, trunk_mm: 1.1, twig_mm: 0.08, branching_per_mm: 0.22, tortuosity: 0.055 };
+        match scene {
+            SceneKind::Liver => Self {
+                first: liver,
+                second: fat,
+                vessels: vec![fine, Growth { trees: 14, trunk_mm: 0.8, ..arcade }],
+                vessel: [0.14, 0.10, 0.42],
+                vessel_share: 0.65,
+                capillary_share: 0.25,
+                membrane_share: 0.35,
+            },
+            SceneKind::Bowel => Self {
+                first: bowel,
+                second: fat,
+                vessels: vec![fine, arcade],
+                vessel: [0.20, 0.15, 0.62],
+                vessel_share: 0.85,
+                capillary_share: 0.35,
+                membrane_share: 0.15,
+            },
+            SceneKind::Cavity => Self {
+                first: Tissue { colour: [0.36, 0.36, 0.74], ..bowel },
+                second: Tissue { colour: [0.48, 0.56, 0.85], grain_mm: 1.2, lobules_mm: 0.12, ..fat },
+                vessels: vec![fine, arcade],
+                vessel: [0.16, 0.12, 0.50],
+                vessel_share: 0.8,
+                capillary_share: 0.35,
+                membrane_share: 0.45,
+            },
+            SceneKind::Box | SceneKind::Board => {
+                let card = Tissue {
+                    colour: [0.74, 0.78, 0.78],
+                    gloss: 0.05,
+                    grain_mm: 0.0,
+                    lobules_mm: 0.0,
+                    mottle: 0.35,
+                    flecks: 0.10,
+                };
+                Self {
+                    first: card,
+                    second: card,
+                    vessels: Vec::new(),
+                    vessel: [0.0; 3],
+                    vessel_share: 0.0,
+                    capillary_share: 0.0,
+                    membrane_share: 0.0,
+                }
+            }
+        }
+    }
+}
+
+#[derive(Default)]
+struct RowWork {
+    scratch: Vec<f32>,
+    rows: [Vec<f32>; 9],
+}
+
+struct Skin<'a> {
+    scene: SceneKind,
+    relief: &'a Relief,
+    palette: Palette,
+    texel_mm: f32,
+    vessels: &'a [u8],
+    grain: Layers,
+    hue: Layers,
+    mottle: Layers,
+    net: Layers,
+    veil: Layers,
+    fleck: Layers,
+    slopes: [Vec<f32>; 2],
+    open: Vec<f32>,
+}
+
+impl<'a> Skin<'a> {
+    fn new(params: &SceneParams, relief: &'a Relief, palette: Palette, texel_mm: f32, vessels: &'a [u8]) -> Self {
+        let cells = |mm: f32| ((relief.period_mm / mm) as usize).next_power_of_two().clamp(2, TEXELS);
+        let layers = |purpose, list: &[(f32, f32)]| {
+            let octaves: Vec<_> = list.iter().map(|&(mm, gain)| (cells(mm), gain)).collect();
+            Layers::new(params.seed, purpose, &octaves)
+        };
+        let cell = relief.cell_mm();
+        let slope = |dx: usize, dy: usize| {
+            let z = |x: usize, y: usize| relief.z_mm[(y % NODES) * NODES + x % NODES];
+            let at = |i: usize| {
+                let (x, y) = (i % NODES + NODES, i / NODES + NODES);
+                (z(x + dx, y + dy) - z(x - dx, y - dy)) / (2.0 * cell)
+            };
+            (0..NODES * NODES).map(at).collect()
+        };
+        Self {
+            scene: params.scene,
+            relief,
+            palette,
+            texel_mm,
+            vessels,
+            grain: layers(20, &[(4.0, 0.11), (2.0, 0.06), (1.0, 0.032), (0.5, 0.013), (0.25, 0.006)]),
+            hue: layers(21, &[(16.0, 0.5), (8.0, 0.35), (4.0, 0.25)]),
+            mottle: layers(22, &[(2.0, 0.32), (1.0, 0.30), (0.5, 0.34), (0.25, 0.34), (0.125, 0.28)]),
+            net: layers(23, &[(4.0, 0.6), (2.0, 0.35), (1.0, 0.25)]),
+            fleck: layers(25, &[(1.0, 0.35), (0.5, 0.8), (0.25, 0.35)]),
+            veil: layers(24, &[(32.0, 0.7), (16.0, 0.4), (4.0, 0.2), (2.0, 0.12)]),
+            slopes: [slope(1, 0), slope(0, 1)],
+            open: openness(&relief.z_mm, (2.5 / cell) as usize),
+        }
+    }
+
+    /// Fine height in mm of one row of texels.
+    fn bump_row(&self, y: usize, out: &mut [f32], scratch: &mut Vec<f32>) {
+        self.grain.fill_row(y, out, scratch);
+        let mut second = vec![0.0; TEXELS];
+        Relief::upsample_row(&self.relief.second, y, &mut second);
+        let mut net = vec![0.0; TEXELS];
+        self.net.fill_row(y, &mut net, scratch);
+        let vessels = &self.vessels[y * TEXELS..][..TEXELS];
+        let (a, b) = (&self.palette.first, &self.palette.second);
+        for x in 0..TEXELS {
+            let vessel = f32::from(vessels[x]) * (1.0 / 255.0);
+            let lobule = lobule(net[x]) * (a.lobules_mm + (b.lobules_mm - a.lobules_mm) * second[x]);
+            out[x] =
+                -(out[x] * (a.grain_mm + (b.grain_mm - a.grain_mm) * second[x]) + lobule + 0.035 * vessel * vessel);
+        }
+    }
+
+    fn texel_row(&self, y: usize, bumps: &[f32], out: &mut [u64], work: &mut RowWork) {
+        let RowWork { scratch, rows } = work;
+        for row in rows.iter_mut() {
+            row.resize(TEXELS, 0.0);
+        }
+        let [hue, mottle, net, veil, fleck, second, open, slope_x, slope_y] = rows;
+        self.hue.fill_row(y, hue, scratch);
+        self.mottle.fill_row(y, mottle, scratch);
+        self.net.fill_row(y, net, scratch);
+        self.veil.fill_row(y, veil, scratch);
+        self.fleck.fill_row(y, fleck, scratch);
+        Relief::upsample_row(&self.relief.second, y, second);
+        Relief::upsample_row(&self.open, y, open);
+        Relief::upsample_row(&self.slopes[0], y, slope_x);
+        Relief::upsample_row(&self.slopes[1], y, slope_y);
+        let line = |dy: usize| &bumps[((y + TEXELS + dy - 1) % TEXELS) * TEXELS..][..TEXELS];
+        let (above, here, below) = (line(0), line(1), line(2));
+        let half = 0.5 / self.texel_mm;
+        let vessels = &self.vessels[y * TEXELS..][..TEXELS];
+        for x in 0..TEXELS {
+            let dx = (here[(x + 1) % TEXELS] - here[(x + TEXELS - 1) % TEXELS]) * half;
+            let dy = (below[x] - above[x]) * half;
+            let vessel = f32::from(vessels[x]) * (1.0 / 255.0);
+            let (mut colour, gloss) =
+                self.colour(x, y, hue[x], mottle[x], net[x], veil[x], fleck[x], second[x], vessel);
+            // Light reaches a hollow by way of its red walls.
+            let open = open[x];
+            let red = if self.palette.vessels.is_empty() { open } else { 0.35 + 0.65 * open };
+            colour = [colour[0] * open, colour[1] * open, colour[2] * red];
+            out[x] = pack(colour, gloss * open, slope_x[x] + dx, slope_y[x] + dy);
+        }
+    }
+
+    fn colour(
+        &self,
+        x: usize,
+        y: usize,
+        hue: f32,
+        mottle: f32,
+        net: f32,
+        veil: f32,
+        fleck: f32,
+        second: f32,
+        vessel: f32,
+    ) -> ([f32; 3], f32) {
+        let p = &self.palette;
+        let (a, b) = (&p.first, &p.second);
+        // Fat comes in lobules: the border between the tissues is broken up by the mid-sized noise.
+        let share = smoothstep(0.3, 0.7, second + 0.35 * hue * second * (1.0 - second) * 4.0);
+        let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
+        let mut colour: [f32; 3] = std::array::from_fn(|c| mix(a.colour[c], b.colour[c], share));
+        let strength = mix(a.mottle, b.mottle, share);
+        let tone = 1.0 + strength * (0.13 * mottle + 0.07 * hue);
+        // Blood content moves green and blue more than red.
+        let blood = strength * (0.10 * hue + 0.05 * net + 0.04 * mottle);
+        colour = [colour[0] * (tone - blood), colour[1] * (tone - blood), colour[2] * (tone - 0.25 * blood)];
+        // Petechiae and pale lobule centres: small round spots, darker or lighter.
+        let spots = mix(a.flecks, b.flecks, share);
+        let (dark, pale) = (spots * smoothstep(0.25, 1.5, fleck), spots * smoothstep(-0.25, -1.5, fleck));
+        colour = [colour[0] * (1.0 - dark), colour[1] * (1.0 - dark), colour[2] * (1.0 - 0.55 * dark)];
+        colour = [colour[0] + 0.35 * pale, colour[1] + 0.35 * pale, colour[2] + 0.35 * pale];
+        let crease = share * b.lobules_mm * (1.0 - lobule(net));
+        colour = [colour[0] * (1.0 - 0.9 * crease), colour[1] * (1.0 - 1.0 * crease), colour[2] * (1.0 - 0.5 * crease)];
+        let white = [0.78, 0.82, 0.93];
+        let film = p.membrane_share * smoothstep(0.35, 1.0, veil);
+        colour = std::array::from_fn(|c| mix(colour[c], white[c], film));
+        let capillary =
+            p.capillary_share * smoothstep(0.08, 0.0, net.abs()) * smoothstep(-0.1, 0.5, hue) * (1.0 - 0.7 * share);
+        let red = p.vessel_share * vessel * (1.0 - 0.35 * share) * (1.0 - 0.5 * film);
+        let blush = capillary.max(red);
+        colour = std::array::from_fn(|c| mix(colour[c], p.vessel[c], blush));
+        let mut gloss = mix(a.gloss, b.gloss, share) * (0.75 + 0.25 * veil).clamp(0.3, 1.0);
+        let (px, py) = (x as f32 / TEXELS as f32, y as f32 / TEXELS as f32);
+        let (mx, my) = (marks::centred(px, self.relief.period_mm), marks::centred(py, self.relief.period_mm));
+        match self.scene {
+            SceneKind::Box => {
+                let ink = marks::box_ink(mx, my, self.texel_mm);
+                colour = colour.map(|c| mix(c, 0.10, ink));
+            }
+            SceneKind::Board => match marks::board_ink(mx, my, self.texel_mm) {
+                Some(ink) => colour = [mix(0.93, 0.12, ink); 3],
+                None => {
+                    colour = [0.35 + 0.05 * mottle, 0.42 + 0.05 * mottle, 0.40 + 0.05 * mottle];
+                    gloss = 0.0;
+                }
+            },
+            _ => {}
+        }
+        (colour, gloss)
+    }
+}
+
+/// How open the surface lies at each node: 1 on ridges and planes, less in hollows, from the depth below the mean
+/// of a square of `2 * radius + 1` nodes, taken twice.
+fn openness(z_mm: &[f32], radius: usize) -> Vec<f32> {
+    let mean_along = |plane: &[f32], step: usize, across: usize| {
+        let mut out = vec![0.0; NODES * NODES];
+        for line in 0..NODES {
+            let at = |k: usize| line * across + (k % NODES) * step;
+            let mut sum: f64 = (0..=2 * radius).map(|k| f64::from(plane[at(k + NODES - radius)])).sum();
+            for k in 0..NODES {
+                out[at(k)] = (sum / (2 * radius + 1) as f64) as f32;
+                sum += f64::from(plane[at(k + radius + 1)]) - f64::from(plane[at(k + NODES - radius)]);
+            }
+        }
+        out
+    };
+    let blur = |plane: &[f32]| mean_along(&mean_along(plane, 1, NODES), NODES, 1);
+    let mean = blur(&blur(z_mm));
+    z_mm.iter().zip(&mean).map(|(z, mean)| 1.0 - 0.45 * smoothstep(0.0, 2.2, z - mean)).collect()
+}
+
+/// Round lobes between the lines where the noise is zero, 0..1.
+fn lobule(net: f32) -> f32 {
+    let v = 1.0 - (net.abs() * 1.5).min(1.0);
+    1.0 - v * v
+}
+
+fn pack(colour: [f32; 3], gloss: f32, slope_x: f32, slope_y: f32) -> u64 {
+    let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u64;
+    let word = |slope: f32| {
+        let scaled = (slope + SLOPE_LIMIT) * (65535.0 / (2.0 * SLOPE_LIMIT));
+        let v = (scaled + 0.5).clamp(0.0, 65535.0) as u64;
+        (v >> 8) | (v & 0xff) << 8
+    };
+    byte(colour[0])
+        | byte(colour[1]) << 8
+        | byte(colour[2]) << 16
+        | byte(gloss) << 24
+        | word(slope_x) << 32
+        | word(slope_y) << 48
+}

@@ -1,0 +1,30 @@
+//! The renderer: a height field of tissue, exact rays, a light at the scope's tip, a sensor.
+//!
+//! [`Phantom`] is built once (shape and skin are baked into maps) and then draws any frame in any order.
+//! Only `+ - * /`, square roots and integer hashes are used, in one order: the same parameters and frame
+//! number give the same bytes with AVX2 or without, on any number of threads and on any machine.
+
+mod cast;
+mod effects;
+mod fit;
+mod lanes;
+mod lens;
+mod marks;
+mod material;
+mod math;
+mod motion;
+mod noise;
+mod params;
+mod phantom;
+mod relief;
+mod shade;
+#[cfg(test)]
+mod tests;
+mod truth;
+mod vessels;
+
+pub use marks::{BLOCKS_MM, BOARD_CENTRE_MM, LENGTHS_MM, RULERS_Y_MM, SQUARE_MM};
+pub use math::Pose;
+pub use params::{BlackOut, CameraModel, PhantomError, Rig, SceneKind, SceneParams};
+pub use phantom::Phantom;
+pub use truth::{Canvas, PlaneFit, TruthMut};

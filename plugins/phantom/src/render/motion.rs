@@ -1,0 +1,84 @@
+//! The scripted camera and the patient's breath.
+
+use super::math::{Pose, Stream, cos_turns, sin_turns};
+use super::params::SceneParams;
+
+/// Sines of one axis: amplitude, frequency in Hz, phase in turns.
+#[derive(Clone, Copy, Debug)]
+struct Sway([[f64; 3]; 2]);
+
+impl Sway {
+    /// Two sines whose speeds add up to `speed`, neither larger than `limit`.
+    fn new(stream: &mut Stream, speed: f64, limit: f64, slow_hz: f32, fast_hz: f32) -> Self {
+        let mut wave = |share: f64, low: f32, high: f32, limit: f64| {
+            let wanted = f64::from(stream.range(low, high));
+            let phase = f64::from(stream.range(0.0, 1.0));
+            let speed = speed * share;
+            let frequency = wanted.max(speed / (std::f64::consts::TAU * limit));
+            [speed / (std::f64::consts::TAU * frequency), frequency, phase]
+        };
+        let mean = 0.5 * (slow_hz + fast_hz);
+        Self([wave(0.65, slow_hz, mean, limit * 0.7), wave(0.35, mean, fast_hz, limit * 0.3)])
+    }
+
+    /// Offset from the place at time 0.
+    fn at(&self, seconds: f64) -> f64 {
+        let wave = |[amplitude, frequency, phase]: [f64; 3]| {
+            amplitude * (sin_turns(frequency * seconds + phase) - sin_turns(phase))
+        };
+        wave(self.0[0]) + wave(self.0[1])
+    }
+}
+
+/// Smooth seeded motion of the first camera.
+#[derive(Clone, Debug)]
+pub struct Script {
+    place: [Sway; 3],
+    turn: [Sway; 3],
+    breath_hz: f64,
+    breath_mm: f64,
+    fps: f64,
+}
+
+impl Script {
+    /// The script of a scene; its speed never passes `camera_speed_mm_s`.
+    pub fn new(params: &SceneParams) -> Self {
+        let mut stream = Stream::new(params.seed, 100);
+        let speed = params.camera_speed_mm_s;
+        let near = (params.distance_mm / 50.0).min(1.0);
+        // Shares whose squares add up to at most one, so that the axes together keep the limit.
+        let place = [(0.80, 12.0), (0.52, 9.0), (0.28, 5.0 * near)]
+            .map(|(share, limit)| Sway::new(&mut stream, speed * share, limit, 0.06, 0.25));
+        let turn = [0.9, 0.9, 1.5].map(|share| Sway::new(&mut stream, speed / 10.0 * share, 3.0, 0.05, 0.2));
+        Self {
+            place,
+            turn,
+            breath_hz: 1.0 / params.breathing_period_s,
+            breath_mm: params.breathing_mm,
+            fps: params.fps,
+        }
+    }
+
+    /// `scene_from_camera` of the first camera `frames` frames (and parts of one) after the start.
+    pub fn pose(&self, frames: f64) -> Pose {
+        let seconds = frames / self.fps;
+        let translation_mm = [0, 1, 2].map(|i| self.place[i].at(seconds));
+        // Degrees to turns; small rotations about x, y and z one after the other.
+        let half = [0, 1, 2].map(|i| self.turn[i].at(seconds) / 720.0);
+        let (s, c) = (half.map(sin_turns), half.map(cos_turns));
+        let quaternion = [
+            c[0] * c[1] * c[2] - s[0] * s[1] * s[2],
+            s[0] * c[1] * c[2] + c[0] * s[1] * s[2],
+            c[0] * s[1] * c[2] - s[0] * c[1] * s[2],
+            c[0] * c[1] * s[2] + s[0] * s[1] * c[2],
+        ];
+        Pose { quaternion, translation_mm }
+    }
+
+    /// How far the tissue has moved, mm.
+    pub fn breath_mm(&self, frames: f64) -> f64 {
+        let turns = frames / self.fps * self.breath_hz;
+        // Breathing out takes longer than in: the second harmonic leans the wave.
+        self.breath_mm * (0.85 * sin_turns(turns) + 0.15 * sin_turns(2.0 * turns + 0.1) - 0.15 * sin_turns(0.1))
+    }
+}

@@ -1,0 +1,315 @@
+//! What a phantom is made from: the scene, the sensor's faults, the cameras.
+
+use thiserror::Error;
+
+/// Why a phantom cannot be made or a picture not be drawn.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum PhantomError {
+    /// No scene of that name.
+    #[error("no scene is called {name:?}; there are liver, bowel, cavity, box and board")]
+    UnknownScene {
+        /// The name asked for.
+        name: String,
+    },
+    /// A parameter outside its range.
+    #[error("{name} is {value}, expected {low} to {high}")]
+    OutOfRange {
+        /// Parameter.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// Smallest value allowed.
+        low: f64,
+        /// Largest value allowed.
+        high: f64,
+    },
+    /// A picture of the wrong size.
+    #[error("view {view} is {width}x{height}x{channels}, expected {want_width}x{want_height}x{want_channels}")]
+    WrongSize {
+        /// Index of the picture.
+        view: usize,
+        /// Its columns.
+        width: usize,
+        /// Its rows.
+        height: usize,
+        /// Its channels.
+        channels: usize,
+        /// Columns expected.
+        want_width: usize,
+        /// Rows expected.
+        want_height: usize,
+        /// Channels expected.
+        want_channels: usize,
+    },
+    /// A number of pictures that is not the number of cameras.
+    #[error("{got} views given, the rig has {want} cameras")]
+    WrongViewCount {
+        /// Pictures given.
+        got: usize,
+        /// Cameras of the rig.
+        want: usize,
+    },
+    /// A pose with a NaN or an infinity.
+    #[error("the camera pose holds a number that is not finite")]
+    BadPose,
+    /// A distortion whose inverse does not exist inside the picture.
+    #[error("the lens distortion of camera {camera} folds the picture over itself at pixel ({u}, {v})")]
+    BadDistortion {
+        /// Camera of the rig.
+        camera: usize,
+        /// Column.
+        u: usize,
+        /// Row.
+        v: usize,
+    },
+}
+
+/// The scenes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SceneKind {
+    /// Smooth lobes, thin surface vessels, some fat, a membrane.
+    Liver,
+    /// Loops of bowel with branching vessels and fat between them.
+    Bowel,
+    /// A deep pocket between folds, 20 mm to more than 70 mm away.
+    Cavity,
+    /// A phantom box: printed rulers, crosses of known spacing, blocks of known height.
+    Box,
+    /// A flat chessboard of 10 x 7 squares of 3 mm.
+    Board,
+}
+
+impl SceneKind {
+    /// All scenes.
+    pub const ALL: [Self; 5] = [Self::Liver, Self::Bowel, Self::Cavity, Self::Box, Self::Board];
+
+    /// Name in a graph file.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Liver => "liver",
+            Self::Bowel => "bowel",
+            Self::Cavity => "cavity",
+            Self::Box => "box",
+            Self::Board => "board",
+        }
+    }
+}
+
+impl std::str::FromStr for SceneKind {
+    type Err = PhantomError;
+
+    fn from_str(name: &str) -> Result<Self, PhantomError> {
+        Self::ALL
+            .into_iter()
+            .find(|kind| kind.name() == name)
+            .ok_or_else(|| PhantomError::UnknownScene { name: name.to_owned() })
+    }
+}
+
+/// The scene, its motion, the light and the faults of the sensor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneParams {
+    /// Which scene.
+    pub scene: SceneKind,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Mean distance from the resting left camera to the tissue, 15 to 150 mm.
+    pub distance_mm: f64,
+    /// Frames per second of the motion script, 1 to 1000.
+    pub fps: f64,
+    /// Top speed of the scripted camera, 0 (still) to 25 mm/s.
+    pub camera_speed_mm_s: f64,
+    /// Amplitude of breathing, 0 to 5 mm.
+    pub breathing_mm: f64,
+    /// Length of a breath, 0.5 to 20 s.
+    pub breathing_period_s: f64,
+    /// Strength of the highlights; 0 leaves a surface whose colour does not depend on the view.
+    pub specular: f32,
+    /// Strength of shot and read noise; 1 is a good small sensor, 0 none.
+    pub noise: f32,
+    /// Density of smoke, 0 to 1.
+    pub smoke: f32,
+    /// Number of blood drops on each lens, 0 to 32.
+    pub blood_drops: u32,
+    /// Sub-frames averaged for motion blur, 1 (none) to 16.
+    pub motion_blur: u32,
+    /// Part of the frame time the shutter is open, 0 to 1; used with `motion_blur`.
+    pub shutter: f64,
+    /// Camera and frames `first..end` for which that camera's picture is black.
+    pub black: Option<BlackOut>,
+}
+
+/// A camera that goes black for a while.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BlackOut {
+    /// Camera of the rig.
+    pub camera: usize,
+    /// First black frame.
+    pub first: u64,
+    /// First frame seen again.
+    pub end: u64,
+}
+
+impl Default for SceneParams {
+    fn default() -> Self {
+        Self {
+            scene: SceneKind::Liver,
+            seed: 7,
+            distance_mm: 50.0,
+            fps: 30.0,
+            camera_speed_mm_s: 10.0,
+            breathing_mm: 1.0,
+            breathing_period_s: 4.0,
+            specular: 1.0,
+            noise: 1.0,
+            smoke: 0.0,
+            blood_drops: 0,
+            motion_blur: 1,
+            shutter: 0.5,
+            black: None,
+        }
+    }
+}
+
+impl SceneParams {
+    /// Refuses what lies outside the documented ranges.
+    ///
+    /// # Errors
+    /// [`PhantomError::OutOfRange`] names the parameter.
+    pub fn check(&self) -> Result<(), PhantomError> {
+        let ranges = [
+            ("distance_mm", self.distance_mm, 15.0, 150.0),
+            ("fps", self.fps, 1.0, 1000.0),
+            ("camera_speed_mm_s", self.camera_speed_mm_s, 0.0, 25.0),
+            ("breathing_mm", self.breathing_mm, 0.0, 5.0),
+            ("breathing_period_s", self.breathing_period_s, 0.5, 20.0),
+            ("specular", f64::from(self.specular), 0.0, 4.0),
+            ("noise", f64::from(self.noise), 0.0, 8.0),
+            ("smoke", f64::from(self.smoke), 0.0, 1.0),
+            ("blood_drops", f64::from(self.blood_drops), 0.0, 32.0),
+            ("motion_blur", f64::from(self.motion_blur), 1.0, 16.0),
+            ("shutter", self.shutter, 0.0, 1.0),
+        ];
+        for (name, value, low, high) in ranges {
+            if !(low..=high).contains(&value) {
+                return Err(PhantomError::OutOfRange { name, value, low, high });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// One pinhole camera with OpenCV's distortion `k1 k2 p1 p2 k3`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraModel {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Focal length along x, px.
+    pub fx: f64,
+    /// Focal length along y, px.
+    pub fy: f64,
+    /// Principal point, px; the centre of the first pixel is 0.
+    pub cx: f64,
+    /// Principal point, px.
+    pub cy: f64,
+    /// `k1, k2, p1, p2, k3`.
+    pub distortion: [f64; 5],
+    /// Centre of projection in the first camera's frame, mm. All cameras look along the same axis.
+    pub offset_mm: [f64; 3],
+    /// Exposure relative to the first camera.
+    pub exposure: f32,
+    /// Factors on blue, green and red.
+    pub white_balance: [f32; 3],
+}
+
+impl CameraModel {
+    /// An ideal camera of the thesis's scope: 640 columns at fx = fy = 750 px, wider ones in proportion.
+    pub fn ideal(width: usize, height: usize) -> Self {
+        let focal = 750.0 * width as f64 / 640.0;
+        Self {
+            width,
+            height,
+            fx: focal,
+            fy: focal,
+            cx: (width as f64 - 1.0) / 2.0,
+            cy: (height as f64 - 1.0) / 2.0,
+            distortion: [0.0; 5],
+            offset_mm: [0.0; 3],
+            exposure: 1.0,
+            white_balance: [1.0; 3],
+        }
+    }
+}
+
+/// The cameras of the scope and its light.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rig {
+    /// Cameras; the first is the reference (left, or top left).
+    pub cameras: Vec<CameraModel>,
+    /// The light's place in the first camera's frame, mm.
+    pub light_mm: [f64; 3],
+}
+
+impl Rig {
+    /// Two parallel cameras, the right one `baseline_mm` along x, a little darker and warmer than the left.
+    pub fn stereo(width: usize, height: usize, baseline_mm: f64) -> Self {
+        let left = CameraModel::ideal(width, height);
+        let right = CameraModel {
+            offset_mm: [baseline_mm, 0.0, 0.0],
+            exposure: 0.93,
+            white_balance: [0.97, 1.0, 1.03],
+            ..left
+        };
+        Self { cameras: vec![left, right], light_mm: [baseline_mm / 2.0, -3.0, 0.0] }
+    }
+
+    /// Four parallel cameras, `view0 view1` above `view2 view3`, `baseline_mm` apart both ways.
+    pub fn quad(width: usize, height: usize, baseline_mm: f64) -> Self {
+        let ideal = CameraModel::ideal(width, height);
+        let tints = [(1.0, 1.0, 1.0), (0.93, 0.97, 1.03), (1.05, 1.02, 0.99), (0.97, 1.01, 0.98)];
+        let cameras = (0..4).map(|i| {
+            let (exposure, blue, red) = tints[i];
+            CameraModel {
+                offset_mm: [(i % 2) as f64 * baseline_mm, (i / 2) as f64 * baseline_mm, 0.0],
+                exposure,
+                white_balance: [blue, 1.0, red],
+                ..ideal
+            }
+        });
+        Self { cameras: cameras.collect(), light_mm: [baseline_mm / 2.0, baseline_mm / 2.0, 0.0] }
+    }
+
+    /// Refuses sizes, focal lengths and offsets no picture can be drawn with.
+    ///
+    /// # Errors
+    /// [`PhantomError::OutOfRange`] names the field.
+    pub fn check(&self) -> Result<(), PhantomError> {
+        let within = |name, value: f64, low, high| {
+            if (low..=high).contains(&value) {
+                Ok(())
+            } else {
+                Err(PhantomError::OutOfRange { name, value, low, high })
+            }
+        };
+        within("number of cameras", self.cameras.len() as f64, 1.0, 8.0)?;
+        for camera in &self.cameras {
+            within("camera width", camera.width as f64, 8.0, 4096.0)?;
+            within("camera height", camera.height as f64, 8.0, 4096.0)?;
+            within("fx", camera.fx, 16.0, 65536.0)?;
+            within("fy", camera.fy, 16.0, 65536.0)?;
+            within("cx", camera.cx, -65536.0, 65536.0)?;
+            within("cy", camera.cy, -65536.0, 65536.0)?;
+            within("exposure", f64::from(camera.exposure), 0.0, 16.0)?;
+            for (&offset, &gain) in camera.offset_mm.iter().zip(&camera.white_balance) {
+                within("offset_mm", offset, -200.0, 200.0)?;
+                within("white_balance", f64::from(gain), 0.0, 16.0)?;
+            }
+            for k in camera.distortion {
+                within("distortion", k, -100.0, 100.0)?;
+            }
+        }
+        self.light_mm.iter().try_for_each(|&v| within("light_mm", v, -200.0, 200.0))
+    }
+}

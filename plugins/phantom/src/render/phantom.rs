@@ -1,0 +1,300 @@
+//! The phantom: what is kept between frames, and the drawing of one.
+
+use panoscope_imaging::{Parallel, SharedMut, ViewMut};
+
+use super::cast::{Coarse, Field, Station};
+use super::effects::{self, Smoke};
+use super::lens::Lens;
+use super::material::{self, TEXELS};
+use super::math::{Pose, hash};
+use super::motion::Script;
+use super::params::{CameraModel, PhantomError, Rig, SceneParams};
+use super::relief::{NODES, Relief};
+use super::shade::{self, portable};
+use super::shade::{Picture, Sensor, Skin, rows_of};
+use super::truth::TruthWork;
+
+/// Rows drawn by one chunk; a multiple of the tile.
+const CHUNK_ROWS: usize = 16;
+
+/// A scene and the cameras that look at it.
+pub struct Phantom {
+    pub(super) params: SceneParams,
+    pub(super) rig: Rig,
+    pub(super) relief: Relief,
+    texels: Vec<u64>,
+    script: Script,
+    smoke: Option<Smoke>,
+    /// Surface of the frame drawn last.
+    z_mm: Vec<f32>,
+    breath_mm: f32,
+    pub(super) eyes: Vec<Eye>,
+    pub(super) truth: TruthWork,
+    portable: bool,
+}
+
+/// One camera with its work memory.
+pub(super) struct Eye {
+    pub(super) model: CameraModel,
+    pub(super) lens: Lens,
+    pub(super) stations: Vec<(Station, Coarse)>,
+    drops: Vec<u8>,
+    smoke: Vec<f32>,
+}
+
+impl Eye {
+    pub(super) fn new(model: CameraModel, camera: usize, subframes: usize) -> Result<Self, PhantomError> {
+        let lens = Lens::new(&model, camera)?;
+        let stations = (0..subframes).map(|_| (Station::default(), Coarse::new(&lens))).collect();
+        Ok(Self { model, lens, stations, drops: Vec::new(), smoke: Vec::new() })
+    }
+}
+
+impl Phantom {
+    /// Shapes and bakes the scene (about a third of a second of one core) and tabulates the lenses.
+    ///
+    /// # Errors
+    /// A parameter, camera or distortion that cannot be drawn.
+    pub fn new(params: SceneParams, rig: Rig, pool: &dyn Parallel) -> Result<Self, PhantomError> {
+        params.check()?;
+        rig.check()?;
+        let subframes = if params.shutter > 0.0 { params.motion_blur as usize } else { 1 };
+        let eye = |(i, model): (usize, &CameraModel)| Eye::new(*model, i, subframes);
+        let mut eyes = rig.cameras.iter().enumerate().map(eye).collect::<Result<Vec<_>, _>>()?;
+        for (camera, eye) in eyes.iter_mut().enumerate() {
+            eye.drops = effects::drops(&eye.lens, params.seed, camera, params.blood_drops);
+            if params.smoke > 0.0 {
+                eye.smoke = vec![0.0; eye.lens.grid_padded * eye.lens.grid_height];
+            }
+        }
+        let smoke = (params.smoke > 0.0).then(|| Smoke::new(params.seed, params.smoke));
+        let relief = Relief::new(&params, pool);
+        let texels = material::bake(&params, &relief, pool);
+        let script = Script::new(&params);
+        let truth = TruthWork::new(&rig.cameras)?;
+        let z_mm = relief.z_mm.clone();
+        Ok(Self { params, rig, relief, texels, script, smoke, z_mm, breath_mm: 0.0, eyes, truth, portable: false })
+    }
+
+    /// The scene's parameters.
+    pub fn params(&self) -> &SceneParams {
+        &self.params
+    }
+
+    /// The cameras.
+    pub fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
+    /// `scene_from_camera` of the first camera at a frame of the script.
+    pub fn pose(&self, frame: u64) -> Pose {
+        self.script.pose(frame as f64)
+    }
+
+    /// Draws without AVX2 even where it is there; the bytes stay the same.
+    pub fn force_portable(&mut self, portable: bool) {
+        self.portable = portable;
+    }
+
+    pub(super) fn wide_lanes(&self) -> bool {
+        #[cfg(target_arch = "x86_64")]
+        return !self.portable && std::arch::is_x86_feature_detected!("avx2");
+        #[cfg(not(target_arch = "x86_64"))]
+        return false;
+    }
+
+    /// Draws one frame: `views[i]` (BGR, any stride) receives camera `i`. `pose` (`scene_from_camera` of the first
+    /// camera) replaces the script's. Allocates nothing.
+    ///
+    /// # Errors
+    /// Views of the wrong number or size, a pose that is not finite.
+    pub fn render(
+        &mut self,
+        frame: u64,
+        pose: Option<Pose>,
+        pool: &dyn Parallel,
+        views: &mut [ViewMut<u8>],
+    ) -> Result<(), PhantomError> {
+        if views.len() != self.eyes.len() {
+            return Err(PhantomError::WrongViewCount { got: views.len(), want: self.eyes.len() });
+        }
+        for (i, (view, eye)) in views.iter().zip(&self.eyes).enumerate() {
+            check_size(i, view, eye.lens.width, eye.lens.height, 3)?;
+        }
+        self.place(frame, pose)?;
+        self.breathe(frame, pool);
+        let mut eyes = std::mem::take(&mut self.eyes);
+        for (camera, (eye, view)) in eyes.iter_mut().zip(views).enumerate() {
+            let black = self.params.black.is_some_and(|b| b.camera == camera && (b.first..b.end).contains(&frame));
+            if black {
+                (0..view.height).for_each(|y| view.row_mut(y).fill(0));
+                continue;
+            }
+            for (station, coarse) in &mut eye.stations {
+                self.coarse(&eye.lens, station, coarse, pool);
+            }
+            if let Some(smoke) = &self.smoke {
+                let (pose, seconds) = (pose.unwrap_or_else(|| self.pose(frame)), frame as f64 / self.params.fps);
+                smoke.fill(&eye.lens, &pose, eye.model.offset_mm, seconds, pool, &mut eye.smoke);
+            }
+            let words = [self.params.seed as u32, (self.params.seed >> 32) as u32, frame as u32, (frame >> 32) as u32];
+            let sensor = Sensor {
+                gain: eye.model.white_balance.map(|w| w * eye.model.exposure),
+                noise: self.params.noise,
+                key: hash(&[words[0], words[1], words[2], words[3], camera as u32]),
+                smoke: &eye.smoke,
+                drops: &eye.drops,
+            };
+            self.draw(&eye.lens, &eye.stations, sensor, pool, view);
+        }
+        self.eyes = eyes;
+        Ok(())
+    }
+
+    /// Puts the cameras of all sub-frames where they stand.
+    fn place(&mut self, frame: u64, pose: Option<Pose>) -> Result<(), PhantomError> {
+        if pose.is_some_and(|p| !p.is_finite()) {
+            return Err(PhantomError::BadPose);
+        }
+        let (params, script, rig, period) = (&self.params, &self.script, &self.rig, f64::from(self.relief.period_mm));
+        for eye in &mut self.eyes {
+            let count = eye.stations.len();
+            for (k, (station, _)) in eye.stations.iter_mut().enumerate() {
+                let part = ((k as f64 + 0.5) / count as f64 - 0.5) * params.shutter * if count > 1 { 1.0 } else { 0.0 };
+                let pose = pose.unwrap_or_else(|| script.pose(frame as f64 + part));
+                *station = station_at(&pose, eye.model.offset_mm, rig.light_mm, period);
+            }
+        }
+        Ok(())
+    }
+
+    /// Moves the surface to where it is at a frame.
+    pub(super) fn breathe(&mut self, frame: u64, pool: &dyn Parallel) {
+        let breath = self.script.breath_mm(frame as f64) as f32;
+        if breath == self.breath_mm {
+            return;
+        }
+        self.breath_mm = breath;
+        const ROWS: usize = 32;
+        let (rest, swell) = (&self.relief.z_mm, &self.relief.breath);
+        let z = SharedMut::new(&mut self.z_mm);
+        pool.run(NODES / ROWS, &|chunk| {
+            let at = chunk * ROWS * NODES;
+            // SAFETY: each chunk takes its own rows.
+            let z = unsafe { z.part(at, ROWS * NODES) };
+            for ((z, rest), swell) in z.iter_mut().zip(&rest[at..]).zip(&swell[at..]) {
+                *z = rest + breath * swell;
+            }
+        });
+    }
+
+    pub(super) fn field(&self) -> Field<'_> {
+        Field {
+            z_mm: &self.z_mm,
+            per_mm: 1.0 / self.relief.cell_mm(),
+            max_slope: self.relief.max_slope,
+            block_slope: &self.relief.block_slope,
+            nearest_mm: self.relief.z_range_mm[0],
+        }
+    }
+
+    /// Depths of the corners and the kind of each tile.
+    pub(super) fn coarse(&self, lens: &Lens, station: &Station, coarse: &mut Coarse, pool: &dyn Parallel) {
+        let field = self.field();
+        let wide = self.wide_lanes();
+        let depth = SharedMut::new(&mut coarse.depth_mm);
+        pool.run(lens.grid_height, &|row| {
+            // SAFETY: each chunk takes its own row.
+            let out = unsafe { depth.part(row * lens.grid_padded, lens.grid_padded) };
+            #[cfg(target_arch = "x86_64")]
+            if wide {
+                // SAFETY: `wide_lanes` found AVX2.
+                return unsafe { shade::avx2::corners(&field, station, lens, row, out) };
+            }
+            let _ = wide;
+            portable::corners(&field, station, lens, row, out);
+        });
+        let width = lens.grid_width - 1;
+        let (depth_mm, tiles) = (&coarse.depth_mm, SharedMut::new(&mut coarse.tiles));
+        pool.run(lens.grid_height - 1, &|row| {
+            // SAFETY: each chunk takes its own row.
+            let out = unsafe { tiles.part(row * width, width) };
+            #[cfg(target_arch = "x86_64")]
+            if wide {
+                // SAFETY: `wide_lanes` found AVX2.
+                return unsafe { shade::avx2::classify(&field, station, lens, depth_mm, row, out) };
+            }
+            portable::classify(&field, station, lens, depth_mm, row, out);
+        });
+    }
+
+    /// Draws a picture whose coarse pass is done.
+    pub(super) fn draw(
+        &self,
+        lens: &Lens,
+        stations: &[(Station, Coarse)],
+        sensor: Sensor,
+        pool: &dyn Parallel,
+        view: &mut ViewMut<u8>,
+    ) {
+        let distance = self.params.distance_mm as f32;
+        let skin = Skin {
+            texels: &self.texels,
+            per_mm: TEXELS as f32 / self.relief.period_mm,
+            specular: self.params.specular,
+            power: 1.25 * distance * distance,
+            breath: &self.relief.breath,
+            breath_mm: self.breath_mm,
+            nodes_per_mm: 1.0 / self.relief.cell_mm(),
+        };
+        let picture = Picture { lens, stations, field: self.field(), skin, sensor };
+        let wide = self.wide_lanes();
+        let (stride, width, height) = (view.stride, view.width, view.height);
+        let shared = SharedMut::new(view.data);
+        pool.run(height.div_ceil(CHUNK_ROWS), &|chunk| {
+            let first = chunk * CHUNK_ROWS;
+            // SAFETY: each chunk takes its own rows.
+            let mut out = unsafe { rows_of(&shared, stride, width, first, CHUNK_ROWS.min(height - first)) };
+            #[cfg(target_arch = "x86_64")]
+            if wide {
+                // SAFETY: `wide_lanes` found AVX2.
+                return unsafe { shade::avx2::colour(&picture, first, &mut out) };
+            }
+            let _ = wide;
+            portable::colour(&picture, first, &mut out);
+        });
+    }
+}
+
+/// A camera `offset_mm` beside the first one, in the scene frame wrapped to the first period.
+pub(super) fn station_at(pose: &Pose, offset_mm: [f64; 3], light_mm: [f64; 3], period_mm: f64) -> Station {
+    let centre = pose.apply(offset_mm);
+    let light = pose.apply(light_mm);
+    let wrap = [(centre[0] / period_mm).floor() * period_mm, (centre[1] / period_mm).floor() * period_mm, 0.0];
+    Station {
+        centre: std::array::from_fn(|i| (centre[i] - wrap[i]) as f32),
+        rotation: pose.rotation().map(|row| row.map(|v| v as f32)),
+        light: std::array::from_fn(|i| (light[i] - wrap[i]) as f32),
+    }
+}
+
+pub(super) fn check_size<T>(
+    index: usize,
+    view: &ViewMut<T>,
+    width: usize,
+    height: usize,
+    channels: usize,
+) -> Result<(), PhantomError> {
+    if (view.width, view.height, view.channels) == (width, height, channels) {
+        return Ok(());
+    }
+    Err(PhantomError::WrongSize {
+        view: index,
+        width: view.width,
+        height: view.height,
+        channels: view.channels,
+        want_width: width,
+        want_height: height,
+        want_channels: channels,
+    })
+}

@@ -1,0 +1,322 @@
+//! Exact truth of a frame: depth, disparity, visibility, the best plane homography, the wide view.
+//!
+//! Truth belongs to the ideal pinhole cameras: those that a perfect rectification would make of the real
+//! ones (same focal length, principal point and place, no distortion).
+
+use panoscope_imaging::{Parallel, SharedMut, ViewMut};
+
+use super::cast::{Coarse, FAR_MM, Station};
+use super::lanes::LANES;
+use super::lens::TILE;
+use super::math::Pose;
+use super::params::{CameraModel, PhantomError};
+use super::phantom::{Eye, Phantom, check_size, station_at};
+use super::shade::{self, Sensor, portable};
+
+/// Rows of one chunk.
+const CHUNK_ROWS: usize = 16;
+/// A point counts as seen when the other camera's first hit lies within this of it along its axis, mm.
+const SEEN_MM: f32 = 0.05;
+
+/// What is asked for; every plane is the size of the first camera, one channel.
+#[derive(Debug, Default)]
+pub struct TruthMut<'a> {
+    /// Depth along the first camera's axis, mm; NaN where its ray meets nothing.
+    pub depth_mm: Option<ViewMut<'a, f32>>,
+    /// `fx * baseline / depth`, px: the point lies at `(u - disparity, v)` in the second view. Given wherever
+    /// the first camera's ray hits, seen by the second camera or not.
+    pub disparity_px: Option<ViewMut<'a, f32>>,
+    /// 255 where the second camera sees the same point: inside its picture and not hidden.
+    pub visible: Option<ViewMut<'a, u8>>,
+}
+
+/// The plane homography that fits the true correspondences of the shared field best.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneFit {
+    /// `left_from_right`, row by row; the last number is 1.
+    pub left_from_right: [f64; 9],
+    /// Root mean square of the distance between mapped and true place, px.
+    pub rms_px: f64,
+    /// Correspondences used.
+    pub points: usize,
+}
+
+/// Where a wide picture lies: pixel `(u, v)` of it is pixel `(u - offset_x, v - offset_y)` of the first camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Canvas {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Column of the first camera's first pixel.
+    pub offset_x: f64,
+    /// Row of the first camera's first pixel.
+    pub offset_y: f64,
+}
+
+/// Memory of the truth, kept between frames.
+#[derive(Default)]
+pub(super) struct TruthWork {
+    eyes: Vec<Eye>,
+    depth_mm: Vec<f32>,
+    pairs: Vec<[f64; 4]>,
+    wide: Option<(Canvas, Eye)>,
+}
+
+impl TruthWork {
+    pub(super) fn new(cameras: &[CameraModel]) -> Result<Self, PhantomError> {
+        let ideal = |(i, model): (usize, &CameraModel)| Eye::new(CameraModel { distortion: [0.0; 5], ..*model }, i, 1);
+        let eyes = cameras.iter().take(2).enumerate().map(ideal).collect::<Result<_, _>>()?;
+        Ok(Self { eyes, ..Self::default() })
+    }
+}
+
+impl Phantom {
+    /// Computes what `out` asks for. Allocates nothing after the first call.
+    ///
+    /// # Errors
+    /// Planes of the wrong size, a pose that is not finite; disparity or visibility of a rig of one camera.
+    pub fn truth(
+        &mut self,
+        frame: u64,
+        pose: Option<Pose>,
+        pool: &dyn Parallel,
+        mut out: TruthMut,
+    ) -> Result<(), PhantomError> {
+        let (width, height) = (self.eyes[0].lens.width, self.eyes[0].lens.height);
+        for (i, plane) in [&out.depth_mm, &out.disparity_px].into_iter().enumerate() {
+            plane.as_ref().map_or(Ok(()), |plane| check_size(i, plane, width, height, 1))?;
+        }
+        out.visible.as_ref().map_or(Ok(()), |plane| check_size(2, plane, width, height, 1))?;
+        if self.eyes.len() < 2 && (out.disparity_px.is_some() || out.visible.is_some()) {
+            return Err(PhantomError::WrongViewCount { got: self.eyes.len(), want: 2 });
+        }
+        let mut work = self.solve_depth(frame, pose, pool)?;
+        if let Some(plane) = &mut out.depth_mm {
+            for (y, depth) in work.depth_mm.chunks_exact(width).enumerate() {
+                plane.row_mut(y).copy_from_slice(depth);
+            }
+        }
+        if let Some(plane) = &mut out.disparity_px {
+            let (left, right) = (&work.eyes[0].model, &work.eyes[1].model);
+            let scale = (left.fx * (right.offset_mm[0] - left.offset_mm[0])) as f32;
+            for (y, depth) in work.depth_mm.chunks_exact(width).enumerate() {
+                plane.row_mut(y).iter_mut().zip(depth).for_each(|(out, depth)| *out = scale / depth);
+            }
+        }
+        if let Some(plane) = &mut out.visible {
+            self.see(&mut work, pool, plane);
+        }
+        self.truth = work;
+        Ok(())
+    }
+
+    /// Depth of the first camera into the work memory, which the caller puts back.
+    fn solve_depth(&mut self, frame: u64, pose: Option<Pose>, pool: &dyn Parallel) -> Result<TruthWork, PhantomError> {
+        let pose = pose.unwrap_or_else(|| self.pose(frame));
+        if !pose.is_finite() {
+            return Err(PhantomError::BadPose);
+        }
+        self.breathe(frame, pool);
+        let mut work = std::mem::take(&mut self.truth);
+        let period = f64::from(self.relief.period_mm);
+        for eye in &mut work.eyes {
+            let (station, coarse) = &mut eye.stations[0];
+            *station = station_at(&pose, eye.model.offset_mm, self.rig.light_mm, period);
+            self.coarse(&eye.lens, station, coarse, pool);
+        }
+        let TruthWork { eyes, depth_mm, .. } = &mut work;
+        let lens = &eyes[0].lens;
+        depth_mm.resize(lens.width * lens.height, 0.0);
+        let (station, coarse) = &eyes[0].stations[0];
+        let (field, wide) = (self.field(), self.wide_lanes());
+        let shared = SharedMut::new(depth_mm);
+        pool.run(lens.height.div_ceil(CHUNK_ROWS), &|chunk| {
+            let first = chunk * CHUNK_ROWS;
+            let rows = CHUNK_ROWS.min(lens.height - first);
+            // SAFETY: each chunk takes its own rows.
+            let out = unsafe { shared.part(first * lens.width, rows * lens.width) };
+            #[cfg(target_arch = "x86_64")]
+            if wide {
+                // SAFETY: `wide_lanes` found AVX2.
+                return unsafe { shade::avx2::depth(&field, lens, station, coarse, first, out) };
+            }
+            let _ = wide;
+            portable::depth(&field, lens, station, coarse, first, out);
+        });
+        Ok(work)
+    }
+
+    /// Marks the points that the second camera sees too.
+    fn see(&self, work: &mut TruthWork, pool: &dyn Parallel, plane: &mut ViewMut<u8>) {
+        let (left, right) = (&work.eyes[0], &work.eyes[1]);
+        let (width, height) = (left.lens.width, left.lens.height);
+        let (station, coarse) = &right.stations[0];
+        let offset: [f64; 3] = std::array::from_fn(|i| right.model.offset_mm[i] - left.model.offset_mm[i]);
+        let offset = offset.map(|v| v as f32);
+        let (field, wide) = (self.field(), self.wide_lanes());
+        let (depth_mm, stride) = (&work.depth_mm, plane.stride);
+        let (fx, fy) = (right.model.fx as f32, right.model.fy as f32);
+        let (cx, cy) = (right.model.cx as f32, right.model.cy as f32);
+        let shared = SharedMut::new(plane.data);
+        pool.run(height, &|row| {
+            // SAFETY: each chunk takes its own row.
+            let out = unsafe { shared.part(row * stride, width) };
+            let y = left.lens.y[row];
+            for (packet, out) in out.chunks_mut(LANES).enumerate() {
+                let at = packet * LANES;
+                let (mut rx, mut ry, mut want) = ([0f32; LANES], [0f32; LANES], [f32::NAN; LANES]);
+                let mut start = f32::MAX;
+                for lane in 0..out.len() {
+                    let t = depth_mm[row * width + at + lane];
+                    let z = t - offset[2];
+                    let (x, y) = ((left.lens.x[at + lane] * t - offset[0]) / z, (y * t - offset[1]) / z);
+                    let (u, v) = (x * fx + cx, y * fy + cy);
+                    // The picture ends half a pixel beyond the last centre. NaN fails too.
+                    if u > -0.5 && u < width as f32 - 0.5 && v > -0.5 && v < height as f32 - 0.5 {
+                        (rx[lane], ry[lane], want[lane]) = (x, y, z);
+                        let tile = |p: f32, limit: usize| (p.max(0.0) as usize / TILE).min(limit);
+                        let (column, line) = (tile(u, right.lens.grid_width - 2), tile(v, right.lens.grid_height - 2));
+                        start = start.min(nearest_around(coarse, right, column, line));
+                    }
+                }
+                if start == f32::MAX {
+                    out.fill(0);
+                    continue;
+                }
+                // Idle lanes follow a live one.
+                if let Some(live) = (0..LANES).find(|&i| want[i].is_finite()) {
+                    for lane in 0..LANES {
+                        if want[lane].is_nan() {
+                            (rx[lane], ry[lane]) = (rx[live], ry[live]);
+                        }
+                    }
+                }
+                let found = first_hits(wide, &field, station, &rx, &ry, start * 0.97);
+                for (lane, out) in out.iter_mut().enumerate() {
+                    *out = if (found[lane] - want[lane]).abs() < SEEN_MM { 255 } else { 0 };
+                }
+            }
+        });
+    }
+
+    /// Fits `left_from_right` by least squares to the true correspondences (every eighth pixel of the shared
+    /// field that both cameras see). `None` where fewer than 16 points are shared.
+    ///
+    /// # Errors
+    /// As [`Phantom::truth`].
+    pub fn homography(
+        &mut self,
+        frame: u64,
+        pose: Option<Pose>,
+        pool: &dyn Parallel,
+    ) -> Result<Option<PlaneFit>, PhantomError> {
+        if self.eyes.len() < 2 {
+            return Err(PhantomError::WrongViewCount { got: self.eyes.len(), want: 2 });
+        }
+        let mut work = self.solve_depth(frame, pose, pool)?;
+        let mut pairs = std::mem::take(&mut work.pairs);
+        pairs.clear();
+        let (left, right) = (&work.eyes[0], &work.eyes[1]);
+        let (station, field, wide) = (&right.stations[0].0, self.field(), self.wide_lanes());
+        let offset: [f64; 3] = std::array::from_fn(|i| right.model.offset_mm[i] - left.model.offset_mm[i]);
+        for v in (4..left.lens.height).step_by(8) {
+            for u in (4..left.lens.width).step_by(8) {
+                let t = f64::from(work.depth_mm[v * left.lens.width + u]);
+                let z = t - offset[2];
+                let x = (f64::from(left.lens.x[u]) * t - offset[0]) / z;
+                let y = (f64::from(left.lens.y[v]) * t - offset[1]) / z;
+                let place = [x * right.model.fx + right.model.cx, y * right.model.fy + right.model.cy];
+                let inside = place[0] > -0.5 && place[0] < right.lens.width as f64 - 0.5;
+                if inside && place[1] > -0.5 && place[1] < right.lens.height as f64 - 0.5 {
+                    let found = first_hits(wide, &field, station, &[x as f32; LANES], &[y as f32; LANES], 0.0)[0];
+                    if (found - z as f32).abs() < SEEN_MM {
+                        pairs.push([place[0], place[1], u as f64, v as f64]);
+                    }
+                }
+            }
+        }
+        let fit = super::fit::homography(&pairs);
+        work.pairs = pairs;
+        self.truth = work;
+        Ok(fit)
+    }
+
+    /// Draws what one ideal camera at the first camera's place, with a larger sensor, would see: no noise, no
+    /// distortion. Allocates only when the canvas changes.
+    ///
+    /// # Errors
+    /// A canvas of more than 8192 px a side, a view of another size, a pose that is not finite.
+    pub fn wide(
+        &mut self,
+        frame: u64,
+        pose: Option<Pose>,
+        canvas: Canvas,
+        pool: &dyn Parallel,
+        view: &mut ViewMut<u8>,
+    ) -> Result<(), PhantomError> {
+        for (name, value, low) in [("canvas width", canvas.width, 8.0), ("canvas height", canvas.height, 8.0)] {
+            if !(low..=8192.0).contains(&(value as f64)) {
+                return Err(PhantomError::OutOfRange { name, value: value as f64, low, high: 8192.0 });
+            }
+        }
+        check_size(0, view, canvas.width, canvas.height, 3)?;
+        let pose = pose.unwrap_or_else(|| self.pose(frame));
+        if !pose.is_finite() {
+            return Err(PhantomError::BadPose);
+        }
+        self.breathe(frame, pool);
+        let kept = self.truth.wide.take().filter(|(of, _)| *of == canvas);
+        let (_, mut eye) = match kept {
+            Some(kept) => kept,
+            None => {
+                let model = CameraModel {
+                    width: canvas.width,
+                    height: canvas.height,
+                    cx: self.eyes[0].model.cx + canvas.offset_x,
+                    cy: self.eyes[0].model.cy + canvas.offset_y,
+                    distortion: [0.0; 5],
+                    ..self.eyes[0].model
+                };
+                (canvas, Eye::new(model, 0, 1)?)
+            }
+        };
+        let period = f64::from(self.relief.period_mm);
+        let (station, coarse) = &mut eye.stations[0];
+        *station = station_at(&pose, eye.model.offset_mm, self.rig.light_mm, period);
+        self.coarse(&eye.lens, station, coarse, pool);
+        let gain = eye.model.white_balance.map(|w| w * eye.model.exposure);
+        let sensor = Sensor { gain, noise: 0.0, key: 0, smoke: &[], drops: &[] };
+        self.draw(&eye.lens, &eye.stations, sensor, pool, view);
+        self.truth.wide = Some((canvas, eye));
+        Ok(())
+    }
+}
+
+/// Smallest depth of the corners around a tile, mm.
+fn nearest_around(coarse: &Coarse, eye: &Eye, column: usize, line: usize) -> f32 {
+    let mut nearest = FAR_MM;
+    for v in line.saturating_sub(1)..=(line + 2).min(eye.lens.grid_height - 1) {
+        for u in column.saturating_sub(1)..=(column + 2).min(eye.lens.grid_width - 1) {
+            nearest = nearest.min(coarse.depth_mm[v * eye.lens.grid_padded + u]);
+        }
+    }
+    nearest
+}
+
+fn first_hits(
+    wide: bool,
+    field: &super::cast::Field,
+    station: &Station,
+    x: &[f32; LANES],
+    y: &[f32; LANES],
+    start: f32,
+) -> [f32; LANES] {
+    #[cfg(target_arch = "x86_64")]
+    if wide {
+        // SAFETY: the caller's `wide` comes from detecting AVX2.
+        return unsafe { shade::avx2::first_hits(field, station, x, y, start) };
+    }
+    let _ = wide;
+    portable::first_hits(field, station, x, y, start)
+}

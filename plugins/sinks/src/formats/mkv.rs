@@ -1,0 +1,213 @@
+//! Matroska (RFC 9559) with one track of Motion JPEG, made so that a file that is cut off anywhere still plays.
+//!
+//! Every frame is a cluster of its own with its size in front, and the segment's size is unknown until [`Muxer::finish`]
+//! writes it together with the duration, the index and the place of the index.
+
+use std::io::{self, Seek, SeekFrom, Write};
+
+const EBML: u32 = 0x1A45_DFA3;
+const SEGMENT: u32 = 0x1853_8067;
+const SEEK_HEAD: u32 = 0x114D_9B74;
+const INFO: u32 = 0x1549_A966;
+const TRACKS: u32 = 0x1654_AE6B;
+const CLUSTER: u32 = 0x1F43_B675;
+const CUES: u32 = 0x1C53_BB6B;
+const DURATION: u32 = 0x4489;
+const DEFAULT_DURATION: u32 = 0x23_E383;
+const VOID: u32 = 0xEC;
+
+fn id(out: &mut Vec<u8>, id: u32) {
+    let bytes = id.to_be_bytes();
+    let skip = bytes.iter().take_while(|&&b| b == 0).count();
+    out.extend_from_slice(&bytes[skip..]);
+}
+
+/// A size in eight bytes, whatever it is.
+fn size8(out: &mut Vec<u8>, size: u64) {
+    out.extend_from_slice(&(size | 1 << 56).to_be_bytes());
+}
+
+fn element(out: &mut Vec<u8>, tag: u32, body: &[u8]) {
+    id(out, tag);
+    if body.len() < 127 {
+        out.push(0x80 | body.len() as u8);
+    } else {
+        size8(out, body.len() as u64);
+    }
+    out.extend_from_slice(body);
+}
+
+fn number(out: &mut Vec<u8>, tag: u32, value: u64) {
+    let bytes = value.to_be_bytes();
+    let skip = bytes.iter().take_while(|&&b| b == 0).count().min(7);
+    element(out, tag, &bytes[skip..]);
+}
+
+/// An element that means nothing and takes `len` bytes (2..=128), to be overwritten later.
+fn reserve(out: &mut Vec<u8>, len: usize) {
+    element(out, VOID, &vec![0; len - 2]);
+}
+
+fn master(out: &mut Vec<u8>, tag: u32, fill: impl FnOnce(&mut Vec<u8>)) {
+    let mut body = Vec::new();
+    fill(&mut body);
+    element(out, tag, &body);
+}
+
+/// Writes one file.
+#[derive(Debug)]
+pub struct Muxer<W: Write + Seek> {
+    out: W,
+    /// Where the segment's body begins; all places inside the file count from here.
+    segment_at: u64,
+    seek_head_at: u64,
+    duration_at: u64,
+    default_duration_at: u64,
+    at: u64,
+    cues: Vec<(u64, u64)>,
+    head: Vec<u8>,
+}
+
+/// Room for elements that only the end of a recording knows.
+const SEEK_HEAD_LEN: usize = 40;
+const DURATION_LEN: usize = 2 + 1 + 8;
+const DEFAULT_DURATION_LEN: usize = 3 + 1 + 8;
+
+impl<W: Write + Seek> Muxer<W> {
+    /// Writes what stands before the first frame: `width` x `height` in px.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn new(mut out: W, width: usize, height: usize) -> io::Result<Self> {
+        let mut b = Vec::with_capacity(512);
+        master(&mut b, EBML, |b| {
+            number(b, 0x4286, 1); // EBMLVersion
+            number(b, 0x42F7, 1); // EBMLReadVersion
+            number(b, 0x42F2, 4); // EBMLMaxIDLength
+            number(b, 0x42F3, 8); // EBMLMaxSizeLength
+            element(b, 0x4282, b"matroska");
+            number(b, 0x4287, 4); // DocTypeVersion
+            number(b, 0x4285, 2); // DocTypeReadVersion
+        });
+        id(&mut b, SEGMENT);
+        size8(&mut b, (1 << 56) - 1); // unknown
+        let segment_at = b.len() as u64;
+        let seek_head_at = b.len() as u64;
+        reserve(&mut b, SEEK_HEAD_LEN);
+        master(&mut b, INFO, |b| {
+            number(b, 0x2A_D7B1, 1_000_000); // one step of time is 1 ms
+            element(b, 0x4D80, b"panoscope"); // MuxingApp
+            element(b, 0x5741, b"panoscope"); // WritingApp
+            reserve(b, DURATION_LEN);
+        });
+        // Both elements that are completed later end their masters.
+        let duration_at = (b.len() - DURATION_LEN) as u64;
+        master(&mut b, TRACKS, |b| {
+            master(b, 0xAE, |b| {
+                number(b, 0xD7, 1); // TrackNumber
+                number(b, 0x73C5, 1); // TrackUID
+                number(b, 0x83, 1); // video
+                number(b, 0x9C, 0); // no lacing
+                element(b, 0x86, b"V_MJPEG");
+                master(b, 0xE0, |b| {
+                    number(b, 0xB0, width as u64);
+                    number(b, 0xBA, height as u64);
+                });
+                reserve(b, DEFAULT_DURATION_LEN);
+            });
+        });
+        let default_duration_at = (b.len() - DEFAULT_DURATION_LEN) as u64;
+        out.write_all(&b)?;
+        out.flush()?;
+        let at = b.len() as u64;
+        Ok(Self { out, segment_at, seek_head_at, duration_at, default_duration_at, at, cues: Vec::new(), head: b })
+    }
+
+    /// Appends a JPEG that is shown from `time_ms` on; times grow. The frame has left for the system on return.
+    ///
+    /// # Errors
+    /// Those of the file.
+    pub fn push(&mut self, time_ms: u64, jpeg: &[u8]) -> io::Result<()> {
+        let head = &mut self.head;
+        head.clear();
+        number(head, 0xE7, time_ms); // the cluster's time
+        head.push(0xA3); // SimpleBlock
+        size8(head, jpeg.len() as u64 + 4);
+        head.extend_from_slice(&[0x81, 0, 0, 0x80]); // track 1, 0 ms after the cluster, a key frame
+        let mut cluster = Vec::with_capacity(16);
+        id(&mut cluster, CLUSTER);
+        size8(&mut cluster, (head.len() + jpeg.len()) as u64);
+        self.out.write_all(&cluster)?;
+        self.out.write_all(head)?;
+        self.out.write_all(jpeg)?;
+        self.out.flush()?;
+        self.cues.push((time_ms, self.at - self.segment_at));
+        self.at += (cluster.len() + head.len() + jpeg.len()) as u64;
+        Ok(())
+    }
+
+    /// Frames so far.
+    pub fn frames(&self) -> usize {
+        self.cues.len()
+    }
+
+    /// Writes index, duration and sizes; answers the file.
+    ///
+    /// # Errors
+    /// Those of the file; it still plays as far as it was written.
+    pub fn finish(mut self) -> io::Result<W> {
+        let mut cues = Vec::with_capacity(self.cues.len() * 24);
+        master(&mut cues, CUES, |b| {
+            for &(time, place) in &self.cues {
+                master(b, 0xBB, |b| {
+                    number(b, 0xB3, time);
+                    master(b, 0xB7, |b| {
+                        number(b, 0xF7, 1);
+                        number(b, 0xF1, place);
+                    });
+                });
+            }
+        });
+        self.out.write_all(&cues)?;
+        let end = self.at + cues.len() as u64;
+        let mut patch = Vec::new();
+        let step_ms = match (self.cues.first(), self.cues.last()) {
+            (Some(first), Some(last)) if self.cues.len() > 1 => {
+                (last.0 - first.0) as f64 / (self.cues.len() - 1) as f64
+            }
+            _ => 0.0,
+        };
+        if let Some(last) = self.cues.last() {
+            element(&mut patch, DURATION, &(last.0 as f64 + step_ms).to_be_bytes());
+            self.patch(self.duration_at, &patch)?;
+        }
+        if step_ms > 0.0 {
+            patch.clear();
+            element(&mut patch, DEFAULT_DURATION, &((step_ms * 1e6) as u64).to_be_bytes());
+            self.patch(self.default_duration_at, &patch)?;
+        }
+        patch.clear();
+        master(&mut patch, SEEK_HEAD, |b| {
+            for (tag, place) in [(CUES, self.at - self.segment_at)] {
+                master(b, 0x4DBB, |b| {
+                    element(b, 0x53AB, &tag.to_be_bytes());
+                    element(b, 0x53AC, &place.to_be_bytes());
+                });
+            }
+        });
+        let rest = SEEK_HEAD_LEN - patch.len();
+        reserve(&mut patch, rest);
+        self.patch(self.seek_head_at, &patch)?;
+        patch.clear();
+        size8(&mut patch, end - self.segment_at);
+        self.patch(self.segment_at - 8, &patch)?;
+        self.out.seek(SeekFrom::End(0))?;
+        self.out.flush()?;
+        Ok(self.out)
+    }
+
+    fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        self.out.seek(SeekFrom::Start(at))?;
+        self.out.write_all(bytes)
+    }
+}

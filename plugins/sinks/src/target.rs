@@ -1,0 +1,241 @@
+//! From a path parameter to a finished file: names, folders, part files and errors that say what helps.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+/// Ending of a file that is still being written.
+pub const PART: &str = ".tmp-part";
+
+/// Why a file could not be written.
+#[derive(Debug, thiserror::Error)]
+pub enum SinkError {
+    /// The operating system refused.
+    #[error("cannot write {path}: {reason}; {mend}", path = path.display(), mend = mend(source))]
+    Io {
+        /// The file that was asked for.
+        path: PathBuf,
+        /// What the system said.
+        reason: String,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// The path parameter is empty or has no file name.
+    #[error("`path` = \"{path}\" names no file: write something like `path = \"out/{example}\"`", path = path.display())]
+    NoName {
+        /// The parameter.
+        path: PathBuf,
+        /// A name that would do.
+        example: &'static str,
+    },
+    /// The ending stands for no format of this node.
+    #[error("{path}: no format has the ending `{ending}` here; known are: {known}", path = path.display())]
+    Ending {
+        /// The file that was asked for.
+        path: PathBuf,
+        /// Its ending.
+        ending: String,
+        /// Endings that would do.
+        known: &'static str,
+    },
+    /// The format cannot hold these pixels.
+    #[error("{path}: {what} cannot be stored in this format; {mend}", path = path.display())]
+    Unfit {
+        /// The file that was asked for.
+        path: PathBuf,
+        /// What was to be stored.
+        what: String,
+        /// What would work.
+        mend: &'static str,
+    },
+    /// An encoder failed.
+    #[error("{path}: the encoder failed: {reason}", path = path.display())]
+    Encode {
+        /// The file that was asked for.
+        path: PathBuf,
+        /// The encoder's words.
+        reason: String,
+    },
+}
+
+impl SinkError {
+    /// Wraps an error of the operating system.
+    pub fn io(path: &Path, source: io::Error) -> Self {
+        Self::Io { path: path.to_owned(), reason: source.to_string(), source }
+    }
+}
+
+fn mend(error: &io::Error) -> &'static str {
+    match error.kind() {
+        ErrorKind::NotFound => "the folder is not there and could not be made",
+        ErrorKind::PermissionDenied => "the folder is not writable for this user: choose another or change its permissions",
+        ErrorKind::ReadOnlyFilesystem => "the file system is mounted read-only: choose another folder",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "the disk is full: free some space or choose another folder",
+        ErrorKind::IsADirectory => "a folder has that name: choose another file name",
+        ErrorKind::NotADirectory | ErrorKind::AlreadyExists => "a part of the path is a file, not a folder",
+        _ => "check that the folder exists and is writable",
+    }
+}
+
+/// Ending of a path in lower case, without the dot.
+pub fn ending(path: &Path) -> String {
+    path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase()
+}
+
+/// Makes the folder of `path` where it is missing.
+///
+/// # Errors
+/// What the system says, for `path`.
+pub fn make_folder(path: &Path) -> Result<(), SinkError> {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => {
+            fs::create_dir_all(folder).map_err(|error| SinkError::io(path, error))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Refuses a path without a file name, and one whose ending is not among `known` (`"png, jpg"`).
+///
+/// # Errors
+/// [`SinkError::NoName`] and [`SinkError::Ending`].
+pub fn check_name(path: &Path, example: &'static str, known: &'static str) -> Result<String, SinkError> {
+    if path.file_name().is_none() || path.is_dir() {
+        return Err(SinkError::NoName { path: path.to_owned(), example });
+    }
+    let ending = ending(path);
+    if known.split(", ").any(|k| k == ending) {
+        return Ok(ending);
+    }
+    Err(SinkError::Ending { path: path.to_owned(), ending, known })
+}
+
+/// Writes a whole file beside its place and then renames it, so that nobody ever sees half of it.
+///
+/// # Errors
+/// Errors of `body` and of the system; the part file is removed.
+pub fn write_whole(
+    path: &Path,
+    body: impl FnOnce(&mut BufWriter<File>) -> Result<(), SinkError>,
+) -> Result<(), SinkError> {
+    let mut part = path.as_os_str().to_owned();
+    part.push(PART);
+    let part = PathBuf::from(part);
+    let io = |error| SinkError::io(path, error);
+    let written = (|| {
+        let mut file = BufWriter::with_capacity(1 << 16, File::create(&part).map_err(io)?);
+        body(&mut file)?;
+        file.flush().map_err(io)?;
+        drop(file);
+        fs::rename(&part, path).map_err(io)
+    })();
+    if written.is_err() {
+        // Nothing can be said beyond the first error.
+        let _ = fs::remove_file(&part);
+    }
+    written
+}
+
+/// A file name in which `{seq}` (six digits), `{seq:N}` (N digits) and `{port}` are filled in per tick.
+#[derive(Clone, Debug)]
+pub struct Pattern {
+    path: PathBuf,
+    text: String,
+    every: u64,
+    seen: u64,
+}
+
+impl Pattern {
+    /// `path` as the graph names it.
+    pub fn new(path: &Path) -> Self {
+        Self { path: path.to_owned(), text: path.to_string_lossy().into_owned(), every: 1, seen: 0 }
+    }
+
+    /// The path with its place holders.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether each tick has a file of its own.
+    pub fn has_seq(&self) -> bool {
+        self.text.contains("{seq")
+    }
+
+    /// The file for tick `seq` and `port`. With several ports and no `{port}` in the pattern (`tell_apart`), the port's name
+    /// is put before the ending.
+    pub fn file(&self, seq: u64, port: &str, tell_apart: bool) -> PathBuf {
+        let mut out = String::with_capacity(self.text.len() + 16);
+        let mut rest = self.text.as_str();
+        while let Some(open) = rest.find('{') {
+            let Some(close) = rest[open..].find('}').map(|c| open + c) else { break };
+            out.push_str(&rest[..open]);
+            match &rest[open + 1..close] {
+                "seq" => out.push_str(&format!("{seq:06}")),
+                "port" => out.push_str(port),
+                other => match other.strip_prefix("seq:").and_then(|n| n.parse::<usize>().ok()) {
+                    Some(digits) => out.push_str(&format!("{seq:0digits$}", digits = digits.min(20))),
+                    None => out.push_str(&rest[open..=close]),
+                },
+            }
+            rest = &rest[close + 1..];
+        }
+        out.push_str(rest);
+        if tell_apart && !self.text.contains("{port}") {
+            let dot = out.rfind('.').unwrap_or(out.len());
+            out.insert_str(dot, &format!("_{port}"));
+        }
+        PathBuf::from(out)
+    }
+
+    /// Counts a call and says whether it is the turn of this one, of every `every`-th.
+    pub fn is_due(&mut self, every: u64) -> bool {
+        if every != self.every {
+            (self.every, self.seen) = (every, 0);
+        }
+        let due = self.seen % every.max(1) == 0;
+        self.seen += 1;
+        due
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn place_holders_are_filled_in() {
+        let at = |text: &str, apart| Pattern::new(Path::new(text)).file(42, "depth", apart).display().to_string();
+        assert_eq!(at("out/{seq}.png", false), "out/000042.png");
+        assert_eq!(at("out/{seq:4}_{port}.pfm", true), "out/0042_depth.pfm");
+        assert_eq!(at("out/x.npy", true), "out/x_depth.npy");
+        assert_eq!(at("out/{other}.npy", false), "out/{other}.npy");
+        assert_eq!(at("out/{seq.png", false), "out/{seq.png");
+    }
+
+    #[test]
+    fn every_third_is_due() {
+        let mut pattern = Pattern::new(Path::new("a.png"));
+        let due: Vec<bool> = (0..7).map(|_| pattern.is_due(3)).collect();
+        assert_eq!(due, [true, false, false, true, false, false, true]);
+        assert!(pattern.is_due(2), "a new rhythm starts at once");
+    }
+
+    #[test]
+    fn a_failed_file_leaves_nothing_behind() {
+        let folder = std::env::temp_dir().join(format!("panoscope_target_{}", std::process::id()));
+        fs::create_dir_all(&folder).unwrap();
+        let path = folder.join("x.bin");
+        let error = write_whole(&path, |w| {
+            w.write_all(b"half").unwrap();
+            Err(SinkError::Encode { path: path.clone(), reason: "no".into() })
+        });
+        assert!(error.is_err());
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 0);
+        write_whole(&path, |w| w.write_all(b"whole").map_err(|e| SinkError::io(&path, e))).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"whole");
+        // The path of a file used as a folder.
+        let error = make_folder(&path.join("deeper/y.bin")).unwrap_err().to_string();
+        assert!(error.contains("is a file, not a folder"), "{error}");
+        fs::remove_dir_all(&folder).unwrap();
+    }
+}

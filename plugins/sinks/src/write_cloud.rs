@@ -1,0 +1,60 @@
+//! `write_cloud`: point clouds as PLY files.
+
+use std::path::PathBuf;
+
+use panoscope_node::{Cloud, Context, NoPorts, Node, NodeInfo, Open, Params, Ports, Result};
+
+use crate::formats::ply;
+use crate::target::{Pattern, SinkError, check_name, make_folder, write_whole};
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Points in mm with colour; those without a place are left out.
+    pub cloud: Cloud<'f>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct Settings {
+    /// File to write, ending in .ply. `{seq}` becomes the tick's number; without it every cloud replaces the one before.
+    #[param(default = "out/cloud.ply", reopen)]
+    pub path: PathBuf,
+    /// Writes only every so many clouds.
+    #[param(default = 1, range = 1..=100000, unit = "frames")]
+    pub every: u64,
+}
+
+/// Writes point clouds.
+pub struct WriteCloud {
+    pattern: Pattern,
+}
+
+impl Node for WriteCloud {
+    const INFO: NodeInfo =
+        NodeInfo::blocking("write_cloud", "sink", "Writes point clouds as binary PLY files with colour.")
+            .side_effects();
+    type In<'f> = In<'f>;
+    type Out<'f> = NoPorts;
+    type Params = Settings;
+
+    fn open(_: &Open<'_>, params: &Settings) -> Result<Self> {
+        check_name(&params.path, "{seq}.ply", "ply")?;
+        Ok(Self { pattern: Pattern::new(&params.path) })
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
+        if !self.pattern.is_due(params.every) {
+            return Ok(());
+        }
+        let path = self.pattern.file(cx.tick().seq, "cloud", false);
+        make_folder(&path)?;
+        let mut points = 0;
+        write_whole(&path, |file| {
+            points = ply::write(file, input.cloud.points()).map_err(|error| SinkError::io(&path, error))?;
+            Ok(())
+        })?;
+        cx.metric("points", points as f64);
+        Ok(())
+    }
+}

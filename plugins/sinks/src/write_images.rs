@@ -1,0 +1,125 @@
+//! `write_images`: pictures as PNG or JPEG files.
+
+use std::path::PathBuf;
+
+use panoscope_node::{
+    AnyImage, Bgr8, Context, Image, Kept, Mask, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result,
+};
+
+use crate::formats::still;
+use crate::picture::Pixels;
+use crate::target::{Pattern, SinkError, check_name, make_folder, write_whole};
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Picture to write: bgr8, gray8, rgba8 or gray16.
+    pub image: Option<AnyImage<'f>>,
+    /// Mask to write, black and white.
+    pub mask: Option<Image<'f, Mask>>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct Settings {
+    /// File to write, ending in .png or .jpg. `{seq}` becomes the tick's number, six digits (`{seq:4}` four); without it
+    /// every picture replaces the one before.
+    #[param(default = "out/image.png", reopen)]
+    pub path: PathBuf,
+    /// Writes only every so many pictures.
+    #[param(default = 1, range = 1..=100000, unit = "frames")]
+    pub every: u64,
+    /// Stops writing after so many files; 0 never.
+    #[param(default = 0, range = 0..=1000000000, unit = "frames")]
+    pub limit: u64,
+    /// Writes only the last bgr8 picture, when the graph ends; `every` then says how often it is noted.
+    #[param(default = false)]
+    pub at_end: bool,
+    /// Quality of JPEG files.
+    #[param(default = 92, range = 1..=100, unit = "%")]
+    pub jpeg_quality: u8,
+}
+
+/// Writes still pictures.
+pub struct WriteImages {
+    pattern: Pattern,
+    ending: String,
+    work: Vec<u8>,
+    files: u64,
+    last: Option<(Kept<Bgr8>, u64, u8)>,
+}
+
+impl WriteImages {
+    fn write(&mut self, pixels: &Pixels<'_>, seq: u64, port: &str, both: bool, quality: u8) -> Result<(), SinkError> {
+        let path = self.pattern.file(seq, port, both);
+        let unfit = |mend| SinkError::Unfit { path: path.clone(), what: format!("a {} image", pixels.name()), mend };
+        match pixels {
+            Pixels::F32(_) => return Err(unfit("put a `colorize` node in front, or use `write_raw` for the numbers")),
+            Pixels::Gray16(_) if self.ending != "png" => return Err(unfit("use .png, which holds 16 bits")),
+            _ => {}
+        }
+        make_folder(&path)?;
+        let (ending, work) = (self.ending.as_str(), &mut self.work);
+        write_whole(&path, |file| {
+            still::encode(file, ending, pixels, quality, work).map_err(|error| match error {
+                image::ImageError::IoError(source) => SinkError::io(&path, source),
+                other => SinkError::Encode { path: path.clone(), reason: other.to_string() },
+            })
+        })?;
+        self.files += 1;
+        Ok(())
+    }
+}
+
+impl Node for WriteImages {
+    const INFO: NodeInfo =
+        NodeInfo::blocking("write_images", "sink", "Writes pictures as PNG or JPEG files.").side_effects();
+    type In<'f> = In<'f>;
+    type Out<'f> = NoPorts;
+    type Params = Settings;
+
+    fn open(_: &Open<'_>, params: &Settings) -> Result<Self> {
+        let pattern = Pattern::new(&params.path);
+        let ending = check_name(&params.path, "{seq}.png", still::ENDINGS)?;
+        Ok(Self { pattern, ending, work: Vec::new(), files: 0, last: None })
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
+        if input.image.is_none() && input.mask.is_none() || !self.pattern.is_due(params.every) {
+            return Ok(());
+        }
+        let seq = cx.tick().seq;
+        if params.at_end {
+            let image = input.image.as_ref().and_then(|image| image.as_plane::<Bgr8>());
+            let Some(image) = image else {
+                return Err(NodeError::new("`at_end` needs a bgr8 picture at input `image`"));
+            };
+            self.last = Some((image.keep(), seq, params.jpeg_quality));
+            return Ok(());
+        }
+        if params.limit > 0 && self.files >= params.limit {
+            return Ok(());
+        }
+        let both = input.image.is_some() && input.mask.is_some();
+        if let Some(image) = &input.image {
+            let pixels = Pixels::of(image).ok_or_else(|| NodeError::new("the image's format is unknown"))?;
+            self.write(&pixels, seq, "image", both, params.jpeg_quality)?;
+        }
+        if let Some(mask) = &input.mask {
+            self.write(&Pixels::Gray8(mask.view()), seq, "mask", both, params.jpeg_quality)?;
+        }
+        cx.metric("files", self.files as f64);
+        Ok(())
+    }
+}
+
+impl Drop for WriteImages {
+    fn drop(&mut self) {
+        if let Some((kept, seq, quality)) = self.last.take()
+            && let Err(error) = self.write(&Pixels::Bgr8(kept.view()), seq, "image", false, quality)
+        {
+            // No call is running any more that could carry the words.
+            eprintln!("panoscope: write_images: {error}");
+        }
+    }
+}

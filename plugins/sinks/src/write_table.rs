@@ -1,0 +1,311 @@
+//! `write_table`: numbers as JSON lines or CSV; detections and instances as COCO JSON too.
+
+use std::fmt::Write as _;
+use std::fs::File;
+use std::io::Write as _;
+use std::path::PathBuf;
+
+use panoscope_node::abi::{Homography, Joints, Pose, Roi, Scalar, Tip};
+use panoscope_node::{
+    Context, Detections, Instances, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Table, Text, Value,
+};
+
+use crate::formats::coco::{Coco, run_lengths};
+use crate::formats::fields::{self, CsvFields, Fields, JsonFields, csv_cell};
+use crate::formats::json;
+use crate::target::{Pattern, SinkError, check_name, make_folder, write_whole};
+
+const ENDINGS: &str = "jsonl, ndjson, csv, json";
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Named columns of numbers.
+    pub table: Option<Table<'f>>,
+    /// One number.
+    pub scalar: Option<Value<'f, Scalar>>,
+    /// Registration of the views.
+    pub homography: Option<Value<'f, Homography>>,
+    /// A rectangle.
+    pub roi: Option<Value<'f, Roi>>,
+    /// A tool's tip.
+    pub tip: Option<Value<'f, Tip>>,
+    /// Where one frame stands in another.
+    pub pose: Option<Value<'f, Pose>>,
+    /// Angles and speeds of the arm.
+    pub joints: Option<Value<'f, Joints>>,
+    /// Words.
+    pub text: Option<Text<'f>>,
+    /// Boxes.
+    pub detections: Option<Detections<'f>>,
+    /// Boxes with masks.
+    pub instances: Option<Instances<'f>>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct Settings {
+    /// File to write: .jsonl holds one JSON object per tick, .csv one line per tick or table row, .json is one COCO file of all
+    /// detections or instances.
+    #[param(default = "out/table.jsonl", reopen)]
+    pub path: PathBuf,
+    /// Name of each tick's picture in a COCO file; `{seq}` becomes the tick's number. Empty: number and .png.
+    #[param(default = "", reopen)]
+    pub image_name: String,
+}
+
+enum Form {
+    /// Whole lines are handed to the system one by one, so that a crash leaves a file of whole lines.
+    Lines(File),
+    Csv {
+        file: File,
+        columns: Vec<String>,
+        lost_told: bool,
+    },
+    /// Written anew whenever the number of ticks has doubled, and at the end.
+    Coco {
+        coco: Coco,
+        image_name: Pattern,
+        next_write: u64,
+    },
+}
+
+/// Writes numbers.
+pub struct WriteTable {
+    path: PathBuf,
+    form: Form,
+    line: String,
+    lines: u64,
+}
+
+impl Node for WriteTable {
+    const INFO: NodeInfo = NodeInfo::blocking(
+        "write_table",
+        "sink",
+        "Writes numbers as JSON lines or CSV, detections and instances as COCO JSON.",
+    )
+    .side_effects();
+    type In<'f> = In<'f>;
+    type Out<'f> = NoPorts;
+    type Params = Settings;
+
+    fn open(_: &Open<'_>, params: &Settings) -> Result<Self> {
+        let path = params.path.clone();
+        let ending = check_name(&path, "table.jsonl", ENDINGS)?;
+        make_folder(&path)?;
+        let create = || File::create(&path).map_err(|error| SinkError::io(&path, error));
+        let image_name = if params.image_name.is_empty() { "{seq}.png" } else { &params.image_name };
+        let form = match ending.as_str() {
+            "csv" => Form::Csv { file: create()?, columns: Vec::new(), lost_told: false },
+            "json" => Form::Coco {
+                coco: Coco::default(),
+                image_name: Pattern::new(image_name.as_ref()),
+                next_write: 64,
+            },
+            _ => Form::Lines(create()?),
+        };
+        Ok(Self { path, form, line: String::new(), lines: 0 })
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, _: &Settings) -> Result<()> {
+        self.line.clear();
+        match &mut self.form {
+            Form::Lines(file) => {
+                json_line(&mut self.line, cx, &input);
+                file.write_all(self.line.as_bytes()).map_err(|error| SinkError::io(&self.path, error))?;
+                self.lines += 1;
+            }
+            Form::Csv { file, columns, lost_told } => {
+                if input.detections.is_some() && input.table.is_some() {
+                    return Err(NodeError::new(
+                        "a CSV file has one kind of line: give `table` and `detections` a `write_table` each, or write .jsonl",
+                    ));
+                }
+                for cells in csv_lines(cx, &input) {
+                    // An empty tick has nothing to name columns after.
+                    if cells.len() <= 3 && columns.is_empty() {
+                        continue;
+                    }
+                    if columns.is_empty() {
+                        columns.extend(cells.iter().map(|(name, _)| name.clone()));
+                        let names: Vec<String> = columns.iter().map(|name| csv_cell(name)).collect();
+                        let _ = writeln!(self.line, "{}", names.join(","));
+                    }
+                    for (index, name) in columns.iter().enumerate() {
+                        let cell = cells.iter().find(|(n, _)| n == name).map_or("", |(_, cell)| cell);
+                        let _ = write!(self.line, "{}{cell}", if index == 0 { "" } else { "," });
+                    }
+                    self.line.push('\n');
+                    self.lines += 1;
+                    if !*lost_told && let Some((name, _)) = cells.iter().find(|(name, _)| !columns.contains(name)) {
+                        *lost_told = true;
+                        cx.warn(&format!(
+                            "column `{name}` came after the file's first line and is left out: .jsonl would keep it"
+                        ));
+                    }
+                }
+                file.write_all(self.line.as_bytes()).map_err(|error| SinkError::io(&self.path, error))?;
+            }
+            Form::Coco { coco, image_name, next_write } => {
+                let others = [
+                    input.table.is_some(),
+                    input.scalar.is_some(),
+                    input.homography.is_some(),
+                    input.roi.is_some(),
+                    input.tip.is_some(),
+                    input.pose.is_some(),
+                    input.joints.is_some(),
+                    input.text.is_some(),
+                ];
+                if others.contains(&true) {
+                    return Err(NodeError::new(
+                        "a .json file holds detections or instances in COCO's form: write other inputs to .jsonl or .csv",
+                    ));
+                }
+                let seq = cx.tick().seq;
+                let name = image_name.file(seq, "image", false);
+                // Instances repeat the boxes of their detections.
+                if let Some(instances) = &input.instances {
+                    coco.push_instances(seq, &name.to_string_lossy(), instances);
+                } else if let Some(detections) = &input.detections {
+                    coco.push_detections(seq, &name.to_string_lossy(), detections);
+                }
+                if coco.ticks() >= *next_write {
+                    *next_write *= 2;
+                    write_coco(&self.path, coco)?;
+                }
+                self.lines = coco.ticks();
+            }
+        }
+        cx.metric("lines", self.lines as f64);
+        Ok(())
+    }
+}
+
+fn write_coco(path: &std::path::Path, coco: &Coco) -> Result<(), SinkError> {
+    write_whole(path, |file| file.write_all(coco.text().as_bytes()).map_err(|error| SinkError::io(path, error)))
+}
+
+impl Drop for WriteTable {
+    fn drop(&mut self) {
+        if let Form::Coco { coco, .. } = &self.form
+            && let Err(error) = write_coco(&self.path, coco)
+        {
+            // No call is running any more that could carry the words.
+            eprintln!("panoscope: write_table: {error}");
+        }
+    }
+}
+
+/// One value per packet type: its key, and its parts.
+fn each_value(input: &In<'_>, mut take: impl FnMut(&str, &dyn Fn(&mut dyn Fields))) {
+    if let Some(v) = &input.scalar {
+        take("scalar", &|out| fields::scalar(v, out));
+    }
+    if let Some(v) = &input.homography {
+        take("homography", &|out| fields::homography(v, out));
+    }
+    if let Some(v) = &input.roi {
+        take("roi", &|out| fields::roi(v, out));
+    }
+    if let Some(v) = &input.tip {
+        take("tip", &|out| fields::tip(v, out));
+    }
+    if let Some(v) = &input.pose {
+        take("pose", &|out| fields::pose(v, out));
+    }
+    if let Some(v) = &input.joints {
+        take("joints", &|out| fields::joints(v, out));
+    }
+}
+
+fn json_line(out: &mut String, cx: &Context<'_>, input: &In<'_>) {
+    let tick = cx.tick();
+    let _ = write!(out, "{{\"seq\":{},\"source\":{},\"capture_ms\":", tick.seq, tick.source);
+    json::number(out, tick.capture_ns as f64 / 1e6);
+    each_value(input, |name, parts| {
+        json::key(out, name);
+        out.push('{');
+        parts(&mut JsonFields(out));
+        out.push('}');
+    });
+    if let Some(text) = &input.text {
+        json::key(out, "text");
+        json::string(out, text);
+    }
+    if let Some(table) = &input.table {
+        json::key(out, "table");
+        out.push('[');
+        for (index, row) in table.rows().enumerate() {
+            out.push_str(if index == 0 { "{" } else { ",{" });
+            for (name, value) in table.names().zip(row) {
+                JsonFields(out).number(name, *value);
+            }
+            out.push('}');
+        }
+        out.push(']');
+    }
+    if let Some(detections) = &input.detections {
+        json_boxes(out, "detections", detections, None);
+    }
+    if let Some(instances) = &input.instances {
+        json_boxes(out, "instances", &instances.detections(), Some(instances));
+    }
+    out.push_str("}\n");
+}
+
+fn json_boxes(out: &mut String, name: &str, detections: &Detections<'_>, masks: Option<&Instances<'_>>) {
+    let (width, height) = detections.image_size();
+    json::key(out, name);
+    out.push('[');
+    for (index, item) in detections.items().iter().enumerate() {
+        out.push_str(if index == 0 { "{" } else { ",{" });
+        fields::detection(item, detections.label(item.class_index), &mut JsonFields(out));
+        if let Some(instances) = masks {
+            let counts = run_lengths(instances.mask(index), width, height);
+            let _ = write!(out, ",\"segmentation\":{{\"size\":[{height},{width}],\"counts\":{counts:?}}}");
+        }
+        out.push('}');
+    }
+    out.push(']');
+}
+
+/// The lines of a tick: one per table row or box, else one.
+fn csv_lines(cx: &Context<'_>, input: &In<'_>) -> Vec<Vec<(String, String)>> {
+    let tick = cx.tick();
+    let mut head = CsvFields::default();
+    head.number("seq", tick.seq as f64);
+    head.number("source", f64::from(tick.source));
+    head.number("capture_ms", tick.capture_ns as f64 / 1e6);
+    each_value(input, |name, parts| {
+        head.prefix = format!("{name}.");
+        parts(&mut head);
+    });
+    head.prefix.clear();
+    if let Some(text) = &input.text {
+        head.text("text", text);
+    }
+    let boxes = input.instances.map(|instances| instances.detections()).or(input.detections);
+    match (&input.table, boxes) {
+        (Some(table), _) => table
+            .rows()
+            .map(|row| {
+                let mut line = head.clone();
+                for (name, value) in table.names().zip(row) {
+                    line.number(name, *value);
+                }
+                line.cells
+            })
+            .collect(),
+        (None, Some(boxes)) => boxes
+            .items()
+            .iter()
+            .map(|item| {
+                let mut line = head.clone();
+                fields::detection(item, boxes.label(item.class_index), &mut line);
+                line.cells
+            })
+            .collect(),
+        (None, None) => vec![head.cells],
+    }
+}

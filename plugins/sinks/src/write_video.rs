@@ -1,0 +1,115 @@
+//! `write_video`: pictures as a video file.
+
+mod encoder;
+
+use std::path::PathBuf;
+
+use panoscope_node::{AnyImage, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result};
+
+use crate::picture::Pixels;
+use crate::target::{check_name, make_folder};
+use encoder::Encoder;
+
+/// How a video is compressed.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Codec {
+    /// Every frame is a JPEG: fast, keeps every frame's own time, and a crash loses no frame (.mkv).
+    Mjpg,
+    /// H.264: small files; needs an encoder in the system's FFmpeg.
+    H264,
+    /// MPEG-4 part 2.
+    Mpeg4,
+    /// VP8.
+    Vp8,
+    /// FFV1: lossless, large files.
+    Ffv1,
+}
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Pictures to write: bgr8, gray8 or rgba8.
+    pub image: AnyImage<'f>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct Settings {
+    /// File to write. .mkv plays even when the program died while writing it; .avi and .mp4 do not.
+    #[param(default = "out/video.mkv", reopen)]
+    pub path: PathBuf,
+    /// How the pictures are compressed.
+    #[param(default = "mjpg", reopen)]
+    pub codec: Codec,
+    /// Frames per second; 0 takes the time from the pictures' own capture times (`mjpg` in .mkv: frame by frame, else from the
+    /// first two).
+    #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
+    pub fps: f64,
+    /// Quality of `mjpg` in .mkv.
+    #[param(default = 90, range = 1..=100, unit = "%")]
+    pub quality: i32,
+}
+
+/// Writes a video. Its size is that of the first picture; later ones of another size are fitted onto it with black borders.
+pub struct WriteVideo {
+    encoder: Encoder,
+    bgr: Vec<u8>,
+    size: Option<(usize, usize)>,
+    told: bool,
+    frames: u64,
+}
+
+impl Node for WriteVideo {
+    const INFO: NodeInfo =
+        NodeInfo::blocking("write_video", "sink", "Writes pictures as a video file.").side_effects();
+    type In<'f> = In<'f>;
+    type Out<'f> = NoPorts;
+    type Params = Settings;
+
+    fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
+        let ending = check_name(&params.path, "video.mkv", "mkv, avi, mp4, mov, webm")?;
+        if ending != "mkv" {
+            open.warn(&format!("a crash leaves an unplayable .{ending} file: .mkv survives it"));
+        }
+        make_folder(&params.path)?;
+        let encoder = Encoder::new(&params.path, &ending, params.codec, params.fps);
+        Ok(Self { encoder, bgr: Vec::new(), size: None, told: false, frames: 0 })
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
+        let Some(pixels) = Pixels::of(&input.image) else {
+            return Err(NodeError::new("the image's format is unknown"));
+        };
+        if !pixels.to_bgr(&mut self.bgr) {
+            let name = pixels.name();
+            return Err(NodeError::new(format!(
+                "a video holds 8-bit pictures, {name} arrived: put a `colorize` node in front"
+            )));
+        }
+        let size = pixels.size();
+        let first = *self.size.get_or_insert(size);
+        if size != first {
+            if !self.told {
+                self.told = true;
+                cx.warn(&format!(
+                    "pictures changed from {}x{} to {}x{}: fitted onto the first size with black borders",
+                    first.0, first.1, size.0, size.1
+                ));
+            }
+            self.bgr = encoder::letterbox(&self.bgr, size, first)?;
+        }
+        self.encoder.push(&self.bgr, first, cx.tick().capture_ns, params.quality)?;
+        self.frames += 1;
+        cx.metric("frames", self.frames as f64);
+        Ok(())
+    }
+}
+
+impl Drop for WriteVideo {
+    fn drop(&mut self) {
+        if let Err(error) = self.encoder.finish() {
+            // No call is running any more that could carry the words.
+            eprintln!("panoscope: write_video: {error}");
+        }
+    }
+}
