@@ -21,7 +21,7 @@
  * Once per plugin, outside of functions; `&panoscope_note` goes into PanoscopePlugin.note.
  */
 #define PANOSCOPE_NOTE(NAME, VERSION, NODES)                                                     \
-    __attribute__((used, section(PANOSCOPE_NOTE_SECTION))) static const PanoscopeNote panoscope_note = { \
+    __attribute__((used, aligned(4), section(PANOSCOPE_NOTE_SECTION))) static const PanoscopeNote panoscope_note = { \
         12, (uint32_t)sizeof(PanoscopeNoteBody), PANOSCOPE_NOTE_TYPE, "Panoscope",               \
         { PANOSCOPE_ABI_MAJOR, PANOSCOPE_ABI_MINOR, NAME, VERSION, NODES }                       \
     }

@@ -72,6 +72,13 @@ fn generate() -> String {
     builder.with_config(config).generate().expect("the sources have a C form").write(&mut bytes);
     let generated = String::from_utf8(bytes).expect("headers are UTF-8");
     let generated = links_to_c(&generated, &types);
+    let generated: String = generated
+        .lines()
+        .map(|line| match line.strip_prefix("#define ").and_then(|rest| rest.split_once(" -")) {
+            Some((name, number)) => format!("#define {name} (-{number})\n"),
+            None => format!("{line}\n"),
+        })
+        .collect();
     let end = generated.rfind("#endif").expect("an include guard");
     let helpers = std::fs::read_to_string(root().join("src/helpers.h")).expect("helpers.h is there");
     format!("{}{}\n{helpers}\n{}", &generated[..end], sizes(), &generated[end..])
@@ -98,7 +105,13 @@ fn links_to_c(text: &str, types: &BTreeSet<String>) -> String {
 
 /// Assertions that the C compiler lays the structs out as Rust does.
 fn sizes() -> String {
-    let mut out = String::from(
+    let mut out = format!(
+        "/** The one symbol that a plugin exports. */\n#define PANOSCOPE_ENTRY_SYMBOL \"{}\"\n\n\
+         /** ELF section that holds the note. */\n#define PANOSCOPE_NOTE_SECTION \"{}\"\n\n",
+        abi::ENTRY_SYMBOL,
+        abi::NOTE_SECTION
+    );
+    out.push_str(
         "/* The layout that the host was built with, on 64-bit systems. */\n#ifdef __cplusplus\n#define PANOSCOPE_ASSERT(CONDITION) \
          static_assert(CONDITION, #CONDITION)\n#else\n#define PANOSCOPE_ASSERT(CONDITION) \
          _Static_assert(CONDITION, #CONDITION)\n#endif\n",

@@ -44,17 +44,18 @@ impl Pair {
         });
         let theirs = shared.clone();
         let helper = std::thread::spawn(move || {
-            let mut seen = 0;
+            let (mut seen, mut idle) = (0, 0);
             loop {
                 let epoch = theirs.epoch.load(Ordering::Acquire);
                 if epoch == STOP {
                     return;
                 }
                 if epoch == seen {
-                    std::hint::spin_loop();
+                    idle += 1;
+                    pause(idle);
                     continue;
                 }
-                seen = epoch;
+                (seen, idle) = (epoch, 0);
                 let body = *theirs.body.lock().unwrap();
                 if let Some(body) = body {
                     // SAFETY: `run` returns only after `done` says this thread has left the loop.
@@ -75,6 +76,11 @@ fn work(shared: &Shared, body: &(dyn Fn(usize) + Sync)) {
         }
         body(index);
     }
+}
+
+/// Spins at first and then gives the core away, so that a busy machine is not stalled.
+fn pause(idle: usize) {
+    if idle < 2000 { std::hint::spin_loop() } else { std::thread::yield_now() }
 }
 
 impl Drop for Pair {
@@ -100,8 +106,10 @@ impl Parallel for Pair {
         let epoch = self.shared.epoch.load(Ordering::Relaxed) + 1;
         self.shared.epoch.store(epoch, Ordering::Release);
         work(&self.shared, body);
+        let mut idle = 0;
         while self.shared.done.load(Ordering::Acquire) != epoch {
-            std::hint::spin_loop();
+            idle += 1;
+            pause(idle);
         }
     }
 }
@@ -116,9 +124,9 @@ fn texture(width: usize, height: usize) -> Vec<u8> {
         (state >> 40) as f32 / (1u64 << 24) as f32
     };
     let mut image = vec![128.0f32; width * height];
-    for _ in 0..6000 {
+    for _ in 0..9000 {
         let (x, y) = (random() * width as f32, random() * height as f32);
-        let sigma = 1.2 * (random() * 2.5).exp();
+        let sigma = 1.2 * (random() * 1.6).exp();
         let height_of = (random() - 0.5) * 120.0;
         let reach = (sigma * 3.0).ceil() as isize;
         for dy in -reach..=reach {
@@ -157,15 +165,16 @@ fn main() {
         Err(_) => (texture(640, 480), 640, 480),
     };
     let image = View::new(&data, width, height, 1);
-    let pair = Pair::new();
-    let pools: [(&str, &dyn Parallel); 2] = [("1 thread", &Serial), ("2 threads", &pair)];
     let mut out = Features::default();
-    for (threads, pool) in pools {
+    for threads in ["1 thread", "2 threads"] {
+        // The helper spins, so it lives only while it is measured.
+        let pair = (threads == "2 threads").then(Pair::new);
+        let pool: &dyn Parallel = pair.as_ref().map_or(&Serial, |pair| pair);
         for upright in [true, false] {
             let kind = if upright { "upright" } else { "oriented" };
             for max_points in [500, 1000, 2000] {
                 let mut surf =
-                    Surf::new(SurfParams { max_points, upright, hessian_threshold: 20.0, ..SurfParams::default() });
+                    Surf::new(SurfParams { max_points, upright, hessian_threshold: 2.0, ..SurfParams::default() });
                 measure(&format!("surf {width}x{height} {kind} {threads}"), || {
                     surf.detect_and_describe(image, None, 1, pool, &mut out);
                     out.len()

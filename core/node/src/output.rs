@@ -122,6 +122,12 @@ impl<'f, T> Slot<'f, T> {
         Ok(ViewMut::with_stride(data, width, height, channels, stride / size))
     }
 
+    /// Makes this output the very buffer that another output of this call holds; nothing is copied.
+    pub fn forward_from(&mut self, other: &Slot<'_, T>) -> Result<()> {
+        let frame = other.call.output(other.index);
+        self.forward(&frame)
+    }
+
     fn allocate(&mut self, format: u32, width: usize, height: usize, stride: usize, len: usize) -> Result<abi::Frame> {
         let (Ok(width), Ok(height), Ok(stride)) = (u32::try_from(width), u32::try_from(height), u32::try_from(stride))
         else {

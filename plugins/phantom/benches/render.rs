@@ -119,12 +119,12 @@ fn least_ms(runs: u64, mut body: impl FnMut(u64)) -> f64 {
 fn main() {
     let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
     let pair = Pair::new();
-    for scene in SceneKind::ALL {
+    for (scene, tools) in SceneKind::ALL.map(|scene| (scene, 0)).into_iter().chain([(SceneKind::Liver, 2)]) {
         if !wanted.is_empty() && !wanted.iter().any(|w| w == scene.name()) {
             continue;
         }
         let (width, height) = (640, 480);
-        let params = SceneParams { scene, ..SceneParams::default() };
+        let params = SceneParams { scene, tools, ..SceneParams::default() };
         let start = Instant::now();
         let mut phantom = Phantom::new(params, Rig::stereo(width, height, 15.0), &pair).expect("fixed parameters");
         let open = start.elapsed().as_secs_f64() * 1e3;
@@ -138,7 +138,7 @@ fn main() {
             phantom.truth(f, None, &pair, TruthMut { disparity_px, ..TruthMut::default() }).expect("fixed sizes");
         });
         println!(
-            "{:7} open {open:4.0} ms, pair {one:5.1} ms of one core, {two:5.1} ms on 2, disparity {truth:5.1} ms on 2",
+            "{:6} {tools} tools: open {open:4.0} ms, pair {one:5.1} ms of one core, {two:5.1} ms on 2, disparity {truth:5.1} ms on 2",
             scene.name()
         );
     }

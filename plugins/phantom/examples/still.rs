@@ -1,4 +1,5 @@
-//! Writes stills of the phantom: `still OUT_DIR [SCENE|all] [DISTANCE_MM] [FRAME] [SMOKE] [DROPS] [MOTION_BLUR]`.
+//! Writes stills of the phantom: `still OUT_DIR [SCENE|all] [DISTANCE_MM] [FRAME] [SMOKE] [DROPS] [MOTION_BLUR]
+//! [TOOLS]`.
 
 use panoscope_imaging::{Serial, ViewMut};
 use panoscope_phantom::render::{Phantom, Rig, SceneKind, SceneParams};
@@ -15,9 +16,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let smoke = arguments.next().map_or(Ok(0.0), |v| v.parse())?;
     let blood_drops = arguments.next().map_or(Ok(0), |v| v.parse())?;
     let motion_blur = arguments.next().map_or(Ok(1), |v| v.parse())?;
+    let tools = arguments.next().map_or(Ok(0), |v| v.parse())?;
     for scene in scenes {
         let start = std::time::Instant::now();
-        let params = SceneParams { scene, distance_mm, smoke, blood_drops, motion_blur, ..SceneParams::default() };
+        let params =
+            SceneParams { scene, distance_mm, smoke, blood_drops, motion_blur, tools, ..SceneParams::default() };
         let mut phantom = Phantom::new(params, Rig::stereo(640, 480, 15.0), &Serial)?;
         let baked = start.elapsed();
         let mut pictures = [vec![0; 640 * 480 * 3], vec![0; 640 * 480 * 3]];

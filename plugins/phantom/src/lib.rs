@@ -1,5 +1,8 @@
 //! A rendered tissue scene seen by two or four cameras, with exact truth.
-//!
-//! [`render`] holds the renderer: plain structs and functions on slices, no framework type.
 
+mod node;
 pub mod render;
+
+pub use node::PhantomNode;
+
+panoscope_node::export_plugin![PhantomNode];

@@ -1,1 +1,9 @@
-//! Registration and compositing of overlapping views.
+//! Registration and compositing of overlapping views (thesis, chapters 2 and 4).
+
+mod composite;
+mod register_surf;
+
+pub use composite::Composite;
+pub use register_surf::RegisterSurf;
+
+panoscope_node::export_plugin![RegisterSurf, Composite];

@@ -85,8 +85,8 @@ impl Tables {
 /// outer ones tell more matches apart than they blur (measured on the Graffiti pair).
 const WINDOW_SIGMA: f64 = 6.0;
 /// Gaussian over one sub-region, and how far it reaches, in samples.
-const REGION_SIGMA: f64 = 2.5;
-const REGION_REACH: f64 = 4.0;
+const REGION_SIGMA: f64 = 2.0;
+const REGION_REACH: f64 = 3.0;
 /// Gaussian over the orientation circle, in samples.
 const TURN_SIGMA: f64 = 3.5;
 /// Orientation is read at this multiple of the keypoint's scale.
@@ -356,11 +356,12 @@ fn summarise(tables: &Tables, patch: &[[f32; ROW]; PATCH], out: &mut Descriptor)
             }
         }
         for c in 0..4 {
-            let weights = &tables.region[c];
+            let (weights, start) = (&tables.region[c], 5 * c - usize::from(c > 0));
             for (q, sum) in sums.iter().enumerate() {
+                // The sub-region's samples fit one vector.
                 let mut lanes = [0.0f32; 8];
                 for k in 0..8 {
-                    lanes[k] = sum[k] * weights[k] + sum[8 + k] * weights[8 + k] + sum[16 + k] * weights[16 + k];
+                    lanes[k] = sum[start + k] * weights[start + k];
                 }
                 let total =
                     ((lanes[0] + lanes[4]) + (lanes[2] + lanes[6])) + ((lanes[1] + lanes[5]) + (lanes[3] + lanes[7]));

@@ -85,7 +85,7 @@ pub fn read_npy(bytes: &[u8]) -> Result<FloatImage, StereoError> {
     if bytes.len() < 12 || !bytes.starts_with(b"\x93NUMPY") {
         return refuse("it does not begin with the NPY signature".into());
     }
-    let (start, length) = match bytes[6] {
+    let (start, length): (usize, usize) = match bytes[6] {
         1 => (10, usize::from(u16::from_le_bytes([bytes[8], bytes[9]]))),
         2 | 3 => (12, u32::from_le_bytes([bytes[8], bytes[9], bytes[10], bytes[11]]) as usize),
         version => return refuse(format!("version {version} is unknown")),

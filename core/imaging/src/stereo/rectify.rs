@@ -109,19 +109,7 @@ impl Rectification {
         let baseline_mm = -apply(&rotation_right, t)[0];
 
         let views = [(&cameras.left, &rotation_left), (&cameras.right, &rotation_right)];
-        let mut focal = f64::INFINITY;
-        for (camera, _) in views {
-            let mut own = camera.fy;
-            let k1 = camera.distortion[0];
-            if k1 < 0.0 {
-                // Barrel distortion shrinks the corners; a shorter focal length keeps them in view.
-                own *= 1.0 + k1 * ((width * width + height * height) as f64) / (4.0 * own * own);
-            }
-            focal = focal.min(own);
-        }
-        if !(focal.is_finite() && focal > 0.0) {
-            return refuse("the distortion leaves no focal length".into());
-        }
+        let focal = (cameras.left.fy + cameras.right.fy) / 2.0;
         let (last_x, last_y) = ((width - 1) as f64, (height - 1) as f64);
         let mut centres = views.map(|(camera, rotation)| {
             let corners = [(0.0, 0.0), (last_x, 0.0), (last_x, last_y), (0.0, last_y)];

@@ -87,15 +87,7 @@ pub fn reproject(
             let depth = unsafe { depth.part(y * stride, width) };
             depth.fill(f32::NAN);
             if y >= roi.y && y < roi.y + roi.height {
-                for x in roi.x..roi.x + roi.width {
-                    let d = input.disparity.data[y * input.disparity.stride + x];
-                    let z = scale / (d + shift);
-                    // NaN fails the comparisons.
-                    if z >= params.near_mm && z <= params.far_mm && keep(&input, params, roi, x, y, d) {
-                        depth[x] = z;
-                        count += 1;
-                    }
-                }
+                count += depth_row(&input, params, roi, y, (scale, shift), depth);
             }
             if let Some(points) = &points {
                 // SAFETY: one row, one chunk.
@@ -114,28 +106,68 @@ pub fn reproject(
     Ok(known.into_inner())
 }
 
-/// The confidence and neighbourhood tests.
-#[inline]
-fn keep(input: &ReprojectInput<'_>, params: &ReprojectParams, roi: Roi, x: usize, y: usize, d: f32) -> bool {
-    if let Some(map) = &input.confidence
-        && !(map.data[y * map.stride + x] >= params.min_confidence)
-    {
-        return false;
+/// One row of depths; returns how many are known.
+fn depth_row(
+    input: &ReprojectInput<'_>,
+    params: &ReprojectParams,
+    roi: Roi,
+    y: usize,
+    (scale, shift): (f32, f32),
+    depth: &mut [f32],
+) -> usize {
+    let row = |y: usize| &input.disparity.row(y)[roi.x..roi.x + roi.width];
+    let out = &mut depth[roi.x..roi.x + roi.width];
+    let here = row(y);
+    let above = if y > roi.y { Some(row(y - 1)) } else { None };
+    let below = if y + 1 < roi.y + roi.height { Some(row(y + 1)) } else { None };
+    let n = roi.width;
+    if let (Some(above), Some(below), true) = (above, below, n > 2 && params.min_neighbours > 0) {
+        // Inside the ROI all eight neighbours exist: no branches, so that the loop can be vectorised.
+        let least = params.min_neighbours.min(8) as i32;
+        let step = params.surface_step_px;
+        let rows = [above, here, below].map(|row| [&row[..n - 2], &row[1..n - 1], &row[2..]]);
+        let middle = &mut out[1..n - 1];
+        for x in 0..n - 2 {
+            let d = rows[1][1][x];
+            let mut same = -1;
+            for row in &rows {
+                for side in row {
+                    same += i32::from((side[x] - d).abs() <= step);
+                }
+            }
+            let z = scale / (d + shift);
+            let keep = (same >= least) & (z >= params.near_mm) & (z <= params.far_mm);
+            middle[x] = if keep { z } else { f32::NAN };
+        }
     }
-    if params.min_neighbours == 0 {
-        return true;
+    let edge = above.is_none() || below.is_none() || n <= 2 || params.min_neighbours == 0;
+    let mut x = 0;
+    while x < n {
+        let d = here[x];
+        let z = scale / (d + shift);
+        // NaN fails the comparisons.
+        let ranged = z >= params.near_mm && z <= params.far_mm;
+        out[x] = if ranged && agrees(input, params, roi, (roi.x + x, y), d) { z } else { f32::NAN };
+        x += if edge || x + 1 >= n { 1 } else { n - 1 };
     }
+    if let Some(map) = &input.confidence {
+        for (z, confidence) in out.iter_mut().zip(&map.row(y)[roi.x..roi.x + roi.width]) {
+            *z = if *confidence >= params.min_confidence { *z } else { f32::NAN };
+        }
+    }
+    out.iter().map(|z| usize::from(z.is_finite())).sum()
+}
+
+/// Whether enough neighbours lie on the pixel's surface, anywhere in the ROI.
+fn agrees(input: &ReprojectInput<'_>, params: &ReprojectParams, roi: Roi, (x, y): (usize, usize), d: f32) -> bool {
     let (mut same, mut there) = (0, 0);
-    for dy in [-1isize, 0, 1] {
-        let Some(row) = y.checked_add_signed(dy).filter(|row| *row >= roi.y && *row < roi.y + roi.height) else {
-            continue;
-        };
-        for dx in [-1isize, 0, 1] {
-            let column = x.checked_add_signed(dx).filter(|column| *column >= roi.x && *column < roi.x + roi.width);
-            let Some(column) = column.filter(|_| dx != 0 || dy != 0) else { continue };
-            there += 1;
-            let other = input.disparity.data[row * input.disparity.stride + column];
-            same += usize::from((other - d).abs() <= params.surface_step_px);
+    for row in y.saturating_sub(1).max(roi.y)..(y + 2).min(roi.y + roi.height) {
+        for column in x.saturating_sub(1).max(roi.x)..(x + 2).min(roi.x + roi.width) {
+            if (column, row) != (x, y) {
+                there += 1;
+                let other = input.disparity.data[row * input.disparity.stride + column];
+                same += usize::from((other - d).abs() <= params.surface_step_px);
+            }
         }
     }
     // At the ROI's border fewer neighbours exist; the share that must agree is the same.

@@ -92,11 +92,11 @@ pub(crate) fn aggregate(paths: Paths<'_>, avx2: bool) {
         // SAFETY: the caller found AVX2; lengths are checked inside.
         unsafe {
             match paths.lanes {
-                32 => avx2::aggregate::<1>(paths),
-                64 => avx2::aggregate::<2>(paths),
-                96 => avx2::aggregate::<3>(paths),
-                128 => avx2::aggregate::<4>(paths),
-                _ => avx2::aggregate::<0>(paths),
+                32 => avx2::aggregate::<1, 1>(paths),
+                64 => avx2::aggregate::<2, 2>(paths),
+                96 => avx2::aggregate::<3, 3>(paths),
+                128 => avx2::aggregate::<4, 4>(paths),
+                _ => avx2::aggregate::<0, { MAX_LANES / 32 }>(paths),
             }
         }
         return;
@@ -158,8 +158,6 @@ fn portable(paths: Paths<'_>) {
 mod avx2 {
     use super::{CostRow, MAX_LANES, Paths, RIM, slot_bytes};
     use std::arch::x86_64::*;
-
-    const VECTORS: usize = MAX_LANES / 32;
 
     /// # Safety
     /// Needs AVX2.
@@ -243,15 +241,15 @@ mod avx2 {
     }
 
     /// # Safety
-    /// Needs AVX2. `CHUNKS` is `lanes / 32`, or 0 when not known in advance.
+    /// Needs AVX2. `CHUNKS` is `lanes / 32`, or 0 when not known in advance; `VECTORS` is at least that.
     #[target_feature(enable = "avx2")]
-    pub(super) unsafe fn aggregate<const CHUNKS: usize>(paths: Paths<'_>) {
+    pub(super) unsafe fn aggregate<const CHUNKS: usize, const VECTORS: usize>(paths: Paths<'_>) {
         let chunks = if CHUNKS == 0 { paths.lanes / 32 } else { CHUNKS };
         let lanes = chunks * 32;
         let Paths { count, penalties, .. } = paths;
         let slot = slot_bytes(lanes);
         let slots = paths.offsets.len() * (count + 2);
-        assert!(lanes == paths.lanes && lanes <= MAX_LANES && paths.cost.len() >= count * lanes);
+        assert!(lanes == paths.lanes && chunks <= VECTORS && lanes <= MAX_LANES && paths.cost.len() >= count * lanes);
         assert!(paths.before.len() >= slots * slot && paths.after.len() >= slots * slot);
         assert!(paths.least_before.len() >= slots && paths.least_after.len() >= slots);
         assert!(paths.sums.len() >= count * lanes && paths.offsets.iter().all(|offset| offset.abs() <= 1));
@@ -325,7 +323,7 @@ mod avx2 {
     /// Path costs of chunk `q` from those of the pixel before, all in registers.
     #[target_feature(enable = "avx2")]
     #[inline]
-    fn level(
+    fn level<const VECTORS: usize>(
         before: &[__m256i; VECTORS],
         q: usize,
         chunks: usize,

@@ -29,6 +29,4 @@ impl Node for Copy {
     }
 }
 
-export_plugin![Copy];
-
 fn main() {}

@@ -3,6 +3,7 @@
 use super::lanes::{LANES, Lanes};
 use super::lens::{Lens, TILE};
 use super::relief::{BLOCKS, NODES};
+use super::solid::{Entry, Part, Solid};
 
 /// Distance along the optical axis given to rays that meet nothing, mm.
 pub const FAR_MM: f32 = 2000.0;
@@ -53,6 +54,12 @@ pub struct Coarse {
     pub depth_mm: Vec<f32>,
     /// What to do with the rays of each tile.
     pub tiles: Vec<Tile>,
+    /// Instruments in the camera's frame.
+    pub parts: Vec<Solid>,
+    /// For each tile, bit `i` set where a ray may meet `parts[i]`; empty without instruments.
+    pub part_masks: Vec<u64>,
+    /// The light in the camera's frame, mm.
+    pub light: [f64; 3],
 }
 
 impl Coarse {
@@ -61,7 +68,67 @@ impl Coarse {
         Self {
             depth_mm: vec![0.0; lens.grid_padded * lens.grid_height],
             tiles: vec![Tile::default(); (lens.grid_width - 1) * (lens.grid_height - 1)],
+            ..Self::default()
         }
+    }
+
+    /// Finds the tiles that each part may touch: squares of 8x8 tiles first, then the tiles inside.
+    pub fn sort_parts(&mut self, lens: &Lens) {
+        if self.parts.is_empty() {
+            self.part_masks.clear();
+            return;
+        }
+        let (columns, rows) = (lens.grid_width - 1, lens.grid_height - 1);
+        self.part_masks.resize(columns * rows, 0);
+        let touched = |left: usize, top: usize, right: usize, bottom: usize, among: u64| {
+            let corner = |u: usize, v: usize| {
+                let at = v * lens.grid_padded + u;
+                [f64::from(lens.corner_x[at]), f64::from(lens.corner_y[at])]
+            };
+            let ends = [corner(left, top), corner(right, top), corner(left, bottom), corner(right, bottom)];
+            let middle = [0, 1].map(|k| ends.iter().map(|e| e[k]).sum::<f64>() * 0.25);
+            let square =
+                |e: &[f64; 2]| (e[0] - middle[0]) * (e[0] - middle[0]) + (e[1] - middle[1]) * (e[1] - middle[1]);
+            // On the plane one unit away no angle is larger than its chord; a fifth more allows for curved edges.
+            let spread = 1.2 * ends.iter().map(square).fold(0.0, f64::max).sqrt() + 1e-4;
+            let inv = 1.0 / (middle[0] * middle[0] + middle[1] * middle[1] + 1.0).sqrt();
+            let d = [middle[0] * inv, middle[1] * inv, inv];
+            let mut mask = 0;
+            for (i, part) in self.parts.iter().enumerate().take(64) {
+                if among >> i & 1 == 1 && part.part.near(d, spread) {
+                    mask |= 1 << i;
+                }
+            }
+            mask
+        };
+        for top in (0..rows).step_by(8) {
+            for left in (0..columns).step_by(8) {
+                let (right, bottom) = ((left + 8).min(columns), (top + 8).min(rows));
+                let among = touched(left, top, right, bottom, u64::MAX);
+                for row in top..bottom {
+                    for column in left..right {
+                        let mask = if among == 0 { 0 } else { touched(column, row, column + 1, row + 1, among) };
+                        self.part_masks[row * columns + column] = mask;
+                    }
+                }
+            }
+        }
+    }
+
+    /// The part that the ray `(x, y, 1)` of a tile enters first.
+    pub fn first_part(&self, tile: usize, x: f32, y: f32) -> Option<(Entry, &Part)> {
+        let mut mask = self.part_masks.get(tile).copied().unwrap_or(0);
+        let mut best: Option<(Entry, &Part)> = None;
+        while mask != 0 {
+            let part = &self.parts[mask.trailing_zeros() as usize];
+            mask &= mask - 1;
+            if let Some(entry) = part.enter([f64::from(x), f64::from(y), 1.0])
+                && best.as_ref().is_none_or(|(nearest, _)| entry.t < nearest.t)
+            {
+                best = Some((entry, &part.part));
+            }
+        }
+        best
     }
 }
 

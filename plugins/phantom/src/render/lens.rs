@@ -87,6 +87,16 @@ impl Lens {
         }
         Ok(lens)
     }
+
+    /// The ray of one pixel, `(x, y, 1)`.
+    pub fn ray(&self, u: usize, v: usize) -> [f32; 2] {
+        if self.distorted { [self.x[v * self.padded + u], self.y[v * self.padded + u]] } else { [self.x[u], self.y[v]] }
+    }
+
+    /// The tile around a pixel.
+    pub fn tile(&self, u: usize, v: usize) -> usize {
+        (v / TILE).min(self.grid_height - 2) * (self.grid_width - 1) + (u / TILE).min(self.grid_width - 2)
+    }
 }
 
 /// OpenCV's lens model: where the ray `(x, y, 1)` appears, and the Jacobian of that.

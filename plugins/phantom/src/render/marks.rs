@@ -3,7 +3,7 @@
 //! Printed coordinates are the scene's x and y, mm, with the origin on the resting left camera's axis.
 
 /// Heights of the raised blocks of the box: centre x, y, half size, height, mm.
-pub const BLOCKS_MM: [[f32; 4]; 3] = [[-14.0, 3.0, 4.0, 5.0], [12.0, 3.0, 4.0, 10.0], [30.0, 3.0, 4.0, 15.0]];
+pub const BLOCKS_MM: [[f32; 4]; 3] = [[-14.0, 3.0, 4.0, 5.0], [12.0, 3.0, 4.0, 10.0], [34.0, 3.0, 4.0, 15.0]];
 
 /// Printed lengths: start x, start y, end x, end y, mm; small crosses mark both ends. All lie on the floor.
 pub const LENGTHS_MM: [[f32; 4]; 5] = [

@@ -280,7 +280,7 @@ impl<'a> Skin<'a> {
         let strength = mix(a.mottle, b.mottle, share);
         let tone = 1.0 + strength * (0.13 * mottle + 0.07 * hue);
         // Blood content moves green and blue more than red.
-        let blood = strength * (0.10 * hue + 0.05 * net + 0.04 * mottle);
+        let blood = if p.vessels.is_empty() { 0.0 } else { strength } * (0.10 * hue + 0.05 * net + 0.04 * mottle);
         colour = [colour[0] * (tone - blood), colour[1] * (tone - blood), colour[2] * (tone - 0.25 * blood)];
         // Petechiae and pale lobule centres: small round spots, darker or lighter.
         let spots = mix(a.flecks, b.flecks, share);
@@ -298,14 +298,13 @@ impl<'a> Skin<'a> {
         let blush = capillary.max(red);
         colour = std::array::from_fn(|c| mix(colour[c], p.vessel[c], blush));
         let mut gloss = mix(a.gloss, b.gloss, share) * (0.75 + 0.25 * veil).clamp(0.3, 1.0);
-        let (px, py) = (x as f32 / TEXELS as f32, y as f32 / TEXELS as f32);
-        let (mx, my) = (marks::centred(px, self.relief.period_mm), marks::centred(py, self.relief.period_mm));
+        let place = |texel: usize| marks::centred(texel as f32 / TEXELS as f32, self.relief.period_mm);
         match self.scene {
             SceneKind::Box => {
-                let ink = marks::box_ink(mx, my, self.texel_mm);
+                let ink = marks::box_ink(place(x), place(y), self.texel_mm);
                 colour = colour.map(|c| mix(c, 0.10, ink));
             }
-            SceneKind::Board => match marks::board_ink(mx, my, self.texel_mm) {
+            SceneKind::Board => match marks::board_ink(place(x), place(y), self.texel_mm) {
                 Some(ink) => colour = [mix(0.93, 0.12, ink); 3],
                 None => {
                     colour = [0.35 + 0.05 * mottle, 0.42 + 0.05 * mottle, 0.40 + 0.05 * mottle];

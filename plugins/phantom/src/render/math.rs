@@ -64,7 +64,8 @@ pub fn cos_turns(turns: f64) -> f64 {
 /// Rises smoothly from 0 at `low` to 1 at `high` (3x^2 - 2x^3).
 #[inline(always)]
 pub fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
-    let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
+    // With constant edges the division is done by the compiler.
+    let t = ((x - low) * (1.0 / (high - low))).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 

@@ -18,8 +18,10 @@ mod params;
 mod phantom;
 mod relief;
 mod shade;
+mod solid;
 #[cfg(test)]
 mod tests;
+mod tools;
 mod truth;
 mod vessels;
 
@@ -27,4 +29,5 @@ pub use marks::{BLOCKS_MM, BOARD_CENTRE_MM, LENGTHS_MM, RULERS_Y_MM, SQUARE_MM};
 pub use math::Pose;
 pub use params::{BlackOut, CameraModel, PhantomError, Rig, SceneKind, SceneParams};
 pub use phantom::Phantom;
+pub use tools::{ToolKind, ToolTruth};
 pub use truth::{Canvas, PlaneFit, TruthMut};

@@ -131,6 +131,8 @@ pub struct SceneParams {
     pub smoke: f32,
     /// Number of blood drops on each lens, 0 to 32.
     pub blood_drops: u32,
+    /// Instruments in the scene, 0 to 7, of different kinds.
+    pub tools: u32,
     /// Sub-frames averaged for motion blur, 1 (none) to 16.
     pub motion_blur: u32,
     /// Part of the frame time the shutter is open, 0 to 1; used with `motion_blur`.
@@ -164,6 +166,7 @@ impl Default for SceneParams {
             noise: 1.0,
             smoke: 0.0,
             blood_drops: 0,
+            tools: 0,
             motion_blur: 1,
             shutter: 0.5,
             black: None,
@@ -187,6 +190,7 @@ impl SceneParams {
             ("noise", f64::from(self.noise), 0.0, 8.0),
             ("smoke", f64::from(self.smoke), 0.0, 1.0),
             ("blood_drops", f64::from(self.blood_drops), 0.0, 32.0),
+            ("tools", f64::from(self.tools), 0.0, 7.0),
             ("motion_blur", f64::from(self.motion_blur), 1.0, 16.0),
             ("shutter", self.shutter, 0.0, 1.0),
         ];

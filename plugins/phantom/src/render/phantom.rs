@@ -12,6 +12,7 @@ use super::params::{CameraModel, PhantomError, Rig, SceneParams};
 use super::relief::{NODES, Relief};
 use super::shade::{self, portable};
 use super::shade::{Picture, Sensor, Skin, rows_of};
+use super::tools::{self, Tool};
 use super::truth::TruthWork;
 
 /// Rows drawn by one chunk; a multiple of the tile.
@@ -25,6 +26,7 @@ pub struct Phantom {
     texels: Vec<u64>,
     script: Script,
     smoke: Option<Smoke>,
+    pub(super) tools: Vec<Tool>,
     /// Surface of the frame drawn last.
     z_mm: Vec<f32>,
     breath_mm: f32,
@@ -71,9 +73,23 @@ impl Phantom {
         let relief = Relief::new(&params, pool);
         let texels = material::bake(&params, &relief, pool);
         let script = Script::new(&params);
+        let tools = tools::cast_of(&params);
         let truth = TruthWork::new(&rig.cameras)?;
         let z_mm = relief.z_mm.clone();
-        Ok(Self { params, rig, relief, texels, script, smoke, z_mm, breath_mm: 0.0, eyes, truth, portable: false })
+        Ok(Self {
+            params,
+            rig,
+            relief,
+            texels,
+            script,
+            smoke,
+            tools,
+            z_mm,
+            breath_mm: 0.0,
+            eyes,
+            truth,
+            portable: false,
+        })
     }
 
     /// The scene's parameters.
@@ -159,10 +175,12 @@ impl Phantom {
         let (params, script, rig, period) = (&self.params, &self.script, &self.rig, f64::from(self.relief.period_mm));
         for eye in &mut self.eyes {
             let count = eye.stations.len();
-            for (k, (station, _)) in eye.stations.iter_mut().enumerate() {
+            for (k, (station, coarse)) in eye.stations.iter_mut().enumerate() {
                 let part = ((k as f64 + 0.5) / count as f64 - 0.5) * params.shutter * if count > 1 { 1.0 } else { 0.0 };
                 let pose = pose.unwrap_or_else(|| script.pose(frame as f64 + part));
                 *station = station_at(&pose, eye.model.offset_mm, rig.light_mm, period);
+                let seconds = (frame as f64 + part) / params.fps;
+                equip(&self.tools, seconds, &pose, eye.model.offset_mm, rig.light_mm, &eye.lens, coarse);
             }
         }
         Ok(())
@@ -264,6 +282,24 @@ impl Phantom {
             portable::colour(&picture, first, &mut out);
         });
     }
+}
+
+/// Brings the instruments into the frame of a camera `offset_mm` beside the first one.
+pub(super) fn equip(
+    tools: &[Tool],
+    seconds: f64,
+    pose: &Pose,
+    offset_mm: [f64; 3],
+    light_mm: [f64; 3],
+    lens: &Lens,
+    coarse: &mut Coarse,
+) {
+    coarse.light = std::array::from_fn(|i| light_mm[i] - offset_mm[i]);
+    coarse.parts.clear();
+    for tool in tools {
+        tool.at(seconds).place_in_camera(pose, offset_mm, &mut coarse.parts);
+    }
+    coarse.sort_parts(lens);
 }
 
 /// A camera `offset_mm` beside the first one, in the scene frame wrapped to the first period.

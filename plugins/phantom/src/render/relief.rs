@@ -108,17 +108,18 @@ impl Relief {
         self.z_range_mm = [range[0] - swell * breathing_mm, range[1] + swell * breathing_mm];
     }
 
-    /// A node plane between nodes, by cubic B-spline along both axes (for shading and masks, not for depth):
+    /// A node plane between nodes, bilinear (for shading and masks):
     /// row `y` of a map of `out.len()` texels per period.
     pub fn upsample_row(plane: &[f32], y: usize, out: &mut [f32]) {
         let step = out.len() / NODES;
+        let inv = 1.0 / step as f32;
         let (row, v) = (y / step, (y % step) as f32 / step as f32);
         let (a, b) = (&plane[row * NODES..][..NODES], &plane[(row + 1) % NODES * NODES..][..NODES]);
         for (i, cell) in out.chunks_exact_mut(step).enumerate() {
             let j = (i + 1) % NODES;
             let (left, right) = (a[i] + (b[i] - a[i]) * v, a[j] + (b[j] - a[j]) * v);
             for (k, value) in cell.iter_mut().enumerate() {
-                *value = left + (right - left) * (k as f32 / step as f32);
+                *value = left + (right - left) * (k as f32 * inv);
             }
         }
     }

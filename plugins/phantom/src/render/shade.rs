@@ -6,6 +6,7 @@ use super::cast::{Coarse, FAR_MM, Field, Rays, Station};
 use super::lanes::{LANES, Lanes};
 use super::lens::{Lens, TILE};
 use super::material::{SLOPE_LIMIT, TEXELS};
+use super::solid::{Entry, Part, add, dot};
 
 /// Light and skin, the same for all cameras of a frame.
 #[derive(Clone, Copy)]
@@ -225,6 +226,63 @@ fn expose<L: Lanes>(sensor: &Sensor, light: [L; 3], pixel: u32, out: &mut [u8; 2
     L::pack_bgr(value[0].clamp(0.0, 255.0), value[1].clamp(0.0, 255.0), value[2].clamp(0.0, 255.0), out);
 }
 
+/// Replaces the tissue where an instrument stands before it.
+#[inline(never)]
+fn solids(
+    picture: &Picture,
+    coarse: &Coarse,
+    tile: usize,
+    column: usize,
+    row: usize,
+    depth: &[f32; LANES],
+    seen: &mut [[f32; LANES]; 3],
+) {
+    for lane in 0..LANES {
+        let [x, y] = picture.lens.ray(column * LANES + lane, row);
+        if let Some((entry, part)) = coarse.first_part(tile, x, y)
+            && (entry.t as f32) < depth[lane]
+        {
+            let colour = steel(&picture.skin, coarse, [f64::from(x), f64::from(y), 1.0], &entry, part);
+            (seen[0][lane], seen[1][lane], seen[2][lane]) = (colour[0], colour[1], colour[2]);
+        }
+    }
+}
+
+/// Light that an instrument returns: plastic as tissue does, steel mostly as a mirror of the red cavity and of the
+/// light.
+fn steel(skin: &Skin, coarse: &Coarse, d: [f64; 3], entry: &Entry, part: &Part) -> [f32; 3] {
+    let unit = |v: [f64; 3]| {
+        let inv = 1.0 / dot(v, v).sqrt().max(1e-12);
+        v.map(|c| c * inv)
+    };
+    let place = d.map(|v| v * entry.t);
+    let to_light = add(coarse.light, place, -1.0);
+    let square = dot(to_light, to_light).max(25.0);
+    let (n, l, view) = (unit(entry.normal), unit(to_light), unit(d));
+    let beam = (-l[2]).max(0.0);
+    let beam2 = beam * beam;
+    let light = f64::from(skin.power) / square * beam2 * beam2 * beam2;
+    let facing = dot(n, l).max(0.0);
+    let mirrored = add(view, n, -2.0 * dot(view, n));
+    let gleam = dot(mirrored, l).max(0.0);
+    let (g4, g2) = (gleam * gleam * gleam * gleam, gleam * gleam);
+    let (g16, metal) = (g4 * g4 * g4 * g4, f64::from(part.paint.metal));
+    let g64 = g16 * g16 * g16 * g16;
+    // What a mirror shows: lit tissue ahead, darkness behind the scope.
+    let ahead = 0.5 + 0.5 * mirrored[2];
+    let ahead = 0.12 + 0.88 * ahead * ahead;
+    let shine = f64::from(skin.specular)
+        * light
+        * (metal * (0.05 * g4 + 0.16 * g16 + 1.2 * g64) + (1.0 - metal) * 0.5 * g64 * g2);
+    let room = f64::from(skin.power) / (dot(place, place) + 400.0);
+    [0, 1, 2].map(|c| {
+        let albedo = f64::from(part.paint.albedo[c]);
+        let tissue = [0.060, 0.062, 0.095][c];
+        let matt = albedo * light * facing * (1.0 - 0.86 * metal) + albedo * room * 0.02;
+        (matt + metal * albedo * tissue * ahead * room + shine) as f32
+    })
+}
+
 /// Draws rows `first..last`.
 #[inline(always)]
 fn rows<L: Lanes>(picture: &Picture, first: usize, out: &mut ViewMut<u8>) {
@@ -241,8 +299,19 @@ fn rows<L: Lanes>(picture: &Picture, first: usize, out: &mut ViewMut<u8>) {
                 let t = picture.field.packet(station, &rays, lens, coarse, column, row);
                 let seen = shade(picture, station, &rays, t);
                 let limit = L::splat(FAR_MM * 0.99);
+                let mut seen = [
+                    L::select_lt(t, limit, seen[0], L::splat(0.0)),
+                    L::select_lt(t, limit, seen[1], L::splat(0.0)),
+                    L::select_lt(t, limit, seen[2], L::splat(0.0)),
+                ];
+                let tile = row / TILE * (lens.grid_width - 1) + column;
+                if coarse.part_masks.get(tile).is_some_and(|&mask| mask != 0) {
+                    let mut lanes = [seen[0].store(), seen[1].store(), seen[2].store()];
+                    solids(picture, coarse, tile, column, row, &t.store(), &mut lanes);
+                    seen = [L::load(&lanes[0]), L::load(&lanes[1]), L::load(&lanes[2])];
+                }
                 for (sum, value) in light.iter_mut().zip(seen) {
-                    *sum = *sum + L::select_lt(t, limit, value, L::splat(0.0)) * share;
+                    *sum = *sum + value * share;
                 }
             }
             if !sensor.smoke.is_empty() {
@@ -285,8 +354,15 @@ fn depth_rows<L: Lanes>(field: &Field, lens: &Lens, station: &Station, coarse: &
             let t = field.packet(station, &rays, lens, coarse, column, row);
             let hit = field.hit_mask(station, &rays, t);
             let values = t.store();
+            let tile = row / TILE * (lens.grid_width - 1) + column;
+            let solid = coarse.part_masks.get(tile).is_some_and(|&mask| mask != 0);
             for (lane, pixel) in pixels[column * LANES..].iter_mut().take(LANES).enumerate() {
                 *pixel = if hit >> lane & 1 == 1 { values[lane] } else { f32::NAN };
+                if solid {
+                    let [x, y] = lens.ray(column * LANES + lane, row);
+                    let entry = coarse.first_part(tile, x, y).map_or(f32::NAN, |(entry, _)| entry.t as f32);
+                    *pixel = pixel.min(entry);
+                }
             }
         }
     }

@@ -10,13 +10,16 @@ use super::lanes::LANES;
 use super::lens::TILE;
 use super::math::Pose;
 use super::params::{CameraModel, PhantomError};
-use super::phantom::{Eye, Phantom, check_size, station_at};
+use super::phantom::{Eye, Phantom, check_size, equip, station_at};
 use super::shade::{self, Sensor, portable};
+use super::tools::{ToolTruth, to_camera};
 
 /// Rows of one chunk.
 const CHUNK_ROWS: usize = 16;
 /// A point counts as seen when the other camera's first hit lies within this of it along its axis, mm.
 const SEEN_MM: f32 = 0.05;
+/// How much of its own instrument may stand before a visible tip, mm.
+const TIP_DEPTH_MM: f64 = 2.0;
 
 /// What is asked for; every plane is the size of the first camera, one channel.
 #[derive(Debug, Default)]
@@ -123,6 +126,8 @@ impl Phantom {
         for eye in &mut work.eyes {
             let (station, coarse) = &mut eye.stations[0];
             *station = station_at(&pose, eye.model.offset_mm, self.rig.light_mm, period);
+            let seconds = frame as f64 / self.params.fps;
+            equip(&self.tools, seconds, &pose, eye.model.offset_mm, self.rig.light_mm, &eye.lens, coarse);
             self.coarse(&eye.lens, station, coarse, pool);
         }
         let TruthWork { eyes, depth_mm, .. } = &mut work;
@@ -166,6 +171,7 @@ impl Phantom {
             for (packet, out) in out.chunks_mut(LANES).enumerate() {
                 let at = packet * LANES;
                 let (mut rx, mut ry, mut want) = ([0f32; LANES], [0f32; LANES], [f32::NAN; LANES]);
+                let mut before = [f32::MAX; LANES];
                 let mut start = f32::MAX;
                 for lane in 0..out.len() {
                     let t = depth_mm[row * width + at + lane];
@@ -177,6 +183,8 @@ impl Phantom {
                         (rx[lane], ry[lane], want[lane]) = (x, y, z);
                         let tile = |p: f32, limit: usize| (p.max(0.0) as usize / TILE).min(limit);
                         let (column, line) = (tile(u, right.lens.grid_width - 2), tile(v, right.lens.grid_height - 2));
+                        let solid = coarse.first_part(line * (right.lens.grid_width - 1) + column, x, y);
+                        before[lane] = solid.map_or(f32::MAX, |(entry, _)| entry.t as f32);
                         start = start.min(nearest_around(coarse, right, column, line));
                     }
                 }
@@ -194,10 +202,71 @@ impl Phantom {
                 }
                 let found = first_hits(wide, &field, station, &rx, &ry, start * 0.97);
                 for (lane, out) in out.iter_mut().enumerate() {
-                    *out = if (found[lane] - want[lane]).abs() < SEEN_MM { 255 } else { 0 };
+                    *out = if (found[lane].min(before[lane]) - want[lane]).abs() < SEEN_MM { 255 } else { 0 };
                 }
             }
         });
+    }
+
+    /// Marks the instruments in `ids` (the first camera's ideal view: 0 tissue, else the instrument's identity) and
+    /// says what is true of each, in order of identity.
+    ///
+    /// # Errors
+    /// A plane of the wrong size, a pose that is not finite.
+    pub fn tools(
+        &mut self,
+        frame: u64,
+        pose: Option<Pose>,
+        pool: &dyn Parallel,
+        ids: &mut ViewMut<u8>,
+        out: &mut Vec<ToolTruth>,
+    ) -> Result<(), PhantomError> {
+        check_size(0, ids, self.eyes[0].lens.width, self.eyes[0].lens.height, 1)?;
+        let work = self.solve_depth(frame, pose, pool)?;
+        let eye = &work.eyes[0];
+        let (lens, coarse) = (&eye.lens, &eye.stations[0].1);
+        let pose = pose.unwrap_or_else(|| self.pose(frame));
+        out.clear();
+        for tool in &self.tools {
+            let posed = tool.at(frame as f64 / self.params.fps);
+            let tip_mm = to_camera(&pose, [0.0; 3], posed.tip);
+            let tip_px = if tip_mm[2] > 0.0 {
+                let (x, y) = (tip_mm[0] / tip_mm[2], tip_mm[1] / tip_mm[2]);
+                [x * eye.model.fx + eye.model.cx, y * eye.model.fy + eye.model.cy]
+            } else {
+                [f64::NAN; 2]
+            };
+            let (u, v) = ((tip_px[0] + 0.5).floor(), (tip_px[1] + 0.5).floor());
+            let inside = u >= 0.0 && v >= 0.0 && u < lens.width as f64 && v < lens.height as f64;
+            // The tip lies on the jaws' far end: its own instrument may stand a little before it.
+            let tip_visible =
+                inside && f64::from(work.depth_mm[v as usize * lens.width + u as usize]) > tip_mm[2] - TIP_DEPTH_MM;
+            let bounds_px = [usize::MAX, usize::MAX, 0, 0];
+            out.push(ToolTruth { kind: posed.kind, id: posed.id, pixels: 0, bounds_px, tip_mm, tip_px, tip_visible });
+        }
+        for v in 0..lens.height {
+            let row = ids.row_mut(v);
+            for (u, id) in row.iter_mut().enumerate() {
+                *id = 0;
+                let [x, y] = lens.ray(u, v);
+                // The depth plane already holds the nearer of tissue and instrument.
+                if let Some((entry, part)) = coarse.first_part(lens.tile(u, v), x, y)
+                    && entry.t as f32 == work.depth_mm[v * lens.width + u]
+                {
+                    *id = part.id;
+                    let tool = &mut out[usize::from(part.id) - 1];
+                    let [left, top, right, bottom] = tool.bounds_px;
+                    tool.bounds_px = [left.min(u), top.min(v), right.max(u + 1), bottom.max(v + 1)];
+                    tool.pixels += 1;
+                }
+            }
+        }
+        for tool in out {
+            let [left, top, right, bottom] = tool.bounds_px;
+            tool.bounds_px = if tool.pixels == 0 { [0; 4] } else { [left, top, right - left, bottom - top] };
+        }
+        self.truth = work;
+        Ok(())
     }
 
     /// Fits `left_from_right` by least squares to the true correspondences (every eighth pixel of the shared
@@ -284,6 +353,8 @@ impl Phantom {
         let period = f64::from(self.relief.period_mm);
         let (station, coarse) = &mut eye.stations[0];
         *station = station_at(&pose, eye.model.offset_mm, self.rig.light_mm, period);
+        let seconds = frame as f64 / self.params.fps;
+        equip(&self.tools, seconds, &pose, eye.model.offset_mm, self.rig.light_mm, &eye.lens, coarse);
         self.coarse(&eye.lens, station, coarse, pool);
         let gain = eye.model.white_balance.map(|w| w * eye.model.exposure);
         let sensor = Sensor { gain, noise: 0.0, key: 0, smoke: &[], drops: &[] };

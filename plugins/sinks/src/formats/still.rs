@@ -50,7 +50,8 @@ pub fn encode(
         }
         Pixels::F32(_) => {
             let kind = UnsupportedErrorKind::Color(ExtendedColorType::Rgb32F);
-            return Err(UnsupportedError::from_format_and_kind(ImageFormatHint::Unknown, kind).into());
+            let error = UnsupportedError::from_format_and_kind(ImageFormatHint::Unknown, kind);
+            return Err(ImageError::Unsupported(error));
         }
     };
     if jpeg {

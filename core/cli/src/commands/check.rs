@@ -1,0 +1,44 @@
+//! `panoscope check`.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use serde_json::json;
+
+use crate::terminal::{raw, say, stdout_color};
+use crate::{End, graph_file};
+
+/// Arguments of `check`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Graph files.
+    #[arg(required = true, value_name = "GRAPH")]
+    graphs: Vec<PathBuf>,
+    /// One JSON object per file: its name, whether it is fine, and all diagnostics.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Checks every file, however many are wrong.
+pub fn run(arguments: &Arguments) -> Result<End> {
+    let mut end = End::Done;
+    for path in &arguments.graphs {
+        let name = path.display();
+        let (facts, diagnostics) = match graph_file::load(path, &[]) {
+            Ok(ready) => (Some((ready.graph.nodes.len(), ready.graph.edges.len())), ready.warnings),
+            Err(diagnostics) => (None, diagnostics),
+        };
+        if facts.is_none() {
+            end = End::Wrong;
+        }
+        if arguments.json {
+            say!("{}", json!({ "file": name.to_string(), "ok": facts.is_some(), "diagnostics": diagnostics }));
+            continue;
+        }
+        raw(&diagnostics.render(stdout_color()));
+        if let Some((nodes, edges)) = facts {
+            say!("{name}: ok ({nodes} nodes, {edges} connections)");
+        }
+    }
+    Ok(end)
+}

@@ -1,0 +1,165 @@
+//! `panoscope describe`.
+
+use anyhow::Result;
+use panoscope_graph::{NodeKind, NodeType, Param, ParamKind, Port};
+use panoscope_runtime::Loader;
+
+use crate::terminal::{say, tell};
+use crate::{End, graph_file};
+
+/// Arguments of `describe`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Node type, or `plugin/type` where two plugins offer one name.
+    node_type: String,
+    /// As JSON, a list with one entry per plugin that offers it.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Shows a node type; loads only the plugins that offer it.
+pub fn run(arguments: &Arguments) -> Result<End> {
+    let loader = graph_file::all_plugins();
+    let (plugin, name) = match arguments.node_type.split_once('/') {
+        Some((plugin, name)) => (Some(plugin), name),
+        None => (None, arguments.node_type.as_str()),
+    };
+    let offering = loader.offering(name);
+    let plugins: Vec<&str> =
+        offering.iter().map(|f| f.note.name.as_str()).filter(|p| plugin.is_none_or(|only| only == *p)).collect();
+    if plugins.is_empty() {
+        return Ok(unknown(&loader, plugin, name));
+    }
+    let mut types = Vec::new();
+    for plugin in plugins {
+        match loader.load(plugin) {
+            Ok(loaded) => types.extend(loaded.node_types.into_iter().filter(|t| t.name == name)),
+            Err(problem) => {
+                tell!("error: {}", problem.message);
+                if !problem.help.is_empty() {
+                    tell!("    help: {}", problem.help);
+                }
+                return Ok(End::Wrong);
+            }
+        }
+    }
+    if arguments.json {
+        say!("{}", serde_json::to_string_pretty(&types)?);
+    } else {
+        types.iter().for_each(show);
+    }
+    Ok(End::Done)
+}
+
+fn unknown(loader: &Loader, plugin: Option<&str>, name: &str) -> End {
+    match plugin {
+        Some(plugin) => tell!("error: no plugin `{plugin}` with a node type `{name}` was found"),
+        None => tell!("error: no plugin offers a node type `{name}`"),
+    }
+    let types: Vec<&str> = loader.found().flat_map(|f| f.note.node_types.iter().map(String::as_str)).collect();
+    // As far from the name as the graph checker allows: a third of the letters.
+    let distance = |other: &str| strsim::damerau_levenshtein(name, other);
+    let close = |other: &&str| distance(other) <= (name.chars().count() / 3).max(1) || other.contains(name);
+    match types.iter().copied().filter(close).min_by_key(|other| distance(other)) {
+        Some(nearest) => tell!("    help: did you mean `{nearest}`?"),
+        None => tell!("    help: `panoscope list` shows what there is"),
+    }
+    End::Wrong
+}
+
+fn show(node_type: &NodeType) {
+    let kind = match node_type.kind {
+        NodeKind::Compute => "compute",
+        NodeKind::Blocking => "blocking",
+        NodeKind::Realtime => "realtime",
+    };
+    let mut traits = vec![kind];
+    for (is, word) in [
+        (node_type.source, "source"),
+        (node_type.exclusive, "exclusive"),
+        (node_type.side_effects, "acts outside the graph"),
+    ] {
+        if is {
+            traits.push(word);
+        }
+    }
+    say!("{} (plugin {}, {}; {})", node_type.name, node_type.plugin, node_type.family, traits.join(", "));
+    paragraph(2, &node_type.doc);
+    ports("inputs", &node_type.inputs);
+    ports("outputs", &node_type.outputs);
+    if !node_type.params.is_empty() {
+        say!("");
+        say!("params");
+    }
+    for param in &node_type.params {
+        show_param(param);
+    }
+}
+
+fn paragraph(indent: usize, text: &str) {
+    for line in text.lines() {
+        say!("{:indent$}{}", "", line.trim_end());
+    }
+}
+
+fn ports(title: &str, ports: &[Port]) {
+    if ports.is_empty() {
+        return;
+    }
+    say!("");
+    say!("{title}");
+    for port in ports {
+        let mut about = port.packet.name.clone();
+        if !port.packet.formats.is_empty() {
+            about.push_str(&format!(" ({})", port.packet.formats.join(", ")));
+        }
+        if port.list {
+            about.push_str(", a list");
+        }
+        if port.optional {
+            about.push_str(", optional");
+        }
+        say!("  {}: {about}", port.name);
+        paragraph(6, &port.doc);
+    }
+}
+
+fn range(min: Option<String>, max: Option<String>) -> Option<String> {
+    match (min, max) {
+        (Some(min), Some(max)) => Some(format!("{min} to {max}")),
+        (Some(min), None) => Some(format!("at least {min}")),
+        (None, Some(max)) => Some(format!("at most {max}")),
+        (None, None) => None,
+    }
+}
+
+fn show_param(param: &Param) {
+    let text = |n: &dyn std::fmt::Display| n.to_string();
+    let (default, limits) = match &param.kind {
+        ParamKind::Bool { default } => (default.to_string(), None),
+        ParamKind::Int { default, min, max, step } => {
+            let mut limits = range(min.as_ref().map(|n| text(n)), max.as_ref().map(|n| text(n)));
+            if let (Some(limits), Some(step)) = (&mut limits, step.filter(|&s| s > 1)) {
+                limits.push_str(&format!(" in steps of {step}"));
+            }
+            (default.to_string(), limits)
+        }
+        ParamKind::Float { default, min, max, .. } => {
+            (default.to_string(), range(min.as_ref().map(|n| text(n)), max.as_ref().map(|n| text(n))))
+        }
+        ParamKind::Choice { default, choices } => (format!("{default:?}"), Some(choices.join(", "))),
+        ParamKind::Text { default } => (format!("{default:?}"), None),
+        ParamKind::Path { default, must_exist } => {
+            (format!("{default:?}"), must_exist.then(|| "must exist".to_owned()))
+        }
+        ParamKind::Floats { default, min_len, max_len } => {
+            let count = range(Some(min_len.to_string()), max_len.map(|n| n.to_string()));
+            (format!("{default:?}"), count.map(|c| format!("{c} numbers")))
+        }
+    };
+    let unit = if param.unit.is_empty() { String::new() } else { format!(" {}", param.unit) };
+    let limits = limits.map_or_else(String::new, |l| format!(" ({l})"));
+    let reopen = if param.reopen { "; a change opens the node again" } else { "" };
+    say!("  {} = {default}{unit}{limits}: {}{reopen}", param.name, param.kind.expected());
+    paragraph(6, &param.doc);
+}

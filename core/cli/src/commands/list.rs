@@ -1,0 +1,58 @@
+//! `panoscope list`.
+
+use anyhow::Result;
+use serde_json::json;
+
+use crate::terminal::{say, tell};
+use crate::{End, graph_file};
+
+/// Arguments of `list`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// As JSON: plugins, their node types, and files that could not be used.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Lists what the plugins' notes say; no plugin is loaded.
+pub fn run(arguments: &Arguments) -> Result<End> {
+    let loader = graph_file::all_plugins();
+    if arguments.json {
+        let plugins: Vec<_> = loader
+            .found()
+            .map(|found| {
+                json!({
+                    "plugin": found.note.name,
+                    "version": found.note.version,
+                    "abi": format!("{}.{}", found.note.abi_major, found.note.abi_minor),
+                    "file": found.file,
+                    "node_types": found.note.node_types,
+                })
+            })
+            .collect();
+        let all = json!({ "plugins": plugins, "problems": loader.problems() });
+        say!("{}", serde_json::to_string_pretty(&all)?);
+        return Ok(End::Done);
+    }
+    let mut any = false;
+    for found in loader.found() {
+        any = true;
+        say!("{} {}  ({})", found.note.name, found.note.version, found.file.display());
+        for node_type in &found.note.node_types {
+            say!("    {node_type}");
+        }
+    }
+    for problem in loader.problems() {
+        tell!("warning: {}", problem.message);
+        if !problem.help.is_empty() {
+            tell!("    help: {}", problem.help);
+        }
+    }
+    if !any {
+        tell!("no plugins were found; folders searched:");
+        for folder in panoscope_runtime::loader::search_path(&[]) {
+            tell!("    {}", folder.display());
+        }
+    }
+    Ok(End::Done)
+}

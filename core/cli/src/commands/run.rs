@@ -1,0 +1,187 @@
+//! `panoscope run`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use panoscope_graph::Graph;
+use panoscope_runtime::log::Level;
+use panoscope_runtime::{Engine, Options, Outcome, Report};
+
+use crate::progress::Progress;
+use crate::terminal::{raw, stderr_color, tell};
+use crate::{End, allocations, graph_file, interrupt, summary};
+
+/// How long nodes may take to finish after the end of a run was asked for.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Arguments of `run`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Graph file.
+    graph: PathBuf,
+    /// Sets a parameter; wins over the file. May be given again.
+    #[arg(long, value_name = "NODE.PARAM=VALUE")]
+    set: Vec<String>,
+    /// Left picture, video or device for every node of type `capture`.
+    #[arg(long, value_name = "FILE")]
+    left: Option<PathBuf>,
+    /// Right picture, video or device for every node of type `capture`.
+    #[arg(long, value_name = "FILE")]
+    right: Option<PathBuf>,
+    /// Ticks that each source makes; without it, until the sources end or Ctrl-C.
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
+    frames: Option<u64>,
+    /// Threads of the pool; without it, one per core.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Neither windows nor a progress bar: plain lines, as for a machine without a screen.
+    #[arg(long)]
+    headless: bool,
+    /// Sources of a live graph do not wait for the capture time of a frame: as fast as the graph takes them.
+    #[arg(long)]
+    unpaced: bool,
+    /// Writes counters and times as JSON at the end.
+    #[arg(long, value_name = "FILE.json")]
+    report: Option<PathBuf>,
+    /// Shows debug lines of nodes too.
+    #[arg(long, short)]
+    verbose: bool,
+}
+
+/// Runs a graph to its end.
+pub fn run(arguments: &Arguments) -> Result<End> {
+    let mut settings = match capture_settings(arguments) {
+        Ok(settings) => settings,
+        Err(error) => {
+            tell!("error: {error:#}");
+            return Ok(End::Wrong);
+        }
+    };
+    settings.extend(arguments.set.iter().cloned());
+    let ready = match graph_file::load(&arguments.graph, &settings) {
+        Ok(ready) => ready,
+        Err(diagnostics) => {
+            tell!("{}", diagnostics.render(stderr_color()).trim_end());
+            return Ok(End::Wrong);
+        }
+    };
+    if !ready.warnings.is_empty() {
+        tell!("{}", ready.warnings.render(stderr_color()).trim_end());
+    }
+    let graph = ready.graph.clone();
+    let mut progress = Progress::new(&graph.name, arguments.frames, !arguments.headless);
+    let options = Options {
+        threads: arguments.threads.map_or(0, usize::from),
+        frames: arguments.frames,
+        paced: !arguments.unpaced,
+        graph_dir: arguments.graph.parent().unwrap_or(Path::new("")).to_owned(),
+        log: Some(crate::log_lines::sink(arguments.verbose, stderr_color(), progress.line_writer())),
+        process_allocations: allocations::process(),
+        thread_allocations: allocations::thread(),
+    };
+    interrupt::listen();
+    let engine = match Engine::start(ready.graph, &ready.catalog, &ready.loader, options) {
+        Ok(engine) => engine,
+        Err(error) => {
+            progress.finish();
+            tell!("error: {error}");
+            return Ok(End::Failed);
+        }
+    };
+    allocations::leave_this_thread_out();
+    watch(&engine, &mut progress);
+    let outcome = engine.close(PATIENCE);
+    let report = engine.report();
+    progress.finish();
+    raw(&summary::text(&graph, &report));
+    if let Some(path) = &arguments.report {
+        write_report(path, &report)?;
+    }
+    Ok(judge(&engine, &graph, &report, &outcome))
+}
+
+/// Shows progress until the end of the run, or until the user's patience with a stopped one is over.
+fn watch(engine: &Engine, progress: &mut Progress) {
+    let mut stopped: Option<Instant> = None;
+    while !engine.wait(Some(Duration::from_millis(100))) {
+        progress.update(&engine.report());
+        match stopped {
+            Some(since) if since.elapsed() > PATIENCE => return,
+            None if interrupt::asked() => {
+                engine.stop();
+                stopped = Some(Instant::now());
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Says why a run failed, if it did.
+fn judge(engine: &Engine, graph: &Graph, report: &Report, outcome: &Outcome) -> End {
+    let last_words = |node: &str| {
+        let log = engine.recent_log();
+        log.into_iter().rev().find(|(level, id, _)| *level == Level::Error && id == node).map(|(_, _, words)| words)
+    };
+    let mut end = End::Done;
+    if let Outcome::Failed(reason) = outcome {
+        tell!("error: {reason}");
+        end = End::Failed;
+    }
+    for node in &graph.nodes {
+        let Some(counts) = report.nodes.get(&node.id).filter(|n| n.faults > 0) else { continue };
+        let words = last_words(&node.id).unwrap_or_default();
+        // A node that never once did its work made the run useless, whatever the graph says about faults.
+        let never = counts.faults >= counts.count;
+        if never {
+            end = End::Failed;
+        }
+        let level = if never || end == End::Failed { "error" } else { "warning" };
+        let times = if counts.faults == 1 { "once".to_owned() } else { format!("{} times", counts.faults) };
+        let always = if never { ", every time it was called" } else { "" };
+        tell!("{level}: node `{}` failed {times}{always}: {words}", node.id);
+    }
+    end
+}
+
+/// Writes the report in one step, so that nobody reads half of it.
+fn write_report(path: &Path, report: &Report) -> Result<()> {
+    let text = serde_json::to_string_pretty(report)? + "\n";
+    if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
+        fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    }
+    let mut part = path.as_os_str().to_owned();
+    part.push(".part");
+    fs::write(&part, text).with_context(|| format!("cannot write {}", path.display()))?;
+    fs::rename(&part, path).with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// `--left` and `--right` as settings of every node of type `capture`.
+fn capture_settings(arguments: &Arguments) -> Result<Vec<String>> {
+    let sides = [("left", &arguments.left), ("right", &arguments.right)];
+    if sides.iter().all(|(_, path)| path.is_none()) {
+        return Ok(Vec::new());
+    }
+    let mut settings = Vec::new();
+    // A file that cannot be read or parsed is reported with all else that is wrong with it.
+    let text = fs::read_to_string(&arguments.graph).unwrap_or_default();
+    let Ok(file) = text.parse::<toml::Table>() else { return Ok(settings) };
+    let nodes = file.get("nodes").and_then(toml::Value::as_table);
+    let is_capture = |node: &toml::Value| {
+        node.get("type").and_then(toml::Value::as_str).is_some_and(|t| t == "capture" || t == "capture/capture")
+    };
+    for (id, _) in nodes.into_iter().flatten().filter(|(_, node)| is_capture(node)) {
+        for (side, path) in sides {
+            if let Some(path) = path {
+                // On the command line paths start from here, in a graph from its file.
+                let full = std::path::absolute(path).with_context(|| format!("--{side} {}", path.display()))?;
+                settings.push(format!("{id}.{side}={}", full.display()));
+            }
+        }
+    }
+    if settings.is_empty() && nodes.is_some() {
+        bail!("--left and --right are for graphs with a node of type `capture`; {} has none", arguments.graph.display());
+    }
+    Ok(settings)
+}

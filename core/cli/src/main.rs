@@ -1,0 +1,71 @@
+//! The `panoscope` command. Exit codes: 0 done, 1 the run failed, 2 the arguments or the graph are wrong.
+
+mod allocations;
+mod commands;
+mod graph_file;
+mod interrupt;
+mod log_lines;
+mod progress;
+mod summary;
+mod terminal;
+
+use clap::{Parser, Subcommand};
+
+/// Runs graphs of image-processing nodes on the live picture of two-camera endoscopes.
+#[derive(Parser)]
+#[command(name = "panoscope", version, disable_help_subcommand = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Runs a graph.
+    Run(commands::run::Arguments),
+    /// Checks graph files and shows every mistake.
+    Check(commands::check::Arguments),
+    /// Lists plugins and their node types.
+    List(commands::list::Arguments),
+    /// Shows inputs, outputs and parameters of a node type.
+    Describe(commands::describe::Arguments),
+    /// Writes a graph as Graphviz text.
+    Dot(commands::dot::Arguments),
+    /// Writes a JSON Schema of graph files, for editors.
+    Schema,
+    /// Lists cameras.
+    Devices(commands::devices::Arguments),
+}
+
+/// How a command ended.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum End {
+    /// Done.
+    Done,
+    /// The run failed; what was wrong has been said.
+    Failed,
+    /// The arguments or the graph are wrong; what was wrong has been said.
+    Wrong,
+}
+
+fn main() {
+    let arguments = Arguments::parse();
+    let end = match arguments.command {
+        Command::Run(arguments) => commands::run::run(&arguments),
+        Command::Check(arguments) => commands::check::run(&arguments),
+        Command::List(arguments) => commands::list::run(&arguments),
+        Command::Describe(arguments) => commands::describe::run(&arguments),
+        Command::Dot(arguments) => commands::dot::run(&arguments),
+        Command::Schema => commands::schema::run(),
+        Command::Devices(arguments) => commands::devices::run(&arguments),
+    };
+    terminal::leave(match end {
+        Ok(End::Done) => 0,
+        Ok(End::Failed) => 1,
+        Ok(End::Wrong) => 2,
+        Err(error) => {
+            terminal::tell!("error: {error:#}");
+            1
+        }
+    })
+}

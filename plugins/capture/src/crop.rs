@@ -1,0 +1,106 @@
+//! Parts of pictures: crops in px and the halves of a picture that holds both views.
+
+/// A rectangle in px inside a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rect {
+    /// Left edge.
+    pub x: usize,
+    /// Upper edge.
+    pub y: usize,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+/// How one source holds two views.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Halves {
+    /// Left view on the left.
+    SideBySide,
+    /// Left view above.
+    TopBottom,
+}
+
+impl Rect {
+    /// A whole picture.
+    pub fn whole(width: usize, height: usize) -> Self {
+        Self { x: 0, y: 0, width, height }
+    }
+
+    /// View 0 or 1 of a picture that holds both; an odd last row or column belongs to neither.
+    pub fn half(self, halves: Halves, view: usize) -> Self {
+        match halves {
+            Halves::SideBySide => Self { x: self.x + view * (self.width / 2), width: self.width / 2, ..self },
+            Halves::TopBottom => Self { y: self.y + view * (self.height / 2), height: self.height / 2, ..self },
+        }
+    }
+
+    /// The part `x, y, width, height` (px; width or height 0 reach to the edge) of this rectangle.
+    ///
+    /// # Errors
+    /// Says what does not fit.
+    pub fn part(self, crop: [f64; 4]) -> Result<Self, String> {
+        let whole = |value: f64| (value >= 0.0 && value.fract() == 0.0 && value < 1e6).then_some(value as usize);
+        let [Some(x), Some(y), Some(width), Some(height)] = crop.map(whole) else {
+            return Err(format!("the crop {crop:?} must be whole numbers of px: x, y, width, height"));
+        };
+        let width = if width == 0 { self.width.saturating_sub(x) } else { width };
+        let height = if height == 0 { self.height.saturating_sub(y) } else { height };
+        if width == 0 || height == 0 || x + width > self.width || y + height > self.height {
+            return Err(format!(
+                "the crop {width}x{height} at ({x}, {y}) leaves the picture of {}x{}",
+                self.width, self.height
+            ));
+        }
+        Ok(Self { x: self.x + x, y: self.y + y, width, height })
+    }
+}
+
+/// The crop of view `view` out of a flat list: nothing, one rectangle for all views, or one for each.
+///
+/// # Errors
+/// When the list has another length.
+pub fn of_view(list: &[f64], view: usize, views: usize) -> Result<Option<[f64; 4]>, String> {
+    let (rectangles, rest) = list.as_chunks::<4>();
+    if !rest.is_empty() || !(rectangles.is_empty() || rectangles.len() == 1 || rectangles.len() == views) {
+        return Err(format!(
+            "`crop` has {} numbers: give x, y, width, height once for all views or once for each of the {views}",
+            list.len()
+        ));
+    }
+    Ok(rectangles.get(view).or(rectangles.first()).copied())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn crops_stay_inside() {
+        let whole = Rect::whole(640, 480);
+        assert_eq!(whole.part([220.0, 0.0, 420.0, 480.0]), Ok(Rect { x: 220, y: 0, width: 420, height: 480 }));
+        assert_eq!(whole.part([10.0, 20.0, 0.0, 0.0]), Ok(Rect { x: 10, y: 20, width: 630, height: 460 }));
+        assert!(whole.part([300.0, 0.0, 420.0, 480.0]).unwrap_err().contains("leaves the picture of 640x480"));
+        assert!(whole.part([0.5, 0.0, 1.0, 1.0]).is_err());
+        assert!(whole.part([-1.0, 0.0, 1.0, 1.0]).is_err());
+        assert!(whole.part([f64::NAN, 0.0, 1.0, 1.0]).is_err());
+        assert!(whole.part([640.0, 0.0, 0.0, 0.0]).is_err());
+    }
+
+    #[test]
+    fn halves_are_equal() {
+        let whole = Rect::whole(641, 480);
+        assert_eq!(whole.half(Halves::SideBySide, 1), Rect { x: 320, y: 0, width: 320, height: 480 });
+        assert_eq!(whole.half(Halves::TopBottom, 1), Rect { x: 0, y: 240, width: 641, height: 240 });
+    }
+
+    #[test]
+    fn one_crop_serves_all_views() {
+        assert_eq!(of_view(&[], 1, 2), Ok(None));
+        assert_eq!(of_view(&[1.0, 2.0, 3.0, 4.0], 1, 2), Ok(Some([1.0, 2.0, 3.0, 4.0])));
+        assert_eq!(of_view(&[0.0, 0.0, 3.0, 4.0, 9.0, 0.0, 3.0, 4.0], 1, 2), Ok(Some([9.0, 0.0, 3.0, 4.0])));
+        assert!(of_view(&[1.0, 2.0], 0, 2).is_err());
+        assert!(of_view(&[0.0; 12], 0, 2).is_err());
+    }
+}

@@ -1,0 +1,86 @@
+//! `drain` and `drain_blocking`: the end of a line.
+
+use panoscope_node::abi::{FNV_START, Frame, fnv1a};
+use panoscope_node::{Context, Node, NodeInfo, NoPorts, Open, Params, Result};
+
+use crate::ports::In;
+
+/// What a sink does with a picture.
+#[derive(Params)]
+pub struct Look {
+    /// Read all bytes and tell a digest of everything that came, as the metric `digest`.
+    #[param(default = false)]
+    digest: bool,
+}
+
+/// Folds a frame and its tick into a digest.
+fn fold(hash: u64, frame: &Frame) -> u64 {
+    // SAFETY: an input's buffer is alive and not written for the length of the call.
+    let bytes = unsafe { std::slice::from_raw_parts(frame.data, frame.len) };
+    let tick = frame.tick;
+    let head = [tick.seq, tick.capture_ns as u64, u64::from(frame.format), frame.len as u64];
+    let hash = head.iter().fold(hash, |hash, number| fnv1a(hash, &number.to_le_bytes()));
+    fnv1a(hash, bytes)
+}
+
+#[derive(Default)]
+struct Count {
+    frames: u64,
+    digest: u64,
+}
+
+impl Count {
+    fn take(&mut self, cx: &Context<'_>, frame: &Frame, params: &Look) {
+        self.frames += 1;
+        if params.digest {
+            let before = if self.frames == 1 { FNV_START } else { self.digest };
+            self.digest = fold(before, frame);
+            // A metric is an f64: 52 bits of the digest fit.
+            cx.metric("digest", (self.digest >> 12) as f64);
+        }
+        cx.metric("frames", self.frames as f64);
+    }
+}
+
+/// Takes pictures and counts them.
+#[derive(Default)]
+pub struct Drain(Count);
+
+impl Node for Drain {
+    const INFO: NodeInfo =
+        NodeInfo::compute("drain", "sink", "Takes pictures, counts them and lets them go.").side_effects();
+    type In<'f> = In<'f>;
+    type Out<'f> = NoPorts;
+    type Params = Look;
+
+    fn open(_: &Open<'_>, _: &Look) -> Result<Self> {
+        Ok(Self::default())
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Look) -> Result<()> {
+        self.0.take(cx, input.image.frame(), params);
+        Ok(())
+    }
+}
+
+/// Takes pictures on a thread of its own and counts them.
+#[derive(Default)]
+pub struct DrainBlocking(Count);
+
+impl Node for DrainBlocking {
+    const INFO: NodeInfo =
+        NodeInfo::blocking("drain_blocking", "sink", "Takes pictures on its own thread, counts them and lets them go.")
+            .side_effects();
+    type In<'f> = In<'f>;
+    type Out<'f> = NoPorts;
+    type Params = Look;
+
+    fn open(_: &Open<'_>, _: &Look) -> Result<Self> {
+        Ok(Self::default())
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Look) -> Result<()> {
+        self.0.take(cx, input.image.frame(), params);
+        Ok(())
+    }
+}

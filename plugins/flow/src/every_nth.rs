@@ -1,0 +1,31 @@
+//! `every_nth`: thins a stream.
+
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result};
+
+use crate::ports::{In, Out};
+
+/// How many pictures are left out.
+#[derive(Params)]
+pub struct Thinning {
+    /// One picture in this many passes; the output is empty for the others.
+    #[param(default = 2, range = 1..=1000000)]
+    n: u64,
+}
+
+/// Lets every n-th picture through, counted by tick number, so that branches thinned alike stay together.
+pub struct EveryNth;
+
+impl Node for EveryNth {
+    const INFO: NodeInfo = NodeInfo::compute("every_nth", "flow", "Lets every n-th picture through.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = Thinning;
+
+    fn open(_: &Open<'_>, _: &Thinning) -> Result<Self> {
+        Ok(Self)
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Thinning) -> Result<()> {
+        if cx.tick().seq % params.n == 0 { out.image.forward(input.image.frame()) } else { Ok(()) }
+    }
+}

@@ -1,0 +1,55 @@
+//! `pass` and `pass_blocking`: hand a picture on.
+
+use std::time::Duration;
+
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result};
+
+use crate::ports::{In, Out};
+
+/// Hands pictures on, inline after their producer.
+pub struct Pass;
+
+impl Node for Pass {
+    const INFO: NodeInfo = NodeInfo::compute("pass", "flow", "Hands pictures on without a copy.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = ();
+
+    fn open(_: &Open<'_>, _: &()) -> Result<Self> {
+        Ok(Self)
+    }
+
+    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, _: &()) -> Result<()> {
+        out.image.forward(input.image.frame())
+    }
+}
+
+/// How long to hold a picture.
+#[derive(Params)]
+pub struct Wait {
+    /// Time that the node sleeps per picture, as a slow device would.
+    #[param(default = 0.0, range = 0.0..=10000.0, unit = "ms")]
+    wait_ms: f64,
+}
+
+/// Hands pictures on from a thread of its own, after a pause.
+pub struct PassBlocking;
+
+impl Node for PassBlocking {
+    const INFO: NodeInfo =
+        NodeInfo::blocking("pass_blocking", "flow", "Hands pictures on from its own thread, after a pause if asked to.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = Wait;
+
+    fn open(_: &Open<'_>, _: &Wait) -> Result<Self> {
+        Ok(Self)
+    }
+
+    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Wait) -> Result<()> {
+        if params.wait_ms > 0.0 {
+            std::thread::sleep(Duration::from_secs_f64(params.wait_ms / 1e3));
+        }
+        out.image.forward(input.image.frame())
+    }
+}

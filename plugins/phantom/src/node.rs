@@ -1,0 +1,356 @@
+//! `phantom`: a rendered scene in, or rather out of, two or four cameras, with exact truth.
+
+use panoscope_node::abi::{self, Calibration, Camera};
+use panoscope_node::{
+    Bgr8, Choice, Context, Depth, Disparity, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, ViewMut,
+    name16,
+};
+
+use crate::render::{
+    BlackOut, CameraModel, Canvas, Phantom, Pose, Rig, SceneKind, SceneParams, TruthMut,
+};
+
+/// Which scene is rendered.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum Scene {
+    /// Smooth lobes with thin vessels.
+    Liver,
+    /// Loops of bowel, branching vessels, fat.
+    Bowel,
+    /// A deep pocket, 20 mm to more than 70 mm away.
+    Cavity,
+    /// A phantom box with rulers and blocks of known size.
+    Box,
+    /// A flat chessboard.
+    Board,
+}
+
+/// How the cameras stand.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum Layout {
+    /// Left and right.
+    Stereo,
+    /// Two above two: view0, view1, view2, view3.
+    Quad,
+}
+
+/// Which camera goes black.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum BlackCamera {
+    /// None.
+    None,
+    /// The left one.
+    Left,
+    /// The right one.
+    Right,
+}
+
+/// Parameters of the phantom.
+#[derive(Params, Clone, PartialEq)]
+pub struct PhantomParams {
+    /// Scene that is rendered.
+    #[param(default = "bowel", reopen)]
+    scene: Scene,
+    /// Seed of everything random: the same seed gives the same pictures on every machine.
+    #[param(default = 7, range = 0..=1_000_000_000, reopen)]
+    seed: u64,
+    /// How the cameras stand.
+    #[param(default = "stereo", reopen)]
+    layout: Layout,
+    /// Picture width of each camera.
+    #[param(default = 640, range = 64..=3840, unit = "px", reopen)]
+    width: u32,
+    /// Picture height of each camera.
+    #[param(default = 480, range = 48..=2160, unit = "px", reopen)]
+    height: u32,
+    /// Distance of neighbouring cameras.
+    #[param(default = 15.0, range = 1.0..=40.0, step = 0.5, unit = "mm", reopen)]
+    baseline_mm: f64,
+    /// Mean distance from the resting left camera to the tissue.
+    #[param(default = 50.0, range = 15.0..=150.0, step = 1.0, unit = "mm", reopen)]
+    distance_mm: f64,
+    /// Pictures per second of media time.
+    #[param(default = 30.0, range = 1.0..=240.0, step = 1.0, unit = "Hz", reopen)]
+    rate_hz: f64,
+    /// Top speed of the scripted camera; 0 stands still.
+    #[param(default = 10.0, range = 0.0..=25.0, step = 0.5, unit = "mm/s", reopen)]
+    speed_mm_s: f64,
+    /// Amplitude of breathing.
+    #[param(default = 1.0, range = 0.0..=5.0, step = 0.1, unit = "mm", reopen)]
+    breathing_mm: f64,
+    /// Strength of highlights.
+    #[param(default = 1.0, range = 0.0..=4.0, step = 0.1, unit = "ratio", reopen)]
+    specular: f32,
+    /// Sensor noise; 1 is a good small sensor.
+    #[param(default = 1.0, range = 0.0..=8.0, step = 0.1, unit = "ratio", reopen)]
+    noise: f32,
+    /// Density of smoke.
+    #[param(default = 0.0, range = 0.0..=1.0, step = 0.05, unit = "ratio", reopen)]
+    smoke: f32,
+    /// Blood drops on each lens.
+    #[param(default = 0, range = 0..=32, reopen)]
+    blood_drops: u32,
+    /// Sub-frames of motion blur; 1 is none.
+    #[param(default = 1, range = 1..=16, unit = "frames", reopen)]
+    motion_blur: u32,
+    /// Exposure of the right camera relative to the left one.
+    #[param(default = 0.93, range = 0.25..=4.0, step = 0.01, unit = "ratio", reopen)]
+    right_exposure: f32,
+    /// Radial distortion k1 of every camera.
+    #[param(default = 0.0, range = -0.5..=0.5, step = 0.01, reopen)]
+    distortion_k1: f64,
+    /// Radial distortion k2 of every camera.
+    #[param(default = 0.0, range = -0.5..=0.5, step = 0.01, reopen)]
+    distortion_k2: f64,
+    /// Camera that goes black from `black_first` on.
+    #[param(default = "none", reopen)]
+    black_camera: BlackCamera,
+    /// First black picture.
+    #[param(default = 0, range = 0..=1_000_000_000, unit = "frames", reopen)]
+    black_first: u64,
+    /// Number of black pictures.
+    #[param(default = 10, range = 0..=1_000_000_000, unit = "frames", reopen)]
+    black_count: u64,
+    /// How much wider than one picture the `wide` view is.
+    #[param(default = 2.0, range = 1.0..=4.0, step = 0.1, unit = "ratio", reopen)]
+    wide_factor: f64,
+}
+
+/// Inputs of the phantom.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Pose of the left camera in the scene; the scripted motion when unconnected.
+    camera_pose: Option<Value<'f, abi::Pose>>,
+}
+
+/// Outputs of the phantom.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// Left view (camera 0).
+    left: Slot<'f, Bgr8>,
+    /// Right view (camera 1).
+    right: Slot<'f, Bgr8>,
+    /// Camera 0, upper left of the quad layout; the same buffer as `left`.
+    view0: Slot<'f, Bgr8>,
+    /// Camera 1, upper right of the quad layout; the same buffer as `right`.
+    view1: Slot<'f, Bgr8>,
+    /// Camera 2, lower left of the quad layout.
+    view2: Slot<'f, Bgr8>,
+    /// Camera 3, lower right of the quad layout.
+    view3: Slot<'f, Bgr8>,
+    /// True calibration of cameras 0 and 1.
+    calibration: Slot<'f, abi::Calibration>,
+    /// True disparity of the left view.
+    disparity: Slot<'f, Disparity>,
+    /// True depth of the left view.
+    depth: Slot<'f, Depth>,
+    /// 255 where the right camera sees the same point as the left one.
+    visible: Slot<'f, Mask>,
+    /// True pose of the left camera in the scene.
+    pose: Slot<'f, abi::Pose>,
+    /// Plane homography that fits the true correspondences best.
+    homography: Slot<'f, abi::Homography>,
+    /// What one ideal camera at the left camera's place with a larger sensor would see.
+    wide: Slot<'f, Bgr8>,
+}
+
+/// See the module.
+pub struct PhantomNode {
+    phantom: Phantom,
+    frame: u64,
+    calibration: Calibration,
+    canvas: Canvas,
+}
+
+fn rig(params: &PhantomParams) -> Rig {
+    let (width, height) = (params.width as usize, params.height as usize);
+    let mut rig = match params.layout {
+        Layout::Stereo => Rig::stereo(width, height, params.baseline_mm),
+        Layout::Quad => Rig::quad(width, height, params.baseline_mm),
+    };
+    rig.cameras[1].exposure = params.right_exposure;
+    for camera in &mut rig.cameras {
+        camera.distortion[0] = params.distortion_k1;
+        camera.distortion[1] = params.distortion_k2;
+    }
+    rig
+}
+
+fn camera(model: &CameraModel) -> Camera {
+    let mut distortion = [0.0; 14];
+    distortion[..5].copy_from_slice(&model.distortion);
+    Camera {
+        width: model.width as u32,
+        height: model.height as u32,
+        fx: model.fx,
+        fy: model.fy,
+        cx: model.cx,
+        cy: model.cy,
+        distortion,
+    }
+}
+
+const EYE3: [f64; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+
+fn calibration(rig: &Rig) -> Calibration {
+    let (left, right) = (&rig.cameras[0], &rig.cameras[1]);
+    let baseline_mm = right.offset_mm[0] - left.offset_mm[0];
+    let projection =
+        |tx: f64| [left.fx, 0.0, left.cx, tx, 0.0, left.fy, left.cy, 0.0, 0.0, 0.0, 1.0, 0.0];
+    Calibration {
+        left: camera(left),
+        right: camera(right),
+        right_from_left_rotation: EYE3,
+        right_from_left_mm: [-baseline_mm, left.offset_mm[1] - right.offset_mm[1], left.offset_mm[2] - right.offset_mm[2]],
+        rectified_from_left: EYE3,
+        rectified_from_right: EYE3,
+        left_projection: projection(0.0),
+        right_projection: projection(-left.fx * baseline_mm),
+        baseline_mm,
+        rms_px: 0.0,
+        is_rectified: u32::from(left.distortion == [0.0; 5] && right.distortion == [0.0; 5]),
+        reserved: 0,
+    }
+}
+
+impl Node for PhantomNode {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "phantom",
+        "source",
+        "Renders a tissue-like scene as two parallel cameras at a scope's tip see it, with exact truth.",
+    )
+    .source();
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = PhantomParams;
+
+    fn open(open: &Open<'_>, params: &PhantomParams) -> Result<Self> {
+        let scene = SceneParams {
+            scene: match params.scene {
+                Scene::Liver => SceneKind::Liver,
+                Scene::Bowel => SceneKind::Bowel,
+                Scene::Cavity => SceneKind::Cavity,
+                Scene::Box => SceneKind::Box,
+                Scene::Board => SceneKind::Board,
+            },
+            seed: params.seed,
+            distance_mm: params.distance_mm,
+            fps: params.rate_hz,
+            camera_speed_mm_s: params.speed_mm_s,
+            breathing_mm: params.breathing_mm,
+            specular: params.specular,
+            noise: params.noise,
+            smoke: params.smoke,
+            blood_drops: params.blood_drops,
+            motion_blur: params.motion_blur,
+            black: match params.black_camera {
+                BlackCamera::None => None,
+                which => Some(BlackOut {
+                    camera: usize::from(which == BlackCamera::Right),
+                    first: params.black_first,
+                    end: params.black_first + params.black_count,
+                }),
+            },
+            ..SceneParams::default()
+        };
+        let rig = rig(params);
+        let (width, height) = (params.width as f64, params.height as f64);
+        let side = |length: f64| ((length * params.wide_factor / 2.0).ceil() * 2.0) as usize;
+        let (wide, high) = (side(width), if params.layout == Layout::Quad { side(height) } else { params.height as usize });
+        // The other cameras stand to the right (and below): the room goes there.
+        let canvas = Canvas {
+            width: wide,
+            height: high,
+            offset_x: ((wide as f64 - width) / 8.0).floor(),
+            offset_y: ((high as f64 - height) / 8.0).floor(),
+        };
+        let calibration = calibration(&rig);
+        Ok(Self { phantom: Phantom::new(scene, rig, open.pool())?, frame: 0, calibration, canvas })
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &PhantomParams) -> Result<()> {
+        let frame = self.frame;
+        let pose = input.camera_pose.map(|p| Pose { quaternion: p.a_from_b_wxyz, translation_mm: p.a_from_b_mm });
+        self.render(cx, frame, pose, &mut out, params)?;
+        self.truth(cx, frame, pose, &mut out)?;
+        out.calibration.set(self.calibration)?;
+        let place = pose.unwrap_or_else(|| self.phantom.pose(frame));
+        out.pose.set(abi::Pose {
+            a_from_b_wxyz: place.quaternion,
+            a_from_b_mm: place.translation_mm,
+            a: name16("scene"),
+            b: name16("left_camera"),
+        })?;
+        cx.set_capture_ns((frame as f64 * 1e9 / params.rate_hz) as i64);
+        self.frame += 1;
+        Ok(())
+    }
+
+    fn save_state(&self) -> Option<Vec<u8>> {
+        Some(self.frame.to_le_bytes().to_vec())
+    }
+
+    fn load_state(&mut self, state: &[u8]) -> Result<()> {
+        self.frame = u64::from_le_bytes(state.try_into()?);
+        Ok(())
+    }
+}
+
+impl PhantomNode {
+    fn render(
+        &mut self,
+        cx: &Context<'_>,
+        frame: u64,
+        pose: Option<Pose>,
+        out: &mut Out<'_>,
+        params: &PhantomParams,
+    ) -> Result<()> {
+        let (width, height) = (params.width as usize, params.height as usize);
+        if params.layout == Layout::Stereo {
+            let mut views = [out.left.alloc(width, height)?, out.right.alloc(width, height)?];
+            self.phantom.render(frame, pose, cx.pool(), &mut views)?;
+        } else {
+            let mut views = [
+                out.left.alloc(width, height)?,
+                out.right.alloc(width, height)?,
+                out.view2.alloc(width, height)?,
+                out.view3.alloc(width, height)?,
+            ];
+            self.phantom.render(frame, pose, cx.pool(), &mut views)?;
+        }
+        if out.view0.is_read() {
+            out.view0.forward_from(&out.left)?;
+        }
+        if out.view1.is_read() {
+            out.view1.forward_from(&out.right)?;
+        }
+        Ok(())
+    }
+
+    fn truth(&mut self, cx: &Context<'_>, frame: u64, pose: Option<Pose>, out: &mut Out<'_>) -> Result<()> {
+        let (width, height) = (self.calibration.left.width as usize, self.calibration.left.height as usize);
+        if out.depth.is_read() || out.disparity.is_read() || out.visible.is_read() {
+            let depth_mm = if out.depth.is_read() { Some(out.depth.alloc(width, height)?) } else { None };
+            let disparity_px = if out.disparity.is_read() { Some(out.disparity.alloc(width, height)?) } else { None };
+            let visible = if out.visible.is_read() { Some(out.visible.alloc(width, height)?) } else { None };
+            self.phantom.truth(frame, pose, cx.pool(), TruthMut { depth_mm, disparity_px, visible })?;
+        }
+        if out.homography.is_read()
+            && let Some(fit) = self.phantom.homography(frame, pose, cx.pool())?
+        {
+            out.homography.set(abi::Homography {
+                left_from_right: fit.left_from_right,
+                rms_px: fit.rms_px,
+                inliers: fit.points as u32,
+                state: abi::STATE_FRESH,
+            })?;
+        }
+        if out.wide.is_read() {
+            let canvas = self.canvas;
+            let mut view: ViewMut<'_, u8> = out.wide.alloc(canvas.width, canvas.height)?;
+            self.phantom.wide(frame, pose, canvas, cx.pool(), &mut view)?;
+        }
+        Ok(())
+    }
+}
+

@@ -1,0 +1,257 @@
+//! Seven kinds of instrument, jointed and moving, and what is true of them in a picture.
+
+use super::math::{Pose, Stream, sin_turns};
+use super::params::SceneParams;
+use super::solid::{Paint, Part, Solid, add, dot};
+
+/// The instruments of the m2cai16-tool-locations data set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ToolKind {
+    /// Two blunt jaws.
+    Grasper,
+    /// Two slim jaws on a blue joint.
+    Bipolar,
+    /// A thin wire bent to an L.
+    Hook,
+    /// Two flat blades.
+    Scissors,
+    /// A thick shaft with two angled jaws.
+    Clipper,
+    /// A plain steel tube.
+    Irrigator,
+    /// A soft bag on a rod.
+    SpecimenBag,
+}
+
+impl ToolKind {
+    /// All kinds.
+    pub const ALL: [Self; 7] =
+        [Self::Grasper, Self::Bipolar, Self::Hook, Self::Scissors, Self::Clipper, Self::Irrigator, Self::SpecimenBag];
+
+    /// Name in a label table.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Grasper => "grasper",
+            Self::Bipolar => "bipolar",
+            Self::Hook => "hook",
+            Self::Scissors => "scissors",
+            Self::Clipper => "clipper",
+            Self::Irrigator => "irrigator",
+            Self::SpecimenBag => "specimen_bag",
+        }
+    }
+}
+
+/// What is true of one instrument in the first camera's ideal view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToolTruth {
+    /// Kind.
+    pub kind: ToolKind,
+    /// Value of its pixels in the plane of identities.
+    pub id: u8,
+    /// Pixels seen.
+    pub pixels: usize,
+    /// Box around them: x, y, width, height, px; all zero when none is seen.
+    pub bounds_px: [usize; 4],
+    /// The tip in the first camera's frame, mm.
+    pub tip_mm: [f64; 3],
+    /// Where the tip projects, px; NaN behind the camera.
+    pub tip_px: [f64; 2],
+    /// Whether the tip lies inside the picture with nothing before it.
+    pub tip_visible: bool,
+}
+
+const STEEL: Paint = Paint { albedo: [0.52, 0.51, 0.50], metal: 1.0 };
+const SHAFT: Paint = Paint { albedo: [0.30, 0.29, 0.28], metal: 0.8 };
+const BLACK: Paint = Paint { albedo: [0.035, 0.03, 0.03], metal: 0.15 };
+const BLUE: Paint = Paint { albedo: [0.55, 0.22, 0.08], metal: 0.1 };
+const IVORY: Paint = Paint { albedo: [0.50, 0.62, 0.66], metal: 0.1 };
+const BAG: Paint = Paint { albedo: [0.26, 0.31, 0.33], metal: 0.05 };
+
+/// One instrument of a scene.
+#[derive(Clone, Debug)]
+pub struct Tool {
+    kind: ToolKind,
+    id: u8,
+    /// Where it passes the wall of the belly, scene, mm.
+    trocar: [f64; 3],
+    /// Mean place of the tip, scene, mm.
+    home: [f64; 3],
+    /// Amplitude mm, frequency Hz and phase of the tip along x, y, z.
+    sway: [[f64; 3]; 3],
+    roll: [f64; 3],
+    open: [f64; 3],
+}
+
+/// An instrument's parts and tip in the scene.
+#[derive(Clone, Debug)]
+pub struct Posed {
+    /// Kind.
+    pub kind: ToolKind,
+    /// Identity, from 1.
+    pub id: u8,
+    /// Tip, mm.
+    pub tip: [f64; 3],
+    parts: [Part; 6],
+    count: usize,
+}
+
+impl Posed {
+    /// The parts.
+    pub fn parts(&self) -> &[Part] {
+        &self.parts[..self.count]
+    }
+
+    fn push(&mut self, part: Part) {
+        if let Some(slot) = self.parts.get_mut(self.count) {
+            *slot = part;
+            self.count += 1;
+        }
+    }
+}
+
+/// The instruments of a scene: `params.tools` of them, kinds in an order of the seed's own.
+pub fn cast_of(params: &SceneParams) -> Vec<Tool> {
+    let mut stream = Stream::new(params.seed, 400);
+    let first = stream.bits() as usize;
+    let distance = params.distance_mm;
+    (0..params.tools as usize)
+        .map(|i| {
+            let mut wave = |low: f32, high: f32| {
+                let frequency = f64::from(stream.range(0.05, 0.22));
+                [f64::from(stream.range(low, high)), frequency, f64::from(stream.range(0.0, 1.0))]
+            };
+            let sway = [wave(3.0, 8.0), wave(2.0, 6.0), wave(1.0, 2.5)];
+            let (roll, open) = (wave(0.05, 0.2), wave(0.02, 0.05));
+            // Trocars stand in turn right, left, above and below, well outside the picture.
+            let side = [[1.0, 0.25], [-1.0, 0.35], [0.35, -1.0], [-0.3, 1.0]][i % 4];
+            let across = f64::from(stream.range(1.1, 1.6)) * distance;
+            let trocar = [7.5 + side[0] * across, side[1] * across, distance * f64::from(stream.range(0.15, 0.4))];
+            let home = [
+                7.5 + side[0] * 4.0 + f64::from(stream.range(-3.0, 3.0)),
+                side[1] * 3.0 + f64::from(stream.range(-3.0, 3.0)),
+                distance * f64::from(stream.range(0.68, 0.80)),
+            ];
+            Tool { kind: ToolKind::ALL[(first + i) % 7], id: i as u8 + 1, trocar, home, sway, roll, open }
+        })
+        .collect()
+}
+
+impl Tool {
+    /// The instrument at a time.
+    pub fn at(&self, seconds: f64) -> Posed {
+        let swing = |[amplitude, hz, phase]: [f64; 3]| amplitude * sin_turns(hz * seconds + phase);
+        let tip = [0, 1, 2].map(|k| self.home[k] + swing(self.sway[k]));
+        let toward = add(tip, self.trocar, -1.0);
+        let long = dot(toward, toward).sqrt().max(1e-6);
+        let z = toward.map(|v| v / long);
+        // Any direction across the shaft, then rolled about it.
+        let seed = if z[1].abs() < 0.8 { [0.0, 1.0, 0.0] } else { [1.0, 0.0, 0.0] };
+        let x0 = cross(seed, z);
+        let inv = 1.0 / dot(x0, x0).sqrt();
+        let x0 = x0.map(|v| v * inv);
+        let y0 = cross(z, x0);
+        let turn = swing(self.roll);
+        let (s, c) = (sin_turns(turn), sin_turns(turn + 0.25));
+        let x = add(x0.map(|v| v * c), y0, s);
+        let y = cross(z, x);
+        // Half the angle between the jaws, turns.
+        let half = 0.055 + swing(self.open);
+        let (js, jc) = (sin_turns(half), sin_turns(half + 0.25));
+        let reach = match self.kind {
+            ToolKind::Grasper | ToolKind::Scissors => 17.0 * jc,
+            ToolKind::Bipolar => 19.0 * jc,
+            ToolKind::Hook => 13.0,
+            ToolKind::Clipper => 13.0 * jc,
+            ToolKind::Irrigator => 10.0,
+            ToolKind::SpecimenBag => 24.0,
+        };
+        // The joint lies where the tip's place along the shaft leads back to.
+        let joint = add(tip, z, -reach);
+        let place = |px: f64, py: f64, pz: f64| add(add(add(joint, x, px), y, py), z, pz);
+        let round = (y, 1.0);
+        let id = self.id;
+        let blank = Part { a: joint, radius_a: 0.1, b: joint, radius_b: 0.1, flat: round, paint: STEEL, id };
+        let mut tool = Posed { kind: self.kind, id, tip, parts: [blank; 6], count: 0 };
+        let part = |a: [f64; 3], radius_a: f64, b: [f64; 3], radius_b: f64, paint: Paint| Part {
+            a,
+            radius_a,
+            b,
+            radius_b,
+            flat: round,
+            paint,
+            id,
+        };
+        let jaws = |tool: &mut Posed, length: f64, base: f64, end: f64, thickness: f64, paint: Paint| {
+            for side in [-1.0, 1.0] {
+                let tip = place(side * js * (length - end), 0.0, jc * (length - end));
+                let flat = (y, thickness);
+                tool.push(Part { flat, ..part(place(side * 0.6, 0.0, 0.0), base, tip, end, paint) });
+            }
+        };
+        match self.kind {
+            ToolKind::Grasper => {
+                tool.push(part(self.trocar, 2.5, place(0.0, 0.0, -5.0), 2.5, SHAFT));
+                tool.push(part(place(0.0, 0.0, -5.0), 2.2, place(0.0, 0.0, 0.0), 1.8, STEEL));
+                jaws(&mut tool, 17.0, 1.5, 1.0, 1.0, STEEL);
+            }
+            ToolKind::Bipolar => {
+                tool.push(part(self.trocar, 2.6, place(0.0, 0.0, -8.0), 2.6, BLACK));
+                tool.push(part(place(0.0, 0.0, -8.0), 2.4, place(0.0, 0.0, -1.0), 1.6, BLUE));
+                jaws(&mut tool, 19.0, 1.2, 0.6, 0.8, STEEL);
+            }
+            ToolKind::Hook => {
+                tool.push(part(self.trocar, 2.5, place(0.0, 0.0, -4.0), 2.5, BLACK));
+                tool.push(part(place(0.0, 0.0, -4.0), 2.3, place(0.0, 0.0, 3.0), 1.2, IVORY));
+                tool.push(part(place(0.0, 0.0, 3.0), 0.7, place(0.0, 0.0, 12.4), 0.6, STEEL));
+                tool.push(part(place(0.0, 0.0, 12.4), 0.6, place(-4.5, 0.0, 12.0), 0.5, STEEL));
+            }
+            ToolKind::Scissors => {
+                tool.push(part(self.trocar, 2.5, place(0.0, 0.0, -4.0), 2.5, BLACK));
+                tool.push(part(place(0.0, 0.0, -4.0), 2.1, place(0.0, 0.0, 0.0), 1.7, STEEL));
+                jaws(&mut tool, 17.0, 1.9, 0.4, 0.35, STEEL);
+            }
+            ToolKind::Clipper => {
+                tool.push(part(self.trocar, 4.6, place(0.0, 0.0, -5.0), 4.6, SHAFT));
+                tool.push(part(place(0.0, 0.0, -5.0), 3.4, place(0.0, 0.0, 0.0), 2.4, STEEL));
+                jaws(&mut tool, 13.0, 1.7, 1.3, 0.7, STEEL);
+            }
+            ToolKind::Irrigator => {
+                tool.push(part(self.trocar, 2.5, place(0.0, 0.0, 7.5), 2.5, STEEL));
+                // Side holes, as dark beads sunk into the wall.
+                for (k, along) in [0.0, 4.0].into_iter().enumerate() {
+                    let side = if k == 0 { 2.0 } else { -2.0 };
+                    tool.push(part(place(side, -0.6, along), 0.9, place(side, 0.6, along), 0.9, BLACK));
+                }
+            }
+            ToolKind::SpecimenBag => {
+                tool.push(part(self.trocar, 2.5, place(0.0, 0.0, 0.0), 2.5, SHAFT));
+                tool.push(Part { flat: (y, 0.6), ..part(place(0.0, 0.0, 4.0), 4.0, place(0.0, 0.0, 16.0), 8.0, BAG) });
+            }
+        }
+        tool
+    }
+}
+
+impl Posed {
+    /// Appends the parts in the frame of a camera `offset_mm` beside the first one.
+    pub fn place_in_camera(&self, pose: &Pose, offset_mm: [f64; 3], out: &mut Vec<Solid>) {
+        for part in self.parts() {
+            let (a, b) = (to_camera(pose, offset_mm, part.a), to_camera(pose, offset_mm, part.b));
+            let zero = to_camera(pose, offset_mm, [0.0; 3]);
+            let n = add(to_camera(pose, offset_mm, part.flat.0), zero, -1.0);
+            out.push(Solid::new(Part { a, b, flat: (n, part.flat.1), ..*part }));
+        }
+    }
+}
+
+/// A point of the scene in a camera's frame, mm.
+pub fn to_camera(pose: &Pose, offset_mm: [f64; 3], p: [f64; 3]) -> [f64; 3] {
+    let r = pose.rotation();
+    let q = add(p, pose.translation_mm, -1.0);
+    [0, 1, 2].map(|k| r[0][k] * q[0] + r[1][k] * q[1] + r[2][k] * q[2] - offset_mm[k])
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}

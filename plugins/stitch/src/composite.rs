@@ -1,0 +1,242 @@
+//! `composite`: overlapping views and their homographies in, one wide picture out (thesis, chapter 2.2 and Alg. 2.3).
+
+use panoscope_imaging::stitch::{
+    self, BlendMethod, CompositeParams, Compositor, ExposureMethod, GeometryState, MAX_VIEWS, SeamMethod,
+};
+use panoscope_node::abi::{self, Homography};
+use panoscope_node::{
+    Bgr8, Choice, Context, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, View, error,
+};
+
+/// How the line between two views is found.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum Seam {
+    /// Exact minimum cut over the shrunken overlap.
+    GraphCut,
+    /// Shortest path through the shrunken overlap.
+    DynamicProgramming,
+    /// Later views cover earlier ones.
+    None,
+}
+
+/// How the views are joined along the seam.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum Blend {
+    /// Laplacian pyramid.
+    MultiBand,
+    /// Linear weights.
+    Feather,
+    /// A hard edge.
+    None,
+}
+
+/// How exposure is evened out.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum Exposure {
+    /// One gain per view.
+    Gain,
+    /// One gain per view and colour.
+    ChannelGain,
+    /// Views stay as they are.
+    None,
+}
+
+/// Parameters of the composite.
+#[derive(Params, Clone, PartialEq)]
+pub struct CompositeNodeParams {
+    /// How the line between two views is found.
+    #[param(default = "graph_cut")]
+    seam: Seam,
+    /// Shrink factor of the overlap in which the seam is found.
+    #[param(default = 10, range = 2..=64)]
+    seam_scale: u32,
+    /// Frames after which the seam is found anew at the latest.
+    #[param(default = 15, range = 1..=10000, unit = "frames")]
+    seam_interval: u32,
+    /// How the views are joined along the seam.
+    #[param(default = "multi_band")]
+    blend: Blend,
+    /// Width of the transition across the seam.
+    #[param(default = 32, range = 0..=256, unit = "px")]
+    blend_px: u32,
+    /// How exposure is evened out.
+    #[param(default = "channel_gain")]
+    exposure: Exposure,
+    /// Width of the panorama; 0 takes it from the first good registration.
+    #[param(default = 0, range = 0..=8192, unit = "px")]
+    canvas_width: u32,
+    /// Height of the panorama; 0 takes it from the first good registration.
+    #[param(default = 0, range = 0..=8192, unit = "px")]
+    canvas_height: u32,
+    /// Room kept free around the first good registration, so that the canvas can hold still.
+    #[param(default = 16, range = 0..=512, unit = "px")]
+    canvas_margin: u32,
+    /// Draw an arrow that points up in the left view.
+    #[param(default = false)]
+    up_cue: bool,
+    /// Direction of up in the left view, clockwise from the picture's top.
+    #[param(default = 0.0, range = -180.0..=180.0, step = 1.0, unit = "deg")]
+    up_deg: f32,
+    /// Mark frames whose registration is lost.
+    #[param(default = true)]
+    mark_lost: bool,
+}
+
+impl CompositeNodeParams {
+    fn kernel(&self) -> CompositeParams {
+        let fixed = self.canvas_width > 0 && self.canvas_height > 0;
+        CompositeParams {
+            seam: match self.seam {
+                Seam::GraphCut => SeamMethod::GraphCut,
+                Seam::DynamicProgramming => SeamMethod::DynamicProgramming,
+                Seam::None => SeamMethod::None,
+            },
+            seam_scale: self.seam_scale as usize,
+            seam_interval_frames: self.seam_interval,
+            blend: match self.blend {
+                Blend::MultiBand => BlendMethod::MultiBand,
+                Blend::Feather => BlendMethod::Feather,
+                Blend::None => BlendMethod::None,
+            },
+            blend_px: self.blend_px as usize,
+            exposure: match self.exposure {
+                Exposure::Gain => ExposureMethod::Gain,
+                Exposure::ChannelGain => ExposureMethod::ChannelGain,
+                Exposure::None => ExposureMethod::None,
+            },
+            canvas: fixed.then_some((self.canvas_width as usize, self.canvas_height as usize)),
+            canvas_margin_px: self.canvas_margin as usize,
+            up_cue_deg: self.up_cue.then_some(self.up_deg),
+            mark_lost: self.mark_lost,
+            ..CompositeParams::default()
+        }
+    }
+}
+
+/// Inputs of the composite: `left`, `right` and `homography`, or `views` and `homographies`.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Left view; the panorama lies in its plane.
+    left: Option<Image<'f, Bgr8>>,
+    /// Right view of the same instant.
+    right: Option<Image<'f, Bgr8>>,
+    /// Maps right-view pixels to left-view pixels.
+    homography: Option<Value<'f, Homography>>,
+    /// Two to eight views instead of `left` and `right`; the first one gives the plane.
+    views: Option<List<'f, Image<'f, Bgr8>>>,
+    /// One homography per further view of `views`: maps its pixels to the first view's.
+    homographies: Option<List<'f, Value<'f, Homography>>>,
+}
+
+/// Outputs of the composite.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// The wide picture; black where no view reaches.
+    panorama: Slot<'f, Bgr8>,
+    /// 255 where a view reaches.
+    mask: Slot<'f, Mask>,
+}
+
+/// See the module.
+pub struct Composite {
+    kernel: Compositor,
+}
+
+/// The views of a tick and their maps to the first one.
+struct Scene<'f> {
+    views: [View<'f, u8>; MAX_VIEWS],
+    maps: [[f64; 9]; MAX_VIEWS],
+    count: usize,
+    state: GeometryState,
+}
+
+impl<'f> Scene<'f> {
+    fn new() -> Self {
+        Self {
+            views: [View::new(&[], 0, 0, 3); MAX_VIEWS],
+            maps: [stitch::IDENTITY; MAX_VIEWS],
+            count: 0,
+            state: GeometryState::Fresh,
+        }
+    }
+
+    fn push(&mut self, view: View<'f, u8>, map: Option<&Homography>) -> Result<()> {
+        if self.count == MAX_VIEWS {
+            return Err(error!("more than {MAX_VIEWS} views are connected"));
+        }
+        self.views[self.count] = view;
+        if let Some(map) = map {
+            self.maps[self.count] = map.left_from_right;
+            // The worst state of all views decides.
+            self.state = match (map.state, self.state) {
+                (abi::STATE_LOST, _) | (_, GeometryState::Lost) => GeometryState::Lost,
+                (abi::STATE_HELD, _) | (_, GeometryState::Held) => GeometryState::Held,
+                _ => GeometryState::Fresh,
+            };
+        }
+        self.count += 1;
+        Ok(())
+    }
+
+    fn of(input: &In<'f>) -> Result<Option<Self>> {
+        let mut scene = Self::new();
+        if let Some(views) = &input.views {
+            let Some(first) = views.get(0) else { return Ok(None) };
+            scene.push(first.view(), None)?;
+            let maps = input.homographies.as_ref();
+            let given = maps.map_or(0, List::len);
+            if given + 1 != views.len() {
+                return Err(error!("{} views need {} homographies, {given} are connected", views.len(), views.len() - 1));
+            }
+            for index in 1..views.len() {
+                let (Some(view), Some(map)) = (views.get(index), maps.and_then(|m| m.get(index - 1))) else {
+                    return Ok(None);
+                };
+                scene.push(view.view(), Some(&map))?;
+            }
+            return Ok(Some(scene));
+        }
+        let (Some(left), Some(right)) = (&input.left, &input.right) else { return Ok(None) };
+        scene.push(left.view(), None)?;
+        let lost = Homography { left_from_right: stitch::IDENTITY, rms_px: 0.0, inliers: 0, state: abi::STATE_LOST };
+        scene.push(right.view(), Some(input.homography.as_deref().unwrap_or(&lost)))?;
+        Ok(Some(scene))
+    }
+}
+
+impl Node for Composite {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "composite",
+        "stitch",
+        "Warps overlapping views onto one plane, finds the seam between them and blends them there.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = CompositeNodeParams;
+
+    fn open(_: &Open<'_>, params: &CompositeNodeParams) -> Result<Self> {
+        Ok(Self { kernel: Compositor::new(params.kernel()) })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &CompositeNodeParams,
+    ) -> Result<()> {
+        let wanted = params.kernel();
+        if *self.kernel.params() != wanted {
+            self.kernel.set_params(wanted);
+        }
+        let Some(scene) = Scene::of(&input)? else { return Ok(()) };
+        let (views, maps) = (&scene.views[..scene.count], &scene.maps[..scene.count]);
+        let canvas = self.kernel.canvas(views, maps, scene.state)?;
+        let mask_is_read = out.mask.is_read();
+        let mut panorama = out.panorama.alloc(canvas.width, canvas.height)?;
+        let mut mask = if mask_is_read { Some(out.mask.alloc(canvas.width, canvas.height)?) } else { None };
+        let report = self.kernel.compose(views, maps, scene.state, cx.pool(), &mut panorama, mask.as_mut())?;
+        cx.metric("seam_cost_levels", f64::from(report.seam_cost));
+        Ok(())
+    }
+}

@@ -1,0 +1,144 @@
+//! `register_surf`: two views in, the homography between them out (thesis, chapter 2, Algs 2.1 and 2.2).
+
+use panoscope_imaging::features::{self, MatchParams, RegisterParams, Registration, RegistrationState, SurfParams};
+use panoscope_imaging::geometry::ransac::RansacParams;
+use panoscope_imaging::geometry::Rect;
+use panoscope_node::abi::{self, Homography, Roi};
+use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot};
+
+/// Parameters of the registration.
+#[derive(Params, Clone, PartialEq)]
+pub struct RegisterSurfParams {
+    /// Search only the overlap of the frame before, shrunk by `scale`; otherwise whole frames at full size.
+    #[param(default = true)]
+    roi: bool,
+    /// Shrink factor of the search regions when `roi` is on.
+    #[param(default = 2, range = 1..=8)]
+    scale: u32,
+    /// Least determinant of the Hessian of a keypoint.
+    #[param(default = 50.0, range = 1.0..=20000.0, step = 1.0)]
+    hessian_threshold: f32,
+    /// Keypoints per view at most, strongest first.
+    #[param(default = 600, range = 16..=10000, unit = "points")]
+    max_points: u32,
+    /// Octaves of the scale space.
+    #[param(default = 4, range = 1..=4)]
+    octaves: u32,
+    /// Leave out the orientation: for cameras that are hardly rotated against each other.
+    #[param(default = true)]
+    upright: bool,
+    /// Largest ratio of the best to the second-best distance of a match.
+    #[param(default = 0.8, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
+    ratio: f32,
+    /// Largest reprojection error of an inlier.
+    #[param(default = 3.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
+    ransac_px: f64,
+    /// Fewer inliers than this are no registration.
+    #[param(default = 8, range = 4..=1000, unit = "points")]
+    min_inliers: u32,
+    /// Keep the homography before while its median error on the new inliers is below this; 0 refits every frame.
+    #[param(default = 0.8, range = 0.0..=10.0, step = 0.1, unit = "px")]
+    stability_px: f64,
+    /// Failed frames in a row for which the homography before still counts as held.
+    #[param(default = 5, range = 0..=1000, unit = "frames")]
+    hold_frames: u32,
+}
+
+impl RegisterSurfParams {
+    fn kernel(&self) -> RegisterParams {
+        let default = RegisterParams::default();
+        RegisterParams {
+            surf: SurfParams {
+                hessian_threshold: self.hessian_threshold,
+                octaves: self.octaves as usize,
+                upright: self.upright,
+                max_points: self.max_points as usize,
+                ..default.surf
+            },
+            roi: self.roi,
+            shrink: self.scale as usize,
+            matching: MatchParams { ratio: self.ratio, ..default.matching },
+            ransac: RansacParams { threshold_px: self.ransac_px, ..default.ransac },
+            min_inliers: self.min_inliers as usize,
+            stability_px: self.stability_px,
+            hold_frames: self.hold_frames as usize,
+            ..default
+        }
+    }
+}
+
+/// Inputs of the registration.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Left view; its pixels are the ones that the homography maps to.
+    left: Image<'f, Gray8>,
+    /// Right view of the same instant.
+    right: Image<'f, Gray8>,
+}
+
+/// Outputs of the registration.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// Maps right-view pixels to left-view pixels; fresh, held or lost.
+    homography: Slot<'f, Homography>,
+    /// Part of the left view that the right view shares.
+    roi_left: Slot<'f, Roi>,
+    /// Part of the right view that the left view shares.
+    roi_right: Slot<'f, Roi>,
+}
+
+/// See the module.
+pub struct RegisterSurf {
+    kernel: features::RegisterSurf,
+}
+
+fn roi(rect: &Rect) -> Roi {
+    Roi { x: rect.x as i32, y: rect.y as i32, width: rect.width as i32, height: rect.height as i32 }
+}
+
+/// As the packet states it.
+fn packet(found: &Registration) -> Homography {
+    Homography {
+        left_from_right: found.left_from_right.0,
+        rms_px: found.rms_px,
+        inliers: found.inliers as u32,
+        state: match found.state {
+            RegistrationState::Fresh => abi::STATE_FRESH,
+            RegistrationState::Held => abi::STATE_HELD,
+            RegistrationState::Lost => abi::STATE_LOST,
+        },
+    }
+}
+
+impl Node for RegisterSurf {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "register_surf",
+        "stitch",
+        "Finds the homography between two overlapping views by SURF and RANSAC, on the overlap seen last.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = RegisterSurfParams;
+
+    fn open(_: &Open<'_>, params: &RegisterSurfParams) -> Result<Self> {
+        Ok(Self { kernel: features::RegisterSurf::new(params.kernel()) })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &RegisterSurfParams,
+    ) -> Result<()> {
+        let wanted = params.kernel();
+        if *self.kernel.params() != wanted {
+            self.kernel.set_params(wanted);
+        }
+        let found = self.kernel.register(input.left.view(), input.right.view(), cx.pool());
+        out.homography.set(packet(&found))?;
+        out.roi_left.set(roi(&found.roi_left))?;
+        out.roi_right.set(roi(&found.roi_right))?;
+        Ok(())
+    }
+}
