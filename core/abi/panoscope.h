@@ -368,7 +368,7 @@ typedef struct PanoscopeFrame {
      */
     size_t len;
     /**
-     * One of the `FORMAT_` constants.
+     * One of the `PANOSCOPE_FORMAT_` constants.
      */
     uint32_t format;
     /**
@@ -473,7 +473,7 @@ typedef struct PanoscopeHost {
      */
     void (*log)(void *call, uint32_t level, struct PanoscopeStr message);
     /**
-     * Says why the call is about to answer `STATUS_ERROR` or `STATUS_PANIC`.
+     * Says why the call is about to answer `PANOSCOPE_STATUS_ERROR` or `PANOSCOPE_STATUS_PANIC`.
      */
     void (*fail)(void *call, struct PanoscopeStr message);
     /**
@@ -509,27 +509,27 @@ typedef struct PanoscopePortRange {
  */
 typedef struct PanoscopeParamValue {
     /**
-     * One of the `PARAM_` constants.
+     * One of the `PANOSCOPE_PARAM_` constants.
      */
     uint32_t kind;
     /**
-     * The chosen entry of a `PARAM_CHOICE`.
+     * The chosen entry of a `PANOSCOPE_PARAM_CHOICE`.
      */
     uint32_t index;
     /**
-     * `PARAM_BOOL` (0 or 1) and `PARAM_INT`.
+     * `PANOSCOPE_PARAM_BOOL` (0 or 1) and `PANOSCOPE_PARAM_INT`.
      */
     int64_t int_value;
     /**
-     * `PARAM_FLOAT`.
+     * `PANOSCOPE_PARAM_FLOAT`.
      */
     double float_value;
     /**
-     * `PARAM_TEXT`, `PARAM_PATH` (absolute) and the name of a `PARAM_CHOICE`.
+     * `PANOSCOPE_PARAM_TEXT`, `PANOSCOPE_PARAM_PATH` (absolute) and the name of a `PANOSCOPE_PARAM_CHOICE`.
      */
     struct PanoscopeStr text;
     /**
-     * `PARAM_FLOATS`.
+     * `PANOSCOPE_PARAM_FLOATS`.
      */
     const double *floats;
     /**
@@ -547,7 +547,7 @@ typedef struct PanoscopeCall {
      */
     uint32_t struct_size;
     /**
-     * `CALL_` bits.
+     * `PANOSCOPE_CALL_` bits.
      */
     uint32_t flags;
     /**
@@ -715,7 +715,7 @@ typedef struct PanoscopePort {
      */
     uint32_t formats;
     /**
-     * `PORT_` bits.
+     * `PANOSCOPE_PORT_` bits.
      */
     uint32_t flags;
 } PanoscopePort;
@@ -737,23 +737,23 @@ typedef struct PanoscopeParam {
      */
     struct PanoscopeStr unit;
     /**
-     * One of the `PARAM_` kinds.
+     * One of the `PANOSCOPE_PARAM_` kinds.
      */
     uint32_t kind;
     /**
-     * `PARAM_REOPEN`, `PARAM_MUST_EXIST`.
+     * `PANOSCOPE_PARAM_REOPEN`, `PANOSCOPE_PARAM_MUST_EXIST`.
      */
     uint32_t flags;
     /**
-     * Default of `PARAM_BOOL`, `PARAM_INT`, `PARAM_FLOAT`; index of the default `PARAM_CHOICE`.
+     * Default of `PANOSCOPE_PARAM_BOOL`, `PANOSCOPE_PARAM_INT`, `PANOSCOPE_PARAM_FLOAT`; index of the default `PANOSCOPE_PARAM_CHOICE`.
      */
     double default_number;
     /**
-     * Smallest value of `PARAM_INT` and `PARAM_FLOAT`; fewest entries of `PARAM_FLOATS`.
+     * Smallest value of `PANOSCOPE_PARAM_INT` and `PANOSCOPE_PARAM_FLOAT`; fewest entries of `PANOSCOPE_PARAM_FLOATS`.
      */
     double min;
     /**
-     * Largest value of `PARAM_INT` and `PARAM_FLOAT`; most entries of `PARAM_FLOATS`.
+     * Largest value of `PANOSCOPE_PARAM_INT` and `PANOSCOPE_PARAM_FLOAT`; most entries of `PANOSCOPE_PARAM_FLOATS`.
      */
     double max;
     /**
@@ -761,11 +761,11 @@ typedef struct PanoscopeParam {
      */
     double step;
     /**
-     * Default of `PARAM_TEXT` and `PARAM_PATH`.
+     * Default of `PANOSCOPE_PARAM_TEXT` and `PANOSCOPE_PARAM_PATH`.
      */
     struct PanoscopeStr default_text;
     /**
-     * Words of a `PARAM_CHOICE`.
+     * Words of a `PANOSCOPE_PARAM_CHOICE`.
      */
     const struct PanoscopeStr *choices;
     /**
@@ -773,7 +773,7 @@ typedef struct PanoscopeParam {
      */
     size_t choices_len;
     /**
-     * Default of `PARAM_FLOATS`.
+     * Default of `PANOSCOPE_PARAM_FLOATS`.
      */
     const double *default_floats;
     /**
@@ -791,7 +791,7 @@ typedef struct PanoscopeOpenCall {
      */
     uint32_t struct_size;
     /**
-     * `CALL_` bits.
+     * `PANOSCOPE_CALL_` bits.
      */
     uint32_t flags;
     /**
@@ -833,11 +833,11 @@ typedef struct PanoscopeNodeType {
      */
     uint32_t struct_size;
     /**
-     * One of the `KIND_` constants.
+     * One of the `PANOSCOPE_KIND_` constants.
      */
     uint32_t kind;
     /**
-     * `NODE_` bits.
+     * `PANOSCOPE_NODE_` bits.
      */
     uint32_t flags;
     /**
@@ -1030,7 +1030,7 @@ typedef struct PanoscopeHomography {
      */
     uint32_t inliers;
     /**
-     * `STATE_FRESH`, `STATE_HELD` or `STATE_LOST`.
+     * `PANOSCOPE_STATE_FRESH`, `PANOSCOPE_STATE_HELD` or `PANOSCOPE_STATE_LOST`.
      */
     uint32_t state;
 } PanoscopeHomography;

@@ -1,1 +1,91 @@
-//! Tests that cross crates.
+//! What the tests that cross crates share: where things are, and how a graph is run inside a test.
+
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::time::Duration;
+
+use panoscope_graph::{Graph, GraphText, check};
+use panoscope_runtime::{Engine, Loader, Options, Outcome, Report, loader};
+
+/// Root of the repository.
+pub fn root() -> PathBuf {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    here.parent().unwrap_or(here).to_owned()
+}
+
+/// A fresh folder for the files of one test.
+///
+/// # Panics
+/// When the folder cannot be made.
+pub fn scratch(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("panoscope-{}-{name}", std::process::id()));
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).expect("a folder for temporary files");
+    folder
+}
+
+/// A run that ended.
+pub struct Run {
+    /// Counters and times.
+    pub report: Report,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Warnings and errors of nodes, one line each.
+    pub log: Vec<String>,
+}
+
+/// Loads and checks a graph text as if it were the file `path`; `Err` holds the rendered mistakes.
+pub fn load(path: &Path, text: &str) -> Result<(Graph, panoscope_graph::Catalog, Loader), String> {
+    let text = GraphText::parse(path, text);
+    let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
+    let catalog = loader.catalog(&text.plugins());
+    match check(&text, &catalog).into_result() {
+        Ok((graph, _)) => Ok((graph, catalog, loader)),
+        Err(mistakes) => Err(mistakes.render(false)),
+    }
+}
+
+/// Runs a graph text to its end on a number of threads.
+///
+/// # Panics
+/// When the graph is wrong, does not start or does not end within two minutes.
+pub fn run(path: &Path, text: &str, frames: u64, threads: usize) -> Run {
+    let (graph, catalog, loader) = load(path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    let log = std::sync::Arc::new(Mutex::new(Vec::new()));
+    let lines = std::sync::Arc::clone(&log);
+    let options = Options {
+        frames: Some(frames),
+        threads,
+        paced: false,
+        graph_dir: path.parent().unwrap_or(Path::new("")).to_owned(),
+        log: Some(Box::new(move |level, node, words| {
+            if level <= panoscope_runtime::log::Level::Warn
+                && let Ok(mut lines) = lines.lock()
+            {
+                lines.push(format!("{level:?} {node}: {words}"));
+            }
+        })),
+        ..Options::default()
+    };
+    let engine = Engine::start(graph, &catalog, &loader, options).unwrap_or_else(|error| panic!("{error}"));
+    assert!(engine.wait(Some(Duration::from_secs(120))), "the graph did not end: {:?}", engine.recent_log());
+    let outcome = engine.close(Duration::from_secs(30));
+    let report = engine.report();
+    let log = log.lock().map(|l| l.clone()).unwrap_or_default();
+    Run { report, outcome, log }
+}
+
+/// All files of a folder with their bytes, by name.
+///
+/// # Panics
+/// When the folder cannot be read.
+pub fn files(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut found: Vec<_> = std::fs::read_dir(folder)
+        .expect("the folder of a test")
+        .flatten()
+        .filter(|e| e.path().is_file())
+        .map(|e| (e.file_name().to_string_lossy().into_owned(), std::fs::read(e.path()).expect("a file of a test")))
+        .collect();
+    found.sort();
+    found
+}

@@ -71,7 +71,10 @@ fn generate() -> String {
     let mut bytes = Vec::new();
     builder.with_config(config).generate().expect("the sources have a C form").write(&mut bytes);
     let generated = String::from_utf8(bytes).expect("headers are UTF-8");
-    let generated = links_to_c(&generated, &types);
+    let mut generated = links_to_c(&generated, &types);
+    for family in ["CALL_", "FORMAT_", "KIND_", "LOG_", "NODE_", "PARAM_", "PORT_", "STATE_", "STATUS_"] {
+        generated = generated.replace(&format!("`{family}"), &format!("`PANOSCOPE_{family}"));
+    }
     let generated: String = generated
         .lines()
         .map(|line| match line.strip_prefix("#define ").and_then(|rest| rest.split_once(" -")) {
@@ -123,8 +126,33 @@ fn sizes() -> String {
         )*};
     }
     size!(
-        Str, Tick, BufferId, Frame, PortRange, ParamValue, OpenCall, Call, Host, Port, Param, NodeType, Plugin, NoteBody, Note,
-        Homography, Roi, Camera, Calibration, CloudPoint, Detection, DetectionsHeader, Tip, Pose, Joints, Scalar, TableHeader
+        Str,
+        Tick,
+        BufferId,
+        Frame,
+        PortRange,
+        ParamValue,
+        OpenCall,
+        Call,
+        Host,
+        Port,
+        Param,
+        NodeType,
+        Plugin,
+        NoteBody,
+        Note,
+        Homography,
+        Roi,
+        Camera,
+        Calibration,
+        CloudPoint,
+        Detection,
+        DetectionsHeader,
+        Tip,
+        Pose,
+        Joints,
+        Scalar,
+        TableHeader
     );
     out
 }
@@ -137,7 +165,10 @@ fn the_header_is_current() {
         return;
     }
     let found = std::fs::read_to_string(&path).unwrap_or_default();
-    assert!(found == made, "core/abi/panoscope.h is not current: PANOSCOPE_BLESS=1 cargo test -p panoscope-abi renews it");
+    assert!(
+        found == made,
+        "core/abi/panoscope.h is not current: PANOSCOPE_BLESS=1 cargo test -p panoscope-abi renews it"
+    );
 }
 
 /// Every constant and struct of the contract has its C form.
@@ -165,8 +196,11 @@ fn the_header_is_complete() {
 fn compiles(compiler: &str, language: &str, standard: &str) {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let source = folder.join(format!("only_header_{language}.{}", if language == "c" { "c" } else { "cpp" }));
-    std::fs::write(&source, "#include \"panoscope.h\"\n#include \"panoscope.h\"\nPANOSCOPE_NOTE(\"a\", \"1\", \"b,c\");\n")
-        .expect("a folder for tests");
+    std::fs::write(
+        &source,
+        "#include \"panoscope.h\"\n#include \"panoscope.h\"\nPANOSCOPE_NOTE(\"a\", \"1\", \"b,c\");\n",
+    )
+    .expect("a folder for tests");
     let output = Command::new(compiler)
         .args(["-Wall", "-Wextra", "-Werror", "-pedantic", "-fsyntax-only", standard, "-I"])
         .arg(root())

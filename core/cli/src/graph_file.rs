@@ -23,9 +23,14 @@ pub fn load(path: &Path, settings: &[String]) -> Result<Ready, Diagnostics> {
     for setting in settings {
         text.set(setting);
     }
+    ready(&text)
+}
+
+/// Loads the plugins of a graph and checks it.
+pub fn ready(text: &GraphText) -> Result<Ready, Diagnostics> {
     let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
     let catalog = loader.catalog(&text.plugins());
-    let (graph, warnings) = check(&text, &catalog).into_result()?;
+    let (graph, warnings) = check(text, &catalog).into_result()?;
     Ok(Ready { graph, catalog, loader, warnings })
 }
 

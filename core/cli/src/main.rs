@@ -33,6 +33,12 @@ enum Command {
     Dot(commands::dot::Arguments),
     /// Writes a JSON Schema of graph files, for editors.
     Schema,
+    /// Measures the runtime itself, beside its peers where they are installed.
+    #[command(subcommand)]
+    Bench(commands::bench::Bench),
+    /// Judges results beside truth and peers.
+    #[command(subcommand)]
+    Eval(commands::eval::Eval),
     /// Lists cameras.
     Devices(commands::devices::Arguments),
 }
@@ -57,6 +63,8 @@ fn main() {
         Command::Describe(arguments) => commands::describe::run(&arguments),
         Command::Dot(arguments) => commands::dot::run(&arguments),
         Command::Schema => commands::schema::run(),
+        Command::Bench(bench) => commands::bench::run(&bench),
+        Command::Eval(eval) => commands::eval::run(&eval),
         Command::Devices(arguments) => commands::devices::run(&arguments),
     };
     terminal::leave(match end {

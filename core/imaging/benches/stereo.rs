@@ -1,9 +1,9 @@
 //! Times of the stereo chain at 640x480 and 64 disparities on a synthetic pair, on one and two threads.
 
 use panoscope_imaging::stereo::{
-    BilateralSolver, BilateralSolverParams, BlockMatcher, BlockMatchingParams, CameraModel, FilterInput,
-    Rectification, RectifyParams, RemapTable, ReprojectInput, ReprojectParams, Roi, SemiGlobalMatcher,
-    SemiGlobalParams, StereoCameras, WlsFilter, WlsParams, reproject,
+    BilateralSolver, BilateralSolverParams, BlockMatcher, BlockMatchingParams, CameraModel, FilterInput, Rectification,
+    RectifyParams, RemapTable, ReprojectInput, ReprojectParams, Roi, SemiGlobalMatcher, SemiGlobalParams,
+    StereoCameras, WlsFilter, WlsParams, reproject,
 };
 use panoscope_imaging::{Parallel, View, ViewMut};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -128,8 +128,12 @@ fn all(pool: &dyn Parallel) {
     let camera = CameraModel::new((WIDTH, HEIGHT), (750.0, 750.0), (320.0, 240.0), &[-0.2, 0.05, 0.0, 0.0]);
     let turn = [[0.9998, -0.02, 0.0], [0.02, 0.9998, 0.0], [0.0, 0.0, 1.0]];
     if let Ok(camera) = camera {
-        let cameras =
-            StereoCameras { left: camera.clone(), right: camera.clone(), rotation: turn, translation_mm: [-15.0, 0.1, 0.1] };
+        let cameras = StereoCameras {
+            left: camera.clone(),
+            right: camera.clone(),
+            rotation: turn,
+            translation_mm: [-15.0, 0.1, 0.1],
+        };
         if let Ok(rectification) = Rectification::new(&cameras, RectifyParams::default())
             && let Ok(map) = RemapTable::left(&camera, &rectification, roi, pool)
         {

@@ -8,6 +8,7 @@ use panoscope_imaging::stereo::{
 use panoscope_imaging::{Parallel, Serial, View};
 use stereo_common::*;
 
+#[allow(clippy::large_enum_variant)]
 enum Filter {
     Wls(WlsFilter),
     Solver(BilateralSolver),
@@ -142,12 +143,17 @@ fn contradicted_and_glaring_pixels_are_not_trusted() {
 #[test]
 fn portable_and_simd_and_any_number_of_threads_agree() {
     for (width, height) in [(131, 117), (8, 40), (300, 33), (64, 200)] {
-        let guide: Vec<u8> =
-            (0..3 * width * height).map(|i| texture((i / 3 % width) as f64 / 9.0, (i / 3 / width) as f64 / 9.0) as u8).collect();
+        let guide: Vec<u8> = (0..3 * width * height)
+            .map(|i| texture((i / 3 % width) as f64 / 9.0, (i / 3 / width) as f64 / 9.0) as u8)
+            .collect();
         let disparity: Vec<f32> = (0..width * height)
             .map(|i| {
                 let roll = hash(i as i64, 4);
-                if roll.is_multiple_of(7) { f32::NAN } else { 20.0 + (roll % 100) as f32 / 50.0 + (i % width) as f32 / 20.0 }
+                if roll.is_multiple_of(7) {
+                    f32::NAN
+                } else {
+                    20.0 + (roll % 100) as f32 / 50.0 + (i % width) as f32 / 20.0
+                }
             })
             .collect();
         let roi = Roi { x: 0, y: 2, width: width - 1, height: height - 5 };
@@ -174,8 +180,7 @@ fn a_warm_start_takes_fewer_steps_to_the_same_end() {
     let (width, height) = (160, 120);
     let guide: Vec<u8> =
         (0..width * height).map(|i| texture((i % width) as f64 / 15.0, (i / width) as f64 / 15.0) as u8).collect();
-    let disparity: Vec<f32> =
-        (0..width * height).map(|i| 30.0 + (hash(i as i64, 5) % 100) as f32 / 30.0).collect();
+    let disparity: Vec<f32> = (0..width * height).map(|i| 30.0 + (hash(i as i64, 5) % 100) as f32 / 30.0).collect();
     let params = BilateralSolverParams { lambda: 16.0, tolerance: 1e-5, iterations: 200, ..Default::default() };
     let mut solver = BilateralSolver::new(params).unwrap();
     let mut cold = vec![0.0; width * height];
@@ -213,8 +218,12 @@ fn wrong_inputs_are_named() {
     let disparity = vec![0.0; 200];
     let mut filter = WlsFilter::new(WlsParams::default()).unwrap();
     let mut map = vec![0.0; 200];
-    let refused =
-        filter.compute(input(gray(&guide, 10, 10), plane(&disparity, 20, 10)), &Serial, plane_mut(&mut map, 20, 10), None);
+    let refused = filter.compute(
+        input(gray(&guide, 10, 10), plane(&disparity, 20, 10)),
+        &Serial,
+        plane_mut(&mut map, 20, 10),
+        None,
+    );
     assert!(matches!(refused, Err(StereoError::SizeMismatch { what: "guide", .. })));
     assert!(WlsFilter::new(WlsParams { lambda: f32::NAN, ..Default::default() }).is_err());
     assert!(BilateralSolver::new(BilateralSolverParams { sigma_luma: 0, ..Default::default() }).is_err());

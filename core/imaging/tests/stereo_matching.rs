@@ -17,10 +17,7 @@ enum Matcher {
 fn matchers(min_disparity_px: i32, search_px: usize) -> Vec<Matcher> {
     let block = BlockMatchingParams { min_disparity_px, search_px, block_px: 11, ..Default::default() };
     let semi = SemiGlobalParams { min_disparity_px, search_px, ..Default::default() };
-    vec![
-        Matcher::Block(BlockMatcher::new(block).unwrap()),
-        Matcher::SemiGlobal(SemiGlobalMatcher::new(semi).unwrap()),
-    ]
+    vec![Matcher::Block(BlockMatcher::new(block).unwrap()), Matcher::SemiGlobal(SemiGlobalMatcher::new(semi).unwrap())]
 }
 
 impl Matcher {
@@ -54,7 +51,13 @@ impl Matcher {
 }
 
 /// Share of matched pixels and mean absolute error inside `x0..x1`, away from the top and bottom.
-fn errors(map: &[f32], (width, height): (usize, usize), x0: usize, x1: usize, truth: impl Fn(f64, f64) -> f64) -> (f64, f64) {
+fn errors(
+    map: &[f32],
+    (width, height): (usize, usize),
+    x0: usize,
+    x1: usize,
+    truth: impl Fn(f64, f64) -> f64,
+) -> (f64, f64) {
     let (mut count, mut known, mut sum) = (0, 0, 0.0);
     for y in 10..height - 10 {
         for x in x0..x1 {

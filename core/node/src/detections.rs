@@ -37,7 +37,7 @@ pub fn mask_len(image_width: usize, image_height: usize) -> usize {
 fn parse(frame: &abi::Frame, with_masks: bool) -> Result<Detections<'_>> {
     let all = bytes(frame);
     let short = || NodeError::new(format!("a list of detections is cut off after {} bytes", all.len()));
-    if all.len() < size_of::<DetectionsHeader>() || (frame.data as usize) % 8 != 0 {
+    if all.len() < size_of::<DetectionsHeader>() || !frame.data.addr().is_multiple_of(8) {
         return Err(short());
     }
     // SAFETY: length and alignment checked; plain data.
@@ -45,12 +45,10 @@ fn parse(frame: &abi::Frame, with_masks: bool) -> Result<Detections<'_>> {
     let items_at = size_of::<DetectionsHeader>();
     let labels_at = items_at + header.count as usize * size_of::<Detection>();
     let masks_at = labels_at + header.labels_len as usize;
-    let masks_len = if with_masks {
-        header.count as usize * mask_len(header.image_width as usize, header.image_height as usize)
-    } else {
-        0
-    };
-    if all.len() < masks_at + masks_len {
+    let one_mask = if with_masks { mask_len(header.image_width as usize, header.image_height as usize) } else { 0 };
+    // Sizes come from another plugin: the products may overflow.
+    let Some(masks_len) = one_mask.checked_mul(header.count as usize) else { return Err(short()) };
+    if all.len() < masks_at || all.len() - masks_at < masks_len {
         return Err(short());
     }
     // SAFETY: inside the buffer (checked), aligned to 8 like the header.

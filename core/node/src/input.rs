@@ -114,17 +114,19 @@ impl<P> Clone for Image<'_, P> {
 impl<P> Copy for Image<'_, P> {}
 
 /// The elements of a frame, after checking that they lie inside the buffer.
-fn elements<'f, T: Plain>(frame: &'f abi::Frame, channels: usize) -> Result<(&'f [T], usize)> {
+fn elements<T: Plain>(frame: &abi::Frame, channels: usize) -> Result<(&[T], usize)> {
     let size = size_of::<T>();
     let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
     let row = width * channels * size;
-    let need = if height == 0 { 0 } else { (height - 1) * stride + row };
-    if stride < row || stride % size != 0 || need > frame.len || (frame.data as usize) % align_of::<T>() != 0 {
+    // Sizes come from another plugin: the product may overflow.
+    let need = if height == 0 { Some(0) } else { ((height - 1) * stride).checked_add(row) };
+    let aligned = stride.is_multiple_of(size) && frame.data.addr().is_multiple_of(align_of::<T>());
+    let Some(need) = need.filter(|need| stride >= row && aligned && *need <= frame.len) else {
         return Err(NodeError::new(format!(
             "a {width}x{height} frame with {stride} bytes a row does not fit its {} bytes",
             frame.len
         )));
-    }
+    };
     if need == 0 {
         return Ok((&[], stride / size));
     }
@@ -271,7 +273,7 @@ impl<'f, T: Packet> FromFrame<'f> for Value<'f, T> {
     const PORT: abi::Port = nameless(T::NAME, T::LAYOUT_HASH, 0, 0);
 
     fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
-        if frame.len < size_of::<T>() || (frame.data as usize) % align_of::<T>() != 0 {
+        if frame.len < size_of::<T>() || !frame.data.addr().is_multiple_of(align_of::<T>()) {
             return Err(NodeError::new(format!("`{}` is {} bytes, {} arrived", T::NAME, size_of::<T>(), frame.len)));
         }
         // SAFETY: size and alignment checked; plain data has no invalid bit pattern.
@@ -297,9 +299,13 @@ impl<'f> FromFrame<'f> for Cloud<'f> {
     const PORT: abi::Port = nameless("cloud", 0, abi::format_bit(abi::FORMAT_CLOUD), 0);
 
     fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
-        let need = frame.width as usize * frame.height as usize * size_of::<abi::CloudPoint>();
-        if frame.len < need || (frame.data as usize) % align_of::<abi::CloudPoint>() != 0 {
-            return Err(NodeError::new(format!("a cloud of {need} bytes was expected, {} arrived", frame.len)));
+        let points = frame.width as usize * frame.height as usize;
+        let aligned = frame.data.addr().is_multiple_of(align_of::<abi::CloudPoint>());
+        if frame.format != abi::FORMAT_CLOUD || frame.len / size_of::<abi::CloudPoint>() < points || !aligned {
+            return Err(NodeError::new(format!(
+                "a cloud of {points} points was expected, {} bytes arrived",
+                frame.len
+            )));
         }
         Ok(Self { frame })
     }

@@ -165,7 +165,7 @@ impl NodeInfo {
 
 #[doc(hidden)]
 pub mod __private {
-    pub use crate::packet::plain_size;
+    pub use crate::packet::{plain_size, sum};
     pub use crate::param::{
         Declared, DefaultValue, has_word, is_flag, is_floats, is_number, is_text, on_step, param, wrong_param_count,
     };

@@ -114,7 +114,12 @@ impl<'f, T> Slot<'f, T> {
         let (width, height, size) = (frame.width as usize, frame.height as usize, size_of::<E>());
         let stride = frame.stride_bytes as usize;
         let need = height.saturating_sub(1) * stride + width * channels * size;
-        if width == 0 || height == 0 || need > frame.len || stride % size != 0 || frame.data as usize % size != 0 {
+        if width == 0
+            || height == 0
+            || need > frame.len
+            || !stride.is_multiple_of(size)
+            || !frame.data.addr().is_multiple_of(size)
+        {
             return Err(NodeError::new(format!("a {width}x{height} frame cannot be copied to an output")));
         }
         // SAFETY: the host made this buffer for this output alone; size and alignment were checked; `self` stays borrowed.

@@ -153,3 +153,13 @@ pub(crate) fn bytes_of<T: Plain>(items: &[T]) -> &[u8] {
 pub const fn plain_size<T: Plain>() -> usize {
     size_of::<T>()
 }
+
+/// Sum of the sizes of a packet's fields; called by the derive.
+pub const fn sum(sizes: &[usize]) -> usize {
+    let (mut all, mut i) = (0, 0);
+    while i < sizes.len() {
+        all += sizes[i];
+        i += 1;
+    }
+    all
+}

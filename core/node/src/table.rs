@@ -29,7 +29,7 @@ impl<'f> FromFrame<'f> for Table<'f> {
     fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
         let all = bytes(frame);
         let short = || NodeError::new(format!("a table is cut off after {} bytes", all.len()));
-        if all.len() < size_of::<TableHeader>() || (frame.data as usize) % 8 != 0 {
+        if all.len() < size_of::<TableHeader>() || !frame.data.addr().is_multiple_of(8) {
             return Err(short());
         }
         // SAFETY: length and alignment checked; plain data.
@@ -37,7 +37,7 @@ impl<'f> FromFrame<'f> for Table<'f> {
         let names_at = size_of::<TableHeader>();
         let values_at = names_at + header.names_len as usize;
         let count = header.rows as usize * header.columns as usize;
-        if values_at % 8 != 0 || all.len() < values_at + count * 8 {
+        if !values_at.is_multiple_of(8) || all.len() < values_at || (all.len() - values_at) / 8 < count {
             return Err(short());
         }
         let names = std::str::from_utf8(&all[names_at..values_at])?.trim_end_matches('\0');
@@ -63,7 +63,7 @@ impl Slot<'_, TableData> {
     /// Makes the output: `names` one per column, `values` in row order.
     pub fn set_table(&mut self, names: &[&str], values: &[f64]) -> Result<()> {
         let columns = names.len();
-        if columns == 0 || values.len() % columns != 0 {
+        if columns == 0 || !values.len().is_multiple_of(columns) {
             return Err(NodeError::new(format!("{} numbers do not fill rows of {columns}", values.len())));
         }
         let text_len: usize = names.iter().map(|name| name.len()).sum::<usize>() + columns - 1;

@@ -80,7 +80,13 @@ impl Elf {
                 // Sections without contents in the file may name any size.
                 let bytes = if kind == 8 { Vec::new() } else { self.0[bytes].to_vec() };
                 let link = self.number::<4>(head + 40) as usize;
-                Section { name: text(&texts[self.number::<4>(head) as usize..]), kind, link, align: self.number::<8>(head + 48), bytes }
+                Section {
+                    name: text(&texts[self.number::<4>(head) as usize..]),
+                    kind,
+                    link,
+                    align: self.number::<8>(head + 48),
+                    bytes,
+                }
             })
             .collect()
     }

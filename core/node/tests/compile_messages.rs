@@ -13,7 +13,8 @@ fn mistakes_are_named() {
     cases.pass("tests/compile_pass/*.rs");
     cases.compile_fail("tests/compile_fail/*.rs");
     let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-    let version = Command::new(rustc).arg("--version").output().map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
+    let version =
+        Command::new(rustc).arg("--version").output().map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
     match version {
         Ok(version) if version.starts_with(RECORDED_WITH) => cases.compile_fail("tests/compile_fail_rustc/*.rs"),
         other => println!("skipped: compile_fail_rustc was recorded with {RECORDED_WITH}x, this is {other:?}"),

@@ -144,10 +144,7 @@ fn the_plugin_as_a_whole() {
         "the plugin was built for ABI 9, this host has ABI 1: build the plugin anew"
     );
     assert!(says(|p| p.plugin.struct_size = 8).starts_with("the plugin's descriptor: struct_size is 8, it must be"));
-    assert_eq!(
-        says(|p| p.plugin.node_types_len = 2),
-        "plugin `demo`: node_types is a null pointer, its length is 2"
-    );
+    assert_eq!(says(|p| p.plugin.node_types_len = 2), "plugin `demo`: node_types is a null pointer, its length is 2");
     assert!(says(|p| p.plugin.node_types_len = 1 << 40).contains("more than the 1024 allowed"));
     assert_eq!(says(|p| p.times = 2), "plugin `demo`: node type `filter` is declared twice");
     let latin1 = Str { ptr: b"f\xfcr".as_ptr(), len: 3 };
@@ -159,7 +156,10 @@ fn the_plugin_as_a_whole() {
 fn node_types_one_by_one() {
     assert!(says(|p| p.node.struct_size = 0).starts_with("plugin `demo`, node type 1: struct_size is 0"));
     assert!(says(|p| p.node.name = Str::EMPTY).starts_with("plugin `demo`, node type 1: `` is no name"));
-    assert_eq!(says(|p| p.node.kind = 7), "plugin `demo`, node type `filter`: kind is 0x7, which this host does not know");
+    assert_eq!(
+        says(|p| p.node.kind = 7),
+        "plugin `demo`, node type `filter`: kind is 0x7, which this host does not know"
+    );
     assert!(says(|p| p.node.flags = 64).contains("flags is 0x40"));
     assert!(says(|p| p.node.process = None).ends_with("the function `process` is missing"));
     assert!(says(|p| p.node.inputs_len = 3).contains("inputs is a null pointer, its length is 3"));

@@ -169,10 +169,21 @@ fn forward_and_make_mut() {
     assert!(out.is_empty("note").expect("an output") && out.bytes("note").expect("an output").is_empty());
     assert_eq!((node.copies(), node.allocated_bytes()), (1, 0));
     let refused = |script: Script| run(script).expect_err("the contract was broken");
-    // SAFETY (all four): the harness checks these arguments.
-    assert!(refused(|c, h| unsafe { h.forward.expect("")(c.call, 7, c.inputs) }).ends_with("output 7, there are 2"));
-    assert!(refused(|c, h| unsafe { h.forward.expect("")(c.call, 0, ptr::null()) }).ends_with("a null frame"));
-    assert!(refused(|c, h| unsafe { h.make_mut.expect("")(c.call, 0) }).ends_with("output 0, which is empty"));
+    let far: Script = |c, h| {
+        // SAFETY: the harness checks the number.
+        unsafe { h.forward.expect("forward")(c.call, 7, c.inputs) }
+    };
+    let null: Script = |c, h| {
+        // SAFETY: the harness checks the pointer.
+        unsafe { h.forward.expect("forward")(c.call, 0, ptr::null()) }
+    };
+    let empty: Script = |c, h| {
+        // SAFETY: the harness checks the output.
+        unsafe { h.make_mut.expect("make_mut")(c.call, 0) }
+    };
+    assert!(refused(far).ends_with("output 7, there are 2"));
+    assert!(refused(null).ends_with("a null frame"));
+    assert!(refused(empty).ends_with("output 0, which is empty"));
     let foreign: Script = |c, h| {
         let foreign = Frame { buffer: abi::BufferId { pool: u32::MAX, reserved: 0, offset: 0 }, ..Frame::EMPTY };
         // SAFETY: the harness checks the frame.

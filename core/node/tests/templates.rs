@@ -23,7 +23,12 @@ fn copy(from: &Path, to: &Path) {
     std::fs::create_dir_all(to).expect("a folder for tests");
     for entry in std::fs::read_dir(from).expect("the template is there") {
         let path = entry.expect("an entry").path();
-        let name = path.file_name().expect("a name").to_string_lossy().replace("NAME", NAME).replace("gitignore", ".gitignore");
+        let name = path
+            .file_name()
+            .expect("a name")
+            .to_string_lossy()
+            .replace("NAME", NAME)
+            .replace("gitignore", ".gitignore");
         if path.is_dir() {
             copy(&path, &to.join(name));
             continue;
@@ -77,7 +82,8 @@ fn the_rust_template() {
 
 #[test]
 fn the_c_template() {
-    if Command::new("make").arg("--version").output().is_err() || Command::new("cc").arg("--version").output().is_err() {
+    if Command::new("make").arg("--version").output().is_err() || Command::new("cc").arg("--version").output().is_err()
+    {
         println!("skipped: make or cc cannot be run");
         return;
     }

@@ -44,7 +44,10 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
     let text = packet_name.value();
     let shape = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     if !text.starts_with(|c: char| c.is_ascii_lowercase()) || !text.chars().all(shape) {
-        return Err(Error::new_spanned(packet_name, format!("`{text}` is no name for a packet: write it in `snake_case`")));
+        return Err(Error::new_spanned(
+            packet_name,
+            format!("`{text}` is no name for a packet: write it in `snake_case`"),
+        ));
     }
     let types: Vec<_> = fields.named.iter().map(|f| &f.ty).collect();
     let mut layout = String::new();
@@ -57,7 +60,8 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
     let padding = format!("packet `{name}` has padding between its fields: order them by size or add reserved fields");
     let no_padding = quote_spanned! {name.span()=>
         const _: () = ::core::assert!(
-            0 #(+ ::panoscope_node::__private::plain_size::<#types>())* == ::core::mem::size_of::<#name>(),
+            ::panoscope_node::__private::sum(&[#(::panoscope_node::__private::plain_size::<#types>()),*])
+                == ::core::mem::size_of::<#name>(),
             #padding
         );
     };

@@ -4,7 +4,10 @@ use proc_macro2::TokenStream;
 use quote::{ToTokens, quote, quote_spanned};
 use syn::parse::{Parse, ParseStream};
 use syn::spanned::Spanned;
-use syn::{Data, DeriveInput, Error, Expr, ExprLit, ExprRange, ExprUnary, Fields, Ident, Lit, LitStr, RangeLimits, Result, Token, Type, UnOp};
+use syn::{
+    Data, DeriveInput, Error, Expr, ExprLit, ExprRange, ExprUnary, Fields, Ident, Lit, LitStr, RangeLimits, Result,
+    Token, Type, UnOp,
+};
 
 use crate::docs;
 
@@ -157,9 +160,11 @@ fn checks(ident: &Ident, ty: &Type, attribute: &Attribute, default: &Expr) -> Re
             const _: () = if !#private::has_word::<#ty>(#text) { ::core::panic!("{}", #choices) };
         });
     }
-    let Some((range, low, high)) = attribute.range.as_ref().and_then(|r| Some((r, r.start.as_deref()?, r.end.as_deref()?)))
+    let Some((range, low, high)) =
+        attribute.range.as_ref().and_then(|r| Some((r, r.start.as_deref()?, r.end.as_deref()?)))
     else {
-        let message = format!("`{ident}`: a number needs a range: `#[param(default = {default_text}, range = 0..=100)]`");
+        let message =
+            format!("`{ident}`: a number needs a range: `#[param(default = {default_text}, range = 0..=100)]`");
         out.check(ident, is_number.then_some(false), quote!(!#private::is_number::<#ty>()), message)?;
         return Ok(out.asserts);
     };
@@ -179,7 +184,8 @@ fn checks(ident: &Ident, ty: &Type, attribute: &Attribute, default: &Expr) -> Re
             if let Some(step) = &attribute.step {
                 let on = quote!(#private::on_step::<#ty>((#default) as f64, #low, (#step) as f64));
                 let step = shown(step);
-                let message = format!("`{ident}`: the default {default_text} is not on the steps of {step} from {text}");
+                let message =
+                    format!("`{ident}`: the default {default_text} is not on the steps of {step} from {text}");
                 out.check(default, None, on, message)?;
             }
         }
@@ -271,7 +277,10 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
         let param_name = ident.to_string();
         let param_name = param_name.trim_start_matches("r#");
         let Some(default) = &attribute.default else {
-            return Err(Error::new_spanned(ident, format!("parameter `{ident}` needs a default: `#[param(default = ...)]`")));
+            return Err(Error::new_spanned(
+                ident,
+                format!("parameter `{ident}` needs a default: `#[param(default = ...)]`"),
+            ));
         };
         if let Some(unit) = &attribute.unit
             && !UNITS.contains(&unit.value().as_str())

@@ -43,8 +43,10 @@ pub(crate) struct Exec {
 
 /// An open instance of a node type, closed when dropped.
 pub(crate) struct Instance {
+    /// May be null: a C plugin without state needs none.
     raw: *mut c_void,
     node_type: &'static abi::NodeType,
+    open: bool,
 }
 
 // SAFETY: the contract lets an instance move between threads; it is used by one at a time.
@@ -52,17 +54,18 @@ unsafe impl Send for Instance {}
 
 impl Instance {
     fn none(node_type: &'static abi::NodeType) -> Self {
-        Self { raw: std::ptr::null_mut(), node_type }
+        Self { raw: std::ptr::null_mut(), node_type, open: false }
     }
 
     fn is_open(&self) -> bool {
-        !self.raw.is_null()
+        self.open
     }
 
     /// Closes now instead of at drop.
     pub fn close(&mut self) {
         let raw = std::mem::replace(&mut self.raw, std::ptr::null_mut());
-        if let Some(close) = self.node_type.close.filter(|_| !raw.is_null()) {
+        let was_open = std::mem::replace(&mut self.open, false);
+        if let Some(close) = self.node_type.close.filter(|_| was_open) {
             // SAFETY: opened by `open` and closed once.
             unsafe { close(raw) }
         }
@@ -92,6 +95,7 @@ pub(crate) enum Ran {
 /// A node of a running graph.
 pub(crate) struct Cell {
     pub id: String,
+    id_hash: u64,
     pub node_type: &'static abi::NodeType,
     pub kind: NodeKind,
     pub source: bool,
@@ -119,10 +123,11 @@ pub(crate) struct Cell {
     pub busy_since_ns: AtomicU64,
 }
 
-/// A name for random numbers that is the same in every run.
-fn seed(id: &str, tick: Tick) -> u64 {
-    let hash = abi::fnv1a(abi::FNV_START, id.as_bytes());
-    abi::fnv1a(abi::fnv1a(hash, &tick.seq.to_le_bytes()), &tick.source.to_le_bytes())
+/// Where a node's random numbers begin for a tick: the same in every run. The generator mixes what stands here, so a cheap
+/// combination is enough.
+fn seed(id_hash: u64, tick: &Tick) -> u64 {
+    let source = u64::from(tick.source).wrapping_mul(0xD6E8_FEB8_6659_FD93);
+    id_hash ^ tick.seq.wrapping_mul(0xA076_1D64_78BD_642F) ^ source
 }
 
 /// What a node says of itself when it is made.
@@ -160,6 +165,7 @@ impl Cell {
             last_fired_ns: None,
         };
         Self {
+            id_hash: abi::fnv1a(abi::FNV_START, spec.id.as_bytes()),
             id: spec.id,
             node_type: spec.node_type,
             kind: spec.kind,
@@ -219,7 +225,7 @@ impl Cell {
             log: &around.log,
             node_id: &self.id,
             failure: &mut failure,
-            random: seed(&self.id, Tick::default()),
+            random: seed(self.id_hash, &Tick::default()),
             tick: Tick::default(),
             wait_for_memory: around.batch,
             metrics: &self.metrics,
@@ -241,7 +247,8 @@ impl Cell {
             Some(open) => unsafe { open(&raw mut call, &raw mut instance.raw) },
             None => abi::STATUS_INVALID,
         };
-        if status == abi::STATUS_OK && instance.is_open() {
+        if status == abi::STATUS_OK {
+            instance.open = true;
             return Ok(instance);
         }
         if failure.is_empty() {
@@ -272,7 +279,9 @@ impl Cell {
         complete: bool,
         start_ns: u64,
     ) -> (Ran, u64) {
-        if self.replace.swap(false, Ordering::Acquire)
+        // Looked at before it is taken: a swap would cost every tick.
+        if self.replace.load(Ordering::Relaxed)
+            && self.replace.swap(false, Ordering::Acquire)
             && let Some((instance, snapshot)) = lock(&self.replacement).take()
         {
             exec.instance = instance;
@@ -300,7 +309,10 @@ impl Cell {
         let end_ns = clock::now_ns();
         self.busy_since_ns.store(0, Ordering::Relaxed);
         if let Some((count, before)) = around.thread_allocations.zip(allocations) {
-            self.stats.allocations.fetch_add(count().wrapping_sub(before), Ordering::Relaxed);
+            let made = count().wrapping_sub(before);
+            if made > 0 {
+                self.stats.allocations.fetch_add(made, Ordering::Relaxed);
+            }
         }
         let spent_ns = end_ns.saturating_sub(start_ns);
         self.stats.time.record(spent_ns);
@@ -332,7 +344,7 @@ impl Cell {
             log: &around.log,
             node_id: &self.id,
             failure: &mut exec.failure,
-            random: seed(&self.id, *tick),
+            random: seed(self.id_hash, tick),
             tick: *tick,
             wait_for_memory: around.batch,
             metrics: &self.metrics,

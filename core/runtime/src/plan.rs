@@ -5,7 +5,7 @@ use std::sync::Arc;
 use panoscope_abi::{self as abi, PortRange};
 use panoscope_graph::{Align, Catalog, Edge, Graph, Mode, NodeKind};
 
-use crate::cell::{Cell, CellSpec};
+use crate::cell::{Cell, CellSpec, lock};
 use crate::join::{Join, Rule, Slot};
 use crate::params::Snapshot;
 use crate::region::Region;
@@ -19,13 +19,23 @@ pub(crate) struct Reader {
     pub convert: bool,
 }
 
+/// A reader that runs inline after its producer.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct InlineReader {
+    /// Output of the producer.
+    pub port: usize,
+    pub node: usize,
+    /// Its input may be empty.
+    pub optional: bool,
+}
+
 /// What the scheduler needs to know of a node besides its cell.
 #[derive(Default)]
 pub(crate) struct Wiring {
     /// Readers of each output.
     pub readers: Vec<Vec<Reader>>,
     /// The one reader, when it runs inline after this node.
-    pub inline_reader: Option<(usize, usize)>,
+    pub inline_reader: Option<InlineReader>,
     pub region: usize,
     /// No exact reader: its tick ends here.
     pub leaf: bool,
@@ -119,7 +129,8 @@ fn inline_chains(graph: &Graph, cells: &[Arc<Cell>], wiring: &mut [Wiring]) {
         let compute = |i: usize| cells[i].kind == NodeKind::Compute && !cells[i].source;
         let alone = edges.len() == 1 && is_exact(&edges[0]) && edges[0].list_index == 0;
         if alone && !reader.convert && compute(index) && compute(reader.node) {
-            wiring[index].inline_reader = Some((port, reader.node));
+            let optional = lock(&cells[reader.node].join).slots.first().is_some_and(|s| s.optional);
+            wiring[index].inline_reader = Some(InlineReader { port, node: reader.node, optional });
         }
     }
 }

@@ -88,7 +88,7 @@ pub struct Machine {
 }
 
 fn ms(ns: u64) -> f64 {
-    (ns as f64 / 1e3).round() / 1e3
+    ns as f64 / 1e6
 }
 
 impl Machine {

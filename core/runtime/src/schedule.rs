@@ -13,7 +13,7 @@ use crate::convert;
 use crate::join::Take;
 use crate::log::Level;
 use crate::memory::FrameRef;
-use crate::plan::Plan;
+use crate::plan::{InlineReader, Plan};
 use crate::pool::Pool;
 use crate::region::Freed;
 use crate::stats::bump;
@@ -193,13 +193,12 @@ impl Shared {
         let plan = &self.plan;
         let mut last = node;
         let mut tick = tick;
-        while let Some((port, next)) = plan.wiring[last].inline_reader {
+        while let Some(InlineReader { port, node: next, optional }) = plan.wiring[last].inline_reader {
             plan.cells[last].taps.show(&exec.outputs);
             let frame = std::mem::replace(&mut exec.outputs[port], Frame::EMPTY);
             clear(&mut exec.outputs);
             let cell = &plan.cells[next];
             let mut following = lock(&cell.exec);
-            let optional = lock(&cell.join).slots.first().is_some_and(|s| s.optional);
             let complete = optional || !frame.is_empty();
             following.inputs.push(FrameRef::adopt(Frame { tick, ..frame }));
             let (ran, end_ns) = cell.run(&mut following, &self.around, &mut tick, complete, now_ns);

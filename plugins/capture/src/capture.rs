@@ -264,8 +264,26 @@ impl Capture {
         Ok((source, rect))
     }
 
-    /// Makes the output of one view.
+    /// Makes two outputs of one view: they share one buffer.
+    fn write_pair(
+        &mut self,
+        first: &mut Slot<'_, Bgr8>,
+        second: &mut Slot<'_, Bgr8>,
+        source: usize,
+        rect: Rect,
+    ) -> Result<()> {
+        if !first.is_read() {
+            return self.write(second, source, rect);
+        }
+        self.write(first, source, rect)?;
+        if second.is_read() { second.forward_from(first) } else { Ok(()) }
+    }
+
+    /// Makes the output of one view, if anyone reads it.
     fn write(&mut self, slot: &mut Slot<'_, Bgr8>, source: usize, rect: Rect) -> Result<()> {
+        if !slot.is_read() {
+            return Ok(());
+        }
         let picture = &self.sources[source].get_mut().unwrap_or_else(poisoned).picture;
         let mut out = slot.alloc(rect.width, rect.height)?;
         let stride = picture.width * 3;
@@ -305,16 +323,7 @@ impl Node for Capture {
             Split::SideBySide => Some(Halves::SideBySide),
             Split::TopBottom => Some(Halves::TopBottom),
         };
-        Ok(Self {
-            sources,
-            halves,
-            rate_hz,
-            frame: 0,
-            due: None,
-            lost_told: false,
-            sizes_told: false,
-            reconnects: 0,
-        })
+        Ok(Self { sources, halves, rate_hz, frame: 0, due: None, lost_told: false, sizes_told: false, reconnects: 0 })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Out<'f>, params: &Settings) -> Result<()> {
@@ -373,14 +382,11 @@ impl Node for Capture {
             ));
         }
         for (view, (source, rect)) in parts.into_iter().enumerate() {
-            let slots: [Option<&mut Slot<'f, Bgr8>>; 2] = match view {
-                0 => [Some(&mut out.left), Some(&mut out.view0)],
-                1 => [Some(&mut out.right), Some(&mut out.view1)],
-                2 => [Some(&mut out.view2), None],
-                _ => [Some(&mut out.view3), None],
-            };
-            for slot in slots.into_iter().flatten().filter(|slot| slot.is_read()) {
-                self.write(slot, source, rect)?;
+            match view {
+                0 => self.write_pair(&mut out.left, &mut out.view0, source, rect)?,
+                1 => self.write_pair(&mut out.right, &mut out.view1, source, rect)?,
+                2 => self.write(&mut out.view2, source, rect)?,
+                _ => self.write(&mut out.view3, source, rect)?,
             }
         }
         Ok(())

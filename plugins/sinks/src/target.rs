@@ -68,9 +68,13 @@ impl SinkError {
 fn mend(error: &io::Error) -> &'static str {
     match error.kind() {
         ErrorKind::NotFound => "the folder is not there and could not be made",
-        ErrorKind::PermissionDenied => "the folder is not writable for this user: choose another or change its permissions",
+        ErrorKind::PermissionDenied => {
+            "the folder is not writable for this user: choose another or change its permissions"
+        }
         ErrorKind::ReadOnlyFilesystem => "the file system is mounted read-only: choose another folder",
-        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "the disk is full: free some space or choose another folder",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
+            "the disk is full: free some space or choose another folder"
+        }
         ErrorKind::IsADirectory => "a folder has that name: choose another file name",
         ErrorKind::NotADirectory | ErrorKind::AlreadyExists => "a part of the path is a file, not a folder",
         _ => "check that the folder exists and is writable",

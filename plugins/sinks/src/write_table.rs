@@ -97,11 +97,9 @@ impl Node for WriteTable {
         let image_name = if params.image_name.is_empty() { "{seq}.png" } else { &params.image_name };
         let form = match ending.as_str() {
             "csv" => Form::Csv { file: create()?, columns: Vec::new(), lost_told: false },
-            "json" => Form::Coco {
-                coco: Coco::default(),
-                image_name: Pattern::new(image_name.as_ref()),
-                next_write: 64,
-            },
+            "json" => {
+                Form::Coco { coco: Coco::default(), image_name: Pattern::new(image_name.as_ref()), next_write: 64 }
+            }
             _ => Form::Lines(create()?),
         };
         Ok(Self { path, form, line: String::new(), lines: 0 })

@@ -60,8 +60,7 @@ pub struct WriteVideo {
 }
 
 impl Node for WriteVideo {
-    const INFO: NodeInfo =
-        NodeInfo::blocking("write_video", "sink", "Writes pictures as a video file.").side_effects();
+    const INFO: NodeInfo = NodeInfo::blocking("write_video", "sink", "Writes pictures as a video file.").side_effects();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = Settings;

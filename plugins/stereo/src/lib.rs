@@ -1,1 +1,23 @@
-//! Rectification, disparity, depth and measurement.
+//! Rectification, disparity, depth and measurement (thesis, chapter 3).
+
+mod calibration;
+mod epipolar;
+mod filter;
+mod matcher;
+mod measure;
+mod offset;
+mod rectify;
+mod reproject;
+mod stereo_bm;
+mod stereo_sgbm;
+mod survey;
+mod watch;
+
+pub use filter::{DisparityFbs, DisparityWls};
+pub use measure::Measure;
+pub use rectify::Rectify;
+pub use reproject::Reproject;
+pub use stereo_bm::StereoBm;
+pub use stereo_sgbm::StereoSgbm;
+
+panoscope_node::export_plugin![Rectify, StereoBm, StereoSgbm, DisparityWls, DisparityFbs, Reproject, Measure];

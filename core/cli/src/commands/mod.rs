@@ -1,9 +1,11 @@
 //! One module per command.
 
+pub mod bench;
 pub mod check;
 pub mod describe;
 pub mod devices;
 pub mod dot;
+pub mod eval;
 pub mod list;
 pub mod run;
 pub mod schema;

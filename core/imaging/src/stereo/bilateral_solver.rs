@@ -6,10 +6,10 @@
 //! frame to the next the solution moves little, so the last frame's is where the solver starts.
 
 use crate::stereo::bilateral_grid::BilateralGrid;
-use crate::stereo::grid_solver::GridSolver;
 use crate::stereo::block_matching::fill_nan;
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
+use crate::stereo::grid_solver::GridSolver;
 use crate::stereo::wls::FilterInput;
 use crate::stereo::{Roi, StereoError, simd};
 use crate::{Parallel, Serial, SharedMut, ViewMut};
@@ -44,7 +44,7 @@ impl Default for BilateralSolverParams {
             lambda: 0.5,
             iterations: 25,
             tolerance: 1e-3,
-            min_support: 0.02,
+            min_support: 0.05,
             warm_start: true,
             confidence: ConfidenceParams::default(),
         }
@@ -97,8 +97,8 @@ pub struct BilateralSolver {
     work: GridSolver,
     /// Solution of the last call, by dense cell; NaN where there was no vertex.
     last: Vec<f32>,
-    /// Support of each dense cell.
-    reach: Vec<f32>,
+    /// Value, and 1 or 0 where it is known or not, of each dense cell.
+    reach: Vec<[f32; 2]>,
     last_shape: (Roi, [usize; 3]),
     steps: usize,
     avx2: bool,
@@ -224,7 +224,7 @@ impl BilateralSolver {
         confidence: Option<ViewMut<'_, f32>>,
     ) {
         self.last.resize(self.grid.vertex_of_cell.len(), 0.0);
-        self.reach.resize(self.grid.vertex_of_cell.len(), 0.0);
+        self.reach.resize(self.grid.vertex_of_cell.len(), [0.0; 2]);
         let (stride, out) = (disparity.stride, SharedMut::new(disparity.data));
         let (stride_confidence, out_confidence) = match confidence {
             Some(map) => (map.stride, Some(SharedMut::new(map.data))),
@@ -235,30 +235,64 @@ impl BilateralSolver {
         pool.run(grid.cells[1], &|grid_row| {
             let vertices = grid.grid_row(grid_row);
             let base = grid_row * vertices.len();
-            // SAFETY: grid rows, and the pixel rows under them, belong to one chunk each.
+            // SAFETY: grid rows belong to one chunk each.
             let (last, reach) = unsafe { (last.part(base, vertices.len()), reach.part(base, vertices.len())) };
             for ((last, reach), vertex) in last.iter_mut().zip(reach.iter_mut()).zip(vertices) {
                 let (x, support) = (work.x[*vertex as usize], work.support[*vertex as usize]);
                 *last = if support >= least { x } else { f32::NAN };
-                *reach = support;
+                *reach = if support >= least { [x, 1.0] } else { [0.0, 0.0] };
             }
-            for row in grid_row * grid.sigma_xy..((grid_row + 1) * grid.sigma_xy).min(roi.height) {
-                let y = roi.y + row;
-                let cells = grid.row_cells(row, roi.width);
+        });
+        let reach = &self.reach;
+        pool.run(roi.height, &|row| {
+            let y = roi.y + row;
+            // SAFETY: one row, one chunk.
+            let out = unsafe { out.part(y * stride + roi.x, roi.width) };
+            slice_row(grid, reach, row, out);
+            if let Some(map) = &out_confidence {
                 // SAFETY: as above.
-                let out = unsafe { out.part(y * stride + roi.x, roi.width) };
-                for (out, cell) in out.iter_mut().zip(cells) {
-                    *out = last[*cell as usize];
-                }
-                if let Some(map) = &out_confidence {
-                    // SAFETY: as above.
-                    let out = unsafe { map.part(y * stride_confidence + roi.x, roi.width) };
-                    for (out, cell) in out.iter_mut().zip(cells) {
-                        *out = reach[*cell as usize];
-                    }
+                let out = unsafe { map.part(y * stride_confidence + roi.x, roi.width) };
+                let vertices = grid.grid_row(row / grid.sigma_xy);
+                for (out, cell) in out.iter_mut().zip(grid.row_cells(row, roi.width)) {
+                    *out = work.support[vertices[*cell as usize] as usize];
                 }
             }
         });
     }
 }
 
+/// One row of pixels: between the cells' centres, values of the four nearest cells of the pixel's
+/// luminance are mixed, those without a value left out; the grid would show otherwise.
+fn slice_row(grid: &BilateralGrid, reach: &[[f32; 2]], row: usize, out: &mut [f32]) {
+    let [columns, rows, lumas] = grid.cells;
+    let side = grid.sigma_xy;
+    let row_cells = columns * lumas;
+    let grid_row = row / side;
+    // How far a pixel is from its cell's centre, in cells: 0 in the middle, 1/2 at the rim.
+    let offset = |position: usize| ((position % side) as f32 + 0.5) / side as f32 - 0.5;
+    let down = offset(row);
+    let other_row = if down < 0.0 { grid_row.saturating_sub(1) } else { (grid_row + 1).min(rows - 1) };
+    let down = down.abs();
+    let here = &reach[grid_row * row_cells..(grid_row + 1) * row_cells];
+    let there = &reach[other_row * row_cells..(other_row + 1) * row_cells];
+    let ids = grid.row_cells(row, out.len());
+    for (column, (out, ids)) in out.chunks_mut(side).zip(ids.chunks(side)).enumerate() {
+        for (step, (out, cell)) in out.iter_mut().zip(ids).enumerate() {
+            let cell = *cell as usize;
+            let across = offset(step);
+            // The same luminance in the column on the nearer side; at the border the cell itself.
+            let other = if across < 0.0 {
+                cell - if column > 0 { lumas } else { 0 }
+            } else {
+                cell + if column + 1 < columns { lumas } else { 0 }
+            };
+            let across = across.abs();
+            let (a, b, c, d) = (here[cell], here[other], there[cell], there[other]);
+            let mix = |i: usize| {
+                (a[i] * (1.0 - across) + b[i] * across) * (1.0 - down) + (c[i] * (1.0 - across) + d[i] * across) * down
+            };
+            // A cell without a value counts with weight 0; a pixel whose own cell has none stays unknown.
+            *out = if a[1] > 0.0 { mix(0) / mix(1) } else { f32::NAN };
+        }
+    }
+}

@@ -196,8 +196,11 @@ impl BlockMatcher {
             fill_nan(map, pool);
         }
         let roi = roi.clamped(left.width, left.height);
-        let Some(span) = Span::new(roi, left.width, self.params.min_disparity_px, self.params.search_px, self.params.block_px / 2)
-        else { return Ok(()) };
+        let Some(span) =
+            Span::new(roi, left.width, self.params.min_disparity_px, self.params.search_px, self.params.block_px / 2)
+        else {
+            return Ok(());
+        };
 
         let radius = span.radius;
         let pad = span.lanes + radius + 32;
@@ -236,7 +239,10 @@ impl BlockMatcher {
             for y in first..last {
                 // SAFETY: as above; the image checks cover `width` elements of each row.
                 let row = unsafe { out.part(y * stride, job.width) };
-                let row_right = out_right.as_ref().map(|map| unsafe { map.part(y * stride_right, job.width) });
+                let row_right = out_right.as_ref().map(|map| {
+                    // SAFETY: as above.
+                    unsafe { map.part(y * stride_right, job.width) }
+                });
                 job.row(band, y, row, row_right);
             }
         });

@@ -182,5 +182,5 @@ fn fit_right(w: &Winners<'_>, from: usize, first: i32, out: &mut [f32]) {
 #[inline(always)]
 pub(crate) fn equiangular(less: i32, here: i32, more: i32) -> f32 {
     let rise = less.max(more) - here;
-    ((less - more) as f32 / (2 * rise.max(1)) as f32).max(-0.5).min(0.5)
+    ((less - more) as f32 / (2 * rise.max(1)) as f32).clamp(-0.5, 0.5)
 }

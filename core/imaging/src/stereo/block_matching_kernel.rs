@@ -183,7 +183,7 @@ mod avx2 {
     #[target_feature(enable = "avx2")]
     pub(super) unsafe fn add_row(left: &[u8], right: &[u8], lanes: usize, columns: &mut [u16]) {
         let count = columns.len() / lanes - 1;
-        assert!(lanes % 32 == 0 && left.len() >= count && right.len() + 1 >= count + lanes);
+        assert!(lanes.is_multiple_of(32) && left.len() >= count && right.len() + 1 >= count + lanes);
         let zero = _mm256_setzero_si256();
         for c in 0..count {
             // SAFETY: `c < count`, so left, right and columns are long enough (checked above).

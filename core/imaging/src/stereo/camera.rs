@@ -41,15 +41,8 @@ impl CameraModel {
         for (target, value) in distortion.iter_mut().zip(d) {
             *target = *value;
         }
-        let camera = Self {
-            width: size.0,
-            height: size.1,
-            fx: focal.0,
-            fy: focal.1,
-            cx: centre.0,
-            cy: centre.1,
-            distortion,
-        };
+        let camera =
+            Self { width: size.0, height: size.1, fx: focal.0, fy: focal.1, cx: centre.0, cy: centre.1, distortion };
         camera.validate()?;
         Ok(camera)
     }

@@ -8,23 +8,34 @@ use crate::{Parallel, SharedMut, View};
 pub struct ConfidenceParams {
     /// Largest difference in px to the right view's disparity; more makes the confidence 0.
     pub left_right_px: f32,
-    /// Radius in px of the neighbourhood whose scatter of disparities is measured; 0 measures none.
+    /// Radius in px of the neighbourhood whose scatter of disparities, and whose share of matched pixels, is
+    /// measured; 0 measures none. About half the matcher's window.
     pub scatter_radius_px: usize,
     /// Confidence lost per px^2 of variance in that neighbourhood: block matching is wrong near depth edges.
     pub loss_per_px2: f32,
     /// Gray level from which on a pixel is a highlight, which moves with the eye: confidence 0; 255 or
     /// less. `None` keeps highlights.
     pub highlight_level: Option<u8>,
+    /// Level up to which (in all channels) a pixel is black: outside the scope's picture, confidence 0.
+    pub dark_level: Option<u8>,
 }
 
 impl Default for ConfidenceParams {
     fn default() -> Self {
-        Self { left_right_px: 1.5, scatter_radius_px: 7, loss_per_px2: 0.25, highlight_level: Some(250) }
+        Self {
+            left_right_px: 1.5,
+            scatter_radius_px: 5,
+            loss_per_px2: 0.25,
+            highlight_level: Some(250),
+            dark_level: Some(4),
+        }
     }
 }
 
 /// Disparities are quantised to this part of a px for the scatter, so that sums are whole numbers.
 const STEPS_PER_PX: f32 = 4.0;
+/// Part of the neighbourhood that must be matched for full confidence.
+const FULL_SHARE: f32 = 0.6;
 /// Rows of one chunk; the rows of its window's rim are read twice.
 const CHUNK_ROWS: usize = 48;
 
@@ -86,17 +97,33 @@ impl Confidence {
                 }
                 let here = &disparity.row(y)[roi.x..roi.x + roi.width];
                 check_row(params, here, disparity_right.map(|map| map.row(y)), roi.x, out);
-                if let Some(level) = params.highlight_level {
+                if params.highlight_level.is_some() || params.dark_level.is_some() {
                     let channels = guide.channels;
                     let pixels = &guide.row(y)[roi.x * channels..(roi.x + roi.width) * channels];
-                    // All channels at once: a strongly coloured pixel is not a highlight.
-                    for (pixel, value) in pixels.chunks_exact(channels).zip(out) {
-                        let bright = pixel.iter().fold(255, |least: u8, c| least.min(*c)) >= level;
-                        *value = if bright { 0.0 } else { *value };
+                    let limits = (params.dark_level, params.highlight_level);
+                    match channels {
+                        3 => exposure::<3>(pixels, limits, out),
+                        _ => exposure::<1>(pixels, limits, out),
                     }
                 }
             }
         });
+    }
+}
+
+/// Clears the confidence of black pixels and of highlights. All channels count at once: a strongly
+/// coloured pixel is neither.
+fn exposure<const CHANNELS: usize>(pixels: &[u8], limits: (Option<u8>, Option<u8>), out: &mut [f32]) {
+    let dark = limits.0.map_or(-1, i16::from);
+    let bright = limits.1.map_or(256, i16::from);
+    for (pixel, value) in pixels.chunks_exact(CHANNELS).zip(out) {
+        let (mut least, mut most) = (u8::MAX, 0);
+        for channel in 0..CHANNELS {
+            least = least.min(pixel[channel]);
+            most = most.max(pixel[channel]);
+        }
+        let clear = (i16::from(least) >= bright) | (i16::from(most) <= dark);
+        *value = if clear { 0.0 } else { *value };
     }
 }
 
@@ -165,18 +192,20 @@ impl Window<'_, '_> {
         accumulate(values, remove, count, sum, square);
     }
 
-    /// Writes `1 - loss * variance`, at least 0, for the current row.
+    /// Writes `(1 - loss * variance) * share`, at least 0, for the current row; `share` grows with the part
+    /// of the window that is matched at all.
     fn scatter(&mut self, loss: f32, out: &mut [f32]) {
         box_sums(&self.band.columns, self.radius, &mut self.band.totals);
         let [count, sum, square] = &self.band.totals;
         let loss = loss / (STEPS_PER_PX * STEPS_PER_PX);
+        let full = 1.0 / (FULL_SHARE * ((2 * self.radius + 1) * (2 * self.radius + 1)) as f32);
         #[cfg(target_arch = "x86_64")]
         if self.avx2 {
             // SAFETY: the caller found AVX2.
-            unsafe { variance_avx2(count, sum, square, loss, out) };
+            unsafe { variance_avx2(count, sum, square, (loss, full), out) };
             return;
         }
-        variance(count, sum, square, loss, out);
+        variance(count, sum, square, (loss, full), out);
     }
 }
 
@@ -215,7 +244,7 @@ fn accumulate(values: &[f32], remove: bool, count: &mut [u32], sum: &mut [u32], 
     for x in 0..n {
         let valid = values[x].is_finite();
         // Clamped so that the square of a 31 x 31 window's worth still fits 32 bits.
-        let steps = if valid { (values[x] * STEPS_PER_PX).max(0.0).min(2047.0) } else { 0.0 };
+        let steps = if valid { (values[x] * STEPS_PER_PX).clamp(0.0, 2047.0) } else { 0.0 };
         // SAFETY: 0..=2047.
         let steps: i32 = unsafe { steps.to_int_unchecked() };
         let steps = steps as u32;
@@ -227,12 +256,12 @@ fn accumulate(values: &[f32], remove: bool, count: &mut [u32], sum: &mut [u32], 
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn variance_avx2(count: &[u32], sum: &[u32], square: &[u32], loss: f32, out: &mut [f32]) {
-    variance(count, sum, square, loss, out);
+fn variance_avx2(count: &[u32], sum: &[u32], square: &[u32], (loss, full): (f32, f32), out: &mut [f32]) {
+    variance(count, sum, square, (loss, full), out);
 }
 
 #[inline(always)]
-fn variance(count: &[u32], sum: &[u32], square: &[u32], loss: f32, out: &mut [f32]) {
+fn variance(count: &[u32], sum: &[u32], square: &[u32], (loss, full): (f32, f32), out: &mut [f32]) {
     let n = out.len();
     let (count, sum, square) = (&count[..n], &sum[..n], &square[..n]);
     for x in 0..n {
@@ -240,6 +269,8 @@ fn variance(count: &[u32], sum: &[u32], square: &[u32], loss: f32, out: &mut [f3
         let mean = sum[x] as i32 as f32 * share;
         // Sums of squares can exceed 2^31 only where disparities exceed 400 px all over: halve them first.
         let variance = (square[x] >> 1) as i32 as f32 * 2.0 * share - mean * mean;
-        out[x] = (1.0 - loss * variance.max(0.0)).max(0.0).min(1.0);
+        // Lone matches in an unmatched neighbourhood are chance hits: the square keeps them small.
+        let matched = (count[x] as i32 as f32 * full).min(1.0);
+        out[x] = (1.0 - loss * variance.max(0.0)).clamp(0.0, 1.0) * (matched * matched);
     }
 }

@@ -108,7 +108,11 @@ pub fn read_npy(bytes: &[u8]) -> Result<FloatImage, StereoError> {
     let by_column = after("'fortran_order'").is_some_and(|text| text.starts_with("True"));
     let shape = after("'shape'").and_then(|text| text.strip_prefix('(')).and_then(|text| text.split(')').next());
     let shape: Option<Vec<usize>> = shape.map(|text| {
-        text.split(',').map(str::trim).filter(|word| !word.is_empty()).map(|word| word.parse().unwrap_or(usize::MAX)).collect()
+        text.split(',')
+            .map(str::trim)
+            .filter(|word| !word.is_empty())
+            .map(|word| word.parse().unwrap_or(usize::MAX))
+            .collect()
     });
     let Some([height, width]) = shape.as_deref().and_then(|shape| <[usize; 2]>::try_from(shape).ok()) else {
         return refuse("it is not two-dimensional".into());
@@ -125,11 +129,7 @@ pub fn read_npy(bytes: &[u8]) -> Result<FloatImage, StereoError> {
         if !little {
             raw[..size].reverse();
         }
-        if size == 4 {
-            f32::from_le_bytes([raw[0], raw[1], raw[2], raw[3]])
-        } else {
-            f64::from_le_bytes(raw) as f32
-        }
+        if size == 4 { f32::from_le_bytes([raw[0], raw[1], raw[2], raw[3]]) } else { f64::from_le_bytes(raw) as f32 }
     };
     let data = (0..count)
         .map(|index| if by_column { value(index % width * height + index / width) } else { value(index) })

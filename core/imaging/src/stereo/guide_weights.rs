@@ -51,8 +51,8 @@ pub(crate) fn exp2_of_negative(x: f32) -> f32 {
     // SAFETY: `x` lies in -100..=0 (a NaN became -100 in `max`).
     let whole: i32 = unsafe { x.to_int_unchecked() };
     let t = (x - whole as f32) * std::f32::consts::LN_2;
-    let series = 1.0
-        + t * (1.0 + t * (0.5 + t * (1.0 / 6.0 + t * (1.0 / 24.0 + t * (1.0 / 120.0 + t * (1.0 / 720.0))))));
+    let series =
+        1.0 + t * (1.0 + t * (0.5 + t * (1.0 / 6.0 + t * (1.0 / 24.0 + t * (1.0 / 120.0 + t * (1.0 / 720.0))))));
     let power = f32::from_bits(((whole + 127) << 23) as u32);
     series * power
 }

@@ -2,7 +2,7 @@
 
 use crate::stereo::camera::CameraModel;
 use crate::stereo::error::{check_channels, check_size};
-use crate::stereo::rectify::{RectifiedCamera, Rectification};
+use crate::stereo::rectify::{Rectification, RectifiedCamera};
 use crate::stereo::rotation::{Matrix3, apply, transposed};
 use crate::stereo::{Roi, StereoError, simd};
 use crate::{Parallel, SharedMut, View, ViewMut};
@@ -112,12 +112,7 @@ impl RemapTable {
     ///
     /// # Errors
     /// When sizes or channel counts do not agree.
-    pub fn remap(
-        &self,
-        source: View<'_, u8>,
-        target: ViewMut<'_, u8>,
-        pool: &dyn Parallel,
-    ) -> Result<(), StereoError> {
+    pub fn remap(&self, source: View<'_, u8>, target: ViewMut<'_, u8>, pool: &dyn Parallel) -> Result<(), StereoError> {
         check_size("camera image", self.source_size, (source.width, source.height))?;
         check_size("rectified view", self.size, (target.width, target.height))?;
         check_channels("camera image", &[1, 3], "1 (gray) or 3 (BGR)", source.channels)?;
@@ -249,10 +244,8 @@ mod avx2 {
             let across = _mm256_or_si256(_mm256_sub_epi32(one, fx), _mm256_slli_epi32::<8>(fx));
             let upper = _mm256_maddubs_epi16(upper, across);
             let lower = _mm256_maddubs_epi16(lower, across);
-            let pair = _mm256_or_si256(
-                _mm256_and_si256(upper, _mm256_set1_epi32(0xffff)),
-                _mm256_slli_epi32::<16>(lower),
-            );
+            let pair =
+                _mm256_or_si256(_mm256_and_si256(upper, _mm256_set1_epi32(0xffff)), _mm256_slli_epi32::<16>(lower));
             let down = _mm256_or_si256(_mm256_sub_epi32(one, fy), _mm256_slli_epi32::<16>(fy));
             let sum = _mm256_add_epi32(_mm256_madd_epi16(pair, down), _mm256_set1_epi32(ONE * ONE / 2));
             let value = _mm256_srli_epi32::<10>(sum);

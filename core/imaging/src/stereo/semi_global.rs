@@ -5,7 +5,8 @@
 //! a small penalty for a step of one disparity and a large one for a jump (Hirschmueller, "Stereo
 //! processing by semiglobal matching and mutual information", 2008). Everything happens row by row: no
 //! cost volume is ever stored. Bands of rows run in parallel; each begins a few rows early so that the
-//! downward paths have settled where its output begins.
+//! downward paths have settled where its output begins. Edges are sharper than block matching's: a filter
+//! that follows should judge scatter over 3 px, not 5.
 
 use crate::stereo::block_matching::{Span, fill_nan};
 use crate::stereo::block_matching_finish::{self as finish, Limits, Winners};
@@ -195,8 +196,7 @@ impl SemiGlobalMatcher {
         }
         let roi = roi.clamped(left.width, left.height);
         let params = &self.params;
-        let Some(span) =
-            Span::new(roi, left.width, params.min_disparity_px, params.search_px, params.block_px / 2)
+        let Some(span) = Span::new(roi, left.width, params.min_disparity_px, params.search_px, params.block_px / 2)
         else {
             return Ok(());
         };
@@ -385,8 +385,7 @@ impl Job<'_> {
             inside: inside.clone(),
             outside: &self.outside[start_outside..],
         };
-        let left_right_at_most =
-            self.params.left_right_px.map_or(u16::MAX, |px| px.min(u32::from(u16::MAX)) as u16);
+        let left_right_at_most = self.params.left_right_px.map_or(u16::MAX, |px| px.min(u32::from(u16::MAX)) as u16);
         let limits = Limits { texture_at_least: 0, left_right_at_most };
         finish::left(&mut winners, &limits, min, self.avx2, &mut out[x0..x0 + count]);
         if let Some(out_right) = out_right {

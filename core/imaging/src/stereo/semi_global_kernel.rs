@@ -90,19 +90,27 @@ pub(crate) fn aggregate(paths: Paths<'_>, avx2: bool) {
     #[cfg(target_arch = "x86_64")]
     if avx2 {
         // SAFETY: the caller found AVX2; lengths are checked inside.
-        unsafe {
-            match paths.lanes {
-                32 => avx2::aggregate::<1, 1>(paths),
-                64 => avx2::aggregate::<2, 2>(paths),
-                96 => avx2::aggregate::<3, 3>(paths),
-                128 => avx2::aggregate::<4, 4>(paths),
-                _ => avx2::aggregate::<0, { MAX_LANES / 32 }>(paths),
-            }
-        }
+        unsafe { if paths.offsets.len() == 3 { by_lanes::<3>(paths) } else { by_lanes::<1>(paths) } }
         return;
     }
     let _ = avx2;
     portable(paths);
+}
+
+/// # Safety
+/// Needs AVX2.
+#[cfg(target_arch = "x86_64")]
+unsafe fn by_lanes<const DOWN: usize>(paths: Paths<'_>) {
+    // SAFETY: as promised by the caller.
+    unsafe {
+        match paths.lanes {
+            32 => avx2::aggregate::<DOWN, 1, 1>(paths),
+            64 => avx2::aggregate::<DOWN, 2, 2>(paths),
+            96 => avx2::aggregate::<DOWN, 3, 3>(paths),
+            128 => avx2::aggregate::<DOWN, 4, 4>(paths),
+            _ => avx2::aggregate::<DOWN, 0, { MAX_LANES / 32 }>(paths),
+        }
+    }
 }
 
 /// Path costs of one pixel from those of the one before: `before` with one byte on either side.
@@ -201,10 +209,8 @@ mod avx2 {
                         for half in 0..2 {
                             window[half] = _mm256_sub_epi16(window[half], _mm256_loadu_si256(gone.add(half)));
                         }
-                        let bytes = _mm256_packus_epi16(
-                            _mm256_srl_epi16(window[0], shift),
-                            _mm256_srl_epi16(window[1], shift),
-                        );
+                        let bytes =
+                            _mm256_packus_epi16(_mm256_srl_epi16(window[0], shift), _mm256_srl_epi16(window[1], shift));
                         let outside = _mm256_loadu_si256(row.outside.as_ptr().add(i + 32 * q).cast());
                         let to = row.out.as_mut_ptr().add(i * lanes + 32 * q).cast();
                         _mm256_storeu_si256(to, _mm256_or_si256(bytes, outside));
@@ -225,36 +231,34 @@ mod avx2 {
 
     #[target_feature(enable = "avx2")]
     #[inline]
-    unsafe fn add_bytes(sums: *mut __m256i, value: __m256i, first: bool) {
+    unsafe fn add_bytes(sums: *mut __m256i, value: __m256i) {
         let zero = _mm256_setzero_si256();
         let (lo, hi) = (_mm256_unpacklo_epi8(value, zero), _mm256_unpackhi_epi8(value, zero));
         // SAFETY: the caller passes room for two vectors.
         unsafe {
-            if first {
-                _mm256_storeu_si256(sums, lo);
-                _mm256_storeu_si256(sums.add(1), hi);
-            } else {
-                _mm256_storeu_si256(sums, _mm256_add_epi16(_mm256_loadu_si256(sums), lo));
-                _mm256_storeu_si256(sums.add(1), _mm256_add_epi16(_mm256_loadu_si256(sums.add(1)), hi));
-            }
+            _mm256_storeu_si256(sums, _mm256_add_epi16(_mm256_loadu_si256(sums), lo));
+            _mm256_storeu_si256(sums.add(1), _mm256_add_epi16(_mm256_loadu_si256(sums.add(1)), hi));
         }
     }
 
     /// # Safety
-    /// Needs AVX2. `CHUNKS` is `lanes / 32`, or 0 when not known in advance; `VECTORS` is at least that.
+    /// Needs AVX2. `DOWN` downward paths; `CHUNKS` is `lanes / 32`, or 0 when not known in advance; `VECTORS`
+    /// is at least that.
     #[target_feature(enable = "avx2")]
-    pub(super) unsafe fn aggregate<const CHUNKS: usize, const VECTORS: usize>(paths: Paths<'_>) {
+    pub(super) unsafe fn aggregate<const DOWN: usize, const CHUNKS: usize, const VECTORS: usize>(paths: Paths<'_>) {
         let chunks = if CHUNKS == 0 { paths.lanes / 32 } else { CHUNKS };
         let lanes = chunks * 32;
         let Paths { count, penalties, .. } = paths;
         let slot = slot_bytes(lanes);
         let slots = paths.offsets.len() * (count + 2);
+        assert!(paths.offsets.len() == DOWN);
         assert!(lanes == paths.lanes && chunks <= VECTORS && lanes <= MAX_LANES && paths.cost.len() >= count * lanes);
         assert!(paths.before.len() >= slots * slot && paths.after.len() >= slots * slot);
         assert!(paths.least_before.len() >= slots && paths.least_after.len() >= slots);
         assert!(paths.sums.len() >= count * lanes && paths.offsets.iter().all(|offset| offset.abs() <= 1));
         let small = _mm256_set1_epi8(penalties.small as i8);
         let ones = _mm256_set1_epi8(-1);
+        let zero = _mm256_setzero_si256();
         let cost = paths.cost.as_ptr();
         let sums = paths.sums.as_mut_ptr();
         // SAFETY: slots `0..slots`, pixels `0..count` and lanes `0..lanes` only; lengths checked above;
@@ -267,37 +271,47 @@ mod avx2 {
                 let jump = _mm256_set1_epi8(least.saturating_add(penalties.large) as i8);
                 let mut smallest = ones;
                 let mut next = [ones; VECTORS];
+                let mut from = [0; DOWN];
+                let mut all_down = [ones; DOWN];
+                let mut jump_down = [ones; DOWN];
+                let mut smallest_down = [ones; DOWN];
+                for path in 0..DOWN {
+                    let offset = *paths.offsets.get_unchecked(path);
+                    from[path] = path * (count + 2) + (i as isize + 1 + offset) as usize;
+                    let least = *paths.least_before.get_unchecked(from[path]);
+                    all_down[path] = _mm256_set1_epi8(least as i8);
+                    jump_down[path] = _mm256_set1_epi8(least.saturating_add(penalties.large) as i8);
+                }
                 for q in 0..chunks {
                     let cost = _mm256_loadu_si256(cost.add(i * lanes + 32 * q).cast());
                     let value = level(&before, q, chunks, small, all, jump, cost);
                     next[q] = value;
                     smallest = _mm256_min_epu8(smallest, value);
-                    add_bytes(sums.add(i * lanes + 32 * q).cast(), value, true);
-                }
-                before = next;
-                least = least_byte(smallest);
-                for (path, offset) in paths.offsets.iter().enumerate() {
-                    let from = path * (count + 2) + (i as isize + 1 + offset) as usize;
-                    let to = path * (count + 2) + i + 1;
-                    let least = *paths.least_before.get_unchecked(from);
-                    let all = _mm256_set1_epi8(least as i8);
-                    let jump = _mm256_set1_epi8(least.saturating_add(penalties.large) as i8);
-                    let mut smallest = ones;
-                    for q in 0..chunks {
-                        let cost = _mm256_loadu_si256(cost.add(i * lanes + 32 * q).cast());
-                        let above = paths.before.as_ptr().add(from * slot + RIM + 32 * q);
+                    let mut lo = _mm256_unpacklo_epi8(value, zero);
+                    let mut hi = _mm256_unpackhi_epi8(value, zero);
+                    for path in 0..DOWN {
+                        let above = paths.before.as_ptr().add(from[path] * slot + RIM + 32 * q);
                         let beside = _mm256_min_epu8(
                             _mm256_loadu_si256(above.sub(1).cast()),
                             _mm256_loadu_si256(above.add(1).cast()),
                         );
                         let best = _mm256_min_epu8(_mm256_loadu_si256(above.cast()), _mm256_adds_epu8(beside, small));
-                        let best = _mm256_sub_epi8(_mm256_min_epu8(best, jump), all);
+                        let best = _mm256_sub_epi8(_mm256_min_epu8(best, jump_down[path]), all_down[path]);
                         let value = _mm256_adds_epu8(cost, best);
-                        _mm256_storeu_si256(paths.after.as_mut_ptr().add(to * slot + RIM + 32 * q).cast(), value);
-                        smallest = _mm256_min_epu8(smallest, value);
-                        add_bytes(sums.add(i * lanes + 32 * q).cast(), value, false);
+                        let to = (path * (count + 2) + i + 1) * slot + RIM + 32 * q;
+                        _mm256_storeu_si256(paths.after.as_mut_ptr().add(to).cast(), value);
+                        smallest_down[path] = _mm256_min_epu8(smallest_down[path], value);
+                        lo = _mm256_add_epi16(lo, _mm256_unpacklo_epi8(value, zero));
+                        hi = _mm256_add_epi16(hi, _mm256_unpackhi_epi8(value, zero));
                     }
-                    *paths.least_after.get_unchecked_mut(to) = least_byte(smallest);
+                    let sums = sums.add(i * lanes + 32 * q).cast::<__m256i>();
+                    _mm256_storeu_si256(sums, lo);
+                    _mm256_storeu_si256(sums.add(1), hi);
+                }
+                before = next;
+                least = least_byte(smallest);
+                for path in 0..DOWN {
+                    *paths.least_after.get_unchecked_mut(path * (count + 2) + i + 1) = least_byte(smallest_down[path]);
                 }
             }
             let mut before = [_mm256_setzero_si256(); VECTORS];
@@ -312,7 +326,7 @@ mod avx2 {
                     let value = level(&before, q, chunks, small, all, jump, cost);
                     next[q] = value;
                     smallest = _mm256_min_epu8(smallest, value);
-                    add_bytes(sums.add(i * lanes + 32 * q).cast(), value, false);
+                    add_bytes(sums.add(i * lanes + 32 * q).cast(), value);
                 }
                 before = next;
                 least = least_byte(smallest);

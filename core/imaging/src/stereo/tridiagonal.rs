@@ -285,8 +285,11 @@ mod avx2 {
                 let mut loaded = [[[zero; 8]; 3]; 2];
                 for (half, planes) in loaded.iter_mut().enumerate() {
                     let at = half * 8 * width + x0;
-                    *planes =
-                        [load_columns(f.add(at), width), load_columns(s.add(at), width), load_columns(w.add(at), width)];
+                    *planes = [
+                        load_columns(f.add(at), width),
+                        load_columns(s.add(at), width),
+                        load_columns(w.add(at), width),
+                    ];
                 }
                 for column in skip..8 {
                     for half in 0..2 {

@@ -30,7 +30,7 @@ pub struct WlsParams {
 
 impl Default for WlsParams {
     fn default() -> Self {
-        Self { lambda: 8000.0, sigma_color: 1.5, iterations: 3, min_support: 0.02, confidence: Default::default() }
+        Self { lambda: 8000.0, sigma_color: 1.5, iterations: 3, min_support: 0.05, confidence: Default::default() }
     }
 }
 
@@ -108,8 +108,8 @@ impl FilterInput<'_> {
             let confidence = &given.row(roi.y + row)[roi.x..roi.x + roi.width];
             let disparity = &self.disparity.row(roi.y + row)[roi.x..roi.x + roi.width];
             for ((out, confidence), disparity) in out.iter_mut().zip(confidence).zip(disparity) {
-                // `max` drops NaN.
-                let value = confidence.max(0.0).min(1.0);
+                // NaN fails the comparison.
+                let value = if *confidence > 0.0 { confidence.min(1.0) } else { 0.0 };
                 *out = if disparity.is_finite() { value } else { 0.0 };
             }
         }
@@ -253,14 +253,7 @@ impl WlsFilter {
         for plane in [&mut self.right, &mut self.down, &mut self.product, &mut self.support, &mut self.factors] {
             plane.resize(n, 0.0);
         }
-        input.confidence_into(
-            &mut self.confidence,
-            &self.params.confidence,
-            roi,
-            self.avx2,
-            pool,
-            &mut self.support,
-        );
+        input.confidence_into(&mut self.confidence, &self.params.confidence, roi, self.avx2, pool, &mut self.support);
         let (right, down) = (SharedMut::new(&mut self.right), SharedMut::new(&mut self.down));
         let product = SharedMut::new(&mut self.product);
         let (sigma, avx2, support) = (self.params.sigma_color, self.avx2, &self.support);
@@ -269,9 +262,8 @@ impl WlsFilter {
             for row in chunk * CHUNK_ROWS..((chunk + 1) * CHUNK_ROWS).min(roi.height) {
                 let from = row * roi.width;
                 // SAFETY: one row, one chunk.
-                let (right, down, product) = unsafe {
-                    (right.part(from, roi.width), down.part(from, roi.width), product.part(from, roi.width))
-                };
+                let (right, down, product) =
+                    unsafe { (right.part(from, roi.width), down.part(from, roi.width), product.part(from, roi.width)) };
                 let at = (roi.x, roi.y + row, roi.width);
                 weights_row(input.guide, at, row + 1 == roi.height, sigma, avx2, right, down);
                 let disparity = &input.disparity.row(roi.y + row)[roi.x..roi.x + roi.width];

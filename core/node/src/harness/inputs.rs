@@ -1,16 +1,16 @@
 //! Frames that a test hands to the node.
 
+use crate::View;
 use crate::abi::{self, Detection, Frame};
 use crate::detections::{LabeledDetections, LabeledInstances};
 use crate::output::Slot;
 use crate::packet::{Packet, Plane, PointCloud, TextPacket};
 use crate::port::PortField;
 use crate::table::TableData;
-use crate::View;
 
 use super::error::HarnessError;
 use super::outputs::copy_rows;
-use super::{Harness, call, memory, nearest};
+use super::{Harness, call, memory, there_are};
 
 /// What waits at an input port for the next call.
 pub(super) enum Pending {
@@ -32,13 +32,7 @@ impl Pending {
 impl<N> Harness<N> {
     /// Hands an image (or mask, disparity map, ...) of `width` x `height` pixels to an input. On a list input every call adds an entry.
     /// A mistake is reported by the next [`Harness::process`].
-    pub fn input_image<P: Plane>(
-        &mut self,
-        name: &str,
-        width: usize,
-        height: usize,
-        data: &[P::Element],
-    ) -> &mut Self {
+    pub fn input_image<P: Plane>(&mut self, name: &str, width: usize, height: usize, data: &[P::Element]) -> &mut Self {
         self.input_image_with_stride::<P>(name, width, height, width * P::CHANNELS, data)
     }
 
@@ -184,7 +178,7 @@ impl<N> Harness<N> {
                 memory::release(frame.buffer);
             }
             let names = self.node_type.inputs.iter().map(|p| p.name.as_str());
-            let problem = format!("there is no input `{name}`{}", nearest(name, names));
+            let problem = format!("there is no input `{name}`{}", there_are(name, names));
             return self.refuse(problem);
         };
         let is_list = self.node_type.inputs[index].list;

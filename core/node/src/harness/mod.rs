@@ -191,7 +191,10 @@ impl Harness<Foreign> {
         let types = unsafe { node_types(plugin) }?;
         let names = || types.iter().map(|t| t.name.as_str());
         let Some(index) = names().position(|n| n == name) else {
-            return Err(HarnessError::port(format!("the plugin has no node type `{name}`{}", nearest(name, names()))));
+            return Err(HarnessError::port(format!(
+                "the plugin has no node type `{name}`{}",
+                there_are(name, names())
+            )));
         };
         // SAFETY: `node_types` went through the same pointers.
         unsafe {
@@ -212,7 +215,7 @@ impl<N> Harness<N> {
             for name in read {
                 let Some(index) = node_type.output(name) else {
                     let names = node_type.outputs.iter().map(|o| o.name.as_str());
-                    return Err(HarnessError::port(format!("there is no output `{name}`{}", nearest(name, names))));
+                    return Err(HarnessError::port(format!("there is no output `{name}`{}", there_are(name, names))));
                 };
                 outputs_read |= 1_u64.checked_shl(index as u32).unwrap_or(0);
             }
@@ -318,8 +321,8 @@ impl<N> Drop for Harness<N> {
     }
 }
 
-/// `, did you mean ...?`, or the list of what there is.
-fn nearest<'a>(wanted: &str, names: impl Iterator<Item = &'a str>) -> String {
+/// The list of what there is, to follow a name that is not in it.
+fn there_are<'a>(wanted: &str, names: impl Iterator<Item = &'a str>) -> String {
     let names: Vec<&str> = names.collect();
     match names.as_slice() {
         [] => ": there are none".to_owned(),

@@ -8,7 +8,7 @@ use crate::table::Table;
 use crate::{View, ViewMut};
 
 use super::error::HarnessError;
-use super::nearest;
+use super::there_are;
 
 /// One output, copied out of the host's memory.
 struct Output {
@@ -64,7 +64,7 @@ impl Outputs {
         self.list.iter().find(|o| o.name == name).ok_or_else(|| {
             HarnessError::port(format!(
                 "there is no output `{name}`{}",
-                nearest(name, self.list.iter().map(|o| o.name.as_str()))
+                there_are(name, self.list.iter().map(|o| o.name.as_str()))
             ))
         })
     }

@@ -29,4 +29,6 @@ impl Node for Copy {
     }
 }
 
+export_plugin![Copy];
+
 fn main() {}

@@ -102,9 +102,7 @@ fn counter(text: &str) -> Option<(usize, usize, usize)> {
 fn matches_glob(pattern: &[u8], name: &[u8]) -> bool {
     match (pattern.first(), name.first()) {
         (None, None) => true,
-        (Some(b'*'), _) => {
-            matches_glob(&pattern[1..], name) || !name.is_empty() && matches_glob(pattern, &name[1..])
-        }
+        (Some(b'*'), _) => matches_glob(&pattern[1..], name) || !name.is_empty() && matches_glob(pattern, &name[1..]),
         (Some(b'?'), Some(_)) => matches_glob(&pattern[1..], &name[1..]),
         (Some(a), Some(b)) if a == b => matches_glob(&pattern[1..], &name[1..]),
         _ => false,
@@ -152,7 +150,8 @@ pub fn image_files(pattern: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     let by_counter = counter(last).is_some();
     let fits = |name: &&String| {
         let path = Path::new(name);
-        is_image(path) && if by_counter { matches_counter(last, name) } else { matches_glob(last.as_bytes(), name.as_bytes()) }
+        is_image(path)
+            && if by_counter { matches_counter(last, name) } else { matches_glob(last.as_bytes(), name.as_bytes()) }
     };
     let mut found: Vec<&String> = names.iter().filter(fits).collect();
     if found.is_empty() {

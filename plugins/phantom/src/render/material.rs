@@ -83,7 +83,7 @@ impl Palette {
             grain_mm: 0.5,
             lobules_mm: 0.0,
             mottle: 1.3,
-            flecks: 0.50,
+            flecks: 0.42,
         };
         let bowel = Tissue {
             colour: [0.60, 0.61, 0.90],
@@ -286,7 +286,7 @@ impl<'a> Skin<'a> {
         let spots = mix(a.flecks, b.flecks, share);
         let (dark, pale) = (spots * smoothstep(0.25, 1.5, fleck), spots * smoothstep(-0.25, -1.5, fleck));
         colour = [colour[0] * (1.0 - dark), colour[1] * (1.0 - dark), colour[2] * (1.0 - 0.55 * dark)];
-        colour = [colour[0] + 0.35 * pale, colour[1] + 0.35 * pale, colour[2] + 0.35 * pale];
+        colour = [colour[0] + 0.22 * pale, colour[1] + 0.22 * pale, colour[2] + 0.22 * pale];
         let crease = share * b.lobules_mm * (1.0 - lobule(net));
         colour = [colour[0] * (1.0 - 0.9 * crease), colour[1] * (1.0 - 1.0 * crease), colour[2] * (1.0 - 0.5 * crease)];
         let white = [0.78, 0.82, 0.93];

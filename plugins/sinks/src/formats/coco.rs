@@ -85,7 +85,8 @@ impl Coco {
                 Some(instances) => {
                     let counts = run_lengths(instances.mask(index), width, height);
                     let area: u32 = counts.iter().skip(1).step_by(2).sum();
-                    let _ = write!(out, "{area},\"segmentation\":{{\"size\":[{height},{width}],\"counts\":{counts:?}}}");
+                    let _ =
+                        write!(out, "{area},\"segmentation\":{{\"size\":[{height},{width}],\"counts\":{counts:?}}}");
                 }
                 None => float(out, item.width_px * item.height_px),
             }

@@ -2,9 +2,9 @@
 
 use std::io::Write;
 
-use image::error::{ImageFormatHint, UnsupportedError, UnsupportedErrorKind};
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::error::{ImageFormatHint, UnsupportedError, UnsupportedErrorKind};
 use image::{ExtendedColorType, ImageEncoder, ImageError};
 
 use crate::picture::Pixels;

@@ -85,13 +85,7 @@ impl Encoder {
     ///
     /// # Errors
     /// Of the encoder and of the file.
-    pub fn push(
-        &mut self,
-        bgr: &[u8],
-        size: (usize, usize),
-        capture_ns: i64,
-        quality: i32,
-    ) -> Result<(), SinkError> {
+    pub fn push(&mut self, bgr: &[u8], size: (usize, usize), capture_ns: i64, quality: i32) -> Result<(), SinkError> {
         self.size = size;
         match &self.state {
             State::New if self.own => {
@@ -143,12 +137,9 @@ impl Encoder {
         }
     }
 
-    /// Most codecs halve the colour's resolution: their pictures have even sides.
+    /// OpenCV's writer cuts odd sides off: they are made even by repeating the last row or column.
     fn even_size(&self) -> (usize, usize) {
-        match self.codec {
-            Codec::Ffv1 | Codec::Mjpg => self.size,
-            _ => (self.size.0.next_multiple_of(2), self.size.1.next_multiple_of(2)),
-        }
+        (self.size.0.next_multiple_of(2), self.size.1.next_multiple_of(2))
     }
 
     fn open_writer(&self, fps: f64) -> Result<VideoWriter, SinkError> {

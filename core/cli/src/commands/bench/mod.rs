@@ -1,0 +1,52 @@
+//! `panoscope bench`: what the runtime itself costs.
+
+mod fit;
+mod graph;
+mod gstreamer;
+mod hop;
+pub mod record;
+mod scale;
+mod start;
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+
+use crate::{End, allocations};
+
+/// What is measured.
+#[derive(clap::Subcommand)]
+pub enum Bench {
+    /// From node to node: inline, between threads, paced; beside GStreamer.
+    Hop(Arguments),
+    /// Checking and starting large graphs.
+    Start(Arguments),
+    /// Cost of a tick against the number of nodes.
+    Scale(Arguments),
+}
+
+/// Arguments of every bench.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Writes the figures as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    json: Option<PathBuf>,
+    /// Fewer frames and rounds: a look, not a measurement.
+    #[arg(long)]
+    quick: bool,
+}
+
+/// Measures.
+pub fn run(bench: &Bench) -> Result<End> {
+    allocations::leave_this_thread_out();
+    let (figures, arguments) = match bench {
+        Bench::Hop(arguments) => (hop::measure(arguments.quick)?, arguments),
+        Bench::Start(arguments) => (start::measure(arguments.quick)?, arguments),
+        Bench::Scale(arguments) => (scale::measure(arguments.quick)?, arguments),
+    };
+    record::show(&figures);
+    if let Some(path) = &arguments.json {
+        record::write(path, &figures)?;
+    }
+    Ok(End::Done)
+}

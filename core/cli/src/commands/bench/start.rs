@@ -1,0 +1,56 @@
+//! `panoscope bench start`: checking and starting a large graph.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use panoscope_graph::GraphText;
+use panoscope_runtime::{Engine, Options};
+
+use super::graph::{self, Pace};
+use super::record::Figure;
+use crate::graph_file;
+
+const NODES: usize = 1_000;
+
+/// Text to first tick at the sink of one graph, and the part of it that checking took; ms.
+fn once(text: &str) -> Result<(f64, f64)> {
+    let begin = Instant::now();
+    let text = GraphText::parse(Path::new("bench.toml"), text);
+    let ready = match graph_file::ready(&text) {
+        Ok(ready) => ready,
+        Err(diagnostics) => bail!("{}", diagnostics.render(false).trim_end()),
+    };
+    let checked = begin.elapsed();
+    let options = Options { frames: Some(1), paced: false, ..Options::default() };
+    let engine = Engine::start(ready.graph, &ready.catalog, &ready.loader, options)?;
+    if !engine.wait(Some(Duration::from_secs(60))) {
+        bail!("the first tick did not come through within a minute");
+    }
+    let through = begin.elapsed();
+    engine.close(Duration::from_secs(10));
+    Ok((through.as_secs_f64() * 1e3, checked.as_secs_f64() * 1e3))
+}
+
+/// Measures graphs of 1,000 nodes, from text until the first tick is through.
+pub fn measure(quick: bool) -> Result<Vec<Figure>> {
+    let rounds = if quick { 1 } else { 5 };
+    let chain = graph::chain("pass", NODES - 2, None, Pace::Saturated);
+    let wide = graph::fan_out(NODES - 2);
+    let mut figures = Vec::new();
+    for (name, text, input) in [
+        ("graph_start_1000", &chain, "chain of 1,000 nodes, text to first tick through"),
+        ("graph_start_1000/wide", &wide, "998 readers of one output, text to first tick through"),
+    ] {
+        let (mut all, mut check) = (f64::INFINITY, f64::INFINITY);
+        for _ in 0..rounds {
+            let (through, checked) = once(text)?;
+            (all, check) = (all.min(through), check.min(checked));
+        }
+        figures.push(Figure::new(name, all, "ms", input));
+        if name == "graph_start_1000" {
+            figures.push(Figure::new("graph_start_1000/check", check, "ms", "reading, loading plugins and checking alone"));
+        }
+    }
+    Ok(figures)
+}

@@ -1,0 +1,36 @@
+//! `panoscope eval`: how good the results are, beside truth and peers.
+
+mod look;
+mod stitch;
+mod surf;
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+
+use super::bench::record;
+use crate::End;
+
+/// What is judged.
+#[derive(clap::Subcommand)]
+pub enum Eval {
+    /// SURF beside OpenCV's SIFT and AKAZE on two photographs of a wall under a known homography.
+    Surf(surf::Arguments),
+    /// The panorama of a graph beside the truth.
+    Stitch(stitch::Arguments),
+}
+
+/// Judges.
+pub fn run(eval: &Eval) -> Result<End> {
+    crate::interrupt::listen();
+    let (figures, json): (_, &Option<PathBuf>) = match eval {
+        Eval::Surf(arguments) => (surf::judge(arguments)?, &arguments.json),
+        Eval::Stitch(arguments) => (stitch::judge(arguments)?, &arguments.json),
+    };
+    let Some(figures) = figures else { return Ok(End::Wrong) };
+    record::show(&figures);
+    if let Some(path) = json {
+        record::write(path, &figures)?;
+    }
+    Ok(End::Done)
+}

@@ -1,0 +1,172 @@
+//! `panoscope eval surf`: repeatability and matching precision of SURF beside OpenCV's SIFT and AKAZE.
+//!
+//! The pictures are graf1 and graf3 of the Oxford affine data set as Debian's opencv-doc brings them, with their true
+//! homography. Every engine runs as a node of a graph, and each comparison gives both the same number of points.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use panoscope_imaging::features::{precision, repeatability};
+use panoscope_imaging::geometry::Homography;
+
+use super::look::{self, Plan, Table};
+use crate::commands::bench::record::Figure;
+use crate::terminal::{raw, table, tell};
+
+/// Where Debian and others put OpenCV's sample data.
+const FOLDERS: [&str; 4] = [
+    "/usr/share/doc/opencv-doc/examples/data",
+    "/usr/share/doc/opencv-doc/examples/cpp/data",
+    "/usr/share/opencv4/samples/data",
+    "/usr/share/opencv/samples/data",
+];
+const REPEATABILITY_PX: f64 = 1.5;
+const PRECISION_PX: f64 = 3.0;
+const RATIO: f64 = 0.8;
+/// So low that the number of points, not the threshold, decides.
+const SURF_THRESHOLD: f64 = 1.0;
+const AKAZE_THRESHOLD: f64 = 1e-5;
+
+/// Arguments of `eval surf`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Writes the figures as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    pub json: Option<PathBuf>,
+    /// Folder with graf1.png, graf3.png and H1to3p.xml, when Debian's opencv-doc is not installed.
+    #[arg(long, value_name = "FOLDER")]
+    data: Option<PathBuf>,
+}
+
+/// The pictures and the truth.
+struct Data {
+    first: PathBuf,
+    second: PathBuf,
+    second_from_first: Homography,
+}
+
+fn find(data: Option<&Path>) -> Option<Data> {
+    let folders = data.map(Path::to_owned).into_iter().chain(FOLDERS.iter().map(PathBuf::from));
+    for folder in folders {
+        let at = |name: &str| Some(folder.join(name)).filter(|path| path.is_file());
+        if let (Some(first), Some(second), Some(truth)) = (at("graf1.png"), at("graf3.png"), at("H1to3p.xml")) {
+            let second_from_first = read_truth(&std::fs::read_to_string(truth).ok()?)?;
+            return Some(Data { first, second, second_from_first });
+        }
+    }
+    None
+}
+
+/// The nine numbers between `<data>` and `</data>`.
+fn read_truth(xml: &str) -> Option<Homography> {
+    let data = xml.split_once("<data>")?.1.split_once("</data>")?.0;
+    let numbers: Vec<f64> = data.split_whitespace().map(|word| word.parse().ok()).collect::<Option<_>>()?;
+    Some(Homography(numbers.try_into().ok()?))
+}
+
+/// What an engine found.
+struct Outcome {
+    points: (usize, usize),
+    matches: usize,
+    repeatability: f64,
+    precision: f64,
+    correct: usize,
+}
+
+fn measure(data: &Data, node: &str) -> Result<Outcome> {
+    let text = format!(
+        "mode = \"live\"\nplugins = [\"capture\", \"stitch\", \"opencv\"]\n\
+         [nodes.files]\ntype = \"capture\"\nparams = {{ left = {:?}, right = {:?}, loop = true, pace = \"off\" }}\n\
+         [nodes.features]\ninputs = {{ left = \"files.left\", right = \"files.right\" }}\n{node}\n",
+        data.first, data.second
+    );
+    let ports =
+        [("features", "left_points"), ("features", "right_points"), ("features", "matches"), ("files", "left"), ("files", "right")];
+    let plan = Plan { text: &text, path: Path::new("eval.toml"), frames: None, threads: 0, ports: &ports, paced: false };
+    let seen = look::run(&plan)?;
+    let packet = |index: usize| seen.packets[index].as_ref().context("a port stayed empty");
+    let read = |index: usize| Table::read(packet(index)?.bytes()).context("a table could not be read");
+    let points = |table: Table| -> Vec<[f64; 2]> { table.rows.iter().map(|row| [row[0], row[1]]).collect() };
+    let (first, second) = (points(read(0)?), points(read(1)?));
+    let matches: Vec<_> = read(2)?.rows.iter().map(|row| (row[0] as usize, row[1] as usize)).collect();
+    let size = |index: usize| packet(index).map(|p| (p.frame().width as usize, p.frame().height as usize));
+    let truth = &data.second_from_first;
+    let again = repeatability(&first, &second, truth, size(3)?, size(4)?, REPEATABILITY_PX);
+    let right = precision(&first, &second, &matches, truth, PRECISION_PX);
+    Ok(Outcome {
+        points: (first.len(), second.len()),
+        matches: matches.len(),
+        repeatability: again.share,
+        precision: right.share,
+        correct: right.correct,
+    })
+}
+
+fn surf(points: usize) -> String {
+    format!(
+        "type = \"features_surf\"\nparams = {{ max_points = {points}, hessian_threshold = {SURF_THRESHOLD:?}, ratio = {RATIO} }}"
+    )
+}
+
+fn peer(detector: &str, points: usize) -> String {
+    let threshold = if detector == "akaze" && points > 0 { AKAZE_THRESHOLD } else { 0.0 };
+    format!(
+        "type = \"features_opencv\"\nparams = {{ detector = \"{detector}\", max_points = {points}, threshold = {threshold:?}, ratio = {RATIO} }}"
+    )
+}
+
+/// Judges SURF; none when the pictures are not there.
+pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
+    let Some(data) = find(arguments.data.as_deref()) else {
+        let given = arguments.data.as_ref().map_or_else(String::new, |folder| format!(" in {} or", folder.display()));
+        tell!("error: graf1.png, graf3.png and H1to3p.xml are not there; looked{given} in {}", FOLDERS.join(", "));
+        tell!("  help: install Debian's package opencv-doc, or give their folder: --data FOLDER");
+        return Ok(None);
+    };
+    let mut rows =
+        vec![["case", "points", "repeated", "matches", "right", "precision"].map(str::to_owned).to_vec()];
+    let mut figures = Vec::new();
+    let mut line = |name: String, o: &Outcome| {
+        let percent = |share: f64| format!("{:.1} %", share * 100.0);
+        let points = format!("{}+{}", o.points.0, o.points.1);
+        rows.push(vec![name, points, percent(o.repeatability), o.matches.to_string(), o.correct.to_string(), percent(o.precision)]);
+    };
+    for detector in ["sift", "akaze"] {
+        for wanted in [0, 500, 1000, 2000] {
+            let theirs = measure(&data, &peer(detector, wanted))?;
+            let equal = if wanted == 0 { (theirs.points.0 + theirs.points.1).div_ceil(2) } else { wanted };
+            let ours = measure(&data, &surf(equal))?;
+            if ours.points.0 == 0 || theirs.points.0 == 0 {
+                bail!("no keypoints were found in {}", data.first.display());
+            }
+            let case = if wanted == 0 { "default".to_owned() } else { wanted.to_string() };
+            line(format!("SURF beside {detector}, {case}"), &ours);
+            line(format!("OpenCV {detector}, {case}"), &theirs);
+            let input = format!("graf1/graf3, {equal} points");
+            let named = detector.to_uppercase();
+            for (measure, value, peer_value) in [
+                ("repeatability", ours.repeatability, theirs.repeatability),
+                ("precision", ours.precision, theirs.precision),
+            ] {
+                let mut figure = Figure::new(&format!("surf_{measure}/{detector}_{case}"), value, "1", &input);
+                figure.peer = Some(format!("OpenCV {named}"));
+                figure.peer_value = Some(peer_value);
+                figure.ratio = (peer_value > 0.0).then(|| value / peer_value);
+                figures.push(figure);
+            }
+        }
+    }
+    raw(&table(&rows));
+    Ok(Some(figures))
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_truth_is_read_from_opencvs_xml() {
+        let xml = "<?xml version=\"1.0\"?><a><rows>3</rows><data>\n 1 0 2.5e+01\n 0 1 -3 0 0 1</data></a>";
+        let map = super::read_truth(xml).unwrap();
+        assert_eq!(map.map([1.0, 1.0]), [26.0, -2.0]);
+        assert!(super::read_truth("<data>1 2 3</data>").is_none());
+    }
+}

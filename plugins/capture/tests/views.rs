@@ -1,0 +1,296 @@
+//! Every kind of source that needs no hardware, and every way it can be wrong.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use opencv::core::{Mat, Size, Vec3b, Vector};
+use opencv::prelude::*;
+use opencv::{imgcodecs, videoio};
+use panoscope_capture::capture::Capture;
+use panoscope_node::Bgr8;
+use panoscope_node::harness::{Harness, HarnessError, Outputs, Setup};
+
+const WIDTH: usize = 16;
+const HEIGHT: usize = 8;
+
+/// A folder of its own, removed at the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("panoscope_capture_{name}_{}", std::process::id()));
+        let _ = fs::remove_dir_all(&path);
+        fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    fn image(&self, name: &str, value: u8, width: usize) {
+        let bgr: Vec<u8> = (0..width * HEIGHT).flat_map(|i| [value, (i % width) as u8, (i / width) as u8]).collect();
+        let mat = Mat::new_rows_cols_with_bytes::<Vec3b>(HEIGHT as i32, width as i32, &bgr).unwrap();
+        imgcodecs::imwrite(self.0.join(name).to_str().unwrap(), &mat, &Vector::new()).unwrap();
+    }
+
+    fn try_open(&self, params: &str) -> Result<Harness<Capture>, HarnessError> {
+        Harness::open(Setup::new(&format!("params = {{ {params} }}")).graph_dir(&self.0).batch())
+    }
+
+    fn open(&self, params: &str) -> Harness<Capture> {
+        self.try_open(params).unwrap()
+    }
+
+    fn refused(&self, params: &str) -> String {
+        self.try_open(params).err().unwrap().to_string()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// First byte of an output's picture.
+fn value(out: &Outputs, port: &str) -> u8 {
+    out.plane::<Bgr8>(port).unwrap().data[0]
+}
+
+fn drain(node: &mut Harness<Capture>) -> Vec<Outputs> {
+    let mut all = Vec::new();
+    loop {
+        let out = node.process().unwrap();
+        if out.ended() || all.len() > 1000 {
+            return all;
+        }
+        all.push(out);
+    }
+}
+
+#[test]
+fn the_shortest_pattern_ends_the_source() {
+    let folder = Folder::new("pattern");
+    for index in 0..12 {
+        folder.image(&format!("l{index}.png"), index, WIDTH);
+    }
+    for index in 0..3 {
+        folder.image(&format!("r_{index:04}.bmp"), 100 + index, WIDTH);
+    }
+    let all = drain(&mut folder.open(r#"left = "l*.png", right = "r_%04d.bmp", rate_hz = 25.0"#));
+    assert_eq!(all.len(), 3);
+    for (index, out) in all.iter().enumerate() {
+        let index = index as u8;
+        assert_eq!((value(out, "left"), value(out, "right")), (index, 100 + index));
+        assert_eq!((value(out, "view0"), value(out, "view1")), (index, 100 + index));
+        assert_eq!(out.buffer("left").unwrap(), out.buffer("view0").unwrap());
+        assert_eq!(out.buffer("right").unwrap(), out.buffer("view1").unwrap());
+        assert!(out.is_empty("view2").unwrap());
+        assert_eq!(out.tick().capture_ns, i64::from(index) * 40_000_000);
+    }
+    let all = drain(&mut folder.open(r#"left = "l*.png", right = "r_%04d.bmp", loop = true, frames = 14"#));
+    let values: Vec<(u8, u8)> = all.iter().map(|o| (value(o, "left"), value(o, "right") - 100)).collect();
+    assert_eq!(values[10..], [(10, 1), (11, 2), (0, 0), (1, 1)]);
+}
+
+#[test]
+fn one_image_is_repeated_beside_a_sequence() {
+    let folder = Folder::new("single");
+    for index in 0..3 {
+        folder.image(&format!("{index}.png"), index, WIDTH);
+    }
+    folder.image("still.png", 77, WIDTH);
+    let all = drain(&mut folder.open(r#"left = "%d.png", right = "still.png""#));
+    assert_eq!(all.iter().map(|o| value(o, "right")).collect::<Vec<_>>(), [77, 77, 77]);
+}
+
+#[test]
+fn crops_and_halves() {
+    let folder = Folder::new("crop");
+    folder.image("a.png", 1, WIDTH);
+    let mut node = folder.open(r#"left = "a.png", right = "a.png", crop = [0, 0, 10, 8, 6, 0, 10, 8]"#);
+    let out = node.process().unwrap();
+    let (left, right) = (out.plane::<Bgr8>("left").unwrap(), out.plane::<Bgr8>("right").unwrap());
+    assert_eq!((left.width, right.width, left.row(0)[1], right.row(0)[1]), (10, 10, 0, 6));
+    node.set_params(r#"params = { left = "a.png", right = "a.png", crop = [9, 0, 10, 8] }"#).unwrap();
+    let message = node.process().err().unwrap().to_string();
+    assert!(message.contains("leaves the picture of 16x8"), "{message}");
+    let out = folder.open(r#"left = "a.png", split = "side_by_side""#).process().unwrap();
+    let right = out.plane::<Bgr8>("right").unwrap();
+    assert_eq!((right.width, right.height, right.row(0)[1]), (8, 8, 8));
+    let out = folder.open(r#"left = "a.png", split = "top_bottom", crop = [0, 1, 0, 0]"#).process().unwrap();
+    let right = out.plane::<Bgr8>("right").unwrap();
+    assert_eq!((right.width, right.height, right.row(0)[2]), (16, 3, 5));
+}
+
+#[test]
+fn four_views_and_only_what_is_read() {
+    let folder = Folder::new("four");
+    for index in 0..4 {
+        folder.image(&format!("{index}.png"), index, WIDTH);
+    }
+    let toml = r#"params = { views = "0.png; 1.png; 2.png; 3.png" }"#;
+    let out = folder.open(&toml["params = { ".len()..toml.len() - 2]).process().unwrap();
+    assert_eq!(["view0", "view1", "view2", "view3"].map(|p| value(&out, p)), [0, 1, 2, 3]);
+    let setup = Setup::new(toml).graph_dir(&folder.0).batch().threads(2).read_only(&["view3"]);
+    let mut node = Harness::<Capture>::open(setup).unwrap();
+    let out = node.process().unwrap();
+    assert_eq!(value(&out, "view3"), 3);
+    assert!(out.is_empty("left").unwrap() && out.is_empty("view0").unwrap());
+    assert!(node.metric("skew_ms").is_some_and(|skew| skew >= 0.0));
+}
+
+#[test]
+fn views_of_different_size_are_passed_on_with_one_warning() {
+    let folder = Folder::new("sizes");
+    folder.image("a.png", 1, WIDTH);
+    folder.image("b.png", 2, WIDTH / 2);
+    let mut node = folder.open(r#"left = "a.png", right = "b.png""#);
+    for _ in 0..2 {
+        let out = node.process().unwrap();
+        assert_eq!((out.plane::<Bgr8>("left").unwrap().width, out.plane::<Bgr8>("right").unwrap().width), (16, 8));
+    }
+    assert_eq!(node.logs().iter().filter(|l| l.message.contains("differ in size (16x8 and 8x8)")).count(), 1);
+}
+
+#[test]
+fn mistakes_are_named() {
+    let folder = Folder::new("mistakes");
+    folder.image("a.png", 1, WIDTH);
+    fs::write(folder.0.join("note.txt"), "no video").unwrap();
+    let absolute = folder.0.join("b.png").display().to_string();
+    let cases = [
+        (r#"left = "b.png""#, absolute.as_str()),
+        (r#"left = "*.jpg""#, "no image matches"),
+        (r#"left = "note.txt""#, "it is no video that FFmpeg knows"),
+        (r#"left = "4711""#, "/dev/video4711"),
+        ("", "no source"),
+        (r#"right = "a.png""#, "without `left`"),
+        (r#"left = "a.png", views = "a.png""#, "not both"),
+        (r#"views = "a.png;a.png;a.png;a.png;a.png""#, "4 are the most"),
+        (r#"left = "a.png", right = "a.png", split = "top_bottom""#, "`split`"),
+        (r#"left = "nosuchelement ! appsink""#, "does not open"),
+    ];
+    for (params, words) in cases {
+        let message = folder.refused(params);
+        assert!(message.contains(words), "{params}: {message}");
+    }
+}
+
+#[test]
+fn damaged_images_are_named_and_never_shown() {
+    let folder = Folder::new("damage");
+    for ending in ["png", "jpg", "bmp"] {
+        for index in 0..3 {
+            folder.image(&format!("{index}.{ending}"), 10 + index, 64);
+        }
+        let path = folder.0.join(format!("1.{ending}"));
+        let bytes = fs::read(&path).unwrap();
+        // Cut off, not an image at all, empty.
+        for damage in [&bytes[..bytes.len() * 2 / 3], b"nothing", b""] {
+            fs::write(&path, damage).unwrap();
+            let mut node = folder.open(&format!(r#"left = "*.{ending}""#));
+            node.process().unwrap();
+            let result = node.process();
+            let message = match result {
+                Err(error) => error.to_string(),
+                Ok(_) => panic!("a damaged {ending} of {} bytes was shown", damage.len()),
+            };
+            assert!(message.contains(&path.display().to_string()), "{message}");
+            let mut node = folder.open(&format!(r#"left = "*.{ending}", on_damage = "skip""#));
+            let all = drain(&mut node);
+            assert_eq!(all.iter().map(|o| o.is_empty("left").unwrap()).collect::<Vec<_>>(), [false, true, false]);
+            assert!(node.logs().iter().any(|l| l.message.contains("this tick stays empty")));
+        }
+    }
+    // One flipped byte in the middle of a PNG breaks its checksum.
+    let path = folder.0.join("0.png");
+    let mut bytes = fs::read(&path).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 0x10;
+    fs::write(&path, bytes).unwrap();
+    assert!(folder.open(r#"left = "0.png""#).process().is_err());
+}
+
+fn write_video(path: &Path, frames: u8) {
+    let fourcc = i32::from_le_bytes(*b"MJPG");
+    let size = Size::new(64, 48);
+    let mut writer =
+        videoio::VideoWriter::new_with_backend(path, videoio::CAP_FFMPEG, fourcc, 20.0, size, true).unwrap();
+    for index in 0..frames {
+        let mat = Mat::new_rows_cols_with_default(
+            48,
+            64,
+            opencv::core::CV_8UC3,
+            opencv::core::Scalar::all(f64::from(index) * 20.0),
+        );
+        writer.write(&mat.unwrap()).unwrap();
+    }
+    writer.release().unwrap();
+}
+
+#[test]
+fn videos_play_loop_and_keep_their_rate() {
+    let folder = Folder::new("video");
+    write_video(&folder.0.join("v.avi"), 6);
+    let all = drain(&mut folder.open(r#"left = "v.avi", right = "v.avi""#));
+    assert_eq!(all.len(), 6);
+    for (index, out) in all.iter().enumerate() {
+        assert!(value(out, "left").abs_diff(index as u8 * 20) < 6);
+        assert_eq!(value(out, "left"), value(out, "right"));
+        assert_eq!(out.tick().capture_ns, index as i64 * 50_000_000);
+    }
+    let all = drain(&mut folder.open(r#"left = "v.avi", loop = true, frames = 13"#));
+    assert_eq!(all.len(), 13);
+    assert!(value(&all[7], "left").abs_diff(20) < 6 && value(&all[12], "left").abs_diff(0) < 6);
+    // A file that is cut off ends early and says so.
+    let bytes = fs::read(folder.0.join("v.avi")).unwrap();
+    write_video(&folder.0.join("long.avi"), 60);
+    let bytes_long = fs::read(folder.0.join("long.avi")).unwrap();
+    assert!(bytes_long.len() > bytes.len());
+    fs::write(folder.0.join("long.avi"), &bytes_long[..bytes_long.len() / 2]).unwrap();
+    match folder.try_open(r#"left = "long.avi""#) {
+        Ok(mut node) => {
+            let count = drain(&mut node).len();
+            assert!(count < 60, "{count}");
+        }
+        Err(error) => assert!(error.to_string().contains("long.avi"), "{error}"),
+    }
+}
+
+#[test]
+fn a_pipeline_gives_pictures() {
+    let folder = Folder::new("gst");
+    let pipeline = "videotestsrc num-buffers=5 pattern=white ! video/x-raw,width=32,height=24";
+    match folder.try_open(&format!(r#"left = "{pipeline}""#)) {
+        Ok(mut node) => {
+            let all = drain(&mut node);
+            assert_eq!(all.len(), 5);
+            let left = all[0].plane::<Bgr8>("left").unwrap();
+            assert_eq!((left.width, left.height), (32, 24));
+            assert!(value(&all[4], "left") > 230);
+        }
+        Err(error) => println!("skipped: {error}"),
+    }
+}
+
+#[test]
+fn real_pairs() {
+    let doc = Path::new("/usr/share/doc/opencv-doc/examples/data");
+    let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/stereo/hamlyn_640x480");
+    if doc.join("leuvenA.jpg").exists() {
+        let setup = Setup::new(r#"params = { left = "leuvenA.jpg", right = "leuvenB.jpg", frames = 2 }"#);
+        let all = drain(&mut Harness::<Capture>::open(setup.graph_dir(doc)).unwrap());
+        assert_eq!(all.len(), 2);
+        let (left, right) = (all[1].plane::<Bgr8>("left").unwrap(), all[1].plane::<Bgr8>("right").unwrap());
+        assert!(left.width > 500 && right.width > 500 && left.data != right.data);
+    } else {
+        println!("skipped: Debian's opencv-doc is not installed");
+    }
+    if shared.is_dir() {
+        let toml = r#"params = { left = "left", right = "right", crop = [0, 0, 420, 480, 220, 0, 420, 480] }"#;
+        let all = drain(&mut Harness::<Capture>::open(Setup::new(toml).graph_dir(shared).batch()).unwrap());
+        assert_eq!(all.len(), 25);
+        let left = all[24].plane::<Bgr8>("left").unwrap();
+        assert_eq!((left.width, left.height), (420, 480));
+    } else {
+        println!("skipped: ../shared/data/stereo/hamlyn_640x480 is not there");
+    }
+}

@@ -1,0 +1,124 @@
+//! OpenCV's detectors with the number of points bounded, and its brute-force matcher.
+
+use opencv::core::{DMatch, KeyPoint, Mat, NORM_HAMMING, NORM_L2, Vector, no_array};
+use opencv::features2d::{
+    AKAZE, AKAZE_DescriptorType, BFMatcher, KAZE_DiffusivityType, ORB, ORB_ScoreType, SIFT,
+};
+use opencv::prelude::*;
+use panoscope_node::{Choice, View};
+
+use crate::mats::mat;
+
+/// Which features OpenCV finds.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detector {
+    /// Differences of Gaussians, 128 floats.
+    Sift,
+    /// Nonlinear scale space, binary descriptor.
+    Akaze,
+    /// Corners, binary descriptor.
+    Orb,
+}
+
+/// Keypoints of a view and their descriptors, strongest first, one descriptor per row.
+pub struct Found {
+    /// Where and how large.
+    pub points: Vec<KeyPoint>,
+    /// One row per point.
+    pub descriptors: Mat,
+}
+
+/// A pair of keypoints.
+#[derive(Clone, Copy, Debug)]
+pub struct Pair {
+    /// Index in the left features.
+    pub left: usize,
+    /// Index in the right features.
+    pub right: usize,
+    /// Distance of the descriptors, in OpenCV's measure.
+    pub distance: f32,
+    /// That distance divided by the second-best one; 0 when there is no second.
+    pub ratio: f32,
+}
+
+impl Detector {
+    /// Detects and describes at most `max_points` (0: as many as OpenCV's defaults give). `threshold` 0 is OpenCV's own.
+    ///
+    /// # Errors
+    /// OpenCV's.
+    pub fn find(self, gray: View<'_, u8>, max_points: usize, threshold: f64) -> opencv::Result<Found> {
+        let image = mat(gray)?;
+        let (mut points, mut descriptors) = (Vector::<KeyPoint>::new(), Mat::default());
+        let count = i32::try_from(max_points).unwrap_or(i32::MAX);
+        let or = |default: f64| if threshold > 0.0 { threshold } else { default };
+        match self {
+            // SIFT counts before it knows the orientations, of which a place may have several.
+            Self::Sift => SIFT::create(count, 3, or(0.04), 10.0, 1.6)?.detect_and_compute(
+                &image,
+                &no_array(),
+                &mut points,
+                &mut descriptors,
+                false,
+            )?,
+            Self::Akaze => AKAZE::create(
+                AKAZE_DescriptorType::DESCRIPTOR_MLDB,
+                0,
+                3,
+                or(0.001) as f32,
+                4,
+                4,
+                KAZE_DiffusivityType::DIFF_PM_G2,
+            )?
+            .detect_and_compute(&image, &no_array(), &mut points, &mut descriptors, false)?,
+            Self::Orb => {
+                let count = if count == 0 { 500 } else { count };
+                ORB::create(count, 1.2, 8, 31, 0, 2, ORB_ScoreType::HARRIS_SCORE, 31, or(20.0) as i32)?
+                    .detect_and_compute(&image, &no_array(), &mut points, &mut descriptors, false)?;
+            }
+        }
+        let points = points.to_vec();
+        let mut order: Vec<usize> = (0..points.len()).collect();
+        order.sort_by(|&a, &b| points[b].response().total_cmp(&points[a].response()).then(a.cmp(&b)));
+        if max_points > 0 {
+            order.truncate(max_points);
+        }
+        let mut rows = Mat::default();
+        for &index in &order {
+            rows.push_back(&descriptors.row(index as i32)?)?;
+        }
+        Ok(Found { points: order.iter().map(|&index| points[index].clone()).collect(), descriptors: rows })
+    }
+
+    /// Ratio test, and each the other's best when `mutual`.
+    ///
+    /// # Errors
+    /// OpenCV's.
+    pub fn pairs(self, left: &Found, right: &Found, ratio: f32, mutual: bool) -> opencv::Result<Vec<Pair>> {
+        if left.points.is_empty() || right.points.is_empty() {
+            return Ok(Vec::new());
+        }
+        let matcher = BFMatcher::new(if self == Self::Sift { NORM_L2 } else { NORM_HAMMING }, false)?;
+        let mut forward = Vector::<Vector<DMatch>>::new();
+        matcher.knn_train_match_def(&left.descriptors, &right.descriptors, &mut forward, 2)?;
+        let mut best_left = Vec::new();
+        if mutual {
+            let mut backward = Vector::<DMatch>::new();
+            matcher.train_match_def(&right.descriptors, &left.descriptors, &mut backward)?;
+            best_left = vec![usize::MAX; right.points.len()];
+            for back in &backward {
+                best_left[back.query_idx as usize] = back.train_idx as usize;
+            }
+        }
+        let mut pairs = Vec::new();
+        for candidates in &forward {
+            let Ok(best) = candidates.get(0) else { continue };
+            let second = candidates.get(1).map_or(f32::INFINITY, |second| second.distance);
+            let (a, b) = (best.query_idx as usize, best.train_idx as usize);
+            let share = if second > 0.0 { best.distance / second } else { 1.0 };
+            if share < ratio && (!mutual || best_left[b] == a) {
+                pairs.push(Pair { left: a, right: b, distance: best.distance, ratio: share });
+            }
+        }
+        Ok(pairs)
+    }
+}

@@ -1,0 +1,15 @@
+//! OpenCV's engines as nodes, so that anyone can compare them with ours inside one graph.
+//!
+//! The steps are those of OpenCV's `stitching_detailed` sample; the nodes keep a canvas that holds still, as ours do.
+
+mod composite;
+mod detector;
+mod features;
+mod mats;
+mod register;
+
+pub use composite::CompositeOpencv;
+pub use features::FeaturesOpencv;
+pub use register::RegisterOpencv;
+
+panoscope_node::export_plugin![FeaturesOpencv, RegisterOpencv, CompositeOpencv];

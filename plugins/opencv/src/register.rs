@@ -1,0 +1,138 @@
+//! `register_opencv`: the conventional registration with OpenCV's classes (thesis, section 2.2).
+
+use opencv::calib3d::{RANSAC, find_homography_ext};
+use opencv::core::{Mat, Point2d, Vector};
+use opencv::prelude::*;
+use panoscope_imaging::geometry::{Homography as Map, Plausibility};
+use panoscope_node::abi::{self, Homography};
+use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot};
+
+use crate::detector::Detector;
+use crate::mats::{Threads, failed};
+
+/// Parameters of the registration.
+#[derive(Params, Clone, PartialEq)]
+pub struct RegisterParams {
+    /// Which features.
+    #[param(default = "sift")]
+    detector: Detector,
+    /// Keypoints per view at most, strongest first; 0 takes what OpenCV's defaults give.
+    #[param(default = 0, range = 0..=100_000, unit = "points")]
+    max_points: u32,
+    /// The detector's threshold; 0 takes OpenCV's default (0.04, 0.001, 20).
+    #[param(default = 0.0, range = 0.0..=1000.0)]
+    threshold: f64,
+    /// Largest ratio of the best to the second-best distance of a match.
+    #[param(default = 0.75, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
+    ratio: f32,
+    /// Largest reprojection error of an inlier.
+    #[param(default = 3.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
+    ransac_px: f64,
+    /// Fewer inliers than this are no registration.
+    #[param(default = 8, range = 4..=1000, unit = "points")]
+    min_inliers: u32,
+    /// OpenCV's threads while this node works.
+    #[param(default = 1, range = 1..=64)]
+    threads: u32,
+}
+
+/// Inputs of the registration.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Left view; its pixels are the ones that the homography maps to.
+    left: Image<'f, Gray8>,
+    /// Right view of the same instant.
+    right: Image<'f, Gray8>,
+}
+
+/// Outputs of the registration.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// Maps right-view pixels to left-view pixels; fresh or lost.
+    homography: Slot<'f, Homography>,
+}
+
+/// See the module.
+pub struct RegisterOpencv {
+    last: [f64; 9],
+}
+
+struct Fit {
+    map: [f64; 9],
+    inliers: u32,
+    rms_px: f64,
+}
+
+fn fit(from: &[[f64; 2]], to: &[[f64; 2]], threshold_px: f64) -> opencv::Result<Option<Fit>> {
+    if from.len() < 4 {
+        return Ok(None);
+    }
+    let list = |points: &[[f64; 2]]| points.iter().map(|p| Point2d::new(p[0], p[1])).collect::<Vector<Point2d>>();
+    let mut mask = Mat::default();
+    let found = find_homography_ext(&list(from), &list(to), RANSAC, threshold_px, &mut mask, 2000, 0.995)?;
+    if found.rows() != 3 || found.cols() != 3 {
+        return Ok(None);
+    }
+    let mut map = [0.0; 9];
+    for (index, value) in map.iter_mut().enumerate() {
+        *value = *found.at_2d::<f64>(index as i32 / 3, index as i32 % 3)?;
+    }
+    let (mut inliers, mut squares) = (0, 0.0);
+    for (index, flag) in mask.data_bytes()?.iter().enumerate() {
+        if *flag != 0 {
+            inliers += 1;
+            squares += Map(map).squared_error(from[index], to[index]);
+        }
+    }
+    Ok(Some(Fit { map, inliers, rms_px: (squares / f64::from(inliers.max(1))).sqrt() }))
+}
+
+impl Node for RegisterOpencv {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "register_opencv",
+        "stitch",
+        "Finds the homography between two overlapping views with OpenCV: whole frames, brute-force matches, RANSAC.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = RegisterParams;
+
+    fn open(_: &Open<'_>, _: &RegisterParams) -> Result<Self> {
+        Ok(Self { last: Map::identity().0 })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &RegisterParams,
+    ) -> Result<()> {
+        let _threads = Threads::set(params.threads).map_err(failed)?;
+        let find = |view: &Image<'_, Gray8>| {
+            params.detector.find(view.view(), params.max_points as usize, params.threshold).map_err(failed)
+        };
+        let (left, right) = (find(&input.left)?, find(&input.right)?);
+        let pairs = params.detector.pairs(&left, &right, params.ratio, true).map_err(failed)?;
+        let place = |p: opencv::core::Point2f| [f64::from(p.x), f64::from(p.y)];
+        let from: Vec<_> = pairs.iter().map(|p| place(right.points[p.right].pt())).collect();
+        let to: Vec<_> = pairs.iter().map(|p| place(left.points[p.left].pt())).collect();
+        let size = (input.right.width(), input.right.height());
+        let good = fit(&from, &to, params.ransac_px).map_err(failed)?.filter(|found| {
+            found.inliers >= params.min_inliers && Plausibility::default().accepts(&Map(found.map), size)
+        });
+        cx.metric("matches", pairs.len() as f64);
+        out.homography.set(match good {
+            Some(found) => {
+                self.last = found.map;
+                Homography {
+                    left_from_right: found.map,
+                    rms_px: found.rms_px,
+                    inliers: found.inliers,
+                    state: abi::STATE_FRESH,
+                }
+            }
+            None => Homography { left_from_right: self.last, rms_px: 0.0, inliers: 0, state: abi::STATE_LOST },
+        })
+    }
+}

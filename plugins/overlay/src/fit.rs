@@ -1,0 +1,109 @@
+//! Pictures scaled into cells, and the range of the numbers in a map.
+
+use panoscope_node::{View, ViewMut};
+
+/// The largest size with the proportions of `from` (width, height in px) that fits into `cell`.
+pub fn fitted_size(from: (usize, usize), cell: (usize, usize)) -> (usize, usize) {
+    if from.0 == 0 || from.1 == 0 {
+        return (0, 0);
+    }
+    let scale = (cell.0 as f64 / from.0 as f64).min(cell.1 as f64 / from.1 as f64);
+    let side = |length: usize, limit: usize| ((length as f64 * scale).round() as usize).clamp(1, limit.max(1));
+    (side(from.0, cell.0), side(from.1, cell.1))
+}
+
+/// Scales `picture` (1 channel gray, 3 BGR, 4 RGBA) to `width` x `height` at `(x, y)` of a BGR picture: the mean of the
+/// source pixels under each pixel when it shrinks, the nearest one when it grows. What leaves `out` is cut.
+pub fn place(out: &mut ViewMut<'_, u8>, picture: &View<'_, u8>, x: usize, y: usize, width: usize, height: usize) {
+    if picture.width == 0 || picture.height == 0 || out.channels != 3 {
+        return;
+    }
+    let (right, bottom) = ((x + width).min(out.width), (y + height).min(out.height));
+    let same = (width, height) == (picture.width, picture.height);
+    let order: [usize; 3] = match picture.channels {
+        1 => [0, 0, 0],
+        3 => [0, 1, 2],
+        4 => [2, 1, 0],
+        _ => return,
+    };
+    let channels = picture.channels;
+    let span = |at: usize, target: usize, source: usize| {
+        let start = at * source / target;
+        (start, ((at + 1) * source / target).max(start + 1))
+    };
+    for row in y..bottom {
+        let (top, end) = span(row - y, height, picture.height);
+        let target = &mut out.row_mut(row)[x * 3..right.max(x) * 3];
+        if same && channels == 3 {
+            target.copy_from_slice(&picture.row(top)[..target.len()]);
+            continue;
+        }
+        for (column, pixel) in target.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+            let (left, stop) = span(column, width, picture.width);
+            let count = ((end - top) * (stop - left)) as u32;
+            let mut sum = [0_u32; 3];
+            for source_row in top..end {
+                for source in picture.row(source_row)[left * channels..stop * channels].chunks_exact(channels) {
+                    for (s, o) in sum.iter_mut().zip(order) {
+                        *s += u32::from(source[o]);
+                    }
+                }
+            }
+            *pixel = sum.map(|s| ((s + count / 2) / count) as u8);
+        }
+    }
+}
+
+/// Numbers at 2 % and 98 % of the finite ones in `plane`, of which every `step`-th in both directions is looked at.
+/// `work` is reused. `None` when there are none.
+pub fn usual_range(plane: &View<'_, f32>, step: usize, work: &mut Vec<f32>) -> Option<(f32, f32)> {
+    work.clear();
+    for y in (0..plane.height).step_by(step.max(1)) {
+        work.extend(plane.row(y).iter().step_by(step.max(1)).filter(|v| v.is_finite()));
+    }
+    if work.is_empty() {
+        return None;
+    }
+    let at = |share: usize| (work.len() - 1) * share / 100;
+    let (low, high) = (at(2), at(98));
+    let low = *work.select_nth_unstable_by(low, f32::total_cmp).1;
+    let high = *work.select_nth_unstable_by(high, f32::total_cmp).1;
+    Some((low, high))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_keep_their_proportions() {
+        assert_eq!(fitted_size((640, 480), (320, 320)), (320, 240));
+        assert_eq!(fitted_size((100, 400), (320, 320)), (80, 320));
+        assert_eq!(fitted_size((0, 4), (320, 320)), (0, 0));
+        assert_eq!(fitted_size((10_000, 1), (10, 10)), (10, 1));
+    }
+
+    #[test]
+    fn shrinking_takes_the_mean() {
+        let source = [0, 100, 50, 50];
+        let mut out = [9; 2 * 2 * 3];
+        place(&mut ViewMut::new(&mut out, 2, 2, 3), &View::new(&source, 2, 2, 1), 1, 1, 1, 1);
+        assert_eq!(out[9..], [50, 50, 50]);
+        assert_eq!(out[..9], [9; 9]);
+        // RGBA becomes BGR, and what leaves the picture is cut.
+        place(&mut ViewMut::new(&mut out, 2, 2, 3), &View::new(&[1, 2, 3, 255], 1, 1, 4), 1, 0, 5, 5);
+        assert_eq!(out[3..6], [3, 2, 1]);
+        assert_eq!(out[0..3], [9; 3]);
+    }
+
+    #[test]
+    fn outliers_and_unknown_places_do_not_count() {
+        let mut plane: Vec<f32> = (0..1000).map(|i| i as f32).collect();
+        plane[0] = f32::NAN;
+        plane[999] = f32::INFINITY;
+        plane[998] = 1e9;
+        let (low, high) = usual_range(&View::new(&plane, 50, 20, 1), 1, &mut Vec::new()).unwrap();
+        assert!((15.0..25.0).contains(&low) && (970.0..990.0).contains(&high), "{low} {high}");
+        assert!(usual_range(&View::new(&[f32::NAN], 1, 1, 1), 1, &mut Vec::new()).is_none());
+    }
+}

@@ -1,0 +1,263 @@
+//! `overlay`: what other nodes found, drawn onto their picture.
+
+use std::fmt::Write;
+
+use panoscope_imaging::draw::{self, Colormap};
+use panoscope_node::abi::{Homography, Roi, Scalar, Tip};
+use panoscope_node::{
+    Bgr8, Choice, Context, Depth, Detections, Disparity, Image, Instances, Mask, Node, NodeError, NodeInfo, Open,
+    Params, Ports, Result, Slot, Table, Text, Value, View, ViewMut,
+};
+
+use crate::colorize::{AutoRange, Colors};
+use crate::fit::{fitted_size, place};
+use crate::marks::{self, Pen};
+
+/// Where words or an inset stand.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Corner {
+    /// Upper left.
+    TopLeft,
+    /// Upper right.
+    TopRight,
+    /// Lower left.
+    BottomLeft,
+    /// Lower right.
+    BottomRight,
+}
+
+impl Corner {
+    /// Upper left point of something of `size` in this corner of a picture of `frame`, both width, height in px.
+    fn at(self, frame: (usize, usize), size: (f32, f32), margin: f32) -> (f32, f32) {
+        let right = frame.0 as f32 - size.0 - margin;
+        let bottom = frame.1 as f32 - size.1 - margin;
+        let (x, y) = match self {
+            Self::TopLeft => (margin, margin),
+            Self::TopRight => (right, margin),
+            Self::BottomLeft => (margin, bottom),
+            Self::BottomRight => (right, bottom),
+        };
+        (x.max(0.0), y.max(0.0))
+    }
+}
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// The picture to draw on.
+    pub image: Image<'f, Bgr8>,
+    /// Registration: the outline of the right view, and its state in words.
+    pub homography: Option<Value<'f, Homography>>,
+    /// A rectangle.
+    pub roi: Option<Value<'f, Roi>>,
+    /// Boxes with labels.
+    pub detections: Option<Detections<'f>>,
+    /// Boxes with masks.
+    pub instances: Option<Instances<'f>>,
+    /// A tool's tip.
+    pub tip: Option<Value<'f, Tip>>,
+    /// Numbers: the first row is shown.
+    pub table: Option<Table<'f>>,
+    /// A number.
+    pub scalar: Option<Value<'f, Scalar>>,
+    /// Words.
+    pub text: Option<Text<'f>>,
+    /// A mask of the picture's size.
+    pub mask: Option<Image<'f, Mask>>,
+    /// Disparity map, shown small in a corner.
+    pub disparity: Option<Image<'f, Disparity>>,
+    /// Depth map, shown small in a corner.
+    pub depth: Option<Image<'f, Depth>>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// The picture with everything drawn; the input's own buffer when there is nothing to draw.
+    pub image: Slot<'f, Bgr8>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct Settings {
+    /// Draws the outline of the right view and the state of the registration.
+    #[param(default = true)]
+    pub show_registration: bool,
+    /// Draws the rectangle of `roi`.
+    #[param(default = true)]
+    pub show_roi: bool,
+    /// Draws boxes with their labels.
+    #[param(default = true)]
+    pub show_boxes: bool,
+    /// Draws masks.
+    #[param(default = true)]
+    pub show_masks: bool,
+    /// Draws the tip.
+    #[param(default = true)]
+    pub show_tip: bool,
+    /// Writes table, scalar and text.
+    #[param(default = true)]
+    pub show_numbers: bool,
+    /// Shows the disparity or depth map small.
+    #[param(default = true)]
+    pub show_inset: bool,
+    /// Words that always stand in the corner.
+    #[param(default = "")]
+    pub label: String,
+    /// Corner of all words.
+    #[param(default = "top_left")]
+    pub label_corner: Corner,
+    /// Corner of the map.
+    #[param(default = "bottom_right")]
+    pub inset_corner: Corner,
+    /// Part of the picture's width that the map takes.
+    #[param(default = 0.3, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
+    pub inset_share: f32,
+    /// Colours of the map.
+    #[param(default = "rainbow")]
+    pub colors: Colors,
+    /// Capitals are six times as many px high.
+    #[param(default = 2.0, range = 0.5..=20.0, step = 0.5)]
+    pub text_scale: f32,
+    /// Width of lines.
+    #[param(default = 2.0, range = 0.5..=20.0, step = 0.5, unit = "px")]
+    pub line_px: f32,
+    /// How much masks cover.
+    #[param(default = 0.4, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
+    pub mask_alpha: f32,
+    /// Added to all coordinates, x and y: where the left view's corner stands in the picture.
+    #[param(default = [], range = 0..=2, unit = "px")]
+    pub offset_px: Vec<f64>,
+}
+
+/// Draws onto pictures.
+#[derive(Default)]
+pub struct Overlay {
+    auto: AutoRange,
+    words: String,
+    item: String,
+    inset: Vec<u8>,
+}
+
+impl Overlay {
+    fn write_words(&mut self, input: &In<'_>, params: &Settings) {
+        let words = &mut self.words;
+        words.clear();
+        if !params.label.is_empty() {
+            let _ = writeln!(words, "{}", params.label);
+        }
+        if let Some(value) = input.homography.as_ref().filter(|_| params.show_registration) {
+            marks::registration_words(value, words);
+        }
+        if !params.show_numbers {
+            return;
+        }
+        if let Some(text) = &input.text {
+            let _ = writeln!(words, "{}", text.trim_end());
+        }
+        if let Some(scalar) = &input.scalar {
+            let name = |bytes: &[u8]| -> usize { bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len()) };
+            let (label, unit) = (&scalar.name[..name(&scalar.name)], &scalar.unit[..name(&scalar.unit)]);
+            let text = |bytes| std::str::from_utf8(bytes).unwrap_or("");
+            let _ = writeln!(words, "{} {:.2} {}", text(label), scalar.value, text(unit));
+        }
+        if let Some(table) = &input.table
+            && let Some(row) = table.rows().next()
+        {
+            for (name, value) in table.names().zip(row) {
+                let _ = writeln!(words, "{name} {value:.2}");
+            }
+        }
+    }
+
+    fn draw_inset(&mut self, picture: &mut ViewMut<'_, u8>, map: &View<'_, f32>, params: &Settings) {
+        let (low, high) = self.auto.follow(map);
+        self.inset.resize(map.width * map.height * 3, 0);
+        let mut colored = ViewMut::new(&mut self.inset, map.width, map.height, 3);
+        draw::colorize(map, low, high, Colormap::from(params.colors), &mut colored);
+        let frame = (picture.width, picture.height);
+        let limit = ((frame.0 as f32 * params.inset_share) as usize, frame.1);
+        let size = fitted_size((map.width, map.height), limit);
+        let (x, y) = params.inset_corner.at(frame, (size.0 as f32, size.1 as f32), 6.0);
+        draw::fill_rectangle(picture, x as i32 - 1, y as i32 - 1, size.0 as i32 + 2, size.1 as i32 + 2, [0; 3], 1.0);
+        place(picture, &colored.as_view(), x as usize, y as usize, size.0, size.1);
+        self.item.clear();
+        let _ = write!(self.item, "{low:.0}..{high:.0}");
+        let scale = (params.text_scale * 0.75).max(1.0);
+        draw::text(picture, x + 3.0, y + 3.0, &self.item, scale, [255, 255, 255]);
+    }
+}
+
+impl Node for Overlay {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "overlay",
+        "overlay",
+        "Draws registrations, boxes, masks, tips, numbers and maps on a picture.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = Settings;
+
+    fn open(_: &Open<'_>, _: &Settings) -> Result<Self> {
+        Ok(Self::default())
+    }
+
+    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
+        let frame = (input.image.width(), input.image.height());
+        let offset = match params.offset_px.as_slice() {
+            [] => (0.0, 0.0),
+            [x, y] => (*x as f32, *y as f32),
+            other => return Err(NodeError::new(format!("`offset_px` is x and y, {} numbers are given", other.len()))),
+        };
+        let homography = input.homography.filter(|_| params.show_registration);
+        let roi = input.roi.filter(|_| params.show_roi);
+        let boxes = input.instances.map(|i| i.detections()).or(input.detections).filter(|_| params.show_boxes);
+        let instances = input.instances.filter(|_| params.show_masks);
+        let mask = input.mask.filter(|_| params.show_masks);
+        let tip = input.tip.filter(|_| params.show_tip);
+        let map = input.disparity.map(|p| p.view()).or(input.depth.map(|p| p.view())).filter(|_| params.show_inset);
+        self.write_words(&input, params);
+        let something = homography.is_some()
+            || roi.is_some()
+            || boxes.is_some_and(|b| !b.items().is_empty())
+            || instances.is_some_and(|i| !i.detections().items().is_empty())
+            || mask.is_some()
+            || tip.is_some()
+            || map.is_some()
+            || !self.words.is_empty();
+        if !something {
+            return out.image.forward(input.image.frame());
+        }
+        let mut picture = out.image.alloc_copy(&input.image)?;
+        let pen = Pen { line_px: params.line_px, text_scale: params.text_scale, offset, alpha: params.mask_alpha };
+        // Areas first, then lines, words last.
+        if let Some(mask) = mask {
+            draw::blend_mask(&mut picture, &mask.view(), [200, 160, 40], params.mask_alpha);
+        }
+        if let Some(instances) = &instances {
+            marks::masks(&mut picture, instances, &pen);
+        }
+        if let Some(value) = &homography {
+            marks::registration(&mut picture, value, (frame.0 as f32, frame.1 as f32), &pen);
+        }
+        if let Some(roi) = &roi {
+            marks::roi(&mut picture, roi, &pen);
+        }
+        if let Some(map) = &map {
+            self.draw_inset(&mut picture, map, params);
+        }
+        if let Some(boxes) = &boxes {
+            marks::boxes(&mut picture, boxes, &pen, &mut self.item);
+        }
+        if let Some(tip) = &tip {
+            marks::tip(&mut picture, tip, &pen, &mut self.item);
+        }
+        let words = self.words.trim_end();
+        if !words.is_empty() {
+            let size = draw::text_size(words, params.text_scale);
+            let (x, y) = params.label_corner.at(frame, size, 4.0 * params.text_scale);
+            draw::text(&mut picture, x, y, words, params.text_scale, [255, 255, 255]);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,115 @@
+//! `side_by_side`: several pictures in one.
+
+use panoscope_imaging::draw;
+use panoscope_node::{
+    AnyImage, Bgr8, Context, Gray8, List, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Rgba8, Slot, View,
+};
+
+use crate::fit::{fitted_size, place};
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Pictures, row after row: bgr8, gray8 or rgba8.
+    pub views: List<'f, AnyImage<'f>>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// All pictures in a grid.
+    pub image: Slot<'f, Bgr8>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct Settings {
+    /// Pictures in a row; 0 makes the grid about as wide as it is high.
+    #[param(default = 0, range = 0..=64)]
+    pub columns: usize,
+    /// Width of a cell; 0 takes the first picture's.
+    #[param(default = 0, range = 0..=8192, unit = "px")]
+    pub cell_width: usize,
+    /// Height of a cell; 0 takes the first picture's.
+    #[param(default = 0, range = 0..=8192, unit = "px")]
+    pub cell_height: usize,
+    /// Gap between cells.
+    #[param(default = 4, range = 0..=256, unit = "px")]
+    pub gap_px: usize,
+    /// Titles in the order of the pictures, separated by semicolons.
+    #[param(default = "")]
+    pub titles: String,
+    /// Size of the titles: capitals are six times as many px high.
+    #[param(default = 2.0, range = 0.5..=20.0, step = 0.5)]
+    pub text_scale: f32,
+}
+
+/// Composes pictures in a grid. A picture that is missing for a tick leaves its cell dark.
+#[derive(Default)]
+pub struct SideBySide {
+    cell: Option<(usize, usize)>,
+}
+
+fn bytes<'f>(image: &AnyImage<'f>) -> Option<View<'f, u8>> {
+    if let Some(plane) = image.as_plane::<Bgr8>() {
+        return Some(plane.view());
+    }
+    if let Some(plane) = image.as_plane::<Gray8>() {
+        return Some(plane.view());
+    }
+    image.as_plane::<Rgba8>().map(|plane| plane.view())
+}
+
+impl Node for SideBySide {
+    const INFO: NodeInfo = NodeInfo::compute("side_by_side", "overlay", "Puts several pictures with titles into one.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = Settings;
+
+    fn open(_: &Open<'_>, _: &Settings) -> Result<Self> {
+        Ok(Self::default())
+    }
+
+    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
+        let count = input.views.len();
+        let Some(first) = input.views.iter().flatten().next() else { return Ok(()) };
+        // The grid keeps its size when pictures come and go.
+        let own = *self.cell.get_or_insert((first.width(), first.height()));
+        let cell = (
+            if params.cell_width > 0 { params.cell_width } else { own.0 },
+            if params.cell_height > 0 { params.cell_height } else { own.1 },
+        );
+        let columns = match params.columns {
+            0 => (1..=count).find(|c| c * c >= count).unwrap_or(1),
+            columns => columns.min(count),
+        };
+        let rows = count.div_ceil(columns);
+        let gap = params.gap_px;
+        let width = columns * cell.0 + (columns - 1) * gap;
+        let height = rows * cell.1 + (rows - 1) * gap;
+        let mut picture = out.image.alloc(width, height)?;
+        (0..height).for_each(|y| picture.row_mut(y).fill(24));
+        let mut titles = params.titles.split(';');
+        for (index, view) in input.views.iter().enumerate() {
+            let (x, y) = (index % columns * (cell.0 + gap), index / columns * (cell.1 + gap));
+            if let Some(view) = view {
+                let Some(pixels) = bytes(&view) else {
+                    return Err(NodeError::new(format!(
+                        "view {index} holds no 8-bit picture: put a `colorize` node in front"
+                    )));
+                };
+                let size = fitted_size((pixels.width, pixels.height), cell);
+                let (left, top) = (x + (cell.0 - size.0) / 2, y + (cell.1 - size.1) / 2);
+                place(&mut picture, &pixels, left, top, size.0, size.1);
+            }
+            if let Some(title) = titles.next().map(str::trim).filter(|t| !t.is_empty()) {
+                let margin = 3.0 * params.text_scale;
+                // At the bottom: an overlay's own words stand at the top.
+                let (_, height) = draw::text_size(title, params.text_scale);
+                let (x, y) = (x as f32 + margin, (y + cell.1) as f32 - margin - height);
+                draw::text(&mut picture, x, y, title, params.text_scale, [255, 255, 255]);
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,230 @@
+//! What the nodes draw, where they draw it, and that they copy nothing without need.
+
+use std::path::Path;
+
+use panoscope_node::abi::{Detection, Homography, Roi, STATE_FRESH, STATE_LOST, Scalar, Tip};
+use panoscope_node::harness::{Harness, Setup};
+use panoscope_node::{Bgr8, Confidence, Depth, Disparity, Gray8, GrayF32, Mask, View, name16, name32};
+use panoscope_overlay::colorize::Colorize;
+use panoscope_overlay::overlay::Overlay;
+use panoscope_overlay::side_by_side::SideBySide;
+
+const SIZE: (usize, usize) = (320, 240);
+
+fn flat(value: u8) -> Vec<u8> {
+    vec![value; SIZE.0 * SIZE.1 * 3]
+}
+
+fn overlay(params: &str) -> Harness<Overlay> {
+    let mut node = Harness::open(Setup::new(&format!("params = {{ {params} }}"))).unwrap();
+    node.input_image::<Bgr8>("image", SIZE.0, SIZE.1, &flat(100));
+    node
+}
+
+/// Bounds (left, top, right, bottom, all inside) of the pixels that differ from the flat picture.
+fn changed(view: &View<'_, u8>) -> Option<(usize, usize, usize, usize)> {
+    let mut bounds: Option<(usize, usize, usize, usize)> = None;
+    for y in 0..view.height {
+        for (x, pixel) in view.row(y).chunks_exact(3).enumerate() {
+            if pixel != [100; 3] {
+                let b = bounds.get_or_insert((x, y, x, y));
+                *b = (b.0.min(x), b.1.min(y), b.2.max(x), b.3.max(y));
+            }
+        }
+    }
+    bounds
+}
+
+fn detection(x_px: f32, y_px: f32) -> Detection {
+    Detection { x_px, y_px, width_px: 60.0, height_px: 40.0, score: 0.93, class_index: 1, track_id: 4 }
+}
+
+#[test]
+fn nothing_to_draw_hands_on_the_buffer() {
+    let mut node = overlay("show_roi = false");
+    node.input_value("roi", Roi { x: 1, y: 2, width: 30, height: 40 });
+    node.input_detections("detections", &[], "", SIZE);
+    let out = node.process().unwrap();
+    assert_eq!(node.allocated_bytes(), 0);
+    assert_eq!(out.plane::<Bgr8>("image").unwrap().data, flat(100));
+}
+
+#[test]
+fn marks_stand_where_their_coordinates_say() {
+    let roi = Roi { x: 40, y: 50, width: 100, height: 60 };
+    let out = overlay("").input_value("roi", roi).process().unwrap();
+    let (left, top, right, bottom) = changed(&out.plane::<Bgr8>("image").unwrap()).unwrap();
+    for (found, expected) in [(left, 40), (top, 50), (right, 140), (bottom, 110)] {
+        assert!(found.abs_diff(expected) <= 2, "{found} instead of {expected}");
+    }
+    let out = overlay("offset_px = [20, 10]").input_value("roi", roi).process().unwrap();
+    let shifted = changed(&out.plane::<Bgr8>("image").unwrap()).unwrap();
+    assert_eq!((shifted.0 - left, shifted.1 - top), (20, 10));
+
+    let tip =
+        Tip { u_px: 200.0, v_px: 100.0, xyz_mm: [f64::NAN; 3], score: 0.5, class_index: 0, xyz_valid: 0, track_id: 1 };
+    let out = overlay("").input_value("tip", tip).process().unwrap();
+    let b = changed(&out.plane::<Bgr8>("image").unwrap()).unwrap();
+    assert!((b.0 + b.2).abs_diff(400) <= 2 && (b.1 + b.3).abs_diff(200) <= 2, "{b:?}");
+    // Not finite: nothing is drawn and nothing breaks.
+    let out = overlay("").input_value("tip", Tip { u_px: f64::NAN, ..tip }).process().unwrap();
+    assert!(changed(&out.plane::<Bgr8>("image").unwrap()).is_none());
+}
+
+#[test]
+fn a_box_has_its_label_above_or_inside() {
+    let out =
+        overlay("").input_detections("detections", &[detection(100.0, 100.0)], "a\ngrasper", SIZE).process().unwrap();
+    let b = changed(&out.plane::<Bgr8>("image").unwrap()).unwrap();
+    assert!(b.1 < 92 && b.3.abs_diff(140) <= 2, "{b:?}");
+    let out =
+        overlay("").input_detections("detections", &[detection(100.0, 1.0)], "a\ngrasper", SIZE).process().unwrap();
+    let b = changed(&out.plane::<Bgr8>("image").unwrap()).unwrap();
+    assert!(b.3 <= 43, "{b:?}");
+}
+
+#[test]
+fn masks_cover_their_bits_only() {
+    let stride = SIZE.0.div_ceil(8);
+    let mut bits = vec![0; stride * SIZE.1];
+    bits[30 * stride + 2] = 0b0001_1000;
+    let mut node = overlay("show_boxes = false, mask_alpha = 1.0");
+    let out = node.input_instances("instances", &[detection(0.0, 0.0)], "a\nb", SIZE, &bits).process().unwrap();
+    assert_eq!(changed(&out.plane::<Bgr8>("image").unwrap()), Some((19, 30, 20, 30)));
+    let mut mask = vec![0; SIZE.0 * SIZE.1];
+    mask[70 * SIZE.0 + 5] = 255;
+    let out = overlay("").input_image::<Mask>("mask", SIZE.0, SIZE.1, &mask).process().unwrap();
+    assert_eq!(changed(&out.plane::<Bgr8>("image").unwrap()), Some((5, 70, 5, 70)));
+}
+
+fn shift(tx: f64, state: u32) -> Homography {
+    Homography { left_from_right: [1.0, 0.0, tx, 0.0, 1.0, 10.0, 0.0, 0.0, 1.0], rms_px: 0.4, inliers: 88, state }
+}
+
+#[test]
+fn the_outline_of_the_right_view_vanishes_when_lost() {
+    let pixel = |state| {
+        let out = overlay("").input_value("homography", shift(150.0, state)).process().unwrap();
+        let view = out.plane::<Bgr8>("image").unwrap();
+        view.row(200)[150 * 3..151 * 3].to_vec()
+    };
+    assert_ne!(pixel(STATE_FRESH), [100; 3]);
+    assert_eq!(pixel(STATE_LOST), [100; 3]);
+    // A view seen from behind has no outline.
+    let behind =
+        Homography { left_from_right: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, -1.0, 1.0], ..shift(0.0, STATE_FRESH) };
+    overlay("").input_value("homography", behind).process().unwrap();
+}
+
+#[test]
+fn words_stand_in_their_corner() {
+    let scalar = Scalar { value: 12.5, name: name32("distance"), unit: name16("mm") };
+    for (corner, right, bottom) in [
+        ("top_left", false, false),
+        ("top_right", true, false),
+        ("bottom_left", false, true),
+        ("bottom_right", true, true),
+    ] {
+        let out = overlay(&format!(r#"label = "L", label_corner = "{corner}", text_scale = 1.0"#))
+            .input_value("scalar", scalar)
+            .input_table("table", &["fps"], &[30.0])
+            .input_text("text", "hello")
+            .process()
+            .unwrap();
+        let b = changed(&out.plane::<Bgr8>("image").unwrap()).unwrap();
+        assert_eq!((b.0 > 100, b.1 > 100), (right, bottom), "{corner} {b:?}");
+    }
+}
+
+#[test]
+fn maps_get_colours_and_unknown_places_are_gray() {
+    let mut map: Vec<f32> = (0..64 * 48).map(|i| (i % 64) as f32).collect();
+    map[0] = f32::NAN;
+    let mut node =
+        Harness::<Colorize>::from_toml(r#"params = { low = 0.0, high = 63.0, colors = "gray", scale_bar = false }"#)
+            .unwrap();
+    let out = node.input_image::<Depth>("depth", 64, 48, &map).process().unwrap();
+    let view = out.plane::<Bgr8>("image").unwrap();
+    assert_eq!((view.row(0)[0], view.row(1)[0], view.row(1)[63 * 3]), (48, 0, 255));
+    let mut node = Harness::<Colorize>::from_toml("").unwrap();
+    let out = node.input_image::<Confidence>("confidence", 64, 48, &[0.5; 64 * 48]).process().unwrap();
+    assert_eq!(out.plane::<Bgr8>("image").unwrap().width, 64);
+    node.input_image::<Depth>("depth", 64, 48, &map).input_image::<Disparity>("disparity", 64, 48, &map);
+    assert!(node.process().err().unwrap().to_string().contains("one map at a time"));
+    // Nothing known at all.
+    let out = node.input_image::<Disparity>("disparity", 2, 2, &[f32::NAN; 4]).process().unwrap();
+    assert!(!out.is_empty("image").unwrap());
+}
+
+#[test]
+fn a_grid_keeps_its_size() {
+    let mut node = Harness::<SideBySide>::from_toml(r#"params = { gap_px = 2, titles = "one;two" }"#).unwrap();
+    node.input_image::<Bgr8>("views", 40, 30, &[10; 3600]).input_image::<Gray8>("views", 40, 60, &[200; 2400]);
+    node.input_image::<Gray8>("views", 4, 3, &[77; 12]);
+    let out = node.process().unwrap();
+    let view = out.plane::<Bgr8>("image").unwrap();
+    assert_eq!((view.width, view.height), (82, 62));
+    // The narrow one stands in the middle of its cell, the small one is enlarged.
+    assert_eq!((view.row(28)[43 * 3], view.row(28)[62 * 3], view.row(50)[20 * 3]), (24, 200, 77));
+    node.input_empty("views").input_image::<Gray8>("views", 40, 60, &[200; 2400]).input_empty("views");
+    let out = node.process().unwrap();
+    assert_eq!(out.plane::<Bgr8>("image").unwrap().width, 82);
+    node.input_image::<GrayF32>("views", 1, 1, &[0.5]);
+    assert!(node.process().err().unwrap().to_string().contains("colorize"));
+}
+
+/// Everything at once on a real picture, for people to look at: `PANOSCOPE_SHOW=folder cargo test -p panoscope-overlay`.
+#[test]
+fn a_full_picture() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../../shared/data/m2cai16-tool-locations/JPEGImages/v08_012900.jpg");
+    let Ok(photo) = image::open(&file) else {
+        println!("skipped: ../shared/data/m2cai16-tool-locations is not there");
+        return;
+    };
+    let photo = photo.into_rgb8();
+    let (width, height) = (photo.width() as usize, photo.height() as usize);
+    let bgr: Vec<u8> = photo.as_raw().chunks_exact(3).flat_map(|p| [p[2], p[1], p[0]]).collect();
+    let map: Vec<f32> = (0..width * height).map(|i| 20.0 + 50.0 * (i % width) as f32 / width as f32).collect();
+    let mut bits = vec![0; width.div_ceil(8) * height];
+    for y in height / 3..height / 2 {
+        bits[y * width.div_ceil(8) + 20..y * width.div_ceil(8) + 30].fill(255);
+    }
+    let tip = Tip {
+        u_px: 330.0,
+        v_px: 240.0,
+        xyz_mm: [3.1, -2.0, 48.2],
+        score: 0.9,
+        class_index: 0,
+        xyz_valid: 1,
+        track_id: 1,
+    };
+    let mut node = Harness::<Overlay>::from_toml(r#"params = { label = "Panoscope" }"#).unwrap();
+    let out = node
+        .input_image::<Bgr8>("image", width, height, &bgr)
+        .input_instances("instances", &[detection(160.0, 190.0)], "a\nGrasper", (width, height), &bits)
+        .input_value("homography", shift(90.0, STATE_FRESH))
+        .input_value("tip", tip)
+        .input_table("table", &["distance_mm"], &[12.34])
+        .input_image::<Depth>("depth", width, height, &map)
+        .process()
+        .unwrap();
+    let drawn = out.plane::<Bgr8>("image").unwrap();
+    assert_ne!(drawn.data, bgr);
+    let mut color = Harness::<Colorize>::from_toml("").unwrap();
+    let colored = color.input_image::<Depth>("depth", width, height, &map).process().unwrap();
+    let mut grid = Harness::<SideBySide>::from_toml(r#"params = { titles = "Overlay; Depth; Camera" }"#).unwrap();
+    let all = grid
+        .input_image::<Bgr8>("views", width, height, drawn.data)
+        .input_image::<Bgr8>("views", width, height, colored.plane::<Bgr8>("image").unwrap().data)
+        .input_image::<Bgr8>("views", width, height, &bgr)
+        .process()
+        .unwrap();
+    let view = all.plane::<Bgr8>("image").unwrap();
+    assert_eq!((view.width, view.height), (2 * width + 4, 2 * height + 4));
+    if let Some(folder) = std::env::var_os("PANOSCOPE_SHOW") {
+        let rgb: Vec<u8> = view.data.chunks_exact(3).flat_map(|p| [p[2], p[1], p[0]]).collect();
+        let path = Path::new(&folder).join("overlay.png");
+        image::save_buffer(path, &rgb, view.width as u32, view.height as u32, image::ExtendedColorType::Rgb8).unwrap();
+    }
+}

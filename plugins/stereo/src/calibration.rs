@@ -1,0 +1,177 @@
+//! The `calibration` packet as the kernels want it.
+
+use panoscope_imaging::stereo::rotation::Matrix3;
+use panoscope_imaging::stereo::{
+    CameraModel, Rectification, RectifiedCamera, RectifyParams, Roi, StereoCameras, StereoError,
+};
+use panoscope_node::abi::{Calibration, Camera};
+
+fn refuse<T>(reason: String) -> Result<T, StereoError> {
+    Err(StereoError::Calibration { reason })
+}
+
+fn matrix(rows: &[f64; 9]) -> Matrix3 {
+    std::array::from_fn(|row| std::array::from_fn(|column| rows[3 * row + column]))
+}
+
+fn flat(rows: &Matrix3) -> [f64; 9] {
+    std::array::from_fn(|index| rows[index / 3][index % 3])
+}
+
+/// One camera of the packet, checked.
+pub fn camera(camera: &Camera) -> Result<CameraModel, StereoError> {
+    let size = (camera.width as usize, camera.height as usize);
+    CameraModel::new(size, (camera.fx, camera.fy), (camera.cx, camera.cy), &camera.distortion)
+}
+
+/// Whether two packets describe the same cameras. The reprojection error may be NaN and changes nothing.
+pub fn same(a: &Calibration, b: &Calibration) -> bool {
+    Calibration { rms_px: 0.0, ..*a } == Calibration { rms_px: 0.0, ..*b }
+}
+
+/// How the packet rectifies its cameras: as it states, or, when its projections are empty, computed.
+///
+/// # Errors
+/// [`StereoError::Calibration`] when the cameras or what is said of their rectification cannot be.
+pub fn rectification(packet: &Calibration) -> Result<Rectification, StereoError> {
+    if packet.left_projection == [0.0; 12] && packet.right_projection == [0.0; 12] {
+        let cameras = StereoCameras {
+            left: camera(&packet.left)?,
+            right: camera(&packet.right)?,
+            rotation: matrix(&packet.right_from_left_rotation),
+            translation_mm: packet.right_from_left_mm,
+        };
+        return Rectification::new(&cameras, RectifyParams::default());
+    }
+    let (left, right) = (&packet.left_projection, &packet.right_projection);
+    let numbers = left.iter().chain(right).chain(&packet.rectified_from_left).chain(&packet.rectified_from_right);
+    if numbers.into_iter().any(|number| !number.is_finite()) {
+        return refuse("a number of its rectification is not finite".into());
+    }
+    let focal_px = left[0];
+    if focal_px <= 0.0 {
+        return refuse(format!("the rectified focal length is {focal_px} px"));
+    }
+    // What the views must share for a point to lie on one row in both.
+    for (what, a, b) in [
+        ("focal lengths", right[0], focal_px),
+        ("focal lengths", left[5], focal_px),
+        ("focal lengths", right[5], focal_px),
+        ("principal rows", right[6], left[6]),
+    ] {
+        if (a - b).abs() > 1e-3 {
+            return refuse(format!("the {what} of the rectified views differ: {a} and {b} px"));
+        }
+    }
+    let baseline_mm = -right[3] / focal_px;
+    if baseline_mm < 0.0 {
+        return refuse("the left camera stands to the right of the right one: swap the views".into());
+    }
+    if baseline_mm < 1e-6 {
+        return refuse(format!("the baseline is {baseline_mm} mm"));
+    }
+    let (width, height) = (packet.left.width as usize, packet.left.height as usize);
+    if (packet.right.width, packet.right.height) != (packet.left.width, packet.left.height) {
+        return refuse(format!(
+            "the left camera is {width}x{height}, the right one {}x{}",
+            packet.right.width, packet.right.height
+        ));
+    }
+    let view = |p: &[f64; 12]| RectifiedCamera { focal_px, cx: p[2], cy: p[6] };
+    Ok(Rectification {
+        width,
+        height,
+        rotation_left: matrix(&packet.rectified_from_left),
+        rotation_right: matrix(&packet.rectified_from_right),
+        left: view(left),
+        right: view(right),
+        baseline_mm,
+        valid_left: Roi::full(width, height),
+        valid_right: Roi::full(width, height),
+    })
+}
+
+/// The packet that describes the views after `rectification`: pinhole cameras side by side.
+pub fn rectified(packet: &Calibration, rectification: &Rectification) -> Calibration {
+    const EYE: Matrix3 = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let pinhole = |of: RectifiedCamera| Camera {
+        width: rectification.width as u32,
+        height: rectification.height as u32,
+        fx: of.focal_px,
+        fy: of.focal_px,
+        cx: of.cx,
+        cy: of.cy,
+        distortion: [0.0; 14],
+    };
+    let projection = |of: RectifiedCamera, shift_mm: f64| {
+        let focal = of.focal_px;
+        [focal, 0.0, of.cx, focal * shift_mm, 0.0, focal, of.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    };
+    Calibration {
+        left: pinhole(rectification.left),
+        right: pinhole(rectification.right),
+        right_from_left_rotation: flat(&EYE),
+        right_from_left_mm: [-rectification.baseline_mm, 0.0, 0.0],
+        rectified_from_left: flat(&EYE),
+        rectified_from_right: flat(&EYE),
+        left_projection: projection(rectification.left, 0.0),
+        right_projection: projection(rectification.right, -rectification.baseline_mm),
+        baseline_mm: rectification.baseline_mm,
+        rms_px: packet.rms_px,
+        is_rectified: 1,
+        reserved: 0,
+    }
+}
+
+/// The rectified cameras of a packet that describes rectified views.
+///
+/// # Errors
+/// [`StereoError::Calibration`] when the packet describes raw views, or as [`rectification`].
+pub fn of_rectified_views(packet: &Calibration) -> Result<Rectification, StereoError> {
+    if packet.is_rectified == 0 {
+        return refuse(
+            "it describes views that are not rectified, disparities belong to rectified ones: connect `calibration` of a `rectify` node".into(),
+        );
+    }
+    rectification(packet)
+}
+
+#[cfg(test)]
+pub mod testing {
+    use super::*;
+
+    /// Two parallel pinhole cameras.
+    pub fn parallel(size: (u32, u32), focal: f64, baseline_mm: f64) -> Calibration {
+        let (width, height) = (size.0 as usize, size.1 as usize);
+        let view = RectifiedCamera { focal_px: focal, cx: f64::from(size.0) / 2.0, cy: f64::from(size.1) / 2.0 };
+        let eye = matrix(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+        let roi = Roi::full(width, height);
+        let views = Rectification {
+            width,
+            height,
+            rotation_left: eye,
+            rotation_right: eye,
+            left: view,
+            right: view,
+            baseline_mm,
+            valid_left: roi,
+            valid_right: roi,
+        };
+        let none = Camera { width: 0, height: 0, fx: 0.0, fy: 0.0, cx: 0.0, cy: 0.0, distortion: [0.0; 14] };
+        let blank = Calibration {
+            left: none,
+            right: none,
+            right_from_left_rotation: [0.0; 9],
+            right_from_left_mm: [0.0; 3],
+            rectified_from_left: [0.0; 9],
+            rectified_from_right: [0.0; 9],
+            left_projection: [0.0; 12],
+            right_projection: [0.0; 12],
+            baseline_mm: 0.0,
+            rms_px: f64::NAN,
+            is_rectified: 0,
+            reserved: 0,
+        };
+        rectified(&blank, &views)
+    }
+}

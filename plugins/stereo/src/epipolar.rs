@@ -1,0 +1,80 @@
+//! How far matched points lie off each other's row: 0 for a rectified pair, more when the calibration has drifted.
+
+use panoscope_node::View;
+
+/// Rows looked at above and below.
+const REACH: usize = 6;
+/// Half the side of the compared window, in px.
+const RADIUS: usize = 4;
+/// Distance of the points that are looked at, in px.
+const STEP: usize = 24;
+/// Fewer points say nothing.
+const LEAST_POINTS: usize = 24;
+
+/// Measures the vertical error of a matched pair; work memory is kept.
+#[derive(Debug, Default)]
+pub struct Epipolar {
+    errors: Vec<f32>,
+}
+
+impl Epipolar {
+    /// Median distance in px of matched points from their rows; `None` when too few points have vertical texture.
+    pub fn measure(&mut self, left: View<'_, u8>, right: View<'_, u8>, disparity: View<'_, f32>) -> Option<f32> {
+        let margin = REACH + RADIUS + 1;
+        self.errors.clear();
+        if left.width <= 2 * margin || left.height <= 2 * margin {
+            return None;
+        }
+        for y in (margin..left.height - margin).step_by(STEP) {
+            let row = disparity.row(y);
+            for x in (margin..left.width - margin).step_by(STEP) {
+                let to = x as f32 - row[x];
+                // NaN fails.
+                if to >= margin as f32
+                    && to < (right.width - margin) as f32
+                    && let Some(error) = vertical_error(left, right, (x, y), to.round() as usize)
+                {
+                    self.errors.push(error.abs());
+                }
+            }
+        }
+        if self.errors.len() < LEAST_POINTS {
+            return None;
+        }
+        let middle = self.errors.len() / 2;
+        Some(*self.errors.select_nth_unstable_by(middle, f32::total_cmp).1)
+    }
+}
+
+/// Rows from the left point to the most alike right one, at sub-pixel level.
+fn vertical_error(left: View<'_, u8>, right: View<'_, u8>, (x, y): (usize, usize), to: usize) -> Option<f32> {
+    const SIDE: usize = 2 * RADIUS + 1;
+    let mean = |view: View<'_, u8>, x: usize, y: usize| -> i32 {
+        let rows = y - RADIUS..=y + RADIUS;
+        let sum: u32 =
+            rows.flat_map(|row| &view.row(row)[x - RADIUS..=x + RADIUS]).map(|value| u32::from(*value)).sum();
+        (sum / (SIDE * SIDE) as u32) as i32
+    };
+    let own = mean(left, x, y);
+    let mut costs = [0_i32; 2 * REACH + 1];
+    for (step, cost) in costs.iter_mut().enumerate() {
+        let row = y + step - REACH;
+        // Exposure may differ between the views.
+        let gap = own - mean(right, to, row);
+        for line in 0..SIDE {
+            let a = &left.row(y + line - RADIUS)[x - RADIUS..=x + RADIUS];
+            let b = &right.row(row + line - RADIUS)[to - RADIUS..=to + RADIUS];
+            *cost += a.iter().zip(b).map(|(a, b)| (i32::from(*a) - i32::from(*b) - gap).abs()).sum::<i32>();
+        }
+    }
+    let (best, least) = costs.iter().enumerate().min_by_key(|(_, cost)| **cost)?;
+    let most = costs.iter().max()?;
+    // Without vertical texture all rows look alike; at the rim the minimum may lie beyond.
+    if *most < 2 * least + 2 * (SIDE * SIDE) as i32 || best == 0 || best == 2 * REACH {
+        return None;
+    }
+    let (above, below) = (costs[best - 1] as f32, costs[best + 1] as f32);
+    let bend = above + below - 2.0 * *least as f32;
+    let part = if bend > 0.0 { 0.5 * (above - below) / bend } else { 0.0 };
+    Some(best as f32 - REACH as f32 + part)
+}

@@ -1,0 +1,270 @@
+//! `disparity_wls` and `disparity_fbs`: smooth, edge-true disparity maps (thesis, fig. 3.7).
+
+use panoscope_imaging::stereo::{
+    BilateralSolver, BilateralSolverParams, ConfidenceParams, FilterInput, Roi, WlsFilter, WlsParams,
+};
+use panoscope_node::{
+    AnyImage, Bgr8, Confidence, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot,
+    View, error,
+};
+
+/// Inputs of both filters.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Rectified left view, gray8 or bgr8: its edges stay.
+    image: AnyImage<'f>,
+    /// Disparity of the left view.
+    disparity: Image<'f, Disparity>,
+    /// Disparity of the right view: where both disagree, confidence is 0.
+    disparity_right: Option<Image<'f, Disparity>>,
+    /// Confidence to use instead of judging it here.
+    confidence: Option<Image<'f, Confidence>>,
+}
+
+/// Outputs of both filters.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// The smooth map; NaN where too little supports it.
+    disparity: Slot<'f, Disparity>,
+    /// Support of each pixel, 0 to 1.
+    confidence: Slot<'f, Confidence>,
+}
+
+/// Sides of the worked rectangle are multiples of this, so that it seldom moves.
+const GRAIN_PX: usize = 32;
+
+/// The rectangle around all known disparities, widened to whole grains: nothing outside it can be told.
+fn known(disparity: View<'_, f32>) -> Roi {
+    let (mut x0, mut x1, mut y0, mut y1) = (disparity.width, 0, disparity.height, 0);
+    for y in 0..disparity.height {
+        let row = disparity.row(y);
+        let Some(first) = row.iter().position(|value| value.is_finite()) else { continue };
+        let last = row.iter().rposition(|value| value.is_finite()).unwrap_or(first);
+        (x0, x1) = (x0.min(first), x1.max(last + 1));
+        (y0, y1) = (y0.min(y), y + 1);
+    }
+    if x0 >= x1 {
+        return Roi::default();
+    }
+    let down = |value: usize| value / GRAIN_PX * GRAIN_PX;
+    let (x, y) = (down(x0), down(y0));
+    let (right, bottom) = (x1.next_multiple_of(GRAIN_PX), y1.next_multiple_of(GRAIN_PX));
+    Roi { x, y, width: right - x, height: bottom - y }.clamped(disparity.width, disparity.height)
+}
+
+/// The inputs as the kernels take them, sizes checked.
+fn filter_input<'f>(input: &In<'f>) -> Result<FilterInput<'f>> {
+    let guide = if let Some(image) = input.image.as_plane::<Bgr8>() {
+        image.view()
+    } else if let Some(image) = input.image.as_plane::<Gray8>() {
+        image.view()
+    } else {
+        return Err(error!("input `image` must be gray8 or bgr8"));
+    };
+    let disparity = input.disparity.view();
+    let size = (disparity.width, disparity.height);
+    let others = [
+        ("image", Some((guide.width, guide.height))),
+        ("disparity_right", input.disparity_right.as_ref().map(|map| (map.width(), map.height()))),
+        ("confidence", input.confidence.as_ref().map(|map| (map.width(), map.height()))),
+    ];
+    for (name, other) in others {
+        if let Some(other) = other.filter(|other| *other != size) {
+            return Err(error!("`disparity` is {}x{}, `{name}` is {}x{}", size.0, size.1, other.0, other.1));
+        }
+    }
+    Ok(FilterInput {
+        guide,
+        disparity,
+        disparity_right: input.disparity_right.as_ref().map(Image::view),
+        confidence: input.confidence.as_ref().map(Image::view),
+        roi: known(disparity),
+    })
+}
+
+/// `level` as the kernel's optional one; 256 and -1 stand for none.
+fn judge(left_right_px: f32, scatter_radius_px: usize, highlight_level: u32, dark_level: i32) -> ConfidenceParams {
+    ConfidenceParams {
+        left_right_px,
+        scatter_radius_px,
+        highlight_level: u8::try_from(highlight_level).ok(),
+        dark_level: u8::try_from(dark_level).ok(),
+        ..ConfidenceParams::default()
+    }
+}
+
+/// Parameters of the weighted-least-squares filter.
+#[derive(Params)]
+pub struct DisparityWlsParams {
+    /// Strength of the smoothing.
+    #[param(default = 8000.0, range = 0.0..=1000000.0)]
+    lambda: f32,
+    /// Colour distance over which the coupling of two pixels falls to 1/e.
+    #[param(default = 1.5, range = 0.1..=100.0, step = 0.1)]
+    sigma_color: f32,
+    /// Rounds of row and column solves.
+    #[param(default = 3, range = 1..=8)]
+    iterations: usize,
+    /// Support below which a pixel stays unknown; 0 fills all that is reached.
+    #[param(default = 0.05, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    min_support: f32,
+    /// Largest difference to the right view's disparity that is trusted.
+    #[param(default = 1.5, range = 0.0..=16.0, step = 0.1, unit = "px")]
+    left_right_px: f32,
+    /// Radius of the neighbourhood whose scatter lowers confidence: 5 after `stereo_bm`, 3 after `stereo_sgbm`, 0 for none.
+    #[param(default = 5, range = 0..=15, unit = "px")]
+    scatter_radius_px: usize,
+    /// Gray level from which on a pixel is a highlight and not trusted; 256 trusts all.
+    #[param(default = 250, range = 1..=256)]
+    highlight_level: u32,
+    /// Gray level up to which a pixel lies outside the scope's picture; -1 trusts all.
+    #[param(default = 4, range = -1..=255)]
+    dark_level: i32,
+}
+
+impl DisparityWlsParams {
+    fn kernel(&self) -> WlsParams {
+        WlsParams {
+            lambda: self.lambda,
+            sigma_color: self.sigma_color,
+            iterations: self.iterations,
+            min_support: self.min_support,
+            confidence: judge(self.left_right_px, self.scatter_radius_px, self.highlight_level, self.dark_level),
+        }
+    }
+}
+
+/// Weighted-least-squares filter.
+pub struct DisparityWls {
+    kernel: WlsFilter,
+}
+
+impl Node for DisparityWls {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "disparity_wls",
+        "stereo",
+        "Weighted least squares: fills and smooths a disparity map along the picture's edges, trusted pixels first.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = DisparityWlsParams;
+
+    fn open(_: &Open<'_>, params: &DisparityWlsParams) -> Result<Self> {
+        Ok(Self { kernel: WlsFilter::new(params.kernel())? })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &DisparityWlsParams,
+    ) -> Result<()> {
+        let wanted = params.kernel();
+        if *self.kernel.params() != wanted {
+            self.kernel.set_params(wanted)?;
+        }
+        let given = filter_input(&input)?;
+        let (width, height) = (given.disparity.width, given.disparity.height);
+        let confidence_is_read = out.confidence.is_read();
+        let disparity = out.disparity.alloc(width, height)?;
+        let confidence = if confidence_is_read { Some(out.confidence.alloc(width, height)?) } else { None };
+        self.kernel.compute(given, cx.pool(), disparity, confidence)?;
+        Ok(())
+    }
+}
+
+/// Parameters of the fast bilateral solver.
+#[derive(Params)]
+pub struct DisparityFbsParams {
+    /// Side of a grid cell.
+    #[param(default = 8, range = 2..=128, unit = "px")]
+    sigma_xy_px: usize,
+    /// Height of a grid cell in gray levels.
+    #[param(default = 16, range = 2..=128)]
+    sigma_luma: usize,
+    /// Weight of smoothness against closeness to the given map.
+    #[param(default = 0.5, range = 0.0..=10000.0, step = 0.05)]
+    lambda: f32,
+    /// Most steps of conjugate gradients.
+    #[param(default = 25, range = 1..=200)]
+    iterations: usize,
+    /// Residual at which the solver stops.
+    #[param(default = 0.001, range = 0.0..=1.0, step = 0.0001, unit = "ratio")]
+    tolerance: f32,
+    /// Support below which a pixel stays unknown.
+    #[param(default = 0.05, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    min_support: f32,
+    /// Start from the solution of the frame before.
+    #[param(default = true)]
+    warm_start: bool,
+    /// Largest difference to the right view's disparity that is trusted.
+    #[param(default = 1.5, range = 0.0..=16.0, step = 0.1, unit = "px")]
+    left_right_px: f32,
+    /// Radius of the neighbourhood whose scatter lowers confidence, 0 for none.
+    #[param(default = 5, range = 0..=15, unit = "px")]
+    scatter_radius_px: usize,
+    /// Gray level from which on a pixel is a highlight and not trusted; 256 trusts all.
+    #[param(default = 250, range = 1..=256)]
+    highlight_level: u32,
+    /// Gray level up to which a pixel lies outside the scope's picture; -1 trusts all.
+    #[param(default = 4, range = -1..=255)]
+    dark_level: i32,
+}
+
+impl DisparityFbsParams {
+    fn kernel(&self) -> BilateralSolverParams {
+        BilateralSolverParams {
+            sigma_xy_px: self.sigma_xy_px,
+            sigma_luma: self.sigma_luma,
+            lambda: self.lambda,
+            iterations: self.iterations,
+            tolerance: self.tolerance,
+            min_support: self.min_support,
+            warm_start: self.warm_start,
+            confidence: judge(self.left_right_px, self.scatter_radius_px, self.highlight_level, self.dark_level),
+        }
+    }
+}
+
+/// Fast bilateral solver.
+pub struct DisparityFbs {
+    kernel: BilateralSolver,
+}
+
+impl Node for DisparityFbs {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "disparity_fbs",
+        "stereo",
+        "Fast bilateral solver (Barron and Poole): the map close to trusted disparities and smooth wherever the picture is.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = DisparityFbsParams;
+
+    fn open(_: &Open<'_>, params: &DisparityFbsParams) -> Result<Self> {
+        Ok(Self { kernel: BilateralSolver::new(params.kernel())? })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &DisparityFbsParams,
+    ) -> Result<()> {
+        let wanted = params.kernel();
+        if *self.kernel.params() != wanted {
+            self.kernel.set_params(wanted)?;
+        }
+        let given = filter_input(&input)?;
+        let (width, height) = (given.disparity.width, given.disparity.height);
+        let confidence_is_read = out.confidence.is_read();
+        let disparity = out.disparity.alloc(width, height)?;
+        let confidence = if confidence_is_read { Some(out.confidence.alloc(width, height)?) } else { None };
+        self.kernel.compute(given, cx.pool(), disparity, confidence)?;
+        cx.metric("solver_steps", self.kernel.steps() as f64);
+        cx.metric("grid_vertices", self.kernel.vertices() as f64);
+        Ok(())
+    }
+}

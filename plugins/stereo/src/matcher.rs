@@ -1,0 +1,132 @@
+//! What `stereo_bm` and `stereo_sgbm` share: ports, the offset of the search, the warnings.
+
+use panoscope_imaging::stereo::{Roi, StereoError};
+use panoscope_node::abi;
+use panoscope_node::{Context, Disparity, Gray8, Image, Parallel, Ports, Result, Slot, Value, View, ViewMut, error};
+
+use crate::offset::Offset;
+use crate::survey::Survey;
+use crate::watch::Watch;
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Rectified left view.
+    left: Image<'f, Gray8>,
+    /// Rectified right view of the same instant, same size.
+    right: Image<'f, Gray8>,
+    /// Part of the left view that is matched; all of it when unconnected.
+    roi: Option<Value<'f, abi::Roi>>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// Pixels of the left rectified view, positive; NaN where unmatched.
+    disparity: Slot<'f, Disparity>,
+    /// The same from the right view's pixels: `x_left = x_right + disparity`.
+    disparity_right: Slot<'f, Disparity>,
+}
+
+/// A matching kernel with its parameters, offset included, set.
+pub trait Engine {
+    /// Matches `roi`; see the kernels.
+    fn compute(
+        &mut self,
+        views: [View<'_, u8>; 2],
+        roi: Roi,
+        pool: &dyn Parallel,
+        disparity: ViewMut<'_, f32>,
+        disparity_right: Option<ViewMut<'_, f32>>,
+    ) -> Result<(), StereoError>;
+}
+
+/// Where the search lies.
+#[derive(Clone, Copy, Debug)]
+pub struct Search {
+    /// Whether the offset is found from the pictures.
+    pub auto_offset: bool,
+    /// The offset otherwise, and until one is found.
+    pub min_disparity_px: i32,
+    /// Width of the search.
+    pub search_px: usize,
+}
+
+/// Calls between two surveys.
+const SURVEY_CALLS: u64 = 4;
+/// Calls between two measurements of the rows.
+const ROWS_CALLS: u64 = 8;
+
+/// The part of a matcher that is not its kernel.
+pub struct Matcher {
+    survey: Survey,
+    offset: Offset,
+    watch: Watch,
+    calls: u64,
+}
+
+/// A rectangle of the packet inside a view.
+pub fn inside(roi: &abi::Roi, width: usize, height: usize) -> Roi {
+    let span = |from: i32, size: i32, limit: usize| {
+        let end = (i64::from(from) + i64::from(size)).clamp(0, limit as i64) as usize;
+        let from = i64::from(from).clamp(0, limit as i64) as usize;
+        (from, end.saturating_sub(from))
+    };
+    let ((x, width), (y, height)) = (span(roi.x, roi.width, width), span(roi.y, roi.height, height));
+    Roi { x, y, width, height }
+}
+
+impl Matcher {
+    /// Nothing seen yet.
+    ///
+    /// # Errors
+    /// As [`Survey::new`].
+    pub fn new() -> Result<Self> {
+        Ok(Self { survey: Survey::new()?, offset: Offset::default(), watch: Watch::default(), calls: 0 })
+    }
+
+    /// One tick. `prepare` gives the kernel its parameters for an offset.
+    pub fn process<'f, E: Engine>(
+        &mut self,
+        cx: &Context<'f>,
+        input: &In<'f>,
+        out: &mut Out<'f>,
+        search: Search,
+        engine: &mut E,
+        prepare: impl FnOnce(&mut E, i32) -> Result<(), StereoError>,
+    ) -> Result<()> {
+        let (left, right) = (input.left.view(), input.right.view());
+        let (width, height) = (left.width, left.height);
+        if (right.width, right.height) != (width, height) {
+            return Err(error!(
+                "the left view is {width}x{height}, the right one {}x{}: a rectified pair has one size",
+                right.width, right.height
+            ));
+        }
+        let roi = input.roi.as_ref().map_or(Roi::full(width, height), |roi| inside(roi, width, height));
+        let call = self.calls;
+        self.calls += 1;
+        if call.is_multiple_of(SURVEY_CALLS) {
+            let found = self.survey.look(left, right, cx.pool())?;
+            let counts = self.survey.counts();
+            self.offset.update(counts, self.survey.bin_px(), found.pixels, search.search_px);
+            self.watch.swapped(cx, &mut self.survey, found, [left, right], cx.pool())?;
+        }
+        let known = if search.auto_offset { self.offset.current_px() } else { None };
+        let offset_px = known.unwrap_or(search.min_disparity_px);
+        if !search.auto_offset {
+            self.watch.blind(cx, offset_px, search.search_px, width);
+        }
+        cx.metric("offset_px", f64::from(offset_px));
+        prepare(engine, offset_px)?;
+        let right_is_read = out.disparity_right.is_read();
+        let mut disparity = out.disparity.alloc(width, height)?;
+        let disparity_right = if right_is_read { Some(out.disparity_right.alloc(width, height)?) } else { None };
+        let map = ViewMut { data: &mut *disparity.data, ..disparity };
+        engine.compute([left, right], roi, cx.pool(), map, disparity_right)?;
+        if call.is_multiple_of(ROWS_CALLS) {
+            self.watch.rows(cx, [left, right], disparity.as_view());
+        }
+        Ok(())
+    }
+}

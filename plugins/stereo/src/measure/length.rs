@@ -1,0 +1,75 @@
+//! Distances, depths and angles of surface points, each with the error that is to be expected.
+
+use super::surface::Point;
+
+/// Errors that every measurement inherits; standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Errors {
+    /// Of one point's inverse depth, beside the scatter around it, in 1/mm.
+    pub inverse_depth: f64,
+    /// Of all inverse depths alike (the calibration's disparity offset), in 1/mm.
+    pub common_inverse_depth: f64,
+    /// Of all lengths alike (baseline), relative.
+    pub scale: f64,
+    /// Of all depths against widths (focal length), relative.
+    pub depth_scale: f64,
+}
+
+/// How many standard deviations are stated: 95 % of true errors lie within.
+const STATED_DEVIATIONS: f64 = 2.0;
+
+/// Most points of one measured item.
+pub const MOST_POINTS: usize = 3;
+
+fn between(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [b[0] - a[0], b[1] - a[1], b[2] - a[2]]
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Depth of the first point, mm.
+pub fn depth(points: &[[f64; 3]]) -> f64 {
+    points[0][2]
+}
+
+/// Distance of the first two points, mm.
+pub fn distance(points: &[[f64; 3]]) -> f64 {
+    let line = between(points[0], points[1]);
+    dot(line, line).sqrt()
+}
+
+/// Angle at the second of three points, degrees; NaN when two coincide.
+pub fn angle(points: &[[f64; 3]]) -> f64 {
+    let (a, b) = (between(points[1], points[0]), between(points[1], points[2]));
+    let cosine = dot(a, b) / (dot(a, a) * dot(b, b)).sqrt();
+    cosine.clamp(-1.0, 1.0).acos().to_degrees()
+}
+
+/// `measure` of the points and its stated error: every cause is tried alone, the changes add up as squares.
+/// The error is NaN when `errors` is `None`.
+pub fn with_error(points: &[Point], errors: Option<&Errors>, measure: fn(&[[f64; 3]]) -> f64) -> (f64, f64) {
+    let count = points.len().min(MOST_POINTS);
+    let mut places = [[0.0; 3]; MOST_POINTS];
+    for (place, point) in places.iter_mut().zip(points) {
+        *place = point.xyz_mm(0.0);
+    }
+    let value = measure(&places[..count]);
+    let Some(errors) = errors else { return (value, f64::NAN) };
+    let mut squares = 0.0;
+    let mut add = |changed: &[[f64; 3]; MOST_POINTS]| squares += (measure(&changed[..count]) - value).powi(2);
+    for (index, point) in points[..count].iter().enumerate() {
+        let mut changed = places;
+        changed[index] = point.xyz_mm(point.scatter.hypot(errors.inverse_depth));
+        add(&changed);
+    }
+    let mut changed = places;
+    for (place, point) in changed.iter_mut().zip(points) {
+        *place = point.xyz_mm(errors.common_inverse_depth);
+    }
+    add(&changed);
+    add(&places.map(|place| place.map(|part| part * (1.0 + errors.scale))));
+    add(&places.map(|[x, y, z]| [x, y, z * (1.0 + errors.depth_scale)]));
+    (value, STATED_DEVIATIONS * squares.sqrt())
+}

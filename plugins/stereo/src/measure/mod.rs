@@ -1,0 +1,213 @@
+//! `measure`: distances, polylines, depths and angles in mm, each with its error (thesis, figs 3.14 and 3.15).
+
+mod length;
+mod surface;
+
+use panoscope_imaging::stereo::Rectification;
+use panoscope_node::abi::Calibration;
+use panoscope_node::{
+    Choice, Cloud, Context, Depth, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, error,
+};
+
+use crate::calibration;
+use length::Errors;
+use surface::{Point, Surface};
+
+/// What is measured.
+#[derive(Choice, Clone, Copy, Debug, PartialEq)]
+pub enum Kind {
+    /// Each pair of points: straight distance.
+    Distance,
+    /// All points in order: length along them.
+    Polyline,
+    /// Each point: depth from the left camera.
+    Depth,
+    /// Each triple of points: angle at the middle one.
+    Angle,
+}
+
+impl Kind {
+    /// Points of one item, and points from one item to the next.
+    fn step(self) -> (usize, usize) {
+        match self {
+            Self::Distance => (2, 2),
+            Self::Polyline => (2, 1),
+            Self::Depth => (1, 1),
+            Self::Angle => (3, 3),
+        }
+    }
+
+    fn columns(self) -> &'static [&'static str] {
+        match self {
+            Self::Distance => &["u0_px", "v0_px", "u1_px", "v1_px", "distance_mm", "error_mm"],
+            Self::Polyline => {
+                &["u0_px", "v0_px", "u1_px", "v1_px", "segment_mm", "segment_error_mm", "length_mm", "error_mm"]
+            }
+            Self::Depth => &["u_px", "v_px", "depth_mm", "error_mm"],
+            Self::Angle => &["u0_px", "v0_px", "u1_px", "v1_px", "u2_px", "v2_px", "angle_deg", "error_deg"],
+        }
+    }
+}
+
+/// Inputs: `cloud` or `depth`.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Points of the left rectified view.
+    cloud: Option<Cloud<'f>>,
+    /// Depth of the left rectified view; needs `calibration`.
+    depth: Option<Image<'f, Depth>>,
+    /// Calibration of the rectified views; without it errors cannot be stated.
+    calibration: Option<Value<'f, Calibration>>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// One row per item: its points, its value and the error that 95 % of measurements stay within; NaN where unknown.
+    table: Slot<'f, TableData>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct MeasureParams {
+    /// What is measured.
+    #[param(default = "distance")]
+    kind: Kind,
+    /// Points of the left rectified view in px: u, v, u, v, ...
+    #[param(default = [])]
+    points: Vec<f64>,
+    /// Radius of the neighbourhood that stands for a point.
+    #[param(default = 4, range = 1..=32, unit = "px")]
+    radius_px: usize,
+    /// Standard deviation of a filtered disparity, beside the scatter around the point.
+    #[param(default = 0.15, range = 0.0..=4.0, step = 0.01, unit = "px")]
+    disparity_noise_px: f64,
+    /// Standard deviation of the calibration's disparity offset; its reprojection error is used when larger.
+    #[param(default = 0.05, range = 0.0..=4.0, step = 0.01, unit = "px")]
+    disparity_offset_px: f64,
+    /// Standard deviation of the calibration's baseline.
+    #[param(default = 0.05, range = 0.0..=4.0, step = 0.01, unit = "mm")]
+    baseline_error_mm: f64,
+    /// Standard deviation of the calibration's focal length.
+    #[param(default = 0.1, range = 0.0..=10.0, step = 0.01, unit = "%")]
+    focal_error_percent: f64,
+}
+
+/// See the module.
+pub struct Measure {
+    views: Option<(Calibration, Rectification)>,
+    samples: Vec<[f64; 5]>,
+    places: Vec<Option<Point>>,
+    rows: Vec<f64>,
+    leftover: bool,
+}
+
+impl MeasureParams {
+    fn errors(&self, views: &Rectification, rms_px: f64) -> Errors {
+        let inverse_depth_per_px = 1.0 / (views.left.focal_px * views.baseline_mm);
+        let focal = self.focal_error_percent / 100.0;
+        Errors {
+            inverse_depth: self.disparity_noise_px * inverse_depth_per_px,
+            // `max` drops NaN.
+            common_inverse_depth: self.disparity_offset_px.max(rms_px) * inverse_depth_per_px,
+            scale: self.baseline_error_mm / views.baseline_mm,
+            depth_scale: focal,
+        }
+    }
+}
+
+impl Measure {
+    /// Writes the rows of all items.
+    fn measure(&mut self, params: &MeasureParams, errors: Option<&Errors>) {
+        let (size, step) = params.kind.step();
+        let (mut length, mut length_error) = (0.0, 0.0);
+        self.rows.clear();
+        let starts = (0..self.places.len()).step_by(step).take_while(|start| start + size <= self.places.len());
+        for start in starts {
+            self.rows.extend(&params.points[2 * start..2 * (start + size)]);
+            let mut points = [Point { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN }; length::MOST_POINTS];
+            for (point, place) in points.iter_mut().zip(&self.places[start..start + size]) {
+                *point = place.unwrap_or(*point);
+            }
+            let measure = match params.kind {
+                Kind::Distance | Kind::Polyline => length::distance,
+                Kind::Depth => length::depth,
+                Kind::Angle => length::angle,
+            };
+            let (value, error) = length::with_error(&points[..size], errors, measure);
+            self.rows.extend([value, error]);
+            if params.kind == Kind::Polyline {
+                length += value;
+                // Neighbouring segments share a point and all share the calibration: errors may add up.
+                length_error += error;
+                self.rows.extend([length, length_error]);
+            }
+        }
+    }
+}
+
+impl Node for Measure {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "measure",
+        "stereo",
+        "Measures distances, polylines, depths and angles between points of the picture in mm, with their errors.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = MeasureParams;
+
+    fn open(_: &Open<'_>, _: &MeasureParams) -> Result<Self> {
+        Ok(Self { views: None, samples: Vec::new(), places: Vec::new(), rows: Vec::new(), leftover: false })
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &MeasureParams) -> Result<()> {
+        if let Some(given) = &input.calibration
+            && self.views.as_ref().is_none_or(|(seen, _)| !calibration::same(seen, given))
+        {
+            self.views = None;
+            self.views = Some((**given, calibration::of_rectified_views(given)?));
+        }
+        let views = self.views.take();
+        let surface = match (&input.cloud, &input.depth, &views) {
+            (Some(_), Some(_), _) => return Err(error!("connect `cloud` or `depth`, not both")),
+            (Some(cloud), None, _) => Surface::Cloud(*cloud),
+            (None, Some(depth), Some((_, views))) => Surface::Depth(depth.view(), views),
+            (None, Some(_), None) => return Err(error!("`depth` alone has no rays: connect `calibration` too, or `cloud`")),
+            (None, None, _) => {
+                self.views = views;
+                return Ok(());
+            }
+        };
+        let size = surface.size();
+        if let Some((_, views)) = &views
+            && size != (views.width, views.height)
+        {
+            return Err(error!(
+                "the surface is {}x{}, the calibration was made for {}x{}",
+                size.0, size.1, views.width, views.height
+            ));
+        }
+        self.places.clear();
+        for point in params.points.chunks_exact(2) {
+            self.places.push(surface.at(point[0], point[1], params.radius_px, &mut self.samples));
+        }
+        let errors = views.as_ref().map(|(packet, views)| params.errors(views, packet.rms_px));
+        self.measure(params, errors.as_ref());
+        self.views = views;
+
+        let (item, step) = params.kind.step();
+        let points = self.places.len();
+        let leftover = params.points.len() % 2 == 1
+            || if step < item { points == 1 } else { !points.is_multiple_of(item) };
+        if leftover && !self.leftover {
+            cx.warn(&format!(
+                "{} numbers are no whole items of {item} points (u, v each): the last ones are not measured",
+                params.points.len()
+            ));
+        }
+        self.leftover = leftover;
+        let unknown = self.places.iter().filter(|place| place.is_none()).count();
+        cx.metric("unknown_points", unknown as f64);
+        out.table.set_table(params.kind.columns(), &self.rows)
+    }
+}

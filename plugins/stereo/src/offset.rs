@@ -1,0 +1,110 @@
+//! Where the search for disparities begins: the window of the search's width that holds most of what a survey found.
+
+/// Follows the surveys without flicker. Whole numbers only, so that every machine finds the same.
+#[derive(Debug, Default)]
+pub struct Offset {
+    /// Decaying sums of the surveys' counts.
+    mass: Vec<u32>,
+    bin_px: usize,
+    current_px: Option<i32>,
+}
+
+/// New offsets are multiples of this.
+const STEP_PX: i32 = 8;
+/// Share of the best window's mass, in per mille, at which the window in use is good enough.
+const KEEP_PER_MILLE: u64 = 985;
+/// Windows with this share of the best one's mass, in per mille, are equal; the middle one of them is taken.
+const EQUAL_PER_MILLE: u64 = 997;
+/// Least share of matched coarse pixels that says anything, in per mille.
+const LEAST_PER_MILLE: usize = 5;
+
+impl Offset {
+    /// The offset in use; `None` before a survey has found anything.
+    pub fn current_px(&self) -> Option<i32> {
+        self.current_px
+    }
+
+    /// Takes a survey's `counts` (of `pixels` coarse pixels, in bins of `bin_px`) and returns the offset for a search over `search_px`.
+    pub fn update(&mut self, counts: &[u32], bin_px: usize, pixels: usize, search_px: usize) -> Option<i32> {
+        if self.mass.len() != counts.len() || self.bin_px != bin_px {
+            self.mass.clear();
+            self.mass.resize(counts.len(), 0);
+            self.bin_px = bin_px;
+            self.current_px = None;
+        }
+        let matched: usize = counts.iter().map(|count| *count as usize).sum();
+        if matched * 1000 < pixels * LEAST_PER_MILLE {
+            // Dark or blurred pictures say nothing: what was known stays.
+            return self.current_px;
+        }
+        let first = self.current_px.is_none();
+        for (mass, count) in self.mass.iter_mut().zip(counts) {
+            // The first survey counts whole, later ones a quarter.
+            *mass = if first { 64 * count } else { *mass - *mass / 4 + 16 * count };
+        }
+
+        // A bin's disparities reach half a bin to both sides.
+        let bins = (search_px / bin_px).saturating_sub(1).max(1);
+        let windows = self.mass.len().saturating_sub(bins) + 1;
+        let within = |start: usize| -> u64 { self.mass.iter().skip(start).take(bins).map(|m| u64::from(*m)).sum() };
+        let best = (0..windows).map(within).max().unwrap_or(0);
+        if best == 0 {
+            return self.current_px;
+        }
+        if let Some(current) = self.current_px {
+            let start = (current as usize + bin_px / 2).div_ceil(bin_px);
+            if within(start) * 1000 >= best * KEEP_PER_MILLE {
+                return self.current_px;
+            }
+        }
+        let equal = |start: &usize| within(*start) * 1000 >= best * EQUAL_PER_MILLE;
+        let low = (0..windows).find(equal).unwrap_or(0);
+        let high = (low..windows).take_while(equal).last().unwrap_or(low);
+        let middle_px = ((low + high) * bin_px / 2) as i32 - bin_px as i32 / 2;
+        self.current_px = Some(((middle_px + STEP_PX / 2).div_euclid(STEP_PX) * STEP_PX).max(0));
+        self.current_px
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn counts(range: std::ops::Range<usize>) -> Vec<u32> {
+        (0..160).map(|bin| if range.contains(&bin) { 50 } else { 0 }).collect()
+    }
+
+    #[test]
+    fn the_window_holds_what_the_survey_found() {
+        let mut offset = Offset::default();
+        // 160 to 240 px, searched over 128 px: 24 px of room on both sides.
+        let found = offset.update(&counts(40..60), 4, 160 * 120, 128);
+        assert!(found.is_some_and(|px| (112..=160).contains(&px) && px + 128 >= 240), "{found:?}");
+        // A little motion moves nothing.
+        assert_eq!(offset.update(&counts(42..61), 4, 160 * 120, 128), found);
+        // A cut to another depth is followed within a few surveys.
+        let mut last = found;
+        for _ in 0..12 {
+            last = offset.update(&counts(80..100), 4, 160 * 120, 128);
+        }
+        assert!(last.is_some_and(|px| px <= 320 && px + 128 >= 400), "{last:?}");
+    }
+
+    #[test]
+    fn pictures_that_say_nothing_change_nothing() {
+        let mut offset = Offset::default();
+        assert_eq!(offset.update(&counts(0..0), 4, 160 * 120, 64), None);
+        let found = offset.update(&counts(40..44), 4, 160 * 120, 64);
+        assert!(found.is_some());
+        assert_eq!(offset.update(&counts(0..0), 4, 160 * 120, 64), found);
+    }
+
+    #[test]
+    fn more_range_than_the_search_keeps_the_most() {
+        let mut offset = Offset::default();
+        let mut both = counts(10..20);
+        both[100..130].fill(60);
+        let found = offset.update(&both, 4, 160 * 120, 128);
+        assert!(found.is_some_and(|px| px <= 400 && px + 128 >= 516), "{found:?}");
+    }
+}

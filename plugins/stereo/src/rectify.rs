@@ -1,0 +1,135 @@
+//! `rectify`: turns both views so that a point lies on one row in both (thesis, fig. 3.5).
+
+use panoscope_imaging::stereo::{RemapTable, Roi};
+use panoscope_node::abi::Calibration;
+use panoscope_node::{Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, error};
+
+use crate::calibration;
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Left view as its camera took it.
+    left: Image<'f, Bgr8>,
+    /// Right view of the same instant.
+    right: Image<'f, Bgr8>,
+    /// Calibration of the cameras; the last one seen stays in use.
+    calibration: Option<Value<'f, Calibration>>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// Rectified left view; black where its camera does not reach.
+    left: Slot<'f, Bgr8>,
+    /// Rectified right view.
+    right: Slot<'f, Bgr8>,
+    /// Calibration of the rectified views.
+    calibration: Slot<'f, Calibration>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct RectifyNodeParams {
+    /// Computes nothing and hands the views on: for views that some other program has rectified.
+    #[param(default = false)]
+    bypass: bool,
+}
+
+/// Maps of one calibration.
+struct Maps {
+    source: Calibration,
+    target: Calibration,
+    /// `None` when the views are rectified already.
+    tables: Option<[RemapTable; 2]>,
+}
+
+/// See the module.
+pub struct Rectify {
+    maps: Option<Maps>,
+}
+
+impl Maps {
+    fn new(source: &Calibration, cx: &Context<'_>) -> Result<Self> {
+        if source.is_rectified != 0 {
+            calibration::rectification(source)?;
+            return Ok(Self { source: *source, target: *source, tables: None });
+        }
+        let rectification = calibration::rectification(source)?;
+        let (left, right) = (calibration::camera(&source.left)?, calibration::camera(&source.right)?);
+        let all = Roi::full(rectification.width, rectification.height);
+        let tables = [
+            RemapTable::left(&left, &rectification, all, cx.pool())?,
+            RemapTable::right(&right, &rectification, all, cx.pool())?,
+        ];
+        Ok(Self { source: *source, target: calibration::rectified(source, &rectification), tables: Some(tables) })
+    }
+}
+
+impl Node for Rectify {
+    const INFO: NodeInfo =
+        NodeInfo::compute("rectify", "stereo", "Turns both views so that a point lies on one row in both.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = RectifyNodeParams;
+
+    fn open(_: &Open<'_>, _: &RectifyNodeParams) -> Result<Self> {
+        Ok(Self { maps: None })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &RectifyNodeParams,
+    ) -> Result<()> {
+        if params.bypass {
+            if let Some(given) = &input.calibration {
+                out.calibration.set(Calibration { is_rectified: 1, ..**given })?;
+            }
+            out.left.forward(input.left.frame())?;
+            return out.right.forward(input.right.frame());
+        }
+        if let Some(given) = &input.calibration
+            && self.maps.as_ref().is_none_or(|maps| !calibration::same(&maps.source, given))
+        {
+            if self.maps.is_some() {
+                cx.info("the calibration has changed: new maps");
+            }
+            self.maps = None;
+            self.maps = Some(Maps::new(given, cx)?);
+        }
+        let Some(maps) = &self.maps else {
+            return Err(error!(
+                "no calibration has arrived: connect `calibration`, or set `bypass` when the views are rectified already"
+            ));
+        };
+        for (side, view, camera) in
+            [("left", &input.left, &maps.source.left), ("right", &input.right, &maps.source.right)]
+        {
+            if (view.width(), view.height()) != (camera.width as usize, camera.height as usize) {
+                return Err(error!(
+                    "the {side} view is {}x{}, the calibration was made for {}x{}",
+                    view.width(),
+                    view.height(),
+                    camera.width,
+                    camera.height
+                ));
+            }
+        }
+        out.calibration.set(maps.target)?;
+        let Some([left, right]) = &maps.tables else {
+            out.left.forward(input.left.frame())?;
+            return out.right.forward(input.right.frame());
+        };
+        let (width, height) = (maps.target.left.width as usize, maps.target.left.height as usize);
+        if out.left.is_read() {
+            left.remap(input.left.view(), out.left.alloc(width, height)?, cx.pool())?;
+        }
+        if out.right.is_read() {
+            right.remap(input.right.view(), out.right.alloc(width, height)?, cx.pool())?;
+        }
+        Ok(())
+    }
+}

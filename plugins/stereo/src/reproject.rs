@@ -1,0 +1,148 @@
+//! `reproject`: disparity to depth and coloured points in mm (thesis, fig. 3.9).
+
+use panoscope_imaging::SharedMut;
+use panoscope_imaging::stereo::{self, Rectification, ReprojectInput, ReprojectParams, Roi};
+use panoscope_node::abi::{Calibration, CloudPoint};
+use panoscope_node::{
+    AnyImage, Bgr8, Confidence, Context, Depth, Disparity, Gray8, Image, Node, NodeInfo, Open, Parallel, Params,
+    PointCloud, Ports, Result, Slot, Value, View, ViewMut, error,
+};
+
+use crate::calibration;
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Rectified left view, gray8 or bgr8: the points' colours.
+    image: AnyImage<'f>,
+    /// Disparity of the left view.
+    disparity: Image<'f, Disparity>,
+    /// Calibration of the rectified views.
+    calibration: Value<'f, Calibration>,
+    /// Confidence of the disparity; pixels below `min_confidence` are dropped.
+    confidence: Option<Image<'f, Confidence>>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// One point per pixel in the left rectified camera's frame; NaN where unknown.
+    cloud: Slot<'f, PointCloud>,
+    /// Depth along the left rectified camera's axis; NaN where unknown.
+    depth: Slot<'f, Depth>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct ReprojectNodeParams {
+    /// Nearest depth kept.
+    #[param(default = 5.0, range = 0.1..=10000.0, step = 1.0, unit = "mm")]
+    near_mm: f32,
+    /// Farthest depth kept.
+    #[param(default = 500.0, range = 1.0..=100000.0, step = 1.0, unit = "mm")]
+    far_mm: f32,
+    /// Confidence below which a pixel is dropped, where a confidence map is connected.
+    #[param(default = 0.05, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    min_confidence: f32,
+    /// Largest step of disparity between neighbours of one surface.
+    #[param(default = 1.0, range = 0.01..=64.0, step = 0.05, unit = "px")]
+    surface_step_px: f32,
+    /// Of eight neighbours, how many must lie on the pixel's own surface: drops flying pixels; 0 keeps all.
+    #[param(default = 5, range = 0..=8)]
+    min_neighbours: usize,
+}
+
+/// See the module.
+pub struct Reproject {
+    views: Option<(Calibration, Rectification)>,
+    depth: Vec<f32>,
+}
+
+/// Points and colours of one picture.
+fn fill(cloud: ViewMut<'_, CloudPoint>, image: View<'_, u8>, depth: View<'_, f32>, views: &Rectification, pool: &dyn Parallel) {
+    let (cx, cy, per_px) = (views.left.cx as f32, views.left.cy as f32, (1.0 / views.left.focal_px) as f32);
+    let (stride, width) = (cloud.stride, cloud.width);
+    let out = SharedMut::new(cloud.data);
+    pool.run(depth.height, &|y| {
+        // SAFETY: one row, one chunk.
+        let row = unsafe { out.part(y * stride, width) };
+        let v = (y as f32 - cy) * per_px;
+        let pixels = image.row(y).chunks_exact(image.channels);
+        for (x, ((point, z), pixel)) in row.iter_mut().zip(depth.row(y)).zip(pixels).enumerate() {
+            let bgr = if let [b, g, r] = *pixel { [b, g, r] } else { [pixel[0]; 3] };
+            let x_mm = (x as f32 - cx) * per_px * z;
+            *point = CloudPoint { x_mm, y_mm: v * z, z_mm: *z, bgr, reserved: 0 };
+        }
+    });
+}
+
+impl Node for Reproject {
+    const INFO: NodeInfo =
+        NodeInfo::compute("reproject", "stereo", "Turns disparities into depth and coloured points in mm.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = ReprojectNodeParams;
+
+    fn open(_: &Open<'_>, _: &ReprojectNodeParams) -> Result<Self> {
+        Ok(Self { views: None, depth: Vec::new() })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &ReprojectNodeParams,
+    ) -> Result<()> {
+        if self.views.as_ref().is_none_or(|(seen, _)| !calibration::same(seen, &input.calibration)) {
+            self.views = None;
+            self.views = Some((*input.calibration, calibration::of_rectified_views(&input.calibration)?));
+        }
+        let Some((_, views)) = &self.views else { return Ok(()) };
+        let disparity = input.disparity.view();
+        let (width, height) = (disparity.width, disparity.height);
+        if (width, height) != (views.width, views.height) {
+            return Err(error!(
+                "the disparity map is {width}x{height}, the calibration was made for {}x{}",
+                views.width, views.height
+            ));
+        }
+        if (input.image.width(), input.image.height()) != (width, height) {
+            let (w, h) = (input.image.width(), input.image.height());
+            return Err(error!("`disparity` is {width}x{height}, `image` is {w}x{h}"));
+        }
+        let image = if let Some(image) = input.image.as_plane::<Bgr8>() {
+            image.view()
+        } else if let Some(image) = input.image.as_plane::<Gray8>() {
+            image.view()
+        } else {
+            return Err(error!("input `image` must be gray8 or bgr8"));
+        };
+        let given = ReprojectInput {
+            disparity,
+            confidence: input.confidence.as_ref().map(Image::view),
+            roi: Roi::full(width, height),
+        };
+        let kernel = ReprojectParams {
+            near_mm: params.near_mm,
+            far_mm: params.far_mm,
+            min_confidence: params.min_confidence,
+            surface_step_px: params.surface_step_px,
+            min_neighbours: params.min_neighbours,
+        };
+        let (depth_is_read, cloud_is_read) = (out.depth.is_read(), out.cloud.is_read());
+        let depth = if depth_is_read {
+            out.depth.alloc(width, height)?
+        } else {
+            self.depth.resize(width * height, f32::NAN);
+            ViewMut::new(&mut self.depth, width, height, 1)
+        };
+        let map = ViewMut { data: &mut *depth.data, ..depth };
+        let known = stereo::reproject(given, views, &kernel, cx.pool(), map, None)?;
+        cx.metric("known_share", known as f64 / (width * height) as f64);
+        if cloud_is_read {
+            fill(out.cloud.alloc_cloud(width, height)?, image, depth.as_view(), views, cx.pool());
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,102 @@
+//! `stereo_bm`: block matching, a rectified pair in, disparity maps of both views out (thesis, fig. 3.7).
+
+use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, Roi, StereoError};
+use panoscope_node::{Context, Node, NodeInfo, Open, Parallel, Params, Result, View, ViewMut};
+
+use crate::matcher::{Engine, In, Matcher, Out, Search};
+
+/// Parameters.
+#[derive(Params)]
+pub struct StereoBmParams {
+    /// Find the offset of the search from the region that the views share.
+    #[param(default = true)]
+    auto_offset: bool,
+    /// Smallest disparity searched when the offset is not found from the pictures.
+    #[param(default = 0, range = -1024..=2048, unit = "px")]
+    min_disparity_px: i32,
+    /// Width of the disparity search.
+    #[param(default = 128, range = 32..=512, step = 32, unit = "px")]
+    search_px: usize,
+    /// Side of the square window that is compared.
+    #[param(default = 15, range = 3..=31, step = 2, unit = "px")]
+    block_px: usize,
+    /// Clip of the horizontal edge response that is compared; 0 compares gray values.
+    #[param(default = 31, range = 0..=31)]
+    prefilter_cap: u8,
+    /// Windows with less edge response than this are not matched; 0 keeps all.
+    #[param(default = 10, range = 0..=20000)]
+    texture: u32,
+    /// A pixel is dropped when another disparity costs at most so much more than the best; 0 keeps all.
+    #[param(default = 15, range = 0..=100, unit = "%")]
+    uniqueness: u32,
+    /// Largest difference between the disparities of both views; -1 does not check.
+    #[param(default = 1, range = -1..=64, unit = "px")]
+    left_right_px: i32,
+}
+
+impl StereoBmParams {
+    fn kernel(&self, min_disparity_px: i32) -> BlockMatchingParams {
+        BlockMatchingParams {
+            min_disparity_px,
+            search_px: self.search_px,
+            block_px: self.block_px,
+            prefilter_cap: self.prefilter_cap,
+            texture_threshold: self.texture,
+            uniqueness_percent: self.uniqueness,
+            left_right_px: u32::try_from(self.left_right_px).ok(),
+        }
+    }
+}
+
+/// See the module.
+pub struct StereoBm {
+    kernel: BlockMatcher,
+    matcher: Matcher,
+}
+
+impl Engine for BlockMatcher {
+    fn compute(
+        &mut self,
+        views: [View<'_, u8>; 2],
+        roi: Roi,
+        pool: &dyn Parallel,
+        disparity: ViewMut<'_, f32>,
+        disparity_right: Option<ViewMut<'_, f32>>,
+    ) -> Result<(), StereoError> {
+        self.compute(views[0], views[1], roi, pool, disparity, disparity_right)
+    }
+}
+
+impl Node for StereoBm {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "stereo_bm",
+        "stereo",
+        "Block matching: disparity maps of both views of a rectified pair, with the search's offset found by itself.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = StereoBmParams;
+
+    fn open(_: &Open<'_>, params: &StereoBmParams) -> Result<Self> {
+        let kernel = BlockMatcher::new(params.kernel(params.min_disparity_px))?;
+        Ok(Self { kernel, matcher: Matcher::new()? })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &StereoBmParams,
+    ) -> Result<()> {
+        let search = Search {
+            auto_offset: params.auto_offset,
+            min_disparity_px: params.min_disparity_px,
+            search_px: params.search_px,
+        };
+        self.matcher.process(cx, &input, &mut out, search, &mut self.kernel, |kernel, offset_px| {
+            let wanted = params.kernel(offset_px);
+            if *kernel.params() == wanted { Ok(()) } else { kernel.set_params(wanted) }
+        })
+    }
+}

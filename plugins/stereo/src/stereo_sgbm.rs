@@ -1,0 +1,110 @@
+//! `stereo_sgbm`: semi-global matching, a rectified pair in, disparity maps of both views out.
+
+use panoscope_imaging::stereo::{Roi, SemiGlobalMatcher, SemiGlobalParams, StereoError};
+use panoscope_node::{Context, Node, NodeInfo, Open, Parallel, Params, Result, View, ViewMut};
+
+use crate::matcher::{Engine, In, Matcher, Out, Search};
+
+/// Parameters.
+#[derive(Params)]
+pub struct StereoSgbmParams {
+    /// Find the offset of the search from the region that the views share.
+    #[param(default = true)]
+    auto_offset: bool,
+    /// Smallest disparity searched when the offset is not found from the pictures.
+    #[param(default = 0, range = -1024..=2048, unit = "px")]
+    min_disparity_px: i32,
+    /// Width of the disparity search.
+    #[param(default = 128, range = 32..=512, step = 32, unit = "px")]
+    search_px: usize,
+    /// Side of the square window that is compared.
+    #[param(default = 5, range = 3..=7, step = 2, unit = "px")]
+    block_px: usize,
+    /// Clip of the horizontal edge response that is compared; 0 compares gray values.
+    #[param(default = 31, range = 0..=31)]
+    prefilter_cap: u8,
+    /// Charge for a change of disparity by one; must be below `large_penalty`.
+    #[param(default = 10, range = 1..=100)]
+    small_penalty: u8,
+    /// Charge for a larger change.
+    #[param(default = 100, range = 2..=120)]
+    large_penalty: u8,
+    /// Follow diagonal paths too: smoother, slower.
+    #[param(default = true)]
+    diagonals: bool,
+    /// A pixel is dropped when another disparity costs at most so much more than the best; 0 keeps all.
+    #[param(default = 5, range = 0..=100, unit = "%")]
+    uniqueness: u32,
+    /// Largest difference between the disparities of both views; -1 does not check.
+    #[param(default = 1, range = -1..=64, unit = "px")]
+    left_right_px: i32,
+}
+
+impl StereoSgbmParams {
+    fn kernel(&self, min_disparity_px: i32) -> SemiGlobalParams {
+        SemiGlobalParams {
+            min_disparity_px,
+            search_px: self.search_px,
+            block_px: self.block_px,
+            prefilter_cap: self.prefilter_cap,
+            small_penalty: self.small_penalty,
+            large_penalty: self.large_penalty,
+            diagonals: self.diagonals,
+            uniqueness_percent: self.uniqueness,
+            left_right_px: u32::try_from(self.left_right_px).ok(),
+        }
+    }
+}
+
+/// See the module.
+pub struct StereoSgbm {
+    kernel: SemiGlobalMatcher,
+    matcher: Matcher,
+}
+
+impl Engine for SemiGlobalMatcher {
+    fn compute(
+        &mut self,
+        views: [View<'_, u8>; 2],
+        roi: Roi,
+        pool: &dyn Parallel,
+        disparity: ViewMut<'_, f32>,
+        disparity_right: Option<ViewMut<'_, f32>>,
+    ) -> Result<(), StereoError> {
+        self.compute(views[0], views[1], roi, pool, disparity, disparity_right)
+    }
+}
+
+impl Node for StereoSgbm {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "stereo_sgbm",
+        "stereo",
+        "Semi-global matching: disparity maps of both views of a rectified pair, with the search's offset found by itself.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = StereoSgbmParams;
+
+    fn open(_: &Open<'_>, params: &StereoSgbmParams) -> Result<Self> {
+        let kernel = SemiGlobalMatcher::new(params.kernel(params.min_disparity_px))?;
+        Ok(Self { kernel, matcher: Matcher::new()? })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &StereoSgbmParams,
+    ) -> Result<()> {
+        let search = Search {
+            auto_offset: params.auto_offset,
+            min_disparity_px: params.min_disparity_px,
+            search_px: params.search_px,
+        };
+        self.matcher.process(cx, &input, &mut out, search, &mut self.kernel, |kernel, offset_px| {
+            let wanted = params.kernel(offset_px);
+            if *kernel.params() == wanted { Ok(()) } else { kernel.set_params(wanted) }
+        })
+    }
+}

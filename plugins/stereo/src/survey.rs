@@ -1,0 +1,114 @@
+//! A coarse look at the whole range of disparities: which of them the pair holds, and whether the views are swapped.
+//!
+//! The views are shrunk to about 160 columns and matched from 0 px to their full width, so that the region which both
+//! share is found wherever it lies; the cost is a small part of one full-size search.
+
+use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, Roi, StereoError};
+use panoscope_node::{Parallel, View, ViewMut};
+
+/// Columns of a shrunk view, about.
+const COARSE_WIDTH: usize = 160;
+
+/// What a survey found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Found {
+    /// Coarse pixels matched.
+    pub matched: usize,
+    /// Coarse pixels.
+    pub pixels: usize,
+}
+
+/// Surveys pairs; work memory is kept.
+#[derive(Debug)]
+pub struct Survey {
+    matcher: BlockMatcher,
+    planes: [Vec<u8>; 2],
+    disparity: Vec<f32>,
+    counts: Vec<u32>,
+    factor: usize,
+}
+
+impl Survey {
+    /// A survey.
+    ///
+    /// # Errors
+    /// None with these constants; the kernel checks them all the same.
+    pub fn new() -> Result<Self, StereoError> {
+        let matcher = BlockMatcher::new(params(COARSE_WIDTH))?;
+        Ok(Self { matcher, planes: [Vec::new(), Vec::new()], disparity: Vec::new(), counts: Vec::new(), factor: 1 })
+    }
+
+    /// Pixels of a full-size view per bin of [`Survey::counts`].
+    pub fn bin_px(&self) -> usize {
+        self.factor
+    }
+
+    /// Matched coarse pixels per disparity, in bins of [`Survey::bin_px`] from 0 px on.
+    pub fn counts(&self) -> &[u32] {
+        &self.counts
+    }
+
+    /// Matches the shrunk views. `left` and `right` have one size.
+    ///
+    /// # Errors
+    /// As the kernel.
+    pub fn look(
+        &mut self,
+        left: View<'_, u8>,
+        right: View<'_, u8>,
+        pool: &dyn Parallel,
+    ) -> Result<Found, StereoError> {
+        self.factor = (left.width + COARSE_WIDTH / 2).div_euclid(COARSE_WIDTH).max(1);
+        let (width, height) = (left.width / self.factor, left.height / self.factor);
+        self.counts.clear();
+        self.counts.resize(width, 0);
+        if width < 16 || height < 16 {
+            return Ok(Found { matched: 0, pixels: width * height });
+        }
+        for (view, plane) in [left, right].into_iter().zip(&mut self.planes) {
+            shrink(view, self.factor, width, height, plane);
+        }
+        self.disparity.resize(width * height, f32::NAN);
+        let wanted = params(width);
+        if *self.matcher.params() != wanted {
+            self.matcher.set_params(wanted)?;
+        }
+        let plane = |index: usize| View::new(&self.planes[index][..], width, height, 1);
+        let out = ViewMut::new(&mut self.disparity, width, height, 1);
+        self.matcher.compute(plane(0), plane(1), Roi::full(width, height), pool, out, None)?;
+        let mut matched = 0;
+        for disparity in self.disparity.iter().filter(|value| value.is_finite()) {
+            matched += 1;
+            let bin = (*disparity + 0.5).max(0.0) as usize;
+            self.counts[bin.min(width - 1)] += 1;
+        }
+        Ok(Found { matched, pixels: width * height })
+    }
+}
+
+fn params(width: usize) -> BlockMatchingParams {
+    BlockMatchingParams {
+        min_disparity_px: 0,
+        search_px: width.clamp(32, 512),
+        block_px: 9,
+        uniqueness_percent: 10,
+        left_right_px: Some(1),
+        ..BlockMatchingParams::default()
+    }
+}
+
+/// Means of `factor` x `factor` px.
+fn shrink(view: View<'_, u8>, factor: usize, width: usize, height: usize, plane: &mut Vec<u8>) {
+    plane.resize(width * height, 0);
+    let area = (factor * factor) as u32;
+    for (row, out) in plane.chunks_exact_mut(width).enumerate() {
+        for (column, out) in out.iter_mut().enumerate() {
+            let mut sum = area / 2;
+            for y in row * factor..(row + 1) * factor {
+                let pixels = &view.row(y)[column * factor..(column + 1) * factor];
+                sum += pixels.iter().map(|value| u32::from(*value)).sum::<u32>();
+            }
+            *out = (sum / area) as u8;
+        }
+    }
+}

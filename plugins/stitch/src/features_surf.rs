@@ -1,0 +1,134 @@
+//! `features_surf`: SURF keypoints of two views and their matches, as tables.
+
+use panoscope_imaging::features::{Features, Match, MatchParams, Matcher, Surf, SurfParams};
+use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData};
+
+/// Parameters of the features.
+#[derive(Params, Clone, PartialEq)]
+pub struct FeaturesSurfParams {
+    /// Least determinant of the Hessian of a keypoint.
+    #[param(default = 100.0, range = 0.0..=20000.0, step = 1.0)]
+    hessian_threshold: f32,
+    /// Keypoints per view at most, strongest first; 0 takes all.
+    #[param(default = 0, range = 0..=100_000, unit = "points")]
+    max_points: u32,
+    /// Octaves of the scale space.
+    #[param(default = 4, range = 1..=4)]
+    octaves: u32,
+    /// Filters per octave.
+    #[param(default = 4, range = 3..=8)]
+    layers: u32,
+    /// Leave out the orientation: for cameras that are hardly rotated against each other.
+    #[param(default = false)]
+    upright: bool,
+    /// Keypoints are ranked by response over size to this power: fine detail is placed more exactly.
+    #[param(default = 1.0, range = 0.0..=4.0, step = 0.1)]
+    fine_bias: f32,
+    /// Shrink factor before the search.
+    #[param(default = 1, range = 1..=8)]
+    scale: u32,
+    /// Largest ratio of the best to the second-best distance of a match.
+    #[param(default = 0.8, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
+    ratio: f32,
+    /// Keep a match only when each point is the other's best.
+    #[param(default = true)]
+    mutual: bool,
+}
+
+impl FeaturesSurfParams {
+    fn surf(&self) -> SurfParams {
+        SurfParams {
+            hessian_threshold: self.hessian_threshold,
+            max_points: self.max_points as usize,
+            octaves: self.octaves as usize,
+            layers: self.layers as usize,
+            upright: self.upright,
+            fine_bias: self.fine_bias,
+            ..SurfParams::default()
+        }
+    }
+}
+
+/// Inputs of the features.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Left view.
+    left: Image<'f, Gray8>,
+    /// Right view; may have another size.
+    right: Image<'f, Gray8>,
+}
+
+/// Outputs of the features.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// Keypoints of the left view, strongest first.
+    left_points: Slot<'f, TableData>,
+    /// Keypoints of the right view.
+    right_points: Slot<'f, TableData>,
+    /// Matches: row numbers of both tables.
+    matches: Slot<'f, TableData>,
+}
+
+/// See the module.
+pub struct FeaturesSurf {
+    surf: Surf,
+    matcher: Matcher,
+    left: Features,
+    right: Features,
+    matches: Vec<Match>,
+    values: Vec<f64>,
+}
+
+fn table<'a>(features: &Features, values: &'a mut Vec<f64>) -> &'a [f64] {
+    let points = &features.keypoints;
+    values.clear();
+    for i in 0..points.len() {
+        let row = [points.x_px[i], points.y_px[i], points.size_px[i], points.angle_rad[i].to_degrees(), points.response[i]];
+        values.extend(row.map(f64::from));
+    }
+    values
+}
+
+impl Node for FeaturesSurf {
+    const INFO: NodeInfo =
+        NodeInfo::compute("features_surf", "stitch", "Finds and matches SURF features of two views.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = FeaturesSurfParams;
+
+    fn open(_: &Open<'_>, params: &FeaturesSurfParams) -> Result<Self> {
+        Ok(Self {
+            surf: Surf::new(params.surf()),
+            matcher: Matcher::new(),
+            left: Features::default(),
+            right: Features::default(),
+            matches: Vec::new(),
+            values: Vec::new(),
+        })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &FeaturesSurfParams,
+    ) -> Result<()> {
+        const POINTS: [&str; 5] = ["x_px", "y_px", "size_px", "angle_deg", "response"];
+        let (pool, scale) = (cx.pool(), params.scale as usize);
+        self.surf.set_params(params.surf());
+        self.surf.detect_and_describe(input.left.view(), None, scale, pool, &mut self.left);
+        self.surf.detect_and_describe(input.right.view(), None, scale, pool, &mut self.right);
+        let matching = MatchParams { ratio: params.ratio, mutual: params.mutual, same_sign: true };
+        self.matcher.match_features(&self.left, &self.right, &matching, None, pool, &mut self.matches);
+        cx.metric("matches", self.matches.len() as f64);
+        out.left_points.set_table(&POINTS, table(&self.left, &mut self.values))?;
+        out.right_points.set_table(&POINTS, table(&self.right, &mut self.values))?;
+        self.values.clear();
+        for m in &self.matches {
+            let row = [f64::from(m.left), f64::from(m.right), f64::from(m.distance), f64::from(m.ratio)];
+            self.values.extend(row);
+        }
+        out.matches.set_table(&["left_index", "right_index", "distance", "ratio"], &self.values)
+    }
+}
