@@ -196,7 +196,7 @@ impl Pattern {
         if every != self.every {
             (self.every, self.seen) = (every, 0);
         }
-        let due = self.seen % every.max(1) == 0;
+        let due = self.seen.is_multiple_of(every.max(1));
         self.seen += 1;
         due
     }

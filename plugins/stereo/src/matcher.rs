@@ -120,7 +120,7 @@ impl Matcher {
         cx.metric("offset_px", f64::from(offset_px));
         prepare(engine, offset_px)?;
         let right_is_read = out.disparity_right.is_read();
-        let mut disparity = out.disparity.alloc(width, height)?;
+        let disparity = out.disparity.alloc(width, height)?;
         let disparity_right = if right_is_read { Some(out.disparity_right.alloc(width, height)?) } else { None };
         let map = ViewMut { data: &mut *disparity.data, ..disparity };
         engine.compute([left, right], roi, cx.pool(), map, disparity_right)?;

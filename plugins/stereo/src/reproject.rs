@@ -59,7 +59,13 @@ pub struct Reproject {
 }
 
 /// Points and colours of one picture.
-fn fill(cloud: ViewMut<'_, CloudPoint>, image: View<'_, u8>, depth: View<'_, f32>, views: &Rectification, pool: &dyn Parallel) {
+fn fill(
+    cloud: ViewMut<'_, CloudPoint>,
+    image: View<'_, u8>,
+    depth: View<'_, f32>,
+    views: &Rectification,
+    pool: &dyn Parallel,
+) {
     let (cx, cy, per_px) = (views.left.cx as f32, views.left.cy as f32, (1.0 / views.left.focal_px) as f32);
     let (stride, width) = (cloud.stride, cloud.width);
     let out = SharedMut::new(cloud.data);

@@ -52,12 +52,7 @@ impl Survey {
     ///
     /// # Errors
     /// As the kernel.
-    pub fn look(
-        &mut self,
-        left: View<'_, u8>,
-        right: View<'_, u8>,
-        pool: &dyn Parallel,
-    ) -> Result<Found, StereoError> {
+    pub fn look(&mut self, left: View<'_, u8>, right: View<'_, u8>, pool: &dyn Parallel) -> Result<Found, StereoError> {
         self.factor = (left.width + COARSE_WIDTH / 2).div_euclid(COARSE_WIDTH).max(1);
         let (width, height) = (left.width / self.factor, left.height / self.factor);
         self.counts.clear();

@@ -56,7 +56,9 @@ impl Watch {
         let (first, last) = (i64::from(offset_px), i64::from(offset_px) + search_px as i64);
         let blind = first >= width as i64 || last <= -(width as i64);
         if blind && !self.blind {
-            cx.warn(&format!("the search for disparities begins at {first} px, the views are {width} px wide: nothing can be matched"));
+            cx.warn(&format!(
+                "the search for disparities begins at {first} px, the views are {width} px wide: nothing can be matched"
+            ));
         }
         self.blind = blind;
     }

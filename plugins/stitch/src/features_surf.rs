@@ -24,6 +24,12 @@ pub struct FeaturesSurfParams {
     /// Keypoints are ranked by response over size to this power: fine detail is placed more exactly.
     #[param(default = 1.0, range = 0.0..=4.0, step = 0.1)]
     fine_bias: f32,
+    /// Look at the picture doubled in size: finer keypoints, about four times the work. Only with `scale` 1.
+    #[param(default = false)]
+    upsample: bool,
+    /// Look again at each candidate with Gaussian derivatives.
+    #[param(default = true)]
+    second_look: bool,
     /// Shrink factor before the search.
     #[param(default = 1, range = 1..=8)]
     scale: u32,
@@ -44,6 +50,8 @@ impl FeaturesSurfParams {
             layers: self.layers as usize,
             upright: self.upright,
             fine_bias: self.fine_bias,
+            upsample: self.upsample,
+            second_look: self.second_look,
             ..SurfParams::default()
         }
     }

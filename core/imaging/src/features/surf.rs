@@ -39,6 +39,9 @@ pub struct SurfParams {
     pub fine_bias: f32,
     /// Keypoints at most, strongest first; 0 means all.
     pub max_points: usize,
+    /// Looks at the image doubled in size when nothing is shrunk (as Lowe 2004, section 3.3, does), so that the first
+    /// octave holds finer keypoints; costs about four times as much.
+    pub upsample: bool,
     /// Columns and rows of a grid whose cells share `max_points` evenly before the rest is filled
     /// with the strongest; 0 means the strongest wherever they are.
     pub spread: (usize, usize),
@@ -54,7 +57,25 @@ impl Default for SurfParams {
             second_look: true,
             fine_bias: 1.0,
             max_points: 0,
+            upsample: false,
             spread: (0, 0),
+        }
+    }
+}
+
+/// `gray` at twice its size, bilinear: pixel `2i` lies a quarter before the centre of pixel `i`, `2i + 1` a quarter behind it.
+fn double(gray: View<'_, u8>, out: &mut Vec<u8>) {
+    let (width, height) = (gray.width, gray.height);
+    out.clear();
+    out.resize(width * height * 4, 0);
+    for (y, line) in out.chunks_exact_mut(width * 2).enumerate() {
+        let near = gray.row(y / 2);
+        let far = gray.row(if y % 2 == 0 { (y / 2).saturating_sub(1) } else { (y / 2 + 1).min(height - 1) });
+        let column = |x: usize| 3 * u32::from(near[x]) + u32::from(far[x]);
+        for x in 0..width {
+            let here = 3 * column(x);
+            line[2 * x] = ((here + column(x.saturating_sub(1)) + 8) / 16) as u8;
+            line[2 * x + 1] = ((here + column((x + 1).min(width - 1)) + 8) / 16) as u8;
         }
     }
 }
@@ -137,6 +158,7 @@ pub struct Surf {
     tables: Tables,
     kernels: Kernels,
     gray: GrayBuffer,
+    doubled: Vec<u8>,
     integral: Integral,
     pyramid: Pyramid,
     detector: HessianDetector,
@@ -160,6 +182,7 @@ impl Surf {
             tables: Tables::new(),
             kernels: Kernels::new(),
             gray: GrayBuffer::new(),
+            doubled: Vec::new(),
             integral: Integral::new(),
             pyramid: Pyramid::default(),
             detector: HessianDetector::default(),
@@ -200,7 +223,17 @@ impl Surf {
             return;
         }
         let part = image.crop(roi.x, roi.y, roi.width, roi.height);
-        let gray = if shrink == 1 && part.channels == 1 {
+        let doubled = shrink == 1 && self.params.upsample;
+        let gray = if doubled {
+            let gray = if part.channels == 1 {
+                part
+            } else {
+                shrink_gray_with(self.simd, part, 1, &mut self.gray, pool);
+                self.gray.view()
+            };
+            double(gray, &mut self.doubled);
+            View::new(&self.doubled, gray.width * 2, gray.height * 2, 1)
+        } else if shrink == 1 && part.channels == 1 {
             part
         } else {
             shrink_gray_with(self.simd, part, shrink, &mut self.gray, pool);
@@ -233,7 +266,7 @@ impl Surf {
         }
         out.keypoints.resize(count);
         out.descriptors.resize(count, Descriptor::default());
-        let ratio = shrink as f32;
+        let ratio = if doubled { 0.5 } else { shrink as f32 };
         let centre = (ratio - 1.0) * 0.5;
         let keypoints = &mut out.keypoints;
         for (index, point) in self.found.iter().enumerate() {

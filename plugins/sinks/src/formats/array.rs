@@ -116,7 +116,7 @@ fn npy_header(out: &mut dyn Write, pixels: &Pixels<'_>) -> io::Result<()> {
     };
     let shape = if channels == 1 { format!("({height}, {width})") } else { format!("({height}, {width}, {channels})") };
     let mut header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}");
-    while (10 + header.len() + 1) % 64 != 0 {
+    while !(10 + header.len() + 1).is_multiple_of(64) {
         header.push(' ');
     }
     header.push('\n');

@@ -188,12 +188,10 @@ impl<W: Write + Seek> Muxer<W> {
         }
         patch.clear();
         master(&mut patch, SEEK_HEAD, |b| {
-            for (tag, place) in [(CUES, self.at - self.segment_at)] {
-                master(b, 0x4DBB, |b| {
-                    element(b, 0x53AB, &tag.to_be_bytes());
-                    element(b, 0x53AC, &place.to_be_bytes());
-                });
-            }
+            master(b, 0x4DBB, |b| {
+                element(b, 0x53AB, &CUES.to_be_bytes());
+                element(b, 0x53AC, &(self.at - self.segment_at).to_be_bytes());
+            });
         });
         let rest = SEEK_HEAD_LEN - patch.len();
         reserve(&mut patch, rest);

@@ -172,7 +172,9 @@ impl Node for Measure {
             (Some(_), Some(_), _) => return Err(error!("connect `cloud` or `depth`, not both")),
             (Some(cloud), None, _) => Surface::Cloud(*cloud),
             (None, Some(depth), Some((_, views))) => Surface::Depth(depth.view(), views),
-            (None, Some(_), None) => return Err(error!("`depth` alone has no rays: connect `calibration` too, or `cloud`")),
+            (None, Some(_), None) => {
+                return Err(error!("`depth` alone has no rays: connect `calibration` too, or `cloud`"));
+            }
             (None, None, _) => {
                 self.views = views;
                 return Ok(());
@@ -197,8 +199,8 @@ impl Node for Measure {
 
         let (item, step) = params.kind.step();
         let points = self.places.len();
-        let leftover = params.points.len() % 2 == 1
-            || if step < item { points == 1 } else { !points.is_multiple_of(item) };
+        let leftover =
+            params.points.len() % 2 == 1 || if step < item { points == 1 } else { !points.is_multiple_of(item) };
         if leftover && !self.leftover {
             cx.warn(&format!(
                 "{} numbers are no whole items of {item} points (u, v each): the last ones are not measured",

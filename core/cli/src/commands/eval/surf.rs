@@ -36,6 +36,9 @@ pub struct Arguments {
     /// Folder with graf1.png, graf3.png and H1to3p.xml, when Debian's opencv-doc is not installed.
     #[arg(long, value_name = "FOLDER")]
     data: Option<PathBuf>,
+    /// Sets a parameter of `features_surf`, to see what it does. May be given again.
+    #[arg(long, value_name = "PARAM=VALUE")]
+    set: Vec<String>,
 }
 
 /// The pictures and the truth.
@@ -102,9 +105,10 @@ fn measure(data: &Data, node: &str) -> Result<Outcome> {
     })
 }
 
-fn surf(points: usize) -> String {
+fn surf(points: usize, settings: &[String]) -> String {
+    let more: String = settings.iter().map(|setting| format!(", {setting}")).collect();
     format!(
-        "type = \"features_surf\"\nparams = {{ max_points = {points}, hessian_threshold = {SURF_THRESHOLD:?}, ratio = {RATIO} }}"
+        "type = \"features_surf\"\nparams = {{ max_points = {points}, hessian_threshold = {SURF_THRESHOLD:?}, ratio = {RATIO}{more} }}"
     )
 }
 
@@ -135,7 +139,7 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
         for wanted in [0, 500, 1000, 2000] {
             let theirs = measure(&data, &peer(detector, wanted))?;
             let equal = if wanted == 0 { (theirs.points.0 + theirs.points.1).div_ceil(2) } else { wanted };
-            let ours = measure(&data, &surf(equal))?;
+            let ours = measure(&data, &surf(equal, &arguments.set))?;
             if ours.points.0 == 0 || theirs.points.0 == 0 {
                 bail!("no keypoints were found in {}", data.first.display());
             }

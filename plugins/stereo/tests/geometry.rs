@@ -1,0 +1,281 @@
+//! `rectify`, `reproject` and `measure` through the harness.
+
+mod common;
+
+use common::{SIZE, bgr, pair, rectified};
+use panoscope_node::abi::Calibration;
+use panoscope_node::harness::{Harness, HarnessError, Level, Setup};
+use panoscope_node::{Bgr8, Depth, Disparity, Gray8};
+use panoscope_stereo::{Measure, Rectify, Reproject};
+
+type TestResult = Result<(), HarnessError>;
+
+const FOCAL: f64 = 400.0;
+const BASELINE: f64 = 15.0;
+
+fn words<T>(result: Result<T, HarnessError>) -> String {
+    result.err().map(|error| error.to_string()).unwrap_or_default()
+}
+
+fn rectify(
+    calibration: Option<Calibration>,
+    size: (usize, usize),
+) -> Result<panoscope_node::harness::Outputs, HarnessError> {
+    let mut node = Harness::<Rectify>::from_toml("")?;
+    let pixels = vec![9; 3 * size.0 * size.1];
+    node.input_image::<Bgr8>("left", size.0, size.1, &pixels).input_image::<Bgr8>("right", size.0, size.1, &pixels);
+    if let Some(calibration) = calibration {
+        node.input_value("calibration", calibration);
+    }
+    node.process()
+}
+
+#[test]
+fn rectified_views_are_handed_on() -> TestResult {
+    let (left, right) = pair(|_, _| 40.0, 0.0);
+    let mut node = Harness::<Rectify>::from_toml("")?;
+    for _ in 0..2 {
+        let out = node
+            .input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(&left))
+            .input_image::<Bgr8>("right", SIZE.0, SIZE.1, &bgr(&right))
+            .input_value("calibration", rectified(FOCAL, BASELINE))
+            .process()?;
+        assert_eq!(out.plane::<Bgr8>("left")?.data, bgr(&left));
+        assert_eq!(out.plane::<Bgr8>("right")?.data, bgr(&right));
+        assert_eq!(out.value::<Calibration>("calibration")?.is_rectified, 1);
+    }
+    assert_eq!((node.copies(), node.allocated_bytes()), (0, 2 * size_of::<Calibration>() as u64));
+    Ok(())
+}
+
+#[test]
+fn turned_cameras_are_turned_back() -> TestResult {
+    // The right camera stands 2 rows too low; the calibration says so by its principal row.
+    let (left, right) = pair(|_, _| 40.0, 2.0);
+    let mut cameras = rectified(FOCAL, BASELINE);
+    cameras.is_rectified = 0;
+    cameras.right.cy += 2.0;
+    let mut node = Harness::<Rectify>::from_toml("")?;
+    let out = node
+        .input_image::<Bgr8>("left", SIZE.0, SIZE.1, &bgr(&left))
+        .input_image::<Bgr8>("right", SIZE.0, SIZE.1, &bgr(&right))
+        .input_value("calibration", cameras)
+        .process()?;
+    let (left, right) = (out.plane::<Bgr8>("left")?, out.plane::<Bgr8>("right")?);
+    let mut worst = 0;
+    for y in 10..SIZE.1 - 10 {
+        for x in 10..SIZE.0 - 60 {
+            worst = worst.max(left.row(y)[3 * (x + 40)].abs_diff(right.row(y)[3 * x]));
+        }
+    }
+    assert!(worst <= 2, "rows differ by {worst} levels");
+    assert_eq!(out.value::<Calibration>("calibration")?.is_rectified, 1);
+
+    // Without a stated rectification it is computed; the last calibration stays in use.
+    cameras.left_projection = [0.0; 12];
+    cameras.right_projection = [0.0; 12];
+    let pixels = bgr(&pair(|_, _| 40.0, 2.0).0);
+    let mut again = |given: bool| {
+        node.input_image::<Bgr8>("left", SIZE.0, SIZE.1, &pixels).input_image::<Bgr8>("right", SIZE.0, SIZE.1, &pixels);
+        if given {
+            node.input_value("calibration", cameras);
+        }
+        node.process()
+    };
+    let first = again(true)?.value::<Calibration>("calibration")?;
+    let held = again(false)?.value::<Calibration>("calibration")?;
+    assert_eq!(first.left_projection, held.left_projection);
+    assert!((first.baseline_mm - BASELINE).abs() < 1e-9, "{}", first.baseline_mm);
+    Ok(())
+}
+
+#[test]
+fn calibrations_that_cannot_be_are_refused() {
+    let good = rectified(FOCAL, BASELINE);
+    let refused = |calibration: Calibration| words(rectify(Some(calibration), SIZE));
+    assert!(words(rectify(None, SIZE)).contains("no calibration has arrived"));
+    assert!(words(rectify(Some(good), (64, 48))).contains("left view is 64x48, the calibration was made for 320x128"));
+    let mut bad = good;
+    bad.right_projection[3] = -bad.right_projection[3];
+    assert!(refused(bad).contains("swap the views"), "{}", refused(bad));
+    bad.right_projection[3] = 0.0;
+    assert!(refused(bad).contains("baseline"));
+    let mut bad = good;
+    bad.right_projection[6] += 3.0;
+    assert!(refused(bad).contains("principal rows"));
+    let mut bad = good;
+    bad.left_projection[0] = f64::NAN;
+    assert!(refused(bad).contains("not finite"));
+    let mut bad = good;
+    (bad.is_rectified, bad.left.fx) = (0, -4.0);
+    assert!(refused(bad).contains("focal lengths"));
+    let mut bad = good;
+    (bad.is_rectified, bad.left.distortion[12]) = (0, 0.1);
+    assert!(refused(bad).contains("tilted sensor"));
+}
+
+/// Disparity of a plane of which depth grows to the right.
+fn slope(x: usize, y: usize) -> f32 {
+    120.0 - 0.1 * x as f32 + 0.02 * y as f32
+}
+
+fn slope_map() -> Vec<f32> {
+    (0..SIZE.0 * SIZE.1).map(|index| slope(index % SIZE.0, index / SIZE.0)).collect()
+}
+
+/// Where pixel (u, v) of the slope lies, mm.
+fn truth(u: f64, v: f64) -> [f64; 3] {
+    let z = FOCAL * BASELINE / (120.0 - 0.1 * u + 0.02 * v);
+    [(u - SIZE.0 as f64 / 2.0) / FOCAL * z, (v - SIZE.1 as f64 / 2.0) / FOCAL * z, z]
+}
+
+fn apart(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
+}
+
+#[test]
+fn disparities_become_millimetres() -> TestResult {
+    let gray = vec![50; SIZE.0 * SIZE.1];
+    let mut map = slope_map();
+    map[30 * SIZE.0 + 200] = f32::NAN;
+    map[70 * SIZE.0 + 100] = 300.0;
+    for setup in [Setup::new(""), Setup::new("").read_only(&["cloud"]), Setup::new("").threads(3)] {
+        let mut node = Harness::<Reproject>::open(setup)?;
+        let out = node
+            .input_image::<Gray8>("image", SIZE.0, SIZE.1, &gray)
+            .input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &map)
+            .input_value("calibration", rectified(FOCAL, BASELINE))
+            .process()?;
+        let cloud = out.cloud("cloud")?;
+        for (u, v) in [(10, 5), (160, 64), (310, 120)] {
+            let point = cloud[v * SIZE.0 + u];
+            let found = [f64::from(point.x_mm), f64::from(point.y_mm), f64::from(point.z_mm)];
+            assert!(apart(found, truth(u as f64, v as f64)) < 1e-3, "{found:?}");
+            assert_eq!(point.bgr, [50; 3]);
+        }
+        assert!(cloud[30 * SIZE.0 + 200].z_mm.is_nan(), "unknown stays unknown");
+        assert!(cloud[70 * SIZE.0 + 100].z_mm.is_nan(), "a flying pixel goes");
+        if !out.is_empty("depth")? {
+            let depth = out.plane::<Depth>("depth")?;
+            assert!((f64::from(depth.row(64)[160]) - truth(160.0, 64.0)[2]).abs() < 1e-3);
+        }
+    }
+    Ok(())
+}
+
+#[test]
+fn reproject_refuses_what_does_not_fit() -> TestResult {
+    let gray = vec![50; SIZE.0 * SIZE.1];
+    let map = slope_map();
+    let mut node = Harness::<Reproject>::from_toml("")?;
+    let mut run = |calibration: Calibration, height: usize| {
+        node.input_image::<Gray8>("image", SIZE.0, height, &gray)
+            .input_image::<Disparity>("disparity", SIZE.0, height, &map)
+            .input_value("calibration", calibration)
+            .process()
+    };
+    let good = rectified(FOCAL, BASELINE);
+    let raw = words(run(Calibration { is_rectified: 0, ..good }, SIZE.1));
+    assert!(raw.contains("not rectified"), "{raw}");
+    let small = words(run(good, 100));
+    assert!(small.contains("320x100"), "{small}");
+    run(good, SIZE.1)?;
+    Ok(())
+}
+
+fn measure(toml: &str, noise_px: f32) -> Result<Vec<Vec<f64>>, HarnessError> {
+    // Noise that repeats: +, 0, - by a hash of the place.
+    let noisy = |index: usize| noise_px * ((index * 2_654_435_761) % 3) as f32 - noise_px;
+    let depth: Vec<f32> = slope_map()
+        .iter()
+        .enumerate()
+        .map(|(index, disparity)| (FOCAL * BASELINE) as f32 / (disparity + noisy(index)))
+        .collect();
+    let mut node = Harness::<Measure>::from_toml(toml)?;
+    let out = node
+        .input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth)
+        .input_value("calibration", rectified(FOCAL, BASELINE))
+        .process()?;
+    Ok(out.table("table")?.rows().map(<[f64]>::to_vec).collect())
+}
+
+#[test]
+fn lengths_depths_and_angles_are_right() -> TestResult {
+    let (a, b, c) = (truth(40.0, 30.0), truth(280.5, 90.25), truth(150.0, 110.0));
+    let rows = measure("params = { points = [40, 30, 280.5, 90.25] }", 0.0)?;
+    assert_eq!(rows.len(), 1);
+    assert!((rows[0][4] - apart(a, b)).abs() < 1e-3, "{rows:?} {}", apart(a, b));
+    assert!(rows[0][5] > 0.0 && rows[0][5] < 2.0, "{rows:?}");
+
+    let rows = measure("params = { kind = \"polyline\", points = [40, 30, 280.5, 90.25, 150, 110] }", 0.0)?;
+    assert_eq!(rows.len(), 2);
+    assert!((rows[1][6] - apart(a, b) - apart(b, c)).abs() < 1e-3, "{rows:?}");
+    assert!(rows[1][7] > rows[0][7]);
+
+    let rows = measure("params = { kind = \"depth\", points = [40, 30, 150, 110] }", 0.0)?;
+    assert!((rows[0][2] - a[2]).abs() < 1e-4 && (rows[1][2] - c[2]).abs() < 1e-4, "{rows:?}");
+
+    let rows = measure("params = { kind = \"angle\", points = [40, 30, 280.5, 90.25, 150, 110] }", 0.0)?;
+    let (ab, cb, ac) = (apart(a, b), apart(c, b), apart(a, c));
+    let angle = ((ab * ab + cb * cb - ac * ac) / (2.0 * ab * cb)).acos().to_degrees();
+    assert!((rows[0][6] - angle).abs() < 1e-2, "{rows:?} {angle}");
+    Ok(())
+}
+
+#[test]
+fn the_stated_error_follows_the_noise() -> TestResult {
+    let toml = "params = { points = [40, 30, 280, 90] }";
+    let (quiet, loud) = (measure(toml, 0.0)?, measure(toml, 0.8)?);
+    assert!(loud[0][5] > 1.5 * quiet[0][5], "{quiet:?} {loud:?}");
+    let length = apart(truth(40.0, 30.0), truth(280.0, 90.0));
+    assert!((loud[0][4] - length).abs() < loud[0][5], "{loud:?} {length}");
+    Ok(())
+}
+
+#[test]
+fn unknown_points_and_odd_lists_are_told() -> TestResult {
+    let mut depth = vec![60.0; SIZE.0 * SIZE.1];
+    (0..40 * SIZE.0).for_each(|index| depth[index] = f32::NAN);
+    let toml = "params = { points = [20, 20, 100, 100, 200, 100] }";
+    let mut node = Harness::<Measure>::from_toml(toml)?;
+    let out = node
+        .input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth)
+        .input_value("calibration", rectified(FOCAL, BASELINE))
+        .process()?;
+    let rows: Vec<_> = out.table("table")?.rows().map(<[f64]>::to_vec).collect();
+    assert_eq!(rows.len(), 1);
+    assert!(rows[0][4].is_nan() && rows[0][5].is_nan());
+    assert_eq!(node.metric("unknown_points"), Some(1.0));
+    assert_eq!(node.logs().iter().filter(|line| line.level == Level::Warn).count(), 1, "{:?}", node.logs());
+
+    let mut empty = Harness::<Measure>::from_toml("")?;
+    let out = empty
+        .input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth)
+        .input_value("calibration", rectified(FOCAL, BASELINE))
+        .process()?;
+    assert_eq!(out.table("table")?.rows().count(), 0);
+    let alone = words(empty.input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth).process());
+    // The calibration seen before stays in use.
+    assert_eq!(alone, "");
+    let mut fresh = Harness::<Measure>::from_toml("")?;
+    let alone = words(fresh.input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth).process());
+    assert!(alone.contains("connect `calibration`"), "{alone}");
+    Ok(())
+}
+
+#[test]
+fn a_cloud_needs_no_calibration_but_states_no_error() -> TestResult {
+    use panoscope_node::abi::CloudPoint;
+    let point = |index: usize| {
+        let [x, y, z] = truth((index % SIZE.0) as f64, (index / SIZE.0) as f64).map(|value| value as f32);
+        CloudPoint { x_mm: x, y_mm: y, z_mm: z, bgr: [0; 3], reserved: 0 }
+    };
+    let cloud: Vec<CloudPoint> = (0..SIZE.0 * SIZE.1).map(point).collect();
+    let mut node = Harness::<Measure>::from_toml("params = { points = [40, 30, 280.5, 90.25] }")?;
+    let out = node.input_cloud("cloud", SIZE.0, SIZE.1, &cloud).process()?;
+    let table = out.table("table")?;
+    let row = table.rows().next().map(<[f64]>::to_vec).unwrap_or_default();
+    assert!((row[4] - apart(truth(40.0, 30.0), truth(280.5, 90.25))).abs() < 1e-3, "{row:?}");
+    assert!(row[5].is_nan());
+    Ok(())
+}

@@ -1,0 +1,201 @@
+//! `stereo_bm` and `stereo_sgbm` through the harness.
+
+mod common;
+
+use common::{SIZE, median, pair};
+use panoscope_node::abi::Roi;
+use panoscope_node::harness::{Harness, HarnessError, Level, Outputs, Setup};
+use panoscope_node::{Disparity, Gray8, Node};
+use panoscope_stereo::{StereoBm, StereoSgbm};
+
+type TestResult = Result<(), HarnessError>;
+
+fn run<N: Node>(node: &mut Harness<N>, left: &[u8], right: &[u8]) -> Result<Outputs, HarnessError> {
+    node.input_image::<Gray8>("left", SIZE.0, SIZE.1, left)
+        .input_image::<Gray8>("right", SIZE.0, SIZE.1, right)
+        .process()
+}
+
+fn density(out: &Outputs, port: &str) -> Result<f64, HarnessError> {
+    let map = out.plane::<Disparity>(port)?;
+    Ok(map.data.iter().filter(|value| value.is_finite()).count() as f64 / map.data.len() as f64)
+}
+
+fn warned<N>(node: &Harness<N>, words: &str) -> bool {
+    node.logs().iter().any(|line| line.level == Level::Warn && line.message.contains(words))
+}
+
+/// A slanted surface far beyond a search from 0 px.
+fn slanted(x: f64, y: f64) -> f64 {
+    150.0 + 0.05 * x + 0.04 * y
+}
+
+fn finds_the_offset<N: Node>() -> TestResult {
+    let (left, right) = pair(slanted, 0.0);
+    let mut node = Harness::<N>::from_toml("params = { search_px = 64 }")?;
+    let out = run(&mut node, &left, &right)?;
+    let map = out.plane::<Disparity>("disparity")?;
+    let error =
+        |index: usize| (map.data[index] - slanted((index % SIZE.0) as f64, (index / SIZE.0) as f64) as f32).abs();
+    let errors = median((0..map.data.len()).map(error));
+    assert!(errors < 0.25, "median error {errors} px");
+    // The views share 320 - 160 of 320 columns.
+    assert!(density(&out, "disparity")? > 0.4, "{}", density(&out, "disparity")?);
+    assert!(density(&out, "disparity_right")? > 0.4);
+    let right_map = out.plane::<Disparity>("disparity_right")?;
+    let back = median(right_map.data.iter().copied());
+    assert!((160.0..180.0).contains(&back), "{back}");
+    let offset = node.metric("offset_px").unwrap_or(0.0);
+    assert!((100.0..160.0).contains(&offset), "{offset}");
+    assert_eq!(node.logs(), []);
+
+    let mut plain = Harness::<N>::from_toml("params = { search_px = 64, auto_offset = false }")?;
+    let out = run(&mut plain, &left, &right)?;
+    assert!(density(&out, "disparity")? < 0.05, "a plain 0..64 search must not see it");
+    Ok(())
+}
+
+#[test]
+fn block_matching_finds_the_offset() -> TestResult {
+    finds_the_offset::<StereoBm>()
+}
+
+#[test]
+fn semi_global_matching_finds_the_offset() -> TestResult {
+    finds_the_offset::<StereoSgbm>()
+}
+
+#[test]
+fn swapped_views_are_named_once() -> TestResult {
+    let (left, right) = pair(slanted, 0.0);
+    let mut node = Harness::<StereoBm>::from_toml("")?;
+    for _ in 0..9 {
+        run(&mut node, &right, &left)?;
+    }
+    assert!(warned(&node, "swapped"));
+    assert_eq!(node.logs().len(), 1, "{:?}", node.logs());
+    assert_eq!(node.metric("views_swapped"), Some(1.0));
+    for _ in 0..4 {
+        run(&mut node, &left, &right)?;
+    }
+    assert_eq!(node.metric("views_swapped"), Some(0.0));
+    Ok(())
+}
+
+#[test]
+fn blank_and_unlike_views_are_not_called_swapped() -> TestResult {
+    let blank = vec![90; SIZE.0 * SIZE.1];
+    let (left, _) = pair(slanted, 0.0);
+    let (other, _) = pair(|_, _| 0.0, 0.0);
+    let other: Vec<u8> = other.into_iter().rev().collect();
+    for (left, right) in [(&blank, &blank), (&left, &blank), (&left, &other)] {
+        let mut node = Harness::<StereoBm>::from_toml("")?;
+        let out = run(&mut node, left, right)?;
+        assert_eq!(node.logs(), []);
+        assert!(density(&out, "disparity")? < 0.2, "{}", density(&out, "disparity")?);
+    }
+    Ok(())
+}
+
+#[test]
+fn rows_that_do_not_fit_are_measured_and_warned_of() -> TestResult {
+    let mut node = Harness::<StereoBm>::from_toml("")?;
+    let (left, right) = pair(slanted, 0.0);
+    run(&mut node, &left, &right)?;
+    let good = node.metric("epipolar_px").unwrap_or(f64::NAN);
+    assert!(good < 0.3, "{good}");
+    let (left, right) = pair(slanted, 2.0);
+    for _ in 0..80 {
+        run(&mut node, &left, &right)?;
+    }
+    let bad = node.metric("epipolar_px").unwrap_or(f64::NAN);
+    assert!((1.5..2.5).contains(&bad), "{bad}");
+    assert!(warned(&node, "off their rows"));
+    Ok(())
+}
+
+#[test]
+fn only_the_roi_is_matched() -> TestResult {
+    let (left, right) = pair(slanted, 0.0);
+    for (roi, empty) in [
+        (Roi { x: 200, y: 40, width: 60, height: 30 }, false),
+        (Roi { x: -50, y: -50, width: 20, height: 20 }, true),
+        (Roi { x: 400, y: 10, width: 100, height: 10 }, true),
+        (Roi { x: 10, y: 10, width: -5, height: i32::MAX }, true),
+    ] {
+        let mut node = Harness::<StereoBm>::from_toml("")?;
+        node.input_value("roi", roi);
+        let out = run(&mut node, &left, &right)?;
+        let map = out.plane::<Disparity>("disparity")?;
+        let (mut inside, mut outside) = (0, 0);
+        for (index, _) in map.data.iter().enumerate().filter(|(_, value)| value.is_finite()) {
+            let (x, y) = ((index % SIZE.0) as i32, (index / SIZE.0) as i32);
+            let within = (roi.x..roi.x.saturating_add(roi.width)).contains(&x)
+                && (roi.y..roi.y.saturating_add(roi.height)).contains(&y);
+            if within { inside += 1 } else { outside += 1 }
+        }
+        assert_eq!((outside, inside == 0), (0, empty), "{roi:?}: {inside} inside");
+    }
+    Ok(())
+}
+
+#[test]
+fn views_of_two_sizes_are_refused() -> TestResult {
+    let mut node = Harness::<StereoBm>::from_toml("")?;
+    let failed = node
+        .input_image::<Gray8>("left", 64, 48, &[0; 64 * 48])
+        .input_image::<Gray8>("right", 48, 64, &[0; 64 * 48])
+        .process();
+    let words = failed.err().map(|error| error.to_string()).unwrap_or_default();
+    assert!(words.contains("left view is 64x48, the right one 48x64"), "{words}");
+    Ok(())
+}
+
+#[test]
+fn tiny_views_and_odd_searches_give_empty_maps() -> TestResult {
+    for (width, height) in [(1, 1), (5, 3), (40, 2), (2, 40)] {
+        for toml in [
+            "",
+            "params = { search_px = 512, block_px = 31 }",
+            "params = { auto_offset = false, min_disparity_px = 1000 }",
+        ] {
+            let mut node = Harness::<StereoBm>::from_toml(toml)?;
+            let pixels = vec![7; width * height];
+            let out = node
+                .input_image::<Gray8>("left", width, height, &pixels)
+                .input_image::<Gray8>("right", width, height, &pixels)
+                .process()?;
+            assert_eq!(density(&out, "disparity")?, 0.0);
+            assert_eq!(warned(&node, "nothing can be matched"), toml.contains("1000"));
+        }
+    }
+    Ok(())
+}
+
+#[test]
+fn wrong_parameters_are_named() -> TestResult {
+    for (toml, word) in [
+        ("params = { block_px = 4 }", "block_px"),
+        ("params = { search_px = 1000 }", "search_px"),
+        ("params = { left_right_px = -2 }", "left_right_px"),
+    ] {
+        let words = Harness::<StereoBm>::from_toml(toml).err().map(|e| e.to_string()).unwrap_or_default();
+        assert!(words.contains(word), "{toml}: {words}");
+    }
+    let toml = "params = { small_penalty = 100, large_penalty = 50 }";
+    let words = Harness::<StereoSgbm>::from_toml(toml).err().map(|e| e.to_string()).unwrap_or_default();
+    assert!(words.contains("large_penalty"), "{words}");
+    Ok(())
+}
+
+#[test]
+fn threads_do_not_show() -> TestResult {
+    let (left, right) = pair(slanted, 0.0);
+    let bits = |threads: usize| -> Result<Vec<u32>, HarnessError> {
+        let mut node = Harness::<StereoSgbm>::open(Setup::new("").threads(threads))?;
+        let out = run(&mut node, &left, &right)?;
+        Ok(out.plane::<Disparity>("disparity")?.data.iter().map(|value| value.to_bits()).collect())
+    };
+    assert_eq!(bits(1)?, bits(4)?);
+    Ok(())
+}
