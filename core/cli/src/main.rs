@@ -33,6 +33,8 @@ enum Command {
     Dot(commands::dot::Arguments),
     /// Writes a JSON Schema of graph files, for editors.
     Schema,
+    /// Writes the beginnings of a plugin.
+    New(commands::new::Arguments),
     /// Measures the runtime itself, beside its peers where they are installed.
     #[command(subcommand)]
     Bench(commands::bench::Bench),
@@ -41,6 +43,8 @@ enum Command {
     Eval(commands::eval::Eval),
     /// Lists cameras.
     Devices(commands::devices::Arguments),
+    /// Shows what is installed, what is missing and how to get it.
+    Doctor,
 }
 
 /// How a command ended.
@@ -63,6 +67,8 @@ fn main() {
         Command::Describe(arguments) => commands::describe::run(&arguments),
         Command::Dot(arguments) => commands::dot::run(&arguments),
         Command::Schema => commands::schema::run(),
+        Command::New(arguments) => commands::new::run(&arguments),
+        Command::Doctor => commands::doctor::run(),
         Command::Bench(bench) => commands::bench::run(&bench),
         Command::Eval(eval) => commands::eval::run(&eval),
         Command::Devices(arguments) => commands::devices::run(&arguments),

@@ -121,7 +121,7 @@ impl Checks {
             Some(false) => return Err(Error::new_spanned(at.to_token_stream(), message)),
             None => {
                 let span = at.to_token_stream().span();
-                self.asserts.extend(quote_spanned!(span=> const _: () = ::core::assert!(#condition, #message);));
+                self.asserts.extend(quote_spanned!(span=> const _: () = ::core::assert!(#condition, "{}", #message);));
             }
         }
         Ok(())

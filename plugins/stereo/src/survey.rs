@@ -8,11 +8,13 @@ use panoscope_node::{Parallel, View, ViewMut};
 
 /// Columns of a shrunk view, about.
 const COARSE_WIDTH: usize = 160;
+/// Side of the window compared, in coarse px.
+const WINDOW: usize = 9;
 
 /// What a survey found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
-    /// Coarse pixels matched.
+    /// Coarse pixels matched alike with their surroundings.
     pub matched: usize,
     /// Coarse pixels.
     pub pixels: usize,
@@ -72,20 +74,36 @@ impl Survey {
         let out = ViewMut::new(&mut self.disparity, width, height, 1);
         self.matcher.compute(plane(0), plane(1), Roi::full(width, height), pool, out, None)?;
         let mut matched = 0;
-        for disparity in self.disparity.iter().filter(|value| value.is_finite()) {
-            matched += 1;
-            let bin = (*disparity + 0.5).max(0.0) as usize;
-            self.counts[bin.min(width - 1)] += 1;
+        for y in 0..height {
+            for x in 0..width {
+                let Some(disparity) = supported(&self.disparity, width, height, x, y) else { continue };
+                matched += 1;
+                self.counts[((disparity + 0.5).max(0.0) as usize).min(width - 1)] += 1;
+            }
         }
         Ok(Found { matched, pixels: width * height })
     }
+}
+
+/// A pixel's disparity when two of four pixels a window away have nearly the same. Views that show different things
+/// match here and there by chance, never alike.
+fn supported(map: &[f32], width: usize, height: usize, x: usize, y: usize) -> Option<f32> {
+    const NEAR_PX: f32 = 2.0;
+    let own = map[y * width + x];
+    if own.is_nan() {
+        return None;
+    }
+    let at = |x: usize, y: usize| if x < width && y < height { map[y * width + x] } else { f32::NAN };
+    let around = [at(x.wrapping_sub(WINDOW), y), at(x + WINDOW, y), at(x, y.wrapping_sub(WINDOW)), at(x, y + WINDOW)];
+    // NaN fails.
+    (around.into_iter().filter(|other| (other - own).abs() <= NEAR_PX).count() >= 2).then_some(own)
 }
 
 fn params(width: usize) -> BlockMatchingParams {
     BlockMatchingParams {
         min_disparity_px: 0,
         search_px: width.clamp(32, 512),
-        block_px: 9,
+        block_px: WINDOW,
         uniqueness_percent: 10,
         left_right_px: Some(1),
         ..BlockMatchingParams::default()

@@ -186,7 +186,11 @@ impl<'f> Scene<'f> {
             let maps = input.homographies.as_ref();
             let given = maps.map_or(0, List::len);
             if given + 1 != views.len() {
-                return Err(error!("{} views need {} homographies, {given} are connected", views.len(), views.len() - 1));
+                return Err(error!(
+                    "{} views need {} homographies, {given} are connected",
+                    views.len(),
+                    views.len() - 1
+                ));
             }
             for index in 1..views.len() {
                 let (Some(view), Some(map)) = (views.get(index), maps.and_then(|m| m.get(index - 1))) else {

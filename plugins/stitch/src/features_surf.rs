@@ -27,6 +27,9 @@ pub struct FeaturesSurfParams {
     /// Look at the picture doubled in size: finer keypoints, about four times the work. Only with `scale` 1.
     #[param(default = false)]
     upsample: bool,
+    /// Size of the descriptor's window over the usual one.
+    #[param(default = 1.0, range = 0.5..=4.0, step = 0.05, unit = "ratio")]
+    window: f32,
     /// Look again at each candidate with Gaussian derivatives.
     #[param(default = true)]
     second_look: bool,
@@ -51,6 +54,7 @@ impl FeaturesSurfParams {
             upright: self.upright,
             fine_bias: self.fine_bias,
             upsample: self.upsample,
+            window: self.window,
             second_look: self.second_look,
             ..SurfParams::default()
         }
@@ -91,7 +95,8 @@ fn table<'a>(features: &Features, values: &'a mut Vec<f64>) -> &'a [f64] {
     let points = &features.keypoints;
     values.clear();
     for i in 0..points.len() {
-        let row = [points.x_px[i], points.y_px[i], points.size_px[i], points.angle_rad[i].to_degrees(), points.response[i]];
+        let row =
+            [points.x_px[i], points.y_px[i], points.size_px[i], points.angle_rad[i].to_degrees(), points.response[i]];
         values.extend(row.map(f64::from));
     }
     values

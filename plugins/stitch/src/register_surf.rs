@@ -1,8 +1,8 @@
 //! `register_surf`: two views in, the homography between them out (thesis, chapter 2, Algs 2.1 and 2.2).
 
 use panoscope_imaging::features::{self, MatchParams, RegisterParams, Registration, RegistrationState, SurfParams};
-use panoscope_imaging::geometry::ransac::RansacParams;
 use panoscope_imaging::geometry::Rect;
+use panoscope_imaging::geometry::ransac::RansacParams;
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot};
 
@@ -31,7 +31,7 @@ pub struct RegisterSurfParams {
     #[param(default = 0.8, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
     ratio: f32,
     /// Largest reprojection error of an inlier.
-    #[param(default = 3.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
+    #[param(default = 5.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
     ransac_px: f64,
     /// Fewer inliers than this are no registration.
     #[param(default = 8, range = 4..=1000, unit = "points")]
@@ -39,6 +39,9 @@ pub struct RegisterSurfParams {
     /// Keep the homography before while its median error on the new inliers is below this; 0 refits every frame.
     #[param(default = 0.8, range = 0.0..=10.0, step = 0.1, unit = "px")]
     stability_px: f64,
+    /// Weight of the frame before beside that of all inliers: holds still what the overlap leaves open; 0 fits the inliers alone.
+    #[param(default = 1.0, range = 0.0..=4.0, step = 0.05, unit = "ratio")]
+    calm: f64,
     /// Failed frames in a row for which the homography before still counts as held.
     #[param(default = 5, range = 0..=1000, unit = "frames")]
     hold_frames: u32,
@@ -61,6 +64,7 @@ impl RegisterSurfParams {
             ransac: RansacParams { threshold_px: self.ransac_px, ..default.ransac },
             min_inliers: self.min_inliers as usize,
             stability_px: self.stability_px,
+            calm: self.calm,
             hold_frames: self.hold_frames as usize,
             ..default
         }

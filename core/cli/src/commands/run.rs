@@ -24,10 +24,10 @@ pub struct Arguments {
     /// Sets a parameter; wins over the file. May be given again.
     #[arg(long, value_name = "NODE.PARAM=VALUE")]
     set: Vec<String>,
-    /// Left picture, video or device for every node of type `capture`.
+    /// Left video, picture, pattern of pictures, camera number or GStreamer pipeline for every node of type `capture`.
     #[arg(long, value_name = "FILE")]
     left: Option<PathBuf>,
-    /// Right picture, video or device for every node of type `capture`.
+    /// The same for the right view.
     #[arg(long, value_name = "FILE")]
     right: Option<PathBuf>,
     /// Ticks that each source makes; without it, until the sources end or Ctrl-C.
@@ -157,6 +157,15 @@ fn write_report(path: &Path, report: &Report) -> Result<()> {
     fs::rename(&part, path).with_context(|| format!("cannot write {}", path.display()))
 }
 
+/// On the command line paths start from here, in a graph from its file. Camera numbers, addresses and GStreamer pipelines stay.
+fn from_here(view: &Path) -> Result<String> {
+    let text = view.display().to_string();
+    if text.bytes().all(|b| b.is_ascii_digit()) || text.contains("://") || text.contains(" ! ") {
+        return Ok(text);
+    }
+    Ok(std::path::absolute(view).with_context(|| text)?.display().to_string())
+}
+
 /// `--left` and `--right` as settings of every node of type `capture`.
 fn capture_settings(arguments: &Arguments) -> Result<Vec<String>> {
     let sides = [("left", &arguments.left), ("right", &arguments.right)];
@@ -174,9 +183,7 @@ fn capture_settings(arguments: &Arguments) -> Result<Vec<String>> {
     for (id, _) in nodes.into_iter().flatten().filter(|(_, node)| is_capture(node)) {
         for (side, path) in sides {
             if let Some(path) = path {
-                // On the command line paths start from here, in a graph from its file.
-                let full = std::path::absolute(path).with_context(|| format!("--{side} {}", path.display()))?;
-                settings.push(format!("{id}.{side}={}", full.display()));
+                settings.push(format!("{id}.{side}={}", from_here(path)?));
             }
         }
     }

@@ -4,7 +4,7 @@ use super::matching::{Gate, Match, MatchParams, Matcher};
 use super::surf::{Features, Surf, SurfParams};
 use crate::geometry::ransac::{Ransac, RansacParams};
 use crate::geometry::stability::median_error;
-use crate::geometry::{Homography, Plausibility, Point, Rect, overlap_rois};
+use crate::geometry::{Calm, Homography, Plausibility, Point, Rect, overlap_rois, shift_of};
 use crate::{Parallel, View};
 
 /// Overlaps narrower than this cannot hold the larger filters; the next search covers whole frames.
@@ -32,6 +32,9 @@ pub struct RegisterParams {
     /// The homography stays while its median error on the new inliers is below this (chapter 4, Algorithm 2),
     /// in pixels; 0: refit every frame.
     pub stability_px: f64,
+    /// Weight of the frame before (of a plain shift in the first frame) beside that of all inliers, 0..=4: what the overlap leaves open, the far corners
+    /// above all, then moves slowly instead of jumping with every change of inliers. 0: the inliers alone.
+    pub calm: f64,
     /// Failed frames in a row for which the homography before still counts as held rather than lost.
     pub hold_frames: usize,
     /// Widens both search regions, in pixels.
@@ -50,6 +53,7 @@ impl Default for RegisterParams {
             min_inliers: 8,
             plausibility: Plausibility::default(),
             stability_px: 0.0,
+            calm: 0.0,
             hold_frames: 0,
             roi_margin_px: 8,
         }
@@ -105,6 +109,7 @@ pub struct RegisterSurf {
     to: Vec<Point>,
     mask: Vec<bool>,
     errors: Vec<f64>,
+    calm: Calm,
     memory: Option<Memory>,
     failures: usize,
 }
@@ -131,6 +136,7 @@ impl RegisterSurf {
             to: Vec::new(),
             mask: Vec::new(),
             errors: Vec::new(),
+            calm: Calm::default(),
             memory: None,
             failures: 0,
         }
@@ -248,8 +254,15 @@ impl RegisterSurf {
         if fit.inliers < params.min_inliers.max(4) || !params.plausibility.accepts(&fit.homography, sizes[1]) {
             return None;
         }
-        let mut estimate =
-            Estimate { left_from_right: fit.homography, inliers: fit.inliers, rms_px: fit.rms_px, kept: false };
+        let fitted = if params.calm > 0.0 {
+            // A shift is a guess, the frame before is not.
+            let guess = || (shift_of(&fit.homography, &self.from, &self.mask), 0.1 * params.calm);
+            let (anchor, weight) = trusted.map_or_else(guess, |before| (before, params.calm));
+            self.calm.fit(&fit, &anchor, weight, sizes[1], (&self.from, &self.to, &self.mask))
+        } else {
+            fit.homography
+        };
+        let mut estimate = Estimate { left_from_right: fitted, inliers: fit.inliers, rms_px: fit.rms_px, kept: false };
         if let Some(previous) = trusted.filter(|_| params.stability_px > 0.0) {
             let mask = &self.mask;
             let median = median_error(&previous, &self.from, &self.to, |index| mask[index], &mut self.errors);

@@ -42,6 +42,8 @@ pub struct SurfParams {
     /// Looks at the image doubled in size when nothing is shrunk (as Lowe 2004, section 3.3, does), so that the first
     /// octave holds finer keypoints; costs about four times as much.
     pub upsample: bool,
+    /// Size of orientation and descriptor windows over the usual one: larger ones tell fine keypoints apart better.
+    pub window: f32,
     /// Columns and rows of a grid whose cells share `max_points` evenly before the rest is filled
     /// with the strongest; 0 means the strongest wherever they are.
     pub spread: (usize, usize),
@@ -58,6 +60,7 @@ impl Default for SurfParams {
             fine_bias: 1.0,
             max_points: 0,
             upsample: false,
+            window: 1.0,
             spread: (0, 0),
         }
     }
@@ -241,7 +244,7 @@ impl Surf {
         };
         self.integral.compute_with(self.simd, gray, pool);
         self.found.clear();
-        let SurfParams { hessian_threshold, octaves, layers, upright, max_points, .. } = self.params;
+        let SurfParams { hessian_threshold, octaves, layers, upright, max_points, window, .. } = self.params;
         // A negative threshold would also let saddles through.
         let threshold = hessian_threshold.max(0.0);
         self.detector.detect(self.simd, &self.integral, octaves, layers, threshold, pool, &mut self.found);
@@ -285,7 +288,7 @@ impl Surf {
             // SAFETY: chunks own disjoint keypoints.
             let (angles, descriptors) = unsafe { (angles.part(first, len), descriptors.part(first, len)) };
             for ((point, angle), descriptor) in found[first..first + len].iter().zip(angles).zip(descriptors) {
-                let scale = point.size * SCALE_PER_SIZE;
+                let scale = point.size * SCALE_PER_SIZE * window;
                 *angle = if upright { 0.0 } else { orientation(simd, tables, pyramid, point.x, point.y, scale) };
                 describe(simd, tables, pyramid, point.x, point.y, scale, *angle, descriptor);
             }

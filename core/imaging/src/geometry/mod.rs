@@ -1,5 +1,6 @@
 //! Projective geometry: homographies and robust estimation.
 
+pub mod calm;
 pub mod homography;
 pub mod plausible;
 pub mod ransac;
@@ -9,6 +10,7 @@ pub mod stability;
 #[cfg(test)]
 mod tests;
 
+pub use calm::{Calm, shift_of};
 pub use homography::{Homography, Point};
 pub use plausible::Plausibility;
 pub use ransac::{Ransac, RansacError, RansacFit, RansacParams};

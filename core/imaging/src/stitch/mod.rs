@@ -8,6 +8,7 @@ mod blend;
 mod canvas;
 mod compositor;
 mod graph_cut;
+pub mod grid;
 mod mark;
 mod paint;
 mod params;
@@ -22,6 +23,7 @@ pub mod warp;
 
 pub use compositor::Compositor;
 pub use graph_cut::GridCut;
+pub use grid::{CellPoint, GridParams, GridRegistration, GridState, RectifiedView, RegisterGrid};
 pub use params::{
     BlendMethod, Canvas, CompositeError, CompositeParams, CompositeReport, ExposureMethod, GeometryFault,
     GeometryState, MAX_VIEWS, SeamCost, SeamMethod,

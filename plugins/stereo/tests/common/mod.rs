@@ -14,7 +14,7 @@ fn hash(x: i64, y: i64) -> f64 {
     (h >> 40) as f64 / (1u64 << 24) as f64
 }
 
-/// Smooth random texture, never twice the same, at 1 and 1/8 of the resolution.
+/// Smooth random texture of several sizes, never twice the same.
 pub fn texture(x: f64, y: f64) -> f64 {
     let layer = |cell: f64| {
         let (x, y) = (x / cell, y / cell);
@@ -24,7 +24,7 @@ pub fn texture(x: f64, y: f64) -> f64 {
         let (top, low) = (at(0, 0) * (1.0 - a) + at(1, 0) * a, at(0, 1) * (1.0 - a) + at(1, 1) * a);
         top * (1.0 - b) + low * b
     };
-    30.0 + 80.0 * layer(3.0) + 60.0 * layer(9.0) + 50.0 * layer(30.0)
+    30.0 + 80.0 * layer(5.0) + 60.0 * layer(11.0) + 50.0 * layer(30.0)
 }
 
 /// Left and right gray views of a surface with disparity `disparity(x_right, y)`; the right one `dy` rows lower.

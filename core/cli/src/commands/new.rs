@@ -1,0 +1,170 @@
+//! `panoscope new`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+
+use crate::terminal::{say, tell};
+use crate::{End, graph_file};
+
+/// Arguments of `new`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(clap::Subcommand)]
+enum What {
+    /// Writes a plugin with one node that builds, passes its own test and runs.
+    Plugin(Plugin),
+}
+
+#[derive(clap::Args)]
+struct Plugin {
+    /// Name of the plugin and of its node: lower-case letters, digits, `-` and `_`.
+    name: String,
+    /// In C instead of Rust.
+    #[arg(long)]
+    c: bool,
+    /// Folder to make; without it, the plugin's name.
+    #[arg(long, value_name = "FOLDER")]
+    dir: Option<PathBuf>,
+    /// Folder of Panoscope's own source, for `panoscope-node`; without it, where this program was built.
+    #[arg(long, value_name = "FOLDER", conflicts_with = "c")]
+    source: Option<PathBuf>,
+}
+
+const RUST: &[(&str, &str)] = &[
+    ("Cargo.toml", include_str!("../../templates/rust/Cargo.toml")),
+    ("README.md", include_str!("../../templates/rust/README.md")),
+    (".gitignore", include_str!("../../templates/rust/gitignore")),
+    ("{{name}}.toml", include_str!("../../templates/rust/NAME.toml")),
+    ("src/lib.rs", include_str!("../../templates/rust/src/lib.rs")),
+];
+
+const C: &[(&str, &str)] = &[
+    ("Makefile", include_str!("../../templates/c/Makefile")),
+    ("README.md", include_str!("../../templates/c/README.md")),
+    (".gitignore", include_str!("../../templates/c/gitignore")),
+    ("{{name}}.c", include_str!("../../templates/c/NAME.c")),
+    ("{{name}}.toml", include_str!("../../templates/c/NAME.toml")),
+    ("test.c", include_str!("../../templates/c/test.c")),
+    ("panoscope.h", include_str!("../../../abi/panoscope.h")),
+];
+
+/// Names that mean something else to Rust or to cargo.
+const TAKEN: &[&str] = &[
+    "abstract", "as", "async", "await", "become", "box", "break", "build", "const", "continue", "core", "crate", "deps",
+    "do", "dyn", "else", "enum", "examples", "extern", "false", "final", "fn", "for", "gen", "if", "impl", "in",
+    "incremental", "let", "loop", "macro", "match", "mod", "move", "mut", "override", "panoscope", "priv", "proc_macro",
+    "pub", "ref", "return", "self", "static", "std", "alloc", "struct", "super", "test", "trait", "true", "try", "type",
+    "typeof", "unsafe", "unsized", "use", "virtual", "where", "while", "yield",
+];
+
+/// Writes a new plugin.
+pub fn run(arguments: &Arguments) -> Result<End> {
+    let What::Plugin(plugin) = &arguments.what;
+    match write(plugin) {
+        Ok(folder) => {
+            let (build, test) = if plugin.c { ("make", "make test") } else { ("cargo build", "cargo test") };
+            say!("made {}; next:", folder.display());
+            say!("    cd {} && {test} && {build} && panoscope run {}.toml --frames 10", folder.display(), plugin.name);
+            Ok(End::Done)
+        }
+        Err(error) => {
+            tell!("error: {error:#}");
+            Ok(End::Wrong)
+        }
+    }
+}
+
+fn check_name(name: &str) -> Result<()> {
+    let fits = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || matches!(c, '-' | '_');
+    if !name.starts_with(|c: char| c.is_ascii_lowercase()) || !name.chars().all(fits) || name.len() > 40 {
+        bail!("`{name}` is no name for a plugin: lower-case letters, digits, `-` and `_`, a letter first, 40 at most");
+    }
+    if TAKEN.contains(&name) {
+        bail!("`{name}` means something else to Rust or cargo; take another name");
+    }
+    let loader = graph_file::all_plugins();
+    if let Some(found) = loader.found().find(|f| f.note.name == name) {
+        bail!("there is a plugin `{name}` already: {}", found.file.display());
+    }
+    let node = name.replace('-', "_");
+    if let Some(found) = loader.offering(&node).first() {
+        bail!("plugin `{}` has a node type `{node}` already", found.note.name);
+    }
+    Ok(())
+}
+
+/// The folder of the crate `panoscope-node`.
+fn node_crate(source: Option<&Path>) -> Result<PathBuf> {
+    let built_in = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let root = source.unwrap_or(&built_in);
+    let folder = root.join("core/node");
+    if !folder.join("Cargo.toml").is_file() {
+        bail!("Panoscope's source is not at {}; say where it is with --source FOLDER", root.display());
+    }
+    fs::canonicalize(&folder).with_context(|| folder.display().to_string())
+}
+
+fn write(plugin: &Plugin) -> Result<PathBuf> {
+    let name = plugin.name.as_str();
+    check_name(name)?;
+    let folder = plugin.dir.clone().unwrap_or_else(|| PathBuf::from(name));
+    if folder.exists() {
+        bail!("{} is there already; remove it, or say another folder with --dir", folder.display());
+    }
+    let dependency = match plugin.c {
+        true => String::new(),
+        false => format!("path = {:?}", node_crate(plugin.source.as_deref())?),
+    };
+    let node = name.replace('-', "_");
+    let fill = |text: &str| {
+        [("name", name), ("node", &node), ("lib", &node), ("panoscope_include", "."), ("panoscope_node_dependency", &dependency)]
+            .iter()
+            .fold(text.to_owned(), |text, (key, value)| text.replace(&format!("{{{{{key}}}}}"), value))
+    };
+    for (file, text) in if plugin.c { C } else { RUST } {
+        let path = folder.join(fill(file));
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent).with_context(|| format!("cannot make {}", parent.display()))?;
+        }
+        fs::write(&path, fill(text)).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(folder)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bad_names_are_refused() {
+        for name in ["", "Edge", "9lives", "-a", "a b", "../up", "fn", "core", &"x".repeat(41)] {
+            assert!(check_name(name).is_err(), "{name}");
+        }
+        assert!(check_name("edge_filter_2").is_ok());
+    }
+
+    #[test]
+    fn no_placeholder_is_left_and_nothing_is_overwritten() {
+        let folder = std::env::temp_dir().join(format!("panoscope_new_{}", std::process::id()));
+        let _ = fs::remove_dir_all(&folder);
+        for c in [false, true] {
+            let dir = folder.join(if c { "c" } else { "rust" });
+            let plugin = Plugin { name: "fresh-node".to_owned(), c, dir: Some(dir.clone()), source: None };
+            write(&plugin).unwrap();
+            for (file, _) in if c { C } else { RUST } {
+                let path = dir.join(file.replace("{{name}}", "fresh-node"));
+                let text = fs::read_to_string(&path).unwrap();
+                assert!(!text.contains("{{"), "{}", path.display());
+            }
+            let again = write(&plugin).unwrap_err().to_string();
+            assert!(again.contains("is there already"), "{again}");
+        }
+        fs::remove_dir_all(&folder).unwrap();
+    }
+}

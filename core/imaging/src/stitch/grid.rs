@@ -1,0 +1,400 @@
+//! Homography from a disparity map (thesis, chapter 4): smooth tissue has no features, but it has depth.
+//!
+//! A grid is laid on the overlap of the left rectified view. Each cell gives one point `P` with valid disparity `d`; its
+//! partner in the right rectified view is `Q = P - (d, 0)`. Both are carried back to the cameras' own pictures, and RANSAC
+//! finds the homography between them. Algorithm 2 of that chapter keeps it still.
+
+use crate::View;
+use crate::geometry::ransac::{Ransac, RansacParams};
+use crate::geometry::{Homography, Plausibility, Point, Rect, overlap_roi, overlap_rois, stabilize};
+
+/// One camera and its rectification, as far as a pixel's way from the rectified view back to the picture needs them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RectifiedView {
+    /// Columns and rows of the picture.
+    pub size: (usize, usize),
+    /// Focal lengths of the camera, px.
+    pub focal_px: [f64; 2],
+    /// Principal point of the camera, px.
+    pub centre_px: [f64; 2],
+    /// `k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4`, OpenCV's model.
+    pub distortion: [f64; 12],
+    /// Rotation from the camera's axes to the rectified ones, row by row.
+    pub rectified_from_camera: [f64; 9],
+    /// Focal lengths of the rectified view, px.
+    pub rectified_focal_px: [f64; 2],
+    /// Principal point of the rectified view, px.
+    pub rectified_centre_px: [f64; 2],
+}
+
+impl RectifiedView {
+    /// Where a pixel of the rectified view lies in the camera's picture; not finite when the camera cannot see it.
+    pub fn unrectify(&self, [u, v]: Point) -> Point {
+        let (x, y) = (
+            (u - self.rectified_centre_px[0]) / self.rectified_focal_px[0],
+            (v - self.rectified_centre_px[1]) / self.rectified_focal_px[1],
+        );
+        let r = &self.rectified_from_camera;
+        // The inverse of a rotation is its transpose.
+        let (a, b, c) = (r[0] * x + r[3] * y + r[6], r[1] * x + r[4] * y + r[7], r[2] * x + r[5] * y + r[8]);
+        if c <= 0.0 {
+            return [f64::NAN; 2];
+        }
+        let (x, y) = (a / c, b / c);
+        let [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = self.distortion;
+        let r2 = x * x + y * y;
+        let radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
+        let xy = 2.0 * x * y;
+        let dx = x * radial + p1 * xy + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + r2 * s2);
+        let dy = y * radial + p1 * (r2 + 2.0 * y * y) + p2 * xy + r2 * (s3 + r2 * s4);
+        [self.focal_px[0] * dx + self.centre_px[0], self.focal_px[1] * dy + self.centre_px[1]]
+    }
+}
+
+/// Which disparity a grid cell gives.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CellPoint {
+    /// The valid pixel with the largest disparity: the nearest tissue, the peak of chapter 4.
+    Peak,
+    /// The middle of the cell, with the median of its disparities: no outlier of the matching gets through.
+    #[default]
+    Median,
+}
+
+/// How to register.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GridParams {
+    /// Rows of the grid (9 in chapter 4).
+    pub rows: usize,
+    /// Columns of the grid (24).
+    pub columns: usize,
+    /// What each cell gives.
+    pub point: CellPoint,
+    /// Every so many pixels of a cell are looked at.
+    pub step_px: usize,
+    /// Share of a cell's looked-at pixels that must have a disparity.
+    pub least_valid: f32,
+    /// Robust estimation; the threshold is in pixels of the left picture.
+    pub ransac: RansacParams,
+    /// Inliers below which a homography is not believed; at least 4.
+    pub min_inliers: usize,
+    /// What a warped frame may look like.
+    pub plausibility: Plausibility,
+    /// The homography stays while its median error on the new inliers is below this, in pixels; 0: refit every frame.
+    pub stability_px: f64,
+    /// Failed frames in a row for which the homography before still counts as held.
+    pub hold_frames: usize,
+}
+
+impl Default for GridParams {
+    fn default() -> Self {
+        Self {
+            rows: 9,
+            columns: 24,
+            point: CellPoint::default(),
+            step_px: 3,
+            least_valid: 0.3,
+            ransac: RansacParams { threshold_px: 4.0, ..RansacParams::default() },
+            min_inliers: 12,
+            plausibility: Plausibility::default(),
+            stability_px: 0.8,
+            hold_frames: 5,
+        }
+    }
+}
+
+/// What a frame's homography is worth.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GridState {
+    /// Measured in this frame, or confirmed by it.
+    Fresh,
+    /// This frame failed; the one before is recent enough to be used.
+    Held,
+    /// This frame failed and nothing recent is known.
+    #[default]
+    Lost,
+}
+
+/// Result for one disparity map.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GridRegistration {
+    /// Maps right-picture pixels to left-picture pixels; the last good one when held or lost, the identity before any.
+    pub left_from_right: Homography,
+    /// Fresh, held or lost.
+    pub state: GridState,
+    /// Cells that gave a point.
+    pub points: usize,
+    /// Points that agree with the homography; 0 unless fresh.
+    pub inliers: usize,
+    /// Root mean square reprojection error of the inliers in the left picture, px; 0 unless fresh.
+    pub rms_px: f64,
+    /// Overlap in the left picture; the whole picture unless fresh.
+    pub roi_left: Rect,
+    /// Overlap in the right picture.
+    pub roi_right: Rect,
+    /// Whether the homography is the previous frame's, kept by the stability test.
+    pub kept: bool,
+}
+
+/// Registers disparity maps one after the other. Allocates nothing once the largest grid has been seen.
+#[derive(Clone, Debug, Default)]
+pub struct RegisterGrid {
+    params: GridParams,
+    ransac: Ransac,
+    from: Vec<Point>,
+    to: Vec<Point>,
+    mask: Vec<bool>,
+    cell: Vec<f32>,
+    errors: Vec<f64>,
+    memory: Option<Homography>,
+    failures: usize,
+}
+
+impl RegisterGrid {
+    /// A registration without a past.
+    pub fn new(params: GridParams) -> Self {
+        Self { params, ransac: Ransac::new(), ..Self::default() }
+    }
+
+    /// The parameters.
+    pub fn params(&self) -> &GridParams {
+        &self.params
+    }
+
+    /// Changes the parameters and keeps what is known of the frame before.
+    pub fn set_params(&mut self, params: GridParams) {
+        self.params = params;
+    }
+
+    /// Forgets the frame before.
+    pub fn reset(&mut self) {
+        self.memory = None;
+        self.failures = 0;
+    }
+
+    /// Registers by one disparity map: px of the left rectified view at full size, NaN where unmatched.
+    ///
+    /// A failure is a state, not an error: the next frame looks at the whole map and so resumes.
+    pub fn register(
+        &mut self,
+        disparity: View<'_, f32>,
+        left: &RectifiedView,
+        right: &RectifiedView,
+    ) -> GridRegistration {
+        self.gather(disparity, left, right);
+        let whole = |view: &RectifiedView| Rect::new(0, 0, view.size.0, view.size.1);
+        let mut result = GridRegistration {
+            left_from_right: self.memory.unwrap_or(Homography::identity()),
+            points: self.from.len(),
+            roi_left: whole(left),
+            roi_right: whole(right),
+            ..GridRegistration::default()
+        };
+        let params = self.params;
+        let fit = self.ransac.estimate(&self.from, &self.to, &params.ransac, &mut self.mask).ok().filter(|fit| {
+            fit.inliers >= params.min_inliers.max(4) && params.plausibility.accepts(&fit.homography, right.size)
+        });
+        let Some(fit) = fit else {
+            self.failures += 1;
+            if self.memory.is_some() && self.failures <= params.hold_frames {
+                result.state = GridState::Held;
+            }
+            return result;
+        };
+        let previous = self.memory.filter(|_| self.failures == 0 && params.stability_px > 0.0);
+        let mask = &self.mask;
+        let stable = stabilize(
+            previous.as_ref(),
+            &fit.homography,
+            &self.from,
+            &self.to,
+            |index| mask[index],
+            params.stability_px,
+            &mut self.errors,
+        );
+        self.failures = 0;
+        self.memory = Some(stable.homography);
+        let squares: f64 = (0..self.from.len())
+            .filter(|&index| mask[index])
+            .map(|index| stable.homography.squared_error(self.from[index], self.to[index]))
+            .sum();
+        let (roi_left, roi_right) = overlap_rois(&stable.homography, left.size, right.size);
+        GridRegistration {
+            left_from_right: stable.homography,
+            state: GridState::Fresh,
+            inliers: fit.inliers,
+            rms_px: (squares / fit.inliers.max(1) as f64).sqrt(),
+            roi_left,
+            roi_right,
+            kept: stable.kept,
+            ..result
+        }
+    }
+
+    /// Lays the grid and takes a pair from each cell.
+    fn gather(&mut self, disparity: View<'_, f32>, left: &RectifiedView, right: &RectifiedView) {
+        self.from.clear();
+        self.to.clear();
+        let (width, height) = (disparity.width, disparity.height);
+        // Rectified views differ from the pictures by little, so that the pictures' overlap places the grid.
+        let known = self.memory.filter(|_| self.failures == 0);
+        let area = known
+            .map_or(Rect::new(0, 0, width, height), |map| overlap_roi(&map, right.size.0, right.size.1, width, height));
+        let (rows, columns) = (self.params.rows.max(1), self.params.columns.max(1));
+        self.from.reserve(rows * columns);
+        self.to.reserve(rows * columns);
+        if area.width < columns || area.height < rows {
+            return;
+        }
+        let step = self.params.step_px.max(1);
+        for row in 0..rows {
+            let (y0, y1) = (area.y + row * area.height / rows, area.y + (row + 1) * area.height / rows);
+            for column in 0..columns {
+                let (x0, x1) = (area.x + column * area.width / columns, area.x + (column + 1) * area.width / columns);
+                let Some((point, d)) = self.cell(disparity, (x0, x1), (y0, y1), step) else { continue };
+                let other = [point[0] - f64::from(d), point[1]];
+                let (to, from) = (left.unrectify(point), right.unrectify(other));
+                let inside = from[0] >= 0.0
+                    && from[1] >= 0.0
+                    && from[0] <= right.size.0 as f64 - 1.0
+                    && from[1] <= right.size.1 as f64 - 1.0;
+                // Written so that NaN fails too.
+                if inside && to[0].is_finite() && to[1].is_finite() {
+                    self.from.push(from);
+                    self.to.push(to);
+                }
+            }
+        }
+    }
+
+    fn cell(
+        &mut self,
+        disparity: View<'_, f32>,
+        (x0, x1): (usize, usize),
+        (y0, y1): (usize, usize),
+        step: usize,
+    ) -> Option<(Point, f32)> {
+        self.cell.clear();
+        let (mut looked, mut peak) = (0usize, (0.0f32, [0.0; 2]));
+        for y in (y0 + step / 2..y1).step_by(step) {
+            let line = disparity.row(y);
+            for x in (x0 + step / 2..x1).step_by(step) {
+                looked += 1;
+                let d = line[x];
+                if d > 0.0 && d.is_finite() {
+                    self.cell.push(d);
+                    if d > peak.0 {
+                        peak = (d, [x as f64, y as f64]);
+                    }
+                }
+            }
+        }
+        let valid = self.cell.len();
+        if valid == 0 || (valid as f32) < self.params.least_valid * looked as f32 {
+            return None;
+        }
+        match self.params.point {
+            CellPoint::Peak => Some((peak.1, peak.0)),
+            CellPoint::Median => {
+                let (_, &mut median, _) = self.cell.select_nth_unstable_by(valid / 2, f32::total_cmp);
+                Some(([(x0 + x1 - 1) as f64 / 2.0, (y0 + y1 - 1) as f64 / 2.0], median))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera() -> RectifiedView {
+        RectifiedView {
+            size: (640, 480),
+            focal_px: [750.0; 2],
+            centre_px: [319.5, 239.5],
+            distortion: [0.0; 12],
+            rectified_from_camera: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            rectified_focal_px: [750.0; 2],
+            rectified_centre_px: [319.5, 239.5],
+        }
+    }
+
+    /// Disparity of a plane that leans back: `d = 200 + x / 40 - y / 30`.
+    fn plane() -> Vec<f32> {
+        (0..640 * 480).map(|i| 200.0 + (i % 640) as f32 / 40.0 - (i / 640) as f32 / 30.0).collect()
+    }
+
+    #[test]
+    fn a_plane_is_registered_exactly_despite_holes_and_outliers() {
+        let mut map = plane();
+        for (i, d) in map.iter_mut().enumerate() {
+            match i % 17 {
+                0..6 => *d = f32::NAN,
+                7 => *d = 30.0,
+                _ => {}
+            }
+        }
+        let camera = camera();
+        let mut register = RegisterGrid::new(GridParams { stability_px: 0.0, ..GridParams::default() });
+        let found = register.register(View::new(&map, 640, 480, 1), &camera, &camera);
+        assert_eq!(found.state, GridState::Fresh);
+        for [x, y] in [[300.0, 50.0], [600.0, 400.0], [450.0, 240.0]] {
+            let d = 200.0 + x / 40.0 - y / 30.0;
+            let error = found.left_from_right.squared_error([x - d, y], [x, y]).sqrt();
+            assert!(error < 0.2, "{error} px at {x}, {y}");
+        }
+        assert!(found.roi_left.x > 190 && found.roi_left.width > 400, "{:?}", found.roi_left);
+    }
+
+    #[test]
+    fn rectification_is_undone() {
+        let (sin, cos) = 0.05f64.sin_cos();
+        let turned = RectifiedView {
+            rectified_from_camera: [cos, 0.0, sin, 0.0, 1.0, 0.0, -sin, 0.0, cos],
+            distortion: [-0.1, 0.02, 0.001, -0.001, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            ..camera()
+        };
+        let [u, v] = turned.unrectify([400.0, 100.0]);
+        // Forward: undistort by iteration, rotate, project.
+        let (mut x, mut y) = ((u - 319.5) / 750.0, (v - 239.5) / 750.0);
+        let (x0, y0) = (x, y);
+        for _ in 0..50 {
+            let r2 = x * x + y * y;
+            let radial = 1.0 + r2 * (-0.1 + r2 * 0.02);
+            let (dx, dy) =
+                (2.0 * 0.001 * x * y - 0.001 * (r2 + 2.0 * x * x), 0.001 * (r2 + 2.0 * y * y) - 2.0 * 0.001 * x * y);
+            (x, y) = ((x0 - dx) / radial, (y0 - dy) / radial);
+        }
+        let w = -sin * x + cos;
+        let back = [750.0 * (cos * x + sin) / w + 319.5, 750.0 * y / w + 239.5];
+        assert!((back[0] - 400.0).abs() < 1e-6 && (back[1] - 100.0).abs() < 1e-6, "{back:?}");
+    }
+
+    #[test]
+    fn empty_maps_hold_then_lose_then_resume() {
+        let (map, camera) = (plane(), camera());
+        let empty = vec![f32::NAN; map.len()];
+        let mut register = RegisterGrid::new(GridParams { hold_frames: 2, ..GridParams::default() });
+        let mut state = |map: &[f32]| register.register(View::new(map, 640, 480, 1), &camera, &camera).state;
+        assert_eq!(state(&empty), GridState::Lost);
+        assert_eq!(state(&map), GridState::Fresh);
+        assert_eq!([state(&empty), state(&empty), state(&empty)], [GridState::Held, GridState::Held, GridState::Lost]);
+        assert_eq!(state(&map), GridState::Fresh);
+    }
+
+    #[test]
+    fn small_changes_leave_the_homography_as_it_is() {
+        let (map, camera) = (plane(), camera());
+        let mut register = RegisterGrid::new(GridParams::default());
+        let first = register.register(View::new(&map, 640, 480, 1), &camera, &camera);
+        let noisy: Vec<f32> = map.iter().enumerate().map(|(i, d)| d + ((i * 7919) % 13) as f32 * 0.05 - 0.3).collect();
+        let second = register.register(View::new(&noisy, 640, 480, 1), &camera, &camera);
+        assert!(second.kept);
+        assert_eq!(first.left_from_right, second.left_from_right);
+        let moved: Vec<f32> = map.iter().map(|d| d + 5.0).collect();
+        let third = register.register(View::new(&moved, 640, 480, 1), &camera, &camera);
+        assert!(!third.kept);
+        let error = third.left_from_right.squared_error([395.0 - 5.0 - 200.0 - 8.75, 240.0], [395.0, 240.0]).sqrt();
+        assert!(error < 10.0);
+    }
+}
