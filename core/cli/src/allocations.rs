@@ -95,7 +95,7 @@ mod counted {
     #[unsafe(no_mangle)]
     pub unsafe extern "C" fn posix_memalign(out: *mut *mut c_void, alignment: usize, size: usize) -> c_int {
         count();
-        if !alignment.is_power_of_two() || alignment % size_of::<*mut c_void>() != 0 {
+        if !alignment.is_power_of_two() || !alignment.is_multiple_of(size_of::<*mut c_void>()) {
             return libc::EINVAL;
         }
         // SAFETY: the caller's promise; `out` is written only on success.

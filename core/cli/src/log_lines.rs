@@ -26,7 +26,11 @@ fn render(color: bool, level: Level, node: &str, words: &str, left_out: u64) -> 
         Level::Debug => ("debug", "\x1b[2m"),
     };
     let again = if left_out > 0 { format!(" (and {left_out} times more)") } else { String::new() };
-    if color { format!("{style}{word}\x1b[0m [{node}] {words}{again}") } else { format!("{word} [{node}] {words}{again}") }
+    if color {
+        format!("{style}{word}\x1b[0m [{node}] {words}{again}")
+    } else {
+        format!("{word} [{node}] {words}{again}")
+    }
 }
 
 /// A log that hands lines to `show`; debug lines only with `verbose`.

@@ -1,81 +1,41 @@
 //! A node of a running graph: its instance, its inputs, its counters.
 
-use std::ffi::c_void;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use panoscope_abi::{self as abi, Frame, PortRange, Str, Tick};
+use panoscope_abi::{self as abi, PortRange, Str, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
 use crate::clock;
+use crate::exec::{Busy, Exec, ExecPlace, Instance, clear};
+use crate::fault::{Action, Cause, Fault, FaultLog, unix_ms};
 use crate::host::CallContext;
 use crate::join::Join;
 use crate::log::{Level, Log};
-use crate::memory::FrameRef;
+use crate::outputs::OutputRule;
 use crate::params::Snapshot;
 use crate::preview::Taps;
 use crate::stats::{NodeStats, bump};
+use crate::threads::ingest_ring;
+
+/// Frames that a node may keep beyond its calls.
+pub(crate) const MOST_KEPT_FRAMES: usize = 128;
+/// Calls in a row without any output after which a node is called silent.
+const SILENT_CALLS: u32 = 30;
+/// Bad outputs in a row after which an instance is not trusted any more.
+const MOST_BAD_OUTPUTS: u32 = 10;
+const CAUSES: usize = Cause::Leak as usize + 1;
 
 /// What every call of an engine shares.
 pub(crate) struct Surroundings {
     pub host: abi::Host,
     pub log: Log,
+    pub faults: FaultLog,
+    pub start_ns: u64,
     pub graph_dir: String,
     pub batch: bool,
     /// Heap allocations of the calling thread so far.
     pub thread_allocations: Option<fn() -> u64>,
-}
-
-/// The instance and what a call needs; held by whoever runs the node.
-pub(crate) struct Exec {
-    pub instance: Instance,
-    pub inputs: Vec<FrameRef>,
-    pub ranges: Vec<PortRange>,
-    pub outputs: Vec<Frame>,
-    failure: String,
-    snapshot: Arc<Snapshot>,
-    bypassed: bool,
-    /// Wall time in ns before which a failed node is not opened again.
-    retry_ns: u64,
-    failures_in_a_row: u32,
-    last_fired_ns: Option<i64>,
-}
-
-/// An open instance of a node type, closed when dropped.
-pub(crate) struct Instance {
-    /// May be null: a C plugin without state needs none.
-    raw: *mut c_void,
-    node_type: &'static abi::NodeType,
-    open: bool,
-}
-
-// SAFETY: the contract lets an instance move between threads; it is used by one at a time.
-unsafe impl Send for Instance {}
-
-impl Instance {
-    fn none(node_type: &'static abi::NodeType) -> Self {
-        Self { raw: std::ptr::null_mut(), node_type, open: false }
-    }
-
-    fn is_open(&self) -> bool {
-        self.open
-    }
-
-    /// Closes now instead of at drop.
-    pub fn close(&mut self) {
-        let raw = std::mem::replace(&mut self.raw, std::ptr::null_mut());
-        let was_open = std::mem::replace(&mut self.open, false);
-        if let Some(close) = self.node_type.close.filter(|_| was_open) {
-            // SAFETY: opened by `open` and closed once.
-            unsafe { close(raw) }
-        }
-    }
-}
-
-impl Drop for Instance {
-    fn drop(&mut self) {
-        self.close();
-    }
 }
 
 /// How a call ended.
@@ -90,44 +50,69 @@ pub(crate) enum Ran {
     Fault,
     /// It failed and the graph is to stop.
     Stop,
+    /// The watchdog gave this call up; the thread is to leave without touching anything.
+    Abandoned,
 }
 
 /// A node of a running graph.
 pub(crate) struct Cell {
     pub id: String,
-    id_hash: u64,
     pub node_type: &'static abi::NodeType,
     pub kind: NodeKind,
     pub source: bool,
-    pub on_fault: OnFault,
-    pub budget_ns: Option<u64>,
-    pub period_ns: Option<i64>,
+    pub exclusive: bool,
+    pub side_effects: bool,
+    on_fault: AtomicU8,
+    /// 0 for none.
+    pub budget_ns: AtomicU64,
+    /// 0 for none.
+    pub period_ns: AtomicI64,
     pub cpu: Option<u32>,
-    pub exec: Mutex<Exec>,
+    pub rules: Box<[OutputRule]>,
+    pub exec: ExecPlace,
+    /// The call that the current exec runs.
+    pub busy: Mutex<Arc<Busy>>,
     pub join: Mutex<Join>,
     snapshot: Mutex<Arc<Snapshot>>,
     version: AtomicU64,
-    /// Opened beside the running instance with values that need a reopening; taken over before the next tick.
-    replacement: Mutex<Option<(Instance, Arc<Snapshot>)>>,
+    /// Opened beside the running instance; taken over before the next tick.
+    replacement: Mutex<Option<(Instance, Option<Arc<Snapshot>>)>>,
     replace: AtomicBool,
-    pub stats: NodeStats,
+    /// Failed instances, to be closed off the hot path.
+    pub broken: Mutex<Vec<Instance>>,
+    /// A failed node is to be opened again.
+    pub wants_mending: AtomicBool,
+    /// Increases whenever somebody sets out to mend; only the newest may hand over.
+    pub mending: AtomicU64,
+    /// Since when somebody waits for `open`; 0 when nobody does.
+    pub opening_since_ns: AtomicU64,
+    pub failures: AtomicU32,
+    /// Calls and openings that did not return so far.
+    pub stuck: Arc<AtomicU32>,
+    pub stats: Arc<NodeStats>,
     pub metrics: Mutex<Vec<(String, f64)>>,
     pub outputs_read: AtomicU64,
     pub taps: Taps,
     /// The node's own thread, if it has one.
-    pub thread: OnceLock<std::thread::Thread>,
+    pub thread: Mutex<Option<std::thread::Thread>>,
     pub wake: AtomicBool,
+    /// Taken out of the graph: its thread is to leave.
+    pub retired: AtomicBool,
     /// Ticks this node is done with, for its region.
     pub done_ticks: AtomicU64,
-    /// Start of the running call in ns of the host's clock; 0 when idle.
-    pub busy_since_ns: AtomicU64,
+    /// Ticks a source has made.
+    pub made: AtomicU64,
+    /// Ingest times of a source's newest ticks.
+    pub ingest_ns: Box<[AtomicU64]>,
+    /// Which input slots belong to which port.
+    pub ranges: Mutex<Vec<PortRange>>,
+    fault_counts: [AtomicU64; CAUSES],
 }
 
-/// Where a node's random numbers begin for a tick: the same in every run. The generator mixes what stands here, so a cheap
-/// combination is enough.
-fn seed(id_hash: u64, tick: &Tick) -> u64 {
-    let source = u64::from(tick.source).wrapping_mul(0xD6E8_FEB8_6659_FD93);
-    id_hash ^ tick.seq.wrapping_mul(0xA076_1D64_78BD_642F) ^ source
+/// A name for random numbers that is the same in every run.
+fn seed(id: &str, tick: Tick) -> u64 {
+    let hash = abi::fnv1a(abi::FNV_START, id.as_bytes());
+    abi::fnv1a(abi::fnv1a(hash, &tick.seq.to_le_bytes()), &tick.source.to_le_bytes())
 }
 
 /// What a node says of itself when it is made.
@@ -151,44 +136,61 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Cell {
     /// A cell whose instance is not open yet.
     pub fn new(spec: CellSpec, join: Join, snapshot: Arc<Snapshot>) -> Self {
+        let busy = Arc::new(Busy::default());
         let slots = join.slots.len();
-        let exec = Exec {
-            instance: Instance::none(spec.node_type),
-            inputs: Vec::with_capacity(slots),
-            ranges: spec.ranges,
-            outputs: vec![Frame::EMPTY; spec.node_type.outputs_len],
-            failure: String::new(),
-            snapshot: Arc::clone(&snapshot),
-            bypassed: false,
-            retry_ns: 0,
-            failures_in_a_row: 0,
-            last_fired_ns: None,
-        };
-        Self {
-            id_hash: abi::fnv1a(abi::FNV_START, spec.id.as_bytes()),
+        let exec = Exec::new(spec.node_type, slots, spec.ranges.clone(), Arc::clone(&snapshot), Arc::clone(&busy));
+        let this = Self {
             id: spec.id,
             node_type: spec.node_type,
             kind: spec.kind,
             source: spec.source,
-            on_fault: spec.on_fault,
-            budget_ns: spec.budget_ms.map(|ms| (ms * 1e6) as u64),
-            period_ns: spec.max_rate_hz.map(|hz| (1e9 / hz) as i64),
+            exclusive: spec.node_type.flags & abi::NODE_EXCLUSIVE != 0,
+            side_effects: spec.node_type.flags & abi::NODE_SIDE_EFFECTS != 0,
+            on_fault: AtomicU8::new(0),
+            budget_ns: AtomicU64::new(0),
+            period_ns: AtomicI64::new(0),
             cpu: spec.cpu,
-            exec: Mutex::new(exec),
+            rules: OutputRule::of(spec.node_type),
+            exec: ExecPlace::new(exec),
+            busy: Mutex::new(busy),
             join: Mutex::new(join),
             version: AtomicU64::new(snapshot.version()),
             snapshot: Mutex::new(snapshot),
             replacement: Mutex::new(None),
             replace: AtomicBool::new(false),
-            stats: NodeStats::default(),
+            broken: Mutex::new(Vec::new()),
+            wants_mending: AtomicBool::new(false),
+            mending: AtomicU64::new(0),
+            opening_since_ns: AtomicU64::new(0),
+            failures: AtomicU32::new(0),
+            stuck: Arc::default(),
+            stats: Arc::default(),
             metrics: Mutex::new(Vec::new()),
             outputs_read: AtomicU64::new(spec.outputs_read),
             taps: Taps::new(spec.node_type.outputs_len),
-            thread: OnceLock::new(),
+            thread: Mutex::new(None),
             wake: AtomicBool::new(false),
+            retired: AtomicBool::new(false),
             done_ticks: AtomicU64::new(0),
-            busy_since_ns: AtomicU64::new(0),
-        }
+            made: AtomicU64::new(0),
+            ingest_ns: ingest_ring(spec.source),
+            ranges: Mutex::new(spec.ranges.clone()),
+            fault_counts: [const { AtomicU64::new(0) }; CAUSES],
+        };
+        this.set_manners(spec.on_fault, spec.budget_ms, spec.max_rate_hz);
+        this
+    }
+
+    /// Sets what the host does with the node; in force from the next tick on.
+    pub fn set_manners(&self, on_fault: OnFault, budget_ms: Option<f64>, max_rate_hz: Option<f64>) {
+        self.on_fault.store(on_fault as u8, Ordering::Relaxed);
+        self.budget_ns.store(budget_ms.map_or(0, |ms| (ms * 1e6).max(1.0) as u64), Ordering::Relaxed);
+        self.period_ns.store(max_rate_hz.map_or(0, |hz| (1e9 / hz) as i64), Ordering::Relaxed);
+    }
+
+    pub fn on_fault(&self) -> OnFault {
+        let number = self.on_fault.load(Ordering::Relaxed);
+        [OnFault::Restart, OnFault::Bypass, OnFault::Stop].into_iter().find(|o| *o as u8 == number).unwrap_or_default()
     }
 
     /// Whether the node runs on a thread of its own.
@@ -208,11 +210,26 @@ impl Cell {
         self.version.store(version, Ordering::Release);
     }
 
-    /// Hands over an instance that was opened with new values.
-    pub fn replace_instance(&self, instance: Instance, snapshot: Arc<Snapshot>) {
+    /// Hands over an instance that was opened beside the running one, with the values it was opened with where they are new.
+    pub fn replace_instance(&self, instance: Instance, snapshot: Option<Arc<Snapshot>>) {
         let old = lock(&self.replacement).replace((instance, snapshot));
         self.replace.store(true, Ordering::Release);
         drop(old);
+    }
+
+    /// Ends the instance, if nobody runs the node; files are finished then. Answers whether it could be had.
+    pub fn close_instance(&self) -> bool {
+        drop(lock(&self.replacement).take());
+        lock(&self.broken).clear();
+        match self.exec.take() {
+            Some(mut exec) => {
+                exec.inputs.clear();
+                exec.instance.close();
+                self.exec.put(exec);
+                true
+            }
+            None => false,
+        }
     }
 
     /// Opens an instance with the given values.
@@ -220,12 +237,15 @@ impl Cell {
         let mut failure = String::new();
         let mut context = CallContext {
             outputs: std::ptr::null_mut(),
+            shown: std::ptr::null_mut(),
             outputs_len: 0,
+            rules: &[],
             stats: &self.stats,
             log: &around.log,
             node_id: &self.id,
             failure: &mut failure,
-            random: seed(self.id_hash, &Tick::default()),
+            refused: None,
+            random: seed(&self.id, Tick::default()),
             tick: Tick::default(),
             wait_for_memory: around.batch,
             metrics: &self.metrics,
@@ -242,11 +262,13 @@ impl Cell {
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
         let mut instance = Instance::none(self.node_type);
+        let keeper = instance.kept.enter();
         let status = match self.node_type.open {
             // SAFETY: the contract; everything the call points to outlives it.
             Some(open) => unsafe { open(&raw mut call, &raw mut instance.raw) },
             None => abi::STATUS_INVALID,
         };
+        drop(keeper);
         if status == abi::STATUS_OK {
             instance.open = true;
             return Ok(instance);
@@ -279,72 +301,101 @@ impl Cell {
         complete: bool,
         start_ns: u64,
     ) -> (Ran, u64) {
-        // Looked at before it is taken: a swap would cost every tick.
-        if self.replace.load(Ordering::Relaxed)
-            && self.replace.swap(false, Ordering::Acquire)
-            && let Some((instance, snapshot)) = lock(&self.replacement).take()
-        {
-            exec.instance = instance;
-            exec.snapshot = Arc::clone(&snapshot);
-            self.set_snapshot(snapshot);
-            exec.bypassed = false;
+        if self.replace.load(Ordering::Relaxed) {
+            self.take_replacement(exec, around);
         }
         let version = self.version.load(Ordering::Acquire);
         if exec.snapshot.version() != version {
             exec.snapshot = self.snapshot();
         }
-        let too_soon = self.period_ns.zip(exec.last_fired_ns).is_some_and(|(p, last)| tick.capture_ns - last < p);
-        if !complete || too_soon || exec.bypassed || !self.ready_to_run(exec, around, start_ns) {
+        if !complete || !self.may_run(exec, around, tick) {
             if !complete {
                 bump(&self.stats.skipped);
             }
             return (Ran::Skipped, start_ns);
         }
-        if !self.source {
-            exec.last_fired_ns = Some(tick.capture_ns);
-        }
         let allocations = around.thread_allocations.map(|count| count());
-        self.busy_since_ns.store(start_ns.max(1), Ordering::Relaxed);
-        let status = self.call(exec, around, tick);
+        exec.busy.begin(tick, start_ns);
+        let (status, refused) = self.call(exec, around, tick);
+        if !exec.busy.end() {
+            return (Ran::Abandoned, start_ns);
+        }
         let end_ns = clock::now_ns();
-        self.busy_since_ns.store(0, Ordering::Relaxed);
         if let Some((count, before)) = around.thread_allocations.zip(allocations) {
-            let made = count().wrapping_sub(before);
-            if made > 0 {
-                self.stats.allocations.fetch_add(made, Ordering::Relaxed);
-            }
+            self.stats.allocations.fetch_add(count().wrapping_sub(before), Ordering::Relaxed);
         }
         let spent_ns = end_ns.saturating_sub(start_ns);
         self.stats.time.record(spent_ns);
-        if self.budget_ns.is_some_and(|budget| spent_ns > budget) {
+        let budget_ns = self.budget_ns.load(Ordering::Relaxed);
+        if budget_ns != 0 && spent_ns > budget_ns {
             bump(&self.stats.over_budget);
+            let words = || format!("took {:.1} ms of {:.1} ms", spent_ns as f64 / 1e6, budget_ns as f64 / 1e6);
+            self.note(around, Cause::Slow, Action::Note, Some(tick.seq), words);
         }
         match status {
-            abi::STATUS_OK => {
-                exec.failures_in_a_row = 0;
-                (Ran::Ok, end_ns)
-            }
+            abi::STATUS_OK => (self.accept(exec, around, tick, refused, end_ns), end_ns),
             abi::STATUS_END if self.source => {
                 clear(&mut exec.outputs);
                 (Ran::End, end_ns)
             }
             status => {
                 clear(&mut exec.outputs);
-                (self.fault(exec, around, status, end_ns), end_ns)
+                (self.failed(exec, around, status, refused, tick, end_ns), end_ns)
             }
         }
     }
 
-    fn call(&self, exec: &mut Exec, around: &Surroundings, tick: &mut Tick) -> abi::Status {
-        let Some(process) = self.node_type.process else { return abi::STATUS_INVALID };
+    #[cold]
+    fn take_replacement(&self, exec: &mut Exec, around: &Surroundings) {
+        self.replace.store(false, Ordering::Relaxed);
+        let Some((mut instance, snapshot)) = lock(&self.replacement).take() else { return };
+        self.hand_over(exec, &mut instance, around);
+        drop(std::mem::replace(&mut exec.instance, instance));
+        if let Some(snapshot) = snapshot {
+            self.set_snapshot(snapshot);
+        }
+        exec.bypassed = false;
+        exec.bad_in_a_row = 0;
+    }
+
+    /// Gives the state of the running instance to its successor, where both know how.
+    pub fn hand_over(&self, exec: &mut Exec, successor: &mut Instance, around: &Surroundings) {
+        if let Some(state) = exec.instance.save_state(&around.host)
+            && !successor.load_state(&state)
+        {
+            around.log.say(Level::Warn, &self.id, "the state of its predecessor was not understood: it starts anew");
+        }
+    }
+
+    #[inline]
+    fn may_run(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> bool {
+        let period_ns = self.period_ns.load(Ordering::Relaxed);
+        if period_ns > 0 && exec.last_fired_ns.is_some_and(|last| tick.capture_ns - last < period_ns) {
+            return false;
+        }
+        if exec.bypassed || !(exec.instance.is_open() || (around.batch && self.open_in_batch(exec, around, tick))) {
+            return false;
+        }
+        if !self.source {
+            exec.last_fired_ns = Some(tick.capture_ns);
+        }
+        true
+    }
+
+    fn call(&self, exec: &mut Exec, around: &Surroundings, tick: &mut Tick) -> (abi::Status, Option<(Cause, String)>) {
+        let Some(process) = self.node_type.process else { return (abi::STATUS_INVALID, None) };
+        exec.shown.fill(abi::Frame::EMPTY);
         let mut context = CallContext {
             outputs: exec.outputs.as_mut_ptr(),
+            shown: exec.shown.as_mut_ptr(),
             outputs_len: exec.outputs.len(),
+            rules: &self.rules,
             stats: &self.stats,
             log: &around.log,
             node_id: &self.id,
             failure: &mut exec.failure,
-            random: seed(self.id_hash, tick),
+            refused: None,
+            random: seed(&self.id, *tick),
             tick: *tick,
             wait_for_memory: around.batch,
             metrics: &self.metrics,
@@ -359,81 +410,259 @@ impl Cell {
             inputs_len: exec.inputs.len(),
             input_ranges: exec.ranges.as_ptr(),
             input_ranges_len: exec.ranges.len(),
-            outputs: exec.outputs.as_mut_ptr(),
-            outputs_len: exec.outputs.len(),
+            outputs: exec.shown.as_mut_ptr(),
+            outputs_len: exec.shown.len(),
             params: exec.snapshot.values().as_ptr(),
             params_len: exec.snapshot.values().len(),
             params_version: exec.snapshot.version(),
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
+        let keeper = exec.instance.kept.enter();
         // SAFETY: the contract: an open instance that no other thread uses, and a call whose parts outlive it.
         let status = unsafe { process(exec.instance.raw, &raw mut call) };
+        drop(keeper);
+        let refused = context.refused.take();
         if self.source {
             tick.capture_ns = call.tick.capture_ns;
             for frame in exec.outputs.iter_mut().filter(|f| !f.is_empty()) {
                 frame.tick = *tick;
             }
         }
-        status
+        (status, refused)
     }
 
-    /// Opens a node again that failed, when its time has come.
-    fn ready_to_run(&self, exec: &mut Exec, around: &Surroundings, now_ns: u64) -> bool {
-        if exec.instance.is_open() {
-            return true;
+    /// Looks at what a call made that says it went well.
+    #[inline]
+    fn accept(
+        &self,
+        exec: &mut Exec,
+        around: &Surroundings,
+        tick: &Tick,
+        mut refused: Option<(Cause, String)>,
+        end_ns: u64,
+    ) -> Ran {
+        let mut made = 0;
+        let Exec { outputs, shown, .. } = exec;
+        for (index, rule) in self.rules.iter().enumerate() {
+            let frame = &mut outputs[index];
+            if frame.is_empty() && shown[index].is_empty() {
+                continue;
+            }
+            made += 1;
+            if let Err(objection) = rule.inspect(frame, &shown[index]) {
+                clear(std::slice::from_mut(frame));
+                refused = Some(objection);
+            }
         }
-        if self.on_fault != OnFault::Restart || now_ns < exec.retry_ns {
+        if let Some((cause, words)) = refused {
+            return self.bad_output(exec, around, tick, cause, words, end_ns);
+        }
+        exec.bad_in_a_row = 0;
+        if exec.instance.kept.count() > MOST_KEPT_FRAMES {
+            clear(&mut exec.outputs);
+            exec.failure.clear();
+            exec.failure.push_str("it keeps more frames than any node may: a leak");
+            return self.failed(exec, around, abi::STATUS_ERROR, Some((Cause::Leak, String::new())), tick, end_ns);
+        }
+        if made == 0 && !self.rules.is_empty() {
+            exec.silent_calls = exec.silent_calls.saturating_add(1);
+            let silent = exec.silent_calls;
+            if silent >= SILENT_CALLS
+                && silent.is_multiple_of(SILENT_CALLS)
+                && self.outputs_read.load(Ordering::Relaxed) != 0
+            {
+                let words = || format!("its inputs are complete, but it made nothing for {silent} ticks");
+                self.note(around, Cause::Silent, Action::Note, Some(tick.seq), words);
+            }
+        } else {
+            exec.silent_calls = 0;
+        }
+        if exec.failed_at_ns != 0 {
+            self.stats.recovery.record(end_ns.saturating_sub(exec.failed_at_ns));
+            exec.failed_at_ns = 0;
+        }
+        if exec.failures_in_a_row != 0 {
+            exec.failures_in_a_row = 0;
+            self.failures.store(0, Ordering::Relaxed);
+        }
+        Ran::Ok
+    }
+
+    /// A description or contents that do not pass: the packet is withheld; who goes on like that is opened again.
+    #[cold]
+    fn bad_output(
+        &self,
+        exec: &mut Exec,
+        around: &Surroundings,
+        tick: &Tick,
+        cause: Cause,
+        words: String,
+        end_ns: u64,
+    ) -> Ran {
+        exec.bad_in_a_row += 1;
+        if exec.bad_in_a_row >= MOST_BAD_OUTPUTS || (cause == Cause::BadOutput && self.on_fault() != OnFault::Restart) {
+            clear(&mut exec.outputs);
+            exec.failure.clear();
+            exec.failure.push_str(&words);
+            return self.failed(exec, around, abi::STATUS_ERROR, Some((cause, words)), tick, end_ns);
+        }
+        bump(&self.stats.faults);
+        if self.count(cause).is_power_of_two() {
+            around.log.say(Level::Error, &self.id, &words);
+        }
+        self.note_counted(around, cause, Action::Withhold, Some(tick.seq), || words);
+        Ran::Ok
+    }
+
+    /// In batch a failed node is opened again before a tick that does not depend on the clock.
+    #[cold]
+    fn open_in_batch(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> bool {
+        if self.on_fault() != OnFault::Restart {
             return false;
         }
-        bump(&self.stats.restarts);
+        if exec.skip_calls > 0 {
+            exec.skip_calls -= 1;
+            return false;
+        }
+        lock(&self.broken).clear();
         let snapshot = Arc::clone(&exec.snapshot);
         match self.open(around, &snapshot) {
             Ok(instance) => {
+                bump(&self.stats.restarts);
                 around.log.say(Level::Info, &self.id, "opened again");
                 exec.instance = instance;
                 true
             }
             Err(words) => {
                 exec.failures_in_a_row += 1;
-                exec.retry_ns = clock::now_ns() + backoff_ns(exec.failures_in_a_row);
-                around.log.say(Level::Error, &self.id, &format!("could not be opened again: {words}"));
+                exec.skip_calls = skipped_calls(exec.failures_in_a_row);
+                self.open_failed(around, &words, Some(tick.seq));
                 false
             }
         }
     }
 
-    fn fault(&self, exec: &mut Exec, around: &Surroundings, status: abi::Status, now_ns: u64) -> Ran {
+    /// Writes down that a node did not open again.
+    pub fn open_failed(&self, around: &Surroundings, words: &str, seq: Option<u64>) {
+        bump(&self.stats.faults);
+        around.log.say(Level::Error, &self.id, &format!("could not be opened again: {words}"));
+        self.tell(around, Cause::Open, Action::Restart, seq, None, words.to_owned());
+    }
+
+    #[cold]
+    fn failed(
+        &self,
+        exec: &mut Exec,
+        around: &Surroundings,
+        status: abi::Status,
+        refused: Option<(Cause, String)>,
+        tick: &Tick,
+        now_ns: u64,
+    ) -> Ran {
         if status == abi::STATUS_EXHAUSTED {
             bump(&self.stats.dropped);
-            around.log.say(Level::Warn, &self.id, "the tick was dropped: frame memory is used up");
+            let words = "the tick was dropped: frame memory is used up";
+            if (self.count(Cause::Exhausted) + 1).is_power_of_two() {
+                around.log.say(Level::Warn, &self.id, words);
+            }
+            self.note(around, Cause::Exhausted, Action::Withhold, Some(tick.seq), || words.to_owned());
             return Ran::Fault;
         }
         bump(&self.stats.faults);
-        let words = if exec.failure.is_empty() { "it failed without a word" } else { exec.failure.as_str() };
-        around.log.say(Level::Error, &self.id, words);
-        // What the instance holds after a fault is not to be trusted.
-        exec.instance.close();
-        exec.failures_in_a_row += 1;
-        exec.retry_ns = now_ns + backoff_ns(exec.failures_in_a_row);
-        match self.on_fault {
-            OnFault::Restart => Ran::Fault,
-            OnFault::Bypass => {
-                exec.bypassed = true;
-                Ran::Fault
+        let mut words = std::mem::take(&mut exec.failure);
+        let mut cause = if status == abi::STATUS_PANIC { Cause::Panic } else { Cause::Error };
+        if let Some((because, details)) = refused {
+            cause = because;
+            if !details.is_empty() && details != words {
+                words = if words.is_empty() { details } else { format!("{details} ({words})") };
             }
-            OnFault::Stop => Ran::Stop,
+        }
+        if words.is_empty() {
+            words = "it failed without a word".to_owned();
+        }
+        around.log.say(Level::Error, &self.id, &words);
+        exec.failures_in_a_row += 1;
+        exec.skip_calls = skipped_calls(exec.failures_in_a_row);
+        exec.failed_at_ns = now_ns;
+        exec.bad_in_a_row = 0;
+        exec.silent_calls = 0;
+        self.failures.store(exec.failures_in_a_row, Ordering::Relaxed);
+        // What the instance holds after a fault is not to be trusted. It may take long to close.
+        lock(&self.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
+        let (done, ran) = match self.on_fault() {
+            OnFault::Restart => (Action::Restart, Ran::Fault),
+            OnFault::Bypass => (Action::Bypass, Ran::Fault),
+            OnFault::Stop => (Action::Stop, Ran::Stop),
+        };
+        exec.bypassed = done == Action::Bypass;
+        self.wants_mending.store(true, Ordering::Release);
+        self.tell(around, cause, done, Some(tick.seq), None, words);
+        ran
+    }
+
+    fn count(&self, cause: Cause) -> u64 {
+        self.fault_counts[cause as usize].load(Ordering::Relaxed)
+    }
+
+    /// Writes down a fault that may come with every tick.
+    #[cold]
+    pub fn note(
+        &self,
+        around: &Surroundings,
+        cause: Cause,
+        done: Action,
+        seq: Option<u64>,
+        words: impl FnOnce() -> String,
+    ) {
+        self.note_counted(around, cause, done, seq, words);
+    }
+
+    fn note_counted(
+        &self,
+        around: &Surroundings,
+        cause: Cause,
+        done: Action,
+        seq: Option<u64>,
+        words: impl FnOnce() -> String,
+    ) {
+        if (self.count(cause) + 1).is_power_of_two() {
+            self.tell(around, cause, done, seq, None, words());
+        } else {
+            bump(&self.fault_counts[cause as usize]);
         }
     }
-}
 
-/// 0, 10, 20, 40 ... 2,000 ms.
-fn backoff_ns(failures: u32) -> u64 {
-    if failures <= 1 { 0 } else { (10_000_000u64 << (failures - 2).min(8)).min(2_000_000_000) }
-}
-
-/// Gives back what stands in the outputs.
-pub(crate) fn clear(outputs: &mut [Frame]) {
-    for frame in outputs {
-        drop(FrameRef::adopt(std::mem::replace(frame, Frame::EMPTY)));
+    /// Writes down a fault.
+    pub fn tell(
+        &self,
+        around: &Surroundings,
+        cause: Cause,
+        done: Action,
+        seq: Option<u64>,
+        late_ms: Option<f64>,
+        words: String,
+    ) {
+        let count = self.fault_counts[cause as usize].fetch_add(1, Ordering::Relaxed) + 1;
+        around.faults.put(Fault {
+            unix_ms: unix_ms(),
+            run_ms: clock::now_ns().saturating_sub(around.start_ns) as f64 / 1e6,
+            node: self.id.clone(),
+            cause,
+            words,
+            done,
+            seq,
+            late_ms,
+            count,
+        });
     }
+}
+
+/// How long a failed node rests before it is opened again: 0, 10, 20, 40 ... 2,000 ms.
+pub(crate) fn backoff_ms(failures: u32) -> u64 {
+    if failures <= 1 { 0 } else { (10u64 << (failures - 2).min(8)).min(2000) }
+}
+
+/// The same in calls, for batch: 0, 1, 3, 7 ... 255.
+fn skipped_calls(failures: u32) -> u32 {
+    (1u32 << (failures.max(1) - 1).min(8)) - 1
 }

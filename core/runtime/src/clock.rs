@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 struct Scale {
     start: Instant,
     start_ticks: u64,
-    ns_per_tick: f64,
+    /// Nanoseconds per tick of the counter, times 2^32: one integer multiplication per reading.
+    ns_per_tick_q32: u64,
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -32,7 +33,7 @@ fn scale() -> &'static Scale {
     SCALE.get_or_init(|| {
         let start = Instant::now();
         let start_ticks = counter().unwrap_or(0);
-        let mut ns_per_tick = 1.0;
+        let mut ns_per_tick = 1.0f64;
         if counter().is_some() {
             while start.elapsed() < Duration::from_millis(3) {
                 std::hint::spin_loop();
@@ -40,7 +41,7 @@ fn scale() -> &'static Scale {
             let ticks = counter().unwrap_or(0).wrapping_sub(start_ticks);
             ns_per_tick = start.elapsed().as_nanos() as f64 / ticks.max(1) as f64;
         }
-        Scale { start, start_ticks, ns_per_tick }
+        Scale { start, start_ticks, ns_per_tick_q32: (ns_per_tick * 4_294_967_296.0) as u64 }
     })
 }
 
@@ -49,7 +50,10 @@ fn scale() -> &'static Scale {
 pub fn now_ns() -> u64 {
     let scale = scale();
     match counter() {
-        Some(ticks) => (ticks.wrapping_sub(scale.start_ticks) as f64 * scale.ns_per_tick) as u64,
+        Some(ticks) => {
+            let ticks = u128::from(ticks.wrapping_sub(scale.start_ticks));
+            ((ticks * u128::from(scale.ns_per_tick_q32)) >> 32) as u64
+        }
         None => scale.start.elapsed().as_nanos() as u64,
     }
 }

@@ -6,11 +6,13 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use arc_swap::ArcSwap;
 use panoscope_abi as abi;
-use panoscope_graph::{Catalog, Graph, Mode, NodeKind, Param, ParamValue};
+use panoscope_graph::{Catalog, Graph, Mode, Param, ParamValue};
 
-use crate::cell::{Surroundings, lock};
+use crate::cell::{Cell, Surroundings, lock};
 use crate::clock;
+use crate::fault::{Fault, FaultFn, FaultLog};
 use crate::host;
 use crate::loader::Loader;
 use crate::log::{Level, Log, LogFn};
@@ -19,7 +21,7 @@ use crate::plan;
 use crate::pool::{Pool, Task};
 use crate::preview::Preview;
 use crate::report::Report;
-use crate::schedule::{AllocationMeter, Shared, ingest_ring};
+use crate::schedule::{AllocationMeter, Shared};
 
 /// How a graph is run.
 pub struct Options {
@@ -33,6 +35,10 @@ pub struct Options {
     pub graph_dir: std::path::PathBuf,
     /// Takes log lines as they come.
     pub log: Option<Box<LogFn>>,
+    /// Takes faults as they happen; see [`crate::fault::json_lines`].
+    pub faults: Option<Box<FaultFn>>,
+    /// A call of a node without a budget that takes longer does not return, in live mode; in batch, 30 times that.
+    pub hang: Duration,
     /// Heap allocations of the process so far, where the program counts them.
     pub process_allocations: Option<fn() -> u64>,
     /// Heap allocations of the calling thread so far, where the program counts them.
@@ -47,6 +53,8 @@ impl Default for Options {
             paced: true,
             graph_dir: std::path::PathBuf::new(),
             log: None,
+            faults: None,
+            hang: Duration::from_secs(2),
             process_allocations: None,
             thread_allocations: None,
         }
@@ -126,15 +134,40 @@ pub enum Outcome {
     Failed(String),
 }
 
+/// What is known of the graph that runs.
+pub(crate) struct Current {
+    pub graph: Graph,
+    /// Declared parameters of each node.
+    pub params: Vec<Vec<Param>>,
+    /// Names of each node's outputs.
+    pub outputs: Vec<Vec<String>>,
+    /// Slot of each node.
+    pub slots: Vec<usize>,
+}
+
+impl Current {
+    pub fn new(graph: Graph, catalog: &Catalog, slots: Vec<usize>) -> Self {
+        let types = || graph.nodes.iter().map(|n| n.node_type(catalog));
+        Self {
+            params: types().map(|t| t.params.clone()).collect(),
+            outputs: types().map(|t| t.outputs.iter().map(|p| p.name.clone()).collect()).collect(),
+            graph,
+            slots,
+        }
+    }
+}
+
+/// Ticks inside a region in batch. Not the number of threads: how far ticks overlap must not depend on it where a delay closes a loop.
+pub(crate) const TICKS_IN_FLIGHT: u32 = 4;
+
 /// A running graph.
 pub struct Engine {
-    shared: Arc<Shared>,
-    graph: Graph,
-    params: Vec<Vec<Param>>,
-    outputs: Vec<Vec<String>>,
-    threads: Mutex<Vec<JoinHandle<()>>>,
-    ticker: Mutex<Option<JoinHandle<()>>>,
-    ticker_stop: Arc<AtomicBool>,
+    pub(crate) shared: Arc<Shared>,
+    pub(crate) current: ArcSwap<Current>,
+    /// Held while the graph is changed.
+    pub(crate) change: Mutex<()>,
+    watch: Mutex<Option<JoinHandle<()>>>,
+    watch_stop: Arc<AtomicBool>,
     closed: AtomicBool,
 }
 
@@ -146,31 +179,37 @@ impl Engine {
             n => n,
         };
         let entry = |plugin: &str, node_type: &str| loader.entry(plugin, node_type);
-        // Not the number of threads: how far ticks overlap must not depend on it where a delay closes a loop.
-        let plan = plan::build(&graph, catalog, &entry, 4).map_err(|reason| StartError::Stale { reason })?;
+        let mut cells = Vec::with_capacity(graph.nodes.len());
+        for node in 0..graph.nodes.len() {
+            let node_type = plan::entry_of(&graph, node, &entry).map_err(|reason| StartError::Stale { reason })?;
+            cells.push(plan::cell(&graph, catalog, node, node_type));
+        }
+        let slots: Vec<usize> = (0..cells.len()).collect();
+        let plan = plan::lay_out(&graph, catalog, cells, slots.clone(), TICKS_IN_FLIGHT, None);
+        let batch = graph.mode == Mode::Batch;
+        let start_ns = clock::now_ns();
         let around = Surroundings {
             host: host::table(threads),
             log: Log::new(options.log),
+            faults: FaultLog::new(options.faults),
+            start_ns,
             graph_dir: absolute(&options.graph_dir),
-            batch: graph.mode == Mode::Batch,
+            batch,
             thread_allocations: options.thread_allocations,
         };
         let pool = Pool::new(threads);
-        pool.enter();
-        for cell in &plan.cells {
-            let instance = cell.open(&around, &cell.snapshot()).map_err(|reason| StartError::Open {
-                node: cell.id.clone(),
-                node_type: type_name(cell.node_type),
-                reason,
-            })?;
-            lock(&cell.exec).instance = instance;
+        {
+            let _visit = pool.visit();
+            for cell in &plan.cells {
+                open_first(cell, &around)?;
+            }
         }
         let count = plan.cells.len();
         let warm_up_ticks = options.frames.map_or(30, |n| (n / 4).min(30)).max(1);
-        let shared = Arc::new(Shared {
-            ingest_ns: plan.cells.iter().map(|c| ingest_ring(c.source)).collect(),
-            made: (0..count).map(|_| AtomicU64::new(0)).collect(),
-            plan,
+        let patience = u64::try_from(options.hang.as_nanos()).unwrap_or(u64::MAX / 64).min(u64::MAX / 64);
+        let shared = Arc::new_cyclic(|me| Shared {
+            me: me.clone(),
+            plan: ArcSwap::from_pointee(plan),
             pool,
             around,
             paced: options.paced,
@@ -180,23 +219,21 @@ impl Engine {
             unfinished: AtomicUsize::new(count),
             finished: Condvar::new(),
             finished_lock: Mutex::new(()),
-            start_ns: clock::now_ns(),
+            finishing: Mutex::new(()),
+            start_ns,
             end_ns: AtomicU64::new(0),
             allocations: AllocationMeter { count: options.process_allocations, warm_up_ticks, ..Default::default() },
             waiting_nearest: AtomicI64::new(0),
+            own_threads: Mutex::default(),
+            hang_ns: if batch { patience * 30 } else { patience },
+            frame_ns: AtomicU64::new(33_333_333),
         });
         let engine = Self {
-            params: graph.nodes.iter().map(|n| n.node_type(catalog).params.clone()).collect(),
-            outputs: graph
-                .nodes
-                .iter()
-                .map(|n| n.node_type(catalog).outputs.iter().map(|p| p.name.clone()).collect())
-                .collect(),
             shared,
-            graph,
-            threads: Mutex::new(Vec::new()),
-            ticker: Mutex::new(None),
-            ticker_stop: Arc::new(AtomicBool::new(false)),
+            current: ArcSwap::from_pointee(Current::new(graph, catalog, slots)),
+            change: Mutex::new(()),
+            watch: Mutex::new(None),
+            watch_stop: Arc::new(AtomicBool::new(false)),
             closed: AtomicBool::new(false),
         };
         engine.start_threads().map_err(|cause| StartError::Thread { cause })?;
@@ -213,45 +250,21 @@ impl Engine {
             }
         });
         shared.pool.start(&task)?;
-        let mut threads = lock(&self.threads);
-        // Readers before sources: a thread must stand before it is woken.
+        let plan = shared.plan.load_full();
         for sources in [false, true] {
-            for (node, cell) in shared.plan.cells.iter().enumerate() {
-                if !cell.owns_thread() || cell.source != sources {
-                    continue;
-                }
-                let (shared, realtime, cpu) = (Arc::clone(shared), cell.kind == NodeKind::Realtime, cell.cpu);
-                let builder = std::thread::Builder::new().name(cell.id.chars().take(15).collect());
-                let (ready, wait) = std::sync::mpsc::sync_channel(1);
-                let handle = builder.spawn(move || {
-                    let cell = &shared.plan.cells[node];
-                    let _ = cell.thread.set(std::thread::current());
-                    let _ = ready.send(());
-                    place_thread(cpu, realtime);
-                    shared.pool.enter();
-                    if cell.source { shared.source_thread(node) } else { shared.blocking_thread(node) }
-                })?;
-                let _ = wait.recv();
-                threads.push(handle);
+            for (node, cell) in plan.live().filter(|(_, c)| c.owns_thread() && c.source == sources) {
+                shared.start_thread(node, cell)?;
             }
         }
-        drop(threads);
-        let nearest = self.graph.edges.iter().any(|e| matches!(e.align, panoscope_graph::Align::Nearest { .. }));
-        if nearest {
-            let (shared, stop) = (Arc::clone(shared), Arc::clone(&self.ticker_stop));
-            *lock(&self.ticker) = Some(std::thread::Builder::new().name("ticker".to_owned()).spawn(move || {
-                while !stop.load(Ordering::Relaxed) {
-                    std::thread::sleep(Duration::from_millis(1));
-                    shared.poke_nearest();
-                }
-            })?);
-        }
+        let (shared, stop) = (Arc::clone(shared), Arc::clone(&self.watch_stop));
+        let watch = std::thread::Builder::new().name("watch".to_owned()).spawn(move || shared.watch(&stop))?;
+        *lock(&self.watch) = Some(watch);
         Ok(())
     }
 
     /// The graph that runs.
-    pub fn graph(&self) -> &Graph {
-        &self.graph
+    pub fn graph(&self) -> Graph {
+        self.current.load().graph.clone()
     }
 
     /// Asks the sources to end; what is under way is finished.
@@ -286,30 +299,27 @@ impl Engine {
     pub fn close(&self, patience: Duration) -> Outcome {
         if !self.closed.swap(true, Ordering::AcqRel) {
             self.stop();
+            let _change = lock(&self.change);
             let all = self.wait(Some(patience));
-            self.ticker_stop.store(true, Ordering::Relaxed);
-            if let Some(ticker) = lock(&self.ticker).take() {
-                let _ = ticker.join();
+            self.watch_stop.store(true, Ordering::Relaxed);
+            if let Some(watch) = lock(&self.watch).take() {
+                watch.thread().unpark();
+                let _ = watch.join();
             }
             if all {
-                for thread in lock(&self.threads).drain(..) {
+                let threads = std::mem::take(&mut *lock(&self.shared.own_threads));
+                for thread in threads.into_values() {
                     let _ = thread.join();
                 }
                 self.shared.pool.stop();
             }
             // Sources first, then along the graph: readers finish their files last.
-            for &node in &self.graph.order {
-                let cell = &self.shared.plan.cells[node];
-                match cell.exec.try_lock() {
-                    Ok(mut exec) => {
-                        exec.inputs.clear();
-                        exec.instance.close();
-                    }
-                    Err(_) => self.shared.around.log.say(
-                        Level::Error,
-                        &cell.id,
-                        "it does not return and is left behind; its files may be incomplete",
-                    ),
+            let (plan, current) = (self.shared.plan.load(), self.current.load());
+            for &node in &current.graph.order {
+                let cell = &plan.cells[current.slots[node]];
+                if !cell.close_instance() || cell.stuck.load(Ordering::Relaxed) > 0 {
+                    let words = "it does not return and is left behind; its files may be incomplete";
+                    self.shared.around.log.say(Level::Error, &cell.id, words);
                 }
             }
         }
@@ -326,8 +336,10 @@ impl Engine {
 
     /// Changes one parameter between two ticks. A `reopen` parameter opens a new instance beside the running one first.
     pub fn set_param(&self, node: &str, param: &str, value: ParamValue) -> Result<(), SetError> {
-        let index = self.graph.node(node).ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
-        let declared = &self.params[index];
+        let _change = lock(&self.change);
+        let current = self.current.load_full();
+        let index = current.graph.node(node).ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
+        let declared = &current.params[index];
         let position = declared
             .iter()
             .position(|p| p.name == param)
@@ -337,32 +349,44 @@ impl Engine {
             param: param.to_owned(),
             reason,
         })?;
-        let cell = &self.shared.plan.cells[index];
+        let cell = Arc::clone(&self.shared.plan.load().cells[current.slots[index]]);
         let mut values = cell.snapshot().owned().to_vec();
         values[position] = value;
-        let snapshot = Snapshot::new(values);
-        if !declared[position].reopen {
+        let snapshot = Snapshot::new(values.clone());
+        if declared[position].reopen {
+            let instance = {
+                let _visit = self.shared.pool.visit();
+                cell.open(&self.shared.around, &snapshot)
+                    .map_err(|reason| SetError::Reopen { node: node.to_owned(), reason })?
+            };
+            cell.mending.fetch_add(1, Ordering::AcqRel);
+            cell.replace_instance(instance, Some(snapshot));
+        } else {
             cell.set_snapshot(snapshot);
-            return Ok(());
         }
-        let instance = cell
-            .open(&self.shared.around, &snapshot)
-            .map_err(|reason| SetError::Reopen { node: node.to_owned(), reason })?;
-        cell.replace_instance(instance, snapshot);
+        let mut graph = current.graph.clone();
+        graph.nodes[index].params = values;
+        let (params, outputs) = (current.params.clone(), current.outputs.clone());
+        self.current.store(Arc::new(Current { graph, params, outputs, slots: current.slots.clone() }));
         Ok(())
+    }
+
+    fn cell(&self, current: &Current, node: &str) -> Option<(usize, Arc<Cell>)> {
+        let index = current.graph.node(node)?;
+        Some((index, Arc::clone(&self.shared.plan.load().cells[current.slots[index]])))
     }
 
     /// The values of a node's parameters now, in declaration order.
     pub fn param_values(&self, node: &str) -> Option<Vec<ParamValue>> {
-        let index = self.graph.node(node)?;
-        Some(self.shared.plan.cells[index].snapshot().owned().to_vec())
+        let (_, cell) = self.cell(&self.current.load(), node)?;
+        Some(cell.snapshot().owned().to_vec())
     }
 
     /// Looks at an output without slowing the graph.
     pub fn preview(&self, node: &str, output: &str) -> Option<Preview> {
-        let index = self.graph.node(node)?;
-        let port = self.outputs[index].iter().position(|name| name == output)?;
-        let cell = &self.shared.plan.cells[index];
+        let current = self.current.load();
+        let (index, cell) = self.cell(&current, node)?;
+        let port = current.outputs[index].iter().position(|name| name == output)?;
         let preview = cell.taps.subscribe(port)?;
         if port < 64 {
             cell.outputs_read.fetch_or(1 << port, Ordering::Relaxed);
@@ -375,9 +399,14 @@ impl Engine {
         self.shared.around.log.recent()
     }
 
+    /// Newest faults, oldest first.
+    pub fn recent_faults(&self) -> Vec<Fault> {
+        self.shared.around.faults.recent()
+    }
+
     /// All counters and times so far.
     pub fn report(&self) -> Report {
-        Report::of(&self.graph, &self.shared)
+        Report::of(&self.current.load().graph, &self.shared)
     }
 }
 
@@ -387,28 +416,24 @@ impl Drop for Engine {
     }
 }
 
+fn open_first(cell: &Cell, around: &Surroundings) -> Result<(), StartError> {
+    let instance = cell.open(around, &cell.snapshot()).map_err(|reason| StartError::Open {
+        node: cell.id.clone(),
+        node_type: type_name(cell.node_type),
+        reason,
+    })?;
+    if let Some(mut exec) = cell.exec.take() {
+        exec.instance = instance;
+        cell.exec.put(exec);
+    }
+    Ok(())
+}
+
 fn absolute(path: &Path) -> String {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned()).to_string_lossy().into_owned()
 }
 
-fn type_name(node_type: &abi::NodeType) -> String {
+pub(crate) fn type_name(node_type: &abi::NodeType) -> String {
     // SAFETY: a validated descriptor of a plugin that stays mapped.
     unsafe { node_type.name.text() }.unwrap_or("?").to_owned()
-}
-
-/// Pins the calling thread and asks for real-time priority; both are wishes that a system may refuse.
-fn place_thread(cpu: Option<u32>, realtime: bool) {
-    if let Some(cpu) = cpu.filter(|&c| (c as usize) < libc::CPU_SETSIZE as usize) {
-        // SAFETY: plain system calls on a local set.
-        unsafe {
-            let mut set: libc::cpu_set_t = std::mem::zeroed();
-            libc::CPU_SET(cpu as usize, &mut set);
-            libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const set);
-        }
-    }
-    if realtime {
-        let priority = libc::sched_param { sched_priority: 20 };
-        // SAFETY: a plain system call.
-        unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const priority) };
-    }
 }

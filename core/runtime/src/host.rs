@@ -5,21 +5,30 @@ use std::sync::OnceLock;
 
 use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str};
 
+use crate::fault::Cause;
+use crate::keep;
 use crate::log::{Level, Log};
 use crate::memory::{FrameRef, MemoryError, memory};
+use crate::outputs::OutputRule;
 use crate::pool;
 use crate::stats::{NodeStats, bump};
 
 /// What stands behind a `call` handle.
 pub(crate) struct CallContext<'a> {
-    /// Output frames of the running call; each non-empty one holds a reference.
+    /// Output frames of the running call; each non-empty one holds a reference. The node sees a copy of them only.
     pub outputs: *mut Frame,
+    /// The copy.
+    pub shown: *mut Frame,
     pub outputs_len: usize,
+    /// What each output may hold.
+    pub rules: &'a [OutputRule],
     pub stats: &'a NodeStats,
     pub log: &'a Log,
     pub node_id: &'a str,
     /// What the node said when it failed; reused.
     pub failure: &'a mut String,
+    /// What the host refused during this call, if anything.
+    pub refused: Option<(Cause, String)>,
     pub random: u64,
     pub tick: abi::Tick,
     /// In batch an exhausted memory is waited for, in live it drops the tick.
@@ -44,6 +53,8 @@ impl CallContext<'_> {
             Some(slot) => {
                 drop(FrameRef::adopt(*slot));
                 *slot = Frame { tick, ..frame };
+                // SAFETY: `shown` holds `outputs_len` frames like `outputs`, and `output` checked the index.
+                unsafe { *self.shown.add(index as usize) = Frame { tick, ..frame } };
                 abi::STATUS_OK
             }
             None => {
@@ -51,6 +62,12 @@ impl CallContext<'_> {
                 abi::STATUS_INVALID
             }
         }
+    }
+
+    #[cold]
+    fn refuse(&mut self, cause: Cause, words: String) -> Status {
+        self.refused.get_or_insert((cause, words));
+        abi::STATUS_INVALID
     }
 
     fn allocate(&self, len: usize) -> Result<(BufferId, *mut u8), Status> {
@@ -80,14 +97,13 @@ unsafe extern "C" fn alloc(
 ) -> Status {
     // SAFETY: see `context`.
     let Some(context) = (unsafe { context(call) }) else { return abi::STATUS_INVALID };
-    if output as usize >= context.outputs_len {
-        return abi::STATUS_INVALID;
+    let Some(rule) = context.rules.get(output as usize) else { return abi::STATUS_INVALID };
+    let wanted = Frame { len, format, width, height, stride_bytes, ..Frame::EMPTY };
+    if let Err((cause, words)) = rule.accepts(&wanted) {
+        return context.refuse(cause, words);
     }
     match context.allocate(len) {
-        Ok((buffer, data)) => {
-            let frame = Frame { buffer, data, len, format, width, height, stride_bytes, tick: context.tick };
-            context.place(output, frame)
-        }
+        Ok((buffer, data)) => context.place(output, Frame { buffer, data, tick: context.tick, ..wanted }),
         Err(status) => status,
     }
 }
@@ -97,11 +113,16 @@ unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame
     let (Some(context), Some(frame)) = (unsafe { (context(call), frame.as_ref()) }) else {
         return abi::STATUS_INVALID;
     };
-    if memory().references(frame.buffer) == 0 {
-        return abi::STATUS_INVALID;
+    let frame = *frame;
+    let Some(rule) = context.rules.get(output as usize) else { return abi::STATUS_INVALID };
+    if let Err((cause, words)) = rule.accepts(&frame) {
+        return context.refuse(cause, words);
     }
-    memory().retain(frame.buffer);
-    context.place(output, *frame)
+    if !memory().retain_checked(&frame) {
+        let words = format!("output `{}` was forwarded from memory that is no frame of the host", rule.name);
+        return context.refuse(Cause::BadOutput, words);
+    }
+    context.place(output, frame)
 }
 
 unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
@@ -126,11 +147,11 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
 }
 
 unsafe extern "C" fn retain(_: *mut c_void, buffer: BufferId) {
-    memory().retain(buffer);
+    keep::retain(buffer);
 }
 
 unsafe extern "C" fn release(_: *mut c_void, buffer: BufferId) {
-    memory().release(buffer);
+    keep::release(buffer);
 }
 
 unsafe extern "C" fn resolve(_: *mut c_void, buffer: BufferId) -> *mut u8 {
@@ -198,15 +219,8 @@ unsafe extern "C" fn random(call: *mut c_void) -> u64 {
     }
 }
 
-unsafe extern "C" fn save(sink: *mut c_void, bytes: *const u8, len: usize) {
-    // SAFETY: `sink` is the `Vec` that the engine passed to `save_state`; `bytes` are lent for the call.
-    unsafe {
-        if let Some(sink) = sink.cast::<Vec<u8>>().as_mut()
-            && len > 0
-        {
-            sink.extend_from_slice(std::slice::from_raw_parts(bytes, len));
-        }
-    }
+unsafe extern "C" fn save(_: *mut c_void, _: *const u8, _: usize) {
+    // Only the table passed to `save_state` has a sink.
 }
 
 /// A function table for an engine with `threads` threads.

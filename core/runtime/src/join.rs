@@ -7,6 +7,9 @@ use panoscope_abi::Tick;
 use crate::memory::FrameRef;
 use crate::region::Region;
 
+/// Most packets that a trigger slot keeps while its region is paused.
+const MOST_PAUSED: usize = 1 << 10;
+
 /// How a slot is matched with the node's other slots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Rule {
@@ -31,12 +34,26 @@ pub(crate) struct Slot {
     /// Newest non-empty value that was used (`latest`, `delay`).
     held: Option<FrameRef>,
     ended: bool,
+    /// A `delay` slot whose producer saw a tick of this node: its packet is waited for.
+    expects: bool,
 }
 
 impl Slot {
     pub fn new(rule: Rule, optional: bool, capacity: usize) -> Self {
         let queue = VecDeque::with_capacity(capacity.max(8));
-        Self { rule, optional, capacity: capacity.max(1), queue, held: None, ended: false }
+        Self { rule, optional, capacity: capacity.max(1), queue, held: None, ended: false, expects: false }
+    }
+
+    fn waits_for_delayed(&self) -> bool {
+        self.rule == Rule::Delay && self.expects && self.queue.is_empty() && !self.ended
+    }
+
+    /// Takes over what waits on a slot that this one replaces.
+    fn inherit(&mut self, old: &mut Self) {
+        std::mem::swap(&mut self.queue, &mut old.queue);
+        self.held = old.held.take();
+        self.ended = old.ended;
+        self.expects = old.expects;
     }
 }
 
@@ -63,7 +80,8 @@ pub(crate) struct Join {
     pub staged_take: Option<(Tick, bool)>,
     exact: bool,
     batch: bool,
-    fired: u64,
+    /// Packets that trigger slots may hold beyond their capacity, after a pause.
+    spare: usize,
     /// Wall time in ns after which a `nearest` slot is no longer waited for; 0 = not waiting.
     pub nearest_deadline_ns: u64,
 }
@@ -89,7 +107,7 @@ impl Join {
             if frame.is_empty() {
                 return 0; // An empty port leaves the newest value standing.
             }
-            while slot.queue.len() >= slot.capacity {
+            while slot.queue.len() >= slot.capacity + if trigger { self.spare } else { 0 } {
                 slot.queue.pop_front();
                 // A value that was only looked at is replaced, not lost: only ticks that would have fired count.
                 dropped += u64::from(trigger && heads);
@@ -97,6 +115,32 @@ impl Join {
         }
         slot.queue.push_back(frame);
         dropped
+    }
+
+    /// Keeps what arrives during a pause instead of the newest only.
+    pub fn pause(&mut self) {
+        self.spare = MOST_PAUSED;
+    }
+
+    /// The pause is over: what waits is used up, then the newest wins again.
+    pub fn resume(&mut self) {
+        self.spare = 0;
+        for slot in &self.slots {
+            if slot.rule == (Rule::Latest { trigger: true }) {
+                self.spare = self.spare.max(slot.queue.len());
+            }
+        }
+    }
+
+    /// Becomes `new`, with what waits on the slots that stay: `from[i]` is the old place of new slot `i`.
+    pub fn rewire(&mut self, mut new: Join, from: &[Option<usize>]) {
+        for (slot, from) in new.slots.iter_mut().zip(from) {
+            if let Some(old) = from.and_then(|i| self.slots.get_mut(i)) {
+                slot.inherit(old);
+            }
+        }
+        let (running, finished, spare) = (self.running, self.finished, self.spare);
+        *self = Join { running, finished, spare, ..new };
     }
 
     /// No further packet comes on this slot.
@@ -117,10 +161,13 @@ impl Join {
         self.slots[slot].queue.len()
     }
 
-    /// Stages the delay and latest inputs of a source; `false` while the previous tick's value is still under way.
-    pub fn take_source(&mut self, tick: Tick) -> bool {
-        let waits = |s: &Slot| s.rule == Rule::Delay && self.fired > 0 && s.queue.is_empty() && !s.ended;
-        if self.slots.iter().any(waits) {
+    /// Stages the delay and latest inputs of a source; `false` while the previous tick's value is still under way. `again` says that the
+    /// last staging led to no tick, so that no producer answered it.
+    pub fn take_source(&mut self, tick: Tick, again: bool) -> bool {
+        if again {
+            self.slots.iter_mut().for_each(|s| s.expects = false);
+        }
+        if self.slots.iter().any(Slot::waits_for_delayed) {
             return false;
         }
         self.stage(tick, None);
@@ -150,7 +197,7 @@ impl Join {
             let newest = slot.queue.back().map(|f| f.tick().capture_ns);
             let ready = match slot.rule {
                 Rule::Exact => true,
-                Rule::Delay => self.fired == 0 || !slot.queue.is_empty() || slot.ended,
+                Rule::Delay => !slot.waits_for_delayed(),
                 Rule::Latest { .. } if self.batch => slot.ended || newest.is_some_and(|t| t >= tick.capture_ns),
                 Rule::Latest { .. } => true,
                 Rule::Nearest { tolerance_ns } => {
@@ -200,7 +247,7 @@ impl Join {
                 return Take::Wait;
             }
         }
-        if self.slots.iter().any(|s| s.rule == Rule::Delay && self.fired > 0 && s.queue.is_empty() && !s.ended) {
+        if self.slots.iter().any(Slot::waits_for_delayed) {
             return Take::Wait;
         }
         if region.is_some_and(|r| !r.try_admit()) {
@@ -218,7 +265,7 @@ impl Join {
                 Rule::Exact => slot.queue.pop_front(),
                 Rule::Delay => {
                     // The producer's packet of the previous tick; an empty one leaves the last value standing.
-                    if self.fired > 0
+                    if std::mem::replace(&mut slot.expects, true)
                         && let Some(frame) = slot.queue.pop_front()
                         && !frame.is_empty()
                     {
@@ -253,7 +300,10 @@ impl Join {
             complete &= slot.optional || !frame.is_empty();
             self.staged.push(frame);
         }
-        self.fired += 1;
+        if self.spare > 0 {
+            let waiting = self.slots.iter().map(|s| s.queue.len()).max().unwrap_or(0);
+            self.spare = if self.spare == MOST_PAUSED { self.spare } else { self.spare.min(waiting) };
+        }
         self.staged_take = Some((tick, complete));
         Take::Fire { tick, complete }
     }

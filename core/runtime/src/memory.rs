@@ -182,6 +182,20 @@ impl Memory {
         }
     }
 
+    /// One reference more to the buffer of a frame that came from a plugin; `false` when there is no such buffer in use, or its address or
+    /// length do not fit it.
+    pub fn retain_checked(&self, frame: &Frame) -> bool {
+        let Some((pool, slot)) = self.slot(frame.buffer) else { return false };
+        // SAFETY: the slot lies inside the reserved mapping.
+        let address = unsafe { pool.base.add(frame.buffer.offset as usize) };
+        let fits = frame.data == address && frame.len <= 1 << pool.bits;
+        if !fits || pool.references[slot].load(Ordering::Acquire) == 0 {
+            return false;
+        }
+        pool.references[slot].fetch_add(1, Ordering::Relaxed);
+        true
+    }
+
     /// One reference less; the last one gives the buffer back.
     pub fn release(&self, id: BufferId) {
         let Some((pool, slot)) = self.slot(id) else { return };

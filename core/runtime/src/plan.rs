@@ -1,41 +1,47 @@
 //! From a checked graph to what the scheduler walks: who reads what, which nodes run inline, which form a region.
+//!
+//! A node has a *slot*, a number that stays its own as long as a node of its name is in the graph, so that ticks and tasks under
+//! way mean the same before and after a change. Slots of removed nodes are used again.
 
 use std::sync::Arc;
 
 use panoscope_abi::{self as abi, PortRange};
 use panoscope_graph::{Align, Catalog, Edge, Graph, Mode, NodeKind};
 
-use crate::cell::{Cell, CellSpec, lock};
+use crate::cell::{Cell, CellSpec};
 use crate::join::{Join, Rule, Slot};
 use crate::params::Snapshot;
 use crate::region::Region;
 
 /// A reader of an output.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Reader {
     pub node: usize,
     pub slot: usize,
     /// It wants gray8 where bgr8 may come.
     pub convert: bool,
+    /// Formats that it takes; 0 for any.
+    pub accepts: u32,
 }
 
-/// A reader that runs inline after its producer.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct InlineReader {
-    /// Output of the producer.
+/// The one reader of a node, when it runs inline after it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Inline {
     pub port: usize,
     pub node: usize,
-    /// Its input may be empty.
+    /// It runs even if its input is empty.
     pub optional: bool,
+    pub accepts: u32,
 }
 
 /// What the scheduler needs to know of a node besides its cell.
-#[derive(Default)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Wiring {
     /// Readers of each output.
     pub readers: Vec<Vec<Reader>>,
-    /// The one reader, when it runs inline after this node.
-    pub inline_reader: Option<InlineReader>,
+    pub inline: Option<Inline>,
+    /// First node of the inline chain that this one is part of.
+    pub chain_head: usize,
     pub region: usize,
     /// No exact reader: its tick ends here.
     pub leaf: bool,
@@ -43,11 +49,35 @@ pub(crate) struct Wiring {
     pub sink: bool,
 }
 
-/// A graph laid out for the scheduler.
+/// What a region is made of.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Extent {
+    pub head: usize,
+    pub leaves: u32,
+    pub limit: u32,
+    /// Sorted.
+    pub members: Vec<usize>,
+}
+
+/// A graph laid out for the scheduler. All lists but the regions' are indexed by slot.
 pub(crate) struct Plan {
     pub cells: Vec<Arc<Cell>>,
+    /// Slots without a node keep the cell of the last one.
+    pub alive: Vec<bool>,
     pub wiring: Vec<Wiring>,
     pub regions: Vec<Arc<Region>>,
+    pub extents: Vec<Extent>,
+    /// Slot of each node of the graph.
+    pub slots: Vec<usize>,
+    /// Some input waits for a nearby packet, so somebody must watch the time.
+    pub nearest: bool,
+}
+
+impl Plan {
+    /// All nodes with their slots.
+    pub fn live(&self) -> impl Iterator<Item = (usize, &Arc<Cell>)> {
+        self.cells.iter().enumerate().filter(|(slot, _)| self.alive[*slot])
+    }
 }
 
 fn rule(edge: &Edge, any_trigger: bool) -> Rule {
@@ -63,111 +93,168 @@ fn is_exact(edge: &Edge) -> bool {
     edge.delay == 0 && edge.align == Align::Exact
 }
 
-/// Lays out a graph. `entry` finds the engine's entry of a node type.
-pub(crate) fn build(
+/// Finds the engine's entry of a node type: plugin, type.
+pub(crate) type Entry<'a> = &'a dyn Fn(&str, &str) -> Option<&'static abi::NodeType>;
+
+/// The entry of a node of the graph.
+pub(crate) fn entry_of(graph: &Graph, node: usize, entry: Entry<'_>) -> Result<&'static abi::NodeType, String> {
+    let node = &graph.nodes[node];
+    entry(&node.plugin, &node.type_name)
+        .ok_or_else(|| format!("plugin `{}` no longer offers `{}`", node.plugin, node.type_name))
+}
+
+/// Empty inputs of a node, and which slots belong to which port.
+pub(crate) fn inputs(graph: &Graph, catalog: &Catalog, node: usize) -> (Join, Vec<PortRange>) {
+    let description = graph.nodes[node].node_type(catalog);
+    let edges = graph.inputs_of(node);
+    let any_trigger = edges.iter().any(|e| e.trigger);
+    let mut ranges = Vec::with_capacity(description.inputs.len());
+    let mut slots = Vec::with_capacity(edges.len());
+    for (port, declared) in description.inputs.iter().enumerate() {
+        let first = slots.len() as u32;
+        for edge in edges.iter().filter(|e| e.to_port == port) {
+            // A list's entries may be empty one by one.
+            let optional = declared.optional || declared.list;
+            slots.push(Slot::new(rule(edge, any_trigger), optional, edge.queue.unwrap_or(1) as usize));
+        }
+        ranges.push(PortRange { first, count: slots.len() as u32 - first });
+    }
+    (Join::new(slots, graph.mode == Mode::Batch), ranges)
+}
+
+/// Which outputs of a node have a reader, one bit each.
+pub(crate) fn outputs_read(graph: &Graph, node: usize) -> u64 {
+    graph.outputs_of(node).fold(0u64, |bits, e| bits | 1u64.checked_shl(e.from_port as u32).unwrap_or(0))
+}
+
+/// A cell for a node of the graph; its instance is not open yet.
+pub(crate) fn cell(graph: &Graph, catalog: &Catalog, node: usize, node_type: &'static abi::NodeType) -> Arc<Cell> {
+    let (join, ranges) = inputs(graph, catalog, node);
+    let outputs_read = outputs_read(graph, node);
+    let description = graph.nodes[node].node_type(catalog);
+    let node = &graph.nodes[node];
+    let spec = CellSpec {
+        id: node.id.clone(),
+        node_type,
+        kind: description.kind,
+        source: description.source,
+        on_fault: node.on_fault,
+        budget_ms: node.budget_ms,
+        max_rate_hz: node.max_rate_hz,
+        cpu: node.cpu,
+        ranges,
+        outputs_read,
+    };
+    Arc::new(Cell::new(spec, join, Snapshot::new(node.params.clone())))
+}
+
+/// Lays out a graph whose nodes have cells already. `slots` says where each stands; regions of `old` whose head stays are used on.
+pub(crate) fn lay_out(
     graph: &Graph,
     catalog: &Catalog,
-    entry: &dyn Fn(&str, &str) -> Option<&'static abi::NodeType>,
+    cells: Vec<Arc<Cell>>,
+    slots: Vec<usize>,
     ticks_in_flight: u32,
-) -> Result<Plan, String> {
-    let count = graph.nodes.len();
-    let batch = graph.mode == Mode::Batch;
-    let mut cells = Vec::with_capacity(count);
-    let mut wiring: Vec<Wiring> = Vec::with_capacity(count);
-    for (index, node) in graph.nodes.iter().enumerate() {
-        let node_type = entry(&node.plugin, &node.type_name)
-            .ok_or_else(|| format!("plugin `{}` no longer offers `{}`", node.plugin, node.type_name))?;
-        let description = node.node_type(catalog);
-        let edges = graph.inputs_of(index);
-        let any_trigger = edges.iter().any(|e| e.trigger);
-        let mut ranges = Vec::with_capacity(description.inputs.len());
-        let mut slots = Vec::with_capacity(edges.len());
-        for (port, declared) in description.inputs.iter().enumerate() {
-            let first = slots.len() as u32;
-            for edge in edges.iter().filter(|e| e.to_port == port) {
-                // A list's entries may be empty one by one.
-                let optional = declared.optional || declared.list;
-                slots.push(Slot::new(rule(edge, any_trigger), optional, edge.queue.unwrap_or(1) as usize));
-            }
-            ranges.push(PortRange { first, count: slots.len() as u32 - first });
-        }
-        let read =
-            graph.outputs_of(index).fold(0u64, |bits, e| bits | 1u64.checked_shl(e.from_port as u32).unwrap_or(0));
-        let spec = CellSpec {
-            id: node.id.clone(),
-            node_type,
-            kind: description.kind,
-            source: description.source,
-            on_fault: node.on_fault,
-            budget_ms: node.budget_ms,
-            max_rate_hz: node.max_rate_hz,
-            cpu: node.cpu,
-            ranges,
-            outputs_read: read,
-        };
-        cells.push(Arc::new(Cell::new(spec, Join::new(slots, batch), Snapshot::new(node.params.clone()))));
-        wiring.push(Wiring { readers: vec![Vec::new(); description.outputs.len()], ..Wiring::default() });
+    old: Option<&Plan>,
+) -> Plan {
+    let mut alive = vec![false; cells.len()];
+    let mut wiring = vec![Wiring::default(); cells.len()];
+    for (node, &slot) in slots.iter().enumerate() {
+        alive[slot] = true;
+        wiring[slot].readers = vec![Vec::new(); graph.nodes[node].node_type(catalog).outputs.len()];
+        wiring[slot].chain_head = slot;
     }
-    for node in 0..count {
+    for (node, &to) in slots.iter().enumerate() {
+        let description = graph.nodes[node].node_type(catalog);
         // `inputs_of` is sorted by port and list position, like the slots.
         for (slot, edge) in graph.inputs_of(node).iter().enumerate() {
-            wiring[edge.from_node].readers[edge.from_port].push(Reader { node, slot, convert: edge.convert });
+            let formats = &description.inputs[edge.to_port].packet.formats;
+            let accepts = formats.iter().filter_map(|f| format_number(f)).fold(0, |bits, f| bits | abi::format_bit(f));
+            let reader = Reader { node: to, slot, convert: edge.convert, accepts };
+            wiring[slots[edge.from_node]].readers[edge.from_port].push(reader);
         }
     }
-    inline_chains(graph, &cells, &mut wiring);
-    let regions = find_regions(graph, &cells, &mut wiring, batch, ticks_in_flight);
-    Ok(Plan { cells, wiring, regions })
+    inline_chains(graph, catalog, &cells, &slots, &mut wiring);
+    let (regions, extents) = find_regions(graph, &slots, &mut wiring, ticks_in_flight, old);
+    let nearest = graph.edges.iter().any(|e| matches!(e.align, Align::Nearest { .. }));
+    Plan { cells, alive, wiring, regions, extents, slots, nearest }
+}
+
+fn format_number(name: &str) -> Option<u32> {
+    let known = [abi::FORMAT_GRAY8, abi::FORMAT_BGR8, abi::FORMAT_RGBA8, abi::FORMAT_GRAY16, abi::FORMAT_F32];
+    known.into_iter().find(|f| crate::outputs::format_name(*f) == name)
 }
 
 /// A reader runs inline when it reads nothing else and nobody else reads its producer.
-fn inline_chains(graph: &Graph, cells: &[Arc<Cell>], wiring: &mut [Wiring]) {
-    for index in 0..cells.len() {
+fn inline_chains(graph: &Graph, catalog: &Catalog, cells: &[Arc<Cell>], slots: &[usize], wiring: &mut [Wiring]) {
+    let compute = |slot: usize| cells[slot].kind == NodeKind::Compute && !cells[slot].source;
+    for &node in &graph.order {
+        let slot = slots[node];
         let mut readers =
-            wiring[index].readers.iter().enumerate().flat_map(|(port, r)| r.iter().map(move |r| (port, *r)));
+            wiring[slot].readers.iter().enumerate().flat_map(|(port, r)| r.iter().map(move |r| (port, *r)));
         let (Some((port, reader)), None) = (readers.next(), readers.next()) else { continue };
-        let edges = graph.inputs_of(reader.node);
-        let compute = |i: usize| cells[i].kind == NodeKind::Compute && !cells[i].source;
-        let alone = edges.len() == 1 && is_exact(&edges[0]) && edges[0].list_index == 0;
-        if alone && !reader.convert && compute(index) && compute(reader.node) {
-            let optional = lock(&cells[reader.node].join).slots.first().is_some_and(|s| s.optional);
-            wiring[index].inline_reader = Some(InlineReader { port, node: reader.node, optional });
+        let Some(edge) = graph.outputs_of(node).next() else { continue };
+        let edges = graph.inputs_of(edge.to_node);
+        let alone = edges.len() == 1 && is_exact(edge) && edge.list_index == 0;
+        if alone && !reader.convert && compute(slot) && compute(reader.node) {
+            let declared = &graph.nodes[edge.to_node].node_type(catalog).inputs[edge.to_port];
+            let optional = declared.optional || declared.list;
+            wiring[slot].inline = Some(Inline { port, node: reader.node, optional, accepts: reader.accepts });
+            // Producers come first in `order`.
+            wiring[reader.node].chain_head = wiring[slot].chain_head;
         }
     }
 }
 
 fn find_regions(
     graph: &Graph,
-    cells: &[Arc<Cell>],
+    slots: &[usize],
     wiring: &mut [Wiring],
-    batch: bool,
     ticks_in_flight: u32,
-) -> Vec<Arc<Region>> {
-    let count = cells.len();
+    old: Option<&Plan>,
+) -> (Vec<Arc<Region>>, Vec<Extent>) {
+    let count = graph.nodes.len();
+    let batch = graph.mode == Mode::Batch;
     let mut head = vec![usize::MAX; count];
     for &node in &graph.order {
         let upstream = graph.inputs_of(node).iter().find(|e| is_exact(e));
         head[node] = upstream.map_or(node, |e| head[e.from_node]);
     }
-    let mut numbers = vec![usize::MAX; count];
-    let mut regions = Vec::new();
+    let mut exact_reader = vec![false; count];
+    for edge in graph.edges.iter().filter(|e| is_exact(e)) {
+        exact_reader[edge.from_node] = true;
+    }
+    let mut number = vec![usize::MAX; count];
+    let mut extents: Vec<Extent> = Vec::new();
     for &node in &graph.order {
-        if head[node] != node {
-            continue;
+        if head[node] == node {
+            number[node] = extents.len();
+            let limit = if batch { ticks_in_flight.max(2) } else { 2 };
+            extents.push(Extent { head: slots[node], leaves: 0, limit, members: Vec::new() });
         }
-        let inside = |n: usize| head[n] == node;
-        let mut limit = if batch { ticks_in_flight.max(2) } else { 2 };
-        for edge in graph.edges.iter().filter(|e| inside(e.to_node) && is_exact(e)) {
-            limit = limit.max(edge.queue.unwrap_or(1));
+        let extent = &mut extents[number[head[node]]];
+        extent.members.push(slots[node]);
+        extent.leaves += u32::from(!exact_reader[node]);
+        for edge in graph.inputs_of(node).iter().filter(|e| is_exact(e)) {
+            extent.limit = extent.limit.max(edge.queue.unwrap_or(1));
         }
-        let exact_reader = |n: usize| graph.outputs_of(n).any(|e| is_exact(e));
-        let leaves = (0..count).filter(|&n| inside(n) && !exact_reader(n)).count();
-        numbers[node] = regions.len();
-        regions.push(Arc::new(Region::new(node, leaves as u32, limit)));
     }
     for node in 0..count {
-        wiring[node].region = numbers[head[node]];
-        wiring[node].leaf = !graph.outputs_of(node).any(|e| is_exact(e));
-        wiring[node].sink = wiring[node].readers.iter().all(Vec::is_empty);
+        let wiring = &mut wiring[slots[node]];
+        wiring.region = number[head[node]];
+        wiring.leaf = !exact_reader[node];
+        wiring.sink = wiring.readers.iter().all(Vec::is_empty);
     }
-    regions
+    let regions = extents
+        .iter_mut()
+        .map(|extent| {
+            extent.members.sort_unstable();
+            let known = old.and_then(|old| old.regions.iter().zip(&old.extents).find(|(_, e)| e.head == extent.head));
+            match known {
+                Some((region, _)) => Arc::clone(region),
+                None => Arc::new(Region::new(extent.head, extent.leaves, extent.limit)),
+            }
+        })
+        .collect();
+    (regions, extents)
 }

@@ -21,6 +21,7 @@ struct Loop {
     /// Workers inside `help` of this loop.
     helpers: AtomicU32,
     caller: std::thread::Thread,
+    caller_number: u32,
 }
 
 impl Loop {
@@ -46,6 +47,10 @@ struct State {
     loops: Vec<LoopPtr>,
     idle: usize,
     stop: bool,
+    /// Workers inside a chunk of somebody's loop, and that loop's caller.
+    helping: Vec<(u32, u32)>,
+    /// Workers that were given up: they leave when they come back.
+    given_up: Vec<u32>,
 }
 
 struct Inner {
@@ -58,11 +63,42 @@ struct Inner {
 /// A pool of `threads` workers.
 pub struct Pool {
     inner: Arc<Inner>,
-    workers: Mutex<Vec<JoinHandle<()>>>,
+    workers: Mutex<Vec<(u32, JoinHandle<()>)>>,
+    task: Mutex<Option<Task>>,
 }
 
 thread_local! {
     static CURRENT: Cell<*const Inner> = const { Cell::new(std::ptr::null()) };
+    static NUMBER: Cell<u32> = const { Cell::new(0) };
+}
+
+/// Number of the calling thread if it runs nodes, else 0.
+#[inline]
+pub(crate) fn thread_number() -> u32 {
+    NUMBER.with(Cell::get)
+}
+
+/// Ends what [`Pool::visit`] began.
+pub struct Visit<'p> {
+    before: *const Inner,
+    pool: std::marker::PhantomData<&'p Pool>,
+}
+
+impl Drop for Visit<'_> {
+    fn drop(&mut self) {
+        CURRENT.with(|current| current.set(self.before));
+    }
+}
+
+/// Gives the calling thread its number.
+pub(crate) fn set_thread_number(number: u32) {
+    NUMBER.with(|n| n.set(number));
+}
+
+/// A number no other thread has.
+pub(crate) fn next_thread_number() -> u32 {
+    static NEXT: AtomicU32 = AtomicU32::new(1);
+    NEXT.fetch_add(1, Ordering::Relaxed)
 }
 
 fn lock(inner: &Inner) -> MutexGuard<'_, State> {
@@ -72,14 +108,21 @@ fn lock(inner: &Inner) -> MutexGuard<'_, State> {
 impl Pool {
     /// A pool without workers; `start` brings them to life.
     pub fn new(threads: usize) -> Self {
-        let state = State { tasks: VecDeque::with_capacity(1024), loops: Vec::with_capacity(64), idle: 0, stop: false };
+        let state = State {
+            tasks: VecDeque::with_capacity(1024),
+            loops: Vec::with_capacity(64),
+            idle: 0,
+            stop: false,
+            helping: Vec::with_capacity(64),
+            given_up: Vec::new(),
+        };
         let inner = Inner {
             state: Mutex::new(state),
             wake: Condvar::new(),
             threads: threads.max(1),
             stopping: AtomicBool::new(false),
         };
-        Self { inner: Arc::new(inner), workers: Mutex::new(Vec::new()) }
+        Self { inner: Arc::new(inner), workers: Mutex::new(Vec::new()), task: Mutex::new(None) }
     }
 
     /// Threads that work.
@@ -89,11 +132,48 @@ impl Pool {
 
     /// Starts the workers.
     pub fn start(&self, task: &Task) -> std::io::Result<()> {
+        *self.task.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(task));
+        for _ in 0..self.inner.threads {
+            self.add_worker(task)?;
+        }
+        Ok(())
+    }
+
+    fn add_worker(&self, task: &Task) -> std::io::Result<()> {
+        let number = next_thread_number();
+        let (inner, task) = (Arc::clone(&self.inner), Arc::clone(task));
+        let handle = std::thread::Builder::new().name(format!("pool-{number}")).spawn(move || {
+            set_thread_number(number);
+            worker(&inner, &task, number);
+        })?;
+        self.workers.lock().unwrap_or_else(PoisonError::into_inner).push((number, handle));
+        Ok(())
+    }
+
+    /// Gives a thread up that does not return from a node, with all workers that are stuck in its loops, and starts new workers in
+    /// their place. The thread itself may be no worker. They leave on their own should they ever return.
+    pub fn give_up(&self, thread: u32) -> std::io::Result<()> {
         let mut workers = self.workers.lock().unwrap_or_else(PoisonError::into_inner);
-        for number in 0..self.inner.threads {
-            let (inner, task) = (Arc::clone(&self.inner), Arc::clone(task));
-            let builder = std::thread::Builder::new().name(format!("pool-{number}"));
-            workers.push(builder.spawn(move || worker(&inner, &task))?);
+        let mut lost = Vec::new();
+        let mut state = lock(&self.inner);
+        let helpers = state.helping.iter().filter(|(_, caller)| *caller == thread).map(|(worker, _)| *worker);
+        for number in helpers.chain([thread]).collect::<Vec<_>>() {
+            if let Some(at) = workers.iter().position(|(n, _)| *n == number) {
+                // Dropping the handle lets the thread go.
+                lost.push(workers.swap_remove(at).0);
+            }
+        }
+        // Nobody else shall enter what the thread is stuck in.
+        // SAFETY: on the list, so its caller has not returned.
+        state.loops.retain(|l| unsafe { &*l.0 }.caller_number != thread);
+        state.given_up.extend(&lost);
+        drop(state);
+        drop(workers);
+        let task = self.task.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        for _ in lost {
+            if let Some(task) = &task {
+                self.add_worker(task)?;
+            }
         }
         Ok(())
     }
@@ -101,6 +181,12 @@ impl Pool {
     /// Makes this pool the one that `parallel_for` uses on the calling thread.
     pub fn enter(&self) {
         CURRENT.with(|current| current.set(Arc::as_ptr(&self.inner)));
+    }
+
+    /// Like [`Self::enter`], until the guard goes.
+    pub fn visit(&self) -> Visit<'_> {
+        let before = CURRENT.with(|current| current.replace(Arc::as_ptr(&self.inner)));
+        Visit { before, pool: std::marker::PhantomData }
     }
 
     /// Queues a node task.
@@ -120,16 +206,20 @@ impl Pool {
         lock(&self.inner).stop = true;
         self.inner.wake.notify_all();
         let workers = std::mem::take(&mut *self.workers.lock().unwrap_or_else(PoisonError::into_inner));
-        for worker in workers {
+        for (_, worker) in workers {
             let _ = worker.join();
         }
     }
 }
 
-fn worker(inner: &Arc<Inner>, task: &Task) {
+fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
     CURRENT.with(|current| current.set(Arc::as_ptr(inner)));
     let mut state = lock(inner);
     loop {
+        if let Some(at) = state.given_up.iter().position(|n| *n == number) {
+            state.given_up.swap_remove(at);
+            return;
+        }
         // Chunks first: somebody waits for them, and they finish what was begun.
         let found = state.loops.iter().copied().find(|l| {
             // SAFETY: on the list, so its caller has not returned.
@@ -140,6 +230,7 @@ fn worker(inner: &Arc<Inner>, task: &Task) {
             // SAFETY: as above; counted as helper under the lock, so the caller waits for us.
             let this = unsafe { &*found.0 };
             this.helpers.fetch_add(1, Ordering::Relaxed);
+            state.helping.push((number, this.caller_number));
             drop(state);
             this.run_chunks();
             let caller = this.caller.clone();
@@ -148,6 +239,9 @@ fn worker(inner: &Arc<Inner>, task: &Task) {
                 caller.unpark();
             }
             state = lock(inner);
+            if let Some(at) = state.helping.iter().position(|(n, _)| *n == number) {
+                state.helping.swap_remove(at);
+            }
             continue;
         }
         if let Some(next) = state.tasks.pop_front() {
@@ -189,6 +283,7 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
         next: AtomicUsize::new(0),
         helpers: AtomicU32::new(0),
         caller: std::thread::current(),
+        caller_number: thread_number(),
     };
     let wanted = (inner.threads - 1).min(chunks - 1);
     let mut state = lock(inner);

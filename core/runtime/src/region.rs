@@ -1,30 +1,37 @@
 //! Regions: nodes joined by `exact` edges, entered by whole ticks through one head.
 //!
 //! A tick is in flight from its admission until every leaf of the region is done with it. In live mode ticks are
-//! dropped only here, where they enter; inside, queues never drop.
+//! dropped only here, where they enter; inside, queues never drop. A region that is paused admits nothing and keeps what comes, so
+//! that the graph can be changed when the ticks inside are through.
 
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use crate::memory::FrameRef;
 
 const RING: usize = 256;
+/// Ticks kept during a pause; beyond that the oldest are dropped.
+const MOST_PAUSED: usize = 256;
 
 struct State {
     in_flight: u32,
-    /// A live source's newest tick that waits to enter.
-    pending: Option<Vec<FrameRef>>,
+    paused: bool,
+    /// Ticks of a live source that wait to enter: those that came during a pause, then the newest.
+    pending: VecDeque<Vec<FrameRef>>,
+    /// How many of them came during a pause and are not to be overwritten.
+    protected: usize,
     /// Emptied lists, used again.
     spare: Vec<Vec<FrameRef>>,
 }
 
-/// One region.
+/// One region. It belongs to its head and stays the same while that node is the head.
 pub(crate) struct Region {
     /// Node that admits ticks.
     pub head: usize,
     /// Nodes without an exact reader inside the region.
-    pub leaves: u32,
-    limit: u32,
+    leaves: AtomicU32,
+    limit: AtomicU32,
     remaining: Box<[AtomicU32]>,
     state: Mutex<State>,
     full: AtomicBool,
@@ -44,12 +51,19 @@ pub(crate) enum Freed {
 impl Region {
     pub fn new(head: usize, leaves: u32, limit: u32) -> Self {
         let leaves = leaves.max(1);
+        let state = State {
+            in_flight: 0,
+            paused: false,
+            pending: VecDeque::with_capacity(4),
+            protected: 0,
+            spare: Vec::with_capacity(4),
+        };
         Self {
             head,
-            leaves,
-            limit: limit.clamp(1, RING as u32 - 1),
+            leaves: AtomicU32::new(leaves),
+            limit: AtomicU32::new(limit.clamp(1, RING as u32 - 1)),
             remaining: (0..RING).map(|_| AtomicU32::new(leaves)).collect(),
-            state: Mutex::new(State { in_flight: 0, pending: None, spare: Vec::with_capacity(4) }),
+            state: Mutex::new(state),
             full: AtomicBool::new(false),
             admitted: AtomicU64::new(0),
         }
@@ -59,39 +73,59 @@ impl Region {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn open(&self, state: &State) -> bool {
+        !state.paused && state.in_flight < self.limit.load(Ordering::Relaxed)
+    }
+
+    fn admit(&self, state: &mut State) {
+        state.in_flight += 1;
+        self.admitted.fetch_add(1, Ordering::Relaxed);
+    }
+
     /// Lets one tick in if there is room.
     pub fn try_admit(&self) -> bool {
         let mut state = self.state();
-        if state.in_flight >= self.limit {
+        let open = self.open(&state);
+        if open {
+            self.admit(&mut state);
+        } else {
             self.full.store(true, Ordering::Relaxed);
-            return false;
         }
-        state.in_flight += 1;
-        self.admitted.fetch_add(1, Ordering::Relaxed);
-        true
+        open
     }
 
     /// Whether a tick could be let in.
     pub fn has_room(&self) -> bool {
         let state = self.state();
-        let room = state.in_flight < self.limit;
+        let room = self.open(&state) && state.pending.is_empty();
         if !room {
             self.full.store(true, Ordering::Relaxed);
         }
         room
     }
 
-    /// Lets a live source's tick in, or keeps it waiting in place of an older one. Answers the outputs to deliver now and whether an older
-    /// tick was dropped.
+    /// Lets a live source's tick in, or keeps it waiting in place of an older one. Answers the outputs to deliver now, or those of an older
+    /// tick that was dropped.
     pub fn admit_or_keep(&self, outputs: Vec<FrameRef>) -> (Option<Vec<FrameRef>>, Option<Vec<FrameRef>>) {
         let mut state = self.state();
-        if state.in_flight < self.limit {
-            state.in_flight += 1;
-            self.admitted.fetch_add(1, Ordering::Relaxed);
-            (Some(outputs), None)
-        } else {
-            (None, state.pending.replace(outputs))
+        if self.open(&state) && state.pending.is_empty() {
+            self.admit(&mut state);
+            return (Some(outputs), None);
         }
+        let mut dropped = None;
+        if state.paused {
+            if state.pending.len() >= MOST_PAUSED {
+                dropped = state.pending.pop_front();
+            }
+            state.pending.push_back(outputs);
+            state.protected = state.pending.len();
+        } else {
+            if state.pending.len() > state.protected {
+                dropped = state.pending.pop_back();
+            }
+            state.pending.push_back(outputs);
+        }
+        (None, dropped)
     }
 
     /// An empty list for the head's outputs.
@@ -110,12 +144,27 @@ impl Region {
 
     /// Whether a tick waits to enter.
     pub fn has_pending(&self) -> bool {
-        self.state().pending.is_some()
+        !self.state().pending.is_empty()
     }
 
     /// Ticks inside now.
     pub fn in_flight(&self) -> u32 {
         self.state().in_flight
+    }
+
+    /// Ticks let in so far.
+    pub fn admitted(&self) -> u64 {
+        self.admitted.load(Ordering::Relaxed)
+    }
+
+    fn next_pending(&self, state: &mut State) -> Option<Vec<FrameRef>> {
+        if !self.open(state) {
+            return None;
+        }
+        let outputs = state.pending.pop_front()?;
+        state.protected = state.protected.saturating_sub(1);
+        self.admit(state);
+        Some(outputs)
     }
 
     /// A leaf is done with its `nth` tick (counted from 0 by that leaf).
@@ -124,14 +173,83 @@ impl Region {
         if slot.fetch_sub(1, Ordering::AcqRel) != 1 {
             return Freed::Nothing;
         }
-        slot.store(self.leaves, Ordering::Release);
+        slot.store(self.leaves.load(Ordering::Relaxed), Ordering::Release);
         let mut state = self.state();
         state.in_flight = state.in_flight.saturating_sub(1);
-        if let Some(outputs) = state.pending.take() {
-            state.in_flight += 1;
-            self.admitted.fetch_add(1, Ordering::Relaxed);
+        if let Some(outputs) = self.next_pending(&mut state) {
             return Freed::Pending(outputs);
         }
-        if self.full.swap(false, Ordering::Relaxed) { Freed::Head } else { Freed::Nothing }
+        // A full region calls its head when half of it is free, not for every tick: waking a thread costs more than many nodes do.
+        if state.in_flight <= self.limit.load(Ordering::Relaxed) / 2 && self.full.swap(false, Ordering::Relaxed) {
+            Freed::Head
+        } else {
+            Freed::Nothing
+        }
+    }
+
+    /// Admits nothing from now on.
+    pub fn pause(&self) {
+        self.state().paused = true;
+    }
+
+    /// Admits again; the outputs of kept ticks are to be delivered in this order.
+    pub fn resume(&self) -> Vec<Vec<FrameRef>> {
+        let mut state = self.state();
+        state.paused = false;
+        self.full.store(false, Ordering::Relaxed);
+        std::iter::from_fn(|| self.next_pending(&mut state)).collect()
+    }
+
+    /// New numbers for a region without a tick inside; its leaves count from 0 again.
+    pub fn reset(&self, leaves: u32, limit: u32) {
+        let leaves = leaves.max(1);
+        self.leaves.store(leaves, Ordering::Relaxed);
+        self.limit.store(limit.clamp(1, RING as u32 - 1), Ordering::Relaxed);
+        for slot in &self.remaining {
+            slot.store(leaves, Ordering::Release);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use panoscope_abi::Tick;
+
+    fn tick(seq: u64) -> Vec<FrameRef> {
+        vec![FrameRef::empty(Tick { seq, ..Tick::default() })]
+    }
+
+    fn seq(list: &[FrameRef]) -> u64 {
+        list[0].tick().seq
+    }
+
+    #[test]
+    fn the_newest_tick_wins() {
+        let region = Region::new(0, 1, 1);
+        assert!(region.admit_or_keep(tick(0)).0.is_some());
+        assert!(region.admit_or_keep(tick(1)).1.is_none());
+        assert_eq!(region.admit_or_keep(tick(2)).1.as_deref().map(seq), Some(1), "the older one is dropped");
+        assert!(matches!(region.leaf_done(0), Freed::Pending(list) if seq(&list) == 2));
+    }
+
+    #[test]
+    fn a_pause_keeps_every_tick_in_order() {
+        let region = Region::new(0, 1, 1);
+        assert!(region.admit_or_keep(tick(0)).0.is_some());
+        region.pause();
+        for n in 1..=3 {
+            let (now, dropped) = region.admit_or_keep(tick(n));
+            assert!(now.is_none() && dropped.is_none());
+        }
+        assert!(matches!(region.leaf_done(0), Freed::Nothing), "nothing enters");
+        assert_eq!(region.in_flight(), 0);
+        region.reset(1, 2);
+        assert_eq!(region.resume().iter().map(|l| seq(l)).collect::<Vec<_>>(), [1, 2]);
+        // What comes later may replace only what came later.
+        assert!(region.admit_or_keep(tick(4)).1.is_none());
+        assert_eq!(region.admit_or_keep(tick(5)).1.as_deref().map(seq), Some(4));
+        assert!(matches!(region.leaf_done(0), Freed::Pending(list) if seq(&list) == 3));
+        assert!(matches!(region.leaf_done(1), Freed::Pending(list) if seq(&list) == 5));
     }
 }

@@ -52,6 +52,8 @@ pub struct NodeReport {
     pub restarts: u64,
     /// Calls over the node's budget.
     pub over_budget: u64,
+    /// Longest time from a fault to the end of the first call that went well again.
+    pub recovery_max_ms: f64,
     /// Frames copied because a shared one was to be written.
     pub copies: u64,
     /// Frames converted for its readers.
@@ -112,10 +114,12 @@ impl Report {
             ns => ns,
         };
         let seconds = end_ns.saturating_sub(shared.start_ns) as f64 / 1e9;
-        let frames = shared.made.iter().map(|m| m.load(Ordering::Relaxed)).max().unwrap_or(0);
+        let plan = shared.plan.load();
+        let frames = plan.live().map(|(_, c)| c.made.load(Ordering::Relaxed)).max().unwrap_or(0);
         let mut nodes = BTreeMap::new();
         let mut paths = BTreeMap::new();
-        for (cell, wiring) in shared.plan.cells.iter().zip(&shared.plan.wiring) {
+        for (slot, cell) in plan.live() {
+            let wiring = &plan.wiring[slot];
             let stats = &cell.stats;
             let load = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed);
             nodes.insert(
@@ -130,6 +134,7 @@ impl Report {
                     faults: load(&stats.faults),
                     restarts: load(&stats.restarts),
                     over_budget: load(&stats.over_budget),
+                    recovery_max_ms: ms(stats.recovery.max_ns()),
                     copies: load(&stats.copies),
                     conversions: load(&stats.conversions),
                     allocations: shared.around.thread_allocations.map(|_| load(&stats.allocations)),

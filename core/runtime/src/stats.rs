@@ -85,6 +85,8 @@ pub struct NodeStats {
     pub time: Histogram,
     /// From ingest of a tick to the end of this node's work on it; kept for sinks.
     pub age: Histogram,
+    /// From a failure to the end of the first call that went well again.
+    pub recovery: Histogram,
     /// Ticks dropped where they would have entered here.
     pub dropped: AtomicU64,
     /// Ticks for which a required input was empty.

@@ -173,3 +173,54 @@ fn a_long_chain_and_many_readers_run() {
     assert!(report.nodes.values().all(|n| n.count == 200), "{report:#?}");
 }
 
+/// A loop: the filter reads its own output of the tick before, partly through a thread of its own.
+const LOOP: &str = r#"
+[nodes.source]
+type = "frames"
+params = { width_px = 32, height_px = 24, pattern = "noise" }
+[nodes.filter]
+type = "smooth"
+inputs = { image = "source.image", past = { from = "back.image", delay = 1 } }
+[nodes.back]
+type = "pass_blocking"
+inputs = { image = "filter.image" }
+[nodes.second]
+type = "smooth"
+inputs = { image = "filter.image", past = { from = "second.image", delay = 1 } }
+[nodes.sink]
+type = "drain"
+inputs = { image = "second.image" }
+params = { digest = true }
+"#;
+
+#[test]
+fn a_loop_with_a_delay_gives_the_same_bytes_for_any_number_of_threads() {
+    let digests: Vec<f64> = [1, 2, 8, 3]
+        .into_iter()
+        .map(|threads| {
+            let (report, _) = run("batch", LOOP, options(threads, 200));
+            assert_eq!(report.nodes["sink"].count, 200, "{threads} threads");
+            assert!(report.nodes.values().all(|n| n.faults == 0), "{report:#?}");
+            report.nodes["sink"].metrics["digest"]
+        })
+        .collect();
+    assert!(digests.windows(2).all(|pair| pair[0] == pair[1]), "{digests:?}");
+}
+
+#[test]
+fn starting_and_stopping_many_times_leaves_nothing_behind() {
+    let before = panoscope_runtime::memory::memory().in_use_bytes();
+    for round in 0..30 {
+        let engine =
+            common::start("batch", LOOP, Options { threads: 1 + round % 4, ..Options::default() }).expect("it starts");
+        std::thread::sleep(std::time::Duration::from_millis(round as u64 % 5));
+        assert_eq!(engine.close(common::PATIENCE), Outcome::Done);
+        assert!(engine.is_finished(), "round {round}: {:#?}", engine.report());
+    }
+    // Other tests of this process hold frames of their own for a moment.
+    let until = std::time::Instant::now() + common::PATIENCE;
+    while panoscope_runtime::memory::memory().in_use_bytes() > before.max(64 << 20) {
+        assert!(std::time::Instant::now() < until, "frames were not given back");
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+}

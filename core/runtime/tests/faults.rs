@@ -63,8 +63,8 @@ fn bypass_leaves_the_node_out() {
 #[test]
 fn stop_ends_the_run_and_names_the_node() {
     for how in ["error", "panic"] {
-        let engine =
-            start("batch", &nodes("stop", &format!("how = \"{how}\", first = 10")), Options::default()).expect("it starts");
+        let engine = start("batch", &nodes("stop", &format!("how = \"{how}\", first = 10")), Options::default())
+            .expect("it starts");
         assert!(engine.wait(Some(PATIENCE)), "it ends by itself");
         let Outcome::Failed(reason) = engine.close(PATIENCE) else { panic!("the run failed") };
         assert!(reason.contains("`bad`"), "{reason}");

@@ -72,7 +72,10 @@ fn another_abi_is_refused_with_both_numbers_and_the_mend() {
     bytes[body..body + 4].copy_from_slice(&other.to_le_bytes());
     let folder = folder_with("abi", "libflow.so", &bytes);
     let message = problem(&folder);
-    assert!(message.contains(&format!("ABI {other}")) && message.contains(&format!("speaks {}", abi::ABI_MAJOR)), "{message}");
+    assert!(
+        message.contains(&format!("ABI {other}")) && message.contains(&format!("speaks {}", abi::ABI_MAJOR)),
+        "{message}"
+    );
     let loader = Loader::search(&[folder]);
     assert!(loader.problems()[0].help.contains("rebuild"), "{:?}", loader.problems());
 
@@ -125,7 +128,8 @@ fn no_flipped_byte_crashes_the_reader() {
     let whole = flow_bytes();
     let section_table = u64::from_le_bytes(whole[40..48].try_into().expect("eight bytes")) as usize;
     let note = note_body(&whole);
-    let places = (0..64).chain(64..64 + 56 * 8).chain(note - 24..note + 110).chain((section_table..whole.len()).step_by(7));
+    let places =
+        (0..64).chain(64..64 + 56 * 8).chain(note - 24..note + 110).chain((section_table..whole.len()).step_by(7));
     for place in places {
         for value in [0x00, 0xff, whole[place] ^ 0x80] {
             let mut bytes = whole.clone();
@@ -146,14 +150,14 @@ fn the_first_of_two_plugins_of_one_name_wins() {
 }
 
 #[test]
-fn a_type_of_two_plugins_must_be_named_with_its_plugin() {
+fn all_plugins_that_offer_a_type_are_named() {
     // A second plugin with the same types: the same library under another name, in its note and in its code.
     let mut bytes = flow_bytes();
     let body = note_body(&bytes);
     bytes[body + 8..body + 12].copy_from_slice(b"duct");
     let folder = folder_with("two", "libflow.so", &flow_bytes());
     std::fs::write(folder.join("libduct.so"), &bytes).expect("a file");
-    let loader = Loader::search(&[folder.clone()]);
+    let loader = Loader::search(std::slice::from_ref(&folder));
     let offering: Vec<&str> = loader.offering("pass").iter().map(|f| f.note.name.as_str()).collect();
     assert_eq!(offering, ["duct", "flow"]);
     assert!(inspect(&folder.join("libduct.so")).is_ok());

@@ -1,7 +1,7 @@
 //! `drain` and `drain_blocking`: the end of a line.
 
 use panoscope_node::abi::{FNV_START, Frame, fnv1a};
-use panoscope_node::{Context, Node, NodeInfo, NoPorts, Open, Params, Result};
+use panoscope_node::{Context, NoPorts, Node, NodeInfo, Open, Params, Result};
 
 use crate::ports::In;
 

@@ -26,6 +26,6 @@ impl Node for EveryNth {
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Thinning) -> Result<()> {
-        if cx.tick().seq % params.n == 0 { out.image.forward(input.image.frame()) } else { Ok(()) }
+        if cx.tick().seq.is_multiple_of(params.n) { out.image.forward(input.image.frame()) } else { Ok(()) }
     }
 }

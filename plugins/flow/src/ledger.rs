@@ -25,8 +25,8 @@ pub struct Place {
 pub struct Ledger(BufWriter<File>);
 
 impl Node for Ledger {
-    const INFO: NodeInfo = NodeInfo::blocking("ledger", "sink", "Writes which tick each input held, a JSON line per tick.")
-        .side_effects();
+    const INFO: NodeInfo =
+        NodeInfo::blocking("ledger", "sink", "Writes which tick each input held, a JSON line per tick.").side_effects();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = Place;

@@ -10,6 +10,7 @@ pub mod gate;
 pub mod ledger;
 pub mod pass;
 pub mod ports;
+pub mod smooth;
 
 use panoscope_node::export_plugin;
 
@@ -24,4 +25,5 @@ export_plugin![
     ledger::Ledger,
     failing::Failing,
     allocate::Allocate,
+    smooth::Smooth,
 ];

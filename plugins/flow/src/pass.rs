@@ -36,8 +36,11 @@ pub struct Wait {
 pub struct PassBlocking;
 
 impl Node for PassBlocking {
-    const INFO: NodeInfo =
-        NodeInfo::blocking("pass_blocking", "flow", "Hands pictures on from its own thread, after a pause if asked to.");
+    const INFO: NodeInfo = NodeInfo::blocking(
+        "pass_blocking",
+        "flow",
+        "Hands pictures on from its own thread, after a pause if asked to.",
+    );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Wait;

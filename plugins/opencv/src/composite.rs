@@ -8,8 +8,8 @@ use opencv::prelude::*;
 use opencv::stitching::{Detail_GainCompensator, Detail_GraphCutSeamFinder, Detail_MultiBandBlender};
 use panoscope_imaging::geometry::Homography as Map;
 use panoscope_imaging::stitch::{self, Canvas, CompositeParams, Compositor, GeometryState};
-use panoscope_node::abi::{self, Homography};
-use panoscope_node::{Bgr8, Context, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, View};
+use panoscope_node::abi::{self, Homography, Roi};
+use panoscope_node::{Bgr8, Context, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, View};
 
 use crate::mats::{self, Threads, failed, mat, umat};
 
@@ -51,6 +51,10 @@ pub struct Out<'f> {
     panorama: Slot<'f, Bgr8>,
     /// 255 where a view reaches.
     mask: Slot<'f, Mask>,
+    /// Where the left view lies in the panorama.
+    canvas: Slot<'f, Roi>,
+    /// Which view each pixel shows: 0 none, 1 the left one, 2 the right one.
+    shown: Slot<'f, Gray8>,
 }
 
 /// See the module.
@@ -133,7 +137,8 @@ fn compose(
     map: &Map,
     canvas: &Canvas,
     params: &CompositeOpencvParams,
-) -> opencv::Result<(Mat, Mat)> {
+    with_shown: bool,
+) -> opencv::Result<Joined> {
     let mut placed = [upright(views[0], canvas)?, warped(views[1], map, canvas)?];
     if params.gain {
         let mut compensator = Detail_GainCompensator::default()?;
@@ -167,7 +172,29 @@ fn compose(
     Detail_MultiBandBlenderTrait::blend(&mut blender, &mut result, &mut covered)?;
     let mut picture = Mat::default();
     result.convert_to(&mut picture, CV_8U, 1.0, 0.0)?;
-    Ok((picture, covered))
+    let mut joined = Joined { picture, covered, shown: Mat::default() };
+    if with_shown {
+        joined.shown = Mat::zeros(canvas.height as i32, canvas.width as i32, CV_8UC1)?.to_mat()?;
+        for (index, (view, mask)) in placed.iter().zip(&cut).enumerate() {
+            let place = Rect::new(view.corner.x, view.corner.y, mask.cols(), mask.rows());
+            let whole = Rect::new(0, 0, canvas.width as i32, canvas.height as i32);
+            let inside = place & whole;
+            if inside != place {
+                continue;
+            }
+            let value = Mat::new_rows_cols_with_default(mask.rows(), mask.cols(), CV_8UC1, Scalar::all(index as f64 + 1.0))?;
+            let mut part = Mat::roi_mut(&mut joined.shown, place)?;
+            value.copy_to_masked(&mut part, mask)?;
+        }
+    }
+    Ok(joined)
+}
+
+/// What a frame becomes.
+struct Joined {
+    picture: Mat,
+    covered: Mat,
+    shown: Mat,
 }
 
 impl Node for CompositeOpencv {
@@ -204,11 +231,15 @@ impl Node for CompositeOpencv {
         let views = [input.left.view(), input.right.view()];
         let maps = [stitch::IDENTITY, input.homography.left_from_right];
         let canvas = self.canvas.canvas(&views, &maps, GeometryState::Fresh)?;
-        let (picture, covered) = compose(views, &Map(maps[1]), &canvas, params).map_err(failed)?;
-        mats::write(&picture, &mut out.panorama.alloc(canvas.width, canvas.height)?)?;
+        let joined = compose(views, &Map(maps[1]), &canvas, params, out.shown.is_read()).map_err(failed)?;
+        mats::write(&joined.picture, &mut out.panorama.alloc(canvas.width, canvas.height)?)?;
         if out.mask.is_read() {
-            mats::write(&covered, &mut out.mask.alloc(canvas.width, canvas.height)?)?;
+            mats::write(&joined.covered, &mut out.mask.alloc(canvas.width, canvas.height)?)?;
         }
-        Ok(())
+        if out.shown.is_read() {
+            mats::write(&joined.shown, &mut out.shown.alloc(canvas.width, canvas.height)?)?;
+        }
+        let (width, height) = (views[0].width as i32, views[0].height as i32);
+        out.canvas.set(Roi { x: canvas.left, y: canvas.top, width, height })
     }
 }

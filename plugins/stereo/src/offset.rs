@@ -13,7 +13,8 @@ pub struct Offset {
 const STEP_PX: i32 = 8;
 /// Share of the best window's mass, in per mille, at which the window in use is good enough.
 const KEEP_PER_MILLE: u64 = 985;
-/// Windows with this share of the best one's mass, in per mille, are equal; the middle one of them is taken.
+/// Windows with this share of the best one's mass, in per mille, are equal. The nearest one of them is taken: below the
+/// farthest surface there is nothing to be found, and what comes into the picture (a tool) comes nearer.
 const EQUAL_PER_MILLE: u64 = 997;
 /// Least share of matched coarse pixels that says anything, in per mille.
 const LEAST_PER_MILLE: usize = 5;
@@ -58,10 +59,10 @@ impl Offset {
             }
         }
         let equal = |start: &usize| within(*start) * 1000 >= best * EQUAL_PER_MILLE;
-        let low = (0..windows).find(equal).unwrap_or(0);
-        let high = (low..windows).take_while(equal).last().unwrap_or(low);
-        let middle_px = ((low + high) * bin_px / 2) as i32 - bin_px as i32 / 2;
-        self.current_px = Some(((middle_px + STEP_PX / 2).div_euclid(STEP_PX) * STEP_PX).max(0));
+        let start = (0..windows).rev().find(equal).unwrap_or(0);
+        // One bin and a half of room below.
+        let below_px = (start * bin_px) as i32 - (3 * bin_px / 2) as i32;
+        self.current_px = Some((below_px.div_euclid(STEP_PX) * STEP_PX).max(0));
         self.current_px
     }
 }

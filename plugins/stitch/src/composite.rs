@@ -3,9 +3,9 @@
 use panoscope_imaging::stitch::{
     self, BlendMethod, CompositeParams, Compositor, ExposureMethod, GeometryState, MAX_VIEWS, SeamMethod,
 };
-use panoscope_node::abi::{self, Homography};
+use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
-    Bgr8, Choice, Context, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, View, error,
+    Bgr8, Choice, Context, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, View, error,
 };
 
 /// How the line between two views is found.
@@ -71,6 +71,9 @@ pub struct CompositeNodeParams {
     /// Room kept free around the first good registration, so that the canvas can hold still.
     #[param(default = 16, range = 0..=512, unit = "px")]
     canvas_margin: u32,
+    /// Frames in a row that must leave the canvas before it grows; 0 holds it still for ever.
+    #[param(default = 0, range = 0..=10000, unit = "frames")]
+    canvas_grow: u32,
     /// Draw an arrow that points up in the left view.
     #[param(default = false)]
     up_cue: bool,
@@ -106,6 +109,7 @@ impl CompositeNodeParams {
             },
             canvas: fixed.then_some((self.canvas_width as usize, self.canvas_height as usize)),
             canvas_margin_px: self.canvas_margin as usize,
+            canvas_grow_after_frames: self.canvas_grow,
             up_cue_deg: self.up_cue.then_some(self.up_deg),
             mark_lost: self.mark_lost,
             ..CompositeParams::default()
@@ -135,6 +139,10 @@ pub struct Out<'f> {
     panorama: Slot<'f, Bgr8>,
     /// 255 where a view reaches.
     mask: Slot<'f, Mask>,
+    /// Where the first view lies in the panorama.
+    canvas: Slot<'f, Roi>,
+    /// Which view each pixel shows: 0 none, 1 the first, 2 the second and so on.
+    shown: Slot<'f, Gray8>,
 }
 
 /// See the module.
@@ -241,6 +249,10 @@ impl Node for Composite {
         let mut mask = if mask_is_read { Some(out.mask.alloc(canvas.width, canvas.height)?) } else { None };
         let report = self.kernel.compose(views, maps, scene.state, cx.pool(), &mut panorama, mask.as_mut())?;
         cx.metric("seam_cost_levels", f64::from(report.seam_cost));
-        Ok(())
+        if out.shown.is_read() {
+            self.kernel.shown(&mut out.shown.alloc(canvas.width, canvas.height)?)?;
+        }
+        let (width, height) = (views[0].width as i32, views[0].height as i32);
+        out.canvas.set(Roi { x: canvas.left, y: canvas.top, width, height })
     }
 }

@@ -1,11 +1,15 @@
 //! Registration and compositing of overlapping views (thesis, chapters 2 and 4).
 
 mod composite;
+mod evaluate_stitch;
 mod features_surf;
+mod register_grid;
 mod register_surf;
 
 pub use composite::Composite;
+pub use evaluate_stitch::EvaluateStitch;
 pub use features_surf::FeaturesSurf;
+pub use register_grid::RegisterGridNode;
 pub use register_surf::RegisterSurf;
 
-panoscope_node::export_plugin![RegisterSurf, Composite, FeaturesSurf];
+panoscope_node::export_plugin![RegisterSurf, RegisterGridNode, Composite, FeaturesSurf, EvaluateStitch];

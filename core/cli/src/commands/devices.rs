@@ -44,7 +44,8 @@ pub fn cameras() -> Vec<Device> {
             let path = PathBuf::from("/dev").join(&file);
             let c_path = std::ffi::CString::new(path.to_string_lossy().as_bytes()).ok()?;
             // SAFETY: a terminated path.
-            let accessible = path.exists().then(|| unsafe { libc::access(c_path.as_ptr(), libc::R_OK | libc::W_OK) } == 0);
+            let accessible =
+                path.exists().then(|| unsafe { libc::access(c_path.as_ptr(), libc::R_OK | libc::W_OK) } == 0);
             Some((number, Device { path, name: text("name"), accessible }))
         })
         .collect();

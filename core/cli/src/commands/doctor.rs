@@ -43,7 +43,14 @@ impl Doctor {
         self.say(State::Fine, "processor", &format!("{}, {} cores for this process", machine.cpu, machine.cores));
         let memory = fs::read_to_string("/proc/meminfo").unwrap_or_default();
         let kib = |key: &str| -> Option<f64> {
-            memory.lines().find_map(|l| l.strip_prefix(key))?.trim_start_matches(':').split_whitespace().next()?.parse().ok()
+            memory
+                .lines()
+                .find_map(|l| l.strip_prefix(key))?
+                .trim_start_matches(':')
+                .split_whitespace()
+                .next()?
+                .parse()
+                .ok()
         };
         if let (Some(total), Some(free)) = (kib("MemTotal"), kib("MemAvailable")) {
             let text = format!("{:.1} GiB, {:.1} GiB available", total / 1_048_576.0, free / 1_048_576.0);
@@ -51,8 +58,13 @@ impl Doctor {
         }
         let files = limit(libc::RLIMIT_NOFILE);
         let state = if files.is_some_and(|n| n < 256) { State::Bad } else { State::Fine };
-        self.say(state, "open files", &files.map_or_else(|| "no limit".to_owned(), |n| format!("{n} at most (ulimit -n)")));
-        let locked = limit(libc::RLIMIT_MEMLOCK).map_or_else(|| "no limit".to_owned(), |n| format!("{} KiB at most", n / 1024));
+        self.say(
+            state,
+            "open files",
+            &files.map_or_else(|| "no limit".to_owned(), |n| format!("{n} at most (ulimit -n)")),
+        );
+        let locked =
+            limit(libc::RLIMIT_MEMLOCK).map_or_else(|| "no limit".to_owned(), |n| format!("{} KiB at most", n / 1024));
         self.say(State::Fine, "locked memory", &locked);
         if realtime_allowed() {
             self.say(State::Fine, "real-time priority", "allowed (SCHED_FIFO)");
@@ -93,7 +105,10 @@ impl Doctor {
             self.say(State::Bad, &problem.plugin, &format!("{}; {}", problem.message, problem.help));
         }
         if !any {
-            let how = format!("none found: build them with `cargo xtask demo`, or name their folder in {}", loader::PLUGIN_PATH_VARIABLE);
+            let how = format!(
+                "none found: build them with `cargo xtask demo`, or name their folder in {}",
+                loader::PLUGIN_PATH_VARIABLE
+            );
             self.say(State::Bad, "plugins", &how);
         }
     }
@@ -131,8 +146,14 @@ impl Doctor {
         let loads = |path: &PathBuf| path.to_str().is_some_and(|p| open_library(p).is_ok());
         match places.iter().find(|path| path.is_file()) {
             Some(path) if loads(path) => self.say(State::Fine, "ONNX Runtime", &path.display().to_string()),
-            Some(path) => self.say(State::Bad, "ONNX Runtime", &format!("{} does not load; fetch it again with `cargo xtask demo`", path.display())),
-            None if open_library("libonnxruntime.so").is_ok() => self.say(State::Fine, "ONNX Runtime", "libonnxruntime.so of the system"),
+            Some(path) => self.say(
+                State::Bad,
+                "ONNX Runtime",
+                &format!("{} does not load; fetch it again with `cargo xtask demo`", path.display()),
+            ),
+            None if open_library("libonnxruntime.so").is_ok() => {
+                self.say(State::Fine, "ONNX Runtime", "libonnxruntime.so of the system")
+            }
             None => {
                 let how = "tool detection needs it; `cargo xtask demo` fetches it, or name the file in ORT_DYLIB_PATH";
                 self.say(State::Optional, "ONNX Runtime", how);
@@ -151,7 +172,11 @@ impl Doctor {
             match camera.accessible {
                 Some(true) => self.say(State::Fine, &name, &camera.name),
                 Some(false) => {
-                    self.say(State::Bad, &name, &format!("{}: no permission; `sudo usermod -aG video $USER`, then log in again", camera.name));
+                    self.say(
+                        State::Bad,
+                        &name,
+                        &format!("{}: no permission; `sudo usermod -aG video $USER`, then log in again", camera.name),
+                    );
                 }
                 None => self.say(State::Bad, &name, &format!("{}: its device file is missing", camera.name)),
             }
@@ -196,7 +221,8 @@ fn find_program(name: &str) -> Option<PathBuf> {
 
 fn libraries_in(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
-    let is_onnx = |path: &PathBuf| path.file_name().is_some_and(|n| n.to_string_lossy().starts_with("libonnxruntime.so"));
+    let is_onnx =
+        |path: &PathBuf| path.file_name().is_some_and(|n| n.to_string_lossy().starts_with("libonnxruntime.so"));
     entries.flatten().map(|e| e.path()).filter(is_onnx).collect()
 }
 
@@ -229,7 +255,8 @@ mod tests {
 
     #[test]
     fn a_missing_library_is_named_with_its_package() {
-        let words = "x.so does not load: libopencv_core.so.406: cannot open shared object file: No such file or directory";
+        let words =
+            "x.so does not load: libopencv_core.so.406: cannot open shared object file: No such file or directory";
         assert_eq!(missing_library(words).as_deref(), Some("`apt install libopencv-dev`"));
         assert_eq!(missing_library("x.so does not load: libother.so: cannot open shared object file"), None);
     }

@@ -56,11 +56,67 @@ const C: &[(&str, &str)] = &[
 
 /// Names that mean something else to Rust or to cargo.
 const TAKEN: &[&str] = &[
-    "abstract", "as", "async", "await", "become", "box", "break", "build", "const", "continue", "core", "crate", "deps",
-    "do", "dyn", "else", "enum", "examples", "extern", "false", "final", "fn", "for", "gen", "if", "impl", "in",
-    "incremental", "let", "loop", "macro", "match", "mod", "move", "mut", "override", "panoscope", "priv", "proc_macro",
-    "pub", "ref", "return", "self", "static", "std", "alloc", "struct", "super", "test", "trait", "true", "try", "type",
-    "typeof", "unsafe", "unsized", "use", "virtual", "where", "while", "yield",
+    "abstract",
+    "as",
+    "async",
+    "await",
+    "become",
+    "box",
+    "break",
+    "build",
+    "const",
+    "continue",
+    "core",
+    "crate",
+    "deps",
+    "do",
+    "dyn",
+    "else",
+    "enum",
+    "examples",
+    "extern",
+    "false",
+    "final",
+    "fn",
+    "for",
+    "gen",
+    "if",
+    "impl",
+    "in",
+    "incremental",
+    "let",
+    "loop",
+    "macro",
+    "match",
+    "mod",
+    "move",
+    "mut",
+    "override",
+    "panoscope",
+    "priv",
+    "proc_macro",
+    "pub",
+    "ref",
+    "return",
+    "self",
+    "static",
+    "std",
+    "alloc",
+    "struct",
+    "super",
+    "test",
+    "trait",
+    "true",
+    "try",
+    "type",
+    "typeof",
+    "unsafe",
+    "unsized",
+    "use",
+    "virtual",
+    "where",
+    "while",
+    "yield",
 ];
 
 /// Writes a new plugin.
@@ -123,9 +179,15 @@ fn write(plugin: &Plugin) -> Result<PathBuf> {
     };
     let node = name.replace('-', "_");
     let fill = |text: &str| {
-        [("name", name), ("node", &node), ("lib", &node), ("panoscope_include", "."), ("panoscope_node_dependency", &dependency)]
-            .iter()
-            .fold(text.to_owned(), |text, (key, value)| text.replace(&format!("{{{{{key}}}}}"), value))
+        [
+            ("name", name),
+            ("node", &node),
+            ("lib", &node),
+            ("panoscope_include", "."),
+            ("panoscope_node_dependency", &dependency),
+        ]
+        .iter()
+        .fold(text.to_owned(), |text, (key, value)| text.replace(&format!("{{{{{key}}}}}"), value))
     };
     for (file, text) in if plugin.c { C } else { RUST } {
         let path = folder.join(fill(file));

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use panoscope_graph::Graph;
+use panoscope_runtime::fault::json_lines;
 use panoscope_runtime::log::Level;
 use panoscope_runtime::{Engine, Options, Outcome, Report};
 
@@ -45,6 +46,9 @@ pub struct Arguments {
     /// Writes counters and times as JSON at the end.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
+    /// Appends faults as JSON lines: time, node, cause, what was done.
+    #[arg(long, value_name = "FILE")]
+    fault_log: Option<PathBuf>,
     /// Shows debug lines of nodes too.
     #[arg(long, short)]
     verbose: bool,
@@ -72,6 +76,10 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     }
     let graph = ready.graph.clone();
     let mut progress = Progress::new(&graph.name, arguments.frames, !arguments.headless);
+    let faults = match &arguments.fault_log {
+        Some(path) => Some(json_lines(path).with_context(|| format!("cannot write {}", path.display()))?),
+        None => None,
+    };
     let options = Options {
         threads: arguments.threads.map_or(0, usize::from),
         frames: arguments.frames,
@@ -80,6 +88,8 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         log: Some(crate::log_lines::sink(arguments.verbose, stderr_color(), progress.line_writer())),
         process_allocations: allocations::process(),
         thread_allocations: allocations::thread(),
+        faults,
+        ..Options::default()
     };
     interrupt::listen();
     let engine = match Engine::start(ready.graph, &ready.catalog, &ready.loader, options) {
@@ -188,7 +198,10 @@ fn capture_settings(arguments: &Arguments) -> Result<Vec<String>> {
         }
     }
     if settings.is_empty() && nodes.is_some() {
-        bail!("--left and --right are for graphs with a node of type `capture`; {} has none", arguments.graph.display());
+        bail!(
+            "--left and --right are for graphs with a node of type `capture`; {} has none",
+            arguments.graph.display()
+        );
     }
     Ok(settings)
 }

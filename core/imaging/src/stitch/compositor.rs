@@ -8,7 +8,7 @@ use super::paint::levels_of;
 use super::params::*;
 use super::projective::{self, IDENTITY};
 use super::seam::Seam;
-use super::segments::Segments;
+use super::segments::{self, Segments};
 use super::taps::{Joined, TAPS, Taps};
 use super::warp::{self, Span};
 use crate::{Parallel, View, ViewMut};
@@ -259,6 +259,35 @@ impl Compositor {
         let mut gains = [[1.0; 3]; MAX_VIEWS];
         gains[..p.active].copy_from_slice(&self.gains[..p.active]);
         Ok(CompositeReport { state: p.state, fault: p.fault, canvas: p.canvas, seam_found, seam_cost, gains })
+    }
+
+    /// Writes which view each pixel of the picture drawn last shows: 0 none, 1 the first, 2 the second and so on.
+    ///
+    /// # Errors
+    /// When `out` is not gray or has not the size of the canvas drawn on last.
+    pub fn shown(&self, out: &mut ViewMut<u8>) -> Result<(), CompositeError> {
+        let Some((canvas, active, _)) = self.placed else {
+            return Err(CompositeError::Output { width: 0, height: 0, channels: 1 });
+        };
+        if (out.width, out.height, out.channels) != (canvas.width, canvas.height, 1) {
+            return Err(CompositeError::Output { width: canvas.width, height: canvas.height, channels: 1 });
+        }
+        for y in 0..canvas.height {
+            let row = out.row_mut(y);
+            row.fill(0);
+            let first = self.spans[0][y];
+            if !first.is_empty() {
+                row[first.start as usize..first.end as usize].fill(1);
+            }
+            for view in 1..active {
+                for run in self.steps[view].segments.row(y) {
+                    if matches!(run.kind, segments::NEW_SHOWN | segments::NEW_ONLY) {
+                        row[run.start as usize..run.end as usize].fill(view as u8 + 1);
+                    }
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Brings the geometry of all views onto the canvas.

@@ -394,7 +394,7 @@ mod tests {
         let moved: Vec<f32> = map.iter().map(|d| d + 5.0).collect();
         let third = register.register(View::new(&moved, 640, 480, 1), &camera, &camera);
         assert!(!third.kept);
-        let error = third.left_from_right.squared_error([395.0 - 5.0 - 200.0 - 8.75, 240.0], [395.0, 240.0]).sqrt();
-        assert!(error < 10.0);
+        let error = third.left_from_right.squared_error([395.0 - 206.875, 240.0], [395.0, 240.0]).sqrt();
+        assert!(error < 0.5, "{error} px");
     }
 }

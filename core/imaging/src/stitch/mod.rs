@@ -7,6 +7,7 @@
 mod blend;
 mod canvas;
 mod compositor;
+pub mod evaluate;
 mod graph_cut;
 pub mod grid;
 mod mark;

@@ -6,7 +6,7 @@ pub fn line(points: &[(f64, f64)]) -> (f64, f64) {
     let (sx, sy) = points.iter().fold((0.0, 0.0), |(sx, sy), (x, y)| (sx + x, sy + y));
     let (mx, my) = (sx / n, sy / n);
     let spread: f64 = points.iter().map(|(x, _)| (x - mx).powi(2)).sum();
-    if !(spread > 0.0) {
+    if spread == 0.0 || !spread.is_finite() {
         return (0.0, 0.0);
     }
     let slope = points.iter().map(|(x, y)| (x - mx) * (y - my)).sum::<f64>() / spread;

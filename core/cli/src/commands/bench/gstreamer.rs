@@ -143,7 +143,8 @@ impl GStreamer {
             bail!("GStreamer did not finish: {} of {frames} frames arrived", arrived.len());
         }
         let span = arrived.last().unwrap_or(&0).saturating_sub(*left.first().unwrap_or(&0));
-        let mut ages_ns: Vec<u64> = arrived.iter().zip(left.iter()).map(|(to, from)| to.saturating_sub(*from)).collect();
+        let mut ages_ns: Vec<u64> =
+            arrived.iter().zip(left.iter()).map(|(to, from)| to.saturating_sub(*from)).collect();
         ages_ns.sort_unstable();
         Ok(Run { ns_per_frame: span as f64 / frames as f64, ages_ns })
     }

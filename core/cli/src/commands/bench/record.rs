@@ -32,7 +32,16 @@ impl Figure {
     /// A figure without a peer.
     pub fn new(name: &str, value: f64, unit: &'static str, input: &str) -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        Self { name: name.to_owned(), value, unit, peer: None, peer_value: None, ratio: None, cores, input: input.to_owned() }
+        Self {
+            name: name.to_owned(),
+            value,
+            unit,
+            peer: None,
+            peer_value: None,
+            ratio: None,
+            cores,
+            input: input.to_owned(),
+        }
     }
 
     /// Adds a peer for a figure of which less is better.

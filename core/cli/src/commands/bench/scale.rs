@@ -29,7 +29,17 @@ pub fn measure(quick: bool) -> Result<Vec<Figure>> {
     let per_node = |i: usize| (points[i].1 - offset) / points[i].0;
     let last = points.len() - 1;
     figures.push(Figure::new("tick_per_node", slope, "ns", "chains of 10 to 1,000 nodes"));
-    figures.push(Figure::new("tick_linearity", fit::r_squared(&points), "r2", "line through chains of 10 to 1,000 nodes"));
-    figures.push(Figure::new("tick_per_node/1000_to_100", per_node(last) / per_node(3), "1", "1 = the same cost per node"));
+    figures.push(Figure::new(
+        "tick_linearity",
+        fit::r_squared(&points),
+        "r2",
+        "line through chains of 10 to 1,000 nodes",
+    ));
+    figures.push(Figure::new(
+        "tick_per_node/1000_to_100",
+        per_node(last) / per_node(3),
+        "1",
+        "1 = the same cost per node",
+    ));
     Ok(figures)
 }

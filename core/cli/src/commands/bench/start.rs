@@ -49,7 +49,12 @@ pub fn measure(quick: bool) -> Result<Vec<Figure>> {
         }
         figures.push(Figure::new(name, all, "ms", input));
         if name == "graph_start_1000" {
-            figures.push(Figure::new("graph_start_1000/check", check, "ms", "reading, loading plugins and checking alone"));
+            figures.push(Figure::new(
+                "graph_start_1000/check",
+                check,
+                "ms",
+                "reading, loading plugins and checking alone",
+            ));
         }
     }
     Ok(figures)

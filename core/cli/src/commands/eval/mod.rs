@@ -1,6 +1,8 @@
 //! `panoscope eval`: how good the results are, beside truth and peers.
 
+mod disparity;
 mod look;
+mod rewire;
 mod stitch;
 mod surf;
 
@@ -18,6 +20,8 @@ pub enum Eval {
     Surf(surf::Arguments),
     /// The panorama of a graph beside the truth.
     Stitch(stitch::Arguments),
+    /// Disparity beside true disparities and surfaces, and left beside right.
+    Disparity(disparity::Arguments),
 }
 
 /// Judges.
@@ -26,6 +30,7 @@ pub fn run(eval: &Eval) -> Result<End> {
     let (figures, json): (_, &Option<PathBuf>) = match eval {
         Eval::Surf(arguments) => (surf::judge(arguments)?, &arguments.json),
         Eval::Stitch(arguments) => (stitch::judge(arguments)?, &arguments.json),
+        Eval::Disparity(arguments) => (disparity::judge(arguments)?, &arguments.json),
     };
     let Some(figures) = figures else { return Ok(End::Wrong) };
     record::show(&figures);

@@ -26,6 +26,9 @@ const RATIO: f64 = 0.8;
 /// So low that the number of points, not the threshold, decides.
 const SURF_THRESHOLD: f64 = 1.0;
 const AKAZE_THRESHOLD: f64 = 1e-5;
+/// So many points are more than a picture of half a million pixels holds of distinct ones at its own size: SURF looks at it
+/// doubled then, with a wider window to tell the small ones apart.
+const MANY_POINTS: usize = 1500;
 
 /// Arguments of `eval surf`.
 #[derive(clap::Args)]
@@ -74,6 +77,16 @@ struct Outcome {
     repeatability: f64,
     precision: f64,
     correct: usize,
+    /// Whether each match is right, the most distinct (least ratio) first.
+    right: Vec<bool>,
+}
+
+impl Outcome {
+    /// Precision of the `count` most distinct matches.
+    fn precision_of(&self, count: usize) -> f64 {
+        let best = &self.right[..count.min(self.right.len())];
+        best.iter().filter(|right| **right).count() as f64 / best.len().max(1) as f64
+    }
 }
 
 fn measure(data: &Data, node: &str) -> Result<Outcome> {
@@ -83,15 +96,23 @@ fn measure(data: &Data, node: &str) -> Result<Outcome> {
          [nodes.features]\ninputs = {{ left = \"files.left\", right = \"files.right\" }}\n{node}\n",
         data.first, data.second
     );
-    let ports =
-        [("features", "left_points"), ("features", "right_points"), ("features", "matches"), ("files", "left"), ("files", "right")];
-    let plan = Plan { text: &text, path: Path::new("eval.toml"), frames: None, threads: 0, ports: &ports, paced: false };
+    let ports = [
+        ("features", "left_points"),
+        ("features", "right_points"),
+        ("features", "matches"),
+        ("files", "left"),
+        ("files", "right"),
+    ];
+    let plan =
+        Plan { text: &text, path: Path::new("eval.toml"), frames: None, threads: 0, ports: &ports, paced: false };
     let seen = look::run(&plan)?;
     let packet = |index: usize| seen.packets[index].as_ref().context("a port stayed empty");
     let read = |index: usize| Table::read(packet(index)?.bytes()).context("a table could not be read");
     let points = |table: Table| -> Vec<[f64; 2]> { table.rows.iter().map(|row| [row[0], row[1]]).collect() };
     let (first, second) = (points(read(0)?), points(read(1)?));
-    let matches: Vec<_> = read(2)?.rows.iter().map(|row| (row[0] as usize, row[1] as usize)).collect();
+    let mut rows = read(2)?.rows;
+    rows.sort_by(|a, b| a[3].total_cmp(&b[3]));
+    let matches: Vec<_> = rows.iter().map(|row| (row[0] as usize, row[1] as usize)).collect();
     let size = |index: usize| packet(index).map(|p| (p.frame().width as usize, p.frame().height as usize));
     let truth = &data.second_from_first;
     let again = repeatability(&first, &second, truth, size(3)?, size(4)?, REPEATABILITY_PX);
@@ -102,13 +123,15 @@ fn measure(data: &Data, node: &str) -> Result<Outcome> {
         repeatability: again.share,
         precision: right.share,
         correct: right.correct,
+        right: matches.iter().map(|&m| precision(&first, &second, &[m], truth, PRECISION_PX).correct == 1).collect(),
     })
 }
 
 fn surf(points: usize, settings: &[String]) -> String {
+    let fine = if points > MANY_POINTS { ", upsample = true, window = 2.0" } else { "" };
     let more: String = settings.iter().map(|setting| format!(", {setting}")).collect();
     format!(
-        "type = \"features_surf\"\nparams = {{ max_points = {points}, hessian_threshold = {SURF_THRESHOLD:?}, ratio = {RATIO}{more} }}"
+        "type = \"features_surf\"\nparams = {{ max_points = {points}, hessian_threshold = {SURF_THRESHOLD:?}, ratio = {RATIO}{fine}{more} }}"
     )
 }
 
@@ -127,13 +150,19 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
         tell!("  help: install Debian's package opencv-doc, or give their folder: --data FOLDER");
         return Ok(None);
     };
-    let mut rows =
-        vec![["case", "points", "repeated", "matches", "right", "precision"].map(str::to_owned).to_vec()];
+    let mut rows = vec![["case", "points", "repeated", "matches", "right", "precision"].map(str::to_owned).to_vec()];
     let mut figures = Vec::new();
     let mut line = |name: String, o: &Outcome| {
         let percent = |share: f64| format!("{:.1} %", share * 100.0);
         let points = format!("{}+{}", o.points.0, o.points.1);
-        rows.push(vec![name, points, percent(o.repeatability), o.matches.to_string(), o.correct.to_string(), percent(o.precision)]);
+        rows.push(vec![
+            name,
+            points,
+            percent(o.repeatability),
+            o.matches.to_string(),
+            o.correct.to_string(),
+            percent(o.precision),
+        ]);
     };
     for detector in ["sift", "akaze"] {
         for wanted in [0, 500, 1000, 2000] {
@@ -148,9 +177,12 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
             line(format!("OpenCV {detector}, {case}"), &theirs);
             let input = format!("graf1/graf3, {equal} points");
             let named = detector.to_uppercase();
+            // A ratio of distances means something else for each descriptor: also the same number of matches, best first.
+            let equal_matches = ours.matches.min(theirs.matches);
             for (measure, value, peer_value) in [
                 ("repeatability", ours.repeatability, theirs.repeatability),
                 ("precision", ours.precision, theirs.precision),
+                ("precision_equal_matches", ours.precision_of(equal_matches), theirs.precision_of(equal_matches)),
             ] {
                 let mut figure = Figure::new(&format!("surf_{measure}/{detector}_{case}"), value, "1", &input);
                 figure.peer = Some(format!("OpenCV {named}"));

@@ -1,0 +1,204 @@
+//! The command from outside: words, exit codes, files.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+use std::time::{Duration, Instant};
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_panoscope");
+
+/// Folder of the built `flow` plugin: out of `PANOSCOPE_PLUGIN_PATH`, else built now.
+fn plugin_folder() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        let names = ["libflow.so", "libpanoscope_flow.so"];
+        let given = std::env::var_os("PANOSCOPE_PLUGIN_PATH").unwrap_or_default();
+        if let Some(folder) = std::env::split_paths(&given).find(|f| names.iter().any(|name| f.join(name).is_file())) {
+            return folder;
+        }
+        let profile_dir = Path::new(PROGRAM).parent().expect("a folder");
+        let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
+        cargo.args(["build", "--quiet", "--package", "panoscope-flow", "--manifest-path"]);
+        cargo.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../Cargo.toml"));
+        cargo.arg("--target-dir").arg(profile_dir.parent().expect("a target folder"));
+        if profile_dir.ends_with("release") {
+            cargo.arg("--release");
+        }
+        assert!(cargo.status().expect("cargo runs").success(), "panoscope-flow does not build");
+        profile_dir.to_owned()
+    })
+}
+
+fn panoscope() -> Command {
+    let mut command = Command::new(PROGRAM);
+    command.env("PANOSCOPE_PLUGIN_PATH", plugin_folder());
+    command
+}
+
+fn run(arguments: &[&str]) -> (i32, String, String) {
+    let Output { status, stdout, stderr } = panoscope().args(arguments).output().expect("the program starts");
+    let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
+    (status.code().unwrap_or(-1), text(stdout), text(stderr))
+}
+
+/// A file in a folder of this test process.
+fn file(name: &str, text: &str) -> String {
+    let folder = std::env::temp_dir().join(format!("panoscope_command_{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("temporary files can be written");
+    let path = folder.join(name);
+    std::fs::write(&path, text).expect("a file");
+    path.display().to_string()
+}
+
+/// `frames` -> `middle` -> `drain`.
+fn graph(mode: &str, middle: &str, more: &str) -> String {
+    format!(
+        r#"
+mode = "{mode}"
+plugins = ["flow"]
+[nodes.source]
+type = "frames"
+params = {{ width_px = 64, height_px = 48, rate_hz = 200.0 }}
+[nodes.middle]
+type = "{middle}"
+inputs = {{ image = "source.image" }}
+{more}
+[nodes.sink]
+type = "drain"
+inputs = {{ image = "middle.image" }}
+"#
+    )
+}
+
+fn json(path: &str) -> serde_json::Value {
+    serde_json::from_str(&std::fs::read_to_string(path).expect("the report")).expect("JSON")
+}
+
+#[test]
+fn a_run_writes_its_report() {
+    let graph = file("pass.toml", &graph("batch", "pass", ""));
+    let report = file("pass.json", "");
+    let (code, out, err) = run(&["run", &graph, "--frames", "400", "--report", &report, "--headless"]);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.contains("pass: 400 frames") && out.contains("middle"), "{out}");
+    let report = json(&report);
+    assert_eq!(report["frames"], 400);
+    assert_eq!(report["nodes"]["middle"]["count"], 400);
+    for key in ["p50_ms", "p99_ms", "max_ms", "dropped", "faults", "copies"] {
+        assert!(report["nodes"]["middle"][key].is_number(), "{key}");
+    }
+    for key in ["age_p50_ms", "age_p99_ms", "age_max_ms"] {
+        assert!(report["paths"]["sink"][key].is_number(), "{key}");
+    }
+    assert!(report["machine"]["cores"].is_number());
+}
+
+#[test]
+fn allocations_of_a_plugin_are_counted() {
+    if !cfg!(all(target_os = "linux", target_env = "gnu")) {
+        println!("skipped: allocations are counted on Linux with glibc only");
+        return;
+    }
+    let graph = file("allocate.toml", &graph("batch", "allocate", "params = { count = 3 }"));
+    let report = file("allocate.json", "");
+    let per_frame = |count: &str| {
+        let set = format!("middle.count={count}");
+        let (code, _, err) =
+            run(&["run", &graph, "--frames", "2000", "--threads", "1", "--set", &set, "--report", &report]);
+        assert_eq!(code, 0, "{err}");
+        let report = json(&report);
+        let by_node = report["nodes"]["middle"]["allocations"].as_f64().expect("counted") / 2000.0;
+        (report["allocations_per_frame"].as_f64().expect("counted"), by_node)
+    };
+    let (process, node) = per_frame("3");
+    assert!((process - 3.0).abs() < 0.1 && (node - 3.0).abs() < 0.1, "{process} {node}");
+    let (process, node) = per_frame("0");
+    assert!(process < 0.05 && node < 0.05, "the engine itself allocates nothing: {process} {node}");
+}
+
+#[test]
+fn wrong_graphs_and_arguments_are_2_and_failed_runs_1() {
+    let wrong = file("wrong.toml", &graph("batch", "pas", "").replace("rate_hz", "rate"));
+    let (code, _, err) = run(&["run", &wrong]);
+    assert_eq!(code, 2, "{err}");
+    assert!(err.contains("did you mean \"pass\"?") && err.contains("`rate`"), "all mistakes at once: {err}");
+    let (code, out, _) = run(&["check", &wrong]);
+    assert_eq!(code, 2);
+    assert!(out.contains("2 errors"), "{out}");
+    assert_eq!(run(&["run"]).0, 2);
+    assert_eq!(run(&["run", "there_is_no_such.toml"]).0, 2);
+    let fine = file("fine.toml", &graph("batch", "pass", ""));
+    assert_eq!(run(&["run", &fine, "--set", "middle.nothing=1"]).0, 2);
+    assert_eq!(run(&["run", &fine, "--left", "a.png"]).0, 2, "no node of type `capture`");
+
+    let failing = file("failing.toml", &graph("batch", "failing", "on_fault = \"stop\"\nparams = { first = 5 }"));
+    let (code, _, err) = run(&["run", &failing, "--frames", "50"]);
+    assert_eq!(code, 1);
+    assert!(err.contains("`middle`") && err.contains("told to fail at tick 5"), "{err}");
+    let (code, _, err) = run(&["run", &failing, "--set", "middle.how=open"]);
+    assert_eq!(code, 1);
+    assert!(err.contains("told not to open"), "{err}");
+    let once = file("once.toml", &graph("batch", "failing", "params = { first = 5 }"));
+    let (code, _, err) = run(&["run", &once, "--frames", "50"]);
+    assert_eq!(code, 0, "a node that was restarted does not fail the run: {err}");
+    assert!(err.contains("warning: node `middle` failed once"), "{err}");
+}
+
+#[test]
+fn check_tells_in_json() {
+    let fine = file("check_fine.toml", &graph("live", "pass", ""));
+    let wrong = file("check_wrong.toml", &graph("live", "pas", ""));
+    let (code, out, _) = run(&["check", "--json", &fine, &wrong]);
+    assert_eq!(code, 2);
+    let lines: Vec<serde_json::Value> = out.lines().map(|l| serde_json::from_str(l).expect("JSON")).collect();
+    assert_eq!((lines[0]["ok"].as_bool(), lines[1]["ok"].as_bool()), (Some(true), Some(false)));
+    assert_eq!(lines[1]["diagnostics"][0]["line"], 8);
+}
+
+#[test]
+fn list_describe_dot_and_schema_tell_what_there_is() {
+    let (code, out, _) = run(&["list", "--json"]);
+    assert_eq!(code, 0);
+    let list: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    let flow =
+        list["plugins"].as_array().expect("plugins").iter().find(|p| p["plugin"] == "flow").expect("flow").clone();
+    assert!(flow["node_types"].as_array().expect("types").iter().any(|t| t == "every_nth"));
+
+    let (code, out, _) = run(&["describe", "every_nth"]);
+    assert_eq!(code, 0);
+    assert!(out.contains("n = 2 (1 to 1000000): a whole number") && out.contains("One picture in this many"), "{out}");
+    let (code, _, err) = run(&["describe", "evry_nth"]);
+    assert_eq!(code, 2);
+    assert!(err.contains("did you mean `every_nth`?"), "{err}");
+
+    let fine = file("dot.toml", &graph("live", "pass", ""));
+    let (code, out, _) = run(&["dot", &fine]);
+    assert!(code == 0 && out.starts_with("digraph"), "{out}");
+    let (code, out, _) = run(&["schema"]);
+    let schema: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    assert!(code == 0 && schema["$schema"].is_string() && out.contains("every_nth"));
+}
+
+#[test]
+fn an_interrupt_ends_clean_with_files_finished() {
+    let ledger = file("interrupted.jsonl", "");
+    let text = graph("live", "pass", "").replace("[nodes.sink]", "[nodes.file]").replace("\"drain\"", "\"ledger\"");
+    let text = text.replace("{ image = \"middle.image\" }", "{ images = [\"middle.image\"] }")
+        + &format!("params = {{ path = \"{ledger}\" }}\n");
+    let graph = file("interrupted.toml", &text);
+    let mut child = panoscope().args(["run", &graph]).stderr(std::process::Stdio::null()).spawn().expect("it starts");
+    std::thread::sleep(Duration::from_millis(700));
+    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill runs");
+    assert!(sent.success());
+    let until = Instant::now() + Duration::from_secs(30);
+    let status = loop {
+        if let Some(status) = child.try_wait().expect("a child") {
+            break status;
+        }
+        assert!(Instant::now() < until, "it did not end");
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    assert_eq!(status.code(), Some(0));
+    let lines = std::fs::read_to_string(&ledger).expect("the ledger");
+    assert!(lines.ends_with("}\n") && lines.lines().count() > 2, "the last line is whole");
+}

@@ -1,0 +1,218 @@
+//! What an output may hold, checked where it is made, so that a bad frame is a fault of the node that made it.
+
+use panoscope_abi::{self as abi, Frame};
+
+use crate::fault::Cause;
+
+/// Largest output that a node may make.
+pub(crate) const LARGEST_OUTPUT_BYTES: usize = 256 << 20;
+
+/// Bytes per pixel of the image formats.
+const BYTES_PER_PIXEL: [usize; 7] = [0, 1, 3, 4, 2, 4, 16];
+
+/// Names of the formats in graph files.
+const FORMAT_NAMES: [&str; 7] = ["bytes", "gray8", "bgr8", "rgba8", "gray16", "f32", "cloud"];
+
+/// Looks at the contents of an output after the call.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Look {
+    Nothing,
+    /// Plain data of this size whose first `finite` f64 must be numbers.
+    Plain {
+        size: usize,
+        finite: usize,
+    },
+    /// A homography that is not lost must be made of numbers.
+    Homography,
+    /// A plane of f32 without NaN.
+    Plane,
+}
+
+/// What one output may hold.
+pub(crate) struct OutputRule {
+    pub name: String,
+    formats: u32,
+    look: Look,
+}
+
+pub(crate) fn format_name(format: u32) -> &'static str {
+    FORMAT_NAMES.get(format as usize).copied().unwrap_or("an unknown format")
+}
+
+/// Names of a set of formats.
+pub(crate) fn format_names(formats: u32) -> String {
+    let known = (0..FORMAT_NAMES.len() as u32).filter(|f| formats >> f & 1 == 1);
+    known.map(format_name).collect::<Vec<_>>().join(", ")
+}
+
+impl OutputRule {
+    /// The rules of a node type's outputs.
+    pub fn of(node_type: &abi::NodeType) -> Box<[Self]> {
+        (0..node_type.outputs_len)
+            .map(|index| {
+                // SAFETY: a validated descriptor of a plugin that stays mapped.
+                let (port, name, packet) = unsafe {
+                    let port = &*node_type.outputs.add(index);
+                    (port, port.name.text().unwrap_or("?"), port.packet.text().unwrap_or(""))
+                };
+                let plain = |size, finite| Look::Plain { size, finite };
+                let look = match packet {
+                    "homography" => Look::Homography,
+                    "roi" => plain(size_of::<abi::Roi>(), 0),
+                    "calibration" => plain(size_of::<abi::Calibration>(), 0),
+                    "tip" => plain(size_of::<abi::Tip>(), 2),
+                    "pose" => plain(size_of::<abi::Pose>(), 7),
+                    "joints" => plain(size_of::<abi::Joints>(), 2 * abi::MAX_JOINTS),
+                    "scalar" => plain(size_of::<abi::Scalar>(), 0),
+                    "image" | "confidence" if port.formats & abi::format_bit(abi::FORMAT_F32) != 0 => Look::Plane,
+                    _ => Look::Nothing,
+                };
+                Self { name: name.to_owned(), formats: port.formats, look }
+            })
+            .collect()
+    }
+
+    /// Checks a description.
+    #[inline]
+    pub fn accepts(&self, frame: &Frame) -> Result<(), (Cause, String)> {
+        let format = frame.format;
+        let allowed = if self.formats == 0 {
+            format <= abi::FORMAT_CLOUD
+        } else {
+            format < 32 && self.formats >> format & 1 == 1
+        };
+        if !allowed || frame.len > LARGEST_OUTPUT_BYTES || !geometry_fits(frame) {
+            return Err(self.objection(frame, allowed));
+        }
+        Ok(())
+    }
+
+    #[cold]
+    fn objection(&self, frame: &Frame, allowed: bool) -> (Cause, String) {
+        let Frame { width, height, stride_bytes, len, .. } = *frame;
+        let name = &self.name;
+        if !allowed {
+            let (found, wanted) = (format_name(frame.format), format_names(self.formats));
+            return (Cause::Format, format!("output `{name}` is {found}, declared are {wanted}"));
+        }
+        if len > LARGEST_OUTPUT_BYTES {
+            let words = format!(
+                "output `{name}` of {width}x{height} wants {} MB; no frame may be larger than {} MB",
+                len >> 20,
+                LARGEST_OUTPUT_BYTES >> 20
+            );
+            return (Cause::TooMuch, words);
+        }
+        let words =
+            format!("output `{name}`: {width}x{height} with {stride_bytes} bytes a row does not fit {len} bytes");
+        (Cause::BadOutput, words)
+    }
+
+    /// Looks at what the node made: `shown` is what it may have tampered with.
+    #[inline]
+    pub fn inspect(&self, frame: &Frame, shown: &Frame) -> Result<(), (Cause, String)> {
+        let same = frame.buffer == shown.buffer
+            && frame.len == shown.len
+            && frame.format == shown.format
+            && frame.width == shown.width
+            && frame.height == shown.height
+            && frame.stride_bytes == shown.stride_bytes;
+        if !same {
+            let words = format!("output `{}` was changed by the node behind the host's back", self.name);
+            return Err((Cause::BadOutput, words));
+        }
+        if self.look == Look::Nothing { Ok(()) } else { self.look_inside(frame) }
+    }
+
+    fn look_inside(&self, frame: &Frame) -> Result<(), (Cause, String)> {
+        let name = &self.name;
+        let (size, finite) = match self.look {
+            Look::Nothing => return Ok(()),
+            Look::Plane => return self.look_at_plane(frame),
+            Look::Plain { size, finite } => (size, finite),
+            Look::Homography => (size_of::<abi::Homography>(), 9),
+        };
+        if frame.len != size {
+            let words = format!("output `{name}` has {} bytes, its type has {size}", frame.len);
+            return Err((Cause::BadOutput, words));
+        }
+        // SAFETY: the frame's buffer holds `size` bytes and is aligned to 64; no other thread writes it.
+        let numbers = unsafe { std::slice::from_raw_parts(frame.data.cast::<f64>(), finite) };
+        if let Look::Homography = self.look {
+            // SAFETY: size and alignment as above; plain data.
+            let lost = unsafe { (*frame.data.cast::<abi::Homography>()).state } == abi::STATE_LOST;
+            if lost {
+                return Ok(());
+            }
+        }
+        match numbers.iter().position(|n| !n.is_finite()) {
+            Some(at) => Err((Cause::NotANumber, format!("output `{name}` holds {} at place {at}", numbers[at]))),
+            None => Ok(()),
+        }
+    }
+
+    /// A few dozen places spread over the plane: a full scan would cost more than many nodes do.
+    fn look_at_plane(&self, frame: &Frame) -> Result<(), (Cause, String)> {
+        const LOOKS: usize = 32;
+        if frame.format != abi::FORMAT_F32 {
+            return Ok(());
+        }
+        let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
+        for look in 0..LOOKS {
+            let (y, x) = (look * height / LOOKS, (look * 7919 + 13) % width);
+            // SAFETY: row and column lie inside the checked geometry; the read need not be aligned.
+            let value = unsafe { frame.data.add(y * stride + x * 4).cast::<f32>().read_unaligned() };
+            if value.is_nan() {
+                let words = format!("output `{}` holds NaN at column {x}, row {y}", self.name);
+                return Err((Cause::NotANumber, words));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Whether the rows lie inside the buffer; 0 pixels are none.
+#[inline]
+fn geometry_fits(frame: &Frame) -> bool {
+    if frame.format == abi::FORMAT_BYTES {
+        return true;
+    }
+    let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
+    let row = width * BYTES_PER_PIXEL[frame.format as usize];
+    width > 0 && height > 0 && stride >= row && (height - 1).saturating_mul(stride).saturating_add(row) <= frame.len
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rule(formats: u32) -> OutputRule {
+        OutputRule { name: "image".to_owned(), formats, look: Look::Nothing }
+    }
+
+    #[test]
+    fn descriptions_that_lie_are_refused() {
+        let gray = rule(abi::format_bit(abi::FORMAT_GRAY8));
+        let good =
+            Frame { len: 64 * 48, format: abi::FORMAT_GRAY8, width: 64, height: 48, stride_bytes: 64, ..Frame::EMPTY };
+        assert!(gray.accepts(&good).is_ok());
+        let cause = |frame: &Frame| gray.accepts(frame).map_err(|e| e.0);
+        assert_eq!(cause(&Frame { len: 64 * 48 - 1, ..good }), Err(Cause::BadOutput));
+        assert_eq!(cause(&Frame { width: 65, ..good }), Err(Cause::BadOutput));
+        assert_eq!(cause(&Frame { height: 0, ..good }), Err(Cause::BadOutput));
+        assert_eq!(cause(&Frame { height: u32::MAX, stride_bytes: u32::MAX, ..good }), Err(Cause::BadOutput));
+        assert_eq!(cause(&Frame { format: abi::FORMAT_F32, ..good }), Err(Cause::Format));
+        assert_eq!(cause(&Frame { format: 4_000_000, ..good }), Err(Cause::Format));
+        assert_eq!(cause(&Frame { len: LARGEST_OUTPUT_BYTES + 1, ..good }), Err(Cause::TooMuch));
+    }
+
+    #[test]
+    fn tampering_shows() {
+        let good = Frame { len: 64, format: abi::FORMAT_GRAY8, width: 8, height: 8, stride_bytes: 8, ..Frame::EMPTY };
+        let gray = rule(abi::format_bit(abi::FORMAT_GRAY8));
+        assert!(gray.inspect(&good, &good).is_ok());
+        assert!(gray.inspect(&good, &Frame { len: 65, ..good }).is_err());
+        let other = abi::BufferId { pool: 1, reserved: 0, offset: 256 };
+        assert!(gray.inspect(&good, &Frame { buffer: other, ..good }).is_err());
+    }
+}

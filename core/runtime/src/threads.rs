@@ -1,0 +1,289 @@
+//! Threads that belong to one node: sources and nodes that may wait.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use panoscope_abi::{Frame, Tick};
+use panoscope_graph::{NodeKind, OnFault};
+
+use crate::cell::{Cell, Ran, lock};
+use crate::clock;
+use crate::exec::clear;
+use crate::fault::{Action, Cause};
+use crate::memory::FrameRef;
+use crate::pool;
+use crate::schedule::{Ready, Shared};
+use crate::stats::bump;
+
+/// Ticks whose ingest time is remembered per source.
+const INGEST_RING: usize = 4096;
+
+/// Ticks a batch reader of another region may lag behind before the producer's source waits.
+const MOST_BEHIND: usize = 64;
+
+/// Capture time between ticks of a source that states none.
+const DEFAULT_FRAME_NS: i64 = 33_333_333;
+
+/// A step back in capture time of at least this length is a recording that starts again, not a fault.
+const REWIND_NS: i64 = 1_000_000_000;
+
+/// Memory for the ingest times of one source.
+pub(crate) fn ingest_ring(source: bool) -> Box<[AtomicU64]> {
+    (0..if source { INGEST_RING } else { 0 }).map(|_| AtomicU64::new(0)).collect()
+}
+
+/// What a source's thread knows between two ticks.
+#[derive(Default)]
+struct Pace {
+    /// Capture and wall time of the first tick.
+    first: Option<(i64, u64)>,
+    last_capture_ns: Option<i64>,
+    /// The last staging of inputs led to no tick.
+    again: bool,
+}
+
+impl Shared {
+    /// Starts the thread of a node.
+    pub fn start_thread(self: &Arc<Self>, node: usize, cell: &Arc<Cell>) -> std::io::Result<()> {
+        let number = pool::next_thread_number();
+        let (shared, cell) = (Arc::clone(self), Arc::clone(cell));
+        let mut threads = lock(&self.own_threads);
+        let builder = std::thread::Builder::new().name(cell.id.chars().take(15).collect());
+        let handle = builder.spawn(move || {
+            *lock(&cell.thread) = Some(std::thread::current());
+            pool::set_thread_number(number);
+            shared.pool.enter();
+            place_thread(cell.cpu, cell.kind == NodeKind::Realtime);
+            if cell.source {
+                shared.source_thread(node, &cell);
+            } else {
+                shared.blocking_thread(node, &cell);
+            }
+            if cell.retired.load(Ordering::Acquire) {
+                cell.close_instance();
+            }
+        })?;
+        threads.insert(number, handle);
+        Ok(())
+    }
+
+    /// Waits on the node's own thread until it is woken or the time is over.
+    fn park(&self, cell: &Cell, most: Option<Duration>) {
+        if cell.wake.swap(false, Ordering::Acquire) {
+            return;
+        }
+        match most {
+            Some(most) => std::thread::park_timeout(most),
+            None => std::thread::park(),
+        }
+        cell.wake.store(false, Ordering::Release);
+    }
+
+    fn blocking_thread(&self, node: usize, cell: &Cell) {
+        loop {
+            while !cell.wake.swap(false, Ordering::Acquire) {
+                std::thread::park();
+            }
+            let (running, finished) = {
+                let join = lock(&cell.join);
+                (join.running, join.finished)
+            };
+            if finished || cell.retired.load(Ordering::Acquire) || (running && !self.run(node)) {
+                return;
+            }
+        }
+    }
+
+    fn source_thread(&self, node: usize, cell: &Arc<Cell>) {
+        let mut pace = Pace::default();
+        let retired = || cell.retired.load(Ordering::Acquire);
+        while !self.is_stopping() {
+            if retired() {
+                return;
+            }
+            let seq = cell.made.load(Ordering::Relaxed);
+            if self.frames.is_some_and(|most| seq >= most) {
+                break;
+            }
+            match self.source_tick(node, cell, seq, &mut pace) {
+                Step::Next => {}
+                Step::End => break,
+                Step::Leave => return,
+            }
+        }
+        let region = Arc::clone(&self.plan.load().regions[self.plan.load().wiring[node].region]);
+        while region.has_pending() {
+            self.park(cell, Some(Duration::from_millis(1)));
+            if retired() {
+                return;
+            }
+        }
+        let mut ready = Ready::default();
+        if !std::mem::replace(&mut lock(&cell.join).finished, true) {
+            self.finish(node, &mut ready);
+        }
+        ready.settle(self, &self.plan.load(), false);
+    }
+
+    fn source_tick(&self, node: usize, cell: &Arc<Cell>, seq: u64, pace: &mut Pace) -> Step {
+        if self.around.batch || !self.paced {
+            let has_room = {
+                let plan = self.plan.load();
+                plan.regions[plan.wiring[node].region].has_room()
+            };
+            if !has_room || self.readers_lag(node) {
+                // A reader of another region does not wake this thread when it catches up.
+                self.park(cell, Some(Duration::from_millis(if has_room { 1 } else { 100 })));
+                return Step::Next;
+            }
+        }
+        let capture_ns = pace.last_capture_ns.map_or(0, |last| last + DEFAULT_FRAME_NS);
+        let mut tick = Tick { source: node as u32, flags: 0, seq, capture_ns };
+        if !lock(&cell.join).take_source(tick, pace.again) {
+            pace.again = false;
+            self.park(cell, Some(Duration::from_millis(100)));
+            return Step::Next;
+        }
+        pace.again = true;
+        let Some(mut exec) = cell.exec.take() else { return Step::Leave };
+        std::mem::swap(&mut exec.inputs, &mut lock(&cell.join).staged);
+        let start_ns = clock::now_ns();
+        let (ran, mut now_ns) = cell.run(&mut exec, &self.around, &mut tick, true, start_ns);
+        if ran == Ran::Abandoned {
+            Self::left_behind(cell, exec);
+            return Step::Leave;
+        }
+        let bypassed = exec.bypassed;
+        if ran != Ran::Ok {
+            cell.exec.put(exec);
+            if ran == Ran::End {
+                return Step::End;
+            }
+            self.after(&self.plan.load(), node, ran, &tick, now_ns);
+            if ran == Ran::Stop || bypassed || cell.on_fault() == OnFault::Bypass {
+                return Step::End;
+            }
+            if ran == Ran::Fault {
+                // The call was made: the next one is another tick.
+                cell.made.store(seq + 1, Ordering::Relaxed);
+            } else if !self.around.batch {
+                // It is being mended; whoever does that wakes this thread.
+                self.park(cell, Some(Duration::from_millis(100)));
+            }
+            return Step::Next;
+        }
+        if let Some(last) =
+            pace.last_capture_ns.filter(|&last| tick.capture_ns <= last && last - tick.capture_ns < REWIND_NS)
+        {
+            clear(&mut exec.outputs);
+            cell.exec.put(exec);
+            self.capture_fault(cell, &tick, last);
+            cell.made.store(seq + 1, Ordering::Relaxed);
+            return Step::Next;
+        }
+        pace.again = false;
+        if let Some(last) = pace.last_capture_ns.replace(tick.capture_ns).filter(|&last| tick.capture_ns > last) {
+            self.frame_ns.store((tick.capture_ns - last) as u64, Ordering::Relaxed);
+        }
+        cell.taps.show(&exec.outputs);
+        let region = {
+            let plan = self.plan.load();
+            Arc::clone(&plan.regions[plan.wiring[node].region])
+        };
+        let mut outputs = region.spare();
+        for output in &mut exec.outputs {
+            let raw = std::mem::replace(output, Frame::EMPTY);
+            outputs.push(FrameRef::adopt(Frame { tick, ..raw }));
+        }
+        cell.exec.put(exec);
+        if self.paced && !self.around.batch {
+            now_ns = self.wait_until_due(cell, tick.capture_ns, now_ns, &mut pace.first);
+        }
+        cell.ingest_ns[seq as usize % INGEST_RING].store(now_ns.max(1), Ordering::Relaxed);
+        cell.made.store(seq + 1, Ordering::Relaxed);
+        self.meter_allocations(seq + 1);
+        let (enter, dropped) = region.admit_or_keep(outputs);
+        if let Some(old) = dropped {
+            bump(&cell.stats.dropped);
+            region.recycle(old);
+        }
+        if let Some(outputs) = enter {
+            // Admitted, so the region keeps its wiring: this is the plan to deliver by.
+            let plan = self.plan.load();
+            let mut ready = Ready::default();
+            self.enter(&plan, node, outputs, &mut ready);
+            ready.settle(self, &plan, false);
+        }
+        Step::Next
+    }
+
+    #[cold]
+    fn capture_fault(&self, cell: &Cell, tick: &Tick, last_ns: i64) {
+        bump(&cell.stats.faults);
+        bump(&cell.stats.dropped);
+        cell.note(&self.around, Cause::CaptureTime, Action::Withhold, Some(tick.seq), || {
+            let words = format!(
+                "capture time {:.3} ms after {:.3} ms: the tick was dropped",
+                tick.capture_ns as f64 / 1e6,
+                last_ns as f64 / 1e6
+            );
+            self.around.log.say(crate::log::Level::Error, &cell.id, &words);
+            words
+        });
+    }
+
+    /// Whether a batch reader of another region has much to catch up with.
+    fn readers_lag(&self, node: usize) -> bool {
+        if !self.around.batch {
+            return false;
+        }
+        let plan = self.plan.load();
+        let home = plan.wiring[node].region;
+        plan.extents[home].members.iter().any(|&member| {
+            plan.wiring[member].readers.iter().flatten().any(|r| {
+                plan.wiring[r.node].region != home && lock(&plan.cells[r.node].join).waiting(r.slot) > MOST_BEHIND
+            })
+        })
+    }
+
+    fn wait_until_due(&self, cell: &Cell, capture_ns: i64, now_ns: u64, first: &mut Option<(i64, u64)>) -> u64 {
+        let &mut (first_capture, first_ns) = first.get_or_insert((capture_ns, now_ns));
+        let due = first_ns.saturating_add_signed(capture_ns - first_capture);
+        // A jump in media time is not waited for.
+        if due > now_ns + 2_000_000_000 || due + 1_000_000_000 < now_ns {
+            *first = Some((capture_ns, now_ns));
+            return now_ns;
+        }
+        let mut now = now_ns;
+        while now < due && !self.is_stopping() && !cell.retired.load(Ordering::Relaxed) {
+            self.park(cell, Some(Duration::from_nanos(due - now)));
+            now = clock::now_ns();
+        }
+        now
+    }
+}
+
+enum Step {
+    Next,
+    End,
+    /// Without a word: somebody else goes on, or the node is gone.
+    Leave,
+}
+
+/// Pins the calling thread and asks for real-time priority; both are wishes that a system may refuse.
+fn place_thread(cpu: Option<u32>, realtime: bool) {
+    if let Some(cpu) = cpu.filter(|&c| (c as usize) < libc::CPU_SETSIZE as usize) {
+        // SAFETY: plain system calls on a local set.
+        unsafe {
+            let mut set: libc::cpu_set_t = std::mem::zeroed();
+            libc::CPU_SET(cpu as usize, &mut set);
+            libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const set);
+        }
+    }
+    if realtime {
+        let priority = libc::sched_param { sched_priority: 20 };
+        // SAFETY: a plain system call.
+        unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const priority) };
+    }
+}

@@ -1,0 +1,240 @@
+//! The watchdog: sees calls that do not return, leaves them behind with their thread and has failed nodes opened again.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use panoscope_graph::OnFault;
+
+use crate::cell::{Cell, backoff_ms, lock};
+use crate::clock;
+use crate::exec::{ABANDONED, Busy, Exec};
+use crate::fault::{Action, Cause};
+use crate::log::Level;
+use crate::plan::Plan;
+use crate::schedule::{Ready, Shared};
+use crate::stats::bump;
+
+/// Calls of one node that may be stuck at a time; with one more the node is left out.
+const MOST_STUCK: u32 = 3;
+/// Between a node's budget and the moment it is called hung: two frames, within these limits.
+const SHORTEST_GRACE_NS: u64 = 20_000_000;
+const LONGEST_GRACE_NS: u64 = 66_000_000;
+/// In batch time is no measure of a node: only what takes this many times its budget hangs.
+const BATCH_BUDGETS: u64 = 20;
+/// Longest that a failed node may take to open again.
+const LONGEST_OPEN_NS: u64 = 30_000_000_000;
+
+impl Shared {
+    /// Looks at the running calls until `stop` is set.
+    pub fn watch(&self, stop: &AtomicBool) {
+        let mut next_look_ns = 0;
+        while !stop.load(Ordering::Relaxed) {
+            let (nearest, budgets) = {
+                let plan = self.plan.load();
+                (plan.nearest, plan.live().any(|(_, c)| c.budget_ns.load(Ordering::Relaxed) != 0))
+            };
+            let look_ms = if budgets && !self.around.batch { 4 } else { 20 };
+            std::thread::park_timeout(Duration::from_millis(if nearest { 1 } else { look_ms }));
+            self.poke_nearest();
+            let now_ns = clock::now_ns();
+            if now_ns >= next_look_ns {
+                next_look_ns = now_ns + look_ms * 1_000_000;
+                self.look_for_hangs(now_ns);
+            }
+        }
+    }
+
+    /// Wakes nodes whose wait for a `nearest` input is over.
+    fn poke_nearest(&self) {
+        if self.waiting_nearest.swap(0, Ordering::Relaxed) == 0 {
+            return;
+        }
+        let now_ns = clock::now_ns();
+        let plan = self.plan.load();
+        let mut ready = Ready::default();
+        for (node, cell) in plan.live() {
+            let deadline = lock(&cell.join).nearest_deadline_ns;
+            if deadline == 0 {
+                continue;
+            }
+            if now_ns >= deadline {
+                self.poke(&plan, node, &mut ready);
+            } else {
+                self.waiting_nearest.store(1, Ordering::Relaxed);
+            }
+        }
+        ready.settle(self, &plan, false);
+    }
+
+    /// Time from the start of a call to the end of its budget, and from there until it is called hung.
+    fn patience(&self, cell: &Cell) -> (u64, u64) {
+        let budget_ns = cell.budget_ns.load(Ordering::Relaxed);
+        match (budget_ns, self.around.batch) {
+            (0, _) => (self.hang_ns, 0),
+            (budget, true) => (self.hang_ns.max(budget.saturating_mul(BATCH_BUDGETS)), 0),
+            (budget, false) => {
+                let frame_ns = self.frame_ns.load(Ordering::Relaxed);
+                (budget, (2 * frame_ns).clamp(SHORTEST_GRACE_NS, LONGEST_GRACE_NS))
+            }
+        }
+    }
+
+    fn look_for_hangs(&self, now_ns: u64) {
+        let plan = self.plan.load();
+        for (node, cell) in plan.live() {
+            let opening_ns = cell.opening_since_ns.load(Ordering::Relaxed);
+            if opening_ns != 0 && now_ns.saturating_sub(opening_ns) > LONGEST_OPEN_NS {
+                self.give_up_opening(cell);
+            }
+            let (budget_ns, grace_ns) = self.patience(cell);
+            let since_ns = lock(&cell.busy).since_ns.load(Ordering::Acquire);
+            let running = since_ns != 0 && since_ns != ABANDONED;
+            if running && now_ns.saturating_sub(since_ns) > budget_ns + grace_ns {
+                self.abandon(&plan, node, cell, since_ns, budget_ns);
+            }
+        }
+    }
+
+    /// Takes everything over from a call that does not return: its tick goes on with empty outputs, node and thread are replaced.
+    #[cold]
+    fn abandon(&self, plan: &Plan, node: usize, cell: &Arc<Cell>, since_ns: u64, budget_ns: u64) {
+        let busy = Arc::clone(&lock(&cell.busy));
+        let (tick, thread) = (busy.tick(), busy.thread.load(Ordering::Relaxed));
+        if !busy.abandon(since_ns) {
+            return;
+        }
+        let now_ns = clock::now_ns();
+        let stuck = cell.stuck.fetch_add(1, Ordering::Relaxed) + 1;
+        let failures = cell.failures.fetch_add(1, Ordering::Relaxed) + 1;
+        bump(&cell.stats.faults);
+        let fresh = Arc::new(Busy::default());
+        let ranges = lock(&cell.ranges).clone();
+        let mut exec = Exec::new(cell.node_type, ranges.len(), ranges, cell.snapshot(), Arc::clone(&fresh));
+        exec.failed_at_ns = now_ns;
+        exec.failures_in_a_row = failures;
+        let done = match cell.on_fault() {
+            OnFault::Stop => Action::Stop,
+            OnFault::Restart if stuck <= MOST_STUCK => Action::Abandon,
+            _ => Action::Bypass,
+        };
+        exec.bypassed = done == Action::Bypass;
+        *lock(&cell.busy) = fresh;
+        cell.exec.put(exec);
+
+        let late_ms = now_ns.saturating_sub(since_ns + budget_ns) as f64 / 1e6;
+        let spent_ms = now_ns.saturating_sub(since_ns) as f64 / 1e6;
+        let words = format!("it did not return for {spent_ms:.0} ms and was left behind with its thread");
+        self.around.log.say(Level::Error, &cell.id, &words);
+        cell.tell(&self.around, Cause::Hang, done, Some(tick.seq), Some(late_ms), words);
+        // The rest of the tick first, so that nobody runs the node before.
+        let mut ready = Ready::default();
+        let head = plan.wiring[node].chain_head;
+        let mut again = false;
+        if cell.source {
+            cell.made.store(tick.seq + 1, Ordering::Relaxed);
+        } else {
+            self.skip_from(plan, node, tick, &mut ready);
+            again = self.take_next(plan, head, &mut ready);
+        }
+        // Only the handle goes: the thread may never end.
+        let own = lock(&self.own_threads).remove(&thread).is_some();
+        let mut replaced = self.pool.give_up(thread);
+        if let Some(me) = self.me.upgrade()
+            && own
+        {
+            replaced = replaced.and(me.start_thread(node, cell));
+        }
+        if let Err(cause) = replaced {
+            self.fail(format!("no thread could be started in place of one that hangs: {cause}"));
+        }
+        if again {
+            self.dispatch(plan, head);
+        }
+        ready.settle(self, plan, false);
+        match done {
+            Action::Stop => {
+                self.fail(format!("node `{}` did not return and the graph says on_fault = \"stop\"", cell.id));
+            }
+            Action::Abandon => self.start_mending(cell),
+            _ => {}
+        }
+    }
+
+    #[cold]
+    fn give_up_opening(&self, cell: &Arc<Cell>) {
+        cell.opening_since_ns.store(0, Ordering::Relaxed);
+        cell.mending.fetch_add(1, Ordering::AcqRel);
+        let stuck = cell.stuck.fetch_add(1, Ordering::Relaxed) + 1;
+        let done = if stuck <= MOST_STUCK { Action::Abandon } else { Action::Bypass };
+        bump(&cell.stats.faults);
+        let words = "it does not return from opening".to_owned();
+        self.around.log.say(Level::Error, &cell.id, &words);
+        cell.tell(&self.around, Cause::Hang, done, None, None, words);
+        if done == Action::Abandon {
+            self.start_mending(cell);
+        }
+    }
+
+    /// Closes what failed and, if the graph wants that, opens the node again. In live mode this happens on a thread of its own.
+    pub fn start_mending(&self, cell: &Arc<Cell>) {
+        if self.around.batch {
+            // Opened again before a tick that does not depend on the clock.
+            lock(&cell.broken).clear();
+            return;
+        }
+        let Some(me) = self.me.upgrade() else { return };
+        let mine = cell.mending.fetch_add(1, Ordering::AcqRel) + 1;
+        let cell = Arc::clone(cell);
+        let name = format!("mend {}", cell.id).chars().take(15).collect();
+        let started = std::thread::Builder::new().name(name).spawn(move || {
+            me.pool.enter();
+            me.mend(&cell, mine);
+        });
+        if let Err(cause) = started {
+            self.fail(format!("no thread could be started to open a node again: {cause}"));
+        }
+    }
+
+    fn mend(&self, cell: &Cell, mine: u64) {
+        let outdated = || cell.mending.load(Ordering::Acquire) != mine || cell.retired.load(Ordering::Relaxed);
+        let broken = std::mem::take(&mut *lock(&cell.broken));
+        drop(broken);
+        if cell.on_fault() != OnFault::Restart {
+            return;
+        }
+        loop {
+            let mut rest_ms = backoff_ms(cell.failures.load(Ordering::Relaxed));
+            while rest_ms > 0 && !outdated() && !self.is_stopping() {
+                let step = rest_ms.min(20);
+                std::thread::sleep(Duration::from_millis(step));
+                rest_ms -= step;
+            }
+            if outdated() || self.is_stopping() {
+                return;
+            }
+            cell.opening_since_ns.store(clock::now_ns().max(1), Ordering::Relaxed);
+            let opened = cell.open(&self.around, &cell.snapshot());
+            if cell.mending.load(Ordering::Acquire) != mine {
+                // Given up meanwhile, or somebody opened the node otherwise.
+                return;
+            }
+            cell.opening_since_ns.store(0, Ordering::Relaxed);
+            match opened {
+                Ok(instance) => {
+                    bump(&cell.stats.restarts);
+                    self.around.log.say(Level::Info, &cell.id, "opened again");
+                    cell.replace_instance(instance, None);
+                    if cell.source {
+                        self.wake(cell);
+                    }
+                    return;
+                }
+                Err(words) => {
+                    cell.failures.fetch_add(1, Ordering::Relaxed);
+                    cell.open_failed(&self.around, &words, None);
+                }
+            }
+        }
+    }
+}

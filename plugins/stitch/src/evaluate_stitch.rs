@@ -1,0 +1,203 @@
+//! `evaluate_stitch`: registration and panorama beside the truth, one row per tick.
+
+use panoscope_imaging::geometry::Homography as Map;
+use panoscope_imaging::stitch::evaluate::{Gray, Likeness, alignment, likeness, overlap, seam_band};
+use panoscope_node::abi::{self, Homography, Roi};
+use panoscope_node::{
+    Bgr8, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, View,
+};
+
+/// Columns of the table.
+const COLUMNS: [&str; 15] = [
+    "tick", "state", "inliers", "align_px", "floor_px", "points", "move_px", "psnr_overlap_db", "ssim_overlap", "psnr_seam_db",
+    "ssim_seam", "fov_pct", "cropped_pct", "canvas_width_px", "canvas_height_px",
+];
+/// State of a tick without a homography.
+const STATE_NONE: f64 = 3.0;
+
+/// Parameters of the evaluation.
+#[derive(Params, Clone, PartialEq)]
+pub struct EvaluateParams {
+    /// Column of the wide truth at which the left view begins; -1 as the phantom has it, an eighth of the extra width.
+    #[param(default = -1, range = -1..=8192, unit = "px")]
+    wide_x: i32,
+    /// Row of the wide truth at which the left view begins; -1 as the phantom has it, an eighth of the extra height.
+    #[param(default = -1, range = -1..=8192, unit = "px")]
+    wide_y: i32,
+    /// Half the width of the band along the seam that is compared.
+    #[param(default = 16, range = 1..=256, unit = "px")]
+    seam_band: u32,
+    /// True correspondences are taken every so many pixels.
+    #[param(default = 8, range = 1..=64, unit = "px")]
+    step: u32,
+    /// Pictures are compared on every so many ticks; they take longer than stitching.
+    #[param(default = 3, range = 1..=1000, unit = "frames")]
+    every: u32,
+}
+
+/// Inputs of the evaluation.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Left view.
+    left: Image<'f, Bgr8>,
+    /// Right view.
+    right: Image<'f, Bgr8>,
+    /// The registration that is judged.
+    homography: Option<Value<'f, Homography>>,
+    /// The panorama that is judged.
+    panorama: Option<Image<'f, Bgr8>>,
+    /// Where the left view lies in the panorama.
+    canvas: Option<Value<'f, Roi>>,
+    /// Which view each pixel of the panorama shows.
+    shown: Option<Image<'f, Gray8>>,
+    /// True disparity of the left view.
+    disparity: Option<Image<'f, Disparity>>,
+    /// 255 where the right camera sees the same point.
+    visible: Option<Image<'f, Mask>>,
+    /// True homography, or the best there is.
+    truth: Option<Value<'f, Homography>>,
+    /// What one wide camera at the left camera's place would see.
+    wide: Option<Image<'f, Bgr8>>,
+}
+
+/// Outputs of the evaluation.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// A row for every tick so far; NaN where there is no truth. `state`: 0 fresh, 1 held, 2 lost, 3 none.
+    table: Slot<'f, TableData>,
+}
+
+/// See the module.
+pub struct EvaluateStitch {
+    rows: Vec<f64>,
+    previous: Option<Map>,
+    ticks: u64,
+}
+
+/// Root mean square way of a 3 x 3 grid of right-view points between two maps.
+fn way_px(a: &Map, b: &Map, size: (usize, usize)) -> f64 {
+    let mut squares = 0.0;
+    for i in 0..9 {
+        let point = [(i % 3) as f64 / 2.0 * (size.0 as f64 - 1.0), (i / 3) as f64 / 2.0 * (size.1 as f64 - 1.0)];
+        squares += a.squared_error(point, b.map(point));
+    }
+    (squares / 9.0).sqrt()
+}
+
+/// Share of the right view that is mapped outside the panorama, percent.
+fn cropped_pct(map: &Map, right: (usize, usize), canvas: &Roi, panorama: (usize, usize)) -> f64 {
+    let mut outside = 0;
+    for i in 0..32 * 32 {
+        let point = [(i % 32) as f64 / 31.0 * (right.0 as f64 - 1.0), (i / 32) as f64 / 31.0 * (right.1 as f64 - 1.0)];
+        let [u, v] = map.map(point);
+        let (x, y) = (u + f64::from(canvas.x), v + f64::from(canvas.y));
+        let inside = x > -1.0 && y > -1.0 && x < panorama.0 as f64 && y < panorama.1 as f64;
+        outside += i32::from(!inside);
+    }
+    f64::from(outside) * 100.0 / 1024.0
+}
+
+/// The part of the wide truth under the panorama; false in the mask where there is none.
+fn truth_on_canvas(wide: View<'_, u8>, offset: (i32, i32), canvas: &Roi, size: (usize, usize)) -> (Gray, Vec<bool>) {
+    let all = Gray::of_bgr(wide);
+    let mut out = Gray { data: vec![0.0; size.0 * size.1], width: size.0, height: size.1 };
+    let mut known = vec![false; size.0 * size.1];
+    for y in 0..size.1 {
+        let v = y as i64 - i64::from(canvas.y) + i64::from(offset.1);
+        if v < 0 || v >= all.height as i64 {
+            continue;
+        }
+        for x in 0..size.0 {
+            let u = x as i64 - i64::from(canvas.x) + i64::from(offset.0);
+            if u >= 0 && u < all.width as i64 {
+                out.data[y * size.0 + x] = all.data[v as usize * all.width + u as usize];
+                known[y * size.0 + x] = true;
+            }
+        }
+    }
+    (out, known)
+}
+
+impl EvaluateStitch {
+    fn pictures(&self, input: &In<'_>, map: &Map, params: &EvaluateParams) -> [Option<Likeness>; 2] {
+        let (Some(panorama), Some(canvas), Some(wide)) = (&input.panorama, &input.canvas, &input.wide) else {
+            return [None; 2];
+        };
+        let (panorama, wide) = (panorama.view(), wide.view());
+        let size = (panorama.width, panorama.height);
+        let auto = |given: i32, wide: usize, left: usize| if given >= 0 { given } else { (wide as i32 - left as i32) / 8 };
+        let left = (input.left.width(), input.left.height());
+        let offset = (auto(params.wide_x, wide.width, left.0), auto(params.wide_y, wide.height, left.1));
+        let (truth, known) = truth_on_canvas(wide, offset, canvas, size);
+        let right = (input.right.width(), input.right.height());
+        let mut region = overlap(size, (canvas.x, canvas.y), left, right, map);
+        region.iter_mut().zip(&known).for_each(|(r, known)| *r &= known);
+        let picture = Gray::of_bgr(panorama);
+        let whole = likeness(&picture, &truth, &region);
+        let seam = input.shown.as_ref().filter(|s| (s.width(), s.height()) == size).and_then(|shown| {
+            let mut band = seam_band(shown.view(), params.seam_band as usize);
+            band.iter_mut().zip(&region).for_each(|(b, r)| *b &= r);
+            likeness(&picture, &truth, &band)
+        });
+        [whole, seam]
+    }
+}
+
+impl Node for EvaluateStitch {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "evaluate_stitch",
+        "stitch",
+        "Compares a registration and its panorama with the truth: alignment, likeness in the overlap and along the seam, jitter.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = EvaluateParams;
+
+    fn open(_: &Open<'_>, _: &EvaluateParams) -> Result<Self> {
+        Ok(Self { rows: Vec::new(), previous: None, ticks: 0 })
+    }
+
+    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &EvaluateParams) -> Result<()> {
+        const NONE: f64 = f64::NAN;
+        let mut row = [NONE; COLUMNS.len()];
+        row[0] = self.ticks as f64;
+        row[1] = input.homography.as_ref().map_or(STATE_NONE, |h| f64::from(h.state));
+        let right = (input.right.width(), input.right.height());
+        let map = input.homography.as_ref().filter(|h| h.state != abi::STATE_LOST).map(|h| Map(h.left_from_right));
+        if let (Some(map), Some(given)) = (&map, &input.homography) {
+            row[2] = f64::from(given.inliers);
+            let visible = input.visible.as_ref().map(Image::view);
+            if let Some(disparity) = &input.disparity {
+                let rms = |map: &Map| alignment(map, disparity.view(), visible, params.step as usize);
+                if let Some((align, count)) = rms(map) {
+                    (row[3], row[5]) = (align, count as f64);
+                }
+                row[4] = input.truth.as_ref().and_then(|t| rms(&Map(t.left_from_right))).map_or(NONE, |(rms, _)| rms);
+            } else if let Some(truth) = &input.truth {
+                row[3] = way_px(map, &Map(truth.left_from_right), right);
+                row[4] = 0.0;
+            }
+            row[6] = self.previous.map_or(NONE, |previous| way_px(map, &previous, right));
+            if self.ticks.is_multiple_of(u64::from(params.every)) {
+                let [whole, seam] = self.pictures(&input, map, params);
+                (row[7], row[8]) = whole.map_or((NONE, NONE), |l| (l.psnr_db, l.ssim));
+                (row[9], row[10]) = seam.map_or((NONE, NONE), |l| (l.psnr_db, l.ssim));
+            }
+            if let (Some(panorama), Some(canvas)) = (&input.panorama, &input.canvas) {
+                row[12] = cropped_pct(map, right, canvas, (panorama.width(), panorama.height()));
+            }
+        }
+        if let Some(shown) = &input.shown {
+            let view = shown.view();
+            let count: usize = (0..view.height).map(|y| view.row(y).iter().filter(|v| **v != 0).count()).sum();
+            row[11] = 100.0 * count as f64 / (input.left.width() * input.left.height()).max(1) as f64;
+        }
+        if let Some(panorama) = &input.panorama {
+            (row[13], row[14]) = (panorama.width() as f64, panorama.height() as f64);
+        }
+        self.previous = map;
+        self.ticks += 1;
+        self.rows.extend(row);
+        out.table.set_table(&COLUMNS, &self.rows)
+    }
+}

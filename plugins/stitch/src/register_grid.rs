@@ -1,0 +1,178 @@
+//! `register_grid`: a disparity map in, the homography between the two pictures out (thesis, chapter 4).
+
+use panoscope_imaging::geometry::{RansacParams, Rect};
+use panoscope_imaging::stitch::{CellPoint, GridParams, GridRegistration, GridState, RectifiedView, RegisterGrid};
+use panoscope_node::abi::{self, Calibration, Camera, Homography, Roi};
+use panoscope_node::{Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value};
+
+/// Which disparity a grid cell gives.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Point {
+    /// The middle of the cell with the median of its disparities.
+    Median,
+    /// The valid pixel with the largest disparity.
+    Peak,
+}
+
+/// Parameters of the registration.
+#[derive(Params, Clone, PartialEq)]
+pub struct RegisterGridParams {
+    /// Rows of the grid on the overlap.
+    #[param(default = 9, range = 2..=100)]
+    rows: u32,
+    /// Columns of the grid on the overlap.
+    #[param(default = 24, range = 2..=200)]
+    columns: u32,
+    /// What each cell gives.
+    #[param(default = "median")]
+    point: Point,
+    /// Every so many pixels of a cell are looked at.
+    #[param(default = 3, range = 1..=16, unit = "px")]
+    scale: u32,
+    /// Share of a cell's pixels that must have a disparity.
+    #[param(default = 0.3, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
+    least_valid: f32,
+    /// Largest reprojection error of an inlier.
+    #[param(default = 4.0, range = 0.2..=40.0, step = 0.1, unit = "px")]
+    ransac_px: f64,
+    /// Fewer inliers than this are no registration.
+    #[param(default = 12, range = 4..=1000, unit = "points")]
+    min_inliers: u32,
+    /// Keep the homography before while its median error on the new inliers is below this; 0 refits every frame.
+    #[param(default = 0.8, range = 0.0..=10.0, step = 0.1, unit = "px")]
+    stability_px: f64,
+    /// Failed frames in a row for which the homography before still counts as held.
+    #[param(default = 5, range = 0..=1000, unit = "frames")]
+    hold_frames: u32,
+}
+
+impl RegisterGridParams {
+    fn kernel(&self) -> GridParams {
+        let default = GridParams::default();
+        GridParams {
+            rows: self.rows as usize,
+            columns: self.columns as usize,
+            point: match self.point {
+                Point::Median => CellPoint::Median,
+                Point::Peak => CellPoint::Peak,
+            },
+            step_px: self.scale as usize,
+            least_valid: self.least_valid,
+            ransac: RansacParams { threshold_px: self.ransac_px, ..default.ransac },
+            min_inliers: self.min_inliers as usize,
+            stability_px: self.stability_px,
+            hold_frames: self.hold_frames as usize,
+            ..default
+        }
+    }
+}
+
+/// Inputs of the registration.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Disparity of the left rectified view, full size.
+    disparity: Image<'f, Disparity>,
+    /// Calibration of the pictures that are to be stitched: the homography is between them, not between the rectified views, unless
+    /// it says that they are rectified already.
+    calibration: Value<'f, Calibration>,
+}
+
+/// Outputs of the registration.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// Maps right-view pixels to left-view pixels; fresh, held or lost.
+    homography: Slot<'f, Homography>,
+    /// Part of the left view that the right view shares.
+    roi_left: Slot<'f, Roi>,
+    /// Part of the right view that the left view shares.
+    roi_right: Slot<'f, Roi>,
+}
+
+/// See the module.
+pub struct RegisterGridNode {
+    kernel: RegisterGrid,
+}
+
+/// One side of a calibration.
+fn view(camera: &Camera, rotation: &[f64; 9], projection: &[f64; 12], rectified: bool) -> RectifiedView {
+    let focal_px = [projection[0], projection[5]];
+    let centre_px = [projection[2], projection[6]];
+    let size = (camera.width as usize, camera.height as usize);
+    let mut distortion = [0.0; 12];
+    if rectified {
+        let rectified_from_camera = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        return RectifiedView {
+            size,
+            focal_px,
+            centre_px,
+            distortion,
+            rectified_from_camera,
+            rectified_focal_px: focal_px,
+            rectified_centre_px: centre_px,
+        };
+    }
+    distortion.copy_from_slice(&camera.distortion[..12]);
+    RectifiedView {
+        size,
+        focal_px: [camera.fx, camera.fy],
+        centre_px: [camera.cx, camera.cy],
+        distortion,
+        rectified_from_camera: *rotation,
+        rectified_focal_px: focal_px,
+        rectified_centre_px: centre_px,
+    }
+}
+
+fn roi(rect: &Rect) -> Roi {
+    Roi { x: rect.x as i32, y: rect.y as i32, width: rect.width as i32, height: rect.height as i32 }
+}
+
+fn packet(found: &GridRegistration) -> Homography {
+    Homography {
+        left_from_right: found.left_from_right.0,
+        rms_px: found.rms_px,
+        inliers: found.inliers as u32,
+        state: match found.state {
+            GridState::Fresh => abi::STATE_FRESH,
+            GridState::Held => abi::STATE_HELD,
+            GridState::Lost => abi::STATE_LOST,
+        },
+    }
+}
+
+impl Node for RegisterGridNode {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "register_grid",
+        "stitch",
+        "Finds the homography between two overlapping views from a grid on their disparity, where tissue has no features.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = RegisterGridParams;
+
+    fn open(_: &Open<'_>, params: &RegisterGridParams) -> Result<Self> {
+        Ok(Self { kernel: RegisterGrid::new(params.kernel()) })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &RegisterGridParams,
+    ) -> Result<()> {
+        let wanted = params.kernel();
+        if *self.kernel.params() != wanted {
+            self.kernel.set_params(wanted);
+        }
+        let c = &*input.calibration;
+        let rectified = c.is_rectified != 0;
+        let left = view(&c.left, &c.rectified_from_left, &c.left_projection, rectified);
+        let right = view(&c.right, &c.rectified_from_right, &c.right_projection, rectified);
+        let found = self.kernel.register(input.disparity.view(), &left, &right);
+        cx.metric("grid_points", found.points as f64);
+        out.homography.set(packet(&found))?;
+        out.roi_left.set(roi(&found.roi_left))?;
+        out.roi_right.set(roi(&found.roi_right))
+    }
+}
