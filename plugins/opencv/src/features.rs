@@ -32,10 +32,10 @@ pub struct FeaturesParams {
 /// Inputs of the features.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Left view.
+    /// Left view, or the only one.
     left: Image<'f, Gray8>,
-    /// Right view; may have another size.
-    right: Image<'f, Gray8>,
+    /// Right view; may have another size. Without it nothing is matched.
+    right: Option<Image<'f, Gray8>>,
 }
 
 /// Outputs of the features.
@@ -85,10 +85,12 @@ impl Node for FeaturesOpencv {
         let find = |view: &Image<'_, Gray8>| {
             params.detector.find(view.view(), params.max_points as usize, params.threshold).map_err(failed)
         };
-        let (left, right) = (find(&input.left)?, find(&input.right)?);
+        let left = find(&input.left)?;
+        out.left_points.set_table(&POINTS, &rows(&left))?;
+        let Some(right) = &input.right else { return Ok(()) };
+        let right = find(right)?;
         let pairs = params.detector.pairs(&left, &right, params.ratio, params.mutual).map_err(failed)?;
         cx.metric("matches", pairs.len() as f64);
-        out.left_points.set_table(&POINTS, &rows(&left))?;
         out.right_points.set_table(&POINTS, &rows(&right))?;
         let values: Vec<f64> = pairs
             .iter()

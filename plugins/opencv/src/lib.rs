@@ -7,9 +7,11 @@ mod detector;
 mod features;
 mod mats;
 mod register;
+mod stereo;
 
 pub use composite::CompositeOpencv;
 pub use features::FeaturesOpencv;
 pub use register::RegisterOpencv;
+pub use stereo::{DisparityFbsOpencv, DisparityWlsOpencv, StereoOpencv};
 
-panoscope_node::export_plugin![FeaturesOpencv, RegisterOpencv, CompositeOpencv];
+panoscope_node::export_plugin![FeaturesOpencv, RegisterOpencv, CompositeOpencv, StereoOpencv, DisparityWlsOpencv, DisparityFbsOpencv];

@@ -64,10 +64,10 @@ impl FeaturesSurfParams {
 /// Inputs of the features.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Left view.
+    /// Left view, or the only one.
     left: Image<'f, Gray8>,
-    /// Right view; may have another size.
-    right: Image<'f, Gray8>,
+    /// Right view; may have another size. Without it nothing is matched.
+    right: Option<Image<'f, Gray8>>,
 }
 
 /// Outputs of the features.
@@ -131,11 +131,12 @@ impl Node for FeaturesSurf {
         let (pool, scale) = (cx.pool(), params.scale as usize);
         self.surf.set_params(params.surf());
         self.surf.detect_and_describe(input.left.view(), None, scale, pool, &mut self.left);
-        self.surf.detect_and_describe(input.right.view(), None, scale, pool, &mut self.right);
+        out.left_points.set_table(&POINTS, table(&self.left, &mut self.values))?;
+        let Some(right) = &input.right else { return Ok(()) };
+        self.surf.detect_and_describe(right.view(), None, scale, pool, &mut self.right);
         let matching = MatchParams { ratio: params.ratio, mutual: params.mutual, same_sign: true };
         self.matcher.match_features(&self.left, &self.right, &matching, None, pool, &mut self.matches);
         cx.metric("matches", self.matches.len() as f64);
-        out.left_points.set_table(&POINTS, table(&self.left, &mut self.values))?;
         out.right_points.set_table(&POINTS, table(&self.right, &mut self.values))?;
         self.values.clear();
         for m in &self.matches {

@@ -7,6 +7,7 @@ mod hop;
 pub mod record;
 mod scale;
 mod start;
+mod stitch;
 
 use std::path::PathBuf;
 
@@ -23,6 +24,8 @@ pub enum Bench {
     Start(Arguments),
     /// Cost of a tick against the number of nodes.
     Scale(Arguments),
+    /// Registration, seam and blend at three sizes, beside OpenCV.
+    Stitch(Arguments),
 }
 
 /// Arguments of every bench.
@@ -43,6 +46,7 @@ pub fn run(bench: &Bench) -> Result<End> {
         Bench::Hop(arguments) => (hop::measure(arguments.quick)?, arguments),
         Bench::Start(arguments) => (start::measure(arguments.quick)?, arguments),
         Bench::Scale(arguments) => (scale::measure(arguments.quick)?, arguments),
+        Bench::Stitch(arguments) => (stitch::measure(arguments.quick)?, arguments),
     };
     record::show(&figures);
     if let Some(path) = &arguments.json {

@@ -1,7 +1,7 @@
 //! `panoscope eval`: how good the results are, beside truth and peers.
 
 mod disparity;
-mod look;
+pub mod look;
 mod rewire;
 mod stitch;
 mod surf;

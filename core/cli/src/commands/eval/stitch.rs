@@ -134,18 +134,19 @@ fn run(wiring: &Wiring, path: &Path, frames: u64) -> Result<Judged> {
 }
 
 /// All runs of a wiring: as it is, on a still scene, with a camera that goes black.
-fn judge_all(wiring: &Wiring, path: &Path, frames: u64) -> Result<(Vec<Marks>, Judged)> {
+fn judge_all(wiring: &Wiring, path: &Path, frames: u64, is_peer: bool) -> Result<(Vec<Marks>, Judged)> {
     let main = run(wiring, path, frames)?;
     let mut all: Vec<Marks> = main.tables.iter().map(marks).collect::<Result<_>>()?;
     if let Some(phantom) = wiring.phantom() {
-        let mut still = wiring.clone();
+        // Registration alone decides here: the peer's seam need not be found at full resolution.
+        let mut still = if is_peer { wiring.peer(0.1, 2) } else { wiring.clone() };
+        let mut dark = still.clone();
         still.set(&phantom, "speed_mm_s", 0.0);
         still.set(&phantom, "breathing_mm", 0.0);
         for (marks, rows) in all.iter_mut().zip(&run(&still, path, frames.min(40))?.tables) {
             let ways = rows.column("move_px").unwrap_or_default();
             marks.jitter_px = rms(ways.get(SETTLE..).unwrap_or_default());
         }
-        let mut dark = wiring.clone();
         dark.set(&phantom, "black_camera", "right");
         dark.set(&phantom, "black_first", BLACK.0);
         dark.set(&phantom, "black_count", BLACK.1);
@@ -227,8 +228,8 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
             wiring.set(node.trim(), param.trim(), parsed.unwrap_or_else(|| value.trim().into()));
         }
     }
-    let (ours, main) = judge_all(&wiring, path, arguments.frames)?;
-    let peer = if arguments.no_peer { None } else { Some(judge_all(&wiring.peer(0.0, 2), path, arguments.frames)?.0) };
+    let (ours, main) = judge_all(&wiring, path, arguments.frames, false)?;
+    let peer = if arguments.no_peer { None } else { Some(judge_all(&wiring.peer(0.0, 2), path, arguments.frames, true)?.0) };
     let peer = peer.as_ref().and_then(|marks| marks.first());
     let input = format!("{}, {} frames", wiring.name, arguments.frames);
     let mut out = Vec::new();

@@ -46,7 +46,7 @@ pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> 
         };
         let (mut smooth, mut trust, mut solved) = (plane(), plane(), plane());
         let confidence = ConfidenceParams { scatter_radius_px, ..Default::default() };
-        let mut wls = WlsFilter::new(WlsParams { confidence, ..Default::default() })?;
+        let mut wls = WlsFilter::new(WlsParams { confidence, lambda: std::env::var("SN_L").map_or(8000.0, |l| l.parse().unwrap()), ..Default::default() })?;
         let input = FilterInput {
             guide,
             disparity: view(&raw, width, height),

@@ -96,12 +96,12 @@ pub fn cameras(folder: &Path, size: (usize, usize)) -> Result<StereoCameras> {
         let m = matrix4(&rows)?;
         (std::array::from_fn(|i| std::array::from_fn(|j| m[4 * i + j])), [m[3], m[7], m[11]])
     } else {
-        // The translation stands below the rotation.
+        // Written for row vectors: the rotation lies on its side, the translation stands below it.
         let m = numbers(&folder.join("calib.l2r.txt"))?;
         if m.len() != 12 {
             bail!("{}: calib.l2r.txt holds {} numbers, 12 were expected", folder.display(), m.len());
         }
-        (std::array::from_fn(|i| std::array::from_fn(|j| m[3 * i + j])), [m[9], m[10], m[11]])
+        (std::array::from_fn(|i| std::array::from_fn(|j| m[3 * j + i])), [m[9], m[10], m[11]])
     };
     let ending = if folder.join("calib.left.intrinsics.txt").exists() { "intrinsics" } else { ending };
     Ok(StereoCameras {
@@ -123,12 +123,12 @@ pub fn surface(path: &Path, step_mm: f32) -> Result<Vec<[f32; 3]>> {
         header.lines().find_map(|line| line.strip_prefix("element ")?.strip_prefix(what)?.trim().parse().ok())
     };
     let (vertices, faces) = (count("vertex ").ok_or_else(cut_off)?, count("face ").ok_or_else(cut_off)?);
-    let of_vertex = header.split("element face").next().unwrap_or_default();
-    let stride: usize = of_vertex
-        .lines()
-        .filter_map(|line| line.strip_prefix("property ")?.split(' ').next())
-        .map(|kind| if kind.ends_with("char") { 1 } else { 4 })
-        .sum();
+    let bytes_of = |properties: &str| -> usize {
+        let kinds = properties.lines().filter_map(|line| line.strip_prefix("property ")?.split(' ').next());
+        kinds.filter(|kind| *kind != "list").map(|kind| if kind.ends_with("char") { 1 } else { 4 }).sum()
+    };
+    let (of_vertex, of_face) = header.split_once("element face").unwrap_or_default();
+    let (stride, after_face) = (bytes_of(of_vertex), bytes_of(of_face));
     let float = |at: usize| -> Option<f32> { Some(f32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?)) };
     let vertex = |index: usize| -> Option<[f32; 3]> {
         let at = end + index * stride;
@@ -145,7 +145,7 @@ pub fn surface(path: &Path, step_mm: f32) -> Result<Vec<[f32; 3]>> {
             vertex(u32::from_le_bytes(part.try_into().ok()?) as usize)
         };
         let [Some(a), Some(b), Some(c)] = [corner(0), corner(1), corner(2)] else { return Err(cut_off()) };
-        at += 13;
+        at += 13 + after_face;
         let side = |p: [f32; 3], q: [f32; 3]| (0..3).map(|i| (p[i] - q[i]).powi(2)).sum::<f32>().sqrt();
         let parts = (side(a, b).max(side(b, c)).max(side(c, a)) / step_mm).ceil().clamp(1.0, 64.0) as usize;
         for i in 0..=parts {

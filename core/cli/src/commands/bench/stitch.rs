@@ -1,0 +1,284 @@
+//! `panoscope bench stitch`: the thesis's Tables 2.1 to 2.3 and 4.1 to 4.3 (registration, seam and blend, whole frame), beside
+//! OpenCV's classes in the same run, turn about.
+//!
+//! The pictures are rendered once and then played from memory, so that nothing but the stitching is at work. Times are the
+//! medians of the nodes' own times, the least of all rounds; stages of one tick follow one another, so they add up.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use panoscope_runtime::Report;
+
+use super::record::Figure;
+use crate::commands::eval::look::{self, Plan};
+use crate::terminal::{raw, table, tell};
+
+const SIZES: [(u32, u32); 3] = [(640, 480), (1280, 720), (1920, 1080)];
+/// Pictures that are rendered and played round and round.
+const PICTURES: u64 = 16;
+const FULL: &str = "OpenCV SIFT + full graph cut";
+const FAIR: &str = "OpenCV SIFT + graph cut at 0.1 MP";
+
+/// A way of stitching.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    Roi,
+    Conventional,
+    Grid,
+    OpencvFull,
+    OpencvFair,
+}
+
+impl Way {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Roi => "roi",
+            Self::Conventional => "conventional",
+            Self::Grid => "grid",
+            Self::OpencvFull => "OpenCV full",
+            Self::OpencvFair => "OpenCV 0.1 MP",
+        }
+    }
+
+    /// Nodes `match` (grid only), `register` and `wide`, scaled as the thesis does: a whole frame shrunk to about 320x240.
+    fn nodes(self, width: u32, threads: usize) -> String {
+        let (scale, seam) = ((width / 320).clamp(1, 8), (width / 64).clamp(2, 64));
+        let views = "left = \"files.left\", right = \"files.right\"";
+        let register = match self {
+            Self::Roi => format!("type = \"register_surf\"\ninputs = {{ {views} }}\nparams = {{ roi = true, scale = {scale} }}"),
+            Self::Conventional => format!(
+                "type = \"register_surf\"\ninputs = {{ {views} }}\nparams = {{ roi = false, max_points = 2000, upright = false, stability_px = 0.0 }}"
+            ),
+            Self::Grid => "type = \"register_grid\"\ninputs = { disparity = \"match.disparity\", calibration = { from = \"scope.calibration\", align = \"latest\" } }".to_owned(),
+            Self::OpencvFull | Self::OpencvFair => {
+                format!("type = \"register_opencv\"\ninputs = {{ {views} }}\nparams = {{ threads = {threads} }}")
+            }
+        };
+        let (kind, params) = match self {
+            Self::Roi | Self::Grid => ("composite", format!("seam_scale = {seam}")),
+            Self::Conventional => ("composite", "seam_scale = 2, seam_interval = 1".to_owned()),
+            Self::OpencvFull => ("composite_opencv", format!("threads = {threads}")),
+            Self::OpencvFair => ("composite_opencv", format!("threads = {threads}, seam_megapixels = 0.1")),
+        };
+        let mut text = format!(
+            "[nodes.register]\n{register}\n[nodes.wide]\ntype = \"{kind}\"\ninputs = {{ {views}, homography = \"register.homography\" }}\nparams = {{ {params} }}\n"
+        );
+        if self == Self::Grid {
+            let _ = write!(
+                text,
+                "[nodes.match]\ntype = \"stereo_bm\"\ninputs = {{ {views} }}\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ width = {width}, height = {}, rate_hz = 1.0 }}\n",
+                height_of(width)
+            );
+        }
+        text
+    }
+
+    fn frames(self, width: u32, quick: bool) -> u64 {
+        let many = if quick { 24 } else { 72 };
+        match self {
+            Self::Roi => many,
+            Self::Grid => many / 2,
+            Self::Conventional => many / 4,
+            Self::OpencvFull => if width > 640 { 2 } else { 4 },
+            Self::OpencvFair => if width > 1280 { 3 } else { 6 },
+        }
+    }
+}
+
+fn height_of(width: u32) -> u32 {
+    SIZES.iter().find(|(w, _)| *w == width).map_or(480, |(_, height)| *height)
+}
+
+/// Medians of the nodes of one run, ms.
+#[derive(Clone, Copy, Debug)]
+struct Times {
+    matching: f64,
+    register: f64,
+    composite: f64,
+    allocations: Option<f64>,
+}
+
+impl Times {
+    fn of(report: &Report) -> Self {
+        let p50 = |id: &str| report.nodes.get(id).map_or(0.0, |node| node.p50_ms);
+        Self {
+            matching: p50("match"),
+            register: p50("register"),
+            composite: p50("wide"),
+            allocations: report.allocations_per_frame,
+        }
+    }
+
+    fn registration(&self) -> f64 {
+        self.matching + self.register
+    }
+
+    fn whole(&self) -> f64 {
+        self.registration() + self.composite
+    }
+
+    /// The faster of two runs of the same graph.
+    fn better(self, other: Option<Self>) -> Self {
+        other.filter(|other| other.whole() <= self.whole()).unwrap_or(self)
+    }
+}
+
+/// A folder of pictures that is removed at the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> Result<Self> {
+        let path = std::env::temp_dir().join(format!("panoscope-bench-{}", std::process::id()));
+        std::fs::create_dir_all(&path).with_context(|| format!("cannot make {}", path.display()))?;
+        Ok(Self(path))
+    }
+
+    fn pattern(&self, width: u32, side: &str) -> PathBuf {
+        self.0.join(format!("{side}{width}_*.png"))
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        // What stays behind is in the system's folder for temporary files.
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn render(folder: &Folder, (width, height): (u32, u32)) -> Result<()> {
+    let mut text = format!(
+        "mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ width = {width}, height = {height} }}\n"
+    );
+    for side in ["left", "right"] {
+        let path = folder.0.join(format!("{side}{width}_{{seq:4}}.png"));
+        let _ = write!(
+            text,
+            "[nodes.{side}]\ntype = \"write_images\"\ninputs = {{ image = \"scope.{side}\" }}\nparams = {{ path = {path:?} }}\n"
+        );
+    }
+    run(&text, PICTURES, 0, false).map(|_| ())
+}
+
+fn run(text: &str, frames: u64, threads: usize, paced: bool) -> Result<Report> {
+    let plan = Plan { text, path: Path::new("bench.toml"), frames: Some(frames), threads, ports: &[], paced };
+    Ok(look::run(&plan)?.report)
+}
+
+/// Runs one way once. Ours run live and paced, as with a camera, so that ticks do not overlap.
+fn once(folder: &Folder, width: u32, way: Way, threads: usize, quick: bool) -> Result<Times> {
+    let paced = !matches!(way, Way::OpencvFull | Way::OpencvFair);
+    let rate = if width > 640 || way != Way::Roi { 8.0 } else { 20.0 };
+    let (mode, pace) = if paced { ("live", "on") } else { ("batch", "off") };
+    let text = format!(
+        "mode = \"{mode}\"\nplugins = [\"capture\", \"phantom\", \"stereo\", \"stitch\", \"opencv\", \"flow\"]\n\
+         [nodes.files]\ntype = \"capture\"\nparams = {{ left = {:?}, right = {:?}, loop = true, rate_hz = {rate:?}, pace = \"{pace}\" }}\n\
+         {}[nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"wide.panorama\" }}\n",
+        folder.pattern(width, "left"),
+        folder.pattern(width, "right"),
+        way.nodes(width, threads)
+    );
+    Ok(Times::of(&run(&text, way.frames(width, quick), threads, paced)?))
+}
+
+/// SURF beside SIFT on one picture, ms per picture.
+fn features(folder: &Folder, points: u32, quick: bool) -> Result<(f64, f64)> {
+    let picture = folder.0.join("left640_0000.png");
+    let text = |node: &str| {
+        format!(
+            "mode = \"live\"\nplugins = [\"capture\", \"stitch\", \"opencv\"]\n\
+             [nodes.files]\ntype = \"capture\"\nparams = {{ left = {picture:?}, right = {picture:?}, loop = true, rate_hz = 8.0, pace = \"on\" }}\n\
+             [nodes.features]\ninputs = {{ left = \"files.left\" }}\n{node}\n"
+        )
+    };
+    let surf = text(&format!("type = \"features_surf\"\nparams = {{ max_points = {points}, hessian_threshold = 1.0 }}"));
+    let sift = text(&format!("type = \"features_opencv\"\nparams = {{ detector = \"sift\", max_points = {points}, threads = 2 }}"));
+    let (mut ours, mut theirs) = (f64::INFINITY, f64::INFINITY);
+    for _ in 0..if quick { 1 } else { 3 } {
+        let p50 = |report: &Report| report.nodes.get("features").map_or(f64::NAN, |node| node.p50_ms);
+        ours = ours.min(p50(&run(&surf, if quick { 20 } else { 40 }, 2, true)?));
+        theirs = theirs.min(p50(&run(&sift, 6, 2, true)?));
+    }
+    Ok((ours, theirs))
+}
+
+fn measured(folder: &Folder, size: (u32, u32), threads: usize, quick: bool) -> Result<Vec<(Way, Times)>> {
+    let mut ways = vec![Way::Roi, Way::Grid, Way::Conventional, Way::OpencvFair];
+    // The cut at full resolution takes minutes on larger pictures.
+    if size.0 == 640 || !quick {
+        ways.push(Way::OpencvFull);
+    }
+    let rounds = if quick { 1 } else { 3 };
+    let mut best: Vec<(Way, Option<Times>)> = ways.into_iter().map(|way| (way, None)).collect();
+    for round in 0..rounds {
+        for (way, times) in &mut best {
+            if round > 0 && *way == Way::OpencvFull && size.0 > 640 {
+                continue;
+            }
+            *times = Some(once(folder, size.0, *way, threads, quick)?.better(*times));
+        }
+    }
+    Ok(best.into_iter().filter_map(|(way, times)| Some((way, times?))).collect())
+}
+
+/// Measures all cases.
+pub fn measure(quick: bool) -> Result<Vec<Figure>> {
+    crate::interrupt::listen();
+    let folder = Folder::new()?;
+    let sizes = if quick { &SIZES[..1] } else { &SIZES[..] };
+    let threads: &[usize] = if quick { &[2] } else { &[1, 2] };
+    let mut figures = Vec::new();
+    let mut rows = vec![["size, threads, way", "disparity", "registration", "composite", "whole ms"].map(str::to_owned).to_vec()];
+    for &size in sizes {
+        tell!("rendering {PICTURES} pairs of {}x{}", size.0, size.1);
+        render(&folder, size)?;
+        for &threads in threads {
+            let all = measured(&folder, size, threads, quick)?;
+            for (way, t) in &all {
+                let ms = |v: f64| format!("{v:.2}");
+                let name = format!("{}x{}, {threads}, {}", size.0, size.1, way.name());
+                rows.push(vec![name, ms(t.matching), ms(t.register), ms(t.composite), ms(t.whole())]);
+            }
+            figures.extend(figures_of(&all, size, threads));
+        }
+    }
+    raw(&table(&rows));
+    for points in [500, 1000, 2000] {
+        let (ours, theirs) = features(&folder, points, quick)?;
+        let figure = Figure::new(&format!("surf_640x480/{points}"), ours, "ms", &format!("640x480 phantom, {points} points, 2 threads"));
+        figures.push(figure.beside("OpenCV SIFT", Some(theirs)));
+    }
+    Ok(figures)
+}
+
+fn figures_of(all: &[(Way, Times)], size: (u32, u32), threads: usize) -> Vec<Figure> {
+    let of = |way: Way| all.iter().find(|(w, _)| *w == way).map(|(_, times)| *times);
+    let whole = |way: Way| of(way).map(|times| times.whole());
+    let (full, fair) = (whole(Way::OpencvFull), whole(Way::OpencvFair));
+    // The names that others read stand for 640x480 on two threads, and for 1080p.
+    let case = match (size.0, threads) {
+        (640, 2) => String::new(),
+        (1920, 2) => "_1080p".to_owned(),
+        _ => format!("/{}x{}_{threads}_threads", size.0, size.1),
+    };
+    let sub = |part: &str| if case.contains('/') { format!("{case}_{part}") } else { format!("{case}/{part}") };
+    let input = format!("{}x{} phantom, {threads} threads", size.0, size.1);
+    let mut out = Vec::new();
+    for (name, way) in [("stitch_roi", Way::Roi), ("stitch_grid", Way::Grid), ("stitch_conventional", Way::Conventional)] {
+        let Some(times) = of(way) else { continue };
+        out.push(Figure::new(&format!("{name}{case}"), times.whole(), "ms", &input).beside(FULL, full));
+        out.push(Figure::new(&format!("{name}{}", sub("fair")), times.whole(), "ms", &input).beside(FAIR, fair));
+        let peer = of(Way::OpencvFair);
+        let parts = [
+            ("registration", times.registration(), peer.map(|p| p.register)),
+            ("composite", times.composite, peer.map(|p| p.composite)),
+        ];
+        for (part, value, peer) in parts {
+            out.push(Figure::new(&format!("{name}{}", sub(part)), value, "ms", &input).beside(FAIR, peer));
+        }
+        if let (Some(count), "") = (times.allocations, case.as_str()) {
+            out.push(Figure::new(&format!("allocations_per_frame/{name}"), count, "1/frame", &input));
+        }
+    }
+    out
+}

@@ -1,0 +1,372 @@
+//! `stereo_opencv`, `disparity_wls_opencv`, `disparity_fbs_opencv`: OpenCV's four steps behind the ports of ours, so that
+//! a graph can swap one for the other (thesis, fig. 3.7 and table 3.2).
+
+use opencv::calib3d::{StereoBM, StereoMatcher, StereoSGBM};
+use opencv::core::{CV_16SC1, CV_32FC1, Mat, Ptr, Rect};
+use opencv::prelude::*;
+use opencv::ximgproc;
+use panoscope_node::{
+    Bgr8, Choice, Confidence, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, View,
+    ViewMut, error,
+};
+
+use crate::mats::{Threads, failed, mat};
+
+/// OpenCV's disparities count sixteenths.
+const STEPS_PER_PX: f32 = 16.0;
+
+/// Which matcher.
+#[derive(Choice, Clone, Copy, Debug, PartialEq)]
+pub enum Method {
+    /// Block matching.
+    Bm,
+    /// Semi-global matching.
+    Sgbm,
+}
+
+/// What is searched; the filter must know it too.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Search {
+    method: Method,
+    min_disparity_px: i32,
+    search_px: i32,
+    block_px: i32,
+}
+
+impl Search {
+    fn matcher(&self) -> opencv::Result<Ptr<StereoMatcher>> {
+        let side = self.block_px;
+        Ok(match self.method {
+            Method::Bm => {
+                let mut matcher = StereoBM::create(self.search_px, side)?;
+                matcher.set_min_disparity(self.min_disparity_px)?;
+                matcher.into()
+            }
+            Method::Sgbm => {
+                // Penalties and mode of OpenCV's own sample `disparity_filtering`.
+                let (p1, p2, cap) = (24 * side * side, 96 * side * side, 63);
+                StereoSGBM::create(
+                    self.min_disparity_px, self.search_px, side, p1, p2, 0, cap, 0, 0, 0,
+                    opencv::calib3d::StereoSGBM_MODE_SGBM_3WAY,
+                )?
+                .into()
+            }
+        })
+    }
+
+    fn unknown(&self) -> i16 {
+        ((self.min_disparity_px - 1) * STEPS_PER_PX as i32) as i16
+    }
+}
+
+/// Writes sixteenths as px; what is below `least` is unknown.
+fn write(mat: &Mat, sign: f32, least_px: f32, out: &mut ViewMut<'_, f32>) -> Result<()> {
+    let values = mat.data_typed::<i16>().map_err(failed)?;
+    for (y, row) in values.chunks_exact(out.width.max(1)).enumerate() {
+        for (out, value) in out.row_mut(y).iter_mut().zip(row) {
+            let px = sign * f32::from(*value) / STEPS_PER_PX;
+            *out = if px >= least_px { px } else { f32::NAN };
+        }
+    }
+    Ok(())
+}
+
+/// Sixteenths of a map, `unknown` where it is NaN.
+fn sixteenths(view: View<'_, f32>, sign: f32, unknown: i16) -> opencv::Result<Mat> {
+    let mut out = Mat::new_rows_cols_with_default(view.height as i32, view.width as i32, CV_16SC1, 0.0.into())?;
+    for (y, row) in out.data_typed_mut::<i16>()?.chunks_exact_mut(view.width.max(1)).enumerate() {
+        for (out, value) in row.iter_mut().zip(view.row(y)) {
+            *out = if value.is_nan() { unknown } else { (sign * value * STEPS_PER_PX).round() as i16 };
+        }
+    }
+    Ok(out)
+}
+
+/// Parameters of the matcher.
+#[derive(Params, Clone, PartialEq)]
+pub struct StereoParams {
+    /// Which matcher.
+    #[param(default = "bm")]
+    method: Method,
+    /// Smallest disparity searched.
+    #[param(default = 0, range = -1024..=1500, unit = "px")]
+    min_disparity_px: i32,
+    /// Width of the disparity search.
+    #[param(default = 64, range = 16..=512, step = 16, unit = "px")]
+    search_px: i32,
+    /// Side of the window: at least 5 for block matching.
+    #[param(default = 15, range = 3..=31, step = 2, unit = "px")]
+    block_px: i32,
+    /// OpenCV's threads while this node works.
+    #[param(default = 1, range = 1..=64)]
+    threads: u32,
+}
+
+/// Inputs of the matcher.
+#[derive(Ports)]
+pub struct StereoIn<'f> {
+    /// Rectified left view.
+    left: Image<'f, Gray8>,
+    /// Right view of the same instant, same size.
+    right: Image<'f, Gray8>,
+}
+
+/// Outputs of the matcher.
+#[derive(Ports)]
+pub struct StereoOut<'f> {
+    /// Pixels of the left rectified view; NaN where unmatched.
+    disparity: Slot<'f, Disparity>,
+    /// The same from the right view's pixels, positive.
+    disparity_right: Slot<'f, Disparity>,
+}
+
+/// Both matchers, kept from frame to frame.
+pub struct StereoOpencv {
+    kept: Option<(Search, Ptr<StereoMatcher>, Ptr<StereoMatcher>)>,
+}
+
+// SAFETY: OpenCV's objects hold no thread's state; one thread at a time uses a node.
+unsafe impl Send for StereoOpencv {}
+
+impl Node for StereoOpencv {
+    const INFO: NodeInfo = NodeInfo::compute("stereo_opencv", "stereo", "OpenCV's block or semi-global matching, left and right.");
+    type In<'f> = StereoIn<'f>;
+    type Out<'f> = StereoOut<'f>;
+    type Params = StereoParams;
+
+    fn open(_: &Open<'_>, _: &StereoParams) -> Result<Self> {
+        Ok(Self { kept: None })
+    }
+
+    fn process<'f>(&mut self, _: &Context<'f>, input: StereoIn<'f>, mut out: StereoOut<'f>, params: &StereoParams) -> Result<()> {
+        let (left, right) = (input.left.view(), input.right.view());
+        let (width, height) = (left.width, left.height);
+        if (right.width, right.height) != (width, height) {
+            return Err(error!("the left view is {width}x{height}, the right one {}x{}", right.width, right.height));
+        }
+        let search = Search {
+            method: params.method,
+            min_disparity_px: params.min_disparity_px,
+            search_px: params.search_px,
+            block_px: params.block_px,
+        };
+        let _threads = Threads::set(params.threads).map_err(failed)?;
+        let right_is_read = out.disparity_right.is_read();
+        let mut matched = || -> opencv::Result<(Mat, Option<Mat>)> {
+            if self.kept.as_ref().is_none_or(|(kept, ..)| *kept != search) {
+                let matcher = search.matcher()?;
+                let other = ximgproc::create_right_matcher(search.matcher()?)?;
+                self.kept = Some((search, matcher, other));
+            }
+            let (left, right) = (mat(left)?, mat(right)?);
+            let (mut map, mut map_right) = (Mat::default(), Mat::default());
+            if let Some((_, matcher, other)) = &mut self.kept {
+                matcher.compute(&left, &right, &mut map)?;
+                if right_is_read {
+                    other.compute(&right, &left, &mut map_right)?;
+                }
+            }
+            Ok((map, right_is_read.then_some(map_right)))
+        };
+        let (map, map_right) = matched().map_err(failed)?;
+        let least = params.min_disparity_px as f32;
+        write(&map, 1.0, least, &mut out.disparity.alloc(width, height)?)?;
+        if let Some(map) = map_right {
+            write(&map, -1.0, least, &mut out.disparity_right.alloc(width, height)?)?;
+        }
+        Ok(())
+    }
+}
+
+/// Inputs of the weighted-least-squares filter.
+#[derive(Ports)]
+pub struct WlsIn<'f> {
+    /// Rectified left view.
+    image: Image<'f, Bgr8>,
+    /// Disparity of the left view.
+    disparity: Image<'f, Disparity>,
+    /// Disparity of the right view.
+    disparity_right: Image<'f, Disparity>,
+}
+
+/// Outputs of both filters.
+#[derive(Ports)]
+pub struct FilterOut<'f> {
+    /// The smooth map.
+    disparity: Slot<'f, Disparity>,
+    /// Confidence, 0 to 1; not made by `disparity_fbs_opencv`.
+    confidence: Slot<'f, Confidence>,
+}
+
+/// Parameters of the weighted-least-squares filter: of the matcher in front, and its own.
+#[derive(Params, Clone, PartialEq)]
+pub struct WlsParams {
+    /// Matcher in front.
+    #[param(default = "bm", reopen)]
+    method: Method,
+    /// Smallest disparity searched by the matcher in front.
+    #[param(default = 0, range = -1024..=1500, unit = "px", reopen)]
+    min_disparity_px: i32,
+    /// Width of the search of the matcher in front.
+    #[param(default = 64, range = 16..=512, step = 16, unit = "px", reopen)]
+    search_px: i32,
+    /// Window of the matcher in front.
+    #[param(default = 15, range = 3..=31, step = 2, unit = "px", reopen)]
+    block_px: i32,
+    /// Strength of the smoothing.
+    #[param(default = 8000.0, range = 0.0..=1000000.0)]
+    lambda: f64,
+    /// Sensitivity to the picture's edges.
+    #[param(default = 1.5, range = 0.1..=100.0)]
+    sigma_color: f64,
+    /// OpenCV's threads while this node works.
+    #[param(default = 1, range = 1..=64)]
+    threads: u32,
+}
+
+/// OpenCV's weighted-least-squares filter.
+pub struct DisparityWlsOpencv {
+    filter: Ptr<ximgproc::DisparityWLSFilter>,
+    search: Search,
+}
+
+// SAFETY: as for `StereoOpencv`.
+unsafe impl Send for DisparityWlsOpencv {}
+
+fn one_size(sizes: &[(usize, usize)]) -> Result<()> {
+    match sizes.iter().find(|size| **size != sizes[0]) {
+        Some(other) => Err(error!("inputs of {}x{} and {}x{}: one size is needed", sizes[0].0, sizes[0].1, other.0, other.1)),
+        None => Ok(()),
+    }
+}
+
+impl Node for DisparityWlsOpencv {
+    const INFO: NodeInfo =
+        NodeInfo::compute("disparity_wls_opencv", "stereo", "OpenCV's weighted-least-squares filter with its left-right confidence.");
+    type In<'f> = WlsIn<'f>;
+    type Out<'f> = FilterOut<'f>;
+    type Params = WlsParams;
+
+    fn open(_: &Open<'_>, params: &WlsParams) -> Result<Self> {
+        let search = Search {
+            method: params.method,
+            min_disparity_px: params.min_disparity_px,
+            search_px: params.search_px,
+            block_px: params.block_px,
+        };
+        let filter = search.matcher().and_then(ximgproc::create_disparity_wls_filter).map_err(failed)?;
+        Ok(Self { filter, search })
+    }
+
+    fn process<'f>(&mut self, _: &Context<'f>, input: WlsIn<'f>, mut out: FilterOut<'f>, params: &WlsParams) -> Result<()> {
+        let (guide, left, right) = (input.image.view(), input.disparity.view(), input.disparity_right.view());
+        let (width, height) = (left.width, left.height);
+        one_size(&[(width, height), (guide.width, guide.height), (right.width, right.height)])?;
+        let _threads = Threads::set(params.threads).map_err(failed)?;
+        let unknown = self.search.unknown();
+        let mut filtered = || -> opencv::Result<(Mat, Mat)> {
+            // A pixel of the right view that is unknown lies beyond every disparity searched.
+            let beyond = -((self.search.min_disparity_px + self.search.search_px) * STEPS_PER_PX as i32) as i16;
+            let (left, right) = (sixteenths(left, 1.0, unknown)?, sixteenths(right, -1.0, beyond)?);
+            let mut map = Mat::default();
+            self.filter.set_lambda(params.lambda)?;
+            self.filter.set_sigma_color(params.sigma_color)?;
+            let none = Mat::default();
+            self.filter.filter(&left, &mat(guide)?, &mut map, &right, Rect::default(), &none)?;
+            Ok((map, self.filter.get_confidence_map()?))
+        };
+        let (map, confidence) = filtered().map_err(failed)?;
+        write(&map, 1.0, self.search.min_disparity_px as f32, &mut out.disparity.alloc(width, height)?)?;
+        if out.confidence.is_read() {
+            let mut target = out.confidence.alloc(width, height)?;
+            let values = confidence.data_typed::<f32>().map_err(failed)?;
+            for (y, row) in values.chunks_exact(width.max(1)).enumerate() {
+                target.row_mut(y).iter_mut().zip(row).for_each(|(out, value)| *out = (value / 255.0).clamp(0.0, 1.0));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Inputs of the fast bilateral solver.
+#[derive(Ports)]
+pub struct FbsIn<'f> {
+    /// Rectified left view.
+    image: Image<'f, Bgr8>,
+    /// Disparity of the left view.
+    disparity: Image<'f, Disparity>,
+    /// Confidence of the disparity.
+    confidence: Image<'f, Confidence>,
+}
+
+/// Outputs of the fast bilateral solver.
+#[derive(Ports)]
+pub struct FbsOut<'f> {
+    /// The smooth map.
+    disparity: Slot<'f, Disparity>,
+}
+
+/// Parameters of the fast bilateral solver, OpenCV's sample's defaults.
+#[derive(Params, Clone, PartialEq)]
+pub struct FbsParams {
+    /// Side of a grid cell.
+    #[param(default = 16.0, range = 1.0..=128.0, unit = "px")]
+    sigma_spatial: f64,
+    /// Height of a grid cell in luminance.
+    #[param(default = 8.0, range = 1.0..=128.0)]
+    sigma_luma: f64,
+    /// Height of a grid cell in colour.
+    #[param(default = 8.0, range = 1.0..=128.0)]
+    sigma_chroma: f64,
+    /// Weight of smoothness.
+    #[param(default = 128.0, range = 0.0..=100000.0)]
+    lambda: f64,
+    /// OpenCV's threads while this node works.
+    #[param(default = 1, range = 1..=64)]
+    threads: u32,
+}
+
+/// OpenCV's fast bilateral solver.
+pub struct DisparityFbsOpencv;
+
+impl Node for DisparityFbsOpencv {
+    const INFO: NodeInfo = NodeInfo::compute("disparity_fbs_opencv", "stereo", "OpenCV's fast bilateral solver.");
+    type In<'f> = FbsIn<'f>;
+    type Out<'f> = FbsOut<'f>;
+    type Params = FbsParams;
+
+    fn open(_: &Open<'_>, _: &FbsParams) -> Result<Self> {
+        Ok(Self)
+    }
+
+    fn process<'f>(&mut self, _: &Context<'f>, input: FbsIn<'f>, mut out: FbsOut<'f>, params: &FbsParams) -> Result<()> {
+        let (guide, map, trust) = (input.image.view(), input.disparity.view(), input.confidence.view());
+        let (width, height) = (map.width, map.height);
+        one_size(&[(width, height), (guide.width, guide.height), (trust.width, trust.height)])?;
+        let _threads = Threads::set(params.threads).map_err(failed)?;
+        let solved = || -> opencv::Result<Mat> {
+            let mut confidence = Mat::new_rows_cols_with_default(height as i32, width as i32, CV_32FC1, 0.0.into())?;
+            for (y, row) in confidence.data_typed_mut::<f32>()?.chunks_exact_mut(width.max(1)).enumerate() {
+                for ((out, value), disparity) in row.iter_mut().zip(trust.row(y)).zip(map.row(y)) {
+                    *out = if disparity.is_nan() { 0.0 } else { *value };
+                }
+            }
+            let (mut solved, source) = (Mat::default(), sixteenths(map, 1.0, 0)?);
+            ximgproc::fast_bilateral_solver_filter(
+                &mat(guide)?,
+                &source,
+                &confidence,
+                &mut solved,
+                params.sigma_spatial,
+                params.sigma_luma,
+                params.sigma_chroma,
+                params.lambda,
+                25,
+                1e-5,
+            )?;
+            Ok(solved)
+        };
+        let solved = solved().map_err(failed)?;
+        write(&solved, 1.0, 1.0 / STEPS_PER_PX, &mut out.disparity.alloc(width, height)?)
+    }
+}
