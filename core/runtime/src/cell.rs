@@ -1,5 +1,6 @@
 //! A node of a running graph: its instance, its inputs, its counters.
 
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -24,6 +25,8 @@ pub(crate) const MOST_KEPT_FRAMES: usize = 128;
 const SILENT_CALLS: u32 = 30;
 /// Bad outputs in a row after which an instance is not trusted any more.
 const MOST_BAD_OUTPUTS: u32 = 10;
+/// Changes of size that are remembered: a reader may lag a few ticks behind.
+const REMEMBERED_SIZES: usize = 8;
 const CAUSES: usize = Cause::Leak as usize + 1;
 
 /// What every call of an engine shares.
@@ -70,8 +73,8 @@ pub(crate) struct Cell {
     pub cpu: Option<u32>,
     pub rules: Box<[OutputRule]>,
     pub exec: ExecPlace,
-    /// The call that the current exec runs.
-    pub busy: Mutex<Arc<Busy>>,
+    /// The running call.
+    pub busy: Busy,
     pub join: Mutex<Join>,
     snapshot: Mutex<Arc<Snapshot>>,
     version: AtomicU64,
@@ -89,15 +92,20 @@ pub(crate) struct Cell {
     pub failures: AtomicU32,
     /// Calls and openings that did not return so far.
     pub stuck: Arc<AtomicU32>,
-    pub stats: Arc<NodeStats>,
+    pub stats: NodeStats,
     pub metrics: Mutex<Vec<(String, f64)>>,
     pub outputs_read: AtomicU64,
     pub taps: Taps,
     /// The node's own thread, if it has one.
     pub thread: Mutex<Option<std::thread::Thread>>,
     pub wake: AtomicBool,
-    /// Taken out of the graph: its thread is to leave.
+    /// Taken out of the graph: its thread closes the instance when it leaves.
     pub retired: AtomicBool,
+    /// Whether its thread is to leave, see [`Leave`].
+    pub leave: Leave,
+    pub has_thread: AtomicBool,
+    /// Newest capture time of a source, `i64::MIN` for none.
+    pub last_capture_ns: AtomicI64,
     /// Ticks this node is done with, for its region.
     pub done_ticks: AtomicU64,
     /// Ticks a source has made.
@@ -106,7 +114,53 @@ pub(crate) struct Cell {
     pub ingest_ns: Box<[AtomicU64]>,
     /// Which input slots belong to which port.
     pub ranges: Mutex<Vec<PortRange>>,
+    /// The newest changes of outputs' sizes.
+    pub resized: Mutex<VecDeque<Resized>>,
     fault_counts: [AtomicU64; CAUSES],
+}
+
+/// An output changed its size.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Resized {
+    pub output: usize,
+    pub tick: Tick,
+    pub from: (u32, u32),
+    pub to: (u32, u32),
+}
+
+/// A wish that a thread leaves, which it answers before it does.
+#[derive(Default)]
+pub(crate) struct Leave(AtomicU8);
+
+impl Leave {
+    const WISHED: u8 = 1;
+    const GRANTED: u8 = 2;
+
+    pub fn wish(&self) {
+        let _ = self.0.compare_exchange(0, Self::WISHED, Ordering::AcqRel, Ordering::Relaxed);
+    }
+
+    pub fn is_wished(&self) -> bool {
+        self.0.load(Ordering::Relaxed) != 0
+    }
+
+    /// Called by the thread: whether it leaves now.
+    pub fn grant(&self) -> bool {
+        self.0.load(Ordering::Relaxed) != 0 && {
+            let _ = self.0.compare_exchange(Self::WISHED, Self::GRANTED, Ordering::AcqRel, Ordering::Relaxed);
+            self.0.load(Ordering::Acquire) == Self::GRANTED
+        }
+    }
+
+    /// Takes the wish back; `false` when the thread has set out to leave.
+    pub fn take_back(&self) -> bool {
+        self.0.compare_exchange(Self::WISHED, 0, Ordering::AcqRel, Ordering::Acquire) != Err(Self::GRANTED)
+    }
+
+    /// For the next thread.
+    pub fn reset(&self) {
+        self.0.store(0, Ordering::Release);
+    }
 }
 
 /// A name for random numbers that is the same in every run.
@@ -136,9 +190,8 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Cell {
     /// A cell whose instance is not open yet.
     pub fn new(spec: CellSpec, join: Join, snapshot: Arc<Snapshot>) -> Self {
-        let busy = Arc::new(Busy::default());
         let slots = join.slots.len();
-        let exec = Exec::new(spec.node_type, slots, spec.ranges.clone(), Arc::clone(&snapshot), Arc::clone(&busy));
+        let exec = Exec::new(spec.node_type, slots, spec.ranges.clone(), Arc::clone(&snapshot));
         let this = Self {
             id: spec.id,
             node_type: spec.node_type,
@@ -152,7 +205,7 @@ impl Cell {
             cpu: spec.cpu,
             rules: OutputRule::of(spec.node_type),
             exec: ExecPlace::new(exec),
-            busy: Mutex::new(busy),
+            busy: Busy::default(),
             join: Mutex::new(join),
             version: AtomicU64::new(snapshot.version()),
             snapshot: Mutex::new(snapshot),
@@ -164,17 +217,21 @@ impl Cell {
             opening_since_ns: AtomicU64::new(0),
             failures: AtomicU32::new(0),
             stuck: Arc::default(),
-            stats: Arc::default(),
+            stats: NodeStats::default(),
             metrics: Mutex::new(Vec::new()),
             outputs_read: AtomicU64::new(spec.outputs_read),
             taps: Taps::new(spec.node_type.outputs_len),
             thread: Mutex::new(None),
             wake: AtomicBool::new(false),
             retired: AtomicBool::new(false),
+            leave: Leave::default(),
+            has_thread: AtomicBool::new(false),
+            last_capture_ns: AtomicI64::new(i64::MIN),
             done_ticks: AtomicU64::new(0),
             made: AtomicU64::new(0),
             ingest_ns: ingest_ring(spec.source),
             ranges: Mutex::new(spec.ranges.clone()),
+            resized: Mutex::default(),
             fault_counts: [const { AtomicU64::new(0) }; CAUSES],
         };
         this.set_manners(spec.on_fault, spec.budget_ms, spec.max_rate_hz);
@@ -315,9 +372,9 @@ impl Cell {
             return (Ran::Skipped, start_ns);
         }
         let allocations = around.thread_allocations.map(|count| count());
-        exec.busy.begin(tick, start_ns);
+        self.busy.begin(tick, start_ns);
         let (status, refused) = self.call(exec, around, tick);
-        if !exec.busy.end() {
+        if !self.busy.end(start_ns) {
             return (Ran::Abandoned, start_ns);
         }
         let end_ns = clock::now_ns();
@@ -442,7 +499,7 @@ impl Cell {
         end_ns: u64,
     ) -> Ran {
         let mut made = 0;
-        let Exec { outputs, shown, .. } = exec;
+        let Exec { outputs, shown, sizes, .. } = exec;
         for (index, rule) in self.rules.iter().enumerate() {
             let frame = &mut outputs[index];
             if frame.is_empty() && shown[index].is_empty() {
@@ -452,6 +509,12 @@ impl Cell {
             if let Err(objection) = rule.inspect(frame, &shown[index]) {
                 clear(std::slice::from_mut(frame));
                 refused = Some(objection);
+            } else if sizes[index] != (frame.width, frame.height) {
+                let to = (frame.width, frame.height);
+                let from = std::mem::replace(&mut sizes[index], to);
+                if from != (0, 0) {
+                    self.resize(Resized { output: index, tick: *tick, from, to });
+                }
             }
         }
         if let Some((cause, words)) = refused {
@@ -486,6 +549,15 @@ impl Cell {
             self.failures.store(0, Ordering::Relaxed);
         }
         Ran::Ok
+    }
+
+    #[cold]
+    fn resize(&self, resized: Resized) {
+        let mut newest = lock(&self.resized);
+        if newest.len() >= REMEMBERED_SIZES {
+            newest.pop_front();
+        }
+        newest.push_back(resized);
     }
 
     /// A description or contents that do not pass: the packet is withheld; who goes on like that is opened again.

@@ -84,6 +84,7 @@ pub(crate) const ABANDONED: u64 = u64::MAX;
 
 /// The running call as the watchdog sees it.
 #[derive(Default)]
+#[repr(align(64))]
 pub(crate) struct Busy {
     /// Start of the call in ns of the host's clock; 0 when idle, [`ABANDONED`] once the watchdog gave it up.
     pub since_ns: AtomicU64,
@@ -95,6 +96,7 @@ pub(crate) struct Busy {
 }
 
 impl Busy {
+    #[inline]
     pub fn begin(&self, tick: &Tick, start_ns: u64) {
         self.source.store(tick.source, Ordering::Relaxed);
         self.seq.store(tick.seq, Ordering::Relaxed);
@@ -103,9 +105,16 @@ impl Busy {
         self.since_ns.store(start_ns.max(1), Ordering::Release);
     }
 
-    /// Ends the call; `false` when the watchdog has taken everything over.
-    pub fn end(&self) -> bool {
-        self.since_ns.swap(0, Ordering::AcqRel) != ABANDONED
+    /// Ends the call that began at `start_ns`; `false` when the watchdog has taken everything over: by now it may be another call's turn,
+    /// which began at another time.
+    #[inline]
+    pub fn end(&self, start_ns: u64) -> bool {
+        self.since_ns.compare_exchange(start_ns.max(1), 0, Ordering::AcqRel, Ordering::Relaxed).is_ok()
+    }
+
+    /// Makes room for calls after one that was given up.
+    pub fn clear(&self) {
+        self.since_ns.store(0, Ordering::Release);
     }
 
     /// Takes a call over that began at `since_ns`; `false` when it has ended.
@@ -132,9 +141,10 @@ pub(crate) struct Exec {
     pub outputs: Vec<Frame>,
     /// The same as the node sees it; never believed.
     pub shown: Vec<Frame>,
+    /// Size of each output when it was last made.
+    pub sizes: Vec<(u32, u32)>,
     pub failure: String,
     pub snapshot: Arc<Snapshot>,
-    pub busy: Arc<Busy>,
     pub bypassed: bool,
     /// In batch: calls to leave out before the node is opened again.
     pub skip_calls: u32,
@@ -152,7 +162,6 @@ impl Exec {
         slots: usize,
         ranges: Vec<PortRange>,
         snapshot: Arc<Snapshot>,
-        busy: Arc<Busy>,
     ) -> Box<Self> {
         Box::new(Self {
             instance: Instance::none(node_type),
@@ -160,9 +169,9 @@ impl Exec {
             ranges,
             outputs: vec![Frame::EMPTY; node_type.outputs_len],
             shown: vec![Frame::EMPTY; node_type.outputs_len],
+            sizes: vec![(0, 0); node_type.outputs_len],
             failure: String::new(),
             snapshot,
-            busy,
             bypassed: false,
             skip_calls: 0,
             failures_in_a_row: 0,

@@ -28,6 +28,8 @@ pub enum Cause {
     BadOutput,
     /// An output of a format that its reader does not take.
     Format,
+    /// An output of another size than before, on which a reader failed.
+    Size,
     /// An output that holds NaN or infinity where the contract wants numbers.
     NotANumber,
     /// An output larger than any frame may be.

@@ -3,6 +3,7 @@
 //! [`Loader`] finds plugins and fills the graph crate's catalogue; [`Engine`] opens the nodes of a checked graph and walks ticks through
 //! them. Nothing here knows what a node does.
 
+mod apply;
 mod cell;
 pub mod clock;
 mod convert;
@@ -13,6 +14,7 @@ pub mod fault;
 mod host;
 mod join;
 mod keep;
+pub mod live;
 pub mod loader;
 pub mod log;
 pub mod memory;
@@ -28,7 +30,9 @@ pub mod stats;
 mod threads;
 mod watch;
 
+pub use apply::{Applied, ApplyError};
 pub use engine::{Engine, Options, Outcome, SetError, StartError};
+pub use live::Live;
 pub use loader::Loader;
 pub use preview::Preview;
 pub use report::{Machine, NodeReport, PathReport, Report};

@@ -112,9 +112,25 @@ pub struct Loaded {
     pub entries: Vec<&'static abi::NodeType>,
 }
 
+/// Tells one state of a file from another: time, length and inode; all zero when there is none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Stamp(u128, u64, u64);
+
+impl Stamp {
+    /// The file as it is now.
+    pub fn of(file: &Path) -> Self {
+        use std::os::unix::fs::MetadataExt;
+        let Ok(meta) = std::fs::metadata(file) else { return Self::default() };
+        let time = meta.modified().ok().and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok());
+        Self(time.map_or(0, |t| t.as_nanos()), meta.len(), meta.ino())
+    }
+}
+
 /// All plugins that can be seen from here.
 #[derive(Default)]
 pub struct Loader {
+    folders: Vec<PathBuf>,
+    stamps: BTreeMap<PathBuf, Stamp>,
     found: BTreeMap<String, Found>,
     problems: Vec<PluginProblem>,
     loaded: Mutex<BTreeMap<String, Result<Loaded, PluginProblem>>>,
@@ -236,12 +252,14 @@ fn clean(error: &libloading::Error, copy: &Path, file: &Path) -> String {
 impl Loader {
     /// Looks into the given folders, earlier ones first; reads notes, loads nothing.
     pub fn search(folders: &[PathBuf]) -> Self {
-        let mut this = Self::default();
+        let mut this = Self { folders: folders.to_vec(), ..Self::default() };
         for folder in folders {
             let Ok(entries) = std::fs::read_dir(folder) else { continue };
             let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
             files.sort();
             for file in files.into_iter().filter(|f| f.extension() == Some(OsStr::new("so"))) {
+                // Read first: a file that changes now will differ from it.
+                this.stamps.insert(file.clone(), Stamp::of(&file));
                 match inspect(&file) {
                     Ok(found) => {
                         this.found.entry(found.note.name.clone()).or_insert(found);
@@ -255,6 +273,36 @@ impl Loader {
         let found = &this.found;
         this.problems.retain(|p| !found.contains_key(&p.plugin));
         this
+    }
+
+    /// Looks into the same folders again. Plugins whose files are as they were go on as loaded; the others load anew when they are needed,
+    /// beside their predecessors.
+    pub fn rescan(&self) -> Self {
+        self.rescan_in(&self.folders)
+    }
+
+    /// Looks into other folders, otherwise like [`Self::rescan`].
+    pub fn rescan_in(&self, folders: &[PathBuf]) -> Self {
+        let new = Self::search(folders);
+        let loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
+        let unchanged = |plugin: &str| {
+            let file = &new.found.get(plugin)?.file;
+            (self.found.get(plugin)?.file == *file && self.stamps.get(file) == new.stamps.get(file)).then_some(())
+        };
+        let kept = loaded.iter().filter(|(plugin, result)| result.is_ok() && unchanged(plugin).is_some());
+        let kept: BTreeMap<_, _> = kept.map(|(plugin, result)| (plugin.clone(), result.clone())).collect();
+        *new.loaded.lock().unwrap_or_else(PoisonError::into_inner) = kept;
+        new
+    }
+
+    /// The plugin files seen, as they were.
+    pub fn stamps(&self) -> &BTreeMap<PathBuf, Stamp> {
+        &self.stamps
+    }
+
+    /// Folders that were searched.
+    pub fn folders(&self) -> &[PathBuf] {
+        &self.folders
     }
 
     /// Plugins by name.

@@ -43,6 +43,25 @@ impl Taps {
         Some(Preview { place })
     }
 
+    /// Which outputs are looked at, one bit each.
+    pub fn bits(&self) -> u64 {
+        let ports = lock(&self.ports);
+        let looked_at = ports.iter().enumerate().filter(|(_, readers)| !readers.is_empty());
+        looked_at.fold(0, |bits, (port, _)| bits | 1u64.checked_shl(port as u32).unwrap_or(0))
+    }
+
+    /// Takes over the readers of a node's predecessor.
+    pub fn adopt(&self, old: &Taps) {
+        let (mut to, mut from) = (lock(&self.ports), lock(&old.ports));
+        let mut moved = 0;
+        for (to, from) in to.iter_mut().zip(from.iter_mut()) {
+            moved += from.len();
+            to.append(from);
+        }
+        old.active.fetch_sub(moved, Ordering::Relaxed);
+        self.active.fetch_add(moved, Ordering::Relaxed);
+    }
+
     /// Shows the outputs of a tick to the readers.
     pub fn show(&self, outputs: &[Frame]) {
         if self.active.load(Ordering::Relaxed) == 0 {

@@ -5,7 +5,7 @@
 //! that the graph can be changed when the ticks inside are through.
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use crate::memory::FrameRef;
@@ -35,7 +35,6 @@ pub(crate) struct Region {
     remaining: Box<[AtomicU32]>,
     state: Mutex<State>,
     full: AtomicBool,
-    admitted: AtomicU64,
 }
 
 /// What a finished tick makes possible.
@@ -65,7 +64,6 @@ impl Region {
             remaining: (0..RING).map(|_| AtomicU32::new(leaves)).collect(),
             state: Mutex::new(state),
             full: AtomicBool::new(false),
-            admitted: AtomicU64::new(0),
         }
     }
 
@@ -79,7 +77,6 @@ impl Region {
 
     fn admit(&self, state: &mut State) {
         state.in_flight += 1;
-        self.admitted.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Lets one tick in if there is room.
@@ -150,11 +147,6 @@ impl Region {
     /// Ticks inside now.
     pub fn in_flight(&self) -> u32 {
         self.state().in_flight
-    }
-
-    /// Ticks let in so far.
-    pub fn admitted(&self) -> u64 {
-        self.admitted.load(Ordering::Relaxed)
     }
 
     fn next_pending(&self, state: &mut State) -> Option<Vec<FrameRef>> {

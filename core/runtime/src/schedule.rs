@@ -5,13 +5,13 @@
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, Mutex, Weak};
+use std::sync::{Condvar, Mutex, Weak};
 use std::thread::JoinHandle;
 
 use arc_swap::ArcSwap;
 use panoscope_abi::{Frame, Tick};
 
-use crate::cell::{Cell, Ran, Surroundings, lock};
+use crate::cell::{Cell, Ran, Resized, Surroundings, lock};
 use crate::clock;
 use crate::convert;
 use crate::exec::{Exec, clear};
@@ -200,17 +200,35 @@ impl Shared {
                 plan.cells[node].stats.age.record(now_ns.saturating_sub(ingest));
             }
         } else if ran != Ran::Skipped {
-            self.after_failure(&plan.cells[node], ran);
+            self.after_failure(plan, node, ran, tick);
         }
     }
 
     #[cold]
-    fn after_failure(&self, cell: &Arc<Cell>, ran: Ran) {
+    fn after_failure(&self, plan: &Plan, node: usize, ran: Ran, tick: &Tick) {
+        let cell = &plan.cells[node];
+        self.blame(plan, node, tick);
         if ran == Ran::Stop {
             self.fail(format!("node `{}` failed and the graph says on_fault = \"stop\"", cell.id));
         }
         if cell.wants_mending.swap(false, Ordering::Acquire) {
             self.start_mending(cell);
+        }
+    }
+
+    /// A node failed: who gave it a picture of another size than before shares the blame.
+    fn blame(&self, plan: &Plan, node: usize, tick: &Tick) {
+        for (from, producer) in plan.live() {
+            let readers = &plan.wiring[from].readers;
+            let fed = |r: &&Resized| readers.get(r.output).is_some_and(|r| r.iter().any(|r| r.node == node));
+            let at_tick = |r: &&Resized| (r.tick.source, r.tick.seq) == (tick.source, tick.seq);
+            let found = lock(&producer.resized).iter().filter(fed).find(at_tick).copied();
+            let Some(resized) = found else { continue };
+            let name = producer.rules.get(resized.output).map_or("?", |r| &r.name);
+            let ((w0, h0), (w1, h1), reader) = (resized.from, resized.to, &plan.cells[node].id);
+            let words = format!("output `{name}` is {w1}x{h1} after {w0}x{h0}, node `{reader}` failed on it");
+            self.around.log.say(Level::Error, &producer.id, &words);
+            producer.tell(&self.around, Cause::Size, Action::Note, Some(tick.seq), None, words);
         }
     }
 

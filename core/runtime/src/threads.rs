@@ -48,6 +48,7 @@ impl Shared {
     pub fn start_thread(self: &Arc<Self>, node: usize, cell: &Arc<Cell>) -> std::io::Result<()> {
         let number = pool::next_thread_number();
         let (shared, cell) = (Arc::clone(self), Arc::clone(cell));
+        cell.has_thread.store(true, Ordering::Release);
         let mut threads = lock(&self.own_threads);
         let builder = std::thread::Builder::new().name(cell.id.chars().take(15).collect());
         let handle = builder.spawn(move || {
@@ -55,14 +56,15 @@ impl Shared {
             pool::set_thread_number(number);
             shared.pool.enter();
             place_thread(cell.cpu, cell.kind == NodeKind::Realtime);
-            if cell.source {
-                shared.source_thread(node, &cell);
-            } else {
-                shared.blocking_thread(node, &cell);
+            let given_up =
+                if cell.source { shared.source_thread(node, &cell) } else { shared.blocking_thread(node, &cell) };
+            if given_up {
+                return;
             }
             if cell.retired.load(Ordering::Acquire) {
                 cell.close_instance();
             }
+            cell.has_thread.store(false, Ordering::Release);
         })?;
         threads.insert(number, handle);
         Ok(())
@@ -80,7 +82,8 @@ impl Shared {
         cell.wake.store(false, Ordering::Release);
     }
 
-    fn blocking_thread(&self, node: usize, cell: &Cell) {
+    /// Answers whether the watchdog gave this thread up.
+    fn blocking_thread(&self, node: usize, cell: &Cell) -> bool {
         loop {
             while !cell.wake.swap(false, Ordering::Acquire) {
                 std::thread::park();
@@ -89,18 +92,23 @@ impl Shared {
                 let join = lock(&cell.join);
                 (join.running, join.finished)
             };
-            if finished || cell.retired.load(Ordering::Acquire) || (running && !self.run(node)) {
-                return;
+            if finished || cell.leave.grant() {
+                return false;
+            }
+            if running && !self.run(node) {
+                return true;
             }
         }
     }
 
-    fn source_thread(&self, node: usize, cell: &Arc<Cell>) {
-        let mut pace = Pace::default();
-        let retired = || cell.retired.load(Ordering::Acquire);
+    /// Answers whether the watchdog gave this thread up.
+    fn source_thread(&self, node: usize, cell: &Arc<Cell>) -> bool {
+        let last_ns = cell.last_capture_ns.load(Ordering::Relaxed);
+        let mut pace = Pace { last_capture_ns: (last_ns != i64::MIN).then_some(last_ns), ..Pace::default() };
+        let leaves = || cell.leave.grant();
         while !self.is_stopping() {
-            if retired() {
-                return;
+            if leaves() {
+                return false;
             }
             let seq = cell.made.load(Ordering::Relaxed);
             if self.frames.is_some_and(|most| seq >= most) {
@@ -109,14 +117,14 @@ impl Shared {
             match self.source_tick(node, cell, seq, &mut pace) {
                 Step::Next => {}
                 Step::End => break,
-                Step::Leave => return,
+                Step::GivenUp => return true,
             }
         }
         let region = Arc::clone(&self.plan.load().regions[self.plan.load().wiring[node].region]);
         while region.has_pending() {
             self.park(cell, Some(Duration::from_millis(1)));
-            if retired() {
-                return;
+            if leaves() {
+                return false;
             }
         }
         let mut ready = Ready::default();
@@ -124,6 +132,7 @@ impl Shared {
             self.finish(node, &mut ready);
         }
         ready.settle(self, &self.plan.load(), false);
+        false
     }
 
     fn source_tick(&self, node: usize, cell: &Arc<Cell>, seq: u64, pace: &mut Pace) -> Step {
@@ -146,13 +155,13 @@ impl Shared {
             return Step::Next;
         }
         pace.again = true;
-        let Some(mut exec) = cell.exec.take() else { return Step::Leave };
+        let Some(mut exec) = cell.exec.take() else { return Step::End };
         std::mem::swap(&mut exec.inputs, &mut lock(&cell.join).staged);
         let start_ns = clock::now_ns();
         let (ran, mut now_ns) = cell.run(&mut exec, &self.around, &mut tick, true, start_ns);
         if ran == Ran::Abandoned {
             Self::left_behind(cell, exec);
-            return Step::Leave;
+            return Step::GivenUp;
         }
         let bypassed = exec.bypassed;
         if ran != Ran::Ok {
@@ -186,6 +195,7 @@ impl Shared {
         if let Some(last) = pace.last_capture_ns.replace(tick.capture_ns).filter(|&last| tick.capture_ns > last) {
             self.frame_ns.store((tick.capture_ns - last) as u64, Ordering::Relaxed);
         }
+        cell.last_capture_ns.store(tick.capture_ns, Ordering::Relaxed);
         cell.taps.show(&exec.outputs);
         let region = {
             let plan = self.plan.load();
@@ -256,7 +266,7 @@ impl Shared {
             return now_ns;
         }
         let mut now = now_ns;
-        while now < due && !self.is_stopping() && !cell.retired.load(Ordering::Relaxed) {
+        while now < due && !self.is_stopping() && !cell.leave.is_wished() {
             self.park(cell, Some(Duration::from_nanos(due - now)));
             now = clock::now_ns();
         }
@@ -267,8 +277,8 @@ impl Shared {
 enum Step {
     Next,
     End,
-    /// Without a word: somebody else goes on, or the node is gone.
-    Leave,
+    /// Somebody else goes on in place of this thread.
+    GivenUp,
 }
 
 /// Pins the calling thread and asks for real-time priority; both are wishes that a system may refuse.

@@ -8,7 +8,7 @@ use panoscope_graph::OnFault;
 
 use crate::cell::{Cell, backoff_ms, lock};
 use crate::clock;
-use crate::exec::{ABANDONED, Busy, Exec};
+use crate::exec::{ABANDONED, Exec};
 use crate::fault::{Action, Cause};
 use crate::log::Level;
 use crate::plan::Plan;
@@ -88,7 +88,7 @@ impl Shared {
                 self.give_up_opening(cell);
             }
             let (budget_ns, grace_ns) = self.patience(cell);
-            let since_ns = lock(&cell.busy).since_ns.load(Ordering::Acquire);
+            let since_ns = cell.busy.since_ns.load(Ordering::Acquire);
             let running = since_ns != 0 && since_ns != ABANDONED;
             if running && now_ns.saturating_sub(since_ns) > budget_ns + grace_ns {
                 self.abandon(&plan, node, cell, since_ns, budget_ns);
@@ -99,7 +99,7 @@ impl Shared {
     /// Takes everything over from a call that does not return: its tick goes on with empty outputs, node and thread are replaced.
     #[cold]
     fn abandon(&self, plan: &Plan, node: usize, cell: &Arc<Cell>, since_ns: u64, budget_ns: u64) {
-        let busy = Arc::clone(&lock(&cell.busy));
+        let busy = &cell.busy;
         let (tick, thread) = (busy.tick(), busy.thread.load(Ordering::Relaxed));
         if !busy.abandon(since_ns) {
             return;
@@ -108,9 +108,8 @@ impl Shared {
         let stuck = cell.stuck.fetch_add(1, Ordering::Relaxed) + 1;
         let failures = cell.failures.fetch_add(1, Ordering::Relaxed) + 1;
         bump(&cell.stats.faults);
-        let fresh = Arc::new(Busy::default());
         let ranges = lock(&cell.ranges).clone();
-        let mut exec = Exec::new(cell.node_type, ranges.len(), ranges, cell.snapshot(), Arc::clone(&fresh));
+        let mut exec = Exec::new(cell.node_type, ranges.len(), ranges, cell.snapshot());
         exec.failed_at_ns = now_ns;
         exec.failures_in_a_row = failures;
         let done = match cell.on_fault() {
@@ -119,7 +118,7 @@ impl Shared {
             _ => Action::Bypass,
         };
         exec.bypassed = done == Action::Bypass;
-        *lock(&cell.busy) = fresh;
+        busy.clear();
         cell.exec.put(exec);
 
         let late_ms = now_ns.saturating_sub(since_ns + budget_ns) as f64 / 1e6;

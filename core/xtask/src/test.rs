@@ -19,12 +19,16 @@ struct Suite {
     name: &'static str,
     lints: bool,
     tests: bool,
+    /// Arguments of `cargo test` that pick its tests.
+    only: &'static [&'static str],
 }
 
 static SUITES: &[Suite] = &[
-    Suite { name: "all", lints: true, tests: true },
-    Suite { name: "lint", lints: true, tests: false },
-    Suite { name: "code", lints: false, tests: true },
+    Suite { name: "all", lints: true, tests: true, only: &[] },
+    Suite { name: "lint", lints: true, tests: false, only: &[] },
+    Suite { name: "code", lints: false, tests: true, only: &[] },
+    // PANOSCOPE_FAULT_CASES and PANOSCOPE_FAULT_SEED choose how many cases and which.
+    Suite { name: "faults", lints: false, tests: true, only: &["-p", "panoscope-runtime", "--test", "campaign"] },
 ];
 
 /// What the command line asks for.
@@ -94,7 +98,8 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
         let mut cargo = workspace.cargo();
         test_environment(&mut cargo, workspace, &built);
         cargo.args(["test", "--no-fail-fast"]);
-        if !request.names_packages() {
+        cargo.args(request.suite.only);
+        if !request.names_packages() && request.suite.only.is_empty() {
             cargo.arg("--workspace");
         }
         // Without it libtest swallows what passing tests say, the reasons of skips among it.
@@ -138,7 +143,7 @@ mod tests {
     fn an_unknown_suite_lists_the_known_ones() {
         let args = words("fualts");
         let error = Request::parse(&args).err().unwrap().to_string();
-        assert_eq!(error, "there is no test suite `fualts`; there are: all, lint, code");
+        assert_eq!(error, "there is no test suite `fualts`; there are: all, lint, code, faults");
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));
     }

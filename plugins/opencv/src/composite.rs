@@ -1,15 +1,15 @@
 //! `composite_opencv`: OpenCV's stitching classes in the order of its `stitching_detailed` sample.
 
-use opencv::core::{
-    CV_8U, CV_8UC1, CV_16S, CV_32F, Mat, Point, Rect, Scalar, Size, UMat, Vector, bitwise_and_def,
-};
+use opencv::core::{CV_8U, CV_8UC1, CV_16S, CV_32F, Mat, Point, Rect, Scalar, Size, UMat, Vector, bitwise_and_def};
 use opencv::imgproc::{self, INTER_LINEAR, INTER_LINEAR_EXACT, INTER_NEAREST};
 use opencv::prelude::*;
 use opencv::stitching::{Detail_GainCompensator, Detail_GraphCutSeamFinder, Detail_MultiBandBlender};
 use panoscope_imaging::geometry::Homography as Map;
 use panoscope_imaging::stitch::{self, Canvas, CompositeParams, Compositor, GeometryState};
 use panoscope_node::abi::{self, Homography, Roi};
-use panoscope_node::{Bgr8, Context, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, View};
+use panoscope_node::{
+    Bgr8, Context, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, View,
+};
 
 use crate::mats::{self, Threads, failed, mat, umat};
 
@@ -155,7 +155,8 @@ fn compose(
         }
     }
     let pixels = (views[0].width * views[0].height) as f64;
-    let scale = if params.seam_megapixels > 0.0 { (params.seam_megapixels * 1e6 / pixels).sqrt().min(1.0) } else { 1.0 };
+    let scale =
+        if params.seam_megapixels > 0.0 { (params.seam_megapixels * 1e6 / pixels).sqrt().min(1.0) } else { 1.0 };
     let cut = seam(&placed, scale)?;
 
     let width_px = ((canvas.width * canvas.height) as f64).sqrt() * params.blend_strength / 100.0;
@@ -182,7 +183,8 @@ fn compose(
             if inside != place {
                 continue;
             }
-            let value = Mat::new_rows_cols_with_default(mask.rows(), mask.cols(), CV_8UC1, Scalar::all(index as f64 + 1.0))?;
+            let value =
+                Mat::new_rows_cols_with_default(mask.rows(), mask.cols(), CV_8UC1, Scalar::all(index as f64 + 1.0))?;
             let mut part = Mat::roi_mut(&mut joined.shown, place)?;
             value.copy_to_masked(&mut part, mask)?;
         }

@@ -1,9 +1,7 @@
 //! OpenCV's detectors with the number of points bounded, and its brute-force matcher.
 
 use opencv::core::{DMatch, KeyPoint, Mat, NORM_HAMMING, NORM_L2, Vector, no_array};
-use opencv::features2d::{
-    AKAZE, AKAZE_DescriptorType, BFMatcher, KAZE_DiffusivityType, ORB, ORB_ScoreType, SIFT,
-};
+use opencv::features2d::{AKAZE, AKAZE_DescriptorType, BFMatcher, KAZE_DiffusivityType, ORB, ORB_ScoreType, SIFT};
 use opencv::prelude::*;
 use panoscope_node::{Choice, View};
 

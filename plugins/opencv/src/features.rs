@@ -53,9 +53,7 @@ pub struct Out<'f> {
 pub struct FeaturesOpencv;
 
 fn rows(found: &Found) -> Vec<f64> {
-    let row = |p: &opencv::core::KeyPoint| {
-        [p.pt().x, p.pt().y, p.size(), p.angle(), p.response()].map(f64::from)
-    };
+    let row = |p: &opencv::core::KeyPoint| [p.pt().x, p.pt().y, p.size(), p.angle(), p.response()].map(f64::from);
     found.points.iter().flat_map(row).collect()
 }
 

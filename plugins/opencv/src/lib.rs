@@ -14,4 +14,11 @@ pub use features::FeaturesOpencv;
 pub use register::RegisterOpencv;
 pub use stereo::{DisparityFbsOpencv, DisparityWlsOpencv, StereoOpencv};
 
-panoscope_node::export_plugin![FeaturesOpencv, RegisterOpencv, CompositeOpencv, StereoOpencv, DisparityWlsOpencv, DisparityFbsOpencv];
+panoscope_node::export_plugin![
+    FeaturesOpencv,
+    RegisterOpencv,
+    CompositeOpencv,
+    StereoOpencv,
+    DisparityWlsOpencv,
+    DisparityFbsOpencv
+];

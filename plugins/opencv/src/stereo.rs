@@ -6,8 +6,8 @@ use opencv::core::{CV_16SC1, CV_32FC1, Mat, Ptr, Rect};
 use opencv::prelude::*;
 use opencv::ximgproc;
 use panoscope_node::{
-    Bgr8, Choice, Confidence, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, View,
-    ViewMut, error,
+    Bgr8, Choice, Confidence, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot,
+    View, ViewMut, error,
 };
 
 use crate::mats::{Threads, failed, mat};
@@ -46,7 +46,16 @@ impl Search {
                 // Penalties and mode of OpenCV's own sample `disparity_filtering`.
                 let (p1, p2, cap) = (24 * side * side, 96 * side * side, 63);
                 StereoSGBM::create(
-                    self.min_disparity_px, self.search_px, side, p1, p2, 0, cap, 0, 0, 0,
+                    self.min_disparity_px,
+                    self.search_px,
+                    side,
+                    p1,
+                    p2,
+                    0,
+                    cap,
+                    0,
+                    0,
+                    0,
                     opencv::calib3d::StereoSGBM_MODE_SGBM_3WAY,
                 )?
                 .into()
@@ -129,7 +138,8 @@ pub struct StereoOpencv {
 unsafe impl Send for StereoOpencv {}
 
 impl Node for StereoOpencv {
-    const INFO: NodeInfo = NodeInfo::compute("stereo_opencv", "stereo", "OpenCV's block or semi-global matching, left and right.");
+    const INFO: NodeInfo =
+        NodeInfo::compute("stereo_opencv", "stereo", "OpenCV's block or semi-global matching, left and right.");
     type In<'f> = StereoIn<'f>;
     type Out<'f> = StereoOut<'f>;
     type Params = StereoParams;
@@ -138,7 +148,13 @@ impl Node for StereoOpencv {
         Ok(Self { kept: None })
     }
 
-    fn process<'f>(&mut self, _: &Context<'f>, input: StereoIn<'f>, mut out: StereoOut<'f>, params: &StereoParams) -> Result<()> {
+    fn process<'f>(
+        &mut self,
+        _: &Context<'f>,
+        input: StereoIn<'f>,
+        mut out: StereoOut<'f>,
+        params: &StereoParams,
+    ) -> Result<()> {
         let (left, right) = (input.left.view(), input.right.view());
         let (width, height) = (left.width, left.height);
         if (right.width, right.height) != (width, height) {
@@ -235,14 +251,19 @@ unsafe impl Send for DisparityWlsOpencv {}
 
 fn one_size(sizes: &[(usize, usize)]) -> Result<()> {
     match sizes.iter().find(|size| **size != sizes[0]) {
-        Some(other) => Err(error!("inputs of {}x{} and {}x{}: one size is needed", sizes[0].0, sizes[0].1, other.0, other.1)),
+        Some(other) => {
+            Err(error!("inputs of {}x{} and {}x{}: one size is needed", sizes[0].0, sizes[0].1, other.0, other.1))
+        }
         None => Ok(()),
     }
 }
 
 impl Node for DisparityWlsOpencv {
-    const INFO: NodeInfo =
-        NodeInfo::compute("disparity_wls_opencv", "stereo", "OpenCV's weighted-least-squares filter with its left-right confidence.");
+    const INFO: NodeInfo = NodeInfo::compute(
+        "disparity_wls_opencv",
+        "stereo",
+        "OpenCV's weighted-least-squares filter with its left-right confidence.",
+    );
     type In<'f> = WlsIn<'f>;
     type Out<'f> = FilterOut<'f>;
     type Params = WlsParams;
@@ -258,7 +279,13 @@ impl Node for DisparityWlsOpencv {
         Ok(Self { filter, search })
     }
 
-    fn process<'f>(&mut self, _: &Context<'f>, input: WlsIn<'f>, mut out: FilterOut<'f>, params: &WlsParams) -> Result<()> {
+    fn process<'f>(
+        &mut self,
+        _: &Context<'f>,
+        input: WlsIn<'f>,
+        mut out: FilterOut<'f>,
+        params: &WlsParams,
+    ) -> Result<()> {
         let (guide, left, right) = (input.image.view(), input.disparity.view(), input.disparity_right.view());
         let (width, height) = (left.width, left.height);
         one_size(&[(width, height), (guide.width, guide.height), (right.width, right.height)])?;
@@ -339,7 +366,13 @@ impl Node for DisparityFbsOpencv {
         Ok(Self)
     }
 
-    fn process<'f>(&mut self, _: &Context<'f>, input: FbsIn<'f>, mut out: FbsOut<'f>, params: &FbsParams) -> Result<()> {
+    fn process<'f>(
+        &mut self,
+        _: &Context<'f>,
+        input: FbsIn<'f>,
+        mut out: FbsOut<'f>,
+        params: &FbsParams,
+    ) -> Result<()> {
         let (guide, map, trust) = (input.image.view(), input.disparity.view(), input.confidence.view());
         let (width, height) = (map.width, map.height);
         one_size(&[(width, height), (guide.width, guide.height), (trust.width, trust.height)])?;

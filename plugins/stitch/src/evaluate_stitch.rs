@@ -4,13 +4,27 @@ use panoscope_imaging::geometry::Homography as Map;
 use panoscope_imaging::stitch::evaluate::{Gray, Likeness, alignment, likeness, overlap, seam_band};
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
-    Bgr8, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, View,
+    Bgr8, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value,
+    View,
 };
 
 /// Columns of the table.
 const COLUMNS: [&str; 15] = [
-    "tick", "state", "inliers", "align_px", "floor_px", "points", "move_px", "psnr_overlap_db", "ssim_overlap", "psnr_seam_db",
-    "ssim_seam", "fov_pct", "cropped_pct", "canvas_width_px", "canvas_height_px",
+    "tick",
+    "state",
+    "inliers",
+    "align_px",
+    "floor_px",
+    "points",
+    "move_px",
+    "psnr_overlap_db",
+    "ssim_overlap",
+    "psnr_seam_db",
+    "ssim_seam",
+    "fov_pct",
+    "cropped_pct",
+    "canvas_width_px",
+    "canvas_height_px",
 ];
 /// State of a tick without a homography.
 const STATE_NONE: f64 = 3.0;
@@ -125,7 +139,8 @@ impl EvaluateStitch {
         };
         let (panorama, wide) = (panorama.view(), wide.view());
         let size = (panorama.width, panorama.height);
-        let auto = |given: i32, wide: usize, left: usize| if given >= 0 { given } else { (wide as i32 - left as i32) / 8 };
+        let auto =
+            |given: i32, wide: usize, left: usize| if given >= 0 { given } else { (wide as i32 - left as i32) / 8 };
         let left = (input.left.width(), input.left.height());
         let offset = (auto(params.wide_x, wide.width, left.0), auto(params.wide_y, wide.height, left.1));
         let (truth, known) = truth_on_canvas(wide, offset, canvas, size);

@@ -41,6 +41,9 @@ pub struct RegisterGridParams {
     /// Keep the homography before while its median error on the new inliers is below this; 0 refits every frame.
     #[param(default = 0.8, range = 0.0..=10.0, step = 0.1, unit = "px")]
     stability_px: f64,
+    /// Weight of the frame before beside that of all inliers: holds still what the overlap leaves open; 0 fits the inliers alone.
+    #[param(default = 1.0, range = 0.0..=4.0, step = 0.05, unit = "ratio")]
+    calm: f64,
     /// Failed frames in a row for which the homography before still counts as held.
     #[param(default = 5, range = 0..=1000, unit = "frames")]
     hold_frames: u32,
@@ -61,6 +64,7 @@ impl RegisterGridParams {
             ransac: RansacParams { threshold_px: self.ransac_px, ..default.ransac },
             min_inliers: self.min_inliers as usize,
             stability_px: self.stability_px,
+            calm: self.calm,
             hold_frames: self.hold_frames as usize,
             ..default
         }

@@ -8,7 +8,8 @@ use anyhow::{Context, Result, bail};
 use panoscope_graph::Graph;
 use panoscope_runtime::fault::json_lines;
 use panoscope_runtime::log::Level;
-use panoscope_runtime::{Engine, Options, Outcome, Report};
+use panoscope_runtime::live::FileWatch;
+use panoscope_runtime::{Engine, Live, Options, Outcome, Report};
 
 use crate::progress::Progress;
 use crate::terminal::{raw, stderr_color, tell};
@@ -43,6 +44,9 @@ pub struct Arguments {
     /// Sources of a live graph do not wait for the capture time of a frame: as fast as the graph takes them.
     #[arg(long)]
     unpaced: bool,
+    /// Applies what changes on disk while the graph runs: the graph file, or a rebuilt plugin. What is wrong is shown, and the old graph runs on.
+    #[arg(long)]
+    watch: bool,
     /// Writes counters and times as JSON at the end.
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
@@ -101,10 +105,21 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         }
     };
     allocations::leave_this_thread_out();
-    watch(&engine, &mut progress);
+    let text = fs::read_to_string(&arguments.graph).unwrap_or_default();
+    let mut changes = arguments.watch.then(|| {
+        let files = FileWatch::new(&arguments.graph, &ready.loader);
+        (files, Live::new(&engine, &arguments.graph, text, settings, ready.loader))
+    });
+    watch(&engine, &mut progress, || {
+        if let Some((files, live)) = &mut changes {
+            apply_changes(files, live);
+        }
+    });
+    drop(changes);
     let outcome = engine.close(PATIENCE);
     let report = engine.report();
     progress.finish();
+    let graph = engine.graph();
     raw(&summary::text(&graph, &report));
     if let Some(path) = &arguments.report {
         write_report(path, &report)?;
@@ -113,10 +128,13 @@ pub fn run(arguments: &Arguments) -> Result<End> {
 }
 
 /// Shows progress until the end of the run, or until the user's patience with a stopped one is over.
-fn watch(engine: &Engine, progress: &mut Progress) {
+fn watch(engine: &Engine, progress: &mut Progress, mut look: impl FnMut()) {
     let mut stopped: Option<Instant> = None;
     while !engine.wait(Some(Duration::from_millis(100))) {
         progress.update(&engine.report());
+        if stopped.is_none() {
+            look();
+        }
         match stopped {
             Some(since) if since.elapsed() > PATIENCE => return,
             None if interrupt::asked() => {
@@ -124,6 +142,28 @@ fn watch(engine: &Engine, progress: &mut Progress) {
                 stopped = Some(Instant::now());
             }
             _ => {}
+        }
+    }
+}
+
+/// Makes the running graph what the files say now, or says why not.
+fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>) {
+    let changed = files.look();
+    let mut results = Vec::new();
+    if changed.plugins {
+        results.push(live.reload_plugins());
+    }
+    if changed.graph {
+        match files.text() {
+            Ok(text) => results.push(live.apply_text(&text)),
+            Err(error) => tell!("error: {error}; the old graph runs on"),
+        }
+    }
+    for result in results {
+        match result {
+            Ok(applied) if applied.is_nothing() => {}
+            Ok(applied) => tell!("changed: {applied}"),
+            Err(error) => tell!("error: {error}"),
         }
     }
 }

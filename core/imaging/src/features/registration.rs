@@ -3,12 +3,14 @@
 use super::matching::{Gate, Match, MatchParams, Matcher};
 use super::surf::{Features, Surf, SurfParams};
 use crate::geometry::ransac::{Ransac, RansacParams};
-use crate::geometry::stability::median_error;
+use crate::geometry::stability::{explains_as_well, median_error};
 use crate::geometry::{Calm, Homography, Plausibility, Point, Rect, overlap_rois, shift_of};
 use crate::{Parallel, View};
 
 /// Overlaps narrower than this cannot hold the larger filters; the next search covers whole frames.
 const LEAST_ROI_PX: usize = 48;
+/// The homography before also stays while it explains the matches worse by no more than this share.
+const STILL_TOLERANCE: f64 = 0.1;
 
 /// How to register.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -266,7 +268,9 @@ impl RegisterSurf {
         if let Some(previous) = trusted.filter(|_| params.stability_px > 0.0) {
             let mask = &self.mask;
             let median = median_error(&previous, &self.from, &self.to, |index| mask[index], &mut self.errors);
-            if median.is_some_and(|median| median < params.stability_px) {
+            let near = median.is_some_and(|median| median < params.stability_px);
+            let (limit, fresh) = (params.ransac.threshold_px, &estimate.left_from_right);
+            if near || explains_as_well(&previous, fresh, &self.from, &self.to, limit, STILL_TOLERANCE) {
                 estimate.left_from_right = previous;
                 estimate.kept = true;
                 let squares: f64 = (0..self.from.len())

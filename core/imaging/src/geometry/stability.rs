@@ -32,6 +32,26 @@ pub fn median_error(
     Some(median.sqrt())
 }
 
+/// Whether `previous` explains the pairs about as well as `fresh` does.
+///
+/// On curved tissue many planes fit equally well, and noise alone makes RANSAC choose another one in every frame. Both maps are
+/// charged the squared error of each pair, at most that of an outlier (MSAC; Torr and Zisserman 2000); `previous` may cost
+/// more by the share `tolerance`.
+pub fn explains_as_well(
+    previous: &Homography,
+    fresh: &Homography,
+    from: &[Point],
+    to: &[Point],
+    threshold_px: f64,
+    tolerance: f64,
+) -> bool {
+    let most = threshold_px * threshold_px;
+    // `min` also turns the NaN of a point on the horizon into the cost of an outlier.
+    let cost =
+        |map: &Homography| from.iter().zip(to).map(|(&from, &to)| map.squared_error(from, to).min(most)).sum::<f64>();
+    cost(previous) <= cost(fresh) * (1.0 + tolerance)
+}
+
 /// Keeps `previous` while its median error on the new inliers is below `threshold_px`; otherwise refits on them.
 ///
 /// `fresh` is the map RANSAC found; it is used when the refit fails. `inlier` picks the pairs.

@@ -188,7 +188,10 @@ mod tests {
         let darker = Gray { data: truth.data.iter().map(|v| v * 0.8).collect(), ..truth.clone() };
         let same = likeness(&darker, &truth, &all).unwrap();
         assert!(same.psnr_db > 60.0 && same.ssim > 0.999, "{same:?}");
-        let noisy = Gray { data: truth.data.iter().enumerate().map(|(i, v)| v + (i % 3) as f32 * 20.0).collect(), ..truth.clone() };
+        let noisy = Gray {
+            data: truth.data.iter().enumerate().map(|(i, v)| v + (i % 3) as f32 * 20.0).collect(),
+            ..truth.clone()
+        };
         let worse = likeness(&noisy, &truth, &all).unwrap();
         assert!(worse.psnr_db < 35.0 && worse.ssim < same.ssim, "{worse:?}");
         assert_eq!(likeness(&noisy, &truth, &vec![false; 64 * 48]), None);
@@ -196,7 +199,17 @@ mod tests {
 
     #[test]
     fn the_seam_band_follows_the_change_of_views() {
-        let shown: Vec<u8> = (0..20 * 10).map(|i| if i % 20 < 2 { 0 } else if i % 20 < 12 { 1 } else { 2 }).collect();
+        let shown: Vec<u8> = (0..20 * 10)
+            .map(|i| {
+                if i % 20 < 2 {
+                    0
+                } else if i % 20 < 12 {
+                    1
+                } else {
+                    2
+                }
+            })
+            .collect();
         let band = seam_band(View::new(&shown, 20, 10, 1), 2);
         let row: Vec<usize> = (0..20).filter(|&x| band[3 * 20 + x]).collect();
         assert_eq!(row, [9, 10, 11, 12, 13], "not at the border of the picture");

@@ -5,8 +5,11 @@
 //! finds the homography between them. Algorithm 2 of that chapter keeps it still.
 
 use crate::View;
-use crate::geometry::ransac::{Ransac, RansacParams};
-use crate::geometry::{Homography, Plausibility, Point, Rect, overlap_roi, overlap_rois, stabilize};
+use crate::geometry::calm::{Calm, shift_of};
+use crate::geometry::ransac::{Ransac, RansacFit, RansacParams};
+use crate::geometry::{
+    Homography, Plausibility, Point, Rect, explains_as_well, median_error, overlap_roi, overlap_rois,
+};
 
 /// One camera and its rectification, as far as a pixel's way from the rectified view back to the picture needs them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -82,6 +85,10 @@ pub struct GridParams {
     pub plausibility: Plausibility,
     /// The homography stays while its median error on the new inliers is below this, in pixels; 0: refit every frame.
     pub stability_px: f64,
+    /// It also stays while it explains the pairs worse by no more than this share.
+    pub still_tolerance: f64,
+    /// Weight of the frame before beside that of all inliers: holds still what the overlap leaves open; 0 fits the inliers alone.
+    pub calm: f64,
     /// Failed frames in a row for which the homography before still counts as held.
     pub hold_frames: usize,
 }
@@ -98,6 +105,8 @@ impl Default for GridParams {
             min_inliers: 12,
             plausibility: Plausibility::default(),
             stability_px: 0.8,
+            still_tolerance: 0.1,
+            calm: 1.0,
             hold_frames: 5,
         }
     }
@@ -146,6 +155,7 @@ pub struct RegisterGrid {
     mask: Vec<bool>,
     cell: Vec<f32>,
     errors: Vec<f64>,
+    calm: Calm,
     memory: Option<Homography>,
     failures: usize,
 }
@@ -184,7 +194,7 @@ impl RegisterGrid {
         self.gather(disparity, left, right);
         let whole = |view: &RectifiedView| Rect::new(0, 0, view.size.0, view.size.1);
         let mut result = GridRegistration {
-            left_from_right: self.memory.unwrap_or(Homography::identity()),
+            left_from_right: self.memory.unwrap_or_default(),
             points: self.from.len(),
             roi_left: whole(left),
             roi_right: whole(right),
@@ -201,34 +211,49 @@ impl RegisterGrid {
             }
             return result;
         };
-        let previous = self.memory.filter(|_| self.failures == 0 && params.stability_px > 0.0);
+        let previous = self.memory.filter(|_| self.failures == 0);
+        let (map, kept) = self.choose(&fit, previous, right.size);
         let mask = &self.mask;
-        let stable = stabilize(
-            previous.as_ref(),
-            &fit.homography,
-            &self.from,
-            &self.to,
-            |index| mask[index],
-            params.stability_px,
-            &mut self.errors,
-        );
         self.failures = 0;
-        self.memory = Some(stable.homography);
+        self.memory = Some(map);
         let squares: f64 = (0..self.from.len())
             .filter(|&index| mask[index])
-            .map(|index| stable.homography.squared_error(self.from[index], self.to[index]))
+            .map(|index| map.squared_error(self.from[index], self.to[index]))
             .sum();
-        let (roi_left, roi_right) = overlap_rois(&stable.homography, left.size, right.size);
+        let (roi_left, roi_right) = overlap_rois(&map, left.size, right.size);
         GridRegistration {
-            left_from_right: stable.homography,
+            left_from_right: map,
             state: GridState::Fresh,
             inliers: fit.inliers,
             rms_px: (squares / fit.inliers.max(1) as f64).sqrt(),
             roi_left,
             roi_right,
-            kept: stable.kept,
+            kept,
             ..result
         }
+    }
+
+    /// The homography of this frame: the one before where it still holds, else the new one, calmed by it.
+    fn choose(&mut self, fit: &RansacFit, previous: Option<Homography>, right: (usize, usize)) -> (Homography, bool) {
+        let (params, mask) = (&self.params, &self.mask);
+        let fresh = if params.calm > 0.0 {
+            // A shift is a guess, the frame before is not.
+            let guess = || (shift_of(&fit.homography, &self.from, mask), 0.1 * params.calm);
+            let (anchor, weight) = previous.map_or_else(guess, |before| (before, params.calm));
+            self.calm.fit(fit, &anchor, weight, right, (&self.from, &self.to, mask))
+        } else {
+            fit.homography
+        };
+        let Some(previous) = previous else { return (fresh, false) };
+        if params.stability_px > 0.0 {
+            let median = median_error(&previous, &self.from, &self.to, |index| mask[index], &mut self.errors);
+            let near = median.is_some_and(|median| median < params.stability_px);
+            let (limit, share) = (params.ransac.threshold_px, params.still_tolerance);
+            if near || explains_as_well(&previous, &fresh, &self.from, &self.to, limit, share) {
+                return (previous, true);
+            }
+        }
+        (fresh, false)
     }
 
     /// Lays the grid and takes a pair from each cell.
@@ -335,7 +360,7 @@ mod tests {
             }
         }
         let camera = camera();
-        let mut register = RegisterGrid::new(GridParams { stability_px: 0.0, ..GridParams::default() });
+        let mut register = RegisterGrid::new(GridParams { stability_px: 0.0, calm: 0.0, ..GridParams::default() });
         let found = register.register(View::new(&map, 640, 480, 1), &camera, &camera);
         assert_eq!(found.state, GridState::Fresh);
         for [x, y] in [[300.0, 50.0], [600.0, 400.0], [450.0, 240.0]] {
@@ -343,7 +368,7 @@ mod tests {
             let error = found.left_from_right.squared_error([x - d, y], [x, y]).sqrt();
             assert!(error < 0.2, "{error} px at {x}, {y}");
         }
-        assert!(found.roi_left.x > 190 && found.roi_left.width > 400, "{:?}", found.roi_left);
+        assert!(found.roi_left.x > 180 && found.roi_left.width > 400, "{:?}", found.roi_left);
     }
 
     #[test]
@@ -385,7 +410,7 @@ mod tests {
     #[test]
     fn small_changes_leave_the_homography_as_it_is() {
         let (map, camera) = (plane(), camera());
-        let mut register = RegisterGrid::new(GridParams::default());
+        let mut register = RegisterGrid::new(GridParams { calm: 0.0, ..GridParams::default() });
         let first = register.register(View::new(&map, 640, 480, 1), &camera, &camera);
         let noisy: Vec<f32> = map.iter().enumerate().map(|(i, d)| d + ((i * 7919) % 13) as f32 * 0.05 - 0.3).collect();
         let second = register.register(View::new(&noisy, 640, 480, 1), &camera, &camera);

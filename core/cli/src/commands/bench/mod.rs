@@ -7,6 +7,7 @@ mod hop;
 pub mod record;
 mod scale;
 mod start;
+mod stereo;
 mod stitch;
 
 use std::path::PathBuf;
@@ -24,6 +25,8 @@ pub enum Bench {
     Start(Arguments),
     /// Cost of a tick against the number of nodes.
     Scale(Arguments),
+    /// The stereo chain step by step, beside OpenCV's.
+    Stereo(Arguments),
     /// Registration, seam and blend at three sizes, beside OpenCV.
     Stitch(Arguments),
 }
@@ -46,6 +49,7 @@ pub fn run(bench: &Bench) -> Result<End> {
         Bench::Hop(arguments) => (hop::measure(arguments.quick)?, arguments),
         Bench::Start(arguments) => (start::measure(arguments.quick)?, arguments),
         Bench::Scale(arguments) => (scale::measure(arguments.quick)?, arguments),
+        Bench::Stereo(arguments) => (stereo::measure(arguments.quick)?, arguments),
         Bench::Stitch(arguments) => (stitch::measure(arguments.quick)?, arguments),
     };
     record::show(&figures);

@@ -62,7 +62,7 @@ impl Way {
             Self::OpencvFair => ("composite_opencv", format!("threads = {threads}, seam_megapixels = 0.1")),
         };
         let mut text = format!(
-            "[nodes.register]\n{register}\n[nodes.wide]\ntype = \"{kind}\"\ninputs = {{ {views}, homography = \"register.homography\" }}\nparams = {{ {params} }}\n"
+            "[nodes.register]\n{register}\nbudget_ms = 60000\n[nodes.wide]\nbudget_ms = 60000\ntype = \"{kind}\"\ninputs = {{ {views}, homography = \"register.homography\" }}\nparams = {{ {params} }}\n"
         );
         if self == Self::Grid {
             let _ = write!(
@@ -79,9 +79,21 @@ impl Way {
         match self {
             Self::Roi => many,
             Self::Grid => many / 2,
-            Self::Conventional => many / 4,
-            Self::OpencvFull => if width > 640 { 2 } else { 4 },
-            Self::OpencvFair => if width > 1280 { 3 } else { 6 },
+            Self::Conventional => many / 6,
+            Self::OpencvFull => {
+                if width > 640 {
+                    2
+                } else {
+                    4
+                }
+            }
+            Self::OpencvFair => {
+                if width > 1280 {
+                    3
+                } else {
+                    6
+                }
+            }
         }
     }
 }
@@ -96,18 +108,12 @@ struct Times {
     matching: f64,
     register: f64,
     composite: f64,
-    allocations: Option<f64>,
 }
 
 impl Times {
     fn of(report: &Report) -> Self {
         let p50 = |id: &str| report.nodes.get(id).map_or(0.0, |node| node.p50_ms);
-        Self {
-            matching: p50("match"),
-            register: p50("register"),
-            composite: p50("wide"),
-            allocations: report.allocations_per_frame,
-        }
+        Self { matching: p50("match"), register: p50("register"), composite: p50("wide") }
     }
 
     fn registration(&self) -> f64 {
@@ -165,10 +171,16 @@ fn run(text: &str, frames: u64, threads: usize, paced: bool) -> Result<Report> {
     Ok(look::run(&plan)?.report)
 }
 
-/// Runs one way once. Ours run live and paced, as with a camera, so that ticks do not overlap.
+/// Runs one way once. Ours run live and paced, as with a camera, slowly enough that ticks do not overlap. OpenCV brings its own threads:
+/// its nodes run on a pool of one, which keeps its ticks apart too.
 fn once(folder: &Folder, width: u32, way: Way, threads: usize, quick: bool) -> Result<Times> {
     let paced = !matches!(way, Way::OpencvFull | Way::OpencvFair);
-    let rate = if width > 640 || way != Way::Roi { 8.0 } else { 20.0 };
+    let rate = match way {
+        Way::Conventional => 1280.0 / f64::from(width),
+        Way::Roi if width == 640 => 20.0,
+        _ => 6.0,
+    };
+    let pool = if paced { threads } else { 1 };
     let (mode, pace) = if paced { ("live", "on") } else { ("batch", "off") };
     let text = format!(
         "mode = \"{mode}\"\nplugins = [\"capture\", \"phantom\", \"stereo\", \"stitch\", \"opencv\", \"flow\"]\n\
@@ -178,7 +190,18 @@ fn once(folder: &Folder, width: u32, way: Way, threads: usize, quick: bool) -> R
         folder.pattern(width, "right"),
         way.nodes(width, threads)
     );
-    Ok(Times::of(&run(&text, way.frames(width, quick), threads, paced)?))
+    Ok(Times::of(&run(&text, way.frames(width, quick), pool, paced)?))
+}
+
+/// Heap allocations of the whole process per frame in steady state, with the phantom as the source: decoding files is not counted.
+fn allocations(way: Way, quick: bool) -> Result<Option<f64>> {
+    let nodes = way.nodes(640, 2).replace("files.", "scope.").replace(", align = \"latest\"", "");
+    let scope = if way == Way::Grid { "" } else { "[nodes.scope]\ntype = \"phantom\"\n" };
+    let text = format!(
+        "mode = \"live\"\nplugins = [\"phantom\", \"stereo\", \"stitch\", \"flow\"]\n{scope}{nodes}\
+         [nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"wide.panorama\" }}\n"
+    );
+    Ok(run(&text, if quick { 80 } else { 200 }, 2, false)?.allocations_per_frame)
 }
 
 /// SURF beside SIFT on one picture, ms per picture.
@@ -188,16 +211,19 @@ fn features(folder: &Folder, points: u32, quick: bool) -> Result<(f64, f64)> {
         format!(
             "mode = \"live\"\nplugins = [\"capture\", \"stitch\", \"opencv\"]\n\
              [nodes.files]\ntype = \"capture\"\nparams = {{ left = {picture:?}, right = {picture:?}, loop = true, rate_hz = 8.0, pace = \"on\" }}\n\
-             [nodes.features]\ninputs = {{ left = \"files.left\" }}\n{node}\n"
+             [nodes.features]\nbudget_ms = 60000\ninputs = {{ left = \"files.left\" }}\n{node}\n"
         )
     };
-    let surf = text(&format!("type = \"features_surf\"\nparams = {{ max_points = {points}, hessian_threshold = 1.0 }}"));
-    let sift = text(&format!("type = \"features_opencv\"\nparams = {{ detector = \"sift\", max_points = {points}, threads = 2 }}"));
+    let surf =
+        text(&format!("type = \"features_surf\"\nparams = {{ max_points = {points}, hessian_threshold = 1.0 }}"));
+    let sift = text(&format!(
+        "type = \"features_opencv\"\nparams = {{ detector = \"sift\", max_points = {points}, threads = 2 }}"
+    ));
     let (mut ours, mut theirs) = (f64::INFINITY, f64::INFINITY);
     for _ in 0..if quick { 1 } else { 3 } {
         let p50 = |report: &Report| report.nodes.get("features").map_or(f64::NAN, |node| node.p50_ms);
         ours = ours.min(p50(&run(&surf, if quick { 20 } else { 40 }, 2, true)?));
-        theirs = theirs.min(p50(&run(&sift, 6, 2, true)?));
+        theirs = theirs.min(p50(&run(&sift, 6, 1, true)?));
     }
     Ok((ours, theirs))
 }
@@ -228,7 +254,8 @@ pub fn measure(quick: bool) -> Result<Vec<Figure>> {
     let sizes = if quick { &SIZES[..1] } else { &SIZES[..] };
     let threads: &[usize] = if quick { &[2] } else { &[1, 2] };
     let mut figures = Vec::new();
-    let mut rows = vec![["size, threads, way", "disparity", "registration", "composite", "whole ms"].map(str::to_owned).to_vec()];
+    let mut rows =
+        vec![["size, threads, way", "disparity", "registration", "composite", "whole ms"].map(str::to_owned).to_vec()];
     for &size in sizes {
         tell!("rendering {PICTURES} pairs of {}x{}", size.0, size.1);
         render(&folder, size)?;
@@ -243,9 +270,24 @@ pub fn measure(quick: bool) -> Result<Vec<Figure>> {
         }
     }
     raw(&table(&rows));
+    for (name, way) in [("stitch_roi", Way::Roi), ("stitch_grid", Way::Grid)] {
+        if let Some(count) = allocations(way, quick)? {
+            figures.push(Figure::new(
+                &format!("allocations_per_frame/{name}"),
+                count,
+                "1/frame",
+                "640x480 phantom, 2 threads",
+            ));
+        }
+    }
     for points in [500, 1000, 2000] {
         let (ours, theirs) = features(&folder, points, quick)?;
-        let figure = Figure::new(&format!("surf_640x480/{points}"), ours, "ms", &format!("640x480 phantom, {points} points, 2 threads"));
+        let figure = Figure::new(
+            &format!("surf_640x480/{points}"),
+            ours,
+            "ms",
+            &format!("640x480 phantom, {points} points, 2 threads"),
+        );
         figures.push(figure.beside("OpenCV SIFT", Some(theirs)));
     }
     Ok(figures)
@@ -264,7 +306,9 @@ fn figures_of(all: &[(Way, Times)], size: (u32, u32), threads: usize) -> Vec<Fig
     let sub = |part: &str| if case.contains('/') { format!("{case}_{part}") } else { format!("{case}/{part}") };
     let input = format!("{}x{} phantom, {threads} threads", size.0, size.1);
     let mut out = Vec::new();
-    for (name, way) in [("stitch_roi", Way::Roi), ("stitch_grid", Way::Grid), ("stitch_conventional", Way::Conventional)] {
+    for (name, way) in
+        [("stitch_roi", Way::Roi), ("stitch_grid", Way::Grid), ("stitch_conventional", Way::Conventional)]
+    {
         let Some(times) = of(way) else { continue };
         out.push(Figure::new(&format!("{name}{case}"), times.whole(), "ms", &input).beside(FULL, full));
         out.push(Figure::new(&format!("{name}{}", sub("fair")), times.whole(), "ms", &input).beside(FAIR, fair));
@@ -275,9 +319,6 @@ fn figures_of(all: &[(Way, Times)], size: (u32, u32), threads: usize) -> Vec<Fig
         ];
         for (part, value, peer) in parts {
             out.push(Figure::new(&format!("{name}{}", sub(part)), value, "ms", &input).beside(FAIR, peer));
-        }
-        if let (Some(count), "") = (times.allocations, case.as_str()) {
-            out.push(Figure::new(&format!("allocations_per_frame/{name}"), count, "1/frame", &input));
         }
     }
     out

@@ -114,6 +114,8 @@ impl Wiring {
         node.insert("type".to_owned(), kind.into());
         node.insert("inputs".to_owned(), inputs.into());
         node.insert("params".to_owned(), params.into());
+        // Comparing pictures and OpenCV's cuts may take seconds; that is no hang.
+        node.insert("budget_ms".to_owned(), 60_000.into());
         if let Some(nodes) = self.nodes() {
             nodes.insert(id.to_owned(), node.into());
         }

@@ -229,7 +229,8 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
         }
     }
     let (ours, main) = judge_all(&wiring, path, arguments.frames, false)?;
-    let peer = if arguments.no_peer { None } else { Some(judge_all(&wiring.peer(0.0, 2), path, arguments.frames, true)?.0) };
+    let peer =
+        if arguments.no_peer { None } else { Some(judge_all(&wiring.peer(0.0, 2), path, arguments.frames, true)?.0) };
     let peer = peer.as_ref().and_then(|marks| marks.first());
     let input = format!("{}, {} frames", wiring.name, arguments.frames);
     let mut out = Vec::new();

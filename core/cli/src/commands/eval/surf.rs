@@ -93,7 +93,7 @@ fn measure(data: &Data, node: &str) -> Result<Outcome> {
     let text = format!(
         "mode = \"live\"\nplugins = [\"capture\", \"stitch\", \"opencv\"]\n\
          [nodes.files]\ntype = \"capture\"\nparams = {{ left = {:?}, right = {:?}, loop = true, pace = \"off\" }}\n\
-         [nodes.features]\ninputs = {{ left = \"files.left\", right = \"files.right\" }}\n{node}\n",
+         [nodes.features]\nbudget_ms = 60000\ninputs = {{ left = \"files.left\", right = \"files.right\" }}\n{node}\n",
         data.first, data.second
     );
     let ports = [

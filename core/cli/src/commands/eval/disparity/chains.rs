@@ -15,8 +15,6 @@ pub struct Made {
     pub chain: &'static str,
     /// Px of the left view, NaN where unknown.
     pub disparity: Vec<f32>,
-    /// Px of the right view, unfiltered.
-    pub disparity_right: Vec<f32>,
 }
 
 /// All chains with the nodes' own settings, over disparities `first_px..first_px + search_px`.
@@ -46,7 +44,7 @@ pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> 
         };
         let (mut smooth, mut trust, mut solved) = (plane(), plane(), plane());
         let confidence = ConfidenceParams { scatter_radius_px, ..Default::default() };
-        let mut wls = WlsFilter::new(WlsParams { confidence, lambda: std::env::var("SN_L").map_or(8000.0, |l| l.parse().unwrap()), ..Default::default() })?;
+        let mut wls = WlsFilter::new(WlsParams { confidence, ..Default::default() })?;
         let input = FilterInput {
             guide,
             disparity: view(&raw, width, height),
@@ -68,10 +66,10 @@ pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> 
             solver.compute(input, &Serial, ViewMut::new(&mut solved, width, height, 1), None)?;
         }
         let names: [&'static str; 2] = if semi_global { ["sgbm", "sgbm_wls"] } else { ["bm", "bm_wls"] };
-        made.push(Made { chain: names[0], disparity: raw, disparity_right: raw_right.clone() });
-        made.push(Made { chain: names[1], disparity: smooth, disparity_right: raw_right.clone() });
+        made.push(Made { chain: names[0], disparity: raw });
+        made.push(Made { chain: names[1], disparity: smooth });
         if !semi_global {
-            made.push(Made { chain: "bm_wls_fbs", disparity: solved, disparity_right: raw_right });
+            made.push(Made { chain: "bm_wls_fbs", disparity: solved });
         }
     }
     Ok(made)

@@ -61,7 +61,7 @@ inputs = {{ left = "rectify.left", right = "rectify.right" }}
 [nodes.sgbm_wls]
 type = "disparity_wls"
 inputs = {{ image = "rectify.left", disparity = "sgbm.disparity", disparity_right = "sgbm.disparity_right" }}
-params = {{ scatter_radius_px = 3 }}
+params = {{ scatter_radius_px = 3, lambda = 100.0 }}
 [nodes.points]
 type = "reproject"
 inputs = {{ image = "rectify.left", disparity = "sgbm_wls.disparity", confidence = "sgbm_wls.confidence", calibration = "rectify.calibration" }}

@@ -1,0 +1,234 @@
+//! The fault campaign: seeded cases of a node that goes wrong in a running graph. Each fault must be seen, named and contained.
+//!
+//! `PANOSCOPE_FAULT_CASES` sets how many cases are run (200 without it), `PANOSCOPE_FAULT_SEED` which.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, OnceLock};
+use std::time::{Duration, Instant};
+
+use panoscope_graph::{GraphText, check};
+use panoscope_runtime::fault::{Action, Cause, Fault};
+use panoscope_runtime::{Engine, Loader, Options, Outcome};
+
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Cases that run at a time: each of them mostly waits for its next frame.
+const SIDE_BY_SIDE: usize = 6;
+
+/// The built plugins: out of `PANOSCOPE_PLUGIN_PATH`, else built now.
+fn folders() -> &'static [PathBuf] {
+    static FOLDERS: OnceLock<Vec<PathBuf>> = OnceLock::new();
+    FOLDERS.get_or_init(|| {
+        let path = std::env::var_os("PANOSCOPE_PLUGIN_PATH").unwrap_or_default();
+        let given: Vec<PathBuf> = std::env::split_paths(&path).filter(|p| p.is_dir()).collect();
+        let has = |plugin: &str| Loader::search(&given).found().any(|f| f.note.name == plugin);
+        if has("flow") && has("chaos") { given } else { vec![build()] }
+    })
+}
+
+fn build() -> PathBuf {
+    let test = std::env::current_exe().expect("a test has a file");
+    let profile_dir = test.parent().and_then(Path::parent).expect("tests lie in <target>/<profile>/deps");
+    let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
+    cargo.args(["build", "--quiet", "--package", "panoscope-flow", "--package", "panoscope-chaos", "--manifest-path"]);
+    cargo.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../Cargo.toml"));
+    cargo.arg("--target-dir").arg(profile_dir.parent().expect("a target folder"));
+    if profile_dir.ends_with("release") {
+        cargo.arg("--release");
+    }
+    assert!(cargo.status().expect("cargo runs").success(), "the plugins do not build");
+    profile_dir.to_owned()
+}
+
+/// SplitMix64 (Steele, Lea, Flood 2014).
+struct Dice(u64);
+
+impl Dice {
+    fn roll(&mut self, sides: usize) -> usize {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) % sides as u64) as usize
+    }
+}
+
+/// Harm, type of the node, and the causes that name it.
+const HARMS: &[(&str, &[&str], &[Cause])] = &[
+    ("error", &["chaos", "chaos_blocking", "chaos_source", "chaos_pose"], &[Cause::Error]),
+    ("panic", &["chaos", "chaos_blocking", "chaos_source", "chaos_pose"], &[Cause::Panic]),
+    ("hang", &["chaos", "chaos_blocking", "chaos_source", "chaos_pose"], &[Cause::Hang]),
+    ("hang_in_loop", &["chaos", "chaos_blocking"], &[Cause::Hang]),
+    ("nan", &["chaos", "chaos_blocking", "chaos_source", "chaos_pose"], &[Cause::NotANumber]),
+    ("wrong_size", &["chaos", "chaos_blocking"], &[Cause::Size]),
+    ("wrong_format", &["chaos", "chaos_blocking", "chaos_source"], &[Cause::Format]),
+    ("nothing", &["chaos", "chaos_blocking", "chaos_source"], &[Cause::Silent]),
+    ("too_much", &["chaos", "chaos_blocking", "chaos_source"], &[Cause::TooMuch]),
+    // A slow call on a busy machine may look hung.
+    ("slow", &["chaos", "chaos_blocking", "chaos_source"], &[Cause::Slow, Cause::Hang]),
+    ("leak", &["chaos", "chaos_blocking", "chaos_pose"], &[Cause::Leak]),
+    ("repeat", &["chaos_source"], &[Cause::CaptureTime]),
+    ("reorder", &["chaos_source"], &[Cause::CaptureTime]),
+];
+
+struct Case {
+    name: String,
+    text: String,
+    causes: &'static [Cause],
+    on_fault: &'static str,
+    /// Node at the end of the path that the fault is on.
+    end: &'static str,
+}
+
+fn case(number: usize, seed: u64) -> Case {
+    let mut dice = Dice(seed.wrapping_mul(1_000_003).wrapping_add(number as u64));
+    let (harm, kinds, causes) = HARMS[number % HARMS.len()];
+    let kind = kinds[dice.roll(kinds.len())];
+    let on_fault = ["restart", "restart", "bypass"][dice.roll(3)];
+    let (first, ticks) = (
+        5 + dice.roll(20),
+        match harm {
+            "nothing" => 40,
+            "leak" => 150,
+            "hang" | "hang_in_loop" => 1,
+            "too_much" | "nan" => 1 + dice.roll(15),
+            _ => 1 + dice.roll(3),
+        },
+    );
+    let hang_ms = [400, 60_000][dice.roll(2)];
+    let mut text = "mode = \"live\"\nplugins = [\"flow\", \"chaos\"]\n".to_owned();
+    let params = format!(
+        "params = {{ harm = \"{harm}\", first = {first}, ticks = {ticks}, seed = {number}, hang_ms = {hang_ms}.0, slow_ms = 14.0 }}"
+    );
+    let manners = format!("on_fault = \"{on_fault}\"\nbudget_ms = 8.0\n{params}\n");
+    let picture = "params = { width_px = 32, height_px = 24, format = \"gray8\", rate_hz = 200.0 }";
+    let _ = write!(text, "[nodes.source]\ntype = \"frames\"\n{picture}\n");
+    text.push_str("[nodes.good]\ntype = \"pass\"\ninputs = { image = \"source.image\" }\n");
+    text.push_str("[nodes.other]\ntype = \"drain\"\ninputs = { image = \"good.image\" }\n");
+    // With room, so that the tick that goes wrong is not dropped on a busy machine.
+    let input =
+        if kind == "chaos_source" { "" } else { "inputs = { image = { from = \"source.image\", queue = 200 } }\n" };
+    let _ = write!(text, "[nodes.bad]\ntype = \"{kind}\"\n{input}{manners}");
+    let mut end = "bad";
+    if kind != "chaos_pose" {
+        text.push_str("[nodes.tail]\ntype = \"chaos\"\ninputs = { image = \"bad.image\" }\n");
+        let mut last = "tail";
+        if kind != "chaos_source" {
+            text.push_str(
+                "[nodes.pair]\ntype = \"chaos_pair\"\ninputs = { left = \"bad.image\", right = \"good.image\" }\n",
+            );
+            last = "pair";
+        }
+        let _ = write!(text, "[nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"{last}.image\" }}\n");
+        end = "sink";
+    }
+    Case { name: format!("{number}: {harm} in {kind}, {on_fault}"), text, causes, on_fault, end }
+}
+
+/// What a case showed.
+#[derive(Default)]
+struct Seen {
+    late_ms: Vec<f64>,
+    recovery_ms: Vec<f64>,
+}
+
+fn until(what: &str, mut done: impl FnMut() -> bool) -> Result<(), String> {
+    let end = Instant::now() + PATIENCE;
+    while !done() {
+        if Instant::now() > end {
+            return Err(what.to_owned());
+        }
+        std::thread::sleep(Duration::from_millis(3));
+    }
+    Ok(())
+}
+
+fn run(case: &Case) -> Result<Seen, String> {
+    let text = GraphText::parse("campaign.toml".as_ref(), &case.text);
+    let loader = Loader::search(folders());
+    let catalog = loader.catalog(&text.plugins());
+    let (graph, _) = check(&text, &catalog).into_result().map_err(|d| d.render(false))?;
+    let options = Options { threads: 2, ..Options::default() };
+    let engine = Engine::start(graph, &catalog, &loader, options).map_err(|e| e.to_string())?;
+    let named = |f: &Fault| f.node == "bad" && case.causes.contains(&f.cause);
+    until("the fault was not seen", || engine.recent_faults().iter().any(named))?;
+    let count = |node: &str| engine.report().nodes[node].count;
+    let other = count("other");
+    until("the healthy branch stands still", || count("other") > other + 10)?;
+    let left_out = engine.recent_faults().iter().any(|f| f.node == "bad" && f.done == Action::Bypass);
+    if !left_out {
+        let good = count(case.end);
+        until("no good frame came after the fault", || count(case.end) > good + 10)?;
+    }
+    let report = engine.report();
+    engine.stop();
+    if !engine.wait(Some(PATIENCE)) {
+        return Err("the graph does not come to its end".to_owned());
+    }
+    if let Outcome::Failed(reason) = engine.close(Duration::from_secs(2)) {
+        return Err(format!("the engine went down: {reason}"));
+    }
+    let faults = engine.recent_faults();
+    // Whoever failed on a picture of the wrong size says so too; nobody else has anything to complain of.
+    let innocent = faults.iter().find(|f| f.node != "bad" && !(f.node == "pair" && case.causes.contains(&Cause::Size)));
+    if let Some(fault) = innocent {
+        return Err(format!("the wrong node was named: {fault:?}"));
+    }
+    if case.on_fault == "bypass" && faults.iter().any(|f| f.node == "bad" && f.done == Action::Restart) {
+        return Err("a node to be left out was opened again".to_owned());
+    }
+    let late_ms = faults.iter().filter_map(|f| f.late_ms).collect();
+    let recovery = report.nodes["bad"].recovery_max_ms;
+    Ok(Seen { late_ms, recovery_ms: if recovery > 0.0 { vec![recovery] } else { Vec::new() } })
+}
+
+fn number(variable: &str, default: u64) -> u64 {
+    std::env::var(variable).ok().and_then(|v| v.parse().ok()).unwrap_or(default)
+}
+
+fn tell(what: &str, mut times_ms: Vec<f64>) {
+    times_ms.sort_by(f64::total_cmp);
+    let Some(last) = times_ms.last() else { return };
+    let at = |q: f64| times_ms[((times_ms.len() as f64 * q) as usize).min(times_ms.len() - 1)];
+    println!("{what}: {} times, p50 {:.1} ms, p99 {:.1} ms, longest {last:.1} ms", times_ms.len(), at(0.5), at(0.99));
+}
+
+#[test]
+fn every_fault_is_seen_named_and_contained() {
+    let (cases, seed) = (number("PANOSCOPE_FAULT_CASES", 200) as usize, number("PANOSCOPE_FAULT_SEED", 1));
+    let next = AtomicUsize::new(0);
+    let results: Mutex<Vec<(String, Result<Seen, String>)>> = Mutex::new(Vec::new());
+    folders();
+    std::thread::scope(|scope| {
+        for _ in 0..SIDE_BY_SIDE {
+            scope.spawn(|| {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    if index >= cases {
+                        return;
+                    }
+                    let case = case(index, seed);
+                    let seen = run(&case);
+                    results.lock().expect("no test thread panics").push((case.name, seen));
+                }
+            });
+        }
+    });
+    let results = results.into_inner().expect("no test thread panics");
+    let (mut late_ms, mut recovery_ms, mut failures) = (Vec::new(), Vec::new(), Vec::new());
+    for (name, result) in results {
+        match result {
+            Ok(seen) => {
+                late_ms.extend(seen.late_ms);
+                recovery_ms.extend(seen.recovery_ms);
+            }
+            Err(reason) => failures.push(format!("case {name}: {reason}")),
+        }
+    }
+    println!("{cases} cases, {} not as they should be", failures.len());
+    tell("from the end of its budget until a hang was seen", late_ms);
+    tell("from a fault to the next good frame", recovery_ms);
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}

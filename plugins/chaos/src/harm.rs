@@ -1,0 +1,123 @@
+//! What goes wrong, and when.
+
+use std::time::{Duration, Instant};
+
+use panoscope_node::{AnyFormat, Choice, Context, Gray8, GrayF32, Params, Result, Slot, error};
+
+/// What goes wrong.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Harm {
+    /// Nothing.
+    Never,
+    /// The call answers with an error.
+    Error,
+    /// The call panics.
+    Panic,
+    /// The call does not return for `hang_ms`.
+    Hang,
+    /// A chunk of a loop on the host's pool does not return for `hang_ms`.
+    HangInLoop,
+    /// A picture of NaN.
+    Nan,
+    /// A picture of another size than its input.
+    WrongSize,
+    /// A picture of another format than its reader takes.
+    WrongFormat,
+    /// No picture.
+    Nothing,
+    /// A picture larger than any may be.
+    TooMuch,
+    /// The call takes `slow_ms`.
+    Slow,
+    /// Every picture is kept for ever.
+    Leak,
+    /// The capture time of the tick before. Sources only.
+    Repeat,
+    /// A capture time before that of the tick before. Sources only.
+    Reorder,
+}
+
+/// When it goes wrong.
+#[derive(Params)]
+pub struct Plan {
+    /// What goes wrong.
+    #[param(default = "never")]
+    pub harm: Harm,
+    /// First tick that goes wrong.
+    #[param(default = 10, range = 0..=1000000000)]
+    pub first: u64,
+    /// How many ticks in a row go wrong.
+    #[param(default = 1, range = 0..=1000000000)]
+    pub ticks: u64,
+    /// Any later tick goes wrong with this chance too, decided by `seed` and the tick's number.
+    #[param(default = 0.0, range = 0.0..=1.0)]
+    pub chance: f64,
+    /// Another seed, other ticks.
+    #[param(default = 0, range = 0..=1000000000)]
+    pub seed: u64,
+    /// How long a call that hangs does not return.
+    #[param(default = 60000.0, range = 0.0..=1000000000.0, unit = "ms")]
+    pub hang_ms: f64,
+    /// How long a slow call takes.
+    #[param(default = 50.0, range = 0.0..=100000.0, unit = "ms")]
+    pub slow_ms: f64,
+}
+
+/// SplitMix64's last steps (Steele, Lea, Flood 2014).
+fn mix(mut z: u64) -> u64 {
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
+impl Plan {
+    /// What happens at a tick.
+    pub fn at(&self, seq: u64) -> Harm {
+        let planned = seq >= self.first && seq - self.first < self.ticks;
+        let drawn = mix(self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(seq)) >> 11;
+        let lucky = seq >= self.first && (drawn as f64) < self.chance * (1u64 << 53) as f64;
+        if planned || lucky { self.harm } else { Harm::Never }
+    }
+
+    /// Harm that does not depend on what the node makes: it fails, or it takes its time.
+    pub fn suffer(&self, cx: &Context<'_>, harm: Harm) -> Result<()> {
+        let seq = cx.tick().seq;
+        match harm {
+            Harm::Error => return Err(error!("told to fail at tick {seq}")),
+            Harm::Panic => panic!("told to panic at tick {seq}"),
+            Harm::Hang => wait(self.hang_ms),
+            Harm::HangInLoop => {
+                use panoscope_node::Parallel;
+                cx.pool().run(4, &|_| wait(self.hang_ms));
+            }
+            Harm::Slow => wait(self.slow_ms),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// A picture gone wrong; `false` when this harm is none of the picture.
+    pub fn spoil(&self, harm: Harm, out: &mut Slot<'_, AnyFormat>, width: usize, height: usize) -> Result<bool> {
+        match harm {
+            Harm::Nan | Harm::WrongFormat => {
+                let value = if harm == Harm::Nan { f32::NAN } else { 0.5 };
+                let mut plane = out.alloc_as::<GrayF32>(width, height)?;
+                for y in 0..height {
+                    plane.row_mut(y).fill(value);
+                }
+            }
+            Harm::WrongSize => out.alloc_as::<Gray8>(width / 2 + 1, height + 3)?.row_mut(0).fill(0),
+            Harm::TooMuch => out.alloc_as::<GrayF32>(16384, 16384)?.row_mut(0).fill(0.0),
+            Harm::Nothing => {}
+            _ => return Ok(false),
+        }
+        Ok(true)
+    }
+}
+
+fn wait(ms: f64) {
+    let end = Instant::now() + Duration::from_secs_f64(ms / 1e3);
+    while Instant::now() < end {
+        std::thread::sleep(Duration::from_millis(1).min(end.saturating_duration_since(Instant::now())));
+    }
+}

@@ -1,0 +1,42 @@
+//! `chaos_pair`: a well-behaved node that insists on two pictures of one size.
+
+use panoscope_node::{AnyFormat, Context, Gray8, Image, Node, NodeInfo, Open, Ports, Result, Slot, error};
+
+/// Two pictures of the same instant.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// The one handed on.
+    left: Image<'f, Gray8>,
+    /// The one compared with.
+    right: Image<'f, Gray8>,
+}
+
+/// The left picture.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// The same buffer as the left input.
+    image: Slot<'f, AnyFormat>,
+}
+
+/// Hands the left picture on.
+pub struct ChaosPair;
+
+impl Node for ChaosPair {
+    const INFO: NodeInfo = NodeInfo::compute("chaos_pair", "flow", "Hands a picture on if another has the same size.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = ();
+
+    fn open(_: &Open<'_>, _: &()) -> Result<Self> {
+        Ok(Self)
+    }
+
+    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, _: &()) -> Result<()> {
+        let (left, right) = (&input.left, &input.right);
+        if (left.width(), left.height()) != (right.width(), right.height()) {
+            let (lw, lh, rw, rh) = (left.width(), left.height(), right.width(), right.height());
+            return Err(error!("left is {lw}x{lh}, right is {rw}x{rh}"));
+        }
+        out.image.forward(left.frame())
+    }
+}
