@@ -6,9 +6,7 @@ use panoscope_node::{
     name16,
 };
 
-use crate::render::{
-    BlackOut, CameraModel, Canvas, Phantom, Pose, Rig, SceneKind, SceneParams, TruthMut,
-};
+use crate::render::{BlackOut, CameraModel, Canvas, Phantom, Pose, Rig, SceneKind, SceneParams, TruthMut};
 
 /// Which scene is rendered.
 #[derive(Choice, Clone, Copy, PartialEq)]
@@ -195,13 +193,16 @@ const EYE3: [f64; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
 fn calibration(rig: &Rig) -> Calibration {
     let (left, right) = (&rig.cameras[0], &rig.cameras[1]);
     let baseline_mm = right.offset_mm[0] - left.offset_mm[0];
-    let projection =
-        |tx: f64| [left.fx, 0.0, left.cx, tx, 0.0, left.fy, left.cy, 0.0, 0.0, 0.0, 1.0, 0.0];
+    let projection = |tx: f64| [left.fx, 0.0, left.cx, tx, 0.0, left.fy, left.cy, 0.0, 0.0, 0.0, 1.0, 0.0];
     Calibration {
         left: camera(left),
         right: camera(right),
         right_from_left_rotation: EYE3,
-        right_from_left_mm: [-baseline_mm, left.offset_mm[1] - right.offset_mm[1], left.offset_mm[2] - right.offset_mm[2]],
+        right_from_left_mm: [
+            -baseline_mm,
+            left.offset_mm[1] - right.offset_mm[1],
+            left.offset_mm[2] - right.offset_mm[2],
+        ],
         rectified_from_left: EYE3,
         rectified_from_right: EYE3,
         left_projection: projection(0.0),
@@ -256,7 +257,8 @@ impl Node for PhantomNode {
         let rig = rig(params);
         let (width, height) = (params.width as f64, params.height as f64);
         let side = |length: f64| ((length * params.wide_factor / 2.0).ceil() * 2.0) as usize;
-        let (wide, high) = (side(width), if params.layout == Layout::Quad { side(height) } else { params.height as usize });
+        let (wide, high) =
+            (side(width), if params.layout == Layout::Quad { side(height) } else { params.height as usize });
         // The other cameras stand to the right (and below): the room goes there.
         let canvas = Canvas {
             width: wide,
@@ -353,4 +355,3 @@ impl PhantomNode {
         Ok(())
     }
 }
-

@@ -155,7 +155,8 @@ impl Doctor {
                 self.say(State::Fine, "ONNX Runtime", "libonnxruntime.so of the system")
             }
             None => {
-                let how = "tool detection needs it; `cargo xtask onnxruntime` fetches it, or name the file in ORT_DYLIB_PATH";
+                let how =
+                    "tool detection needs it; `cargo xtask onnxruntime` fetches it, or name the file in ORT_DYLIB_PATH";
                 self.say(State::Optional, "ONNX Runtime", how);
             }
         }

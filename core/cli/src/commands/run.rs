@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use panoscope_graph::Graph;
 use panoscope_runtime::fault::json_lines;
-use panoscope_runtime::log::Level;
 use panoscope_runtime::live::FileWatch;
+use panoscope_runtime::log::Level;
 use panoscope_runtime::{Engine, Live, Options, Outcome, Report};
 
 use crate::progress::Progress;

@@ -155,7 +155,8 @@ fn a_good_previous_map_stays() {
 fn the_frame_before_stays_while_it_explains_as_much() {
     let from: Vec<Point> = (0..40).map(|i| [f64::from(i % 8) * 50.0, f64::from(i / 8) * 60.0]).collect();
     // Two planes of one scene, each right for half of the pairs.
-    let to: Vec<Point> = from.iter().enumerate().map(|(i, p)| [p[0] + if i % 2 == 0 { 10.0 } else { 30.0 }, p[1]]).collect();
+    let to: Vec<Point> =
+        from.iter().enumerate().map(|(i, p)| [p[0] + if i % 2 == 0 { 10.0 } else { 30.0 }, p[1]]).collect();
     let (near, far, off) =
         (Homography::translation(10.0, 0.0), Homography::translation(30.0, 0.0), Homography::translation(20.0, 0.0));
     assert!(super::explains_as_well(&near, &far, &from, &to, 3.0, 0.1), "no reason to change the plane");

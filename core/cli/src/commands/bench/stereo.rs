@@ -52,7 +52,8 @@ inputs = {{ image = "rectify.left", disparity = "wls.disparity", confidence = "w
 }
 
 fn opencv(threads: usize) -> String {
-    let matcher = format!("method = \"bm\", min_disparity_px = {OFFSET_PX}, search_px = {SEARCH_PX}, threads = {threads}");
+    let matcher =
+        format!("method = \"bm\", min_disparity_px = {OFFSET_PX}, search_px = {SEARCH_PX}, threads = {threads}");
     format!(
         r#"{HEAD}inputs = {{ disparity = "fbs.disparity" }}
 [nodes.bm]
@@ -131,7 +132,8 @@ pub fn measure(quick: bool) -> Result<Vec<Figure>> {
             figures.push(Figure::new(&format!("{name}/{threads}"), *own, "ms", &input).beside("OpenCV", peer_of(peer)));
         }
         let (own, peer) = (own.iter().sum(), peer.iter().sum());
-        figures.push(Figure::new(&format!("stereo_chain/{threads}"), own, "ms", &input).beside("OpenCV", peer_of(peer)));
+        figures
+            .push(Figure::new(&format!("stereo_chain/{threads}"), own, "ms", &input).beside("OpenCV", peer_of(peer)));
     }
     // What the sink wrote; nothing is lost when it cannot be removed.
     let _ = std::fs::remove_dir_all(&folder);

@@ -183,7 +183,9 @@ impl Judge<'_> {
             let score = score_surface(&inside, &surface, REACH_MM)?;
             let chain = made.chain;
             if score.median_mm > 0.9 * f64::from(REACH_MM) {
-                tell!("skipped: synthetic_liver: the model does not lie where {chain} sees a surface; the pose of the data set is in doubt");
+                tell!(
+                    "skipped: synthetic_liver: the model does not lie where {chain} sees a surface; the pose of the data set is in doubt"
+                );
                 continue;
             }
             self.add(format!("surface_mm/synthetic_liver/{chain}"), score.median_mm, "mm", input);

@@ -176,20 +176,14 @@ impl Wiring {
                 inputs.push((port, format!("{}.{port}", composite.id)));
             }
             let node = self.graph.get("nodes").and_then(|nodes| nodes.get(source));
-            let mut params = Table::new();
             if node.is_some_and(|node| is_type(node, "phantom")) {
                 for (port, output) in
                     [("disparity", "disparity"), ("visible", "visible"), ("truth", "homography"), ("wide", "wide")]
                 {
                     inputs.push((port, format!("{source}.{output}")));
                 }
-            } else if node.is_some_and(|node| is_type(node, "cut_views")) {
-                inputs.push(("truth", format!("{source}.homography")));
-                inputs.push(("wide", format!("{source}.wide")));
-                params.insert("wide_x".to_owned(), 0.into());
-                params.insert("wide_y".to_owned(), 0.into());
             }
-            out.add(&format!("judge_{}", composite.id), "evaluate_stitch", &inputs, params);
+            out.add(&format!("judge_{}", composite.id), "evaluate_stitch", &inputs, Table::new());
         }
         out
     }
