@@ -393,12 +393,13 @@ impl Shared {
         let Some(readers) = plan.wiring[node].readers.get(port) else { return };
         let mut gray: Option<FrameRef> = None;
         for (index, reader) in readers.iter().enumerate() {
-            if !takes(reader.accepts, frame.frame()) && !(reader.convert && convert::wants(frame.frame())) {
+            let converted = reader.convert && convert::wants(frame.frame());
+            if !converted && !takes(reader.accepts, frame.frame()) {
                 self.refused(plan, node, port, reader.node, reader.accepts, frame.frame());
                 self.arrive(plan, reader, FrameRef::empty(frame.tick()), ready);
                 continue;
             }
-            let packet = if reader.convert && convert::wants(frame.frame()) {
+            let packet = if converted {
                 gray.get_or_insert_with(|| self.to_gray(&plan.cells[node], &frame)).clone()
             } else if index + 1 == readers.len() {
                 return self.arrive(plan, reader, frame, ready);

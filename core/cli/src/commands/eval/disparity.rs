@@ -178,7 +178,9 @@ impl Judge<'_> {
         for made in chains::run(&rectified.views[0], &rectified.views[1], 32, 128)? {
             let points = rectified.points(&made.disparity)?;
             // Every sixth column of every sixth row: tens of thousands of points are enough.
-            let counts = |index: &usize| index % size.0 % 6 == 0 && index / size.0 % 6 == 0 && mask[*index] > 127;
+            let counts = |index: &usize| {
+                (index % size.0).is_multiple_of(6) && (index / size.0).is_multiple_of(6) && mask[*index] > 127
+            };
             let inside: Vec<[f32; 3]> = (0..points.len()).filter(counts).map(|index| points[index]).collect();
             let score = score_surface(&inside, &surface, REACH_MM)?;
             let chain = made.chain;
