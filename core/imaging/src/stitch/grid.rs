@@ -354,7 +354,7 @@ mod tests {
         let mut map = plane();
         for (i, d) in map.iter_mut().enumerate() {
             match i % 17 {
-                0..6 => *d = f32::NAN,
+                0..=6 => *d = f32::NAN,
                 7 => *d = 30.0,
                 _ => {}
             }
