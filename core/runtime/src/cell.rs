@@ -163,12 +163,6 @@ impl Leave {
     }
 }
 
-/// A name for random numbers that is the same in every run.
-fn seed(id: &str, tick: Tick) -> u64 {
-    let hash = abi::fnv1a(abi::FNV_START, id.as_bytes());
-    abi::fnv1a(abi::fnv1a(hash, &tick.seq.to_le_bytes()), &tick.source.to_le_bytes())
-}
-
 /// What a node says of itself when it is made.
 pub(crate) struct CellSpec {
     pub id: String,
@@ -302,7 +296,7 @@ impl Cell {
             node_id: &self.id,
             failure: &mut failure,
             refused: None,
-            random: seed(&self.id, Tick::default()),
+            random: None,
             tick: Tick::default(),
             wait_for_memory: around.batch,
             metrics: &self.metrics,
@@ -452,7 +446,7 @@ impl Cell {
             node_id: &self.id,
             failure: &mut exec.failure,
             refused: None,
-            random: seed(&self.id, *tick),
+            random: None,
             tick: *tick,
             wait_for_memory: around.batch,
             metrics: &self.metrics,

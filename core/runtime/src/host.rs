@@ -29,7 +29,8 @@ pub(crate) struct CallContext<'a> {
     pub failure: &'a mut String,
     /// What the host refused during this call, if anything.
     pub refused: Option<(Cause, String)>,
-    pub random: u64,
+    /// State of the generator; `None` until the node asks for a number.
+    pub random: Option<u64>,
     pub tick: abi::Tick,
     /// In batch an exhausted memory is waited for, in live it drops the tick.
     pub wait_for_memory: bool,
@@ -204,13 +205,20 @@ unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
     }
 }
 
+/// Where a node's random numbers begin for a tick: the same in every run.
+fn seed(id: &str, tick: abi::Tick) -> u64 {
+    let hash = abi::fnv1a(abi::FNV_START, id.as_bytes());
+    abi::fnv1a(abi::fnv1a(hash, &tick.seq.to_le_bytes()), &tick.source.to_le_bytes())
+}
+
 unsafe extern "C" fn random(call: *mut c_void) -> u64 {
     // SAFETY: see `context`.
     match unsafe { context(call) } {
         Some(context) => {
             // SplitMix64 (Steele, Lea, Flood 2014).
-            context.random = context.random.wrapping_add(0x9E37_79B9_7F4A_7C15);
-            let mut z = context.random;
+            let before = context.random.unwrap_or_else(|| seed(context.node_id, context.tick));
+            let mut z = before.wrapping_add(0x9E37_79B9_7F4A_7C15);
+            context.random = Some(z);
             z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
             z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
             z ^ (z >> 31)
