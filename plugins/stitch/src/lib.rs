@@ -5,6 +5,7 @@ mod evaluate_stitch;
 mod features_surf;
 mod register_grid;
 mod register_surf;
+mod registration;
 
 pub use composite::Composite;
 pub use evaluate_stitch::EvaluateStitch;

@@ -1,9 +1,11 @@
 //! `register_grid`: a disparity map in, the homography between the two pictures out (thesis, chapter 4).
 
-use panoscope_imaging::geometry::{RansacParams, Rect};
+use panoscope_imaging::geometry::RansacParams;
 use panoscope_imaging::stitch::{CellPoint, GridParams, GridRegistration, GridState, RectifiedView, RegisterGrid};
-use panoscope_node::abi::{self, Calibration, Camera, Homography, Roi};
-use panoscope_node::{Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value};
+use panoscope_node::abi::{self, Calibration, Camera};
+use panoscope_node::{Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Ports, Result, Value};
+
+use crate::registration::{Found, Out};
 
 /// Which disparity a grid cell gives.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,17 +83,6 @@ pub struct In<'f> {
     calibration: Value<'f, Calibration>,
 }
 
-/// Outputs of the registration.
-#[derive(Ports)]
-pub struct Out<'f> {
-    /// Maps right-view pixels to left-view pixels; fresh, held or lost.
-    homography: Slot<'f, Homography>,
-    /// Part of the left view that the right view shares.
-    roi_left: Slot<'f, Roi>,
-    /// Part of the right view that the left view shares.
-    roi_right: Slot<'f, Roi>,
-}
-
 /// See the module.
 pub struct RegisterGridNode {
     kernel: RegisterGrid,
@@ -127,20 +118,12 @@ fn view(camera: &Camera, rotation: &[f64; 9], projection: &[f64; 12], rectified:
     }
 }
 
-fn roi(rect: &Rect) -> Roi {
-    Roi { x: rect.x as i32, y: rect.y as i32, width: rect.width as i32, height: rect.height as i32 }
-}
-
-fn packet(found: &GridRegistration) -> Homography {
-    Homography {
-        left_from_right: found.left_from_right.0,
-        rms_px: found.rms_px,
-        inliers: found.inliers as u32,
-        state: match found.state {
-            GridState::Fresh => abi::STATE_FRESH,
-            GridState::Held => abi::STATE_HELD,
-            GridState::Lost => abi::STATE_LOST,
-        },
+/// As the contract states it.
+fn state(found: &GridRegistration) -> u32 {
+    match found.state {
+        GridState::Fresh => abi::STATE_FRESH,
+        GridState::Held => abi::STATE_HELD,
+        GridState::Lost => abi::STATE_LOST,
     }
 }
 
@@ -175,8 +158,13 @@ impl Node for RegisterGridNode {
         let right = view(&c.right, &c.rectified_from_right, &c.right_projection, rectified);
         let found = self.kernel.register(input.disparity.view(), &left, &right);
         cx.metric("grid_points", found.points as f64);
-        out.homography.set(packet(&found))?;
-        out.roi_left.set(roi(&found.roi_left))?;
-        out.roi_right.set(roi(&found.roi_right))
+        out.set(&Found {
+            left_from_right: &found.left_from_right,
+            rms_px: found.rms_px,
+            inliers: found.inliers,
+            state: state(&found),
+            roi_left: &found.roi_left,
+            roi_right: &found.roi_right,
+        })
     }
 }

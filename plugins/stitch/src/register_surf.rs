@@ -1,10 +1,11 @@
 //! `register_surf`: two views in, the homography between them out (thesis, chapter 2, Algs 2.1 and 2.2).
 
 use panoscope_imaging::features::{self, MatchParams, RegisterParams, Registration, RegistrationState, SurfParams};
-use panoscope_imaging::geometry::Rect;
 use panoscope_imaging::geometry::ransac::RansacParams;
-use panoscope_node::abi::{self, Homography, Roi};
-use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot};
+use panoscope_node::abi;
+use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result};
+
+use crate::registration::{Found, Out};
 
 /// Parameters of the registration.
 #[derive(Params, Clone, PartialEq)]
@@ -80,37 +81,17 @@ pub struct In<'f> {
     right: Image<'f, Gray8>,
 }
 
-/// Outputs of the registration.
-#[derive(Ports)]
-pub struct Out<'f> {
-    /// Maps right-view pixels to left-view pixels; fresh, held or lost.
-    homography: Slot<'f, Homography>,
-    /// Part of the left view that the right view shares.
-    roi_left: Slot<'f, Roi>,
-    /// Part of the right view that the left view shares.
-    roi_right: Slot<'f, Roi>,
-}
-
 /// See the module.
 pub struct RegisterSurf {
     kernel: features::RegisterSurf,
 }
 
-fn roi(rect: &Rect) -> Roi {
-    Roi { x: rect.x as i32, y: rect.y as i32, width: rect.width as i32, height: rect.height as i32 }
-}
-
-/// As the packet states it.
-fn packet(found: &Registration) -> Homography {
-    Homography {
-        left_from_right: found.left_from_right.0,
-        rms_px: found.rms_px,
-        inliers: found.inliers as u32,
-        state: match found.state {
-            RegistrationState::Fresh => abi::STATE_FRESH,
-            RegistrationState::Held => abi::STATE_HELD,
-            RegistrationState::Lost => abi::STATE_LOST,
-        },
+/// As the contract states it.
+fn state(found: &Registration) -> u32 {
+    match found.state {
+        RegistrationState::Fresh => abi::STATE_FRESH,
+        RegistrationState::Held => abi::STATE_HELD,
+        RegistrationState::Lost => abi::STATE_LOST,
     }
 }
 
@@ -140,9 +121,13 @@ impl Node for RegisterSurf {
             self.kernel.set_params(wanted);
         }
         let found = self.kernel.register(input.left.view(), input.right.view(), cx.pool());
-        out.homography.set(packet(&found))?;
-        out.roi_left.set(roi(&found.roi_left))?;
-        out.roi_right.set(roi(&found.roi_right))?;
-        Ok(())
+        out.set(&Found {
+            left_from_right: &found.left_from_right,
+            rms_px: found.rms_px,
+            inliers: found.inliers,
+            state: state(&found),
+            roi_left: &found.roi_left,
+            roi_right: &found.roi_right,
+        })
     }
 }
