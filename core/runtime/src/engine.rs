@@ -244,9 +244,9 @@ impl Engine {
         let shared = &self.shared;
         // The pool's task must not keep the engine alive.
         let weak = Arc::downgrade(shared);
-        let task: Task = Arc::new(move |node| {
+        let task: Task = Arc::new(move |node, walk| {
             if let Some(shared) = weak.upgrade() {
-                shared.run(node as usize);
+                shared.run(node as usize, walk);
             }
         });
         shared.pool.start(&task)?;

@@ -9,8 +9,10 @@ use std::thread::JoinHandle;
 
 use panoscope_abi::ChunkFn;
 
+use crate::exec::Walk;
+
 /// Runs a node task; called on a worker.
-pub type Task = Arc<dyn Fn(u32) + Send + Sync>;
+pub type Task = Arc<dyn Fn(u32, &mut Walk) + Send + Sync>;
 
 /// A loop whose caller waits on the stack until all chunks are done.
 struct Loop {
@@ -214,6 +216,7 @@ impl Pool {
 
 fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
     CURRENT.with(|current| current.set(Arc::as_ptr(inner)));
+    let mut walk = Walk::default();
     let mut state = lock(inner);
     loop {
         if let Some(at) = state.given_up.iter().position(|n| *n == number) {
@@ -246,7 +249,7 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
         }
         if let Some(next) = state.tasks.pop_front() {
             drop(state);
-            task(next);
+            task(next, &mut walk);
             state = lock(inner);
             continue;
         }
@@ -324,7 +327,7 @@ mod tests {
     fn every_chunk_runs_once() {
         for threads in [1, 2, 8] {
             let pool = Pool::new(threads);
-            pool.start(&(Arc::new(|_| {}) as Task)).expect("threads");
+            pool.start(&(Arc::new(|_: u32, _: &mut Walk| {}) as Task)).expect("threads");
             pool.enter();
             for chunks in [0usize, 1, 2, 7, 1000] {
                 let sum = AtomicU64::new(0);
@@ -345,7 +348,7 @@ mod tests {
     #[test]
     fn loops_nest() {
         let pool = Pool::new(3);
-        pool.start(&(Arc::new(|_| {}) as Task)).expect("threads");
+        pool.start(&(Arc::new(|_: u32, _: &mut Walk| {}) as Task)).expect("threads");
         pool.enter();
         let sum = AtomicU64::new(0);
         // SAFETY: `nested` takes a counter.

@@ -11,16 +11,16 @@ use std::thread::JoinHandle;
 use arc_swap::ArcSwap;
 use panoscope_abi::{Frame, Tick};
 
-use crate::cell::{Cell, Ran, Resized, Surroundings, lock};
+use crate::cell::{Cell, Ports, Ran, Resized, Surroundings, lock};
 use crate::clock;
 use crate::convert;
-use crate::exec::{Exec, clear};
+use crate::exec::{Exec, Walk, clear, prefetch};
 use crate::fault::{Action, Cause};
 use crate::join::{Join, Take};
 use crate::log::Level;
 use crate::memory::FrameRef;
 use crate::outputs::{format_name, format_names};
-use crate::plan::{Plan, Reader};
+use crate::plan::{Link, Plan, Reader};
 use crate::pool::Pool;
 use crate::region::{Freed, Region};
 use crate::stats::bump;
@@ -127,13 +127,13 @@ impl Shared {
     }
 
     /// Runs a node and whatever may follow it on this thread; `false` when the watchdog gave the thread up.
-    pub fn run(&self, node: usize) -> bool {
+    pub fn run(&self, node: usize, walk: &mut Walk) -> bool {
         let mut current = node;
         loop {
             let plan = self.plan.load();
             let inline = !plan.cells[current].owns_thread();
             let mut ready = Ready::default();
-            let Some(again) = self.run_tick(&plan, current, &mut ready) else { return false };
+            let Some(again) = self.run_tick(&plan, current, walk, &mut ready) else { return false };
             if !inline {
                 ready.settle(self, &plan, false);
                 if again {
@@ -154,7 +154,7 @@ impl Shared {
     }
 
     /// One staged tick of a node and its inline chain; `true` when the next tick is staged already, `None` when the call was given up.
-    fn run_tick(&self, plan: &Plan, node: usize, ready: &mut Ready) -> Option<bool> {
+    fn run_tick(&self, plan: &Plan, node: usize, walk: &mut Walk, ready: &mut Ready) -> Option<bool> {
         let cell = &plan.cells[node];
         let Some(mut exec) = cell.exec.take() else {
             // The engine closed it: nobody will run it again.
@@ -163,40 +163,42 @@ impl Shared {
         };
         let staged = {
             let mut join = lock(&cell.join);
-            std::mem::swap(&mut exec.inputs, &mut join.staged);
+            walk.inputs.append(&mut join.staged);
             join.staged_take.take()
         };
-        match staged {
-            Some((mut tick, complete)) => {
-                let start_ns = clock::now_ns();
-                let (ran, now_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, start_ns);
-                if ran == Ran::Abandoned {
-                    Self::left_behind(cell, exec);
-                    return None;
-                }
-                self.after(plan, node, ran, &tick, now_ns);
-                if !self.chain(plan, node, exec, tick, now_ns, ready) {
-                    return None;
-                }
+        if let Some((mut tick, complete)) = staged {
+            look_ahead(plan.following(node), 0);
+            let start_ns = clock::now_ns();
+            let mut ports = Ports { inputs: &mut walk.inputs, lone: false, made: &mut walk.made[0] };
+            let (ran, now_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, start_ns, &mut ports);
+            if ran == Ran::Abandoned {
+                Self::left_behind(cell, exec, walk);
+                return None;
             }
-            None => cell.exec.put(exec),
+            walk.inputs.clear();
+            cell.exec.put(exec);
+            self.after(plan, node, plan.wiring[node].sink, ran, &tick, now_ns);
+            if !self.chain(plan, node, tick, now_ns, walk, ready) {
+                return None;
+            }
+        } else {
+            cell.exec.put(exec);
         }
         Some(self.take_next(plan, node, ready))
     }
 
     /// A call came back that the watchdog gave up: everything else has been done in its place.
-    pub fn left_behind(cell: &Cell, exec: Box<Exec>) {
+    pub fn left_behind(cell: &Cell, exec: Box<Exec>, walk: &mut Walk) {
         drop(exec);
+        walk.clear();
         cell.stuck.fetch_sub(1, Ordering::Relaxed);
     }
 
     /// What follows from how a call ended.
     #[inline]
-    pub fn after(&self, plan: &Plan, node: usize, ran: Ran, tick: &Tick, now_ns: u64) {
+    pub fn after(&self, plan: &Plan, node: usize, sink: bool, ran: Ran, tick: &Tick, now_ns: u64) {
         if ran == Ran::Ok {
-            if plan.wiring[node].sink
-                && let Some(ingest) = self.ingest(plan, tick)
-            {
+            if sink && let Some(ingest) = self.ingest(plan, tick) {
                 plan.cells[node].stats.age.record(now_ns.saturating_sub(ingest));
             }
         } else if ran != Ran::Skipped {
@@ -239,55 +241,63 @@ impl Shared {
         Some(slot.load(Ordering::Relaxed)).filter(|&ns| ns > 0)
     }
 
-    /// Walks the inline readers, delivers what the last one made and tells the region; `false` when a call was given up.
+    /// Walks the inline readers of what stands in `walk.made[0]`, delivers what the last one made and tells the region; `false` when a
+    /// call was given up.
     fn chain(
         &self,
         plan: &Plan,
         node: usize,
-        mut exec: Box<Exec>,
         mut tick: Tick,
         mut now_ns: u64,
+        walk: &mut Walk,
         ready: &mut Ready,
     ) -> bool {
         let mut last = node;
-        while let Some(inline) = plan.wiring[last].inline {
-            plan.cells[last].taps.show(&exec.outputs);
-            let mut frame = std::mem::replace(&mut exec.outputs[inline.port], Frame::EMPTY);
-            clear(&mut exec.outputs);
-            plan.cells[last].exec.put(exec);
-            if !takes(inline.accepts, &frame) {
-                self.refused(plan, last, inline.port, inline.node, inline.accepts, &frame);
-                clear(std::slice::from_mut(&mut frame));
+        let mut last_cell = &*plan.cells[node];
+        let [made, next] = &mut walk.made;
+        let (mut made, mut next) = (made, next);
+        let links = plan.following(node);
+        for (at, link) in links.iter().enumerate() {
+            look_ahead(links, at + 1);
+            last_cell.taps.show(&made.outputs);
+            let frame = &mut made.outputs[link.port as usize];
+            if !takes(link.accepts, frame) {
+                self.refused(plan, last, link.port as usize, link.node as usize, link.accepts, frame);
+                clear(std::slice::from_mut(frame));
             }
-            let cell = &plan.cells[inline.node];
-            let Some(mut following) = cell.exec.take() else {
+            let cell = &*link.cell;
+            let Some(mut exec) = cell.exec.take() else {
                 // The engine closed it at the end of a run that was not waited for.
-                drop(FrameRef::adopt(frame));
-                self.skip_from(plan, inline.node, tick, ready);
+                made.clear();
+                self.skip_from(plan, link.node as usize, tick, ready);
                 return true;
             };
-            let complete = inline.optional || !frame.is_empty();
-            // Made outputs carry the tick already; writing it again would hold up the copy.
+            let complete = link.optional || !frame.is_empty();
+            // Made outputs carry the tick already; writing it again would hold up who reads it next.
             if frame.tick != tick {
                 frame.tick = tick;
             }
-            following.inputs.push(FrameRef::adopt(frame));
-            let (ran, end_ns) = cell.run(&mut following, &self.around, &mut tick, complete, now_ns);
+            let inputs = std::slice::from_mut(FrameRef::adopt_in_place(frame));
+            let mut ports = Ports { inputs, lone: link.lone, made: next };
+            let (ran, end_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, now_ns, &mut ports);
             if ran == Ran::Abandoned {
-                Self::left_behind(cell, following);
+                Self::left_behind(cell, exec, walk);
                 return false;
             }
-            self.after(plan, inline.node, ran, &tick, end_ns);
+            made.clear();
+            cell.exec.put(exec);
+            if link.sink || ran != Ran::Ok {
+                self.after(plan, link.node as usize, link.sink, ran, &tick, end_ns);
+            }
             now_ns = end_ns;
-            exec = following;
-            last = inline.node;
+            (last, last_cell) = (link.node as usize, cell);
+            std::mem::swap(&mut made, &mut next);
         }
-        plan.cells[last].taps.show(&exec.outputs);
-        for port in 0..exec.outputs.len() {
-            let raw = std::mem::replace(&mut exec.outputs[port], Frame::EMPTY);
+        last_cell.taps.show(&made.outputs);
+        for (port, output) in made.outputs.iter_mut().enumerate() {
+            let raw = std::mem::replace(output, Frame::EMPTY);
             self.deliver_port(plan, last, port, FrameRef::adopt(Frame { tick, ..raw }), ready);
         }
-        plan.cells[last].exec.put(exec);
         self.leave(plan, last, ready);
         true
     }
@@ -516,6 +526,18 @@ impl Shared {
         } else if seq > self.allocations.warm_up_ticks {
             *lock(&self.allocations.to) = Some((count(), seq));
         }
+    }
+}
+
+/// Asks for what the next nodes of a chain will touch, each step as early as the address is known: after a pause, or in a long
+/// chain, it is in no near cache.
+#[inline]
+fn look_ahead(links: &[Link], at: usize) {
+    if let Some(link) = links.get(at + 1) {
+        prefetch((&raw const *link.cell).cast());
+    }
+    if let Some(link) = links.get(at) {
+        Exec::prefetch(link.cell.exec.address());
     }
 }
 

@@ -7,9 +7,9 @@ use std::time::Duration;
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
-use crate::cell::{Cell, Ran, lock};
+use crate::cell::{Cell, Ports, Ran, lock};
 use crate::clock;
-use crate::exec::clear;
+use crate::exec::Walk;
 use crate::fault::{Action, Cause};
 use crate::memory::FrameRef;
 use crate::pool;
@@ -84,6 +84,7 @@ impl Shared {
 
     /// Answers whether the watchdog gave this thread up.
     fn blocking_thread(&self, node: usize, cell: &Cell) -> bool {
+        let mut walk = Walk::default();
         loop {
             while !cell.wake.swap(false, Ordering::Acquire) {
                 std::thread::park();
@@ -95,7 +96,7 @@ impl Shared {
             if finished || cell.leave.grant() {
                 return false;
             }
-            if running && !self.run(node) {
+            if running && !self.run(node, &mut walk) {
                 return true;
             }
         }
@@ -104,6 +105,7 @@ impl Shared {
     /// Answers whether the watchdog gave this thread up.
     fn source_thread(&self, node: usize, cell: &Arc<Cell>) -> bool {
         let last_ns = cell.last_capture_ns.load(Ordering::Relaxed);
+        let mut walk = Walk::default();
         let mut pace = Pace { last_capture_ns: (last_ns != i64::MIN).then_some(last_ns), ..Pace::default() };
         let leaves = || cell.leave.grant();
         while !self.is_stopping() {
@@ -114,7 +116,7 @@ impl Shared {
             if self.frames.is_some_and(|most| seq >= most) {
                 break;
             }
-            match self.source_tick(node, cell, seq, &mut pace) {
+            match self.source_tick(node, cell, seq, &mut pace, &mut walk) {
                 Step::Next => {}
                 Step::End => break,
                 Step::GivenUp => return true,
@@ -135,7 +137,7 @@ impl Shared {
         false
     }
 
-    fn source_tick(&self, node: usize, cell: &Arc<Cell>, seq: u64, pace: &mut Pace) -> Step {
+    fn source_tick(&self, node: usize, cell: &Arc<Cell>, seq: u64, pace: &mut Pace, walk: &mut Walk) -> Step {
         if self.around.batch || !self.paced {
             let has_room = {
                 let plan = self.plan.load();
@@ -156,20 +158,23 @@ impl Shared {
         }
         pace.again = true;
         let Some(mut exec) = cell.exec.take() else { return Step::End };
-        std::mem::swap(&mut exec.inputs, &mut lock(&cell.join).staged);
+        walk.inputs.append(&mut lock(&cell.join).staged);
         let start_ns = clock::now_ns();
-        let (ran, mut now_ns) = cell.run(&mut exec, &self.around, &mut tick, true, start_ns);
+        let mut ports = Ports { inputs: &mut walk.inputs, lone: false, made: &mut walk.made[0] };
+        let (ran, mut now_ns) = cell.run(&mut exec, &self.around, &mut tick, true, start_ns, &mut ports);
         if ran == Ran::Abandoned {
-            Self::left_behind(cell, exec);
+            Self::left_behind(cell, exec, walk);
             return Step::GivenUp;
         }
+        walk.inputs.clear();
         let bypassed = exec.bypassed;
+        cell.exec.put(exec);
+        let made = &mut walk.made[0];
         if ran != Ran::Ok {
-            cell.exec.put(exec);
             if ran == Ran::End {
                 return Step::End;
             }
-            self.after(&self.plan.load(), node, ran, &tick, now_ns);
+            self.after(&self.plan.load(), node, false, ran, &tick, now_ns);
             if ran == Ran::Stop || bypassed || cell.on_fault() == OnFault::Bypass {
                 return Step::End;
             }
@@ -185,8 +190,7 @@ impl Shared {
         if let Some(last) =
             pace.last_capture_ns.filter(|&last| tick.capture_ns <= last && last - tick.capture_ns < REWIND_NS)
         {
-            clear(&mut exec.outputs);
-            cell.exec.put(exec);
+            made.clear();
             self.capture_fault(cell, &tick, last);
             cell.made.store(seq + 1, Ordering::Relaxed);
             return Step::Next;
@@ -196,17 +200,16 @@ impl Shared {
             self.frame_ns.store((tick.capture_ns - last) as u64, Ordering::Relaxed);
         }
         cell.last_capture_ns.store(tick.capture_ns, Ordering::Relaxed);
-        cell.taps.show(&exec.outputs);
+        cell.taps.show(&made.outputs);
         let region = {
             let plan = self.plan.load();
             Arc::clone(&plan.regions[plan.wiring[node].region])
         };
         let mut outputs = region.spare();
-        for output in &mut exec.outputs {
+        for output in &mut made.outputs {
             let raw = std::mem::replace(output, Frame::EMPTY);
             outputs.push(FrameRef::adopt(Frame { tick, ..raw }));
         }
-        cell.exec.put(exec);
         if self.paced && !self.around.batch {
             now_ns = self.wait_until_due(cell, tick.capture_ns, now_ns, &mut pace.first);
         }

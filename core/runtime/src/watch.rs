@@ -6,9 +6,10 @@ use std::time::Duration;
 
 use panoscope_graph::OnFault;
 
-use crate::cell::{Cell, backoff_ms, lock};
+use crate::cell::{Cell, lock};
 use crate::clock;
-use crate::exec::{ABANDONED, Exec};
+use crate::exec::ABANDONED;
+use crate::failures::backoff_ms;
 use crate::fault::{Action, Cause};
 use crate::log::Level;
 use crate::plan::Plan;
@@ -108,8 +109,7 @@ impl Shared {
         let stuck = cell.stuck.fetch_add(1, Ordering::Relaxed) + 1;
         let failures = cell.failures.fetch_add(1, Ordering::Relaxed) + 1;
         bump(&cell.stats.faults);
-        let ranges = lock(&cell.ranges).clone();
-        let mut exec = Exec::new(cell.node_type, ranges.len(), ranges, cell.snapshot());
+        let mut exec = cell.fresh_exec();
         exec.failed_at_ns = now_ns;
         exec.failures_in_a_row = failures;
         let done = match cell.on_fault() {
