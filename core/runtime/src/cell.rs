@@ -106,6 +106,8 @@ pub(crate) struct Cell {
     /// Whether its thread is to leave, see [`Leave`].
     pub leave: Leave,
     pub has_thread: AtomicBool,
+    /// What a tick of the inline chain that starts here took lately, the longest of about ten; `u64::MAX` before the first.
+    pub walk_ns: AtomicU64,
     /// Newest capture time of a source, `i64::MIN` for none.
     pub last_capture_ns: AtomicI64,
     /// Ticks this node is done with, for its region.
@@ -239,6 +241,7 @@ impl Cell {
             retired: AtomicBool::new(false),
             leave: Leave::default(),
             has_thread: AtomicBool::new(false),
+            walk_ns: AtomicU64::new(u64::MAX),
             last_capture_ns: AtomicI64::new(i64::MIN),
             done_ticks: AtomicU64::new(0),
             made: AtomicU64::new(0),
@@ -273,6 +276,13 @@ impl Cell {
     /// Whether the node runs on a thread of its own.
     pub fn owns_thread(&self) -> bool {
         self.source || self.kind != NodeKind::Compute
+    }
+
+    /// Takes down what a tick of the chain that starts here took.
+    pub fn note_walk(&self, ns: u64) {
+        let before = self.walk_ns.load(Ordering::Relaxed);
+        let faded = if before == u64::MAX { 0 } else { before - before / 8 };
+        self.walk_ns.store(ns.max(faded), Ordering::Relaxed);
     }
 
     /// The values in force.
@@ -549,7 +559,7 @@ impl Cell {
             }
             count += 1;
             let port = exec.port(index);
-            if (port.inspected || !is_same(frame, shown))
+            if (port.inspected >> frame.format & 1 == 1 || !is_same(frame, shown))
                 && let Err(objection) = self.rules[index].inspect(frame, shown)
             {
                 clear(std::slice::from_mut(frame));

@@ -246,7 +246,7 @@ impl Engine {
         let weak = Arc::downgrade(shared);
         let task: Task = Arc::new(move |node, walk| {
             if let Some(shared) = weak.upgrade() {
-                shared.run(node as usize, walk);
+                shared.run(node as usize, walk, u64::MAX);
             }
         });
         shared.pool.start(&task)?;

@@ -140,8 +140,8 @@ pub(crate) struct Port {
     /// Size when it was last made.
     pub width: u32,
     pub height: u32,
-    /// Its contents are looked at, see [`OutputRule::inspect`].
-    pub inspected: bool,
+    /// Formats whose contents are looked at, one bit each, see [`OutputRule::inspect`].
+    pub inspected: u32,
 }
 
 /// The instance and what a call needs; owned by whoever runs the node. The order is that of use: what every call touches stands in
@@ -194,8 +194,8 @@ impl Exec {
         time: Arc<Histogram>,
     ) -> Box<Self> {
         let port =
-            |rule: &OutputRule| Port { formats: rule.formats(), width: 0, height: 0, inspected: rule.looks_inside() };
-        let first = Port { formats: 0, width: 0, height: 0, inspected: false };
+            |rule: &OutputRule| Port { formats: rule.formats(), width: 0, height: 0, inspected: rule.inspected() };
+        let first = Port { formats: 0, width: 0, height: 0, inspected: 0 };
         Box::new(Self {
             instance: Instance::none(node_type),
             process: node_type.process,

@@ -77,9 +77,13 @@ impl OutputRule {
         self.formats
     }
 
-    /// Whether [`Self::inspect`] looks at contents.
-    pub fn looks_inside(&self) -> bool {
-        self.look != Look::Nothing
+    /// Formats of which [`Self::inspect`] looks at the contents, one bit each.
+    pub fn inspected(&self) -> u32 {
+        match self.look {
+            Look::Nothing => 0,
+            Look::Plane => abi::format_bit(abi::FORMAT_F32),
+            Look::Plain { .. } | Look::Homography => u32::MAX,
+        }
     }
 
     /// What is wrong with a description that does not [`fit`].

@@ -85,6 +85,8 @@ pub(crate) struct Plan {
     following: Vec<Range<u32>>,
     pub regions: Vec<Arc<Region>>,
     pub extents: Vec<Extent>,
+    /// For each region, who reads from it without being part of it: node and slot.
+    pub outsiders: Vec<Vec<(usize, usize)>>,
     /// Slot of each node of the graph.
     pub slots: Vec<usize>,
     /// Some input waits for a nearby packet, so somebody must watch the time.
@@ -203,7 +205,13 @@ pub(crate) fn lay_out(
     let (regions, extents) = find_regions(graph, &slots, &mut wiring, ticks_in_flight, old);
     let nearest = graph.edges.iter().any(|e| matches!(e.align, Align::Nearest { .. }));
     let (links, following) = link(&cells, &alive, &wiring);
-    Plan { cells, alive, wiring, links, following, regions, extents, slots, nearest }
+    let outsiders = extents.iter().enumerate().map(|(region, extent)| outsiders(&wiring, region, extent)).collect();
+    Plan { cells, alive, wiring, links, following, regions, extents, outsiders, slots, nearest }
+}
+
+fn outsiders(wiring: &[Wiring], region: usize, extent: &Extent) -> Vec<(usize, usize)> {
+    let readers = extent.members.iter().flat_map(|&member| wiring[member].readers.iter().flatten());
+    readers.filter(|r| wiring[r.node].region != region).map(|r| (r.node, r.slot)).collect()
 }
 
 /// Writes the chains down in the order in which they are walked.

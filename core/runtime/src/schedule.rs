@@ -6,7 +6,6 @@
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex, Weak};
-use std::thread::JoinHandle;
 
 use arc_swap::ArcSwap;
 use panoscope_abi::{Frame, Tick};
@@ -24,6 +23,7 @@ use crate::plan::{Link, Plan, Reader};
 use crate::pool::Pool;
 use crate::region::{Freed, Region};
 use crate::stats::bump;
+use crate::threads::OwnThread;
 
 /// What the threads of an engine share.
 pub(crate) struct Shared {
@@ -49,7 +49,7 @@ pub(crate) struct Shared {
     /// Nodes that wait for a `nearest` input with a deadline.
     pub waiting_nearest: AtomicI64,
     /// Threads that belong to one node, by thread number.
-    pub own_threads: Mutex<HashMap<u32, JoinHandle<()>>>,
+    pub own_threads: Mutex<HashMap<u32, OwnThread>>,
     /// A call without a budget that takes longer does not return, as far as the watchdog is concerned.
     pub hang_ns: u64,
     /// Media time between two ticks of the fastest source.
@@ -84,12 +84,17 @@ impl Ready {
         self.len += 1;
     }
 
-    /// Hands all to their threads but one that may run inline.
-    pub fn settle(&mut self, shared: &Shared, plan: &Plan, inline: bool) -> Option<usize> {
+    /// Hands all to their threads but one whose chain takes no longer than `allowance_ns`, which the caller is to run.
+    pub fn settle(&mut self, shared: &Shared, plan: &Plan, allowance_ns: u64) -> Option<usize> {
         let mut next = None;
         for &node in &self.nodes[..self.len] {
             let node = node as usize;
-            if inline && next.is_none() && !plan.cells[node].owns_thread() {
+            let cell = &plan.cells[node];
+            if allowance_ns > 0
+                && next.is_none()
+                && !cell.owns_thread()
+                && cell.walk_ns.load(Ordering::Relaxed) <= allowance_ns
+            {
                 next = Some(node);
             } else {
                 shared.dispatch(plan, node);
@@ -126,29 +131,29 @@ impl Shared {
         }
     }
 
-    /// Runs a node and whatever may follow it on this thread; `false` when the watchdog gave the thread up.
-    pub fn run(&self, node: usize, walk: &mut Walk) -> bool {
+    /// Runs a node and what may follow it on this thread; `false` when the watchdog gave the thread up. A worker's allowance has no end
+    /// (`u64::MAX`); a node's own thread goes on with others' chains only as long as these are known to take no more than its allowance.
+    pub fn run(&self, node: usize, walk: &mut Walk, mut allowance_ns: u64) -> bool {
+        let is_worker = allowance_ns == u64::MAX;
         let mut current = node;
         loop {
             let plan = self.plan.load();
-            let inline = !plan.cells[current].owns_thread();
             let mut ready = Ready::default();
             let Some(again) = self.run_tick(&plan, current, walk, &mut ready) else { return false };
-            if !inline {
-                ready.settle(self, &plan, false);
-                if again {
-                    continue;
-                }
-                return true;
-            }
-            match (ready.settle(self, &plan, true), again) {
-                (Some(next), true) => {
+            let is_owner = plan.cells[current].owns_thread();
+            // A thread's own node comes first.
+            match (ready.settle(self, &plan, if is_owner && again { 0 } else { allowance_ns }), again) {
+                (next, true) if !is_owner && (next.is_some() || !is_worker) => {
                     self.pool.push(current as u32);
+                    let Some(next) = next else { return true };
                     current = next;
                 }
+                (_, true) => continue,
                 (Some(next), false) => current = next,
-                (None, true) => {}
                 (None, false) => return true,
+            }
+            if !is_worker {
+                allowance_ns = allowance_ns.saturating_sub(plan.cells[current].walk_ns.load(Ordering::Relaxed));
             }
         }
     }
@@ -178,9 +183,8 @@ impl Shared {
             walk.inputs.clear();
             cell.exec.put(exec);
             self.after(plan, node, plan.wiring[node].sink, ran, &tick, now_ns);
-            if !self.chain(plan, node, tick, now_ns, walk, ready) {
-                return None;
-            }
+            let end_ns = self.chain(plan, node, tick, now_ns, walk, ready)?;
+            cell.note_walk(end_ns.saturating_sub(start_ns));
         } else {
             cell.exec.put(exec);
         }
@@ -241,8 +245,8 @@ impl Shared {
         Some(slot.load(Ordering::Relaxed)).filter(|&ns| ns > 0)
     }
 
-    /// Walks the inline readers of what stands in `walk.made[0]`, delivers what the last one made and tells the region; `false` when a
-    /// call was given up.
+    /// Walks the inline readers of what stands in `walk.made[0]`, delivers what the last one made and tells the region; answers when
+    /// the last call ended, `None` when one was given up.
     fn chain(
         &self,
         plan: &Plan,
@@ -251,7 +255,7 @@ impl Shared {
         mut now_ns: u64,
         walk: &mut Walk,
         ready: &mut Ready,
-    ) -> bool {
+    ) -> Option<u64> {
         let mut last = node;
         let mut last_cell = &*plan.cells[node];
         let [made, next] = &mut walk.made;
@@ -270,7 +274,7 @@ impl Shared {
                 // The engine closed it at the end of a run that was not waited for.
                 made.clear();
                 self.skip_from(plan, link.node as usize, tick, ready);
-                return true;
+                return Some(now_ns);
             };
             let complete = link.optional || !frame.is_empty();
             // Made outputs carry the tick already; writing it again would hold up who reads it next.
@@ -282,7 +286,7 @@ impl Shared {
             let (ran, end_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, now_ns, &mut ports);
             if ran == Ran::Abandoned {
                 Self::left_behind(cell, exec, walk);
-                return false;
+                return None;
             }
             made.clear();
             cell.exec.put(exec);
@@ -299,7 +303,7 @@ impl Shared {
             self.deliver_port(plan, last, port, FrameRef::adopt(Frame { tick, ..raw }), ready);
         }
         self.leave(plan, last, ready);
-        true
+        Some(now_ns)
     }
 
     /// Finishes a tick from a node on whose call was given up: its outputs are empty, the rest of its chain is left out.
@@ -393,6 +397,8 @@ impl Shared {
 
     fn go_on(&self, plan: &Plan, node: usize, next: Next, ready: &mut Ready) {
         match next {
+            // Whoever sleeps is woken at once: that takes longer than what is left to do here.
+            Next::Run if plan.cells[node].owns_thread() => self.dispatch(plan, node),
             Next::Run => ready.push(self, plan, node),
             Next::Idle => {}
             Next::Finish => self.finish(node, ready),

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use panoscope_abi::{Frame, Tick};
@@ -33,6 +34,26 @@ pub(crate) fn ingest_ring(source: bool) -> Box<[AtomicU64]> {
     (0..if source { INGEST_RING } else { 0 }).map(|_| AtomicU64::new(0)).collect()
 }
 
+/// Longest that a source's thread works for others between two of its ticks, and the share of the time between them.
+const LONGEST_WALK_NS: u64 = 1_000_000;
+const WALK_SHARE: u64 = 8;
+/// The same for the thread of a node that may wait: about what it takes to wake another one.
+const SHORT_WALK_NS: u64 = 100_000;
+
+/// A thread that belongs to a node. It may run the nodes after it, too.
+pub(crate) struct OwnThread {
+    pub node: usize,
+    pub cell: Arc<Cell>,
+    handle: JoinHandle<()>,
+}
+
+impl OwnThread {
+    /// Waits until it has left.
+    pub fn join(self) -> std::thread::Result<()> {
+        self.handle.join()
+    }
+}
+
 /// What a source's thread knows between two ticks.
 #[derive(Default)]
 struct Pace {
@@ -47,7 +68,8 @@ impl Shared {
     /// Starts the thread of a node.
     pub fn start_thread(self: &Arc<Self>, node: usize, cell: &Arc<Cell>) -> std::io::Result<()> {
         let number = pool::next_thread_number();
-        let (shared, cell) = (Arc::clone(self), Arc::clone(cell));
+        let (shared, owner) = (Arc::clone(self), Arc::clone(cell));
+        let cell = Arc::clone(cell);
         cell.has_thread.store(true, Ordering::Release);
         let mut threads = lock(&self.own_threads);
         let builder = std::thread::Builder::new().name(cell.id.chars().take(15).collect());
@@ -66,7 +88,7 @@ impl Shared {
             }
             cell.has_thread.store(false, Ordering::Release);
         })?;
-        threads.insert(number, handle);
+        threads.insert(number, OwnThread { node, cell: owner, handle });
         Ok(())
     }
 
@@ -85,6 +107,8 @@ impl Shared {
     /// Answers whether the watchdog gave this thread up.
     fn blocking_thread(&self, node: usize, cell: &Cell) -> bool {
         let mut walk = Walk::default();
+        // Real-time priority is for the node alone.
+        let allowance_ns = if cell.kind == NodeKind::Realtime { 0 } else { SHORT_WALK_NS };
         loop {
             while !cell.wake.swap(false, Ordering::Acquire) {
                 std::thread::park();
@@ -96,7 +120,7 @@ impl Shared {
             if finished || cell.leave.grant() {
                 return false;
             }
-            if running && !self.run(node, &mut walk) {
+            if running && !self.run(node, &mut walk, allowance_ns) {
                 return true;
             }
         }
@@ -133,7 +157,7 @@ impl Shared {
         if !std::mem::replace(&mut lock(&cell.join).finished, true) {
             self.finish(node, &mut ready);
         }
-        ready.settle(self, &self.plan.load(), false);
+        ready.settle(self, &self.plan.load(), 0);
         false
     }
 
@@ -196,8 +220,14 @@ impl Shared {
             return Step::Next;
         }
         pace.again = false;
+        let mut allowance_ns = 0;
         if let Some(last) = pace.last_capture_ns.replace(tick.capture_ns).filter(|&last| tick.capture_ns > last) {
-            self.frame_ns.store((tick.capture_ns - last) as u64, Ordering::Relaxed);
+            let period_ns = (tick.capture_ns - last) as u64;
+            self.frame_ns.store(period_ns, Ordering::Relaxed);
+            // Where nobody waits for the time of a tick, the next one is made meanwhile.
+            if self.paced && !self.around.batch {
+                allowance_ns = LONGEST_WALK_NS.min(period_ns / WALK_SHARE);
+            }
         }
         cell.last_capture_ns.store(tick.capture_ns, Ordering::Relaxed);
         cell.taps.show(&made.outputs);
@@ -226,7 +256,11 @@ impl Shared {
             let plan = self.plan.load();
             let mut ready = Ready::default();
             self.enter(&plan, node, outputs, &mut ready);
-            ready.settle(self, &plan, false);
+            if let Some(next) = ready.settle(self, &plan, allowance_ns)
+                && !self.run(next, walk, allowance_ns)
+            {
+                return Step::GivenUp;
+            }
         }
         Step::Next
     }
@@ -252,12 +286,8 @@ impl Shared {
             return false;
         }
         let plan = self.plan.load();
-        let home = plan.wiring[node].region;
-        plan.extents[home].members.iter().any(|&member| {
-            plan.wiring[member].readers.iter().flatten().any(|r| {
-                plan.wiring[r.node].region != home && lock(&plan.cells[r.node].join).waiting(r.slot) > MOST_BEHIND
-            })
-        })
+        let outsiders = &plan.outsiders[plan.wiring[node].region];
+        outsiders.iter().any(|&(reader, slot)| lock(&plan.cells[reader].join).waiting(slot) > MOST_BEHIND)
     }
 
     fn wait_until_due(&self, cell: &Cell, capture_ns: i64, now_ns: u64, first: &mut Option<(i64, u64)>) -> u64 {
