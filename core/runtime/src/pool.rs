@@ -4,9 +4,10 @@ use std::cell::Cell;
 use std::collections::VecDeque;
 use std::ffi::c_void;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, LazyLock, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
+use arc_swap::ArcSwap;
 use panoscope_abi::ChunkFn;
 
 use crate::exec::Walk;
@@ -49,6 +50,8 @@ struct State {
     loops: Vec<LoopPtr>,
     idle: usize,
     stop: bool,
+    /// Workers that have come to life.
+    started: usize,
     /// Workers inside a chunk of somebody's loop, and that loop's caller.
     helping: Vec<(u32, u32)>,
     /// Workers that were given up: they leave when they come back.
@@ -58,6 +61,8 @@ struct State {
 struct Inner {
     state: Mutex<State>,
     wake: Condvar,
+    /// A worker has come to life.
+    arrived: Condvar,
     threads: usize,
     stopping: AtomicBool,
 }
@@ -103,6 +108,12 @@ pub(crate) fn next_thread_number() -> u32 {
     NEXT.fetch_add(1, Ordering::Relaxed)
 }
 
+/// Has the calling thread allocate what reading a plan takes once per thread.
+pub(crate) fn warm_up() {
+    static ANY: LazyLock<ArcSwap<()>> = LazyLock::new(ArcSwap::default);
+    drop(ANY.load());
+}
+
 fn lock(inner: &Inner) -> MutexGuard<'_, State> {
     inner.state.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -115,12 +126,14 @@ impl Pool {
             loops: Vec::with_capacity(64),
             idle: 0,
             stop: false,
+            started: 0,
             helping: Vec::with_capacity(64),
             given_up: Vec::new(),
         };
         let inner = Inner {
             state: Mutex::new(state),
             wake: Condvar::new(),
+            arrived: Condvar::new(),
             threads: threads.max(1),
             stopping: AtomicBool::new(false),
         };
@@ -132,11 +145,15 @@ impl Pool {
         self.inner.threads
     }
 
-    /// Starts the workers.
+    /// Starts the workers and waits until they are there: what a thread allocates when it begins is not to happen among ticks.
     pub fn start(&self, task: &Task) -> std::io::Result<()> {
         *self.task.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(task));
         for _ in 0..self.inner.threads {
             self.add_worker(task)?;
+        }
+        let mut state = lock(&self.inner);
+        while state.started < self.inner.threads {
+            state = self.inner.arrived.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
         Ok(())
     }
@@ -216,8 +233,11 @@ impl Pool {
 
 fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
     CURRENT.with(|current| current.set(Arc::as_ptr(inner)));
+    warm_up();
     let mut walk = Walk::default();
     let mut state = lock(inner);
+    state.started += 1;
+    inner.arrived.notify_all();
     loop {
         if let Some(at) = state.given_up.iter().position(|n| *n == number) {
             state.given_up.swap_remove(at);
