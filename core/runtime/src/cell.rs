@@ -19,7 +19,7 @@ use crate::outputs::{OutputRule, is_same};
 use crate::params::Snapshot;
 use crate::preview::Taps;
 use crate::stats::{NodeStats, bump};
-use crate::threads::ingest_ring;
+use crate::threads::{Leave, ingest_ring};
 
 /// Frames that a node may keep beyond its calls.
 pub(crate) const MOST_KEPT_FRAMES: usize = 128;
@@ -144,41 +144,6 @@ pub(crate) struct Resized {
     pub tick: Tick,
     pub from: (u32, u32),
     pub to: (u32, u32),
-}
-
-/// A wish that a thread leaves, which it answers before it does.
-#[derive(Default)]
-pub(crate) struct Leave(AtomicU8);
-
-impl Leave {
-    const WISHED: u8 = 1;
-    const GRANTED: u8 = 2;
-
-    pub fn wish(&self) {
-        let _ = self.0.compare_exchange(0, Self::WISHED, Ordering::AcqRel, Ordering::Relaxed);
-    }
-
-    pub fn is_wished(&self) -> bool {
-        self.0.load(Ordering::Relaxed) != 0
-    }
-
-    /// Called by the thread: whether it leaves now.
-    pub fn grant(&self) -> bool {
-        self.0.load(Ordering::Relaxed) != 0 && {
-            let _ = self.0.compare_exchange(Self::WISHED, Self::GRANTED, Ordering::AcqRel, Ordering::Relaxed);
-            self.0.load(Ordering::Acquire) == Self::GRANTED
-        }
-    }
-
-    /// Takes the wish back; `false` when the thread has set out to leave.
-    pub fn take_back(&self) -> bool {
-        self.0.compare_exchange(Self::WISHED, 0, Ordering::AcqRel, Ordering::Acquire) != Err(Self::GRANTED)
-    }
-
-    /// For the next thread.
-    pub fn reset(&self) {
-        self.0.store(0, Ordering::Release);
-    }
 }
 
 /// What a node says of itself when it is made.
@@ -379,7 +344,7 @@ impl Cell {
         if self.news.load(Ordering::Acquire) != exec.news {
             self.catch_up(exec, around);
         }
-        ports.made.set_len(exec.outputs_len);
+        ports.made.set_len(exec.outputs_len as usize);
         if !complete || !self.may_run(exec, around, tick) {
             if !complete {
                 bump(&self.stats.skipped);
@@ -405,14 +370,14 @@ impl Cell {
             exec.longest_ns = spent_ns;
             exec.time.raise(spent_ns);
         }
-        if exec.budget_ns != 0 && spent_ns > exec.budget_ns {
+        if exec.limited && exec.budget_ns != 0 && spent_ns > exec.budget_ns {
             self.over_budget(around, tick, spent_ns, exec.budget_ns);
         }
         if status == abi::STATUS_OK {
             return (self.accept(exec, around, tick, refused, end_ns, ports.made), end_ns);
         }
         ports.made.clear();
-        if status == abi::STATUS_END && self.source {
+        if status == abi::STATUS_END && exec.source {
             return (Ran::End, end_ns);
         }
         (self.failed(exec, around, status, refused, tick, end_ns), end_ns)
@@ -435,6 +400,7 @@ impl Cell {
         exec.set_snapshot(self.snapshot());
         exec.period_ns = self.period_ns.load(Ordering::Relaxed);
         exec.budget_ns = self.budget_ns.load(Ordering::Relaxed);
+        exec.limited = exec.period_ns > 0 || exec.budget_ns != 0;
     }
 
     #[cold]
@@ -462,13 +428,13 @@ impl Cell {
     #[inline]
     fn may_run(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> bool {
         let last = exec.last_fired_ns;
-        if exec.period_ns > 0 && last != i64::MIN && tick.capture_ns - last < exec.period_ns {
+        if exec.limited && exec.period_ns > 0 && last != i64::MIN && tick.capture_ns - last < exec.period_ns {
             return false;
         }
         if exec.bypassed || !(exec.instance.is_open() || (around.batch && self.open_in_batch(exec, around, tick))) {
             return false;
         }
-        if !self.source {
+        if !exec.source {
             exec.last_fired_ns = tick.capture_ns;
         }
         true
@@ -532,7 +498,7 @@ impl Cell {
             // The output holds the input's reference from here on.
             ports.inputs[lent.input as usize].forget();
         }
-        if self.source {
+        if exec.source {
             tick.capture_ns = call.tick.capture_ns;
             for frame in made.outputs.iter_mut().filter(|f| !f.is_empty()) {
                 frame.tick = *tick;

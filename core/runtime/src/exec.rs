@@ -155,19 +155,22 @@ pub(crate) struct Exec {
     pub params_version: u64,
     /// [`crate::cell::Cell::news`] as of the last call: what is copied from there is in force.
     pub news: u64,
-    pub period_ns: i64,
     /// Capture time of the last tick that was run, `i64::MIN` for none.
     pub last_fired_ns: i64,
-    pub budget_ns: u64,
     pub time: Arc<Histogram>,
     pub longest_ns: u64,
     first: Port,
-    // Here ends what a call that goes well touches, if it has one output.
+    pub outputs_len: u32,
+    pub source: bool,
     pub bypassed: bool,
-    /// One of the counts below is not 0.
+    /// One of the counts of what went wrong is not 0.
     pub troubled: bool,
+    /// There is a period or a budget.
+    pub limited: bool,
+    // Here ends what a call that goes well touches, if the node has one output and no limits.
     more: Box<[Port]>,
-    pub outputs_len: usize,
+    pub period_ns: i64,
+    pub budget_ns: u64,
     pub ranges: Vec<PortRange>,
     pub failure: String,
     snapshot: Arc<Snapshot>,
@@ -181,6 +184,8 @@ pub(crate) struct Exec {
 }
 
 type ProcessFn = Option<unsafe extern "C" fn(instance: *mut c_void, call: *mut abi::Call) -> abi::Status>;
+
+const _: () = assert!(std::mem::offset_of!(Exec, more) <= 128);
 
 // SAFETY: `params` points into `snapshot`, which is immutable and shared between threads.
 unsafe impl Send for Exec {}
@@ -203,16 +208,18 @@ impl Exec {
             params_len: snapshot.values().len(),
             params_version: snapshot.version(),
             news: 0,
-            period_ns: 0,
             last_fired_ns: i64::MIN,
-            budget_ns: 0,
             time,
             longest_ns: 0,
             first: rules.first().map_or(first, port),
+            outputs_len: rules.len() as u32,
+            source: node_type.flags & abi::NODE_SOURCE != 0,
             bypassed: false,
             troubled: true,
+            limited: false,
             more: rules.iter().skip(1).map(port).collect(),
-            outputs_len: rules.len(),
+            period_ns: 0,
+            budget_ns: 0,
             ranges,
             failure: String::new(),
             snapshot,

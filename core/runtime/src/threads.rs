@@ -1,7 +1,7 @@
 //! Threads that belong to one node: sources and nodes that may wait.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -51,6 +51,41 @@ impl OwnThread {
     /// Waits until it has left.
     pub fn join(self) -> std::thread::Result<()> {
         self.handle.join()
+    }
+}
+
+/// A wish that a thread leaves, which it answers before it does.
+#[derive(Default)]
+pub(crate) struct Leave(AtomicU8);
+
+impl Leave {
+    const WISHED: u8 = 1;
+    const GRANTED: u8 = 2;
+
+    pub fn wish(&self) {
+        let _ = self.0.compare_exchange(0, Self::WISHED, Ordering::AcqRel, Ordering::Relaxed);
+    }
+
+    pub fn is_wished(&self) -> bool {
+        self.0.load(Ordering::Relaxed) != 0
+    }
+
+    /// Called by the thread: whether it leaves now.
+    pub fn grant(&self) -> bool {
+        self.0.load(Ordering::Relaxed) != 0 && {
+            let _ = self.0.compare_exchange(Self::WISHED, Self::GRANTED, Ordering::AcqRel, Ordering::Relaxed);
+            self.0.load(Ordering::Acquire) == Self::GRANTED
+        }
+    }
+
+    /// Takes the wish back; `false` when the thread has set out to leave.
+    pub fn take_back(&self) -> bool {
+        self.0.compare_exchange(Self::WISHED, 0, Ordering::AcqRel, Ordering::Acquire) != Err(Self::GRANTED)
+    }
+
+    /// For the next thread.
+    pub fn reset(&self) {
+        self.0.store(0, Ordering::Release);
     }
 }
 
