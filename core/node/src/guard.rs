@@ -48,27 +48,40 @@ impl Caught {
     }
 }
 
-struct Depth;
+/// One guard on this thread's stack. It remembers where the count is: a plugin looks its thread-locals up by a call.
+struct Depth(*const Cell<u32>);
 
 impl Depth {
+    #[inline]
     fn enter() -> Self {
-        DEPTH.with(|depth| depth.set(depth.get() + 1));
-        Self
+        DEPTH.with(|depth| {
+            depth.set(depth.get() + 1);
+            Self(depth)
+        })
     }
 }
 
 impl Drop for Depth {
+    #[inline]
     fn drop(&mut self) {
-        DEPTH.with(|depth| depth.set(depth.get() - 1));
+        // SAFETY: a guard is dropped by the thread that made it, whose count needs no drop and lives as long as the thread.
+        let depth = unsafe { &*self.0 };
+        depth.set(depth.get() - 1);
     }
 }
 
 /// Runs `body`; a panic in it is stopped here and not printed.
+#[inline]
 pub(crate) fn catch<R>(body: impl FnOnce() -> R) -> Result<R, Caught> {
     let depth = Depth::enter();
     let result = catch_unwind(AssertUnwindSafe(body));
     drop(depth);
-    result.map_err(|payload| Caught { payload, place: PLACE.with(|slot| slot.borrow_mut().take()) })
+    result.map_err(caught)
+}
+
+#[cold]
+fn caught(payload: Box<dyn Any + Send>) -> Caught {
+    Caught { payload, place: PLACE.with(|slot| slot.borrow_mut().take()) }
 }
 
 /// Makes the panic hook remember the place of guarded panics instead of printing them: the host tells the user. Panics elsewhere

@@ -22,10 +22,11 @@ pub trait FromFrame<'f>: Sized {
 impl<'f, T: FromFrame<'f>> PortField<'f> for T {
     const PORT: abi::Port = T::PORT;
 
+    #[inline]
     fn bind(call: RawCall<'f>, index: usize, name: &'static str) -> Result<Self> {
         match call.input(index).first() {
             Some(frame) if !frame.is_empty() => in_port(T::from_frame(frame), name),
-            _ => Err(NodeError::new(format!("input `{name}` is required but empty"))),
+            _ => Err(missing(name)),
         }
     }
 }
@@ -41,8 +42,18 @@ impl<'f, T: FromFrame<'f>> PortField<'f> for Option<T> {
     }
 }
 
+#[inline]
 fn in_port<T>(result: Result<T>, name: &str) -> Result<T> {
-    result.map_err(|error| NodeError::new(format!("input `{name}`: {error}")))
+    #[cold]
+    fn named(error: &NodeError, name: &str) -> NodeError {
+        NodeError::new(format!("input `{name}`: {error}"))
+    }
+    result.map_err(|error| named(&error, name))
+}
+
+#[cold]
+fn missing(name: &str) -> NodeError {
+    NodeError::new(format!("input `{name}` is required but empty"))
 }
 
 /// A port that takes any number of frames, in the order of the graph file.
@@ -113,25 +124,38 @@ impl<P> Clone for Image<'_, P> {
 }
 impl<P> Copy for Image<'_, P> {}
 
-/// The elements of a frame, after checking that they lie inside the buffer.
-fn elements<T: Plain>(frame: &abi::Frame, channels: usize) -> Result<(&[T], usize)> {
-    let size = size_of::<T>();
+/// Bytes from the first pixel of a frame to the end of the last, after checking that they lie inside the buffer and are aligned to
+/// elements of `size` bytes, a power of two.
+#[inline]
+fn checked_len(frame: &abi::Frame, channels: usize, size: usize) -> Result<usize> {
     let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
     let row = width * channels * size;
-    // Sizes come from another plugin: the product may overflow.
+    // Sizes come from another plugin: the sum may overflow.
     let need = if height == 0 { Some(0) } else { ((height - 1) * stride).checked_add(row) };
-    let aligned = stride.is_multiple_of(size) && frame.data.addr().is_multiple_of(align_of::<T>());
-    let Some(need) = need.filter(|need| stride >= row && aligned && *need <= frame.len) else {
-        return Err(NodeError::new(format!(
-            "a {width}x{height} frame with {stride} bytes a row does not fit its {} bytes",
-            frame.len
-        )));
-    };
+    let aligned = (stride | frame.data.addr()) & (size - 1) == 0;
+    match need {
+        Some(need) if stride >= row && aligned && need <= frame.len => Ok(need),
+        _ => Err(misfit(frame)),
+    }
+}
+
+#[cold]
+fn misfit(frame: &abi::Frame) -> NodeError {
+    let abi::Frame { width, height, stride_bytes, len, .. } = *frame;
+    NodeError::new(format!("a {width}x{height} frame with {stride_bytes} bytes a row does not fit its {len} bytes"))
+}
+
+/// The elements of a frame, after checking that they lie inside the buffer.
+fn elements<T: Plain>(frame: &abi::Frame, channels: usize) -> Result<(&[T], usize)> {
+    const { assert!(size_of::<T>().is_power_of_two() && align_of::<T>() <= size_of::<T>()) }
+    let size = size_of::<T>();
+    let need = checked_len(frame, channels, size)?;
+    let stride = frame.stride_bytes as usize / size;
     if need == 0 {
-        return Ok((&[], stride / size));
+        return Ok((&[], stride));
     }
     // SAFETY: the host lends `len` bytes at `data` for the call; size and alignment were checked.
-    Ok((unsafe { std::slice::from_raw_parts(frame.data.cast(), need / size) }, stride / size))
+    Ok((unsafe { std::slice::from_raw_parts(frame.data.cast(), need / size) }, stride))
 }
 
 impl<'f, P: Plane> FromFrame<'f> for Image<'f, P> {
@@ -189,17 +213,24 @@ pub struct AnyImage<'f> {
 impl<'f> FromFrame<'f> for AnyImage<'f> {
     const PORT: abi::Port = nameless("image", 0, IMAGE_FORMATS, 0);
 
+    #[inline]
     fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
-        match frame.format {
-            abi::FORMAT_GRAY8 => elements::<u8>(frame, 1).map(|_| ()),
-            abi::FORMAT_BGR8 => elements::<u8>(frame, 3).map(|_| ()),
-            abi::FORMAT_RGBA8 => elements::<u8>(frame, 4).map(|_| ()),
-            abi::FORMAT_GRAY16 => elements::<u16>(frame, 1).map(|_| ()),
-            abi::FORMAT_F32 => elements::<f32>(frame, 1).map(|_| ()),
-            other => Err(NodeError::new(format!("format {other} is no image"))),
-        }?;
+        let (channels, size) = match frame.format {
+            abi::FORMAT_GRAY8 => (1, 1),
+            abi::FORMAT_BGR8 => (3, 1),
+            abi::FORMAT_RGBA8 => (4, 1),
+            abi::FORMAT_GRAY16 => (1, 2),
+            abi::FORMAT_F32 => (1, 4),
+            other => return Err(no_image(other)),
+        };
+        checked_len(frame, channels, size)?;
         Ok(Self { frame })
     }
+}
+
+#[cold]
+fn no_image(format: u32) -> NodeError {
+    NodeError::new(format!("format {format} is no image"))
 }
 
 impl<'f> AnyImage<'f> {

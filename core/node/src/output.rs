@@ -181,14 +181,19 @@ impl<'f, T> Slot<'f, T> {
     }
 }
 
+#[inline]
 fn outcome(status: abi::Status, len: usize) -> Result<()> {
+    if status == abi::STATUS_OK { Ok(()) } else { Err(refusal(status, len)) }
+}
+
+#[cold]
+fn refusal(status: abi::Status, len: usize) -> NodeError {
     match status {
-        abi::STATUS_OK => Ok(()),
-        abi::STATUS_EXHAUSTED => Err(NodeError::with_status(
+        abi::STATUS_EXHAUSTED => NodeError::with_status(
             format!("the host's frame memory is used up ({len} bytes wanted)"),
             abi::STATUS_EXHAUSTED,
-        )),
-        other => Err(NodeError::new(format!("the host refused an output ({other})"))),
+        ),
+        other => NodeError::new(format!("the host refused an output ({other})")),
     }
 }
 

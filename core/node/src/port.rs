@@ -27,6 +27,7 @@ impl<'f> RawCall<'f> {
     }
 
     /// The frames of input port `index`; empty when the host knows fewer ports.
+    #[inline]
     pub(crate) fn input(self, index: usize) -> &'f [abi::Frame] {
         // SAFETY: the host describes `inputs` and `input_ranges` for the length of the call.
         unsafe {

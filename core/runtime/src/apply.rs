@@ -440,7 +440,7 @@ impl Engine {
         for (region, extent) in &change.held {
             self.resume(old, region, extent.head, &mut ready);
         }
-        ready.settle(&self.shared, old, false);
+        ready.settle(&self.shared, old, 0);
     }
 
     fn start_thread(&self, slot: usize, cell: &Arc<Cell>) {
@@ -560,7 +560,7 @@ impl Engine {
                 shared.poke(&plan, slot, &mut ready);
             }
         }
-        ready.settle(shared, &plan, false);
+        ready.settle(shared, &plan, 0);
         shared.one_finished();
         let replaced = fates.iter().enumerate().filter(|(_, f)| f.replaced).map(|(n, _)| plan.slots[n]);
         self.close_old(old, &removed.into_iter().chain(replaced).collect::<Vec<_>>());

@@ -8,23 +8,23 @@ use panoscope_abi::{self as abi, PortRange, Str, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
 use crate::clock;
-use crate::exec::{Busy, Exec, ExecPlace, Instance, clear};
-use crate::fault::{Action, Cause, Fault, FaultLog, unix_ms};
+use crate::exec::{Busy, Exec, ExecPlace, Instance, Made, clear};
+use crate::fault::{Action, Cause, FaultLog};
 use crate::host::CallContext;
 use crate::join::Join;
+use crate::keep::kept_more;
 use crate::log::{Level, Log};
-use crate::outputs::OutputRule;
+use crate::memory::FrameRef;
+use crate::outputs::{OutputRule, is_same};
 use crate::params::Snapshot;
 use crate::preview::Taps;
 use crate::stats::{NodeStats, bump};
-use crate::threads::ingest_ring;
+use crate::threads::{Leave, ingest_ring};
 
 /// Frames that a node may keep beyond its calls.
 pub(crate) const MOST_KEPT_FRAMES: usize = 128;
 /// Calls in a row without any output after which a node is called silent.
 const SILENT_CALLS: u32 = 30;
-/// Bad outputs in a row after which an instance is not trusted any more.
-const MOST_BAD_OUTPUTS: u32 = 10;
 /// Changes of size that are remembered: a reader may lag a few ticks behind.
 const REMEMBERED_SIZES: usize = 8;
 const CAUSES: usize = Cause::Leak as usize + 1;
@@ -57,8 +57,16 @@ pub(crate) enum Ran {
     Abandoned,
 }
 
-/// A node of a running graph.
+/// A node of a running graph. What every call touches stands in the first cache line.
+#[repr(C, align(64))]
 pub(crate) struct Cell {
+    pub exec: ExecPlace,
+    /// The running call.
+    pub busy: Busy,
+    /// Changes whenever parameters, instance or manners do: a call that finds it as before need look at none of them.
+    news: AtomicU64,
+    pub outputs_read: AtomicU64,
+    pub taps: Taps,
     pub id: String,
     pub node_type: &'static abi::NodeType,
     pub kind: NodeKind,
@@ -72,12 +80,8 @@ pub(crate) struct Cell {
     pub period_ns: AtomicI64,
     pub cpu: Option<u32>,
     pub rules: Box<[OutputRule]>,
-    pub exec: ExecPlace,
-    /// The running call.
-    pub busy: Busy,
     pub join: Mutex<Join>,
     snapshot: Mutex<Arc<Snapshot>>,
-    version: AtomicU64,
     /// Opened beside the running instance; taken over before the next tick.
     replacement: Mutex<Option<(Instance, Option<Arc<Snapshot>>)>>,
     replace: AtomicBool,
@@ -94,8 +98,6 @@ pub(crate) struct Cell {
     pub stuck: Arc<AtomicU32>,
     pub stats: NodeStats,
     pub metrics: Mutex<Vec<(String, f64)>>,
-    pub outputs_read: AtomicU64,
-    pub taps: Taps,
     /// The node's own thread, if it has one.
     pub thread: Mutex<Option<std::thread::Thread>>,
     pub wake: AtomicBool,
@@ -104,6 +106,8 @@ pub(crate) struct Cell {
     /// Whether its thread is to leave, see [`Leave`].
     pub leave: Leave,
     pub has_thread: AtomicBool,
+    /// What a tick of the inline chain that starts here took lately, the longest of about ten; `u64::MAX` before the first.
+    pub walk_ns: AtomicU64,
     /// Newest capture time of a source, `i64::MIN` for none.
     pub last_capture_ns: AtomicI64,
     /// Ticks this node is done with, for its region.
@@ -116,7 +120,21 @@ pub(crate) struct Cell {
     pub ranges: Mutex<Vec<PortRange>>,
     /// The newest changes of outputs' sizes.
     pub resized: Mutex<VecDeque<Resized>>,
-    fault_counts: [AtomicU64; CAUSES],
+    pub fault_counts: [AtomicU64; CAUSES],
+}
+
+/// What the host refused a node.
+pub(crate) type Refused = Box<(Cause, String)>;
+
+/// Readers that run inline have one input.
+const ONE_INPUT: &[PortRange] = &[PortRange { first: 0, count: 1 }];
+
+/// What a call takes and where its outputs go.
+pub(crate) struct Ports<'w> {
+    pub inputs: &'w mut [FrameRef],
+    /// The node has one input port, with one connection.
+    pub lone: bool,
+    pub made: &'w mut Made,
 }
 
 /// An output changed its size.
@@ -126,41 +144,6 @@ pub(crate) struct Resized {
     pub tick: Tick,
     pub from: (u32, u32),
     pub to: (u32, u32),
-}
-
-/// A wish that a thread leaves, which it answers before it does.
-#[derive(Default)]
-pub(crate) struct Leave(AtomicU8);
-
-impl Leave {
-    const WISHED: u8 = 1;
-    const GRANTED: u8 = 2;
-
-    pub fn wish(&self) {
-        let _ = self.0.compare_exchange(0, Self::WISHED, Ordering::AcqRel, Ordering::Relaxed);
-    }
-
-    pub fn is_wished(&self) -> bool {
-        self.0.load(Ordering::Relaxed) != 0
-    }
-
-    /// Called by the thread: whether it leaves now.
-    pub fn grant(&self) -> bool {
-        self.0.load(Ordering::Relaxed) != 0 && {
-            let _ = self.0.compare_exchange(Self::WISHED, Self::GRANTED, Ordering::AcqRel, Ordering::Relaxed);
-            self.0.load(Ordering::Acquire) == Self::GRANTED
-        }
-    }
-
-    /// Takes the wish back; `false` when the thread has set out to leave.
-    pub fn take_back(&self) -> bool {
-        self.0.compare_exchange(Self::WISHED, 0, Ordering::AcqRel, Ordering::Acquire) != Err(Self::GRANTED)
-    }
-
-    /// For the next thread.
-    pub fn reset(&self) {
-        self.0.store(0, Ordering::Release);
-    }
 }
 
 /// What a node says of itself when it is made.
@@ -184,8 +167,10 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Cell {
     /// A cell whose instance is not open yet.
     pub fn new(spec: CellSpec, join: Join, snapshot: Arc<Snapshot>) -> Self {
-        let slots = join.slots.len();
-        let exec = Exec::new(spec.node_type, slots, spec.ranges.clone(), Arc::clone(&snapshot));
+        let rules = OutputRule::of(spec.node_type);
+        let stats = NodeStats::default();
+        let time = Arc::clone(&stats.time);
+        let exec = Exec::new(spec.node_type, &rules, spec.ranges.clone(), Arc::clone(&snapshot), time);
         let this = Self {
             id: spec.id,
             node_type: spec.node_type,
@@ -197,11 +182,12 @@ impl Cell {
             budget_ns: AtomicU64::new(0),
             period_ns: AtomicI64::new(0),
             cpu: spec.cpu,
-            rules: OutputRule::of(spec.node_type),
+            rules,
             exec: ExecPlace::new(exec),
             busy: Busy::default(),
             join: Mutex::new(join),
-            version: AtomicU64::new(snapshot.version()),
+            // That of a new exec is 0.
+            news: AtomicU64::new(1),
             snapshot: Mutex::new(snapshot),
             replacement: Mutex::new(None),
             replace: AtomicBool::new(false),
@@ -211,7 +197,7 @@ impl Cell {
             opening_since_ns: AtomicU64::new(0),
             failures: AtomicU32::new(0),
             stuck: Arc::default(),
-            stats: NodeStats::default(),
+            stats,
             metrics: Mutex::new(Vec::new()),
             outputs_read: AtomicU64::new(spec.outputs_read),
             taps: Taps::new(spec.node_type.outputs_len),
@@ -220,11 +206,12 @@ impl Cell {
             retired: AtomicBool::new(false),
             leave: Leave::default(),
             has_thread: AtomicBool::new(false),
+            walk_ns: AtomicU64::new(u64::MAX),
             last_capture_ns: AtomicI64::new(i64::MIN),
             done_ticks: AtomicU64::new(0),
             made: AtomicU64::new(0),
             ingest_ns: ingest_ring(spec.source),
-            ranges: Mutex::new(spec.ranges.clone()),
+            ranges: Mutex::new(spec.ranges),
             resized: Mutex::default(),
             fault_counts: [const { AtomicU64::new(0) }; CAUSES],
         };
@@ -237,6 +224,13 @@ impl Cell {
         self.on_fault.store(on_fault as u8, Ordering::Relaxed);
         self.budget_ns.store(budget_ms.map_or(0, |ms| (ms * 1e6).max(1.0) as u64), Ordering::Relaxed);
         self.period_ns.store(max_rate_hz.map_or(0, |hz| (1e9 / hz) as i64), Ordering::Relaxed);
+        self.news.fetch_add(1, Ordering::Release);
+    }
+
+    /// An exec without an instance, for after a call that was given up.
+    pub fn fresh_exec(&self) -> Box<Exec> {
+        let ranges = lock(&self.ranges).clone();
+        Exec::new(self.node_type, &self.rules, ranges, self.snapshot(), Arc::clone(&self.stats.time))
     }
 
     pub fn on_fault(&self) -> OnFault {
@@ -249,6 +243,13 @@ impl Cell {
         self.source || self.kind != NodeKind::Compute
     }
 
+    /// Takes down what a tick of the chain that starts here took.
+    pub fn note_walk(&self, ns: u64) {
+        let before = self.walk_ns.load(Ordering::Relaxed);
+        let faded = if before == u64::MAX { 0 } else { before - before / 8 };
+        self.walk_ns.store(ns.max(faded), Ordering::Relaxed);
+    }
+
     /// The values in force.
     pub fn snapshot(&self) -> Arc<Snapshot> {
         Arc::clone(&lock(&self.snapshot))
@@ -256,15 +257,15 @@ impl Cell {
 
     /// Puts new values in force from the next tick on.
     pub fn set_snapshot(&self, snapshot: Arc<Snapshot>) {
-        let version = snapshot.version();
         *lock(&self.snapshot) = snapshot;
-        self.version.store(version, Ordering::Release);
+        self.news.fetch_add(1, Ordering::Release);
     }
 
     /// Hands over an instance that was opened beside the running one, with the values it was opened with where they are new.
     pub fn replace_instance(&self, instance: Instance, snapshot: Option<Arc<Snapshot>>) {
         let old = lock(&self.replacement).replace((instance, snapshot));
-        self.replace.store(true, Ordering::Release);
+        self.replace.store(true, Ordering::Relaxed);
+        self.news.fetch_add(1, Ordering::Release);
         drop(old);
     }
 
@@ -274,7 +275,6 @@ impl Cell {
         lock(&self.broken).clear();
         match self.exec.take() {
             Some(mut exec) => {
-                exec.inputs.clear();
                 exec.instance.close();
                 self.exec.put(exec);
                 true
@@ -290,16 +290,17 @@ impl Cell {
             outputs: std::ptr::null_mut(),
             shown: std::ptr::null_mut(),
             outputs_len: 0,
-            rules: &[],
-            stats: &self.stats,
+            inputs: std::ptr::null(),
+            inputs_len: 0,
+            lent: None,
+            first_formats: 0,
+            cell: self,
             log: &around.log,
-            node_id: &self.id,
             failure: &mut failure,
             refused: None,
             random: None,
             tick: Tick::default(),
             wait_for_memory: around.batch,
-            metrics: &self.metrics,
         };
         let mut call = abi::OpenCall {
             struct_size: size_of::<abi::OpenCall>() as u32,
@@ -330,7 +331,7 @@ impl Cell {
         Err(failure)
     }
 
-    /// Calls the node for one tick with the inputs in `exec`; answers how it went and the time at its end. Inputs are given back.
+    /// Calls the node for one tick; answers how it went and the time at its end. The inputs are the caller's to give back.
     pub fn run(
         &self,
         exec: &mut Exec,
@@ -338,27 +339,12 @@ impl Cell {
         tick: &mut Tick,
         complete: bool,
         start_ns: u64,
+        ports: &mut Ports<'_>,
     ) -> (Ran, u64) {
-        let ran = self.run_inner(exec, around, tick, complete, start_ns);
-        exec.inputs.clear();
-        ran
-    }
-
-    fn run_inner(
-        &self,
-        exec: &mut Exec,
-        around: &Surroundings,
-        tick: &mut Tick,
-        complete: bool,
-        start_ns: u64,
-    ) -> (Ran, u64) {
-        if self.replace.load(Ordering::Relaxed) {
-            self.take_replacement(exec, around);
+        if self.news.load(Ordering::Acquire) != exec.news {
+            self.catch_up(exec, around);
         }
-        let version = self.version.load(Ordering::Acquire);
-        if exec.snapshot.version() != version {
-            exec.snapshot = self.snapshot();
-        }
+        ports.made.set_len(exec.outputs_len as usize);
         if !complete || !self.may_run(exec, around, tick) {
             if !complete {
                 bump(&self.stats.skipped);
@@ -367,33 +353,54 @@ impl Cell {
         }
         let allocations = around.thread_allocations.map(|count| count());
         self.busy.begin(tick, start_ns);
-        let (status, refused) = self.call(exec, around, tick);
+        let (status, refused) = self.call(exec, around, tick, ports);
         if !self.busy.end(start_ns) {
             return (Ran::Abandoned, start_ns);
         }
         let end_ns = clock::now_ns();
         if let Some((count, before)) = around.thread_allocations.zip(allocations) {
-            self.stats.allocations.fetch_add(count().wrapping_sub(before), Ordering::Relaxed);
+            let more = count().wrapping_sub(before);
+            if more != 0 {
+                self.stats.allocations.fetch_add(more, Ordering::Relaxed);
+            }
         }
         let spent_ns = end_ns.saturating_sub(start_ns);
-        self.stats.time.record(spent_ns);
-        let budget_ns = self.budget_ns.load(Ordering::Relaxed);
-        if budget_ns != 0 && spent_ns > budget_ns {
-            bump(&self.stats.over_budget);
-            let words = || format!("took {:.1} ms of {:.1} ms", spent_ns as f64 / 1e6, budget_ns as f64 / 1e6);
-            self.note(around, Cause::Slow, Action::Note, Some(tick.seq), words);
+        exec.time.count_one(spent_ns);
+        if spent_ns > exec.longest_ns {
+            exec.longest_ns = spent_ns;
+            exec.time.raise(spent_ns);
         }
-        match status {
-            abi::STATUS_OK => (self.accept(exec, around, tick, refused, end_ns), end_ns),
-            abi::STATUS_END if self.source => {
-                clear(&mut exec.outputs);
-                (Ran::End, end_ns)
-            }
-            status => {
-                clear(&mut exec.outputs);
-                (self.failed(exec, around, status, refused, tick, end_ns), end_ns)
-            }
+        if exec.limited && exec.budget_ns != 0 && spent_ns > exec.budget_ns {
+            self.over_budget(around, tick, spent_ns, exec.budget_ns);
         }
+        if status == abi::STATUS_OK {
+            return (self.accept(exec, around, tick, refused, end_ns, ports.made), end_ns);
+        }
+        ports.made.clear();
+        if status == abi::STATUS_END && exec.source {
+            return (Ran::End, end_ns);
+        }
+        (self.failed(exec, around, status, refused, tick, end_ns), end_ns)
+    }
+
+    #[cold]
+    fn over_budget(&self, around: &Surroundings, tick: &Tick, spent_ns: u64, budget_ns: u64) {
+        bump(&self.stats.over_budget);
+        let words = || format!("took {:.1} ms of {:.1} ms", spent_ns as f64 / 1e6, budget_ns as f64 / 1e6);
+        self.note(around, Cause::Slow, Action::Note, Some(tick.seq), words);
+    }
+
+    /// Takes over what others changed since the last call.
+    #[cold]
+    fn catch_up(&self, exec: &mut Exec, around: &Surroundings) {
+        exec.news = self.news.load(Ordering::Acquire);
+        if self.replace.load(Ordering::Relaxed) {
+            self.take_replacement(exec, around);
+        }
+        exec.set_snapshot(self.snapshot());
+        exec.period_ns = self.period_ns.load(Ordering::Relaxed);
+        exec.budget_ns = self.budget_ns.load(Ordering::Relaxed);
+        exec.limited = exec.period_ns > 0 || exec.budget_ns != 0;
     }
 
     #[cold]
@@ -420,36 +427,50 @@ impl Cell {
 
     #[inline]
     fn may_run(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> bool {
-        let period_ns = self.period_ns.load(Ordering::Relaxed);
-        if period_ns > 0 && exec.last_fired_ns.is_some_and(|last| tick.capture_ns - last < period_ns) {
+        let last = exec.last_fired_ns;
+        if exec.limited && exec.period_ns > 0 && last != i64::MIN && tick.capture_ns - last < exec.period_ns {
             return false;
         }
         if exec.bypassed || !(exec.instance.is_open() || (around.batch && self.open_in_batch(exec, around, tick))) {
             return false;
         }
-        if !self.source {
-            exec.last_fired_ns = Some(tick.capture_ns);
+        if !exec.source {
+            exec.last_fired_ns = tick.capture_ns;
         }
         true
     }
 
-    fn call(&self, exec: &mut Exec, around: &Surroundings, tick: &mut Tick) -> (abi::Status, Option<(Cause, String)>) {
-        let Some(process) = self.node_type.process else { return (abi::STATUS_INVALID, None) };
-        exec.shown.fill(abi::Frame::EMPTY);
+    fn call(
+        &self,
+        exec: &mut Exec,
+        around: &Surroundings,
+        tick: &mut Tick,
+        ports: &mut Ports<'_>,
+    ) -> (abi::Status, Option<Refused>) {
+        let Some(process) = exec.process else { return (abi::STATUS_INVALID, None) };
+        let made = &mut *ports.made;
+        match &mut made.shown[..] {
+            [one] => *one = abi::Frame::EMPTY,
+            all => all.fill(abi::Frame::EMPTY),
+        }
+        let (inputs, inputs_len) = (ports.inputs.as_ptr().cast::<abi::Frame>(), ports.inputs.len());
+        let (params, params_len) = exec.params();
+        let ranges: &[PortRange] = if ports.lone { ONE_INPUT } else { &exec.ranges };
         let mut context = CallContext {
-            outputs: exec.outputs.as_mut_ptr(),
-            shown: exec.shown.as_mut_ptr(),
-            outputs_len: exec.outputs.len(),
-            rules: &self.rules,
-            stats: &self.stats,
+            outputs: made.outputs.as_mut_ptr(),
+            shown: made.shown.as_mut_ptr(),
+            outputs_len: made.outputs.len(),
+            inputs,
+            inputs_len,
+            lent: None,
+            first_formats: exec.first_formats(),
+            cell: self,
             log: &around.log,
-            node_id: &self.id,
             failure: &mut exec.failure,
             refused: None,
             random: None,
             tick: *tick,
             wait_for_memory: around.batch,
-            metrics: &self.metrics,
         };
         let mut call = abi::Call {
             struct_size: size_of::<abi::Call>() as u32,
@@ -457,15 +478,15 @@ impl Cell {
             host: &raw const around.host,
             call: (&raw mut context).cast(),
             tick: *tick,
-            inputs: exec.inputs.as_ptr().cast(),
-            inputs_len: exec.inputs.len(),
-            input_ranges: exec.ranges.as_ptr(),
-            input_ranges_len: exec.ranges.len(),
-            outputs: exec.shown.as_mut_ptr(),
-            outputs_len: exec.shown.len(),
-            params: exec.snapshot.values().as_ptr(),
-            params_len: exec.snapshot.values().len(),
-            params_version: exec.snapshot.version(),
+            inputs,
+            inputs_len,
+            input_ranges: ranges.as_ptr(),
+            input_ranges_len: ranges.len(),
+            outputs: made.shown.as_mut_ptr(),
+            outputs_len: made.shown.len(),
+            params,
+            params_len,
+            params_version: exec.params_version,
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
         let keeper = exec.instance.kept.enter();
@@ -473,9 +494,13 @@ impl Cell {
         let status = unsafe { process(exec.instance.raw, &raw mut call) };
         drop(keeper);
         let refused = context.refused.take();
-        if self.source {
+        if let Some(lent) = context.lent {
+            // The output holds the input's reference from here on.
+            ports.inputs[lent.input as usize].forget();
+        }
+        if exec.source {
             tick.capture_ns = call.tick.capture_ns;
-            for frame in exec.outputs.iter_mut().filter(|f| !f.is_empty()) {
+            for frame in made.outputs.iter_mut().filter(|f| !f.is_empty()) {
                 frame.tick = *tick;
             }
         }
@@ -489,39 +514,60 @@ impl Cell {
         exec: &mut Exec,
         around: &Surroundings,
         tick: &Tick,
-        mut refused: Option<(Cause, String)>,
+        mut refused: Option<Refused>,
         end_ns: u64,
+        made: &mut Made,
     ) -> Ran {
-        let mut made = 0;
-        let Exec { outputs, shown, sizes, .. } = exec;
-        for (index, rule) in self.rules.iter().enumerate() {
-            let frame = &mut outputs[index];
-            if frame.is_empty() && shown[index].is_empty() {
+        let mut count = 0;
+        for (index, (frame, shown)) in made.outputs.iter_mut().zip(&made.shown).enumerate() {
+            if frame.is_empty() && shown.is_empty() {
                 continue;
             }
-            made += 1;
-            if let Err(objection) = rule.inspect(frame, &shown[index]) {
+            count += 1;
+            let port = exec.port(index);
+            if (port.inspected >> frame.format & 1 == 1 || !is_same(frame, shown))
+                && let Err(objection) = self.rules[index].inspect(frame, shown)
+            {
                 clear(std::slice::from_mut(frame));
-                refused = Some(objection);
-            } else if sizes[index] != (frame.width, frame.height) {
-                let to = (frame.width, frame.height);
-                let from = std::mem::replace(&mut sizes[index], to);
+                refused = Some(Box::new(objection));
+            } else if (port.width, port.height) != (frame.width, frame.height) {
+                let (from, to) = ((port.width, port.height), (frame.width, frame.height));
+                (port.width, port.height) = to;
                 if from != (0, 0) {
                     self.resize(Resized { output: index, tick: *tick, from, to });
                 }
             }
         }
-        if let Some((cause, words)) = refused {
-            return self.bad_output(exec, around, tick, cause, words, end_ns);
+        if let Some(refused) = refused {
+            return self.bad_output(exec, made, around, tick, refused, end_ns);
         }
+        let silent = count == 0 && exec.outputs_len != 0;
+        if exec.troubled || silent || kept_more() {
+            return self.accept_troubled(exec, around, tick, silent, end_ns, made);
+        }
+        Ran::Ok
+    }
+
+    /// The rest of [`Self::accept`] for a node of whom something is remembered, or that made nothing or kept a frame.
+    #[cold]
+    fn accept_troubled(
+        &self,
+        exec: &mut Exec,
+        around: &Surroundings,
+        tick: &Tick,
+        silent: bool,
+        end_ns: u64,
+        made: &mut Made,
+    ) -> Ran {
         exec.bad_in_a_row = 0;
         if exec.instance.kept.count() > MOST_KEPT_FRAMES {
-            clear(&mut exec.outputs);
+            made.clear();
             exec.failure.clear();
             exec.failure.push_str("it keeps more frames than any node may: a leak");
-            return self.failed(exec, around, abi::STATUS_ERROR, Some((Cause::Leak, String::new())), tick, end_ns);
+            let leak = Box::new((Cause::Leak, String::new()));
+            return self.failed(exec, around, abi::STATUS_ERROR, Some(leak), tick, end_ns);
         }
-        if made == 0 && !self.rules.is_empty() {
+        if silent {
             exec.silent_calls = exec.silent_calls.saturating_add(1);
             let silent = exec.silent_calls;
             if silent >= SILENT_CALLS
@@ -542,6 +588,7 @@ impl Cell {
             exec.failures_in_a_row = 0;
             self.failures.store(0, Ordering::Relaxed);
         }
+        exec.troubled = silent;
         Ran::Ok
     }
 
@@ -553,182 +600,4 @@ impl Cell {
         }
         newest.push_back(resized);
     }
-
-    /// A description or contents that do not pass: the packet is withheld; who goes on like that is opened again.
-    #[cold]
-    fn bad_output(
-        &self,
-        exec: &mut Exec,
-        around: &Surroundings,
-        tick: &Tick,
-        cause: Cause,
-        words: String,
-        end_ns: u64,
-    ) -> Ran {
-        exec.bad_in_a_row += 1;
-        if exec.bad_in_a_row >= MOST_BAD_OUTPUTS || (cause == Cause::BadOutput && self.on_fault() != OnFault::Restart) {
-            clear(&mut exec.outputs);
-            exec.failure.clear();
-            exec.failure.push_str(&words);
-            return self.failed(exec, around, abi::STATUS_ERROR, Some((cause, words)), tick, end_ns);
-        }
-        bump(&self.stats.faults);
-        if self.count(cause).is_power_of_two() {
-            around.log.say(Level::Error, &self.id, &words);
-        }
-        self.note_counted(around, cause, Action::Withhold, Some(tick.seq), || words);
-        Ran::Ok
-    }
-
-    /// In batch a failed node is opened again before a tick that does not depend on the clock.
-    #[cold]
-    fn open_in_batch(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> bool {
-        if self.on_fault() != OnFault::Restart {
-            return false;
-        }
-        if exec.skip_calls > 0 {
-            exec.skip_calls -= 1;
-            return false;
-        }
-        lock(&self.broken).clear();
-        let snapshot = Arc::clone(&exec.snapshot);
-        match self.open(around, &snapshot) {
-            Ok(instance) => {
-                bump(&self.stats.restarts);
-                around.log.say(Level::Info, &self.id, "opened again");
-                exec.instance = instance;
-                true
-            }
-            Err(words) => {
-                exec.failures_in_a_row += 1;
-                exec.skip_calls = skipped_calls(exec.failures_in_a_row);
-                self.open_failed(around, &words, Some(tick.seq));
-                false
-            }
-        }
-    }
-
-    /// Writes down that a node did not open again.
-    pub fn open_failed(&self, around: &Surroundings, words: &str, seq: Option<u64>) {
-        bump(&self.stats.faults);
-        around.log.say(Level::Error, &self.id, &format!("could not be opened again: {words}"));
-        self.tell(around, Cause::Open, Action::Restart, seq, None, words.to_owned());
-    }
-
-    #[cold]
-    fn failed(
-        &self,
-        exec: &mut Exec,
-        around: &Surroundings,
-        status: abi::Status,
-        refused: Option<(Cause, String)>,
-        tick: &Tick,
-        now_ns: u64,
-    ) -> Ran {
-        if status == abi::STATUS_EXHAUSTED {
-            bump(&self.stats.dropped);
-            let words = "the tick was dropped: frame memory is used up";
-            if (self.count(Cause::Exhausted) + 1).is_power_of_two() {
-                around.log.say(Level::Warn, &self.id, words);
-            }
-            self.note(around, Cause::Exhausted, Action::Withhold, Some(tick.seq), || words.to_owned());
-            return Ran::Fault;
-        }
-        bump(&self.stats.faults);
-        let mut words = std::mem::take(&mut exec.failure);
-        let mut cause = if status == abi::STATUS_PANIC { Cause::Panic } else { Cause::Error };
-        if let Some((because, details)) = refused {
-            cause = because;
-            if !details.is_empty() && details != words {
-                words = if words.is_empty() { details } else { format!("{details} ({words})") };
-            }
-        }
-        if words.is_empty() {
-            words = "it failed without a word".to_owned();
-        }
-        around.log.say(Level::Error, &self.id, &words);
-        exec.failures_in_a_row += 1;
-        exec.skip_calls = skipped_calls(exec.failures_in_a_row);
-        exec.failed_at_ns = now_ns;
-        exec.bad_in_a_row = 0;
-        exec.silent_calls = 0;
-        self.failures.store(exec.failures_in_a_row, Ordering::Relaxed);
-        // What the instance holds after a fault is not to be trusted. It may take long to close.
-        lock(&self.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
-        let (done, ran) = match self.on_fault() {
-            OnFault::Restart => (Action::Restart, Ran::Fault),
-            OnFault::Bypass => (Action::Bypass, Ran::Fault),
-            OnFault::Stop => (Action::Stop, Ran::Stop),
-        };
-        exec.bypassed = done == Action::Bypass;
-        self.wants_mending.store(true, Ordering::Release);
-        self.tell(around, cause, done, Some(tick.seq), None, words);
-        ran
-    }
-
-    fn count(&self, cause: Cause) -> u64 {
-        self.fault_counts[cause as usize].load(Ordering::Relaxed)
-    }
-
-    /// Writes down a fault that may come with every tick.
-    #[cold]
-    pub fn note(
-        &self,
-        around: &Surroundings,
-        cause: Cause,
-        done: Action,
-        seq: Option<u64>,
-        words: impl FnOnce() -> String,
-    ) {
-        self.note_counted(around, cause, done, seq, words);
-    }
-
-    fn note_counted(
-        &self,
-        around: &Surroundings,
-        cause: Cause,
-        done: Action,
-        seq: Option<u64>,
-        words: impl FnOnce() -> String,
-    ) {
-        if (self.count(cause) + 1).is_power_of_two() {
-            self.tell(around, cause, done, seq, None, words());
-        } else {
-            bump(&self.fault_counts[cause as usize]);
-        }
-    }
-
-    /// Writes down a fault.
-    pub fn tell(
-        &self,
-        around: &Surroundings,
-        cause: Cause,
-        done: Action,
-        seq: Option<u64>,
-        late_ms: Option<f64>,
-        words: String,
-    ) {
-        let count = self.fault_counts[cause as usize].fetch_add(1, Ordering::Relaxed) + 1;
-        around.faults.put(Fault {
-            unix_ms: unix_ms(),
-            run_ms: clock::now_ns().saturating_sub(around.start_ns) as f64 / 1e6,
-            node: self.id.clone(),
-            cause,
-            words,
-            done,
-            seq,
-            late_ms,
-            count,
-        });
-    }
-}
-
-/// How long a failed node rests before it is opened again: 0, 10, 20, 40 ... 2,000 ms.
-pub(crate) fn backoff_ms(failures: u32) -> u64 {
-    if failures <= 1 { 0 } else { (10u64 << (failures - 2).min(8)).min(2000) }
-}
-
-/// The same in calls, for batch: 0, 1, 3, 7 ... 255.
-fn skipped_calls(failures: u32) -> u32 {
-    (1u32 << (failures.max(1) - 1).min(8)) - 1
 }

@@ -8,37 +8,46 @@ use std::time::{Duration, Instant};
 struct Scale {
     start: Instant,
     start_ticks: u64,
-    /// Nanoseconds per tick of the counter, times 2^32: one integer multiplication per reading.
+    /// Nanoseconds per tick of the counter, times 2^32: one integer multiplication per reading. 0 without a counter to rely on.
     ns_per_tick_q32: u64,
 }
 
 #[cfg(target_arch = "x86_64")]
-fn counter() -> Option<u64> {
-    static INVARIANT: OnceLock<bool> = OnceLock::new();
-    let invariant = *INVARIANT.get_or_init(|| {
-        use std::arch::x86_64::__cpuid;
-        __cpuid(0x8000_0000).eax >= 0x8000_0007 && __cpuid(0x8000_0007).edx & 1 << 8 != 0
-    });
+fn is_invariant() -> bool {
+    use std::arch::x86_64::__cpuid;
+    __cpuid(0x8000_0000).eax >= 0x8000_0007 && __cpuid(0x8000_0007).edx & 1 << 8 != 0
+}
+
+#[cfg(target_arch = "x86_64")]
+#[inline]
+fn counter() -> u64 {
     // SAFETY: every x86-64 processor has the instruction.
-    invariant.then(|| unsafe { std::arch::x86_64::_rdtsc() })
+    unsafe { std::arch::x86_64::_rdtsc() }
 }
 
 #[cfg(not(target_arch = "x86_64"))]
-fn counter() -> Option<u64> {
-    None
+fn is_invariant() -> bool {
+    false
 }
 
-fn scale() -> &'static Scale {
-    static SCALE: OnceLock<Scale> = OnceLock::new();
+#[cfg(not(target_arch = "x86_64"))]
+fn counter() -> u64 {
+    0
+}
+
+static SCALE: OnceLock<Scale> = OnceLock::new();
+
+#[cold]
+fn set_up() -> &'static Scale {
     SCALE.get_or_init(|| {
         let start = Instant::now();
-        let start_ticks = counter().unwrap_or(0);
-        let mut ns_per_tick = 1.0f64;
-        if counter().is_some() {
+        let start_ticks = counter();
+        let mut ns_per_tick = 0.0f64;
+        if is_invariant() {
             while start.elapsed() < Duration::from_millis(3) {
                 std::hint::spin_loop();
             }
-            let ticks = counter().unwrap_or(0).wrapping_sub(start_ticks);
+            let ticks = counter().wrapping_sub(start_ticks);
             ns_per_tick = start.elapsed().as_nanos() as f64 / ticks.max(1) as f64;
         }
         Scale { start, start_ticks, ns_per_tick_q32: (ns_per_tick * 4_294_967_296.0) as u64 }
@@ -48,12 +57,10 @@ fn scale() -> &'static Scale {
 /// Nanoseconds since the first call in this process.
 #[inline]
 pub fn now_ns() -> u64 {
-    let scale = scale();
-    match counter() {
-        Some(ticks) => {
-            let ticks = u128::from(ticks.wrapping_sub(scale.start_ticks));
-            ((ticks * u128::from(scale.ns_per_tick_q32)) >> 32) as u64
-        }
-        None => scale.start.elapsed().as_nanos() as u64,
+    let scale = SCALE.get().unwrap_or_else(set_up);
+    if scale.ns_per_tick_q32 == 0 {
+        return scale.start.elapsed().as_nanos() as u64;
     }
+    let ticks = u128::from(counter().wrapping_sub(scale.start_ticks));
+    ((ticks * u128::from(scale.ns_per_tick_q32)) >> 32) as u64
 }

@@ -18,7 +18,7 @@ use crate::loader::Loader;
 use crate::log::{Level, Log, LogFn};
 use crate::params::Snapshot;
 use crate::plan;
-use crate::pool::{Pool, Task};
+use crate::pool::{self, Pool, Task};
 use crate::preview::Preview;
 use crate::report::Report;
 use crate::schedule::{AllocationMeter, Shared};
@@ -244,21 +244,28 @@ impl Engine {
         let shared = &self.shared;
         // The pool's task must not keep the engine alive.
         let weak = Arc::downgrade(shared);
-        let task: Task = Arc::new(move |node| {
+        let task: Task = Arc::new(move |node, walk| {
             if let Some(shared) = weak.upgrade() {
-                shared.run(node as usize);
+                shared.run(node as usize, walk, u64::MAX);
             }
         });
         shared.pool.start(&task)?;
+        let (watching, stop) = (Arc::clone(shared), Arc::clone(&self.watch_stop));
+        let (tell, told) = std::sync::mpsc::channel();
+        let watch = std::thread::Builder::new().name("watch".to_owned()).spawn(move || {
+            pool::warm_up();
+            let _ = tell.send(());
+            watching.watch(&stop);
+        })?;
+        *lock(&self.watch) = Some(watch);
+        // It is there before the first tick, as the workers are.
+        let _ = told.recv();
         let plan = shared.plan.load_full();
         for sources in [false, true] {
             for (node, cell) in plan.live().filter(|(_, c)| c.owns_thread() && c.source == sources) {
                 shared.start_thread(node, cell)?;
             }
         }
-        let (shared, stop) = (Arc::clone(shared), Arc::clone(&self.watch_stop));
-        let watch = std::thread::Builder::new().name("watch".to_owned()).spawn(move || shared.watch(&stop))?;
-        *lock(&self.watch) = Some(watch);
         Ok(())
     }
 

@@ -8,7 +8,9 @@ use panoscope_abi::{self as abi, Frame, PortRange, Tick};
 
 use crate::keep::Kept;
 use crate::memory::FrameRef;
+use crate::outputs::OutputRule;
 use crate::params::Snapshot;
+use crate::stats::Histogram;
 
 /// An open instance of a node type, closed when dropped.
 pub(crate) struct Instance {
@@ -84,7 +86,6 @@ pub(crate) const ABANDONED: u64 = u64::MAX;
 
 /// The running call as the watchdog sees it.
 #[derive(Default)]
-#[repr(align(64))]
 pub(crate) struct Busy {
     /// Start of the call in ns of the host's clock; 0 when idle, [`ABANDONED`] once the watchdog gave it up.
     pub since_ns: AtomicU64,
@@ -132,20 +133,47 @@ impl Busy {
     }
 }
 
-/// The instance and what a call needs; owned by whoever runs the node.
+/// An output as the checks after a call need it.
+#[derive(Clone, Copy)]
+pub(crate) struct Port {
+    pub formats: u32,
+    /// Size when it was last made.
+    pub width: u32,
+    pub height: u32,
+    /// Formats whose contents are looked at, one bit each, see [`OutputRule::inspect`].
+    pub inspected: u32,
+}
+
+/// The instance and what a call needs; owned by whoever runs the node. The order is that of use: what every call touches stands in
+/// the first two cache lines.
+#[repr(C, align(64))]
 pub(crate) struct Exec {
     pub instance: Instance,
-    pub inputs: Vec<FrameRef>,
-    pub ranges: Vec<PortRange>,
-    /// What the node made, as the host knows it.
-    pub outputs: Vec<Frame>,
-    /// The same as the node sees it; never believed.
-    pub shown: Vec<Frame>,
-    /// Size of each output when it was last made.
-    pub sizes: Vec<(u32, u32)>,
-    pub failure: String,
-    pub snapshot: Arc<Snapshot>,
+    pub process: ProcessFn,
+    params: *const abi::ParamValue,
+    params_len: usize,
+    pub params_version: u64,
+    /// [`crate::cell::Cell::news`] as of the last call: what is copied from there is in force.
+    pub news: u64,
+    /// Capture time of the last tick that was run, `i64::MIN` for none.
+    pub last_fired_ns: i64,
+    pub time: Arc<Histogram>,
+    pub longest_ns: u64,
+    first: Port,
+    pub outputs_len: u32,
+    pub source: bool,
     pub bypassed: bool,
+    /// One of the counts of what went wrong is not 0.
+    pub troubled: bool,
+    /// There is a period or a budget.
+    pub limited: bool,
+    // Here ends what a call that goes well touches, if the node has one output and no limits.
+    more: Box<[Port]>,
+    pub period_ns: i64,
+    pub budget_ns: u64,
+    pub ranges: Vec<PortRange>,
+    pub failure: String,
+    snapshot: Arc<Snapshot>,
     /// In batch: calls to leave out before the node is opened again.
     pub skip_calls: u32,
     pub failures_in_a_row: u32,
@@ -153,45 +181,168 @@ pub(crate) struct Exec {
     pub bad_in_a_row: u32,
     /// When the last failure was, until a call goes well; 0 for none.
     pub failed_at_ns: u64,
-    pub last_fired_ns: Option<i64>,
 }
+
+type ProcessFn = Option<unsafe extern "C" fn(instance: *mut c_void, call: *mut abi::Call) -> abi::Status>;
+
+const _: () = assert!(std::mem::offset_of!(Exec, more) <= 128);
+
+// SAFETY: `params` points into `snapshot`, which is immutable and shared between threads.
+unsafe impl Send for Exec {}
 
 impl Exec {
     pub fn new(
         node_type: &'static abi::NodeType,
-        slots: usize,
+        rules: &[OutputRule],
         ranges: Vec<PortRange>,
         snapshot: Arc<Snapshot>,
+        time: Arc<Histogram>,
     ) -> Box<Self> {
+        let port =
+            |rule: &OutputRule| Port { formats: rule.formats(), width: 0, height: 0, inspected: rule.inspected() };
+        let first = Port { formats: 0, width: 0, height: 0, inspected: 0 };
         Box::new(Self {
             instance: Instance::none(node_type),
-            inputs: Vec::with_capacity(slots),
+            process: node_type.process,
+            params: snapshot.values().as_ptr(),
+            params_len: snapshot.values().len(),
+            params_version: snapshot.version(),
+            news: 0,
+            last_fired_ns: i64::MIN,
+            time,
+            longest_ns: 0,
+            first: rules.first().map_or(first, port),
+            outputs_len: rules.len() as u32,
+            source: node_type.flags & abi::NODE_SOURCE != 0,
+            bypassed: false,
+            troubled: true,
+            limited: false,
+            more: rules.iter().skip(1).map(port).collect(),
+            period_ns: 0,
+            budget_ns: 0,
             ranges,
-            outputs: vec![Frame::EMPTY; node_type.outputs_len],
-            shown: vec![Frame::EMPTY; node_type.outputs_len],
-            sizes: vec![(0, 0); node_type.outputs_len],
             failure: String::new(),
             snapshot,
-            bypassed: false,
             skip_calls: 0,
             failures_in_a_row: 0,
             silent_calls: 0,
             bad_in_a_row: 0,
             failed_at_ns: 0,
-            last_fired_ns: None,
         })
+    }
+
+    /// Output `index`, which the node has.
+    #[inline]
+    pub fn port(&mut self, index: usize) -> &mut Port {
+        if index == 0 { &mut self.first } else { &mut self.more[index - 1] }
+    }
+
+    /// Formats of the first output.
+    #[inline]
+    pub fn first_formats(&self) -> u32 {
+        self.first.formats
+    }
+
+    pub fn snapshot(&self) -> &Arc<Snapshot> {
+        &self.snapshot
+    }
+
+    /// Puts values in force.
+    pub fn set_snapshot(&mut self, snapshot: Arc<Snapshot>) {
+        self.params = snapshot.values().as_ptr();
+        self.params_len = snapshot.values().len();
+        self.params_version = snapshot.version();
+        self.snapshot = snapshot;
+    }
+
+    /// The values in force, in the contract's layout.
+    #[inline]
+    pub fn params(&self) -> (*const abi::ParamValue, usize) {
+        (self.params, self.params_len)
+    }
+
+    /// Asks the processor for the lines of a call that is soon to be made.
+    #[inline]
+    pub fn prefetch(this: *const Self) {
+        prefetch(this.cast());
+        prefetch(this.cast::<u8>().wrapping_add(64));
     }
 }
 
-impl Drop for Exec {
-    fn drop(&mut self) {
+/// Asks the processor for a cache line; a hint only, any address will do.
+#[inline]
+pub(crate) fn prefetch(address: *const u8) {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: a prefetch never faults.
+    unsafe {
+        std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T0 }>(address.cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = address;
+}
+
+/// What a call made. Outside a call all frames are empty.
+#[derive(Default)]
+pub struct Made {
+    /// As the host knows it.
+    pub(crate) outputs: Vec<Frame>,
+    /// The same as the node sees it; never believed.
+    pub(crate) shown: Vec<Frame>,
+}
+
+impl Made {
+    /// Makes room for a node's outputs.
+    #[inline]
+    pub(crate) fn set_len(&mut self, len: usize) {
+        if self.outputs.len() != len {
+            self.clear();
+            self.outputs.resize(len, Frame::EMPTY);
+            self.shown.resize(len, Frame::EMPTY);
+        }
+    }
+
+    /// Gives everything back.
+    #[inline]
+    pub(crate) fn clear(&mut self) {
         clear(&mut self.outputs);
+    }
+}
+
+impl Drop for Made {
+    fn drop(&mut self) {
+        self.clear();
+    }
+}
+
+/// What a thread needs to walk ticks through nodes: the memory of the calls that it makes, one after the other.
+pub struct Walk {
+    /// Inputs of a chain's first node.
+    pub(crate) inputs: Vec<FrameRef>,
+    /// Of a node and of the one before it, in turn.
+    pub(crate) made: [Made; 2],
+}
+
+/// Ports that a thread has room for from its start; more are made room for when they are met.
+const USUAL_PORTS: usize = 16;
+
+impl Default for Walk {
+    fn default() -> Self {
+        let made = || Made { outputs: Vec::with_capacity(USUAL_PORTS), shown: Vec::with_capacity(USUAL_PORTS) };
+        Self { inputs: Vec::with_capacity(USUAL_PORTS), made: [made(), made()] }
+    }
+}
+
+impl Walk {
+    /// Gives everything back.
+    pub(crate) fn clear(&mut self) {
+        self.inputs.clear();
+        self.made.iter_mut().for_each(Made::clear);
     }
 }
 
 /// Gives back what stands in the outputs.
 pub(crate) fn clear(outputs: &mut [Frame]) {
-    for frame in outputs {
+    for frame in outputs.iter_mut().filter(|f| !f.is_empty()) {
         drop(FrameRef::adopt(std::mem::replace(frame, Frame::EMPTY)));
     }
 }
@@ -214,6 +365,12 @@ impl ExecPlace {
     /// Puts back what was taken, or what replaces it. The place is empty: only its taker, or the watchdog in its stead, may put.
     pub fn put(&self, exec: Box<Exec>) {
         self.0.store(Box::into_raw(exec), Ordering::Release);
+    }
+
+    /// Where it is, for [`Exec::prefetch`].
+    #[inline]
+    pub fn address(&self) -> *const Exec {
+        self.0.load(Ordering::Relaxed)
     }
 
     /// Whether nobody runs the node.

@@ -5,13 +5,14 @@ use std::sync::OnceLock;
 
 use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str};
 
+use crate::cell::{Cell, Refused};
 use crate::fault::Cause;
 use crate::keep;
 use crate::log::{Level, Log};
 use crate::memory::{FrameRef, MemoryError, memory};
-use crate::outputs::OutputRule;
+use crate::outputs;
 use crate::pool;
-use crate::stats::{NodeStats, bump};
+use crate::stats::bump;
 
 /// What stands behind a `call` handle.
 pub(crate) struct CallContext<'a> {
@@ -20,21 +21,30 @@ pub(crate) struct CallContext<'a> {
     /// The copy.
     pub shown: *mut Frame,
     pub outputs_len: usize,
-    /// What each output may hold.
-    pub rules: &'a [OutputRule],
-    pub stats: &'a NodeStats,
+    pub inputs: *const Frame,
+    pub inputs_len: usize,
+    /// An output that was forwarded from an input whose one reference it takes over when the call ends. Until then it holds none.
+    pub lent: Option<Lent>,
+    /// What the first output may be.
+    pub first_formats: u32,
+    pub cell: &'a Cell,
     pub log: &'a Log,
-    pub node_id: &'a str,
     /// What the node said when it failed; reused.
     pub failure: &'a mut String,
     /// What the host refused during this call, if anything.
-    pub refused: Option<(Cause, String)>,
+    pub refused: Option<Refused>,
     /// State of the generator; `None` until the node asks for a number.
     pub random: Option<u64>,
     pub tick: abi::Tick,
     /// In batch an exhausted memory is waited for, in live it drops the tick.
     pub wait_for_memory: bool,
-    pub metrics: &'a std::sync::Mutex<Vec<(String, f64)>>,
+}
+
+/// See [`CallContext::lent`].
+#[derive(Clone, Copy)]
+pub(crate) struct Lent {
+    pub output: u32,
+    pub input: u32,
 }
 
 unsafe fn context<'a>(call: *mut c_void) -> Option<&'a mut CallContext<'a>> {
@@ -48,27 +58,63 @@ impl CallContext<'_> {
         ((index as usize) < self.outputs_len).then(|| unsafe { &mut *self.outputs.add(index as usize) })
     }
 
-    fn place(&mut self, index: u32, frame: Frame) -> Status {
-        let tick = self.tick;
+    /// Makes a frame, with one reference, an output of this tick.
+    fn place(&mut self, index: u32, frame: &Frame) -> Status {
+        let held = self.lent.take_if(|lent| lent.output == index).is_none();
         match self.output(index) {
             Some(slot) => {
-                drop(FrameRef::adopt(*slot));
-                *slot = Frame { tick, ..frame };
-                // SAFETY: `shown` holds `outputs_len` frames like `outputs`, and `output` checked the index.
-                unsafe { *self.shown.add(index as usize) = Frame { tick, ..frame } };
+                if held && !slot.is_empty() {
+                    drop(FrameRef::adopt(*slot));
+                }
+                self.write(index, frame);
                 abi::STATUS_OK
             }
             None => {
-                drop(FrameRef::adopt(frame));
+                drop(FrameRef::adopt(*frame));
                 abi::STATUS_INVALID
             }
         }
     }
 
+    /// Writes the description of an output that exists.
+    #[inline]
+    fn write(&mut self, index: u32, frame: &Frame) {
+        // SAFETY: `shown` and `outputs` hold `outputs_len` frames each, more than `index` (the callers' promise).
+        let (slot, shown) = unsafe { (&mut *self.outputs.add(index as usize), &mut *self.shown.add(index as usize)) };
+        *slot = *frame;
+        slot.tick = self.tick;
+        *shown = *frame;
+        shown.tick = self.tick;
+    }
+
+    /// Whether output `index` may be a frame of this description.
+    #[inline]
+    fn accepts(&self, index: u32, frame: &Frame) -> bool {
+        let formats = if index == 0 { self.first_formats } else { self.cell.rules[index as usize].formats() };
+        outputs::fits(formats, frame)
+    }
+
+    #[cold]
+    fn object(&mut self, index: u32, frame: &Frame) -> Status {
+        let (cause, words) = self.cell.rules[index as usize].objection(frame);
+        self.refuse(cause, words)
+    }
+
     #[cold]
     fn refuse(&mut self, cause: Cause, words: String) -> Status {
-        self.refused.get_or_insert((cause, words));
+        self.refused.get_or_insert_with(|| Box::new((cause, words)));
         abi::STATUS_INVALID
+    }
+
+    /// The input that a frame is, if it is one.
+    #[inline]
+    fn input(&self, frame: &Frame) -> Option<u32> {
+        // SAFETY: `inputs` holds `inputs_len` frames for the length of the call.
+        (0..self.inputs_len).find_map(|index| {
+            let input = unsafe { &*self.inputs.add(index) };
+            let same = input.buffer == frame.buffer && input.data == frame.data && frame.len <= input.len;
+            (same && !input.is_empty()).then_some(index as u32)
+        })
     }
 
     fn allocate(&self, len: usize) -> Result<(BufferId, *mut u8), Status> {
@@ -98,13 +144,15 @@ unsafe extern "C" fn alloc(
 ) -> Status {
     // SAFETY: see `context`.
     let Some(context) = (unsafe { context(call) }) else { return abi::STATUS_INVALID };
-    let Some(rule) = context.rules.get(output as usize) else { return abi::STATUS_INVALID };
+    if output as usize >= context.outputs_len {
+        return abi::STATUS_INVALID;
+    }
     let wanted = Frame { len, format, width, height, stride_bytes, ..Frame::EMPTY };
-    if let Err((cause, words)) = rule.accepts(&wanted) {
-        return context.refuse(cause, words);
+    if !context.accepts(output, &wanted) {
+        return context.object(output, &wanted);
     }
     match context.allocate(len) {
-        Ok((buffer, data)) => context.place(output, Frame { buffer, data, tick: context.tick, ..wanted }),
+        Ok((buffer, data)) => context.place(output, &Frame { buffer, data, ..wanted }),
         Err(status) => status,
     }
 }
@@ -115,15 +163,30 @@ unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame
         return abi::STATUS_INVALID;
     };
     let frame = *frame;
-    let Some(rule) = context.rules.get(output as usize) else { return abi::STATUS_INVALID };
-    if let Err((cause, words)) = rule.accepts(&frame) {
-        return context.refuse(cause, words);
+    if output as usize >= context.outputs_len {
+        return abi::STATUS_INVALID;
+    }
+    if !context.accepts(output, &frame) {
+        return context.object(output, &frame);
+    }
+    if context.lent.is_none()
+        && let Some(input) = context.input(&frame)
+    {
+        match context.output(output) {
+            Some(slot) if slot.is_empty() => context.write(output, &frame),
+            _ => _ = context.place(output, &frame),
+        }
+        context.lent = Some(Lent { output, input });
+        return abi::STATUS_OK;
     }
     if !memory().retain_checked(&frame) {
-        let words = format!("output `{}` was forwarded from memory that is no frame of the host", rule.name);
+        let words = format!(
+            "output `{}` was forwarded from memory that is no frame of the host",
+            context.cell.rules[output as usize].name
+        );
         return context.refuse(Cause::BadOutput, words);
     }
-    context.place(output, frame)
+    context.place(output, &frame)
 }
 
 unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
@@ -133,15 +196,16 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
     if frame.is_empty() {
         return abi::STATUS_INVALID;
     }
-    if memory().references(frame.buffer) == 1 {
+    let lent = context.lent.is_some_and(|lent| lent.output == output);
+    if !lent && memory().references(frame.buffer) == 1 {
         return abi::STATUS_OK;
     }
     match context.allocate(frame.len) {
         Ok((buffer, data)) => {
             // SAFETY: two live buffers of at least `len` bytes that do not overlap.
             unsafe { std::ptr::copy_nonoverlapping(frame.data, data, frame.len) };
-            bump(&context.stats.copies);
-            context.place(output, Frame { buffer, data, ..frame })
+            bump(&context.cell.stats.copies);
+            context.place(output, &Frame { buffer, data, ..frame })
         }
         Err(status) => status,
     }
@@ -179,7 +243,7 @@ unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
             _ => Level::Debug,
         };
         // SAFETY: as above.
-        context.log.say(level, context.node_id, &unsafe { words(message) });
+        context.log.say(level, &context.cell.id, &unsafe { words(message) });
     }
 }
 
@@ -197,7 +261,7 @@ unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
     if let Some(context) = unsafe { context(call) } {
         // SAFETY: as above.
         let name = unsafe { words(name) };
-        let mut metrics = context.metrics.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut metrics = context.cell.metrics.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         match metrics.iter_mut().find(|(known, _)| *known == name) {
             Some((_, slot)) => *slot = value,
             None => metrics.push((name.into_owned(), value)),
@@ -216,7 +280,7 @@ unsafe extern "C" fn random(call: *mut c_void) -> u64 {
     match unsafe { context(call) } {
         Some(context) => {
             // SplitMix64 (Steele, Lea, Flood 2014).
-            let before = context.random.unwrap_or_else(|| seed(context.node_id, context.tick));
+            let before = context.random.unwrap_or_else(|| seed(&context.cell.id, context.tick));
             let mut z = before.wrapping_add(0x9E37_79B9_7F4A_7C15);
             context.random = Some(z);
             z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

@@ -9,6 +9,8 @@ use panoscope_abi::BufferId;
 use crate::memory::memory;
 
 thread_local! {
+    /// A frame was kept on this thread since [`kept_more`] was last asked.
+    static KEPT_MORE: Cell<bool> = const { Cell::new(false) };
     static KEEPER: Cell<*const Inner> = const { Cell::new(std::ptr::null()) };
 }
 
@@ -62,6 +64,12 @@ impl Kept {
     }
 }
 
+/// Whether a node kept a frame on this thread since the last question: only then may it keep too many.
+#[inline]
+pub(crate) fn kept_more() -> bool {
+    KEPT_MORE.replace(false)
+}
+
 fn with_keeper(act: impl FnOnce(&Inner)) -> bool {
     let inner = KEEPER.with(Cell::get);
     // SAFETY: set by `enter`, whose guard does not outlive the instance.
@@ -80,6 +88,7 @@ pub(crate) fn retain(id: BufferId) {
     with_keeper(|kept| {
         kept.ids.lock().unwrap_or_else(PoisonError::into_inner).push(id);
         kept.count.fetch_add(1, Ordering::Relaxed);
+        KEPT_MORE.set(true);
     });
 }
 

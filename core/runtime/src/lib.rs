@@ -10,6 +10,7 @@ mod convert;
 pub mod elf;
 mod engine;
 mod exec;
+mod failures;
 pub mod fault;
 mod host;
 mod join;

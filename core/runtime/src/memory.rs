@@ -227,6 +227,18 @@ impl FrameRef {
         Self(frame)
     }
 
+    /// Becomes empty; somebody else has the reference now.
+    #[inline]
+    pub(crate) fn forget(&mut self) {
+        self.0 = Frame::EMPTY;
+    }
+
+    /// Takes over the reference that a frame in somebody's list holds, in its place.
+    pub(crate) fn adopt_in_place(frame: &mut Frame) -> &mut Self {
+        // SAFETY: `Self` is a transparent `Frame`.
+        unsafe { &mut *(&raw mut *frame).cast() }
+    }
+
     /// Gives the reference to the caller.
     pub fn into_raw(self) -> Frame {
         let frame = self.0;

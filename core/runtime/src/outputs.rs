@@ -72,23 +72,24 @@ impl OutputRule {
             .collect()
     }
 
-    /// Checks a description.
-    #[inline]
-    pub fn accepts(&self, frame: &Frame) -> Result<(), (Cause, String)> {
-        let format = frame.format;
-        let allowed = if self.formats == 0 {
-            format <= abi::FORMAT_CLOUD
-        } else {
-            format < 32 && self.formats >> format & 1 == 1
-        };
-        if !allowed || frame.len > LARGEST_OUTPUT_BYTES || !geometry_fits(frame) {
-            return Err(self.objection(frame, allowed));
-        }
-        Ok(())
+    /// Formats that the output may have; 0 for any.
+    pub fn formats(&self) -> u32 {
+        self.formats
     }
 
+    /// Formats of which [`Self::inspect`] looks at the contents, one bit each.
+    pub fn inspected(&self) -> u32 {
+        match self.look {
+            Look::Nothing => 0,
+            Look::Plane => abi::format_bit(abi::FORMAT_F32),
+            Look::Plain { .. } | Look::Homography => u32::MAX,
+        }
+    }
+
+    /// What is wrong with a description that does not [`fit`].
     #[cold]
-    fn objection(&self, frame: &Frame, allowed: bool) -> (Cause, String) {
+    pub fn objection(&self, frame: &Frame) -> (Cause, String) {
+        let allowed = is_allowed(self.formats, frame.format);
         let Frame { width, height, stride_bytes, len, .. } = *frame;
         let name = &self.name;
         if !allowed {
@@ -109,15 +110,8 @@ impl OutputRule {
     }
 
     /// Looks at what the node made: `shown` is what it may have tampered with.
-    #[inline]
     pub fn inspect(&self, frame: &Frame, shown: &Frame) -> Result<(), (Cause, String)> {
-        let same = frame.buffer == shown.buffer
-            && frame.len == shown.len
-            && frame.format == shown.format
-            && frame.width == shown.width
-            && frame.height == shown.height
-            && frame.stride_bytes == shown.stride_bytes;
-        if !same {
+        if !is_same(frame, shown) {
             let words = format!("output `{}` was changed by the node behind the host's back", self.name);
             return Err((Cause::BadOutput, words));
         }
@@ -171,6 +165,28 @@ impl OutputRule {
     }
 }
 
+/// Whether a description is one that an output of these formats may have.
+#[inline]
+pub(crate) fn fits(formats: u32, frame: &Frame) -> bool {
+    is_allowed(formats, frame.format) && frame.len <= LARGEST_OUTPUT_BYTES && geometry_fits(frame)
+}
+
+#[inline]
+fn is_allowed(formats: u32, format: u32) -> bool {
+    if formats == 0 { format <= abi::FORMAT_CLOUD } else { format < 32 && formats >> format & 1 == 1 }
+}
+
+/// Whether a node left the description as the host made it.
+#[inline]
+pub(crate) fn is_same(frame: &Frame, shown: &Frame) -> bool {
+    frame.buffer == shown.buffer
+        && frame.len == shown.len
+        && frame.format == shown.format
+        && frame.width == shown.width
+        && frame.height == shown.height
+        && frame.stride_bytes == shown.stride_bytes
+}
+
 /// Whether the rows lie inside the buffer; 0 pixels are none.
 #[inline]
 fn geometry_fits(frame: &Frame) -> bool {
@@ -195,8 +211,8 @@ mod tests {
         let gray = rule(abi::format_bit(abi::FORMAT_GRAY8));
         let good =
             Frame { len: 64 * 48, format: abi::FORMAT_GRAY8, width: 64, height: 48, stride_bytes: 64, ..Frame::EMPTY };
-        assert!(gray.accepts(&good).is_ok());
-        let cause = |frame: &Frame| gray.accepts(frame).map_err(|e| e.0);
+        let cause = |frame: &Frame| if fits(gray.formats, frame) { Ok(()) } else { Err(gray.objection(frame).0) };
+        assert!(cause(&good).is_ok());
         assert_eq!(cause(&Frame { len: 64 * 48 - 1, ..good }), Err(Cause::BadOutput));
         assert_eq!(cause(&Frame { width: 65, ..good }), Err(Cause::BadOutput));
         assert_eq!(cause(&Frame { height: 0, ..good }), Err(Cause::BadOutput));

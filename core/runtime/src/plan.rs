@@ -3,6 +3,7 @@
 //! A node has a *slot*, a number that stays its own as long as a node of its name is in the graph, so that ticks and tasks under
 //! way mean the same before and after a change. Slots of removed nodes are used again.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use panoscope_abi::{self as abi, PortRange};
@@ -32,6 +33,19 @@ pub(crate) struct Inline {
     /// It runs even if its input is empty.
     pub optional: bool,
     pub accepts: u32,
+}
+
+/// A node that runs inline after another, as the walk along a chain needs it.
+pub(crate) struct Link {
+    pub cell: Arc<Cell>,
+    pub node: u32,
+    /// Output of the node before it.
+    pub port: u32,
+    pub accepts: u32,
+    pub optional: bool,
+    /// Its one input port is this one, with this one connection.
+    pub lone: bool,
+    pub sink: bool,
 }
 
 /// What the scheduler needs to know of a node besides its cell.
@@ -65,8 +79,14 @@ pub(crate) struct Plan {
     /// Slots without a node keep the cell of the last one.
     pub alive: Vec<bool>,
     pub wiring: Vec<Wiring>,
+    /// All chains, each in the order of its nodes, without its head.
+    links: Vec<Link>,
+    /// Where in `links` those stand that follow a node.
+    following: Vec<Range<u32>>,
     pub regions: Vec<Arc<Region>>,
     pub extents: Vec<Extent>,
+    /// For each region, who reads from it without being part of it: node and slot.
+    pub outsiders: Vec<Vec<(usize, usize)>>,
     /// Slot of each node of the graph.
     pub slots: Vec<usize>,
     /// Some input waits for a nearby packet, so somebody must watch the time.
@@ -77,6 +97,13 @@ impl Plan {
     /// All nodes with their slots.
     pub fn live(&self) -> impl Iterator<Item = (usize, &Arc<Cell>)> {
         self.cells.iter().enumerate().filter(|(slot, _)| self.alive[*slot])
+    }
+
+    /// The nodes that run inline after a node, one after the other.
+    #[inline]
+    pub fn following(&self, node: usize) -> &[Link] {
+        let Range { start, end } = self.following[node];
+        &self.links[start as usize..end as usize]
     }
 }
 
@@ -177,7 +204,43 @@ pub(crate) fn lay_out(
     inline_chains(graph, catalog, &cells, &slots, &mut wiring);
     let (regions, extents) = find_regions(graph, &slots, &mut wiring, ticks_in_flight, old);
     let nearest = graph.edges.iter().any(|e| matches!(e.align, Align::Nearest { .. }));
-    Plan { cells, alive, wiring, regions, extents, slots, nearest }
+    let (links, following) = link(&cells, &alive, &wiring);
+    let outsiders = extents.iter().enumerate().map(|(region, extent)| outsiders(&wiring, region, extent)).collect();
+    Plan { cells, alive, wiring, links, following, regions, extents, outsiders, slots, nearest }
+}
+
+fn outsiders(wiring: &[Wiring], region: usize, extent: &Extent) -> Vec<(usize, usize)> {
+    let readers = extent.members.iter().flat_map(|&member| wiring[member].readers.iter().flatten());
+    readers.filter(|r| wiring[r.node].region != region).map(|r| (r.node, r.slot)).collect()
+}
+
+/// Writes the chains down in the order in which they are walked.
+fn link(cells: &[Arc<Cell>], alive: &[bool], wiring: &[Wiring]) -> (Vec<Link>, Vec<Range<u32>>) {
+    let mut links = Vec::new();
+    let mut following = vec![0..0; cells.len()];
+    for head in (0..cells.len()).filter(|&slot| alive[slot] && wiring[slot].chain_head == slot) {
+        let mut chain = vec![head];
+        let mut last = head;
+        while let Some(inline) = wiring[last].inline {
+            last = inline.node;
+            chain.push(last);
+            let cell = Arc::clone(&cells[last]);
+            links.push(Link {
+                node: last as u32,
+                port: inline.port as u32,
+                accepts: inline.accepts,
+                optional: inline.optional,
+                lone: cell.node_type.inputs_len == 1,
+                sink: wiring[last].sink,
+                cell,
+            });
+        }
+        let end = links.len() as u32;
+        for (index, node) in chain.iter().enumerate() {
+            following[*node] = end - (chain.len() - 1 - index) as u32..end;
+        }
+    }
+    (links, following)
 }
 
 fn format_number(name: &str) -> Option<u32> {

@@ -4,13 +4,16 @@ use std::cell::Cell;
 use std::collections::VecDeque;
 use std::ffi::c_void;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, LazyLock, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
+use arc_swap::ArcSwap;
 use panoscope_abi::ChunkFn;
 
+use crate::exec::Walk;
+
 /// Runs a node task; called on a worker.
-pub type Task = Arc<dyn Fn(u32) + Send + Sync>;
+pub type Task = Arc<dyn Fn(u32, &mut Walk) + Send + Sync>;
 
 /// A loop whose caller waits on the stack until all chunks are done.
 struct Loop {
@@ -47,6 +50,8 @@ struct State {
     loops: Vec<LoopPtr>,
     idle: usize,
     stop: bool,
+    /// Workers that have come to life.
+    started: usize,
     /// Workers inside a chunk of somebody's loop, and that loop's caller.
     helping: Vec<(u32, u32)>,
     /// Workers that were given up: they leave when they come back.
@@ -56,6 +61,8 @@ struct State {
 struct Inner {
     state: Mutex<State>,
     wake: Condvar,
+    /// A worker has come to life.
+    arrived: Condvar,
     threads: usize,
     stopping: AtomicBool,
 }
@@ -101,6 +108,12 @@ pub(crate) fn next_thread_number() -> u32 {
     NEXT.fetch_add(1, Ordering::Relaxed)
 }
 
+/// Has the calling thread allocate what reading a plan takes once per thread.
+pub(crate) fn warm_up() {
+    static ANY: LazyLock<ArcSwap<()>> = LazyLock::new(ArcSwap::default);
+    drop(ANY.load());
+}
+
 fn lock(inner: &Inner) -> MutexGuard<'_, State> {
     inner.state.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -113,12 +126,14 @@ impl Pool {
             loops: Vec::with_capacity(64),
             idle: 0,
             stop: false,
+            started: 0,
             helping: Vec::with_capacity(64),
             given_up: Vec::new(),
         };
         let inner = Inner {
             state: Mutex::new(state),
             wake: Condvar::new(),
+            arrived: Condvar::new(),
             threads: threads.max(1),
             stopping: AtomicBool::new(false),
         };
@@ -130,11 +145,15 @@ impl Pool {
         self.inner.threads
     }
 
-    /// Starts the workers.
+    /// Starts the workers and waits until they are there: what a thread allocates when it begins is not to happen among ticks.
     pub fn start(&self, task: &Task) -> std::io::Result<()> {
         *self.task.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(task));
         for _ in 0..self.inner.threads {
             self.add_worker(task)?;
+        }
+        let mut state = lock(&self.inner);
+        while state.started < self.inner.threads {
+            state = self.inner.arrived.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
         Ok(())
     }
@@ -214,7 +233,11 @@ impl Pool {
 
 fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
     CURRENT.with(|current| current.set(Arc::as_ptr(inner)));
+    warm_up();
+    let mut walk = Walk::default();
     let mut state = lock(inner);
+    state.started += 1;
+    inner.arrived.notify_all();
     loop {
         if let Some(at) = state.given_up.iter().position(|n| *n == number) {
             state.given_up.swap_remove(at);
@@ -246,7 +269,7 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
         }
         if let Some(next) = state.tasks.pop_front() {
             drop(state);
-            task(next);
+            task(next, &mut walk);
             state = lock(inner);
             continue;
         }
@@ -324,7 +347,7 @@ mod tests {
     fn every_chunk_runs_once() {
         for threads in [1, 2, 8] {
             let pool = Pool::new(threads);
-            pool.start(&(Arc::new(|_| {}) as Task)).expect("threads");
+            pool.start(&(Arc::new(|_: u32, _: &mut Walk| {}) as Task)).expect("threads");
             pool.enter();
             for chunks in [0usize, 1, 2, 7, 1000] {
                 let sum = AtomicU64::new(0);
@@ -345,7 +368,7 @@ mod tests {
     #[test]
     fn loops_nest() {
         let pool = Pool::new(3);
-        pool.start(&(Arc::new(|_| {}) as Task)).expect("threads");
+        pool.start(&(Arc::new(|_: u32, _: &mut Walk| {}) as Task)).expect("threads");
         pool.enter();
         let sum = AtomicU64::new(0);
         // SAFETY: `nested` takes a counter.

@@ -23,7 +23,8 @@ impl Preview {
     }
 }
 
-/// Previews of one node's outputs.
+/// Previews of one node's outputs. The count comes first: it is looked at with every call.
+#[repr(C)]
 pub(crate) struct Taps {
     active: AtomicUsize,
     ports: Mutex<Vec<Vec<Weak<Place>>>>,
@@ -63,10 +64,15 @@ impl Taps {
     }
 
     /// Shows the outputs of a tick to the readers.
+    #[inline]
     pub fn show(&self, outputs: &[Frame]) {
-        if self.active.load(Ordering::Relaxed) == 0 {
-            return;
+        if self.active.load(Ordering::Relaxed) != 0 {
+            self.show_all(outputs);
         }
+    }
+
+    #[cold]
+    fn show_all(&self, outputs: &[Frame]) {
         let mut ports = lock(&self.ports);
         for (readers, frame) in ports.iter_mut().zip(outputs) {
             readers.retain(|reader| {

@@ -6,24 +6,24 @@
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex, Weak};
-use std::thread::JoinHandle;
 
 use arc_swap::ArcSwap;
 use panoscope_abi::{Frame, Tick};
 
-use crate::cell::{Cell, Ran, Resized, Surroundings, lock};
+use crate::cell::{Cell, Ports, Ran, Resized, Surroundings, lock};
 use crate::clock;
 use crate::convert;
-use crate::exec::{Exec, clear};
+use crate::exec::{Exec, Walk, clear, prefetch};
 use crate::fault::{Action, Cause};
 use crate::join::{Join, Take};
 use crate::log::Level;
 use crate::memory::FrameRef;
 use crate::outputs::{format_name, format_names};
-use crate::plan::{Plan, Reader};
+use crate::plan::{Link, Plan, Reader};
 use crate::pool::Pool;
 use crate::region::{Freed, Region};
 use crate::stats::bump;
+use crate::threads::OwnThread;
 
 /// What the threads of an engine share.
 pub(crate) struct Shared {
@@ -49,7 +49,7 @@ pub(crate) struct Shared {
     /// Nodes that wait for a `nearest` input with a deadline.
     pub waiting_nearest: AtomicI64,
     /// Threads that belong to one node, by thread number.
-    pub own_threads: Mutex<HashMap<u32, JoinHandle<()>>>,
+    pub own_threads: Mutex<HashMap<u32, OwnThread>>,
     /// A call without a budget that takes longer does not return, as far as the watchdog is concerned.
     pub hang_ns: u64,
     /// Media time between two ticks of the fastest source.
@@ -84,12 +84,17 @@ impl Ready {
         self.len += 1;
     }
 
-    /// Hands all to their threads but one that may run inline.
-    pub fn settle(&mut self, shared: &Shared, plan: &Plan, inline: bool) -> Option<usize> {
+    /// Hands all to their threads but one whose chain takes no longer than `allowance_ns`, which the caller is to run.
+    pub fn settle(&mut self, shared: &Shared, plan: &Plan, allowance_ns: u64) -> Option<usize> {
         let mut next = None;
         for &node in &self.nodes[..self.len] {
             let node = node as usize;
-            if inline && next.is_none() && !plan.cells[node].owns_thread() {
+            let cell = &plan.cells[node];
+            if allowance_ns > 0
+                && next.is_none()
+                && !cell.owns_thread()
+                && cell.walk_ns.load(Ordering::Relaxed) <= allowance_ns
+            {
                 next = Some(node);
             } else {
                 shared.dispatch(plan, node);
@@ -126,35 +131,35 @@ impl Shared {
         }
     }
 
-    /// Runs a node and whatever may follow it on this thread; `false` when the watchdog gave the thread up.
-    pub fn run(&self, node: usize) -> bool {
+    /// Runs a node and what may follow it on this thread; `false` when the watchdog gave the thread up. A worker's allowance has no end
+    /// (`u64::MAX`); a node's own thread goes on with others' chains only as long as these are known to take no more than its allowance.
+    pub fn run(&self, node: usize, walk: &mut Walk, mut allowance_ns: u64) -> bool {
+        let is_worker = allowance_ns == u64::MAX;
         let mut current = node;
         loop {
             let plan = self.plan.load();
-            let inline = !plan.cells[current].owns_thread();
             let mut ready = Ready::default();
-            let Some(again) = self.run_tick(&plan, current, &mut ready) else { return false };
-            if !inline {
-                ready.settle(self, &plan, false);
-                if again {
-                    continue;
-                }
-                return true;
-            }
-            match (ready.settle(self, &plan, true), again) {
-                (Some(next), true) => {
+            let Some(again) = self.run_tick(&plan, current, walk, &mut ready) else { return false };
+            let is_owner = plan.cells[current].owns_thread();
+            // A thread's own node comes first.
+            match (ready.settle(self, &plan, if is_owner && again { 0 } else { allowance_ns }), again) {
+                (next, true) if !is_owner && (next.is_some() || !is_worker) => {
                     self.pool.push(current as u32);
+                    let Some(next) = next else { return true };
                     current = next;
                 }
+                (_, true) => continue,
                 (Some(next), false) => current = next,
-                (None, true) => {}
                 (None, false) => return true,
+            }
+            if !is_worker {
+                allowance_ns = allowance_ns.saturating_sub(plan.cells[current].walk_ns.load(Ordering::Relaxed));
             }
         }
     }
 
     /// One staged tick of a node and its inline chain; `true` when the next tick is staged already, `None` when the call was given up.
-    fn run_tick(&self, plan: &Plan, node: usize, ready: &mut Ready) -> Option<bool> {
+    fn run_tick(&self, plan: &Plan, node: usize, walk: &mut Walk, ready: &mut Ready) -> Option<bool> {
         let cell = &plan.cells[node];
         let Some(mut exec) = cell.exec.take() else {
             // The engine closed it: nobody will run it again.
@@ -163,40 +168,41 @@ impl Shared {
         };
         let staged = {
             let mut join = lock(&cell.join);
-            std::mem::swap(&mut exec.inputs, &mut join.staged);
+            walk.inputs.append(&mut join.staged);
             join.staged_take.take()
         };
-        match staged {
-            Some((mut tick, complete)) => {
-                let start_ns = clock::now_ns();
-                let (ran, now_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, start_ns);
-                if ran == Ran::Abandoned {
-                    Self::left_behind(cell, exec);
-                    return None;
-                }
-                self.after(plan, node, ran, &tick, now_ns);
-                if !self.chain(plan, node, exec, tick, now_ns, ready) {
-                    return None;
-                }
+        if let Some((mut tick, complete)) = staged {
+            look_ahead(plan.following(node), 0);
+            let start_ns = clock::now_ns();
+            let mut ports = Ports { inputs: &mut walk.inputs, lone: false, made: &mut walk.made[0] };
+            let (ran, now_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, start_ns, &mut ports);
+            if ran == Ran::Abandoned {
+                Self::left_behind(cell, exec, walk);
+                return None;
             }
-            None => cell.exec.put(exec),
+            walk.inputs.clear();
+            cell.exec.put(exec);
+            self.after(plan, node, plan.wiring[node].sink, ran, &tick, now_ns);
+            let end_ns = self.chain(plan, node, tick, now_ns, walk, ready)?;
+            cell.note_walk(end_ns.saturating_sub(start_ns));
+        } else {
+            cell.exec.put(exec);
         }
         Some(self.take_next(plan, node, ready))
     }
 
     /// A call came back that the watchdog gave up: everything else has been done in its place.
-    pub fn left_behind(cell: &Cell, exec: Box<Exec>) {
+    pub fn left_behind(cell: &Cell, exec: Box<Exec>, walk: &mut Walk) {
         drop(exec);
+        walk.clear();
         cell.stuck.fetch_sub(1, Ordering::Relaxed);
     }
 
     /// What follows from how a call ended.
     #[inline]
-    pub fn after(&self, plan: &Plan, node: usize, ran: Ran, tick: &Tick, now_ns: u64) {
+    pub fn after(&self, plan: &Plan, node: usize, sink: bool, ran: Ran, tick: &Tick, now_ns: u64) {
         if ran == Ran::Ok {
-            if plan.wiring[node].sink
-                && let Some(ingest) = self.ingest(plan, tick)
-            {
+            if sink && let Some(ingest) = self.ingest(plan, tick) {
                 plan.cells[node].stats.age.record(now_ns.saturating_sub(ingest));
             }
         } else if ran != Ran::Skipped {
@@ -239,57 +245,65 @@ impl Shared {
         Some(slot.load(Ordering::Relaxed)).filter(|&ns| ns > 0)
     }
 
-    /// Walks the inline readers, delivers what the last one made and tells the region; `false` when a call was given up.
+    /// Walks the inline readers of what stands in `walk.made[0]`, delivers what the last one made and tells the region; answers when
+    /// the last call ended, `None` when one was given up.
     fn chain(
         &self,
         plan: &Plan,
         node: usize,
-        mut exec: Box<Exec>,
         mut tick: Tick,
         mut now_ns: u64,
+        walk: &mut Walk,
         ready: &mut Ready,
-    ) -> bool {
+    ) -> Option<u64> {
         let mut last = node;
-        while let Some(inline) = plan.wiring[last].inline {
-            plan.cells[last].taps.show(&exec.outputs);
-            let mut frame = std::mem::replace(&mut exec.outputs[inline.port], Frame::EMPTY);
-            clear(&mut exec.outputs);
-            plan.cells[last].exec.put(exec);
-            if !takes(inline.accepts, &frame) {
-                self.refused(plan, last, inline.port, inline.node, inline.accepts, &frame);
-                clear(std::slice::from_mut(&mut frame));
+        let mut last_cell = &*plan.cells[node];
+        let [made, next] = &mut walk.made;
+        let (mut made, mut next) = (made, next);
+        let links = plan.following(node);
+        for (at, link) in links.iter().enumerate() {
+            look_ahead(links, at + 1);
+            last_cell.taps.show(&made.outputs);
+            let frame = &mut made.outputs[link.port as usize];
+            if !takes(link.accepts, frame) {
+                self.refused(plan, last, link.port as usize, link.node as usize, link.accepts, frame);
+                clear(std::slice::from_mut(frame));
             }
-            let cell = &plan.cells[inline.node];
-            let Some(mut following) = cell.exec.take() else {
+            let cell = &*link.cell;
+            let Some(mut exec) = cell.exec.take() else {
                 // The engine closed it at the end of a run that was not waited for.
-                drop(FrameRef::adopt(frame));
-                self.skip_from(plan, inline.node, tick, ready);
-                return true;
+                made.clear();
+                self.skip_from(plan, link.node as usize, tick, ready);
+                return Some(now_ns);
             };
-            let complete = inline.optional || !frame.is_empty();
-            // Made outputs carry the tick already; writing it again would hold up the copy.
+            let complete = link.optional || !frame.is_empty();
+            // Made outputs carry the tick already; writing it again would hold up who reads it next.
             if frame.tick != tick {
                 frame.tick = tick;
             }
-            following.inputs.push(FrameRef::adopt(frame));
-            let (ran, end_ns) = cell.run(&mut following, &self.around, &mut tick, complete, now_ns);
+            let inputs = std::slice::from_mut(FrameRef::adopt_in_place(frame));
+            let mut ports = Ports { inputs, lone: link.lone, made: next };
+            let (ran, end_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, now_ns, &mut ports);
             if ran == Ran::Abandoned {
-                Self::left_behind(cell, following);
-                return false;
+                Self::left_behind(cell, exec, walk);
+                return None;
             }
-            self.after(plan, inline.node, ran, &tick, end_ns);
+            made.clear();
+            cell.exec.put(exec);
+            if link.sink || ran != Ran::Ok {
+                self.after(plan, link.node as usize, link.sink, ran, &tick, end_ns);
+            }
             now_ns = end_ns;
-            exec = following;
-            last = inline.node;
+            (last, last_cell) = (link.node as usize, cell);
+            std::mem::swap(&mut made, &mut next);
         }
-        plan.cells[last].taps.show(&exec.outputs);
-        for port in 0..exec.outputs.len() {
-            let raw = std::mem::replace(&mut exec.outputs[port], Frame::EMPTY);
+        last_cell.taps.show(&made.outputs);
+        for (port, output) in made.outputs.iter_mut().enumerate() {
+            let raw = std::mem::replace(output, Frame::EMPTY);
             self.deliver_port(plan, last, port, FrameRef::adopt(Frame { tick, ..raw }), ready);
         }
-        plan.cells[last].exec.put(exec);
         self.leave(plan, last, ready);
-        true
+        Some(now_ns)
     }
 
     /// Finishes a tick from a node on whose call was given up: its outputs are empty, the rest of its chain is left out.
@@ -383,6 +397,8 @@ impl Shared {
 
     fn go_on(&self, plan: &Plan, node: usize, next: Next, ready: &mut Ready) {
         match next {
+            // Whoever sleeps is woken at once: that takes longer than what is left to do here.
+            Next::Run if plan.cells[node].owns_thread() => self.dispatch(plan, node),
             Next::Run => ready.push(self, plan, node),
             Next::Idle => {}
             Next::Finish => self.finish(node, ready),
@@ -516,6 +532,18 @@ impl Shared {
         } else if seq > self.allocations.warm_up_ticks {
             *lock(&self.allocations.to) = Some((count(), seq));
         }
+    }
+}
+
+/// Asks for what the next nodes of a chain will touch, each step as early as the address is known: after a pause, or in a long
+/// chain, it is in no near cache.
+#[inline]
+fn look_ahead(links: &[Link], at: usize) {
+    if let Some(link) = links.get(at + 1) {
+        prefetch((&raw const *link.cell).cast());
+    }
+    if let Some(link) = links.get(at) {
+        Exec::prefetch(link.cell.exec.address());
     }
 }
 

@@ -1,21 +1,22 @@
 //! Always-on counters: one writer per node, read by anyone at any time.
 
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 
 const SUB_BITS: u32 = 5;
-const BUCKETS: usize = ((64 - SUB_BITS as usize) + 1) << SUB_BITS;
+/// Times from 2^40 ns on (18 minutes) share the last bucket.
+const OCTAVES: u32 = 40;
+const BUCKETS: usize = ((OCTAVES - SUB_BITS) as usize + 1) << SUB_BITS;
 
 /// A histogram of times with about 3 % resolution.
 pub struct Histogram {
-    counts: Box<[AtomicU64]>,
-    total: AtomicU64,
     max_ns: AtomicU64,
+    counts: [AtomicU64; BUCKETS],
 }
 
 impl Default for Histogram {
     fn default() -> Self {
-        let counts = (0..BUCKETS).map(|_| AtomicU64::new(0)).collect();
-        Self { counts, total: AtomicU64::new(0), max_ns: AtomicU64::new(0) }
+        Self { max_ns: AtomicU64::new(0), counts: [const { AtomicU64::new(0) }; BUCKETS] }
     }
 }
 
@@ -23,6 +24,7 @@ fn bucket(ns: u64) -> usize {
     if ns < 1 << SUB_BITS {
         return ns as usize;
     }
+    let ns = ns.min((1 << OCTAVES) - 1);
     let octave = 63 - ns.leading_zeros();
     let shift = octave - SUB_BITS;
     (((shift + 1) as usize) << SUB_BITS) + ((ns >> shift) as usize & ((1 << SUB_BITS) - 1))
@@ -42,9 +44,20 @@ impl Histogram {
     /// Counts one time. Only one thread at a time may call this.
     #[inline]
     pub fn record(&self, ns: u64) {
+        self.count_one(ns);
+        self.raise(ns);
+    }
+
+    /// [`Self::record`] for a caller that knows that there was a longer time.
+    #[inline]
+    pub(crate) fn count_one(&self, ns: u64) {
         let slot = &self.counts[bucket(ns)];
         slot.store(slot.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
-        self.total.store(self.total.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
+    }
+
+    /// Takes a time for the longest, if it is.
+    #[inline]
+    pub(crate) fn raise(&self, ns: u64) {
         if ns > self.max_ns.load(Ordering::Relaxed) {
             self.max_ns.store(ns, Ordering::Relaxed);
         }
@@ -52,7 +65,7 @@ impl Histogram {
 
     /// How many times were counted.
     pub fn count(&self) -> u64 {
-        self.total.load(Ordering::Relaxed)
+        self.counts.iter().map(|count| count.load(Ordering::Relaxed)).sum()
     }
 
     /// The longest time in ns.
@@ -62,14 +75,15 @@ impl Histogram {
 
     /// The time that a share `q` (0..1) of the counts does not exceed, in ns; 0 when nothing was counted.
     pub fn quantile_ns(&self, q: f64) -> u64 {
-        let total = self.count();
+        let counts = self.counts.each_ref().map(|count| count.load(Ordering::Relaxed));
+        let total: u64 = counts.iter().sum();
         if total == 0 {
             return 0;
         }
         let want = ((total as f64 * q).ceil() as u64).clamp(1, total);
         let mut seen = 0;
-        for (index, count) in self.counts.iter().enumerate() {
-            seen += count.load(Ordering::Relaxed);
+        for (index, count) in counts.iter().enumerate() {
+            seen += count;
             if seen >= want {
                 return bucket_middle(index).min(self.max_ns());
             }
@@ -78,15 +92,36 @@ impl Histogram {
     }
 }
 
+/// A histogram that most nodes never use: it takes memory from the first time on.
+#[derive(Default)]
+pub struct RareHistogram(OnceLock<Box<Histogram>>);
+
+impl RareHistogram {
+    /// As [`Histogram::record`].
+    pub fn record(&self, ns: u64) {
+        self.0.get_or_init(Box::default).record(ns);
+    }
+
+    /// As [`Histogram::max_ns`].
+    pub fn max_ns(&self) -> u64 {
+        self.0.get().map_or(0, |histogram| histogram.max_ns())
+    }
+
+    /// As [`Histogram::quantile_ns`].
+    pub fn quantile_ns(&self, q: f64) -> u64 {
+        self.0.get().map_or(0, |histogram| histogram.quantile_ns(q))
+    }
+}
+
 /// Counters of a node.
 #[derive(Default)]
 pub struct NodeStats {
     /// Time inside the node's `process`.
-    pub time: Histogram,
+    pub time: Arc<Histogram>,
     /// From ingest of a tick to the end of this node's work on it; kept for sinks.
-    pub age: Histogram,
+    pub age: RareHistogram,
     /// From a failure to the end of the first call that went well again.
-    pub recovery: Histogram,
+    pub recovery: RareHistogram,
     /// Ticks dropped where they would have entered here.
     pub dropped: AtomicU64,
     /// Ticks for which a required input was empty.

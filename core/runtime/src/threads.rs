@@ -1,15 +1,16 @@
 //! Threads that belong to one node: sources and nodes that may wait.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
-use crate::cell::{Cell, Ran, lock};
+use crate::cell::{Cell, Ports, Ran, lock};
 use crate::clock;
-use crate::exec::clear;
+use crate::exec::Walk;
 use crate::fault::{Action, Cause};
 use crate::memory::FrameRef;
 use crate::pool;
@@ -33,6 +34,61 @@ pub(crate) fn ingest_ring(source: bool) -> Box<[AtomicU64]> {
     (0..if source { INGEST_RING } else { 0 }).map(|_| AtomicU64::new(0)).collect()
 }
 
+/// Longest that a source's thread works for others between two of its ticks, and the share of the time between them.
+const LONGEST_WALK_NS: u64 = 1_000_000;
+const WALK_SHARE: u64 = 8;
+/// The same for the thread of a node that may wait: about what it takes to wake another one.
+const SHORT_WALK_NS: u64 = 100_000;
+
+/// A thread that belongs to a node. It may run the nodes after it, too.
+pub(crate) struct OwnThread {
+    pub node: usize,
+    pub cell: Arc<Cell>,
+    handle: JoinHandle<()>,
+}
+
+impl OwnThread {
+    /// Waits until it has left.
+    pub fn join(self) -> std::thread::Result<()> {
+        self.handle.join()
+    }
+}
+
+/// A wish that a thread leaves, which it answers before it does.
+#[derive(Default)]
+pub(crate) struct Leave(AtomicU8);
+
+impl Leave {
+    const WISHED: u8 = 1;
+    const GRANTED: u8 = 2;
+
+    pub fn wish(&self) {
+        let _ = self.0.compare_exchange(0, Self::WISHED, Ordering::AcqRel, Ordering::Relaxed);
+    }
+
+    pub fn is_wished(&self) -> bool {
+        self.0.load(Ordering::Relaxed) != 0
+    }
+
+    /// Called by the thread: whether it leaves now.
+    pub fn grant(&self) -> bool {
+        self.0.load(Ordering::Relaxed) != 0 && {
+            let _ = self.0.compare_exchange(Self::WISHED, Self::GRANTED, Ordering::AcqRel, Ordering::Relaxed);
+            self.0.load(Ordering::Acquire) == Self::GRANTED
+        }
+    }
+
+    /// Takes the wish back; `false` when the thread has set out to leave.
+    pub fn take_back(&self) -> bool {
+        self.0.compare_exchange(Self::WISHED, 0, Ordering::AcqRel, Ordering::Acquire) != Err(Self::GRANTED)
+    }
+
+    /// For the next thread.
+    pub fn reset(&self) {
+        self.0.store(0, Ordering::Release);
+    }
+}
+
 /// What a source's thread knows between two ticks.
 #[derive(Default)]
 struct Pace {
@@ -47,7 +103,8 @@ impl Shared {
     /// Starts the thread of a node.
     pub fn start_thread(self: &Arc<Self>, node: usize, cell: &Arc<Cell>) -> std::io::Result<()> {
         let number = pool::next_thread_number();
-        let (shared, cell) = (Arc::clone(self), Arc::clone(cell));
+        let (shared, owner) = (Arc::clone(self), Arc::clone(cell));
+        let cell = Arc::clone(cell);
         cell.has_thread.store(true, Ordering::Release);
         let mut threads = lock(&self.own_threads);
         let builder = std::thread::Builder::new().name(cell.id.chars().take(15).collect());
@@ -66,7 +123,7 @@ impl Shared {
             }
             cell.has_thread.store(false, Ordering::Release);
         })?;
-        threads.insert(number, handle);
+        threads.insert(number, OwnThread { node, cell: owner, handle });
         Ok(())
     }
 
@@ -84,6 +141,9 @@ impl Shared {
 
     /// Answers whether the watchdog gave this thread up.
     fn blocking_thread(&self, node: usize, cell: &Cell) -> bool {
+        let mut walk = Walk::default();
+        // Real-time priority is for the node alone.
+        let allowance_ns = if cell.kind == NodeKind::Realtime { 0 } else { SHORT_WALK_NS };
         loop {
             while !cell.wake.swap(false, Ordering::Acquire) {
                 std::thread::park();
@@ -95,7 +155,7 @@ impl Shared {
             if finished || cell.leave.grant() {
                 return false;
             }
-            if running && !self.run(node) {
+            if running && !self.run(node, &mut walk, allowance_ns) {
                 return true;
             }
         }
@@ -104,6 +164,7 @@ impl Shared {
     /// Answers whether the watchdog gave this thread up.
     fn source_thread(&self, node: usize, cell: &Arc<Cell>) -> bool {
         let last_ns = cell.last_capture_ns.load(Ordering::Relaxed);
+        let mut walk = Walk::default();
         let mut pace = Pace { last_capture_ns: (last_ns != i64::MIN).then_some(last_ns), ..Pace::default() };
         let leaves = || cell.leave.grant();
         while !self.is_stopping() {
@@ -114,7 +175,7 @@ impl Shared {
             if self.frames.is_some_and(|most| seq >= most) {
                 break;
             }
-            match self.source_tick(node, cell, seq, &mut pace) {
+            match self.source_tick(node, cell, seq, &mut pace, &mut walk) {
                 Step::Next => {}
                 Step::End => break,
                 Step::GivenUp => return true,
@@ -131,11 +192,11 @@ impl Shared {
         if !std::mem::replace(&mut lock(&cell.join).finished, true) {
             self.finish(node, &mut ready);
         }
-        ready.settle(self, &self.plan.load(), false);
+        ready.settle(self, &self.plan.load(), 0);
         false
     }
 
-    fn source_tick(&self, node: usize, cell: &Arc<Cell>, seq: u64, pace: &mut Pace) -> Step {
+    fn source_tick(&self, node: usize, cell: &Arc<Cell>, seq: u64, pace: &mut Pace, walk: &mut Walk) -> Step {
         if self.around.batch || !self.paced {
             let has_room = {
                 let plan = self.plan.load();
@@ -156,20 +217,23 @@ impl Shared {
         }
         pace.again = true;
         let Some(mut exec) = cell.exec.take() else { return Step::End };
-        std::mem::swap(&mut exec.inputs, &mut lock(&cell.join).staged);
+        walk.inputs.append(&mut lock(&cell.join).staged);
         let start_ns = clock::now_ns();
-        let (ran, mut now_ns) = cell.run(&mut exec, &self.around, &mut tick, true, start_ns);
+        let mut ports = Ports { inputs: &mut walk.inputs, lone: false, made: &mut walk.made[0] };
+        let (ran, mut now_ns) = cell.run(&mut exec, &self.around, &mut tick, true, start_ns, &mut ports);
         if ran == Ran::Abandoned {
-            Self::left_behind(cell, exec);
+            Self::left_behind(cell, exec, walk);
             return Step::GivenUp;
         }
+        walk.inputs.clear();
         let bypassed = exec.bypassed;
+        cell.exec.put(exec);
+        let made = &mut walk.made[0];
         if ran != Ran::Ok {
-            cell.exec.put(exec);
             if ran == Ran::End {
                 return Step::End;
             }
-            self.after(&self.plan.load(), node, ran, &tick, now_ns);
+            self.after(&self.plan.load(), node, false, ran, &tick, now_ns);
             if ran == Ran::Stop || bypassed || cell.on_fault() == OnFault::Bypass {
                 return Step::End;
             }
@@ -185,28 +249,32 @@ impl Shared {
         if let Some(last) =
             pace.last_capture_ns.filter(|&last| tick.capture_ns <= last && last - tick.capture_ns < REWIND_NS)
         {
-            clear(&mut exec.outputs);
-            cell.exec.put(exec);
+            made.clear();
             self.capture_fault(cell, &tick, last);
             cell.made.store(seq + 1, Ordering::Relaxed);
             return Step::Next;
         }
         pace.again = false;
+        let mut allowance_ns = 0;
         if let Some(last) = pace.last_capture_ns.replace(tick.capture_ns).filter(|&last| tick.capture_ns > last) {
-            self.frame_ns.store((tick.capture_ns - last) as u64, Ordering::Relaxed);
+            let period_ns = (tick.capture_ns - last) as u64;
+            self.frame_ns.store(period_ns, Ordering::Relaxed);
+            // Where nobody waits for the time of a tick, the next one is made meanwhile.
+            if self.paced && !self.around.batch {
+                allowance_ns = LONGEST_WALK_NS.min(period_ns / WALK_SHARE);
+            }
         }
         cell.last_capture_ns.store(tick.capture_ns, Ordering::Relaxed);
-        cell.taps.show(&exec.outputs);
+        cell.taps.show(&made.outputs);
         let region = {
             let plan = self.plan.load();
             Arc::clone(&plan.regions[plan.wiring[node].region])
         };
         let mut outputs = region.spare();
-        for output in &mut exec.outputs {
+        for output in &mut made.outputs {
             let raw = std::mem::replace(output, Frame::EMPTY);
             outputs.push(FrameRef::adopt(Frame { tick, ..raw }));
         }
-        cell.exec.put(exec);
         if self.paced && !self.around.batch {
             now_ns = self.wait_until_due(cell, tick.capture_ns, now_ns, &mut pace.first);
         }
@@ -223,7 +291,11 @@ impl Shared {
             let plan = self.plan.load();
             let mut ready = Ready::default();
             self.enter(&plan, node, outputs, &mut ready);
-            ready.settle(self, &plan, false);
+            if let Some(next) = ready.settle(self, &plan, allowance_ns)
+                && !self.run(next, walk, allowance_ns)
+            {
+                return Step::GivenUp;
+            }
         }
         Step::Next
     }
@@ -249,12 +321,8 @@ impl Shared {
             return false;
         }
         let plan = self.plan.load();
-        let home = plan.wiring[node].region;
-        plan.extents[home].members.iter().any(|&member| {
-            plan.wiring[member].readers.iter().flatten().any(|r| {
-                plan.wiring[r.node].region != home && lock(&plan.cells[r.node].join).waiting(r.slot) > MOST_BEHIND
-            })
-        })
+        let outsiders = &plan.outsiders[plan.wiring[node].region];
+        outsiders.iter().any(|&(reader, slot)| lock(&plan.cells[reader].join).waiting(slot) > MOST_BEHIND)
     }
 
     fn wait_until_due(&self, cell: &Cell, capture_ns: i64, now_ns: u64, first: &mut Option<(i64, u64)>) -> u64 {

@@ -6,9 +6,10 @@ use std::time::Duration;
 
 use panoscope_graph::OnFault;
 
-use crate::cell::{Cell, backoff_ms, lock};
+use crate::cell::{Cell, lock};
 use crate::clock;
-use crate::exec::{ABANDONED, Exec};
+use crate::exec::ABANDONED;
+use crate::failures::backoff_ms;
 use crate::fault::{Action, Cause};
 use crate::log::Level;
 use crate::plan::Plan;
@@ -64,7 +65,7 @@ impl Shared {
                 self.waiting_nearest.store(1, Ordering::Relaxed);
             }
         }
-        ready.settle(self, &plan, false);
+        ready.settle(self, &plan, 0);
     }
 
     /// Time from the start of a call to the end of its budget, and from there until it is called hung.
@@ -108,8 +109,7 @@ impl Shared {
         let stuck = cell.stuck.fetch_add(1, Ordering::Relaxed) + 1;
         let failures = cell.failures.fetch_add(1, Ordering::Relaxed) + 1;
         bump(&cell.stats.faults);
-        let ranges = lock(&cell.ranges).clone();
-        let mut exec = Exec::new(cell.node_type, ranges.len(), ranges, cell.snapshot());
+        let mut exec = cell.fresh_exec();
         exec.failed_at_ns = now_ns;
         exec.failures_in_a_row = failures;
         let done = match cell.on_fault() {
@@ -136,13 +136,13 @@ impl Shared {
             self.skip_from(plan, node, tick, &mut ready);
             again = self.take_next(plan, head, &mut ready);
         }
-        // Only the handle goes: the thread may never end.
-        let own = lock(&self.own_threads).remove(&thread).is_some();
+        // Only the handle goes: the thread may never end. It need not be this node's own.
+        let own = lock(&self.own_threads).remove(&thread);
         let mut replaced = self.pool.give_up(thread);
         if let Some(me) = self.me.upgrade()
-            && own
+            && let Some(own) = own
         {
-            replaced = replaced.and(me.start_thread(node, cell));
+            replaced = replaced.and(me.start_thread(own.node, &own.cell));
         }
         if let Err(cause) = replaced {
             self.fail(format!("no thread could be started in place of one that hangs: {cause}"));
@@ -150,7 +150,7 @@ impl Shared {
         if again {
             self.dispatch(plan, head);
         }
-        ready.settle(self, plan, false);
+        ready.settle(self, plan, 0);
         match done {
             Action::Stop => {
                 self.fail(format!("node `{}` did not return and the graph says on_fault = \"stop\"", cell.id));
