@@ -9,7 +9,7 @@ use panoscope_node::{
     Choice, Cloud, Context, Depth, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, error,
 };
 
-use crate::calibration;
+use panoscope_calibration::packet as calibration;
 use length::Errors;
 use surface::{Point, Surface};
 
