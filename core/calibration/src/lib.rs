@@ -7,6 +7,7 @@
 //! - [`read`] understands OpenCV's `FileStorage` YAML, ROS `camera_info` and Kalibr camera chains; [`write`] writes
 //!   `FileStorage` YAML that OpenCV reads back bit by bit.
 //! - [`packet`] turns the packet into camera models and a rectification, and refuses what cannot be.
+//! - [`pictures`] finds the picture files that a pattern means.
 //! - [`Board`] names a printed pattern, [`ViewState`] what became of one view of it.
 
 mod board;
@@ -16,6 +17,7 @@ mod file;
 mod kalibr;
 mod opencv;
 pub mod packet;
+pub mod pictures;
 mod ros;
 mod view;
 
