@@ -98,7 +98,7 @@ pub fn epipolar(
     calibration: &Calibration,
     views: [View<'_, u8>; 2],
     pair: &Pair,
-    error_px: f64,
+    error_px: Option<f64>,
     pool: &dyn Parallel,
     out: &mut ViewMut<'_, u8>,
 ) -> Result<(), StereoError> {
@@ -126,6 +126,10 @@ pub fn epipolar(
             cross(&mut part, x as f32, y as f32, 4.0, 1.0, [60, 160, 255]);
         }
     }
-    text(out, 8.0, 8.0, &format!("rows differ by {error_px:.2} px"), 2.0, WHITE);
+    let words = match error_px {
+        Some(error) => format!("rows differ by {error:.2} px"),
+        None => "this view was left out".to_owned(),
+    };
+    text(out, 8.0, 8.0, &words, 2.0, WHITE);
     Ok(())
 }

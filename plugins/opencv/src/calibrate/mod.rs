@@ -5,6 +5,7 @@
 
 mod detect;
 mod draw;
+mod neighbours;
 mod solve;
 
 use panoscope_calibration::{Board, ViewState};
@@ -15,6 +16,7 @@ use panoscope_node::{
 
 use crate::mats::{Threads, failed, mat};
 use detect::{Detector, Points, same_order};
+use neighbours::keep_fitting;
 use solve::{Model, Pair, Procedure, Solution, solve};
 
 /// Fewer common points say too little about a view.
@@ -189,6 +191,9 @@ impl CalibrateStereo {
             for side in 0..2 {
                 found[side] = mat(views[side]).and_then(|gray| self.detector.find(&gray)).map_err(failed)?;
             }
+            if let Board::Charuco { square_mm, .. } = self.board {
+                found.iter_mut().for_each(|points| keep_fitting(points, &self.places_mm, square_mm));
+            }
             let [left, right] = &mut found;
             same_order(&self.board, left, right);
             for (index, place) in left.iter() {
@@ -305,7 +310,7 @@ impl CalibrateStereo {
         {
             let views = [&pictures[0], &pictures[1]].map(|picture| View::new(&picture[..], size.0, size.1, 1));
             let at = used.iter().position(|used| used == index);
-            let error_px = at.map_or(f64::NAN, |at| solution.epipolar_px[at]);
+            let error_px = at.map(|at| solution.epipolar_px[at]);
             let mut target = out.epipolar.alloc(2 * size.0, size.1)?;
             let pair = &self.seen[*index].pair;
             draw::epipolar(&solution.calibration, views, pair, error_px, cx.pool(), &mut target)?;
