@@ -2,8 +2,8 @@
 //!
 //! The command writes a small graph around the node `calibrate_stereo` and runs it: the framework is its own user.
 
-mod plan;
-mod report;
+pub mod plan;
+pub mod report;
 
 use std::path::{Path, PathBuf};
 
@@ -21,13 +21,13 @@ pub struct Arguments {
     /// Left views: images (a folder, dir/*.png, img_%04d.png, in quotes), a video, a camera or a GStreamer pipeline; with
     /// --graph a port such as scope.left.
     #[arg(long, value_name = "FILES|PORT")]
-    left: String,
+    pub left: String,
     /// The same for the right views.
     #[arg(long, value_name = "FILES|PORT")]
-    right: String,
+    pub right: String,
     /// Takes the views from the ports of this graph.
     #[arg(long, value_name = "GRAPH")]
-    graph: Option<PathBuf>,
+    pub graph: Option<PathBuf>,
     /// The printed board: chessboard:9x6:25mm (inner corners), circles:4x11:20mm (asymmetric), circle_grid:7x6:10mm or
     /// charuco:19x26:5mm:4mm:4x4_250 (squares, square, marker, dictionary).
     #[arg(long)]
@@ -37,16 +37,37 @@ pub struct Arguments {
     out: PathBuf,
     /// Folder for pictures: coverage, rows after rectification, corners of the last view.
     #[arg(long, value_name = "DIR")]
-    pictures: Option<PathBuf>,
+    pub pictures: Option<PathBuf>,
     /// Distortion that is solved for: radial (k1 k2), standard (k1 k2 p1 p2), full (and k3), rational (k1 to k6).
     #[arg(long, default_value = "standard", value_parser = ["radial", "standard", "full", "rational"])]
-    model: String,
+    pub model: String,
     /// Pairs that are looked at; of a video, a camera or a live graph 300 unless given.
     #[arg(long, value_parser = clap::value_parser!(u64).range(3..))]
-    frames: Option<u64>,
+    pub frames: Option<u64>,
     /// Keeps views whose error stands out.
     #[arg(long)]
-    keep_all: bool,
+    pub keep_all: bool,
+    /// Whose steps are taken: own, or sample, those of OpenCV's sample stereo_calib with all views and its model.
+    #[arg(long, default_value = "own", value_parser = ["own", "sample"])]
+    pub method: String,
+}
+
+impl Arguments {
+    /// Arguments for views of `board`, as the command line gives them by default.
+    pub fn new(left: &str, right: &str, board: Board) -> Self {
+        Self {
+            left: left.to_owned(),
+            right: right.to_owned(),
+            graph: None,
+            board,
+            out: PathBuf::new(),
+            pictures: None,
+            model: "standard".into(),
+            frames: None,
+            keep_all: false,
+            method: "own".into(),
+        }
+    }
 }
 
 /// Calibrates.
@@ -59,17 +80,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             return Ok(End::Wrong);
         }
     };
-    let text = source.text(arguments)?;
-    let ports = [(NODE, "calibration"), (NODE, "table"), (NODE, "coverage"), (NODE, "epipolar"), (NODE, "image")];
-    let plan = look::Plan {
-        text: &text,
-        path: source.path(),
-        frames: source.frames(arguments),
-        threads: 0,
-        ports: &ports,
-        paced: false,
-    };
-    let seen = look::run(&plan)?;
+    let seen = look_at(arguments, &source)?;
     let table = table_of(&seen)?;
     let views = report::Views::of(&table, &source);
     views.tell_left_out();
@@ -79,12 +90,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     };
     let calibration = report::calibration(bytes).context("the calibration is cut off")?;
     if let Some(folder) = &arguments.pictures {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-        for (index, name) in [(2, "coverage.png"), (3, "epipolar.png"), (4, "corners.png")] {
-            if let Some(frame) = &seen.packets[index] {
-                report::save(frame, &folder.join(name))?;
-            }
-        }
+        pictures(&seen, folder)?;
     }
     panoscope_calibration::write(&arguments.out, &calibration)?;
     views.show();
@@ -93,6 +99,31 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     say!("rectified  {:.2} px focal length, baseline {:.3} mm", rectified.left.focal_px, rectified.baseline_mm);
     say!("written    {}", arguments.out.display());
     Ok(End::Done)
+}
+
+/// Runs the graph; its packets are calibration, table, coverage, epipolar and corners.
+pub fn look_at(arguments: &Arguments, source: &Source) -> Result<Seen> {
+    let text = source.text(arguments)?;
+    let ports = [(NODE, "calibration"), (NODE, "table"), (NODE, "coverage"), (NODE, "epipolar"), (NODE, "image")];
+    look::run(&look::Plan {
+        text: &text,
+        path: source.path(),
+        frames: source.frames(arguments),
+        threads: 0,
+        ports: &ports,
+        paced: false,
+    })
+}
+
+/// Writes the pictures into a folder: coverage, rows after rectification, corners of the last view.
+pub fn pictures(seen: &Seen, folder: &Path) -> Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    for (index, name) in [(2, "coverage.png"), (3, "epipolar.png"), (4, "corners.png")] {
+        if let Some(frame) = &seen.packets[index] {
+            report::save(frame, &folder.join(name))?;
+        }
+    }
+    Ok(())
 }
 
 /// The node's table of views.

@@ -22,8 +22,8 @@ pub enum Source {
     Images([Vec<PathBuf>; 2]),
     /// Videos, cameras, pipelines.
     Stream,
-    /// Ports of a graph.
-    Graph(PathBuf),
+    /// Ports of a graph: where it stands, its text.
+    Graph(PathBuf, String),
 }
 
 /// Files of a pattern or folder; none for anything else.
@@ -69,7 +69,8 @@ impl Source {
             for port in [&arguments.left, &arguments.right] {
                 ensure!(port.contains('.'), "with --graph, `{port}` must be a port such as scope.left");
             }
-            return Ok(Self::Graph(graph.clone()));
+            let text = std::fs::read_to_string(graph).with_context(|| format!("cannot read {}", graph.display()))?;
+            return Ok(Self::Graph(graph.clone(), text));
         }
         match (images(&arguments.left)?, images(&arguments.right)?) {
             (Some(left), Some(right)) => {
@@ -89,7 +90,7 @@ impl Source {
     /// Where the graph's paths start.
     pub fn path(&self) -> &Path {
         match self {
-            Self::Graph(path) => path,
+            Self::Graph(path, _) => path,
             _ => Path::new("calibrate.toml"),
         }
     }
@@ -123,10 +124,10 @@ impl Source {
         let mut params = Table::new();
         params.insert("board".into(), arguments.board.to_string().into());
         params.insert("model".into(), arguments.model.clone().into());
+        params.insert("method".into(), arguments.method.clone().into());
         params.insert("reject".into(), (!arguments.keep_all).into());
         let (mut graph, ports) = match self {
-            Self::Graph(path) => {
-                let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            Self::Graph(path, text) => {
                 let graph: Table = text.parse().with_context(|| path.display().to_string())?;
                 (graph, [arguments.left.clone(), arguments.right.clone()])
             }

@@ -55,8 +55,13 @@ impl Views {
         self.0.iter().filter(|view| view.state == Some(ViewState::Used)).count()
     }
 
+    /// Views that took part.
+    pub fn solved(&self) -> usize {
+        self.0.iter().filter(|view| view.is_solved).count()
+    }
+
     /// Mean distance of matching points from one row, px.
-    fn epipolar_px(&self) -> f64 {
+    pub fn epipolar_px(&self) -> f64 {
         let known: Vec<f64> = self.0.iter().map(|view| view.epipolar_px).filter(|e| e.is_finite()).collect();
         known.iter().sum::<f64>() / known.len().max(1) as f64
     }
@@ -123,7 +128,7 @@ pub fn show(calibration: &Calibration, views: &Views) {
     say!("");
     say!(
         "{} of {} views, reprojection error {:.3} px, rows {:.3} px",
-        views.0.iter().filter(|view| view.is_solved).count(),
+        views.solved(),
         views.len(),
         calibration.rms_px,
         views.epipolar_px()
