@@ -41,6 +41,8 @@ enum Command {
     /// Judges results beside truth and peers.
     #[command(subcommand)]
     Eval(commands::eval::Eval),
+    /// Calibrates two cameras from views of a printed board.
+    Calibrate(commands::calibrate::Arguments),
     /// Lists cameras.
     Devices(commands::devices::Arguments),
     /// Shows what is installed, what is missing and how to get it.
@@ -71,6 +73,7 @@ fn main() {
         Command::Doctor => commands::doctor::run(),
         Command::Bench(bench) => commands::bench::run(&bench),
         Command::Eval(eval) => commands::eval::run(&eval),
+        Command::Calibrate(arguments) => commands::calibrate::run(&arguments),
         Command::Devices(arguments) => commands::devices::run(&arguments),
     };
     terminal::leave(match end {

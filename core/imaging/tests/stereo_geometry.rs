@@ -131,7 +131,7 @@ fn unusable_calibrations_are_refused_with_the_reason() {
             other => panic!("{other:?}"),
         }
     };
-    assert!(reason(&|c| c.translation_mm[0] = 15.1).contains("swap the views"));
+    assert!(reason(&|c| c.translation_mm[0] = 15.1).contains("disparities would be negative"));
     assert!(reason(&|c| c.translation_mm = [0.0; 3]).contains("baseline"));
     assert!(reason(&|c| c.translation_mm = [0.1, -9.0, 0.0]).contains("above one another"));
     assert!(reason(&|c| c.rotation[0][0] = 1.5).contains("rotation"));

@@ -1,8 +1,10 @@
 //! `capture`: views of cameras, files and pipelines, taken together.
 
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
+use panoscope_node::abi::Calibration;
 use panoscope_node::{
     Bgr8, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Parallel, Params, Ports, Result, Slot,
 };
@@ -61,6 +63,8 @@ pub struct Out<'f> {
     pub view2: Slot<'f, Bgr8>,
     /// View 3.
     pub view3: Slot<'f, Bgr8>,
+    /// Calibration of views 0 and 1, where a file is given.
+    pub calibration: Slot<'f, Calibration>,
 }
 
 /// Parameters.
@@ -116,6 +120,10 @@ pub struct Settings {
     /// What a damaged picture does.
     #[param(default = "fail")]
     pub on_damage: OnDamage,
+    /// Calibration file of the first two views: OpenCV's FileStorage YAML or a Kalibr camera chain; the two files of ROS (left;
+    /// right) or of OpenCV's sample (intrinsics; extrinsics) are separated by a semicolon.
+    #[param(default = "", reopen)]
+    pub calibration: String,
 }
 
 struct View {
@@ -136,6 +144,7 @@ pub struct Capture {
     lost_told: bool,
     sizes_told: bool,
     reconnects: u64,
+    calibration: Option<Calibration>,
 }
 
 fn source_texts(params: &Settings) -> Result<Vec<String>> {
@@ -160,6 +169,16 @@ fn source_texts(params: &Settings) -> Result<Vec<String>> {
         return Err(NodeError::new("`split` cuts one picture in two: give `left` only"));
     }
     Ok(texts.into_iter().map(str::to_owned).collect())
+}
+
+/// Reads the calibration, if a file is given.
+fn calibration_of(text: &str, folder: &Path) -> Result<Option<Calibration>> {
+    let files: Vec<PathBuf> =
+        text.split(';').map(str::trim).filter(|t| !t.is_empty()).map(|t| folder.join(t)).collect();
+    if files.is_empty() {
+        return Ok(None);
+    }
+    panoscope_calibration::read(&files).map(Some).map_err(|error| NodeError::new(format!("calibration: {error}")))
 }
 
 fn poisoned<T>(error: std::sync::PoisonError<T>) -> T {
@@ -245,6 +264,25 @@ impl Capture {
         }
     }
 
+    /// The calibration, if there is one and it was made for views of this size.
+    fn calibration_for(&mut self, cx: &Context<'_>, parts: &[(usize, Rect)]) -> Result<Option<Calibration>> {
+        let Some(calibration) = &mut self.calibration else { return Ok(None) };
+        for (view, (_, rect)) in parts.iter().take(2).enumerate() {
+            let camera = if view == 0 { &mut calibration.left } else { &mut calibration.right };
+            if camera.width == 0 {
+                (camera.width, camera.height) = (rect.width as u32, rect.height as u32);
+                cx.info(&format!("the calibration tells no size: view {view} is taken to be what it was made for"));
+            }
+            if (camera.width as usize, camera.height as usize) != (rect.width, rect.height) {
+                return Err(NodeError::new(format!(
+                    "calibration: it was made for views of {}x{}, view {view} is {}x{}",
+                    camera.width, camera.height, rect.width, rect.height
+                )));
+            }
+        }
+        Ok(Some(*calibration))
+    }
+
     /// Source and rectangle of a view.
     fn part(&mut self, view: usize, crops: &[f64]) -> Result<(usize, Rect)> {
         let views = if self.halves.is_some() { 2 } else { self.sources.len() };
@@ -308,6 +346,7 @@ impl Node for Capture {
     type Params = Settings;
 
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
+        let calibration = calibration_of(&params.calibration, open.graph_dir())?;
         let request = Request { width: params.width, height: params.height, fps: params.fps };
         let mut sources = Vec::new();
         for text in source_texts(params)? {
@@ -323,7 +362,17 @@ impl Node for Capture {
             Split::SideBySide => Some(Halves::SideBySide),
             Split::TopBottom => Some(Halves::TopBottom),
         };
-        Ok(Self { sources, halves, rate_hz, frame: 0, due: None, lost_told: false, sizes_told: false, reconnects: 0 })
+        Ok(Self {
+            sources,
+            halves,
+            rate_hz,
+            frame: 0,
+            due: None,
+            lost_told: false,
+            sizes_told: false,
+            reconnects: 0,
+            calibration,
+        })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Out<'f>, params: &Settings) -> Result<()> {
@@ -380,6 +429,11 @@ impl Node for Capture {
                 "the views differ in size ({}x{} and {}x{}): each is passed on as it is",
                 parts[0].1.width, parts[0].1.height, rect.width, rect.height
             ));
+        }
+        if out.calibration.is_read()
+            && let Some(calibration) = self.calibration_for(cx, &parts)?
+        {
+            out.calibration.set(calibration)?;
         }
         for (view, (source, rect)) in parts.into_iter().enumerate() {
             match view {

@@ -8,6 +8,7 @@ use opencv::prelude::*;
 use opencv::{imgcodecs, videoio};
 use panoscope_capture::capture::Capture;
 use panoscope_node::Bgr8;
+use panoscope_node::abi::Calibration;
 use panoscope_node::harness::{Harness, HarnessError, Outputs, Setup};
 
 const WIDTH: usize = 16;
@@ -293,4 +294,48 @@ fn real_pairs() {
     } else {
         println!("skipped: ../shared/data/stereo/hamlyn_640x480 is not there");
     }
+}
+
+const CALIBRATION: &str = "%YAML:1.0
+---
+image_width: 16
+image_height: 8
+M1: [ 20., 0., 7.5, 0., 20., 3.5, 0., 0., 1. ]
+M2: [ 20., 0., 7.5, 0., 20., 3.5, 0., 0., 1. ]
+R: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]
+T: [ -4., 0., 0. ]
+";
+
+#[test]
+fn a_calibration_travels_with_the_views() {
+    let folder = Folder::new("calibration");
+    folder.image("a.png", 1, WIDTH);
+    folder.image("wide.png", 1, 2 * WIDTH);
+    let write = |text: &str| fs::write(folder.0.join("scope.yml"), text).unwrap();
+    let views = |name: &str| format!(r#"left = "{name}", right = "{name}", calibration = "scope.yml""#);
+    write(CALIBRATION);
+    let out = folder.open(&views("a.png")).process().unwrap();
+    let found: Calibration = out.value("calibration").unwrap();
+    assert_eq!((found.left.fx, found.baseline_mm, found.right.width), (20.0, 4.0, 16));
+    // A file without a size takes that of the views.
+    write(&CALIBRATION.replace("image_width: 16\nimage_height: 8\n", ""));
+    let out = folder.open(&views("a.png")).process().unwrap();
+    assert_eq!(out.value::<Calibration>("calibration").unwrap().left.height, 8);
+    // Without a file there is none.
+    assert!(folder.open(r#"left = "a.png""#).process().unwrap().is_empty("calibration").unwrap());
+    write(CALIBRATION);
+    let message = folder.open(&views("wide.png")).process().err().unwrap().to_string();
+    assert!(message.contains("made for views of 16x8, view 0 is 32x8"), "{message}");
+    for (text, words) in [
+        (CALIBRATION.replace("-4.", "4."), "disparities would be negative"),
+        (CALIBRATION[..CALIBRATION.find("R: ").unwrap()].to_owned(), "(`R`) is missing"),
+        (CALIBRATION[..CALIBRATION.len() - 8].to_owned(), "scope.yml:"),
+    ] {
+        write(&text);
+        let message = folder.refused(&views("a.png"));
+        assert!(message.contains(words), "{message}");
+    }
+    fs::remove_file(folder.0.join("scope.yml")).unwrap();
+    let message = folder.refused(&views("a.png"));
+    assert!(message.contains("scope.yml") && message.contains("No such file"), "{message}");
 }

@@ -2,6 +2,7 @@
 //!
 //! The steps are those of OpenCV's `stitching_detailed` sample; the nodes keep a canvas that holds still, as ours do.
 
+mod calibrate;
 mod composite;
 mod detector;
 mod features;
@@ -9,6 +10,7 @@ mod mats;
 mod register;
 mod stereo;
 
+pub use calibrate::CalibrateStereo;
 pub use composite::CompositeOpencv;
 pub use features::FeaturesOpencv;
 pub use register::RegisterOpencv;
@@ -20,5 +22,6 @@ panoscope_node::export_plugin![
     CompositeOpencv,
     StereoOpencv,
     DisparityWlsOpencv,
-    DisparityFbsOpencv
+    DisparityFbsOpencv,
+    CalibrateStereo
 ];

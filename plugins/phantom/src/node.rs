@@ -1,12 +1,15 @@
 //! `phantom`: a rendered scene in, or rather out of, two or four cameras, with exact truth.
 
-use panoscope_node::abi::{self, Calibration, Camera};
+use panoscope_node::abi::{self, Calibration, Camera, Detection};
 use panoscope_node::{
-    Bgr8, Choice, Context, Depth, Disparity, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, ViewMut,
-    name16,
+    Bgr8, Choice, Context, Depth, Disparity, LabeledDetections, LabeledInstances, Mask, Node, NodeError, NodeInfo,
+    Open, Params, Ports, Result, Slot, Value, ViewMut, detections, name16,
 };
 
-use crate::render::{BlackOut, CameraModel, Canvas, Phantom, Pose, Rig, SceneKind, SceneParams, TruthMut};
+use crate::render::{
+    self, BlackOut, BoardPrint, CameraModel, Canvas, Phantom, Pose, Rig, SceneKind, SceneParams, ToolKind, ToolTruth,
+    TruthMut,
+};
 
 /// Which scene is rendered.
 #[derive(Choice, Clone, Copy, PartialEq)]
@@ -19,8 +22,31 @@ pub enum Scene {
     Cavity,
     /// A phantom box with rulers and blocks of known size.
     Box,
-    /// A flat chessboard.
+    /// A flat calibration board, in another pose each tick while `speed_mm_s` is not 0; from about 85 mm both cameras see all
+    /// of it.
     Board,
+}
+
+/// What the board shows.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum Board {
+    /// `chessboard:9x6:3mm`.
+    Chessboard,
+    /// `circles:4x11:3mm`.
+    Circles,
+    /// `charuco:10x7:3mm:2.25mm:4x4_50`.
+    Charuco,
+}
+
+/// Which views a dropped tick leaves out.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum DropViews {
+    /// All outputs.
+    All,
+    /// The left view.
+    Left,
+    /// The right view.
+    Right,
 }
 
 /// How the cameras stand.
@@ -49,6 +75,9 @@ pub struct PhantomParams {
     /// Scene that is rendered.
     #[param(default = "bowel", reopen)]
     scene: Scene,
+    /// What the board of the scene `board` shows.
+    #[param(default = "chessboard", reopen)]
+    board: Board,
     /// Seed of everything random: the same seed gives the same pictures on every machine.
     #[param(default = 7, range = 0..=1_000_000_000, reopen)]
     seed: u64,
@@ -109,6 +138,25 @@ pub struct PhantomParams {
     /// Number of black pictures.
     #[param(default = 10, range = 0..=1_000_000_000, unit = "frames", reopen)]
     black_count: u64,
+    /// Instruments in the scene.
+    #[param(default = 0, range = 0..=7, reopen)]
+    tools: u32,
+    /// Their kinds in turn, separated by commas: grasper, bipolar, hook, scissors, clipper, irrigator, specimen_bag; when empty,
+    /// the seed's own order of all.
+    #[param(default = "", reopen)]
+    tool_kinds: String,
+    /// Share of ticks that are dropped, chosen by the seed.
+    #[param(default = 0.0, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    drop_share: f64,
+    /// What a dropped tick leaves out.
+    #[param(default = "all")]
+    drop_views: DropViews,
+    /// Share of ticks that are delivered late, chosen by the seed; in live mode only.
+    #[param(default = 0.0, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    late_share: f64,
+    /// By how much they are late; their capture time stays what it is.
+    #[param(default = 20.0, range = 0.0..=1000.0, step = 1.0, unit = "ms")]
+    late_ms: f64,
     /// How much wider than one picture the `wide` view is.
     #[param(default = 2.0, range = 1.0..=4.0, step = 0.1, unit = "ratio", reopen)]
     wide_factor: f64,
@@ -150,6 +198,12 @@ pub struct Out<'f> {
     homography: Slot<'f, abi::Homography>,
     /// What one ideal camera at the left camera's place with a larger sensor would see.
     wide: Slot<'f, Bgr8>,
+    /// True boxes of the instruments seen in the left view.
+    detections: Slot<'f, LabeledDetections>,
+    /// The same with true masks.
+    instances: Slot<'f, LabeledInstances>,
+    /// True tip of the instrument whose tip is seen, the largest first; empty when none is.
+    tip: Slot<'f, abi::Tip>,
 }
 
 /// See the module.
@@ -158,6 +212,34 @@ pub struct PhantomNode {
     frame: u64,
     calibration: Calibration,
     canvas: Canvas,
+    labels: String,
+    tools: ToolWork,
+    /// Where a view that is dropped is drawn.
+    unseen: Vec<u8>,
+}
+
+/// Memory of the instruments' truth, kept from tick to tick.
+#[derive(Default)]
+struct ToolWork {
+    ids: Vec<u8>,
+    truth: Vec<ToolTruth>,
+    items: Vec<Detection>,
+    masks: Vec<u8>,
+}
+
+fn tool_kinds(text: &str) -> Result<Vec<ToolKind>> {
+    let names = text.split(',').map(str::trim).filter(|name| !name.is_empty());
+    names
+        .map(|name| {
+            ToolKind::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| {
+                let known: Vec<&str> = ToolKind::ALL.iter().map(|kind| kind.name()).collect();
+                NodeError::new(format!(
+                    "`tool_kinds`: no instrument is called `{name}`; there are {}",
+                    known.join(", ")
+                ))
+            })
+        })
+        .collect()
 }
 
 fn rig(params: &PhantomParams) -> Rig {
@@ -244,6 +326,13 @@ impl Node for PhantomNode {
             smoke: params.smoke,
             blood_drops: params.blood_drops,
             motion_blur: params.motion_blur,
+            tools: params.tools,
+            tool_kinds: tool_kinds(&params.tool_kinds)?,
+            board: match params.board {
+                Board::Chessboard => BoardPrint::Chessboard,
+                Board::Circles => BoardPrint::Circles,
+                Board::Charuco => BoardPrint::Charuco,
+            },
             black: match params.black_camera {
                 BlackCamera::None => None,
                 which => Some(BlackOut {
@@ -267,14 +356,36 @@ impl Node for PhantomNode {
             offset_y: ((high as f64 - height) / 8.0).floor(),
         };
         let calibration = calibration(&rig);
-        Ok(Self { phantom: Phantom::new(scene, rig, open.pool())?, frame: 0, calibration, canvas })
+        let labels: Vec<&str> = ToolKind::ALL.iter().map(|kind| kind.name()).collect();
+        Ok(Self {
+            phantom: Phantom::new(scene, rig, open.pool())?,
+            frame: 0,
+            calibration,
+            canvas,
+            labels: labels.join("\n"),
+            tools: ToolWork::default(),
+            unseen: Vec::new(),
+        })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &PhantomParams) -> Result<()> {
         let frame = self.frame;
+        self.frame += 1;
+        cx.set_capture_ns((frame as f64 * 1e9 / params.rate_hz) as i64);
+        // One chance for each fault and tick, the same in every run.
+        let chance = |purpose: u32| f64::from(render::chance(params.seed, purpose, frame));
+        let is_dropped = chance(0) < params.drop_share;
+        if is_dropped && params.drop_views == DropViews::All {
+            return Ok(());
+        }
+        if chance(1) < params.late_share && !cx.is_batch() {
+            std::thread::sleep(std::time::Duration::from_secs_f64(params.late_ms * 1e-3));
+        }
         let pose = input.camera_pose.map(|p| Pose { quaternion: p.a_from_b_wxyz, translation_mm: p.a_from_b_mm });
-        self.render(cx, frame, pose, &mut out, params)?;
+        let dropped = is_dropped.then_some(params.drop_views);
+        self.render(cx, frame, pose, &mut out, params, dropped)?;
         self.truth(cx, frame, pose, &mut out)?;
+        self.tools(cx, frame, pose, &mut out)?;
         out.calibration.set(self.calibration)?;
         let place = pose.unwrap_or_else(|| self.phantom.pose(frame));
         out.pose.set(abi::Pose {
@@ -283,8 +394,6 @@ impl Node for PhantomNode {
             a: name16("scene"),
             b: name16("left_camera"),
         })?;
-        cx.set_capture_ns((frame as f64 * 1e9 / params.rate_hz) as i64);
-        self.frame += 1;
         Ok(())
     }
 
@@ -306,24 +415,30 @@ impl PhantomNode {
         pose: Option<Pose>,
         out: &mut Out<'_>,
         params: &PhantomParams,
+        dropped: Option<DropViews>,
     ) -> Result<()> {
         let (width, height) = (params.width as usize, params.height as usize);
+        let (no_left, no_right) = (dropped == Some(DropViews::Left), dropped == Some(DropViews::Right));
+        if dropped.is_some() {
+            self.unseen.resize(width * height * 3, 0);
+        }
+        // A view that is dropped is drawn where nobody looks.
+        let unseen = &mut self.unseen;
+        let (left, right) = match (no_left, no_right) {
+            (true, _) => (ViewMut::new(unseen, width, height, 3), out.right.alloc(width, height)?),
+            (_, true) => (out.left.alloc(width, height)?, ViewMut::new(unseen, width, height, 3)),
+            _ => (out.left.alloc(width, height)?, out.right.alloc(width, height)?),
+        };
         if params.layout == Layout::Stereo {
-            let mut views = [out.left.alloc(width, height)?, out.right.alloc(width, height)?];
-            self.phantom.render(frame, pose, cx.pool(), &mut views)?;
+            self.phantom.render(frame, pose, cx.pool(), &mut [left, right])?;
         } else {
-            let mut views = [
-                out.left.alloc(width, height)?,
-                out.right.alloc(width, height)?,
-                out.view2.alloc(width, height)?,
-                out.view3.alloc(width, height)?,
-            ];
+            let mut views = [left, right, out.view2.alloc(width, height)?, out.view3.alloc(width, height)?];
             self.phantom.render(frame, pose, cx.pool(), &mut views)?;
         }
-        if out.view0.is_read() {
+        if out.view0.is_read() && !no_left {
             out.view0.forward_from(&out.left)?;
         }
-        if out.view1.is_read() {
+        if out.view1.is_read() && !no_right {
             out.view1.forward_from(&out.right)?;
         }
         Ok(())
@@ -351,6 +466,53 @@ impl PhantomNode {
             let canvas = self.canvas;
             let mut view: ViewMut<'_, u8> = out.wide.alloc(canvas.width, canvas.height)?;
             self.phantom.wide(frame, pose, canvas, cx.pool(), &mut view)?;
+        }
+        Ok(())
+    }
+
+    /// Boxes, masks and tip of the instruments.
+    fn tools(&mut self, cx: &Context<'_>, frame: u64, pose: Option<Pose>, out: &mut Out<'_>) -> Result<()> {
+        if !out.detections.is_read() && !out.instances.is_read() && !out.tip.is_read() {
+            return Ok(());
+        }
+        let (width, height) = (self.calibration.left.width as usize, self.calibration.left.height as usize);
+        let ToolWork { ids, truth, items, masks } = &mut self.tools;
+        ids.resize(width * height, 0);
+        self.phantom.tools(frame, pose, cx.pool(), &mut ViewMut::new(ids, width, height, 1), truth)?;
+        let class_of = |kind: ToolKind| ToolKind::ALL.iter().position(|k| *k == kind).unwrap_or(0) as u32;
+        let seen = || truth.iter().filter(|tool| tool.pixels > 0);
+        items.clear();
+        items.extend(seen().map(|tool| {
+            let [x_px, y_px, width_px, height_px] = tool.bounds_px.map(|v| v as f32);
+            let (class_index, track_id) = (class_of(tool.kind), i64::from(tool.id));
+            Detection { x_px, y_px, width_px, height_px, score: 1.0, class_index, track_id }
+        }));
+        if out.detections.is_read() {
+            out.detections.set_detections(items, &self.labels, (width, height))?;
+        }
+        if out.instances.is_read() {
+            let (row_len, len) = (width.div_ceil(8), detections::mask_len(width, height));
+            masks.clear();
+            masks.resize(items.len() * len, 0);
+            for (tool, mask) in seen().zip(masks.chunks_exact_mut(len.max(1))) {
+                for (row, bits) in ids.chunks_exact(width).zip(mask.chunks_exact_mut(row_len)) {
+                    for (x, _) in row.iter().enumerate().filter(|(_, id)| **id == tool.id) {
+                        bits[x / 8] |= 0x80 >> (x % 8);
+                    }
+                }
+            }
+            out.instances.set_instances(items, &self.labels, (width, height), masks)?;
+        }
+        if let Some(tool) = truth.iter().filter(|tool| tool.tip_visible).max_by_key(|tool| tool.pixels) {
+            out.tip.set(abi::Tip {
+                u_px: tool.tip_px[0],
+                v_px: tool.tip_px[1],
+                xyz_mm: tool.tip_mm,
+                score: 1.0,
+                class_index: class_of(tool.kind),
+                xyz_valid: 1,
+                track_id: i64::from(tool.id),
+            })?;
         }
         Ok(())
     }

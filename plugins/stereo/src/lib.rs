@@ -1,6 +1,5 @@
 //! Rectification, disparity, depth and measurement (thesis, chapter 3).
 
-mod calibration;
 mod epipolar;
 mod filter;
 mod matcher;

@@ -4,7 +4,7 @@ use panoscope_imaging::stereo::{RemapTable, Roi};
 use panoscope_node::abi::Calibration;
 use panoscope_node::{Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, error};
 
-use crate::calibration;
+use panoscope_calibration::packet as calibration;
 
 /// Inputs.
 #[derive(Ports)]

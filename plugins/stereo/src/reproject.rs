@@ -8,7 +8,7 @@ use panoscope_node::{
     PointCloud, Ports, Result, Slot, Value, View, ViewMut, error,
 };
 
-use crate::calibration;
+use panoscope_calibration::packet as calibration;
 
 /// Inputs.
 #[derive(Ports)]

@@ -95,7 +95,7 @@ impl Rectification {
             return refuse("the cameras stand above one another, not side by side".into());
         }
         if turned[0] > 0.0 {
-            return refuse("the left camera stands to the right of the right one: swap the views".into());
+            return refuse("left and right are swapped: the left camera stands to the right of the right one, disparities would be negative".into());
         }
         let axis = cross(turned, [-1.0, 0.0, 0.0]);
         let length = norm(axis);

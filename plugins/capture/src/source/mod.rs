@@ -7,7 +7,7 @@ mod stream;
 use std::path::PathBuf;
 use std::time::Instant;
 
-pub use name::{SourceName, image_files};
+pub use name::SourceName;
 pub use stream::Lock;
 
 use images::Images;

@@ -91,7 +91,7 @@ pub fn board_ink(x: f32, y: f32, texel_mm: f32) -> Option<f32> {
 }
 
 /// Share of a texel on the positive side of an edge.
-fn edge(distance_mm: f32, texel_mm: f32) -> f32 {
+pub fn edge(distance_mm: f32, texel_mm: f32) -> f32 {
     (distance_mm / texel_mm + 0.5).clamp(0.0, 1.0)
 }
 

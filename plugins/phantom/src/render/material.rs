@@ -2,6 +2,7 @@
 
 use panoscope_imaging::{Parallel, SharedMut};
 
+use super::boards;
 use super::marks;
 use super::math::{Stream, smoothstep};
 use super::noise::Layers;
@@ -162,6 +163,7 @@ struct RowWork {
 
 struct Skin<'a> {
     scene: SceneKind,
+    board: boards::BoardPrint,
     relief: &'a Relief,
     palette: Palette,
     texel_mm: f32,
@@ -194,6 +196,7 @@ impl<'a> Skin<'a> {
         };
         Self {
             scene: params.scene,
+            board: params.board,
             relief,
             palette,
             texel_mm,
@@ -304,7 +307,7 @@ impl<'a> Skin<'a> {
                 let ink = marks::box_ink(place(x), place(y), self.texel_mm);
                 colour = colour.map(|c| mix(c, 0.10, ink));
             }
-            SceneKind::Board => match marks::board_ink(place(x), place(y), self.texel_mm) {
+            SceneKind::Board => match boards::ink(self.board, place(x), place(y), self.texel_mm) {
                 Some(ink) => colour = [mix(0.93, 0.12, ink); 3],
                 None => {
                     colour = [0.35 + 0.05 * mottle, 0.42 + 0.05 * mottle, 0.40 + 0.05 * mottle];

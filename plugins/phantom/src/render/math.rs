@@ -22,6 +22,11 @@ pub fn unit(hash: u32) -> f32 {
     (hash >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
+/// A number in `0..1` for a frame: the same for the same seed, purpose and frame.
+pub fn chance(seed: u64, purpose: u32, frame: u64) -> f32 {
+    unit(hash(&[seed as u32, (seed >> 32) as u32, 600 + purpose, frame as u32, (frame >> 32) as u32]))
+}
+
 /// A seeded stream of numbers for building scenes.
 #[derive(Clone, Debug)]
 pub struct Stream(u32, u32);

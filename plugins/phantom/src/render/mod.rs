@@ -4,6 +4,7 @@
 //! Only `+ - * /`, square roots and integer hashes are used, in one order: the same parameters and frame
 //! number give the same bytes with AVX2 or without, on any number of threads and on any machine.
 
+mod boards;
 mod cast;
 mod effects;
 mod fit;
@@ -25,8 +26,9 @@ mod tools;
 mod truth;
 mod vessels;
 
+pub use boards::BoardPrint;
 pub use marks::{BLOCKS_MM, BOARD_CENTRE_MM, LENGTHS_MM, RULERS_Y_MM, SQUARE_MM};
-pub use math::Pose;
+pub use math::{Pose, chance};
 pub use params::{BlackOut, CameraModel, PhantomError, Rig, SceneKind, SceneParams};
 pub use phantom::Phantom;
 pub use tools::{ToolKind, ToolTruth};

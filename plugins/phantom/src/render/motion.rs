@@ -1,7 +1,8 @@
 //! The scripted camera and the patient's breath.
 
+use super::boards;
 use super::math::{Pose, Stream, cos_turns, sin_turns};
-use super::params::SceneParams;
+use super::params::{SceneKind, SceneParams};
 
 /// Sines of one axis: amplitude, frequency in Hz, phase in turns.
 #[derive(Clone, Copy, Debug)]
@@ -38,6 +39,8 @@ pub struct Script {
     breath_hz: f64,
     breath_mm: f64,
     fps: f64,
+    /// Of a scene with a board in ever new poses.
+    board: Option<SceneParams>,
 }
 
 impl Script {
@@ -56,11 +59,16 @@ impl Script {
             breath_hz: 1.0 / params.breathing_period_s,
             breath_mm: params.breathing_mm,
             fps: params.fps,
+            board: (params.scene == SceneKind::Board && speed > 0.0).then(|| params.clone()),
         }
     }
 
     /// `scene_from_camera` of the first camera `frames` frames (and parts of one) after the start.
     pub fn pose(&self, frames: f64) -> Pose {
+        if let Some(params) = &self.board {
+            // Within a frame the board stands still.
+            return boards::shown_pose(params, (frames + 0.5).max(0.0) as u64);
+        }
         let seconds = frames / self.fps;
         let translation_mm = [0, 1, 2].map(|i| self.place[i].at(seconds));
         // Degrees to turns; small rotations about x, y and z one after the other.

@@ -2,6 +2,9 @@
 
 use thiserror::Error;
 
+use super::boards::BoardPrint;
+use super::tools::ToolKind;
+
 /// Why a phantom cannot be made or a picture not be drawn.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum PhantomError {
@@ -75,7 +78,7 @@ pub enum SceneKind {
     Cavity,
     /// A phantom box: printed rulers, crosses of known spacing, blocks of known height.
     Box,
-    /// A flat chessboard of 10 x 7 squares of 3 mm.
+    /// A flat calibration board; a moving camera shows it in another pose each frame.
     Board,
 }
 
@@ -131,8 +134,12 @@ pub struct SceneParams {
     pub smoke: f32,
     /// Number of blood drops on each lens, 0 to 32.
     pub blood_drops: u32,
-    /// Instruments in the scene, 0 to 7, of different kinds.
+    /// What the board of [`SceneKind::Board`] shows.
+    pub board: BoardPrint,
+    /// Instruments in the scene, 0 to 7.
     pub tools: u32,
+    /// Their kinds in turn; when empty, all kinds in an order of the seed's own.
+    pub tool_kinds: Vec<ToolKind>,
     /// Sub-frames averaged for motion blur, 1 (none) to 16.
     pub motion_blur: u32,
     /// Part of the frame time the shutter is open, 0 to 1; used with `motion_blur`.
@@ -166,7 +173,9 @@ impl Default for SceneParams {
             noise: 1.0,
             smoke: 0.0,
             blood_drops: 0,
+            board: BoardPrint::Chessboard,
             tools: 0,
+            tool_kinds: Vec::new(),
             motion_blur: 1,
             shutter: 0.5,
             black: None,

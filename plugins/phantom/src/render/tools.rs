@@ -110,11 +110,15 @@ impl Posed {
     }
 }
 
-/// The instruments of a scene: `params.tools` of them, kinds in an order of the seed's own.
+/// The instruments of a scene: `params.tools` of them.
 pub fn cast_of(params: &SceneParams) -> Vec<Tool> {
     let mut stream = Stream::new(params.seed, 400);
     let first = stream.bits() as usize;
     let distance = params.distance_mm;
+    let kind = |i: usize| match params.tool_kinds.len() {
+        0 => ToolKind::ALL[(first + i) % 7],
+        count => params.tool_kinds[i % count],
+    };
     (0..params.tools as usize)
         .map(|i| {
             let mut wave = |low: f32, high: f32| {
@@ -132,7 +136,7 @@ pub fn cast_of(params: &SceneParams) -> Vec<Tool> {
                 side[1] * 3.0 + f64::from(stream.range(-3.0, 3.0)),
                 distance * f64::from(stream.range(0.68, 0.80)),
             ];
-            Tool { kind: ToolKind::ALL[(first + i) % 7], id: i as u8 + 1, trocar, home, sway, roll, open }
+            Tool { kind: kind(i), id: i as u8 + 1, trocar, home, sway, roll, open }
         })
         .collect()
 }

@@ -9,8 +9,8 @@ use panoscope_node::{
     Choice, Cloud, Context, Depth, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, error,
 };
 
-use crate::calibration;
 use length::Errors;
+use panoscope_calibration::packet as calibration;
 use surface::{Point, Surface};
 
 /// What is measured.

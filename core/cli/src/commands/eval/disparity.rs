@@ -2,15 +2,19 @@
 
 mod chains;
 mod data;
+mod given;
+mod liver;
+mod outside;
 mod phantom;
 mod picture;
+mod truth_files;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use panoscope_imaging::stereo::{
     Rectification, RectifyParams, RemapTable, ReprojectInput, ReprojectParams, Roi, StereoCameras, reproject,
-    score_disparity, score_surface,
+    score_disparity,
 };
 use panoscope_imaging::{Serial, View, ViewMut};
 
@@ -27,6 +31,8 @@ pub struct Arguments {
     /// Folder of data sets, searched before the usual ones. May be given again.
     #[arg(long, value_name = "DIR")]
     data: Vec<PathBuf>,
+    #[command(flatten)]
+    given: given::Given,
     /// Folder for pictures of disparities and errors.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
@@ -35,7 +41,7 @@ pub struct Arguments {
     pub json: Option<PathBuf>,
 }
 
-const CASES: [&str; 6] = ["phantom", "aloe", "motorcycle", "synthetic_liver", "silicone_heart", "hamlyn"];
+const CASES: [&str; 8] = ["truth", "range", "phantom", "aloe", "motorcycle", "synthetic_liver", "silicone_heart", "hamlyn"];
 
 /// Distance to the true surface from which on points count alike.
 const REACH_MM: f32 = 4.0;
@@ -58,11 +64,17 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
     let mut judge = Judge { folders, pictures: arguments.pictures.as_deref(), figures: Vec::new() };
+    if arguments.given.is_given() {
+        judge.given(&arguments.given)?;
+        return Ok(Some(judge.figures));
+    }
     for case in CASES.iter().filter(|case| arguments.case.is_empty() || arguments.case.iter().any(|c| c == *case)) {
         if crate::interrupt::asked() {
             anyhow::bail!("interrupted");
         }
         match *case {
+            "truth" => judge.outside()?,
+            "range" => judge.range()?,
             "phantom" => judge.phantom()?,
             "aloe" => judge.aloe()?,
             "motorcycle" => judge.motorcycle()?,
@@ -149,56 +161,6 @@ impl Judge<'_> {
         let known = |d: f32| if d > 0.0 { d } else { f32::NAN };
         let disparity = truth.data.into_iter().map(known).collect();
         self.pair("motorcycle", [&views[0], &views[1]], 0, 96, &Truth { disparity, mask: None })
-    }
-
-    fn liver(&mut self) -> Result<()> {
-        let Some(left) = self.file("synthetic_liver", "synthetic_liver/synthetic-left.png", "give --data") else {
-            return Ok(());
-        };
-        let beside = |name: &str| left.with_file_name(name);
-        let views = [Picture::read(&left)?, Picture::read(&beside("synthetic-right.png"))?];
-        let cameras = data::cameras(&beside("calib"), (views[0].width, views[0].height))?;
-        let mask = data::gray(&beside("mask-left.png"))?;
-        let to_world = data::matrix4(&beside("model_to_world.txt"))?;
-        let camera = data::matrix4(&beside("camera_to_world.txt"))?;
-        let rectified = Rectified::new(&cameras, views)?;
-        let mask = rectified.mask(&mask)?;
-        // Model to world to left camera to rectified left camera; the camera is only shifted in the world.
-        let place = |p: [f32; 3]| -> [f32; 3] {
-            let p = p.map(f64::from);
-            let world: [f64; 3] = std::array::from_fn(|i| {
-                (0..3).map(|j| to_world[4 * i + j] * p[j]).sum::<f64>() + to_world[4 * i + 3] - camera[4 * i + 3]
-            });
-            let own: [f64; 3] = std::array::from_fn(|i| (0..3).map(|j| camera[4 * j + i] * world[j]).sum());
-            std::array::from_fn(|i| (0..3).map(|j| rectified.rotation[i][j] * own[j]).sum::<f64>() as f32)
-        };
-        let surface: Vec<[f32; 3]> = data::surface(&beside("liver-H07.ply"), 0.5)?.into_iter().map(place).collect();
-        let size = (rectified.geometry.width, rectified.geometry.height);
-        let input = "synthetic_liver 1920x1080, surface of the model in the mask, farther than 4 mm counts as 4 mm";
-        for made in chains::run(&rectified.views[0], &rectified.views[1], 32, 128)? {
-            let points = rectified.points(&made.disparity)?;
-            // Every sixth column of every sixth row: tens of thousands of points are enough.
-            let counts = |index: &usize| {
-                (index % size.0).is_multiple_of(6) && (index / size.0).is_multiple_of(6) && mask[*index] > 127
-            };
-            let inside: Vec<[f32; 3]> = (0..points.len()).filter(counts).map(|index| points[index]).collect();
-            let score = score_surface(&inside, &surface, REACH_MM)?;
-            let chain = made.chain;
-            if score.median_mm > 0.9 * f64::from(REACH_MM) {
-                tell!(
-                    "skipped: synthetic_liver: the model does not lie where {chain} sees a surface; the pose of the data set is in doubt"
-                );
-                continue;
-            }
-            self.add(format!("surface_mm/synthetic_liver/{chain}"), score.median_mm, "mm", input);
-            self.add(format!("surface_p95_mm/synthetic_liver/{chain}"), score.p95_mm, "mm", input);
-            let share = score.points as f64 / inside.len().max(1) as f64;
-            self.add(format!("density/synthetic_liver/{chain}"), 100.0 * share, "%", input);
-            if let Some(folder) = self.pictures {
-                picture::map(&folder.join(format!("synthetic_liver_{chain}.png")), size, &made.disparity)?;
-            }
-        }
-        Ok(())
     }
 
     fn heart(&mut self) -> Result<()> {
@@ -308,17 +270,21 @@ impl Rectified {
         Ok(out)
     }
 
-    /// Points in the rectified left camera, NaN where unknown.
     fn points(&self, disparity: &[f32]) -> Result<Vec<[f32; 3]>> {
-        let (width, height) = (self.geometry.width, self.geometry.height);
-        let (mut depth, mut points) = (vec![0.0; width * height], vec![0.0; 3 * width * height]);
-        let input = ReprojectInput {
-            disparity: View::new(disparity, width, height, 1),
-            confidence: None,
-            roi: Roi::full(width, height),
-        };
-        let (to, to_points) = (ViewMut::new(&mut depth, width, height, 1), ViewMut::new(&mut points, width, height, 3));
-        reproject(input, &self.geometry, &ReprojectParams::default(), &Serial, to, Some(to_points))?;
-        Ok(points.as_chunks::<3>().0.to_vec())
+        points(&self.geometry, disparity)
     }
+}
+
+/// Points in the rectified left camera, NaN where unknown.
+fn points(geometry: &Rectification, disparity: &[f32]) -> Result<Vec<[f32; 3]>> {
+    let (width, height) = (geometry.width, geometry.height);
+    let (mut depth, mut points) = (vec![0.0; width * height], vec![0.0; 3 * width * height]);
+    let input = ReprojectInput {
+        disparity: View::new(disparity, width, height, 1),
+        confidence: None,
+        roi: Roi::full(width, height),
+    };
+    let (to, to_points) = (ViewMut::new(&mut depth, width, height, 1), ViewMut::new(&mut points, width, height, 3));
+    reproject(input, geometry, &ReprojectParams::default(), &Serial, to, Some(to_points))?;
+    Ok(points.as_chunks::<3>().0.to_vec())
 }

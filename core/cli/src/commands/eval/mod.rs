@@ -1,5 +1,6 @@
 //! `panoscope eval`: how good the results are, beside truth and peers.
 
+mod calibrate;
 mod disparity;
 pub mod look;
 mod rewire;
@@ -22,6 +23,8 @@ pub enum Eval {
     Stitch(stitch::Arguments),
     /// Disparity beside true disparities and surfaces, and left beside right.
     Disparity(disparity::Arguments),
+    /// Calibration beside OpenCV's sample and beside the phantom's truth.
+    Calibrate(calibrate::Arguments),
 }
 
 /// Judges.
@@ -31,6 +34,7 @@ pub fn run(eval: &Eval) -> Result<End> {
         Eval::Surf(arguments) => (surf::judge(arguments)?, &arguments.json),
         Eval::Stitch(arguments) => (stitch::judge(arguments)?, &arguments.json),
         Eval::Disparity(arguments) => (disparity::judge(arguments)?, &arguments.json),
+        Eval::Calibrate(arguments) => (calibrate::judge(arguments)?, &arguments.json),
     };
     let Some(figures) = figures else { return Ok(End::Wrong) };
     record::show(&figures);

@@ -89,27 +89,28 @@ fn camera(folder: &Path, side: &str, ending: &str, size: (usize, usize)) -> Resu
     Ok(CameraModel::new(size, (fx, fy), (cx, cy), &distortion[..5.min(distortion.len())])?)
 }
 
-/// Both cameras of a folder of the scikit-surgery kind.
+/// Left and right camera of a folder of the scikit-surgery kind.
+pub fn intrinsics(folder: &Path, size: (usize, usize)) -> Result<(CameraModel, CameraModel)> {
+    let plural = folder.join("calib.left.intrinsics.txt").exists();
+    let ending = if plural { "intrinsics" } else { "intrinsic" };
+    Ok((camera(folder, "left", ending, size)?, camera(folder, "right", ending, size)?))
+}
+
+/// The pose between the cameras as it is written: three rows of a rotation, one of a translation in mm.
+pub fn rotation_and_translation(folder: &Path) -> Result<([[f64; 3]; 3], [f64; 3])> {
+    let m = numbers(&folder.join("calib.l2r.txt"))?;
+    if m.len() != 12 {
+        bail!("{}: calib.l2r.txt holds {} numbers, 12 were expected", folder.display(), m.len());
+    }
+    Ok((std::array::from_fn(|i| std::array::from_fn(|j| m[3 * i + j])), [m[9], m[10], m[11]]))
+}
+
+/// Both cameras of a folder with a 4x4 pose between them.
 pub fn cameras(folder: &Path, size: (usize, usize)) -> Result<StereoCameras> {
-    let (rows, ending) = (folder.join("calib.l2r.4x4"), "intrinsic");
-    let (rotation, translation_mm) = if rows.exists() {
-        let m = matrix4(&rows)?;
-        (std::array::from_fn(|i| std::array::from_fn(|j| m[4 * i + j])), [m[3], m[7], m[11]])
-    } else {
-        // Written for row vectors: the rotation lies on its side, the translation stands below it.
-        let m = numbers(&folder.join("calib.l2r.txt"))?;
-        if m.len() != 12 {
-            bail!("{}: calib.l2r.txt holds {} numbers, 12 were expected", folder.display(), m.len());
-        }
-        (std::array::from_fn(|i| std::array::from_fn(|j| m[3 * j + i])), [m[9], m[10], m[11]])
-    };
-    let ending = if folder.join("calib.left.intrinsics.txt").exists() { "intrinsics" } else { ending };
-    Ok(StereoCameras {
-        left: camera(folder, "left", ending, size)?,
-        right: camera(folder, "right", ending, size)?,
-        rotation,
-        translation_mm,
-    })
+    let m = matrix4(&folder.join("calib.l2r.4x4"))?;
+    let (left, right) = intrinsics(folder, size)?;
+    let rotation = std::array::from_fn(|i| std::array::from_fn(|j| m[4 * i + j]));
+    Ok(StereoCameras { left, right, rotation, translation_mm: [m[3], m[7], m[11]] })
 }
 
 /// Points on the triangles of a binary little-endian PLY, about `step_mm` apart.

@@ -8,9 +8,9 @@ use panoscope_runtime::memory::FrameRef;
 use super::super::look::{self, Plan, Table};
 use super::{Judge, Truth};
 
-const SIZE: (usize, usize) = (640, 480);
-const FOCAL_PX: f64 = 750.0;
-const BASELINE_MM: f64 = 15.0;
+pub const SIZE: (usize, usize) = (640, 480);
+pub const FOCAL_PX: f64 = 750.0;
+pub const BASELINE_MM: f64 = 15.0;
 /// Distances of the tissue, mm.
 const DISTANCES_MM: [f64; 5] = [30.0, 40.0, 50.0, 60.0, 70.0];
 const CHAINS: [(&str, &str); 5] = [
@@ -73,7 +73,7 @@ params = {{ points = {pairs:?} }}
     )
 }
 
-fn floats(frame: &FrameRef) -> Option<Vec<f32>> {
+pub fn floats(frame: &FrameRef) -> Option<Vec<f32>> {
     let (described, bytes) = (frame.frame(), frame.bytes());
     let (width, height) = (described.width as usize, described.height as usize);
     let stride = described.stride_bytes as usize;

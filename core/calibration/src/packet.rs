@@ -1,10 +1,10 @@
 //! The `calibration` packet as the kernels want it.
 
+use panoscope_abi::{Calibration, Camera};
 use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{
     CameraModel, Rectification, RectifiedCamera, RectifyParams, Roi, StereoCameras, StereoError,
 };
-use panoscope_node::abi::{Calibration, Camera};
 
 fn refuse<T>(reason: String) -> Result<T, StereoError> {
     Err(StereoError::Calibration { reason })
@@ -19,6 +19,9 @@ fn flat(rows: &Matrix3) -> [f64; 9] {
 }
 
 /// One camera of the packet, checked.
+///
+/// # Errors
+/// [`StereoError::Calibration`] when no camera can be so.
 pub fn camera(camera: &Camera) -> Result<CameraModel, StereoError> {
     let size = (camera.width as usize, camera.height as usize);
     CameraModel::new(size, (camera.fx, camera.fy), (camera.cx, camera.cy), &camera.distortion)
@@ -65,7 +68,7 @@ pub fn rectification(packet: &Calibration) -> Result<Rectification, StereoError>
     }
     let baseline_mm = -right[3] / focal_px;
     if baseline_mm < 0.0 {
-        return refuse("the left camera stands to the right of the right one: swap the views".into());
+        return refuse("left and right are swapped: the left camera stands to the right of the right one, disparities would be negative".into());
     }
     if baseline_mm < 1e-6 {
         return refuse(format!("the baseline is {baseline_mm} mm"));
@@ -89,6 +92,19 @@ pub fn rectification(packet: &Calibration) -> Result<Rectification, StereoError>
         valid_left: Roi::full(width, height),
         valid_right: Roi::full(width, height),
     })
+}
+
+/// The packet of the raw views with `rectification` written into it.
+pub fn with_rectification(packet: &Calibration, rectification: &Rectification) -> Calibration {
+    let target = rectified(packet, rectification);
+    Calibration {
+        rectified_from_left: flat(&rectification.rotation_left),
+        rectified_from_right: flat(&rectification.rotation_right),
+        left_projection: target.left_projection,
+        right_projection: target.right_projection,
+        baseline_mm: rectification.baseline_mm,
+        ..*packet
+    }
 }
 
 /// The packet that describes the views after `rectification`: pinhole cameras side by side.

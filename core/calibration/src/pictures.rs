@@ -1,0 +1,110 @@
+//! Picture files by pattern, in the order of their numbers: the same for whoever reads pairs and whoever names them.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Endings of image files.
+const IMAGE_ENDINGS: [&str; 10] = ["png", "jpg", "jpeg", "bmp", "tif", "tiff", "webp", "pgm", "ppm", "jp2"];
+
+/// Whether a file's ending is that of an image.
+pub fn is_image(path: &Path) -> bool {
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
+    IMAGE_ENDINGS.contains(&ending.as_str())
+}
+
+/// The place of `%d` or `%04d` in a text: start, end, digits.
+fn counter(text: &str) -> Option<(usize, usize, usize)> {
+    let start = text.find('%')?;
+    let rest = &text[start + 1..];
+    let digits = rest.bytes().take_while(u8::is_ascii_digit).count();
+    (rest.as_bytes().get(digits) == Some(&b'd'))
+        .then(|| (start, start + digits + 2, rest[..digits].parse().unwrap_or(0)))
+}
+
+fn matches_glob(pattern: &[u8], name: &[u8]) -> bool {
+    match (pattern.first(), name.first()) {
+        (None, None) => true,
+        (Some(b'*'), _) => matches_glob(&pattern[1..], name) || !name.is_empty() && matches_glob(pattern, &name[1..]),
+        (Some(b'?'), Some(_)) => matches_glob(&pattern[1..], &name[1..]),
+        (Some(a), Some(b)) if a == b => matches_glob(&pattern[1..], &name[1..]),
+        _ => false,
+    }
+}
+
+fn matches_counter(pattern: &str, name: &str) -> bool {
+    let Some((start, end, digits)) = counter(pattern) else { return false };
+    let (prefix, suffix) = (&pattern[..start], &pattern[end..]);
+    name.strip_prefix(prefix).and_then(|rest| rest.strip_suffix(suffix)).is_some_and(|number| {
+        // As printf: padded to `digits`, longer when the number needs it.
+        let wide = number.len() == digits.max(1) || number.len() > digits.max(1) && !number.starts_with('0');
+        wide && number.bytes().all(|b| b.is_ascii_digit())
+    })
+}
+
+/// Orders `img_2` before `img_10`.
+fn natural(name: &str) -> Vec<(u64, String)> {
+    let mut key = Vec::new();
+    let mut rest = name;
+    while !rest.is_empty() {
+        let letters = rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len());
+        let digits = rest[letters..].find(|c: char| !c.is_ascii_digit()).map_or(rest.len(), |d| letters + d);
+        // The number stands behind its letters: pairs are compared letters first.
+        key.push((rest[letters..digits].parse().unwrap_or(u64::MAX), rest[..letters].to_owned()));
+        rest = &rest[digits..];
+    }
+    key
+}
+
+/// Whether a text is a pattern: it holds `*`, `?` or a counter such as `%04d`.
+pub fn is_pattern(text: &str) -> bool {
+    text.contains(['*', '?']) || counter(text).is_some()
+}
+
+/// Image files that match `dir/*.png` or `dir/img_%04d.png`, in the order of their numbers. Only the last part of the path
+/// is a pattern.
+///
+/// # Errors
+/// When there is none, with what is there instead.
+pub fn image_files(pattern: &Path) -> Result<Vec<PathBuf>, String> {
+    let folder = pattern.parent().unwrap_or(Path::new("."));
+    let Some(last) = pattern.file_name().and_then(|n| n.to_str()) else {
+        return Err("the pattern names no file".into());
+    };
+    let entries =
+        fs::read_dir(folder).map_err(|error| format!("the folder {} cannot be read: {error}", folder.display()))?;
+    let names: Vec<String> = entries.flatten().filter_map(|e| e.file_name().into_string().ok()).collect();
+    let by_counter = counter(last).is_some();
+    let fits = |name: &&String| {
+        let path = Path::new(name);
+        is_image(path)
+            && if by_counter { matches_counter(last, name) } else { matches_glob(last.as_bytes(), name.as_bytes()) }
+    };
+    let mut found: Vec<&String> = names.iter().filter(fits).collect();
+    if found.is_empty() {
+        let images = names.iter().filter(|n| is_image(Path::new(n))).count();
+        return Err(match names.iter().find(|n| is_image(Path::new(n))) {
+            Some(one) => format!("the folder holds {images} images, {one} among them"),
+            None => format!("the folder holds {} files and no image", names.len()),
+        });
+    }
+    found.sort_by_cached_key(|name| {
+        let key = natural(name);
+        (key.iter().map(|(number, letters)| (letters.clone(), *number)).collect::<Vec<_>>(), (*name).clone())
+    });
+    Ok(found.into_iter().map(|name| folder.join(name)).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns_match_as_in_a_shell_and_in_printf() {
+        assert!(matches_glob(b"a*.png", b"a12.png") && matches_glob(b"*", b"x") && matches_glob(b"a?c", b"abc"));
+        assert!(!matches_glob(b"a*.png", b"a12.jpg") && !matches_glob(b"a?c", b"ac"));
+        assert!(matches_counter("img_%04d.png", "img_0007.png") && matches_counter("img_%04d.png", "img_12345.png"));
+        assert!(!matches_counter("img_%04d.png", "img_7.png") && !matches_counter("img_%04d.png", "img_00007.png"));
+        assert!(matches_counter("%d.png", "7.png") && !matches_counter("%d.png", "x.png"));
+        assert!(counter("100%.png").is_none());
+    }
+}

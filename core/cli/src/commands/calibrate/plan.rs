@@ -1,0 +1,227 @@
+//! Where the views come from, and the graph that looks at them.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use panoscope_calibration::pictures::{image_files, is_pattern};
+use toml::{Table, Value};
+
+use super::{Arguments, from_here};
+
+/// The calibrating node's name in the graph.
+pub const NODE: &str = "calibrate";
+const SOURCE: &str = "views";
+/// Pairs that are looked at where the source has no end of its own.
+const LIVE_FRAMES: u64 = 300;
+/// Of a stream of views, how far the board must have moved from every view before, in parts of the diagonal.
+const MIN_MOVE: f64 = 0.03;
+
+/// Where the views come from.
+pub enum Source {
+    /// Pictures, pair by pair.
+    Images([Vec<PathBuf>; 2]),
+    /// Videos, cameras, pipelines.
+    Stream,
+    /// Ports of a graph: where it stands, its text.
+    Graph(PathBuf, String),
+}
+
+/// Files of a pattern or folder; none for anything else.
+fn images(text: &str) -> Result<Option<Vec<PathBuf>>> {
+    let path = std::path::absolute(text).with_context(|| text.to_owned())?;
+    if path.is_dir() {
+        return image_files(&path.join("*")).map(Some).map_err(|why| anyhow::anyhow!("no picture in {text}: {why}"));
+    }
+    if path.exists() || !is_pattern(text) || text.contains('!') || text.contains("://") {
+        return Ok(None);
+    }
+    image_files(&path).map(Some).map_err(|why| anyhow::anyhow!("no picture matches {text}: {why}"))
+}
+
+/// The digits of a file's name, without zeros in front.
+fn number(path: &Path) -> String {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let digits: String = stem.chars().filter(char::is_ascii_digit).collect();
+    digits.trim_start_matches('0').to_owned()
+}
+
+/// Pairs the pictures that carry the same number; pictures without a partner are left out. Without numbers in common they are
+/// paired in order.
+fn pairs(left: Vec<PathBuf>, right: Vec<PathBuf>) -> ([Vec<PathBuf>; 2], Vec<PathBuf>) {
+    let partner = |path: &PathBuf, others: &[PathBuf]| others.iter().any(|other| number(other) == number(path));
+    let alone = |own: &[PathBuf], others: &[PathBuf]| -> Vec<PathBuf> {
+        own.iter().filter(|path| !partner(path, others)).cloned().collect()
+    };
+    let mut lonely = alone(&left, &right);
+    lonely.extend(alone(&right, &left));
+    if lonely.len() == left.len() + right.len() {
+        let count = left.len().min(right.len());
+        return ([left[..count].to_vec(), right[..count].to_vec()], Vec::new());
+    }
+    let keep = |own: Vec<PathBuf>| own.into_iter().filter(|path| !lonely.contains(path)).collect();
+    ([keep(left), keep(right)], lonely)
+}
+
+impl Source {
+    /// What the arguments name.
+    pub fn of(arguments: &Arguments) -> Result<Self> {
+        if let Some(graph) = &arguments.graph {
+            for port in [&arguments.left, &arguments.right] {
+                ensure!(port.contains('.'), "with --graph, `{port}` must be a port such as scope.left");
+            }
+            let text = std::fs::read_to_string(graph).with_context(|| format!("cannot read {}", graph.display()))?;
+            return Ok(Self::Graph(graph.clone(), text));
+        }
+        match (images(&arguments.left)?, images(&arguments.right)?) {
+            (Some(left), Some(right)) => {
+                let ([left, right], lonely) = pairs(left, right);
+                for path in &lonely {
+                    crate::terminal::tell!("warning: {} has no partner on the other side", path.display());
+                }
+                ensure!(left.len() == right.len(), "the pictures of both sides do not pair: their numbers repeat");
+                ensure!(!left.is_empty(), "no picture has a partner on the other side");
+                Ok(Self::Images([left, right]))
+            }
+            (None, None) => Ok(Self::Stream),
+            _ => bail!("`{}` and `{}` are of different kinds", arguments.left, arguments.right),
+        }
+    }
+
+    /// Where the graph's paths start.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Graph(path, _) => path,
+            _ => Path::new("calibrate.toml"),
+        }
+    }
+
+    /// Pairs that are looked at.
+    pub fn frames(&self, arguments: &Arguments) -> Option<u64> {
+        match self {
+            Self::Images([left, _]) => Some(arguments.frames.unwrap_or(u64::MAX).min(left.len() as u64)),
+            _ => Some(arguments.frames.unwrap_or(LIVE_FRAMES)),
+        }
+    }
+
+    /// The name of a view for people.
+    pub fn name(&self, index: usize) -> String {
+        match self {
+            Self::Images([left, right]) => {
+                let name = |files: &[PathBuf]| {
+                    files.get(index).and_then(|f| f.file_name()).map(|n| n.to_string_lossy().into_owned())
+                };
+                match (name(left), name(right)) {
+                    (Some(left), Some(right)) => format!("{left} {right}"),
+                    _ => format!("view {index}"),
+                }
+            }
+            _ => format!("view {index}"),
+        }
+    }
+
+    /// The graph as text.
+    pub fn text(&self, arguments: &Arguments) -> Result<String> {
+        let mut params = Table::new();
+        params.insert("board".into(), arguments.board.to_string().into());
+        params.insert("model".into(), arguments.model.clone().into());
+        params.insert("method".into(), arguments.method.clone().into());
+        params.insert("reject".into(), (!arguments.keep_all).into());
+        let (mut graph, ports) = match self {
+            Self::Graph(path, text) => {
+                let graph: Table = text.parse().with_context(|| path.display().to_string())?;
+                (graph, [arguments.left.clone(), arguments.right.clone()])
+            }
+            Self::Images([left, right]) => {
+                (self.files_graph(left, right)?, SIDES.map(|side| format!("{SOURCE}.{side}")))
+            }
+            Self::Stream => {
+                let mut capture = Table::new();
+                for (side, text) in SIDES.iter().zip([&arguments.left, &arguments.right]) {
+                    let is_file = Path::new(text).exists();
+                    let text = if is_file { from_here(Path::new(text))? } else { text.clone() };
+                    capture.insert((*side).into(), text.into());
+                }
+                (source_graph(capture), SIDES.map(|side| format!("{SOURCE}.{side}")))
+            }
+        };
+        if let Self::Images([left, _]) = self {
+            let frames = arguments.frames.unwrap_or(u64::MAX).min(left.len() as u64);
+            params.insert("solve_at".into(), (frames as i64).into());
+        } else {
+            params.insert("min_move".into(), MIN_MOVE.into());
+        }
+        graph.insert("mode".into(), "batch".into());
+        add(&mut graph, &ports, params)?;
+        Ok(graph.to_string())
+    }
+
+    /// The pairs as lists of files: a pattern might find pictures without a partner too.
+    fn files_graph(&self, left: &[PathBuf], right: &[PathBuf]) -> Result<Table> {
+        let list = |files: &[PathBuf]| -> String {
+            files.iter().map(|f| f.display().to_string()).collect::<Vec<_>>().join("\n")
+        };
+        let mut capture = Table::new();
+        capture.insert("left".into(), list(left).into());
+        capture.insert("right".into(), list(right).into());
+        Ok(source_graph(capture))
+    }
+}
+
+const SIDES: [&str; 2] = ["left", "right"];
+
+fn source_graph(params: Table) -> Table {
+    let mut node = Table::new();
+    node.insert("type".into(), "capture".into());
+    node.insert("params".into(), params.into());
+    let mut nodes = Table::new();
+    nodes.insert(SOURCE.into(), node.into());
+    let mut graph = Table::new();
+    graph.insert("plugins".into(), Value::Array(vec!["capture".into()]));
+    graph.insert("nodes".into(), nodes.into());
+    graph
+}
+
+/// Adds the calibrating node behind two ports, and takes every file-writing node away.
+fn add(graph: &mut Table, ports: &[String; 2], params: Table) -> Result<()> {
+    let plugins = graph.entry("plugins").or_insert_with(|| Value::Array(Vec::new()));
+    if let Some(list) = plugins.as_array_mut()
+        && !list.iter().any(|plugin| plugin.as_str() == Some("opencv"))
+    {
+        list.push("opencv".into());
+    }
+    graph.remove("preset");
+    graph.remove("editor");
+    let nodes = graph.entry("nodes").or_insert_with(|| Value::Table(Table::new()));
+    let Some(nodes) = nodes.as_table_mut() else { bail!("the graph's `nodes` is no table") };
+    nodes.retain(|_, node| {
+        let kind = node.get("type").and_then(Value::as_str).unwrap_or_default();
+        !kind.rsplit('/').next().is_some_and(|name| name.starts_with("write_") || name == "preview")
+    });
+    let mut inputs = Table::new();
+    for (side, port) in SIDES.iter().zip(ports) {
+        inputs.insert((*side).into(), port.clone().into());
+    }
+    let mut node = Table::new();
+    node.insert("type".into(), "calibrate_stereo".into());
+    node.insert("inputs".into(), inputs.into());
+    node.insert("params".into(), params.into());
+    // Solving takes seconds; that is no hang.
+    node.insert("budget_ms".into(), 120_000.into());
+    nodes.insert(NODE.into(), node.into());
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_are_paired_by_their_numbers() {
+        let files = |names: &[&str]| names.iter().map(PathBuf::from).collect::<Vec<_>>();
+        let (both, lonely) = pairs(files(&["l01.png", "l02.png", "l04.png"]), files(&["r1.png", "r3.png", "r4.png"]));
+        assert_eq!(both, [files(&["l01.png", "l04.png"]), files(&["r1.png", "r4.png"])]);
+        assert_eq!(lonely, files(&["l02.png", "r3.png"]));
+        let (both, lonely) = pairs(files(&["a.png", "b.png"]), files(&["c.png"]));
+        assert_eq!((both, lonely), ([files(&["a.png"]), files(&["c.png"])], vec![]));
+    }
+}

@@ -1,0 +1,175 @@
+//! `calibrate_stereo` on drawn chessboards whose cameras are known.
+
+use panoscope_calibration::ViewState;
+use panoscope_node::abi::Calibration;
+use panoscope_node::harness::{Harness, Outputs, Setup};
+use panoscope_node::{Bgr8, Gray8};
+use panoscope_opencv::CalibrateStereo;
+
+const SIZE: (usize, usize) = (400, 300);
+const FOCAL_PX: f64 = 420.0;
+const BASELINE_MM: f64 = 20.0;
+const SQUARE_MM: f64 = 10.0;
+
+/// A board's pose: rotation about x, y, z in radians, and its middle in the left camera, mm.
+type Pose = ([f64; 3], [f64; 3]);
+
+const POSES: [Pose; 8] = [
+    ([0.0, 0.0, 0.0], [8.0, 0.0, 230.0]),
+    ([0.5, 0.1, 0.1], [0.0, 10.0, 240.0]),
+    ([-0.5, 0.1, -0.2], [25.0, -8.0, 250.0]),
+    ([0.1, 0.5, 0.2], [-5.0, -12.0, 230.0]),
+    ([0.0, -0.5, 0.3], [20.0, 12.0, 245.0]),
+    ([0.35, 0.35, -0.3], [10.0, 0.0, 260.0]),
+    ([-0.4, -0.3, 0.15], [0.0, 5.0, 220.0]),
+    ([0.3, -0.4, 0.0], [15.0, -10.0, 250.0]),
+];
+
+fn rotation([a, b, c]: [f64; 3]) -> [[f64; 3]; 3] {
+    let ((sa, ca), (sb, cb), (sc, cc)) = (a.sin_cos(), b.sin_cos(), c.sin_cos());
+    [
+        [cb * cc, sa * sb * cc - ca * sc, ca * sb * cc + sa * sc],
+        [cb * sc, sa * sb * sc + ca * cc, ca * sb * sc - sa * cc],
+        [-sb, sa * cb, ca * cb],
+    ]
+}
+
+/// The board of 7 x 5 squares (6 x 4 corners) as a camera at `x_mm` sees it, each pixel the mean of 16 rays.
+fn draw((turn, middle): Pose, x_mm: f64) -> Vec<u8> {
+    let r = rotation(turn);
+    let normal = [r[0][2], r[1][2], r[2][2]];
+    let place = [middle[0] - x_mm, middle[1], middle[2]];
+    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let shade = |u: f64, v: f64| -> f64 {
+        let ray = [(u - 199.5) / FOCAL_PX, (v - 149.5) / FOCAL_PX, 1.0];
+        let t = dot(normal, place) / dot(normal, ray);
+        let hit: [f64; 3] = std::array::from_fn(|i| ray[i] * t - place[i]);
+        let column = |k: usize| dot([r[0][k], r[1][k], r[2][k]], hit) / SQUARE_MM;
+        let (x, y) = (column(0) + 3.5, column(1) + 2.5);
+        if !(-0.8..=7.8).contains(&x) || !(-0.8..=5.8).contains(&y) {
+            return 90.0;
+        }
+        let inside = (0.0..7.0).contains(&x) && (0.0..5.0).contains(&y);
+        if inside && (x.floor() + y.floor()) as i64 % 2 == 0 { 25.0 } else { 225.0 }
+    };
+    let mut picture = Vec::with_capacity(SIZE.0 * SIZE.1);
+    for v in 0..SIZE.1 {
+        for u in 0..SIZE.0 {
+            let sum: f64 = (0..16)
+                .map(|k| {
+                    let offset = |k: usize| (k as f64 - 1.5) / 4.0;
+                    shade(u as f64 + offset(k % 4), v as f64 + offset(k / 4))
+                })
+                .sum();
+            picture.push((sum / 16.0).round() as u8);
+        }
+    }
+    picture
+}
+
+fn pair(pose: Pose) -> [Vec<u8>; 2] {
+    [draw(pose, 0.0), draw(pose, BASELINE_MM)]
+}
+
+fn open(params: &str) -> Harness<CalibrateStereo> {
+    Harness::open(Setup::new(&format!("params = {{ board = \"chessboard:6x4:10mm\", {params} }}"))).unwrap()
+}
+
+fn show(node: &mut Harness<CalibrateStereo>, views: [&[u8]; 2]) -> Outputs {
+    let (width, height) = SIZE;
+    node.input_image::<Gray8>("left", width, height, views[0]).input_image::<Gray8>("right", width, height, views[1]);
+    node.process().unwrap()
+}
+
+fn states(out: &Outputs) -> Vec<ViewState> {
+    out.table("table").unwrap().rows().map(|row| ViewState::of_code(row[1]).unwrap()).collect()
+}
+
+#[test]
+fn known_cameras_are_found() {
+    let mut node = open("model = \"radial\", solve_at = 8");
+    let views = POSES.map(pair);
+    for (index, [left, right]) in views.iter().enumerate() {
+        let out = show(&mut node, [left, right]);
+        assert_eq!(out.is_empty("calibration").unwrap(), index < 7);
+        if index < 7 {
+            continue;
+        }
+        let found: Calibration = out.value("calibration").unwrap();
+        assert!((found.left.fx / FOCAL_PX - 1.0).abs() < 5e-3, "{found:?}");
+        assert!((found.right.fy / FOCAL_PX - 1.0).abs() < 5e-3, "{found:?}");
+        assert!((found.baseline_mm - BASELINE_MM).abs() < 0.1, "{}", found.baseline_mm);
+        assert!(found.right_from_left_mm[0] < 0.0 && found.rms_px < 0.1, "{}", found.rms_px);
+        assert!(states(&out).iter().all(|state| *state == ViewState::Used));
+        for row in out.table("table").unwrap().rows() {
+            // Points, errors left, right and of rows.
+            assert!(row[2] == 24.0 && row[3..6].iter().all(|error| *error < 0.15), "{row:?}");
+        }
+        for port in ["image", "coverage", "epipolar"] {
+            let picture = out.plane::<Bgr8>(port).unwrap();
+            assert_eq!((picture.width, picture.height), (2 * SIZE.0, SIZE.1), "{port}");
+        }
+        // Cells without points are red, those with points green.
+        let coverage = out.plane::<Bgr8>("coverage").unwrap();
+        let (corner, middle) = (&coverage.row(295)[3 * 395..3 * 395 + 3], &coverage.row(158)[3 * 210..3 * 210 + 3]);
+        assert!(corner[2] > corner[1] && middle[1] > middle[2], "{corner:?} {middle:?}");
+    }
+    assert!(node.metric("covered_left").is_some_and(|share| (0.05..1.0).contains(&share)));
+}
+
+#[test]
+fn bad_views_are_left_out_and_named() {
+    let mut node = open("model = \"radial\", solve_at = 13, min_move = 0.005");
+    let views = POSES.map(pair);
+    let gray = vec![120; SIZE.0 * SIZE.1];
+    for [left, right] in &views {
+        show(&mut node, [left, right]);
+    }
+    show(&mut node, [&gray, &views[0][1]]);
+    show(&mut node, [&views[0][0], &gray]);
+    show(&mut node, [&gray, &gray]);
+    show(&mut node, [&views[2][0], &views[2][1]]);
+    // The right view is of another instant: the board had moved. Both pictures are good ones.
+    let late = draw(([0.2, 0.2, -0.05], [6.0, -2.0, 235.0]), BASELINE_MM);
+    let left = draw(([0.2, 0.2, 0.0], [0.0, 2.0, 235.0]), 0.0);
+    let out = show(&mut node, [&left, &late]);
+    let states = states(&out);
+    assert!(states[..8].iter().all(|state| *state == ViewState::Used), "{states:?}");
+    use ViewState::*;
+    assert_eq!(states[8..], [NoBoardLeft, NoBoardRight, NoBoard, Alike, LargeError]);
+    let found: Calibration = out.value("calibration").unwrap();
+    assert!((found.left.fx / FOCAL_PX - 1.0).abs() < 5e-3, "{}", found.left.fx);
+    let said = |words: &str| node.logs().iter().any(|line| line.message.contains(words));
+    assert!(said("view 8 is left out: no board was found in the left view"));
+    assert!(said("view 12 is left out: its error of"), "{:?}", node.logs());
+}
+
+#[test]
+fn what_cannot_be_is_said() {
+    // Left and right in each other's place.
+    let mut node = open("solve_at = 8");
+    let views = POSES.map(pair);
+    let mut out = None;
+    for [left, right] in &views {
+        out = Some(show(&mut node, [right, left]));
+    }
+    assert!(out.unwrap().is_empty("calibration").unwrap());
+    assert!(
+        node.logs().iter().any(|line| line.message.contains("disparities would be negative")),
+        "{:?}",
+        node.logs()
+    );
+    // Too few views.
+    let mut node = open("solve_at = 2");
+    for [left, right] in &views[..2] {
+        assert!(show(&mut node, [left, right]).is_empty("calibration").unwrap());
+    }
+    assert!(node.logs().iter().any(|line| line.message.contains("2 views are in use, 5 are needed")));
+    // A view of another size.
+    let small = vec![0; 64 * 48];
+    node.input_image::<Gray8>("left", 64, 48, &small).input_image::<Gray8>("right", 64, 48, &small);
+    let out = node.process().unwrap();
+    assert_eq!(states(&out)[2], ViewState::OtherSize);
+    let refused = Harness::<CalibrateStereo>::from_toml("params = { board = \"chess\" }").err().unwrap().to_string();
+    assert!(refused.contains("names no board"), "{refused}");
+}

@@ -1,0 +1,114 @@
+//! OpenCV's stereo engines behind our ports: disparities come out in px, positive, NaN where unknown.
+
+use panoscope_node::harness::{Harness, Setup};
+use panoscope_node::{Bgr8, Confidence, Disparity, Gray8};
+use panoscope_opencv::{DisparityFbsOpencv, DisparityWlsOpencv, StereoOpencv};
+
+const SIZE: (usize, usize) = (320, 120);
+const NEAR_PX: usize = 38;
+const FAR_PX: usize = 22;
+
+fn noise(x: usize, y: usize) -> u8 {
+    let mut h = (x as u32).wrapping_mul(0x9E37_79B1) ^ (y as u32).wrapping_mul(0x85EB_CA77);
+    h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
+    (h >> 24) as u8
+}
+
+/// Two upright planes: the left half of the left view lies far away, the right half near.
+fn pair() -> (Vec<u8>, Vec<u8>) {
+    let (width, height) = SIZE;
+    let (mut left, mut right) = (vec![0; width * height], vec![0; width * height]);
+    let smooth = |x: usize, y: usize| {
+        let sum: u32 = (0..9).map(|k| u32::from(noise(x + k % 3, y + k / 3))).sum();
+        (sum / 9) as u8
+    };
+    for y in 0..height {
+        for x in 0..width {
+            left[y * width + x] = smooth(x, y);
+            let near = x + NEAR_PX;
+            let from = if near >= width / 2 { near } else { x + FAR_PX };
+            right[y * width + x] = smooth(from, y);
+        }
+    }
+    (left, right)
+}
+
+fn bgr(gray: &[u8]) -> Vec<u8> {
+    gray.iter().flat_map(|v| [*v; 3]).collect()
+}
+
+/// Share of known values in a box, and their median.
+fn look(plane: panoscope_node::View<'_, f32>, columns: std::ops::Range<usize>) -> (f64, f32) {
+    let mut known = Vec::new();
+    let mut all = 0;
+    for y in 20..SIZE.1 - 20 {
+        for x in columns.clone() {
+            all += 1;
+            known.extend(Some(plane.row(y)[x]).filter(|v| v.is_finite()));
+        }
+    }
+    known.sort_by(f32::total_cmp);
+    (known.len() as f64 / f64::from(all), known.get(known.len() / 2).copied().unwrap_or(f32::NAN))
+}
+
+fn matched(method: &str) -> (Vec<f32>, Vec<f32>) {
+    let (left, right) = pair();
+    let block = if method == "bm" { 15 } else { 5 };
+    let toml = format!("params = {{ method = \"{method}\", search_px = 64, block_px = {block} }}");
+    let mut node = Harness::<StereoOpencv>::from_toml(&toml).unwrap();
+    node.input_image::<Gray8>("left", SIZE.0, SIZE.1, &left).input_image::<Gray8>("right", SIZE.0, SIZE.1, &right);
+    let out = node.process().unwrap();
+    let copy = |port: &str| out.plane::<Disparity>(port).unwrap().data.to_vec();
+    (copy("disparity"), copy("disparity_right"))
+}
+
+#[test]
+fn both_matchers_see_both_planes() {
+    for method in ["bm", "sgbm"] {
+        let (disparity, other) = matched(method);
+        let plane = |data| panoscope_node::View::new(data, SIZE.0, SIZE.1, 1);
+        let (known, far) = look(plane(&disparity), 80..140);
+        assert!(known > 0.9 && (far - FAR_PX as f32).abs() < 0.3, "{method}: {known} {far}");
+        let (known, near) = look(plane(&disparity), 190..290);
+        assert!(known > 0.9 && (near - NEAR_PX as f32).abs() < 0.3, "{method}: {known} {near}");
+        // From the right view's pixels, and positive too.
+        let (known, near) = look(plane(&other), 160..240);
+        assert!(known > 0.9 && (near - NEAR_PX as f32).abs() < 0.3, "{method} right: {known} {near}");
+    }
+}
+
+#[test]
+fn the_filters_fill_what_the_matcher_leaves_open() {
+    let (disparity, other) = matched("bm");
+    let (left, _) = pair();
+    let guide = bgr(&left);
+    let (width, height) = SIZE;
+    let mut node = Harness::<DisparityWlsOpencv>::from_toml("params = { search_px = 64 }").unwrap();
+    node.input_image::<Bgr8>("image", width, height, &guide)
+        .input_image::<Disparity>("disparity", width, height, &disparity)
+        .input_image::<Disparity>("disparity_right", width, height, &other);
+    let out = node.process().unwrap();
+    let smooth = out.plane::<Disparity>("disparity").unwrap();
+    let trust = out.plane::<Confidence>("confidence").unwrap();
+    let (known, near) = look(smooth, 190..290);
+    assert!(known > 0.99 && (near - NEAR_PX as f32).abs() < 0.5, "{known} {near}");
+    assert!(trust.data.iter().all(|c| (0.0..=1.0).contains(c)) && look(trust, 190..290).1 > 0.5);
+    let (smooth, trust) = (smooth.data.to_vec(), trust.data.to_vec());
+    let mut node = Harness::<DisparityFbsOpencv>::open(Setup::new("")).unwrap();
+    node.input_image::<Bgr8>("image", width, height, &guide)
+        .input_image::<Disparity>("disparity", width, height, &smooth)
+        .input_image::<Confidence>("confidence", width, height, &trust);
+    let out = node.process().unwrap();
+    let (known, near) = look(out.plane::<Disparity>("disparity").unwrap(), 190..290);
+    assert!(known > 0.99 && (near - NEAR_PX as f32).abs() < 1.0, "{known} {near}");
+}
+
+#[test]
+fn sizes_that_differ_are_refused() {
+    let (left, right) = pair();
+    let mut node = Harness::<StereoOpencv>::from_toml("").unwrap();
+    node.input_image::<Gray8>("left", SIZE.0, SIZE.1, &left);
+    node.input_image::<Gray8>("right", SIZE.0 / 2, SIZE.1, &right[..SIZE.0 / 2 * SIZE.1]);
+    let message = node.process().err().unwrap().to_string();
+    assert!(message.contains("320x120") && message.contains("160x120"), "{message}");
+}

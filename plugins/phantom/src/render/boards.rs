@@ -1,0 +1,140 @@
+//! Calibration boards printed on a flat card, with exact places in mm, and the poses in which they are shown.
+
+use super::marks::{BOARD_CENTRE_MM, SQUARE_MM, board_ink, edge};
+use super::math::{Pose, Stream, cos_turns, sin_turns};
+use super::params::SceneParams;
+
+/// What is printed on the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BoardPrint {
+    /// 10 x 7 squares of 3 mm: `chessboard:9x6:3mm`.
+    Chessboard,
+    /// OpenCV's asymmetric grid of 4 x 11 circles: `circles:4x11:3mm`.
+    Circles,
+    /// 10 x 7 squares of 3 mm with markers of 2.25 mm: `charuco:10x7:3mm:2.25mm:4x4_50`.
+    Charuco,
+}
+
+impl BoardPrint {
+    /// The board as `calibrate_stereo` names it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Chessboard => "chessboard:9x6:3mm",
+            Self::Circles => "circles:4x11:3mm",
+            Self::Charuco => "charuco:10x7:3mm:2.25mm:4x4_50",
+        }
+    }
+}
+
+/// Columns and rows of squares.
+const SQUARES: [i32; 2] = [10, 7];
+const CIRCLES: [i32; 2] = [4, 11];
+const CIRCLE_SPACING_MM: f32 = 3.0;
+const CIRCLE_RADIUS_MM: f32 = 1.05;
+const MARKER_MM: f32 = 2.25;
+/// Cells of a marker's side, its black rim of one cell included.
+const MARKER_CELLS: i32 = 6;
+/// White card around the print, mm.
+const MARGIN_MM: f32 = 2.0;
+
+/// The first markers of OpenCV's dictionary `DICT_4X4_50`: four rows of four bits, the first row highest, 1 is white.
+const MARKERS: [u16; 35] = [
+    0xb532, 0x0f9a, 0x332d, 0x9946, 0x549e, 0x79cd, 0x9e2e, 0xc4f2, 0xfeda, 0xcf56, 0xf991, 0x11a7, 0x0eb7, 0x2a0f,
+    0x24b1, 0x263e, 0x4665, 0x6600, 0x6c5e, 0x76af, 0x868b, 0xb02b, 0xccd5, 0xdd82, 0xfe47, 0x9471, 0xace4, 0xa554,
+    0x2123, 0x346f, 0x4415, 0x57b2, 0x9ecf, 0xf0cb, 0x08ae,
+];
+
+/// Black share of the card at `(x, y)`, anti-aliased over `texel_mm`; `None` off the card.
+pub fn ink(print: BoardPrint, x: f32, y: f32, texel_mm: f32) -> Option<f32> {
+    match print {
+        BoardPrint::Chessboard => board_ink(x, y, texel_mm),
+        BoardPrint::Circles => circles_ink(x - BOARD_CENTRE_MM[0], y - BOARD_CENTRE_MM[1], texel_mm),
+        BoardPrint::Charuco => charuco_ink(x, y, texel_mm),
+    }
+}
+
+fn circles_ink(x: f32, y: f32, texel_mm: f32) -> Option<f32> {
+    let half =
+        [(2 * CIRCLES[0] - 1) as f32 * 0.5 * CIRCLE_SPACING_MM, (CIRCLES[1] - 1) as f32 * 0.5 * CIRCLE_SPACING_MM];
+    let rim = CIRCLE_RADIUS_MM + MARGIN_MM;
+    if x.abs() > half[0] + rim || y.abs() > half[1] + rim {
+        return None;
+    }
+    let row = ((y + half[1]) / CIRCLE_SPACING_MM).round().clamp(0.0, (CIRCLES[1] - 1) as f32);
+    let shift = (row as i32 & 1) as f32;
+    let column = (((x + half[0]) / CIRCLE_SPACING_MM - shift) * 0.5).round().clamp(0.0, (CIRCLES[0] - 1) as f32);
+    let (dx, dy) = (x + half[0] - (2.0 * column + shift) * CIRCLE_SPACING_MM, y + half[1] - row * CIRCLE_SPACING_MM);
+    let distance = CIRCLE_RADIUS_MM - (dx * dx + dy * dy).sqrt();
+    Some((distance / texel_mm + 0.5).clamp(0.0, 1.0))
+}
+
+fn charuco_ink(x: f32, y: f32, texel_mm: f32) -> Option<f32> {
+    // The chessboard's black and white change places: the top left square is black.
+    let (u, v) = ((x - BOARD_CENTRE_MM[0]) / SQUARE_MM, (y - BOARD_CENTRE_MM[1]) / SQUARE_MM);
+    let inside = edge((5.0 - u.abs()).min(3.5 - v.abs()) * SQUARE_MM, texel_mm);
+    let chess = inside - board_ink(x, y, texel_mm)?;
+    let (u, v) = (u + 5.0, v + 3.5);
+    let (column, row) = (u.floor() as i32, v.floor() as i32);
+    if !(0..SQUARES[0]).contains(&column) || !(0..SQUARES[1]).contains(&row) || !holds_marker(column, row) {
+        return Some(chess);
+    }
+    // Markers count along the rows, from the top.
+    let number = (0..row * SQUARES[0] + column).filter(|i| holds_marker(i % SQUARES[0], i / SQUARES[0])).count();
+    let cell_mm = MARKER_MM / MARKER_CELLS as f32;
+    let place = |t: f32| ((t - t.floor()) * SQUARE_MM - 0.5 * (SQUARE_MM - MARKER_MM)) / cell_mm;
+    let marker = area_share(number, place(u), place(v), texel_mm / cell_mm);
+    Some(chess.max(marker))
+}
+
+/// Whether a square is white; the top left one is black.
+fn holds_marker(column: i32, row: i32) -> bool {
+    (column + row) & 1 == 1
+}
+
+/// Black share of a texel of `texel` cells at `(u, v)` cells from a marker's corner.
+fn area_share(number: usize, u: f32, v: f32, texel: f32) -> f32 {
+    let black = |column: i32, row: i32| -> bool {
+        if !(0..MARKER_CELLS).contains(&column) || !(0..MARKER_CELLS).contains(&row) {
+            return false;
+        }
+        let (c, r) = (column - 1, row - 1);
+        let inside = (0..4).contains(&c) && (0..4).contains(&r);
+        !inside || MARKERS[number % MARKERS.len()] >> (15 - (4 * r + c)) & 1 == 0
+    };
+    let mut share = 0.0;
+    let half = 0.5 * texel;
+    for row in (v - half).floor() as i32..=(v + half).floor() as i32 {
+        for column in (u - half).floor() as i32..=(u + half).floor() as i32 {
+            if black(column, row) {
+                let overlap =
+                    |at: f32, cell: i32| ((at + half).min(cell as f32 + 1.0) - (at - half).max(cell as f32)).max(0.0);
+                share += overlap(u, column) * overlap(v, row);
+            }
+        }
+    }
+    share / (texel * texel)
+}
+
+/// Pose in which the scripted camera shows the board at a frame: each frame another, tilted up to 30 degrees, so that the
+/// frames together can calibrate. Around 85 mm all of the board stays in both views.
+pub fn shown_pose(params: &SceneParams, frame: u64) -> Pose {
+    let mut stream = Stream::new(params.seed, 500 + frame as u32);
+    let mut range = |low: f32, high: f32| f64::from(stream.range(low, high));
+    // Degrees; a steady spread of tilts in all directions tells the focal length best.
+    let (lean, way) = (range(12.0, 30.0), range(0.0, 1.0));
+    let tilt = [lean * sin_turns(way), lean * cos_turns(way), range(-20.0, 20.0)];
+    let away = params.distance_mm * range(0.90, 1.15);
+    let slack = 0.10 * params.distance_mm;
+    let seen = [f64::from(BOARD_CENTRE_MM[0]) + slack * range(-1.0, 1.0), slack * range(-1.0, 1.0), away];
+    let half = tilt.map(|degrees| degrees / 720.0);
+    let (s, c) = (half.map(sin_turns), half.map(cos_turns));
+    let quaternion = [
+        c[0] * c[1] * c[2] - s[0] * s[1] * s[2],
+        s[0] * c[1] * c[2] + c[0] * s[1] * s[2],
+        c[0] * s[1] * c[2] - s[0] * c[1] * s[2],
+        c[0] * c[1] * s[2] + s[0] * s[1] * c[2],
+    ];
+    let turned = Pose { quaternion, translation_mm: [0.0; 3] }.apply(seen);
+    let centre = [f64::from(BOARD_CENTRE_MM[0]), f64::from(BOARD_CENTRE_MM[1]), params.distance_mm];
+    Pose { quaternion, translation_mm: std::array::from_fn(|i| centre[i] - turned[i]) }
+}
