@@ -35,6 +35,8 @@ pub enum Action {
     Next,
     /// Show the output under the pointer, or of the selected node, large.
     View,
+    /// Compare what is shown large with another output.
+    Compare,
     /// Colour nodes by where time goes.
     Heat,
     /// Show the file's text.
@@ -70,6 +72,7 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (Redo, SHIFT, Key::Z, "Redo"),
         (Save, CTRL, Key::S, "Save the file"),
         (View, NONE, Key::V, "Show the output large"),
+        (Compare, NONE, Key::C, "Compare it with the next output"),
         (Fit, NONE, Key::F, "Show the whole graph"),
         (ZoomIn, NONE, Key::Plus, "Zoom in"),
         (ZoomOut, NONE, Key::Minus, "Zoom out"),

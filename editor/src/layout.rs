@@ -1,12 +1,50 @@
 //! Places for nodes that the file gives none: layers along the flow, few crossings, even distances.
 
-/// Distance between layers and between the nodes of one, in points at zoom 1.
-const GAP: [f32; 2] = [88.0, 32.0];
+use std::collections::HashMap;
 
-/// Upper left corners of nodes of the given sizes. `edges` go from producer to consumer; those that close a loop are ignored.
-pub fn layered(sizes: &[[f32; 2]], edges: &[(usize, usize)]) -> Vec<[f32; 2]> {
-    let layer = layers(sizes.len(), edges);
+/// Distance between layers and between the nodes of one, in points at zoom 1.
+const GAP: [f32; 2] = [64.0, 32.0];
+
+/// Height kept free where wires pass a layer.
+const LANE: f32 = 24.0;
+
+/// Where nodes go, and how wires get past the layers between their ends.
+#[derive(Clone, Debug, Default)]
+pub struct Layout {
+    /// Upper left corners of the nodes.
+    pub places: Vec<[f32; 2]>,
+    /// For pairs of nodes more than a layer apart: a segment (left and right end) per layer that the wires pass.
+    pub lanes: HashMap<(usize, usize), Vec<[[f32; 2]; 2]>>,
+}
+
+/// Places for nodes of the given sizes. `edges` go from producer to consumer; those that close a loop are ignored.
+pub fn layered(sizes: &[[f32; 2]], edges: &[(usize, usize)]) -> Layout {
+    let mut layer = layers(sizes.len(), edges);
     let count = layer.iter().max().map_or(0, |m| m + 1);
+    // Wires that pass layers take a lane in each, as if there were nodes.
+    let (mut sizes, mut short) = (sizes.to_vec(), Vec::new());
+    let nodes = sizes.len();
+    let mut chains: HashMap<(usize, usize), Vec<usize>> = HashMap::new();
+    for &(from, to) in edges {
+        if layer[from] >= layer[to] {
+            continue;
+        }
+        if layer[to] == layer[from] + 1 || chains.contains_key(&(from, to)) {
+            short.push((from, to));
+            continue;
+        }
+        let mut chain = Vec::new();
+        for between in layer[from] + 1..layer[to] {
+            short.push((chain.last().copied().unwrap_or(from), sizes.len()));
+            chain.push(sizes.len());
+            sizes.push([0.0, LANE]);
+            layer.push(between);
+        }
+        short.push((chain.last().copied().unwrap_or(from), to));
+        chains.insert((from, to), chain);
+    }
+    short.retain(|(from, to)| layer[*to] == layer[*from] + 1);
+    let edges = &short;
     let mut columns: Vec<Vec<usize>> = vec![Vec::new(); count];
     for (node, &layer) in layer.iter().enumerate() {
         columns[layer].push(node);
@@ -19,13 +57,23 @@ pub fn layered(sizes: &[[f32; 2]], edges: &[(usize, usize)]) -> Vec<[f32; 2]> {
         let height: f32 = column.iter().map(|&n| sizes[n][1] + GAP[1]).sum::<f32>() - GAP[1];
         let mut y = -height / 2.0;
         for &node in column {
+            if node >= nodes {
+                sizes[node][0] = width;
+            }
             places[node] = [x, y];
             y += sizes[node][1] + GAP[1];
         }
         x += width + GAP[0];
     }
-    settle(&mut places, &columns, sizes, edges);
-    places
+    settle(&mut places, &columns, &sizes, edges);
+    let segment = |&lane: &usize| {
+        let [x, y] = places[lane];
+        let y = y + LANE / 2.0;
+        [[x, y], [x + sizes[lane][0], y]]
+    };
+    let lanes = chains.into_iter().map(|(ends, chain)| (ends, chain.iter().map(segment).collect())).collect();
+    places.truncate(nodes);
+    Layout { places, lanes }
 }
 
 /// Longest way from a source, without the edges that close loops.
@@ -149,7 +197,7 @@ mod tests {
     fn edges_go_right_and_nothing_overlaps() {
         let sizes: Vec<[f32; 2]> = (0..40).map(|i| [200.0, 80.0 + (i * 37 % 90) as f32]).collect();
         let edges: Vec<(usize, usize)> = (1..40).flat_map(|i| [(i / 2, i), (i / 3, i)]).collect();
-        let places = layered(&sizes, &edges);
+        let places = layered(&sizes, &edges).places;
         assert!(edges.iter().all(|&(a, b)| a == b || places[a][0] + sizes[a][0] < places[b][0]));
         assert!(!overlaps(&places, &sizes));
     }
@@ -157,8 +205,17 @@ mod tests {
     #[test]
     fn loops_and_lone_nodes_have_places() {
         let sizes = [[100.0, 50.0]; 4];
-        let places = layered(&sizes, &[(0, 1), (1, 2), (2, 0)]);
+        let places = layered(&sizes, &[(0, 1), (1, 2), (2, 0)]).places;
         assert!(!overlaps(&places, &sizes));
-        assert!(layered(&[], &[]).is_empty());
+        assert!(layered(&[], &[]).places.is_empty());
+    }
+
+    #[test]
+    fn long_wires_pass_beside_nodes() {
+        let sizes = [[200.0, 150.0]; 3];
+        let layout = layered(&sizes, &[(0, 1), (1, 2), (0, 2), (0, 2)]);
+        let lane = layout.lanes[&(0, 2)][0];
+        let (y, top) = (lane[0][1], layout.places[1][1]);
+        assert!(y < top || y > top + sizes[1][1], "{y} {top}");
     }
 }

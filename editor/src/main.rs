@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use eframe::egui::{ViewportBuilder, vec2};
-use panoscope_editor::app::{App, Options};
+use panoscope_editor::app::{App, Options, close_on_signals};
 
 /// Shows a graph while it runs, to change it and to set its parameters.
 #[derive(Parser)]
@@ -81,7 +81,10 @@ fn run(arguments: &Arguments) -> i32 {
     let made = eframe::run_native(
         "panoscope-editor",
         native,
-        Box::new(move |cc| Ok(Box::new(App::open(&cc.egui_ctx, &path, &text, options)?))),
+        Box::new(move |cc| {
+            close_on_signals(&cc.egui_ctx);
+            Ok(Box::new(App::open(&cc.egui_ctx, &path, &text, options)?))
+        }),
     );
     match made {
         Ok(()) => 0,

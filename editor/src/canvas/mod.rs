@@ -44,8 +44,14 @@ pub struct Canvas {
     offset: Vec2,
     places: HashMap<String, Pos2>,
     shapes: Vec<Shape>,
+    /// Names of the nodes that the shapes belong to.
+    ids: Vec<String>,
+    /// Ways around the nodes between two others, while both are where the layout put them.
+    lanes: HashMap<(usize, usize), Vec<[Pos2; 2]>>,
     laid_out: Option<u64>,
+    /// The whole graph is kept in view until the user moves it.
     fit: bool,
+    fitted: Option<(Rect, u64)>,
     drag: touch::Drag,
     /// Nodes that show all outputs.
     unfolded: HashSet<String>,
@@ -68,8 +74,11 @@ impl Default for Canvas {
             offset: Vec2::ZERO,
             places: HashMap::new(),
             shapes: Vec::new(),
+            ids: Vec::new(),
+            lanes: HashMap::new(),
             laid_out: None,
             fit: true,
+            fitted: None,
             drag: touch::Drag::None,
             unfolded: HashSet::new(),
             chosen: HashMap::new(),
@@ -82,9 +91,10 @@ impl Default for Canvas {
 }
 
 impl Canvas {
-    /// Shows the whole graph with the next frame.
+    /// Shows the whole graph, and keeps it in view until it is moved.
     pub fn fit(&mut self) {
         self.fit = true;
+        self.fitted = None;
     }
 
     /// Zooms by eighths of an octave around the middle.
@@ -94,6 +104,7 @@ impl Canvas {
 
     /// Moves the view, in points.
     pub fn pan_by(&mut self, by: Vec2) {
+        self.fit = false;
         self.offset += by;
     }
 
@@ -103,6 +114,7 @@ impl Canvas {
 
     fn zoom_around(&mut self, middle: Vec2, steps: i32) {
         let before = self.scale();
+        self.fit = false;
         self.zoom = (self.zoom + steps).clamp(*ZOOM_STEPS.start(), *ZOOM_STEPS.end());
         self.offset = middle + (self.offset - middle) * (self.scale() / before);
     }
@@ -128,6 +140,7 @@ impl Canvas {
         if let (Some(node), Some(place)) = (view.node(id), self.places.get(id))
             && let Some(shape) = self.shapes.get(node)
         {
+            self.fit = false;
             self.zoom = self.zoom.max(-8);
             self.offset = -(place.to_vec2() + shape.size / 2.0) * self.scale();
             self.select_only(id);
@@ -153,12 +166,12 @@ impl Canvas {
 
     /// Outputs whose thumbnails can be seen now, with the types of their packets.
     pub fn visible(&self) -> impl Iterator<Item = (&Output, &str)> {
+        let small = self.scale() < paint::PICTURES;
         let seen = self.transform().inverse() * self.rect;
-        let small = self.scale() < paint::DETAIL;
-        self.shapes.iter().filter(move |_| !small).filter_map(move |shape| {
+        self.shapes.iter().zip(&self.ids).filter(move |_| !small).filter_map(move |(shape, id)| {
+            let place = self.places.get(id)?;
             let (output, packet) = shape.output.as_ref()?;
-            let _ = seen;
-            Some((output, packet.as_str()))
+            seen.intersects(Rect::from_min_size(*place, shape.size)).then_some((output, packet.as_str()))
         })
     }
 
@@ -168,18 +181,23 @@ impl Canvas {
             return;
         }
         self.laid_out = Some(revision);
+        self.ids = view.nodes.iter().map(|n| n.id().to_owned()).collect();
         self.shapes = (0..view.nodes.len())
             .map(|n| Shape::of(view, n, &self.unfolded, self.chosen.get(view.nodes[n].id()).map(String::as_str)))
             .collect();
         let sizes: Vec<[f32; 2]> = self.shapes.iter().map(|s| [s.size.x, s.size.y]).collect();
         let edges: Vec<(usize, usize)> = view.wires.iter().filter(|w| !w.delayed).map(|w| (w.from, w.to)).collect();
         let automatic = layout::layered(&sizes, &edges);
-        self.places = (view.nodes.iter().zip(automatic))
-            .map(|(node, [x, y])| {
+        self.places = (view.nodes.iter().zip(&automatic.places))
+            .map(|(node, &[x, y])| {
                 let at = node.position.map_or(pos2(x, y), |(x, y)| pos2(x, y));
                 (node.id().to_owned(), at)
             })
             .collect();
+        let untouched = |n: usize| view.nodes[n].position.is_none();
+        let ways = automatic.lanes.into_iter().filter(|((from, to), _)| untouched(*from) && untouched(*to));
+        self.lanes =
+            ways.map(|(ends, lane)| (ends, lane.into_iter().map(|s| s.map(|[x, y]| pos2(x, y))).collect())).collect();
         let known = |id: &String| view.node(id).is_some();
         self.selected.retain(known);
         self.unfolded.retain(known);
@@ -211,7 +229,8 @@ impl Canvas {
         self.lay_out(scene.view, revision);
         let rect = ui.available_rect_before_wrap();
         self.rect = rect;
-        if std::mem::take(&mut self.fit) {
+        if self.fit && self.fitted != Some((rect, revision)) && matches!(self.drag, touch::Drag::None) {
+            self.fitted = Some((rect, revision));
             self.fit_now(scene.view);
         }
         let mut asks = Vec::new();

@@ -16,8 +16,10 @@ use crate::document::{View, Wire};
 use crate::panels::time_words;
 use crate::theme::{self, PinShape};
 
-/// Below this zoom a node is a plain box with its name.
-pub const DETAIL: f32 = 0.4;
+/// Below this zoom a node shows its name and picture only.
+pub const DETAIL: f32 = 0.38;
+/// Below this zoom it shows no picture either.
+pub const PICTURES: f32 = 0.15;
 /// A fault is new for so long.
 const NEW_FAULT_MS: u64 = 3000;
 
@@ -75,10 +77,24 @@ impl Canvas {
         Some((self.transform() * (*place + at.to_vec2()), packet))
     }
 
-    pub(super) fn curve(&self, view: &View, wire: &Wire) -> Option<[Pos2; 4]> {
-        let (from, _) = self.pin_at(view, wire.from, &wire.output, false)?;
-        let (to, _) = self.pin_at(view, wire.to, &wire.input, true)?;
-        Some(bow(from, to, self.scale()))
+    /// The parts of a wire, one after the other.
+    pub(super) fn curves(&self, view: &View, wire: &Wire) -> Vec<[Pos2; 4]> {
+        let ends = (self.pin_at(view, wire.from, &wire.output, false), self.pin_at(view, wire.to, &wire.input, true));
+        let (Some((from, _)), Some((to, _))) = ends else { return Vec::new() };
+        let Some(lane) = self.lanes.get(&(wire.from, wire.to)) else { return vec![bow(from, to, self.scale())] };
+        // Wires of one lane run beside each other.
+        let mut beside = view.wires.iter().filter(|w| w.from == wire.from && w.to == wire.to);
+        let shift = vec2(0.0, beside.position(|w| w == wire).unwrap_or(0) as f32 * 7.0 - 3.0);
+        let (transform, mut at, mut curves) = (self.transform(), from, Vec::new());
+        for [left, right] in lane {
+            let (left, right) = (transform * (*left + shift), transform * (*right + shift));
+            curves.push(bow(at, left, self.scale()));
+            let third = (right - left) / 3.0;
+            curves.push([left, left + third, right - third, right]);
+            at = right;
+        }
+        curves.push(bow(at, to, self.scale()));
+        curves
     }
 
     pub(super) fn paint_wires(&self, painter: &Painter, scene: &Scene<'_>) {
@@ -91,10 +107,10 @@ impl Canvas {
             let to = view.nodes[wire.to].id();
             let is_pulled = pulled
                 .is_some_and(|(input, index)| input.node == to && input.port == wire.input && index == wire.index);
-            let Some(curve) = self.curve(view, wire).filter(|_| !is_pulled) else { continue };
-            if !Rect::from_points(&curve).expand(8.0).intersects(self.rect) {
+            if is_pulled {
                 continue;
             }
+            let curves = self.curves(view, wire);
             let packet = view.packet(wire.from, &wire.output).map_or("", |p| p.name.as_str());
             let selected =
                 self.selected_wire.as_ref().is_some_and(|w| w.0 == to && w.1 == wire.input && w.2 == wire.index);
@@ -105,11 +121,13 @@ impl Canvas {
                 _ => (theme::packet(packet).gamma_multiply(0.6), 2.0),
             };
             let stroke = Stroke::new((width * self.scale()).max(1.0), color);
-            if wire.delayed {
-                let points: Vec<Pos2> = (0..=32).map(|i| on_curve(&curve, i as f32 / 32.0)).collect();
-                painter.extend(Drawn::dashed_line(&points, stroke, 8.0 * self.scale(), 5.0 * self.scale()));
-            } else {
-                painter.add(CubicBezierShape::from_points_stroke(curve, false, Color32::TRANSPARENT, stroke));
+            for curve in curves.into_iter().filter(|c| Rect::from_points(c).expand(8.0).intersects(self.rect)) {
+                if wire.delayed {
+                    let points: Vec<Pos2> = (0..=32).map(|i| on_curve(&curve, i as f32 / 32.0)).collect();
+                    painter.extend(Drawn::dashed_line(&points, stroke, 8.0 * self.scale(), 5.0 * self.scale()));
+                } else {
+                    painter.add(CubicBezierShape::from_points_stroke(curve, false, Color32::TRANSPARENT, stroke));
+                }
             }
         }
     }
@@ -135,18 +153,24 @@ impl Canvas {
         let bar = Rect::from_min_size(rect.min, vec2(4.0 * scale, HEADER * scale));
         let left = CornerRadius { nw: radius.nw, ne: 0, sw: 0, se: 0 };
         painter.rect_filled(bar, left, family);
-        if scale < 0.2 {
+        if scale < PICTURES {
             return;
         }
         let line = rect.top() + HEADER * scale / 2.0;
-        let font = if scale < DETAIL { 20.0 } else { 14.0 };
-        let name = elided(painter, id, self.font(font), theme::TEXT, rect.width() - (28.0 + 16.0) * scale);
+        if scale < DETAIL {
+            // The name stays readable: above the box it has all the width there is.
+            let font = FontId::proportional(11.0);
+            let name = elided(painter, id, font, theme::TEXT, rect.width() + 48.0 * scale);
+            let at = pos2(rect.left(), rect.top() - name.size().y - 1.0);
+            painter.galley(at, name, theme::TEXT);
+            self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
+            self.paint_picture(painter, scene, node, rect);
+            return;
+        }
+        let name = elided(painter, id, self.font(14.0), theme::TEXT, rect.width() - (28.0 + 16.0) * scale);
         let name_width = name.size().x;
         painter.galley(pos2(rect.left() + 14.0 * scale, line - name.size().y / 2.0), name, theme::TEXT);
         self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
-        if scale < DETAIL {
-            return;
-        }
         let room = rect.width() - name_width - 52.0 * scale;
         if room > 30.0 * scale {
             let words = elided(painter, &this.outline.type_name, self.font(11.0), theme::MUTED, room);
@@ -212,6 +236,7 @@ impl Canvas {
                 let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
                 painter.image(texture, inner, whole, Color32::WHITE);
             }
+            None if scale < DETAIL => {}
             None => {
                 let words = scene.shown.words(output).unwrap_or(packet);
                 let galley =

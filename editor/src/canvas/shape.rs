@@ -8,7 +8,7 @@ use crate::document::{NodeView, View};
 use crate::observe::Output;
 
 /// Width of every node.
-pub const WIDTH: f32 = 224.0;
+pub const WIDTH: f32 = 208.0;
 /// Name and type.
 pub const HEADER: f32 = 36.0;
 const PICTURE: f32 = 120.0;

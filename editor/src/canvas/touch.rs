@@ -95,7 +95,7 @@ impl Canvas {
             self.drag = Drag::Frame(to_graph * at);
         }
         if ground.dragged() && matches!(self.drag, Drag::None) {
-            self.offset += ground.drag_delta();
+            self.pan_by(ground.drag_delta());
         }
         if ground.drag_stopped()
             && let Drag::Frame(from) = self.drag
@@ -157,6 +157,7 @@ impl Canvas {
         {
             let by = body.drag_delta() / transform.scaling;
             *moved |= by != Vec2::ZERO;
+            self.fit = false;
             for selected in &self.selected {
                 if let Some(place) = self.places.get_mut(selected) {
                     *place += by;
@@ -335,9 +336,9 @@ impl Canvas {
     /// The wire at a point of the window.
     pub(super) fn wire_at(&self, view: &View, at: Pos2) -> Option<(String, String, usize)> {
         let near = view.wires.iter().filter_map(|wire| {
-            let curve = self.curve(view, wire)?;
-            let distance = (0..=24).map(|i| super::paint::on_curve(&curve, i as f32 / 24.0).distance(at));
-            let distance = distance.fold(f32::MAX, f32::min);
+            let curves = self.curves(view, wire);
+            let points = curves.iter().flat_map(|c| (0..=24).map(|i| super::paint::on_curve(c, i as f32 / 24.0)));
+            let distance = points.map(|p| p.distance(at)).fold(f32::MAX, f32::min);
             (distance < 10.0).then_some((distance, wire))
         });
         let (_, wire) = near.min_by(|a, b| a.0.total_cmp(&b.0))?;

@@ -1,6 +1,8 @@
 //! The selected node: what it shows, how it does, what feeds it, what can be set.
 
-use eframe::egui::{ComboBox, Grid, Image, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2};
+use eframe::egui::{
+    Align, ComboBox, Grid, Image, Label, Layout, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2,
+};
 
 use super::{Shown, params, time_words};
 use crate::canvas::Canvas;
@@ -179,11 +181,11 @@ fn inputs(ui: &mut Ui, document: &Document, node: usize, wishes: &mut Vec<Wish>)
             ui.horizontal(|ui| {
                 let color = if from.is_none() && !port.optional { theme::FAULT } else { theme::MUTED };
                 let label = RichText::new(name.replace('_', " ")).size(12.0).color(color);
-                ui.add_sized(
-                    vec2(96.0, 20.0),
-                    eframe::egui::Label::new(label).truncate().halign(eframe::egui::Align::LEFT),
-                )
-                .on_hover_text(format!("{} ({})", port.doc, port.packet.name));
+                ui.allocate_ui_with_layout(vec2(88.0, 24.0), Layout::left_to_right(Align::Center), |ui| {
+                    ui.set_min_width(88.0);
+                    let label = ui.add(Label::new(label).truncate());
+                    label.on_hover_text(format!("{} ({})", port.doc, port.packet.name));
+                });
                 let now = from.as_ref().map_or_else(|| "not connected".to_owned(), Output::to_string);
                 let combo =
                     ComboBox::from_id_salt((&port.name, index)).selected_text(now).width(ui.available_width() - 8.0);

@@ -1,6 +1,8 @@
 //! What stands around the canvas.
 
+pub mod below;
 pub mod inspector;
+pub mod overview;
 pub mod params;
 pub mod top;
 
@@ -25,6 +27,7 @@ pub fn time_words(ms: f64) -> String {
 struct Seen {
     texture: Option<TextureHandle>,
     look: Look,
+    pixels: Option<Pixels>,
 }
 
 /// Pictures and words of the outputs that are looked at.
@@ -33,7 +36,8 @@ pub struct Shown {
     seen: HashMap<Output, Seen>,
 }
 
-fn image_of(pixels: &Pixels) -> ColorImage {
+/// For the graphics card.
+pub(crate) fn image_of(pixels: &Pixels) -> ColorImage {
     let colors = pixels.rgba.chunks_exact(4).map(|p| Color32::from_rgb(p[0], p[1], p[2])).collect();
     ColorImage::new([pixels.width, pixels.height], colors)
 }
@@ -42,9 +46,14 @@ impl Shown {
     /// Takes new looks over; textures of the same size are written in place.
     pub fn update(&mut self, ctx: &Context, looks: HashMap<Output, Look>) {
         for (output, mut look) in looks {
-            let seen = self.seen.entry(output).or_insert_with_key(|_| Seen { texture: None, look: Look::default() });
+            let seen = self.seen.entry(output).or_insert_with_key(|_| Seen {
+                texture: None,
+                look: Look::default(),
+                pixels: None,
+            });
             if let Some(pixels) = look.pixels.take() {
                 let image = image_of(&pixels);
+                seen.pixels = Some(pixels);
                 match &mut seen.texture {
                     Some(texture) if texture.size() == image.size => {
                         texture.set_partial([0, 0], image, TextureOptions::LINEAR);
@@ -65,6 +74,11 @@ impl Shown {
     pub fn texture(&self, output: &Output) -> Option<(TextureId, Vec2)> {
         let texture = self.seen.get(output)?.texture.as_ref()?;
         Some((texture.id(), texture.size_vec2()))
+    }
+
+    /// The pixels of an output.
+    pub fn pixels(&self, output: &Output) -> Option<&Pixels> {
+        self.seen.get(output)?.pixels.as_ref()
     }
 
     /// What is known of an output besides its picture.

@@ -1,7 +1,8 @@
 //! Widgets made from the one declaration of a parameter: unit, step, range, default.
 
 use eframe::egui::{
-    Button, ComboBox, DragValue, Response, RichText, Sense, Slider, TextEdit, Ui, WidgetInfo, WidgetType, vec2,
+    Align, Button, ComboBox, DragValue, Layout, Response, RichText, Sense, Slider, SliderClamping, TextEdit, Ui,
+    WidgetInfo, WidgetType, vec2,
 };
 use panoscope_graph::{Param, ParamKind};
 
@@ -19,24 +20,23 @@ pub struct Change {
 
 /// Shows all parameters of a node; answers changes.
 pub fn show(ui: &mut Ui, document: &Document, node: &NodeView) -> Vec<Change> {
-    let Some(node_type) = &node.node_type else { return Vec::new() };
-    let mut changes = Vec::new();
-    for param in &node_type.params {
-        ui.push_id(&param.name, |ui| row(ui, document, node, param, &mut changes));
-    }
-    changes
+    let params = node.node_type.iter().flat_map(|t| &t.params);
+    let one = |p: &Param| ui.push_id(&p.name, |ui| one(ui, document, node, p, &p.name.replace('_', " "))).inner;
+    params.filter_map(one).collect()
 }
 
-fn row(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, changes: &mut Vec<Change>) {
+/// Shows one parameter under `title`; answers a change.
+pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, title: &str) -> Option<Change> {
     let given = node.outline.params.get(&param.name);
     let value = given.cloned().unwrap_or_else(|| default_value(&param.kind));
     let differs = document.differs_from_file(node, &param.name);
+    let mut change = None;
+    ui.spacing_mut().item_spacing.y = 2.0;
     ui.horizontal(|ui| {
-        let color = if differs { theme::ACCENT } else { theme::MUTED };
-        let name = param.name.replace('_', " ");
+        ui.spacing_mut().interact_size.y = 18.0;
+        let color = if differs { theme::ACCENT } else { theme::TEXT };
         let reopens = if param.reopen { "\nA change opens the node anew." } else { "" };
-        let label = ui.label(RichText::new(&name).color(color).size(12.0));
-        label.on_hover_text(format!("{}{reopens}", param.doc));
+        ui.label(RichText::new(title).color(color).size(12.5)).on_hover_text(format!("{}{reopens}", param.doc));
         if differs {
             let (rect, dot) = ui.allocate_exact_size(vec2(8.0, 8.0), Sense::hover());
             ui.painter().circle_filled(rect.center(), 3.0, theme::ACCENT);
@@ -44,22 +44,33 @@ fn row(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, changes
             dot.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, words.clone()));
             dot.on_hover_text("Differs from the file");
         }
-        if given.is_some() {
-            ui.with_layout(eframe::egui::Layout::right_to_left(eframe::egui::Align::Center), |ui| {
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            let mut new = None;
+            if let ParamKind::Bool { default } = &param.kind {
+                let mut on = value.as_bool().unwrap_or(*default);
+                let response = ui.checkbox(&mut on, "");
+                name(&response, &param.name);
+                new = response.changed().then(|| on.into());
+            }
+            if given.is_some() {
                 let reset = Button::new(RichText::new("reset").size(11.0).color(theme::MUTED)).frame(false);
                 let reset = ui.add(reset).on_hover_text("Takes it out of the file: the default holds");
                 let words = format!("Reset {}", param.name);
                 reset.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, words.clone()));
                 if reset.clicked() {
-                    changes.push(Change { param: param.name.clone(), value: None });
+                    change = Some(Change { param: param.name.clone(), value: None });
                 }
-            });
-        }
+            }
+            if new.is_some() {
+                change = Some(Change { param: param.name.clone(), value: new });
+            }
+        });
     });
     if let Some(value) = widget(ui, param, &value) {
-        changes.push(Change { param: param.name.clone(), value: Some(value) });
+        change = Some(Change { param: param.name.clone(), value: Some(value) });
     }
-    ui.add_space(theme::STEP);
+    ui.add_space(2.0 * theme::STEP);
+    change
 }
 
 /// The widget of one parameter; answers a new value.
@@ -68,13 +79,8 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
     let label = param.name.clone();
     ui.spacing_mut().slider_width = (ui.available_width() - 92.0).max(60.0);
     let (response, new): (_, Option<toml::Value>) = match &param.kind {
-        ParamKind::Bool { default } => {
-            let mut on = value.as_bool().unwrap_or(*default);
-            let words = if on { "on" } else { "off" };
-            let response = ui.checkbox(&mut on, words);
-            let new = response.changed().then(|| on.into());
-            (response, new)
-        }
+        // A box beside its name.
+        ParamKind::Bool { .. } => return None,
         ParamKind::Int { default, min, max, step } => {
             let mut number = value.as_integer().unwrap_or(*default);
             let response = match (min, max) {
@@ -85,6 +91,7 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
                     let base = *min;
                     let slider = Slider::new(&mut steps, 0..=(max - min).div_euclid(step))
                         .suffix(unit)
+                        .clamping(SliderClamping::Edits)
                         .custom_formatter(move |s, _| format!("{}", base + s as i64 * step))
                         .custom_parser(move |text| {
                             let typed: i64 = text.trim().parse().ok()?;
@@ -96,7 +103,7 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
                 }
                 _ => {
                     let range = min.unwrap_or(i64::MIN)..=max.unwrap_or(i64::MAX);
-                    ui.add(DragValue::new(&mut number).range(range).suffix(unit))
+                    ui.add(DragValue::new(&mut number).range(range).clamp_existing_to_range(false).suffix(unit))
                 }
             };
             let new = response.changed().then(|| number.into());
@@ -107,7 +114,10 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
             let response = match (min, max) {
                 (Some(min), Some(max)) => {
                     let wide = *min > 0.0 && max / min >= 1000.0;
-                    let mut slider = Slider::new(&mut number, *min..=*max).suffix(unit).logarithmic(wide);
+                    let mut slider = Slider::new(&mut number, *min..=*max)
+                        .suffix(unit)
+                        .logarithmic(wide)
+                        .clamping(SliderClamping::Edits);
                     if let Some(step) = step {
                         slider = slider.step_by(*step);
                     } else {
@@ -118,7 +128,13 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
                 _ => {
                     let range = min.unwrap_or(f64::MIN)..=max.unwrap_or(f64::MAX);
                     let speed = step.unwrap_or(0.1);
-                    ui.add(DragValue::new(&mut number).range(range).speed(speed).suffix(unit))
+                    ui.add(
+                        DragValue::new(&mut number)
+                            .range(range)
+                            .clamp_existing_to_range(false)
+                            .speed(speed)
+                            .suffix(unit),
+                    )
                 }
             };
             let new = response.changed().then(|| number.into());
@@ -154,7 +170,8 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
         }
     };
     name(&response, &label);
-    new
+    // What is shown rounded is not changed by being shown.
+    new.filter(|new| new != value)
 }
 
 /// Gives a widget its name for screen readers and tests.
