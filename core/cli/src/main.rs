@@ -23,6 +23,8 @@ struct Arguments {
 enum Command {
     /// Runs a graph.
     Run(commands::run::Arguments),
+    /// Opens a window over a graph while it runs: pictures, times, faults, sliders, wires.
+    Edit(commands::edit::Arguments),
     /// Checks graph files and shows every mistake.
     Check(commands::check::Arguments),
     /// Lists plugins and their node types.
@@ -64,6 +66,7 @@ fn main() {
     let arguments = Arguments::parse();
     let end = match arguments.command {
         Command::Run(arguments) => commands::run::run(&arguments),
+        Command::Edit(arguments) => commands::edit::run(&arguments),
         Command::Check(arguments) => commands::check::run(&arguments),
         Command::List(arguments) => commands::list::run(&arguments),
         Command::Describe(arguments) => commands::describe::run(&arguments),

@@ -1,6 +1,7 @@
 //! What plugins offer, as plain data: the graph checker, the JSON Schema, `panoscope list` and the editor all read this.
 //! The runtime fills it from loaded plugins; tests write it by hand.
 
+use crate::check::{Fit, fit};
 use serde::{Deserialize, Serialize};
 
 /// Every node type known on this machine, with the plugins that could not be used and why.
@@ -153,6 +154,19 @@ pub struct PacketType {
 impl PacketType {
     /// An input of this packet name accepts every packet (previews, recorders).
     pub const ANY: &'static str = "any";
+
+    /// Whether an output of this type may be wired to an input of type `input`; if not, the error says why, in one sentence.
+    pub fn fits(&self, input: &PacketType) -> Result<(), String> {
+        match fit(self, input) {
+            Fit::Yes | Fit::Convert => Ok(()),
+            Fit::Type => Err(format!("this input takes {}, that is {}", input.name, self.name)),
+            Fit::Format => {
+                let (sent, taken) = (self.formats.join(", "), input.formats.join(" or "));
+                Err(format!("this input takes {} as {taken}, that is {sent}", input.name))
+            }
+            Fit::Layout => Err(format!("both are {}, laid out differently: rebuild one of the plugins", self.name)),
+        }
+    }
 }
 
 /// A parameter of a node type.

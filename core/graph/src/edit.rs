@@ -100,6 +100,65 @@ impl GraphEdit {
         self.drop_if_empty(id, "inputs")
     }
 
+    /// Connects one place of an input and keeps what else is said about it (`align`, `delay`). `index` names the place in a list; behind its end,
+    /// or for an input that is not there, the connection is added.
+    pub fn connect(&mut self, id: &str, input: &str, list: bool, index: usize, from: &str) -> Result<(), EditError> {
+        let Some(item) = self.table_of(id, "inputs")?.get_mut(input) else {
+            if !list {
+                return self.set_input(id, input, &[from]);
+            }
+            let one = EditValue::Array(std::iter::once(from).collect::<Array>());
+            set(self.table_of(id, "inputs")?, input, one);
+            return Ok(());
+        };
+        if let Some(array) = item.as_array_mut() {
+            match array.get_mut(index) {
+                Some(place) => point_at(place, from),
+                None => array.push(from),
+            }
+            return Ok(());
+        }
+        if let Some(table) = item.as_table_like_mut() {
+            set(table, "from", from.into());
+            return Ok(());
+        }
+        match item.as_str().filter(|_| list && index > 0).map(str::to_owned) {
+            // One connection of a list may be written without brackets.
+            Some(first) => self.set_input(id, input, &[&first, from]),
+            None => self.set_input(id, input, &[from]),
+        }
+    }
+
+    /// Disconnects one place of an input; the input goes when it was the last one. Nothing happens when there is no such place.
+    pub fn disconnect(&mut self, id: &str, input: &str, index: usize) -> Result<(), EditError> {
+        if let Some(array) = self.table_of(id, "inputs")?.get_mut(input).and_then(Item::as_array_mut)
+            && array.len() > 1
+        {
+            if index < array.len() {
+                array.remove(index);
+            }
+            return Ok(());
+        }
+        if index == 0 { self.remove_input(id, input) } else { Ok(()) }
+    }
+
+    /// Adds a copy of a node, with its inputs and parameters, behind the last one.
+    pub fn duplicate_node(&mut self, id: &str, copy: &str) -> Result<(), EditError> {
+        good_id(copy)?;
+        let last = self.last_node_position();
+        let nodes = self.nodes()?;
+        if nodes.contains_key(copy) {
+            return Err(EditError::NodeExists { id: copy.to_owned() });
+        }
+        let mut item = nodes.get(id).cloned().ok_or_else(|| EditError::NoNode { id: id.to_owned() })?;
+        if let Item::Table(table) = &mut item {
+            place_at(table, last);
+            table.decor_mut().set_prefix("\n");
+        }
+        nodes.insert(copy, item);
+        Ok(())
+    }
+
     /// Adds a node behind the last one. Its plugin is not added to `plugins`; see [`add_plugin`](Self::add_plugin).
     pub fn add_node(&mut self, id: &str, type_name: &str) -> Result<(), EditError> {
         good_id(id)?;
@@ -258,6 +317,28 @@ impl GraphEdit {
             table.position().max(below)
         }
         self.document.get("nodes").and_then(Item::as_table).and_then(deepest)
+    }
+}
+
+/// Makes a connection read another output, keeping what else is said about it.
+fn point_at(place: &mut EditValue, from: &str) {
+    match place {
+        EditValue::InlineTable(table) => set(table, "from", from.into()),
+        other => {
+            let mut value = EditValue::from(from);
+            *value.decor_mut() = other.decor().clone();
+            *other = value;
+        }
+    }
+}
+
+/// Moves a table and those below it to one position.
+fn place_at(table: &mut Table, position: Option<isize>) {
+    table.set_position(position);
+    for (_, item) in table.iter_mut() {
+        if let Item::Table(below) = item {
+            place_at(below, position);
+        }
     }
 }
 

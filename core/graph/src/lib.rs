@@ -20,6 +20,7 @@ pub mod edit;
 #[cfg(feature = "abi")]
 pub mod from_abi;
 mod nearest;
+mod outline;
 mod parse;
 mod schema;
 mod shape;
@@ -32,5 +33,6 @@ pub use check::{Checked, check};
 pub use checked::{Align, Edge, Graph, Mode, Node, OnFault, ParamValue, Pin, Preset};
 pub use diagnostic::{Diagnostic, Diagnostics, Note, Severity};
 pub use dot::to_dot;
+pub use outline::{InputOutline, NodeOutline, Reference};
 pub use schema::json_schema;
 pub use text::GraphText;

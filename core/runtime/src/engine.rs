@@ -1,5 +1,6 @@
 //! Starting, steering and ending a graph.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
@@ -20,7 +21,7 @@ use crate::params::Snapshot;
 use crate::plan;
 use crate::pool::{self, Pool, Task};
 use crate::preview::Preview;
-use crate::report::Report;
+use crate::report::{NodeWindow, Report, Window};
 use crate::schedule::{AllocationMeter, Shared};
 
 /// How a graph is run.
@@ -414,6 +415,11 @@ impl Engine {
     /// All counters and times so far.
     pub fn report(&self) -> Report {
         Report::of(&self.current.load().graph, &self.shared)
+    }
+
+    /// What each node did since the last call with this `window`. Cheaper than a report; for displays.
+    pub fn window(&self, window: &mut Window) -> BTreeMap<String, NodeWindow> {
+        window.step(&self.shared)
     }
 }
 

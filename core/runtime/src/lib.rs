@@ -36,4 +36,4 @@ pub use engine::{Engine, Options, Outcome, SetError, StartError};
 pub use live::Live;
 pub use loader::Loader;
 pub use preview::Preview;
-pub use report::{Machine, NodeReport, PathReport, Report};
+pub use report::{Machine, NodeReport, NodeWindow, PathReport, Report, Window};

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{Diagnostics, GraphText, check};
@@ -32,13 +33,13 @@ pub struct Live<E> {
     path: PathBuf,
     text: String,
     settings: Vec<String>,
-    loader: Loader,
+    loader: Arc<Loader>,
 }
 
 impl<E: Deref<Target = Engine>> Live<E> {
     /// Takes over a graph that was started from `text`, read at `path`, with `settings` (`node.param=value`) that win over it.
-    pub fn new(engine: E, path: &Path, text: String, settings: Vec<String>, loader: Loader) -> Self {
-        Self { engine, path: path.to_owned(), text, settings, loader }
+    pub fn new(engine: E, path: &Path, text: String, settings: Vec<String>, loader: impl Into<Arc<Loader>>) -> Self {
+        Self { engine, path: path.to_owned(), text, settings, loader: loader.into() }
     }
 
     /// The engine.
@@ -52,7 +53,7 @@ impl<E: Deref<Target = Engine>> Live<E> {
     }
 
     /// Where its plugins came from.
-    pub fn loader(&self) -> &Loader {
+    pub fn loader(&self) -> &Arc<Loader> {
         &self.loader
     }
 
@@ -61,13 +62,13 @@ impl<E: Deref<Target = Engine>> Live<E> {
         for setting in &self.settings {
             parsed.set(setting);
         }
-        let used = loader.as_ref().unwrap_or(&self.loader);
+        let used: &Loader = loader.as_ref().unwrap_or(&self.loader);
         let catalog = used.catalog(&parsed.plugins());
         let (graph, _) = check(&parsed, &catalog).into_result().map_err(LiveError::Check)?;
         let applied = self.engine.apply(graph, &catalog, used)?;
         text.clone_into(&mut self.text);
         if let Some(loader) = loader {
-            self.loader = loader;
+            self.loader = Arc::new(loader);
         }
         Ok(applied)
     }

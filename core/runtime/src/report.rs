@@ -1,6 +1,6 @@
 //! What a run did, as written by `--report` (a contract: see the README).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::Ordering;
 
 use panoscope_graph::Graph;
@@ -9,6 +9,7 @@ use serde::Serialize;
 use crate::cell::lock;
 use crate::clock;
 use crate::schedule::Shared;
+use crate::stats::quantile_between_ns;
 
 /// Counters and times of a run.
 #[derive(Clone, Debug, Serialize)]
@@ -167,5 +168,81 @@ impl Report {
             allocations_per_frame,
             machine: Machine::here(shared.pool.threads()),
         }
+    }
+}
+
+/// What each node did in a stretch of time, for displays; [`Engine::window`](crate::Engine::window) moves it on.
+#[derive(Default)]
+pub struct Window {
+    at_ns: u64,
+    seen: HashMap<String, Seen>,
+}
+
+/// What a node had done at the last look.
+#[derive(Default)]
+struct Seen {
+    times: Vec<u64>,
+    ages: Vec<u64>,
+    count: u64,
+}
+
+/// One node in a [`Window`]: times and rate within it, counts since the node began.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NodeWindow {
+    /// Calls per second.
+    pub fps: f64,
+    /// Median time of a call.
+    pub p50_ms: f64,
+    /// 99 % of the calls took no longer.
+    pub p99_ms: f64,
+    /// For sinks: median time from ingest to the end of the work.
+    pub age_p50_ms: Option<f64>,
+    /// For sinks: 99 % were no older.
+    pub age_p99_ms: Option<f64>,
+    /// All calls so far.
+    pub count: u64,
+    /// Ticks dropped where they would have entered here, so far.
+    pub dropped: u64,
+    /// Errors and panics so far.
+    pub faults: u64,
+    /// Times it was opened again.
+    pub restarts: u64,
+    /// Numbers that the node told.
+    pub metrics: Vec<(String, f64)>,
+}
+
+impl Window {
+    pub(crate) fn step(&mut self, shared: &Shared) -> BTreeMap<String, NodeWindow> {
+        let now_ns = clock::now_ns();
+        let since = if self.at_ns == 0 { shared.start_ns } else { self.at_ns };
+        let seconds = (now_ns.saturating_sub(since) as f64 / 1e9).max(1e-3);
+        self.at_ns = now_ns;
+        let plan = shared.plan.load();
+        let mut seen = HashMap::new();
+        let mut nodes = BTreeMap::new();
+        for (slot, cell) in plan.live() {
+            let stats = &cell.stats;
+            let (count, times) = (stats.time.count(), stats.time.counts());
+            // A replaced node counts from zero again.
+            let before = self.seen.remove(&cell.id).filter(|s| s.count <= count).unwrap_or_default();
+            let ages = if plan.wiring[slot].sink { stats.age.counts() } else { Vec::new() };
+            let age = |q| (!ages.is_empty()).then(|| ms(quantile_between_ns(&before.ages, &ages, q)));
+            let window = NodeWindow {
+                fps: (count - before.count) as f64 / seconds,
+                p50_ms: ms(quantile_between_ns(&before.times, &times, 0.5)),
+                p99_ms: ms(quantile_between_ns(&before.times, &times, 0.99)),
+                age_p50_ms: age(0.5),
+                age_p99_ms: age(0.99),
+                count,
+                dropped: stats.dropped.load(Ordering::Relaxed),
+                faults: stats.faults.load(Ordering::Relaxed),
+                restarts: stats.restarts.load(Ordering::Relaxed),
+                metrics: lock(&cell.metrics).clone(),
+            };
+            nodes.insert(cell.id.clone(), window);
+            seen.insert(cell.id.clone(), Seen { times, ages, count });
+        }
+        self.seen = seen;
+        nodes
     }
 }

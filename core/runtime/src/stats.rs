@@ -73,6 +73,11 @@ impl Histogram {
         self.max_ns.load(Ordering::Relaxed)
     }
 
+    /// How many times fell into each bucket, to tell later what was counted since.
+    pub fn counts(&self) -> Vec<u64> {
+        self.counts.iter().map(|c| c.load(Ordering::Relaxed)).collect()
+    }
+
     /// The time that a share `q` (0..1) of the counts does not exceed, in ns; 0 when nothing was counted.
     pub fn quantile_ns(&self, q: f64) -> u64 {
         let counts = self.counts.each_ref().map(|count| count.load(Ordering::Relaxed));
@@ -111,6 +116,24 @@ impl RareHistogram {
     pub fn quantile_ns(&self, q: f64) -> u64 {
         self.0.get().map_or(0, |histogram| histogram.quantile_ns(q))
     }
+}
+
+/// [`Histogram::quantile_ns`] of what was counted between two looks at [`Histogram::counts`].
+pub fn quantile_between_ns(before: &[u64], now: &[u64], q: f64) -> u64 {
+    let added = |i: usize| now[i].saturating_sub(before.get(i).copied().unwrap_or(0));
+    let total: u64 = (0..now.len()).map(added).sum();
+    if total == 0 {
+        return 0;
+    }
+    let want = ((total as f64 * q).ceil() as u64).clamp(1, total);
+    let mut seen = 0;
+    for index in 0..now.len() {
+        seen += added(index);
+        if seen >= want {
+            return bucket_middle(index);
+        }
+    }
+    0
 }
 
 /// Counters of a node.
@@ -160,6 +183,17 @@ mod tests {
         assert!((p50 / 500_000.0 - 1.0).abs() < 0.04, "{p50}");
         assert!((p99 / 990_000.0 - 1.0).abs() < 0.04, "{p99}");
         assert_eq!(histogram.max_ns(), 1_000_000);
+    }
+
+    #[test]
+    fn a_window_forgets_what_came_before() {
+        let histogram = Histogram::default();
+        (0..100).for_each(|_| histogram.record(1_000_000));
+        let before = histogram.counts();
+        assert_eq!(quantile_between_ns(&before, &histogram.counts(), 0.5), 0);
+        (0..10).for_each(|_| histogram.record(5_000));
+        let p99 = quantile_between_ns(&before, &histogram.counts(), 0.99) as f64;
+        assert!((p99 / 5_000.0 - 1.0).abs() < 0.04, "{p99}");
     }
 
     #[test]

@@ -15,6 +15,9 @@ use crate::workspace::{Plugin, Workspace};
 /// The package of the `panoscope` command.
 const PROGRAM_PACKAGE: &str = "panoscope-cli";
 const PROGRAM: &str = "panoscope";
+/// The window that `panoscope edit` starts.
+const EDITOR_PACKAGE: &str = "panoscope-editor";
+const EDITOR: &str = "panoscope-editor";
 
 /// Cargo's profiles as far as they are used here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,13 +48,30 @@ pub fn library_name(plugin: &str) -> String {
     format!("{DLL_PREFIX}{plugin}{DLL_SUFFIX}")
 }
 
-/// Builds the program and all plugins.
+/// Builds the editor, beside the program.
+///
+/// # Errors
+/// The build fails; cargo has said why.
+pub fn build_editor(workspace: &Workspace, profile: Profile) -> Result<PathBuf> {
+    let mut cargo = workspace.cargo();
+    cargo.args(["build", "--message-format=json-render-diagnostics", "--package", EDITOR_PACKAGE]);
+    if profile == Profile::Release {
+        cargo.arg("--release");
+    }
+    let mut artifacts = Artifacts::default();
+    let status = process::filter(&mut cargo, |line| !artifacts.read(line))?;
+    process::check(&cargo, status)?;
+    artifacts.editor.with_context(|| format!("{EDITOR_PACKAGE} makes no program `{EDITOR}`"))
+}
+
+/// Builds the program and all plugins. Not the editor, which takes longest and which neither demo nor benches need.
 ///
 /// # Errors
 /// The build fails (cargo has said why), or a plugin's crate makes no shared library.
 pub fn build(workspace: &Workspace, profile: Profile) -> Result<Built> {
     let mut cargo = workspace.cargo();
     cargo.args(["build", "--message-format=json-render-diagnostics", "--package", PROGRAM_PACKAGE]);
+
     for plugin in &workspace.plugins {
         cargo.args(["--package", &plugin.package]);
     }
@@ -72,6 +92,7 @@ pub fn build(workspace: &Workspace, profile: Profile) -> Result<Built> {
 #[derive(Debug, Default)]
 struct Artifacts {
     program: Option<PathBuf>,
+    editor: Option<PathBuf>,
     /// Shared libraries by the folder of their crate.
     libraries: BTreeMap<PathBuf, PathBuf>,
 }
@@ -87,6 +108,9 @@ impl Artifacts {
         let has_kind = |kind: &str| target["kind"].as_array().is_some_and(|kinds| kinds.iter().any(|k| k == kind));
         if has_kind("bin") && target["name"] == PROGRAM {
             self.program = message["executable"].as_str().map(PathBuf::from);
+        }
+        if has_kind("bin") && target["name"] == EDITOR {
+            self.editor = message["executable"].as_str().map(PathBuf::from);
         }
         if has_kind("cdylib") {
             let folder = message["manifest_path"].as_str().and_then(|path| Path::new(path).parent());
@@ -153,6 +177,11 @@ pub fn place(from: &Path, to: &Path, means: Means) -> Result<()> {
 /// Name of the program's file.
 pub fn program_name() -> String {
     format!("{PROGRAM}{EXE_SUFFIX}")
+}
+
+/// Name of the editor's file.
+pub fn editor_name() -> String {
+    format!("{EDITOR}{EXE_SUFFIX}")
 }
 
 #[cfg(test)]

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 
-use crate::build::{Means, Profile, build, library_name, place, program_name};
+use crate::build::{Means, Profile, build, build_editor, editor_name, library_name, place, program_name};
 use crate::workspace::Workspace;
 
-/// Builds in release and copies the program, `plugins/` and `graphs/` into `dir`.
+/// Builds in release and copies the program, the editor, `plugins/` and `graphs/` into `dir`.
 pub fn install(workspace: &Workspace, dir: &Path) -> Result<()> {
     let built = build(workspace, Profile::Release)?;
     let plugin_dir = dir.join("plugins");
@@ -18,6 +18,7 @@ pub fn install(workspace: &Workspace, dir: &Path) -> Result<()> {
         place(&built.plugin_dir.join(&name), &plugin_dir.join(&name), Means::Copy)?;
     }
     copy_graphs(&workspace.root.join("graphs"), &dir.join("graphs"))?;
+    place(&build_editor(workspace, Profile::Release)?, &dir.join(editor_name()), Means::Copy)?;
     // Last, so that a program that starts finds everything it came with.
     let program = dir.join(program_name());
     place(&built.program, &program, Means::Copy)?;

@@ -10,6 +10,7 @@ mod onnxruntime;
 mod packages;
 mod process;
 mod report;
+mod screens;
 mod setup;
 mod system;
 mod tally;
@@ -33,9 +34,10 @@ cargo xtask COMMAND
   test [SUITE] [-- args of `cargo test`]
                        installs what is missing, builds, checks format and lints, runs all tests
   setup [--bench]      installs the system packages that are missing (--bench: the peers of `bench` too)
-  build [--release]    builds the program and its plugins, laid out so that they also run outside cargo
+  build [--release]    builds the program, the editor and the plugins, laid out so that they also run outside cargo
   bench [args]         builds in release and runs `panoscope bench args`
-  install DIR          puts a release build (program, plugins, graphs) into DIR
+  install DIR          puts a release build (program, editor, plugins, graphs) into DIR
+  screens [DIR]        takes pictures of the editor at work, on a screen that nobody sees, into DIR (target/screens)
   data                 fetches the test data that comes from Python wheels into target/data
   onnxruntime          fetches ONNX Runtime's shared library into target/onnxruntime
   header               writes core/abi/panoscope.h anew from the ABI
@@ -77,8 +79,10 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
         "build" => {
             let profile = if flag(rest, "--release")? { Profile::Release } else { Profile::Dev };
             setup::ensure(&[Purpose::Build])?;
-            let built = build::build(&Workspace::locate()?, profile)?;
-            println!("{}\n{}", built.program.display(), built.plugin_dir.display());
+            let workspace = Workspace::locate()?;
+            let built = build::build(&workspace, profile)?;
+            let editor = build::build_editor(&workspace, profile)?;
+            println!("{}\n{}\n{}", built.program.display(), editor.display(), built.plugin_dir.display());
         }
         "bench" => {
             setup::ensure(&[Purpose::Build, Purpose::Bench])?;
@@ -90,6 +94,7 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             setup::ensure(&[Purpose::Build])?;
             install::install(&Workspace::locate()?, dir.as_ref())?;
         }
+        "screens" => screens::screens(&Workspace::locate()?, rest)?,
         "data" => {
             flag(rest, "")?;
             println!("{}", data::fetch(&Workspace::locate()?).context("test data was not fetched")?.display());

@@ -21,6 +21,8 @@ pub enum Purpose {
     Bench,
     /// Fetching files from Python wheels.
     Wheels,
+    /// Pictures of the editor on a screen that nobody sees.
+    Screens,
 }
 
 impl Purpose {
@@ -125,6 +127,32 @@ pub static PACKAGES: &[Package] = &[
         [Some("python3-pip"), Some("python-pip"), Some("python")],
         Evidence::Program("pip3"),
     ),
+    package(
+        Purpose::Screens,
+        "xvfb",
+        [Some("xorg-x11-server-Xvfb"), Some("xorg-server-xvfb"), None],
+        Evidence::Program("Xvfb"),
+    ),
+    package(
+        Purpose::Screens,
+        "libgl1-mesa-dri",
+        [Some("mesa-dri-drivers"), Some("mesa"), None],
+        Evidence::AnyFile(&["/usr/lib/x86_64-linux-gnu/dri/swrast_dri.so", "/usr/lib64/dri/swrast_dri.so"]),
+    ),
+    package(Purpose::Screens, "libegl1", [Some("libglvnd-egl"), Some("libglvnd"), None], Evidence::PkgConfig("egl")),
+    package(
+        Purpose::Screens,
+        "libxkbcommon-x11-0",
+        [Some("libxkbcommon-x11"), Some("libxkbcommon-x11"), None],
+        Evidence::PkgConfig("xkbcommon-x11"),
+    ),
+    package(
+        Purpose::Screens,
+        "libxcursor1",
+        [Some("libXcursor"), Some("libxcursor"), None],
+        Evidence::PkgConfig("xcursor"),
+    ),
+    package(Purpose::Screens, "libxi6", [Some("libXi"), Some("libxi"), None], Evidence::PkgConfig("xi")),
 ];
 
 /// The packages of these purposes that are not there.

@@ -7,6 +7,7 @@ pub mod describe;
 pub mod devices;
 pub mod doctor;
 pub mod dot;
+pub mod edit;
 pub mod eval;
 pub mod list;
 pub mod new;

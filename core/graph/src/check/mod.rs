@@ -170,7 +170,7 @@ fn edge(link: &Link<'_>) -> Option<Edge> {
 
 /// How an output fits an input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Fit {
+pub(crate) enum Fit {
     Yes,
     /// The output may send bgr8, the input takes gray8.
     Convert,
@@ -179,7 +179,7 @@ enum Fit {
     Layout,
 }
 
-fn fit(output: &PacketType, input: &PacketType) -> Fit {
+pub(crate) fn fit(output: &PacketType, input: &PacketType) -> Fit {
     if input.name == PacketType::ANY || output.name == PacketType::ANY {
         return Fit::Yes;
     }

@@ -1,0 +1,42 @@
+//! `panoscope edit`: starts the editor, a program of its own beside this one, so that the command needs no window system.
+
+use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
+use std::process::Command;
+
+use anyhow::{Context, Result};
+
+use crate::End;
+use crate::terminal::tell;
+
+/// The editor's program.
+const EDITOR: &str = "panoscope-editor";
+
+/// Arguments of `edit`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Graph file.
+    graph: PathBuf,
+    /// Further arguments of the editor; `panoscope-editor --help` shows them.
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    rest: Vec<String>,
+}
+
+/// Becomes the editor.
+pub fn run(arguments: &Arguments) -> Result<End> {
+    if !arguments.graph.is_file() {
+        tell!("error: there is no graph file {}", arguments.graph.display());
+        return Ok(End::Wrong);
+    }
+    let this = std::env::current_exe().context("this program's own place is not known")?;
+    let beside = this.with_file_name(EDITOR);
+    if !beside.is_file() {
+        tell!(
+            "error: the editor is missing: {} does not exist\n  help: `cargo xtask build` builds it",
+            beside.display()
+        );
+        return Ok(End::Failed);
+    }
+    let error = Command::new(&beside).arg(&arguments.graph).args(&arguments.rest).exec();
+    Err(error).with_context(|| format!("{} does not start", beside.display()))
+}

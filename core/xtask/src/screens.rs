@@ -1,0 +1,88 @@
+//! `cargo xtask screens`: pictures of the editor at work with the phantom, taken on a screen that nobody sees.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail, ensure};
+
+use crate::build::{Profile, build, build_editor};
+use crate::packages::Purpose;
+use crate::process;
+use crate::setup;
+use crate::workspace::Workspace;
+
+/// Name of the picture, graph, what is done before it is taken, seconds until then.
+const SCREENS: &[(&str, &str, &[&str], &str)] = &[
+    ("bench", "graphs/panorama.toml", &[], "8"),
+    ("bench_node", "graphs/panorama.toml", &["select:wide"], "8"),
+    ("bench_depth", "graphs/depth.toml", &["select:match"], "12"),
+    ("bench_heat_text", "graphs/stereo_wls_fbs.toml", &["heat", "text"], "12"),
+    ("bench_plots", "graphs/panorama.toml", &["plots"], "20"),
+    ("bench_viewer", "graphs/panorama.toml", &["view:wide.panorama"], "8"),
+    ("bench_compare", "graphs/depth.toml", &["view:rectify.left", "compare:points.depth"], "12"),
+    ("bench_add", "graphs/panorama.toml", &["add"], "8"),
+    ("bench_keys", "graphs/panorama.toml", &["help"], "8"),
+];
+
+/// A screen that ends with this value.
+struct Screen {
+    server: Child,
+    display: String,
+}
+
+impl Screen {
+    fn start() -> Result<Self> {
+        for number in 60..90 {
+            let display = format!(":{number}");
+            if Path::new(&format!("/tmp/.X11-unix/X{number}")).exists() {
+                continue;
+            }
+            let mut command = Command::new("Xvfb");
+            command.args([display.as_str(), "-screen", "0", "1440x900x24", "-nolisten", "tcp"]);
+            let mut server =
+                command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().context("Xvfb does not start")?;
+            std::thread::sleep(Duration::from_millis(1500));
+            if server.try_wait()?.is_none() {
+                return Ok(Self { server, display });
+            }
+        }
+        bail!("no free display for Xvfb")
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        let _ = self.server.kill();
+        let _ = self.server.wait();
+    }
+}
+
+/// Takes all pictures, or those whose names stand in `args` behind the folder.
+///
+/// # Errors
+/// Something is missing, the build fails, or a picture was not taken.
+pub fn screens(workspace: &Workspace, args: &[String]) -> Result<()> {
+    setup::ensure(&[Purpose::Build, Purpose::Screens])?;
+    let folder = args.first().map_or_else(|| workspace.target.join("screens"), PathBuf::from);
+    let only = args.get(1..).unwrap_or_default();
+    fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let built = build(workspace, Profile::Release)?;
+    let editor = build_editor(workspace, Profile::Release)?;
+    let screen = Screen::start()?;
+    for (name, graph, actions, after) in SCREENS.iter().filter(|s| only.is_empty() || only.iter().any(|o| o == s.0)) {
+        let file = folder.join(format!("{name}.png"));
+        let _ = fs::remove_file(&file);
+        let mut command = Command::new(&editor);
+        command.arg(workspace.root.join(graph)).arg("--screenshot").arg(&file).args(["--after", after]);
+        for action in *actions {
+            command.args(["--do", action]);
+        }
+        command.env("DISPLAY", &screen.display).env("LIBGL_ALWAYS_SOFTWARE", "1").env_remove("WAYLAND_DISPLAY");
+        command.env("PANOSCOPE_PLUGIN_PATH", &built.plugin_dir);
+        process::run(&mut command)?;
+        ensure!(file.is_file(), "the picture {} was not taken", file.display());
+    }
+    Ok(())
+}

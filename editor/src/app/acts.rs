@@ -1,0 +1,284 @@
+//! What is done when something is asked for: by key, button, canvas or panel.
+
+use std::sync::Arc;
+
+use eframe::egui::{Context, Key, Modifiers, vec2};
+
+use super::App;
+use crate::actions::Action;
+use crate::canvas::Ask;
+use crate::disk;
+use crate::observe::Output;
+use crate::ops::{self, Waiting};
+use crate::palette::{Palette, Picked, Purpose};
+use crate::panels::inspector::Wish;
+use crate::viewer::Source;
+
+impl App {
+    /// Does what the canvas asks for.
+    pub(super) fn answer(&mut self, ask: Ask) {
+        let doc = &mut self.document;
+        match ask {
+            Ask::Wire { output, input, moved } => {
+                let from = Output::new(&output.node, &output.port);
+                let moved = moved.as_ref().map(|(end, index)| (end.node.as_str(), end.port.as_str(), *index));
+                let result = ops::wire(doc, &from, (&input.node, &input.port), None, moved);
+                self.try_edit(result);
+            }
+            Ask::Unwire { input, index } => {
+                let result = ops::unwire(doc, &input.node, &input.port, index);
+                self.try_edit(result);
+            }
+            Ask::Move(places) => {
+                let places: Vec<_> = places.into_iter().map(|(id, at)| (id, (at.x, at.y))).collect();
+                let result = ops::move_nodes(doc, &places);
+                self.try_edit(result);
+            }
+            Ask::Insert { node, wire } => {
+                let result = ops::insert(doc, &node, (&wire.0, &wire.1, wire.2));
+                self.try_edit(result);
+            }
+            Ask::Look(output) => self.look_at(output),
+            Ask::Add { at, end } => {
+                let waiting = end.map(|end| {
+                    if end.input {
+                        Waiting::Input(end.node, end.port)
+                    } else {
+                        Waiting::Output(Output::new(&end.node, &end.port))
+                    }
+                });
+                self.open_palette(Purpose::Add { at: (at.x, at.y), waiting });
+            }
+            Ask::Tell(words) => self.tell(words, true),
+        }
+    }
+
+    /// Does what the inspector asks for.
+    pub(super) fn grant(&mut self, node: &str, wish: Wish) {
+        let doc = &mut self.document;
+        match wish {
+            Wish::Param(change) => {
+                let result = ops::set_param(doc, node, &change.param, change.value.as_ref());
+                self.try_edit(result);
+            }
+            Wish::Input { input, index, from: Some(from) } => {
+                // Behind the last place of a list a new one begins.
+                let index = Some(index).filter(|i| *i != usize::MAX);
+                let result = ops::wire(doc, &from, (node, &input), index, None);
+                self.try_edit(result);
+            }
+            Wish::Input { input, index, from: None } => {
+                let result = ops::unwire(doc, node, &input, index);
+                self.try_edit(result);
+            }
+            Wish::Look(output) => self.look_at(output),
+            Wish::Thumbnail(port) => self.canvas.choose_output(node, &port),
+            Wish::Rename(name) => {
+                let result = ops::rename(doc, node, &name);
+                if self.try_edit(result).is_some() {
+                    self.canvas.select_only(&name);
+                }
+            }
+        }
+    }
+
+    /// Shows an output large.
+    pub(super) fn look_at(&mut self, output: Output) {
+        let source = self.source(output);
+        self.viewer.open(source);
+    }
+
+    /// Does an action.
+    pub fn act(&mut self, action: Action) {
+        match action {
+            Action::Undo => {
+                if let Some(label) = self.document.undo() {
+                    self.tell(format!("undone: {label}"), false);
+                }
+            }
+            Action::Redo => {
+                if let Some(label) = self.document.redo() {
+                    self.tell(format!("done again: {label}"), false);
+                }
+            }
+            Action::Save => self.save(),
+            Action::Fit => self.canvas.fit(),
+            Action::ZoomIn => self.canvas.zoom_by(2),
+            Action::ZoomOut => self.canvas.zoom_by(-2),
+            Action::Delete => self.delete(),
+            Action::Duplicate => self.duplicate(),
+            Action::Bypass => self.bypass(),
+            Action::SelectAll => {
+                self.canvas.selected = self.document.view().nodes.iter().map(|n| n.id().to_owned()).collect();
+            }
+            Action::Next => self.next(),
+            Action::View => self.view(),
+            Action::Heat => self.switches.heat ^= true,
+            Action::Text => self.switches.text ^= true,
+            Action::Plots => self.switches.plots ^= true,
+            Action::Problems => self.switches.problems ^= true,
+            Action::Restart => self.session.restart(self.document.text()),
+            Action::Reload => self.session.reload_plugins(),
+            Action::Escape => {
+                if !self.viewer.close() {
+                    self.canvas.selected.clear();
+                    self.canvas.selected_wire = None;
+                }
+            }
+            Action::Add => {
+                let at = self.canvas.middle();
+                self.open_palette(Purpose::Add { at: (at.x, at.y), waiting: None });
+            }
+            Action::Connect => match self.selected() {
+                Some(node) => self.open_palette(Purpose::Connect { node }),
+                None => self.tell("select one node to connect", true),
+            },
+            Action::Find => self.open_palette(Purpose::Find),
+            Action::Help => self.help = true,
+            Action::Compare => self.compare(),
+        }
+    }
+
+    /// An output with its type.
+    pub(super) fn source(&self, output: Output) -> Source {
+        let view = self.document.view();
+        let packet = view.node(&output.node).and_then(|n| view.packet(n, &output.port)).map(|p| p.name.clone());
+        Source { output, packet: packet.unwrap_or_default() }
+    }
+
+    /// Compares what is shown large with the next output, and after the last one with none.
+    fn compare(&mut self) {
+        let Some(shown) = self.viewer.source().cloned() else { return };
+        let others: Vec<Source> = self.sources().into_iter().filter(|s| *s != shown).collect();
+        let now = self.viewer.sources().nth(1).and_then(|b| others.iter().position(|o| o == b));
+        let next = others.get(now.map_or(0, |n| n + 1)).cloned();
+        self.viewer.compare(next);
+    }
+
+    fn open_palette(&mut self, purpose: Purpose) {
+        if matches!(purpose, Purpose::Add { .. }) {
+            let handle = self.session.handle();
+            self.types.gather(self.session.loader(), move || handle.wake());
+        }
+        self.palette = Some(Palette::new(purpose));
+    }
+
+    /// Does what was picked in the palette.
+    pub(super) fn pick(&mut self, picked: Picked) {
+        match picked {
+            Picked::Add(node_type, at, waiting) => {
+                let result = ops::add(&mut self.document, &node_type, at, waiting.as_ref());
+                if let Some(id) = self.try_edit(result) {
+                    self.canvas.select_only(&id);
+                }
+            }
+            Picked::Connect(node, input, from) => {
+                self.grant(&node, Wish::Input { input, index: usize::MAX, from: Some(from) })
+            }
+            Picked::Go(id) => self.canvas.show_node(&self.document.view().clone(), &id),
+        }
+    }
+
+    /// Arrow keys move the view.
+    pub(super) fn arrows(&mut self, ctx: &Context, typing: bool) {
+        if typing || ctx.memory(|m| m.focused().is_some()) {
+            return;
+        }
+        let steps = [
+            (Key::ArrowLeft, vec2(64.0, 0.0)),
+            (Key::ArrowRight, vec2(-64.0, 0.0)),
+            (Key::ArrowUp, vec2(0.0, 64.0)),
+            (Key::ArrowDown, vec2(0.0, -64.0)),
+        ];
+        for (key, by) in steps {
+            if ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key)) {
+                self.canvas.pan_by(by);
+            }
+        }
+    }
+
+    fn view(&mut self) {
+        if self.viewer.close() {
+            return;
+        }
+        let view = self.document.view().clone();
+        let of_selected = || {
+            let node = self.canvas.selected.iter().next().and_then(|id| view.node(id))?;
+            Some(self.canvas.shown_output(&view, node)?.0)
+        };
+        if let Some(output) = self.canvas.under_pointer.clone().or_else(of_selected) {
+            self.look_at(output);
+        }
+    }
+
+    fn next(&mut self) {
+        let view = self.document.view().clone();
+        let now = self.canvas.selected.iter().next_back().and_then(|id| view.node(id));
+        let next = now.map_or(0, |n| (n + 1) % view.nodes.len().max(1));
+        if let Some(node) = view.nodes.get(next) {
+            self.canvas.select_only(node.id());
+        }
+    }
+
+    fn delete(&mut self) {
+        if let Some((node, input, index)) = self.canvas.selected_wire.take() {
+            let result = ops::unwire(&mut self.document, &node, &input, index);
+            self.try_edit(result);
+            return;
+        }
+        let nodes: Vec<String> = self.canvas.selected.iter().cloned().collect();
+        if !nodes.is_empty() {
+            let result = ops::remove(&mut self.document, &nodes);
+            self.try_edit(result);
+        }
+    }
+
+    fn duplicate(&mut self) {
+        let canvas = &self.canvas;
+        let nodes: Vec<(String, (f32, f32))> =
+            canvas.selected.iter().filter_map(|id| canvas.place(id).map(|at| (id.clone(), (at.x, at.y)))).collect();
+        if nodes.is_empty() {
+            return;
+        }
+        let result = ops::duplicate(&mut self.document, &nodes);
+        if let Some(copies) = self.try_edit(result) {
+            self.canvas.selected = copies.into_iter().collect();
+        }
+    }
+
+    fn bypass(&mut self) {
+        for id in self.canvas.selected.clone() {
+            match self.detours.remove(&id) {
+                Some(detours) => {
+                    let result = ops::end_bypass(&mut self.document, &id, &detours);
+                    self.try_edit(result);
+                }
+                None => {
+                    let result = ops::bypass(&mut self.document, &id);
+                    if let Some(detours) = self.try_edit(result) {
+                        self.tell(format!("{id} is bypassed"), false);
+                        self.detours.insert(id, detours);
+                    }
+                }
+            }
+        }
+    }
+
+    fn save(&mut self) {
+        // Someone else's text is not overwritten unseen.
+        if let Ok(text) = std::fs::read_to_string(self.document.path())
+            && text != **self.document.saved()
+            && text != **self.document.text()
+        {
+            self.conflict = Some(text);
+            return;
+        }
+        let text = Arc::clone(self.document.text());
+        let result = disk::save(self.document.path(), &text);
+        if self.try_edit(result).is_some() {
+            self.disk.settle();
+            self.document.now_saved(&text);
+            self.tell("saved", false);
+        }
+    }
+}

@@ -1,0 +1,474 @@
+//! The window: what is shown where.
+
+mod acts;
+mod shot;
+
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use eframe::egui::{self, CentralPanel, Context, Frame, Margin, Panel, RichText, Ui};
+use panoscope_graph::GraphText;
+
+use crate::actions;
+use crate::canvas::{Canvas, Scene, is_pictorial};
+use crate::disk::DiskWatch;
+use crate::document::Document;
+use crate::observe::{Counters, Observer, Output, Wanted};
+use crate::ops::Detour;
+use crate::palette::{Palette, Types};
+use crate::panels::Shown;
+use crate::panels::inspector::{self, Wish};
+use crate::panels::top::{self, Switches};
+use crate::panels::{below, overview};
+use crate::session::{Phase, Session, Status};
+use crate::theme;
+use crate::viewer::{Source, Viewer};
+
+/// Pixels across of a thumbnail; enough for a sharp one at zoom 1 and double density.
+const THUMBNAIL: usize = 416;
+/// Pixels across of the big picture.
+const LARGE: usize = 2048;
+/// How long a note stays.
+const NOTE: Duration = Duration::from_secs(6);
+
+/// How the window is opened.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// Most ticks of each source.
+    pub frames: Option<u64>,
+    /// Size of everything; 0 leaves it as it is.
+    pub scale: f32,
+    /// File of a screenshot, and the seconds until it is taken.
+    pub screenshot: Option<(PathBuf, f64)>,
+    /// What is done before the screenshot.
+    pub script: Vec<String>,
+}
+
+/// Why the window did not open.
+#[derive(Debug, thiserror::Error)]
+#[error("no thread could be started: {0}")]
+pub struct OpenError(#[from] std::io::Error);
+
+/// The window.
+pub struct App {
+    pub(crate) session: Session,
+    pub(crate) observer: Observer,
+    pub(crate) document: Document,
+    pub(crate) canvas: Canvas,
+    pub(crate) shown: Shown,
+    pub(crate) viewer: Viewer,
+    palette: Option<Palette>,
+    types: Types,
+    help: bool,
+    pub(crate) switches: Switches,
+    pub(crate) detours: HashMap<String, Vec<Detour>>,
+    disk: DiskWatch,
+    /// The file's new text, when it and ours have both changed.
+    conflict: Option<String>,
+    note: Option<(String, bool, Instant)>,
+    asked: u64,
+    options: Options,
+    start: Instant,
+    /// CPU time of the window's thread, ms, and frames drawn.
+    pub(crate) cost: (f64, u64),
+}
+
+impl App {
+    /// Opens a graph file whose text was read, and sets it going if it is right.
+    ///
+    /// # Errors
+    /// The system gave no thread.
+    pub fn open(ctx: &Context, path: &Path, text: &str, options: Options) -> Result<Self, OpenError> {
+        theme::apply(ctx);
+        if options.scale > 0.0 {
+            ctx.set_zoom_factor(options.scale);
+        }
+        let paths = GraphText::parse(path, text).plugin_paths();
+        let session = Session::new(path, &paths, options.frames)?;
+        let for_wake = ctx.clone();
+        session.set_wake(Arc::new(move || for_wake.request_repaint()));
+        let observer = Observer::new(session.handle())?;
+        let document = Document::new(path, text, session.loader());
+        if document.view().right {
+            session.run(text);
+        }
+        Ok(Self {
+            observer,
+            document,
+            canvas: Canvas::default(),
+            shown: Shown::default(),
+            viewer: Viewer::default(),
+            palette: None,
+            types: Types::default(),
+            help: false,
+            switches: Switches::default(),
+            detours: HashMap::new(),
+            disk: DiskWatch::new(path),
+            conflict: None,
+            note: None,
+            asked: 1,
+            options,
+            start: Instant::now(),
+            cost: (0.0, 0),
+            session,
+        })
+    }
+
+    /// The document.
+    pub fn document(&self) -> &Document {
+        &self.document
+    }
+
+    /// The session.
+    pub fn session(&self) -> &Session {
+        &self.session
+    }
+
+    /// The canvas.
+    pub fn canvas(&self) -> &Canvas {
+        &self.canvas
+    }
+
+    /// The output that is shown large.
+    pub fn viewed(&self) -> Option<&Output> {
+        self.viewer.source().map(|v| &v.output)
+    }
+
+    /// Mean CPU time of the window's thread per frame in ms, and frames drawn so far.
+    pub fn cost(&self) -> (f64, u64) {
+        (self.cost.0 / self.cost.1.max(1) as f64, self.cost.1)
+    }
+
+    /// Tells the user something for a while.
+    pub(crate) fn tell(&mut self, words: impl Into<String>, wrong: bool) {
+        self.note = Some((words.into(), wrong, Instant::now()));
+    }
+
+    pub(crate) fn try_edit<T, E: std::fmt::Display>(&mut self, result: Result<T, E>) -> Option<T> {
+        result.map_err(|e| self.tell(e.to_string(), true)).ok()
+    }
+
+    /// Asks the session to run a text that is new and right.
+    fn follow(&mut self) {
+        if self.asked != self.document.revision() {
+            self.asked = self.document.revision();
+            if self.document.view().right {
+                self.session.run(self.document.text());
+            }
+        }
+    }
+
+    /// Draws a frame.
+    pub fn ui(&mut self, ui: &mut Ui) {
+        let began = thread_cpu_ms();
+        let ctx = ui.ctx().clone();
+        let status = self.session.status();
+        self.document.set_loader(self.session.loader());
+        self.shown.update(&ctx, self.observer.take());
+        if let Some(text) = self.disk.look() {
+            self.changed_on_disk(text);
+        }
+        let typing = ctx.text_edit_focused();
+        // While something asks for an answer, keys are for that.
+        if self.palette.is_none() && !self.help {
+            for action in ctx.input_mut(|input| actions::pressed(input, typing)) {
+                self.act(action);
+            }
+            self.arrows(&ctx, typing);
+        }
+        if ctx.input(|i| i.pointer.any_released()) {
+            self.document.end_merge();
+        }
+        self.panels(ui, &status);
+        self.palettes(&ctx);
+        self.notes(&ctx);
+        self.follow();
+        self.want();
+        ctx.request_repaint_after(DiskWatch::INTERVAL);
+        self.picture_of_window(&ctx);
+        self.cost.0 += thread_cpu_ms() - began;
+        self.cost.1 += 1;
+    }
+
+    fn panels(&mut self, ui: &mut Ui, status: &Status) {
+        let counters = self.observer.counters();
+        let bar = Frame::new().fill(theme::PANEL).inner_margin(Margin::symmetric(16, 8));
+        let asked = Panel::top("top")
+            .frame(bar)
+            .exact_size(44.0)
+            .show(ui, |ui| top::show(ui, &self.document, status, &counters, self.switches));
+        asked.inner.into_iter().for_each(|action| self.act(action));
+        self.conflict_bar(ui);
+        self.below(ui, status, &counters);
+        self.side(ui, &counters);
+        let view = self.document.view().clone();
+        let trouble = status.trouble.as_ref().and_then(|t| Some((t.node.as_deref()?, t.words.as_str())));
+        CentralPanel::no_frame().show(ui, |ui| {
+            let rect = ui.available_rect_before_wrap();
+            if self.viewer.source().is_some() {
+                ui.allocate_rect(rect, egui::Sense::hover());
+                let others = self.sources();
+                self.viewer.show(ui, rect, &self.shown, &others);
+                return;
+            }
+            let scene = Scene {
+                view: &view,
+                counters: &counters,
+                shown: &self.shown,
+                heat: self.switches.heat,
+                running: status.phase == Phase::Running,
+                trouble,
+            };
+            let asks = self.canvas.show(ui, &scene, self.document.revision());
+            asks.into_iter().for_each(|ask| self.answer(ask));
+        });
+    }
+
+    /// The selected node, or the graph as a whole. Always there, so that a click moves nothing.
+    fn side(&mut self, ui: &mut Ui, counters: &Counters) {
+        let side = Frame::new().fill(theme::PANEL).inner_margin(Margin::same(16));
+        let panel = Panel::right("side").frame(side).default_size(320.0).size_range(260.0..=520.0);
+        let view = self.document.view().clone();
+        let Some(node) = self.selected().and_then(|id| view.node(&id)) else {
+            let count = self.canvas.selected.len();
+            let wishes = panel.show(ui, |ui| overview::show(ui, &self.document, counters, count));
+            for wish in wishes.inner {
+                match wish {
+                    overview::Wish::Go(id) => self.canvas.show_node(&view, &id),
+                    overview::Wish::Param(id, change) => self.grant(&id, Wish::Param(change)),
+                }
+            }
+            return;
+        };
+        let wishes =
+            panel.show(ui, |ui| inspector::show(ui, &self.document, counters, &self.shown, &self.canvas, node));
+        let id = view.nodes[node].id().to_owned();
+        wishes.inner.into_iter().for_each(|wish| self.grant(&id, wish));
+    }
+
+    /// Mistakes, curves and text, where they are switched on.
+    fn below(&mut self, ui: &mut Ui, status: &Status, counters: &Counters) {
+        let frame = Frame::new().fill(theme::PANEL).inner_margin(Margin::symmetric(16, 12));
+        let selected: Vec<String> = self.canvas.selected.iter().cloned().collect();
+        if self.switches.text {
+            let panel = Panel::left("text").frame(frame).default_size(430.0).size_range(200.0..=900.0);
+            panel.show(ui, |ui| below::text(ui, &self.document, &selected));
+        }
+        if self.switches.problems {
+            let panel = Panel::bottom("problems").frame(frame).default_size(180.0).size_range(80.0..=480.0);
+            let go = panel.show(ui, |ui| below::problems(ui, &self.document, status, counters)).inner;
+            if let Some(id) = go {
+                self.canvas.show_node(&self.document.view().clone(), &id);
+            }
+        }
+        if self.switches.plots {
+            let panel = Panel::bottom("plots").frame(frame).default_size(220.0).size_range(120.0..=520.0);
+            panel.show(ui, |ui| below::plots(ui, counters, &selected));
+        }
+    }
+
+    /// Outputs that can be compared in the viewer: those that are read, and those that nodes show.
+    fn sources(&self) -> Vec<Source> {
+        let view = self.document.view();
+        let mut found: Vec<Source> = Vec::new();
+        let read = view.wires.iter().map(|w| (w.from, w.output.clone()));
+        let shown = (0..view.nodes.len()).filter_map(|n| {
+            let (output, _) = self.canvas.shown_output(view, n)?;
+            Some((view.node(&output.node)?, output.port))
+        });
+        for (node, port) in read.chain(shown) {
+            let Some(packet) = view.packet(node, &port).map(|p| p.name.clone()) else { continue };
+            let source = Source { output: Output::new(view.nodes[node].id(), &port), packet };
+            if is_pictorial(&source.packet) && !found.contains(&source) {
+                found.push(source);
+            }
+        }
+        found
+    }
+
+    fn palettes(&mut self, ctx: &Context) {
+        if let Some(palette) = &mut self.palette
+            && let Some(picked) = palette.show(ctx, &self.document, &self.types)
+        {
+            self.palette = None;
+            if let Some(picked) = picked {
+                self.pick(picked);
+            }
+        }
+        if self.help {
+            let modal = egui::Modal::new("help".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
+            let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
+            let shown = modal.frame(frame).show(ctx, |ui| {
+                ui.label(RichText::new("Keys").size(16.0));
+                egui::Grid::new("keys").num_columns(2).spacing([32.0, 6.0]).show(ui, |ui| {
+                    for (action, .., words) in actions::ALL {
+                        ui.label(RichText::new(actions::key_words(*action)).color(theme::ACCENT));
+                        ui.label(*words);
+                        ui.end_row();
+                    }
+                    for (key, words) in [
+                        ("1 to 9", "Recall what was looked at, in the big picture"),
+                        ("Ctrl and +, -, 0", "Size of everything"),
+                        ("Arrows", "Move the view"),
+                        ("Shift and drag", "Select with a frame"),
+                    ] {
+                        ui.label(RichText::new(key).color(theme::ACCENT));
+                        ui.label(words);
+                        ui.end_row();
+                    }
+                });
+            });
+            self.help = !shown.should_close();
+        }
+    }
+
+    /// The selected node, when it is one.
+    pub fn selected(&self) -> Option<String> {
+        let mut selected = self.canvas.selected.iter();
+        selected.next().filter(|_| selected.next().is_none()).cloned()
+    }
+
+    fn changed_on_disk(&mut self, text: String) {
+        if text == **self.document.saved() {
+            return;
+        }
+        if self.document.is_changed() && text != **self.document.text() {
+            self.conflict = Some(text);
+            return;
+        }
+        self.document.set_text(&text, "change on disk", None);
+        self.document.now_saved(&text);
+        self.tell("the file changed on disk and was read again; undo brings the old text back", false);
+    }
+
+    fn conflict_bar(&mut self, ui: &mut Ui) {
+        if self.conflict.is_none() {
+            return;
+        }
+        let frame = Frame::new().fill(theme::WARN.gamma_multiply(0.18)).inner_margin(Margin::symmetric(16, 8));
+        Panel::top("conflict").frame(frame).show(ui, |ui| {
+            ui.horizontal(|ui| {
+                ui.label("The file was changed on disk, and so was the graph here.");
+                let theirs = ui.button("Take the file's").on_hover_text("Undo brings the graph of this window back");
+                let ours = ui
+                    .button("Keep this one")
+                    .on_hover_text("The next save replaces the file; its text is kept as a backup");
+                if theirs.clicked()
+                    && let Some(text) = self.conflict.take()
+                {
+                    self.document.set_text(&text, "take the file's text", None);
+                    self.document.now_saved(&text);
+                } else if ours.clicked()
+                    && let Some(text) = self.conflict.take()
+                {
+                    self.document.now_saved(&text);
+                }
+            });
+        });
+    }
+
+    /// What was told last, at the lower edge; never over a picture's middle.
+    fn notes(&mut self, ctx: &Context) {
+        let Some((words, wrong, since)) = &self.note else { return };
+        if since.elapsed() > NOTE {
+            self.note = None;
+            return;
+        }
+        ctx.request_repaint_after(NOTE.saturating_sub(since.elapsed()));
+        let color = if *wrong { theme::FAULT } else { theme::LINE };
+        egui::Area::new("note".into())
+            .anchor(egui::Align2::LEFT_BOTTOM, egui::vec2(16.0, -16.0))
+            .interactable(false)
+            .show(ctx, |ui| {
+                Frame::new()
+                    .fill(theme::PANEL)
+                    .stroke(egui::Stroke::new(1.0, color))
+                    .corner_radius(6.0)
+                    .inner_margin(Margin::symmetric(12, 8))
+                    .show(ui, |ui| {
+                        ui.add(egui::Label::new(RichText::new(words)).wrap_mode(egui::TextWrapMode::Extend))
+                    });
+            });
+    }
+
+    /// Tells the observer what can be seen.
+    fn want(&mut self) {
+        let mut wanted: HashMap<Output, Wanted> = HashMap::new();
+        let mut want = |output: &Output, packet: &str, most_width: usize| {
+            let entry = wanted.entry(output.clone()).or_insert(Wanted { packet: packet.to_owned(), most_width });
+            entry.most_width = entry.most_width.max(most_width);
+        };
+        if self.viewer.source().is_some() {
+            self.viewer.sources().for_each(|s| want(&s.output, &s.packet, LARGE));
+        } else {
+            self.canvas.visible().for_each(|(output, packet)| want(output, packet, THUMBNAIL));
+        }
+        if let Some(node) = self.selected().and_then(|id| self.document.view().node(&id))
+            && let Some((output, packet)) = self.canvas.shown_output(self.document.view(), node)
+        {
+            want(&output, &packet, if is_pictorial(&packet) { THUMBNAIL } else { 1 });
+        }
+        let outputs: HashSet<Output> = wanted.keys().cloned().collect();
+        self.shown.keep(|output| outputs.contains(output));
+        self.observer.want(wanted);
+    }
+}
+
+/// Set when the process was asked to end by a signal.
+static ASKED_TO_END: AtomicBool = AtomicBool::new(false);
+
+extern "C" fn on_signal(_: libc::c_int) {
+    // A second signal means now.
+    if ASKED_TO_END.swap(true, Ordering::Relaxed) {
+        // SAFETY: allowed in a signal handler.
+        unsafe { libc::_exit(130) }
+    }
+}
+
+/// Closes the window, with all files finished, on Ctrl-C and SIGTERM.
+pub fn close_on_signals(ctx: &Context) {
+    for signal in [libc::SIGINT, libc::SIGTERM] {
+        // SAFETY: the handler touches one atomic and leaves the process, both allowed there.
+        unsafe {
+            let mut action: libc::sigaction = std::mem::zeroed();
+            action.sa_sigaction = on_signal as *const () as usize;
+            action.sa_flags = libc::SA_RESTART;
+            libc::sigaction(signal, &raw const action, std::ptr::null_mut());
+        }
+    }
+    let ctx = ctx.clone();
+    let wait = move || {
+        while !ASKED_TO_END.load(Ordering::Relaxed) {
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        ctx.send_viewport_cmd(egui::ViewportCommand::Close);
+        ctx.request_repaint();
+    };
+    // Without the thread a second Ctrl-C still ends the program.
+    let _ = std::thread::Builder::new().name("signals".to_owned()).spawn(wait);
+}
+
+impl eframe::App for App {
+    fn ui(&mut self, ui: &mut Ui, _: &mut eframe::Frame) {
+        Self::ui(self, ui);
+    }
+
+    fn on_exit(&mut self, _: Option<&eframe::glow::Context>) {
+        self.session.close();
+    }
+
+    fn persist_egui_memory(&self) -> bool {
+        false
+    }
+}
+
+/// CPU time of this thread in ms.
+fn thread_cpu_ms() -> f64 {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: fills the struct that it is given.
+    let answer = unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &raw mut time) };
+    if answer == 0 { time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6 } else { 0.0 }
+}

@@ -1,0 +1,391 @@
+//! How the graph looks.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use eframe::egui::epaint::CubicBezierShape;
+use eframe::egui::text::{LayoutJob, TextFormat};
+use eframe::egui::{
+    Align2, Color32, CornerRadius, FontFamily, FontId, Painter, Pos2, Rect, Shape as Drawn, Stroke, StrokeKind, Ui,
+    pos2, vec2,
+};
+
+use super::shape::{HEADER, Pin};
+use super::touch::{Drag, may_wire};
+use super::{Canvas, Scene};
+use crate::document::{View, Wire};
+use crate::panels::time_words;
+use crate::theme::{self, PinShape};
+
+/// Below this zoom a node shows its name and picture only.
+pub const DETAIL: f32 = 0.38;
+/// Below this zoom it shows no picture either.
+pub const PICTURES: f32 = 0.15;
+/// A fault is new for so long.
+const NEW_FAULT_MS: u64 = 3000;
+
+/// A point of a curve, `t` 0..=1.
+pub(super) fn on_curve(p: &[Pos2; 4], t: f32) -> Pos2 {
+    let s = 1.0 - t;
+    let weights = [s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t];
+    let mut at = Pos2::ZERO;
+    for (p, w) in p.iter().zip(weights) {
+        at += p.to_vec2() * w;
+    }
+    at
+}
+
+fn bow(from: Pos2, to: Pos2, scale: f32) -> [Pos2; 4] {
+    let reach = ((to.x - from.x).abs() * 0.5).max(40.0 * scale).min(220.0 * scale);
+    [from, from + vec2(reach, 0.0), to - vec2(reach, 0.0), to]
+}
+
+impl Canvas {
+    fn font(&self, size: f32) -> FontId {
+        // Half points: fewer sizes for the font's texture.
+        FontId::new(((size * self.scale()) * 2.0).round() / 2.0, FontFamily::Proportional)
+    }
+
+    pub(super) fn paint_ground(&self, painter: &Painter) {
+        painter.rect_filled(self.rect, 0.0, theme::GROUND);
+        let step = 32.0 * self.scale();
+        if step < 14.0 {
+            return;
+        }
+        let origin = self.transform() * Pos2::ZERO;
+        let start = |o: f32, low: f32| low + (o - low).rem_euclid(step);
+        let color = theme::LINE.gamma_multiply(0.55);
+        let mut y = start(origin.y, self.rect.top());
+        while y < self.rect.bottom() {
+            let mut x = start(origin.x, self.rect.left());
+            while x < self.rect.right() {
+                painter.rect_filled(Rect::from_center_size(pos2(x, y), vec2(1.5, 1.5)), 0.0, color);
+                x += step;
+            }
+            y += step;
+        }
+    }
+
+    /// Where a pin is in the window.
+    fn pin_at(&self, view: &View, node: usize, port: &str, input: bool) -> Option<(Pos2, String)> {
+        let shape = self.shapes.get(node)?;
+        let place = self.places.get(view.nodes[node].id())?;
+        let (at, packet) = match shape.pin(port, input) {
+            Some(pin) => (pin.at, pin.packet.clone()),
+            // A port that its type does not have: at the header.
+            None => (pos2(if input { 0.0 } else { shape.size.x }, HEADER / 2.0), String::new()),
+        };
+        Some((self.transform() * (*place + at.to_vec2()), packet))
+    }
+
+    /// The parts of a wire, one after the other.
+    pub(super) fn curves(&self, view: &View, wire: &Wire) -> Vec<[Pos2; 4]> {
+        let ends = (self.pin_at(view, wire.from, &wire.output, false), self.pin_at(view, wire.to, &wire.input, true));
+        let (Some((from, _)), Some((to, _))) = ends else { return Vec::new() };
+        let Some(lane) = self.lanes.get(&(wire.from, wire.to)) else { return vec![bow(from, to, self.scale())] };
+        // Wires of one lane run beside each other.
+        let mut beside = view.wires.iter().filter(|w| w.from == wire.from && w.to == wire.to);
+        let shift = vec2(0.0, beside.position(|w| w == wire).unwrap_or(0) as f32 * 7.0 - 3.0);
+        let (transform, mut at, mut curves) = (self.transform(), from, Vec::new());
+        for [left, right] in lane {
+            let (left, right) = (transform * (*left + shift), transform * (*right + shift));
+            curves.push(bow(at, left, self.scale()));
+            let third = (right - left) / 3.0;
+            curves.push([left, left + third, right - third, right]);
+            at = right;
+        }
+        curves.push(bow(at, to, self.scale()));
+        curves
+    }
+
+    pub(super) fn paint_wires(&self, painter: &Painter, scene: &Scene<'_>) {
+        let view = scene.view;
+        let pulled = match &self.drag {
+            Drag::Wire { moved: Some((input, index)), .. } => Some((input, *index)),
+            _ => None,
+        };
+        for wire in &view.wires {
+            let to = view.nodes[wire.to].id();
+            let is_pulled = pulled
+                .is_some_and(|(input, index)| input.node == to && input.port == wire.input && index == wire.index);
+            if is_pulled {
+                continue;
+            }
+            let curves = self.curves(view, wire);
+            let packet = view.packet(wire.from, &wire.output).map_or("", |p| p.name.as_str());
+            let selected =
+                self.selected_wire.as_ref().is_some_and(|w| w.0 == to && w.1 == wire.input && w.2 == wire.index);
+            let near = self.selected.contains(to) || self.selected.contains(view.nodes[wire.from].id());
+            let (color, width) = match (selected, near) {
+                (true, _) => (theme::ACCENT, 3.0),
+                (_, true) => (theme::packet(packet), 2.5),
+                _ => (theme::packet(packet).gamma_multiply(0.6), 2.0),
+            };
+            let stroke = Stroke::new((width * self.scale()).max(1.0), color);
+            for curve in curves.into_iter().filter(|c| Rect::from_points(c).expand(8.0).intersects(self.rect)) {
+                if wire.delayed {
+                    let points: Vec<Pos2> = (0..=32).map(|i| on_curve(&curve, i as f32 / 32.0)).collect();
+                    painter.extend(Drawn::dashed_line(&points, stroke, 8.0 * self.scale(), 5.0 * self.scale()));
+                } else {
+                    painter.add(CubicBezierShape::from_points_stroke(curve, false, Color32::TRANSPARENT, stroke));
+                }
+            }
+        }
+    }
+
+    pub(super) fn paint_node(&self, ui: &Ui, scene: &Scene<'_>, node: usize, rect: Rect, hovered: bool) {
+        let painter = ui.painter();
+        let this = &scene.view.nodes[node];
+        let (id, scale) = (this.id(), self.scale());
+        let counters = scene.counters.nodes.get(id);
+        let selected = self.selected.contains(id);
+        let family = theme::family(this.family());
+        let radius = CornerRadius::same((8.0 * scale).clamp(2.0, 12.0) as u8);
+        let share = counters.map_or(0.0, |c| (c.p50_ms * c.fps / 1e3) as f32);
+        let fill = if scene.heat { theme::heat(share) } else { theme::RAISED };
+        let wrong = !this.mistakes.is_empty() || scene.trouble.is_some_and(|(n, _)| n == id);
+        let stroke = match (wrong, selected, hovered) {
+            (true, ..) => Stroke::new(2.0, theme::FAULT),
+            (_, true, _) => Stroke::new(2.0, theme::ACCENT),
+            (_, _, true) => Stroke::new(1.0, theme::MUTED),
+            _ => Stroke::new(1.0, theme::LINE),
+        };
+        painter.rect(rect, radius, fill, stroke, StrokeKind::Outside);
+        let bar = Rect::from_min_size(rect.min, vec2(4.0 * scale, HEADER * scale));
+        let left = CornerRadius { nw: radius.nw, ne: 0, sw: 0, se: 0 };
+        painter.rect_filled(bar, left, family);
+        if scale < PICTURES {
+            return;
+        }
+        let line = rect.top() + HEADER * scale / 2.0;
+        if scale < DETAIL {
+            // The name stays readable: above the box it has all the width there is.
+            let font = FontId::proportional(11.0);
+            let name = elided(painter, id, font, theme::TEXT, rect.width() + 48.0 * scale);
+            let at = pos2(rect.left(), rect.top() - name.size().y - 1.0);
+            painter.galley(at, name, theme::TEXT);
+            self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
+            self.paint_picture(painter, scene, node, rect);
+            return;
+        }
+        let name = elided(painter, id, self.font(14.0), theme::TEXT, rect.width() - (28.0 + 16.0) * scale);
+        let name_width = name.size().x;
+        painter.galley(pos2(rect.left() + 14.0 * scale, line - name.size().y / 2.0), name, theme::TEXT);
+        self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
+        let room = rect.width() - name_width - 52.0 * scale;
+        if room > 30.0 * scale {
+            let words = elided(painter, &this.outline.type_name, self.font(11.0), theme::MUTED, room);
+            let at = pos2(rect.right() - 26.0 * scale - words.size().x, line - words.size().y / 2.0);
+            painter.galley(at, words, theme::MUTED);
+        }
+        self.paint_picture(painter, scene, node, rect);
+        let shape = &self.shapes[node];
+        let transform = self.transform();
+        let place = self.places.get(id).copied().unwrap_or_default();
+        for pin in &shape.pins {
+            let at = transform * (place + pin.at.to_vec2());
+            self.paint_pin(painter, pin, at);
+            let (align, shift) = if pin.input { (Align2::LEFT_CENTER, 10.0) } else { (Align2::RIGHT_CENTER, -10.0) };
+            let color = if pin.wanting { theme::FAULT } else { theme::MUTED };
+            painter.text(at + vec2(shift * scale, 0.0), align, &pin.name, self.font(11.5), color);
+        }
+        if let Some(fold) = shape.fold {
+            let rect = transform * fold.translate(place.to_vec2());
+            let words = if shape.folded > 0 { format!("{} more", shape.folded) } else { "fewer".to_owned() };
+            painter.text(
+                rect.right_center() - vec2(2.0 * scale, 0.0),
+                Align2::RIGHT_CENTER,
+                words,
+                self.font(11.0),
+                theme::ACCENT,
+            );
+        }
+        self.paint_footer(painter, scene, node, transform * shape.footer.translate(place.to_vec2()));
+    }
+
+    /// The fault light.
+    fn paint_light(&self, ui: &Ui, scene: &Scene<'_>, node: usize, at: Pos2) {
+        let id = scene.view.nodes[node].id();
+        let fault = scene.counters.faults.get(id);
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64);
+        let color = match fault {
+            Some(fault) if now.saturating_sub(fault.unix_ms) < NEW_FAULT_MS => theme::FAULT,
+            Some(_) => theme::WARN,
+            None if scene.running && scene.counters.nodes.get(id).is_some_and(|c| c.fps > 0.0) => {
+                theme::family("source")
+            }
+            None => theme::LINE,
+        };
+        let radius = (4.0 * self.scale()).max(2.5);
+        ui.painter().circle_filled(at, radius, color);
+        if fault.is_some() {
+            // Colour is not the only sign.
+            ui.painter().circle_stroke(at, radius + 2.5, Stroke::new(1.0, color));
+        }
+    }
+
+    fn paint_picture(&self, painter: &Painter, scene: &Scene<'_>, node: usize, rect: Rect) {
+        let shape = &self.shapes[node];
+        let (Some(picture), Some((output, packet))) = (shape.picture, &shape.output) else { return };
+        let scale = self.scale();
+        let frame = Rect::from_min_size(rect.min + picture.min.to_vec2() * scale, picture.size() * scale);
+        painter.rect_filled(frame, 4.0 * scale, theme::SUNK);
+        match scene.shown.texture(output) {
+            Some((texture, size)) => {
+                let fit = (frame.width() / size.x).min(frame.height() / size.y);
+                let inner = Rect::from_center_size(frame.center(), size * fit);
+                let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
+                painter.image(texture, inner, whole, Color32::WHITE);
+            }
+            None if scale < DETAIL => {}
+            None => {
+                let words = scene.shown.words(output).unwrap_or(packet);
+                let galley =
+                    painter.layout(words.to_owned(), self.font(11.0), theme::TEXT, frame.width() - 16.0 * scale);
+                let clipped = painter.with_clip_rect(frame.intersect(self.rect));
+                let at = frame.left_center() + vec2(8.0 * scale, -galley.size().y / 2.0);
+                clipped.galley(pos2(at.x, at.y.max(frame.top() + 4.0)), galley, theme::TEXT);
+            }
+        }
+    }
+
+    fn paint_pin(&self, painter: &Painter, pin: &Pin, at: Pos2) {
+        let r = 5.0 * self.scale();
+        let color = theme::packet(&pin.packet);
+        let (fill, stroke) = if pin.wanting {
+            (theme::RAISED, Stroke::new(1.5, theme::FAULT))
+        } else {
+            (color, Stroke::new(1.5, theme::GROUND))
+        };
+        match theme::pin_shape(&pin.packet) {
+            PinShape::Circle => {
+                painter.circle(at, r, fill, stroke);
+            }
+            PinShape::Square => {
+                painter.rect(Rect::from_center_size(at, vec2(r, r) * 1.8), 1.0, fill, stroke, StrokeKind::Middle);
+            }
+            PinShape::Diamond => {
+                let r = r * 1.25;
+                let points = vec![at - vec2(0.0, r), at + vec2(r, 0.0), at + vec2(0.0, r), at - vec2(r, 0.0)];
+                painter.add(Drawn::convex_polygon(points, fill, stroke));
+            }
+            PinShape::Triangle => {
+                let points = vec![at + vec2(-r, -r * 1.1), at + vec2(r * 1.2, 0.0), at + vec2(-r, r * 1.1)];
+                painter.add(Drawn::convex_polygon(points, fill, stroke));
+            }
+        }
+        if pin.list {
+            painter.circle_stroke(at, r + 2.5 * self.scale(), Stroke::new(1.0, color));
+        }
+    }
+
+    /// Times and rates, or what is wrong.
+    fn paint_footer(&self, painter: &Painter, scene: &Scene<'_>, node: usize, rect: Rect) {
+        let this = &scene.view.nodes[node];
+        let font = self.font(11.0);
+        let trouble = scene.trouble.filter(|(n, _)| *n == this.id()).map(|(_, words)| words.to_owned());
+        if let Some(words) = this.mistakes.first().cloned().or(trouble) {
+            let galley = elided(painter, &words, font, theme::FAULT, rect.width());
+            painter.galley(pos2(rect.left(), rect.center().y - galley.size().y / 2.0), galley, theme::FAULT);
+            return;
+        }
+        let Some(c) = scene.counters.nodes.get(this.id()) else { return };
+        let left = if c.fps > 0.0 {
+            format!("{} · p99 {}", time_words(c.p50_ms), time_words(c.p99_ms))
+        } else {
+            "at rest".to_owned()
+        };
+        painter.text(rect.left_center(), Align2::LEFT_CENTER, left, font.clone(), theme::MUTED);
+        let mut right = LayoutJob::default();
+        let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
+        if let Some(fault) = scene.counters.faults.get(this.id()) {
+            right.append(&format!("{} {}  ", c.faults.max(1), fault_word(fault)), 0.0, plain(theme::WARN));
+        }
+        if c.dropped > 0 {
+            right.append(&format!("{} drops  ", c.dropped), 0.0, plain(theme::WARN));
+        }
+        if let Some(age) = c.age_p50_ms.filter(|a| *a > 0.0) {
+            right.append(&format!("age {}  ", time_words(age)), 0.0, plain(theme::MUTED));
+        }
+        right.append(&format!("{:.0} fps", c.fps), 0.0, plain(theme::TEXT));
+        let galley = painter.layout_job(right);
+        painter.galley(
+            pos2(rect.right() - galley.size().x, rect.center().y - galley.size().y / 2.0),
+            galley,
+            theme::TEXT,
+        );
+    }
+
+    /// The wire or the frame that is being drawn.
+    pub(super) fn paint_drag(&self, ui: &Ui, scene: &Scene<'_>) {
+        let Some(pointer) = ui.input(|i| i.pointer.latest_pos()) else { return };
+        let painter = ui.painter();
+        match &self.drag {
+            Drag::Frame(from) => {
+                let frame = Rect::from_two_pos(self.transform() * *from, pointer);
+                let stroke = Stroke::new(1.0, theme::ACCENT);
+                painter.rect(frame, 2.0, theme::ACCENT.gamma_multiply(0.1), stroke, StrokeKind::Inside);
+            }
+            Drag::Wire { from, .. } => {
+                let Some(node) = scene.view.node(&from.node) else { return };
+                let Some((start, packet)) = self.pin_at(scene.view, node, &from.port, from.input) else { return };
+                let over = self.pin_near(scene.view, from, pointer);
+                let verdict = over.as_ref().map(|end| may_wire(scene.view, from, end));
+                let end = over.as_ref().and_then(|end| {
+                    Some(self.pin_at(scene.view, scene.view.node(&end.node)?, &end.port, end.input)?.0)
+                });
+                let color = match verdict {
+                    Some(Err(_)) => theme::FAULT,
+                    Some(Ok(())) => theme::ACCENT,
+                    None => theme::packet(&packet),
+                };
+                let to = end.unwrap_or(pointer);
+                let curve = if from.input { bow(to, start, self.scale()) } else { bow(start, to, self.scale()) };
+                let stroke = Stroke::new(2.5 * self.scale(), color);
+                painter.add(CubicBezierShape::from_points_stroke(curve, false, Color32::TRANSPARENT, stroke));
+                if let Some(end) = end {
+                    painter.circle_stroke(end, 9.0 * self.scale(), Stroke::new(2.0, color));
+                }
+                if let Some(Err(why)) = verdict {
+                    say(painter, pointer + vec2(16.0, 12.0), &why);
+                }
+            }
+            Drag::None | Drag::Nodes { .. } => {}
+        }
+    }
+}
+
+fn fault_word(fault: &panoscope_runtime::fault::Fault) -> &'static str {
+    use panoscope_runtime::fault::Cause;
+    match fault.cause {
+        Cause::Panic => "panic",
+        Cause::Hang => "hang",
+        Cause::Slow => "slow",
+        Cause::Leak => "leak",
+        Cause::Silent => "silent",
+        _ => "fault",
+    }
+}
+
+/// One line that ends in dots where the room does.
+fn elided(
+    painter: &Painter,
+    text: &str,
+    font: FontId,
+    color: Color32,
+    width: f32,
+) -> std::sync::Arc<eframe::egui::Galley> {
+    let mut job = LayoutJob::simple_singleline(text.to_owned(), font, color);
+    job.wrap.max_width = width.max(8.0);
+    job.wrap.max_rows = 1;
+    job.wrap.break_anywhere = true;
+    painter.layout_job(job)
+}
+
+/// A short note beside the pointer.
+fn say(painter: &Painter, at: Pos2, words: &str) {
+    let font = FontId::new(12.0, FontFamily::Proportional);
+    let galley = painter.layout(words.to_owned(), font, theme::TEXT, 280.0);
+    let rect = Rect::from_min_size(at, galley.size() + vec2(16.0, 12.0));
+    painter.rect(rect, 4.0, theme::PANEL, Stroke::new(1.0, theme::FAULT), StrokeKind::Inside);
+    painter.galley(rect.min + vec2(8.0, 6.0), galley, theme::TEXT);
+}

@@ -1,0 +1,235 @@
+//! Looks at the running graph for the window: pictures ten times a second at most, counters twice. Runs on a thread of its own, so that the
+//! window only ever takes what is ready.
+//!
+//! Of each output that is looked at, two frames at most are kept alive: the newest one, and the one that is being made ready.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use panoscope_runtime::fault::Fault;
+use panoscope_runtime::{NodeWindow, Preview, Window};
+
+use crate::picture::{self, Look, Range};
+use crate::session::{Handle, lock};
+
+/// Shortest time from one picture of an output to the next.
+pub const PICTURE_INTERVAL: Duration = Duration::from_millis(100);
+const COUNTERS_INTERVAL: Duration = Duration::from_millis(500);
+/// Points of history per node: two minutes.
+const HISTORY: usize = 240;
+
+/// An output: node and port.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Output {
+    /// The node.
+    pub node: String,
+    /// Its output.
+    pub port: String,
+}
+
+impl Output {
+    /// From its parts.
+    pub fn new(node: &str, port: &str) -> Self {
+        Self { node: node.to_owned(), port: port.to_owned() }
+    }
+}
+
+impl std::fmt::Display for Output {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}.{}", self.node, self.port)
+    }
+}
+
+/// An output that someone wants to see.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Wanted {
+    /// Type of its packets.
+    pub packet: String,
+    /// Most pixels across.
+    pub most_width: usize,
+}
+
+/// Counters of all nodes at one time.
+#[derive(Clone, Debug, Default)]
+pub struct Counters {
+    /// By node.
+    pub nodes: BTreeMap<String, NodeWindow>,
+    /// Time of p50 and p99 in ms over the last two minutes, by node; oldest first, seconds since the window was opened.
+    pub history: HashMap<String, VecDeque<Point>>,
+    /// Newest fault of each node.
+    pub faults: HashMap<String, Fault>,
+    /// All faults that are remembered, oldest first.
+    pub fault_list: Vec<Fault>,
+}
+
+/// One point of a node's history.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Point {
+    /// Seconds since the window was opened.
+    pub at_s: f64,
+    /// Median time of a call, ms.
+    pub p50_ms: f64,
+    /// 99 % took no longer, ms.
+    pub p99_ms: f64,
+    /// Calls per second.
+    pub fps: f64,
+}
+
+#[derive(Default)]
+struct Board {
+    wanted: HashMap<Output, Wanted>,
+    /// Newest looks that were not taken yet.
+    looks: HashMap<Output, Look>,
+    counters: Arc<Counters>,
+}
+
+/// The observer's thread and what it saw.
+pub struct Observer {
+    board: Arc<Mutex<Board>>,
+    quit: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Observer {
+    /// Starts looking.
+    ///
+    /// # Errors
+    /// The system gave no thread.
+    pub fn new(handle: Handle) -> std::io::Result<Self> {
+        let (board, quit) = (Arc::<Mutex<Board>>::default(), Arc::new(AtomicBool::new(false)));
+        let eye = Eye {
+            handle,
+            board: Arc::clone(&board),
+            quit: Arc::clone(&quit),
+            views: HashMap::new(),
+            generation: 0,
+            window: Window::default(),
+            start: Instant::now(),
+            faults_seen: 0,
+        };
+        let thread = std::thread::Builder::new().name("observer".to_owned()).spawn(move || eye.run())?;
+        Ok(Self { board, quit, thread: Some(thread) })
+    }
+
+    /// Says which outputs are to be seen from now on.
+    pub fn want(&self, wanted: HashMap<Output, Wanted>) {
+        let mut board = lock(&self.board);
+        if board.wanted != wanted {
+            board.looks.retain(|output, _| wanted.contains_key(output));
+            board.wanted = wanted;
+        }
+    }
+
+    /// What came since the last call.
+    pub fn take(&self) -> HashMap<Output, Look> {
+        std::mem::take(&mut lock(&self.board).looks)
+    }
+
+    /// The newest counters.
+    pub fn counters(&self) -> Arc<Counters> {
+        Arc::clone(&lock(&self.board).counters)
+    }
+}
+
+impl Drop for Observer {
+    fn drop(&mut self) {
+        self.quit.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            thread.thread().unpark();
+            let _ = thread.join();
+        }
+    }
+}
+
+struct View {
+    preview: Preview,
+    range: Range,
+}
+
+struct Eye {
+    handle: Handle,
+    board: Arc<Mutex<Board>>,
+    quit: Arc<AtomicBool>,
+    views: HashMap<Output, View>,
+    generation: u64,
+    window: Window,
+    start: Instant,
+    faults_seen: u64,
+}
+
+impl Eye {
+    fn run(mut self) {
+        let mut count_at = Instant::now();
+        while !self.quit.load(Ordering::Acquire) {
+            let began = Instant::now();
+            let mut news = self.pictures();
+            if began >= count_at {
+                count_at = began + COUNTERS_INTERVAL;
+                news |= self.counters();
+            }
+            if news {
+                self.handle.wake();
+            }
+            std::thread::park_timeout(PICTURE_INTERVAL.saturating_sub(began.elapsed()));
+        }
+    }
+
+    /// Takes the newest frame of each wanted output; answers whether there was one.
+    fn pictures(&mut self) -> bool {
+        let Some(engine) = self.handle.engine() else { return false };
+        let generation = self.handle.status().generation;
+        let wanted = lock(&self.board).wanted.clone();
+        // A node that was removed and added again is another one.
+        if generation != self.generation {
+            self.generation = generation;
+            self.views.clear();
+        }
+        self.views.retain(|output, _| wanted.contains_key(output));
+        let mut news = false;
+        for (output, want) in wanted {
+            if !self.views.contains_key(&output) {
+                let Some(preview) = engine.preview(&output.node, &output.port) else { continue };
+                self.views.insert(output.clone(), View { preview, range: None });
+            }
+            let Some(view) = self.views.get_mut(&output) else { continue };
+            if let Some(frame) = view.preview.take() {
+                let look = picture::look(&frame, &want.packet, want.most_width, &mut view.range);
+                lock(&self.board).looks.insert(output, look);
+                news = true;
+            }
+        }
+        news
+    }
+
+    /// Reads the counters; answers whether they moved.
+    fn counters(&mut self) -> bool {
+        let Some(engine) = self.handle.engine() else { return false };
+        let nodes = engine.window(&mut self.window);
+        let old = Arc::clone(&lock(&self.board).counters);
+        if old.nodes == nodes {
+            return false;
+        }
+        let faults: u64 = nodes.values().map(|n| n.faults + n.restarts).sum();
+        let mut new = Counters { nodes, ..Counters::clone(&old) };
+        // A withheld packet is a fault that no counter shows, so look now and then without a reason as well.
+        if faults != self.faults_seen || new.history.values().next().is_none_or(|h| h.len() % 4 == 0) {
+            self.faults_seen = faults;
+            new.fault_list = engine.recent_faults();
+            new.faults = new.fault_list.iter().map(|f| (f.node.clone(), f.clone())).collect();
+        }
+        let at_s = self.start.elapsed().as_secs_f64();
+        new.history.retain(|node, _| new.nodes.contains_key(node));
+        for (id, node) in &new.nodes {
+            let history = new.history.entry(id.clone()).or_default();
+            if history.len() >= HISTORY {
+                history.pop_front();
+            }
+            history.push_back(Point { at_s, p50_ms: node.p50_ms, p99_ms: node.p99_ms, fps: node.fps });
+        }
+        lock(&self.board).counters = Arc::new(new);
+        true
+    }
+}

@@ -1,0 +1,151 @@
+//! What can stand below the canvas: mistakes and faults, or curves; and the file's text beside it.
+
+use eframe::egui::text::LayoutJob;
+use eframe::egui::{Color32, FontId, Label, RichText, ScrollArea, Sense, TextFormat, Ui, WidgetInfo, WidgetType};
+use egui_plot::{Legend, Line, Plot, PlotPoints};
+use panoscope_graph::Severity;
+
+use super::inspector::section;
+use crate::document::Document;
+use crate::observe::Counters;
+use crate::session::Status;
+use crate::theme;
+
+/// What is wrong, and what went wrong; answers the node that was clicked.
+pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters) -> Option<String> {
+    let view = document.view();
+    let mut go = None;
+    ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
+        if let Some(trouble) = &status.trouble {
+            let place = trouble.node.clone().unwrap_or_else(|| "change refused".to_owned());
+            go = row(ui, theme::FAULT, &place, &trouble.words).then(|| trouble.node.clone()).flatten().or(go.take());
+        }
+        for d in &view.diagnostics {
+            let node = view.node_of(d, document.text());
+            let color = if d.severity == Severity::Error { theme::FAULT } else { theme::WARN };
+            let place = format!("line {}", d.line);
+            let mut words = d.message.clone();
+            for more in [&d.label, &d.help] {
+                if !more.is_empty() {
+                    words += &format!(" · {more}");
+                }
+            }
+            if row(ui, color, &place, &words) {
+                go = node;
+            }
+        }
+        if view.diagnostics.is_empty() && status.trouble.is_none() {
+            ui.label(RichText::new("The file has no mistakes.").color(theme::MUTED));
+        }
+        if !counters.fault_list.is_empty() {
+            section(ui, "Faults, newest first");
+        }
+        for fault in counters.fault_list.iter().rev().take(100) {
+            let place = format!("{:.1} s  {}", fault.run_ms / 1e3, fault.node);
+            let words = format!("{} ({})", fault.words, format!("{:?}", fault.done).to_lowercase());
+            if row(ui, theme::WARN, &place, &words) {
+                go = Some(fault.node.clone());
+            }
+        }
+    });
+    go
+}
+
+fn row(ui: &mut Ui, color: Color32, place: &str, words: &str) -> bool {
+    let mut job = LayoutJob::default();
+    let format = |color, size| TextFormat { font_id: FontId::proportional(size), color, ..TextFormat::default() };
+    job.append(&format!("{place}   "), 0.0, format(color, 12.0));
+    job.append(words, 0.0, format(theme::TEXT, 12.0));
+    let label = ui.add(Label::new(job).sense(Sense::click()).selectable(false));
+    let name = format!("{place}: {words}");
+    label.widget_info(|| WidgetInfo::labeled(WidgetType::Link, true, name.clone()));
+    label.on_hover_cursor(eframe::egui::CursorIcon::PointingHand).clicked()
+}
+
+/// Times of the selected nodes, or of the slowest ones.
+pub fn plots(ui: &mut Ui, counters: &Counters, selected: &[String]) {
+    let mut nodes: Vec<(&String, f64)> = counters
+        .nodes
+        .iter()
+        .filter(|(id, _)| selected.is_empty() || selected.contains(id))
+        .map(|(id, n)| (id, n.p50_ms))
+        .collect();
+    nodes.sort_by(|a, b| b.1.total_cmp(&a.1));
+    nodes.truncate(6);
+    const COLORS: [Color32; 6] = [
+        theme::ACCENT,
+        Color32::from_rgb(0xE6, 0x9F, 0x00),
+        Color32::from_rgb(0x2D, 0xBE, 0x95),
+        Color32::from_rgb(0xCC, 0x79, 0xA7),
+        Color32::from_rgb(0xF0, 0xE4, 0x42),
+        Color32::from_rgb(0x9A, 0xA5, 0xB1),
+    ];
+    let now = counters.history.values().filter_map(|h| h.back()).map(|p| p.at_s).fold(0.0, f64::max);
+    let plot = Plot::new("times")
+        .legend(Legend::default())
+        .y_axis_label("ms per call, median")
+        .include_y(0.0)
+        .include_x(-30.0)
+        .include_x(0.0)
+        .allow_scroll(false)
+        .x_axis_formatter(|mark, _| format!("{:.0} s", mark.value))
+        .show_grid(true);
+    let shown = plot.show(ui, |plot| {
+        for ((id, _), color) in nodes.iter().zip(COLORS) {
+            let Some(history) = counters.history.get(*id) else { continue };
+            let points: PlotPoints<'_> = history.iter().map(|p| [p.at_s - now, p.p50_ms]).collect();
+            plot.line(Line::new((*id).clone(), points).color(color).width(1.8));
+        }
+    });
+    shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Times"));
+}
+
+/// The file's text with its line numbers; the lines of `marked` nodes stand out. To read only.
+pub fn text(ui: &mut Ui, document: &Document, marked: &[String]) {
+    let font = FontId::monospace(12.0);
+    let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
+    let wrong: Vec<usize> = document.view().diagnostics.iter().map(|d| d.line).collect();
+    ScrollArea::both().auto_shrink([false, false]).show(ui, |ui| {
+        let mut inside = false;
+        let mut job = LayoutJob::default();
+        for (number, line) in document.text().lines().enumerate() {
+            if line.starts_with('[') {
+                inside = marked.iter().any(|id| {
+                    let rest = line.strip_prefix("[nodes.").and_then(|l| l.strip_prefix(id.as_str()));
+                    rest.is_some_and(|r| r.starts_with([']', '.']))
+                });
+            }
+            let mark = if wrong.contains(&(number + 1)) { theme::FAULT } else { theme::MUTED.gamma_multiply(0.6) };
+            job.append(&format!("{:>4}  ", number + 1), 0.0, plain(mark));
+            for (words, color) in coloured(line) {
+                let mut format = plain(color);
+                if inside {
+                    format.background = theme::ACCENT.gamma_multiply(0.12);
+                }
+                job.append(words, 0.0, format);
+            }
+            job.append("\n", 0.0, plain(theme::TEXT));
+        }
+        let label = ui.add(Label::new(job).extend());
+        label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, "Text of the file"));
+    });
+}
+
+/// A line of TOML in parts: comment, header, key, the rest.
+fn coloured(line: &str) -> Vec<(&str, Color32)> {
+    let mut quoted = false;
+    let comment = line.char_indices().find(|&(_, c)| {
+        quoted ^= c == '"';
+        c == '#' && !quoted
+    });
+    let (code, comment) = line.split_at(comment.map_or(line.len(), |(at, _)| at));
+    let mut parts = if code.starts_with('[') {
+        vec![(code, theme::ACCENT)]
+    } else if let Some(at) = code.find('=') {
+        vec![(&code[..at], theme::MUTED), (&code[at..], theme::TEXT)]
+    } else {
+        vec![(code, theme::TEXT)]
+    };
+    parts.push((comment, theme::family("source")));
+    parts
+}

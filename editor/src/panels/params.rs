@@ -1,0 +1,194 @@
+//! Widgets made from the one declaration of a parameter: unit, step, range, default.
+
+use eframe::egui::{
+    Align, Button, ComboBox, DragValue, Layout, Response, RichText, Sense, Slider, SliderClamping, TextEdit, Ui,
+    WidgetInfo, WidgetType, vec2,
+};
+use panoscope_graph::{Param, ParamKind};
+
+use crate::document::{Document, NodeView, default_value};
+use crate::theme;
+
+/// A change that was asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Change {
+    /// The parameter.
+    pub param: String,
+    /// Its new value; `None` takes it out of the file, so that the default holds.
+    pub value: Option<toml::Value>,
+}
+
+/// Shows all parameters of a node; answers changes.
+pub fn show(ui: &mut Ui, document: &Document, node: &NodeView) -> Vec<Change> {
+    let params = node.node_type.iter().flat_map(|t| &t.params);
+    let one = |p: &Param| ui.push_id(&p.name, |ui| one(ui, document, node, p, &p.name.replace('_', " "))).inner;
+    params.filter_map(one).collect()
+}
+
+/// Shows one parameter under `title`; answers a change.
+pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, title: &str) -> Option<Change> {
+    let given = node.outline.params.get(&param.name);
+    let value = given.cloned().unwrap_or_else(|| default_value(&param.kind));
+    let differs = document.differs_from_file(node, &param.name);
+    let mut change = None;
+    ui.spacing_mut().item_spacing.y = 2.0;
+    ui.horizontal(|ui| {
+        ui.spacing_mut().interact_size.y = 18.0;
+        let color = if differs { theme::ACCENT } else { theme::TEXT };
+        let reopens = if param.reopen { "\nA change opens the node anew." } else { "" };
+        ui.label(RichText::new(title).color(color).size(12.5)).on_hover_text(format!("{}{reopens}", param.doc));
+        if differs {
+            let (rect, dot) = ui.allocate_exact_size(vec2(8.0, 8.0), Sense::hover());
+            ui.painter().circle_filled(rect.center(), 3.0, theme::ACCENT);
+            let words = format!("{} differs from the file", param.name);
+            dot.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, words.clone()));
+            dot.on_hover_text("Differs from the file");
+        }
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            let mut new = None;
+            if let ParamKind::Bool { default } = &param.kind {
+                let mut on = value.as_bool().unwrap_or(*default);
+                let response = ui.checkbox(&mut on, "");
+                name(&response, &param.name);
+                new = response.changed().then(|| on.into());
+            }
+            if given.is_some() {
+                let reset = Button::new(RichText::new("reset").size(11.0).color(theme::MUTED)).frame(false);
+                let reset = ui.add(reset).on_hover_text("Takes it out of the file: the default holds");
+                let words = format!("Reset {}", param.name);
+                reset.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, words.clone()));
+                if reset.clicked() {
+                    change = Some(Change { param: param.name.clone(), value: None });
+                }
+            }
+            if new.is_some() {
+                change = Some(Change { param: param.name.clone(), value: new });
+            }
+        });
+    });
+    if let Some(value) = widget(ui, param, &value) {
+        change = Some(Change { param: param.name.clone(), value: Some(value) });
+    }
+    ui.add_space(2.0 * theme::STEP);
+    change
+}
+
+/// The widget of one parameter; answers a new value.
+fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value> {
+    let unit = if param.unit.is_empty() { String::new() } else { format!(" {}", param.unit) };
+    let label = param.name.clone();
+    ui.spacing_mut().slider_width = (ui.available_width() - 92.0).max(60.0);
+    let (response, new): (_, Option<toml::Value>) = match &param.kind {
+        // A box beside its name.
+        ParamKind::Bool { .. } => return None,
+        ParamKind::Int { default, min, max, step } => {
+            let mut number = value.as_integer().unwrap_or(*default);
+            let response = match (min, max) {
+                (Some(min), Some(max)) => {
+                    let step = step.unwrap_or(1).max(1);
+                    // Steps count from the minimum, which a slider's own steps do not.
+                    let mut steps = (number - min).div_euclid(step);
+                    let base = *min;
+                    let slider = Slider::new(&mut steps, 0..=(max - min).div_euclid(step))
+                        .suffix(unit)
+                        .clamping(SliderClamping::Edits)
+                        .custom_formatter(move |s, _| format!("{}", base + s as i64 * step))
+                        .custom_parser(move |text| {
+                            let typed: i64 = text.trim().parse().ok()?;
+                            Some(((typed - base) as f64 / step as f64).round())
+                        });
+                    let response = ui.add(slider);
+                    number = base + steps * step;
+                    response
+                }
+                _ => {
+                    let range = min.unwrap_or(i64::MIN)..=max.unwrap_or(i64::MAX);
+                    ui.add(DragValue::new(&mut number).range(range).clamp_existing_to_range(false).suffix(unit))
+                }
+            };
+            let new = response.changed().then(|| number.into());
+            (response, new)
+        }
+        ParamKind::Float { default, min, max, step } => {
+            let mut number = value.as_float().or(value.as_integer().map(|i| i as f64)).unwrap_or(*default);
+            let response = match (min, max) {
+                (Some(min), Some(max)) => {
+                    let wide = *min > 0.0 && max / min >= 1000.0;
+                    let mut slider = Slider::new(&mut number, *min..=*max)
+                        .suffix(unit)
+                        .logarithmic(wide)
+                        .clamping(SliderClamping::Edits);
+                    if let Some(step) = step {
+                        slider = slider.step_by(*step);
+                    } else {
+                        slider = slider.max_decimals(3);
+                    }
+                    ui.add(slider)
+                }
+                _ => {
+                    let range = min.unwrap_or(f64::MIN)..=max.unwrap_or(f64::MAX);
+                    let speed = step.unwrap_or(0.1);
+                    ui.add(
+                        DragValue::new(&mut number)
+                            .range(range)
+                            .clamp_existing_to_range(false)
+                            .speed(speed)
+                            .suffix(unit),
+                    )
+                }
+            };
+            let new = response.changed().then(|| number.into());
+            (response, new)
+        }
+        ParamKind::Choice { default, choices } => {
+            let now = value.as_str().unwrap_or(default).to_owned();
+            let mut picked = now.clone();
+            let combo = ComboBox::from_id_salt("choice").selected_text(&now).width(ui.available_width() - 8.0);
+            let response = combo.show_ui(ui, |ui| {
+                for choice in choices {
+                    ui.selectable_value(&mut picked, choice.clone(), choice);
+                }
+            });
+            let new = (picked != now).then(|| picked.into());
+            (response.response, new)
+        }
+        ParamKind::Text { default } | ParamKind::Path { default, .. } => {
+            let now = value.as_str().unwrap_or(default);
+            return text_field(ui, &label, now, |text| Some(text.into()));
+        }
+        ParamKind::Floats { default, .. } => {
+            let numbers = value.as_array().map_or_else(
+                || default.clone(),
+                |a| a.iter().filter_map(|v| v.as_float().or(v.as_integer().map(|i| i as f64))).collect(),
+            );
+            let now = numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
+            return text_field(ui, &label, &now, |text| {
+                let parts = text.split([',', ' ']).filter(|p| !p.is_empty());
+                let numbers: Option<Vec<f64>> = parts.map(|p| p.parse().ok()).collect();
+                Some(numbers?.into())
+            });
+        }
+    };
+    name(&response, &label);
+    // What is shown rounded is not changed by being shown.
+    new.filter(|new| new != value)
+}
+
+/// Gives a widget its name for screen readers and tests.
+fn name(response: &Response, label: &str) {
+    response.ctx.accesskit_node_builder(response.id, |node| node.set_label(label.to_owned()));
+}
+
+/// A text that counts when Enter is pressed or the field is left.
+fn text_field(ui: &mut Ui, label: &str, now: &str, read: impl Fn(&str) -> Option<toml::Value>) -> Option<toml::Value> {
+    let id = ui.make_persistent_id(("typed", label));
+    let mut typed = ui.data(|d| d.get_temp::<String>(id)).unwrap_or_else(|| now.to_owned());
+    let response = ui.add(TextEdit::singleline(&mut typed).desired_width(f32::INFINITY));
+    name(&response, label);
+    if response.has_focus() {
+        ui.data_mut(|d| d.insert_temp(id, typed));
+        return None;
+    }
+    ui.data_mut(|d| d.remove_temp::<String>(id));
+    if response.lost_focus() && typed != now { read(&typed) } else { None }
+}

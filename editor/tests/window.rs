@@ -1,0 +1,233 @@
+//! The window on running graphs, by keys, pointer and names of widgets.
+
+mod common;
+
+use common::{Folder, GRAPH, Window, has_plugin, nothing_lost};
+use eframe::egui::accesskit::Role;
+use eframe::egui::{Key, Modifiers};
+use egui_kittest::kittest::Queryable;
+use panoscope_graph::ParamValue;
+
+const NONE: Modifiers = Modifiers::NONE;
+const CTRL: Modifiers = Modifiers::COMMAND;
+
+fn weight(window: &Window) -> Option<ParamValue> {
+    let engine = window.app().session().handle().engine()?;
+    engine.param_values("mean")?.first().cloned()
+}
+
+#[test]
+fn a_slider_tunes_the_running_graph_and_undo_takes_it_back() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("slider");
+    let mut window = Window::run(&folder.write("g.toml", GRAPH));
+    assert!(!window.app().document().is_changed(), "looking changes nothing");
+    window.select("mean");
+    assert!(!window.app().document().is_changed(), "showing a value changes nothing");
+    window.harness.get_by_role_and_label(Role::Slider, "past_weight").focus();
+    window.steps(2);
+    window.key(NONE, Key::ArrowRight);
+    window.until("the value is in force", |app| {
+        let engine = app.session().handle().engine().expect("it runs");
+        engine.param_values("mean").is_some_and(|v| v[0] == ParamValue::Int(101))
+    });
+    window.settled();
+    let text = GRAPH.replace("past_weight = 100", "past_weight = 101");
+    assert_eq!(**window.app().document().text(), text, "nothing but the value changed");
+    window.until_shown("past_weight differs from the file");
+    window.select("mean");
+    window.harness.get_by_role_and_label(Role::Slider, "past_weight").focus();
+    window.key(NONE, Key::Escape);
+    window.key(CTRL, Key::Z);
+    window.settled();
+    assert_eq!(**window.app().document().text(), *GRAPH);
+    assert_eq!(weight(&window), Some(ParamValue::Int(100)));
+    let report = window.close();
+    nothing_lost(&folder, &report);
+}
+
+#[test]
+fn a_click_on_a_picture_opens_it_large_and_escape_closes_it() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("viewer");
+    let mut window = Window::run(&folder.write("g.toml", GRAPH));
+    window.steps(3);
+    window.harness.get_by_label("Node mean").click();
+    window.steps(3);
+    assert_eq!(window.app().viewed().map(ToString::to_string).as_deref(), Some("mean.image"));
+    window.until_shown("64 x 48 px");
+    window.key(NONE, Key::C);
+    window.until_shown("Difference");
+    window.harness.get_by_label("Difference").click();
+    window.steps(3);
+    window.key(NONE, Key::Escape);
+    assert_eq!(window.app().viewed(), None);
+    window.harness.get_by_label("Node mean");
+}
+
+#[test]
+fn add_wire_tune_undo_save_and_reload_while_it_runs() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("edit");
+    let path = folder.write("g.toml", GRAPH);
+    let mut window = Window::run(&path);
+    // Add a node: it waits for its wire, and the old graph runs on.
+    window.key(NONE, Key::A);
+    window.until_shown("Pick every_nth");
+    window.type_text("every");
+    window.key(NONE, Key::Enter);
+    assert_eq!(window.app().selected().as_deref(), Some("every_nth"));
+    assert!(!window.app().document().view().right);
+    assert!(!window.running().contains(&"every_nth".to_owned()));
+    // Wire it by keyboard: now the change is made.
+    window.key(NONE, Key::W);
+    window.until_shown("Pick image from mean.image");
+    window.type_text("mean");
+    window.key(NONE, Key::Enter);
+    window.settled();
+    assert!(window.running().contains(&"every_nth".to_owned()));
+    // Rewire the sink by dragging.
+    window.key(NONE, Key::F);
+    window.steps(3);
+    window.drag("Output every_nth.image", "Input sink.image");
+    window.settled();
+    let text = window.app().document().text().to_string();
+    assert!(text.contains("inputs = { image = \"every_nth.image\" }"), "{text}");
+    assert!(text.starts_with("# Two paths.") && text.contains("# of 256"), "comments stay: {text}");
+    window.until("ticks arrive by the new way", |app| {
+        let engine = app.session().handle().engine().expect("it runs");
+        engine.report().nodes.get("every_nth").is_some_and(|n| n.count > 5)
+    });
+    // Save, undo everything, redo everything.
+    window.key(CTRL, Key::S);
+    assert_eq!(std::fs::read_to_string(&path).expect("saved"), text);
+    assert_eq!(std::fs::read_to_string(folder.0.join("g.toml.bak")).expect("kept"), GRAPH);
+    assert!(!window.app().document().is_changed());
+    let steps = window.app().document().steps();
+    (0..steps).for_each(|_| window.key(CTRL, Key::Z));
+    window.settled();
+    assert_eq!(**window.app().document().text(), *GRAPH, "byte for byte");
+    assert!(!window.running().contains(&"every_nth".to_owned()));
+    (0..steps).for_each(|_| window.key(Modifiers::COMMAND | Modifiers::SHIFT, Key::Z));
+    window.settled();
+    assert_eq!(**window.app().document().text(), *text);
+    // Someone else writes the file.
+    std::fs::write(&path, text.replace("past_weight = 100", "past_weight = 7")).expect("written");
+    window.until("the file is read again", |app| app.document().text().contains("past_weight = 7"));
+    window.settled();
+    assert_eq!(weight(&window), Some(ParamValue::Int(7)));
+    let report = window.close();
+    nothing_lost(&folder, &report);
+}
+
+#[test]
+fn a_conflict_is_shown_and_nothing_is_lost() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("conflict");
+    let path = folder.write("g.toml", GRAPH);
+    let mut window = Window::run(&path);
+    window.select("sink");
+    window.key(NONE, Key::Delete);
+    window.settled();
+    let (ours, theirs) = (window.app().document().text().to_string(), GRAPH.replace("Two paths", "Theirs"));
+    std::fs::write(&path, &theirs).expect("written");
+    window.until_shown("Take the file's");
+    assert_eq!(**window.app().document().text(), *ours);
+    // Saving does not write over what was not seen.
+    window.key(CTRL, Key::S);
+    assert_eq!(std::fs::read_to_string(&path).expect("read"), theirs);
+    window.harness.get_by_label("Take the file's").click();
+    window.steps(3);
+    assert_eq!(**window.app().document().text(), *theirs);
+    window.key(CTRL, Key::Z);
+    assert_eq!(**window.app().document().text(), *ours, "undo brings it back");
+}
+
+#[test]
+fn a_node_is_bypassed_and_put_back() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("bypass");
+    let mut window = Window::run(&folder.write("g.toml", GRAPH));
+    window.select("mean");
+    window.key(NONE, Key::B);
+    window.settled();
+    assert!(window.app().document().text().contains("[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"b.image\" }"));
+    window.select("mean");
+    window.key(NONE, Key::B);
+    window.settled();
+    assert_eq!(**window.app().document().text(), *GRAPH);
+    let report = window.close();
+    nothing_lost(&folder, &report);
+}
+
+#[test]
+fn a_wire_of_the_wrong_type_is_refused_with_a_reason() {
+    if !has_plugin("flow") || !has_plugin("phantom") || !has_plugin("stitch") {
+        return;
+    }
+    let folder = Folder::new("refuse");
+    let text = r#"plugins = ["phantom", "stitch"]
+[nodes.scope]
+type = "phantom"
+[nodes.wide]
+type = "composite"
+inputs = { left = "scope.left", right = "scope.right", homography = "scope.homography" }
+"#;
+    let mut window = Window::run(&folder.write("g.toml", text));
+    window.steps(3);
+    window.drag("Output scope.left", "Input wide.homography");
+    assert_eq!(**window.app().document().text(), *text);
+    let view = window.app().document().view().clone();
+    let why = view.may_wire(0, "left", 1, "homography").expect_err("another type");
+    assert_eq!(why, "this input takes homography, that is image");
+    assert!(view.may_wire(1, "panorama", 0, "camera_pose").is_err());
+}
+
+#[test]
+fn faults_show_and_the_window_stays() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("faults");
+    let text = GRAPH.replace(
+        "type = \"smooth\"\ninputs = { image = \"b.image\" }\nparams = { past_weight = 100 }",
+        "type = \"failing\"\ninputs = { image = \"b.image\" }\nparams = { how = \"panic\", first = 3, ticks = 1000000 }",
+    );
+    let mut window = Window::run(&folder.write("g.toml", &text));
+    window.select("mean");
+    window.until_shown("LAST FAULT");
+    window.key(NONE, Key::M);
+    window.until_shown("FAULTS, NEWEST FIRST");
+    assert_eq!(window.app().selected().as_deref(), Some("mean"));
+    let report = window.close();
+    assert!(report.nodes["mean"].faults > 0);
+    nothing_lost(&folder, &report);
+}
+
+#[test]
+fn a_file_with_mistakes_opens_with_them_and_runs_once_they_are_mended() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("mistakes");
+    let path = folder.write("g.toml", &GRAPH.replace("\"b.image\"", "\"b.imaje\""));
+    let mut window = Window::open(&path);
+    window.steps(3);
+    window.key(NONE, Key::M);
+    window.until_shown("has no output `imaje`");
+    let view = window.app().document().view().clone();
+    assert!(view.nodes[view.node("mean").expect("it is drawn")].mistakes[0].contains("imaje"));
+    std::fs::write(&path, GRAPH).expect("written");
+    window.settled();
+    assert_eq!(window.running().len(), 5);
+}
