@@ -7,6 +7,7 @@
 
 use super::pyramid::{Level, Pyramid};
 use super::simd::{Simd, dispatch};
+use super::upright;
 
 /// Elements of a descriptor.
 pub const DESCRIPTOR_LEN: usize = 64;
@@ -129,33 +130,45 @@ pub(crate) fn sample(
     out: &mut [[f32; ROW]],
 ) {
     let out = &mut out[..rows];
+    let upright = grid.uy == 0.0 && grid.ux > 0.0 && grid.ux < upright::STEP_LIMIT;
     #[cfg(target_arch = "x86_64")]
     if simd.avx2() {
         // SAFETY: AVX2 is there.
-        unsafe { sample_avx2(level, grid, half, vectors, out) };
+        unsafe {
+            if upright {
+                upright::sample_avx2(level, grid, half, vectors, out);
+            } else {
+                sample_avx2(level, grid, half, vectors, out);
+            }
+        }
         return;
     }
     #[cfg(not(target_arch = "x86_64"))]
     let _ = simd;
     for (j, line) in out.iter_mut().enumerate() {
-        sample_line(level, Start::of(level, grid, half, j), vectors, line);
+        let start = Start::of(level, grid, half, j);
+        if upright {
+            upright::sample_line(level, start, vectors, line);
+        } else {
+            sample_line(level, start, vectors, line);
+        }
     }
 }
 
 /// First sample of a row, step to the next, and the level's last pixel.
 #[derive(Clone, Copy)]
-struct Start {
-    x: f32,
-    y: f32,
-    ux: f32,
-    uy: f32,
-    limit_x: f32,
-    limit_y: f32,
+pub(super) struct Start {
+    pub x: f32,
+    pub y: f32,
+    pub ux: f32,
+    pub uy: f32,
+    pub limit_x: f32,
+    pub limit_y: f32,
 }
 
 impl Start {
     #[inline(always)]
-    fn of(level: &Level, grid: Grid, half: f32, row: usize) -> Self {
+    pub(super) fn of(level: &Level, grid: Grid, half: f32, row: usize) -> Self {
         let down = row as f32 - half;
         Self {
             x: grid.x - down * grid.uy - half * grid.ux,

@@ -11,6 +11,7 @@ mod pyramid;
 pub mod registration;
 pub mod simd;
 pub mod surf;
+mod upright;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]

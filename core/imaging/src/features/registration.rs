@@ -5,7 +5,7 @@ use super::surf::{Features, Surf, SurfParams};
 use crate::geometry::ransac::{Ransac, RansacParams};
 use crate::geometry::stability::{explains_as_well, median_error};
 use crate::geometry::{Calm, Homography, Plausibility, Point, Rect, overlap_rois, shift_of};
-use crate::{Parallel, View};
+use crate::{Parallel, Serial, SharedMut, View};
 
 /// Overlaps narrower than this cannot hold the larger filters; the next search covers whole frames.
 const LEAST_ROI_PX: usize = 48;
@@ -101,11 +101,9 @@ pub struct Registration {
 #[derive(Clone, Debug)]
 pub struct RegisterSurf {
     params: RegisterParams,
-    surf: Surf,
+    sides: [Side; 2],
     matcher: Matcher,
     ransac: Ransac,
-    left: Features,
-    right: Features,
     matches: Vec<Match>,
     from: Vec<Point>,
     to: Vec<Point>,
@@ -114,6 +112,13 @@ pub struct RegisterSurf {
     calm: Calm,
     memory: Option<Memory>,
     failures: usize,
+}
+
+/// Detector and features of one view.
+#[derive(Clone, Debug)]
+struct Side {
+    surf: Surf,
+    features: Features,
 }
 
 /// What a good frame leaves behind.
@@ -126,13 +131,12 @@ struct Memory {
 impl RegisterSurf {
     /// A registration without a past.
     pub fn new(params: RegisterParams) -> Self {
+        let side = || Side { surf: Surf::new(params.surf), features: Features::default() };
         Self {
             params,
-            surf: Surf::new(params.surf),
+            sides: [side(), side()],
             matcher: Matcher::new(),
             ransac: Ransac::new(),
-            left: Features::default(),
-            right: Features::default(),
             matches: Vec::new(),
             from: Vec::new(),
             to: Vec::new(),
@@ -152,7 +156,9 @@ impl RegisterSurf {
     /// Changes the parameters and keeps what is known of the frame before.
     pub fn set_params(&mut self, params: RegisterParams) {
         self.params = params;
-        self.surf.set_params(params.surf);
+        for side in &mut self.sides {
+            side.surf.set_params(params.surf);
+        }
     }
 
     /// Forgets the frame before.
@@ -163,7 +169,7 @@ impl RegisterSurf {
 
     /// Keypoints and descriptors of the last frame pair, left and right.
     pub fn features(&self) -> (&Features, &Features) {
-        (&self.left, &self.right)
+        (&self.sides[0].features, &self.sides[1].features)
     }
 
     /// Matches of the last frame pair, and which of them agree with the homography (all false when it failed).
@@ -184,21 +190,22 @@ impl RegisterSurf {
             _ => whole,
         };
         let shrink = if self.params.roi { self.params.shrink.max(1) } else { 1 };
-        self.surf.detect_and_describe(left, Some(search[0]), shrink, pool, &mut self.left);
-        self.surf.detect_and_describe(right, Some(search[1]), shrink, pool, &mut self.right);
+        detect(&mut self.sides, [left, right], search, shrink, pool);
+        let [left, right] = &self.sides;
+        let (left, right) = (&left.features, &right.features);
         let gate = trusted
             .filter(|_| self.params.gate_px > 0.0)
             .map(|left_from_right| Gate { left_from_right, radius_px: self.params.gate_px });
         self.matcher.match_features(
-            &self.left,
-            &self.right,
+            left,
+            right,
             &self.params.matching,
             gate.as_ref(),
             pool,
             &mut self.matches,
         );
         let mut result = Registration {
-            points: (self.left.len(), self.right.len()),
+            points: (left.len(), right.len()),
             matches: self.matches.len(),
             roi_left: whole[0],
             roi_right: whole[1],
@@ -247,9 +254,10 @@ impl RegisterSurf {
     fn estimate(&mut self, trusted: Option<Homography>, sizes: [(usize, usize); 2]) -> Option<Estimate> {
         self.from.clear();
         self.to.clear();
+        let [left, right] = &self.sides;
         for found in &self.matches {
-            self.to.push(self.left.keypoints.position(found.left as usize));
-            self.from.push(self.right.keypoints.position(found.right as usize));
+            self.to.push(left.features.keypoints.position(found.left as usize));
+            self.from.push(right.features.keypoints.position(found.right as usize));
         }
         let params = &self.params;
         let fit = self.ransac.estimate(&self.from, &self.to, &params.ransac, &mut self.mask).ok()?;
@@ -282,6 +290,18 @@ impl RegisterSurf {
         }
         Some(estimate)
     }
+}
+
+/// Finds the features of both views, one view per thread: two long chunks meet once, many short ones at the end of every loop.
+fn detect(sides: &mut [Side; 2], views: [View<'_, u8>; 2], search: [Rect; 2], shrink: usize, pool: &dyn Parallel) {
+    // More threads than views help inside the loops; results do not depend on who runs them.
+    let inner: &dyn Parallel = if pool.threads() > sides.len() { pool } else { &Serial };
+    let shared = SharedMut::new(&mut sides[..]);
+    pool.run(views.len(), &|index| {
+        // SAFETY: every chunk has its own side.
+        let side = unsafe { &mut shared.part(index, 1)[0] };
+        side.surf.detect_and_describe(views[index], Some(search[index]), shrink, inner, &mut side.features);
+    });
 }
 
 struct Estimate {

@@ -2,13 +2,18 @@
 //!
 //! The pictures are graf1 and graf3 of the Oxford affine data set as Debian's opencv-doc brings them, with their true
 //! homography. Every engine runs as a node of a graph, and each comparison gives both the same number of points.
+//! Precision is given twice: of all matches, and of those where the photographs themselves bear the homography out ([`plane`]).
+
+mod plane;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use panoscope_imaging::View;
 use panoscope_imaging::features::{precision, repeatability};
 use panoscope_imaging::geometry::Homography;
 
+use self::plane::Plane;
 use super::look::{self, Plan, Table};
 use crate::commands::bench::record::Figure;
 use crate::terminal::{raw, table, tell};
@@ -79,17 +84,26 @@ struct Outcome {
     correct: usize,
     /// Whether each match is right, the most distinct (least ratio) first.
     right: Vec<bool>,
+    /// The same, of matches that start where the homography holds.
+    right_on_plane: Vec<bool>,
 }
 
 impl Outcome {
     /// Precision of the `count` most distinct matches.
     fn precision_of(&self, count: usize) -> f64 {
-        let best = &self.right[..count.min(self.right.len())];
-        best.iter().filter(|right| **right).count() as f64 / best.len().max(1) as f64
+        share(&self.right[..count.min(self.right.len())])
+    }
+
+    fn precision_on_plane(&self) -> f64 {
+        share(&self.right_on_plane)
     }
 }
 
-fn measure(data: &Data, node: &str) -> Result<Outcome> {
+fn share(right: &[bool]) -> f64 {
+    right.iter().filter(|right| **right).count() as f64 / right.len().max(1) as f64
+}
+
+fn measure(data: &Data, plane: &Plane, node: &str) -> Result<Outcome> {
     let text = format!(
         "mode = \"live\"\nplugins = [\"capture\", \"stitch\", \"opencv\"]\n\
          [nodes.files]\ntype = \"capture\"\nparams = {{ left = {:?}, right = {:?}, loop = true, pace = \"off\" }}\n\
@@ -117,13 +131,16 @@ fn measure(data: &Data, node: &str) -> Result<Outcome> {
     let truth = &data.second_from_first;
     let again = repeatability(&first, &second, truth, size(3)?, size(4)?, REPEATABILITY_PX);
     let right = precision(&first, &second, &matches, truth, PRECISION_PX);
+    let is_right = |&m: &(usize, usize)| precision(&first, &second, &[m], truth, PRECISION_PX).correct == 1;
+    let on_plane = matches.iter().filter(|m| first.get(m.0).is_some_and(|&point| plane.holds(point)));
     Ok(Outcome {
         points: (first.len(), second.len()),
         matches: matches.len(),
         repeatability: again.share,
         precision: right.share,
         correct: right.correct,
-        right: matches.iter().map(|&m| precision(&first, &second, &[m], truth, PRECISION_PX).correct == 1).collect(),
+        right: matches.iter().map(is_right).collect(),
+        right_on_plane: on_plane.map(is_right).collect(),
     })
 }
 
@@ -150,7 +167,8 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
         tell!("  help: install Debian's package opencv-doc, or give their folder: --data FOLDER");
         return Ok(None);
     };
-    let mut rows = vec![["case", "points", "repeated", "matches", "right", "precision"].map(str::to_owned).to_vec()];
+    let mut rows =
+        vec![["case", "points", "repeated", "matches", "right", "precision", "on plane"].map(str::to_owned).to_vec()];
     let mut figures = Vec::new();
     let mut line = |name: String, o: &Outcome| {
         let percent = |share: f64| format!("{:.1} %", share * 100.0);
@@ -162,13 +180,24 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
             o.matches.to_string(),
             o.correct.to_string(),
             percent(o.precision),
+            percent(o.precision_on_plane()),
         ]);
     };
+    let gray = |path: &Path| -> Result<image::GrayImage> {
+        Ok(image::open(path).with_context(|| format!("cannot read {}", path.display()))?.to_luma8())
+    };
+    let (first, second) = (gray(&data.first)?, gray(&data.second)?);
+    let view = |image| -> View<'_, u8> {
+        let image: &image::GrayImage = image;
+        View::new(image.as_raw(), image.width() as usize, image.height() as usize, 1)
+    };
+    let plane = Plane::find(view(&first), view(&second), &data.second_from_first);
+    tell!("the homography holds on {:.0} % of the first picture", plane.share() * 100.0);
     for detector in ["sift", "akaze"] {
         for wanted in [0, 500, 1000, 2000] {
-            let theirs = measure(&data, &peer(detector, wanted))?;
+            let theirs = measure(&data, &plane, &peer(detector, wanted))?;
             let equal = if wanted == 0 { (theirs.points.0 + theirs.points.1).div_ceil(2) } else { wanted };
-            let ours = measure(&data, &surf(equal, &arguments.set))?;
+            let ours = measure(&data, &plane, &surf(equal, &arguments.set))?;
             if ours.points.0 == 0 || theirs.points.0 == 0 {
                 bail!("no keypoints were found in {}", data.first.display());
             }
@@ -182,6 +211,7 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
             for (measure, value, peer_value) in [
                 ("repeatability", ours.repeatability, theirs.repeatability),
                 ("precision", ours.precision, theirs.precision),
+                ("precision_on_plane", ours.precision_on_plane(), theirs.precision_on_plane()),
                 ("precision_equal_matches", ours.precision_of(equal_matches), theirs.precision_of(equal_matches)),
             ] {
                 let mut figure = Figure::new(&format!("surf_{measure}/{detector}_{case}"), value, "1", &input);

@@ -1,0 +1,105 @@
+//! Samples of a patch that is not turned: its columns lie at the same places in every row.
+//!
+//! Two image rows are first blended into one line; the line's samples are then picked by permuting vectors. That needs no gather,
+//! which costs as much as a load for each element.
+
+use super::describe::{Grid, ROW, Start};
+use super::pyramid::Level;
+
+/// Largest step, in pixels: eight samples then lie within sixteen pixels.
+pub(super) const STEP_LIMIT: f32 = 2.0;
+/// Pixels of a blended line: the longest row of samples, and what a vector may read beyond it.
+const LINE: usize = 2 * ROW + 24;
+
+/// Row of a level at or above a place, and the share of the row below.
+#[inline(always)]
+fn row_of(start: &Start) -> (usize, f32) {
+    let y = start.y.min(start.limit_y).max(0.0);
+    let row = y as usize;
+    (row, y - row as f32)
+}
+
+/// One row of samples without vectors.
+pub(super) fn sample_line(level: &Level, start: Start, vectors: usize, line: &mut [f32; ROW]) {
+    let (row, fy) = row_of(&start);
+    let index = row * level.stride;
+    for (i, value) in line.iter_mut().enumerate().take(vectors * 8) {
+        let x = (start.x + i as f32 * start.ux).min(start.limit_x).max(0.0);
+        let column = x as usize;
+        let fx = x - column as f32;
+        let blend = |place: usize| {
+            let (upper, lower) = (f32::from(level.data[place]), f32::from(level.data[place + level.stride]));
+            upper + (lower - upper) * fy
+        };
+        let (a, b) = (blend(index + column), blend(index + column + 1));
+        *value = a + (b - a) * fx;
+    }
+}
+
+/// All rows of samples.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+pub(super) fn sample_avx2(level: &Level, grid: Grid, half: f32, vectors: usize, out: &mut [[f32; ROW]]) {
+    use std::arch::x86_64::*;
+    const MOST: usize = ROW / 8;
+    assert!(vectors > 0 && vectors <= MOST && level.width > 0 && level.height > 0);
+    let first = Start::of(level, grid, half, 0);
+    let ramp = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
+    let (x0, ux) = (_mm256_set1_ps(first.x), _mm256_set1_ps(first.ux));
+    let place = |i: usize| ((first.x + i as f32 * first.ux).min(first.limit_x).max(0.0)) as usize;
+    let origin = place(0);
+    let used = place(vectors * 8 - 1) + 2 - origin;
+    // Of each vector of samples: first pixel on the line, pixels relative to it, shares of the pixel to the right.
+    let mut base = [0usize; MOST];
+    let mut pick = [_mm256_setzero_si256(); MOST];
+    let mut share = [_mm256_setzero_ps(); MOST];
+    for vector in 0..vectors {
+        let i = _mm256_add_ps(ramp, _mm256_set1_ps((vector * 8) as f32));
+        let x = _mm256_add_ps(x0, _mm256_mul_ps(i, ux));
+        let x = _mm256_max_ps(_mm256_min_ps(x, _mm256_set1_ps(first.limit_x)), _mm256_setzero_ps());
+        let column = _mm256_cvttps_epi32(x);
+        let start = place(vector * 8);
+        base[vector] = start - origin;
+        pick[vector] = _mm256_sub_epi32(column, _mm256_set1_epi32(start as i32));
+        share[vector] = _mm256_sub_ps(x, _mm256_cvtepi32_ps(column));
+    }
+    let mut line = [0.0f32; LINE];
+    // Sixteen pixels and one more are read from each base.
+    assert!(used.next_multiple_of(8) <= LINE && base[vectors - 1] + 17 <= LINE);
+    let seven = _mm256_set1_epi32(7);
+    for (j, samples) in out.iter_mut().enumerate() {
+        let (row, fy) = row_of(&Start::of(level, grid, half, j));
+        let fy = _mm256_set1_ps(fy);
+        let begin = row * level.stride + origin;
+        let length = used.next_multiple_of(8);
+        let upper = &level.data[begin..begin + length];
+        let lower = &level.data[begin + level.stride..begin + level.stride + length];
+        for k in (0..length).step_by(8) {
+            let wide = |row: &[u16]| {
+                // SAFETY: eight 16-bit values of the slice just taken.
+                let values = unsafe { _mm_loadu_si128(row[k..k + 8].as_ptr().cast()) };
+                _mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(values))
+            };
+            let (upper, lower) = (wide(upper), wide(lower));
+            let value = _mm256_add_ps(upper, _mm256_mul_ps(_mm256_sub_ps(lower, upper), fy));
+            // SAFETY: eight elements of the slice just taken.
+            unsafe { _mm256_storeu_ps(line[k..k + 8].as_mut_ptr(), value) };
+        }
+        for vector in 0..vectors {
+            let far = _mm256_castsi256_ps(_mm256_cmpgt_epi32(pick[vector], seven));
+            let take = |start: usize| {
+                let part = &line[start..start + 16];
+                // SAFETY: sixteen elements of the slice just taken.
+                let (near, next) = unsafe { (_mm256_loadu_ps(part.as_ptr()), _mm256_loadu_ps(part[8..].as_ptr())) };
+                // A permutation looks at the low three bits of an index only.
+                let (near, next) =
+                    (_mm256_permutevar8x32_ps(near, pick[vector]), _mm256_permutevar8x32_ps(next, pick[vector]));
+                _mm256_blendv_ps(near, next, far)
+            };
+            let (a, b) = (take(base[vector]), take(base[vector] + 1));
+            let value = _mm256_add_ps(a, _mm256_mul_ps(_mm256_sub_ps(b, a), share[vector]));
+            // SAFETY: eight elements of the slice just taken.
+            unsafe { _mm256_storeu_ps(samples[vector * 8..vector * 8 + 8].as_mut_ptr(), value) };
+        }
+    }
+}
