@@ -8,6 +8,7 @@ use anyhow::{Context, Result, bail};
 use crate::build::{Profile, build};
 use crate::generated::test_environment;
 use crate::lint;
+use crate::onnxruntime;
 use crate::packages::Purpose;
 use crate::process;
 use crate::setup;
@@ -89,6 +90,10 @@ pub fn test(workspace: &Workspace, args: &[String]) -> Result<ExitCode> {
 
 fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<()> {
     timed("set-up", || setup::ensure(&[Purpose::Build, Purpose::Test]).map(drop))?;
+    // Tests of models name what they skipped without it.
+    if let Err(error) = onnxruntime::fetch(workspace) {
+        println!("ONNX Runtime was not fetched: {error:#}");
+    }
     if request.suite.lints {
         timed("format", || lint::format(workspace))?;
         timed("clippy", || lint::clippy(workspace))?;

@@ -1,14 +1,15 @@
 //! Drawing on images.
 //!
 //! `overlay` draws what other nodes found onto their picture, `colorize` makes a picture of a map of numbers, `side_by_side`
-//! puts several pictures into one.
+//! puts several pictures into one, `turntable` shows a point cloud from all sides.
 
 pub mod colorize;
 pub mod fit;
 pub mod marks;
 pub mod overlay;
 pub mod side_by_side;
+pub mod turntable;
 
 use panoscope_node::export_plugin;
 
-export_plugin![overlay::Overlay, colorize::Colorize, side_by_side::SideBySide];
+export_plugin![overlay::Overlay, colorize::Colorize, side_by_side::SideBySide, turntable::Turntable];

@@ -23,6 +23,12 @@ pub struct Settings {
     /// Writes only every so many clouds.
     #[param(default = 1, range = 1..=100000, unit = "frames")]
     pub every: u64,
+    /// Writes the surface between neighbouring points as triangles too.
+    #[param(default = false)]
+    pub mesh: bool,
+    /// Neighbours that rise more steeply than this are no surface.
+    #[param(default = 6.0, range = 0.5..=100.0, step = 0.5, unit = "ratio")]
+    pub max_slope: f32,
 }
 
 /// Writes point clouds.
@@ -50,8 +56,10 @@ impl Node for WriteCloud {
         let path = self.pattern.file(cx.tick().seq, "cloud", false);
         make_folder(&path)?;
         let mut points = 0;
+        let slope = params.mesh.then_some(params.max_slope);
         write_whole(&path, |file| {
-            points = ply::write(file, input.cloud.points()).map_err(|error| SinkError::io(&path, error))?;
+            points = ply::write(file, input.cloud.points(), input.cloud.width(), slope)
+                .map_err(|error| SinkError::io(&path, error))?;
             Ok(())
         })?;
         cx.metric("points", points as f64);

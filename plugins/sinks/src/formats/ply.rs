@@ -8,19 +8,41 @@ fn is_known(point: &CloudPoint) -> bool {
     point.x_mm.is_finite() && point.y_mm.is_finite() && point.z_mm.is_finite()
 }
 
+/// Triangles between neighbours in rows of points: three places in the cloud each.
+///
+/// Neighbours whose depths differ by more than `max_slope` times their distance across belong to different surfaces.
+pub fn triangles(points: &[CloudPoint], width: usize, max_slope: f32) -> impl Iterator<Item = [usize; 3]> + Clone {
+    let height = if width == 0 { 0 } else { points.len() / width };
+    let joined = move |a: usize, b: usize| {
+        let (p, q) = (&points[a], &points[b]);
+        let across = (p.x_mm - q.x_mm).hypot(p.y_mm - q.y_mm);
+        is_known(p) && is_known(q) && (p.z_mm - q.z_mm).abs() <= max_slope * across
+    };
+    (1..height).flat_map(move |y| (1..width).map(move |x| y * width + x)).flat_map(move |d| {
+        let (a, b, c) = (d - width - 1, d - width, d - 1);
+        // Counter-clockwise as seen by the camera.
+        [[a, c, b], [b, c, d]].into_iter().filter(move |[p, q, r]| joined(*p, *q) && joined(*q, *r) && joined(*r, *p))
+    })
+}
+
 /// Writes the points whose place is known; answers how many. Coordinates in mm, left rectified camera frame (x right, y
-/// down, z forward).
+/// down, z forward). With `max_slope` the surface between neighbours in rows of `width` points is written too, see [`triangles`].
 ///
 /// # Errors
 /// Those of `out`.
-pub fn write(out: &mut dyn Write, points: &[CloudPoint]) -> io::Result<usize> {
+pub fn write(out: &mut dyn Write, points: &[CloudPoint], width: usize, max_slope: Option<f32>) -> io::Result<usize> {
     let known = points.iter().filter(|p| is_known(p)).count();
+    let faces = max_slope.map(|slope| triangles(points, width, slope));
     write!(
         out,
         "ply\nformat binary_little_endian 1.0\ncomment mm, x right, y down, z forward\nelement vertex {known}\n\
          property float x\nproperty float y\nproperty float z\n\
-         property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+         property uchar red\nproperty uchar green\nproperty uchar blue\n"
     )?;
+    if let Some(faces) = &faces {
+        write!(out, "element face {}\nproperty list uchar int vertex_indices\n", faces.clone().count())?;
+    }
+    writeln!(out, "end_header")?;
     for point in points.iter().filter(|p| is_known(p)) {
         let mut record = [0; 15];
         record[..4].copy_from_slice(&point.x_mm.to_le_bytes());
@@ -30,5 +52,52 @@ pub fn write(out: &mut dyn Write, points: &[CloudPoint]) -> io::Result<usize> {
         record[12..].copy_from_slice(&[red, green, blue]);
         out.write_all(&record)?;
     }
+    if let Some(faces) = faces {
+        let mut written = 0u32;
+        let places: Vec<u32> = points
+            .iter()
+            .map(|p| {
+                let place = written;
+                written += u32::from(is_known(p));
+                place
+            })
+            .collect();
+        for corners in faces {
+            let mut record = [3; 13];
+            for (k, corner) in corners.into_iter().enumerate() {
+                record[1 + 4 * k..5 + 4 * k].copy_from_slice(&places[corner].to_le_bytes());
+            }
+            out.write_all(&record)?;
+        }
+    }
     Ok(known)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(x: f32, y: f32, z: f32) -> CloudPoint {
+        CloudPoint { x_mm: x, y_mm: y, z_mm: z, bgr: [1, 2, 3], reserved: 0 }
+    }
+
+    #[test]
+    fn a_mesh_leaves_out_unknown_corners_and_steps() {
+        // 3 x 2 points; the lower right one is unknown, the upper right one lies 30 mm deeper.
+        let cloud = [
+            point(0.0, 0.0, 50.0),
+            point(1.0, 0.0, 50.0),
+            point(2.0, 0.0, 80.0),
+            point(0.0, 1.0, 50.0),
+            point(1.0, 1.0, 50.0),
+            point(f32::NAN, f32::NAN, f32::NAN),
+        ];
+        let found: Vec<_> = triangles(&cloud, 3, 5.0).collect();
+        assert_eq!(found, [[0, 3, 1], [1, 3, 4]]);
+        let mut file = Vec::new();
+        assert_eq!(write(&mut file, &cloud, 3, Some(5.0)).unwrap(), 5);
+        let header = String::from_utf8_lossy(&file);
+        assert!(header.contains("element vertex 5\n") && header.contains("element face 2\n"));
+        assert_eq!(file.len(), header.find("end_header\n").unwrap() + 11 + 5 * 15 + 2 * 13);
+    }
 }

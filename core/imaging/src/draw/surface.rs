@@ -1,0 +1,234 @@
+//! A picture of an organised point cloud from another side: the surface between neighbouring points, lit from the viewer.
+//!
+//! Angles go through the platform's sine: unlike the rest of this module, bytes may differ between machines.
+
+use super::{Color, line, text};
+use crate::ViewMut;
+
+/// A cloud as rows of points; a point is its place in mm and its colour, `None` where unknown.
+pub trait SurfacePoints: Sync {
+    /// Points per row, rows.
+    fn size(&self) -> (usize, usize);
+    /// Point at a column and row.
+    fn at(&self, column: usize, row: usize) -> Option<([f32; 3], Color)>;
+}
+
+/// From where and how a surface is looked at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Orbit {
+    /// Turn about the vertical axis through the surface's middle, radians; 0 looks as the camera did.
+    pub yaw: f32,
+    /// Turn about the horizontal axis, radians.
+    pub pitch: f32,
+    /// Size on the picture; 1 fills it when looked at from the front.
+    pub zoom: f32,
+    /// Every so many points make a corner.
+    pub step: usize,
+    /// Neighbours further apart in depth than this many times their distance across are no surface.
+    pub max_slope: f32,
+    /// 0 shows the colours as they are, 1 darkens what is turned away.
+    pub shading: f32,
+}
+
+/// Draws surfaces; keeps its memory.
+#[derive(Default)]
+pub struct SurfacePainter {
+    corners: Vec<Corner>,
+    depth: Vec<f32>,
+    sorted: Vec<f32>,
+}
+
+#[derive(Clone, Copy)]
+struct Corner {
+    /// Pixel and depth from the viewer; NaN where unknown.
+    place: [f32; 3],
+    /// Place in the camera's frame, mm.
+    world: [f32; 3],
+    color: Color,
+}
+
+const NOWHERE: Corner = Corner { place: [f32::NAN; 3], world: [f32::NAN; 3], color: [0; 3] };
+const BACKGROUND: u8 = 18;
+
+/// Median of what is known, sampled.
+fn median(points: &dyn SurfacePoints, axis: usize, sorted: &mut Vec<f32>) -> Option<f32> {
+    let (width, height) = points.size();
+    sorted.clear();
+    for y in (0..height).step_by(1 + height / 64) {
+        sorted.extend((0..width).step_by(1 + width / 64).filter_map(|x| points.at(x, y)).map(|(p, _)| p[axis]));
+    }
+    sorted.sort_unstable_by(f32::total_cmp);
+    sorted.get(sorted.len() / 2).copied()
+}
+
+/// A round length that spans about a fifth of what is seen.
+fn ruler_mm(visible_mm: f32) -> f32 {
+    let wanted = visible_mm / 5.0;
+    let decade = 10f32.powf(wanted.max(1e-3).log10().floor());
+    [5.0, 2.0, 1.0].into_iter().map(|m| m * decade).find(|l| *l <= wanted).unwrap_or(decade)
+}
+
+impl SurfacePainter {
+    /// Draws the surface into `out` (BGR) with a ruler of its length in mm at the place of its middle. Nothing known leaves the background.
+    pub fn paint(&mut self, points: &dyn SurfacePoints, orbit: &Orbit, out: &mut ViewMut<'_, u8>) {
+        for y in 0..out.height {
+            out.row_mut(y).fill(BACKGROUND);
+        }
+        let middle: [Option<f32>; 3] = std::array::from_fn(|axis| median(points, axis, &mut self.sorted));
+        let [Some(mx), Some(my), Some(mz)] = middle else { return };
+        let (columns, rows) = points.size();
+        let step = orbit.step.max(1);
+        let (w, h) = (columns.div_ceil(step), rows.div_ceil(step));
+        if w < 2 || h < 2 || out.width < 8 || out.height < 8 || mz <= 0.0 {
+            return;
+        }
+        // Seen from the front at its own distance, the cloud's picture fills the width.
+        let left = (0..rows).step_by(step).filter_map(|y| points.at(0, y)).next();
+        let half = self.half_width(points, mx).max(left.map_or(0.0, |(p, _)| (mx - p[0]).abs())).max(1.0);
+        let scale = orbit.zoom * 0.48 * out.width as f32 / half;
+        let (sy, cy) = orbit.yaw.sin_cos();
+        let (sp, cp) = orbit.pitch.sin_cos();
+        let (ox, oy) = (out.width as f32 / 2.0, out.height as f32 / 2.0);
+        self.corners.clear();
+        self.corners.resize(w * h, NOWHERE);
+        for j in 0..h {
+            for i in 0..w {
+                if let Some((p, color)) = points.at(i * step, j * step) {
+                    let (x, y, z) = (p[0] - mx, p[1] - my, p[2] - mz);
+                    let (x1, z1) = (cy * x + sy * z, cy * z - sy * x);
+                    let (y1, z2) = (cp * y - sp * z1, cp * z1 + sp * y);
+                    // The viewer stands as far away as the camera did, a little back.
+                    let shrink = 1.2 * mz / (1.2 * mz + z2).max(0.05 * mz);
+                    let place = [ox + scale * x1 * shrink, oy + scale * y1 * shrink, z2];
+                    self.corners[j * w + i] = Corner { place, world: p, color };
+                }
+            }
+        }
+        self.depth.clear();
+        self.depth.resize(out.width * out.height, f32::INFINITY);
+        for j in 0..h - 1 {
+            for i in 0..w - 1 {
+                let at = j * w + i;
+                let [a, b, c, d] = [at, at + 1, at + w, at + w + 1].map(|k| self.corners[k]);
+                self.triangle(out, orbit, [a, b, c]);
+                self.triangle(out, orbit, [b, d, c]);
+            }
+        }
+        let length = ruler_mm(out.width as f32 / scale);
+        let (x, y) = (out.width as f32 * 0.04, out.height as f32 * 0.94);
+        line(out, (x, y), (x + length * scale, y), 2.0, [230; 3]);
+        for end in [x, x + length * scale] {
+            line(out, (end, y - 4.0), (end, y + 4.0), 2.0, [230; 3]);
+        }
+        let size = (out.height as f32 / 320.0).clamp(1.0, 3.0);
+        text(out, x, y - 14.0 * size, &format!("{length} mm"), size, [230; 3]);
+    }
+
+    fn half_width(&mut self, points: &dyn SurfacePoints, mx: f32) -> f32 {
+        let (width, height) = points.size();
+        self.sorted.clear();
+        for y in (0..height).step_by(1 + height / 32) {
+            let known = (0..width).step_by(1 + width / 64).filter_map(|x| points.at(x, y));
+            self.sorted.extend(known.map(|(p, _)| (p[0] - mx).abs()));
+        }
+        self.sorted.sort_unstable_by(f32::total_cmp);
+        self.sorted.get(self.sorted.len() * 98 / 100).copied().unwrap_or(1.0)
+    }
+
+    fn triangle(&mut self, out: &mut ViewMut<'_, u8>, orbit: &Orbit, t: [Corner; 3]) {
+        if t.iter().any(|c| c.place[0].is_nan()) {
+            return;
+        }
+        let edge = |a: [f32; 3], b: [f32; 3]| [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
+        let (e1, e2) = (edge(t[0].world, t[1].world), edge(t[0].world, t[2].world));
+        let steep = |e: [f32; 3]| e[2].abs() > orbit.max_slope * (e[0].hypot(e[1])).max(1e-6);
+        if steep(e1) || steep(e2) || steep(edge(t[1].world, t[2].world)) {
+            return;
+        }
+        let normal = [e1[1] * e2[2] - e1[2] * e2[1], e1[2] * e2[0] - e1[0] * e2[2], e1[0] * e2[1] - e1[1] * e2[0]];
+        let norm = (normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]).sqrt().max(1e-12);
+        let (sy, cy) = orbit.yaw.sin_cos();
+        let (sp, cp) = orbit.pitch.sin_cos();
+        let facing = ((cp * (cy * normal[2] - sy * normal[0]) + sp * normal[1]) / norm).abs();
+        let light = 1.0 - orbit.shading + orbit.shading * facing;
+        let [p, q, r] = [t[0].place, t[1].place, t[2].place];
+        let area = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
+        if area.abs() < 1e-6 {
+            return;
+        }
+        let bound = |a: f32, b: f32, c: f32, size: usize| {
+            let (low, high) = (a.min(b).min(c).ceil().max(0.0), a.max(b).max(c).floor().min(size as f32 - 1.0));
+            (low as usize, high as isize)
+        };
+        let ((x0, x1), (y0, y1)) = (bound(p[0], q[0], r[0], out.width), bound(p[1], q[1], r[1], out.height));
+        for y in y0 as isize..=y1 {
+            for x in x0 as isize..=x1 {
+                let (fx, fy) = (x as f32, y as f32);
+                let u = ((fx - p[0]) * (r[1] - p[1]) - (fy - p[1]) * (r[0] - p[0])) / area;
+                let v = ((q[0] - p[0]) * (fy - p[1]) - (q[1] - p[1]) * (fx - p[0])) / area;
+                if u < 0.0 || v < 0.0 || u + v > 1.0 {
+                    continue;
+                }
+                let z = p[2] + u * (q[2] - p[2]) + v * (r[2] - p[2]);
+                let (x, y) = (x as usize, y as usize);
+                let held = &mut self.depth[y * out.width + x];
+                if z < *held {
+                    *held = z;
+                    let pixel = &mut out.row_mut(y)[3 * x..3 * x + 3];
+                    for (k, value) in pixel.iter_mut().enumerate() {
+                        let [a, b, c] = [t[0].color[k], t[1].color[k], t[2].color[k]].map(f32::from);
+                        *value = (light * (a + u * (b - a) + v * (c - a))) as u8;
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A plane at 50 mm, 20 mm wide, with a step in its right half.
+    struct Step(f32);
+    impl SurfacePoints for Step {
+        fn size(&self) -> (usize, usize) {
+            (40, 30)
+        }
+        fn at(&self, x: usize, y: usize) -> Option<([f32; 3], Color)> {
+            let z = if x < 20 { 50.0 } else { 50.0 + self.0 };
+            Some(([x as f32 * 0.5 - 10.0, y as f32 * 0.5 - 7.5, z], [200, 100, 50]))
+        }
+    }
+
+    fn painted(step: f32, yaw: f32) -> (usize, Vec<u8>) {
+        let mut data = vec![0; 160 * 120 * 3];
+        let orbit =
+            Orbit { yaw, pitch: 0.0, zoom: if yaw == 0.0 { 1.0 } else { 0.5 }, step: 1, max_slope: 4.0, shading: 0.0 };
+        SurfacePainter::default().paint(&Step(step), &orbit, &mut ViewMut::new(&mut data, 160, 120, 3));
+        (data.chunks_exact(3).filter(|p| *p == [200, 100, 50]).count(), data)
+    }
+
+    #[test]
+    fn a_plane_has_no_holes_and_a_step_is_no_wall() {
+        let (front, data) = painted(0.0, 0.0);
+        assert!(front > 100 * 80, "{front}");
+        assert_eq!(data[(60 * 160 + 80) * 3..(60 * 160 + 80) * 3 + 3], [200, 100, 50]);
+        // Seen from the side the step leaves a gap instead of a wall.
+        let (_, data) = painted(8.0, 0.9);
+        let row: Vec<bool> = (0..160).map(|x| data[(60 * 160 + x) * 3] == 200).collect();
+        let inside: Vec<&bool> = row.iter().skip_while(|b| !**b).collect();
+        let last = inside.iter().rposition(|b| **b).unwrap_or(0);
+        assert!(inside[..last].iter().any(|b| !**b), "a gap between the two halves");
+    }
+
+    #[test]
+    fn what_turns_away_gets_narrower() {
+        assert!(painted(0.0, 1.2).0 < painted(0.0, 0.1).0 * 6 / 10);
+    }
+
+    #[test]
+    fn rulers_have_round_lengths() {
+        assert_eq!((ruler_mm(50.0), ruler_mm(37.0), ruler_mm(300.0)), (10.0, 5.0, 50.0));
+    }
+}

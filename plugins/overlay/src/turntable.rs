@@ -1,0 +1,104 @@
+//! `turntable`: a point cloud as a surface that turns (thesis, fig. 3.9).
+
+use std::f32::consts::TAU;
+
+use panoscope_imaging::draw::{Color, Orbit, SurfacePainter, SurfacePoints};
+use panoscope_node::{Bgr8, Cloud, Context, Node, NodeInfo, Open, Params, Ports, Result, Slot};
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Points row by row as `reproject` makes them, mm.
+    pub cloud: Cloud<'f>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// The surface from the side, with a ruler.
+    pub image: Slot<'f, Bgr8>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct Settings {
+    /// Width of the picture.
+    #[param(default = 640, range = 16..=4096, unit = "px")]
+    pub width: usize,
+    /// Height of the picture.
+    #[param(default = 480, range = 16..=4096, unit = "px")]
+    pub height: usize,
+    /// Middle of the turn about the vertical axis; 0 looks as the camera does.
+    #[param(default = 0.0, range = -180.0..=180.0, step = 5.0, unit = "deg")]
+    pub yaw_deg: f32,
+    /// Turn about the horizontal axis; above 0 looks from above.
+    #[param(default = 20.0, range = -89.0..=89.0, step = 5.0, unit = "deg")]
+    pub pitch_deg: f32,
+    /// How far it turns to each side; 180 goes all the way round.
+    #[param(default = 40.0, range = 0.0..=180.0, step = 5.0, unit = "deg")]
+    pub swing_deg: f32,
+    /// Pictures for one turn there and back.
+    #[param(default = 240, range = 2..=100000, unit = "frames")]
+    pub period: u64,
+    /// Size; 1 fills the picture seen from the front.
+    #[param(default = 0.9, range = 0.1..=20.0, step = 0.1, unit = "ratio")]
+    pub zoom: f32,
+    /// Every so many points make a corner of the surface.
+    #[param(default = 2, range = 1..=16, unit = "px")]
+    pub step: usize,
+    /// Neighbours that rise more steeply than this are no surface.
+    #[param(default = 6.0, range = 0.5..=100.0, step = 0.5, unit = "ratio")]
+    pub max_slope: f32,
+    /// How much darker what is turned away gets.
+    #[param(default = 0.6, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
+    pub shading: f32,
+}
+
+/// Draws turning surfaces.
+#[derive(Default)]
+pub struct Turntable {
+    painter: SurfacePainter,
+}
+
+struct Points<'f>(Cloud<'f>);
+
+impl SurfacePoints for Points<'_> {
+    fn size(&self) -> (usize, usize) {
+        (self.0.width(), self.0.height())
+    }
+
+    fn at(&self, column: usize, row: usize) -> Option<([f32; 3], Color)> {
+        let point = &self.0.points()[row * self.0.width() + column];
+        let place = [point.x_mm, point.y_mm, point.z_mm];
+        place.iter().all(|v| v.is_finite()).then_some((place, point.bgr))
+    }
+}
+
+impl Node for Turntable {
+    const INFO: NodeInfo =
+        NodeInfo::compute("turntable", "overlay", "Shows a point cloud as a surface that turns, with a ruler in mm.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = Settings;
+
+    fn open(_: &Open<'_>, _: &Settings) -> Result<Self> {
+        Ok(Self::default())
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
+        let place = (cx.tick().seq % params.period) as f32 / params.period as f32;
+        let swing = params.swing_deg.to_radians();
+        let turn = if params.swing_deg >= 180.0 { TAU * place } else { swing * (TAU * place).sin() };
+        let orbit = Orbit {
+            yaw: params.yaw_deg.to_radians() + turn,
+            pitch: params.pitch_deg.to_radians(),
+            zoom: params.zoom,
+            step: params.step,
+            max_slope: params.max_slope,
+            shading: params.shading,
+        };
+        let mut picture = out.image.alloc(params.width, params.height)?;
+        self.painter.paint(&Points(input.cloud), &orbit, &mut picture);
+        Ok(())
+    }
+}

@@ -1,0 +1,95 @@
+//! Which of the exports that people have a model is, told from its answer's shapes and its metadata.
+
+use crate::letterbox::{Fit, PixelForm};
+use crate::model::{Model, Tensor};
+
+/// A family of exports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ExportKind {
+    /// 1 x N x (5 + C), centres and sizes relative to the grid (YOLOX).
+    YoloxRaw,
+    /// 1 x N x (5 + C), in px of the input (YOLOX with `decode_in_inference`).
+    YoloxDecoded,
+    /// 1 x N x (5 + C), three anchors a cell (YOLOv5, v7).
+    YoloV5,
+    /// 1 x (4 + C + masks) x N (YOLOv8, 9, 11, 12; with mask coefficients: their -seg forms).
+    YoloV8 {
+        /// Mask coefficients at the end of each column.
+        masks: usize,
+    },
+    /// 1 x N x 6, corners, score, class (YOLOv10, YOLO26).
+    EndToEnd,
+    /// Logits 1 x N x C and boxes 1 x N x 4 in shares of the input (DETR family).
+    Detr,
+}
+
+impl ExportKind {
+    /// How the family wants its pixels.
+    pub fn pixel_form(self) -> PixelForm {
+        let unit = PixelForm { rgb: true, mean: [0.0; 3], gain: [1.0 / 255.0; 3], fit: Fit::Centre };
+        match self {
+            Self::YoloxRaw | Self::YoloxDecoded => {
+                PixelForm { rgb: false, mean: [0.0; 3], gain: [1.0; 3], fit: Fit::Corner }
+            }
+            Self::Detr => PixelForm { fit: Fit::Stretch, ..unit },
+            _ => unit,
+        }
+    }
+
+    /// Number of classes in an answer.
+    pub fn classes(self, outputs: &[Tensor<'_>]) -> usize {
+        let last = |i: usize| outputs.get(i).and_then(|t| t.shape.last().copied()).unwrap_or(0);
+        match self {
+            Self::YoloxRaw | Self::YoloxDecoded | Self::YoloV5 => last(0).saturating_sub(5),
+            Self::YoloV8 { masks } => {
+                let rows = outputs.first().and_then(|t| t.shape.get(1).copied()).unwrap_or(0);
+                rows.saturating_sub(4 + masks)
+            }
+            Self::EndToEnd => 0,
+            Self::Detr => outputs.iter().find_map(|t| t.shape.last().copied().filter(|&n| n != 4)).unwrap_or(0),
+        }
+    }
+}
+
+/// Cells of all levels of an anchor-free head.
+fn cells(input: (usize, usize)) -> usize {
+    [8, 16, 32].iter().map(|s| (input.0 / s) * (input.1 / s)).sum()
+}
+
+fn shapes(outputs: &[Tensor<'_>]) -> String {
+    let one = |t: &Tensor<'_>| {
+        format!("`{}` {}", t.name, t.shape.iter().map(ToString::to_string).collect::<Vec<_>>().join("x"))
+    };
+    outputs.iter().map(one).collect::<Vec<_>>().join(", ")
+}
+
+/// Tells the kind from one answer; the error says what was found and what would do.
+pub fn recognise(model: &Model, outputs: &[Tensor<'_>]) -> Result<ExportKind, String> {
+    let input = model.input_size();
+    let n = cells(input);
+    let unknown = || {
+        Err(format!(
+            "{} answers {} to a picture of {}x{}: expected 1x{n}x(5+C) (YOLOX), 1x{}x(5+C) (YOLOv5), 1x(4+C)x{n} (YOLOv8 and later), \
+             1xNx6 (end to end) or logits 1xNxC with boxes 1xNx4 (DETR); name the kind with `layout`",
+            model.path().display(),
+            shapes(outputs),
+            input.0,
+            input.1,
+            3 * n
+        ))
+    };
+    let end_to_end = model.metadata("end2end").is_some_and(|v| v.eq_ignore_ascii_case("true"));
+    let ranks: Vec<&[usize]> = outputs.iter().map(|t| t.shape.as_slice()).collect();
+    match ranks[..] {
+        [[1, rows, 6]] if end_to_end || (*rows <= 1000 && *rows != n && *rows != 3 * n) => Ok(ExportKind::EndToEnd),
+        [[1, rows, len]] if *rows == n && *len > 5 => Ok(ExportKind::YoloxRaw),
+        [[1, rows, len], ..] if *rows == 3 * n && *len > 5 => Ok(ExportKind::YoloV5),
+        [[1, len, rows]] if *rows == n && *len > 4 => Ok(ExportKind::YoloV8 { masks: 0 }),
+        // Boxes with mask coefficients, and the prototypes they weight.
+        [[1, len, rows], [1, masks, _, _]] if *rows == n && *len > 4 + *masks => {
+            Ok(ExportKind::YoloV8 { masks: *masks })
+        }
+        [[1, a, x], [1, b, y]] if a == b && (*x == 4) != (*y == 4) => Ok(ExportKind::Detr),
+        _ => unknown(),
+    }
+}

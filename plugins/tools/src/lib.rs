@@ -1,0 +1,21 @@
+//! Finding surgical instruments: boxes, masks, tips.
+//!
+//! `yolo` runs a detector, `mask_rcnn` a model that also segments; both read the exports that people have, through ONNX Runtime. `tool_tip`
+//! finds the tip of the instrument in what they found.
+
+pub mod candidates;
+pub mod export_kind;
+pub mod labels;
+pub mod letterbox;
+pub mod mask_rcnn;
+pub mod model;
+pub mod onnx_file;
+pub mod runtime_library;
+pub mod shaft;
+pub mod tool_tip;
+pub mod track;
+pub mod yolo;
+
+use panoscope_node::export_plugin;
+
+export_plugin![yolo::Yolo, mask_rcnn::MaskRcnn, tool_tip::ToolTip];

@@ -1,0 +1,336 @@
+//! `mask_rcnn`: boxes with a mask each, from torchvision's and Detectron2's exports of Mask R-CNN (He et al. 2017; thesis, chapter 5) and from
+//! YOLO exports that segment.
+
+use std::path::PathBuf;
+
+use panoscope_imaging::SharedMut;
+use panoscope_node::abi::Detection;
+use panoscope_node::detections::mask_len;
+use panoscope_node::{
+    AnyImage, Choice, Context, LabeledInstances, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Slot, error,
+};
+
+use crate::candidates::{Candidate, Decoder, suppress};
+use crate::export_kind::ExportKind;
+use crate::letterbox::{Fit, PixelForm, Placement};
+use crate::model::{Tensor, Values};
+use crate::track::Tracker;
+use crate::yolo::{Network, detection, picture_of};
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Picture to search, bgr8 or gray8.
+    image: AnyImage<'f>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// Boxes and masks in px of the picture, best first, with their label table.
+    instances: Slot<'f, LabeledInstances>,
+}
+
+/// Whose export it is.
+#[derive(Choice, Clone, Copy, PartialEq, Eq)]
+pub enum Family {
+    /// Told from the answer's shapes and the model's metadata.
+    Auto,
+    /// Red first, 0..1; class 0 is background; masks of the whole picture or of 28 px.
+    Torchvision,
+    /// Blue first, 0..255; masks of 28 px.
+    Detectron2,
+    /// YOLOv8 and later with mask prototypes.
+    YoloSeg,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct MaskRcnnParams {
+    /// The network, an .onnx file.
+    #[param(default = "models/instrument_masks.onnx", reopen, must_exist)]
+    model: PathBuf,
+    /// Whose export it is.
+    #[param(default = "auto", reopen)]
+    family: Family,
+    /// Lowest score of an instance.
+    #[param(default = 0.5, range = 0.001..=1.0, step = 0.01, unit = "ratio")]
+    min_score: f32,
+    /// Overlap (intersection over union) beyond which the weaker of two boxes of a class goes.
+    #[param(default = 0.5, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
+    max_overlap: f32,
+    /// Share of certainty from which a pixel belongs to the mask.
+    #[param(default = 0.5, range = 0.01..=0.99, step = 0.01, unit = "ratio")]
+    mask_threshold: f32,
+    /// Most instances given on.
+    #[param(default = 20, range = 1..=200)]
+    max_instances: usize,
+    /// Names of the classes, one a line; empty takes those in the model file.
+    #[param(default = "", reopen)]
+    labels: PathBuf,
+    /// Width of the network's picture, where the model takes any.
+    #[param(default = 640, range = 32..=4096, step = 32, unit = "px", reopen)]
+    input_width: usize,
+    /// Height of the network's picture, where the model takes any.
+    #[param(default = 480, range = 32..=4096, step = 32, unit = "px", reopen)]
+    input_height: usize,
+    /// Numbers that stay with each tool over time.
+    #[param(default = true)]
+    track: bool,
+    /// Threads of the network; 0 takes as many as the host has.
+    #[param(default = 0, range = 0..=64, reopen)]
+    threads: usize,
+}
+
+/// Finds tools and their outlines.
+pub struct MaskRcnn {
+    network: Network,
+    family: Family,
+    candidates: Vec<Candidate>,
+    /// Kept certainties per candidate, one after the other: whole or small maps, or prototypes' sums.
+    maps: Vec<f32>,
+    map_size: (usize, usize),
+    items: Vec<Detection>,
+    bits: Vec<u8>,
+    tracker: Tracker,
+}
+
+/// The four answers of a Mask R-CNN, whatever their order.
+struct Answer<'a> {
+    boxes: &'a [f32],
+    scores: &'a [f32],
+    labels: Option<&'a [i64]>,
+    masks: &'a [f32],
+    map_size: (usize, usize),
+    count: usize,
+}
+
+fn sort_out<'a>(outputs: &[Tensor<'a>]) -> Result<Answer<'a>> {
+    let floats = |rank: usize, last: Option<usize>| {
+        outputs.iter().find_map(|t| {
+            let fits = t.shape.len() == rank && last.is_none_or(|n| t.shape.last() == Some(&n));
+            t.data.floats().filter(|_| fits).map(|data| (t.shape.clone(), data))
+        })
+    };
+    let masks = floats(4, None).or_else(|| floats(3, None));
+    let (Some((shape, boxes)), Some((_, scores)), Some((mask_shape, masks))) =
+        (floats(2, Some(4)), floats(1, None), masks)
+    else {
+        let found: Vec<String> = outputs.iter().map(|t| format!("`{}` {:?}", t.name, t.shape)).collect();
+        return Err(error!(
+            "the model answers {}, expected boxes Nx4, scores N, labels N and masks Nx1xHxW",
+            found.join(", ")
+        ));
+    };
+    let labels = outputs
+        .iter()
+        .find_map(|t| if let Values::Int(l) = t.data { Some(l).filter(|_| t.shape.len() == 1) } else { None });
+    let count = shape[0];
+    let [.., height, width] = mask_shape[..] else { return Err(error!("masks have no height and width")) };
+    let whole = boxes.len() >= 4 * count
+        && scores.len() >= count
+        && labels.is_none_or(|l| l.len() >= count)
+        && width.checked_mul(height).and_then(|n| n.checked_mul(count)).is_some_and(|n| masks.len() >= n);
+    if !whole {
+        return Err(error!("boxes, scores and masks of the answer do not have as many rows"));
+    }
+    Ok(Answer { boxes, scores, labels, masks, map_size: (width, height), count })
+}
+
+/// Bilinear value at a place of a map; 0 outside.
+fn sample(map: &[f32], (width, height): (usize, usize), x: f32, y: f32) -> f32 {
+    if width == 0 || height == 0 || !(x > -1.0 && y > -1.0 && x < width as f32 && y < height as f32) {
+        return 0.0;
+    }
+    let (x0, y0) = (x.floor(), y.floor());
+    let (fx, fy) = (x - x0, y - y0);
+    let at = |x: f32, y: f32| {
+        let inside = x >= 0.0 && y >= 0.0 && (x as usize) < width && (y as usize) < height;
+        if inside { map[y as usize * width + x as usize] } else { 0.0 }
+    };
+    let upper = at(x0, y0) + fx * (at(x0 + 1.0, y0) - at(x0, y0));
+    let lower = at(x0, y0 + 1.0) + fx * (at(x0 + 1.0, y0 + 1.0) - at(x0, y0 + 1.0));
+    upper + fy * (lower - upper)
+}
+
+/// What a map covers.
+#[derive(Clone, Copy, PartialEq)]
+enum Covers {
+    /// Its own box.
+    Box,
+    /// The network's whole input.
+    Input(Placement, (usize, usize)),
+}
+
+impl MaskRcnn {
+    /// Bit masks of all items: most significant bit first, rows padded to whole bytes.
+    fn paint(&mut self, covers: Covers, size: (usize, usize), threshold: f32, pool: &dyn Parallel) {
+        let len = mask_len(size.0, size.1);
+        let row_bytes = size.0.div_ceil(8);
+        self.bits.clear();
+        self.bits.resize(len * self.items.len(), 0);
+        let (items, maps, map_size) = (&self.items, &self.maps, self.map_size);
+        let one_map = map_size.0 * map_size.1;
+        let out = SharedMut::new(&mut self.bits);
+        pool.run(items.len(), &|i| {
+            let (item, map) = (&items[i], &maps[i * one_map..(i + 1) * one_map]);
+            // SAFETY: one mask, one chunk.
+            let bits = unsafe { out.part(i * len, len) };
+            let columns =
+                item.x_px.max(0.0) as usize..((item.x_px + item.width_px).ceil().max(0.0) as usize).min(size.0);
+            let rows = item.y_px.max(0.0) as usize..((item.y_px + item.height_px).ceil().max(0.0) as usize).min(size.1);
+            for y in rows {
+                for x in columns.clone() {
+                    let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
+                    let (mx, my) = match covers {
+                        Covers::Box => (
+                            (px - item.x_px) / item.width_px * map_size.0 as f32 - 0.5,
+                            (py - item.y_px) / item.height_px * map_size.1 as f32 - 0.5,
+                        ),
+                        Covers::Input(p, input) => (
+                            (px * p.scale[0] + p.offset[0]) * map_size.0 as f32 / input.0 as f32 - 0.5,
+                            (py * p.scale[1] + p.offset[1]) * map_size.1 as f32 / input.1 as f32 - 0.5,
+                        ),
+                    };
+                    if sample(map, map_size, mx, my) >= threshold {
+                        bits[y * row_bytes + x / 8] |= 0x80 >> (x % 8);
+                    }
+                }
+            }
+        });
+    }
+}
+
+fn pixel_form(family: Family) -> PixelForm {
+    match family {
+        Family::Detectron2 => PixelForm { rgb: false, mean: [0.0; 3], gain: [1.0; 3], fit: Fit::Corner },
+        Family::YoloSeg => ExportKind::YoloV8 { masks: 32 }.pixel_form(),
+        _ => PixelForm { rgb: true, mean: [0.0; 3], gain: [1.0 / 255.0; 3], fit: Fit::Corner },
+    }
+}
+
+impl Node for MaskRcnn {
+    const INFO: NodeInfo =
+        NodeInfo::blocking("mask_rcnn", "tools", "Finds surgical tools with their outlines by a segmenting network.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = MaskRcnnParams;
+
+    fn open(open: &Open<'_>, params: &MaskRcnnParams) -> Result<Self> {
+        let size = (params.input_width, params.input_height);
+        let mut network = Network::open(open, &params.model, params.threads, size)?;
+        let (w, h) = network.model.input_size();
+        let gray = vec![0.5f32; 3 * w * h];
+        let named = network.model.metadata("family").map(str::to_owned);
+        let (family, classes) = network.model.run(&gray, |outputs| -> Result<_> {
+            if let [boxes, prototypes] = outputs
+                && let ([1, len, _], [1, masks, _, _]) = (&boxes.shape[..], &prototypes.shape[..])
+                && matches!(params.family, Family::Auto | Family::YoloSeg)
+            {
+                return Ok((Family::YoloSeg, len.saturating_sub(4 + masks)));
+            }
+            let answer = sort_out(outputs)?;
+            let family = match (params.family, named.as_deref()) {
+                (Family::Auto, Some("detectron2")) => Family::Detectron2,
+                (Family::Auto, Some("torchvision")) => Family::Torchvision,
+                // Detectron2 leaves pasting to the reader; torchvision pastes unless it was told not to.
+                (Family::Auto, _) if answer.map_size.0 <= 56 && answer.map_size != (w, h) => Family::Detectron2,
+                (Family::Auto, _) => Family::Torchvision,
+                (asked, _) => asked,
+            };
+            Ok((family, 0))
+        })??;
+        network.name_classes(open, &params.labels, classes)?;
+        Ok(Self {
+            network,
+            family,
+            candidates: Vec::new(),
+            maps: Vec::new(),
+            map_size: (0, 0),
+            items: Vec::new(),
+            bits: Vec::new(),
+            tracker: Tracker::default(),
+        })
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &MaskRcnnParams,
+    ) -> Result<()> {
+        let picture = picture_of(&input.image)?;
+        let size = (picture.width, picture.height);
+        let net = self.network.model.input_size();
+        let placement = self.network.letterbox.fit(picture, net, &pixel_form(self.family), cx.pool());
+        let family = self.family;
+        let Self { network: Network { model, letterbox, .. }, candidates, maps, map_size, .. } = self;
+        let covers = model.run(&letterbox.input, |outputs| -> Result<Covers> {
+            maps.clear();
+            candidates.clear();
+            if family == Family::YoloSeg {
+                let [_, prototypes] = outputs else { return Err(error!("the model answers no prototypes")) };
+                let [1, masks, height, width] = prototypes.shape[..] else {
+                    return Err(error!("prototypes are {:?}, expected 1xMxHxW", prototypes.shape));
+                };
+                let kind = ExportKind::YoloV8 { masks };
+                Decoder { kind, input: net, placement, picture: size, min_score: params.min_score, out: candidates }
+                    .decode(outputs)
+                    .map_err(|e| error!("{e}"))?;
+                suppress(candidates, params.max_overlap, false, params.max_instances);
+                let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
+                    return Err(error!("boxes and prototypes are f32"));
+                };
+                let (len, rows, area) = (outputs[0].shape[1], outputs[0].shape[2], width * height);
+                *map_size = (width, height);
+                for c in candidates.iter() {
+                    let start = maps.len();
+                    maps.resize(start + area, 0.0);
+                    for m in 0..masks {
+                        let share = boxes[(len - masks + m) * rows + c.row as usize];
+                        let plane = &shapes[m * area..(m + 1) * area];
+                        maps[start..].iter_mut().zip(plane).for_each(|(sum, p)| *sum += share * p);
+                    }
+                    maps[start..].iter_mut().for_each(|v| *v = 1.0 / (1.0 + (-*v).exp()));
+                }
+                return Ok(Covers::Input(placement, net));
+            }
+            let answer = sort_out(outputs)?;
+            // Class 0 of torchvision is background and never answered.
+            let first_class = i64::from(family == Family::Torchvision);
+            for row in 0..answer.count {
+                let (b, score) = (&answer.boxes[4 * row..4 * row + 4], answer.scores[row]);
+                let class = answer.labels.map_or(0, |l| l[row] - first_class);
+                let ((x0, y0), (x1, y1)) = (placement.back(b[0], b[1]), placement.back(b[2], b[3]));
+                let (w, h) = (size.0 as f32, size.1 as f32);
+                let corners = [x0.clamp(0.0, w), y0.clamp(0.0, h), x1.clamp(0.0, w), y1.clamp(0.0, h)];
+                let sound = [x0, y0, x1, y1].iter().all(|v| v.is_finite())
+                    && corners[2] > corners[0]
+                    && corners[3] > corners[1];
+                if sound && score > params.min_score && class >= 0 {
+                    candidates.push(Candidate {
+                        corners,
+                        score: score.min(1.0),
+                        class_index: class as u32,
+                        row: row as u32,
+                    });
+                }
+            }
+            suppress(candidates, params.max_overlap, false, params.max_instances);
+            *map_size = answer.map_size;
+            let area = answer.map_size.0 * answer.map_size.1;
+            for c in candidates.iter() {
+                maps.extend_from_slice(&answer.masks[c.row as usize * area..(c.row as usize + 1) * area]);
+            }
+            Ok(if answer.map_size == net { Covers::Input(placement, net) } else { Covers::Box })
+        })??;
+        self.items.clear();
+        self.items.extend(self.candidates.iter().map(detection));
+        if params.track {
+            self.tracker.follow(&mut self.items);
+        }
+        self.paint(covers, size, params.mask_threshold, cx.pool());
+        out.instances.set_instances(&self.items, &self.network.labels, size, &self.bits)
+    }
+}

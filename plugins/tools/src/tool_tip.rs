@@ -1,0 +1,147 @@
+//! `tool_tip`: the leading tool's tip, in the picture and, where depth is known, in space (thesis, chapter 6).
+
+use panoscope_node::abi::{Calibration, Detection, Tip};
+use panoscope_node::{
+    Context, Depth, Detections, Disparity, Image, Instances, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value,
+    error,
+};
+
+use crate::shaft::{TipPixel, tip_of_box, tip_of_mask};
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Boxes of tools in the left rectified view.
+    detections: Option<Detections<'f>>,
+    /// Tools with masks: preferred to boxes.
+    instances: Option<Instances<'f>>,
+    /// Depth of the left rectified view, for the place in space.
+    depth: Option<Image<'f, Depth>>,
+    /// Disparity of the left rectified view, where no depth is connected.
+    disparity: Option<Image<'f, Disparity>>,
+    /// Calibration of the rectified views, for the place in space.
+    calibration: Option<Value<'f, Calibration>>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// The leading tool's tip; empty when no tool is found.
+    tip: Slot<'f, Tip>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct ToolTipParams {
+    /// Name of the class to follow; empty takes any.
+    #[param(default = "")]
+    class: String,
+    /// Lowest score of a tool.
+    #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    min_score: f32,
+    /// Radius around the tip in which depth is looked for.
+    #[param(default = 6, range = 1..=64, unit = "px")]
+    radius_px: usize,
+}
+
+/// Finds the tip of the leading tool.
+pub struct ToolTip {
+    near: Vec<f32>,
+    leading: i64,
+}
+
+/// Depth values needed around the tip for a place to be trusted.
+const MIN_VALUES: usize = 6;
+
+impl ToolTip {
+    /// Median depth of what lies around the tip on the tool: the nearer surface, since a tool stands before the tissue.
+    fn depth_at(
+        &mut self,
+        at: (f64, f64),
+        radius: usize,
+        size: (usize, usize),
+        depth_of: impl Fn(usize, usize) -> f32,
+    ) -> Option<f32> {
+        let (u, v, r) = (at.0.round() as isize, at.1.round() as isize, radius as isize);
+        self.near.clear();
+        for y in (v - r).max(0)..=(v + r).min(size.1 as isize - 1) {
+            for x in (u - r).max(0)..=(u + r).min(size.0 as isize - 1) {
+                let z = depth_of(x as usize, y as usize);
+                if (x - u).pow(2) + (y - v).pow(2) <= r * r && z.is_finite() && z > 0.0 {
+                    self.near.push(z);
+                }
+            }
+        }
+        if self.near.len() < MIN_VALUES {
+            return None;
+        }
+        self.near.sort_unstable_by(f32::total_cmp);
+        Some(self.near[self.near.len() / 4])
+    }
+}
+
+impl Node for ToolTip {
+    const INFO: NodeInfo = NodeInfo::compute("tool_tip", "tools", "Finds the leading tool's tip, in px and in mm.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = ToolTipParams;
+
+    fn open(_: &Open<'_>, _: &ToolTipParams) -> Result<Self> {
+        Ok(Self { near: Vec::new(), leading: -1 })
+    }
+
+    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &ToolTipParams) -> Result<()> {
+        let masks = input.instances;
+        let Some(found) = masks.map(|m| m.detections()).or(input.detections) else {
+            return Err(error!("connect `detections` or `instances`"));
+        };
+        let size = found.image_size();
+        let wanted = |d: &Detection| {
+            d.score >= params.min_score && (params.class.is_empty() || found.label(d.class_index) == params.class)
+        };
+        // The tool that led before goes on leading while it is seen; else the surest one.
+        let best = found.items().iter().enumerate().filter(|(_, d)| wanted(d)).max_by(|(_, a), (_, b)| {
+            let leads = |d: &Detection| d.track_id >= 0 && d.track_id == self.leading;
+            leads(a).cmp(&leads(b)).then(a.score.total_cmp(&b.score))
+        });
+        let Some((index, item)) = best else { return Ok(()) };
+        self.leading = item.track_id;
+        let corners = [item.x_px, item.y_px, item.x_px + item.width_px, item.y_px + item.height_px];
+        let tip = masks.and_then(|m| tip_of_mask(m.mask(index), size.0, size.1));
+        let TipPixel { u_px, v_px, direction } = tip.unwrap_or_else(|| tip_of_box(corners, size.0, size.1));
+        let mut xyz_mm = [f64::NAN; 3];
+        let mut valid = false;
+        if let Some(calibration) = &input.calibration {
+            // Looked for a little inside the tool: at its very end half of the pixels are tissue.
+            let inside = (
+                u_px - direction[0] * params.radius_px as f64 / 2.0,
+                v_px - direction[1] * params.radius_px as f64 / 2.0,
+            );
+            let p = &calibration.left_projection;
+            let (focal, baseline) = (p[0], calibration.baseline_mm);
+            let z = if let Some(depth) = &input.depth {
+                let view = depth.view();
+                self.depth_at(inside, params.radius_px, (view.width, view.height), |x, y| view.row(y)[x])
+            } else if let Some(disparity) = &input.disparity {
+                let view = disparity.view();
+                let to_depth = |d: f32| (focal * baseline / f64::from(d)) as f32;
+                self.depth_at(inside, params.radius_px, (view.width, view.height), |x, y| to_depth(view.row(y)[x]))
+            } else {
+                None
+            };
+            if let Some(z) = z.map(f64::from) {
+                xyz_mm = [(u_px - p[2]) / p[0] * z, (v_px - p[6]) / p[5] * z, z];
+                valid = xyz_mm.iter().all(|v| v.is_finite());
+            }
+        }
+        out.tip.set(Tip {
+            u_px,
+            v_px,
+            xyz_mm,
+            score: f64::from(item.score),
+            class_index: item.class_index,
+            xyz_valid: u32::from(valid),
+            track_id: item.track_id,
+        })
+    }
+}

@@ -1,0 +1,224 @@
+//! `yolo`: a detector of any of the families that people export, on the newest picture (thesis, chapter 5).
+
+use std::path::PathBuf;
+
+use panoscope_node::abi::Detection;
+use panoscope_node::{
+    AnyImage, Bgr8, Choice, Context, Gray8, LabeledDetections, Node, NodeInfo, Open, Parallel, Params, Ports, Result,
+    Slot, View, error,
+};
+
+use crate::candidates::{Candidate, Decoder, suppress};
+use crate::export_kind::{ExportKind, recognise};
+use crate::labels;
+use crate::letterbox::Letterbox;
+use crate::model::Model;
+use crate::track::Tracker;
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Picture to search, bgr8 or gray8.
+    image: AnyImage<'f>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// Boxes in px of the picture, best first, with their label table.
+    detections: Slot<'f, LabeledDetections>,
+}
+
+/// Families of exports.
+#[derive(Choice, Clone, Copy, PartialEq, Eq)]
+pub enum Layout {
+    /// Told from shapes and metadata.
+    Auto,
+    /// YOLOX as its tools export it: boxes relative to the grid.
+    Yolox,
+    /// YOLOX with boxes decoded inside.
+    YoloxDecoded,
+    /// YOLOv5 and v7: three anchors a cell.
+    Yolov5,
+    /// YOLOv8 and later, without non-maximum suppression inside.
+    Yolov8,
+    /// Corners, score, class: YOLOv10, YOLO26.
+    EndToEnd,
+    /// DETR family.
+    Detr,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct YoloParams {
+    /// The network, an .onnx file.
+    #[param(default = "models/instruments.onnx", reopen, must_exist)]
+    model: PathBuf,
+    /// Family of the export.
+    #[param(default = "auto", reopen)]
+    layout: Layout,
+    /// Lowest score of a box.
+    #[param(default = 0.3, range = 0.001..=1.0, step = 0.01, unit = "ratio")]
+    min_score: f32,
+    /// Overlap (intersection over union) beyond which the weaker of two boxes goes.
+    #[param(default = 0.5, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
+    max_overlap: f32,
+    /// Boxes of different classes displace each other too.
+    #[param(default = false)]
+    class_agnostic: bool,
+    /// Most boxes given on.
+    #[param(default = 50, range = 1..=1000)]
+    max_boxes: usize,
+    /// Names of the classes, one a line; empty takes those in the model file.
+    #[param(default = "", reopen)]
+    labels: PathBuf,
+    /// Width of the network's picture, where the model takes any.
+    #[param(default = 640, range = 32..=4096, step = 32, unit = "px", reopen)]
+    input_width: usize,
+    /// Height of the network's picture, where the model takes any.
+    #[param(default = 640, range = 32..=4096, step = 32, unit = "px", reopen)]
+    input_height: usize,
+    /// Numbers that stay with each tool over time.
+    #[param(default = true)]
+    track: bool,
+    /// Threads of the network; 0 takes as many as the host has.
+    #[param(default = 0, range = 0..=64, reopen)]
+    threads: usize,
+}
+
+/// What detectors and segmenters share: a model, its input, its labels.
+pub(crate) struct Network {
+    pub model: Model,
+    pub letterbox: Letterbox,
+    pub labels: String,
+}
+
+impl Network {
+    pub fn open(open: &Open<'_>, model: &std::path::Path, threads: usize, size: (usize, usize)) -> Result<Self> {
+        let threads = if threads == 0 { open.pool().threads() } else { threads };
+        let model = Model::open(&open.graph_dir().join(model), threads, size)?;
+        Ok(Self { model, letterbox: Letterbox::default(), labels: String::new() })
+    }
+
+    /// Fills the label table: the file's names, else the model's, else numbers.
+    pub fn name_classes(&mut self, open: &Open<'_>, file: &std::path::Path, classes: usize) -> Result<()> {
+        let mut names = if file.as_os_str().is_empty() {
+            self.model.metadata("names").and_then(labels::from_metadata).unwrap_or_default()
+        } else {
+            labels::from_file(&open.graph_dir().join(file)).map_err(|e| error!("{e}"))?
+        };
+        if classes > 0 && !names.is_empty() && names.len() != classes {
+            return Err(error!(
+                "{} tells {classes} classes apart, the label table has {} names",
+                self.model.path().display(),
+                names.len()
+            ));
+        }
+        (names.len()..classes).for_each(|i| names.push(format!("class {i}")));
+        self.labels = names.join("\n");
+        Ok(())
+    }
+}
+
+/// Finds tools in a picture.
+pub struct Yolo {
+    network: Network,
+    kind: ExportKind,
+    candidates: Vec<Candidate>,
+    items: Vec<Detection>,
+    tracker: Tracker,
+}
+
+/// The picture's bytes, whichever of the two formats it has.
+pub(crate) fn picture_of<'f>(image: &AnyImage<'f>) -> Result<View<'f, u8>> {
+    if let Some(bgr) = image.as_plane::<Bgr8>() {
+        return Ok(bgr.view());
+    }
+    match image.as_plane::<Gray8>() {
+        Some(gray) => Ok(gray.view()),
+        None => Err(error!("`image` is neither bgr8 nor gray8")),
+    }
+}
+
+pub(crate) fn detection(c: &Candidate) -> Detection {
+    let [x0, y0, x1, y1] = c.corners;
+    Detection {
+        x_px: x0,
+        y_px: y0,
+        width_px: x1 - x0,
+        height_px: y1 - y0,
+        score: c.score,
+        class_index: c.class_index,
+        track_id: -1,
+    }
+}
+
+impl Node for Yolo {
+    const INFO: NodeInfo = NodeInfo::blocking("yolo", "tools", "Finds surgical tools with a detector network.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = YoloParams;
+
+    fn open(open: &Open<'_>, params: &YoloParams) -> Result<Self> {
+        let size = (params.input_width, params.input_height);
+        let mut network = Network::open(open, &params.model, params.threads, size)?;
+        // One run on gray shows the shapes of the answer, and warms everything up.
+        let (w, h) = network.model.input_size();
+        let gray = vec![0.5f32; 3 * w * h];
+        let asked = params.layout;
+        let told = match asked {
+            Layout::Auto => None,
+            Layout::Yolox => Some(ExportKind::YoloxRaw),
+            Layout::YoloxDecoded => Some(ExportKind::YoloxDecoded),
+            Layout::Yolov5 => Some(ExportKind::YoloV5),
+            Layout::Yolov8 => Some(ExportKind::YoloV8 { masks: 0 }),
+            Layout::EndToEnd => Some(ExportKind::EndToEnd),
+            Layout::Detr => Some(ExportKind::Detr),
+        };
+        let answers = network.model.run(&gray, |outputs| {
+            outputs
+                .iter()
+                .map(|t| (t.name.to_owned(), t.shape.clone(), matches!(t.data, crate::model::Values::Float(_))))
+                .collect::<Vec<_>>()
+        })?;
+        let shapes: Vec<crate::model::Tensor<'_>> = answers
+            .iter()
+            .map(|(name, shape, _)| crate::model::Tensor {
+                name,
+                shape: shape.clone(),
+                data: crate::model::Values::Other,
+            })
+            .collect();
+        let kind = match told {
+            Some(kind) => kind,
+            None => recognise(&network.model, &shapes).map_err(|e| error!("{e}"))?,
+        };
+        let classes = kind.classes(&shapes);
+        network.name_classes(open, &params.labels, classes)?;
+        Ok(Self { network, kind, candidates: Vec::new(), items: Vec::new(), tracker: Tracker::default() })
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &YoloParams) -> Result<()> {
+        let picture = picture_of(&input.image)?;
+        let size = self.network.model.input_size();
+        let form = self.kind.pixel_form();
+        let placement = self.network.letterbox.fit(picture, size, &form, cx.pool());
+        let mut decoder = Decoder {
+            kind: self.kind,
+            input: size,
+            placement,
+            picture: (picture.width, picture.height),
+            min_score: params.min_score,
+            out: &mut self.candidates,
+        };
+        let Network { model, letterbox, labels } = &mut self.network;
+        model.run(&letterbox.input, |outputs| decoder.decode(outputs))?.map_err(|e| error!("{e}"))?;
+        suppress(&mut self.candidates, params.max_overlap, params.class_agnostic, params.max_boxes);
+        self.items.clear();
+        self.items.extend(self.candidates.iter().map(detection));
+        if params.track {
+            self.tracker.follow(&mut self.items);
+        }
+        out.detections.set_detections(&self.items, labels, (picture.width, picture.height))
+    }
+}

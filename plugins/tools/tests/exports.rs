@@ -1,0 +1,217 @@
+//! Every kind of export is recognised and its boxes come out where the network put them.
+
+mod tiny_onnx;
+
+use std::path::Path;
+
+use panoscope_node::Bgr8;
+use panoscope_node::abi::Detection;
+use panoscope_node::harness::{Harness, HarnessError};
+use panoscope_tools::mask_rcnn::MaskRcnn;
+use panoscope_tools::yolo::Yolo;
+use tiny_onnx::{Fixed, TinyModel, folder, runtime_is_there};
+
+const NAMES: &str = "{0: 'grasper', 1: 'hook'}";
+/// Input 64 x 64: 64 + 16 + 4 cells.
+const CELLS: usize = 84;
+
+fn model(outputs: Vec<(&'static str, Vec<i64>, Fixed)>) -> TinyModel {
+    TinyModel { input: vec![1, 3, 64, 64], outputs, metadata: vec![("names", NAMES.into())] }
+}
+
+fn open(path: &Path, more: &str) -> Result<Harness<Yolo>, HarnessError> {
+    Harness::<Yolo>::from_toml(&format!("params = {{ model = {path:?}, min_score = 0.25 {more} }}"))
+}
+
+/// Runs on a gray picture of 128 x 96 px, twice as large as the input, and gives the boxes.
+fn boxes(path: &Path, more: &str) -> Vec<(Detection, String)> {
+    let mut node = open(path, more).expect("the model opens");
+    let out = node.input_image::<Bgr8>("image", 128, 96, &vec![90; 128 * 96 * 3]).process().expect("it runs");
+    let found = out.detections("detections").expect("detections");
+    assert_eq!(found.image_size(), (128, 96));
+    found.items().iter().map(|d| (*d, found.label(d.class_index).to_owned())).collect()
+}
+
+fn near(d: &Detection, want: [f32; 4]) {
+    let got = [d.x_px, d.y_px, d.x_px + d.width_px, d.y_px + d.height_px];
+    let off = got.iter().zip(&want).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(off < 0.05, "{got:?} instead of {want:?}");
+}
+
+fn rows(count: usize, len: usize, set: &[(usize, Vec<f32>)]) -> Fixed {
+    let mut values = vec![0.0; count * len];
+    for (row, v) in set {
+        values[row * len..row * len + v.len()].copy_from_slice(v);
+    }
+    Fixed::Floats(values)
+}
+
+#[test]
+fn yolox_boxes_are_relative_to_the_grid() {
+    if !runtime_is_there() {
+        return;
+    }
+    // Cell (3, 2) of stride 8 is row 19: centre (28, 20), size 16 x 8 in the input; the picture is twice as large.
+    let v = vec![0.5, 0.5, 2f32.ln(), 0.0, 0.9, 0.1, 0.8];
+    let m = model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[(19, v)]))]);
+    let found = boxes(&m.write(&folder("yolox"), "m.onnx"), "");
+    assert_eq!(found.len(), 1);
+    assert_eq!(found[0].1, "hook");
+    assert!((found[0].0.score - 0.72).abs() < 1e-5);
+    near(&found[0].0, [40.0, 32.0, 72.0, 48.0]);
+}
+
+#[test]
+fn yolov5_has_three_anchors_a_cell_and_a_centred_picture() {
+    if !runtime_is_there() {
+        return;
+    }
+    let v = vec![32.0, 32.0, 16.0, 8.0, 0.9, 0.8, 0.1];
+    let n = 3 * CELLS;
+    let m = model(vec![("output0", vec![1, n as i64, 7], rows(n, 7, &[(5, v)]))]);
+    let found = boxes(&m.write(&folder("yolov5"), "m.onnx"), "");
+    // 128 x 96 lies at 64 x 48 with 8 px above and below.
+    near(&found[0].0, [48.0, 40.0, 80.0, 56.0]);
+    assert_eq!(found[0].1, "grasper");
+}
+
+#[test]
+fn yolov8_answers_in_columns_and_weak_doubles_go() {
+    if !runtime_is_there() {
+        return;
+    }
+    let mut values = vec![0.0; 6 * CELLS];
+    for (column, v) in [
+        (10, [32.0, 32.0, 16.0, 8.0, 0.0, 0.9]),
+        (11, [33.0, 32.0, 16.0, 8.0, 0.0, 0.6]),
+        (50, [10.0, 20.0, 4.0, 4.0, 0.5, 0.0]),
+    ] {
+        v.iter().enumerate().for_each(|(k, x)| values[k * CELLS + column] = *x);
+    }
+    let m = model(vec![("output0", vec![1, 6, CELLS as i64], Fixed::Floats(values))]);
+    let found = boxes(&m.write(&folder("yolov8"), "m.onnx"), "");
+    assert_eq!(found.len(), 2, "{found:?}");
+    near(&found[0].0, [48.0, 40.0, 80.0, 56.0]);
+    near(&found[1].0, [16.0, 20.0, 24.0, 28.0]);
+    assert_ne!(found[0].0.track_id, found[1].0.track_id);
+}
+
+#[test]
+fn end_to_end_answers_corners() {
+    if !runtime_is_there() {
+        return;
+    }
+    let v = vec![24.0, 28.0, 40.0, 36.0, 0.7, 1.0];
+    let mut m = model(vec![("output0", vec![1, 30, 6], rows(30, 6, &[(0, v)]))]);
+    m.metadata.push(("end2end", "True".into()));
+    let found = boxes(&m.write(&folder("e2e"), "m.onnx"), "");
+    assert_eq!(found.len(), 1);
+    near(&found[0].0, [48.0, 40.0, 80.0, 56.0]);
+    assert_eq!(found[0].1, "hook");
+}
+
+#[test]
+fn detr_answers_logits_and_shares_of_a_stretched_picture() {
+    if !runtime_is_there() {
+        return;
+    }
+    let logits = Fixed::Floats(vec![-5.0, -5.0, 2.0, -5.0, -5.0, -5.0]);
+    let places = rows(3, 4, &[(1, vec![0.5, 0.5, 0.25, 0.125])]);
+    let m = model(vec![("logits", vec![1, 3, 2], logits), ("pred_boxes", vec![1, 3, 4], places)]);
+    let found = boxes(&m.write(&folder("detr"), "m.onnx"), "");
+    assert_eq!(found.len(), 1);
+    near(&found[0].0, [48.0, 42.0, 80.0, 54.0]);
+}
+
+#[test]
+fn an_answer_of_unknown_shape_is_refused_with_what_would_do() {
+    if !runtime_is_there() {
+        return;
+    }
+    let m = model(vec![("weird", vec![1, 7, 11], Fixed::Floats(vec![0.0; 77]))]);
+    let error = open(&m.write(&folder("weird"), "m.onnx"), "").err().expect("refused").to_string();
+    assert!(error.contains("`weird` 1x7x11") && error.contains("1x84x(5+C)") && error.contains("layout"), "{error}");
+}
+
+#[test]
+fn a_label_table_of_another_length_is_refused() {
+    if !runtime_is_there() {
+        return;
+    }
+    let mut m = model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[]))]);
+    m.metadata = vec![("names", "['a', 'b', 'c']".into())];
+    let error = open(&m.write(&folder("labels"), "m.onnx"), "").err().expect("refused").to_string();
+    assert!(error.contains("tells 2 classes apart, the label table has 3 names"), "{error}");
+}
+
+#[test]
+fn nan_and_endless_answers_are_no_boxes() {
+    if !runtime_is_there() {
+        return;
+    }
+    let set = [
+        (0, vec![f32::NAN, 0.0, 0.0, 0.0, 0.9, 0.9, 0.0]),
+        (1, vec![0.0, 0.0, f32::INFINITY, 0.0, 0.9, 0.9, 0.0]),
+        (2, vec![0.0, 0.0, 0.0, 0.0, f32::NAN, 0.9, 0.0]),
+        (3, vec![0.0, 0.0, 0.0, 0.0, 0.9, f32::NAN, f32::NAN]),
+    ];
+    let m = model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &set))]);
+    let path = m.write(&folder("nan"), "m.onnx");
+    assert_eq!(boxes(&path, "").len(), 0);
+    let mut node = open(&path, "").expect("opens");
+    for (w, h) in [(1, 1), (3, 5), (4000, 2), (2, 3000)] {
+        let out = node.input_image::<Bgr8>("image", w, h, &vec![7; w * h * 3]).process().expect("any size runs");
+        assert_eq!(out.detections("detections").expect("detections").items().len(), 0);
+    }
+}
+
+#[test]
+fn mask_rcnn_pastes_small_masks_into_their_boxes() {
+    if !runtime_is_there() {
+        return;
+    }
+    // The left half of a 28 x 28 map is tool.
+    let map: Vec<f32> = (0..28 * 28).map(|i| if i % 28 < 14 { 1.0 } else { 0.0 }).collect();
+    let m = TinyModel {
+        input: vec![3, 96, 128],
+        outputs: vec![
+            ("boxes", vec![1, 4], Fixed::Floats(vec![20.0, 30.0, 76.0, 86.0])),
+            ("labels", vec![1], Fixed::Ints(vec![2])),
+            ("scores", vec![1], Fixed::Floats(vec![0.9])),
+            ("masks", vec![1, 1, 28, 28], Fixed::Floats(map)),
+        ],
+        metadata: vec![("names", "['grasper', 'hook']".into()), ("family", "torchvision".into())],
+    };
+    let path = m.write(&folder("masks"), "m.onnx");
+    let mut node = Harness::<MaskRcnn>::from_toml(&format!("params = {{ model = {path:?} }}")).expect("opens");
+    let out = node.input_image::<Bgr8>("image", 128, 96, &vec![90; 128 * 96 * 3]).process().expect("runs");
+    let found = out.instances("instances").expect("instances");
+    let items = found.detections();
+    assert_eq!(items.label(items.items()[0].class_index), "hook");
+    let set: usize = found.mask(0).iter().map(|b| b.count_ones() as usize).sum();
+    assert_eq!(set, 28 * 56, "half of a box of 56 x 56 px");
+    let bit = |x: usize, y: usize| found.mask(0)[y * 16 + x / 8] & (0x80 >> (x % 8)) != 0;
+    assert!(bit(20, 30) && bit(47, 85) && !bit(48, 50) && !bit(19, 50) && !bit(30, 29));
+}
+
+#[test]
+fn yolo_seg_masks_are_sums_of_prototypes() {
+    if !runtime_is_there() {
+        return;
+    }
+    let mut values = vec![0.0; 8 * CELLS];
+    [32.0, 32.0, 32.0, 16.0, 0.9, 0.0, 1.0, 0.0].iter().enumerate().for_each(|(k, x)| values[k * CELLS + 9] = *x);
+    // Prototype 0 says tool left of the middle, prototype 1 everywhere.
+    let mut prototypes: Vec<f32> = (0..256).map(|i| if i % 16 < 8 { 8.0 } else { -8.0 }).collect();
+    prototypes.extend([8.0; 256]);
+    let m = model(vec![
+        ("output0", vec![1, 8, CELLS as i64], Fixed::Floats(values)),
+        ("output1", vec![1, 2, 16, 16], Fixed::Floats(prototypes)),
+    ]);
+    let path = m.write(&folder("seg"), "m.onnx");
+    let mut node = Harness::<MaskRcnn>::from_toml(&format!("params = {{ model = {path:?} }}")).expect("opens");
+    let out = node.input_image::<Bgr8>("image", 128, 128, &vec![90; 128 * 128 * 3]).process().expect("runs");
+    let found = out.instances("instances").expect("instances");
+    let bit = |x: usize, y: usize| found.mask(0)[y * 16 + x / 8] & (0x80 >> (x % 8)) != 0;
+    assert!(bit(33, 64) && bit(60, 64) && !bit(70, 64) && !bit(31, 64));
+}

@@ -1,0 +1,128 @@
+//! Tiny ONNX files made by the tests: one picture in, fixed tensors out.
+
+use std::path::{Path, PathBuf};
+
+fn varint(out: &mut Vec<u8>, mut value: u64) {
+    while value >= 0x80 {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
+}
+
+/// A protobuf message under construction.
+#[derive(Clone, Default)]
+pub struct Message(pub Vec<u8>);
+
+impl Message {
+    pub fn int(mut self, field: u64, value: i64) -> Self {
+        varint(&mut self.0, field << 3);
+        varint(&mut self.0, value as u64);
+        self
+    }
+
+    pub fn bytes(mut self, field: u64, value: &[u8]) -> Self {
+        varint(&mut self.0, field << 3 | 2);
+        varint(&mut self.0, value.len() as u64);
+        self.0.extend_from_slice(value);
+        self
+    }
+
+    pub fn text(self, field: u64, value: &str) -> Self {
+        self.bytes(field, value.as_bytes())
+    }
+
+    pub fn message(self, field: u64, value: &Message) -> Self {
+        self.bytes(field, &value.0)
+    }
+}
+
+/// Values of an output.
+#[allow(dead_code)] // each test program uses its part
+pub enum Fixed {
+    Floats(Vec<f32>),
+    Ints(Vec<i64>),
+}
+
+/// A model whose answer does not depend on the picture.
+pub struct TinyModel {
+    pub input: Vec<i64>,
+    pub outputs: Vec<(&'static str, Vec<i64>, Fixed)>,
+    pub metadata: Vec<(&'static str, String)>,
+}
+
+const FLOAT: i64 = 1;
+const INT64: i64 = 7;
+
+fn value_info(name: &str, kind: i64, dims: &[i64]) -> Message {
+    let dim = |&d: &i64| if d < 0 { Message::default().text(2, "any") } else { Message::default().int(1, d) };
+    let shape = dims.iter().fold(Message::default(), |m, d| m.message(1, &dim(d)));
+    let tensor = Message::default().int(1, kind).message(2, &shape);
+    Message::default().text(1, name).message(2, &Message::default().message(1, &tensor))
+}
+
+/// A named tensor.
+pub fn tensor(name: &str, dims: &[i64], values: &Fixed) -> Message {
+    let (kind, raw): (i64, Vec<u8>) = match values {
+        Fixed::Floats(v) => (FLOAT, v.iter().flat_map(|x| x.to_le_bytes()).collect()),
+        Fixed::Ints(v) => (INT64, v.iter().flat_map(|x| x.to_le_bytes()).collect()),
+    };
+    let m = dims.iter().fold(Message::default(), |m, &d| m.int(1, d));
+    m.int(2, kind).text(8, name).bytes(9, &raw)
+}
+
+impl TinyModel {
+    pub fn bytes(&self) -> Vec<u8> {
+        let mut graph = Message::default();
+        for (name, _, _) in &self.outputs {
+            let node = Message::default().text(1, &format!("{name}_held")).text(2, name).text(4, "Identity");
+            graph = graph.message(1, &node);
+        }
+        graph = graph.text(2, "tiny");
+        for (name, dims, values) in &self.outputs {
+            graph = graph.message(5, &tensor(&format!("{name}_held"), dims, values));
+        }
+        graph = graph.message(11, &value_info("images", FLOAT, &self.input));
+        for (name, dims, values) in &self.outputs {
+            let kind = if matches!(values, Fixed::Floats(_)) { FLOAT } else { INT64 };
+            graph = graph.message(12, &value_info(name, kind, dims));
+        }
+        wrap(&graph, &self.metadata)
+    }
+
+    /// Writes the file into a folder of the test's own.
+    pub fn write(&self, folder: &Path, name: &str) -> PathBuf {
+        let path = folder.join(name);
+        std::fs::write(&path, self.bytes()).expect("the test's folder can be written");
+        path
+    }
+}
+
+/// A model around a graph: opset 13, format 8.
+pub fn wrap(graph: &Message, metadata: &[(&'static str, String)]) -> Vec<u8> {
+    let opset = Message::default().text(1, "").int(2, 13);
+    let mut model = Message::default().int(1, 8).message(7, graph).message(8, &opset);
+    for (key, value) in metadata {
+        model = model.message(14, &Message::default().text(1, key).text(2, value));
+    }
+    model.0
+}
+
+/// Whether ONNX Runtime is there; says so when it is not.
+pub fn runtime_is_there() -> bool {
+    match panoscope_tools::runtime_library::environment() {
+        Ok(_) => true,
+        Err(e) => {
+            println!("skipped: {e}");
+            false
+        }
+    }
+}
+
+/// A folder of this test's own, empty.
+pub fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("tools-{name}"));
+    let _ = std::fs::remove_dir_all(&path);
+    std::fs::create_dir_all(&path).expect("the target folder can be written");
+    path
+}

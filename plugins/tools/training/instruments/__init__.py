@@ -1,0 +1,1 @@
+"""Training of the instrument detectors that ship with Panoscope."""

@@ -1,0 +1,230 @@
+"""Augmentation that makes one operation look like another: light, colour, smoke, blur, position, size and company."""
+
+import cv2
+import numpy as np
+
+
+def lab_statistics(picture):
+    """Mean and deviation of L, a, b over the lit part of a picture."""
+    lab = cv2.cvtColor(picture[::4, ::4], cv2.COLOR_BGR2LAB).astype(np.float32).reshape(-1, 3)
+    lit = lab[lab[:, 0] > 25]
+    lab = lit if len(lit) > 50 else lab
+    return lab.mean(0), lab.std(0) + 1e-3
+
+
+def transfer_colour(picture, own, other, share):
+    """Moves a picture's colour statistics towards those of another operation (Reinhard et al. 2001)."""
+    lab = cv2.cvtColor(picture, cv2.COLOR_BGR2LAB).astype(np.float32)
+    gain = np.clip(other[1] / own[1], 0.5, 2.0)
+    moved = (lab - own[0]) * gain + other[0]
+    lab += share * (moved - lab)
+    return cv2.cvtColor(np.clip(lab, 0, 255).astype(np.uint8), cv2.COLOR_LAB2BGR)
+
+
+def light(picture, rng):
+    """Gamma, gain per channel, contrast, saturation."""
+    table = np.arange(256, dtype=np.float32) / 255
+    gamma = np.exp(rng.uniform(-0.5, 0.5))
+    gains = np.exp(rng.uniform(-0.35, 0.35)) * np.exp(rng.uniform(-0.12, 0.12, 3))
+    tables = np.clip((table[:, None] ** gamma) * gains * 255, 0, 255).astype(np.uint8)
+    picture = cv2.LUT(picture, tables.reshape(256, 1, 3))
+    if rng.random() < 0.5:
+        gray = cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+        share = rng.uniform(0.3, 1.6)
+        picture = cv2.addWeighted(picture, share, gray, 1 - share, 0)
+    return picture
+
+
+def cloud(shape, rng, cells=4):
+    """Smooth noise in 0..1."""
+    h, w = shape[:2]
+    return cv2.resize(rng.random((cells, cells + 2)).astype(np.float32), (w, h), interpolation=cv2.INTER_CUBIC).clip(0, 1)
+
+
+def smoke(picture, rng):
+    veil = (cloud(picture.shape, rng) * rng.uniform(0.2, 0.7))[..., None]
+    return (picture * (1 - veil) + rng.uniform(150, 230) * veil).astype(np.uint8)
+
+
+def vignette(picture, rng):
+    """Fall-off of the light from a random centre."""
+    h, w = picture.shape[:2]
+    y, x = np.mgrid[:h, :w].astype(np.float32)
+    cx, cy = rng.uniform(0.25, 0.75) * w, rng.uniform(0.25, 0.75) * h
+    fall = 1 - rng.uniform(0.2, 0.7) * np.clip(((x - cx) ** 2 + (y - cy) ** 2) / (0.5 * w) ** 2, 0, 1)
+    return (picture * fall[..., None]).astype(np.uint8)
+
+
+def blur(picture, rng):
+    if rng.random() < 0.5:
+        return cv2.GaussianBlur(picture, (0, 0), rng.uniform(0.5, 1.8))
+    length = int(rng.integers(3, 10))
+    kernel = np.zeros((length, length), np.float32)
+    angle = rng.uniform(0, np.pi)
+    c = (length - 1) / 2
+    for t in np.linspace(-c, c, 2 * length):
+        kernel[int(round(c + t * np.sin(angle))), int(round(c + t * np.cos(angle)))] = 1
+    return cv2.filter2D(picture, -1, kernel / kernel.sum())
+
+
+def noise(picture, rng):
+    grain = rng.normal(0, rng.uniform(2, 10), picture.shape).astype(np.float32)
+    return np.clip(picture + grain, 0, 255).astype(np.uint8)
+
+
+def compress(picture, rng):
+    ok, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(25, 80))])
+    return cv2.imdecode(data, cv2.IMREAD_COLOR) if ok else picture
+
+
+def erase(picture, rng):
+    """Covers a few patches, as blood or another instrument would."""
+    h, w = picture.shape[:2]
+    for _ in range(int(rng.integers(1, 4))):
+        ph, pw = int(rng.uniform(0.05, 0.2) * h), int(rng.uniform(0.05, 0.2) * w)
+        y, x = int(rng.integers(0, h - ph)), int(rng.integers(0, w - pw))
+        picture[y : y + ph, x : x + pw] = rng.integers(0, 255, 3)
+    return picture
+
+
+def photometric(picture, rng, own, other):
+    if rng.random() < 0.5:
+        picture = transfer_colour(picture, own, other, rng.uniform(0.4, 1.0))
+    if rng.random() < 0.8:
+        picture = light(picture, rng)
+    for change, share in ((vignette, 0.15), (smoke, 0.2), (blur, 0.2), (noise, 0.15), (compress, 0.1), (erase, 0.2)):
+        if rng.random() < share:
+            picture = change(picture, rng)
+    return picture
+
+
+def warp(picture, boxes, width, height, rng, scale_range, turn_deg=15.0, shift=0.15, origin=None):
+    """Random similarity with shear and flips into width x height; boxes that leave the picture go."""
+    h, w = picture.shape[:2]
+    fit = min(width / w, height / h)
+    scale = fit * np.exp(rng.uniform(*np.log(scale_range)))
+    angle = np.deg2rad(rng.uniform(-turn_deg, turn_deg))
+    shear = rng.uniform(-0.08, 0.08, 2)
+    flip = np.diag([-1.0 if rng.random() < 0.5 else 1.0, -1.0 if rng.random() < 0.15 else 1.0])
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    linear = scale * turn @ np.array([[1, shear[0]], [shear[1], 1]]) @ flip
+    target = np.array([width, height]) * (0.5 + rng.uniform(-shift, shift, 2)) if origin is None else origin
+    offset = target - linear @ np.array([w / 2, h / 2])
+    matrix = np.hstack((linear, offset[:, None])).astype(np.float32)
+    out = cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_LINEAR, borderValue=(114, 114, 114))
+    return out, move_boxes(boxes, matrix, width, height)
+
+
+def move_boxes(boxes, matrix, width, height):
+    if len(boxes) == 0:
+        return boxes
+    x0, y0, x1, y1 = boxes[:, 1], boxes[:, 2], boxes[:, 3], boxes[:, 4]
+    # The box of an ellipse, not of the corners: a turned corner box grows where there is no tool.
+    cx, cy, a, b = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2, (y1 - y0) / 2
+    mx = matrix[0, 0] * cx + matrix[0, 1] * cy + matrix[0, 2]
+    my = matrix[1, 0] * cx + matrix[1, 1] * cy + matrix[1, 2]
+    half_x = np.sqrt((matrix[0, 0] * a) ** 2 + (matrix[0, 1] * b) ** 2)
+    half_y = np.sqrt((matrix[1, 0] * a) ** 2 + (matrix[1, 1] * b) ** 2)
+    moved = np.stack((boxes[:, 0], mx - half_x, my - half_y, mx + half_x, my + half_y), 1)
+    area = (2 * half_x) * (2 * half_y)
+    moved[:, [1, 3]] = moved[:, [1, 3]].clip(0, width)
+    moved[:, [2, 4]] = moved[:, [2, 4]].clip(0, height)
+    left = (moved[:, 3] - moved[:, 1]) * (moved[:, 4] - moved[:, 2])
+    keep = (left > 0.35 * area) & (moved[:, 3] - moved[:, 1] > 4) & (moved[:, 4] - moved[:, 2] > 4)
+    return moved[keep].astype(np.float32)
+
+
+def paste(picture, boxes, donor, donor_box, rng):
+    """Sets the working end of another frame's tool into this picture, softly, where it covers little of other tools."""
+    k, x0, y0, x1, y1 = donor_box
+    mx, my = 0.12 * (x1 - x0) + 2, 0.12 * (y1 - y0) + 2
+    h, w = donor.shape[:2]
+    cx0, cy0, cx1, cy1 = int(max(0, x0 - mx)), int(max(0, y0 - my)), int(min(w, x1 + mx)), int(min(h, y1 + my))
+    crop = donor[cy0:cy1, cx0:cx1]
+    box = np.array([x0 - cx0, y0 - cy0, x1 - cx0, y1 - cy0])
+    if rng.random() < 0.5:
+        crop = crop[:, ::-1]
+        box = np.array([crop.shape[1] - box[2], box[1], crop.shape[1] - box[0], box[3]])
+    scale = rng.uniform(0.7, 1.4)
+    crop = cv2.resize(np.ascontiguousarray(crop), None, fx=scale, fy=scale)
+    box = box * scale
+    ch, cw = crop.shape[:2]
+    H, W = picture.shape[:2]
+    if ch >= H or cw >= W or ch < 8 or cw < 8:
+        return boxes
+    for _ in range(8):
+        x, y = int(rng.integers(0, W - cw)), int(rng.integers(0, H - ch))
+        placed = np.array([box[0] + x, box[1] + y, box[2] + x, box[3] + y])
+        if len(boxes):
+            over = (np.minimum(boxes[:, 3:], placed[2:]) - np.maximum(boxes[:, 1:3], placed[:2])).clip(0).prod(1)
+            if (over > 0.1 * (boxes[:, 3:] - boxes[:, 1:3]).prod(1)).any():
+                continue
+        yy, xx = np.mgrid[:ch, :cw].astype(np.float32)
+        radius = np.maximum(np.abs(xx / cw - 0.5), np.abs(yy / ch - 0.5)) * 2
+        mask = np.clip((1 - radius) / 0.2, 0, 1)[..., None]
+        spot = picture[y : y + ch, x : x + cw]
+        picture[y : y + ch, x : x + cw] = (spot * (1 - mask) + crop * mask).astype(np.uint8)
+        return np.vstack((boxes, np.concatenate(([k], placed))[None])).astype(np.float32)
+    return boxes
+
+
+class Augmented:
+    """Endless, seeded samples: width x height BGR pictures with boxes as class, cx, cy, w, h."""
+
+    def __init__(self, frames, width, height, seed, mosaic=0.4, pasting=0.35, balance=0.5):
+        self.frames, self.width, self.height, self.seed = frames, width, height, seed
+        self.mosaic, self.pasting = mosaic, pasting
+        self.statistics = [lab_statistics(f.picture) for f in frames]
+        groups = {g: i for i, g in enumerate(sorted({f.group for f in frames}))}
+        per_group = np.bincount([groups[f.group] for f in frames], minlength=len(groups))
+        per_class = np.bincount(np.concatenate([f.boxes[:, 0].astype(int) for f in frames]), minlength=8)
+        # Seldom tools and small operations come up more often (square-root balancing).
+        weights = []
+        for f in frames:
+            kinds = f.boxes[:, 0].astype(int)
+            rare = max((1.0 / per_class[k] for k in kinds), default=1.0 / per_class.max())
+            weights.append((rare**balance) * (1.0 / per_group[groups[f.group]]) ** (balance / 2))
+        self.weights = np.array(weights) / np.sum(weights)
+        tools = [(i, j) for i, f in enumerate(frames) for j in range(len(f.boxes))]
+        rare = np.array([1.0 / per_class[int(frames[i].boxes[j, 0])] for i, j in tools]) ** 0.7
+        self.tools, self.tool_weights = tools, rare / rare.sum()
+
+    def _one(self, rng):
+        i = int(rng.choice(len(self.frames), p=self.weights))
+        f = self.frames[i]
+        other = self.statistics[int(rng.integers(len(self.frames)))]
+        picture, boxes = f.picture.copy(), f.boxes
+        while rng.random() < self.pasting:
+            d, b = self.tools[int(rng.choice(len(self.tools), p=self.tool_weights))]
+            donor = self.frames[d].picture
+            if rng.random() < 0.6:
+                donor = transfer_colour(donor, self.statistics[d], self.statistics[i], 0.7)
+            boxes = paste(picture, boxes, donor, self.frames[d].boxes[b], rng)
+        return photometric(picture, rng, self.statistics[i], other), boxes
+
+    def sample(self, number, plain=False):
+        rng = np.random.default_rng((self.seed, number))
+        w, h = self.width, self.height
+        if plain:
+            # The closing epochs: whole frames with mild light changes only.
+            f = self.frames[int(rng.choice(len(self.frames), p=self.weights))]
+            picture = light(f.picture, rng) if rng.random() < 0.5 else f.picture
+            picture, boxes = warp(picture, f.boxes, w, h, rng, (0.9, 1.15), 4.0, 0.04)
+        elif rng.random() < self.mosaic:
+            cut = np.array([w * rng.uniform(0.35, 0.65), h * rng.uniform(0.35, 0.65)]).astype(int)
+            picture, rows = np.full((h, w, 3), 114, np.uint8), []
+            spans = [(0, cut[0], 0, cut[1]), (cut[0], w, 0, cut[1]), (0, cut[0], cut[1], h), (cut[0], w, cut[1], h)]
+            for x0, x1, y0, y1 in spans:
+                part, boxes = self._one(rng)
+                tw, th = int(x1 - x0), int(y1 - y0)
+                part, boxes = warp(part, boxes, tw, th, rng, (1.0, 2.2))
+                picture[y0:y1, x0:x1] = part
+                rows.append(boxes + np.array([0, x0, y0, x0, y0], np.float32))
+            boxes = np.vstack(rows)
+        else:
+            picture, boxes = self._one(rng)
+            picture, boxes = warp(picture, boxes, w, h, rng, (0.65, 1.7))
+        out = boxes.copy()
+        out[:, 1:3] = (boxes[:, 1:3] + boxes[:, 3:]) / 2
+        out[:, 3:] = boxes[:, 3:] - boxes[:, 1:3]
+        return picture, out

@@ -1,0 +1,70 @@
+"""Average precision at IoU 0.5 (all-point interpolation), per class and mean, on letterboxed frames."""
+
+import numpy as np
+import torch
+
+from .data import letterbox
+from .yolox import decode, flatten
+
+
+def suppress(boxes, scores, iou_limit):
+    """Greedy non-maximum suppression; boxes x0, y0, x1, y1."""
+    order, keep = scores.argsort()[::-1], []
+    area = (boxes[:, 2:] - boxes[:, :2]).prod(1)
+    while len(order):
+        i, rest = order[0], order[1:]
+        keep.append(i)
+        both = (np.minimum(boxes[i, 2:], boxes[rest, 2:]) - np.maximum(boxes[i, :2], boxes[rest, :2])).clip(0).prod(1)
+        order = rest[both / (area[i] + area[rest] - both + 1e-9) <= iou_limit]
+    return keep
+
+
+@torch.no_grad()
+def detect(model, frames, width, height, score_limit=0.01, iou_limit=0.65, batch=16):
+    """Per frame K x 6: class, score, x0, y0, x1, y1 in pixels of `frame.picture`."""
+    model.eval()
+    found = []
+    for start in range(0, len(frames), batch):
+        some = frames[start : start + batch]
+        fitted = [letterbox(f.picture, f.boxes, width, height) for f in some]
+        x = torch.from_numpy(np.stack([p for p, _, _ in fitted])).permute(0, 3, 1, 2).float()
+        raw, grid, stride = flatten(model(x))
+        boxes = decode(raw[..., :4], grid, stride).numpy()
+        scores = (raw[..., 4:5].sigmoid() * raw[..., 5:].sigmoid()).numpy()
+        for i, (_, _, scale) in enumerate(fitted):
+            corners = np.concatenate((boxes[i, :, :2] - boxes[i, :, 2:] / 2, boxes[i, :, :2] + boxes[i, :, 2:] / 2), 1) / scale
+            rows = []
+            for kind in range(scores.shape[2]):
+                good = scores[i, :, kind] > score_limit
+                b, s = corners[good], scores[i, good, kind]
+                rows += [[kind, s[j], *b[j]] for j in suppress(b, s, iou_limit)]
+            found.append(np.array(rows, np.float32).reshape(-1, 6))
+    return found
+
+
+def average_precision(frames, found, classes, iou_limit=0.5):
+    """AP of each class (NaN where the truth has none)."""
+    result = []
+    for kind in range(classes):
+        truth = [f.boxes[f.boxes[:, 0] == kind][:, 1:] for f in frames]
+        total = sum(map(len, truth))
+        taken = [np.zeros(len(t), bool) for t in truth]
+        rows = sorted(((r[1], i, r[2:]) for i, rows in enumerate(found) for r in rows if r[0] == kind), key=lambda r: -r[0])
+        hit = np.zeros(len(rows))
+        for n, (_, i, box) in enumerate(rows):
+            if len(truth[i]) == 0:
+                continue
+            both = (np.minimum(box[2:], truth[i][:, 2:]) - np.maximum(box[:2], truth[i][:, :2])).clip(0).prod(1)
+            iou = both / ((box[2:] - box[:2]).prod() + (truth[i][:, 2:] - truth[i][:, :2]).prod(1) - both + 1e-9)
+            best = int(iou.argmax())
+            if iou[best] >= iou_limit and not taken[i][best]:
+                taken[i][best] = True
+                hit[n] = 1
+        if total == 0:
+            result.append(float("nan"))
+            continue
+        recall = np.cumsum(hit) / total
+        precision = np.cumsum(hit) / np.arange(1, len(rows) + 1)
+        envelope = np.maximum.accumulate(precision[::-1])[::-1]
+        result.append(float(np.sum(np.diff(np.concatenate(([0.0], recall))) * envelope)))
+    return result

@@ -1,0 +1,133 @@
+#!/usr/bin/env python3
+"""Trains the instrument detector (YOLOX-nano) on frames with boxes and writes checkpoints from which it goes on.
+
+    python3 train_detector.py --data FOLDER --start yolox_nano.onnx --out run [--without v02,v08]
+
+FOLDER holds VOC (ImageSets, Annotations, JPEGImages), COCO (train.json) or YOLO (images/train, labels/train) data. Seeds are fixed:
+the same data, arguments and PyTorch give the same weights. Needs PyTorch, NumPy, OpenCV and, for --start, onnx.
+"""
+
+import argparse
+import copy
+import math
+import queue
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from instruments.assign import loss
+from instruments.augment import Augmented
+from instruments.data import CLASSES, read
+from instruments.score import average_precision, detect
+from instruments.yolox import Yolox, load_onnx
+
+
+def arguments():
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--data", required=True, type=Path)
+    p.add_argument("--split", default="trainval", help="which split to learn from")
+    p.add_argument("--test-split", default="test")
+    p.add_argument("--without", default="", help="operations kept out of training and tested on instead: v02,v08")
+    p.add_argument("--start", type=Path, help="weights to start from: a YOLOX-nano ONNX file or a checkpoint of this script")
+    p.add_argument("--out", required=True, type=Path)
+    p.add_argument("--epochs", type=int, default=40)
+    p.add_argument("--plain-epochs", type=int, default=6, help="last epochs on whole, hardly changed frames")
+    p.add_argument("--batch", type=int, default=16)
+    p.add_argument("--rate", type=float, default=1e-3)
+    p.add_argument("--width", type=int, default=416)
+    p.add_argument("--height", type=int, default=256)
+    p.add_argument("--seed", type=int, default=1)
+    p.add_argument("--threads", type=int, default=2)
+    p.add_argument("--test-every", type=int, default=5)
+    return p.parse_args()
+
+
+def batches(samples, first, count, batch, plain):
+    """Samples `first ..`, made by a second thread while the first one learns."""
+    ready = queue.Queue(maxsize=4)
+
+    def make():
+        for b in range(count):
+            pairs = [samples.sample(first + b * batch + i, plain) for i in range(batch)]
+            x = torch.from_numpy(np.stack([p for p, _ in pairs])).permute(0, 3, 1, 2).float()
+            ready.put((x, [torch.from_numpy(t) for _, t in pairs]))
+        ready.put(None)
+
+    threading.Thread(target=make, daemon=True).start()
+    while (item := ready.get()) is not None:
+        yield item
+
+
+def main():
+    a = arguments()
+    torch.manual_seed(a.seed)
+    torch.set_num_threads(a.threads)
+    a.out.mkdir(parents=True, exist_ok=True)
+    left_out = set(filter(None, a.without.split(",")))
+    everything = read(a.data, a.split)
+    train = [f.load(a.width * 5 // 4) for f in everything if f.group not in left_out]
+    if left_out:
+        test = [f for split in (a.split, a.test_split) for f in read(a.data, split) if f.group in left_out]
+    else:
+        test = read(a.data, a.test_split)
+    test = [f.load(a.width * 5 // 4) for f in test]
+    print(f"{len(train)} frames to learn from, {len(test)} to test on", flush=True)
+
+    model = Yolox(len(CLASSES))
+    state_file = a.out / "state.pt"
+    if a.start and a.start.suffix == ".onnx":
+        load_onnx(model, a.start)
+    elif a.start:
+        model.load_state_dict(torch.load(a.start))
+    average = copy.deepcopy(model).eval()
+    decayed = [p for n, p in model.named_parameters() if p.ndim > 1]
+    others = [p for n, p in model.named_parameters() if p.ndim <= 1]
+    optimiser = torch.optim.AdamW([{"params": decayed, "weight_decay": 5e-4}, {"params": others, "weight_decay": 0.0}], lr=a.rate)
+    epoch, step = 0, 0
+    if state_file.exists():
+        state = torch.load(state_file)
+        model.load_state_dict(state["model"])
+        average.load_state_dict(state["average"])
+        optimiser.load_state_dict(state["optimiser"])
+        epoch, step = state["epoch"], state["step"]
+        print(f"goes on after epoch {epoch}", flush=True)
+    samples = Augmented(train, a.width, a.height, a.seed)
+    per_epoch = len(train) // a.batch
+    total = a.epochs * per_epoch
+    while epoch < a.epochs:
+        model.train()
+        plain = epoch >= a.epochs - a.plain_epochs
+        begun, sum_loss = time.time(), 0.0
+        for x, truths in batches(samples, step * a.batch, per_epoch, a.batch, plain):
+            rate = a.rate * min(1.0, (step + 1) / 200) * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * step / total)))
+            for group in optimiser.param_groups:
+                group["lr"] = rate
+            value = loss(model(x), truths, l1=plain)
+            optimiser.zero_grad(set_to_none=True)
+            value.backward()
+            torch.nn.utils.clip_grad_norm_(model.parameters(), 10.0)
+            optimiser.step()
+            step += 1
+            sum_loss += float(value)
+            keep = min(0.9995, (1 + step) / (20 + step))
+            with torch.no_grad():
+                for held, new in zip(average.state_dict().values(), model.state_dict().values()):
+                    if held.dtype.is_floating_point:
+                        held.lerp_(new, 1 - keep)
+                    else:
+                        held.copy_(new)
+        epoch += 1
+        line = f"epoch {epoch:3d}  loss {sum_loss / per_epoch:.3f}  {per_epoch * a.batch / (time.time() - begun):.1f} frames/s"
+        if epoch % a.test_every == 0 or epoch == a.epochs:
+            ap = average_precision(test, detect(average, test, a.width, a.height), len(CLASSES))
+            line += f"  mAP50 {np.nanmean(ap):.4f}  " + " ".join(f"{n}={v:.3f}" for n, v in zip(CLASSES, ap))
+        print(line, flush=True)
+        torch.save({"model": model.state_dict(), "average": average.state_dict(), "optimiser": optimiser.state_dict(), "epoch": epoch, "step": step}, state_file)
+    torch.save(average.state_dict(), a.out / "weights.pt")
+
+
+if __name__ == "__main__":
+    main()
