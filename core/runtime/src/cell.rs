@@ -539,7 +539,7 @@ impl Cell {
             }
         }
         if let Some(refused) = refused {
-            return self.bad_output(exec, made, around, tick, refused, end_ns);
+            return self.bad_output(exec, made, around, tick, *refused, end_ns);
         }
         let silent = count == 0 && exec.outputs_len != 0;
         if exec.troubled || silent || kept_more() {

@@ -25,10 +25,9 @@ impl Cell {
         made: &mut Made,
         around: &Surroundings,
         tick: &Tick,
-        refused: Refused,
+        (cause, words): (Cause, String),
         end_ns: u64,
     ) -> Ran {
-        let (cause, words) = *refused;
         exec.troubled = true;
         exec.bad_in_a_row += 1;
         if exec.bad_in_a_row >= MOST_BAD_OUTPUTS || (cause == Cause::BadOutput && self.on_fault() != OnFault::Restart) {

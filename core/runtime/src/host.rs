@@ -109,8 +109,8 @@ impl CallContext<'_> {
     /// The input that a frame is, if it is one.
     #[inline]
     fn input(&self, frame: &Frame) -> Option<u32> {
-        // SAFETY: `inputs` holds `inputs_len` frames for the length of the call.
         (0..self.inputs_len).find_map(|index| {
+            // SAFETY: `inputs` holds `inputs_len` frames for the length of the call.
             let input = unsafe { &*self.inputs.add(index) };
             let same = input.buffer == frame.buffer && input.data == frame.data && frame.len <= input.len;
             (same && !input.is_empty()).then_some(index as u32)
