@@ -16,6 +16,8 @@ use crate::log::{Level, Log};
 use crate::outputs::OutputRule;
 use crate::params::Snapshot;
 use crate::preview::Taps;
+use crate::record::format::Event;
+use crate::record::{Recorder, Script};
 use crate::stats::{NodeStats, bump};
 use crate::threads::ingest_ring;
 
@@ -37,8 +39,42 @@ pub(crate) struct Surroundings {
     pub start_ns: u64,
     pub graph_dir: String,
     pub batch: bool,
+    /// Writes down what happens.
+    pub recorder: Option<Arc<Recorder>>,
+    /// What happened once and is to happen again.
+    pub script: Option<Arc<Script>>,
     /// Heap allocations of the calling thread so far.
     pub thread_allocations: Option<fn() -> u64>,
+}
+
+impl Surroundings {
+    /// The recording has a gap or ends: said at once, and the run goes on.
+    pub fn recording_trouble(&self, words: &str) {
+        self.log.say(Level::Warn, "record", words);
+        self.faults.put(Fault {
+            unix_ms: unix_ms(),
+            run_ms: clock::now_ns().saturating_sub(self.start_ns) as f64 / 1e6,
+            node: "record".to_owned(),
+            cause: Cause::Recording,
+            words: words.to_owned(),
+            done: Action::Note,
+            seq: None,
+            late_ms: None,
+            count: 1,
+        });
+    }
+
+    /// A source that is recorded makes all its outputs, if that is wanted.
+    pub fn widen(&self, cell: &Cell) {
+        if cell.source && self.recorder.as_ref().is_some_and(|r| r.all_source_ports()) {
+            cell.outputs_read.store(u64::MAX, Ordering::Relaxed);
+        }
+    }
+
+    /// Nobody watches the clock: a tick waits rather than being lost.
+    pub fn unhurried(&self) -> bool {
+        self.batch || self.script.is_some()
+    }
 }
 
 /// How a call ended.
@@ -285,6 +321,9 @@ impl Cell {
 
     /// Opens an instance with the given values.
     pub fn open(&self, around: &Surroundings, snapshot: &Snapshot) -> Result<Instance, String> {
+        if around.script.as_ref().is_some_and(|s| s.closes(self)) {
+            return Ok(Instance::none(self.node_type));
+        }
         let mut failure = String::new();
         let mut context = CallContext {
             outputs: std::ptr::null_mut(),
@@ -298,7 +337,7 @@ impl Cell {
             refused: None,
             random: None,
             tick: Tick::default(),
-            wait_for_memory: around.batch,
+            wait_for_memory: around.unhurried(),
             metrics: &self.metrics,
         };
         let mut call = abi::OpenCall {
@@ -352,17 +391,26 @@ impl Cell {
         complete: bool,
         start_ns: u64,
     ) -> (Ran, u64) {
-        if self.replace.load(Ordering::Relaxed) {
-            self.take_replacement(exec, around);
+        let led = around.script.as_ref().filter(|s| s.leads_nodes()).map(|s| s.lead(self, exec, around, tick));
+        if led.is_none() && self.replace.load(Ordering::Relaxed) {
+            self.take_replacement(exec, around, tick);
         }
         let version = self.version.load(Ordering::Acquire);
         if exec.snapshot.version() != version {
             exec.snapshot = self.snapshot();
+            self.write_down(around, |node| Event::Values {
+                node,
+                source: tick.source,
+                seq: tick.seq,
+                values: exec.snapshot.owned().to_vec(),
+            });
         }
-        if !complete || !self.may_run(exec, around, tick) {
-            if !complete {
-                bump(&self.stats.skipped);
-            }
+        if !complete {
+            bump(&self.stats.skipped);
+            return (Ran::Skipped, start_ns);
+        }
+        if !led.unwrap_or_else(|| self.may_run(exec, around, tick)) {
+            self.left_out(around, tick, false);
             return (Ran::Skipped, start_ns);
         }
         let allocations = around.thread_allocations.map(|count| count());
@@ -383,30 +431,57 @@ impl Cell {
             let words = || format!("took {:.1} ms of {:.1} ms", spent_ns as f64 / 1e6, budget_ns as f64 / 1e6);
             self.note(around, Cause::Slow, Action::Note, Some(tick.seq), words);
         }
-        match status {
-            abi::STATUS_OK => (self.accept(exec, around, tick, refused, end_ns), end_ns),
+        let ran = match status {
+            abi::STATUS_OK => self.accept(exec, around, tick, refused, end_ns),
             abi::STATUS_END if self.source => {
                 clear(&mut exec.outputs);
-                (Ran::End, end_ns)
+                Ran::End
             }
             status => {
                 clear(&mut exec.outputs);
-                (self.failed(exec, around, status, refused, tick, end_ns), end_ns)
+                self.failed(exec, around, status, refused, tick, end_ns)
             }
+        };
+        if ran != Ran::Ok && ran != Ran::End {
+            self.left_out(around, tick, !exec.instance.is_open());
+        }
+        (ran, end_ns)
+    }
+
+    /// Writes an event of this node into the recording, if there is one.
+    #[inline]
+    pub fn write_down(&self, around: &Surroundings, event: impl FnOnce(String) -> Event) {
+        if let Some(recorder) = &around.recorder {
+            recorder.say(event(self.id.clone()));
         }
     }
 
+    /// The node made nothing of a tick although its inputs were there.
+    pub fn left_out(&self, around: &Surroundings, tick: &Tick, closed: bool) {
+        self.write_down(around, |node| Event::LeftOut { node, source: tick.source, seq: tick.seq, closed });
+    }
+
+    /// The node goes on with an instance that was opened with these values.
+    pub fn opened(&self, snapshot: &Snapshot, around: &Surroundings, tick: &Tick) {
+        let values = || snapshot.owned().to_vec();
+        self.write_down(around, |node| Event::Opened { node, source: tick.source, seq: tick.seq, values: values() });
+    }
+
     #[cold]
-    fn take_replacement(&self, exec: &mut Exec, around: &Surroundings) {
+    fn take_replacement(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) {
         self.replace.store(false, Ordering::Relaxed);
         let Some((mut instance, snapshot)) = lock(&self.replacement).take() else { return };
         self.hand_over(exec, &mut instance, around);
         drop(std::mem::replace(&mut exec.instance, instance));
         if let Some(snapshot) = snapshot {
-            self.set_snapshot(snapshot);
+            self.set_snapshot(Arc::clone(&snapshot));
+            exec.snapshot = snapshot;
         }
         exec.bypassed = false;
         exec.bad_in_a_row = 0;
+        if around.recorder.is_some() {
+            self.opened(&self.snapshot(), around, tick);
+        }
     }
 
     /// Gives the state of the running instance to its successor, where both know how.
@@ -448,7 +523,7 @@ impl Cell {
             refused: None,
             random: None,
             tick: *tick,
-            wait_for_memory: around.batch,
+            wait_for_memory: around.unhurried(),
             metrics: &self.metrics,
         };
         let mut call = abi::Call {
@@ -597,6 +672,7 @@ impl Cell {
                 bump(&self.stats.restarts);
                 around.log.say(Level::Info, &self.id, "opened again");
                 exec.instance = instance;
+                self.opened(&snapshot, around, tick);
                 true
             }
             Err(words) => {
@@ -709,7 +785,7 @@ impl Cell {
         words: String,
     ) {
         let count = self.fault_counts[cause as usize].fetch_add(1, Ordering::Relaxed) + 1;
-        around.faults.put(Fault {
+        let fault = Fault {
             unix_ms: unix_ms(),
             run_ms: clock::now_ns().saturating_sub(around.start_ns) as f64 / 1e6,
             node: self.id.clone(),
@@ -719,7 +795,11 @@ impl Cell {
             seq,
             late_ms,
             count,
-        });
+        };
+        if let Some(recorder) = &around.recorder {
+            recorder.say(Event::Fault(fault.clone()));
+        }
+        around.faults.put(fault);
     }
 }
 

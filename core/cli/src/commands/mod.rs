@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod check;
+pub mod compare;
 pub mod describe;
 pub mod devices;
 pub mod doctor;
@@ -9,5 +10,7 @@ pub mod dot;
 pub mod eval;
 pub mod list;
 pub mod new;
+pub mod record;
+pub mod replay;
 pub mod run;
 pub mod schema;
