@@ -98,7 +98,9 @@ pub enum ApplyError {
     #[error("the graph does not run any more")]
     Ended,
     /// The tick to switch at has entered the graph.
-    #[error("tick {seq} of `{source_node}` has passed, nothing was changed: tick {next} is the first that can be kept out")]
+    #[error(
+        "tick {seq} of `{source_node}` has passed, nothing was changed: tick {next} is the first that can be kept out"
+    )]
     Passed {
         /// The source.
         source_node: String,
@@ -383,7 +385,10 @@ impl Engine {
 
         // From here until the switch whole parts of the graph stand still.
         let start = Instant::now();
-        let still = self.come_to(&old, &change, when).and_then(|()| self.hold(&old, &change)).and_then(|()| self.open_late(&old, &change, &graph));
+        let still = self
+            .come_to(&old, &change, when)
+            .and_then(|()| self.hold(&old, &change))
+            .and_then(|()| self.open_late(&old, &change, &graph));
         let late = match still {
             Ok(late) => late,
             Err(error) => {
@@ -559,7 +564,8 @@ impl Engine {
             self.start_thread(slot, cell);
         }
         let mut ready = Ready::default();
-        for (region, extent) in &change.held {
+        // One that was never paused goes on by itself.
+        for (region, extent) in change.held.iter().filter(|(region, _)| region.stop_waiting()) {
             self.resume(old, region, extent.head, &mut ready);
         }
         ready.settle(&self.shared, old, false);
@@ -603,11 +609,13 @@ impl Engine {
             self.install(old, &plan, &fates, opened);
         }
         let mut threads = Vec::new();
+        // Replaced nodes count as finished as soon as their successors took over.
+        let over: Vec<bool> = old.cells.iter().map(|c| lock(&c.join).finished).collect();
         for (node, fate) in fates.iter().enumerate() {
             let slot = plan.slots[node];
             let cell = &plan.cells[slot];
             let id = &graph.nodes[node].id;
-            let finished = self.rewire(old, current, &plan, &graph, catalog, node, *fate);
+            let finished = self.rewire(old, &over, current, &plan, &graph, catalog, node, *fate);
             if fate.added || ((fate.replaced || fate.rewired) && finished) {
                 shared.unfinished.fetch_add(1, Ordering::AcqRel);
             }
@@ -740,6 +748,7 @@ impl Engine {
     fn rewire(
         &self,
         old: &Plan,
+        over: &[bool],
         current: &Current,
         plan: &Plan,
         graph: &Graph,
@@ -763,7 +772,7 @@ impl Engine {
         };
         let ended: Vec<usize> = (0..new.len())
             .filter(|&i| from[i].is_none() && old.alive.get(new[i].0) == Some(&true))
-            .filter(|&i| lock(&old.cells[new[i].0].join).finished)
+            .filter(|&i| over.get(new[i].0) == Some(&true))
             .collect();
         let mut finished = false;
         if fate.replaced {

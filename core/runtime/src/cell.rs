@@ -391,7 +391,7 @@ impl Cell {
         complete: bool,
         start_ns: u64,
     ) -> (Ran, u64) {
-        let led = around.script.as_ref().filter(|s| s.leads_nodes()).map(|s| s.lead(self, exec, around, tick));
+        let led = around.script.as_ref().and_then(|s| s.lead(self, exec, around, tick));
         if led.is_none() && self.replace.load(Ordering::Relaxed) {
             self.take_replacement(exec, around, tick);
         }

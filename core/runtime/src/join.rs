@@ -194,7 +194,12 @@ impl Join {
         let mut script = script.map(|s| s.lock().unwrap_or_else(PoisonError::into_inner));
         let Some(wanted) = script.as_mut().and_then(|s| s.front()) else {
             self.slots.iter_mut().filter(|s| s.rule != Rule::Exact).for_each(|s| s.queue.clear());
-            return if self.slots.iter().all(|s| s.ended) { Take::Finished } else { Take::Wait };
+            let fires = |s: &&Slot| match s.rule {
+                Rule::Exact => true,
+                Rule::Latest { trigger } => trigger && !self.exact,
+                Rule::Nearest { .. } | Rule::Delay => false,
+            };
+            return if self.slots.iter().filter(fires).all(|s| s.ended) { Take::Finished } else { Take::Wait };
         };
         let is = |frame: &FrameRef, tick: (u32, u64)| (frame.tick().source, frame.tick().seq) == tick;
         let mut there = true;

@@ -209,6 +209,13 @@ impl Region {
         Ok(())
     }
 
+    /// No tick is waited for any more; answers whether it is paused.
+    pub fn stop_waiting(&self) -> bool {
+        let mut state = self.state();
+        state.pause_before = u64::MAX;
+        state.paused
+    }
+
     /// Whether it admits nothing now.
     pub fn is_paused(&self) -> bool {
         self.state().paused

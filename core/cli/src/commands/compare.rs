@@ -27,7 +27,10 @@ impl Run {
     fn open(path: &Path) -> Result<Self, String> {
         if path.extension().is_some_and(|e| e == "json") {
             let digests = Digests::read(path).map_err(|e| {
-                format!("{}: {e}; give a recording (.mcap) or fingerprints written by --digests (.json)", path.display())
+                format!(
+                    "{}: {e}; give a recording (.mcap) or fingerprints written by --digests (.json)",
+                    path.display()
+                )
             })?;
             return Ok(Self::Digests(digests));
         }

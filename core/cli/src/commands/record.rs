@@ -11,6 +11,7 @@ use crate::terminal::tell;
 
 /// Arguments of `record`.
 #[derive(clap::Args)]
+#[group(skip)]
 pub struct Arguments {
     #[command(flatten)]
     run: run::Arguments,

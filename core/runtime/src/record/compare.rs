@@ -1,6 +1,6 @@
 //! Where two runs differ.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 
 use panoscope_abi as abi;
 
@@ -49,23 +49,35 @@ fn key(packet: &PacketDigest) -> (u32, u64) {
     (packet.source, packet.seq)
 }
 
-/// Pairs of the same tick in two lists whose ticks rise, and how many have no partner; the first without one.
-fn pairs<'a>(a: &'a PortDigest, b: &'a PortDigest) -> (Vec<(usize, usize)>, usize, Option<(u32, u64)>) {
-    let mut places = std::collections::HashMap::new();
-    for (at, packet) in b.packets.iter().enumerate() {
-        places.insert(key(packet), at);
+/// Ticks with how often each came before: a node that is rewired may meet one again.
+fn numbered(ticks: impl Iterator<Item = (u32, u64)>) -> Vec<((u32, u64), u32)> {
+    let mut seen: HashMap<(u32, u64), u32> = HashMap::new();
+    let number = |tick| {
+        let count = seen.entry(tick).or_default();
+        *count += 1;
+        (tick, *count)
+    };
+    ticks.map(number).collect()
+}
+
+/// Places of the same tick in two lists.
+fn places(a: &[((u32, u64), u32)], b: &[((u32, u64), u32)]) -> Vec<(usize, usize)> {
+    let known: HashMap<_, usize> = b.iter().enumerate().map(|(at, key)| (*key, at)).collect();
+    a.iter().enumerate().filter_map(|(at, key)| Some((at, *known.get(key)?))).collect()
+}
+
+/// Pairs of the same tick in two lists, how many have no partner, and the first without one.
+fn pairs(a: &PortDigest, b: &PortDigest) -> (Vec<(usize, usize)>, usize, Option<(u32, u64)>) {
+    let (left, right) = (numbered(a.packets.iter().map(key)), numbered(b.packets.iter().map(key)));
+    let pairs = places(&left, &right);
+    let (mut alone_left, mut alone_right) = (vec![true; left.len()], vec![true; right.len()]);
+    for (l, r) in &pairs {
+        (alone_left[*l], alone_right[*r]) = (false, false);
     }
-    let mut pairs = Vec::new();
-    let mut alone: Vec<(u32, u64)> = Vec::new();
-    for (at, packet) in a.packets.iter().enumerate() {
-        match places.remove(&key(packet)) {
-            Some(other) => pairs.push((at, other)),
-            None => alone.push(key(packet)),
-        }
-    }
-    alone.extend(places.into_keys());
-    let first = alone.iter().copied().min_by_key(|(source, seq)| (*seq, *source));
-    (pairs, alone.len(), first)
+    let lonely = left.iter().zip(&alone_left).chain(right.iter().zip(&alone_right)).filter(|(_, alone)| **alone);
+    let lonely: Vec<(u32, u64)> = lonely.map(|((tick, _), _)| *tick).collect();
+    let first = lonely.iter().copied().min_by_key(|(source, seq)| (*seq, *source));
+    (pairs, lonely.len(), first)
 }
 
 /// Compares the fingerprints of two runs, port by port; ports that are the same are in the answer too.
@@ -115,13 +127,9 @@ fn amount(
     right: &[Packet],
 ) -> Result<Amount, RecordingError> {
     let mut sums = Sums::default();
-    let mut at = 0;
-    for packet in left {
-        let tick = |p: &Packet| (p.head.tick.source, p.head.tick.seq);
-        // Ticks rise: the partner lies at or behind the last one's.
-        let Some(step) = right[at..].iter().position(|p| tick(p) == tick(packet)) else { continue };
-        at += step;
-        let other = &right[at];
+    let ticks = |list: &[Packet]| numbered(list.iter().map(|p| (p.head.tick.source, p.head.tick.seq)));
+    for (one, two) in places(&ticks(left), &ticks(right)) {
+        let (packet, other) = (&left[one], &right[two]);
         if other.head.hash == packet.head.hash {
             continue;
         }

@@ -132,9 +132,9 @@ impl RecordFile {
     }
 
     /// Writes the summary; answers the file's length.
-    pub fn finish(&mut self) -> io::Result<u64> {
+    pub fn finish(mut self) -> io::Result<u64> {
         self.writer.finish().map_err(io_error)?;
-        self.flush()?;
+        self.writer.into_inner().output.flush()?;
         Ok(self.written.load(Ordering::Relaxed))
     }
 

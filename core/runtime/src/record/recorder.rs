@@ -137,10 +137,8 @@ impl Recorder {
         let mine = Arc::clone(&inner);
         let work = move || mine.work(file, graph);
         let thread = std::thread::Builder::new().name("record".to_owned()).spawn(work);
-        let thread = thread.map_err(|cause| RecordError {
-            file: inner.options.file.clone().unwrap_or_default(),
-            cause,
-        })?;
+        let thread =
+            thread.map_err(|cause| RecordError { file: inner.options.file.clone().unwrap_or_default(), cause })?;
         let this = Arc::new(Self { inner, thread: Mutex::new(Some(thread)) });
         this.say(Event::Head(Box::new(head)));
         Ok(this)
@@ -152,7 +150,8 @@ impl Recorder {
         lock(&self.inner.queue).ended = true;
         self.inner.wake.notify_all();
         let thread = lock(&self.thread).take();
-        thread.and_then(|t| t.join().ok()).unwrap_or_default()
+        let broken = || Recorded { failed: Some("the recording broke off".to_owned()), ..Recorded::default() };
+        thread.map_or_else(Recorded::default, |t| t.join().unwrap_or_else(|_| broken()))
     }
 
     /// Where trouble is told.
@@ -308,7 +307,7 @@ impl Inner {
                 self.give_up(&mut file, &cause, &mut recorded);
             }
         }
-        if let Some(mut file) = file {
+        if let Some(file) = file {
             match file.finish() {
                 Ok(bytes) => recorded.bytes = bytes,
                 Err(cause) => recorded.failed = Some(format!("the recording could not be finished: {cause}")),

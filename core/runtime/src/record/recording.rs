@@ -164,7 +164,11 @@ enum Stop {
 
 impl From<std::io::Error> for Stop {
     fn from(error: std::io::Error) -> Self {
-        if error.kind() == std::io::ErrorKind::UnexpectedEof { Self::Cut("it was cut off".to_owned()) } else { Self::Io(error) }
+        if error.kind() == std::io::ErrorKind::UnexpectedEof {
+            Self::Cut("it was cut off".to_owned())
+        } else {
+            Self::Io(error)
+        }
     }
 }
 
@@ -241,12 +245,8 @@ impl Recording {
 
     fn read(&self, port: &str, packet: &Packet, bytes: &mut [u8]) -> Result<(), RecordingError> {
         let PacketHead { format, width, height, stride_bytes, hash, tick, .. } = packet.head;
-        let damaged = || RecordingError::Damaged {
-            file: self.path.clone(),
-            at: packet.at,
-            port: port.to_owned(),
-            seq: tick.seq,
-        };
+        let damaged =
+            || RecordingError::Damaged { file: self.path.clone(), at: packet.at, port: port.to_owned(), seq: tick.seq };
         self.file.read_exact_at(bytes, packet.at).map_err(|_| damaged())?;
         let frame = Frame { format, width, height, stride_bytes, ..Frame::EMPTY };
         if packet_hash(&frame, bytes) == hash { Ok(()) } else { Err(damaged()) }

@@ -42,7 +42,9 @@ pub enum ReplayError {
     #[error(transparent)]
     Record(#[from] RecordError),
     /// A source of the graph has no ticks in the recording.
-    #[error("the graph reads source `{node}`, the recording has {recorded}; rename the node in the graph, or record with it")]
+    #[error(
+        "the graph reads source `{node}`, the recording has {recorded}; rename the node in the graph, or record with it"
+    )]
     NoSource {
         /// The source.
         node: String,
@@ -282,10 +284,7 @@ fn resolve(graph: &mut Graph, catalog: &Catalog) -> Result<(), String> {
 fn differences(recording: &Recording, graph: &Graph, catalog: &Catalog, loader: &Loader, other: bool) -> Vec<String> {
     let mut words = Vec::new();
     if let Some(cut) = &recording.cut {
-        words.push(format!(
-            "the recording ends at byte {}: {}; what is before it is played",
-            cut.at, cut.reason
-        ));
+        words.push(format!("the recording ends at byte {}: {}; what is before it is played", cut.at, cut.reason));
     }
     for (source, ticks) in &recording.sources {
         let gaps = ticks.iter().filter(|t| t.gap).count();
@@ -302,7 +301,9 @@ fn differences(recording: &Recording, graph: &Graph, catalog: &Catalog, loader: 
     for then in recording.head.plugins.iter().chain(&recording.head.models) {
         match now.iter().find(|n| n.name == then.name) {
             Some(file) if file.xxh3 == then.xxh3 => {}
-            _ => words.push(format!("`{}` is another build or file than the recorded one: bytes may differ", then.name)),
+            _ => {
+                words.push(format!("`{}` is another build or file than the recorded one: bytes may differ", then.name))
+            }
         }
     }
     words

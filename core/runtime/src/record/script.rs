@@ -196,10 +196,15 @@ impl Script {
     }
 
     /// The packets of a tick, one frame per output of the node.
-    pub(crate) fn outputs(&self, cell: &Cell, recorded: &SourceTick, tick: Tick) -> Result<Vec<FrameRef>, RecordingError> {
+    pub(crate) fn outputs(
+        &self,
+        cell: &Cell,
+        recorded: &SourceTick,
+        tick: Tick,
+    ) -> Result<Vec<FrameRef>, RecordingError> {
         let output = |name: &str| match recorded.packets.iter().find(|(port, _)| port == name) {
             Some((port, packet)) => {
-                let frame = self.recording.frame(port, packet)?;
+                let frame = self.recording.frame(&format!("{}.{port}", cell.id), packet)?;
                 let mut raw = frame.into_raw();
                 raw.tick = tick;
                 Ok(FrameRef::adopt(raw))
@@ -260,9 +265,15 @@ impl Script {
         self.took.get(node)
     }
 
-    /// Brings a node to where it was before this tick; whether it is to run.
+    /// Brings a node to where it was before this tick; whether it is to run, if the script knows.
     #[cold]
-    pub(crate) fn lead(&self, cell: &Cell, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> bool {
+    pub(crate) fn lead(&self, cell: &Cell, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> Option<bool> {
+        if self.closes(cell) {
+            return Some(false);
+        }
+        if self.sources_only {
+            return None;
+        }
         let mut runs = true;
         if let Some(turns) = self.turns.get(&cell.id) {
             let mut turns = lock(turns);
@@ -299,7 +310,7 @@ impl Script {
                 }
             }
         }
-        runs && exec.instance.is_open()
+        Some(runs && exec.instance.is_open())
     }
 
     fn open(&self, cell: &Cell, exec: &mut Exec, around: &Surroundings, tick: &Tick, values: Vec<ParamValue>) {
