@@ -25,6 +25,12 @@ enum Command {
     Run(commands::run::Arguments),
     /// Opens a window over a graph while it runs: pictures, times, faults, sliders, wires.
     Edit(commands::edit::Arguments),
+    /// Runs a graph and writes the run down, so that it can be repeated to the byte.
+    Record(commands::record::Arguments),
+    /// Plays a recording again, or runs another graph on its pictures.
+    Replay(commands::replay::Arguments),
+    /// Says where two recorded runs differ first, and by how much.
+    Compare(commands::compare::Arguments),
     /// Checks graph files and shows every mistake.
     Check(commands::check::Arguments),
     /// Lists plugins and their node types.
@@ -67,6 +73,9 @@ fn main() {
     let end = match arguments.command {
         Command::Run(arguments) => commands::run::run(&arguments),
         Command::Edit(arguments) => commands::edit::run(&arguments),
+        Command::Record(arguments) => commands::record::run(&arguments),
+        Command::Replay(arguments) => commands::replay::run(&arguments),
+        Command::Compare(arguments) => commands::compare::run(&arguments),
         Command::Check(arguments) => commands::check::run(&arguments),
         Command::List(arguments) => commands::list::run(&arguments),
         Command::Describe(arguments) => commands::describe::run(&arguments),

@@ -1,12 +1,12 @@
 //! A graph that passed every check: names resolved to indices, defaults filled in, order known. The runtime builds from this.
 
 use crate::catalog::{Catalog, NodeType};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::path::PathBuf;
 
 /// What happens when work arrives faster than it is done.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
     /// The newest frame wins; whole ticks are dropped and counted.
@@ -17,7 +17,7 @@ pub enum Mode {
 }
 
 /// What the host does when a node faults.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum OnFault {
     /// Open it again, with back-off.
@@ -30,7 +30,7 @@ pub enum OnFault {
 }
 
 /// How packets of an input are matched with the other inputs of the node.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Align {
     /// Same tick on all exact inputs.
@@ -57,7 +57,7 @@ impl Align {
 }
 
 /// Value of a parameter, already of the declared type and inside its limits.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ParamValue {
     /// true or false.
@@ -82,7 +82,7 @@ pub enum ParamValue {
 }
 
 /// A checked graph. Positions in `nodes` are in file order and are what edges and `order` name.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Graph {
     /// Name given by the file, or the stem of the file's name.
     pub name: String,
@@ -122,7 +122,7 @@ impl Graph {
 }
 
 /// One node of a checked graph.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Node {
     /// Its name in the file.
     pub id: String,
@@ -156,7 +156,7 @@ impl Node {
 }
 
 /// One connection of a checked graph.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Edge {
     /// Producing node, a position in [`Graph::nodes`].
     pub from_node: usize,
@@ -183,14 +183,14 @@ pub struct Edge {
 }
 
 /// The `[preset]` table.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Preset {
     /// Settings that stay reachable in the theatre.
     pub pinned: Vec<Pin>,
 }
 
 /// One setting a surgeon may touch.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pin {
     /// Node, a position in [`Graph::nodes`].
     pub node: usize,

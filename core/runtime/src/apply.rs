@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use panoscope_abi as abi;
 use panoscope_graph::{Align, Catalog, Graph, Mode};
+use serde::{Deserialize, Serialize};
 
 use crate::cell::{Cell, lock};
 use crate::engine::{Current, Engine, TICKS_IN_FLIGHT, type_name};
@@ -18,6 +19,7 @@ use crate::loader::Loader;
 use crate::log::Level;
 use crate::params::Snapshot;
 use crate::plan::{self, Extent, Plan};
+use crate::record::{Event, plugin_hashes};
 use crate::region::Region;
 use crate::schedule::Ready;
 
@@ -25,7 +27,7 @@ use crate::schedule::Ready;
 const LONGEST_DRAIN: Duration = Duration::from_secs(10);
 
 /// What a change did, by node name.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Applied {
     /// New nodes.
     pub added: Vec<String>,
@@ -95,6 +97,24 @@ pub enum ApplyError {
     /// The graph has come to its end.
     #[error("the graph does not run any more")]
     Ended,
+    /// The tick to switch at has entered the graph.
+    #[error(
+        "tick {seq} of `{source_node}` has passed, nothing was changed: tick {next} is the first that can be kept out"
+    )]
+    Passed {
+        /// The source.
+        source_node: String,
+        /// As asked for.
+        seq: u64,
+        /// The first tick that has not entered.
+        next: u64,
+    },
+    /// A tick was named of something that makes none.
+    #[error("`{node}` is no source of the running graph, nothing was changed: ticks are named by their source")]
+    NoSource {
+        /// As asked for.
+        node: String,
+    },
     /// Ticks under way did not come to their end.
     #[error("node `{node}` did not come to rest within {seconds} s, nothing was changed")]
     Busy {
@@ -103,6 +123,15 @@ pub enum ApplyError {
         /// How long was waited.
         seconds: u64,
     },
+}
+
+/// When a change is to be made.
+enum When<'a> {
+    Now,
+    /// Before these ticks.
+    At(&'a [(String, u64)]),
+    /// Where the change of this number was made in the recording that is replayed.
+    Recorded(usize),
 }
 
 /// What becomes of a node of the new graph.
@@ -164,6 +193,7 @@ impl Change {
         graph: &Graph,
         catalog: &Catalog,
         entry: plan::Entry<'_>,
+        as_once: &[String],
     ) -> Result<Self, String> {
         let mut cells = old.cells.clone();
         let mut free: Vec<usize> = (0..cells.len()).filter(|&s| !old.alive[s]).rev().collect();
@@ -179,10 +209,12 @@ impl Change {
                     let slot = current.slots[before];
                     let cell = &old.cells[slot];
                     let pinned_elsewhere = cell.owns_thread() && cell.cpu != graph.nodes[node].cpu;
-                    fate.replaced = !std::ptr::eq(cell.node_type, node_type) || pinned_elsewhere;
+                    fate.replaced = !std::ptr::eq(cell.node_type, node_type)
+                        || pinned_elsewhere
+                        || as_once.contains(&graph.nodes[node].id);
                     if !fate.replaced {
-                        let values = cell.snapshot();
-                        let differs = |i: &usize| values.owned().get(*i) != graph.nodes[node].params.get(*i);
+                        let values = &current.graph.nodes[before].params;
+                        let differs = |i: &usize| values.get(*i) != graph.nodes[node].params.get(*i);
                         let changed: Vec<usize> = (0..description.params.len()).filter(differs).collect();
                         fate.reopened = changed.iter().any(|&i| description.params[i].reopen);
                         fate.tuned = !changed.is_empty() && !fate.reopened;
@@ -239,6 +271,19 @@ impl Change {
         Ok(change)
     }
 
+    /// Brings the regions of these sources to rest too.
+    fn hold_also(&mut self, old: &Plan, at: &[(String, u64)]) -> Result<(), ApplyError> {
+        for (source, _) in at {
+            let no_source = || ApplyError::NoSource { node: source.clone() };
+            let (slot, _) = old.live().find(|(_, c)| c.source && c.id == *source).ok_or_else(no_source)?;
+            if !self.held.iter().any(|(_, extent)| extent.head == slot) {
+                let number = old.wiring[slot].region;
+                self.held.push((Arc::clone(&old.regions[number]), old.extents[number].clone()));
+            }
+        }
+        Ok(())
+    }
+
     /// Finds the old regions that the change touches.
     fn find_held(&mut self, old: &Plan) {
         let mut touched = vec![false; self.plan.cells.len()];
@@ -280,6 +325,42 @@ impl Engine {
     /// # Errors
     /// Everything is as before then.
     pub fn apply(&self, graph: Graph, catalog: &Catalog, loader: &Loader) -> Result<Applied, ApplyError> {
+        self.apply_when(graph, catalog, loader, &When::Now)
+    }
+
+    /// Like [`Self::apply`], switched between two named ticks: for each source of `at`, the tick of that number is the first that meets the
+    /// new graph. Blocks until these ticks have come.
+    ///
+    /// # Errors
+    /// As [`Self::apply`], and when such a tick has already entered the graph.
+    pub fn apply_at(
+        &self,
+        graph: Graph,
+        catalog: &Catalog,
+        loader: &Loader,
+        at: &[(String, u64)],
+    ) -> Result<Applied, ApplyError> {
+        self.apply_when(graph, catalog, loader, &When::At(at))
+    }
+
+    /// Makes a change of a recording at the tick at which it was made.
+    pub(crate) fn apply_as_recorded(
+        &self,
+        edit: usize,
+        graph: Graph,
+        catalog: &Catalog,
+        loader: &Loader,
+    ) -> Result<Applied, ApplyError> {
+        self.apply_when(graph, catalog, loader, &When::Recorded(edit))
+    }
+
+    fn apply_when(
+        &self,
+        graph: Graph,
+        catalog: &Catalog,
+        loader: &Loader,
+        when: &When<'_>,
+    ) -> Result<Applied, ApplyError> {
         let _change = lock(&self.change);
         let shared = &self.shared;
         if shared.is_stopping() || self.is_finished() {
@@ -290,14 +371,24 @@ impl Engine {
         }
         let (old, current) = (shared.plan.load_full(), self.current.load_full());
         let entry = |plugin: &str, node_type: &str| loader.entry(plugin, node_type);
-        let change =
-            Change::between(&old, &current, &graph, catalog, &entry).map_err(|reason| ApplyError::Stale { reason })?;
+        let as_once = match (when, &shared.around.script) {
+            (When::Recorded(edit), Some(script)) => script.edits[*edit].applied.replaced.as_slice(),
+            _ => &[],
+        };
+        let mut change = Change::between(&old, &current, &graph, catalog, &entry, as_once)
+            .map_err(|reason| ApplyError::Stale { reason })?;
+        if let When::At(at) = when {
+            change.hold_also(&old, at)?;
+        }
         let _visit = shared.pool.visit();
         let early = self.open_early(&change, &graph)?;
 
         // From here until the switch whole parts of the graph stand still.
         let start = Instant::now();
-        let still = self.hold(&old, &change).and_then(|()| self.open_late(&old, &change, &graph));
+        let still = self
+            .come_to(&old, &change, when)
+            .and_then(|()| self.hold(&old, &change))
+            .and_then(|()| self.open_late(&old, &change, &graph));
         let late = match still {
             Ok(late) => late,
             Err(error) => {
@@ -305,12 +396,46 @@ impl Engine {
                 return Err(error);
             }
         };
-        let applied = self.switch(&old, &current, change, graph, catalog, early, late, start);
+        let applied = self.switch(&old, &current, change, graph, catalog, loader, when, early, late, start);
         Ok(applied)
+    }
+
+    /// Lets the ticks pass that come before the change.
+    fn come_to(&self, old: &Plan, change: &Change, when: &When<'_>) -> Result<(), ApplyError> {
+        let shared = &self.shared;
+        let mut named = Vec::new();
+        if let When::At(at) = when {
+            for (source, seq) in *at {
+                let is = |(_, extent): &&(Arc<Region>, Extent)| old.cells[extent.head].id == *source;
+                let Some((region, extent)) = change.held.iter().find(is) else { continue };
+                let made = old.cells[extent.head].made.load(Ordering::Acquire);
+                let passed = |next| ApplyError::Passed { source_node: source.clone(), seq: *seq, next };
+                region.pause_before(*seq, made).map_err(passed)?;
+                named.push((region, extent.head));
+            }
+        }
+        let waits = || match (when, &shared.around.script) {
+            (When::Now, _) | (When::Recorded(_), None) => false,
+            (When::At(_), _) => {
+                let over = |head: usize| lock(&old.cells[head].join).finished;
+                named.iter().any(|(region, head)| !region.is_paused() && !over(*head))
+            }
+            (When::Recorded(edit), Some(script)) => {
+                script.missing_before(*edit).is_some() || change.held.iter().any(|h| busy_member(old, h).is_some())
+            }
+        };
+        while waits() {
+            if shared.is_stopping() || self.is_finished() {
+                return Err(ApplyError::Ended);
+            }
+            std::thread::sleep(Duration::from_micros(100));
+        }
+        Ok(())
     }
 
     fn open_one(&self, change: &Change, graph: &Graph, node: usize) -> Result<Opened, ApplyError> {
         let cell = &change.plan.cells[change.plan.slots[node]];
+        self.shared.around.widen(cell);
         let snapshot =
             if change.fates[node].reopened { Snapshot::new(graph.nodes[node].params.clone()) } else { cell.snapshot() };
         match cell.open(&self.shared.around, &snapshot) {
@@ -325,7 +450,9 @@ impl Engine {
 
     /// Opens what may be open beside the running nodes.
     fn open_early(&self, change: &Change, graph: &Graph) -> Result<Vec<Opened>, ApplyError> {
-        let wanted = |f: &Fate| (f.added || f.replaced || f.reopened) && !f.late;
+        // In a replay the script says at which tick a node goes on with a new instance.
+        let scripted = self.shared.around.script.is_some();
+        let wanted = |f: &Fate| (f.added || f.replaced || (f.reopened && !scripted)) && !f.late;
         let nodes = (0..graph.nodes.len()).filter(|&n| wanted(&change.fates[n]));
         nodes.map(|node| self.open_one(change, graph, node)).collect()
     }
@@ -437,7 +564,8 @@ impl Engine {
             self.start_thread(slot, cell);
         }
         let mut ready = Ready::default();
-        for (region, extent) in &change.held {
+        // One that was never paused goes on by itself.
+        for (region, extent) in change.held.iter().filter(|(region, _)| region.stop_waiting()) {
             self.resume(old, region, extent.head, &mut ready);
         }
         ready.settle(&self.shared, old, 0);
@@ -465,6 +593,8 @@ impl Engine {
         change: Change,
         graph: Graph,
         catalog: &Catalog,
+        loader: &Loader,
+        when: &When<'_>,
         early: Vec<Opened>,
         late: Vec<Opened>,
         start: Instant,
@@ -479,11 +609,13 @@ impl Engine {
             self.install(old, &plan, &fates, opened);
         }
         let mut threads = Vec::new();
+        // Replaced nodes count as finished as soon as their successors took over.
+        let over: Vec<bool> = old.cells.iter().map(|c| lock(&c.join).finished).collect();
         for (node, fate) in fates.iter().enumerate() {
             let slot = plan.slots[node];
             let cell = &plan.cells[slot];
             let id = &graph.nodes[node].id;
-            let finished = self.rewire(old, current, &plan, &graph, catalog, node, *fate);
+            let finished = self.rewire(old, &over, current, &plan, &graph, catalog, node, *fate);
             if fate.added || ((fate.replaced || fate.rewired) && finished) {
                 shared.unfinished.fetch_add(1, Ordering::AcqRel);
             }
@@ -495,7 +627,7 @@ impl Engine {
             {
                 threads.push(slot);
             }
-            if fate.tuned {
+            if fate.tuned && shared.around.script.is_none() {
                 cell.set_snapshot(Snapshot::new(graph.nodes[node].params.clone()));
             }
             let manners = &graph.nodes[node];
@@ -530,7 +662,27 @@ impl Engine {
         let slots = plan.slots.clone();
         let plan = Arc::new(plan);
         shared.plan.store(Arc::clone(&plan));
+        for (region, extent) in held.iter().filter(|(region, _)| plan.regions.iter().any(|r| Arc::ptr_eq(r, region))) {
+            let cell = &plan.cells[extent.head];
+            if cell.source {
+                let first = region.first_pending().unwrap_or_else(|| cell.made.load(Ordering::Relaxed));
+                applied.switched_at.push((cell.id.clone(), first));
+            }
+        }
+        if !held.is_empty() {
+            applied.pause = start.elapsed();
+        }
+        if let Some(recorder) = &shared.around.recorder {
+            let heads = held.iter().map(|(_, extent)| old.cells[extent.head].id.clone());
+            let admitted = heads.map(|head| (recorder.admitted_by(&head), head)).map(|(n, head)| (head, n)).collect();
+            let plugins = if applied.replaced.is_empty() { Vec::new() } else { plugin_hashes(&graph, loader) };
+            let (graph, applied) = (Box::new(graph.clone()), Box::new(applied.clone()));
+            recorder.say(Event::Edit { graph, admitted, applied, plugins });
+        }
         self.current.store(Arc::new(Current::new(graph, catalog, slots)));
+        if let (When::Recorded(edit), Some(script)) = (when, &shared.around.script) {
+            script.edited(*edit);
+        }
         drop(order);
 
         for slot in threads {
@@ -541,10 +693,6 @@ impl Engine {
         for (region, extent) in &held {
             let head = extent.head;
             if plan.regions.iter().any(|r| Arc::ptr_eq(r, region)) {
-                let cell = &plan.cells[head];
-                if cell.source {
-                    applied.switched_at.push((cell.id.clone(), cell.made.load(Ordering::Relaxed)));
-                }
                 self.resume(&plan, region, head, &mut ready);
             } else if plan.alive[head] {
                 lock(&plan.cells[head].join).resume();
@@ -600,6 +748,7 @@ impl Engine {
     fn rewire(
         &self,
         old: &Plan,
+        over: &[bool],
         current: &Current,
         plan: &Plan,
         graph: &Graph,
@@ -611,6 +760,7 @@ impl Engine {
         let cell = &plan.cells[slot];
         let tapped = if fate.replaced { old.cells[slot].taps.bits() } else { cell.taps.bits() };
         cell.outputs_read.store(plan::outputs_read(graph, node) | tapped, Ordering::Relaxed);
+        self.shared.around.widen(cell);
         if !(fate.added || fate.replaced || fate.rewired) {
             return false;
         }
@@ -622,7 +772,7 @@ impl Engine {
         };
         let ended: Vec<usize> = (0..new.len())
             .filter(|&i| from[i].is_none() && old.alive.get(new[i].0) == Some(&true))
-            .filter(|&i| lock(&old.cells[new[i].0].join).finished)
+            .filter(|&i| over.get(new[i].0) == Some(&true))
             .collect();
         let mut finished = false;
         if fate.replaced {

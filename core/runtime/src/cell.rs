@@ -9,7 +9,7 @@ use panoscope_graph::{NodeKind, OnFault};
 
 use crate::clock;
 use crate::exec::{Busy, Exec, ExecPlace, Instance, Made, clear};
-use crate::fault::{Action, Cause, FaultLog};
+use crate::fault::{Action, Cause, Fault, FaultLog, unix_ms};
 use crate::host::CallContext;
 use crate::join::Join;
 use crate::keep::kept_more;
@@ -18,6 +18,8 @@ use crate::memory::FrameRef;
 use crate::outputs::{OutputRule, is_same};
 use crate::params::Snapshot;
 use crate::preview::Taps;
+use crate::record::format::Event;
+use crate::record::{Recorder, Script};
 use crate::stats::{NodeStats, bump};
 use crate::threads::{Leave, ingest_ring};
 
@@ -37,8 +39,42 @@ pub(crate) struct Surroundings {
     pub start_ns: u64,
     pub graph_dir: String,
     pub batch: bool,
+    /// Writes down what happens.
+    pub recorder: Option<Arc<Recorder>>,
+    /// What happened once and is to happen again.
+    pub script: Option<Arc<Script>>,
     /// Heap allocations of the calling thread so far.
     pub thread_allocations: Option<fn() -> u64>,
+}
+
+impl Surroundings {
+    /// The recording has a gap or ends: said at once, and the run goes on.
+    pub fn recording_trouble(&self, words: &str) {
+        self.log.say(Level::Warn, "record", words);
+        self.faults.put(Fault {
+            unix_ms: unix_ms(),
+            run_ms: clock::now_ns().saturating_sub(self.start_ns) as f64 / 1e6,
+            node: "record".to_owned(),
+            cause: Cause::Recording,
+            words: words.to_owned(),
+            done: Action::Note,
+            seq: None,
+            late_ms: None,
+            count: 1,
+        });
+    }
+
+    /// A source that is recorded makes all its outputs, if that is wanted.
+    pub fn widen(&self, cell: &Cell) {
+        if cell.source && self.recorder.as_ref().is_some_and(|r| r.all_source_ports()) {
+            cell.outputs_read.store(u64::MAX, Ordering::Relaxed);
+        }
+    }
+
+    /// Nobody watches the clock: a tick waits rather than being lost.
+    pub fn unhurried(&self) -> bool {
+        self.batch || self.script.is_some()
+    }
 }
 
 /// How a call ended.
@@ -285,6 +321,9 @@ impl Cell {
 
     /// Opens an instance with the given values.
     pub fn open(&self, around: &Surroundings, snapshot: &Snapshot) -> Result<Instance, String> {
+        if around.script.as_ref().is_some_and(|s| s.closes(self)) {
+            return Ok(Instance::none(self.node_type));
+        }
         let mut failure = String::new();
         let mut context = CallContext {
             outputs: std::ptr::null_mut(),
@@ -300,7 +339,7 @@ impl Cell {
             refused: None,
             random: None,
             tick: Tick::default(),
-            wait_for_memory: around.batch,
+            wait_for_memory: around.unhurried(),
         };
         let mut call = abi::OpenCall {
             struct_size: size_of::<abi::OpenCall>() as u32,
@@ -341,14 +380,17 @@ impl Cell {
         start_ns: u64,
         ports: &mut Ports<'_>,
     ) -> (Ran, u64) {
+        let led = around.script.as_ref().and_then(|s| s.lead(self, exec, around, tick));
         if self.news.load(Ordering::Acquire) != exec.news {
-            self.catch_up(exec, around);
+            self.catch_up(exec, around, tick, led.is_some());
         }
         ports.made.set_len(exec.outputs_len as usize);
-        if !complete || !self.may_run(exec, around, tick) {
-            if !complete {
-                bump(&self.stats.skipped);
-            }
+        if !complete {
+            bump(&self.stats.skipped);
+            return (Ran::Skipped, start_ns);
+        }
+        if !led.unwrap_or_else(|| self.may_run(exec, around, tick)) {
+            self.left_out(around, tick, false);
             return (Ran::Skipped, start_ns);
         }
         let allocations = around.thread_allocations.map(|count| count());
@@ -373,14 +415,28 @@ impl Cell {
         if exec.limited && exec.budget_ns != 0 && spent_ns > exec.budget_ns {
             self.over_budget(around, tick, spent_ns, exec.budget_ns);
         }
-        if status == abi::STATUS_OK {
-            return (self.accept(exec, around, tick, refused, end_ns, ports.made), end_ns);
+        let ran = if status == abi::STATUS_OK {
+            self.accept(exec, around, tick, refused, end_ns, ports.made)
+        } else {
+            ports.made.clear();
+            if status == abi::STATUS_END && exec.source {
+                Ran::End
+            } else {
+                self.failed(exec, around, status, refused, tick, end_ns)
+            }
+        };
+        if ran != Ran::Ok && ran != Ran::End {
+            self.left_out(around, tick, !exec.instance.is_open());
         }
-        ports.made.clear();
-        if status == abi::STATUS_END && exec.source {
-            return (Ran::End, end_ns);
+        (ran, end_ns)
+    }
+
+    /// Writes an event of this node into the recording, if there is one.
+    #[inline]
+    pub fn write_down(&self, around: &Surroundings, event: impl FnOnce(String) -> Event) {
+        if let Some(recorder) = &around.recorder {
+            recorder.say(event(self.id.clone()));
         }
-        (self.failed(exec, around, status, refused, tick, end_ns), end_ns)
     }
 
     #[cold]
@@ -390,30 +446,50 @@ impl Cell {
         self.note(around, Cause::Slow, Action::Note, Some(tick.seq), words);
     }
 
-    /// Takes over what others changed since the last call.
+    /// Takes over what others changed since the last call. Where a recording leads, it says when a replacement takes its turn.
     #[cold]
-    fn catch_up(&self, exec: &mut Exec, around: &Surroundings) {
+    fn catch_up(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick, led: bool) {
         exec.news = self.news.load(Ordering::Acquire);
-        if self.replace.load(Ordering::Relaxed) {
-            self.take_replacement(exec, around);
+        if !led && self.replace.load(Ordering::Relaxed) {
+            self.take_replacement(exec, around, tick);
         }
-        exec.set_snapshot(self.snapshot());
+        let snapshot = self.snapshot();
+        if snapshot.version() != exec.params_version {
+            let values = || snapshot.owned().to_vec();
+            self.write_down(around, |node| Event::Values { node, source: tick.source, seq: tick.seq, values: values() });
+            exec.set_snapshot(snapshot);
+        }
         exec.period_ns = self.period_ns.load(Ordering::Relaxed);
         exec.budget_ns = self.budget_ns.load(Ordering::Relaxed);
         exec.limited = exec.period_ns > 0 || exec.budget_ns != 0;
     }
 
+    /// The node made nothing of a tick although its inputs were there.
+    pub fn left_out(&self, around: &Surroundings, tick: &Tick, closed: bool) {
+        self.write_down(around, |node| Event::LeftOut { node, source: tick.source, seq: tick.seq, closed });
+    }
+
+    /// The node goes on with an instance that was opened with these values.
+    pub fn opened(&self, snapshot: &Snapshot, around: &Surroundings, tick: &Tick) {
+        let values = || snapshot.owned().to_vec();
+        self.write_down(around, |node| Event::Opened { node, source: tick.source, seq: tick.seq, values: values() });
+    }
+
     #[cold]
-    fn take_replacement(&self, exec: &mut Exec, around: &Surroundings) {
+    fn take_replacement(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) {
         self.replace.store(false, Ordering::Relaxed);
         let Some((mut instance, snapshot)) = lock(&self.replacement).take() else { return };
         self.hand_over(exec, &mut instance, around);
         drop(std::mem::replace(&mut exec.instance, instance));
         if let Some(snapshot) = snapshot {
-            self.set_snapshot(snapshot);
+            self.set_snapshot(Arc::clone(&snapshot));
+            exec.set_snapshot(snapshot);
         }
         exec.bypassed = false;
         exec.bad_in_a_row = 0;
+        if around.recorder.is_some() {
+            self.opened(&self.snapshot(), around, tick);
+        }
     }
 
     /// Gives the state of the running instance to its successor, where both know how.
@@ -470,7 +546,7 @@ impl Cell {
             refused: None,
             random: None,
             tick: *tick,
-            wait_for_memory: around.batch,
+            wait_for_memory: around.unhurried(),
         };
         let mut call = abi::Call {
             struct_size: size_of::<abi::Call>() as u32,

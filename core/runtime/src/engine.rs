@@ -21,6 +21,7 @@ use crate::params::Snapshot;
 use crate::plan;
 use crate::pool::{self, Pool, Task};
 use crate::preview::Preview;
+use crate::record::{Event, Recorder, Script};
 use crate::report::{NodeWindow, Report, Window};
 use crate::schedule::{AllocationMeter, Shared};
 
@@ -38,6 +39,10 @@ pub struct Options {
     pub log: Option<Box<LogFn>>,
     /// Takes faults as they happen; see [`crate::fault::json_lines`].
     pub faults: Option<Box<FaultFn>>,
+    /// Writes the run down.
+    pub record: Option<Arc<Recorder>>,
+    /// Follows a recording; see [`crate::record::Replay`].
+    pub replay: Option<Arc<Script>>,
     /// A call of a node without a budget that takes longer does not return, in live mode; in batch, 30 times that.
     pub hang: Duration,
     /// Heap allocations of the process so far, where the program counts them.
@@ -55,6 +60,8 @@ impl Default for Options {
             graph_dir: std::path::PathBuf::new(),
             log: None,
             faults: None,
+            record: None,
+            replay: None,
             hang: Duration::from_secs(2),
             process_allocations: None,
             thread_allocations: None,
@@ -196,12 +203,16 @@ impl Engine {
             start_ns,
             graph_dir: absolute(&options.graph_dir),
             batch,
+            recorder: options.record,
+            script: options.replay,
             thread_allocations: options.thread_allocations,
         };
+        let hurried = !around.unhurried();
         let pool = Pool::new(threads);
         {
             let _visit = pool.visit();
             for cell in &plan.cells {
+                around.widen(cell);
                 open_first(cell, &around)?;
             }
         }
@@ -226,9 +237,17 @@ impl Engine {
             allocations: AllocationMeter { count: options.process_allocations, warm_up_ticks, ..Default::default() },
             waiting_nearest: AtomicI64::new(0),
             own_threads: Mutex::default(),
-            hang_ns: if batch { patience * 30 } else { patience },
+            hang_ns: if hurried { patience } else { patience * 30 },
             frame_ns: AtomicU64::new(33_333_333),
         });
+        if let Some(recorder) = &shared.around.recorder {
+            let shared = Arc::downgrade(&shared);
+            recorder.tell_to(Box::new(move |words| {
+                if let Some(shared) = shared.upgrade() {
+                    shared.around.recording_trouble(words);
+                }
+            }));
+        }
         let engine = Self {
             shared,
             current: ArcSwap::from_pointee(Current::new(graph, catalog, slots)),
@@ -372,11 +391,28 @@ impl Engine {
         } else {
             cell.set_snapshot(snapshot);
         }
+        if let Some(recorder) = &self.shared.around.recorder {
+            recorder.say(Event::Set { node: node.to_owned(), values: values.clone() });
+        }
+        self.know_values(&current, index, values);
+        Ok(())
+    }
+
+    /// A node's values as a recording says they were set; the script puts them in force at their tick.
+    pub(crate) fn know(&self, node: &str, values: &[ParamValue]) {
+        let _change = lock(&self.change);
+        let current = self.current.load_full();
+        if let Some(index) = current.graph.node(node) {
+            self.know_values(&current, index, values.to_vec());
+        }
+    }
+
+    /// Writes new values of a node into the graph that is known.
+    fn know_values(&self, current: &Current, index: usize, values: Vec<ParamValue>) {
         let mut graph = current.graph.clone();
         graph.nodes[index].params = values;
         let (params, outputs) = (current.params.clone(), current.outputs.clone());
         self.current.store(Arc::new(Current { graph, params, outputs, slots: current.slots.clone() }));
-        Ok(())
     }
 
     fn cell(&self, current: &Current, node: &str) -> Option<(usize, Arc<Cell>)> {

@@ -11,6 +11,7 @@ use crate::clock;
 use crate::exec::{Exec, Instance, Made};
 use crate::fault::{Action, Cause, Fault, unix_ms};
 use crate::log::Level;
+use crate::record::format::Event;
 use crate::stats::bump;
 
 /// Bad outputs in a row after which an instance is not trusted any more.
@@ -61,6 +62,7 @@ impl Cell {
                 bump(&self.stats.restarts);
                 around.log.say(Level::Info, &self.id, "opened again");
                 exec.instance = instance;
+                self.opened(&snapshot, around, tick);
                 true
             }
             Err(words) => {
@@ -175,7 +177,7 @@ impl Cell {
         words: String,
     ) {
         let count = self.fault_counts[cause as usize].fetch_add(1, Ordering::Relaxed) + 1;
-        around.faults.put(Fault {
+        let fault = Fault {
             unix_ms: unix_ms(),
             run_ms: clock::now_ns().saturating_sub(around.start_ns) as f64 / 1e6,
             node: self.id.clone(),
@@ -185,7 +187,11 @@ impl Cell {
             seq,
             late_ms,
             count,
-        });
+        };
+        if let Some(recorder) = &around.recorder {
+            recorder.say(Event::Fault(fault.clone()));
+        }
+        around.faults.put(fault);
     }
 }
 

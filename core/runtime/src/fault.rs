@@ -7,13 +7,13 @@ use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Takes a fault as it happens.
 pub type FaultFn = dyn Fn(&Fault) + Send + Sync;
 
 /// What went wrong.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cause {
     /// The node answered with an error.
@@ -44,10 +44,12 @@ pub enum Cause {
     Slow,
     /// Frames kept and not given back.
     Leak,
+    /// The recording of the run has a gap, or has ended.
+    Recording,
 }
 
 /// What was done about a fault.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Action {
     /// The node is opened again, its outputs are empty until then.
@@ -65,7 +67,7 @@ pub enum Action {
 }
 
 /// One fault.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Fault {
     /// Milliseconds since 1970, wall clock.
     pub unix_ms: u64,

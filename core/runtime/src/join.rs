@@ -1,10 +1,12 @@
 //! A node's inputs: what waits for it, and when it may fire.
 
 use std::collections::VecDeque;
+use std::sync::{Mutex, PoisonError};
 
 use panoscope_abi::Tick;
 
 use crate::memory::FrameRef;
+use crate::record::Wanted;
 use crate::region::Region;
 
 /// Most packets that a trigger slot keeps while its region is paused.
@@ -154,6 +156,87 @@ impl Join {
             return Take::Finished;
         }
         if self.exact { self.take_exact(now_ns) } else { self.take_arrival(region) }
+    }
+
+    /// Whether what is taken may depend on who was faster.
+    pub fn is_timed(&self) -> bool {
+        self.slots.iter().any(|s| s.rule != Rule::Exact)
+    }
+
+    /// The ticks of the staged packets, `None` where there is none.
+    pub fn staged_ticks(&self) -> Vec<Option<(u32, u64)>> {
+        let staged = self.slots.iter().zip(&self.staged);
+        let known = |(slot, frame): (&Slot, &FrameRef)| {
+            (slot.rule == Rule::Exact || !frame.is_empty()).then(|| (frame.tick().source, frame.tick().seq))
+        };
+        staged.map(known).collect()
+    }
+
+    /// Takes a packet that waits until it is wanted.
+    pub fn push_for_script(&mut self, slot: usize, frame: FrameRef) -> u64 {
+        let slot = &mut self.slots[slot];
+        if slot.rule == Rule::Exact || !frame.is_empty() {
+            slot.queue.push_back(frame);
+        }
+        0
+    }
+
+    /// Fires with the packets that were taken once, when they are there. What comes before them was passed over then.
+    pub fn take_wanted(
+        &mut self,
+        region: Option<&Region>,
+        script: Option<&Mutex<VecDeque<Wanted>>>,
+        may_enter: bool,
+    ) -> Take {
+        if self.finished {
+            return Take::Finished;
+        }
+        let mut script = script.map(|s| s.lock().unwrap_or_else(PoisonError::into_inner));
+        let Some(wanted) = script.as_mut().and_then(|s| s.front()) else {
+            self.slots.iter_mut().filter(|s| s.rule != Rule::Exact).for_each(|s| s.queue.clear());
+            let fires = |s: &&Slot| match s.rule {
+                Rule::Exact => true,
+                Rule::Latest { trigger } => trigger && !self.exact,
+                Rule::Nearest { .. } | Rule::Delay => false,
+            };
+            return if self.slots.iter().filter(fires).all(|s| s.ended) { Take::Finished } else { Take::Wait };
+        };
+        let is = |frame: &FrameRef, tick: (u32, u64)| (frame.tick().source, frame.tick().seq) == tick;
+        let mut there = true;
+        for (slot, wanted) in self.slots.iter_mut().zip(&wanted.inputs) {
+            let Some(tick) = *wanted else { continue };
+            if slot.held.as_ref().is_some_and(|held| is(held, tick)) {
+                continue;
+            }
+            while slot.queue.front().is_some_and(|front| !is(front, tick)) {
+                slot.queue.pop_front();
+            }
+            match slot.queue.pop_front() {
+                Some(frame) => slot.held = Some(frame),
+                // Behind a gap of the recording it never comes.
+                None if slot.ended => slot.held = None,
+                None => there = false,
+            }
+        }
+        if !there || !may_enter || region.is_some_and(|r| !r.try_admit()) {
+            return Take::Wait;
+        }
+        let tick = wanted.tick;
+        let mut complete = true;
+        self.staged.clear();
+        for (slot, wanted) in self.slots.iter_mut().zip(wanted.inputs.iter().copied().chain(std::iter::repeat(None))) {
+            let frame = wanted.and_then(|_| slot.held.clone()).unwrap_or_else(|| FrameRef::empty(tick));
+            if slot.rule == Rule::Exact {
+                slot.held = None;
+            }
+            complete &= slot.optional || !frame.is_empty();
+            self.staged.push(frame);
+        }
+        if let Some(script) = &mut script {
+            script.pop_front();
+        }
+        self.staged_take = Some((tick, complete));
+        Take::Fire { tick, complete }
     }
 
     /// Packets that wait on a slot.

@@ -24,6 +24,7 @@ pub mod params;
 mod plan;
 pub mod pool;
 mod preview;
+pub mod record;
 mod region;
 mod report;
 mod schedule;

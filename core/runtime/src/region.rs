@@ -17,6 +17,8 @@ const MOST_PAUSED: usize = 256;
 struct State {
     in_flight: u32,
     paused: bool,
+    /// The region pauses before this tick of its source.
+    pause_before: u64,
     /// Ticks of a live source that wait to enter: those that came during a pause, then the newest.
     pending: VecDeque<Vec<FrameRef>>,
     /// How many of them came during a pause and are not to be overwritten.
@@ -47,12 +49,17 @@ pub(crate) enum Freed {
     Pending(Vec<FrameRef>),
 }
 
+fn first_seq(outputs: &[FrameRef]) -> u64 {
+    outputs.first().map_or(0, |f| f.tick().seq)
+}
+
 impl Region {
     pub fn new(head: usize, leaves: u32, limit: u32) -> Self {
         let leaves = leaves.max(1);
         let state = State {
             in_flight: 0,
             paused: false,
+            pause_before: u64::MAX,
             pending: VecDeque::with_capacity(4),
             protected: 0,
             spare: Vec::with_capacity(4),
@@ -105,6 +112,9 @@ impl Region {
     /// tick that was dropped.
     pub fn admit_or_keep(&self, outputs: Vec<FrameRef>) -> (Option<Vec<FrameRef>>, Option<Vec<FrameRef>>) {
         let mut state = self.state();
+        if state.pause_before != u64::MAX && state.pause_before <= first_seq(&outputs) {
+            state.paused = true;
+        }
         if self.open(&state) && state.pending.is_empty() {
             self.admit(&mut state);
             return (Some(outputs), None);
@@ -150,6 +160,9 @@ impl Region {
     }
 
     fn next_pending(&self, state: &mut State) -> Option<Vec<FrameRef>> {
+        if state.pause_before != u64::MAX && state.pending.front().is_some_and(|p| state.pause_before <= first_seq(p)) {
+            state.paused = true;
+        }
         if !self.open(state) {
             return None;
         }
@@ -184,10 +197,40 @@ impl Region {
         self.state().paused = true;
     }
 
+    /// Admits nothing from tick `seq` of its source on. `made` is what the source makes next; answers the first tick that could still be kept
+    /// out where `seq` has passed.
+    pub fn pause_before(&self, seq: u64, made: u64) -> Result<(), u64> {
+        let mut state = self.state();
+        let next = state.pending.front().map_or(made, |p| first_seq(p));
+        if seq < next {
+            return Err(next);
+        }
+        state.pause_before = seq;
+        Ok(())
+    }
+
+    /// No tick is waited for any more; answers whether it is paused.
+    pub fn stop_waiting(&self) -> bool {
+        let mut state = self.state();
+        state.pause_before = u64::MAX;
+        state.paused
+    }
+
+    /// Whether it admits nothing now.
+    pub fn is_paused(&self) -> bool {
+        self.state().paused
+    }
+
+    /// The first tick that waits to enter.
+    pub fn first_pending(&self) -> Option<u64> {
+        self.state().pending.front().map(|p| first_seq(p))
+    }
+
     /// Admits again; the outputs of kept ticks are to be delivered in this order.
     pub fn resume(&self) -> Vec<Vec<FrameRef>> {
         let mut state = self.state();
         state.paused = false;
+        state.pause_before = u64::MAX;
         self.full.store(false, Ordering::Relaxed);
         std::iter::from_fn(|| self.next_pending(&mut state)).collect()
     }

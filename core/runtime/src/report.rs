@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::Ordering;
 
 use panoscope_graph::Graph;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::cell::lock;
 use crate::clock;
@@ -78,7 +78,7 @@ pub struct PathReport {
 }
 
 /// Where a run took place.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Machine {
     /// Processor.
     pub cpu: String,

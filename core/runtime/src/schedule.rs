@@ -21,6 +21,7 @@ use crate::memory::FrameRef;
 use crate::outputs::{format_name, format_names};
 use crate::plan::{Link, Plan, Reader};
 use crate::pool::Pool;
+use crate::record::format::Event;
 use crate::region::{Freed, Region};
 use crate::stats::bump;
 use crate::threads::OwnThread;
@@ -198,6 +199,15 @@ impl Shared {
         cell.stuck.fetch_sub(1, Ordering::Relaxed);
     }
 
+    /// Shows what a node made to whoever looks at it.
+    #[inline]
+    fn show(&self, cell: &Cell, outputs: &[Frame]) {
+        cell.taps.show(outputs);
+        if let Some(recorder) = &self.around.recorder {
+            recorder.made(cell, outputs);
+        }
+    }
+
     /// What follows from how a call ended.
     #[inline]
     pub fn after(&self, plan: &Plan, node: usize, sink: bool, ran: Ran, tick: &Tick, now_ns: u64) {
@@ -263,7 +273,7 @@ impl Shared {
         let links = plan.following(node);
         for (at, link) in links.iter().enumerate() {
             look_ahead(links, at + 1);
-            last_cell.taps.show(&made.outputs);
+            self.show(last_cell, &made.outputs);
             let frame = &mut made.outputs[link.port as usize];
             if !takes(link.accepts, frame) {
                 self.refused(plan, last, link.port as usize, link.node as usize, link.accepts, frame);
@@ -297,7 +307,7 @@ impl Shared {
             (last, last_cell) = (link.node as usize, cell);
             std::mem::swap(&mut made, &mut next);
         }
-        last_cell.taps.show(&made.outputs);
+        self.show(last_cell, &made.outputs);
         for (port, output) in made.outputs.iter_mut().enumerate() {
             let raw = std::mem::replace(output, Frame::EMPTY);
             self.deliver_port(plan, last, port, FrameRef::adopt(Frame { tick, ..raw }), ready);
@@ -312,6 +322,7 @@ impl Shared {
         while let Some(inline) = plan.wiring[last].inline {
             last = inline.node;
             bump(&plan.cells[last].stats.skipped);
+            plan.cells[last].left_out(&self.around, &tick, false);
         }
         for port in 0..plan.wiring[last].readers.len() {
             self.deliver_port(plan, last, port, FrameRef::empty(tick), ready);
@@ -339,6 +350,9 @@ impl Shared {
 
     /// Delivers a tick of a source that was admitted.
     pub fn enter(&self, plan: &Plan, source: usize, mut outputs: Vec<FrameRef>, ready: &mut Ready) {
+        if let Some(recorder) = &self.around.recorder {
+            recorder.admitted(&plan.cells[source].id);
+        }
         for (port, frame) in outputs.drain(..).enumerate() {
             self.deliver_port(plan, source, port, frame, ready);
         }
@@ -362,7 +376,11 @@ impl Shared {
 
     /// Tries to take the next tick of a node that nobody runs, and of one that was just run.
     fn decide(&self, plan: &Plan, node: usize, join: &mut Join) -> Next {
-        let take = join.try_take(self.gate(plan, node, join), clock::now_ns());
+        let take = if self.around.recorder.is_none() && self.around.script.is_none() {
+            join.try_take(self.gate(plan, node, join), clock::now_ns())
+        } else {
+            self.take_by_script(plan, node, join)
+        };
         if take == Take::Wait && join.nearest_deadline_ns != 0 {
             self.waiting_nearest.store(1, Ordering::Relaxed);
         }
@@ -373,6 +391,32 @@ impl Shared {
             Take::Finished if std::mem::replace(&mut join.finished, true) => Next::Idle,
             Take::Finished => Next::Finish,
         }
+    }
+
+    /// Like [`Join::try_take`], written down or looked up where it depends on time.
+    #[cold]
+    fn take_by_script(&self, plan: &Plan, node: usize, join: &mut Join) -> Take {
+        let (cell, region) = (&plan.cells[node], self.gate(plan, node, join));
+        let script = self.around.script.as_ref().filter(|s| s.leads_nodes() && join.is_timed());
+        let take = match script {
+            Some(script) => {
+                let may_enter = region.is_none() || script.may_enter(&cell.id);
+                let take = join.take_wanted(region, script.took(&cell.id), may_enter);
+                if matches!(take, Take::Fire { .. }) && region.is_some() {
+                    script.entered(&cell.id);
+                }
+                take
+            }
+            None => join.try_take(region, clock::now_ns()),
+        };
+        if let (Take::Fire { tick, .. }, Some(recorder), true) = (take, &self.around.recorder, join.is_timed()) {
+            if region.is_some() {
+                recorder.admitted(&cell.id);
+            }
+            let (Tick { source, seq, capture_ns, .. }, inputs) = (tick, join.staged_ticks());
+            recorder.say(Event::Took { node: cell.id.clone(), source, seq, capture_ns, inputs });
+        }
+        take
     }
 
     /// The runner of a node asks for its next tick; `true` when it is staged.
@@ -458,7 +502,14 @@ impl Shared {
         let node = reader.node;
         let cell = &plan.cells[node];
         let mut join = lock(&cell.join);
-        let dropped = join.push(reader.slot, frame);
+        let dropped = if self.around.script.is_none() {
+            join.push(reader.slot, frame)
+        } else if cell.source {
+            // Its ticks come from a recording: it needs nothing.
+            return;
+        } else {
+            join.push_for_script(reader.slot, frame)
+        };
         if dropped > 0 {
             cell.stats.dropped.fetch_add(dropped, Ordering::Relaxed);
         }

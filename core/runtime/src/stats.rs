@@ -112,6 +112,11 @@ impl RareHistogram {
         self.0.get().map_or(0, |histogram| histogram.max_ns())
     }
 
+    /// As [`Histogram::counts`]; empty before the first time.
+    pub fn counts(&self) -> Vec<u64> {
+        self.0.get().map_or_else(Vec::new, |histogram| histogram.counts())
+    }
+
     /// As [`Histogram::quantile_ns`].
     pub fn quantile_ns(&self, q: f64) -> u64 {
         self.0.get().map_or(0, |histogram| histogram.quantile_ns(q))

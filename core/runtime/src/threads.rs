@@ -14,6 +14,8 @@ use crate::exec::Walk;
 use crate::fault::{Action, Cause};
 use crate::memory::FrameRef;
 use crate::pool;
+use crate::record::Script;
+use crate::record::format::Event;
 use crate::schedule::{Ready, Shared};
 use crate::stats::bump;
 
@@ -167,6 +169,12 @@ impl Shared {
         let mut walk = Walk::default();
         let mut pace = Pace { last_capture_ns: (last_ns != i64::MIN).then_some(last_ns), ..Pace::default() };
         let leaves = || cell.leave.grant();
+        if let Some(script) = self.around.script.clone() {
+            if self.play(&script, node, cell) {
+                return false;
+            }
+            return self.source_over(node, cell);
+        }
         while !self.is_stopping() {
             if leaves() {
                 return false;
@@ -181,10 +189,15 @@ impl Shared {
                 Step::GivenUp => return true,
             }
         }
+        self.source_over(node, cell)
+    }
+
+    /// A source has made its last tick: answers `false` when all is said.
+    fn source_over(&self, node: usize, cell: &Cell) -> bool {
         let region = Arc::clone(&self.plan.load().regions[self.plan.load().wiring[node].region]);
         while region.has_pending() {
             self.park(cell, Some(Duration::from_millis(1)));
-            if leaves() {
+            if cell.leave.grant() {
                 return false;
             }
         }
@@ -266,6 +279,9 @@ impl Shared {
         }
         cell.last_capture_ns.store(tick.capture_ns, Ordering::Relaxed);
         cell.taps.show(&made.outputs);
+        if let Some(recorder) = &self.around.recorder {
+            recorder.made_tick(cell, &tick, &made.outputs);
+        }
         let region = {
             let plan = self.plan.load();
             Arc::clone(&plan.regions[plan.wiring[node].region])
@@ -284,6 +300,9 @@ impl Shared {
         let (enter, dropped) = region.admit_or_keep(outputs);
         if let Some(old) = dropped {
             bump(&cell.stats.dropped);
+            if let Some(seq) = old.first().map(|f| f.tick().seq) {
+                cell.write_down(&self.around, |node| Event::Dropped { node, seq });
+            }
             region.recycle(old);
         }
         if let Some(outputs) = enter {
@@ -315,9 +334,71 @@ impl Shared {
         });
     }
 
+    /// Plays a source's recorded ticks; answers whether the thread is to leave.
+    fn play(&self, script: &Script, node: usize, cell: &Arc<Cell>) -> bool {
+        let Some(source) = script.source(&cell.id) else { return false };
+        while let Some(recorded) = source.next() {
+            if self.is_stopping() || script.failure().is_some() {
+                return false;
+            }
+            if cell.leave.grant() {
+                return true;
+            }
+            let seq = recorded.seq;
+            if self.frames.is_some_and(|most| seq >= most) {
+                return false;
+            }
+            let region = {
+                let plan = self.plan.load();
+                Arc::clone(&plan.regions[plan.wiring[node].region])
+            };
+            let enters = recorded.admitted || recorded.gap;
+            if enters && (!script.may_enter(&cell.id) || !region.has_room() || self.readers_lag(node)) {
+                self.park(cell, Some(Duration::from_millis(1)));
+                continue;
+            }
+            let tick = Tick { source: node as u32, flags: 0, seq, capture_ns: recorded.capture_ns };
+            let outputs = match script.outputs(cell, recorded, tick) {
+                Ok(outputs) => outputs,
+                Err(error) => {
+                    script.fail(error.to_string());
+                    self.fail(error.to_string());
+                    return false;
+                }
+            };
+            let raw: Vec<Frame> = outputs.iter().map(|f| *f.frame()).collect();
+            cell.taps.show(&raw);
+            if let Some(recorder) = &self.around.recorder {
+                recorder.made_tick(cell, &tick, &raw);
+            }
+            cell.last_capture_ns.store(tick.capture_ns, Ordering::Relaxed);
+            cell.ingest_ns[seq as usize % INGEST_RING].store(clock::now_ns().max(1), Ordering::Relaxed);
+            cell.made.store(seq + 1, Ordering::Relaxed);
+            source.done();
+            if !recorded.admitted || recorded.gap {
+                if enters {
+                    script.entered(&cell.id);
+                }
+                bump(&cell.stats.dropped);
+                cell.write_down(&self.around, |node| Event::Dropped { node, seq });
+                continue;
+            }
+            // Nobody else lets ticks into this region, and it had room.
+            if let (Some(outputs), _) = region.admit_or_keep(outputs) {
+                let plan = self.plan.load();
+                let mut ready = Ready::default();
+                self.enter(&plan, node, outputs, &mut ready);
+                ready.settle(self, &plan, 0);
+            }
+            // Only now may a change of the graph that comes next find the region at rest.
+            script.entered(&cell.id);
+        }
+        false
+    }
+
     /// Whether a batch reader of another region has much to catch up with.
     fn readers_lag(&self, node: usize) -> bool {
-        if !self.around.batch {
+        if !self.around.unhurried() {
             return false;
         }
         let plan = self.plan.load();

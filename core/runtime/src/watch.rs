@@ -71,7 +71,7 @@ impl Shared {
     /// Time from the start of a call to the end of its budget, and from there until it is called hung.
     fn patience(&self, cell: &Cell) -> (u64, u64) {
         let budget_ns = cell.budget_ns.load(Ordering::Relaxed);
-        match (budget_ns, self.around.batch) {
+        match (budget_ns, self.around.unhurried()) {
             (0, _) => (self.hang_ns, 0),
             (budget, true) => (self.hang_ns.max(budget.saturating_mul(BATCH_BUDGETS)), 0),
             (budget, false) => {
@@ -133,6 +133,7 @@ impl Shared {
         if cell.source {
             cell.made.store(tick.seq + 1, Ordering::Relaxed);
         } else {
+            cell.left_out(&self.around, &tick, true);
             self.skip_from(plan, node, tick, &mut ready);
             again = self.take_next(plan, head, &mut ready);
         }
@@ -177,7 +178,7 @@ impl Shared {
 
     /// Closes what failed and, if the graph wants that, opens the node again. In live mode this happens on a thread of its own.
     pub fn start_mending(&self, cell: &Arc<Cell>) {
-        if self.around.batch {
+        if self.around.unhurried() {
             // Opened again before a tick that does not depend on the clock.
             lock(&cell.broken).clear();
             return;

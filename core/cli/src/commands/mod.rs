@@ -3,6 +3,7 @@
 pub mod bench;
 pub mod calibrate;
 pub mod check;
+pub mod compare;
 pub mod describe;
 pub mod devices;
 pub mod doctor;
@@ -11,5 +12,7 @@ pub mod edit;
 pub mod eval;
 pub mod list;
 pub mod new;
+pub mod record;
+pub mod replay;
 pub mod run;
 pub mod schema;

@@ -9,6 +9,7 @@ use panoscope_graph::Graph;
 use panoscope_runtime::fault::json_lines;
 use panoscope_runtime::live::FileWatch;
 use panoscope_runtime::log::Level;
+use panoscope_runtime::record::{RecordOptions, Recorded, Recorder, head};
 use panoscope_runtime::{Engine, Live, Options, Outcome, Report};
 
 use crate::progress::Progress;
@@ -16,7 +17,7 @@ use crate::terminal::{raw, stderr_color, tell};
 use crate::{End, allocations, graph_file, interrupt, summary};
 
 /// How long nodes may take to finish after the end of a run was asked for.
-const PATIENCE: Duration = Duration::from_secs(30);
+pub const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Arguments of `run`.
 #[derive(clap::Args)]
@@ -60,11 +61,16 @@ pub struct Arguments {
 
 /// Runs a graph to its end.
 pub fn run(arguments: &Arguments) -> Result<End> {
+    Ok(run_recorded(arguments, None)?.0)
+}
+
+/// Runs a graph to its end and writes it down; answers what the recording came to, if the run began.
+pub fn run_recorded(arguments: &Arguments, record: Option<RecordOptions>) -> Result<(End, Option<Recorded>)> {
     let mut settings = match capture_settings(arguments) {
         Ok(settings) => settings,
         Err(error) => {
             tell!("error: {error:#}");
-            return Ok(End::Wrong);
+            return Ok((End::Wrong, None));
         }
     };
     settings.extend(arguments.set.iter().cloned());
@@ -72,7 +78,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         Ok(ready) => ready,
         Err(diagnostics) => {
             tell!("{}", diagnostics.render(stderr_color()).trim_end());
-            return Ok(End::Wrong);
+            return Ok((End::Wrong, None));
         }
     };
     if !ready.warnings.is_empty() {
@@ -84,7 +90,18 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         Some(path) => Some(json_lines(path).with_context(|| format!("cannot write {}", path.display()))?),
         None => None,
     };
+    let text = fs::read_to_string(&arguments.graph).unwrap_or_default();
+    let recorder = match record {
+        Some(options) => {
+            let (catalog, loader) = (&ready.catalog, &ready.loader);
+            let mut head = head(&graph, catalog, loader, &arguments.graph, &text, &settings);
+            head.all_ports = options.all_ports;
+            Some(Recorder::start(options, head)?)
+        }
+        None => None,
+    };
     let options = Options {
+        record: recorder.clone(),
         threads: arguments.threads.map_or(0, usize::from),
         frames: arguments.frames,
         paced: !arguments.unpaced,
@@ -101,11 +118,10 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         Err(error) => {
             progress.finish();
             tell!("error: {error}");
-            return Ok(End::Failed);
+            return Ok((End::Failed, None));
         }
     };
     allocations::leave_this_thread_out();
-    let text = fs::read_to_string(&arguments.graph).unwrap_or_default();
     let mut changes = arguments.watch.then(|| {
         let files = FileWatch::new(&arguments.graph, &ready.loader);
         (files, Live::new(&engine, &arguments.graph, text, settings, ready.loader))
@@ -124,11 +140,12 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     if let Some(path) = &arguments.report {
         write_report(path, &report)?;
     }
-    Ok(judge(&engine, &graph, &report, &outcome))
+    let end = judge(&engine, &graph, &report, &outcome);
+    Ok((end, recorder.map(|r| r.finish())))
 }
 
 /// Shows progress until the end of the run, or until the user's patience with a stopped one is over.
-fn watch(engine: &Engine, progress: &mut Progress, mut look: impl FnMut()) {
+pub fn watch(engine: &Engine, progress: &mut Progress, mut look: impl FnMut()) {
     let mut stopped: Option<Instant> = None;
     while !engine.wait(Some(Duration::from_millis(100))) {
         progress.update(&engine.report());
@@ -196,7 +213,7 @@ fn judge(engine: &Engine, graph: &Graph, report: &Report, outcome: &Outcome) -> 
 }
 
 /// Writes the report in one step, so that nobody reads half of it.
-fn write_report(path: &Path, report: &Report) -> Result<()> {
+pub fn write_report(path: &Path, report: &Report) -> Result<()> {
     let text = serde_json::to_string_pretty(report)? + "\n";
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
         fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;

@@ -1,0 +1,119 @@
+//! `panoscope compare`: where two runs differ first, and by how much.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use panoscope_runtime::record::compare::{PortDifference, compare, compare_recordings};
+use panoscope_runtime::record::{Digests, Recording};
+
+use crate::End;
+use crate::terminal::{raw, table, tell};
+
+/// Arguments of `compare`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// A recording, or fingerprints written by `--digests`.
+    a: PathBuf,
+    /// Another one.
+    b: PathBuf,
+}
+
+enum Run {
+    Recording(Box<Recording>),
+    Digests(Digests),
+}
+
+impl Run {
+    fn open(path: &Path) -> Result<Self, String> {
+        if path.extension().is_some_and(|e| e == "json") {
+            let digests = Digests::read(path).map_err(|e| {
+                format!(
+                    "{}: {e}; give a recording (.mcap) or fingerprints written by --digests (.json)",
+                    path.display()
+                )
+            })?;
+            return Ok(Self::Digests(digests));
+        }
+        Recording::open(path).map(|r| Self::Recording(Box::new(r))).map_err(|e| e.to_string())
+    }
+
+    fn digests(&self) -> Digests {
+        match self {
+            Self::Recording(recording) => recording.digests(),
+            Self::Digests(digests) => digests.clone(),
+        }
+    }
+}
+
+/// Compares two runs. Ends well when they are the same.
+pub fn run(arguments: &Arguments) -> Result<End> {
+    let (a, b) = match (Run::open(&arguments.a), Run::open(&arguments.b)) {
+        (Ok(a), Ok(b)) => (a, b),
+        (a, b) => {
+            for error in [a.err(), b.err()].into_iter().flatten() {
+                tell!("error: {error}");
+            }
+            return Ok(End::Wrong);
+        }
+    };
+    let differences = match (&a, &b) {
+        (Run::Recording(a), Run::Recording(b)) => match compare_recordings(a, b) {
+            Ok(differences) => differences,
+            Err(error) => {
+                tell!("error: {error}");
+                return Ok(End::Failed);
+            }
+        },
+        _ => compare(&a.digests(), &b.digests()),
+    };
+    if differences.iter().all(|d| d.packets.0 == 0 || d.packets.1 == 0) {
+        tell!(
+            "error: {} and {} have no port in common; record both with --all-ports, or of one graph",
+            arguments.a.display(),
+            arguments.b.display()
+        );
+        return Ok(End::Wrong);
+    }
+    Ok(show(differences))
+}
+
+fn show(mut differences: Vec<PortDifference>) -> End {
+    let same = differences.iter().filter(|d| d.is_nothing()).count();
+    let packets: usize = differences.iter().filter(|d| d.is_nothing()).map(|d| d.packets.0).sum();
+    differences.retain(|d| !d.is_nothing());
+    differences.sort_by_key(|d| (d.first.map(|(source, seq)| (seq, source)), d.port.clone()));
+    raw(&format!("{same} ports are the same, {packets} packets\n"));
+    if differences.is_empty() {
+        return End::Done;
+    }
+    let mut rows = vec![
+        ["port that differs", "first tick", "packets", "differ", "only in one", "largest", "mean", "share of pixels"]
+            .map(str::to_owned)
+            .to_vec(),
+    ];
+    for difference in &differences {
+        let (a, b) = difference.packets;
+        let amount = |number: fn(&panoscope_runtime::record::compare::Amount) -> String| {
+            difference.amount.as_ref().map_or_else(|| "-".to_owned(), number)
+        };
+        rows.push(vec![
+            difference.port.clone(),
+            difference.first.map_or_else(|| "-".to_owned(), |(_, seq)| seq.to_string()),
+            format!("{a}, {b}"),
+            difference.differing.to_string(),
+            difference.missing.to_string(),
+            amount(|a| format!("{:.4}", a.largest)),
+            amount(|a| format!("{:.6}", a.mean)),
+            amount(|a| match a.other_shape {
+                0 => format!("{:.4} %", a.share * 100.0),
+                n => format!("{n} of another size"),
+            }),
+        ]);
+    }
+    raw(&table(&rows));
+    if let Some(first) = differences.first() {
+        let tick = first.first.map_or(0, |(_, seq)| seq);
+        raw(&format!("first to differ: `{}` at tick {tick}\n", first.port));
+    }
+    End::Failed
+}

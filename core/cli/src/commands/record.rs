@@ -1,0 +1,80 @@
+//! `panoscope record`: a run that is written down whole.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use panoscope_runtime::record::{RecordOptions, Recorded};
+
+use super::run;
+use crate::End;
+use crate::terminal::tell;
+
+/// Arguments of `record`.
+#[derive(clap::Args)]
+#[group(skip)]
+pub struct Arguments {
+    #[command(flatten)]
+    run: run::Arguments,
+    /// The recording, an MCAP file.
+    #[arg(long, short, value_name = "FILE.mcap")]
+    output: PathBuf,
+    /// Sources make and record only the outputs that the graph reads. Smaller and faster, but another graph finds no more than this one read.
+    #[arg(long)]
+    read_ports_only: bool,
+    #[command(flatten)]
+    ports: Ports,
+}
+
+/// What is kept of all nodes, not only of sources.
+#[derive(clap::Args)]
+pub struct Ports {
+    /// Records every output of every node, to compare two recordings picture by picture.
+    #[arg(long)]
+    pub all_ports: bool,
+    /// Writes a fingerprint of every packet of every port, to compare two runs.
+    #[arg(long, value_name = "FILE.json")]
+    pub digests: Option<PathBuf>,
+}
+
+/// Records a run.
+pub fn run(arguments: &Arguments) -> Result<End> {
+    let options = RecordOptions {
+        file: Some(arguments.output.clone()),
+        digests: arguments.ports.digests.is_some(),
+        all_ports: arguments.ports.all_ports,
+        all_source_ports: !arguments.read_ports_only,
+        ..RecordOptions::default()
+    };
+    let (end, recorded) = run::run_recorded(&arguments.run, Some(options))?;
+    match recorded {
+        Some(recorded) => told(&recorded, &arguments.output, &arguments.ports, end),
+        None => Ok(end),
+    }
+}
+
+/// Says what a recording came to and writes its fingerprints.
+pub fn told(recorded: &Recorded, file: &std::path::Path, ports: &Ports, mut end: End) -> Result<End> {
+    let mb = recorded.bytes as f64 / 1e6;
+    tell!("recorded {} source ticks, {mb:.1} MB: {}", recorded.ticks, file.display());
+    if recorded.gaps > 0 {
+        tell!(
+            "warning: {} ticks are not in the recording because the disk was too slow; --read-ports-only records less",
+            recorded.gaps
+        );
+    }
+    if let Some(reason) = &recorded.failed {
+        tell!("error: {reason}");
+        end = End::Failed;
+    }
+    write_digests(recorded, ports)?;
+    Ok(end)
+}
+
+/// Writes fingerprints, where wanted.
+pub fn write_digests(recorded: &Recorded, ports: &Ports) -> Result<()> {
+    if let (Some(path), Some(digests)) = (&ports.digests, &recorded.digests) {
+        digests.write(path).with_context(|| format!("cannot write {}", path.display()))?;
+        tell!("fingerprints of {} packets on {} ports: {}", digests.packets(), digests.ports.len(), path.display());
+    }
+    Ok(())
+}

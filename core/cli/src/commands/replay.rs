@@ -1,0 +1,156 @@
+//! `panoscope replay`: a recording played again, to the byte, or another graph on its pictures.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::Result;
+use panoscope_runtime::record::{RecordOptions, Recording, Replay, ReplayError, ReplayOptions};
+use panoscope_runtime::{Options, Outcome};
+
+use super::record::{Ports, told, write_digests};
+use super::run::{self, PATIENCE};
+use crate::progress::Progress;
+use crate::terminal::{raw, stderr_color, tell};
+use crate::{End, interrupt, summary};
+
+/// Arguments of `replay`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// A recording of `panoscope record`.
+    recording: PathBuf,
+    /// Runs this graph on the recorded pictures instead of the recorded one. No tick is dropped then.
+    #[arg(long, value_name = "GRAPH")]
+    graph: Option<PathBuf>,
+    /// Sets a parameter; wins over the graph and over recorded changes. May be given again.
+    #[arg(long, value_name = "NODE.PARAM=VALUE")]
+    set: Vec<String>,
+    /// Ticks of each source to play; without it, all.
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
+    frames: Option<u64>,
+    /// Threads of the pool; without it, one per core.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Lets nodes act that write files or move things. Without it they are left out.
+    #[arg(long)]
+    act: bool,
+    /// Records the replay.
+    #[arg(long, short, value_name = "FILE.mcap")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    ports: Ports,
+    /// Neither windows nor a progress bar.
+    #[arg(long)]
+    headless: bool,
+    /// Writes counters and times as JSON at the end.
+    #[arg(long, value_name = "FILE.json")]
+    report: Option<PathBuf>,
+    /// Shows debug lines of nodes too.
+    #[arg(long, short)]
+    verbose: bool,
+}
+
+/// Plays a recording.
+pub fn run(arguments: &Arguments) -> Result<End> {
+    if arguments.ports.all_ports && arguments.output.is_none() {
+        tell!("error: --all-ports says what the recording of the replay holds: name one with -o FILE.mcap");
+        return Ok(End::Wrong);
+    }
+    let same = |a: &PathBuf, b: &PathBuf| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+    if arguments.output.as_ref().is_some_and(|out| same(out, &arguments.recording)) {
+        tell!("error: -o {} is the recording that is played; name another file", arguments.recording.display());
+        return Ok(End::Wrong);
+    }
+    let recording = match Recording::open(&arguments.recording) {
+        Ok(recording) => Arc::new(recording),
+        Err(error) => {
+            tell!("error: {error}");
+            return Ok(End::Wrong);
+        }
+    };
+    let graph = match &arguments.graph {
+        Some(path) => match std::fs::read_to_string(path) {
+            Ok(text) => Some((path.clone(), text)),
+            Err(cause) => {
+                tell!("error: {}: {cause}", path.display());
+                return Ok(End::Wrong);
+            }
+        },
+        None => None,
+    };
+    let longest = recording.sources.values().map(Vec::len).max().unwrap_or(0) as u64;
+    let wanted = arguments.frames.map_or(longest, |n| n.min(longest));
+    let name = arguments.recording.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let mut progress = Progress::new(&name, Some(wanted), !arguments.headless);
+    let options = ReplayOptions {
+        graph,
+        settings: arguments.set.clone(),
+        act: arguments.act,
+        record: (arguments.output.is_some() || arguments.ports.digests.is_some()).then(|| RecordOptions {
+            file: arguments.output.clone(),
+            digests: arguments.ports.digests.is_some(),
+            all_ports: arguments.ports.all_ports,
+            all_source_ports: false,
+            // The replay waits for nobody: no packet may be missing.
+            most_waiting_bytes: usize::MAX,
+        }),
+        engine: Options {
+            threads: arguments.threads.map_or(0, usize::from),
+            frames: arguments.frames,
+            log: Some(crate::log_lines::sink(arguments.verbose, stderr_color(), progress.line_writer())),
+            ..Options::default()
+        },
+    };
+    interrupt::listen();
+    let replay = match Replay::start(&recording, options) {
+        Ok(replay) => replay,
+        Err(ReplayError::Check(diagnostics)) => {
+            progress.finish();
+            tell!("{}", diagnostics.render(stderr_color()).trim_end());
+            return Ok(End::Wrong);
+        }
+        Err(error) => {
+            progress.finish();
+            tell!("error: {error}");
+            return Ok(if matches!(error, ReplayError::Start(_)) { End::Failed } else { End::Wrong });
+        }
+    };
+    for warning in &replay.warnings {
+        tell!("note: {warning}");
+    }
+    let engine = replay.engine();
+    let followed = std::thread::scope(|scope| {
+        let follows = scope.spawn(|| replay.follow());
+        run::watch(engine, &mut progress, || {});
+        engine.stop();
+        follows.join()
+    });
+    let outcome = engine.close(PATIENCE);
+    let report = engine.report();
+    progress.finish();
+    raw(&summary::text(&engine.graph(), &report));
+    let mut end = End::Done;
+    let mut failures: Vec<String> = Vec::new();
+    if let Ok(Err(error)) = followed {
+        failures.push(error.to_string());
+    }
+    failures.extend(replay.verdict().err().map(|e| e.to_string()));
+    if let Outcome::Failed(reason) = outcome {
+        failures.push(reason);
+    }
+    failures.dedup();
+    for failure in failures {
+        tell!("error: {failure}");
+        end = End::Failed;
+    }
+    if let Some(path) = &arguments.report {
+        run::write_report(path, &report)?;
+    }
+    if let Some(recorder) = replay.recorder() {
+        let recorded = recorder.finish();
+        match &arguments.output {
+            Some(file) => end = told(&recorded, file, &arguments.ports, end)?,
+            None => write_digests(&recorded, &arguments.ports)?,
+        }
+    }
+    Ok(end)
+}
