@@ -14,7 +14,7 @@ use crate::host::CallContext;
 use crate::join::Join;
 use crate::log::{Level, Log};
 use crate::outputs::OutputRule;
-use crate::params::Snapshot;
+use crate::params::{InForce, Snapshot};
 use crate::preview::Taps;
 use crate::record::format::Event;
 use crate::record::{Recorder, Script};
@@ -112,8 +112,7 @@ pub(crate) struct Cell {
     /// The running call.
     pub busy: Busy,
     pub join: Mutex<Join>,
-    snapshot: Mutex<Arc<Snapshot>>,
-    version: AtomicU64,
+    values: InForce,
     /// Opened beside the running instance; taken over before the next tick.
     replacement: Mutex<Option<(Instance, Option<Arc<Snapshot>>)>>,
     replace: AtomicBool,
@@ -237,8 +236,7 @@ impl Cell {
             exec: ExecPlace::new(exec),
             busy: Busy::default(),
             join: Mutex::new(join),
-            version: AtomicU64::new(snapshot.version()),
-            snapshot: Mutex::new(snapshot),
+            values: InForce::new(snapshot),
             replacement: Mutex::new(None),
             replace: AtomicBool::new(false),
             broken: Mutex::new(Vec::new()),
@@ -287,14 +285,12 @@ impl Cell {
 
     /// The values in force.
     pub fn snapshot(&self) -> Arc<Snapshot> {
-        Arc::clone(&lock(&self.snapshot))
+        self.values.get()
     }
 
     /// Puts new values in force from the next tick on.
     pub fn set_snapshot(&self, snapshot: Arc<Snapshot>) {
-        let version = snapshot.version();
-        *lock(&self.snapshot) = snapshot;
-        self.version.store(version, Ordering::Release);
+        self.values.set(snapshot);
     }
 
     /// Hands over an instance that was opened beside the running one, with the values it was opened with where they are new.
@@ -395,9 +391,8 @@ impl Cell {
         if led.is_none() && self.replace.load(Ordering::Relaxed) {
             self.take_replacement(exec, around, tick);
         }
-        let version = self.version.load(Ordering::Acquire);
-        if exec.snapshot.version() != version {
-            exec.snapshot = self.snapshot();
+        if let Some(snapshot) = self.values.newer(&exec.snapshot) {
+            exec.snapshot = snapshot;
             self.write_down(around, |node| Event::Values {
                 node,
                 source: tick.source,
