@@ -31,6 +31,8 @@ enum Command {
     Replay(commands::replay::Arguments),
     /// Says where two recorded runs differ first, and by how much.
     Compare(commands::compare::Arguments),
+    /// Runs a graph for minutes and says whether its memory grows.
+    Soak(commands::soak::Arguments),
     /// Checks graph files and shows every mistake.
     Check(commands::check::Arguments),
     /// Lists plugins and their node types.
@@ -76,6 +78,7 @@ fn main() {
         Command::Record(arguments) => commands::record::run(&arguments),
         Command::Replay(arguments) => commands::replay::run(&arguments),
         Command::Compare(arguments) => commands::compare::run(&arguments),
+        Command::Soak(arguments) => commands::soak::run(&arguments),
         Command::Check(arguments) => commands::check::run(&arguments),
         Command::List(arguments) => commands::list::run(&arguments),
         Command::Describe(arguments) => commands::describe::run(&arguments),

@@ -579,8 +579,12 @@ impl Engine {
 
     fn resume(&self, plan: &Plan, region: &Region, head: usize, ready: &mut Ready) {
         lock(&plan.cells[head].join).resume();
-        for outputs in region.resume() {
-            self.shared.enter(plan, head, outputs, ready);
+        let mut waited = region.resume();
+        while !waited.is_empty() {
+            for outputs in waited {
+                self.shared.enter(plan, head, outputs, ready);
+            }
+            waited = region.handed_over().into_iter().collect();
         }
         self.shared.poke_head(plan, head, ready);
     }

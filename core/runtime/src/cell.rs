@@ -16,7 +16,7 @@ use crate::keep::kept_more;
 use crate::log::{Level, Log};
 use crate::memory::FrameRef;
 use crate::outputs::{OutputRule, is_same};
-use crate::params::Snapshot;
+use crate::params::{InForce, Snapshot};
 use crate::preview::Taps;
 use crate::record::format::Event;
 use crate::record::{Recorder, Script};
@@ -117,7 +117,7 @@ pub(crate) struct Cell {
     pub cpu: Option<u32>,
     pub rules: Box<[OutputRule]>,
     pub join: Mutex<Join>,
-    snapshot: Mutex<Arc<Snapshot>>,
+    values: InForce,
     /// Opened beside the running instance; taken over before the next tick.
     replacement: Mutex<Option<(Instance, Option<Arc<Snapshot>>)>>,
     replace: AtomicBool,
@@ -224,7 +224,7 @@ impl Cell {
             join: Mutex::new(join),
             // That of a new exec is 0.
             news: AtomicU64::new(1),
-            snapshot: Mutex::new(snapshot),
+            values: InForce::new(snapshot),
             replacement: Mutex::new(None),
             replace: AtomicBool::new(false),
             broken: Mutex::new(Vec::new()),
@@ -288,12 +288,12 @@ impl Cell {
 
     /// The values in force.
     pub fn snapshot(&self) -> Arc<Snapshot> {
-        Arc::clone(&lock(&self.snapshot))
+        self.values.get()
     }
 
     /// Puts new values in force from the next tick on.
     pub fn set_snapshot(&self, snapshot: Arc<Snapshot>) {
-        *lock(&self.snapshot) = snapshot;
+        self.values.set(snapshot);
         self.news.fetch_add(1, Ordering::Release);
     }
 
@@ -453,8 +453,7 @@ impl Cell {
         if !led && self.replace.load(Ordering::Relaxed) {
             self.take_replacement(exec, around, tick);
         }
-        let snapshot = self.snapshot();
-        if snapshot.version() != exec.params_version {
+        if let Some(snapshot) = self.values.newer(exec.snapshot()) {
             let values = || snapshot.owned().to_vec();
             self.write_down(around, |node| Event::Values { node, source: tick.source, seq: tick.seq, values: values() });
             exec.set_snapshot(snapshot);

@@ -283,8 +283,18 @@ impl Loader {
 
     /// Looks into other folders, otherwise like [`Self::rescan`].
     pub fn rescan_in(&self, folders: &[PathBuf]) -> Self {
-        let new = Self::search(folders);
+        let mut new = Self::search(folders);
         let loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
+        // A plugin whose file broke is not replaced by one of the same name from another folder: its predecessor runs on.
+        for (plugin, found) in self.found.iter().filter(|(plugin, _)| loaded.contains_key(*plugin)) {
+            if new.found.get(plugin).is_some_and(|n| n.file != found.file)
+                && new.stamps.contains_key(&found.file)
+                && let Err(error) = inspect(&found.file)
+            {
+                new.found.remove(plugin);
+                new.problems.push(error.problem(plugin));
+            }
+        }
         let unchanged = |plugin: &str| {
             let file = &new.found.get(plugin)?.file;
             (self.found.get(plugin)?.file == *file && self.stamps.get(file) == new.stamps.get(file)).then_some(())

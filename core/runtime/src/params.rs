@@ -1,7 +1,7 @@
 //! Snapshots of a node's parameters: immutable, swapped whole between two ticks.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use panoscope_abi as abi;
 use panoscope_graph::ParamValue;
@@ -35,5 +35,35 @@ impl Snapshot {
     /// Differs from every other snapshot's.
     pub fn version(&self) -> u64 {
         self.version
+    }
+}
+
+/// The snapshot in force. A reader compares one number per tick and takes the snapshot only when it has changed.
+pub(crate) struct InForce {
+    snapshot: Mutex<Arc<Snapshot>>,
+    version: AtomicU64,
+}
+
+impl InForce {
+    pub fn new(snapshot: Arc<Snapshot>) -> Self {
+        Self { version: AtomicU64::new(snapshot.version()), snapshot: Mutex::new(snapshot) }
+    }
+
+    pub fn get(&self) -> Arc<Snapshot> {
+        Arc::clone(&self.snapshot.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// In force from the next tick on.
+    pub fn set(&self, snapshot: Arc<Snapshot>) {
+        let mut place = self.snapshot.lock().unwrap_or_else(PoisonError::into_inner);
+        // Under the lock: of two writers the number must be the snapshot's that stays.
+        self.version.store(snapshot.version(), Ordering::Release);
+        *place = snapshot;
+    }
+
+    /// The new snapshot, if `known` is not the one in force.
+    #[inline]
+    pub fn newer(&self, known: &Snapshot) -> Option<Arc<Snapshot>> {
+        (known.version() != self.version.load(Ordering::Acquire)).then(|| self.get())
     }
 }

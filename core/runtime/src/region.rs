@@ -17,6 +17,8 @@ const MOST_PAUSED: usize = 256;
 struct State {
     in_flight: u32,
     paused: bool,
+    /// Somebody delivers ticks that waited: until then nothing newer may overtake them.
+    handing: bool,
     /// The region pauses before this tick of its source.
     pause_before: u64,
     /// Ticks of a live source that wait to enter: those that came during a pause, then the newest.
@@ -59,6 +61,7 @@ impl Region {
         let state = State {
             in_flight: 0,
             paused: false,
+            handing: false,
             pause_before: u64::MAX,
             pending: VecDeque::with_capacity(4),
             protected: 0,
@@ -115,7 +118,7 @@ impl Region {
         if state.pause_before != u64::MAX && state.pause_before <= first_seq(&outputs) {
             state.paused = true;
         }
-        if self.open(&state) && state.pending.is_empty() {
+        if self.open(&state) && state.pending.is_empty() && !state.handing {
             self.admit(&mut state);
             return (Some(outputs), None);
         }
@@ -181,7 +184,11 @@ impl Region {
         slot.store(self.leaves.load(Ordering::Relaxed), Ordering::Release);
         let mut state = self.state();
         state.in_flight = state.in_flight.saturating_sub(1);
+        if state.handing {
+            return Freed::Nothing;
+        }
         if let Some(outputs) = self.next_pending(&mut state) {
+            state.handing = true;
             return Freed::Pending(outputs);
         }
         // A full region calls its head when half of it is free, not for every tick: waking a thread costs more than many nodes do.
@@ -190,6 +197,14 @@ impl Region {
         } else {
             Freed::Nothing
         }
+    }
+
+    /// The ticks that waited are delivered; answers the next one, to be delivered and reported like them.
+    pub fn handed_over(&self) -> Option<Vec<FrameRef>> {
+        let mut state = self.state();
+        let next = self.next_pending(&mut state);
+        state.handing = next.is_some();
+        next
     }
 
     /// Admits nothing from now on.
@@ -232,7 +247,13 @@ impl Region {
         state.paused = false;
         state.pause_before = u64::MAX;
         self.full.store(false, Ordering::Relaxed);
-        std::iter::from_fn(|| self.next_pending(&mut state)).collect()
+        if state.handing {
+            // Whoever delivers now goes on with them.
+            return Vec::new();
+        }
+        let waited: Vec<_> = std::iter::from_fn(|| self.next_pending(&mut state)).collect();
+        state.handing = !waited.is_empty();
+        waited
     }
 
     /// New numbers for a region without a tick inside; its leaves count from 0 again.
@@ -281,10 +302,12 @@ mod tests {
         assert_eq!(region.in_flight(), 0);
         region.reset(1, 2);
         assert_eq!(region.resume().iter().map(|l| seq(l)).collect::<Vec<_>>(), [1, 2]);
+        assert!(region.handed_over().is_none(), "the region is full");
         // What comes later may replace only what came later.
         assert!(region.admit_or_keep(tick(4)).1.is_none());
         assert_eq!(region.admit_or_keep(tick(5)).1.as_deref().map(seq), Some(4));
         assert!(matches!(region.leaf_done(0), Freed::Pending(list) if seq(&list) == 3));
+        assert!(region.handed_over().is_none());
         assert!(matches!(region.leaf_done(1), Freed::Pending(list) if seq(&list) == 5));
     }
 }

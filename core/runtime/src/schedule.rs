@@ -343,6 +343,9 @@ impl Shared {
             Freed::Head => self.poke_head(plan, region.head, ready),
             Freed::Pending(outputs) => {
                 self.enter(plan, region.head, outputs, ready);
+                while let Some(outputs) = region.handed_over() {
+                    self.enter(plan, region.head, outputs, ready);
+                }
                 self.poke_head(plan, region.head, ready);
             }
         }

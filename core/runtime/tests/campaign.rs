@@ -232,3 +232,37 @@ fn every_fault_is_seen_named_and_contained() {
     tell("from a fault to the next good frame", recovery_ms);
     assert!(failures.is_empty(), "{}", failures.join("\n"));
 }
+
+/// One fault alone, after a quiet time: the node is opened again at once, without any back-off.
+#[test]
+fn an_isolated_fault_is_over_soon() {
+    let mut recovery_ms = Vec::new();
+    for (harm, cause) in [("panic", Cause::Panic), ("error", Cause::Error), ("hang", Cause::Hang)] {
+        for round in 0..4 {
+            let text = format!(
+                "mode = \"live\"\nplugins = [\"flow\", \"chaos\"]\n\
+                 [nodes.source]\ntype = \"frames\"\n\
+                 params = {{ width_px = 32, height_px = 24, format = \"gray8\", rate_hz = 100.0 }}\n\
+                 [nodes.bad]\ntype = \"chaos\"\ninputs = {{ image = {{ from = \"source.image\", queue = 200 }} }}\n\
+                 budget_ms = 8.0\n\
+                 params = {{ harm = \"{harm}\", first = {}, ticks = 1, hang_ms = 60000.0 }}\n\
+                 [nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"bad.image\" }}\n",
+                20 + round
+            );
+            let text = GraphText::parse("isolated.toml".as_ref(), &text);
+            let loader = Loader::search(folders());
+            let catalog = loader.catalog(&text.plugins());
+            let (graph, _) = check(&text, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
+            let options = Options { threads: 2, ..Options::default() };
+            let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
+            let recovered = || engine.report().nodes["bad"].recovery_max_ms > 0.0;
+            until("no good frame came after the fault", recovered).unwrap_or_else(|e| panic!("{harm}: {e}"));
+            assert!(engine.recent_faults().iter().any(|f| f.node == "bad" && f.cause == cause), "{harm}");
+            assert_eq!(engine.report().nodes["bad"].restarts, 1, "{harm}: opened again once");
+            recovery_ms.push(engine.report().nodes["bad"].recovery_max_ms);
+            engine.stop();
+            engine.close(Duration::from_secs(2));
+        }
+    }
+    tell("from an isolated fault to the next good frame", recovery_ms);
+}

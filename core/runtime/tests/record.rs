@@ -433,10 +433,14 @@ fn a_slow_disk_leaves_gaps_that_are_counted_and_never_holds_the_picture_up() {
 
 #[test]
 fn a_change_switches_at_the_named_tick() {
-    let text = [HEAD, &source("a", 300.0), &node("p", "pass", "a.image"), &node("end", "drain", "p.image")].concat();
+    // Room enough that a busy machine drops nothing.
+    let roomy = |id: &str, kind: &str, from: &str| {
+        node(id, kind, "FROM").replace("\"FROM\"", &format!("{{ from = \"{from}\", queue = 200 }}"))
+    };
+    let text = [HEAD, &source("a", 300.0), &roomy("p", "pass", "a.image"), &node("end", "drain", "p.image")].concat();
     let run = start(&text, None, Options { threads: 2, ..Options::default() }, false);
     run.until("end", 5);
-    let new = [text.as_str(), &node("q", "pass", "a.image"), &node("q_end", "drain", "q.image")].concat();
+    let new = [text.as_str(), &roomy("q", "pass", "a.image"), &node("q_end", "drain", "q.image")].concat();
     let parsed = GraphText::parse("new.toml".as_ref(), &new);
     let loader = loader();
     let catalog = loader.catalog(&parsed.plugins());

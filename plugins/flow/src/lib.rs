@@ -2,6 +2,7 @@
 //! demand. They are meant to be read: each is a whole node in one short file.
 
 pub mod allocate;
+pub mod device;
 pub mod drain;
 pub mod every_nth;
 pub mod failing;
@@ -26,4 +27,5 @@ export_plugin![
     failing::Failing,
     allocate::Allocate,
     smooth::Smooth,
+    device::Device,
 ];

@@ -16,3 +16,4 @@ pub mod record;
 pub mod replay;
 pub mod run;
 pub mod schema;
+pub mod soak;

@@ -66,6 +66,15 @@ pub fn run(arguments: &Arguments) -> Result<End> {
 
 /// Runs a graph to its end and writes it down; answers what the recording came to, if the run began.
 pub fn run_recorded(arguments: &Arguments, record: Option<RecordOptions>) -> Result<(End, Option<Recorded>)> {
+    run_with(arguments, record, |_| {})
+}
+
+/// The same, with a look at the engine ten times a second.
+pub fn run_with(
+    arguments: &Arguments,
+    record: Option<RecordOptions>,
+    mut look: impl FnMut(&Engine),
+) -> Result<(End, Option<Recorded>)> {
     let mut settings = match capture_settings(arguments) {
         Ok(settings) => settings,
         Err(error) => {
@@ -127,6 +136,7 @@ pub fn run_recorded(arguments: &Arguments, record: Option<RecordOptions>) -> Res
         (files, Live::new(&engine, &arguments.graph, text, settings, ready.loader))
     });
     watch(&engine, &mut progress, || {
+        look(&engine);
         if let Some((files, live)) = &mut changes {
             apply_changes(files, live);
         }

@@ -45,7 +45,10 @@ impl PortDifference {
     }
 }
 
-fn key(packet: &PacketDigest) -> (u32, u64) {
+/// Source slot and number of a tick.
+type Key = (u32, u64);
+
+fn key(packet: &PacketDigest) -> Key {
     (packet.source, packet.seq)
 }
 
@@ -67,7 +70,7 @@ fn places(a: &[((u32, u64), u32)], b: &[((u32, u64), u32)]) -> Vec<(usize, usize
 }
 
 /// Pairs of the same tick in two lists, how many have no partner, and the first without one.
-fn pairs(a: &PortDigest, b: &PortDigest) -> (Vec<(usize, usize)>, usize, Option<(u32, u64)>) {
+fn pairs(a: &PortDigest, b: &PortDigest) -> (Vec<(usize, usize)>, usize, Option<Key>) {
     let (left, right) = (numbered(a.packets.iter().map(key)), numbered(b.packets.iter().map(key)));
     let pairs = places(&left, &right);
     let (mut alone_left, mut alone_right) = (vec![true; left.len()], vec![true; right.len()]);

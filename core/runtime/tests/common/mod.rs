@@ -10,7 +10,7 @@ use panoscope_graph::{GraphText, check};
 use panoscope_runtime::{Engine, Loader, Options, Outcome, Report};
 
 /// Longest that any graph here may take.
-pub const PATIENCE: Duration = Duration::from_secs(20);
+pub const PATIENCE: Duration = Duration::from_secs(60);
 
 const NAMES: [&str; 2] = ["libflow.so", "libpanoscope_flow.so"];
 

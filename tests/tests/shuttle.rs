@@ -1,0 +1,217 @@
+//! The runtime's frame pool, parameter snapshot and admission queue under a scheduler that tries thousands of orders (`shuttle`, after
+//! Burckhardt et al., "A randomized scheduler with probabilistic guarantees of finding bugs", 2010). `build.rs` lays their sources out with
+//! its locks and atomics; nothing else in them is changed.
+#![allow(dead_code, missing_docs, unreachable_pub, clippy::undocumented_unsafe_blocks)]
+
+use std::collections::BTreeSet;
+
+use shuttle::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use shuttle::sync::{Arc, Mutex};
+use shuttle::thread;
+
+mod memory {
+    include!(concat!(env!("OUT_DIR"), "/memory.rs"));
+
+    impl Memory {
+        /// A memory of its own for every order that is tried.
+        pub fn fresh(limit_bytes: i64) -> Self {
+            Memory {
+                pools: [const { OnceLock::new() }; POOLS],
+                in_use_bytes: AtomicI64::new(0),
+                limit_bytes: AtomicI64::new(limit_bytes),
+                allocations: AtomicU64::new(0),
+            }
+        }
+    }
+}
+mod params {
+    include!(concat!(env!("OUT_DIR"), "/params.rs"));
+}
+mod region {
+    include!(concat!(env!("OUT_DIR"), "/region.rs"));
+}
+
+use memory::{FrameRef, Memory};
+use panoscope_abi::Tick;
+use panoscope_graph::ParamValue;
+use params::{InForce, Snapshot};
+use region::{Freed, Region};
+
+const ORDERS: usize = 2_000;
+const BYTES: usize = 1 << 26;
+
+#[test]
+fn no_buffer_of_the_frame_pool_has_two_owners() {
+    shuttle::check_pct(
+        || {
+            // Room for two: the third has to be refused.
+            let memory = Arc::new(Memory::fresh(2 * BYTES as i64));
+            let _ = memory.allocate(BYTES).map(|(id, _)| memory.release(id));
+            let owned = Arc::new(Mutex::new(BTreeSet::new()));
+            let threads: Vec<_> = (0..3)
+                .map(|_| {
+                    let (memory, owned) = (Arc::clone(&memory), Arc::clone(&owned));
+                    thread::spawn(move || {
+                        for _ in 0..2 {
+                            let Ok((id, _)) = memory.allocate(BYTES) else { continue };
+                            assert!(owned.lock().expect("no panic").insert(id.offset), "two owners of {id:?}");
+                            // A reader elsewhere holds it for a while.
+                            memory.retain(id);
+                            let (elsewhere, held) = (Arc::clone(&memory), Arc::clone(&owned));
+                            let reader = thread::spawn(move || {
+                                assert!(held.lock().expect("no panic").contains(&id.offset), "gone under its reader");
+                                elsewhere.release(id);
+                            });
+                            reader.join().expect("no panic");
+                            assert_eq!(memory.references(id), 1);
+                            owned.lock().expect("no panic").remove(&id.offset);
+                            memory.release(id);
+                        }
+                    })
+                })
+                .collect();
+            threads.into_iter().for_each(|t| t.join().expect("no panic"));
+            assert_eq!(memory.in_use_bytes(), 0, "all is given back");
+        },
+        ORDERS / 10,
+        3,
+    );
+}
+
+#[test]
+fn readers_end_with_the_snapshot_that_stays() {
+    shuttle::check_pct(
+        || {
+            let snapshot = |n: i64| Snapshot::new(vec![ParamValue::Int(n), ParamValue::Int(-n)]);
+            let values = Arc::new(InForce::new(snapshot(0)));
+            let writers: Vec<_> = [1, 2]
+                .map(|first| {
+                    let values = Arc::clone(&values);
+                    thread::spawn(move || (0..3).for_each(|n| values.set(snapshot(first * 10 + n))))
+                })
+                .into_iter()
+                .collect();
+            let reads = Arc::clone(&values);
+            let reader = thread::spawn(move || {
+                let mut known = reads.get();
+                for _ in 0..6 {
+                    if let Some(newer) = reads.newer(&known) {
+                        known = newer;
+                    }
+                    let [ParamValue::Int(a), ParamValue::Int(b)] = known.owned() else { panic!("two numbers") };
+                    assert_eq!(*a, -*b, "never a mixture");
+                }
+                known
+            });
+            writers.into_iter().for_each(|w| w.join().expect("no panic"));
+            let known = reader.join().expect("no panic");
+            let last = values.newer(&known).unwrap_or(known);
+            assert_eq!(last.version(), values.get().version());
+            assert!(values.newer(&last).is_none(), "the number is that of the snapshot that stays");
+        },
+        ORDERS,
+        3,
+    );
+}
+
+/// A source, a leaf and somebody who changes the graph.
+struct Model {
+    region: Region,
+    /// Ticks delivered and not worked on.
+    inbox: Mutex<Vec<u64>>,
+    delivered: Mutex<Vec<u64>>,
+    dropped: AtomicUsize,
+    over: AtomicBool,
+}
+
+fn seq(outputs: &[FrameRef]) -> u64 {
+    outputs[0].tick().seq
+}
+
+impl Model {
+    fn deliver(&self, outputs: &[FrameRef]) {
+        thread::yield_now();
+        self.delivered.lock().expect("no panic").push(seq(outputs));
+        self.inbox.lock().expect("no panic").push(seq(outputs));
+    }
+
+    fn work(&self, nth: &mut u64) -> bool {
+        let Some(_) = self.inbox.lock().expect("no panic").pop() else { return false };
+        assert!(self.region.in_flight() <= 2, "no more inside than fit");
+        if let Freed::Pending(outputs) = self.region.leaf_done(*nth) {
+            self.deliver(&outputs);
+            while let Some(outputs) = self.region.handed_over() {
+                self.deliver(&outputs);
+            }
+        }
+        *nth += 1;
+        true
+    }
+}
+
+#[test]
+fn every_tick_is_delivered_once_or_dropped_whatever_the_pause() {
+    const TICKS: u64 = 6;
+    shuttle::check_pct(
+        || {
+            let model = Arc::new(Model {
+                region: Region::new(0, 1, 2),
+                inbox: Mutex::new(Vec::new()),
+                delivered: Mutex::new(Vec::new()),
+                dropped: AtomicUsize::new(0),
+                over: AtomicBool::new(false),
+            });
+            let source = {
+                let model = Arc::clone(&model);
+                thread::spawn(move || {
+                    for n in 0..TICKS {
+                        let tick = Tick { source: 0, flags: 0, seq: n, capture_ns: n as i64 };
+                        let (enter, dropped) = model.region.admit_or_keep(vec![FrameRef::empty(tick)]);
+                        model.dropped.fetch_add(usize::from(dropped.is_some()), Ordering::SeqCst);
+                        if let Some(outputs) = enter {
+                            model.deliver(&outputs);
+                        }
+                    }
+                })
+            };
+            let changer = {
+                let model = Arc::clone(&model);
+                thread::spawn(move || {
+                    model.region.pause();
+                    thread::yield_now();
+                    let mut waited = model.region.resume();
+                    while !waited.is_empty() {
+                        waited.iter().for_each(|outputs| model.deliver(outputs));
+                        waited = model.region.handed_over().into_iter().collect();
+                    }
+                })
+            };
+            let leaf = {
+                let model = Arc::clone(&model);
+                thread::spawn(move || {
+                    let mut nth = 0;
+                    while !model.over.load(Ordering::SeqCst) {
+                        if !model.work(&mut nth) {
+                            thread::yield_now();
+                        }
+                    }
+                    while model.work(&mut nth) {}
+                })
+            };
+            source.join().expect("no panic");
+            changer.join().expect("no panic");
+            model.over.store(true, Ordering::SeqCst);
+            leaf.join().expect("no panic");
+            assert_eq!(model.region.in_flight(), 0, "nothing is left inside");
+            assert!(!model.region.has_pending(), "nothing waits for ever");
+            let mut delivered = model.delivered.lock().expect("no panic").clone();
+            let count = delivered.len();
+            assert!(delivered.is_sorted(), "one overtook another: {delivered:?}");
+            delivered.dedup();
+            assert_eq!(delivered.len(), count, "none twice");
+            assert_eq!(count + model.dropped.load(Ordering::SeqCst), TICKS as usize, "none lost uncounted");
+        },
+        ORDERS,
+        3,
+    );
+}
