@@ -141,13 +141,16 @@ fn a_good_previous_map_stays() {
     let mut work = Vec::new();
     let mut near = truth();
     near.0[2] += 0.4;
-    let kept = stabilize(Some(&near), &truth(), &from, &to, |_| true, 1.0, &mut work);
-    assert_eq!(kept, Stabilized { homography: near, kept: true });
+    let params = StabilityParams { stability_px: 1.0, still_tolerance: 0.1, outlier_px: 3.0, calm: 0.0 };
+    let mask = vec![true; from.len()];
+    let fit = RansacFit { homography: truth(), inliers: from.len(), rms_px: 0.0, iterations: 1 };
+    let mut stability = Stability::default();
+    let mut choose = |previous| stability.choose(&fit, previous, (640, 480), (&from, &to, &mask), &params);
+    assert_eq!(choose(Some(near)), Stabilized { homography: near, kept: true });
     let mut far = truth();
     far.0[2] += 3.0;
-    let refit = stabilize(Some(&far), &truth(), &from, &to, |_| true, 1.0, &mut work);
-    assert!(!refit.kept && corner_error(&refit.homography, &truth(), 640, 480) < 0.4);
-    assert!(!stabilize(None, &truth(), &from, &to, |_| true, 1.0, &mut work).kept);
+    assert_eq!(choose(Some(far)), Stabilized { homography: truth(), kept: false });
+    assert_eq!(choose(None), Stabilized { homography: truth(), kept: false });
     assert_eq!(median_error(&truth(), &[], &[], |_| true, &mut work), None);
 }
 
