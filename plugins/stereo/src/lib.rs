@@ -7,6 +7,7 @@ mod measure;
 mod offset;
 mod rectify;
 mod reproject;
+mod shrunk;
 mod stereo_bm;
 mod stereo_sgbm;
 mod survey;

@@ -1,9 +1,10 @@
 //! `stereo_bm`: block matching, a rectified pair in, disparity maps of both views out (thesis, fig. 3.7).
 
-use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, Roi, StereoError};
-use panoscope_node::{Context, Node, NodeInfo, Open, Parallel, Params, Result, View, ViewMut};
+use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams};
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result};
 
-use crate::matcher::{Engine, In, Matcher, Out, Search};
+use crate::matcher::{In, Matcher, Out, Search};
+use crate::shrunk::Shrunk;
 
 /// Parameters.
 #[derive(Params)]
@@ -32,14 +33,29 @@ pub struct StereoBmParams {
     /// Largest difference between the disparities of both views; -1 does not check.
     #[param(default = 1, range = -1..=64, unit = "px")]
     left_right_px: i32,
+    /// Matches views shrunk by this factor: a coarser map, much faster.
+    #[param(default = 1, range = 1..=8)]
+    scale: usize,
 }
 
+/// Disparities that the kernel searches at once.
+const SEARCH_STEP_PX: usize = 32;
+/// Smallest window that the kernel compares.
+const LEAST_BLOCK_PX: usize = 5;
+
 impl StereoBmParams {
+    /// In pixels of the shrunk views.
     fn kernel(&self, min_disparity_px: i32) -> BlockMatchingParams {
+        let scale = self.scale.max(1);
+        // Rounded down: what lies beyond the end by less than a shrunk pixel costs a whole block of disparities.
+        let first = min_disparity_px.div_euclid(scale as i32);
+        let end = (min_disparity_px + self.search_px as i32).div_euclid(scale as i32) + 1;
+        let search = if scale == 1 { self.search_px } else { (end - first).max(1) as usize - 1 };
+        let block = if scale == 1 { self.block_px } else { (self.block_px / scale).max(LEAST_BLOCK_PX) | 1 };
         BlockMatchingParams {
-            min_disparity_px,
-            search_px: self.search_px,
-            block_px: self.block_px,
+            min_disparity_px: first,
+            search_px: search.next_multiple_of(SEARCH_STEP_PX),
+            block_px: block,
             prefilter_cap: self.prefilter_cap,
             texture_threshold: self.texture,
             uniqueness_percent: self.uniqueness,
@@ -50,21 +66,8 @@ impl StereoBmParams {
 
 /// See the module.
 pub struct StereoBm {
-    kernel: BlockMatcher,
+    kernel: Shrunk,
     matcher: Matcher,
-}
-
-impl Engine for BlockMatcher {
-    fn compute(
-        &mut self,
-        views: [View<'_, u8>; 2],
-        roi: Roi,
-        pool: &dyn Parallel,
-        disparity: ViewMut<'_, f32>,
-        disparity_right: Option<ViewMut<'_, f32>>,
-    ) -> Result<(), StereoError> {
-        self.compute(views[0], views[1], roi, pool, disparity, disparity_right)
-    }
 }
 
 impl Node for StereoBm {
@@ -79,7 +82,7 @@ impl Node for StereoBm {
 
     fn open(_: &Open<'_>, params: &StereoBmParams) -> Result<Self> {
         let kernel = BlockMatcher::new(params.kernel(params.min_disparity_px))?;
-        Ok(Self { kernel, matcher: Matcher::new()? })
+        Ok(Self { kernel: Shrunk::new(kernel), matcher: Matcher::new()? })
     }
 
     fn process<'f>(
@@ -94,9 +97,10 @@ impl Node for StereoBm {
             min_disparity_px: params.min_disparity_px,
             search_px: params.search_px,
         };
-        self.matcher.process(cx, &input, &mut out, search, &mut self.kernel, |kernel, offset_px| {
+        self.kernel.factor = params.scale;
+        self.matcher.process(cx, &input, &mut out, search, &mut self.kernel, |shrunk, offset_px| {
             let wanted = params.kernel(offset_px);
-            if *kernel.params() == wanted { Ok(()) } else { kernel.set_params(wanted) }
+            if *shrunk.kernel.params() == wanted { Ok(()) } else { shrunk.kernel.set_params(wanted) }
         })
     }
 }

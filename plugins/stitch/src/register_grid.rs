@@ -1,8 +1,8 @@
 //! `register_grid`: a disparity map in, the homography between the two pictures out (thesis, chapter 4).
 
 use panoscope_imaging::geometry::RansacParams;
-use panoscope_imaging::stitch::{CellPoint, GridParams, GridRegistration, GridState, RectifiedView, RegisterGrid};
-use panoscope_node::abi::{self, Calibration, Camera};
+use panoscope_imaging::stitch::{CellPoint, GridParams, RectifiedView, RegisterGrid};
+use panoscope_node::abi::{Calibration, Camera};
 use panoscope_node::{Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Ports, Result, Value};
 
 use crate::registration::{Found, Out};
@@ -118,15 +118,6 @@ fn view(camera: &Camera, rotation: &[f64; 9], projection: &[f64; 12], rectified:
     }
 }
 
-/// As the contract states it.
-fn state(found: &GridRegistration) -> u32 {
-    match found.state {
-        GridState::Fresh => abi::STATE_FRESH,
-        GridState::Held => abi::STATE_HELD,
-        GridState::Lost => abi::STATE_LOST,
-    }
-}
-
 impl Node for RegisterGridNode {
     const INFO: NodeInfo = NodeInfo::compute(
         "register_grid",
@@ -162,7 +153,7 @@ impl Node for RegisterGridNode {
             left_from_right: &found.left_from_right,
             rms_px: found.rms_px,
             inliers: found.inliers,
-            state: state(&found),
+            state: found.state,
             roi_left: &found.roi_left,
             roi_right: &found.roi_right,
         })

@@ -1,8 +1,7 @@
 //! `register_surf`: two views in, the homography between them out (thesis, chapter 2, Algs 2.1 and 2.2).
 
-use panoscope_imaging::features::{self, MatchParams, RegisterParams, Registration, RegistrationState, SurfParams};
+use panoscope_imaging::features::{self, MatchParams, RegisterParams, SurfParams};
 use panoscope_imaging::geometry::ransac::RansacParams;
-use panoscope_node::abi;
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result};
 
 use crate::registration::{Found, Out};
@@ -20,8 +19,14 @@ pub struct RegisterSurfParams {
     #[param(default = 50.0, range = 1.0..=20000.0, step = 1.0)]
     hessian_threshold: f32,
     /// Keypoints per view at most, strongest first.
-    #[param(default = 600, range = 16..=10000, unit = "points")]
+    #[param(default = 400, range = 16..=10000, unit = "points")]
     max_points: u32,
+    /// Spread the keypoints over the search region: each cell of a 6 x 4 grid has its share before the strongest fill up.
+    #[param(default = true)]
+    spread: bool,
+    /// Look again at each candidate with Gaussian derivatives: places it more exactly, and takes as long as all the rest.
+    #[param(default = false)]
+    second_look: bool,
     /// Octaves of the scale space.
     #[param(default = 4, range = 1..=4)]
     octaves: u32,
@@ -48,6 +53,9 @@ pub struct RegisterSurfParams {
     hold_frames: u32,
 }
 
+/// Columns and rows of the grid on a search region.
+const SPREAD: (usize, usize) = (6, 4);
+
 impl RegisterSurfParams {
     fn kernel(&self) -> RegisterParams {
         let default = RegisterParams::default();
@@ -57,6 +65,8 @@ impl RegisterSurfParams {
                 octaves: self.octaves as usize,
                 upright: self.upright,
                 max_points: self.max_points as usize,
+                second_look: self.second_look,
+                spread: if self.spread { SPREAD } else { (0, 0) },
                 ..default.surf
             },
             roi: self.roi,
@@ -84,15 +94,6 @@ pub struct In<'f> {
 /// See the module.
 pub struct RegisterSurf {
     kernel: features::RegisterSurf,
-}
-
-/// As the contract states it.
-fn state(found: &Registration) -> u32 {
-    match found.state {
-        RegistrationState::Fresh => abi::STATE_FRESH,
-        RegistrationState::Held => abi::STATE_HELD,
-        RegistrationState::Lost => abi::STATE_LOST,
-    }
 }
 
 impl Node for RegisterSurf {
@@ -125,7 +126,7 @@ impl Node for RegisterSurf {
             left_from_right: &found.left_from_right,
             rms_px: found.rms_px,
             inliers: found.inliers,
-            state: state(&found),
+            state: found.state,
             roi_left: &found.roi_left,
             roi_right: &found.roi_right,
         })

@@ -1,7 +1,7 @@
 //! What every registration node gives out, whatever it looks at.
 
-use panoscope_imaging::geometry::{self, Rect};
-use panoscope_node::abi::{Homography, Roi};
+use panoscope_imaging::geometry::{self, Rect, RegistrationState};
+use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{Ports, Result, Slot};
 
 /// Outputs of a registration.
@@ -23,12 +23,21 @@ pub struct Found<'a> {
     pub rms_px: f64,
     /// Correspondences that agree.
     pub inliers: usize,
-    /// One of the contract's `STATE_` constants.
-    pub state: u32,
+    /// Fresh, held or lost.
+    pub state: RegistrationState,
     /// Overlap in the left view.
     pub roi_left: &'a Rect,
     /// Overlap in the right view.
     pub roi_right: &'a Rect,
+}
+
+/// As the contract states it.
+fn contract(state: RegistrationState) -> u32 {
+    match state {
+        RegistrationState::Fresh => abi::STATE_FRESH,
+        RegistrationState::Held => abi::STATE_HELD,
+        RegistrationState::Lost => abi::STATE_LOST,
+    }
 }
 
 fn roi(rect: &Rect) -> Roi {
@@ -42,7 +51,7 @@ impl Out<'_> {
             left_from_right: found.left_from_right.0,
             rms_px: found.rms_px,
             inliers: found.inliers as u32,
-            state: found.state,
+            state: contract(found.state),
         })?;
         self.roi_left.set(roi(found.roi_left))?;
         self.roi_right.set(roi(found.roi_right))

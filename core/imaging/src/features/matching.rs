@@ -127,6 +127,13 @@ impl Side {
         self.index.resize(self.index.len().next_multiple_of(LANES), u32::MAX);
 
         let blocks = self.index.len() / LANES;
+        // Both signs fill up their last block: the most blocks for so many keypoints, whatever their signs.
+        let most = count / LANES + 2;
+        self.rows.reserve((most * LANES).saturating_sub(self.rows.len()));
+        self.blocks.reserve(most.saturating_sub(self.blocks.len()));
+        self.norms.reserve(most.saturating_sub(self.norms.len()));
+        self.x.reserve(most.saturating_sub(self.x.len()));
+        self.y.reserve(most.saturating_sub(self.y.len()));
         self.slot.resize(count, u32::MAX);
         self.rows.resize(blocks * LANES, [0; PAIRS]);
         self.blocks.resize(blocks, [[0; LANES]; PAIRS]);

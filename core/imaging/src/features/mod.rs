@@ -11,17 +11,17 @@ mod pyramid;
 pub mod registration;
 pub mod simd;
 pub mod surf;
-mod upright;
 #[cfg(test)]
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
+mod upright;
 
 pub use color::{GrayBuffer, bgr_to_gray, gray_from, shrink_gray};
 pub use describe::{DESCRIPTOR_LEN, Descriptor};
 pub use evaluate::{Precision, Repeatability, precision, repeatability};
 pub use integral::Integral;
 pub use matching::{Gate, Match, MatchParams, Matcher};
-pub use registration::{RegisterParams, RegisterSurf, Registration, RegistrationState};
+pub use registration::{RegisterParams, RegisterSurf, Registration};
 pub use simd::Simd;
 pub use surf::{Features, Keypoints, Surf, SurfParams};

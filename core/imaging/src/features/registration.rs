@@ -3,8 +3,9 @@
 use super::matching::{Gate, Match, MatchParams, Matcher};
 use super::surf::{Features, Surf, SurfParams};
 use crate::geometry::ransac::{Ransac, RansacParams};
-use crate::geometry::stability::{explains_as_well, median_error};
-use crate::geometry::{Calm, Homography, Plausibility, Point, Rect, overlap_rois, shift_of};
+use crate::geometry::{
+    Homography, Plausibility, Point, Rect, RegistrationState, Stability, StabilityParams, overlap_rois,
+};
 use crate::{Parallel, Serial, SharedMut, View};
 
 /// Overlaps narrower than this cannot hold the larger filters; the next search covers whole frames.
@@ -62,18 +63,6 @@ impl Default for RegisterParams {
     }
 }
 
-/// What a frame's homography is worth.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum RegistrationState {
-    /// Measured in this frame (or confirmed by it).
-    Fresh,
-    /// This frame failed; the one before is recent enough to be used.
-    Held,
-    /// This frame failed and nothing recent is known.
-    #[default]
-    Lost,
-}
-
 /// Result for one frame pair.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Registration {
@@ -108,8 +97,7 @@ pub struct RegisterSurf {
     from: Vec<Point>,
     to: Vec<Point>,
     mask: Vec<bool>,
-    errors: Vec<f64>,
-    calm: Calm,
+    stability: Stability,
     memory: Option<Memory>,
     failures: usize,
 }
@@ -141,8 +129,7 @@ impl RegisterSurf {
             from: Vec::new(),
             to: Vec::new(),
             mask: Vec::new(),
-            errors: Vec::new(),
-            calm: Calm::default(),
+            stability: Stability::default(),
             memory: None,
             failures: 0,
         }
@@ -196,14 +183,7 @@ impl RegisterSurf {
         let gate = trusted
             .filter(|_| self.params.gate_px > 0.0)
             .map(|left_from_right| Gate { left_from_right, radius_px: self.params.gate_px });
-        self.matcher.match_features(
-            left,
-            right,
-            &self.params.matching,
-            gate.as_ref(),
-            pool,
-            &mut self.matches,
-        );
+        self.matcher.match_features(left, right, &self.params.matching, gate.as_ref(), pool, &mut self.matches);
         let mut result = Registration {
             points: (left.len(), right.len()),
             matches: self.matches.len(),
@@ -264,31 +244,21 @@ impl RegisterSurf {
         if fit.inliers < params.min_inliers.max(4) || !params.plausibility.accepts(&fit.homography, sizes[1]) {
             return None;
         }
-        let fitted = if params.calm > 0.0 {
-            // A shift is a guess, the frame before is not.
-            let guess = || (shift_of(&fit.homography, &self.from, &self.mask), 0.1 * params.calm);
-            let (anchor, weight) = trusted.map_or_else(guess, |before| (before, params.calm));
-            self.calm.fit(&fit, &anchor, weight, sizes[1], (&self.from, &self.to, &self.mask))
-        } else {
-            fit.homography
+        let stable = StabilityParams {
+            stability_px: params.stability_px,
+            still_tolerance: STILL_TOLERANCE,
+            outlier_px: params.ransac.threshold_px,
+            calm: params.calm,
         };
-        let mut estimate = Estimate { left_from_right: fitted, inliers: fit.inliers, rms_px: fit.rms_px, kept: false };
-        if let Some(previous) = trusted.filter(|_| params.stability_px > 0.0) {
-            let mask = &self.mask;
-            let median = median_error(&previous, &self.from, &self.to, |index| mask[index], &mut self.errors);
-            let near = median.is_some_and(|median| median < params.stability_px);
-            let (limit, fresh) = (params.ransac.threshold_px, &estimate.left_from_right);
-            if near || explains_as_well(&previous, fresh, &self.from, &self.to, limit, STILL_TOLERANCE) {
-                estimate.left_from_right = previous;
-                estimate.kept = true;
-                let squares: f64 = (0..self.from.len())
-                    .filter(|&index| mask[index])
-                    .map(|index| previous.squared_error(self.from[index], self.to[index]))
-                    .sum();
-                estimate.rms_px = (squares / fit.inliers.max(1) as f64).sqrt();
-            }
+        let chosen = self.stability.choose(&fit, trusted, sizes[1], (&self.from, &self.to, &self.mask), &stable);
+        let mut rms_px = fit.rms_px;
+        if chosen.kept {
+            let inliers = (0..self.from.len()).filter(|&index| self.mask[index]);
+            let squares: f64 =
+                inliers.map(|index| chosen.homography.squared_error(self.from[index], self.to[index])).sum();
+            rms_px = (squares / fit.inliers.max(1) as f64).sqrt();
         }
-        Some(estimate)
+        Some(Estimate { left_from_right: chosen.homography, inliers: fit.inliers, rms_px, kept: chosen.kept })
     }
 }
 

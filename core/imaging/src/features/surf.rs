@@ -16,6 +16,8 @@ use crate::{Parallel, SharedMut, View};
 const POINTS_PER_CHUNK: usize = 16;
 /// SURF scale `s` of a filter of one pixel: sigma 1.2 belongs to the 9 x 9 filter.
 const SCALE_PER_SIZE: f32 = 1.2 / 9.0;
+/// Fewer pixels than any picture has for each maximum.
+const PIXELS_PER_MAXIMUM: usize = 32;
 /// Candidates this near can be doubles of each other, in pixels.
 const DOUBLES_CELL_PX: usize = 8;
 /// Doubles differ less than this in size.
@@ -244,6 +246,11 @@ impl Surf {
         };
         self.integral.compute_with(self.simd, gray, pool);
         self.found.clear();
+        // More maxima than any picture has, so that the lists do not grow again within a run.
+        let most = gray.width * gray.height / PIXELS_PER_MAXIMUM;
+        self.found.reserve(most);
+        self.kept.clear();
+        self.kept.reserve(most);
         let SurfParams { hessian_threshold, octaves, layers, upright, max_points, window, .. } = self.params;
         // A negative threshold would also let saddles through.
         let threshold = hessian_threshold.max(0.0);

@@ -3,7 +3,7 @@
 use super::color::{gray_from_with, shrink_gray_with};
 use super::testing::{Threads, blobs, corner_error, hash, render, similarity};
 use super::*;
-use crate::geometry::{Homography, Ransac, RansacParams, Rect};
+use crate::geometry::{Homography, Ransac, RansacParams, Rect, RegistrationState};
 use crate::{Parallel, Serial, View};
 
 fn bytes(len: usize, seed: u64) -> Vec<u8> {

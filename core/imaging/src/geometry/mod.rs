@@ -15,4 +15,4 @@ pub use homography::{Homography, Point};
 pub use plausible::Plausibility;
 pub use ransac::{Ransac, RansacError, RansacFit, RansacParams};
 pub use roi::{Rect, overlap_roi, overlap_rois};
-pub use stability::{Stabilized, explains_as_well, median_error, stabilize};
+pub use stability::{RegistrationState, Stability, StabilityParams, Stabilized, explains_as_well, median_error};

@@ -1,11 +1,25 @@
 //! A homography that does not jitter (thesis, chapter 4, Algorithm 2).
 
+use super::calm::{Calm, shift_of};
 use super::homography::{Homography, Point};
+use super::ransac::RansacFit;
+
+/// What a frame's homography is worth.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RegistrationState {
+    /// Measured in this frame (or confirmed by it).
+    Fresh,
+    /// This frame failed; the one before is recent enough to be used.
+    Held,
+    /// This frame failed and nothing recent is known.
+    #[default]
+    Lost,
+}
 
 /// The homography to use for this frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stabilized {
-    /// The previous or the refitted map.
+    /// The previous or the new map.
     pub homography: Homography,
     /// Whether the previous one stayed.
     pub kept: bool,
@@ -52,24 +66,63 @@ pub fn explains_as_well(
     cost(previous) <= cost(fresh) * (1.0 + tolerance)
 }
 
-/// Keeps `previous` while its median error on the new inliers is below `threshold_px`; otherwise refits on them.
-///
-/// `fresh` is the map RANSAC found; it is used when the refit fails. `inlier` picks the pairs.
-pub fn stabilize(
-    previous: Option<&Homography>,
-    fresh: &Homography,
-    from: &[Point],
-    to: &[Point],
-    inlier: impl Fn(usize) -> bool,
-    threshold_px: f64,
-    work: &mut Vec<f64>,
-) -> Stabilized {
-    if let Some(previous) = previous {
-        let median = median_error(previous, from, to, &inlier, work);
-        if median.is_some_and(|median| median < threshold_px) {
-            return Stabilized { homography: *previous, kept: true };
+/// The same previous map may be doubted once while it costs no more than this times the cost of the fresh one.
+const DOUBTED_TOLERANCE: f64 = 1.0;
+
+/// When the homography before stays.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StabilityParams {
+    /// It stays while its median error on the new inliers is below this, in pixels; 0: refit every frame.
+    pub stability_px: f64,
+    /// It also stays while it explains the pairs worse by no more than this share.
+    pub still_tolerance: f64,
+    /// Error of an outlier, in pixels: RANSAC's threshold.
+    pub outlier_px: f64,
+    /// Weight of the frame before (of a plain shift in the first frame) beside that of all inliers; 0 fits the inliers alone.
+    pub calm: f64,
+}
+
+/// Chooses the homography of each frame; work memory and one doubt are kept between frames.
+#[derive(Clone, Debug, Default)]
+pub struct Stability {
+    calm: Calm,
+    errors: Vec<f64>,
+    doubted: bool,
+}
+
+impl Stability {
+    /// The map `previous` where it still holds, else the new one, calmed by it (see [`Calm`]).
+    ///
+    /// `pairs` are source and target points and which of them are the inliers of `fit`; `size` is that of the source frame, in
+    /// pixels. A previous map that fails by little is given up in the second such frame only: noise fails one frame, motion all.
+    pub fn choose(
+        &mut self,
+        fit: &RansacFit,
+        previous: Option<Homography>,
+        size: (usize, usize),
+        pairs: (&[Point], &[Point], &[bool]),
+        params: &StabilityParams,
+    ) -> Stabilized {
+        let (from, to, mask) = pairs;
+        let fresh = if params.calm > 0.0 {
+            // A shift is a guess, the frame before is not.
+            let guess = || (shift_of(&fit.homography, from, mask), 0.1 * params.calm);
+            let (anchor, weight) = previous.map_or_else(guess, |before| (before, params.calm));
+            self.calm.fit(fit, &anchor, weight, size, pairs)
+        } else {
+            fit.homography
+        };
+        let doubted = std::mem::take(&mut self.doubted);
+        if let Some(previous) = previous.filter(|_| params.stability_px > 0.0) {
+            let median = median_error(&previous, from, to, |index| mask[index], &mut self.errors);
+            let near = median.is_some_and(|median| median < params.stability_px);
+            let explains = |share| explains_as_well(&previous, &fresh, from, to, params.outlier_px, share);
+            let holds = near || explains(params.still_tolerance);
+            if holds || (!doubted && explains(DOUBTED_TOLERANCE)) {
+                self.doubted = !holds;
+                return Stabilized { homography: previous, kept: true };
+            }
         }
+        Stabilized { homography: fresh, kept: false }
     }
-    let refit = Homography::fit(from, to, &inlier).map(|map| map.refine(from, to, &inlier, 5));
-    Stabilized { homography: refit.unwrap_or(*fresh), kept: false }
 }

@@ -141,13 +141,16 @@ fn a_good_previous_map_stays() {
     let mut work = Vec::new();
     let mut near = truth();
     near.0[2] += 0.4;
-    let kept = stabilize(Some(&near), &truth(), &from, &to, |_| true, 1.0, &mut work);
-    assert_eq!(kept, Stabilized { homography: near, kept: true });
+    let params = StabilityParams { stability_px: 1.0, still_tolerance: 0.1, outlier_px: 3.0, calm: 0.0 };
+    let mask = vec![true; from.len()];
+    let fit = RansacFit { homography: truth(), inliers: from.len(), rms_px: 0.0, iterations: 1 };
+    let mut stability = Stability::default();
+    let mut choose = |previous| stability.choose(&fit, previous, (640, 480), (&from, &to, &mask), &params);
+    assert_eq!(choose(Some(near)), Stabilized { homography: near, kept: true });
     let mut far = truth();
     far.0[2] += 3.0;
-    let refit = stabilize(Some(&far), &truth(), &from, &to, |_| true, 1.0, &mut work);
-    assert!(!refit.kept && corner_error(&refit.homography, &truth(), 640, 480) < 0.4);
-    assert!(!stabilize(None, &truth(), &from, &to, |_| true, 1.0, &mut work).kept);
+    assert_eq!(choose(Some(far)), Stabilized { homography: truth(), kept: false });
+    assert_eq!(choose(None), Stabilized { homography: truth(), kept: false });
     assert_eq!(median_error(&truth(), &[], &[], |_| true, &mut work), None);
 }
 
@@ -161,4 +164,24 @@ fn the_frame_before_stays_while_it_explains_as_much() {
         (Homography::translation(10.0, 0.0), Homography::translation(30.0, 0.0), Homography::translation(20.0, 0.0));
     assert!(super::explains_as_well(&near, &far, &from, &to, 3.0, 0.1), "no reason to change the plane");
     assert!(!super::explains_as_well(&off, &far, &from, &to, 3.0, 0.1), "it explains nothing");
+}
+
+#[test]
+fn one_noisy_frame_does_not_move_the_picture_and_two_do() {
+    let from: Vec<Point> = (0..40).map(|i| [f64::from(i % 8) * 50.0, f64::from(i / 8) * 60.0]).collect();
+    let to: Vec<Point> =
+        from.iter().enumerate().map(|(i, p)| [p[0] + if i % 2 == 0 { 1.5 } else { -1.5 }, p[1]]).collect();
+    let params = StabilityParams { stability_px: 0.3, still_tolerance: 0.1, outlier_px: 4.0, calm: 0.0 };
+    let mask = vec![true; from.len()];
+    let fit = RansacFit { homography: Homography::identity(), inliers: from.len(), rms_px: 1.5, iterations: 1 };
+    let mut stability = Stability::default();
+    let mut keeps = |x| {
+        let before = Some(Homography::translation(x, 0.0));
+        stability.choose(&fit, before, (640, 480), (&from, &to, &mask), &params).kept
+    };
+    // 1 px off: 1.4 times the cost of the fresh map. 4 px off: the cost of outliers.
+    assert!(keeps(1.0), "doubted once");
+    assert!(!keeps(1.0), "twice in a row");
+    assert!(keeps(1.0) && keeps(0.1) && keeps(1.0), "a good frame ends the doubt");
+    assert!(!keeps(4.0), "far off");
 }

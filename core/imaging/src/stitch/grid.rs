@@ -5,10 +5,10 @@
 //! finds the homography between them. Algorithm 2 of that chapter keeps it still.
 
 use crate::View;
-use crate::geometry::calm::{Calm, shift_of};
-use crate::geometry::ransac::{Ransac, RansacFit, RansacParams};
+use crate::geometry::ransac::{Ransac, RansacParams};
 use crate::geometry::{
-    Homography, Plausibility, Point, Rect, explains_as_well, median_error, overlap_roi, overlap_rois,
+    Homography, Plausibility, Point, Rect, RegistrationState, Stability, StabilityParams, Stabilized, overlap_roi,
+    overlap_rois,
 };
 
 /// One camera and its rectification, as far as a pixel's way from the rectified view back to the picture needs them.
@@ -112,25 +112,13 @@ impl Default for GridParams {
     }
 }
 
-/// What a frame's homography is worth.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum GridState {
-    /// Measured in this frame, or confirmed by it.
-    Fresh,
-    /// This frame failed; the one before is recent enough to be used.
-    Held,
-    /// This frame failed and nothing recent is known.
-    #[default]
-    Lost,
-}
-
 /// Result for one disparity map.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GridRegistration {
     /// Maps right-picture pixels to left-picture pixels; the last good one when held or lost, the identity before any.
     pub left_from_right: Homography,
     /// Fresh, held or lost.
-    pub state: GridState,
+    pub state: RegistrationState,
     /// Cells that gave a point.
     pub points: usize,
     /// Points that agree with the homography; 0 unless fresh.
@@ -154,8 +142,7 @@ pub struct RegisterGrid {
     to: Vec<Point>,
     mask: Vec<bool>,
     cell: Vec<f32>,
-    errors: Vec<f64>,
-    calm: Calm,
+    stability: Stability,
     memory: Option<Homography>,
     failures: usize,
 }
@@ -207,13 +194,20 @@ impl RegisterGrid {
         let Some(fit) = fit else {
             self.failures += 1;
             if self.memory.is_some() && self.failures <= params.hold_frames {
-                result.state = GridState::Held;
+                result.state = RegistrationState::Held;
             }
             return result;
         };
         let previous = self.memory.filter(|_| self.failures == 0);
-        let (map, kept) = self.choose(&fit, previous, right.size);
+        let stable = StabilityParams {
+            stability_px: params.stability_px,
+            still_tolerance: params.still_tolerance,
+            outlier_px: params.ransac.threshold_px,
+            calm: params.calm,
+        };
         let mask = &self.mask;
+        let chosen = self.stability.choose(&fit, previous, right.size, (&self.from, &self.to, mask), &stable);
+        let Stabilized { homography: map, kept } = chosen;
         self.failures = 0;
         self.memory = Some(map);
         let squares: f64 = (0..self.from.len())
@@ -223,7 +217,7 @@ impl RegisterGrid {
         let (roi_left, roi_right) = overlap_rois(&map, left.size, right.size);
         GridRegistration {
             left_from_right: map,
-            state: GridState::Fresh,
+            state: RegistrationState::Fresh,
             inliers: fit.inliers,
             rms_px: (squares / fit.inliers.max(1) as f64).sqrt(),
             roi_left,
@@ -231,29 +225,6 @@ impl RegisterGrid {
             kept,
             ..result
         }
-    }
-
-    /// The homography of this frame: the one before where it still holds, else the new one, calmed by it.
-    fn choose(&mut self, fit: &RansacFit, previous: Option<Homography>, right: (usize, usize)) -> (Homography, bool) {
-        let (params, mask) = (&self.params, &self.mask);
-        let fresh = if params.calm > 0.0 {
-            // A shift is a guess, the frame before is not.
-            let guess = || (shift_of(&fit.homography, &self.from, mask), 0.1 * params.calm);
-            let (anchor, weight) = previous.map_or_else(guess, |before| (before, params.calm));
-            self.calm.fit(fit, &anchor, weight, right, (&self.from, &self.to, mask))
-        } else {
-            fit.homography
-        };
-        let Some(previous) = previous else { return (fresh, false) };
-        if params.stability_px > 0.0 {
-            let median = median_error(&previous, &self.from, &self.to, |index| mask[index], &mut self.errors);
-            let near = median.is_some_and(|median| median < params.stability_px);
-            let (limit, share) = (params.ransac.threshold_px, params.still_tolerance);
-            if near || explains_as_well(&previous, &fresh, &self.from, &self.to, limit, share) {
-                return (previous, true);
-            }
-        }
-        (fresh, false)
     }
 
     /// Lays the grid and takes a pair from each cell.
@@ -362,7 +333,7 @@ mod tests {
         let camera = camera();
         let mut register = RegisterGrid::new(GridParams { stability_px: 0.0, calm: 0.0, ..GridParams::default() });
         let found = register.register(View::new(&map, 640, 480, 1), &camera, &camera);
-        assert_eq!(found.state, GridState::Fresh);
+        assert_eq!(found.state, RegistrationState::Fresh);
         for [x, y] in [[300.0, 50.0], [600.0, 400.0], [450.0, 240.0]] {
             let d = 200.0 + x / 40.0 - y / 30.0;
             let error = found.left_from_right.squared_error([x - d, y], [x, y]).sqrt();
@@ -401,10 +372,13 @@ mod tests {
         let empty = vec![f32::NAN; map.len()];
         let mut register = RegisterGrid::new(GridParams { hold_frames: 2, ..GridParams::default() });
         let mut state = |map: &[f32]| register.register(View::new(map, 640, 480, 1), &camera, &camera).state;
-        assert_eq!(state(&empty), GridState::Lost);
-        assert_eq!(state(&map), GridState::Fresh);
-        assert_eq!([state(&empty), state(&empty), state(&empty)], [GridState::Held, GridState::Held, GridState::Lost]);
-        assert_eq!(state(&map), GridState::Fresh);
+        assert_eq!(state(&empty), RegistrationState::Lost);
+        assert_eq!(state(&map), RegistrationState::Fresh);
+        assert_eq!(
+            [state(&empty), state(&empty), state(&empty)],
+            [RegistrationState::Held, RegistrationState::Held, RegistrationState::Lost]
+        );
+        assert_eq!(state(&map), RegistrationState::Fresh);
     }
 
     #[test]

@@ -24,7 +24,7 @@ pub mod warp;
 
 pub use compositor::Compositor;
 pub use graph_cut::GridCut;
-pub use grid::{CellPoint, GridParams, GridRegistration, GridState, RectifiedView, RegisterGrid};
+pub use grid::{CellPoint, GridParams, GridRegistration, RectifiedView, RegisterGrid};
 pub use params::{
     BlendMethod, Canvas, CompositeError, CompositeParams, CompositeReport, ExposureMethod, GeometryFault,
     GeometryState, MAX_VIEWS, SeamCost, SeamMethod,

@@ -48,7 +48,7 @@ impl Way {
         let register = match self {
             Self::Roi => format!("type = \"register_surf\"\ninputs = {{ {views} }}\nparams = {{ roi = true, scale = {scale} }}"),
             Self::Conventional => format!(
-                "type = \"register_surf\"\ninputs = {{ {views} }}\nparams = {{ roi = false, max_points = 2000, upright = false, stability_px = 0.0 }}"
+                "type = \"register_surf\"\ninputs = {{ {views} }}\nparams = {{ roi = false, spread = false, second_look = true, max_points = 2000, upright = false, stability_px = 0.0 }}"
             ),
             Self::Grid => "type = \"register_grid\"\ninputs = { disparity = \"match.disparity\", calibration = { from = \"scope.calibration\", align = \"latest\" } }".to_owned(),
             Self::OpencvFull | Self::OpencvFair => {
@@ -67,7 +67,7 @@ impl Way {
         if self == Self::Grid {
             let _ = write!(
                 text,
-                "[nodes.match]\ntype = \"stereo_bm\"\ninputs = {{ {views} }}\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ width = {width}, height = {}, rate_hz = 1.0 }}\n",
+                "[nodes.match]\ntype = \"stereo_bm\"\ninputs = {{ {views}, roi = {{ from = \"register.roi_left\", delay = 1 }} }}\nparams = {{ scale = {scale} }}\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ width = {width}, height = {}, rate_hz = 1.0 }}\n",
                 height_of(width)
             );
         }
