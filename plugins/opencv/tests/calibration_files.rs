@@ -29,7 +29,9 @@ impl Drop for File {
 fn odd() -> Calibration {
     let third = 1.0 / 3.0;
     let mut distortion = [0.0; 14];
-    for (index, value) in [-0.1 - third * 1e-3, 0.02, 1e-300, -f64::MIN_POSITIVE, 0.25, third, -third, 1e-17].iter().enumerate() {
+    for (index, value) in
+        [-0.1 - third * 1e-3, 0.02, 1e-300, -f64::MIN_POSITIVE, 0.25, third, -third, 1e-17].iter().enumerate()
+    {
         distortion[index] = *value;
     }
     let camera = |shift: f64| Camera {

@@ -5,7 +5,7 @@ use panoscope_node::abi;
 use panoscope_node::{Context, Disparity, Gray8, Image, Parallel, Ports, Result, Slot, Value, View, ViewMut, error};
 
 use crate::offset::Offset;
-use crate::survey::Survey;
+use crate::survey::{COARSE_WIDTH, FINE_WIDTH, Survey};
 use crate::watch::Watch;
 
 /// Inputs.
@@ -50,6 +50,8 @@ pub struct Search {
     pub min_disparity_px: i32,
     /// Width of the search.
     pub search_px: usize,
+    /// Distance of matched points from their rows that is warned of, px.
+    pub drift_px: f32,
 }
 
 /// Calls between two surveys.
@@ -107,7 +109,10 @@ impl Matcher {
         let call = self.calls;
         self.calls += 1;
         if call.is_multiple_of(SURVEY_CALLS) {
-            let found = self.survey.look(left, right, cx.pool())?;
+            let mut found = self.survey.look([left, right], COARSE_WIDTH, cx.pool())?;
+            if search.auto_offset && self.offset.says_nothing(found.matched, found.pixels) {
+                found = self.survey.look([left, right], FINE_WIDTH, cx.pool())?;
+            }
             let counts = self.survey.counts();
             self.offset.update(counts, self.survey.bin_px(), found.pixels, search.search_px);
             self.watch.swapped(cx, &mut self.survey, found, [left, right], cx.pool())?;
@@ -125,7 +130,7 @@ impl Matcher {
         let map = ViewMut { data: &mut *disparity.data, ..disparity };
         engine.compute([left, right], roi, cx.pool(), map, disparity_right)?;
         if call.is_multiple_of(ROWS_CALLS) {
-            self.watch.rows(cx, [left, right], disparity.as_view());
+            self.watch.rows(cx, [left, right], disparity.as_view(), search.drift_px);
         }
         Ok(())
     }
