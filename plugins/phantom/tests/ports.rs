@@ -8,7 +8,8 @@ use panoscope_phantom::PhantomNode;
 const SIZE: (usize, usize) = (320, 240);
 
 fn open(params: &str) -> Result<Harness<PhantomNode>, HarnessError> {
-    Harness::from_toml(&format!("params = {{ width = 320, height = 240, {params} }}"))
+    let size = if params.contains("tools") { SIZE } else { (64, 48) };
+    Harness::from_toml(&format!("params = {{ width = {}, height = {}, {params} }}", size.0, size.1))
 }
 
 #[test]
@@ -76,7 +77,8 @@ fn instruments_have_boxes_masks_and_tips_that_agree() -> Result<(), HarnessError
         let (u, v) = (375.0 * x / z + 159.5, 375.0 * y / z + 119.5);
         assert!((u - tip.u_px).hypot(v - tip.v_px) < 1e-6, "{tip:?}");
         let depth = out.plane::<Depth>("depth")?.row(tip.v_px.round() as usize)[tip.u_px.round() as usize];
-        assert!((f64::from(depth) - z).abs() < 6.0, "the tip lies at {z} mm, the picture there at {depth} mm");
+        // Between open jaws the tissue behind is seen; nothing stands before the tip but its own jaws.
+        assert!(f64::from(depth) > z - 2.0, "the tip lies at {z} mm, the picture there at {depth} mm");
     }
     assert!(seen == [4, 4] && tips > 0, "{seen:?} {tips}");
     let refused = open("tools = 1, tool_kinds = \"hammer\"").err().map(|error| error.to_string()).unwrap_or_default();
@@ -88,11 +90,11 @@ fn instruments_have_boxes_masks_and_tips_that_agree() -> Result<(), HarnessError
 fn dropped_ticks_leave_out_what_they_should_and_are_the_same_in_every_run() -> Result<(), HarnessError> {
     let run = |params: &str, port: &str| -> Result<Vec<bool>, HarnessError> {
         let mut node = open(&format!("drop_share = 0.3, {params}"))?;
-        (0..40).map(|_| node.process()?.is_empty(port)).collect()
+        (0..30).map(|_| node.process()?.is_empty(port)).collect()
     };
     let all = run("drop_views = \"all\"", "left")?;
     let count = all.iter().filter(|dropped| **dropped).count();
-    assert!((5..=20).contains(&count), "{count} of 40 ticks");
+    assert!((3..=16).contains(&count), "{count} of 30 ticks");
     assert_eq!(all, run("", "right")?);
     assert_eq!(all, run("drop_views = \"right\"", "view1")?);
     assert!(run("drop_views = \"right\"", "left")?.iter().all(|dropped| !dropped));
@@ -100,7 +102,7 @@ fn dropped_ticks_leave_out_what_they_should_and_are_the_same_in_every_run() -> R
     // A dropped tick keeps its time, and the pictures around it do not change.
     let mut whole = open("")?;
     let mut holed = open("drop_share = 0.3")?;
-    for dropped in &all[..12] {
+    for dropped in &all[..8] {
         let (a, b) = (whole.process()?, holed.process()?);
         assert_eq!(a.tick().capture_ns, b.tick().capture_ns);
         if !dropped {

@@ -1,6 +1,6 @@
 //! What `stereo_bm` and `stereo_sgbm` share: ports, the offset of the search, the warnings.
 
-use panoscope_imaging::stereo::{Roi, StereoError};
+use panoscope_imaging::stereo::{Roi, SpeckleFilter, StereoError};
 use panoscope_node::abi;
 use panoscope_node::{Context, Disparity, Gray8, Image, Parallel, Ports, Result, Slot, Value, View, ViewMut, error};
 
@@ -52,6 +52,8 @@ pub struct Search {
     pub search_px: usize,
     /// Distance of matched points from their rows that is warned of, px.
     pub drift_px: f32,
+    /// Patches of at most so many pixels are taken for wrong; 0 keeps all.
+    pub speckle_area_px: usize,
 }
 
 /// Calls between two surveys.
@@ -59,11 +61,15 @@ const SURVEY_CALLS: u64 = 4;
 /// Calls between two measurements of the rows.
 const ROWS_CALLS: u64 = 8;
 
+/// Largest step of disparity within a speckle.
+const SPECKLE_STEP_PX: f32 = 1.0;
+
 /// The part of a matcher that is not its kernel.
 pub struct Matcher {
     survey: Survey,
     offset: Offset,
     watch: Watch,
+    speckles: SpeckleFilter,
     calls: u64,
 }
 
@@ -84,7 +90,13 @@ impl Matcher {
     /// # Errors
     /// As [`Survey::new`].
     pub fn new() -> Result<Self> {
-        Ok(Self { survey: Survey::new()?, offset: Offset::default(), watch: Watch::default(), calls: 0 })
+        Ok(Self {
+            survey: Survey::new()?,
+            offset: Offset::default(),
+            watch: Watch::default(),
+            speckles: SpeckleFilter::default(),
+            calls: 0,
+        })
     }
 
     /// One tick. `prepare` gives the kernel its parameters for an offset.
@@ -129,6 +141,8 @@ impl Matcher {
         let disparity_right = if right_is_read { Some(out.disparity_right.alloc(width, height)?) } else { None };
         let map = ViewMut { data: &mut *disparity.data, ..disparity };
         engine.compute([left, right], roi, cx.pool(), map, disparity_right)?;
+        let mut map = ViewMut { data: &mut *disparity.data, ..disparity };
+        self.speckles.remove(&mut map, roi, search.speckle_area_px, SPECKLE_STEP_PX);
         if call.is_multiple_of(ROWS_CALLS) {
             self.watch.rows(cx, [left, right], disparity.as_view(), search.drift_px);
         }

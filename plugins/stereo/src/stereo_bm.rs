@@ -21,6 +21,9 @@ pub struct StereoBmParams {
     /// none.
     #[param(default = 1.0, range = 0.0..=20.0, step = 0.1, unit = "px")]
     drift_px: f32,
+    /// Patches of the left map of at most so many pixels are dropped as wrong matches; 0 keeps all.
+    #[param(default = 0, range = 0..=10000, unit = "px")]
+    speckle_area_px: usize,
     /// Side of the square window that is compared.
     #[param(default = 15, range = 3..=31, step = 2, unit = "px")]
     block_px: usize,
@@ -98,6 +101,7 @@ impl Node for StereoBm {
             min_disparity_px: params.min_disparity_px,
             search_px: params.search_px,
             drift_px: params.drift_px,
+            speckle_area_px: params.speckle_area_px,
         };
         self.matcher.process(cx, &input, &mut out, search, &mut self.kernel, |kernel, offset_px| {
             let wanted = params.kernel(offset_px);

@@ -167,6 +167,28 @@ fn a_narrow_shared_region_is_found() -> TestResult {
 }
 
 #[test]
+fn speckles_go_where_they_are_asked_to() -> TestResult {
+    // Views that show different things match here and there by chance.
+    let (left, _) = pair(slanted, 0.0);
+    let (_, right) = pair(|x, y| slanted(x + 4000.0, y) + 3000.0, 0.0);
+    let open = |area: usize| {
+        Harness::<StereoBm>::from_toml(&format!(
+            "params = {{ auto_offset = false, left_right_px = -1, uniqueness = 0, speckle_area_px = {area} }}"
+        ))
+    };
+    let (mut all, mut clean) = (open(0)?, open(400)?);
+    let before = density(&run(&mut all, &left, &right)?, "disparity")?;
+    let after = density(&run(&mut clean, &left, &right)?, "disparity")?;
+    assert!(before > 0.3 && after < 0.5 * before, "{before} {after}");
+    // What hangs together stays.
+    let (left, right) = pair(|x, y| slanted(x, y) - 120.0, 0.0);
+    let before = density(&run(&mut all, &left, &right)?, "disparity")?;
+    let after = density(&run(&mut clean, &left, &right)?, "disparity")?;
+    assert!(after > 0.95 * before, "{before} {after}");
+    Ok(())
+}
+
+#[test]
 fn only_the_roi_is_matched() -> TestResult {
     let (left, right) = pair(slanted, 0.0);
     for (roi, empty) in [
