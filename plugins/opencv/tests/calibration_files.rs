@@ -115,7 +115,7 @@ fn what_opencv_writes_is_read_bit_by_bit() {
     }
     to.write_f64("rms_px", given.rms_px).unwrap();
     to.release().unwrap();
-    let back = read(&[theirs.0.clone()]).unwrap();
+    let back = read(std::slice::from_ref(&theirs.0)).unwrap();
     // The baseline is the translation's length here, the projection's there.
     assert!((back.baseline_mm - given.baseline_mm).abs() < 1e-9);
     assert_eq!(Calibration { baseline_mm: given.baseline_mm, ..back }, given);

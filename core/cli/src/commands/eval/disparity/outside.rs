@@ -101,7 +101,8 @@ fn is_edge(disparity: &[f32], visible: &[u8], width: usize, height: usize, index
         (x.saturating_sub(2)..(x + 3).min(width)).any(|column| {
             let at = row * width + column;
             // NaN is an edge too.
-            visible[at] != visible[index] || !((disparity[at] - disparity[index]).abs() < 2.0)
+            let is_level = (disparity[at] - disparity[index]).abs() < 2.0;
+            visible[at] != visible[index] || !is_level
         })
     })
 }
