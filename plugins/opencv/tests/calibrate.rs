@@ -154,11 +154,7 @@ fn what_cannot_be_is_said() {
         out = Some(show(&mut node, [right, left]));
     }
     assert!(out.unwrap().is_empty("calibration").unwrap());
-    assert!(
-        node.logs().iter().any(|line| line.message.contains("disparities would be negative")),
-        "{:?}",
-        node.logs()
-    );
+    assert!(node.logs().iter().any(|line| line.message.contains("disparities would be negative")), "{:?}", node.logs());
     // Too few views.
     let mut node = open("solve_at = 2");
     for [left, right] in &views[..2] {

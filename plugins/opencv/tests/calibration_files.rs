@@ -29,7 +29,9 @@ impl Drop for File {
 fn odd() -> Calibration {
     let third = 1.0 / 3.0;
     let mut distortion = [0.0; 14];
-    for (index, value) in [-0.1 - third * 1e-3, 0.02, 1e-300, -f64::MIN_POSITIVE, 0.25, third, -third, 1e-17].iter().enumerate() {
+    for (index, value) in
+        [-0.1 - third * 1e-3, 0.02, 1e-300, -f64::MIN_POSITIVE, 0.25, third, -third, 1e-17].iter().enumerate()
+    {
         distortion[index] = *value;
     }
     let camera = |shift: f64| Camera {
@@ -113,7 +115,7 @@ fn what_opencv_writes_is_read_bit_by_bit() {
     }
     to.write_f64("rms_px", given.rms_px).unwrap();
     to.release().unwrap();
-    let back = read(&[theirs.0.clone()]).unwrap();
+    let back = read(std::slice::from_ref(&theirs.0)).unwrap();
     // The baseline is the translation's length here, the projection's there.
     assert!((back.baseline_mm - given.baseline_mm).abs() < 1e-9);
     assert_eq!(Calibration { baseline_mm: given.baseline_mm, ..back }, given);

@@ -1,11 +1,11 @@
 //! What `stereo_bm` and `stereo_sgbm` share: ports, the offset of the search, the warnings.
 
-use panoscope_imaging::stereo::{Roi, StereoError};
+use panoscope_imaging::stereo::{Roi, SpeckleFilter, StereoError};
 use panoscope_node::abi;
 use panoscope_node::{Context, Disparity, Gray8, Image, Parallel, Ports, Result, Slot, Value, View, ViewMut, error};
 
 use crate::offset::Offset;
-use crate::survey::Survey;
+use crate::survey::{COARSE_WIDTH, FINE_WIDTH, Survey};
 use crate::watch::Watch;
 
 /// Inputs.
@@ -50,6 +50,10 @@ pub struct Search {
     pub min_disparity_px: i32,
     /// Width of the search.
     pub search_px: usize,
+    /// Distance of matched points from their rows that is warned of, px.
+    pub drift_px: f32,
+    /// Patches of at most so many pixels are taken for wrong; 0 keeps all.
+    pub speckle_area_px: usize,
 }
 
 /// Calls between two surveys.
@@ -57,11 +61,15 @@ const SURVEY_CALLS: u64 = 4;
 /// Calls between two measurements of the rows.
 const ROWS_CALLS: u64 = 8;
 
+/// Largest step of disparity within a speckle.
+const SPECKLE_STEP_PX: f32 = 1.0;
+
 /// The part of a matcher that is not its kernel.
 pub struct Matcher {
     survey: Survey,
     offset: Offset,
     watch: Watch,
+    speckles: SpeckleFilter,
     calls: u64,
 }
 
@@ -82,7 +90,13 @@ impl Matcher {
     /// # Errors
     /// As [`Survey::new`].
     pub fn new() -> Result<Self> {
-        Ok(Self { survey: Survey::new()?, offset: Offset::default(), watch: Watch::default(), calls: 0 })
+        Ok(Self {
+            survey: Survey::new()?,
+            offset: Offset::default(),
+            watch: Watch::default(),
+            speckles: SpeckleFilter::default(),
+            calls: 0,
+        })
     }
 
     /// One tick. `prepare` gives the kernel its parameters for an offset.
@@ -107,7 +121,10 @@ impl Matcher {
         let call = self.calls;
         self.calls += 1;
         if call.is_multiple_of(SURVEY_CALLS) {
-            let found = self.survey.look(left, right, cx.pool())?;
+            let mut found = self.survey.look([left, right], COARSE_WIDTH, cx.pool())?;
+            if search.auto_offset && self.offset.says_nothing(found.matched, found.pixels) {
+                found = self.survey.look([left, right], FINE_WIDTH, cx.pool())?;
+            }
             let counts = self.survey.counts();
             self.offset.update(counts, self.survey.bin_px(), found.pixels, search.search_px);
             self.watch.swapped(cx, &mut self.survey, found, [left, right], cx.pool())?;
@@ -124,8 +141,10 @@ impl Matcher {
         let disparity_right = if right_is_read { Some(out.disparity_right.alloc(width, height)?) } else { None };
         let map = ViewMut { data: &mut *disparity.data, ..disparity };
         engine.compute([left, right], roi, cx.pool(), map, disparity_right)?;
+        let mut map = ViewMut { data: &mut *disparity.data, ..disparity };
+        self.speckles.remove(&mut map, roi, search.speckle_area_px, SPECKLE_STEP_PX);
         if call.is_multiple_of(ROWS_CALLS) {
-            self.watch.rows(cx, [left, right], disparity.as_view());
+            self.watch.rows(cx, [left, right], disparity.as_view(), search.drift_px);
         }
         Ok(())
     }

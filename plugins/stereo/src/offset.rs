@@ -25,6 +25,11 @@ impl Offset {
         self.current_px
     }
 
+    /// Whether a survey has matched too little to say anything.
+    pub fn says_nothing(&self, matched: usize, pixels: usize) -> bool {
+        matched * 1000 < pixels * LEAST_PER_MILLE
+    }
+
     /// Takes a survey's `counts` (of `pixels` coarse pixels, in bins of `bin_px`) and returns the offset for a search over `search_px`.
     pub fn update(&mut self, counts: &[u32], bin_px: usize, pixels: usize, search_px: usize) -> Option<i32> {
         if self.mass.len() != counts.len() || self.bin_px != bin_px {
@@ -34,7 +39,7 @@ impl Offset {
             self.current_px = None;
         }
         let matched: usize = counts.iter().map(|count| *count as usize).sum();
-        if matched * 1000 < pixels * LEAST_PER_MILLE {
+        if self.says_nothing(matched, pixels) {
             // Dark or blurred pictures say nothing: what was known stays.
             return self.current_px;
         }

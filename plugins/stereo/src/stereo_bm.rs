@@ -18,6 +18,13 @@ pub struct StereoBmParams {
     /// Width of the disparity search.
     #[param(default = 128, range = 32..=512, step = 32, unit = "px")]
     search_px: usize,
+    /// Median distance of matched points from their rows at which a warning is given that the calibration does not fit; 0 gives
+    /// none.
+    #[param(default = 1.0, range = 0.0..=20.0, step = 0.1, unit = "px")]
+    drift_px: f32,
+    /// Patches of the left map of at most so many pixels are dropped as wrong matches; 0 keeps all.
+    #[param(default = 0, range = 0..=10000, unit = "px")]
+    speckle_area_px: usize,
     /// Side of the square window that is compared.
     #[param(default = 15, range = 3..=31, step = 2, unit = "px")]
     block_px: usize,
@@ -96,6 +103,8 @@ impl Node for StereoBm {
             auto_offset: params.auto_offset,
             min_disparity_px: params.min_disparity_px,
             search_px: params.search_px,
+            drift_px: params.drift_px,
+            speckle_area_px: params.speckle_area_px,
         };
         self.kernel.factor = params.scale;
         self.matcher.process(cx, &input, &mut out, search, &mut self.kernel, |shrunk, offset_px| {

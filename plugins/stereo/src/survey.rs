@@ -7,7 +7,9 @@ use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, Roi, StereoEr
 use panoscope_node::{Parallel, View, ViewMut};
 
 /// Columns of a shrunk view, about.
-const COARSE_WIDTH: usize = 160;
+pub const COARSE_WIDTH: usize = 160;
+/// The same for a second, slower look where the first has found next to nothing: a narrow shared region shows then.
+pub const FINE_WIDTH: usize = 320;
 /// Side of the window compared, in coarse px.
 const WINDOW: usize = 9;
 
@@ -50,12 +52,17 @@ impl Survey {
         &self.counts
     }
 
-    /// Matches the shrunk views. `left` and `right` have one size.
+    /// Matches the views shrunk to about `columns` columns. `left` and `right` have one size.
     ///
     /// # Errors
     /// As the kernel.
-    pub fn look(&mut self, left: View<'_, u8>, right: View<'_, u8>, pool: &dyn Parallel) -> Result<Found, StereoError> {
-        self.factor = (left.width + COARSE_WIDTH / 2).div_euclid(COARSE_WIDTH).max(1);
+    pub fn look(
+        &mut self,
+        [left, right]: [View<'_, u8>; 2],
+        columns: usize,
+        pool: &dyn Parallel,
+    ) -> Result<Found, StereoError> {
+        self.factor = (left.width + columns / 2).div_euclid(columns).max(1);
         let (width, height) = (left.width / self.factor, left.height / self.factor);
         self.counts.clear();
         self.counts.resize(width, 0);

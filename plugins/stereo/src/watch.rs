@@ -5,10 +5,10 @@ use panoscope_imaging::stereo::StereoError;
 use panoscope_node::{Context, Parallel, View};
 
 use crate::epipolar::Epipolar;
-use crate::survey::{Found, Survey};
+use crate::survey::{COARSE_WIDTH, Found, Survey};
 
-/// Error of rows in px at which a calibration counts as drifted, and below which as mended.
-const DRIFT_PX: (f32, f32) = (1.0, 0.7);
+/// Part of the limit below which a drifted calibration counts as mended.
+const MENDED: f32 = 0.7;
 /// Part of the way to a new measurement that the error shown moves.
 const DRIFT_STEP: f32 = 0.25;
 
@@ -38,7 +38,7 @@ impl Watch {
         // A pair in order matches a good part of what its views share.
         let few = found.matched * 4 < found.pixels;
         let swapped = few && {
-            let other = survey.look(views[1], views[0], pool)?;
+            let other = survey.look([views[1], views[0]], COARSE_WIDTH, pool)?;
             other.matched > 3 * found.matched && other.matched * 10 > other.pixels
         };
         if swapped && !self.swapped {
@@ -63,20 +63,21 @@ impl Watch {
         self.blind = blind;
     }
 
-    /// Measures how far matched points lie off their rows, and warns when that grows.
-    pub fn rows(&mut self, cx: &Context<'_>, views: [View<'_, u8>; 2], disparity: View<'_, f32>) {
+    /// Measures how far matched points lie off their rows, and warns when that grows beyond `limit_px`; 0 never warns.
+    pub fn rows(&mut self, cx: &Context<'_>, views: [View<'_, u8>; 2], disparity: View<'_, f32>, limit_px: f32) {
         let Some(measured) = self.epipolar.measure(views[0], views[1], disparity) else { return };
         let error = self.error_px.map_or(measured, |error| error + (measured - error) * DRIFT_STEP);
         self.error_px = Some(error);
         cx.metric("epipolar_px", f64::from(error));
-        if error > DRIFT_PX.0 && !self.drifted {
+        if limit_px > 0.0 && error > limit_px && !self.drifted {
             self.drifted = true;
             cx.warn(&format!(
-                "matched points lie {error:.1} px off their rows: the calibration does not fit these views (drifted, or not rectified)"
+                "matched points lie {error:.1} px off their rows, {limit_px:.1} px are allowed: the calibration does not fit these views (drifted, or not rectified)"
             ));
-        } else if error < DRIFT_PX.1 && self.drifted {
+        } else if self.drifted && (error < MENDED * limit_px || limit_px <= 0.0) {
             self.drifted = false;
             cx.info(&format!("matched points lie on their rows again ({error:.1} px)"));
         }
+        cx.metric("drifted", f64::from(u8::from(self.drifted)));
     }
 }

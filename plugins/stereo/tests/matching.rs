@@ -119,6 +119,76 @@ fn rows_that_do_not_fit_are_measured_and_warned_of() -> TestResult {
 }
 
 #[test]
+fn a_slow_drift_is_warned_of_at_the_limit_and_its_end_is_told() -> TestResult {
+    // A calibration that slips by a fifth of a row at a time.
+    let drifting: Vec<_> = (0..8).map(|step| pair(slanted, 0.2 * f64::from(step))).collect();
+    let mut first_warned = Vec::new();
+    for limit in ["0.5", "1.0", "0"] {
+        let mut node = Harness::<StereoBm>::from_toml(&format!("params = {{ drift_px = {limit} }}"))?;
+        let mut first = None;
+        for (step, (left, right)) in drifting.iter().enumerate() {
+            for _ in 0..48 {
+                run(&mut node, left, right)?;
+            }
+            if first.is_none() && warned(&node, "off their rows") {
+                first = Some(step);
+                assert_eq!(node.metric("drifted"), Some(1.0));
+            }
+        }
+        first_warned.push(first);
+        let (left, right) = &drifting[0];
+        for _ in 0..80 {
+            run(&mut node, left, right)?;
+        }
+        assert_eq!(node.metric("drifted"), Some(0.0));
+        let told = node.logs().iter().filter(|line| line.message.contains("rows again")).count();
+        assert_eq!(told, usize::from(first.is_some()), "limit {limit}");
+        // Said once, not at every tick.
+        let warnings = node.logs().iter().filter(|line| line.message.contains("off their rows")).count();
+        assert_eq!(warnings, usize::from(first.is_some()), "limit {limit}");
+    }
+    let [tight, wide, never] = first_warned[..] else { panic!("{first_warned:?}") };
+    assert!(tight.is_some_and(|step| (2..=4).contains(&step)), "{first_warned:?}");
+    assert!(wide.is_some_and(|step| step > tight.unwrap_or(9) && step <= 7), "{first_warned:?}");
+    assert_eq!(never, None);
+    Ok(())
+}
+
+#[test]
+fn a_narrow_shared_region_is_found() -> TestResult {
+    // Of 320 columns the views share 40, as the thesis's scope does at 20 mm.
+    let (left, right) = pair(|_, _| 280.0, 0.0);
+    let mut node = Harness::<StereoBm>::from_toml("params = { search_px = 64 }")?;
+    let out = run(&mut node, &left, &right)?;
+    let map = out.plane::<Disparity>("disparity")?;
+    let known = median(map.data.iter().copied());
+    assert!((known - 280.0).abs() < 0.5, "{known} {:?}", node.metric("offset_px"));
+    Ok(())
+}
+
+#[test]
+fn speckles_go_where_they_are_asked_to() -> TestResult {
+    // Views that show different things match here and there by chance.
+    let (left, _) = pair(slanted, 0.0);
+    let (_, right) = pair(|x, y| slanted(x + 4000.0, y) + 3000.0, 0.0);
+    let open = |area: usize| {
+        Harness::<StereoBm>::from_toml(&format!(
+            "params = {{ auto_offset = false, left_right_px = -1, uniqueness = 0, speckle_area_px = {area} }}"
+        ))
+    };
+    let (mut all, mut clean) = (open(0)?, open(400)?);
+    let before = density(&run(&mut all, &left, &right)?, "disparity")?;
+    let after = density(&run(&mut clean, &left, &right)?, "disparity")?;
+    assert!(before > 0.3 && after < 0.5 * before, "{before} {after}");
+    // What hangs together stays.
+    let (left, right) = pair(|x, y| slanted(x, y) - 120.0, 0.0);
+    let before = density(&run(&mut all, &left, &right)?, "disparity")?;
+    let after = density(&run(&mut clean, &left, &right)?, "disparity")?;
+    assert!(after > 0.95 * before, "{before} {after}");
+    Ok(())
+}
+
+#[test]
 fn only_the_roi_is_matched() -> TestResult {
     let (left, right) = pair(slanted, 0.0);
     for (roi, empty) in [

@@ -24,6 +24,7 @@ pub mod rotation;
 pub mod semi_global;
 mod semi_global_kernel;
 mod simd;
+pub mod speckle;
 mod tridiagonal;
 pub mod wls;
 
@@ -38,6 +39,7 @@ pub use rectify::{Rectification, RectifiedCamera, RectifyParams};
 pub use remap::RemapTable;
 pub use reproject::{ReprojectInput, ReprojectParams, reproject};
 pub use semi_global::{SemiGlobalMatcher, SemiGlobalParams};
+pub use speckle::SpeckleFilter;
 pub use wls::{FilterInput, WlsFilter, WlsParams};
 
 /// Rectangle of the left view in which a stage works; outside it outputs are NaN.

@@ -34,7 +34,8 @@ fn misfit(points: &Points, index: usize, places_mm: &[[f64; 2]], square_mm: f64)
     for (other, (id, px)) in points.iter().enumerate() {
         let at = place(*id);
         let row = [1.0, (at[0] - own[0]) / square_mm, (at[1] - own[1]) / square_mm];
-        if other == index || !(row[1].hypot(row[2]) <= REACH_SQUARES) {
+        let is_near = row[1].hypot(row[2]) <= REACH_SQUARES;
+        if other == index || !is_near {
             continue;
         }
         count += 1;

@@ -138,3 +138,59 @@ pub fn shown_pose(params: &SceneParams, frame: u64) -> Pose {
     let centre = [f64::from(BOARD_CENTRE_MM[0]), f64::from(BOARD_CENTRE_MM[1]), params.distance_mm];
     Pose { quaternion, translation_mm: std::array::from_fn(|i| centre[i] - turned[i]) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXEL_MM: f32 = 0.0625;
+
+    #[test]
+    fn circles_lie_where_opencv_expects_them() {
+        let at = |column: i32, row: i32, dx: f32| {
+            let x = BOARD_CENTRE_MM[0] - 10.5 + (2 * column + row % 2) as f32 * CIRCLE_SPACING_MM + dx;
+            let y = BOARD_CENTRE_MM[1] - 15.0 + row as f32 * CIRCLE_SPACING_MM;
+            ink(BoardPrint::Circles, x, y, TEXEL_MM)
+        };
+        for (column, row) in [(0, 0), (3, 0), (0, 1), (3, 9), (2, 10)] {
+            assert_eq!(at(column, row, 0.0), Some(1.0), "{column} {row}");
+            assert_eq!(at(column, row, CIRCLE_RADIUS_MM), Some(0.5), "{column} {row}");
+            assert_eq!(at(column, row, CIRCLE_SPACING_MM), Some(0.0), "{column} {row}");
+        }
+        assert_eq!(ink(BoardPrint::Circles, BOARD_CENTRE_MM[0] + 30.0, BOARD_CENTRE_MM[1], TEXEL_MM), None);
+    }
+
+    #[test]
+    fn the_first_marker_stands_beside_the_black_corner() {
+        let at = |u: f32, v: f32| {
+            let x = BOARD_CENTRE_MM[0] + (u - 5.0) * SQUARE_MM;
+            let y = BOARD_CENTRE_MM[1] + (v - 3.5) * SQUARE_MM;
+            ink(BoardPrint::Charuco, x, y, TEXEL_MM)
+        };
+        assert_eq!(at(0.5, 0.5), Some(1.0));
+        // White rim, black rim, then the bits 1011 of the first row.
+        assert_eq!((at(1.06, 0.5), at(1.18, 0.5)), (Some(0.0), Some(1.0)));
+        let cell = |c: i32, r: i32| at(1.125 + 0.125 * (c as f32 + 1.5), 0.125 + 0.125 * (r as f32 + 1.5));
+        assert_eq!([0, 1, 2, 3].map(|c| cell(c, 0)), [Some(0.0), Some(1.0), Some(0.0), Some(0.0)]);
+        // Half of a texel on an edge is black.
+        assert_eq!(at(1.125, 0.5), Some(0.5));
+    }
+
+    #[test]
+    fn each_frame_shows_the_board_in_front_of_the_camera_and_tilted() {
+        let params = SceneParams { distance_mm: 85.0, ..SceneParams::default() };
+        let mut last = None;
+        for frame in 0..50 {
+            let pose = shown_pose(&params, frame);
+            assert!(last != Some(pose));
+            last = Some(pose);
+            let r = pose.rotation();
+            // The card's normal against the camera's axis.
+            assert!((0.8..0.98).contains(&r[2][2]), "{}", r[2][2]);
+            let centre = [BOARD_CENTRE_MM[0].into(), BOARD_CENTRE_MM[1].into(), params.distance_mm];
+            let q: [f64; 3] = std::array::from_fn(|i| centre[i] - pose.translation_mm[i]);
+            let z: f64 = (0..3).map(|i| r[i][2] * q[i]).sum();
+            assert!((75.0..100.0).contains(&z), "{z}");
+        }
+    }
+}

@@ -1,5 +1,6 @@
 //! Where the views come from, and the graph that looks at them.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -45,21 +46,24 @@ fn number(path: &Path) -> String {
     digits.trim_start_matches('0').to_owned()
 }
 
-/// Pairs the pictures that carry the same number; pictures without a partner are left out. Without numbers in common they are
-/// paired in order.
+/// Pairs the pictures that carry the same number; pictures without a partner are named. Where numbers are missing, repeat or are
+/// never the same on both sides, pictures are paired in order.
 fn pairs(left: Vec<PathBuf>, right: Vec<PathBuf>) -> ([Vec<PathBuf>; 2], Vec<PathBuf>) {
-    let partner = |path: &PathBuf, others: &[PathBuf]| others.iter().any(|other| number(other) == number(path));
-    let alone = |own: &[PathBuf], others: &[PathBuf]| -> Vec<PathBuf> {
-        own.iter().filter(|path| !partner(path, others)).cloned().collect()
-    };
-    let mut lonely = alone(&left, &right);
-    lonely.extend(alone(&right, &left));
-    if lonely.len() == left.len() + right.len() {
+    let numbers = |files: &[PathBuf]| files.iter().map(|path| number(path)).collect::<BTreeSet<String>>();
+    let own = [numbers(&left), numbers(&right)];
+    let are_numbered = own[0].len() == left.len() && own[1].len() == right.len() && own.iter().all(|n| !n.contains(""));
+    if !are_numbered || own[0].is_disjoint(&own[1]) {
         let count = left.len().min(right.len());
-        return ([left[..count].to_vec(), right[..count].to_vec()], Vec::new());
+        let lonely = left[count..].iter().chain(&right[count..]).cloned().collect();
+        return ([left[..count].to_vec(), right[..count].to_vec()], lonely);
     }
-    let keep = |own: Vec<PathBuf>| own.into_iter().filter(|path| !lonely.contains(path)).collect();
-    ([keep(left), keep(right)], lonely)
+    let both: BTreeSet<&String> = own[0].intersection(&own[1]).collect();
+    let split = |files: Vec<PathBuf>| -> (Vec<PathBuf>, Vec<PathBuf>) {
+        files.into_iter().partition(|path| both.contains(&number(path)))
+    };
+    let ((left, mut lonely), (right, others)) = (split(left), split(right));
+    lonely.extend(others);
+    ([left, right], lonely)
 }
 
 impl Source {
@@ -78,7 +82,6 @@ impl Source {
                 for path in &lonely {
                     crate::terminal::tell!("warning: {} has no partner on the other side", path.display());
                 }
-                ensure!(left.len() == right.len(), "the pictures of both sides do not pair: their numbers repeat");
                 ensure!(!left.is_empty(), "no picture has a partner on the other side");
                 Ok(Self::Images([left, right]))
             }
@@ -222,6 +225,8 @@ mod tests {
         assert_eq!(both, [files(&["l01.png", "l04.png"]), files(&["r1.png", "r4.png"])]);
         assert_eq!(lonely, files(&["l02.png", "r3.png"]));
         let (both, lonely) = pairs(files(&["a.png", "b.png"]), files(&["c.png"]));
-        assert_eq!((both, lonely), ([files(&["a.png"]), files(&["c.png"])], vec![]));
+        assert_eq!((both, lonely), ([files(&["a.png"]), files(&["c.png"])], files(&["b.png"])));
+        let (both, _) = pairs(files(&["l10.png", "l11.png"]), files(&["r20.png", "r21.png"]));
+        assert_eq!(both, [files(&["l10.png", "l11.png"]), files(&["r20.png", "r21.png"])]);
     }
 }

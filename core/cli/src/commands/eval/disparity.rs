@@ -41,7 +41,8 @@ pub struct Arguments {
     pub json: Option<PathBuf>,
 }
 
-const CASES: [&str; 8] = ["truth", "range", "phantom", "aloe", "motorcycle", "synthetic_liver", "silicone_heart", "hamlyn"];
+const CASES: [&str; 8] =
+    ["truth", "range", "phantom", "aloe", "motorcycle", "synthetic_liver", "silicone_heart", "hamlyn"];
 
 /// Distance to the true surface from which on points count alike.
 const REACH_MM: f32 = 4.0;

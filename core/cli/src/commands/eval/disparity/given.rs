@@ -121,7 +121,8 @@ impl Judge<'_> {
     ) -> Result<()> {
         let size = (views[0].width, views[0].height);
         ensure!((geometry.width, geometry.height) == size, "the calibration was made for views of another size");
-        let input = format!("{name} {}x{}, {} true points, farther than 4 mm counts as 4 mm", size.0, size.1, surface.len());
+        let input =
+            format!("{name} {}x{}, {} true points, farther than 4 mm counts as 4 mm", size.0, size.1, surface.len());
         for made in chains::run(&views[0], &views[1], given.first_px, given.search_px)? {
             let points = super::points(&geometry, &made.disparity)?;
             let score = score_surface(&points, surface, REACH_MM)?;

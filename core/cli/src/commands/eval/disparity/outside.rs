@@ -6,8 +6,8 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use panoscope_imaging::stereo::{Rectification, RectifiedCamera, Roi, score_disparity, score_surface};
 use panoscope_imaging::View;
+use panoscope_imaging::stereo::{Rectification, RectifiedCamera, Roi, score_disparity, score_surface};
 use panoscope_runtime::memory::FrameRef;
 
 use super::super::look::{self, Plan};
@@ -101,7 +101,8 @@ fn is_edge(disparity: &[f32], visible: &[u8], width: usize, height: usize, index
         (x.saturating_sub(2)..(x + 3).min(width)).any(|column| {
             let at = row * width + column;
             // NaN is an edge too.
-            visible[at] != visible[index] || !((disparity[at] - disparity[index]).abs() < 2.0)
+            let is_level = (disparity[at] - disparity[index]).abs() < 2.0;
+            visible[at] != visible[index] || !is_level
         })
     })
 }
@@ -208,8 +209,14 @@ inputs = {{ left = "rectify.left", right = "rectify.right" }}
 params = {{ auto_offset = false, search_px = 64 }}
 "#
             );
-            let ports =
-                [("found", "disparity"), ("plain", "disparity"), ("scope", "disparity"), ("scope", "visible"), ("scope", "depth"), ("told", "disparity")];
+            let ports = [
+                ("found", "disparity"),
+                ("plain", "disparity"),
+                ("scope", "disparity"),
+                ("scope", "visible"),
+                ("scope", "depth"),
+                ("told", "disparity"),
+            ];
             let plan = Plan {
                 text: &text,
                 path: Path::new("eval.toml"),
@@ -233,10 +240,16 @@ params = {{ auto_offset = false, search_px = 64 }}
             let right = |score: &panoscope_imaging::stereo::DisparityScore| 100.0 * (1.0 - score.bad[1]);
             let input = format!("phantom bowel 640x480 at {distance_mm} mm, pixels that both cameras see, within 2 px");
             let name = format!("range_right/{distance_mm:.0}mm");
-            let mut figure = super::Figure::new(&name, right(&own), "%", &input).beside("search 0..64", Some(right(&other)));
+            let mut figure =
+                super::Figure::new(&name, right(&own), "%", &input).beside("search 0..64", Some(right(&other)));
             figure.ratio = None;
             self.figures.push(figure);
-            self.add(format!("range_right_told/{distance_mm:.0}mm"), right(&told), "%", &format!("{input}, search from {told_px} px"));
+            self.add(
+                format!("range_right_told/{distance_mm:.0}mm"),
+                right(&told),
+                "%",
+                &format!("{input}, search from {told_px} px"),
+            );
             self.surface(distance_mm, &found, &depth, &visible)?;
         }
         Ok(())
@@ -245,11 +258,8 @@ params = {{ auto_offset = false, search_px = 64 }}
     /// Distance of the measured points from the true surface.
     fn surface(&mut self, distance_mm: f64, found: &[f32], depth: &[f32], visible: &[u8]) -> Result<()> {
         let (width, height) = SIZE;
-        let camera = RectifiedCamera {
-            focal_px: FOCAL_PX,
-            cx: (width as f64 - 1.0) / 2.0,
-            cy: (height as f64 - 1.0) / 2.0,
-        };
+        let camera =
+            RectifiedCamera { focal_px: FOCAL_PX, cx: (width as f64 - 1.0) / 2.0, cy: (height as f64 - 1.0) / 2.0 };
         let eye = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let geometry = Rectification {
             width,

@@ -86,9 +86,12 @@ fn tiff(bytes: &[u8]) -> Result<FloatImage> {
     let mut data = Vec::with_capacity(width * height);
     for (start, len) in values(273)?.into_iter().zip(values(279)?) {
         let part = bytes.get(start..start.saturating_add(len)).ok_or_else(cut)?;
-        data.extend(part.as_chunks::<4>().0.iter().map(|raw| {
-            if is_little { f32::from_le_bytes(*raw) } else { f32::from_be_bytes(*raw) }
-        }));
+        data.extend(
+            part.as_chunks::<4>()
+                .0
+                .iter()
+                .map(|raw| if is_little { f32::from_le_bytes(*raw) } else { f32::from_be_bytes(*raw) }),
+        );
     }
     ensure!(data.len() >= width * height, "it holds {} values, {} are expected", data.len(), width * height);
     data.truncate(width * height);
