@@ -53,10 +53,14 @@ pub fn remove(doc: &mut Document, nodes: &[String]) -> Result<(), EditError> {
 
 /// A name that no node has yet: `base`, `base_2`, ...
 pub fn free_name(view: &View, base: &str) -> String {
-    let base = base.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('_');
-    let base = if base.is_empty() { "node" } else { base };
     let mut names = std::iter::once(base.to_owned()).chain((2..).map(|k| format!("{base}_{k}")));
     names.find(|name| view.node(name).is_none()).unwrap_or_default()
+}
+
+/// A name without the number at its end.
+fn stem(name: &str) -> &str {
+    let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
+    if stem.len() < name.len() && stem.ends_with('_') { stem.trim_end_matches('_') } else { name }
 }
 
 /// Copies nodes beside themselves; answers the copies' names. Wires among them join the copies; others go where they went.
@@ -64,13 +68,8 @@ pub fn duplicate(doc: &mut Document, nodes: &[(String, (f32, f32))]) -> Result<V
     let view = doc.view().clone();
     let mut copies: Vec<(String, String)> = Vec::new();
     for (id, _) in nodes {
-        let mut copy = free_name(&view, id);
-        let mut k = 2;
-        while copies.iter().any(|(_, c)| *c == copy) {
-            k += 1;
-            copy = free_name(&view, &format!("{}_{k}_", id.trim_end_matches(|c: char| c.is_ascii_digit() || c == '_')));
-            copy = format!("{copy}_{k}");
-        }
+        let taken = |name: &str| view.node(name).is_some() || copies.iter().any(|(_, copy)| copy == name);
+        let copy = (2..).map(|k| format!("{}_{k}", stem(id))).find(|name| !taken(name)).unwrap_or_default();
         copies.push((id.clone(), copy));
     }
     let copy_of = |id: &str| copies.iter().find(|(old, _)| old == id).map(|(_, new)| new.as_str());
@@ -136,8 +135,8 @@ pub fn bypass(doc: &mut Document, id: &str) -> Result<Vec<Detour>, String> {
     Ok(detours)
 }
 
-/// Takes a bypass back, where its wires are as it left them.
-pub fn end_bypass(doc: &mut Document, id: &str, detours: &[Detour]) -> Result<(), EditError> {
+/// Takes a bypass back, where its wires are as it left them; answers whether any was.
+pub fn end_bypass(doc: &mut Document, id: &str, detours: &[Detour]) -> Result<bool, EditError> {
     let view = doc.view().clone();
     let still = |d: &&Detour| {
         let at = view.node(&d.to.0);
@@ -147,7 +146,8 @@ pub fn end_bypass(doc: &mut Document, id: &str, detours: &[Detour]) -> Result<()
         })
     };
     let back: Vec<&Detour> = detours.iter().filter(still).collect();
-    lead(doc, &format!("end bypass of {id}"), back.iter().map(|d| (&d.to, &d.was)))
+    lead(doc, &format!("end bypass of {id}"), back.iter().map(|d| (&d.to, &d.was)))?;
+    Ok(!back.is_empty())
 }
 
 fn lead<'d>(

@@ -190,7 +190,9 @@ impl Palette {
                             }
                         }
                         if order.is_empty() {
-                            ui.label(RichText::new("nothing fits").color(theme::MUTED));
+                            let reading = matches!(self.purpose, Purpose::Add { .. }) && types.get().is_none();
+                            let words = if reading { "reading the plugins" } else { "nothing fits" };
+                            ui.label(RichText::new(words).color(theme::MUTED));
                         }
                     },
                 );

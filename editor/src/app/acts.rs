@@ -248,18 +248,17 @@ impl App {
 
     fn bypass(&mut self) {
         for id in self.canvas.selected.clone() {
-            match self.detours.remove(&id) {
-                Some(detours) => {
-                    let result = ops::end_bypass(&mut self.document, &id, &detours);
-                    self.try_edit(result);
+            if let Some(detours) = self.detours.remove(&id) {
+                let result = ops::end_bypass(&mut self.document, &id, &detours);
+                // A bypass that was undone already is begun anew.
+                if self.try_edit(result) != Some(false) {
+                    continue;
                 }
-                None => {
-                    let result = ops::bypass(&mut self.document, &id);
-                    if let Some(detours) = self.try_edit(result) {
-                        self.tell(format!("{id} is bypassed"), false);
-                        self.detours.insert(id, detours);
-                    }
-                }
+            }
+            let result = ops::bypass(&mut self.document, &id);
+            if let Some(detours) = self.try_edit(result) {
+                self.tell(format!("{id} is bypassed"), false);
+                self.detours.insert(id, detours);
             }
         }
     }
