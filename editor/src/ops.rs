@@ -1,7 +1,7 @@
 //! What a user does to a graph, as edits of its text. No egui here. Each is one step of history.
 
-use panoscope_graph::NodeType;
-use panoscope_graph::edit::EditError;
+use panoscope_graph::edit::{EditError, GraphEdit};
+use panoscope_graph::{GraphText, NodeType};
 
 use crate::document::{Document, View, Wire};
 use crate::observe::Output;
@@ -88,6 +88,42 @@ pub fn duplicate(doc: &mut Document, nodes: &[(String, (f32, f32))]) -> Result<V
         Ok(())
     })?;
     Ok(copies.into_iter().map(|(_, copy)| copy).collect())
+}
+
+/// Nodes as text that can be pasted into this graph or another one.
+pub fn copy(doc: &Document, nodes: &[String]) -> Result<String, EditError> {
+    let whole = GraphEdit::parse(doc.text())?;
+    let mut part = GraphEdit::parse("")?;
+    let view = doc.view();
+    for node_type in nodes.iter().filter_map(|id| view.nodes[view.node(id)?].node_type.as_ref()) {
+        part.add_plugin(&node_type.plugin)?;
+    }
+    let same: Vec<(String, String)> = nodes.iter().map(|id| (id.clone(), id.clone())).collect();
+    part.paste_nodes(&whole, &same)?;
+    Ok(part.text())
+}
+
+/// Adds nodes that were copied as text, around a place; answers their names.
+pub fn paste(doc: &mut Document, text: &str, at: (f32, f32)) -> Result<Vec<String>, EditError> {
+    let view = doc.view().clone();
+    let part = GraphEdit::parse(text)?;
+    let mut names: Vec<(String, String)> = Vec::new();
+    for id in part.node_names() {
+        let taken = |name: &str| view.node(name).is_some() || names.iter().any(|(_, new)| new == name);
+        let others = (2..).map(|k| format!("{}_{k}", stem(&id)));
+        let new = std::iter::once(id.clone()).chain(others).find(|name| !taken(name)).unwrap_or_default();
+        names.push((id, new));
+    }
+    let plugins = GraphText::parse("pasted".as_ref(), text).plugins();
+    doc.edit("paste", None, |edit| {
+        plugins.iter().try_for_each(|plugin| edit.add_plugin(plugin))?;
+        edit.paste_nodes(&part, &names)?;
+        for (k, (_, new)) in names.iter().enumerate() {
+            edit.set_position(new, f64::from(at.0) + 240.0 * k as f64, f64::from(at.1));
+        }
+        Ok(())
+    })?;
+    Ok(names.into_iter().map(|(_, new)| new).collect())
 }
 
 /// The input of a node that may take the place of its output: same packets, connected.

@@ -142,3 +142,18 @@ fn loops_and_wrong_types_are_refused_with_words() {
     assert!(view.may_wire(at("a"), "image", at("mean"), "image").is_ok());
     assert!(view.may_wire(at("a"), "nothing", at("mean"), "image").is_err());
 }
+
+#[test]
+fn nodes_are_copied_into_another_graph_as_text() {
+    let Some(doc) = document(GRAPH) else { return };
+    let text = ops::copy(&doc, &["b".to_owned(), "mean".to_owned()]).expect("copied");
+    assert!(text.starts_with("plugins = [\"flow\"]"), "{text}");
+    let Some(mut other) = document("# Empty.\n") else { return };
+    assert_eq!(ops::paste(&mut other, &text, (0.0, 0.0)).expect("pasted"), ["b", "mean"]);
+    assert_eq!(ops::paste(&mut other, &text, (0.0, 0.0)).expect("pasted"), ["b_2", "mean_2"]);
+    assert!(other.text().contains("inputs = { image = \"b_2.image\" }"), "{}", other.text());
+    right_and_undone(other, "# Empty.\n");
+    let Some(mut doc) = document(GRAPH) else { return };
+    assert!(ops::paste(&mut doc, "no graph at all", (0.0, 0.0)).is_err());
+    assert_eq!(**doc.text(), *GRAPH);
+}

@@ -158,6 +158,44 @@ impl GraphEdit {
         Ok(())
     }
 
+    /// Adds nodes of another file under the names given, behind the last one. What they read of each other they read of the copies; other
+    /// connections stay as they are written.
+    pub fn paste_nodes(&mut self, from: &GraphEdit, names: &[(String, String)]) -> Result<(), EditError> {
+        for (old, new) in names {
+            good_id(new)?;
+            let last = self.last_node_position();
+            let nodes = self.nodes()?;
+            if nodes.contains_key(new) {
+                return Err(EditError::NodeExists { id: new.clone() });
+            }
+            let mut item = from
+                .document
+                .get("nodes")
+                .and_then(|n| n.get(old))
+                .cloned()
+                .ok_or_else(|| EditError::NoNode { id: old.clone() })?;
+            if let Item::Table(table) = &mut item {
+                place_at(table, last);
+                table.decor_mut().set_prefix(if last.is_some() { "\n" } else { "" });
+            }
+            nodes.insert(new, item);
+        }
+        for (_, new) in names {
+            if let Some(inputs) = self.node(new)?.get_mut("inputs").and_then(Item::as_table_like_mut) {
+                for (_, item) in inputs.iter_mut() {
+                    names.iter().for_each(|(old, new)| rename_references(item, old, new));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Names of the nodes, in file order.
+    pub fn node_names(&self) -> Vec<String> {
+        let nodes = self.document.get("nodes").and_then(Item::as_table_like);
+        nodes.into_iter().flat_map(|n| n.iter()).map(|(id, _)| id.to_owned()).collect()
+    }
+
     /// Adds a node behind the last one. Its plugin is not added to `plugins`; see [`add_plugin`](Self::add_plugin).
     pub fn add_node(&mut self, id: &str, type_name: &str) -> Result<(), EditError> {
         good_id(id)?;

@@ -197,3 +197,18 @@ fn a_copy_stands_behind_the_last_node_and_before_what_follows() {
     assert!(edit.text().ends_with("\n[preset]\npinned = []\n"), "{}", edit.text());
     assert!(edit.duplicate_node("a", "b").is_err() && edit.duplicate_node("z", "c").is_err());
 }
+
+#[test]
+fn nodes_of_another_file_are_pasted_under_new_names() {
+    let from = GraphEdit::parse(
+        "[nodes.a]\ntype = \"t\" # one\n[nodes.b]\ntype = \"u\"\ninputs = { x = \"a.p\", y = \"z.q\" }\n",
+    )
+    .unwrap();
+    assert_eq!(from.node_names(), ["a", "b"]);
+    let mut edit = GraphEdit::parse("[nodes.a]\ntype = \"t\"\n").unwrap();
+    let names = [("a", "a_2"), ("b", "b")].map(|(old, new)| (old.to_owned(), new.to_owned()));
+    edit.paste_nodes(&from, &names).unwrap();
+    let expected = "[nodes.a]\ntype = \"t\"\n\n[nodes.a_2]\ntype = \"t\" # one\n\n[nodes.b]\ntype = \"u\"\ninputs = { x = \"a_2.p\", y = \"z.q\" }\n";
+    assert_eq!(edit.text(), expected);
+    assert!(edit.paste_nodes(&from, &names).is_err());
+}

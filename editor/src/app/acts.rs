@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use eframe::egui::{Context, Key, Modifiers, vec2};
+use eframe::egui::{Context, Event, Key, Modifiers, vec2};
 
 use super::App;
 use crate::actions::Action;
@@ -176,6 +176,36 @@ impl App {
                 self.grant(&node, Wish::Input { input, index: usize::MAX, from: Some(from) })
             }
             Picked::Go(id) => self.canvas.show_node(&self.document.view().clone(), &id),
+        }
+    }
+
+    /// Copies, cuts and pastes nodes as text.
+    pub(super) fn clipboard(&mut self, ctx: &Context, typing: bool) {
+        if typing {
+            return;
+        }
+        let events = ctx.input(|i| i.events.clone());
+        for event in events {
+            match event {
+                Event::Copy | Event::Cut if !self.canvas.selected.is_empty() => {
+                    let nodes: Vec<String> = self.canvas.selected.iter().cloned().collect();
+                    let result = ops::copy(&self.document, &nodes);
+                    if let Some(text) = self.try_edit(result) {
+                        ctx.copy_text(text);
+                        if event == Event::Cut {
+                            self.delete();
+                        }
+                    }
+                }
+                Event::Paste(text) => {
+                    let at = self.canvas.middle();
+                    let result = ops::paste(&mut self.document, &text, (at.x, at.y));
+                    if let Some(names) = self.try_edit(result) {
+                        self.canvas.selected = names.into_iter().collect();
+                    }
+                }
+                _ => {}
+            }
         }
     }
 

@@ -183,6 +183,7 @@ impl App {
             for action in ctx.input_mut(|input| actions::pressed(input, typing)) {
                 self.act(action);
             }
+            self.clipboard(&ctx, typing);
             self.arrows(&ctx, typing);
         }
         if ctx.input(|i| i.pointer.any_released()) {
@@ -221,8 +222,8 @@ impl App {
             .show(ui, |ui| top::show(ui, &self.document, status, &counters, self.switches));
         asked.inner.into_iter().for_each(|action| self.act(action));
         self.conflict_bar(ui);
-        self.below(ui, status, &counters);
         self.side(ui, &counters);
+        self.below(ui, status, &counters);
         let view = self.document.view().clone();
         let trouble = status.trouble.as_ref().and_then(|t| Some((t.node.as_deref()?, t.words.as_str())));
         CentralPanel::no_frame().show(ui, |ui| {
@@ -325,6 +326,7 @@ impl App {
                 ui.add_space(2.0 * theme::STEP);
                 let keys = actions::ALL.iter().map(|(action, .., words)| (actions::key_words(*action), *words));
                 let more = [
+                    ("Ctrl+C, X, V", "Copy, cut, paste nodes as text"),
                     ("1 to 9", "Recall what was looked at"),
                     ("Ctrl and +, -, 0", "Size of everything"),
                     ("Arrows", "Move the view"),

@@ -18,7 +18,7 @@ impl App {
             script.iter().for_each(|step| self.play(step));
         }
         if self.panning {
-            let side = if self.cost.2 / 60 % 2 == 0 { 4.0 } else { -4.0 };
+            let side = if (self.cost.2 / 60).is_multiple_of(2) { 4.0 } else { -4.0 };
             self.canvas.pan_by(egui::vec2(side, side / 2.0));
             ctx.request_repaint();
         }

@@ -302,7 +302,9 @@ impl Canvas {
         let mut right = LayoutJob::default();
         let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
         if let Some(fault) = scene.counters.faults.get(this.id()) {
-            right.append(&format!("{} {}  ", c.faults.max(1), fault_word(fault)), 0.0, plain(theme::WARN));
+            let (count, word) = (c.faults.max(1), fault_word(fault));
+            let plural = if count > 1 { "s" } else { "" };
+            right.append(&format!("{count} {word}{plural}  "), 0.0, plain(theme::WARN));
         }
         if c.dropped > 0 {
             right.append(&format!("{} drops  ", c.dropped), 0.0, plain(theme::WARN));
@@ -371,9 +373,8 @@ fn fault_word(fault: &panoscope_runtime::fault::Fault) -> &'static str {
     match fault.cause {
         Cause::Panic => "panic",
         Cause::Hang => "hang",
-        Cause::Slow => "slow",
+        Cause::Slow => "slow call",
         Cause::Leak => "leak",
-        Cause::Silent => "silent",
         _ => "fault",
     }
 }
