@@ -24,10 +24,13 @@ struct Arguments {
     /// Writes a picture of the window (PNG or JPEG) and ends.
     #[arg(long, value_name = "FILE")]
     screenshot: Option<PathBuf>,
-    /// Seconds until the screenshot is taken.
-    #[arg(long, default_value_t = 3.0, requires = "screenshot")]
+    /// Writes what the window and the graph cost (JSON) and ends.
+    #[arg(long, value_name = "FILE.json", conflicts_with = "screenshot")]
+    measure: Option<PathBuf>,
+    /// Seconds until the screenshot is taken, or the costs are written.
+    #[arg(long, default_value_t = 3.0)]
     after: f64,
-    /// Does something before the screenshot: an action's name such as `heat`, `select:NODE`, `view:NODE.PORT`. May be given again.
+    /// Does something before that: an action's name such as `heat`, `select:NODE`, `view:NODE.PORT`. May be given again.
     #[arg(long = "do", value_name = "ACTION")]
     actions: Vec<String>,
 }
@@ -65,6 +68,7 @@ fn run(arguments: &Arguments) -> i32 {
         frames: arguments.frames,
         scale: arguments.scale,
         screenshot: arguments.screenshot.clone().map(|file| (file, arguments.after)),
+        measure: arguments.measure.clone().map(|file| (file, arguments.after)),
         script: arguments.actions.clone(),
     };
     let name = arguments.graph.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());

@@ -187,7 +187,11 @@ impl Eye {
             self.generation = generation;
             self.views.clear();
         }
-        self.views.retain(|output, _| wanted.contains_key(output));
+        let gone: Vec<Output> = self.views.keys().filter(|o| !wanted.contains_key(*o)).cloned().collect();
+        for output in gone {
+            self.views.remove(&output);
+            engine.end_previews(&output.node);
+        }
         let mut news = false;
         for (output, want) in wanted {
             if !self.views.contains_key(&output) {

@@ -1,7 +1,7 @@
 //! What a user does to a graph, as edits of its text. No egui here. Each is one step of history.
 
-use panoscope_graph::NodeType;
-use panoscope_graph::edit::EditError;
+use panoscope_graph::edit::{EditError, GraphEdit};
+use panoscope_graph::{GraphText, NodeType};
 
 use crate::document::{Document, View, Wire};
 use crate::observe::Output;
@@ -53,10 +53,14 @@ pub fn remove(doc: &mut Document, nodes: &[String]) -> Result<(), EditError> {
 
 /// A name that no node has yet: `base`, `base_2`, ...
 pub fn free_name(view: &View, base: &str) -> String {
-    let base = base.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('_');
-    let base = if base.is_empty() { "node" } else { base };
     let mut names = std::iter::once(base.to_owned()).chain((2..).map(|k| format!("{base}_{k}")));
     names.find(|name| view.node(name).is_none()).unwrap_or_default()
+}
+
+/// A name without the number at its end.
+fn stem(name: &str) -> &str {
+    let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
+    if stem.len() < name.len() && stem.ends_with('_') { stem.trim_end_matches('_') } else { name }
 }
 
 /// Copies nodes beside themselves; answers the copies' names. Wires among them join the copies; others go where they went.
@@ -64,13 +68,8 @@ pub fn duplicate(doc: &mut Document, nodes: &[(String, (f32, f32))]) -> Result<V
     let view = doc.view().clone();
     let mut copies: Vec<(String, String)> = Vec::new();
     for (id, _) in nodes {
-        let mut copy = free_name(&view, id);
-        let mut k = 2;
-        while copies.iter().any(|(_, c)| *c == copy) {
-            k += 1;
-            copy = free_name(&view, &format!("{}_{k}_", id.trim_end_matches(|c: char| c.is_ascii_digit() || c == '_')));
-            copy = format!("{copy}_{k}");
-        }
+        let taken = |name: &str| view.node(name).is_some() || copies.iter().any(|(_, copy)| copy == name);
+        let copy = (2..).map(|k| format!("{}_{k}", stem(id))).find(|name| !taken(name)).unwrap_or_default();
         copies.push((id.clone(), copy));
     }
     let copy_of = |id: &str| copies.iter().find(|(old, _)| old == id).map(|(_, new)| new.as_str());
@@ -89,6 +88,42 @@ pub fn duplicate(doc: &mut Document, nodes: &[(String, (f32, f32))]) -> Result<V
         Ok(())
     })?;
     Ok(copies.into_iter().map(|(_, copy)| copy).collect())
+}
+
+/// Nodes as text that can be pasted into this graph or another one.
+pub fn copy(doc: &Document, nodes: &[String]) -> Result<String, EditError> {
+    let whole = GraphEdit::parse(doc.text())?;
+    let mut part = GraphEdit::parse("")?;
+    let view = doc.view();
+    for node_type in nodes.iter().filter_map(|id| view.nodes[view.node(id)?].node_type.as_ref()) {
+        part.add_plugin(&node_type.plugin)?;
+    }
+    let same: Vec<(String, String)> = nodes.iter().map(|id| (id.clone(), id.clone())).collect();
+    part.paste_nodes(&whole, &same)?;
+    Ok(part.text())
+}
+
+/// Adds nodes that were copied as text, around a place; answers their names.
+pub fn paste(doc: &mut Document, text: &str, at: (f32, f32)) -> Result<Vec<String>, EditError> {
+    let view = doc.view().clone();
+    let part = GraphEdit::parse(text)?;
+    let mut names: Vec<(String, String)> = Vec::new();
+    for id in part.node_names() {
+        let taken = |name: &str| view.node(name).is_some() || names.iter().any(|(_, new)| new == name);
+        let others = (2..).map(|k| format!("{}_{k}", stem(&id)));
+        let new = std::iter::once(id.clone()).chain(others).find(|name| !taken(name)).unwrap_or_default();
+        names.push((id, new));
+    }
+    let plugins = GraphText::parse("pasted".as_ref(), text).plugins();
+    doc.edit("paste", None, |edit| {
+        plugins.iter().try_for_each(|plugin| edit.add_plugin(plugin))?;
+        edit.paste_nodes(&part, &names)?;
+        for (k, (_, new)) in names.iter().enumerate() {
+            edit.set_position(new, f64::from(at.0) + 240.0 * k as f64, f64::from(at.1));
+        }
+        Ok(())
+    })?;
+    Ok(names.into_iter().map(|(_, new)| new).collect())
 }
 
 /// The input of a node that may take the place of its output: same packets, connected.
@@ -136,8 +171,8 @@ pub fn bypass(doc: &mut Document, id: &str) -> Result<Vec<Detour>, String> {
     Ok(detours)
 }
 
-/// Takes a bypass back, where its wires are as it left them.
-pub fn end_bypass(doc: &mut Document, id: &str, detours: &[Detour]) -> Result<(), EditError> {
+/// Takes a bypass back, where its wires are as it left them; answers whether any was.
+pub fn end_bypass(doc: &mut Document, id: &str, detours: &[Detour]) -> Result<bool, EditError> {
     let view = doc.view().clone();
     let still = |d: &&Detour| {
         let at = view.node(&d.to.0);
@@ -147,7 +182,8 @@ pub fn end_bypass(doc: &mut Document, id: &str, detours: &[Detour]) -> Result<()
         })
     };
     let back: Vec<&Detour> = detours.iter().filter(still).collect();
-    lead(doc, &format!("end bypass of {id}"), back.iter().map(|d| (&d.to, &d.was)))
+    lead(doc, &format!("end bypass of {id}"), back.iter().map(|d| (&d.to, &d.was)))?;
+    Ok(!back.is_empty())
 }
 
 fn lead<'d>(

@@ -49,7 +49,9 @@ pub enum Picked {
 
 /// All node types of this machine, gathered on a thread of their own: loading a plugin takes time.
 #[derive(Clone, Default)]
-pub struct Types(Arc<Mutex<Option<Arc<Vec<Arc<NodeType>>>>>>);
+pub struct Types(Arc<Mutex<Option<TypeList>>>);
+
+type TypeList = Arc<Vec<Arc<NodeType>>>;
 
 impl Types {
     /// Gathers them and calls `done`.
@@ -65,7 +67,7 @@ impl Types {
         let _ = std::thread::Builder::new().name("types".to_owned()).spawn(gather);
     }
 
-    fn get(&self) -> Option<Arc<Vec<Arc<NodeType>>>> {
+    fn get(&self) -> Option<TypeList> {
         lock(&self.0).clone()
     }
 }
@@ -190,7 +192,9 @@ impl Palette {
                             }
                         }
                         if order.is_empty() {
-                            ui.label(RichText::new("nothing fits").color(theme::MUTED));
+                            let reading = matches!(self.purpose, Purpose::Add { .. }) && types.get().is_none();
+                            let words = if reading { "reading the plugins" } else { "nothing fits" };
+                            ui.label(RichText::new(words).color(theme::MUTED));
                         }
                     },
                 );

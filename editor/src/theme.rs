@@ -85,7 +85,7 @@ pub fn pin_shape(name: &str) -> PinShape {
 
 /// From calm to hot, for the heat map; `share` 0..=1.
 pub fn heat(share: f32) -> Color32 {
-    let stops = [rgb(0x20262E), rgb(0x5B4B2A), rgb(0xB5762A), rgb(0xEE7733)];
+    let stops = [rgb(0x20262E), rgb(0x413A2C), rgb(0x6B4A22), rgb(0x9A4A1C)];
     let x = share.clamp(0.0, 1.0) * (stops.len() - 1) as f32;
     let i = (x as usize).min(stops.len() - 2);
     stops[i].lerp_to_gamma(stops[i + 1], x - i as f32)

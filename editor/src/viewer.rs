@@ -112,6 +112,11 @@ impl Viewer {
                 self.both(ui, &painter, inner, (&a, texture), &b, shown);
             }
         }
+        if let Some(age) = shown.stale(&a.output) {
+            let at = room.center_top() + vec2(0.0, 16.0);
+            let words = format!("nothing new for {} s", age.as_secs());
+            painter.text(at, Align2::CENTER_TOP, words, FontId::proportional(18.0), theme::WARN);
+        }
         self.bar(ui, rect, shown, &a, others);
         self.foot(ui, rect);
         for digit in 1..=RECENT {

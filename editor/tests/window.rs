@@ -161,7 +161,9 @@ fn a_node_is_bypassed_and_put_back() {
     window.select("mean");
     window.key(NONE, Key::B);
     window.settled();
-    assert!(window.app().document().text().contains("[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"b.image\" }"));
+    assert!(
+        window.app().document().text().contains("[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"b.image\" }")
+    );
     window.select("mean");
     window.key(NONE, Key::B);
     window.settled();

@@ -73,14 +73,12 @@ impl GraphEdit {
 
     /// Sets a parameter of a node, keeping a comment behind the old value.
     pub fn set_param(&mut self, id: &str, param: &str, value: &toml::Value) -> Result<(), EditError> {
-        let value = edit_value(value);
-        set(self.table_of(id, "params")?, param, value);
-        Ok(())
+        self.put(id, "params", param, edit_value(value))
     }
 
     /// Removes a parameter, so that its default holds again. Nothing happens when it is not there.
     pub fn unset_param(&mut self, id: &str, param: &str) -> Result<(), EditError> {
-        self.table_of(id, "params")?.remove(param);
+        self.take(id, "params", param)?;
         self.drop_if_empty(id, "params")
     }
 
@@ -90,13 +88,12 @@ impl GraphEdit {
             [one] => EditValue::from(*one),
             several => EditValue::Array(several.iter().copied().collect::<Array>()),
         };
-        set(self.table_of(id, "inputs")?, input, value);
-        Ok(())
+        self.put(id, "inputs", input, value)
     }
 
     /// Disconnects an input. Nothing happens when it is not there.
     pub fn remove_input(&mut self, id: &str, input: &str) -> Result<(), EditError> {
-        self.table_of(id, "inputs")?.remove(input);
+        self.take(id, "inputs", input)?;
         self.drop_if_empty(id, "inputs")
     }
 
@@ -107,9 +104,7 @@ impl GraphEdit {
             if !list {
                 return self.set_input(id, input, &[from]);
             }
-            let one = EditValue::Array(std::iter::once(from).collect::<Array>());
-            set(self.table_of(id, "inputs")?, input, one);
-            return Ok(());
+            return self.put(id, "inputs", input, EditValue::Array(std::iter::once(from).collect::<Array>()));
         };
         if let Some(array) = item.as_array_mut() {
             match array.get_mut(index) {
@@ -135,7 +130,11 @@ impl GraphEdit {
             && array.len() > 1
         {
             if index < array.len() {
-                array.remove(index);
+                let gone = array.remove(index);
+                // The list begins as it began.
+                if let Some(first) = array.get_mut(0).filter(|_| index == 0) {
+                    first.decor_mut().set_prefix(gone.decor().prefix().cloned().unwrap_or_default());
+                }
             }
             return Ok(());
         }
@@ -157,6 +156,44 @@ impl GraphEdit {
         }
         nodes.insert(copy, item);
         Ok(())
+    }
+
+    /// Adds nodes of another file under the names given, behind the last one. What they read of each other they read of the copies; other
+    /// connections stay as they are written.
+    pub fn paste_nodes(&mut self, from: &GraphEdit, names: &[(String, String)]) -> Result<(), EditError> {
+        for (old, new) in names {
+            good_id(new)?;
+            let last = self.last_node_position();
+            let nodes = self.nodes()?;
+            if nodes.contains_key(new) {
+                return Err(EditError::NodeExists { id: new.clone() });
+            }
+            let mut item = from
+                .document
+                .get("nodes")
+                .and_then(|n| n.get(old))
+                .cloned()
+                .ok_or_else(|| EditError::NoNode { id: old.clone() })?;
+            if let Item::Table(table) = &mut item {
+                place_at(table, last);
+                table.decor_mut().set_prefix(if last.is_some() { "\n" } else { "" });
+            }
+            nodes.insert(new, item);
+        }
+        for (_, new) in names {
+            if let Some(inputs) = self.node(new)?.get_mut("inputs").and_then(Item::as_table_like_mut) {
+                for (_, item) in inputs.iter_mut() {
+                    names.iter().for_each(|(old, new)| rename_references(item, old, new));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Names of the nodes, in file order.
+    pub fn node_names(&self) -> Vec<String> {
+        let nodes = self.document.get("nodes").and_then(Item::as_table_like);
+        nodes.into_iter().flat_map(|n| n.iter()).map(|(id, _)| id.to_owned()).collect()
     }
 
     /// Adds a node behind the last one. Its plugin is not added to `plugins`; see [`add_plugin`](Self::add_plugin).
@@ -286,6 +323,37 @@ impl GraphEdit {
         node.get_mut(part)
             .and_then(Item::as_table_like_mut)
             .ok_or_else(|| EditError::Shape { place: format!("nodes.{id}.{part}"), expected: "a table" })
+    }
+
+    /// Sets an entry of `inputs` or `params`. The space before the closing brace stays there when an entry is added.
+    fn put(&mut self, id: &str, part: &str, key: &str, mut value: EditValue) -> Result<(), EditError> {
+        self.table_of(id, part)?;
+        if let Some(inline) = self.node(id)?.get_mut(part).and_then(Item::as_inline_table_mut)
+            && !inline.contains_key(key)
+            && let Some((_, last)) = inline.iter_mut().last()
+        {
+            let space = last.decor().suffix().cloned().unwrap_or_default();
+            last.decor_mut().set_suffix("");
+            *value.decor_mut() = toml_edit::Decor::new(" ", space);
+        }
+        set(self.table_of(id, part)?, key, value);
+        Ok(())
+    }
+
+    /// Removes an entry of `inputs` or `params`; the space before the closing brace stays there.
+    fn take(&mut self, id: &str, part: &str, key: &str) -> Result<(), EditError> {
+        self.table_of(id, part)?;
+        if let Some(inline) = self.node(id)?.get_mut(part).and_then(Item::as_inline_table_mut)
+            && inline.iter().last().is_some_and(|(last, _)| last == key)
+            && let Some(gone) = inline.remove(key)
+        {
+            if let Some((_, last)) = inline.iter_mut().last() {
+                last.decor_mut().set_suffix(gone.decor().suffix().cloned().unwrap_or_default());
+            }
+            return Ok(());
+        }
+        self.table_of(id, part)?.remove(key);
+        Ok(())
     }
 
     fn drop_if_empty(&mut self, id: &str, part: &str) -> Result<(), EditError> {

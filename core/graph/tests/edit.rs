@@ -168,3 +168,47 @@ fn an_empty_file_can_be_filled() {
     assert_eq!(graph.edges.len(), 1);
     assert!(matches!(GraphEdit::parse("= 3"), Err(EditError::Syntax { .. })));
 }
+
+#[test]
+fn one_place_of_an_input_is_connected_and_disconnected() {
+    let text = "[nodes.a]\ntype = \"t\"\n[nodes.b]\ntype = \"u\" # mine\ninputs = { x = { from = \"a.p\", delay = 1 }, l = [\"a.p\", { from = \"a.q\", queue = 2 }] }\n";
+    let mut edit = GraphEdit::parse(text).unwrap();
+    edit.connect("b", "x", false, 0, "a.r").unwrap();
+    edit.connect("b", "l", true, 1, "a.s").unwrap();
+    edit.connect("b", "l", true, 2, "a.t").unwrap();
+    edit.connect("b", "n", true, 0, "a.u").unwrap();
+    let expected = "inputs = { x = { from = \"a.r\", delay = 1 }, l = [\"a.p\", { from = \"a.s\", queue = 2 }, \"a.t\"], n = [\"a.u\"] }\n";
+    assert!(edit.text().ends_with(expected), "{}", edit.text());
+    edit.disconnect("b", "l", 0).unwrap();
+    edit.disconnect("b", "n", 0).unwrap();
+    edit.disconnect("b", "x", 0).unwrap();
+    edit.disconnect("b", "none", 0).unwrap();
+    let expected = "type = \"u\" # mine\ninputs = { l = [{ from = \"a.s\", queue = 2 }, \"a.t\"] }\n";
+    assert!(edit.text().ends_with(expected), "{}", edit.text());
+}
+
+#[test]
+fn a_copy_stands_behind_the_last_node_and_before_what_follows() {
+    let text = "[nodes.a]\ntype = \"t\"\n\n[nodes.a.params]\nx = 1 # one\n\n[preset]\npinned = []\n";
+    let mut edit = GraphEdit::parse(text).unwrap();
+    edit.duplicate_node("a", "b").unwrap();
+    let copy = "[nodes.b]\ntype = \"t\"\n\n[nodes.b.params]\nx = 1 # one\n";
+    assert!(edit.text().contains(copy), "{}", edit.text());
+    assert!(edit.text().ends_with("\n[preset]\npinned = []\n"), "{}", edit.text());
+    assert!(edit.duplicate_node("a", "b").is_err() && edit.duplicate_node("z", "c").is_err());
+}
+
+#[test]
+fn nodes_of_another_file_are_pasted_under_new_names() {
+    let from = GraphEdit::parse(
+        "[nodes.a]\ntype = \"t\" # one\n[nodes.b]\ntype = \"u\"\ninputs = { x = \"a.p\", y = \"z.q\" }\n",
+    )
+    .unwrap();
+    assert_eq!(from.node_names(), ["a", "b"]);
+    let mut edit = GraphEdit::parse("[nodes.a]\ntype = \"t\"\n").unwrap();
+    let names = [("a", "a_2"), ("b", "b")].map(|(old, new)| (old.to_owned(), new.to_owned()));
+    edit.paste_nodes(&from, &names).unwrap();
+    let expected = "[nodes.a]\ntype = \"t\"\n\n[nodes.a_2]\ntype = \"t\" # one\n\n[nodes.b]\ntype = \"u\"\ninputs = { x = \"a_2.p\", y = \"z.q\" }\n";
+    assert_eq!(edit.text(), expected);
+    assert!(edit.paste_nodes(&from, &names).is_err());
+}

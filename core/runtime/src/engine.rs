@@ -438,6 +438,17 @@ impl Engine {
         Some(preview)
     }
 
+    /// After previews of a node were dropped: outputs that nobody reads any more are not made any more. While the graph is being changed
+    /// nothing happens, so that nobody waits here. Not to be called while another thread calls [`Self::preview`].
+    pub fn end_previews(&self, node: &str) {
+        let Ok(_change) = self.change.try_lock() else { return };
+        let current = self.current.load();
+        if let Some((index, cell)) = self.cell(&current, node) {
+            let read = plan::outputs_read(&current.graph, index) | cell.taps.bits();
+            cell.outputs_read.store(read, Ordering::Relaxed);
+        }
+    }
+
     /// Newest log lines: level, node, words.
     pub fn recent_log(&self) -> Vec<(Level, String, String)> {
         self.shared.around.log.recent()

@@ -47,7 +47,7 @@ impl Taps {
     /// Which outputs are looked at, one bit each.
     pub fn bits(&self) -> u64 {
         let ports = lock(&self.ports);
-        let looked_at = ports.iter().enumerate().filter(|(_, readers)| !readers.is_empty());
+        let looked_at = ports.iter().enumerate().filter(|(_, readers)| readers.iter().any(|r| r.strong_count() > 0));
         looked_at.fold(0, |bits, (port, _)| bits | 1u64.checked_shl(port as u32).unwrap_or(0))
     }
 

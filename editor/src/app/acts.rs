@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use eframe::egui::{Context, Key, Modifiers, vec2};
+use eframe::egui::{Context, Event, Key, Modifiers, vec2};
 
 use super::App;
 use crate::actions::Action;
@@ -179,6 +179,36 @@ impl App {
         }
     }
 
+    /// Copies, cuts and pastes nodes as text.
+    pub(super) fn clipboard(&mut self, ctx: &Context, typing: bool) {
+        if typing {
+            return;
+        }
+        let events = ctx.input(|i| i.events.clone());
+        for event in events {
+            match event {
+                Event::Copy | Event::Cut if !self.canvas.selected.is_empty() => {
+                    let nodes: Vec<String> = self.canvas.selected.iter().cloned().collect();
+                    let result = ops::copy(&self.document, &nodes);
+                    if let Some(text) = self.try_edit(result) {
+                        ctx.copy_text(text);
+                        if event == Event::Cut {
+                            self.delete();
+                        }
+                    }
+                }
+                Event::Paste(text) => {
+                    let at = self.canvas.middle();
+                    let result = ops::paste(&mut self.document, &text, (at.x, at.y));
+                    if let Some(names) = self.try_edit(result) {
+                        self.canvas.selected = names.into_iter().collect();
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
     /// Arrow keys move the view.
     pub(super) fn arrows(&mut self, ctx: &Context, typing: bool) {
         if typing || ctx.memory(|m| m.focused().is_some()) {
@@ -248,18 +278,17 @@ impl App {
 
     fn bypass(&mut self) {
         for id in self.canvas.selected.clone() {
-            match self.detours.remove(&id) {
-                Some(detours) => {
-                    let result = ops::end_bypass(&mut self.document, &id, &detours);
-                    self.try_edit(result);
+            if let Some(detours) = self.detours.remove(&id) {
+                let result = ops::end_bypass(&mut self.document, &id, &detours);
+                // A bypass that was undone already is begun anew.
+                if self.try_edit(result) != Some(false) {
+                    continue;
                 }
-                None => {
-                    let result = ops::bypass(&mut self.document, &id);
-                    if let Some(detours) = self.try_edit(result) {
-                        self.tell(format!("{id} is bypassed"), false);
-                        self.detours.insert(id, detours);
-                    }
-                }
+            }
+            let result = ops::bypass(&mut self.document, &id);
+            if let Some(detours) = self.try_edit(result) {
+                self.tell(format!("{id} is bypassed"), false);
+                self.detours.insert(id, detours);
             }
         }
     }

@@ -3,7 +3,7 @@
 mod acts;
 mod shot;
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -43,7 +43,9 @@ pub struct Options {
     pub scale: f32,
     /// File of a screenshot, and the seconds until it is taken.
     pub screenshot: Option<(PathBuf, f64)>,
-    /// What is done before the screenshot.
+    /// File for what the window costs, and the seconds until it is written.
+    pub measure: Option<(PathBuf, f64)>,
+    /// What is done before that.
     pub script: Vec<String>,
 }
 
@@ -68,12 +70,14 @@ pub struct App {
     disk: DiskWatch,
     /// The file's new text, when it and ours have both changed.
     conflict: Option<String>,
+    /// The view moves with every frame, to be measured.
+    panning: bool,
     note: Option<(String, bool, Instant)>,
     asked: u64,
     options: Options,
     start: Instant,
-    /// CPU time of the window's thread, ms, and frames drawn.
-    pub(crate) cost: (f64, u64),
+    /// CPU time of the window's thread at the first frame and now, ms, and frames drawn since: drawing by egui and by the graphics driver included.
+    pub(crate) cost: (f64, f64, u64),
 }
 
 impl App {
@@ -108,11 +112,12 @@ impl App {
             detours: HashMap::new(),
             disk: DiskWatch::new(path),
             conflict: None,
+            panning: false,
             note: None,
             asked: 1,
             options,
             start: Instant::now(),
-            cost: (0.0, 0),
+            cost: (0.0, 0.0, 0),
             session,
         })
     }
@@ -139,7 +144,8 @@ impl App {
 
     /// Mean CPU time of the window's thread per frame in ms, and frames drawn so far.
     pub fn cost(&self) -> (f64, u64) {
-        (self.cost.0 / self.cost.1.max(1) as f64, self.cost.1)
+        let (first, last, frames) = self.cost;
+        ((last - first) / frames.max(1) as f64, frames)
     }
 
     /// Tells the user something for a while.
@@ -163,7 +169,7 @@ impl App {
 
     /// Draws a frame.
     pub fn ui(&mut self, ui: &mut Ui) {
-        let began = thread_cpu_ms();
+        self.count_frame();
         let ctx = ui.ctx().clone();
         let status = self.session.status();
         self.document.set_loader(self.session.loader());
@@ -177,6 +183,7 @@ impl App {
             for action in ctx.input_mut(|input| actions::pressed(input, typing)) {
                 self.act(action);
             }
+            self.clipboard(&ctx, typing);
             self.arrows(&ctx, typing);
         }
         if ctx.input(|i| i.pointer.any_released()) {
@@ -188,9 +195,22 @@ impl App {
         self.follow();
         self.want();
         ctx.request_repaint_after(DiskWatch::INTERVAL);
+        self.play_script(&ctx);
         self.picture_of_window(&ctx);
-        self.cost.0 += thread_cpu_ms() - began;
-        self.cost.1 += 1;
+        self.measure(&ctx);
+    }
+
+    /// Left out of what is measured.
+    const WARM_UP: Duration = Duration::from_secs(2);
+
+    fn count_frame(&mut self) {
+        let now = thread_cpu_ms();
+        // The first seconds are for start-up: fonts, shaders, first textures.
+        if self.start.elapsed() < Self::WARM_UP {
+            self.cost = (now, now, 0);
+        } else {
+            (self.cost.1, self.cost.2) = (now, self.cost.2 + 1);
+        }
     }
 
     fn panels(&mut self, ui: &mut Ui, status: &Status) {
@@ -202,8 +222,8 @@ impl App {
             .show(ui, |ui| top::show(ui, &self.document, status, &counters, self.switches));
         asked.inner.into_iter().for_each(|action| self.act(action));
         self.conflict_bar(ui);
-        self.below(ui, status, &counters);
         self.side(ui, &counters);
+        self.below(ui, status, &counters);
         let view = self.document.view().clone();
         let trouble = status.trouble.as_ref().and_then(|t| Some((t.node.as_deref()?, t.words.as_str())));
         CentralPanel::no_frame().show(ui, |ui| {
@@ -303,21 +323,27 @@ impl App {
             let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
             let shown = modal.frame(frame).show(ctx, |ui| {
                 ui.label(RichText::new("Keys").size(16.0));
-                egui::Grid::new("keys").num_columns(2).spacing([32.0, 6.0]).show(ui, |ui| {
-                    for (action, .., words) in actions::ALL {
-                        ui.label(RichText::new(actions::key_words(*action)).color(theme::ACCENT));
-                        ui.label(*words);
-                        ui.end_row();
-                    }
-                    for (key, words) in [
-                        ("1 to 9", "Recall what was looked at, in the big picture"),
-                        ("Ctrl and +, -, 0", "Size of everything"),
-                        ("Arrows", "Move the view"),
-                        ("Shift and drag", "Select with a frame"),
-                    ] {
-                        ui.label(RichText::new(key).color(theme::ACCENT));
-                        ui.label(words);
-                        ui.end_row();
+                ui.add_space(2.0 * theme::STEP);
+                let keys = actions::ALL.iter().map(|(action, .., words)| (actions::key_words(*action), *words));
+                let more = [
+                    ("Ctrl+C, X, V", "Copy, cut, paste nodes as text"),
+                    ("1 to 9", "Recall what was looked at"),
+                    ("Ctrl and +, -, 0", "Size of everything"),
+                    ("Arrows", "Move the view"),
+                    ("Shift and drag", "Select with a frame"),
+                    ("Double click", "Add a node there"),
+                ];
+                let all: Vec<_> = keys.chain(more.map(|(key, words)| (key.to_owned(), words))).collect();
+                ui.horizontal_top(|ui| {
+                    for (side, part) in all.chunks(all.len().div_ceil(2)).enumerate() {
+                        egui::Grid::new(("keys", side)).num_columns(2).spacing([24.0, 6.0]).show(ui, |ui| {
+                            for (key, words) in part {
+                                ui.label(RichText::new(key).color(theme::ACCENT));
+                                ui.label(*words);
+                                ui.end_row();
+                            }
+                        });
+                        ui.add_space(6.0 * theme::STEP);
                     }
                 });
             });
@@ -411,8 +437,8 @@ impl App {
         {
             want(&output, &packet, if is_pictorial(&packet) { THUMBNAIL } else { 1 });
         }
-        let outputs: HashSet<Output> = wanted.keys().cloned().collect();
-        self.shown.keep(|output| outputs.contains(output));
+        let view = self.document.view();
+        self.shown.keep(|output| wanted.contains_key(output) || view.node(&output.node).is_some());
         self.observer.want(wanted);
     }
 }

@@ -234,7 +234,17 @@ impl Canvas {
                 let fit = (frame.width() / size.x).min(frame.height() / size.y);
                 let inner = Rect::from_center_size(frame.center(), size * fit);
                 let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
-                painter.image(texture, inner, whole, Color32::WHITE);
+                let stale = scene.shown.stale(output);
+                painter.image(
+                    texture,
+                    inner,
+                    whole,
+                    if stale.is_some() { Color32::from_gray(96) } else { Color32::WHITE },
+                );
+                if let Some(age) = stale.filter(|_| scene.running && scale >= DETAIL) {
+                    let words = format!("{} s old", age.as_secs());
+                    painter.text(frame.center(), Align2::CENTER_CENTER, words, self.font(13.0), theme::WARN);
+                }
             }
             None if scale < DETAIL => {}
             None => {
@@ -289,16 +299,12 @@ impl Canvas {
             return;
         }
         let Some(c) = scene.counters.nodes.get(this.id()) else { return };
-        let left = if c.fps > 0.0 {
-            format!("{} · p99 {}", time_words(c.p50_ms), time_words(c.p99_ms))
-        } else {
-            "at rest".to_owned()
-        };
-        painter.text(rect.left_center(), Align2::LEFT_CENTER, left, font.clone(), theme::MUTED);
         let mut right = LayoutJob::default();
         let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
         if let Some(fault) = scene.counters.faults.get(this.id()) {
-            right.append(&format!("{} {}  ", c.faults.max(1), fault_word(fault)), 0.0, plain(theme::WARN));
+            let (count, word) = (c.faults.max(1), fault_word(fault));
+            let plural = if count > 1 { "s" } else { "" };
+            right.append(&format!("{count} {word}{plural}  "), 0.0, plain(theme::WARN));
         }
         if c.dropped > 0 {
             right.append(&format!("{} drops  ", c.dropped), 0.0, plain(theme::WARN));
@@ -307,12 +313,20 @@ impl Canvas {
             right.append(&format!("age {}  ", time_words(age)), 0.0, plain(theme::MUTED));
         }
         right.append(&format!("{:.0} fps", c.fps), 0.0, plain(theme::TEXT));
-        let galley = painter.layout_job(right);
-        painter.galley(
-            pos2(rect.right() - galley.size().x, rect.center().y - galley.size().y / 2.0),
-            galley,
-            theme::TEXT,
-        );
+        let right = painter.layout_job(right);
+        let middle = rect.center().y;
+        painter.galley(pos2(rect.right() - right.size().x, middle - right.size().y / 2.0), right.clone(), theme::TEXT);
+        // As much of the times as there is room for.
+        let p50 = time_words(c.p50_ms);
+        let lefts = match c.fps > 0.0 {
+            true => vec![format!("{p50} · p99 {}", time_words(c.p99_ms)), p50],
+            false => vec!["at rest".to_owned()],
+        };
+        let room = rect.width() - right.size().x - 8.0 * self.scale();
+        let galleys = lefts.into_iter().map(|words| painter.layout_no_wrap(words, font.clone(), theme::MUTED));
+        if let Some(left) = galleys.into_iter().find(|g| g.size().x <= room) {
+            painter.galley(pos2(rect.left(), middle - left.size().y / 2.0), left, theme::MUTED);
+        }
     }
 
     /// The wire or the frame that is being drawn.
@@ -359,9 +373,8 @@ fn fault_word(fault: &panoscope_runtime::fault::Fault) -> &'static str {
     match fault.cause {
         Cause::Panic => "panic",
         Cause::Hang => "hang",
-        Cause::Slow => "slow",
+        Cause::Slow => "slow call",
         Cause::Leak => "leak",
-        Cause::Silent => "silent",
         _ => "fault",
     }
 }

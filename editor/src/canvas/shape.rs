@@ -16,7 +16,7 @@ const WORDS: f32 = 52.0;
 const ROW: f32 = 20.0;
 const FOOTER: f32 = 28.0;
 const PAD: f32 = 8.0;
-/// Most outputs that are shown unconnected.
+/// Most optional inputs, and most outputs, that are shown unconnected.
 const MOST_FREE: usize = 3;
 
 /// One end of wires.
@@ -47,9 +47,9 @@ pub struct Shape {
     pub output: Option<(Output, String)>,
     /// Inputs, then outputs.
     pub pins: Vec<Pin>,
-    /// Outputs that are folded away.
+    /// Ports that are folded away.
     pub folded: usize,
-    /// Where the number of folded outputs stands.
+    /// Where the number of folded ports stands.
     pub fold: Option<Rect>,
     /// Times and rates.
     pub footer: Rect,
@@ -85,7 +85,7 @@ pub fn shown_output(view: &View, node: usize, chosen: Option<&str>) -> Option<(O
 }
 
 impl Shape {
-    /// Lays a node out. `unfolded` names nodes that show all their outputs.
+    /// Lays a node out. `unfolded` names nodes that show all their ports.
     pub fn of(view: &View, node: usize, unfolded: &HashSet<String>, chosen: Option<&str>) -> Self {
         let this = &view.nodes[node];
         let output = shown_output(view, node, chosen);
@@ -119,7 +119,7 @@ impl Shape {
     }
 }
 
-/// Pins of a node that are shown: inputs, outputs, and how many outputs are folded away.
+/// Pins of a node that are shown: inputs, outputs, and how many ports are folded away.
 fn ports(view: &View, node: usize, unfolded: bool) -> (Vec<Pin>, Vec<Pin>, usize) {
     let this = &view.nodes[node];
     let pin = |name: &str, packet: &str, input: bool| Pin {
@@ -140,11 +140,21 @@ fn ports(view: &View, node: usize, unfolded: bool) -> (Vec<Pin>, Vec<Pin>, usize
         }
         return (this.outline.inputs.iter().map(|i| pin(&i.port, "", true)).collect(), outputs, 0);
     };
-    let inputs = node_type.inputs.iter().map(|port| {
-        let connected = this.outline.inputs.iter().any(|i| i.port == port.name && !i.from.is_empty());
-        let (list, wanting) = (port.list, !port.optional && !connected);
-        Pin { list, wanting, ..pin(&port.name, &port.packet.name, true) }
+    let is_connected = |name: &str| this.outline.inputs.iter().any(|i| i.port == name && !i.from.is_empty());
+    let mut spare = MOST_FREE;
+    let seen = node_type.inputs.iter().filter(|port| {
+        let needed = unfolded || !port.optional || is_connected(&port.name);
+        let shown = needed || spare > 0;
+        spare -= usize::from(!needed && shown);
+        shown
     });
+    let inputs: Vec<Pin> = seen
+        .map(|port| {
+            let connected = is_connected(&port.name);
+            let (list, wanting) = (port.list, !port.optional && !connected);
+            Pin { list, wanting, ..pin(&port.name, &port.packet.name, true) }
+        })
+        .collect();
     let read = |name: &str| view.wires.iter().any(|w| w.from == node && w.output == name);
     let mut free = MOST_FREE.saturating_sub(node_type.outputs.iter().filter(|p| read(&p.name)).count());
     let mut outputs = Vec::new();
@@ -157,6 +167,6 @@ fn ports(view: &View, node: usize, unfolded: bool) -> (Vec<Pin>, Vec<Pin>, usize
             outputs.push(pin(&port.name, &port.packet.name, false));
         }
     }
-    let folded = node_type.outputs.len() - outputs.len();
-    (inputs.collect(), outputs, folded)
+    let folded = node_type.outputs.len() - outputs.len() + node_type.inputs.len() - inputs.len();
+    (inputs, outputs, folded)
 }

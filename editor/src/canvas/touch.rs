@@ -186,7 +186,7 @@ impl Canvas {
             if let Some(fold) = shape.fold {
                 let rect = transform * fold.translate(place.to_vec2());
                 let button = ui.interact(rect, Id::new(("fold", id)), Sense::click());
-                button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("All outputs of {id}")));
+                button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("All ports of {id}")));
                 if button.clicked() {
                     if !self.unfolded.remove(id) {
                         self.unfolded.insert(id.to_owned());

@@ -90,6 +90,8 @@ pub fn plots(ui: &mut Ui, counters: &Counters, selected: &[String]) {
         .allow_scroll(false)
         .x_axis_formatter(|mark, _| format!("{:.0} s", mark.value))
         .show_grid(true);
+    // The grid takes the text's colour.
+    ui.visuals_mut().override_text_color = Some(theme::MUTED.gamma_multiply(0.8));
     let shown = plot.show(ui, |plot| {
         for ((id, _), color) in nodes.iter().zip(COLORS) {
             let Some(history) = counters.history.get(*id) else { continue };

@@ -7,6 +7,7 @@ pub mod params;
 pub mod top;
 
 use std::collections::HashMap;
+use std::time::{Duration, Instant};
 
 use eframe::egui::{Color32, ColorImage, Context, TextureHandle, TextureId, TextureOptions, Vec2, vec2};
 
@@ -23,11 +24,15 @@ pub fn time_words(ms: f64) -> String {
     }
 }
 
+/// What is older is not live.
+const STALE: Duration = Duration::from_secs(2);
+
 /// An output as it was seen last.
 struct Seen {
     texture: Option<TextureHandle>,
     look: Look,
     pixels: Option<Pixels>,
+    at: Instant,
 }
 
 /// Pictures and words of the outputs that are looked at.
@@ -46,10 +51,11 @@ impl Shown {
     /// Takes new looks over; textures of the same size are written in place.
     pub fn update(&mut self, ctx: &Context, looks: HashMap<Output, Look>) {
         for (output, mut look) in looks {
-            let seen = self.seen.entry(output).or_insert_with_key(|_| Seen {
+            let seen = self.seen.entry(output).or_insert_with(|| Seen {
                 texture: None,
                 look: Look::default(),
                 pixels: None,
+                at: Instant::now(),
             });
             if let Some(pixels) = look.pixels.take() {
                 let image = image_of(&pixels);
@@ -62,10 +68,11 @@ impl Shown {
                 }
             }
             seen.look = look;
+            seen.at = Instant::now();
         }
     }
 
-    /// Forgets outputs that are not looked at any more.
+    /// Forgets outputs that are gone.
     pub fn keep(&mut self, wanted: impl Fn(&Output) -> bool) {
         self.seen.retain(|output, _| wanted(output));
     }
@@ -74,6 +81,11 @@ impl Shown {
     pub fn texture(&self, output: &Output) -> Option<(TextureId, Vec2)> {
         let texture = self.seen.get(output)?.texture.as_ref()?;
         Some((texture.id(), texture.size_vec2()))
+    }
+
+    /// For how long nothing new has come, once that is too long to take what is shown for live.
+    pub fn stale(&self, output: &Output) -> Option<Duration> {
+        self.seen.get(output).map(|seen| seen.at.elapsed()).filter(|age| *age > STALE)
     }
 
     /// The pixels of an output.

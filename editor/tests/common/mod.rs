@@ -22,11 +22,11 @@ plugins = ["flow"]   # small nodes
 
 [nodes.a]            # the path that nobody touches
 type = "frames"
-params = { width_px = 16, height_px = 16, rate_hz = 100.0 }
+params = { width_px = 16, height_px = 16, rate_hz = 50.0 }
 
 [nodes.kept]
 type = "ledger"
-inputs = { images = ["a.image"] }
+inputs = { images = [{ from = "a.image", queue = 64 }] }
 params = { path = "kept.jsonl" }
 
 [nodes.b]
@@ -88,7 +88,8 @@ impl Window {
         let path = path.to_owned();
         let draw = move |ui: &mut Ui, app: &mut Option<App>| {
             let text = std::fs::read_to_string(&path).unwrap_or_default();
-            let app = app.get_or_insert_with(|| App::open(ui.ctx(), &path, &text, Options::default()).expect("threads"));
+            let app =
+                app.get_or_insert_with(|| App::open(ui.ctx(), &path, &text, Options::default()).expect("threads"));
             app.ui(ui);
         };
         let harness = Harness::builder().with_size(vec2(1440.0, 900.0)).build_ui_state(draw, None);

@@ -1,5 +1,6 @@
 //! `panoscope bench`: what the runtime itself costs.
 
+mod editor;
 mod fit;
 mod graph;
 mod gstreamer;
@@ -27,6 +28,8 @@ pub enum Bench {
     Scale(Arguments),
     /// The stereo chain step by step, beside OpenCV's.
     Stereo(Arguments),
+    /// What the editor's window costs the graph and its own thread. Needs a screen, or Xvfb.
+    Editor(Arguments),
     /// Registration, seam and blend at three sizes, beside OpenCV.
     Stitch(Arguments),
 }
@@ -50,6 +53,7 @@ pub fn run(bench: &Bench) -> Result<End> {
         Bench::Start(arguments) => (start::measure(arguments.quick)?, arguments),
         Bench::Scale(arguments) => (scale::measure(arguments.quick)?, arguments),
         Bench::Stereo(arguments) => (stereo::measure(arguments.quick)?, arguments),
+        Bench::Editor(arguments) => (editor::measure(arguments.quick)?, arguments),
         Bench::Stitch(arguments) => (stitch::measure(arguments.quick)?, arguments),
     };
     record::show(&figures);
