@@ -202,3 +202,43 @@ fn an_interrupt_ends_clean_with_files_finished() {
     let lines = std::fs::read_to_string(&ledger).expect("the ledger");
     assert!(lines.ends_with("}\n") && lines.lines().count() > 2, "the last line is whole");
 }
+
+#[test]
+fn calibrate_names_what_is_wrong_with_its_arguments() {
+    for (arguments, words) in [
+        (["--left", "a", "--right", "b", "--board", "chess:9x6"], "kind is unknown"),
+        (["--left", "no/l?.png", "--right", "no/r?.png", "--board", "chessboard:9x6:25mm"], "no picture matches"),
+        (["--left", "scope", "--graph", "g.toml", "--right", "scope.right"], "--board"),
+    ] {
+        let (code, _, said) = run(&[&["calibrate"], &arguments[..]].concat());
+        assert!(code == 2 && said.contains(words), "{code}: {said}");
+    }
+}
+
+#[test]
+fn calibrate_solves_opencvs_pairs_and_writes_what_capture_reads() {
+    let data = Path::new("/usr/share/doc/opencv-doc/examples/data");
+    if !data.join("left01.jpg").exists() {
+        println!("skipped: Debian's opencv-doc is not installed");
+        return;
+    }
+    let folder = plugin_folder();
+    if !["opencv", "capture"].iter().all(|name| folder.join(format!("lib{name}.so")).is_file()) {
+        println!("skipped: the plugins opencv and capture are not built beside flow");
+        return;
+    }
+    let out = file("scope.yml", "");
+    let pattern = |side: &str| data.join(format!("{side}??.jpg")).display().to_string();
+    let (left, right) = (pattern("left"), pattern("right"));
+    let (code, said, errors) =
+        run(&["calibrate", "--left", &left, "--right", &right, "--board", "chessboard:9x6:25mm", "-o", &out]);
+    assert_eq!(code, 0, "{errors}");
+    assert!(said.contains("left01.jpg right01.jpg") && said.contains("13 of 13 views"), "{said}");
+    let found = panoscope_calibration::read(&[PathBuf::from(&out)]).expect("the result is a calibration");
+    assert!(found.rms_px < 0.4 && (found.baseline_mm - 83.3).abs() < 1.0, "{found:?}");
+    assert!((found.left.fx / found.left.fy - 1.0).abs() < 0.005, "{found:?}");
+    // With another board nothing is found; every view is named.
+    let (code, _, errors) =
+        run(&["calibrate", "--left", &left, "--right", &right, "--board", "chessboard:13x4:25mm", "-o", &out]);
+    assert!(code == 1 && errors.contains("left out: left14.jpg right14.jpg: no board was found"), "{code}: {errors}");
+}
