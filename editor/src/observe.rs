@@ -1,4 +1,4 @@
-//! Looks at the running graph for the window: pictures ten times a second at most, counters twice. Runs on a thread of its own, so that the
+//! Looks at the running graph for the window: pictures five to ten times a second at most, counters twice. Runs on a thread of its own, so that the
 //! window only ever takes what is ready.
 //!
 //! Of each output that is looked at, two frames at most are kept alive: the newest one, and the one that is being made ready.
@@ -15,8 +15,10 @@ use panoscope_runtime::{NodeWindow, Preview, Window};
 use crate::picture::{self, Look, Range};
 use crate::session::{Handle, lock};
 
-/// Shortest time from one picture of an output to the next.
-pub const PICTURE_INTERVAL: Duration = Duration::from_millis(100);
+/// Shortest time from one picture of an output to the next, while one is shown large.
+pub const LARGE_INTERVAL: Duration = Duration::from_millis(100);
+/// The same for thumbnails: drawing the window costs more than making them.
+pub const THUMBNAIL_INTERVAL: Duration = Duration::from_millis(200);
 const COUNTERS_INTERVAL: Duration = Duration::from_millis(500);
 /// Points of history per node: two minutes.
 const HISTORY: usize = 240;
@@ -81,6 +83,7 @@ pub struct Point {
 #[derive(Default)]
 struct Board {
     wanted: HashMap<Output, Wanted>,
+    interval: Option<Duration>,
     /// Newest looks that were not taken yet.
     looks: HashMap<Output, Look>,
     counters: Arc<Counters>,
@@ -114,9 +117,10 @@ impl Observer {
         Ok(Self { board, quit, thread: Some(thread) })
     }
 
-    /// Says which outputs are to be seen from now on.
-    pub fn want(&self, wanted: HashMap<Output, Wanted>) {
+    /// Says which outputs are to be seen from now on, and how often.
+    pub fn want(&self, wanted: HashMap<Output, Wanted>, interval: Duration) {
         let mut board = lock(&self.board);
+        board.interval = Some(interval);
         if board.wanted != wanted {
             board.looks.retain(|output, _| wanted.contains_key(output));
             board.wanted = wanted;
@@ -173,7 +177,8 @@ impl Eye {
             if news {
                 self.handle.wake();
             }
-            std::thread::park_timeout(PICTURE_INTERVAL.saturating_sub(began.elapsed()));
+            let interval = lock(&self.board).interval.unwrap_or(THUMBNAIL_INTERVAL);
+            std::thread::park_timeout(interval.saturating_sub(began.elapsed()));
         }
     }
 

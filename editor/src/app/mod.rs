@@ -16,7 +16,7 @@ use crate::actions;
 use crate::canvas::{Canvas, Scene, is_pictorial};
 use crate::disk::DiskWatch;
 use crate::document::Document;
-use crate::observe::{Counters, Observer, Output, Wanted};
+use crate::observe::{Counters, LARGE_INTERVAL, Observer, Output, THUMBNAIL_INTERVAL, Wanted};
 use crate::ops::Detour;
 use crate::palette::{Palette, Types};
 use crate::panels::Shown;
@@ -430,7 +430,8 @@ impl App {
         if self.viewer.source().is_some() {
             self.viewer.sources().for_each(|s| want(&s.output, &s.packet, LARGE));
         } else {
-            self.canvas.visible().for_each(|(output, packet)| want(output, packet, THUMBNAIL));
+            let width = self.canvas.thumbnail_width(THUMBNAIL);
+            self.canvas.visible().for_each(|(output, packet)| want(output, packet, width));
         }
         if let Some(node) = self.selected().and_then(|id| self.document.view().node(&id))
             && let Some((output, packet)) = self.canvas.shown_output(self.document.view(), node)
@@ -439,7 +440,8 @@ impl App {
         }
         let view = self.document.view();
         self.shown.keep(|output| wanted.contains_key(output) || view.node(&output.node).is_some());
-        self.observer.want(wanted);
+        let large = self.viewer.source().is_some();
+        self.observer.want(wanted, if large { LARGE_INTERVAL } else { THUMBNAIL_INTERVAL });
     }
 }
 

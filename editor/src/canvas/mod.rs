@@ -164,6 +164,11 @@ impl Canvas {
         self.laid_out = None;
     }
 
+    /// Pixels across of a thumbnail that has `full` at zoom 1.
+    pub fn thumbnail_width(&self, full: usize) -> usize {
+        (full as f32 * self.scale().clamp(0.25, 1.0)) as usize
+    }
+
     /// Outputs whose thumbnails can be seen now, with the types of their packets.
     pub fn visible(&self) -> impl Iterator<Item = (&Output, &str)> {
         let small = self.scale() < paint::PICTURES;

@@ -19,7 +19,7 @@ use crate::theme::{self, PinShape};
 /// Below this zoom a node shows its name and picture only.
 pub const DETAIL: f32 = 0.38;
 /// Below this zoom it shows no picture either.
-pub const PICTURES: f32 = 0.15;
+pub const PICTURES: f32 = 0.2;
 /// A fault is new for so long.
 const NEW_FAULT_MS: u64 = 3000;
 
@@ -153,10 +153,12 @@ impl Canvas {
         let bar = Rect::from_min_size(rect.min, vec2(4.0 * scale, HEADER * scale));
         let left = CornerRadius { nw: radius.nw, ne: 0, sw: 0, se: 0 };
         painter.rect_filled(bar, left, family);
+        let line = rect.top() + HEADER * scale / 2.0;
         if scale < PICTURES {
+            let name = elided(painter, id, FontId::proportional(9.0), theme::TEXT, rect.width() - 8.0 * scale);
+            painter.galley(pos2(rect.left() + 6.0 * scale, rect.top() + 4.0 * scale), name, theme::TEXT);
             return;
         }
-        let line = rect.top() + HEADER * scale / 2.0;
         if scale < DETAIL {
             // The name stays readable: above the box it has all the width there is.
             let font = FontId::proportional(11.0);

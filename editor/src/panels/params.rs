@@ -21,8 +21,15 @@ pub struct Change {
 /// Shows all parameters of a node; answers changes.
 pub fn show(ui: &mut Ui, document: &Document, node: &NodeView) -> Vec<Change> {
     let params = node.node_type.iter().flat_map(|t| &t.params);
-    let one = |p: &Param| ui.push_id(&p.name, |ui| one(ui, document, node, p, &p.name.replace('_', " "))).inner;
+    let one = |p: &Param| ui.push_id(&p.name, |ui| one(ui, document, node, p, &title(p))).inner;
     params.filter_map(one).collect()
+}
+
+/// A parameter's name in words, without the unit, which stands behind the value.
+fn title(param: &Param) -> String {
+    let unit = format!("_{}", param.unit.replace('/', "_"));
+    let bare = param.name.strip_suffix(&unit).filter(|_| !param.unit.is_empty());
+    bare.unwrap_or(&param.name).replace('_', " ")
 }
 
 /// Shows one parameter under `title`; answers a change.
