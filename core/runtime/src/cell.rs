@@ -455,7 +455,12 @@ impl Cell {
         }
         if let Some(snapshot) = self.values.newer(exec.snapshot()) {
             let values = || snapshot.owned().to_vec();
-            self.write_down(around, |node| Event::Values { node, source: tick.source, seq: tick.seq, values: values() });
+            self.write_down(around, |node| Event::Values {
+                node,
+                source: tick.source,
+                seq: tick.seq,
+                values: values(),
+            });
             exec.set_snapshot(snapshot);
         }
         exec.period_ns = self.period_ns.load(Ordering::Relaxed);
