@@ -12,7 +12,7 @@ fn is_known(point: &CloudPoint) -> bool {
 ///
 /// Neighbours whose depths differ by more than `max_slope` times their distance across belong to different surfaces.
 pub fn triangles(points: &[CloudPoint], width: usize, max_slope: f32) -> impl Iterator<Item = [usize; 3]> + Clone {
-    let height = if width == 0 { 0 } else { points.len() / width };
+    let height = points.len().checked_div(width).unwrap_or(0);
     let joined = move |a: usize, b: usize| {
         let (p, q) = (&points[a], &points[b]);
         let across = (p.x_mm - q.x_mm).hypot(p.y_mm - q.y_mm);
