@@ -64,7 +64,7 @@ pub fn build_editor(workspace: &Workspace, profile: Profile) -> Result<PathBuf> 
     artifacts.editor.with_context(|| format!("{EDITOR_PACKAGE} makes no program `{EDITOR}`"))
 }
 
-/// Builds the program and all plugins. Not the editor, which takes longest and which neither demo nor benches need.
+/// Builds the program and all plugins. Not the editor, which takes longest and which a demo without a screen and benches do not need.
 ///
 /// # Errors
 /// The build fails (cargo has said why), or a plugin's crate makes no shared library.

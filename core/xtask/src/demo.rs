@@ -6,7 +6,7 @@ use std::time::SystemTime;
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::build::{Profile, build};
+use crate::build::{Profile, build, build_editor};
 use crate::packages::Purpose;
 use crate::process;
 use crate::report::Summary;
@@ -19,7 +19,7 @@ const FRAMES: &str = "300";
 /// Parameters by which sinks are told where to write.
 const PATH_PARAMS: [&str; 3] = ["path", "folder", "pattern"];
 
-/// Builds, runs the graph for a bounded number of frames, tells what came out.
+/// Builds, runs the graph for a bounded number of frames, tells what came out. On a screen the editor then shows the graph running.
 ///
 /// # Errors
 /// The build or the run fails, a node had a fault, or an output is missing, empty or older than this run.
@@ -38,9 +38,9 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
     if value_of(args, "--frames").is_none() {
         run.args(["--frames", FRAMES]);
     }
-    let has_screen =
-        ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some_and(|v| !v.is_empty()));
-    if !has_screen && !args.iter().any(|arg| arg == "--headless") {
+    let asked_headless = args.iter().any(|arg| arg == "--headless");
+    let has_screen = std::env::var_os("DISPLAY").is_some_and(|v| !v.is_empty()) && !asked_headless;
+    if !has_screen && !asked_headless {
         run.arg("--headless");
     }
     let report = match value_of(args, "--report") {
@@ -79,6 +79,11 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
     ensure!(absent.is_empty(), "{}", absent.join("; "));
     ensure!(summary.frames > 0, "no frame came through");
     ensure!(summary.faults == 0, "{} faults of nodes, see above", summary.faults);
+    if has_screen {
+        println!("\nThe editor opens with the running graph; close its window to end the demo.");
+        build_editor(workspace, Profile::Dev)?;
+        process::run(built.panoscope().arg("edit").arg(&graph))?;
+    }
     Ok(())
 }
 

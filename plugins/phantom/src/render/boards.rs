@@ -145,6 +145,11 @@ mod tests {
 
     const TEXEL_MM: f32 = 0.0625;
 
+    /// Whether the card is there with this share of black; places on an edge are rounded.
+    fn is(found: Option<f32>, share: f32) -> bool {
+        found.is_some_and(|found| (found - share).abs() < 1e-3)
+    }
+
     #[test]
     fn circles_lie_where_opencv_expects_them() {
         let at = |column: i32, row: i32, dx: f32| {
@@ -153,9 +158,9 @@ mod tests {
             ink(BoardPrint::Circles, x, y, TEXEL_MM)
         };
         for (column, row) in [(0, 0), (3, 0), (0, 1), (3, 9), (2, 10)] {
-            assert_eq!(at(column, row, 0.0), Some(1.0), "{column} {row}");
-            assert_eq!(at(column, row, CIRCLE_RADIUS_MM), Some(0.5), "{column} {row}");
-            assert_eq!(at(column, row, CIRCLE_SPACING_MM), Some(0.0), "{column} {row}");
+            assert!(is(at(column, row, 0.0), 1.0), "{column} {row}");
+            assert!(is(at(column, row, CIRCLE_RADIUS_MM), 0.5), "{column} {row}");
+            assert!(is(at(column, row, CIRCLE_SPACING_MM), 0.0), "{column} {row}");
         }
         assert_eq!(ink(BoardPrint::Circles, BOARD_CENTRE_MM[0] + 30.0, BOARD_CENTRE_MM[1], TEXEL_MM), None);
     }
@@ -167,13 +172,15 @@ mod tests {
             let y = BOARD_CENTRE_MM[1] + (v - 3.5) * SQUARE_MM;
             ink(BoardPrint::Charuco, x, y, TEXEL_MM)
         };
-        assert_eq!(at(0.5, 0.5), Some(1.0));
+        assert!(is(at(0.5, 0.5), 1.0), "{:?}", at(0.5, 0.5));
         // White rim, black rim, then the bits 1011 of the first row.
-        assert_eq!((at(1.06, 0.5), at(1.18, 0.5)), (Some(0.0), Some(1.0)));
+        assert!(is(at(1.06, 0.5), 0.0) && is(at(1.18, 0.5), 1.0), "{:?} {:?}", at(1.06, 0.5), at(1.18, 0.5));
         let cell = |c: i32, r: i32| at(1.125 + 0.125 * (c as f32 + 1.5), 0.125 + 0.125 * (r as f32 + 1.5));
-        assert_eq!([0, 1, 2, 3].map(|c| cell(c, 0)), [Some(0.0), Some(1.0), Some(0.0), Some(0.0)]);
+        for (c, black) in [0.0, 1.0, 0.0, 0.0].into_iter().enumerate() {
+            assert!(is(cell(c as i32, 0), black), "{c}: {:?}", cell(c as i32, 0));
+        }
         // Half of a texel on an edge is black.
-        assert_eq!(at(1.125, 0.5), Some(0.5));
+        assert!(is(at(1.125, 0.5), 0.5), "{:?}", at(1.125, 0.5));
     }
 
     #[test]
