@@ -406,10 +406,11 @@ fn group_avx2<const PARTS: usize>(
         }
         let mut dots = [_mm256_setzero_si256(); QUERIES];
         for (part, values) in blocks[block].iter().enumerate() {
-            for (pair, values) in values.iter().enumerate() {
-                let target = load(values);
+            let rows: [&[i32; PAIRS]; QUERIES] = std::array::from_fn(|query| &rows[query][part]);
+            for pair in 0..PAIRS {
+                let target = load(&values[pair]);
                 for query in 0..QUERIES {
-                    let product = _mm256_madd_epi16(target, _mm256_set1_epi32(rows[query][part][pair]));
+                    let product = _mm256_madd_epi16(target, _mm256_set1_epi32(rows[query][pair]));
                     dots[query] = _mm256_add_epi32(dots[query], product);
                 }
             }

@@ -194,12 +194,9 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
         View::new(image.as_raw(), image.width() as usize, image.height() as usize, 1)
     };
     let plane = Plane::find(view(&first), view(&second), &data.second_from_first);
-    tell!(
-        "matches of every engine: each the other's nearest, and at most {RATIO} of the distance to the second nearest"
-    );
-    tell!(
-        "distances: Euclidean for SURF and SIFT; Hamming for AKAZE, as if squared, so that its ratio test is the laxer one"
-    );
+    tell!("matches of every engine: each the other's nearest, less than {RATIO} of the distance to the second nearest");
+    tell!("  SURF: Euclidean distances, among points of the same sign of the Laplacian; SIFT: Euclidean distances");
+    tell!("  AKAZE: Hamming distances, which are squares of Euclidean ones, so that the same ratio lets more through");
     tell!("the homography holds on {:.0} % of the first picture", plane.share() * 100.0);
     for detector in ["sift", "akaze"] {
         for wanted in [0, 500, 1000, 2000] {
