@@ -30,6 +30,9 @@ pub struct FeaturesSurfParams {
     /// Size of the descriptor's window over the usual one.
     #[param(default = 1.0, range = 0.5..=4.0, step = 0.05, unit = "ratio")]
     window: f32,
+    /// Descriptors of 128 elements, from a narrow and a wide window, instead of 64: more right matches, slower.
+    #[param(default = false)]
+    extended: bool,
     /// Look again at each candidate with Gaussian derivatives.
     #[param(default = true)]
     second_look: bool,
@@ -55,6 +58,7 @@ impl FeaturesSurfParams {
             fine_bias: self.fine_bias,
             upsample: self.upsample,
             window: self.window,
+            extended: self.extended,
             second_look: self.second_look,
             ..SurfParams::default()
         }

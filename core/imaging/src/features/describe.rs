@@ -92,6 +92,11 @@ const REGION_REACH: f64 = 3.0;
 const TURN_SIGMA: f64 = 3.5;
 /// Orientation is read at this multiple of the keypoint's scale.
 const TURN_SCALE: f32 = 1.4;
+/// Windows of the extended descriptor over the usual one. On Graffiti and on fourteen warped photographs every pair of windows
+/// with a narrow one of 0.5 to 0.8 and a wide one two to four times that gave more right matches than 64 elements; these lie in
+/// the middle. Sums split by the sign of the other derivative (SURF-128 of Bay et al.) gave fewer.
+const NARROW: f32 = 0.6;
+const WIDE: f32 = 1.8;
 /// The pyramid level is the one on which s is at least this many pixels.
 const LEAST_STEP: f32 = 1.0;
 
@@ -336,6 +341,30 @@ pub(crate) fn describe(
     sample(simd, level, grid, (PATCH as f32 - 1.0) / 2.0, PATCH, USED / 8, &mut patch);
     let patch = &patch;
     dispatch!(simd, summarise(tables: &Tables, patch: &[[f32; ROW]; PATCH], out: &mut Descriptor));
+}
+
+/// Extended descriptor of 128 elements: one of a narrow window, one of a wide one, together of unit length.
+///
+/// The narrow window tells details apart and bears changes of viewpoint, the wide one tells repeated details apart by what
+/// surrounds them. Where one window is flat, the other counts alone.
+pub(crate) fn describe_extended(
+    simd: Simd,
+    tables: &Tables,
+    pyramid: &Pyramid,
+    x: f32,
+    y: f32,
+    scale: f32,
+    angle: f32,
+    [narrow, wide]: [&mut Descriptor; 2],
+) {
+    describe(simd, tables, pyramid, x, y, scale * NARROW, angle, narrow);
+    describe(simd, tables, pyramid, x, y, scale * WIDE, angle, wide);
+    let flat = |descriptor: &Descriptor| descriptor.0.iter().all(|value| *value == 0.0);
+    if !flat(narrow) && !flat(wide) {
+        for value in narrow.0.iter_mut().chain(&mut wide.0) {
+            *value *= std::f32::consts::FRAC_1_SQRT_2;
+        }
+    }
 }
 
 #[inline(always)]

@@ -74,9 +74,11 @@ pub struct Matcher {
 struct Side {
     /// Keypoint of each slot; `u32::MAX` for padding.
     index: Vec<u32>,
-    /// Pairs of 16-bit elements, slot after slot.
+    /// Descriptors of 64 elements per keypoint: 2 with extended ones.
+    parts: usize,
+    /// Pairs of 16-bit elements, `parts` arrays for each slot.
     rows: Vec<[i32; PAIRS]>,
-    /// The same, eight slots interleaved.
+    /// The same, eight slots interleaved: `parts` arrays for each block.
     blocks: Vec<[[i32; LANES]; PAIRS]>,
     /// Squared length of each slot's descriptor; so large for padding that it never wins.
     norms: Vec<[i32; LANES]>,
@@ -105,6 +107,8 @@ impl Default for Nearest {
 impl Side {
     fn fill(&mut self, features: &Features, same_sign: bool, map: Option<&Homography>, sort: bool) {
         let count = features.len().min(features.descriptors.len());
+        let parts = features.parts();
+        self.parts = parts;
         let keypoints = &features.keypoints;
         for list in [&mut self.index, &mut self.slot] {
             list.clear();
@@ -129,34 +133,40 @@ impl Side {
         let blocks = self.index.len() / LANES;
         // Both signs fill up their last block: the most blocks for so many keypoints, whatever their signs.
         let most = count / LANES + 2;
-        self.rows.reserve((most * LANES).saturating_sub(self.rows.len()));
-        self.blocks.reserve(most.saturating_sub(self.blocks.len()));
+        self.rows.reserve((most * LANES * parts).saturating_sub(self.rows.len()));
+        self.blocks.reserve((most * parts).saturating_sub(self.blocks.len()));
         self.norms.reserve(most.saturating_sub(self.norms.len()));
         self.x.reserve(most.saturating_sub(self.x.len()));
         self.y.reserve(most.saturating_sub(self.y.len()));
         self.slot.resize(count, u32::MAX);
-        self.rows.resize(blocks * LANES, [0; PAIRS]);
-        self.blocks.resize(blocks, [[0; LANES]; PAIRS]);
+        self.rows.resize(blocks * LANES * parts, [0; PAIRS]);
+        self.blocks.resize(blocks * parts, [[0; LANES]; PAIRS]);
         self.norms.resize(blocks, [0; LANES]);
         self.x.resize(blocks, [0.0; LANES]);
         self.y.resize(blocks, [0.0; LANES]);
         for (slot, &index) in self.index.iter().enumerate() {
             let (block, lane) = (slot / LANES, slot % LANES);
-            let Some(descriptor) = features.descriptors.get(index as usize) else {
-                self.rows[slot] = [0; PAIRS];
-                for pair in &mut self.blocks[block] {
-                    pair[lane] = 0;
+            let mut norm = 0;
+            for part in 0..parts {
+                let row = match features.part(index as usize, part) {
+                    Some(descriptor) => {
+                        let (row, squares) = quantise(descriptor);
+                        norm += squares;
+                        row
+                    }
+                    None => [0; PAIRS],
+                };
+                self.rows[slot * parts + part] = row;
+                for (pair, value) in self.blocks[block * parts + part].iter_mut().zip(row) {
+                    pair[lane] = value;
                 }
+            }
+            if index as usize >= count {
                 self.norms[block][lane] = -NOTHING;
                 (self.x[block][lane], self.y[block][lane]) = (f32::NAN, f32::NAN);
                 continue;
-            };
-            self.slot[index as usize] = slot as u32;
-            let (row, norm) = quantise(descriptor);
-            self.rows[slot] = row;
-            for (pair, value) in self.blocks[block].iter_mut().zip(row) {
-                pair[lane] = value;
             }
+            self.slot[index as usize] = slot as u32;
             self.norms[block][lane] = norm;
             let place = keypoints.position(index as usize);
             let place = map.map_or(place, |map| map.map(place));
@@ -166,7 +176,7 @@ impl Side {
 
     /// Blocks that may be compared with the other side's block `block`.
     fn partition(&self, second: bool) -> std::ops::Range<usize> {
-        if second { self.split..self.blocks.len() } else { 0..self.split }
+        if second { self.split..self.norms.len() } else { 0..self.split }
     }
 }
 
@@ -195,7 +205,7 @@ impl Matcher {
     /// Matches `left` with `right`; `out` is replaced, in the order of the left keypoints.
     ///
     /// With a gate only keypoints within its radius compete, for the second place too. A lone candidate
-    /// has no second and passes the ratio test only inside a gate.
+    /// has no second and passes the ratio test only inside a gate. Descriptors of different lengths do not match.
     pub fn match_features(
         &mut self,
         left: &Features,
@@ -209,10 +219,14 @@ impl Matcher {
         // Sorted by row, whole blocks fall outside a gate.
         self.left.fill(left, params.same_sign, None, gate.is_some());
         self.right.fill(right, params.same_sign, gate.map(|gate| &gate.left_from_right), gate.is_some());
+        if self.left.parts != self.right.parts {
+            return;
+        }
         let radius = gate.map(|gate| gate.radius_px.max(0.0));
-        nearest(self.simd, &self.left, &self.right, radius, pool, &mut self.forward);
+        let search = if self.left.parts == 1 { nearest::<1> } else { nearest::<2> };
+        search(self.simd, &self.left, &self.right, radius, pool, &mut self.forward);
         if params.mutual {
-            nearest(self.simd, &self.right, &self.left, radius, pool, &mut self.backward);
+            search(self.simd, &self.right, &self.left, radius, pool, &mut self.backward);
         }
         out.reserve(self.left.slot.len());
         let limit = f64::from(params.ratio.max(0.0)) * f64::from(params.ratio.max(0.0));
@@ -243,8 +257,8 @@ impl Matcher {
     }
 }
 
-/// For every slot of `queries`, the best and second-best slots of `targets`.
-fn nearest(
+/// For every slot of `queries`, the best and second-best slots of `targets`; both with `PARTS` descriptors per slot.
+fn nearest<const PARTS: usize>(
     simd: Simd,
     queries: &Side,
     targets: &Side,
@@ -266,12 +280,12 @@ fn nearest(
             #[cfg(target_arch = "x86_64")]
             if simd.avx2() {
                 // SAFETY: AVX2 is there.
-                unsafe { group_avx2(queries, start, targets, range, radius, out) };
+                unsafe { group_avx2::<PARTS>(queries, start, targets, range, radius, out) };
                 continue;
             }
             #[cfg(not(target_arch = "x86_64"))]
             let _ = simd;
-            group(queries, start, targets, range, radius, out);
+            group::<PARTS>(queries, start, targets, range, radius, out);
         }
     });
 }
@@ -301,7 +315,7 @@ impl Lanes {
     }
 }
 
-fn group(
+fn group<const PARTS: usize>(
     queries: &Side,
     start: usize,
     targets: &Side,
@@ -311,7 +325,7 @@ fn group(
 ) {
     for (offset, out) in out.iter_mut().enumerate() {
         let slot = start + offset;
-        let row = &queries.rows[slot];
+        let row = &queries.rows[slot * PARTS..][..PARTS];
         let (x, y) = (queries.x[slot / LANES][slot % LANES], queries.y[slot / LANES][slot % LANES]);
         let mut lanes = Lanes { best: [NOTHING; LANES], second: [NOTHING; LANES], block: [0; LANES] };
         for block in range.clone() {
@@ -325,7 +339,8 @@ fn group(
                     }
                 }
                 let mut dot = 0i32;
-                for (pair, query) in targets.blocks[block].iter().zip(row) {
+                let values = &targets.blocks[block * PARTS..][..PARTS];
+                for (pair, query) in values.as_flattened().iter().zip(row.as_flattened()) {
                     let halves = |value: i32| (i32::from(value as i16), value >> 16);
                     let ((a, b), (c, d)) = (halves(pair[lane]), halves(*query));
                     dot += a * c + b * d;
@@ -344,7 +359,7 @@ fn group(
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn group_avx2(
+fn group_avx2<const PARTS: usize>(
     queries: &Side,
     start: usize,
     targets: &Side,
@@ -353,7 +368,11 @@ fn group_avx2(
     out: &mut [Nearest],
 ) {
     use std::arch::x86_64::*;
-    let rows: [&[i32; PAIRS]; QUERIES] = std::array::from_fn(|query| &queries.rows[start + query]);
+    let rows: [&[[i32; PAIRS]; PARTS]; QUERIES] = {
+        let (rows, _) = queries.rows[start * PARTS..].as_chunks();
+        std::array::from_fn(|query| &rows[query])
+    };
+    let (blocks, _) = targets.blocks.as_chunks::<PARTS>();
     let place = |query: usize| {
         let slot = start + query;
         (queries.x[slot / LANES][slot % LANES], queries.y[slot / LANES][slot % LANES])
@@ -386,12 +405,14 @@ fn group_avx2(
             }
         }
         let mut dots = [_mm256_setzero_si256(); QUERIES];
-        let values = &targets.blocks[block];
-        for pair in 0..PAIRS {
-            let target = load(&values[pair]);
-            for query in 0..QUERIES {
-                let product = _mm256_madd_epi16(target, _mm256_set1_epi32(rows[query][pair]));
-                dots[query] = _mm256_add_epi32(dots[query], product);
+        for (part, values) in blocks[block].iter().enumerate() {
+            let rows: [&[i32; PAIRS]; QUERIES] = std::array::from_fn(|query| &rows[query][part]);
+            for pair in 0..PAIRS {
+                let target = load(&values[pair]);
+                for query in 0..QUERIES {
+                    let product = _mm256_madd_epi16(target, _mm256_set1_epi32(rows[query][pair]));
+                    dots[query] = _mm256_add_epi32(dots[query], product);
+                }
             }
         }
         let norm = load(&targets.norms[block]);

@@ -3,7 +3,7 @@
 //! H. Bay, A. Ess, T. Tuytelaars, L. Van Gool, "Speeded-Up Robust Features (SURF)", CVIU 110 (2008).
 
 use super::color::{GrayBuffer, shrink_gray_with};
-use super::describe::{Descriptor, Tables, describe, orientation};
+use super::describe::{Descriptor, Tables, describe, describe_extended, orientation};
 use super::hessian::{Extremum, HessianDetector};
 use super::integral::Integral;
 use super::isotropic::{Kernels, look};
@@ -46,6 +46,9 @@ pub struct SurfParams {
     pub upsample: bool,
     /// Size of orientation and descriptor windows over the usual one: larger ones tell fine keypoints apart better.
     pub window: f32,
+    /// Descriptors of 128 elements ([`Features::extension`]): more right matches for about twice the time of description
+    /// and matching.
+    pub extended: bool,
     /// Columns and rows of a grid whose cells share `max_points` evenly before the rest is filled
     /// with the strongest; 0 means the strongest wherever they are.
     pub spread: (usize, usize),
@@ -63,6 +66,7 @@ impl Default for SurfParams {
             max_points: 0,
             upsample: false,
             window: 1.0,
+            extended: false,
             spread: (0, 0),
         }
     }
@@ -135,6 +139,9 @@ pub struct Features {
     pub keypoints: Keypoints,
     /// One descriptor for each keypoint.
     pub descriptors: Vec<Descriptor>,
+    /// The other 64 elements of each extended descriptor, both halves together of unit length; empty unless
+    /// [`SurfParams::extended`].
+    pub extension: Vec<Descriptor>,
 }
 
 impl Features {
@@ -148,10 +155,21 @@ impl Features {
         self.keypoints.is_empty()
     }
 
+    /// Descriptors of 64 elements per keypoint: 2 when extended.
+    pub(crate) fn parts(&self) -> usize {
+        if self.extension.is_empty() { 1 } else { 2 }
+    }
+
+    /// Part `part` of keypoint `index`'s descriptor.
+    pub(crate) fn part(&self, index: usize, part: usize) -> Option<&Descriptor> {
+        if part == 0 { &self.descriptors } else { &self.extension }.get(index)
+    }
+
     /// Removes all keypoints and keeps the memory.
     pub fn clear(&mut self) {
         self.keypoints.resize(0);
         self.descriptors.clear();
+        self.extension.clear();
     }
 }
 
@@ -251,7 +269,7 @@ impl Surf {
         self.found.reserve(most);
         self.kept.clear();
         self.kept.reserve(most);
-        let SurfParams { hessian_threshold, octaves, layers, upright, max_points, window, .. } = self.params;
+        let SurfParams { hessian_threshold, octaves, layers, upright, max_points, window, extended, .. } = self.params;
         // A negative threshold would also let saddles through.
         let threshold = hessian_threshold.max(0.0);
         self.detector.detect(self.simd, &self.integral, octaves, layers, threshold, pool, &mut self.found);
@@ -272,10 +290,11 @@ impl Surf {
         }
 
         if max_points > 0 {
-            reserve(out, max_points);
+            reserve(out, max_points, extended);
         }
         out.keypoints.resize(count);
         out.descriptors.resize(count, Descriptor::default());
+        out.extension.resize(if extended { count } else { 0 }, Descriptor::default());
         let ratio = if doubled { 0.5 } else { shrink as f32 };
         let centre = (ratio - 1.0) * 0.5;
         let keypoints = &mut out.keypoints;
@@ -289,15 +308,26 @@ impl Surf {
         let (simd, tables, pyramid, found) = (self.simd, &self.tables, &self.pyramid, &self.found);
         let angles = SharedMut::new(&mut keypoints.angle_rad);
         let descriptors = SharedMut::new(&mut out.descriptors);
+        let extension = SharedMut::new(&mut out.extension);
         pool.run(count.div_ceil(POINTS_PER_CHUNK), &|chunk| {
             let first = chunk * POINTS_PER_CHUNK;
             let len = POINTS_PER_CHUNK.min(count - first);
             // SAFETY: chunks own disjoint keypoints.
             let (angles, descriptors) = unsafe { (angles.part(first, len), descriptors.part(first, len)) };
-            for ((point, angle), descriptor) in found[first..first + len].iter().zip(angles).zip(descriptors) {
+            // SAFETY: as above; the list is as long as the others, or empty and not looked at.
+            let extension = unsafe { extension.part(if extended { first } else { 0 }, if extended { len } else { 0 }) };
+            for (index, point) in found[first..first + len].iter().enumerate() {
                 let scale = point.size * SCALE_PER_SIZE * window;
+                let angle = &mut angles[index];
                 *angle = if upright { 0.0 } else { orientation(simd, tables, pyramid, point.x, point.y, scale) };
-                describe(simd, tables, pyramid, point.x, point.y, scale, *angle, descriptor);
+                let descriptor = &mut descriptors[index];
+                match extension.get_mut(index) {
+                    Some(wide) => {
+                        let halves = [descriptor, wide];
+                        describe_extended(simd, tables, pyramid, point.x, point.y, scale, *angle, halves);
+                    }
+                    None => describe(simd, tables, pyramid, point.x, point.y, scale, *angle, descriptor),
+                }
             }
         });
     }
@@ -415,7 +445,7 @@ fn by_rank(a: &Extremum, b: &Extremum) -> std::cmp::Ordering {
     b.rank.total_cmp(&a.rank).then(a.y.total_cmp(&b.y)).then(a.x.total_cmp(&b.x)).then(a.size.total_cmp(&b.size))
 }
 
-fn reserve(out: &mut Features, count: usize) {
+fn reserve(out: &mut Features, count: usize, extended: bool) {
     let more = |len: usize| count.saturating_sub(len);
     let keypoints = &mut out.keypoints;
     keypoints.x_px.reserve(more(keypoints.x_px.len()));
@@ -425,4 +455,7 @@ fn reserve(out: &mut Features, count: usize) {
     keypoints.response.reserve(more(keypoints.response.len()));
     keypoints.laplacian.reserve(more(keypoints.laplacian.len()));
     out.descriptors.reserve(more(out.descriptors.len()));
+    if extended {
+        out.extension.reserve(more(out.extension.len()));
+    }
 }

@@ -124,13 +124,14 @@ fn regions_and_shrinking_give_full_frame_pixels() {
 fn instruction_sets_and_threads_agree_bit_for_bit() {
     let data = render(233, 187, &Homography::identity());
     let image = View::new(&data, 233, 187, 1);
-    for upright in [false, true] {
+    for (upright, extended) in [(false, false), (true, false), (false, true), (true, true)] {
         for (roi, shrink) in [(None, 1), (Some(Rect::new(10, 7, 200, 171)), 1), (None, 2)] {
             let params = SurfParams {
                 hessian_threshold: 10.0,
                 max_points: 200,
                 spread: (4, 3),
                 upright,
+                extended,
                 ..SurfParams::default()
             };
             let run = |simd: Simd, pool: &dyn Parallel| {
@@ -140,6 +141,7 @@ fn instruction_sets_and_threads_agree_bit_for_bit() {
             };
             let reference = run(Simd::portable(), &Serial);
             assert!(reference.len() > 30, "{} points", reference.len());
+            assert_eq!(reference.extension.len(), if extended { reference.len() } else { 0 });
             assert_eq!(run(Simd::detect(), &Serial), reference);
             assert_eq!(run(Simd::detect(), &Threads(2)), reference);
             assert_eq!(run(Simd::detect(), &Threads(8)), reference);
@@ -231,17 +233,21 @@ fn known_homographies_are_recovered() {
     }
 }
 
-fn random_features(count: usize, seed: u64) -> Features {
+fn random_features(count: usize, extended: bool, seed: u64) -> Features {
     let mut features = Features::default();
     for i in 0..count {
-        let mut descriptor = Descriptor::default();
+        let mut halves = [Descriptor::default(); 2];
+        let used = &mut halves[..if extended { 2 } else { 1 }];
         let mut squares = 0.0;
-        for (k, value) in descriptor.0.iter_mut().enumerate() {
+        for (k, value) in used.iter_mut().flat_map(|half| &mut half.0).enumerate() {
             *value = hash(i as i64, k as i64, seed) as f32 - 0.4;
             squares += *value * *value;
         }
-        descriptor.0.iter_mut().for_each(|value| *value /= squares.sqrt());
-        features.descriptors.push(descriptor);
+        used.iter_mut().flat_map(|half| &mut half.0).for_each(|value| *value /= squares.sqrt());
+        features.descriptors.push(halves[0]);
+        if extended {
+            features.extension.push(halves[1]);
+        }
         let keypoints = &mut features.keypoints;
         keypoints.x_px.push(hash(i as i64, 100, seed) as f32 * 600.0);
         keypoints.y_px.push(hash(i as i64, 101, seed) as f32 * 400.0);
@@ -255,56 +261,159 @@ fn random_features(count: usize, seed: u64) -> Features {
 
 #[test]
 fn matching_equals_a_plain_search() {
+    for extended in [false, true] {
+        for (n, m) in [(0, 5), (5, 0), (1, 1), (37, 90), (120, 61)] {
+            plain_search(&random_features(n, extended, 8), &random_features(m, extended, 9));
+        }
+    }
+}
+
+fn plain_search(left: &Features, right: &Features) {
     let map = Homography::translation(20.0, -10.0);
-    for (n, m) in [(0, 5), (5, 0), (1, 1), (37, 90), (120, 61)] {
-        let (left, right) = (random_features(n, 8), random_features(m, 9));
-        for same_sign in [false, true] {
-            for gate in [None, Some(Gate { left_from_right: map, radius_px: 80.0 })] {
-                for mutual in [false, true] {
-                    let params = MatchParams { ratio: 0.97, mutual, same_sign };
-                    let run = |simd: Simd, pool: &dyn Parallel| {
-                        let mut out = Vec::new();
-                        Matcher::with_simd(simd).match_features(&left, &right, &params, gate.as_ref(), pool, &mut out);
-                        out
-                    };
-                    let found = run(Simd::portable(), &Serial);
-                    assert_eq!(run(Simd::detect(), &Serial), found);
-                    assert_eq!(run(Simd::detect(), &Threads(8)), found);
-                    let allowed = |i: usize, j: usize| {
-                        let [x, y] = left.keypoints.position(i);
-                        let [u, v] = map.map(right.keypoints.position(j));
-                        (!same_sign || left.keypoints.laplacian[i] == right.keypoints.laplacian[j])
-                            && (gate.is_none() || (x - u).hypot(y - v) < 80.0)
-                    };
-                    let distance = |i: usize, j: usize| {
-                        let pairs = left.descriptors[i].0.iter().zip(&right.descriptors[j].0);
-                        pairs.map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt()
-                    };
-                    let best = |count: usize, distance: &dyn Fn(usize) -> Option<f64>| {
-                        let mut list: Vec<_> = (0..count).filter_map(|j| distance(j).map(|d| (d, j))).collect();
-                        list.sort_by(|a, b| a.0.total_cmp(&b.0));
-                        list
-                    };
-                    let mut expected = Vec::new();
-                    for i in 0..n {
-                        let list = best(m, &|j| allowed(i, j).then(|| distance(i, j)));
-                        let Some(&(first, j)) = list.first() else { continue };
-                        let passes = list.get(1).map_or(gate.is_some(), |second| first < 0.97 * second.0);
-                        let back = best(n, &|k| allowed(k, j).then(|| distance(k, j)));
-                        if passes && (!mutual || back.first().is_some_and(|back| back.1 == i)) {
-                            expected.push((i as u32, j as u32));
-                        }
+    let (n, m) = (left.len(), right.len());
+    for same_sign in [false, true] {
+        for gate in [None, Some(Gate { left_from_right: map, radius_px: 80.0 })] {
+            for mutual in [false, true] {
+                let params = MatchParams { ratio: 0.97, mutual, same_sign };
+                let run = |simd: Simd, pool: &dyn Parallel| {
+                    let mut out = Vec::new();
+                    Matcher::with_simd(simd).match_features(left, right, &params, gate.as_ref(), pool, &mut out);
+                    out
+                };
+                let found = run(Simd::portable(), &Serial);
+                assert_eq!(run(Simd::detect(), &Serial), found);
+                assert_eq!(run(Simd::detect(), &Threads(8)), found);
+                let allowed = |i: usize, j: usize| {
+                    let [x, y] = left.keypoints.position(i);
+                    let [u, v] = map.map(right.keypoints.position(j));
+                    (!same_sign || left.keypoints.laplacian[i] == right.keypoints.laplacian[j])
+                        && (gate.is_none() || (x - u).hypot(y - v) < 80.0)
+                };
+                let distance = |i: usize, j: usize| {
+                    let halves = [(&left.descriptors, &right.descriptors), (&left.extension, &right.extension)];
+                    let halves = halves.iter().filter_map(|(left, right)| Some((left.get(i)?, right.get(j)?)));
+                    let pairs = halves.flat_map(|(left, right)| left.0.iter().zip(&right.0));
+                    pairs.map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt()
+                };
+                let best = |count: usize, distance: &dyn Fn(usize) -> Option<f64>| {
+                    let mut list: Vec<_> = (0..count).filter_map(|j| distance(j).map(|d| (d, j))).collect();
+                    list.sort_by(|a, b| a.0.total_cmp(&b.0));
+                    list
+                };
+                let mut expected = Vec::new();
+                for i in 0..n {
+                    let list = best(m, &|j| allowed(i, j).then(|| distance(i, j)));
+                    let Some(&(first, j)) = list.first() else { continue };
+                    let passes = list.get(1).map_or(gate.is_some(), |second| first < 0.97 * second.0);
+                    let back = best(n, &|k| allowed(k, j).then(|| distance(k, j)));
+                    if passes && (!mutual || back.first().is_some_and(|back| back.1 == i)) {
+                        expected.push((i as u32, j as u32));
                     }
-                    let pairs: Vec<_> = found.iter().map(|found| (found.left, found.right)).collect();
-                    assert_eq!(pairs, expected, "{n} {m} {same_sign} {mutual} {gate:?}");
-                    for found in &found {
-                        let exact = distance(found.left as usize, found.right as usize);
-                        assert!((f64::from(found.distance) - exact).abs() < 2e-3);
-                    }
+                }
+                let pairs: Vec<_> = found.iter().map(|found| (found.left, found.right)).collect();
+                assert_eq!(pairs, expected, "{n} {m} {same_sign} {mutual} {gate:?}");
+                for found in &found {
+                    let exact = distance(found.left as usize, found.right as usize);
+                    assert!((f64::from(found.distance) - exact).abs() < 2e-3);
                 }
             }
         }
     }
+}
+
+#[test]
+fn descriptors_of_different_lengths_do_not_match() {
+    let (short, long) = (random_features(40, false, 8), random_features(40, true, 8));
+    let mut matcher = Matcher::new();
+    let mut out = Vec::new();
+    // One matcher for both lengths: what is left of one must not show in the other.
+    for (left, right, expected) in [(&long, &long, 40), (&short, &long, 0), (&short, &short, 40), (&long, &short, 0)] {
+        matcher.match_features(left, right, &MatchParams::default(), None, &Serial, &mut out);
+        assert_eq!(out.len(), expected);
+        assert!(out.iter().all(|m| m.left == m.right && m.distance < 1e-3));
+    }
+}
+
+/// Each descriptor of the scene beside that of the same place seen through `map`: distances of equal and of other places.
+fn extended_distances(map: &Homography, scale: f32, upright: bool) -> Vec<(f32, f32)> {
+    let (width, height) = (400, 320);
+    let params = SurfParams { max_points: 150, extended: true, upright, ..SurfParams::default() };
+    let (left, right) = (render(width, height, &Homography::identity()), render(width, height, map));
+    let (left, right) =
+        (detect(View::new(&left, width, height, 1), params), detect(View::new(&right, width, height, 1), params));
+    let distance = |i: usize, j: usize| {
+        let halves = [(&left.descriptors[i], &right.descriptors[j]), (&left.extension[i], &right.extension[j])];
+        let pairs = halves.iter().flat_map(|(left, right)| left.0.iter().zip(&right.0));
+        pairs.map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt()
+    };
+    let far = |i: usize, j: usize| {
+        let (a, b) = (left.keypoints.position(i), map.map(right.keypoints.position(j)));
+        (a[0] - b[0]).hypot(a[1] - b[1])
+    };
+    let mut result = Vec::new();
+    for j in 0..right.len() {
+        let ratio = |i: usize| left.keypoints.size_px[i] / (right.keypoints.size_px[j] * scale);
+        let same = (0..left.len()).find(|&i| far(i, j) < 1.0 && (0.8..1.25).contains(&ratio(i)));
+        if let Some(same) = same {
+            let other = (0..left.len()).filter(|&i| far(i, j) > 8.0).map(|i| distance(i, j));
+            result.push((distance(same, j), other.fold(f32::INFINITY, f32::min)));
+        }
+    }
+    result
+}
+
+#[test]
+fn extended_descriptors_bear_turns_and_scales() {
+    let turned = |angle: f64, scale: f32| similarity(angle, f64::from(scale), 200.0, 160.0, 3.0, -4.0);
+    for (name, map, scale, upright) in [
+        ("shift", Homography::translation(31.0, -17.0), 1.0, true),
+        ("quarter turn", turned(1.45, 1.0), 1.0, false),
+        ("half turn", turned(3.0, 1.0), 1.0, false),
+        ("zoom in", turned(0.0, 0.7), 0.7, false),
+        ("turn and zoom out", turned(0.6, 1.3), 1.3, false),
+    ] {
+        let distances = extended_distances(&map, scale, upright);
+        let nearer = distances.iter().filter(|(same, other)| same < other).count();
+        let mut same: Vec<f32> = distances.iter().map(|distance| distance.0).collect();
+        same.sort_by(f32::total_cmp);
+        println!("{name}: {nearer} of {} nearest, median distance {:.3}", same.len(), same[same.len() / 2]);
+        assert!(same.len() > 30, "{name}: {} places seen twice", same.len());
+        assert!(nearer * 10 > same.len() * 9, "{name}: {nearer} of {}", same.len());
+        assert!(same[same.len() / 2] < 0.25, "{name}: {}", same[same.len() / 2]);
+    }
+}
+
+#[test]
+fn extended_descriptors_have_unit_length_and_two_windows() {
+    let data = render(320, 240, &Homography::identity());
+    let image = View::new(&data, 320, 240, 1);
+    let params = |extended| SurfParams { hessian_threshold: 5.0, max_points: 60, extended, ..SurfParams::default() };
+    let (plain, both) = (detect(image, params(false)), detect(image, params(true)));
+    assert_eq!(plain.keypoints, both.keypoints);
+    assert_eq!((plain.extension.len(), both.extension.len()), (0, 60));
+    for (narrow, wide) in both.descriptors.iter().zip(&both.extension) {
+        let squares = |half: &Descriptor| half.0.iter().map(|value| value * value).sum::<f32>();
+        assert!((squares(narrow) - 0.5).abs() < 1e-4 && (squares(wide) - 0.5).abs() < 1e-4);
+        assert!(narrow.0.iter().zip(&wide.0).any(|(a, b)| (a - b).abs() > 0.01));
+    }
+}
+
+#[test]
+fn memory_of_extended_features_is_kept() {
+    let data = render(320, 240, &Homography::identity());
+    let params = SurfParams { hessian_threshold: 5.0, max_points: 80, extended: true, ..SurfParams::default() };
+    let (mut surf, mut features) = (Surf::new(params), Features::default());
+    let mut pointer = None;
+    // A flat picture between: the list empties and fills again where it was.
+    for image in [&data, &vec![7; 320 * 240], &data] {
+        surf.detect_and_describe(View::new(image, 320, 240, 1), None, 1, &Serial, &mut features);
+        if !features.is_empty() {
+            assert_eq!(*pointer.get_or_insert(features.extension.as_ptr()), features.extension.as_ptr());
+        }
+    }
+    surf.set_params(SurfParams { extended: false, ..params });
+    surf.detect_and_describe(View::new(&data, 320, 240, 1), None, 1, &Serial, &mut features);
+    assert!(features.extension.is_empty() && !features.is_empty());
 }
 
 #[test]
