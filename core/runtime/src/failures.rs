@@ -41,7 +41,7 @@ impl Cell {
         if self.count(cause).is_power_of_two() {
             around.log.say(Level::Error, &self.id, &words);
         }
-        self.note_counted(around, cause, Action::Withhold, Some(tick.seq), || words);
+        self.note(around, cause, Action::Withhold, Some(tick.seq), || words);
         Ran::Ok
     }
 
@@ -141,17 +141,6 @@ impl Cell {
     /// Writes down a fault that may come with every tick.
     #[cold]
     pub fn note(
-        &self,
-        around: &Surroundings,
-        cause: Cause,
-        done: Action,
-        seq: Option<u64>,
-        words: impl FnOnce() -> String,
-    ) {
-        self.note_counted(around, cause, done, seq, words);
-    }
-
-    fn note_counted(
         &self,
         around: &Surroundings,
         cause: Cause,

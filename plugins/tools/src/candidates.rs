@@ -17,6 +17,26 @@ pub struct Candidate {
     pub row: u32,
 }
 
+impl Candidate {
+    /// A box given by corners in px of the network's input, carried back into a picture of `picture` px (width, height). What is not finite, or
+    /// empty in the picture, is no box.
+    pub fn placed(
+        placement: &Placement,
+        picture: (usize, usize),
+        corners: [f32; 4],
+        score: f32,
+        class_index: u32,
+        row: usize,
+    ) -> Option<Self> {
+        let ((x0, y0), (x1, y1)) = (placement.back(corners[0], corners[1]), placement.back(corners[2], corners[3]));
+        let (w, h) = (picture.0 as f32, picture.1 as f32);
+        let corners = [x0.clamp(0.0, w), y0.clamp(0.0, h), x1.clamp(0.0, w), y1.clamp(0.0, h)];
+        let is_box =
+            [x0, y0, x1, y1].iter().all(|v| v.is_finite()) && corners[2] > corners[0] && corners[3] > corners[1];
+        is_box.then(|| Self { corners, score: score.min(1.0), class_index, row: row as u32 })
+    }
+}
+
 /// Strides of anchor-free heads.
 const STRIDES: [usize; 3] = [8, 16, 32];
 
@@ -46,15 +66,9 @@ pub struct Decoder<'a> {
 }
 
 impl Decoder<'_> {
-    /// A box given by corners in px of the input. What is not finite, or empty in the picture, is no box.
+    /// A box given by corners in px of the input.
     fn push(&mut self, corners: [f32; 4], score: f32, class_index: u32, row: usize) {
-        let ((x0, y0), (x1, y1)) =
-            (self.placement.back(corners[0], corners[1]), self.placement.back(corners[2], corners[3]));
-        let (w, h) = (self.picture.0 as f32, self.picture.1 as f32);
-        let corners = [x0.clamp(0.0, w), y0.clamp(0.0, h), x1.clamp(0.0, w), y1.clamp(0.0, h)];
-        if [x0, y0, x1, y1].iter().all(|v| v.is_finite()) && corners[2] > corners[0] && corners[3] > corners[1] {
-            self.out.push(Candidate { corners, score: score.min(1.0), class_index, row: row as u32 });
-        }
+        self.out.extend(Candidate::placed(&self.placement, self.picture, corners, score, class_index, row));
     }
 
     fn push_centre(&mut self, b: [f32; 4], score: f32, class_index: u32, row: usize) {

@@ -1,7 +1,9 @@
 //! Which of the exports that people have a model is, told from its answer's shapes and its metadata.
 
+use std::path::Path;
+
 use crate::letterbox::{Fit, PixelForm};
-use crate::model::{Model, Tensor};
+use crate::model::Tensor;
 
 /// A family of exports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,22 +65,26 @@ fn shapes(outputs: &[Tensor<'_>]) -> String {
     outputs.iter().map(one).collect::<Vec<_>>().join(", ")
 }
 
-/// Tells the kind from one answer; the error says what was found and what would do.
-pub fn recognise(model: &Model, outputs: &[Tensor<'_>]) -> Result<ExportKind, String> {
-    let input = model.input_size();
+/// Tells the kind from one answer of the model at `path` to a picture of `input` px (width, height); the error says what was found and what
+/// would do. `end_to_end`: the file says of itself that suppression is inside.
+pub fn recognise(
+    path: &Path,
+    input: (usize, usize),
+    end_to_end: bool,
+    outputs: &[Tensor<'_>],
+) -> Result<ExportKind, String> {
     let n = cells(input);
     let unknown = || {
         Err(format!(
             "{} answers {} to a picture of {}x{}: expected 1x{n}x(5+C) (YOLOX), 1x{}x(5+C) (YOLOv5), 1x(4+C)x{n} (YOLOv8 and later), \
              1xNx6 (end to end) or logits 1xNxC with boxes 1xNx4 (DETR); name the kind with `layout`",
-            model.path().display(),
+            path.display(),
             shapes(outputs),
             input.0,
             input.1,
             3 * n
         ))
     };
-    let end_to_end = model.metadata("end2end").is_some_and(|v| v.eq_ignore_ascii_case("true"));
     let ranks: Vec<&[usize]> = outputs.iter().map(|t| t.shape.as_slice()).collect();
     match ranks[..] {
         [[1, rows, 6]] if end_to_end || (*rows <= 1000 && *rows != n && *rows != 3 * n) => Ok(ExportKind::EndToEnd),

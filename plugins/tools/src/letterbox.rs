@@ -81,8 +81,7 @@ pub struct Letterbox {
     pub input: Vec<f32>,
 }
 
-/// Bilinear taps at pixel centres. Where the picture shrinks to less than half, the two taps stand a quarter of the step apart from the
-/// centre, so that more of what lies between counts.
+/// Bilinear taps at pixel centres.
 fn taps(out: usize, scale: f32, from: usize, channels: usize) -> Vec<Tap> {
     let tap = |i: usize| {
         let at = ((i as f32 + 0.5) / scale - 0.5).clamp(0.0, from.saturating_sub(1) as f32);

@@ -302,19 +302,9 @@ impl Node for MaskRcnn {
             for row in 0..answer.count {
                 let (b, score) = (&answer.boxes[4 * row..4 * row + 4], answer.scores[row]);
                 let class = answer.labels.map_or(0, |l| l[row] - first_class);
-                let ((x0, y0), (x1, y1)) = (placement.back(b[0], b[1]), placement.back(b[2], b[3]));
-                let (w, h) = (size.0 as f32, size.1 as f32);
-                let corners = [x0.clamp(0.0, w), y0.clamp(0.0, h), x1.clamp(0.0, w), y1.clamp(0.0, h)];
-                let sound = [x0, y0, x1, y1].iter().all(|v| v.is_finite())
-                    && corners[2] > corners[0]
-                    && corners[3] > corners[1];
-                if sound && score > params.min_score && class >= 0 {
-                    candidates.push(Candidate {
-                        corners,
-                        score: score.min(1.0),
-                        class_index: class as u32,
-                        row: row as u32,
-                    });
+                if score > params.min_score && class >= 0 {
+                    let corners = [b[0], b[1], b[2], b[3]];
+                    candidates.extend(Candidate::placed(&placement, size, corners, score, class as u32, row));
                 }
             }
             suppress(candidates, params.max_overlap, false, params.max_instances);

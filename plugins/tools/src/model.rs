@@ -108,7 +108,7 @@ impl Model {
     /// Opens a file. `size` is used where the model takes any size; 0 for "the model says".
     pub fn open(path: &Path, threads: usize, size: (usize, usize)) -> Result<Self, ModelError> {
         let environment = runtime_library::environment()?;
-        let data = onnx_file::read(path)?;
+        let file = onnx_file::read(path)?;
         let refused = |e: String| ModelError::Open { path: path.to_owned(), reason: first_line(&e) };
         let builder = Session::builder(environment).map_err(|e| refused(e.to_string()))?;
         let builder = builder.with_intra_threads(threads.max(1)).map_err(|e| refused(e.to_string()))?;
@@ -118,9 +118,13 @@ impl Model {
         // A waiting thread that spins takes the core from the next node.
         let builder = builder.with_intra_op_spinning(false).map_err(|e| refused(e.to_string()))?;
         let mut builder = builder.with_inter_op_spinning(false).map_err(|e| refused(e.to_string()))?;
-        // From the path, so that weights beside the model are found; what it names was looked through.
-        drop(data);
-        let session = builder.commit_from_file(path).map_err(|e| refused(e.to_string()))?;
+        // From what was looked through; only weights beside the model need its path.
+        let session = if file.has_weights_beside {
+            builder.commit_from_file(path)
+        } else {
+            builder.commit_from_memory(&file.bytes)
+        };
+        let session = session.map_err(|e| refused(e.to_string()))?;
         let found = describe(session.inputs());
         let input_error = || ModelError::Input { path: path.to_owned(), found: found.clone() };
         let [input] = session.inputs() else { return Err(input_error()) };

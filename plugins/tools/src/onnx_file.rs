@@ -164,8 +164,17 @@ impl Walk<'_> {
     }
 }
 
-/// Reads the file and looks through it. The bytes are given back only when all they name lies beside them.
-pub fn read(path: &Path) -> Result<Vec<u8>, OnnxFileError> {
+/// A model file that was looked through.
+#[derive(Debug)]
+pub struct OnnxFile {
+    /// The whole file.
+    pub bytes: Vec<u8>,
+    /// Part of its weights stand in files beside it.
+    pub has_weights_beside: bool,
+}
+
+/// Reads the file and looks through it. It is given back only when all it names lies beside it.
+pub fn read(path: &Path) -> Result<OnnxFile, OnnxFileError> {
     let failed = |source| OnnxFileError::Read { path: path.to_owned(), source };
     let bytes = std::fs::metadata(path).map_err(failed)?.len();
     if bytes > MAX_BYTES {
@@ -180,6 +189,7 @@ pub fn read(path: &Path) -> Result<Vec<u8>, OnnxFileError> {
     }
     walk.locations.sort();
     walk.locations.dedup();
+    let has_weights_beside = !walk.locations.is_empty();
     for location in walk.locations {
         let folder = path.parent().unwrap_or(Path::new(""));
         let inside =
@@ -195,5 +205,5 @@ pub fn read(path: &Path) -> Result<Vec<u8>, OnnxFileError> {
             return Err(OnnxFileError::Outside { path: path.to_owned(), location });
         }
     }
-    Ok(data)
+    Ok(OnnxFile { bytes: data, has_weights_beside })
 }

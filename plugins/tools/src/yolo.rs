@@ -48,6 +48,21 @@ pub enum Layout {
     Detr,
 }
 
+impl Layout {
+    /// The kind that was named, if one was.
+    fn kind(self) -> Option<ExportKind> {
+        match self {
+            Self::Auto => None,
+            Self::Yolox => Some(ExportKind::YoloxRaw),
+            Self::YoloxDecoded => Some(ExportKind::YoloxDecoded),
+            Self::Yolov5 => Some(ExportKind::YoloV5),
+            Self::Yolov8 => Some(ExportKind::YoloV8 { masks: 0 }),
+            Self::EndToEnd => Some(ExportKind::EndToEnd),
+            Self::Detr => Some(ExportKind::Detr),
+        }
+    }
+}
+
 /// Parameters.
 #[derive(Params)]
 pub struct YoloParams {
@@ -165,35 +180,14 @@ impl Node for Yolo {
         // One run on gray shows the shapes of the answer, and warms everything up.
         let (w, h) = network.model.input_size();
         let gray = vec![0.5f32; 3 * w * h];
-        let asked = params.layout;
-        let told = match asked {
-            Layout::Auto => None,
-            Layout::Yolox => Some(ExportKind::YoloxRaw),
-            Layout::YoloxDecoded => Some(ExportKind::YoloxDecoded),
-            Layout::Yolov5 => Some(ExportKind::YoloV5),
-            Layout::Yolov8 => Some(ExportKind::YoloV8 { masks: 0 }),
-            Layout::EndToEnd => Some(ExportKind::EndToEnd),
-            Layout::Detr => Some(ExportKind::Detr),
-        };
-        let answers = network.model.run(&gray, |outputs| {
-            outputs
-                .iter()
-                .map(|t| (t.name.to_owned(), t.shape.clone(), matches!(t.data, crate::model::Values::Float(_))))
-                .collect::<Vec<_>>()
+        let path = network.model.path().to_owned();
+        let end_to_end = network.model.metadata("end2end").is_some_and(|v| v.eq_ignore_ascii_case("true"));
+        let told = params.layout.kind();
+        let answer = network.model.run(&gray, |outputs| {
+            let kind = told.map_or_else(|| recognise(&path, (w, h), end_to_end, outputs), Ok)?;
+            Ok::<_, String>((kind, kind.classes(outputs)))
         })?;
-        let shapes: Vec<crate::model::Tensor<'_>> = answers
-            .iter()
-            .map(|(name, shape, _)| crate::model::Tensor {
-                name,
-                shape: shape.clone(),
-                data: crate::model::Values::Other,
-            })
-            .collect();
-        let kind = match told {
-            Some(kind) => kind,
-            None => recognise(&network.model, &shapes).map_err(|e| error!("{e}"))?,
-        };
-        let classes = kind.classes(&shapes);
+        let (kind, classes) = answer.map_err(|e| error!("{e}"))?;
         network.name_classes(open, &params.labels, classes)?;
         Ok(Self { network, kind, candidates: Vec::new(), items: Vec::new(), tracker: Tracker::default() })
     }

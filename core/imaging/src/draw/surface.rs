@@ -86,8 +86,8 @@ impl SurfacePainter {
         let left = (0..rows).step_by(step).filter_map(|y| points.at(0, y)).next();
         let half = self.half_width(points, mx).max(left.map_or(0.0, |(p, _)| (mx - p[0]).abs())).max(1.0);
         let scale = orbit.zoom * 0.48 * out.width as f32 / half;
-        let (sy, cy) = orbit.yaw.sin_cos();
-        let (sp, cp) = orbit.pitch.sin_cos();
+        let turn = [orbit.yaw, orbit.pitch].map(f32::sin_cos);
+        let [(sy, cy), (sp, cp)] = turn;
         let (ox, oy) = (out.width as f32 / 2.0, out.height as f32 / 2.0);
         self.corners.clear();
         self.corners.resize(w * h, NOWHERE);
@@ -110,8 +110,8 @@ impl SurfacePainter {
             for i in 0..w - 1 {
                 let at = j * w + i;
                 let [a, b, c, d] = [at, at + 1, at + w, at + w + 1].map(|k| self.corners[k]);
-                self.triangle(out, orbit, [a, b, c]);
-                self.triangle(out, orbit, [b, d, c]);
+                self.triangle(out, orbit, turn, [a, b, c]);
+                self.triangle(out, orbit, turn, [b, d, c]);
             }
         }
         let length = ruler_mm(out.width as f32 / scale);
@@ -135,7 +135,8 @@ impl SurfacePainter {
         self.sorted.get(self.sorted.len() * 98 / 100).copied().unwrap_or(1.0)
     }
 
-    fn triangle(&mut self, out: &mut ViewMut<'_, u8>, orbit: &Orbit, t: [Corner; 3]) {
+    /// `turn` is sine and cosine of yaw and of pitch.
+    fn triangle(&mut self, out: &mut ViewMut<'_, u8>, orbit: &Orbit, turn: [(f32, f32); 2], t: [Corner; 3]) {
         if t.iter().any(|c| c.place[0].is_nan()) {
             return;
         }
@@ -147,8 +148,7 @@ impl SurfacePainter {
         }
         let normal = [e1[1] * e2[2] - e1[2] * e2[1], e1[2] * e2[0] - e1[0] * e2[2], e1[0] * e2[1] - e1[1] * e2[0]];
         let norm = (normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]).sqrt().max(1e-12);
-        let (sy, cy) = orbit.yaw.sin_cos();
-        let (sp, cp) = orbit.pitch.sin_cos();
+        let [(sy, cy), (sp, cp)] = turn;
         let facing = ((cp * (cy * normal[2] - sy * normal[0]) + sp * normal[1]) / norm).abs();
         let light = 1.0 - orbit.shading + orbit.shading * facing;
         let [p, q, r] = [t[0].place, t[1].place, t[2].place];
