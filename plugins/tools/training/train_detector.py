@@ -15,6 +15,7 @@ import threading
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 
@@ -52,7 +53,7 @@ def batches(samples, first, count, batch, plain):
     def make():
         for b in range(count):
             pairs = [samples.sample(first + b * batch + i, plain) for i in range(batch)]
-            x = torch.from_numpy(np.stack([p for p, _ in pairs])).permute(0, 3, 1, 2).float()
+            x = torch.from_numpy(np.stack([p for p, _ in pairs])).permute(0, 3, 1, 2).float()  # channels last as it stands
             ready.put((x, [torch.from_numpy(t) for _, t in pairs]))
         ready.put(None)
 
@@ -65,6 +66,7 @@ def main():
     a = arguments()
     torch.manual_seed(a.seed)
     torch.set_num_threads(a.threads)
+    cv2.setNumThreads(1)
     a.out.mkdir(parents=True, exist_ok=True)
     left_out = set(filter(None, a.without.split(",")))
     everything = read(a.data, a.split)
@@ -76,7 +78,8 @@ def main():
     test = [f.load(a.width * 5 // 4) for f in test]
     print(f"{len(train)} frames to learn from, {len(test)} to test on", flush=True)
 
-    model = Yolox(len(CLASSES))
+    # Channels last: depthwise convolutions take half the time on a CPU.
+    model = Yolox(len(CLASSES)).to(memory_format=torch.channels_last)
     state_file = a.out / "state.pt"
     if a.start and a.start.suffix == ".onnx":
         load_onnx(model, a.start)

@@ -1,5 +1,7 @@
 """Augmentation that makes one operation look like another: light, colour, smoke, blur, position, size and company."""
 
+from functools import partial
+
 import cv2
 import numpy as np
 
@@ -13,12 +15,12 @@ def lab_statistics(picture):
 
 
 def transfer_colour(picture, own, other, share):
-    """Moves a picture's colour statistics towards those of another operation (Reinhard et al. 2001)."""
-    lab = cv2.cvtColor(picture, cv2.COLOR_BGR2LAB).astype(np.float32)
+    """Moves a picture's colour statistics towards those of another operation (Reinhard et al. 2001), by a table per L, a, b."""
     gain = np.clip(other[1] / own[1], 0.5, 2.0)
-    moved = (lab - own[0]) * gain + other[0]
-    lab += share * (moved - lab)
-    return cv2.cvtColor(np.clip(lab, 0, 255).astype(np.uint8), cv2.COLOR_LAB2BGR)
+    level = np.arange(256, dtype=np.float32)[:, None]
+    tables = level + share * ((level - own[0]) * gain + other[0] - level)
+    tables = np.clip(tables, 0, 255).astype(np.uint8).reshape(256, 1, 3)
+    return cv2.cvtColor(cv2.LUT(cv2.cvtColor(picture, cv2.COLOR_BGR2LAB), tables), cv2.COLOR_LAB2BGR)
 
 
 def light(picture, rng):
@@ -41,18 +43,25 @@ def cloud(shape, rng, cells=4):
     return cv2.resize(rng.random((cells, cells + 2)).astype(np.float32), (w, h), interpolation=cv2.INTER_CUBIC).clip(0, 1)
 
 
+def weigh(picture, weight, base=None):
+    """picture * weight + base, per pixel; the answer in bytes."""
+    weighed = cv2.multiply(picture, cv2.merge((weight, weight, weight)), dtype=cv2.CV_8U if base is None else cv2.CV_32F)
+    return weighed if base is None else cv2.add(weighed, cv2.merge((base, base, base)), dtype=cv2.CV_8U)
+
+
 def smoke(picture, rng):
-    veil = (cloud(picture.shape, rng) * rng.uniform(0.2, 0.7))[..., None]
-    return (picture * (1 - veil) + rng.uniform(150, 230) * veil).astype(np.uint8)
+    veil = cloud(picture.shape, rng) * np.float32(rng.uniform(0.2, 0.7))
+    return weigh(picture, 1 - veil, veil * np.float32(rng.uniform(150, 230)))
 
 
 def vignette(picture, rng):
     """Fall-off of the light from a random centre."""
     h, w = picture.shape[:2]
-    y, x = np.mgrid[:h, :w].astype(np.float32)
     cx, cy = rng.uniform(0.25, 0.75) * w, rng.uniform(0.25, 0.75) * h
-    fall = 1 - rng.uniform(0.2, 0.7) * np.clip(((x - cx) ** 2 + (y - cy) ** 2) / (0.5 * w) ** 2, 0, 1)
-    return (picture * fall[..., None]).astype(np.uint8)
+    dx = (np.arange(w, dtype=np.float32) - cx) ** 2
+    dy = (np.arange(h, dtype=np.float32) - cy) ** 2
+    fall = 1 - np.float32(rng.uniform(0.2, 0.7)) * np.minimum((dx[None] + dy[:, None]) / np.float32((0.5 * w) ** 2), 1)
+    return weigh(picture, fall.astype(np.float32))
 
 
 def blur(picture, rng):
@@ -68,8 +77,10 @@ def blur(picture, rng):
 
 
 def noise(picture, rng):
-    grain = rng.normal(0, rng.uniform(2, 10), picture.shape).astype(np.float32)
-    return np.clip(picture + grain, 0, 255).astype(np.uint8)
+    cv2.setRNGSeed(int(rng.integers(1 << 31)))
+    grain = np.empty(picture.shape, np.int16)
+    cv2.randn(grain, 0, rng.uniform(2, 10))
+    return cv2.add(picture, grain, dtype=cv2.CV_8U)
 
 
 def compress(picture, rng):
@@ -134,13 +145,16 @@ def move_boxes(boxes, matrix, width, height):
     return moved[keep].astype(np.float32)
 
 
-def paste(picture, boxes, donor, donor_box, rng):
-    """Sets the working end of another frame's tool into this picture, softly, where it covers little of other tools."""
+def paste(picture, boxes, donor, donor_box, rng, recolour=None):
+    """Sets the working end of another frame's tool into this picture, softly, where it covers little of other tools.
+
+    `recolour` changes the piece that is taken, before it is set in."""
     k, x0, y0, x1, y1 = donor_box
     mx, my = 0.12 * (x1 - x0) + 2, 0.12 * (y1 - y0) + 2
     h, w = donor.shape[:2]
     cx0, cy0, cx1, cy1 = int(max(0, x0 - mx)), int(max(0, y0 - my)), int(min(w, x1 + mx)), int(min(h, y1 + my))
     crop = donor[cy0:cy1, cx0:cx1]
+    crop = recolour(crop) if recolour else crop
     box = np.array([x0 - cx0, y0 - cy0, x1 - cx0, y1 - cy0])
     if rng.random() < 0.5:
         crop = crop[:, ::-1]
@@ -197,9 +211,10 @@ class Augmented:
         while rng.random() < self.pasting:
             d, b = self.tools[int(rng.choice(len(self.tools), p=self.tool_weights))]
             donor = self.frames[d].picture
+            recolour = None
             if rng.random() < 0.6:
-                donor = transfer_colour(donor, self.statistics[d], self.statistics[i], 0.7)
-            boxes = paste(picture, boxes, donor, self.frames[d].boxes[b], rng)
+                recolour = partial(transfer_colour, own=self.statistics[d], other=self.statistics[i], share=0.7)
+            boxes = paste(picture, boxes, donor, self.frames[d].boxes[b], rng, recolour)
         return photometric(picture, rng, self.statistics[i], other), boxes
 
     def sample(self, number, plain=False):
