@@ -20,6 +20,7 @@ use panoscope_imaging::{Serial, View, ViewMut};
 
 use crate::commands::bench::record::Figure;
 use crate::terminal::tell;
+pub use data::find;
 use data::Picture;
 
 /// Arguments of `eval disparity`.

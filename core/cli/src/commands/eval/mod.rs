@@ -3,6 +3,7 @@
 mod calibrate;
 mod disparity;
 pub mod look;
+pub mod plot;
 mod rewire;
 mod stitch;
 mod surf;
