@@ -170,9 +170,7 @@ fn seek(from: &[Gray], to: &[Gray], (x, y): (usize, usize)) -> Option<(Point, f3
             if !inside {
                 return None;
             }
-            let at = |dx: isize, dy: isize| {
-                patch.with(&to[0], cx.wrapping_add_signed(dx), cy.wrapping_add_signed(dy))
-            };
+            let at = |dx: isize, dy: isize| patch.with(&to[0], cx.wrapping_add_signed(dx), cy.wrapping_add_signed(dy));
             let (dx, dy) = (top(at(-1, 0), value, at(1, 0)), top(at(0, -1), value, at(0, 1)));
             return Some(([cx as f64 + dx, cy as f64 + dy], value));
         }
@@ -239,17 +237,12 @@ mod tests {
                 let (i, j) = (i as i64, j as i64);
                 let mix = |a: f64, b: f64, s: f64| a + (b - a) * s;
                 sum += 60.0
-                    * mix(
-                        mix(corner(i, j), corner(i + 1, j), s),
-                        mix(corner(i, j + 1), corner(i + 1, j + 1), s),
-                        t,
-                    );
+                    * mix(mix(corner(i, j), corner(i + 1, j), s), mix(corner(i, j + 1), corner(i + 1, j + 1), s), t);
             }
             sum as f32
         };
-        let data = (0..width * height)
-            .map(|k| value((k % width) as f64 + shift[0], (k / width) as f64 + shift[1]))
-            .collect();
+        let data =
+            (0..width * height).map(|k| value((k % width) as f64 + shift[0], (k / width) as f64 + shift[1])).collect();
         Gray { data, width, height }
     }
 

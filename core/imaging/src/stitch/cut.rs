@@ -172,9 +172,8 @@ pub fn draw(
         let (mut block, mut pixels) = (Block::default(), Pixels::default());
         for row in chunk * ROWS..(chunk * ROWS + ROWS).min(height) {
             // SAFETY: rows are split between chunks.
-            let (l, r) = unsafe {
-                (to_left.part(row * strides[0], 3 * width), to_right.part(row * strides[1], 3 * width))
-            };
+            let (l, r) =
+                unsafe { (to_left.part(row * strides[0], 3 * width), to_right.part(row * strides[1], 3 * width)) };
             l.copy_from_slice(&picture.row(y + row)[3 * x..3 * (x + width)]);
             noise(0, row).add(l);
             for start in (0..width).step_by(BLOCK) {
@@ -268,7 +267,8 @@ mod tests {
             let cut = geometry(&params, SIZE, frame).unwrap();
             let (width, height) = cut.size;
             let (mut left, mut right) = (vec![0; 3 * width * height], vec![0; 3 * width * height]);
-            let (l, r) = (&mut ViewMut::new(&mut left, width, height, 3), &mut ViewMut::new(&mut right, width, height, 3));
+            let (l, r) =
+                (&mut ViewMut::new(&mut left, width, height, 3), &mut ViewMut::new(&mut right, width, height, 3));
             draw(&params, &cut, frame, View::new(&bgr, SIZE.0, SIZE.1, 3), &Serial, l, r).unwrap();
             (left, right, cut)
         };

@@ -5,7 +5,7 @@ mod data;
 mod given;
 mod liver;
 mod outside;
-mod phantom;
+pub mod phantom;
 mod picture;
 mod truth_files;
 

@@ -1,7 +1,7 @@
 //! `panoscope eval`: how good the results are, beside truth and peers.
 
 mod calibrate;
-mod disparity;
+pub mod disparity;
 pub mod look;
 pub mod plot;
 mod rewire;
