@@ -1,4 +1,5 @@
-//! Time of the compositor per frame: two views, geometry held and moving, 1 and 2 threads.
+//! Time of the compositor per frame: two views, geometry held and moving, 1 and 2 threads. A word as argument picks the cases whose
+//! line holds it: `cargo bench --bench composite -- "640x480 held   1"`.
 
 use panoscope_imaging::stitch::*;
 use panoscope_imaging::{Parallel, View, ViewMut};
@@ -100,6 +101,11 @@ fn picture(width: usize, height: usize, left_from_view: &[f64; 9], gain: f64) ->
 
 fn time(name: &str, params: &CompositeParams, size: (usize, usize), moving: bool, pool: &dyn Parallel) {
     let (w, h) = size;
+    let motion = if moving { "moving" } else { "held  " };
+    let case = format!("{name:<28} {w}x{h} {motion} {} threads", pool.threads());
+    if std::env::args().skip(1).any(|word| !word.starts_with("--") && !case.contains(&word)) {
+        return;
+    }
     let k = w as f64 / 640.0;
     let geometry = |t: f64| [1.02, 0.01, (290.0 + t) * k, -0.012, 1.01, (4.0 + 0.5 * t) * k, 2e-5 / k, -1e-5 / k, 1.0];
     let (left, right) = (picture(w, h, &IDENTITY, 1.0), picture(w, h, &geometry(0.0), 0.9));
@@ -123,10 +129,8 @@ fn time(name: &str, params: &CompositeParams, size: (usize, usize), moving: bool
         canvas_px = canvas.width * canvas.height;
     }
     ms.sort_unstable_by(f64::total_cmp);
-    let motion = if moving { "moving" } else { "held  " };
     println!(
-        "{name:<28} {w}x{h} {motion} {} threads  min {:6.3} ms  median {:6.3} ms  p95 {:6.3} ms  ({:.2} Mpx canvas)",
-        pool.threads(),
+        "{case}  min {:6.3} ms  median {:6.3} ms  p95 {:6.3} ms  ({:.2} Mpx canvas)",
         ms[0],
         ms[ms.len() / 2],
         ms[ms.len() * 95 / 100],

@@ -1,7 +1,8 @@
 //! SURF on a synthetic 640x480 texture: detection and description at 500, 1000 and 2000 points.
 //!
 //! `cargo bench -p panoscope-imaging --bench surf` prints minimum and median milliseconds.
-//! `SURF_IMAGE=file.gray,WIDTH,HEIGHT` replaces the texture by a raw 8-bit image.
+//! `SURF_IMAGE=file.gray,WIDTH,HEIGHT` replaces the texture by a raw 8-bit image. A word as argument picks the cases whose name holds
+//! it.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
@@ -144,6 +145,9 @@ fn texture(width: usize, height: usize) -> Vec<u8> {
 }
 
 fn measure(label: &str, mut work: impl FnMut() -> usize) {
+    if std::env::args().skip(1).any(|word| !word.starts_with("--") && !label.contains(&word)) {
+        return;
+    }
     let mut times = Vec::new();
     let mut points = 0;
     for _ in 0..40 {
@@ -172,15 +176,21 @@ fn main() {
         let pool: &dyn Parallel = pair.as_ref().map_or(&Serial, |pair| pair);
         for upright in [true, false] {
             let kind = if upright { "upright" } else { "oriented" };
-            for max_points in [500, 1000, 2000] {
-                let mut surf =
-                    Surf::new(SurfParams { max_points, upright, hessian_threshold: 2.0, ..SurfParams::default() });
-                measure(&format!("surf {width}x{height} {kind} {threads}"), || {
-                    surf.detect_and_describe(image, None, 1, pool, &mut out);
-                    out.len()
-                });
+            for second_look in [true, false] {
+                let look = if second_look { "second look" } else { "plain" };
+                for max_points in [500, 1000, 2000] {
+                    let params = SurfParams { hessian_threshold: 2.0, second_look, ..SurfParams::default() };
+                    let mut surf = Surf::new(SurfParams { max_points, upright, ..params });
+                    measure(&format!("surf {width}x{height} {max_points} {kind} {look} {threads}"), || {
+                        surf.detect_and_describe(image, None, 1, pool, &mut out);
+                        out.len()
+                    });
+                }
             }
-            let mut surf = Surf::new(SurfParams { max_points: 300, upright, ..SurfParams::default() });
+            // As `register_surf` looks at an overlap.
+            let params =
+                SurfParams { hessian_threshold: 50.0, second_look: false, spread: (6, 4), ..SurfParams::default() };
+            let mut surf = Surf::new(SurfParams { max_points: 400, upright, ..params });
             let roi = Rect::new(0, 0, width, height);
             measure(&format!("surf {width}x{height} shrunk by 2 {kind} {threads}"), || {
                 surf.detect_and_describe(image, Some(roi), 2, pool, &mut out);

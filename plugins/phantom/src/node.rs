@@ -7,7 +7,7 @@ use panoscope_node::{
 };
 
 use crate::render::{
-    self, BlackOut, BoardPrint, CameraModel, Canvas, Phantom, Pose, Rig, SceneKind, SceneParams, ToolKind, ToolTruth,
+    self, BlackOut, BoardPrint, CameraModel, Canvas, Incident, IncidentKind, Phantom, Pose, Rig, SceneKind, SceneParams, ToolKind, ToolTruth,
     TruthMut,
 };
 
@@ -67,6 +67,21 @@ pub enum BlackCamera {
     Left,
     /// The right one.
     Right,
+}
+
+/// What goes wrong for a while.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum IncidentChoice {
+    /// Nothing.
+    None,
+    /// Dense smoke before both cameras.
+    Smoke,
+    /// The scope is shaken, and every picture drawn out by some 40 px.
+    Blur,
+    /// The scope jumps to another place, and stays there.
+    Jump,
+    /// Tissue lies on the lens of the last camera.
+    Covered,
 }
 
 /// Parameters of the phantom.
@@ -138,6 +153,15 @@ pub struct PhantomParams {
     /// Number of black pictures.
     #[param(default = 10, range = 0..=1_000_000_000, unit = "frames", reopen)]
     black_count: u64,
+    /// What goes wrong from `incident_first` on.
+    #[param(default = "none", reopen)]
+    incident: IncidentChoice,
+    /// First picture that suffers.
+    #[param(default = 20, range = 0..=1_000_000_000, unit = "frames", reopen)]
+    incident_first: u64,
+    /// Number of pictures that suffer.
+    #[param(default = 10, range = 1..=1_000_000_000, unit = "frames", reopen)]
+    incident_count: u64,
     /// Instruments in the scene.
     #[param(default = 0, range = 0..=7, reopen)]
     tools: u32,
@@ -341,6 +365,18 @@ impl Node for PhantomNode {
                     end: params.black_first + params.black_count,
                 }),
             },
+            incident: match params.incident {
+                IncidentChoice::None => None,
+                IncidentChoice::Smoke => Some(IncidentKind::Smoke),
+                IncidentChoice::Blur => Some(IncidentKind::Blur),
+                IncidentChoice::Jump => Some(IncidentKind::Jump),
+                IncidentChoice::Covered => Some(IncidentKind::Covered),
+            }
+            .map(|kind| Incident {
+                kind,
+                first: params.incident_first,
+                end: params.incident_first + params.incident_count,
+            }),
             ..SceneParams::default()
         };
         let rig = rig(params);

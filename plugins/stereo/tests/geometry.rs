@@ -279,3 +279,60 @@ fn a_cloud_needs_no_calibration_but_states_no_error() -> TestResult {
     assert!(row[5].is_nan());
     Ok(())
 }
+
+#[test]
+fn tips_and_boxes_are_points_too() -> TestResult {
+    use panoscope_node::abi::{Detection, Tip};
+    let depth: Vec<f32> = slope_map().iter().map(|disparity| (FOCAL * BASELINE) as f32 / disparity).collect();
+    let tip = Tip {
+        u_px: 280.5,
+        v_px: 90.25,
+        xyz_mm: [f64::NAN; 3],
+        score: 1.0,
+        class_index: 0,
+        xyz_valid: 0,
+        track_id: 1,
+    };
+    // Held 10 mm before the tissue: its own place counts, not the tissue's.
+    let (a, b) = (truth(40.0, 30.0), truth(280.5, 90.25));
+    let held = b.map(|part| part * (b[2] - 10.0) / b[2]);
+    let above = Tip { xyz_mm: held, xyz_valid: 1, ..tip };
+    for (tip, to) in [(tip, b), (above, held)] {
+        let mut node = Harness::<Measure>::from_toml("params = { points = [40, 30] }")?;
+        let out = node
+            .input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth)
+            .input_value("calibration", rectified(FOCAL, BASELINE))
+            .input_value("tips", tip)
+            .process()?;
+        let row = out.table("table")?.rows().next().map(<[f64]>::to_vec).unwrap_or_default();
+        assert!((row[4] - apart(a, to)).abs() < 1e-3 && row[5] > 0.0, "{row:?} {}", apart(a, to));
+    }
+    let square = |u: f32, v: f32| Detection {
+        x_px: u - 10.0,
+        y_px: v - 6.0,
+        width_px: 20.0,
+        height_px: 12.0,
+        score: 0.9,
+        class_index: 0,
+        track_id: -1,
+    };
+    let mut node = Harness::<Measure>::from_toml("params = { kind = \"distance\" }")?;
+    let boxes = [square(40.0, 30.0), square(280.5, 90.25)];
+    let out = node
+        .input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth)
+        .input_value("calibration", rectified(FOCAL, BASELINE))
+        .input_detections("detections", &boxes, "grasper", SIZE)
+        .process()?;
+    let row = out.table("table")?.rows().next().map(<[f64]>::to_vec).unwrap_or_default();
+    assert!((row[4] - apart(a, b)).abs() < 1e-3, "{row:?} {}", apart(a, b));
+    // A tip that is not there leaves its pair unknown.
+    let mut node = Harness::<Measure>::from_toml("params = { points = [40, 30] }")?;
+    let out = node
+        .input_image::<Depth>("depth", SIZE.0, SIZE.1, &depth)
+        .input_value("calibration", rectified(FOCAL, BASELINE))
+        .input_empty("tips")
+        .process()?;
+    let row = out.table("table")?.rows().next().map(<[f64]>::to_vec).unwrap_or_default();
+    assert!(row[4].is_nan() && row[2].is_nan(), "{row:?}");
+    Ok(())
+}

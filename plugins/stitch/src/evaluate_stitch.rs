@@ -1,6 +1,7 @@
 //! `evaluate_stitch`: registration and panorama beside the truth, one row per tick.
 
-use panoscope_imaging::geometry::Homography as Map;
+use panoscope_imaging::geometry::{Homography as Map, Point, Ransac, RansacParams};
+use panoscope_imaging::stitch::correspond::{CorrespondParams, correspondences};
 use panoscope_imaging::stitch::evaluate::{Gray, Likeness, alignment, likeness, overlap, seam_band};
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
@@ -26,6 +27,8 @@ const COLUMNS: [&str; 15] = [
     "canvas_width_px",
     "canvas_height_px",
 ];
+/// Correspondences by correlation that lie further from every plane are mistakes, px.
+const CORRELATED_REACH_PX: f64 = 12.0;
 /// State of a tick without a homography.
 const STATE_NONE: f64 = 3.0;
 
@@ -47,6 +50,9 @@ pub struct EvaluateParams {
     /// Pictures are compared on every so many ticks; they take longer than stitching.
     #[param(default = 3, range = 1..=1000, unit = "frames")]
     every: u32,
+    /// Where nothing true is connected, judge the alignment by correspondences that are found by correlation alone, on the same ticks.
+    #[param(default = false)]
+    correlate: bool,
 }
 
 /// Inputs of the evaluation.
@@ -72,6 +78,8 @@ pub struct In<'f> {
     truth: Option<Value<'f, Homography>>,
     /// What one wide camera at the left camera's place would see.
     wide: Option<Image<'f, Bgr8>>,
+    /// Where the left view lies in `wide`; wins over the parameters.
+    left_in_wide: Option<Value<'f, Roi>>,
 }
 
 /// Outputs of the evaluation.
@@ -96,6 +104,41 @@ fn way_px(a: &Map, b: &Map, size: (usize, usize)) -> f64 {
         squares += a.squared_error(point, b.map(point));
     }
     (squares / 9.0).sqrt()
+}
+
+/// Root mean square distance of two maps over the points of the right view that the true one brings into the left view, and how
+/// many points that are.
+fn between(map: &Map, truth: &Map, left: (usize, usize), right: (usize, usize), step: u32) -> Option<(f64, usize)> {
+    let (mut squares, mut count) = (0.0, 0usize);
+    for y in (0..right.1).step_by(step.max(1) as usize) {
+        for x in (0..right.0).step_by(step.max(1) as usize) {
+            let point = [x as f64, y as f64];
+            let [u, v] = truth.map(point);
+            if u >= 0.0 && v >= 0.0 && u <= left.0 as f64 - 1.0 && v <= left.1 as f64 - 1.0 {
+                squares += map.squared_error(point, [u, v]);
+                count += 1;
+            }
+        }
+    }
+    (count > 0).then(|| ((squares / count as f64).sqrt(), count))
+}
+
+/// Root mean square distance of a map and of the best plane from correspondences found by correlation, and how many there are.
+/// Tissue is no plane: the second number is what parallax leaves to any homography.
+fn correlated(map: &Map, input: &In<'_>, pool: &dyn panoscope_node::Parallel) -> [f64; 3] {
+    let (left, right) = (Gray::of_bgr(input.left.view()), Gray::of_bgr(input.right.view()));
+    let found = correspondences(&left, &right, &CorrespondParams::default(), pool);
+    let (from, to): (Vec<Point>, Vec<Point>) = found.iter().map(|pair| (pair.right, pair.left)).unzip();
+    let mut inliers = Vec::new();
+    // Wide: parallax is no mistake of the correlation, but the far end of the picture is.
+    let loose = RansacParams { threshold_px: CORRELATED_REACH_PX, ..RansacParams::default() };
+    let Ok(fit) = Ransac::new().estimate(&from, &to, &loose, &mut inliers) else { return [f64::NAN, f64::NAN, 0.0] };
+    let best = fit.homography.refine(&from, &to, |index| inliers[index], 20);
+    let rms = |map: &Map| {
+        let kept = (0..from.len()).filter(|index| inliers[*index]);
+        (kept.map(|index| map.squared_error(from[index], to[index])).sum::<f64>() / fit.inliers.max(1) as f64).sqrt()
+    };
+    [rms(map), rms(&best), fit.inliers as f64]
 }
 
 /// Share of the right view that is mapped outside the panorama, percent.
@@ -142,7 +185,10 @@ impl EvaluateStitch {
         let auto =
             |given: i32, wide: usize, left: usize| if given >= 0 { given } else { (wide as i32 - left as i32) / 8 };
         let left = (input.left.width(), input.left.height());
-        let offset = (auto(params.wide_x, wide.width, left.0), auto(params.wide_y, wide.height, left.1));
+        let offset = match &input.left_in_wide {
+            Some(at) => (at.x, at.y),
+            None => (auto(params.wide_x, wide.width, left.0), auto(params.wide_y, wide.height, left.1)),
+        };
         let (truth, known) = truth_on_canvas(wide, offset, canvas, size);
         let right = (input.right.width(), input.right.height());
         let mut region = overlap(size, (canvas.x, canvas.y), left, right, map);
@@ -172,7 +218,13 @@ impl Node for EvaluateStitch {
         Ok(Self { rows: Vec::new(), previous: None, ticks: 0 })
     }
 
-    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &EvaluateParams) -> Result<()> {
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &EvaluateParams,
+    ) -> Result<()> {
         const NONE: f64 = f64::NAN;
         let mut row = [NONE; COLUMNS.len()];
         row[0] = self.ticks as f64;
@@ -189,8 +241,12 @@ impl Node for EvaluateStitch {
                 }
                 row[4] = input.truth.as_ref().and_then(|t| rms(&Map(t.left_from_right))).map_or(NONE, |(rms, _)| rms);
             } else if let Some(truth) = &input.truth {
-                row[3] = way_px(map, &Map(truth.left_from_right), right);
-                row[4] = 0.0;
+                let left = (input.left.width(), input.left.height());
+                if let Some((align, count)) = between(map, &Map(truth.left_from_right), left, right, params.step) {
+                    (row[3], row[4], row[5]) = (align, 0.0, count as f64);
+                }
+            } else if params.correlate && self.ticks.is_multiple_of(u64::from(params.every)) {
+                [row[3], row[4], row[5]] = correlated(map, &input, cx.pool());
             }
             row[6] = self.previous.map_or(NONE, |previous| way_px(map, &previous, right));
             if self.ticks.is_multiple_of(u64::from(params.every)) {

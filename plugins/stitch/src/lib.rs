@@ -1,6 +1,7 @@
 //! Registration and compositing of overlapping views (thesis, chapters 2 and 4).
 
 mod composite;
+mod cut_views;
 mod evaluate_stitch;
 mod features_surf;
 mod register_grid;
@@ -8,9 +9,10 @@ mod register_surf;
 mod registration;
 
 pub use composite::Composite;
+pub use cut_views::CutViews;
 pub use evaluate_stitch::EvaluateStitch;
 pub use features_surf::FeaturesSurf;
 pub use register_grid::RegisterGridNode;
 pub use register_surf::RegisterSurf;
 
-panoscope_node::export_plugin![RegisterSurf, RegisterGridNode, Composite, FeaturesSurf, EvaluateStitch];
+panoscope_node::export_plugin![RegisterSurf, RegisterGridNode, Composite, FeaturesSurf, EvaluateStitch, CutViews];

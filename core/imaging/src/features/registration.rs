@@ -234,6 +234,14 @@ impl RegisterSurf {
     fn estimate(&mut self, trusted: Option<Homography>, sizes: [(usize, usize); 2]) -> Option<Estimate> {
         self.from.clear();
         self.to.clear();
+        // No frame has more matches than keypoints: the lists grow once.
+        let most = self.params.surf.max_points.max(self.matches.len());
+        self.from.reserve(most);
+        self.to.reserve(most);
+        self.mask.reserve(most.saturating_sub(self.mask.len()));
+        self.matches.reserve(most - self.matches.len());
+        self.ransac.reserve(most);
+        self.stability.reserve(most, self.params.calm);
         let [left, right] = &self.sides;
         for found in &self.matches {
             self.to.push(left.features.keypoints.position(found.left as usize));

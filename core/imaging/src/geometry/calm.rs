@@ -18,6 +18,14 @@ pub struct Calm {
 }
 
 impl Calm {
+    /// Reserves memory for up to `count` inliers, held with a weight of up to `weight`.
+    pub fn reserve(&mut self, count: usize, weight: f64) {
+        let most = count + ((weight.max(0.0) * count as f64) as usize).next_multiple_of(HELD) + HELD;
+        for list in [&mut self.from, &mut self.to] {
+            list.reserve(most.saturating_sub(list.len()));
+        }
+    }
+
     /// Refits `found` on its inliers and on the border of a frame of `size` (width, height in px), which `anchor` maps to where it should
     /// stay. `weight` is that of all held points together, relative to all inliers together.
     pub fn fit(

@@ -91,6 +91,13 @@ impl Ransac {
         Self::default()
     }
 
+    /// Reserves memory for up to `count` pairs, so that frames with more of them than any before allocate nothing.
+    pub fn reserve(&mut self, count: usize) {
+        for list in [&mut self.x, &mut self.y, &mut self.u, &mut self.v] {
+            list.reserve(count.saturating_sub(list.len()));
+        }
+    }
+
     /// The homography most pairs agree on; `mask` becomes one flag per pair.
     ///
     /// # Errors

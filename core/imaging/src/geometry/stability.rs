@@ -91,6 +91,12 @@ pub struct Stability {
 }
 
 impl Stability {
+    /// Reserves memory for up to `count` inliers, held with a weight of up to `calm`.
+    pub fn reserve(&mut self, count: usize, calm: f64) {
+        self.calm.reserve(count, calm);
+        self.errors.reserve(count.saturating_sub(self.errors.len()));
+    }
+
     /// The map `previous` where it still holds, else the new one, calmed by it (see [`Calm`]).
     ///
     /// `pairs` are source and target points and which of them are the inliers of `fit`; `size` is that of the source frame, in

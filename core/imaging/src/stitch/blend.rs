@@ -127,6 +127,12 @@ impl Blender {
         &mut self.fine[0][..w * h * LANES]
     }
 
+    /// As [`Blender::differences`], with a row of work memory beside it.
+    pub fn differences_and_row(&mut self) -> (&mut [i16], &mut [i16]) {
+        let (w, h) = self.sizes[0];
+        (&mut self.fine[0][..w * h * LANES], &mut self.scratch[..w * LANES])
+    }
+
     /// Builds the levels, and collapses them down to level 1. With `bands == false` only the weights are blurred (feather).
     pub fn build(&mut self, bands: bool, ranges: &Ranges, pool: &dyn Parallel, avx2: bool) {
         let top = self.sizes.len() - 1;
@@ -260,22 +266,22 @@ fn expand(coarse: &[i16], (w, h): (usize, usize), y: usize, from: usize, tmp: &m
     pyramid::horizontal_up(&tmp[first * LANES..], out, avx2);
 }
 
-/// Writes `8 * (base - pixels)` with weight zero; `base` is BGR and gives the number of pixels.
-pub fn difference(base: &[u8], pixels: &Pixels, out: &mut [i16], avx2: bool) {
+/// Writes `8 * (base - pixels)` and the weight; `base` is BGR and gives the number of pixels.
+pub fn difference(base: &[u8], pixels: &Pixels, weight: i16, out: &mut [i16], avx2: bool) {
     let count = base.len() / 3;
     let mut i = 0;
     #[cfg(target_arch = "x86_64")]
     if avx2 {
         assert!(count * LANES <= out.len() && count * 4 <= pixels.0.len());
         // SAFETY: AVX2 is present, lengths checked above.
-        i = unsafe { difference_avx2(base, pixels, out) };
+        i = unsafe { difference_avx2(base, pixels, weight, out) };
     }
     let _ = avx2;
     while i < count {
         for c in 0..3 {
             out[LANES * i + c] = (i16::from(base[3 * i + c]) - i16::from(pixels.0[4 * i + c])) * 8;
         }
-        out[LANES * i + 3] = 0;
+        out[LANES * i + 3] = weight;
         i += 1;
     }
 }
@@ -284,9 +290,11 @@ pub fn difference(base: &[u8], pixels: &Pixels, out: &mut [i16], avx2: bool) {
 /// `out` and `pixels` must hold `base.len() / 3` pixels.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-unsafe fn difference_avx2(base: &[u8], pixels: &Pixels, out: &mut [i16]) -> usize {
+unsafe fn difference_avx2(base: &[u8], pixels: &Pixels, weight: i16, out: &mut [i16]) -> usize {
     use std::arch::x86_64::*;
     let widen = _mm_setr_epi8(0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1);
+    // Lane 3 of the pixels' difference is zero on both sides.
+    let weight = _mm256_set1_epi64x(i64::from(weight) << 48);
     let mut i = 0;
     while 3 * i + 16 <= base.len() {
         // SAFETY: 16 bytes of `base` from 3 i on exist, so pixels i..i+4 do in the others.
@@ -294,7 +302,8 @@ unsafe fn difference_avx2(base: &[u8], pixels: &Pixels, out: &mut [i16]) -> usiz
             let a = _mm_shuffle_epi8(_mm_loadu_si128(base.as_ptr().add(3 * i).cast()), widen);
             let b = _mm_loadu_si128(pixels.0.as_ptr().add(4 * i).cast());
             let d = _mm256_sub_epi16(_mm256_cvtepu8_epi16(a), _mm256_cvtepu8_epi16(b));
-            _mm256_storeu_si256(out.as_mut_ptr().add(LANES * i).cast(), _mm256_slli_epi16(d, 3));
+            let d = _mm256_or_si256(_mm256_slli_epi16(d, 3), weight);
+            _mm256_storeu_si256(out.as_mut_ptr().add(LANES * i).cast(), d);
         }
         i += 4;
     }

@@ -239,6 +239,9 @@ impl RegisterGrid {
         let (rows, columns) = (self.params.rows.max(1), self.params.columns.max(1));
         self.from.reserve(rows * columns);
         self.to.reserve(rows * columns);
+        self.mask.reserve((rows * columns).saturating_sub(self.mask.len()));
+        self.ransac.reserve(rows * columns);
+        self.stability.reserve(rows * columns, self.params.calm);
         if area.width < columns || area.height < rows {
             return;
         }

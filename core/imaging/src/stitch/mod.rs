@@ -7,6 +7,8 @@
 mod blend;
 mod canvas;
 mod compositor;
+pub mod correspond;
+pub mod cut;
 pub mod evaluate;
 mod graph_cut;
 pub mod grid;

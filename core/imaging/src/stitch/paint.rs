@@ -44,7 +44,7 @@ impl Compositor {
             let gain = taps::fixed_gain(&self.gains[k]);
             let step = &mut self.steps[k];
             step.seam.resize(canvas.width.div_ceil(scale), canvas.height.div_ceil(scale));
-            self.joined.measure(taps, &gain, &mut step.seam);
+            self.joined.measure(taps, &gain, &mut step.seam, pool);
             let found = step.seam.update(&self.params, k == 1, may_learn, &mut self.cut);
             found_any |= found;
             worst_cost = worst_cost.max(step.seam.cost_along());
@@ -292,12 +292,8 @@ fn paint_new(
                 let n = (b - x).min(BLOCK);
                 source.sample(x, y, n, work);
                 let part = &mut out[(x - n0) * LANES..(x - n0 + n) * LANES];
-                blend::difference(&row[x * 3..(x + n) * 3], &work.pixels, part, source.avx2);
-                if segment.kind == BASE_SHOWN {
-                    for p in part.as_chunks_mut::<LANES>().0 {
-                        p[3] = ONE;
-                    }
-                }
+                let weight = if segment.kind == BASE_SHOWN { ONE } else { 0 };
+                blend::difference(&row[x * 3..(x + n) * 3], &work.pixels, weight, part, source.avx2);
                 x += n;
             }
         }
@@ -373,9 +369,11 @@ fn fill_rows(blender: &mut Blender, step: &Step, z: Zone) {
         step.segments.row(z.y + r).iter().any(|s| s.both() && s.clip(z.x + a, z.x + b).is_some())
     };
     let row_len = z.width * LANES;
-    let out = blender.differences();
+    let (out, smooth) = blender.differences_and_row();
     let mut above: Option<usize> = None;
     let mut below: Option<usize> = (0..z.height).find(|r| has(*r));
+    // Source and columns of what was smoothed last: the next row mostly wants the same.
+    let mut last: Option<(usize, (usize, usize))> = None;
     for r in 0..z.height {
         if has(r) {
             above = Some(r);
@@ -391,10 +389,12 @@ fn fill_rows(blender: &mut Blender, step: &Step, z: Zone) {
         let (start, end) = needed(r);
         match from {
             Some(f) => {
-                let (head, tail) = out.split_at_mut(f.max(r) * row_len);
-                let (low, high) = (&mut head[f.min(r) * row_len..][..row_len], &mut tail[..row_len]);
-                let (source, target) = if f < r { (low, high) } else { (high, low) };
-                smooth_row(source, needed(f), target, (start, end));
+                if last != Some((f, (start, end))) {
+                    smooth_row(&out[f * row_len..(f + 1) * row_len], needed(f), smooth, (start, end));
+                    last = Some((f, (start, end)));
+                }
+                let columns = start * LANES..end * LANES;
+                out[r * row_len..(r + 1) * row_len][columns.clone()].copy_from_slice(&smooth[columns]);
             }
             None => out[r * row_len + start * LANES..r * row_len + end * LANES].fill(0),
         }

@@ -111,37 +111,56 @@ impl Joined {
     }
 
     /// Fills class, cost and gradient of every cell of the seam grid.
-    pub fn measure(&self, taps: &Taps, gain: &[i16; 4], seam: &mut Seam) {
+    pub fn measure(&self, taps: &Taps, gain: &[i16; 4], seam: &mut Seam, pool: &dyn Parallel) {
+        let (columns, cells) = (seam.columns, seam.columns * seam.rows);
+        let class = SharedMut::new(&mut seam.class[..cells]);
+        let cost = SharedMut::new(&mut seam.cost[..cells]);
+        let gradient = SharedMut::new(&mut seam.gradient[..cells]);
+        let rows = seam.rows;
+        pool.run(rows.div_ceil(ROWS), &|chunk| {
+            for cy in chunk * ROWS..(chunk * ROWS + ROWS).min(rows) {
+                let at = cy * columns;
+                // SAFETY: rows are split between chunks.
+                let row = unsafe { (class.part(at, columns), cost.part(at, columns), gradient.part(at, columns)) };
+                self.measure_row(taps, gain, cy, row);
+            }
+        });
+    }
+
+    fn measure_row(
+        &self,
+        taps: &Taps,
+        gain: &[i16; 4],
+        cy: usize,
+        (classes, costs, gradients): (&mut [u8], &mut [f32], &mut [f32]),
+    ) {
         let columns = taps.columns;
-        for cy in 0..seam.rows {
-            for cx in 0..seam.columns {
-                let (mut class, mut cost, mut gradient, mut count) = (0, 0.0f32, 0i32, 0);
-                for y in cy * TAPS..cy * TAPS + TAPS {
-                    for x in cx * TAPS..cx * TAPS + TAPS {
-                        let i = y * columns + x;
-                        let base = self.values[i];
-                        let covered = taps.spans[y].contains(x as u32);
-                        class |= if base[3] == 255 { BASE } else { 0 } | if covered { NEW } else { 0 };
-                        if base[3] != 255 || !covered {
-                            continue;
-                        }
-                        let new = gained(taps.values[i], gain);
-                        let square = |c: usize| (i32::from(base[c]) - i32::from(new[c])).pow(2);
-                        cost += ((square(0) + square(1) + square(2)) as f32).sqrt();
-                        count += 1;
-                        if taps.spans[y].contains(x as u32 + 1) && self.values.get(i + 1).is_some_and(|v| v[3] == 255) {
-                            let step = |a: u8, b: u8| (i32::from(a) - i32::from(b)).abs();
-                            gradient +=
-                                step(self.values[i + 1][1], base[1]) + step(taps.values[i + 1][1], taps.values[i][1]);
-                        }
+        for cx in 0..classes.len() {
+            let (mut class, mut cost, mut gradient, mut count) = (0, 0.0f32, 0i32, 0);
+            for y in cy * TAPS..cy * TAPS + TAPS {
+                for x in cx * TAPS..cx * TAPS + TAPS {
+                    let i = y * columns + x;
+                    let base = self.values[i];
+                    let covered = taps.spans[y].contains(x as u32);
+                    class |= if base[3] == 255 { BASE } else { 0 } | if covered { NEW } else { 0 };
+                    if base[3] != 255 || !covered {
+                        continue;
+                    }
+                    let new = gained(taps.values[i], gain);
+                    let square = |c: usize| (i32::from(base[c]) - i32::from(new[c])).pow(2);
+                    cost += ((square(0) + square(1) + square(2)) as f32).sqrt();
+                    count += 1;
+                    if taps.spans[y].contains(x as u32 + 1) && self.values.get(i + 1).is_some_and(|v| v[3] == 255) {
+                        let step = |a: u8, b: u8| (i32::from(a) - i32::from(b)).abs();
+                        gradient +=
+                            step(self.values[i + 1][1], base[1]) + step(taps.values[i + 1][1], taps.values[i][1]);
                     }
                 }
-                let cell = cy * seam.columns + cx;
-                seam.class[cell] = if count > 0 { BOTH } else { class.min(NEW) };
-                // Euclidean over three channels, brought back to levels of one.
-                seam.cost[cell] = if count > 0 { cost / count as f32 * 0.577_350_26 } else { 0.0 };
-                seam.gradient[cell] = if count > 0 { gradient as f32 / (2 * count) as f32 } else { 0.0 };
             }
+            classes[cx] = if count > 0 { BOTH } else { class.min(NEW) };
+            // Euclidean over three channels, brought back to levels of one.
+            costs[cx] = if count > 0 { cost / count as f32 * 0.577_350_26 } else { 0.0 };
+            gradients[cx] = if count > 0 { gradient as f32 / (2 * count) as f32 } else { 0.0 };
         }
     }
 

@@ -29,7 +29,7 @@ mod vessels;
 pub use boards::BoardPrint;
 pub use marks::{BLOCKS_MM, BOARD_CENTRE_MM, LENGTHS_MM, RULERS_Y_MM, SQUARE_MM};
 pub use math::{Pose, chance};
-pub use params::{BlackOut, CameraModel, PhantomError, Rig, SceneKind, SceneParams};
+pub use params::{BlackOut, CameraModel, Incident, IncidentKind, PhantomError, Rig, SceneKind, SceneParams};
 pub use phantom::Phantom;
 pub use tools::{ToolKind, ToolTruth};
 pub use truth::{Canvas, PlaneFit, TruthMut};

@@ -2,7 +2,10 @@
 
 use super::boards;
 use super::math::{Pose, Stream, cos_turns, sin_turns};
-use super::params::{SceneKind, SceneParams};
+use super::params::{IncidentKind, SceneKind, SceneParams};
+
+/// How far a jump goes: aside by a third of what a camera sees, and nearer.
+const JUMP_MM: [f64; 3] = [12.0, -7.0, 8.0];
 
 /// Sines of one axis: amplitude, frequency in Hz, phase in turns.
 #[derive(Clone, Copy, Debug)]
@@ -39,6 +42,8 @@ pub struct Script {
     breath_hz: f64,
     breath_mm: f64,
     fps: f64,
+    /// Frame of the jump.
+    jump: Option<u64>,
     /// Of a scene with a board in ever new poses.
     board: Option<SceneParams>,
 }
@@ -59,6 +64,7 @@ impl Script {
             breath_hz: 1.0 / params.breathing_period_s,
             breath_mm: params.breathing_mm,
             fps: params.fps,
+            jump: params.incident.filter(|i| i.kind == IncidentKind::Jump).map(|i| i.first),
             board: (params.scene == SceneKind::Board && speed > 0.0).then(|| params.clone()),
         }
     }
@@ -70,7 +76,10 @@ impl Script {
             return boards::shown_pose(params, (frames + 0.5).max(0.0) as u64);
         }
         let seconds = frames / self.fps;
-        let translation_mm = [0, 1, 2].map(|i| self.place[i].at(seconds));
+        let mut translation_mm = [0, 1, 2].map(|i| self.place[i].at(seconds));
+        if self.jump.is_some_and(|first| frames + 0.5 >= first as f64) {
+            translation_mm.iter_mut().zip(JUMP_MM).for_each(|(place, jump)| *place += jump);
+        }
         // Degrees to turns; small rotations about x, y and z one after the other.
         let half = [0, 1, 2].map(|i| self.turn[i].at(seconds) / 720.0);
         let (s, c) = (half.map(sin_turns), half.map(cos_turns));

@@ -146,6 +146,39 @@ pub struct SceneParams {
     pub shutter: f64,
     /// Camera and frames `first..end` for which that camera's picture is black.
     pub black: Option<BlackOut>,
+    /// Something that goes wrong for a while.
+    pub incident: Option<Incident>,
+}
+
+/// What can go wrong for a while.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum IncidentKind {
+    /// Dense smoke before both cameras.
+    Smoke,
+    /// The scope is shaken: every picture is drawn out by some 40 px.
+    Blur,
+    /// The scope jumps to another place at the first frame and stays there.
+    Jump,
+    /// Tissue lies on the lens of the last camera.
+    Covered,
+}
+
+/// Something that goes wrong in the frames `first..end`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Incident {
+    /// What.
+    pub kind: IncidentKind,
+    /// First bad frame.
+    pub first: u64,
+    /// First good frame.
+    pub end: u64,
+}
+
+impl Incident {
+    /// Whether it is under way.
+    pub fn at(&self, kind: IncidentKind, frame: u64) -> bool {
+        self.kind == kind && (self.first..self.end).contains(&frame)
+    }
 }
 
 /// A camera that goes black for a while.
@@ -179,6 +212,7 @@ impl Default for SceneParams {
             motion_blur: 1,
             shutter: 0.5,
             black: None,
+            incident: None,
         }
     }
 }

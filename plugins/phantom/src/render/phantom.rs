@@ -8,7 +8,7 @@ use super::lens::Lens;
 use super::material::{self, TEXELS};
 use super::math::{Pose, hash};
 use super::motion::Script;
-use super::params::{CameraModel, PhantomError, Rig, SceneParams};
+use super::params::{CameraModel, IncidentKind, PhantomError, Rig, SceneParams};
 use super::relief::{NODES, Relief};
 use super::shade::{self, portable};
 use super::shade::{Picture, Sensor, Skin, rows_of};
@@ -17,6 +17,14 @@ use super::truth::TruthWork;
 
 /// Rows drawn by one chunk; a multiple of the tile.
 const CHUNK_ROWS: usize = 16;
+/// Sub-frames of a picture that is taken while the scope is shaken.
+const SHAKEN_FRAMES: usize = 12;
+/// Way of the scope while such a picture is taken, mm along x, y and z.
+const SHAKEN_MM: [f64; 3] = [2.4, 1.2, 0.0];
+/// Density of the smoke of an incident.
+const INCIDENT_SMOKE: f32 = 0.95;
+/// Tissue that lies on a lens, lit from within: B, G, R.
+const COVERED: [u8; 3] = [22, 18, 88];
 
 /// A scene and the cameras that look at it.
 pub struct Phantom {
@@ -26,6 +34,8 @@ pub struct Phantom {
     texels: Vec<u64>,
     script: Script,
     smoke: Option<Smoke>,
+    /// Sub-frames of a picture while nothing goes wrong.
+    subframes: usize,
     pub(super) tools: Vec<Tool>,
     /// Surface of the frame drawn last.
     z_mm: Vec<f32>,
@@ -61,15 +71,18 @@ impl Phantom {
         params.check()?;
         rig.check()?;
         let subframes = if params.shutter > 0.0 { params.motion_blur as usize } else { 1 };
-        let eye = |(i, model): (usize, &CameraModel)| Eye::new(*model, i, subframes);
+        let is = |kind: IncidentKind| params.incident.is_some_and(|i| i.kind == kind);
+        let most = if is(IncidentKind::Blur) { subframes.max(SHAKEN_FRAMES) } else { subframes };
+        let density = if is(IncidentKind::Smoke) { INCIDENT_SMOKE } else { params.smoke };
+        let eye = |(i, model): (usize, &CameraModel)| Eye::new(*model, i, most);
         let mut eyes = rig.cameras.iter().enumerate().map(eye).collect::<Result<Vec<_>, _>>()?;
         for (camera, eye) in eyes.iter_mut().enumerate() {
             eye.drops = effects::drops(&eye.lens, params.seed, camera, params.blood_drops);
-            if params.smoke > 0.0 {
+            if density > 0.0 {
                 eye.smoke = vec![0.0; eye.lens.grid_padded * eye.lens.grid_height];
             }
         }
-        let smoke = (params.smoke > 0.0).then(|| Smoke::new(params.seed, params.smoke));
+        let smoke = (density > 0.0).then(|| Smoke::new(params.seed, density));
         let relief = Relief::new(&params, pool);
         let texels = material::bake(&params, &relief, pool);
         let script = Script::new(&params);
@@ -83,6 +96,7 @@ impl Phantom {
             texels,
             script,
             smoke,
+            subframes,
             tools,
             z_mm,
             breath_mm: 0.0,
@@ -140,16 +154,26 @@ impl Phantom {
         self.place(frame, pose)?;
         self.breathe(frame, pool);
         let mut eyes = std::mem::take(&mut self.eyes);
+        let cameras = eyes.len();
+        // The smoke of an incident comes and goes.
+        let clear = self.params.incident.is_some_and(|i| i.kind == IncidentKind::Smoke)
+            && !self.suffers(IncidentKind::Smoke, frame)
+            && self.params.smoke == 0.0;
         for (camera, (eye, view)) in eyes.iter_mut().zip(views).enumerate() {
             let black = self.params.black.is_some_and(|b| b.camera == camera && (b.first..b.end).contains(&frame));
             if black {
                 (0..view.height).for_each(|y| view.row_mut(y).fill(0));
                 continue;
             }
-            for (station, coarse) in &mut eye.stations {
+            if camera + 1 == cameras && self.suffers(IncidentKind::Covered, frame) {
+                (0..view.height).for_each(|y| view.row_mut(y).as_chunks_mut::<3>().0.fill(COVERED));
+                continue;
+            }
+            let used = self.subframes_at(frame);
+            for (station, coarse) in &mut eye.stations[..used] {
                 self.coarse(&eye.lens, station, coarse, pool);
             }
-            if let Some(smoke) = &self.smoke {
+            if let Some(smoke) = self.smoke.as_ref().filter(|_| !clear) {
                 let (pose, seconds) = (pose.unwrap_or_else(|| self.pose(frame)), frame as f64 / self.params.fps);
                 smoke.fill(&eye.lens, &pose, eye.model.offset_mm, seconds, pool, &mut eye.smoke);
             }
@@ -158,13 +182,22 @@ impl Phantom {
                 gain: eye.model.white_balance.map(|w| w * eye.model.exposure),
                 noise: self.params.noise,
                 key: hash(&[words[0], words[1], words[2], words[3], camera as u32]),
-                smoke: &eye.smoke,
+                smoke: if clear { &[] } else { &eye.smoke },
                 drops: &eye.drops,
             };
-            self.draw(&eye.lens, &eye.stations, sensor, pool, view);
+            self.draw(&eye.lens, &eye.stations[..used], sensor, pool, view);
         }
         self.eyes = eyes;
         Ok(())
+    }
+
+    fn suffers(&self, kind: IncidentKind, frame: u64) -> bool {
+        self.params.incident.is_some_and(|incident| incident.at(kind, frame))
+    }
+
+    /// Sub-frames that a frame's pictures are averaged from.
+    fn subframes_at(&self, frame: u64) -> usize {
+        if self.suffers(IncidentKind::Blur, frame) { self.subframes.max(SHAKEN_FRAMES) } else { self.subframes }
     }
 
     /// Puts the cameras of all sub-frames where they stand.
@@ -172,12 +205,16 @@ impl Phantom {
         if pose.is_some_and(|p| !p.is_finite()) {
             return Err(PhantomError::BadPose);
         }
+        let (count, shaken) = (self.subframes_at(frame), self.suffers(IncidentKind::Blur, frame));
         let (params, script, rig, period) = (&self.params, &self.script, &self.rig, f64::from(self.relief.period_mm));
         for eye in &mut self.eyes {
-            let count = eye.stations.len();
-            for (k, (station, coarse)) in eye.stations.iter_mut().enumerate() {
-                let part = ((k as f64 + 0.5) / count as f64 - 0.5) * params.shutter * if count > 1 { 1.0 } else { 0.0 };
-                let pose = pose.unwrap_or_else(|| script.pose(frame as f64 + part));
+            for (k, (station, coarse)) in eye.stations[..count].iter_mut().enumerate() {
+                let share = (k as f64 + 0.5) / count as f64 - 0.5;
+                let part = share * params.shutter * if count > 1 { 1.0 } else { 0.0 };
+                let mut pose = pose.unwrap_or_else(|| script.pose(frame as f64 + part));
+                if shaken {
+                    pose.translation_mm.iter_mut().zip(SHAKEN_MM).for_each(|(place, way)| *place += share * way);
+                }
                 *station = station_at(&pose, eye.model.offset_mm, rig.light_mm, period);
                 let seconds = (frame as f64 + part) / params.fps;
                 equip(&self.tools, seconds, &pose, eye.model.offset_mm, rig.light_mm, &eye.lens, coarse);

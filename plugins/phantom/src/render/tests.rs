@@ -443,6 +443,17 @@ fn faults_of_the_sensor_show() {
     assert!(black[1].iter().all(|&b| b == 0) && black[0] == clean[0]);
     let later = plain(|p| p.black = Some(BlackOut { camera: 1, first: 11, end: 15 }));
     assert_eq!(later, clean);
+    for kind in [IncidentKind::Smoke, IncidentKind::Blur, IncidentKind::Covered] {
+        let during = plain(|p| p.incident = Some(Incident { kind, first: 10, end: 11 }));
+        assert!(difference(&during, 1) > 4.0, "{kind:?} changes {} gray levels", difference(&during, 1));
+        assert_eq!(during[0] == clean[0], kind == IncidentKind::Covered, "{kind:?}");
+        for (first, end) in [(5, 10), (11, 15)] {
+            assert_eq!(plain(|p| p.incident = Some(Incident { kind, first, end })), clean, "{kind:?} {first}..{end}");
+        }
+    }
+    let jump = |first: u64, end: u64| plain(|p| p.incident = Some(Incident { kind: IncidentKind::Jump, first, end }));
+    assert_eq!(jump(11, 12), clean);
+    assert!(jump(10, 11) == jump(4, 5) && jump(10, 11)[0] != clean[0], "it stays where it jumped to");
 }
 
 #[test]

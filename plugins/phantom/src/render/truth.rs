@@ -358,7 +358,7 @@ impl Phantom {
         self.coarse(&eye.lens, station, coarse, pool);
         let gain = eye.model.white_balance.map(|w| w * eye.model.exposure);
         let sensor = Sensor { gain, noise: 0.0, key: 0, smoke: &[], drops: &[] };
-        self.draw(&eye.lens, &eye.stations, sensor, pool, view);
+        self.draw(&eye.lens, &eye.stations[..1], sensor, pool, view);
         self.truth.wide = Some((canvas, eye));
         Ok(())
     }

@@ -4,9 +4,10 @@ mod length;
 mod surface;
 
 use panoscope_imaging::stereo::Rectification;
-use panoscope_node::abi::Calibration;
+use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{
-    Choice, Cloud, Context, Depth, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, error,
+    Choice, Cloud, Context, Depth, Detections, Image, List, Node, NodeInfo, Open, Params, Ports, Result, Slot,
+    TableData, Value, error,
 };
 
 use length::Errors;
@@ -49,7 +50,7 @@ impl Kind {
     }
 }
 
-/// Inputs: `cloud` or `depth`.
+/// Inputs: `cloud` or `depth`; points from tips and detections join those of the parameter.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Points of the left rectified view.
@@ -58,6 +59,10 @@ pub struct In<'f> {
     depth: Option<Image<'f, Depth>>,
     /// Calibration of the rectified views; without it errors cannot be stated.
     calibration: Option<Value<'f, Calibration>>,
+    /// Tips of tools: one point each, behind those of the parameter. A tip that is missing in a tick is an unknown point.
+    tips: Option<List<'f, Value<'f, Tip>>>,
+    /// Boxes in the left rectified view: the middle of each is a point, behind those of the parameter and the tips.
+    detections: Option<Detections<'f>>,
 }
 
 /// Outputs.
@@ -96,6 +101,8 @@ pub struct MeasureParams {
 /// See the module.
 pub struct Measure {
     views: Option<(Calibration, Rectification)>,
+    /// Points of the tick: u, v each.
+    given: Vec<[f64; 2]>,
     samples: Vec<[f64; 5]>,
     places: Vec<Option<Point>>,
     rows: Vec<f64>,
@@ -117,6 +124,40 @@ impl MeasureParams {
 }
 
 impl Measure {
+    /// Collects the points of the tick and where they lie.
+    fn gather(&mut self, input: &In<'_>, surface: &Surface<'_>, params: &MeasureParams) {
+        self.given.clear();
+        self.places.clear();
+        let (given, places, samples) = (&mut self.given, &mut self.places, &mut self.samples);
+        let mut at = |u: f64, v: f64| surface.at(u, v, params.radius_px, samples);
+        for point in params.points.as_chunks::<2>().0 {
+            given.push(*point);
+            places.push(at(point[0], point[1]));
+        }
+        let tips = input.tips.as_ref();
+        for tip in tips.into_iter().flat_map(|tips| (0..tips.len()).map(|index| tips.get(index))) {
+            let Some(tip) = tip else {
+                given.push([f64::NAN; 2]);
+                places.push(None);
+                continue;
+            };
+            given.push([tip.u_px, tip.v_px]);
+            let seen = at(tip.u_px, tip.v_px);
+            // Whoever found the tip knows what belongs to the tool and what lies behind it.
+            let told = (tip.xyz_valid == 1).then_some(tip.xyz_mm).filter(|xyz| xyz[2] > 0.0 && xyz.iter().all(|v| v.is_finite()));
+            places.push(told.map_or(seen, |[x, y, z]| {
+                let scatter = seen.map_or(0.0, |point| point.scatter);
+                Some(Point { ray: [x / z, y / z], inverse_depth: 1.0 / z, scatter })
+            }));
+        }
+        for found in input.detections.as_ref().map_or(&[][..], Detections::items) {
+            let middle = |from: f32, length: f32| f64::from(from) + f64::from(length) / 2.0;
+            let point = [middle(found.x_px, found.width_px), middle(found.y_px, found.height_px)];
+            given.push(point);
+            places.push(at(point[0], point[1]));
+        }
+    }
+
     /// Writes the rows of all items.
     fn measure(&mut self, params: &MeasureParams, errors: Option<&Errors>) {
         let (size, step) = params.kind.step();
@@ -124,7 +165,7 @@ impl Measure {
         self.rows.clear();
         let starts = (0..self.places.len()).step_by(step).take_while(|start| start + size <= self.places.len());
         for start in starts {
-            self.rows.extend(&params.points[2 * start..2 * (start + size)]);
+            self.rows.extend(self.given[start..start + size].iter().flatten());
             let mut points = [Point { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN }; length::MOST_POINTS];
             for (point, place) in points.iter_mut().zip(&self.places[start..start + size]) {
                 *point = place.unwrap_or(*point);
@@ -157,7 +198,14 @@ impl Node for Measure {
     type Params = MeasureParams;
 
     fn open(_: &Open<'_>, _: &MeasureParams) -> Result<Self> {
-        Ok(Self { views: None, samples: Vec::new(), places: Vec::new(), rows: Vec::new(), leftover: false })
+        Ok(Self {
+            views: None,
+            given: Vec::new(),
+            samples: Vec::new(),
+            places: Vec::new(),
+            rows: Vec::new(),
+            leftover: false,
+        })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &MeasureParams) -> Result<()> {
@@ -189,23 +237,18 @@ impl Node for Measure {
                 size.0, size.1, views.width, views.height
             ));
         }
-        self.places.clear();
-        for point in params.points.chunks_exact(2) {
-            self.places.push(surface.at(point[0], point[1], params.radius_px, &mut self.samples));
-        }
+        self.gather(&input, &surface, params);
         let errors = views.as_ref().map(|(packet, views)| params.errors(views, packet.rms_px));
         self.measure(params, errors.as_ref());
         self.views = views;
 
         let (item, step) = params.kind.step();
         let points = self.places.len();
-        let leftover =
-            params.points.len() % 2 == 1 || if step < item { points == 1 } else { !points.is_multiple_of(item) };
+        let odd = params.points.len() % 2 == 1;
+        let leftover = odd || if step < item { points == 1 } else { !points.is_multiple_of(item) };
         if leftover && !self.leftover {
-            cx.warn(&format!(
-                "{} numbers are no whole items of {item} points (u, v each): the last ones are not measured",
-                params.points.len()
-            ));
+            let half = if odd { " and a half" } else { "" };
+            cx.warn(&format!("{points} points{half} (u, v each) are no whole items of {item}: the last ones are not measured"));
         }
         self.leftover = leftover;
         let unknown = self.places.iter().filter(|place| place.is_none()).count();

@@ -27,7 +27,7 @@ pub enum Bench {
     /// Cost of a tick against the number of nodes.
     Scale(Arguments),
     /// The stereo chain step by step, beside OpenCV's.
-    Stereo(Arguments),
+    Stereo(stereo::Arguments),
     /// What the editor's window costs the graph and its own thread. Needs a screen, or Xvfb.
     Editor(Arguments),
     /// Registration, seam and blend at three sizes, beside OpenCV.
@@ -52,7 +52,7 @@ pub fn run(bench: &Bench) -> Result<End> {
         Bench::Hop(arguments) => (hop::measure(arguments.quick)?, arguments),
         Bench::Start(arguments) => (start::measure(arguments.quick)?, arguments),
         Bench::Scale(arguments) => (scale::measure(arguments.quick)?, arguments),
-        Bench::Stereo(arguments) => (stereo::measure(arguments.quick)?, arguments),
+        Bench::Stereo(arguments) => (stereo::measure(arguments)?, &arguments.common),
         Bench::Editor(arguments) => (editor::measure(arguments.quick)?, arguments),
         Bench::Stitch(arguments) => (stitch::measure(arguments.quick)?, arguments),
     };

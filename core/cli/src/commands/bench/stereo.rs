@@ -1,46 +1,117 @@
-//! `panoscope bench stereo`: the thesis's chain step by step, beside OpenCV's four steps (thesis, table 3.2).
+//! `panoscope bench stereo`: the thesis's chain step by step, beside OpenCV's four steps (thesis, table 3.2), and lengths and depths
+//! on the phantom beside their truth (figs 3.14 and 3.15).
 //!
 //! Both chains are graphs of real nodes on the same pictures of the phantom, run turn about. Times are the nodes' own, as
 //! the engine counts them; pictures come slowly enough that only one is under way.
 
-use std::path::Path;
-use std::time::Duration;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
-use panoscope_graph::GraphText;
-use panoscope_runtime::{Engine, Options, Outcome, Report};
+use anyhow::{Context, Result};
 
 use super::record::Figure;
-use crate::terminal::tell;
-use crate::{allocations, graph_file};
+use crate::commands::eval::disparity::phantom::Ruler;
+use crate::commands::eval::look::{self, Plan};
+use crate::commands::scene::rectified_phantom;
+use crate::terminal::{raw, table, tell};
 
-/// Disparity at which the search begins: the bowel scene at 50 mm holds 206 to 262 px.
-const OFFSET_PX: u32 = 204;
-const SEARCH_PX: u32 = 64;
-const INPUT: &str = "phantom bowel 640x480, 64 residual disparities";
+/// Arguments of `bench stereo`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    pub common: super::Arguments,
+    /// Draws measured lengths and depths beside the true ones.
+    #[arg(long, value_name = "FILE.png")]
+    plot: Option<PathBuf>,
+}
 
-/// Picture source: few pictures a second, so that rendering and matching do not meet.
-const HEAD: &str = r#"
-mode = "live"
-plugins = ["phantom", "stereo", "opencv", "sinks"]
-[nodes.scope]
-type = "phantom"
-params = { scene = "bowel", rate_hz = 5.0 }
-[nodes.rectify]
-type = "rectify"
-inputs = { left = "scope.left", right = "scope.right", calibration = "scope.calibration" }
-[nodes.sink]
-type = "write_raw"
-params = { path = "out/bench.pfm", limit = 1 }
-"#;
+/// Scenes of the table.
+const SCENES: [&str; 4] = ["bowel", "liver", "cavity", "box"];
+/// Distance whose lengths and depths are printed.
+const PRINTED_MM: f64 = 50.0;
 
-fn ours() -> String {
-    format!(
-        r#"{HEAD}inputs = {{ disparity = "fbs.disparity" }}
+/// What the end of both chains is called.
+const LAST: [(&str, &str); 1] = [("fbs", "disparity")];
+
+/// First disparity and number of disparities that are searched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Search {
+    name: &'static str,
+    first_px: u32,
+    width_px: u32,
+}
+
+/// Size of the views, and its searches: what is left when the offset is known, and all from the horizon to the nearest tissue.
+struct Size {
+    width: u32,
+    height: u32,
+    searches: [Search; 2],
+}
+
+/// At 50 mm the tissue holds 206 to 262 px of 640, and twice as many of 1280.
+const SIZES: [Size; 2] = [
+    Size {
+        width: 640,
+        height: 480,
+        searches: [
+            Search { name: "64 residual", first_px: 204, width_px: 64 },
+            Search { name: "full range", first_px: 0, width_px: 288 },
+        ],
+    },
+    Size {
+        width: 1280,
+        height: 720,
+        searches: [
+            Search { name: "64 residual", first_px: 430, width_px: 64 },
+            Search { name: "full range", first_px: 64, width_px: 480 },
+        ],
+    },
+];
+
+/// One line of the table.
+struct Case<'a> {
+    scene: &'a str,
+    size: &'a Size,
+    search: Search,
+    threads: usize,
+}
+
+impl Case<'_> {
+    /// The case whose figures carry the plain names.
+    fn is_first(&self) -> bool {
+        self.scene == SCENES[0] && self.size.width == 640 && self.search.width_px == 64
+    }
+
+    fn name(&self) -> String {
+        let range = if self.search.width_px == 64 { "64" } else { "full" };
+        match self.is_first() {
+            true => self.threads.to_string(),
+            false => format!("{}_{}x{}_{range}_{}", self.scene, self.size.width, self.size.height, self.threads),
+        }
+    }
+
+    fn input(&self) -> String {
+        let Size { width, height, .. } = self.size;
+        let Search { name, first_px, width_px } = self.search;
+        let threads = self.threads;
+        format!("phantom {} {width}x{height}, {name}: {width_px} disparities from {first_px}, {threads} threads", self.scene)
+    }
+
+    /// Pictures come slowly, so that rendering and matching do not meet.
+    fn head(&self) -> String {
+        let Size { width, height, .. } = self.size;
+        let scope = format!("scene = \"{}\", width = {width}, height = {height}, rate_hz = 5.0", self.scene);
+        rectified_phantom("live", &["opencv"], &scope)
+    }
+
+    fn ours(&self) -> String {
+        let Search { first_px, width_px, .. } = self.search;
+        self.head()
+            + &format!(
+                r#"
 [nodes.bm]
 type = "stereo_bm"
 inputs = {{ left = "rectify.left", right = "rectify.right" }}
-params = {{ auto_offset = false, min_disparity_px = {OFFSET_PX}, search_px = {SEARCH_PX} }}
+params = {{ auto_offset = false, min_disparity_px = {first_px}, search_px = {width_px} }}
 [nodes.wls]
 type = "disparity_wls"
 inputs = {{ image = "rectify.left", disparity = "bm.disparity", disparity_right = "bm.disparity_right" }}
@@ -48,14 +119,16 @@ inputs = {{ image = "rectify.left", disparity = "bm.disparity", disparity_right 
 type = "disparity_fbs"
 inputs = {{ image = "rectify.left", disparity = "wls.disparity", confidence = "wls.confidence" }}
 "#
-    )
-}
+            )
+    }
 
-fn opencv(threads: usize) -> String {
-    let matcher =
-        format!("method = \"bm\", min_disparity_px = {OFFSET_PX}, search_px = {SEARCH_PX}, threads = {threads}");
-    format!(
-        r#"{HEAD}inputs = {{ disparity = "fbs.disparity" }}
+    fn opencv(&self) -> String {
+        let (Search { first_px, width_px, .. }, threads) = (self.search, self.threads);
+        let matcher =
+            format!("method = \"bm\", min_disparity_px = {first_px}, search_px = {width_px}, threads = {threads}");
+        self.head()
+            + &format!(
+                r#"
 [nodes.bm]
 type = "stereo_opencv"
 inputs = {{ left = "rectify.left", right = "rectify.right" }}
@@ -69,55 +142,17 @@ type = "disparity_fbs_opencv"
 inputs = {{ image = "rectify.left", disparity = "wls.disparity", confidence = "wls.confidence" }}
 params = {{ threads = {threads} }}
 "#
-    )
-}
+            )
+    }
 
-/// Runs a chain and gives the median time of each step in ms.
-fn run(chain: &str, folder: &Path, threads: usize, frames: u64) -> Result<[f64; 3]> {
-    let text = chain.replace("out/bench.pfm", &folder.join("bench.pfm").to_string_lossy());
-    let text = GraphText::parse(Path::new("bench.toml"), &text);
-    let ready = match graph_file::ready(&text) {
-        Ok(ready) => ready,
-        Err(diagnostics) => bail!("{}", diagnostics.render(false).trim_end()),
-    };
-    let options = Options {
-        threads,
-        frames: Some(frames),
-        paced: true,
-        process_allocations: allocations::process(),
-        thread_allocations: allocations::thread(),
-        ..Options::default()
-    };
-    let engine = Engine::start(ready.graph, &ready.catalog, &ready.loader, options)?;
-    while !engine.wait(Some(Duration::from_millis(100))) {
-        if crate::interrupt::asked() {
-            bail!("interrupted");
-        }
-    }
-    if let Outcome::Failed(reason) = engine.close(Duration::from_secs(10)) {
-        bail!("{reason}");
-    }
-    let report: Report = engine.report();
-    let step = |node: &str| report.nodes.get(node).filter(|n| n.faults == 0 && n.count > 0).map(|n| n.p50_ms);
-    match (step("bm"), step("wls"), step("fbs")) {
-        (Some(bm), Some(wls), Some(fbs)) => Ok([bm, wls, fbs]),
-        _ => bail!("a step of the chain failed"),
-    }
-}
-
-/// Measures the chain of both on one and on two threads.
-pub fn measure(quick: bool) -> Result<Vec<Figure>> {
-    let (frames, rounds) = if quick { (6, 1) } else { (20, 3) };
-    let folder = std::env::temp_dir().join(format!("panoscope-bench-{}", std::process::id()));
-    let mut figures = Vec::new();
-    for threads in [1, 2] {
-        // The best median of the rounds: whatever else the machine does only adds.
+    /// Best medians of the rounds, ours and OpenCV's: whatever else the machine does only adds.
+    fn measure(&self, frames: u64, rounds: usize) -> Result<([f64; 3], [f64; 3])> {
         let (mut own, mut peer) = ([f64::INFINITY; 3], [f64::INFINITY; 3]);
         let mut no_peer = None;
         for _ in 0..rounds {
-            let times = run(&ours(), &folder, threads, frames)?;
+            let times = steps(&self.ours(), self.threads, frames)?;
             own = std::array::from_fn(|i| own[i].min(times[i]));
-            match run(&opencv(threads), &folder, threads, frames) {
+            match steps(&self.opencv(), self.threads, frames) {
                 Ok(times) => peer = std::array::from_fn(|i| peer[i].min(times[i])),
                 Err(error) => no_peer = Some(error),
             }
@@ -125,17 +160,78 @@ pub fn measure(quick: bool) -> Result<Vec<Figure>> {
         if let Some(error) = no_peer {
             tell!("no peer: {error:#}");
         }
-        let input = format!("{INPUT}, {threads} threads");
-        let peer_of = |value: f64| value.is_finite().then_some(value);
-        let steps = ["stereo_bm", "wls", "fbs"].iter().zip(own.iter().zip(peer));
-        for (name, (own, peer)) in steps {
-            figures.push(Figure::new(&format!("{name}/{threads}"), *own, "ms", &input).beside("OpenCV", peer_of(peer)));
-        }
-        let (own, peer) = (own.iter().sum(), peer.iter().sum());
-        figures
-            .push(Figure::new(&format!("stereo_chain/{threads}"), own, "ms", &input).beside("OpenCV", peer_of(peer)));
+        Ok((own, peer))
     }
-    // What the sink wrote; nothing is lost when it cannot be removed.
-    let _ = std::fs::remove_dir_all(&folder);
+}
+
+/// Runs a chain and gives the median time of each step in ms.
+fn steps(text: &str, threads: usize, frames: u64) -> Result<[f64; 3]> {
+    let plan = Plan { text, path: Path::new("bench.toml"), frames: Some(frames), threads, ports: &LAST, paced: true };
+    let report = look::run(&plan)?.report;
+    let step = |node: &str| {
+        let node = report.nodes.get(node).filter(|n| n.faults == 0 && n.count > 0);
+        node.map(|n| n.p50_ms).context("a step of the chain failed")
+    };
+    Ok([step("bm")?, step("wls")?, step("fbs")?])
+}
+
+/// Heap allocations of the whole process per frame in steady state.
+fn allocations(case: &Case<'_>, frames: u64) -> Result<Option<f64>> {
+    let text = case.ours().replace("rate_hz = 5.0", "rate_hz = 30.0");
+    let plan = Plan {
+        text: &text,
+        path: Path::new("bench.toml"),
+        frames: Some(frames),
+        threads: case.threads,
+        ports: &LAST,
+        paced: false,
+    };
+    Ok(look::run(&plan)?.report.allocations_per_frame)
+}
+
+/// Measures the chain of both, and the phantom.
+pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
+    let quick = arguments.common.quick;
+    let (frames, rounds) = if quick { (6, 1) } else { (12, 2) };
+    let (sizes, scenes) = if quick { (&SIZES[..1], &SCENES[..1]) } else { (&SIZES[..], &SCENES[..]) };
+    let head = ["scene, size, disparities, threads", "left + right", "WLS", "FBS", "whole ms", "OpenCV", "WLS", "FBS", "whole ms", "ratio"];
+    let (mut figures, mut rows) = (Vec::new(), vec![head.map(str::to_owned).to_vec()]);
+    for size in sizes {
+        for search in size.searches.into_iter().take(if quick { 1 } else { 2 }) {
+            for scene in scenes {
+                for threads in [1, 2] {
+                    let case = Case { scene, size, search, threads };
+                    let (own, peer) = case.measure(frames, rounds)?;
+                    let (whole, other) = (own.iter().sum::<f64>(), peer.iter().sum::<f64>());
+                    let (name, input) = (case.name(), case.input());
+                    let known = |value: f64| value.is_finite().then_some(value);
+                    for (step, (own, peer)) in ["stereo_bm", "wls", "fbs"].iter().zip(own.iter().zip(peer)) {
+                        let figure = Figure::new(&format!("{step}/{name}"), *own, "ms", &input);
+                        figures.push(figure.beside("OpenCV", known(peer)));
+                    }
+                    let figure = Figure::new(&format!("stereo_chain/{name}"), whole, "ms", &input);
+                    figures.push(figure.beside("OpenCV", known(other)));
+                    let ms = |v: f64| if v.is_finite() { format!("{v:.2}") } else { "-".to_owned() };
+                    let mut row = vec![format!("{scene} {}x{} {} {threads}", size.width, size.height, search.name)];
+                    row.extend(own.map(ms));
+                    row.push(ms(whole));
+                    row.extend(peer.map(ms));
+                    row.extend([ms(other), format!("{:.1}", other / whole)]);
+                    rows.push(row);
+                }
+            }
+        }
+    }
+    raw(&format!("Table 3.2: median time of each step, ms\n{}\n", table(&rows)));
+    let first = Case { scene: SCENES[0], size: &SIZES[0], search: SIZES[0].searches[0], threads: 2 };
+    if let Some(count) = allocations(&first, if quick { 60 } else { 200 })? {
+        figures.push(Figure::new("allocations_per_frame/stereo_chain", count, "1/frame", &first.input()));
+    }
+    let ruler = Ruler::measure()?;
+    raw(&format!("Figures 3.14 and 3.15: lengths and depths on the phantom\n{}\n", ruler.tables(PRINTED_MM)));
+    figures.extend(ruler.figures());
+    if let Some(path) = &arguments.plot {
+        ruler.plot(path)?;
+    }
     Ok(figures)
 }

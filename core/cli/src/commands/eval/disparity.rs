@@ -5,7 +5,7 @@ mod data;
 mod given;
 mod liver;
 mod outside;
-mod phantom;
+pub mod phantom;
 mod picture;
 mod truth_files;
 
@@ -20,6 +20,7 @@ use panoscope_imaging::{Serial, View, ViewMut};
 
 use crate::commands::bench::record::Figure;
 use crate::terminal::tell;
+pub use data::find;
 use data::Picture;
 
 /// Arguments of `eval disparity`.

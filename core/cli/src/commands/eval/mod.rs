@@ -1,8 +1,9 @@
 //! `panoscope eval`: how good the results are, beside truth and peers.
 
 mod calibrate;
-mod disparity;
+pub mod disparity;
 pub mod look;
+pub mod plot;
 mod rewire;
 mod stitch;
 mod surf;

@@ -10,12 +10,31 @@ use toml::{Table, Value};
 pub struct Composite {
     /// Its name in the graph.
     pub id: String,
-    /// Where its views come from: `node.port`.
-    pub left: String,
-    /// As `left`.
-    pub right: String,
-    /// Where its homography comes from.
-    pub homography: String,
+    /// Where its views come from: `node.port`, the one in whose plane the panorama lies first.
+    pub views: Vec<String>,
+    /// Where the homographies of the further views come from.
+    pub homographies: Vec<String>,
+}
+
+impl Composite {
+    /// Further views: each has a judge of its own.
+    pub fn pairs(&self) -> usize {
+        self.homographies.len()
+    }
+
+    /// Name of the judge of further view `pair`, counted from 0.
+    pub fn judge(&self, pair: usize) -> String {
+        if self.pairs() == 1 { format!("judge_{}", self.id) } else { format!("judge_{}_{}", self.id, pair + 1) }
+    }
+}
+
+/// Which inputs a judge gets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Judged {
+    /// All that there are.
+    Pictures,
+    /// What registration is judged by: comparing pictures takes longer than stitching.
+    Registration,
 }
 
 /// A graph file, taken apart.
@@ -24,7 +43,7 @@ pub struct Wiring {
     graph: Table,
     /// Its name.
     pub name: String,
-    /// All two-view composites.
+    /// All composites.
     pub composites: Vec<Composite>,
 }
 
@@ -43,6 +62,19 @@ fn node_of(reference: &str) -> &str {
 fn is_type(node: &Value, wanted: &str) -> bool {
     let name = node.get("type").and_then(Value::as_str).unwrap_or_default();
     name.rsplit('/').next() == Some(wanted)
+}
+
+/// Everything that a node reads.
+fn references(node: &Value) -> Vec<String> {
+    let inputs = node.get("inputs").and_then(Value::as_table);
+    let mut all = Vec::new();
+    for value in inputs.into_iter().flat_map(Table::values) {
+        match value {
+            Value::Array(list) => all.extend(list.iter().filter_map(from).map(str::to_owned)),
+            one => all.extend(from(one).map(str::to_owned)),
+        }
+    }
+    all
 }
 
 impl Wiring {
@@ -67,13 +99,24 @@ impl Wiring {
             if !is_type(node, "composite") && !is_type(node, "composite_opencv") {
                 continue;
             }
-            let input = |name: &str| node.get("inputs")?.get(name).and_then(from).map(str::to_owned);
-            if let (Some(left), Some(right), Some(homography)) = (input("left"), input("right"), input("homography")) {
-                composites.push(Composite { id: id.clone(), left, right, homography });
-            }
+            let input = |name: &str| node.get("inputs")?.get(name);
+            let one = |name: &str| input(name).and_then(from).map(str::to_owned);
+            let list = |name: &str| -> Option<Vec<String>> {
+                input(name)?.as_array()?.iter().map(|value| from(value).map(str::to_owned)).collect()
+            };
+            let (views, homographies) = match (one("left"), one("right"), one("homography")) {
+                (Some(left), Some(right), Some(homography)) => (vec![left, right], vec![homography]),
+                _ => match (list("views"), list("homographies")) {
+                    (Some(views), Some(maps)) if views.len() == maps.len() + 1 && !maps.is_empty() => (views, maps),
+                    _ => continue,
+                },
+            };
+            composites.push(Composite { id: id.clone(), views, homographies });
         }
         if composites.is_empty() {
-            bail!("the graph has no composite with `left`, `right` and `homography`: there is nothing to judge");
+            bail!(
+                "the graph has no composite with `left`, `right` and `homography`, or `views` and `homographies`: there is nothing to judge"
+            );
         }
         Ok(Self { graph, name, composites })
     }
@@ -82,10 +125,38 @@ impl Wiring {
         self.graph.get_mut("nodes")?.as_table_mut()
     }
 
-    /// Name of the phantom that the first composite's left view comes from, if it does.
+    fn node(&self, id: &str) -> Option<&Value> {
+        self.graph.get("nodes")?.get(id)
+    }
+
+    /// Name of the phantom that the first composite's first view comes from, if it does.
     pub fn phantom(&self) -> Option<String> {
-        let id = node_of(&self.composites.first()?.left);
-        is_type(self.graph.get("nodes")?.get(id)?, "phantom").then(|| id.to_owned())
+        let id = node_of(self.composites.first()?.views.first()?);
+        is_type(self.node(id)?, "phantom").then(|| id.to_owned())
+    }
+
+    /// The same graph with other views: the node that gives the first composite its views is replaced by `source`, whose type has the
+    /// outputs `ports`; `more` nodes feed it.
+    ///
+    /// # Errors
+    /// When the graph reads something of its source that the new one does not have.
+    pub fn with_source(&self, source: Table, ports: &[&str], more: &[(&str, Table)], plugins: &[&str]) -> Result<Self> {
+        let mut out = self.clone();
+        let id = node_of(&self.composites[0].views[0]).to_owned();
+        let Some(nodes) = out.nodes() else { bail!("the graph has no nodes") };
+        for (name, node) in nodes.iter().filter(|(name, _)| **name != id) {
+            for (node_id, port) in references(node).iter().filter_map(|r| r.split_once('.')) {
+                if node_id == id && !ports.contains(&port) {
+                    bail!("`{name}` reads `{id}.{port}`, which these pictures do not have");
+                }
+            }
+        }
+        nodes.insert(id, source.into());
+        for (name, node) in more {
+            nodes.insert((*name).to_owned(), node.clone().into());
+        }
+        plugins.iter().for_each(|name| out.plugin(name));
+        Ok(out)
     }
 
     /// Sets a parameter.
@@ -121,22 +192,16 @@ impl Wiring {
         }
     }
 
-    /// The same source with OpenCV's registration and composite in place of all that stitches.
-    pub fn peer(&self, seam_megapixels: f64, threads: i64) -> Self {
+    /// The same source with OpenCV's registration and composite in place of all that stitches; without a composite for
+    /// [`Judged::Registration`]. None where there are more than two views, which OpenCV's node does not take.
+    pub fn peer(&self, judged: Judged, seam_megapixels: f64, threads: i64) -> Option<Self> {
         let mut out = self.clone();
-        let (left, right) = (self.composites[0].left.clone(), self.composites[0].right.clone());
+        let [left, right] = &self.composites[0].views[..] else { return None };
         let mut keep = BTreeSet::new();
-        let mut next = vec![node_of(&left).to_owned(), node_of(&right).to_owned()];
+        let mut next = vec![node_of(left).to_owned(), node_of(right).to_owned()];
         while let Some(id) = next.pop() {
-            let inputs = self.graph.get("nodes").and_then(|n| n.get(&id)?.get("inputs")?.as_table());
-            next.extend(
-                inputs
-                    .into_iter()
-                    .flat_map(Table::values)
-                    .filter_map(from)
-                    .map(|r| node_of(r).to_owned())
-                    .filter(|n| !keep.contains(n)),
-            );
+            let inputs = self.node(&id).map(references).unwrap_or_default();
+            next.extend(inputs.iter().map(|r| node_of(r).to_owned()).filter(|n| !keep.contains(n)));
             keep.insert(id);
         }
         if let Some(nodes) = out.nodes() {
@@ -150,40 +215,56 @@ impl Wiring {
         };
         let views = [("left", left.clone()), ("right", right.clone())];
         out.add("peer_register", "register_opencv", &views, with(&[]));
-        let inputs = [views[0].clone(), views[1].clone(), ("homography", "peer_register.homography".to_owned())];
-        out.add("peer_wide", "composite_opencv", &inputs, with(&[("seam_megapixels", seam_megapixels.into())]));
+        let homography = "peer_register.homography".to_owned();
+        if judged == Judged::Pictures {
+            let inputs = [views[0].clone(), views[1].clone(), ("homography", homography.clone())];
+            out.add("peer_wide", "composite_opencv", &inputs, with(&[("seam_megapixels", seam_megapixels.into())]));
+        }
         out.composites = vec![Composite {
             id: "peer_wide".to_owned(),
-            left,
-            right,
-            homography: "peer_register.homography".to_owned(),
+            views: self.composites[0].views.clone(),
+            homographies: vec![homography],
         }];
-        out
+        Some(out)
     }
 
-    /// Puts an `evaluate_stitch` named `judge_ID` behind each composite, wired to what truth the source has.
-    pub fn judged(&self) -> Self {
+    /// Puts an `evaluate_stitch` behind each pair of views of each composite, wired to what truth the source has.
+    pub fn judged(&self, judged: Judged) -> Self {
         let mut out = self.clone();
         out.plugin("stitch");
         for composite in &self.composites {
-            let source = node_of(&composite.left);
-            let mut inputs = vec![
-                ("left", composite.left.clone()),
-                ("right", composite.right.clone()),
-                ("homography", composite.homography.clone()),
-            ];
-            for port in ["panorama", "canvas", "shown"] {
-                inputs.push((port, format!("{}.{port}", composite.id)));
-            }
-            let node = self.graph.get("nodes").and_then(|nodes| nodes.get(source));
-            if node.is_some_and(|node| is_type(node, "phantom")) {
-                for (port, output) in
-                    [("disparity", "disparity"), ("visible", "visible"), ("truth", "homography"), ("wide", "wide")]
-                {
-                    inputs.push((port, format!("{source}.{output}")));
+            let source = node_of(&composite.views[0]);
+            let is = |kind: &str| self.node(source).is_some_and(|node| is_type(node, kind));
+            for pair in 0..composite.pairs() {
+                let mut inputs = vec![
+                    ("left", composite.views[0].clone()),
+                    ("right", composite.views[pair + 1].clone()),
+                    ("homography", composite.homographies[pair].clone()),
+                ];
+                let mut params = Table::new();
+                let mut wire = |names: &[(&'static str, &str)], node: &str| {
+                    inputs.extend(names.iter().map(|(port, output)| (*port, format!("{node}.{output}"))));
+                };
+                if judged == Judged::Pictures {
+                    wire(&[("panorama", "panorama"), ("canvas", "canvas"), ("shown", "shown")], &composite.id);
                 }
+                // The phantom's disparity is that of its first two cameras.
+                match () {
+                    () if is("phantom") && pair == 0 => {
+                        wire(&[("disparity", "disparity"), ("visible", "visible"), ("truth", "homography")], source);
+                    }
+                    () if is("cut_views") => wire(&[("truth", "homography"), ("left_in_wide", "left_in_image")], source),
+                    () => _ = params.insert("correlate".to_owned(), true.into()),
+                }
+                if judged == Judged::Pictures && is("phantom") {
+                    wire(&[("wide", "wide")], source);
+                }
+                if judged == Judged::Pictures && is("cut_views") {
+                    let whole = self.node(source).map(references).unwrap_or_default();
+                    inputs.extend(whole.into_iter().map(|from| ("wide", from)));
+                }
+                out.add(&composite.judge(pair), "evaluate_stitch", &inputs, params);
             }
-            out.add(&format!("judge_{}", composite.id), "evaluate_stitch", &inputs, Table::new());
         }
         out
     }
@@ -196,7 +277,7 @@ impl Wiring {
 
 #[cfg(test)]
 mod tests {
-    use super::Wiring;
+    use super::{Judged, Table, Wiring};
 
     const GRAPH: &str = r#"
 plugins = ["phantom", "stitch", "sinks"]
@@ -218,7 +299,7 @@ inputs = { image = "wide.panorama" }
         let mut wiring = Wiring::of(GRAPH, "x").unwrap();
         assert_eq!((wiring.name.as_str(), wiring.phantom()), ("x", Some("scope".to_owned())));
         wiring.set("scope", "noise", 0.5);
-        let text = wiring.judged().text();
+        let text = wiring.judged(Judged::Pictures).text();
         assert!(
             !text.contains("write_video") && text.contains("mode = \"batch\"") && text.contains("noise = 0.5"),
             "{text}"
@@ -227,12 +308,46 @@ inputs = { image = "wide.panorama" }
         let judge = &table["nodes"]["judge_wide"]["inputs"];
         assert_eq!(judge["right"].as_str(), Some("scope.right"));
         assert_eq!(judge["truth"].as_str(), Some("scope.homography"));
+        let text = wiring.judged(Judged::Registration).text();
+        assert!(!text.contains("panorama =") && !text.contains("scope.wide"), "{text}");
     }
 
     #[test]
     fn the_peer_keeps_the_source_only() {
-        let text = Wiring::of(GRAPH, "x").unwrap().peer(0.1, 2).text();
+        let text = Wiring::of(GRAPH, "x").unwrap().peer(Judged::Pictures, 0.1, 2).unwrap().text();
         assert!(text.contains("register_opencv") && !text.contains("register_surf"), "{text}");
         assert!(Wiring::of("[nodes.a]\ntype = \"phantom\"\n", "x").is_err());
+    }
+
+    #[test]
+    fn four_views_have_three_judges_and_no_peer() {
+        let graph = r#"
+[nodes.scope]
+type = "phantom"
+[nodes.wide]
+type = "composite"
+inputs = { views = ["scope.view0", "scope.view1", "scope.view2", "scope.view3"], homographies = ["a.homography", "b.homography", "c.homography"] }
+"#;
+        let wiring = Wiring::of(graph, "x").unwrap();
+        assert!(wiring.peer(Judged::Pictures, 0.1, 2).is_none());
+        let table: toml::Table = wiring.judged(Judged::Pictures).text().parse().unwrap();
+        assert_eq!(table["nodes"]["judge_wide_1"]["inputs"]["disparity"].as_str(), Some("scope.disparity"));
+        let third = &table["nodes"]["judge_wide_3"];
+        assert_eq!(third["inputs"]["right"].as_str(), Some("scope.view3"));
+        assert_eq!((third["inputs"].get("disparity"), third["params"]["correlate"].as_bool()), (None, Some(true)));
+    }
+
+    #[test]
+    fn another_source_must_have_what_is_read() {
+        let wiring = Wiring::of(GRAPH, "x").unwrap();
+        let source: Table = "type = \"cut_views\"\ninputs = { image = \"files.left\" }".parse().unwrap();
+        let files: Table = "type = \"capture\"".parse().unwrap();
+        let made = wiring.with_source(source.clone(), &["left", "right"], &[("files", files)], &["capture"]).unwrap();
+        let table: toml::Table = made.judged(Judged::Pictures).text().parse().unwrap();
+        let judge = &table["nodes"]["judge_wide"]["inputs"];
+        assert_eq!(judge["wide"].as_str(), Some("files.left"));
+        assert_eq!(judge["truth"].as_str(), Some("scope.homography"));
+        let error = wiring.with_source(source, &["left"], &[], &[]).unwrap_err();
+        assert!(error.to_string().contains("`scope.right`"), "{error}");
     }
 }

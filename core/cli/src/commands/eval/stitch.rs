@@ -1,17 +1,20 @@
 //! `panoscope eval stitch`: registration and panorama of a graph beside the truth and beside OpenCV's conventional pipeline.
 
+mod incidents;
+mod sources;
+
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
 use super::look::{self, Plan, Seen, Table};
-use super::rewire::Wiring;
+use super::plot::{self, Chart, Series, Style};
+use super::rewire::{Judged, Wiring};
 use crate::commands::bench::record::Figure;
 use crate::terminal::{raw, table, tell};
+use sources::{CASES, Case, Missing, Places};
 
-/// First black picture of the recovery run, and how many.
-const BLACK: (i64, i64) = (20, 10);
 /// Ticks that a still scene's registration has to settle.
 const SETTLE: usize = 5;
 const PEER: &str = "OpenCV SIFT, full graph cut";
@@ -20,12 +23,22 @@ const FRESH: f64 = 0.0;
 /// Arguments of `eval stitch`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Graph with a composite of two views.
+    /// Graph with a composite of two or more views.
     graph: PathBuf,
+    /// Which pictures: `own` are the graph's; `cut` real frames cut into two views; `hamlyn` real stereo pairs; `leuven` two
+    /// photographs. May be given again; `own` without it.
+    #[arg(long, value_parser = CASES)]
+    case: Vec<String>,
+    /// Folder of data sets, searched before the usual ones. May be given again.
+    #[arg(long, value_name = "DIR")]
+    data: Vec<PathBuf>,
     /// Writes the figures as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub json: Option<PathBuf>,
-    /// Writes a row for every tick as CSV, one file per composite: FILE becomes FILE-composite.csv.
+    /// Draws alignment and likeness over time.
+    #[arg(long, value_name = "FILE.png")]
+    plot: Option<PathBuf>,
+    /// Writes a row for every tick as CSV, one file per judge: FILE becomes FILE-composite.csv.
     #[arg(long, value_name = "FILE")]
     rows: Option<PathBuf>,
     /// Ticks of each run.
@@ -39,7 +52,7 @@ pub struct Arguments {
     no_peer: bool,
 }
 
-/// Measures of one composite; NaN where there is no truth.
+/// Measures of one pair of views; NaN where there is no truth.
 #[derive(Clone, Debug)]
 struct Marks {
     stitched_pct: f64,
@@ -52,22 +65,8 @@ struct Marks {
     fov_pct: f64,
     cropped_pct: f64,
     jitter_px: f64,
-    recovery: Recovery,
-}
-
-/// What a black camera does.
-#[derive(Clone, Copy, Debug)]
-struct Recovery {
-    /// Good frames until stitching is back; 1: the first one is stitched. NaN when it does not come back.
-    frames: f64,
-    /// Black frames that were called fresh.
-    false_fresh: f64,
-}
-
-impl Default for Recovery {
-    fn default() -> Self {
-        Self { frames: f64::NAN, false_fresh: f64::NAN }
-    }
+    /// Incident, good frames until it is over, wrong ones called fresh.
+    recovery: Vec<(&'static str, incidents::Recovery)>,
 }
 
 fn finite(values: &[f64]) -> impl Iterator<Item = f64> + '_ {
@@ -98,31 +97,33 @@ fn marks(rows: &Table) -> Result<Marks> {
         fov_pct: mean(&column("fov_pct")?),
         cropped_pct: finite(&column("cropped_pct")?).fold(f64::NAN, f64::max),
         jitter_px: f64::NAN,
-        recovery: Recovery::default(),
-    })
-}
-
-fn recovery(rows: &Table) -> Option<Recovery> {
-    let state = rows.column("state")?;
-    let (first, end) = (BLACK.0 as usize, (BLACK.0 + BLACK.1) as usize);
-    let black = state.get(first..end)?;
-    let back = state.get(end..)?.iter().position(|s| *s == FRESH);
-    Some(Recovery {
-        frames: back.map_or(f64::NAN, |index| index as f64 + 1.0),
-        false_fresh: black.iter().filter(|s| **s == FRESH).count() as f64,
+        recovery: Vec::new(),
     })
 }
 
 /// One graph with its judges, run.
-struct Judged {
+struct Run {
     tables: Vec<Table>,
     seen: Seen,
 }
 
-fn run(wiring: &Wiring, path: &Path, frames: u64) -> Result<Judged> {
-    let text = wiring.judged().text();
-    let names: Vec<String> = wiring.composites.iter().map(|c| format!("judge_{}", c.id)).collect();
-    let ports: Vec<(&str, &str)> = names.iter().map(|name| (name.as_str(), "table")).collect();
+/// Names of the judges and what figures call them.
+fn judges(wiring: &Wiring) -> Vec<(String, String)> {
+    let mut all = Vec::new();
+    for composite in &wiring.composites {
+        for pair in 0..composite.pairs() {
+            let view = if composite.pairs() > 1 { format!("view{}", pair + 1) } else { String::new() };
+            let id = if wiring.composites.len() > 1 { composite.id.clone() } else { String::new() };
+            all.push((composite.judge(pair), [id, view].into_iter().filter(|p| !p.is_empty()).collect::<Vec<_>>().join("_")));
+        }
+    }
+    all
+}
+
+fn run(wiring: &Wiring, judged: Judged, path: &Path, frames: u64) -> Result<Run> {
+    let text = wiring.judged(judged).text();
+    let names = judges(wiring);
+    let ports: Vec<(&str, &str)> = names.iter().map(|(name, _)| (name.as_str(), "table")).collect();
     let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &ports, paced: false };
     let seen = look::run(&plan)?;
     let mut tables = Vec::new();
@@ -130,32 +131,38 @@ fn run(wiring: &Wiring, path: &Path, frames: u64) -> Result<Judged> {
         let bytes = packet.as_ref().context("the judge saw nothing")?.bytes();
         tables.push(Table::read(bytes).context("the judge's table could not be read")?);
     }
-    Ok(Judged { tables, seen })
+    Ok(Run { tables, seen })
 }
 
-/// All runs of a wiring: as it is, on a still scene, with a camera that goes black.
-fn judge_all(wiring: &Wiring, path: &Path, frames: u64, is_peer: bool) -> Result<(Vec<Marks>, Judged)> {
-    let main = run(wiring, path, frames)?;
+/// All runs of a case: as it is, with views that hold still, with everything that can go wrong. The same of OpenCV's when `is_peer`.
+fn judge_all(case: &Case, path: &Path, frames: u64, is_peer: bool) -> Result<Option<(Vec<Marks>, Run)>> {
+    let of = |judged: Judged| if is_peer { case.wiring.peer(judged, 0.0, 2) } else { Some(case.wiring.clone()) };
+    let (Some(whole), Some(plain)) = (of(Judged::Pictures), of(Judged::Registration)) else { return Ok(None) };
+    let main = run(&whole, Judged::Pictures, path, frames)?;
     let mut all: Vec<Marks> = main.tables.iter().map(marks).collect::<Result<_>>()?;
-    if let Some(phantom) = wiring.phantom() {
-        // Registration alone decides here: the peer's seam need not be found at full resolution.
-        let mut still = if is_peer { wiring.peer(0.1, 2) } else { wiring.clone() };
-        let mut dark = still.clone();
-        still.set(&phantom, "speed_mm_s", 0.0);
-        still.set(&phantom, "breathing_mm", 0.0);
-        for (marks, rows) in all.iter_mut().zip(&run(&still, path, frames.min(40))?.tables) {
+    if !case.still.is_empty() {
+        let mut still = plain.clone();
+        for (node, param, value) in &case.still {
+            still.set(node, param, value.clone());
+        }
+        for (marks, rows) in all.iter_mut().zip(&run(&still, Judged::Registration, path, frames.min(40))?.tables) {
             let ways = rows.column("move_px").unwrap_or_default();
             marks.jitter_px = rms(ways.get(SETTLE..).unwrap_or_default());
         }
-        dark.set(&phantom, "black_camera", "right");
-        dark.set(&phantom, "black_first", BLACK.0);
-        dark.set(&phantom, "black_count", BLACK.1);
-        let ticks = (BLACK.0 + BLACK.1) as u64 + 10;
-        for (marks, rows) in all.iter_mut().zip(&run(&dark, path, ticks)?.tables) {
-            marks.recovery = recovery(rows).unwrap_or_default();
+    }
+    let Some(phantom) = case.wiring.phantom() else { return Ok(Some((all, main))) };
+    for incident in &incidents::ALL {
+        let mut bad = plain.clone();
+        for (param, value) in incident.params {
+            bad.set(&phantom, param, *value);
+        }
+        bad.set(&phantom, incident.window[0], incidents::WINDOW.0);
+        bad.set(&phantom, incident.window[1], incidents::WINDOW.1);
+        for (marks, rows) in all.iter_mut().zip(&run(&bad, Judged::Registration, path, incidents::TICKS)?.tables) {
+            marks.recovery.extend(incidents::recovery(incident, rows).map(|found| (incident.name, found)));
         }
     }
-    Ok((all, main))
+    Ok(Some((all, main)))
 }
 
 fn csv(rows: &Table) -> String {
@@ -169,8 +176,8 @@ fn csv(rows: &Table) -> String {
 }
 
 /// Name, unit, value and whether more is better.
-fn listed(m: &Marks) -> [(&'static str, &'static str, f64, bool); 12] {
-    [
+fn listed(m: &Marks) -> Vec<(String, &'static str, f64, bool)> {
+    let named = [
         ("stitched_share", "%", m.stitched_pct, true),
         ("align_px", "px", m.align_px, false),
         ("align_floor_px", "px", m.floor_px, false),
@@ -181,20 +188,30 @@ fn listed(m: &Marks) -> [(&'static str, &'static str, f64, bool); 12] {
         ("fov_gain_pct", "%", m.fov_pct, true),
         ("cropped_pct", "%", m.cropped_pct, false),
         ("jitter_px", "px", m.jitter_px, false),
-        ("recovery_frames", "frames", m.recovery.frames, false),
-        ("recovery_false_fresh", "frames", m.recovery.false_fresh, false),
-    ]
+    ];
+    let mut all: Vec<_> = named.map(|(name, unit, value, more)| (name.to_owned(), unit, value, more)).into();
+    for (incident, found) in &m.recovery {
+        all.push((format!("recovery_frames/{incident}"), "frames", found.frames, false));
+        all.push((format!("recovery_false_fresh/{incident}"), "frames", found.false_fresh, false));
+    }
+    all
 }
 
 fn figures(case: &str, marks: &Marks, peer: Option<&Marks>, input: &str) -> Vec<Figure> {
     let mut out = Vec::new();
     let theirs = peer.map(listed);
-    for (index, (name, unit, value, more)) in listed(marks).into_iter().enumerate() {
+    for (name, unit, value, more) in listed(marks) {
+        let lasts = name.starts_with("recovery_frames");
         if !value.is_finite() {
+            if lasts {
+                tell!("{name}: {case}: stitching does not come back within {} frames", incidents::TICKS);
+            }
             continue;
         }
-        let mut figure = Figure::new(&format!("{name}/{case}"), value, unit, input);
-        if let Some(peer_value) = theirs.map(|t| t[index].2).filter(|v| v.is_finite()) {
+        let (measure, rest) = name.split_once('/').map_or((name.as_str(), String::new()), |(m, r)| (m, format!("_{r}")));
+        let mut figure = Figure::new(&format!("{measure}/{case}{rest}"), value, unit, input);
+        let same = theirs.as_ref().and_then(|t| t.iter().find(|(n, ..)| *n == name));
+        if let Some(peer_value) = same.map(|(_, _, value, _)| *value).filter(|v| v.is_finite()) {
             figure.peer = Some(PEER.to_owned());
             figure.peer_value = Some(peer_value);
             let (best, other) = if more { (value, peer_value) } else { (peer_value, value) };
@@ -205,8 +222,71 @@ fn figures(case: &str, marks: &Marks, peer: Option<&Marks>, input: &str) -> Vec<
     out
 }
 
-/// Judges a graph; none when it cannot be judged.
-pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
+/// Alignment and likeness along the seam over time, ours beside the peer's.
+fn charts(case: &str, name: &str, rows: &Table, peer: Option<&Table>) -> Vec<Chart> {
+    let of = |rows: &Table, column: &str| -> Vec<(f64, f64)> {
+        rows.column(column).unwrap_or_default().into_iter().enumerate().map(|(tick, v)| (tick as f64, v)).collect()
+    };
+    let mut all = Vec::new();
+    for (column, label) in [("align_px", "alignment, px"), ("ssim_seam", "structural similarity along the seam")] {
+        let sets = [(Some(rows), "Panoscope", 0), (peer, "OpenCV", 1)];
+        let mut series: Vec<Series> = sets
+            .into_iter()
+            .filter_map(|(rows, name, color)| Some((of(rows?, column), name, color)))
+            .map(|(points, name, color)| {
+                // Some measures are taken on every few ticks only.
+                let points: Vec<_> = points.into_iter().filter(|p| p.1.is_finite()).collect();
+                Series { name: name.to_owned(), style: Style::Line, color, points }
+            })
+            .filter(|series| !series.points.is_empty())
+            .collect();
+        if series.is_empty() {
+            continue;
+        }
+        if column == "align_px" {
+            let points = of(rows, "floor_px").into_iter().filter(|p| p.1.is_finite()).collect();
+            series.push(Series { name: "best plane".to_owned(), style: Style::Line, color: 2, points });
+        }
+        let title = [case, name].into_iter().filter(|t| !t.is_empty()).collect::<Vec<_>>().join(" ");
+        all.push(Chart {
+            title,
+            x_label: "frame".to_owned(),
+            y_label: label.to_owned(),
+            series,
+            from_zero: column == "align_px",
+        });
+    }
+    all
+}
+
+fn stages(run: &Run) {
+    let mut rows = vec![["stage", "p50 ms", "p99 ms", "max ms"].map(str::to_owned).to_vec()];
+    for (id, node) in run.seen.report.nodes.iter().filter(|(id, _)| !id.starts_with("judge_")) {
+        let ms = |v: f64| format!("{v:.2}");
+        rows.push(vec![id.clone(), ms(node.p50_ms), ms(node.p99_ms), ms(node.max_ms)]);
+    }
+    raw(&table(&rows));
+}
+
+/// A folder that is removed at the end.
+struct Work(PathBuf);
+
+impl Work {
+    fn new() -> Result<Self> {
+        let path = std::env::temp_dir().join(format!("panoscope-eval-{}", std::process::id()));
+        std::fs::create_dir_all(&path).with_context(|| format!("cannot make {}", path.display()))?;
+        Ok(Self(path))
+    }
+}
+
+impl Drop for Work {
+    fn drop(&mut self) {
+        // Nothing is lost when it cannot be removed.
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn wiring(arguments: &Arguments) -> Result<Option<Wiring>> {
     let path = &arguments.graph;
     // All mistakes of the file as it stands, with their lines.
     if let Err(diagnostics) = crate::graph_file::load(path, &arguments.set) {
@@ -228,42 +308,58 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
             wiring.set(node.trim(), param.trim(), parsed.unwrap_or_else(|| value.trim().into()));
         }
     }
-    let (ours, main) = judge_all(&wiring, path, arguments.frames, false)?;
-    let peer =
-        if arguments.no_peer { None } else { Some(judge_all(&wiring.peer(0.0, 2), path, arguments.frames, true)?.0) };
-    let peer = peer.as_ref().and_then(|marks| marks.first());
-    let input = format!("{}, {} frames", wiring.name, arguments.frames);
-    let mut out = Vec::new();
-    for ((composite, marks), rows) in wiring.composites.iter().zip(&ours).zip(&main.tables) {
-        let case =
-            if wiring.composites.len() > 1 { format!("{}_{}", wiring.name, composite.id) } else { wiring.name.clone() };
-        out.extend(figures(&case, marks, peer, &input));
-        if let Some(path) = &arguments.rows {
-            let mut name = path.as_os_str().to_owned();
-            name.push(format!("-{}.csv", composite.id));
-            std::fs::write(&name, csv(rows)).with_context(|| format!("cannot write {}", Path::new(&name).display()))?;
-        }
-    }
-    let mut stages = vec![["stage", "p50 ms", "p99 ms", "max ms"].map(str::to_owned).to_vec()];
-    for (id, node) in main.seen.report.nodes.iter().filter(|(id, _)| !id.starts_with("judge_")) {
-        let ms = |v: f64| format!("{v:.2}");
-        stages.push(vec![id.clone(), ms(node.p50_ms), ms(node.p99_ms), ms(node.max_ms)]);
-    }
-    raw(&table(&stages));
-    Ok(Some(out))
+    Ok(Some(wiring))
 }
 
-#[cfg(test)]
-mod tests {
-    use super::{BLACK, Table, recovery};
-
-    #[test]
-    fn recovery_counts_good_frames_and_false_ones() {
-        let mut states = vec![0.0; 40];
-        let (first, end) = (BLACK.0 as usize, (BLACK.0 + BLACK.1) as usize);
-        states[first + 1..end + 1].fill(2.0);
-        let rows = Table { names: vec!["state".to_owned()], rows: states.iter().map(|s| vec![*s]).collect() };
-        let found = recovery(&rows).unwrap();
-        assert_eq!((found.frames, found.false_fresh), (2.0, 1.0));
+/// Judges a graph; none when it cannot be judged.
+pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
+    let Some(graph) = wiring(arguments)? else { return Ok(None) };
+    let usual = ["../shared/data", "../shared/data/stereo", "/usr/share/doc/opencv-doc/examples/data"];
+    let folders: Vec<PathBuf> = arguments.data.iter().cloned().chain(usual.map(PathBuf::from)).collect();
+    let work = Work::new()?;
+    let places = Places { folders: &folders, work: &work.0 };
+    let wanted = |name: &str| {
+        if arguments.case.is_empty() { name == CASES[0] } else { arguments.case.iter().any(|c| c == name) }
+    };
+    let (mut out, mut pictures) = (Vec::new(), Vec::new());
+    for name in CASES.into_iter().filter(|name| wanted(name)) {
+        let case = match sources::case(name, &graph, &places)? {
+            Ok(case) => case,
+            Err(Missing::Pictures(what)) => {
+                tell!("skipped: {name}: there is no {what} in the data folders (give --data)");
+                continue;
+            }
+            Err(Missing::Port(why)) => {
+                tell!("skipped: {name}: {why}");
+                continue;
+            }
+        };
+        let path = &arguments.graph;
+        let Some((ours, main)) = judge_all(&case, path, arguments.frames, false)? else { continue };
+        let peer = if arguments.no_peer { None } else { judge_all(&case, path, arguments.frames, true)? };
+        let peer_marks = peer.as_ref().and_then(|(marks, _)| marks.first());
+        let peer_rows = peer.as_ref().and_then(|(_, run)| run.tables.first());
+        let input = format!("{}, {} frames", case.input, arguments.frames);
+        let title = [graph.name.as_str(), case.name].into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join("_");
+        for (((judge, name), marks), rows) in judges(&case.wiring).iter().zip(&ours).zip(&main.tables) {
+            let named = [title.as_str(), name].into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join("_");
+            out.extend(figures(&named, marks, peer_marks, &input));
+            pictures.extend(charts(&title, name, rows, peer_rows));
+            if let Some(path) = &arguments.rows {
+                let mut file = path.as_os_str().to_owned();
+                let case = if case.name.is_empty() { String::new() } else { format!("-{}", case.name) };
+                file.push(format!("{case}-{}.csv", judge.trim_start_matches("judge_")));
+                std::fs::write(&file, csv(rows))
+                    .with_context(|| format!("cannot write {}", Path::new(&file).display()))?;
+            }
+        }
+        stages(&main);
+        if let Some((_, run)) = &peer {
+            stages(run);
+        }
     }
+    if let Some(path) = arguments.plot.as_ref().filter(|_| !pictures.is_empty()) {
+        plot::save(path, &pictures)?;
+    }
+    Ok((!out.is_empty()).then_some(out))
 }

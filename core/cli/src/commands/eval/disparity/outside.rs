@@ -11,6 +11,7 @@ use panoscope_imaging::stereo::{Rectification, RectifiedCamera, Roi, score_dispa
 use panoscope_runtime::memory::FrameRef;
 
 use super::super::look::{self, Plan};
+use crate::commands::scene::rectified_phantom;
 use super::data::Picture;
 use super::phantom::{BASELINE_MM, FOCAL_PX, SIZE, floats};
 use super::{Judge, REACH_MM, picture};
@@ -185,16 +186,10 @@ impl Judge<'_> {
         for distance_mm in RANGE_MM {
             // What the geometry says of the farthest tissue.
             let told_px = (FOCAL_PX * BASELINE_MM / (1.25 * distance_mm)) as i32;
-            let text = format!(
-                r#"
-mode = "batch"
-plugins = ["phantom", "stereo"]
-[nodes.scope]
-type = "phantom"
-params = {{ scene = "bowel", distance_mm = {distance_mm:?} }}
-[nodes.rectify]
-type = "rectify"
-inputs = {{ left = "scope.left", right = "scope.right", calibration = "scope.calibration" }}
+            let scene = format!("scene = \"bowel\", distance_mm = {distance_mm:?}");
+            let text = rectified_phantom("batch", &[], &scene)
+                + &format!(
+                    r#"
 [nodes.found]
 type = "stereo_bm"
 inputs = {{ left = "rectify.left", right = "rectify.right" }}
@@ -208,7 +203,7 @@ type = "stereo_bm"
 inputs = {{ left = "rectify.left", right = "rectify.right" }}
 params = {{ auto_offset = false, search_px = 64 }}
 "#
-            );
+                );
             let ports = [
                 ("found", "disparity"),
                 ("plain", "disparity"),

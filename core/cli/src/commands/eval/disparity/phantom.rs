@@ -6,7 +6,10 @@ use anyhow::{Context, Result};
 use panoscope_runtime::memory::FrameRef;
 
 use super::super::look::{self, Plan, Table};
-use super::{Judge, Truth};
+use super::super::plot::{self, Chart, Series, Style};
+use super::{Figure, Judge, Truth};
+use crate::commands::scene::rectified_phantom;
+use crate::terminal::table;
 
 pub const SIZE: (usize, usize) = (640, 480);
 pub const FOCAL_PX: f64 = 750.0;
@@ -36,16 +39,11 @@ fn graph(scene: &str, distance_mm: f64, points: &[[f64; 2]]) -> String {
             pairs.extend([a[0], a[1], b[0], b[1]]);
         }
     }
-    format!(
-        r#"
-mode = "batch"
-plugins = ["phantom", "stereo"]
-[nodes.scope]
-type = "phantom"
-params = {{ scene = "{scene}", distance_mm = {distance_mm:?} }}
-[nodes.rectify]
-type = "rectify"
-inputs = {{ left = "scope.left", right = "scope.right", calibration = "scope.calibration" }}
+    let single: Vec<f64> = points.iter().flatten().copied().collect();
+    let scope = format!("scene = \"{scene}\", distance_mm = {distance_mm:?}");
+    rectified_phantom("batch", &[], &scene)
+        + &format!(
+            r#"
 [nodes.bm]
 type = "stereo_bm"
 inputs = {{ left = "rectify.left", right = "rectify.right" }}
@@ -69,8 +67,12 @@ inputs = {{ image = "rectify.left", disparity = "sgbm_wls.disparity", confidence
 type = "measure"
 inputs = {{ cloud = "points.cloud", calibration = "rectify.calibration" }}
 params = {{ points = {pairs:?} }}
+[nodes.depths]
+type = "measure"
+inputs = {{ cloud = "points.cloud", calibration = "rectify.calibration" }}
+params = {{ kind = "depth", points = {single:?} }}
 "#
-    )
+        )
 }
 
 pub fn floats(frame: &FrameRef) -> Option<Vec<f32>> {
@@ -85,50 +87,203 @@ pub fn floats(frame: &FrameRef) -> Option<Vec<f32>> {
     Some(out)
 }
 
-impl Judge<'_> {
-    pub(super) fn phantom(&mut self) -> Result<()> {
-        let (mut lengths, mut within, mut measured) = (Vec::new(), 0usize, 0usize);
+/// A length or a depth beside its truth.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    /// Distance of the tissue.
+    pub distance_mm: f64,
+    /// Points measured, as letters.
+    pub points: String,
+    /// True value.
+    pub true_mm: f64,
+    /// Measured value.
+    pub found_mm: f64,
+    /// Error that is stated with it.
+    pub stated_mm: f64,
+}
+
+impl Measured {
+    /// Difference from the truth, mm.
+    pub fn off_mm(&self) -> f64 {
+        (self.found_mm - self.true_mm).abs()
+    }
+}
+
+/// All lengths and depths that were measured on the phantom (thesis, figs 3.14 and 3.15).
+#[derive(Clone, Debug, Default)]
+pub struct Ruler {
+    /// Between all pairs of points.
+    pub lengths: Vec<Measured>,
+    /// Of each point.
+    pub depths: Vec<Measured>,
+}
+
+fn letter(index: usize) -> char {
+    char::from(b'A' + (index % 26) as u8)
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+impl Ruler {
+    /// Measures on the rendered bowel at all distances.
+    pub fn measure() -> Result<Self> {
+        let mut ruler = Self::default();
         for distance_mm in DISTANCES_MM {
-            self.scene("bowel", distance_mm, &mut lengths, &mut within, &mut measured)?;
+            let points = points(distance_mm);
+            let text = graph("bowel", distance_mm, &points);
+            let ports = [("scope", "depth"), ("lengths", "table"), ("depths", "table")];
+            let seen = look::run(&plan(&text, &ports))?;
+            let packet = |i: usize| seen.packets[i].as_ref().with_context(|| format!("{:?} gave nothing", ports[i]));
+            let depth = floats(packet(0)?).context("a map is cut off")?;
+            ruler.add(distance_mm, &points, &depth, packet(1)?, packet(2)?)?;
         }
-        if lengths.is_empty() {
-            return Ok(());
+        Ok(ruler)
+    }
+
+    fn add(
+        &mut self,
+        distance_mm: f64,
+        points: &[[f64; 2]],
+        depth: &[f32],
+        lengths: &FrameRef,
+        depths: &FrameRef,
+    ) -> Result<()> {
+        let place = |[u, v]: [f64; 2]| -> [f64; 3] {
+            let z = f64::from(depth[v as usize * SIZE.0 + u as usize]);
+            // The phantom's principal point is the picture's middle; see `PhantomNode`.
+            let (cx, cy) = ((SIZE.0 as f64 - 1.0) / 2.0, (SIZE.1 as f64 - 1.0) / 2.0);
+            [(u - cx) / FOCAL_PX * z, (v - cy) / FOCAL_PX * z, z]
+        };
+        let name = |at: [f64; 2]| points.iter().position(|p| *p == at).map_or('?', letter);
+        for row in &Table::read(lengths.bytes()).context("the table is cut off")?.rows {
+            let [u0, v0, u1, v1, found_mm, stated_mm] = row[..] else { continue };
+            let (a, b) = (place([u0, v0]), place([u1, v1]));
+            let true_mm = (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt();
+            if found_mm.is_finite() {
+                let points = [name([u0, v0]), name([u1, v1])].iter().collect();
+                self.lengths.push(Measured { distance_mm, points, true_mm, found_mm, stated_mm });
+            }
         }
-        let input = "phantom bowel 640x480, 30 to 70 mm, sgbm_wls";
-        let mean = lengths.iter().sum::<f64>() / lengths.len() as f64;
-        self.add("length_error_pct/mean".into(), mean, "%", input);
-        self.add("length_error_pct/worst".into(), lengths.iter().copied().fold(0.0, f64::max), "%", input);
-        self.add("length_within_stated".into(), 100.0 * within as f64 / measured as f64, "%", input);
-        self.add("lengths".into(), measured as f64, "1", input);
+        for row in &Table::read(depths.bytes()).context("the table is cut off")?.rows {
+            let [u, v, found_mm, stated_mm] = row[..] else { continue };
+            if found_mm.is_finite() {
+                let (points, true_mm) = (name([u, v]).to_string(), place([u, v])[2]);
+                self.depths.push(Measured { distance_mm, points, true_mm, found_mm, stated_mm });
+            }
+        }
         Ok(())
     }
 
-    fn scene(
-        &mut self,
-        scene: &str,
-        distance_mm: f64,
-        lengths: &mut Vec<f64>,
-        within: &mut usize,
-        measured: &mut usize,
-    ) -> Result<()> {
-        let text = graph(scene, distance_mm, &points(distance_mm));
+    /// Errors in figures.
+    pub fn figures(&self) -> Vec<Figure> {
+        let mut out = Vec::new();
+        if self.lengths.is_empty() {
+            return out;
+        }
+        let input = "phantom bowel 640x480, 30 to 70 mm, sgbm_wls, points inside the overlap";
+        let mut add = |name: &str, value: f64, unit| out.push(Figure::new(name, value, unit, input));
+        let within = |all: &[Measured]| {
+            100.0 * all.iter().filter(|m| m.off_mm() <= m.stated_mm).count() as f64 / all.len().max(1) as f64
+        };
+        let percent: Vec<f64> = self.lengths.iter().map(|m| 100.0 * m.off_mm() / m.true_mm).collect();
+        add("length_error_pct/mean", percent.iter().sum::<f64>() / percent.len() as f64, "%");
+        add("length_error_pct/worst", percent.iter().copied().fold(0.0, f64::max), "%");
+        add("length_within_stated", within(&self.lengths), "%");
+        add("lengths", self.lengths.len() as f64, "1");
+        for distance_mm in DISTANCES_MM {
+            let here = self.depths.iter().filter(|m| m.distance_mm == distance_mm);
+            add(&format!("point_depth_error_mm/{distance_mm:.0}"), median(here.map(Measured::off_mm).collect()), "mm");
+        }
+        add("point_depth_within_stated", within(&self.depths), "%");
+        out
+    }
+
+    /// The figures' numbers: lengths from the first point, and depths, at one distance.
+    pub fn tables(&self, distance_mm: f64) -> String {
+        let rows = |all: &[Measured], head: &str, wanted: &dyn Fn(&Measured) -> bool| {
+            let mut rows = vec![[head, "true mm", "measured mm", "stated +-", "error mm", "error %"].map(str::to_owned).to_vec()];
+            for m in all.iter().filter(|m| m.distance_mm == distance_mm && wanted(m)) {
+                let off = m.found_mm - m.true_mm;
+                let mm = |v: f64| format!("{v:.2}");
+                let percent = format!("{:.2}", 100.0 * off.abs() / m.true_mm);
+                rows.push(vec![m.points.clone(), mm(m.true_mm), mm(m.found_mm), mm(m.stated_mm), mm(off), percent]);
+            }
+            table(&rows)
+        };
+        let lengths = rows(&self.lengths, &format!("length at {distance_mm:.0} mm"), &|m| m.points.starts_with('A'));
+        lengths + "\n" + &rows(&self.depths, "depth of", &|_| true)
+    }
+
+    /// Draws measured against true, and the errors beside what was stated.
+    pub fn plot(&self, path: &Path) -> Result<()> {
+        let pair = |title: &str, all: &[Measured]| {
+            let sides = all.iter().map(|m| (m.true_mm, m.true_mm)).collect();
+            let line = Series { name: "true".to_owned(), style: Style::Line, color: 2, points: sides };
+            let bars = all.iter().flat_map(|m| [(m.true_mm, m.found_mm - m.stated_mm), (m.true_mm, m.found_mm + m.stated_mm)]);
+            let dots = all.iter().map(|m| (m.true_mm, m.found_mm)).collect();
+            let values = Chart {
+                title: format!("{title}: measured against true"),
+                x_label: "true, mm".to_owned(),
+                y_label: "measured, mm".to_owned(),
+                series: vec![
+                    line,
+                    Series { name: String::new(), style: Style::Bars, color: 0, points: bars.collect() },
+                    Series { name: "measured, with its stated error".to_owned(), style: Style::Dots, color: 0, points: dots },
+                ],
+                from_zero: false,
+            };
+            let errors = all.iter().map(|m| (m.true_mm, m.found_mm - m.true_mm)).collect();
+            let stated = |sign: f64| all.iter().map(|m| (m.true_mm, sign * m.stated_mm)).collect::<Vec<_>>();
+            let off = Chart {
+                title: format!("{title}: error"),
+                x_label: "true, mm".to_owned(),
+                y_label: "measured - true, mm".to_owned(),
+                series: vec![
+                    Series { name: "stated".to_owned(), style: Style::Dots, color: 1, points: [stated(1.0), stated(-1.0)].concat() },
+                    Series { name: "true error".to_owned(), style: Style::Dots, color: 0, points: errors },
+                ],
+                from_zero: true,
+            };
+            [values, off]
+        };
+        let charts = [pair("Lengths", &self.lengths), pair("Depths", &self.depths)].concat();
+        plot::save(path, &charts)
+    }
+}
+
+fn plan<'a>(text: &'a str, ports: &'a [(&'a str, &'a str)]) -> Plan<'a> {
+    Plan { text, path: Path::new("eval.toml"), frames: Some(5), threads: 0, ports, paced: false }
+}
+
+impl Judge<'_> {
+    pub(super) fn phantom(&mut self) -> Result<()> {
+        let mut ruler = Ruler::default();
+        for distance_mm in DISTANCES_MM {
+            self.scene("bowel", distance_mm, &mut ruler)?;
+        }
+        self.figures.extend(ruler.figures());
+        if let Some(folder) = self.pictures {
+            ruler.plot(&folder.join("phantom_lengths_and_depths.png"))?;
+        }
+        Ok(())
+    }
+
+    fn scene(&mut self, scene: &str, distance_mm: f64, ruler: &mut Ruler) -> Result<()> {
+        let places = points(distance_mm);
+        let text = graph(scene, distance_mm, &places);
         let mut ports = vec![
             ("scope", "disparity"),
             ("scope", "depth"),
             ("scope", "visible"),
             ("points", "depth"),
             ("lengths", "table"),
+            ("depths", "table"),
         ];
         ports.extend(CHAINS.iter().map(|(chain, _)| (*chain, "disparity")));
-        let plan = Plan {
-            text: &text,
-            path: Path::new("eval.toml"),
-            frames: Some(5),
-            threads: 0,
-            ports: &ports,
-            paced: false,
-        };
-        let seen = look::run(&plan)?;
+        let seen = look::run(&plan(&text, &ports))?;
         let packet =
             |index: usize| seen.packets[index].as_ref().with_context(|| format!("{:?} gave nothing", ports[index]));
         let map = |index: usize| floats(packet(index)?).context("a map is cut off");
@@ -138,7 +293,7 @@ impl Judge<'_> {
         let input = format!("phantom {scene} 640x480 at {distance_mm} mm, where both cameras see");
         let truth = Truth { disparity, mask: Some(visible) };
         for (index, (chain, _)) in CHAINS.iter().enumerate() {
-            self.against(&case, chain, SIZE, &map(5 + index)?, &truth, &input)?;
+            self.against(&case, chain, SIZE, &map(6 + index)?, &truth, &input)?;
         }
         let found = map(3)?;
         let mut errors: Vec<f32> =
@@ -153,26 +308,6 @@ impl Judge<'_> {
                 &input,
             );
         }
-
-        let place = |u: f64, v: f64| -> [f64; 3] {
-            let z = f64::from(depth[v as usize * SIZE.0 + u as usize]);
-            // The phantom's principal point is the picture's middle; see `PhantomNode`.
-            let (cx, cy) = ((SIZE.0 as f64 - 1.0) / 2.0, (SIZE.1 as f64 - 1.0) / 2.0);
-            [(u - cx) / FOCAL_PX * z, (v - cy) / FOCAL_PX * z, z]
-        };
-        let table = Table::read(packet(4)?.bytes()).context("the table is cut off")?;
-        for row in &table.rows {
-            let [u0, v0, u1, v1, length_mm, error_mm] = row[..] else { continue };
-            if length_mm.is_nan() {
-                continue;
-            }
-            let (a, b) = (place(u0, v0), place(u1, v1));
-            let true_mm = (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt();
-            let off_mm = (length_mm - true_mm).abs();
-            *measured += 1;
-            *within += usize::from(off_mm <= error_mm);
-            lengths.push(100.0 * off_mm / true_mm);
-        }
-        Ok(())
+        ruler.add(distance_mm, &places, &depth, packet(4)?, packet(5)?)
     }
 }

@@ -1,0 +1,175 @@
+//! Charts as PNG pictures, drawn with the project's own lines and letters.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use panoscope_imaging::ViewMut;
+use panoscope_imaging::draw::{self, Color};
+
+/// Columns and rows of one chart, px.
+const SIZE: (usize, usize) = (640, 360);
+/// Free space around the field of a chart: left, top, right, bottom, px.
+const MARGIN: [f32; 4] = [64.0, 34.0, 16.0, 46.0];
+const BACK: Color = [255, 255, 255];
+const INK: Color = [40, 40, 40];
+const GRID: Color = [224, 224, 224];
+/// Told apart by people who see few colours too (Okabe and Ito), BGR.
+const COLORS: [Color; 6] = [[178, 114, 0], [0, 94, 213], [115, 158, 0], [167, 121, 204], [0, 159, 230], [233, 180, 86]];
+
+/// How a series is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Style {
+    /// A line; gaps where values are missing.
+    Line,
+    /// A dot for each point.
+    Dots,
+    /// Thin vertical bars from a low to a high value: points come in pairs.
+    Bars,
+}
+
+/// Points of one kind.
+#[derive(Clone, Debug)]
+pub struct Series {
+    /// Name in the legend.
+    pub name: String,
+    /// How it is drawn.
+    pub style: Style,
+    /// Which colour it takes.
+    pub color: usize,
+    /// Places; those that are not finite are missing.
+    pub points: Vec<(f64, f64)>,
+}
+
+/// One chart.
+#[derive(Clone, Debug, Default)]
+pub struct Chart {
+    /// What it shows.
+    pub title: String,
+    /// Along, with unit.
+    pub x_label: String,
+    /// Up, with unit.
+    pub y_label: String,
+    /// What is drawn.
+    pub series: Vec<Series>,
+    /// Zero belongs to the vertical axis.
+    pub from_zero: bool,
+}
+
+/// Round steps that divide a range into four to nine parts.
+fn steps(low: f64, high: f64) -> (f64, f64, f64) {
+    let range = (high - low).max(1e-9);
+    let magnitude = 10f64.powf((range / 5.0).log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * magnitude).into_iter().find(|s| range / s <= 8.0).unwrap_or(magnitude);
+    ((low / step).floor() * step, (high / step).ceil() * step, step)
+}
+
+fn number(value: f64, step: f64) -> String {
+    let places = (-step.log10().floor()).clamp(0.0, 6.0) as usize;
+    // No "-0".
+    format!("{:.places$}", if value.abs() < step * 1e-6 { 0.0 } else { value })
+}
+
+fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let (low, high) = values.filter(|v| v.is_finite()).fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(v), b.max(v)));
+    match () {
+        () if low > high => (0.0, 1.0),
+        () if high - low < 1e-12 => (low - 0.5, high + 0.5),
+        () => (low, high),
+    }
+}
+
+fn chart(out: &mut ViewMut<'_, u8>, origin: (f32, f32), chart: &Chart) {
+    let points = || chart.series.iter().flat_map(|s| s.points.iter().copied());
+    let (x0, x1, x_step) = {
+        let (low, high) = range(points().map(|p| p.0));
+        steps(low, high)
+    };
+    let (y0, y1, y_step) = {
+        let (low, high) = range(points().map(|p| p.1));
+        steps(if chart.from_zero { low.min(0.0) } else { low }, high)
+    };
+    let (left, top) = (origin.0 + MARGIN[0], origin.1 + MARGIN[1]);
+    let (right, bottom) = (origin.0 + SIZE.0 as f32 - MARGIN[2], origin.1 + SIZE.1 as f32 - MARGIN[3]);
+    let across = |x: f64| left + ((x - x0) / (x1 - x0)) as f32 * (right - left);
+    let up = |y: f64| bottom - ((y - y0) / (y1 - y0)) as f32 * (bottom - top);
+    let centred = |out: &mut ViewMut<'_, u8>, x: f32, y: f32, words: &str| {
+        draw::text(out, x - draw::text_size(words, 1.2).0 / 2.0, y, words, 1.2, INK);
+    };
+    let parts = |low: f64, high: f64, step: f64| (0..=((high - low) / step).round() as usize).map(move |i| low + i as f64 * step);
+    for x in parts(x0, x1, x_step) {
+        draw::line(out, (across(x), top), (across(x), bottom), 1.0, GRID);
+        centred(out, across(x), bottom + 7.0, &number(x, x_step));
+    }
+    for y in parts(y0, y1, y_step) {
+        draw::line(out, (left, up(y)), (right, up(y)), 1.0, GRID);
+        let words = number(y, y_step);
+        let (width, height) = draw::text_size(&words, 1.2);
+        draw::text(out, left - 7.0 - width, up(y) - height / 2.0, &words, 1.2, INK);
+    }
+    draw::rectangle(out, left, top, right - left, bottom - top, 1.0, INK);
+    draw::text(out, origin.0 + 8.0, origin.1 + 7.0, &chart.title, 1.5, INK);
+    centred(out, (left + right) / 2.0, bottom + 24.0, &chart.x_label);
+    draw::text(out, origin.0 + 8.0, origin.1 + 22.0, &chart.y_label, 1.1, INK);
+    let mut legend = right - 6.0;
+    for series in &chart.series {
+        let color = COLORS[series.color % COLORS.len()];
+        let place = |p: &(f64, f64)| (p.0.is_finite() && p.1.is_finite()).then(|| (across(p.0), up(p.1)));
+        match series.style {
+            Style::Line => {
+                for pair in series.points.windows(2) {
+                    if let (Some(a), Some(b)) = (place(&pair[0]), place(&pair[1])) {
+                        draw::line(out, a, b, 1.6, color);
+                    }
+                }
+            }
+            Style::Dots => {
+                for (x, y) in series.points.iter().filter_map(place) {
+                    draw::fill_circle(out, x, y, 2.4, color, 0.8);
+                }
+            }
+            Style::Bars => {
+                for pair in series.points.as_chunks::<2>().0 {
+                    if let (Some(a), Some(b)) = (place(&pair[0]), place(&pair[1])) {
+                        draw::line(out, a, b, 1.0, color);
+                    }
+                }
+            }
+        }
+        if series.name.is_empty() {
+            continue;
+        }
+        let (width, height) = draw::text_size(&series.name, 1.2);
+        legend -= width;
+        draw::text(out, legend, top - height - 5.0, &series.name, 1.2, color);
+        legend -= 14.0;
+    }
+}
+
+/// Writes charts below one another in two columns.
+pub fn save(path: &Path, charts: &[Chart]) -> Result<()> {
+    let columns = charts.len().clamp(1, 2);
+    let (width, height) = (SIZE.0 * columns, SIZE.1 * charts.len().max(1).div_ceil(columns));
+    let mut bgr = BACK.repeat(width * height);
+    let mut out = ViewMut::new(&mut bgr, width, height, 3);
+    for (index, one) in charts.iter().enumerate() {
+        let origin = ((index % columns * SIZE.0) as f32, (index / columns * SIZE.1) as f32);
+        chart(&mut out, origin, one);
+    }
+    bgr.chunks_exact_mut(3).for_each(|p| p.swap(0, 2));
+    let image = image::RgbImage::from_raw(width as u32, height as u32, bgr).context("a picture of another size")?;
+    image.save(path).with_context(|| format!("cannot write {}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{number, steps};
+
+    #[test]
+    fn axes_have_round_steps_around_the_data() {
+        for (low, high) in [(0.0, 7.3), (-3.0, 250.0), (0.701, 0.734), (12.0, 12.5)] {
+            let (from, to, step) = steps(low, high);
+            assert!(from <= low && to >= high && (3.0..=10.0).contains(&((to - from) / step)), "{from} {to} {step}");
+        }
+        assert_eq!((number(0.30000000000000004, 0.1), number(-1e-12, 0.5)), ("0.3".to_owned(), "0.0".to_owned()));
+    }
+}

@@ -1,0 +1,105 @@
+//! `cut_views`: one picture in, two overlapping views of it out, with the true homography between them.
+
+use panoscope_imaging::stitch::cut::{self, CutParams};
+use panoscope_node::abi::{self, Homography, Roi};
+use panoscope_node::{Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot};
+
+/// Parameters of the cut.
+#[derive(Params, Clone, PartialEq)]
+pub struct CutViewsParams {
+    /// Share of a view's width that the other view shows too.
+    #[param(default = 0.5, range = 0.1..=0.9, step = 0.05, unit = "ratio")]
+    overlap: f64,
+    /// How far the corners of the right view are drawn out of shape at most.
+    #[param(default = 12.0, range = 0.0..=200.0, step = 1.0, unit = "px")]
+    perspective_px: f64,
+    /// How far each corner of the right view sways; 0 holds still.
+    #[param(default = 2.0, range = 0.0..=50.0, step = 0.5, unit = "px")]
+    sway_px: f64,
+    /// Length of one sway.
+    #[param(default = 60, range = 2..=10000, unit = "frames")]
+    sway_frames: u32,
+    /// Exposure of the right view relative to the left one.
+    #[param(default = 0.9, range = 0.25..=1.9, step = 0.01, unit = "ratio")]
+    right_exposure: f32,
+    /// Standard deviation of the noise that each view gets, gray levels.
+    #[param(default = 2.0, range = 0.0..=32.0, step = 0.5)]
+    noise_levels: f32,
+    /// Seed of shape, sway and noise.
+    #[param(default = 7, range = 0..=1_000_000_000)]
+    seed: u64,
+}
+
+impl CutViewsParams {
+    fn kernel(&self) -> CutParams {
+        CutParams {
+            overlap: self.overlap,
+            perspective_px: self.perspective_px,
+            sway_px: self.sway_px,
+            sway_frames: f64::from(self.sway_frames),
+            right_exposure: self.right_exposure,
+            noise_levels: self.noise_levels,
+            seed: self.seed,
+        }
+    }
+}
+
+/// Inputs of the cut.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// The picture that is cut.
+    image: Image<'f, Bgr8>,
+}
+
+/// Outputs of the cut.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// Left part of the picture, with noise.
+    left: Slot<'f, Bgr8>,
+    /// Right part under another perspective, exposure and tint, with noise.
+    right: Slot<'f, Bgr8>,
+    /// True homography: maps right-view pixels to left-view pixels.
+    homography: Slot<'f, Homography>,
+    /// Where the left view lies in the picture.
+    left_in_image: Slot<'f, Roi>,
+}
+
+/// See the module.
+pub struct CutViews;
+
+impl Node for CutViews {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "cut_views",
+        "stitch",
+        "Cuts a picture into two overlapping views with another perspective, exposure and noise: real pictures with a true homography.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = CutViewsParams;
+
+    fn open(_: &Open<'_>, _: &CutViewsParams) -> Result<Self> {
+        Ok(Self)
+    }
+
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &CutViewsParams,
+    ) -> Result<()> {
+        let (params, frame, picture) = (params.kernel(), cx.tick().seq, input.image.view());
+        let geometry = cut::geometry(&params, (picture.width, picture.height), frame)?;
+        let (width, height) = geometry.size;
+        let (mut left, mut right) = (out.left.alloc(width, height)?, out.right.alloc(width, height)?);
+        cut::draw(&params, &geometry, frame, picture, cx.pool(), &mut left, &mut right)?;
+        let (x, y) = geometry.left_at;
+        out.left_in_image.set(Roi { x: x as i32, y: y as i32, width: width as i32, height: height as i32 })?;
+        out.homography.set(Homography {
+            left_from_right: geometry.left_from_right.0,
+            rms_px: 0.0,
+            inliers: 0,
+            state: abi::STATE_FRESH,
+        })
+    }
+}
