@@ -19,33 +19,13 @@ import torch
 from torch import nn
 
 from instruments.data import CLASSES, letterbox, read
+from instruments.folding import fold_all, wide_stem
 from instruments.onnx_store import store_half, write
 from instruments.score import average_precision, rows_of
-from instruments.yolox import Conv, Yolox
+from instruments.yolox import Yolox
 
 SOURCE = "m2cai16-tool-locations (Jin et al. 2018), weights started from YOLOX-nano of Megvii (Apache-2.0)"
 LICENCE = "research use: the training frames state no licence; no medical device"
-
-
-def fold(module):
-    """A convolution with its normalisation inside."""
-    conv, norm = module.conv, module.norm
-    gain = norm.weight / torch.sqrt(norm.running_var + norm.eps)
-    out = nn.Conv2d(conv.in_channels, conv.out_channels, conv.kernel_size, conv.stride, conv.padding, groups=conv.groups)
-    out.weight.data = conv.weight.data * gain[:, None, None, None]
-    out.bias.data = norm.bias.data - norm.running_mean * gain
-    return out
-
-
-def wide_stem(folded):
-    """The 3 x 3 convolution over four interleaved pictures as one of 6 x 6 px and stride 2 over the picture itself."""
-    w = folded.weight.data
-    out = nn.Conv2d(3, w.shape[0], 6, 2, 2)
-    wide = torch.zeros(w.shape[0], 3, 6, 6)
-    for group, (dy, dx) in enumerate(((0, 0), (1, 0), (0, 1), (1, 1))):
-        wide[:, :, dy::2, dx::2] = w[:, 3 * group : 3 * group + 3]
-    out.weight.data, out.bias.data = wide, folded.bias.data.clone()
-    return out
 
 
 class Exported(nn.Module):
@@ -53,10 +33,7 @@ class Exported(nn.Module):
 
     def __init__(self, model):
         super().__init__()
-        for parent in list(model.modules()):
-            for name, child in list(parent.named_children()):
-                if isinstance(child, Conv):
-                    setattr(parent, name, nn.Sequential(fold(child), nn.SiLU()))
+        fold_all(model)
         self.first = nn.Sequential(wide_stem(model.stem[0]), nn.SiLU())
         model.stem = nn.Identity()
         self.model = model
