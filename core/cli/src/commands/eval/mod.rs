@@ -1,6 +1,7 @@
 //! `panoscope eval`: how good the results are, beside truth and peers.
 
 mod calibrate;
+mod detect;
 mod disparity;
 pub mod look;
 mod rewire;
@@ -25,6 +26,8 @@ pub enum Eval {
     Disparity(disparity::Arguments),
     /// Calibration beside OpenCV's sample and beside the phantom's truth.
     Calibrate(calibrate::Arguments),
+    /// Detectors and segmenters beside true boxes, outlines and tips.
+    Detect(detect::Arguments),
 }
 
 /// Judges.
@@ -35,6 +38,7 @@ pub fn run(eval: &Eval) -> Result<End> {
         Eval::Stitch(arguments) => (stitch::judge(arguments)?, &arguments.json),
         Eval::Disparity(arguments) => (disparity::judge(arguments)?, &arguments.json),
         Eval::Calibrate(arguments) => (calibrate::judge(arguments)?, &arguments.json),
+        Eval::Detect(arguments) => (detect::judge(arguments)?, &arguments.json),
     };
     let Some(figures) = figures else { return Ok(End::Wrong) };
     record::show(&figures);
