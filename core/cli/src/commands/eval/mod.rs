@@ -12,6 +12,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 
+pub use self::detect::{Scratch, quoted, shipped};
 use super::bench::record;
 use crate::End;
 

@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 
 use self::find::Node;
+pub use self::find::{Scratch, quoted};
 use self::phantom::Tips;
 use self::score::{Find, Scores, Shape, score};
 use self::truth::Truth;
@@ -105,7 +106,7 @@ struct Judge<'a> {
 }
 
 /// A model that ships: beside the program when installed, else in the repository.
-fn shipped(name: &str) -> Option<PathBuf> {
+pub fn shipped(name: &str) -> Option<PathBuf> {
     let program = std::env::current_exe().ok();
     let folders = program.iter().flat_map(|p| p.ancestors().skip(1).take(4)).map(Path::to_owned);
     let mut all = std::iter::once(PathBuf::new()).chain(folders);
@@ -252,7 +253,7 @@ impl Judge<'_> {
 
     fn phantom(&mut self) -> Result<()> {
         let Some(model) = self.model("phantom", self.segmenter(), "--masks") else { return Ok(()) };
-        let scratch = find::Scratch::new("phantom")?;
+        let scratch = Scratch::new("phantom")?;
         let truth = phantom::frames(&scratch)?;
         self.one("phantom", Node::MaskRcnn, &model, truth)
     }
