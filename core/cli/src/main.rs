@@ -5,6 +5,7 @@ mod commands;
 mod graph_file;
 mod interrupt;
 mod log_lines;
+mod probe;
 mod progress;
 mod summary;
 mod terminal;
@@ -57,6 +58,9 @@ enum Command {
     Devices(commands::devices::Arguments),
     /// Shows what is installed, what is missing and how to get it.
     Doctor,
+    /// Opens one node of a graph, for `check`.
+    #[command(name = probe::COMMAND, hide = true)]
+    ProbeNode(probe::Arguments),
 }
 
 /// How a command ended.
@@ -89,6 +93,7 @@ fn main() {
         Command::Bench(bench) => commands::bench::run(&bench),
         Command::Eval(eval) => commands::eval::run(&eval),
         Command::Calibrate(arguments) => commands::calibrate::run(&arguments),
+        Command::ProbeNode(arguments) => probe::run(&arguments),
         Command::Devices(arguments) => commands::devices::run(&arguments),
     };
     terminal::leave(match end {

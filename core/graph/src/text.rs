@@ -205,6 +205,24 @@ impl GraphText {
         &self.source.text
     }
 
+    /// A mistake or warning of the caller's own about a parameter of a node, at the parameter's value where the file gives one, else at the node's
+    /// name. `help` may be empty.
+    pub fn about_param(
+        &self,
+        severity: Severity,
+        code: &'static str,
+        (node, param): (&str, &str),
+        message: String,
+        help: &str,
+    ) -> Diagnostics {
+        let found = self.nodes.iter().find(|n| n.id.value == node);
+        let value = found.and_then(|n| n.params.iter().find(|(key, _)| key.value == param));
+        let span = value.map(|(_, value)| value.span.clone()).or_else(|| found.map(|n| n.id.span.clone()));
+        let mut diagnostic = Diagnostic::new(severity, code, &self.source, &span.unwrap_or(0..0), message);
+        diagnostic.help(help);
+        Diagnostics::one(diagnostic)
+    }
+
     /// What is wrong with the shape of the file so far. [`check`](crate::check) repeats these.
     pub fn diagnostics(&self) -> &Diagnostics {
         &self.diagnostics

@@ -70,6 +70,9 @@ struct Tap {
     share: f32,
 }
 
+/// Rows of the input that one task makes.
+const LINES_PER_CHUNK: usize = 16;
+
 /// Fits pictures into a planar f32 input; keeps its tables while sizes stay.
 #[derive(Default)]
 pub struct Letterbox {
@@ -77,6 +80,8 @@ pub struct Letterbox {
     placement: Option<Placement>,
     columns: Vec<Tap>,
     rows: Vec<Tap>,
+    /// One row of the picture for each task: two rows mixed, before columns are picked from it.
+    lines: Vec<f32>,
     /// Planar, 3 x height x width.
     pub input: Vec<f32>,
 }
@@ -90,6 +95,14 @@ fn taps(out: usize, scale: f32, from: usize, channels: usize) -> Vec<Tap> {
         Tap { near: (near as usize * channels) as u32, far: (far * channels) as u32, share: at - near }
     };
     (0..out).map(tap).collect()
+}
+
+/// Two rows mixed: contiguous, so that it becomes vector code.
+fn mix(upper: &[u8], lower: &[u8], share: f32, out: &mut [f32]) {
+    for ((o, &a), &b) in out.iter_mut().zip(upper).zip(lower) {
+        let (a, b) = (f32::from(a), f32::from(b));
+        *o = a + share * (b - a);
+    }
 }
 
 impl Letterbox {
@@ -112,6 +125,8 @@ impl Letterbox {
                 let order = |c: usize| (BORDER - form.mean[c]) * form.gain[c];
                 self.input.clear();
                 (0..3).for_each(|c| self.input.resize((c + 1) * to.0 * to.1, order(c)));
+                self.lines.clear();
+                self.lines.resize(self.rows.len().div_ceil(LINES_PER_CHUNK) * w * channels, 0.0);
                 (self.key, self.placement) = (Some(key), Some(placement));
                 placement
             }
@@ -121,35 +136,98 @@ impl Letterbox {
         }
         let (x0, y0) = (placement.offset[0] as usize, placement.offset[1] as usize);
         let plane = to.0 * to.1;
-        let (columns, rows) = (&self.columns, &self.rows);
+        let (columns, rows, row_len) = (&self.columns, &self.rows, w * channels);
         let out = SharedMut::new(&mut self.input);
-        let source = |c: usize| {
-            if channels < 3 {
-                0
-            } else if form.rgb {
-                2 - c
-            } else {
-                c
-            }
-        };
-        let lines_per_chunk = 16;
-        pool.run(rows.len().div_ceil(lines_per_chunk), &|chunk| {
-            for y in chunk * lines_per_chunk..((chunk + 1) * lines_per_chunk).min(rows.len()) {
+        let lines = SharedMut::new(&mut self.lines);
+        // Plane of the input that each channel of a colour picture goes to.
+        let target = if form.rgb { [2, 1, 0] } else { [0, 1, 2] };
+        pool.run(rows.len().div_ceil(LINES_PER_CHUNK), &|chunk| {
+            // SAFETY: one line for each chunk.
+            let line = unsafe { lines.part(chunk * row_len, row_len) };
+            for y in chunk * LINES_PER_CHUNK..((chunk + 1) * LINES_PER_CHUNK).min(rows.len()) {
                 let tap = rows[y];
-                let (upper, lower, down) = (picture.row(tap.near as usize), picture.row(tap.far as usize), tap.share);
-                for c in 0..3 {
-                    // SAFETY: one row of one plane, written by this chunk alone.
-                    let line = unsafe { out.part(c * plane + (y0 + y) * to.0 + x0, columns.len()) };
-                    let (s, mean, gain) = (source(c), form.mean[c], form.gain[c]);
-                    for (value, t) in line.iter_mut().zip(columns) {
-                        let (near, far) = (t.near as usize + s, t.far as usize + s);
-                        let a = f32::from(upper[near]) + t.share * (f32::from(upper[far]) - f32::from(upper[near]));
-                        let b = f32::from(lower[near]) + t.share * (f32::from(lower[far]) - f32::from(lower[near]));
-                        *value = (a + down * (b - a) - mean) * gain;
+                mix(picture.row(tap.near as usize), picture.row(tap.far as usize), tap.share, line);
+                let at = |c: usize| c * plane + (y0 + y) * to.0 + x0;
+                // SAFETY: one row of each of three planes, written by this chunk alone.
+                let [first, second, third] = [0, 1, 2].map(|c| unsafe { out.part(at(c), columns.len()) });
+                let scale = |c: usize, v: f32| (v - form.mean[c]) * form.gain[c];
+                let pixels = columns.iter().zip(first).zip(second).zip(third);
+                if channels < 3 {
+                    for (((t, a), b), c) in pixels {
+                        let (near, far) = (line[t.near as usize], line[t.far as usize]);
+                        let v = near + t.share * (far - near);
+                        (*a, *b, *c) = (scale(0, v), scale(1, v), scale(2, v));
                     }
+                    continue;
+                }
+                for (((t, a), b), c) in pixels {
+                    let (near, far) = (&line[t.near as usize..][..3], &line[t.far as usize..][..3]);
+                    let v: [f32; 3] = std::array::from_fn(|k| near[k] + t.share * (far[k] - near[k]));
+                    *a = scale(0, v[target[0]]);
+                    *b = scale(1, v[target[1]]);
+                    *c = scale(2, v[target[2]]);
                 }
             }
         });
         placement
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use panoscope_imaging::Serial;
+
+    use super::*;
+
+    const PLAIN: PixelForm = PixelForm { rgb: false, mean: [0.0; 3], gain: [1.0; 3], fit: Fit::Corner };
+
+    /// Bilinear by the formula, pixel by pixel.
+    fn expected(picture: &[u8], (w, h): (usize, usize), channel: usize, x: f32, y: f32) -> f32 {
+        let (x, y) = (x.clamp(0.0, w as f32 - 1.0), y.clamp(0.0, h as f32 - 1.0));
+        let at = |x: usize, y: usize| f32::from(picture[(y.min(h - 1) * w + x.min(w - 1)) * 3 + channel]);
+        let (x0, y0) = (x as usize, y as usize);
+        let (fx, fy) = (x.fract(), y.fract());
+        let upper = at(x0, y0) * (1.0 - fx) + at(x0 + 1, y0) * fx;
+        let lower = at(x0, y0 + 1) * (1.0 - fx) + at(x0 + 1, y0 + 1) * fx;
+        upper * (1.0 - fy) + lower * fy
+    }
+
+    #[test]
+    fn pixels_are_mixed_from_their_neighbours() {
+        for (w, h, to, form) in [
+            (37, 23, (64, 32), PLAIN),
+            (120, 90, (64, 64), PixelForm { rgb: true, mean: [10.0, 20.0, 30.0], gain: [0.5, 0.25, 2.0], fit: Fit::Centre }),
+            (1, 1, (32, 32), PixelForm { fit: Fit::Stretch, ..PLAIN }),
+        ] {
+            let picture: Vec<u8> = (0..w * h * 3).map(|i| (i * 37 % 251) as u8).collect();
+            let mut letterbox = Letterbox::default();
+            let p = letterbox.fit(View::new(&picture, w, h, 3), to, &form, &Serial);
+            for c in 0..3 {
+                let from = if form.rgb { 2 - c } else { c };
+                for (y, x) in (0..to.1).flat_map(|y| (0..to.0).map(move |x| (y, x))) {
+                    let (u, v) = (x as f32 - p.offset[0], y as f32 - p.offset[1]);
+                    let inside = u >= 0.0 && v >= 0.0 && u < p.size[0] as f32 && v < p.size[1] as f32;
+                    let value = if inside {
+                        expected(&picture, (w, h), from, (u + 0.5) / p.scale[0] - 0.5, (v + 0.5) / p.scale[1] - 0.5)
+                    } else {
+                        BORDER
+                    };
+                    let want = (value - form.mean[c]) * form.gain[c];
+                    let got = letterbox.input[c * to.0 * to.1 + y * to.0 + x];
+                    assert!((got - want).abs() < 0.02, "{w}x{h} plane {c} at {x}, {y}: {got} instead of {want}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn gray_pictures_fill_all_planes() {
+        let picture: Vec<u8> = (0..40 * 20).map(|i| (i % 256) as u8).collect();
+        let mut letterbox = Letterbox::default();
+        letterbox.fit(View::new(&picture, 40, 20, 1), (64, 32), &PLAIN, &Serial);
+        let (first, rest) = letterbox.input.split_at(64 * 32);
+        assert_eq!(first, &rest[..64 * 32]);
+        assert_eq!(first, &rest[64 * 32..]);
+        assert!(first.iter().any(|v| *v != first[0]));
     }
 }

@@ -115,8 +115,10 @@ impl Model {
         let builder = builder.with_inter_threads(1).map_err(|e| refused(e.to_string()))?;
         // What went wrong comes back as an error; a second line on the terminal would only cover the progress.
         let builder = builder.with_log_level(ort::logging::LogLevel::Fatal).map_err(|e| refused(e.to_string()))?;
-        // A waiting thread that spins takes the core from the next node.
-        let builder = builder.with_intra_op_spinning(false).map_err(|e| refused(e.to_string()))?;
+        // Threads spin while the network runs (waking them between its hundred steps would cost as much as the steps) and stop with its end: a
+        // waiting thread that goes on spinning takes the core from the next node.
+        let builder = builder.with_intra_op_spinning(true).map_err(|e| refused(e.to_string()))?;
+        let builder = builder.with_config_entry("session.force_spinning_stop", "1").map_err(|e| refused(e.to_string()))?;
         let mut builder = builder.with_inter_op_spinning(false).map_err(|e| refused(e.to_string()))?;
         // From what was looked through; only weights beside the model need its path.
         let session = if file.has_weights_beside {

@@ -3,10 +3,11 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
+use panoscope_graph::GraphText;
 use serde_json::json;
 
 use crate::terminal::{raw, say, stdout_color};
-use crate::{End, graph_file};
+use crate::{End, graph_file, probe};
 
 /// Arguments of `check`.
 #[derive(clap::Args)]
@@ -24,8 +25,15 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let mut end = End::Done;
     for path in &arguments.graphs {
         let name = path.display();
-        let (facts, diagnostics) = match graph_file::load(path, &[]) {
-            Ok(ready) => (Some((ready.graph.nodes.len(), ready.graph.edges.len())), ready.warnings),
+        let checked = GraphText::load(path).and_then(|text| {
+            let ready = graph_file::ready(&text)?;
+            // A model can only be judged by opening it.
+            let mut diagnostics = ready.warnings.clone();
+            diagnostics.extend(probe::models(path, &text, &ready));
+            if diagnostics.has_errors() { Err(diagnostics) } else { Ok((ready, diagnostics)) }
+        });
+        let (facts, diagnostics) = match checked {
+            Ok((ready, warnings)) => (Some((ready.graph.nodes.len(), ready.graph.edges.len())), warnings),
             Err(diagnostics) => (None, diagnostics),
         };
         if facts.is_none() {

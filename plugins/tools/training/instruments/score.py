@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from .data import letterbox
-from .yolox import decode, flatten
+from .yolox import STRIDES, decode, flatten, grid_of
 
 
 def suppress(boxes, scores, iou_limit):
@@ -17,6 +17,25 @@ def suppress(boxes, scores, iou_limit):
         both = (np.minimum(boxes[i, 2:], boxes[rest, 2:]) - np.maximum(boxes[i, :2], boxes[rest, :2])).clip(0).prod(1)
         order = rest[both / (area[i] + area[rest] - both + 1e-9) <= iou_limit]
     return keep
+
+
+def chosen(boxes, scores, scale, score_limit, iou_limit):
+    """Rows (class, score, x0, y0, x1, y1) of one picture from centre-size boxes in px of the input, class by class."""
+    corners = np.concatenate((boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2), 1) / scale
+    rows = []
+    for kind in range(scores.shape[1]):
+        good = scores[:, kind] > score_limit
+        b, s = corners[good], scores[good, kind]
+        rows += [[kind, s[j], *b[j]] for j in suppress(b, s, iou_limit)]
+    return np.array(rows, np.float32).reshape(-1, 6)
+
+
+def rows_of(answer, width, height, scale, score_limit=0.01, iou_limit=0.65):
+    """The same from one picture's N x (5 + C) answer of an exported file (probabilities, boxes relative to the grid)."""
+    answer = torch.from_numpy(answer)
+    grid, stride = grid_of([(height // s, width // s) for s in STRIDES])
+    boxes = decode(answer[:, :4], grid, stride).numpy()
+    return chosen(boxes, (answer[:, 4:5] * answer[:, 5:]).numpy(), scale, score_limit, iou_limit)
 
 
 @torch.no_grad()
@@ -32,13 +51,7 @@ def detect(model, frames, width, height, score_limit=0.01, iou_limit=0.65, batch
         boxes = decode(raw[..., :4], grid, stride).numpy()
         scores = (raw[..., 4:5].sigmoid() * raw[..., 5:].sigmoid()).numpy()
         for i, (_, _, scale) in enumerate(fitted):
-            corners = np.concatenate((boxes[i, :, :2] - boxes[i, :, 2:] / 2, boxes[i, :, :2] + boxes[i, :, 2:] / 2), 1) / scale
-            rows = []
-            for kind in range(scores.shape[2]):
-                good = scores[i, :, kind] > score_limit
-                b, s = corners[good], scores[i, good, kind]
-                rows += [[kind, s[j], *b[j]] for j in suppress(b, s, iou_limit)]
-            found.append(np.array(rows, np.float32).reshape(-1, 6))
+            found.append(chosen(boxes[i], scores[i], scale, score_limit, iou_limit))
     return found
 
 

@@ -102,7 +102,10 @@ class Yolox(nn.Module):
     def forward(self, x):
         x = torch.cat((x[..., ::2, ::2], x[..., 1::2, ::2], x[..., ::2, 1::2], x[..., 1::2, 1::2]), 1)
         c3 = self.dark3(self.dark2(self.stem(x)))
-        c4 = self.dark4(c3)
+        return self.neck_and_heads(c3, self.dark4(c3))
+
+    def neck_and_heads(self, c3, c4):
+        """From the features of strides 8 and 16 to the raw levels."""
         c5 = self.dark5(c4)
         l5 = self.lateral5(c5)
         t4 = self.top_down4(torch.cat((self.up(l5), c4), 1))
@@ -119,16 +122,21 @@ class Yolox(nn.Module):
         return levels
 
 
+def grid_of(sizes):
+    """Place (N x 2, in cells) and stride (N) of each row of levels of `sizes` (height, width)."""
+    grids, strides = [], []
+    for (h, w), stride in zip(sizes, STRIDES):
+        y, x = torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij")
+        grids.append(torch.stack((x, y), 2).view(-1, 2).float())
+        strides.append(torch.full((h * w,), float(stride)))
+    return torch.cat(grids), torch.cat(strides)
+
+
 def flatten(levels):
     """Raw levels -> B x N x (4 + 1 + C), still raw; with the grid (N x 2) and stride (N) of each row."""
-    rows, grids, strides = [], [], []
-    for level, stride in zip(levels, STRIDES):
-        h, w = level.shape[-2:]
-        rows.append(level.flatten(2).permute(0, 2, 1))
-        y, x = torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij")
-        grids.append(torch.stack((x, y), 2).view(-1, 2).to(level))
-        strides.append(torch.full((h * w,), float(stride)).to(level))
-    return torch.cat(rows, 1), torch.cat(grids), torch.cat(strides)
+    grid, stride = grid_of([level.shape[-2:] for level in levels])
+    rows = [level.flatten(2).permute(0, 2, 1) for level in levels]
+    return torch.cat(rows, 1), grid.to(levels[0]), stride.to(levels[0])
 
 
 def decode(raw, grid, stride):

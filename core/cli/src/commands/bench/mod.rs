@@ -10,6 +10,7 @@ mod scale;
 mod start;
 mod stereo;
 mod stitch;
+mod tools;
 
 use std::path::PathBuf;
 
@@ -32,6 +33,8 @@ pub enum Bench {
     Editor(Arguments),
     /// Registration, seam and blend at three sizes, beside OpenCV.
     Stitch(Arguments),
+    /// Detector and segmenter on a picture of 640x480, beside plain ONNX Runtime in Python.
+    Tools(tools::Arguments),
 }
 
 /// Arguments of every bench.
@@ -55,6 +58,7 @@ pub fn run(bench: &Bench) -> Result<End> {
         Bench::Stereo(arguments) => (stereo::measure(arguments)?, &arguments.common),
         Bench::Editor(arguments) => (editor::measure(arguments.quick)?, arguments),
         Bench::Stitch(arguments) => (stitch::measure(arguments.quick)?, arguments),
+        Bench::Tools(arguments) => (tools::measure(arguments)?, &arguments.common),
     };
     record::show(&figures);
     if let Some(path) = &arguments.json {

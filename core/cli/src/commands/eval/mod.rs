@@ -1,6 +1,7 @@
 //! `panoscope eval`: how good the results are, beside truth and peers.
 
 mod calibrate;
+mod detect;
 pub mod disparity;
 pub mod look;
 pub mod plot;
@@ -12,6 +13,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 
+pub use self::detect::{Scratch, quoted, shipped};
 use super::bench::record;
 use crate::End;
 
@@ -26,6 +28,8 @@ pub enum Eval {
     Disparity(disparity::Arguments),
     /// Calibration beside OpenCV's sample and beside the phantom's truth.
     Calibrate(calibrate::Arguments),
+    /// Detectors and segmenters beside true boxes, outlines and tips.
+    Detect(detect::Arguments),
 }
 
 /// Judges.
@@ -36,6 +40,7 @@ pub fn run(eval: &Eval) -> Result<End> {
         Eval::Stitch(arguments) => (stitch::judge(arguments)?, &arguments.json),
         Eval::Disparity(arguments) => (disparity::judge(arguments)?, &arguments.json),
         Eval::Calibrate(arguments) => (calibrate::judge(arguments)?, &arguments.json),
+        Eval::Detect(arguments) => (detect::judge(arguments)?, &arguments.json),
     };
     let Some(figures) = figures else { return Ok(End::Wrong) };
     record::show(&figures);

@@ -1,0 +1,154 @@
+//! `panoscope bench tools`: the detector and the segmenter on one 640x480 picture, beside plain ONNX Runtime in Python on the same models.
+//!
+//! Ours is the node's own time as the engine counts it: fitting, network, decoding, suppression. Python does the same with NumPy and OpenCV in
+//! the same run, turn about, with as many threads.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, bail};
+use serde::Deserialize;
+
+use super::record::Figure;
+use crate::commands::eval::look::{self, Plan};
+use crate::commands::eval::{Scratch, quoted, shipped};
+use crate::terminal::tell;
+
+/// Arguments of `bench tools`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    pub common: super::Arguments,
+    /// Measures plain ONNX Runtime in Python beside it; without a program `python3`.
+    #[arg(long, value_name = "PROGRAM", num_args = 0..=1, default_missing_value = "python3")]
+    python: Option<PathBuf>,
+    /// Detector; else the one that ships.
+    #[arg(long, value_name = "FILE.onnx")]
+    model: Option<PathBuf>,
+    /// Segmenter; else the one that ships.
+    #[arg(long, value_name = "FILE.onnx")]
+    masks: Option<PathBuf>,
+}
+
+/// The peer: arguments are node, model, picture, frames, threads.
+const PEER: &str = include_str!("tools_peer.py");
+const INPUT: &str = "phantom 640x480";
+
+#[derive(Deserialize)]
+struct Peer {
+    frame_ms: f64,
+    network_ms: f64,
+    found: usize,
+}
+
+/// One picture of the phantom with instruments.
+fn picture(folder: &Path) -> Result<PathBuf> {
+    let file = folder.join("picture.png");
+    let text = format!(
+        "mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]\n\
+         [nodes.scope]\ntype = \"phantom\"\nparams = {{ scene = \"liver\", tools = 3 }}\n\
+         [nodes.out]\ntype = \"write_images\"\ninputs = {{ image = \"scope.left\" }}\nparams = {{ path = {} }}\n",
+        quoted(&file)
+    );
+    let path = folder.join("bench.toml");
+    look::run(&Plan { text: &text, path: &path, frames: Some(1), threads: 0, ports: &[], paced: false })?;
+    Ok(file)
+}
+
+/// Median time of the node, ms.
+fn ours(node: &str, port: &str, model: &Path, picture: &Path, threads: usize, frames: u64) -> Result<f64> {
+    let text = format!(
+        "mode = \"batch\"\nplugins = [\"capture\", \"tools\", \"sinks\"]\n\
+         [nodes.file]\ntype = \"capture\"\nparams = {{ left = {}, pace = \"off\", loop = true }}\n\
+         [nodes.find]\ntype = \"{node}\"\nbudget_ms = 60000\ninputs = {{ image = \"file.left\" }}\nparams = {{ model = {} }}\n\
+         [nodes.out]\ntype = \"preview\"\ninputs = {{ {port} = \"find.{port}\" }}\n",
+        quoted(picture),
+        quoted(model)
+    );
+    let path = Path::new("bench.toml");
+    let seen = look::run(&Plan { text: &text, path, frames: Some(frames), threads, ports: &[], paced: false })?;
+    let report = seen.report.nodes.get("find").filter(|n| n.faults == 0 && n.count > 0);
+    Ok(report.with_context(|| format!("`{node}` failed"))?.p50_ms)
+}
+
+fn peer(python: &Path, node: &str, model: &Path, picture: &Path, threads: usize, frames: u64) -> Result<Peer> {
+    let mut child = Command::new(python)
+        .arg("-")
+        .arg(node)
+        .args([model, picture])
+        .args([frames.to_string(), threads.to_string()])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .with_context(|| format!("cannot start {}", python.display()))?;
+    if let Some(mut input) = child.stdin.take() {
+        // A Python that ended already says why below.
+        let _ = input.write_all(PEER.as_bytes());
+    }
+    let output = child.wait_with_output()?;
+    let words = String::from_utf8_lossy(&output.stderr);
+    if !output.status.success() {
+        let reason = words.lines().last().unwrap_or("no reason given").to_owned();
+        bail!("{}: {reason}; it needs onnxruntime, numpy and opencv-python-headless", python.display());
+    }
+    serde_json::from_slice(&output.stdout).context("the peer answered something else")
+}
+
+/// Measures; with `--quick` fewer frames and rounds.
+pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
+    let (frames, rounds) = if arguments.common.quick { (40, 2) } else { (150, 5) };
+    let scratch = Scratch::new("bench-tools")?;
+    let picture = picture(&scratch.0)?;
+    let mut figures = Vec::new();
+    let mut no_peer: Option<anyhow::Error> = None;
+    let models = [
+        ("yolo", "detections", arguments.model.clone().or_else(|| shipped("instruments.onnx")), "--model"),
+        ("mask_rcnn", "instances", arguments.masks.clone().or_else(|| shipped("instrument_masks.onnx")), "--masks"),
+    ];
+    for (node, port, model, option) in models {
+        let name = if node == "yolo" { "yolo_frame" } else { "mask_frame" };
+        let Some(model) = model else {
+            tell!("skipped: {name}: no model; name one with {option}");
+            continue;
+        };
+        for threads in [1, 2] {
+            // The best median of the rounds: whatever else the machine does only adds.
+            let (mut own, mut theirs, mut network) = (f64::INFINITY, f64::INFINITY, f64::INFINITY);
+            for _ in 0..rounds {
+                own = own.min(ours(node, port, &model, &picture, threads, frames)?);
+                let Some(python) = arguments.python.as_ref().filter(|_| no_peer.is_none()) else { continue };
+                match peer(python, node, &model, &picture, threads, frames) {
+                    Ok(p) => {
+                        theirs = theirs.min(p.frame_ms);
+                        network = network.min(p.network_ms);
+                        if p.found == 0 {
+                            tell!("the peer of {name} finds nothing in the picture: the time of its last steps says little");
+                        }
+                    }
+                    Err(error) => no_peer = Some(error),
+                }
+            }
+            let finite = |v: f64| v.is_finite().then_some(v);
+            let file = model.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let input = format!("{INPUT}, {file}, {threads} threads");
+            figures.push(
+                Figure::new(&format!("{name}/{threads}"), own, "ms", &input).beside("onnxruntime, Python", finite(theirs)),
+            );
+            if let Some(network) = finite(network) {
+                figures.push(Figure::new(&format!("{name}_network_python/{threads}"), network, "ms", &input));
+            }
+            // The name that others read: two threads.
+            if threads == 2 {
+                figures.push(Figure::new(name, own, "ms", &input).beside("onnxruntime, Python", finite(theirs)));
+            }
+        }
+    }
+    if let Some(error) = no_peer {
+        tell!("no peer: {error:#}");
+    } else if arguments.python.is_none() {
+        tell!("no peer asked for: --python measures plain ONNX Runtime in Python beside it");
+    }
+    Ok(figures)
+}

@@ -1,0 +1,162 @@
+#!/usr/bin/env python3
+"""Writes a trained detector (`weights.pt` of train_detector.py) as the ONNX file that the `yolo` node reads.
+
+    python3 export_detector.py --weights run/weights.pt --out instruments.onnx [--half] [--data FOLDER] [--picture FRAME.jpg]
+
+The file answers one 1 x N x (5 + C) tensor: boxes relative to the grid, objectness and classes as probabilities. Decoding of the few boxes
+above the score limit is left to the reader: the network computes no exponential for the thousands below it. Batch normalisation is folded into
+the convolutions, and the slicing at its begin together with the first convolution becomes one convolution of 6 x 6 px, which gives the same
+numbers. Needs PyTorch and onnx; with onnxruntime it also compares the file's answers with PyTorch's, times it, and with --data scores it.
+"""
+
+import argparse
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from instruments.data import CLASSES, letterbox, read
+from instruments.folding import fold_all, wide_stem
+from instruments.onnx_store import store_half, write
+from instruments.score import average_precision, rows_of
+from instruments.yolox import Yolox
+
+SOURCE = "m2cai16-tool-locations (Jin et al. 2018), weights started from YOLOX-nano of Megvii (Apache-2.0)"
+LICENCE = "research use: the training frames state no licence; no medical device"
+
+
+class Exported(nn.Module):
+    """The same network, folded, with one flat answer."""
+
+    def __init__(self, model):
+        super().__init__()
+        fold_all(model)
+        self.first = nn.Sequential(wide_stem(model.stem[0]), nn.SiLU())
+        model.stem = nn.Identity()
+        self.model = model
+
+    def forward(self, x):
+        m = self.model
+        c3 = m.dark3(m.dark2(self.first(x)))
+        levels = m.neck_and_heads(c3, m.dark4(c3))
+        rows = []
+        for level in levels:
+            parts = torch.cat((level[:, :4], level[:, 4:].sigmoid()), 1)
+            rows.append(parts.flatten(2))
+        return torch.cat(rows, 2).permute(0, 2, 1)
+
+
+def export(model, path, width, height, half, classes):
+    x = torch.zeros(1, 3, height, width)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="The shape inference of prim::Constant")
+        torch.onnx.export(model, x, str(path), opset_version=13, input_names=["images"], output_names=["output"])
+    metadata = {
+        "names": str(dict(enumerate(classes))),
+        "task": "detect",
+        "stride": "32",
+        "imgsz": str([height, width]),
+        "batch": "1",
+        "family": "yolox",
+        "description": "YOLOX-nano, surgical instruments",
+        "source": SOURCE,
+        "license": LICENCE,
+    }
+    write(path, metadata, store_half if half else None)
+
+
+class Session:
+    """The file in ONNX Runtime; answers as PyTorch does."""
+
+    def __init__(self, path, threads):
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.log_severity_level = 3
+        self.session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+
+    def __call__(self, x):
+        return self.session.run(None, {"images": x})[0]
+
+
+def compare(path, plain, width, height, picture, threads):
+    """Largest difference to the model as it was trained, and the time of one run."""
+    session = Session(path, threads)
+    if picture is None:
+        x = np.random.default_rng(1).integers(0, 256, (1, 3, height, width)).astype(np.float32)
+    else:
+        import cv2
+
+        frame = cv2.imread(str(picture))
+        if frame is None:
+            raise SystemExit(f"{picture}: not a picture that can be read")
+        x = letterbox(frame, np.zeros((0, 5), np.float32), width, height)[0].transpose(2, 0, 1)[None].astype(np.float32)
+    with torch.no_grad():
+        levels = [torch.cat((v[:, :4], v[:, 4:].sigmoid()), 1).flatten(2) for v in plain(torch.from_numpy(x))]
+        want = torch.cat(levels, 2).permute(0, 2, 1).numpy()
+    got = session(x)
+    if got.shape != want.shape:
+        raise SystemExit(f"{path} answers {got.shape}, PyTorch {want.shape}")
+    boxes, scores = np.abs(got - want)[..., :4].max(), np.abs(got - want)[..., 4:].max()
+    times = []
+    for _ in range(200):
+        begun = time.perf_counter()
+        session(x)
+        times.append(time.perf_counter() - begun)
+    print(f"differs from PyTorch by {boxes:.2g} (boxes, cells) and {scores:.2g} (scores)")
+    print(f"network alone, {threads} threads: median {1e3 * np.median(times):.2f} ms, least {1e3 * min(times):.2f} ms")
+
+
+def score(path, data, split, only, width, height, threads):
+    """mAP@0.5 of the file on the frames of `split` (and only of the operations `only`, where given)."""
+    session = Session(path, threads)
+    frames = [f for f in read(data, split) if not only or f.group in only]
+    found = []
+    for f in frames:
+        f.load(width * 5 // 4)
+        picture, _, scale = letterbox(f.picture, f.boxes, width, height)
+        raw = session(picture.transpose(2, 0, 1)[None].astype(np.float32))[0]
+        found.append(rows_of(raw, width, height, scale))
+    ap = average_precision(frames, found, len(CLASSES))
+    print(f"{len(frames)} frames of {split}: mAP50 {np.nanmean(ap):.4f}  " + " ".join(f"{n}={v:.3f}" for n, v in zip(CLASSES, ap)))
+
+
+def main():
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--weights", type=Path, help="weights.pt or state.pt of train_detector.py; left out, random ones (to try the path)")
+    p.add_argument("--out", required=True, type=Path)
+    p.add_argument("--width", type=int, default=416)
+    p.add_argument("--height", type=int, default=256)
+    p.add_argument("--half", action="store_true", help="store weights as 16-bit floats: half the file, computed in 32 bits all the same")
+    p.add_argument("--data", type=Path, help="frames with boxes to score the file on")
+    p.add_argument("--split", default="test")
+    p.add_argument("--only", default="", help="score on these operations only: v02,v08")
+    p.add_argument("--picture", type=Path, help="picture for the comparison; left out, noise")
+    p.add_argument("--threads", type=int, default=2)
+    a = p.parse_args()
+    if a.width % 32 or a.height % 32:
+        p.error("--width and --height are multiples of 32")
+    torch.manual_seed(1)
+    torch.set_num_threads(a.threads)
+    plain, folded = Yolox(len(CLASSES)).eval(), Yolox(len(CLASSES)).eval()
+    state = torch.load(a.weights, map_location="cpu") if a.weights else plain.state_dict()
+    state = state.get("average", state)
+    for model in (plain, folded):
+        model.load_state_dict(state)
+    with torch.no_grad():
+        export(Exported(folded).eval(), a.out, a.width, a.height, a.half, CLASSES)
+    print(f"{a.out}: {a.out.stat().st_size / 1e6:.2f} MB, {a.width}x{a.height}, {'16' if a.half else '32'}-bit weights")
+    try:
+        compare(a.out, plain, a.width, a.height, a.picture, a.threads)
+        if a.data:
+            score(a.out, a.data, a.split, set(filter(None, a.only.split(","))), a.width, a.height, a.threads)
+    except ModuleNotFoundError as e:
+        print(f"not compared: {e}; `pip install onnxruntime` adds the comparison")
+
+
+if __name__ == "__main__":
+    main()
