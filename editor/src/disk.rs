@@ -39,7 +39,11 @@ pub fn save(path: &Path, text: &str) -> Result<(), SaveError> {
     replace(path, text.as_bytes(), mode).map_err(fail)
 }
 
-fn replace(path: &Path, bytes: &[u8], mode: Option<fs::Permissions>) -> std::io::Result<()> {
+/// Writes a file in one step: at any moment there is the old one or the new one, whole.
+///
+/// # Errors
+/// What the system says, the file being as before.
+pub fn replace(path: &Path, bytes: &[u8], mode: Option<fs::Permissions>) -> std::io::Result<()> {
     let mut part = path.as_os_str().to_owned();
     part.push(format!(".{}.part", std::process::id()));
     let part = PathBuf::from(part);

@@ -7,6 +7,7 @@
 pub mod actions;
 pub mod app;
 pub mod canvas;
+pub mod content;
 pub mod disk;
 pub mod document;
 mod layout;
@@ -17,5 +18,8 @@ pub mod panels;
 pub mod picture;
 mod search;
 pub mod session;
+pub mod space;
+pub mod surface;
+pub mod theatre;
 pub mod theme;
 pub mod viewer;

@@ -1,10 +1,12 @@
-//! `panoscope-editor GRAPH`, started by `panoscope edit GRAPH`. Exit codes: 0 done, 1 no window or a failed run, 2 no such file.
+//! `panoscope-editor GRAPH`, started by `panoscope edit GRAPH`, and with `--theatre` by `panoscope theatre GRAPH`. Exit codes: 0 done, 1 no window
+//! or a failed run, 2 no such file, or one that the theatre does not take.
 
 use std::path::PathBuf;
 
 use clap::Parser;
 use eframe::egui::{ViewportBuilder, vec2};
-use panoscope_editor::app::{App, Options, close_on_signals};
+use panoscope_editor::app::{App, Options, Shot, close_on_signals};
+use panoscope_editor::theatre::{self, Ready, Theatre};
 
 /// Shows a graph while it runs, to change it and to set its parameters.
 #[derive(Parser)]
@@ -12,6 +14,21 @@ use panoscope_editor::app::{App, Options, close_on_signals};
 struct Arguments {
     /// Graph file.
     graph: PathBuf,
+    /// The surgeon's window: pictures full screen, and only the settings that the preset offers.
+    #[arg(long)]
+    theatre: bool,
+    /// Theatre: opens although the graph, a plugin, a model or the calibration differs from its lock.
+    #[arg(long, requires = "theatre")]
+    unlocked: bool,
+    /// Theatre: folder for stills and clips.
+    #[arg(long, value_name = "DIR", default_value = "out", requires = "theatre")]
+    into: PathBuf,
+    /// Theatre: begins the names of stills and clips, which are numbers only otherwise.
+    #[arg(long, value_name = "TEXT", requires = "theatre")]
+    label: Option<String>,
+    /// Theatre: in a window instead of the whole screen.
+    #[arg(long, requires = "theatre")]
+    windowed: bool,
     /// Size of everything in the window; Ctrl and + or - change it.
     #[arg(long, default_value_t = 1.0, value_parser = scale)]
     scale: f32,
@@ -64,30 +81,49 @@ fn run(arguments: &Arguments) -> i32 {
             return 2;
         }
     };
-    let options = Options {
-        frames: arguments.frames,
-        scale: arguments.scale,
-        screenshot: arguments.screenshot.clone().map(|file| (file, arguments.after)),
-        measure: arguments.measure.clone().map(|file| (file, arguments.after)),
-        script: arguments.actions.clone(),
-    };
+    let after = |file: &Option<PathBuf>| file.clone().map(|file| (file, arguments.after));
+    let shot = Shot::new(after(&arguments.screenshot), after(&arguments.measure), &arguments.actions);
     let name = arguments.graph.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-    let native = eframe::NativeOptions {
-        viewport: ViewportBuilder::default()
-            .with_title(format!("{name} · Panoscope"))
-            .with_app_id("panoscope-editor")
-            .with_inner_size(vec2(arguments.size.0, arguments.size.1))
-            .with_min_inner_size(vec2(480.0, 320.0)),
-        renderer: eframe::Renderer::Glow,
-        ..eframe::NativeOptions::default()
-    };
-    let path = arguments.graph.clone();
+    let viewport = ViewportBuilder::default()
+        .with_title(format!("{name} · Panoscope"))
+        .with_app_id("panoscope-editor")
+        .with_inner_size(vec2(arguments.size.0, arguments.size.1))
+        .with_min_inner_size(vec2(480.0, 320.0));
+    let (path, frames, scale) = (arguments.graph.clone(), arguments.frames, arguments.scale);
+    if arguments.theatre {
+        // What is wrong is said before any window opens.
+        let ready = match Ready::look(&path, &text, arguments.unlocked) {
+            Ok(ready) => ready,
+            Err(error) => {
+                eprintln!("{}", error.told());
+                return 2;
+            }
+        };
+        let viewport = viewport.with_fullscreen(!arguments.windowed).with_decorations(arguments.windowed);
+        let options = theatre::Options {
+            folder: arguments.into.clone(),
+            label: arguments.label.clone(),
+            unlocked: arguments.unlocked,
+            frames,
+            scale,
+            shot,
+        };
+        return open(viewport, move |cc| Ok(Box::new(Theatre::of(&cc.egui_ctx, &path, &text, options, ready)?)));
+    }
+    let options = Options { frames, scale, shot };
+    open(viewport, move |cc| Ok(Box::new(App::open(&cc.egui_ctx, &path, &text, options)?)))
+}
+
+type Made = Result<Box<dyn eframe::App>, Box<dyn std::error::Error + Send + Sync>>;
+
+fn open(viewport: ViewportBuilder, make: impl FnOnce(&eframe::CreationContext<'_>) -> Made) -> i32 {
+    let native = eframe::NativeOptions { viewport, renderer: eframe::Renderer::Glow, ..eframe::NativeOptions::default() };
     let made = eframe::run_native(
         "panoscope-editor",
         native,
-        Box::new(move |cc| {
+        Box::new(|cc| {
             close_on_signals(&cc.egui_ctx);
-            Ok(Box::new(App::open(&cc.egui_ctx, &path, &text, options)?))
+            make(cc)
         }),
     );
     match made {

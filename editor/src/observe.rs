@@ -10,10 +10,12 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use panoscope_runtime::fault::Fault;
+use panoscope_runtime::memory::FrameRef;
 use panoscope_runtime::{NodeWindow, Preview, Window};
 
 use crate::picture::{self, Look, Range};
 use crate::session::{Handle, lock};
+use crate::surface::{self, Painter, Sight};
 
 /// Shortest time from one picture of an output to the next, while one is shown large.
 pub const LARGE_INTERVAL: Duration = Duration::from_millis(100);
@@ -46,12 +48,16 @@ impl std::fmt::Display for Output {
 }
 
 /// An output that someone wants to see.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Wanted {
     /// Type of its packets.
     pub packet: String,
     /// Most pixels across.
     pub most_width: usize,
+    /// Of a cloud: from where it is looked at as a surface; without it, it is shown as the camera saw it.
+    pub sight: Option<Sight>,
+    /// Of a cloud: its points are wanted, too.
+    pub points: bool,
 }
 
 /// Counters of all nodes at one time.
@@ -151,6 +157,48 @@ impl Drop for Observer {
 struct View {
     preview: Preview,
     range: Range,
+    /// Of a surface: what was painted last, to be painted again when it is turned.
+    surface: Option<Surface>,
+}
+
+impl View {
+    /// The newest packet made ready, if there is one, or if it is to be looked at from elsewhere.
+    fn look(&mut self, want: &Wanted) -> Option<Look> {
+        let frame = self.preview.take();
+        let Some(sight) = &want.sight else {
+            self.surface = None;
+            let frame = frame?;
+            let mut look = picture::look(&frame, &want.packet, want.most_width, &mut self.range);
+            if want.points {
+                look.cloud = surface::cloud_of(frame.frame(), frame.bytes()).map(Arc::new);
+            }
+            return Some(look);
+        };
+        let next = match (frame, self.surface.take()) {
+            (Some(frame), old) => {
+                let painter = old.map(|s| s.painter).unwrap_or_default();
+                Surface { sight: *sight, frame, painter }
+            }
+            (None, Some(old)) if old.sight != *sight => Surface { sight: *sight, ..old },
+            (None, old) => {
+                self.surface = old;
+                return None;
+            }
+        };
+        let surface = self.surface.insert(next);
+        let (frame, bytes) = (surface.frame.frame(), surface.frame.bytes());
+        let mut look = Look::of_tick(frame);
+        if let Some((pixels, painted)) = surface.painter.paint(frame, bytes, sight) {
+            (look.pixels, look.painted) = (Some(pixels), painted);
+        }
+        Some(look)
+    }
+}
+
+struct Surface {
+    sight: Sight,
+    frame: FrameRef,
+    painter: Painter,
 }
 
 struct Eye {
@@ -201,12 +249,12 @@ impl Eye {
         for (output, want) in wanted {
             if !self.views.contains_key(&output) {
                 let Some(preview) = engine.preview(&output.node, &output.port) else { continue };
-                self.views.insert(output.clone(), View { preview, range: None });
+                self.views.insert(output.clone(), View { preview, range: None, surface: None });
             }
             let Some(view) = self.views.get_mut(&output) else { continue };
-            if let Some(frame) = view.preview.take() {
-                let look = picture::look(&frame, &want.packet, want.most_width, &mut view.range);
-                lock(&self.board).looks.insert(output, look);
+            if let Some(look) = view.look(&want) {
+                let ingest_ns = engine.ingest_ns(&look.tick);
+                lock(&self.board).looks.insert(output, Look { ingest_ns, ..look });
                 news = true;
             }
         }

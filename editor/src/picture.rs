@@ -2,10 +2,14 @@
 
 use std::fmt::Write as _;
 use std::mem::offset_of;
+use std::sync::Arc;
 
 use panoscope_abi as abi;
 use panoscope_imaging::draw::Colormap;
 use panoscope_runtime::memory::FrameRef;
+
+use crate::content::{self, Content};
+use crate::surface::{Cloud, Painted};
 
 /// Pixels to show: red, green, blue, 255.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -31,6 +35,29 @@ pub struct Look {
     pub seq: u64,
     /// Media time of the capture in ms.
     pub capture_ms: f64,
+    /// The tick.
+    pub tick: abi::Tick,
+    /// When the tick came into the graph, in ns of the host's clock.
+    pub ingest_ns: Option<u64>,
+    /// Numbers of a packet without a picture.
+    pub content: Content,
+    /// Of a surface: what a click on it means.
+    pub painted: Option<Arc<Painted>>,
+    /// Of a cloud, where they are wanted: its points.
+    pub cloud: Option<Arc<Cloud>>,
+}
+
+impl Look {
+    /// What every packet has.
+    pub fn of_tick(f: &abi::Frame) -> Self {
+        Self {
+            size: (f.width as usize, f.height as usize),
+            seq: f.tick.seq,
+            capture_ms: f.tick.capture_ns as f64 / 1e6,
+            tick: f.tick,
+            ..Self::default()
+        }
+    }
 }
 
 /// Range of a map's colours, which follows the values slowly so that the colours do not flicker.
@@ -39,12 +66,7 @@ pub type Range = Option<(f32, f32)>;
 /// Makes a packet of type `packet` ready, at most `most_width` pixels wide.
 pub fn look(frame: &FrameRef, packet: &str, most_width: usize, range: &mut Range) -> Look {
     let f = frame.frame();
-    let mut look = Look {
-        size: (f.width as usize, f.height as usize),
-        seq: f.tick.seq,
-        capture_ms: f.tick.capture_ns as f64 / 1e6,
-        ..Look::default()
-    };
+    let mut look = Look::of_tick(f);
     let bytes = frame.bytes();
     let sampled = Samples::new(f, bytes.len(), most_width);
     match (f.format, sampled) {
@@ -62,7 +84,10 @@ pub fn look(frame: &FrameRef, packet: &str, most_width: usize, range: &mut Range
             look.words = format!("{} to {} {}", short(low.into()), short(high.into()), unit_of(packet));
             look.pixels = Some(s.coloured(&values, low, high));
         }
-        _ => look.words = words(bytes, packet),
+        _ => {
+            look.words = words(bytes, packet);
+            look.content = content::read(bytes, packet);
+        }
     }
     look
 }

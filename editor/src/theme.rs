@@ -30,6 +30,11 @@ pub const FAULT: Color32 = rgb(0xEE7733);
 /// Something was wrong, or may be.
 pub const WARN: Color32 = rgb(0xE6C229);
 
+/// Behind pictures in the theatre.
+pub const BLACK: Color32 = rgb(0x06080A);
+/// All is well and goes on.
+pub const LIVE: Color32 = rgb(0x43C6A0);
+
 /// One step of the grid that all distances are multiples of, in points.
 pub const STEP: f32 = 4.0;
 
@@ -156,5 +161,14 @@ pub fn apply(ctx: &Context) {
         }
         widgets.hovered.bg_stroke = Stroke::new(1.0, rgb(0x4A5766));
         widgets.active.bg_stroke = Stroke::new(1.0, ACCENT);
+    });
+}
+
+/// What the theatre has larger and darker.
+pub fn apply_theatre(ctx: &Context) {
+    ctx.style_mut_of(Theme::Dark, |style| {
+        style.visuals.panel_fill = BLACK;
+        style.interaction.tooltip_delay = f32::INFINITY;
+        style.animation_time = 0.0;
     });
 }

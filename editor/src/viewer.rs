@@ -8,6 +8,8 @@ use eframe::egui::{
 use crate::observe::Output;
 use crate::panels::{Shown, image_of};
 use crate::picture::Pixels;
+use crate::space::Space;
+use crate::surface::Sight;
 use crate::theme;
 
 /// Most outputs that number keys recall.
@@ -45,6 +47,9 @@ pub struct Viewer {
     /// Place of the wipe's line, 0..=1.
     wipe: f32,
     recent: Vec<Source>,
+    space: Space,
+    /// Clouds are shown as the camera saw them, not as surfaces.
+    flat: bool,
     difference: Option<((u64, u64), TextureHandle, f32)>,
 }
 
@@ -89,9 +94,29 @@ impl Viewer {
         self.a.iter().chain(&self.b)
     }
 
-    /// Draws over the canvas; `others` are outputs to compare with.
-    pub fn show(&mut self, ui: &mut Ui, rect: Rect, shown: &Shown, others: &[Source]) {
+    /// From where a cloud is to be painted, while one is shown as a surface.
+    pub fn sight(&self) -> Option<Sight> {
+        let cloud = self.a.as_ref().is_some_and(|a| a.packet == "cloud");
+        (cloud && self.b.is_none() && !self.flat).then(|| self.space.sight())
+    }
+
+    /// The 3-D view.
+    pub fn space(&mut self) -> &mut Space {
+        &mut self.space
+    }
+
+    /// Draws over the canvas; `others` are outputs to compare with, `ways` those of tips and poses.
+    pub fn show(&mut self, ui: &mut Ui, rect: Rect, shown: &Shown, others: &[Source], ways: &[Output]) {
         let Some(a) = self.a.clone() else { return };
+        if self.sight().is_some() {
+            ui.painter_at(rect).rect_filled(rect, 0.0, theme::SUNK);
+            let room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
+            self.space.show(ui, room, shown, &a.output, ways);
+            self.bar(ui, rect, shown, &a, others);
+            self.foot(ui, rect);
+            self.recall_by_key(ui);
+            return;
+        }
         let ground = ui.interact(rect, Id::new("viewer"), Sense::click_and_drag());
         ground.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Viewer of {}", a.output)));
         let painter = ui.painter_at(rect);
@@ -119,6 +144,10 @@ impl Viewer {
         }
         self.bar(ui, rect, shown, &a, others);
         self.foot(ui, rect);
+        self.recall_by_key(ui);
+    }
+
+    fn recall_by_key(&mut self, ui: &Ui) {
         for digit in 1..=RECENT {
             let keys =
                 [Key::Num1, Key::Num2, Key::Num3, Key::Num4, Key::Num5, Key::Num6, Key::Num7, Key::Num8, Key::Num9];
@@ -196,6 +225,12 @@ impl Viewer {
                     if ui.button("Close").on_hover_text("Escape").clicked() {
                         self.close();
                     }
+                    if a.packet == "cloud" && self.b.is_none() {
+                        let button = Button::new("Surface").selected(!self.flat);
+                        if ui.add(button).on_hover_text("To be turned, or as the camera saw it").clicked() {
+                            self.flat ^= true;
+                        }
+                    }
                     if self.b.is_some() {
                         for (mode, words) in
                             [(Compare::Difference, "Difference"), (Compare::Blink, "Blink"), (Compare::Wipe, "Wipe")]
@@ -229,6 +264,10 @@ impl Viewer {
         let foot = Rect::from_min_max(pos2(rect.left(), rect.bottom() - 40.0), rect.max).shrink2(vec2(24.0, 6.0));
         ui.scope_builder(UiBuilder::new().max_rect(foot), |ui| {
             ui.horizontal(|ui| {
+                if self.sight().is_some() {
+                    self.space.controls(ui);
+                    ui.separator();
+                }
                 for (i, source) in self.recent.clone().into_iter().enumerate() {
                     let words = RichText::new(format!("{}  {}", i + 1, source.output)).size(12.0);
                     if ui.selectable_label(self.a.as_ref() == Some(&source), words).clicked() {

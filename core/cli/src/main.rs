@@ -26,6 +26,10 @@ enum Command {
     Run(commands::run::Arguments),
     /// Opens a window over a graph while it runs: pictures, times, faults, sliders, wires.
     Edit(commands::edit::Arguments),
+    /// Opens the surgeon's window: pictures full screen, and only the settings that the preset offers.
+    Theatre(commands::edit::Arguments),
+    /// Writes fingerprints of a graph, its plugins, models and calibration, for the theatre to compare.
+    Lock(commands::lock::Arguments),
     /// Runs a graph and writes the run down, so that it can be repeated to the byte.
     Record(commands::record::Arguments),
     /// Plays a recording again, or runs another graph on its pictures.
@@ -78,7 +82,9 @@ fn main() {
     let arguments = Arguments::parse();
     let end = match arguments.command {
         Command::Run(arguments) => commands::run::run(&arguments),
-        Command::Edit(arguments) => commands::edit::run(&arguments),
+        Command::Edit(arguments) => commands::edit::run(&arguments, false),
+        Command::Theatre(arguments) => commands::edit::run(&arguments, true),
+        Command::Lock(arguments) => commands::lock::run(&arguments),
         Command::Record(arguments) => commands::record::run(&arguments),
         Command::Replay(arguments) => commands::replay::run(&arguments),
         Command::Compare(arguments) => commands::compare::run(&arguments),

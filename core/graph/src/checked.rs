@@ -187,6 +187,24 @@ pub struct Edge {
 pub struct Preset {
     /// Settings that stay reachable in the theatre.
     pub pinned: Vec<Pin>,
+    /// Outputs that the theatre shows, the most important one first; empty leaves the choice to it.
+    pub views: Vec<PresetView>,
+}
+
+/// One output that the theatre shows.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PresetView {
+    /// Node, a position in [`Graph::nodes`].
+    pub node: usize,
+    /// Output, a position in the type's `outputs`. It carries something with a picture, see [`PresetView::PACKETS`].
+    pub port: usize,
+    /// Text shown beside it; the node's name when the file gives none.
+    pub label: String,
+}
+
+impl PresetView {
+    /// Packets that have a picture.
+    pub const PACKETS: [&str; 6] = ["image", "mask", "disparity", "depth", "confidence", "cloud"];
 }
 
 /// One setting a surgeon may touch.

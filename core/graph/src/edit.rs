@@ -224,7 +224,7 @@ impl GraphEdit {
         Ok(())
     }
 
-    /// Removes a node with its table, every connection that reads it, its pins in the preset and its place in the editor.
+    /// Removes a node with its table, every connection that reads it, its pins and views in the preset and its place in the editor.
     pub fn remove_node(&mut self, id: &str) -> Result<(), EditError> {
         let nodes = self.nodes()?;
         if nodes.remove(id).is_none() {
@@ -238,6 +238,11 @@ impl GraphEdit {
             && let Some(pinned) = pinned.as_array_mut()
         {
             pinned.retain(|value| !pins(value));
+        }
+        if let Some(views) = self.document.get_mut("preset").and_then(|p| p.get_mut("views"))
+            && let Some(views) = views.as_array_mut()
+        {
+            views.retain(|view| !shows(view, id));
         }
         if let Some(editor) = self.document.get_mut("editor").and_then(Item::as_table_like_mut) {
             editor.remove(id);
@@ -276,6 +281,11 @@ impl GraphEdit {
                     rename_reference(value, old, new);
                 }
             });
+        }
+        if let Some(views) = self.document.get_mut("preset").and_then(|p| p.get_mut("views"))
+            && let Some(views) = views.as_array_mut()
+        {
+            views.iter_mut().for_each(|view| rename_view(view, old, new));
         }
         if let Some(editor) = self.document.get_mut("editor").and_then(Item::as_table_like_mut)
             && !editor.contains_key(new)
@@ -492,6 +502,19 @@ fn rename_references(item: &mut Item, old: &str, new: &str) {
         }
     } else if let Some(value) = item.as_value_mut() {
         rename_reference(value, old, new);
+    }
+}
+
+/// Whether an entry of the preset's `views` shows an output of `node`.
+fn shows(view: &EditValue, node: &str) -> bool {
+    let from = view.as_inline_table().map_or(Some(view), |table| table.get("from"));
+    from.and_then(EditValue::as_str).and_then(|t| t.split_once('.')).is_some_and(|(n, _)| n == node)
+}
+
+fn rename_view(view: &mut EditValue, old: &str, new: &str) {
+    let EditValue::InlineTable(table) = view else { return rename_reference(view, old, new) };
+    if let Some(from) = table.get_mut("from") {
+        rename_reference(from, old, new);
     }
 }
 

@@ -30,7 +30,7 @@ pub mod value;
 
 pub use catalog::{Catalog, NodeKind, NodeType, PacketType, Param, ParamKind, PluginProblem, Port};
 pub use check::{Checked, check};
-pub use checked::{Align, Edge, Graph, Mode, Node, OnFault, ParamValue, Pin, Preset};
+pub use checked::{Align, Edge, Graph, Mode, Node, OnFault, ParamValue, Pin, Preset, PresetView};
 pub use diagnostic::{Diagnostic, Diagnostics, Note, Severity};
 pub use dot::to_dot;
 pub use outline::{InputOutline, NodeOutline, Reference};

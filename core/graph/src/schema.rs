@@ -49,7 +49,14 @@ pub fn json_schema(catalog: &Catalog) -> Value {
                 "type": "object",
                 "additionalProperties": false,
                 "description": "What a surgeon may touch, and how far.",
-                "properties": { "pinned": { "type": "array", "items": { "$ref": "#/$defs/pin" } } }
+                "properties": {
+                    "pinned": { "type": "array", "items": { "$ref": "#/$defs/pin" } },
+                    "views": {
+                        "type": "array",
+                        "items": { "anyOf": [{ "$ref": "#/$defs/reference" }, { "$ref": "#/$defs/view" }] },
+                        "description": "Outputs that the theatre shows, the most important one first."
+                    }
+                }
             },
             "editor": { "type": "object", "description": "Positions of the editor; not read by anything else." }
         },
@@ -63,6 +70,15 @@ pub fn json_schema(catalog: &Catalog) -> Value {
                     { "$ref": "#/$defs/connection" },
                     { "type": "array", "items": { "$ref": "#/$defs/connection" } }
                 ]
+            },
+            "view": {
+                "type": "object",
+                "additionalProperties": false,
+                "required": ["from"],
+                "properties": {
+                    "from": { "$ref": "#/$defs/reference" },
+                    "label": { "type": "string", "description": "Text shown beside it." }
+                }
             },
             "pin": {
                 "type": "object",

@@ -3,7 +3,7 @@
 use crate::checked::{Align, Mode, OnFault};
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::nearest::{list, nearest};
-use crate::text::{GraphText, InputText, NodeText, PinText, RefText};
+use crate::text::{GraphText, InputText, NodeText, PinText, RefText, ViewText};
 use crate::value::{Kind, Spanned, Table, Value, plain_table};
 use std::collections::HashMap;
 use std::ops::Range;
@@ -11,7 +11,9 @@ use std::ops::Range;
 const TOP: [&str; 7] = ["name", "mode", "plugins", "plugin_paths", "nodes", "preset", "editor"];
 const NODE: [&str; 7] = ["type", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu"];
 const INPUT: [&str; 6] = ["from", "align", "tolerance_ms", "queue", "delay", "trigger"];
+const PRESET: [&str; 2] = ["pinned", "views"];
 const PIN: [&str; 3] = ["param", "range", "label"];
+const VIEW: [&str; 2] = ["from", "label"];
 
 /// Fills `graph` with what the tree of its file holds; mistakes go to its diagnostics.
 pub(crate) fn read(graph: GraphText, root: &Table) -> GraphText {
@@ -368,22 +370,65 @@ impl Reader {
     fn preset(&mut self, value: &Value) {
         let Some(table) = self.table("`preset`", "a table", value) else { return };
         for (key, value) in table {
-            if key.value != "pinned" {
-                self.unknown_key("`preset`", key, &["pinned"]);
-                continue;
-            }
-            let Kind::List(items) = &value.value else {
-                self.wrong_type("`pinned`", "a list of tables", value).help(
-                    "as in pinned = [ { param = \"wide.blend_px\", range = [0, 40], label = \"Seam softness\" } ]",
-                );
-                continue;
-            };
-            for item in items {
-                if let Some(table) = self.table("an entry of `pinned`", "a table", item) {
-                    self.pin(item, table);
+            match self.key("`preset`", key, &PRESET, table) {
+                "pinned" => {
+                    let help =
+                        "as in pinned = [ { param = \"wide.blend_px\", range = [0, 40], label = \"Seam softness\" } ]";
+                    for item in self.items("pinned", "a list of tables", help, value) {
+                        if let Some(table) = self.table("an entry of `pinned`", "a table", item) {
+                            self.pin(item, table);
+                        }
+                    }
                 }
+                "views" => {
+                    let help = "as in views = [\"wide.panorama\", { from = \"points.cloud\", label = \"Surface\" }]";
+                    for item in self.items("views", "a list of outputs", help, value) {
+                        self.view(item);
+                    }
+                }
+                _ => {}
             }
         }
+    }
+
+    fn items<'v>(&mut self, what: &str, expected: &str, help: &str, value: &'v Value) -> &'v [Value] {
+        let Kind::List(items) = &value.value else {
+            self.wrong_type(&format!("`{what}`"), expected, value).help(help);
+            return &[];
+        };
+        items
+    }
+
+    fn view(&mut self, item: &Value) {
+        let table = match &item.value {
+            Kind::Text(text) => {
+                let view = self.reference(text, &item.span).map(|from| ViewText { from, label: None });
+                self.graph.views.extend(view);
+                return;
+            }
+            Kind::Table(table) => table,
+            _ => {
+                self.wrong_type("an entry of `views`", "\"node.port\" or { from = \"node.port\" }", item);
+                return;
+            }
+        };
+        let (mut from, mut label, mut from_given) = (None, None, false);
+        for (key, value) in table {
+            match self.key("an entry of `views`", key, &VIEW, table) {
+                "from" => {
+                    from_given = true;
+                    from = self.text("`from`", value).and_then(|t| self.reference(&t.value, &t.span));
+                }
+                "label" => label = self.text("`label`", value).map(|t| t.value),
+                _ => {}
+            }
+        }
+        if !from_given {
+            self.error("missing-from", &item.span, "this entry of `views` names no output".to_owned())
+                .label("expected `from`")
+                .help("as in { from = \"points.cloud\", label = \"Surface\" }");
+        }
+        self.graph.views.extend(from.map(|from| ViewText { from, label }));
     }
 
     fn pin(&mut self, item: &Value, table: &Table) {

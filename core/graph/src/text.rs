@@ -22,6 +22,7 @@ pub struct GraphText {
     pub(crate) plugin_paths: Vec<Spanned<String>>,
     pub(crate) nodes: Vec<NodeText>,
     pub(crate) pins: Vec<PinText>,
+    pub(crate) views: Vec<ViewText>,
     pub(crate) editor: toml::Table,
     pub(crate) overrides: Vec<Override>,
     pub(crate) diagnostics: Diagnostics,
@@ -89,6 +90,13 @@ pub(crate) struct PinText {
     pub(crate) label: Option<String>,
 }
 
+/// An entry of `views`.
+#[derive(Clone, Debug)]
+pub(crate) struct ViewText {
+    pub(crate) from: RefText,
+    pub(crate) label: Option<String>,
+}
+
 /// `--set node.param=value`.
 #[derive(Clone, Debug)]
 pub(crate) struct Override {
@@ -146,6 +154,7 @@ impl GraphText {
             plugin_paths: Vec::new(),
             nodes: Vec::new(),
             pins: Vec::new(),
+            views: Vec::new(),
             editor: toml::Table::new(),
             overrides: Vec::new(),
             diagnostics: parsed.diagnostics,

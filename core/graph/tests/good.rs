@@ -30,6 +30,7 @@ params = { path = "out/panorama.mkv" }
 
 [preset]                       # what a surgeon may touch, and how far
 pinned = [ { param = "wide.blend_px", range = [0, 40], label = "Seam softness" } ]
+views = ["wide.panorama", { from = "scope.left", label = "Left camera" }]
 "#;
 
 fn checked(text: &str) -> panoscope_graph::Graph {
@@ -65,6 +66,8 @@ fn the_designs_example_is_read_whole() {
     assert_eq!((graph.nodes[0].line, graph.nodes[3].line), (6, 19));
     let pin = &graph.preset.pinned[0];
     assert_eq!((pin.node, pin.param, pin.range, pin.label.as_str()), (2, 0, Some((0.0, 40.0)), "Seam softness"));
+    let views: Vec<_> = graph.preset.views.iter().map(|v| (v.node, v.port, v.label.as_str())).collect();
+    assert_eq!(views, [(2, 0, "wide"), (0, 0, "Left camera")]);
 }
 
 #[test]

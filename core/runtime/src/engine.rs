@@ -398,6 +398,33 @@ impl Engine {
         Ok(())
     }
 
+    /// Sets a bool parameter from the next tick on without waiting for a change of the graph that is being made: for an emergency stop. Such a
+    /// change may put the old value back where it replaces the node, so say it once more with [`Self::set_param`].
+    ///
+    /// # Errors
+    /// There is no such node or parameter, it is no bool, or it reopens its node.
+    pub fn set_bool_at_once(&self, node: &str, param: &str, on: bool) -> Result<(), SetError> {
+        let current = self.current.load_full();
+        let index = current.graph.node(node).ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
+        let position = current.params[index]
+            .iter()
+            .position(|p| p.name == param)
+            .ok_or_else(|| SetError::NoParam { node: node.to_owned(), param: param.to_owned() })?;
+        let bad = |reason: String| SetError::BadValue { node: node.to_owned(), param: param.to_owned(), reason };
+        let declared = &current.params[index][position];
+        declared.kind.accepts(&ParamValue::Bool(on)).map_err(bad)?;
+        if declared.reopen {
+            return Err(bad("it reopens its node, which takes time".to_owned()));
+        }
+        let plan = self.shared.plan.load();
+        let cell = plan.cells.get(current.slots[index]).filter(|c| c.id == node);
+        let cell = cell.ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
+        let mut values = cell.snapshot().owned().to_vec();
+        values[position] = ParamValue::Bool(on);
+        cell.set_snapshot(Snapshot::new(values));
+        Ok(())
+    }
+
     /// A node's values as a recording says they were set; the script puts them in force at their tick.
     pub(crate) fn know(&self, node: &str, values: &[ParamValue]) {
         let _change = lock(&self.change);
@@ -447,6 +474,11 @@ impl Engine {
             let read = plan::outputs_read(&current.graph, index) | cell.taps.bits();
             cell.outputs_read.store(read, Ordering::Relaxed);
         }
+    }
+
+    /// When a tick that is still about came into the graph, in ns of [`clock::now_ns`]. Wrong for ticks of more than some thousand ticks ago.
+    pub fn ingest_ns(&self, tick: &abi::Tick) -> Option<u64> {
+        self.shared.ingest(&self.shared.plan.load(), tick)
     }
 
     /// Newest log lines: level, node, words.

@@ -17,6 +17,7 @@ mod join;
 mod keep;
 pub mod live;
 pub mod loader;
+pub mod lock;
 pub mod log;
 pub mod memory;
 mod outputs;

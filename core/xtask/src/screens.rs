@@ -24,6 +24,11 @@ const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     ("bench_compare", "graphs/depth.toml", &["view:rectify.left", "compare:points.depth"], "12"),
     ("bench_add", "graphs/panorama.toml", &["add"], "8"),
     ("bench_keys", "graphs/panorama.toml", &["help"], "8"),
+    ("theatre", "graphs/depth.toml", &[], "12"),
+    ("theatre_panorama", "graphs/panorama.toml", &["view:1"], "8"),
+    ("theatre_surface", "graphs/depth.toml", &["view:2"], "12"),
+    ("theatre_measure", "graphs/depth.toml", &["measure", "wait:2", "tap:0.45,0.4", "tap:0.7,0.62"], "14"),
+    ("theatre_frozen", "graphs/panorama.toml", &["freeze"], "8"),
 ];
 
 /// A screen that ends with this value.
@@ -74,6 +79,9 @@ pub fn screens(workspace: &Workspace, args: &[String]) -> Result<()> {
         let _ = fs::remove_file(&file);
         let mut command = Command::new(&editor);
         command.arg(workspace.root.join(graph)).arg("--screenshot").arg(&file).args(["--after", after]);
+        if name.starts_with("theatre") {
+            command.args(["--theatre", "--unlocked", "--windowed", "--into"]).arg(folder.join("kept"));
+        }
         for action in *actions {
             command.args(["--do", action]);
         }

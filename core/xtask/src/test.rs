@@ -30,6 +30,8 @@ static SUITES: &[Suite] = &[
     Suite { name: "code", lints: false, tests: true, only: &[] },
     // PANOSCOPE_FAULT_CASES and PANOSCOPE_FAULT_SEED choose how many cases and which.
     Suite { name: "faults", lints: false, tests: true, only: &["-p", "panoscope-runtime", "--test", "campaign"] },
+    // Killed while saving, keeping a still, recording a clip; graphs in which everything fails.
+    Suite { name: "kill", lints: false, tests: true, only: &["-p", "panoscope-editor", "--test", "kill"] },
 ];
 
 /// What the command line asks for.

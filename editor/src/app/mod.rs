@@ -4,7 +4,7 @@ mod acts;
 mod shot;
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -27,6 +27,8 @@ use crate::session::{Phase, Session, Status};
 use crate::theme;
 use crate::viewer::{Source, Viewer};
 
+pub use shot::{Costs, Shot};
+
 /// Pixels across of a thumbnail; enough for a sharp one at zoom 1 and double density.
 const THUMBNAIL: usize = 416;
 /// Pixels across of the big picture.
@@ -41,12 +43,8 @@ pub struct Options {
     pub frames: Option<u64>,
     /// Size of everything; 0 leaves it as it is.
     pub scale: f32,
-    /// File of a screenshot, and the seconds until it is taken.
-    pub screenshot: Option<(PathBuf, f64)>,
-    /// File for what the window costs, and the seconds until it is written.
-    pub measure: Option<(PathBuf, f64)>,
-    /// What is done before that.
-    pub script: Vec<String>,
+    /// Pictures and costs of the window, for `cargo xtask screens` and `panoscope bench editor`.
+    pub shot: Shot,
 }
 
 /// Why the window did not open.
@@ -74,10 +72,8 @@ pub struct App {
     panning: bool,
     note: Option<(String, bool, Instant)>,
     asked: u64,
-    options: Options,
-    start: Instant,
-    /// CPU time of the window's thread at the first frame and now, ms, and frames drawn since: drawing by egui and by the graphics driver included.
-    pub(crate) cost: (f64, f64, u64),
+    shot: Shot,
+    costs: Costs,
 }
 
 impl App {
@@ -115,9 +111,8 @@ impl App {
             panning: false,
             note: None,
             asked: 1,
-            options,
-            start: Instant::now(),
-            cost: (0.0, 0.0, 0),
+            shot: options.shot,
+            costs: Costs::default(),
             session,
         })
     }
@@ -144,8 +139,7 @@ impl App {
 
     /// Mean CPU time of the window's thread per frame in ms, and frames drawn so far.
     pub fn cost(&self) -> (f64, u64) {
-        let (first, last, frames) = self.cost;
-        ((last - first) / frames.max(1) as f64, frames)
+        self.costs.mean()
     }
 
     /// Tells the user something for a while.
@@ -169,7 +163,7 @@ impl App {
 
     /// Draws a frame.
     pub fn ui(&mut self, ui: &mut Ui) {
-        self.count_frame();
+        self.costs.count_frame();
         let ctx = ui.ctx().clone();
         let status = self.session.status();
         self.document.set_loader(self.session.loader());
@@ -196,21 +190,8 @@ impl App {
         self.want();
         ctx.request_repaint_after(DiskWatch::INTERVAL);
         self.play_script(&ctx);
-        self.picture_of_window(&ctx);
-        self.measure(&ctx);
-    }
-
-    /// Left out of what is measured.
-    const WARM_UP: Duration = Duration::from_secs(2);
-
-    fn count_frame(&mut self) {
-        let now = thread_cpu_ms();
-        // The first seconds are for start-up: fonts, shaders, first textures.
-        if self.start.elapsed() < Self::WARM_UP {
-            self.cost = (now, now, 0);
-        } else {
-            (self.cost.1, self.cost.2) = (now, self.cost.2 + 1);
-        }
+        self.shot.take(&ctx);
+        self.shot.measure(&ctx, &self.costs, &self.session);
     }
 
     fn panels(&mut self, ui: &mut Ui, status: &Status) {
@@ -230,8 +211,9 @@ impl App {
             let rect = ui.available_rect_before_wrap();
             if self.viewer.source().is_some() {
                 ui.allocate_rect(rect, egui::Sense::hover());
-                let others = self.sources();
-                self.viewer.show(ui, rect, &self.shown, &others);
+                let (others, ways) = (self.sources(), self.ways());
+                let ways: Vec<Output> = ways.into_iter().map(|(output, _)| output).collect();
+                self.viewer.show(ui, rect, &self.shown, &others, &ways);
                 return;
             }
             let scene = Scene {
@@ -307,6 +289,16 @@ impl App {
             }
         }
         found
+    }
+
+    /// Outputs of tips and poses: ways in the 3-D view.
+    fn ways(&self) -> Vec<(Output, String)> {
+        let nodes = self.document.view().nodes.iter();
+        let outputs = nodes.flat_map(|n| n.node_type.iter().flat_map(|t| &t.outputs).map(move |port| (n.id(), port)));
+        outputs
+            .filter(|(_, port)| matches!(port.packet.name.as_str(), "tip" | "pose"))
+            .map(|(id, port)| (Output::new(id, &port.name), port.packet.name.clone()))
+            .collect()
     }
 
     fn palettes(&mut self, ctx: &Context) {
@@ -424,11 +416,14 @@ impl App {
     fn want(&mut self) {
         let mut wanted: HashMap<Output, Wanted> = HashMap::new();
         let mut want = |output: &Output, packet: &str, most_width: usize| {
-            let entry = wanted.entry(output.clone()).or_insert(Wanted { packet: packet.to_owned(), most_width });
+            let entry = wanted.entry(output.clone()).or_insert_with(|| Wanted { packet: packet.to_owned(), ..Wanted::default() });
             entry.most_width = entry.most_width.max(most_width);
         };
         if self.viewer.source().is_some() {
             self.viewer.sources().for_each(|s| want(&s.output, &s.packet, LARGE));
+            if self.viewer.sight().is_some() {
+                self.ways().iter().for_each(|(output, packet)| want(output, packet, 1));
+            }
         } else {
             let width = self.canvas.thumbnail_width(THUMBNAIL);
             self.canvas.visible().for_each(|(output, packet)| want(output, packet, width));
@@ -437,6 +432,11 @@ impl App {
             && let Some((output, packet)) = self.canvas.shown_output(self.document.view(), node)
         {
             want(&output, &packet, if is_pictorial(&packet) { THUMBNAIL } else { 1 });
+        }
+        if let (Some(sight), Some(source)) = (self.viewer.sight(), self.viewer.source())
+            && let Some(wanted) = wanted.get_mut(&source.output)
+        {
+            wanted.sight = Some(sight);
         }
         let view = self.document.view();
         self.shown.keep(|output| wanted.contains_key(output) || view.node(&output.node).is_some());
@@ -491,12 +491,4 @@ impl eframe::App for App {
     fn persist_egui_memory(&self) -> bool {
         false
     }
-}
-
-/// CPU time of this thread in ms.
-fn thread_cpu_ms() -> f64 {
-    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: fills the struct that it is given.
-    let answer = unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &raw mut time) };
-    if answer == 0 { time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6 } else { 0.0 }
 }

@@ -4,6 +4,7 @@ pub mod below;
 pub mod inspector;
 pub mod overview;
 pub mod params;
+pub mod surface;
 pub mod top;
 
 use std::collections::HashMap;

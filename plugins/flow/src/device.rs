@@ -15,6 +15,9 @@ pub struct Choice {
     /// Its name; `broken` never opens.
     #[param(default = "device", reopen)]
     name: String,
+    /// Hands nothing on while it is true, as the driver of an arm would.
+    #[param(default = false)]
+    emergency_stop: bool,
 }
 
 /// Hands pictures on while it holds its device.
@@ -40,7 +43,10 @@ impl Node for Device {
         Ok(Self(params.name.clone()))
     }
 
-    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, _: &Choice) -> Result<()> {
+    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Choice) -> Result<()> {
+        if params.emergency_stop {
+            return Ok(());
+        }
         out.image.forward(input.image.frame())
     }
 }

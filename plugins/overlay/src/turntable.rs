@@ -96,6 +96,7 @@ impl Node for Turntable {
             step: params.step,
             max_slope: params.max_slope,
             shading: params.shading,
+            ..Orbit::default()
         };
         let mut picture = out.image.alloc(params.width, params.height)?;
         self.painter.paint(&Points(input.cloud), &orbit, &mut picture);

@@ -1,4 +1,4 @@
-//! `panoscope edit`: starts the editor, a program of its own beside this one, so that the command needs no window system.
+//! `panoscope edit` and `panoscope theatre`: start the editor, a program of its own beside this one, so that the command needs no window system.
 
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
@@ -12,7 +12,7 @@ use crate::terminal::tell;
 /// The editor's program.
 const EDITOR: &str = "panoscope-editor";
 
-/// Arguments of `edit`.
+/// Arguments of `edit` and `theatre`.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Graph file.
@@ -22,8 +22,8 @@ pub struct Arguments {
     rest: Vec<String>,
 }
 
-/// Becomes the editor.
-pub fn run(arguments: &Arguments) -> Result<End> {
+/// Becomes the editor, or with `theatre` the surgeon's window.
+pub fn run(arguments: &Arguments, theatre: bool) -> Result<End> {
     if !arguments.graph.is_file() {
         tell!("error: there is no graph file {}", arguments.graph.display());
         return Ok(End::Wrong);
@@ -37,6 +37,9 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         );
         return Ok(End::Failed);
     }
-    let error = Command::new(&beside).arg(&arguments.graph).args(&arguments.rest).exec();
+    let error = {
+        let mode = theatre.then_some("--theatre");
+        Command::new(&beside).arg(&arguments.graph).args(mode).args(&arguments.rest).exec()
+    };
     Err(error).with_context(|| format!("{} does not start", beside.display()))
 }

@@ -11,6 +11,7 @@ pub mod dot;
 pub mod edit;
 pub mod eval;
 pub mod list;
+pub mod lock;
 pub mod new;
 pub mod record;
 pub mod replay;

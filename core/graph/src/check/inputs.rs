@@ -114,7 +114,7 @@ impl<'a> Checker<'a> {
         });
     }
 
-    fn unknown_output(&mut self, reference: &RefText, from_type: &NodeType, declared: Option<&Port>) {
+    pub(super) fn unknown_output(&mut self, reference: &RefText, from_type: &NodeType, declared: Option<&Port>) {
         let (node, name) = (&reference.node, &reference.port);
         let names = || from_type.outputs.iter().map(|p| p.name.as_str());
         let fits = |p: &&Port| declared.is_some_and(|d| matches!(fit(&p.packet, &d.packet), Fit::Yes | Fit::Convert));

@@ -2,15 +2,39 @@
 
 use super::Checker;
 use super::params::limits;
-use crate::catalog::ParamKind;
-use crate::checked::{Pin, Preset};
+use crate::catalog::{PacketType, ParamKind};
+use crate::checked::{Pin, Preset, PresetView};
 use crate::nearest::{list, nearest};
-use crate::text::PinText;
+use crate::text::{PinText, ViewText};
 use std::ops::Range;
 
 impl<'a> Checker<'a> {
     pub(super) fn pins(&mut self) -> Preset {
-        Preset { pinned: self.text.pins.iter().filter_map(|pin| self.pin(pin)).collect() }
+        Preset {
+            pinned: self.text.pins.iter().filter_map(|pin| self.pin(pin)).collect(),
+            views: self.text.views.iter().filter_map(|view| self.view(view)).collect(),
+        }
+    }
+
+    fn view(&mut self, view: &'a ViewText) -> Option<PresetView> {
+        let reference = &view.from;
+        let Some(&node) = self.ids.get(reference.node.as_str()) else {
+            self.unknown_node(&reference.span, &reference.node);
+            return None;
+        };
+        let node_type = self.type_of(node)?;
+        let Some(port) = node_type.output(&reference.port) else {
+            self.unknown_output(reference, node_type, None);
+            return None;
+        };
+        let packet = &node_type.outputs[port].packet.name;
+        if packet != PacketType::ANY && !PresetView::PACKETS.contains(&packet.as_str()) {
+            let message = format!("`{}.{}` is {packet}, that has no picture", reference.node, reference.port);
+            self.error("wrong-view", &reference.span, message).help("the theatre shows pictures, maps and clouds");
+            return None;
+        }
+        let label = view.label.clone().unwrap_or_else(|| self.id(node).to_owned());
+        Some(PresetView { node, port, label })
     }
 
     fn pin(&mut self, pin: &'a PinText) -> Option<Pin> {

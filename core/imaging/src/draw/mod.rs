@@ -13,7 +13,7 @@ mod text;
 pub use colormap::{Colormap, colorize};
 pub use overlay::{ScaleBar, blend_mask, scale_bar};
 pub use shapes::{arrow, circle, cross, fill_circle, fill_polygon, fill_rectangle, line, polygon, polyline, rectangle};
-pub use surface::{Orbit, SurfacePainter, SurfacePoints};
+pub use surface::{Orbit, Projection, SurfacePainter, SurfacePoints};
 pub use text::{text, text_size};
 
 /// Blue, green, red.

@@ -28,6 +28,56 @@ pub struct Orbit {
     pub max_slope: f32,
     /// 0 shows the colours as they are, 1 darkens what is turned away.
     pub shading: f32,
+    /// How far the surface's middle lies from the picture's, as a part of the picture's width: right, down.
+    pub shift: [f32; 2],
+}
+
+impl Default for Orbit {
+    fn default() -> Self {
+        Self { yaw: 0.0, pitch: 0.0, zoom: 1.0, step: 2, max_slope: 6.0, shading: 0.6, shift: [0.0; 2] }
+    }
+}
+
+/// Where places of the camera's frame stand on a picture that was painted, and back.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Projection {
+    /// What the surface turns about, mm.
+    pub middle_mm: [f32; 3],
+    /// Sine and cosine of yaw and of pitch.
+    turn: [(f32, f32); 2],
+    /// px per mm at the middle.
+    scale: f32,
+    /// Pixel of the middle.
+    origin: [f32; 2],
+}
+
+impl Projection {
+    /// Column, row and depth behind the middle (mm, seen from the viewer).
+    pub fn project(&self, place_mm: [f32; 3]) -> [f32; 3] {
+        let [(sy, cy), (sp, cp)] = self.turn;
+        let [mx, my, mz] = self.middle_mm;
+        let (x, y, z) = (place_mm[0] - mx, place_mm[1] - my, place_mm[2] - mz);
+        let (x1, z1) = (cy * x + sy * z, cy * z - sy * x);
+        let (y1, z2) = (cp * y - sp * z1, cp * z1 + sp * y);
+        // The viewer stands as far away as the camera did, a little back.
+        let shrink = self.scale * self.shrink(z2);
+        [self.origin[0] + x1 * shrink, self.origin[1] + y1 * shrink, z2]
+    }
+
+    fn shrink(&self, z2: f32) -> f32 {
+        let mz = self.middle_mm[2];
+        1.2 * mz / (1.2 * mz + z2).max(0.05 * mz)
+    }
+
+    /// The place that stands at a column and row, `depth_mm` behind the middle, in mm.
+    pub fn unproject(&self, column: f32, row: f32, depth_mm: f32) -> [f32; 3] {
+        let [(sy, cy), (sp, cp)] = self.turn;
+        let shrink = self.scale * self.shrink(depth_mm);
+        let (x1, y1) = ((column - self.origin[0]) / shrink, (row - self.origin[1]) / shrink);
+        let (y, z1) = (cp * y1 + sp * depth_mm, cp * depth_mm - sp * y1);
+        let (x, z) = (cy * x1 - sy * z1, cy * z1 + sy * x1);
+        [x + self.middle_mm[0], y + self.middle_mm[1], z + self.middle_mm[2]]
+    }
 }
 
 /// Draws surfaces; keeps its memory.
@@ -69,42 +119,51 @@ fn ruler_mm(visible_mm: f32) -> f32 {
 }
 
 impl SurfacePainter {
-    /// Draws the surface into `out` (BGR) with a ruler of its length in mm at the place of its middle. Nothing known leaves the background.
-    pub fn paint(&mut self, points: &dyn SurfacePoints, orbit: &Orbit, out: &mut ViewMut<'_, u8>) {
+    /// For each pixel of the last picture the depth behind the middle as in [`Projection`], infinite where nothing is.
+    pub fn depth_mm(&self) -> &[f32] {
+        &self.depth
+    }
+
+    /// Draws the surface into `out` (BGR) with a ruler of its length in mm at the place of its middle. Nothing known leaves the background
+    /// and answers `None`.
+    pub fn paint(
+        &mut self,
+        points: &dyn SurfacePoints,
+        orbit: &Orbit,
+        out: &mut ViewMut<'_, u8>,
+    ) -> Option<Projection> {
+        self.depth.clear();
         for y in 0..out.height {
             out.row_mut(y).fill(BACKGROUND);
         }
         let middle: [Option<f32>; 3] = std::array::from_fn(|axis| median(points, axis, &mut self.sorted));
-        let [Some(mx), Some(my), Some(mz)] = middle else { return };
+        let [Some(mx), Some(my), Some(mz)] = middle else { return None };
         let (columns, rows) = points.size();
         let step = orbit.step.max(1);
         let (w, h) = (columns.div_ceil(step), rows.div_ceil(step));
         if w < 2 || h < 2 || out.width < 8 || out.height < 8 || mz <= 0.0 {
-            return;
+            return None;
         }
         // Seen from the front at its own distance, the cloud's picture fills the width.
         let left = (0..rows).step_by(step).filter_map(|y| points.at(0, y)).next();
         let half = self.half_width(points, mx).max(left.map_or(0.0, |(p, _)| (mx - p[0]).abs())).max(1.0);
         let scale = orbit.zoom * 0.48 * out.width as f32 / half;
         let turn = [orbit.yaw, orbit.pitch].map(f32::sin_cos);
-        let [(sy, cy), (sp, cp)] = turn;
-        let (ox, oy) = (out.width as f32 / 2.0, out.height as f32 / 2.0);
+        let origin = [
+            out.width as f32 * (0.5 + orbit.shift[0]),
+            out.height as f32 / 2.0 + out.width as f32 * orbit.shift[1],
+        ];
+        let projection = Projection { middle_mm: [mx, my, mz], turn, scale, origin };
         self.corners.clear();
         self.corners.resize(w * h, NOWHERE);
         for j in 0..h {
             for i in 0..w {
                 if let Some((p, color)) = points.at(i * step, j * step) {
-                    let (x, y, z) = (p[0] - mx, p[1] - my, p[2] - mz);
-                    let (x1, z1) = (cy * x + sy * z, cy * z - sy * x);
-                    let (y1, z2) = (cp * y - sp * z1, cp * z1 + sp * y);
-                    // The viewer stands as far away as the camera did, a little back.
-                    let shrink = 1.2 * mz / (1.2 * mz + z2).max(0.05 * mz);
-                    let place = [ox + scale * x1 * shrink, oy + scale * y1 * shrink, z2];
+                    let place = projection.project(p);
                     self.corners[j * w + i] = Corner { place, world: p, color };
                 }
             }
         }
-        self.depth.clear();
         self.depth.resize(out.width * out.height, f32::INFINITY);
         for j in 0..h - 1 {
             for i in 0..w - 1 {
@@ -122,6 +181,7 @@ impl SurfacePainter {
         }
         let size = (out.height as f32 / 320.0).clamp(1.0, 3.0);
         text(out, x, y - 14.0 * size, &format!("{length} mm"), size, [230; 3]);
+        Some(projection)
     }
 
     fn half_width(&mut self, points: &dyn SurfacePoints, mx: f32) -> f32 {
@@ -204,7 +264,7 @@ mod tests {
     fn painted(step: f32, yaw: f32) -> (usize, Vec<u8>) {
         let mut data = vec![0; 160 * 120 * 3];
         let orbit =
-            Orbit { yaw, pitch: 0.0, zoom: if yaw == 0.0 { 1.0 } else { 0.5 }, step: 1, max_slope: 4.0, shading: 0.0 };
+            Orbit { yaw, zoom: if yaw == 0.0 { 1.0 } else { 0.5 }, step: 1, max_slope: 4.0, shading: 0.0, ..Orbit::default() };
         SurfacePainter::default().paint(&Step(step), &orbit, &mut ViewMut::new(&mut data, 160, 120, 3));
         (data.chunks_exact(3).filter(|p| *p == [200, 100, 50]).count(), data)
     }
@@ -225,6 +285,23 @@ mod tests {
     #[test]
     fn what_turns_away_gets_narrower() {
         assert!(painted(0.0, 1.2).0 < painted(0.0, 0.1).0 * 6 / 10);
+    }
+
+    #[test]
+    fn places_are_found_again_under_their_pixels() {
+        let mut data = vec![0; 160 * 120 * 3];
+        let orbit = Orbit { yaw: 0.4, pitch: -0.3, zoom: 0.7, step: 1, shift: [0.05, -0.1], ..Orbit::default() };
+        let mut painter = SurfacePainter::default();
+        let out = &mut ViewMut::new(&mut data, 160, 120, 3);
+        let projection = painter.paint(&Step(0.0), &orbit, out).unwrap();
+        let place = [3.0, -2.0, 50.0];
+        let [x, y, depth] = projection.project(place);
+        let back = projection.unproject(x, y, depth);
+        assert!(place.iter().zip(back).all(|(a, b)| (a - b).abs() < 1e-3), "{back:?}");
+        // The picture's own depth there names a place of the plane.
+        let held = painter.depth_mm()[y.round() as usize * 160 + x.round() as usize];
+        let seen = projection.unproject(x.round(), y.round(), held);
+        assert!((seen[2] - 50.0).abs() < 0.05 && (seen[0] - 3.0).abs() < 0.5, "{seen:?}");
     }
 
     #[test]

@@ -1,0 +1,212 @@
+//! What a packet without a picture holds, as numbers: for curves, trails and boxes. Runs on the observer's thread.
+
+use std::mem::offset_of;
+
+use panoscope_abi as abi;
+
+/// Most entries of a list that are read.
+const MOST: usize = 256;
+
+/// A box with what it holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Found {
+    /// Left, upper, width and height as parts of the searched picture's width and height.
+    pub share: [f32; 4],
+    /// What it is, with its score.
+    pub words: String,
+    /// Index of the class, for a colour.
+    pub class: u32,
+}
+
+/// Numbers of a packet.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Content {
+    /// None that is known.
+    #[default]
+    Nothing,
+    /// Places of things in a picture.
+    Boxes(Vec<Found>),
+    /// A tool's tip in the left camera's frame, mm.
+    Tip([f64; 3]),
+    /// Where frame `b` stands in frame `a`.
+    Pose {
+        /// Rotation as w, x, y, z.
+        wxyz: [f64; 4],
+        /// Place in mm.
+        mm: [f64; 3],
+        /// Names of both frames.
+        frames: (String, String),
+    },
+    /// Named numbers: a scalar, the first row of a table.
+    Numbers(Vec<(String, f64)>),
+}
+
+struct Plain<'b>(&'b [u8]);
+
+impl Plain<'_> {
+    fn array<const N: usize>(&self, at: usize) -> Option<[u8; N]> {
+        self.0.get(at..at.checked_add(N)?)?.try_into().ok()
+    }
+    fn f64(&self, at: usize) -> f64 {
+        self.array(at).map_or(f64::NAN, f64::from_le_bytes)
+    }
+    fn f32(&self, at: usize) -> f32 {
+        self.array(at).map_or(f32::NAN, f32::from_le_bytes)
+    }
+    fn u32(&self, at: usize) -> u32 {
+        self.array(at).map_or(0, u32::from_le_bytes)
+    }
+    fn text(&self, at: usize, len: usize) -> String {
+        let bytes = at.checked_add(len).and_then(|end| self.0.get(at..end)).unwrap_or_default();
+        String::from_utf8_lossy(bytes).trim_end_matches('\0').to_owned()
+    }
+}
+
+/// Reads a packet; what lies beyond its end reads as nothing.
+pub fn read(bytes: &[u8], packet: &str) -> Content {
+    let p = Plain(bytes);
+    match packet {
+        "detections" | "instances" => Content::Boxes(boxes(&p)),
+        "tip" if p.u32(offset_of!(abi::Tip, xyz_valid)) != 0 => {
+            let at = offset_of!(abi::Tip, xyz_mm);
+            Content::Tip([0, 8, 16].map(|k| p.f64(at + k)))
+        }
+        "pose" => {
+            let (turn, place) = (offset_of!(abi::Pose, a_from_b_wxyz), offset_of!(abi::Pose, a_from_b_mm));
+            Content::Pose {
+                wxyz: [0, 8, 16, 24].map(|k| p.f64(turn + k)),
+                mm: [0, 8, 16].map(|k| p.f64(place + k)),
+                frames: (p.text(offset_of!(abi::Pose, a), 16), p.text(offset_of!(abi::Pose, b), 16)),
+            }
+        }
+        "scalar" => {
+            let name = p.text(offset_of!(abi::Scalar, name), 32);
+            let unit = p.text(offset_of!(abi::Scalar, unit), 16);
+            let name = if unit.is_empty() { name } else { format!("{name} {unit}") };
+            Content::Numbers(vec![(name, p.f64(offset_of!(abi::Scalar, value)))])
+        }
+        "table" => {
+            let (rows, columns, len) = (p.u32(0), p.u32(4) as usize, p.u32(8) as usize);
+            let start = size_of::<abi::TableHeader>();
+            if rows == 0 {
+                return Content::Nothing;
+            }
+            let names = p.text(start, len);
+            let names = names.split('\n').take(columns.min(MOST));
+            let value = |k: usize| p.f64(start + len + k * 8);
+            Content::Numbers(names.enumerate().map(|(k, name)| (name.to_owned(), value(k))).collect())
+        }
+        _ => Content::Nothing,
+    }
+}
+
+fn boxes(p: &Plain<'_>) -> Vec<Found> {
+    use abi::{Detection, DetectionsHeader};
+    let count = p.u32(offset_of!(DetectionsHeader, count)) as usize;
+    let start = size_of::<DetectionsHeader>();
+    let labels_at = count.checked_mul(size_of::<Detection>()).and_then(|n| n.checked_add(start));
+    let labels_len = p.u32(offset_of!(DetectionsHeader, labels_len)) as usize;
+    let labels = labels_at.map(|at| p.text(at, labels_len)).unwrap_or_default();
+    let labels: Vec<&str> = labels.split('\n').collect();
+    let size = [offset_of!(DetectionsHeader, image_width), offset_of!(DetectionsHeader, image_height)];
+    let [width, height] = size.map(|at| p.u32(at).max(1) as f32);
+    let found = (0..count.min(MOST)).map(|k| {
+        let at = start + k * size_of::<Detection>();
+        let number = |field: usize| p.f32(at + field);
+        let class = p.u32(at + offset_of!(Detection, class_index));
+        let label = labels.get(class as usize).copied().unwrap_or("?");
+        Found {
+            share: [
+                number(offset_of!(Detection, x_px)) / width,
+                number(offset_of!(Detection, y_px)) / height,
+                number(offset_of!(Detection, width_px)) / width,
+                number(offset_of!(Detection, height_px)) / height,
+            ],
+            words: format!("{label} {:.0} %", number(offset_of!(Detection, score)) * 100.0),
+            class,
+        }
+    });
+    found.filter(|f| f.share.iter().all(|v| v.is_finite())).collect()
+}
+
+/// `place` of frame `b` as frame `a` sees it.
+pub fn moved(wxyz: [f64; 4], mm: [f64; 3], place: [f64; 3]) -> [f64; 3] {
+    let turned = turned(wxyz, place);
+    [turned[0] + mm[0], turned[1] + mm[1], turned[2] + mm[2]]
+}
+
+/// The other way round.
+pub fn moved_back(wxyz: [f64; 4], mm: [f64; 3], place: [f64; 3]) -> [f64; 3] {
+    let [w, x, y, z] = wxyz;
+    turned([w, -x, -y, -z], [place[0] - mm[0], place[1] - mm[1], place[2] - mm[2]])
+}
+
+/// A vector turned by a unit quaternion.
+fn turned([w, x, y, z]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
+    let cross = |a: [f64; 3], b: [f64; 3]| {
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    };
+    let axis = [x, y, z];
+    let t = cross(axis, v).map(|c| 2.0 * c);
+    let u = cross(axis, t);
+    [0, 1, 2].map(|k| v[k] + w * t[k] + u[k])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_have_their_places_and_names() {
+        let mut bytes = Vec::new();
+        for number in [1u32, 13, 200, 100] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(&0u64.to_le_bytes());
+        for number in [50f32, 20.0, 100.0, 50.0, 0.87] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(&1u32.to_le_bytes());
+        bytes.extend_from_slice(&(-1i64).to_le_bytes());
+        bytes.extend_from_slice(b"hook\nscissors");
+        let Content::Boxes(found) = read(&bytes, "detections") else { panic!("no boxes") };
+        assert_eq!(found[0].share, [0.25, 0.2, 0.5, 0.5]);
+        assert_eq!(found[0].words, "scissors 87 %");
+        // Cut off anywhere it is read without harm.
+        for end in 0..bytes.len() {
+            read(&bytes[..end], "detections");
+        }
+    }
+
+    #[test]
+    fn numbers_of_scalars_and_tables_have_names() {
+        let mut bytes = 7.5f64.to_le_bytes().to_vec();
+        bytes.extend_from_slice(b"error");
+        bytes.resize(8 + 32, 0);
+        bytes.extend_from_slice(b"mm");
+        bytes.resize(8 + 32 + 16, 0);
+        assert_eq!(read(&bytes, "scalar"), Content::Numbers(vec![("error mm".to_owned(), 7.5)]));
+        let mut bytes = Vec::new();
+        for number in [1u32, 2, 8, 0] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(b"x mm\ny\0\0");
+        for number in [1.0f64, -2.0] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        let expected = vec![("x mm".to_owned(), 1.0), ("y".to_owned(), -2.0)];
+        assert_eq!(read(&bytes, "table"), Content::Numbers(expected));
+        assert_eq!(read(&[], "table"), Content::Nothing);
+    }
+
+    #[test]
+    fn moving_there_and_back_is_nothing() {
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        // A quarter turn about z takes x to y.
+        let turn = [half, 0.0, 0.0, half];
+        let there = moved(turn, [1.0, 2.0, 3.0], [10.0, 0.0, 0.0]);
+        assert!((there[0] - 1.0).abs() < 1e-9 && (there[1] - 12.0).abs() < 1e-9, "{there:?}");
+        let back = moved_back(turn, [1.0, 2.0, 3.0], there);
+        assert!((back[0] - 10.0).abs() < 1e-9 && back[1].abs() < 1e-9, "{back:?}");
+    }
+}

@@ -1,0 +1,276 @@
+//! A point cloud as a surface that can be turned, moved, cut and measured: painted off the window's thread, picked on it. No egui here.
+
+use std::mem::offset_of;
+use std::sync::Arc;
+
+use panoscope_abi as abi;
+use panoscope_imaging::ViewMut;
+use panoscope_imaging::draw::{Color, Orbit, Projection, SurfacePainter, SurfacePoints};
+
+use crate::picture::Pixels;
+
+/// From where a surface is looked at, and how much of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sight {
+    /// Turn about the vertical axis, radians.
+    pub yaw: f32,
+    /// Turn about the horizontal axis, radians; above 0 looks from above.
+    pub pitch: f32,
+    /// 1 fills the picture seen from the front.
+    pub zoom: f32,
+    /// Place of the middle, as a part of the picture's width: right, down.
+    pub shift: [f32; 2],
+    /// What lies nearer or farther, in mm from the camera, is left out.
+    pub clip_mm: [f32; 2],
+    /// Columns and rows of the picture.
+    pub size_px: [usize; 2],
+}
+
+impl Sight {
+    /// Farthest clipping.
+    pub const FAR_MM: f32 = 1000.0;
+}
+
+impl Default for Sight {
+    fn default() -> Self {
+        Self {
+            yaw: 0.35,
+            pitch: 0.25,
+            zoom: 0.9,
+            shift: [0.0; 2],
+            clip_mm: [0.0, Self::FAR_MM],
+            size_px: [960, 720],
+        }
+    }
+}
+
+/// Points of one instant, row by row as the left rectified camera sees them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cloud {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// x, y, z in mm; NaN where unknown.
+    pub xyz_mm: Vec<[f32; 3]>,
+}
+
+/// Most pixels around a point that its place is taken from.
+const NEIGHBOURS_PX: usize = 2;
+
+impl Cloud {
+    /// The place at a pixel: the median of the known points around it, `None` where fewer than a quarter of them are known.
+    pub fn at(&self, x: usize, y: usize) -> Option<[f32; 3]> {
+        let near = |v: usize, most: usize| v.saturating_sub(NEIGHBOURS_PX)..(v + NEIGHBOURS_PX + 1).min(most);
+        let (rows, columns) = (near(y, self.height), near(x, self.width));
+        let all = rows.len() * columns.len();
+        let found: Vec<[f32; 3]> = rows
+            .flat_map(|y| columns.clone().map(move |x| (x, y)))
+            .filter_map(|(x, y)| self.xyz_mm.get(y * self.width + x).copied())
+            .filter(|p| p[2].is_finite())
+            .collect();
+        if found.is_empty() || found.len() * 4 < all {
+            return None;
+        }
+        let median = |axis: usize| {
+            let mut values: Vec<f32> = found.iter().map(|p| p[axis]).collect();
+            values.sort_unstable_by(f32::total_cmp);
+            values[values.len() / 2]
+        };
+        Some([median(0), median(1), median(2)])
+    }
+}
+
+/// Distance of two places, mm.
+pub fn distance_mm(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt()
+}
+
+/// What was painted, so that a click finds its place.
+#[derive(Clone, Debug)]
+pub struct Painted {
+    /// From where.
+    pub sight: Sight,
+    /// Where places stand.
+    pub projection: Projection,
+    depth_mm: Vec<f32>,
+    size_px: [usize; 2],
+}
+
+impl PartialEq for Painted {
+    fn eq(&self, other: &Self) -> bool {
+        self.sight == other.sight && self.projection == other.projection
+    }
+}
+
+impl Painted {
+    /// The place under a pixel of the picture, mm.
+    pub fn pick(&self, x: f32, y: f32) -> Option<[f32; 3]> {
+        let [width, height] = self.size_px;
+        let (column, row) = (x.round(), y.round());
+        if !(column >= 0.0 && row >= 0.0 && column < width as f32 && row < height as f32) {
+            return None;
+        }
+        let depth = *self.depth_mm.get(row as usize * width + column as usize)?;
+        depth.is_finite().then(|| self.projection.unproject(column, row, depth))
+    }
+}
+
+/// Bytes of a cloud packet, read as they lie.
+struct Packed<'b> {
+    bytes: &'b [u8],
+    width: usize,
+    height: usize,
+    stride: usize,
+    clip_mm: [f32; 2],
+}
+
+impl Packed<'_> {
+    fn point(&self, column: usize, row: usize) -> Option<&[u8]> {
+        let at = row * self.stride + column * size_of::<abi::CloudPoint>();
+        self.bytes.get(at..at + size_of::<abi::CloudPoint>())
+    }
+}
+
+fn number(bytes: &[u8], at: usize) -> f32 {
+    bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map_or(f32::NAN, f32::from_le_bytes)
+}
+
+fn place(point: &[u8]) -> [f32; 3] {
+    [offset_of!(abi::CloudPoint, x_mm), offset_of!(abi::CloudPoint, y_mm), offset_of!(abi::CloudPoint, z_mm)]
+        .map(|at| number(point, at))
+}
+
+impl SurfacePoints for Packed<'_> {
+    fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    fn at(&self, column: usize, row: usize) -> Option<([f32; 3], Color)> {
+        let point = self.point(column, row)?;
+        let place = place(point);
+        let [near, far] = self.clip_mm;
+        let at = offset_of!(abi::CloudPoint, bgr);
+        let known = place.iter().all(|v| v.is_finite()) && (near..=far).contains(&place[2]);
+        known.then(|| (place, [point[at], point[at + 1], point[at + 2]]))
+    }
+}
+
+fn packed<'b>(frame: &abi::Frame, bytes: &'b [u8], clip_mm: [f32; 2]) -> Option<Packed<'b>> {
+    let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
+    let row = width.checked_mul(size_of::<abi::CloudPoint>())?;
+    let fits = frame.format == abi::FORMAT_CLOUD
+        && width > 0
+        && height > 0
+        && stride >= row
+        && (height - 1).checked_mul(stride)?.checked_add(row)? <= bytes.len();
+    fits.then_some(Packed { bytes, width, height, stride, clip_mm })
+}
+
+/// The points of a cloud packet; `None` for what is none, or is described wrongly.
+pub fn cloud_of(frame: &abi::Frame, bytes: &[u8]) -> Option<Cloud> {
+    let packed = packed(frame, bytes, [0.0; 2])?;
+    let all = (0..packed.height).flat_map(|row| (0..packed.width).map(move |column| (column, row)));
+    let xyz_mm = all.map(|(x, y)| packed.point(x, y).map_or([f32::NAN; 3], place)).collect();
+    Some(Cloud { width: packed.width, height: packed.height, xyz_mm })
+}
+
+/// Paints clouds; keeps its memory.
+#[derive(Default)]
+pub struct Painter {
+    painter: SurfacePainter,
+    bgr: Vec<u8>,
+}
+
+impl Painter {
+    /// A picture of a cloud packet, and what a click on it means; no picture for what is no cloud.
+    pub fn paint(
+        &mut self,
+        frame: &abi::Frame,
+        bytes: &[u8],
+        sight: &Sight,
+    ) -> Option<(Pixels, Option<Arc<Painted>>)> {
+        let points = packed(frame, bytes, sight.clip_mm)?;
+        let [width, height] = sight.size_px.map(|n| n.clamp(16, 4096));
+        self.bgr.clear();
+        self.bgr.resize(width * height * 3, 0);
+        let orbit = Orbit {
+            yaw: sight.yaw,
+            pitch: sight.pitch,
+            zoom: sight.zoom,
+            // More corners than pixels show nothing more.
+            step: (points.width / 320).max(1),
+            shift: sight.shift,
+            ..Orbit::default()
+        };
+        let projection = self.painter.paint(&points, &orbit, &mut ViewMut::new(&mut self.bgr, width, height, 3));
+        let rgba = self.bgr.chunks_exact(3).flat_map(|p| [p[2], p[1], p[0], 255]).collect();
+        let painted = projection.map(|projection| {
+            let depth_mm = self.painter.depth_mm().to_vec();
+            Arc::new(Painted { sight: *sight, projection, depth_mm, size_px: [width, height] })
+        });
+        Some((Pixels { width, height, rgba }, painted))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A plane at 50 mm, one mm per point, bytes as a packet has them.
+    fn plane(width: usize, height: usize) -> (abi::Frame, Vec<u8>) {
+        let mut bytes = Vec::new();
+        for y in 0..height {
+            for x in 0..width {
+                for v in [x as f32 - width as f32 / 2.0, y as f32 - height as f32 / 2.0, 50.0] {
+                    bytes.extend_from_slice(&v.to_le_bytes());
+                }
+                bytes.extend_from_slice(&[10, 20, 200, 0]);
+            }
+        }
+        let frame = abi::Frame {
+            format: abi::FORMAT_CLOUD,
+            width: width as u32,
+            height: height as u32,
+            stride_bytes: (width * 16) as u32,
+            len: bytes.len(),
+            ..abi::Frame::EMPTY
+        };
+        (frame, bytes)
+    }
+
+    #[test]
+    fn clicks_on_a_turned_plane_measure_its_length() {
+        let (frame, bytes) = plane(40, 30);
+        let sight = Sight { size_px: [320, 240], zoom: 0.6, ..Sight::default() };
+        let (pixels, painted) = Painter::default().paint(&frame, &bytes, &sight).unwrap();
+        assert_eq!((pixels.width, pixels.height), (320, 240));
+        let painted = painted.unwrap();
+        let [a, b] = [[-10.0, 0.0, 50.0], [10.0, 5.0, 50.0]].map(|p| {
+            let [x, y, _] = painted.projection.project(p);
+            painted.pick(x, y).unwrap()
+        });
+        let length = distance_mm(a, b);
+        assert!((length - 425f32.sqrt()).abs() < 0.6, "{length}");
+        assert_eq!(painted.pick(1.0, 1.0), None, "nothing is there");
+    }
+
+    #[test]
+    fn what_is_clipped_is_not_there() {
+        let (frame, bytes) = plane(40, 30);
+        let sight = Sight { size_px: [64, 48], clip_mm: [60.0, 100.0], ..Sight::default() };
+        let (_, painted) = Painter::default().paint(&frame, &bytes, &sight).unwrap();
+        assert_eq!(painted, None);
+    }
+
+    #[test]
+    fn a_place_comes_from_the_points_around_it() {
+        let (frame, bytes) = plane(40, 30);
+        let mut cloud = cloud_of(&frame, &bytes).unwrap();
+        cloud.xyz_mm[10 * 40 + 20] = [f32::NAN; 3];
+        assert_eq!(cloud.at(20, 10).map(|p| p[2]), Some(50.0));
+        cloud.xyz_mm.fill([f32::NAN; 3]);
+        assert_eq!(cloud.at(20, 10), None);
+        assert_eq!(cloud_of(&abi::Frame { height: 4000, ..frame }, &bytes), None, "described wrongly");
+    }
+}

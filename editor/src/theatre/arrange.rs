@@ -1,0 +1,111 @@
+//! Where pictures stand. No state: rectangles from a choice and a size.
+
+use eframe::egui::{Rect, Vec2, pos2, vec2};
+
+/// Distance between pictures, points.
+pub const GAP: f32 = 12.0;
+/// Height of the line above each picture, points.
+pub const TITLE: f32 = 30.0;
+
+/// What is shown of several views.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Layout {
+    /// The first view large, the others beside it.
+    #[default]
+    All,
+    /// One view alone.
+    One(usize),
+}
+
+impl Layout {
+    /// The next one of `count` views: all, then each alone, then all again.
+    pub fn next(self, count: usize) -> Self {
+        match self {
+            Self::All if count > 0 => Self::One(0),
+            Self::One(n) if n + 1 < count => Self::One(n + 1),
+            _ => Self::All,
+        }
+    }
+
+    /// The one before.
+    pub fn previous(self, count: usize) -> Self {
+        match self {
+            Self::All if count > 0 => Self::One(count - 1),
+            Self::One(n) if n > 0 => Self::One(n - 1),
+            _ => Self::All,
+        }
+    }
+
+    /// The view that stills and clips are made of.
+    pub fn main(self) -> usize {
+        match self {
+            Self::All => 0,
+            Self::One(n) => n,
+        }
+    }
+
+    /// Views with their places inside `room`.
+    pub fn places(self, count: usize, room: Rect) -> Vec<(usize, Rect)> {
+        match (self, count) {
+            (_, 0) => Vec::new(),
+            (Self::One(n), _) => vec![(n.min(count - 1), room)],
+            (Self::All, 1) => vec![(0, room)],
+            (Self::All, 2) => {
+                let width = (room.width() - GAP) / 2.0;
+                let at = |k: usize| {
+                    let left = room.left() + k as f32 * (width + GAP);
+                    Rect::from_min_size(pos2(left, room.top()), vec2(width, room.height()))
+                };
+                vec![(0, at(0)), (1, at(1))]
+            }
+            (Self::All, _) => {
+                let side = (room.width() * 0.32).round();
+                let main = Rect::from_min_max(room.min, pos2(room.right() - side - GAP, room.bottom()));
+                let height = (room.height() - GAP * (count - 2) as f32) / (count - 1) as f32;
+                let column = (1..count).map(|k| {
+                    let top = room.top() + (k - 1) as f32 * (height + GAP);
+                    (k, Rect::from_min_size(pos2(room.right() - side, top), vec2(side, height)))
+                });
+                std::iter::once((0, main)).chain(column).collect()
+            }
+        }
+    }
+}
+
+/// The largest rectangle of `size`'s proportions in the middle of `room`.
+pub fn fit(room: Rect, size: Vec2) -> Rect {
+    let scale = (room.width() / size.x.max(1.0)).min(room.height() / size.y.max(1.0)).max(0.0);
+    Rect::from_center_size(room.center(), size * scale)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_key_leads_round() {
+        let (mut layout, mut seen) = (Layout::All, vec![Layout::All]);
+        for _ in 0..3 {
+            layout = layout.next(3);
+            seen.push(layout);
+            assert_eq!(layout.previous(3), seen[seen.len() - 2]);
+        }
+        assert_eq!(layout, Layout::One(2));
+        assert_eq!(layout.next(3), Layout::All);
+        assert_eq!(Layout::All.next(0), Layout::All);
+    }
+
+    #[test]
+    fn pictures_lie_inside_and_apart() {
+        let room = Rect::from_min_size(pos2(16.0, 80.0), vec2(1400.0, 700.0));
+        for count in 1..6 {
+            let places = Layout::All.places(count, room);
+            assert_eq!(places.len(), count);
+            for (k, (n, a)) in places.iter().enumerate() {
+                assert!(*n == k && room.expand(0.5).contains_rect(*a), "{a:?}");
+                assert!(places[..k].iter().all(|(_, b)| !a.shrink(0.5).intersects(b.shrink(0.5))));
+            }
+        }
+        assert_eq!(fit(room, vec2(100.0, 100.0)).size(), vec2(700.0, 700.0));
+    }
+}

@@ -1,0 +1,241 @@
+//! Above the pictures what must be known, below them what can be done.
+
+use std::time::Instant;
+
+use eframe::egui::{
+    Align2, Color32, CornerRadius, FontId, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType, pos2,
+    vec2,
+};
+
+use super::notices::{Facts, Urgency, bytes_words};
+use super::{Act, EDGE, HOLD, REMARK, Theatre, key_words, settings};
+use crate::session::{Phase, Status};
+use crate::theme;
+
+const STOP_RED: Color32 = Color32::from_rgb(0xD6, 0x2F, 0x1F);
+
+fn clock_words(since: Instant) -> String {
+    let seconds = since.elapsed().as_secs();
+    format!("{}:{:02}", seconds / 60, seconds % 60)
+}
+
+impl Theatre {
+    pub(super) fn top_bar(&mut self, ui: &mut Ui, bar: Rect, status: &Status, facts: &Facts) {
+        let inner = bar.shrink2(vec2(EDGE, 10.0));
+        let painter = ui.painter().clone();
+        let mut right = inner.right();
+        let middle = inner.center().y;
+        let mut chip = |words: &str, fill: Color32, color: Color32| {
+            let text = painter.layout_no_wrap(words.to_owned(), FontId::proportional(18.0), color);
+            let size = text.size() + vec2(28.0, 14.0);
+            let place = Rect::from_min_size(pos2(right - size.x, middle - size.y / 2.0), size);
+            painter.rect_filled(place, CornerRadius::same(8), fill);
+            painter.galley(place.min + vec2(14.0, 7.0), text, color);
+            right = place.left() - 10.0;
+        };
+        let (words, fill, color) = match (&status.phase, self.frozen) {
+            (Phase::Starting | Phase::Idle, _) => ("STARTING".to_owned(), theme::RAISED, theme::MUTED),
+            (Phase::Ended | Phase::Failed(_), _) => ("STOPPED".to_owned(), theme::FAULT, theme::BLACK),
+            (_, Some(since)) => (format!("FROZEN  {}", clock_words(since)), theme::ACCENT, theme::BLACK),
+            _ => ("LIVE".to_owned(), theme::RAISED, theme::LIVE),
+        };
+        chip(&words, fill, color);
+        if let Some(clip) = &self.clip {
+            chip(&format!("REC  {}", clock_words(clip.since)), STOP_RED, Color32::WHITE);
+            let free = facts.free_bytes.map(|b| format!("{} free", bytes_words(b))).unwrap_or_default();
+            let font = FontId::proportional(14.0);
+            let place = painter.text(pos2(right, middle), Align2::RIGHT_CENTER, free, font, theme::MUTED);
+            right = place.left() - 16.0;
+        }
+        let room = Rect::from_min_max(inner.min, pos2(right - 10.0, inner.bottom()));
+        self.message(ui, room);
+    }
+
+    /// The most urgent thing to know, with the rest behind it; else the graph's name.
+    fn message(&self, ui: &mut Ui, room: Rect) {
+        let painter = ui.painter_at(room.expand(2.0));
+        if let Some(since) = self.leaving.filter(|since| since.elapsed() > HOLD / 8) {
+            let share = (since.elapsed().as_secs_f32() / HOLD.as_secs_f32()).min(1.0);
+            let text = FontId::proportional(22.0);
+            let words = "Keep holding Esc to leave";
+            let place = painter.text(room.left_center(), Align2::LEFT_CENTER, words, text, theme::TEXT);
+            let rail = Rect::from_min_size(pos2(place.right() + 20.0, place.center().y - 3.0), vec2(160.0, 6.0));
+            painter.rect_filled(rail, 3.0, theme::RAISED);
+            let done = Rect::from_min_size(rail.min, vec2(rail.width() * share, rail.height()));
+            painter.rect_filled(done, 3.0, theme::ACCENT);
+            return;
+        }
+        let told = |words: &str| WidgetInfo::labeled(WidgetType::Label, true, words.to_owned());
+        for (k, notice) in self.told.iter().enumerate() {
+            let response = ui.interact(room, ui.id().with(("notice", k)), Sense::hover());
+            response.widget_info(|| told(&format!("Notice: {}", notice.words)));
+        }
+        let remark = self.remark.as_ref().filter(|(.., at)| at.elapsed() < REMARK);
+        if let Some((words, ..)) = remark {
+            let response = ui.interact(room, ui.id().with("remark"), Sense::hover());
+            response.widget_info(|| told(&format!("Remark: {words}")));
+        }
+        let Some(first) = self.told.first() else {
+            let (words, color) = match remark {
+                Some((words, wrong, _)) => (words.clone(), if *wrong { theme::WARN } else { theme::TEXT }),
+                None => (self.plan.name.clone(), theme::MUTED),
+            };
+            painter.text(room.left_center(), Align2::LEFT_CENTER, words, FontId::proportional(20.0), color);
+            return;
+        };
+        let color = match first.urgency {
+            Urgency::Alarm => theme::FAULT,
+            Urgency::Warning => theme::WARN,
+            Urgency::Note => theme::MUTED,
+        };
+        // Shape and weight say it, too, not colour alone.
+        let at = pos2(room.left() + 14.0, room.center().y);
+        if first.urgency >= Urgency::Warning {
+            sign(&painter, at, 14.0, color);
+        }
+        let rest: Vec<&str> = self.told.iter().skip(1).map(|n| n.words.as_str()).collect();
+        let rest = remark.iter().map(|(words, ..)| words.as_str()).chain(rest).collect::<Vec<_>>().join("   ·   ");
+        let left = room.left() + if first.urgency >= Urgency::Warning { 44.0 } else { 0.0 };
+        let (y, size) =
+            if rest.is_empty() { (room.center().y, 24.0) } else { (room.center().y - 10.0, 22.0) };
+        let size = if first.urgency == Urgency::Note { 18.0 } else { size };
+        let fitted = |words: &str, size: f32, color: Color32| {
+            let mut job = eframe::egui::text::LayoutJob::simple_singleline(
+                words.lines().next().unwrap_or_default().to_owned(),
+                FontId::proportional(size),
+                color,
+            );
+            job.wrap = eframe::egui::text::TextWrapping::truncate_at_width((room.right() - left).max(40.0));
+            painter.layout_job(job)
+        };
+        let galley = fitted(&first.words, size, color);
+        painter.galley(pos2(left, y - galley.size().y / 2.0), galley, color);
+        if !rest.is_empty() {
+            let galley = fitted(&rest, 15.0, theme::TEXT.gamma_multiply(0.8));
+            painter.galley(pos2(left, room.center().y + 8.0), galley, theme::TEXT);
+        }
+    }
+
+    pub(super) fn bottom_bar(&mut self, ui: &mut Ui, bar: Rect) {
+        let inner = bar.shrink2(vec2(EDGE, 16.0));
+        let mut left = inner.left();
+        let mut right = inner.right();
+        if !self.plan.stops.is_empty() {
+            let width = 230.0;
+            let place = Rect::from_min_max(pos2(right - width, inner.top()), inner.max);
+            self.stop_button(ui, place);
+            right = place.left() - 24.0;
+        }
+        let over = self.raw_only.is_some()
+            || matches!(self.session.status().phase, Phase::Ended | Phase::Failed(_));
+        let frozen = self.frozen.is_some() && !self.measure.is_on();
+        let buttons = [
+            (Act::Next, "Layout", false, self.plan.views.len() > 1),
+            (Act::Freeze, if frozen { "Go on" } else { "Freeze" }, frozen, true),
+            (Act::Still, "Still", false, true),
+            (Act::Record, if self.clip.is_some() { "End clip" } else { "Record" }, self.clip.is_some(), true),
+            (Act::Measure, "Measure", self.measure.is_on(), self.plan.cloud.is_some()),
+            (Act::Again, "Start again", true, over),
+        ];
+        for (act, words, on, there) in buttons {
+            if !there {
+                continue;
+            }
+            let width = if words.len() > 8 { 132.0 } else { 108.0 };
+            let place = Rect::from_min_size(pos2(left, inner.top()), vec2(width, inner.height()));
+            if button(ui, place, words, key_words(act), on) {
+                self.act(act);
+            }
+            left = place.right() + 10.0;
+        }
+        let settings = self.plan.settings.clone();
+        let room = right - left - 24.0;
+        let each = 240.0;
+        let fit = ((room + 28.0) / (each + 28.0)).floor().max(0.0) as usize;
+        let mut at = right - settings.len().min(fit) as f32 * (each + 28.0) + 28.0;
+        for setting in settings.iter().take(fit) {
+            let place = Rect::from_min_size(pos2(at, inner.top() + 4.0), vec2(each, inner.height() - 8.0));
+            let value = self.value(setting);
+            if let Some(new) = settings::show(ui, place, setting, value.as_ref()) {
+                self.choose(&setting.node, &setting.param.name, new);
+            }
+            at = place.right() + 28.0;
+        }
+    }
+
+    /// Always there while the graph has an arm. One tap stops it; it is let go only by holding.
+    fn stop_button(&mut self, ui: &mut Ui, rect: Rect) {
+        let response = ui.interact(rect, ui.id().with("stop"), Sense::click_and_drag());
+        let label = if self.emergency { "Release the arm: hold 2 s" } else { "Emergency stop of the arm" };
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, label));
+        let held = response.is_pointer_button_down_on();
+        let painter = ui.painter();
+        let fill = if self.emergency { Color32::from_rgb(0x4A, 0x17, 0x12) } else { STOP_RED };
+        painter.rect(rect, 12.0, fill, Stroke::new(3.0, Color32::WHITE), StrokeKind::Inside);
+        if !self.emergency {
+            // On touch, not on release: nothing is to be waited for.
+            if held || response.clicked() {
+                self.emergency_stop(true);
+                self.releasing = None;
+            }
+        } else {
+            if held && ui.input(|i| i.pointer.any_pressed()) {
+                self.releasing = Some(Instant::now());
+            }
+            self.release(ui.ctx(), held);
+            let share = self.releasing.map_or(0.0, |s| s.elapsed().as_secs_f32() / HOLD.as_secs_f32());
+            let done = Rect::from_min_size(rect.min, vec2(rect.width() * share.min(1.0), rect.height())).shrink(6.0);
+            painter.rect_filled(done, 8.0, STOP_RED.gamma_multiply(0.6));
+        }
+        let (words, below) = if self.emergency {
+            ("ARM STOPPED", "hold 2 s to release".to_owned())
+        } else {
+            ("STOP ARM", format!("key {}", key_words(Act::Stop)))
+        };
+        let sign_at = pos2(rect.left() + 38.0, rect.center().y);
+        octagon(painter, sign_at, 20.0);
+        let left = rect.left() + 70.0;
+        let y = rect.center().y;
+        painter.text(pos2(left, y - 9.0), Align2::LEFT_CENTER, words, FontId::proportional(22.0), Color32::WHITE);
+        let pale = Color32::from_white_alpha(210);
+        painter.text(pos2(left, y + 15.0), Align2::LEFT_CENTER, below, FontId::proportional(14.0), pale);
+    }
+}
+
+/// A large button with its key below its words.
+fn button(ui: &mut Ui, rect: Rect, words: &str, key: &str, on: bool) -> bool {
+    let response = ui.interact(rect, ui.id().with(("button", key)), Sense::click());
+    response.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, on, words.to_owned()));
+    let fill = match () {
+        () if on => theme::ACCENT.gamma_multiply(0.32),
+        () if response.is_pointer_button_down_on() => theme::LINE,
+        () if response.hovered() => theme::RAISED.gamma_multiply(1.25),
+        () => theme::RAISED,
+    };
+    let edge = if response.has_focus() || on { theme::ACCENT } else { Color32::TRANSPARENT };
+    let painter = ui.painter();
+    painter.rect(rect, 12.0, fill, Stroke::new(2.0, edge), StrokeKind::Inside);
+    let c = rect.center();
+    painter.text(c - vec2(0.0, 9.0), Align2::CENTER_CENTER, words, FontId::proportional(20.0), theme::TEXT);
+    painter.text(c + vec2(0.0, 17.0), Align2::CENTER_CENTER, key, FontId::proportional(13.0), theme::MUTED);
+    response.clicked()
+}
+
+/// A triangle with a bar: look here.
+fn sign(painter: &eframe::egui::Painter, at: eframe::egui::Pos2, size: f32, color: Color32) {
+    let corners = vec![at + vec2(0.0, -size), at + vec2(size, size * 0.8), at + vec2(-size, size * 0.8)];
+    painter.add(Shape::convex_polygon(corners, color, Stroke::NONE));
+    let bar = Stroke::new(size * 0.22, theme::BLACK);
+    painter.line_segment([at + vec2(0.0, -size * 0.4), at + vec2(0.0, size * 0.25)], bar);
+    painter.circle_filled(at + vec2(0.0, size * 0.52), size * 0.13, theme::BLACK);
+}
+
+/// The sign that says stop everywhere.
+fn octagon(painter: &eframe::egui::Painter, at: eframe::egui::Pos2, size: f32) {
+    let corner = |k: usize| {
+        let angle = (k as f32 + 0.5) * std::f32::consts::FRAC_PI_4;
+        at + vec2(angle.cos(), angle.sin()) * size
+    };
+    painter.add(Shape::convex_polygon((0..8).map(corner).collect(), Color32::WHITE, Stroke::NONE));
+    painter.rect_filled(Rect::from_center_size(at, vec2(size * 0.8, size * 0.8)), 2.0, STOP_RED);
+}

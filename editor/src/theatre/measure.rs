@@ -1,0 +1,177 @@
+//! Distances by two taps: on the picture of one instant whose points are known.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use eframe::egui::Context;
+use panoscope_imaging::ViewMut;
+use panoscope_imaging::draw;
+
+use crate::observe::Output;
+use crate::panels::Shown;
+use crate::picture::{Look, Pixels};
+use crate::surface::{Cloud, distance_mm};
+
+/// A point that was tapped.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tapped {
+    /// Column and row of the picture.
+    pub at_px: (f32, f32),
+    /// Where it is, in mm from the camera; `None` where the depth is unknown.
+    pub place_mm: Option<[f32; 3]>,
+}
+
+/// Measuring: off, waiting for a picture, or on with up to two points.
+#[derive(Default)]
+pub struct Measure {
+    waits: bool,
+    on: Option<On>,
+}
+
+struct On {
+    cloud: Arc<Cloud>,
+    output: Output,
+    held: Shown,
+    points: Vec<Tapped>,
+}
+
+impl Measure {
+    /// Waits for the next picture with points.
+    pub fn begin() -> Self {
+        Self { waits: true, on: None }
+    }
+
+    /// Whether it is begun.
+    pub fn is_on(&self) -> bool {
+        self.waits || self.on.is_some()
+    }
+
+    /// Whether it waits for a picture.
+    pub fn waits(&self) -> bool {
+        self.waits
+    }
+
+    /// Takes the picture to measure in.
+    pub fn take(&mut self, ctx: &Context, output: &Output, look: Look) {
+        let Some(cloud) = look.cloud.clone() else { return };
+        let mut held = Shown::default();
+        held.update(ctx, HashMap::from([(output.clone(), look)]));
+        *self = Self { waits: false, on: Some(On { cloud, output: output.clone(), held, points: Vec::new() }) };
+    }
+
+    /// The picture, where it is shown and which output it is of.
+    pub fn picture(&self) -> Option<(&Shown, &Output)> {
+        self.on.as_ref().map(|on| (&on.held, &on.output))
+    }
+
+    /// A tap at parts of the picture's width and height. The third point begins anew.
+    pub fn tap(&mut self, x: f32, y: f32) {
+        let Some(on) = &mut self.on else { return };
+        if !((0.0..=1.0).contains(&x) && (0.0..=1.0).contains(&y)) {
+            return;
+        }
+        // A point without depth cannot be measured from: the next tap takes its place.
+        on.points.retain(|p| p.place_mm.is_some());
+        if on.points.len() >= 2 {
+            on.points.clear();
+        }
+        let at_px = (x * on.cloud.width as f32 - 0.5, y * on.cloud.height as f32 - 0.5);
+        let (column, row) = (at_px.0.round().max(0.0) as usize, at_px.1.round().max(0.0) as usize);
+        on.points.push(Tapped { at_px, place_mm: on.cloud.at(column, row) });
+    }
+
+    /// Points so far.
+    pub fn points(&self) -> &[Tapped] {
+        self.on.as_ref().map_or(&[], |on| &on.points)
+    }
+
+    /// Size of the picture in pixels.
+    pub fn size_px(&self) -> (usize, usize) {
+        self.on.as_ref().map_or((1, 1), |on| (on.cloud.width.max(1), on.cloud.height.max(1)))
+    }
+
+    /// Distance between both points.
+    pub fn distance_mm(&self) -> Option<f32> {
+        match self.points() {
+            [Tapped { place_mm: Some(a), .. }, Tapped { place_mm: Some(b), .. }] => Some(distance_mm(*a, *b)),
+            _ => None,
+        }
+    }
+
+    /// What to do next, in words.
+    pub fn hint(&self) -> &'static str {
+        match self.points() {
+            _ if self.waits => "Waiting for a picture with depth",
+            [.., Tapped { place_mm: None, .. }] => "No depth there: tap beside it",
+            [] => "Tap the first point",
+            [_] => "Tap the second point",
+            _ => "Tap to measure again",
+        }
+    }
+
+    /// The picture with what was measured drawn in.
+    pub fn pixels(&self) -> Option<Pixels> {
+        let on = self.on.as_ref()?;
+        let mut pixels = on.held.pixels(&on.output)?.clone();
+        let (width, height) = (pixels.width, pixels.height);
+        // Drawing is for three channels.
+        let mut rgb: Vec<u8> = pixels.rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+        let mut out = ViewMut::new(&mut rgb, width, height, 3);
+        let color = [0x56, 0xB4, 0xE9];
+        if let [a, b] = on.points[..] {
+            draw::line(&mut out, a.at_px, b.at_px, 2.0, color);
+            if let Some(mm) = self.distance_mm() {
+                let (x, y) = ((a.at_px.0 + b.at_px.0) / 2.0 + 8.0, (a.at_px.1 + b.at_px.1) / 2.0 + 8.0);
+                draw::text(&mut out, x, y, &format!("{mm:.1} mm"), height as f32 / 240.0, color);
+            }
+        }
+        for point in &on.points {
+            draw::circle(&mut out, point.at_px.0, point.at_px.1, 6.0, 2.0, color);
+        }
+        pixels.rgba = rgb.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
+        Some(pixels)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn on() -> Measure {
+        // 1 mm per pixel at 50 mm; the right third is unknown.
+        let point = |i: usize| {
+            let (x, y) = ((i % 30) as f32, (i / 30) as f32);
+            if x >= 20.0 { [f32::NAN; 3] } else { [x, y, 50.0] }
+        };
+        let cloud = Cloud { width: 30, height: 20, xyz_mm: (0..600).map(point).collect() };
+        let pixels = Pixels { width: 30, height: 20, rgba: vec![7; 30 * 20 * 4] };
+        let mut measure = Measure::begin();
+        let look = Look { cloud: Some(Arc::new(cloud)), pixels: Some(pixels), ..Look::default() };
+        measure.take(&Context::default(), &Output::new("p", "cloud"), look);
+        measure
+    }
+
+    #[test]
+    fn two_taps_measure_and_the_third_begins_anew() {
+        let mut measure = on();
+        assert_eq!(measure.hint(), "Tap the first point");
+        measure.tap(5.5 / 30.0, 5.5 / 20.0);
+        assert_eq!((measure.distance_mm(), measure.hint()), (None, "Tap the second point"));
+        measure.tap(15.5 / 30.0, 5.5 / 20.0);
+        assert_eq!(measure.distance_mm(), Some(10.0));
+        assert!(measure.pixels().is_some_and(|p| p.rgba.iter().any(|v| *v == 0xE9)), "the line is drawn");
+        measure.tap(0.1, 0.1);
+        assert_eq!(measure.points().len(), 1);
+    }
+
+    #[test]
+    fn a_point_without_depth_is_told_and_replaced() {
+        let mut measure = on();
+        measure.tap(0.95, 0.5);
+        assert_eq!(measure.hint(), "No depth there: tap beside it");
+        measure.tap(0.1, 0.5);
+        assert_eq!((measure.points().len(), measure.hint()), (1, "Tap the second point"));
+        measure.tap(2.0, 0.5);
+        assert_eq!(measure.points().len(), 1, "outside the picture");
+    }
+}
