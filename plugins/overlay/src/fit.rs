@@ -1,6 +1,6 @@
 //! Pictures scaled into cells, and the range of the numbers in a map.
 
-use panoscope_node::{View, ViewMut};
+use panoscope_node::{AnyImage, Bgr8, Gray8, Rgba8, View, ViewMut};
 
 /// The largest size with the proportions of `from` (width, height in px) that fits into `cell`.
 pub fn fitted_size(from: (usize, usize), cell: (usize, usize)) -> (usize, usize) {
@@ -10,6 +10,17 @@ pub fn fitted_size(from: (usize, usize), cell: (usize, usize)) -> (usize, usize)
     let scale = (cell.0 as f64 / from.0 as f64).min(cell.1 as f64 / from.1 as f64);
     let side = |length: usize, limit: usize| ((length as f64 * scale).round() as usize).clamp(1, limit.max(1));
     (side(from.0, cell.0), side(from.1, cell.1))
+}
+
+/// The pixels of an 8-bit picture, whatever its channels.
+pub fn bytes<'f>(image: &AnyImage<'f>) -> Option<View<'f, u8>> {
+    if let Some(plane) = image.as_plane::<Bgr8>() {
+        return Some(plane.view());
+    }
+    if let Some(plane) = image.as_plane::<Gray8>() {
+        return Some(plane.view());
+    }
+    image.as_plane::<Rgba8>().map(|plane| plane.view())
 }
 
 /// Scales `picture` (1 channel gray, 3 BGR, 4 RGBA) to `width` x `height` at `(x, y)` of a BGR picture: the mean of the

@@ -2,10 +2,10 @@
 
 use panoscope_imaging::draw;
 use panoscope_node::{
-    AnyImage, Bgr8, Context, Gray8, List, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Rgba8, Slot, View,
+    AnyImage, Bgr8, Context, List, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot,
 };
 
-use crate::fit::{fitted_size, place};
+use crate::fit::{bytes, fitted_size, place};
 
 /// Inputs.
 #[derive(Ports)]
@@ -48,16 +48,6 @@ pub struct Settings {
 #[derive(Default)]
 pub struct SideBySide {
     cell: Option<(usize, usize)>,
-}
-
-fn bytes<'f>(image: &AnyImage<'f>) -> Option<View<'f, u8>> {
-    if let Some(plane) = image.as_plane::<Bgr8>() {
-        return Some(plane.view());
-    }
-    if let Some(plane) = image.as_plane::<Gray8>() {
-        return Some(plane.view());
-    }
-    image.as_plane::<Rgba8>().map(|plane| plane.view())
 }
 
 impl Node for SideBySide {

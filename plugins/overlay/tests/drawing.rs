@@ -7,6 +7,7 @@ use panoscope_node::harness::{Harness, Setup};
 use panoscope_node::{Bgr8, Confidence, Depth, Disparity, Gray8, GrayF32, Mask, View, name16, name32};
 use panoscope_overlay::colorize::Colorize;
 use panoscope_overlay::overlay::Overlay;
+use panoscope_overlay::screen::Screen;
 use panoscope_overlay::side_by_side::SideBySide;
 
 const SIZE: (usize, usize) = (320, 240);
@@ -171,6 +172,26 @@ fn a_grid_keeps_its_size() {
     assert_eq!(out.plane::<Bgr8>("image").unwrap().width, 82);
     node.input_image::<GrayF32>("views", 1, 1, &[0.5]);
     assert!(node.process().err().unwrap().to_string().contains("colorize"));
+}
+
+#[test]
+fn a_screen_keeps_its_size_and_its_main_picture_large() {
+    let params = r#"params = { width = 200, height = 100, side_share = 0.25, gap_px = 4, titles = "" }"#;
+    let mut node = Harness::<Screen>::from_toml(params).unwrap();
+    node.input_image::<Bgr8>("main", 138, 92, &[90; 138 * 92 * 3]);
+    node.input_image::<Gray8>("side", 50, 44, &[200; 2200]).input_empty("side");
+    let out = node.process().unwrap();
+    let view = out.plane::<Bgr8>("image").unwrap();
+    assert_eq!((view.width, view.height), (200, 100));
+    // Main at (4, 4), the first small one at (146, 4), the place of the second dark.
+    assert_eq!((view.row(4)[4 * 3], view.row(95)[141 * 3], view.row(3)[4 * 3]), (90, 90, 16));
+    assert_eq!((view.row(5)[146 * 3], view.row(40)[195 * 3], view.row(80)[170 * 3]), (200, 200, 16));
+    // Alone, the main picture takes the whole width.
+    let mut node = Harness::<Screen>::from_toml(params).unwrap();
+    let out = node.input_image::<Gray8>("main", 192, 92, &[70; 192 * 92]).process().unwrap();
+    assert_eq!(out.plane::<Bgr8>("image").unwrap().row(50)[195 * 3], 70);
+    node.input_image::<GrayF32>("main", 1, 1, &[0.5]);
+    assert!(node.process().err().unwrap().to_string().contains("`main` holds no 8-bit picture"));
 }
 
 /// Everything at once on a real picture, for people to look at: `PANOSCOPE_SHOW=folder cargo test -p panoscope-overlay`.

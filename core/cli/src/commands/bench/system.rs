@@ -1,0 +1,173 @@
+//! `panoscope bench system`: a whole graph (graphs/surgeon.toml) on views rendered beforehand, so that nothing but the system is at
+//! work: how many pictures a second it makes when nothing holds it back, and how old they are at 30 a second.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use panoscope_abi::Calibration;
+use panoscope_runtime::Report;
+use toml::{Table, Value};
+
+use super::record::Figure;
+use crate::commands::eval::look::{self, Plan};
+use crate::terminal::{raw, table, tell};
+
+/// Pairs that are rendered and played round and round.
+const PAIRS: u64 = 48;
+/// A second graph's nodes are told apart from the first one's by name only, so the source is looked for by its type.
+const SOURCE: &str = "phantom";
+
+/// A folder that is removed at the end.
+struct Folder(PathBuf);
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        // What stays behind is in the system's folder for temporary files.
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn run(text: &str, path: &Path, frames: u64, paced: bool, ports: &[(&str, &str)]) -> Result<look::Seen> {
+    look::run(&Plan { text, path, frames: Some(frames), threads: 0, ports, paced })
+}
+
+fn nodes(graph: &mut Table) -> Result<&mut Table> {
+    graph.get_mut("nodes").and_then(Value::as_table_mut).context("the graph has no [nodes]")
+}
+
+fn kind(node: &Value) -> &str {
+    node.get("type").and_then(Value::as_str).unwrap_or("")
+}
+
+fn source(graph: &mut Table) -> Result<(String, Value)> {
+    let nodes = nodes(graph)?;
+    let found = nodes.iter().find(|(_, node)| kind(node) == SOURCE);
+    let (name, node) =
+        found.context("the graph has no `phantom`: the bench renders its views beforehand and plays them in its place")?;
+    Ok((name.clone(), node.clone()))
+}
+
+/// Renders the pairs and writes them and the calibration down.
+fn render(folder: &Path, phantom: &Value) -> Result<()> {
+    let mut phantom = phantom.clone();
+    if let Some(node) = phantom.as_table_mut() {
+        // Without the loop through the arm: the cameras follow their script.
+        node.remove("inputs");
+    }
+    let mut nodes = Table::new();
+    nodes.insert("scope".to_owned(), phantom);
+    for side in ["left", "right"] {
+        let path = folder.join(format!("{side}_{{seq:4}}.png"));
+        let text = format!("type = \"write_images\"\ninputs = {{ image = \"scope.{side}\" }}\nparams = {{ path = {path:?} }}");
+        nodes.insert(side.to_owned(), Value::Table(text.parse()?));
+    }
+    let mut graph: Table = "mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]".parse()?;
+    graph.insert("nodes".to_owned(), Value::Table(nodes));
+    let seen = run(&toml::to_string(&graph)?, Path::new("bench.toml"), PAIRS, false, &[("scope", "calibration")])?;
+    let packet = seen.packets.into_iter().next().flatten().context("the phantom gave no calibration")?;
+    let bytes = packet.bytes();
+    if bytes.len() < size_of::<Calibration>() {
+        bail!("the phantom's calibration holds {} bytes, {} are expected", bytes.len(), size_of::<Calibration>());
+    }
+    // SAFETY: a calibration packet is this `repr(C)` struct of plain numbers; the length was looked at, alignment is not assumed.
+    let calibration = unsafe { bytes.as_ptr().cast::<Calibration>().read_unaligned() };
+    panoscope_calibration::write(&folder.join("calibration.yaml"), &calibration)?;
+    Ok(())
+}
+
+/// The graph with its phantom played from files and its sinks writing into `folder`.
+fn played(graph: &Table, folder: &Path, name: &str, rate_hz: f64) -> Result<String> {
+    let mut graph = graph.clone();
+    let capture = format!(
+        "type = \"capture\"\nparams = {{ left = {:?}, right = {:?}, calibration = {:?}, loop = true, rate_hz = {rate_hz:?}, pace = \"auto\" }}",
+        folder.join("left_*.png"),
+        folder.join("right_*.png"),
+        folder.join("calibration.yaml"),
+    );
+    if let Some(plugins) = graph.get_mut("plugins").and_then(Value::as_array_mut) {
+        plugins.push(Value::String("capture".to_owned()));
+    }
+    let nodes = nodes(&mut graph)?;
+    nodes.insert(name.to_owned(), Value::Table(capture.parse()?));
+    for (id, node) in nodes.iter_mut().filter(|(_, node)| kind(node).starts_with("write_")) {
+        let path = node.get("params").and_then(|p| p.get("path")).and_then(Value::as_str).unwrap_or("out");
+        let file = Path::new(path).file_name().map_or_else(|| id.clone(), |f| f.to_string_lossy().into_owned());
+        let place = folder.join(format!("{id}_{file}")).to_string_lossy().into_owned();
+        let node = node.as_table_mut().context("a node is a table")?;
+        let params = node.entry("params").or_insert_with(|| Value::Table(Table::new()));
+        if let Some(params) = params.as_table_mut() {
+            params.insert("path".to_owned(), Value::String(place));
+        }
+    }
+    Ok(toml::to_string(&graph)?)
+}
+
+fn show(report: &Report) {
+    let mut rows = vec![["node", "calls", "per picture", "p50 ms", "p99 ms", "ms of work per picture"].map(str::to_owned).to_vec()];
+    let pictures = report.frames.max(1) as f64;
+    let mut nodes: Vec<_> = report.nodes.iter().collect();
+    let work = |n: &panoscope_runtime::NodeReport| n.p50_ms * n.count as f64 / pictures;
+    nodes.sort_by(|a, b| work(b.1).total_cmp(&work(a.1)));
+    for (id, node) in nodes {
+        rows.push(vec![
+            id.clone(),
+            node.count.to_string(),
+            format!("{:.2}", node.count as f64 / pictures),
+            format!("{:.2}", node.p50_ms),
+            format!("{:.2}", node.p99_ms),
+            format!("{:.2}", work(node)),
+        ]);
+    }
+    raw(&table(&rows));
+}
+
+/// Measures `path`: unpaced for `system_fps`, at 30 pictures a second for the ages.
+pub fn measure(path: &Path, quick: bool) -> Result<Vec<Figure>> {
+    crate::interrupt::listen();
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let mut graph: Table = text.parse().with_context(|| format!("{} is no graph", path.display()))?;
+    let (name, phantom) = source(&mut graph)?;
+    let folder = Folder(std::env::temp_dir().join(format!("panoscope-bench-system-{}", std::process::id())));
+    std::fs::create_dir_all(&folder.0).with_context(|| format!("cannot make {}", folder.0.display()))?;
+    tell!("rendering {PAIRS} pairs");
+    render(&folder.0, &phantom)?;
+    let played = played(&graph, &folder.0, &name, 30.0)?;
+    let (frames, rounds) = if quick { (150, 1) } else { (900, 2) };
+    let input = format!("{} on {PAIRS} rendered pairs", path.file_name().unwrap_or_default().to_string_lossy());
+    let mut fastest: Option<Report> = None;
+    let mut paced: Option<Report> = None;
+    for _ in 0..rounds {
+        let report = run(&played, path, frames, false, &[])?.report;
+        if fastest.as_ref().is_none_or(|best| screen_fps(&report) > screen_fps(best)) {
+            fastest = Some(report);
+        }
+        let report = run(&played, path, frames, true, &[])?.report;
+        let age = |r: &Report| slowest(r).1;
+        if paced.as_ref().is_none_or(|best| age(&report) < age(best)) {
+            paced = Some(report);
+        }
+    }
+    let (fastest, paced) = fastest.zip(paced).context("nothing was measured")?;
+    tell!("unpaced, {} pictures in {:.1} s:", fastest.frames, fastest.seconds);
+    show(&fastest);
+    tell!("at 30 pictures a second:");
+    show(&paced);
+    let mut figures = vec![Figure::new("system_fps", screen_fps(&fastest), "1/s", &input)];
+    let (sink, age) = slowest(&paced);
+    figures.push(Figure::new("system_age_p99", age, "ms", &format!("{input}, 30 a second, slowest sink {sink}")));
+    for (sink, path) in &paced.paths {
+        figures.push(Figure::new(&format!("system_age_p99/{sink}"), path.age_p99_ms, "ms", &input));
+    }
+    Ok(figures)
+}
+
+/// Pictures a second of the sink that got fewest of those that take every tick.
+fn screen_fps(report: &Report) -> f64 {
+    let most = report.paths.keys().filter_map(|id| report.nodes.get(id)).map(|n| n.count).max().unwrap_or(0);
+    most as f64 / report.seconds.max(1e-9)
+}
+
+fn slowest(report: &Report) -> (String, f64) {
+    let oldest = report.paths.iter().max_by(|a, b| a.1.age_p99_ms.total_cmp(&b.1.age_p99_ms));
+    oldest.map_or((String::new(), f64::NAN), |(id, path)| (id.clone(), path.age_p99_ms))
+}
