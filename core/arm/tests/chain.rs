@@ -1,16 +1,16 @@
 //! The shipped arm, its Jacobian, and files that are wrong.
 
 use nalgebra::{Point3, Vector3};
-use panoscope_arm::chain::SHIPPED_URDF;
-use panoscope_arm::task::{self, Wanted};
-use panoscope_arm::{Chain, JOINTS, JointVector};
+use panoscope_arm_core::chain::SHIPPED_URDF;
+use panoscope_arm_core::task::{self, Wanted};
+use panoscope_arm_core::{Chain, JOINTS, JointVector};
 
 fn chain() -> Chain {
     Chain::shipped().expect("the shipped arm")
 }
 
 fn angles(seed: u64) -> JointVector {
-    let mut dice = panoscope_arm::campaign::Dice::new(seed);
+    let mut dice = panoscope_arm_core::campaign::Dice::new(seed);
     JointVector::from_fn(|_, _| (dice.unit() - 0.5) * 0.8)
 }
 

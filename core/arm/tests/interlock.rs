@@ -1,9 +1,9 @@
 //! The caps hold against anything, and the arm still moves.
 
-use panoscope_arm::campaign;
-use panoscope_arm::interlock::caps;
-use panoscope_arm::interlock::{Cause, Evidence, Interlock, Settings};
-use panoscope_arm::{Chain, JointVector};
+use panoscope_arm_core::campaign;
+use panoscope_arm_core::interlock::caps;
+use panoscope_arm_core::interlock::{Cause, Evidence, Interlock, Settings};
+use panoscope_arm_core::{Chain, JointVector};
 
 const SEEN: Evidence = Evidence { score: 0.9, in_space: true };
 const MS: i64 = 1_000_000;

@@ -118,6 +118,13 @@ impl Interlock {
         }
     }
 
+    /// Says what time it is before the first step: nothing has passed until now.
+    pub fn start_clock(&mut self, now_ns: i64) {
+        self.now_ns = now_ns;
+        self.tip = None;
+        self.demand = None;
+    }
+
     /// The arm.
     pub fn chain(&self) -> &Chain {
         &self.chain
@@ -243,7 +250,8 @@ impl Interlock {
         if let Some(cause) = self.latched {
             return Some(cause);
         }
-        let age = |at_ns: i64| self.now_ns.saturating_sub(at_ns);
+        // What comes from the future is as wrong as what is old.
+        let age = |at_ns: i64| self.now_ns.saturating_sub(at_ns).saturating_abs();
         match self.tip {
             None if self.clock_jumped => return Some(Cause::Clock),
             None => return Some(Cause::NoTip),
