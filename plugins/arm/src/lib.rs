@@ -8,7 +8,8 @@ pub mod arm_pid;
 pub mod arm_sim;
 pub mod guard;
 pub mod joints;
+pub mod serial;
 
 use panoscope_node::export_plugin;
 
-export_plugin![arm_pid::ArmPid, arm_sim::ArmSim];
+export_plugin![arm_pid::ArmPid, arm_sim::ArmSim, serial::ArmSerial];

@@ -185,6 +185,11 @@ impl Interlock {
         self.stops
     }
 
+    /// Goes on counting stops from a number.
+    pub fn count_stops_from(&mut self, stops: u64) {
+        self.stops = stops;
+    }
+
     /// The newest set-point.
     pub fn set_point(&self) -> &SetPoint {
         &self.state
