@@ -7,7 +7,8 @@ use panoscope_node::{
 };
 
 use crate::render::{
-    self, BlackOut, BoardPrint, CameraModel, Canvas, Incident, IncidentKind, Phantom, Pose, Rig, SceneKind, SceneParams, ToolKind, ToolTruth,
+    self, BlackOut, BoardPrint, CameraModel, Canvas, Incident, IncidentKind, Phantom, Pose, Rig, SceneKind, SceneParams,
+    ToolKind, ToolMotion, ToolTruth,
     TruthMut,
 };
 
@@ -82,6 +83,27 @@ pub enum IncidentChoice {
     Jump,
     /// Tissue lies on the lens of the last camera.
     Covered,
+}
+
+/// How the leading instrument moves.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum Motion {
+    /// Slow swings about a home of the seed's choice, as all others.
+    Sway,
+    /// Not at all, before the middle of the shared picture.
+    Still,
+    /// 12 mm aside and back at up to 25 mm/s, every 4 s.
+    Step,
+    /// To and fro over 36 mm at 12 mm/s.
+    Ramp,
+    /// A circle of 12 mm radius in 5 s.
+    Circle,
+    /// Strokes of a surgeon at up to 25 mm/s.
+    Strokes,
+    /// Leaves the picture and comes back, every 12 s.
+    Leave,
+    /// Rests while the second instrument passes before it.
+    Cross,
 }
 
 /// Parameters of the phantom.
@@ -169,6 +191,9 @@ pub struct PhantomParams {
     /// the seed's own order of all.
     #[param(default = "", reopen)]
     tool_kinds: String,
+    /// How the first of them moves; all but `sway` start before the middle of the shared picture, at 0.78 of `distance_mm`.
+    #[param(default = "sway", reopen)]
+    tool_motion: Motion,
     /// Share of ticks that are dropped, chosen by the seed.
     #[param(default = 0.0, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     drop_share: f64,
@@ -352,6 +377,16 @@ impl Node for PhantomNode {
             motion_blur: params.motion_blur,
             tools: params.tools,
             tool_kinds: tool_kinds(&params.tool_kinds)?,
+            tool_motion: match params.tool_motion {
+                Motion::Sway => ToolMotion::Sway,
+                Motion::Still => ToolMotion::Still,
+                Motion::Step => ToolMotion::Step,
+                Motion::Ramp => ToolMotion::Ramp,
+                Motion::Circle => ToolMotion::Circle,
+                Motion::Strokes => ToolMotion::Strokes,
+                Motion::Leave => ToolMotion::Leave,
+                Motion::Cross => ToolMotion::Cross,
+            },
             board: match params.board {
                 Board::Chessboard => BoardPrint::Chessboard,
                 Board::Circles => BoardPrint::Circles,

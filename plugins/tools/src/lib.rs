@@ -1,7 +1,7 @@
 //! Finding surgical instruments: boxes, masks, tips.
 //!
 //! `yolo` runs a detector, `mask_rcnn` a model that also segments; both read the exports that people have, through ONNX Runtime. `tool_tip`
-//! finds the tip of the instrument in what they found.
+//! finds the tip of the instrument in what they found, `tip_track` follows it over time.
 
 pub mod candidates;
 pub mod export_kind;
@@ -12,10 +12,11 @@ pub mod model;
 pub mod onnx_file;
 pub mod runtime_library;
 pub mod shaft;
+pub mod tip_track;
 pub mod tool_tip;
 pub mod track;
 pub mod yolo;
 
 use panoscope_node::export_plugin;
 
-export_plugin![yolo::Yolo, mask_rcnn::MaskRcnn, tool_tip::ToolTip];
+export_plugin![yolo::Yolo, mask_rcnn::MaskRcnn, tool_tip::ToolTip, tip_track::TipTrack];

@@ -18,6 +18,7 @@ mod noise;
 mod params;
 mod phantom;
 mod relief;
+mod scenario;
 mod shade;
 mod solid;
 #[cfg(test)]
@@ -31,5 +32,6 @@ pub use marks::{BLOCKS_MM, BOARD_CENTRE_MM, LENGTHS_MM, RULERS_Y_MM, SQUARE_MM};
 pub use math::{Pose, chance};
 pub use params::{BlackOut, CameraModel, Incident, IncidentKind, PhantomError, Rig, SceneKind, SceneParams};
 pub use phantom::Phantom;
+pub use scenario::ToolMotion;
 pub use tools::{ToolKind, ToolTruth};
 pub use truth::{Canvas, PlaneFit, TruthMut};

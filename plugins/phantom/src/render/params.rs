@@ -3,6 +3,7 @@
 use thiserror::Error;
 
 use super::boards::BoardPrint;
+use super::scenario::ToolMotion;
 use super::tools::ToolKind;
 
 /// Why a phantom cannot be made or a picture not be drawn.
@@ -140,6 +141,8 @@ pub struct SceneParams {
     pub tools: u32,
     /// Their kinds in turn; when empty, all kinds in an order of the seed's own.
     pub tool_kinds: Vec<ToolKind>,
+    /// How the first of them moves.
+    pub tool_motion: ToolMotion,
     /// Sub-frames averaged for motion blur, 1 (none) to 16.
     pub motion_blur: u32,
     /// Part of the frame time the shutter is open, 0 to 1; used with `motion_blur`.
@@ -209,6 +212,7 @@ impl Default for SceneParams {
             board: BoardPrint::Chessboard,
             tools: 0,
             tool_kinds: Vec::new(),
+            tool_motion: ToolMotion::Sway,
             motion_blur: 1,
             shutter: 0.5,
             black: None,

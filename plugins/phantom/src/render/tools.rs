@@ -2,6 +2,7 @@
 
 use super::math::{Pose, Stream, sin_turns};
 use super::params::SceneParams;
+use super::scenario::Script;
 use super::solid::{Paint, Part, Solid, add, dot};
 
 /// The instruments of the m2cai16-tool-locations data set.
@@ -81,7 +82,12 @@ pub struct Tool {
     sway: [[f64; 3]; 3],
     roll: [f64; 3],
     open: [f64; 3],
+    /// Movement of the leading one, or of the second one before it.
+    script: Option<Script>,
 }
+
+/// Share of the distance to the tissue at which the leading instrument's tip stands when it is scripted.
+const SCRIPTED_DEPTH: f64 = 0.78;
 
 /// An instrument's parts and tip in the scene.
 #[derive(Clone, Debug)]
@@ -136,16 +142,45 @@ pub fn cast_of(params: &SceneParams) -> Vec<Tool> {
                 side[1] * 3.0 + f64::from(stream.range(-3.0, 3.0)),
                 distance * f64::from(stream.range(0.68, 0.80)),
             ];
-            Tool { kind: kind(i), id: i as u8 + 1, trocar, home, sway, roll, open }
+            let mut tool = Tool { kind: kind(i), id: i as u8 + 1, trocar, home, sway, roll, open, script: None };
+            if i < 2 {
+                tool.follow(Script::new(params.tool_motion, params.seed), distance);
+            }
+            tool
         })
         .collect()
 }
 
 impl Tool {
+    /// Moves by a script instead of swinging: the first instrument always, the second where the script says how it passes.
+    fn follow(&mut self, script: Script, distance_mm: f64) {
+        let leads = self.id == 1;
+        if script.is_sway() || !(leads || script.crossing(0.0).is_some()) {
+            return;
+        }
+        // Before the middle of the picture that two cameras share.
+        self.home = [7.5, 0.0, SCRIPTED_DEPTH * distance_mm];
+        self.script = Some(script);
+    }
+
+    /// Where the tip stands at a time.
+    fn tip(&self, seconds: f64) -> [f64; 3] {
+        let swing = |[amplitude, hz, phase]: [f64; 3]| amplitude * sin_turns(hz * seconds + phase);
+        let Some(script) = &self.script else { return [0, 1, 2].map(|k| self.home[k] + swing(self.sway[k])) };
+        let offset = if self.id == 1 {
+            let out = add(self.trocar, self.home, -1.0);
+            let long = dot(out, out).sqrt().max(1e-6);
+            script.at(seconds, out.map(|v| v / long))
+        } else {
+            script.crossing(seconds).unwrap_or([0.0; 3])
+        };
+        add(self.home, offset, 1.0)
+    }
+
     /// The instrument at a time.
     pub fn at(&self, seconds: f64) -> Posed {
         let swing = |[amplitude, hz, phase]: [f64; 3]| amplitude * sin_turns(hz * seconds + phase);
-        let tip = [0, 1, 2].map(|k| self.home[k] + swing(self.sway[k]));
+        let tip = self.tip(seconds);
         let toward = add(tip, self.trocar, -1.0);
         let long = dot(toward, toward).sqrt().max(1e-6);
         let z = toward.map(|v| v / long);

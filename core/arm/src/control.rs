@@ -1,0 +1,207 @@
+//! From where the tip is to joint velocities (thesis, chapter 6, fig. 6.3).
+//!
+//! Goal: the tip at the centre of the picture that both cameras share (between the cameras, so `baseline / 2` beside the left one) and at a set
+//! distance from the left camera. Errors in px, px and mm go through one PID each; the interaction matrix makes a movement of the point of
+//! them; the tip's own movement is fed forward; [`task::solve`] makes joint velocities that turn about the trocar.
+//!
+//! The picture is old when the arm hears of it. So errors are taken where the tip will be (constant velocity) and where the arm will be by the
+//! set-points on their way (a predictor after Smith, 1957, with the arm's kinematics as its model); the integral sees the plain errors.
+
+use nalgebra::{Point3, Vector3};
+
+use crate::chain::{Chain, JointVector};
+use crate::kalman::{Kalman, Model, stereo_covariance};
+use crate::pid::{Gains, Pid};
+use crate::task::{self, Errors, Wanted};
+
+/// What the controller is to do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Goals {
+    /// Distance of the tip from the left camera, mm.
+    pub distance_mm: f64,
+    /// Gains of the place in the picture; the unit E is px.
+    pub picture: Gains,
+    /// Gains of the distance; the unit E is mm.
+    pub distance: Gains,
+    /// Share of the tip's own movement that is fed forward.
+    pub feed_forward: f64,
+    /// Time from the picture to the arm's movement that the set-points do not tell, s.
+    pub latency_s: f64,
+    /// Accelerations of the tip that are not known, mm/s^2.
+    pub acceleration_mm_s2: f64,
+    /// Lowest score of a tip that is followed.
+    pub min_score: f64,
+}
+
+/// The cameras, as far as they matter here.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Eyes {
+    /// Focal lengths of the rectified left view, px.
+    pub focal_px: (f64, f64),
+    /// Distance of the cameras, mm.
+    pub baseline_mm: f64,
+}
+
+/// A tip as it is seen from the left camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SeenTip {
+    /// mm.
+    pub xyz_mm: Vector3<f64>,
+    /// 0..1.
+    pub score: f64,
+}
+
+/// What one tick came to.
+#[derive(Clone, Copy, Debug)]
+pub struct Step {
+    /// Joint velocities to ask for, rad/s.
+    pub velocity: JointVector,
+    /// Plain errors: px, px, mm.
+    pub errors: Errors,
+    /// Distance of the tip from the point where it should be, mm.
+    pub error_mm: f64,
+    /// How the tip moves in the room, mm/s.
+    pub tip_mm_s: Vector3<f64>,
+    /// Smallest singular value, see [`task::Solution`].
+    pub singular: f64,
+    /// Share that joint limits left.
+    pub share: f64,
+}
+
+/// Ticks farther apart than this start anew, s.
+const LONGEST_TICK_S: f64 = 0.25;
+/// How well a tip is seen, px.
+const LATERAL_PX: f64 = 1.0;
+const DISPARITY_PX: f64 = 0.5;
+/// The tip never stands nearer than this, mm.
+const NEAREST_MM: f64 = 5.0;
+
+/// The controller of one arm.
+pub struct Controller {
+    chain: Chain,
+    up: Vector3<f64>,
+    pids: [Pid; 3],
+    tip: Option<Kalman>,
+    last_ns: Option<i64>,
+    asked: JointVector,
+}
+
+/// Point in the left camera's frame where the tip should be, mm.
+pub fn goal_mm(distance_mm: f64, baseline_mm: f64) -> Vector3<f64> {
+    let x = baseline_mm / 2.0;
+    Vector3::new(x, 0.0, (distance_mm * distance_mm - x * x).max(0.0).sqrt())
+}
+
+/// Errors of a point: px, px, mm.
+pub fn errors(point_mm: &Vector3<f64>, eyes: &Eyes, distance_mm: f64) -> Errors {
+    let z = point_mm.z.max(NEAREST_MM);
+    Errors::new(
+        eyes.focal_px.0 * (point_mm.x - eyes.baseline_mm / 2.0) / z,
+        eyes.focal_px.1 * point_mm.y / z,
+        point_mm.norm() - distance_mm,
+    )
+}
+
+impl Controller {
+    /// For an arm; its picture stays as upright as it is at home.
+    pub fn new(chain: Chain) -> Self {
+        let home = chain.stance(&JointVector::zeros());
+        let up = home.base_from_camera * -Vector3::y();
+        Self { chain, up, pids: [Pid::default(); 3], tip: None, last_ns: None, asked: JointVector::zeros() }
+    }
+
+    /// The arm.
+    pub fn chain(&self) -> &Chain {
+        &self.chain
+    }
+
+    /// Forgets what was; the next tick is a first one.
+    pub fn reset(&mut self) {
+        self.pids.iter_mut().for_each(Pid::reset);
+        self.tip = None;
+        self.last_ns = None;
+        self.asked = JointVector::zeros();
+    }
+
+    /// One tick: the tip of a picture taken at `capture_ns`, the joints at that time, and the newest set-points if they are known. None
+    /// while there is no tip that can be followed.
+    pub fn step(
+        &mut self,
+        capture_ns: i64,
+        tip: Option<SeenTip>,
+        joints_rad: &JointVector,
+        set_point_rad: Option<&JointVector>,
+        eyes: &Eyes,
+        goals: &Goals,
+    ) -> Option<Step> {
+        let passed_s = self.last_ns.map(|last| capture_ns.saturating_sub(last) as f64 * 1e-9);
+        if passed_s.is_some_and(|s| !(0.0..=LONGEST_TICK_S).contains(&s)) {
+            self.reset();
+        }
+        let dt_s = self.last_ns.replace(capture_ns).map_or(0.0, |last| capture_ns.saturating_sub(last) as f64 * 1e-9);
+        let usable = |tip: &SeenTip| {
+            tip.xyz_mm.iter().all(|v| v.is_finite()) && tip.xyz_mm.z >= NEAREST_MM && tip.score >= goals.min_score
+        };
+        let sound = joints_rad.iter().chain(set_point_rad.into_iter().flat_map(|s| s.iter())).all(|v| v.is_finite());
+        let Some(tip) = tip.filter(usable).filter(|_| sound) else {
+            self.reset();
+            return None;
+        };
+        let measured = self.chain.stance(joints_rad);
+        let in_room = measured.base_from_camera * Point3::from(tip.xyz_mm);
+        let (place, movement) = self.follow(&tip, &in_room.coords, &measured, dt_s, eyes, goals);
+
+        // Where the arm will be when this demand comes into force.
+        let coming = set_point_rad.map_or(*joints_rad, |set| set + self.asked * dt_s);
+        let stance = self.chain.stance(&coming);
+        let ahead = Point3::from(place + movement * (goals.latency_s + dt_s));
+        let point = stance.base_from_camera.inverse_transform_point(&ahead).coords;
+        let plain = errors(&tip.xyz_mm, eyes, goals.distance_mm);
+        let coming_errors = errors(&point, eyes, goals.distance_mm);
+        let mut rates = Errors::zeros();
+        for k in 0..3 {
+            let gains = if k < 2 { &goals.picture } else { &goals.distance };
+            rates[k] = -self.pids[k].step(gains, coming_errors[k], plain[k], dt_s);
+        }
+        let point = Vector3::new(point.x, point.y, point.z.max(NEAREST_MM));
+        let own = stance.base_from_camera.inverse_transform_vector(&movement);
+        let wanted = task::interaction(&point, eyes.focal_px, eyes.baseline_mm / 2.0)
+            .try_inverse()
+            .map_or(Vector3::zeros(), |inverse| inverse * rates)
+            - own * goals.feed_forward;
+        let solved = task::solve(&self.chain, &coming, &stance, &self.up, &Wanted { point_mm: point, velocity_mm_s: wanted });
+        self.asked = solved.velocity;
+        Some(Step {
+            velocity: solved.velocity,
+            errors: plain,
+            error_mm: (tip.xyz_mm - goal_mm(goals.distance_mm, eyes.baseline_mm)).norm(),
+            tip_mm_s: movement,
+            singular: solved.singular,
+            share: solved.share,
+        })
+    }
+
+    /// The tip's place and movement in the room.
+    fn follow(
+        &mut self,
+        tip: &SeenTip,
+        in_room: &Vector3<f64>,
+        measured: &crate::chain::Stance,
+        dt_s: f64,
+        eyes: &Eyes,
+        goals: &Goals,
+    ) -> (Vector3<f64>, Vector3<f64>) {
+        let model = Model { acceleration_mm_s2: goals.acceleration_mm_s2, ..Model::default() };
+        let turn = measured.base_from_camera.rotation.to_rotation_matrix();
+        let seen = stereo_covariance(&tip.xyz_mm, eyes.focal_px.0, eyes.baseline_mm, LATERAL_PX, DISPARITY_PX);
+        let covariance = turn.matrix() * seen * turn.matrix().transpose();
+        let kept = self.tip.as_mut().is_some_and(|filter| {
+            filter.predict(&model, dt_s);
+            filter.update(&model, in_room, &covariance)
+        });
+        if !kept {
+            self.tip = Kalman::begin(in_room, &covariance);
+        }
+        self.tip.map_or((*in_room, Vector3::zeros()), |filter| (filter.position_mm(), filter.velocity_mm_s()))
+    }
+}

@@ -1,0 +1,137 @@
+//! The way to a standstill, known before it is needed.
+//!
+//! First the acceleration is let go in a straight line, then the speed is taken back along its own direction with bounded acceleration and
+//! jerk. All joints keep their proportions, so that a movement about the trocar ends as one. Both parts have closed forms in whole steps:
+//! what is checked is exactly what would be driven.
+
+use super::caps::{Caps, STEP_S, share};
+use crate::chain::JointVector;
+
+/// Angles, speeds and accelerations of the joints: one set-point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SetPoint {
+    /// rad.
+    pub position: JointVector,
+    /// rad/s.
+    pub velocity: JointVector,
+    /// rad/s^2.
+    pub acceleration: JointVector,
+}
+
+impl SetPoint {
+    /// Standing still.
+    pub fn at_rest(position: JointVector) -> Self {
+        Self { position, velocity: JointVector::zeros(), acceleration: JointVector::zeros() }
+    }
+
+    /// Whether nothing moves.
+    pub fn is_at_rest(&self) -> bool {
+        self.velocity == JointVector::zeros() && self.acceleration == JointVector::zeros()
+    }
+}
+
+/// A planned stop.
+#[derive(Clone, Copy, Debug)]
+pub struct Brake {
+    from: SetPoint,
+    /// Steps in which the acceleration is let go.
+    release: u32,
+    /// Where that ends; its velocity is the direction of the rest.
+    then: SetPoint,
+    /// Steps in which braking sets in, and lets go again.
+    ramp: u32,
+    /// Steps of full braking between.
+    hold: u32,
+    /// Jerk along the direction, 1/s^3.
+    jerk: f64,
+}
+
+impl Brake {
+    /// Plans the stop from a set-point.
+    pub fn plan(from: SetPoint, caps: &Caps) -> Self {
+        let release = (share(&from.acceleration, &caps.jerk) / STEP_S).ceil() as u32;
+        let mut brake = Self { from, release, then: from, ramp: 0, hold: 0, jerk: 0.0 };
+        if release > 0 {
+            brake.then = brake.releasing(release);
+            brake.then.acceleration = JointVector::zeros();
+        }
+        let most_acceleration = share(&brake.then.velocity, &caps.acceleration);
+        let most_jerk = share(&brake.then.velocity, &caps.jerk);
+        // Speeds that no encoder sees are dropped: without this the last step would divide by nothing.
+        if most_jerk <= 1e-15 {
+            return brake;
+        }
+        let (acceleration, jerk) = (1.0 / most_acceleration, 1.0 / most_jerk);
+        (brake.ramp, brake.hold) = if acceleration * acceleration >= jerk {
+            ((1.0 / (jerk * STEP_S * STEP_S)).sqrt().ceil() as u32, 0)
+        } else {
+            let ramp = (acceleration / (jerk * STEP_S)).ceil() as u32;
+            (ramp, ((1.0 / (acceleration * STEP_S)).ceil() as u32).saturating_sub(ramp))
+        };
+        let ramp = f64::from(brake.ramp);
+        brake.jerk = 1.0 / (STEP_S * STEP_S * ramp * (ramp + f64::from(brake.hold)));
+        brake
+    }
+
+    /// Steps until everything stands.
+    pub fn steps(&self) -> u32 {
+        self.release + 2 * self.ramp + self.hold
+    }
+
+    /// Steps after which the acceleration at the start is let go.
+    pub fn release_steps(&self) -> u32 {
+        self.release
+    }
+
+    /// The set-point after `step` steps; at rest from [`Brake::steps`] on.
+    pub fn at(&self, step: u32) -> SetPoint {
+        if step == 0 {
+            return self.from;
+        }
+        if step < self.release {
+            return self.releasing(step);
+        }
+        let (way, speed, braking) = self.straight((step - self.release).min(2 * self.ramp + self.hold));
+        let direction = self.then.velocity;
+        let position = self.then.position + direction * way;
+        if step >= self.steps() {
+            return SetPoint::at_rest(position);
+        }
+        SetPoint { position, velocity: direction * speed, acceleration: direction * braking }
+    }
+
+    /// While the acceleration is let go.
+    fn releasing(&self, step: u32) -> SetPoint {
+        let (h, k, n, start) = (STEP_S, f64::from(step), f64::from(self.release), &self.from);
+        let velocity = start.velocity + start.acceleration * (h * (k - k * (k + 1.0) / (2.0 * n)));
+        let lift = k * (k + 1.0) / 2.0 - k * (k + 1.0) * (k + 2.0) / (6.0 * n);
+        let position = start.position + start.velocity * (h * k) + start.acceleration * (h * h * lift);
+        SetPoint { position, velocity, acceleration: start.acceleration * (1.0 - k / n) }
+    }
+
+    /// Way (s), share of the speed, and braking (1/s) after `step` steps of the second part.
+    fn straight(&self, step: u32) -> (f64, f64, f64) {
+        let (h, j, n) = (STEP_S, self.jerk, f64::from(self.ramp));
+        let setting_in = |k: f64| {
+            (h * (k - j * h * h * k * (k + 1.0) * (k + 2.0) / 6.0), 1.0 - j * h * h * k * (k + 1.0) / 2.0, -j * h * k)
+        };
+        if step <= self.ramp {
+            return setting_in(f64::from(step));
+        }
+        let (way, speed, peak) = setting_in(n);
+        let full = |m: f64| {
+            (way + h * (m * speed + peak * h * m * (m + 1.0) / 2.0), speed + peak * h * m, peak)
+        };
+        if step <= self.ramp + self.hold {
+            return full(f64::from(step - self.ramp));
+        }
+        let (way, speed, _) = full(f64::from(self.hold));
+        let m = f64::from(step - self.ramp - self.hold);
+        let fall = j * h * h;
+        (
+            way + h * (m * speed - fall * (n * m * (m + 1.0) / 2.0 - m * (m + 1.0) * (m + 2.0) / 6.0)),
+            speed - fall * (m * n - m * (m + 1.0) / 2.0),
+            -j * h * (n - m),
+        )
+    }
+}

@@ -1,0 +1,378 @@
+//! The last stage before set-points: whatever asks for motion, and however wrongly, what leaves here keeps the caps.
+//!
+//! Where it stands. Three watchdogs, each outside what the one before it can break:
+//! 1. `arm_pid` asks for nothing without a fresh tip. It is a node like any other and may be replaced or wrong.
+//! 2. This interlock lives in the driver (`arm_sim`, `arm_serial`), after the graph's last wire. It looks at the tip itself, at the age of the
+//!    demand, and at every limit, and steps on a clock of the driver's: with real hardware a thread that goes on when the graph, the controller
+//!    or the host's scheduler does not.
+//! 3. The device stops by itself when set-points stop coming (30 ms, see the serial protocol): that holds when the whole process dies.
+//!
+//! How it keeps the caps. State is one [`SetPoint`]; time goes in steps of 1 ms. From each state that is ever entered a stop has been planned
+//! ([`Brake`], closed form) and checked against joint limits and workspace. A demand is followed for up to 10 steps at a time, and only if from
+//! their end there is such a stop; else the stop known already is driven. So by induction no sequence of inputs leads outside. All changes
+//! scale the joints together, so that movements about the trocar stay such.
+
+mod brake;
+pub mod caps;
+mod cause;
+
+use std::collections::VecDeque;
+
+use nalgebra::Vector3;
+
+use crate::chain::{Chain, JOINTS, JointVector};
+
+pub use brake::{Brake, SetPoint};
+pub use caps::{Caps, Place};
+pub use cause::{Cause, Event};
+
+use caps::{STEP_NS, STEP_S, share};
+
+/// Most steps planned at once.
+const CHUNK_STEPS: u32 = 10;
+/// Shares of a demand that are tried, one after the other.
+const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
+/// Shorter breaks of the demand (a tick that comes late) are no stops worth a line.
+const NOTED_AFTER_STEPS: u32 = 25;
+/// Events kept until somebody takes them.
+const MOST_EVENTS: usize = 32;
+
+/// What a user may set; the ceilings in [`caps`] hold whatever stands here.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Oldest tip that is followed, ms; at most 300.
+    pub max_age_ms: f64,
+    /// Lowest score of a tip that is followed.
+    pub min_score: f64,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { max_age_ms: 150.0, min_score: 0.3 }
+    }
+}
+
+/// What is known of the tip that the arm follows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Evidence {
+    /// 0..1; what a tracker only predicts has lost score.
+    pub score: f64,
+    /// Whether its place in space is known.
+    pub in_space: bool,
+}
+
+/// See the module.
+pub struct Interlock {
+    chain: Chain,
+    caps: Caps,
+    home: Vector3<f64>,
+    settings: Settings,
+    now_ns: i64,
+    state: SetPoint,
+    /// The stop that is driven, and the steps done of it.
+    braking: Option<(Brake, u32)>,
+    /// The stop that is possible from `state`.
+    escape: Brake,
+    tip: Option<(i64, Evidence)>,
+    demand: Option<(i64, Option<JointVector>)>,
+    latched: Option<Cause>,
+    clock_jumped: bool,
+    at_limit: bool,
+    stop: Option<Cause>,
+    stopping_steps: u32,
+    noted: Option<Cause>,
+    events: VecDeque<Event>,
+    stops: u64,
+}
+
+impl Interlock {
+    /// An arm at rest at `angles_rad`; it moves once it is told of a tip and a demand. Angles outside the limits are moved to the limits: the
+    /// caller compares [`Interlock::set_point`] with where the arm is.
+    pub fn new(chain: Chain, angles_rad: JointVector, now_ns: i64) -> Self {
+        let caps = Caps::of(&chain);
+        let home = chain.stance(&JointVector::zeros()).base_from_tip * Vector3::z();
+        let inside = |k: usize| {
+            let angle = if angles_rad[k].is_finite() { angles_rad[k] } else { 0.0 };
+            angle.clamp(caps.lower_rad[k], caps.upper_rad[k])
+        };
+        let state = SetPoint::at_rest(JointVector::from_fn(|k, _| inside(k)));
+        Self {
+            escape: Brake::plan(state, &caps),
+            home,
+            chain,
+            caps,
+            settings: Settings::default(),
+            now_ns,
+            state,
+            braking: None,
+            tip: None,
+            demand: None,
+            latched: None,
+            clock_jumped: false,
+            at_limit: false,
+            stop: Some(Cause::NoTip),
+            stopping_steps: NOTED_AFTER_STEPS,
+            noted: Some(Cause::NoTip),
+            events: VecDeque::with_capacity(MOST_EVENTS),
+            stops: 0,
+        }
+    }
+
+    /// Says what time it is before the first step: nothing has passed until now.
+    pub fn start_clock(&mut self, now_ns: i64) {
+        self.now_ns = now_ns;
+        self.tip = None;
+        self.demand = None;
+    }
+
+    /// The arm.
+    pub fn chain(&self) -> &Chain {
+        &self.chain
+    }
+
+    /// The limits.
+    pub fn caps(&self) -> &Caps {
+        &self.caps
+    }
+
+    /// What a user set, as far as the ceilings allow; what is no number counts as the strictest.
+    pub fn set(&mut self, settings: Settings) {
+        let oldest = caps::TIP_AGE.as_secs_f64() * 1e3;
+        let strict = |v: f64, low: f64, high: f64, otherwise: f64| if v.is_nan() { otherwise } else { v.clamp(low, high) };
+        self.settings = Settings {
+            max_age_ms: strict(settings.max_age_ms, 0.0, oldest, 0.0),
+            min_score: strict(settings.min_score, 0.0, 1.0, 1.0),
+        };
+    }
+
+    /// Tells of the tip that the arm follows.
+    pub fn tip(&mut self, now_ns: i64, evidence: Evidence) {
+        self.tip = Some((now_ns, evidence));
+    }
+
+    /// Asks for joint velocities in rad/s. Anything but six numbers is a demand that makes no sense, and stops.
+    pub fn demand(&mut self, now_ns: i64, velocity_rad_s: &[f64]) {
+        let sound = velocity_rad_s.len() == JOINTS && velocity_rad_s.iter().all(|v| v.is_finite());
+        self.demand = Some((now_ns, sound.then(|| JointVector::from_column_slice(velocity_rad_s))));
+    }
+
+    /// Stops for a cause that latches.
+    pub fn latch(&mut self, cause: Cause) {
+        if self.latched.is_none() {
+            self.latched = Some(cause);
+        }
+    }
+
+    /// Lets a latched stop go; motion needs a new tip and a new demand.
+    pub fn release(&mut self) {
+        self.latched = None;
+        self.tip = None;
+        self.demand = None;
+    }
+
+    /// The stop that latched.
+    pub fn latched(&self) -> Option<Cause> {
+        self.latched
+    }
+
+    /// Why the arm stops or stands; none while it follows.
+    pub fn stop(&self) -> Option<Cause> {
+        self.stop
+    }
+
+    /// Stops noted so far.
+    pub fn stops(&self) -> u64 {
+        self.stops
+    }
+
+    /// Goes on counting stops from a number.
+    pub fn count_stops_from(&mut self, stops: u64) {
+        self.stops = stops;
+    }
+
+    /// The newest set-point.
+    pub fn set_point(&self) -> &SetPoint {
+        &self.state
+    }
+
+    /// Where the tube stands in the trocar by the newest set-point.
+    pub fn place(&self) -> Place {
+        Place::of(&self.chain, &self.chain.stance(&self.state.position), &self.home)
+    }
+
+    /// The next event for the log.
+    pub fn take_event(&mut self) -> Option<Event> {
+        self.events.pop_front()
+    }
+
+    /// Steps to `now_ns`, telling each set-point (one per ms). Time that goes backwards makes no step, a jump no more than 250.
+    pub fn advance(&mut self, now_ns: i64, each: &mut dyn FnMut(&SetPoint)) {
+        let longest_ns = caps::LONGEST_CALL.as_nanos() as i64;
+        let passed_ns = now_ns.saturating_sub(self.now_ns);
+        if passed_ns < 0 || passed_ns > longest_ns {
+            // What was told is of another time.
+            self.clock_jumped = true;
+            self.tip = None;
+            self.demand = None;
+            self.now_ns = now_ns.saturating_sub(passed_ns.clamp(0, longest_ns));
+        }
+        let mut steps = (now_ns.saturating_sub(self.now_ns) / STEP_NS).max(0) as u32;
+        while steps > 0 {
+            let chunk = self.chunk(steps.min(CHUNK_STEPS), each);
+            steps -= chunk;
+        }
+    }
+
+    /// Whether the state could be stopped from without leaving the limits.
+    fn is_safe(&self, brake: &Brake) -> bool {
+        let end = brake.steps();
+        let release = brake.release_steps();
+        let rest = end - release;
+        let most = share(&brake.at(release).velocity, &self.caps.speed);
+        if most > 1.0 || most.is_nan() {
+            return false;
+        }
+        let places =
+            [0, release / 3, 2 * release / 3, release, release + rest / 4, release + rest / 2, release + 3 * rest / 4, end];
+        let mut last = None;
+        places.iter().all(|&step| {
+            if last == Some(step) {
+                return true;
+            }
+            last = Some(step);
+            let point = brake.at(step);
+            if !self.caps.angles_allowed(&point.position, true) {
+                return false;
+            }
+            let stance = self.chain.stance(&point.position);
+            Place::of(&self.chain, &stance, &self.home).is_allowed(true)
+                && self.caps.camera_allowed(stance.camera_velocity(&point.velocity).norm())
+        })
+    }
+
+    /// Why not to follow at this moment.
+    fn reason(&self) -> Option<Cause> {
+        if let Some(cause) = self.latched {
+            return Some(cause);
+        }
+        // What comes from the future is as wrong as what is old.
+        let age = |at_ns: i64| self.now_ns.saturating_sub(at_ns).saturating_abs();
+        match self.tip {
+            None if self.clock_jumped => return Some(Cause::Clock),
+            None => return Some(Cause::NoTip),
+            Some((at, _)) if age(at) as f64 > self.settings.max_age_ms * 1e6 => return Some(Cause::OldTip),
+            // Written so that a score that is no number stops.
+            Some((_, tip)) if !(tip.score >= self.settings.min_score && tip.score > 0.0) => {
+                return Some(Cause::DoubtfulTip);
+            }
+            Some((_, tip)) if !tip.in_space => return Some(Cause::FlatTip),
+            Some(_) => {}
+        }
+        match self.demand {
+            None => Some(Cause::NoDemand),
+            Some((at, _)) if age(at) >= caps::DEMAND_AGE.as_nanos() as i64 => Some(Cause::LoopStalled),
+            Some((_, None)) => Some(Cause::BadDemand),
+            Some((_, Some(_))) => None,
+        }
+    }
+
+    /// Drives up to `most` steps; answers how many.
+    fn chunk(&mut self, most: u32, each: &mut dyn FnMut(&SetPoint)) -> u32 {
+        let mut reason = self.reason();
+        let mut steps = most;
+        if reason.is_none()
+            && let Some((told_ns, Some(wanted))) = self.demand
+        {
+            // Not beyond the age at which the demand dies.
+            let left_ns = caps::DEMAND_AGE.as_nanos() as i64 - self.now_ns.saturating_sub(told_ns);
+            steps = steps.min((left_ns / STEP_NS).clamp(1, i64::from(CHUNK_STEPS)) as u32);
+            let wanted = self.tamed(&wanted);
+            let followed = SHARES.iter().any(|part| self.try_follow(&(wanted * *part), steps, each));
+            self.at_limit = !followed;
+            if followed {
+                self.braking = None;
+                self.clock_jumped = false;
+                self.passed(steps, None);
+                return steps;
+            }
+            reason = Some(Cause::Limit);
+        }
+        let (brake, done) = self.braking.unwrap_or((self.escape, 0));
+        for k in 1..=steps {
+            self.state = brake.at(done.saturating_add(k));
+            each(&self.state);
+        }
+        self.braking = Some((brake, done.saturating_add(steps)));
+        self.passed(steps, reason);
+        steps
+    }
+
+    /// A demand within the speeds of joints and camera, its direction kept.
+    fn tamed(&self, wanted: &JointVector) -> JointVector {
+        let camera = self.chain.stance(&self.state.position).camera_velocity(wanted).norm() / (0.85 * caps::CAMERA_MM_S);
+        let most = (share(wanted, &self.caps.speed) / 0.95).max(camera);
+        if most > 1.0 { wanted / most } else { *wanted }
+    }
+
+    /// Follows a velocity for some steps if there is a safe stop from their end; else does nothing.
+    fn try_follow(&mut self, wanted: &JointVector, steps: u32, each: &mut dyn FnMut(&SetPoint)) -> bool {
+        let mut points = [self.state; CHUNK_STEPS as usize];
+        let mut at = self.state;
+        for point in points.iter_mut().take(steps as usize) {
+            let missing = wanted - at.velocity;
+            let share_of = |limits: &JointVector| share(&missing, limits).max(1e-30);
+            // The acceleration from which the speed asked for is reached just when it is let go.
+            let stretch = (0.98 / share_of(&self.caps.acceleration))
+                .min(0.9 * (2.0 / share_of(&self.caps.jerk)).sqrt())
+                .min(0.2 / STEP_S);
+            let change = missing * stretch - at.acceleration;
+            let part = (0.999 * STEP_S / share(&change, &self.caps.jerk).max(1e-30)).min(1.0);
+            at.acceleration += change * part;
+            at.velocity += at.acceleration * STEP_S;
+            at.position += at.velocity * STEP_S;
+            if share(&at.velocity, &self.caps.speed) > 1.0 || share(&at.acceleration, &self.caps.acceleration) > 1.0 {
+                return false;
+            }
+            *point = at;
+        }
+        let escape = Brake::plan(at, &self.caps);
+        if !self.is_safe(&escape) {
+            return false;
+        }
+        points.iter().take(steps as usize).for_each(|point| each(point));
+        self.state = at;
+        self.escape = escape;
+        true
+    }
+
+    /// Notes time and cause.
+    fn passed(&mut self, steps: u32, stop: Option<Cause>) {
+        self.now_ns = self.now_ns.saturating_add(i64::from(steps) * STEP_NS);
+        self.stop = stop;
+        let Some(cause) = stop else {
+            self.stopping_steps = 0;
+            if self.noted.take().is_some() {
+                self.note(None);
+            }
+            return;
+        };
+        self.stopping_steps = self.stopping_steps.saturating_add(steps);
+        let is_due = cause.latches() || self.stopping_steps >= NOTED_AFTER_STEPS;
+        if is_due && self.noted != Some(cause) {
+            // A stop whose cause changes while the arm stands is still the same stop, unless it latches now.
+            if self.noted.is_none() || cause.latches() {
+                self.stops += 1;
+                self.note(Some(cause));
+            }
+            self.noted = Some(cause);
+        }
+    }
+
+    fn note(&mut self, stop: Option<Cause>) {
+        if self.events.len() == MOST_EVENTS {
+            self.events.pop_front();
+        }
+        let speed_rad_s = self.state.velocity.amax();
+        self.events.push_back(Event { at_ns: self.now_ns, stop, speed_rad_s });
+    }
+}

@@ -1,0 +1,201 @@
+//! `arm_pid`: from the tip's error in the picture (px) and in distance (mm) to joint velocities (thesis, chapter 6, fig. 6.3).
+
+use std::path::PathBuf;
+
+use nalgebra::Vector3;
+use panoscope_arm_core::control::{Controller, Eyes, Goals, SeenTip};
+use panoscope_arm_core::pid::Gains;
+use panoscope_node::abi::{Calibration, Joints, Tip};
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, error};
+
+use crate::joints::{angles, arm_of, packet};
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// The tip to follow, in the left rectified camera's frame. Empty: nothing is asked for.
+    tip: Option<Value<'f, Tip>>,
+    /// Angles of the arm when the picture was taken: the driver's `joints`, with `delay = 1`.
+    joints: Option<Value<'f, Joints>>,
+    /// The driver's newest set-points, with `delay = 1`: what is on its way is then taken into account.
+    setpoint: Option<Value<'f, Joints>>,
+    /// Calibration of the rectified views; without it `focal_px` and `baseline_mm` hold.
+    calibration: Option<Value<'f, Calibration>>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// Joint velocities to ask for; angles are where the arm is now. Empty without a tip.
+    joints: Slot<'f, Joints>,
+    /// One row per tick with a tip: errors, the tip's movement in the room, how near to a singular pose.
+    table: Slot<'f, TableData>,
+}
+
+/// Parameters. The gains were found by `panoscope eval arm --tune`.
+#[derive(Params)]
+pub struct PidParams {
+    /// The arm, a URDF file; empty takes the one that ships. The driver needs the same.
+    #[param(default = "", reopen)]
+    arm: PathBuf,
+    /// Distance of the tip from the left camera.
+    #[param(default = 66.0, range = 30.0..=120.0, step = 1.0, unit = "mm")]
+    distance_mm: f64,
+    /// Proportional gain, 1/s, of the tip's place in the picture.
+    #[param(default = 3.0, range = 0.0..=20.0, step = 0.1)]
+    picture_p: f64,
+    /// Integral gain, 1/s^2, of the tip's place in the picture.
+    #[param(default = 0.5, range = 0.0..=10.0, step = 0.1)]
+    picture_i: f64,
+    /// Derivative gain of the tip's place in the picture.
+    #[param(default = 0.0, range = 0.0..=1.0, step = 0.01)]
+    picture_d: f64,
+    /// Proportional gain, 1/s, of the distance.
+    #[param(default = 3.0, range = 0.0..=20.0, step = 0.1)]
+    distance_p: f64,
+    /// Integral gain, 1/s^2, of the distance.
+    #[param(default = 0.5, range = 0.0..=10.0, step = 0.1)]
+    distance_i: f64,
+    /// Derivative gain of the distance.
+    #[param(default = 0.0, range = 0.0..=1.0, step = 0.01)]
+    distance_d: f64,
+    /// Time constant of the derivatives' filter.
+    #[param(default = 0.08, range = 0.0..=1.0, step = 0.01, unit = "s")]
+    filter_s: f64,
+    /// Share of the tip's own movement that is fed forward.
+    #[param(default = 1.0, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
+    feed_forward: f64,
+    /// Errors in the picture that are left alone, at 640 columns.
+    #[param(default = 2.0, range = 0.0..=50.0, step = 0.5, unit = "px")]
+    dead_zone_px: f64,
+    /// Errors of the distance that are left alone.
+    #[param(default = 0.2, range = 0.0..=10.0, step = 0.1, unit = "mm")]
+    dead_zone_mm: f64,
+    /// Time from set-point to movement.
+    #[param(default = 0.06, range = 0.0..=0.5, step = 0.005, unit = "s")]
+    latency_s: f64,
+    /// How hard tools are thought to accelerate: higher follows faster and is less smooth; mm/s^2.
+    #[param(default = 150.0, range = 1.0..=5000.0, step = 1.0)]
+    tip_acceleration: f64,
+    /// Lowest score of a tip that is followed.
+    #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    min_score: f64,
+    /// Focal length where no calibration is connected.
+    #[param(default = 750.0, range = 10.0..=20000.0, step = 1.0, unit = "px")]
+    focal_px: f64,
+    /// Distance of the cameras where no calibration is connected.
+    #[param(default = 15.0, range = 1.0..=100.0, step = 0.5, unit = "mm")]
+    baseline_mm: f64,
+}
+
+/// Focal length at 640 columns, which the dead zone is stated for, px.
+const THESIS_FOCAL_PX: f64 = 750.0;
+/// Fastest that an error is asked to go back, at 640 columns, px/s and mm/s; the interlock has the last word.
+const MOST_PX_S: f64 = 900.0;
+const MOST_MM_S: f64 = 60.0;
+
+/// Columns of the table.
+pub const COLUMNS: [&str; 10] = [
+    "error_u_px",
+    "error_v_px",
+    "error_distance_mm",
+    "error_mm",
+    "error_share_pct",
+    "tip_mm_s",
+    "asked_rad_s",
+    "singular",
+    "limit_share",
+    "score",
+];
+
+impl PidParams {
+    fn goals(&self, focal_px: f64) -> Goals {
+        let scale = focal_px / THESIS_FOCAL_PX;
+        let picture = Gains {
+            proportional: self.picture_p,
+            integral: self.picture_i,
+            derivative: self.picture_d,
+            filter_s: self.filter_s,
+            dead_zone: self.dead_zone_px * scale,
+            most: MOST_PX_S * scale,
+        };
+        let distance = Gains {
+            proportional: self.distance_p,
+            integral: self.distance_i,
+            derivative: self.distance_d,
+            filter_s: self.filter_s,
+            dead_zone: self.dead_zone_mm,
+            most: MOST_MM_S,
+        };
+        Goals {
+            distance_mm: self.distance_mm,
+            picture,
+            distance,
+            feed_forward: self.feed_forward,
+            latency_s: self.latency_s,
+            acceleration_mm_s2: self.tip_acceleration,
+            min_score: self.min_score,
+        }
+    }
+}
+
+/// The controller.
+pub struct ArmPid {
+    controller: Controller,
+}
+
+impl Node for ArmPid {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "arm_pid",
+        "arm",
+        "Asks for joint velocities that bring the tip to the centre of the shared picture and to its distance, about the trocar.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = PidParams;
+
+    fn open(_: &Open<'_>, params: &PidParams) -> Result<Self> {
+        Ok(Self { controller: Controller::new(arm_of(&params.arm)?) })
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &PidParams) -> Result<()> {
+        let mut eyes = Eyes { focal_px: (params.focal_px, params.focal_px), baseline_mm: params.baseline_mm };
+        let mut width_px = None;
+        if let Some(c) = &input.calibration {
+            let (fx, fy) = (c.left_projection[0], c.left_projection[5]);
+            if !(fx > 0.0 && fy > 0.0 && c.baseline_mm > 0.0 && (fx + fy + c.baseline_mm).is_finite()) {
+                return Err(error!("the calibration has focal lengths {fx}, {fy} px and baseline {} mm", c.baseline_mm));
+            }
+            eyes = Eyes { focal_px: (fx, fy), baseline_mm: c.baseline_mm };
+            width_px = Some(f64::from(c.left.width));
+        }
+        let joints = input.joints.map(|j| angles(&j)).transpose()?;
+        let set_point = input.setpoint.map(|j| angles(&j)).transpose()?;
+        let tip = input.tip.filter(|tip| tip.xyz_valid == 1);
+        let seen = tip.as_ref().map(|tip| SeenTip { xyz_mm: Vector3::from(tip.xyz_mm), score: tip.score });
+        let Some(joints) = joints else { return Ok(()) };
+        // The time of the picture in which the tip was seen: a slow detector's tips are older than the tick.
+        let capture_ns = tip.as_ref().map_or(cx.tick().capture_ns, |tip| tip.tick().capture_ns);
+        let goals = params.goals(eyes.focal_px.0);
+        let Some(step) = self.controller.step(capture_ns, seen, &joints, set_point.as_ref(), &eyes, &goals) else {
+            return Ok(());
+        };
+        out.joints.set(packet(&joints, &step.velocity))?;
+        cx.metric("error_mm", step.error_mm);
+        let width_px = width_px.unwrap_or(eyes.focal_px.0 * 640.0 / THESIS_FOCAL_PX);
+        let share_pct = 100.0 * step.errors.x.hypot(step.errors.y) / width_px;
+        let row: [f64; COLUMNS.len()] = [
+            step.errors.x,
+            step.errors.y,
+            step.errors.z,
+            step.error_mm,
+            share_pct,
+            step.tip_mm_s.norm(),
+            step.velocity.amax(),
+            step.singular,
+            step.share,
+            seen.map_or(0.0, |tip| tip.score),
+        ];
+        out.table.set_table(&COLUMNS, &row)
+    }
+}

@@ -1,0 +1,220 @@
+//! `arm_sim`: a simulated six-axis arm in virtual time (the media time of its ticks), behind the interlock.
+
+use std::path::PathBuf;
+
+use nalgebra::Vector3;
+use panoscope_arm_core::dynamics::{Quality, SimArm};
+use panoscope_arm_core::interlock::{Cause, Place};
+use panoscope_arm_core::{Chain, Interlock, JOINTS, JointVector};
+use panoscope_node::abi::{Joints, Pose, Tip};
+use panoscope_node::{
+    Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Value, error, name16,
+};
+
+use crate::guard::{self, Switches};
+use crate::joints::{arm_of, asked, packet};
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Joint velocities that are asked for.
+    joints: Option<Value<'f, Joints>>,
+    /// The tip that they follow, straight from the tracker: without a fresh one nothing moves.
+    tip: Option<Value<'f, Tip>>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// What the encoders read.
+    joints: Slot<'f, Joints>,
+    /// The newest set-points: what the interlock let through.
+    setpoint: Slot<'f, Joints>,
+    /// Where the left camera really is, in the frame `scene`: where it is at home.
+    camera_pose: Slot<'f, Pose>,
+    /// One row per tick: state, cause of a stop, speeds, how the tube stands in the trocar.
+    table: Slot<'f, TableData>,
+    /// The state in words.
+    text: Slot<'f, TextPacket>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct SimParams {
+    /// The arm, a URDF file; empty takes the one that ships.
+    #[param(default = "", reopen)]
+    arm: PathBuf,
+    /// Stops the arm; it stays stopped when this is let go, until `reset` changes.
+    #[param(default = false)]
+    emergency_stop: bool,
+    /// Another number than before lets a latched stop go.
+    #[param(default = 0, range = 0..=1_000_000_000)]
+    reset: u64,
+    /// Oldest tip that is followed.
+    #[param(default = 150.0, range = 10.0..=300.0, step = 10.0, unit = "ms")]
+    max_age_ms: f64,
+    /// Lowest score of a tip that is followed; a tip that is only predicted loses score with time.
+    #[param(default = 0.3, range = 0.01..=1.0, step = 0.01, unit = "ratio")]
+    min_score: f64,
+    /// Time from a set-point to the motors hearing of it.
+    #[param(default = 50.0, range = 1.0..=500.0, step = 1.0, unit = "ms", reopen)]
+    latency_ms: f64,
+    /// Time constant of the motors.
+    #[param(default = 15.0, range = 1.0..=500.0, step = 1.0, unit = "ms", reopen)]
+    lag_ms: f64,
+    /// Play of each gear.
+    #[param(default = 0.0115, range = 0.0..=1.0, step = 0.0005, unit = "deg", reopen)]
+    backlash_deg: f64,
+    /// Standard deviation of each encoder.
+    #[param(default = 0.0012, range = 0.0..=0.1, step = 0.0001, unit = "deg", reopen)]
+    encoder_noise_deg: f64,
+}
+
+/// Columns of the table.
+pub const COLUMNS: [&str; 9] = [
+    "following",
+    "cause",
+    "stops",
+    "speed_rad_s",
+    "camera_mm_s",
+    "pivot_mm",
+    "depth_mm",
+    "tilt_deg",
+    "camera_mm_s2",
+];
+
+/// See the module.
+pub struct ArmSim {
+    lock: Interlock,
+    arm: SimArm,
+    quality: Quality,
+    home: nalgebra::Isometry3<f64>,
+    down: Vector3<f64>,
+    switches: Switches,
+    started: bool,
+    /// Pose of the tick before: its place, its velocity, and when.
+    last: Option<(Vector3<f64>, Vector3<f64>, i64)>,
+}
+
+impl ArmSim {
+    fn at(chain: Chain, angles_rad: JointVector, quality: Quality) -> Self {
+        let home = chain.stance(&JointVector::zeros());
+        let lock = Interlock::new(chain, angles_rad, 0);
+        let angles_rad = lock.set_point().position;
+        Self {
+            arm: SimArm::new(quality, angles_rad),
+            lock,
+            quality,
+            home: home.base_from_camera,
+            down: home.base_from_tip * Vector3::z(),
+            switches: Switches::default(),
+            started: false,
+            last: None,
+        }
+    }
+
+    fn quality(params: &SimParams) -> Quality {
+        Quality {
+            latency_ms: params.latency_ms,
+            lag_ms: params.lag_ms,
+            backlash_rad: params.backlash_deg.to_radians(),
+            encoder_noise_rad: params.encoder_noise_deg.to_radians(),
+        }
+    }
+}
+
+impl Node for ArmSim {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "arm_sim",
+        "arm",
+        "A simulated six-axis arm behind the interlock: latency, lag, play of the gears, noise of the encoders.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = SimParams;
+
+    fn open(_: &Open<'_>, params: &SimParams) -> Result<Self> {
+        Ok(Self::at(arm_of(&params.arm)?, JointVector::zeros(), Self::quality(params)))
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &SimParams) -> Result<()> {
+        let now_ns = cx.tick().capture_ns;
+        if !self.started {
+            self.started = true;
+            self.lock.start_clock(now_ns);
+        }
+        self.lock.set(guard::settings(params.max_age_ms, params.min_score));
+        self.switches.obey(&mut self.lock, params.emergency_stop, params.reset);
+        let (lock, arm) = (&mut self.lock, &mut self.arm);
+        lock.advance(now_ns, &mut |point| arm.step(point));
+        if let Some(tip) = &input.tip {
+            lock.tip(tip.tick().capture_ns, guard::evidence(tip));
+        }
+        if let Some(joints) = &input.joints {
+            lock.demand(now_ns, asked(joints));
+        }
+        guard::tell(cx, lock);
+
+        let stance = lock.chain().stance(arm.links());
+        let place = Place::of(lock.chain(), &stance, &self.down);
+        let pose = self.home.inverse() * stance.base_from_camera;
+        let at = pose.translation.vector;
+        let (velocity, acceleration) = match self.last {
+            Some((before, was, then)) if now_ns > then => {
+                let dt_s = (now_ns - then) as f64 * 1e-9;
+                let velocity = (at - before) / dt_s;
+                (velocity, (velocity - was) / dt_s)
+            }
+            _ => (Vector3::zeros(), Vector3::zeros()),
+        };
+        self.last = Some((at, velocity, now_ns));
+        let q = pose.rotation;
+        out.camera_pose.set(Pose {
+            a_from_b_wxyz: [q.w, q.i, q.j, q.k],
+            a_from_b_mm: [at.x, at.y, at.z],
+            a: name16("scene"),
+            b: name16("left_camera"),
+        })?;
+        out.joints.set(packet(&arm.encoders(|| cx.random()), arm.velocities()))?;
+        out.setpoint.set(packet(&lock.set_point().position, &lock.set_point().velocity))?;
+        let stop = lock.stop();
+        cx.metric("pivot_mm", place.pivot_mm);
+        cx.metric("stops", lock.stops() as f64);
+        if out.text.is_read() {
+            out.text.set_text(&guard::words(stop, lock.latched().is_some()))?;
+        }
+        let row: [f64; COLUMNS.len()] = [
+            f64::from(u8::from(stop.is_none())),
+            stop.map_or(0.0, |cause| cause.number() as f64),
+            lock.stops() as f64,
+            arm.velocities().amax(),
+            velocity.norm(),
+            place.pivot_mm,
+            place.depth_mm,
+            place.tilt_rad.to_degrees(),
+            acceleration.norm(),
+        ];
+        out.table.set_table(&COLUMNS, &row)
+    }
+
+    /// Angles, and the cause of a latched stop: a replacement must not let go what a person stopped.
+    fn save_state(&self) -> Option<Vec<u8>> {
+        let latched = self.lock.latched().map_or(0, |cause| cause.number() as u64);
+        let words = self.lock.set_point().position.iter().map(|v| v.to_bits()).chain([latched]);
+        Some(words.flat_map(u64::to_le_bytes).collect())
+    }
+
+    fn load_state(&mut self, state: &[u8]) -> Result<()> {
+        let words: Vec<u64> =
+            state.chunks_exact(8).map(|b| b.try_into().map_or(0, u64::from_le_bytes)).collect();
+        if words.len() != JOINTS + 1 {
+            return Err(error!("the state of another arm: {} numbers", words.len()));
+        }
+        let angles = JointVector::from_fn(|k, _| f64::from_bits(words[k]));
+        *self = Self::at(self.lock.chain().clone(), angles, self.quality);
+        if let Some(cause) = (words[JOINTS] as usize).checked_sub(1).and_then(|index| Cause::ALL.get(index)) {
+            self.lock.latch(*cause);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,44 @@
+//! Between packets and the mathematics.
+
+use std::path::Path;
+
+use panoscope_arm_core::{Chain, JOINTS, JointVector};
+use panoscope_node::abi::{Joints, MAX_JOINTS};
+use panoscope_node::{Result, error};
+
+/// The arm of a file, or the one that ships where none is named.
+///
+/// # Errors
+/// A file that cannot be read, or holds no arm of six axes.
+pub fn arm_of(file: &Path) -> Result<Chain> {
+    if file.as_os_str().is_empty() {
+        return Ok(Chain::shipped()?);
+    }
+    let text = std::fs::read_to_string(file).map_err(|e| error!("cannot read {}: {e}", file.display()))?;
+    Chain::from_urdf(&text).map_err(|e| error!("{}: {e}", file.display()))
+}
+
+/// Angles of a packet, in rad.
+///
+/// # Errors
+/// A packet of another number of joints.
+pub fn angles(packet: &Joints) -> Result<JointVector> {
+    if packet.count as usize != JOINTS {
+        return Err(error!("joints of {} axes arrived, the arm has {JOINTS}", packet.count));
+    }
+    Ok(JointVector::from_column_slice(&packet.position_rad[..JOINTS]))
+}
+
+/// A packet of angles in rad and speeds in rad/s.
+pub fn packet(position_rad: &JointVector, velocity_rad_s: &JointVector) -> Joints {
+    let mut out =
+        Joints { position_rad: [0.0; MAX_JOINTS], velocity_rad_s: [0.0; MAX_JOINTS], count: JOINTS as u32, reserved: 0 };
+    out.position_rad[..JOINTS].copy_from_slice(position_rad.as_slice());
+    out.velocity_rad_s[..JOINTS].copy_from_slice(velocity_rad_s.as_slice());
+    out
+}
+
+/// The speeds of a packet as far as it says it has any: a packet that lies about its length asks for nothing sensible, and is refused later.
+pub fn asked(packet: &Joints) -> &[f64] {
+    &packet.velocity_rad_s[..(packet.count as usize).min(MAX_JOINTS)]
+}

@@ -1,0 +1,15 @@
+//! The arm that holds the scope: `arm_pid` asks for joint velocities that keep the leading tool's tip at the centre and at its distance
+//! (thesis, chapter 6), `arm_sim` is a simulated arm behind the interlock, `arm_serial` a real one on a serial line.
+//!
+//! Safety. The interlock ([`panoscope_arm_core::interlock`]) sits in the drivers, after the last wire of the graph: no controller, parameter or edit can
+//! get past it, and without a fresh tip at the driver's own input nothing moves.
+
+pub mod arm_pid;
+pub mod arm_sim;
+pub mod guard;
+pub mod joints;
+pub mod serial;
+
+use panoscope_node::export_plugin;
+
+export_plugin![arm_pid::ArmPid, arm_sim::ArmSim, serial::ArmSerial];

@@ -1,0 +1,176 @@
+//! Scripted movements of the leading instrument, for judging whatever follows its tip.
+//!
+//! All start at the tip's home and are known for any time. Only `+ - * /`, square roots and integer hashes, as everywhere here.
+
+use super::math::{Stream, cos_turns, sin_turns};
+
+/// How the leading instrument moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ToolMotion {
+    /// As all others: slow swings about a home of the seed's choice.
+    #[default]
+    Sway,
+    /// Not at all.
+    Still,
+    /// Goes 10 mm aside and 6 mm down, and back, as fast as a surgeon does, every 4 s.
+    Step,
+    /// To and fro over 36 mm at a steady 12 mm/s.
+    Ramp,
+    /// A circle of 12 mm radius in 5 s, with depth.
+    Circle,
+    /// Strokes of a surgeon: from point to point of the seed's choice, bell-shaped speeds up to 25 mm/s, rests between.
+    Strokes,
+    /// Leaves the picture along its shaft and comes back, every 12 s.
+    Leave,
+    /// Rests while the second instrument passes before it, to and fro.
+    Cross,
+}
+
+/// Rest before anything moves, s.
+pub const START_S: f64 = 2.0;
+/// Points of a script of strokes; then it begins anew.
+const POINTS: usize = 64;
+/// Where strokes lead, to both sides of home, mm.
+const REACH_MM: [f32; 3] = [20.0, 13.0, 8.0];
+/// Top speeds of strokes, mm/s.
+const STROKE_MM_S: (f32, f32) = (12.0, 25.0);
+/// Fastest that an instrument leaves or steps, mm/s.
+const FAST_MM_S: f64 = 25.0;
+
+/// A stroke and the rest after it.
+#[derive(Clone, Copy, Debug)]
+struct Stroke {
+    from: [f64; 3],
+    to: [f64; 3],
+    start_s: f64,
+    /// Of the movement.
+    length_s: f64,
+}
+
+/// The script of one instrument: offsets from its home.
+#[derive(Clone, Debug)]
+pub struct Script {
+    motion: ToolMotion,
+    strokes: Vec<Stroke>,
+    period_s: f64,
+}
+
+/// Rises from 0 to 1 with no jerk at its ends; its top speed is 15/8.
+fn bell(t: f64) -> f64 {
+    let t = t.clamp(0.0, 1.0);
+    t * t * t * (10.0 - t * (15.0 - 6.0 * t))
+}
+
+/// Length of a bell-shaped movement, s.
+fn bell_s(way_mm: f64, top_mm_s: f64) -> f64 {
+    1.875 * way_mm / top_mm_s
+}
+
+impl Script {
+    /// The script of a seed.
+    pub fn new(motion: ToolMotion, seed: u64) -> Self {
+        let mut stream = Stream::new(seed, 420);
+        let mut strokes = Vec::new();
+        let (mut at, mut clock) = ([0.0; 3], 0.0);
+        if motion == ToolMotion::Strokes {
+            for k in 0..POINTS {
+                // The last one leads home, so that the script closes.
+                let to = if k + 1 == POINTS { [0.0; 3] } else { REACH_MM.map(|r| f64::from(stream.range(-r, r))) };
+                let way = (0..3).map(|k| (to[k] - at[k]) * (to[k] - at[k])).sum::<f64>().sqrt();
+                let length_s = bell_s(way, f64::from(stream.range(STROKE_MM_S.0, STROKE_MM_S.1))).max(0.1);
+                strokes.push(Stroke { from: at, to, start_s: clock, length_s });
+                clock += length_s + f64::from(stream.range(0.1, 0.6));
+                at = to;
+            }
+        }
+        Self { motion, strokes, period_s: clock.max(1.0) }
+    }
+
+    /// Whether the instrument swings as others do.
+    pub fn is_sway(&self) -> bool {
+        self.motion == ToolMotion::Sway
+    }
+
+    /// Offset of the leading tip from its home, mm; `away` is the direction in which its shaft leaves.
+    pub fn at(&self, seconds: f64, away: [f64; 3]) -> [f64; 3] {
+        let t = (seconds - START_S).max(0.0);
+        match self.motion {
+            ToolMotion::Sway | ToolMotion::Still | ToolMotion::Cross => [0.0; 3],
+            ToolMotion::Step => {
+                let length = bell_s(12.0, FAST_MM_S);
+                let turn = (t / 4.0).floor();
+                let rise = bell((t - 4.0 * turn) / length);
+                let part = if (turn * 0.5).floor() * 2.0 == turn { rise } else { 1.0 - rise };
+                [10.0 * part, 6.0 * part, 0.0]
+            }
+            ToolMotion::Ramp => {
+                // 18 mm to the right, 36 mm to the left, and so on; the script begins in the middle.
+                let turns = t * 12.0 / 72.0 + 0.25;
+                let saw = turns - turns.floor();
+                let triangle = if saw < 0.5 { 4.0 * saw - 1.0 } else { 3.0 - 4.0 * saw };
+                [18.0 * triangle, 0.0, 0.0]
+            }
+            ToolMotion::Circle => {
+                let turns = t / 5.0;
+                // Spirals out in the first turn.
+                let radius = 12.0 * bell(turns);
+                [radius * cos_turns(turns), radius * sin_turns(turns), 0.3 * radius * sin_turns(2.0 * turns)]
+            }
+            ToolMotion::Strokes => {
+                let t = t - (t / self.period_s).floor() * self.period_s;
+                let index = self.strokes.partition_point(|stroke| stroke.start_s <= t).saturating_sub(1);
+                let Some(stroke) = self.strokes.get(index) else { return [0.0; 3] };
+                let part = bell((t - stroke.start_s) / stroke.length_s);
+                [0, 1, 2].map(|k| stroke.from[k] + (stroke.to[k] - stroke.from[k]) * part)
+            }
+            ToolMotion::Leave => {
+                let length = bell_s(60.0, FAST_MM_S);
+                let phase = t - (t / 12.0).floor() * 12.0;
+                // Out from 0 s, back from 6 s.
+                let part = bell(phase / length) - bell((phase - 6.0) / length);
+                away.map(|a| 60.0 * a * part)
+            }
+        }
+    }
+
+    /// Where the second instrument's tip stands when it passes before the first, from the first one's home, mm; none if it does not.
+    pub fn crossing(&self, seconds: f64) -> Option<[f64; 3]> {
+        if self.motion != ToolMotion::Cross {
+            return None;
+        }
+        let turns = seconds / 8.0;
+        // From beside the picture's middle to beyond it, 8 mm before the leading tip.
+        Some([-18.0 * cos_turns(turns), 2.0, -8.0])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scripts_start_at_home_and_keep_their_speeds() {
+        let motions = [
+            (ToolMotion::Still, 0.0),
+            (ToolMotion::Step, 25.0),
+            (ToolMotion::Ramp, 12.0),
+            (ToolMotion::Circle, 19.0),
+            (ToolMotion::Strokes, 25.0),
+            (ToolMotion::Leave, 25.0),
+        ];
+        for (motion, limit) in motions {
+            for seed in [1, 7] {
+                let script = Script::new(motion, seed);
+                let place = |k: u32| script.at(f64::from(k) * 0.005, [0.6, 0.0, -0.8]);
+                assert_eq!(place(0), [0.0; 3], "{motion:?}");
+                let mut top: f64 = 0.0;
+                for k in 0..20_000 {
+                    let (a, b) = (place(k), place(k + 1));
+                    let speed = (0..3).map(|i| (b[i] - a[i]) * (b[i] - a[i])).sum::<f64>().sqrt() / 0.005;
+                    top = top.max(speed);
+                }
+                assert!(top <= limit + 0.05 && top >= 0.8 * limit, "{motion:?}: {top} mm/s");
+            }
+        }
+    }
+}

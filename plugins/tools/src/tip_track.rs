@@ -1,0 +1,175 @@
+//! `tip_track`: the leading tip over time, in space: filtered, gated, predicted over short gaps (thesis, fig. 6.5: the tip's trajectory).
+
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use panoscope_arm_core::kalman::Model;
+use panoscope_arm_core::tracker::{Known, Report, Rules, Tracker};
+use panoscope_node::abi::{Calibration, Pose, Tip};
+use panoscope_node::{Context, List, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, error};
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Tips of one or more detectors, in the left rectified camera's frame.
+    tip: List<'f, Value<'f, Tip>>,
+    /// Where the left camera stood, in a frame that rests: without it the filter takes the camera's own movement for the tip's.
+    camera_pose: Option<Value<'f, Pose>>,
+    /// Calibration of the rectified views: how well depth is known, and where predicted tips lie in the picture.
+    calibration: Option<Value<'f, Calibration>>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// The leading tip in the left camera's frame. A tip that is only predicted loses score with the time that it is unseen. Empty when lost.
+    tip: Slot<'f, Tip>,
+    /// One row per tick while the tip is known: time, place from the camera and in the resting frame, velocity, what is known.
+    table: Slot<'f, TableData>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct TrackParams {
+    /// Accelerations of a tool that are not known; higher follows faster and is less smooth; mm/s^2.
+    #[param(default = 200.0, range = 1.0..=5000.0, step = 1.0)]
+    acceleration: f64,
+    /// Squared Mahalanobis distance beyond which a tip belongs to something else; 16.3 keeps 99.9 % of the true ones.
+    #[param(default = 16.3, range = 1.0..=200.0, step = 0.1)]
+    gate: f64,
+    /// How well a tip is known in the picture: standard deviation.
+    #[param(default = 1.0, range = 0.05..=20.0, step = 0.05, unit = "px")]
+    lateral_px: f64,
+    /// How well its disparity is known: standard deviation.
+    #[param(default = 0.5, range = 0.05..=20.0, step = 0.05, unit = "px")]
+    disparity_px: f64,
+    /// Lowest score of a tip that counts.
+    #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    min_score: f64,
+    /// Longest time that an unseen tip is predicted for.
+    #[param(default = 300.0, range = 0.0..=2000.0, step = 10.0, unit = "ms")]
+    max_gap_ms: f64,
+    /// Time for which another tool has to be seen alone before it leads.
+    #[param(default = 600.0, range = 0.0..=10000.0, step = 10.0, unit = "ms")]
+    switch_ms: f64,
+}
+
+/// Columns of the table.
+pub const COLUMNS: [&str; 13] = [
+    "x_mm",
+    "y_mm",
+    "z_mm",
+    "room_x_mm",
+    "room_y_mm",
+    "room_z_mm",
+    "speed_x_mm_s",
+    "speed_y_mm_s",
+    "speed_z_mm_s",
+    "deviation_mm",
+    "gap_ms",
+    "score",
+    "track_id",
+];
+
+/// Follows a tip.
+pub struct TipTrack {
+    tracker: Tracker,
+    last: Option<Tip>,
+    had_pose: bool,
+}
+
+fn pose_of(pose: &Pose) -> Option<Isometry3<f64>> {
+    let [w, x, y, z] = pose.a_from_b_wxyz;
+    let [tx, ty, tz] = pose.a_from_b_mm;
+    let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-9)?;
+    let all = [w, x, y, z, tx, ty, tz];
+    all.iter().all(|v| v.is_finite()).then(|| Isometry3::from_parts(Translation3::new(tx, ty, tz), turn))
+}
+
+impl Node for TipTrack {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "tip_track",
+        "tools",
+        "Follows the leading tool's tip in space: filters it, tells it from others, predicts it over short gaps.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = TrackParams;
+
+    fn open(_: &Open<'_>, _: &TrackParams) -> Result<Self> {
+        Ok(Self { tracker: Tracker::default(), last: None, had_pose: false })
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &TrackParams) -> Result<()> {
+        let mut rules = Rules {
+            model: Model { acceleration_mm_s2: params.acceleration, gate: params.gate },
+            lateral_px: params.lateral_px,
+            disparity_px: params.disparity_px,
+            focal_px: 750.0,
+            baseline_mm: 15.0,
+            min_score: params.min_score,
+            max_gap_s: params.max_gap_ms * 1e-3,
+            switch_s: params.switch_ms * 1e-3,
+        };
+        let mut lens = None;
+        if let Some(c) = &input.calibration {
+            let p = &c.left_projection;
+            if !(p[0] > 0.0 && p[5] > 0.0 && c.baseline_mm > 0.0 && (p[0] + p[5] + c.baseline_mm).is_finite()) {
+                return Err(error!("the calibration has focal lengths {}, {} px and baseline {} mm", p[0], p[5], c.baseline_mm));
+            }
+            (rules.focal_px, rules.baseline_mm) = (p[0], c.baseline_mm);
+            lens = Some(*p);
+        }
+        let room_from_camera = match &input.camera_pose {
+            Some(pose) => pose_of(pose).ok_or_else(|| error!("the camera pose holds numbers that are no pose"))?,
+            None => Isometry3::identity(),
+        };
+        if input.camera_pose.is_some() != self.had_pose {
+            // Another frame: what was filtered lies elsewhere now.
+            self.had_pose = input.camera_pose.is_some();
+            self.tracker = Tracker::default();
+        }
+        let tips = || input.tip.iter().flatten().filter(|tip| tip.xyz_valid == 1);
+        let reports = tips().map(|tip| Report {
+            xyz_mm: Vector3::from(tip.xyz_mm),
+            score: tip.score,
+            track_id: tip.track_id,
+        });
+        let known = self.tracker.step(cx.tick().capture_ns, reports, &room_from_camera, &rules);
+        let (gap_s, fade) = match known {
+            Known::Seen(index) => {
+                self.last = tips().nth(index).map(|tip| *tip);
+                (0.0, 1.0)
+            }
+            Known::Predicted(gap_s) => (gap_s, (1.0 - gap_s / rules.max_gap_s.max(1e-9)).clamp(0.0, 1.0)),
+            Known::Lost => {
+                self.last = None;
+                cx.metric("gap_ms", f64::NAN);
+                return Ok(());
+            }
+        };
+        let (Some((room, speed)), Some(mut tip)) = (self.tracker.state(), self.last) else { return Ok(()) };
+        let at = room_from_camera.inverse_transform_point(&Point3::from(room)).coords;
+        tip.xyz_mm = [at.x, at.y, at.z];
+        tip.score *= fade;
+        if let Some(p) = lens.filter(|_| at.z > 0.0) {
+            (tip.u_px, tip.v_px) = (p[0] * at.x / at.z + p[2], p[5] * at.y / at.z + p[6]);
+        }
+        cx.metric("gap_ms", gap_s * 1e3);
+        out.tip.set(tip)?;
+        let row: [f64; COLUMNS.len()] = [
+            at.x,
+            at.y,
+            at.z,
+            room.x,
+            room.y,
+            room.z,
+            speed.x,
+            speed.y,
+            speed.z,
+            self.tracker.deviation_mm(),
+            gap_s * 1e3,
+            tip.score,
+            self.tracker.track_id() as f64,
+        ];
+        out.table.set_table(&COLUMNS, &row)
+    }
+}
