@@ -31,7 +31,7 @@ pub enum Bench {
     /// What the editor's window costs the graph and its own thread. Needs a screen, or Xvfb.
     Editor(Arguments),
     /// Registration, seam and blend at three sizes, beside OpenCV.
-    Stitch(Arguments),
+    Stitch(stitch::Arguments),
 }
 
 /// Arguments of every bench.
@@ -54,7 +54,7 @@ pub fn run(bench: &Bench) -> Result<End> {
         Bench::Scale(arguments) => (scale::measure(arguments.quick)?, arguments),
         Bench::Stereo(arguments) => (stereo::measure(arguments)?, &arguments.common),
         Bench::Editor(arguments) => (editor::measure(arguments.quick)?, arguments),
-        Bench::Stitch(arguments) => (stitch::measure(arguments.quick)?, arguments),
+        Bench::Stitch(arguments) => (stitch::measure(arguments)?, &arguments.common),
     };
     record::show(&figures);
     if let Some(path) = &arguments.json {
