@@ -135,7 +135,7 @@ impl Measure {
             places.push(at(point[0], point[1]));
         }
         let tips = input.tips.as_ref();
-        for tip in tips.into_iter().flat_map(|tips| (0..tips.len()).map(|index| tips.get(index))) {
+        for tip in tips.into_iter().flat_map(|tips| (0..tips.len()).map(move |index| tips.get(index))) {
             let Some(tip) = tip else {
                 given.push([f64::NAN; 2]);
                 places.push(None);
