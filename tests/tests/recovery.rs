@@ -116,7 +116,12 @@ fn check(incident: &str, seen: bool, at_once: bool) {
     let size = ran.pictures[0].dimensions();
     for (i, picture) in ran.pictures.iter().enumerate() {
         assert_eq!(picture.dimensions(), size, "{incident}: the canvas changed at {i}");
-        assert_eq!(is_marked(picture), ran.states[i] == "lost", "{incident}: the mark of picture {i} ({})", ran.states[i]);
+        assert_eq!(
+            is_marked(picture),
+            ran.states[i] == "lost",
+            "{incident}: the mark of picture {i} ({})",
+            ran.states[i]
+        );
     }
     if !seen {
         // The first bad pictures are held, then lost; the left view goes on living in its place.

@@ -1,6 +1,6 @@
 //! What `stereo_bm` and `stereo_sgbm` share: ports, the offset of the search, the warnings.
 
-use panoscope_imaging::stereo::{Roi, SpeckleFilter, StereoError};
+use panoscope_imaging::stereo::{Roi, SharedField, SpeckleFilter, StereoError};
 use panoscope_node::abi;
 use panoscope_node::{Context, Disparity, Gray8, Image, Parallel, Ports, Result, Slot, Value, View, ViewMut, error};
 
@@ -70,6 +70,9 @@ pub struct Matcher {
     offset: Offset,
     watch: Watch,
     speckles: SpeckleFilter,
+    field: SharedField,
+    /// The right view's map when nobody reads it: the shared field is found by it.
+    right: Vec<f32>,
     calls: u64,
 }
 
@@ -95,6 +98,8 @@ impl Matcher {
             offset: Offset::default(),
             watch: Watch::default(),
             speckles: SpeckleFilter::default(),
+            field: SharedField::default(),
+            right: Vec::new(),
             calls: 0,
         })
     }
@@ -136,12 +141,18 @@ impl Matcher {
         }
         cx.metric("offset_px", f64::from(offset_px));
         prepare(engine, offset_px)?;
-        let right_is_read = out.disparity_right.is_read();
         let disparity = out.disparity.alloc(width, height)?;
-        let disparity_right = if right_is_read { Some(out.disparity_right.alloc(width, height)?) } else { None };
+        let other = if out.disparity_right.is_read() {
+            out.disparity_right.alloc(width, height)?
+        } else {
+            self.right.resize(width * height, f32::NAN);
+            ViewMut::new(&mut self.right, width, height, 1)
+        };
         let map = ViewMut { data: &mut *disparity.data, ..disparity };
-        engine.compute([left, right], roi, cx.pool(), map, disparity_right)?;
+        let map_right = ViewMut { data: &mut *other.data, ..other };
+        engine.compute([left, right], roi, cx.pool(), map, Some(map_right))?;
         let mut map = ViewMut { data: &mut *disparity.data, ..disparity };
+        self.field.keep(&mut map, other.as_view(), roi);
         self.speckles.remove(&mut map, roi, search.speckle_area_px, SPECKLE_STEP_PX);
         if call.is_multiple_of(ROWS_CALLS) {
             self.watch.rows(cx, [left, right], disparity.as_view(), search.drift_px);

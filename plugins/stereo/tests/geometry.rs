@@ -284,15 +284,8 @@ fn a_cloud_needs_no_calibration_but_states_no_error() -> TestResult {
 fn tips_and_boxes_are_points_too() -> TestResult {
     use panoscope_node::abi::{Detection, Tip};
     let depth: Vec<f32> = slope_map().iter().map(|disparity| (FOCAL * BASELINE) as f32 / disparity).collect();
-    let tip = Tip {
-        u_px: 280.5,
-        v_px: 90.25,
-        xyz_mm: [f64::NAN; 3],
-        score: 1.0,
-        class_index: 0,
-        xyz_valid: 0,
-        track_id: 1,
-    };
+    let tip =
+        Tip { u_px: 280.5, v_px: 90.25, xyz_mm: [f64::NAN; 3], score: 1.0, class_index: 0, xyz_valid: 0, track_id: 1 };
     // Held 10 mm before the tissue: its own place counts, not the tissue's.
     let (a, b) = (truth(40.0, 30.0), truth(280.5, 90.25));
     let held = b.map(|part| part * (b[2] - 10.0) / b[2]);

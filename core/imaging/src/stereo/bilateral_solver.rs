@@ -10,6 +10,7 @@ use crate::stereo::block_matching::fill_nan;
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::grid_solver::GridSolver;
+use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::wls::FilterInput;
 use crate::stereo::{Roi, StereoError, simd};
 use crate::{Parallel, Serial, SharedMut, ViewMut};
@@ -195,9 +196,12 @@ impl BilateralSolver {
         self.confidence.resize(roi.width * roi.height, 0.0);
         let judged = &self.params.confidence;
         input.confidence_into(&mut self.judge, judged, roi, self.avx2, pool, &mut self.confidence);
-        for (row, out) in self.value.chunks_exact_mut(roi.width).enumerate() {
+        let value = SharedMut::new(&mut self.value);
+        pool.run(roi.height, &|row| {
+            // SAFETY: one row, one chunk.
+            let out = unsafe { value.part(row * roi.width, roi.width) };
             out.copy_from_slice(&input.disparity.row(roi.y + row)[roi.x..roi.x + roi.width]);
-        }
+        });
         let sigma = (self.params.sigma_xy_px, self.params.sigma_luma);
         self.grid.splat(input.guide, roi, sigma, &self.value, &self.confidence, pool);
         let small = self.grid.len() < SMALL;
@@ -225,6 +229,7 @@ impl BilateralSolver {
     ) {
         self.last.resize(self.grid.vertex_of_cell.len(), 0.0);
         self.reach.resize(self.grid.vertex_of_cell.len(), [0.0; 2]);
+        let width = disparity.width;
         let (stride, out) = (disparity.stride, SharedMut::new(disparity.data));
         let (stride_confidence, out_confidence) = match confidence {
             Some(map) => (map.stride, Some(SharedMut::new(map.data))),
@@ -249,6 +254,10 @@ impl BilateralSolver {
             // SAFETY: one row, one chunk.
             let out = unsafe { out.part(y * stride + roi.x, roi.width) };
             slice_row(grid, reach, row, out);
+            // What no right pixel can have seen is no measurement, however smooth the surface beside it.
+            for (x, out) in out.iter_mut().enumerate() {
+                *out = if is_seen_by_both(roi.x + x, *out, width) { *out } else { f32::NAN };
+            }
             if let Some(map) = &out_confidence {
                 // SAFETY: as above.
                 let out = unsafe { map.part(y * stride_confidence + roi.x, roi.width) };

@@ -23,6 +23,7 @@ pub mod reproject;
 pub mod rotation;
 pub mod semi_global;
 mod semi_global_kernel;
+pub mod shared_field;
 mod simd;
 pub mod speckle;
 mod tridiagonal;
@@ -39,6 +40,7 @@ pub use rectify::{Rectification, RectifiedCamera, RectifyParams};
 pub use remap::RemapTable;
 pub use reproject::{ReprojectInput, ReprojectParams, reproject};
 pub use semi_global::{SemiGlobalMatcher, SemiGlobalParams};
+pub use shared_field::SharedField;
 pub use speckle::SpeckleFilter;
 pub use wls::{FilterInput, WlsFilter, WlsParams};
 

@@ -9,6 +9,7 @@
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::guide_weights::weights_row;
+use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::tridiagonal::{Planes, horizontal, vertical};
 use crate::stereo::{Roi, StereoError, block_matching::fill_nan, simd};
 use crate::{Parallel, SharedMut, View, ViewMut};
@@ -104,7 +105,10 @@ impl FilterInput<'_> {
             work.compute(params, self.guide, self.disparity, self.disparity_right, roi, avx2, pool, out);
             return;
         };
-        for (row, out) in out.chunks_exact_mut(roi.width.max(1)).enumerate() {
+        let out = SharedMut::new(out);
+        pool.run(roi.height, &|row| {
+            // SAFETY: one row, one chunk.
+            let out = unsafe { out.part(row * roi.width, roi.width) };
             let confidence = &given.row(roi.y + row)[roi.x..roi.x + roi.width];
             let disparity = &self.disparity.row(roi.y + row)[roi.x..roi.x + roi.width];
             for ((out, confidence), disparity) in out.iter_mut().zip(confidence).zip(disparity) {
@@ -112,7 +116,7 @@ impl FilterInput<'_> {
                 let value = if *confidence > 0.0 { confidence.min(1.0) } else { 0.0 };
                 *out = if disparity.is_finite() { value } else { 0.0 };
             }
-        }
+        });
     }
 }
 
@@ -172,7 +176,7 @@ impl WlsFilter {
 
     /// Smooths `input.disparity`.
     ///
-    /// `disparity` receives px, NaN where no trusted pixel is near and outside the ROI; `confidence`,
+    /// `disparity` receives px, NaN where no trusted pixel is near, where the right view ends, and outside the ROI; `confidence`,
     /// when asked for, the smoothed confidence 0..=1, 0 outside.
     ///
     /// # Errors
@@ -235,9 +239,11 @@ impl WlsFilter {
             let out = unsafe { out.part(y * stride + roi.x, roi.width) };
             let at = row * roi.width..(row + 1) * roi.width;
             let (product, support) = (&self.product[at.clone()], &self.support[at]);
-            for ((out, product), support) in out.iter_mut().zip(product).zip(support) {
+            for (x, ((out, product), support)) in out.iter_mut().zip(product).zip(support).enumerate() {
                 let value = product / support;
-                *out = if *support >= least { value } else { f32::NAN };
+                // What no right pixel can have seen is no measurement, however smooth the surface beside it.
+                let known = (*support >= least) & is_seen_by_both(roi.x + x, value, width);
+                *out = if known { value } else { f32::NAN };
             }
             if let Some(map) = &out_confidence {
                 // SAFETY: as above.

@@ -180,7 +180,7 @@ pub(super) fn levels_of(params: &CompositeParams) -> usize {
 /// Distance from the seam, canvas pixels, beyond which weights are zero or one: a weight of the coarsest level gathers
 /// `2 (2^n - 1)` pixels and is spread over `1.5 * 2^n` more.
 fn reach_of(levels: usize) -> usize {
-    4 << levels
+    2 * ((1 << levels) - 1) + (3 << levels) / 2
 }
 
 /// Narrows the zone row by row to what lies near the seam.

@@ -135,7 +135,7 @@ impl Measure {
             places.push(at(point[0], point[1]));
         }
         let tips = input.tips.as_ref();
-        for tip in tips.into_iter().flat_map(|tips| (0..tips.len()).map(|index| tips.get(index))) {
+        for tip in tips.into_iter().flat_map(|tips| (0..tips.len()).map(move |index| tips.get(index))) {
             let Some(tip) = tip else {
                 given.push([f64::NAN; 2]);
                 places.push(None);
@@ -144,7 +144,9 @@ impl Measure {
             given.push([tip.u_px, tip.v_px]);
             let seen = at(tip.u_px, tip.v_px);
             // Whoever found the tip knows what belongs to the tool and what lies behind it.
-            let told = (tip.xyz_valid == 1).then_some(tip.xyz_mm).filter(|xyz| xyz[2] > 0.0 && xyz.iter().all(|v| v.is_finite()));
+            let told = (tip.xyz_valid == 1)
+                .then_some(tip.xyz_mm)
+                .filter(|xyz| xyz[2] > 0.0 && xyz.iter().all(|v| v.is_finite()));
             places.push(told.map_or(seen, |[x, y, z]| {
                 let scatter = seen.map_or(0.0, |point| point.scatter);
                 Some(Point { ray: [x / z, y / z], inverse_depth: 1.0 / z, scatter })
@@ -248,7 +250,9 @@ impl Node for Measure {
         let leftover = odd || if step < item { points == 1 } else { !points.is_multiple_of(item) };
         if leftover && !self.leftover {
             let half = if odd { " and a half" } else { "" };
-            cx.warn(&format!("{points} points{half} (u, v each) are no whole items of {item}: the last ones are not measured"));
+            cx.warn(&format!(
+                "{points} points{half} (u, v each) are no whole items of {item}: the last ones are not measured"
+            ));
         }
         self.leftover = leftover;
         let unknown = self.places.iter().filter(|place| place.is_none()).count();

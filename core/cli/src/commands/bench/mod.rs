@@ -10,6 +10,7 @@ mod scale;
 mod start;
 mod stereo;
 mod stitch;
+mod system;
 mod tools;
 
 use std::path::PathBuf;
@@ -32,9 +33,11 @@ pub enum Bench {
     /// What the editor's window costs the graph and its own thread. Needs a screen, or Xvfb.
     Editor(Arguments),
     /// Registration, seam and blend at three sizes, beside OpenCV.
-    Stitch(Arguments),
+    Stitch(stitch::Arguments),
     /// Detector and segmenter on a picture of 640x480, beside plain ONNX Runtime in Python.
     Tools(tools::Arguments),
+    /// A whole graph on views rendered beforehand: pictures a second, their age at 30 a second, where the time goes.
+    System(system::Arguments),
 }
 
 /// Arguments of every bench.
@@ -57,8 +60,9 @@ pub fn run(bench: &Bench) -> Result<End> {
         Bench::Scale(arguments) => (scale::measure(arguments.quick)?, arguments),
         Bench::Stereo(arguments) => (stereo::measure(arguments)?, &arguments.common),
         Bench::Editor(arguments) => (editor::measure(arguments.quick)?, arguments),
-        Bench::Stitch(arguments) => (stitch::measure(arguments.quick)?, arguments),
+        Bench::Stitch(arguments) => (stitch::measure(arguments)?, &arguments.common),
         Bench::Tools(arguments) => (tools::measure(arguments)?, &arguments.common),
+        Bench::System(arguments) => (system::measure(arguments)?, &arguments.common),
     };
     record::show(&figures);
     if let Some(path) = &arguments.json {

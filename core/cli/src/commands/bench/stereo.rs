@@ -93,7 +93,10 @@ impl Case<'_> {
         let Size { width, height, .. } = self.size;
         let Search { name, first_px, width_px } = self.search;
         let threads = self.threads;
-        format!("phantom {} {width}x{height}, {name}: {width_px} disparities from {first_px}, {threads} threads", self.scene)
+        format!(
+            "phantom {} {width}x{height}, {name}: {width_px} disparities from {first_px}, {threads} threads",
+            self.scene
+        )
     }
 
     /// Pictures come slowly, so that rendering and matching do not meet.
@@ -194,7 +197,18 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
     let quick = arguments.common.quick;
     let (frames, rounds) = if quick { (6, 1) } else { (12, 2) };
     let (sizes, scenes) = if quick { (&SIZES[..1], &SCENES[..1]) } else { (&SIZES[..], &SCENES[..]) };
-    let head = ["scene, size, disparities, threads", "left + right", "WLS", "FBS", "whole ms", "OpenCV", "WLS", "FBS", "whole ms", "ratio"];
+    let head = [
+        "scene, size, disparities, threads",
+        "left + right",
+        "WLS",
+        "FBS",
+        "whole ms",
+        "OpenCV",
+        "WLS",
+        "FBS",
+        "whole ms",
+        "ratio",
+    ];
     let (mut figures, mut rows) = (Vec::new(), vec![head.map(str::to_owned).to_vec()]);
     for size in sizes {
         for search in size.searches.into_iter().take(if quick { 1 } else { 2 }) {

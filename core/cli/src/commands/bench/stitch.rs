@@ -12,13 +12,31 @@ use panoscope_runtime::Report;
 
 use super::record::Figure;
 use crate::commands::eval::look::{self, Plan};
+use crate::commands::eval::stitch;
 use crate::terminal::{raw, table, tell};
+
+/// Arguments of `bench stitch`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    pub common: super::Arguments,
+    /// Only pictures of this size; may be given again.
+    #[arg(long, value_parser = ["640x480", "1280x720", "1920x1080"])]
+    size: Vec<String>,
+}
 
 const SIZES: [(u32, u32); 3] = [(640, 480), (1280, 720), (1920, 1080)];
 /// Pictures that are rendered and played round and round.
 const PICTURES: u64 = 16;
 const FULL: &str = "OpenCV SIFT + full graph cut";
 const FAIR: &str = "OpenCV SIFT + graph cut at 0.1 MP";
+
+/// Whether the seam is part of what is timed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Seam {
+    Found,
+    Spared,
+}
 
 /// A way of stitching.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,8 +60,8 @@ impl Way {
     }
 
     /// Nodes `match` (grid only), `register` and `wide`, scaled as the thesis does: a whole frame shrunk to about 320x240.
-    fn nodes(self, width: u32, threads: usize) -> String {
-        let (scale, seam) = ((width / 320).clamp(1, 8), (width / 64).clamp(2, 64));
+    fn nodes(self, width: u32, threads: usize, seam: Seam) -> String {
+        let (scale, scale_of_seam) = ((width / 320).clamp(1, 8), (width / 64).clamp(2, 64));
         let views = "left = \"files.left\", right = \"files.right\"";
         let register = match self {
             Self::Roi => format!("type = \"register_surf\"\ninputs = {{ {views} }}\nparams = {{ roi = true, scale = {scale} }}"),
@@ -55,12 +73,19 @@ impl Way {
                 format!("type = \"register_opencv\"\ninputs = {{ {views} }}\nparams = {{ threads = {threads} }}")
             }
         };
-        let (kind, params) = match self {
-            Self::Roi | Self::Grid => ("composite", format!("seam_scale = {seam}")),
+        let (kind, mut params) = match self {
+            Self::Roi | Self::Grid => ("composite", format!("seam_scale = {scale_of_seam}")),
             Self::Conventional => ("composite", "seam_scale = 2, seam_interval = 1".to_owned()),
-            Self::OpencvFull => ("composite_opencv", format!("threads = {threads}")),
-            Self::OpencvFair => ("composite_opencv", format!("threads = {threads}, seam_megapixels = 0.1")),
+            Self::OpencvFull | Self::OpencvFair => ("composite_opencv", format!("threads = {threads}")),
         };
+        params.push_str(match (self, seam) {
+            (Self::OpencvFull, Seam::Found) => "",
+            (Self::OpencvFair, Seam::Found) => ", seam_megapixels = 0.1",
+            // OpenCV's node finds one always: on next to no pixels, here.
+            (Self::OpencvFull | Self::OpencvFair, Seam::Spared) => ", seam_megapixels = 0.05",
+            (_, Seam::Found) => "",
+            (_, Seam::Spared) => ", seam = \"none\"",
+        });
         let mut text = format!(
             "[nodes.register]\n{register}\nbudget_ms = 60000\n[nodes.wide]\nbudget_ms = 60000\ntype = \"{kind}\"\ninputs = {{ {views}, homography = \"register.homography\" }}\nparams = {{ {params} }}\n"
         );
@@ -108,12 +133,14 @@ struct Times {
     matching: f64,
     register: f64,
     composite: f64,
+    /// Part of `composite` that finding the seam takes; NaN where it was not measured.
+    seam: f64,
 }
 
 impl Times {
     fn of(report: &Report) -> Self {
         let p50 = |id: &str| report.nodes.get(id).map_or(0.0, |node| node.p50_ms);
-        Self { matching: p50("match"), register: p50("register"), composite: p50("wide") }
+        Self { matching: p50("match"), register: p50("register"), composite: p50("wide"), seam: f64::NAN }
     }
 
     fn registration(&self) -> f64 {
@@ -173,7 +200,7 @@ fn run(text: &str, frames: u64, threads: usize, paced: bool) -> Result<Report> {
 
 /// Runs one way once. Ours run live and paced, as with a camera, slowly enough that ticks do not overlap. OpenCV brings its own threads:
 /// its nodes run on a pool of one, which keeps its ticks apart too.
-fn once(folder: &Folder, width: u32, way: Way, threads: usize, quick: bool) -> Result<Times> {
+fn once(folder: &Folder, width: u32, way: Way, seam: Seam, threads: usize, quick: bool) -> Result<Times> {
     let paced = !matches!(way, Way::OpencvFull | Way::OpencvFair);
     let rate = match way {
         Way::Conventional => 1280.0 / f64::from(width),
@@ -188,19 +215,56 @@ fn once(folder: &Folder, width: u32, way: Way, threads: usize, quick: bool) -> R
          {}[nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"wide.panorama\" }}\n",
         folder.pattern(width, "left"),
         folder.pattern(width, "right"),
-        way.nodes(width, threads)
+        way.nodes(width, threads, seam)
     );
     Ok(Times::of(&run(&text, way.frames(width, quick), pool, paced)?))
 }
 
+/// A way of stitching the phantom's views as they are rendered; `scope` are its further parameters.
+fn on_the_phantom(way: Way, scope: &str) -> String {
+    let nodes = way.nodes(640, 2, Seam::Found).replace("files.", "scope.").replace(", align = \"latest\"", "");
+    let own = "params = { width = 640, height = 480, rate_hz = 1.0 }";
+    let nodes = match way {
+        Way::Grid if scope.is_empty() => nodes,
+        Way::Grid => nodes.replace(own, &format!("params = {{ {scope} }}")),
+        _ => nodes + &format!("[nodes.scope]\ntype = \"phantom\"\nparams = {{ {scope} }}\n"),
+    };
+    format!("mode = \"live\"\nplugins = [\"phantom\", \"stereo\", \"stitch\", \"flow\"]\n{nodes}")
+}
+
+/// Tables 4.1 and 4.2: share of frames that are stitched and their alignment, SURF beside the grid, on smooth and on rich tissue.
+fn quality(quick: bool) -> Result<Vec<Figure>> {
+    const SCENES: [(&str, u32); 4] = [("bowel", 7), ("bowel", 12), ("liver", 7), ("liver", 12)];
+    let frames = if quick { 20 } else { 60 };
+    let head = |what: &str| vec![[what, "conventional", "roi", "grid", "best plane"].map(str::to_owned).to_vec()];
+    let (mut shares, mut errors) = (head("scene, stitched %"), head("scene, alignment px"));
+    let mut figures = Vec::new();
+    for (scene, seed) in SCENES {
+        let (mut share, mut error) = (vec![format!("{scene} {seed}")], vec![format!("{scene} {seed}")]);
+        let mut floor = f64::NAN;
+        for way in [Way::Conventional, Way::Roi, Way::Grid] {
+            let text = on_the_phantom(way, &format!("scene = \"{scene}\", seed = {seed}"));
+            let marks = stitch::registration_of(&text, frames)?;
+            share.push(format!("{:.1}", marks.stitched_pct));
+            error.push(format!("{:.2}", marks.align_px));
+            floor = marks.floor_px;
+            let (case, input) = (format!("{}_{scene}_{seed}", way.name()), format!("phantom {scene} 640x480, {frames} frames"));
+            figures.push(Figure::new(&format!("stitched_share/{case}"), marks.stitched_pct, "%", &input));
+            figures.push(Figure::new(&format!("align_px/{case}"), marks.align_px, "px", &input));
+        }
+        error.push(format!("{floor:.2}"));
+        shares.push(share);
+        errors.push(error);
+    }
+    raw(&format!("Table 4.1: share of frames that are stitched\n{}\n", table(&shares)));
+    raw(&format!("Table 4.2: alignment error\n{}\n", table(&errors)));
+    Ok(figures)
+}
+
 /// Heap allocations of the whole process per frame in steady state, with the phantom as the source: decoding files is not counted.
 fn allocations(way: Way, quick: bool) -> Result<Option<f64>> {
-    let nodes = way.nodes(640, 2).replace("files.", "scope.").replace(", align = \"latest\"", "");
-    let scope = if way == Way::Grid { "" } else { "[nodes.scope]\ntype = \"phantom\"\n" };
-    let text = format!(
-        "mode = \"live\"\nplugins = [\"phantom\", \"stereo\", \"stitch\", \"flow\"]\n{scope}{nodes}\
-         [nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"wide.panorama\" }}\n"
-    );
+    let text = on_the_phantom(way, "")
+        + "[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"wide.panorama\" }\n";
     Ok(run(&text, if quick { 80 } else { 200 }, 2, false)?.allocations_per_frame)
 }
 
@@ -214,8 +278,10 @@ fn features(folder: &Folder, points: u32, quick: bool) -> Result<(f64, f64)> {
              [nodes.features]\nbudget_ms = 60000\ninputs = {{ left = \"files.left\" }}\n{node}\n"
         )
     };
-    let surf =
-        text(&format!("type = \"features_surf\"\nparams = {{ max_points = {points}, hessian_threshold = 1.0 }}"));
+    // OpenCV's detectors take their maxima as they are: so does ours here.
+    let surf = text(&format!(
+        "type = \"features_surf\"\nparams = {{ max_points = {points}, hessian_threshold = 1.0, second_look = false }}"
+    ));
     let sift = text(&format!(
         "type = \"features_opencv\"\nparams = {{ detector = \"sift\", max_points = {points}, threads = 2 }}"
     ));
@@ -241,22 +307,37 @@ fn measured(folder: &Folder, size: (u32, u32), threads: usize, quick: bool) -> R
             if round > 0 && *way == Way::OpencvFull && size.0 > 640 {
                 continue;
             }
-            *times = Some(once(folder, size.0, *way, threads, quick)?.better(*times));
+            *times = Some(once(folder, size.0, *way, Seam::Found, threads, quick)?.better(*times));
         }
     }
-    Ok(best.into_iter().filter_map(|(way, times)| Some((way, times?))).collect())
+    let mut all = Vec::new();
+    for (way, times) in best {
+        let Some(mut times) = times else { continue };
+        // What the composite takes beyond one that finds no seam.
+        let spared = once(folder, size.0, way, Seam::Spared, threads, quick)?.composite;
+        times.seam = (times.composite - spared).max(0.0);
+        all.push((way, times));
+    }
+    Ok(all)
 }
 
 /// Measures all cases.
-pub fn measure(quick: bool) -> Result<Vec<Figure>> {
+pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
     crate::interrupt::listen();
+    let quick = arguments.common.quick;
     let folder = Folder::new()?;
-    let sizes = if quick { &SIZES[..1] } else { &SIZES[..] };
+    let wanted = |(width, height): (u32, u32)| match &arguments.size[..] {
+        [] => !quick || width == 640,
+        sizes => sizes.iter().any(|size| *size == format!("{width}x{height}")),
+    };
     let threads: &[usize] = if quick { &[2] } else { &[1, 2] };
     let mut figures = Vec::new();
-    let mut rows =
-        vec![["size, threads, way", "disparity", "registration", "composite", "whole ms"].map(str::to_owned).to_vec()];
-    for &size in sizes {
+    let mut rows = vec![
+        ["size, threads, way", "disparity", "2.1 registration", "2.2 seam", "rest of composite", "2.3, 4.3 whole ms"]
+            .map(str::to_owned)
+            .to_vec(),
+    ];
+    for size in SIZES.into_iter().filter(|size| wanted(*size)) {
         tell!("rendering {PICTURES} pairs of {}x{}", size.0, size.1);
         render(&folder, size)?;
         for &threads in threads {
@@ -264,12 +345,17 @@ pub fn measure(quick: bool) -> Result<Vec<Figure>> {
             for (way, t) in &all {
                 let ms = |v: f64| format!("{v:.2}");
                 let name = format!("{}x{}, {threads}, {}", size.0, size.1, way.name());
-                rows.push(vec![name, ms(t.matching), ms(t.register), ms(t.composite), ms(t.whole())]);
+                let rest = t.composite - t.seam;
+                rows.push(vec![name, ms(t.matching), ms(t.register), ms(t.seam), ms(rest), ms(t.whole())]);
             }
             figures.extend(figures_of(&all, size, threads));
         }
     }
-    raw(&table(&rows));
+    raw(&format!("Tables 2.1 to 2.3 and 4.3: time per frame, ms\n{}\n", table(&rows)));
+    if !arguments.size.is_empty() && arguments.size.iter().all(|size| size != "640x480") {
+        return Ok(figures);
+    }
+    figures.extend(quality(quick)?);
     for (name, way) in [("stitch_roi", Way::Roi), ("stitch_grid", Way::Grid)] {
         if let Some(count) = allocations(way, quick)? {
             figures.push(Figure::new(
@@ -315,9 +401,10 @@ fn figures_of(all: &[(Way, Times)], size: (u32, u32), threads: usize) -> Vec<Fig
         let peer = of(Way::OpencvFair);
         let parts = [
             ("registration", times.registration(), peer.map(|p| p.register)),
+            ("seam", times.seam, peer.map(|p| p.seam)),
             ("composite", times.composite, peer.map(|p| p.composite)),
         ];
-        for (part, value, peer) in parts {
+        for (part, value, peer) in parts.into_iter().filter(|(_, value, _)| value.is_finite()) {
             out.push(Figure::new(&format!("{name}{}", sub(part)), value, "ms", &input).beside(FAIR, peer));
         }
     }

@@ -13,8 +13,8 @@ use crate::commands::eval::look::{self, Plan};
 use crate::terminal::{raw, table, tell};
 
 /// Pairs that are rendered and played round and round.
-const PAIRS: u64 = 48;
-/// A second graph's nodes are told apart from the first one's by name only, so the source is looked for by its type.
+const PAIRS: u64 = 240;
+/// Type of the source that is rendered beforehand.
 const SOURCE: &str = "phantom";
 
 /// A folder that is removed at the end.
@@ -121,9 +121,20 @@ fn show(report: &Report) {
     raw(&table(&rows));
 }
 
-/// Measures `path`: unpaced for `system_fps`, at 30 pictures a second for the ages.
-pub fn measure(path: &Path, quick: bool) -> Result<Vec<Figure>> {
+/// Arguments of this bench.
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    pub common: super::Arguments,
+    /// Graph with a `phantom`, whose views are rendered beforehand.
+    #[arg(value_name = "GRAPH", default_value = "graphs/surgeon.toml")]
+    graph: PathBuf,
+}
+
+/// Measures the graph: unpaced for `system_fps`, at 30 pictures a second for the ages.
+pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
     crate::interrupt::listen();
+    let (path, quick) = (arguments.graph.as_path(), arguments.common.quick);
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     let mut graph: Table = text.parse().with_context(|| format!("{} is no graph", path.display()))?;
     let (name, phantom) = source(&mut graph)?;

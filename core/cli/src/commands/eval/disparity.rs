@@ -20,8 +20,8 @@ use panoscope_imaging::{Serial, View, ViewMut};
 
 use crate::commands::bench::record::Figure;
 use crate::terminal::tell;
-pub use data::find;
 use data::Picture;
+pub use data::find;
 
 /// Arguments of `eval disparity`.
 #[derive(clap::Args)]

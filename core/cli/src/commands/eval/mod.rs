@@ -6,7 +6,7 @@ pub mod disparity;
 pub mod look;
 pub mod plot;
 mod rewire;
-mod stitch;
+pub mod stitch;
 mod surf;
 
 use std::path::PathBuf;

@@ -95,7 +95,9 @@ fn chart(out: &mut ViewMut<'_, u8>, origin: (f32, f32), chart: &Chart) {
     let centred = |out: &mut ViewMut<'_, u8>, x: f32, y: f32, words: &str| {
         draw::text(out, x - draw::text_size(words, 1.2).0 / 2.0, y, words, 1.2, INK);
     };
-    let parts = |low: f64, high: f64, step: f64| (0..=((high - low) / step).round() as usize).map(move |i| low + i as f64 * step);
+    let parts = |low: f64, high: f64, step: f64| {
+        (0..=((high - low) / step).round() as usize).map(move |i| low + i as f64 * step)
+    };
     for x in parts(x0, x1, x_step) {
         draw::line(out, (across(x), top), (across(x), bottom), 1.0, GRID);
         centred(out, across(x), bottom + 7.0, &number(x, x_step));

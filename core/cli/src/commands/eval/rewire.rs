@@ -253,7 +253,9 @@ impl Wiring {
                     () if is("phantom") && pair == 0 => {
                         wire(&[("disparity", "disparity"), ("visible", "visible"), ("truth", "homography")], source);
                     }
-                    () if is("cut_views") => wire(&[("truth", "homography"), ("left_in_wide", "left_in_image")], source),
+                    () if is("cut_views") => {
+                        wire(&[("truth", "homography"), ("left_in_wide", "left_in_image")], source)
+                    }
                     () => _ = params.insert("correlate".to_owned(), true.into()),
                 }
                 if judged == Judged::Pictures && is("phantom") {

@@ -54,10 +54,13 @@ pub struct Arguments {
 
 /// Measures of one pair of views; NaN where there is no truth.
 #[derive(Clone, Debug)]
-struct Marks {
-    stitched_pct: f64,
-    align_px: f64,
-    floor_px: f64,
+pub struct Marks {
+    /// Share of frames with a fresh registration.
+    pub stitched_pct: f64,
+    /// Root mean square distance of mapped from true places in the overlap.
+    pub align_px: f64,
+    /// The same of the best plane: what parallax leaves.
+    pub floor_px: f64,
     psnr_overlap_db: f64,
     ssim_overlap: f64,
     psnr_seam_db: f64,
@@ -114,7 +117,10 @@ fn judges(wiring: &Wiring) -> Vec<(String, String)> {
         for pair in 0..composite.pairs() {
             let view = if composite.pairs() > 1 { format!("view{}", pair + 1) } else { String::new() };
             let id = if wiring.composites.len() > 1 { composite.id.clone() } else { String::new() };
-            all.push((composite.judge(pair), [id, view].into_iter().filter(|p| !p.is_empty()).collect::<Vec<_>>().join("_")));
+            all.push((
+                composite.judge(pair),
+                [id, view].into_iter().filter(|p| !p.is_empty()).collect::<Vec<_>>().join("_"),
+            ));
         }
     }
     all
@@ -208,7 +214,8 @@ fn figures(case: &str, marks: &Marks, peer: Option<&Marks>, input: &str) -> Vec<
             }
             continue;
         }
-        let (measure, rest) = name.split_once('/').map_or((name.as_str(), String::new()), |(m, r)| (m, format!("_{r}")));
+        let (measure, rest) =
+            name.split_once('/').map_or((name.as_str(), String::new()), |(m, r)| (m, format!("_{r}")));
         let mut figure = Figure::new(&format!("{measure}/{case}{rest}"), value, unit, input);
         let same = theirs.as_ref().and_then(|t| t.iter().find(|(n, ..)| *n == name));
         if let Some(peer_value) = same.map(|(_, _, value, _)| *value).filter(|v| v.is_finite()) {
@@ -286,6 +293,13 @@ impl Drop for Work {
     }
 }
 
+/// How well a graph's first composite is registered.
+pub fn registration_of(text: &str, frames: u64) -> Result<Marks> {
+    let wiring = Wiring::of(text, "bench")?;
+    let run = run(&wiring, Judged::Registration, Path::new("bench.toml"), frames)?;
+    marks(run.tables.first().context("there is no judge")?)
+}
+
 fn wiring(arguments: &Arguments) -> Result<Option<Wiring>> {
     let path = &arguments.graph;
     // All mistakes of the file as it stands, with their lines.
@@ -340,9 +354,10 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
         let peer_marks = peer.as_ref().and_then(|(marks, _)| marks.first());
         let peer_rows = peer.as_ref().and_then(|(_, run)| run.tables.first());
         let input = format!("{}, {} frames", case.input, arguments.frames);
-        let title = [graph.name.as_str(), case.name].into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join("_");
+        let title =
+            [graph.name.as_str(), case.name].into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join("_");
         for (((judge, name), marks), rows) in judges(&case.wiring).iter().zip(&ours).zip(&main.tables) {
-            let named = [title.as_str(), name].into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join("_");
+            let named = [title.as_str(), name.as_str()].into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join("_");
             out.extend(figures(&named, marks, peer_marks, &input));
             pictures.extend(charts(&title, name, rows, peer_rows));
             if let Some(path) = &arguments.rows {

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use panoscope_imaging::stereo::{
     BilateralSolver, BilateralSolverParams, BlockMatcher, BlockMatchingParams, ConfidenceParams, FilterInput, Roi,
-    SemiGlobalMatcher, SemiGlobalParams, WlsFilter, WlsParams,
+    SemiGlobalMatcher, SemiGlobalParams, SharedField, WlsFilter, WlsParams,
 };
 use panoscope_imaging::{Serial, View, ViewMut};
 
@@ -42,6 +42,9 @@ pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> 
             BlockMatcher::new(params)?.compute(a, b, roi, &Serial, to, Some(to_right))?;
             5
         };
+        // As the nodes do.
+        let both = &mut ViewMut::new(&mut raw, width, height, 1);
+        SharedField::default().keep(both, view(&raw_right, width, height), roi);
         let (mut smooth, mut trust, mut solved) = (plane(), plane(), plane());
         let confidence = ConfidenceParams { scatter_radius_px, ..Default::default() };
         let mut wls = WlsFilter::new(WlsParams { confidence, ..Default::default() })?;

@@ -11,10 +11,10 @@ use panoscope_imaging::stereo::{Rectification, RectifiedCamera, Roi, score_dispa
 use panoscope_runtime::memory::FrameRef;
 
 use super::super::look::{self, Plan};
-use crate::commands::scene::rectified_phantom;
 use super::data::Picture;
 use super::phantom::{BASELINE_MM, FOCAL_PX, SIZE, floats};
 use super::{Judge, REACH_MM, picture};
+use crate::commands::scene::rectified_phantom;
 
 const SCENES: [&str; 5] = ["liver", "bowel", "cavity", "box", "board"];
 /// A difference beyond this is no noise, gray levels.

@@ -204,7 +204,8 @@ impl Ruler {
     /// The figures' numbers: lengths from the first point, and depths, at one distance.
     pub fn tables(&self, distance_mm: f64) -> String {
         let rows = |all: &[Measured], head: &str, wanted: &dyn Fn(&Measured) -> bool| {
-            let mut rows = vec![[head, "true mm", "measured mm", "stated +-", "error mm", "error %"].map(str::to_owned).to_vec()];
+            let mut rows =
+                vec![[head, "true mm", "measured mm", "stated +-", "error mm", "error %"].map(str::to_owned).to_vec()];
             for m in all.iter().filter(|m| m.distance_mm == distance_mm && wanted(m)) {
                 let off = m.found_mm - m.true_mm;
                 let mm = |v: f64| format!("{v:.2}");
@@ -222,7 +223,8 @@ impl Ruler {
         let pair = |title: &str, all: &[Measured]| {
             let sides = all.iter().map(|m| (m.true_mm, m.true_mm)).collect();
             let line = Series { name: "true".to_owned(), style: Style::Line, color: 2, points: sides };
-            let bars = all.iter().flat_map(|m| [(m.true_mm, m.found_mm - m.stated_mm), (m.true_mm, m.found_mm + m.stated_mm)]);
+            let bars =
+                all.iter().flat_map(|m| [(m.true_mm, m.found_mm - m.stated_mm), (m.true_mm, m.found_mm + m.stated_mm)]);
             let dots = all.iter().map(|m| (m.true_mm, m.found_mm)).collect();
             let values = Chart {
                 title: format!("{title}: measured against true"),
@@ -231,7 +233,12 @@ impl Ruler {
                 series: vec![
                     line,
                     Series { name: String::new(), style: Style::Bars, color: 0, points: bars.collect() },
-                    Series { name: "measured, with its stated error".to_owned(), style: Style::Dots, color: 0, points: dots },
+                    Series {
+                        name: "measured, with its stated error".to_owned(),
+                        style: Style::Dots,
+                        color: 0,
+                        points: dots,
+                    },
                 ],
                 from_zero: false,
             };
@@ -242,7 +249,12 @@ impl Ruler {
                 x_label: "true, mm".to_owned(),
                 y_label: "measured - true, mm".to_owned(),
                 series: vec![
-                    Series { name: "stated".to_owned(), style: Style::Dots, color: 1, points: [stated(1.0), stated(-1.0)].concat() },
+                    Series {
+                        name: "stated".to_owned(),
+                        style: Style::Dots,
+                        color: 1,
+                        points: [stated(1.0), stated(-1.0)].concat(),
+                    },
                     Series { name: "true error".to_owned(), style: Style::Dots, color: 0, points: errors },
                 ],
                 from_zero: true,

@@ -69,7 +69,10 @@ pub fn recovery(incident: &Incident, rows: &Table) -> Option<Recovery> {
     let back = (end..state.len()).find(|tick| right(*tick));
     let bad = first..if incident.at_once { back.unwrap_or(state.len()) } else { end };
     let wrong = bad.filter(|tick| if incident.seen { fresh(*tick) && !right(*tick) } else { fresh(*tick) });
-    Some(Recovery { frames: back.map_or(f64::NAN, |tick| (tick - end) as f64 + 1.0), false_fresh: wrong.count() as f64 })
+    Some(Recovery {
+        frames: back.map_or(f64::NAN, |tick| (tick - end) as f64 + 1.0),
+        false_fresh: wrong.count() as f64,
+    })
 }
 
 #[cfg(test)]

@@ -117,16 +117,13 @@ pub fn case(name: &'static str, graph: &Wiring, places: &Places<'_>) -> Result<R
                 ("calibration", text(&file)),
                 ("loop", true.into()),
             ];
-            let made = graph.with_source(
-                node("capture", &[], &params),
-                &["left", "right", "calibration"],
-                &[],
-                &["capture"],
-            );
+            let made =
+                graph.with_source(node("capture", &[], &params), &["left", "right", "calibration"], &[], &["capture"]);
             Ok(wired(made).map(|wiring| Case {
                 name: "hamlyn",
                 wiring,
-                input: "Hamlyn pairs 640x480 with parallax, residual of correspondences found by correlation".to_owned(),
+                input: "Hamlyn pairs 640x480 with parallax, residual of correspondences found by correlation"
+                    .to_owned(),
                 still: Vec::new(),
             }))
         }
