@@ -32,11 +32,12 @@ cargo xtask COMMAND
   demo [GRAPH.toml] [--headless] [args of `panoscope run`]
                        installs what is missing, builds, runs graphs/panorama.toml and says what came out
   test [SUITE] [-- args of `cargo test`]
-                       installs what is missing, builds, checks format and lints, runs all tests
+                       installs what is missing, builds, checks format and lints, runs all tests; suites: all, lint, code, faults,
+                       hostile-models
   setup [--bench]      installs the system packages that are missing (--bench: the peers of `bench` too)
   build [--release]    builds the program, the editor and the plugins, laid out so that they also run outside cargo
   bench [args]         builds in release and runs `panoscope bench args`
-  install DIR          puts a release build (program, editor, plugins, graphs) into DIR
+  install DIR          puts a release build (program, editor, plugins with models, graphs) into DIR
   screens [DIR]        takes pictures of the editor at work, on a screen that nobody sees, into DIR (target/screens)
   data                 fetches the test data that comes from Python wheels into target/data
   onnxruntime          fetches ONNX Runtime's shared library into target/onnxruntime

@@ -22,16 +22,26 @@ struct Suite {
     tests: bool,
     /// Arguments of `cargo test` that pick its tests.
     only: &'static [&'static str],
+    /// Environment of its tests, where the caller has not set it.
+    env: &'static [(&'static str, &'static str)],
 }
 
 static SUITES: &[Suite] = &[
-    Suite { name: "all", lints: true, tests: true, only: &[] },
-    Suite { name: "lint", lints: true, tests: false, only: &[] },
-    Suite { name: "code", lints: false, tests: true, only: &[] },
+    Suite { name: "all", lints: true, tests: true, only: &[], env: &[] },
+    Suite { name: "lint", lints: true, tests: false, only: &[], env: &[] },
+    Suite { name: "code", lints: false, tests: true, only: &[], env: &[] },
     // PANOSCOPE_FAULT_CASES and PANOSCOPE_FAULT_SEED choose how many cases and which.
-    Suite { name: "faults", lints: false, tests: true, only: &["-p", "panoscope-runtime", "--test", "campaign"] },
+    Suite { name: "faults", lints: false, tests: true, only: &["-p", "panoscope-runtime", "--test", "campaign"], env: &[] },
+    // PANOSCOPE_HOSTILE_CASES and PANOSCOPE_HOSTILE_SEED, the same.
+    Suite {
+        name: "hostile-models",
+        lints: false,
+        tests: true,
+        only: &["-p", "panoscope-tools", "--test", "hostile_campaign"],
+        env: &[("PANOSCOPE_HOSTILE_CASES", "200")],
+    },
     // Killed while saving, keeping a still, recording a clip; graphs in which everything fails.
-    Suite { name: "kill", lints: false, tests: true, only: &["-p", "panoscope-editor", "--test", "kill"] },
+    Suite { name: "kill", lints: false, tests: true, only: &["-p", "panoscope-editor", "--test", "kill"], env: &[] },
 ];
 
 /// What the command line asks for.
@@ -104,6 +114,9 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
         let built = timed("build", || build(workspace, Profile::Dev))?;
         let mut cargo = workspace.cargo();
         test_environment(&mut cargo, workspace, &built);
+        for (name, value) in request.suite.env.iter().filter(|(name, _)| std::env::var_os(name).is_none()) {
+            cargo.env(name, value);
+        }
         cargo.args(["test", "--no-fail-fast"]);
         cargo.args(request.suite.only);
         if !request.names_packages() && request.suite.only.is_empty() {
@@ -150,7 +163,7 @@ mod tests {
     fn an_unknown_suite_lists_the_known_ones() {
         let args = words("fualts");
         let error = Request::parse(&args).err().unwrap().to_string();
-        assert_eq!(error, "there is no test suite `fualts`; there are: all, lint, code, faults");
+        assert_eq!(error, "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models");
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));
     }

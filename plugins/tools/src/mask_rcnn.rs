@@ -90,6 +90,9 @@ pub struct MaskRcnn {
     /// Kept certainties per candidate, one after the other: whole or small maps, or prototypes' sums.
     maps: Vec<f32>,
     map_size: (usize, usize),
+    /// Work memory of painting: where each column of a box lies in its map, and a row of the map for each task.
+    places: Vec<Place>,
+    lines: Vec<f32>,
     items: Vec<Detection>,
     bits: Vec<u8>,
     tracker: Tracker,
@@ -137,20 +140,25 @@ fn sort_out<'a>(outputs: &[Tensor<'a>]) -> Result<Answer<'a>> {
     Ok(Answer { boxes, scores, labels, masks, map_size: (width, height), count })
 }
 
-/// Bilinear value at a place of a map; 0 outside.
-fn sample(map: &[f32], (width, height): (usize, usize), x: f32, y: f32) -> f32 {
-    if width == 0 || height == 0 || !(x > -1.0 && y > -1.0 && x < width as f32 && y < height as f32) {
-        return 0.0;
+/// Rows of a mask that one task paints.
+const ROWS_PER_CHUNK: usize = 32;
+
+/// Where along one side of a map a pixel's value lies: between cell `first` and the next, counted from a cell of zeros before the map.
+#[derive(Clone, Copy, Default)]
+struct Place {
+    first: u32,
+    share: f32,
+}
+
+impl Place {
+    /// Of a coordinate in cells, whose centres are whole numbers; outside the map its value is that of the zeros around it.
+    fn new(at: f32, cells: usize) -> Self {
+        if at > -1.0 && at < cells as f32 {
+            let low = at.floor();
+            return Self { first: (low + 1.0) as u32, share: at - low };
+        }
+        Self::default()
     }
-    let (x0, y0) = (x.floor(), y.floor());
-    let (fx, fy) = (x - x0, y - y0);
-    let at = |x: f32, y: f32| {
-        let inside = x >= 0.0 && y >= 0.0 && (x as usize) < width && (y as usize) < height;
-        if inside { map[y as usize * width + x as usize] } else { 0.0 }
-    };
-    let upper = at(x0, y0) + fx * (at(x0 + 1.0, y0) - at(x0, y0));
-    let lower = at(x0, y0 + 1.0) + fx * (at(x0 + 1.0, y0 + 1.0) - at(x0, y0 + 1.0));
-    upper + fy * (lower - upper)
 }
 
 /// What a map covers.
@@ -163,41 +171,70 @@ enum Covers {
 }
 
 impl MaskRcnn {
-    /// Bit masks of all items: most significant bit first, rows padded to whole bytes.
+    /// Bit masks of all items: most significant bit first, rows padded to whole bytes. Each map is enlarged bilinearly, rows first.
     fn paint(&mut self, covers: Covers, size: (usize, usize), threshold: f32, pool: &dyn Parallel) {
         let len = mask_len(size.0, size.1);
         let row_bytes = size.0.div_ceil(8);
         self.bits.clear();
         self.bits.resize(len * self.items.len(), 0);
-        let (items, maps, map_size) = (&self.items, &self.maps, self.map_size);
-        let one_map = map_size.0 * map_size.1;
-        let out = SharedMut::new(&mut self.bits);
-        pool.run(items.len(), &|i| {
-            let (item, map) = (&items[i], &maps[i * one_map..(i + 1) * one_map]);
-            // SAFETY: one mask, one chunk.
-            let bits = unsafe { out.part(i * len, len) };
-            let columns =
-                item.x_px.max(0.0) as usize..((item.x_px + item.width_px).ceil().max(0.0) as usize).min(size.0);
+        let (width, height) = self.map_size;
+        if width == 0 || height == 0 {
+            return;
+        }
+        let line_len = width + 2;
+        self.lines.resize(size.1.div_ceil(ROWS_PER_CHUNK) * line_len, 0.0);
+        for (i, item) in self.items.iter().enumerate() {
+            let map = &self.maps[i * width * height..(i + 1) * width * height];
+            let columns = item.x_px.max(0.0) as usize..((item.x_px + item.width_px).ceil().max(0.0) as usize).min(size.0);
             let rows = item.y_px.max(0.0) as usize..((item.y_px + item.height_px).ceil().max(0.0) as usize).min(size.1);
-            for y in rows {
-                for x in columns.clone() {
-                    let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
-                    let (mx, my) = match covers {
-                        Covers::Box => (
-                            (px - item.x_px) / item.width_px * map_size.0 as f32 - 0.5,
-                            (py - item.y_px) / item.height_px * map_size.1 as f32 - 0.5,
-                        ),
-                        Covers::Input(p, input) => (
-                            (px * p.scale[0] + p.offset[0]) * map_size.0 as f32 / input.0 as f32 - 0.5,
-                            (py * p.scale[1] + p.offset[1]) * map_size.1 as f32 / input.1 as f32 - 0.5,
-                        ),
-                    };
-                    if sample(map, map_size, mx, my) >= threshold {
-                        bits[y * row_bytes + x / 8] |= 0x80 >> (x % 8);
+            let along = |axis: usize, px: f32| match covers {
+                Covers::Box if axis == 0 => (px - item.x_px) / item.width_px * width as f32 - 0.5,
+                Covers::Box => (px - item.y_px) / item.height_px * height as f32 - 0.5,
+                Covers::Input(p, input) => {
+                    let (cells, side) = if axis == 0 { (width, input.0) } else { (height, input.1) };
+                    (px * p.scale[axis] + p.offset[axis]) * cells as f32 / side as f32 - 0.5
+                }
+            };
+            self.places.clear();
+            self.places.extend(columns.clone().map(|x| Place::new(along(0, x as f32 + 0.5), width)));
+            let places = &self.places;
+            let bits = SharedMut::new(&mut self.bits[i * len..(i + 1) * len]);
+            let lines = SharedMut::new(&mut self.lines);
+            pool.run(rows.len().div_ceil(ROWS_PER_CHUNK), &|chunk| {
+                // SAFETY: one line for each chunk.
+                let line = unsafe { lines.part(chunk * line_len, line_len) };
+                let first = rows.start + chunk * ROWS_PER_CHUNK;
+                for y in first..(first + ROWS_PER_CHUNK).min(rows.end) {
+                    let at = Place::new(along(1, y as f32 + 0.5), height);
+                    mix(map, (width, height), at, line);
+                    // SAFETY: one row, painted by this chunk alone.
+                    let row = unsafe { bits.part(y * row_bytes, row_bytes) };
+                    for (x, place) in columns.clone().zip(places) {
+                        let pair = &line[place.first as usize..][..2];
+                        let inside = pair[0] + place.share * (pair[1] - pair[0]) >= threshold;
+                        row[x / 8] |= u8::from(inside) << (7 - x % 8);
                     }
                 }
-            }
-        });
+            });
+        }
+    }
+}
+
+/// A row of the map at a height between two of its rows, with a zero before and after it.
+fn mix(map: &[f32], (width, height): (usize, usize), at: Place, line: &mut [f32]) {
+    let row = |index: usize| (1..=height).contains(&index).then(|| &map[(index - 1) * width..index * width]);
+    let first = at.first as usize;
+    let share = at.share;
+    line[0] = 0.0;
+    line[width + 1] = 0.0;
+    let out = &mut line[1..=width];
+    match (row(first), row(first + 1)) {
+        (Some(upper), Some(lower)) => {
+            out.iter_mut().zip(upper).zip(lower).for_each(|((o, a), b)| *o = a + share * (b - a));
+        }
+        (Some(upper), None) => out.iter_mut().zip(upper).for_each(|(o, a)| *o = a * (1.0 - share)),
+        (None, Some(lower)) => out.iter_mut().zip(lower).for_each(|(o, b)| *o = b * share),
+        (None, None) => out.fill(0.0),
     }
 }
 
@@ -247,6 +284,8 @@ impl Node for MaskRcnn {
             candidates: Vec::new(),
             maps: Vec::new(),
             map_size: (0, 0),
+            places: Vec::new(),
+            lines: Vec::new(),
             items: Vec::new(),
             bits: Vec::new(),
             tracker: Tracker::default(),

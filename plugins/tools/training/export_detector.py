@@ -20,7 +20,7 @@ from torch import nn
 
 from instruments.data import CLASSES, letterbox, read
 from instruments.folding import fold_all, wide_stem
-from instruments.onnx_store import store_half, write
+from instruments.onnx_store import store_half, write, write_card
 from instruments.score import average_precision, rows_of
 from instruments.yolox import Yolox
 
@@ -66,6 +66,7 @@ def export(model, path, width, height, half, classes):
         "license": LICENCE,
     }
     write(path, metadata, store_half if half else None)
+    return metadata
 
 
 class Session:
@@ -122,7 +123,10 @@ def score(path, data, split, only, width, height, threads):
         raw = session(picture.transpose(2, 0, 1)[None].astype(np.float32))[0]
         found.append(rows_of(raw, width, height, scale))
     ap = average_precision(frames, found, len(CLASSES))
-    print(f"{len(frames)} frames of {split}: mAP50 {np.nanmean(ap):.4f}  " + " ".join(f"{n}={v:.3f}" for n, v in zip(CLASSES, ap)))
+    words = f"{len(frames)} frames of {f'{split}, {sorted(only)}' if only else split}: mAP50 {np.nanmean(ap):.4f}  "
+    words += " ".join(f"{n}={v:.3f}" for n, v in zip(CLASSES, ap))
+    print(words)
+    return words
 
 
 def main():
@@ -136,6 +140,7 @@ def main():
     p.add_argument("--split", default="test")
     p.add_argument("--only", default="", help="score on these operations only: v02,v08")
     p.add_argument("--picture", type=Path, help="picture for the comparison; left out, noise")
+    p.add_argument("--card", type=Path, help="write a model card here")
     p.add_argument("--threads", type=int, default=2)
     a = p.parse_args()
     if a.width % 32 or a.height % 32:
@@ -148,14 +153,17 @@ def main():
     for model in (plain, folded):
         model.load_state_dict(state)
     with torch.no_grad():
-        export(Exported(folded).eval(), a.out, a.width, a.height, a.half, CLASSES)
+        metadata = export(Exported(folded).eval(), a.out, a.width, a.height, a.half, CLASSES)
     print(f"{a.out}: {a.out.stat().st_size / 1e6:.2f} MB, {a.width}x{a.height}, {'16' if a.half else '32'}-bit weights")
+    measured = []
     try:
         compare(a.out, plain, a.width, a.height, a.picture, a.threads)
         if a.data:
-            score(a.out, a.data, a.split, set(filter(None, a.only.split(","))), a.width, a.height, a.threads)
+            measured.append(score(a.out, a.data, a.split, set(filter(None, a.only.split(","))), a.width, a.height, a.threads))
     except ModuleNotFoundError as e:
         print(f"not compared: {e}; `pip install onnxruntime` adds the comparison")
+    if a.card:
+        write_card(a.card, a.out.stem, metadata, measured)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from torch import nn
 from instruments.data import CLASSES, letterbox
 from instruments.folding import fold_all, wide_stem
 from instruments.mask_rcnn import MaskRcnn
-from instruments.onnx_store import store_half, write
+from instruments.onnx_store import store_half, write, write_card
 
 SOURCE = "phantom frames of this repository; m2cai16-tool-locations (Jin et al. 2018) with outlines guessed from boxes; backbone from YOLOX-nano of Megvii (Apache-2.0)"
 LICENCE = "research use: the training frames state no licence; no medical device"
@@ -52,6 +52,7 @@ def main():
     p.add_argument("--half", action="store_true", help="store weights as 16-bit floats")
     p.add_argument("--min-score", type=float, default=0.05, help="lowest score answered")
     p.add_argument("--picture", type=Path, help="picture for the comparison; left out, noise")
+    p.add_argument("--card", type=Path, help="write a model card here")
     p.add_argument("--threads", type=int, default=2)
     a = p.parse_args()
     torch.manual_seed(1)
@@ -93,6 +94,8 @@ def main():
         "license": LICENCE,
     }
     write(a.out, metadata, store_half if a.half else None)
+    if a.card:
+        write_card(a.card, a.out.stem, metadata, [])
     print(f"{a.out}: {a.out.stat().st_size / 1e6:.2f} MB, {a.width}x{a.height}, {'16' if a.half else '32'}-bit weights")
     try:
         import onnxruntime

@@ -34,3 +34,32 @@ def write(path, metadata, change=None):
     helper.set_model_props(model, metadata)
     onnx.checker.check_model(model)
     onnx.save(model, str(path))
+
+
+def write_card(path, title, metadata, measured):
+    """A model card beside the file: what it is, what it learnt from, its licence note, what was measured, where it fails."""
+    facts = "\n".join(f"| {k} | {v} |" for k, v in metadata.items() if k not in ("description", "batch"))
+    scores = "\n".join(f"- {line}" for line in measured) or "- nothing yet: run `panoscope eval detect`"
+    path.write_text(
+        f"""# {title}
+
+{metadata["description"]}. Research software, no medical device: never to be relied on in an operation.
+
+| | |
+|---|---|
+{facts}
+
+## Measured
+
+{scores}
+
+`panoscope eval detect` measures it again, with curves, confusions and the worst misses.
+
+## Limits
+
+- Trained on cholecystectomies filmed by few endoscopes: other operations, instruments and light are found less well. Frames of operations that it
+  saw in training score higher than those of others; the figure on operations left out is the one to expect.
+- Seven kinds of instruments; clips, gauze, drains and trocars are none of them and may be taken for one.
+- Smoke, blood on the lens, glare and instruments at the rim of the picture are missed more often.
+"""
+    )

@@ -3,8 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
-use panoscope_abi::Calibration;
+use anyhow::{Context, Result};
 use panoscope_runtime::Report;
 use toml::{Table, Value};
 
@@ -65,12 +64,8 @@ fn render(folder: &Path, phantom: &Value) -> Result<()> {
     graph.insert("nodes".to_owned(), Value::Table(nodes));
     let seen = run(&toml::to_string(&graph)?, Path::new("bench.toml"), PAIRS, false, &[("scope", "calibration")])?;
     let packet = seen.packets.into_iter().next().flatten().context("the phantom gave no calibration")?;
-    let bytes = packet.bytes();
-    if bytes.len() < size_of::<Calibration>() {
-        bail!("the phantom's calibration holds {} bytes, {} are expected", bytes.len(), size_of::<Calibration>());
-    }
-    // SAFETY: a calibration packet is this `repr(C)` struct of plain numbers; the length was looked at, alignment is not assumed.
-    let calibration = unsafe { bytes.as_ptr().cast::<Calibration>().read_unaligned() };
+    let calibration =
+        crate::commands::calibrate::report::calibration(packet.bytes()).context("the phantom's calibration is cut off")?;
     panoscope_calibration::write(&folder.join("calibration.yaml"), &calibration)?;
     Ok(())
 }

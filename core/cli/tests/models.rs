@@ -1,0 +1,99 @@
+//! `panoscope check` opens models in a child process and says why one cannot be used.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Instant;
+
+/// Folder that holds these plugins, or words that they are not built.
+fn plugins(names: &[&str]) -> Option<PathBuf> {
+    let given = std::env::var_os("PANOSCOPE_PLUGIN_PATH").unwrap_or_default();
+    let beside = Path::new(env!("CARGO_BIN_EXE_panoscope")).parent().map(Path::to_owned);
+    let has = |folder: &PathBuf, name: &str| {
+        [format!("lib{name}.so"), format!("libpanoscope_{name}.so")].iter().any(|file| folder.join(file).is_file())
+    };
+    let found = std::env::split_paths(&given).chain(beside).find(|folder| names.iter().all(|name| has(folder, name)));
+    if found.is_none() {
+        println!("skipped: the plugins {} are not built together; `cargo xtask test` builds them", names.join(", "));
+    }
+    found
+}
+
+/// Checks a graph whose detector reads `model`; exit code, what was said, seconds. The first word tells where ONNX Runtime is missing.
+fn check(folder: &Path, plugins: &Path, model: &[u8]) -> (i32, String, f64) {
+    std::fs::write(folder.join("m.onnx"), model).expect("a file");
+    let graph = folder.join("graph.toml");
+    let text = "plugins = [\"flow\", \"tools\", \"sinks\"]\n[nodes.camera]\ntype = \"frames\"\n[nodes.find]\ntype = \"yolo\"\n\
+                inputs = { image = \"camera.image\" }\nparams = { model = \"m.onnx\" }\n[nodes.out]\ntype = \"write_table\"\n\
+                inputs = { detections = \"find.detections\" }\nparams = { path = \"out.jsonl\" }\n";
+    std::fs::write(&graph, text).expect("a file");
+    let begun = Instant::now();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
+    let output = command.env("PANOSCOPE_PLUGIN_PATH", plugins).arg("check").arg(&graph).output().expect("it starts");
+    let words = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    (output.status.code().unwrap_or(-1), words, begun.elapsed().as_secs_f64())
+}
+
+#[test]
+fn a_model_that_is_none_is_refused_at_its_place() {
+    let Some(plugins) = plugins(&["flow", "tools", "sinks"]) else { return };
+    let folder = std::env::temp_dir().join(format!("panoscope_models_{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let (code, words, _) = check(&folder, &plugins, b"this is no model");
+    if words.contains("model-unchecked") {
+        println!("skipped: {}", words.lines().next().unwrap_or("ONNX Runtime is not there"));
+        return;
+    }
+    assert_eq!(code, 2, "{words}");
+    assert!(words.contains("error[model-refused]") && words.contains("graph.toml:7:20"), "{words}");
+    assert!(words.contains("m.onnx is no whole ONNX file") && words.contains("`model` of `find` (yolo)"), "{words}");
+    std::fs::remove_dir_all(folder).expect("removed");
+}
+
+#[test]
+fn a_model_of_another_kind_is_refused_with_both_shapes() {
+    let Some(plugins) = plugins(&["flow", "tools", "sinks"]) else { return };
+    let folder = std::env::temp_dir().join(format!("panoscope_models_kind_{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    // One input `images` 1x3x64x64, one constant output `weird` 1x7x11.
+    let (code, words, _) = check(&folder, &plugins, &weird());
+    if words.contains("model-unchecked") {
+        println!("skipped: {}", words.lines().next().unwrap_or("ONNX Runtime is not there"));
+        return;
+    }
+    assert_eq!(code, 2, "{words}");
+    assert!(words.contains("`weird` 1x7x11") && words.contains("1x84x(5+C)"), "expected and found shapes: {words}");
+    std::fs::remove_dir_all(folder).expect("removed");
+}
+
+/// A field of a protobuf message.
+fn field(number: u8, bytes: &[u8]) -> Vec<u8> {
+    let mut out = vec![number << 3 | 2];
+    let mut length = bytes.len();
+    while length >= 0x80 {
+        out.push(length as u8 | 0x80);
+        length >>= 7;
+    }
+    out.push(length as u8);
+    out.extend_from_slice(bytes);
+    out
+}
+
+fn weird() -> Vec<u8> {
+    let number = |field: u8, value: u8| vec![field << 3, value];
+    let value_info = |name: &[u8], dims: &[u8]| {
+        let shape: Vec<u8> = dims.iter().flat_map(|&d| field(1, &number(1, d))).collect();
+        let tensor = [number(1, 1), field(2, &shape)].concat();
+        [field(1, name), field(2, &field(1, &tensor))].concat()
+    };
+    let held = [[1u8, 7, 11].iter().flat_map(|&d| number(1, d)).collect(), number(2, 1), field(8, b"held"), field(9, &[0; 77 * 4])].concat();
+    let node = [field(1, b"held"), field(2, b"weird"), field(4, b"Identity")].concat();
+    let graph = [
+        field(1, &node),
+        field(2, b"g"),
+        field(5, &held),
+        field(11, &value_info(b"images", &[1, 3, 64, 64])),
+        field(12, &value_info(b"weird", &[1, 7, 11])),
+    ]
+    .concat();
+    [number(1, 8), field(7, &graph), field(8, &[field(1, b""), number(2, 13)].concat())].concat()
+}
