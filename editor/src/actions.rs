@@ -37,6 +37,12 @@ pub enum Action {
     View,
     /// Compare what is shown large with another output.
     Compare,
+    /// Put a titled frame around the selected nodes.
+    Frame,
+    /// Add a note.
+    Note,
+    /// Put the selected nodes in line.
+    Align,
     /// Colour nodes by where time goes.
     Heat,
     /// Show the file's text.
@@ -78,6 +84,9 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (ZoomOut, NONE, Key::Minus, "Zoom out"),
         (SelectAll, CTRL, Key::A, "Select all nodes"),
         (Next, NONE, Key::N, "Select the next node"),
+        (Frame, NONE, Key::G, "Frame the selected nodes"),
+        (Note, NONE, Key::O, "Add a note"),
+        (Align, NONE, Key::L, "Put the selected nodes in line"),
         (Heat, NONE, Key::H, "Heat map: where time goes"),
         (Text, NONE, Key::T, "The file's text"),
         (Plots, NONE, Key::P, "Curves of times"),

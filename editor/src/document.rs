@@ -13,6 +13,8 @@ use panoscope_graph::{
 };
 use panoscope_runtime::Loader;
 
+use crate::canvas::Mark;
+
 /// Most texts that can be undone.
 const MOST_STEPS: usize = 500;
 
@@ -81,6 +83,28 @@ pub struct View {
     pub right: bool,
     /// Name of the graph.
     pub name: String,
+    /// Frames and notes.
+    pub marks: Vec<Mark>,
+}
+
+/// Keys of `[editor]` that no node can have.
+pub(crate) const FRAMES: &str = ":frames";
+pub(crate) const NOTES: &str = ":notes";
+
+/// Frames and notes of an `[editor]` table; what is no such thing is left out.
+fn marks_of(editor: &toml::Table) -> Vec<Mark> {
+    let list = |key: &str| editor.get(key).and_then(toml::Value::as_array).cloned().unwrap_or_default();
+    let mark = |value: &toml::Value, frame: bool| {
+        let number = |key: &str| {
+            let v = value.get(key)?;
+            v.as_float().or(v.as_integer().map(|i| i as f64)).map(|v| v as f32)
+        };
+        let text = value.get("text")?.as_str()?.to_owned();
+        let size = if frame { Some((number("width")?, number("height")?)) } else { None };
+        Some(Mark { text, at: (number("x")?, number("y")?), size })
+    };
+    let frames = list(FRAMES).into_iter().filter_map(|v| mark(&v, true)).collect::<Vec<_>>();
+    frames.into_iter().chain(list(NOTES).into_iter().filter_map(|v| mark(&v, false))).collect()
 }
 
 impl View {
@@ -359,6 +383,7 @@ impl Document {
         let view = View {
             right: checked.graph.is_some(),
             name: parsed.name().to_owned(),
+            marks: marks_of(editor),
             nodes: std::mem::take(&mut nodes),
             wires,
             diagnostics,

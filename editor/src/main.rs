@@ -1,7 +1,7 @@
 //! `panoscope-editor GRAPH`, started by `panoscope edit GRAPH`, and with `--theatre` by `panoscope theatre GRAPH`. Exit codes: 0 done, 1 no window
 //! or a failed run, 2 no such file, or one that the theatre does not take.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Parser;
 use eframe::egui::{ViewportBuilder, vec2};
@@ -73,9 +73,19 @@ fn main() {
     unsafe { libc::_exit(code) }
 }
 
+/// Whether a file could be made there.
+fn in_a_folder(file: &Path) -> bool {
+    let folder = file.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    folder.is_dir() && file.extension().is_some_and(|e| e == "toml")
+}
+
 fn run(arguments: &Arguments) -> i32 {
     let text = match std::fs::read_to_string(&arguments.graph) {
         Ok(text) => text,
+        // A file that is to be: templates are offered.
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound && !arguments.theatre && in_a_folder(&arguments.graph) => {
+            String::new()
+        }
         Err(error) => {
             eprintln!("error: {} cannot be read: {error}", arguments.graph.display());
             return 2;
@@ -117,7 +127,7 @@ fn run(arguments: &Arguments) -> i32 {
 type Made = Result<Box<dyn eframe::App>, Box<dyn std::error::Error + Send + Sync>>;
 
 fn open(viewport: ViewportBuilder, make: impl FnOnce(&eframe::CreationContext<'_>) -> Made) -> i32 {
-    let native = eframe::NativeOptions { viewport, renderer: eframe::Renderer::Glow, ..eframe::NativeOptions::default() };
+    let native = eframe::NativeOptions { viewport, renderer: eframe::Renderer::Glow, dithering: false, ..eframe::NativeOptions::default() };
     let made = eframe::run_native(
         "panoscope-editor",
         native,

@@ -3,7 +3,8 @@
 use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{GraphText, NodeType};
 
-use crate::document::{Document, View, Wire};
+use crate::canvas::Mark;
+use crate::document::{Document, FRAMES, NOTES, View, Wire};
 use crate::observe::Output;
 
 /// Sets a parameter, or with `None` takes it out of the file. Changes of one parameter in a row are one step.
@@ -297,4 +298,30 @@ pub fn move_nodes(doc: &mut Document, places: &[(String, (f32, f32))]) -> Result
 /// Gives a node another name everywhere.
 pub fn rename(doc: &mut Document, old: &str, new: &str) -> Result<(), EditError> {
     doc.edit(&format!("rename {old} to {new}"), None, |edit| edit.rename_node(old, new))
+}
+
+/// Puts frames and notes in place of those that are there, and moves nodes with them.
+pub fn set_marks(doc: &mut Document, marks: &[Mark], moved: &[(String, (f32, f32))]) -> Result<(), EditError> {
+    let table = |mark: &Mark| {
+        let mut table = toml::Table::new();
+        table.insert("text".to_owned(), mark.text.as_str().into());
+        let (w, h) = mark.size.unzip();
+        let numbers = [("x", Some(mark.at.0)), ("y", Some(mark.at.1)), ("width", w), ("height", h)];
+        for (key, value) in numbers {
+            if let Some(value) = value {
+                table.insert(key.to_owned(), f64::from(value).into());
+            }
+        }
+        toml::Value::Table(table)
+    };
+    let list = |frames: bool| -> Vec<toml::Value> {
+        marks.iter().filter(|m| m.size.is_some() == frames).map(table).collect()
+    };
+    doc.edit("frames and notes", None, |edit| {
+        for (key, list) in [(FRAMES, list(true)), (NOTES, list(false))] {
+            edit.set_editor(key, (!list.is_empty()).then(|| list.into()).as_ref());
+        }
+        moved.iter().for_each(|(id, (x, y))| edit.set_position(id, f64::from(*x), f64::from(*y)));
+        Ok(())
+    })
 }

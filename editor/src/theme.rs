@@ -53,6 +53,21 @@ pub fn family(name: &str) -> Color32 {
     }
 }
 
+/// Colour of a class of things that are found, or of a curve: eight that colour-blind eyes tell apart, then the same again.
+pub fn class(index: u32) -> Color32 {
+    const COLORS: [Color32; 8] = [
+        rgb(0x56B4E9),
+        rgb(0xE69F00),
+        rgb(0x2DBE95),
+        rgb(0xCC79A7),
+        rgb(0xF0E442),
+        rgb(0xEE7733),
+        rgb(0x9AA5B1),
+        rgb(0x3D8FD1),
+    ];
+    COLORS[index as usize % COLORS.len()]
+}
+
 /// Colour of what flows through a pin.
 pub fn packet(name: &str) -> Color32 {
     match name {

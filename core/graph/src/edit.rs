@@ -296,6 +296,24 @@ impl GraphEdit {
         Ok(())
     }
 
+    /// Sets what stands under a key of `[editor]`, or with `None` takes it out.
+    pub fn set_editor(&mut self, key: &str, value: Option<&toml::Value>) {
+        let root = self.document.as_table_mut();
+        match value {
+            Some(value) => {
+                let editor = root.entry("editor").or_insert_with(|| Item::Table(Table::new()));
+                if let Some(editor) = editor.as_table_like_mut() {
+                    set(editor, key, edit_value(value));
+                }
+            }
+            None => {
+                if let Some(editor) = root.get_mut("editor").and_then(Item::as_table_like_mut) {
+                    editor.remove(key);
+                }
+            }
+        }
+    }
+
     /// Sets where the editor draws a node, in `[editor]`.
     pub fn set_position(&mut self, id: &str, x: f64, y: f64) {
         let mut at = InlineTable::new();

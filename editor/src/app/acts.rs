@@ -34,6 +34,11 @@ impl App {
                 let result = ops::move_nodes(doc, &places);
                 self.try_edit(result);
             }
+            Ask::Marks { marks, moved } => {
+                let moved: Vec<_> = moved.into_iter().map(|(id, at)| (id, (at.x, at.y))).collect();
+                let result = ops::set_marks(doc, &marks, &moved);
+                self.try_edit(result);
+            }
             Ask::Insert { node, wire } => {
                 let result = ops::insert(doc, &node, (&wire.0, &wire.1, wire.2));
                 self.try_edit(result);
@@ -112,6 +117,21 @@ impl App {
                 self.canvas.selected = self.document.view().nodes.iter().map(|n| n.id().to_owned()).collect();
             }
             Action::Next => self.next(),
+            Action::Frame | Action::Note => {
+                let frame = action == Action::Frame;
+                let marks = if frame { self.canvas.frame_selection() } else { self.canvas.add_note() };
+                let result = ops::set_marks(&mut self.document, &marks, &[]);
+                self.try_edit(result);
+            }
+            Action::Align => {
+                let places = self.canvas.aligned();
+                if places.len() > 1 {
+                    let result = ops::move_nodes(&mut self.document, &places);
+                    self.try_edit(result);
+                } else {
+                    self.tell("select the nodes to put in line", true);
+                }
+            }
             Action::View => self.view(),
             Action::Heat => self.switches.heat ^= true,
             Action::Text => self.switches.text ^= true,
@@ -253,6 +273,11 @@ impl App {
     fn delete(&mut self) {
         if let Some((node, input, index)) = self.canvas.selected_wire.take() {
             let result = ops::unwire(&mut self.document, &node, &input, index);
+            self.try_edit(result);
+            return;
+        }
+        if let Some(marks) = self.canvas.without_selected_mark() {
+            let result = ops::set_marks(&mut self.document, &marks, &[]);
             self.try_edit(result);
             return;
         }

@@ -1,6 +1,7 @@
 //! The window: what is shown where.
 
 mod acts;
+mod begin;
 mod shot;
 
 use std::collections::HashMap;
@@ -14,19 +15,22 @@ use panoscope_graph::GraphText;
 
 use crate::actions;
 use crate::canvas::{Canvas, Scene, is_pictorial};
-use crate::disk::DiskWatch;
+use crate::disk::{self, DiskWatch};
 use crate::document::Document;
 use crate::observe::{Counters, LARGE_INTERVAL, Observer, Output, THUMBNAIL_INTERVAL, Wanted};
 use crate::ops::Detour;
 use crate::palette::{Palette, Types};
 use crate::panels::Shown;
 use crate::panels::inspector::{self, Wish};
+use crate::panels::plots::{Export, Plots};
 use crate::panels::top::{self, Switches};
 use crate::panels::{below, overview};
 use crate::session::{Phase, Session, Status};
+use crate::theatre::next_file;
 use crate::theme;
 use crate::viewer::{Source, Viewer};
 
+pub use begin::{templates, with_source};
 pub use shot::{Costs, Shot};
 
 /// Pixels across of a thumbnail; enough for a sharp one at zoom 1 and double density.
@@ -60,6 +64,7 @@ pub struct App {
     pub(crate) canvas: Canvas,
     pub(crate) shown: Shown,
     pub(crate) viewer: Viewer,
+    plots: Plots,
     palette: Option<Palette>,
     types: Types,
     help: bool,
@@ -101,6 +106,7 @@ impl App {
             canvas: Canvas::default(),
             shown: Shown::default(),
             viewer: Viewer::default(),
+            plots: Plots::default(),
             palette: None,
             types: Types::default(),
             help: false,
@@ -185,6 +191,8 @@ impl App {
         }
         self.panels(ui, &status);
         self.palettes(&ctx);
+        self.offer_templates(&ctx);
+        self.take_dropped(&ctx);
         self.notes(&ctx);
         self.follow();
         self.want();
@@ -268,7 +276,26 @@ impl App {
         }
         if self.switches.plots {
             let panel = Panel::bottom("plots").frame(frame).default_size(220.0).size_range(120.0..=520.0);
-            panel.show(ui, |ui| below::plots(ui, counters, &selected));
+            let export = panel.show(ui, |ui| self.plots.show(ui, counters, &selected)).inner;
+            if let Some(export) = export {
+                self.export(export);
+            }
+        }
+    }
+
+    /// Writes curves into `out/`, under the next number.
+    fn export(&mut self, export: Export) {
+        let ending = if matches!(export, Export::Csv(_)) { "csv" } else { "png" };
+        let written = next_file(Path::new("out"), "plot", ending).and_then(|file| {
+            match export {
+                Export::Csv(text) => disk::replace(&file, text.as_bytes(), None).map_err(|e| e.to_string())?,
+                Export::Picture(picture) => picture.save(&file).map_err(|e| e.to_string())?,
+            }
+            Ok(file)
+        });
+        match written {
+            Ok(file) => self.tell(format!("written: {}", file.display()), false),
+            Err(why) => self.tell(format!("the curves were not written: {why}"), true),
         }
     }
 
@@ -293,10 +320,15 @@ impl App {
 
     /// Outputs of tips and poses: ways in the 3-D view.
     fn ways(&self) -> Vec<(Output, String)> {
+        self.outputs_of(&["tip", "pose"])
+    }
+
+    /// Outputs of some types of packets, with these.
+    fn outputs_of(&self, packets: &[&str]) -> Vec<(Output, String)> {
         let nodes = self.document.view().nodes.iter();
         let outputs = nodes.flat_map(|n| n.node_type.iter().flat_map(|t| &t.outputs).map(move |port| (n.id(), port)));
         outputs
-            .filter(|(_, port)| matches!(port.packet.name.as_str(), "tip" | "pose"))
+            .filter(|(_, port)| packets.contains(&port.packet.name.as_str()))
             .map(|(id, port)| (Output::new(id, &port.name), port.packet.name.clone()))
             .collect()
     }
@@ -432,6 +464,12 @@ impl App {
             && let Some((output, packet)) = self.canvas.shown_output(self.document.view(), node)
         {
             want(&output, &packet, if is_pictorial(&packet) { THUMBNAIL } else { 1 });
+        }
+        if self.switches.plots && self.plots.wants_values() {
+            let outputs = self.outputs_of(&["scalar", "table"]);
+            outputs.iter().for_each(|(output, packet)| want(output, packet, 1));
+            let outputs: Vec<Output> = outputs.into_iter().map(|(output, _)| output).collect();
+            self.plots.follow(&self.shown, &outputs);
         }
         if let (Some(sight), Some(source)) = (self.viewer.sight(), self.viewer.source())
             && let Some(wanted) = wanted.get_mut(&source.output)

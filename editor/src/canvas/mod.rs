@@ -1,6 +1,7 @@
 //! The graph as it is drawn and touched: places, zoom, what is selected, what is being dragged. What a touch means for the graph is told as
 //! [`Ask`]s; nothing is changed here.
 
+mod marks;
 mod paint;
 mod shape;
 mod touch;
@@ -15,6 +16,7 @@ use crate::layout;
 use crate::observe::{Counters, Output};
 use crate::panels::Shown;
 
+pub use marks::Mark;
 pub use shape::{Pin, Shape, is_pictorial, shown_output};
 pub use touch::{Ask, End};
 
@@ -61,6 +63,9 @@ pub struct Canvas {
     pub selected: BTreeSet<String>,
     /// Selected wire: consumer, input, place in the list.
     pub selected_wire: Option<(String, String, usize)>,
+    marks: Vec<Mark>,
+    selected_mark: Option<usize>,
+    hand: marks::Hand,
     /// Output under the pointer.
     pub under_pointer: Option<Output>,
     /// Part of the window that it was drawn in last.
@@ -84,6 +89,9 @@ impl Default for Canvas {
             chosen: HashMap::new(),
             selected: BTreeSet::new(),
             selected_wire: None,
+            marks: Vec::new(),
+            selected_mark: None,
+            hand: marks::Hand::default(),
             under_pointer: None,
             rect: Rect::from_min_size(Pos2::ZERO, vec2(800.0, 600.0)),
         }
@@ -151,6 +159,7 @@ impl Canvas {
     pub fn select_only(&mut self, id: &str) {
         self.selected = BTreeSet::from([id.to_owned()]);
         self.selected_wire = None;
+        self.selected_mark = None;
     }
 
     /// Which output a node shows.
@@ -173,11 +182,12 @@ impl Canvas {
     pub fn visible(&self) -> impl Iterator<Item = (&Output, &str)> {
         let small = self.scale() < paint::PICTURES;
         let seen = self.transform().inverse() * self.rect;
-        self.shapes.iter().zip(&self.ids).filter(move |_| !small).filter_map(move |(shape, id)| {
-            let place = self.places.get(id)?;
-            let (output, packet) = shape.output.as_ref()?;
-            seen.intersects(Rect::from_min_size(*place, shape.size)).then_some((output, packet.as_str()))
-        })
+        let shapes = self.shapes.iter().zip(&self.ids).filter(move |(shape, id)| {
+            let place = self.places.get(*id).filter(|_| !small);
+            place.is_some_and(|place| seen.intersects(Rect::from_min_size(*place, shape.size)))
+        });
+        let outputs = shapes.flat_map(|(shape, _)| shape.output.iter().chain(&shape.backdrop));
+        outputs.map(|(output, packet)| (output, packet.as_str()))
     }
 
     /// Lays nodes out anew when the text has changed.
@@ -203,6 +213,9 @@ impl Canvas {
         let ways = automatic.lanes.into_iter().filter(|((from, to), _)| untouched(*from) && untouched(*to));
         self.lanes =
             ways.map(|(ends, lane)| (ends, lane.into_iter().map(|s| s.map(|[x, y]| pos2(x, y))).collect())).collect();
+        if !matches!(self.hand, marks::Hand::Text { .. }) {
+            self.marks.clone_from(&view.marks);
+        }
         let known = |id: &String| view.node(id).is_some();
         self.selected.retain(known);
         self.unfolded.retain(known);
@@ -217,7 +230,11 @@ impl Canvas {
         let rects = view.nodes.iter().zip(&self.shapes).map(|(node, shape)| {
             Rect::from_min_size(self.places.get(node.id()).copied().unwrap_or_default(), shape.size)
         });
-        rects.reduce(|a, b| a.union(b))
+        let marks = view.marks.iter().map(|m| {
+            let (w, h) = m.size.unwrap_or((220.0, 40.0));
+            Rect::from_min_size(pos2(m.at.0, m.at.1), vec2(w, h))
+        });
+        rects.chain(marks).reduce(|a, b| a.union(b))
     }
 
     fn fit_now(&mut self, view: &View) {
@@ -245,6 +262,7 @@ impl Canvas {
         self.touch_ground(ui, &ground, scene, &mut asks);
         let painter = ui.painter().clone();
         self.paint_ground(&painter);
+        self.show_marks(ui, scene, &mut asks);
         self.paint_wires(&painter, scene);
         self.under_pointer = None;
         let order = self.order(scene.view);

@@ -13,6 +13,7 @@ use super::shape::{HEADER, Pin};
 use super::touch::{Drag, may_wire};
 use super::{Canvas, Scene};
 use crate::document::{View, Wire};
+use crate::content::{Content, Found};
 use crate::panels::time_words;
 use crate::theme::{self, PinShape};
 
@@ -231,7 +232,9 @@ impl Canvas {
         let scale = self.scale();
         let frame = Rect::from_min_size(rect.min + picture.min.to_vec2() * scale, picture.size() * scale);
         painter.rect_filled(frame, 4.0 * scale, theme::SUNK);
-        match scene.shown.texture(output) {
+        // Boxes stand on the picture that they were found in.
+        let below = shape.backdrop.as_ref().map_or(output, |(below, _)| below);
+        match scene.shown.texture(below) {
             Some((texture, size)) => {
                 let fit = (frame.width() / size.x).min(frame.height() / size.y);
                 let inner = Rect::from_center_size(frame.center(), size * fit);
@@ -243,6 +246,9 @@ impl Canvas {
                     whole,
                     if stale.is_some() { Color32::from_gray(96) } else { Color32::WHITE },
                 );
+                if let Some(Content::Boxes(found)) = scene.shown.look(output).map(|l| &l.content) {
+                    paint_boxes(painter, inner, found, (scale >= DETAIL).then(|| self.font(11.0)));
+                }
                 if let Some(age) = stale.filter(|_| scene.running && scale >= DETAIL) {
                     let words = format!("{} s old", age.as_secs());
                     painter.text(frame.center(), Align2::CENTER_CENTER, words, self.font(13.0), theme::WARN);
@@ -378,6 +384,23 @@ fn fault_word(fault: &panoscope_runtime::fault::Fault) -> &'static str {
         Cause::Slow => "slow call",
         Cause::Leak => "leak",
         _ => "fault",
+    }
+}
+
+/// Boxes with their names; colours are those of the classes.
+pub(crate) fn paint_boxes(painter: &Painter, picture: Rect, found: &[Found], font: Option<FontId>) {
+    for thing in found {
+        let [x, y, w, h] = thing.share;
+        let at = picture.min + vec2(x * picture.width(), y * picture.height());
+        let rect = Rect::from_min_size(at, vec2(w * picture.width(), h * picture.height())).intersect(picture);
+        let color = theme::class(thing.class);
+        painter.rect_stroke(rect, 1.0, Stroke::new(1.5, color), StrokeKind::Inside);
+        if let Some(font) = font.clone() {
+            let galley = painter.layout_no_wrap(thing.words.clone(), font, theme::SUNK);
+            let at = pos2(rect.left(), (rect.top() - galley.size().y).max(picture.top()));
+            painter.rect_filled(Rect::from_min_size(at, galley.size() + vec2(6.0, 0.0)), 1.0, color);
+            painter.galley(at + vec2(3.0, 0.0), galley, theme::SUNK);
+        }
     }
 }
 

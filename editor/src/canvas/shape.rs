@@ -45,6 +45,8 @@ pub struct Shape {
     pub picture: Option<Rect>,
     /// Which output is shown, and the type of its packets.
     pub output: Option<(Output, String)>,
+    /// The picture below the boxes of [`Self::output`].
+    pub backdrop: Option<(Output, String)>,
     /// Inputs, then outputs.
     pub pins: Vec<Pin>,
     /// Ports that are folded away.
@@ -84,14 +86,27 @@ pub fn shown_output(view: &View, node: usize, chosen: Option<&str>) -> Option<(O
     of(&view.nodes[wire.from], &wire.output)
 }
 
+/// The picture that things were found in: what feeds a node that shows boxes.
+fn backdrop(view: &View, node: usize, packet: &str) -> Option<(Output, String)> {
+    if !matches!(packet, "detections" | "instances") {
+        return None;
+    }
+    let wires = view.wires.iter().filter(|w| w.to == node);
+    wires.into_iter().find_map(|w| {
+        let packet = view.packet(w.from, &w.output).filter(|p| p.name == "image")?;
+        Some((Output::new(view.nodes[w.from].id(), &w.output), packet.name.clone()))
+    })
+}
+
 impl Shape {
     /// Lays a node out. `unfolded` names nodes that show all their ports.
     pub fn of(view: &View, node: usize, unfolded: &HashSet<String>, chosen: Option<&str>) -> Self {
         let this = &view.nodes[node];
         let output = shown_output(view, node, chosen);
+        let backdrop = output.as_ref().and_then(|(_, packet)| backdrop(view, node, packet));
         let mut y = HEADER;
         let picture = output.as_ref().map(|(_, packet)| {
-            let height = if is_pictorial(packet) { PICTURE } else { WORDS };
+            let height = if is_pictorial(packet) || backdrop.is_some() { PICTURE } else { WORDS };
             let rect = Rect::from_min_size(pos2(PAD, y), vec2(WIDTH - 2.0 * PAD, height));
             y += height + PAD;
             rect
@@ -110,7 +125,7 @@ impl Shape {
             can_fold.then(|| Rect::from_min_size(pos2(WIDTH - 96.0 - PAD, y + ROW * right as f32), vec2(96.0, ROW)));
         y += ROW * left.max(right + usize::from(can_fold)) as f32 + PAD / 2.0;
         let footer = Rect::from_min_size(pos2(PAD + 4.0, y), vec2(WIDTH - 2.0 * PAD - 8.0, FOOTER));
-        Self { size: vec2(WIDTH, y + FOOTER), picture, output, pins, folded, fold, footer }
+        Self { size: vec2(WIDTH, y + FOOTER), picture, output, backdrop, pins, folded, fold, footer }
     }
 
     /// A pin by name.

@@ -3,7 +3,7 @@
 use eframe::egui::{Id, Modifiers, Pos2, Rect, Response, Sense, Ui, Vec2, WidgetInfo, WidgetType, pos2, vec2};
 
 use super::paint::DETAIL;
-use super::{Canvas, Scene};
+use super::{Canvas, Mark, Scene};
 use crate::document::View;
 use crate::observe::Output;
 
@@ -58,6 +58,13 @@ pub enum Ask {
         /// The wire.
         wire: (String, String, usize),
     },
+    /// Frames and notes are these now, and nodes were moved with them.
+    Marks {
+        /// All of them.
+        marks: Vec<Mark>,
+        /// New places.
+        moved: Vec<(String, Pos2)>,
+    },
     /// A mistake to tell.
     Tell(String),
 }
@@ -111,6 +118,7 @@ impl Canvas {
             if !modifiers.shift {
                 self.selected.clear();
             }
+            self.selected_mark = None;
             self.selected_wire = wire;
         }
         if ground.double_clicked()

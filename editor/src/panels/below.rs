@@ -1,8 +1,7 @@
-//! What can stand below the canvas: mistakes and faults, or curves; and the file's text beside it.
+//! What can stand below the canvas: mistakes and faults; and the file's text beside it.
 
 use eframe::egui::text::LayoutJob;
 use eframe::egui::{Color32, FontId, Label, RichText, ScrollArea, Sense, TextFormat, Ui, WidgetInfo, WidgetType};
-use egui_plot::{Legend, Line, Plot, PlotPoints};
 use panoscope_graph::Severity;
 
 use super::inspector::section;
@@ -60,46 +59,6 @@ fn row(ui: &mut Ui, color: Color32, place: &str, words: &str) -> bool {
     let name = format!("{place}: {words}");
     label.widget_info(|| WidgetInfo::labeled(WidgetType::Link, true, name.clone()));
     label.on_hover_cursor(eframe::egui::CursorIcon::PointingHand).clicked()
-}
-
-/// Times of the selected nodes, or of the slowest ones.
-pub fn plots(ui: &mut Ui, counters: &Counters, selected: &[String]) {
-    let mut nodes: Vec<(&String, f64)> = counters
-        .nodes
-        .iter()
-        .filter(|(id, _)| selected.is_empty() || selected.contains(id))
-        .map(|(id, n)| (id, n.p50_ms))
-        .collect();
-    nodes.sort_by(|a, b| b.1.total_cmp(&a.1));
-    nodes.truncate(6);
-    const COLORS: [Color32; 6] = [
-        theme::ACCENT,
-        Color32::from_rgb(0xE6, 0x9F, 0x00),
-        Color32::from_rgb(0x2D, 0xBE, 0x95),
-        Color32::from_rgb(0xCC, 0x79, 0xA7),
-        Color32::from_rgb(0xF0, 0xE4, 0x42),
-        Color32::from_rgb(0x9A, 0xA5, 0xB1),
-    ];
-    let now = counters.history.values().filter_map(|h| h.back()).map(|p| p.at_s).fold(0.0, f64::max);
-    let plot = Plot::new("times")
-        .legend(Legend::default())
-        .y_axis_label("ms per call, median")
-        .include_y(0.0)
-        .include_x(-30.0)
-        .include_x(0.0)
-        .allow_scroll(false)
-        .x_axis_formatter(|mark, _| format!("{:.0} s", mark.value))
-        .show_grid(true);
-    // The grid takes the text's colour.
-    ui.visuals_mut().override_text_color = Some(theme::MUTED.gamma_multiply(0.8));
-    let shown = plot.show(ui, |plot| {
-        for ((id, _), color) in nodes.iter().zip(COLORS) {
-            let Some(history) = counters.history.get(*id) else { continue };
-            let points: PlotPoints<'_> = history.iter().map(|p| [p.at_s - now, p.p50_ms]).collect();
-            plot.line(Line::new((*id).clone(), points).color(color).width(1.8));
-        }
-    });
-    shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Times"));
 }
 
 /// The file's text with its line numbers; the lines of `marked` nodes stand out. To read only.

@@ -4,6 +4,7 @@ pub mod below;
 pub mod inspector;
 pub mod overview;
 pub mod params;
+pub mod plots;
 pub mod surface;
 pub mod top;
 

@@ -126,14 +126,27 @@ fn number_of(name: &str) -> Option<u32> {
     stem.rsplit('_').next()?.parse().ok()
 }
 
+/// The next file of a kind in a folder, such as `plot_0003.csv`; the folder is there.
+///
+/// # Errors
+/// In words, when the folder cannot be made.
+pub fn next_file(folder: &Path, kind: &str, ending: &str) -> Result<PathBuf, String> {
+    std::fs::create_dir_all(folder).map_err(|e| format!("{} cannot be made: {e}", folder.display()))?;
+    Ok(folder.join(format!("{kind}_{:04}.{ending}", newest(folder) + 1)))
+}
+
+/// The highest number of a file in a folder.
+fn newest(folder: &Path) -> u32 {
+    let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    files.filter_map(|f| number_of(&f.file_name().to_string_lossy())).max().unwrap_or(0)
+}
+
 impl Keeper {
     /// Writes into `folder`, which is made when it is needed. Names begin with `label` where there is one.
     ///
     /// # Errors
     /// The system gave no thread.
     pub fn new(folder: &Path, label: Option<&str>) -> std::io::Result<Self> {
-        let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
-        let most = files.filter_map(|f| number_of(&f.file_name().to_string_lossy())).max();
         let (orders, todo) = channel::<Order>();
         let (tell, done) = channel();
         let thread = std::thread::Builder::new().name("stills".to_owned()).spawn(move || {
@@ -145,7 +158,7 @@ impl Keeper {
         // Nodes are told whole paths: theirs would start from the graph's folder.
         let folder = std::path::absolute(folder)?;
         let label = label.map(|l| format!("{}_", tidy(l))).unwrap_or_default();
-        let next = most.unwrap_or(0) + 1;
+        let next = newest(&folder) + 1;
         let (orders, thread) = (Some(orders), Some(thread));
         Ok(Self { folder, label, next, orders, done, thread, free: None, looked: None })
     }

@@ -34,7 +34,7 @@ use crate::theme;
 
 pub use acts::{Act, key_words};
 pub use arrange::Layout;
-pub use keep::{free_bytes, with_clip, without_clip, write_still};
+pub use keep::{free_bytes, next_file, with_clip, without_clip, write_still};
 pub use notices::{Notice, Urgency};
 pub use plan::{Place, Plan, Setting};
 

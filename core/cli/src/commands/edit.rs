@@ -24,7 +24,9 @@ pub struct Arguments {
 
 /// Becomes the editor, or with `theatre` the surgeon's window.
 pub fn run(arguments: &Arguments, theatre: bool) -> Result<End> {
-    if !arguments.graph.is_file() {
+    // The editor offers templates for a file that is to be; it looks after the rest.
+    let new = !theatre && !arguments.graph.exists() && arguments.graph.extension().is_some_and(|e| e == "toml");
+    if !arguments.graph.is_file() && !new {
         tell!("error: there is no graph file {}", arguments.graph.display());
         return Ok(End::Wrong);
     }

@@ -1,0 +1,244 @@
+//! Curves: times, rates and drops of nodes, and the numbers that scalar and table ports tell; as CSV and as pictures, too.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fmt::Write as _;
+use std::sync::Arc;
+
+use eframe::egui::{
+    Align, Button, Context, Event, Layout, Rect, Ui, UserData, ViewportCommand, WidgetInfo, WidgetType,
+};
+use egui_plot::{Legend, Line, Plot, PlotPoints};
+
+use super::Shown;
+use crate::content::Content;
+use crate::observe::{Counters, Output, Point};
+use crate::theme;
+
+/// Most curves at once.
+const MOST_CURVES: usize = 8;
+/// Points of a value's history.
+const HISTORY: usize = 1200;
+
+/// What the curves show.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Kind {
+    /// Median time of a call, ms.
+    #[default]
+    Times,
+    /// 99 % of the calls took no longer, ms.
+    Slowest,
+    /// Calls per second.
+    Rate,
+    /// Numbers that scalar and table ports tell.
+    Values,
+}
+
+impl Kind {
+    const ALL: [Self; 4] = [Self::Times, Self::Slowest, Self::Rate, Self::Values];
+
+    fn words(self) -> &'static str {
+        match self {
+            Self::Times => "Median time",
+            Self::Slowest => "99 % time",
+            Self::Rate => "Rate",
+            Self::Values => "Values",
+        }
+    }
+
+    fn axis(self) -> &'static str {
+        match self {
+            Self::Times | Self::Slowest => "ms per call",
+            Self::Rate => "calls per second",
+            Self::Values => "value",
+        }
+    }
+
+    fn of(self, point: &Point) -> f64 {
+        match self {
+            Self::Slowest => point.p99_ms,
+            Self::Rate => point.fps,
+            _ => point.p50_ms,
+        }
+    }
+}
+
+/// A curve: its name, and its points with seconds that end at 0.
+type Curve = (String, Vec<[f64; 2]>);
+
+/// The panel's own state.
+#[derive(Default)]
+pub struct Plots {
+    kind: Kind,
+    values: BTreeMap<String, VecDeque<[f64; 2]>>,
+    seen: BTreeMap<Output, u64>,
+    /// A picture of this part of the window was asked for.
+    picture: Option<Rect>,
+}
+
+/// What is to be written.
+pub enum Export {
+    /// A table of all curves.
+    Csv(String),
+    /// A picture of the plot.
+    Picture(image::RgbImage),
+}
+
+impl Plots {
+    /// Whether numbers of ports are shown, so that these are wanted.
+    pub fn wants_values(&self) -> bool {
+        self.kind == Kind::Values
+    }
+
+    /// Shows numbers of ports, or times again.
+    pub fn set_kind(&mut self, kind: Kind) {
+        self.kind = kind;
+    }
+
+    /// Takes what the ports tell; of each port every tick that was seen.
+    pub fn follow(&mut self, shown: &Shown, outputs: &[Output]) {
+        for output in outputs {
+            let Some(look) = shown.look(output) else { continue };
+            let Content::Numbers(numbers) = &look.content else { continue };
+            let last = self.seen.insert(output.clone(), look.seq);
+            if last == Some(look.seq) {
+                continue;
+            }
+            let begun_anew = last.is_some_and(|last| look.seq < last);
+            for (name, value) in numbers.iter().filter(|(_, value)| value.is_finite()) {
+                let curve = self.values.entry(format!("{output} {name}")).or_default();
+                if begun_anew {
+                    curve.clear();
+                }
+                if curve.len() >= HISTORY {
+                    curve.pop_front();
+                }
+                curve.push_back([look.capture_ms / 1e3, *value]);
+            }
+        }
+        self.values.retain(|name, _| outputs.iter().any(|o| name.starts_with(&format!("{o} "))));
+    }
+
+    fn curves(&self, counters: &Counters, selected: &[String]) -> Vec<Curve> {
+        let chosen = |id: &str| selected.is_empty() || selected.iter().any(|s| s == id);
+        if self.kind == Kind::Values {
+            let of_node = |name: &str| name.split('.').next().is_some_and(chosen);
+            let curves = self.values.iter().filter(|(name, _)| of_node(name)).take(MOST_CURVES);
+            let end = self.values.values().filter_map(|c| c.back()).map(|p| p[0]).fold(0.0, f64::max);
+            return curves.map(|(name, c)| (name.clone(), c.iter().map(|p| [p[0] - end, p[1]]).collect())).collect();
+        }
+        let mut nodes: Vec<(&String, f64)> =
+            counters.nodes.iter().filter(|(id, _)| chosen(id)).map(|(id, n)| (id, n.p50_ms)).collect();
+        nodes.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let end = counters.history.values().filter_map(|h| h.back()).map(|p| p.at_s).fold(0.0, f64::max);
+        let curve = |(id, _): (&String, f64)| {
+            let history = counters.history.get(id)?;
+            Some((id.clone(), history.iter().map(|p| [p.at_s - end, self.kind.of(p)]).collect()))
+        };
+        nodes.into_iter().take(MOST_CURVES).filter_map(curve).collect()
+    }
+
+    /// Shows the panel; answers what is to be written.
+    pub fn show(&mut self, ui: &mut Ui, counters: &Counters, selected: &[String]) -> Option<Export> {
+        let curves = self.curves(counters, selected);
+        let mut export = self.taken(ui.ctx());
+        let mut asked = false;
+        ui.horizontal(|ui| {
+            for kind in Kind::ALL {
+                if ui.add(Button::new(kind.words()).selected(self.kind == kind)).clicked() {
+                    self.kind = kind;
+                }
+            }
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                asked = ui.button("PNG").on_hover_text("Writes a picture of the curves into out/").clicked();
+                if ui.button("CSV").on_hover_text("Writes all points of the curves into out/").clicked() {
+                    export = Some(Export::Csv(csv(self.kind, &curves)));
+                }
+            });
+        });
+        let mut plot = Plot::new("curves")
+            .legend(Legend::default())
+            .y_axis_label(self.kind.axis())
+            .include_x(-30.0)
+            .include_x(0.0)
+            .allow_scroll(false)
+            .x_axis_formatter(|mark, _| format!("{:.0} s", mark.value))
+            .show_grid(true);
+        if self.kind != Kind::Values {
+            plot = plot.include_y(0.0);
+        }
+        // The grid takes the text's colour.
+        ui.visuals_mut().override_text_color = Some(theme::MUTED.gamma_multiply(0.8));
+        let shown = plot.show(ui, |plot| {
+            for (k, (name, points)) in curves.into_iter().enumerate() {
+                let points: PlotPoints<'_> = points.into_iter().collect();
+                plot.line(Line::new(name, points).color(theme::class(k as u32)).width(1.8));
+            }
+        });
+        shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Times"));
+        if asked {
+            self.picture = Some(shown.response.rect);
+            ui.ctx().send_viewport_cmd(ViewportCommand::Screenshot(UserData::default()));
+        }
+        export
+    }
+
+    /// The part of the window that was asked for, once its picture is there.
+    fn taken(&mut self, ctx: &Context) -> Option<Export> {
+        let rect = self.picture?;
+        let image = ctx.input(|i| {
+            i.events.iter().find_map(|e| match e {
+                Event::Screenshot { image, .. } => Some(Arc::clone(image)),
+                _ => None,
+            })
+        })?;
+        self.picture = None;
+        let [width, height] = image.size;
+        let points = ctx.pixels_per_point();
+        let at = |v: f32, most: usize| ((v * points).round().max(0.0) as usize).min(most);
+        let (x0, x1) = (at(rect.left(), width), at(rect.right(), width));
+        let (y0, y1) = (at(rect.top(), height), at(rect.bottom(), height));
+        let rows = (y0..y1).flat_map(|y| image.pixels[y * width + x0..y * width + x1].iter());
+        let rgb: Vec<u8> = rows.flat_map(|p| [p.r(), p.g(), p.b()]).collect();
+        image::RgbImage::from_raw((x1 - x0) as u32, (y1 - y0) as u32, rgb).map(Export::Picture)
+    }
+}
+
+/// All points, one a line.
+fn csv(kind: Kind, curves: &[Curve]) -> String {
+    let mut out = format!("curve,time_s,{}\n", kind.axis().replace(' ', "_"));
+    for (name, points) in curves {
+        let quoted = name.replace('"', "\"\"");
+        for [x, y] in points {
+            let _ = writeln!(out, "\"{quoted}\",{x:.3},{y}");
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::Look;
+    use std::collections::HashMap;
+
+    #[test]
+    fn values_of_ports_become_curves_and_a_table() {
+        let (mut plots, output) = (Plots::default(), Output::new("pid", "errors"));
+        plots.set_kind(Kind::Values);
+        let mut shown = Shown::default();
+        for seq in 0..3u64 {
+            let content = Content::Numbers(vec![("x mm".to_owned(), seq as f64), ("y".to_owned(), f64::NAN)]);
+            let look = Look { seq, capture_ms: seq as f64 * 100.0, content, ..Look::default() };
+            shown.update(&Context::default(), HashMap::from([(output.clone(), look)]));
+            // Looked at twice it counts once.
+            plots.follow(&shown, &[output.clone()]);
+            plots.follow(&shown, &[output.clone()]);
+        }
+        let curves = plots.curves(&Counters::default(), &[]);
+        assert_eq!(curves, [("pid.errors x mm".to_owned(), vec![[-0.2, 0.0], [-0.1, 1.0], [0.0, 2.0]])]);
+        assert_eq!(csv(Kind::Values, &curves).lines().nth(3), Some("\"pid.errors x mm\",0.000,2"));
+        assert!(plots.curves(&Counters::default(), &["other".to_owned()]).is_empty());
+        plots.follow(&shown, &[]);
+        assert!(plots.curves(&Counters::default(), &[]).is_empty(), "a node that is gone has no curve");
+    }
+}
