@@ -1,5 +1,6 @@
 //! `panoscope eval`: how good the results are, beside truth and peers.
 
+mod arm;
 mod calibrate;
 mod disparity;
 pub mod look;
@@ -25,6 +26,8 @@ pub enum Eval {
     Disparity(disparity::Arguments),
     /// Calibration beside OpenCV's sample and beside the phantom's truth.
     Calibrate(calibrate::Arguments),
+    /// The arm: closed loop on moving tips, limits against hostile inputs, time of the control.
+    Arm(arm::Arguments),
 }
 
 /// Judges.
@@ -35,6 +38,7 @@ pub fn run(eval: &Eval) -> Result<End> {
         Eval::Stitch(arguments) => (stitch::judge(arguments)?, &arguments.json),
         Eval::Disparity(arguments) => (disparity::judge(arguments)?, &arguments.json),
         Eval::Calibrate(arguments) => (calibrate::judge(arguments)?, &arguments.json),
+        Eval::Arm(arguments) => (arm::judge(arguments)?, &arguments.json),
     };
     let Some(figures) = figures else { return Ok(End::Wrong) };
     record::show(&figures);
