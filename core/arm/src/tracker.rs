@@ -64,7 +64,7 @@ impl Tracker {
     pub fn step(
         &mut self,
         capture_ns: i64,
-        reports: impl Iterator<Item = Report> + Clone,
+        reports: impl Iterator<Item = Report>,
         room_from_camera: &Isometry3<f64>,
         rules: &Rules,
     ) -> Known {
