@@ -68,6 +68,19 @@ pub struct Outcome {
     pub moving: u64,
 }
 
+impl Outcome {
+    /// Puts another outcome to this one.
+    pub fn add(&mut self, other: Self) {
+        self.cases += other.cases;
+        self.set_points += other.set_points;
+        self.escapes += other.escapes;
+        self.first = self.first.take().or(other.first);
+        self.moving += other.moving;
+        self.most.iter_mut().zip(other.most).for_each(|(most, other)| *most = most.max(other));
+        self.causes.iter_mut().zip(other.causes).for_each(|(count, other)| *count += other);
+    }
+}
+
 /// Looks at set-points alone: speed, acceleration and jerk are differences of positions.
 struct Checker {
     caps: Caps,

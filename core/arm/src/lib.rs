@@ -13,6 +13,7 @@ pub mod interlock;
 pub mod kalman;
 pub mod line;
 pub mod pid;
+pub mod rehearsal;
 pub mod task;
 pub mod tracker;
 

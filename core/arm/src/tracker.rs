@@ -51,7 +51,8 @@ pub enum Known {
 #[derive(Debug, Default)]
 pub struct Tracker {
     filter: Option<Kalman>,
-    track_id: i64,
+    /// Number of the tool that leads, or led last.
+    leader: Option<i64>,
     last_ns: Option<i64>,
     seen_ns: i64,
     /// Since when only others are seen.
@@ -63,7 +64,7 @@ impl Tracker {
     pub fn step(
         &mut self,
         capture_ns: i64,
-        reports: impl Iterator<Item = Report> + Clone,
+        reports: impl Iterator<Item = Report>,
         room_from_camera: &Isometry3<f64>,
         rules: &Rules,
     ) -> Known {
@@ -90,7 +91,7 @@ impl Tracker {
         // The tool that led goes on leading; where tools have no numbers, the tip that lies nearest does.
         let centre = self.filter.map(|filter| filter.position_mm());
         let best = usable.min_by(|(_, a), (_, b)| {
-            let other = |report: &Report| self.filter.is_some() && report.track_id != self.track_id;
+            let other = |report: &Report| self.leader.is_some_and(|leader| report.track_id != leader);
             let far = |report: &Report| centre.map_or(-report.score, |centre| (in_room(report).0 - centre).norm());
             other(a).cmp(&other(b)).then(far(a).total_cmp(&far(b)))
         });
@@ -100,16 +101,21 @@ impl Tracker {
         };
         let (at, covariance) = in_room(&report);
         if self.filter.as_mut().is_some_and(|filter| filter.update(&rules.model, &at, &covariance)) {
-            (self.track_id, self.seen_ns, self.others_ns) = (report.track_id, capture_ns, None);
+            (self.leader, self.seen_ns, self.others_ns) = (Some(report.track_id), capture_ns, None);
             return Known::Seen(index);
         }
         let waited_s = passed_s(*self.others_ns.get_or_insert(capture_ns));
-        let same_tool = report.track_id >= 0 && report.track_id == self.track_id;
-        // A tool known by its number may jump once its gap is over; another tool has to be alone for longer.
-        let due_s = if same_tool { rules.max_gap_s.min(rules.switch_s) } else { rules.switch_s };
-        if self.filter.is_none() || waited_s >= due_s {
+        // A tool known by its number may jump once its gap is over; another one has to be alone for longer, also after the first is lost.
+        let numbered = report.track_id >= 0 && self.leader.is_some_and(|leader| leader >= 0);
+        let same_tool = !numbered || self.leader == Some(report.track_id);
+        let due_s = match (same_tool, self.filter.is_some()) {
+            (true, false) => 0.0,
+            (true, true) if numbered => rules.max_gap_s.min(rules.switch_s),
+            _ => rules.switch_s,
+        };
+        if waited_s >= due_s {
             self.filter = Kalman::begin(&at, &covariance);
-            (self.track_id, self.seen_ns, self.others_ns) = (report.track_id, capture_ns, None);
+            (self.leader, self.seen_ns, self.others_ns) = (Some(report.track_id), capture_ns, None);
             return if self.filter.is_some() { Known::Seen(index) } else { Known::Lost };
         }
         self.unseen(passed_s(self.seen_ns), rules)
@@ -135,7 +141,7 @@ impl Tracker {
 
     /// Number of the leading tool; below 0 where it has none.
     pub fn track_id(&self) -> i64 {
-        if self.filter.is_some() { self.track_id } else { -1 }
+        self.filter.and(self.leader).unwrap_or(-1)
     }
 }
 

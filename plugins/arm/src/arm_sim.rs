@@ -177,7 +177,7 @@ impl Node for ArmSim {
         })?;
         out.joints.set(packet(&arm.encoders(|| cx.random()), arm.velocities()))?;
         out.setpoint.set(packet(&lock.set_point().position, &lock.set_point().velocity))?;
-        let stop = lock.stop();
+        let stop = lock.stopped();
         cx.metric("pivot_mm", place.pivot_mm);
         cx.metric("stops", lock.stops() as f64);
         if out.text.is_read() {

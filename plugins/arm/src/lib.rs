@@ -6,10 +6,11 @@
 
 pub mod arm_pid;
 pub mod arm_sim;
+pub mod evaluate_arm;
 pub mod guard;
 pub mod joints;
 pub mod serial;
 
 use panoscope_node::export_plugin;
 
-export_plugin![arm_pid::ArmPid, arm_sim::ArmSim, serial::ArmSerial];
+export_plugin![arm_pid::ArmPid, arm_sim::ArmSim, serial::ArmSerial, evaluate_arm::EvaluateArm];

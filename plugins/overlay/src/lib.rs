@@ -9,8 +9,16 @@ pub mod marks;
 pub mod overlay;
 pub mod screen;
 pub mod side_by_side;
+pub mod trajectory;
 pub mod turntable;
 
 use panoscope_node::export_plugin;
 
-export_plugin![overlay::Overlay, colorize::Colorize, screen::Screen, side_by_side::SideBySide, turntable::Turntable];
+export_plugin![
+    overlay::Overlay,
+    colorize::Colorize,
+    screen::Screen,
+    side_by_side::SideBySide,
+    trajectory::Trajectory,
+    turntable::Turntable
+];

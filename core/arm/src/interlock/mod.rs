@@ -175,7 +175,13 @@ impl Interlock {
         self.latched
     }
 
-    /// Why the arm stops or stands; none while it follows.
+    /// Why the arm stands, or brakes for longer than a tick's lateness; none while it follows.
+    pub fn stopped(&self) -> Option<Cause> {
+        self.noted
+    }
+
+    /// Why the newest set-point brakes; none where it follows. A demand dies after 30 ms, so at 30 ticks a second this says so for the last
+    /// 3 ms of each: see [`Interlock::stopped`].
     pub fn stop(&self) -> Option<Cause> {
         self.stop
     }

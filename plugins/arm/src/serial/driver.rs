@@ -118,7 +118,7 @@ impl Driver {
         let outbox = Outbox {
             encoders: line.encoders,
             set_point: (line.encoders, JointVector::zeros()),
-            stop: lock.stop(),
+            stop: lock.stopped(),
             latched: lock.latched().is_some(),
             stops: 0,
             answer_age_ms: 0.0,
@@ -369,7 +369,7 @@ impl Work {
             outbox.answer_age_ms = line.answered.elapsed().as_secs_f64() * 1e3;
         }
         outbox.set_point = (point.position, point.velocity);
-        outbox.stop = self.lock.stop();
+        outbox.stop = self.lock.stopped();
         outbox.latched = self.lock.latched().is_some();
         outbox.stops = self.lock.stops();
         (outbox.pivot_mm, outbox.depth_mm) = (place.pivot_mm, place.depth_mm);

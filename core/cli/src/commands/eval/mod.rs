@@ -1,5 +1,6 @@
 //! `panoscope eval`: how good the results are, beside truth and peers.
 
+mod arm;
 mod calibrate;
 mod detect;
 pub mod disparity;
@@ -30,6 +31,8 @@ pub enum Eval {
     Calibrate(calibrate::Arguments),
     /// Detectors and segmenters beside true boxes, outlines and tips.
     Detect(detect::Arguments),
+    /// The arm: closed loop on moving tips, limits against hostile inputs, time of the control.
+    Arm(arm::Arguments),
 }
 
 /// Judges.
@@ -41,6 +44,7 @@ pub fn run(eval: &Eval) -> Result<End> {
         Eval::Disparity(arguments) => (disparity::judge(arguments)?, &arguments.json),
         Eval::Calibrate(arguments) => (calibrate::judge(arguments)?, &arguments.json),
         Eval::Detect(arguments) => (detect::judge(arguments)?, &arguments.json),
+        Eval::Arm(arguments) => (arm::judge(arguments)?, &arguments.json),
     };
     let Some(figures) = figures else { return Ok(End::Wrong) };
     record::show(&figures);

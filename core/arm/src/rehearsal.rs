@@ -1,0 +1,408 @@
+//! The closed loop without pictures: tracker, controller, interlock and simulated arm as the nodes use them, on tips that move by a script.
+//!
+//! What the graph has and this has too: the cameras stand where the arm was a tick ago, the tip is known only while it lies in the left picture, and as
+//! well as stereo knows it. Used to find gains and to judge them quickly; the graph is judged beside it.
+
+use nalgebra::{Point3, Vector3};
+
+use crate::campaign::Dice;
+use crate::chain::{Chain, JointVector};
+use crate::control::{Controller, Eyes, Goals, SeenTip, goal_mm};
+use crate::dynamics::{Quality, SimArm};
+use crate::interlock::{Evidence, Interlock, Place};
+use crate::kalman::Model;
+use crate::pid::Gains;
+use crate::tracker::{Known, Report, Rules, Tracker};
+
+/// Left picture of the thesis's scope, px.
+const WIDTH_PX: f64 = 640.0;
+const HEIGHT_PX: f64 = 480.0;
+const FOCAL_PX: f64 = 750.0;
+const BASELINE_MM: f64 = 15.0;
+/// Rest before anything moves, s.
+pub const START_S: f64 = 2.0;
+
+/// How the tip moves, and what is wrong with seeing it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scenario {
+    /// The tip rests where the arm does not look yet.
+    Rest,
+    /// 12 mm aside and back at up to 25 mm/s.
+    Step,
+    /// 36 mm to and fro at 12 mm/s.
+    Ramp,
+    /// A circle of 12 mm radius in 5 s.
+    Circle,
+    /// A surgeon's strokes at up to 25 mm/s.
+    Strokes,
+    /// The tool leaves and comes back.
+    Leave,
+    /// Another tool passes by; detectors give no numbers.
+    Cross,
+    /// Strokes; the tip is hidden for 0.2 s every 2 s.
+    Occlusion,
+    /// Strokes; tips are noisy, doubtful, and missing every fifth time.
+    Smoke,
+}
+
+impl Scenario {
+    /// All of them.
+    pub const ALL: [Self; 9] = [
+        Self::Rest,
+        Self::Step,
+        Self::Ramp,
+        Self::Circle,
+        Self::Strokes,
+        Self::Leave,
+        Self::Cross,
+        Self::Occlusion,
+        Self::Smoke,
+    ];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rest => "rest",
+            Self::Step => "step",
+            Self::Ramp => "ramp",
+            Self::Circle => "circle",
+            Self::Strokes => "strokes",
+            Self::Leave => "leave",
+            Self::Cross => "cross",
+            Self::Occlusion => "occlusion",
+            Self::Smoke => "smoke",
+        }
+    }
+}
+
+/// The controller's goals as they ship: the defaults of `arm_pid`.
+pub fn shipped_goals() -> Goals {
+    let gains = Gains { proportional: 3.0, integral: 0.5, derivative: 0.0, filter_s: 0.08, dead_zone: 2.0, most: 900.0 };
+    Goals {
+        distance_mm: 66.0,
+        picture: gains,
+        distance: Gains { dead_zone: 0.2, most: 60.0, ..gains },
+        feed_forward: 1.0,
+        latency_s: 0.06,
+        acceleration_mm_s2: 150.0,
+        min_score: 0.3,
+    }
+}
+
+/// One tick.
+#[derive(Clone, Copy, Debug)]
+pub struct Row {
+    /// s.
+    pub at_s: f64,
+    /// The true tip's distance from where it should be, mm.
+    pub error_mm: f64,
+    /// Its place in the picture, from where it should be, px.
+    pub error_px: [f64; 2],
+    /// Its distance from the left camera less the one asked for, mm.
+    pub distance_error_mm: f64,
+    /// Whether it lies in the left picture.
+    pub in_view: bool,
+    /// Whether the scenario has it hidden or away.
+    pub is_away: bool,
+    /// How far the true tube misses the trocar, mm.
+    pub pivot_mm: f64,
+    /// Whether the arm follows.
+    pub following: bool,
+    /// The camera's speed, mm/s.
+    pub camera_mm_s: f64,
+    /// The change of its velocity, mm/s^2.
+    pub camera_mm_s2: f64,
+}
+
+struct Stroke {
+    from: Vector3<f64>,
+    to: Vector3<f64>,
+    start_s: f64,
+    length_s: f64,
+}
+
+/// Rises from 0 to 1 without jerk at its ends; its top speed is 15/8.
+fn bell(t: f64) -> f64 {
+    let t = t.clamp(0.0, 1.0);
+    t * t * t * (10.0 - t * (15.0 - 6.0 * t))
+}
+
+fn strokes(dice: &mut Dice, until_s: f64) -> Vec<Stroke> {
+    let (mut out, mut at, mut clock) = (Vec::new(), Vector3::zeros(), 0.0);
+    while clock < until_s {
+        let mut any = |reach: f64| (2.0 * dice.unit() - 1.0) * reach;
+        let to = Vector3::new(any(20.0), any(13.0), any(8.0));
+        let length_s = (1.875 * (to - at).norm() / (12.0 + 13.0 * dice.unit())).max(0.1);
+        out.push(Stroke { from: at, to, start_s: clock, length_s });
+        clock += length_s + 0.1 + 0.5 * dice.unit();
+        at = to;
+    }
+    out
+}
+
+/// The true tip's offset from home, mm.
+fn offset(scenario: Scenario, script: &[Stroke], seconds: f64) -> Vector3<f64> {
+    let t = (seconds - START_S).max(0.0);
+    match scenario {
+        Scenario::Rest => Vector3::new(6.0, -4.0, 5.0),
+        Scenario::Cross => Vector3::zeros(),
+        Scenario::Step => {
+            let turn = (t / 4.0).floor();
+            let rise = bell((t - 4.0 * turn) / 0.9);
+            let part = if turn % 2.0 == 0.0 { rise } else { 1.0 - rise };
+            Vector3::new(10.0, 6.0, 0.0) * part
+        }
+        Scenario::Ramp => {
+            let saw = (t / 6.0 + 0.25).fract();
+            Vector3::new(18.0 * if saw < 0.5 { 4.0 * saw - 1.0 } else { 3.0 - 4.0 * saw }, 0.0, 0.0)
+        }
+        Scenario::Circle => {
+            let angle = t / 5.0 * std::f64::consts::TAU;
+            Vector3::new(angle.cos(), angle.sin(), 0.3 * (2.0 * angle).sin()) * 12.0 * bell(t / 5.0)
+        }
+        Scenario::Strokes | Scenario::Occlusion | Scenario::Smoke => {
+            let index = script.partition_point(|stroke| stroke.start_s <= t).saturating_sub(1);
+            script.get(index).map_or(Vector3::zeros(), |s| s.from + (s.to - s.from) * bell((t - s.start_s) / s.length_s))
+        }
+        Scenario::Leave => {
+            let phase = t % 12.0;
+            Vector3::new(51.0, 12.0, -27.0) * (bell(phase / 4.5) - bell((phase - 6.0) / 4.5))
+        }
+    }
+}
+
+/// Plays a scenario for some seconds at `rate_hz`.
+pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz: f64, goals: &Goals) -> Vec<Row> {
+    let mut dice = Dice::new(seed);
+    let script = strokes(&mut dice, seconds);
+    let quality = Quality::default();
+    let home = chain.stance(&JointVector::zeros());
+    let (room, down) = (home.base_from_camera, home.base_from_tip * Vector3::z());
+    let mut lock = Interlock::new(chain.clone(), JointVector::zeros(), 0);
+    let mut arm = SimArm::new(quality, JointVector::zeros());
+    let (mut tracker, mut controller) = (Tracker::default(), Controller::new(chain.clone()));
+    let eyes = Eyes { focal_px: (FOCAL_PX, FOCAL_PX), baseline_mm: BASELINE_MM };
+    let rules = Rules {
+        model: Model { acceleration_mm_s2: 200.0, ..Model::default() },
+        lateral_px: 1.0,
+        disparity_px: 0.5,
+        focal_px: FOCAL_PX,
+        baseline_mm: BASELINE_MM,
+        min_score: 0.3,
+        max_gap_s: 0.3,
+        switch_s: 0.6,
+    };
+    let smoky = scenario == Scenario::Smoke;
+    let (mut encoders, mut set_point) = (JointVector::zeros(), JointVector::zeros());
+    let mut camera = room.inverse() * home.base_from_camera;
+    let mut rows = Vec::new();
+    let mut last = (camera.translation.vector, Vector3::zeros());
+    for tick in 0..(seconds * rate_hz) as i64 {
+        let now_ns = (tick as f64 * 1e9 / rate_hz) as i64;
+        let at_s = now_ns as f64 * 1e-9;
+        // The picture.
+        let tip_room = Point3::from(Vector3::new(BASELINE_MM / 2.0, 0.0, 66.3) + offset(scenario, &script, at_s));
+        let hidden = scenario == Scenario::Occlusion && at_s > START_S && at_s % 2.0 < 0.2;
+        let seen = |point: &Point3<f64>| {
+            let p = camera.inverse_transform_point(point).coords;
+            let (u, v) = (FOCAL_PX * p.x / p.z + (WIDTH_PX - 1.0) / 2.0, FOCAL_PX * p.y / p.z + (HEIGHT_PX - 1.0) / 2.0);
+            let inside = p.z > 0.0 && (0.0..WIDTH_PX).contains(&u) && (0.0..HEIGHT_PX).contains(&v);
+            (p, inside)
+        };
+        let (p, in_view) = seen(&tip_room);
+        let bad = if smoky { 3.0 } else { 1.0 };
+        let mut reports = Vec::new();
+        let mut report = |p: Vector3<f64>, dice: &mut Dice| {
+            let mut bell = |deviation: f64| ((0..6).map(|_| dice.unit()).sum::<f64>() - 3.0) * 1.414 * deviation * bad;
+            let inverse = p.z.recip() * (1.0 + bell(0.3) * p.z / (FOCAL_PX * BASELINE_MM));
+            let (x, y, z) = (p.x / p.z + bell(0.5) / FOCAL_PX, p.y / p.z + bell(0.5) / FOCAL_PX, 1.0 / inverse);
+            let score = if smoky { 0.55 } else { 0.9 };
+            reports.push(Report { xyz_mm: Vector3::new(x * z, y * z, z), score, track_id: -1 });
+        };
+        if scenario == Scenario::Cross {
+            let aside = -18.0 * (at_s / 8.0 * std::f64::consts::TAU).cos();
+            let (other, other_seen) = seen(&(tip_room + Vector3::new(aside, 2.0, -8.0)));
+            if other_seen {
+                report(other, &mut dice);
+            }
+            // The other one hides the leading tip while it stands before it.
+            if in_view && aside.abs() > 2.5 {
+                report(p, &mut dice);
+            }
+        } else if in_view && !hidden && !(smoky && dice.of(5) == 0) {
+            report(p, &mut dice);
+        }
+        // The nodes, in their order.
+        let known = tracker.step(now_ns, reports.iter().copied(), &camera, &rules);
+        let fade = match known {
+            Known::Seen(_) => 1.0,
+            Known::Predicted(gap_s) => (1.0 - gap_s / rules.max_gap_s).clamp(0.0, 1.0),
+            Known::Lost => 0.0,
+        };
+        let tip = tracker.state().map(|(place, _)| SeenTip {
+            xyz_mm: camera.inverse_transform_point(&Point3::from(place)).coords,
+            score: fade * if smoky { 0.55 } else { 0.9 },
+        });
+        let demand = controller.step(now_ns, tip, &encoders, Some(&set_point), &eyes, goals);
+        lock.advance(now_ns, &mut |point| arm.step(point));
+        if let Some(tip) = tip {
+            lock.tip(now_ns, Evidence { score: tip.score, in_space: true });
+        }
+        if let Some(step) = demand {
+            lock.demand(now_ns, step.velocity.as_slice());
+        }
+        let stance = chain.stance(arm.links());
+        let velocity = (camera.translation.vector - last.0) * rate_hz;
+        let change = (velocity - last.1) * rate_hz;
+        last = (camera.translation.vector, velocity);
+        rows.push(Row {
+            at_s,
+            error_mm: (p - goal_mm(goals.distance_mm, BASELINE_MM)).norm(),
+            error_px: [FOCAL_PX * (p.x - BASELINE_MM / 2.0) / p.z, FOCAL_PX * p.y / p.z],
+            distance_error_mm: p.norm() - goals.distance_mm,
+            in_view,
+            is_away: scenario == Scenario::Leave && (0.5..11.9).contains(&((at_s - START_S).max(0.0) % 12.0)),
+            pivot_mm: Place::of(chain, &stance, &down).pivot_mm,
+            following: lock.stopped().is_none(),
+            camera_mm_s: velocity.norm(),
+            camera_mm_s2: change.norm(),
+        });
+        // What the next tick sees.
+        camera = room.inverse() * stance.base_from_camera;
+        encoders = arm.encoders(|| dice.bits());
+        set_point = lock.set_point().position;
+    }
+    rows
+}
+
+/// Measures of a run, from `START_S` on.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Measures {
+    /// Root mean square and largest error, mm.
+    pub rms_mm: f64,
+    /// See `rms_mm`.
+    pub max_mm: f64,
+    /// Standard deviation of the error, mm.
+    pub deviation_mm: f64,
+    /// Share of ticks in which the tip lay in the picture, of those in which the scenario has it there, %.
+    pub in_view_pct: f64,
+    /// Largest miss of the trocar in the whole run, mm.
+    pub pivot_mm: f64,
+    /// Mean error in the picture over the last second, % of its width.
+    pub rest_pct: f64,
+    /// Mean error of the distance over the last second, mm.
+    pub rest_mm: f64,
+    /// Root mean square change of the camera's velocity per second, mm/s^2: how calm the picture is.
+    pub shake_mm_s2: f64,
+    /// From the end of the tip's first movement until the error stays below 2 mm, s; NaN where the error never leaves that, or never comes
+    /// back for a second.
+    pub settling_s: f64,
+    /// How far the tip passed the middle on its other side after that movement, % of the largest error before; NaN likewise.
+    pub overshoot_pct: f64,
+}
+
+/// Measures rows.
+pub fn measure(rows: &[Row]) -> Measures {
+    let judged: Vec<&Row> = rows.iter().filter(|row| row.at_s >= START_S && !row.is_away).collect();
+    let known = || judged.iter().map(|r| r.error_mm).filter(|e| e.is_finite());
+    let count = known().count().max(1) as f64;
+    let mean = known().sum::<f64>() / count;
+    let square = known().map(|e| e * e).sum::<f64>() / count;
+    let end = rows.last().map_or(0.0, |row| row.at_s);
+    let rest: Vec<&Row> = rows.iter().filter(|row| row.at_s > end - 1.0 && row.error_mm.is_finite()).collect();
+    let mean_of = |pick: &dyn Fn(&Row) -> f64| rest.iter().map(|r| pick(r)).sum::<f64>() / rest.len() as f64;
+    let shakes = || judged.iter().map(|r| r.camera_mm_s2).filter(|a| a.is_finite());
+    let (settling_s, overshoot_pct) = settling(&judged);
+    Measures {
+        rms_mm: square.sqrt(),
+        max_mm: known().fold(0.0, f64::max),
+        deviation_mm: (square - mean * mean).max(0.0).sqrt(),
+        in_view_pct: 100.0 * judged.iter().filter(|r| r.in_view).count() as f64 / judged.len().max(1) as f64,
+        pivot_mm: rows.iter().map(|r| r.pivot_mm).filter(|p| p.is_finite()).fold(0.0, f64::max),
+        rest_pct: 100.0 * mean_of(&|r| r.error_px[0]).hypot(mean_of(&|r| r.error_px[1])) / WIDTH_PX,
+        rest_mm: mean_of(&|r| r.distance_error_mm),
+        shake_mm_s2: (shakes().map(|a| a * a).sum::<f64>() / shakes().count().max(1) as f64).sqrt(),
+        settling_s,
+        overshoot_pct,
+    }
+}
+
+/// Settling and overshoot of the first movement of a run; see [`Measures`].
+fn settling(rows: &[&Row]) -> (f64, f64) {
+    const BAND_MM: f64 = 2.0;
+    const MOVEMENT_S: f64 = 0.9;
+    let nothing = (f64::NAN, f64::NAN);
+    let Some(first) = rows.iter().position(|r| r.error_mm > BAND_MM) else { return nothing };
+    let Some(start_s) = rows.first().map(|r| r.at_s) else { return nothing };
+    // Within the first movement and its rest, where a script has one (`step`: 4 s).
+    let part = &rows[first..rows.iter().position(|r| r.at_s >= start_s + 4.0).unwrap_or(rows.len()).max(first)];
+    let Some(last) = part.iter().rposition(|r| r.error_mm > BAND_MM) else { return nothing };
+    let calm_s = part.last().map_or(0.0, |r| r.at_s) - part[last].at_s;
+    if calm_s < 1.0 {
+        return nothing;
+    }
+    let Some(peak) = part.iter().max_by(|a, b| a.error_mm.total_cmp(&b.error_mm)) else { return nothing };
+    let way = peak.error_px;
+    let size = way[0].hypot(way[1]).max(1e-9);
+    let behind = part.iter().map(|r| -(r.error_px[0] * way[0] + r.error_px[1] * way[1]) / size).fold(0.0, f64::max);
+    ((part[last].at_s - start_s - MOVEMENT_S).max(0.0), 100.0 * behind / size)
+}
+
+/// Gains that were tried, and what they came to: the mean of the strokes' errors, and how calm the picture was.
+#[derive(Clone, Copy, Debug)]
+pub struct Trial {
+    /// Proportional gain of all channels, 1/s.
+    pub proportional: f64,
+    /// Integral gain of all channels, 1/s^2.
+    pub integral: f64,
+    /// Accelerations the tip is thought to have, mm/s^2.
+    pub acceleration_mm_s2: f64,
+    /// Time from set-point to movement, s.
+    pub latency_s: f64,
+    /// Error of strokes, mm.
+    pub rms_mm: f64,
+    /// Error of strokes in smoke, mm.
+    pub smoke_mm: f64,
+    /// See [`Measures::shake_mm_s2`].
+    pub shake_mm_s2: f64,
+    /// What decides: mm, less is better.
+    pub cost: f64,
+}
+
+/// Tries a grid of gains on strokes of two seeds, clear and in smoke; the best first. A picture that shakes costs as an error does: 100 mm/s^2
+/// as much as 1 mm.
+pub fn tune(chain: &Chain, seconds: f64) -> Vec<Trial> {
+    let mut out = Vec::new();
+    for proportional in [1.5, 2.0, 3.0, 4.0, 6.0] {
+        for integral in [0.0, 0.5, 1.0] {
+            for acceleration_mm_s2 in [80.0, 150.0, 300.0] {
+                for latency_s in [0.045, 0.06, 0.075] {
+                    let mut goals = shipped_goals();
+                    for gains in [&mut goals.picture, &mut goals.distance] {
+                        (gains.proportional, gains.integral) = (proportional, integral);
+                    }
+                    (goals.acceleration_mm_s2, goals.latency_s) = (acceleration_mm_s2, latency_s);
+                    let mean = |scenario: Scenario| {
+                        let both = [11, 12].map(|seed| measure(&play(chain, scenario, seed, seconds, 30.0, &goals)));
+                        ((both[0].rms_mm + both[1].rms_mm) / 2.0, (both[0].shake_mm_s2 + both[1].shake_mm_s2) / 2.0)
+                    };
+                    let ((rms_mm, shake), (smoke_mm, smoke_shake)) = (mean(Scenario::Strokes), mean(Scenario::Smoke));
+                    let shake_mm_s2 = (shake + smoke_shake) / 2.0;
+                    let cost = rms_mm + 0.5 * smoke_mm + shake_mm_s2 / 100.0;
+                    out.push(Trial {
+                        proportional,
+                        integral,
+                        acceleration_mm_s2,
+                        latency_s,
+                        rms_mm,
+                        smoke_mm,
+                        shake_mm_s2,
+                        cost,
+                    });
+                }
+            }
+        }
+    }
+    out.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    out
+}

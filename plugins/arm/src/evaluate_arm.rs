@@ -1,0 +1,96 @@
+//! `evaluate_arm`: how well an arm keeps a tip that is known exactly: one row per tick since the start.
+
+use nalgebra::Vector3;
+use panoscope_arm_core::control::{Eyes, errors, goal_mm};
+use panoscope_node::abi::{Calibration, Tip};
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData, Value};
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// The true tip; empty while it is out of the picture.
+    tip: Option<Value<'f, Tip>>,
+    /// Table of the arm's driver.
+    arm: Option<Table<'f>>,
+    /// Calibration of the rectified views.
+    calibration: Value<'f, Calibration>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// One row per tick since the start; errors are NaN while the tip is out of the picture.
+    table: Slot<'f, TableData>,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct JudgeParams {
+    /// Distance of the tip from the left camera that is asked for.
+    #[param(default = 66.0, range = 30.0..=120.0, step = 1.0, unit = "mm")]
+    distance_mm: f64,
+    /// Tool that is followed; tips of others are not judged. -1 judges all.
+    #[param(default = -1, range = -1..=1_000_000_000)]
+    track_id: i64,
+}
+
+/// Columns of the table; those from the arm's own table keep its names.
+pub const COLUMNS: [&str; 10] = [
+    "time_s",
+    "error_mm",
+    "error_u_px",
+    "error_v_px",
+    "error_distance_mm",
+    "in_view",
+    "pivot_mm",
+    "following",
+    "camera_mm_s",
+    "camera_mm_s2",
+];
+
+/// Columns that are taken over.
+const OF_THE_ARM: std::ops::Range<usize> = 6..10;
+
+/// See the module.
+#[derive(Default)]
+pub struct EvaluateArm {
+    rows: Vec<f64>,
+}
+
+impl Node for EvaluateArm {
+    const INFO: NodeInfo =
+        NodeInfo::compute("evaluate_arm", "arm", "Judges how well an arm keeps a tip that is known exactly.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = JudgeParams;
+
+    fn open(_: &Open<'_>, _: &JudgeParams) -> Result<Self> {
+        Ok(Self::default())
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &JudgeParams) -> Result<()> {
+        let c = &input.calibration;
+        let eyes = Eyes { focal_px: (c.left_projection[0], c.left_projection[5]), baseline_mm: c.baseline_mm };
+        let tip = input.tip.filter(|tip| params.track_id < 0 || tip.track_id == params.track_id);
+        let mut row = [f64::NAN; COLUMNS.len()];
+        row[0] = cx.tick().capture_ns as f64 * 1e-9;
+        row[5] = f64::from(u8::from(tip.is_some()));
+        if let Some(tip) = tip {
+            let at = Vector3::from(tip.xyz_mm);
+            let off = errors(&at, &eyes, params.distance_mm);
+            row[1] = (at - goal_mm(params.distance_mm, eyes.baseline_mm)).norm();
+            row[2..5].copy_from_slice(off.as_slice());
+        }
+        if let Some(table) = &input.arm
+            && let Some(values) = table.rows().next()
+        {
+            for (name, value) in table.names().zip(values) {
+                if let Some(column) = OF_THE_ARM.into_iter().find(|column| COLUMNS[*column] == name) {
+                    row[column] = *value;
+                }
+            }
+        }
+        self.rows.extend(row);
+        out.table.set_table(&COLUMNS, &self.rows)
+    }
+}
