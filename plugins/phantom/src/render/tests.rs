@@ -443,15 +443,19 @@ fn faults_of_the_sensor_show() {
     assert!(black[1].iter().all(|&b| b == 0) && black[0] == clean[0]);
     let later = plain(|p| p.black = Some(BlackOut { camera: 1, first: 11, end: 15 }));
     assert_eq!(later, clean);
+    let suffering = |kind: IncidentKind, first: u64, end: u64| {
+        let params = SceneParams { incident: Some(Incident { kind, first, end }), ..SceneParams::default() };
+        draw(&mut Phantom::new(params, Rig::stereo(160, 120, 15.0), &Serial).unwrap(), 10, None, &Serial)
+    };
     for kind in [IncidentKind::Smoke, IncidentKind::Blur, IncidentKind::Covered] {
-        let during = plain(|p| p.incident = Some(Incident { kind, first: 10, end: 11 }));
+        let during = suffering(kind, 10, 11);
         assert!(difference(&during, 1) > 4.0, "{kind:?} changes {} gray levels", difference(&during, 1));
         assert_eq!(during[0] == clean[0], kind == IncidentKind::Covered, "{kind:?}");
         for (first, end) in [(5, 10), (11, 15)] {
-            assert_eq!(plain(|p| p.incident = Some(Incident { kind, first, end })), clean, "{kind:?} {first}..{end}");
+            assert_eq!(suffering(kind, first, end), clean, "{kind:?} {first}..{end}");
         }
     }
-    let jump = |first: u64, end: u64| plain(|p| p.incident = Some(Incident { kind: IncidentKind::Jump, first, end }));
+    let jump = |first: u64, end: u64| suffering(IncidentKind::Jump, first, end);
     assert_eq!(jump(11, 12), clean);
     assert!(jump(10, 11) == jump(4, 5) && jump(10, 11)[0] != clean[0], "it stays where it jumped to");
 }

@@ -248,7 +248,8 @@ fn quality(quick: bool) -> Result<Vec<Figure>> {
             share.push(format!("{:.1}", marks.stitched_pct));
             error.push(format!("{:.2}", marks.align_px));
             floor = marks.floor_px;
-            let (case, input) = (format!("{}_{scene}_{seed}", way.name()), format!("phantom {scene} 640x480, {frames} frames"));
+            let (case, input) =
+                (format!("{}_{scene}_{seed}", way.name()), format!("phantom {scene} 640x480, {frames} frames"));
             figures.push(Figure::new(&format!("stitched_share/{case}"), marks.stitched_pct, "%", &input));
             figures.push(Figure::new(&format!("align_px/{case}"), marks.align_px, "px", &input));
         }
@@ -263,8 +264,7 @@ fn quality(quick: bool) -> Result<Vec<Figure>> {
 
 /// Heap allocations of the whole process per frame in steady state, with the phantom as the source: decoding files is not counted.
 fn allocations(way: Way, quick: bool) -> Result<Option<f64>> {
-    let text = on_the_phantom(way, "")
-        + "[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"wide.panorama\" }\n";
+    let text = on_the_phantom(way, "") + "[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"wide.panorama\" }\n";
     Ok(run(&text, if quick { 80 } else { 200 }, 2, false)?.allocations_per_frame)
 }
 

@@ -357,7 +357,8 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
         let title =
             [graph.name.as_str(), case.name].into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join("_");
         for (((judge, name), marks), rows) in judges(&case.wiring).iter().zip(&ours).zip(&main.tables) {
-            let named = [title.as_str(), name.as_str()].into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join("_");
+            let named =
+                [title.as_str(), name.as_str()].into_iter().filter(|n| !n.is_empty()).collect::<Vec<_>>().join("_");
             out.extend(figures(&named, marks, peer_marks, &input));
             pictures.extend(charts(&title, name, rows, peer_rows));
             if let Some(path) = &arguments.rows {

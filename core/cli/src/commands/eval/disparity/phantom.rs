@@ -41,7 +41,7 @@ fn graph(scene: &str, distance_mm: f64, points: &[[f64; 2]]) -> String {
     }
     let single: Vec<f64> = points.iter().flatten().copied().collect();
     let scope = format!("scene = \"{scene}\", distance_mm = {distance_mm:?}");
-    rectified_phantom("batch", &[], &scene)
+    rectified_phantom("batch", &[], &scope)
         + &format!(
             r#"
 [nodes.bm]
