@@ -185,7 +185,8 @@ impl MaskRcnn {
         self.lines.resize(size.1.div_ceil(ROWS_PER_CHUNK) * line_len, 0.0);
         for (i, item) in self.items.iter().enumerate() {
             let map = &self.maps[i * width * height..(i + 1) * width * height];
-            let columns = item.x_px.max(0.0) as usize..((item.x_px + item.width_px).ceil().max(0.0) as usize).min(size.0);
+            let columns =
+                item.x_px.max(0.0) as usize..((item.x_px + item.width_px).ceil().max(0.0) as usize).min(size.0);
             let rows = item.y_px.max(0.0) as usize..((item.y_px + item.height_px).ceil().max(0.0) as usize).min(size.1);
             let along = |axis: usize, px: f32| match covers {
                 Covers::Box if axis == 0 => (px - item.x_px) / item.width_px * width as f32 - 0.5,

@@ -86,11 +86,17 @@ pub fn tips(from: From<'_>) -> Result<Tips> {
     let (finder, inputs) = match from {
         From::TrueMasks => (String::new(), "instances = \"scope.instances\""),
         From::Model(Node::Yolo, model) => (
-            format!("[nodes.find]\ntype = \"yolo\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n", quoted(model)),
+            format!(
+                "[nodes.find]\ntype = \"yolo\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n",
+                quoted(model)
+            ),
             "detections = \"find.detections\"",
         ),
         From::Model(Node::MaskRcnn, model) => (
-            format!("[nodes.find]\ntype = \"mask_rcnn\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n", quoted(model)),
+            format!(
+                "[nodes.find]\ntype = \"mask_rcnn\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n",
+                quoted(model)
+            ),
             "instances = \"find.instances\"",
         ),
     };
