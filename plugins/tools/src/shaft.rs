@@ -15,8 +15,10 @@ pub struct TipPixel {
 const END_PX: f64 = 2.0;
 /// Last part of the length over which the middle between both sides is taken: the tip of open jaws lies between them.
 const END_SHARE: f64 = 0.08;
-/// From this ratio of variances on a mask has a direction of its own; a wide one points away from where it enters.
+/// From this ratio of variances on a mask has a direction of its own, if that agrees with where it enters; a wide one points away from its entry.
 const LONG: f64 = 6.0;
+/// From this one on it has one whatever it touches: a shaft that runs along the border.
+const VERY_LONG: f64 = 20.0;
 
 /// The tip of a mask given as bits (most significant first, rows padded to whole bytes).
 ///
@@ -56,12 +58,17 @@ pub fn tip_of_mask(bits: &[u8], width: usize, height: usize) -> Option<TipPixel>
     let (a, b, c) = (sxx / n - cx * cx, sxy / n - cx * cy, syy / n - cy * cy);
     let angle = 0.5 * (2.0 * b).atan2(a - c);
     let spread = ((a - c).powi(2) + 4.0 * b * b).sqrt();
-    let is_long = a + c + spread >= LONG * (a + c - spread).max(0.0);
+    let is_longer = |ratio: f64| a + c + spread >= ratio * (a + c - spread).max(0.0);
+    let main = [angle.cos(), angle.sin()];
     let from_entry = (touching > 0.0).then(|| [cx - entry_x / touching, cy - entry_y / touching]);
     let from_entry = from_entry.filter(|v| v[0].hypot(v[1]) > 1.0);
     let axis = match from_entry {
-        Some([x, y]) if !is_long => [x / x.hypot(y), y / x.hypot(y)],
-        _ => [angle.cos(), angle.sin()],
+        Some([x, y]) => {
+            let away = [x / x.hypot(y), y / x.hypot(y)];
+            let agrees = (away[0] * main[0] + away[1] * main[1]).abs() > 0.7;
+            if is_longer(VERY_LONG) || (is_longer(LONG) && agrees) { main } else { away }
+        }
+        None => main,
     };
     let along = |x: f64, y: f64| (x - cx) * axis[0] + (y - cy) * axis[1];
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
