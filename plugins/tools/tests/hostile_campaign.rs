@@ -184,8 +184,11 @@ fn foreign(chance: &mut Chance) -> Vec<u8> {
     bytes
 }
 
+/// Makes the bytes of a file.
+type Make = fn(&mut Chance) -> Vec<u8>;
+
 /// Kinds of damage, in turn.
-const KINDS: [(&str, fn(&mut Chance) -> Vec<u8>); 8] = [
+const KINDS: [(&str, Make); 8] = [
     ("cut", cut),
     ("flipped", flipped),
     ("bomb", bomb),

@@ -17,6 +17,8 @@ use crate::terminal::tell;
 
 /// Arguments of `bench tools`.
 #[derive(clap::Args)]
+// The flattened arguments bring their own group of the same name.
+#[group(skip)]
 pub struct Arguments {
     #[command(flatten)]
     pub common: super::Arguments,

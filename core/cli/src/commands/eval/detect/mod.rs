@@ -280,6 +280,8 @@ impl Judge<'_> {
                 Tips::median(&tips.errors_px),
                 Tips::median(&tips.errors_mm)
             );
+            let one = |k: &(&str, usize, usize, f64)| format!("{} {}/{} {:.1} px", k.0, k.2, k.1, k.3);
+            tell!("  {}", tips.kinds.iter().map(one).collect::<Vec<_>>().join(", "));
             let input = format!("phantom 640x360, one instrument, {} tips", tips.seen);
             let mut figure = |what: &str, value: f64, unit| {
                 if !value.is_nan() {
