@@ -81,7 +81,9 @@ fn died(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     match status.signal() {
         Some(libc::SIGXCPU | libc::SIGKILL) => "opening it takes too much processor time".to_owned(),
-        Some(libc::SIGABRT) => "opening it ended the process (out of memory, or a fault inside ONNX Runtime)".to_owned(),
+        Some(libc::SIGABRT) => {
+            "opening it ended the process (out of memory, or a fault inside ONNX Runtime)".to_owned()
+        }
         Some(signal) => format!("opening it ended the process with signal {signal}"),
         None => "opening it gave no answer".to_owned(),
     }
@@ -128,12 +130,12 @@ pub fn models(path: &Path, text: &GraphText, ready: &Ready) -> Diagnostics {
     let mut all = Diagnostics::default();
     for node in &ready.graph.nodes {
         let node_type = node.node_type(&ready.catalog);
-        let is_model = |value: &ParamValue| {
-            matches!(value, ParamValue::Path(file) if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("onnx")))
-        };
-        let named = node_type.params.iter().zip(&node.params).find(|(p, value)| {
-            matches!(p.kind, ParamKind::Path { .. }) && is_model(value)
-        });
+        let is_model = |value: &ParamValue| matches!(value, ParamValue::Path(file) if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("onnx")));
+        let named = node_type
+            .params
+            .iter()
+            .zip(&node.params)
+            .find(|(p, value)| matches!(p.kind, ParamKind::Path { .. }) && is_model(value));
         let Some((param, _)) = named else { continue };
         let (severity, code, reason) = match ask(path, &node.id) {
             Ok(None) => continue,

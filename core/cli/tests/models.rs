@@ -85,7 +85,13 @@ fn weird() -> Vec<u8> {
         let tensor = [number(1, 1), field(2, &shape)].concat();
         [field(1, name), field(2, &field(1, &tensor))].concat()
     };
-    let held = [[1u8, 7, 11].iter().flat_map(|&d| number(1, d)).collect(), number(2, 1), field(8, b"held"), field(9, &[0; 77 * 4])].concat();
+    let held = [
+        [1u8, 7, 11].iter().flat_map(|&d| number(1, d)).collect(),
+        number(2, 1),
+        field(8, b"held"),
+        field(9, &[0; 77 * 4]),
+    ]
+    .concat();
     let node = [field(1, b"held"), field(2, b"weird"), field(4, b"Identity")].concat();
     let graph = [
         field(1, &node),

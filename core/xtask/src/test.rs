@@ -31,7 +31,13 @@ static SUITES: &[Suite] = &[
     Suite { name: "lint", lints: true, tests: false, only: &[], env: &[] },
     Suite { name: "code", lints: false, tests: true, only: &[], env: &[] },
     // PANOSCOPE_FAULT_CASES and PANOSCOPE_FAULT_SEED choose how many cases and which.
-    Suite { name: "faults", lints: false, tests: true, only: &["-p", "panoscope-runtime", "--test", "campaign"], env: &[] },
+    Suite {
+        name: "faults",
+        lints: false,
+        tests: true,
+        only: &["-p", "panoscope-runtime", "--test", "campaign"],
+        env: &[],
+    },
     // PANOSCOPE_HOSTILE_CASES and PANOSCOPE_HOSTILE_SEED, the same.
     Suite {
         name: "hostile-models",

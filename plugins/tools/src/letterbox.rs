@@ -196,7 +196,12 @@ mod tests {
     fn pixels_are_mixed_from_their_neighbours() {
         for (w, h, to, form) in [
             (37, 23, (64, 32), PLAIN),
-            (120, 90, (64, 64), PixelForm { rgb: true, mean: [10.0, 20.0, 30.0], gain: [0.5, 0.25, 2.0], fit: Fit::Centre }),
+            (
+                120,
+                90,
+                (64, 64),
+                PixelForm { rgb: true, mean: [10.0, 20.0, 30.0], gain: [0.5, 0.25, 2.0], fit: Fit::Centre },
+            ),
             (1, 1, (32, 32), PixelForm { fit: Fit::Stretch, ..PLAIN }),
         ] {
             let picture: Vec<u8> = (0..w * h * 3).map(|i| (i * 37 % 251) as u8).collect();

@@ -1,7 +1,7 @@
 //! `mask_rcnn`: boxes with a mask each, from torchvision's and Detectron2's exports of Mask R-CNN (He et al. 2017; thesis, chapter 5) and from
 //! YOLO exports that segment.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use panoscope_imaging::SharedMut;
 use panoscope_node::abi::Detection;
@@ -85,6 +85,7 @@ pub struct MaskRcnnParams {
 /// Finds tools and their outlines.
 pub struct MaskRcnn {
     network: Network,
+    path: PathBuf,
     family: Family,
     candidates: Vec<Candidate>,
     /// Kept certainties per candidate, one after the other: whole or small maps, or prototypes' sums.
@@ -108,7 +109,7 @@ struct Answer<'a> {
     count: usize,
 }
 
-fn sort_out<'a>(outputs: &[Tensor<'a>]) -> Result<Answer<'a>> {
+fn sort_out<'a>(path: &Path, outputs: &[Tensor<'a>]) -> Result<Answer<'a>> {
     let floats = |rank: usize, last: Option<usize>| {
         outputs.iter().find_map(|t| {
             let fits = t.shape.len() == rank && last.is_none_or(|n| t.shape.last() == Some(&n));
@@ -119,9 +120,11 @@ fn sort_out<'a>(outputs: &[Tensor<'a>]) -> Result<Answer<'a>> {
     let (Some((shape, boxes)), Some((_, scores)), Some((mask_shape, masks))) =
         (floats(2, Some(4)), floats(1, None), masks)
     else {
-        let found: Vec<String> = outputs.iter().map(|t| format!("`{}` {:?}", t.name, t.shape)).collect();
+        let dims = |t: &Tensor<'_>| t.shape.iter().map(ToString::to_string).collect::<Vec<_>>().join("x");
+        let found: Vec<String> = outputs.iter().map(|t| format!("`{}` {}", t.name, dims(t))).collect();
         return Err(error!(
-            "the model answers {}, expected boxes Nx4, scores N, labels N and masks Nx1xHxW",
+            "{} answers {}, expected boxes Nx4, scores N, labels N and masks Nx1xHxW",
+            path.display(),
             found.join(", ")
         ));
     };
@@ -129,13 +132,15 @@ fn sort_out<'a>(outputs: &[Tensor<'a>]) -> Result<Answer<'a>> {
         .iter()
         .find_map(|t| if let Values::Int(l) = t.data { Some(l).filter(|_| t.shape.len() == 1) } else { None });
     let count = shape[0];
-    let [.., height, width] = mask_shape[..] else { return Err(error!("masks have no height and width")) };
+    let [.., height, width] = mask_shape[..] else {
+        return Err(error!("{}: masks have no height and width", path.display()));
+    };
     let whole = boxes.len() >= 4 * count
         && scores.len() >= count
         && labels.is_none_or(|l| l.len() >= count)
         && width.checked_mul(height).and_then(|n| n.checked_mul(count)).is_some_and(|n| masks.len() >= n);
     if !whole {
-        return Err(error!("boxes, scores and masks of the answer do not have as many rows"));
+        return Err(error!("{}: boxes, scores and masks of the answer do not have as many rows", path.display()));
     }
     Ok(Answer { boxes, scores, labels, masks, map_size: (width, height), count })
 }
@@ -185,7 +190,8 @@ impl MaskRcnn {
         self.lines.resize(size.1.div_ceil(ROWS_PER_CHUNK) * line_len, 0.0);
         for (i, item) in self.items.iter().enumerate() {
             let map = &self.maps[i * width * height..(i + 1) * width * height];
-            let columns = item.x_px.max(0.0) as usize..((item.x_px + item.width_px).ceil().max(0.0) as usize).min(size.0);
+            let columns =
+                item.x_px.max(0.0) as usize..((item.x_px + item.width_px).ceil().max(0.0) as usize).min(size.0);
             let rows = item.y_px.max(0.0) as usize..((item.y_px + item.height_px).ceil().max(0.0) as usize).min(size.1);
             let along = |axis: usize, px: f32| match covers {
                 Covers::Box if axis == 0 => (px - item.x_px) / item.width_px * width as f32 - 0.5,
@@ -259,6 +265,7 @@ impl Node for MaskRcnn {
         let (w, h) = network.model.input_size();
         let gray = vec![0.5f32; 3 * w * h];
         let named = network.model.metadata("family").map(str::to_owned);
+        let path = network.model.path().to_owned();
         let (family, classes) = network.model.run(&gray, |outputs| -> Result<_> {
             if let [boxes, prototypes] = outputs
                 && let ([1, len, _], [1, masks, _, _]) = (&boxes.shape[..], &prototypes.shape[..])
@@ -266,7 +273,7 @@ impl Node for MaskRcnn {
             {
                 return Ok((Family::YoloSeg, len.saturating_sub(4 + masks)));
             }
-            let answer = sort_out(outputs)?;
+            let answer = sort_out(&path, outputs)?;
             let family = match (params.family, named.as_deref()) {
                 (Family::Auto, Some("detectron2")) => Family::Detectron2,
                 (Family::Auto, Some("torchvision")) => Family::Torchvision,
@@ -279,6 +286,7 @@ impl Node for MaskRcnn {
         })??;
         network.name_classes(&params.labels, classes)?;
         Ok(Self {
+            path: network.model.path().to_owned(),
             network,
             family,
             candidates: Vec::new(),
@@ -304,7 +312,7 @@ impl Node for MaskRcnn {
         let net = self.network.model.input_size();
         let placement = self.network.letterbox.fit(picture, net, &pixel_form(self.family), cx.pool());
         let family = self.family;
-        let Self { network: Network { model, letterbox, .. }, candidates, maps, map_size, .. } = self;
+        let Self { network: Network { model, letterbox, .. }, path, candidates, maps, map_size, .. } = self;
         let covers = model.run(&letterbox.input, |outputs| -> Result<Covers> {
             maps.clear();
             candidates.clear();
@@ -335,7 +343,7 @@ impl Node for MaskRcnn {
                 }
                 return Ok(Covers::Input(placement, net));
             }
-            let answer = sort_out(outputs)?;
+            let answer = sort_out(path, outputs)?;
             // Class 0 of torchvision is background and never answered.
             let first_class = i64::from(family == Family::Torchvision);
             for row in 0..answer.count {

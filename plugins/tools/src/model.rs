@@ -118,7 +118,8 @@ impl Model {
         // Threads spin while the network runs (waking them between its hundred steps would cost as much as the steps) and stop with its end: a
         // waiting thread that goes on spinning takes the core from the next node.
         let builder = builder.with_intra_op_spinning(true).map_err(|e| refused(e.to_string()))?;
-        let builder = builder.with_config_entry("session.force_spinning_stop", "1").map_err(|e| refused(e.to_string()))?;
+        let builder =
+            builder.with_config_entry("session.force_spinning_stop", "1").map_err(|e| refused(e.to_string()))?;
         let mut builder = builder.with_inter_op_spinning(false).map_err(|e| refused(e.to_string()))?;
         // From what was looked through; only weights beside the model need its path.
         let session = if file.has_weights_beside {

@@ -11,13 +11,20 @@ pub struct TipPixel {
     pub direction: [f64; 2],
 }
 
-/// How far along the axis from the tip the mean is taken, in px: the outermost pixel alone is noise.
+/// How far along the axis the end is averaged, in px: the outermost pixel alone is noise.
 const END_PX: f64 = 2.0;
+/// Last part of the length over which the middle between both sides is taken: the tip of open jaws lies between them.
+const END_SHARE: f64 = 0.08;
+/// From this ratio of variances on a mask has a direction of its own, if that agrees with where it enters; a wide one points away from its entry.
+const LONG: f64 = 6.0;
+/// From this one on it has one whatever it touches: a shaft that runs along the border.
+const VERY_LONG: f64 = 20.0;
 
 /// The tip of a mask given as bits (most significant first, rows padded to whole bytes).
 ///
-/// The shaft's axis is the mask's main direction. The instrument enters on the side that touches the picture's border; where neither or both
-/// sides do, on the side nearer to it. The tip is where the mask ends on the other side. `None` for an empty mask.
+/// The instrument enters where the mask touches the picture's border; where it does not, on the side nearer to it. The shaft's axis is the
+/// mask's main direction, or for a wide mask (a bag, open jaws) the line from the entry through the mask's middle. The tip is where the mask ends
+/// on the other side, in the middle of its end. `None` for an empty mask.
 pub fn tip_of_mask(bits: &[u8], width: usize, height: usize) -> Option<TipPixel> {
     let row_bytes = width.div_ceil(8);
     let each = |visit: &mut dyn FnMut(f64, f64)| {
@@ -30,6 +37,7 @@ pub fn tip_of_mask(bits: &[u8], width: usize, height: usize) -> Option<TipPixel>
         }
     };
     let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    let (mut touching, mut entry_x, mut entry_y) = (0.0, 0.0, 0.0);
     each(&mut |x, y| {
         n += 1.0;
         sx += x;
@@ -37,6 +45,11 @@ pub fn tip_of_mask(bits: &[u8], width: usize, height: usize) -> Option<TipPixel>
         sxx += x * x;
         sxy += x * y;
         syy += y * y;
+        if x < 1.0 || y < 1.0 || x >= width as f64 - 1.0 || y >= height as f64 - 1.0 {
+            touching += 1.0;
+            entry_x += x;
+            entry_y += y;
+        }
     });
     if n == 0.0 {
         return None;
@@ -44,36 +57,55 @@ pub fn tip_of_mask(bits: &[u8], width: usize, height: usize) -> Option<TipPixel>
     let (cx, cy) = (sx / n, sy / n);
     let (a, b, c) = (sxx / n - cx * cx, sxy / n - cx * cy, syy / n - cy * cy);
     let angle = 0.5 * (2.0 * b).atan2(a - c);
-    let axis = [angle.cos(), angle.sin()];
+    let spread = ((a - c).powi(2) + 4.0 * b * b).sqrt();
+    let is_longer = |ratio: f64| a + c + spread >= ratio * (a + c - spread).max(0.0);
+    let main = [angle.cos(), angle.sin()];
+    let from_entry = (touching > 0.0).then(|| [cx - entry_x / touching, cy - entry_y / touching]);
+    let from_entry = from_entry.filter(|v| v[0].hypot(v[1]) > 1.0);
+    let axis = match from_entry {
+        Some([x, y]) => {
+            let away = [x / x.hypot(y), y / x.hypot(y)];
+            let agrees = (away[0] * main[0] + away[1] * main[1]).abs() > 0.7;
+            if is_longer(VERY_LONG) || (is_longer(LONG) && agrees) { main } else { away }
+        }
+        None => main,
+    };
     let along = |x: f64, y: f64| (x - cx) * axis[0] + (y - cy) * axis[1];
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-    let (mut border_low, mut border_high) = (0u32, 0u32);
     each(&mut |x, y| {
         let t = along(x, y);
         (low, high) = (low.min(t), high.max(t));
-        if x < 1.0 || y < 1.0 || x >= width as f64 - 1.0 || y >= height as f64 - 1.0 {
-            if t < 0.0 { border_low += 1 } else { border_high += 1 }
-        }
     });
     let from_border = |t: f64| {
         let (x, y) = (cx + t * axis[0], cy + t * axis[1]);
         x.min(y).min(width as f64 - 1.0 - x).min(height as f64 - 1.0 - y)
     };
-    let enters_low = match border_low.cmp(&border_high) {
-        std::cmp::Ordering::Greater => true,
-        std::cmp::Ordering::Less => false,
-        std::cmp::Ordering::Equal => from_border(low) <= from_border(high),
+    let enters_low = match from_entry {
+        Some(v) => v[0] * axis[0] + v[1] * axis[1] >= 0.0,
+        None => from_border(low) <= from_border(high),
     };
     let (end, sign) = if enters_low { (high, 1.0) } else { (low, -1.0) };
-    let (mut m, mut tx, mut ty) = (0.0, 0.0, 0.0);
+    let part = (END_SHARE * (high - low)).max(END_PX);
+    let (mut ends, mut reach, mut beside, mut offset) = (0.0, 0.0, 0.0, 0.0);
     each(&mut |x, y| {
-        if (along(x, y) - end) * -sign <= END_PX {
-            m += 1.0;
-            tx += x;
-            ty += y;
+        let t = along(x, y);
+        let before_end = (t - end) * -sign;
+        if before_end <= END_PX {
+            ends += 1.0;
+            reach += t;
+        }
+        if before_end <= part {
+            beside += 1.0;
+            offset += (y - cy) * axis[0] - (x - cx) * axis[1];
         }
     });
-    Some(TipPixel { u_px: tx / m, v_px: ty / m, direction: [axis[0] * sign, axis[1] * sign] })
+    // The pixel at the very end counts for both.
+    let (reach, offset) = (reach / ends, offset / beside);
+    Some(TipPixel {
+        u_px: cx + reach * axis[0] - offset * axis[1],
+        v_px: cy + reach * axis[1] + offset * axis[0],
+        direction: [axis[0] * sign, axis[1] * sign],
+    })
 }
 
 /// The tip of a box (left, top, right, bottom). Detectors box the working end; its shaft comes from the border that the box is nearest to, and
@@ -127,6 +159,25 @@ mod tests {
         let found = tip_of_mask(&bits, 101, 80).expect("the mask is not empty");
         assert!((found.u_px - 31.0).abs() < 1.5 && (found.v_px - 60.0).abs() < 1.5, "{found:?}");
         assert!(found.direction[0] < -0.9);
+    }
+
+    #[test]
+    fn a_wide_bag_ends_opposite_to_its_entry() {
+        // Half an ellipse at the right border, taller than wide.
+        let bits = mask(100, 120, |x, y| ((x - 100.0) / 30.0).powi(2) + ((y - 60.0) / 45.0).powi(2) <= 1.0);
+        let found = tip_of_mask(&bits, 100, 120).expect("the mask is not empty");
+        assert!((found.u_px - 71.0).abs() < 2.0 && (found.v_px - 60.0).abs() < 1.0, "{found:?}");
+    }
+
+    #[test]
+    fn the_tip_of_open_jaws_lies_between_them() {
+        // Two jaws from the joint at (60, 50), 15 px to either side at x = 10, on a shaft from the right border.
+        let bits = mask(101, 100, |x, y| {
+            let jaw = (x - 60.0).abs() <= 50.0 && x <= 60.0 && ((y - 50.0).abs() - 0.3 * (60.0 - x)).abs() <= 3.0;
+            jaw || (x > 60.0 && (y - 50.0).abs() <= 5.0)
+        });
+        let found = tip_of_mask(&bits, 101, 100).expect("the mask is not empty");
+        assert!((found.u_px - 11.0).abs() < 2.0 && (found.v_px - 50.0).abs() < 1.5, "{found:?}");
     }
 
     #[test]

@@ -108,7 +108,17 @@ fn bomb(chance: &mut Chance) -> Vec<u8> {
 }
 
 fn outside(chance: &mut Chance) -> Vec<u8> {
-    let places = ["../secret.bin", "/etc/hostname", "./../secret.bin", "a/../../secret.bin", "..", "/proc/self/maps", "link.bin", "gone.bin", "//secret.bin"];
+    let places = [
+        "../secret.bin",
+        "/etc/hostname",
+        "./../secret.bin",
+        "a/../../secret.bin",
+        "..",
+        "/proc/self/maps",
+        "link.bin",
+        "gone.bin",
+        "//secret.bin",
+    ];
     let entry = |k: &str, v: &str| Message::default().text(1, k).text(2, v);
     let mut held = Message::default().int(1, 84 * 7).int(2, 1).text(8, "output_held");
     held = held.message(13, &entry("location", places[chance.below(places.len())]));
@@ -174,8 +184,11 @@ fn foreign(chance: &mut Chance) -> Vec<u8> {
     bytes
 }
 
+/// Makes the bytes of a file.
+type Make = fn(&mut Chance) -> Vec<u8>;
+
 /// Kinds of damage, in turn.
-const KINDS: [(&str, fn(&mut Chance) -> Vec<u8>); 8] = [
+const KINDS: [(&str, Make); 8] = [
     ("cut", cut),
     ("flipped", flipped),
     ("bomb", bomb),
@@ -199,7 +212,10 @@ fn child(path: &Path, big: bool) {
                     Ok(out) => {
                         let found = out.detections("detections").expect("a run without an error answers");
                         let inside = found.items().iter().all(|d| {
-                            d.x_px >= 0.0 && d.y_px >= 0.0 && d.x_px + d.width_px <= w as f32 + 0.5 && d.y_px + d.height_px <= h as f32 + 0.5
+                            d.x_px >= 0.0
+                                && d.y_px >= 0.0
+                                && d.x_px + d.width_px <= w as f32 + 0.5
+                                && d.y_px + d.height_px <= h as f32 + 0.5
                         });
                         assert!(inside, "a box outside the picture");
                         say(format!("yolo at {w}x{h}: {} boxes", found.items().len()));

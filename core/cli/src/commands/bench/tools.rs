@@ -17,6 +17,8 @@ use crate::terminal::tell;
 
 /// Arguments of `bench tools`.
 #[derive(clap::Args)]
+// The flattened arguments bring their own group of the same name.
+#[group(skip)]
 pub struct Arguments {
     #[command(flatten)]
     pub common: super::Arguments,
@@ -124,7 +126,9 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
                         theirs = theirs.min(p.frame_ms);
                         network = network.min(p.network_ms);
                         if p.found == 0 {
-                            tell!("the peer of {name} finds nothing in the picture: the time of its last steps says little");
+                            tell!(
+                                "the peer of {name} finds nothing in the picture: the time of its last steps says little"
+                            );
                         }
                     }
                     Err(error) => no_peer = Some(error),
@@ -134,7 +138,8 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
             let file = model.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let input = format!("{INPUT}, {file}, {threads} threads");
             figures.push(
-                Figure::new(&format!("{name}/{threads}"), own, "ms", &input).beside("onnxruntime, Python", finite(theirs)),
+                Figure::new(&format!("{name}/{threads}"), own, "ms", &input)
+                    .beside("onnxruntime, Python", finite(theirs)),
             );
             if let Some(network) = finite(network) {
                 figures.push(Figure::new(&format!("{name}_network_python/{threads}"), network, "ms", &input));

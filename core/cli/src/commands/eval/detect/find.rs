@@ -69,27 +69,27 @@ pub fn quoted(path: &Path) -> String {
     toml::Value::String(path.to_string_lossy().into_owned()).to_string()
 }
 
-/// Parameters as people measure AP: all but the weakest finds, class by class, a wide net against doubles.
-fn node_params(node: Node, model: &Path) -> String {
+/// Parameters as people measure AP: all but the weakest finds, class by class, a wide net against doubles. `settings` win.
+fn node_params(node: Node, model: &Path, settings: &[String]) -> String {
     let most = match node {
         Node::Yolo => "max_boxes = 100",
         Node::MaskRcnn => "max_instances = 100",
     };
-    format!("model = {}, min_score = 0.01, max_overlap = 0.65, track = false, {most}", quoted(model))
+    let mut params = vec![format!("model = {}", quoted(model))];
+    params.extend(["min_score = 0.01", "max_overlap = 0.65", "track = false", most].map(str::to_owned));
+    let name = |setting: &str| setting.split('=').next().unwrap_or("").trim().to_owned();
+    params.retain(|p| !settings.iter().any(|s| name(s) == name(p)));
+    params.extend(settings.iter().cloned());
+    params.join(", ")
 }
 
 /// Runs `model` in `node` over the pictures of `truth`. With `settings` (`param = value`) the node's parameters change.
 pub fn run(node: Node, model: &Path, truth: &Truth, settings: &[String]) -> Result<Found> {
     let scratch = Scratch::new("eval")?;
     let out = scratch.0.join("found.json");
-    let mut params = node_params(node, model);
-    for setting in settings {
-        params.push_str(", ");
-        params.push_str(setting);
-    }
+    let params = node_params(node, model, settings);
     let absolute = |p: &PathBuf| std::path::absolute(p).unwrap_or_else(|_| p.clone());
-    let files: String =
-        truth.pictures.iter().map(|p| format!("{}\n", absolute(&p.path).to_string_lossy())).collect();
+    let files: String = truth.pictures.iter().map(|p| format!("{}\n", absolute(&p.path).to_string_lossy())).collect();
     let text = format!(
         "mode = \"batch\"\nplugins = [\"capture\", \"tools\", \"sinks\"]\n\
          [nodes.files]\ntype = \"capture\"\nparams = {{ left = {} , pace = \"off\" }}\n\

@@ -177,7 +177,8 @@ impl Judge<'_> {
 
     /// Shows a table of classes and notes the figures.
     fn tell(&mut self, j: &Judged, model: &Path) {
-        let words = ["class", "truth", "found", "AP50", "AP", "AP50 VOC", "best F1", "at score", "mask AP50", "mask AP"];
+        let words =
+            ["class", "truth", "found", "AP50", "AP", "AP50 VOC", "best F1", "at score", "mask AP50", "mask AP"];
         let mut rows = vec![words.map(str::to_owned).to_vec()];
         let percent = |v: f64| if v.is_nan() { "-".to_owned() } else { format!("{:.1} %", v * 100.0) };
         for (k, (name, c)) in j.truth.classes.iter().zip(&j.boxes.classes).enumerate() {
@@ -197,7 +198,8 @@ impl Judge<'_> {
         }
         tell!("{} on {}: {} frames, {:.1} ms each", model.display(), j.case, j.truth.pictures.len(), j.ms);
         raw(&table(&rows));
-        let input = format!("{}, {} frames", model.file_name().unwrap_or_default().to_string_lossy(), j.truth.pictures.len());
+        let input =
+            format!("{}, {} frames", model.file_name().unwrap_or_default().to_string_lossy(), j.truth.pictures.len());
         let mut figure = |name: String, value: f64| {
             if !value.is_nan() {
                 self.figures.push(Figure::new(&name, value, "1", &input));
@@ -235,7 +237,9 @@ impl Judge<'_> {
     fn left_out(&mut self) -> Result<()> {
         let Some(folder) = self.data("left_out", "m2cai16-tool-locations") else { return Ok(()) };
         let model = self.arguments.left_out_model.clone();
-        let Some(model) = self.model("left_out", model, "--left-out-model (trained with --without)") else { return Ok(()) };
+        let Some(model) = self.model("left_out", model, "--left-out-model (trained with --without)") else {
+            return Ok(());
+        };
         let mut truth = truth::read(&folder, Some("trainval"), None)?.only(&self.arguments.left_out);
         let more = truth::read(&folder, Some("test"), None)?.only(&self.arguments.left_out);
         truth.pictures.extend(more.ordered(&truth.classes).pictures);
@@ -276,6 +280,8 @@ impl Judge<'_> {
                 Tips::median(&tips.errors_px),
                 Tips::median(&tips.errors_mm)
             );
+            let one = |k: &(&str, usize, usize, f64)| format!("{} {}/{} {:.1} px", k.0, k.2, k.1, k.3);
+            tell!("  {}", tips.kinds.iter().map(one).collect::<Vec<_>>().join(", "));
             let input = format!("phantom 640x360, one instrument, {} tips", tips.seen);
             let mut figure = |what: &str, value: f64, unit| {
                 if !value.is_nan() {

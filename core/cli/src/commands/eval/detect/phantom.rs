@@ -13,6 +13,8 @@ use crate::interrupt;
 /// Seeds beyond those that training draws.
 const FIRST_SEED: u64 = 2_000_001;
 const SCENES: [&str; 3] = ["liver", "bowel", "cavity"];
+/// Instruments of the scenes in which tips are looked for, one each.
+const KINDS: [&str; 7] = ["grasper", "bipolar", "hook", "scissors", "clipper", "irrigator", "specimen_bag"];
 /// Pictures of each scene, a second apart.
 const FRAMES: u64 = 12;
 
@@ -55,6 +57,8 @@ pub struct Tips {
     pub errors_px: Vec<f64>,
     /// Distances in space of those with a valid place, mm.
     pub errors_mm: Vec<f64>,
+    /// Per kind of instrument: tips seen, found, and their median distance in px.
+    pub kinds: Vec<(&'static str, usize, usize, f64)>,
 }
 
 impl Tips {
@@ -86,25 +90,32 @@ pub fn tips(from: From<'_>) -> Result<Tips> {
     let (finder, inputs) = match from {
         From::TrueMasks => (String::new(), "instances = \"scope.instances\""),
         From::Model(Node::Yolo, model) => (
-            format!("[nodes.find]\ntype = \"yolo\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n", quoted(model)),
+            format!(
+                "[nodes.find]\ntype = \"yolo\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n",
+                quoted(model)
+            ),
             "detections = \"find.detections\"",
         ),
         From::Model(Node::MaskRcnn, model) => (
-            format!("[nodes.find]\ntype = \"mask_rcnn\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n", quoted(model)),
+            format!(
+                "[nodes.find]\ntype = \"mask_rcnn\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n",
+                quoted(model)
+            ),
             "instances = \"find.instances\"",
         ),
     };
     let mut out = Tips::default();
-    for index in 0..7u64 {
+    for (index, kind) in KINDS.iter().enumerate() {
         let text = format!(
             "mode = \"batch\"\nplugins = [\"phantom\", \"tools\", \"sinks\"]\n\
              [nodes.scope]\ntype = \"phantom\"\n\
-             params = {{ scene = \"{}\", seed = {}, tools = 1, rate_hz = 1.0, width = 640, height = 360 }}\n{finder}\
+             params = {{ scene = \"{}\", seed = {}, tools = 1, tool_kinds = \"{kind}\", \
+             rate_hz = 1.0, width = 640, height = 360, distance_mm = 80.0, speed_mm_s = 4.0 }}\n{finder}\
              [nodes.tip]\ntype = \"tool_tip\"\ninputs = {{ {inputs}, depth = \"scope.depth\", calibration = \"scope.calibration\" }}\n\
              [nodes.found]\ntype = \"write_table\"\ninputs = {{ tip = \"tip.tip\" }}\nparams = {{ path = \"found.jsonl\" }}\n\
              [nodes.truth]\ntype = \"write_table\"\ninputs = {{ tip = \"scope.tip\" }}\nparams = {{ path = \"truth.jsonl\" }}\n",
-            SCENES[index as usize % 3],
-            FIRST_SEED + 100 + index,
+            SCENES[index % 3],
+            FIRST_SEED + 100 + index as u64,
         );
         let path = scratch.0.join("eval.toml");
         let plan = Plan { text: &text, path: &path, frames: Some(FRAMES), threads: 0, ports: &[], paced: false };
@@ -117,6 +128,7 @@ pub fn tips(from: From<'_>) -> Result<Tips> {
             Some(([tip.get("u_px")?.as_f64()?, tip.get("v_px")?.as_f64()?], xyz))
         };
         let seq = |line: &Value| line.get("seq").and_then(Value::as_u64);
+        let (seen_before, found_before) = (out.seen, out.errors_px.len());
         for line in &real {
             let Some((uv, xyz)) = place(line) else { continue };
             out.seen += 1;
@@ -126,6 +138,8 @@ pub fn tips(from: From<'_>) -> Result<Tips> {
                 out.errors_mm.push(a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt());
             }
         }
+        let own = &out.errors_px[found_before..];
+        out.kinds.push((kind, out.seen - seen_before, own.len(), Tips::median(own)));
     }
     Ok(out)
 }

@@ -77,11 +77,8 @@ pub fn curves(path: &Path, title: &str, classes: &[String], scores: &Scores) -> 
             continue;
         }
         let color = CLASS_COLORS[index % CLASS_COLORS.len()];
-        let points: Vec<(f32, f32)> = class
-            .curve
-            .iter()
-            .map(|&(r, p)| (left + side * r as f32, top + side * (1.0 - p as f32)))
-            .collect();
+        let points: Vec<(f32, f32)> =
+            class.curve.iter().map(|&(r, p)| (left + side * r as f32, top + side * (1.0 - p as f32))).collect();
         draw::polyline(&mut canvas.view(), &points, 2.0, color);
         let y = top + 22.0 * line;
         draw::line(&mut canvas.view(), (left + side + 20.0, y + 6.0), (left + side + 44.0, y + 6.0), 3.0, color);
@@ -129,7 +126,8 @@ pub fn confusion_picture(path: &Path, title: &str, classes: &[String], table: &[
             let share = if total == 0 { 0.0 } else { count as f32 / total as f32 };
             let good = row == column;
             let fade = |full: f32| (255.0 - (255.0 - full) * share.sqrt()) as u8;
-            let color = if good { [fade(80.0), fade(160.0), fade(60.0)] } else { [fade(70.0), fade(90.0), fade(225.0)] };
+            let color =
+                if good { [fade(80.0), fade(160.0), fade(60.0)] } else { [fade(70.0), fade(90.0), fade(225.0)] };
             let x = left + cell * column as f32;
             draw::fill_rectangle(&mut canvas.view(), x as i32, y as i32, cell as i32 - 2, cell as i32 - 2, color, 1.0);
             if count > 0 && cell > 30.0 {
@@ -203,7 +201,8 @@ fn thumbnail(path: &Path, width: usize, height: usize) -> Result<(Canvas, f32)> 
 fn lay(canvas: &mut Canvas, mask: &Mask, scale: f32, color: Color) {
     let (w, h) = (canvas.width, canvas.height);
     let at = |i: usize| ((i as f32 + 0.5) / scale) as usize;
-    let bytes: Vec<u8> = (0..h).flat_map(|y| (0..w).map(move |x| (x, y))).map(|(x, y)| 255 * u8::from(mask.at(at(x), at(y)))).collect();
+    let bytes: Vec<u8> =
+        (0..h).flat_map(|y| (0..w).map(move |x| (x, y))).map(|(x, y)| 255 * u8::from(mask.at(at(x), at(y)))).collect();
     draw::blend_mask(&mut canvas.view(), &View::new(&bytes, w, h, 1), color, 0.35);
 }
 
@@ -223,7 +222,14 @@ fn mark(canvas: &mut Canvas, scale: f32, objects: &[Object], finds: &[Find], cla
     };
     for o in objects {
         frame(canvas, o.bbox, TRUE);
-        draw::text(&mut canvas.view(), o.bbox[0] as f32 * scale + 2.0, o.bbox[1] as f32 * scale + 2.0, name(o.class), 1.3, TRUE);
+        draw::text(
+            &mut canvas.view(),
+            o.bbox[0] as f32 * scale + 2.0,
+            o.bbox[1] as f32 * scale + 2.0,
+            name(o.class),
+            1.3,
+            TRUE,
+        );
     }
     for f in shown() {
         frame(canvas, f.bbox, FOUND);

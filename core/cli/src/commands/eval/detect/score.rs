@@ -165,9 +165,10 @@ fn meet(finds: &[&Find], truths: &[&Object], shape: Shape) -> Met {
     let voc = overlaps
         .iter()
         .map(|row| {
-            let best = row.iter().enumerate().fold(None::<(usize, f64)>, |b, (t, &o)| {
-                if o > b.map_or(0.0, |(_, o)| o) { Some((t, o)) } else { b }
-            });
+            let best = row
+                .iter()
+                .enumerate()
+                .fold(None::<(usize, f64)>, |b, (t, &o)| if o > b.map_or(0.0, |(_, o)| o) { Some((t, o)) } else { b });
             match best.filter(|(_, o)| *o >= 0.5) {
                 Some((t, _)) if real[t].ignored => (false, true),
                 Some((t, _)) if !taken[t] => {
@@ -280,9 +281,10 @@ pub fn pairs(truths: &[Object], finds: &[Find], min_score: f64, shape: Shape) ->
     }
     out.extend((0..truths.len()).filter(|&t| !taken[t] && !truths[t].ignored).map(|t| (Some(t), None)));
     // A second box on a crowd is no mistake.
-    let on_crowd =
-        |f: usize| truths.iter().any(|t| t.ignored && overlap(&finds[f], t, shape) >= 0.5);
-    out.extend((0..finds.len()).filter(|&f| !used[f] && finds[f].score >= min_score && !on_crowd(f)).map(|f| (None, Some(f))));
+    let on_crowd = |f: usize| truths.iter().any(|t| t.ignored && overlap(&finds[f], t, shape) >= 0.5);
+    out.extend(
+        (0..finds.len()).filter(|&f| !used[f] && finds[f].score >= min_score && !on_crowd(f)).map(|f| (None, Some(f))),
+    );
     out
 }
 

@@ -143,7 +143,8 @@ pub fn compare(python: &Path, truth: &Truth, finds: &[Vec<Find>], shape: Shape, 
             bail!("self-check: {what} is {own:.6} here and nothing in pycocotools");
         };
         worst = worst.max((own - other).abs());
-        if !((own - other).abs() <= 5e-5) {
+        // NaN agrees with nothing.
+        if own.is_nan() || (own - other).abs() > 5e-5 {
             bail!("self-check: {what} is {own:.6} here and {other:.6} in pycocotools");
         }
         Ok(())

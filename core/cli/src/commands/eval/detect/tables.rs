@@ -96,7 +96,9 @@ fn precision(out: &mut String, title: &str, list: &[(&Judged, &str, &Scores)]) {
 pub fn all(judged: &[Judged]) -> String {
     let of = |node: Node| -> Vec<&Judged> { judged.iter().filter(|j| j.node == node).collect() };
     let (boxes, masks) = (of(Node::Yolo), of(Node::MaskRcnn));
-    let mut out = String::from("# Tables 5.1 to 5.5, rebuilt\n\nFrames of each case are what lies on this machine; nothing is copied from the thesis.\n");
+    let mut out = String::from(
+        "# Tables 5.1 to 5.5, rebuilt\n\nFrames of each case are what lies on this machine; nothing is copied from the thesis.\n",
+    );
     data(&mut out, "## Table 5.1: frames and instruments, boxes", &boxes);
     found(&mut out, "## Table 5.2: detections at score 0.3 and overlap 0.5", &boxes, Shape::Box);
     let list: Vec<_> = boxes.iter().map(|j| (*j, "boxes", &j.boxes)).collect();

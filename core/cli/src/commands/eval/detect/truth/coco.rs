@@ -127,7 +127,12 @@ pub fn read(path: &Path, folder: &Path) -> Result<Truth> {
     }
     for a in file.annotations {
         let (Some(&at), Some(&class)) = (place.get(&a.image_id), classes.get(&a.category_id)) else {
-            bail!("{}: an annotation of picture {} and category {}, which it does not list", path.display(), a.image_id, a.category_id);
+            bail!(
+                "{}: an annotation of picture {} and category {}, which it does not list",
+                path.display(),
+                a.image_id,
+                a.category_id
+            );
         };
         let picture = &mut truth.pictures[at];
         let ignored = a.iscrowd != 0;

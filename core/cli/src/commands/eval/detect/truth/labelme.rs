@@ -49,9 +49,14 @@ pub fn read(folder: &Path, images: Option<&Path>) -> Result<Truth> {
     let mut truth = Truth::default();
     for path in files(folder, &["json"]) {
         let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        let file: File = serde_json::from_str(&text).with_context(|| format!("{} is no labelme file", path.display()))?;
+        let file: File =
+            serde_json::from_str(&text).with_context(|| format!("{} is no labelme file", path.display()))?;
         let Some(picture) = picture_of(&path, &file.image_path, images) else {
-            bail!("the picture of {} ({}) is not there: name its folder with --images", path.display(), file.image_path);
+            bail!(
+                "the picture of {} ({}) is not there: name its folder with --images",
+                path.display(),
+                file.image_path
+            );
         };
         let (width, height) = size_of(&picture)?;
         let mut groups: Vec<(usize, Option<i64>, Mask)> = Vec::new();

@@ -96,8 +96,7 @@ impl Truth {
         let mut others: Vec<String> = self.classes.iter().filter(|c| !classes.contains(c)).cloned().collect();
         others.sort();
         classes.extend(others);
-        let place: Vec<usize> =
-            self.classes.iter().map(|c| classes.iter().position(|o| o == c).unwrap_or(0)).collect();
+        let place: Vec<usize> = self.classes.iter().map(|c| classes.iter().position(|o| o == c).unwrap_or(0)).collect();
         for object in self.pictures.iter_mut().flat_map(|p| &mut p.objects) {
             object.class = place[object.class];
         }

@@ -29,9 +29,12 @@ fn voc_boxes_follow_the_size_of_the_picture() {
     fs::create_dir_all(home.join("Annotations")).unwrap();
     fs::create_dir_all(home.join("ImageSets")).unwrap();
     let object = |difficult| {
-        format!("<object><name>Hook</name><difficult>{difficult}</difficult><bndbox><xmin>4</xmin><ymin>2</ymin><xmax>8</xmax><ymax>6</ymax></bndbox></object>")
+        format!(
+            "<object><name>Hook</name><difficult>{difficult}</difficult><bndbox><xmin>4</xmin><ymin>2</ymin><xmax>8</xmax><ymax>6</ymax></bndbox></object>"
+        )
     };
-    let xml = format!("<annotation><size><width>40</width><height>20</height></size>{}{}</annotation>", object(0), object(1));
+    let xml =
+        format!("<annotation><size><width>40</width><height>20</height></size>{}{}</annotation>", object(0), object(1));
     fs::write(home.join("Annotations/v01_1.xml"), xml).unwrap();
     fs::write(home.join("ImageSets/test.txt"), "v01_1\nv01_2\n").unwrap();
     let truth = read(&home, Some("test"), None).unwrap();
@@ -50,8 +53,10 @@ fn voc_boxes_follow_the_size_of_the_picture() {
 #[test]
 fn coco_masks_come_as_runs_packed_runs_and_polygons() {
     let home = folder("coco", &["a.png"]);
-    let annotation = |shape: &str| format!("{{\"image_id\":7,\"category_id\":2,\"bbox\":[1,1,2,2],\"segmentation\":{shape}}}");
-    let shapes = ["{\"size\":[10,20],\"counts\":[11,2,187]}", "{\"size\":[10,20],\"counts\":\";2k5\"}", "[[1,1,3,1,3,3,1,3]]"];
+    let annotation =
+        |shape: &str| format!("{{\"image_id\":7,\"category_id\":2,\"bbox\":[1,1,2,2],\"segmentation\":{shape}}}");
+    let shapes =
+        ["{\"size\":[10,20],\"counts\":[11,2,187]}", "{\"size\":[10,20],\"counts\":\";2k5\"}", "[[1,1,3,1,3,3,1,3]]"];
     let text = |annotations: Vec<String>| {
         format!(
             "{{\"images\":[{{\"id\":7,\"file_name\":\"a.png\",\"width\":20,\"height\":10}}],\"annotations\":[{}],\"categories\":[{{\"id\":2,\"name\":\"Hook\"}}]}}",
@@ -74,9 +79,13 @@ fn labelme_polygons_of_a_group_are_one_object() {
     let home = folder("labelme", &["img_dir/f.png"]);
     fs::create_dir_all(home.join("ann_dir")).unwrap();
     let shape = |label: &str, group: &str, x: u32| {
-        format!("{{\"label\":\"{label}\",\"group_id\":{group},\"shape_type\":\"polygon\",\"points\":[[{x},1],[{0},1],[{0},3],[{x},3]]}}", x + 2)
+        format!(
+            "{{\"label\":\"{label}\",\"group_id\":{group},\"shape_type\":\"polygon\",\"points\":[[{x},1],[{0},1],[{0},3],[{x},3]]}}",
+            x + 2
+        )
     };
-    let shapes = [shape("grasper", "1", 1), shape("grasper", "1", 8), shape("grasper", "2", 12), shape("hook", "1", 16)];
+    let shapes =
+        [shape("grasper", "1", 1), shape("grasper", "1", 8), shape("grasper", "2", 12), shape("hook", "1", 16)];
     let text = format!("{{\"imagePath\":\"img_dir/f.png\",\"shapes\":[{}]}}", shapes.join(","));
     fs::write(home.join("ann_dir/f.json"), text).unwrap();
     let truth = read(&home, None, None).unwrap();

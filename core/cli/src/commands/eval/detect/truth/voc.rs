@@ -41,7 +41,8 @@ pub fn read(folder: &Path, split: Option<&str>) -> Result<Truth> {
             continue;
         };
         let text = std::fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
-        let picture = one(&mut truth, &text, path).with_context(|| format!("{} is no VOC annotation", file.display()))?;
+        let picture =
+            one(&mut truth, &text, path).with_context(|| format!("{} is no VOC annotation", file.display()))?;
         truth.pictures.push(picture);
     }
     if absent > 0 {

@@ -23,7 +23,11 @@ fn names(folder: &Path) -> Vec<String> {
         return list.trim_end_matches(']').split(',').map(clean).collect();
     }
     let below = lines.take_while(|l| l.starts_with([' ', '-', '\t']));
-    below.map(|l| clean(l.trim().trim_start_matches('-').split_once(':').map_or(l.trim().trim_start_matches('-'), |(_, n)| n))).collect()
+    below
+        .map(|l| {
+            clean(l.trim().trim_start_matches('-').split_once(':').map_or(l.trim().trim_start_matches('-'), |(_, n)| n))
+        })
+        .collect()
 }
 
 pub fn read(folder: &Path, split: Option<&str>) -> Result<Truth> {
@@ -50,9 +54,18 @@ pub fn read(folder: &Path, split: Option<&str>) -> Result<Truth> {
             String::new()
         };
         for (number, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
-            let wrong = || format!("{}:{}: expected `class x y width height` or `class x y x y x y ...`", label.display(), number + 1);
-            let values: Option<Vec<f64>> = line.split_whitespace().map(|v| v.parse().ok().filter(|v: &f64| v.is_finite())).collect();
-            let values = values.filter(|v| v.len() >= 5 && v.len() % 2 == 1 && (0.0..10_000.0).contains(&v[0])).with_context(wrong)?;
+            let wrong = || {
+                format!(
+                    "{}:{}: expected `class x y width height` or `class x y x y x y ...`",
+                    label.display(),
+                    number + 1
+                )
+            };
+            let values: Option<Vec<f64>> =
+                line.split_whitespace().map(|v| v.parse().ok().filter(|v: &f64| v.is_finite())).collect();
+            let values = values
+                .filter(|v| v.len() >= 5 && v.len() % 2 == 1 && (0.0..10_000.0).contains(&v[0]))
+                .with_context(wrong)?;
             let index = values[0] as usize;
             let class = truth.class(names.get(index).map_or(&format!("class {index}"), |n| n));
             if let [_, x, y, bw, bh] = values[..] {
