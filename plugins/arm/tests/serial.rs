@@ -121,7 +121,7 @@ fn serve(mut line: File, mode: &AtomicU8, seen: &Mutex<Seen>) {
 }
 
 fn params(path: &str, more: &str) -> String {
-    format!("params = {{ port = \"{path}\", baud = 115200, enabled = true{more} }}")
+    format!("params = {{ port = \"{path}\", baud = 115200, enabled = true, answer_ms = 250{more} }}")
 }
 
 fn tip() -> Tip {
@@ -168,6 +168,7 @@ fn moving(device: &Device, node: &mut Harness<ArmSerial>, reset: &mut u64) -> Re
         }
         *reset += 1;
         node.set_params(&params(&device.path, &format!(", reset = {reset}")))?;
+        drive(node, false, 2.0, |words| !words.contains("STOPPED"))?;
     }
     panic!("the arm never moved: {:?}", node.logs());
 }

@@ -268,7 +268,7 @@ impl Interlock {
             None => return Some(Cause::NoTip),
             Some((at, _)) if age(at) as f64 > self.settings.max_age_ms * 1e6 => return Some(Cause::OldTip),
             // Written so that a score that is no number stops.
-            Some((_, tip)) if !(tip.score >= self.settings.min_score && tip.score > 0.0) => {
+            Some((_, tip)) if !(tip.score >= self.settings.min_score && tip.score > 0.0 && tip.score <= 1.0) => {
                 return Some(Cause::DoubtfulTip);
             }
             Some((_, tip)) if !tip.in_space => return Some(Cause::FlatTip),

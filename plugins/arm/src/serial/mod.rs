@@ -48,6 +48,9 @@ pub struct SerialParams {
     /// Bits per second.
     #[param(default = 921600, range = 9600..=4_000_000, reopen)]
     baud: u32,
+    /// Longest time that the arm may take to answer a line; then it is stopped.
+    #[param(default = 30.0, range = 10.0..=250.0, step = 5.0, unit = "ms", reopen)]
+    answer_ms: f64,
     /// The arm, a URDF file; empty takes the one that ships.
     #[param(default = "", reopen)]
     arm: PathBuf,
@@ -94,7 +97,8 @@ impl Node for ArmSerial {
 
     fn open(_: &Open<'_>, params: &SerialParams) -> Result<Self> {
         let chain = arm_of(&params.arm)?;
-        let place = Place { path: params.port.clone().into(), baud: params.baud };
+        let answer_within = Duration::from_secs_f64(params.answer_ms * 1e-3);
+        let place = Place { path: params.port.clone().into(), baud: params.baud, answer_within };
         let home = chain.stance(&panoscope_arm_core::JointVector::zeros()).base_from_camera;
         let driver = Driver::start(&place, chain.clone())?;
         Ok(Self { driver, chain, home, reset: None })
