@@ -184,7 +184,8 @@ fn set_points_come_and_end_when_the_graph_stalls() -> Result<(), HarnessError> {
     moving(&device, &mut node, &mut 0)?;
     // The graph does not call any more: the driver's thread alone has to see it.
     std::thread::sleep(Duration::from_millis(700));
-    let (count, at) = (device.seen.lock().expect("whole").set_points.len(), device.last());
+    let count = device.seen.lock().expect("whole").set_points.len();
+    let at = device.last();
     std::thread::sleep(Duration::from_millis(200));
     assert_eq!(device.seen.lock().expect("whole").set_points.len(), count, "no set-point any more");
     drive(&mut node, false, 1.0, |_| true)?;
