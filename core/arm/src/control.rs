@@ -143,9 +143,12 @@ impl Controller {
         }
         let dt_s = self.last_ns.replace(capture_ns).map_or(0.0, |last| capture_ns.saturating_sub(last) as f64 * 1e-9);
         let usable = |tip: &SeenTip| {
-            tip.xyz_mm.norm() <= FARTHEST_MM && tip.xyz_mm.z >= NEAREST_MM && (goals.min_score..=1.0).contains(&tip.score)
+            tip.xyz_mm.norm() <= FARTHEST_MM
+                && tip.xyz_mm.z >= NEAREST_MM
+                && (goals.min_score..=1.0).contains(&tip.score)
         };
-        let sound = joints_rad.iter().chain(set_point_rad.into_iter().flat_map(|s| s.iter())).all(|v| v.abs() <= FARTHEST_RAD);
+        let sound =
+            joints_rad.iter().chain(set_point_rad.into_iter().flat_map(|s| s.iter())).all(|v| v.abs() <= FARTHEST_RAD);
         let Some(tip) = tip.filter(usable).filter(|_| sound) else {
             self.reset();
             return None;
@@ -172,7 +175,8 @@ impl Controller {
             .try_inverse()
             .map_or(Vector3::zeros(), |inverse| inverse * rates)
             - own * goals.feed_forward;
-        let solved = task::solve(&self.chain, &coming, &stance, &self.up, &Wanted { point_mm: point, velocity_mm_s: wanted });
+        let solved =
+            task::solve(&self.chain, &coming, &stance, &self.up, &Wanted { point_mm: point, velocity_mm_s: wanted });
         self.asked = solved.velocity;
         Some(Step {
             velocity: solved.velocity,

@@ -78,7 +78,8 @@ impl Scenario {
 /// The controller's goals as they ship: the defaults of `arm_pid` (a test there compares them). Found by [`tune`]: of its grid the best few differ
 /// by some percent, and of them these are not at the grid's border, where unknown dynamics would be nearest.
 pub fn shipped_goals() -> Goals {
-    let gains = Gains { proportional: 4.0, integral: 0.5, derivative: 0.0, filter_s: 0.08, dead_zone: 2.0, most: 900.0 };
+    let gains =
+        Gains { proportional: 4.0, integral: 0.5, derivative: 0.0, filter_s: 0.08, dead_zone: 2.0, most: 900.0 };
     Goals {
         distance_mm: 66.0,
         picture: gains,
@@ -163,7 +164,9 @@ fn offset(scenario: Scenario, script: &[Stroke], seconds: f64) -> Vector3<f64> {
         }
         Scenario::Strokes | Scenario::Occlusion | Scenario::Smoke => {
             let index = script.partition_point(|stroke| stroke.start_s <= t).saturating_sub(1);
-            script.get(index).map_or(Vector3::zeros(), |s| s.from + (s.to - s.from) * bell((t - s.start_s) / s.length_s))
+            script
+                .get(index)
+                .map_or(Vector3::zeros(), |s| s.from + (s.to - s.from) * bell((t - s.start_s) / s.length_s))
         }
         Scenario::Leave => {
             let phase = t % 12.0;
@@ -206,7 +209,8 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
         let hidden = scenario == Scenario::Occlusion && at_s > START_S && at_s % 2.0 < 0.2;
         let seen = |point: &Point3<f64>| {
             let p = camera.inverse_transform_point(point).coords;
-            let (u, v) = (FOCAL_PX * p.x / p.z + (WIDTH_PX - 1.0) / 2.0, FOCAL_PX * p.y / p.z + (HEIGHT_PX - 1.0) / 2.0);
+            let (u, v) =
+                (FOCAL_PX * p.x / p.z + (WIDTH_PX - 1.0) / 2.0, FOCAL_PX * p.y / p.z + (HEIGHT_PX - 1.0) / 2.0);
             let inside = p.z > 0.0 && (0.0..WIDTH_PX).contains(&u) && (0.0..HEIGHT_PX).contains(&v);
             (p, inside)
         };

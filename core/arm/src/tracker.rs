@@ -82,8 +82,13 @@ impl Tracker {
         };
         let in_room = |report: &Report| {
             let turn = room_from_camera.rotation.to_rotation_matrix();
-            let seen =
-                stereo_covariance(&report.xyz_mm, rules.focal_px, rules.baseline_mm, rules.lateral_px, rules.disparity_px);
+            let seen = stereo_covariance(
+                &report.xyz_mm,
+                rules.focal_px,
+                rules.baseline_mm,
+                rules.lateral_px,
+                rules.disparity_px,
+            );
             let at = room_from_camera * Point3::from(report.xyz_mm);
             (at.coords, turn.matrix() * seen * turn.matrix().transpose())
         };
@@ -107,8 +112,7 @@ impl Tracker {
         let numbered = report.track_id >= 0 && self.leader.is_some_and(|leader| leader >= 0);
         let same_tool = !numbered || self.leader == Some(report.track_id);
         // A tool known by its number to be another one is not let in, however near it is.
-        if same_tool
-            && self.filter.as_mut().is_some_and(|filter| filter.update(&rules.model, &at, &covariance)) {
+        if same_tool && self.filter.as_mut().is_some_and(|filter| filter.update(&rules.model, &at, &covariance)) {
             (self.leader, self.seen_ns, self.others_ns) = (Some(report.track_id), capture_ns, None);
             return Known::Seen(index);
         }

@@ -164,7 +164,10 @@ impl Node for ArmPid {
         if let Some(c) = &input.calibration {
             let (fx, fy) = (c.left_projection[0], c.left_projection[5]);
             if !(fx > 0.0 && fy > 0.0 && c.baseline_mm > 0.0 && (fx + fy + c.baseline_mm).is_finite()) {
-                return Err(error!("the calibration has focal lengths {fx}, {fy} px and baseline {} mm", c.baseline_mm));
+                return Err(error!(
+                    "the calibration has focal lengths {fx}, {fy} px and baseline {} mm",
+                    c.baseline_mm
+                ));
             }
             eyes = Eyes { focal_px: (fx, fy), baseline_mm: c.baseline_mm };
             width_px = Some(f64::from(c.left.width));

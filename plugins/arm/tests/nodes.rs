@@ -160,7 +160,8 @@ fn hostile_packets_are_survived() -> Result<(), HarnessError> {
     for count in [0, 5, 6, 8, 9, u32::MAX] {
         for bad in [f64::NAN, f64::INFINITY, 1e300, -0.0] {
             let joints = Joints { position_rad: [bad; 8], velocity_rad_s: [bad; 8], count, reserved: 0 };
-            let tip = Tip { u_px: bad, v_px: bad, xyz_mm: [bad; 3], score: bad, class_index: 9, xyz_valid: 1, track_id: 1 };
+            let tip =
+                Tip { u_px: bad, v_px: bad, xyz_mm: [bad; 3], score: bad, class_index: 9, xyz_valid: 1, track_id: 1 };
             arm.input_value("joints", joints).input_value("tip", tip);
             let pose: Pose = arm.process()?.value("camera_pose")?;
             assert!(pose.a_from_b_mm.iter().chain(&pose.a_from_b_wxyz).all(|v| v.is_finite()));

@@ -13,4 +13,10 @@ pub mod turntable;
 
 use panoscope_node::export_plugin;
 
-export_plugin![overlay::Overlay, colorize::Colorize, side_by_side::SideBySide, trajectory::Trajectory, turntable::Turntable];
+export_plugin![
+    overlay::Overlay,
+    colorize::Colorize,
+    side_by_side::SideBySide,
+    trajectory::Trajectory,
+    turntable::Turntable
+];

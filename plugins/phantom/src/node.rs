@@ -7,9 +7,8 @@ use panoscope_node::{
 };
 
 use crate::render::{
-    self, BlackOut, BoardPrint, CameraModel, Canvas, Phantom, Pose, Rig, SceneKind, SceneParams, ToolKind,
-    ToolMotion, ToolTruth,
-    TruthMut,
+    self, BlackOut, BoardPrint, CameraModel, Canvas, Phantom, Pose, Rig, SceneKind, SceneParams, ToolKind, ToolMotion,
+    ToolTruth, TruthMut,
 };
 
 /// Which scene is rendered.

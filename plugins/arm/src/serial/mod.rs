@@ -72,8 +72,7 @@ pub struct SerialParams {
 }
 
 /// Columns of the table.
-pub const COLUMNS: [&str; 7] =
-    ["following", "cause", "stops", "speed_rad_s", "pivot_mm", "depth_mm", "answer_age_ms"];
+pub const COLUMNS: [&str; 7] = ["following", "cause", "stops", "speed_rad_s", "pivot_mm", "depth_mm", "answer_age_ms"];
 
 /// See the module.
 pub struct ArmSerial {
@@ -125,9 +124,9 @@ impl Node for ArmSerial {
                 inbox.demand = Some((kept, values.len()));
             }
         });
-        let known = self.driver.look(|event| {
-            if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) }
-        });
+        let known = self
+            .driver
+            .look(|event| if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) });
         let pose = self.home.inverse() * self.chain.stance(&known.encoders).base_from_camera;
         let (q, at) = (pose.rotation, pose.translation.vector);
         out.camera_pose.set(Pose {

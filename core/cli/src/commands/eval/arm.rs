@@ -210,7 +210,16 @@ fn tune(chain: &Chain) {
             .to_vec(),
     ];
     for t in rehearsal::tune(chain, 30.0).iter().take(12) {
-        let values = [t.proportional, t.integral, t.acceleration_mm_s2, t.latency_s, t.rms_mm, t.smoke_mm, t.shake_mm_s2, t.cost];
+        let values = [
+            t.proportional,
+            t.integral,
+            t.acceleration_mm_s2,
+            t.latency_s,
+            t.rms_mm,
+            t.smoke_mm,
+            t.shake_mm_s2,
+            t.cost,
+        ];
         rows.push(values.map(|v| format!("{v:.3}")).to_vec());
     }
     raw(&table(&rows));
