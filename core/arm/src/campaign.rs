@@ -119,7 +119,8 @@ impl Checker {
         out.set_points += 1;
         self.count += 1;
         // Differences of numbers near 1 leave 1e-16 / h^3 of nothing.
-        let within = shares.iter().all(|s| *s <= 1.0 + 1e-4) && place.is_allowed(false) && p.iter().all(|v| v.is_finite());
+        let within =
+            shares.iter().all(|s| *s <= 1.0 + 1e-4) && place.is_allowed(false) && p.iter().all(|v| v.is_finite());
         if !within {
             out.escapes += 1;
             if out.first.is_none() {

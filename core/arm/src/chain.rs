@@ -88,7 +88,10 @@ impl Chain {
             match joint.joint_type {
                 JointType::Revolute => {
                     if last_from_tip.is_some() {
-                        return Err(ArmError::Misplaced { link: TIP, rule: "no joint turns between it and the camera".into() });
+                        return Err(ArmError::Misplaced {
+                            link: TIP,
+                            rule: "no joint turns between it and the camera".into(),
+                        });
                     }
                     joints.push(turning(joint, rest)?);
                     rest = Isometry3::identity();
@@ -102,7 +105,10 @@ impl Chain {
             }
         }
         let Some(last_from_tip) = last_from_tip else {
-            return Err(ArmError::Misplaced { link: TIP, rule: "it stands between the last joint and `left_camera`".into() });
+            return Err(ArmError::Misplaced {
+                link: TIP,
+                rule: "it stands between the last joint and `left_camera`".into(),
+            });
         };
         let count = joints.len();
         let joints: [Joint; JOINTS] = joints.try_into().map_err(|_| ArmError::WrongAxes { count })?;
@@ -118,7 +124,10 @@ impl Chain {
         let seen = chain.stance(&JointVector::zeros()).base_from_tip.inverse_transform_point(&trocar_mm);
         let off_mm = seen.x.hypot(seen.y);
         if off_mm > TROCAR_OFF_AXIS_MM || seen.z >= 0.0 {
-            let rule = format!("at home it lies on the tube, behind its end; it stands {off_mm:.1} mm off the axis, {:.1} mm behind", -seen.z);
+            let rule = format!(
+                "at home it lies on the tube, behind its end; it stands {off_mm:.1} mm off the axis, {:.1} mm behind",
+                -seen.z
+            );
             return Err(ArmError::Misplaced { link: TROCAR, rule });
         }
         Ok(chain)
@@ -211,7 +220,8 @@ fn turning(joint: &urdf_rs::Joint, parent_from_joint: Isometry3<f64>) -> Result<
     let upper_rad = finite(joint, "the upper limit", limit.upper)?;
     let speed_rad_s = finite(joint, "the speed limit", limit.velocity)?;
     if lower_rad >= 0.0 || upper_rad <= 0.0 {
-        let (what, value) = if lower_rad >= 0.0 { ("the lower limit", lower_rad) } else { ("the upper limit", upper_rad) };
+        let (what, value) =
+            if lower_rad >= 0.0 { ("the lower limit", lower_rad) } else { ("the upper limit", upper_rad) };
         return Err(bad(what, value, "home, all joints at 0, lies inside the limits"));
     }
     if speed_rad_s <= 0.0 {

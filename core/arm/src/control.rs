@@ -73,8 +73,11 @@ const LONGEST_TICK_S: f64 = 0.25;
 /// How well a tip is seen, px.
 const LATERAL_PX: f64 = 1.0;
 const DISPARITY_PX: f64 = 0.5;
-/// The tip never stands nearer than this, mm.
+/// The tip never stands nearer or farther than this, mm.
 const NEAREST_MM: f64 = 5.0;
+const FARTHEST_MM: f64 = 1000.0;
+/// No joint turns farther than this, rad.
+const FARTHEST_RAD: f64 = 100.0;
 
 /// The controller of one arm.
 pub struct Controller {
@@ -140,9 +143,12 @@ impl Controller {
         }
         let dt_s = self.last_ns.replace(capture_ns).map_or(0.0, |last| capture_ns.saturating_sub(last) as f64 * 1e-9);
         let usable = |tip: &SeenTip| {
-            tip.xyz_mm.iter().all(|v| v.is_finite()) && tip.xyz_mm.z >= NEAREST_MM && tip.score >= goals.min_score
+            tip.xyz_mm.norm() <= FARTHEST_MM
+                && tip.xyz_mm.z >= NEAREST_MM
+                && (goals.min_score..=1.0).contains(&tip.score)
         };
-        let sound = joints_rad.iter().chain(set_point_rad.into_iter().flat_map(|s| s.iter())).all(|v| v.is_finite());
+        let sound =
+            joints_rad.iter().chain(set_point_rad.into_iter().flat_map(|s| s.iter())).all(|v| v.abs() <= FARTHEST_RAD);
         let Some(tip) = tip.filter(usable).filter(|_| sound) else {
             self.reset();
             return None;
@@ -169,7 +175,8 @@ impl Controller {
             .try_inverse()
             .map_or(Vector3::zeros(), |inverse| inverse * rates)
             - own * goals.feed_forward;
-        let solved = task::solve(&self.chain, &coming, &stance, &self.up, &Wanted { point_mm: point, velocity_mm_s: wanted });
+        let solved =
+            task::solve(&self.chain, &coming, &stance, &self.up, &Wanted { point_mm: point, velocity_mm_s: wanted });
         self.asked = solved.velocity;
         Some(Step {
             velocity: solved.velocity,

@@ -48,7 +48,8 @@ impl SimArm {
 
     /// One step of 1 ms.
     pub fn step(&mut self, set_point: &SetPoint) {
-        let (position, velocity) = std::mem::replace(&mut self.way[self.next], (set_point.position, set_point.velocity));
+        let (position, velocity) =
+            std::mem::replace(&mut self.way[self.next], (set_point.position, set_point.velocity));
         self.next = (self.next + 1) % self.way.len();
         // The motors' loop feeds the speed forward: what is left is a lag in getting there.
         let rate = 1.0 / (self.quality.lag_ms.max(1.0) * 1e-3);
@@ -112,7 +113,8 @@ mod tests {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             state ^ (state >> 29)
         };
-        let reads: Vec<f64> = (0..2000).flat_map(|_| arm.encoders(&mut random).iter().copied().collect::<Vec<_>>()).collect();
+        let reads: Vec<f64> =
+            (0..2000).flat_map(|_| arm.encoders(&mut random).iter().copied().collect::<Vec<_>>()).collect();
         let mean = reads.iter().sum::<f64>() / reads.len() as f64;
         let deviation = (reads.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / reads.len() as f64).sqrt();
         assert!(mean.abs() < 1e-4 && (deviation / 1e-3 - 1.0).abs() < 0.05, "{mean} {deviation}");

@@ -34,7 +34,13 @@ pub struct Kalman {
 }
 
 /// Covariance in mm^2 of a point seen by two cameras, in their frame: `lateral_px` and `disparity_px` are standard deviations in the picture.
-pub fn stereo_covariance(xyz_mm: &Vector3<f64>, focal_px: f64, baseline_mm: f64, lateral_px: f64, disparity_px: f64) -> Matrix3<f64> {
+pub fn stereo_covariance(
+    xyz_mm: &Vector3<f64>,
+    focal_px: f64,
+    baseline_mm: f64,
+    lateral_px: f64,
+    disparity_px: f64,
+) -> Matrix3<f64> {
     let z = xyz_mm.z.abs().max(1.0);
     let across = z / focal_px.max(1.0) * lateral_px;
     let deep = z * z / (focal_px * baseline_mm).max(1.0) * disparity_px;
@@ -148,7 +154,9 @@ mod tests {
             filter.predict(&model, 1.0 / 30.0);
             assert!(filter.update(&model, &Vector3::new(0.0, 0.0, 60.0), &covariance()));
         }
-        for other in [Vector3::new(15.0, 0.0, 60.0), Vector3::new(f64::NAN, 0.0, 60.0), Vector3::new(0.0, f64::INFINITY, 0.0)] {
+        for other in
+            [Vector3::new(15.0, 0.0, 60.0), Vector3::new(f64::NAN, 0.0, 60.0), Vector3::new(0.0, f64::INFINITY, 0.0)]
+        {
             filter.predict(&model, 1.0 / 30.0);
             assert!(!filter.update(&model, &other, &covariance()), "{other}");
         }

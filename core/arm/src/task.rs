@@ -73,7 +73,8 @@ pub fn solve(chain: &Chain, angles_rad: &JointVector, stance: &Stance, up: &Vect
     let point = stance.base_from_camera * nalgebra::Point3::from(wanted.point_mm);
     let at_point = stance.jacobian(&point);
     // A point that stands still moves in the frame against the frame's own velocity at that place.
-    let moves: SMatrix<f64, 3, JOINTS> = -(camera_turn.matrix().transpose() * at_point.fixed_rows::<3>(0)) / ROW_SCALE_MM;
+    let moves: SMatrix<f64, 3, JOINTS> =
+        -(camera_turn.matrix().transpose() * at_point.fixed_rows::<3>(0)) / ROW_SCALE_MM;
     let turns: SMatrix<f64, 3, JOINTS> = camera_turn.matrix().transpose() * at_point.fixed_rows::<3>(3);
     let mut second = SMatrix::<f64, 4, JOINTS>::zeros();
     second.fixed_rows_mut::<3>(0).copy_from(&moves);

@@ -82,8 +82,13 @@ impl Tracker {
         };
         let in_room = |report: &Report| {
             let turn = room_from_camera.rotation.to_rotation_matrix();
-            let seen =
-                stereo_covariance(&report.xyz_mm, rules.focal_px, rules.baseline_mm, rules.lateral_px, rules.disparity_px);
+            let seen = stereo_covariance(
+                &report.xyz_mm,
+                rules.focal_px,
+                rules.baseline_mm,
+                rules.lateral_px,
+                rules.disparity_px,
+            );
             let at = room_from_camera * Point3::from(report.xyz_mm);
             (at.coords, turn.matrix() * seen * turn.matrix().transpose())
         };
@@ -92,7 +97,11 @@ impl Tracker {
         let centre = self.filter.map(|filter| filter.position_mm());
         let best = usable.min_by(|(_, a), (_, b)| {
             let other = |report: &Report| self.leader.is_some_and(|leader| report.track_id != leader);
-            let far = |report: &Report| centre.map_or(-report.score, |centre| (in_room(report).0 - centre).norm());
+            // Nobody leads yet: the tip nearest to the middle of the shared picture does.
+            let aside = |p: &Vector3<f64>| ((p.x - rules.baseline_mm / 2.0) / p.z).hypot(p.y / p.z);
+            let far = |report: &Report| {
+                centre.map_or_else(|| aside(&report.xyz_mm), |centre| (in_room(report).0 - centre).norm())
+            };
             other(a).cmp(&other(b)).then(far(a).total_cmp(&far(b)))
         });
         let Some((index, report)) = best else {
@@ -100,14 +109,15 @@ impl Tracker {
             return self.unseen(passed_s(self.seen_ns), rules);
         };
         let (at, covariance) = in_room(&report);
-        if self.filter.as_mut().is_some_and(|filter| filter.update(&rules.model, &at, &covariance)) {
+        let numbered = report.track_id >= 0 && self.leader.is_some_and(|leader| leader >= 0);
+        let same_tool = !numbered || self.leader == Some(report.track_id);
+        // A tool known by its number to be another one is not let in, however near it is.
+        if same_tool && self.filter.as_mut().is_some_and(|filter| filter.update(&rules.model, &at, &covariance)) {
             (self.leader, self.seen_ns, self.others_ns) = (Some(report.track_id), capture_ns, None);
             return Known::Seen(index);
         }
         let waited_s = passed_s(*self.others_ns.get_or_insert(capture_ns));
         // A tool known by its number may jump once its gap is over; another one has to be alone for longer, also after the first is lost.
-        let numbered = report.track_id >= 0 && self.leader.is_some_and(|leader| leader >= 0);
-        let same_tool = !numbered || self.leader == Some(report.track_id);
         let due_s = match (same_tool, self.filter.is_some()) {
             (true, false) => 0.0,
             (true, true) if numbered => rules.max_gap_s.min(rules.switch_s),
@@ -182,27 +192,25 @@ mod tests {
         assert!((at.x - 0.5 * 37.0).abs() < 0.3, "{at}");
         assert_eq!(step(&mut tracker, 39, &[]), Known::Lost);
         assert_eq!(tracker.state(), None);
-        assert_eq!(step(&mut tracker, 40, &[report(-10.0, 4)]), Known::Seen(0));
-        assert_eq!(tracker.track_id(), 4);
+        // It comes back elsewhere.
+        assert_eq!(step(&mut tracker, 40, &[report(-10.0, 1)]), Known::Seen(0));
+        assert_eq!(tracker.track_id(), 1);
     }
 
     #[test]
     fn another_tool_leads_only_when_the_first_is_long_gone() {
         let mut tracker = Tracker::default();
         for tick in 0..20 {
-            // The other one is surer and comes first in the list.
-            let other = Report { score: 1.0, ..report(12.0, 2) };
-            let known = step(&mut tracker, tick, &[report(0.0, 1), other]);
-            if tick > 0 {
-                assert_eq!(known, Known::Seen(if tracker.track_id() == 2 { 1 } else { 0 }));
-            }
+            // The other one is surer and comes first, the leading one is nearer to the middle of the shared picture.
+            let other = Report { score: 1.0, ..report(-12.0, 2) };
+            assert_eq!(step(&mut tracker, tick, &[other, report(0.0, 1)]), Known::Seen(1));
+            assert_eq!(tracker.track_id(), 1);
         }
-        let leading = tracker.track_id();
-        let (mine, others) = if leading == 2 { (12.0, report(0.0, 1)) } else { (0.0, report(12.0, 2)) };
+        let others = report(-12.0, 2);
         for tick in 20..28 {
             assert!(matches!(step(&mut tracker, tick, &[others]), Known::Predicted(_)), "tick {tick}");
         }
-        let back = report(mine, leading);
+        let back = report(0.0, 1);
         assert!(matches!(step(&mut tracker, 28, &[others, back]), Known::Seen(1)));
         let mut switched = None;
         for tick in 29..60 {

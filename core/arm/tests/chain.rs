@@ -85,7 +85,11 @@ fn an_offset_from_the_trocar_and_a_crooked_horizon_go_back() {
     }
     let stance = chain.stance(&q);
     let off = stance.trocar_in_tip(&chain.trocar_mm());
-    assert!(off.x.hypot(off.y) < 0.01 && task::roll_rad(&stance, &up).abs() < 0.01, "{off} {}", task::roll_rad(&stance, &up));
+    assert!(
+        off.x.hypot(off.y) < 0.01 && task::roll_rad(&stance, &up).abs() < 0.01,
+        "{off} {}",
+        task::roll_rad(&stance, &up)
+    );
 }
 
 #[test]
@@ -124,12 +128,27 @@ fn wrong_files_are_refused_with_the_place() {
         (&SHIPPED_URDF.replace("<link name=\"trocar\"/>", ""), "`trocar`"),
         (&SHIPPED_URDF.replace("xyz=\"0.42 0 0.21\"", "xyz=\"0.40 0 0.21\""), "20.0 mm off the axis"),
         (&SHIPPED_URDF.replace("name=\"bend\" type=\"revolute\"", "name=\"bend\" type=\"fixed\""), "5 joints move"),
-        (&SHIPPED_URDF.replace("name=\"bend\" type=\"revolute\"", "name=\"bend\" type=\"prismatic\""), "`bend` is Prismatic"),
+        (
+            &SHIPPED_URDF.replace("name=\"bend\" type=\"revolute\"", "name=\"bend\" type=\"prismatic\""),
+            "`bend` is Prismatic",
+        ),
         (&SHIPPED_URDF.replace("lower=\"-1.4\"", "lower=\"NaN\""), "`bend`: the lower limit is NaN"),
         (&SHIPPED_URDF.replace("lower=\"-1.4\"", "lower=\"0.4\""), "home, all joints at 0"),
-        (&SHIPPED_URDF.replace("effort=\"40\" velocity=\"0.4\"", "effort=\"40\" velocity=\"0\""), "`bend`: the speed limit is 0"),
-        (&SHIPPED_URDF.replace("<axis xyz=\"0.958798 0 -0.284088\"/>", "<axis xyz=\"0 0 0\"/>"), "`forearm_roll`: the axis' length"),
-        (&SHIPPED_URDF.replace("<parent link=\"base_link\"/><child link=\"turret\"/>", "<parent link=\"wrist\"/><child link=\"turret\"/>"), "circle"),
+        (
+            &SHIPPED_URDF.replace("effort=\"40\" velocity=\"0.4\"", "effort=\"40\" velocity=\"0\""),
+            "`bend`: the speed limit is 0",
+        ),
+        (
+            &SHIPPED_URDF.replace("<axis xyz=\"0.958798 0 -0.284088\"/>", "<axis xyz=\"0 0 0\"/>"),
+            "`forearm_roll`: the axis' length",
+        ),
+        (
+            &SHIPPED_URDF.replace(
+                "<parent link=\"base_link\"/><child link=\"turret\"/>",
+                "<parent link=\"wrist\"/><child link=\"turret\"/>",
+            ),
+            "circle",
+        ),
     ];
     for (text, words) in cases {
         let refused = Chain::from_urdf(text).map(|_| ()).expect_err(words).to_string();

@@ -43,6 +43,20 @@ fn no_hostile_input_leads_beyond_a_limit() {
 }
 
 #[test]
+fn narrow_joints_hold_too() {
+    // The shipped arm's workspace ends before its joints do: here the joints end first.
+    let mut text = panoscope_arm_core::chain::SHIPPED_URDF.to_owned();
+    for angle in ["2.6", "1.2", "1.4", "2.8", "1.8", "3.0"] {
+        text = text.replace(&format!("lower=\"-{angle}\" upper=\"{angle}\""), "lower=\"-0.05\" upper=\"0.05\"");
+    }
+    let chain = Chain::from_urdf(&text).expect("narrow joints");
+    assert!(chain.joints().iter().all(|joint| joint.upper_rad == 0.05));
+    let out = campaign::run(&chain, 2, 10_000);
+    assert_eq!(out.escapes, 0, "{:?}", out.first);
+    assert!(out.most[0] > 0.5 && out.moving > 1000, "{out:?}");
+}
+
+#[test]
 fn every_stop_has_its_cause_and_ends_at_rest() {
     let cases: [(Cause, fn(&mut Interlock, i64)); 6] = [
         (Cause::OldTip, |lock, ms| lock.demand(ms * MS, &roll())),

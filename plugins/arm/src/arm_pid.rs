@@ -42,7 +42,7 @@ pub struct PidParams {
     #[param(default = 66.0, range = 30.0..=120.0, step = 1.0, unit = "mm")]
     distance_mm: f64,
     /// Proportional gain, 1/s, of the tip's place in the picture.
-    #[param(default = 3.0, range = 0.0..=20.0, step = 0.1)]
+    #[param(default = 4.0, range = 0.0..=20.0, step = 0.1)]
     picture_p: f64,
     /// Integral gain, 1/s^2, of the tip's place in the picture.
     #[param(default = 0.5, range = 0.0..=10.0, step = 0.1)]
@@ -51,7 +51,7 @@ pub struct PidParams {
     #[param(default = 0.0, range = 0.0..=1.0, step = 0.01)]
     picture_d: f64,
     /// Proportional gain, 1/s, of the distance.
-    #[param(default = 3.0, range = 0.0..=20.0, step = 0.1)]
+    #[param(default = 4.0, range = 0.0..=20.0, step = 0.1)]
     distance_p: f64,
     /// Integral gain, 1/s^2, of the distance.
     #[param(default = 0.5, range = 0.0..=10.0, step = 0.1)]
@@ -72,10 +72,10 @@ pub struct PidParams {
     #[param(default = 0.2, range = 0.0..=10.0, step = 0.1, unit = "mm")]
     dead_zone_mm: f64,
     /// Time from set-point to movement.
-    #[param(default = 0.06, range = 0.0..=0.5, step = 0.005, unit = "s")]
+    #[param(default = 0.045, range = 0.0..=0.5, step = 0.005, unit = "s")]
     latency_s: f64,
     /// How hard tools are thought to accelerate: higher follows faster and is less smooth; mm/s^2.
-    #[param(default = 150.0, range = 1.0..=5000.0, step = 1.0)]
+    #[param(default = 80.0, range = 1.0..=5000.0, step = 1.0)]
     tip_acceleration: f64,
     /// Lowest score of a tip that is followed.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
@@ -164,7 +164,10 @@ impl Node for ArmPid {
         if let Some(c) = &input.calibration {
             let (fx, fy) = (c.left_projection[0], c.left_projection[5]);
             if !(fx > 0.0 && fy > 0.0 && c.baseline_mm > 0.0 && (fx + fy + c.baseline_mm).is_finite()) {
-                return Err(error!("the calibration has focal lengths {fx}, {fy} px and baseline {} mm", c.baseline_mm));
+                return Err(error!(
+                    "the calibration has focal lengths {fx}, {fy} px and baseline {} mm",
+                    c.baseline_mm
+                ));
             }
             eyes = Eyes { focal_px: (fx, fy), baseline_mm: c.baseline_mm };
             width_px = Some(f64::from(c.left.width));

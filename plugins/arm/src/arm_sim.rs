@@ -71,17 +71,8 @@ pub struct SimParams {
 }
 
 /// Columns of the table.
-pub const COLUMNS: [&str; 9] = [
-    "following",
-    "cause",
-    "stops",
-    "speed_rad_s",
-    "camera_mm_s",
-    "pivot_mm",
-    "depth_mm",
-    "tilt_deg",
-    "camera_mm_s2",
-];
+pub const COLUMNS: [&str; 9] =
+    ["following", "cause", "stops", "speed_rad_s", "camera_mm_s", "pivot_mm", "depth_mm", "tilt_deg", "camera_mm_s2"];
 
 /// See the module.
 pub struct ArmSim {
@@ -205,8 +196,7 @@ impl Node for ArmSim {
     }
 
     fn load_state(&mut self, state: &[u8]) -> Result<()> {
-        let words: Vec<u64> =
-            state.chunks_exact(8).map(|b| b.try_into().map_or(0, u64::from_le_bytes)).collect();
+        let words: Vec<u64> = state.chunks_exact(8).map(|b| b.try_into().map_or(0, u64::from_le_bytes)).collect();
         if words.len() != JOINTS + 1 {
             return Err(error!("the state of another arm: {} numbers", words.len()));
         }

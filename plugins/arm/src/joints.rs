@@ -31,8 +31,12 @@ pub fn angles(packet: &Joints) -> Result<JointVector> {
 
 /// A packet of angles in rad and speeds in rad/s.
 pub fn packet(position_rad: &JointVector, velocity_rad_s: &JointVector) -> Joints {
-    let mut out =
-        Joints { position_rad: [0.0; MAX_JOINTS], velocity_rad_s: [0.0; MAX_JOINTS], count: JOINTS as u32, reserved: 0 };
+    let mut out = Joints {
+        position_rad: [0.0; MAX_JOINTS],
+        velocity_rad_s: [0.0; MAX_JOINTS],
+        count: JOINTS as u32,
+        reserved: 0,
+    };
     out.position_rad[..JOINTS].copy_from_slice(position_rad.as_slice());
     out.velocity_rad_s[..JOINTS].copy_from_slice(velocity_rad_s.as_slice());
     out

@@ -121,7 +121,7 @@ fn serve(mut line: File, mode: &AtomicU8, seen: &Mutex<Seen>) {
 }
 
 fn params(path: &str, more: &str) -> String {
-    format!("params = {{ port = \"{path}\", baud = 115200, enabled = true{more} }}")
+    format!("params = {{ port = \"{path}\", baud = 115200, enabled = true, answer_ms = 250{more} }}")
 }
 
 fn tip() -> Tip {
@@ -168,6 +168,7 @@ fn moving(device: &Device, node: &mut Harness<ArmSerial>, reset: &mut u64) -> Re
         }
         *reset += 1;
         node.set_params(&params(&device.path, &format!(", reset = {reset}")))?;
+        drive(node, false, 2.0, |words| !words.contains("STOPPED"))?;
     }
     panic!("the arm never moved: {:?}", node.logs());
 }
@@ -183,7 +184,8 @@ fn set_points_come_and_end_when_the_graph_stalls() -> Result<(), HarnessError> {
     moving(&device, &mut node, &mut 0)?;
     // The graph does not call any more: the driver's thread alone has to see it.
     std::thread::sleep(Duration::from_millis(700));
-    let (count, at) = (device.seen.lock().expect("whole").set_points.len(), device.last());
+    let count = device.seen.lock().expect("whole").set_points.len();
+    let at = device.last();
     std::thread::sleep(Duration::from_millis(200));
     assert_eq!(device.seen.lock().expect("whole").set_points.len(), count, "no set-point any more");
     drive(&mut node, false, 1.0, |_| true)?;

@@ -5,9 +5,7 @@ use std::fmt::Write;
 
 use panoscope_imaging::draw::{self, Color};
 use panoscope_node::abi::{Calibration, Pose, Tip};
-use panoscope_node::{
-    Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, ViewMut, error,
-};
+use panoscope_node::{Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, ViewMut, error};
 
 /// Inputs.
 #[derive(Ports)]

@@ -113,7 +113,10 @@ impl Node for TipTrack {
         if let Some(c) = &input.calibration {
             let p = &c.left_projection;
             if !(p[0] > 0.0 && p[5] > 0.0 && c.baseline_mm > 0.0 && (p[0] + p[5] + c.baseline_mm).is_finite()) {
-                return Err(error!("the calibration has focal lengths {}, {} px and baseline {} mm", p[0], p[5], c.baseline_mm));
+                return Err(error!(
+                    "the calibration has focal lengths {}, {} px and baseline {} mm",
+                    p[0], p[5], c.baseline_mm
+                ));
             }
             (rules.focal_px, rules.baseline_mm) = (p[0], c.baseline_mm);
             lens = Some(*p);
@@ -128,11 +131,8 @@ impl Node for TipTrack {
             self.tracker = Tracker::default();
         }
         let tips = || input.tip.iter().flatten().filter(|tip| tip.xyz_valid == 1);
-        let reports = tips().map(|tip| Report {
-            xyz_mm: Vector3::from(tip.xyz_mm),
-            score: tip.score,
-            track_id: tip.track_id,
-        });
+        let reports =
+            tips().map(|tip| Report { xyz_mm: Vector3::from(tip.xyz_mm), score: tip.score, track_id: tip.track_id });
         let known = self.tracker.step(cx.tick().capture_ns, reports, &room_from_camera, &rules);
         let (gap_s, fade) = match known {
             Known::Seen(index) => {

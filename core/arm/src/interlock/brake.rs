@@ -119,9 +119,7 @@ impl Brake {
             return setting_in(f64::from(step));
         }
         let (way, speed, peak) = setting_in(n);
-        let full = |m: f64| {
-            (way + h * (m * speed + peak * h * m * (m + 1.0) / 2.0), speed + peak * h * m, peak)
-        };
+        let full = |m: f64| (way + h * (m * speed + peak * h * m * (m + 1.0) / 2.0), speed + peak * h * m, peak);
         if step <= self.ramp + self.hold {
             return full(f64::from(step - self.ramp));
         }

@@ -119,7 +119,8 @@ impl fmt::Display for Event {
         let ms = self.at_ns as f64 / 1e6;
         match self.stop {
             Some(cause) => {
-                let let_go = if cause.latches() { "; it stays stopped until `reset` is given another number" } else { "" };
+                let let_go =
+                    if cause.latches() { "; it stays stopped until `reset` is given another number" } else { "" };
                 write!(f, "at {ms:.0} ms the arm stops from {:.3} rad/s: {cause}{let_go}", self.speed_rad_s)
             }
             None => write!(f, "at {ms:.0} ms the arm moves again"),

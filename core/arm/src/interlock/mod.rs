@@ -138,7 +138,8 @@ impl Interlock {
     /// What a user set, as far as the ceilings allow; what is no number counts as the strictest.
     pub fn set(&mut self, settings: Settings) {
         let oldest = caps::TIP_AGE.as_secs_f64() * 1e3;
-        let strict = |v: f64, low: f64, high: f64, otherwise: f64| if v.is_nan() { otherwise } else { v.clamp(low, high) };
+        let strict =
+            |v: f64, low: f64, high: f64, otherwise: f64| if v.is_nan() { otherwise } else { v.clamp(low, high) };
         self.settings = Settings {
             max_age_ms: strict(settings.max_age_ms, 0.0, oldest, 0.0),
             min_score: strict(settings.min_score, 0.0, 1.0, 1.0),
@@ -238,8 +239,16 @@ impl Interlock {
         if most > 1.0 || most.is_nan() {
             return false;
         }
-        let places =
-            [0, release / 3, 2 * release / 3, release, release + rest / 4, release + rest / 2, release + 3 * rest / 4, end];
+        let places = [
+            0,
+            release / 3,
+            2 * release / 3,
+            release,
+            release + rest / 4,
+            release + rest / 2,
+            release + 3 * rest / 4,
+            end,
+        ];
         let mut last = None;
         places.iter().all(|&step| {
             if last == Some(step) {
@@ -268,7 +277,7 @@ impl Interlock {
             None => return Some(Cause::NoTip),
             Some((at, _)) if age(at) as f64 > self.settings.max_age_ms * 1e6 => return Some(Cause::OldTip),
             // Written so that a score that is no number stops.
-            Some((_, tip)) if !(tip.score >= self.settings.min_score && tip.score > 0.0) => {
+            Some((_, tip)) if !(tip.score >= self.settings.min_score && tip.score > 0.0 && tip.score <= 1.0) => {
                 return Some(Cause::DoubtfulTip);
             }
             Some((_, tip)) if !tip.in_space => return Some(Cause::FlatTip),
@@ -315,7 +324,8 @@ impl Interlock {
 
     /// A demand within the speeds of joints and camera, its direction kept.
     fn tamed(&self, wanted: &JointVector) -> JointVector {
-        let camera = self.chain.stance(&self.state.position).camera_velocity(wanted).norm() / (0.85 * caps::CAMERA_MM_S);
+        let camera =
+            self.chain.stance(&self.state.position).camera_velocity(wanted).norm() / (0.85 * caps::CAMERA_MM_S);
         let most = (share(wanted, &self.caps.speed) / 0.95).max(camera);
         if most > 1.0 { wanted / most } else { *wanted }
     }

@@ -18,8 +18,6 @@ use super::port::{Port, PortError};
 
 /// Time between two lines.
 const PERIOD: Duration = Duration::from_millis(10);
-/// Longest time without an answer.
-const ANSWER_WITHIN: Duration = Duration::from_millis(30);
 /// How long an arm may take to answer for the first time.
 const FIRST_ANSWER: Duration = Duration::from_millis(500);
 /// Lines without sense in a row that are put down to noise.
@@ -35,6 +33,8 @@ pub struct Place {
     pub path: PathBuf,
     /// Bits per second.
     pub baud: u32,
+    /// Longest time without an answer.
+    pub answer_within: Duration,
 }
 
 /// What the node leaves for the thread.
@@ -334,7 +334,7 @@ impl Work {
             line.nonsense = 0;
             return Some(Cause::Garbage);
         }
-        if line.answered.elapsed() > ANSWER_WITHIN + PERIOD {
+        if line.answered.elapsed() > self.place.answer_within + PERIOD {
             return Some(Cause::Stalled);
         }
         if !line.is_ready {

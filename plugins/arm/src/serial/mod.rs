@@ -48,6 +48,9 @@ pub struct SerialParams {
     /// Bits per second.
     #[param(default = 921600, range = 9600..=4_000_000, reopen)]
     baud: u32,
+    /// Longest time that the arm may take to answer a line; then it is stopped.
+    #[param(default = 30.0, range = 10.0..=250.0, step = 5.0, unit = "ms", reopen)]
+    answer_ms: f64,
     /// The arm, a URDF file; empty takes the one that ships.
     #[param(default = "", reopen)]
     arm: PathBuf,
@@ -69,8 +72,7 @@ pub struct SerialParams {
 }
 
 /// Columns of the table.
-pub const COLUMNS: [&str; 7] =
-    ["following", "cause", "stops", "speed_rad_s", "pivot_mm", "depth_mm", "answer_age_ms"];
+pub const COLUMNS: [&str; 7] = ["following", "cause", "stops", "speed_rad_s", "pivot_mm", "depth_mm", "answer_age_ms"];
 
 /// See the module.
 pub struct ArmSerial {
@@ -94,7 +96,8 @@ impl Node for ArmSerial {
 
     fn open(_: &Open<'_>, params: &SerialParams) -> Result<Self> {
         let chain = arm_of(&params.arm)?;
-        let place = Place { path: params.port.clone().into(), baud: params.baud };
+        let answer_within = Duration::from_secs_f64(params.answer_ms * 1e-3);
+        let place = Place { path: params.port.clone().into(), baud: params.baud, answer_within };
         let home = chain.stance(&panoscope_arm_core::JointVector::zeros()).base_from_camera;
         let driver = Driver::start(&place, chain.clone())?;
         Ok(Self { driver, chain, home, reset: None })
@@ -121,9 +124,9 @@ impl Node for ArmSerial {
                 inbox.demand = Some((kept, values.len()));
             }
         });
-        let known = self.driver.look(|event| {
-            if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) }
-        });
+        let known = self
+            .driver
+            .look(|event| if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) });
         let pose = self.home.inverse() * self.chain.stance(&known.encoders).base_from_camera;
         let (q, at) = (pose.rotation, pose.translation.vector);
         out.camera_pose.set(Pose {

@@ -33,8 +33,8 @@ pub struct Arguments {
     /// Length of each run, s of media time.
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(8..=3600))]
     seconds: u32,
-    /// Width of the phantom's pictures in the graph's runs, px; the true tip is as exact in small ones.
-    #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(64..=1920))]
+    /// Width of the phantom's pictures in the graph's runs, px.
+    #[arg(long, default_value_t = 320, value_parser = clap::value_parser!(u32).range(64..=1920))]
     width: u32,
     /// Inputs of the campaign against the limits.
     #[arg(long, default_value_t = 1_000_000)]
@@ -132,7 +132,7 @@ fn listed(name: &str, m: &Measures, rests: bool, input: &str, figures: &mut Vec<
         add("rest_pct", m.rest_pct, "%");
         add("rest_mm", m.rest_mm, "mm");
     }
-    if m.settling_s.is_finite() {
+    if name.ends_with("step") && m.settling_s.is_finite() {
         add("settling_s", m.settling_s, "s");
         add("overshoot_pct", m.overshoot_pct, "%");
     }
@@ -210,7 +210,16 @@ fn tune(chain: &Chain) {
             .to_vec(),
     ];
     for t in rehearsal::tune(chain, 30.0).iter().take(12) {
-        let values = [t.proportional, t.integral, t.acceleration_mm_s2, t.latency_s, t.rms_mm, t.smoke_mm, t.shake_mm_s2, t.cost];
+        let values = [
+            t.proportional,
+            t.integral,
+            t.acceleration_mm_s2,
+            t.latency_s,
+            t.rms_mm,
+            t.smoke_mm,
+            t.shake_mm_s2,
+            t.cost,
+        ];
         rows.push(values.map(|v| format!("{v:.3}")).to_vec());
     }
     raw(&table(&rows));

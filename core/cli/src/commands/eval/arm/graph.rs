@@ -18,17 +18,20 @@ pub struct Run {
     pub size: (u32, u32),
 }
 
-/// The graph of a scenario. `masks` is strokes with the tip found by `tool_tip` in true masks and true depth instead of told.
+/// The graph of a scenario. In `masks` (strokes) and `cross` the tip is found by `tool_tip` in true masks and true depth instead of told.
 fn text(name: &str, seed: u64, size: (u32, u32)) -> String {
     let motion = if name == "masks" { "strokes" } else { name };
-    let tools = if matches!(name, "cross" | "masks") { 2 } else { 1 };
-    let (width, height) = size;
-    let tip = if name == "masks" || name == "cross" {
-        "[nodes.found]\ntype = \"tool_tip\"\ninputs = { instances = \"scope.instances\", depth = \"scope.depth\", calibration = \"scope.calibration\" }\n"
-    } else {
-        ""
+    let finder = |id: &str, class: &str| {
+        format!(
+            "[nodes.{id}]\ntype = \"tool_tip\"\ninputs = {{ instances = \"scope.instances\", depth = \"scope.depth\", calibration = \"scope.calibration\" }}\nparams = {{ class = \"{class}\" }}\n"
+        )
     };
-    let from = if tip.is_empty() { "scope.tip" } else { "found.tip" };
+    let (tools, tip, from) = match name {
+        "masks" => (1, finder("found", ""), "\"found.tip\""),
+        "cross" => (2, finder("one", "grasper") + &finder("two", "hook"), "\"one.tip\", \"two.tip\""),
+        _ => (1, String::new(), "\"scope.tip\""),
+    };
+    let (width, height) = size;
     format!(
         r#"# The closed loop that `panoscope eval arm` judges.
 mode = "batch"
@@ -42,7 +45,7 @@ params = {{ seed = {seed}, distance_mm = 85.0, width = {width}, height = {height
 {tip}
 [nodes.track]
 type = "tip_track"
-inputs = {{ tip = ["{from}"], camera_pose = {{ from = "arm.camera_pose", delay = 1 }}, calibration = "scope.calibration" }}
+inputs = {{ tip = [{from}], camera_pose = {{ from = "arm.camera_pose", delay = 1 }}, calibration = "scope.calibration" }}
 
 [nodes.control]
 type = "arm_pid"
@@ -62,8 +65,6 @@ params = {{ track_id = 1 }}
 
 /// Runs a scenario and reads what the judge saw.
 pub fn run(name: &str, seed: u64, seconds: u32, width: u32) -> Result<Run> {
-    // Masks of few pixels have no tip to speak of.
-    let width = if matches!(name, "masks" | "cross") { width.max(320) } else { width };
     let size = (width, width * 3 / 4);
     let text = text(name, seed, size);
     let path = format!("eval_arm_{name}.toml");

@@ -25,7 +25,11 @@ pub fn draw(path: &Path, title: &str, rows: &[Row]) -> Result<()> {
     let of = |pick: &dyn Fn(&Row) -> f64| rows.iter().map(pick).collect::<Vec<f64>>();
     let (blue, red, green) = ([200, 90, 20], [40, 40, 210], [60, 140, 30]);
     let bands = [
-        Band { title: "distance of the tip from where it should be, mm", curves: vec![(blue, of(&|r| r.error_mm))], limit: Some(3.0) },
+        Band {
+            title: "distance of the tip from where it should be, mm",
+            curves: vec![(blue, of(&|r| r.error_mm))],
+            limit: Some(3.0),
+        },
         Band {
             title: "error in the picture, px at 640 columns: across (blue), down (red)",
             curves: vec![(blue, of(&|r| r.error_px[0])), (red, of(&|r| r.error_px[1]))],
@@ -49,7 +53,15 @@ pub fn draw(path: &Path, title: &str, rows: &[Row]) -> Result<()> {
         let y_of = |value: f64| low_y + (high_y - low_y) * ((value - low) / (high - low)) as f32;
         for row in rows.windows(2).filter(|two| !two[0].following) {
             let (a, b) = (x_of(row[0].at_s), x_of(row[1].at_s));
-            draw::fill_rectangle(&mut out, a as i32, high_y as i32, (b - a).ceil() as i32, (low_y - high_y) as i32, [225; 3], 1.0);
+            draw::fill_rectangle(
+                &mut out,
+                a as i32,
+                high_y as i32,
+                (b - a).ceil() as i32,
+                (low_y - high_y) as i32,
+                [225; 3],
+                1.0,
+            );
         }
         for part in 0..=4 {
             let value = low + (high - low) * f64::from(part) / 4.0;
