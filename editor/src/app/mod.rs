@@ -448,7 +448,9 @@ impl App {
     fn want(&mut self) {
         let mut wanted: HashMap<Output, Wanted> = HashMap::new();
         let mut want = |output: &Output, packet: &str, most_width: usize| {
-            let entry = wanted.entry(output.clone()).or_insert_with(|| Wanted { packet: packet.to_owned(), ..Wanted::default() });
+            let entry = wanted
+                .entry(output.clone())
+                .or_insert_with(|| Wanted { packet: packet.to_owned(), ..Wanted::default() });
             entry.most_width = entry.most_width.max(most_width);
         };
         if self.viewer.source().is_some() {

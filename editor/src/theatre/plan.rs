@@ -83,11 +83,11 @@ impl Plan {
             .map(|(n, port)| place(n, port, format!("{} camera", plain(&node_type(n).outputs[port].name))))
             .collect();
         let raw = cameras.first().cloned().or_else(|| {
-            let image = |&n: &usize| Some((n, (0..node_type(n).outputs.len()).find(|&port| packet(n, port) == "image")?));
+            let image =
+                |&n: &usize| Some((n, (0..node_type(n).outputs.len()).find(|&port| packet(n, port) == "image")?));
             sources.iter().find_map(image).map(|(n, port)| place(n, port, "Camera".to_owned()))
         });
-        let mut views: Vec<Place> =
-            graph.preset.views.iter().map(|v| place(v.node, v.port, plain(&v.label))).collect();
+        let mut views: Vec<Place> = graph.preset.views.iter().map(|v| place(v.node, v.port, plain(&v.label))).collect();
         if views.is_empty() {
             let all = || graph.edges.iter().map(|e| (e.from_node, e.from_port, e.to_node));
             let made = all().filter(|&(from, port, to)| {
@@ -104,8 +104,7 @@ impl Plan {
         }
         let shown_cloud = views.iter().find(|v| v.packet == "cloud").map(|v| v.output.clone());
         let read_cloud = graph.edges.iter().find(|e| packet(e.from_node, e.from_port) == "cloud");
-        let cloud =
-            shown_cloud.or_else(|| read_cloud.map(|e| place(e.from_node, e.from_port, String::new()).output));
+        let cloud = shown_cloud.or_else(|| read_cloud.map(|e| place(e.from_node, e.from_port, String::new()).output));
         let settings = graph.preset.pinned.iter().map(|pin| Setting {
             node: graph.nodes[pin.node].id.clone(),
             param: node_type(pin.node).params[pin.param].clone(),
@@ -251,9 +250,8 @@ inputs = { pose = "scope.pose" }
 
     #[test]
     fn named_views_are_taken_as_they_are() {
-        let plan = plan(&format!(
-            "{TEXT}[preset]\nviews = [\"turn.image\", {{ from = \"scope.right\", label = \"Raw\" }}]\n"
-        ));
+        let plan =
+            plan(&format!("{TEXT}[preset]\nviews = [\"turn.image\", {{ from = \"scope.right\", label = \"Raw\" }}]\n"));
         assert_eq!(names(&plan.views), [("turn.image".to_owned(), "Turn"), ("scope.right".to_owned(), "Raw")]);
     }
 
