@@ -264,11 +264,10 @@ impl Theatre {
         }
         if let Some(cloud) = self.plan.cloud.clone().filter(|_| self.measure.waits())
             && let Some(look) = looks.remove(&cloud)
+            && look.cloud.is_some()
         {
-            if look.cloud.is_some() {
-                self.measure.take(ctx, &cloud, look);
-                self.frozen = Some(now);
-            }
+            self.measure.take(ctx, &cloud, look);
+            self.frozen = Some(now);
         }
         if let Some(raw) = self.plan.raw.as_ref().map(|raw| &raw.output)
             && let Some(look) = looks.get(raw)
@@ -405,11 +404,9 @@ impl Theatre {
             Act::Stop => self.emergency_stop(true),
             Act::Again => self.again(),
         }
-        if matches!(act, Act::Next | Act::Previous | Act::One(_)) {
-            if self.measure.is_on() {
-                self.measure = Measure::default();
-                self.frozen = None;
-            }
+        if matches!(act, Act::Next | Act::Previous | Act::One(_)) && self.measure.is_on() {
+            self.measure = Measure::default();
+            self.frozen = None;
         }
     }
 
