@@ -24,7 +24,7 @@ use crate::panels::Shown;
 use crate::panels::inspector::{self, Wish};
 use crate::panels::plots::{Export, Plots};
 use crate::panels::top::{self, Switches};
-use crate::panels::{below, overview};
+use crate::panels::{below, overview, plugins};
 use crate::session::{Phase, Session, Status};
 use crate::theatre::next_file;
 use crate::theme;
@@ -68,6 +68,7 @@ pub struct App {
     palette: Option<Palette>,
     types: Types,
     help: bool,
+    plugins: bool,
     pub(crate) switches: Switches,
     pub(crate) detours: HashMap<String, Vec<Detour>>,
     disk: DiskWatch,
@@ -110,6 +111,7 @@ impl App {
             palette: None,
             types: Types::default(),
             help: false,
+            plugins: false,
             switches: Switches::default(),
             detours: HashMap::new(),
             disk: DiskWatch::new(path),
@@ -179,7 +181,7 @@ impl App {
         }
         let typing = ctx.text_edit_focused();
         // While something asks for an answer, keys are for that.
-        if self.palette.is_none() && !self.help {
+        if self.palette.is_none() && !self.help && !self.plugins {
             for action in ctx.input_mut(|input| actions::pressed(input, typing)) {
                 self.act(action);
             }
@@ -340,6 +342,13 @@ impl App {
             self.palette = None;
             if let Some(picked) = picked {
                 self.pick(picked);
+            }
+        }
+        if self.plugins {
+            match plugins::show(ctx, &self.session.loader(), self.document.catalog()) {
+                Some(plugins::Asked::Reload) => self.session.reload_plugins(),
+                Some(plugins::Asked::Close) => self.plugins = false,
+                None => {}
             }
         }
         if self.help {
