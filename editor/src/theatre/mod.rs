@@ -445,16 +445,24 @@ impl Theatre {
         self.emergency = on;
         let engine = self.session.handle().engine();
         let mut failed = Vec::new();
-        for node in &self.plan.stops {
+        let mut resets = Vec::new();
+        for stop in &self.plan.stops {
             // Now, even while the graph is being changed.
-            let set = engine.as_ref().map(|e| e.set_bool_at_once(node, plan::EMERGENCY_STOP, on));
+            let set = engine.as_ref().map(|e| e.set_bool_at_once(&stop.node, plan::EMERGENCY_STOP, on));
             if !matches!(set, Some(Ok(()))) && self.raw_only.is_none() {
-                failed.push(node.clone());
+                failed.push(stop.node.clone());
+            }
+            let values = engine.as_ref().and_then(|e| e.param_values(&stop.node));
+            if let Some(ParamValue::Int(number)) = stop.reset.and_then(|at| values?.into_iter().nth(at))
+                && !on
+            {
+                resets.push((stop.node.clone(), number.wrapping_add(1).max(0)));
             }
         }
-        let stops = self.plan.stops.clone();
+        let stops = &self.plan.stops;
         let text = GraphEdit::parse(&self.text).and_then(|mut edit| {
-            stops.iter().try_for_each(|node| edit.set_param(node, plan::EMERGENCY_STOP, &on.into()))?;
+            stops.iter().try_for_each(|stop| edit.set_param(&stop.node, plan::EMERGENCY_STOP, &on.into()))?;
+            resets.iter().try_for_each(|(node, number)| edit.set_param(node, plan::RESET, &(*number).into()))?;
             Ok(edit.text())
         });
         match text {

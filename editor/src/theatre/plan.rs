@@ -5,8 +5,10 @@ use panoscope_graph::{Catalog, Graph, Param, ParamKind, PresetView};
 
 use crate::observe::Output;
 
-/// Parameter that every driver of an arm declares; true stops it, and it stays stopped until it is set to false.
+/// Parameter that every driver of an arm declares; true stops it.
 pub const EMERGENCY_STOP: &str = "emergency_stop";
+/// Number that a driver may declare, whose stop outlasts the parameter: another one than before lets it go.
+pub const RESET: &str = "reset";
 /// Most views that are chosen where the preset names none.
 const MOST_CHOSEN: usize = 4;
 
@@ -36,6 +38,15 @@ pub struct Setting {
     pub range: Option<(f64, f64)>,
 }
 
+/// A node that an emergency stop concerns.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Stop {
+    /// The node.
+    pub node: String,
+    /// Place of [`RESET`] among its parameters, where it has that.
+    pub reset: Option<usize>,
+}
+
 /// What a graph offers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plan {
@@ -52,7 +63,7 @@ pub struct Plan {
     /// Pinned settings.
     pub settings: Vec<Setting>,
     /// Nodes that an emergency stop concerns.
-    pub stops: Vec<String>,
+    pub stops: Vec<Stop>,
     /// Names of sources.
     sources: Vec<String>,
 }
@@ -112,9 +123,14 @@ impl Plan {
             label: plain(&pin.label),
             range: pin.range,
         });
-        let stops = |n: &usize| {
-            let mut params = node_type(*n).params.iter();
-            params.any(|p| p.name == EMERGENCY_STOP && matches!(p.kind, ParamKind::Bool { .. }))
+        let stop = |n: usize| {
+            let params = &node_type(n).params;
+            let is_stop = |p: &Param| p.name == EMERGENCY_STOP && matches!(p.kind, ParamKind::Bool { .. });
+            let is_reset = |p: &Param| p.name == RESET && matches!(p.kind, ParamKind::Int { .. });
+            params
+                .iter()
+                .any(is_stop)
+                .then(|| Stop { node: graph.nodes[n].id.clone(), reset: params.iter().position(is_reset) })
         };
         let id = |n: usize| graph.nodes[n].id.clone();
         Self {
@@ -124,7 +140,7 @@ impl Plan {
             cameras,
             cloud,
             settings: settings.collect(),
-            stops: (0..graph.nodes.len()).filter(stops).map(id).collect(),
+            stops: (0..graph.nodes.len()).filter_map(stop).collect(),
             sources: sources.into_iter().map(id).collect(),
         }
     }
@@ -183,7 +199,10 @@ mod tests {
             kind: ParamKind::Bool { default: false },
             reopen: false,
         };
-        let arm = NodeType { params: vec![stop], side_effects: true, ..node("arm", &["pose:pose"], &["camera:pose"]) };
+        let reset = ParamKind::Int { default: 0, min: None, max: None, step: None };
+        let reset = Param { name: RESET.to_owned(), kind: reset, ..stop.clone() };
+        let arm =
+            NodeType { params: vec![stop, reset], side_effects: true, ..node("arm", &["pose:pose"], &["camera:pose"]) };
         let node_types = vec![
             node("cam", &[], &["left:image", "right:image", "pose:pose"]),
             node("wide", &["l:image", "r:image"], &["panorama:image"]),
@@ -245,7 +264,7 @@ inputs = { pose = "scope.pose" }
         assert_eq!(plan.raw.as_ref().unwrap().output.to_string(), "scope.left");
         assert_eq!(names(&plan.cameras).len(), 2);
         assert_eq!(plan.cloud.as_ref().unwrap().to_string(), "points.cloud");
-        assert_eq!(plan.stops, ["arm"]);
+        assert_eq!(plan.stops, [Stop { node: "arm".to_owned(), reset: Some(1) }]);
     }
 
     #[test]
