@@ -53,6 +53,8 @@ pub enum Action {
     Problems,
     /// Start the graph anew.
     Restart,
+    /// Show the plugins.
+    Plugins,
     /// Swap rebuilt plugins in.
     Reload,
     /// Show the keys.
@@ -91,6 +93,7 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (Text, NONE, Key::T, "The file's text"),
         (Plots, NONE, Key::P, "Curves of times"),
         (Problems, NONE, Key::M, "Mistakes and faults"),
+        (Plugins, NONE, Key::U, "Plugins and what they offer"),
         (Reload, CTRL, Key::R, "Swap rebuilt plugins in"),
         (Restart, SHIFT, Key::R, "Start the graph anew"),
         (Help, NONE, Key::F1, "These keys"),

@@ -143,9 +143,8 @@ pub fn moved_back(wxyz: [f64; 4], mm: [f64; 3], place: [f64; 3]) -> [f64; 3] {
 
 /// A vector turned by a unit quaternion.
 fn turned([w, x, y, z]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
-    let cross = |a: [f64; 3], b: [f64; 3]| {
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    };
+    let cross =
+        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     let axis = [x, y, z];
     let t = cross(axis, v).map(|c| 2.0 * c);
     let u = cross(axis, t);

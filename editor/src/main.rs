@@ -83,7 +83,9 @@ fn run(arguments: &Arguments) -> i32 {
     let text = match std::fs::read_to_string(&arguments.graph) {
         Ok(text) => text,
         // A file that is to be: templates are offered.
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound && !arguments.theatre && in_a_folder(&arguments.graph) => {
+        Err(error)
+            if error.kind() == std::io::ErrorKind::NotFound && !arguments.theatre && in_a_folder(&arguments.graph) =>
+        {
             String::new()
         }
         Err(error) => {
@@ -127,7 +129,12 @@ fn run(arguments: &Arguments) -> i32 {
 type Made = Result<Box<dyn eframe::App>, Box<dyn std::error::Error + Send + Sync>>;
 
 fn open(viewport: ViewportBuilder, make: impl FnOnce(&eframe::CreationContext<'_>) -> Made) -> i32 {
-    let native = eframe::NativeOptions { viewport, renderer: eframe::Renderer::Glow, dithering: false, ..eframe::NativeOptions::default() };
+    let native = eframe::NativeOptions {
+        viewport,
+        renderer: eframe::Renderer::Glow,
+        dithering: false,
+        ..eframe::NativeOptions::default()
+    };
     let made = eframe::run_native(
         "panoscope-editor",
         native,

@@ -314,9 +314,8 @@ pub fn set_marks(doc: &mut Document, marks: &[Mark], moved: &[(String, (f32, f32
         }
         toml::Value::Table(table)
     };
-    let list = |frames: bool| -> Vec<toml::Value> {
-        marks.iter().filter(|m| m.size.is_some() == frames).map(table).collect()
-    };
+    let list =
+        |frames: bool| -> Vec<toml::Value> { marks.iter().filter(|m| m.size.is_some() == frames).map(table).collect() };
     doc.edit("frames and notes", None, |edit| {
         for (key, list) in [(FRAMES, list(true)), (NOTES, list(false))] {
             edit.set_editor(key, (!list.is_empty()).then(|| list.into()).as_ref());

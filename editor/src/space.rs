@@ -155,7 +155,9 @@ impl Space {
             );
             if way.now.is_some() {
                 let still = [1.0, 0.0, 0.0, 0.0];
-                for (axis, color) in [([1.0, 0.0, 0.0], theme::FAULT), ([0.0, 1.0, 0.0], theme::WARN), ([0.0, 0.0, 1.0], theme::ACCENT)] {
+                for (axis, color) in
+                    [([1.0, 0.0, 0.0], theme::FAULT), ([0.0, 1.0, 0.0], theme::WARN), ([0.0, 0.0, 1.0], theme::ACCENT)]
+                {
                     let end = moved(still, last, axis.map(|a: f64| a * AXIS_MM));
                     if let Some(end) = view.at(end) {
                         painter.line_segment([at, end], Stroke::new(2.0, color));
@@ -172,7 +174,13 @@ impl Space {
             painter.line_segment([a, b], Stroke::new(2.0, theme::ACCENT));
             if let Some(mm) = self.distance_mm() {
                 let middle = a + (b - a) / 2.0 + vec2(10.0, 10.0);
-                painter.text(middle, Align2::LEFT_TOP, format!("{mm:.2} mm"), FontId::proportional(16.0), theme::ACCENT);
+                painter.text(
+                    middle,
+                    Align2::LEFT_TOP,
+                    format!("{mm:.2} mm"),
+                    FontId::proportional(16.0),
+                    theme::ACCENT,
+                );
             }
         }
         for at in places {

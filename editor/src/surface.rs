@@ -33,14 +33,7 @@ impl Sight {
 
 impl Default for Sight {
     fn default() -> Self {
-        Self {
-            yaw: 0.35,
-            pitch: 0.25,
-            zoom: 0.9,
-            shift: [0.0; 2],
-            clip_mm: [0.0, Self::FAR_MM],
-            size_px: [960, 720],
-        }
+        Self { yaw: 0.35, pitch: 0.25, zoom: 0.9, shift: [0.0; 2], clip_mm: [0.0, Self::FAR_MM], size_px: [960, 720] }
     }
 }
 
@@ -184,12 +177,7 @@ pub struct Painter {
 
 impl Painter {
     /// A picture of a cloud packet, and what a click on it means; no picture for what is no cloud.
-    pub fn paint(
-        &mut self,
-        frame: &abi::Frame,
-        bytes: &[u8],
-        sight: &Sight,
-    ) -> Option<(Pixels, Option<Arc<Painted>>)> {
+    pub fn paint(&mut self, frame: &abi::Frame, bytes: &[u8], sight: &Sight) -> Option<(Pixels, Option<Arc<Painted>>)> {
         let points = packed(frame, bytes, sight.clip_mm)?;
         let [width, height] = sight.size_px.map(|n| n.clamp(16, 4096));
         self.bgr.clear();

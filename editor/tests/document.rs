@@ -5,6 +5,7 @@ mod common;
 use std::sync::Arc;
 
 use common::{GRAPH, has_plugin};
+use panoscope_editor::canvas::Mark;
 use panoscope_editor::document::Document;
 use panoscope_editor::observe::Output;
 use panoscope_editor::ops::{self, Waiting};
@@ -156,4 +157,19 @@ fn nodes_are_copied_into_another_graph_as_text() {
     let Some(mut doc) = document(GRAPH) else { return };
     assert!(ops::paste(&mut doc, "no graph at all", (0.0, 0.0)).is_err());
     assert_eq!(**doc.text(), *GRAPH);
+}
+
+#[test]
+fn frames_and_notes_stand_in_the_file_and_comments_stay() {
+    let Some(mut doc) = document(GRAPH) else { return };
+    let marks = [
+        Mark { text: "Two \"paths\"".to_owned(), at: (8.0, -16.0), size: Some((400.0, 240.0)) },
+        Mark { text: "look\nhere".to_owned(), at: (0.0, 64.0), size: None },
+    ];
+    ops::set_marks(&mut doc, &marks, &[("a".to_owned(), (16.0, 24.0))]).expect("it can be edited");
+    assert_eq!(doc.view().marks, marks);
+    assert!(doc.text().starts_with(GRAPH.trim_end()), "{}", doc.text());
+    ops::set_marks(&mut doc, &marks[1..], &[]).expect("it can be edited");
+    assert_eq!(doc.view().marks, marks[1..]);
+    right_and_undone(doc, GRAPH);
 }

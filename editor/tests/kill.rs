@@ -57,8 +57,8 @@ fn a_kill_while_saving_leaves_a_whole_file() {
     std::fs::remove_dir_all(&folder).expect("it is removed");
 }
 
-/// Starts this test in a process of its own with a variable set, and kills it after a while.
-fn kill_after(test: &str, variable: &str, value: &Path, after: Duration) {
+/// Starts this test in a process of its own with a variable set to a file, and kills it some time after that file has `bytes`.
+fn kill_after(test: &str, variable: &str, value: &Path, bytes: u64, after: Duration) {
     let this = std::env::current_exe().expect("a test has a file");
     let mut child = Command::new(this)
         .args(["--exact", test, "--nocapture"])
@@ -66,6 +66,10 @@ fn kill_after(test: &str, variable: &str, value: &Path, after: Duration) {
         .stdout(std::process::Stdio::null())
         .spawn()
         .expect("it starts");
+    let until = Instant::now() + common::PATIENCE;
+    while std::fs::metadata(value).map_or(0, |m| m.len()) < bytes && Instant::now() < until {
+        std::thread::sleep(Duration::from_millis(2));
+    }
     std::thread::sleep(after);
     child.kill().expect("it is killed");
     child.wait().expect("it ended");
@@ -87,7 +91,7 @@ fn a_kill_while_keeping_a_still_leaves_whole_pictures() {
     let mut seen = 0;
     for kill in 0..12u64 {
         let after = Duration::from_micros(60_000 + kill * 2_310);
-        kill_after("a_kill_while_keeping_a_still_leaves_whole_pictures", STILLS, &path, after);
+        kill_after("a_kill_while_keeping_a_still_leaves_whole_pictures", STILLS, &path, 0, after);
         if path.is_file() {
             seen += 1;
             let found = image::open(&path).unwrap_or_else(|e| panic!("half a picture after kill {kill}: {e}"));
@@ -139,8 +143,9 @@ fn a_kill_while_recording_keeps_every_whole_frame() {
     let mut most = 0;
     for kill in 0..6u64 {
         let path = folder.0.join(format!("clip_{kill}.mkv"));
-        let after = Duration::from_millis(1200 + kill * 137);
-        kill_after("a_kill_while_recording_keeps_every_whole_frame", CLIP, &path, after);
+        // Times that lie apart evenly fall on all parts of a frame, whose period is 5 ms.
+        let after = Duration::from_micros(kill * 7_370);
+        kill_after("a_kill_while_recording_keeps_every_whole_frame", CLIP, &path, 60_000, after);
         let frames = std::fs::read(&path).map_or(0, |bytes| whole_frames(&bytes));
         most = most.max(frames);
     }
@@ -154,7 +159,9 @@ fn a_graph_in_which_everything_fails_takes_no_window_down() {
     }
     let mut text = "plugins = [\"flow\"]\n[nodes.camera]\ntype = \"frames\"\nparams = { width_px = 32, height_px = 24, rate_hz = 50.0 }\n".to_owned();
     for (k, how) in ["panic", "error"].iter().enumerate() {
-        text += &format!("[nodes.f{k}]\ntype = \"failing\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ how = \"{how}\", first = 2, ticks = 1000000 }}\n");
+        text += &format!(
+            "[nodes.f{k}]\ntype = \"failing\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ how = \"{how}\", first = 2, ticks = 1000000 }}\n"
+        );
         text += &format!("[nodes.s{k}]\ntype = \"drain\"\ninputs = {{ image = \"f{k}.image\" }}\n");
     }
     let folder = Folder::new("all_fail");

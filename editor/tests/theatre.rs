@@ -181,7 +181,7 @@ fn a_frozen_picture_says_so_and_a_live_one_stays_beside_it() {
         return;
     }
     let mut window = Window::open("freeze", GRAPH);
-    window.until_shown("View Calm view");
+    window.until("the first pictures are there", |t| t.notices().is_empty() && t.has_picture());
     window.key(Key::F);
     assert!(window.theatre().is_frozen());
     window.until_shown("View Live: Image camera");
@@ -197,12 +197,7 @@ fn stills_and_clips_are_kept_under_numbers() {
         return;
     }
     let mut window = Window::open("keep", GRAPH);
-    window.until("a picture is there", |t| t.session().status().phase == Phase::Running);
-    window.until_shown("View Calm view");
-    for _ in 0..20 {
-        std::thread::sleep(Duration::from_millis(20));
-        window.harness.step();
-    }
+    window.until("a picture is there", Theatre::has_picture);
     window.key(Key::S);
     window.until("the still is kept", |t| t.remark().is_some_and(|r| r.contains("still_0001.png is kept")));
     window.key(Key::R);
@@ -275,9 +270,7 @@ fn a_camera_that_ends_is_told() {
     let path = folder.write("g.toml", GRAPH);
     let options = Options { frames: Some(20), ..options(&folder) };
     let draw = move |ui: &mut Ui, theatre: &mut Option<Theatre>| {
-        theatre
-            .get_or_insert_with(|| Theatre::open(ui.ctx(), &path, GRAPH, options.clone()).expect("it opens"))
-            .ui(ui);
+        theatre.get_or_insert_with(|| Theatre::open(ui.ctx(), &path, GRAPH, options.clone()).expect("it opens")).ui(ui);
     };
     let harness = Harness::builder().with_size(vec2(1440.0, 960.0)).build_ui_state(draw, None);
     let mut window = Window { harness, folder };
@@ -332,9 +325,7 @@ fn harness_unlocked(path: &Path, folder: &Folder) -> Harness<'static, Option<The
     let (path, options) = (path.to_owned(), Options { unlocked: true, ..options(folder) });
     let draw = move |ui: &mut Ui, theatre: &mut Option<Theatre>| {
         let text = std::fs::read_to_string(&path).unwrap_or_default();
-        theatre
-            .get_or_insert_with(|| Theatre::open(ui.ctx(), &path, &text, options.clone()).expect("it opens"))
-            .ui(ui);
+        theatre.get_or_insert_with(|| Theatre::open(ui.ctx(), &path, &text, options.clone()).expect("it opens")).ui(ui);
     };
     Harness::builder().with_size(vec2(1440.0, 960.0)).build_ui_state(draw, None)
 }

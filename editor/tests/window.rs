@@ -233,3 +233,55 @@ fn a_file_with_mistakes_opens_with_them_and_runs_once_they_are_mended() {
     window.settled();
     assert_eq!(window.running().len(), 5);
 }
+
+#[test]
+fn frames_plugins_and_curves_by_keyboard() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("extras");
+    let mut window = Window::run(&folder.write("g.toml", GRAPH));
+    window.select("mean");
+    window.key(NONE, Key::G);
+    window.until_shown("Text of the mark");
+    window.key(NONE, Key::Escape);
+    window.steps(3);
+    window.harness.get_by_label("Frame Frame");
+    assert_eq!(window.app().document().view().marks.len(), 1);
+    window.settled();
+    window.key(CTRL, Key::Z);
+    assert_eq!(**window.app().document().text(), *GRAPH);
+    window.key(NONE, Key::U);
+    window.until_shown("flow  ");
+    window.key(NONE, Key::Escape);
+    window.steps(3);
+    assert!(window.harness.query_by_label("Reload").is_none());
+    window.key(NONE, Key::P);
+    window.until_shown("Values");
+    window.harness.get_by_label("Values").click();
+    window.steps(3);
+    let report = window.close();
+    nothing_lost(&folder, &report);
+}
+
+#[test]
+fn dropped_pictures_become_a_source_and_a_new_file_offers_templates() {
+    if !has_plugin("flow") || !has_plugin("capture") {
+        return;
+    }
+    let folder = Folder::new("drop");
+    let mut window = Window::run(&folder.write("g.toml", GRAPH));
+    let file = folder.0.join("left.png");
+    image::RgbImage::new(32, 24).save(&file).expect("a picture");
+    window.harness.state_mut().as_mut().expect("it is open").dropped(vec![file]);
+    window.steps(3);
+    assert!(window.app().document().text().contains("[nodes.scope]\ntype = \"capture\""));
+    assert_eq!(window.app().selected().as_deref(), Some("scope"));
+    drop(window);
+    let mut window = Window::open(&folder.0.join("new.toml"));
+    window.until_shown("Template Panorama");
+    window.harness.get_by_label("Template Empty").click();
+    window.steps(3);
+    assert!(window.app().document().text().contains("plugins = []"));
+    assert!(!folder.0.join("new.toml").is_file(), "nothing is written before it is saved");
+}

@@ -242,3 +242,20 @@ fn calibrate_solves_opencvs_pairs_and_writes_what_capture_reads() {
         run(&["calibrate", "--left", &left, "--right", &right, "--board", "chessboard:13x4:25mm", "-o", &out]);
     assert!(code == 1 && errors.contains("left out: left14.jpg right14.jpg: no board was found"), "{code}: {errors}");
 }
+
+#[test]
+fn a_locked_graph_tells_what_has_changed() {
+    let text = graph("live", "pass", "");
+    let path = file("locked.toml", &text);
+    let _ = std::fs::remove_file(format!("{path}.lock"));
+    let (code, _, told) = run(&["lock", &path, "--verify"]);
+    assert!(code == 2 && told.contains("was never locked"), "{told}");
+    let (code, said, told) = run(&["lock", &path]);
+    assert!(code == 0 && said.contains("files locked") && said.contains("flow"), "{said}{told}");
+    assert_eq!(run(&["lock", &path, "--verify"]).0, 0);
+    std::fs::write(&path, format!("# changed\n{text}")).expect("written");
+    let (code, _, told) = run(&["lock", &path, "--verify"]);
+    assert!(code == 1 && told.contains("graph `locked.toml` has changed since the graph was locked"), "{told}");
+    let (code, _, told) = run(&["lock", &file("wrong.toml", "[nodes.a]\ntype = \"nothing\"\n")]);
+    assert!(code == 2 && told.contains("nothing"), "{told}");
+}

@@ -215,14 +215,11 @@ fn nodes_of_another_file_are_pasted_under_new_names() {
 
 #[test]
 fn views_of_the_preset_follow_their_nodes() {
-    let text = "[nodes.a]\ntype = \"t\"\n[nodes.b]\ntype = \"t\"\n[preset]\nviews = [\"a.p\", { from = \"b.q\" }] # shown\n";
+    let text =
+        "[nodes.a]\ntype = \"t\"\n[nodes.b]\ntype = \"t\"\n[preset]\nviews = [\"a.p\", { from = \"b.q\" }] # shown\n";
     let mut edit = GraphEdit::parse(text).expect("TOML");
     edit.rename_node("a", "left").expect("a node");
-    assert!(
-        edit.text().contains("views = [\"left.p\", { from = \"b.q\" }] # shown"),
-        "{}",
-        edit.text()
-    );
+    assert!(edit.text().contains("views = [\"left.p\", { from = \"b.q\" }] # shown"), "{}", edit.text());
     edit.remove_node("left").expect("a node");
     assert!(edit.text().contains("{ from = \"b.q\"") && !edit.text().contains("left"), "{}", edit.text());
 }

@@ -272,7 +272,8 @@ mod tests {
     fn every_difference_is_named() {
         use Kind::*;
         let was = lock(&[(Graph, "g.toml", "a"), (Plugin, "stitch", "b"), (Model, "net.model", "c")]);
-        let now = lock(&[(Graph, "g.toml", "x"), (Plugin, "stitch", "b"), (Model, "net.model", ""), (Plugin, "new", "d")]);
+        let now =
+            lock(&[(Graph, "g.toml", "x"), (Plugin, "stitch", "b"), (Model, "net.model", ""), (Plugin, "new", "d")]);
         let words: Vec<String> = was.differences(&now).iter().map(ToString::to_string).collect();
         assert_eq!(
             words,

@@ -138,6 +138,7 @@ impl App {
             Action::Plots => self.switches.plots ^= true,
             Action::Problems => self.switches.problems ^= true,
             Action::Restart => self.session.restart(self.document.text()),
+            Action::Plugins => self.plugins = true,
             Action::Reload => self.session.reload_plugins(),
             Action::Escape => {
                 if !self.viewer.close() {

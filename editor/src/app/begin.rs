@@ -94,8 +94,7 @@ impl App {
 
     /// Takes files that are dropped: pictures and videos become a source, a graph opens in a window of its own.
     pub(super) fn take_dropped(&mut self, ctx: &Context) {
-        let dropped: Vec<PathBuf> =
-            ctx.input(|i| i.raw.dropped_files.iter().map(|f| f.path().to_owned()).collect());
+        let dropped: Vec<PathBuf> = ctx.input(|i| i.raw.dropped_files.iter().map(|f| f.path().to_owned()).collect());
         self.dropped(dropped);
     }
 

@@ -24,7 +24,7 @@ use crate::panels::Shown;
 use crate::panels::inspector::{self, Wish};
 use crate::panels::plots::{Export, Plots};
 use crate::panels::top::{self, Switches};
-use crate::panels::{below, overview};
+use crate::panels::{below, overview, plugins};
 use crate::session::{Phase, Session, Status};
 use crate::theatre::next_file;
 use crate::theme;
@@ -68,6 +68,7 @@ pub struct App {
     palette: Option<Palette>,
     types: Types,
     help: bool,
+    plugins: bool,
     pub(crate) switches: Switches,
     pub(crate) detours: HashMap<String, Vec<Detour>>,
     disk: DiskWatch,
@@ -110,6 +111,7 @@ impl App {
             palette: None,
             types: Types::default(),
             help: false,
+            plugins: false,
             switches: Switches::default(),
             detours: HashMap::new(),
             disk: DiskWatch::new(path),
@@ -179,7 +181,7 @@ impl App {
         }
         let typing = ctx.text_edit_focused();
         // While something asks for an answer, keys are for that.
-        if self.palette.is_none() && !self.help {
+        if self.palette.is_none() && !self.help && !self.plugins {
             for action in ctx.input_mut(|input| actions::pressed(input, typing)) {
                 self.act(action);
             }
@@ -342,6 +344,13 @@ impl App {
                 self.pick(picked);
             }
         }
+        if self.plugins {
+            match plugins::show(ctx, &self.session.loader(), self.document.catalog()) {
+                Some(plugins::Asked::Reload) => self.session.reload_plugins(),
+                Some(plugins::Asked::Close) => self.plugins = false,
+                None => {}
+            }
+        }
         if self.help {
             let modal = egui::Modal::new("help".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
             let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
@@ -448,7 +457,9 @@ impl App {
     fn want(&mut self) {
         let mut wanted: HashMap<Output, Wanted> = HashMap::new();
         let mut want = |output: &Output, packet: &str, most_width: usize| {
-            let entry = wanted.entry(output.clone()).or_insert_with(|| Wanted { packet: packet.to_owned(), ..Wanted::default() });
+            let entry = wanted
+                .entry(output.clone())
+                .or_insert_with(|| Wanted { packet: packet.to_owned(), ..Wanted::default() });
             entry.most_width = entry.most_width.max(most_width);
         };
         if self.viewer.source().is_some() {

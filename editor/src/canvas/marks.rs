@@ -67,7 +67,8 @@ impl Canvas {
     pub fn frame_selection(&mut self) -> Vec<Mark> {
         let nodes = self.ids.iter().zip(&self.shapes).filter(|(id, _)| self.selected.contains(*id));
         let rects = nodes.filter_map(|(id, shape)| Some(Rect::from_min_size(*self.places.get(id)?, shape.size)));
-        let around = rects.reduce(|a, b| a.union(b)).unwrap_or(Rect::from_center_size(self.middle(), vec2(400.0, 240.0)));
+        let around =
+            rects.reduce(|a, b| a.union(b)).unwrap_or(Rect::from_center_size(self.middle(), vec2(400.0, 240.0)));
         let rect = Rect::from_min_max(around.min - vec2(ROOM, ROOM + TITLE), around.max + vec2(ROOM, ROOM));
         let size = Some((on_grid(rect.width()), on_grid(rect.height())));
         self.add_mark(Mark { text: "Frame".to_owned(), at: (on_grid(rect.left()), on_grid(rect.top())), size })
@@ -138,7 +139,8 @@ impl Canvas {
         let edge = if selected { theme::ACCENT } else { theme::LINE };
         let painter = ui.painter();
         let radius = CornerRadius::same((10.0 * scale).clamp(2.0, 12.0) as u8);
-        let fill = if framed { theme::PANEL.gamma_multiply(0.6) } else { theme::family("overlay").gamma_multiply(0.10) };
+        let fill =
+            if framed { theme::PANEL.gamma_multiply(0.6) } else { theme::family("overlay").gamma_multiply(0.10) };
         painter.rect(rect, radius, fill, Stroke::new(1.0, edge), StrokeKind::Inside);
         let typing = matches!(self.hand, Hand::Text { mark: m, .. } if m == mark);
         if !typing {

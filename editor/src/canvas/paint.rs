@@ -12,8 +12,8 @@ use eframe::egui::{
 use super::shape::{HEADER, Pin};
 use super::touch::{Drag, may_wire};
 use super::{Canvas, Scene};
-use crate::document::{View, Wire};
 use crate::content::{Content, Found};
+use crate::document::{View, Wire};
 use crate::panels::time_words;
 use crate::theme::{self, PinShape};
 

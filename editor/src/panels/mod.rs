@@ -5,6 +5,7 @@ pub mod inspector;
 pub mod overview;
 pub mod params;
 pub mod plots;
+pub mod plugins;
 pub mod surface;
 pub mod top;
 

@@ -52,9 +52,7 @@ pub fn pressed(input: &mut InputState, focused: bool) -> Vec<Act> {
             if focused && matches!(key, Key::Space | Key::Enter) {
                 continue;
             }
-            let fresh = |e: &eframe::egui::Event| {
-                matches!(e, eframe::egui::Event::Key { key: k, pressed: true, repeat: false, .. } if k == key)
-            };
+            let fresh = |e: &eframe::egui::Event| matches!(e, eframe::egui::Event::Key { key: k, pressed: true, repeat: false, .. } if k == key);
             let new = input.events.iter().any(fresh);
             if input.consume_key(Modifiers::NONE, *key) && new {
                 found.push(*act);

@@ -7,6 +7,9 @@ pub const GAP: f32 = 12.0;
 /// Height of the line above each picture, points.
 pub const TITLE: f32 = 30.0;
 
+/// Share of the width that the first of two views takes.
+const FIRST_OF_TWO: f32 = 0.62;
+
 /// What is shown of several views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Layout {
@@ -51,12 +54,10 @@ impl Layout {
             (Self::One(n), _) => vec![(n.min(count - 1), room)],
             (Self::All, 1) => vec![(0, room)],
             (Self::All, 2) => {
-                let width = (room.width() - GAP) / 2.0;
-                let at = |k: usize| {
-                    let left = room.left() + k as f32 * (width + GAP);
-                    Rect::from_min_size(pos2(left, room.top()), vec2(width, room.height()))
-                };
-                vec![(0, at(0)), (1, at(1))]
+                let split = room.left() + ((room.width() - GAP) * FIRST_OF_TWO).round();
+                let first = Rect::from_min_max(room.min, pos2(split, room.bottom()));
+                let second = Rect::from_min_max(pos2(split + GAP, room.top()), room.max);
+                vec![(0, first), (1, second)]
             }
             (Self::All, _) => {
                 let side = (room.width() * 0.32).round();

@@ -14,6 +14,9 @@ use crate::theme;
 
 const STOP_RED: Color32 = Color32::from_rgb(0xD6, 0x2F, 0x1F);
 
+/// A picture older than this is not called live.
+const DELAYED_MS: f64 = 500.0;
+
 fn clock_words(since: Instant) -> String {
     let seconds = since.elapsed().as_secs();
     format!("{}:{:02}", seconds / 60, seconds % 60)
@@ -37,6 +40,10 @@ impl Theatre {
             (Phase::Starting | Phase::Idle, _) => ("STARTING".to_owned(), theme::RAISED, theme::MUTED),
             (Phase::Ended | Phase::Failed(_), _) => ("STOPPED".to_owned(), theme::FAULT, theme::BLACK),
             (_, Some(since)) => (format!("FROZEN  {}", clock_words(since)), theme::ACCENT, theme::BLACK),
+            // What is late must not be called live.
+            _ if !facts.stopped.is_empty() || facts.age_ms.is_some_and(|age| age > DELAYED_MS) => {
+                ("DELAYED".to_owned(), theme::WARN, theme::BLACK)
+            }
             _ => ("LIVE".to_owned(), theme::RAISED, theme::LIVE),
         };
         chip(&words, fill, color);
@@ -96,8 +103,7 @@ impl Theatre {
         let rest: Vec<&str> = self.told.iter().skip(1).map(|n| n.words.as_str()).collect();
         let rest = remark.iter().map(|(words, ..)| words.as_str()).chain(rest).collect::<Vec<_>>().join("   ·   ");
         let left = room.left() + if first.urgency >= Urgency::Warning { 44.0 } else { 0.0 };
-        let (y, size) =
-            if rest.is_empty() { (room.center().y, 24.0) } else { (room.center().y - 10.0, 22.0) };
+        let (y, size) = if rest.is_empty() { (room.center().y, 24.0) } else { (room.center().y - 10.0, 22.0) };
         let size = if first.urgency == Urgency::Note { 18.0 } else { size };
         let fitted = |words: &str, size: f32, color: Color32| {
             let mut job = eframe::egui::text::LayoutJob::simple_singleline(
@@ -126,8 +132,7 @@ impl Theatre {
             self.stop_button(ui, place);
             right = place.left() - 24.0;
         }
-        let over = self.raw_only.is_some()
-            || matches!(self.session.status().phase, Phase::Ended | Phase::Failed(_));
+        let over = self.raw_only.is_some() || matches!(self.session.status().phase, Phase::Ended | Phase::Failed(_));
         let frozen = self.frozen.is_some() && !self.measure.is_on();
         let buttons = [
             (Act::Next, "Layout", false, self.plan.views.len() > 1),

@@ -168,8 +168,7 @@ impl Keeper {
     /// # Errors
     /// In words, when the folder cannot be made.
     pub fn next_file(&mut self, kind: &str, ending: &str) -> Result<PathBuf, String> {
-        std::fs::create_dir_all(&self.folder)
-            .map_err(|e| format!("{} cannot be made: {e}", self.folder.display()))?;
+        std::fs::create_dir_all(&self.folder).map_err(|e| format!("{} cannot be made: {e}", self.folder.display()))?;
         let file = self.folder.join(format!("{}{kind}_{:04}.{ending}", self.label, self.next));
         self.next += 1;
         Ok(file)

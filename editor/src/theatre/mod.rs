@@ -10,20 +10,21 @@ mod bars;
 mod keep;
 mod measure;
 mod notices;
+mod open;
 mod plan;
+mod records;
 mod settings;
 mod stage;
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, Context, Key, Rect, Ui, pos2, vec2};
 use panoscope_graph::edit::GraphEdit;
-use panoscope_graph::{Diagnostics, GraphText, ParamValue, check};
-use panoscope_runtime::lock::{Difference, Lock, LockError, THEATRE_PLUGINS};
-use panoscope_runtime::{Loader, clock, loader};
+use panoscope_graph::{GraphText, ParamValue};
+use panoscope_runtime::clock;
 
 use crate::app::{Costs, Shot};
 use crate::observe::{Counters, Observer, Output, Wanted};
@@ -36,6 +37,7 @@ pub use acts::{Act, key_words};
 pub use arrange::Layout;
 pub use keep::{free_bytes, next_file, with_clip, without_clip, write_still};
 pub use notices::{Notice, Urgency};
+pub use open::{OpenError, Options, Ready};
 pub use plan::{Place, Plan, Setting};
 
 use keep::{Clip, Keeper};
@@ -59,67 +61,6 @@ const BOTTOM: f32 = 104.0;
 const EDGE: f32 = 20.0;
 /// Height of the window in points that sizes are made for.
 const USUAL_HEIGHT: f32 = 960.0;
-
-/// How the theatre is opened.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// Where stills and clips go.
-    pub folder: PathBuf,
-    /// Begins the names of files, if it is asked for.
-    pub label: Option<String>,
-    /// Opens although the graph differs from its lock.
-    pub unlocked: bool,
-    /// Most ticks of each source.
-    pub frames: Option<u64>,
-    /// Size of everything beside the one that follows the screen.
-    pub scale: f32,
-    /// Pictures of the window, for `cargo xtask screens`.
-    pub shot: Shot,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            folder: PathBuf::from("out"),
-            label: None,
-            unlocked: false,
-            frames: None,
-            scale: 1.0,
-            shot: Shot::default(),
-        }
-    }
-}
-
-/// Why the theatre did not open.
-#[derive(Debug, thiserror::Error)]
-pub enum OpenError {
-    /// The graph is wrong.
-    #[error("{}", .0.render(false).trim_end())]
-    Graph(Diagnostics),
-    /// The graph differs from its lock.
-    #[error("this preset is not as it was locked:\n{}\n  help: put it back, lock it anew with `panoscope lock`, or open it with --unlocked",
-        .0.iter().map(|d| format!("  {d}")).collect::<Vec<_>>().join("\n"))]
-    Locked(Vec<Difference>),
-    /// The lock cannot be read.
-    #[error("{0}\n  help: or open it with --unlocked")]
-    Lock(#[from] LockError),
-    /// Nothing of the graph can be shown.
-    #[error("this graph makes no picture that the theatre could show")]
-    NoPicture,
-    /// The system gave no thread.
-    #[error("no thread could be started: {0}")]
-    Thread(#[from] std::io::Error),
-}
-
-impl OpenError {
-    /// As it is shown on a terminal.
-    pub fn told(&self) -> String {
-        match self {
-            Self::Graph(diagnostics) => diagnostics.render(false).trim_end().to_owned(),
-            other => format!("error: {other}"),
-        }
-    }
-}
 
 /// When something was seen of an output, and how old it was.
 #[derive(Clone, Copy, Debug)]
@@ -162,11 +103,6 @@ pub struct Theatre {
     left: bool,
     shot: Shot,
     costs: Costs,
-}
-
-/// What is wrong between a lock and now; `None` when the graph was never locked.
-fn compare(path: &Path, now: &Lock) -> Result<Option<Vec<Difference>>, LockError> {
-    Ok(Lock::read(path)?.map(|was| was.differences(now)))
 }
 
 impl Theatre {
@@ -294,10 +230,8 @@ impl Theatre {
         ui.painter().rect_filled(whole, 0.0, theme::BLACK);
         let top = Rect::from_min_size(whole.min, vec2(whole.width(), TOP));
         let bottom = Rect::from_min_max(pos2(whole.left(), whole.bottom() - BOTTOM), whole.max);
-        let stage = Rect::from_min_max(
-            pos2(whole.left() + EDGE, top.bottom()),
-            pos2(whole.right() - EDGE, bottom.top() - 8.0),
-        );
+        let stage =
+            Rect::from_min_max(pos2(whole.left() + EDGE, top.bottom()), pos2(whole.right() - EDGE, bottom.top() - 8.0));
         self.top_bar(ui, top, &status, &facts);
         self.stage(ui, stage, &facts);
         self.bottom_bar(ui, bottom);
@@ -330,11 +264,10 @@ impl Theatre {
         }
         if let Some(cloud) = self.plan.cloud.clone().filter(|_| self.measure.waits())
             && let Some(look) = looks.remove(&cloud)
+            && look.cloud.is_some()
         {
-            if look.cloud.is_some() {
-                self.measure.take(ctx, &cloud, look);
-                self.frozen = Some(now);
-            }
+            self.measure.take(ctx, &cloud, look);
+            self.frozen = Some(now);
         }
         if let Some(raw) = self.plan.raw.as_ref().map(|raw| &raw.output)
             && let Some(look) = looks.get(raw)
@@ -434,8 +367,8 @@ impl Theatre {
         }
         if self.frozen.is_none() && self.raw_only.is_none() {
             for place in self.displayed() {
-                let sight = (place.packet == "cloud")
-                    .then(|| self.sights.get(&place.output).copied().unwrap_or_default());
+                let sight =
+                    (place.packet == "cloud").then(|| self.sights.get(&place.output).copied().unwrap_or_default());
                 wanted.insert(place.output.clone(), Wanted { sight, ..of(place, MOST_WIDTH) });
             }
             if let Some(cloud) = self.plan.cloud.as_ref().filter(|_| self.measure.waits()) {
@@ -458,6 +391,7 @@ impl Theatre {
             }
             Act::One(_) => {}
             Act::Freeze if self.raw_only.is_some() => self.say("the camera's own picture is never held still", false),
+            Act::Freeze if self.frozen.is_none() && !self.has_picture() => self.say("there is no picture yet", true),
             Act::Freeze => {
                 self.frozen = if self.frozen.is_some() { None } else { Some(Instant::now()) };
                 self.measure = Measure::default();
@@ -470,12 +404,16 @@ impl Theatre {
             Act::Stop => self.emergency_stop(true),
             Act::Again => self.again(),
         }
-        if matches!(act, Act::Next | Act::Previous | Act::One(_)) {
-            if self.measure.is_on() {
-                self.measure = Measure::default();
-                self.frozen = None;
-            }
+        if matches!(act, Act::Next | Act::Previous | Act::One(_)) && self.measure.is_on() {
+            self.measure = Measure::default();
+            self.frozen = None;
         }
+    }
+
+    /// Whether the main view has shown anything.
+    pub fn has_picture(&self) -> bool {
+        let main = self.plan.views.get(self.layout.main());
+        main.is_some_and(|m| self.shown.texture(&m.output).is_some())
     }
 
     fn measure_or_end(&mut self) {
@@ -507,16 +445,24 @@ impl Theatre {
         self.emergency = on;
         let engine = self.session.handle().engine();
         let mut failed = Vec::new();
-        for node in &self.plan.stops {
+        let mut resets = Vec::new();
+        for stop in &self.plan.stops {
             // Now, even while the graph is being changed.
-            let set = engine.as_ref().map(|e| e.set_bool_at_once(node, plan::EMERGENCY_STOP, on));
+            let set = engine.as_ref().map(|e| e.set_bool_at_once(&stop.node, plan::EMERGENCY_STOP, on));
             if !matches!(set, Some(Ok(()))) && self.raw_only.is_none() {
-                failed.push(node.clone());
+                failed.push(stop.node.clone());
+            }
+            let values = engine.as_ref().and_then(|e| e.param_values(&stop.node));
+            if let Some(ParamValue::Int(number)) = stop.reset.and_then(|at| values?.into_iter().nth(at))
+                && !on
+            {
+                resets.push((stop.node.clone(), number.wrapping_add(1).max(0)));
             }
         }
-        let stops = self.plan.stops.clone();
+        let stops = &self.plan.stops;
         let text = GraphEdit::parse(&self.text).and_then(|mut edit| {
-            stops.iter().try_for_each(|node| edit.set_param(node, plan::EMERGENCY_STOP, &on.into()))?;
+            stops.iter().try_for_each(|stop| edit.set_param(&stop.node, plan::EMERGENCY_STOP, &on.into()))?;
+            resets.iter().try_for_each(|(node, number)| edit.set_param(node, plan::RESET, &(*number).into()))?;
             Ok(edit.text())
         });
         match text {
@@ -588,101 +534,6 @@ impl Theatre {
         }
     }
 
-    fn still(&mut self) {
-        let pixels = if self.measure.is_on() {
-            self.measure.pixels()
-        } else {
-            let main = self.plan.views.get(self.layout.main());
-            let raw = self.plan.raw.as_ref().filter(|_| self.raw_only.is_some());
-            match raw {
-                Some(raw) => self.live.pixels(&raw.output).cloned(),
-                None => main.and_then(|m| self.shown.pixels(&m.output).cloned()),
-            }
-        };
-        let result = pixels.map(|pixels| self.keeper.still(pixels));
-        match result {
-            Some(Ok(())) => {}
-            Some(Err(words)) => self.say(words, true),
-            None => self.say("there is no picture yet", true),
-        }
-    }
-
-    /// The output that a clip would hold: the main view if it is a picture, else the first picture.
-    fn to_record(&self) -> Option<Place> {
-        let raw = self.plan.raw.as_ref().filter(|_| self.raw_only.is_some());
-        let main = self.plan.views.get(self.layout.main());
-        let others = self.plan.views.iter().chain(&self.plan.raw);
-        raw.into_iter().chain(main).chain(others).find(|p| p.packet == "image").cloned()
-    }
-
-    fn record(&mut self) {
-        if self.clip.is_some() {
-            self.end_clip();
-            return;
-        }
-        if self.raw_only.is_some() {
-            self.say("clips need the whole graph; stills can be kept", true);
-            return;
-        }
-        let Some(place) = self.to_record() else { return self.say("there is no picture to record", true) };
-        if self.keeper.free_bytes().is_some_and(|free| free < notices::FULL_BYTES) {
-            return self.say("the disk is full", true);
-        }
-        let begun = self.keeper.next_file("clip", "mkv").and_then(|file| {
-            let (text, node) = keep::with_clip(&self.text, &place.output, &file).map_err(|e| e.to_string())?;
-            Ok((text, Clip { node, file, since: Instant::now() }))
-        });
-        match begun {
-            Ok((text, clip)) => {
-                self.clip = Some(clip);
-                self.run(text);
-            }
-            Err(words) => self.say(words, true),
-        }
-    }
-
-    /// Forgets the clip, in the text too; answers it.
-    fn clip_is_over(&mut self) -> Option<Clip> {
-        let clip = self.clip.take()?;
-        if let Ok(text) = keep::without_clip(&self.text, &clip.node) {
-            self.text = text;
-        }
-        Some(clip)
-    }
-
-    fn end_clip(&mut self) {
-        if let Some(clip) = self.clip_is_over() {
-            self.run(self.text.clone());
-            self.say(format!("{} is kept", clip.file.file_name().unwrap_or_default().to_string_lossy()), false);
-        }
-    }
-
-    /// Stills that were written; a clip that cannot go on.
-    fn keep_up(&mut self, status: &Status, counters: &Counters) {
-        for done in self.keeper.finished() {
-            match done {
-                Ok(name) => self.say(format!("{name} is kept"), false),
-                Err(words) => self.say(words, true),
-            }
-        }
-        let Some(clip) = &self.clip else { return };
-        let name = clip.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let fault = counters.faults.get(&clip.node).map(|f| f.words.clone());
-        let refused = status.trouble.as_ref().filter(|_| !status.busy && clip.since.elapsed() > STOPPED);
-        let full = self.keeper.free_bytes().is_some_and(|free| free < notices::FULL_BYTES);
-        if let Some(trouble) = refused {
-            let words = format!("the clip was not begun: {}", trouble.words);
-            self.clip_is_over();
-            self.run(self.text.clone());
-            self.say(words, true);
-        } else if full || fault.is_some() {
-            self.end_clip();
-            let full = full || fault.as_ref().is_some_and(|f| f.contains("No space left"));
-            let why = if full { "the disk is full".to_owned() } else { fault.unwrap_or_default() };
-            self.say(format!("{name} ended early: {why}; what was recorded is kept"), true);
-        }
-    }
-
     /// Esc for a moment ends what is begun; held for two seconds it leaves.
     fn leave(&mut self, ctx: &Context) {
         let down = ctx.input(|i| i.key_down(Key::Escape));
@@ -717,41 +568,6 @@ impl Theatre {
             }
             ctx.request_repaint();
         }
-    }
-}
-
-/// A graph that was looked at and found to be fit for the theatre.
-pub struct Ready {
-    plan: Plan,
-    unlocked: Option<String>,
-}
-
-impl Ready {
-    /// Checks a graph file's text and compares it, its plugins, models and calibration with its lock.
-    ///
-    /// # Errors
-    /// See [`OpenError`].
-    pub fn look(path: &Path, text: &str, unlocked: bool) -> Result<Self, OpenError> {
-        let parsed = GraphText::parse(path, text);
-        let loader = Loader::search(&loader::search_path(&parsed.plugin_paths()));
-        let catalog = loader.catalog(&parsed.plugins());
-        let (graph, _) = check(&parsed, &catalog).into_result().map_err(OpenError::Graph)?;
-        let now = Lock::of(&graph, &catalog, &loader, path, text, &THEATRE_PLUGINS);
-        let told = match compare(path, &now) {
-            Ok(None) => None,
-            Ok(Some(differences)) => match differences.first() {
-                None => None,
-                Some(first) if unlocked => Some(first.to_string()),
-                Some(_) => return Err(OpenError::Locked(differences)),
-            },
-            Err(error) if unlocked => Some(error.to_string()),
-            Err(error) => return Err(error.into()),
-        };
-        let plan = Plan::of(&graph, &catalog);
-        if plan.views.is_empty() {
-            return Err(OpenError::NoPicture);
-        }
-        Ok(Self { plan, unlocked: told })
     }
 }
 

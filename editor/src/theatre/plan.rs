@@ -5,8 +5,10 @@ use panoscope_graph::{Catalog, Graph, Param, ParamKind, PresetView};
 
 use crate::observe::Output;
 
-/// Parameter that every driver of an arm declares; true stops it, and it stays stopped until it is set to false.
+/// Parameter that every driver of an arm declares; true stops it.
 pub const EMERGENCY_STOP: &str = "emergency_stop";
+/// Number that a driver may declare, whose stop outlasts the parameter: another one than before lets it go.
+pub const RESET: &str = "reset";
 /// Most views that are chosen where the preset names none.
 const MOST_CHOSEN: usize = 4;
 
@@ -36,6 +38,15 @@ pub struct Setting {
     pub range: Option<(f64, f64)>,
 }
 
+/// A node that an emergency stop concerns.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Stop {
+    /// The node.
+    pub node: String,
+    /// Place of [`RESET`] among its parameters, where it has that.
+    pub reset: Option<usize>,
+}
+
 /// What a graph offers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plan {
@@ -52,7 +63,7 @@ pub struct Plan {
     /// Pinned settings.
     pub settings: Vec<Setting>,
     /// Nodes that an emergency stop concerns.
-    pub stops: Vec<String>,
+    pub stops: Vec<Stop>,
     /// Names of sources.
     sources: Vec<String>,
 }
@@ -83,11 +94,11 @@ impl Plan {
             .map(|(n, port)| place(n, port, format!("{} camera", plain(&node_type(n).outputs[port].name))))
             .collect();
         let raw = cameras.first().cloned().or_else(|| {
-            let image = |&n: &usize| Some((n, (0..node_type(n).outputs.len()).find(|&port| packet(n, port) == "image")?));
+            let image =
+                |&n: &usize| Some((n, (0..node_type(n).outputs.len()).find(|&port| packet(n, port) == "image")?));
             sources.iter().find_map(image).map(|(n, port)| place(n, port, "Camera".to_owned()))
         });
-        let mut views: Vec<Place> =
-            graph.preset.views.iter().map(|v| place(v.node, v.port, plain(&v.label))).collect();
+        let mut views: Vec<Place> = graph.preset.views.iter().map(|v| place(v.node, v.port, plain(&v.label))).collect();
         if views.is_empty() {
             let all = || graph.edges.iter().map(|e| (e.from_node, e.from_port, e.to_node));
             let made = all().filter(|&(from, port, to)| {
@@ -104,8 +115,7 @@ impl Plan {
         }
         let shown_cloud = views.iter().find(|v| v.packet == "cloud").map(|v| v.output.clone());
         let read_cloud = graph.edges.iter().find(|e| packet(e.from_node, e.from_port) == "cloud");
-        let cloud =
-            shown_cloud.or_else(|| read_cloud.map(|e| place(e.from_node, e.from_port, String::new()).output));
+        let cloud = shown_cloud.or_else(|| read_cloud.map(|e| place(e.from_node, e.from_port, String::new()).output));
         let settings = graph.preset.pinned.iter().map(|pin| Setting {
             node: graph.nodes[pin.node].id.clone(),
             param: node_type(pin.node).params[pin.param].clone(),
@@ -113,9 +123,14 @@ impl Plan {
             label: plain(&pin.label),
             range: pin.range,
         });
-        let stops = |n: &usize| {
-            let mut params = node_type(*n).params.iter();
-            params.any(|p| p.name == EMERGENCY_STOP && matches!(p.kind, ParamKind::Bool { .. }))
+        let stop = |n: usize| {
+            let params = &node_type(n).params;
+            let is_stop = |p: &Param| p.name == EMERGENCY_STOP && matches!(p.kind, ParamKind::Bool { .. });
+            let is_reset = |p: &Param| p.name == RESET && matches!(p.kind, ParamKind::Int { .. });
+            params
+                .iter()
+                .any(is_stop)
+                .then(|| Stop { node: graph.nodes[n].id.clone(), reset: params.iter().position(is_reset) })
         };
         let id = |n: usize| graph.nodes[n].id.clone();
         Self {
@@ -125,7 +140,7 @@ impl Plan {
             cameras,
             cloud,
             settings: settings.collect(),
-            stops: (0..graph.nodes.len()).filter(stops).map(id).collect(),
+            stops: (0..graph.nodes.len()).filter_map(stop).collect(),
             sources: sources.into_iter().map(id).collect(),
         }
     }
@@ -184,7 +199,10 @@ mod tests {
             kind: ParamKind::Bool { default: false },
             reopen: false,
         };
-        let arm = NodeType { params: vec![stop], side_effects: true, ..node("arm", &["pose:pose"], &["camera:pose"]) };
+        let reset = ParamKind::Int { default: 0, min: None, max: None, step: None };
+        let reset = Param { name: RESET.to_owned(), kind: reset, ..stop.clone() };
+        let arm =
+            NodeType { params: vec![stop, reset], side_effects: true, ..node("arm", &["pose:pose"], &["camera:pose"]) };
         let node_types = vec![
             node("cam", &[], &["left:image", "right:image", "pose:pose"]),
             node("wide", &["l:image", "r:image"], &["panorama:image"]),
@@ -246,14 +264,13 @@ inputs = { pose = "scope.pose" }
         assert_eq!(plan.raw.as_ref().unwrap().output.to_string(), "scope.left");
         assert_eq!(names(&plan.cameras).len(), 2);
         assert_eq!(plan.cloud.as_ref().unwrap().to_string(), "points.cloud");
-        assert_eq!(plan.stops, ["arm"]);
+        assert_eq!(plan.stops, [Stop { node: "arm".to_owned(), reset: Some(1) }]);
     }
 
     #[test]
     fn named_views_are_taken_as_they_are() {
-        let plan = plan(&format!(
-            "{TEXT}[preset]\nviews = [\"turn.image\", {{ from = \"scope.right\", label = \"Raw\" }}]\n"
-        ));
+        let plan =
+            plan(&format!("{TEXT}[preset]\nviews = [\"turn.image\", {{ from = \"scope.right\", label = \"Raw\" }}]\n"));
         assert_eq!(names(&plan.views), [("turn.image".to_owned(), "Turn"), ("scope.right".to_owned(), "Raw")]);
     }
 

@@ -135,9 +135,7 @@ fn slider(ui: &Ui, rect: Rect, response: &Response, setting: &Setting, span: Spa
         let share = f64::from(((at.x - rail.left()) / rail.width().max(1.0)).clamp(0.0, 1.0));
         span.low + share * (span.high - span.low)
     });
-    let by_key = |key| {
-        response.has_focus() && ui.ctx().input_mut(|i| i.consume_key(Modifiers::NONE, key))
-    };
+    let by_key = |key| response.has_focus() && ui.ctx().input_mut(|i| i.consume_key(Modifiers::NONE, key));
     // At least one step of a hundred, so that a key does something one can see.
     let stride = ((span.high - span.low) / STEPS / span.step).round().max(1.0) * span.step;
     let stepped = match () {
@@ -164,8 +162,7 @@ mod tests {
     use panoscope_graph::Param;
 
     fn setting(kind: ParamKind, range: Option<(f64, f64)>) -> Setting {
-        let param =
-            Param { name: "p".to_owned(), doc: String::new(), unit: "px".to_owned(), kind, reopen: false };
+        let param = Param { name: "p".to_owned(), doc: String::new(), unit: "px".to_owned(), kind, reopen: false };
         Setting { node: "n".to_owned(), param, index: 0, label: "P".to_owned(), range }
     }
 

@@ -149,10 +149,8 @@ impl SurfacePainter {
         let half = self.half_width(points, mx).max(left.map_or(0.0, |(p, _)| (mx - p[0]).abs())).max(1.0);
         let scale = orbit.zoom * 0.48 * out.width as f32 / half;
         let turn = [orbit.yaw, orbit.pitch].map(f32::sin_cos);
-        let origin = [
-            out.width as f32 * (0.5 + orbit.shift[0]),
-            out.height as f32 / 2.0 + out.width as f32 * orbit.shift[1],
-        ];
+        let origin =
+            [out.width as f32 * (0.5 + orbit.shift[0]), out.height as f32 / 2.0 + out.width as f32 * orbit.shift[1]];
         let projection = Projection { middle_mm: [mx, my, mz], turn, scale, origin };
         self.corners.clear();
         self.corners.resize(w * h, NOWHERE);
@@ -263,8 +261,14 @@ mod tests {
 
     fn painted(step: f32, yaw: f32) -> (usize, Vec<u8>) {
         let mut data = vec![0; 160 * 120 * 3];
-        let orbit =
-            Orbit { yaw, zoom: if yaw == 0.0 { 1.0 } else { 0.5 }, step: 1, max_slope: 4.0, shading: 0.0, ..Orbit::default() };
+        let orbit = Orbit {
+            yaw,
+            zoom: if yaw == 0.0 { 1.0 } else { 0.5 },
+            step: 1,
+            max_slope: 4.0,
+            shading: 0.0,
+            ..Orbit::default()
+        };
         SurfacePainter::default().paint(&Step(step), &orbit, &mut ViewMut::new(&mut data, 160, 120, 3));
         (data.chunks_exact(3).filter(|p| *p == [200, 100, 50]).count(), data)
     }

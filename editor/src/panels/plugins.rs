@@ -1,0 +1,56 @@
+//! The plugins that can be seen from here: what they offer, where they came from.
+
+use eframe::egui::{CollapsingHeader, Context, Frame, Margin, Modal, RichText, ScrollArea};
+use panoscope_graph::Catalog;
+use panoscope_runtime::Loader;
+
+use crate::theme;
+
+/// What was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Asked {
+    /// Swap rebuilt plugins in.
+    Reload,
+    /// Close the list.
+    Close,
+}
+
+/// Shows the list over the window; `catalog` holds the plugins that the graph uses.
+pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Asked> {
+    let modal = Modal::new("plugins".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
+    let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
+    let mut asked = None;
+    let shown = modal.frame(frame).show(ctx, |ui| {
+        ui.set_width(560.0);
+        ui.horizontal(|ui| {
+            ui.label(RichText::new("Plugins").size(16.0));
+            if ui.button("Reload").on_hover_text("Swaps rebuilt plugins into the running graph").clicked() {
+                asked = Some(Asked::Reload);
+            }
+        });
+        ScrollArea::vertical().max_height(ctx.content_rect().height() * 0.7).show(ui, |ui| {
+            for found in loader.found() {
+                let (name, version) = (&found.note.name, &found.note.version);
+                let used = catalog.has_plugin(name);
+                let color = if used { theme::TEXT } else { theme::MUTED };
+                let title = RichText::new(format!("{name}  {version}")).color(color).size(14.0);
+                CollapsingHeader::new(title).id_salt(("plugin", name)).show(ui, |ui| {
+                    ui.label(RichText::new(found.file.display().to_string()).size(11.0).color(theme::MUTED));
+                    let types = catalog.node_types.iter().filter(|t| t.plugin == *name);
+                    for node_type in types {
+                        ui.label(RichText::new(&node_type.name).color(theme::ACCENT));
+                        ui.label(RichText::new(&node_type.doc).size(12.0));
+                    }
+                    if !used {
+                        ui.label(RichText::new(format!("nodes: {}", found.note.node_types.join(", "))).size(12.0));
+                    }
+                });
+            }
+            for problem in loader.problems() {
+                ui.label(RichText::new(format!("{}: {}", problem.file, problem.message)).color(theme::FAULT));
+                ui.label(RichText::new(&problem.help).size(12.0).color(theme::MUTED));
+            }
+        });
+    });
+    asked.or(shown.should_close().then_some(Asked::Close))
+}
