@@ -90,6 +90,9 @@ pub struct Stability {
     doubted: bool,
 }
 
+/// A previous map whose median error on the new inliers is this many times the bound of an outlier is that of another scene.
+const JUMP: f64 = 2.0;
+
 impl Stability {
     /// Reserves memory for up to `count` inliers, held with a weight of up to `calm`.
     pub fn reserve(&mut self, count: usize, calm: f64) {
@@ -110,10 +113,17 @@ impl Stability {
         params: &StabilityParams,
     ) -> Stabilized {
         let (from, to, mask) = pairs;
+        // After a jump the frame before tells nothing: held by it, the far corners would stay wrong for many frames. A map of another
+        // plane of the same scene is off as far, but explains about as many pairs.
+        let held = previous.filter(|before| {
+            let median = median_error(before, from, to, |index| mask[index], &mut self.errors);
+            let near = median.is_none_or(|median| median < JUMP * params.outlier_px);
+            near || explains_as_well(before, &fit.homography, from, to, params.outlier_px, DOUBTED_TOLERANCE)
+        });
         let fresh = if params.calm > 0.0 {
             // A shift is a guess, the frame before is not.
             let guess = || (shift_of(&fit.homography, from, mask), 0.1 * params.calm);
-            let (anchor, weight) = previous.map_or_else(guess, |before| (before, params.calm));
+            let (anchor, weight) = held.map_or_else(guess, |before| (before, params.calm));
             self.calm.fit(fit, &anchor, weight, size, pairs)
         } else {
             fit.homography
