@@ -118,7 +118,7 @@ impl Stability {
         let held = previous.filter(|before| {
             let median = median_error(before, from, to, |index| mask[index], &mut self.errors);
             let near = median.is_none_or(|median| median < JUMP * params.outlier_px);
-            near || explains_as_well(before, &fit.homography, from, to, params.outlier_px, DOUBTED_TOLERANCE)
+            near || explains_as_well(before, &fit.homography, from, to, params.outlier_px, params.still_tolerance)
         });
         let fresh = if params.calm > 0.0 {
             // A shift is a guess, the frame before is not.
