@@ -114,11 +114,13 @@ impl Stability {
     ) -> Stabilized {
         let (from, to, mask) = pairs;
         // After a jump the frame before tells nothing: held by it, the far corners would stay wrong for many frames. A map of another
-        // plane of the same scene is off as far, but explains about as many pairs.
+        // plane of the same scene is off as far, but explains many pairs of its own.
         let held = previous.filter(|before| {
             let median = median_error(before, from, to, |index| mask[index], &mut self.errors);
             let near = median.is_none_or(|median| median < JUMP * params.outlier_px);
-            near || explains_as_well(before, &fit.homography, from, to, params.outlier_px, params.still_tolerance)
+            let bound = params.outlier_px * params.outlier_px;
+            let explained = from.iter().zip(to).filter(|(from, to)| before.squared_error(**from, **to) < bound).count();
+            near || 2 * explained >= fit.inliers
         });
         let fresh = if params.calm > 0.0 {
             // A shift is a guess, the frame before is not.
