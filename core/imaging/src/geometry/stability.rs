@@ -131,7 +131,7 @@ impl Stability {
             fit.homography
         };
         let doubted = std::mem::take(&mut self.doubted);
-        if let Some(previous) = previous.filter(|_| params.stability_px > 0.0) {
+        if let Some(previous) = held.filter(|_| params.stability_px > 0.0) {
             let median = median_error(&previous, from, to, |index| mask[index], &mut self.errors);
             let near = median.is_some_and(|median| median < params.stability_px);
             let explains = |share| explains_as_well(&previous, &fresh, from, to, params.outlier_px, share);
