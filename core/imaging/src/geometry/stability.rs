@@ -90,6 +90,9 @@ pub struct Stability {
     doubted: bool,
 }
 
+/// A previous map whose median error on the new inliers is this many times the bound of an outlier is that of another scene.
+const JUMP: f64 = 2.0;
+
 impl Stability {
     /// Reserves memory for up to `count` inliers, held with a weight of up to `calm`.
     pub fn reserve(&mut self, count: usize, calm: f64) {
@@ -110,16 +113,25 @@ impl Stability {
         params: &StabilityParams,
     ) -> Stabilized {
         let (from, to, mask) = pairs;
+        // After a jump the frame before tells nothing: held by it, the far corners would stay wrong for many frames. A map of another
+        // plane of the same scene is off as far, but explains many pairs of its own.
+        let held = previous.filter(|before| {
+            let median = median_error(before, from, to, |index| mask[index], &mut self.errors);
+            let near = median.is_none_or(|median| median < JUMP * params.outlier_px);
+            let bound = params.outlier_px * params.outlier_px;
+            let explained = from.iter().zip(to).filter(|(from, to)| before.squared_error(**from, **to) < bound).count();
+            near || 2 * explained >= fit.inliers
+        });
         let fresh = if params.calm > 0.0 {
             // A shift is a guess, the frame before is not.
             let guess = || (shift_of(&fit.homography, from, mask), 0.1 * params.calm);
-            let (anchor, weight) = previous.map_or_else(guess, |before| (before, params.calm));
+            let (anchor, weight) = held.map_or_else(guess, |before| (before, params.calm));
             self.calm.fit(fit, &anchor, weight, size, pairs)
         } else {
             fit.homography
         };
         let doubted = std::mem::take(&mut self.doubted);
-        if let Some(previous) = previous.filter(|_| params.stability_px > 0.0) {
+        if let Some(previous) = held.filter(|_| params.stability_px > 0.0) {
             let median = median_error(&previous, from, to, |index| mask[index], &mut self.errors);
             let near = median.is_some_and(|median| median < params.stability_px);
             let explains = |share| explains_as_well(&previous, &fresh, from, to, params.outlier_px, share);

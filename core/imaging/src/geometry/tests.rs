@@ -155,6 +155,24 @@ fn a_good_previous_map_stays() {
 }
 
 #[test]
+fn a_jump_lets_go_of_the_frame_before() {
+    let (from, to) = pairs(100, 0.3, 0.0);
+    let mask = vec![true; from.len()];
+    let fit = RansacFit { homography: truth(), inliers: from.len(), rms_px: 0.0, iterations: 1 };
+    let params = StabilityParams { stability_px: 1.0, still_tolerance: 0.1, outlier_px: 5.0, calm: 1.0 };
+    let choose =
+        |previous| Stability::default().choose(&fit, previous, (640, 480), (&from, &to, &mask), &params).homography;
+    let moved = |px: f64| {
+        let mut map = truth();
+        map.0[2] += px;
+        map
+    };
+    let corner = |map: &Homography| map.squared_error([0.0, 0.0], truth().map([0.0, 0.0])).sqrt();
+    assert!(corner(&choose(Some(moved(8.0)))) > 0.5, "what moves little is held back");
+    assert_eq!(choose(Some(moved(60.0))), choose(None), "what jumps is not");
+}
+
+#[test]
 fn the_frame_before_stays_while_it_explains_as_much() {
     let from: Vec<Point> = (0..40).map(|i| [f64::from(i % 8) * 50.0, f64::from(i / 8) * 60.0]).collect();
     // Two planes of one scene, each right for half of the pairs.

@@ -6,8 +6,8 @@ use super::super::look::Table;
 pub const WINDOW: (i64, i64) = (20, 10);
 /// Ticks of a run: enough good ones behind the bad ones.
 pub const TICKS: u64 = (WINDOW.0 + WINDOW.1) as u64 + 10;
-/// A registration further than this from the best plane is a wrong one, px.
-const WRONG_PX: f64 = 6.0;
+/// A registration is a wrong one that lies further from the true places than this many times the best plane does, and so many px more.
+const WRONG: (f64, f64) = (2.0, 6.0);
 const FRESH: f64 = 0.0;
 
 /// Something that the phantom can suffer.
@@ -63,7 +63,7 @@ pub fn recovery(incident: &Incident, rows: &Table) -> Option<Recovery> {
     let (state, align, floor) = (rows.column("state")?, rows.column("align_px")?, rows.column("floor_px")?);
     let fresh = |tick: usize| state.get(tick) == Some(&FRESH);
     // NaN is no proof of being right.
-    let right = |tick: usize| fresh(tick) && align[tick] <= floor[tick] + WRONG_PX;
+    let right = |tick: usize| fresh(tick) && align[tick] <= WRONG.0 * floor[tick] + WRONG.1;
     let first = WINDOW.0 as usize;
     let end = first + if incident.at_once { 0 } else { WINDOW.1 as usize };
     let back = (end..state.len()).find(|tick| right(*tick));
