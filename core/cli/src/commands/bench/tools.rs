@@ -59,12 +59,11 @@ fn picture(folder: &Path) -> Result<PathBuf> {
 }
 
 /// Median time of the node, ms.
-fn ours(node: &str, port: &str, model: &Path, picture: &Path, threads: usize, frames: u64) -> Result<f64> {
+fn ours(node: &str, model: &Path, picture: &Path, threads: usize, frames: u64) -> Result<f64> {
     let text = format!(
         "mode = \"batch\"\nplugins = [\"capture\", \"tools\", \"sinks\"]\n\
          [nodes.file]\ntype = \"capture\"\nparams = {{ left = {}, pace = \"off\", loop = true }}\n\
-         [nodes.find]\ntype = \"{node}\"\nbudget_ms = 60000\ninputs = {{ image = \"file.left\" }}\nparams = {{ model = {} }}\n\
-         [nodes.out]\ntype = \"preview\"\ninputs = {{ {port} = \"find.{port}\" }}\n",
+         [nodes.find]\ntype = \"{node}\"\nbudget_ms = 60000\ninputs = {{ image = \"file.left\" }}\nparams = {{ model = {} }}\n",
         quoted(picture),
         quoted(model)
     );
@@ -106,10 +105,10 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
     let mut figures = Vec::new();
     let mut no_peer: Option<anyhow::Error> = None;
     let models = [
-        ("yolo", "detections", arguments.model.clone().or_else(|| shipped("instruments.onnx")), "--model"),
-        ("mask_rcnn", "instances", arguments.masks.clone().or_else(|| shipped("instrument_masks.onnx")), "--masks"),
+        ("yolo", arguments.model.clone().or_else(|| shipped("instruments.onnx")), "--model"),
+        ("mask_rcnn", arguments.masks.clone().or_else(|| shipped("instrument_masks.onnx")), "--masks"),
     ];
-    for (node, port, model, option) in models {
+    for (node, model, option) in models {
         let name = if node == "yolo" { "yolo_frame" } else { "mask_frame" };
         let Some(model) = model else {
             tell!("skipped: {name}: no model; name one with {option}");
@@ -119,7 +118,7 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
             // The best median of the rounds: whatever else the machine does only adds.
             let (mut own, mut theirs, mut network) = (f64::INFINITY, f64::INFINITY, f64::INFINITY);
             for _ in 0..rounds {
-                own = own.min(ours(node, port, &model, &picture, threads, frames)?);
+                own = own.min(ours(node, &model, &picture, threads, frames)?);
                 let Some(python) = arguments.python.as_ref().filter(|_| no_peer.is_none()) else { continue };
                 match peer(python, node, &model, &picture, threads, frames) {
                     Ok(p) => {

@@ -260,11 +260,12 @@ pub fn score(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize, shape:
     Scores { classes: (0..classes).map(one).collect() }
 }
 
-/// How a picture's truths and finds meet whatever their classes, at an overlap of 0.5: for each pair both numbers; finds under `min_score` left out.
+/// How a picture's truths and finds meet whatever their classes, at an overlap of 0.5: for each pair both numbers. Crowds, finds on them and finds
+/// under `min_score` are left out.
 pub fn pairs(truths: &[Object], finds: &[Find], min_score: f64, shape: Shape) -> Vec<(Option<usize>, Option<usize>)> {
     let mut all: Vec<(f64, usize, usize)> = Vec::new();
     for (f, find) in finds.iter().enumerate().filter(|(_, f)| f.score >= min_score) {
-        for (t, truth) in truths.iter().enumerate() {
+        for (t, truth) in truths.iter().enumerate().filter(|(_, t)| !t.ignored) {
             let o = overlap(find, truth, shape);
             if o >= 0.5 {
                 all.push((o, t, f));
