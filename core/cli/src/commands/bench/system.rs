@@ -41,8 +41,8 @@ fn kind(node: &Value) -> &str {
 fn source(graph: &mut Table) -> Result<(String, Value)> {
     let nodes = nodes(graph)?;
     let found = nodes.iter().find(|(_, node)| kind(node) == SOURCE);
-    let (name, node) =
-        found.context("the graph has no `phantom`: the bench renders its views beforehand and plays them in its place")?;
+    let (name, node) = found
+        .context("the graph has no `phantom`: the bench renders its views beforehand and plays them in its place")?;
     Ok((name.clone(), node.clone()))
 }
 
@@ -57,15 +57,16 @@ fn render(folder: &Path, phantom: &Value) -> Result<()> {
     nodes.insert("scope".to_owned(), phantom);
     for side in ["left", "right"] {
         let path = folder.join(format!("{side}_{{seq:4}}.png"));
-        let text = format!("type = \"write_images\"\ninputs = {{ image = \"scope.{side}\" }}\nparams = {{ path = {path:?} }}");
+        let text =
+            format!("type = \"write_images\"\ninputs = {{ image = \"scope.{side}\" }}\nparams = {{ path = {path:?} }}");
         nodes.insert(side.to_owned(), Value::Table(text.parse()?));
     }
     let mut graph: Table = "mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]".parse()?;
     graph.insert("nodes".to_owned(), Value::Table(nodes));
     let seen = run(&toml::to_string(&graph)?, Path::new("bench.toml"), PAIRS, false, &[("scope", "calibration")])?;
     let packet = seen.packets.into_iter().next().flatten().context("the phantom gave no calibration")?;
-    let calibration =
-        crate::commands::calibrate::report::calibration(packet.bytes()).context("the phantom's calibration is cut off")?;
+    let calibration = crate::commands::calibrate::report::calibration(packet.bytes())
+        .context("the phantom's calibration is cut off")?;
     panoscope_calibration::write(&folder.join("calibration.yaml"), &calibration)?;
     Ok(())
 }
@@ -84,6 +85,18 @@ fn played(graph: &Table, folder: &Path, name: &str, rate_hz: f64) -> Result<Stri
     }
     let nodes = nodes(&mut graph)?;
     nodes.insert(name.to_owned(), Value::Table(capture.parse()?));
+    // Cameras know no truth: what lists take from the phantom besides its views is left out.
+    let truth = |entry: &Value| {
+        let from = entry.as_str().or_else(|| entry.get("from").and_then(Value::as_str)).unwrap_or("");
+        from.split_once('.')
+            .is_some_and(|(node, port)| node == name && !matches!(port, "left" | "right" | "calibration"))
+    };
+    for inputs in nodes.iter_mut().filter_map(|(_, node)| node.get_mut("inputs").and_then(Value::as_table_mut)) {
+        inputs.retain(|_, input| !truth(input));
+        for list in inputs.iter_mut().filter_map(|(_, input)| input.as_array_mut()) {
+            list.retain(|entry| !truth(entry));
+        }
+    }
     for (id, node) in nodes.iter_mut().filter(|(_, node)| kind(node).starts_with("write_")) {
         let path = node.get("params").and_then(|p| p.get("path")).and_then(Value::as_str).unwrap_or("out");
         let file = Path::new(path).file_name().map_or_else(|| id.clone(), |f| f.to_string_lossy().into_owned());
@@ -98,7 +111,9 @@ fn played(graph: &Table, folder: &Path, name: &str, rate_hz: f64) -> Result<Stri
 }
 
 fn show(report: &Report) {
-    let mut rows = vec![["node", "calls", "per picture", "p50 ms", "p99 ms", "ms of work per picture"].map(str::to_owned).to_vec()];
+    let mut rows = vec![
+        ["node", "calls", "per picture", "p50 ms", "p99 ms", "ms of work per picture"].map(str::to_owned).to_vec(),
+    ];
     let pictures = report.frames.max(1) as f64;
     let mut nodes: Vec<_> = report.nodes.iter().collect();
     let work = |n: &panoscope_runtime::NodeReport| n.p50_ms * n.count as f64 / pictures;
