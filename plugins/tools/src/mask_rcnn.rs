@@ -284,7 +284,7 @@ impl Node for MaskRcnn {
             };
             Ok((family, 0))
         })??;
-        network.name_classes(open, &params.labels, classes)?;
+        network.name_classes(&params.labels, classes)?;
         Ok(Self {
             path: network.model.path().to_owned(),
             network,

@@ -111,16 +111,17 @@ pub(crate) struct Network {
 impl Network {
     pub fn open(open: &Open<'_>, model: &std::path::Path, threads: usize, size: (usize, usize)) -> Result<Self> {
         let threads = if threads == 0 { open.pool().threads() } else { threads };
-        let model = Model::open(&open.graph_dir().join(model), threads, size)?;
+        // Paths come resolved against the graph file's folder.
+        let model = Model::open(model, threads, size)?;
         Ok(Self { model, letterbox: Letterbox::default(), labels: String::new() })
     }
 
     /// Fills the label table: the file's names, else the model's, else numbers.
-    pub fn name_classes(&mut self, open: &Open<'_>, file: &std::path::Path, classes: usize) -> Result<()> {
+    pub fn name_classes(&mut self, file: &std::path::Path, classes: usize) -> Result<()> {
         let mut names = if file.as_os_str().is_empty() {
             self.model.metadata("names").and_then(labels::from_metadata).unwrap_or_default()
         } else {
-            labels::from_file(&open.graph_dir().join(file)).map_err(|e| error!("{e}"))?
+            labels::from_file(file).map_err(|e| error!("{e}"))?
         };
         if classes > 0 && !names.is_empty() && names.len() != classes {
             return Err(error!(
@@ -188,7 +189,7 @@ impl Node for Yolo {
             Ok::<_, String>((kind, kind.classes(outputs)))
         })?;
         let (kind, classes) = answer.map_err(|e| error!("{e}"))?;
-        network.name_classes(open, &params.labels, classes)?;
+        network.name_classes(&params.labels, classes)?;
         Ok(Self { network, kind, candidates: Vec::new(), items: Vec::new(), tracker: Tracker::default() })
     }
 
