@@ -111,6 +111,7 @@ pub(crate) struct Network {
 impl Network {
     pub fn open(open: &Open<'_>, model: &std::path::Path, threads: usize, size: (usize, usize)) -> Result<Self> {
         let threads = if threads == 0 { open.pool().threads() } else { threads };
+        // Paths come resolved against the graph file's folder.
         let model = Model::open(model, threads, size)?;
         Ok(Self { model, letterbox: Letterbox::default(), labels: String::new() })
     }
