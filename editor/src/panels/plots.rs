@@ -231,8 +231,8 @@ mod tests {
             let look = Look { seq, capture_ms: seq as f64 * 100.0, content, ..Look::default() };
             shown.update(&Context::default(), HashMap::from([(output.clone(), look)]));
             // Looked at twice it counts once.
-            plots.follow(&shown, &[output.clone()]);
-            plots.follow(&shown, &[output.clone()]);
+            plots.follow(&shown, std::slice::from_ref(&output));
+            plots.follow(&shown, std::slice::from_ref(&output));
         }
         let curves = plots.curves(&Counters::default(), &[]);
         assert_eq!(curves, [("pid.errors x mm".to_owned(), vec![[-0.2, 0.0], [-0.1, 1.0], [0.0, 2.0]])]);

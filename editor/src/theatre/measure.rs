@@ -159,7 +159,7 @@ mod tests {
         assert_eq!((measure.distance_mm(), measure.hint()), (None, "Tap the second point"));
         measure.tap(15.5 / 30.0, 5.5 / 20.0);
         assert_eq!(measure.distance_mm(), Some(10.0));
-        assert!(measure.pixels().is_some_and(|p| p.rgba.iter().any(|v| *v == 0xE9)), "the line is drawn");
+        assert!(measure.pixels().is_some_and(|p| p.rgba.contains(&0xE9)), "the line is drawn");
         measure.tap(0.1, 0.1);
         assert_eq!(measure.points().len(), 1);
     }
