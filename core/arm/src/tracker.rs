@@ -47,6 +47,9 @@ pub enum Known {
     Lost,
 }
 
+/// Farthest that a tip may be from where it is thought to be, mm: the gate alone grows with the time that it is unseen, until everything fits.
+const JUMP_MM: f64 = 6.0;
+
 /// Follows one tip.
 #[derive(Debug, Default)]
 pub struct Tracker {
@@ -55,6 +58,8 @@ pub struct Tracker {
     leader: Option<i64>,
     last_ns: Option<i64>,
     seen_ns: i64,
+    /// Where the leading tip was seen last, in the room, mm.
+    seen_mm: Option<Vector3<f64>>,
     /// Since when only others are seen.
     others_ns: Option<i64>,
 }
@@ -113,22 +118,28 @@ impl Tracker {
         let same_tool = !numbered || self.leader == Some(report.track_id);
         // A tool known by its number to be another one is not let in, however near it is.
         if same_tool && self.filter.as_mut().is_some_and(|filter| filter.update(&rules.model, &at, &covariance)) {
-            (self.leader, self.seen_ns, self.others_ns) = (Some(report.track_id), capture_ns, None);
+            self.lead(&report, at, capture_ns);
             return Known::Seen(index);
         }
         let waited_s = passed_s(*self.others_ns.get_or_insert(capture_ns));
         // A tool known by its number may jump once its gap is over; another one has to be alone for longer, also after the first is lost.
         let due_s = match (same_tool, self.filter.is_some()) {
-            (true, false) => 0.0,
+            // Lost: back where it was seen last, or known by its number, it leads at once.
+            (true, false) if numbered || self.seen_mm.is_none_or(|seen| (at - seen).norm() <= JUMP_MM) => 0.0,
             (true, true) if numbered => rules.max_gap_s.min(rules.switch_s),
             _ => rules.switch_s,
         };
         if waited_s >= due_s {
             self.filter = Kalman::begin(&at, &covariance);
-            (self.leader, self.seen_ns, self.others_ns) = (Some(report.track_id), capture_ns, None);
+            self.lead(&report, at, capture_ns);
             return if self.filter.is_some() { Known::Seen(index) } else { Known::Lost };
         }
         self.unseen(passed_s(self.seen_ns), rules)
+    }
+
+    fn lead(&mut self, report: &Report, at_mm: Vector3<f64>, capture_ns: i64) {
+        (self.leader, self.seen_ns, self.others_ns) = (Some(report.track_id), capture_ns, None);
+        self.seen_mm = Some(at_mm);
     }
 
     fn unseen(&mut self, gap_s: f64, rules: &Rules) -> Known {

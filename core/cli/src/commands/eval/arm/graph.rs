@@ -28,7 +28,7 @@ fn text(name: &str, seed: u64, size: (u32, u32)) -> String {
     };
     let (tools, tip, from) = match name {
         "masks" => (1, finder("found", ""), "\"found.tip\""),
-        "cross" => (2, finder("one", "grasper") + &finder("two", "hook"), "\"one.tip\", \"two.tip\""),
+        "cross" => (2, finder("one", "hook") + &finder("two", "grasper"), "\"one.tip\", \"two.tip\""),
         _ => (1, String::new(), "\"scope.tip\""),
     };
     let (width, height) = size;
@@ -40,7 +40,7 @@ plugins = ["phantom", "tools", "arm"]
 [nodes.scope]
 type = "phantom"
 inputs = {{ camera_pose = {{ from = "arm.camera_pose", delay = 1 }} }}
-params = {{ seed = {seed}, distance_mm = 85.0, width = {width}, height = {height}, tools = {tools}, tool_kinds = "grasper, hook", tool_motion = "{motion}" }}
+params = {{ seed = {seed}, distance_mm = 85.0, width = {width}, height = {height}, tools = {tools}, tool_kinds = "hook, grasper", tool_motion = "{motion}" }}
 
 {tip}
 [nodes.track]
