@@ -58,7 +58,8 @@ fn narrow_joints_hold_too() {
 
 #[test]
 fn every_stop_has_its_cause_and_ends_at_rest() {
-    let cases: [(Cause, fn(&mut Interlock, i64)); 6] = [
+    type Breach = fn(&mut Interlock, i64);
+    let cases: [(Cause, Breach); 6] = [
         (Cause::OldTip, |lock, ms| lock.demand(ms * MS, &roll())),
         (Cause::DoubtfulTip, |lock, ms| {
             lock.tip(ms * MS, Evidence { score: 0.1, in_space: true });
