@@ -80,7 +80,7 @@ impl Kalman {
 
     /// Lets time pass; time that does not pass, or is no number, changes nothing.
     pub fn predict(&mut self, model: &Model, dt_s: f64) {
-        if !(dt_s > 0.0) {
+        if dt_s.is_nan() || dt_s <= 0.0 {
             return;
         }
         let dt = dt_s.min(LONGEST_S);
@@ -104,8 +104,7 @@ impl Kalman {
         let seen: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(0, 0) + covariance_mm2;
         let Some(inverse) = seen.try_inverse() else { return false };
         let distance = surprise.dot(&(inverse * surprise));
-        // Written so that what is no number stays out.
-        if !(distance <= model.gate) {
+        if distance.is_nan() || distance > model.gate {
             return false;
         }
         let gain: SMatrix<f64, 6, 3> = self.covariance.fixed_view::<6, 3>(0, 0) * inverse;

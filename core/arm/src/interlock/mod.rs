@@ -355,7 +355,7 @@ impl Interlock {
         if !self.is_safe(&escape) {
             return false;
         }
-        points.iter().take(steps as usize).for_each(|point| each(point));
+        points.iter().take(steps as usize).for_each(each);
         self.state = at;
         self.escape = escape;
         true
