@@ -104,7 +104,6 @@ impl Kalman {
         let seen: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(0, 0) + covariance_mm2;
         let Some(inverse) = seen.try_inverse() else { return false };
         let distance = surprise.dot(&(inverse * surprise));
-        // Written so that what is no number stays out.
         if distance.is_nan() || distance > model.gate {
             return false;
         }

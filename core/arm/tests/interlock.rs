@@ -8,6 +8,9 @@ use panoscope_arm_core::{Chain, JointVector};
 const SEEN: Evidence = Evidence { score: 0.9, in_space: true };
 const MS: i64 = 1_000_000;
 
+/// What one tick tells the interlock.
+type Tick = fn(&mut Interlock, i64);
+
 fn lock() -> Interlock {
     Interlock::new(Chain::shipped().expect("the shipped arm"), JointVector::zeros(), 0)
 }
@@ -58,8 +61,7 @@ fn narrow_joints_hold_too() {
 
 #[test]
 fn every_stop_has_its_cause_and_ends_at_rest() {
-    type Breach = fn(&mut Interlock, i64);
-    let cases: [(Cause, Breach); 6] = [
+    let cases: [(Cause, Tick); 6] = [
         (Cause::OldTip, |lock, ms| lock.demand(ms * MS, &roll())),
         (Cause::DoubtfulTip, |lock, ms| {
             lock.tip(ms * MS, Evidence { score: 0.1, in_space: true });
