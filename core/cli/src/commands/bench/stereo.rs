@@ -16,6 +16,7 @@ use crate::terminal::{raw, table, tell};
 
 /// Arguments of `bench stereo`.
 #[derive(clap::Args)]
+#[group(skip)]
 pub struct Arguments {
     #[command(flatten)]
     pub common: super::Arguments,

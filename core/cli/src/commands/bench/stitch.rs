@@ -17,6 +17,7 @@ use crate::terminal::{raw, table, tell};
 
 /// Arguments of `bench stitch`.
 #[derive(clap::Args)]
+#[group(skip)]
 pub struct Arguments {
     #[command(flatten)]
     pub common: super::Arguments,
