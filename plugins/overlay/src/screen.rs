@@ -13,7 +13,7 @@ pub struct In<'f> {
     /// The large picture: bgr8, gray8 or rgba8.
     pub main: AnyImage<'f>,
     /// Smaller pictures, one under the other.
-    pub side: List<'f, AnyImage<'f>>,
+    pub side: Option<List<'f, AnyImage<'f>>>,
 }
 
 /// Outputs.
@@ -106,7 +106,7 @@ impl Node for Screen {
     }
 
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
-        let count = input.side.len();
+        let count = input.side.as_ref().map_or(0, List::len);
         let mut screen = out.image.alloc(params.width, params.height)?;
         (0..params.height).for_each(|y| screen.row_mut(y).fill(BACKGROUND));
         let mut titles = params.titles.split(';').map(str::trim);
@@ -120,7 +120,7 @@ impl Node for Screen {
         let cell = params.main_cell(count);
         show(&mut screen, &input.main, cell, format_args!("`main`"))?;
         title(&mut screen, cell);
-        for (index, picture) in input.side.iter().enumerate() {
+        for (index, picture) in input.side.iter().flat_map(List::iter).enumerate() {
             let cell = params.side_cell(index, count);
             if let Some(picture) = picture {
                 show(&mut screen, &picture, cell, format_args!("picture {index} of `side`"))?;
