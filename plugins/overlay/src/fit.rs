@@ -49,18 +49,35 @@ pub fn place(out: &mut ViewMut<'_, u8>, picture: &View<'_, u8>, x: usize, y: usi
             target.copy_from_slice(&picture.row(top)[..target.len()]);
             continue;
         }
-        for (column, pixel) in target.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-            let (left, stop) = span(column, width, picture.width);
+        // Where a column's pixels begin, without a division for each: quotient and remainder step on together.
+        let (whole, rest) = (picture.width / width, picture.width % width);
+        let (mut left, mut over) = (0, 0);
+        for pixel in target.as_chunks_mut::<3>().0 {
+            let (mut next, mut next_over) = (left + whole, over + rest);
+            if next_over >= width {
+                (next, next_over) = (next + 1, next_over - width);
+            }
+            let stop = next.max(left + 1);
             let count = ((end - top) * (stop - left)) as u32;
-            let mut sum = [0_u32; 3];
-            for source_row in top..end {
-                for source in picture.row(source_row)[left * channels..stop * channels].chunks_exact(channels) {
-                    for (s, o) in sum.iter_mut().zip(order) {
-                        *s += u32::from(source[o]);
+            if count == 1 {
+                let source = &picture.row(top)[left * channels..stop * channels];
+                *pixel = order.map(|o| source[o]);
+            } else {
+                let mut sum = [0_u32; 3];
+                for source_row in top..end {
+                    for source in picture.row(source_row)[left * channels..stop * channels].chunks_exact(channels) {
+                        for (s, o) in sum.iter_mut().zip(order) {
+                            *s += u32::from(source[o]);
+                        }
                     }
                 }
+                *pixel = match count {
+                    2 => sum.map(|s| ((s + 1) >> 1) as u8),
+                    4 => sum.map(|s| ((s + 2) >> 2) as u8),
+                    _ => sum.map(|s| ((s + count / 2) / count) as u8),
+                };
             }
-            *pixel = sum.map(|s| ((s + count / 2) / count) as u8);
+            (left, over) = (next, next_over);
         }
     }
 }
