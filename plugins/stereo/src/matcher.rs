@@ -142,17 +142,30 @@ impl Matcher {
         cx.metric("offset_px", f64::from(offset_px));
         prepare(engine, offset_px)?;
         let disparity = out.disparity.alloc(width, height)?;
+        // A region was chosen by who knows what the views share; the whole frame is cut down to that by the right view's map.
+        let chosen = (roi.width, roi.height) != (width, height);
         let other = if out.disparity_right.is_read() {
-            out.disparity_right.alloc(width, height)?
+            Some(out.disparity_right.alloc(width, height)?)
+        } else if chosen {
+            None
         } else {
             self.right.resize(width * height, f32::NAN);
-            ViewMut::new(&mut self.right, width, height, 1)
+            Some(ViewMut::new(&mut self.right, width, height, 1))
         };
         let map = ViewMut { data: &mut *disparity.data, ..disparity };
-        let map_right = ViewMut { data: &mut *other.data, ..other };
-        engine.compute([left, right], roi, cx.pool(), map, Some(map_right))?;
-        let mut map = ViewMut { data: &mut *disparity.data, ..disparity };
-        self.field.keep(&mut map, other.as_view(), roi);
+        let mut map = match other {
+            Some(other) => {
+                let map_right = ViewMut { data: &mut *other.data, ..other };
+                engine.compute([left, right], roi, cx.pool(), map, Some(map_right))?;
+                let mut map = ViewMut { data: &mut *disparity.data, ..disparity };
+                self.field.keep(&mut map, other.as_view(), roi);
+                map
+            }
+            None => {
+                engine.compute([left, right], roi, cx.pool(), map, None)?;
+                ViewMut { data: &mut *disparity.data, ..disparity }
+            }
+        };
         self.speckles.remove(&mut map, roi, search.speckle_area_px, SPECKLE_STEP_PX);
         if call.is_multiple_of(ROWS_CALLS) {
             self.watch.rows(cx, [left, right], disparity.as_view(), search.drift_px);
