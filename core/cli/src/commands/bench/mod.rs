@@ -2,6 +2,7 @@
 
 mod editor;
 mod fit;
+mod folder;
 mod graph;
 mod gstreamer;
 mod hop;

@@ -7,9 +7,10 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use panoscope_runtime::Report;
 
+use super::folder::Folder;
 use super::record::Figure;
 use crate::commands::eval::look::{self, Plan};
 use crate::commands::eval::stitch;
@@ -158,26 +159,8 @@ impl Times {
     }
 }
 
-/// A folder of pictures that is removed at the end.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new() -> Result<Self> {
-        let path = std::env::temp_dir().join(format!("panoscope-bench-{}", std::process::id()));
-        std::fs::create_dir_all(&path).with_context(|| format!("cannot make {}", path.display()))?;
-        Ok(Self(path))
-    }
-
-    fn pattern(&self, width: u32, side: &str) -> PathBuf {
-        self.0.join(format!("{side}{width}_*.png"))
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        // What stays behind is in the system's folder for temporary files.
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
+fn pattern(folder: &Folder, width: u32, side: &str) -> PathBuf {
+    folder.0.join(format!("{side}{width}_*.png"))
 }
 
 fn render(folder: &Folder, (width, height): (u32, u32)) -> Result<()> {
@@ -214,8 +197,8 @@ fn once(folder: &Folder, width: u32, way: Way, seam: Seam, threads: usize, quick
         "mode = \"{mode}\"\nplugins = [\"capture\", \"phantom\", \"stereo\", \"stitch\", \"opencv\", \"flow\"]\n\
          [nodes.files]\ntype = \"capture\"\nparams = {{ left = {:?}, right = {:?}, loop = true, rate_hz = {rate:?}, pace = \"{pace}\" }}\n\
          {}[nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"wide.panorama\" }}\n",
-        folder.pattern(width, "left"),
-        folder.pattern(width, "right"),
+        pattern(folder, width, "left"),
+        pattern(folder, width, "right"),
         way.nodes(width, threads, seam)
     );
     Ok(Times::of(&run(&text, way.frames(width, quick), pool, paced)?))
@@ -326,7 +309,7 @@ fn measured(folder: &Folder, size: (u32, u32), threads: usize, quick: bool) -> R
 pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
     crate::interrupt::listen();
     let quick = arguments.common.quick;
-    let folder = Folder::new()?;
+    let folder = Folder::new("panoscope-bench")?;
     let wanted = |(width, height): (u32, u32)| match &arguments.size[..] {
         [] => !quick || width == 640,
         sizes => sizes.iter().any(|size| *size == format!("{width}x{height}")),

@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use panoscope_runtime::Report;
 use toml::{Table, Value};
 
+use super::folder::Folder;
 use super::record::Figure;
 use crate::commands::eval::look::{self, Plan};
 use crate::terminal::{raw, table, tell};
@@ -15,16 +16,6 @@ use crate::terminal::{raw, table, tell};
 const PAIRS: u64 = 120;
 /// Type of the source that is rendered beforehand.
 const SOURCE: &str = "phantom";
-
-/// A folder that is removed at the end.
-struct Folder(PathBuf);
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        // What stays behind is in the system's folder for temporary files.
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
-}
 
 fn run(text: &str, path: &Path, frames: u64, paced: bool, ports: &[(&str, &str)]) -> Result<look::Seen> {
     look::run(&Plan { text, path, frames: Some(frames), threads: 0, ports, paced })
@@ -148,8 +139,7 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     let mut graph: Table = text.parse().with_context(|| format!("{} is no graph", path.display()))?;
     let (name, phantom) = source(&mut graph)?;
-    let folder = Folder(std::env::temp_dir().join(format!("panoscope-bench-system-{}", std::process::id())));
-    std::fs::create_dir_all(&folder.0).with_context(|| format!("cannot make {}", folder.0.display()))?;
+    let folder = Folder::new("panoscope-bench-system")?;
     tell!("rendering {PAIRS} pairs");
     render(&folder.0, &phantom)?;
     let [unheld, held] = ["off", "on"].map(|pace| played(&graph, &folder.0, &name, pace));
