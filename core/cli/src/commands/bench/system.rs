@@ -124,6 +124,7 @@ fn show(report: &Report) {
 
 /// Arguments of this bench.
 #[derive(clap::Args)]
+#[group(skip)]
 pub struct Arguments {
     #[command(flatten)]
     pub common: super::Arguments,
