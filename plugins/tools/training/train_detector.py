@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Trains the instrument detector (YOLOX-nano) on frames with boxes and writes checkpoints from which it goes on.
 
-    python3 train_detector.py --data FOLDER --start yolox_nano.onnx --out run [--without v02,v08]
+    python3 train_detector.py --data FOLDER --start yolox_nano.onnx --out run [--without v02,v08] [--also frames]
 
-FOLDER holds VOC (ImageSets, Annotations, JPEGImages), COCO (train.json) or YOLO (images/train, labels/train) data. Seeds are fixed:
+--also adds frames of another kind, as those of make_phantom_frames.py, to a fixed share of the samples. FOLDER holds VOC (ImageSets, Annotations, JPEGImages), COCO (train.json) or YOLO (images/train, labels/train) data. Seeds are fixed:
 the same data, arguments and PyTorch give the same weights. Needs PyTorch, NumPy, OpenCV and, for --start, onnx.
 """
 
@@ -31,6 +31,8 @@ def arguments():
     p.add_argument("--data", required=True, type=Path)
     p.add_argument("--split", default="trainval", help="which split to learn from")
     p.add_argument("--test-split", default="test")
+    p.add_argument("--also", type=Path, help="more frames to learn from (split `train`), as those of make_phantom_frames.py")
+    p.add_argument("--also-share", type=float, default=0.12, help="share of the samples that come from --also")
     p.add_argument("--without", default="", help="operations kept out of training and tested on instead: v02,v08")
     p.add_argument("--start", type=Path, help="weights to start from: a YOLOX-nano ONNX file or a checkpoint of this script")
     p.add_argument("--out", required=True, type=Path)
@@ -97,7 +99,8 @@ def main():
         optimiser.load_state_dict(state["optimiser"])
         epoch, step = state["epoch"], state["step"]
         print(f"goes on after epoch {epoch}", flush=True)
-    samples = Augmented(train, a.width, a.height, a.seed)
+    more = [f.load(a.width * 5 // 4) for f in read(a.also, "train")] if a.also else []
+    samples = Augmented(train + more, a.width, a.height, a.seed, guests=len(more), guests_share=a.also_share)
     per_epoch = len(train) // a.batch
     total = a.epochs * per_epoch
     while epoch < a.epochs:

@@ -182,10 +182,21 @@ def paste(picture, boxes, donor, donor_box, rng, recolour=None):
     return boxes
 
 
-class Augmented:
-    """Endless, seeded samples: width x height BGR pictures with boxes as class, cx, cy, w, h."""
+def shared_out(weights, guest, share):
+    """Weights that sum to 1, of which those of guests sum to `share`."""
+    weights = np.asarray(weights, float)
+    if guest.any():
+        weights[guest] *= share / weights[guest].sum()
+        weights[~guest] *= (1 - share) / weights[~guest].sum()
+    return weights / weights.sum()
 
-    def __init__(self, frames, width, height, seed, mosaic=0.4, pasting=0.35, balance=0.5):
+
+class Augmented:
+    """Endless, seeded samples: width x height BGR pictures with boxes as class, cx, cy, w, h.
+
+    The last `guests` of the frames are of another kind (rendered ones); together they make `guests_share` of the samples and of the pasted tools."""
+
+    def __init__(self, frames, width, height, seed, mosaic=0.4, pasting=0.35, balance=0.5, guests=0, guests_share=0.0):
         self.frames, self.width, self.height, self.seed = frames, width, height, seed
         self.mosaic, self.pasting = mosaic, pasting
         self.statistics = [lab_statistics(f.picture) for f in frames]
@@ -198,15 +209,17 @@ class Augmented:
             kinds = f.boxes[:, 0].astype(int)
             rare = max((1.0 / per_class[k] for k in kinds), default=1.0 / per_class.max())
             weights.append((rare**balance) * (1.0 / per_group[groups[f.group]]) ** (balance / 2))
-        self.weights = np.array(weights) / np.sum(weights)
+        hosts = len(frames) - guests
+        self.weights = shared_out(np.array(weights), np.arange(len(frames)) >= hosts, guests_share)
         tools = [(i, j) for i, f in enumerate(frames) for j in range(len(f.boxes))]
         rare = np.array([1.0 / per_class[int(frames[i].boxes[j, 0])] for i, j in tools]) ** 0.7
-        self.tools, self.tool_weights = tools, rare / rare.sum()
+        self.tools = tools
+        self.tool_weights = shared_out(rare, np.array([i >= hosts for i, _ in tools]), guests_share)
 
     def _one(self, rng):
         i = int(rng.choice(len(self.frames), p=self.weights))
         f = self.frames[i]
-        other = self.statistics[int(rng.integers(len(self.frames)))]
+        other = self.statistics[int(rng.choice(len(self.frames), p=self.weights))]
         picture, boxes = f.picture.copy(), f.boxes
         while rng.random() < self.pasting:
             d, b = self.tools[int(rng.choice(len(self.tools), p=self.tool_weights))]

@@ -3,6 +3,8 @@
 //! Whoever runs a node holds its `running` mark and its exec. The plan is read anew for every node that is started: a node
 //! only starts when its region has admitted a tick, and a region with a tick inside is never changed.
 
+mod take;
+
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex, Weak};
@@ -15,14 +17,12 @@ use crate::clock;
 use crate::convert;
 use crate::exec::{Exec, Walk, clear, prefetch};
 use crate::fault::{Action, Cause};
-use crate::join::{Join, Take};
 use crate::log::Level;
 use crate::memory::FrameRef;
 use crate::outputs::{format_name, format_names};
 use crate::plan::{Link, Plan, Reader};
 use crate::pool::Pool;
-use crate::record::format::Event;
-use crate::region::{Freed, Region};
+use crate::region::Freed;
 use crate::stats::bump;
 use crate::threads::OwnThread;
 
@@ -370,85 +370,6 @@ impl Shared {
             self.wake(cell);
         } else {
             self.poke(plan, head, ready);
-        }
-    }
-
-    fn gate<'p>(&self, plan: &'p Plan, node: usize, join: &Join) -> Option<&'p Region> {
-        plan.regions.get(plan.wiring[node].region).filter(|_| join.heads_region()).map(|r| &**r)
-    }
-
-    /// Tries to take the next tick of a node that nobody runs, and of one that was just run.
-    fn decide(&self, plan: &Plan, node: usize, join: &mut Join) -> Next {
-        let take = if self.around.recorder.is_none() && self.around.script.is_none() {
-            join.try_take(self.gate(plan, node, join), clock::now_ns())
-        } else {
-            self.take_by_script(plan, node, join)
-        };
-        if take == Take::Wait && join.nearest_deadline_ns != 0 {
-            self.waiting_nearest.store(1, Ordering::Relaxed);
-        }
-        join.running = matches!(take, Take::Fire { .. });
-        match take {
-            Take::Fire { .. } => Next::Run,
-            Take::Wait => Next::Idle,
-            Take::Finished if std::mem::replace(&mut join.finished, true) => Next::Idle,
-            Take::Finished => Next::Finish,
-        }
-    }
-
-    /// Like [`Join::try_take`], written down or looked up where it depends on time.
-    #[cold]
-    fn take_by_script(&self, plan: &Plan, node: usize, join: &mut Join) -> Take {
-        let (cell, region) = (&plan.cells[node], self.gate(plan, node, join));
-        let script = self.around.script.as_ref().filter(|s| s.leads_nodes() && join.is_timed());
-        let take = match script {
-            Some(script) => {
-                let may_enter = region.is_none() || script.may_enter(&cell.id);
-                let take = join.take_wanted(region, script.took(&cell.id), may_enter);
-                if matches!(take, Take::Fire { .. }) && region.is_some() {
-                    script.entered(&cell.id);
-                }
-                take
-            }
-            None => join.try_take(region, clock::now_ns()),
-        };
-        if let (Take::Fire { tick, .. }, Some(recorder), true) = (take, &self.around.recorder, join.is_timed()) {
-            if region.is_some() {
-                recorder.admitted(&cell.id);
-            }
-            let (Tick { source, seq, capture_ns, .. }, inputs) = (tick, join.staged_ticks());
-            recorder.say(Event::Took { node: cell.id.clone(), source, seq, capture_ns, inputs });
-        }
-        take
-    }
-
-    /// The runner of a node asks for its next tick; `true` when it is staged.
-    pub fn take_next(&self, plan: &Plan, node: usize, ready: &mut Ready) -> bool {
-        let next = self.decide(plan, node, &mut lock(&plan.cells[node].join));
-        if next == Next::Finish {
-            self.finish(node, ready);
-        }
-        next == Next::Run
-    }
-
-    /// Tries to fire a node that nobody runs.
-    pub fn poke(&self, plan: &Plan, node: usize, ready: &mut Ready) {
-        let mut join = lock(&plan.cells[node].join);
-        if join.running || join.finished {
-            return;
-        }
-        let next = self.decide(plan, node, &mut join);
-        drop(join);
-        self.go_on(plan, node, next, ready);
-    }
-
-    fn go_on(&self, plan: &Plan, node: usize, next: Next, ready: &mut Ready) {
-        match next {
-            // Whoever sleeps is woken at once: that takes longer than what is left to do here.
-            Next::Run if plan.cells[node].owns_thread() => self.dispatch(plan, node),
-            Next::Run => ready.push(self, plan, node),
-            Next::Idle => {}
-            Next::Finish => self.finish(node, ready),
         }
     }
 

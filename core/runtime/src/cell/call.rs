@@ -1,0 +1,333 @@
+//! One call of a node: what it is given, what is taken from it, what is remembered of it.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use panoscope_abi::{self as abi, PortRange, Tick};
+
+use super::{
+    Cell, MOST_KEPT_FRAMES, ONE_INPUT, Ports, REMEMBERED_SIZES, Ran, Refused, Resized, SILENT_CALLS, Surroundings, lock,
+};
+use crate::clock;
+use crate::exec::{Exec, Instance, Made, clear};
+use crate::fault::{Action, Cause};
+use crate::host::CallContext;
+use crate::keep::kept_more;
+use crate::log::Level;
+use crate::outputs::is_same;
+use crate::params::Snapshot;
+use crate::record::format::Event;
+use crate::stats::bump;
+
+impl Cell {
+    /// Calls the node for one tick; answers how it went and the time at its end. The inputs are the caller's to give back.
+    pub fn run(
+        &self,
+        exec: &mut Exec,
+        around: &Surroundings,
+        tick: &mut Tick,
+        complete: bool,
+        start_ns: u64,
+        ports: &mut Ports<'_>,
+    ) -> (Ran, u64) {
+        let led = around.script.as_ref().and_then(|s| s.lead(self, exec, around, tick));
+        if self.news.load(Ordering::Acquire) != exec.news {
+            self.catch_up(exec, around, tick, led.is_some());
+        }
+        ports.made.set_len(exec.outputs_len as usize);
+        if !complete {
+            bump(&self.stats.skipped);
+            return (Ran::Skipped, start_ns);
+        }
+        if !led.unwrap_or_else(|| self.may_run(exec, around, tick)) {
+            self.left_out(around, tick, false);
+            return (Ran::Skipped, start_ns);
+        }
+        let allocations = around.thread_allocations.map(|count| count());
+        self.busy.begin(tick, start_ns);
+        let (status, refused) = self.call(exec, around, tick, ports);
+        if !self.busy.end(start_ns) {
+            return (Ran::Abandoned, start_ns);
+        }
+        let end_ns = clock::now_ns();
+        if let Some((count, before)) = around.thread_allocations.zip(allocations) {
+            let more = count().wrapping_sub(before);
+            if more != 0 {
+                self.stats.allocations.fetch_add(more, Ordering::Relaxed);
+            }
+        }
+        let spent_ns = end_ns.saturating_sub(start_ns);
+        exec.time.count_one(spent_ns);
+        if spent_ns > exec.longest_ns {
+            exec.longest_ns = spent_ns;
+            exec.time.raise(spent_ns);
+        }
+        if exec.limited && exec.budget_ns != 0 && spent_ns > exec.budget_ns {
+            self.over_budget(around, tick, spent_ns, exec.budget_ns);
+        }
+        let ran = if status == abi::STATUS_OK {
+            self.accept(exec, around, tick, refused, end_ns, ports.made)
+        } else {
+            ports.made.clear();
+            if status == abi::STATUS_END && exec.source {
+                Ran::End
+            } else {
+                self.failed(exec, around, status, refused, tick, end_ns)
+            }
+        };
+        if ran != Ran::Ok && ran != Ran::End {
+            self.left_out(around, tick, !exec.instance.is_open());
+        }
+        (ran, end_ns)
+    }
+
+    /// Writes an event of this node into the recording, if there is one.
+    #[inline]
+    pub fn write_down(&self, around: &Surroundings, event: impl FnOnce(String) -> Event) {
+        if let Some(recorder) = &around.recorder {
+            recorder.say(event(self.id.clone()));
+        }
+    }
+
+    #[cold]
+    fn over_budget(&self, around: &Surroundings, tick: &Tick, spent_ns: u64, budget_ns: u64) {
+        bump(&self.stats.over_budget);
+        let words = || format!("took {:.1} ms of {:.1} ms", spent_ns as f64 / 1e6, budget_ns as f64 / 1e6);
+        self.note(around, Cause::Slow, Action::Note, Some(tick.seq), words);
+    }
+
+    /// Takes over what others changed since the last call. Where a recording leads, it says when a replacement takes its turn.
+    #[cold]
+    fn catch_up(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick, led: bool) {
+        exec.news = self.news.load(Ordering::Acquire);
+        if !led && self.replace.load(Ordering::Relaxed) {
+            self.take_replacement(exec, around, tick);
+        }
+        if let Some(snapshot) = self.values.newer(exec.snapshot()) {
+            let values = || snapshot.owned().to_vec();
+            self.write_down(around, |node| Event::Values {
+                node,
+                source: tick.source,
+                seq: tick.seq,
+                values: values(),
+            });
+            exec.set_snapshot(snapshot);
+        }
+        exec.period_ns = self.period_ns.load(Ordering::Relaxed);
+        exec.budget_ns = self.budget_ns.load(Ordering::Relaxed);
+        exec.limited = exec.period_ns > 0 || exec.budget_ns != 0;
+    }
+
+    /// The node made nothing of a tick although its inputs were there.
+    pub fn left_out(&self, around: &Surroundings, tick: &Tick, closed: bool) {
+        self.write_down(around, |node| Event::LeftOut { node, source: tick.source, seq: tick.seq, closed });
+    }
+
+    /// The node goes on with an instance that was opened with these values.
+    pub fn opened(&self, snapshot: &Snapshot, around: &Surroundings, tick: &Tick) {
+        let values = || snapshot.owned().to_vec();
+        self.write_down(around, |node| Event::Opened { node, source: tick.source, seq: tick.seq, values: values() });
+    }
+
+    #[cold]
+    fn take_replacement(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) {
+        self.replace.store(false, Ordering::Relaxed);
+        let Some((mut instance, snapshot)) = lock(&self.replacement).take() else { return };
+        self.hand_over(exec, &mut instance, around);
+        drop(std::mem::replace(&mut exec.instance, instance));
+        if let Some(snapshot) = snapshot {
+            self.set_snapshot(Arc::clone(&snapshot));
+            exec.set_snapshot(snapshot);
+        }
+        exec.bypassed = false;
+        exec.bad_in_a_row = 0;
+        if around.recorder.is_some() {
+            self.opened(&self.snapshot(), around, tick);
+        }
+    }
+
+    /// Gives the state of the running instance to its successor, where both know how.
+    pub fn hand_over(&self, exec: &mut Exec, successor: &mut Instance, around: &Surroundings) {
+        if let Some(state) = exec.instance.save_state(&around.host)
+            && !successor.load_state(&state)
+        {
+            around.log.say(Level::Warn, &self.id, "the state of its predecessor was not understood: it starts anew");
+        }
+    }
+
+    #[inline]
+    fn may_run(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> bool {
+        let last = exec.last_fired_ns;
+        if exec.limited && exec.period_ns > 0 && last != i64::MIN && tick.capture_ns - last < exec.period_ns {
+            return false;
+        }
+        if exec.bypassed || !(exec.instance.is_open() || (around.batch && self.open_in_batch(exec, around, tick))) {
+            return false;
+        }
+        if !exec.source {
+            exec.last_fired_ns = tick.capture_ns;
+        }
+        true
+    }
+
+    fn call(
+        &self,
+        exec: &mut Exec,
+        around: &Surroundings,
+        tick: &mut Tick,
+        ports: &mut Ports<'_>,
+    ) -> (abi::Status, Option<Refused>) {
+        let Some(process) = exec.process else { return (abi::STATUS_INVALID, None) };
+        let made = &mut *ports.made;
+        match &mut made.shown[..] {
+            [one] => *one = abi::Frame::EMPTY,
+            all => all.fill(abi::Frame::EMPTY),
+        }
+        let (inputs, inputs_len) = (ports.inputs.as_ptr().cast::<abi::Frame>(), ports.inputs.len());
+        let (params, params_len) = exec.params();
+        let ranges: &[PortRange] = if ports.lone { ONE_INPUT } else { &exec.ranges };
+        let mut context = CallContext {
+            outputs: made.outputs.as_mut_ptr(),
+            shown: made.shown.as_mut_ptr(),
+            outputs_len: made.outputs.len(),
+            inputs,
+            inputs_len,
+            lent: None,
+            first_formats: exec.first_formats(),
+            cell: self,
+            log: &around.log,
+            failure: &mut exec.failure,
+            refused: None,
+            random: None,
+            tick: *tick,
+            wait_for_memory: around.unhurried(),
+        };
+        let mut call = abi::Call {
+            struct_size: size_of::<abi::Call>() as u32,
+            flags: if around.batch { abi::CALL_BATCH } else { 0 },
+            host: &raw const around.host,
+            call: (&raw mut context).cast(),
+            tick: *tick,
+            inputs,
+            inputs_len,
+            input_ranges: ranges.as_ptr(),
+            input_ranges_len: ranges.len(),
+            outputs: made.shown.as_mut_ptr(),
+            outputs_len: made.shown.len(),
+            params,
+            params_len,
+            params_version: exec.params_version,
+            outputs_read: self.outputs_read.load(Ordering::Relaxed),
+        };
+        let keeper = exec.instance.kept.enter();
+        // SAFETY: the contract: an open instance that no other thread uses, and a call whose parts outlive it.
+        let status = unsafe { process(exec.instance.raw, &raw mut call) };
+        drop(keeper);
+        let refused = context.refused.take();
+        if let Some(lent) = context.lent {
+            // The output holds the input's reference from here on.
+            ports.inputs[lent.input as usize].forget();
+        }
+        if exec.source {
+            tick.capture_ns = call.tick.capture_ns;
+            for frame in made.outputs.iter_mut().filter(|f| !f.is_empty()) {
+                frame.tick = *tick;
+            }
+        }
+        (status, refused)
+    }
+
+    /// Looks at what a call made that says it went well.
+    #[inline]
+    fn accept(
+        &self,
+        exec: &mut Exec,
+        around: &Surroundings,
+        tick: &Tick,
+        mut refused: Option<Refused>,
+        end_ns: u64,
+        made: &mut Made,
+    ) -> Ran {
+        let mut count = 0;
+        for (index, (frame, shown)) in made.outputs.iter_mut().zip(&made.shown).enumerate() {
+            if frame.is_empty() && shown.is_empty() {
+                continue;
+            }
+            count += 1;
+            let port = exec.port(index);
+            if (port.inspected >> frame.format & 1 == 1 || !is_same(frame, shown))
+                && let Err(objection) = self.rules[index].inspect(frame, shown)
+            {
+                clear(std::slice::from_mut(frame));
+                refused = Some(Box::new(objection));
+            } else if (port.width, port.height) != (frame.width, frame.height) {
+                let (from, to) = ((port.width, port.height), (frame.width, frame.height));
+                (port.width, port.height) = to;
+                if from != (0, 0) {
+                    self.resize(Resized { output: index, tick: *tick, from, to });
+                }
+            }
+        }
+        if let Some(refused) = refused {
+            return self.bad_output(exec, made, around, tick, *refused, end_ns);
+        }
+        let silent = count == 0 && exec.outputs_len != 0;
+        if exec.troubled || silent || kept_more() {
+            return self.accept_troubled(exec, around, tick, silent, end_ns, made);
+        }
+        Ran::Ok
+    }
+
+    /// The rest of [`Self::accept`] for a node of whom something is remembered, or that made nothing or kept a frame.
+    #[cold]
+    fn accept_troubled(
+        &self,
+        exec: &mut Exec,
+        around: &Surroundings,
+        tick: &Tick,
+        silent: bool,
+        end_ns: u64,
+        made: &mut Made,
+    ) -> Ran {
+        exec.bad_in_a_row = 0;
+        if exec.instance.kept.count() > MOST_KEPT_FRAMES {
+            made.clear();
+            exec.failure.clear();
+            exec.failure.push_str("it keeps more frames than any node may: a leak");
+            let leak = Box::new((Cause::Leak, String::new()));
+            return self.failed(exec, around, abi::STATUS_ERROR, Some(leak), tick, end_ns);
+        }
+        if silent {
+            exec.silent_calls = exec.silent_calls.saturating_add(1);
+            let silent = exec.silent_calls;
+            if silent >= SILENT_CALLS
+                && silent.is_multiple_of(SILENT_CALLS)
+                && self.outputs_read.load(Ordering::Relaxed) != 0
+            {
+                let words = || format!("its inputs are complete, but it made nothing for {silent} ticks");
+                self.note(around, Cause::Silent, Action::Note, Some(tick.seq), words);
+            }
+        } else {
+            exec.silent_calls = 0;
+        }
+        if exec.failed_at_ns != 0 {
+            self.stats.recovery.record(end_ns.saturating_sub(exec.failed_at_ns));
+            exec.failed_at_ns = 0;
+        }
+        if exec.failures_in_a_row != 0 {
+            exec.failures_in_a_row = 0;
+            self.failures.store(0, Ordering::Relaxed);
+        }
+        exec.troubled = silent;
+        Ran::Ok
+    }
+
+    #[cold]
+    fn resize(&self, resized: Resized) {
+        let mut newest = lock(&self.resized);
+        if newest.len() >= REMEMBERED_SIZES {
+            newest.pop_front();
+        }
+        newest.push_back(resized);
+    }
+}
