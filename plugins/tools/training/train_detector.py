@@ -3,15 +3,14 @@
 
     python3 train_detector.py --data FOLDER --start yolox_nano.onnx --out run [--without v02,v08] [--also frames]
 
---also adds frames of another kind, as those of make_phantom_frames.py, to a fixed share of the samples. FOLDER holds VOC (ImageSets, Annotations, JPEGImages), COCO (train.json) or YOLO (images/train, labels/train) data. Seeds are fixed:
-the same data, arguments and PyTorch give the same weights. Needs PyTorch, NumPy, OpenCV and, for --start, onnx.
+FOLDER holds VOC (ImageSets, Annotations, JPEGImages), COCO (train.json) or YOLO (images/train, labels/train) data. Frames of --also, as those
+of make_phantom_frames.py, make a fixed share of the samples. Seeds are fixed: the same data, arguments and PyTorch give the same weights.
+Needs PyTorch, NumPy, OpenCV and, for --start, onnx.
 """
 
 import argparse
 import copy
 import math
-import queue
-import threading
 import time
 from pathlib import Path
 
@@ -21,6 +20,7 @@ import torch
 
 from instruments.assign import loss
 from instruments.augment import Augmented
+from instruments.batches import batches, blend, store
 from instruments.data import CLASSES, read
 from instruments.score import average_precision, detect
 from instruments.yolox import Yolox, load_onnx
@@ -46,22 +46,6 @@ def arguments():
     p.add_argument("--threads", type=int, default=2)
     p.add_argument("--test-every", type=int, default=5)
     return p.parse_args()
-
-
-def batches(samples, first, count, batch, plain):
-    """Samples `first ..`, made by a second thread while the first one learns."""
-    ready = queue.Queue(maxsize=4)
-
-    def make():
-        for b in range(count):
-            pairs = [samples.sample(first + b * batch + i, plain) for i in range(batch)]
-            x = torch.from_numpy(np.stack([p for p, _ in pairs])).permute(0, 3, 1, 2).float()  # channels last as it stands
-            ready.put((x, [torch.from_numpy(t) for _, t in pairs]))
-        ready.put(None)
-
-    threading.Thread(target=make, daemon=True).start()
-    while (item := ready.get()) is not None:
-        yield item
 
 
 def main():
@@ -119,19 +103,15 @@ def main():
             step += 1
             sum_loss += float(value)
             keep = min(0.9995, (1 + step) / (20 + step))
-            with torch.no_grad():
-                for held, new in zip(average.state_dict().values(), model.state_dict().values()):
-                    if held.dtype.is_floating_point:
-                        held.lerp_(new, 1 - keep)
-                    else:
-                        held.copy_(new)
+            blend(average, model, keep)
         epoch += 1
         line = f"epoch {epoch:3d}  loss {sum_loss / per_epoch:.3f}  {per_epoch * a.batch / (time.time() - begun):.1f} frames/s"
         if epoch % a.test_every == 0 or epoch == a.epochs:
             ap = average_precision(test, detect(average, test, a.width, a.height), len(CLASSES))
             line += f"  mAP50 {np.nanmean(ap):.4f}  " + " ".join(f"{n}={v:.3f}" for n, v in zip(CLASSES, ap))
         print(line, flush=True)
-        torch.save({"model": model.state_dict(), "average": average.state_dict(), "optimiser": optimiser.state_dict(), "epoch": epoch, "step": step}, state_file)
+        kept = {"model": model.state_dict(), "average": average.state_dict(), "optimiser": optimiser.state_dict(), "epoch": epoch, "step": step}
+        store(state_file, kept)
     torch.save(average.state_dict(), a.out / "weights.pt")
 
 

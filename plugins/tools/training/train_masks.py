@@ -13,14 +13,13 @@ PyTorch and number of steps give the same weights. Needs PyTorch, torchvision, N
 import argparse
 import copy
 import math
-import queue
-import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from instruments.batches import batches, blend, store
 from instruments.data import CLASSES
 from instruments.mask_rcnn import MaskRcnn, start_from
 from instruments.mask_score import mask_ap50
@@ -47,30 +46,6 @@ def arguments():
     p.add_argument("--seed", type=int, default=1)
     p.add_argument("--threads", type=int, default=2)
     return p.parse_args()
-
-
-def batches(samples, first, count, batch, plain):
-    """Samples `first ..`, made by a second thread while the first one learns."""
-    ready = queue.Queue(maxsize=3)
-
-    def tensors(target):
-        return {k: torch.from_numpy(v) for k, v in target.items()}
-
-    def make():
-        try:
-            for b in range(count):
-                pairs = [samples.sample(first + b * batch + i, plain) for i in range(batch)]
-                x = torch.from_numpy(np.stack([p for p, _ in pairs])).permute(0, 3, 1, 2).float()
-                ready.put((x, [tensors(t) for _, t in pairs]))
-            ready.put(None)
-        except Exception as e:  # told by the thread that waits
-            ready.put(e)
-
-    threading.Thread(target=make, daemon=True).start()
-    while (item := ready.get()) is not None:
-        if isinstance(item, Exception):
-            raise item
-        yield item
 
 
 def main():
@@ -136,12 +111,7 @@ def main():
             for k, v in losses.items():
                 sums[k] = sums.get(k, 0.0) + float(v) / count
             keep = min(0.998, (1 + step) / (20 + step))
-            with torch.no_grad():
-                for held, new in zip(average.state_dict().values(), model.state_dict().values()):
-                    if held.dtype.is_floating_point:
-                        held.lerp_(new, 1 - keep)
-                    else:
-                        held.copy_(new)
+            blend(average, model, keep)
         line = f"step {step:5d}  " + "  ".join(f"{k.removeprefix('loss_')} {v:.3f}" for k, v in sums.items())
         line += f"  {count * a.batch / (time.time() - epoch_begun):.1f} frames/s"
         over = step >= a.steps or (a.minutes and time.time() - begun > 60 * a.minutes)
@@ -155,8 +125,7 @@ def main():
                 line += "  (best)"
         print(line, flush=True)
         kept = {"model": model.state_dict(), "average": average.state_dict(), "optimiser": optimiser.state_dict(), "step": step, "best": best}
-        torch.save(kept, state_file.with_suffix(".new"))
-        state_file.with_suffix(".new").replace(state_file)
+        store(state_file, kept)
         if over:
             break
 
