@@ -16,6 +16,7 @@ import math
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 
@@ -53,6 +54,7 @@ def main():
     if a.width % 32 or a.height % 32:
         raise SystemExit("--width and --height are multiples of 32")
     torch.set_num_threads(a.threads)
+    cv2.setNumThreads(1)
     torch.manual_seed(a.seed)
     a.out.mkdir(parents=True, exist_ok=True)
     phantom = read_coco(a.phantom, "train", a.width, a.height) if a.phantom else []
@@ -68,10 +70,12 @@ def main():
     model = MaskRcnn(len(CLASSES))
     if a.start:
         start_from(model, a.start)
+        # Its first layers stay as the detector's: they take half of a step's time and change least (Girshick et al. freeze them too).
+        for part in (model.backbone.stem, model.backbone.dark2):
+            part.requires_grad_(False)
     average = copy.deepcopy(model).eval()
-    backbone = [p for n, p in model.named_parameters() if n.startswith("backbone.") and ".pyramid." not in n]
-    known = {id(p) for p in backbone}
-    fresh = [p for p in model.parameters() if id(p) not in known]
+    backbone = [p for n, p in model.named_parameters() if n.startswith("backbone.") and ".pyramid." not in n and p.requires_grad]
+    fresh = [p for n, p in model.named_parameters() if not n.startswith("backbone.") or ".pyramid." in n]
     # The backbone has learnt what instruments look like: it is only bent a little.
     shares = (0.2 if a.start else 1.0, 1.0)
     optimiser = torch.optim.AdamW([{"params": backbone}, {"params": fresh}], lr=a.rate, weight_decay=1e-4)

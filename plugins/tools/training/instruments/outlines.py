@@ -80,7 +80,8 @@ def read_boxed(data, split, width, height, store):
     frames = read(data, split)
     key = hashlib.sha256(f"{width}x{height} {split} {len(frames)} {[f.name for f in frames]}".encode()).hexdigest()[:12]
     kept = Path(store) / f"box_masks_{key}.npz"
-    held = np.load(kept) if kept.exists() else None
+    # Unpacked once: every look into the archive unpacks all of it anew.
+    held = np.load(kept)["ids"] if kept.exists() else None
     out, all_ids, good = [], [], 0
     for n, f in enumerate(frames):
         picture = cv2.imread(str(f.path))
@@ -89,7 +90,7 @@ def read_boxed(data, split, width, height, store):
         boxes = f.boxes * np.array([1, *(picture.shape[1] / f.size[0], picture.shape[0] / f.size[1]) * 2], np.float32)
         picture, boxes, _ = letterbox(picture, boxes, width, height)
         if held is not None:
-            ids = held["ids"][n]
+            ids = held[n]
         else:
             ids = np.zeros((height, width), np.uint8)
             guesses = masks_of(picture, boxes)
