@@ -222,7 +222,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
             let inverse = p.z.recip() * (1.0 + bell(0.3) * p.z / (FOCAL_PX * BASELINE_MM));
             let (x, y, z) = (p.x / p.z + bell(0.5) / FOCAL_PX, p.y / p.z + bell(0.5) / FOCAL_PX, 1.0 / inverse);
             let score = if smoky { 0.55 } else { 0.9 };
-            reports.push(Report { xyz_mm: Vector3::new(x * z, y * z, z), score, track_id: -1 });
+            reports.push(Report { xyz_mm: Vector3::new(x * z, y * z, z), score, track_id: -1, class_index: 0 });
         };
         if scenario == Scenario::Cross {
             let aside = -18.0 * (at_s / 8.0 * std::f64::consts::TAU).cos();

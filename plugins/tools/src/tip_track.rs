@@ -131,8 +131,12 @@ impl Node for TipTrack {
             self.tracker = Tracker::default();
         }
         let tips = || input.tip.iter().flatten().filter(|tip| tip.xyz_valid == 1);
-        let reports =
-            tips().map(|tip| Report { xyz_mm: Vector3::from(tip.xyz_mm), score: tip.score, track_id: tip.track_id });
+        let reports = tips().map(|tip| Report {
+            xyz_mm: Vector3::from(tip.xyz_mm),
+            score: tip.score,
+            track_id: tip.track_id,
+            class_index: tip.class_index,
+        });
         let known = self.tracker.step(cx.tick().capture_ns, reports, &room_from_camera, &rules);
         let (gap_s, fade) = match known {
             Known::Seen(index) => {
