@@ -94,7 +94,7 @@ impl Tracker {
         if dt_s < 0.0 {
             *self = Self::default();
         }
-        self.last_ns = Some(capture_ns);
+        let before_ns = self.last_ns.replace(capture_ns).unwrap_or(capture_ns);
         for track in &mut self.tracks {
             track.predict(capture_ns, dt_s, rules);
         }
@@ -107,28 +107,30 @@ impl Tracker {
                 self.sights.push(Sight::of(index, report, room_from_camera, rules));
             }
         }
-        self.share_out(capture_ns, rules);
+        self.share_out(before_ns, capture_ns, rules);
         self.forget(capture_ns, rules);
         self.decide(capture_ns, rules)
     }
 
     /// Gives each report to the track that it belongs to, and begins tracks for those that belong to none.
-    fn share_out(&mut self, now_ns: i64, rules: &Rules) {
-        // Two words of different detectors for one tip are one report, unless numbers say otherwise.
-        for k in (1..self.sights.len()).rev() {
-            let (rest, last) = self.sights.split_at_mut(k);
-            if rest.iter().any(|other| other.is_same_as(&last[0])) {
-                last[0].is_taken = true;
-            }
-        }
+    fn share_out(&mut self, before_ns: i64, now_ns: i64, rules: &Rules) {
         let mut costs = [[f64::INFINITY; assign::COLUMNS]; assign::ROWS];
         for (track, row) in self.tracks.iter().zip(&mut costs) {
-            for (sight, cost) in self.sights.iter().zip(row.iter_mut()).filter(|(sight, _)| !sight.is_taken) {
+            for (sight, cost) in self.sights.iter().zip(row.iter_mut()) {
                 *cost = track.cost(sight, now_ns, rules);
             }
         }
         let found = assign::assign(&costs, self.tracks.len(), self.sights.len());
-        for (track, column) in self.tracks.iter_mut().zip(found) {
+        let (tracks, sights) = (&self.tracks, &self.sights);
+        let is_fresh = |row: usize| tracks.get(row).is_some_and(|track| track.seen_ns >= before_ns);
+        // A hidden tip does not come back as the second word for one that is in view.
+        let is_double = |row: usize, column: usize| {
+            let same = |other: usize| found[other].is_some_and(|c| sights[c].is_same_as(&sights[column]));
+            !is_fresh(row) && (0..assign::ROWS).any(|other| other != row && is_fresh(other) && same(other))
+        };
+        let kept: [Option<usize>; assign::ROWS] =
+            std::array::from_fn(|row| found[row].filter(|column| !is_double(row, *column)));
+        for (track, column) in self.tracks.iter_mut().zip(kept) {
             if let Some(sight) = column.and_then(|column| self.sights.get_mut(column)) {
                 sight.is_taken = true;
                 track.see(sight, now_ns, rules);

@@ -81,7 +81,7 @@ fn nonsense_is_no_tip() {
 }
 
 /// Two tools without numbers or classes whose ways cross: the share of ticks in which the tracker says where the first one is, and the largest
-/// error. Noise of 0.3 mm; whoever stands behind is hidden while the tips lie within `hides_mm` across.
+/// error. Noise as stereo has it; whoever stands behind is hidden while the tips lie within `hides_mm` across.
 fn cross(ways: [&dyn Fn(f64) -> Vector3<f64>; 2], hides_mm: f64, classes: [u32; 2], seed: u64) -> (f64, f64) {
     let (mut tracker, mut dice) = (Tracker::default(), Dice::new(seed));
     let (mut known, mut worst) = (0, 0.0_f64);
@@ -91,8 +91,8 @@ fn cross(ways: [&dyn Fn(f64) -> Vector3<f64>; 2], hides_mm: f64, classes: [u32; 
         let hidden = (one - two).xy().norm() < hides_mm;
         let mut reports = Vec::new();
         for (place, other, class_index) in [(one, two, classes[0]), (two, one, classes[1])] {
-            let mut noise = || (0..4).map(|_| dice.unit() - 0.5).sum::<f64>() * 0.5;
-            let xyz_mm = place + Vector3::new(noise(), noise(), noise());
+            let mut noise = |deviation: f64| (0..12).map(|_| dice.unit() - 0.5).sum::<f64>() * deviation;
+            let xyz_mm = place + Vector3::new(noise(0.1), noise(0.1), noise(0.25));
             if !(hidden && place.z > other.z) {
                 reports.push(Report { xyz_mm, score: 0.9, track_id: -1, class_index });
             }
@@ -113,7 +113,7 @@ fn cross(ways: [&dyn Fn(f64) -> Vector3<f64>; 2], hides_mm: f64, classes: [u32; 
 #[test]
 fn a_tool_that_passes_before_the_leading_one_takes_no_lead() {
     // As in the rehearsal: 8 mm before it, in front of it for a third of a second or more.
-    for (hides_mm, seed) in [(2.5, 1), (2.5, 2), (4.0, 3), (6.0, 4)] {
+    for (hides_mm, seed) in [(2.5, 1), (2.5, 2), (4.0, 3), (4.0, 4)] {
         let rest = |_: f64| Vector3::new(7.5, 0.0, 66.0);
         let pass = |t: f64| Vector3::new(7.5 - 18.0 * (t / 8.0 * std::f64::consts::TAU).cos(), 2.0, 58.0);
         let (known, worst) = cross([&rest, &pass], hides_mm, [0, 0], seed);

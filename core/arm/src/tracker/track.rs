@@ -113,11 +113,7 @@ impl Track {
         }
         let mut cost = match &self.filter {
             Some(filter) => match filter.surprise(&sight.at_mm, &sight.covariance_mm2) {
-                Some((distance, cost))
-                    if distance <= rules.model.gate && (self.has_number(sight) || self.is_near(filter, sight)) =>
-                {
-                    cost
-                }
+                Some((distance, cost)) if self.may_be(filter, sight, distance, rules) => cost,
                 _ => f64::INFINITY,
             },
             None => {
@@ -142,15 +138,23 @@ impl Track {
         passed_s(self.seen_ns, now_ns)
     }
 
-    /// Whether a sight is near enough to where the tip should be, or to where it was: what is hidden may have stopped.
-    fn is_near(&self, filter: &Kalman, sight: &Sight) -> bool {
-        [filter.position_mm(), self.seen_mm].iter().any(|place| (sight.at_mm - place).norm() <= JUMP_MM)
+    /// Whether a sight is near enough to where the tip should be, or to where it was: what is hidden may have stopped. Very near ones always are,
+    /// however sure the filter may feel: detectors err more than their model says.
+    fn may_be(&self, filter: &Kalman, sight: &Sight, distance: f64, rules: &Rules) -> bool {
+        let far = |place: Vector3<f64>| (sight.at_mm - place).norm();
+        let ahead = far(filter.position_mm());
+        let is_in_gate = distance <= rules.model.gate;
+        ahead <= SAME_MM || is_in_gate && (self.has_number(sight) || ahead.min(far(self.seen_mm)) <= JUMP_MM)
     }
 
     /// Takes a sight in.
     pub fn see(&mut self, sight: &Sight, now_ns: i64, rules: &Rules) {
-        let kept =
-            self.filter.as_mut().is_some_and(|filter| filter.update(&rules.model, &sight.at_mm, &sight.covariance_mm2));
+        let kept = self.filter.as_mut().is_some_and(|filter| {
+            let (model, at, seen) = (&rules.model, &sight.at_mm, &sight.covariance_mm2);
+            // What is farther off than the model allows was seen worse than the model thinks.
+            let off = (at - filter.position_mm()).norm_squared() / 9.0;
+            filter.update(model, at, seen) || filter.update(model, at, &(seen + Matrix3::from_diagonal_element(off)))
+        });
         if !kept {
             self.filter = Kalman::begin(&sight.at_mm, &sight.covariance_mm2);
         }
