@@ -45,6 +45,8 @@ pub struct Report {
     pub track_id: i64,
     /// Kind of the tool, by the detector's own labels.
     pub class_index: u32,
+    /// How long ago it was seen so, s; its place is as the camera of now would see what stood still since.
+    pub age_s: f64,
 }
 
 /// What is known after a tick.

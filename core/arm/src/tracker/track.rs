@@ -11,6 +11,8 @@ const SAME_NUMBER: f64 = -1000.0;
 const OTHER_CLASS: f64 = 6.0;
 /// Standard deviation of a lost tip about where it was seen last, mm.
 const LOST_MM: f64 = 3.0;
+/// Older sights count as that old, s.
+const LONGEST_AGE_S: f64 = 0.5;
 /// Sights after which a class is as sure as it gets.
 const SUREST_CLASS: u32 = 30;
 
@@ -22,6 +24,7 @@ pub struct Sight {
     report: Report,
     at_mm: Vector3<f64>,
     covariance_mm2: Matrix3<f64>,
+    age_s: f64,
     /// How far from the middle of the shared picture it is seen, as a tangent.
     aside: f64,
     /// Whether somebody has it.
@@ -39,9 +42,17 @@ impl Sight {
             report,
             at_mm: (room_from_camera * Point3::from(*p)).coords,
             covariance_mm2: turn.matrix() * seen * turn.matrix().transpose(),
+            age_s: if report.age_s > 0.0 { report.age_s.min(LONGEST_AGE_S) } else { 0.0 },
             aside: ((p.x - rules.baseline_mm / 2.0) / p.z).hypot(p.y / p.z),
             is_taken: false,
         }
+    }
+
+    /// Where the tip stands now if it has moved as the filter thinks since it was seen, and how well that is known.
+    fn now(&self, filter: &Kalman, rules: &Rules) -> (Vector3<f64>, Matrix3<f64>) {
+        let strayed = 0.5 * rules.model.acceleration_mm_s2 * self.age_s * self.age_s;
+        let covariance = self.covariance_mm2 + Matrix3::from_diagonal_element(strayed * strayed);
+        (self.at_mm + filter.velocity_mm_s() * self.age_s, covariance)
     }
 
     /// Whether both are words for one tip.
@@ -112,10 +123,13 @@ impl Track {
             return f64::INFINITY;
         }
         let mut cost = match &self.filter {
-            Some(filter) => match filter.surprise(&sight.at_mm, &sight.covariance_mm2) {
-                Some((distance, cost)) if self.may_be(filter, sight, distance, rules) => cost,
-                _ => f64::INFINITY,
-            },
+            Some(filter) => {
+                let (at, covariance) = sight.now(filter, rules);
+                match filter.surprise(&at, &covariance) {
+                    Some((distance, cost)) if self.may_be(filter, &at, sight, distance, rules) => cost,
+                    _ => f64::INFINITY,
+                }
+            }
             None => {
                 let far = (sight.at_mm - self.seen_mm).norm();
                 if far <= JUMP_MM { (far / LOST_MM).powi(2) + 6.0 * LOST_MM.ln() } else { f64::INFINITY }
@@ -140,8 +154,8 @@ impl Track {
 
     /// Whether a sight is near enough to where the tip should be, or to where it was: what is hidden may have stopped. Very near ones always are,
     /// however sure the filter may feel: detectors err more than their model says.
-    fn may_be(&self, filter: &Kalman, sight: &Sight, distance: f64, rules: &Rules) -> bool {
-        let far = |place: Vector3<f64>| (sight.at_mm - place).norm();
+    fn may_be(&self, filter: &Kalman, at: &Vector3<f64>, sight: &Sight, distance: f64, rules: &Rules) -> bool {
+        let far = |place: Vector3<f64>| (at - place).norm();
         let ahead = far(filter.position_mm());
         let is_in_gate = distance <= rules.model.gate;
         ahead <= SAME_MM || is_in_gate && (self.has_number(sight) || ahead.min(far(self.seen_mm)) <= JUMP_MM)
@@ -150,10 +164,11 @@ impl Track {
     /// Takes a sight in.
     pub fn see(&mut self, sight: &Sight, now_ns: i64, rules: &Rules) {
         let kept = self.filter.as_mut().is_some_and(|filter| {
-            let (model, at, seen) = (&rules.model, &sight.at_mm, &sight.covariance_mm2);
+            let (at, seen) = sight.now(filter, rules);
             // What is farther off than the model allows was seen worse than the model thinks.
             let off = (at - filter.position_mm()).norm_squared() / 9.0;
-            filter.update(model, at, seen) || filter.update(model, at, &(seen + Matrix3::from_diagonal_element(off)))
+            filter.update(&rules.model, &at, &seen)
+                || filter.update(&rules.model, &at, &(seen + Matrix3::from_diagonal_element(off)))
         });
         if !kept {
             self.filter = Kalman::begin(&sight.at_mm, &sight.covariance_mm2);
