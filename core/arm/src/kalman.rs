@@ -98,6 +98,16 @@ impl Kalman {
         }
     }
 
+    /// How unlikely a measurement is: its squared Mahalanobis distance, and that plus the logarithm of the determinant of its covariance (in mm^6),
+    /// by which filters that are not equally sure compare. None when no number comes of it.
+    pub fn surprise(&self, at_mm: &Vector3<f64>, covariance_mm2: &Matrix3<f64>) -> Option<(f64, f64)> {
+        let off = at_mm - self.position_mm();
+        let seen: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(0, 0) + covariance_mm2;
+        let distance = off.dot(&(seen.try_inverse()? * off));
+        let unlikely = distance + seen.determinant().max(1e-30).ln();
+        unlikely.is_finite().then_some((distance, unlikely))
+    }
+
     /// Takes a measurement in, if it lies within the gate; answers whether.
     pub fn update(&mut self, model: &Model, at_mm: &Vector3<f64>, covariance_mm2: &Matrix3<f64>) -> bool {
         let surprise = at_mm - self.position_mm();

@@ -104,6 +104,8 @@ pub struct Row {
     pub distance_error_mm: f64,
     /// Whether it lies in the left picture.
     pub in_view: bool,
+    /// Whether something hides it there.
+    pub is_hidden: bool,
     /// Whether the scenario has it hidden or away.
     pub is_away: bool,
     /// How far the true tube misses the trocar, mm.
@@ -222,7 +224,13 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
             let inverse = p.z.recip() * (1.0 + bell(0.3) * p.z / (FOCAL_PX * BASELINE_MM));
             let (x, y, z) = (p.x / p.z + bell(0.5) / FOCAL_PX, p.y / p.z + bell(0.5) / FOCAL_PX, 1.0 / inverse);
             let score = if smoky { 0.55 } else { 0.9 };
-            reports.push(Report { xyz_mm: Vector3::new(x * z, y * z, z), score, track_id: -1 });
+            reports.push(Report {
+                xyz_mm: Vector3::new(x * z, y * z, z),
+                score,
+                track_id: -1,
+                class_index: 0,
+                age_s: 0.0,
+            });
         };
         if scenario == Scenario::Cross {
             let aside = -18.0 * (at_s / 8.0 * std::f64::consts::TAU).cos();
@@ -266,6 +274,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
             error_px: [FOCAL_PX * (p.x - BASELINE_MM / 2.0) / p.z, FOCAL_PX * p.y / p.z],
             distance_error_mm: p.norm() - goals.distance_mm,
             in_view,
+            is_hidden: in_view && reports.iter().all(|r| (r.xyz_mm - p).norm() > 4.0),
             is_away: scenario == Scenario::Leave && (0.5..11.9).contains(&((at_s - START_S).max(0.0) % 12.0)),
             pivot_mm: Place::of(chain, &stance, &down).pivot_mm,
             following: lock.stopped().is_none(),
@@ -291,6 +300,8 @@ pub struct Measures {
     pub deviation_mm: f64,
     /// Share of ticks in which the tip lay in the picture, of those in which the scenario has it there, %.
     pub in_view_pct: f64,
+    /// Share of those ticks in which something hid it, or it was not found, %.
+    pub hidden_pct: f64,
     /// Largest miss of the trocar in the whole run, mm.
     pub pivot_mm: f64,
     /// Mean error in the picture over the last second, % of its width.
@@ -323,6 +334,7 @@ pub fn measure(rows: &[Row]) -> Measures {
         max_mm: known().fold(0.0, f64::max),
         deviation_mm: (square - mean * mean).max(0.0).sqrt(),
         in_view_pct: 100.0 * judged.iter().filter(|r| r.in_view).count() as f64 / judged.len().max(1) as f64,
+        hidden_pct: 100.0 * judged.iter().filter(|r| r.is_hidden).count() as f64 / judged.len().max(1) as f64,
         pivot_mm: rows.iter().map(|r| r.pivot_mm).filter(|p| p.is_finite()).fold(0.0, f64::max),
         rest_pct: 100.0 * mean_of(&|r| r.error_px[0]).hypot(mean_of(&|r| r.error_px[1])) / WIDTH_PX,
         rest_mm: mean_of(&|r| r.distance_error_mm),

@@ -85,6 +85,7 @@ pub struct ArmSim {
     started: bool,
     /// Pose of the tick before: its place, its velocity, and when.
     last: Option<(Vector3<f64>, Vector3<f64>, i64)>,
+    words: String,
 }
 
 impl ArmSim {
@@ -101,6 +102,7 @@ impl ArmSim {
             switches: Switches::default(),
             started: false,
             last: None,
+            words: String::new(),
         }
     }
 
@@ -172,7 +174,8 @@ impl Node for ArmSim {
         cx.metric("pivot_mm", place.pivot_mm);
         cx.metric("stops", lock.stops() as f64);
         if out.text.is_read() {
-            out.text.set_text(&guard::words(stop, lock.latched().is_some()))?;
+            guard::words(stop, lock.latched().is_some(), &mut self.words);
+            out.text.set_text(&self.words)?;
         }
         let row: [f64; COLUMNS.len()] = [
             f64::from(u8::from(stop.is_none())),

@@ -8,7 +8,7 @@ use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot,
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The true tip; empty while it is out of the picture.
+    /// The true tip, wherever it is; score 0 while it is hidden or outside the picture (`lead` of the phantom).
     tip: Option<Value<'f, Tip>>,
     /// Table of the arm's driver.
     arm: Option<Table<'f>>,
@@ -19,7 +19,8 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// One row per tick since the start; errors are NaN while the tip is out of the picture.
+    /// One row per tick since the start; errors are NaN while the tip is not known. `in_view` says whether it lies in the left picture, `seen`
+    /// whether nothing hides it there.
     table: Slot<'f, TableData>,
 }
 
@@ -35,7 +36,7 @@ pub struct JudgeParams {
 }
 
 /// Columns of the table; those from the arm's own table keep its names.
-pub const COLUMNS: [&str; 10] = [
+pub const COLUMNS: [&str; 11] = [
     "time_s",
     "error_mm",
     "error_u_px",
@@ -46,6 +47,7 @@ pub const COLUMNS: [&str; 10] = [
     "following",
     "camera_mm_s",
     "camera_mm_s2",
+    "seen",
 ];
 
 /// Columns that are taken over.
@@ -74,7 +76,12 @@ impl Node for EvaluateArm {
         let tip = input.tip.filter(|tip| params.track_id < 0 || tip.track_id == params.track_id);
         let mut row = [f64::NAN; COLUMNS.len()];
         row[0] = cx.tick().capture_ns as f64 * 1e-9;
-        row[5] = f64::from(u8::from(tip.is_some()));
+        let (width, height) = (f64::from(c.left.width), f64::from(c.left.height));
+        let inside = |tip: &Tip| {
+            tip.xyz_mm[2] > 0.0 && (-0.5..width - 0.5).contains(&tip.u_px) && (-0.5..height - 0.5).contains(&tip.v_px)
+        };
+        row[5] = f64::from(u8::from(tip.as_ref().is_some_and(|tip| inside(tip))));
+        row[10] = f64::from(u8::from(tip.as_ref().is_some_and(|tip| tip.score > 0.0)));
         if let Some(tip) = tip {
             let at = Vector3::from(tip.xyz_mm);
             let off = errors(&at, &eyes, params.distance_mm);

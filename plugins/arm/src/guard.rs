@@ -33,13 +33,15 @@ pub fn evidence(tip: &Tip) -> Evidence {
     Evidence { score: tip.score, in_space: tip.xyz_valid == 1 && tip.xyz_mm.iter().all(|v| v.is_finite()) }
 }
 
-/// The state in words, for pictures and files.
-pub fn words(stop: Option<Cause>, latched: bool) -> String {
-    match stop {
-        None => "arm follows".to_owned(),
-        Some(cause) if latched => format!("ARM STOPPED: {cause}"),
-        Some(cause) => format!("arm waits: {cause}"),
-    }
+/// The state in words, for pictures and files, written over what stood in `text`.
+pub fn words(stop: Option<Cause>, latched: bool, text: &mut String) {
+    text.clear();
+    text.push_str(match stop {
+        None => "arm follows",
+        Some(_) if latched => "ARM STOPPED: ",
+        Some(_) => "arm waits: ",
+    });
+    text.push_str(stop.map_or("", Cause::words));
 }
 
 /// Writes events to the host's log: stops as warnings.

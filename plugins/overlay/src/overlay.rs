@@ -98,6 +98,10 @@ pub struct Settings {
     /// Writes table, scalar and text.
     #[param(default = true)]
     pub show_numbers: bool,
+    /// Columns of the table that are written, separated by commas; empty writes all. Their names are written as words: `distance_mm` as
+    /// `distance 12.34 mm`.
+    #[param(default = "")]
+    pub columns: String,
     /// Shows the disparity or depth map small.
     #[param(default = true)]
     pub show_inset: bool,
@@ -165,7 +169,13 @@ impl Overlay {
             && let Some(row) = table.rows().next()
         {
             for (name, value) in table.names().zip(row) {
-                let _ = writeln!(words, "{name} {value:.2}");
+                if params.columns.is_empty() {
+                    let _ = writeln!(words, "{name} {value:.2}");
+                } else if params.columns.split(',').any(|wanted| wanted.trim() == name) {
+                    let (what, unit) = name.rsplit_once('_').unwrap_or((name, ""));
+                    what.split('_').for_each(|word| words.extend([word, " "]));
+                    let _ = if value.is_finite() { writeln!(words, "{value:.2} {unit}") } else { writeln!(words, "-") };
+                }
             }
         }
     }

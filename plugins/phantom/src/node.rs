@@ -252,6 +252,9 @@ pub struct Out<'f> {
     instances: Slot<'f, LabeledInstances>,
     /// True tip of the instrument whose tip is seen, the largest first; empty when none is.
     tip: Slot<'f, abi::Tip>,
+    /// True tip of the first instrument, wherever it is: score 1 while it is seen, 0 while it is hidden or outside the left view. Empty behind the
+    /// camera and without instruments.
+    lead: Slot<'f, abi::Tip>,
 }
 
 /// See the module.
@@ -542,7 +545,8 @@ impl PhantomNode {
 
     /// Boxes, masks and tip of the instruments.
     fn tools(&mut self, cx: &Context<'_>, frame: u64, pose: Option<Pose>, out: &mut Out<'_>) -> Result<()> {
-        if !out.detections.is_read() && !out.instances.is_read() && !out.tip.is_read() {
+        let read = [out.detections.is_read(), out.instances.is_read(), out.tip.is_read(), out.lead.is_read()];
+        if !read.contains(&true) {
             return Ok(());
         }
         let (width, height) = (self.calibration.left.width as usize, self.calibration.left.height as usize);
@@ -573,16 +577,20 @@ impl PhantomNode {
             }
             out.instances.set_instances(items, &self.labels, (width, height), masks)?;
         }
+        let tip_of = |tool: &ToolTruth| abi::Tip {
+            u_px: tool.tip_px[0],
+            v_px: tool.tip_px[1],
+            xyz_mm: tool.tip_mm,
+            score: f64::from(u8::from(tool.tip_visible)),
+            class_index: class_of(tool.kind),
+            xyz_valid: 1,
+            track_id: i64::from(tool.id),
+        };
         if let Some(tool) = truth.iter().filter(|tool| tool.tip_visible).max_by_key(|tool| tool.pixels) {
-            out.tip.set(abi::Tip {
-                u_px: tool.tip_px[0],
-                v_px: tool.tip_px[1],
-                xyz_mm: tool.tip_mm,
-                score: 1.0,
-                class_index: class_of(tool.kind),
-                xyz_valid: 1,
-                track_id: i64::from(tool.id),
-            })?;
+            out.tip.set(tip_of(tool))?;
+        }
+        if let Some(tool) = truth.iter().find(|tool| tool.id == 1 && tool.tip_mm[2] > 0.0) {
+            out.lead.set(tip_of(tool))?;
         }
         Ok(())
     }

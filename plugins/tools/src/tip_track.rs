@@ -1,5 +1,7 @@
 //! `tip_track`: the leading tip over time, in space: filtered, gated, predicted over short gaps (thesis, fig. 6.5: the tip's trajectory).
 
+use std::collections::VecDeque;
+
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use panoscope_arm_core::kalman::Model;
 use panoscope_arm_core::tracker::{Known, Report, Rules, Tracker};
@@ -9,7 +11,8 @@ use panoscope_node::{Context, List, Node, NodeInfo, Open, Params, Ports, Result,
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Tips of one or more detectors, in the left rectified camera's frame.
+    /// Tips of one or more detectors, in the left rectified camera's frame as it stood when their pictures were taken. A detector that is slower
+    /// than the camera is best wired with `align = "latest"`: each of its tips counts once, and as old as it is.
     tip: List<'f, Value<'f, Tip>>,
     /// Where the left camera stood, in a frame that rests: without it the filter takes the camera's own movement for the tip's.
     camera_pose: Option<Value<'f, Pose>>,
@@ -20,7 +23,8 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The leading tip in the left camera's frame. A tip that is only predicted loses score with the time that it is unseen. Empty when lost.
+    /// The leading tip in the left camera's frame. A tip that is only predicted loses score with the age of the picture that it was seen in last.
+    /// Empty when lost.
     tip: Slot<'f, Tip>,
     /// One row per tick while the tip is known: time, place from the camera and in the resting frame, velocity, what is known.
     table: Slot<'f, TableData>,
@@ -69,11 +73,20 @@ pub const COLUMNS: [&str; 13] = [
     "track_id",
 ];
 
+/// Tips of one tick that are looked at.
+const MOST_NEWS: usize = 16;
+/// Poses of the camera that are kept for tips that come late.
+const MOST_POSES: usize = 64;
+
 /// Follows a tip.
 pub struct TipTrack {
     tracker: Tracker,
-    last: Option<Tip>,
+    last: Option<(Tip, i64)>,
     had_pose: bool,
+    /// Where the camera stood in the last ticks.
+    poses: VecDeque<(i64, Isometry3<f64>)>,
+    /// Capture time of the newest tip of each detector that was looked at.
+    looked_ns: Vec<i64>,
 }
 
 fn pose_of(pose: &Pose) -> Option<Isometry3<f64>> {
@@ -95,7 +108,8 @@ impl Node for TipTrack {
     type Params = TrackParams;
 
     fn open(_: &Open<'_>, _: &TrackParams) -> Result<Self> {
-        Ok(Self { tracker: Tracker::default(), last: None, had_pose: false })
+        let poses = VecDeque::with_capacity(MOST_POSES);
+        Ok(Self { tracker: Tracker::default(), last: None, had_pose: false, poses, looked_ns: Vec::new() })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &TrackParams) -> Result<()> {
@@ -130,23 +144,63 @@ impl Node for TipTrack {
             self.had_pose = input.camera_pose.is_some();
             self.tracker = Tracker::default();
         }
-        let tips = || input.tip.iter().flatten().filter(|tip| tip.xyz_valid == 1);
-        let reports =
-            tips().map(|tip| Report { xyz_mm: Vector3::from(tip.xyz_mm), score: tip.score, track_id: tip.track_id });
-        let known = self.tracker.step(cx.tick().capture_ns, reports, &room_from_camera, &rules);
-        let (gap_s, fade) = match known {
-            Known::Seen(index) => {
-                self.last = tips().nth(index).map(|tip| *tip);
-                (0.0, 1.0)
-            }
-            Known::Predicted(gap_s) => (gap_s, (1.0 - gap_s / rules.max_gap_s.max(1e-9)).clamp(0.0, 1.0)),
-            Known::Lost => {
-                self.last = None;
-                cx.metric("gap_ms", f64::NAN);
-                return Ok(());
-            }
+        let now_ns = cx.tick().capture_ns;
+        if self.poses.back().is_some_and(|(newest, _)| *newest >= now_ns) {
+            // Time went back.
+            self.poses.clear();
+            self.looked_ns.fill(i64::MIN);
+        }
+        if self.poses.len() == MOST_POSES {
+            self.poses.pop_front();
+        }
+        self.poses.push_back((now_ns, room_from_camera));
+        self.looked_ns.resize(input.tip.len(), i64::MIN);
+        let (poses, looked_ns) = (&self.poses, &mut self.looked_ns);
+        let tips = || {
+            let all = input.tip.iter().enumerate().filter_map(|(index, tip)| Some((index, tip?)));
+            all.filter(|(_, tip)| tip.xyz_valid == 1 && tip.tick().capture_ns <= now_ns)
         };
-        let (Some((room, speed)), Some(mut tip)) = (self.tracker.state(), self.last) else { return Ok(()) };
+        // What was looked at before is no news.
+        let news = tips().filter_map(|(index, tip)| {
+            let seen_ns = tip.tick().capture_ns;
+            let is_new = std::mem::replace(&mut looked_ns[index], seen_ns) < seen_ns;
+            is_new.then(|| {
+                let at = Vector3::from(tip.xyz_mm);
+                let then = poses.iter().min_by_key(|(pose_ns, _)| pose_ns.abs_diff(seen_ns));
+                let moved = then.filter(|_| seen_ns < now_ns).map_or(at, |(_, room_from_then)| {
+                    room_from_camera.inverse_transform_point(&(room_from_then * Point3::from(at))).coords
+                });
+                let age_s = now_ns.saturating_sub(seen_ns) as f64 * 1e-9;
+                let seen = Report {
+                    xyz_mm: moved,
+                    score: tip.score,
+                    track_id: tip.track_id,
+                    class_index: tip.class_index,
+                    age_s,
+                };
+                (index, seen)
+            })
+        });
+        let (mut from, mut count) = ([0_usize; MOST_NEWS], 0);
+        let reports = news.take(MOST_NEWS).map(|(index, report)| {
+            from[count] = index;
+            count += 1;
+            report
+        });
+        let known = self.tracker.step(now_ns, reports, &room_from_camera, &rules);
+        if known == Known::Lost {
+            self.last = None;
+            cx.metric("gap_ms", f64::NAN);
+            return Ok(());
+        }
+        if let Known::Seen(report) = known {
+            let index = from.get(report).copied();
+            self.last = index.and_then(|index| input.tip.get(index)).map(|tip| (*tip, tip.tick().capture_ns));
+        }
+        // From the picture that it was seen in last: what a slow detector says is old when it comes.
+        let gap_s = self.last.map_or(0.0, |(_, seen_ns)| now_ns.saturating_sub(seen_ns) as f64 * 1e-9);
+        let fade = if gap_s > 0.0 { (1.0 - gap_s / rules.max_gap_s.max(1e-9)).clamp(0.0, 1.0) } else { 1.0 };
+        let (Some((room, speed)), Some((mut tip, _))) = (self.tracker.state(), self.last) else { return Ok(()) };
         let at = room_from_camera.inverse_transform_point(&Point3::from(room)).coords;
         tip.xyz_mm = [at.x, at.y, at.z];
         tip.score *= fade;

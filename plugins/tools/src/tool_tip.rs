@@ -25,7 +25,7 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The leading tool's tip; empty when no tool is found.
+    /// The leading tool's tip; empty when no tool is found, or when masks and depth show that another tool stands before its end.
     tip: Slot<'f, Tip>,
 }
 
@@ -51,6 +51,34 @@ pub struct ToolTip {
 
 /// Depth values needed around the tip for a place to be trusted.
 const MIN_VALUES: usize = 6;
+
+/// How much nearer than a tip something has to stand to hide it, mm.
+const BEFORE_MM: f32 = 1.0;
+/// Share of the pixels around a tip that another instrument has to take, to be what hides it.
+const HIDING_SHARE: f32 = 0.12;
+
+/// Whether another instrument, of which `other` tells the pixels, stands around a tip and before it.
+fn is_behind(
+    at: (f64, f64),
+    z_mm: f32,
+    radius: usize,
+    size: (usize, usize),
+    depth_of: impl Fn(usize, usize) -> f32,
+    other: &dyn Fn(usize, usize) -> bool,
+) -> bool {
+    let (u, v, r) = (at.0.round() as isize, at.1.round() as isize, radius as isize);
+    let (mut all, mut before) = (0.0, 0.0);
+    for y in (v - r).max(0)..=(v + r).min(size.1 as isize - 1) {
+        for x in (u - r).max(0)..=(u + r).min(size.0 as isize - 1) {
+            if (x - u).pow(2) + (y - v).pow(2) <= r * r {
+                let (x, y) = (x as usize, y as usize);
+                all += 1.0;
+                before += f32::from(u8::from(depth_of(x, y) < z_mm - BEFORE_MM && other(x, y)));
+            }
+        }
+    }
+    before > HIDING_SHARE * all
+}
 
 impl ToolTip {
     /// Median depth of what lies around the tip on the tool: the nearer surface, since a tool stands before the tissue.
@@ -117,16 +145,26 @@ impl Node for ToolTip {
             );
             let p = &calibration.left_projection;
             let (focal, baseline) = (p[0], calibration.baseline_mm);
-            let z = if let Some(depth) = &input.depth {
-                let view = depth.view();
-                self.depth_at(inside, params.radius_px, (view.width, view.height), |x, y| view.row(y)[x])
-            } else if let Some(disparity) = &input.disparity {
-                let view = disparity.view();
-                let to_depth = |d: f32| (focal * baseline / f64::from(d)) as f32;
-                self.depth_at(inside, params.radius_px, (view.width, view.height), |x, y| to_depth(view.row(y)[x]))
-            } else {
-                None
+            let depths = input.depth.as_ref().map(|plane| plane.view());
+            let disparities = input.disparity.as_ref().map(|plane| plane.view());
+            let place = depths.as_ref().map(|v| (v.width, v.height));
+            let place = place.or(disparities.as_ref().map(|v| (v.width, v.height)));
+            let depth_of = |x: usize, y: usize| match (&depths, &disparities) {
+                (Some(view), _) => view.row(y)[x],
+                (None, Some(view)) => (focal * baseline / f64::from(view.row(y)[x])) as f32,
+                (None, None) => f32::NAN,
             };
+            let z = place.and_then(|place| self.depth_at(inside, params.radius_px, place, depth_of));
+            // What seems its end is where another instrument hides it: no tip is better than a wrong one.
+            if let (Some(z), Some(masks), Some(place)) = (z, masks, place)
+                && place == size
+                && is_behind((u_px, v_px), z, params.radius_px, size, depth_of, &|x, y| {
+                    let bit = |mask: &[u8]| mask[y * size.0.div_ceil(8) + x / 8] & (0x80 >> (x % 8)) != 0;
+                    (0..found.items().len()).any(|other| other != index && bit(masks.mask(other)))
+                })
+            {
+                return Ok(());
+            }
             if let Some(z) = z.map(f64::from) {
                 xyz_mm = [(u_px - p[2]) / p[0] * z, (v_px - p[6]) / p[5] * z, z];
                 valid = xyz_mm.iter().all(|v| v.is_finite());

@@ -80,6 +80,7 @@ pub struct ArmSerial {
     chain: panoscope_arm_core::Chain,
     home: nalgebra::Isometry3<f64>,
     reset: Option<u64>,
+    words: String,
 }
 
 impl Node for ArmSerial {
@@ -100,7 +101,7 @@ impl Node for ArmSerial {
         let place = Place { path: params.port.clone().into(), baud: params.baud, answer_within };
         let home = chain.stance(&panoscope_arm_core::JointVector::zeros()).base_from_camera;
         let driver = Driver::start(&place, chain.clone())?;
-        Ok(Self { driver, chain, home, reset: None })
+        Ok(Self { driver, chain, home, reset: None, words: String::new() })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &SerialParams) -> Result<()> {
@@ -139,8 +140,8 @@ impl Node for ArmSerial {
         out.setpoint.set(packet(&known.set_point.0, &known.set_point.1))?;
         cx.metric("stops", known.stops as f64);
         if out.text.is_read() {
-            let words = if params.enabled { guard::words(known.stop, known.latched) } else { "arm off".to_owned() };
-            out.text.set_text(&words)?;
+            guard::words(known.stop, known.latched, &mut self.words);
+            out.text.set_text(if params.enabled { &self.words } else { "arm off" })?;
         }
         let row: [f64; COLUMNS.len()] = [
             f64::from(u8::from(known.stop.is_none())),

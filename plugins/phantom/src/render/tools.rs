@@ -89,6 +89,9 @@ pub struct Tool {
 /// Share of the distance to the tissue at which the leading instrument's tip stands when it is scripted.
 const SCRIPTED_DEPTH: f64 = 0.78;
 
+/// Share of its roll that a scripted instrument keeps.
+const HELD_ROLL: f64 = 0.25;
+
 /// An instrument's parts and tip in the scene.
 #[derive(Clone, Debug)]
 pub struct Posed {
@@ -184,13 +187,19 @@ impl Tool {
         let toward = add(tip, self.trocar, -1.0);
         let long = dot(toward, toward).sqrt().max(1e-6);
         let z = toward.map(|v| v / long);
-        // Any direction across the shaft, then rolled about it.
-        let seed = if z[1].abs() < 0.8 { [0.0, 1.0, 0.0] } else { [1.0, 0.0, 0.0] };
+        // Any direction across the shaft, then rolled about it. A scripted one is held as a surgeon does who wants to see what it does: what is bent
+        // or opens lies across the line of sight, so that no part of it ever stands before its tip.
+        let held = self.script.is_some() && z[2].abs() < 0.9;
+        let seed = match z {
+            _ if held => [0.0, 0.0, 1.0],
+            [_, y, _] if y.abs() < 0.8 => [0.0, 1.0, 0.0],
+            _ => [1.0, 0.0, 0.0],
+        };
         let x0 = cross(seed, z);
         let inv = 1.0 / dot(x0, x0).sqrt();
         let x0 = x0.map(|v| v * inv);
         let y0 = cross(z, x0);
-        let turn = swing(self.roll);
+        let turn = swing(self.roll) * if held { HELD_ROLL } else { 1.0 };
         let (s, c) = (sin_turns(turn), sin_turns(turn + 0.25));
         let x = add(x0.map(|v| v * c), y0, s);
         let y = cross(z, x);

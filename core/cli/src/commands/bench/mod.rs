@@ -2,7 +2,7 @@
 
 mod editor;
 mod fit;
-mod folder;
+pub mod folder;
 mod graph;
 mod gstreamer;
 mod hop;

@@ -25,7 +25,7 @@ const PEER_VIEW_PCT: f64 = 99.84;
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Only these parts; may be given again. Without it all.
-    #[arg(long, value_parser = ["rehearsal", "graph", "limits", "time"])]
+    #[arg(long, value_parser = ["rehearsal", "graph", "age", "limits", "time"])]
     part: Vec<String>,
     /// Only these scenarios; may be given again. Without it all.
     #[arg(long)]
@@ -96,13 +96,25 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
     }
     if arguments.wants("graph") {
         for name in graph::SCENARIOS.into_iter().filter(|name| arguments.wants_scenario(name)) {
+            if name == graph::DETECTOR && crate::commands::eval::detect::shipped("instruments.onnx").is_none() {
+                tell!("skipped: {name}: there is no plugins/tools/models/instruments.onnx");
+                continue;
+            }
             let run = graph::run(name, arguments.seed, arguments.seconds, arguments.width)?;
             let input = format!("graph on the phantom {}x{}, {} s at 30 Hz", run.size.0, run.size.1, arguments.seconds);
             listed(&format!("graph_{name}"), &measure(&run.rows), name == "still", &input, &mut figures);
             if let Some(folder) = &arguments.pictures {
                 plots::draw(&folder.join(format!("graph_{name}.png")), &format!("graph {name}"), &run.rows)?;
             }
+            stop_if_asked()?;
         }
+    }
+    if arguments.wants("age") {
+        let seconds = arguments.seconds.min(20);
+        let (p50, p99) = graph::set_point_age(arguments.seed, seconds, arguments.width)?;
+        let input = format!("graph live at 30 Hz, rendering {} px included, {seconds} s", arguments.width);
+        figures.push(Figure::new("setpoint_age_p50", p50, "ms", &input));
+        figures.push(Figure::new("setpoint_age_p99", p99, "ms", &input));
     }
     if arguments.wants("limits") {
         limits(&chain, arguments, &mut figures)?;
@@ -125,6 +137,7 @@ fn listed(name: &str, m: &Measures, rests: bool, input: &str, figures: &mut Vec<
     };
     add("tip_error_mm", m.rms_mm, "mm");
     add("in_view_pct", m.in_view_pct, "%");
+    add("hidden_pct", m.hidden_pct, "%");
     add("pivot_mm", m.pivot_mm, "mm");
     add("tip_error_max_mm", m.max_mm, "mm");
     add("shake_mm_s2", m.shake_mm_s2, "mm/s^2");

@@ -5,10 +5,18 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use panoscope_arm_core::rehearsal::Row;
 
+use crate::commands::bench::folder::Folder;
 use crate::commands::eval::look::{self, Plan, Table};
 
-/// Movements of the phantom's leading tool.
-pub const SCENARIOS: [&str; 8] = ["still", "step", "ramp", "circle", "strokes", "leave", "cross", "masks"];
+/// Movements of the phantom's leading tool, and ways to know its tip.
+///
+/// Up to `leave` the tip is told while it is seen. `cross` and `occlusion` find it in true masks and depth, among other tools that pass before it;
+/// `masks` so too, alone; `smoke` in true masks and the depth that stereo finds in smoke; `detector` in boxes of the detector that ships and the
+/// depth that stereo finds.
+pub const SCENARIOS: [&str; 11] =
+    ["still", "step", "ramp", "circle", "strokes", "leave", "cross", "occlusion", "masks", "smoke", DETECTOR];
+/// The scenario that needs a model.
+pub const DETECTOR: &str = "detector";
 
 /// A run.
 pub struct Run {
@@ -18,34 +26,87 @@ pub struct Run {
     pub size: (u32, u32),
 }
 
-/// The graph of a scenario. In `masks` (strokes) and `cross` the tip is found by `tool_tip` in true masks and true depth instead of told.
-fn text(name: &str, seed: u64, size: (u32, u32)) -> String {
-    let motion = if name == "masks" { "strokes" } else { name };
-    let finder = |id: &str, class: &str| {
-        format!(
-            "[nodes.{id}]\ntype = \"tool_tip\"\ninputs = {{ instances = \"scope.instances\", depth = \"scope.depth\", calibration = \"scope.calibration\" }}\nparams = {{ class = \"{class}\" }}\n"
-        )
+/// What a scenario puts into the graph.
+struct Scene {
+    /// Parameters of the phantom.
+    phantom: &'static str,
+    /// Nodes between phantom and tracker.
+    nodes: String,
+    /// Outputs with tips.
+    tips: &'static str,
+}
+
+const STEREO: &str = r#"
+[nodes.match]
+type = "stereo_bm"
+inputs = { left = "scope.left", right = "scope.right" }
+
+[nodes.smooth]
+type = "disparity_wls"
+inputs = { image = "scope.left", disparity = "match.disparity", disparity_right = "match.disparity_right" }
+"#;
+
+fn finder(id: &str, from: &str, depth: &str, class: &str) -> String {
+    format!(
+        "[nodes.{id}]\ntype = \"tool_tip\"\ninputs = {{ {from}, {depth}, calibration = \"scope.calibration\" }}\nparams = {{ class = \"{class}\" }}\n"
+    )
+}
+
+fn scene(name: &str) -> Scene {
+    let model = crate::commands::eval::detect::shipped("instruments.onnx").unwrap_or_default();
+    let (masks, true_depth) = ("instances = \"scope.instances\"", "depth = \"scope.depth\"");
+    let stereo_depth = "disparity = \"smooth.disparity\"";
+    let told = |phantom| Scene { phantom, nodes: String::new(), tips: "\"scope.tip\"" };
+    let found = |phantom, nodes| Scene { phantom, nodes, tips: "\"found.tip\"" };
+    let alone = "tools = 1, tool_kinds = \"hook\"";
+    match name {
+        "cross" => Scene {
+            phantom: "tools = 2, tool_kinds = \"hook, grasper\"",
+            nodes: finder("one", masks, true_depth, "hook") + &finder("two", masks, true_depth, "grasper"),
+            tips: "\"one.tip\", \"two.tip\"",
+        },
+        "occlusion" => {
+            found("tools = 3, tool_kinds = \"hook, grasper, bipolar\"", finder("found", masks, true_depth, "hook"))
+        }
+        "masks" => found(alone, finder("found", masks, true_depth, "")),
+        "smoke" => found(
+            "tools = 1, tool_kinds = \"hook\", smoke = 0.5, noise = 2.0",
+            STEREO.to_owned() + &finder("found", masks, stereo_depth, ""),
+        ),
+        DETECTOR => found(
+            "tools = 1, tool_kinds = \"grasper\"",
+            STEREO.to_owned()
+                + &format!(
+                    "[nodes.find]\ntype = \"yolo\"\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {model:?} }}\n"
+                )
+                + &finder("found", "detections = \"find.detections\"", stereo_depth, ""),
+        ),
+        _ => told(alone),
+    }
+}
+
+/// The graph of a scenario, with what stands at its end.
+fn text(name: &str, seed: u64, size: (u32, u32), mode: &str, end: &str) -> String {
+    let motion = match name {
+        "masks" | "occlusion" | "smoke" | DETECTOR => "strokes",
+        name => name,
     };
-    let (tools, tip, from) = match name {
-        "masks" => (1, finder("found", ""), "\"found.tip\""),
-        "cross" => (2, finder("one", "hook") + &finder("two", "grasper"), "\"one.tip\", \"two.tip\""),
-        _ => (1, String::new(), "\"scope.tip\""),
-    };
+    let Scene { phantom, nodes, tips } = scene(name);
     let (width, height) = size;
     format!(
         r#"# The closed loop that `panoscope eval arm` judges.
-mode = "batch"
-plugins = ["phantom", "tools", "arm"]
+mode = "{mode}"
+plugins = ["phantom", "stereo", "tools", "arm", "sinks"]
 
 [nodes.scope]
 type = "phantom"
 inputs = {{ camera_pose = {{ from = "arm.camera_pose", delay = 1 }} }}
-params = {{ seed = {seed}, distance_mm = 85.0, width = {width}, height = {height}, tools = {tools}, tool_kinds = "hook, grasper", tool_motion = "{motion}" }}
+params = {{ seed = {seed}, distance_mm = 85.0, width = {width}, height = {height}, {phantom}, tool_motion = "{motion}" }}
 
-{tip}
+{nodes}
 [nodes.track]
 type = "tip_track"
-inputs = {{ tip = [{from}], camera_pose = {{ from = "arm.camera_pose", delay = 1 }}, calibration = "scope.calibration" }}
+inputs = {{ tip = [{tips}], camera_pose = {{ from = "arm.camera_pose", delay = 1 }}, calibration = "scope.calibration" }}
 
 [nodes.control]
 type = "arm_pid"
@@ -55,18 +116,20 @@ inputs = {{ tip = "track.tip", joints = {{ from = "arm.joints", delay = 1 }}, se
 type = "arm_sim"
 inputs = {{ joints = "control.joints", tip = "track.tip" }}
 
-[nodes.judge]
-type = "evaluate_arm"
-inputs = {{ tip = "scope.tip", arm = "arm.table", calibration = "scope.calibration" }}
-params = {{ track_id = 1 }}
+{end}
 "#
     )
 }
 
+const JUDGE: &str = r#"[nodes.judge]
+type = "evaluate_arm"
+inputs = { tip = "scope.lead", arm = "arm.table", calibration = "scope.calibration" }
+"#;
+
 /// Runs a scenario and reads what the judge saw.
 pub fn run(name: &str, seed: u64, seconds: u32, width: u32) -> Result<Run> {
     let size = (width, width * 3 / 4);
-    let text = text(name, seed, size);
+    let text = text(name, seed, size, "batch", JUDGE);
     let path = format!("eval_arm_{name}.toml");
     let plan = Plan {
         text: &text,
@@ -82,10 +145,10 @@ pub fn run(name: &str, seed: u64, seconds: u32, width: u32) -> Result<Run> {
     let column = |name: &str| table.column(name).with_context(|| format!("the judge's table has no column {name}"));
     let [time, error, u, v, distance] =
         ["time_s", "error_mm", "error_u_px", "error_v_px", "error_distance_mm"].map(column);
-    let [view, pivot, following, speed, change] =
-        ["in_view", "pivot_mm", "following", "camera_mm_s", "camera_mm_s2"].map(column);
+    let [view, is_seen, pivot, following, speed, change] =
+        ["in_view", "seen", "pivot_mm", "following", "camera_mm_s", "camera_mm_s2"].map(column);
     let (time, error, u, v, distance) = (time?, error?, u?, v?, distance?);
-    let (view, pivot, following, speed, change) = (view?, pivot?, following?, speed?, change?);
+    let (view, is_seen, pivot, following, speed, change) = (view?, is_seen?, pivot?, following?, speed?, change?);
     // Pictures of all sizes are judged as if they had 640 columns.
     let scale = 640.0 / f64::from(width);
     let rows = (0..time.len())
@@ -95,8 +158,8 @@ pub fn run(name: &str, seed: u64, seconds: u32, width: u32) -> Result<Run> {
             error_px: [u[k] * scale, v[k] * scale],
             distance_error_mm: distance[k],
             in_view: view[k] > 0.5,
-            is_away: name == "leave" && (0.5..11.9).contains(&((time[k] - 2.0).max(0.0) % 12.0))
-                || name == "cross" && view[k] < 0.5,
+            is_hidden: view[k] > 0.5 && is_seen[k] < 0.5,
+            is_away: name == "leave" && (0.5..11.9).contains(&((time[k] - 2.0).max(0.0) % 12.0)),
             pivot_mm: pivot[k],
             following: following[k] > 0.5,
             camera_mm_s: speed[k],
@@ -104,4 +167,25 @@ pub fn run(name: &str, seed: u64, seconds: u32, width: u32) -> Result<Run> {
         })
         .collect();
     Ok(Run { rows, size })
+}
+
+/// Age of the arm's set-points from the cameras' shutter on, in ms, median and 99 %: the loop live at 30 pictures a second, rendering included.
+pub fn set_point_age(seed: u64, seconds: u32, width: u32) -> Result<(f64, f64)> {
+    let folder = Folder::new("panoscope-eval-arm")?;
+    let sink = format!(
+        "[nodes.sent]\ntype = \"write_table\"\ninputs = {{ joints = \"arm.setpoint\" }}\nparams = {{ path = {:?} }}\n",
+        folder.0.join("setpoints.csv")
+    );
+    let text = text("strokes", seed, (width, width * 3 / 4), "live", &sink);
+    let plan = Plan {
+        text: &text,
+        path: Path::new("eval_arm_age.toml"),
+        frames: Some(u64::from(seconds) * 30),
+        threads: 0,
+        ports: &[],
+        paced: true,
+    };
+    let report = look::run(&plan)?.report;
+    let ages = report.paths.get("sent").context("no set-point was sent")?;
+    Ok((ages.age_p50_ms, ages.age_p99_ms))
 }
