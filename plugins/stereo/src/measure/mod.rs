@@ -79,7 +79,7 @@ pub struct MeasureParams {
     #[param(default = "distance")]
     kind: Kind,
     /// Points of the left rectified view in px: u, v, u, v, ...
-    #[param(default = [])]
+    #[param(default = [], points)]
     points: Vec<f64>,
     /// Radius of the neighbourhood that stands for a point.
     #[param(default = 4, range = 1..=32, unit = "px")]
