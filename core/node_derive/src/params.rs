@@ -99,7 +99,9 @@ impl Parse for Attribute {
                 other => {
                     return Err(Error::new(
                         key.span(),
-                        format!("`{other}` is none of: default, range, step, unit, reopen, must_exist, points, rectangles, file"),
+                        format!(
+                            "`{other}` is none of: default, range, step, unit, reopen, must_exist, points, rectangles, file"
+                        ),
                     ));
                 }
             }

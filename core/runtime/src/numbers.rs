@@ -17,6 +17,12 @@ pub struct Numbers {
 }
 
 impl Numbers {
+    /// The first row with its names.
+    pub fn first_row(&self) -> Option<Vec<(String, f64)>> {
+        let row = self.rows().next()?;
+        Some(self.names.iter().cloned().zip(row.iter().copied()).collect())
+    }
+
     /// The rows.
     pub fn rows(&self) -> impl Iterator<Item = &[f64]> {
         self.values.chunks_exact(self.names.len().max(1))

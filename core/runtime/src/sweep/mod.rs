@@ -9,7 +9,6 @@ mod part;
 mod values;
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -79,7 +78,9 @@ pub enum SweepError {
         reason: String,
     },
     /// A node that acts on the world stands between the sources and the measure.
-    #[error("`{measure}` needs node `{node}`, which acts on the world (writes files or moves things): measure before it")]
+    #[error(
+        "`{measure}` needs node `{node}`, which acts on the world (writes files or moves things): measure before it"
+    )]
     Acts {
         /// As asked for.
         measure: String,
@@ -170,17 +171,22 @@ impl Sweep {
         self.values.is_empty()
     }
 
+    /// What is measured.
+    pub fn measure(&self) -> &Measure {
+        &self.measure
+    }
+
     /// Unit of the parameter; empty for none.
     pub fn unit(&self) -> &str {
         &self.unit
     }
 
-    /// Runs all values; `each` gets the points one by one. Ends early when `cancelled` is set.
-    pub fn run(&self, cancelled: &AtomicBool, mut each: impl FnMut(Point)) {
+    /// Runs all values; `each` gets the points one by one. Ends early once `cancelled` says so; it is asked often.
+    pub fn run(&self, cancelled: &dyn Fn() -> bool, mut each: impl FnMut(Point)) {
         for (value, at) in &self.values {
             let value = shown(value);
             let result = self.one(&value, cancelled);
-            if cancelled.load(Ordering::Relaxed) {
+            if cancelled() {
                 return;
             }
             each(Point { value, at: *at, result });
@@ -188,7 +194,7 @@ impl Sweep {
     }
 
     /// One run to its end.
-    fn one(&self, value: &str, cancelled: &AtomicBool) -> Result<Summary, String> {
+    fn one(&self, value: &str, cancelled: &dyn Fn() -> bool) -> Result<Summary, String> {
         let heard = Arc::new(Mutex::new(Heard::default()));
         let mut settings = self.request.settings.clone();
         settings.push(format!("{}={value}", self.request.param));
@@ -202,7 +208,7 @@ impl Sweep {
         };
         let wait = |engine: &Engine| {
             while !engine.wait(Some(Duration::from_millis(50))) {
-                if cancelled.load(Ordering::Relaxed) {
+                if cancelled() {
                     engine.stop();
                 }
             }
@@ -253,8 +259,22 @@ impl Sweep {
 
 /// Whether values of that kind can be swept.
 pub fn can_sweep(kind: &ParamKind) -> bool {
-    matches!(
-        kind,
-        ParamKind::Bool { .. } | ParamKind::Int { .. } | ParamKind::Float { .. } | ParamKind::Choice { .. }
-    )
+    matches!(kind, ParamKind::Bool { .. } | ParamKind::Int { .. } | ParamKind::Float { .. } | ParamKind::Choice { .. })
+}
+
+/// Points as a table for other programs: a line each.
+pub fn csv(param: &str, measure: &str, points: &[Point]) -> String {
+    let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
+    let mut out = format!("{},{},median,min,max,deviation,count,missing,failed\n", quoted(param), quoted(measure));
+    for point in points {
+        let value = quoted(&point.value);
+        match &point.result {
+            Ok(s) => {
+                let numbers = [s.mean, s.median, s.min, s.max, s.deviation].map(|v| v.to_string()).join(",");
+                out += &format!("{value},{numbers},{},{},\n", s.count, s.missing);
+            }
+            Err(why) => out += &format!("{value},,,,,,,,{}\n", quoted(why.lines().next().unwrap_or_default())),
+        }
+    }
+    out
 }

@@ -29,9 +29,8 @@ pub(super) fn of(
     match kind {
         ParamKind::Bool { .. } => Ok(vec![(ParamValue::Bool(false), 0.0), (ParamValue::Bool(true), 1.0)]),
         ParamKind::Choice { choices, .. } => {
-            let choice = |(index, name): (usize, &String)| {
-                (ParamValue::Choice { index, name: name.clone() }, index as f64)
-            };
+            let choice =
+                |(index, name): (usize, &String)| (ParamValue::Choice { index, name: name.clone() }, index as f64);
             Ok(choices.iter().enumerate().map(choice).collect())
         }
         ParamKind::Int { min, max, step, .. } => {
