@@ -1,6 +1,6 @@
 //! A sweep under way: on a thread of its own with engines of its own, so that the graph in the window goes on. No egui here.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -95,7 +95,7 @@ impl Drop for Job {
 
 fn sweep(
     mut request: Request,
-    recording: &PathBuf,
+    recording: &Path,
     loader: Arc<Loader>,
     place: &Mutex<Progress>,
     stop: &AtomicBool,

@@ -116,6 +116,29 @@ impl App {
         }
     }
 
+    /// `param=value` of a node, as a script says it.
+    pub(super) fn set_from_script(&mut self, node: &str, setting: &str) {
+        let read = |text: &str| format!("v = {text}").parse::<toml::Table>().ok()?.remove("v");
+        let Some((param, value)) = setting.split_once('=').and_then(|(p, v)| Some((p, read(v)?))) else {
+            return self.tell(format!("`{setting}` is no PARAM=VALUE"), true);
+        };
+        let result = ops::set_param(&mut self.document, node, param, Some(&value));
+        self.document.end_merge();
+        self.try_edit(result);
+    }
+
+    /// Sweeps `param measure`, as a script says it, over few values.
+    pub(super) fn sweep_from_script(&mut self, words: &str) {
+        self.switches.sweep = true;
+        if let Some((param, measure)) = words.split_once(' ')
+            && let Some((node, name)) = param.split_once('.')
+        {
+            self.sweep.choose(&self.document, node, name);
+            let wish = self.sweep.quick(&self.document, self.session.path(), measure);
+            self.grant_sweep(wish);
+        }
+    }
+
     /// How the sweep stands that was begun last.
     pub fn sweep(&self) -> Option<Progress> {
         self.sweep.progress()

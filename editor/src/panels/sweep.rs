@@ -113,6 +113,13 @@ impl SweepPanel {
         };
     }
 
+    /// What a short sweep of the chosen parameter asks for.
+    pub fn quick(&mut self, document: &Document, path: &Path, measure: &str) -> Wish {
+        measure.clone_into(&mut self.measure);
+        self.frames = 6;
+        self.request(document, path)
+    }
+
     /// Shows the panel.
     pub fn show(
         &mut self,
@@ -329,7 +336,6 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
         .x_axis_label(axis)
         .y_axis_label(&progress.measure)
         .allow_scroll(false)
-        .label_formatter(move |_| None)
         .x_axis_formatter(move |mark, _| {
             let near = |(at, _): &&(f64, String)| (at - mark.value).abs() < 1e-9 && at.fract() == 0.0;
             words.iter().find(near).map_or_else(|| short(mark.value), |(_, word)| word.clone())

@@ -18,7 +18,7 @@ use crate::cell::lock;
 use crate::engine::{Engine, Options, Outcome};
 use crate::loader::Loader;
 use crate::preview::Listener;
-use crate::record::{Recording, Replay, ReplayError, ReplayOptions};
+use crate::record::{Recording, Replay, ReplayOptions};
 
 pub use measure::{COUNTERS, Measure, Summary};
 pub use values::{MOST_STEPS, shown};
@@ -87,9 +87,6 @@ pub enum SweepError {
         /// The node.
         node: String,
     },
-    /// The recording does not have what the graph reads.
-    #[error(transparent)]
-    Replay(#[from] ReplayError),
 }
 
 /// What the measure came to at one value.
