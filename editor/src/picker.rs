@@ -2,7 +2,7 @@
 
 use eframe::egui::{
     Align2, Button, Color32, EventFilter, FontId, Id, Key, Modifiers, Pos2, Rect, RichText, Sense, Stroke, StrokeKind,
-    Ui, UiBuilder, Vec2, WidgetInfo, WidgetType, pos2, vec2,
+    Ui, UiBuilder, Vec2, WidgetInfo, WidgetType, vec2,
 };
 use panoscope_graph::Pick;
 
@@ -155,7 +155,7 @@ impl Picker {
             }
         }
         let done = self.bar(ui, bar, &place, &mut new);
-        if ui.input_mut(|i| i.consume_key(Modifiers::NONE, Key::Delete)) {
+        if !ui.ctx().text_edit_focused() && ui.input_mut(|i| i.consume_key(Modifiers::NONE, Key::Delete)) {
             self.remove(&mut new);
         }
         if done {
@@ -373,6 +373,7 @@ impl Place {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use eframe::egui::pos2;
 
     #[test]
     fn pixels_and_places_are_the_same_there_and_back() {

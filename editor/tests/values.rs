@@ -80,7 +80,7 @@ fn a_sweep_runs_beside_the_graph_and_its_points_are_drawn() {
     assert_eq!(progress.points.len(), 9);
     assert_eq!(mean(0), 0.0);
     assert!(mean(1) > 1.0 && (mean(8) - 8.0 * mean(1)).abs() < 1e-6, "{progress:?}");
-    window.until_shown("Sweep: 0: 0, 1: ");
+    window.until_shown("Sweep: 0: 0, 1.00: ");
     assert_eq!(value(&window, 0), Some(ParamValue::Float(1.0)), "the graph here is as it was");
     assert!(!window.app().document().is_changed());
     // A measure that is not there is named, not taken for nothing.

@@ -25,7 +25,8 @@ pub struct Textures(Rc<RefCell<HashMap<TextureId, ColorImage>>>);
 impl TestRenderer for Textures {
     fn handle_delta(&mut self, delta: &mut TexturesDelta) {
         let mut kept = self.0.borrow_mut();
-        for (id, change) in std::mem::take(&mut delta.set) {
+        let set = std::mem::take(&mut delta.set);
+        for (id, change) in set.into_iter().flat_map(|(id, changes)| changes.into_iter().map(move |c| (id, c))) {
             let ImageData::Color(image) = &change.image;
             match (change.pos, kept.get_mut(&id)) {
                 (Some([x, y]), Some(old)) => {
