@@ -49,6 +49,14 @@ pub enum Action {
     Text,
     /// Show curves of times.
     Plots,
+    /// Show what became of the parameters.
+    History,
+    /// Step back to the value before.
+    Back,
+    /// Step forward again.
+    Forward,
+    /// Sweep a parameter.
+    Sweep,
     /// Show mistakes and faults.
     Problems,
     /// Start the graph anew.
@@ -92,6 +100,10 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (Heat, NONE, Key::H, "Heat map: where time goes"),
         (Text, NONE, Key::T, "The file's text"),
         (Plots, NONE, Key::P, "Curves of times"),
+        (History, NONE, Key::Y, "History of the parameters"),
+        (Back, NONE, Key::OpenBracket, "One value back in the history"),
+        (Forward, NONE, Key::CloseBracket, "One value forward in the history"),
+        (Sweep, NONE, Key::S, "Sweep a parameter"),
         (Problems, NONE, Key::M, "Mistakes and faults"),
         (Plugins, NONE, Key::U, "Plugins and what they offer"),
         (Reload, CTRL, Key::R, "Swap rebuilt plugins in"),
@@ -100,6 +112,17 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (Escape, NONE, Key::Escape, "Close what is open"),
     ]
 };
+
+/// Actions whose keys count while something is picked on a picture; the other keys are for that.
+const PICKING: [Action; 5] = [Action::Undo, Action::Redo, Action::Save, Action::Help, Action::Escape];
+
+/// As [`pressed`], while something is picked on a picture.
+pub fn pressed_while_picking(input: &mut InputState) -> Vec<Action> {
+    let mut all: Vec<_> = ALL.iter().filter(|(action, ..)| PICKING.contains(action)).collect();
+    all.sort_by_key(|(_, m, ..)| std::cmp::Reverse(u8::from(m.command) + u8::from(m.shift)));
+    all.retain(|(_, modifiers, key, _)| input.consume_key(*modifiers, *key));
+    all.into_iter().map(|(action, ..)| *action).collect()
+}
 
 /// Takes the actions whose keys were pressed out of the input. While a text is being typed only keys with Ctrl count, and Escape.
 pub fn pressed(input: &mut InputState, typing: bool) -> Vec<Action> {

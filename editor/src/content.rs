@@ -3,6 +3,7 @@
 use std::mem::offset_of;
 
 use panoscope_abi as abi;
+use panoscope_runtime::numbers;
 
 /// Most entries of a list that are read.
 const MOST: usize = 256;
@@ -39,6 +40,19 @@ pub enum Content {
     },
     /// Named numbers: a scalar, the first row of a table.
     Numbers(Vec<(String, f64)>),
+    /// Two cameras.
+    Rig(Rig),
+}
+
+/// What errors of distances follow from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rig {
+    /// Of the rectified views, px.
+    pub focal_px: f64,
+    /// Distance of both cameras, mm.
+    pub baseline_mm: f64,
+    /// Reprojection error, px; NaN where unknown.
+    pub rms_px: f64,
 }
 
 struct Plain<'b>(&'b [u8]);
@@ -79,22 +93,21 @@ pub fn read(bytes: &[u8], packet: &str) -> Content {
                 frames: (p.text(offset_of!(abi::Pose, a), 16), p.text(offset_of!(abi::Pose, b), 16)),
             }
         }
-        "scalar" => {
-            let name = p.text(offset_of!(abi::Scalar, name), 32);
-            let unit = p.text(offset_of!(abi::Scalar, unit), 16);
-            let name = if unit.is_empty() { name } else { format!("{name} {unit}") };
-            Content::Numbers(vec![(name, p.f64(offset_of!(abi::Scalar, value)))])
-        }
-        "table" => {
-            let (rows, columns, len) = (p.u32(0), p.u32(4) as usize, p.u32(8) as usize);
-            let start = size_of::<abi::TableHeader>();
-            if rows == 0 {
-                return Content::Nothing;
-            }
-            let names = p.text(start, len);
-            let names = names.split('\n').take(columns.min(MOST));
-            let value = |k: usize| p.f64(start + len + k * 8);
-            Content::Numbers(names.enumerate().map(|(k, name)| (name.to_owned(), value(k))).collect())
+        "scalar" | "table" => match numbers::read(bytes, packet) {
+            Some(told) => told.first_row().map_or(Content::Nothing, Content::Numbers),
+            None => Content::Nothing,
+        },
+        "calibration" => {
+            let number = |at: usize| p.f64(at);
+            let focal_px = number(offset_of!(abi::Calibration, left_projection));
+            // Without a projection the camera's own will do.
+            let left = offset_of!(abi::Calibration, left) + offset_of!(abi::Camera, fx);
+            let rig = Rig {
+                focal_px: if focal_px > 0.0 { focal_px } else { number(left) },
+                baseline_mm: number(offset_of!(abi::Calibration, baseline_mm)),
+                rms_px: number(offset_of!(abi::Calibration, rms_px)),
+            };
+            if rig.focal_px > 0.0 && rig.baseline_mm > 0.0 { Content::Rig(rig) } else { Content::Nothing }
         }
         _ => Content::Nothing,
     }

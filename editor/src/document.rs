@@ -14,6 +14,7 @@ use panoscope_graph::{
 use panoscope_runtime::Loader;
 
 use crate::canvas::Mark;
+use crate::history::{By, Change, History};
 
 /// Most texts that can be undone.
 const MOST_STEPS: usize = 500;
@@ -127,6 +128,16 @@ impl View {
         self.wires.iter().filter(move |w| w.to == node && w.input == input)
     }
 
+    /// A wire in words, by where it ends.
+    pub fn wire_name(&self, end: &crate::observe::WireEnd) -> String {
+        let Some(node) = self.node(&end.node) else { return end.node.clone() };
+        let port = self.nodes[node].node_type.as_ref().and_then(|t| t.inputs.get(end.port));
+        let Some(port) = port else { return end.node.clone() };
+        let wire = self.wires_into(node, &port.name).find(|w| w.index == end.index);
+        let from = wire.map(|w| format!("{}.{}", self.nodes[w.from].id(), w.output)).unwrap_or_default();
+        format!("{from} to {}.{}", end.node, port.name)
+    }
+
     /// Packet type of an output, when it is known.
     pub fn packet(&self, node: usize, output: &str) -> Option<&PacketType> {
         Some(&self.nodes[node].output(output)?.packet)
@@ -185,6 +196,7 @@ pub struct Document {
     plugins: Vec<String>,
     types: HashMap<usize, Arc<NodeType>>,
     revision: u64,
+    history: History,
 }
 
 impl Document {
@@ -204,6 +216,7 @@ impl Document {
             plugins: vec![String::new()],
             types: HashMap::new(),
             revision: 0,
+            history: History::default(),
         };
         document.derive();
         document
@@ -279,8 +292,28 @@ impl Document {
         }
     }
 
+    /// What became of the parameters.
+    pub fn history(&self) -> &History {
+        &self.history
+    }
+
+    /// What is known to be in force is in force since this tick.
+    pub fn in_force(&mut self, tick: u64) {
+        self.history.in_force(tick);
+    }
+
+    /// The history stands there now, see [`crate::ops::step_to`].
+    pub(crate) fn stepped_to(&mut self, at: usize) {
+        self.history.stepped_to(at);
+    }
+
     /// Makes `text` the text, as one step of history. Steps with the same `merge` that follow one another count as one.
     pub fn set_text(&mut self, text: &str, label: &str, merge: Option<&str>) {
+        self.set_text_by(By::Hand, text, label, merge);
+    }
+
+    /// As [`Self::set_text`], by somebody.
+    pub fn set_text_by(&mut self, by: By, text: &str, label: &str, merge: Option<&str>) {
         if *text == *self.text {
             return;
         }
@@ -294,7 +327,29 @@ impl Document {
         self.merge = merge.map(str::to_owned);
         self.redo.clear();
         self.text = text.into();
+        self.derive_by(by, goes_on);
+    }
+
+    /// Draws anew, and writes down which values are others than before.
+    fn derive_by(&mut self, by: By, goes_on: bool) {
+        let before = Arc::clone(&self.view);
         self.derive();
+        if by == By::History {
+            return;
+        }
+        for now in &self.view.nodes {
+            // A node that comes or goes changes no value.
+            let Some(then) = before.node(now.id()).map(|n| &before.nodes[n]) else { continue };
+            let (then, now_params) = (&then.outline.params, &now.outline.params);
+            let gone = then.keys().filter(|param| !now_params.contains_key(*param));
+            for param in now_params.keys().chain(gone) {
+                let (from, to) = (then.get(param).cloned(), now_params.get(param).cloned());
+                if from != to {
+                    let (node, param) = (now.id().to_owned(), param.clone());
+                    self.history.take(Change { node, param, from, to, by, tick: None }, goes_on);
+                }
+            }
+        }
     }
 
     /// Ends a merged step, so that the next one counts anew.
@@ -312,9 +367,23 @@ impl Document {
         merge: Option<&str>,
         edit: impl FnOnce(&mut GraphEdit) -> Result<(), EditError>,
     ) -> Result<(), EditError> {
+        self.edit_by(By::Hand, label, merge, edit)
+    }
+
+    /// As [`Self::edit`], by somebody.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn edit_by(
+        &mut self,
+        by: By,
+        label: &str,
+        merge: Option<&str>,
+        edit: impl FnOnce(&mut GraphEdit) -> Result<(), EditError>,
+    ) -> Result<(), EditError> {
         let mut document = GraphEdit::parse(&self.text)?;
         edit(&mut document)?;
-        self.set_text(&document.text(), label, merge);
+        self.set_text_by(by, &document.text(), label, merge);
         Ok(())
     }
 
@@ -323,7 +392,7 @@ impl Document {
         let step = self.undo.pop()?;
         self.redo.push(Step { text: std::mem::replace(&mut self.text, step.text), label: step.label.clone() });
         self.merge = None;
-        self.derive();
+        self.derive_by(By::Undo, false);
         Some(step.label)
     }
 
@@ -332,7 +401,7 @@ impl Document {
         let step = self.redo.pop()?;
         self.undo.push(Step { text: std::mem::replace(&mut self.text, step.text), label: step.label.clone() });
         self.merge = None;
-        self.derive();
+        self.derive_by(By::Redo, false);
         Some(step.label)
     }
 

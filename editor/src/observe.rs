@@ -47,6 +47,17 @@ impl std::fmt::Display for Output {
     }
 }
 
+/// Where a wire ends: a place of an input.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct WireEnd {
+    /// The node.
+    pub node: String,
+    /// Its input, a position among its type's.
+    pub port: usize,
+    /// Place in a list input.
+    pub index: usize,
+}
+
 /// An output that someone wants to see.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Wanted {
@@ -67,6 +78,8 @@ pub struct Counters {
     pub nodes: BTreeMap<String, NodeWindow>,
     /// Time of p50 and p99 in ms over the last two minutes, by node; oldest first, seconds since the window was opened.
     pub history: HashMap<String, VecDeque<Point>>,
+    /// Most packets that waited on each wire between one look and the next, with seconds since the window was opened; oldest first.
+    pub queues: BTreeMap<WireEnd, VecDeque<[f64; 2]>>,
     /// Newest fault of each node.
     pub faults: HashMap<String, Fault>,
     /// All faults that are remembered, oldest first.
@@ -285,6 +298,17 @@ impl Eye {
                 history.pop_front();
             }
             history.push_back(Point { at_s, p50_ms: node.p50_ms, p99_ms: node.p99_ms, fps: node.fps });
+        }
+        new.queues.retain(|end, _| new.nodes.contains_key(&end.node));
+        for (id, node) in &new.nodes {
+            for queue in &node.queues {
+                let end = WireEnd { node: id.clone(), port: queue.port, index: queue.index };
+                let history = new.queues.entry(end).or_default();
+                if history.len() >= HISTORY {
+                    history.pop_front();
+                }
+                history.push_back([at_s, queue.most as f64]);
+            }
         }
         lock(&self.board).counters = Arc::new(new);
         true

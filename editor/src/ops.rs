@@ -5,6 +5,7 @@ use panoscope_graph::{GraphText, NodeType};
 
 use crate::canvas::Mark;
 use crate::document::{Document, FRAMES, NOTES, View, Wire};
+use crate::history::By;
 use crate::observe::Output;
 
 /// Sets a parameter, or with `None` takes it out of the file. Changes of one parameter in a row are one step.
@@ -15,6 +16,24 @@ pub fn set_param(doc: &mut Document, node: &str, param: &str, value: Option<&tom
         Some(value) => edit.set_param(node, param, value),
         None => edit.unset_param(node, param),
     })
+}
+
+/// Makes exactly the first `at` changes of the history be in force, as one edit; answers how many values that set.
+///
+/// # Errors
+/// A node or parameter of it is gone from the text; nothing is changed then.
+pub fn step_to(doc: &mut Document, at: usize) -> Result<usize, EditError> {
+    let values = doc.history().values_at(at);
+    let here = |node: &str| doc.view().node(node).is_some();
+    let values: Vec<_> = values.into_iter().filter(|(node, ..)| here(node)).collect();
+    doc.edit_by(By::History, "step through the history", None, |edit| {
+        values.iter().try_for_each(|(node, param, value)| match value {
+            Some(value) => edit.set_param(node, param, value),
+            None => edit.unset_param(node, param),
+        })
+    })?;
+    doc.stepped_to(at);
+    Ok(values.len())
 }
 
 fn is_list(view: &View, node: &str, input: &str) -> bool {

@@ -57,6 +57,8 @@ pub struct Status {
     pub busy: bool,
     /// What the last change did, and how long ticks were held up.
     pub last: String,
+    /// Ticks that the busiest source had made when `running` was put in force.
+    pub tick: u64,
     /// Counts changes; previews are subscribed anew when it does.
     pub generation: u64,
 }
@@ -375,9 +377,11 @@ impl Worker {
     }
 
     fn tell(&self, result: Result<String, Trouble>, text: &str) {
+        let tick = self.live.as_ref().map_or(0, |live| live.engine().ticks());
         self.shared.update(|s| match result {
             Ok(words) => {
                 s.running = text.into();
+                s.tick = tick;
                 s.trouble = None;
                 s.last = words;
                 s.generation += 1;

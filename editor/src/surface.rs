@@ -6,6 +6,7 @@ use std::sync::Arc;
 use panoscope_abi as abi;
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw::{Color, Orbit, Projection, SurfacePainter, SurfacePoints};
+use panoscope_imaging::stereo::Place;
 
 use crate::picture::Pixels;
 
@@ -48,29 +49,15 @@ pub struct Cloud {
     pub xyz_mm: Vec<[f32; 3]>,
 }
 
-/// Most pixels around a point that its place is taken from.
-const NEIGHBOURS_PX: usize = 2;
-
 impl Cloud {
-    /// The place at a pixel: the median of the known points around it, `None` where fewer than a quarter of them are known.
-    pub fn at(&self, x: usize, y: usize) -> Option<[f32; 3]> {
-        let near = |v: usize, most: usize| v.saturating_sub(NEIGHBOURS_PX)..(v + NEIGHBOURS_PX + 1).min(most);
-        let (rows, columns) = (near(y, self.height), near(x, self.width));
-        let all = rows.len() * columns.len();
-        let found: Vec<[f32; 3]> = rows
-            .flat_map(|y| columns.clone().map(move |x| (x, y)))
-            .filter_map(|(x, y)| self.xyz_mm.get(y * self.width + x).copied())
-            .filter(|p| p[2].is_finite())
-            .collect();
-        if found.is_empty() || found.len() * 4 < all {
-            return None;
-        }
-        let median = |axis: usize| {
-            let mut values: Vec<f32> = found.iter().map(|p| p[axis]).collect();
-            values.sort_unstable_by(f32::total_cmp);
-            values[values.len() / 2]
-        };
-        Some([median(0), median(1), median(2)])
+    /// The surface at a column and row, from the pixels up to `radius_px` away; `None` where too few are known.
+    pub fn place(&self, (u, v): (f32, f32), radius_px: usize) -> Option<Place> {
+        let at = [f64::from(u).max(0.0), f64::from(v).max(0.0)];
+        Place::at((self.width, self.height), at, radius_px, &mut Vec::new(), |x, y| {
+            let [x, y, z] = self.xyz_mm.get(y * self.width + x)?.map(f64::from);
+            let known = z > 0.0 && [x, y, z].iter().all(|v| v.is_finite());
+            known.then(|| [x / z, y / z, 1.0 / z])
+        })
     }
 }
 
@@ -256,9 +243,10 @@ mod tests {
         let (frame, bytes) = plane(40, 30);
         let mut cloud = cloud_of(&frame, &bytes).unwrap();
         cloud.xyz_mm[10 * 40 + 20] = [f32::NAN; 3];
-        assert_eq!(cloud.at(20, 10).map(|p| p[2]), Some(50.0));
+        let depth = cloud.place((20.0, 10.0), 4).map(|p| p.xyz_mm(0.0)[2]);
+        assert!(depth.is_some_and(|z| (z - 50.0).abs() < 1e-6), "{depth:?}");
         cloud.xyz_mm.fill([f32::NAN; 3]);
-        assert_eq!(cloud.at(20, 10), None);
+        assert_eq!(cloud.place((20.0, 10.0), 4), None);
         assert_eq!(cloud_of(&abi::Frame { height: 4000, ..frame }, &bytes), None, "described wrongly");
     }
 }

@@ -50,6 +50,8 @@ pub struct Viewer {
     space: Space,
     /// Clouds are shown as the camera saw them, not as surfaces.
     flat: bool,
+    /// Something is picked on the picture: it stands alone, as it was seen.
+    picking: bool,
     difference: Option<((u64, u64), TextureHandle, f32)>,
 }
 
@@ -97,7 +99,7 @@ impl Viewer {
     /// From where a cloud is to be painted, while one is shown as a surface.
     pub fn sight(&self) -> Option<Sight> {
         let cloud = self.a.as_ref().is_some_and(|a| a.packet == "cloud");
-        (cloud && self.b.is_none() && !self.flat).then(|| self.space.sight())
+        (cloud && self.b.is_none() && !self.flat && !self.picking).then(|| self.space.sight())
     }
 
     /// The 3-D view.
@@ -105,9 +107,25 @@ impl Viewer {
         &mut self.space
     }
 
-    /// Draws over the canvas; `others` are outputs to compare with, `ways` those of tips and poses.
-    pub fn show(&mut self, ui: &mut Ui, rect: Rect, shown: &Shown, others: &[Source], ways: &[Output]) {
-        let Some(a) = self.a.clone() else { return };
+    /// Something is picked on the picture from now on, or no more.
+    pub fn set_picking(&mut self, picking: bool) {
+        self.picking = picking;
+        if picking {
+            self.b = None;
+        }
+    }
+
+    /// Draws over the canvas; `others` are outputs to compare with, `ways` those of tips and poses. Answers where the picture stands,
+    /// and where there is room for buttons below it.
+    pub fn show(
+        &mut self,
+        ui: &mut Ui,
+        rect: Rect,
+        shown: &Shown,
+        others: &[Source],
+        ways: &[Output],
+    ) -> Option<(Rect, Rect)> {
+        let a = self.a.clone()?;
         if self.sight().is_some() {
             ui.painter_at(rect).rect_filled(rect, 0.0, theme::SUNK);
             let room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
@@ -115,7 +133,7 @@ impl Viewer {
             self.bar(ui, rect, shown, &a, others);
             self.foot(ui, rect);
             self.recall_by_key(ui);
-            return;
+            return None;
         }
         let ground = ui.interact(rect, Id::new("viewer"), Sense::click_and_drag());
         ground.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Viewer of {}", a.output)));
@@ -123,6 +141,7 @@ impl Viewer {
         painter.rect_filled(rect, 0.0, theme::SUNK);
         let room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
         let b = self.b.clone().filter(|b| shown.texture(&b.output).is_some());
+        let stands = shown.texture(&a.output).map(|(_, size)| fit(room, size));
         match (shown.texture(&a.output), b) {
             (None, _) => {
                 let words = shown.words(&a.output).unwrap_or("nothing yet").to_owned();
@@ -143,8 +162,11 @@ impl Viewer {
             painter.text(at, Align2::CENTER_TOP, words, FontId::proportional(18.0), theme::WARN);
         }
         self.bar(ui, rect, shown, &a, others);
-        self.foot(ui, rect);
-        self.recall_by_key(ui);
+        if !self.picking {
+            self.foot(ui, rect);
+            self.recall_by_key(ui);
+        }
+        stands.map(|stands| (stands, foot_of(rect)))
     }
 
     fn recall_by_key(&mut self, ui: &Ui) {
@@ -261,8 +283,7 @@ impl Viewer {
 
     /// What number keys recall.
     fn foot(&mut self, ui: &mut Ui, rect: Rect) {
-        let foot = Rect::from_min_max(pos2(rect.left(), rect.bottom() - 40.0), rect.max).shrink2(vec2(24.0, 6.0));
-        ui.scope_builder(UiBuilder::new().max_rect(foot), |ui| {
+        ui.scope_builder(UiBuilder::new().max_rect(foot_of(rect)), |ui| {
             ui.horizontal(|ui| {
                 if self.sight().is_some() {
                     self.space.controls(ui);
@@ -277,6 +298,11 @@ impl Viewer {
             });
         });
     }
+}
+
+/// Room for buttons below the picture.
+fn foot_of(rect: Rect) -> Rect {
+    Rect::from_min_max(pos2(rect.left(), rect.bottom() - 40.0), rect.max).shrink2(vec2(24.0, 6.0))
 }
 
 fn fit(room: Rect, size: Vec2) -> Rect {

@@ -416,12 +416,18 @@ views = ["scope.left", "points.cloud"]
         window.harness.step();
     }
     window.harness.step();
-    let mm = window.theatre().distance_mm().expect("both points are known");
-    assert!((1.0..100.0).contains(&mm), "{mm} mm");
+    let length = window.theatre().distance().expect("both points are known");
+    assert!((1.0..100.0).contains(&length.mm), "{length}");
+    window.until("the error is known", |t| t.distance().is_some_and(|l| l.error_mm.is_some()));
+    let length = window.theatre().distance().expect("both points are known");
+    assert!(
+        length.error_mm.is_some_and(|e| e > 0.0 && e < length.mm) && length.to_string().contains(" ± "),
+        "{length}"
+    );
     window.key(Key::S);
     window.until("the still is kept", |t| t.remark().is_some_and(|r| r.contains("is kept")));
     window.key(Key::M);
     assert!(!window.theatre().is_frozen());
     assert!(window.told().iter().all(|w| !w.contains("stopped")), "{:?}", window.told());
-    assert_eq!(window.theatre().distance_mm(), None);
+    assert_eq!(window.theatre().distance(), None);
 }

@@ -40,6 +40,13 @@ pub const PARAM_FLOATS: u32 = 7;
 pub const PARAM_REOPEN: u32 = 1;
 /// The file named by the path must exist when the graph is checked.
 pub const PARAM_MUST_EXIST: u32 = 2;
+/// The numbers are points of a picture in px: u, v, u, v, ... The picture is the first one that the node reads, or the first one
+/// that a source makes.
+pub const PARAM_POINTS: u32 = 4;
+/// The numbers are rectangles of a picture in px: x, y, width, height, ... The picture is as for points.
+pub const PARAM_RECTANGLES: u32 = 8;
+/// The text may name a file or folder, relative to the graph file.
+pub const PARAM_FILE: u32 = 16;
 
 /// Bit of [`crate::FORMAT_GRAY8`] and so on in [`Port::formats`].
 pub const fn format_bit(format: u32) -> u32 {
@@ -76,7 +83,7 @@ pub struct Param {
     pub unit: Str,
     /// One of the `PARAM_` kinds.
     pub kind: u32,
-    /// `PARAM_REOPEN`, `PARAM_MUST_EXIST`.
+    /// `PARAM_REOPEN`, `PARAM_MUST_EXIST`, `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE`.
     pub flags: u32,
     /// Default of `PARAM_BOOL`, `PARAM_INT`, `PARAM_FLOAT`; index of the default `PARAM_CHOICE`.
     pub default_number: f64,

@@ -36,6 +36,8 @@ enum Command {
     Replay(commands::replay::Arguments),
     /// Says where two recorded runs differ first, and by how much.
     Compare(commands::compare::Arguments),
+    /// Runs a graph once for each value of a parameter and shows what becomes of a measure.
+    Sweep(commands::sweep::Arguments),
     /// Runs a graph for minutes and says whether its memory grows.
     Soak(commands::soak::Arguments),
     /// Checks graph files and shows every mistake.
@@ -88,6 +90,7 @@ fn main() {
         Command::Record(arguments) => commands::record::run(&arguments),
         Command::Replay(arguments) => commands::replay::run(&arguments),
         Command::Compare(arguments) => commands::compare::run(&arguments),
+        Command::Sweep(arguments) => commands::sweep::run(&arguments),
         Command::Soak(arguments) => commands::soak::run(&arguments),
         Command::Check(arguments) => commands::check::run(&arguments),
         Command::List(arguments) => commands::list::run(&arguments),

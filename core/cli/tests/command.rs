@@ -259,3 +259,24 @@ fn a_locked_graph_tells_what_has_changed() {
     let (code, _, told) = run(&["lock", &file("wrong.toml", "[nodes.a]\ntype = \"nothing\"\n")]);
     assert!(code == 2 && told.contains("nothing"), "{told}");
 }
+
+#[test]
+fn a_sweep_writes_a_row_per_value() {
+    let level = "[nodes.level]\ntype = \"level\"\ninputs = { image = \"source.image\" }";
+    let graph = file("sweep.toml", &graph("live", "pass", level));
+    let (rows, table) = (file("sweep.json", ""), file("sweep.csv", ""));
+    let arguments = ["--param", "level.gain", "--from", "1", "--to", "2", "--steps", "3", "--frames", "5"];
+    let files = ["--measure", "level.levels.max", "--json", &rows, "--csv", &table];
+    let (code, out, err) = run(&[&["sweep", &graph], &arguments[..], &files[..]].concat());
+    assert_eq!(code, 0, "{out}{err}");
+    let written = json(&rows);
+    let written = written.as_array().expect("rows");
+    assert_eq!(written.len(), 3);
+    assert_eq!((written[1]["value"].as_str(), written[1]["count"].as_u64()), (Some("1.5"), Some(5)));
+    let means: Vec<f64> = written.iter().filter_map(|row| row["mean"].as_f64()).collect();
+    assert!(means[0] > 0.0 && (means[2] - 2.0 * means[0]).abs() < 1e-9, "{means:?}");
+    assert_eq!(std::fs::read_to_string(&table).expect("it was written").lines().count(), 4);
+    assert!(out.contains("level.gain") && out.contains("deviation"), "{out}");
+    let (code, _, err) = run(&["sweep", &graph, "--param", "level.gian", "--measure", "level.level"]);
+    assert!(code == 2 && err.contains("it has gain, window, spots"), "{code}: {err}");
+}

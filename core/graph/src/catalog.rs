@@ -186,6 +186,50 @@ pub struct Param {
     /// A change reopens the node instead of being applied between two ticks.
     #[serde(default)]
     pub reopen: bool,
+    /// How a person picks the value, besides typing it.
+    #[serde(default, skip_serializing_if = "Pick::is_none")]
+    pub pick: Pick,
+}
+
+/// How a person picks a value, besides typing it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Pick {
+    /// In no way of its own.
+    #[default]
+    None,
+    /// Points of a picture in px: u, v, u, v, ... The picture is the first one that the node reads, or the first one that a source makes.
+    Points,
+    /// Rectangles of such a picture in px: x, y, width, height, ...
+    Rectangles,
+    /// A file or folder, relative to the graph file.
+    File,
+}
+
+impl Pick {
+    /// Whether there is no way of its own.
+    pub fn is_none(&self) -> bool {
+        *self == Self::None
+    }
+
+    /// Numbers of one point or rectangle; 0 for the others.
+    pub fn stride(self) -> usize {
+        match self {
+            Self::Points => 2,
+            Self::Rectangles => 4,
+            Self::None | Self::File => 0,
+        }
+    }
+
+    /// For `describe` and the schema; empty for [`Self::None`].
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::None => "",
+            Self::Points => "points of the picture: u, v, u, v, ...",
+            Self::Rectangles => "rectangles of the picture: x, y, width, height, ...",
+            Self::File => "may name a file",
+        }
+    }
 }
 
 /// Type, default and limits of a parameter. A missing limit means unbounded on that side.

@@ -9,7 +9,7 @@ use std::collections::HashSet;
 use panoscope_abi as abi;
 use thiserror::Error;
 
-use crate::catalog::{NodeKind, NodeType, PacketType, Param, ParamKind, Port};
+use crate::catalog::{NodeKind, NodeType, PacketType, Param, ParamKind, Pick, Port};
 use crate::checked::ParamValue;
 
 /// Why a plugin's descriptor cannot be used.
@@ -308,7 +308,8 @@ unsafe fn params(node_place: &str, params: &[abi::Param]) -> Result<Vec<Param>> 
         check_name(&place, &name, false)?;
         unique(node_place, "parameter", &name, &mut names)?;
         let place = format!("{node_place}, parameter `{name}`");
-        known_bits(&place, "flags", param.flags, abi::PARAM_REOPEN | abi::PARAM_MUST_EXIST)?;
+        let picks = abi::PARAM_POINTS | abi::PARAM_RECTANGLES | abi::PARAM_FILE;
+        known_bits(&place, "flags", param.flags, abi::PARAM_REOPEN | abi::PARAM_MUST_EXIST | picks)?;
         // SAFETY: the caller's promise.
         out.push(unsafe {
             Param {
@@ -316,11 +317,32 @@ unsafe fn params(node_place: &str, params: &[abi::Param]) -> Result<Vec<Param>> 
                 unit: text(&place, "unit", param.unit)?,
                 kind: param_kind(&place, param)?,
                 reopen: param.flags & abi::PARAM_REOPEN != 0,
+                pick: pick(&place, param)?,
                 name,
             }
         });
     }
     Ok(out)
+}
+
+/// How a person picks the value; a path always names a file.
+fn pick(place: &str, param: &abi::Param) -> Result<Pick> {
+    let set = |flag: u32| param.flags & flag != 0;
+    let (points, rectangles, file) = (set(abi::PARAM_POINTS), set(abi::PARAM_RECTANGLES), set(abi::PARAM_FILE));
+    let problem = match param.kind {
+        _ if u8::from(points) + u8::from(rectangles) + u8::from(file) > 1 => {
+            "a value is picked as points, as rectangles or as a file"
+        }
+        abi::PARAM_FLOATS if file => "only a text or a path can name a file",
+        abi::PARAM_FLOATS if points => return Ok(Pick::Points),
+        abi::PARAM_FLOATS if rectangles => return Ok(Pick::Rectangles),
+        _ if points || rectangles => "only a list of numbers can hold points or rectangles",
+        abi::PARAM_PATH => return Ok(Pick::File),
+        abi::PARAM_TEXT if file => return Ok(Pick::File),
+        _ if file => "only a text or a path can name a file",
+        _ => return Ok(Pick::None),
+    };
+    Err(FromAbiError::Contradiction { place: place.to_owned(), problem: problem.to_owned() })
 }
 
 unsafe fn param_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {

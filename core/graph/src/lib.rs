@@ -28,7 +28,7 @@ mod source;
 mod text;
 pub mod value;
 
-pub use catalog::{Catalog, NodeKind, NodeType, PacketType, Param, ParamKind, PluginProblem, Port};
+pub use catalog::{Catalog, NodeKind, NodeType, PacketType, Param, ParamKind, Pick, PluginProblem, Port};
 pub use check::{Checked, check};
 pub use checked::{Align, Edge, Graph, Mode, Node, OnFault, ParamValue, Pin, Preset, PresetView};
 pub use diagnostic::{Diagnostic, Diagnostics, Note, Severity};

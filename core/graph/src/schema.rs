@@ -1,6 +1,6 @@
 //! JSON Schema of graph files, so that editors complete and check them while they are typed.
 
-use crate::catalog::{Catalog, NodeType, Param, ParamKind, Port};
+use crate::catalog::{Catalog, NodeType, Param, ParamKind, Pick, Port};
 use serde_json::{Map, Value, json};
 
 const NODE_ID: &str = "^[A-Za-z_][A-Za-z0-9_-]*$";
@@ -222,6 +222,10 @@ fn param_schema(param: &Param) -> Value {
     }
     let unit = if param.unit.is_empty() { String::new() } else { format!(" [{}]", param.unit) };
     let reopen = if param.reopen { " A change reopens the node." } else { "" };
-    put("description", json!(format!("{}{unit}{reopen}", param.doc)));
+    let pick = match param.pick {
+        Pick::Points | Pick::Rectangles => format!(" As {}", param.pick.words()),
+        Pick::None | Pick::File => String::new(),
+    };
+    put("description", json!(format!("{}{unit}{pick}{reopen}", param.doc)));
     Value::Object(schema)
 }

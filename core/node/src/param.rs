@@ -207,6 +207,8 @@ pub struct Declared {
     pub reopen: bool,
     /// The path must exist.
     pub must_exist: bool,
+    /// `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE` or 0: how a person picks the value.
+    pub pick: u32,
 }
 
 const fn same(a: &[u8], b: &[u8]) -> bool {
@@ -270,7 +272,9 @@ pub const fn param(d: Declared) -> abi::Param {
         doc: abi::Str::new(d.doc),
         unit: abi::Str::new(d.unit),
         kind: d.kind,
-        flags: if d.reopen { abi::PARAM_REOPEN } else { 0 } | if d.must_exist { abi::PARAM_MUST_EXIST } else { 0 },
+        flags: if d.reopen { abi::PARAM_REOPEN } else { 0 }
+            | if d.must_exist { abi::PARAM_MUST_EXIST } else { 0 }
+            | d.pick,
         default_number: 0.0,
         min: d.limits.0,
         max: d.limits.1,

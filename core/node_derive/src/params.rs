@@ -51,7 +51,12 @@ struct Attribute {
     unit: Option<LitStr>,
     reopen: bool,
     must_exist: bool,
+    pick: Option<Ident>,
 }
+
+/// How a person picks a value: the word in the attribute, and the flag of the contract.
+const PICKS: [(&str, &str); 3] =
+    [("points", "PARAM_POINTS"), ("rectangles", "PARAM_RECTANGLES"), ("file", "PARAM_FILE")];
 
 impl Parse for Attribute {
     fn parse(input: ParseStream) -> Result<Self> {
@@ -63,7 +68,7 @@ impl Parse for Attribute {
                 "range" => out.range.is_some(),
                 "step" => out.step.is_some(),
                 "unit" => out.unit.is_some(),
-                _ => false,
+                word => out.pick.is_some() && PICKS.iter().any(|(pick, _)| *pick == word),
             };
             if twice {
                 return Err(Error::new(key.span(), format!("`{key}` is given twice")));
@@ -71,6 +76,7 @@ impl Parse for Attribute {
             match key.to_string().as_str() {
                 "reopen" => out.reopen = true,
                 "must_exist" => out.must_exist = true,
+                "points" | "rectangles" | "file" => out.pick = Some(key),
                 "default" | "range" | "step" | "unit" => {
                     input.parse::<Token![=]>()?;
                     match key.to_string().as_str() {
@@ -93,7 +99,9 @@ impl Parse for Attribute {
                 other => {
                     return Err(Error::new(
                         key.span(),
-                        format!("`{other}` is none of: default, range, step, unit, reopen, must_exist"),
+                        format!(
+                            "`{other}` is none of: default, range, step, unit, reopen, must_exist, points, rectangles, file"
+                        ),
                     ));
                 }
             }
@@ -159,6 +167,13 @@ fn checks(ident: &Ident, ty: &Type, attribute: &Attribute, default: &Expr) -> Re
         out.asserts.extend(quote_spanned! {default.span()=>
             const _: () = if !#private::has_word::<#ty>(#text) { ::core::panic!("{}", #choices) };
         });
+    }
+    if let Some(pick) = &attribute.pick {
+        let (fits, what) = match pick == "file" {
+            true => (quote!(#private::is_text::<#ty>()), "a text"),
+            false => (quote!(#private::is_floats::<#ty>()), "a list of numbers"),
+        };
+        out.check(pick, None, fits, format!("`{ident}`: `{pick}` is for {what}, this is `{ty_text}`"))?;
     }
     let Some((range, low, high)) =
         attribute.range.as_ref().and_then(|r| Some((r, r.start.as_deref()?, r.end.as_deref()?)))
@@ -307,6 +322,14 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
         };
         let (reopen, must_exist) = (attribute.reopen, attribute.must_exist);
         let default = default_value(default);
+        let flag = attribute.pick.as_ref().and_then(|pick| PICKS.iter().find(|(word, _)| pick == word));
+        let pick = match flag {
+            Some((_, flag)) => {
+                let flag = Ident::new(flag, proc_macro2::Span::call_site());
+                quote!(::panoscope_node::abi::#flag)
+            }
+            None => quote!(0),
+        };
         params.push(quote! {
             ::panoscope_node::__private::param(::panoscope_node::__private::Declared {
                 name: #param_name,
@@ -321,6 +344,7 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
                 step: #step,
                 reopen: #reopen,
                 must_exist: #must_exist,
+                pick: #pick,
             })
         });
         reads.push(quote! { #ident: <#ty as ::panoscope_node::ParamField>::read(&values[#index])? });

@@ -20,7 +20,7 @@ use crate::log::{Level, Log, LogFn};
 use crate::params::Snapshot;
 use crate::plan;
 use crate::pool::{self, Pool, Task};
-use crate::preview::Preview;
+use crate::preview::{Listener, Preview};
 use crate::record::{Event, Recorder, Script};
 use crate::report::{NodeWindow, Report, Window};
 use crate::schedule::{AllocationMeter, Shared};
@@ -43,6 +43,8 @@ pub struct Options {
     pub record: Option<Arc<Recorder>>,
     /// Follows a recording; see [`crate::record::Replay`].
     pub replay: Option<Arc<Script>>,
+    /// Ports whose every packet is heard.
+    pub listen: Vec<Listener>,
     /// A call of a node without a budget that takes longer does not return, in live mode; in batch, 30 times that.
     pub hang: Duration,
     /// Heap allocations of the process so far, where the program counts them.
@@ -62,6 +64,7 @@ impl Default for Options {
             faults: None,
             record: None,
             replay: None,
+            listen: Vec::new(),
             hang: Duration::from_secs(2),
             process_allocations: None,
             thread_allocations: None,
@@ -177,6 +180,8 @@ pub struct Engine {
     watch: Mutex<Option<JoinHandle<()>>>,
     watch_stop: Arc<AtomicBool>,
     closed: AtomicBool,
+    /// Keeps the listeners of [`Options::listen`].
+    _listening: Vec<Preview>,
 }
 
 impl Engine {
@@ -194,6 +199,7 @@ impl Engine {
         }
         let slots: Vec<usize> = (0..cells.len()).collect();
         let plan = plan::lay_out(&graph, catalog, cells, slots.clone(), TICKS_IN_FLIGHT, None);
+        let listening = listen(&graph, catalog, &plan.cells, &options.listen)?;
         let batch = graph.mode == Mode::Batch;
         let start_ns = clock::now_ns();
         let around = Surroundings {
@@ -255,6 +261,7 @@ impl Engine {
             watch: Mutex::new(None),
             watch_stop: Arc::new(AtomicBool::new(false)),
             closed: AtomicBool::new(false),
+            _listening: listening,
         };
         engine.start_threads().map_err(|cause| StartError::Thread { cause })?;
         Ok(engine)
@@ -491,6 +498,12 @@ impl Engine {
         self.shared.around.faults.recent()
     }
 
+    /// Ticks that the busiest source has made.
+    pub fn ticks(&self) -> u64 {
+        let plan = self.shared.plan.load();
+        plan.live().map(|(_, cell)| cell.made.load(Ordering::Relaxed)).max().unwrap_or(0)
+    }
+
     /// All counters and times so far.
     pub fn report(&self) -> Report {
         Report::of(&self.current.load().graph, &self.shared)
@@ -506,6 +519,24 @@ impl Drop for Engine {
     fn drop(&mut self) {
         self.close(Duration::from_secs(5));
     }
+}
+
+/// Sets listeners on ports of nodes that are not open yet. Slots are positions in the graph then.
+fn listen(
+    graph: &Graph,
+    catalog: &Catalog,
+    cells: &[Arc<Cell>],
+    wanted: &[Listener],
+) -> Result<Vec<Preview>, StartError> {
+    let one = |listener: &Listener| {
+        let node = graph.node(&listener.node)?;
+        let port = graph.nodes[node].node_type(catalog).output(&listener.output)?;
+        let preview = cells[node].taps.listen(port, Arc::clone(&listener.hear))?;
+        cells[node].outputs_read.fetch_or(1u64.checked_shl(port as u32).unwrap_or(0), Ordering::Relaxed);
+        Some(preview)
+    };
+    let missing = |l: &Listener| StartError::Stale { reason: format!("there is no output `{}.{}`", l.node, l.output) };
+    wanted.iter().map(|listener| one(listener).ok_or_else(|| missing(listener))).collect()
 }
 
 fn open_first(cell: &Cell, around: &Surroundings) -> Result<(), StartError> {

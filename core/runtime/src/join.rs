@@ -36,6 +36,8 @@ pub(crate) struct Slot {
     /// Newest non-empty value that was used (`latest`, `delay`).
     held: Option<FrameRef>,
     ended: bool,
+    /// Most packets that waited since somebody last asked.
+    most: usize,
     /// A `delay` slot whose producer saw a tick of this node: its packet is waited for.
     expects: bool,
 }
@@ -43,11 +45,22 @@ pub(crate) struct Slot {
 impl Slot {
     pub fn new(rule: Rule, optional: bool, capacity: usize) -> Self {
         let queue = VecDeque::with_capacity(capacity.max(8));
-        Self { rule, optional, capacity: capacity.max(1), queue, held: None, ended: false, expects: false }
+        Self { rule, optional, capacity: capacity.max(1), queue, held: None, ended: false, most: 0, expects: false }
     }
 
     fn waits_for_delayed(&self) -> bool {
         self.rule == Rule::Delay && self.expects && self.queue.is_empty() && !self.ended
+    }
+
+    fn put(&mut self, frame: FrameRef) {
+        self.queue.push_back(frame);
+        self.most = self.most.max(self.queue.len());
+    }
+
+    /// Packets that wait, and the most that waited since the last call.
+    pub fn fill(&mut self) -> (usize, usize) {
+        let waiting = self.queue.len();
+        (waiting, std::mem::replace(&mut self.most, waiting))
     }
 
     /// Takes over what waits on a slot that this one replaces.
@@ -115,7 +128,7 @@ impl Join {
                 dropped += u64::from(trigger && heads);
             }
         }
-        slot.queue.push_back(frame);
+        slot.put(frame);
         dropped
     }
 
@@ -176,7 +189,7 @@ impl Join {
     pub fn push_for_script(&mut self, slot: usize, frame: FrameRef) -> u64 {
         let slot = &mut self.slots[slot];
         if slot.rule == Rule::Exact || !frame.is_empty() {
-            slot.queue.push_back(frame);
+            slot.put(frame);
         }
         0
     }

@@ -8,7 +8,25 @@ use panoscope_abi::Frame;
 use crate::cell::lock;
 use crate::memory::FrameRef;
 
-type Place = Mutex<Option<FrameRef>>;
+/// Hears each packet of a port, on the thread that made it: it must be quick.
+pub type HearFn = dyn Fn(&FrameRef) + Send + Sync;
+
+/// A port that is listened to from the first tick on; see [`crate::Options::listen`].
+#[derive(Clone)]
+pub struct Listener {
+    /// The node.
+    pub node: String,
+    /// Its output.
+    pub output: String,
+    /// What is done with each packet that is not empty.
+    pub hear: Arc<HearFn>,
+}
+
+/// Where a port's packets go.
+struct Place {
+    newest: Mutex<Option<FrameRef>>,
+    hear: Option<Arc<HearFn>>,
+}
 
 /// The newest packet of a port; older ones are forgotten. At most two frames are kept alive: the one here and the
 /// one its reader looks at.
@@ -19,7 +37,7 @@ pub struct Preview {
 impl Preview {
     /// The newest packet since the last call.
     pub fn take(&self) -> Option<FrameRef> {
-        lock(&self.place).take()
+        lock(&self.place.newest).take()
     }
 }
 
@@ -37,7 +55,16 @@ impl Taps {
 
     /// Adds a reader of output `port`.
     pub fn subscribe(&self, port: usize) -> Option<Preview> {
-        let place = Arc::new(Mutex::new(None));
+        self.add(port, None)
+    }
+
+    /// Adds one that hears every packet of output `port` for as long as the answer is kept.
+    pub fn listen(&self, port: usize, hear: Arc<HearFn>) -> Option<Preview> {
+        self.add(port, Some(hear))
+    }
+
+    fn add(&self, port: usize, hear: Option<Arc<HearFn>>) -> Option<Preview> {
+        let place = Arc::new(Place { newest: Mutex::new(None), hear });
         let mut ports = lock(&self.ports);
         ports.get_mut(port)?.push(Arc::downgrade(&place));
         self.active.fetch_add(1, Ordering::Relaxed);
@@ -82,7 +109,10 @@ impl Taps {
                 };
                 if !frame.is_empty() {
                     let borrowed = std::mem::ManuallyDrop::new(FrameRef::adopt(*frame));
-                    *lock(&place) = Some(FrameRef::clone(&borrowed));
+                    match &place.hear {
+                        Some(hear) => hear(&borrowed),
+                        None => *lock(&place.newest) = Some(FrameRef::clone(&borrowed)),
+                    }
                 }
                 true
             });

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use panoscope_graph::Graph;
 use serde::{Deserialize, Serialize};
 
-use crate::cell::lock;
+use crate::cell::{Cell, lock};
 use crate::clock;
 use crate::schedule::Shared;
 use crate::stats::quantile_between_ns;
@@ -209,6 +209,21 @@ pub struct NodeWindow {
     pub restarts: u64,
     /// Numbers that the node told.
     pub metrics: Vec<(String, f64)>,
+    /// What waits at its inputs, wire by wire.
+    pub queues: Vec<QueueWindow>,
+}
+
+/// Packets that wait on one wire. Nodes that run inline after their producer have none that wait.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct QueueWindow {
+    /// Input, a position in the node type's inputs.
+    pub port: usize,
+    /// Position in a list input; 0 for others.
+    pub index: usize,
+    /// Packets that wait now.
+    pub waiting: usize,
+    /// The most that waited since the last look.
+    pub most: usize,
 }
 
 impl Window {
@@ -238,6 +253,7 @@ impl Window {
                 faults: stats.faults.load(Ordering::Relaxed),
                 restarts: stats.restarts.load(Ordering::Relaxed),
                 metrics: lock(&cell.metrics).clone(),
+                queues: queues(cell),
             };
             nodes.insert(cell.id.clone(), window);
             seen.insert(cell.id.clone(), Seen { times, ages, count });
@@ -245,4 +261,16 @@ impl Window {
         self.seen = seen;
         nodes
     }
+}
+
+/// What waits at a node, in the order of ports and list places.
+fn queues(cell: &Cell) -> Vec<QueueWindow> {
+    let ranges = lock(&cell.ranges).clone();
+    let mut join = lock(&cell.join);
+    let places = ranges.iter().enumerate().flat_map(|(port, r)| (0..r.count as usize).map(move |index| (port, index)));
+    let of = |((port, index), slot): ((usize, usize), &mut crate::join::Slot)| {
+        let (waiting, most) = slot.fill();
+        QueueWindow { port, index, waiting, most }
+    };
+    places.zip(join.slots.iter_mut()).map(of).collect()
 }

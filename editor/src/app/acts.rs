@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use eframe::egui::{Context, Event, Key, Modifiers, vec2};
+use panoscope_runtime::sweep::can_sweep;
 
 use super::App;
 use crate::actions::Action;
@@ -12,6 +13,7 @@ use crate::observe::Output;
 use crate::ops::{self, Waiting};
 use crate::palette::{Palette, Picked, Purpose};
 use crate::panels::inspector::Wish;
+use crate::panels::params::Asked;
 use crate::viewer::Source;
 
 impl App {
@@ -62,7 +64,20 @@ impl App {
     pub(super) fn grant(&mut self, node: &str, wish: Wish) {
         let doc = &mut self.document;
         match wish {
-            Wish::Param(change) => {
+            Wish::Sweep => {
+                self.canvas.select_only(node);
+                self.switches.sweep = true;
+                let swept = doc.view().node(node).and_then(|n| {
+                    let params = &doc.view().nodes[n].node_type.as_ref()?.params;
+                    params.iter().find(|p| can_sweep(&p.kind)).map(|p| p.name.clone())
+                });
+                if let Some(param) = swept {
+                    self.sweep.choose(&self.document, node, &param);
+                }
+            }
+            Wish::Param(Asked::Pick(param)) => self.begin_picking(node, &param),
+            Wish::Param(Asked::Browse(param)) => self.browse(node, &param),
+            Wish::Param(Asked::Change(change)) => {
                 let result = ops::set_param(doc, node, &change.param, change.value.as_ref());
                 self.try_edit(result);
             }
@@ -89,6 +104,9 @@ impl App {
 
     /// Shows an output large.
     pub(super) fn look_at(&mut self, output: Output) {
+        if self.picker.take().is_some() {
+            self.viewer.set_picking(false);
+        }
         let source = self.source(output);
         self.viewer.open(source);
     }
@@ -136,10 +154,15 @@ impl App {
             Action::Heat => self.switches.heat ^= true,
             Action::Text => self.switches.text ^= true,
             Action::Plots => self.switches.plots ^= true,
+            Action::History => self.switches.history ^= true,
+            Action::Back => self.step_to(self.document.history().at().saturating_sub(1)),
+            Action::Forward => self.step_to(self.document.history().at() + 1),
+            Action::Sweep => self.switches.sweep ^= true,
             Action::Problems => self.switches.problems ^= true,
             Action::Restart => self.session.restart(self.document.text()),
             Action::Plugins => self.plugins = true,
             Action::Reload => self.session.reload_plugins(),
+            Action::Escape if self.picker.is_some() => self.end_picking(),
             Action::Escape => {
                 if !self.viewer.close() {
                     self.canvas.selected.clear();
@@ -249,6 +272,7 @@ impl App {
     }
 
     fn view(&mut self) {
+        self.end_picking();
         if self.viewer.close() {
             return;
         }

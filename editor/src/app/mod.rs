@@ -2,6 +2,7 @@
 
 mod acts;
 mod begin;
+mod picks;
 mod shot;
 
 use std::collections::HashMap;
@@ -17,14 +18,18 @@ use crate::actions;
 use crate::canvas::{Canvas, Scene, is_pictorial};
 use crate::disk::{self, DiskWatch};
 use crate::document::Document;
+use crate::history::By;
 use crate::observe::{Counters, LARGE_INTERVAL, Observer, Output, THUMBNAIL_INTERVAL, Wanted};
 use crate::ops::Detour;
 use crate::palette::{Palette, Types};
 use crate::panels::Shown;
+use crate::panels::files::Files;
 use crate::panels::inspector::{self, Wish};
 use crate::panels::plots::{Export, Plots};
+use crate::panels::sweep::SweepPanel;
 use crate::panels::top::{self, Switches};
-use crate::panels::{below, overview, plugins};
+use crate::panels::{below, history, overview, plugins};
+use crate::picker::Picker;
 use crate::session::{Phase, Session, Status};
 use crate::theatre::next_file;
 use crate::theme;
@@ -65,6 +70,9 @@ pub struct App {
     pub(crate) shown: Shown,
     pub(crate) viewer: Viewer,
     plots: Plots,
+    sweep: SweepPanel,
+    picker: Option<Picker>,
+    files: Option<Files>,
     palette: Option<Palette>,
     types: Types,
     help: bool,
@@ -108,6 +116,9 @@ impl App {
             shown: Shown::default(),
             viewer: Viewer::default(),
             plots: Plots::default(),
+            sweep: SweepPanel::default(),
+            picker: None,
+            files: None,
             palette: None,
             types: Types::default(),
             help: false,
@@ -145,6 +156,13 @@ impl App {
         self.viewer.source().map(|v| &v.output)
     }
 
+    /// Wires in words, each with the most packets that waited on it since the window was opened, as far as is remembered.
+    pub fn queues(&self) -> Vec<(String, f64)> {
+        let (counters, view) = (self.observer.counters(), self.document.view());
+        let most = |points: &std::collections::VecDeque<[f64; 2]>| points.iter().map(|p| p[1]).fold(0.0, f64::max);
+        counters.queues.iter().map(|(end, points)| (view.wire_name(end), most(points))).collect()
+    }
+
     /// Mean CPU time of the window's thread per frame in ms, and frames drawn so far.
     pub fn cost(&self) -> (f64, u64) {
         self.costs.mean()
@@ -175,13 +193,20 @@ impl App {
         let ctx = ui.ctx().clone();
         let status = self.session.status();
         self.document.set_loader(self.session.loader());
+        if self.document.history().waits() && *status.running == **self.document.text() {
+            self.document.in_force(status.tick);
+        }
         self.shown.update(&ctx, self.observer.take());
         if let Some(text) = self.disk.look() {
             self.changed_on_disk(text);
         }
         let typing = ctx.text_edit_focused();
         // While something asks for an answer, keys are for that.
-        if self.palette.is_none() && !self.help && !self.plugins {
+        if self.picker.is_some() && !self.help {
+            for action in ctx.input_mut(actions::pressed_while_picking) {
+                self.act(action);
+            }
+        } else if self.palette.is_none() && self.files.is_none() && !self.help && !self.plugins {
             for action in ctx.input_mut(|input| actions::pressed(input, typing)) {
                 self.act(action);
             }
@@ -223,7 +248,8 @@ impl App {
                 ui.allocate_rect(rect, egui::Sense::hover());
                 let (others, ways) = (self.sources(), self.ways());
                 let ways: Vec<Output> = ways.into_iter().map(|(output, _)| output).collect();
-                self.viewer.show(ui, rect, &self.shown, &others, &ways);
+                let stands = self.viewer.show(ui, rect, &self.shown, &others, &ways);
+                self.pick_on(ui, stands);
                 return;
             }
             let scene = Scene {
@@ -276,19 +302,33 @@ impl App {
                 self.canvas.show_node(&self.document.view().clone(), &id);
             }
         }
+        if self.switches.history {
+            let panel = Panel::bottom("history").frame(frame).default_size(200.0).size_range(100.0..=480.0);
+            let go = panel.show(ui, |ui| history::show(ui, &self.document)).inner;
+            if let Some(at) = go {
+                self.step_to(at);
+            }
+        }
+        if self.switches.sweep {
+            let panel = Panel::bottom("sweep").frame(frame).default_size(270.0).size_range(160.0..=560.0);
+            let (selected, path) = (self.selected(), self.session.path().to_owned());
+            let wish = panel
+                .show(ui, |ui| self.sweep.show(ui, &self.document, counters, &self.shown, selected.as_deref(), &path));
+            wish.inner.into_iter().for_each(|wish| self.grant_sweep(wish));
+        }
         if self.switches.plots {
             let panel = Panel::bottom("plots").frame(frame).default_size(220.0).size_range(120.0..=520.0);
-            let export = panel.show(ui, |ui| self.plots.show(ui, counters, &selected)).inner;
+            let export = panel.show(ui, |ui| self.plots.show(ui, self.document.view(), counters, &selected)).inner;
             if let Some(export) = export {
-                self.export(export);
+                self.export("plot", export);
             }
         }
     }
 
     /// Writes curves into `out/`, under the next number.
-    fn export(&mut self, export: Export) {
+    pub(super) fn export(&mut self, what: &str, export: Export) {
         let ending = if matches!(export, Export::Csv(_)) { "csv" } else { "png" };
-        let written = next_file(Path::new("out"), "plot", ending).and_then(|file| {
+        let written = next_file(Path::new("out"), what, ending).and_then(|file| {
             match export {
                 Export::Csv(text) => disk::replace(&file, text.as_bytes(), None).map_err(|e| e.to_string())?,
                 Export::Picture(picture) => picture.save(&file).map_err(|e| e.to_string())?,
@@ -344,6 +384,11 @@ impl App {
                 self.pick(picked);
             }
         }
+        if let Some(files) = &mut self.files
+            && let Some(picked) = files.show(ctx)
+        {
+            self.take_file(picked);
+        }
         if self.plugins {
             match plugins::show(ctx, &self.session.loader(), self.document.catalog()) {
                 Some(plugins::Asked::Reload) => self.session.reload_plugins(),
@@ -398,7 +443,7 @@ impl App {
             self.conflict = Some(text);
             return;
         }
-        self.document.set_text(&text, "change on disk", None);
+        self.document.set_text_by(By::File, &text, "change on disk", None);
         self.document.now_saved(&text);
         self.tell("the file changed on disk and was read again; undo brings the old text back", false);
     }
@@ -418,7 +463,7 @@ impl App {
                 if theirs.clicked()
                     && let Some(text) = self.conflict.take()
                 {
-                    self.document.set_text(&text, "take the file's text", None);
+                    self.document.set_text_by(By::File, &text, "take the file's text", None);
                     self.document.now_saved(&text);
                 } else if ours.clicked()
                     && let Some(text) = self.conflict.take()
@@ -476,9 +521,12 @@ impl App {
         {
             want(&output, &packet, if is_pictorial(&packet) { THUMBNAIL } else { 1 });
         }
-        if self.switches.plots && self.plots.wants_values() {
+        let values = self.switches.plots && self.plots.wants_values();
+        if values || self.switches.sweep {
+            self.outputs_of(&["scalar", "table"]).iter().for_each(|(output, packet)| want(output, packet, 1));
+        }
+        if values {
             let outputs = self.outputs_of(&["scalar", "table"]);
-            outputs.iter().for_each(|(output, packet)| want(output, packet, 1));
             let outputs: Vec<Output> = outputs.into_iter().map(|(output, _)| output).collect();
             self.plots.follow(&self.shown, &outputs);
         }

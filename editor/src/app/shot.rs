@@ -161,9 +161,17 @@ impl App {
         }
     }
 
-    /// One step of a script: `select:NODE`, `view:NODE.PORT`, `heat`, ...
+    /// One step of a script: `select:NODE`, `view:NODE.PORT`, `set:NODE.PARAM=VALUE`, `pick:NODE.PARAM`, `browse:NODE.PARAM`,
+    /// `sweep:NODE.PARAM MEASURE`, `heat`, ...
     fn play(&mut self, step: &str) {
         let (word, rest) = step.split_once(':').unwrap_or((step, ""));
+        match (word, rest.split_once('.')) {
+            ("pick", Some((node, param))) => return self.begin_picking(node, param),
+            ("browse", Some((node, param))) => return self.browse(node, param),
+            ("set", Some((node, rest))) => return self.set_from_script(node, rest),
+            ("sweep", Some(_)) => return self.sweep_from_script(rest),
+            _ => {}
+        }
         match word {
             "pan" => self.panning = true,
             "zoom" => self.canvas.zoom_by(rest.parse().unwrap_or(0)),

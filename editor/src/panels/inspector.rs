@@ -1,10 +1,13 @@
 //! The selected node: what it shows, how it does, what feeds it, what can be set.
 
 use eframe::egui::{
-    Align, ComboBox, Grid, Image, Label, Layout, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2,
+    Align, Button, ComboBox, Grid, Image, Label, Layout, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2,
 };
 
+use panoscope_runtime::sweep::can_sweep;
+
 use super::{Shown, params, time_words};
+use crate::actions::{self, Action};
 use crate::canvas::Canvas;
 use crate::document::{Document, NodeView};
 use crate::observe::{Counters, Output};
@@ -13,8 +16,10 @@ use crate::theme;
 /// What was asked for.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Wish {
-    /// Change a parameter.
-    Param(params::Change),
+    /// Something about a parameter.
+    Param(params::Asked),
+    /// Sweep one of its parameters.
+    Sweep,
     /// Connect a place of an input to an output, or take the wire off.
     Input {
         /// The input.
@@ -58,6 +63,15 @@ pub fn show(
         }
         if node_type.is_some_and(|t| !t.params.is_empty()) {
             section(ui, "Parameters");
+            if node_type.is_some_and(|t| t.params.iter().any(|p| can_sweep(&p.kind))) {
+                let button = Button::new(RichText::new("sweep one over a range").size(11.0).color(theme::ACCENT));
+                let sweep = ui.add(button.frame(false)).on_hover_text(actions::hint(Action::Sweep));
+                sweep.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Sweep a parameter"));
+                if sweep.clicked() {
+                    wishes.push(Wish::Sweep);
+                }
+                ui.add_space(theme::STEP);
+            }
             wishes.extend(params::show(ui, document, this).into_iter().map(Wish::Param));
         }
         ui.add_space(6.0 * theme::STEP);

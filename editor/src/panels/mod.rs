@@ -1,12 +1,16 @@
 //! What stands around the canvas.
 
 pub mod below;
+pub mod cutout;
+pub mod files;
+pub mod history;
 pub mod inspector;
 pub mod overview;
 pub mod params;
 pub mod plots;
 pub mod plugins;
 pub mod surface;
+pub mod sweep;
 pub mod top;
 
 use std::collections::HashMap;

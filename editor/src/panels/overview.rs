@@ -13,8 +13,8 @@ use crate::theme;
 pub enum Wish {
     /// Go to a node.
     Go(String),
-    /// Change a parameter of a node.
-    Param(String, params::Change),
+    /// Something about a parameter of a node.
+    Param(String, params::Asked),
 }
 
 /// What the file says of itself: the comment that it opens with.

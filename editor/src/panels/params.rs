@@ -4,7 +4,7 @@ use eframe::egui::{
     Align, Button, ComboBox, DragValue, Layout, Response, RichText, Sense, Slider, SliderClamping, TextEdit, Ui,
     WidgetInfo, WidgetType, vec2,
 };
-use panoscope_graph::{Param, ParamKind};
+use panoscope_graph::{Param, ParamKind, Pick};
 
 use crate::document::{Document, NodeView, default_value};
 use crate::theme;
@@ -18,8 +18,19 @@ pub struct Change {
     pub value: Option<toml::Value>,
 }
 
-/// Shows all parameters of a node; answers changes.
-pub fn show(ui: &mut Ui, document: &Document, node: &NodeView) -> Vec<Change> {
+/// What was asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Asked {
+    /// Another value.
+    Change(Change),
+    /// Points or rectangles are to be picked on the picture.
+    Pick(String),
+    /// A file is to be picked.
+    Browse(String),
+}
+
+/// Shows all parameters of a node; answers what was asked for.
+pub fn show(ui: &mut Ui, document: &Document, node: &NodeView) -> Vec<Asked> {
     let params = node.node_type.iter().flat_map(|t| &t.params);
     let one = |p: &Param| ui.push_id(&p.name, |ui| one(ui, document, node, p, &title(p))).inner;
     params.filter_map(one).collect()
@@ -32,12 +43,12 @@ fn title(param: &Param) -> String {
     bare.unwrap_or(&param.name).replace('_', " ")
 }
 
-/// Shows one parameter under `title`; answers a change.
-pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, title: &str) -> Option<Change> {
+/// Shows one parameter under `title`; answers what was asked for.
+pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, title: &str) -> Option<Asked> {
     let given = node.outline.params.get(&param.name);
     let value = given.cloned().unwrap_or_else(|| default_value(&param.kind));
     let differs = document.differs_from_file(node, &param.name);
-    let mut change = None;
+    let (mut change, mut asked) = (None, None);
     ui.spacing_mut().item_spacing.y = 2.0;
     ui.horizontal(|ui| {
         ui.spacing_mut().interact_size.y = 18.0;
@@ -68,6 +79,22 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
                     change = Some(Change { param: param.name.clone(), value: None });
                 }
             }
+            let (pick, words, hint) = match param.pick {
+                Pick::Points => ("Pick", "in picture", "On the picture: click to add, drag to move"),
+                Pick::Rectangles => ("Pick", "in picture", "On the picture: drag to draw, handles to change"),
+                Pick::File => ("Browse", "browse", "Files and folders"),
+                Pick::None => ("", "", ""),
+            };
+            if !words.is_empty() {
+                let button = Button::new(RichText::new(words).size(11.0).color(theme::ACCENT)).frame(false);
+                let button = ui.add(button).on_hover_text(hint);
+                let words = format!("{pick} {}", param.name);
+                button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, words.clone()));
+                if button.clicked() {
+                    let name = param.name.clone();
+                    asked = Some(if param.pick == Pick::File { Asked::Browse(name) } else { Asked::Pick(name) });
+                }
+            }
             if new.is_some() {
                 change = Some(Change { param: param.name.clone(), value: new });
             }
@@ -77,7 +104,7 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
         change = Some(Change { param: param.name.clone(), value: Some(value) });
     }
     ui.add_space(2.0 * theme::STEP);
-    change
+    asked.or(change.map(Asked::Change))
 }
 
 /// The widget of one parameter; answers a new value.

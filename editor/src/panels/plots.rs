@@ -2,15 +2,14 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write as _;
-use std::sync::Arc;
 
-use eframe::egui::{
-    Align, Button, Context, Event, Layout, Rect, Ui, UserData, ViewportCommand, WidgetInfo, WidgetType,
-};
+use eframe::egui::{Align, Align2, Button, FontId, Layout, Ui, WidgetInfo, WidgetType};
 use egui_plot::{Legend, Line, Plot, PlotPoints};
 
 use super::Shown;
+use super::cutout::Cutout;
 use crate::content::Content;
+use crate::document::View;
 use crate::observe::{Counters, Output, Point};
 use crate::theme;
 
@@ -29,18 +28,21 @@ pub enum Kind {
     Slowest,
     /// Calls per second.
     Rate,
+    /// Most packets that waited on a wire.
+    Queues,
     /// Numbers that scalar and table ports tell.
     Values,
 }
 
 impl Kind {
-    const ALL: [Self; 4] = [Self::Times, Self::Slowest, Self::Rate, Self::Values];
+    const ALL: [Self; 5] = [Self::Times, Self::Slowest, Self::Rate, Self::Queues, Self::Values];
 
     fn words(self) -> &'static str {
         match self {
             Self::Times => "Median time",
             Self::Slowest => "99 % time",
             Self::Rate => "Rate",
+            Self::Queues => "Queues",
             Self::Values => "Values",
         }
     }
@@ -49,6 +51,7 @@ impl Kind {
         match self {
             Self::Times | Self::Slowest => "ms per call",
             Self::Rate => "calls per second",
+            Self::Queues => "packets waiting",
             Self::Values => "value",
         }
     }
@@ -71,8 +74,7 @@ pub struct Plots {
     kind: Kind,
     values: BTreeMap<String, VecDeque<[f64; 2]>>,
     seen: BTreeMap<Output, u64>,
-    /// A picture of this part of the window was asked for.
-    picture: Option<Rect>,
+    cutout: Cutout,
 }
 
 /// What is to be written.
@@ -118,8 +120,20 @@ impl Plots {
         self.values.retain(|name, _| outputs.iter().any(|o| name.starts_with(&format!("{o} "))));
     }
 
-    fn curves(&self, counters: &Counters, selected: &[String]) -> Vec<Curve> {
+    fn curves(&self, view: &View, counters: &Counters, selected: &[String]) -> Vec<Curve> {
         let chosen = |id: &str| selected.is_empty() || selected.iter().any(|s| s == id);
+        if self.kind == Kind::Queues {
+            // Wires that something ever waited on; the fullest first.
+            let most = |points: &VecDeque<[f64; 2]>| points.iter().map(|p| p[1]).fold(0.0, f64::max);
+            let end = counters.queues.values().filter_map(|q| q.back()).map(|p| p[0]).fold(0.0, f64::max);
+            let mut wires: Vec<_> =
+                counters.queues.iter().filter(|(wire, q)| chosen(&wire.node) && most(q) > 0.0).collect();
+            wires.sort_by(|a, b| most(b.1).total_cmp(&most(a.1)).then_with(|| a.0.cmp(b.0)));
+            let curve = |(wire, q): (&crate::observe::WireEnd, &VecDeque<[f64; 2]>)| {
+                (view.wire_name(wire), q.iter().map(|p| [p[0] - end, p[1]]).collect())
+            };
+            return wires.into_iter().take(MOST_CURVES).map(curve).collect();
+        }
         if self.kind == Kind::Values {
             let of_node = |name: &str| name.split('.').next().is_some_and(chosen);
             let curves = self.values.iter().filter(|(name, _)| of_node(name)).take(MOST_CURVES);
@@ -138,9 +152,10 @@ impl Plots {
     }
 
     /// Shows the panel; answers what is to be written.
-    pub fn show(&mut self, ui: &mut Ui, counters: &Counters, selected: &[String]) -> Option<Export> {
-        let curves = self.curves(counters, selected);
-        let mut export = self.taken(ui.ctx());
+    pub fn show(&mut self, ui: &mut Ui, view: &View, counters: &Counters, selected: &[String]) -> Option<Export> {
+        let curves = self.curves(view, counters, selected);
+        let mut export = self.cutout.taken(ui.ctx()).map(Export::Picture);
+        let empty = curves.is_empty();
         let mut asked = false;
         ui.horizontal(|ui| {
             for kind in Kind::ALL {
@@ -176,30 +191,18 @@ impl Plots {
         });
         shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Times"));
         if asked {
-            self.picture = Some(shown.response.rect);
-            ui.ctx().send_viewport_cmd(ViewportCommand::Screenshot(UserData::default()));
+            self.cutout.ask(ui.ctx(), shown.response.rect);
+        }
+        if empty {
+            let words = match self.kind {
+                Kind::Queues => "nothing waits on any wire: each node takes what comes at once",
+                Kind::Values => "no scalar or table has come yet",
+                _ => "nothing runs",
+            };
+            let font = FontId::proportional(13.0);
+            ui.painter().text(shown.response.rect.center(), Align2::CENTER_CENTER, words, font, theme::MUTED);
         }
         export
-    }
-
-    /// The part of the window that was asked for, once its picture is there.
-    fn taken(&mut self, ctx: &Context) -> Option<Export> {
-        let rect = self.picture?;
-        let image = ctx.input(|i| {
-            i.events.iter().find_map(|e| match e {
-                Event::Screenshot { image, .. } => Some(Arc::clone(image)),
-                _ => None,
-            })
-        })?;
-        self.picture = None;
-        let [width, height] = image.size;
-        let points = ctx.pixels_per_point();
-        let at = |v: f32, most: usize| ((v * points).round().max(0.0) as usize).min(most);
-        let (x0, x1) = (at(rect.left(), width), at(rect.right(), width));
-        let (y0, y1) = (at(rect.top(), height), at(rect.bottom(), height));
-        let rows = (y0..y1).flat_map(|y| image.pixels[y * width + x0..y * width + x1].iter());
-        let rgb: Vec<u8> = rows.flat_map(|p| [p.r(), p.g(), p.b()]).collect();
-        image::RgbImage::from_raw((x1 - x0) as u32, (y1 - y0) as u32, rgb).map(Export::Picture)
     }
 }
 
@@ -219,6 +222,7 @@ fn csv(kind: Kind, curves: &[Curve]) -> String {
 mod tests {
     use super::*;
     use crate::picture::Look;
+    use eframe::egui::Context;
     use std::collections::HashMap;
 
     #[test]
@@ -234,11 +238,14 @@ mod tests {
             plots.follow(&shown, std::slice::from_ref(&output));
             plots.follow(&shown, std::slice::from_ref(&output));
         }
-        let curves = plots.curves(&Counters::default(), &[]);
+        let curves = plots.curves(&View::default(), &Counters::default(), &[]);
         assert_eq!(curves, [("pid.errors x mm".to_owned(), vec![[-0.2, 0.0], [-0.1, 1.0], [0.0, 2.0]])]);
         assert_eq!(csv(Kind::Values, &curves).lines().nth(3), Some("\"pid.errors x mm\",0.000,2"));
-        assert!(plots.curves(&Counters::default(), &["other".to_owned()]).is_empty());
+        assert!(plots.curves(&View::default(), &Counters::default(), &["other".to_owned()]).is_empty());
         plots.follow(&shown, &[]);
-        assert!(plots.curves(&Counters::default(), &[]).is_empty(), "a node that is gone has no curve");
+        assert!(
+            plots.curves(&View::default(), &Counters::default(), &[]).is_empty(),
+            "a node that is gone has no curve"
+        );
     }
 }

@@ -20,6 +20,10 @@ pub struct Switches {
     pub plots: bool,
     /// Mistakes and faults.
     pub problems: bool,
+    /// What became of the parameters.
+    pub history: bool,
+    /// A sweep.
+    pub sweep: bool,
 }
 
 /// Shows the bar; answers the actions asked for.
@@ -42,6 +46,8 @@ pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counte
                 }
             };
             button(ui, Action::Help, "Keys", false, true);
+            button(ui, Action::Sweep, "Sweep", on.sweep, true);
+            button(ui, Action::History, "History", on.history, true);
             button(ui, Action::Plots, "Plots", on.plots, true);
             button(ui, Action::Text, "Text", on.text, true);
             button(ui, Action::Heat, "Heat", on.heat, true);

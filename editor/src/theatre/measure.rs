@@ -6,26 +6,52 @@ use std::sync::Arc;
 use eframe::egui::Context;
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw;
+use panoscope_imaging::stereo::Place;
+use panoscope_imaging::stereo::length::{self, Errors, Noise};
 
+use crate::content::Rig;
 use crate::observe::Output;
 use crate::panels::Shown;
 use crate::picture::{Look, Pixels};
-use crate::surface::{Cloud, distance_mm};
+use crate::surface::Cloud;
 
 /// A point that was tapped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tapped {
     /// Column and row of the picture.
     pub at_px: (f32, f32),
-    /// Where it is, in mm from the camera; `None` where the depth is unknown.
-    pub place_mm: Option<[f32; 3]>,
+    /// Where it is, and how sure that is; `None` where the depth is unknown.
+    pub place: Option<Place>,
 }
+
+/// A length with the error that 95 % of measurements stay within.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Length {
+    /// The length, mm.
+    pub mm: f64,
+    /// Its error, mm; `None` where no calibration tells it.
+    pub error_mm: Option<f64>,
+}
+
+impl std::fmt::Display for Length {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.error_mm {
+            Some(error) => write!(f, "{:.1} ± {:.1} mm", self.mm, error.max(0.1)),
+            None => write!(f, "{:.1} mm, error unknown", self.mm),
+        }
+    }
+}
+
+/// Radius of the neighbourhood that stands for a point, px.
+const RADIUS_PX: usize = 4;
 
 /// Measuring: off, waiting for a picture, or on with up to two points.
 #[derive(Default)]
 pub struct Measure {
     waits: bool,
     on: Option<On>,
+    /// What errors follow from.
+    rig: Option<(Rig, Noise)>,
 }
 
 struct On {
@@ -38,7 +64,12 @@ struct On {
 impl Measure {
     /// Waits for the next picture with points.
     pub fn begin() -> Self {
-        Self { waits: true, on: None }
+        Self { waits: true, ..Self::default() }
+    }
+
+    /// The cameras that the points come from, and what is not known exactly about them.
+    pub fn know(&mut self, rig: Rig, noise: Noise) {
+        self.rig = Some((rig, noise));
     }
 
     /// Whether it is begun.
@@ -56,7 +87,8 @@ impl Measure {
         let Some(cloud) = look.cloud.clone() else { return };
         let mut held = Shown::default();
         held.update(ctx, HashMap::from([(output.clone(), look)]));
-        *self = Self { waits: false, on: Some(On { cloud, output: output.clone(), held, points: Vec::new() }) };
+        let on = On { cloud, output: output.clone(), held, points: Vec::new() };
+        *self = Self { waits: false, on: Some(on), rig: self.rig };
     }
 
     /// The picture, where it is shown and which output it is of.
@@ -71,13 +103,12 @@ impl Measure {
             return;
         }
         // A point without depth cannot be measured from: the next tap takes its place.
-        on.points.retain(|p| p.place_mm.is_some());
+        on.points.retain(|p| p.place.is_some());
         if on.points.len() >= 2 {
             on.points.clear();
         }
         let at_px = (x * on.cloud.width as f32 - 0.5, y * on.cloud.height as f32 - 0.5);
-        let (column, row) = (at_px.0.round().max(0.0) as usize, at_px.1.round().max(0.0) as usize);
-        on.points.push(Tapped { at_px, place_mm: on.cloud.at(column, row) });
+        on.points.push(Tapped { at_px, place: on.cloud.place(at_px, RADIUS_PX) });
     }
 
     /// Points so far.
@@ -90,19 +121,33 @@ impl Measure {
         self.on.as_ref().map_or((1, 1), |on| (on.cloud.width.max(1), on.cloud.height.max(1)))
     }
 
+    /// What is measured of these points with its error, mm.
+    fn length(&self, points: &[Place], measure: fn(&[[f64; 3]]) -> f64) -> Length {
+        let errors = self.rig.map(|(rig, noise)| Errors::of(rig.focal_px, rig.baseline_mm, rig.rms_px, &noise));
+        let (mm, error) = length::with_error(points, errors.as_ref(), measure);
+        Length { mm, error_mm: Some(error).filter(|e| e.is_finite()) }
+    }
+
     /// Distance between both points.
-    pub fn distance_mm(&self) -> Option<f32> {
+    pub fn distance(&self) -> Option<Length> {
         match self.points() {
-            [Tapped { place_mm: Some(a), .. }, Tapped { place_mm: Some(b), .. }] => Some(distance_mm(*a, *b)),
+            [Tapped { place: Some(a), .. }, Tapped { place: Some(b), .. }] => {
+                Some(self.length(&[*a, *b], length::distance))
+            }
             _ => None,
         }
+    }
+
+    /// Depth of the last point.
+    pub fn depth(&self) -> Option<Length> {
+        self.points().last()?.place.map(|place| self.length(&[place], length::depth))
     }
 
     /// What to do next, in words.
     pub fn hint(&self) -> &'static str {
         match self.points() {
             _ if self.waits => "Waiting for a picture with depth",
-            [.., Tapped { place_mm: None, .. }] => "No depth there: tap beside it",
+            [.., Tapped { place: None, .. }] => "No depth there: tap beside it",
             [] => "Tap the first point",
             [_] => "Tap the second point",
             _ => "Tap to measure again",
@@ -120,9 +165,9 @@ impl Measure {
         let color = [0x56, 0xB4, 0xE9];
         if let [a, b] = on.points[..] {
             draw::line(&mut out, a.at_px, b.at_px, 2.0, color);
-            if let Some(mm) = self.distance_mm() {
+            if let Some(length) = self.distance() {
                 let (x, y) = ((a.at_px.0 + b.at_px.0) / 2.0 + 8.0, (a.at_px.1 + b.at_px.1) / 2.0 + 8.0);
-                draw::text(&mut out, x, y, &format!("{mm:.1} mm"), height as f32 / 240.0, color);
+                draw::text(&mut out, x, y, &still_words(&length), height as f32 / 240.0, color);
             }
         }
         for point in &on.points {
@@ -131,6 +176,11 @@ impl Measure {
         pixels.rgba = rgb.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
         Some(pixels)
     }
+}
+
+/// For a picture: its letters are plain ones.
+fn still_words(length: &Length) -> String {
+    length.to_string().replace('±', "+-")
 }
 
 #[cfg(test)]
@@ -156,9 +206,15 @@ mod tests {
         let mut measure = on();
         assert_eq!(measure.hint(), "Tap the first point");
         measure.tap(5.5 / 30.0, 5.5 / 20.0);
-        assert_eq!((measure.distance_mm(), measure.hint()), (None, "Tap the second point"));
+        assert_eq!((measure.distance(), measure.hint()), (None, "Tap the second point"));
+        assert!(measure.depth().is_some_and(|depth| (depth.mm - 50.0).abs() < 1e-6));
         measure.tap(15.5 / 30.0, 5.5 / 20.0);
-        assert_eq!(measure.distance_mm(), Some(10.0));
+        let length = measure.distance().expect("both points are known");
+        assert!((length.mm - 10.0).abs() < 1e-6 && length.error_mm.is_none(), "{length:?}");
+        assert_eq!(length.to_string(), "10.0 mm, error unknown");
+        measure.know(Rig { focal_px: 750.0, baseline_mm: 15.0, rms_px: f64::NAN }, Noise::USUAL);
+        let error = measure.distance().and_then(|l| l.error_mm).expect("the rig is known");
+        assert!((0.01..1.0).contains(&error), "{error} mm");
         assert!(measure.pixels().is_some_and(|p| p.rgba.contains(&0xE9)), "the line is drawn");
         measure.tap(0.1, 0.1);
         assert_eq!(measure.points().len(), 1);

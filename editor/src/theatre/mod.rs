@@ -27,6 +27,7 @@ use panoscope_graph::{GraphText, ParamValue};
 use panoscope_runtime::clock;
 
 use crate::app::{Costs, Shot};
+use crate::content::{Content, Rig};
 use crate::observe::{Counters, Observer, Output, Wanted};
 use crate::panels::Shown;
 use crate::session::{Phase, Session, Status};
@@ -36,6 +37,7 @@ use crate::theme;
 pub use acts::{Act, key_words};
 pub use arrange::Layout;
 pub use keep::{free_bytes, next_file, with_clip, without_clip, write_still};
+pub use measure::Length;
 pub use notices::{Notice, Urgency};
 pub use open::{OpenError, Options, Ready};
 pub use plan::{Place, Plan, Setting};
@@ -86,6 +88,8 @@ pub struct Theatre {
     layout: Layout,
     frozen: Option<Instant>,
     measure: Measure,
+    /// Cameras behind the points to measure in.
+    rig: Option<Rig>,
     sights: HashMap<Output, Sight>,
     keeper: Keeper,
     clip: Option<Clip>,
@@ -141,6 +145,7 @@ impl Theatre {
             layout: Layout::All,
             frozen: None,
             measure: Measure::default(),
+            rig: None,
             sights: HashMap::new(),
             keeper: Keeper::new(&options.folder, options.label.as_deref())?,
             clip: None,
@@ -189,9 +194,9 @@ impl Theatre {
         self.clip.as_ref().map(|c| c.file.as_path())
     }
 
-    /// Distance between the two points that were tapped last, mm.
-    pub fn distance_mm(&self) -> Option<f32> {
-        self.measure.distance_mm()
+    /// Distance between the two points that were tapped last.
+    pub fn distance(&self) -> Option<Length> {
+        self.measure.distance()
     }
 
     /// Whether the window was asked to close.
@@ -261,6 +266,14 @@ impl Theatre {
         let now = Instant::now();
         for (output, look) in &looks {
             self.seen.insert(output.clone(), Seen { at: now, ingest_ns: look.ingest_ns });
+        }
+        if let Some(rig) = &self.plan.rig
+            && let Some(Content::Rig(known)) = looks.get(&rig.calibration).map(|look| &look.content)
+        {
+            self.rig = Some(*known);
+        }
+        if let (Some(known), Some(rig)) = (self.rig, &self.plan.rig) {
+            self.measure.know(known, rig.noise);
         }
         if let Some(cloud) = self.plan.cloud.clone().filter(|_| self.measure.waits())
             && let Some(look) = looks.remove(&cloud)
@@ -364,6 +377,10 @@ impl Theatre {
         }
         if let Some(raw) = &self.plan.raw {
             wanted.insert(raw.output.clone(), of(raw, MOST_WIDTH));
+        }
+        if let Some(rig) = self.plan.rig.as_ref().filter(|_| self.measure.is_on() && self.rig.is_none()) {
+            let packet = "calibration".to_owned();
+            wanted.insert(rig.calibration.clone(), Wanted { packet, most_width: 1, ..Wanted::default() });
         }
         if self.frozen.is_none() && self.raw_only.is_none() {
             for place in self.displayed() {

@@ -2,6 +2,7 @@
 
 use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{Catalog, Graph, Param, ParamKind, PresetView};
+use panoscope_imaging::stereo::length::Noise;
 
 use crate::observe::Output;
 
@@ -47,6 +48,15 @@ pub struct Stop {
     pub reset: Option<usize>,
 }
 
+/// Where errors of distances come from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigPlace {
+    /// Output that carries the calibration behind the points.
+    pub calibration: Output,
+    /// What is not known exactly: as a node of the graph that measures says, else as usual.
+    pub noise: Noise,
+}
+
 /// What a graph offers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plan {
@@ -60,6 +70,8 @@ pub struct Plan {
     pub cameras: Vec<Place>,
     /// Points to measure in.
     pub cloud: Option<Output>,
+    /// The cameras behind them.
+    pub rig: Option<RigPlace>,
     /// Pinned settings.
     pub settings: Vec<Setting>,
     /// Nodes that an emergency stop concerns.
@@ -73,6 +85,23 @@ fn plain(name: &str) -> String {
     let words = name.replace(['_', '-'], " ");
     let mut letters = words.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// What a node of the graph that measures says of the rig; the usual, where there is none.
+fn noise_of(graph: &Graph, catalog: &Catalog) -> Noise {
+    let said = |n: &panoscope_graph::Node| {
+        let value = |name: &str| match n.params.get(n.node_type(catalog).param(name)?)? {
+            panoscope_graph::ParamValue::Float(value) => Some(*value),
+            _ => None,
+        };
+        Some(Noise {
+            disparity_px: value("disparity_noise_px")?,
+            offset_px: value("disparity_offset_px")?,
+            baseline_mm: value("baseline_error_mm")?,
+            focal_percent: value("focal_error_percent")?,
+        })
+    };
+    graph.nodes.iter().find_map(said).unwrap_or(Noise::USUAL)
 }
 
 impl Plan {
@@ -116,6 +145,13 @@ impl Plan {
         let shown_cloud = views.iter().find(|v| v.packet == "cloud").map(|v| v.output.clone());
         let read_cloud = graph.edges.iter().find(|e| packet(e.from_node, e.from_port) == "cloud");
         let cloud = shown_cloud.or_else(|| read_cloud.map(|e| place(e.from_node, e.from_port, String::new()).output));
+        let rig = cloud.as_ref().and_then(|cloud| {
+            let made_by = graph.node(&cloud.node)?;
+            let input = node_type(made_by).inputs.iter().position(|p| p.packet.name == "calibration")?;
+            let wire = graph.inputs_of(made_by).iter().find(|e| e.to_port == input)?;
+            let calibration = place(wire.from_node, wire.from_port, String::new()).output;
+            Some(RigPlace { calibration, noise: noise_of(graph, catalog) })
+        });
         let settings = graph.preset.pinned.iter().map(|pin| Setting {
             node: graph.nodes[pin.node].id.clone(),
             param: node_type(pin.node).params[pin.param].clone(),
@@ -139,6 +175,7 @@ impl Plan {
             raw,
             cameras,
             cloud,
+            rig,
             settings: settings.collect(),
             stops: (0..graph.nodes.len()).filter_map(stop).collect(),
             sources: sources.into_iter().map(id).collect(),
@@ -168,7 +205,7 @@ impl Plan {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use panoscope_graph::{GraphText, NodeType, PacketType, Port, check};
+    use panoscope_graph::{GraphText, NodeType, PacketType, Pick, Port, check};
 
     fn port(text: &str) -> Port {
         let (name, packet) = text.split_once(':').unwrap();
@@ -198,6 +235,7 @@ mod tests {
             unit: String::new(),
             kind: ParamKind::Bool { default: false },
             reopen: false,
+            pick: Pick::None,
         };
         let reset = ParamKind::Int { default: 0, min: None, max: None, step: None };
         let reset = Param { name: RESET.to_owned(), kind: reset, ..stop.clone() };

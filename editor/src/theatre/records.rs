@@ -45,7 +45,21 @@ impl Theatre {
             self.say("clips need the whole graph; stills can be kept", true);
             return;
         }
-        let Some(place) = self.to_record() else { return self.say("there is no picture to record", true) };
+        let Some(place) = self.to_record() else {
+            let packets: Vec<&str> = self.plan.views.iter().map(|v| v.packet.as_str()).collect();
+            let words = match packets.is_empty() {
+                true => "this graph shows no picture: there is nothing to record".to_owned(),
+                false => format!(
+                    "a clip holds pictures, and this graph shows only {}: keep a still, or give the preset a picture",
+                    packets.join(" and ")
+                ),
+            };
+            return self.say(words, true);
+        };
+        let main = self.plan.views.get(self.layout.main()).filter(|_| self.raw_only.is_none());
+        let instead = main
+            .filter(|m| m.output != place.output)
+            .map(|m| format!("{} is no picture: the clip holds {}", m.label, place.label));
         if self.keeper.free_bytes().is_some_and(|free| free < FULL_BYTES) {
             return self.say("the disk is full", true);
         }
@@ -57,6 +71,9 @@ impl Theatre {
             Ok((text, clip)) => {
                 self.clip = Some(clip);
                 self.run(text);
+                if let Some(words) = instead {
+                    self.say(words, false);
+                }
             }
             Err(words) => self.say(words, true),
         }

@@ -157,7 +157,7 @@ impl Theatre {
         let on_screen = |(x, y): (f32, f32)| {
             inner.min + vec2((x + 0.5) / width as f32 * inner.width(), (y + 0.5) / height as f32 * inner.height())
         };
-        let points: Vec<_> = self.measure.points().iter().map(|p| (on_screen(p.at_px), p.place_mm)).collect();
+        let points: Vec<_> = self.measure.points().iter().map(|p| (on_screen(p.at_px), p.place)).collect();
         if let [(a, _), (b, _)] = points[..] {
             painter.line_segment([a, b], Stroke::new(5.0, Color32::from_black_alpha(160)));
             painter.line_segment([a, b], Stroke::new(2.5, theme::ACCENT));
@@ -168,9 +168,9 @@ impl Theatre {
             painter.circle_stroke(*at, 9.0, Stroke::new(2.5, color));
             painter.circle_filled(*at, 2.0, color);
         }
-        let told = match (self.measure.distance_mm(), points.last()) {
-            (Some(mm), _) => Some(format!("{mm:.1} mm")),
-            (None, Some((_, Some(place)))) => Some(format!("{:.1} mm deep", place[2])),
+        let told = match (self.measure.distance(), self.measure.depth()) {
+            (Some(length), _) => Some(length.to_string()),
+            (None, Some(depth)) => Some(format!("{depth} deep")),
             _ => None,
         };
         if let Some(words) = told {

@@ -1,6 +1,8 @@
 //! The window over running graphs of the `flow` plugin, without a screen.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
+pub mod golden;
+
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -80,20 +82,26 @@ impl Drop for Folder {
 /// The window.
 pub struct Window {
     pub harness: Harness<'static, Option<App>>,
+    pub textures: golden::Textures,
 }
 
 impl Window {
     /// Opens a graph file.
     pub fn open(path: &Path) -> Self {
+        Self::open_with(path, Options::default())
+    }
+
+    /// Opens a graph file in a window with options.
+    pub fn open_with(path: &Path, options: Options) -> Self {
         let path = path.to_owned();
         let draw = move |ui: &mut Ui, app: &mut Option<App>| {
             let text = std::fs::read_to_string(&path).unwrap_or_default();
-            let app =
-                app.get_or_insert_with(|| App::open(ui.ctx(), &path, &text, Options::default()).expect("threads"));
+            let app = app.get_or_insert_with(|| App::open(ui.ctx(), &path, &text, options.clone()).expect("threads"));
             app.ui(ui);
         };
-        let harness = Harness::builder().with_size(vec2(1440.0, 900.0)).build_ui_state(draw, None);
-        Self { harness }
+        let textures = golden::Textures::default();
+        let builder = Harness::builder().with_size(vec2(1440.0, 900.0)).renderer(textures.clone());
+        Self { harness: builder.build_ui_state(draw, None), textures }
     }
 
     /// Opens a graph file and waits until it runs.

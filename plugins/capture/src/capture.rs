@@ -72,10 +72,10 @@ pub struct Out<'f> {
 pub struct Settings {
     /// Left view: camera number or /dev/videoN, video file, image, folder of images, pattern (dir/*.png or img_%04d.png), stream address, or
     /// GStreamer pipeline (any text with !).
-    #[param(default = "", reopen)]
+    #[param(default = "", reopen, file)]
     pub left: String,
     /// Right view, as `left`.
-    #[param(default = "", reopen)]
+    #[param(default = "", reopen, file)]
     pub right: String,
     /// Up to four views instead of `left` and `right`, separated by semicolons.
     #[param(default = "", reopen)]
@@ -85,7 +85,7 @@ pub struct Settings {
     pub split: Split,
     /// Part of the picture in px: x, y, width, height for all views, or four numbers for each view. Width or height 0 reach to the
     /// edge. Views are split first.
-    #[param(default = [], range = 0..=16)]
+    #[param(default = [], range = 0..=16, rectangles)]
     pub crop: Vec<f64>,
     /// Starts files again at their end.
     #[param(default = false, reopen)]
@@ -122,7 +122,7 @@ pub struct Settings {
     pub on_damage: OnDamage,
     /// Calibration file of the first two views: OpenCV's FileStorage YAML or a Kalibr camera chain; the two files of ROS (left;
     /// right) or of OpenCV's sample (intrinsics; extrinsics) are separated by a semicolon.
-    #[param(default = "", reopen)]
+    #[param(default = "", reopen, file)]
     pub calibration: String,
 }
 

@@ -9,6 +9,7 @@ pub mod failing;
 pub mod frames;
 pub mod gate;
 pub mod ledger;
+pub mod level;
 pub mod pass;
 pub mod ports;
 pub mod smooth;
@@ -24,6 +25,7 @@ export_plugin![
     gate::Gate,
     every_nth::EveryNth,
     ledger::Ledger,
+    level::Level,
     failing::Failing,
     allocate::Allocate,
     smooth::Smooth,

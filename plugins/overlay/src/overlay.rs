@@ -130,7 +130,7 @@ pub struct Settings {
     #[param(default = 0.4, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
     pub mask_alpha: f32,
     /// Added to all coordinates, x and y: where the left view's corner stands in the picture.
-    #[param(default = [], range = 0..=2, unit = "px")]
+    #[param(default = [], range = 0..=2, unit = "px", points)]
     pub offset_px: Vec<f64>,
 }
 

@@ -160,6 +160,10 @@ fn show_param(param: &Param) {
     let unit = if param.unit.is_empty() { String::new() } else { format!(" {}", param.unit) };
     let limits = limits.map_or_else(String::new, |l| format!(" ({l})"));
     let reopen = if param.reopen { "; a change opens the node again" } else { "" };
-    say!("  {} = {default}{unit}{limits}: {}{reopen}", param.name, param.kind.expected());
+    let pick = match param.pick.words() {
+        words if words.is_empty() || matches!(param.kind, ParamKind::Path { .. }) => String::new(),
+        words => format!("; {words}"),
+    };
+    say!("  {} = {default}{unit}{limits}: {}{pick}{reopen}", param.name, param.kind.expected());
     paragraph(6, &param.doc);
 }

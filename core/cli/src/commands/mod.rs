@@ -19,3 +19,4 @@ pub mod run;
 mod scene;
 pub mod schema;
 pub mod soak;
+pub mod sweep;

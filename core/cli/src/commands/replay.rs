@@ -85,6 +85,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         graph,
         settings: arguments.set.clone(),
         act: arguments.act,
+        loader: None,
         record: (arguments.output.is_some() || arguments.ports.digests.is_some()).then(|| RecordOptions {
             file: arguments.output.clone(),
             digests: arguments.ports.digests.is_some(),

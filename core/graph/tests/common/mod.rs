@@ -1,7 +1,7 @@
 //! A fixed catalog after the node table of the design, so that messages do not change when a plugin does.
 #![allow(dead_code)]
 
-use panoscope_graph::{Catalog, NodeKind, NodeType, PacketType, Param, ParamKind, PluginProblem, Port};
+use panoscope_graph::{Catalog, NodeKind, NodeType, PacketType, Param, ParamKind, Pick, PluginProblem, Port};
 
 /// `name: packet [format...]`, with `?` after the name for an optional and `*` for a list input.
 fn port(text: &str) -> Port {
@@ -50,7 +50,7 @@ fn with(mut node: NodeType, params: Vec<Param>) -> NodeType {
 }
 
 fn param(name: &str, unit: &str, doc: &str, kind: ParamKind) -> Param {
-    Param { name: name.to_owned(), doc: doc.to_owned(), unit: unit.to_owned(), kind, reopen: false }
+    Param { name: name.to_owned(), doc: doc.to_owned(), unit: unit.to_owned(), kind, reopen: false, pick: Pick::None }
 }
 
 fn int(name: &str, unit: &str, doc: &str, default: i64, min: i64, max: i64, step: Option<i64>) -> Param {

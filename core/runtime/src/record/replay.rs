@@ -25,6 +25,8 @@ pub struct ReplayOptions {
     pub act: bool,
     /// Recording of the replay itself, and fingerprints of its ports.
     pub record: Option<RecordOptions>,
+    /// Where plugins come from; without it they are searched for.
+    pub loader: Option<Arc<Loader>>,
     /// Threads, log and the like.
     pub engine: Options,
 }
@@ -86,7 +88,7 @@ pub enum ReplayError {
 pub struct Replay {
     engine: Engine,
     script: Arc<Script>,
-    loader: Loader,
+    loader: Arc<Loader>,
     recorder: Option<Arc<Recorder>>,
     /// What differs from the machine and files of the recording, in words.
     pub warnings: Vec<String>,
@@ -107,7 +109,8 @@ impl Replay {
         for setting in &settings {
             parsed.set(setting);
         }
-        let loader = Loader::search(&loader::search_path(&parsed.plugin_paths()));
+        let search = || Arc::new(Loader::search(&loader::search_path(&parsed.plugin_paths())));
+        let loader = options.loader.clone().unwrap_or_else(search);
         let catalog = loader.catalog(&parsed.plugins());
         let (mut graph, _) = check(&parsed, &catalog).into_result().map_err(ReplayError::Check)?;
         if other {

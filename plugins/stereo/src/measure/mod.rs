@@ -1,18 +1,17 @@
 //! `measure`: distances, polylines, depths and angles in mm, each with its error (thesis, figs 3.14 and 3.15).
 
-mod length;
 mod surface;
 
-use panoscope_imaging::stereo::Rectification;
+use panoscope_imaging::stereo::length::{self, Errors, Noise};
+use panoscope_imaging::stereo::{Place, Rectification};
 use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{
     Choice, Cloud, Context, Depth, Detections, Image, List, Node, NodeInfo, Open, Params, Ports, Result, Slot,
     TableData, Value, error,
 };
 
-use length::Errors;
 use panoscope_calibration::packet as calibration;
-use surface::{Point, Surface};
+use surface::Surface;
 
 /// What is measured.
 #[derive(Choice, Clone, Copy, Debug, PartialEq)]
@@ -79,22 +78,22 @@ pub struct MeasureParams {
     #[param(default = "distance")]
     kind: Kind,
     /// Points of the left rectified view in px: u, v, u, v, ...
-    #[param(default = [])]
+    #[param(default = [], points)]
     points: Vec<f64>,
     /// Radius of the neighbourhood that stands for a point.
     #[param(default = 4, range = 1..=32, unit = "px")]
     radius_px: usize,
     /// Standard deviation of a filtered disparity, beside the scatter around the point.
-    #[param(default = 0.15, range = 0.0..=4.0, step = 0.01, unit = "px")]
+    #[param(default = Noise::USUAL.disparity_px, range = 0.0..=4.0, step = 0.01, unit = "px")]
     disparity_noise_px: f64,
     /// Standard deviation of the calibration's disparity offset; its reprojection error is used when larger.
-    #[param(default = 0.05, range = 0.0..=4.0, step = 0.01, unit = "px")]
+    #[param(default = Noise::USUAL.offset_px, range = 0.0..=4.0, step = 0.01, unit = "px")]
     disparity_offset_px: f64,
     /// Standard deviation of the calibration's baseline.
-    #[param(default = 0.05, range = 0.0..=4.0, step = 0.01, unit = "mm")]
+    #[param(default = Noise::USUAL.baseline_mm, range = 0.0..=4.0, step = 0.01, unit = "mm")]
     baseline_error_mm: f64,
     /// Standard deviation of the calibration's focal length.
-    #[param(default = 0.1, range = 0.0..=10.0, step = 0.01, unit = "%")]
+    #[param(default = Noise::USUAL.focal_percent, range = 0.0..=10.0, step = 0.01, unit = "%")]
     focal_error_percent: f64,
 }
 
@@ -104,22 +103,20 @@ pub struct Measure {
     /// Points of the tick: u, v each.
     given: Vec<[f64; 2]>,
     samples: Vec<[f64; 5]>,
-    places: Vec<Option<Point>>,
+    places: Vec<Option<Place>>,
     rows: Vec<f64>,
     leftover: bool,
 }
 
 impl MeasureParams {
     fn errors(&self, views: &Rectification, rms_px: f64) -> Errors {
-        let inverse_depth_per_px = 1.0 / (views.left.focal_px * views.baseline_mm);
-        let focal = self.focal_error_percent / 100.0;
-        Errors {
-            inverse_depth: self.disparity_noise_px * inverse_depth_per_px,
-            // `max` drops NaN.
-            common_inverse_depth: self.disparity_offset_px.max(rms_px) * inverse_depth_per_px,
-            scale: self.baseline_error_mm / views.baseline_mm,
-            depth_scale: focal,
-        }
+        let noise = Noise {
+            disparity_px: self.disparity_noise_px,
+            offset_px: self.disparity_offset_px,
+            baseline_mm: self.baseline_error_mm,
+            focal_percent: self.focal_error_percent,
+        };
+        Errors::of(views.left.focal_px, views.baseline_mm, rms_px, &noise)
     }
 }
 
@@ -149,7 +146,7 @@ impl Measure {
                 .filter(|xyz| xyz[2] > 0.0 && xyz.iter().all(|v| v.is_finite()));
             places.push(told.map_or(seen, |[x, y, z]| {
                 let scatter = seen.map_or(0.0, |point| point.scatter);
-                Some(Point { ray: [x / z, y / z], inverse_depth: 1.0 / z, scatter })
+                Some(Place { ray: [x / z, y / z], inverse_depth: 1.0 / z, scatter })
             }));
         }
         for found in input.detections.as_ref().map_or(&[][..], Detections::items) {
@@ -168,7 +165,7 @@ impl Measure {
         let starts = (0..self.places.len()).step_by(step).take_while(|start| start + size <= self.places.len());
         for start in starts {
             self.rows.extend(self.given[start..start + size].iter().flatten());
-            let mut points = [Point { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN }; length::MOST_POINTS];
+            let mut points = [Place { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN }; length::MOST_POINTS];
             for (point, place) in points.iter_mut().zip(&self.places[start..start + size]) {
                 *point = place.unwrap_or(*point);
             }

@@ -1,10 +1,6 @@
-//! A point of the measured surface: where it is, and how sure that is.
-//!
-//! The inverse depth of a plane is linear in the pixel's column and row, so a plane is fitted to the inverse depths
-//! around the point; pixels of another surface are left out. What remains beside the fit is the scatter of the match.
+//! Where the measured surface comes from: a cloud, or depths with the camera that saw them.
 
-use panoscope_imaging::stereo::Rectification;
-use panoscope_node::abi::CloudPoint;
+use panoscope_imaging::stereo::{Place, Rectification, Sample};
 use panoscope_node::{Cloud, View};
 
 /// Where depths come from.
@@ -15,31 +11,6 @@ pub enum Surface<'f> {
     Depth(View<'f, f32>, &'f Rectification),
 }
 
-/// A surface point: `(ray[0], ray[1], 1) / inverse_depth` in mm.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
-    /// x / z and y / z.
-    pub ray: [f64; 2],
-    /// 1 / z in 1/mm.
-    pub inverse_depth: f64,
-    /// Standard deviation of the inverse depths beside the fitted plane, in 1/mm.
-    pub scatter: f64,
-}
-
-impl Point {
-    /// x, y, z in mm, with the inverse depth changed by `change`.
-    pub fn xyz_mm(&self, change: f64) -> [f64; 3] {
-        let z = 1.0 / (self.inverse_depth + change);
-        [self.ray[0] * z, self.ray[1] * z, z]
-    }
-}
-
-/// One neighbour: offset in px, ray, inverse depth.
-type Sample = [f64; 5];
-
-/// Share of the window that must be known.
-const LEAST_SHARE: f64 = 0.25;
-
 impl Surface<'_> {
     /// Columns and rows.
     pub fn size(&self) -> (usize, usize) {
@@ -49,98 +20,24 @@ impl Surface<'_> {
         }
     }
 
-    fn sample(&self, points: &[CloudPoint], x: usize, y: usize, at: [f64; 2]) -> Option<Sample> {
-        let (dx, dy) = (x as f64 - at[0], y as f64 - at[1]);
+    /// The surface at column `u`, row `v`, from the pixels up to `radius` px away; `None` where too few are known. `work` is reused.
+    pub fn at(&self, u: f64, v: f64, radius: usize, work: &mut Vec<Sample>) -> Option<Place> {
         match self {
             Self::Cloud(cloud) => {
-                let point = points.get(y * cloud.width() + x)?;
-                let z = f64::from(point.z_mm);
-                let known = z > 0.0 && z.is_finite() && point.x_mm.is_finite() && point.y_mm.is_finite();
-                known.then(|| [dx, dy, f64::from(point.x_mm) / z, f64::from(point.y_mm) / z, 1.0 / z])
+                let (points, width) = (cloud.points(), cloud.width());
+                Place::at(self.size(), [u, v], radius, work, |x, y| {
+                    let point = points.get(y * width + x)?;
+                    let z = f64::from(point.z_mm);
+                    let known = z > 0.0 && z.is_finite() && point.x_mm.is_finite() && point.y_mm.is_finite();
+                    known.then(|| [f64::from(point.x_mm) / z, f64::from(point.y_mm) / z, 1.0 / z])
+                })
             }
-            Self::Depth(depth, views) => {
+            Self::Depth(depth, views) => Place::at(self.size(), [u, v], radius, work, |x, y| {
                 let z = f64::from(depth.row(y)[x]);
                 let (u, v) = (x as f64 - views.left.cx, y as f64 - views.left.cy);
                 let focal = views.left.focal_px;
-                (z > 0.0 && z.is_finite()).then(|| [dx, dy, u / focal, v / focal, 1.0 / z])
-            }
+                (z > 0.0 && z.is_finite()).then(|| [u / focal, v / focal, 1.0 / z])
+            }),
         }
     }
-
-    /// The surface at column `u`, row `v`, from the pixels up to `radius` px away; `None` where too few are known.
-    /// `work` is reused.
-    pub fn at(&self, u: f64, v: f64, radius: usize, work: &mut Vec<Sample>) -> Option<Point> {
-        let (width, height) = self.size();
-        // NaN fails.
-        if !(u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64) {
-            return None;
-        }
-        let (x, y) = (u.round() as usize, v.round() as usize);
-        let points = if let Self::Cloud(cloud) = self { cloud.points() } else { &[] };
-        work.clear();
-        for y in y.saturating_sub(radius)..=(y + radius).min(height - 1) {
-            for x in x.saturating_sub(radius)..=(x + radius).min(width - 1) {
-                work.extend(self.sample(points, x, y, [u, v]));
-            }
-        }
-        let side = 2 * radius + 1;
-        let least = ((side * side) as f64 * LEAST_SHARE).ceil().max(3.0) as usize;
-        if work.len() < least.min(side * side) {
-            return None;
-        }
-        // The surface that most of the window shows, then its plane, then its plane without what lies off it.
-        let middle = work.len() / 2;
-        let median = work.select_nth_unstable_by(middle, |a, b| a[4].total_cmp(&b[4])).1[4];
-        work.sort_unstable_by(|a, b| (a[4] - median).abs().total_cmp(&(b[4] - median).abs()));
-        let spread = (work[work.len() / 2][4] - median).abs();
-        let reach = 5.0 * spread + median * 2e-3;
-        work.retain(|sample| (sample[4] - median).abs() <= reach);
-        for _ in 0..2 {
-            let plane = fit(work, 4)?;
-            let scatter = deviation(work, &plane);
-            work.retain(|sample| (sample[4] - value(&plane, sample)).abs() <= 3.0 * scatter + median * 1e-6);
-        }
-        if work.len() < least {
-            return None;
-        }
-        let plane = fit(work, 4)?;
-        let ray = [fit(work, 2)?[0], fit(work, 3)?[0]];
-        let point = Point { ray, inverse_depth: plane[0], scatter: deviation(work, &plane) };
-        (point.inverse_depth > 0.0).then_some(point)
-    }
-}
-
-fn value(plane: &[f64; 3], sample: &Sample) -> f64 {
-    plane[0] + plane[1] * sample[0] + plane[2] * sample[1]
-}
-
-/// Standard deviation of the samples from the plane.
-fn deviation(samples: &[Sample], plane: &[f64; 3]) -> f64 {
-    let sum: f64 = samples.iter().map(|sample| (sample[4] - value(plane, sample)).powi(2)).sum();
-    (sum / samples.len().saturating_sub(3).max(1) as f64).sqrt()
-}
-
-/// Least squares: `sample[of] = c0 + c1 * dx + c2 * dy`. A constant where the samples lie on a line.
-fn fit(samples: &[Sample], of: usize) -> Option<[f64; 3]> {
-    if samples.is_empty() {
-        return None;
-    }
-    let n = samples.len() as f64;
-    let mean = |index: usize| samples.iter().map(|sample| sample[index]).sum::<f64>() / n;
-    let (mx, my, mz) = (mean(0), mean(1), mean(of));
-    let [mut xx, mut xy, mut yy, mut xz, mut yz] = [0.0; 5];
-    for sample in samples {
-        let (x, y, z) = (sample[0] - mx, sample[1] - my, sample[of] - mz);
-        xx += x * x;
-        xy += x * y;
-        yy += y * y;
-        xz += x * z;
-        yz += y * z;
-    }
-    let determinant = xx * yy - xy * xy;
-    if determinant <= 1e-9 * (xx * yy).max(1e-9) {
-        return Some([mz, 0.0, 0.0]);
-    }
-    let (b, c) = ((xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant);
-    Some([mz - b * mx - c * my, b, c])
 }

@@ -1,6 +1,24 @@
-//! Distances, depths and angles of surface points, each with the error that is to be expected.
+//! Distances, depths and angles of surface points, each with the error that is to be expected (thesis, figs 3.14 and 3.15).
 
-use super::surface::Point;
+use super::Place;
+
+/// What is not known exactly about a rig and its matching; standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// Of a filtered disparity, beside the scatter around the point, px.
+    pub disparity_px: f64,
+    /// Of the calibration's disparity offset, px; its reprojection error is used when larger.
+    pub offset_px: f64,
+    /// Of the calibration's baseline, mm.
+    pub baseline_mm: f64,
+    /// Of the calibration's focal length, percent.
+    pub focal_percent: f64,
+}
+
+impl Noise {
+    /// A carefully calibrated rig.
+    pub const USUAL: Self = Self { disparity_px: 0.15, offset_px: 0.05, baseline_mm: 0.05, focal_percent: 0.1 };
+}
 
 /// Errors that every measurement inherits; standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,6 +33,19 @@ pub struct Errors {
     pub depth_scale: f64,
 }
 
+impl Errors {
+    /// Of rectified views with this focal length and baseline. `rms_px` is the calibration's reprojection error, NaN when unknown.
+    pub fn of(focal_px: f64, baseline_mm: f64, rms_px: f64, noise: &Noise) -> Self {
+        let inverse_depth_per_px = 1.0 / (focal_px * baseline_mm);
+        Self {
+            inverse_depth: noise.disparity_px * inverse_depth_per_px,
+            // `max` drops NaN.
+            common_inverse_depth: noise.offset_px.max(rms_px) * inverse_depth_per_px,
+            scale: noise.baseline_mm / baseline_mm,
+            depth_scale: noise.focal_percent / 100.0,
+        }
+    }
+}
 /// How many standard deviations are stated: 95 % of true errors lie within.
 const STATED_DEVIATIONS: f64 = 2.0;
 
@@ -29,12 +60,12 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Depth of the first point, mm.
+/// Depth of the first of one or more points, mm.
 pub fn depth(points: &[[f64; 3]]) -> f64 {
     points[0][2]
 }
 
-/// Distance of the first two points, mm.
+/// Distance of the first two of two or more points, mm.
 pub fn distance(points: &[[f64; 3]]) -> f64 {
     let line = between(points[0], points[1]);
     dot(line, line).sqrt()
@@ -49,7 +80,7 @@ pub fn angle(points: &[[f64; 3]]) -> f64 {
 
 /// `measure` of the points and its stated error: every cause is tried alone, the changes add up as squares.
 /// The error is NaN when `errors` is `None`.
-pub fn with_error(points: &[Point], errors: Option<&Errors>, measure: fn(&[[f64; 3]]) -> f64) -> (f64, f64) {
+pub fn with_error(points: &[Place], errors: Option<&Errors>, measure: fn(&[[f64; 3]]) -> f64) -> (f64, f64) {
     let count = points.len().min(MOST_POINTS);
     let mut places = [[0.0; 3]; MOST_POINTS];
     for (place, point) in places.iter_mut().zip(points) {

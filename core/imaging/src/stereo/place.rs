@@ -1,0 +1,112 @@
+//! A point of the measured surface: where it is, and how sure that is.
+//!
+//! The inverse depth of a plane is linear in the pixel's column and row, so a plane is fitted to the inverse depths
+//! around the point; pixels of another surface are left out. What remains beside the fit is the scatter of the match.
+
+/// A surface point: `(ray[0], ray[1], 1) / inverse_depth` in mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// x / z and y / z.
+    pub ray: [f64; 2],
+    /// 1 / z in 1/mm.
+    pub inverse_depth: f64,
+    /// Standard deviation of the inverse depths beside the fitted plane, in 1/mm.
+    pub scatter: f64,
+}
+
+impl Place {
+    /// x, y, z in mm, with the inverse depth changed by `change`.
+    pub fn xyz_mm(&self, change: f64) -> [f64; 3] {
+        let z = 1.0 / (self.inverse_depth + change);
+        [self.ray[0] * z, self.ray[1] * z, z]
+    }
+
+    /// The surface at column `u`, row `v` of a picture of `size` (columns, rows), from the pixels up to `radius_px` away; `None` where too
+    /// few are known. `sample` gives x / z, y / z and 1 / z of a pixel, where known. `work` is reused.
+    pub fn at(
+        size: (usize, usize),
+        [u, v]: [f64; 2],
+        radius_px: usize,
+        work: &mut Vec<Sample>,
+        sample: impl Fn(usize, usize) -> Option<[f64; 3]>,
+    ) -> Option<Self> {
+        let (width, height) = size;
+        // NaN fails.
+        if !(u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64) {
+            return None;
+        }
+        let (x, y) = (u.round() as usize, v.round() as usize);
+        work.clear();
+        for y in y.saturating_sub(radius_px)..=(y + radius_px).min(height - 1) {
+            for x in x.saturating_sub(radius_px)..=(x + radius_px).min(width - 1) {
+                let place = |[a, b, inverse]: [f64; 3]| [x as f64 - u, y as f64 - v, a, b, inverse];
+                work.extend(sample(x, y).map(place));
+            }
+        }
+        let side = 2 * radius_px + 1;
+        let least = ((side * side) as f64 * LEAST_SHARE).ceil().max(3.0) as usize;
+        if work.len() < least.min(side * side) {
+            return None;
+        }
+        // The surface that most of the window shows, then its plane, then its plane without what lies off it.
+        let middle = work.len() / 2;
+        let median = work.select_nth_unstable_by(middle, |a, b| a[4].total_cmp(&b[4])).1[4];
+        work.sort_unstable_by(|a, b| (a[4] - median).abs().total_cmp(&(b[4] - median).abs()));
+        let spread = (work[work.len() / 2][4] - median).abs();
+        let reach = 5.0 * spread + median * 2e-3;
+        work.retain(|sample| (sample[4] - median).abs() <= reach);
+        for _ in 0..2 {
+            let plane = fit(work, 4)?;
+            let scatter = deviation(work, &plane);
+            work.retain(|sample| (sample[4] - value(&plane, sample)).abs() <= 3.0 * scatter + median * 1e-6);
+        }
+        if work.len() < least {
+            return None;
+        }
+        let plane = fit(work, 4)?;
+        let ray = [fit(work, 2)?[0], fit(work, 3)?[0]];
+        let place = Self { ray, inverse_depth: plane[0], scatter: deviation(work, &plane) };
+        (place.inverse_depth > 0.0).then_some(place)
+    }
+}
+
+/// One neighbour: offset in px, ray, inverse depth.
+pub type Sample = [f64; 5];
+
+/// Share of the window that must be known.
+const LEAST_SHARE: f64 = 0.25;
+
+fn value(plane: &[f64; 3], sample: &Sample) -> f64 {
+    plane[0] + plane[1] * sample[0] + plane[2] * sample[1]
+}
+
+/// Standard deviation of the samples from the plane.
+fn deviation(samples: &[Sample], plane: &[f64; 3]) -> f64 {
+    let sum: f64 = samples.iter().map(|sample| (sample[4] - value(plane, sample)).powi(2)).sum();
+    (sum / samples.len().saturating_sub(3).max(1) as f64).sqrt()
+}
+
+/// Least squares: `sample[of] = c0 + c1 * dx + c2 * dy`. A constant where the samples lie on a line.
+fn fit(samples: &[Sample], of: usize) -> Option<[f64; 3]> {
+    if samples.is_empty() {
+        return None;
+    }
+    let n = samples.len() as f64;
+    let mean = |index: usize| samples.iter().map(|sample| sample[index]).sum::<f64>() / n;
+    let (mx, my, mz) = (mean(0), mean(1), mean(of));
+    let [mut xx, mut xy, mut yy, mut xz, mut yz] = [0.0; 5];
+    for sample in samples {
+        let (x, y, z) = (sample[0] - mx, sample[1] - my, sample[of] - mz);
+        xx += x * x;
+        xy += x * y;
+        yy += y * y;
+        xz += x * z;
+        yz += y * z;
+    }
+    let determinant = xx * yy - xy * xy;
+    if determinant <= 1e-9 * (xx * yy).max(1e-9) {
+        return Some([mz, 0.0, 0.0]);
+    }
+    let (b, c) = ((xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant);
+    Some([mz - b * mx - c * my, b, c])
+}

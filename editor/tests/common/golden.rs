@@ -1,0 +1,185 @@
+//! Pictures of the window, painted without any graphics card, and compared with those that are kept. `PANOSCOPE_BLESS=1` writes them anew.
+#![allow(dead_code, reason = "each test binary uses a part")]
+
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::path::Path;
+use std::rc::Rc;
+
+use eframe::egui::epaint::{Mesh, Primitive, Vertex};
+use eframe::egui::{Color32, ColorImage, Context, FullOutput, ImageData, Rect, TextureId, TexturesDelta};
+use egui_kittest::TestRenderer;
+use image::RgbImage;
+
+/// With this variable set, tests write what they would compare with.
+const BLESS: &str = "PANOSCOPE_BLESS";
+/// A channel that differs by more counts as another colour.
+const LEAST_DIFFERENCE: u8 = 24;
+/// Share of the pixels that may have another colour: rounding differs from processor to processor.
+const MOST_DIFFERENT: f64 = 0.0005;
+
+/// The textures as egui hands them over.
+#[derive(Clone, Default)]
+pub struct Textures(Rc<RefCell<HashMap<TextureId, ColorImage>>>);
+
+impl TestRenderer for Textures {
+    fn handle_delta(&mut self, delta: &mut TexturesDelta) {
+        let mut kept = self.0.borrow_mut();
+        let set = std::mem::take(&mut delta.set);
+        for (id, change) in set.into_iter().flat_map(|(id, changes)| changes.into_iter().map(move |c| (id, c))) {
+            let ImageData::Color(image) = &change.image;
+            match (change.pos, kept.get_mut(&id)) {
+                (Some([x, y]), Some(old)) => {
+                    let [width, height] = image.size;
+                    for row in 0..height {
+                        let to = (y + row) * old.size[0] + x;
+                        old.pixels[to..to + width].copy_from_slice(&image.pixels[row * width..(row + 1) * width]);
+                    }
+                }
+                _ => {
+                    kept.insert(id, (**image).clone());
+                }
+            }
+        }
+        for id in std::mem::take(&mut delta.free) {
+            kept.remove(&id);
+        }
+    }
+}
+
+/// A colour with its opacity multiplied in, 0..=255.
+type Premultiplied = [f32; 4];
+
+fn color(c: Color32) -> Premultiplied {
+    c.to_array().map(f32::from)
+}
+
+fn texel(image: &ColorImage, u: f32, v: f32) -> Premultiplied {
+    let [width, height] = image.size;
+    let (x, y) = (u * width as f32 - 0.5, v * height as f32 - 0.5);
+    let (x0, y0) = (x.floor(), y.floor());
+    let (fx, fy) = (x - x0, y - y0);
+    let at = |dx: f32, dy: f32| {
+        let column = (x0 + dx).clamp(0.0, width as f32 - 1.0) as usize;
+        let row = (y0 + dy).clamp(0.0, height as f32 - 1.0) as usize;
+        color(image.pixels[row * width + column])
+    };
+    let (a, b, c, d) = (at(0.0, 0.0), at(1.0, 0.0), at(0.0, 1.0), at(1.0, 1.0));
+    std::array::from_fn(|k| {
+        let (upper, lower) = (a[k] + (b[k] - a[k]) * fx, c[k] + (d[k] - c[k]) * fx);
+        upper + (lower - upper) * fy
+    })
+}
+
+struct Canvas {
+    pixels: Vec<[f32; 3]>,
+    width: usize,
+    height: usize,
+}
+
+impl Canvas {
+    fn triangle(&mut self, corners: [&Vertex; 3], points: f32, clip: Rect, texture: &ColorImage) {
+        let at = corners.map(|v| [f64::from(v.pos.x * points), f64::from(v.pos.y * points)]);
+        let edge =
+            |a: [f64; 2], b: [f64; 2], p: [f64; 2]| (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
+        let area = edge(at[0], at[1], at[2]);
+        if area == 0.0 || !area.is_finite() {
+            return;
+        }
+        // All triangles the same way round.
+        let order = if area > 0.0 { [0, 1, 2] } else { [0, 2, 1] };
+        let (corners, at, area) = (order.map(|k| corners[k]), order.map(|k| at[k]), area.abs());
+        let low =
+            |axis: usize, clip: f32| at.iter().map(|p| p[axis]).fold(f64::MAX, f64::min).max(f64::from(clip)).floor();
+        let high =
+            |axis: usize, clip: f32| at.iter().map(|p| p[axis]).fold(f64::MIN, f64::max).min(f64::from(clip)).ceil();
+        let columns =
+            (low(0, clip.left()).max(0.0) as usize)..(high(0, clip.right()).max(0.0) as usize).min(self.width);
+        let rows = (low(1, clip.top()).max(0.0) as usize)..(high(1, clip.bottom()).max(0.0) as usize).min(self.height);
+        // Pixels on an edge that two triangles share belong to one of them.
+        let owns = |a: [f64; 2], b: [f64; 2]| (a[1] == b[1] && b[0] > a[0]) || b[1] < a[1];
+        for y in rows {
+            for x in columns.clone() {
+                let p = [x as f64 + 0.5, y as f64 + 0.5];
+                let inside_clip = p[0] >= f64::from(clip.left())
+                    && p[0] < f64::from(clip.right())
+                    && p[1] >= f64::from(clip.top())
+                    && p[1] < f64::from(clip.bottom());
+                let weights = [edge(at[1], at[2], p), edge(at[2], at[0], p), edge(at[0], at[1], p)];
+                let sides = [(at[1], at[2]), (at[2], at[0]), (at[0], at[1])];
+                let inside = weights.iter().zip(sides).all(|(w, (a, b))| *w > 0.0 || (*w == 0.0 && owns(a, b)));
+                if !inside || !inside_clip {
+                    continue;
+                }
+                let share = weights.map(|w| (w / area) as f32);
+                let mix = |of: &dyn Fn(&Vertex) -> f32| (0..3).map(|k| of(corners[k]) * share[k]).sum::<f32>();
+                let sampled = texel(texture, mix(&|v| v.uv.x), mix(&|v| v.uv.y));
+                let tint: Premultiplied = std::array::from_fn(|k| mix(&|v| f32::from(v.color.to_array()[k])));
+                let source: Premultiplied = std::array::from_fn(|k| sampled[k] * tint[k] / 255.0);
+                let to = &mut self.pixels[y * self.width + x];
+                let rest = 1.0 - source[3] / 255.0;
+                *to = std::array::from_fn(|k| source[k] + to[k] * rest);
+            }
+        }
+    }
+
+    fn mesh(&mut self, mesh: &Mesh, points: f32, clip: Rect, textures: &HashMap<TextureId, ColorImage>) {
+        let Some(texture) = textures.get(&mesh.texture_id) else { return };
+        for corners in mesh.indices.as_chunks::<3>().0 {
+            self.triangle(corners.map(|i| &mesh.vertices[i as usize]), points, clip, texture);
+        }
+    }
+}
+
+/// What a frame looks like.
+pub fn paint(ctx: &Context, output: &FullOutput, textures: &Textures) -> RgbImage {
+    let points = output.pixels_per_point;
+    let size = ctx.viewport_rect().size() * points;
+    let (width, height) = (size.x.round() as usize, size.y.round() as usize);
+    let mut canvas = Canvas { pixels: vec![[0.0; 3]; width * height], width, height };
+    let textures = textures.0.borrow();
+    for part in ctx.tessellate(output.shapes.clone(), points) {
+        let clip = Rect::from_min_max(
+            (part.clip_rect.min.to_vec2() * points).to_pos2(),
+            (part.clip_rect.max.to_vec2() * points).to_pos2(),
+        );
+        if let Primitive::Mesh(mesh) = &part.primitive {
+            canvas.mesh(mesh, points, clip, &textures);
+        }
+    }
+    let bytes = canvas.pixels.iter().flat_map(|p| p.map(|v| v.round().clamp(0.0, 255.0) as u8)).collect();
+    RgbImage::from_raw(width as u32, height as u32, bytes).expect("three bytes per pixel")
+}
+
+/// Compares a picture with the one that is kept under `name`; `masked` parts tell times and are left out.
+pub fn compare(name: &str, mut picture: RgbImage, masked: &[Rect]) {
+    for rect in masked {
+        let within = |v: f32, most: u32| (v.round().max(0.0) as u32).min(most);
+        for y in within(rect.top(), picture.height())..within(rect.bottom(), picture.height()) {
+            for x in within(rect.left(), picture.width())..within(rect.right(), picture.width()) {
+                picture.put_pixel(x, y, image::Rgb([24, 28, 34]));
+            }
+        }
+    }
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/snapshots");
+    let kept = folder.join(format!("{name}.png"));
+    if std::env::var_os(BLESS).is_some() {
+        std::fs::create_dir_all(&folder).expect("the folder can be made");
+        picture.save(&kept).expect("the picture can be written");
+        return;
+    }
+    let now = std::env::temp_dir().join(format!("panoscope_{name}_now.png"));
+    let look = || {
+        picture.save(&now).expect("temporary files can be written");
+        format!("the picture of now is {}; {BLESS}=1 keeps it", now.display())
+    };
+    let Ok(old) = image::open(&kept) else { panic!("there is no {}: {}", kept.display(), look()) };
+    let old = old.to_rgb8();
+    assert!(old.dimensions() == picture.dimensions(), "{name} is {:?} now: {}", picture.dimensions(), look());
+    let differs = |(a, b): &(&image::Rgb<u8>, &image::Rgb<u8>)| {
+        a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > LEAST_DIFFERENCE)
+    };
+    let count = old.pixels().zip(picture.pixels()).filter(differs).count();
+    let share = count as f64 / f64::from(old.width() * old.height());
+    assert!(share <= MOST_DIFFERENT, "{count} pixels of {name} look otherwise: {}", look());
+}

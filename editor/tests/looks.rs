@@ -1,0 +1,210 @@
+//! How bench and theatre look, compared with pictures that are kept; and that everything to be touched has a name.
+
+mod common;
+
+use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
+
+use common::golden::{Textures, compare, paint};
+use common::{Folder, PATIENCE, Window, has_plugin};
+use eframe::egui::accesskit::Role;
+use eframe::egui::{Key, Modifiers, Rect, Ui, pos2, vec2};
+use egui_kittest::Harness;
+use egui_kittest::kittest::{NodeT, Queryable};
+use panoscope_editor::app::Options;
+use panoscope_editor::session::Phase;
+use panoscope_editor::theatre::{self, Theatre};
+
+const NONE: Modifiers = Modifiers::NONE;
+
+/// A small graph of all kinds of widgets; a tick of it looks the same every time.
+const GRAPH: &str = r#"# What is drawn for the kept pictures: two paths, numbers, a setting.
+name = "looks"
+plugins = ["flow"]
+
+[nodes.camera]
+type = "frames"
+params = { width_px = 160, height_px = 120 }
+
+[nodes.gray]
+type = "frames"
+params = { width_px = 160, height_px = 120, format = "gray8", pattern = "noise" }
+
+[nodes.calm]
+type = "smooth"
+inputs = { image = "camera.image" }
+params = { past_weight = 100 }
+
+[nodes.level]
+type = "level"
+inputs = { image = "gray.image" }
+params = { spots = [40, 30, 120, 90], window = [30, 20, 100, 80] }
+
+[nodes.sink]
+type = "drain"
+inputs = { image = "calm.image" }
+
+[preset]
+views = [{ from = "calm.image", label = "calm view" }, "gray.image"]
+pinned = [{ param = "calm.past_weight", range = [50, 150], label = "calmness" }]
+"#;
+
+/// The window after one tick of each source, once all is at rest.
+fn at_rest(folder: &Folder) -> Window {
+    let options = Options { frames: Some(1), ..Options::default() };
+    let mut window = Window::open_with(&folder.write("looks.toml", GRAPH), options);
+    window.until("it has ended", |app| app.session().status().phase == Phase::Ended);
+    // Rates are those of the last half second, pictures count as old after two.
+    let until = Instant::now() + Duration::from_millis(3500);
+    while Instant::now() < until {
+        window.steps(1);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    window
+}
+
+fn looks(window: &mut Window, name: &str) {
+    window.harness.remove_cursor();
+    window.steps(3);
+    let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures);
+    compare(name, picture, &[]);
+}
+
+#[test]
+fn the_bench_looks_as_it_did() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("looks");
+    let mut window = at_rest(&folder);
+    looks(&mut window, "bench");
+    window.select("level");
+    looks(&mut window, "bench_node");
+    window.harness.get_by_label("Sweep a parameter").click_accesskit();
+    window.steps(2);
+    for (label, text) in [("Sweep measure", "level.levels.mean"), ("Frames per value", "3")] {
+        window.harness.get_by_label(label).focus();
+        window.steps(2);
+        window.harness.key_press_modifiers(Modifiers::COMMAND, Key::A);
+        window.harness.get_by_label(label).type_text(text);
+        window.key(NONE, Key::Enter);
+        window.steps(2);
+    }
+    window.harness.get_by_label("Start the sweep").click_accesskit();
+    window.until("the sweep is done", |app| app.sweep().is_some_and(|p| p.done));
+    window.key(NONE, Key::Y);
+    looks(&mut window, "bench_sweep");
+    window.key(NONE, Key::Y);
+    window.key(NONE, Key::S);
+    window.harness.get_by_label("Pick spots").click_accesskit();
+    window.until_shown("Pick level.spots here");
+    // The picture may say that it is old, with its seconds.
+    let picture = window.harness.get_by_label("Pick level.spots here").rect();
+    window.harness.remove_cursor();
+    window.steps(3);
+    let now = paint(&window.harness.ctx, window.harness.output(), &window.textures);
+    let age = Rect::from_min_size(picture.center_top(), vec2(0.0, 48.0)).expand2(vec2(160.0, 0.0));
+    compare("bench_picker", now, &[age]);
+}
+
+#[test]
+fn the_theatre_looks_as_it_did() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("theatre_looks");
+    let path = folder.write("looks.toml", GRAPH);
+    let options = theatre::Options { folder: folder.0.join("kept"), frames: Some(1), ..theatre::Options::default() };
+    let textures = Textures::default();
+    let draw = move |ui: &mut Ui, theatre: &mut Option<Theatre>| {
+        theatre.get_or_insert_with(|| Theatre::open(ui.ctx(), &path, GRAPH, options.clone()).expect("it opens")).ui(ui);
+    };
+    let builder = Harness::builder().with_size(vec2(1440.0, 960.0)).renderer(textures.clone());
+    let mut harness = builder.build_ui_state(draw, None);
+    let since = Instant::now();
+    let settled = |theatre: &Theatre| {
+        theatre.notices().iter().any(|n| n.words == "The source has ended") && theatre.has_picture()
+    };
+    while !harness.state().as_ref().is_some_and(settled) || since.elapsed() < Duration::from_secs(2) {
+        assert!(since.elapsed() < PATIENCE, "{:?}", harness.state().as_ref().map(|t| t.notices().to_vec()));
+        harness.step();
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    // Ages grow: they stand above each picture, at its right.
+    let views = ["View Calm view", "View Gray"].map(|label| harness.get_by_label_contains(label).rect());
+    let ages = views.map(|v| Rect::from_min_max(pos2(v.right() - 180.0, v.top()), pos2(v.right(), v.top() + 32.0)));
+    let picture = paint(&harness.ctx, harness.output(), &textures);
+    compare("theatre", picture, &ages);
+}
+
+/// Roles of what can be touched.
+const TOUCHED: [Role; 13] = [
+    Role::Button,
+    Role::CheckBox,
+    Role::ComboBox,
+    Role::Slider,
+    Role::SpinButton,
+    Role::TextInput,
+    Role::MultilineTextInput,
+    Role::Link,
+    Role::RadioButton,
+    Role::ListBoxOption,
+    Role::MenuItem,
+    Role::Tab,
+    Role::Switch,
+];
+
+/// What can be touched and has no name.
+fn nameless<S>(harness: &Harness<'_, S>) -> BTreeSet<String> {
+    let all = harness.root().children_recursive();
+    let touched = all.filter(|node| TOUCHED.contains(&node.accesskit_node().role()));
+    let nameless = touched.filter(|node| {
+        let node = node.accesskit_node();
+        let named = node.label().is_some_and(|label| !label.trim().is_empty());
+        !named && node.labelled_by().next().is_none()
+    });
+    nameless.map(|node| format!("{:?} at {:?}", node.accesskit_node().role(), node.rect())).collect()
+}
+
+#[test]
+fn everything_to_be_touched_has_a_name() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("names");
+    let mut window = Window::run(&folder.write("looks.toml", GRAPH));
+    let check = |window: &mut Window, what: &str| {
+        window.steps(3);
+        let found = nameless(&window.harness);
+        assert!(found.is_empty(), "{what}: {found:#?}");
+        let touched = window.harness.root().children_recursive();
+        let count = touched.filter(|n| TOUCHED.contains(&n.accesskit_node().role())).count();
+        assert!(count > 5, "{what}: only {count} things can be touched");
+    };
+    check(&mut window, "bench");
+    for node in ["camera", "calm", "level"] {
+        window.select(node);
+        check(&mut window, node);
+    }
+    for (key, what) in
+        [(Key::P, "curves"), (Key::S, "sweep"), (Key::Y, "history"), (Key::M, "problems"), (Key::T, "text")]
+    {
+        window.key(NONE, key);
+        check(&mut window, what);
+        window.key(NONE, key);
+    }
+    for (key, what) in [(Key::A, "palette"), (Key::U, "plugins"), (Key::F1, "keys")] {
+        window.key(NONE, key);
+        check(&mut window, what);
+        window.key(NONE, Key::Escape);
+        window.steps(3);
+    }
+    window.select("level");
+    window.key(NONE, Key::V);
+    check(&mut window, "viewer");
+    window.key(NONE, Key::Escape);
+    window.select("level");
+    window.harness.get_by_label("Pick window").click_accesskit();
+    window.until_shown("Pick level.window here");
+    check(&mut window, "picker");
+}
