@@ -50,6 +50,11 @@ impl<'a, T> SharedMut<'a, T> {
         Self { base: slice.as_mut_ptr(), len: slice.len(), lifetime: std::marker::PhantomData }
     }
 
+    /// Where element `index` lies, for kernels that walk by pointer; what they touch must be theirs, as for [`Self::part`].
+    pub(crate) fn address(&self, index: usize) -> *mut T {
+        self.base.wrapping_add(index)
+    }
+
     /// The elements `start..start + len`.
     ///
     /// # Safety

@@ -33,23 +33,27 @@ pub struct Out<'f> {
 /// Sides of the worked rectangle are multiples of this, so that it seldom moves.
 const GRAIN_PX: usize = 32;
 
+/// Whether a value of `part` is known; all are looked at, several at a time.
+fn any_known(part: &[f32]) -> bool {
+    part.iter().fold(false, |any, value| any | value.is_finite())
+}
+
 /// The rectangle around all known disparities, widened to whole grains: nothing outside it can be told.
 fn known(disparity: View<'_, f32>) -> Roi {
     let (mut x0, mut x1, mut y0, mut y1) = (disparity.width, 0, disparity.height, 0);
     for y in 0..disparity.height {
         let row = disparity.row(y);
-        let Some(first) = row.iter().position(|value| value.is_finite()) else { continue };
-        let last = row.iter().rposition(|value| value.is_finite()).unwrap_or(first);
-        (x0, x1) = (x0.min(first), x1.max(last + 1));
+        let grains = || row.chunks(GRAIN_PX);
+        let (Some(first), Some(last)) = (grains().position(any_known), grains().rposition(any_known)) else { continue };
+        (x0, x1) = (x0.min(first * GRAIN_PX), x1.max((last + 1) * GRAIN_PX));
         (y0, y1) = (y0.min(y), y + 1);
     }
     if x0 >= x1 {
         return Roi::default();
     }
-    let down = |value: usize| value / GRAIN_PX * GRAIN_PX;
-    let (x, y) = (down(x0), down(y0));
-    let (right, bottom) = (x1.next_multiple_of(GRAIN_PX), y1.next_multiple_of(GRAIN_PX));
-    Roi { x, y, width: right - x, height: bottom - y }.clamped(disparity.width, disparity.height)
+    let y = y0 / GRAIN_PX * GRAIN_PX;
+    Roi { x: x0, y, width: x1 - x0, height: y1.next_multiple_of(GRAIN_PX) - y }
+        .clamped(disparity.width, disparity.height)
 }
 
 /// The inputs as the kernels take them, sizes checked.

@@ -142,7 +142,7 @@ impl Matcher {
         cx.metric("offset_px", f64::from(offset_px));
         prepare(engine, offset_px)?;
         let disparity = out.disparity.alloc(width, height)?;
-        // A region was chosen by who knows what the views share; the whole frame is cut down to that by the right view's map.
+        // A region was chosen by who knows what the views share; the whole frame is cut down to that by the maps of both views.
         let chosen = (roi.width, roi.height) != (width, height);
         let other = if out.disparity_right.is_read() {
             Some(out.disparity_right.alloc(width, height)?)
@@ -158,7 +158,7 @@ impl Matcher {
                 let map_right = ViewMut { data: &mut *other.data, ..other };
                 engine.compute([left, right], roi, cx.pool(), map, Some(map_right))?;
                 let mut map = ViewMut { data: &mut *disparity.data, ..disparity };
-                self.field.keep(&mut map, other.as_view(), roi);
+                self.field.keep(&mut map, &mut ViewMut { data: &mut *other.data, ..other }, roi);
                 map
             }
             None => {

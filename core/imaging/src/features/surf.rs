@@ -264,11 +264,14 @@ impl Surf {
         };
         self.integral.compute_with(self.simd, gray, pool);
         self.found.clear();
-        // More maxima than any picture has, so that the lists do not grow again within a run.
-        let most = gray.width * gray.height / PIXELS_PER_MAXIMUM;
+        // More maxima than any picture has, whatever part of it is looked at next: the lists do not grow again within a run.
+        let enlarged = if doubled { 4 } else { 1 };
+        let most = enlarged * (image.width / shrink) * (image.height / shrink) / PIXELS_PER_MAXIMUM;
         self.found.reserve(most);
         self.kept.clear();
         self.kept.reserve(most);
+        self.next.clear();
+        self.next.reserve(most);
         let SurfParams { hessian_threshold, octaves, layers, upright, max_points, window, extended, .. } = self.params;
         // A negative threshold would also let saddles through.
         let threshold = hessian_threshold.max(0.0);

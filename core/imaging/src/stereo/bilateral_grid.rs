@@ -6,6 +6,11 @@
 use crate::stereo::Roi;
 use crate::{Parallel, SharedMut, View};
 
+/// Largest side of a cell, px.
+pub(crate) const MOST_SIGMA_XY: usize = 128;
+/// Columns of cells whose pixels are added in turn.
+const AT_ONCE: usize = 4;
+
 /// Sums over the pixels of each vertex, and its neighbours.
 #[derive(Debug, Default)]
 pub(crate) struct BilateralGrid {
@@ -16,7 +21,8 @@ pub(crate) struct BilateralGrid {
     pixel_cell: Vec<u32>,
     /// Vertex of each dense cell plus one, 0 when empty.
     pub vertex_of_cell: Vec<u32>,
-    dense: Vec<[f32; 3]>,
+    /// Pixels, confidence, confidence times value, nothing: four numbers are added at once.
+    dense: Vec<[f32; 4]>,
     row_start: Vec<usize>,
     /// Pixels of each vertex. Index 0 is a vertex that does not exist: all its values stay 0.
     pub mass: Vec<f32>,
@@ -31,14 +37,16 @@ pub(crate) struct BilateralGrid {
 }
 
 impl BilateralGrid {
-    /// Rebuilds the grid for the pixels of `roi`. `value` and `confidence` are row-major over the ROI.
+    /// Rebuilds the grid for the pixels of `roi` in `guide` and `value`; `confidence` counts its pixels from `origin` on. A value that
+    /// is not finite, or whose confidence is not above 0, counts nothing; more confidence than 1 counts as 1.
     pub fn splat(
         &mut self,
         guide: View<'_, u8>,
         roi: Roi,
         (sigma_xy, sigma_luma): (usize, usize),
-        value: &[f32],
-        confidence: &[f32],
+        value: View<'_, f32>,
+        (confidence, origin): (View<'_, f32>, (usize, usize)),
+        avx2: bool,
         pool: &dyn Parallel,
     ) {
         let cells = [roi.width.div_ceil(sigma_xy), roi.height.div_ceil(sigma_xy), 255 / sigma_luma + 1];
@@ -47,32 +55,31 @@ impl BilateralGrid {
         let row_cells = cells[0] * cells[2];
         self.pixel_cell.resize(roi.width * roi.height, 0);
         self.vertex_of_cell.resize(row_cells * cells[1], 0);
-        self.dense.resize(row_cells * cells[1], [0.0; 3]);
+        self.dense.resize(row_cells * cells[1], [0.0; 4]);
         self.row_start.clear();
         self.row_start.resize(cells[1] + 1, 0);
 
-        let luma_cell: [u32; 256] = std::array::from_fn(|luma| (luma / sigma_luma) as u32);
+        // `luma * step >> 16` is `luma / sigma_luma` for all 256 levels.
+        let luma_step = (1u32 << 16).div_ceil(sigma_luma as u32);
         let pixel_cell = SharedMut::new(&mut self.pixel_cell);
         let dense = SharedMut::new(&mut self.dense);
         let row_start = SharedMut::new(&mut self.row_start);
         pool.run(cells[1], &|grid_row| {
             // SAFETY: grid rows, and the pixel rows under them, belong to one chunk each.
             let dense = unsafe { dense.part(grid_row * row_cells, row_cells) };
-            dense.fill([0.0; 3]);
+            dense.fill([0.0; 4]);
             for row in grid_row * sigma_xy..((grid_row + 1) * sigma_xy).min(roi.height) {
                 let at = row * roi.width..(row + 1) * roi.width;
                 // SAFETY: as above.
                 let ids = unsafe { pixel_cell.part(at.start, roi.width) };
                 let channels = guide.channels;
                 let pixels = &guide.row(roi.y + row)[roi.x * channels..(roi.x + roi.width) * channels];
-                fill_ids(pixels, channels, sigma_xy, cells[2] as u32, &luma_cell, ids);
-                for ((id, value), confidence) in ids.iter().zip(&value[at.clone()]).zip(&confidence[at]) {
-                    let sums = &mut dense[*id as usize];
-                    sums[0] += 1.0;
-                    sums[1] += confidence;
-                    // The product is 0 for unknown values, whose confidence is 0.
-                    sums[2] += if *confidence > 0.0 { confidence * value } else { 0.0 };
-                }
+                let value = &value.row(roi.y + row)[roi.x..roi.x + roi.width];
+                let confidence = &confidence.row(origin.1 + row)[origin.0..origin.0 + roi.width];
+                let lumas = cells[2] as u32;
+                let dense = &mut *dense;
+                PixelRow { guide: pixels, channels, sigma_xy, lumas, luma_step, value, confidence, ids, dense }
+                    .add(avx2);
             }
             let count = dense.iter().filter(|sums| sums[0] > 0.0).count();
             // SAFETY: entry `grid_row + 1` is this chunk's own.
@@ -120,7 +127,7 @@ impl BilateralGrid {
                 if sums[0] > 0.0 {
                     ids[cell] = (start + next) as u32;
                     back[next] = (base + cell) as u32;
-                    [mass[next], confidence[next], weighted[next]] = *sums;
+                    [mass[next], confidence[next], weighted[next], _] = *sums;
                     next += 1;
                 }
             }
@@ -183,18 +190,88 @@ impl BilateralGrid {
     }
 }
 
+/// Cells of one row of pixels, which are added to the cells of their grid row.
+struct PixelRow<'a> {
+    guide: &'a [u8],
+    channels: usize,
+    sigma_xy: usize,
+    lumas: u32,
+    luma_step: u32,
+    value: &'a [f32],
+    confidence: &'a [f32],
+    ids: &'a mut [u32],
+    dense: &'a mut [[f32; 4]],
+}
+
+impl PixelRow<'_> {
+    fn add(self, avx2: bool) {
+        #[cfg(target_arch = "x86_64")]
+        if avx2 {
+            // SAFETY: the caller found AVX2.
+            unsafe { self.add_avx2() };
+            return;
+        }
+        let _ = avx2;
+        self.add_body();
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn add_avx2(self) {
+        self.add_body();
+    }
+
+    #[inline(always)]
+    fn add_body(self) {
+        let Self { guide, channels, sigma_xy, lumas, luma_step, value, confidence, ids, dense } = self;
+        fill_ids(guide, channels, sigma_xy, lumas, luma_step, ids);
+        // Neighbours fall into one cell, and each addition would wait for the one before: pixels of `AT_ONCE` columns of cells are
+        // taken in turn.
+        let (mut trusts, mut products) = ([0.0; AT_ONCE * MOST_SIGMA_XY], [0.0; AT_ONCE * MOST_SIGMA_XY]);
+        let group = AT_ONCE * sigma_xy;
+        for ((ids, value), confidence) in ids.chunks(group).zip(value.chunks(group)).zip(confidence.chunks(group)) {
+            let n = ids.len();
+            let (trusts, products) = (&mut trusts[..n], &mut products[..n]);
+            for (((trust, product), value), confidence) in
+                trusts.iter_mut().zip(products.iter_mut()).zip(value).zip(confidence)
+            {
+                // NaN fails both.
+                let known = (*confidence > 0.0) & (value.abs() < f32::INFINITY);
+                *trust = if known { confidence.min(1.0) } else { 0.0 };
+                *product = if known { *trust * value } else { 0.0 };
+            }
+            let mut add = |i: usize| {
+                let sums = &mut dense[ids[i] as usize];
+                for (sum, more) in sums.iter_mut().zip([1.0, trusts[i], products[i], 0.0]) {
+                    *sum += more;
+                }
+            };
+            if n == group {
+                for step in 0..sigma_xy {
+                    for column in 0..AT_ONCE {
+                        add(column * sigma_xy + step);
+                    }
+                }
+            } else {
+                (0..n).for_each(add);
+            }
+        }
+    }
+}
+
 /// Cell of each pixel within its grid row.
-fn fill_ids(pixels: &[u8], channels: usize, sigma_xy: usize, lumas: u32, luma_cell: &[u32; 256], ids: &mut [u32]) {
+#[inline(always)]
+fn fill_ids(pixels: &[u8], channels: usize, sigma_xy: usize, lumas: u32, luma_step: u32, ids: &mut [u32]) {
     for (column, (ids, pixels)) in ids.chunks_mut(sigma_xy).zip(pixels.chunks(sigma_xy * channels)).enumerate() {
         let base = column as u32 * lumas;
         if channels == 1 {
             for (id, luma) in ids.iter_mut().zip(pixels) {
-                *id = base + luma_cell[usize::from(*luma)];
+                *id = base + ((u32::from(*luma) * luma_step) >> 16);
             }
         } else {
             for (id, pixel) in ids.iter_mut().zip(pixels.chunks_exact(3)) {
                 let luma = (29 * u32::from(pixel[0]) + 150 * u32::from(pixel[1]) + 77 * u32::from(pixel[2])) >> 8;
-                *id = base + luma_cell[(luma & 255) as usize];
+                *id = base + ((luma * luma_step) >> 16);
             }
         }
     }

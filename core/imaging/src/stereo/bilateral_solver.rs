@@ -5,15 +5,16 @@
 //! preconditioned conjugate gradients, read back. The grid is over column, row and luminance. From one
 //! frame to the next the solution moves little, so the last frame's is where the solver starts.
 
-use crate::stereo::bilateral_grid::BilateralGrid;
+use crate::stereo::bilateral_grid::{BilateralGrid, MOST_SIGMA_XY};
 use crate::stereo::block_matching::fill_nan;
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::grid_solver::GridSolver;
+use crate::stereo::rooms::Rooms;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::wls::FilterInput;
 use crate::stereo::{Roi, StereoError, simd};
-use crate::{Parallel, Serial, SharedMut, ViewMut};
+use crate::{Parallel, Serial, SharedMut, View, ViewMut};
 
 /// Size of the grid's cells and strength of the solver.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,7 +60,7 @@ impl BilateralSolverParams {
     /// [`StereoError::Parameter`].
     pub fn validate(&self) -> Result<(), StereoError> {
         let refuse = |name, value: String, accepted| Err(StereoError::Parameter { name, value, accepted });
-        if !(2..=128).contains(&self.sigma_xy_px) {
+        if !(2..=MOST_SIGMA_XY).contains(&self.sigma_xy_px) {
             return refuse("sigma_xy_px", self.sigma_xy_px.to_string(), "2 to 128");
         }
         if !(2..=128).contains(&self.sigma_luma) {
@@ -93,8 +94,8 @@ pub struct BilateralSolver {
     params: BilateralSolverParams,
     judge: Confidence,
     grid: BilateralGrid,
-    value: Vec<f32>,
     confidence: Vec<f32>,
+    rooms: Rooms,
     work: GridSolver,
     /// Solution of the last call, by dense cell; NaN where there was no vertex.
     last: Vec<f32>,
@@ -116,8 +117,8 @@ impl BilateralSolver {
             params,
             judge: Confidence::default(),
             grid: BilateralGrid::default(),
-            value: Vec::new(),
             confidence: Vec::new(),
+            rooms: Rooms::default(),
             work: GridSolver::default(),
             last: Vec::new(),
             reach: Vec::new(),
@@ -192,18 +193,16 @@ impl BilateralSolver {
         if roi.is_empty() {
             return Ok(());
         }
-        self.value.resize(roi.width * roi.height, 0.0);
-        self.confidence.resize(roi.width * roi.height, 0.0);
-        let judged = &self.params.confidence;
-        input.confidence_into(&mut self.judge, judged, roi, self.avx2, pool, &mut self.confidence);
-        let value = SharedMut::new(&mut self.value);
-        pool.run(roi.height, &|row| {
-            // SAFETY: one row, one chunk.
-            let out = unsafe { value.part(row * roi.width, roi.width) };
-            out.copy_from_slice(&input.disparity.row(roi.y + row)[roi.x..roi.x + roi.width]);
-        });
         let sigma = (self.params.sigma_xy_px, self.params.sigma_luma);
-        self.grid.splat(input.guide, roi, sigma, &self.value, &self.confidence, pool);
+        if let Some(given) = input.confidence {
+            self.grid.splat(input.guide, roi, sigma, input.disparity, (given, (roi.x, roi.y)), self.avx2, pool);
+        } else {
+            self.confidence.resize(roi.width * roi.height, 0.0);
+            let judged = &self.params.confidence;
+            input.confidence_into(&mut self.judge, judged, roi, self.avx2, pool, &mut self.confidence);
+            let judged = View::new(&self.confidence[..roi.width * roi.height], roi.width, roi.height, 1);
+            self.grid.splat(input.guide, roi, sigma, input.disparity, (judged, (0, 0)), self.avx2, pool);
+        }
         let small = self.grid.len() < SMALL;
         let solver_pool: &dyn Parallel = if small { &Serial } else { pool };
         self.work.resize(self.grid.len());
@@ -248,60 +247,109 @@ impl BilateralSolver {
                 *reach = if support >= least { [x, 1.0] } else { [0.0, 0.0] };
             }
         });
-        let reach = &self.reach;
-        pool.run(roi.height, &|row| {
-            let y = roi.y + row;
-            // SAFETY: one row, one chunk.
-            let out = unsafe { out.part(y * stride + roi.x, roi.width) };
-            slice_row(grid, reach, row, out);
-            // What no right pixel can have seen is no measurement, however smooth the surface beside it.
-            for (x, out) in out.iter_mut().enumerate() {
-                *out = if is_seen_by_both(roi.x + x, *out, width) { *out } else { f32::NAN };
-            }
-            if let Some(map) = &out_confidence {
-                // SAFETY: as above.
-                let out = unsafe { map.part(y * stride_confidence + roi.x, roi.width) };
-                let vertices = grid.grid_row(row / grid.sigma_xy);
-                for (out, cell) in out.iter_mut().zip(grid.row_cells(row, roi.width)) {
-                    *out = work.support[vertices[*cell as usize] as usize];
+        let (reach, avx2) = (&self.reach, self.avx2);
+        let rooms = self.rooms.lend(Slice::room(grid, roi.width), pool);
+        pool.run(grid.cells[1], &|grid_row| {
+            for row in grid_row * grid.sigma_xy..((grid_row + 1) * grid.sigma_xy).min(roi.height) {
+                let y = roi.y + row;
+                // SAFETY: a row of pixels lies under one row of cells.
+                let out = unsafe { out.part(y * stride + roi.x, roi.width) };
+                rooms.with(|room| Slice { grid, reach, row, x0: roi.x, width }.write(room, avx2, out));
+                if let Some(map) = &out_confidence {
+                    // SAFETY: as above.
+                    let out = unsafe { map.part(y * stride_confidence + roi.x, roi.width) };
+                    let vertices = grid.grid_row(grid_row);
+                    for (out, cell) in out.iter_mut().zip(grid.row_cells(row, roi.width)) {
+                        *out = work.support[vertices[*cell as usize] as usize];
+                    }
                 }
             }
         });
     }
 }
 
-/// One row of pixels: between the cells' centres, values of the four nearest cells of the pixel's
-/// luminance are mixed, those without a value left out; the grid would show otherwise.
-fn slice_row(grid: &BilateralGrid, reach: &[[f32; 2]], row: usize, out: &mut [f32]) {
-    let [columns, rows, lumas] = grid.cells;
-    let side = grid.sigma_xy;
-    let row_cells = columns * lumas;
-    let grid_row = row / side;
-    // How far a pixel is from its cell's centre, in cells: 0 in the middle, 1/2 at the rim.
-    let offset = |position: usize| ((position % side) as f32 + 0.5) / side as f32 - 0.5;
-    let down = offset(row);
-    let other_row = if down < 0.0 { grid_row.saturating_sub(1) } else { (grid_row + 1).min(rows - 1) };
-    let down = down.abs();
-    let here = &reach[grid_row * row_cells..(grid_row + 1) * row_cells];
-    let there = &reach[other_row * row_cells..(other_row + 1) * row_cells];
-    let ids = grid.row_cells(row, out.len());
-    for (column, (out, ids)) in out.chunks_mut(side).zip(ids.chunks(side)).enumerate() {
-        for (step, (out, cell)) in out.iter_mut().zip(ids).enumerate() {
-            let cell = *cell as usize;
-            let across = offset(step);
+/// One row of pixels read from the grid: between the cells' centres, values of the four nearest cells of the pixel's luminance are
+/// mixed, those without a value left out; the grid would show otherwise.
+struct Slice<'a> {
+    grid: &'a BilateralGrid,
+    reach: &'a [[f32; 2]],
+    row: usize,
+    /// First column, and columns of the right view: what no right pixel can have seen is no measurement, however smooth the surface
+    /// beside it.
+    x0: usize,
+    width: usize,
+}
+
+impl Slice<'_> {
+    /// Numbers that [`Self::write`] needs room for, `width` pixels of a row.
+    fn room(grid: &BilateralGrid, width: usize) -> usize {
+        4 * grid.cells[0] * grid.cells[2] + 2 * width
+    }
+
+    fn write(self, room: &mut [f32], avx2: bool, out: &mut [f32]) {
+        #[cfg(target_arch = "x86_64")]
+        if avx2 {
+            // SAFETY: the caller found AVX2.
+            unsafe { self.write_avx2(room, out) };
+            return;
+        }
+        let _ = avx2;
+        self.write_body(room, out);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn write_avx2(self, room: &mut [f32], out: &mut [f32]) {
+        self.write_body(room, out);
+    }
+
+    #[inline(always)]
+    fn write_body(self, room: &mut [f32], out: &mut [f32]) {
+        let Self { grid, reach, row, x0, width } = self;
+        let [columns, rows, lumas] = grid.cells;
+        let (side, n) = (grid.sigma_xy, out.len());
+        let row_cells = columns * lumas;
+        let grid_row = row / side;
+        // How far the pixels of a cell are from its centre, in cells: 0 in the middle, 1/2 at the rim.
+        let mut offsets = [0.0; MOST_SIGMA_XY];
+        for (step, offset) in offsets[..side].iter_mut().enumerate() {
+            *offset = (step as f32 + 0.5) / side as f32 - 0.5;
+        }
+        let offsets = &offsets[..side];
+        let down = offsets[row % side];
+        let other_row = if down < 0.0 { grid_row.saturating_sub(1) } else { (grid_row + 1).min(rows - 1) };
+        let down = down.abs();
+        let here = &reach[grid_row * row_cells..(grid_row + 1) * row_cells];
+        let there = &reach[other_row * row_cells..(other_row + 1) * row_cells];
+        let (room, value) = room.split_at_mut(4 * row_cells);
+        let (value, _) = value.split_at_mut(2 * n);
+        let (own, mixed) = room.as_chunks_mut::<2>().0.split_at_mut(row_cells);
+        // Both rows of cells are mixed once, for all pixels; a pixel whose own cell has no value stays unknown.
+        for (((own, mixed), here), there) in own.iter_mut().zip(mixed.iter_mut()).zip(here).zip(there) {
+            for i in 0..2 {
+                mixed[i] = here[i] * (1.0 - down) + there[i] * down;
+                own[i] = if here[1] > 0.0 { mixed[i] } else { f32::NAN };
+            }
+        }
+        let ids = grid.row_cells(row, n);
+        let value = value.as_chunks_mut::<2>().0;
+        for (column, (value, ids)) in value.chunks_mut(side).zip(ids.chunks(side)).enumerate() {
             // The same luminance in the column on the nearer side; at the border the cell itself.
-            let other = if across < 0.0 {
-                cell - if column > 0 { lumas } else { 0 }
-            } else {
-                cell + if column + 1 < columns { lumas } else { 0 }
-            };
-            let across = across.abs();
-            let (a, b, c, d) = (here[cell], here[other], there[cell], there[other]);
-            let mix = |i: usize| {
-                (a[i] * (1.0 - across) + b[i] * across) * (1.0 - down) + (c[i] * (1.0 - across) + d[i] * across) * down
-            };
-            // A cell without a value counts with weight 0; a pixel whose own cell has none stays unknown.
-            *out = if a[1] > 0.0 { mix(0) / mix(1) } else { f32::NAN };
+            let (before, after) = (if column > 0 { lumas } else { 0 }, if column + 1 < columns { lumas } else { 0 });
+            for ((value, cell), across) in value.iter_mut().zip(ids).zip(offsets) {
+                let cell = *cell as usize;
+                let other = if *across < 0.0 { cell - before } else { cell + after };
+                let across = across.abs();
+                let (a, b) = (own[cell], mixed[other]);
+                for i in 0..2 {
+                    value[i] = a[i] * (1.0 - across) + b[i] * across;
+                }
+            }
+        }
+        for (x, (out, value)) in out.iter_mut().zip(value.iter()).enumerate() {
+            // A cell without a value counts with weight 0.
+            let value = value[0] / value[1];
+            *out = if is_seen_by_both(x0 + x, value, width) { value } else { f32::NAN };
         }
     }
 }

@@ -191,16 +191,22 @@ impl BlockMatcher {
             let (value, accepted) = (left.width.to_string(), "at most 65000 columns");
             return Err(StereoError::Parameter { name: "width", value, accepted });
         }
-        fill_nan(&mut disparity, pool);
-        if let Some(map) = &mut disparity_right {
-            fill_nan(map, pool);
-        }
         let roi = roi.clamped(left.width, left.height);
         let Some(span) =
             Span::new(roi, left.width, self.params.min_disparity_px, self.params.search_px, self.params.block_px / 2)
         else {
+            fill_nan(&mut disparity, pool);
+            if let Some(map) = &mut disparity_right {
+                fill_nan(map, pool);
+            }
             return Ok(());
         };
+        // Rows of the region are written whole as they are matched.
+        let others = || (0..roi.y).chain(roi.y + roi.height..left.height);
+        others().for_each(|y| disparity.row_mut(y).fill(f32::NAN));
+        if let Some(map) = &mut disparity_right {
+            others().for_each(|y| map.row_mut(y).fill(f32::NAN));
+        }
 
         let radius = span.radius;
         let pad = span.lanes + radius + 32;
@@ -321,6 +327,8 @@ impl Job<'_> {
                 cost: &mut band.cost,
                 best_lane: &mut band.best_lane,
                 best_cost: &mut band.best_cost,
+                less: &mut band.less,
+                more: &mut band.more,
                 ambiguous: &mut band.ambiguous,
                 right_best: &mut band.right_best,
                 right_cost: &mut band.right_cost,
@@ -351,8 +359,11 @@ impl Job<'_> {
             texture_at_least: self.params.texture_threshold.min(u32::from(u16::MAX)) as u16,
             left_right_at_most: self.params.left_right_px.map_or(u16::MAX, |px| px.min(u32::from(u16::MAX)) as u16),
         };
+        out[..x0].fill(f32::NAN);
+        out[x0 + count..].fill(f32::NAN);
         finish::left(&mut winners, &limits, min, self.avx2, &mut out[x0..x0 + count]);
         let Some(out_right) = out_right else { return };
+        out_right.fill(f32::NAN);
         finish::right_within(&mut winners, x0, self.width, min, self.avx2, out_right);
     }
 

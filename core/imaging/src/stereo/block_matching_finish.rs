@@ -63,15 +63,9 @@ pub(crate) fn left(winners: &mut Winners<'_>, limits: &Limits, first: i32, avx2:
 }
 
 fn pick_left(w: &mut Winners<'_>) {
-    let (lanes, count) = (w.lanes, w.count);
-    let costs = w.cost[..count * lanes].chunks_exact(lanes);
-    let best = w.best_lane[..count].iter();
-    let targets = w.less[..count].iter_mut().zip(w.more[..count].iter_mut()).zip(w.back[..count].iter_mut());
-    for (i, ((cost, k), ((less, more), back))) in costs.zip(best).zip(targets).enumerate() {
-        let k = usize::from(*k);
-        *less = cost[slot((k + 1).min(lanes - 1), w.interleaved)];
-        *more = cost[slot(k.saturating_sub(1), w.interleaved)];
-        *back = w.right_best[i + 1 + k];
+    let count = w.count;
+    for (i, (k, back)) in w.best_lane[..count].iter().zip(w.back[..count].iter_mut()).enumerate() {
+        *back = w.right_best[i + 1 + usize::from(*k)];
     }
     // Next to the right view's edges a neighbour may be outside: no fit there.
     for i in (0..count.min(w.inside.start)).chain(w.inside.end.clamp(w.inside.start.min(count), count)..count) {

@@ -35,6 +35,9 @@ pub(crate) struct Row<'a> {
     /// Cheapest lane of each output pixel, and its cost.
     pub best_lane: &'a mut [u16],
     pub best_cost: &'a mut [u16],
+    /// Costs of the lanes above and below the cheapest; its own at the ends. Taken while the pixel's costs are at hand.
+    pub less: &'a mut [u16],
+    pub more: &'a mut [u16],
     /// Not 0 where another disparity, not next to the best, is as cheap to within `uniqueness_percent`.
     pub ambiguous: &'a mut [u16],
     /// Cheapest output pixel for each right pixel; entry `j` is right pixel
@@ -157,6 +160,8 @@ fn portable(row: Row<'_>, slide: bool) {
         }
         row.best_lane[i] = best.1 as u16;
         row.best_cost[i] = best.0;
+        row.less[i] = window[(best.1 + 1).min(lanes - 1)];
+        row.more[i] = window[best.1.saturating_sub(1)];
         let limit = limit_cost(best.0, row.uniqueness_percent);
         let rival = row.uniqueness_percent > 0 && (0..lanes).any(|k| k.abs_diff(best.1) > 1 && cost_at(k) <= limit);
         row.ambiguous[i] = u16::from(rival);
@@ -173,7 +178,7 @@ fn limit_cost(best: u16, percent: u32) -> u16 {
 
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
-    use super::{MAX_LANES, Row, limit_cost};
+    use super::{MAX_LANES, Row, limit_cost, slot_interleaved};
     use std::arch::x86_64::*;
 
     const VECTORS: usize = MAX_LANES / 16;
@@ -222,6 +227,7 @@ mod avx2 {
         assert!(row.outside.len() >= count + lanes);
         assert!(row.cost.len() >= count * lanes && row.best_lane.len() >= count);
         assert!(row.best_cost.len() >= count && row.ambiguous.len() >= count);
+        assert!(row.less.len() >= count && row.more.len() >= count);
         assert!(row.right_best.len() >= count + lanes && row.right_cost.len() >= count + lanes);
 
         let columns = row.columns.as_mut_ptr();
@@ -297,6 +303,9 @@ mod avx2 {
                 }
                 *row.best_lane.get_unchecked_mut(i) = lane as u16;
                 *row.best_cost.get_unchecked_mut(i) = best;
+                let cost = cost.cast::<u16>();
+                *row.less.get_unchecked_mut(i) = *cost.add(slot_interleaved((lane + 1).min(lanes - 1)));
+                *row.more.get_unchecked_mut(i) = *cost.add(slot_interleaved(lane.saturating_sub(1)));
                 let mut rivals = 0;
                 if row.uniqueness_percent > 0 {
                     let limit = _mm256_set1_epi16(limit_cost(best, row.uniqueness_percent) as i16);
@@ -317,7 +326,7 @@ mod avx2 {
             for (source, target) in [(&right_cost, row.right_cost), (&right_best, row.right_best)] {
                 std::ptr::copy_nonoverlapping(source.as_ptr().cast::<u16>(), tail.as_mut_ptr(), lanes);
                 for k in 0..lanes {
-                    target[count + k] = tail[super::slot_interleaved(k)];
+                    target[count + k] = tail[slot_interleaved(k)];
                 }
             }
         }

@@ -22,6 +22,7 @@ mod prefilter;
 pub mod rectify;
 pub mod remap;
 pub mod reproject;
+mod rooms;
 pub mod rotation;
 pub mod semi_global;
 mod semi_global_kernel;

@@ -362,6 +362,8 @@ impl Job<'_> {
             cost: &mut band.sums,
             best_lane: &mut band.best_lane,
             best_cost: &mut band.best_cost,
+            less: &mut band.less,
+            more: &mut band.more,
             ambiguous: &mut band.ambiguous,
             right_best: &mut band.right_best,
             right_cost: &mut band.right_cost,

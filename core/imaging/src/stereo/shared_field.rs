@@ -1,13 +1,14 @@
-//! What lies left of the field that both views share is seen by the left camera alone: nothing can be known of it.
+//! What lies left of the field that both views share is seen by the left camera alone, what lies right of it by the right one
+//! alone: nothing can be known of it.
 //!
-//! Close to the left view's border only the small disparities have a counterpart inside the right view, and a matcher takes the best
-//! of what there is: false surface that is consistent with itself. The right view's first columns see the whole search, so their
-//! disparities tell where the shared field begins.
+//! Close to the left view's left border only the small disparities have a counterpart inside the right view, and a matcher takes
+//! the best of what there is: false surface that is consistent with itself. The right view's first columns see the whole search,
+//! so their disparities tell where the shared field begins. The right view's right border is the same, mirrored.
 
 use crate::stereo::Roi;
 use crate::{View, ViewMut};
 
-/// Columns of the right view that are asked.
+/// Columns at the other view's border that are asked.
 const COLUMNS: usize = 24;
 /// Rows that answer together.
 const BLOCK_ROWS: usize = 16;
@@ -16,65 +17,76 @@ const LEAST_SHARE: usize = 16;
 /// A pixel this near to the edge is still believed, px.
 const SLACK_PX: f32 = 2.0;
 
-/// Finds the field's left edge and clears what lies before it; nothing is allocated once a size has been seen.
+/// Finds the field's edges and clears what lies beyond them; nothing is allocated once a size has been seen.
 #[derive(Clone, Debug, Default)]
 pub struct SharedField {
     known: Vec<f32>,
-    edges: Vec<f32>,
+    /// Disparity at the border of the right view, and of the left one, for each block of rows; NaN where too little is known.
+    borders: [Vec<f32>; 2],
 }
 
 impl SharedField {
-    /// Clears the pixels of `disparity` (left view, px) inside `roi` that lie left of the shared field. `right` is the right view's
-    /// map of the same call. Where its first columns are matched nowhere, nothing is cleared.
-    pub fn keep(&mut self, disparity: &mut ViewMut<'_, f32>, right: View<'_, f32>, roi: Roi) {
+    /// Clears the pixels of `disparity` (left view, px) inside `roi` that lie left of the shared field, and those of `right`, the
+    /// right view's map of the same call, in the rows of `roi`, that lie right of it. Where the other view's border columns are matched
+    /// nowhere, nothing is cleared.
+    pub fn keep(&mut self, disparity: &mut ViewMut<'_, f32>, right: &mut ViewMut<'_, f32>, roi: Roi) {
         let roi = roi.clamped(disparity.width.min(right.width), disparity.height.min(right.height));
         if roi.is_empty() {
             return;
         }
-        let blocks = roi.height.div_ceil(BLOCK_ROWS);
-        self.edges.clear();
-        self.edges.reserve(blocks);
-        self.known.reserve(BLOCK_ROWS * COLUMNS);
-        for block in 0..blocks {
-            self.known.clear();
-            let rows = roi.y + block * BLOCK_ROWS..(roi.y + (block + 1) * BLOCK_ROWS).min(roi.y + roi.height);
-            let pixels = rows.len() * COLUMNS.min(right.width);
-            for y in rows {
-                let first = &right.row(y)[..COLUMNS.min(right.width)];
-                self.known.extend(first.iter().copied().filter(|d| d.is_finite()));
-            }
-            // What the first column shows lies `d` columns from the left view's border.
-            let middle = self.known.len() / 2;
-            let enough = self.known.len() * LEAST_SHARE >= pixels.max(1);
-            self.edges.push(if enough {
-                *self.known.select_nth_unstable_by(middle, f32::total_cmp).1
-            } else {
-                f32::NAN
-            });
-        }
+        let end = roi.x + roi.width;
+        let [first, last] = &mut self.borders;
+        ask(right.as_view(), 0..COLUMNS.min(right.width), roi, &mut self.known, first);
+        ask(disparity.as_view(), end.saturating_sub(COLUMNS).max(roi.x)..end, roi, &mut self.known, last);
         for row in 0..roi.height {
-            let Some(edge) = self.edge(row) else { return };
-            let end = (edge - SLACK_PX).clamp(0.0, (roi.x + roi.width) as f32) as usize;
-            if end > roi.x {
-                disparity.row_mut(roi.y + row)[roi.x..end].fill(f32::NAN);
+            let y = roi.y + row;
+            // What the right view's first column shows lies `d` columns from the left view's border, and the other way round.
+            if let Some(d) = at_row(&self.borders[0], row) {
+                let until = (d - SLACK_PX).clamp(0.0, end as f32) as usize;
+                if until > roi.x {
+                    disparity.row_mut(y)[roi.x..until].fill(f32::NAN);
+                }
+            }
+            if let Some(d) = at_row(&self.borders[1], row) {
+                let from = (end as f32 - d + SLACK_PX).clamp(0.0, right.width as f32) as usize;
+                right.row_mut(y)[from..].fill(f32::NAN);
             }
         }
     }
+}
 
-    /// Edge in a row of the region, between the nearest blocks that know it.
-    fn edge(&self, row: usize) -> Option<f32> {
-        let at = (row as f32 + 0.5) / BLOCK_ROWS as f32 - 0.5;
-        let below = at.floor().max(-1.0) as isize;
-        let known = |block: &usize| self.edges[*block].is_finite();
-        let before = (0..((below + 1).max(0) as usize).min(self.edges.len())).rev().find(known);
-        let after = ((below + 1).max(0) as usize..self.edges.len()).find(known);
-        match (before, after) {
-            (Some(a), Some(b)) => {
-                let part = ((at - a as f32) / (b - a) as f32).clamp(0.0, 1.0);
-                Some(self.edges[a] * (1.0 - part) + self.edges[b] * part)
-            }
-            (a, b) => a.or(b).map(|block| self.edges[block]),
+/// Median disparity of `map` in `columns`, for each block of the region's rows.
+fn ask(map: View<'_, f32>, columns: std::ops::Range<usize>, roi: Roi, known: &mut Vec<f32>, borders: &mut Vec<f32>) {
+    let blocks = roi.height.div_ceil(BLOCK_ROWS);
+    borders.clear();
+    borders.reserve(blocks);
+    known.reserve(BLOCK_ROWS * COLUMNS);
+    for block in 0..blocks {
+        known.clear();
+        let rows = roi.y + block * BLOCK_ROWS..(roi.y + (block + 1) * BLOCK_ROWS).min(roi.y + roi.height);
+        let pixels = rows.len() * columns.len();
+        for y in rows {
+            known.extend(map.row(y)[columns.clone()].iter().copied().filter(|d| d.is_finite()));
         }
+        let middle = known.len() / 2;
+        let enough = known.len() * LEAST_SHARE >= pixels.max(1);
+        borders.push(if enough { *known.select_nth_unstable_by(middle, f32::total_cmp).1 } else { f32::NAN });
+    }
+}
+
+/// Disparity at the border in a row of the region, between the nearest blocks that know it.
+fn at_row(borders: &[f32], row: usize) -> Option<f32> {
+    let at = (row as f32 + 0.5) / BLOCK_ROWS as f32 - 0.5;
+    let below = at.floor().max(-1.0) as isize;
+    let known = |block: &usize| borders[*block].is_finite();
+    let before = (0..((below + 1).max(0) as usize).min(borders.len())).rev().find(known);
+    let after = ((below + 1).max(0) as usize..borders.len()).find(known);
+    match (before, after) {
+        (Some(a), Some(b)) => {
+            let part = ((at - a as f32) / (b - a) as f32).clamp(0.0, 1.0);
+            Some(borders[a] * (1.0 - part) + borders[b] * part)
+        }
+        (a, b) => a.or(b).map(|block| borders[block]),
     }
 }
 
@@ -92,39 +104,74 @@ mod tests {
     const SIZE: (usize, usize) = (120, 70);
 
     #[test]
-    fn what_only_the_left_camera_sees_is_cleared() {
+    fn what_only_one_camera_sees_is_cleared() {
         let edge = |y: usize| 30.0 + y as f32 * 0.1;
         let mut left = vec![5.0f32; SIZE.0 * SIZE.1];
-        let mut right = vec![f32::NAN; SIZE.0 * SIZE.1];
+        let mut right = vec![5.0f32; SIZE.0 * SIZE.1];
         for y in 0..SIZE.1 {
             for x in 0..SIZE.0 {
+                let at = y * SIZE.0 + x;
                 if x as f32 >= edge(y) {
-                    left[y * SIZE.0 + x] = edge(y);
+                    left[at] = edge(y);
                 }
-                // Rows 16 to 31 are not matched at the right view's border: their neighbours answer for them.
-                if !(16..32).contains(&y) && x < 60 {
-                    right[y * SIZE.0 + x] = edge(y);
+                if x as f32 <= SIZE.0 as f32 - edge(y) {
+                    right[at] = edge(y);
+                }
+                // Rows 16 to 31 are not matched at the views' borders: their neighbours answer for them.
+                if (16..32).contains(&y) {
+                    if x < COLUMNS {
+                        right[at] = f32::NAN;
+                    }
+                    if x >= SIZE.0 - COLUMNS {
+                        left[at] = f32::NAN;
+                    }
                 }
             }
         }
+        let (map, map_right) = (left.clone(), right.clone());
         let mut field = SharedField::default();
-        let map = &mut ViewMut::new(&mut left, SIZE.0, SIZE.1, 1);
-        field.keep(map, View::new(&right, SIZE.0, SIZE.1, 1), Roi::full(SIZE.0, SIZE.1));
+        let left_view = &mut ViewMut::new(&mut left, SIZE.0, SIZE.1, 1);
+        field.keep(left_view, &mut ViewMut::new(&mut right, SIZE.0, SIZE.1, 1), Roi::full(SIZE.0, SIZE.1));
         for y in 0..SIZE.1 {
-            let row = &left[y * SIZE.0..(y + 1) * SIZE.0];
+            let at = y * SIZE.0..(y + 1) * SIZE.0;
+            let (row, before) = (&left[at.clone()], &map[at.clone()]);
             let first = row.iter().position(|d| d.is_finite()).unwrap();
             assert!((first as f32 - edge(y)).abs() <= SLACK_PX + 2.0, "row {y}: {first}");
-            assert!(row[edge(y).ceil() as usize..].iter().all(|d| d.is_finite()));
+            let inside = edge(y).ceil() as usize;
+            assert!(row[inside..].iter().zip(&before[inside..]).all(|(a, b)| a.to_bits() == b.to_bits()));
+            let (row, before) = (&right[at.clone()], &map_right[at]);
+            let last = row.iter().rposition(|d| d.is_finite()).unwrap();
+            assert!((last as f32 - (SIZE.0 as f32 - edge(y))).abs() <= SLACK_PX + 2.0, "right, row {y}: {last}");
+            let inside = SIZE.0 - inside;
+            assert!(row[..inside].iter().zip(&before[..inside]).all(|(a, b)| a.to_bits() == b.to_bits()));
         }
     }
 
     #[test]
     fn without_an_answer_nothing_is_cleared() {
-        let mut left = vec![5.0f32; SIZE.0 * SIZE.1];
-        let right = vec![f32::NAN; SIZE.0 * SIZE.1];
-        let map = &mut ViewMut::new(&mut left, SIZE.0, SIZE.1, 1);
-        SharedField::default().keep(map, View::new(&right, SIZE.0, SIZE.1, 1), Roi::full(SIZE.0, SIZE.1));
-        assert!(left.iter().all(|d| *d == 5.0));
+        for unknown in 0..2 {
+            let mut maps = [vec![5.0f32; SIZE.0 * SIZE.1], vec![5.0f32; SIZE.0 * SIZE.1]];
+            maps[unknown].fill(f32::NAN);
+            let [left, right] = &mut maps;
+            let (left, right) =
+                (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
+            SharedField::default().keep(left, right, Roi::full(SIZE.0, SIZE.1));
+            assert!(maps[1 - unknown].iter().all(|d| *d == 5.0));
+        }
+    }
+
+    #[test]
+    fn other_rows_stay() {
+        let mut maps = [vec![9.0f32; SIZE.0 * SIZE.1], vec![9.0f32; SIZE.0 * SIZE.1]];
+        let [left, right] = &mut maps;
+        let (left, right) = (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
+        SharedField::default().keep(left, right, Roi { x: 0, y: 20, width: SIZE.0, height: 30 });
+        for map in &maps {
+            for (y, row) in map.chunks_exact(SIZE.0).enumerate() {
+                let gone = row.iter().filter(|d| d.is_nan()).count();
+                assert_eq!(gone, if (20..50).contains(&y) { 7 } else { 0 }, "row {y}");
+            }
+        }
     }
 
     #[test]

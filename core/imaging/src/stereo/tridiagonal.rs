@@ -3,10 +3,11 @@
 //! `A` is the Laplacian of one line, weighted by the guide. Each line is a tridiagonal system, solved
 //! exactly by one sweep forward and one back; two right-hand sides share the factors.
 
+use crate::stereo::rooms::Rooms;
 use crate::{Parallel, SharedMut};
 
-/// Columns that one chunk of the vertical pass owns; 64 keep a 480-row strip in the L2 cache.
-const STRIP: usize = 64;
+/// Columns that one chunk of the vertical pass owns: the strip's planes stay in the L2 cache between both sweeps.
+const STRIP: usize = 32;
 /// Rows that one chunk of the horizontal pass owns: two vectors of eight, whose chains overlap.
 const ROWS: usize = 16;
 
@@ -16,39 +17,77 @@ pub(crate) struct Planes<'a> {
     pub height: usize,
     pub first: &'a mut [f32],
     pub second: &'a mut [f32],
-    /// Room for the factors.
-    pub factors: &'a mut [f32],
 }
 
 /// Solves along columns.
-pub(crate) fn vertical(planes: &mut Planes<'_>, down: &[f32], strength: f32, avx2: bool, pool: &dyn Parallel) {
+pub(crate) fn vertical(
+    planes: &mut Planes<'_>,
+    down: &[f32],
+    strength: f32,
+    rooms: &mut Rooms,
+    avx2: bool,
+    pool: &dyn Parallel,
+) {
     let (width, height) = (planes.width, planes.height);
     let first = SharedMut::new(planes.first);
     let second = SharedMut::new(planes.second);
-    let factors = SharedMut::new(planes.factors);
+    let rooms = rooms.lend(STRIP * height, pool);
     pool.run(width.div_ceil(STRIP), &|chunk| {
         let x = chunk * STRIP;
-        let n = STRIP.min(width - x);
-        fn part<'a>(plane: &SharedMut<'a, f32>, start: usize, n: usize) -> &'a mut [f32] {
-            // SAFETY: each chunk takes parts of its own columns only, each row once at a time.
-            unsafe { plane.part(start, n) }
-        }
-        let row = |y: usize| y * width + x;
-        let mut before = [0.0; STRIP];
-        for y in 0..height {
-            let previous = y.saturating_sub(1);
-            let weights = &down[y * width + x..y * width + x + n];
-            let (f0, f1) = (if y > 0 { part(&first, row(previous), n) } else { &mut [] }, part(&first, row(y), n));
-            let (s0, s1) = (if y > 0 { part(&second, row(previous), n) } else { &mut [] }, part(&second, row(y), n));
-            let (c0, c1) = (if y > 0 { part(&factors, row(previous), n) } else { &mut [] }, part(&factors, row(y), n));
-            let step = Forward { strength, weights, f0, s0, c0, f1, s1, c1, before: &mut before[..n] };
-            forward(step, avx2);
-        }
-        for y in (0..height.saturating_sub(1)).rev() {
-            let (f0, s0) = (part(&first, row(y + 1), n), part(&second, row(y + 1), n));
-            backward(part(&factors, row(y), n), f0, s0, part(&first, row(y), n), part(&second, row(y), n), avx2);
-        }
+        rooms.with(|factors| {
+            let n = STRIP.min(width - x);
+            #[cfg(target_arch = "x86_64")]
+            if avx2 && n == STRIP {
+                // SAFETY: the caller found AVX2; the strip's columns lie inside the planes and are this chunk's own.
+                unsafe {
+                    avx2::strip(first.address(x), second.address(x), &down[x..], (width, height), strength, factors)
+                };
+                return;
+            }
+            let _ = avx2;
+            strip_body(Strip { x, n, width, height, first, second, down, strength, factors });
+        });
     });
+}
+
+/// Columns `x..x + n` of the planes, which nobody else touches.
+struct Strip<'a, 'b> {
+    x: usize,
+    n: usize,
+    width: usize,
+    height: usize,
+    first: SharedMut<'a, f32>,
+    second: SharedMut<'a, f32>,
+    down: &'a [f32],
+    strength: f32,
+    /// `STRIP` for each row.
+    factors: &'b mut [f32],
+}
+
+fn strip_body(strip: Strip<'_, '_>) {
+    let Strip { x, n, width, height, first, second, down, strength, factors } = strip;
+    #[inline(always)]
+    fn part<'a>(plane: &SharedMut<'a, f32>, start: usize, n: usize) -> &'a mut [f32] {
+        // SAFETY: the strip's columns are this chunk's own; each row is taken once at a time.
+        unsafe { plane.part(start, n) }
+    }
+    let row = |y: usize| y * width + x;
+    let mut before = [0.0; STRIP];
+    for y in 0..height {
+        let weights = &down[row(y)..row(y) + n];
+        let (done, rest) = factors.split_at_mut(y * STRIP);
+        let (f1, s1, c1) = (part(&first, row(y), n), part(&second, row(y), n), &mut rest[..n]);
+        let none: &mut [f32] = &mut [];
+        let (f0, s0, c0) = match y {
+            0 => (none, &mut [][..], &[][..]),
+            _ => (part(&first, row(y - 1), n), part(&second, row(y - 1), n), &done[(y - 1) * STRIP..][..n]),
+        };
+        forward(Forward { strength, weights, f0, s0, c0, f1, s1, c1, before: &mut before[..n] });
+    }
+    for y in (0..height.saturating_sub(1)).rev() {
+        let (f0, s0) = (part(&first, row(y + 1), n), part(&second, row(y + 1), n));
+        backward(&factors[y * STRIP..][..n], f0, s0, part(&first, row(y), n), part(&second, row(y), n));
+    }
 }
 
 struct Forward<'a> {
@@ -64,25 +103,8 @@ struct Forward<'a> {
     before: &'a mut [f32],
 }
 
-fn forward(step: Forward<'_>, avx2: bool) {
-    #[cfg(target_arch = "x86_64")]
-    if avx2 {
-        // SAFETY: the caller found AVX2.
-        unsafe { forward_avx2(step) };
-        return;
-    }
-    let _ = avx2;
-    forward_body(step);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn forward_avx2(step: Forward<'_>) {
-    forward_body(step);
-}
-
 #[inline(always)]
-fn forward_body(step: Forward<'_>) {
+fn forward(step: Forward<'_>) {
     let n = step.weights.len();
     let (f1, s1, c1, before) = (&mut step.f1[..n], &mut step.s1[..n], &mut step.c1[..n], &mut step.before[..n]);
     let weights = &step.weights[..n];
@@ -111,25 +133,8 @@ fn eliminate(before: f32, next: f32, c0: f32, f0: f32, s0: f32, f1: f32, s1: f32
     (next * inverse, (f1 + before * f0) * inverse, (s1 + before * s0) * inverse, next)
 }
 
-fn backward(factors: &[f32], f0: &[f32], s0: &[f32], f1: &mut [f32], s1: &mut [f32], avx2: bool) {
-    #[cfg(target_arch = "x86_64")]
-    if avx2 {
-        // SAFETY: the caller found AVX2.
-        unsafe { backward_avx2(factors, f0, s0, f1, s1) };
-        return;
-    }
-    let _ = avx2;
-    backward_body(factors, f0, s0, f1, s1);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn backward_avx2(factors: &[f32], f0: &[f32], s0: &[f32], f1: &mut [f32], s1: &mut [f32]) {
-    backward_body(factors, f0, s0, f1, s1);
-}
-
 #[inline(always)]
-fn backward_body(factors: &[f32], f0: &[f32], s0: &[f32], f1: &mut [f32], s1: &mut [f32]) {
+fn backward(factors: &[f32], f0: &[f32], s0: &[f32], f1: &mut [f32], s1: &mut [f32]) {
     let n = factors.len();
     let (f0, s0, f1, s1) = (&f0[..n], &s0[..n], &mut f1[..n], &mut s1[..n]);
     for x in 0..n {
@@ -138,45 +143,38 @@ fn backward_body(factors: &[f32], f0: &[f32], s0: &[f32], f1: &mut [f32], s1: &m
     }
 }
 
-/// Solves along rows. `factors` of the planes serves as room for the transposed lines.
+/// Solves along rows.
 pub(crate) fn horizontal(
     planes: &mut Planes<'_>,
     right: &[f32],
     strength: f32,
-    scratch: &mut Vec<f32>,
+    rooms: &mut Rooms,
     avx2: bool,
     pool: &dyn Parallel,
 ) {
     let (width, height) = (planes.width, planes.height);
-    let chunks = height.div_ceil(ROWS);
-    let room = 3 * ROWS * width;
-    scratch.resize(chunks * room, 0.0);
-    let scratch = SharedMut::new(scratch);
+    let rooms = rooms.lend(3 * ROWS * width, pool);
     let first = SharedMut::new(planes.first);
     let second = SharedMut::new(planes.second);
-    pool.run(chunks, &|chunk| {
+    pool.run(height.div_ceil(ROWS), &|chunk| {
         let y = chunk * ROWS;
         let rows = ROWS.min(height - y);
-        // SAFETY: each chunk owns its rows and its room.
-        let (f, s, room) = unsafe {
-            (
-                first.part(y * width, rows * width),
-                second.part(y * width, rows * width),
-                scratch.part(chunk * room, room),
-            )
-        };
+        // SAFETY: each chunk owns its rows.
+        let (f, s) = unsafe { (first.part(y * width, rows * width), second.part(y * width, rows * width)) };
         let weights = &right[y * width..(y + rows) * width];
-        #[cfg(target_arch = "x86_64")]
-        if avx2 && rows == ROWS && width >= 8 {
-            // SAFETY: the caller found AVX2; lengths are `ROWS * width`.
-            unsafe { avx2::rows(f, s, weights, strength, width, room) };
-            return;
-        }
-        let _ = avx2;
-        for row in 0..rows {
-            let at = row * width..(row + 1) * width;
-            solve_row(&mut f[at.clone()], &mut s[at.clone()], &weights[at], strength, &mut room[..width]);
-        }
+        rooms.with(|room| {
+            #[cfg(target_arch = "x86_64")]
+            if avx2 && rows == ROWS && width >= 8 {
+                // SAFETY: the caller found AVX2; lengths are `ROWS * width`.
+                unsafe { avx2::rows(f, s, weights, strength, width, room) };
+                return;
+            }
+            let _ = avx2;
+            for row in 0..rows {
+                let at = row * width..(row + 1) * width;
+                solve_row(&mut f[at.clone()], &mut s[at.clone()], &weights[at], strength, &mut room[..width]);
+            }
+        });
     });
 }
 
@@ -199,8 +197,66 @@ fn solve_row(f: &mut [f32], s: &mut [f32], weights: &[f32], strength: f32, facto
 
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
-    use super::ROWS;
+    use super::{ROWS, STRIP};
     use std::arch::x86_64::*;
+
+    /// Columns that the horizontal pass fetches ahead.
+    const FETCH: usize = 32;
+    /// Rows that the vertical pass fetches ahead: a step of a whole row is more than the processor foresees.
+    const AHEAD: usize = 6;
+    /// Vectors of a strip.
+    const WIDE: usize = STRIP / 8;
+
+    /// Solves the columns of one strip. The planes begin at its first column; rows are `width` apart.
+    ///
+    /// # Safety
+    /// Needs AVX2; `STRIP` columns of `height` rows must lie inside both planes and be nobody else's.
+    #[target_feature(enable = "avx2")]
+    pub(super) unsafe fn strip(
+        f: *mut f32,
+        s: *mut f32,
+        down: &[f32],
+        (width, height): (usize, usize),
+        strength: f32,
+        factors: &mut [f32],
+    ) {
+        assert!(height > 0 && down.len() >= (height - 1) * width + STRIP && factors.len() >= height * STRIP);
+        let (w, c) = (down.as_ptr(), factors.as_mut_ptr());
+        let (zero, one, strength) = (_mm256_setzero_ps(), _mm256_set1_ps(1.0), _mm256_set1_ps(strength));
+        let mut chains = [Chain { before: zero, c: zero, f: zero, s: zero }; WIDE];
+        // SAFETY: rows stay below `height`, columns below `STRIP`; prefetching is a hint.
+        unsafe {
+            for y in 0..height {
+                let ahead = (y + AHEAD).min(height - 1) * width;
+                for plane in [f.cast_const(), s.cast_const(), w] {
+                    for line in 0..STRIP / 16 {
+                        _mm_prefetch::<{ _MM_HINT_T0 }>(plane.add(ahead + line * 16).cast());
+                    }
+                }
+                for (v, chain) in chains.iter_mut().enumerate() {
+                    let at = y * width + v * 8;
+                    let next = _mm256_mul_ps(strength, _mm256_loadu_ps(w.add(at)));
+                    *chain = chain.step(one, next, _mm256_loadu_ps(f.add(at)), _mm256_loadu_ps(s.add(at)));
+                    _mm256_storeu_ps(c.add(y * STRIP + v * 8), chain.c);
+                    _mm256_storeu_ps(f.add(at), chain.f);
+                    _mm256_storeu_ps(s.add(at), chain.s);
+                }
+            }
+            let mut later = chains.map(|chain| [chain.f, chain.s]);
+            for y in (0..height - 1).rev() {
+                for (v, later) in later.iter_mut().enumerate() {
+                    let at = y * width + v * 8;
+                    let c = _mm256_loadu_ps(c.add(y * STRIP + v * 8));
+                    *later = [
+                        _mm256_add_ps(_mm256_loadu_ps(f.add(at)), _mm256_mul_ps(c, later[0])),
+                        _mm256_add_ps(_mm256_loadu_ps(s.add(at)), _mm256_mul_ps(c, later[1])),
+                    ];
+                    _mm256_storeu_ps(f.add(at), later[0]);
+                    _mm256_storeu_ps(s.add(at), later[1]);
+                }
+            }
+        }
+    }
 
     /// Loads eight columns of eight rows, one vector per column.
     #[target_feature(enable = "avx2")]
@@ -245,13 +301,30 @@ mod avx2 {
         ]
     }
 
-    /// State of the elimination in eight rows.
+    /// State of the elimination in eight lines.
     #[derive(Clone, Copy)]
     struct Chain {
         before: __m256,
         c: __m256,
         f: __m256,
         s: __m256,
+    }
+
+    impl Chain {
+        /// The same operations in the same order as `eliminate`.
+        #[target_feature(enable = "avx2")]
+        #[inline]
+        fn step(self, one: __m256, next: __m256, f: __m256, s: __m256) -> Self {
+            let bottom = _mm256_add_ps(_mm256_add_ps(one, next), self.before);
+            let bottom = _mm256_sub_ps(bottom, _mm256_mul_ps(self.before, self.c));
+            let inverse = _mm256_div_ps(one, bottom);
+            Self {
+                before: next,
+                c: _mm256_mul_ps(next, inverse),
+                f: _mm256_mul_ps(_mm256_add_ps(f, _mm256_mul_ps(self.before, self.f)), inverse),
+                s: _mm256_mul_ps(_mm256_add_ps(s, _mm256_mul_ps(self.before, self.s)), inverse),
+            }
+        }
     }
 
     /// Solves sixteen rows: two groups of eight, side by side, so that one's division hides the other's.
@@ -282,6 +355,14 @@ mod avx2 {
             for group in 0..groups {
                 let x0 = (group * 8).min(width - 8);
                 let skip = group * 8 - x0;
+                // Sixteen rows of three planes are more streams than the processor follows by itself.
+                if group % 2 == 0 && x0 + FETCH < width {
+                    for plane in [f.cast_const(), s.cast_const(), w] {
+                        for row in 0..ROWS {
+                            _mm_prefetch::<{ _MM_HINT_T0 }>(plane.add(row * width + x0 + FETCH).cast());
+                        }
+                    }
+                }
                 let mut loaded = [[[zero; 8]; 3]; 2];
                 for (half, planes) in loaded.iter_mut().enumerate() {
                     let at = half * 8 * width + x0;
@@ -293,21 +374,8 @@ mod avx2 {
                 }
                 for column in skip..8 {
                     for half in 0..2 {
-                        let chain = chains[half];
                         let next = _mm256_mul_ps(strength, loaded[half][2][column]);
-                        // The same operations in the same order as `eliminate`.
-                        let mut bottom = _mm256_add_ps(one, next);
-                        bottom = _mm256_add_ps(bottom, chain.before);
-                        bottom = _mm256_sub_ps(bottom, _mm256_mul_ps(chain.before, chain.c));
-                        let inverse = _mm256_div_ps(one, bottom);
-                        let value_f = _mm256_add_ps(loaded[half][0][column], _mm256_mul_ps(chain.before, chain.f));
-                        let value_s = _mm256_add_ps(loaded[half][1][column], _mm256_mul_ps(chain.before, chain.s));
-                        let chain = Chain {
-                            before: next,
-                            c: _mm256_mul_ps(next, inverse),
-                            f: _mm256_mul_ps(value_f, inverse),
-                            s: _mm256_mul_ps(value_s, inverse),
-                        };
+                        let chain = chains[half].step(one, next, loaded[half][0][column], loaded[half][1][column]);
                         let to = room.add((x0 + column) * 48 + half * 24);
                         _mm256_storeu_ps(to, chain.c);
                         _mm256_storeu_ps(to.add(8), chain.f);

@@ -9,6 +9,7 @@
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::guide_weights::weights_row;
+use crate::stereo::rooms::Rooms;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::tridiagonal::{Planes, horizontal, vertical};
 use crate::stereo::{Roi, StereoError, block_matching::fill_nan, simd};
@@ -129,8 +130,7 @@ pub struct WlsFilter {
     down: Vec<f32>,
     product: Vec<f32>,
     support: Vec<f32>,
-    factors: Vec<f32>,
-    scratch: Vec<f32>,
+    rooms: Rooms,
     avx2: bool,
 }
 
@@ -148,8 +148,7 @@ impl WlsFilter {
             down: Vec::new(),
             product: Vec::new(),
             support: Vec::new(),
-            factors: Vec::new(),
-            scratch: Vec::new(),
+            rooms: Rooms::default(),
             avx2: simd::has_avx2(),
         })
     }
@@ -214,17 +213,12 @@ impl WlsFilter {
         self.prepare(&input, roi, pool);
 
         let rounds = self.params.iterations;
-        let mut planes = Planes {
-            width: roi.width,
-            height: roi.height,
-            first: &mut self.product,
-            second: &mut self.support,
-            factors: &mut self.factors,
-        };
+        let mut planes =
+            Planes { width: roi.width, height: roi.height, first: &mut self.product, second: &mut self.support };
         for round in 0..rounds {
             let strength = self.params.lambda * 0.25f32.powi(round as i32);
-            horizontal(&mut planes, &self.right, strength, &mut self.scratch, self.avx2, pool);
-            vertical(&mut planes, &self.down, strength, self.avx2, pool);
+            horizontal(&mut planes, &self.right, strength, &mut self.rooms, self.avx2, pool);
+            vertical(&mut planes, &self.down, strength, &mut self.rooms, self.avx2, pool);
         }
 
         let (stride, out) = (disparity.stride, SharedMut::new(disparity.data));
@@ -256,7 +250,7 @@ impl WlsFilter {
     /// Guide weights, confidence, and disparity times confidence.
     fn prepare(&mut self, input: &FilterInput<'_>, roi: Roi, pool: &dyn Parallel) {
         let n = roi.width * roi.height;
-        for plane in [&mut self.right, &mut self.down, &mut self.product, &mut self.support, &mut self.factors] {
+        for plane in [&mut self.right, &mut self.down, &mut self.product, &mut self.support] {
             plane.resize(n, 0.0);
         }
         input.confidence_into(&mut self.confidence, &self.params.confidence, roi, self.avx2, pool, &mut self.support);

@@ -43,8 +43,9 @@ pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> 
             5
         };
         // As the nodes do.
-        let both = &mut ViewMut::new(&mut raw, width, height, 1);
-        SharedField::default().keep(both, view(&raw_right, width, height), roi);
+        let (both, both_right) =
+            (&mut ViewMut::new(&mut raw, width, height, 1), &mut ViewMut::new(&mut raw_right, width, height, 1));
+        SharedField::default().keep(both, both_right, roi);
         let (mut smooth, mut trust, mut solved) = (plane(), plane(), plane());
         let confidence = ConfidenceParams { scatter_radius_px, ..Default::default() };
         let mut wls = WlsFilter::new(WlsParams { confidence, ..Default::default() })?;
