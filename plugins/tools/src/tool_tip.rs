@@ -154,15 +154,18 @@ impl Node for ToolTip {
                 (None, Some(view)) => (focal * baseline / f64::from(view.row(y)[x])) as f32,
                 (None, None) => f32::NAN,
             };
-            let z = place.and_then(|place| self.depth_at(inside, params.radius_px, place, depth_of));
+            let masks = masks.filter(|_| place == Some(size));
+            let of = |item: usize, x: usize, y: usize| {
+                masks.is_some_and(|m| m.mask(item)[y * size.0.div_ceil(8) + x / 8] & (0x80 >> (x % 8)) != 0)
+            };
+            // Where masks tell, no other surface counts.
+            let own_depth = |x: usize, y: usize| {
+                if masks.is_none() || of(index, x, y) { depth_of(x, y) } else { f32::NAN }
+            };
+            let z = place.and_then(|place| self.depth_at(inside, params.radius_px, place, own_depth));
             // What seems its end is where another instrument hides it: no tip is better than a wrong one.
-            if let (Some(z), Some(masks), Some(place)) = (z, masks, place)
-                && place == size
-                && is_behind((u_px, v_px), z, params.radius_px, size, depth_of, &|x, y| {
-                    let bit = |mask: &[u8]| mask[y * size.0.div_ceil(8) + x / 8] & (0x80 >> (x % 8)) != 0;
-                    (0..found.items().len()).any(|other| other != index && bit(masks.mask(other)))
-                })
-            {
+            let others = |x: usize, y: usize| (0..found.items().len()).any(|other| other != index && of(other, x, y));
+            if z.is_some_and(|z| is_behind((u_px, v_px), z, params.radius_px, size, depth_of, &others)) {
                 return Ok(());
             }
             if let Some(z) = z.map(f64::from) {
