@@ -118,9 +118,11 @@ impl Node for Screen {
         let mut titles = params.titles.split(';').map(str::trim);
         let mut title = |screen: &mut ViewMut<'_, u8>, cell: Cell| {
             if let Some(words) = titles.next().filter(|t| !t.is_empty()) {
-                let (_, height) = draw::text_size(words, params.text_scale);
-                let y = (cell.y + cell.height) as f32 - height - 2.0 * params.text_scale;
-                draw::text(screen, cell.x as f32 + 3.0 * params.text_scale, y, words, params.text_scale, [255; 3]);
+                // Upper right: words, insets and rulers of the pictures themselves stand elsewhere.
+                let (width, _) = draw::text_size(words, params.text_scale);
+                let x = (cell.x + cell.width) as f32 - width - 3.0 * params.text_scale;
+                let y = cell.y as f32 + 2.0 * params.text_scale;
+                draw::text(screen, x.max(0.0), y, words, params.text_scale, [255; 3]);
             }
         };
         let cell = params.main_cell(count);
