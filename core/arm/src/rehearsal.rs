@@ -172,7 +172,8 @@ fn offset(scenario: Scenario, script: &[Stroke], seconds: f64) -> Vector3<f64> {
         }
         Scenario::Leave => {
             let phase = t % 12.0;
-            Vector3::new(51.0, 12.0, -27.0) * (bell(phase / 4.5) - bell((phase - 6.0) / 4.5))
+            // Out faster than the arm may follow, 80 mm at up to 150 mm/s; back at 40 mm/s.
+            Vector3::new(69.0, 16.0, -37.0) * (bell(phase) - bell((phase - 6.0) / 3.75))
         }
     }
 }
@@ -275,7 +276,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
             distance_error_mm: p.norm() - goals.distance_mm,
             in_view,
             is_hidden: in_view && reports.iter().all(|r| (r.xyz_mm - p).norm() > 4.0),
-            is_away: scenario == Scenario::Leave && (0.5..11.9).contains(&((at_s - START_S).max(0.0) % 12.0)),
+            is_away: scenario == Scenario::Leave && (0.0..11.5).contains(&((at_s - START_S).max(0.0) % 12.0)),
             pivot_mm: Place::of(chain, &stance, &down).pivot_mm,
             following: lock.stopped().is_none(),
             camera_mm_s: velocity.norm(),

@@ -84,14 +84,20 @@ const BACKGROUND: u8 = 16;
 #[derive(Default)]
 pub struct Screen;
 
-fn show(screen: &mut ViewMut<'_, u8>, picture: &AnyImage<'_>, cell: Cell, name: std::fmt::Arguments<'_>) -> Result<()> {
+/// Shows a picture in the middle of its cell; answers the place that it takes.
+fn show(
+    screen: &mut ViewMut<'_, u8>,
+    picture: &AnyImage<'_>,
+    cell: Cell,
+    name: std::fmt::Arguments<'_>,
+) -> Result<Cell> {
     let Some(pixels) = bytes(picture) else {
         return Err(NodeError::new(format!("{name} holds no 8-bit picture: put a `colorize` node in front")));
     };
     let size = fitted_size((pixels.width, pixels.height), (cell.width, cell.height));
     let (x, y) = (cell.x + (cell.width - size.0) / 2, cell.y + (cell.height - size.1) / 2);
     place(screen, &pixels, x, y, size.0, size.1);
-    Ok(())
+    Ok(Cell { x, y, width: size.0, height: size.1 })
 }
 
 impl Node for Screen {
@@ -112,20 +118,23 @@ impl Node for Screen {
         let mut titles = params.titles.split(';').map(str::trim);
         let mut title = |screen: &mut ViewMut<'_, u8>, cell: Cell| {
             if let Some(words) = titles.next().filter(|t| !t.is_empty()) {
-                let (_, height) = draw::text_size(words, params.text_scale);
-                let y = (cell.y + cell.height) as f32 - height - 2.0 * params.text_scale;
-                draw::text(screen, cell.x as f32 + 3.0 * params.text_scale, y, words, params.text_scale, [255; 3]);
+                // Upper right: words, insets and rulers of the pictures themselves stand elsewhere.
+                let (width, _) = draw::text_size(words, params.text_scale);
+                let x = (cell.x + cell.width) as f32 - width - 3.0 * params.text_scale;
+                let y = cell.y as f32 + 2.0 * params.text_scale;
+                draw::text(screen, x.max(0.0), y, words, params.text_scale, [255; 3]);
             }
         };
         let cell = params.main_cell(count);
-        show(&mut screen, &input.main, cell, format_args!("`main`"))?;
-        title(&mut screen, cell);
+        let shown = show(&mut screen, &input.main, cell, format_args!("`main`"))?;
+        title(&mut screen, shown);
         for (index, picture) in input.side.iter().flat_map(List::iter).enumerate() {
             let cell = params.side_cell(index, count);
-            if let Some(picture) = picture {
-                show(&mut screen, &picture, cell, format_args!("picture {index} of `side`"))?;
-            }
-            title(&mut screen, cell);
+            let shown = match picture {
+                Some(picture) => show(&mut screen, &picture, cell, format_args!("picture {index} of `side`"))?,
+                None => cell,
+            };
+            title(&mut screen, shown);
         }
         Ok(())
     }

@@ -99,7 +99,7 @@ pub enum Motion {
     Circle,
     /// Strokes of a surgeon at up to 25 mm/s.
     Strokes,
-    /// Leaves the picture and comes back, every 12 s.
+    /// Is drawn out of the picture at up to 150 mm/s and comes back at 40 mm/s, every 12 s.
     Leave,
     /// Rests while the second instrument passes before it.
     Cross,

@@ -52,6 +52,8 @@ pub struct ToolTip {
 /// Depth values needed around the tip for a place to be trusted.
 const MIN_VALUES: usize = 6;
 
+/// Times the radius within which a mask's own depth is looked for at most.
+const WIDER: usize = 8;
 /// How much nearer than a tip something has to stand to hide it, mm.
 const BEFORE_MM: f32 = 1.0;
 /// Share of the pixels around a tip that another instrument has to take, to be what hides it.
@@ -154,15 +156,21 @@ impl Node for ToolTip {
                 (None, Some(view)) => (focal * baseline / f64::from(view.row(y)[x])) as f32,
                 (None, None) => f32::NAN,
             };
-            let z = place.and_then(|place| self.depth_at(inside, params.radius_px, place, depth_of));
+            let masks = masks.filter(|_| place == Some(size));
+            let of = |item: usize, x: usize, y: usize| {
+                masks.is_some_and(|m| m.mask(item)[y * size.0.div_ceil(8) + x / 8] & (0x80 >> (x % 8)) != 0)
+            };
+            // Where masks tell, no other surface counts.
+            let own_depth = |x: usize, y: usize| {
+                if masks.is_none() || of(index, x, y) { depth_of(x, y) } else { f32::NAN }
+            };
+            // The tip of open jaws lies between them, where the tool is not: its nearest parts count.
+            let widest = if masks.is_some() { WIDER } else { 1 };
+            let mut radii = (1..=widest).map(|times| times * params.radius_px);
+            let z = place.and_then(|place| radii.find_map(|radius| self.depth_at(inside, radius, place, own_depth)));
             // What seems its end is where another instrument hides it: no tip is better than a wrong one.
-            if let (Some(z), Some(masks), Some(place)) = (z, masks, place)
-                && place == size
-                && is_behind((u_px, v_px), z, params.radius_px, size, depth_of, &|x, y| {
-                    let bit = |mask: &[u8]| mask[y * size.0.div_ceil(8) + x / 8] & (0x80 >> (x % 8)) != 0;
-                    (0..found.items().len()).any(|other| other != index && bit(masks.mask(other)))
-                })
-            {
+            let others = |x: usize, y: usize| (0..found.items().len()).any(|other| other != index && of(other, x, y));
+            if z.is_some_and(|z| is_behind((u_px, v_px), z, params.radius_px, size, depth_of, &others)) {
                 return Ok(());
             }
             if let Some(z) = z.map(f64::from) {

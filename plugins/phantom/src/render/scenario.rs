@@ -20,7 +20,7 @@ pub enum ToolMotion {
     Circle,
     /// Strokes of a surgeon: from point to point of the seed's choice, bell-shaped speeds up to 25 mm/s, rests between.
     Strokes,
-    /// Leaves the picture along its shaft and comes back, every 12 s.
+    /// Is drawn out of the picture along its shaft, faster than any arm may follow, and comes back slowly, every 12 s.
     Leave,
     /// Rests while the second instrument passes before it, to and fro.
     Cross,
@@ -34,8 +34,11 @@ const POINTS: usize = 64;
 const REACH_MM: [f32; 3] = [20.0, 13.0, 8.0];
 /// Top speeds of strokes, mm/s.
 const STROKE_MM_S: (f32, f32) = (12.0, 25.0);
-/// Fastest that an instrument leaves or steps, mm/s.
+/// Fastest that an instrument steps, mm/s.
 const FAST_MM_S: f64 = 25.0;
+/// How far an instrument is drawn out, mm, and how fast it goes and comes, mm/s.
+const LEAVE_MM: f64 = 80.0;
+const LEAVE_MM_S: (f64, f64) = (150.0, 40.0);
 
 /// A stroke and the rest after it.
 #[derive(Clone, Copy, Debug)]
@@ -124,11 +127,11 @@ impl Script {
                 [0, 1, 2].map(|k| stroke.from[k] + (stroke.to[k] - stroke.from[k]) * part)
             }
             ToolMotion::Leave => {
-                let length = bell_s(60.0, FAST_MM_S);
+                let (out, back) = (bell_s(LEAVE_MM, LEAVE_MM_S.0), bell_s(LEAVE_MM, LEAVE_MM_S.1));
                 let phase = t - (t / 12.0).floor() * 12.0;
                 // Out from 0 s, back from 6 s.
-                let part = bell(phase / length) - bell((phase - 6.0) / length);
-                away.map(|a| 60.0 * a * part)
+                let part = bell(phase / out) - bell((phase - 6.0) / back);
+                away.map(|a| LEAVE_MM * a * part)
             }
         }
     }
@@ -156,7 +159,7 @@ mod tests {
             (ToolMotion::Ramp, 12.0),
             (ToolMotion::Circle, 19.0),
             (ToolMotion::Strokes, 25.0),
-            (ToolMotion::Leave, 25.0),
+            (ToolMotion::Leave, 150.0),
         ];
         for (motion, limit) in motions {
             for seed in [1, 7] {

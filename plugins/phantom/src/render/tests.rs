@@ -578,3 +578,30 @@ fn rays_enter_parts_where_a_slow_search_does() {
     }
     assert!(hits > 60, "{hits} rays met the part");
 }
+
+#[test]
+fn scripted_instruments_never_hide_their_own_tips() {
+    let motions = [ToolMotion::Still, ToolMotion::Step, ToolMotion::Ramp, ToolMotion::Circle, ToolMotion::Strokes];
+    for (motion, kind) in motions.into_iter().flat_map(|m| [(m, ToolKind::Hook), (m, ToolKind::Grasper)]) {
+        let params = SceneParams {
+            distance_mm: 85.0,
+            tools: 1,
+            tool_kinds: vec![kind],
+            tool_motion: motion,
+            ..quiet(SceneKind::Bowel)
+        };
+        let rig = Rig::stereo(160, 120, 15.0);
+        let mut phantom = Phantom::new(params, rig, &Serial).unwrap();
+        let (mut ids, mut tools) = (vec![0; 160 * 120], Vec::new());
+        let rest = Pose { quaternion: [1.0, 0.0, 0.0, 0.0], translation_mm: [0.0; 3] };
+        for frame in (0..1200).step_by(15) {
+            // The camera stands before the tip, as the arm would have it.
+            let mut plane = ViewMut::new(&mut ids, 160, 120, 1);
+            phantom.tools(frame, Some(rest), &Serial, &mut plane, &mut tools).unwrap();
+            let tip = tools[0].tip_mm;
+            let follow = Pose { translation_mm: [tip[0] - 7.5, tip[1], tip[2] - 65.6], ..rest };
+            phantom.tools(frame, Some(follow), &Serial, &mut plane, &mut tools).unwrap();
+            assert!(tools[0].tip_visible, "{motion:?} {kind:?}, frame {frame}: {:?}", tools[0]);
+        }
+    }
+}

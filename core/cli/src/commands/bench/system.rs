@@ -172,6 +172,10 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
     for (sink, path) in &paced.paths {
         figures.push(Figure::new(&format!("system_age_p99/{sink}"), path.age_p99_ms, "ms", &input));
     }
+    if let Some(path) = behind_the_arm(&mut graph)?.and_then(|sink| paced.paths.get(&sink)) {
+        figures.push(Figure::new("setpoint_age_p50", path.age_p50_ms, "ms", &input));
+        figures.push(Figure::new("setpoint_age_p99", path.age_p99_ms, "ms", &input));
+    }
     Ok(figures)
 }
 
@@ -179,6 +183,21 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
 fn screen_fps(report: &Report) -> f64 {
     let most = report.paths.keys().filter_map(|id| report.nodes.get(id)).map(|n| n.count).max().unwrap_or(0);
     most as f64 / report.seconds.max(1e-9)
+}
+
+/// The sink that writes what an arm's driver puts out, and nothing else.
+fn behind_the_arm(graph: &mut Table) -> Result<Option<String>> {
+    let nodes = nodes(graph)?;
+    let is_arm = |input: &Value| {
+        let from = input.as_str().and_then(|from| from.split_once('.'));
+        from.and_then(|(node, _)| nodes.get(node))
+            .is_some_and(|node| kind(node).starts_with("arm_") && kind(node) != "arm_pid")
+    };
+    let only_arm = |node: &&Value| {
+        let inputs = node.get("inputs").and_then(Value::as_table);
+        kind(node) == "write_table" && inputs.is_some_and(|inputs| inputs.values().all(is_arm))
+    };
+    Ok(nodes.iter().find(|(_, node)| only_arm(node)).map(|(id, _)| id.clone()))
 }
 
 fn slowest(report: &Report) -> (String, f64) {

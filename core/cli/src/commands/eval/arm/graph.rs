@@ -58,19 +58,19 @@ fn scene(name: &str) -> Scene {
     let stereo_depth = "disparity = \"smooth.disparity\"";
     let told = |phantom| Scene { phantom, nodes: String::new(), tips: "\"scope.tip\"" };
     let found = |phantom, nodes| Scene { phantom, nodes, tips: "\"found.tip\"" };
-    let alone = "tools = 1, tool_kinds = \"hook\"";
+    let alone = "tools = 1, tool_kinds = \"grasper\"";
     match name {
         "cross" => Scene {
-            phantom: "tools = 2, tool_kinds = \"hook, grasper\"",
-            nodes: finder("one", masks, true_depth, "hook") + &finder("two", masks, true_depth, "grasper"),
+            phantom: "tools = 2, tool_kinds = \"grasper, clipper\"",
+            nodes: finder("one", masks, true_depth, "grasper") + &finder("two", masks, true_depth, "clipper"),
             tips: "\"one.tip\", \"two.tip\"",
         },
         "occlusion" => {
-            found("tools = 3, tool_kinds = \"hook, grasper, bipolar\"", finder("found", masks, true_depth, "hook"))
+            found("tools = 3, tool_kinds = \"grasper, hook, bipolar\"", finder("found", masks, true_depth, "grasper"))
         }
         "masks" => found(alone, finder("found", masks, true_depth, "")),
         "smoke" => found(
-            "tools = 1, tool_kinds = \"hook\", smoke = 0.5, noise = 2.0",
+            "tools = 1, tool_kinds = \"grasper\", smoke = 0.5, noise = 2.0",
             STEREO.to_owned() + &finder("found", masks, stereo_depth, ""),
         ),
         DETECTOR => found(
@@ -159,7 +159,7 @@ pub fn run(name: &str, seed: u64, seconds: u32, width: u32) -> Result<Run> {
             distance_error_mm: distance[k],
             in_view: view[k] > 0.5,
             is_hidden: view[k] > 0.5 && is_seen[k] < 0.5,
-            is_away: name == "leave" && (0.5..11.9).contains(&((time[k] - 2.0).max(0.0) % 12.0)),
+            is_away: name == "leave" && (0.0..11.5).contains(&((time[k] - 2.0).max(0.0) % 12.0)),
             pivot_mm: pivot[k],
             following: following[k] > 0.5,
             camera_mm_s: speed[k],
