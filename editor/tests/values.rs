@@ -126,6 +126,8 @@ fn the_history_is_stepped_through_by_key_and_by_click() {
     until_value(&mut window, 0, &ParamValue::Float(4.0));
     window.settled();
     window.until("all changes have a tick", |app| !app.document().history().waits());
+    let ticks: Vec<Option<u64>> = window.app().document().history().changes().map(|c| c.tick).collect();
+    assert!(ticks.iter().all(|t| t.is_some_and(|t| t > 0)) && ticks.is_sorted(), "{ticks:?}");
     let by: Vec<By> = window.app().document().history().changes().map(|c| c.by).collect();
     assert_eq!(by.last(), Some(&By::File), "{by:?}");
     let count = by.len();
