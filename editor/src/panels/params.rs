@@ -123,8 +123,8 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
                     // Steps count from the minimum, which a slider's own steps do not.
                     let mut steps = (number - min).div_euclid(step);
                     let before = steps;
-                    let slider = Slider::new(&mut steps, 0..=(max - min).div_euclid(step));
                     ui.horizontal(|ui| {
+                        let slider = Slider::new(&mut steps, 0..=(max - min).div_euclid(step));
                         let slider = ui.add(slider.show_value(false).clamping(SliderClamping::Edits));
                         if steps != before {
                             number = min + steps * step;
@@ -154,14 +154,14 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
             let response = match (min, max) {
                 (Some(min), Some(max)) => {
                     let wide = *min > 0.0 && max / min >= 1000.0;
-                    let slider = Slider::new(&mut number, *min..=*max).logarithmic(wide).show_value(false);
-                    let mut slider = slider.clamping(SliderClamping::Edits);
-                    if let Some(step) = step {
-                        slider = slider.step_by(*step);
-                    } else {
-                        slider = slider.max_decimals(3);
-                    }
                     ui.horizontal(|ui| {
+                        let slider = Slider::new(&mut number, *min..=*max).logarithmic(wide).show_value(false);
+                        let mut slider = slider.clamping(SliderClamping::Edits);
+                        if let Some(step) = step {
+                            slider = slider.step_by(*step);
+                        } else {
+                            slider = slider.max_decimals(3);
+                        }
                         let slider = ui.add(slider);
                         let speed = step.unwrap_or((max - min) / 500.0);
                         let typed = DragValue::new(&mut number).range(*min..=*max).clamp_existing_to_range(false);
