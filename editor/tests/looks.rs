@@ -31,7 +31,7 @@ params = { width_px = 160, height_px = 120, rate_hz = 20.0 }
 
 [nodes.gray]
 type = "frames"
-params = { width_px = 160, height_px = 120, format = "gray8", pattern = "noise", rate_hz = 20.0 }
+params = { width_px = 160, height_px = 120, format = "gray8", rate_hz = 20.0 }
 
 [nodes.calm]
 type = "smooth"
