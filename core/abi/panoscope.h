@@ -27,9 +27,9 @@
 #define PANOSCOPE_ABI_MAJOR 1
 
 /**
- * Grows when fields or host functions are appended.
+ * Grows when fields, flags or host functions are appended.
  */
-#define PANOSCOPE_ABI_MINOR 0
+#define PANOSCOPE_ABI_MINOR 1
 
 /**
  * Set in PanoscopeCall.flags in `batch` mode.
@@ -140,6 +140,22 @@
  * The file named by the path must exist when the graph is checked.
  */
 #define PANOSCOPE_PARAM_MUST_EXIST 2
+
+/**
+ * The numbers are points of a picture in px: u, v, u, v, ... The picture is the first one that the node reads, or the first one
+ * that a source makes.
+ */
+#define PANOSCOPE_PARAM_POINTS 4
+
+/**
+ * The numbers are rectangles of a picture in px: x, y, width, height, ... The picture is as for points.
+ */
+#define PANOSCOPE_PARAM_RECTANGLES 8
+
+/**
+ * The text may name a file or folder, relative to the graph file.
+ */
+#define PANOSCOPE_PARAM_FILE 16
 
 /**
  * Payload is raw bytes or plain data of the port's packet type.
@@ -741,7 +757,7 @@ typedef struct PanoscopeParam {
      */
     uint32_t kind;
     /**
-     * `PANOSCOPE_PARAM_REOPEN`, `PANOSCOPE_PARAM_MUST_EXIST`.
+     * `PANOSCOPE_PARAM_REOPEN`, `PANOSCOPE_PARAM_MUST_EXIST`, `PANOSCOPE_PARAM_POINTS`, `PANOSCOPE_PARAM_RECTANGLES`, `PANOSCOPE_PARAM_FILE`.
      */
     uint32_t flags;
     /**

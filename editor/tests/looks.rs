@@ -17,18 +17,21 @@ use panoscope_editor::theatre::{self, Theatre};
 
 const NONE: Modifiers = Modifiers::NONE;
 
-/// A small graph of all kinds of widgets; a tick of it looks the same every time.
+/// Ticks of each source: enough that the window sees the last one.
+const TICKS: u64 = 40;
+
+/// A small graph of all kinds of widgets; each tick of it looks the same every time.
 const GRAPH: &str = r#"# What is drawn for the kept pictures: two paths, numbers, a setting.
 name = "looks"
 plugins = ["flow"]
 
 [nodes.camera]
 type = "frames"
-params = { width_px = 160, height_px = 120 }
+params = { width_px = 160, height_px = 120, rate_hz = 20.0 }
 
 [nodes.gray]
 type = "frames"
-params = { width_px = 160, height_px = 120, format = "gray8", pattern = "noise" }
+params = { width_px = 160, height_px = 120, format = "gray8", rate_hz = 20.0 }
 
 [nodes.calm]
 type = "smooth"
@@ -49,9 +52,9 @@ views = [{ from = "calm.image", label = "calm view" }, "gray.image"]
 pinned = [{ param = "calm.past_weight", range = [50, 150], label = "calmness" }]
 "#;
 
-/// The window after one tick of each source, once all is at rest.
+/// The window after the last tick of each source, once all is at rest.
 fn at_rest(folder: &Folder) -> Window {
-    let options = Options { frames: Some(1), ..Options::default() };
+    let options = Options { frames: Some(TICKS), ..Options::default() };
     let mut window = Window::open_with(&folder.write("looks.toml", GRAPH), options);
     window.until("it has ended", |app| app.session().status().phase == Phase::Ended);
     // Rates are those of the last half second, pictures count as old after two.
@@ -114,7 +117,8 @@ fn the_theatre_looks_as_it_did() {
     }
     let folder = Folder::new("theatre_looks");
     let path = folder.write("looks.toml", GRAPH);
-    let options = theatre::Options { folder: folder.0.join("kept"), frames: Some(1), ..theatre::Options::default() };
+    let options =
+        theatre::Options { folder: folder.0.join("kept"), frames: Some(TICKS), ..theatre::Options::default() };
     let textures = Textures::default();
     let draw = move |ui: &mut Ui, theatre: &mut Option<Theatre>| {
         theatre.get_or_insert_with(|| Theatre::open(ui.ctx(), &path, GRAPH, options.clone()).expect("it opens")).ui(ui);

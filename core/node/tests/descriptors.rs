@@ -194,6 +194,9 @@ fn params_one_by_one() {
     assert!(param(&|p| p.step = 2.0).contains("is not on the steps of 2 that begin at 0"));
     assert!(param(&|p| p.step = -1.0).contains("-1 is no step"));
     assert!(param(&|p| p.flags = abi::PARAM_MUST_EXIST).contains("only a path can be asked to exist"));
+    assert!(param(&|p| p.flags = abi::PARAM_POINTS).contains("only a list of numbers can hold points"));
+    assert!(param(&|p| p.flags = abi::PARAM_FILE).contains("only a text or a path can name a file"));
+    assert!(param(&|p| p.flags = abi::PARAM_POINTS | abi::PARAM_RECTANGLES).contains("as points, as rectangles or as"));
     assert!(param(&|p| p.name = Str::new("two words")).contains("`two words` is no name"));
     assert!(param(&|p| (p.kind, p.default_number) = (abi::PARAM_BOOL, 2.0)).contains("0 or 1, not 2"));
     assert!(param(&|p| p.kind = abi::PARAM_CHOICE).contains("the default is entry 1 of 0 choices"));

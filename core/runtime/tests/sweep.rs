@@ -87,7 +87,8 @@ fn a_column_a_scalar_and_a_told_number_follow_the_parameter() {
 
 #[test]
 fn a_recording_stands_in_for_the_sources() {
-    let (path, text) = (PathBuf::from("swept.toml"), graph().replace("rate_hz = 30.0", "rate_hz = 30.0, count = 12"));
+    let text = graph().replace("rate_hz = 30.0", "rate_hz = 30.0, count = 12").replace("swept.jsonl", "acted.jsonl");
+    let path = PathBuf::from("swept.toml");
     let parsed = GraphText::parse(&path, &text);
     let loader = Arc::new(loader());
     let catalog = loader.catalog(&parsed.plugins());

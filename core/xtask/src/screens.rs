@@ -20,7 +20,7 @@ const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     ("bench_depth", "graphs/depth.toml", &["select:match"], "12"),
     ("bench_heat_text", "graphs/stereo_wls_fbs.toml", &["heat", "text"], "12"),
     ("bench_plots", "graphs/panorama.toml", &["plots"], "20"),
-    ("bench_sweep", "graphs/depth.toml", &["select:wls", "sweep:wls.lambda lengths.table.error_mm"], "45"),
+    ("bench_sweep", "graphs/depth.toml", &["select:lengths", "sweep:lengths.radius_px lengths.table.error_mm"], "45"),
     (
         "bench_history",
         "graphs/panorama.toml",

@@ -50,7 +50,7 @@ impl Files {
     /// Opens it where `now`, as the graph writes it, lies; `base` is the graph's folder.
     pub fn new(target: Target, base: &Path, now: &str) -> Self {
         let base = std::path::absolute(base).unwrap_or_else(|_| base.to_owned());
-        let folder = base.join(now);
+        let folder = if now.is_empty() { base.clone() } else { base.join(now) };
         let folder = if folder.is_dir() { folder } else { folder.parent().unwrap_or(&base).to_owned() };
         let folder = if folder.is_dir() { folder } else { base.clone() };
         let mut this = Self {
@@ -103,7 +103,10 @@ impl Files {
 
     /// Shows it; answers `Some(None)` when it was left without picking.
     pub fn show(&mut self, ctx: &Context) -> Option<Option<String>> {
-        let order = search::rank(&self.typed, self.entries.iter().map(|e| (e.name.as_str(), "")));
+        let order = match self.typed.is_empty() {
+            true => (0..self.entries.len()).collect(),
+            false => search::rank(&self.typed, self.entries.iter().map(|e| (e.name.as_str(), ""))),
+        };
         self.chosen = self.chosen.min(order.len().saturating_sub(1));
         let take = |key| ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key));
         if take(Key::ArrowDown) {

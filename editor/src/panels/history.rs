@@ -67,7 +67,7 @@ pub fn show(ui: &mut Ui, document: &Document) -> Option<usize> {
                 if row.clicked() {
                     go = Some(number + 1);
                 }
-                ui.label(RichText::new(format!("{from}  →  {to}")).size(12.5).color(color));
+                ui.label(RichText::new(format!("{from}  to  {to}")).size(12.5).color(color));
                 ui.end_row();
             }
         });

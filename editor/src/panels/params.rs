@@ -122,22 +122,28 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
                     let step = step.unwrap_or(1).max(1);
                     // Steps count from the minimum, which a slider's own steps do not.
                     let mut steps = (number - min).div_euclid(step);
-                    let base = *min;
-                    let slider = Slider::new(&mut steps, 0..=(max - min).div_euclid(step))
-                        .suffix(unit)
-                        .clamping(SliderClamping::Edits)
-                        .custom_formatter(move |s, _| format!("{}", base + s as i64 * step))
-                        .custom_parser(move |text| {
-                            let typed: i64 = text.trim().parse().ok()?;
-                            Some(((typed - base) as f64 / step as f64).round())
-                        });
-                    let response = ui.add(slider);
-                    number = base + steps * step;
-                    response
+                    let before = steps;
+                    ui.horizontal(|ui| {
+                        let slider = Slider::new(&mut steps, 0..=(max - min).div_euclid(step));
+                        let slider = ui.add(slider.show_value(false).clamping(SliderClamping::Edits));
+                        if steps != before {
+                            number = min + steps * step;
+                        }
+                        let typed = DragValue::new(&mut number).range(*min..=*max).clamp_existing_to_range(false);
+                        let typed = ui.add(typed.speed(step as f64 / 8.0).suffix(unit));
+                        if typed.changed() {
+                            number = min + ((number - min) as f64 / step as f64).round() as i64 * step;
+                        }
+                        beside(slider, typed, &label)
+                    })
+                    .inner
                 }
                 _ => {
                     let range = min.unwrap_or(i64::MIN)..=max.unwrap_or(i64::MAX);
-                    ui.add(DragValue::new(&mut number).range(range).clamp_existing_to_range(false).suffix(unit))
+                    let drag = DragValue::new(&mut number).range(range).clamp_existing_to_range(false).suffix(unit);
+                    let drag = ui.add(drag);
+                    name(&drag, &label);
+                    drag
                 }
             };
             let new = response.changed().then(|| number.into());
@@ -148,27 +154,29 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
             let response = match (min, max) {
                 (Some(min), Some(max)) => {
                     let wide = *min > 0.0 && max / min >= 1000.0;
-                    let mut slider = Slider::new(&mut number, *min..=*max)
-                        .suffix(unit)
-                        .logarithmic(wide)
-                        .clamping(SliderClamping::Edits);
-                    if let Some(step) = step {
-                        slider = slider.step_by(*step);
-                    } else {
-                        slider = slider.max_decimals(3);
-                    }
-                    ui.add(slider)
+                    ui.horizontal(|ui| {
+                        let slider = Slider::new(&mut number, *min..=*max).logarithmic(wide).show_value(false);
+                        let mut slider = slider.clamping(SliderClamping::Edits);
+                        if let Some(step) = step {
+                            slider = slider.step_by(*step);
+                        } else {
+                            slider = slider.max_decimals(3);
+                        }
+                        let slider = ui.add(slider);
+                        let speed = step.unwrap_or((max - min) / 500.0);
+                        let typed = DragValue::new(&mut number).range(*min..=*max).clamp_existing_to_range(false);
+                        let typed = ui.add(typed.speed(speed).max_decimals(3).suffix(unit));
+                        beside(slider, typed, &label)
+                    })
+                    .inner
                 }
                 _ => {
                     let range = min.unwrap_or(f64::MIN)..=max.unwrap_or(f64::MAX);
                     let speed = step.unwrap_or(0.1);
-                    ui.add(
-                        DragValue::new(&mut number)
-                            .range(range)
-                            .clamp_existing_to_range(false)
-                            .speed(speed)
-                            .suffix(unit),
-                    )
+                    let drag = DragValue::new(&mut number).range(range).clamp_existing_to_range(false);
+                    let drag = ui.add(drag.speed(speed).suffix(unit));
+                    name(&drag, &label);
+                    drag
                 }
             };
             let new = response.changed().then(|| number.into());
@@ -203,9 +211,18 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
             });
         }
     };
-    name(&response, &label);
+    if !matches!(param.kind, ParamKind::Int { .. } | ParamKind::Float { .. }) {
+        name(&response, &label);
+    }
     // What is shown rounded is not changed by being shown.
     new.filter(|new| new != value)
+}
+
+/// A slider and the value beside it, to be typed: both have a name, and either counts.
+fn beside(slider: Response, typed: Response, label: &str) -> Response {
+    name(&typed, &format!("{label} value"));
+    name(&slider, label);
+    slider.union(typed)
 }
 
 /// Gives a widget its name for screen readers and tests.

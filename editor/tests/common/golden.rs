@@ -10,6 +10,7 @@ use eframe::egui::epaint::{Mesh, Primitive, Vertex};
 use eframe::egui::{Color32, ColorImage, Context, FullOutput, ImageData, Rect, TextureId, TexturesDelta};
 use egui_kittest::TestRenderer;
 use image::RgbImage;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 
 /// With this variable set, tests write what they would compare with.
 const BLESS: &str = "PANOSCOPE_BLESS";
@@ -165,7 +166,9 @@ pub fn compare(name: &str, mut picture: RgbImage, masked: &[Rect]) {
     let kept = folder.join(format!("{name}.png"));
     if std::env::var_os(BLESS).is_some() {
         std::fs::create_dir_all(&folder).expect("the folder can be made");
-        picture.save(&kept).expect("the picture can be written");
+        let file = std::fs::File::create(&kept).expect("the picture can be written");
+        let small = PngEncoder::new_with_quality(file, CompressionType::Best, FilterType::Adaptive);
+        picture.write_with_encoder(small).expect("the picture can be written");
         return;
     }
     let now = std::env::temp_dir().join(format!("panoscope_{name}_now.png"));

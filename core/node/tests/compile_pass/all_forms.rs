@@ -31,8 +31,8 @@ struct Settings {
     /// Negative numbers.
     #[param(default = -0.5, range = -1.0..=1.0)]
     shift: f64,
-    /// A list without a range of lengths.
-    #[param(default = [])]
+    /// A list without a range of lengths, picked on a picture.
+    #[param(default = [], points)]
     points: Vec<f64>,
     /// A choice, and a trailing comma.
     #[param(default = "only", reopen,)]
@@ -57,5 +57,6 @@ fn main() {
     assert_eq!(Settings::PARAMS[0].default_number, 128.0);
     assert_eq!((Settings::PARAMS[1].default_number, Settings::PARAMS[1].min), (-0.5, -1.0));
     assert_eq!((name(Settings::PARAMS[3].name), Settings::PARAMS[3].default_number), ("method", 0.0));
+    assert_eq!(Settings::PARAMS[2].flags, abi::PARAM_POINTS);
     assert_eq!(Beat::NAME, "beat");
 }
