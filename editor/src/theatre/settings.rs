@@ -162,7 +162,14 @@ mod tests {
     use panoscope_graph::Param;
 
     fn setting(kind: ParamKind, range: Option<(f64, f64)>) -> Setting {
-        let param = Param { name: "p".to_owned(), doc: String::new(), unit: "px".to_owned(), kind, reopen: false };
+        let param = Param {
+            name: "p".to_owned(),
+            doc: String::new(),
+            unit: "px".to_owned(),
+            kind,
+            reopen: false,
+            pick: Default::default(),
+        };
         Setting { node: "n".to_owned(), param, index: 0, label: "P".to_owned(), range }
     }
 
