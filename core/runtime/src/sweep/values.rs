@@ -106,7 +106,7 @@ mod tests {
     #[test]
     fn floats_keep_their_point_and_choices_are_all_taken() {
         let float = ParamKind::Float { default: 0.0, min: Some(0.0), max: None, step: None };
-        assert_eq!(words(&float, 0.0, 1.0, 4), ["0.0", "0.333333", "0.666667", "1.0"]);
+        assert_eq!(words(&float, 0.0, 1.0, 4), ["0.0", "0.33333", "0.66667", "1.0"]);
         assert_eq!(words(&float, 1.0, 0.0, 2), ["1.0", "0.0"], "backwards, too");
         assert!(of(&float, None, None, 4).is_err_and(|why| why.contains("no limits")));
         let choice = ParamKind::Choice { default: "b".to_owned(), choices: vec!["a".to_owned(), "b".to_owned()] };
