@@ -3,8 +3,8 @@
 use std::sync::{Arc, Mutex};
 
 use eframe::egui::{
-    Align, Align2, Context, Frame, Id, Key, Label, Modal, Modifiers, RichText, ScrollArea, Sense, TextEdit,
-    TextWrapMode, Ui, WidgetInfo, WidgetType, vec2,
+    Align, Align2, Context, Frame, Id, Key, Label, Modal, Modifiers, RichText, ScrollArea, Sense, TextWrapMode, Ui,
+    WidgetInfo, WidgetType, vec2,
 };
 use panoscope_graph::NodeType;
 use panoscope_runtime::Loader;
@@ -172,13 +172,7 @@ impl Palette {
             .show(ctx, |ui| {
                 ui.set_width(520.0);
                 let hint = self.hint();
-                let field = TextEdit::singleline(&mut self.typed).hint_text(hint).desired_width(f32::INFINITY);
-                let field = ui.add(field.margin(vec2(8.0, 6.0)));
-                ui.ctx().accesskit_node_builder(field.id, |n| n.set_label("Palette"));
-                if std::mem::take(&mut self.fresh) {
-                    field.request_focus();
-                }
-                if field.changed() {
+                if search::field(ui, &mut self.typed, &mut self.fresh, hint, "Palette") {
                     self.chosen = 0;
                 }
                 ui.add_space(theme::STEP);
@@ -210,12 +204,7 @@ fn row_of(ui: &mut Ui, entry: &Entry, chosen: bool) -> bool {
     if !ui.is_rect_visible(rect) && !chosen {
         return row.clicked();
     }
-    if chosen {
-        row.scroll_to_me(None);
-        ui.painter().rect_filled(rect, 4.0, theme::ACCENT.gamma_multiply(0.18));
-    } else if row.hovered() {
-        ui.painter().rect_filled(rect, 4.0, theme::RAISED);
-    }
+    search::mark_row(ui, rect, &row, chosen);
     let bar = eframe::egui::Rect::from_min_size(rect.min + vec2(6.0, 8.0), vec2(3.0, 28.0));
     ui.painter().rect_filled(bar, 1.5, entry.color);
     let inside = rect.shrink2(vec2(16.0, 3.0));

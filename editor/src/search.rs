@@ -1,4 +1,29 @@
-//! Finding things by a few typed letters.
+//! Finding things by a few typed letters: what fits, the field for the letters, the row that is chosen.
+
+use eframe::egui::{Rect, Response, TextEdit, Ui, vec2};
+
+use crate::theme;
+
+/// The field for the letters, called `name` by readers of the screen; takes the keyboard the first time. Whether the letters changed.
+pub fn field(ui: &mut Ui, typed: &mut String, fresh: &mut bool, hint: &str, name: &str) -> bool {
+    let field = TextEdit::singleline(typed).hint_text(hint).desired_width(f32::INFINITY);
+    let field = ui.add(field.margin(vec2(8.0, 6.0)));
+    ui.ctx().accesskit_node_builder(field.id, |n| n.set_label(name));
+    if std::mem::take(fresh) {
+        field.request_focus();
+    }
+    field.changed()
+}
+
+/// Shows which row of a list is chosen, and which one is pointed at; the chosen one is brought into sight.
+pub fn mark_row(ui: &Ui, rect: Rect, row: &Response, chosen: bool) {
+    if chosen {
+        row.scroll_to_me(None);
+        ui.painter().rect_filled(rect, 4.0, theme::ACCENT.gamma_multiply(0.18));
+    } else if row.hovered() {
+        ui.painter().rect_filled(rect, 4.0, theme::RAISED);
+    }
+}
 
 /// How well `typed` fits `text`, higher is better; `None` when its letters do not occur in order. Starts of words count most, runs of letters
 /// next.

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use eframe::egui::{
-    Align2, Context, Frame, Id, Key, Label, Modal, Modifiers, RichText, ScrollArea, Sense, TextEdit, Ui, WidgetInfo,
-    WidgetType, vec2,
+    Align2, Context, Frame, Id, Key, Label, Modal, Modifiers, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType,
+    vec2,
 };
 
 use crate::search;
@@ -136,13 +136,7 @@ impl Files {
                     ui.add(Label::new(words).truncate());
                 });
                 let hint = "Type a part of the name, or a new name";
-                let field = TextEdit::singleline(&mut self.typed).hint_text(hint).desired_width(f32::INFINITY);
-                let field = ui.add(field.margin(vec2(8.0, 6.0)));
-                ui.ctx().accesskit_node_builder(field.id, |n| n.set_label("File name"));
-                if std::mem::take(&mut self.fresh) {
-                    field.request_focus();
-                }
-                if field.changed() {
+                if search::field(ui, &mut self.typed, &mut self.fresh, hint, "File name") {
                     self.chosen = 0;
                 }
                 ui.add_space(theme::STEP);
@@ -186,12 +180,7 @@ fn row_of(ui: &mut Ui, entry: &Entry, chosen: bool) -> bool {
     let kind = if entry.folder { "Folder" } else { "File" };
     let words = format!("{kind} {}", entry.name);
     row.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, chosen, words.clone()));
-    if chosen {
-        row.scroll_to_me(None);
-        ui.painter().rect_filled(rect, 4.0, theme::ACCENT.gamma_multiply(0.18));
-    } else if row.hovered() {
-        ui.painter().rect_filled(rect, 4.0, theme::RAISED);
-    }
+    search::mark_row(ui, rect, &row, chosen);
     let name = if entry.folder { format!("{}/", entry.name) } else { entry.name.clone() };
     let color = if entry.folder { theme::ACCENT } else { theme::TEXT };
     let font = eframe::egui::FontId::proportional(13.0);
