@@ -3,19 +3,14 @@
 use std::cell::Cell;
 use std::collections::VecDeque;
 use std::ffi::c_void;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, LazyLock, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use arc_swap::ArcSwap;
 use panoscope_abi::ChunkFn;
 
-use crate::clock;
 use crate::exec::Walk;
-
-/// For how long a worker that helped with a loop looks for the next one before it sleeps, and the caller of a loop for its helpers: a kernel
-/// runs many short loops, one after the other, and to sleep and be woken takes longer than the pause between them.
-const LOOK_AROUND_NS: u64 = 40_000;
 
 /// Runs a node task; called on a worker.
 pub type Task = Arc<dyn Fn(u32, &mut Walk) + Send + Sync>;
@@ -70,31 +65,6 @@ struct Inner {
     arrived: Condvar,
     threads: usize,
     stopping: AtomicBool,
-    /// Changes whenever there is something new to do.
-    news: AtomicU64,
-}
-
-impl Inner {
-    /// Waits awake until there is something new, for a short while.
-    fn look_around(&self, seen: u64) {
-        awake_until(|| self.news.load(Ordering::Acquire) != seen || self.stopping.load(Ordering::Relaxed));
-    }
-}
-
-/// Waits awake until `done`, no longer than [`LOOK_AROUND_NS`]; whether it is done.
-fn awake_until(done: impl Fn() -> bool) -> bool {
-    let until = clock::now_ns() + LOOK_AROUND_NS;
-    loop {
-        for _ in 0..16 {
-            if done() {
-                return true;
-            }
-            std::hint::spin_loop();
-        }
-        if clock::now_ns() >= until {
-            return done();
-        }
-    }
 }
 
 /// A pool of `threads` workers.
@@ -166,7 +136,6 @@ impl Pool {
             arrived: Condvar::new(),
             threads: threads.max(1),
             stopping: AtomicBool::new(false),
-            news: AtomicU64::new(0),
         };
         Self { inner: Arc::new(inner), workers: Mutex::new(Vec::new()), task: Mutex::new(None) }
     }
@@ -245,7 +214,6 @@ impl Pool {
         state.tasks.push_back(task);
         let wake = state.idle > 0;
         drop(state);
-        self.inner.news.fetch_add(1, Ordering::Release);
         if wake {
             self.inner.wake.notify_one();
         }
@@ -270,8 +238,6 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
     let mut state = lock(inner);
     state.started += 1;
     inner.arrived.notify_all();
-    // Whether the last thing done was to help with a loop: the next one is likely to come at once.
-    let mut helped = false;
     loop {
         if let Some(at) = state.given_up.iter().position(|n| *n == number) {
             state.given_up.swap_remove(at);
@@ -299,26 +265,16 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
             if let Some(at) = state.helping.iter().position(|(n, _)| *n == number) {
                 state.helping.swap_remove(at);
             }
-            helped = true;
             continue;
         }
         if let Some(next) = state.tasks.pop_front() {
             drop(state);
             task(next, &mut walk);
             state = lock(inner);
-            helped = false;
             continue;
         }
         if state.stop {
             return;
-        }
-        if std::mem::take(&mut helped) {
-            // What comes from here on changes `news`, or is seen under the lock.
-            let seen = inner.news.load(Ordering::Acquire);
-            drop(state);
-            inner.look_around(seen);
-            state = lock(inner);
-            continue;
         }
         state.idle += 1;
         state = inner.wake.wait(state).unwrap_or_else(PoisonError::into_inner);
@@ -357,7 +313,6 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
     state.loops.push(LoopPtr(&raw const this));
     let wake = state.idle.min(wanted);
     drop(state);
-    inner.news.fetch_add(1, Ordering::Release);
     for _ in 0..wake {
         inner.wake.notify_one();
     }
@@ -366,9 +321,12 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
     state.loops.retain(|l| !std::ptr::eq(l.0, &raw const this));
     drop(state);
     // No worker can enter any more. Helpers run at most one chunk each now: a short wait.
-    let alone = || this.helpers.load(Ordering::Acquire) == 0;
-    if !awake_until(alone) {
-        while !alone() {
+    let mut spins = 0;
+    while this.helpers.load(Ordering::Acquire) != 0 {
+        if spins < 64 {
+            spins += 1;
+            std::hint::spin_loop();
+        } else {
             std::thread::park_timeout(std::time::Duration::from_micros(200));
         }
     }
