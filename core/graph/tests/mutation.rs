@@ -3,27 +3,11 @@
 mod common;
 
 use panoscope_graph::{Catalog, GraphText, check, edit::GraphEdit};
+use panoscope_imaging::random::SplitMix64;
 use std::path::Path;
 
-/// SplitMix64: the same damage on every run.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn below(&mut self, limit: usize) -> usize {
-        (self.next() % limit.max(1) as u64) as usize
-    }
-
-    fn pick<'a, T>(&mut self, items: &'a [T]) -> &'a T {
-        &items[self.below(items.len())]
-    }
+fn pick<'a, T>(random: &mut SplitMix64, items: &'a [T]) -> &'a T {
+    &items[random.below(items.len())]
 }
 
 const SCRAPS: [&str; 44] = [
@@ -77,22 +61,22 @@ fn boundary(text: &str, at: usize) -> usize {
     text.floor_char_boundary(at.min(text.len()))
 }
 
-fn damage(random: &mut Random, text: &mut String, others: &[String]) {
+fn damage(random: &mut SplitMix64, text: &mut String, others: &[String]) {
     let a = boundary(text, random.below(text.len() + 1));
     match random.below(7) {
-        0 => text.insert_str(a, random.pick::<&str>(&SCRAPS)),
+        0 => text.insert_str(a, pick::<&str>(random, &SCRAPS)),
         1 => {
             let b = boundary(text, a + random.below(12));
             text.replace_range(a.min(b)..a.max(b), "");
         }
         2 => {
             let b = boundary(text, a + random.below(12));
-            let scrap = *random.pick(&SCRAPS);
+            let scrap = *pick(random, &SCRAPS);
             text.replace_range(a.min(b)..a.max(b), scrap);
         }
         3 => text.truncate(a),
         4 => {
-            let other = random.pick(others);
+            let other = pick(random, others);
             let from = boundary(other, random.below(other.len()));
             let to = boundary(other, from + random.below(80));
             text.insert_str(a, &other[from..to.max(from)]);
@@ -101,7 +85,7 @@ fn damage(random: &mut Random, text: &mut String, others: &[String]) {
             // A line again, somewhere else.
             let lines: Vec<String> = text.lines().map(str::to_owned).collect();
             if !lines.is_empty() {
-                let line = random.pick(&lines).clone() + "\n";
+                let line = pick(random, &lines).clone() + "\n";
                 let at = text[..a].rfind('\n').map_or(0, |n| n + 1);
                 text.insert_str(at, &line);
             }
@@ -165,11 +149,11 @@ fn damaged_graphs_never_panic() {
         .collect();
     seeds.sort();
     let seeds: Vec<String> = seeds.into_iter().map(|(_, text)| text).filter(|t| !t.is_empty()).collect();
-    let mut random = Random(7);
+    let mut random = SplitMix64(7);
     let mut right = 0;
     let count = 6000;
     for _ in 0..count {
-        let mut text = random.pick(&seeds).clone();
+        let mut text = pick(&mut random, &seeds).clone();
         for _ in 0..1 + random.below(6) {
             damage(&mut random, &mut text, &seeds);
         }

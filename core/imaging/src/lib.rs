@@ -13,5 +13,6 @@ pub use view::{View, ViewMut};
 pub mod draw;
 pub mod features;
 pub mod geometry;
+pub mod random;
 pub mod stereo;
 pub mod stitch;

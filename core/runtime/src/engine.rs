@@ -33,6 +33,9 @@ pub struct Options {
     pub frames: Option<u64>,
     /// In live mode, sources wait until the capture time of a tick has come. Without it they go as fast as the graph takes ticks.
     pub paced: bool,
+    /// Ticks of a source that may be under way at once; `None` lets as many in as the mode and the queues of the graph say. With 1
+    /// each tick has the machine for itself, as whoever times nodes wants it.
+    pub ticks_at_once: Option<u32>,
     /// Folder that relative paths start from, shown to nodes.
     pub graph_dir: std::path::PathBuf,
     /// Takes log lines as they come.
@@ -59,6 +62,7 @@ impl Default for Options {
             threads: 0,
             frames: None,
             paced: true,
+            ticks_at_once: None,
             graph_dir: std::path::PathBuf::new(),
             log: None,
             faults: None,
@@ -168,9 +172,6 @@ impl Current {
     }
 }
 
-/// Ticks inside a region in batch. Not the number of threads: how far ticks overlap must not depend on it where a delay closes a loop.
-pub(crate) const TICKS_IN_FLIGHT: u32 = 4;
-
 /// A running graph.
 pub struct Engine {
     pub(crate) shared: Arc<Shared>,
@@ -198,7 +199,7 @@ impl Engine {
             cells.push(plan::cell(&graph, catalog, node, node_type));
         }
         let slots: Vec<usize> = (0..cells.len()).collect();
-        let plan = plan::lay_out(&graph, catalog, cells, slots.clone(), TICKS_IN_FLIGHT, None);
+        let plan = plan::lay_out(&graph, catalog, cells, slots.clone(), options.ticks_at_once, None);
         let listening = listen(&graph, catalog, &plan.cells, &options.listen)?;
         let batch = graph.mode == Mode::Batch;
         let start_ns = clock::now_ns();

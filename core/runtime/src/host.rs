@@ -4,6 +4,7 @@ use std::ffi::c_void;
 use std::sync::OnceLock;
 
 use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str};
+use panoscope_imaging::random::SplitMix64;
 
 use crate::cell::{Cell, Refused};
 use crate::fault::Cause;
@@ -34,7 +35,7 @@ pub(crate) struct CallContext<'a> {
     /// What the host refused during this call, if anything.
     pub refused: Option<Refused>,
     /// State of the generator; `None` until the node asks for a number.
-    pub random: Option<u64>,
+    pub random: Option<SplitMix64>,
     pub tick: abi::Tick,
     /// In batch an exhausted memory is waited for, in live it drops the tick.
     pub wait_for_memory: bool,
@@ -279,13 +280,8 @@ unsafe extern "C" fn random(call: *mut c_void) -> u64 {
     // SAFETY: see `context`.
     match unsafe { context(call) } {
         Some(context) => {
-            // SplitMix64 (Steele, Lea, Flood 2014).
-            let before = context.random.unwrap_or_else(|| seed(&context.cell.id, context.tick));
-            let mut z = before.wrapping_add(0x9E37_79B9_7F4A_7C15);
-            context.random = Some(z);
-            z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-            z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-            z ^ (z >> 31)
+            let begin = || SplitMix64(seed(&context.cell.id, context.tick));
+            context.random.get_or_insert_with(begin).bits()
         }
         None => 0,
     }

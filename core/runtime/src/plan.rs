@@ -91,6 +91,8 @@ pub(crate) struct Plan {
     pub slots: Vec<usize>,
     /// Some input waits for a nearby packet, so somebody must watch the time.
     pub nearest: bool,
+    /// Ticks of a region that may be under way; see [`crate::Options::ticks_at_once`].
+    pub ticks_at_once: Option<u32>,
 }
 
 impl Plan {
@@ -181,7 +183,7 @@ pub(crate) fn lay_out(
     catalog: &Catalog,
     cells: Vec<Arc<Cell>>,
     slots: Vec<usize>,
-    ticks_in_flight: u32,
+    ticks_at_once: Option<u32>,
     old: Option<&Plan>,
 ) -> Plan {
     let mut alive = vec![false; cells.len()];
@@ -202,11 +204,11 @@ pub(crate) fn lay_out(
         }
     }
     inline_chains(graph, catalog, &cells, &slots, &mut wiring);
-    let (regions, extents) = find_regions(graph, &slots, &mut wiring, ticks_in_flight, old);
+    let (regions, extents) = find_regions(graph, &slots, &mut wiring, ticks_at_once, old);
     let nearest = graph.edges.iter().any(|e| matches!(e.align, Align::Nearest { .. }));
     let (links, following) = link(&cells, &alive, &wiring);
     let outsiders = extents.iter().enumerate().map(|(region, extent)| outsiders(&wiring, region, extent)).collect();
-    Plan { cells, alive, wiring, links, following, regions, extents, outsiders, slots, nearest }
+    Plan { cells, alive, wiring, links, following, regions, extents, outsiders, slots, nearest, ticks_at_once }
 }
 
 fn outsiders(wiring: &[Wiring], region: usize, extent: &Extent) -> Vec<(usize, usize)> {
@@ -269,11 +271,16 @@ fn inline_chains(graph: &Graph, catalog: &Catalog, cells: &[Arc<Cell>], slots: &
     }
 }
 
+/// Ticks inside a region in batch. Not the number of threads: how far ticks overlap must not depend on it where a delay closes a loop.
+const TICKS_IN_BATCH: u32 = 4;
+/// Ticks inside a region with cameras: one begins while the one before it ends.
+const TICKS_LIVE: u32 = 2;
+
 fn find_regions(
     graph: &Graph,
     slots: &[usize],
     wiring: &mut [Wiring],
-    ticks_in_flight: u32,
+    ticks_at_once: Option<u32>,
     old: Option<&Plan>,
 ) -> (Vec<Arc<Region>>, Vec<Extent>) {
     let count = graph.nodes.len();
@@ -292,14 +299,16 @@ fn find_regions(
     for &node in &graph.order {
         if head[node] == node {
             number[node] = extents.len();
-            let limit = if batch { ticks_in_flight.max(2) } else { 2 };
+            let limit = ticks_at_once.unwrap_or(if batch { TICKS_IN_BATCH } else { TICKS_LIVE });
             extents.push(Extent { head: slots[node], leaves: 0, limit, members: Vec::new() });
         }
         let extent = &mut extents[number[head[node]]];
         extent.members.push(slots[node]);
         extent.leaves += u32::from(!exact_reader[node]);
         for edge in graph.inputs_of(node).iter().filter(|e| is_exact(e)) {
-            extent.limit = extent.limit.max(edge.queue.unwrap_or(1));
+            if ticks_at_once.is_none() {
+                extent.limit = extent.limit.max(edge.queue.unwrap_or(1));
+            }
         }
     }
     for node in 0..count {

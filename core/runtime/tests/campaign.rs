@@ -10,6 +10,7 @@ use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use panoscope_graph::{GraphText, check};
+use panoscope_imaging::random::SplitMix64;
 use panoscope_runtime::fault::{Action, Cause, Fault};
 use panoscope_runtime::{Engine, Loader, Options, Outcome};
 
@@ -42,19 +43,6 @@ fn build() -> PathBuf {
     profile_dir.to_owned()
 }
 
-/// SplitMix64 (Steele, Lea, Flood 2014).
-struct Dice(u64);
-
-impl Dice {
-    fn roll(&mut self, sides: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) % sides as u64) as usize
-    }
-}
-
 /// Harm, type of the node, and the causes that name it.
 const HARMS: &[(&str, &[&str], &[Cause])] = &[
     ("error", &["chaos", "chaos_blocking", "chaos_source", "chaos_pose"], &[Cause::Error]),
@@ -83,21 +71,21 @@ struct Case {
 }
 
 fn case(number: usize, seed: u64) -> Case {
-    let mut dice = Dice(seed.wrapping_mul(1_000_003).wrapping_add(number as u64));
+    let mut dice = SplitMix64(seed.wrapping_mul(1_000_003).wrapping_add(number as u64));
     let (harm, kinds, causes) = HARMS[number % HARMS.len()];
-    let kind = kinds[dice.roll(kinds.len())];
-    let on_fault = ["restart", "restart", "bypass"][dice.roll(3)];
+    let kind = kinds[dice.below(kinds.len())];
+    let on_fault = ["restart", "restart", "bypass"][dice.below(3)];
     let (first, ticks) = (
-        5 + dice.roll(20),
+        5 + dice.below(20),
         match harm {
             "nothing" => 40,
             "leak" => 150,
             "hang" | "hang_in_loop" => 1,
-            "too_much" | "nan" => 1 + dice.roll(15),
-            _ => 1 + dice.roll(3),
+            "too_much" | "nan" => 1 + dice.below(15),
+            _ => 1 + dice.below(3),
         },
     );
-    let hang_ms = [400, 60_000][dice.roll(2)];
+    let hang_ms = [400, 60_000][dice.below(2)];
     let mut text = "mode = \"live\"\nplugins = [\"flow\", \"chaos\"]\n".to_owned();
     let params = format!(
         "params = {{ harm = \"{harm}\", first = {first}, ticks = {ticks}, seed = {number}, hang_ms = {hang_ms}.0, slow_ms = 14.0 }}"

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use common::{PATIENCE, flow_plugin, loader, scratch};
 use panoscope_graph::{Graph, GraphText, check};
+use panoscope_imaging::random::SplitMix64;
 use panoscope_runtime::live::{FileWatch, LiveError};
 use panoscope_runtime::{Engine, Live, Loader, Options};
 
@@ -138,37 +139,24 @@ fn a_change_that_fails_changes_nothing() {
     assert_eq!(report.nodes["sink"].count, report.nodes["a"].count, "no frame was lost");
 }
 
-/// A small generator: SplitMix64 (Steele, Lea, Flood 2014).
-struct Dice(u64);
-
-impl Dice {
-    fn roll(&mut self, sides: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) % sides as u64) as usize
-    }
-}
-
-fn random_edit(live: &mut Live<Box<Engine>>, dice: &mut Dice, serial: usize) -> Result<Duration, LiveError> {
+fn random_edit(live: &mut Live<Box<Engine>>, dice: &mut SplitMix64, serial: usize) -> Result<Duration, LiveError> {
     let graph = live.engine().graph();
     let ids: Vec<String> = graph.nodes.iter().map(|n| n.id.clone()).collect();
     let makers: Vec<&str> =
         graph.nodes.iter().filter(|n| !n.type_name.starts_with("drain")).map(|n| n.id.as_str()).collect();
     let readers: Vec<&str> = graph.nodes.iter().filter(|n| n.type_name != "frames").map(|n| n.id.as_str()).collect();
-    let from = format!("{}.image", makers[dice.roll(makers.len())]);
-    let applied = match dice.roll(10) {
+    let from = format!("{}.image", makers[dice.below(makers.len())]);
+    let applied = match dice.below(10) {
         0..=3 if ids.len() < 30 => {
             let kinds = ["pass", "pass_blocking", "drain", "drain_blocking", "gate", "every_nth", "frames"];
-            let kind = kinds[dice.roll(kinds.len())];
+            let kind = kinds[dice.below(kinds.len())];
             let inputs: &[(&str, &[&str])] = &[("image", &[&from])];
             live.add_node(&format!("x{serial}"), kind, if kind == "frames" { &[] } else { inputs })
         }
-        0..=5 => live.remove_node(&ids[dice.roll(ids.len())]),
-        6 | 7 => live.connect(readers[dice.roll(readers.len())], "image", &[&from]),
+        0..=5 => live.remove_node(&ids[dice.below(ids.len())]),
+        6 | 7 => live.connect(readers[dice.below(readers.len())], "image", &[&from]),
         8 => live.edit(|d| {
-            let id = readers[dice.roll(readers.len())];
+            let id = readers[dice.below(readers.len())];
             d.remove_node(id)?;
             d.add_node(id, "pass_blocking")?;
             d.set_input(id, "image", &[&from])
@@ -176,8 +164,8 @@ fn random_edit(live: &mut Live<Box<Engine>>, dice: &mut Dice, serial: usize) -> 
         _ => {
             let sources: Vec<&str> =
                 graph.nodes.iter().filter(|n| n.type_name == "frames").map(|n| n.id.as_str()).collect();
-            let width = toml::Value::Integer(8 + dice.roll(64) as i64);
-            live.set_param(sources[dice.roll(sources.len())], "width_px", &width)
+            let width = toml::Value::Integer(8 + dice.below(64) as i64);
+            live.set_param(sources[dice.below(sources.len())], "width_px", &width)
         }
     };
     applied.map(|a| a.pause)
@@ -187,7 +175,7 @@ fn random_edit(live: &mut Live<Box<Engine>>, dice: &mut Dice, serial: usize) -> 
 fn a_thousand_random_edits_end_with_the_graph_the_file_describes() {
     let text = [HEAD, &source("a", 500.0), &node("p", "pass", "a.image"), &node("sink", "drain", "p.image")].concat();
     let mut live = live(&text, loader());
-    let mut dice = Dice(7);
+    let mut dice = SplitMix64(7);
     let (mut good, mut pauses, mut serial) = (0, Vec::new(), 0);
     while good < 1000 {
         serial += 1;

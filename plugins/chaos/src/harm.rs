@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use panoscope_node::{AnyFormat, Choice, Context, Gray8, GrayF32, Params, Result, Slot, error};
+use panoscope_node::{AnyFormat, Choice, Context, Gray8, GrayF32, Params, Result, Slot, error, random};
 
 /// What goes wrong.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,19 +63,11 @@ pub struct Plan {
     pub slow_ms: f64,
 }
 
-/// SplitMix64's last steps (Steele, Lea, Flood 2014).
-fn mix(mut z: u64) -> u64 {
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
-}
-
 impl Plan {
     /// What happens at a tick.
     pub fn at(&self, seq: u64) -> Harm {
         let planned = seq >= self.first && seq - self.first < self.ticks;
-        let drawn = mix(self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(seq)) >> 11;
-        let lucky = seq >= self.first && (drawn as f64) < self.chance * (1u64 << 53) as f64;
+        let lucky = seq >= self.first && random::unit(random::mix(self.seed) ^ seq) < self.chance;
         if planned || lucky { self.harm } else { Harm::Never }
     }
 

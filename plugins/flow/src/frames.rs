@@ -2,7 +2,7 @@
 
 use panoscope_node::{
     AnyFormat, Bgr8, Choice, Context, Gray8, Gray16, GrayF32, NoPorts, Node, NodeInfo, Open, Params, Ports, Result,
-    Rgba8, Slot, ViewMut,
+    Rgba8, Slot, ViewMut, random,
 };
 
 /// The picture made.
@@ -67,14 +67,6 @@ pub struct Wish {
 /// Makes test frames.
 pub struct Frames;
 
-/// A mixing function of two numbers: SplitMix64's last steps (Steele, Lea, Flood 2014).
-fn mix(seed: u64, index: u64) -> u64 {
-    let mut z = seed.wrapping_add(index.wrapping_mul(0x9E37_79B9_7F4A_7C15));
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
-}
-
 /// Draws values 0..256 and converts each to an element.
 fn draw<E: Copy>(mut view: ViewMut<'_, E>, pattern: Pattern, seq: u64, element: impl Fn(u8) -> E) {
     let (channels, height) = (view.channels, view.height);
@@ -82,7 +74,7 @@ fn draw<E: Copy>(mut view: ViewMut<'_, E>, pattern: Pattern, seq: u64, element: 
         for (i, pixel) in view.row_mut(y).chunks_exact_mut(channels).enumerate() {
             let value = match pattern {
                 Pattern::Ramp => (i as u64).wrapping_add(y as u64).wrapping_add(seq) as u8,
-                Pattern::Noise => mix(seq + 1, (y as u64) << 32 | i as u64) as u8,
+                Pattern::Noise => random::nth(seq + 1, (y as u64) << 32 | i as u64) as u8,
                 Pattern::None => return,
             };
             pixel.fill(element(value));

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use panoscope_imaging::random::SplitMix64;
 use panoscope_node::Bgr8;
 use panoscope_node::harness::Harness;
 use panoscope_tools::mask_rcnn::MaskRcnn;
@@ -21,25 +22,8 @@ const CASE: &str = "PANOSCOPE_HOSTILE_CASE";
 /// What lies outside the folder of every model, with a name that a model asks for.
 const SECRET: &str = "secret.bin";
 
-/// SplitMix64 (Steele et al. 2014).
-struct Chance(u64);
-
-impl Chance {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn below(&mut self, end: usize) -> usize {
-        (self.next() % end.max(1) as u64) as usize
-    }
-}
-
 /// A detector whose answer holds a few boxes.
-fn detector(chance: &mut Chance) -> TinyModel {
+fn detector(chance: &mut SplitMix64) -> TinyModel {
     let mut values = vec![0.0f32; 84 * 7];
     for _ in 0..4 {
         let row = chance.below(84);
@@ -67,18 +51,18 @@ fn segmenter() -> TinyModel {
 }
 
 /// Numbers that no network should answer.
-fn wild(chance: &mut Chance) -> f32 {
+fn wild(chance: &mut SplitMix64) -> f32 {
     let all = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN, -0.0, 1e-45, 1e30];
-    if chance.below(3) == 0 { f32::from_bits(chance.next() as u32) } else { all[chance.below(all.len())] }
+    if chance.below(3) == 0 { f32::from_bits(chance.bits() as u32) } else { all[chance.below(all.len())] }
 }
 
-fn cut(chance: &mut Chance) -> Vec<u8> {
+fn cut(chance: &mut SplitMix64) -> Vec<u8> {
     let whole = detector(chance).bytes();
     let end = chance.below(whole.len());
     whole[..end].to_vec()
 }
 
-fn flipped(chance: &mut Chance) -> Vec<u8> {
+fn flipped(chance: &mut SplitMix64) -> Vec<u8> {
     let mut bytes = if chance.below(3) == 0 { segmenter().bytes() } else { detector(chance).bytes() };
     for _ in 0..1 + chance.below(12) {
         // Structure stands at the begin and the end, weights between.
@@ -90,7 +74,7 @@ fn flipped(chance: &mut Chance) -> Vec<u8> {
 }
 
 /// Branches within branches: deep, or wide, or both.
-fn bomb(chance: &mut Chance) -> Vec<u8> {
+fn bomb(chance: &mut SplitMix64) -> Vec<u8> {
     let (depth, width) = [(500, 1), (15, 1), (12, 2), (3, 40), (40, 1)][chance.below(5)];
     let mut graph = Message::default().text(2, "inner");
     for _ in 0..depth {
@@ -107,7 +91,7 @@ fn bomb(chance: &mut Chance) -> Vec<u8> {
     wrap(&graph, &[])
 }
 
-fn outside(chance: &mut Chance) -> Vec<u8> {
+fn outside(chance: &mut SplitMix64) -> Vec<u8> {
     let places = [
         "../secret.bin",
         "/etc/hostname",
@@ -129,11 +113,11 @@ fn outside(chance: &mut Chance) -> Vec<u8> {
     wrap(&Message::default().message(1, &node).text(2, "g").message(5, &held.int(14, 1)), &[])
 }
 
-fn nan_answers(chance: &mut Chance) -> Vec<u8> {
+fn nan_answers(chance: &mut SplitMix64) -> Vec<u8> {
     if chance.below(3) == 0 {
         let mut model = segmenter();
         model.outputs[0].2 = Fixed::Floats((0..4).map(|_| wild(chance)).collect());
-        model.outputs[1].2 = Fixed::Ints(vec![chance.next() as i64]);
+        model.outputs[1].2 = Fixed::Ints(vec![chance.bits() as i64]);
         model.outputs[2].2 = Fixed::Floats(vec![wild(chance)]);
         model.outputs[3].2 = Fixed::Floats((0..784).map(|_| wild(chance)).collect());
         return model.bytes();
@@ -143,7 +127,7 @@ fn nan_answers(chance: &mut Chance) -> Vec<u8> {
     model.bytes()
 }
 
-fn label_tables(chance: &mut Chance) -> Vec<u8> {
+fn label_tables(chance: &mut SplitMix64) -> Vec<u8> {
     let mut model = detector(chance);
     let tables = [
         "{99999999999999999999: 'a'}".to_owned(),
@@ -162,12 +146,12 @@ fn label_tables(chance: &mut Chance) -> Vec<u8> {
 }
 
 /// Shapes that promise more than there is, inputs that are no picture.
-fn odd_shapes(chance: &mut Chance) -> Vec<u8> {
+fn odd_shapes(chance: &mut SplitMix64) -> Vec<u8> {
     let mut model = detector(chance);
     match chance.below(5) {
         0 => model.input = vec![1, 3, 1 << 40, 1 << 40],
         1 => model.input = vec![1, 3, -1, -1],
-        2 => model.input = vec![chance.next() as i64 >> 40, 3, 64, 64],
+        2 => model.input = vec![chance.bits() as i64 >> 40, 3, 64, 64],
         3 => model.outputs[0].1 = vec![1, 1 << 50, 7],
         _ => {
             let held = tensor("output", &[1 << 31, 1 << 31], &Fixed::Floats(vec![0.0; 4]));
@@ -177,15 +161,15 @@ fn odd_shapes(chance: &mut Chance) -> Vec<u8> {
     model.bytes()
 }
 
-fn foreign(chance: &mut Chance) -> Vec<u8> {
+fn foreign(chance: &mut SplitMix64) -> Vec<u8> {
     let begins: [&[u8]; 6] = [b"\x7fELF\x02\x01\x01", b"PK\x03\x04", b"\x89PNG\r\n\x1a\n", b"GGUF", b"{\"a\": 1}", b""];
     let mut bytes = begins[chance.below(begins.len())].to_vec();
-    bytes.extend((0..chance.below(5000)).map(|_| chance.next() as u8));
+    bytes.extend((0..chance.below(5000)).map(|_| chance.bits() as u8));
     bytes
 }
 
 /// Makes the bytes of a file.
-type Make = fn(&mut Chance) -> Vec<u8>;
+type Make = fn(&mut SplitMix64) -> Vec<u8>;
 
 /// Kinds of damage, in turn.
 const KINDS: [(&str, Make); 8] = [
@@ -303,7 +287,7 @@ fn no_model_does_harm() {
     let program = std::env::current_exe().expect("this program");
     let healthy = home.join("healthy");
     std::fs::create_dir_all(&healthy).expect("a folder");
-    let model = detector(&mut Chance(1)).write(&healthy, "m.onnx");
+    let model = detector(&mut SplitMix64(1)).write(&healthy, "m.onnx");
     let mut base = Duration::ZERO;
     for big in [false, true] {
         let (answers, took) = ask(&program, &model, big, Duration::from_secs(120)).expect("a healthy model answers");
@@ -314,7 +298,7 @@ fn no_model_does_harm() {
     let mut refused = 0;
     let mut slowest = (Duration::ZERO, String::new());
     for case in 0..cases {
-        let mut chance = Chance((seed as u64) << 32 | case as u64);
+        let mut chance = SplitMix64((seed as u64) << 32 | case as u64);
         let (kind, make) = KINDS[case % KINDS.len()];
         let place = home.join(format!("case{case}"));
         std::fs::create_dir_all(&place).expect("a folder");

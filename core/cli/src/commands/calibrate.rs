@@ -111,7 +111,7 @@ pub fn look_at(arguments: &Arguments, source: &Source) -> Result<Seen> {
         frames: source.frames(arguments),
         threads: 0,
         ports: &ports,
-        paced: false,
+        pace: look::Pace::Free,
     })
 }
 

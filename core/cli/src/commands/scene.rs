@@ -2,14 +2,18 @@
 
 /// Head of a graph: nodes `scope`, a phantom with `params`, and `rectify`. More plugins than those two nodes need may be named.
 pub fn rectified_phantom(mode: &str, plugins: &[&str], params: &str) -> String {
+    rectified(mode, plugins, &format!("type = \"phantom\"\nparams = {{ {params} }}\n"))
+}
+
+/// The same with any source of pairs and their calibration in the place of the phantom.
+pub fn rectified(mode: &str, plugins: &[&str], source: &str) -> String {
     let plugins: String = plugins.iter().map(|name| format!(", \"{name}\"")).collect();
     format!(
         r#"
 mode = "{mode}"
-plugins = ["phantom", "stereo"{plugins}]
+plugins = ["phantom", "capture", "stereo"{plugins}]
 [nodes.scope]
-type = "phantom"
-params = {{ {params} }}
+{source}
 [nodes.rectify]
 type = "rectify"
 inputs = {{ left = "scope.left", right = "scope.right", calibration = "scope.calibration" }}

@@ -2,6 +2,7 @@
 
 use super::homography::{Homography, Point};
 use crate::features::simd::{Simd, dispatch};
+use crate::random::SplitMix64;
 
 /// How to estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,23 +69,6 @@ pub struct Ransac {
     v: Vec<f32>,
 }
 
-/// splitmix64 (Steele, Lea, Flood 2014).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn below(&mut self, limit: usize) -> usize {
-        ((u128::from(self.next()) * limit as u128) >> 64) as usize
-    }
-}
-
 impl Ransac {
     /// An estimator without memory yet.
     pub fn new() -> Self {
@@ -133,7 +117,7 @@ impl Ransac {
         }
         let limit = params.threshold_px.max(1e-6) * target.scale;
         let limit = (limit * limit) as f32;
-        let mut random = Random(params.seed);
+        let mut random = SplitMix64(params.seed);
         let mut best: Option<(usize, [f64; 9])> = None;
         let mut needed = params.max_iterations.max(1);
         let mut iterations = 0;
@@ -225,7 +209,7 @@ fn enough(share: f64, confidence: f64) -> usize {
     if samples.is_finite() { samples.ceil().clamp(1.0, 1e9) as usize } else { usize::MAX }
 }
 
-fn draw(random: &mut Random, count: usize) -> Option<[usize; 4]> {
+fn draw(random: &mut SplitMix64, count: usize) -> Option<[usize; 4]> {
     let mut sample = [0; 4];
     for place in 0..4 {
         // With four or more pairs a few tries always find a new one.

@@ -8,6 +8,7 @@ use std::fmt;
 
 use super::warp::{self, BLOCK, Block, Pixels};
 use crate::geometry::{Homography, Point};
+use crate::random::{SplitMix64, mix, unit};
 use crate::{Parallel, SharedMut, View, ViewMut};
 
 /// Rows per chunk.
@@ -96,17 +97,6 @@ pub struct CutGeometry {
     pub left_from_right: Homography,
 }
 
-fn mixed(mut z: u64) -> u64 {
-    z = z.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
-
-fn unit(z: u64) -> f64 {
-    (mixed(z) >> 11) as f64 / (1u64 << 53) as f64
-}
-
 /// The views of frame `frame` of a picture of this size.
 ///
 /// # Errors
@@ -191,15 +181,15 @@ pub fn draw(
 
 /// Noise of one row: sums of four bytes, nearly normal.
 struct Noise {
-    state: u64,
+    random: SplitMix64,
     scale: f32,
 }
 
 impl Noise {
     fn new(params: &CutParams, side: u64, frame: u64, row: usize) -> Self {
-        let state = mixed(params.seed ^ mixed(frame << 1 ^ side) ^ (row as u64) << 32);
+        let random = SplitMix64(mix(params.seed ^ mix(frame << 1 ^ side) ^ (row as u64) << 32));
         // Four bytes have a deviation of 147.8.
-        Self { state, scale: params.noise_levels.clamp(0.0, 64.0) / 147.8 }
+        Self { random, scale: params.noise_levels.clamp(0.0, 64.0) / 147.8 }
     }
 
     fn add(mut self, row: &mut [u8]) {
@@ -207,8 +197,7 @@ impl Noise {
             return;
         }
         for pair in row.chunks_mut(2) {
-            self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            let bytes = mixed(self.state).to_le_bytes();
+            let bytes = self.random.bits().to_le_bytes();
             for (value, four) in pair.iter_mut().zip(bytes.as_chunks::<4>().0) {
                 let sum: i32 = four.iter().map(|b| i32::from(*b)).sum();
                 *value = (f32::from(*value) + (sum - 510) as f32 * self.scale + 0.5).clamp(0.0, 255.0) as u8;

@@ -3,6 +3,8 @@
 use std::ffi::c_void;
 use std::sync::Mutex;
 
+use panoscope_imaging::random::SplitMix64;
+
 use crate::abi::{self, Frame, PortRange, Str, Tick};
 use crate::output::Slot;
 use crate::port::{PortField, RawCall};
@@ -23,7 +25,7 @@ impl CallState {
             outputs: outputs.as_mut_ptr(),
             outputs_len: outputs.len(),
             formats,
-            seed: Mutex::new(seed),
+            random: Mutex::new(SplitMix64(seed)),
             said: Mutex::default(),
         }
     }

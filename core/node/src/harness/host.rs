@@ -4,6 +4,8 @@ use std::ffi::c_void;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use panoscope_imaging::random::SplitMix64;
+
 use crate::abi::{self, BufferId, Frame, Status, Str};
 
 use super::memory;
@@ -17,7 +19,7 @@ pub(super) struct CallState {
     pub(super) outputs_len: usize,
     /// Bit set of formats that each output may have, and whether formats are checked.
     pub(super) formats: Vec<u32>,
-    pub(super) seed: Mutex<u64>,
+    pub(super) random: Mutex<SplitMix64>,
     pub(super) said: Mutex<Said>,
 }
 
@@ -270,13 +272,7 @@ unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
 unsafe extern "C" fn random(call: *mut c_void) -> u64 {
     // SAFETY: the node passes the handle of its call.
     let Some(state) = (unsafe { CallState::of(call) }) else { return 0 };
-    let mut seed = state.seed.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-    // SplitMix64 (Steele, Lea, Flood, OOPSLA 2014, figure 17).
-    *seed = seed.wrapping_add(0x9E37_79B9_7F4A_7C15);
-    let mut z = *seed;
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
+    state.random.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).bits()
 }
 
 unsafe extern "C" fn save(sink: *mut c_void, bytes: *const u8, len: usize) {

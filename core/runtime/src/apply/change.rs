@@ -6,7 +6,7 @@ use panoscope_graph::{Align, Catalog, Graph};
 
 use super::ApplyError;
 use crate::cell::Cell;
-use crate::engine::{Current, TICKS_IN_FLIGHT, type_name};
+use crate::engine::{Current, type_name};
 use crate::plan::{self, Extent, Plan};
 use crate::region::Region;
 
@@ -141,7 +141,7 @@ impl Change {
         for (fate, late) in fates.iter_mut().zip(late) {
             fate.late = late;
         }
-        let plan = plan::lay_out(graph, catalog, cells, slots, TICKS_IN_FLIGHT, Some(old));
+        let plan = plan::lay_out(graph, catalog, cells, slots, old.ticks_at_once, Some(old));
         let mut change = Self { plan, fates, removed, held: Vec::new(), quiet: Vec::new() };
         change.find_held(old);
         Ok(change)

@@ -6,6 +6,7 @@ pub mod folder;
 mod graph;
 mod gstreamer;
 mod hop;
+mod pairs;
 pub mod record;
 mod scale;
 mod start;

@@ -1,17 +1,19 @@
 //! `panoscope bench stereo`: the thesis's chain step by step, beside OpenCV's four steps (thesis, table 3.2), and lengths and depths
 //! on the phantom beside their truth (figs 3.14 and 3.15).
 //!
-//! Both chains are graphs of real nodes on the same pictures of the phantom, run turn about. Times are the nodes' own, as
-//! the engine counts them; pictures come slowly enough that only one is under way.
+//! Both chains are graphs of real nodes on the same pictures of the phantom, rendered beforehand and run turn about, one pair after
+//! the other. Times are the nodes' own, as the engine counts them.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
+use super::folder::Folder;
+use super::pairs::Pairs;
 use super::record::Figure;
 use crate::commands::eval::disparity::phantom::Ruler;
-use crate::commands::eval::look::{self, Plan};
-use crate::commands::scene::rectified_phantom;
+use crate::commands::eval::look::{self, Pace, Plan};
+use crate::commands::scene::rectified;
 use crate::terminal::{raw, table, tell};
 
 /// Arguments of `bench stereo`.
@@ -27,6 +29,8 @@ pub struct Arguments {
 
 /// Scenes of the table.
 const SCENES: [&str; 4] = ["bowel", "liver", "cavity", "box"];
+/// Pairs that are rendered and played round and round.
+const PAIRS: u64 = 8;
 /// Distance whose lengths and depths are printed.
 const PRINTED_MM: f64 = 50.0;
 
@@ -100,16 +104,13 @@ impl Case<'_> {
         )
     }
 
-    /// Pictures come slowly, so that rendering and matching do not meet.
-    fn head(&self) -> String {
-        let Size { width, height, .. } = self.size;
-        let scope = format!("scene = \"{}\", width = {width}, height = {height}, rate_hz = 5.0", self.scene);
-        rectified_phantom("live", &["opencv"], &scope)
+    fn scope(&self) -> String {
+        format!("scene = \"{}\", width = {}, height = {}", self.scene, self.size.width, self.size.height)
     }
 
-    fn ours(&self) -> String {
+    fn ours(&self, source: &str) -> String {
         let Search { first_px, width_px, .. } = self.search;
-        self.head()
+        rectified("batch", &["opencv"], source)
             + &format!(
                 r#"
 [nodes.bm]
@@ -126,11 +127,11 @@ inputs = {{ image = "rectify.left", disparity = "wls.disparity", confidence = "w
             )
     }
 
-    fn opencv(&self) -> String {
+    fn opencv(&self, source: &str) -> String {
         let (Search { first_px, width_px, .. }, threads) = (self.search, self.threads);
         let matcher =
             format!("method = \"bm\", min_disparity_px = {first_px}, search_px = {width_px}, threads = {threads}");
-        self.head()
+        rectified("batch", &["opencv"], source)
             + &format!(
                 r#"
 [nodes.bm]
@@ -150,13 +151,13 @@ params = {{ threads = {threads} }}
     }
 
     /// Best medians of the rounds, ours and OpenCV's: whatever else the machine does only adds.
-    fn measure(&self, frames: u64, rounds: usize) -> Result<([f64; 3], [f64; 3])> {
+    fn measure(&self, source: &str, frames: u64, rounds: usize) -> Result<([f64; 3], [f64; 3])> {
         let (mut own, mut peer) = ([f64::INFINITY; 3], [f64::INFINITY; 3]);
         let mut no_peer = None;
         for _ in 0..rounds {
-            let times = steps(&self.ours(), self.threads, frames)?;
+            let times = steps(&self.ours(source), self.threads, 4 * frames)?;
             own = std::array::from_fn(|i| own[i].min(times[i]));
-            match steps(&self.opencv(), self.threads, frames) {
+            match steps(&self.opencv(source), 1, frames) {
                 Ok(times) => peer = std::array::from_fn(|i| peer[i].min(times[i])),
                 Err(error) => no_peer = Some(error),
             }
@@ -168,9 +169,10 @@ params = {{ threads = {threads} }}
     }
 }
 
-/// Runs a chain and gives the median time of each step in ms.
+/// Runs a chain on so many threads (OpenCV brings its own) and gives the median time of each step in ms.
 fn steps(text: &str, threads: usize, frames: u64) -> Result<[f64; 3]> {
-    let plan = Plan { text, path: Path::new("bench.toml"), frames: Some(frames), threads, ports: &LAST, paced: true };
+    let plan =
+        Plan { text, path: Path::new("bench.toml"), frames: Some(frames), threads, ports: &LAST, pace: Pace::Alone };
     let report = look::run(&plan)?.report;
     let step = |node: &str| {
         let node = report.nodes.get(node).filter(|n| n.faults == 0 && n.count > 0);
@@ -181,14 +183,15 @@ fn steps(text: &str, threads: usize, frames: u64) -> Result<[f64; 3]> {
 
 /// Heap allocations of the whole process per frame in steady state.
 fn allocations(case: &Case<'_>, frames: u64) -> Result<Option<f64>> {
-    let text = case.ours().replace("rate_hz = 5.0", "rate_hz = 30.0");
+    let source = format!("type = \"phantom\"\nparams = {{ {} }}\n", case.scope());
+    let text = case.ours(&source);
     let plan = Plan {
         text: &text,
         path: Path::new("bench.toml"),
         frames: Some(frames),
         threads: case.threads,
         ports: &LAST,
-        paced: false,
+        pace: Pace::Free,
     };
     Ok(look::run(&plan)?.report.allocations_per_frame)
 }
@@ -211,12 +214,16 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
         "ratio",
     ];
     let (mut figures, mut rows) = (Vec::new(), vec![head.map(str::to_owned).to_vec()]);
+    let folder = Folder::new("panoscope-bench-stereo")?;
     for size in sizes {
-        for search in size.searches.into_iter().take(if quick { 1 } else { 2 }) {
-            for scene in scenes {
+        for scene in scenes {
+            let case = Case { scene, size, search: size.searches[0], threads: 1 };
+            let pairs = Pairs::of(&folder, &format!("{scene}{}", size.width), &case.scope(), PAIRS)?;
+            let source = pairs.node("off");
+            for search in size.searches.into_iter().take(if quick { 1 } else { 2 }) {
                 for threads in [1, 2] {
-                    let case = Case { scene, size, search, threads };
-                    let (own, peer) = case.measure(frames, rounds)?;
+                    let case = Case { search, threads, ..case };
+                    let (own, peer) = case.measure(&source, frames, rounds)?;
                     let (whole, other) = (own.iter().sum::<f64>(), peer.iter().sum::<f64>());
                     let (name, input) = (case.name(), case.input());
                     let known = |value: f64| value.is_finite().then_some(value);

@@ -1,18 +1,19 @@
 //! `panoscope bench stitch`: the thesis's Tables 2.1 to 2.3 and 4.1 to 4.3 (registration, seam and blend, whole frame), beside
 //! OpenCV's classes in the same run, turn about.
 //!
-//! The pictures are rendered once and then played from memory, so that nothing but the stitching is at work. Times are the
-//! medians of the nodes' own times, the least of all rounds; stages of one tick follow one another, so they add up.
+//! The pictures are rendered once and then played from memory, one pair after the other, so that nothing but the stitching is at work.
+//! Times are the medians of the nodes' own times, the least of all rounds; stages of one tick follow one another, so they add up.
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::Result;
 use panoscope_runtime::Report;
 
 use super::folder::Folder;
+use super::pairs::Pairs;
 use super::record::Figure;
-use crate::commands::eval::look::{self, Plan};
+use crate::commands::eval::look::{self, Pace, Plan};
 use crate::commands::eval::stitch;
 use crate::terminal::{raw, table, tell};
 
@@ -70,7 +71,7 @@ impl Way {
             Self::Conventional => format!(
                 "type = \"register_surf\"\ninputs = {{ {views} }}\nparams = {{ roi = false, spread = false, second_look = true, max_points = 2000, upright = false, stability_px = 0.0 }}"
             ),
-            Self::Grid => "type = \"register_grid\"\ninputs = { disparity = \"match.disparity\", calibration = { from = \"scope.calibration\", align = \"latest\" } }".to_owned(),
+            Self::Grid => "type = \"register_grid\"\ninputs = { disparity = \"match.disparity\", calibration = \"files.calibration\" }".to_owned(),
             Self::OpencvFull | Self::OpencvFair => {
                 format!("type = \"register_opencv\"\ninputs = {{ {views} }}\nparams = {{ threads = {threads} }}")
             }
@@ -94,8 +95,7 @@ impl Way {
         if self == Self::Grid {
             let _ = write!(
                 text,
-                "[nodes.match]\ntype = \"stereo_bm\"\ninputs = {{ {views}, roi = {{ from = \"register.roi_left\", delay = 1 }} }}\nparams = {{ scale = {scale} }}\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ width = {width}, height = {}, rate_hz = 1.0 }}\n",
-                height_of(width)
+                "[nodes.match]\ntype = \"stereo_bm\"\ninputs = {{ {views}, roi = {{ from = \"register.roi_left\", delay = 1 }} }}\nparams = {{ scale = {scale} }}\n"
             );
         }
         text
@@ -123,10 +123,6 @@ impl Way {
             }
         }
     }
-}
-
-fn height_of(width: u32) -> u32 {
-    SIZES.iter().find(|(w, _)| *w == width).map_or(480, |(_, height)| *height)
 }
 
 /// Medians of the nodes of one run, ms.
@@ -159,61 +155,28 @@ impl Times {
     }
 }
 
-fn pattern(folder: &Folder, width: u32, side: &str) -> PathBuf {
-    folder.0.join(format!("{side}{width}_*.png"))
-}
-
-fn render(folder: &Folder, (width, height): (u32, u32)) -> Result<()> {
-    let mut text = format!(
-        "mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ width = {width}, height = {height} }}\n"
-    );
-    for side in ["left", "right"] {
-        let path = folder.0.join(format!("{side}{width}_{{seq:4}}.png"));
-        let _ = write!(
-            text,
-            "[nodes.{side}]\ntype = \"write_images\"\ninputs = {{ image = \"scope.{side}\" }}\nparams = {{ path = {path:?} }}\n"
-        );
-    }
-    run(&text, PICTURES, 0, false).map(|_| ())
-}
-
-fn run(text: &str, frames: u64, threads: usize, paced: bool) -> Result<Report> {
-    let plan = Plan { text, path: Path::new("bench.toml"), frames: Some(frames), threads, ports: &[], paced };
+fn run(text: &str, frames: u64, threads: usize, pace: Pace) -> Result<Report> {
+    let plan = Plan { text, path: Path::new("bench.toml"), frames: Some(frames), threads, ports: &[], pace };
     Ok(look::run(&plan)?.report)
 }
 
-/// Runs one way once. Ours run live and paced, as with a camera, slowly enough that ticks do not overlap. OpenCV brings its own threads:
-/// its nodes run on a pool of one, which keeps its ticks apart too.
-fn once(folder: &Folder, width: u32, way: Way, seam: Seam, threads: usize, quick: bool) -> Result<Times> {
-    let paced = !matches!(way, Way::OpencvFull | Way::OpencvFair);
-    let rate = match way {
-        Way::Conventional => 1280.0 / f64::from(width),
-        Way::Roi if width == 640 => 20.0,
-        _ => 6.0,
-    };
-    let pool = if paced { threads } else { 1 };
-    let (mode, pace) = if paced { ("live", "on") } else { ("batch", "off") };
+/// Runs one way once. OpenCV brings its own threads: its nodes run on a pool of one.
+fn once(pairs: &Pairs, width: u32, way: Way, seam: Seam, threads: usize, quick: bool) -> Result<Times> {
+    let pool = if matches!(way, Way::OpencvFull | Way::OpencvFair) { 1 } else { threads };
     let text = format!(
-        "mode = \"{mode}\"\nplugins = [\"capture\", \"phantom\", \"stereo\", \"stitch\", \"opencv\", \"flow\"]\n\
-         [nodes.files]\ntype = \"capture\"\nparams = {{ left = {:?}, right = {:?}, loop = true, rate_hz = {rate:?}, pace = \"{pace}\" }}\n\
-         {}[nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"wide.panorama\" }}\n",
-        pattern(folder, width, "left"),
-        pattern(folder, width, "right"),
+        "mode = \"batch\"\nplugins = [\"capture\", \"stereo\", \"stitch\", \"opencv\", \"flow\"]\n[nodes.files]\n{}{}\
+         [nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"wide.panorama\" }}\n",
+        pairs.node("off"),
         way.nodes(width, threads, seam)
     );
-    Ok(Times::of(&run(&text, way.frames(width, quick), pool, paced)?))
+    Ok(Times::of(&run(&text, way.frames(width, quick), pool, Pace::Alone)?))
 }
 
 /// A way of stitching the phantom's views as they are rendered; `scope` are its further parameters.
 fn on_the_phantom(way: Way, scope: &str) -> String {
-    let nodes = way.nodes(640, 2, Seam::Found).replace("files.", "scope.").replace(", align = \"latest\"", "");
-    let own = "params = { width = 640, height = 480, rate_hz = 1.0 }";
-    let nodes = match way {
-        Way::Grid if scope.is_empty() => nodes,
-        Way::Grid => nodes.replace(own, &format!("params = {{ {scope} }}")),
-        _ => nodes + &format!("[nodes.scope]\ntype = \"phantom\"\nparams = {{ {scope} }}\n"),
-    };
-    format!("mode = \"live\"\nplugins = [\"phantom\", \"stereo\", \"stitch\", \"flow\"]\n{nodes}")
+    let nodes = way.nodes(640, 2, Seam::Found).replace("files.", "scope.");
+    let scope = format!("[nodes.scope]\ntype = \"phantom\"\nparams = {{ {scope} }}\n");
+    format!("mode = \"live\"\nplugins = [\"phantom\", \"stereo\", \"stitch\", \"flow\"]\n{nodes}{scope}")
 }
 
 /// Tables 4.1 and 4.2: share of frames that are stitched and their alignment, SURF beside the grid, on smooth and on rich tissue.
@@ -249,16 +212,16 @@ fn quality(quick: bool) -> Result<Vec<Figure>> {
 /// Heap allocations of the whole process per frame in steady state, with the phantom as the source: decoding files is not counted.
 fn allocations(way: Way, quick: bool) -> Result<Option<f64>> {
     let text = on_the_phantom(way, "") + "[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"wide.panorama\" }\n";
-    Ok(run(&text, if quick { 80 } else { 200 }, 2, false)?.allocations_per_frame)
+    Ok(run(&text, if quick { 80 } else { 200 }, 2, Pace::Free)?.allocations_per_frame)
 }
 
 /// SURF beside SIFT on one picture, ms per picture.
-fn features(folder: &Folder, points: u32, quick: bool) -> Result<(f64, f64)> {
-    let picture = folder.0.join("left640_0000.png");
+fn features(pairs: &Pairs, points: u32, quick: bool) -> Result<(f64, f64)> {
+    let picture = pairs.first();
     let text = |node: &str| {
         format!(
-            "mode = \"live\"\nplugins = [\"capture\", \"stitch\", \"opencv\"]\n\
-             [nodes.files]\ntype = \"capture\"\nparams = {{ left = {picture:?}, right = {picture:?}, loop = true, rate_hz = 8.0, pace = \"on\" }}\n\
+            "mode = \"batch\"\nplugins = [\"capture\", \"stitch\", \"opencv\"]\n\
+             [nodes.files]\ntype = \"capture\"\nparams = {{ left = {picture:?}, right = {picture:?}, loop = true, pace = \"off\" }}\n\
              [nodes.features]\nbudget_ms = 60000\ninputs = {{ left = \"files.left\" }}\n{node}\n"
         )
     };
@@ -272,13 +235,13 @@ fn features(folder: &Folder, points: u32, quick: bool) -> Result<(f64, f64)> {
     let (mut ours, mut theirs) = (f64::INFINITY, f64::INFINITY);
     for _ in 0..if quick { 1 } else { 3 } {
         let p50 = |report: &Report| report.nodes.get("features").map_or(f64::NAN, |node| node.p50_ms);
-        ours = ours.min(p50(&run(&surf, if quick { 20 } else { 40 }, 2, true)?));
-        theirs = theirs.min(p50(&run(&sift, 6, 1, true)?));
+        ours = ours.min(p50(&run(&surf, if quick { 20 } else { 40 }, 2, Pace::Alone)?));
+        theirs = theirs.min(p50(&run(&sift, 6, 1, Pace::Alone)?));
     }
     Ok((ours, theirs))
 }
 
-fn measured(folder: &Folder, size: (u32, u32), threads: usize, quick: bool) -> Result<Vec<(Way, Times)>> {
+fn measured(pairs: &Pairs, size: (u32, u32), threads: usize, quick: bool) -> Result<Vec<(Way, Times)>> {
     let mut ways = vec![Way::Roi, Way::Grid, Way::Conventional, Way::OpencvFair];
     // The cut at full resolution takes minutes on larger pictures.
     if size.0 == 640 || !quick {
@@ -291,14 +254,14 @@ fn measured(folder: &Folder, size: (u32, u32), threads: usize, quick: bool) -> R
             if round > 0 && *way == Way::OpencvFull && size.0 > 640 {
                 continue;
             }
-            *times = Some(once(folder, size.0, *way, Seam::Found, threads, quick)?.better(*times));
+            *times = Some(once(pairs, size.0, *way, Seam::Found, threads, quick)?.better(*times));
         }
     }
     let mut all = Vec::new();
     for (way, times) in best {
         let Some(mut times) = times else { continue };
         // What the composite takes beyond one that finds no seam.
-        let spared = once(folder, size.0, way, Seam::Spared, threads, quick)?.composite;
+        let spared = once(pairs, size.0, way, Seam::Spared, threads, quick)?.composite;
         times.seam = (times.composite - spared).max(0.0);
         all.push((way, times));
     }
@@ -323,9 +286,10 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
     ];
     for size in SIZES.into_iter().filter(|size| wanted(*size)) {
         tell!("rendering {PICTURES} pairs of {}x{}", size.0, size.1);
-        render(&folder, size)?;
+        let scope = format!("width = {}, height = {}", size.0, size.1);
+        let pairs = Pairs::of(&folder, &size.0.to_string(), &scope, PICTURES)?;
         for &threads in threads {
-            let all = measured(&folder, size, threads, quick)?;
+            let all = measured(&pairs, size, threads, quick)?;
             for (way, t) in &all {
                 let ms = |v: f64| format!("{v:.2}");
                 let name = format!("{}x{}, {threads}, {}", size.0, size.1, way.name());
@@ -350,8 +314,9 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
             ));
         }
     }
+    let pairs = Pairs::of(&folder, "features", "", 1)?;
     for points in [500, 1000, 2000] {
-        let (ours, theirs) = features(&folder, points, quick)?;
+        let (ours, theirs) = features(&pairs, points, quick)?;
         let figure = Figure::new(
             &format!("surf_640x480/{points}"),
             ours,

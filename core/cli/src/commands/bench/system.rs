@@ -8,8 +8,9 @@ use panoscope_runtime::Report;
 use toml::{Table, Value};
 
 use super::folder::Folder;
+use super::pairs::Pairs;
 use super::record::Figure;
-use crate::commands::eval::look::{self, Plan};
+use crate::commands::eval::look::{self, Pace, Plan};
 use crate::terminal::{raw, table, tell};
 
 /// Pairs that are rendered and played round and round.
@@ -17,8 +18,8 @@ const PAIRS: u64 = 120;
 /// Type of the source that is rendered beforehand.
 const SOURCE: &str = "phantom";
 
-fn run(text: &str, path: &Path, frames: u64, paced: bool, ports: &[(&str, &str)]) -> Result<look::Seen> {
-    look::run(&Plan { text, path, frames: Some(frames), threads: 0, ports, paced })
+fn run(text: &str, path: &Path, frames: u64, pace: Pace) -> Result<Report> {
+    Ok(look::run(&Plan { text, path, frames: Some(frames), threads: 0, ports: &[], pace })?.report)
 }
 
 fn nodes(graph: &mut Table) -> Result<&mut Table> {
@@ -37,40 +38,9 @@ fn source(graph: &mut Table) -> Result<(String, Value)> {
     Ok((name.clone(), node.clone()))
 }
 
-/// Renders the pairs and writes them and the calibration down.
-fn render(folder: &Path, phantom: &Value) -> Result<()> {
-    let mut phantom = phantom.clone();
-    if let Some(node) = phantom.as_table_mut() {
-        // Without the loop through the arm: the cameras follow their script.
-        node.remove("inputs");
-    }
-    let mut nodes = Table::new();
-    nodes.insert("scope".to_owned(), phantom);
-    for side in ["left", "right"] {
-        let path = folder.join(format!("{side}_{{seq:4}}.png"));
-        let text =
-            format!("type = \"write_images\"\ninputs = {{ image = \"scope.{side}\" }}\nparams = {{ path = {path:?} }}");
-        nodes.insert(side.to_owned(), Value::Table(text.parse()?));
-    }
-    let mut graph: Table = "mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]".parse()?;
-    graph.insert("nodes".to_owned(), Value::Table(nodes));
-    let seen = run(&toml::to_string(&graph)?, Path::new("bench.toml"), PAIRS, false, &[("scope", "calibration")])?;
-    let packet = seen.packets.into_iter().next().flatten().context("the phantom gave no calibration")?;
-    let calibration = crate::commands::calibrate::report::calibration(packet.bytes())
-        .context("the phantom's calibration is cut off")?;
-    panoscope_calibration::write(&folder.join("calibration.yaml"), &calibration)?;
-    Ok(())
-}
-
 /// The graph with its phantom played from files and its sinks writing into `folder`.
-fn played(graph: &Table, folder: &Path, name: &str, pace: &str) -> Result<String> {
+fn played(graph: &Table, folder: &Path, name: &str, capture: &str) -> Result<String> {
     let mut graph = graph.clone();
-    let capture = format!(
-        "type = \"capture\"\nparams = {{ left = {:?}, right = {:?}, calibration = {:?}, loop = true, rate_hz = 30.0, pace = {pace:?} }}",
-        folder.join("left_*.png"),
-        folder.join("right_*.png"),
-        folder.join("calibration.yaml"),
-    );
     if let Some(plugins) = graph.get_mut("plugins").and_then(Value::as_array_mut) {
         plugins.push(Value::String("capture".to_owned()));
     }
@@ -142,8 +112,8 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
     let (name, phantom) = source(&mut graph)?;
     let folder = Folder::new("panoscope-bench-system")?;
     tell!("rendering {PAIRS} pairs");
-    render(&folder.0, &phantom)?;
-    let [unheld, held] = ["off", "on"].map(|pace| played(&graph, &folder.0, &name, pace));
+    let pairs = Pairs::render(&folder, "pairs", &phantom, PAIRS)?;
+    let [unheld, held] = ["off", "on"].map(|pace| played(&graph, &folder.0, &name, &pairs.node(pace)));
     let (unheld, held) = (unheld?, held?);
     // The first time round each picture is decoded, later ones are kept.
     let (frames, rounds) = if quick { (480, 1) } else { (1800, 2) };
@@ -151,11 +121,11 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
     let mut fastest: Option<Report> = None;
     let mut paced: Option<Report> = None;
     for _ in 0..rounds {
-        let report = run(&unheld, path, frames, false, &[])?.report;
+        let report = run(&unheld, path, frames, Pace::Free)?;
         if fastest.as_ref().is_none_or(|best| screen_fps(&report) > screen_fps(best)) {
             fastest = Some(report);
         }
-        let report = run(&held, path, frames, true, &[])?.report;
+        let report = run(&held, path, frames, Pace::Camera)?;
         let age = |r: &Report| slowest(r).1;
         if paced.as_ref().is_none_or(|best| age(&report) < age(best)) {
             paced = Some(report);

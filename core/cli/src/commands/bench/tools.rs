@@ -11,7 +11,7 @@ use anyhow::{Context, Result, bail};
 use serde::Deserialize;
 
 use super::record::Figure;
-use crate::commands::eval::look::{self, Plan};
+use crate::commands::eval::look::{self, Pace, Plan};
 use crate::commands::eval::{Scratch, quoted, shipped};
 use crate::terminal::tell;
 
@@ -54,7 +54,7 @@ fn picture(folder: &Path) -> Result<PathBuf> {
         quoted(&file)
     );
     let path = folder.join("bench.toml");
-    look::run(&Plan { text: &text, path: &path, frames: Some(1), threads: 0, ports: &[], paced: false })?;
+    look::run(&Plan { text: &text, path: &path, frames: Some(1), threads: 0, ports: &[], pace: Pace::Free })?;
     Ok(file)
 }
 
@@ -68,7 +68,7 @@ fn ours(node: &str, model: &Path, picture: &Path, threads: usize, frames: u64) -
         quoted(model)
     );
     let path = Path::new("bench.toml");
-    let seen = look::run(&Plan { text: &text, path, frames: Some(frames), threads, ports: &[], paced: false })?;
+    let seen = look::run(&Plan { text: &text, path, frames: Some(frames), threads, ports: &[], pace: Pace::Alone })?;
     let report = seen.report.nodes.get("find").filter(|n| n.faults == 0 && n.count > 0);
     Ok(report.with_context(|| format!("`{node}` failed"))?.p50_ms)
 }

@@ -55,8 +55,19 @@ pub struct Plan<'a> {
     pub threads: usize,
     /// Node and output whose newest packet is wanted at the end.
     pub ports: &'a [(&'a str, &'a str)],
-    /// Sources wait for the capture time of a frame.
-    pub paced: bool,
+    /// When ticks begin.
+    pub pace: Pace,
+}
+
+/// When a tick begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// At the capture time of its frame.
+    Camera,
+    /// As soon as the graph takes it; ticks overlap.
+    Free,
+    /// When the one before it has ended: nothing but the node is at work while it is timed.
+    Alone,
 }
 
 /// What a run left behind.
@@ -77,7 +88,8 @@ pub fn run(plan: &Plan<'_>) -> Result<Seen> {
     let options = Options {
         threads: plan.threads,
         frames: plan.frames,
-        paced: plan.paced,
+        paced: plan.pace == Pace::Camera,
+        ticks_at_once: (plan.pace == Pace::Alone).then_some(1),
         graph_dir: plan.path.parent().unwrap_or(Path::new("")).to_owned(),
         process_allocations: allocations::process(),
         thread_allocations: allocations::thread(),

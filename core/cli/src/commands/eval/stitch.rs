@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-use super::look::{self, Plan, Seen, Table};
+use super::look::{self, Pace, Plan, Seen, Table};
 use super::plot::{self, Chart, Series, Style};
 use super::rewire::{Judged, Wiring};
 use crate::commands::bench::record::Figure;
@@ -130,7 +130,7 @@ fn run(wiring: &Wiring, judged: Judged, path: &Path, frames: u64) -> Result<Run>
     let text = wiring.judged(judged).text();
     let names = judges(wiring);
     let ports: Vec<(&str, &str)> = names.iter().map(|(name, _)| (name.as_str(), "table")).collect();
-    let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &ports, paced: false };
+    let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &ports, pace: Pace::Free };
     let seen = look::run(&plan)?;
     let mut tables = Vec::new();
     for packet in &seen.packets {

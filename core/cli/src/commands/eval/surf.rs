@@ -15,7 +15,7 @@ use panoscope_imaging::features::{precision, repeatability};
 use panoscope_imaging::geometry::Homography;
 
 use self::plane::Plane;
-use super::look::{self, Plan, Table};
+use super::look::{self, Pace, Plan, Table};
 use crate::commands::bench::record::Figure;
 use crate::terminal::{raw, table, tell};
 
@@ -119,7 +119,7 @@ fn measure(data: &Data, plane: &Plane, node: &str) -> Result<Outcome> {
         ("files", "right"),
     ];
     let plan =
-        Plan { text: &text, path: Path::new("eval.toml"), frames: None, threads: 0, ports: &ports, paced: false };
+        Plan { text: &text, path: Path::new("eval.toml"), frames: None, threads: 0, ports: &ports, pace: Pace::Free };
     let seen = look::run(&plan)?;
     let packet = |index: usize| seen.packets[index].as_ref().context("a port stayed empty");
     let read = |index: usize| Table::read(packet(index)?.bytes()).context("a table could not be read");

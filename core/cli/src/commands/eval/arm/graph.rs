@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use panoscope_arm_core::rehearsal::Row;
 
 use crate::commands::bench::folder::Folder;
-use crate::commands::eval::look::{self, Plan, Table};
+use crate::commands::eval::look::{self, Pace, Plan, Table};
 
 /// Movements of the phantom's leading tool, and ways to know its tip.
 ///
@@ -137,7 +137,7 @@ pub fn run(name: &str, seed: u64, seconds: u32, width: u32) -> Result<Run> {
         frames: Some(u64::from(seconds) * 30),
         threads: 0,
         ports: &[("judge", "table")],
-        paced: false,
+        pace: Pace::Free,
     };
     let seen = look::run(&plan)?;
     let packet = seen.packets[0].as_ref().context("the judge saw nothing")?;
@@ -183,7 +183,7 @@ pub fn set_point_age(seed: u64, seconds: u32, width: u32) -> Result<(f64, f64)> 
         frames: Some(u64::from(seconds) * 30),
         threads: 0,
         ports: &[],
-        paced: true,
+        pace: Pace::Camera,
     };
     let report = look::run(&plan)?.report;
     let ages = report.paths.get("sent").context("no set-point was sent")?;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
-use super::super::look::{self, Plan};
+use super::super::look::{self, Pace, Plan};
 use super::score::Find;
 use super::truth::{Truth, normal_name, read_found};
 use crate::terminal::tell;
@@ -103,7 +103,7 @@ pub fn run(node: Node, model: &Path, truth: &Truth, settings: &[String]) -> Resu
     );
     let count = truth.pictures.len() as u64;
     let path = scratch.0.join("eval.toml");
-    let plan = Plan { text: &text, path: &path, frames: Some(count), threads: 0, ports: &[], paced: false };
+    let plan = Plan { text: &text, path: &path, frames: Some(count), threads: 0, ports: &[], pace: Pace::Free };
     let seen = look::run(&plan)?;
     let report = seen.report.nodes.get("find").context("the node did not run")?;
     if report.faults > 0 {

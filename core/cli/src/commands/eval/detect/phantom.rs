@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use serde_json::Value;
 
-use super::super::look::{self, Plan};
+use super::super::look::{self, Pace, Plan};
 use super::find::{Node, Scratch, quoted};
 use super::truth::{self, Truth};
 use crate::interrupt;
@@ -36,7 +36,7 @@ pub fn frames(scratch: &Scratch) -> Result<Truth> {
             40.0 + 5.0 * index as f64,
         );
         let path = folder.join("eval.toml");
-        let plan = Plan { text: &text, path: &path, frames: Some(FRAMES), threads: 0, ports: &[], paced: false };
+        let plan = Plan { text: &text, path: &path, frames: Some(FRAMES), threads: 0, ports: &[], pace: Pace::Free };
         look::run(&plan)?;
         let scene = truth::read(&folder.join("truth.json"), None, None)?;
         all.classes = scene.classes;
@@ -118,7 +118,7 @@ pub fn tips(from: From<'_>) -> Result<Tips> {
             FIRST_SEED + 100 + index as u64,
         );
         let path = scratch.0.join("eval.toml");
-        let plan = Plan { text: &text, path: &path, frames: Some(FRAMES), threads: 0, ports: &[], paced: false };
+        let plan = Plan { text: &text, path: &path, frames: Some(FRAMES), threads: 0, ports: &[], pace: Pace::Free };
         look::run(&plan)?;
         let (found, real) = (lines(&scratch.0.join("found.jsonl"))?, lines(&scratch.0.join("truth.jsonl"))?);
         let place = |line: &Value| -> Option<([f64; 2], Option<Vec<f64>>)> {

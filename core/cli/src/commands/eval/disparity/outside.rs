@@ -10,7 +10,7 @@ use panoscope_imaging::View;
 use panoscope_imaging::stereo::{Rectification, RectifiedCamera, Roi, score_disparity, score_surface};
 use panoscope_runtime::memory::FrameRef;
 
-use super::super::look::{self, Plan};
+use super::super::look::{self, Pace, Plan};
 use super::data::Picture;
 use super::phantom::{BASELINE_MM, FOCAL_PX, SIZE, floats};
 use super::{Judge, REACH_MM, picture};
@@ -133,7 +133,7 @@ impl Judge<'_> {
             frames: Some(6),
             threads: 0,
             ports: &ports,
-            paced: false,
+            pace: Pace::Free,
         };
         let seen = look::run(&plan)?;
         let packet = |index: usize| seen.packets[index].as_ref().context("the phantom gave nothing");
@@ -167,7 +167,7 @@ impl Judge<'_> {
             frames: Some(FPS_TICKS),
             threads: 2,
             ports: &ports,
-            paced: false,
+            pace: Pace::Free,
         };
         // The best of three: whatever else the machine does only takes away.
         let mut best = 0.0f64;
@@ -218,7 +218,7 @@ params = {{ auto_offset = false, search_px = 64 }}
                 frames: Some(8),
                 threads: 0,
                 ports: &ports,
-                paced: false,
+                pace: Pace::Free,
             };
             let seen = look::run(&plan)?;
             let map = |index: usize| -> Result<Vec<f32>> {

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use panoscope_runtime::memory::FrameRef;
 
-use super::super::look::{self, Plan, Table};
+use super::super::look::{self, Pace, Plan, Table};
 use super::super::plot::{self, Chart, Series, Style};
 use super::{Figure, Judge, Truth};
 use crate::commands::scene::rectified_phantom;
@@ -267,7 +267,7 @@ impl Ruler {
 }
 
 fn plan<'a>(text: &'a str, ports: &'a [(&'a str, &'a str)]) -> Plan<'a> {
-    Plan { text, path: Path::new("eval.toml"), frames: Some(5), threads: 0, ports, paced: false }
+    Plan { text, path: Path::new("eval.toml"), frames: Some(5), threads: 0, ports, pace: Pace::Free }
 }
 
 impl Judge<'_> {

@@ -1,0 +1,77 @@
+//! Numbers that look random and are the same on every machine: SplitMix64 (Steele, Lea, Flood, "Fast Splittable Pseudorandom Number
+//! Generators", OOPSLA 2014, figure 17).
+
+/// How far the state goes on with each number.
+const GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// A generator whose state is one number, the seed to begin with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SplitMix64(pub u64);
+
+impl SplitMix64 {
+    /// The next 64 bits.
+    #[inline]
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(GAMMA);
+        finish(self.0)
+    }
+
+    /// A number in `0..limit`; 0 when `limit` is 0. Even but for a share of `limit` in 2^64.
+    #[inline]
+    pub fn below(&mut self, limit: usize) -> usize {
+        ((u128::from(self.bits()) * limit as u128) >> 64) as usize
+    }
+}
+
+/// The first number that follows a seed: a hash of it.
+#[inline]
+pub fn mix(seed: u64) -> u64 {
+    SplitMix64(seed).bits()
+}
+
+/// The number `index` of the sequence that `seed` starts, counted from 1.
+#[inline]
+pub fn nth(seed: u64, index: u64) -> u64 {
+    finish(seed.wrapping_add(index.wrapping_mul(GAMMA)))
+}
+
+/// [`mix`] as a number in `0.0..1.0`.
+#[inline]
+pub fn unit(seed: u64) -> f64 {
+    (mix(seed) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// Every bit of the state reaches every bit of the number.
+#[inline]
+fn finish(mut z: u64) -> u64 {
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{SplitMix64, mix, nth, unit};
+
+    #[test]
+    fn it_gives_the_published_numbers() {
+        // First numbers of the reference program for the seed 1234567.
+        let mut random = SplitMix64(1_234_567);
+        let expected = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431];
+        for (index, number) in expected.into_iter().enumerate() {
+            assert_eq!(random.bits(), number);
+            assert_eq!(nth(1_234_567, index as u64 + 1), number);
+        }
+        assert_eq!(mix(1_234_567), expected[0]);
+        assert!((0.0..1.0).contains(&unit(1_234_567)));
+    }
+
+    #[test]
+    fn every_side_of_a_die_comes_up() {
+        let mut random = SplitMix64(1);
+        let mut seen = [0; 6];
+        (0..6000).for_each(|_| seen[random.below(6)] += 1);
+        assert!(seen.iter().all(|n| (850..1150).contains(n)), "{seen:?}");
+        assert_eq!(random.below(0), 0);
+    }
+}
