@@ -242,11 +242,11 @@ impl Surf {
         pool: &dyn Parallel,
         out: &mut Features,
     ) {
-        out.clear();
         let whole = Rect::new(0, 0, image.width, image.height);
         let roi = roi.map_or(whole, |roi| roi.intersect(&whole));
         let shrink = shrink.max(1);
         if roi.width / shrink == 0 || roi.height / shrink == 0 || image.channels == 0 {
+            out.clear();
             return;
         }
         let part = image.crop(roi.x, roi.y, roi.width, roi.height);
@@ -295,9 +295,10 @@ impl Surf {
         self.select(width, height, max_points);
         let count = self.found.len();
         if count == 0 {
+            out.clear();
             return;
         }
-
+        // What the frame before left is overwritten element by element.
         if max_points > 0 {
             reserve(out, max_points, extended);
         }
