@@ -1,12 +1,11 @@
-//! SURF orientation and descriptor of one keypoint, from samples of the image pyramid.
+//! SURF descriptor of one keypoint, from samples of the image pyramid.
 //!
-//! Bay et al. 2008, section 4: Haar responses of side 4 s within 6 s vote for the orientation; responses
-//! of side 2 s in a Gaussian-weighted window of 20 s give sums of dx, dy, |dx|, |dy|
+//! Bay et al. 2008, section 4.2: Haar responses of side 2 s in a Gaussian-weighted window of 20 s give sums of dx, dy, |dx|, |dy|
 //! over 4 x 4 sub-regions. Neighbouring sub-regions overlap (Agrawal, Konolige, Blas, "CenSurE",
 //! ECCV 2008, section 3.4), so that a sample near a border does not jump between two of them.
 
 use super::pyramid::{Level, Pyramid};
-use super::simd::{Simd, dispatch};
+use super::simd::Simd;
 use super::upright;
 
 /// Elements of a descriptor.
@@ -24,19 +23,15 @@ impl Default for Descriptor {
 }
 
 /// Samples of a descriptor patch along each side (differences of neighbours: one fewer).
-const PATCH: usize = 21;
+pub(super) const PATCH: usize = 21;
 const WINDOW: usize = PATCH - 1;
-/// Samples of an orientation patch along each side.
-const TURN_PATCH: usize = 16;
-/// Haar responses of an orientation patch along each side.
-const TURN_WINDOW: usize = TURN_PATCH - 3;
 /// Padded row length of every table and patch.
 pub(crate) const ROW: usize = 32;
 /// Elements of a row that carry a sample, rounded up to vectors.
 const USED: usize = 24;
-const BINS: usize = 72;
-/// 60 degrees.
-const SECTOR_BINS: usize = 12;
+
+/// Samples of one keypoint's surroundings; work memory.
+pub(super) type Patch = [[f32; ROW]; PATCH];
 
 /// Weights that do not depend on the keypoint.
 #[derive(Clone, Debug)]
@@ -45,13 +40,11 @@ pub(crate) struct Tables {
     region: [[f32; USED]; 4],
     /// First and past-the-last sample with weight, by sub-region.
     span: [(usize, usize); 4],
-    /// Weight of a Haar response for the orientation; zero outside the circle.
-    turn: [[f32; 16]; TURN_WINDOW],
 }
 
 impl Tables {
     pub(crate) fn new() -> Self {
-        let mut tables = Self { region: [[0.0; USED]; 4], span: [(0, 0); 4], turn: [[0.0; 16]; TURN_WINDOW] };
+        let mut tables = Self { region: [[0.0; USED]; 4], span: [(0, 0); 4] };
         for (r, (weights, span)) in tables.region.iter_mut().zip(&mut tables.span).enumerate() {
             let centre = r as f64 * 5.0 + 2.0;
             let mut last = 0;
@@ -69,15 +62,6 @@ impl Tables {
             }
             *span = (first, last);
         }
-        for (j, line) in tables.turn.iter_mut().enumerate() {
-            for (i, weight) in line.iter_mut().enumerate().take(TURN_WINDOW) {
-                let (x, y) = (i as f64 - 6.0, j as f64 - 6.0);
-                let squared = x * x + y * y;
-                if squared <= 36.0 {
-                    *weight = (-squared / (2.0 * TURN_SIGMA * TURN_SIGMA)).exp() as f32;
-                }
-            }
-        }
         tables
     }
 }
@@ -88,10 +72,6 @@ const WINDOW_SIGMA: f64 = 6.0;
 /// Gaussian over one sub-region, and how far it reaches, in samples.
 const REGION_SIGMA: f64 = 2.0;
 const REGION_REACH: f64 = 3.0;
-/// Gaussian over the orientation circle, in samples.
-const TURN_SIGMA: f64 = 3.5;
-/// Orientation is read at this multiple of the keypoint's scale.
-const TURN_SCALE: f32 = 1.4;
 /// Windows of the extended descriptor over the usual one. On Graffiti and on fourteen warped photographs every pair of windows
 /// with a narrow one of 0.5 to 0.8 and a wide one two to four times that gave more right matches than 64 elements; these lie in
 /// the middle. Sums split by the sign of the other derivative (SURF-128 of Bay et al.) gave fewer.
@@ -254,140 +234,6 @@ fn sample_avx2(level: &Level, grid: Grid, half: f32, vectors: usize, out: &mut [
     }
 }
 
-/// Dominant direction around `(x, y)` at scale `s` (pixels), in radians within `-pi..=pi`, y down.
-pub(crate) fn orientation(
-    simd: Simd,
-    tables: &Tables,
-    pyramid: &Pyramid,
-    x: f32,
-    y: f32,
-    scale: f32,
-    room: &mut Room,
-) -> f32 {
-    let scale = scale * TURN_SCALE;
-    let (level, grid) = Grid::on(pyramid, x, y, scale, scale, 0.0);
-    let Room { patch, votes } = room;
-    sample(simd, level, grid, (TURN_PATCH as f32 - 1.0) / 2.0, TURN_PATCH, TURN_PATCH / 8, patch);
-    let (patch, target) = (&*patch, &mut *votes);
-    dispatch!(simd, vote(tables: &Tables, patch: &[[f32; ROW]; PATCH], target: &mut Votes));
-    // Two lists taken in turn: neighbours mostly vote for the same bin, and would wait for each other.
-    let mut sums = [[[0.0f32; 2]; BINS]; 2];
-    for (j, reach) in TURN_REACH.into_iter().enumerate() {
-        for i in 6 - reach..7 + reach {
-            let [x, y] = votes.pair[j * 16 + i];
-            let sum = &mut sums[i % 2][votes.bin[j * 16 + i] as usize];
-            *sum = [sum[0] + x, sum[1] + y];
-        }
-    }
-    let sums = &sums;
-    let [x, y] = dispatch!(simd, strongest(sums: &[[[f32; 2]; BINS]; 2]) -> [f32; 2]);
-    y.atan2(x)
-}
-
-/// Haar responses of a turn window, sixteen to a row.
-const TURN_VOTES: usize = TURN_WINDOW * 16;
-/// Responses to each side of the middle one that lie in the circle, by row.
-const TURN_REACH: [usize; TURN_WINDOW] = [0, 3, 4, 5, 5, 5, 6, 5, 5, 5, 4, 3, 0];
-
-struct Votes {
-    pair: [[f32; 2]; TURN_VOTES],
-    bin: [i32; TURN_VOTES],
-}
-
-#[inline(always)]
-fn vote(tables: &Tables, patch: &[[f32; ROW]; PATCH], votes: &mut Votes) {
-    // Three more, so that the last row can be read like the others.
-    let mut all = [0.0f32; TURN_VOTES + 3];
-    let mut fall = [0.0f32; TURN_VOTES + 3];
-    for j in 0..TURN_WINDOW {
-        let (all, fall) = (&mut all[j * 16..j * 16 + 16], &mut fall[j * 16..j * 16 + 16]);
-        for i in 0..16 {
-            let (top, bottom) = (patch[j][i] + patch[j + 1][i], patch[j + 2][i] + patch[j + 3][i]);
-            all[i] = top + bottom;
-            fall[i] = bottom - top;
-        }
-    }
-    for j in 0..TURN_WINDOW {
-        let (all, fall) = (&all[j * 16..j * 16 + 19], &fall[j * 16..j * 16 + 19]);
-        let (pair, bin) = (&mut votes.pair[j * 16..j * 16 + 16], &mut votes.bin[j * 16..j * 16 + 16]);
-        // The last three of a row run into the next one; nobody reads them.
-        for i in 0..16 {
-            let weight = tables.turn[j][i];
-            let dx = ((all[i + 2] + all[i + 3]) - (all[i] + all[i + 1])) * weight;
-            let dy = ((fall[i] + fall[i + 1]) + (fall[i + 2] + fall[i + 3])) * weight;
-            pair[i] = [dx, dy];
-            bin[i] = direction_bin(dx, dy);
-        }
-    }
-}
-
-/// The longest sum of `SECTOR_BINS` neighbouring bins around the circle; the first one where several are as long.
-#[inline(always)]
-fn strongest(sums: &[[[f32; 2]; BINS]; 2]) -> [f32; 2] {
-    const _: () = assert!(SECTOR_BINS == 12 && BINS.is_multiple_of(8));
-    let (even, odd) = (sums[0].as_flattened(), sums[1].as_flattened());
-    let mut one = [0.0f32; 2 * (BINS + 12)];
-    for i in 0..2 * BINS {
-        one[i] = even[i] + odd[i];
-    }
-    one.copy_within(..24, 2 * BINS);
-    // Of two bins, of four, and three of those.
-    let mut two = [0.0f32; 2 * (BINS + 10)];
-    for i in 0..two.len() {
-        two[i] = one[i] + one[i + 2];
-    }
-    let mut four = [0.0f32; 2 * (BINS + 8)];
-    for i in 0..four.len() {
-        four[i] = two[i] + two[i + 4];
-    }
-    let mut sectors = [[0.0f32; 2]; BINS];
-    for (i, sum) in sectors.as_flattened_mut().iter_mut().enumerate() {
-        *sum = (four[i] + four[i + 8]) + four[i + 16];
-    }
-    let mut lengths = [0.0f32; BINS];
-    for (length, [x, y]) in lengths.iter_mut().zip(&sectors) {
-        *length = x * x + y * y;
-    }
-    let mut most = [0.0f32; 8];
-    for eight in lengths.as_chunks::<8>().0 {
-        for k in 0..8 {
-            most[k] = if eight[k] > most[k] { eight[k] } else { most[k] };
-        }
-    }
-    let most = most.iter().fold(0.0f32, |a, b| a.max(*b));
-    lengths.iter().position(|length| *length == most).map_or([0.0; 2], |place| sectors[place])
-}
-
-/// Work memory of one keypoint after the other; every part is written before it is read.
-pub(crate) struct Room {
-    patch: [[f32; ROW]; PATCH],
-    votes: Votes,
-}
-
-impl Room {
-    pub(crate) fn new() -> Self {
-        let votes = Votes { pair: [[0.0; 2]; TURN_VOTES], bin: [0; TURN_VOTES] };
-        Self { patch: [[0.0; ROW]; PATCH], votes }
-    }
-}
-
-/// Which of 72 bins of 5 degrees holds the direction; exact to about 0.3 degrees.
-#[inline(always)]
-fn direction_bin(dx: f32, dy: f32) -> i32 {
-    let (ax, ay) = (dx.abs(), dy.abs());
-    let (small, large) = (ax.min(ay), ax.max(ay));
-    let ratio = small / large.max(1e-20);
-    // atan(r) on 0..1 (error below 0.005 rad), as a share of a full turn.
-    let angle = ratio * (std::f32::consts::FRAC_PI_4 + 0.273 * (1.0 - ratio)) * (BINS as f32 / std::f32::consts::TAU);
-    let angle = if ay > ax { BINS as f32 / 4.0 - angle } else { angle };
-    let angle = if dx < 0.0 { BINS as f32 / 2.0 - angle } else { angle };
-    let angle = if dy < 0.0 { BINS as f32 - angle } else { angle };
-    let angle = if angle > 0.0 { angle } else { 0.0 };
-    let angle = if angle < BINS as f32 - 1.0 { angle } else { BINS as f32 - 1.0 };
-    // SAFETY: between 0 and the last bin; a NaN has become 0.
-    unsafe { angle.to_int_unchecked() }
-}
-
 /// Descriptor of the keypoint at `(x, y)` with scale `s` (pixels) and angle (radians).
 pub(crate) fn describe(
     simd: Simd,
@@ -398,10 +244,9 @@ pub(crate) fn describe(
     scale: f32,
     angle: f32,
     out: &mut Descriptor,
-    room: &mut Room,
+    patch: &mut Patch,
 ) {
     let (level, grid) = Grid::on(pyramid, x, y, scale, scale, angle);
-    let patch = &mut room.patch;
     sample(simd, level, grid, (PATCH as f32 - 1.0) / 2.0, PATCH, USED / 8, patch);
     #[cfg(target_arch = "x86_64")]
     if simd.avx2() {
@@ -425,10 +270,10 @@ pub(crate) fn describe_extended(
     scale: f32,
     angle: f32,
     [narrow, wide]: [&mut Descriptor; 2],
-    room: &mut Room,
+    patch: &mut Patch,
 ) {
-    describe(simd, tables, pyramid, x, y, scale * NARROW, angle, narrow, room);
-    describe(simd, tables, pyramid, x, y, scale * WIDE, angle, wide, room);
+    describe(simd, tables, pyramid, x, y, scale * NARROW, angle, narrow, patch);
+    describe(simd, tables, pyramid, x, y, scale * WIDE, angle, wide, patch);
     let flat = |descriptor: &Descriptor| descriptor.0.iter().all(|value| *value == 0.0);
     if !flat(narrow) && !flat(wide) {
         for value in narrow.0.iter_mut().chain(&mut wide.0) {
@@ -439,7 +284,7 @@ pub(crate) fn describe_extended(
 
 /// Derivatives at sample (i, j): differences of the sums of two neighbouring columns and rows.
 #[inline(always)]
-fn slopes(patch: &[[f32; ROW]; PATCH], i: usize, j: usize) -> (f32, f32) {
+fn slopes(patch: &Patch, i: usize, j: usize) -> (f32, f32) {
     let (a, b) = (&patch[j], &patch[j + 1]);
     ((a[i + 1] + b[i + 1]) - (a[i] + b[i]), (b[i + 1] - a[i + 1]) + (b[i] - a[i]))
 }
@@ -449,7 +294,7 @@ const fn first_of(r: usize) -> usize {
     if r == 0 { 0 } else { 5 * r - 1 }
 }
 
-fn summarise(tables: &Tables, patch: &[[f32; ROW]; PATCH], out: &mut Descriptor) {
+fn summarise(tables: &Tables, patch: &Patch, out: &mut Descriptor) {
     let mut squares = [0.0f32; 4];
     for r in 0..4 {
         let mut sums = [[0.0f32; USED]; 4];
@@ -493,7 +338,7 @@ fn scale_of(squares: f32) -> f32 {
 /// As [`summarise`], the same operations in the same order.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn summarise_avx2(tables: &Tables, patch: &[[f32; ROW]; PATCH], out: &mut Descriptor) {
+fn summarise_avx2(tables: &Tables, patch: &Patch, out: &mut Descriptor) {
     use std::arch::x86_64::*;
     // SAFETY: the slice holds eight elements, which the indexing checks.
     let load = |line: &[f32], i: usize| unsafe { _mm256_loadu_ps(line[i..i + 8].as_ptr()) };

@@ -3,10 +3,11 @@
 //! H. Bay, A. Ess, T. Tuytelaars, L. Van Gool, "Speeded-Up Robust Features (SURF)", CVIU 110 (2008).
 
 use super::color::{GrayBuffer, shrink_gray_with};
-use super::describe::{Descriptor, Room, Tables, describe, describe_extended, orientation};
+use super::describe::{Descriptor, Tables, describe, describe_extended};
 use super::hessian::{Extremum, HessianDetector};
 use super::integral::Integral;
 use super::isotropic::{Kernels, look};
+use super::orientation::{Room, TurnWeights, orientation};
 use super::pyramid::Pyramid;
 use super::simd::{Simd, grow};
 use crate::geometry::Rect;
@@ -181,6 +182,7 @@ pub struct Surf {
     params: SurfParams,
     simd: Simd,
     tables: Tables,
+    turns: TurnWeights,
     kernels: Kernels,
     gray: GrayBuffer,
     doubled: Vec<u8>,
@@ -206,6 +208,7 @@ impl Surf {
             params,
             simd,
             tables: Tables::new(),
+            turns: TurnWeights::new(),
             kernels: Kernels::new(),
             gray: GrayBuffer::new(),
             doubled: Vec::new(),
@@ -316,7 +319,7 @@ impl Surf {
             keypoints.laplacian[index] = point.laplacian;
         }
         self.sort_by_row(height);
-        let (simd, tables, pyramid) = (self.simd, &self.tables, &self.pyramid);
+        let (simd, tables, turns, pyramid) = (self.simd, &self.tables, &self.turns, &self.pyramid);
         let (found, order) = (&self.found, &self.order);
         let angles = SharedMut::new(&mut keypoints.angle_rad);
         let descriptors = SharedMut::new(&mut out.descriptors);
@@ -332,13 +335,13 @@ impl Surf {
                 // SAFETY: each keypoint stands in the order once, and chunks own disjoint parts of it.
                 let (angle, descriptor) =
                     unsafe { (&mut angles.part(index, 1)[0], &mut descriptors.part(index, 1)[0]) };
-                *angle = if upright { 0.0 } else { orientation(simd, tables, pyramid, x, y, scale, room) };
+                *angle = if upright { 0.0 } else { orientation(simd, turns, pyramid, x, y, scale, room) };
                 if extended {
                     // SAFETY: as above; the list is as long as the others.
                     let wide = unsafe { &mut extension.part(index, 1)[0] };
-                    describe_extended(simd, tables, pyramid, x, y, scale, *angle, [descriptor, wide], room);
+                    describe_extended(simd, tables, pyramid, x, y, scale, *angle, [descriptor, wide], &mut room.patch);
                 } else {
-                    describe(simd, tables, pyramid, x, y, scale, *angle, descriptor, room);
+                    describe(simd, tables, pyramid, x, y, scale, *angle, descriptor, &mut room.patch);
                 }
             }
         });
