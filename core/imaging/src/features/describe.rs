@@ -1,12 +1,11 @@
-//! SURF orientation and descriptor of one keypoint, from samples of the image pyramid.
+//! SURF descriptor of one keypoint, from samples of the image pyramid.
 //!
-//! Bay et al. 2008, section 4: Haar responses of side 4 s within 6 s vote for the orientation; responses
-//! of side 2 s in a Gaussian-weighted window of 20 s give sums of dx, dy, |dx|, |dy|
+//! Bay et al. 2008, section 4.2: Haar responses of side 2 s in a Gaussian-weighted window of 20 s give sums of dx, dy, |dx|, |dy|
 //! over 4 x 4 sub-regions. Neighbouring sub-regions overlap (Agrawal, Konolige, Blas, "CenSurE",
 //! ECCV 2008, section 3.4), so that a sample near a border does not jump between two of them.
 
 use super::pyramid::{Level, Pyramid};
-use super::simd::{Simd, dispatch};
+use super::simd::Simd;
 use super::upright;
 
 /// Elements of a descriptor.
@@ -24,19 +23,15 @@ impl Default for Descriptor {
 }
 
 /// Samples of a descriptor patch along each side (differences of neighbours: one fewer).
-const PATCH: usize = 21;
+pub(super) const PATCH: usize = 21;
 const WINDOW: usize = PATCH - 1;
-/// Samples of an orientation patch along each side.
-const TURN_PATCH: usize = 16;
-/// Haar responses of an orientation patch along each side.
-const TURN_WINDOW: usize = TURN_PATCH - 3;
 /// Padded row length of every table and patch.
 pub(crate) const ROW: usize = 32;
 /// Elements of a row that carry a sample, rounded up to vectors.
 const USED: usize = 24;
-const BINS: usize = 72;
-/// 60 degrees.
-const SECTOR_BINS: usize = 12;
+
+/// Samples of one keypoint's surroundings; work memory.
+pub(super) type Patch = [[f32; ROW]; PATCH];
 
 /// Weights that do not depend on the keypoint.
 #[derive(Clone, Debug)]
@@ -45,13 +40,11 @@ pub(crate) struct Tables {
     region: [[f32; USED]; 4],
     /// First and past-the-last sample with weight, by sub-region.
     span: [(usize, usize); 4],
-    /// Weight of a Haar response for the orientation; zero outside the circle.
-    turn: [[f32; 16]; TURN_WINDOW],
 }
 
 impl Tables {
     pub(crate) fn new() -> Self {
-        let mut tables = Self { region: [[0.0; USED]; 4], span: [(0, 0); 4], turn: [[0.0; 16]; TURN_WINDOW] };
+        let mut tables = Self { region: [[0.0; USED]; 4], span: [(0, 0); 4] };
         for (r, (weights, span)) in tables.region.iter_mut().zip(&mut tables.span).enumerate() {
             let centre = r as f64 * 5.0 + 2.0;
             let mut last = 0;
@@ -69,15 +62,6 @@ impl Tables {
             }
             *span = (first, last);
         }
-        for (j, line) in tables.turn.iter_mut().enumerate() {
-            for (i, weight) in line.iter_mut().enumerate().take(TURN_WINDOW) {
-                let (x, y) = (i as f64 - 6.0, j as f64 - 6.0);
-                let squared = x * x + y * y;
-                if squared <= 36.0 {
-                    *weight = (-squared / (2.0 * TURN_SIGMA * TURN_SIGMA)).exp() as f32;
-                }
-            }
-        }
         tables
     }
 }
@@ -88,10 +72,6 @@ const WINDOW_SIGMA: f64 = 6.0;
 /// Gaussian over one sub-region, and how far it reaches, in samples.
 const REGION_SIGMA: f64 = 2.0;
 const REGION_REACH: f64 = 3.0;
-/// Gaussian over the orientation circle, in samples.
-const TURN_SIGMA: f64 = 3.5;
-/// Orientation is read at this multiple of the keypoint's scale.
-const TURN_SCALE: f32 = 1.4;
 /// Windows of the extended descriptor over the usual one. On Graffiti and on fourteen warped photographs every pair of windows
 /// with a narrow one of 0.5 to 0.8 and a wide one two to four times that gave more right matches than 64 elements; these lie in
 /// the middle. Sums split by the sign of the other derivative (SURF-128 of Bay et al.) gave fewer.
@@ -229,14 +209,17 @@ fn sample_avx2(level: &Level, grid: Grid, half: f32, vectors: usize, out: &mut [
             let fx = _mm256_sub_ps(x, _mm256_cvtepi32_ps(column));
             let fy = _mm256_sub_ps(y, _mm256_cvtepi32_ps(row));
             let index = _mm256_add_epi32(_mm256_mullo_epi32(row, stride), column);
-            // SAFETY: 0 <= column < width and 0 <= row < height after clamping (a NaN place becomes a
-            // limit or 0), and the level holds one padded row more than its height (asserted above).
-            let (upper, lower) = unsafe {
-                (
-                    _mm256_i32gather_epi32::<2>(upper_base.cast(), index),
-                    _mm256_i32gather_epi32::<2>(lower_base.cast(), index),
-                )
+            let mut places = [0u32; 8];
+            // SAFETY: eight elements of four bytes.
+            unsafe { _mm256_storeu_si256(places.as_mut_ptr().cast(), index) };
+            // Loads of their own are faster than a gather instruction on processors that run it as microcode.
+            let fetch = |base: *const u16| {
+                // SAFETY: 0 <= column < width and 0 <= row < height after clamping (a NaN place becomes a
+                // limit or 0), and the level holds one padded row more than its height (asserted above).
+                let at = |i: usize| unsafe { base.add(places[i] as usize).cast::<i32>().read_unaligned() };
+                _mm256_setr_epi32(at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7))
             };
+            let (upper, lower) = (fetch(upper_base), fetch(lower_base));
             let pair = |values: __m256i| {
                 let a = _mm256_cvtepi32_ps(_mm256_and_si256(values, low));
                 let b = _mm256_cvtepi32_ps(_mm256_srli_epi32::<16>(values));
@@ -251,80 +234,6 @@ fn sample_avx2(level: &Level, grid: Grid, half: f32, vectors: usize, out: &mut [
     }
 }
 
-/// Dominant direction around `(x, y)` at scale `s` (pixels), in radians within `-pi..=pi`, y down.
-pub(crate) fn orientation(simd: Simd, tables: &Tables, pyramid: &Pyramid, x: f32, y: f32, scale: f32) -> f32 {
-    let scale = scale * TURN_SCALE;
-    let (level, grid) = Grid::on(pyramid, x, y, scale, scale, 0.0);
-    let mut patch = [[0.0f32; ROW]; TURN_PATCH];
-    sample(simd, level, grid, (TURN_PATCH as f32 - 1.0) / 2.0, TURN_PATCH, TURN_PATCH / 8, &mut patch);
-    let mut votes = Votes { dx: [[0.0; 16]; TURN_WINDOW], dy: [[0.0; 16]; TURN_WINDOW], bin: [[0; 16]; TURN_WINDOW] };
-    let (patch, target) = (&patch, &mut votes);
-    dispatch!(simd, vote(tables: &Tables, patch: &[[f32; ROW]; TURN_PATCH], target: &mut Votes));
-    let mut sums = [[0.0f32; 2]; BINS];
-    for j in 0..TURN_WINDOW {
-        for i in 0..TURN_WINDOW {
-            let sum = &mut sums[votes.bin[j][i] as usize];
-            sum[0] += votes.dx[j][i];
-            sum[1] += votes.dy[j][i];
-        }
-    }
-    let mut best = (0.0f32, [0.0f32; 2]);
-    for start in 0..BINS {
-        let mut total = [0.0f32; 2];
-        for offset in 0..SECTOR_BINS {
-            let place = start + offset;
-            let sum = sums[if place >= BINS { place - BINS } else { place }];
-            total = [total[0] + sum[0], total[1] + sum[1]];
-        }
-        let length = total[0] * total[0] + total[1] * total[1];
-        if length > best.0 {
-            best = (length, total);
-        }
-    }
-    best.1[1].atan2(best.1[0])
-}
-
-struct Votes {
-    dx: [[f32; 16]; TURN_WINDOW],
-    dy: [[f32; 16]; TURN_WINDOW],
-    bin: [[i32; 16]; TURN_WINDOW],
-}
-
-#[inline(always)]
-fn vote(tables: &Tables, patch: &[[f32; ROW]; TURN_PATCH], votes: &mut Votes) {
-    for j in 0..TURN_WINDOW {
-        let mut all = [0.0f32; 24];
-        let mut fall = [0.0f32; 24];
-        for i in 0..16 {
-            let (top, bottom) = (patch[j][i] + patch[j + 1][i], patch[j + 2][i] + patch[j + 3][i]);
-            all[i] = top + bottom;
-            fall[i] = bottom - top;
-        }
-        for i in 0..16 {
-            let weight = tables.turn[j][i];
-            let dx = ((all[i + 2] + all[i + 3]) - (all[i] + all[i + 1])) * weight;
-            let dy = ((fall[i] + fall[i + 1]) + (fall[i + 2] + fall[i + 3])) * weight;
-            votes.dx[j][i] = dx;
-            votes.dy[j][i] = dy;
-            votes.bin[j][i] = direction_bin(dx, dy);
-        }
-    }
-}
-
-/// Which of 72 bins of 5 degrees holds the direction; exact to about 0.3 degrees.
-#[inline(always)]
-fn direction_bin(dx: f32, dy: f32) -> i32 {
-    let (ax, ay) = (dx.abs(), dy.abs());
-    let (small, large) = (ax.min(ay), ax.max(ay));
-    let ratio = small / large.max(1e-20);
-    // atan(r) on 0..1 (error below 0.005 rad), as a share of a full turn.
-    let angle = ratio * (std::f32::consts::FRAC_PI_4 + 0.273 * (1.0 - ratio)) * (BINS as f32 / std::f32::consts::TAU);
-    let angle = if ay > ax { BINS as f32 / 4.0 - angle } else { angle };
-    let angle = if dx < 0.0 { BINS as f32 / 2.0 - angle } else { angle };
-    let angle = if dy < 0.0 { BINS as f32 - angle } else { angle };
-    (angle as i32).clamp(0, BINS as i32 - 1)
-}
-
 /// Descriptor of the keypoint at `(x, y)` with scale `s` (pixels) and angle (radians).
 pub(crate) fn describe(
     simd: Simd,
@@ -335,12 +244,17 @@ pub(crate) fn describe(
     scale: f32,
     angle: f32,
     out: &mut Descriptor,
+    patch: &mut Patch,
 ) {
     let (level, grid) = Grid::on(pyramid, x, y, scale, scale, angle);
-    let mut patch = [[0.0f32; ROW]; PATCH];
-    sample(simd, level, grid, (PATCH as f32 - 1.0) / 2.0, PATCH, USED / 8, &mut patch);
-    let patch = &patch;
-    dispatch!(simd, summarise(tables: &Tables, patch: &[[f32; ROW]; PATCH], out: &mut Descriptor));
+    sample(simd, level, grid, (PATCH as f32 - 1.0) / 2.0, PATCH, USED / 8, patch);
+    #[cfg(target_arch = "x86_64")]
+    if simd.avx2() {
+        // SAFETY: AVX2 is there.
+        unsafe { summarise_avx2(tables, patch, out) };
+        return;
+    }
+    summarise(tables, patch, out);
 }
 
 /// Extended descriptor of 128 elements: one of a narrow window, one of a wide one, together of unit length.
@@ -356,9 +270,10 @@ pub(crate) fn describe_extended(
     scale: f32,
     angle: f32,
     [narrow, wide]: [&mut Descriptor; 2],
+    patch: &mut Patch,
 ) {
-    describe(simd, tables, pyramid, x, y, scale * NARROW, angle, narrow);
-    describe(simd, tables, pyramid, x, y, scale * WIDE, angle, wide);
+    describe(simd, tables, pyramid, x, y, scale * NARROW, angle, narrow, patch);
+    describe(simd, tables, pyramid, x, y, scale * WIDE, angle, wide, patch);
     let flat = |descriptor: &Descriptor| descriptor.0.iter().all(|value| *value == 0.0);
     if !flat(narrow) && !flat(wide) {
         for value in narrow.0.iter_mut().chain(&mut wide.0) {
@@ -367,30 +282,28 @@ pub(crate) fn describe_extended(
     }
 }
 
+/// Derivatives at sample (i, j): differences of the sums of two neighbouring columns and rows.
 #[inline(always)]
-fn summarise(tables: &Tables, patch: &[[f32; ROW]; PATCH], out: &mut Descriptor) {
-    let mut dx = [[0.0f32; USED]; WINDOW];
-    let mut dy = [[0.0f32; USED]; WINDOW];
-    for j in 0..WINDOW {
-        let mut all = [0.0f32; ROW];
-        let mut fall = [0.0f32; ROW];
-        for i in 0..USED {
-            all[i] = patch[j][i] + patch[j + 1][i];
-            fall[i] = patch[j + 1][i] - patch[j][i];
-        }
-        for i in 0..USED {
-            dx[j][i] = all[i + 1] - all[i];
-            dy[j][i] = fall[i + 1] + fall[i];
-        }
-    }
-    let mut squares = 0.0f32;
+fn slopes(patch: &Patch, i: usize, j: usize) -> (f32, f32) {
+    let (a, b) = (&patch[j], &patch[j + 1]);
+    ((a[i + 1] + b[i + 1]) - (a[i] + b[i]), (b[i + 1] - a[i + 1]) + (b[i] - a[i]))
+}
+
+/// First sample that the vector of sub-region `r` holds: its samples fit eight.
+const fn first_of(r: usize) -> usize {
+    if r == 0 { 0 } else { 5 * r - 1 }
+}
+
+fn summarise(tables: &Tables, patch: &Patch, out: &mut Descriptor) {
+    let mut squares = [0.0f32; 4];
     for r in 0..4 {
         let mut sums = [[0.0f32; USED]; 4];
         let (first, last) = tables.span[r];
         for j in first..last {
             let weight = tables.region[r][j];
             for i in 0..USED {
-                let (x, y) = (dx[j][i] * weight, dy[j][i] * weight);
+                let (x, y) = slopes(patch, i, j);
+                let (x, y) = (x * weight, y * weight);
                 sums[0][i] += x;
                 sums[1][i] += y;
                 sums[2][i] += x.abs();
@@ -398,9 +311,8 @@ fn summarise(tables: &Tables, patch: &[[f32; ROW]; PATCH], out: &mut Descriptor)
             }
         }
         for c in 0..4 {
-            let (weights, start) = (&tables.region[c], 5 * c - usize::from(c > 0));
+            let (weights, start) = (&tables.region[c], first_of(c));
             for (q, sum) in sums.iter().enumerate() {
-                // The sub-region's samples fit one vector.
                 let mut lanes = [0.0f32; 8];
                 for k in 0..8 {
                     lanes[k] = sum[start + k] * weights[start + k];
@@ -408,12 +320,75 @@ fn summarise(tables: &Tables, patch: &[[f32; ROW]; PATCH], out: &mut Descriptor)
                 let total =
                     ((lanes[0] + lanes[4]) + (lanes[2] + lanes[6])) + ((lanes[1] + lanes[5]) + (lanes[3] + lanes[7]));
                 out.0[(r * 4 + c) * 4 + q] = total;
-                squares += total * total;
+                squares[q] += total * total;
             }
         }
     }
-    let scale = if squares > 1e-12 { 1.0 / squares.sqrt() } else { 0.0 };
+    let scale = scale_of((squares[0] + squares[2]) + (squares[1] + squares[3]));
     for value in &mut out.0 {
         *value *= scale;
+    }
+}
+
+/// What brings a descriptor with this sum of squares to unit length.
+fn scale_of(squares: f32) -> f32 {
+    if squares > 1e-12 { 1.0 / squares.sqrt() } else { 0.0 }
+}
+
+/// As [`summarise`], the same operations in the same order.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn summarise_avx2(tables: &Tables, patch: &Patch, out: &mut Descriptor) {
+    use std::arch::x86_64::*;
+    // SAFETY: the slice holds eight elements, which the indexing checks.
+    let load = |line: &[f32], i: usize| unsafe { _mm256_loadu_ps(line[i..i + 8].as_ptr()) };
+    let sign = _mm256_set1_ps(-0.0);
+    // By sub-region along y: the four sums of every column.
+    let mut sums = [[[0.0f32; USED]; 4]; 4];
+    for (r, sums) in sums.iter_mut().enumerate() {
+        let (first, last) = tables.span[r];
+        for i in [0, 8, 16] {
+            let mut total = [_mm256_setzero_ps(); 4];
+            let mut above = (load(&patch[first], i), load(&patch[first], i + 1));
+            for j in first..last {
+                let weight = _mm256_set1_ps(tables.region[r][j]);
+                let below = (load(&patch[j + 1], i), load(&patch[j + 1], i + 1));
+                let x = _mm256_sub_ps(_mm256_add_ps(above.1, below.1), _mm256_add_ps(above.0, below.0));
+                let y = _mm256_add_ps(_mm256_sub_ps(below.1, above.1), _mm256_sub_ps(below.0, above.0));
+                let (x, y) = (_mm256_mul_ps(x, weight), _mm256_mul_ps(y, weight));
+                total[0] = _mm256_add_ps(total[0], x);
+                total[1] = _mm256_add_ps(total[1], y);
+                total[2] = _mm256_add_ps(total[2], _mm256_andnot_ps(sign, x));
+                total[3] = _mm256_add_ps(total[3], _mm256_andnot_ps(sign, y));
+                above = below;
+            }
+            for (sum, total) in sums.iter_mut().zip(total) {
+                // SAFETY: eight elements of the slice just taken.
+                unsafe { _mm256_storeu_ps(sum[i..i + 8].as_mut_ptr(), total) };
+            }
+        }
+    }
+    let mut squares = _mm_setzero_ps();
+    let mut totals = [_mm_setzero_ps(); 16];
+    for (r, sums) in sums.iter().enumerate() {
+        for c in 0..4 {
+            let weights = load(&tables.region[c], first_of(c));
+            let half = |q: usize| {
+                let lanes = _mm256_mul_ps(load(&sums[q], first_of(c)), weights);
+                _mm_add_ps(_mm256_castps256_ps128(lanes), _mm256_extractf128_ps::<1>(lanes))
+            };
+            let pair = |a: __m128, b: __m128| _mm_add_ps(_mm_movelh_ps(a, b), _mm_movehl_ps(b, a));
+            let (xy, sizes) = (pair(half(0), half(1)), pair(half(2), half(3)));
+            let total = _mm_add_ps(_mm_shuffle_ps::<0x88>(xy, sizes), _mm_shuffle_ps::<0xdd>(xy, sizes));
+            squares = _mm_add_ps(squares, _mm_mul_ps(total, total));
+            totals[r * 4 + c] = total;
+        }
+    }
+    let halves = _mm_add_ps(squares, _mm_movehl_ps(squares, squares));
+    let scale = scale_of(_mm_cvtss_f32(_mm_add_ss(halves, _mm_shuffle_ps::<1>(halves, halves))));
+    let scale = _mm_set1_ps(scale);
+    for (four, total) in out.0.chunks_exact_mut(4).zip(totals) {
+        // SAFETY: four elements of the slice just taken.
+        unsafe { _mm_storeu_ps(four.as_mut_ptr(), _mm_mul_ps(total, scale)) };
     }
 }

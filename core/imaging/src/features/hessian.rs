@@ -129,25 +129,59 @@ impl HessianDetector {
         let per_job = scratch_len(width);
         let scratch = SharedMut::new(&mut self.scratch);
         let responses = SharedMut::new(&mut self.responses);
+        let found = SharedMut::new(&mut self.found);
         pool.run(jobs.len(), &|job| {
-            // SAFETY: every job has its own part.
-            let scratch = unsafe { scratch.part(job * per_job, per_job) };
-            let (octave, band) = jobs[job];
-            compute_band(simd, integral, octaves, octave, band, &responses, scratch);
+            // SAFETY: every job has its own part and its own list.
+            let (scratch, found) = unsafe { (scratch.part(job * per_job, per_job), &mut found.part(job, 1)[0]) };
+            found.clear();
+            let (index, band) = jobs[job];
+            compute_band(simd, integral, octaves, index, band, &responses, scratch);
+            // The finest octave owns all its layers: what lies inside the band is looked at while it is in a near cache.
+            if index == 0 {
+                let octave = &octaves[0];
+                let line = |layer: usize, row: usize| {
+                    let start = octave.layers[layer].start + row * octave.stride;
+                    // SAFETY: inside the plane, and a row of this band: `plan` made room for it, no other job writes it, and
+                    // this one has done so above.
+                    unsafe { std::slice::from_raw_parts(responses.address(start).cast_const(), octave.cols) }
+                };
+                find_maxima(simd, integral, octave, inner(octave, band), line, threshold, found);
+            }
         });
         let responses = &self.responses;
         let found = SharedMut::new(&mut self.found);
         pool.run(jobs.len(), &|job| {
             // SAFETY: every job has its own list.
             let found = unsafe { &mut found.part(job, 1)[0] };
-            found.clear();
-            let (octave, band) = jobs[job];
-            find_maxima(simd, integral, &octaves[octave], band, responses, threshold, found);
+            let (index, band) = jobs[job];
+            let octave = &octaves[index];
+            let line = |layer: usize, row: usize| {
+                let start = octave.layers[layer].start + row * octave.stride;
+                &responses[start..start + octave.cols]
+            };
+            let (whole, inner) = (rows_of(octave, band), inner(octave, band));
+            let rest = if index == 0 { [whole.start..inner.start, inner.end..whole.end] } else { [whole, 0..0] };
+            for rows in rest {
+                find_maxima(simd, integral, octave, rows, line, threshold, found);
+            }
         });
         for found in &self.found[..jobs.len()] {
             out.extend_from_slice(found);
         }
     }
+}
+
+/// Grid rows of a band.
+fn rows_of(octave: &Octave, band: usize) -> std::ops::Range<usize> {
+    let first = band * BAND_ROWS;
+    first..(first + BAND_ROWS).min(octave.rows)
+}
+
+/// Rows of a band whose neighbours lie in it too.
+fn inner(octave: &Octave, band: usize) -> std::ops::Range<usize> {
+    let rows = rows_of(octave, band);
+    let first = (rows.start + 1).min(rows.end);
+    first..(rows.end - 1).max(first)
 }
 
 fn scratch_len(width: usize) -> usize {
@@ -180,9 +214,8 @@ fn compute_band(
                 }
                 // SAFETY: even rows of this job map to rows that no other job writes.
                 let copy = unsafe { responses.part(target.layers[number].start + row * target.stride, target.stride) };
-                for (value, &source) in copy[..target.cols].iter_mut().zip(out.iter().step_by(ratio)) {
-                    *value = source;
-                }
+                let (source, kept) = (&*out, &mut copy[..target.cols]);
+                dispatch!(simd, take_every(source: &[f32], ratio: usize, kept: &mut [f32]));
                 copy[target.cols..].fill(0.0);
                 (coarser, ratio) = (coarser + 1, ratio * 2);
             }
@@ -337,6 +370,16 @@ fn combine_columns_bits(band: &[i32], lobes: &[i32], cross: &[i32], filter: Filt
     columns(band, lobes, cross, filter, scale, out.len(), |x, value| out[x] = value.to_bits() as i32);
 }
 
+/// Every `ratio`-th element; `source` is long enough for all of `out`.
+#[inline(always)]
+fn take_every(source: &[f32], ratio: usize, out: &mut [f32]) {
+    match ratio {
+        2 => out.iter_mut().zip(source.as_chunks::<2>().0).for_each(|(value, [first, ..])| *value = *first),
+        4 => out.iter_mut().zip(source.as_chunks::<4>().0).for_each(|(value, [first, ..])| *value = *first),
+        _ => out.iter_mut().zip(source.iter().step_by(ratio)).for_each(|(value, first)| *value = *first),
+    }
+}
+
 #[inline(always)]
 fn take_even(full: &[i32], out: &mut [f32]) {
     for (value, &bits) in out.iter_mut().zip(full.iter().step_by(2)) {
@@ -344,16 +387,16 @@ fn take_even(full: &[i32], out: &mut [f32]) {
     }
 }
 
-fn find_maxima(
+/// Appends the maxima of the grid rows `rows`; `line` gives a row of a layer.
+fn find_maxima<'a>(
     simd: Simd,
     integral: &Integral,
     octave: &Octave,
-    band: usize,
-    responses: &[f32],
+    rows: std::ops::Range<usize>,
+    line: impl Fn(usize, usize) -> &'a [f32] + Copy,
     threshold: f32,
     found: &mut Vec<Extremum>,
 ) {
-    let first = band * BAND_ROWS;
     for index in 1..octave.layers.len() - 1 {
         let size_above = octave.layers[index + 1].size;
         // The layer above must be whole at the neighbours too, or its zeros would look like a fall.
@@ -362,18 +405,14 @@ fn find_maxima(
             ((extent.saturating_sub(size_above / 2 + 1)) / octave.step).min(grid.saturating_sub(1))
         };
         let (end_x, end_y) = (end(integral.width(), octave.cols), end(integral.height(), octave.rows));
-        for row in first.max(margin)..(first + BAND_ROWS).min(end_y) {
-            let line = |layer: usize, row: usize| {
-                let start = octave.layers[layer].start + row * octave.stride;
-                &responses[start..start + octave.cols]
-            };
+        for row in rows.start.max(margin)..rows.end.min(end_y) {
             let cross = Cross {
                 middle: line(index, row),
                 before: [line(index - 1, row), line(index, row - 1)],
                 after: [line(index, row + 1), line(index + 1, row)],
             };
             scan_row(simd, &cross, margin, end_x, threshold, |column| {
-                if let Some(extremum) = refine(integral, octave, index, row, column, responses) {
+                if let Some(extremum) = refine(integral, octave, index, row, column, line) {
                     found.push(extremum);
                 }
             });
@@ -425,19 +464,18 @@ fn scan_row_avx2(cross: &Cross<'_>, mut x: usize, end: usize, threshold: f32, hi
     let load = |line: &[f32], x: usize| unsafe { _mm256_loadu_ps(line[x..x + 8].as_ptr()) };
     let least = _mm256_set1_ps(threshold);
     while x + 8 <= end {
+        // One branch for all six neighbours: the first ones alone let too many pass to be foreseen.
         let middle = load(cross.middle, x);
-        let above = _mm256_cmp_ps::<_CMP_GT_OQ>(middle, _mm256_max_ps(least, load(cross.middle, x - 1)));
-        if _mm256_movemask_ps(above) != 0 {
-            let before = _mm256_max_ps(load(cross.before[0], x), load(cross.before[1], x));
-            let after = _mm256_max_ps(load(cross.after[0], x), load(cross.after[1], x));
-            let after = _mm256_max_ps(after, load(cross.middle, x + 1));
-            let inner =
-                _mm256_and_ps(_mm256_cmp_ps::<_CMP_GT_OQ>(middle, before), _mm256_cmp_ps::<_CMP_GE_OQ>(middle, after));
-            let mut mask = _mm256_movemask_ps(_mm256_and_ps(inner, above)) as u32;
-            while mask != 0 {
-                hit(x + mask.trailing_zeros() as usize);
-                mask &= mask - 1;
-            }
+        let before = _mm256_max_ps(load(cross.before[0], x), load(cross.before[1], x));
+        let before = _mm256_max_ps(before, _mm256_max_ps(least, load(cross.middle, x - 1)));
+        let after = _mm256_max_ps(load(cross.after[0], x), load(cross.after[1], x));
+        let after = _mm256_max_ps(after, load(cross.middle, x + 1));
+        let above = _mm256_cmp_ps::<_CMP_GT_OQ>(middle, before);
+        let inner = _mm256_and_ps(above, _mm256_cmp_ps::<_CMP_GE_OQ>(middle, after));
+        let mut mask = _mm256_movemask_ps(inner) as u32;
+        while mask != 0 {
+            hit(x + mask.trailing_zeros() as usize);
+            mask &= mask - 1;
         }
         x += 8;
     }
@@ -445,19 +483,18 @@ fn scan_row_avx2(cross: &Cross<'_>, mut x: usize, end: usize, threshold: f32, hi
 }
 
 /// Tests the 26 neighbours and fits a quadratic (Brown and Lowe 2002) for the exact place and size.
-fn refine(
+fn refine<'a>(
     integral: &Integral,
     octave: &Octave,
     index: usize,
     row: usize,
     column: usize,
-    responses: &[f32],
+    line: impl Fn(usize, usize) -> &'a [f32],
 ) -> Option<Extremum> {
     let mut cube = [[[0.0f32; 3]; 3]; 3];
-    for (plane, layer) in cube.iter_mut().zip(&octave.layers[index - 1..=index + 1]) {
-        for (dy, line) in plane.iter_mut().enumerate() {
-            let start = layer.start + (row + dy - 1) * octave.stride + column - 1;
-            line.copy_from_slice(&responses[start..start + 3]);
+    for (ds, plane) in cube.iter_mut().enumerate() {
+        for (dy, three) in plane.iter_mut().enumerate() {
+            three.copy_from_slice(&line(index + ds - 1, row + dy - 1)[column - 1..column + 2]);
         }
     }
     let centre = cube[1][1][1];
@@ -505,10 +542,18 @@ fn refine(
 /// Sign of Dxx + Dyy at a place where the filter lies inside the image.
 fn trace_sign(integral: &Integral, size: usize, x: usize, y: usize) -> i8 {
     let (lobe, half) = (size / 3, size / 2);
-    let sum = |x0, y0, x1, y1| i64::from(integral.box_sum(x0, y0, x1, y1));
-    let xx = sum(x - half, y + 1 - lobe, x + half + 1, y + lobe)
-        - 3 * sum(x - lobe / 2, y + 1 - lobe, x + lobe / 2 + 1, y + lobe);
-    let yy = sum(x + 1 - lobe, y - half, x + lobe, y + half + 1)
-        - 3 * sum(x + 1 - lobe, y - lobe / 2, x + lobe, y + lobe / 2 + 1);
-    if xx + yy >= 0 { 1 } else { -1 }
+    // Sum of the columns `x - half..=x + half` less three times the middle ones, and the same with rows and columns exchanged;
+    // like the responses they fit 32 bits.
+    let (top, bottom) = (integral.row(y + 1 - lobe), integral.row(y + lobe));
+    let band = |x: usize| bottom[x].wrapping_sub(top[x]) as i32;
+    let pair = |low: usize, high: usize| {
+        let (low, high) = (integral.row(low), integral.row(high));
+        let at = |x: usize| high[x].wrapping_sub(low[x]);
+        at(x + lobe).wrapping_sub(at(x + 1 - lobe)) as i32
+    };
+    let all = band(x + half + 1).wrapping_sub(band(x - half));
+    let middle = band(x + lobe / 2 + 1).wrapping_sub(band(x - lobe / 2));
+    let xx = all.wrapping_sub(middle.wrapping_mul(3));
+    let yy = pair(y - half, y + half + 1).wrapping_sub(pair(y - lobe / 2, y + lobe / 2 + 1).wrapping_mul(3));
+    if xx.wrapping_add(yy) >= 0 { 1 } else { -1 }
 }

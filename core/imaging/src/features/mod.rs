@@ -7,6 +7,7 @@ mod hessian;
 pub mod integral;
 mod isotropic;
 pub mod matching;
+mod orientation;
 mod pyramid;
 pub mod registration;
 pub mod simd;

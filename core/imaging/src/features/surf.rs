@@ -3,10 +3,11 @@
 //! H. Bay, A. Ess, T. Tuytelaars, L. Van Gool, "Speeded-Up Robust Features (SURF)", CVIU 110 (2008).
 
 use super::color::{GrayBuffer, shrink_gray_with};
-use super::describe::{Descriptor, Tables, describe, describe_extended, orientation};
+use super::describe::{Descriptor, Tables, describe, describe_extended};
 use super::hessian::{Extremum, HessianDetector};
 use super::integral::Integral;
 use super::isotropic::{Kernels, look};
+use super::orientation::{Room, TurnWeights, orientation};
 use super::pyramid::Pyramid;
 use super::simd::{Simd, grow};
 use crate::geometry::Rect;
@@ -18,6 +19,8 @@ const POINTS_PER_CHUNK: usize = 16;
 const SCALE_PER_SIZE: f32 = 1.2 / 9.0;
 /// Fewer pixels than any picture has for each maximum.
 const PIXELS_PER_MAXIMUM: usize = 32;
+/// Rows of a band within which the order of description is free, in pixels.
+const ORDER_ROWS: usize = 16;
 /// Candidates this near can be doubles of each other, in pixels.
 const DOUBLES_CELL_PX: usize = 8;
 /// Doubles differ less than this in size.
@@ -179,6 +182,7 @@ pub struct Surf {
     params: SurfParams,
     simd: Simd,
     tables: Tables,
+    turns: TurnWeights,
     kernels: Kernels,
     gray: GrayBuffer,
     doubled: Vec<u8>,
@@ -189,6 +193,7 @@ pub struct Surf {
     counts: Vec<u32>,
     next: Vec<u32>,
     kept: Vec<Extremum>,
+    order: Vec<u32>,
 }
 
 impl Surf {
@@ -203,6 +208,7 @@ impl Surf {
             params,
             simd,
             tables: Tables::new(),
+            turns: TurnWeights::new(),
             kernels: Kernels::new(),
             gray: GrayBuffer::new(),
             doubled: Vec::new(),
@@ -213,6 +219,7 @@ impl Surf {
             counts: Vec::new(),
             next: Vec::new(),
             kept: Vec::new(),
+            order: Vec::new(),
         }
     }
 
@@ -238,11 +245,11 @@ impl Surf {
         pool: &dyn Parallel,
         out: &mut Features,
     ) {
-        out.clear();
         let whole = Rect::new(0, 0, image.width, image.height);
         let roi = roi.map_or(whole, |roi| roi.intersect(&whole));
         let shrink = shrink.max(1);
         if roi.width / shrink == 0 || roi.height / shrink == 0 || image.channels == 0 {
+            out.clear();
             return;
         }
         let part = image.crop(roi.x, roi.y, roi.width, roi.height);
@@ -272,6 +279,8 @@ impl Surf {
         self.kept.reserve(most);
         self.next.clear();
         self.next.reserve(most);
+        self.order.clear();
+        self.order.reserve(most);
         let SurfParams { hessian_threshold, octaves, layers, upright, max_points, window, extended, .. } = self.params;
         // A negative threshold would also let saddles through.
         let threshold = hessian_threshold.max(0.0);
@@ -289,9 +298,10 @@ impl Surf {
         self.select(width, height, max_points);
         let count = self.found.len();
         if count == 0 {
+            out.clear();
             return;
         }
-
+        // What the frame before left is overwritten element by element.
         if max_points > 0 {
             reserve(out, max_points, extended);
         }
@@ -308,31 +318,54 @@ impl Surf {
             keypoints.response[index] = point.response;
             keypoints.laplacian[index] = point.laplacian;
         }
-        let (simd, tables, pyramid, found) = (self.simd, &self.tables, &self.pyramid, &self.found);
+        self.sort_by_row(height);
+        let (simd, tables, turns, pyramid) = (self.simd, &self.tables, &self.turns, &self.pyramid);
+        let (found, order) = (&self.found, &self.order);
         let angles = SharedMut::new(&mut keypoints.angle_rad);
         let descriptors = SharedMut::new(&mut out.descriptors);
         let extension = SharedMut::new(&mut out.extension);
         pool.run(count.div_ceil(POINTS_PER_CHUNK), &|chunk| {
+            let mut room = Room::new();
+            let room = &mut room;
             let first = chunk * POINTS_PER_CHUNK;
-            let len = POINTS_PER_CHUNK.min(count - first);
-            // SAFETY: chunks own disjoint keypoints.
-            let (angles, descriptors) = unsafe { (angles.part(first, len), descriptors.part(first, len)) };
-            // SAFETY: as above; the list is as long as the others, or empty and not looked at.
-            let extension = unsafe { extension.part(if extended { first } else { 0 }, if extended { len } else { 0 }) };
-            for (index, point) in found[first..first + len].iter().enumerate() {
+            for index in &order[first..(first + POINTS_PER_CHUNK).min(count)] {
+                let (index, point) = (*index as usize, &found[*index as usize]);
                 let scale = point.size * SCALE_PER_SIZE * window;
-                let angle = &mut angles[index];
-                *angle = if upright { 0.0 } else { orientation(simd, tables, pyramid, point.x, point.y, scale) };
-                let descriptor = &mut descriptors[index];
-                match extension.get_mut(index) {
-                    Some(wide) => {
-                        let halves = [descriptor, wide];
-                        describe_extended(simd, tables, pyramid, point.x, point.y, scale, *angle, halves);
-                    }
-                    None => describe(simd, tables, pyramid, point.x, point.y, scale, *angle, descriptor),
+                let (x, y) = (point.x, point.y);
+                // SAFETY: each keypoint stands in the order once, and chunks own disjoint parts of it.
+                let (angle, descriptor) =
+                    unsafe { (&mut angles.part(index, 1)[0], &mut descriptors.part(index, 1)[0]) };
+                *angle = if upright { 0.0 } else { orientation(simd, turns, pyramid, x, y, scale, room) };
+                if extended {
+                    // SAFETY: as above; the list is as long as the others.
+                    let wide = unsafe { &mut extension.part(index, 1)[0] };
+                    describe_extended(simd, tables, pyramid, x, y, scale, *angle, [descriptor, wide], &mut room.patch);
+                } else {
+                    describe(simd, tables, pyramid, x, y, scale, *angle, descriptor, &mut room.patch);
                 }
             }
         });
+    }
+
+    /// Orders the keypoints by rows of the picture, so that one after the other reads what is still in a near cache.
+    fn sort_by_row(&mut self, height: usize) {
+        let bands = height / ORDER_ROWS + 1;
+        let band_of = |point: &Extremum| (point.y.max(0.0) as usize / ORDER_ROWS).min(bands - 1);
+        grow(&mut self.counts, bands);
+        let starts = &mut self.counts[..bands];
+        starts.fill(0);
+        self.found.iter().for_each(|point| starts[band_of(point)] += 1);
+        let mut total = 0;
+        for start in starts.iter_mut() {
+            (*start, total) = (total, total + *start);
+        }
+        self.order.clear();
+        self.order.resize(self.found.len(), 0);
+        for (index, point) in self.found.iter().enumerate() {
+            let place = &mut starts[band_of(point)];
+            self.order[*place as usize] = index as u32;
+            *place += 1;
+        }
     }
 
     /// Sets the ranks: responses, biased towards fine detail.

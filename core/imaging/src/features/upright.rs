@@ -1,15 +1,13 @@
 //! Samples of a patch that is not turned: its columns lie at the same places in every row.
 //!
-//! Two image rows are first blended into one line; the line's samples are then picked by permuting vectors. That needs no gather,
-//! which costs as much as a load for each element.
+//! Sixteen pixels of two image rows are first blended into one line; eight samples are then picked from it by permuting vectors. That
+//! needs no gather, which costs as much as a load for each element.
 
 use super::describe::{Grid, ROW, Start};
 use super::pyramid::Level;
 
-/// Largest step, in pixels: eight samples then lie within sixteen pixels.
+/// Largest step, in pixels: eight samples and their neighbours then lie within sixteen pixels.
 pub(super) const STEP_LIMIT: f32 = 2.0;
-/// Pixels of a blended line: the longest row of samples, and what a vector may read beyond it.
-const LINE: usize = 2 * ROW + 24;
 
 /// Row of a level at or above a place, and the share of the row below.
 #[inline(always)]
@@ -46,10 +44,7 @@ pub(super) fn sample_avx2(level: &Level, grid: Grid, half: f32, vectors: usize, 
     let first = Start::of(level, grid, half, 0);
     let ramp = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
     let (x0, ux) = (_mm256_set1_ps(first.x), _mm256_set1_ps(first.ux));
-    let place = |i: usize| ((first.x + i as f32 * first.ux).min(first.limit_x).max(0.0)) as usize;
-    let origin = place(0);
-    let used = place(vectors * 8 - 1) + 2 - origin;
-    // Of each vector of samples: first pixel on the line, pixels relative to it, shares of the pixel to the right.
+    // Of each vector of samples: its first pixel, pixels relative to that one, shares of the pixel to the right.
     let mut base = [0usize; MOST];
     let mut pick = [_mm256_setzero_si256(); MOST];
     let mut share = [_mm256_setzero_ps(); MOST];
@@ -58,45 +53,38 @@ pub(super) fn sample_avx2(level: &Level, grid: Grid, half: f32, vectors: usize, 
         let x = _mm256_add_ps(x0, _mm256_mul_ps(i, ux));
         let x = _mm256_max_ps(_mm256_min_ps(x, _mm256_set1_ps(first.limit_x)), _mm256_setzero_ps());
         let column = _mm256_cvttps_epi32(x);
-        let start = place(vector * 8);
-        base[vector] = start - origin;
-        pick[vector] = _mm256_sub_epi32(column, _mm256_set1_epi32(start as i32));
+        let start = _mm256_cvtsi256_si32(column);
+        base[vector] = start as usize;
+        pick[vector] = _mm256_sub_epi32(column, _mm256_set1_epi32(start));
         share[vector] = _mm256_sub_ps(x, _mm256_cvtepi32_ps(column));
     }
-    let mut line = [0.0f32; LINE];
-    // Sixteen pixels and one more are read from each base.
-    assert!(used.next_multiple_of(8) <= LINE && base[vectors - 1] + 17 <= LINE);
-    let seven = _mm256_set1_epi32(7);
+    let (one, seven) = (_mm256_set1_epi32(1), _mm256_set1_epi32(7));
     for (j, samples) in out.iter_mut().enumerate() {
         let (row, fy) = row_of(&Start::of(level, grid, half, j));
         let fy = _mm256_set1_ps(fy);
-        let begin = row * level.stride + origin;
-        let length = used.next_multiple_of(8);
-        let upper = &level.data[begin..begin + length];
-        let lower = &level.data[begin + level.stride..begin + level.stride + length];
-        for k in (0..length).step_by(8) {
-            let wide = |row: &[u16]| {
-                // SAFETY: eight 16-bit values of the slice just taken.
-                let values = unsafe { _mm_loadu_si128(row[k..k + 8].as_ptr().cast()) };
-                _mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(values))
-            };
-            let (upper, lower) = (wide(upper), wide(lower));
-            let value = _mm256_add_ps(upper, _mm256_mul_ps(_mm256_sub_ps(lower, upper), fy));
-            // SAFETY: eight elements of the slice just taken.
-            unsafe { _mm256_storeu_ps(line[k..k + 8].as_mut_ptr(), value) };
-        }
+        let begin = row * level.stride;
+        let (upper, lower) = (&level.data[begin..], &level.data[begin + level.stride..]);
         for vector in 0..vectors {
-            let far = _mm256_castsi256_ps(_mm256_cmpgt_epi32(pick[vector], seven));
-            let take = |start: usize| {
-                let part = &line[start..start + 16];
-                // SAFETY: sixteen elements of the slice just taken.
-                let (near, next) = unsafe { (_mm256_loadu_ps(part.as_ptr()), _mm256_loadu_ps(part[8..].as_ptr())) };
+            // Sixteen pixels, blended from two rows, hold eight samples and their neighbours to the right.
+            let window = base[vector]..base[vector] + 16;
+            let (upper, lower) = (&upper[window.clone()], &lower[window]);
+            let blend = |k: usize| {
+                let wide = |row: &[u16]| {
+                    // SAFETY: eight 16-bit values of the slice just taken.
+                    let values = unsafe { _mm_loadu_si128(row[k..k + 8].as_ptr().cast()) };
+                    _mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(values))
+                };
+                let (upper, lower) = (wide(upper), wide(lower));
+                _mm256_add_ps(upper, _mm256_mul_ps(_mm256_sub_ps(lower, upper), fy))
+            };
+            let (near, next) = (blend(0), blend(8));
+            let take = |pick: __m256i| {
                 // A permutation looks at the low three bits of an index only.
-                let (near, next) =
-                    (_mm256_permutevar8x32_ps(near, pick[vector]), _mm256_permutevar8x32_ps(next, pick[vector]));
+                let far = _mm256_castsi256_ps(_mm256_cmpgt_epi32(pick, seven));
+                let (near, next) = (_mm256_permutevar8x32_ps(near, pick), _mm256_permutevar8x32_ps(next, pick));
                 _mm256_blendv_ps(near, next, far)
             };
-            let (a, b) = (take(base[vector]), take(base[vector] + 1));
+            let (a, b) = (take(pick[vector]), take(_mm256_add_epi32(pick[vector], one)));
             let value = _mm256_add_ps(a, _mm256_mul_ps(_mm256_sub_ps(b, a), share[vector]));
             // SAFETY: eight elements of the slice just taken.
             unsafe { _mm256_storeu_ps(samples[vector * 8..vector * 8 + 8].as_mut_ptr(), value) };

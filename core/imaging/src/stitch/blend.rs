@@ -96,7 +96,7 @@ impl Blender {
             }
             (w, h) = (w.div_ceil(2), h.div_ceil(2));
         }
-        self.sizes.reserve(levels + 1);
+        self.sizes.reserve((levels + 1).saturating_sub(self.sizes.len()));
         let scratch = CHUNKS * 3 * (width + 2 * PAD + 2) * LANES;
         self.scratch.reserve(scratch.saturating_sub(self.scratch.len()));
     }
@@ -360,4 +360,26 @@ unsafe fn apply_avx2(out: &mut [u8], blended: &[i16], differences: &[i16], subtr
         i += 4;
     }
     i
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reserving_again_for_the_same_canvas_allocates_nothing() {
+        let mut blender = Blender::default();
+        let room = |b: &Blender| {
+            let planes = b.fine.iter().chain(&b.blended).map(Vec::capacity).sum::<usize>();
+            (b.sizes.capacity(), planes, b.scratch.capacity())
+        };
+        blender.reserve(400, 300, 4);
+        blender.reset(400, 300, 4);
+        let first = room(&blender);
+        for _ in 0..3 {
+            blender.reserve(400, 300, 4);
+            blender.reset(390, 200, 4);
+        }
+        assert_eq!(room(&blender), first);
+    }
 }
