@@ -2,10 +2,12 @@
 
 use panoscope_node::abi::{Calibration, Detection, Tip};
 use panoscope_node::{
-    Context, Depth, Detections, Disparity, Image, Instances, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value,
+    AnyImage, Bgr8, Context, Depth, Detections, Disparity, Image, Instances, Node, NodeInfo, Open, Params, Ports,
+    Result, Slot, Value, View, error,
 };
 
-use crate::shaft::{TipPixel, tip_of_box, tip_of_mask};
+use crate::shaft::{End, Mask, TipFinder, TipPixel, tip_of_box};
+use crate::silhouette::{Cues, Silhouette};
 
 /// Inputs.
 #[derive(Ports)]
@@ -14,6 +16,9 @@ pub struct In<'f> {
     detections: Option<Detections<'f>>,
     /// Tools with masks: preferred to boxes.
     instances: Option<Instances<'f>>,
+    /// The picture that boxes were found in, bgr8: with it, or with depth, the tool is cut out of its box and its end found there; without both the
+    /// tip is where the box ends, off by half the box's width.
+    image: Option<AnyImage<'f>>,
     /// Depth of the left rectified view, for the place in space.
     depth: Option<Image<'f, Depth>>,
     /// Disparity of the left rectified view, where no depth is connected.
@@ -47,6 +52,8 @@ pub struct ToolTipParams {
 pub struct ToolTip {
     near: Vec<f32>,
     leading: i64,
+    finder: TipFinder,
+    silhouette: Silhouette,
 }
 
 /// Depth values needed around the tip for a place to be trusted.
@@ -82,30 +89,63 @@ fn is_behind(
     before > HIDING_SHARE * all
 }
 
+/// What is known of depth.
+struct Space<'a> {
+    depth: Option<View<'a, f32>>,
+    disparity: Option<View<'a, f32>>,
+    /// Disparity times depth, px mm; NaN without calibration.
+    focal_baseline: f64,
+}
+
+impl Space<'_> {
+    /// Columns and rows.
+    fn size(&self) -> Option<(usize, usize)> {
+        self.depth.as_ref().or(self.disparity.as_ref()).map(|view| (view.width, view.height))
+    }
+
+    /// mm; NaN where unknown.
+    fn depth_mm(&self, x: usize, y: usize) -> f32 {
+        match (&self.depth, &self.disparity) {
+            (Some(view), _) => view.row(y)[x],
+            (None, Some(view)) => (self.focal_baseline / f64::from(view.row(y)[x])) as f32,
+            (None, None) => f32::NAN,
+        }
+    }
+
+    /// Grows as 1/depth does, in whatever unit.
+    fn nearness(&self, x: usize, y: usize) -> f32 {
+        match (&self.depth, &self.disparity) {
+            (_, Some(view)) => view.row(y)[x],
+            (Some(view), None) => 1.0 / view.row(y)[x],
+            (None, None) => f32::NAN,
+        }
+    }
+}
+
 impl ToolTip {
     /// Median depth of what lies around the tip on the tool: the nearer surface, since a tool stands before the tissue.
     fn depth_at(
-        &mut self,
+        near: &mut Vec<f32>,
         at: (f64, f64),
         radius: usize,
         size: (usize, usize),
         depth_of: impl Fn(usize, usize) -> f32,
     ) -> Option<f32> {
         let (u, v, r) = (at.0.round() as isize, at.1.round() as isize, radius as isize);
-        self.near.clear();
+        near.clear();
         for y in (v - r).max(0)..=(v + r).min(size.1 as isize - 1) {
             for x in (u - r).max(0)..=(u + r).min(size.0 as isize - 1) {
                 let z = depth_of(x as usize, y as usize);
                 if (x - u).pow(2) + (y - v).pow(2) <= r * r && z.is_finite() && z > 0.0 {
-                    self.near.push(z);
+                    near.push(z);
                 }
             }
         }
-        if self.near.len() < MIN_VALUES {
+        if near.len() < MIN_VALUES {
             return None;
         }
-        self.near.sort_unstable_by(f32::total_cmp);
-        Some(self.near[self.near.len() / 4])
+        near.sort_unstable_by(f32::total_cmp);
+        Some(near[near.len() / 4])
     }
 }
 
@@ -116,7 +156,7 @@ impl Node for ToolTip {
     type Params = ToolTipParams;
 
     fn open(_: &Open<'_>, _: &ToolTipParams) -> Result<Self> {
-        Ok(Self { near: Vec::new(), leading: -1 })
+        Ok(Self { near: Vec::new(), leading: -1, finder: TipFinder::default(), silhouette: Silhouette::default() })
     }
 
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &ToolTipParams) -> Result<()> {
@@ -124,6 +164,16 @@ impl Node for ToolTip {
         // Empty on ticks that the detector, slower than the camera, left out.
         let Some(found) = masks.map(|m| m.detections()).or(input.detections) else { return Ok(()) };
         let size = found.image_size();
+        let picture = input.image.and_then(|image| image.as_plane::<Bgr8>()).map(|image| image.view());
+        if let Some(view) = picture.as_ref().filter(|view| (view.width, view.height) != size) {
+            return Err(error!(
+                "`image` is {}x{}, tools were found in a picture of {}x{}: wire the picture that was searched",
+                view.width,
+                view.height,
+                size.0,
+                size.1
+            ));
+        }
         let wanted = |d: &Detection| {
             d.score >= params.min_score && (params.class.is_empty() || found.label(d.class_index) == params.class)
         };
@@ -134,49 +184,73 @@ impl Node for ToolTip {
         });
         let Some((index, item)) = best else { return Ok(()) };
         self.leading = item.track_id;
+        let space = Space {
+            depth: input.depth.as_ref().map(|plane| plane.view()),
+            disparity: input.disparity.as_ref().map(|plane| plane.view()),
+            focal_baseline: input.calibration.as_ref().map_or(f64::NAN, |c| c.left_projection[0] * c.baseline_mm),
+        };
+        let depth_size = space.size();
         let corners = [item.x_px, item.y_px, item.x_px + item.width_px, item.y_px + item.height_px];
-        let tip = masks.and_then(|m| tip_of_mask(m.mask(index), size.0, size.1));
-        let TipPixel { u_px, v_px, direction } = tip.unwrap_or_else(|| tip_of_box(corners, size.0, size.1));
+        let mask_of = |item: usize| masks.map(|m| Mask::new(m.mask(item), size.0, size.1));
+        let mut tip = mask_of(index).and_then(|mask| self.finder.of_mask(mask));
+        let mut is_cut = false;
+        if tip.is_none() {
+            let nearness = |x: usize, y: usize| space.nearness(x, y);
+            let has_depth = depth_size == Some(size);
+            let cues = Cues { size, picture, nearness: if has_depth { Some(&nearness) } else { None } };
+            is_cut = self.silhouette.cut(corners, &cues);
+            if is_cut {
+                tip = self.finder.of_mask(self.silhouette.mask()).map(|tip| self.silhouette.place(tip));
+            }
+        }
+        let TipPixel { tip, jaws } = tip.unwrap_or_else(|| tip_of_box(corners, size.0, size.1));
+        let (mut u_px, mut v_px) = (tip.u_px, tip.v_px);
         let mut xyz_mm = [f64::NAN; 3];
         let mut valid = false;
-        if let Some(calibration) = &input.calibration {
-            // Looked for a little inside the tool: at its very end half of the pixels are tissue.
-            let inside = (
-                u_px - direction[0] * params.radius_px as f64 / 2.0,
-                v_px - direction[1] * params.radius_px as f64 / 2.0,
-            );
+        if let (Some(calibration), Some(depth_size)) = (&input.calibration, depth_size) {
             let p = &calibration.left_projection;
-            let (focal, baseline) = (p[0], calibration.baseline_mm);
-            let depths = input.depth.as_ref().map(|plane| plane.view());
-            let disparities = input.disparity.as_ref().map(|plane| plane.view());
-            let place = depths.as_ref().map(|v| (v.width, v.height));
-            let place = place.or(disparities.as_ref().map(|v| (v.width, v.height)));
-            let depth_of = |x: usize, y: usize| match (&depths, &disparities) {
-                (Some(view), _) => view.row(y)[x],
-                (None, Some(view)) => (focal * baseline / f64::from(view.row(y)[x])) as f32,
-                (None, None) => f32::NAN,
-            };
-            let masks = masks.filter(|_| place == Some(size));
+            let depth_of = |x: usize, y: usize| space.depth_mm(x, y);
+            let masks = masks.filter(|_| depth_size == size);
             let of = |item: usize, x: usize, y: usize| {
-                masks.is_some_and(|m| m.mask(item)[y * size.0.div_ceil(8) + x / 8] & (0x80 >> (x % 8)) != 0)
+                masks.is_some_and(|m| Mask::new(m.mask(item), size.0, size.1).contains(x, y))
             };
-            // Where masks tell, no other surface counts.
+            let (silhouette, is_masked) = (&self.silhouette, masks.is_some());
+            // Where the tool's pixels are known, no other surface counts.
             let own_depth = |x: usize, y: usize| {
-                if masks.is_none() || of(index, x, y) { depth_of(x, y) } else { f32::NAN }
+                let own = if is_masked { of(index, x, y) } else { !is_cut || silhouette.contains(x, y) };
+                if own { depth_of(x, y) } else { f32::NAN }
             };
-            // The tip of open jaws lies between them, where the tool is not: its nearest parts count.
-            let widest = if masks.is_some() { WIDER } else { 1 };
-            let mut radii = (1..=widest).map(|times| times * params.radius_px);
-            let z = place.and_then(|place| radii.find_map(|radius| self.depth_at(inside, radius, place, own_depth)));
-            // What seems its end is where another instrument hides it: no tip is better than a wrong one.
             let others = |x: usize, y: usize| (0..found.items().len()).any(|other| other != index && of(other, x, y));
-            if z.is_some_and(|z| is_behind((u_px, v_px), z, params.radius_px, size, depth_of, &others)) {
-                return Ok(());
+            let widest = if is_masked || is_cut { WIDER } else { 1 };
+            let (mut sum, mut count) = ([0.0; 3], 0.0);
+            for end in jaws.as_ref().map_or(std::slice::from_ref(&tip), |jaws| &jaws[..]) {
+                let End { u_px, v_px, direction } = *end;
+                // Looked for a little inside the tool: at its very end half of the pixels are tissue.
+                let step = params.radius_px as f64 / 2.0;
+                let inside = (u_px - direction[0] * step, v_px - direction[1] * step);
+                let mut radii = (1..=widest).map(|times| times * params.radius_px);
+                let near = &mut self.near;
+                let Some(z) = radii.find_map(|radius| Self::depth_at(near, inside, radius, depth_size, own_depth)) else {
+                    continue;
+                };
+                // What seems its end is where another instrument hides it: no tip is better than a wrong one.
+                if is_behind((u_px, v_px), z, params.radius_px, depth_size, depth_of, &others) {
+                    return Ok(());
+                }
+                let z = f64::from(z);
+                let place = [(u_px - p[2]) / p[0] * z, (v_px - p[6]) / p[5] * z, z];
+                sum.iter_mut().zip(place).for_each(|(sum, v)| *sum += v);
+                count += 1.0;
             }
-            if let Some(z) = z.map(f64::from) {
+            if count > 1.0 {
+                // Between jaws the middle in space, which is seen a little beside the middle in the picture.
+                xyz_mm = sum.map(|v| v / count);
+                (u_px, v_px) = (p[0] * xyz_mm[0] / xyz_mm[2] + p[2], p[5] * xyz_mm[1] / xyz_mm[2] + p[6]);
+            } else if count > 0.0 {
+                let z = sum[2];
                 xyz_mm = [(u_px - p[2]) / p[0] * z, (v_px - p[6]) / p[5] * z, z];
-                valid = xyz_mm.iter().all(|v| v.is_finite());
             }
+            valid = xyz_mm.iter().all(|v| v.is_finite()) && u_px.is_finite() && v_px.is_finite();
         }
         out.tip.set(Tip {
             u_px,

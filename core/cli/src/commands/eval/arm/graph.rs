@@ -79,7 +79,7 @@ fn scene(name: &str) -> Scene {
                 + &format!(
                     "[nodes.find]\ntype = \"yolo\"\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {model:?} }}\n"
                 )
-                + &finder("found", "detections = \"find.detections\"", stereo_depth, ""),
+                + &finder("found", "detections = \"find.detections\", image = \"scope.left\"", stereo_depth, ""),
         ),
         _ => told(alone),
     }
