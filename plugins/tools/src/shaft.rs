@@ -120,7 +120,7 @@ struct Branch {
     end_line: u32,
     /// The longer one that took it over, or itself.
     owner: u32,
-    /// Where that was.
+    /// Where that was; where it begins, if nothing took it over.
     fork_line: u32,
     /// Steps in its runs.
     size: f64,
@@ -317,6 +317,7 @@ impl TipFinder {
                     number
                 });
                 runs[index].branch = branch;
+                branches[branch as usize].fork_line = line as u32;
                 branches[branch as usize].size += f64::from(run.to - run.from + 1);
             }
         }
@@ -329,14 +330,18 @@ impl TipFinder {
         let all: f64 = numbers().filter(whole).map(|number| self.branches[number as usize].size).sum();
         let large = numbers().filter(whole).filter(|n| self.branches[*n as usize].size >= SPECK_SHARE * all);
         let longest = large.max_by_key(|n| (self.branches[*n as usize].end_line, u32::MAX - n))?;
-        let end = self.branches[longest as usize].end_line;
-        let jaws = numbers().map(|n| (n, self.branches[n as usize])).filter(|(n, b)| *n != longest && b.owner == longest);
-        let length = |b: &Branch| b.end_line - b.fork_line;
+        let Branch { end_line: end, fork_line: begin, .. } = self.branches[longest as usize];
+        // A jaw of its own is the other one's where the joint lies outside the picture: then both begin side by side.
+        let from = |b: &Branch| if b.owner == longest { b.fork_line } else { b.fork_line.max(begin) };
+        let length = |b: &Branch| b.end_line.saturating_sub(from(b));
+        let is_jaw =
+            |(n, b): &(u32, Branch)| *n != longest && (b.owner == longest || whole(n) && b.size >= SPECK_SHARE * all);
+        let jaws = numbers().map(|n| (n, self.branches[n as usize])).filter(is_jaw);
         let jaw = jaws.max_by_key(|(_, b)| length(b)).filter(|(_, b)| {
-            let (short, long) = (f64::from(length(b)), f64::from(end - b.fork_line));
+            let (short, long) = (f64::from(length(b)), f64::from(end - from(b)));
             short * lines.pitch >= JAW_PX && short >= JAW_SHARE * long
         });
-        Some((longest, jaw.map(|(number, branch)| (number, branch.fork_line))))
+        Some((longest, jaw.map(|(number, branch)| (number, from(&branch)))))
     }
 
     /// The end of a branch, seen from where it forks off.
@@ -412,7 +417,8 @@ mod tests {
     #[test]
     fn a_shaft_from_the_right_ends_on_the_left() {
         // A bar of 8 px from the right border to a tip at (30, 60).
-        let found = tip(101, 80, |x, y| on_bar([x, y], [30.0, 60.0], [110.0, 37.0], 8.0)).expect("the mask is not empty");
+        let found =
+            tip(101, 80, |x, y| on_bar([x, y], [30.0, 60.0], [110.0, 37.0], 8.0)).expect("the mask is not empty");
         assert!((found.tip.u_px - 31.0).abs() < 1.5 && (found.tip.v_px - 60.0).abs() < 1.5, "{found:?}");
         assert!(found.tip.direction[0] < -0.9 && found.jaws.is_none());
     }
@@ -466,6 +472,20 @@ mod tests {
         });
         let found = found.expect("the mask is not empty");
         assert!(found.tip.direction[0] < -0.9 && (found.tip.v_px - 90.0).abs() < 8.0, "{found:?}");
+    }
+
+    #[test]
+    fn jaws_whose_joint_lies_outside_the_picture_are_one_instrument() {
+        let found = tip(200, 160, |x, y| {
+            on_bar([x, y], [240.0, 80.0], [120.0, 40.0], 12.0) || on_bar([x, y], [240.0, 80.0], [110.0, 110.0], 12.0)
+        });
+        let found = found.expect("the mask is not empty");
+        assert!((found.tip.u_px - 115.0).hypot(found.tip.v_px - 75.0) < 5.0 && found.jaws.is_some(), "{found:?}");
+        // Another instrument across it cuts a shaft in two: the part behind is no jaw.
+        let found =
+            tip(200, 160, |x, y| on_bar([x, y], [220.0, 80.0], [40.0, 80.0], 12.0) && !(90.0..110.0).contains(&x));
+        let found = found.expect("the mask is not empty");
+        assert!((found.tip.u_px - 41.0).abs() < 2.0 && found.jaws.is_none(), "{found:?}");
     }
 
     #[test]

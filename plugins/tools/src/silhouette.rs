@@ -34,6 +34,8 @@ const MOST_FOR: f32 = 5.0;
 const MOST_AGAINST: f32 = -2.0;
 /// From this sum of both cues on a cell is thought to be instrument at first.
 const FIRST_GUESS: f32 = 3.0;
+/// How many deviations before the surface something certainly stands before it.
+const BEFORE: f32 = 2.0;
 /// Least deviation of the surface's nearness, as a share of it, and of its redness: below is what matching and noise cost.
 const NEARNESS_FLOOR: f32 = 0.006;
 const REDNESS_FLOOR: f32 = 0.02;
@@ -73,7 +75,8 @@ impl Region {
         if columns * rows < FEWEST_CELLS {
             return None;
         }
-        let cell = |v: f32, from: usize, most: usize| (((v - from as f32) / pitch as f32).max(0.0) as usize).min(most - 1);
+        let cell =
+            |v: f32, from: usize, most: usize| (((v - from as f32) / pitch as f32).max(0.0) as usize).min(most - 1);
         let own = [cell(x0, left, columns), cell(y0, top, rows), cell(x1, left, columns), cell(y1, top, rows)];
         Some(Self { x_px: left, y_px: top, pitch, width: columns, height: rows, own })
     }
@@ -99,8 +102,9 @@ pub struct Silhouette {
     redness: Vec<f32>,
     bright: Vec<f32>,
     near: Vec<f32>,
-    /// What speaks for an instrument.
+    /// What speaks for an instrument; before anything was learned.
     score: Vec<f32>,
+    first: Vec<f32>,
     /// Work memory.
     sorted: Vec<f32>,
     blurred: Vec<f32>,
@@ -134,10 +138,13 @@ impl Silhouette {
         self.score.clear();
         self.score.resize(region.width * region.height, 0.0);
         let told = [self.judge_redness(), self.judge_nearness()];
+        if !told[1] {
+            self.near.fill(f32::NAN);
+        }
         if !told.contains(&true) {
             return false;
         }
-        self.near.clone_from(&self.score);
+        self.first.clone_from(&self.score);
         for _ in 0..2 {
             if told[0] {
                 self.learn_colours();
@@ -262,8 +269,12 @@ impl Silhouette {
         if !deviation.is_finite() {
             return false;
         }
-        for (index, (score, value)) in score.iter_mut().zip(near.iter()).enumerate().filter(|(_, (_, v))| v.is_finite()) {
-            *score += (over(&plane, index, *value) / deviation).clamp(MOST_AGAINST, MOST_FOR);
+        for (index, (score, value)) in
+            score.iter_mut().zip(near.iter_mut()).enumerate().filter(|(_, (_, v))| v.is_finite())
+        {
+            // From here on in deviations before the surface.
+            *value = over(&plane, index, *value) / deviation;
+            *score += value.clamp(MOST_AGAINST, MOST_FOR);
         }
         true
     }
@@ -279,9 +290,14 @@ impl Silhouette {
         let (mut tool, mut tissue) = ([1.0_f32; REDS * BRIGHTS], [1.0_f32; REDS * BRIGHTS]);
         let (mut tools, mut tissues) = (tool.len() as f32, tissue.len() as f32);
         let known = || (0..self.score.len()).filter(|index| self.redness[*index].is_finite());
+        let is_tool = |index: usize| self.score[index] > FIRST_GUESS && self.region.is_in_box(index);
+        // Pale tissue looks like steel: where some of what looks so stands before the surface, colours are learned from that.
+        let stands = |index: usize| is_tool(index) && self.near[index] > BEFORE;
+        let is_deep =
+            known().filter(|index| stands(*index)).count() * 4 > known().filter(|index| is_tool(*index)).count();
         for index in known() {
             let of = class(self.redness[index], self.bright[index]);
-            if self.score[index] > FIRST_GUESS && self.region.is_in_box(index) {
+            if if is_deep { stands(index) } else { is_tool(index) } {
                 tool[of] += 1.0;
                 tools += 1.0;
             } else if self.score[index] < FIRST_GUESS / 2.0 {
@@ -297,7 +313,7 @@ impl Silhouette {
                 said = ((tool[of] / tools) / (tissue[of] / tissues)).ln().clamp(-MOST_SAID, MOST_SAID);
             }
             // Both cues together, before anything was learned, say where; the learned colours say how far.
-            self.score[index] = said + (self.near[index] - FIRST_GUESS).clamp(-MOST_SAID, MOST_SAID) + FIRST_GUESS;
+            self.score[index] = said + (self.first[index] - FIRST_GUESS).clamp(-MOST_SAID, MOST_SAID) + FIRST_GUESS;
         }
     }
 

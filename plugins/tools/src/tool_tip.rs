@@ -6,6 +6,7 @@ use panoscope_node::{
     Result, Slot, Value, View, error,
 };
 
+use crate::candidates::iou;
 use crate::shaft::{End, Mask, TipFinder, TipPixel, tip_of_box};
 use crate::silhouette::{Cues, Silhouette};
 
@@ -40,7 +41,8 @@ pub struct ToolTipParams {
     /// Name of the class to follow; empty takes any.
     #[param(default = "")]
     class: String,
-    /// Lowest score of a tool.
+    /// Lowest score of a tool. Where any class will do, boxes of several classes around one tool count together: they say what it may be, and
+    /// their sum how sure it is that it is one.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
     /// Radius around the tip in which depth is looked for.
@@ -51,9 +53,62 @@ pub struct ToolTipParams {
 /// Finds the tip of the leading tool.
 pub struct ToolTip {
     near: Vec<f32>,
-    leading: i64,
+    leading: Option<Leading>,
     finder: TipFinder,
     silhouette: Silhouette,
+}
+
+/// The tool that led last.
+struct Leading {
+    /// The number that it is called by, and the one that the detector gave it last.
+    called: i64,
+    number: i64,
+    corners: [f32; 4],
+    /// Numbers of other tools that were seen beside it then.
+    others: [i64; 16],
+    /// Ticks since.
+    missed: u32,
+}
+
+/// Overlap from which on boxes of different classes are thought to be of one tool.
+const SAME_TOOL_IOU: f32 = 0.5;
+/// The same for a box and the one that led before.
+const STILL_IOU: f32 = 0.35;
+/// Ticks for which a tool that led may come back under another number.
+const MEMORY_TICKS: u32 = 15;
+
+fn corners_of(d: &Detection) -> [f32; 4] {
+    [d.x_px, d.y_px, d.x_px + d.width_px, d.y_px + d.height_px]
+}
+
+impl Leading {
+    /// How surely a box is of this tool: it has its number, or stands where it stood, and was no other tool then. Detectors that are in two minds
+    /// about a tool's class give it a new number whenever they change it.
+    fn claims(&self, item: &Detection) -> u8 {
+        if item.track_id >= 0 && item.track_id == self.number {
+            return 2;
+        }
+        let is_other = self.others.contains(&item.track_id);
+        u8::from(item.track_id >= 0 && !is_other && iou(&corners_of(item), &self.corners) >= STILL_IOU)
+    }
+}
+
+/// How sure it is that a box is of a tool, of whatever class.
+fn sureness(item: &Detection, items: &[Detection]) -> f32 {
+    let own = corners_of(item);
+    let mut sum = item.score;
+    for (index, other) in items.iter().enumerate() {
+        let is_same = |d: &Detection| iou(&corners_of(d), &own) >= SAME_TOOL_IOU;
+        let is_first = || {
+            let before = items[..index].iter();
+            !before.filter(|d| d.class_index == other.class_index).any(is_same)
+        };
+        // Best first: one word per class.
+        if other.class_index != item.class_index && is_same(other) && is_first() {
+            sum += other.score;
+        }
+    }
+    sum.min(1.0)
 }
 
 /// Depth values needed around the tip for a place to be trusted.
@@ -156,7 +211,7 @@ impl Node for ToolTip {
     type Params = ToolTipParams;
 
     fn open(_: &Open<'_>, _: &ToolTipParams) -> Result<Self> {
-        Ok(Self { near: Vec::new(), leading: -1, finder: TipFinder::default(), silhouette: Silhouette::default() })
+        Ok(Self { near: Vec::new(), leading: None, finder: TipFinder::default(), silhouette: Silhouette::default() })
     }
 
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &ToolTipParams) -> Result<()> {
@@ -168,29 +223,35 @@ impl Node for ToolTip {
         if let Some(view) = picture.as_ref().filter(|view| (view.width, view.height) != size) {
             return Err(error!(
                 "`image` is {}x{}, tools were found in a picture of {}x{}: wire the picture that was searched",
-                view.width,
-                view.height,
-                size.0,
-                size.1
+                view.width, view.height, size.0, size.1
             ));
         }
-        let wanted = |d: &Detection| {
-            d.score >= params.min_score && (params.class.is_empty() || found.label(d.class_index) == params.class)
-        };
+        let items = found.items();
+        let is_wanted = |d: &Detection| params.class.is_empty() || found.label(d.class_index) == params.class;
+        let score = |d: &Detection| if params.class.is_empty() { sureness(d, items) } else { d.score };
+        let leading = self.leading.take().filter(|leading| leading.missed <= MEMORY_TICKS);
+        let claim = |d: &Detection| leading.as_ref().map_or(0, |leading| leading.claims(d));
         // The tool that led before goes on leading while it is seen; else the surest one.
-        let best = found.items().iter().enumerate().filter(|(_, d)| wanted(d)).max_by(|(_, a), (_, b)| {
-            let leads = |d: &Detection| d.track_id >= 0 && d.track_id == self.leading;
-            leads(a).cmp(&leads(b)).then(a.score.total_cmp(&b.score))
+        let wanted = items.iter().enumerate().filter(|(_, d)| is_wanted(d) && score(d) >= params.min_score);
+        let best = wanted.max_by(|(_, a), (_, b)| {
+            claim(a).cmp(&claim(b)).then(score(a).total_cmp(&score(b))).then(a.score.total_cmp(&b.score))
         });
-        let Some((index, item)) = best else { return Ok(()) };
-        self.leading = item.track_id;
+        let Some((index, item)) = best else {
+            self.leading = leading.map(|leading| Leading { missed: leading.missed + 1, ..leading });
+            return Ok(());
+        };
+        let called = leading.as_ref().filter(|leading| leading.claims(item) > 0).map_or(item.track_id, |l| l.called);
+        let corners = corners_of(item);
+        let mut others = [-1; 16];
+        let beside = items.iter().filter(|d| d.track_id >= 0 && iou(&corners_of(d), &corners) < STILL_IOU);
+        others.iter_mut().zip(beside).for_each(|(other, d)| *other = d.track_id);
+        self.leading = Some(Leading { called, number: item.track_id, corners, others, missed: 0 });
         let space = Space {
             depth: input.depth.as_ref().map(|plane| plane.view()),
             disparity: input.disparity.as_ref().map(|plane| plane.view()),
             focal_baseline: input.calibration.as_ref().map_or(f64::NAN, |c| c.left_projection[0] * c.baseline_mm),
         };
         let depth_size = space.size();
-        let corners = [item.x_px, item.y_px, item.x_px + item.width_px, item.y_px + item.height_px];
         let mask_of = |item: usize| masks.map(|m| Mask::new(m.mask(item), size.0, size.1));
         let mut tip = mask_of(index).and_then(|mask| self.finder.of_mask(mask));
         let mut is_cut = false;
@@ -230,7 +291,8 @@ impl Node for ToolTip {
                 let inside = (u_px - direction[0] * step, v_px - direction[1] * step);
                 let mut radii = (1..=widest).map(|times| times * params.radius_px);
                 let near = &mut self.near;
-                let Some(z) = radii.find_map(|radius| Self::depth_at(near, inside, radius, depth_size, own_depth)) else {
+                let Some(z) = radii.find_map(|radius| Self::depth_at(near, inside, radius, depth_size, own_depth))
+                else {
                     continue;
                 };
                 // What seems its end is where another instrument hides it: no tip is better than a wrong one.
@@ -256,10 +318,10 @@ impl Node for ToolTip {
             u_px,
             v_px,
             xyz_mm,
-            score: f64::from(item.score),
+            score: f64::from(score(item)),
             class_index: item.class_index,
             xyz_valid: u32::from(valid),
-            track_id: item.track_id,
+            track_id: called,
         })
     }
 }

@@ -155,15 +155,8 @@ fn a_tool_is_cut_out_of_its_box_by_picture_or_depth() -> Result<(), HarnessError
 fn a_box_without_an_instrument_gives_the_boxes_end() -> Result<(), HarnessError> {
     // Nothing but tissue: whatever the cues make of it, the tip stays within the box and its depth is the tissue's.
     let (picture, depth) = instrument([400.0, 60.0]);
-    let item = Detection {
-        x_px: 40.0,
-        y_px: 30.0,
-        width_px: 60.0,
-        height_px: 50.0,
-        score: 0.9,
-        class_index: 0,
-        track_id: -1,
-    };
+    let item =
+        Detection { x_px: 40.0, y_px: 30.0, width_px: 60.0, height_px: 50.0, score: 0.9, class_index: 0, track_id: -1 };
     let mut node = Harness::<ToolTip>::from_toml("")?;
     node.input_detections("detections", &[item], "hook", (WIDTH, HEIGHT));
     node.input_value("calibration", calibration());
@@ -178,15 +171,8 @@ fn a_box_without_an_instrument_gives_the_boxes_end() -> Result<(), HarnessError>
 #[test]
 fn a_picture_of_another_size_is_refused() -> Result<(), HarnessError> {
     let mut node = Harness::<ToolTip>::from_toml("")?;
-    let item = Detection {
-        x_px: 4.0,
-        y_px: 3.0,
-        width_px: 60.0,
-        height_px: 50.0,
-        score: 0.9,
-        class_index: 0,
-        track_id: -1,
-    };
+    let item =
+        Detection { x_px: 4.0, y_px: 3.0, width_px: 60.0, height_px: 50.0, score: 0.9, class_index: 0, track_id: -1 };
     node.input_detections("detections", &[item], "hook", (WIDTH, HEIGHT));
     node.input_image::<Bgr8>("image", 80, 60, &[0; 80 * 60 * 3]);
     let error = node.process().err().map(|e| e.to_string()).unwrap_or_default();

@@ -77,7 +77,7 @@ fn scene(name: &str) -> Scene {
             "tools = 1, tool_kinds = \"grasper\"",
             STEREO.to_owned()
                 + &format!(
-                    "[nodes.find]\ntype = \"yolo\"\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {model:?} }}\n"
+                    "[nodes.find]\ntype = \"yolo\"\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {model:?}, min_score = 0.15 }}\n"
                 )
                 + &finder("found", "detections = \"find.detections\", image = \"scope.left\"", stereo_depth, ""),
         ),
