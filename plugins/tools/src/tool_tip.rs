@@ -22,7 +22,8 @@ pub struct In<'f> {
     image: Option<AnyImage<'f>>,
     /// Depth of the left rectified view, for the place in space.
     depth: Option<Image<'f, Depth>>,
-    /// Disparity of the left rectified view, where no depth is connected.
+    /// Disparity of the left rectified view, where no depth is connected. Best as a matcher gives it: filters fill what was not matched, and so mix
+    /// a thin end with the tissue behind it.
     disparity: Option<Image<'f, Disparity>>,
     /// Calibration of the rectified views, for the place in space.
     calibration: Option<Value<'f, Calibration>>,
@@ -74,6 +75,12 @@ struct Leading {
 const SAME_TOOL_IOU: f32 = 0.5;
 /// The same for a box and the one that led before.
 const STILL_IOU: f32 = 0.35;
+/// A tip nearer to the picture's border than this share of its width is where a tool leaves it, and a box at the border that is no thicker than the
+/// other share shows a shaft that crosses it.
+const BORDER_SHARE: f64 = 0.01;
+const STRIP_SHARE: f32 = 0.06;
+/// Boxes that are tried until one has its tip in the picture.
+const MOST_TRIES: usize = 4;
 /// Ticks for which a tool that led may come back under another number.
 const MEMORY_TICKS: u32 = 15;
 
@@ -232,11 +239,54 @@ impl Node for ToolTip {
         let leading = self.leading.take().filter(|leading| leading.missed <= MEMORY_TICKS);
         let claim = |d: &Detection| leading.as_ref().map_or(0, |leading| leading.claims(d));
         // The tool that led before goes on leading while it is seen; else the surest one.
-        let wanted = items.iter().enumerate().filter(|(_, d)| is_wanted(d) && score(d) >= params.min_score);
-        let best = wanted.max_by(|(_, a), (_, b)| {
+        let order = |(_, a): &(usize, &Detection), (_, b): &(usize, &Detection)| {
             claim(a).cmp(&claim(b)).then(score(a).total_cmp(&score(b))).then(a.score.total_cmp(&b.score))
-        });
-        let Some((index, item)) = best else {
+        };
+        let space = Space {
+            depth: input.depth.as_ref().map(|plane| plane.view()),
+            disparity: input.disparity.as_ref().map(|plane| plane.view()),
+            focal_baseline: input.calibration.as_ref().map_or(f64::NAN, |c| c.left_projection[0] * c.baseline_mm),
+        };
+        let depth_size = space.size();
+        let mask_of = |item: usize| masks.map(|m| Mask::new(m.mask(item), size.0, size.1));
+        let is_inside = |tip: &End| {
+            let (x, y) = (tip.u_px.min(size.0 as f64 - 1.0 - tip.u_px), tip.v_px.min(size.1 as f64 - 1.0 - tip.v_px));
+            x.min(y) >= BORDER_SHARE * size.0 as f64
+        };
+        let is_strip = |d: &Detection| {
+            let [x0, y0, x1, y1] = corners_of(d);
+            let (width, height) = (size.0 as f32, size.1 as f32);
+            let thin = STRIP_SHARE * width;
+            (x1 - x0 < thin && (x0 < 2.0 || x1 > width - 2.0)) || (y1 - y0 < thin && (y0 < 2.0 || y1 > height - 2.0))
+        };
+        // A tool whose end lies at the picture's border has its tip elsewhere: boxes of shafts at the border are of this kind.
+        let mut tried = [usize::MAX; MOST_TRIES];
+        let (mut is_cut, mut best) = (false, None);
+        for try_number in 0..MOST_TRIES {
+            let wanted = items.iter().enumerate().filter(|(index, _)| !tried.contains(index));
+            let next =
+                wanted.filter(|(_, d)| is_wanted(d) && !is_strip(d) && score(d) >= params.min_score).max_by(order);
+            let Some((index, item)) = next else { break };
+            tried[try_number] = index;
+            let corners = corners_of(item);
+            let mut tip = mask_of(index).and_then(|mask| self.finder.of_mask(mask));
+            is_cut = false;
+            if tip.is_none() {
+                let nearness = |x: usize, y: usize| space.nearness(x, y);
+                let has_depth = depth_size == Some(size);
+                let cues = Cues { size, picture, nearness: if has_depth { Some(&nearness) } else { None } };
+                is_cut = self.silhouette.cut(corners, &cues);
+                if is_cut {
+                    tip = self.finder.of_mask(self.silhouette.mask()).map(|tip| self.silhouette.place(tip));
+                }
+            }
+            let tip = tip.unwrap_or_else(|| tip_of_box(corners, size.0, size.1));
+            if is_inside(&tip.tip) {
+                best = Some((index, item, tip));
+                break;
+            }
+        }
+        let Some((index, item, TipPixel { tip, jaws })) = best else {
             self.leading = leading.map(|leading| Leading { missed: leading.missed + 1, ..leading });
             return Ok(());
         };
@@ -246,25 +296,6 @@ impl Node for ToolTip {
         let beside = items.iter().filter(|d| d.track_id >= 0 && iou(&corners_of(d), &corners) < STILL_IOU);
         others.iter_mut().zip(beside).for_each(|(other, d)| *other = d.track_id);
         self.leading = Some(Leading { called, number: item.track_id, corners, others, missed: 0 });
-        let space = Space {
-            depth: input.depth.as_ref().map(|plane| plane.view()),
-            disparity: input.disparity.as_ref().map(|plane| plane.view()),
-            focal_baseline: input.calibration.as_ref().map_or(f64::NAN, |c| c.left_projection[0] * c.baseline_mm),
-        };
-        let depth_size = space.size();
-        let mask_of = |item: usize| masks.map(|m| Mask::new(m.mask(item), size.0, size.1));
-        let mut tip = mask_of(index).and_then(|mask| self.finder.of_mask(mask));
-        let mut is_cut = false;
-        if tip.is_none() {
-            let nearness = |x: usize, y: usize| space.nearness(x, y);
-            let has_depth = depth_size == Some(size);
-            let cues = Cues { size, picture, nearness: if has_depth { Some(&nearness) } else { None } };
-            is_cut = self.silhouette.cut(corners, &cues);
-            if is_cut {
-                tip = self.finder.of_mask(self.silhouette.mask()).map(|tip| self.silhouette.place(tip));
-            }
-        }
-        let TipPixel { tip, jaws } = tip.unwrap_or_else(|| tip_of_box(corners, size.0, size.1));
         let (mut u_px, mut v_px) = (tip.u_px, tip.v_px);
         let mut xyz_mm = [f64::NAN; 3];
         let mut valid = false;

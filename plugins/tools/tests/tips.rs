@@ -169,6 +169,47 @@ fn a_box_without_an_instrument_gives_the_boxes_end() -> Result<(), HarnessError>
 }
 
 #[test]
+fn a_tool_whose_class_changes_stays_the_same_tool() -> Result<(), HarnessError> {
+    let (picture, depth) = instrument([70.0, 60.0]);
+    let mut node = Harness::<ToolTip>::from_toml("")?;
+    let mut step = |tick: u64, items: &[Detection]| -> Result<Option<Tip>, HarnessError> {
+        node.at_tick(tick, tick as i64 * 33_333_333);
+        node.input_detections("detections", items, "grasper\nbipolar\nhook", (WIDTH, HEIGHT));
+        node.input_value("calibration", calibration());
+        node.input_image::<Bgr8>("image", WIDTH, HEIGHT, &picture);
+        node.input_image::<Depth>("depth", WIDTH, HEIGHT, &depth);
+        let out = node.process()?;
+        Ok(if out.is_empty("tip")? { None } else { Some(out.value("tip")?) })
+    };
+    let tool = |score: f32, class_index: u32, track_id: i64, shift: f32| Detection {
+        x_px: 60.0 + shift,
+        y_px: 34.0,
+        width_px: 76.0,
+        height_px: 38.0,
+        score,
+        class_index,
+        track_id,
+    };
+    // A strip at the border, which the shaft crosses, is surer than the tool; its end is no tip.
+    let strip =
+        Detection { x_px: 150.0, y_px: 2.0, width_px: 9.0, height_px: 60.0, score: 0.5, class_index: 2, track_id: 9 };
+    let first = step(0, &[strip, tool(0.45, 0, 4, 0.0)])?.expect("the tool is in view");
+    assert!((first.u_px - 70.0).abs() < 4.0 && first.track_id == 4, "{first:?}");
+    // In two minds: neither class alone is sure enough, together they are.
+    let torn = step(1, &[tool(0.2, 1, 5, 1.0), tool(0.15, 0, 4, -1.0)])?.expect("a tool of some class");
+    assert!((torn.score - 0.35).abs() < 1e-6 && torn.track_id == 4, "{torn:?}");
+    let renamed = step(2, &[tool(0.6, 1, 5, 1.0)])?.expect("the tool is in view");
+    assert_eq!((renamed.track_id, renamed.class_index), (4, 1));
+    // Another tool that was seen beside it is not taken for it when it is gone.
+    let beside = Detection { x_px: 20.0, y_px: 70.0, width_px: 40.0, ..tool(0.9, 2, 7, 0.0) };
+    assert_eq!(step(3, &[tool(0.6, 1, 5, 1.0), beside])?.map(|t| t.track_id), Some(4));
+    let moved = Detection { x_px: 58.0, y_px: 36.0, width_px: 70.0, ..beside };
+    assert_eq!(step(4, &[moved])?.map(|t| t.track_id), Some(7));
+    assert!(step(5, &[tool(0.2, 1, 5, 0.0)])?.is_none());
+    Ok(())
+}
+
+#[test]
 fn a_picture_of_another_size_is_refused() -> Result<(), HarnessError> {
     let mut node = Harness::<ToolTip>::from_toml("")?;
     let item =
