@@ -12,6 +12,7 @@ use panoscope_graph::{Align, Catalog, Edge, Graph, Mode, NodeKind};
 use crate::cell::{Cell, CellSpec};
 use crate::join::{Join, Rule, Slot};
 use crate::params::Snapshot;
+use crate::pool::Urgency;
 use crate::region::Region;
 
 /// A reader of an output.
@@ -61,6 +62,8 @@ pub(crate) struct Wiring {
     pub leaf: bool,
     /// Nobody reads any output.
     pub sink: bool,
+    /// Whether somebody's tick waits for what it makes.
+    pub urgency: Urgency,
 }
 
 /// What a region is made of.
@@ -276,6 +279,26 @@ const TICKS_IN_BATCH: u32 = 4;
 /// Ticks inside a region with cameras: one begins while the one before it ends.
 const TICKS_LIVE: u32 = 2;
 
+/// What somebody's tick waits for: what nobody reads (it writes, moves or shows something), what leads there by inputs that wait, and what
+/// closes a loop. What is only read as the newest there is may wait: the reader goes on without.
+fn urgencies(graph: &Graph) -> Vec<Urgency> {
+    let mut urgent = vec![false; graph.nodes.len()];
+    for &node in graph.order.iter().rev() {
+        let waits = |edge: &Edge| {
+            let inputs = || graph.inputs_of(edge.to_node).iter().filter(|e| e.delay == 0);
+            // A node without an input that waits fires on the newest of these.
+            let fires = || {
+                let any_trigger = inputs().any(|e| e.trigger);
+                inputs().all(|e| e.align == Align::Latest) && (edge.trigger || !any_trigger)
+            };
+            urgent[edge.to_node] && (edge.align != Align::Latest || fires())
+        };
+        let mut readers = graph.outputs_of(node).peekable();
+        urgent[node] = readers.peek().is_none() || readers.any(|edge| edge.delay > 0 || waits(edge));
+    }
+    urgent.into_iter().map(|urgent| if urgent { Urgency::Urgent } else { Urgency::Patient }).collect()
+}
+
 fn find_regions(
     graph: &Graph,
     slots: &[usize],
@@ -316,6 +339,9 @@ fn find_regions(
         wiring.region = number[head[node]];
         wiring.leaf = !exact_reader[node];
         wiring.sink = wiring.readers.iter().all(Vec::is_empty);
+    }
+    for (node, urgency) in urgencies(graph).into_iter().enumerate() {
+        wiring[slots[node]].urgency = urgency;
     }
     let regions = extents
         .iter_mut()

@@ -10,7 +10,11 @@ use std::thread::JoinHandle;
 use arc_swap::ArcSwap;
 use panoscope_abi::ChunkFn;
 
+use crate::clock;
 use crate::exec::Walk;
+
+/// Longest that a patient task waits behind urgent ones.
+const LONGEST_PATIENCE_NS: u64 = 100_000_000;
 
 /// Runs a node task; called on a worker.
 pub type Task = Arc<dyn Fn(u32, &mut Walk) + Send + Sync>;
@@ -25,18 +29,43 @@ struct Loop {
     helpers: AtomicU32,
     caller: std::thread::Thread,
     caller_number: u32,
+    /// Of the node that it belongs to.
+    urgency: Urgency,
+}
+
+/// What comes first where there are fewer threads than work.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Urgency {
+    /// Somebody's tick waits for it.
+    #[default]
+    Urgent,
+    /// Whoever reads it takes what there is: it may wait for what is urgent.
+    Patient,
 }
 
 impl Loop {
-    fn run_chunks(&self) {
-        loop {
-            let index = self.next.fetch_add(1, Ordering::Relaxed);
-            if index >= self.chunks {
+    /// Runs chunks until none is left. A helper of a patient loop leaves it when something urgent waits; the loop's caller goes on.
+    fn help(&self, inner: &Inner) {
+        while self.urgency == Urgency::Urgent || inner.urgent_tasks.load(Ordering::Relaxed) == 0 {
+            if !self.run_chunk() {
                 return;
             }
-            // SAFETY: the plugin's promise to `parallel_for`: callable from any thread for each index once.
-            unsafe { (self.body)(self.data, index) }
         }
+    }
+
+    fn run_chunks(&self) {
+        while self.run_chunk() {}
+    }
+
+    /// Runs the next chunk; `false` when there is none.
+    fn run_chunk(&self) -> bool {
+        let index = self.next.fetch_add(1, Ordering::Relaxed);
+        if index >= self.chunks {
+            return false;
+        }
+        // SAFETY: the plugin's promise to `parallel_for`: callable from any thread for each index once.
+        unsafe { (self.body)(self.data, index) }
+        true
     }
 }
 
@@ -46,7 +75,9 @@ struct LoopPtr(*const Loop);
 unsafe impl Send for LoopPtr {}
 
 struct State {
-    tasks: VecDeque<u32>,
+    urgent: VecDeque<u32>,
+    /// With the time since when they wait.
+    patient: VecDeque<(u32, u64)>,
     loops: Vec<LoopPtr>,
     idle: usize,
     stop: bool,
@@ -60,6 +91,8 @@ struct State {
 
 struct Inner {
     state: Mutex<State>,
+    /// How many urgent tasks wait; told without the lock.
+    urgent_tasks: AtomicUsize,
     wake: Condvar,
     /// A worker has come to life.
     arrived: Condvar,
@@ -77,6 +110,13 @@ pub struct Pool {
 thread_local! {
     static CURRENT: Cell<*const Inner> = const { Cell::new(std::ptr::null()) };
     static NUMBER: Cell<u32> = const { Cell::new(0) };
+    static URGENCY: Cell<Urgency> = const { Cell::new(Urgency::Urgent) };
+}
+
+/// Says how urgent what the calling thread does is from now on.
+#[inline]
+pub(crate) fn set_urgency(urgency: Urgency) {
+    URGENCY.with(|u| u.set(urgency));
 }
 
 /// Number of the calling thread if it runs nodes, else 0.
@@ -114,6 +154,31 @@ pub(crate) fn warm_up() {
     drop(ANY.load());
 }
 
+impl State {
+    /// A loop that has chunks left, of this urgency. Chunks go before tasks: somebody waits for them, and they finish what was begun.
+    fn next_loop(&self, urgency: Urgency) -> Option<LoopPtr> {
+        self.loops.iter().copied().find(|l| {
+            // SAFETY: on the list, so its caller has not returned.
+            let l = unsafe { &*l.0 };
+            l.urgency == urgency && l.next.load(Ordering::Relaxed) < l.chunks
+        })
+    }
+
+    /// A task of this urgency; a patient one that has waited too long counts as urgent.
+    fn next_task(&mut self, inner: &Inner, urgency: Urgency) -> Option<u32> {
+        if urgency == Urgency::Patient {
+            return self.patient.pop_front().map(|(task, _)| task);
+        }
+        let oldest = if self.urgent.is_empty() { None } else { self.patient.front() };
+        if oldest.is_some_and(|(_, since_ns)| clock::now_ns().saturating_sub(*since_ns) > LONGEST_PATIENCE_NS) {
+            return self.patient.pop_front().map(|(task, _)| task);
+        }
+        let task = self.urgent.pop_front();
+        inner.urgent_tasks.store(self.urgent.len(), Ordering::Relaxed);
+        task
+    }
+}
+
 fn lock(inner: &Inner) -> MutexGuard<'_, State> {
     inner.state.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -122,7 +187,8 @@ impl Pool {
     /// A pool without workers; `start` brings them to life.
     pub fn new(threads: usize) -> Self {
         let state = State {
-            tasks: VecDeque::with_capacity(1024),
+            urgent: VecDeque::with_capacity(1024),
+            patient: VecDeque::with_capacity(1024),
             loops: Vec::with_capacity(64),
             idle: 0,
             stop: false,
@@ -132,6 +198,7 @@ impl Pool {
         };
         let inner = Inner {
             state: Mutex::new(state),
+            urgent_tasks: AtomicUsize::new(0),
             wake: Condvar::new(),
             arrived: Condvar::new(),
             threads: threads.max(1),
@@ -209,14 +276,26 @@ impl Pool {
     }
 
     /// Queues a node task.
-    pub fn push(&self, task: u32) {
+    pub fn push(&self, task: u32, urgency: Urgency) {
         let mut state = lock(&self.inner);
-        state.tasks.push_back(task);
+        match urgency {
+            Urgency::Urgent => {
+                state.urgent.push_back(task);
+                self.inner.urgent_tasks.store(state.urgent.len(), Ordering::Relaxed);
+            }
+            Urgency::Patient => state.patient.push_back((task, clock::now_ns())),
+        }
         let wake = state.idle > 0;
         drop(state);
         if wake {
             self.inner.wake.notify_one();
         }
+    }
+
+    /// Whether an urgent task waits for a worker.
+    #[inline]
+    pub fn is_pressed(&self) -> bool {
+        self.inner.urgent_tasks.load(Ordering::Relaxed) > 0
     }
 
     /// Lets the workers finish what is queued and joins them.
@@ -243,19 +322,17 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
             state.given_up.swap_remove(at);
             return;
         }
-        // Chunks first: somebody waits for them, and they finish what was begun.
-        let found = state.loops.iter().copied().find(|l| {
-            // SAFETY: on the list, so its caller has not returned.
-            let l = unsafe { &*l.0 };
-            l.next.load(Ordering::Relaxed) < l.chunks
-        });
+        let found = state.next_loop(Urgency::Urgent);
+        let urgent = if found.is_none() { state.next_task(inner, Urgency::Urgent) } else { None };
+        let found = found.or_else(|| if urgent.is_none() { state.next_loop(Urgency::Patient) } else { None });
         if let Some(found) = found {
             // SAFETY: as above; counted as helper under the lock, so the caller waits for us.
             let this = unsafe { &*found.0 };
             this.helpers.fetch_add(1, Ordering::Relaxed);
             state.helping.push((number, this.caller_number));
             drop(state);
-            this.run_chunks();
+            set_urgency(this.urgency);
+            this.help(inner);
             let caller = this.caller.clone();
             if this.helpers.fetch_sub(1, Ordering::Release) == 1 {
                 // `this` may be gone now; its caller's handle was copied.
@@ -267,7 +344,7 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
             }
             continue;
         }
-        if let Some(next) = state.tasks.pop_front() {
+        if let Some(next) = urgent.or_else(|| state.next_task(inner, Urgency::Patient)) {
             drop(state);
             task(next, &mut walk);
             state = lock(inner);
@@ -307,6 +384,7 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
         helpers: AtomicU32::new(0),
         caller: std::thread::current(),
         caller_number: thread_number(),
+        urgency: URGENCY.with(Cell::get),
     };
     let wanted = (inner.threads - 1).min(chunks - 1);
     let mut state = lock(inner);
@@ -363,6 +441,38 @@ mod tests {
     unsafe extern "C" fn nested(data: *mut c_void, _: usize) {
         // SAFETY: `add` takes the same counter.
         unsafe { parallel_for(10, Some(add), data) };
+    }
+
+    #[test]
+    fn urgent_tasks_go_first_and_patient_ones_do_not_starve() {
+        let pool = Pool::new(1);
+        let (held, hold) = std::sync::mpsc::channel::<()>();
+        let (done, seen) = std::sync::mpsc::channel();
+        let hold = Mutex::new(hold);
+        let task: Task = Arc::new(move |task, _: &mut Walk| {
+            if task == 0 {
+                // The one worker is kept until all others wait.
+                let _ = hold.lock().unwrap_or_else(PoisonError::into_inner).recv();
+            }
+            let _ = done.send(task);
+        });
+        pool.start(&task).expect("threads");
+        pool.push(0, Urgency::Urgent);
+        pool.push(1, Urgency::Patient);
+        pool.push(2, Urgency::Urgent);
+        pool.push(3, Urgency::Urgent);
+        let order = |count: usize| seen.iter().take(count).collect::<Vec<u32>>();
+        held.send(()).expect("the worker waits");
+        assert_eq!(order(4), [0, 2, 3, 1]);
+        assert!(!pool.is_pressed());
+        // What has waited too long goes first.
+        pool.push(0, Urgency::Urgent);
+        pool.push(4, Urgency::Patient);
+        std::thread::sleep(std::time::Duration::from_nanos(LONGEST_PATIENCE_NS * 3 / 2));
+        pool.push(5, Urgency::Urgent);
+        held.send(()).expect("the worker waits");
+        assert_eq!(order(3), [0, 4, 5]);
+        pool.stop();
     }
 
     #[test]

@@ -12,6 +12,7 @@ pub mod model;
 pub mod onnx_file;
 pub mod runtime_library;
 pub mod shaft;
+pub mod silhouette;
 pub mod tip_track;
 pub mod tool_tip;
 pub mod track;

@@ -1,111 +1,369 @@
 //! Where an instrument ends: from its mask along the shaft's axis, or from its box alone.
 
-/// A tip in px of the picture.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TipPixel {
-    /// Horizontal.
-    pub u_px: f64,
-    /// Vertical.
-    pub v_px: f64,
-    /// Unit vector from the entry towards the tip.
-    pub direction: [f64; 2],
+/// A mask as bits: most significant first, rows padded to whole bytes.
+#[derive(Clone, Copy, Debug)]
+pub struct Mask<'a> {
+    bits: &'a [u8],
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
 }
 
-/// How far along the axis the end is averaged, in px: the outermost pixel alone is noise.
-const END_PX: f64 = 2.0;
-/// Last part of the length over which the middle between both sides is taken: the tip of open jaws lies between them.
-const END_SHARE: f64 = 0.08;
-/// From this ratio of variances on a mask has a direction of its own, if that agrees with where it enters; a wide one points away from its entry.
-const LONG: f64 = 6.0;
-/// From this one on it has one whatever it touches: a shaft that runs along the border.
-const VERY_LONG: f64 = 20.0;
+impl<'a> Mask<'a> {
+    /// Bits as a mask; rows that are missing are empty.
+    pub fn new(bits: &'a [u8], width: usize, height: usize) -> Self {
+        let height = bits.len().checked_div(width.div_ceil(8)).map_or(0, |rows| height.min(rows));
+        Self { bits, width, height }
+    }
 
-/// The tip of a mask given as bits (most significant first, rows padded to whole bytes).
-///
-/// The instrument enters where the mask touches the picture's border; where it does not, on the side nearer to it. The shaft's axis is the
-/// mask's main direction, or for a wide mask (a bag, open jaws) the line from the entry through the mask's middle. The tip is where the mask ends
-/// on the other side, in the middle of its end. `None` for an empty mask.
-pub fn tip_of_mask(bits: &[u8], width: usize, height: usize) -> Option<TipPixel> {
-    let row_bytes = width.div_ceil(8);
-    let each = |visit: &mut dyn FnMut(f64, f64)| {
-        for (y, row) in bits.chunks_exact(row_bytes.max(1)).take(height).enumerate() {
+    /// Whether a pixel belongs to the mask; none outside does.
+    pub fn contains(&self, x: usize, y: usize) -> bool {
+        x < self.width && y < self.height && self.bits[y * self.width.div_ceil(8) + x / 8] & (0x80 >> (x % 8)) != 0
+    }
+
+    fn each(&self, visit: &mut dyn FnMut(f64, f64)) {
+        for (y, row) in self.bits.chunks_exact(self.width.div_ceil(8).max(1)).take(self.height).enumerate() {
             for (b, &byte) in row.iter().enumerate().filter(|(_, byte)| **byte != 0) {
                 for k in (0..8).filter(|k| byte & (0x80 >> k) != 0) {
                     visit((b * 8 + k) as f64, y as f64);
                 }
             }
         }
-    };
-    let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-    let (mut touching, mut entry_x, mut entry_y) = (0.0, 0.0, 0.0);
-    each(&mut |x, y| {
-        n += 1.0;
-        sx += x;
-        sy += y;
-        sxx += x * x;
-        sxy += x * y;
-        syy += y * y;
-        if x < 1.0 || y < 1.0 || x >= width as f64 - 1.0 || y >= height as f64 - 1.0 {
-            touching += 1.0;
-            entry_x += x;
-            entry_y += y;
-        }
-    });
-    if n == 0.0 {
-        return None;
     }
-    let (cx, cy) = (sx / n, sy / n);
-    let (a, b, c) = (sxx / n - cx * cx, sxy / n - cx * cy, syy / n - cy * cy);
-    let angle = 0.5 * (2.0 * b).atan2(a - c);
-    let spread = ((a - c).powi(2) + 4.0 * b * b).sqrt();
-    let is_longer = |ratio: f64| a + c + spread >= ratio * (a + c - spread).max(0.0);
-    let main = [angle.cos(), angle.sin()];
-    let from_entry = (touching > 0.0).then(|| [cx - entry_x / touching, cy - entry_y / touching]);
-    let from_entry = from_entry.filter(|v| v[0].hypot(v[1]) > 1.0);
-    let axis = match from_entry {
-        Some([x, y]) => {
-            let away = [x / x.hypot(y), y / x.hypot(y)];
-            let agrees = (away[0] * main[0] + away[1] * main[1]).abs() > 0.7;
-            if is_longer(VERY_LONG) || (is_longer(LONG) && agrees) { main } else { away }
+
+    /// Pixels of the border, once around.
+    fn border(&self) -> impl Iterator<Item = (usize, usize)> + use<'a> {
+        let (w, h) = (self.width, self.height);
+        let (right, bottom) = (w.saturating_sub(1), h.saturating_sub(1));
+        (0..w)
+            .map(|x| (x, 0))
+            .chain((1..h).map(move |y| (right, y)))
+            .chain((0..right).rev().map(move |x| (x, bottom)))
+            .chain((1..bottom).rev().map(|y| (0, y)))
+    }
+
+    /// Middle of the widest part of the border that the mask touches: where its shaft enters.
+    fn entry(&self) -> Option<[f64; 2]> {
+        let around = self.width.checked_mul(2)? + self.height * 2;
+        let first_gap = self.border().position(|(x, y)| !self.contains(x, y))?;
+        let (mut best, mut part, mut gap) = ([0.0_f64; 3], [0.0_f64; 3], 0);
+        // Once around from a gap, and once more over what lies before it.
+        for (x, y) in self.border().chain(self.border()).skip(first_gap).take(around) {
+            if self.contains(x, y) {
+                part = [part[0] + 1.0, part[1] + x as f64, part[2] + y as f64];
+                gap = 0;
+                if part[0] > best[0] {
+                    best = part;
+                }
+            } else {
+                gap += 1;
+                if gap > BORDER_GAP_PX {
+                    part = [0.0; 3];
+                }
+            }
         }
-        None => main,
-    };
-    let along = |x: f64, y: f64| (x - cx) * axis[0] + (y - cy) * axis[1];
-    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-    each(&mut |x, y| {
-        let t = along(x, y);
-        (low, high) = (low.min(t), high.max(t));
-    });
-    let from_border = |t: f64| {
-        let (x, y) = (cx + t * axis[0], cy + t * axis[1]);
-        x.min(y).min(width as f64 - 1.0 - x).min(height as f64 - 1.0 - y)
-    };
-    let enters_low = match from_entry {
-        Some(v) => v[0] * axis[0] + v[1] * axis[1] >= 0.0,
-        None => from_border(low) <= from_border(high),
-    };
-    let (end, sign) = if enters_low { (high, 1.0) } else { (low, -1.0) };
-    let part = (END_SHARE * (high - low)).max(END_PX);
-    let (mut ends, mut reach, mut beside, mut offset) = (0.0, 0.0, 0.0, 0.0);
-    each(&mut |x, y| {
-        let t = along(x, y);
-        let before_end = (t - end) * -sign;
-        if before_end <= END_PX {
-            ends += 1.0;
-            reach += t;
+        (best[0] > 0.0).then(|| [best[1] / best[0], best[2] / best[0]])
+    }
+}
+
+/// An end of an instrument.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct End {
+    /// Horizontal, px.
+    pub u_px: f64,
+    /// Vertical, px.
+    pub v_px: f64,
+    /// Unit vector from the instrument's inside towards this end.
+    pub direction: [f64; 2],
+}
+
+/// A tip in px of the picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TipPixel {
+    /// The tip; between open jaws the middle of both ends.
+    pub tip: End,
+    /// The ends of jaws that stand open.
+    pub jaws: Option<[End; 2]>,
+}
+
+/// How far along the axis the end is averaged, in px: the outermost pixel alone is noise.
+const END_PX: f64 = 2.0;
+/// Last part of the length over which the middle between both sides is taken.
+const END_SHARE: f64 = 0.08;
+/// From this ratio of variances on a mask has a direction of its own, if that agrees with where it enters; a wide one points away from its entry.
+const LONG: f64 = 6.0;
+/// From this one on it has one whatever it touches: a shaft that runs along the border.
+const VERY_LONG: f64 = 20.0;
+/// Gap between parts of the border that count as one.
+const BORDER_GAP_PX: usize = 3;
+/// Lines across the axis that a mask is cut into at most.
+const MOST_LINES: f64 = 256.0;
+/// Parts of a mask with less than this share of its pixels are no instrument.
+const SPECK_SHARE: f64 = 0.1;
+/// How long the shorter jaw has to be beside the longer one, and how long at least: what is shorter is the outline's roughness.
+const JAW_SHARE: f64 = 0.35;
+const JAW_PX: f64 = 5.0;
+
+/// Pixels of the mask side by side on one line across its axis, in steps.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    from: u32,
+    to: u32,
+    line: u32,
+    branch: u32,
+}
+
+/// What grows back from one end of a mask, until a longer branch takes it over.
+#[derive(Clone, Copy, Debug)]
+struct Branch {
+    end_line: u32,
+    /// The longer one that took it over, or itself.
+    owner: u32,
+    /// Where that was; where it begins, if nothing took it over.
+    fork_line: u32,
+    /// Steps in its runs.
+    size: f64,
+}
+
+/// Finds tips; its memory is kept between pictures.
+#[derive(Debug, Default)]
+pub struct TipFinder {
+    runs: Vec<Run>,
+    /// First run of each line.
+    starts: Vec<u32>,
+    branches: Vec<Branch>,
+}
+
+/// The lines across a mask: point `(line, step)` lies at `from + line * pitch * axis + step * pitch * across`.
+#[derive(Clone, Copy, Debug)]
+struct Lines {
+    from: [f64; 2],
+    axis: [f64; 2],
+    pitch: f64,
+    lines: usize,
+    steps: usize,
+}
+
+impl Lines {
+    fn place(&self, line: f64, step: f64) -> [f64; 2] {
+        let (along, aside) = (line * self.pitch, step * self.pitch);
+        let [ax, ay] = self.axis;
+        [self.from[0] + along * ax - aside * ay, self.from[1] + along * ay + aside * ax]
+    }
+}
+
+fn unit(v: [f64; 2]) -> Option<[f64; 2]> {
+    let long = v[0].hypot(v[1]);
+    (long > 1e-9).then(|| [v[0] / long, v[1] / long])
+}
+
+impl TipFinder {
+    /// The tip of a mask.
+    ///
+    /// The instrument enters where the mask touches the picture's border most; where it does not, on the side nearer to it. The shaft's axis is the
+    /// mask's main direction, or for a wide mask (a bag, open jaws) the line from the entry through the mask's middle. The tip is where the mask ends
+    /// on the other side, in the middle of its end; where it forks there into two jaws, the middle of both ends. `None` for an empty mask.
+    pub fn of_mask(&mut self, mask: Mask<'_>) -> Option<TipPixel> {
+        let (width, height) = (mask.width as f64, mask.height as f64);
+        let (mut n, mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+        mask.each(&mut |x, y| {
+            n += 1.0;
+            sx += x;
+            sy += y;
+            sxx += x * x;
+            sxy += x * y;
+            syy += y * y;
+        });
+        if n == 0.0 {
+            return None;
         }
-        if before_end <= part {
-            beside += 1.0;
-            offset += (y - cy) * axis[0] - (x - cx) * axis[1];
+        let (cx, cy) = (sx / n, sy / n);
+        let (a, b, c) = (sxx / n - cx * cx, sxy / n - cx * cy, syy / n - cy * cy);
+        let angle = 0.5 * (2.0 * b).atan2(a - c);
+        let spread = ((a - c).powi(2) + 4.0 * b * b).sqrt();
+        let is_longer = |ratio: f64| a + c + spread >= ratio * (a + c - spread).max(0.0);
+        let main = [angle.cos(), angle.sin()];
+        let from_entry = mask.entry().map(|[x, y]| [cx - x, cy - y]).filter(|v| v[0].hypot(v[1]) > 1.0);
+        let mut axis = match from_entry.and_then(unit) {
+            Some(away) => {
+                let agrees = (away[0] * main[0] + away[1] * main[1]).abs() > 0.7;
+                if is_longer(VERY_LONG) || (is_longer(LONG) && agrees) { main } else { away }
+            }
+            None => main,
+        };
+        let reach = |axis: [f64; 2]| {
+            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+            mask.each(&mut |x, y| {
+                let t = (x - cx) * axis[0] + (y - cy) * axis[1];
+                (low, high) = (low.min(t), high.max(t));
+            });
+            (low, high)
+        };
+        let (mut low, mut high) = reach(axis);
+        let from_border = |t: f64| {
+            let (x, y) = (cx + t * axis[0], cy + t * axis[1]);
+            x.min(y).min(width - 1.0 - x).min(height - 1.0 - y)
+        };
+        let enters_low = match from_entry {
+            Some(v) => v[0] * axis[0] + v[1] * axis[1] >= 0.0,
+            None => from_border(low) <= from_border(high),
+        };
+        if !enters_low {
+            (axis, low, high) = ([-axis[0], -axis[1]], -high, -low);
         }
-    });
-    // The pixel at the very end counts for both.
-    let (reach, offset) = (reach / ends, offset / beside);
-    Some(TipPixel {
-        u_px: cx + reach * axis[0] - offset * axis[1],
-        v_px: cy + reach * axis[1] + offset * axis[0],
-        direction: [axis[0] * sign, axis[1] * sign],
-    })
+        let (left, right) = reach([-axis[1], axis[0]]);
+        let pitch = ((high - low).max(right - left) / MOST_LINES).max(1.0);
+        let count = |length: f64| (length / pitch).ceil() as usize + 1;
+        let from = [cx + low * axis[0] - left * axis[1], cy + low * axis[1] + left * axis[0]];
+        let lines = Lines { from, axis, pitch, lines: count(high - low), steps: count(right - left) };
+        self.cut(&mask, &lines);
+        self.grow();
+        let (longest, fork) = self.fork(&lines)?;
+        if let Some((other, fork_line)) = fork {
+            let ends = [longest, other].map(|branch| self.end(&lines, branch, fork_line));
+            if let [Some(one), Some(two)] = ends {
+                let (u_px, v_px) = ((one.u_px + two.u_px) / 2.0, (one.v_px + two.v_px) / 2.0);
+                return Some(TipPixel { tip: End { u_px, v_px, direction: axis }, jaws: Some([one, two]) });
+            }
+        }
+        // Without a fork: the middle of its last part.
+        let end = low + f64::from(self.branches[longest as usize].end_line) * pitch;
+        let part = (END_SHARE * (end - low)).max(END_PX);
+        let (mut ends, mut reach, mut beside, mut offset) = (0.0, 0.0, 0.0, 0.0);
+        mask.each(&mut |x, y| {
+            let t = (x - cx) * axis[0] + (y - cy) * axis[1];
+            let before_end = end - t;
+            if (-pitch..=END_PX.max(pitch)).contains(&before_end) {
+                ends += 1.0;
+                reach += t;
+            }
+            if (-pitch..=part).contains(&before_end) {
+                beside += 1.0;
+                offset += (y - cy) * axis[0] - (x - cx) * axis[1];
+            }
+        });
+        if ends == 0.0 || beside == 0.0 {
+            return None;
+        }
+        let (reach, offset) = (reach / ends, offset / beside);
+        let (u_px, v_px) = (cx + reach * axis[0] - offset * axis[1], cy + reach * axis[1] + offset * axis[0]);
+        Some(TipPixel { tip: End { u_px, v_px, direction: axis }, jaws: None })
+    }
+
+    /// Cuts the mask into runs.
+    fn cut(&mut self, mask: &Mask<'_>, lines: &Lines) {
+        self.runs.clear();
+        self.starts.clear();
+        for line in 0..lines.lines {
+            self.starts.push(self.runs.len() as u32);
+            let mut open: Option<u32> = None;
+            for step in 0..=lines.steps {
+                let [x, y] = lines.place(line as f64, step as f64);
+                let (x, y) = (x.round(), y.round());
+                let inside = step < lines.steps && x >= 0.0 && y >= 0.0 && mask.contains(x as usize, y as usize);
+                match (inside, open) {
+                    (true, None) => open = Some(step as u32),
+                    (false, Some(from)) => {
+                        self.runs.push(Run { from, to: step as u32 - 1, line: line as u32, branch: 0 });
+                        open = None;
+                    }
+                    _ => {}
+                }
+            }
+        }
+        self.starts.push(self.runs.len() as u32);
+    }
+
+    fn owner(branches: &[Branch], mut branch: u32) -> u32 {
+        while branches[branch as usize].owner != branch {
+            branch = branches[branch as usize].owner;
+        }
+        branch
+    }
+
+    /// Lets branches grow from the far end: where two meet, the one that reaches farther takes the other over.
+    fn grow(&mut self) {
+        let Self { runs, starts, branches } = self;
+        branches.clear();
+        for line in (0..starts.len().saturating_sub(1)).rev() {
+            let here = starts[line] as usize..starts[line + 1] as usize;
+            let above = match starts.get(line + 2) {
+                Some(end) => starts[line + 1] as usize..*end as usize,
+                None => 0..0,
+            };
+            for index in here {
+                let run = runs[index];
+                let mut mine: Option<u32> = None;
+                for next in &runs[above.clone()] {
+                    if next.from > run.to + 1 || run.from > next.to + 1 {
+                        continue;
+                    }
+                    let other = Self::owner(branches, next.branch);
+                    let Some(own) = mine.filter(|own| *own != other) else {
+                        mine = Some(other);
+                        continue;
+                    };
+                    let reach = |branch: u32| branches[branch as usize].end_line;
+                    let (wins, loses) = if reach(other) > reach(own) { (other, own) } else { (own, other) };
+                    branches[wins as usize].size += branches[loses as usize].size;
+                    let lost = &mut branches[loses as usize];
+                    (lost.owner, lost.fork_line) = (wins, line as u32);
+                    mine = Some(wins);
+                }
+                let branch = mine.unwrap_or_else(|| {
+                    let number = branches.len() as u32;
+                    branches.push(Branch { end_line: line as u32, owner: number, fork_line: 0, size: 0.0 });
+                    number
+                });
+                runs[index].branch = branch;
+                branches[branch as usize].fork_line = line as u32;
+                branches[branch as usize].size += f64::from(run.to - run.from + 1);
+            }
+        }
+    }
+
+    /// The branch that reaches farthest of those that are no specks, and the jaw beside it with the line where they part.
+    fn fork(&self, lines: &Lines) -> Option<(u32, Option<(u32, u32)>)> {
+        let whole = |number: &u32| self.branches[*number as usize].owner == *number;
+        let numbers = || 0..self.branches.len() as u32;
+        let all: f64 = numbers().filter(whole).map(|number| self.branches[number as usize].size).sum();
+        let large = numbers().filter(whole).filter(|n| self.branches[*n as usize].size >= SPECK_SHARE * all);
+        let longest = large.max_by_key(|n| (self.branches[*n as usize].end_line, u32::MAX - n))?;
+        let Branch { end_line: end, fork_line: begin, .. } = self.branches[longest as usize];
+        // A jaw of its own is the other one's where the joint lies outside the picture: then both begin side by side.
+        let from = |b: &Branch| if b.owner == longest { b.fork_line } else { b.fork_line.max(begin) };
+        let length = |b: &Branch| b.end_line.saturating_sub(from(b));
+        let is_jaw =
+            |(n, b): &(u32, Branch)| *n != longest && (b.owner == longest || whole(n) && b.size >= SPECK_SHARE * all);
+        let jaws = numbers().map(|n| (n, self.branches[n as usize])).filter(is_jaw);
+        let jaw = jaws.max_by_key(|(_, b)| length(b)).filter(|(_, b)| {
+            let (short, long) = (f64::from(length(b)), f64::from(end - from(b)));
+            short * lines.pitch >= JAW_PX && short >= JAW_SHARE * long
+        });
+        Some((longest, jaw.map(|(number, branch)| (number, from(&branch)))))
+    }
+
+    /// The end of a branch, seen from where it forks off.
+    fn end(&self, lines: &Lines, branch: u32, fork_line: u32) -> Option<End> {
+        let end_line = self.branches[branch as usize].end_line;
+        let depth = (END_PX / lines.pitch).ceil() as u32;
+        let own = || self.runs.iter().filter(|run| run.branch == branch && run.line > fork_line);
+        let middle = |from: u32, to: u32| {
+            let (mut n, mut line, mut step) = (0.0, 0.0, 0.0);
+            for run in own().filter(|run| (from..=to).contains(&run.line)) {
+                n += 1.0;
+                line += f64::from(run.line);
+                step += f64::from(run.from + run.to) / 2.0;
+            }
+            (n > 0.0).then(|| lines.place(line / n, step / n))
+        };
+        let [u_px, v_px] = middle(end_line.saturating_sub(depth), end_line)?;
+        // The half that is farther from the joint shows where the jaw points.
+        let [x, y] = middle(fork_line, end_line.saturating_sub((end_line - fork_line) / 2))?;
+        let direction = unit([u_px - x, v_px - y]).unwrap_or(lines.axis);
+        Some(End { u_px, v_px, direction })
+    }
 }
 
 /// The tip of a box (left, top, right, bottom). Detectors box the working end; its shaft comes from the border that the box is nearest to, and
@@ -127,14 +385,15 @@ pub fn tip_of_box(corners: [f32; 4], width: usize, height: usize) -> TipPixel {
     let reach = |d: f64, half: f64| if d.abs() > 1e-9 { half / d.abs() } else { f64::INFINITY };
     let t = reach(direction[0], (x1 - x0) / 2.0).min(reach(direction[1], (y1 - y0) / 2.0));
     let t = if t.is_finite() { t } else { 0.0 };
-    TipPixel { u_px: cx + t * direction[0], v_px: cy + t * direction[1], direction }
+    let tip = End { u_px: cx + t * direction[0], v_px: cy + t * direction[1], direction };
+    TipPixel { tip, jaws: None }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn mask(width: usize, height: usize, inside: impl Fn(f64, f64) -> bool) -> Vec<u8> {
+    fn tip(width: usize, height: usize, inside: impl Fn(f64, f64) -> bool) -> Option<TipPixel> {
         let row = width.div_ceil(8);
         let mut bits = vec![0; row * height];
         for y in 0..height {
@@ -142,53 +401,125 @@ mod tests {
                 bits[y * row + x / 8] |= 0x80 >> (x % 8);
             }
         }
-        bits
+        TipFinder::default().of_mask(Mask::new(&bits, width, height))
+    }
+
+    /// Whether a point lies on a bar of a width from one point to another.
+    fn on_bar([x, y]: [f64; 2], [ax, ay]: [f64; 2], [bx, by]: [f64; 2], width: f64) -> bool {
+        let length = (bx - ax).hypot(by - ay);
+        let (t, s) = (
+            ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / length,
+            ((y - ay) * (bx - ax) - (x - ax) * (by - ay)) / length,
+        );
+        (0.0..=length).contains(&t) && s.abs() <= width / 2.0
     }
 
     #[test]
     fn a_shaft_from_the_right_ends_on_the_left() {
-        // A bar of 8 px from the right border at (100, 40) to a tip at (30, 60).
-        let (tip, tail) = ([30.0f64, 60.0], [110.0f64, 37.0]);
-        let length = (tail[0] - tip[0]).hypot(tail[1] - tip[1]);
-        let axis = [(tail[0] - tip[0]) / length, (tail[1] - tip[1]) / length];
-        let bits = mask(101, 80, |x, y| {
-            let (dx, dy) = (x - tip[0], y - tip[1]);
-            let (t, s) = (dx * axis[0] + dy * axis[1], dy * axis[0] - dx * axis[1]);
-            t >= 0.0 && s.abs() <= 4.0
-        });
-        let found = tip_of_mask(&bits, 101, 80).expect("the mask is not empty");
-        assert!((found.u_px - 31.0).abs() < 1.5 && (found.v_px - 60.0).abs() < 1.5, "{found:?}");
-        assert!(found.direction[0] < -0.9);
+        // A bar of 8 px from the right border to a tip at (30, 60).
+        let found =
+            tip(101, 80, |x, y| on_bar([x, y], [30.0, 60.0], [110.0, 37.0], 8.0)).expect("the mask is not empty");
+        assert!((found.tip.u_px - 31.0).abs() < 1.5 && (found.tip.v_px - 60.0).abs() < 1.5, "{found:?}");
+        assert!(found.tip.direction[0] < -0.9 && found.jaws.is_none());
     }
 
     #[test]
     fn a_wide_bag_ends_opposite_to_its_entry() {
         // Half an ellipse at the right border, taller than wide.
-        let bits = mask(100, 120, |x, y| ((x - 100.0) / 30.0).powi(2) + ((y - 60.0) / 45.0).powi(2) <= 1.0);
-        let found = tip_of_mask(&bits, 100, 120).expect("the mask is not empty");
-        assert!((found.u_px - 71.0).abs() < 2.0 && (found.v_px - 60.0).abs() < 1.0, "{found:?}");
+        let bag = |x: f64, y: f64| ((x - 100.0) / 30.0).powi(2) + ((y - 60.0) / 45.0).powi(2) <= 1.0;
+        let found = tip(100, 120, bag).expect("the mask is not empty");
+        assert!((found.tip.u_px - 71.0).abs() < 2.0 && (found.tip.v_px - 60.0).abs() < 1.0, "{found:?}");
     }
 
     #[test]
     fn the_tip_of_open_jaws_lies_between_them() {
         // Two jaws from the joint at (60, 50), 15 px to either side at x = 10, on a shaft from the right border.
-        let bits = mask(101, 100, |x, y| {
+        let found = tip(101, 100, |x, y| {
             let jaw = (x - 60.0).abs() <= 50.0 && x <= 60.0 && ((y - 50.0).abs() - 0.3 * (60.0 - x)).abs() <= 3.0;
             jaw || (x > 60.0 && (y - 50.0).abs() <= 5.0)
         });
-        let found = tip_of_mask(&bits, 101, 100).expect("the mask is not empty");
-        assert!((found.u_px - 11.0).abs() < 2.0 && (found.v_px - 50.0).abs() < 1.5, "{found:?}");
+        let found = found.expect("the mask is not empty");
+        assert!((found.tip.u_px - 11.0).abs() < 2.0 && (found.tip.v_px - 50.0).abs() < 1.5, "{found:?}");
+    }
+
+    #[test]
+    fn jaws_wide_open_and_seen_askew_end_in_the_middle_of_both_ends() {
+        // One jaw is seen longer than the other; the wider they open, the more one of them would be taken for the tip.
+        for (joint, one, two) in [
+            ([300.0, 200.0], [180.0, 110.0], [200.0, 250.0]),
+            ([260.0, 240.0], [120.0, 260.0], [190.0, 130.0]),
+            ([330.0, 150.0], [230.0, 60.0], [210.0, 190.0]),
+        ] {
+            let found = tip(400, 300, |x, y| {
+                on_bar([x, y], [420.0, 210.0], joint, 26.0)
+                    || on_bar([x, y], joint, one, 14.0)
+                    || on_bar([x, y], joint, two, 14.0)
+            });
+            let found = found.expect("the mask is not empty");
+            let middle = [(one[0] + two[0]) / 2.0, (one[1] + two[1]) / 2.0];
+            let off = (found.tip.u_px - middle[0]).hypot(found.tip.v_px - middle[1]);
+            assert!(off < 6.0 && found.jaws.is_some(), "{off} px from {middle:?}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn a_jaw_that_leaves_the_picture_is_no_entry() {
+        // The shaft comes from the right; one jaw ends at the left border, where it is narrower than the shaft.
+        let found = tip(200, 160, |x, y| {
+            on_bar([x, y], [220.0, 80.0], [100.0, 80.0], 20.0)
+                || on_bar([x, y], [104.0, 80.0], [-20.0, 40.0], 8.0)
+                || on_bar([x, y], [104.0, 80.0], [20.0, 130.0], 8.0)
+        });
+        let found = found.expect("the mask is not empty");
+        assert!(found.tip.direction[0] < -0.9 && (found.tip.v_px - 90.0).abs() < 8.0, "{found:?}");
+    }
+
+    #[test]
+    fn jaws_whose_joint_lies_outside_the_picture_are_one_instrument() {
+        let found = tip(200, 160, |x, y| {
+            on_bar([x, y], [240.0, 80.0], [120.0, 40.0], 12.0) || on_bar([x, y], [240.0, 80.0], [110.0, 110.0], 12.0)
+        });
+        let found = found.expect("the mask is not empty");
+        assert!((found.tip.u_px - 115.0).hypot(found.tip.v_px - 75.0) < 5.0 && found.jaws.is_some(), "{found:?}");
+        // Another instrument across it cuts a shaft in two: the part behind is no jaw.
+        let found =
+            tip(200, 160, |x, y| on_bar([x, y], [220.0, 80.0], [40.0, 80.0], 12.0) && !(90.0..110.0).contains(&x));
+        let found = found.expect("the mask is not empty");
+        assert!((found.tip.u_px - 41.0).abs() < 2.0 && found.jaws.is_none(), "{found:?}");
+    }
+
+    #[test]
+    fn specks_and_rough_edges_are_no_ends() {
+        let bar = |x: f64, y: f64| on_bar([x, y], [60.0, 80.0], [220.0, 80.0], 16.0);
+        let clean = tip(200, 160, bar).expect("the mask is not empty");
+        // A speck beyond the tip, and a notch of 3 px in its end.
+        let rough = |x: f64, y: f64| {
+            (bar(x, y) && !((60.0..63.0).contains(&x) && (78.0..82.0).contains(&y))) || (x - 20.0).hypot(y - 90.0) < 4.0
+        };
+        let found = tip(200, 160, rough).expect("the mask is not empty");
+        let off = (found.tip.u_px - clean.tip.u_px).hypot(found.tip.v_px - clean.tip.v_px);
+        assert!(off < 2.0 && found.jaws.is_none(), "{found:?} for {clean:?}");
     }
 
     #[test]
     fn an_empty_mask_has_no_tip() {
-        assert_eq!(tip_of_mask(&[0; 20], 16, 10), None);
-        assert_eq!(tip_of_mask(&[], 0, 0), None);
+        let mut finder = TipFinder::default();
+        assert_eq!(finder.of_mask(Mask::new(&[0; 20], 16, 10)), None);
+        assert_eq!(finder.of_mask(Mask::new(&[], 0, 0)), None);
+        assert_eq!(finder.of_mask(Mask::new(&[], 16, 10)), None);
+    }
+
+    #[test]
+    fn a_full_mask_and_single_pixels_are_borne() {
+        let mut finder = TipFinder::default();
+        assert!(finder.of_mask(Mask::new(&[0xff; 20], 16, 10)).is_some());
+        assert!(finder.of_mask(Mask::new(&[0x80], 1, 1)).is_some());
+        assert!(tip(9, 9, |x, y| x == 4.0 && y == 4.0).is_some());
     }
 
     #[test]
     fn a_box_at_the_right_border_ends_on_its_left_side() {
-        let tip = tip_of_box([80.0, 30.0, 100.0, 40.0], 100, 80);
+        let TipPixel { tip, .. } = tip_of_box([80.0, 30.0, 100.0, 40.0], 100, 80);
         assert!((tip.u_px - 80.0).abs() < 1e-6 && (tip.v_px - 35.0).abs() < 1e-6, "{tip:?}");
     }
 }

@@ -2,10 +2,13 @@
 
 use panoscope_node::abi::{Calibration, Detection, Tip};
 use panoscope_node::{
-    Context, Depth, Detections, Disparity, Image, Instances, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value,
+    AnyImage, Bgr8, Context, Depth, Detections, Disparity, Image, Instances, Node, NodeInfo, Open, Params, Ports,
+    Result, Slot, Value, View, error,
 };
 
-use crate::shaft::{TipPixel, tip_of_box, tip_of_mask};
+use crate::candidates::iou;
+use crate::shaft::{End, Mask, TipFinder, TipPixel, tip_of_box};
+use crate::silhouette::{Cues, Silhouette};
 
 /// Inputs.
 #[derive(Ports)]
@@ -14,9 +17,13 @@ pub struct In<'f> {
     detections: Option<Detections<'f>>,
     /// Tools with masks: preferred to boxes.
     instances: Option<Instances<'f>>,
+    /// The picture that boxes were found in, bgr8: with it, or with depth, the tool is cut out of its box and its end found there; without both the
+    /// tip is where the box ends, off by half the box's width.
+    image: Option<AnyImage<'f>>,
     /// Depth of the left rectified view, for the place in space.
     depth: Option<Image<'f, Depth>>,
-    /// Disparity of the left rectified view, where no depth is connected.
+    /// Disparity of the left rectified view, where no depth is connected. Best as a matcher gives it: filters fill what was not matched, and so mix
+    /// a thin end with the tissue behind it.
     disparity: Option<Image<'f, Disparity>>,
     /// Calibration of the rectified views, for the place in space.
     calibration: Option<Value<'f, Calibration>>,
@@ -35,7 +42,8 @@ pub struct ToolTipParams {
     /// Name of the class to follow; empty takes any.
     #[param(default = "")]
     class: String,
-    /// Lowest score of a tool.
+    /// Lowest score of a tool. Where any class will do, boxes of several classes around one tool count together: they say what it may be, and
+    /// their sum how sure it is that it is one.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
     /// Radius around the tip in which depth is looked for.
@@ -46,7 +54,68 @@ pub struct ToolTipParams {
 /// Finds the tip of the leading tool.
 pub struct ToolTip {
     near: Vec<f32>,
-    leading: i64,
+    leading: Option<Leading>,
+    finder: TipFinder,
+    silhouette: Silhouette,
+}
+
+/// The tool that led last.
+struct Leading {
+    /// The number that it is called by, and the one that the detector gave it last.
+    called: i64,
+    number: i64,
+    corners: [f32; 4],
+    /// Numbers of other tools that were seen beside it then.
+    others: [i64; 16],
+    /// Ticks since.
+    missed: u32,
+}
+
+/// Overlap from which on boxes of different classes are thought to be of one tool.
+const SAME_TOOL_IOU: f32 = 0.5;
+/// The same for a box and the one that led before.
+const STILL_IOU: f32 = 0.35;
+/// A tip nearer to the picture's border than this share of its width is where a tool leaves it, and a box at the border that is no thicker than the
+/// other share shows a shaft that crosses it.
+const BORDER_SHARE: f64 = 0.01;
+const STRIP_SHARE: f32 = 0.06;
+/// Boxes that are tried until one has its tip in the picture.
+const MOST_TRIES: usize = 4;
+/// Ticks for which a tool that led may come back under another number.
+const MEMORY_TICKS: u32 = 15;
+
+fn corners_of(d: &Detection) -> [f32; 4] {
+    [d.x_px, d.y_px, d.x_px + d.width_px, d.y_px + d.height_px]
+}
+
+impl Leading {
+    /// How surely a box is of this tool: it has its number, or stands where it stood, and was no other tool then. Detectors that are in two minds
+    /// about a tool's class give it a new number whenever they change it.
+    fn claims(&self, item: &Detection) -> u8 {
+        if item.track_id >= 0 && item.track_id == self.number {
+            return 2;
+        }
+        let is_other = self.others.contains(&item.track_id);
+        u8::from(item.track_id >= 0 && !is_other && iou(&corners_of(item), &self.corners) >= STILL_IOU)
+    }
+}
+
+/// How sure it is that a box is of a tool, of whatever class.
+fn sureness(item: &Detection, items: &[Detection]) -> f32 {
+    let own = corners_of(item);
+    let mut sum = item.score;
+    for (index, other) in items.iter().enumerate() {
+        let is_same = |d: &Detection| iou(&corners_of(d), &own) >= SAME_TOOL_IOU;
+        let is_first = || {
+            let before = items[..index].iter();
+            !before.filter(|d| d.class_index == other.class_index).any(is_same)
+        };
+        // Best first: one word per class.
+        if other.class_index != item.class_index && is_same(other) && is_first() {
+            sum += other.score;
+        }
+    }
+    sum.min(1.0)
 }
 
 /// Depth values needed around the tip for a place to be trusted.
@@ -82,30 +151,63 @@ fn is_behind(
     before > HIDING_SHARE * all
 }
 
+/// What is known of depth.
+struct Space<'a> {
+    depth: Option<View<'a, f32>>,
+    disparity: Option<View<'a, f32>>,
+    /// Disparity times depth, px mm; NaN without calibration.
+    focal_baseline: f64,
+}
+
+impl Space<'_> {
+    /// Columns and rows.
+    fn size(&self) -> Option<(usize, usize)> {
+        self.depth.as_ref().or(self.disparity.as_ref()).map(|view| (view.width, view.height))
+    }
+
+    /// mm; NaN where unknown.
+    fn depth_mm(&self, x: usize, y: usize) -> f32 {
+        match (&self.depth, &self.disparity) {
+            (Some(view), _) => view.row(y)[x],
+            (None, Some(view)) => (self.focal_baseline / f64::from(view.row(y)[x])) as f32,
+            (None, None) => f32::NAN,
+        }
+    }
+
+    /// Grows as 1/depth does, in whatever unit.
+    fn nearness(&self, x: usize, y: usize) -> f32 {
+        match (&self.depth, &self.disparity) {
+            (_, Some(view)) => view.row(y)[x],
+            (Some(view), None) => 1.0 / view.row(y)[x],
+            (None, None) => f32::NAN,
+        }
+    }
+}
+
 impl ToolTip {
     /// Median depth of what lies around the tip on the tool: the nearer surface, since a tool stands before the tissue.
     fn depth_at(
-        &mut self,
+        near: &mut Vec<f32>,
         at: (f64, f64),
         radius: usize,
         size: (usize, usize),
         depth_of: impl Fn(usize, usize) -> f32,
     ) -> Option<f32> {
         let (u, v, r) = (at.0.round() as isize, at.1.round() as isize, radius as isize);
-        self.near.clear();
+        near.clear();
         for y in (v - r).max(0)..=(v + r).min(size.1 as isize - 1) {
             for x in (u - r).max(0)..=(u + r).min(size.0 as isize - 1) {
                 let z = depth_of(x as usize, y as usize);
                 if (x - u).pow(2) + (y - v).pow(2) <= r * r && z.is_finite() && z > 0.0 {
-                    self.near.push(z);
+                    near.push(z);
                 }
             }
         }
-        if self.near.len() < MIN_VALUES {
+        if near.len() < MIN_VALUES {
             return None;
         }
-        self.near.sort_unstable_by(f32::total_cmp);
-        Some(self.near[self.near.len() / 4])
+        near.sort_unstable_by(f32::total_cmp);
+        Some(near[near.len() / 4])
     }
 }
 
@@ -116,7 +218,7 @@ impl Node for ToolTip {
     type Params = ToolTipParams;
 
     fn open(_: &Open<'_>, _: &ToolTipParams) -> Result<Self> {
-        Ok(Self { near: Vec::new(), leading: -1 })
+        Ok(Self { near: Vec::new(), leading: None, finder: TipFinder::default(), silhouette: Silhouette::default() })
     }
 
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &ToolTipParams) -> Result<()> {
@@ -124,68 +226,133 @@ impl Node for ToolTip {
         // Empty on ticks that the detector, slower than the camera, left out.
         let Some(found) = masks.map(|m| m.detections()).or(input.detections) else { return Ok(()) };
         let size = found.image_size();
-        let wanted = |d: &Detection| {
-            d.score >= params.min_score && (params.class.is_empty() || found.label(d.class_index) == params.class)
-        };
+        let picture = input.image.and_then(|image| image.as_plane::<Bgr8>()).map(|image| image.view());
+        if let Some(view) = picture.as_ref().filter(|view| (view.width, view.height) != size) {
+            return Err(error!(
+                "`image` is {}x{}, tools were found in a picture of {}x{}: wire the picture that was searched",
+                view.width, view.height, size.0, size.1
+            ));
+        }
+        let items = found.items();
+        let is_wanted = |d: &Detection| params.class.is_empty() || found.label(d.class_index) == params.class;
+        let score = |d: &Detection| if params.class.is_empty() { sureness(d, items) } else { d.score };
+        let leading = self.leading.take().filter(|leading| leading.missed <= MEMORY_TICKS);
+        let claim = |d: &Detection| leading.as_ref().map_or(0, |leading| leading.claims(d));
         // The tool that led before goes on leading while it is seen; else the surest one.
-        let best = found.items().iter().enumerate().filter(|(_, d)| wanted(d)).max_by(|(_, a), (_, b)| {
-            let leads = |d: &Detection| d.track_id >= 0 && d.track_id == self.leading;
-            leads(a).cmp(&leads(b)).then(a.score.total_cmp(&b.score))
-        });
-        let Some((index, item)) = best else { return Ok(()) };
-        self.leading = item.track_id;
-        let corners = [item.x_px, item.y_px, item.x_px + item.width_px, item.y_px + item.height_px];
-        let tip = masks.and_then(|m| tip_of_mask(m.mask(index), size.0, size.1));
-        let TipPixel { u_px, v_px, direction } = tip.unwrap_or_else(|| tip_of_box(corners, size.0, size.1));
+        let order = |(_, a): &(usize, &Detection), (_, b): &(usize, &Detection)| {
+            claim(a).cmp(&claim(b)).then(score(a).total_cmp(&score(b))).then(a.score.total_cmp(&b.score))
+        };
+        let space = Space {
+            depth: input.depth.as_ref().map(|plane| plane.view()),
+            disparity: input.disparity.as_ref().map(|plane| plane.view()),
+            focal_baseline: input.calibration.as_ref().map_or(f64::NAN, |c| c.left_projection[0] * c.baseline_mm),
+        };
+        let depth_size = space.size();
+        let mask_of = |item: usize| masks.map(|m| Mask::new(m.mask(item), size.0, size.1));
+        let is_inside = |tip: &End| {
+            let (x, y) = (tip.u_px.min(size.0 as f64 - 1.0 - tip.u_px), tip.v_px.min(size.1 as f64 - 1.0 - tip.v_px));
+            x.min(y) >= BORDER_SHARE * size.0 as f64
+        };
+        let is_strip = |d: &Detection| {
+            let [x0, y0, x1, y1] = corners_of(d);
+            let (width, height) = (size.0 as f32, size.1 as f32);
+            let thin = STRIP_SHARE * width;
+            (x1 - x0 < thin && (x0 < 2.0 || x1 > width - 2.0)) || (y1 - y0 < thin && (y0 < 2.0 || y1 > height - 2.0))
+        };
+        // A tool whose end lies at the picture's border has its tip elsewhere: boxes of shafts at the border are of this kind.
+        let mut tried = [usize::MAX; MOST_TRIES];
+        let (mut is_cut, mut best) = (false, None);
+        for try_number in 0..MOST_TRIES {
+            let wanted = items.iter().enumerate().filter(|(index, _)| !tried.contains(index));
+            let next =
+                wanted.filter(|(_, d)| is_wanted(d) && !is_strip(d) && score(d) >= params.min_score).max_by(order);
+            let Some((index, item)) = next else { break };
+            tried[try_number] = index;
+            let corners = corners_of(item);
+            let mut tip = mask_of(index).and_then(|mask| self.finder.of_mask(mask));
+            is_cut = false;
+            if tip.is_none() {
+                let nearness = |x: usize, y: usize| space.nearness(x, y);
+                let has_depth = depth_size == Some(size);
+                let cues = Cues { size, picture, nearness: if has_depth { Some(&nearness) } else { None } };
+                is_cut = self.silhouette.cut(corners, &cues);
+                if is_cut {
+                    tip = self.finder.of_mask(self.silhouette.mask()).map(|tip| self.silhouette.place(tip));
+                }
+            }
+            let tip = tip.unwrap_or_else(|| tip_of_box(corners, size.0, size.1));
+            if is_inside(&tip.tip) {
+                best = Some((index, item, tip));
+                break;
+            }
+        }
+        let Some((index, item, TipPixel { tip, jaws })) = best else {
+            self.leading = leading.map(|leading| Leading { missed: leading.missed + 1, ..leading });
+            return Ok(());
+        };
+        let called = leading.as_ref().filter(|leading| leading.claims(item) > 0).map_or(item.track_id, |l| l.called);
+        let corners = corners_of(item);
+        let mut others = [-1; 16];
+        let beside = items.iter().filter(|d| d.track_id >= 0 && iou(&corners_of(d), &corners) < STILL_IOU);
+        others.iter_mut().zip(beside).for_each(|(other, d)| *other = d.track_id);
+        self.leading = Some(Leading { called, number: item.track_id, corners, others, missed: 0 });
+        let (mut u_px, mut v_px) = (tip.u_px, tip.v_px);
         let mut xyz_mm = [f64::NAN; 3];
         let mut valid = false;
-        if let Some(calibration) = &input.calibration {
-            // Looked for a little inside the tool: at its very end half of the pixels are tissue.
-            let inside = (
-                u_px - direction[0] * params.radius_px as f64 / 2.0,
-                v_px - direction[1] * params.radius_px as f64 / 2.0,
-            );
+        if let (Some(calibration), Some(depth_size)) = (&input.calibration, depth_size) {
             let p = &calibration.left_projection;
-            let (focal, baseline) = (p[0], calibration.baseline_mm);
-            let depths = input.depth.as_ref().map(|plane| plane.view());
-            let disparities = input.disparity.as_ref().map(|plane| plane.view());
-            let place = depths.as_ref().map(|v| (v.width, v.height));
-            let place = place.or(disparities.as_ref().map(|v| (v.width, v.height)));
-            let depth_of = |x: usize, y: usize| match (&depths, &disparities) {
-                (Some(view), _) => view.row(y)[x],
-                (None, Some(view)) => (focal * baseline / f64::from(view.row(y)[x])) as f32,
-                (None, None) => f32::NAN,
-            };
-            let masks = masks.filter(|_| place == Some(size));
+            let depth_of = |x: usize, y: usize| space.depth_mm(x, y);
+            let masks = masks.filter(|_| depth_size == size);
             let of = |item: usize, x: usize, y: usize| {
-                masks.is_some_and(|m| m.mask(item)[y * size.0.div_ceil(8) + x / 8] & (0x80 >> (x % 8)) != 0)
+                masks.is_some_and(|m| Mask::new(m.mask(item), size.0, size.1).contains(x, y))
             };
-            // Where masks tell, no other surface counts.
+            let (silhouette, is_masked) = (&self.silhouette, masks.is_some());
+            // Where the tool's pixels are known, no other surface counts.
             let own_depth = |x: usize, y: usize| {
-                if masks.is_none() || of(index, x, y) { depth_of(x, y) } else { f32::NAN }
+                let own = if is_masked { of(index, x, y) } else { !is_cut || silhouette.contains(x, y) };
+                if own { depth_of(x, y) } else { f32::NAN }
             };
-            // The tip of open jaws lies between them, where the tool is not: its nearest parts count.
-            let widest = if masks.is_some() { WIDER } else { 1 };
-            let mut radii = (1..=widest).map(|times| times * params.radius_px);
-            let z = place.and_then(|place| radii.find_map(|radius| self.depth_at(inside, radius, place, own_depth)));
-            // What seems its end is where another instrument hides it: no tip is better than a wrong one.
             let others = |x: usize, y: usize| (0..found.items().len()).any(|other| other != index && of(other, x, y));
-            if z.is_some_and(|z| is_behind((u_px, v_px), z, params.radius_px, size, depth_of, &others)) {
-                return Ok(());
+            let widest = if is_masked || is_cut { WIDER } else { 1 };
+            let (mut sum, mut count) = ([0.0; 3], 0.0);
+            for end in jaws.as_ref().map_or(std::slice::from_ref(&tip), |jaws| &jaws[..]) {
+                let End { u_px, v_px, direction } = *end;
+                // Looked for a little inside the tool: at its very end half of the pixels are tissue.
+                let step = params.radius_px as f64 / 2.0;
+                let inside = (u_px - direction[0] * step, v_px - direction[1] * step);
+                let mut radii = (1..=widest).map(|times| times * params.radius_px);
+                let near = &mut self.near;
+                let Some(z) = radii.find_map(|radius| Self::depth_at(near, inside, radius, depth_size, own_depth))
+                else {
+                    continue;
+                };
+                // What seems its end is where another instrument hides it: no tip is better than a wrong one.
+                if is_behind((u_px, v_px), z, params.radius_px, depth_size, depth_of, &others) {
+                    return Ok(());
+                }
+                let z = f64::from(z);
+                let place = [(u_px - p[2]) / p[0] * z, (v_px - p[6]) / p[5] * z, z];
+                sum.iter_mut().zip(place).for_each(|(sum, v)| *sum += v);
+                count += 1.0;
             }
-            if let Some(z) = z.map(f64::from) {
+            if count > 1.0 {
+                // Between jaws the middle in space, which is seen a little beside the middle in the picture.
+                xyz_mm = sum.map(|v| v / count);
+                (u_px, v_px) = (p[0] * xyz_mm[0] / xyz_mm[2] + p[2], p[5] * xyz_mm[1] / xyz_mm[2] + p[6]);
+            } else if count > 0.0 {
+                let z = sum[2];
                 xyz_mm = [(u_px - p[2]) / p[0] * z, (v_px - p[6]) / p[5] * z, z];
-                valid = xyz_mm.iter().all(|v| v.is_finite());
             }
+            valid = xyz_mm.iter().all(|v| v.is_finite()) && u_px.is_finite() && v_px.is_finite();
         }
         out.tip.set(Tip {
             u_px,
             v_px,
             xyz_mm,
-            score: f64::from(item.score),
+            score: f64::from(score(item)),
             class_index: item.class_index,
             xyz_valid: u32::from(valid),
-            track_id: item.track_id,
+            track_id: called,
         })
     }
 }

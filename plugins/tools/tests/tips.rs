@@ -2,7 +2,7 @@
 
 use panoscope_node::abi::{Calibration, Camera, Detection, Tip};
 use panoscope_node::harness::{Harness, HarnessError};
-use panoscope_node::{Depth, detections};
+use panoscope_node::{Bgr8, Depth, Disparity, detections};
 use panoscope_tools::tip_track::TipTrack;
 use panoscope_tools::tool_tip::ToolTip;
 
@@ -85,6 +85,180 @@ fn a_tip_behind_another_instrument_is_none_and_one_before_it_is_its_own() -> Res
     // It crosses the shaft only.
     let across = tip_among(&[hook, ([100, 120, 0, 120], 52.0)])?.expect("the end is in view");
     assert!((across.u_px - alone.u_px).abs() < 2.0, "{across:?}");
+    Ok(())
+}
+
+/// Red tissue on a slope with darker vessels and a few white reflections, before it a gray instrument with a black shaft from the right border
+/// to a tip. Picture, bgr8, and depth.
+fn instrument(tip: [f64; 2]) -> (Vec<u8>, Vec<f32>) {
+    let mut picture = vec![0; WIDTH * HEIGHT * 3];
+    let mut depth = vec![0.0; WIDTH * HEIGHT];
+    let from = [170.0, 20.0];
+    let long = f64::hypot(from[0] - tip[0], from[1] - tip[1]);
+    let axis = [(from[0] - tip[0]) / long, (from[1] - tip[1]) / long];
+    for place in 0..WIDTH * HEIGHT {
+        let (x, y) = ((place % WIDTH) as f64, (place / WIDTH) as f64);
+        let (dx, dy) = (x - tip[0], y - tip[1]);
+        let (along, aside) = (dx * axis[0] + dy * axis[1], dy * axis[0] - dx * axis[1]);
+        let grain = ((place * 7919) % 17) as f64;
+        let is_tool = along >= 0.0 && aside.abs() <= 5.0;
+        let [b, g, r] = match () {
+            () if is_tool && along < 30.0 => [120.0 + grain, 122.0 + grain, 126.0 + grain],
+            () if is_tool => [22.0 + grain, 20.0 + grain, 24.0 + grain],
+            () if (x - 90.0).hypot(y - 95.0) < 3.0 => [250.0; 3],
+            () if ((x + 2.0 * y) % 40.0) < 4.0 => [40.0, 38.0, 110.0 + grain],
+            () => [60.0 + grain, 72.0 + grain, 165.0 + grain],
+        };
+        picture[3 * place..3 * place + 3].copy_from_slice(&[b as u8, g as u8, r as u8]);
+        depth[place] = if is_tool { 60.0 } else { 74.0 + 0.05 * x as f32 + 0.3 * (y as f32 * 0.2).sin() };
+    }
+    (picture, depth)
+}
+
+#[test]
+fn a_tool_is_cut_out_of_its_box_by_picture_or_depth() -> Result<(), HarnessError> {
+    for (tip, corners) in [([70.0, 60.0], [58.0, 34.0, 132.0, 72.0]), ([52.0, 84.0], [46.0, 30.0, 139.0, 99.0])] {
+        let (picture, depth) = instrument(tip);
+        let [x0, y0, x1, y1] = corners;
+        let (class_index, track_id) = (0, -1);
+        let item =
+            Detection { x_px: x0, y_px: y0, width_px: x1 - x0, height_px: y1 - y0, score: 0.9, class_index, track_id };
+        let disparity: Vec<f32> = depth.iter().map(|z| 187.5 * 15.0 / z).collect();
+        let find = |with_picture: bool, plane: &str| -> Result<Tip, HarnessError> {
+            let mut node = Harness::<ToolTip>::from_toml("")?;
+            node.input_detections("detections", &[item], "hook", (WIDTH, HEIGHT));
+            node.input_value("calibration", calibration());
+            if with_picture {
+                node.input_image::<Bgr8>("image", WIDTH, HEIGHT, &picture);
+            }
+            match plane {
+                "depth" => _ = node.input_image::<Depth>("depth", WIDTH, HEIGHT, &depth),
+                "disparity" => _ = node.input_image::<Disparity>("disparity", WIDTH, HEIGHT, &disparity),
+                _ => {}
+            }
+            node.process()?.value("tip")
+        };
+        let off = |found: &Tip| (found.u_px - tip[0]).hypot(found.v_px - tip[1]);
+        for (with_picture, plane) in [(true, "depth"), (false, "depth"), (true, "disparity"), (true, "")] {
+            let found = find(with_picture, plane)?;
+            assert!(off(&found) < 4.0, "picture {with_picture}, {plane}: {} px off: {found:?}", off(&found));
+            assert_eq!(found.xyz_valid, u32::from(!plane.is_empty()));
+            assert!(plane.is_empty() || (found.xyz_mm[2] - 60.0).abs() < 0.5, "{found:?}");
+        }
+        // The box alone tells less.
+        assert!(off(&find(false, "")?) > 6.0);
+    }
+    Ok(())
+}
+
+#[test]
+fn a_box_without_an_instrument_gives_the_boxes_end() -> Result<(), HarnessError> {
+    // Nothing but tissue: whatever the cues make of it, the tip stays within the box and its depth is the tissue's.
+    let (picture, depth) = instrument([400.0, 60.0]);
+    let item =
+        Detection { x_px: 40.0, y_px: 30.0, width_px: 60.0, height_px: 50.0, score: 0.9, class_index: 0, track_id: -1 };
+    let mut node = Harness::<ToolTip>::from_toml("")?;
+    node.input_detections("detections", &[item], "hook", (WIDTH, HEIGHT));
+    node.input_value("calibration", calibration());
+    node.input_image::<Bgr8>("image", WIDTH, HEIGHT, &picture);
+    node.input_image::<Depth>("depth", WIDTH, HEIGHT, &depth);
+    let found: Tip = node.process()?.value("tip")?;
+    assert!((30.0..110.0).contains(&found.u_px) && (20.0..90.0).contains(&found.v_px), "{found:?}");
+    assert!((70.0..85.0).contains(&found.xyz_mm[2]), "{found:?}");
+    Ok(())
+}
+
+#[test]
+fn a_tool_whose_class_changes_stays_the_same_tool() -> Result<(), HarnessError> {
+    let (picture, depth) = instrument([70.0, 60.0]);
+    let mut node = Harness::<ToolTip>::from_toml("")?;
+    let mut step = |tick: u64, items: &[Detection]| -> Result<Option<Tip>, HarnessError> {
+        node.at_tick(tick, tick as i64 * 33_333_333);
+        node.input_detections("detections", items, "grasper\nbipolar\nhook", (WIDTH, HEIGHT));
+        node.input_value("calibration", calibration());
+        node.input_image::<Bgr8>("image", WIDTH, HEIGHT, &picture);
+        node.input_image::<Depth>("depth", WIDTH, HEIGHT, &depth);
+        let out = node.process()?;
+        Ok(if out.is_empty("tip")? { None } else { Some(out.value("tip")?) })
+    };
+    let tool = |score: f32, class_index: u32, track_id: i64, shift: f32| Detection {
+        x_px: 60.0 + shift,
+        y_px: 34.0,
+        width_px: 76.0,
+        height_px: 38.0,
+        score,
+        class_index,
+        track_id,
+    };
+    // A strip at the border, which the shaft crosses, is surer than the tool; its end is no tip.
+    let strip =
+        Detection { x_px: 150.0, y_px: 2.0, width_px: 9.0, height_px: 60.0, score: 0.5, class_index: 2, track_id: 9 };
+    let first = step(0, &[strip, tool(0.45, 0, 4, 0.0)])?.expect("the tool is in view");
+    assert!((first.u_px - 70.0).abs() < 4.0 && first.track_id == 4, "{first:?}");
+    // In two minds: neither class alone is sure enough, together they are.
+    let torn = step(1, &[tool(0.2, 1, 5, 1.0), tool(0.15, 0, 4, -1.0)])?.expect("a tool of some class");
+    assert!((torn.score - 0.35).abs() < 1e-6 && torn.track_id == 4, "{torn:?}");
+    let renamed = step(2, &[tool(0.6, 1, 5, 1.0)])?.expect("the tool is in view");
+    assert_eq!((renamed.track_id, renamed.class_index), (4, 1));
+    // Another tool that was seen beside it is not taken for it when it is gone.
+    let beside = Detection { x_px: 20.0, y_px: 70.0, width_px: 40.0, ..tool(0.9, 2, 7, 0.0) };
+    assert_eq!(step(3, &[tool(0.6, 1, 5, 1.0), beside])?.map(|t| t.track_id), Some(4));
+    let moved = Detection { x_px: 58.0, y_px: 36.0, width_px: 70.0, ..beside };
+    assert_eq!(step(4, &[moved])?.map(|t| t.track_id), Some(7));
+    assert!(step(5, &[tool(0.2, 1, 5, 0.0)])?.is_none());
+    Ok(())
+}
+
+#[test]
+fn a_picture_of_another_size_is_refused() -> Result<(), HarnessError> {
+    let mut node = Harness::<ToolTip>::from_toml("")?;
+    let item =
+        Detection { x_px: 4.0, y_px: 3.0, width_px: 60.0, height_px: 50.0, score: 0.9, class_index: 0, track_id: -1 };
+    node.input_detections("detections", &[item], "hook", (WIDTH, HEIGHT));
+    node.input_image::<Bgr8>("image", 80, 60, &[0; 80 * 60 * 3]);
+    let error = node.process().err().map(|e| e.to_string()).unwrap_or_default();
+    assert!(error.contains("80x60") && error.contains("160x120"), "{error}");
+    Ok(())
+}
+
+#[test]
+fn open_jaws_have_their_tip_between_them_in_space() -> Result<(), HarnessError> {
+    // Two jaws from a joint, one of them 4 mm nearer than the other at its end; between them there is only tissue.
+    let on_bar = |x: f64, y: f64, a: [f64; 2], b: [f64; 2], width: f64| {
+        let long = f64::hypot(b[0] - a[0], b[1] - a[1]);
+        let t = ((x - a[0]) * (b[0] - a[0]) + (y - a[1]) * (b[1] - a[1])) / long;
+        let s = ((y - a[1]) * (b[0] - a[0]) - (x - a[0]) * (b[1] - a[1])) / long;
+        ((0.0..=long).contains(&t) && s.abs() <= width / 2.0).then_some(t / long)
+    };
+    let (joint, one, two) = ([110.0, 60.0], [40.0, 20.0], [50.0, 92.0]);
+    let row = WIDTH.div_ceil(8);
+    let (mut mask, mut depth) = (vec![0_u8; row * HEIGHT], vec![80.0_f32; WIDTH * HEIGHT]);
+    for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y))) {
+        let (u, v) = (x as f64, y as f64);
+        let shaft = on_bar(u, v, [170.0, 58.0], joint, 10.0).map(|_| 60.0);
+        let first = on_bar(u, v, joint, one, 6.0).map(|t| 60.0 - 2.0 * t);
+        let z = shaft.or(first).or_else(|| on_bar(u, v, joint, two, 6.0).map(|t| 60.0 + 2.0 * t));
+        if let Some(z) = z {
+            depth[y * WIDTH + x] = z as f32;
+            mask[y * row + x / 8] |= 0x80 >> (x % 8);
+        }
+    }
+    let item = Detection {
+        x_px: 36.0,
+        y_px: 16.0,
+        width_px: 124.0,
+        height_px: 80.0,
+        score: 1.0,
+        class_index: 0,
+        track_id: -1,
+    };
+    let mut node = Harness::<ToolTip>::from_toml("")?;
+    node.input_instances("instances", &[item], "grasper", (WIDTH, HEIGHT), &mask);
+    node.input_image::<Depth>("depth", WIDTH, HEIGHT, &depth);
+    node.input_value("calibration", calibration());
+    let found: Tip = node.process()?.value("tip")?;
+    let off = (found.u_px - 45.0).hypot(found.v_px - 56.0);
+    assert!(off < 4.0 && (found.xyz_mm[2] - 60.0).abs() < 0.7 && found.xyz_valid == 1, "{off}: {found:?}");
     Ok(())
 }
 

@@ -21,7 +21,7 @@ use crate::log::Level;
 use crate::memory::FrameRef;
 use crate::outputs::{format_name, format_names};
 use crate::plan::{Link, Plan, Reader};
-use crate::pool::Pool;
+use crate::pool::{self, Pool, Urgency};
 use crate::region::Freed;
 use crate::stats::bump;
 use crate::threads::OwnThread;
@@ -85,21 +85,20 @@ impl Ready {
         self.len += 1;
     }
 
-    /// Hands all to their threads but one whose chain takes no longer than `allowance_ns`, which the caller is to run.
+    /// Hands all to their threads but one whose chain takes no longer than `allowance_ns`, which the caller is to run: an urgent one, if there
+    /// is one; a patient one only where nothing urgent waits.
     pub fn settle(&mut self, shared: &Shared, plan: &Plan, allowance_ns: u64) -> Option<usize> {
-        let mut next = None;
-        for &node in &self.nodes[..self.len] {
-            let node = node as usize;
-            let cell = &plan.cells[node];
-            if allowance_ns > 0
-                && next.is_none()
-                && !cell.owns_thread()
-                && cell.walk_ns.load(Ordering::Relaxed) <= allowance_ns
-            {
-                next = Some(node);
-            } else {
-                shared.dispatch(plan, node);
-            }
+        let nodes = &self.nodes[..self.len];
+        let fits = |node: &usize| {
+            let cell = &plan.cells[*node];
+            allowance_ns > 0 && !cell.owns_thread() && cell.walk_ns.load(Ordering::Relaxed) <= allowance_ns
+        };
+        let urgent = |node: &usize| plan.wiring[*node].urgency == Urgency::Urgent;
+        let all = || nodes.iter().map(|node| *node as usize);
+        let next = all().find(|node| urgent(node) && fits(node));
+        let next = next.or_else(|| all().find(|node| fits(node) && !shared.pool.is_pressed()));
+        for node in all().filter(|node| Some(*node) != next) {
+            shared.dispatch(plan, node);
         }
         self.len = 0;
         next
@@ -121,7 +120,7 @@ impl Shared {
         if cell.owns_thread() {
             self.wake(cell);
         } else {
-            self.pool.push(node as u32);
+            self.pool.push(node as u32, plan.wiring[node].urgency);
         }
     }
 
@@ -140,12 +139,13 @@ impl Shared {
         loop {
             let plan = self.plan.load();
             let mut ready = Ready::default();
+            pool::set_urgency(plan.wiring[current].urgency);
             let Some(again) = self.run_tick(&plan, current, walk, &mut ready) else { return false };
             let is_owner = plan.cells[current].owns_thread();
             // A thread's own node comes first.
             match (ready.settle(self, &plan, if is_owner && again { 0 } else { allowance_ns }), again) {
                 (next, true) if !is_owner && (next.is_some() || !is_worker) => {
-                    self.pool.push(current as u32);
+                    self.pool.push(current as u32, plan.wiring[current].urgency);
                     let Some(next) = next else { return true };
                     current = next;
                 }

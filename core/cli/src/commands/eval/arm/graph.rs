@@ -40,10 +40,6 @@ const STEREO: &str = r#"
 [nodes.match]
 type = "stereo_bm"
 inputs = { left = "scope.left", right = "scope.right" }
-
-[nodes.smooth]
-type = "disparity_wls"
-inputs = { image = "scope.left", disparity = "match.disparity", disparity_right = "match.disparity_right" }
 "#;
 
 fn finder(id: &str, from: &str, depth: &str, class: &str) -> String {
@@ -55,7 +51,7 @@ fn finder(id: &str, from: &str, depth: &str, class: &str) -> String {
 fn scene(name: &str) -> Scene {
     let model = crate::commands::eval::detect::shipped("instruments.onnx").unwrap_or_default();
     let (masks, true_depth) = ("instances = \"scope.instances\"", "depth = \"scope.depth\"");
-    let stereo_depth = "disparity = \"smooth.disparity\"";
+    let stereo_depth = "disparity = \"match.disparity\"";
     let told = |phantom| Scene { phantom, nodes: String::new(), tips: "\"scope.tip\"" };
     let found = |phantom, nodes| Scene { phantom, nodes, tips: "\"found.tip\"" };
     let alone = "tools = 1, tool_kinds = \"grasper\"";
@@ -77,9 +73,9 @@ fn scene(name: &str) -> Scene {
             "tools = 1, tool_kinds = \"grasper\"",
             STEREO.to_owned()
                 + &format!(
-                    "[nodes.find]\ntype = \"yolo\"\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {model:?} }}\n"
+                    "[nodes.find]\ntype = \"yolo\"\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {model:?}, min_score = 0.1 }}\n"
                 )
-                + &finder("found", "detections = \"find.detections\"", stereo_depth, ""),
+                + &finder("found", "detections = \"find.detections\", image = \"scope.left\"", stereo_depth, ""),
         ),
         _ => told(alone),
     }

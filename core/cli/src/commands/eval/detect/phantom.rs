@@ -94,7 +94,7 @@ pub fn tips(from: From<'_>) -> Result<Tips> {
                 "[nodes.find]\ntype = \"yolo\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n",
                 quoted(model)
             ),
-            "detections = \"find.detections\"",
+            "detections = \"find.detections\", image = \"scope.left\"",
         ),
         From::Model(Node::MaskRcnn, model) => (
             format!(

@@ -1,0 +1,408 @@
+//! An instrument cut out of its box: what stands before the tissue and is not as red.
+//!
+//! A detector's box says where an instrument's working end is, not where it ends. Two things tell its pixels: it stands nearer to the camera
+//! than the surface around it, and it is gray, black or blue where tissue is red to yellow. What both say of first guesses teaches the colours of this
+//! instrument and of this tissue, as in GrabCut (Rother, Kolmogorov, Blake 2004) with histograms instead of mixtures and without a cut; the largest
+//! connected part in the box is the instrument.
+
+use panoscope_node::View;
+
+use crate::shaft::{End, Mask, TipPixel};
+
+/// What tells an instrument from tissue; at least one of both.
+#[derive(Clone, Copy)]
+pub struct Cues<'a> {
+    /// Width and height of the picture, px.
+    pub size: (usize, usize),
+    /// Blue, green, red.
+    pub picture: Option<View<'a, u8>>,
+    /// Something that grows as 1/depth does (disparity); NaN where unknown.
+    pub nearness: Option<&'a dyn Fn(usize, usize) -> f32>,
+}
+
+/// How far beyond a box its instrument is looked for, as a share of the box's sides, and at least.
+const MARGIN: f32 = 0.15;
+const MARGIN_PX: f32 = 6.0;
+/// Cells along the longer side of the region, at most.
+const MOST_CELLS: f32 = 128.0;
+/// Cells below which nothing can be told.
+const FEWEST_CELLS: usize = 64;
+/// Brightness (sum of three channels) below which colour fades to gray.
+const DARK: f32 = 36.0;
+/// How many deviations a single cue counts for, for and against an instrument.
+const MOST_FOR: f32 = 5.0;
+const MOST_AGAINST: f32 = -2.0;
+/// From this sum of both cues on a cell is thought to be instrument at first.
+const FIRST_GUESS: f32 = 3.0;
+/// How many deviations before the surface something certainly stands before it.
+const BEFORE: f32 = 2.0;
+/// Least deviation of the surface's nearness, as a share of it, and of its redness: below is what matching and noise cost.
+const NEARNESS_FLOOR: f32 = 0.006;
+const REDNESS_FLOOR: f32 = 0.02;
+/// Classes of redness and of brightness that colours are learned in.
+const REDS: usize = 16;
+const BRIGHTS: usize = 8;
+/// Most that colour or nearness say in the end, as a logarithm of a ratio of likelihoods.
+const MOST_SAID: f32 = 3.0;
+/// Share of the box's cells that an instrument covers at least and at most.
+const COVERS: (f32, f32) = (0.04, 0.9);
+
+/// A region of the picture as cells.
+#[derive(Clone, Copy, Debug, Default)]
+struct Region {
+    x_px: usize,
+    y_px: usize,
+    /// Pixels along one side of a cell.
+    pitch: usize,
+    width: usize,
+    height: usize,
+    /// First and last cells of the box itself: left, top, right, bottom.
+    own: [usize; 4],
+}
+
+impl Region {
+    fn around([x0, y0, x1, y1]: [f32; 4], (width, height): (usize, usize)) -> Option<Self> {
+        let all = [x0, y0, x1, y1];
+        if !all.iter().all(|v| v.is_finite()) || x1 <= x0 || y1 <= y0 {
+            return None;
+        }
+        let clip = |v: f32, most: usize| v.clamp(0.0, most as f32) as usize;
+        let (dx, dy) = (((x1 - x0) * MARGIN).max(MARGIN_PX), ((y1 - y0) * MARGIN).max(MARGIN_PX));
+        let (left, top) = (clip(x0 - dx, width), clip(y0 - dy, height));
+        let (right, bottom) = (clip((x1 + dx).ceil(), width), clip((y1 + dy).ceil(), height));
+        let pitch = ((right - left).max(bottom - top) as f32 / MOST_CELLS).ceil().max(1.0) as usize;
+        let (columns, rows) = ((right - left) / pitch, (bottom - top) / pitch);
+        if columns * rows < FEWEST_CELLS {
+            return None;
+        }
+        let cell =
+            |v: f32, from: usize, most: usize| (((v - from as f32) / pitch as f32).max(0.0) as usize).min(most - 1);
+        let own = [cell(x0, left, columns), cell(y0, top, rows), cell(x1, left, columns), cell(y1, top, rows)];
+        Some(Self { x_px: left, y_px: top, pitch, width: columns, height: rows, own })
+    }
+
+    fn is_in_box(&self, index: usize) -> bool {
+        let (x, y) = (index % self.width, index / self.width);
+        (self.own[0]..=self.own[2]).contains(&x) && (self.own[1]..=self.own[3]).contains(&y)
+    }
+
+    /// Pixels of the picture that a cell covers.
+    fn pixels(&self, index: usize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
+        let x = self.x_px + index % self.width * self.pitch;
+        let y = self.y_px + index / self.width * self.pitch;
+        (x..x + self.pitch, y..y + self.pitch)
+    }
+}
+
+/// Cuts instruments out; its memory is kept between pictures.
+#[derive(Debug, Default)]
+pub struct Silhouette {
+    region: Region,
+    /// Per cell: how red (0 gray), how bright (0..1), how near; NaN where unknown.
+    redness: Vec<f32>,
+    bright: Vec<f32>,
+    near: Vec<f32>,
+    /// What speaks for an instrument; before anything was learned.
+    score: Vec<f32>,
+    first: Vec<f32>,
+    /// Work memory.
+    sorted: Vec<f32>,
+    blurred: Vec<f32>,
+    part: Vec<u32>,
+    queue: Vec<u32>,
+    bits: Vec<u8>,
+}
+
+/// Median, and the deviation of a normal distribution with the same median distance from it. None of too few values.
+fn median(sorted: &mut Vec<f32>, values: impl Iterator<Item = f32>) -> Option<(f32, f32)> {
+    sorted.clear();
+    sorted.extend(values.filter(|v| v.is_finite()));
+    if sorted.len() < FEWEST_CELLS / 4 {
+        return None;
+    }
+    let middle = sorted.len() / 2;
+    let (_, centre, _) = sorted.select_nth_unstable_by(middle, f32::total_cmp);
+    let centre = *centre;
+    sorted.iter_mut().for_each(|v| *v = (*v - centre).abs());
+    let (_, distance, _) = sorted.select_nth_unstable_by(middle, f32::total_cmp);
+    Some((centre, 1.4826 * *distance))
+}
+
+impl Silhouette {
+    /// Cuts the instrument of a box (left, top, right, bottom, px) out. Answers whether there is one to be told from what surrounds it.
+    pub fn cut(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> bool {
+        self.bits.clear();
+        let Some(region) = Region::around(corners, cues.size) else { return false };
+        self.region = region;
+        self.sample(cues);
+        self.score.clear();
+        self.score.resize(region.width * region.height, 0.0);
+        let told = [self.judge_redness(), self.judge_nearness()];
+        if !told[1] {
+            self.near.fill(f32::NAN);
+        }
+        if !told.contains(&true) {
+            return false;
+        }
+        self.first.clone_from(&self.score);
+        for _ in 0..2 {
+            if told[0] {
+                self.learn_colours();
+            }
+            self.blur();
+        }
+        self.largest()
+    }
+
+    /// The instrument's pixels, in cells: see [`Silhouette::place`].
+    pub fn mask(&self) -> Mask<'_> {
+        Mask::new(&self.bits, self.region.width, self.region.height)
+    }
+
+    /// Whether a pixel of the picture belongs to the instrument.
+    pub fn contains(&self, x: usize, y: usize) -> bool {
+        let r = &self.region;
+        x >= r.x_px && y >= r.y_px && self.mask().contains((x - r.x_px) / r.pitch, (y - r.y_px) / r.pitch)
+    }
+
+    /// A tip of [`Silhouette::mask`] in px of the picture.
+    pub fn place(&self, tip: TipPixel) -> TipPixel {
+        let pitch = self.region.pitch as f64;
+        let to_px = |cell: f64, from: usize| from as f64 + (cell + 0.5) * pitch - 0.5;
+        let end = |e: End| End {
+            u_px: to_px(e.u_px, self.region.x_px),
+            v_px: to_px(e.v_px, self.region.y_px),
+            direction: e.direction,
+        };
+        TipPixel { tip: end(tip.tip), jaws: tip.jaws.map(|jaws| jaws.map(end)) }
+    }
+
+    fn sample(&mut self, cues: &Cues<'_>) {
+        let count = self.region.width * self.region.height;
+        for plane in [&mut self.redness, &mut self.bright, &mut self.near] {
+            plane.clear();
+            plane.resize(count, f32::NAN);
+        }
+        for index in 0..count {
+            let (xs, ys) = self.region.pixels(index);
+            if let Some(picture) = &cues.picture {
+                let mut sum = [0_u32; 3];
+                for y in ys.clone() {
+                    for pixel in picture.row(y)[3 * xs.start..3 * xs.end].chunks_exact(3) {
+                        sum.iter_mut().zip(pixel).for_each(|(s, v)| *s += u32::from(*v));
+                    }
+                }
+                let [b, g, r] = sum.map(|s| s as f32 / (self.region.pitch * self.region.pitch) as f32);
+                self.redness[index] = (r - b) / (r + g + b + DARK);
+                self.bright[index] = (r + g + b) / (3.0 * 255.0);
+            }
+            if let Some(nearness) = cues.nearness {
+                let (mut sum, mut n) = (0.0, 0.0);
+                for y in ys {
+                    for value in xs.clone().map(|x| nearness(x, y)).filter(|v| v.is_finite() && *v > 0.0) {
+                        sum += value;
+                        n += 1.0;
+                    }
+                }
+                if n > 0.0 {
+                    self.near[index] = sum / n;
+                }
+            }
+        }
+    }
+
+    /// Adds what redness says: less than around the box speaks for an instrument.
+    fn judge_redness(&mut self) -> bool {
+        let Self { region, redness, sorted, score, .. } = self;
+        let outside = || (0..redness.len()).filter(|i| !region.is_in_box(*i)).map(|i| redness[i]);
+        // A box as large as the picture has nothing around it: then most of it is tissue.
+        let around = median(sorted, outside()).or_else(|| median(sorted, redness.iter().copied()));
+        let Some((centre, deviation)) = around else { return false };
+        let deviation = deviation.max(REDNESS_FLOOR);
+        for (score, redness) in score.iter_mut().zip(redness.iter()).filter(|(_, r)| r.is_finite()) {
+            *score += ((centre - redness) / deviation).clamp(MOST_AGAINST, MOST_FOR);
+        }
+        true
+    }
+
+    /// Adds what nearness says: what stands before the surface, a plane fitted to what is left when nearer things are dropped.
+    fn judge_nearness(&mut self) -> bool {
+        let Self { region, near, sorted, score, .. } = self;
+        let known = near.iter().filter(|v| v.is_finite()).count();
+        if known * 2 < near.len() {
+            return false;
+        }
+        let Some((centre, _)) = median(sorted, near.iter().copied()) else { return false };
+        let floor = NEARNESS_FLOOR * centre;
+        let (half_x, half_y) = (region.width as f32 / 2.0, region.height as f32 / 2.0);
+        let at = |index: usize| {
+            let (x, y) = ((index % region.width) as f32 / half_x - 1.0, (index / region.width) as f32 / half_y - 1.0);
+            [1.0, f64::from(x), f64::from(y)]
+        };
+        let mut plane = [f64::from(centre), 0.0, 0.0];
+        let over = |plane: &[f64; 3], index: usize, value: f32| {
+            let p = at(index);
+            value - (plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2]) as f32
+        };
+        let mut deviation = f32::INFINITY;
+        for round in 0..6 {
+            let (mut m, mut v) = ([[0.0_f64; 3]; 3], [0.0_f64; 3]);
+            for (index, value) in near.iter().enumerate().filter(|(_, value)| value.is_finite()) {
+                let rest = over(&plane, index, *value);
+                // Nearer things go first, those far behind later: the surface is what most cells lie on.
+                if round > 0 && !(-3.0 * deviation..=1.2 * deviation).contains(&rest) {
+                    continue;
+                }
+                let p = at(index);
+                for row in 0..3 {
+                    (0..3).for_each(|column| m[row][column] += p[row] * p[column]);
+                    v[row] += p[row] * f64::from(*value);
+                }
+            }
+            let Some(fitted) = solve(m, v) else { break };
+            plane = fitted;
+            let rests = near.iter().enumerate().map(|(index, value)| over(&plane, index, *value));
+            let kept = rests.filter(|rest| round == 0 || (-3.0 * deviation..=1.2 * deviation).contains(rest));
+            let Some((_, spread)) = median(sorted, kept) else { break };
+            deviation = spread.max(floor);
+        }
+        if !deviation.is_finite() {
+            return false;
+        }
+        for (index, (score, value)) in
+            score.iter_mut().zip(near.iter_mut()).enumerate().filter(|(_, (_, v))| v.is_finite())
+        {
+            // From here on in deviations before the surface.
+            *value = over(&plane, index, *value) / deviation;
+            *score += value.clamp(MOST_AGAINST, MOST_FOR);
+        }
+        true
+    }
+
+    /// Learns the colours of what is instrument by now and of what is not, and judges all cells anew.
+    fn learn_colours(&mut self) {
+        let class = |redness: f32, bright: f32| {
+            let red = ((redness + 0.2) / 0.8 * REDS as f32).clamp(0.0, REDS as f32 - 1.0) as usize;
+            // Finer where it is dark.
+            let bright = (bright.max(0.0).sqrt() * BRIGHTS as f32).min(BRIGHTS as f32 - 1.0) as usize;
+            red * BRIGHTS + bright
+        };
+        let (mut tool, mut tissue) = ([1.0_f32; REDS * BRIGHTS], [1.0_f32; REDS * BRIGHTS]);
+        let (mut tools, mut tissues) = (tool.len() as f32, tissue.len() as f32);
+        let known = || (0..self.score.len()).filter(|index| self.redness[*index].is_finite());
+        let is_tool = |index: usize| self.score[index] > FIRST_GUESS && self.region.is_in_box(index);
+        // Pale tissue looks like steel: where some of what looks so stands before the surface, colours are learned from that.
+        let stands = |index: usize| is_tool(index) && self.near[index] > BEFORE;
+        let is_deep =
+            known().filter(|index| stands(*index)).count() * 4 > known().filter(|index| is_tool(*index)).count();
+        for index in known() {
+            let of = class(self.redness[index], self.bright[index]);
+            if if is_deep { stands(index) } else { is_tool(index) } {
+                tool[of] += 1.0;
+                tools += 1.0;
+            } else if self.score[index] < FIRST_GUESS / 2.0 {
+                tissue[of] += 1.0;
+                tissues += 1.0;
+            }
+        }
+        for index in 0..self.score.len() {
+            let (redness, bright) = (self.redness[index], self.bright[index]);
+            let mut said = 0.0;
+            if redness.is_finite() {
+                let of = class(redness, bright);
+                said = ((tool[of] / tools) / (tissue[of] / tissues)).ln().clamp(-MOST_SAID, MOST_SAID);
+            }
+            // Both cues together, before anything was learned, say where; the learned colours say how far.
+            self.score[index] = said + (self.first[index] - FIRST_GUESS).clamp(-MOST_SAID, MOST_SAID) + FIRST_GUESS;
+        }
+    }
+
+    /// Smooths the score over 3 x 3 cells.
+    fn blur(&mut self) {
+        let (width, height) = (self.region.width, self.region.height);
+        self.blurred.clear();
+        self.blurred.resize(self.score.len(), 0.0);
+        for y in 0..height {
+            for x in 0..width {
+                let (mut sum, mut n) = (0.0, 0.0);
+                for row in y.saturating_sub(1)..(y + 2).min(height) {
+                    for score in &self.score[row * width + x.saturating_sub(1)..row * width + (x + 2).min(width)] {
+                        sum += score;
+                        n += 1.0;
+                    }
+                }
+                self.blurred[y * width + x] = sum / n;
+            }
+        }
+        std::mem::swap(&mut self.score, &mut self.blurred);
+    }
+
+    /// Keeps the largest connected part; parts count by their cells in the box.
+    fn largest(&mut self) -> bool {
+        let (width, height) = (self.region.width, self.region.height);
+        let count = width * height;
+        self.part.clear();
+        self.part.resize(count, 0);
+        let (mut parts, mut best, mut best_cells) = (0_u32, 0_u32, 0_usize);
+        for start in 0..count {
+            if self.part[start] != 0 || self.score[start] <= FIRST_GUESS {
+                continue;
+            }
+            parts += 1;
+            let mut cells = 0;
+            self.queue.clear();
+            self.queue.push(start as u32);
+            self.part[start] = parts;
+            while let Some(index) = self.queue.pop() {
+                let index = index as usize;
+                cells += usize::from(self.region.is_in_box(index));
+                let (x, y) = (index % width, index / width);
+                let beside = [
+                    (x > 0).then(|| index - 1),
+                    (x + 1 < width).then(|| index + 1),
+                    (y > 0).then(|| index - width),
+                    (y + 1 < height).then(|| index + width),
+                ];
+                for next in beside.into_iter().flatten() {
+                    if self.part[next] == 0 && self.score[next] > FIRST_GUESS {
+                        self.part[next] = parts;
+                        self.queue.push(next as u32);
+                    }
+                }
+            }
+            if cells > best_cells {
+                (best, best_cells) = (parts, cells);
+            }
+        }
+        let own = self.region.own;
+        let share = best_cells as f32 / ((own[2] - own[0] + 1) * (own[3] - own[1] + 1)) as f32;
+        if !(COVERS.0..=COVERS.1).contains(&share) {
+            return false;
+        }
+        let row = width.div_ceil(8);
+        self.bits.resize(row * height, 0);
+        for (index, _) in self.part.iter().enumerate().filter(|(_, part)| **part == best) {
+            let (x, y) = (index % width, index / width);
+            self.bits[y * row + x / 8] |= 0x80 >> (x % 8);
+        }
+        true
+    }
+}
+
+/// Solves three equations by Cramer's rule; none where they do not tell.
+fn solve(m: [[f64; 3]; 3], v: [f64; 3]) -> Option<[f64; 3]> {
+    let det = |a: [[f64; 3]; 3]| {
+        a[0][0] * (a[1][1] * a[2][2] - a[1][2] * a[2][1]) - a[0][1] * (a[1][0] * a[2][2] - a[1][2] * a[2][0])
+            + a[0][2] * (a[1][0] * a[2][1] - a[1][1] * a[2][0])
+    };
+    let whole = det(m);
+    let scale = m.iter().flatten().fold(0.0_f64, |most, v| most.max(v.abs()));
+    if whole.abs() <= 1e-9 * scale.powi(3) {
+        return None;
+    }
+    Some([0, 1, 2].map(|column| {
+        let mut with = m;
+        (0..3).for_each(|row| with[row][column] = v[row]);
+        det(with) / whole
+    }))
+}
