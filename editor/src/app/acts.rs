@@ -126,6 +126,8 @@ impl App {
             }
             Action::Save => self.save(),
             Action::Fit => self.canvas.fit(),
+            Action::ZoomIn if self.viewer.sight().is_some() => self.viewer.space().zoom_by(1.0),
+            Action::ZoomOut if self.viewer.sight().is_some() => self.viewer.space().zoom_by(-1.0),
             Action::ZoomIn => self.canvas.zoom_by(2),
             Action::ZoomOut => self.canvas.zoom_by(-2),
             Action::Delete => self.delete(),
@@ -253,9 +255,9 @@ impl App {
         }
     }
 
-    /// Arrow keys move the view.
+    /// Arrow keys move the view; in the viewer they are for what is shown there.
     pub(super) fn arrows(&mut self, ctx: &Context, typing: bool) {
-        if typing || ctx.memory(|m| m.focused().is_some()) {
+        if typing || self.viewer.source().is_some() || ctx.memory(|m| m.focused().is_some()) {
             return;
         }
         let steps = [

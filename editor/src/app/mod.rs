@@ -212,6 +212,9 @@ impl App {
             }
             self.clipboard(&ctx, typing);
             self.arrows(&ctx, typing);
+            if !typing {
+                ctx.input_mut(|input| self.viewer.recall_by_key(input));
+            }
         }
         if ctx.input(|i| i.pointer.any_released()) {
             self.document.end_merge();
@@ -407,7 +410,7 @@ impl App {
                     ("Ctrl+C, X, V", "Copy, cut, paste nodes as text"),
                     ("1 to 9", "Recall what was looked at"),
                     ("Ctrl and +, -, 0", "Size of everything"),
-                    ("Arrows", "Move the view"),
+                    ("Arrows", "Move the view; large: turn a surface, move the wipe"),
                     ("Shift and drag", "Select with a frame"),
                     ("Double click", "Add a node there"),
                 ];

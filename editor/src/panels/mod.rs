@@ -1,6 +1,7 @@
 //! What stands around the canvas.
 
 pub mod below;
+pub mod crosshair;
 pub mod cutout;
 pub mod files;
 pub mod history;

@@ -7,6 +7,7 @@ use eframe::egui::{
 use panoscope_graph::{ParamKind, ParamValue};
 
 use super::Setting;
+use super::stage::keep_arrows;
 use crate::panels::time_words;
 use crate::picture::short;
 use crate::theme;
@@ -86,7 +87,13 @@ pub fn show(ui: &mut Ui, rect: Rect, setting: &Setting, value: Option<&ParamValu
     painter.text(rect.left_top(), Align2::LEFT_TOP, &setting.label, FontId::proportional(16.0), color);
     let shown = value.map_or_else(|| "-".to_owned(), |v| words(v, &setting.param.unit));
     painter.text(rect.right_top(), Align2::RIGHT_TOP, &shown, FontId::proportional(18.0), theme::TEXT);
-    let value = value?;
+    let Some(value) = value else {
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, false, setting.label.clone()));
+        return None;
+    };
+    if response.has_focus() {
+        keep_arrows(ui, response.id);
+    }
     match (span(setting), value) {
         (Some(span), ParamValue::Int(_) | ParamValue::Float(_)) => {
             let now = match value {
