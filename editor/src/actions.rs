@@ -33,6 +33,8 @@ pub enum Action {
     SelectAll,
     /// Select the next node.
     Next,
+    /// Select the next node, too.
+    NextToo,
     /// Show the output under the pointer, or of the selected node, large.
     View,
     /// Compare what is shown large with another output.
@@ -94,6 +96,7 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (ZoomOut, NONE, Key::Minus, "Zoom out"),
         (SelectAll, CTRL, Key::A, "Select all nodes"),
         (Next, NONE, Key::N, "Select the next node"),
+        (NextToo, Modifiers::SHIFT, Key::N, "Select the next node, too"),
         (Frame, NONE, Key::G, "Frame the selected nodes"),
         (Note, NONE, Key::O, "Add a note"),
         (Align, NONE, Key::L, "Put the selected nodes in line"),

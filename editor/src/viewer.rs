@@ -105,6 +105,16 @@ impl Viewer {
         (cloud && self.b.is_none() && !self.flat && !self.picking).then(|| self.space.sight())
     }
 
+    /// Place of the line between both outputs, 0..=1, while they are compared by wipe.
+    pub fn wipe_line(&self) -> Option<f32> {
+        (self.b.is_some() && self.compare == Compare::Wipe).then_some(self.wipe)
+    }
+
+    /// The 3-D view, to look at.
+    pub fn space_now(&self) -> &Space {
+        &self.space
+    }
+
     /// The 3-D view.
     pub fn space(&mut self) -> &mut Space {
         &mut self.space

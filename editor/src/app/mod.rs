@@ -31,6 +31,7 @@ use crate::panels::top::{self, Switches};
 use crate::panels::{below, history, overview, plugins};
 use crate::picker::Picker;
 use crate::session::{Phase, Session, Status};
+use crate::space::Space;
 use crate::theatre::next_file;
 use crate::theme;
 use crate::viewer::{Source, Viewer};
@@ -154,6 +155,22 @@ impl App {
     /// The output that is shown large.
     pub fn viewed(&self) -> Option<&Output> {
         self.viewer.source().map(|v| &v.output)
+    }
+
+    /// The 3-D view.
+    pub fn space(&self) -> &Space {
+        self.viewer.space_now()
+    }
+
+    /// Whether a cloud is shown as a surface now.
+    pub fn has_surface(&self) -> bool {
+        let painted = |output: &Output| self.shown.look(output).is_some_and(|look| look.painted.is_some());
+        self.viewer.sight().is_some() && self.viewed().is_some_and(painted)
+    }
+
+    /// Place of the line between two outputs, as a part of the picture's width, while they are compared by wipe.
+    pub fn wipe(&self) -> Option<f32> {
+        self.viewer.wipe_line()
     }
 
     /// Wires in words, each with the most packets that waited on it since the window was opened, as far as is remembered.
@@ -411,6 +428,7 @@ impl App {
                     ("1 to 9", "Recall what was looked at"),
                     ("Ctrl and +, -, 0", "Size of everything"),
                     ("Arrows", "Move the view; large: turn a surface, move the wipe"),
+                    ("Shift and arrows", "Move the selected nodes"),
                     ("Shift and drag", "Select with a frame"),
                     ("Double click", "Add a node there"),
                 ];
