@@ -17,6 +17,8 @@ pub const PANEL: Color32 = rgb(0x181C22);
 pub const RAISED: Color32 = rgb(0x20262E);
 /// Fields and pictures without a picture.
 pub const SUNK: Color32 = rgb(0x0D1014);
+/// Around surfaces, which are painted on this.
+pub const SURFACE: Color32 = Color32::from_gray(18);
 /// Thin lines.
 pub const LINE: Color32 = rgb(0x2E3640);
 /// Text.

@@ -140,7 +140,7 @@ impl Viewer {
     ) -> Option<(Rect, Rect)> {
         let a = self.a.clone()?;
         if self.sight().is_some() {
-            ui.painter_at(rect).rect_filled(rect, 0.0, theme::SUNK);
+            ui.painter_at(rect).rect_filled(rect, 0.0, theme::SURFACE);
             let room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
             self.space.show(ui, room, shown, &a.output, ways);
             self.bar(ui, rect, shown, &a, others);

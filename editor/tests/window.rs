@@ -346,7 +346,7 @@ fn a_box_selects_a_node_dropped_on_a_wire_goes_into_it_and_a_pin_offers_what_fit
         return;
     }
     let folder = Folder::new("gestures");
-    let lone = "\n[nodes.lone]\ntype = \"pass\"\n\n[editor.positions]\na = [0, 0]\nkept = [320, 0]\nb = [0, 320]\nmean = [560, 320]\nsink = [860, 320]\nlone = [280, 620]\n";
+    let lone = "\n[nodes.lone]\ntype = \"pass\"\n\n[editor]\na = { x = 0, y = 0 }\nkept = { x = 320, y = 0 }\nb = { x = 0, y = 320 }\nmean = { x = 560, y = 320 }\nsink = { x = 860, y = 320 }\nlone = { x = 280, y = 620 }\n";
     let mut window = Window::open(&folder.write("g.toml", &format!("{GRAPH}{lone}")));
     window.steps(3);
     // A frame around the upper two.

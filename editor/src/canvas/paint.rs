@@ -9,7 +9,7 @@ use eframe::egui::{
     pos2, vec2,
 };
 
-use super::shape::{HEADER, Pin};
+use super::shape::{HEADER, PAD, Pin};
 use super::touch::{Drag, may_wire};
 use super::{Canvas, Scene};
 use crate::content::{Content, Found};
@@ -21,6 +21,8 @@ use crate::theme::{self, PinShape};
 pub const DETAIL: f32 = 0.38;
 /// Below this zoom it shows no picture either.
 pub const PICTURES: f32 = 0.2;
+/// Room between a wire that leads back and the nodes above it, points at zoom 1.
+const BELOW: f32 = 20.0;
 /// A fault is new for so long.
 const NEW_FAULT_MS: u64 = 3000;
 
@@ -82,7 +84,9 @@ impl Canvas {
     pub(super) fn curves(&self, view: &View, wire: &Wire) -> Vec<[Pos2; 4]> {
         let ends = (self.pin_at(view, wire.from, &wire.output, false), self.pin_at(view, wire.to, &wire.input, true));
         let (Some((from, _)), Some((to, _))) = ends else { return Vec::new() };
-        let Some(lane) = self.lanes.get(&(wire.from, wire.to)) else { return vec![bow(from, to, self.scale())] };
+        let Some(lane) = self.lanes.get(&(wire.from, wire.to)) else {
+            return if to.x > from.x { vec![bow(from, to, self.scale())] } else { self.around(view, wire, from, to) };
+        };
         // Wires of one lane run beside each other.
         let mut beside = view.wires.iter().filter(|w| w.from == wire.from && w.to == wire.to);
         let shift = vec2(0.0, beside.position(|w| w == wire).unwrap_or(0) as f32 * 7.0 - 3.0);
@@ -96,6 +100,39 @@ impl Canvas {
         }
         curves.push(bow(at, to, self.scale()));
         curves
+    }
+
+    /// A wire that leads back: below the nodes between its ends, through none.
+    fn around(&self, view: &View, wire: &Wire, from: Pos2, to: Pos2) -> Vec<[Pos2; 4]> {
+        let transform = self.transform();
+        let (from, to) = (transform.inverse() * from, transform.inverse() * to);
+        let rects: Vec<Rect> = (view.nodes.iter().zip(&self.shapes))
+            .map(|(node, shape)| {
+                Rect::from_min_size(self.places.get(node.id()).copied().unwrap_or_default(), shape.size)
+            })
+            .collect();
+        let bottom = |n: usize| rects.get(n).map_or(f32::MIN, Rect::bottom);
+        // Wires that lead back run beside each other.
+        let beside = view.wires.iter().filter(|w| w.delayed).position(|w| w == wire).unwrap_or(0);
+        let room = BELOW + (beside % 4) as f32 * 7.0;
+        let mut low = bottom(wire.from).max(bottom(wire.to)) + room;
+        for _ in 0..rects.len() {
+            let between = rects.iter().filter(|r| r.right() > to.x - BELOW && r.left() < from.x + BELOW);
+            let met = between.filter(|r| r.top() - BELOW < low && low < r.bottom() + BELOW);
+            match met.map(Rect::bottom).reduce(f32::max) {
+                Some(bottom) => low = bottom + room,
+                None => break,
+            }
+        }
+        let reach = |y: f32| vec2(((low - y) * 0.5).clamp(40.0, 160.0), 0.0);
+        let (right, left) = (pos2(from.x, low), pos2(to.x, low));
+        let third = (left - right) / 3.0;
+        let curves = [
+            [from, from + reach(from.y), right + reach(from.y), right],
+            [right, right + third, left - third, left],
+            [left, left - reach(to.y), to - reach(to.y), to],
+        ];
+        curves.map(|curve| curve.map(|at| transform * at)).to_vec()
     }
 
     pub(super) fn paint_wires(&self, painter: &Painter, scene: &Scene<'_>) {
@@ -167,7 +204,10 @@ impl Canvas {
             let at = pos2(rect.left(), rect.top() - name.size().y - 1.0);
             painter.galley(at, name, theme::TEXT);
             self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
-            self.paint_picture(painter, scene, node, rect);
+            // Without pins and numbers all the room is the picture's.
+            let room = rect.shrink(PAD * scale);
+            let room = Rect::from_min_max(pos2(room.left(), rect.top() + HEADER * scale), room.max);
+            self.paint_picture(painter, scene, node, room);
             return;
         }
         let name = elided(painter, id, self.font(14.0), theme::TEXT, rect.width() - (28.0 + 16.0) * scale);
@@ -180,8 +220,11 @@ impl Canvas {
             let at = pos2(rect.right() - 26.0 * scale - words.size().x, line - words.size().y / 2.0);
             painter.galley(at, words, theme::MUTED);
         }
-        self.paint_picture(painter, scene, node, rect);
         let shape = &self.shapes[node];
+        if let Some(picture) = shape.picture {
+            let frame = Rect::from_min_size(rect.min + picture.min.to_vec2() * scale, picture.size() * scale);
+            self.paint_picture(painter, scene, node, frame);
+        }
         let transform = self.transform();
         let place = self.places.get(id).copied().unwrap_or_default();
         for pin in &shape.pins {
@@ -226,16 +269,16 @@ impl Canvas {
         }
     }
 
-    fn paint_picture(&self, painter: &Painter, scene: &Scene<'_>, node: usize, rect: Rect) {
+    /// What a node makes, inside `frame`: its picture, or words; where those are too small, how long it takes.
+    fn paint_picture(&self, painter: &Painter, scene: &Scene<'_>, node: usize, frame: Rect) {
         let shape = &self.shapes[node];
-        let (Some(picture), Some((output, packet))) = (shape.picture, &shape.output) else { return };
         let scale = self.scale();
-        let frame = Rect::from_min_size(rect.min + picture.min.to_vec2() * scale, picture.size() * scale);
-        painter.rect_filled(frame, 4.0 * scale, theme::SUNK);
+        let Some((output, packet)) = &shape.output else { return };
         // Boxes stand on the picture that they were found in.
         let below = shape.backdrop.as_ref().map_or(output, |(below, _)| below);
         match scene.shown.texture(below) {
             Some((texture, size)) => {
+                painter.rect_filled(frame, 4.0 * scale, theme::SUNK);
                 let fit = (frame.width() / size.x).min(frame.height() / size.y);
                 let inner = Rect::from_center_size(frame.center(), size * fit);
                 let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
@@ -254,8 +297,21 @@ impl Canvas {
                     painter.text(frame.center(), Align2::CENTER_CENTER, words, self.font(13.0), theme::WARN);
                 }
             }
-            None if scale < DETAIL => {}
+            None if scale < DETAIL => {
+                let counters = scene.counters.nodes.get(scene.view.nodes[node].id());
+                if let Some(counters) = counters.filter(|c| c.fps > 0.0) {
+                    let words = time_words(counters.p50_ms);
+                    painter.text(
+                        frame.center(),
+                        Align2::CENTER_CENTER,
+                        words,
+                        FontId::proportional(10.0),
+                        theme::MUTED,
+                    );
+                }
+            }
             None => {
+                painter.rect_filled(frame, 4.0 * scale, theme::SUNK);
                 let words = scene.shown.words(output).unwrap_or(packet);
                 let galley =
                     painter.layout(words.to_owned(), self.font(11.0), theme::TEXT, frame.width() - 16.0 * scale);
@@ -315,7 +371,8 @@ impl Canvas {
             right.append(&format!("{count} {word}{plural}  "), 0.0, plain(theme::WARN));
         }
         if c.dropped > 0 {
-            right.append(&format!("{} drops  ", c.dropped), 0.0, plain(theme::WARN));
+            let plural = if c.dropped > 1 { "s" } else { "" };
+            right.append(&format!("{} drop{plural}  ", c.dropped), 0.0, plain(theme::WARN));
         }
         if let Some(age) = c.age_p50_ms.filter(|a| *a > 0.0) {
             right.append(&format!("age {}  ", time_words(age)), 0.0, plain(theme::MUTED));

@@ -32,6 +32,11 @@ pub fn time_words(ms: f64) -> String {
     }
 }
 
+/// A unit as it stands behind a number; parts of one have none.
+pub fn unit_words(unit: &str) -> &str {
+    if unit == "ratio" { "" } else { unit }
+}
+
 /// What is older is not live.
 const STALE: Duration = Duration::from_secs(2);
 

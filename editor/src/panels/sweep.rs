@@ -7,7 +7,7 @@ use eframe::egui::{
     Align, Button, ComboBox, DragValue, Id, Label, Layout, ProgressBar, Response, RichText, ScrollArea, TextEdit, Ui,
     WidgetInfo, WidgetType, vec2,
 };
-use egui_plot::{Legend, Line, Plot, PlotPoints, Points};
+use egui_plot::{Corner, Legend, Line, Plot, PlotPoints, Points};
 use panoscope_graph::ParamKind;
 use panoscope_runtime::Loader;
 use panoscope_runtime::numbers::tells_numbers;
@@ -332,7 +332,7 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
     };
     ui.visuals_mut().override_text_color = Some(theme::MUTED.gamma_multiply(0.8));
     let shown = Plot::new("sweep")
-        .legend(Legend::default())
+        .legend(Legend::default().position(Corner::LeftTop))
         .x_axis_label(axis)
         .y_axis_label(&progress.measure)
         .allow_scroll(false)

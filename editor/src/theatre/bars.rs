@@ -138,12 +138,13 @@ impl Theatre {
         }
         let over = self.raw_only.is_some() || matches!(self.session.status().phase, Phase::Ended | Phase::Failed(_));
         let frozen = self.frozen.is_some() && !self.measure.is_on();
+        let whole = self.raw_only.is_none();
         let buttons = [
-            (Act::Next, "Layout", false, self.plan.views.len() > 1),
-            (Act::Freeze, if frozen { "Go on" } else { "Freeze" }, frozen, true),
+            (Act::Next, "Layout", false, whole && self.plan.views.len() > 1),
+            (Act::Freeze, if frozen { "Go on" } else { "Freeze" }, frozen, whole),
             (Act::Still, "Still", false, true),
-            (Act::Record, if self.clip.is_some() { "End clip" } else { "Record" }, self.clip.is_some(), true),
-            (Act::Measure, "Measure", self.measure.is_on(), self.plan.cloud.is_some()),
+            (Act::Record, if self.clip.is_some() { "End clip" } else { "Record" }, self.clip.is_some(), whole),
+            (Act::Measure, "Measure", self.measure.is_on(), whole && self.plan.cloud.is_some()),
             (Act::Again, "Start again", true, over),
         ];
         for (act, words, on, there) in buttons {
@@ -162,7 +163,8 @@ impl Theatre {
 
     /// The pinned settings; where there is no room for all, a button leads to the others.
     fn settings(&mut self, ui: &mut Ui, room: Rect) {
-        let settings = self.plan.settings.clone();
+        // Where only the sources run there is nothing to set.
+        let settings = if self.raw_only.is_some() { Vec::new() } else { self.plan.settings.clone() };
         let across = |width: f32| (((width + SETTING_GAP) / (SETTING + SETTING_GAP)).max(0.0) as usize).max(1);
         let mut room = room;
         let mut fit = across(room.width());

@@ -60,9 +60,9 @@ const TOUCHED: [Role; 13] = [
 
 /// Asserts that everything that can be touched has a name, and that this is more than a few things.
 pub fn all_named<S>(harness: &Harness<'_, S>, what: &str, at_least: usize) {
-    let all = || harness.root().children_recursive();
-    let touched = all().filter(|node| TOUCHED.contains(&node.accesskit_node().role()));
-    let nameless = touched.clone().filter(|node| {
+    let all = harness.root().children_recursive();
+    let touched: Vec<_> = all.filter(|node| TOUCHED.contains(&node.accesskit_node().role())).collect();
+    let nameless = touched.iter().filter(|node| {
         let node = node.accesskit_node();
         let named = node.label().is_some_and(|label| !label.trim().is_empty());
         !named && node.labelled_by().next().is_none()
@@ -70,7 +70,7 @@ pub fn all_named<S>(harness: &Harness<'_, S>, what: &str, at_least: usize) {
     let nameless: Vec<String> =
         nameless.map(|node| format!("{:?} at {:?}", node.accesskit_node().role(), node.rect())).collect();
     assert!(nameless.is_empty(), "{what}: {nameless:#?}");
-    let count = touched.count();
+    let count = touched.len();
     assert!(count >= at_least, "{what}: only {count} things can be touched");
 }
 
