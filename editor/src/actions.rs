@@ -152,7 +152,16 @@ pub fn pressed(input: &mut InputState, typing: bool) -> Vec<Action> {
 pub fn key_words(action: Action) -> String {
     let found = ALL.iter().find(|(a, ..)| *a == action);
     found.map_or_else(String::new, |(_, modifiers, key, _)| {
-        KeyboardShortcut::new(*modifiers, *key).format(&eframe::egui::ModifierNames::NAMES, false)
+        let words = KeyboardShortcut::new(*modifiers, *key).format(&eframe::egui::ModifierNames::NAMES, false);
+        // As it stands on the key.
+        let sign = match key {
+            Key::Plus => "+",
+            Key::Minus => "-",
+            Key::OpenBracket => "[",
+            Key::CloseBracket => "]",
+            _ => return words,
+        };
+        words.replace(key.name(), sign)
     })
 }
 

@@ -264,7 +264,7 @@ impl Viewer {
                     if ui.button("Close").on_hover_text("Escape").clicked() {
                         self.close();
                     }
-                    if a.packet == "cloud" && self.b.is_none() {
+                    if a.packet == "cloud" && self.b.is_none() && !self.picking {
                         let button = Button::new("Surface").selected(!self.flat);
                         if ui.add(button).on_hover_text("To be turned, or as the camera saw it").clicked() {
                             self.flat ^= true;

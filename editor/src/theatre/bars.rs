@@ -8,7 +8,7 @@ use eframe::egui::{
 };
 
 use super::arm::STOP_RED;
-use super::notices::{Facts, Urgency, bytes_words};
+use super::notices::{Facts, OLD_MS, Urgency, bytes_words};
 use super::{Act, EDGE, HOLD, REMARK, Theatre, key_words, settings};
 use crate::session::{Phase, Status};
 use crate::theme;
@@ -17,9 +17,6 @@ use crate::theme;
 const SETTING: f32 = 240.0;
 const SETTING_GAP: f32 = 28.0;
 const MORE: f32 = 84.0;
-
-/// A picture older than this is not called live.
-const DELAYED_MS: f64 = 500.0;
 
 fn clock_words(since: Instant) -> String {
     let seconds = since.elapsed().as_secs();
@@ -45,7 +42,7 @@ impl Theatre {
             (Phase::Ended | Phase::Failed(_), _) => ("STOPPED".to_owned(), theme::FAULT, theme::BLACK),
             (_, Some(since)) => (format!("FROZEN  {}", clock_words(since)), theme::ACCENT, theme::BLACK),
             // What is late must not be called live.
-            _ if !facts.stopped.is_empty() || facts.age_ms.is_some_and(|age| age > DELAYED_MS) => {
+            _ if !facts.stopped.is_empty() || facts.age_ms.is_some_and(|age| age > OLD_MS) => {
                 ("DELAYED".to_owned(), theme::WARN, theme::BLACK)
             }
             _ => ("LIVE".to_owned(), theme::RAISED, theme::LIVE),

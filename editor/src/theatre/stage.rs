@@ -76,14 +76,18 @@ impl Theatre {
         // A tap leads from one layout to another; beside a frozen picture, or where there is one view, to nothing.
         let idle = place.packet == "cloud" || self.plan.views.len() < 2 || live && self.frozen.is_some();
         let tap = if idle { Sense::hover() } else { Sense::click() };
+        let shown = if live { &self.live } else { &self.shown };
+        let texture = shown.texture(&place.output);
+        let room = Rect::from_min_max(pos2(rect.left(), rect.top() + TITLE), rect.max);
+        let inner = texture.map_or(room, |(_, size)| fit(room, size));
+        // The line stands right above the picture, wherever in its room that is.
+        let rect = Rect::from_min_max(inner.min - vec2(0.0, TITLE), inner.max);
         let response = ui.interact(rect, ui.id().with(("view", &place.output, live)), tap);
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("View {title}")));
         if response.has_focus() {
             focus_frame(ui, rect);
         }
         let stopped = !live && facts.stopped.contains(&place.label);
-        let shown = if live { &self.live } else { &self.shown };
-        let texture = shown.texture(&place.output);
         let painter = ui.painter_at(rect);
         painter.text(
             pos2(rect.left(), rect.top() + TITLE / 2.0),
@@ -108,10 +112,8 @@ impl Theatre {
             FontId::proportional(14.0),
             color,
         );
-        let room = Rect::from_min_max(pos2(rect.left(), rect.top() + TITLE), rect.max);
         match texture {
-            Some((texture, size)) => {
-                let inner = fit(room, size);
+            Some((texture, _)) => {
                 // What has stopped must not be taken for live.
                 let tint = if stopped { Color32::from_gray(90) } else { Color32::WHITE };
                 image(ui, texture, inner, tint);
@@ -149,25 +151,19 @@ impl Theatre {
     /// The picture that is measured in, and what was measured.
     fn measured(&mut self, ui: &mut Ui, rect: Rect) {
         let Some((held, output)) = self.measure.picture() else { return };
-        let texture = held.texture(output);
+        let Some((texture, size)) = held.texture(output) else { return };
+        let room = Rect::from_min_max(pos2(rect.left(), rect.top() + TITLE), rect.max);
+        let inner = fit(room, size);
+        let line = Rect::from_min_max(inner.min - vec2(0.0, TITLE), inner.right_top());
         let painter = ui.painter_at(rect);
         let hint = self.measure.hint();
-        painter.text(
-            pos2(rect.left(), rect.top() + TITLE / 2.0),
-            Align2::LEFT_CENTER,
-            hint,
-            FontId::proportional(18.0),
-            theme::ACCENT,
-        );
-        let room = Rect::from_min_max(pos2(rect.left(), rect.top() + TITLE), rect.max);
-        let Some((texture, size)) = texture else { return };
-        let inner = fit(room, size);
+        painter.text(line.left_center(), Align2::LEFT_CENTER, hint, FontId::proportional(18.0), theme::ACCENT);
         image(ui, texture, inner, Color32::WHITE);
         let response = ui.interact(inner, ui.id().with("measure"), Sense::click());
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Measure here"));
         if response.has_focus() {
             keep_arrows(ui, response.id);
-            focus_frame(ui, rect);
+            focus_frame(ui, line.union(inner));
         }
         if response.has_focus() || ui.memory(|m| m.focused().is_none()) {
             ui.input_mut(|i| self.measure.tap_by_key(i));
@@ -198,13 +194,7 @@ impl Theatre {
         };
         if let Some(words) = told {
             // Beside the picture's title, where it covers nothing.
-            painter.text(
-                pos2(rect.right(), rect.top() + TITLE / 2.0),
-                Align2::RIGHT_CENTER,
-                words,
-                FontId::proportional(26.0),
-                theme::TEXT,
-            );
+            painter.text(line.right_center(), Align2::RIGHT_CENTER, words, FontId::proportional(26.0), theme::TEXT);
         }
     }
 }
