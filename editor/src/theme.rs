@@ -47,12 +47,12 @@ pub fn family(name: &str) -> Color32 {
         "source" => rgb(0x0E9757),
         "stitch" => rgb(0xF6A403),
         "stereo" => rgb(0x5993FB),
-        "tools" => rgb(0xB0306A),
+        "tools" => rgb(0xBA4894),
         "arm" => rgb(0xC487D6),
         "overlay" | "filter" => rgb(0xE3DA69),
         "sink" => rgb(0xA2A2A2),
         "unknown" => FAULT,
-        _ => rgb(0x567895),
+        _ => rgb(0xCBE1E6),
     }
 }
 
@@ -262,7 +262,7 @@ mod tests {
         let classes: Vec<Color32> = (0..8).map(class).collect();
         let packets = ["image", "depth", "cloud", "pose", "tip", "text"].map(packet);
         for (name, colors, apart) in
-            [("families", &families[..], 14.0), ("classes", &classes, 14.0), ("packets", &packets, 20.0)]
+            [("families", &families[..], 18.0), ("classes", &classes, 14.0), ("packets", &packets, 20.0)]
         {
             assert!(least(colors) > apart, "{name}: {}", least(colors));
         }
@@ -277,7 +277,7 @@ mod tests {
                 assert!(contrast(text, ground) > 4.5, "{text:?} on {ground:?}: {}", contrast(text, ground));
             }
         }
-        for mark in ["source", "stitch", "stereo", "arm", "filter", "sink"].map(family) {
+        for mark in ["source", "stitch", "stereo", "tools", "arm", "filter", "sink", "other"].map(family) {
             assert!(contrast(mark, RAISED) > 3.0, "{mark:?}: {}", contrast(mark, RAISED));
         }
     }
