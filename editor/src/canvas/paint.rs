@@ -42,6 +42,23 @@ fn bow(from: Pos2, to: Pos2, scale: f32) -> [Pos2; 4] {
     [from, from + vec2(reach, 0.0), to - vec2(reach, 0.0), to]
 }
 
+/// Straight ways between corners, with round turns.
+fn rounded(corners: &[Pos2]) -> Vec<[Pos2; 4]> {
+    const RADIUS: f32 = 14.0;
+    let straight = |a: Pos2, b: Pos2| [a, a + (b - a) / 3.0, b - (b - a) / 3.0, b];
+    let (mut at, mut curves) = (corners[0], Vec::with_capacity(2 * corners.len()));
+    for three in corners.windows(3) {
+        let [a, b, c] = [three[0], three[1], three[2]];
+        let radius = RADIUS.min((b - a).length() / 2.0).min((c - b).length() / 2.0);
+        let (before, after) = (b - (b - a).normalized() * radius, b + (c - b).normalized() * radius);
+        curves.push(straight(at, before));
+        curves.push([before, before + (b - before) * 0.55, after + (b - after) * 0.55, after]);
+        at = after;
+    }
+    curves.push(straight(at, corners[corners.len() - 1]));
+    curves
+}
+
 impl Canvas {
     fn font(&self, size: f32) -> FontId {
         // Half points: fewer sizes for the font's texture.
@@ -124,15 +141,10 @@ impl Canvas {
                 None => break,
             }
         }
-        let reach = |y: f32| vec2(((low - y) * 0.5).clamp(40.0, 160.0), 0.0);
-        let (right, left) = (pos2(from.x, low), pos2(to.x, low));
-        let third = (left - right) / 3.0;
-        let curves = [
-            [from, from + reach(from.y), right + reach(from.y), right],
-            [right, right + third, left - third, left],
-            [left, left - reach(to.y), to - reach(to.y), to],
-        ];
-        curves.map(|curve| curve.map(|at| transform * at)).to_vec()
+        // Down and up between the columns.
+        let (right, left) = (from.x + room, to.x - room);
+        let corners = [from, pos2(right, from.y), pos2(right, low), pos2(left, low), pos2(left, to.y), to];
+        rounded(&corners).into_iter().map(|curve| curve.map(|at| transform * at)).collect()
     }
 
     pub(super) fn paint_wires(&self, painter: &Painter, scene: &Scene<'_>) {

@@ -16,6 +16,7 @@ use panoscope_runtime::sweep::{COUNTERS, MOST_STEPS, Point, Request, can_sweep, 
 use super::Shown;
 use super::cutout::Cutout;
 use super::plots::Export;
+use super::unit_words;
 use crate::content::Content;
 use crate::document::Document;
 use crate::observe::{Counters, Output};
@@ -384,7 +385,8 @@ fn kind_of(document: &Document, param: &str) -> (bool, String, Option<f64>) {
         node_type.params.iter().find(|p| p.name == param)
     });
     let Some(declared) = declared else { return (false, String::new(), None) };
-    let unit = if declared.unit.is_empty() { String::new() } else { format!(" {}", declared.unit) };
+    let unit = unit_words(&declared.unit);
+    let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
     match &declared.kind {
         ParamKind::Int { step, .. } => (true, unit, Some(step.unwrap_or(1) as f64)),
         ParamKind::Float { step, .. } => (true, unit, *step),

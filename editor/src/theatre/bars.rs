@@ -14,8 +14,8 @@ use crate::session::{Phase, Status};
 use crate::theme;
 
 /// Width of a setting, between two of them, and of the button that leads to more.
-const SETTING: f32 = 240.0;
-const SETTING_GAP: f32 = 28.0;
+const SETTING: f32 = 216.0;
+const SETTING_GAP: f32 = 24.0;
 const MORE: f32 = 84.0;
 
 fn clock_words(since: Instant) -> String {
