@@ -135,7 +135,7 @@ pub fn apply(ctx: &Context) {
         spacing.menu_margin = Margin::same(8);
         style.animation_time = 0.1;
         let visuals = &mut style.visuals;
-        visuals.panel_fill = PANEL;
+        visuals.panel_fill = GROUND;
         visuals.window_fill = PANEL;
         visuals.window_stroke = Stroke::new(1.0, LINE);
         visuals.window_corner_radius = CornerRadius::same(8);

@@ -12,6 +12,7 @@ use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::Options;
 use panoscope_editor::session::Phase;
 use panoscope_editor::theatre;
+use panoscope_editor::theme::{BLACK, GROUND};
 
 const NONE: Modifiers = Modifiers::NONE;
 
@@ -67,7 +68,7 @@ fn at_rest(folder: &Folder) -> Window {
 fn looks(window: &mut Window, name: &str) {
     window.harness.remove_cursor();
     window.steps(3);
-    let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures);
+    let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures, GROUND);
     compare(name, picture, &[]);
 }
 
@@ -98,7 +99,7 @@ fn the_bench_looks_as_it_did() {
     let picture = window.harness.get_by_label("Pick level.spots here").rect();
     window.harness.remove_cursor();
     window.steps(3);
-    let now = paint(&window.harness.ctx, window.harness.output(), &window.textures);
+    let now = paint(&window.harness.ctx, window.harness.output(), &window.textures, GROUND);
     let age = Rect::from_min_size(picture.center_top(), vec2(0.0, 48.0)).expand2(vec2(160.0, 0.0));
     compare("bench_picker", now, &[age]);
 }
@@ -118,7 +119,7 @@ fn the_theatre_looks_as_it_did() {
     // Ages grow: they stand above each picture, at its right.
     let views = ["View Calm view", "View Gray"].map(|label| window.harness.get_by_label_contains(label).rect());
     let ages = views.map(|v| Rect::from_min_max(pos2(v.right() - 180.0, v.top()), pos2(v.right(), v.top() + 32.0)));
-    let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures);
+    let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures, BLACK);
     compare("theatre", picture, &ages);
 }
 

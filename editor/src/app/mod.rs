@@ -569,6 +569,10 @@ impl eframe::App for App {
         Self::ui(self, ui);
     }
 
+    fn clear_color(&self, _: &egui::Visuals) -> [f32; 4] {
+        theme::GROUND.to_normalized_gamma_f32()
+    }
+
     fn on_exit(&mut self, _: Option<&eframe::glow::Context>) {
         self.session.close();
     }

@@ -37,6 +37,21 @@ pub(super) fn on_curve(p: &[Pos2; 4], t: f32) -> Pos2 {
     at
 }
 
+/// A curve as few straight pieces as eyes take for one: most wires of a large graph are one piece.
+fn flattened(p: &[Pos2; 4]) -> Vec<Pos2> {
+    const TOLERANCE: f32 = 0.25;
+    let chord = (p[3] - p[0]).normalized();
+    let aside = |q: Pos2| ((q - p[0]).x * chord.y - (q - p[0]).y * chord.x).abs();
+    if aside(p[1]).max(aside(p[2])) < TOLERANCE {
+        return vec![p[0], p[3]];
+    }
+    // Error of n equal steps: an eighth of the second derivative's largest value over n squared.
+    let bend = |a: Pos2, b: Pos2, c: Pos2| (a.to_vec2() - 2.0 * b.to_vec2() + c.to_vec2()).length();
+    let most = 6.0 * bend(p[0], p[1], p[2]).max(bend(p[1], p[2], p[3]));
+    let count = (most / (8.0 * TOLERANCE)).sqrt().ceil().clamp(2.0, 64.0) as usize;
+    (0..=count).map(|i| on_curve(p, i as f32 / count as f32)).collect()
+}
+
 fn bow(from: Pos2, to: Pos2, scale: f32) -> [Pos2; 4] {
     let reach = ((to.x - from.x).abs() * 0.5).max(40.0 * scale).min(220.0 * scale);
     [from, from + vec2(reach, 0.0), to - vec2(reach, 0.0), to]
@@ -65,8 +80,8 @@ impl Canvas {
         FontId::new(((size * self.scale()) * 2.0).round() / 2.0, FontFamily::Proportional)
     }
 
+    /// Points of the grid. What is behind them is what the window is cleared to: drivers without hardware pay for every pixel that is filled.
     pub(super) fn paint_ground(&self, painter: &Painter) {
-        painter.rect_filled(self.rect, 0.0, theme::GROUND);
         let step = 32.0 * self.scale();
         if step < 14.0 {
             return;
@@ -168,6 +183,7 @@ impl Canvas {
             let (color, width) = match (selected, near) {
                 (true, _) => (theme::ACCENT, 3.0),
                 (_, true) => (theme::packet(packet), 2.5),
+                _ if wire.delayed => (theme::packet(packet).gamma_multiply(0.45), 1.5),
                 _ => (theme::packet(packet).gamma_multiply(0.6), 2.0),
             };
             let stroke = Stroke::new((width * self.scale()).max(1.0), color);
@@ -176,7 +192,10 @@ impl Canvas {
                     let points: Vec<Pos2> = (0..=32).map(|i| on_curve(&curve, i as f32 / 32.0)).collect();
                     painter.extend(Drawn::dashed_line(&points, stroke, 8.0 * self.scale(), 5.0 * self.scale()));
                 } else {
-                    painter.add(CubicBezierShape::from_points_stroke(curve, false, Color32::TRANSPARENT, stroke));
+                    match &flattened(&curve)[..] {
+                        [from, to] => painter.line_segment([*from, *to], stroke),
+                        points => painter.line(points.to_vec(), stroke),
+                    };
                 }
             }
         }
@@ -495,4 +514,36 @@ fn say(painter: &Painter, at: Pos2, words: &str) {
     let rect = Rect::from_min_size(at, galley.size() + vec2(16.0, 12.0));
     painter.rect(rect, 4.0, theme::PANEL, Stroke::new(1.0, theme::FAULT), StrokeKind::Inside);
     painter.galley(rect.min + vec2(8.0, 6.0), galley, theme::TEXT);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wires_are_few_pieces_and_keep_to_their_curve() {
+        let straight = bow(pos2(0.0, 5.0), pos2(300.0, 5.0), 1.0);
+        assert_eq!(flattened(&straight).len(), 2);
+        let curve = bow(pos2(0.0, 0.0), pos2(120.0, 400.0), 1.0);
+        let points = flattened(&curve);
+        assert!((8..=64).contains(&points.len()), "{}", points.len());
+        let apart = |at: Pos2| {
+            let near = points.windows(2).map(|pair| {
+                let way = pair[1] - pair[0];
+                let along = ((at - pair[0]).dot(way) / way.length_sq()).clamp(0.0, 1.0);
+                at.distance(pair[0] + way * along)
+            });
+            near.fold(f32::MAX, f32::min)
+        };
+        let worst = (0..=500).map(|i| apart(on_curve(&curve, i as f32 / 500.0))).fold(0.0, f32::max);
+        assert!(worst < 0.3, "{worst}");
+    }
+
+    #[test]
+    fn ways_back_have_round_turns_and_no_gaps() {
+        let corners = [pos2(10.0, 0.0), pos2(40.0, 0.0), pos2(40.0, 90.0), pos2(-60.0, 90.0), pos2(-60.0, 20.0)];
+        let curves = rounded(&corners);
+        assert!(curves.windows(2).all(|pair| pair[0][3] == pair[1][0]), "{curves:?}");
+        assert_eq!((curves[0][0], curves[curves.len() - 1][3]), (corners[0], corners[4]));
+    }
 }

@@ -1,11 +1,14 @@
 //! The plugins that can be seen from here: what they offer, where they came from.
 
-use eframe::egui::text::{LayoutJob, TextFormat, TextWrapping};
+use eframe::egui::text::{LayoutJob, TextFormat};
 use eframe::egui::{CollapsingHeader, Context, FontId, Frame, Margin, Modal, RichText, ScrollArea};
 use panoscope_graph::Catalog;
 use panoscope_runtime::Loader;
 
 use crate::theme;
+
+/// Letters of the names of a plugin's nodes that have room beside its own name.
+const MOST_LETTERS: usize = 68;
 
 /// What was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,8 +46,10 @@ pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Asked> 
                 );
                 let small = FontId::proportional(12.0);
                 let rest = TextFormat { font_id: small, color: theme::MUTED, ..Default::default() };
-                title.append(&format!("   {}", found.note.node_types.join(", ")), 0.0, rest);
-                title.wrap = TextWrapping::truncate_at_width(520.0);
+                let nodes = found.note.node_types.join(", ");
+                let shown: String = nodes.chars().take(MOST_LETTERS).collect();
+                let dots = if shown.len() < nodes.len() { "..." } else { "" };
+                title.append(&format!("   {shown}{dots}"), 0.0, rest);
                 CollapsingHeader::new(title).id_salt(("plugin", name)).show(ui, |ui| {
                     let words = format!("{version}   {}", found.file.display());
                     ui.label(RichText::new(words).size(11.0).color(theme::MUTED));

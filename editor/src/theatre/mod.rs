@@ -233,7 +233,6 @@ impl Theatre {
         self.follow_screen(&ctx);
         let whole = ui.available_rect_before_wrap();
         ui.allocate_rect(whole, egui::Sense::hover());
-        ui.painter().rect_filled(whole, 0.0, theme::BLACK);
         let top = Rect::from_min_size(whole.min, vec2(whole.width(), TOP));
         let bottom = Rect::from_min_max(pos2(whole.left(), whole.bottom() - BOTTOM), whole.max);
         let stage =
@@ -411,6 +410,10 @@ impl Theatre {
 impl eframe::App for Theatre {
     fn ui(&mut self, ui: &mut Ui, _: &mut eframe::Frame) {
         Self::ui(self, ui);
+    }
+
+    fn clear_color(&self, _: &egui::Visuals) -> [f32; 4] {
+        theme::BLACK.to_normalized_gamma_f32()
     }
 
     fn on_exit(&mut self, _: Option<&eframe::glow::Context>) {
