@@ -33,6 +33,8 @@ pub enum Action {
     SelectAll,
     /// Select the next node.
     Next,
+    /// Select the next node, too.
+    NextToo,
     /// Show the output under the pointer, or of the selected node, large.
     View,
     /// Compare what is shown large with another output.
@@ -94,6 +96,7 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (ZoomOut, NONE, Key::Minus, "Zoom out"),
         (SelectAll, CTRL, Key::A, "Select all nodes"),
         (Next, NONE, Key::N, "Select the next node"),
+        (NextToo, Modifiers::SHIFT, Key::N, "Select the next node, too"),
         (Frame, NONE, Key::G, "Frame the selected nodes"),
         (Note, NONE, Key::O, "Add a note"),
         (Align, NONE, Key::L, "Put the selected nodes in line"),
@@ -149,7 +152,16 @@ pub fn pressed(input: &mut InputState, typing: bool) -> Vec<Action> {
 pub fn key_words(action: Action) -> String {
     let found = ALL.iter().find(|(a, ..)| *a == action);
     found.map_or_else(String::new, |(_, modifiers, key, _)| {
-        KeyboardShortcut::new(*modifiers, *key).format(&eframe::egui::ModifierNames::NAMES, false)
+        let words = KeyboardShortcut::new(*modifiers, *key).format(&eframe::egui::ModifierNames::NAMES, false);
+        // As it stands on the key.
+        let sign = match key {
+            Key::Plus => "+",
+            Key::Minus => "-",
+            Key::OpenBracket => "[",
+            Key::CloseBracket => "]",
+            _ => return words,
+        };
+        words.replace(key.name(), sign)
     })
 }
 

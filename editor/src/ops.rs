@@ -306,7 +306,17 @@ pub fn insert(doc: &mut Document, id: &str, to: (&str, &str, usize)) -> Result<(
 
 /// Writes places of nodes into the file.
 pub fn move_nodes(doc: &mut Document, places: &[(String, (f32, f32))]) -> Result<(), EditError> {
-    doc.edit("move", None, |edit| {
+    put_nodes(doc, places, None)
+}
+
+/// As [`move_nodes`]; moves of the same nodes that follow one another are one step of undo.
+pub fn nudge_nodes(doc: &mut Document, places: &[(String, (f32, f32))]) -> Result<(), EditError> {
+    let names: Vec<&str> = places.iter().map(|(id, _)| id.as_str()).collect();
+    put_nodes(doc, places, Some(&format!("nudge {}", names.join(" "))))
+}
+
+fn put_nodes(doc: &mut Document, places: &[(String, (f32, f32))], merge: Option<&str>) -> Result<(), EditError> {
+    doc.edit("move", merge, |edit| {
         for (id, (x, y)) in places {
             edit.set_position(id, f64::from(*x), f64::from(*y));
         }

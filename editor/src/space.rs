@@ -9,7 +9,9 @@ use eframe::egui::{
 
 use crate::content::{Content, moved, moved_back};
 use crate::observe::Output;
-use crate::panels::{Shown, surface::steer};
+use crate::panels::Shown;
+use crate::panels::crosshair::Crosshair;
+use crate::panels::surface::{steer, steer_by_key, zoom_by};
 use crate::surface::{Painted, Sight, distance_mm};
 use crate::theme;
 
@@ -38,6 +40,7 @@ pub struct Space {
     sight: Sight,
     measuring: bool,
     points: Vec<[f32; 3]>,
+    crosshair: Crosshair,
     ways: HashMap<Output, Way>,
 }
 
@@ -59,6 +62,23 @@ impl Space {
     pub fn toggle_measuring(&mut self) {
         self.measuring ^= true;
         self.points.clear();
+        self.crosshair = Crosshair::default();
+    }
+
+    /// Enlarges by steps, or makes smaller.
+    pub fn zoom_by(&mut self, steps: f32) {
+        zoom_by(&mut self.sight, steps);
+    }
+
+    /// A point to measure from, at parts of the picture's width and height.
+    fn tap(&mut self, painted: &Painted, [x, y]: [f32; 2]) {
+        let [width, height] = painted.sight.size_px.map(|n| n as f32);
+        if let Some(place) = painted.pick(x * width, y * height) {
+            if self.points.len() >= 2 {
+                self.points.clear();
+            }
+            self.points.push(place);
+        }
     }
 
     /// Takes what tips and poses tell.
@@ -119,16 +139,22 @@ impl Space {
         };
         let view = View { painted: &painted, inner, scale };
         if let Some(at) = response.interact_pointer_pos().filter(|_| self.measuring && response.clicked()) {
-            let place = (at - inner.min) / scale;
-            if let Some(place) = painted.pick(place.x, place.y) {
-                if self.points.len() >= 2 {
-                    self.points.clear();
+            self.tap(&painted, [(at.x - inner.left()) / inner.width(), (at.y - inner.top()) / inner.height()]);
+        }
+        // Fields and buttons that have the focus have the keys, too.
+        if ui.memory(|m| m.focused().is_none_or(|id| id == response.id)) {
+            let chosen = ui.input_mut(|i| match self.measuring {
+                true => self.crosshair.steer(i, inner.aspect_ratio()),
+                false => {
+                    steer_by_key(i, &mut self.sight);
+                    None
                 }
-                self.points.push(place);
-            }
+            });
+            chosen.into_iter().for_each(|at| self.tap(&painted, at));
         }
         self.draw_ways(&painter, &view);
         self.draw_points(&painter, &view);
+        self.crosshair.draw(&painter, inner);
     }
 
     fn draw_ways(&self, painter: &Painter, view: &View<'_>) {
@@ -192,7 +218,7 @@ impl Space {
     pub fn controls(&mut self, ui: &mut Ui) {
         let words = if self.measuring { "Measuring: click two points" } else { "Measure" };
         let button = ui.add(eframe::egui::Button::new(words).selected(self.measuring));
-        if button.on_hover_text("Distance of two points in mm, by clicks").clicked() {
+        if button.on_hover_text("Distance of two points in mm, by clicks, or by arrow keys and Enter").clicked() {
             self.toggle_measuring();
         }
         ui.label(RichText::new("depth from").color(theme::MUTED));

@@ -1,4 +1,5 @@
-//! Colours, sizes and distances. Dark and calm: one accent; hues that colour-blind eyes tell apart (Okabe and Ito, "Color Universal Design").
+//! Colours, sizes and distances. Dark and calm: one accent; hues after Okabe and Ito ("Color Universal Design"), moved until eyes of every kind tell
+//! them apart: see the test below.
 
 use eframe::egui::{
     Color32, Context, CornerRadius, FontFamily, FontId, Margin, Shadow, Stroke, TextStyle, Theme, Vec2,
@@ -17,6 +18,8 @@ pub const PANEL: Color32 = rgb(0x181C22);
 pub const RAISED: Color32 = rgb(0x20262E);
 /// Fields and pictures without a picture.
 pub const SUNK: Color32 = rgb(0x0D1014);
+/// Around surfaces, which are painted on this.
+pub const SURFACE: Color32 = Color32::from_gray(18);
 /// Thin lines.
 pub const LINE: Color32 = rgb(0x2E3640);
 /// Text.
@@ -41,15 +44,15 @@ pub const STEP: f32 = 4.0;
 /// Colour of a family of nodes.
 pub fn family(name: &str) -> Color32 {
     match name {
-        "source" => rgb(0x009E73),
-        "stitch" => rgb(0xE69F00),
-        "stereo" => rgb(0x3D8FD1),
-        "tools" => rgb(0xCC79A7),
-        "arm" => rgb(0xB58AD6),
-        "overlay" | "filter" => rgb(0xD9CE5B),
-        "sink" => rgb(0x9AA5B1),
+        "source" => rgb(0x0E9757),
+        "stitch" => rgb(0xF6A403),
+        "stereo" => rgb(0x5993FB),
+        "tools" => rgb(0xBA4894),
+        "arm" => rgb(0xC487D6),
+        "overlay" | "filter" => rgb(0xE3DA69),
+        "sink" => rgb(0xA2A2A2),
         "unknown" => FAULT,
-        _ => rgb(0x6F8FA8),
+        _ => rgb(0xCBE1E6),
     }
 }
 
@@ -57,13 +60,13 @@ pub fn family(name: &str) -> Color32 {
 pub fn class(index: u32) -> Color32 {
     const COLORS: [Color32; 8] = [
         rgb(0x56B4E9),
-        rgb(0xE69F00),
-        rgb(0x2DBE95),
-        rgb(0xCC79A7),
-        rgb(0xF0E442),
+        rgb(0xEFA000),
+        rgb(0x5AF8D1),
+        rgb(0xBD71AB),
+        rgb(0xFEE836),
         rgb(0xEE7733),
-        rgb(0x9AA5B1),
-        rgb(0x3D8FD1),
+        rgb(0xA8A8A8),
+        rgb(0x0578C7),
     ];
     COLORS[index as usize % COLORS.len()]
 }
@@ -71,12 +74,12 @@ pub fn class(index: u32) -> Color32 {
 /// Colour of what flows through a pin.
 pub fn packet(name: &str) -> Color32 {
     match name {
-        "image" | "mask" => rgb(0x7FC4EC),
-        "disparity" | "depth" | "confidence" => rgb(0x2DBE95),
-        "cloud" => rgb(0x8FD16F),
-        "homography" | "calibration" | "pose" | "joints" | "roi" => rgb(0xD99ABF),
-        "detections" | "instances" | "tip" => rgb(0xEBB13D),
-        _ => rgb(0xA9B3BF),
+        "image" | "mask" => rgb(0x6CC8F5),
+        "disparity" | "depth" | "confidence" => rgb(0x0F9A66),
+        "cloud" => rgb(0xB0E58C),
+        "homography" | "calibration" | "pose" | "joints" | "roi" => rgb(0xF0C4D0),
+        "detections" | "instances" | "tip" => rgb(0xE7A32F),
+        _ => rgb(0x7C8798),
     }
 }
 
@@ -132,7 +135,7 @@ pub fn apply(ctx: &Context) {
         spacing.menu_margin = Margin::same(8);
         style.animation_time = 0.1;
         let visuals = &mut style.visuals;
-        visuals.panel_fill = PANEL;
+        visuals.panel_fill = GROUND;
         visuals.window_fill = PANEL;
         visuals.window_stroke = Stroke::new(1.0, LINE);
         visuals.window_corner_radius = CornerRadius::same(8);
@@ -186,4 +189,96 @@ pub fn apply_theatre(ctx: &Context) {
         style.interaction.tooltip_delay = f32::INFINITY;
         style.animation_time = 0.0;
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What eyes without one kind of cones make of linear red, green and blue: Machado, Oliveira and Fernandes, "A Physiologically-based Model for
+    /// Simulation of Color Vision Deficiency", 2009, severity 1; first the usual eye.
+    const EYES: [(&str, [[f32; 3]; 3]); 4] = [
+        ("usual", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+        (
+            "protanope",
+            [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+        ),
+        (
+            "deuteranope",
+            [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+        ),
+        (
+            "tritanope",
+            [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+        ),
+    ];
+
+    fn linear(color: Color32) -> [f32; 3] {
+        [color.r(), color.g(), color.b()].map(|v| {
+            let v = f32::from(v) / 255.0;
+            if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+        })
+    }
+
+    /// CIE L*a*b* under D65.
+    fn lab([r, g, b]: [f32; 3]) -> [f32; 3] {
+        let curve = |t: f32| if t > 0.008856 { t.cbrt() } else { 7.787 * t + 16.0 / 116.0 };
+        let x = curve((0.4124 * r + 0.3576 * g + 0.1805 * b) / 0.9505);
+        let y = curve(0.2126 * r + 0.7152 * g + 0.0722 * b);
+        let z = curve((0.0193 * r + 0.1192 * g + 0.9505 * b) / 1.089);
+        [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
+    }
+
+    fn seen(color: Color32, eye: &[[f32; 3]; 3]) -> [f32; 3] {
+        let light = linear(color);
+        lab(eye.map(|row| row.iter().zip(light).map(|(a, b)| a * b).sum::<f32>().clamp(0.0, 1.0)))
+    }
+
+    /// Least difference of two colours of a set for any eye; about 2.3 can just be seen side by side.
+    fn least(colors: &[Color32]) -> f32 {
+        let mut least = f32::MAX;
+        for (_, eye) in &EYES {
+            for (k, a) in colors.iter().enumerate() {
+                for b in &colors[..k] {
+                    let apart: f32 = seen(*a, eye).iter().zip(seen(*b, eye)).map(|(x, y)| (x - y).powi(2)).sum();
+                    least = least.min(apart.sqrt());
+                }
+            }
+        }
+        least
+    }
+
+    fn contrast(a: Color32, b: Color32) -> f32 {
+        let light = |color| {
+            let [r, g, b] = linear(color);
+            0.2126 * r + 0.7152 * g + 0.0722 * b + 0.05
+        };
+        (light(a) / light(b)).max(light(b) / light(a))
+    }
+
+    #[test]
+    fn every_eye_tells_the_colours_apart() {
+        let families = ["source", "stitch", "stereo", "tools", "arm", "filter", "sink", "unknown", "other"].map(family);
+        let classes: Vec<Color32> = (0..8).map(class).collect();
+        let packets = ["image", "depth", "cloud", "pose", "tip", "text"].map(packet);
+        for (name, colors, apart) in
+            [("families", &families[..], 18.0), ("classes", &classes, 14.0), ("packets", &packets, 20.0)]
+        {
+            assert!(least(colors) > apart, "{name}: {}", least(colors));
+        }
+        // What is well, what was wrong, what is wrong: the same eyes, more apart.
+        assert!(least(&[LIVE, WARN, FAULT]) > 18.0, "{}", least(&[LIVE, WARN, FAULT]));
+    }
+
+    #[test]
+    fn words_and_marks_stand_out_from_what_is_behind_them() {
+        for ground in [GROUND, PANEL, RAISED, BLACK, SUNK] {
+            for text in [TEXT, MUTED, ACCENT, FAULT, WARN] {
+                assert!(contrast(text, ground) > 4.5, "{text:?} on {ground:?}: {}", contrast(text, ground));
+            }
+        }
+        for mark in ["source", "stitch", "stereo", "tools", "arm", "filter", "sink", "other"].map(family) {
+            assert!(contrast(mark, RAISED) > 3.0, "{mark:?}: {}", contrast(mark, RAISED));
+        }
+    }
 }

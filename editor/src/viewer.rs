@@ -1,8 +1,9 @@
 //! The big picture: one output, or two by wipe, blink or difference. Number keys recall what was looked at.
 
 use eframe::egui::{
-    Align, Align2, Button, Color32, ComboBox, Context, FontId, Id, Key, Layout, Modifiers, Painter, Rect, RichText,
-    Sense, Stroke, TextureHandle, TextureId, TextureOptions, Ui, UiBuilder, Vec2, WidgetInfo, WidgetType, pos2, vec2,
+    Align, Align2, Button, Color32, ComboBox, Context, FontId, Id, InputState, Key, Layout, Modifiers, Painter, Pos2,
+    Rect, RichText, Sense, Stroke, TextureHandle, TextureId, TextureOptions, Ui, UiBuilder, Vec2, WidgetInfo,
+    WidgetType, pos2, vec2,
 };
 
 use crate::observe::Output;
@@ -14,6 +15,8 @@ use crate::theme;
 
 /// Most outputs that number keys recall.
 const RECENT: usize = 9;
+/// Part of the picture that an arrow key moves the wipe by.
+const WIPE_STEP: f32 = 0.02;
 /// Half a period of blinking, s.
 const BLINK_S: f64 = 0.6;
 
@@ -102,6 +105,16 @@ impl Viewer {
         (cloud && self.b.is_none() && !self.flat && !self.picking).then(|| self.space.sight())
     }
 
+    /// Place of the line between both outputs, 0..=1, while they are compared by wipe.
+    pub fn wipe_line(&self) -> Option<f32> {
+        (self.b.is_some() && self.compare == Compare::Wipe).then_some(self.wipe)
+    }
+
+    /// The 3-D view, to look at.
+    pub fn space_now(&self) -> &Space {
+        &self.space
+    }
+
     /// The 3-D view.
     pub fn space(&mut self) -> &mut Space {
         &mut self.space
@@ -127,12 +140,11 @@ impl Viewer {
     ) -> Option<(Rect, Rect)> {
         let a = self.a.clone()?;
         if self.sight().is_some() {
-            ui.painter_at(rect).rect_filled(rect, 0.0, theme::SUNK);
+            ui.painter_at(rect).rect_filled(rect, 0.0, theme::SURFACE);
             let room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
             self.space.show(ui, room, shown, &a.output, ways);
             self.bar(ui, rect, shown, &a, others);
             self.foot(ui, rect);
-            self.recall_by_key(ui);
             return None;
         }
         let ground = ui.interact(rect, Id::new("viewer"), Sense::click_and_drag());
@@ -150,8 +162,16 @@ impl Viewer {
             (Some((texture, size)), None) => picture(&painter, texture, fit(room, size), Color32::WHITE),
             (Some((texture, size)), Some(b)) => {
                 let inner = fit(room, size);
-                if let Some(pointer) = ground.hover_pos().filter(|_| self.compare == Compare::Wipe) {
+                // A pointer that rests leaves the line to the keys.
+                let moves = self.compare == Compare::Wipe && ui.input(|i| i.pointer.delta() != Vec2::ZERO);
+                if let Some(pointer) = ground.hover_pos().filter(|_| moves) {
                     self.wipe = ((pointer.x - inner.left()) / inner.width()).clamp(0.0, 1.0);
+                }
+                if self.compare == Compare::Wipe && ui.memory(|m| m.focused().is_none_or(|id| id == ground.id)) {
+                    let steps = [(Key::ArrowLeft, -WIPE_STEP), (Key::ArrowRight, WIPE_STEP)];
+                    let by = steps
+                        .map(|(key, by)| by * ui.input_mut(|i| i.count_and_consume_key(Modifiers::NONE, key)) as f32);
+                    self.wipe = (self.wipe + by[0] + by[1]).clamp(0.0, 1.0);
                 }
                 self.both(ui, &painter, inner, (&a, texture), &b, shown);
             }
@@ -164,17 +184,17 @@ impl Viewer {
         self.bar(ui, rect, shown, &a, others);
         if !self.picking {
             self.foot(ui, rect);
-            self.recall_by_key(ui);
         }
         stands.map(|stands| (stands, foot_of(rect)))
     }
 
-    fn recall_by_key(&mut self, ui: &Ui) {
-        for digit in 1..=RECENT {
-            let keys =
-                [Key::Num1, Key::Num2, Key::Num3, Key::Num4, Key::Num5, Key::Num6, Key::Num7, Key::Num8, Key::Num9];
-            if !ui.ctx().text_edit_focused() && ui.input_mut(|i| i.consume_key(Modifiers::NONE, keys[digit - 1])) {
-                self.recall(digit);
+    /// Number keys show what was looked at, whether the viewer is open or not.
+    pub fn recall_by_key(&mut self, input: &mut InputState) {
+        const KEYS: [Key; RECENT] =
+            [Key::Num1, Key::Num2, Key::Num3, Key::Num4, Key::Num5, Key::Num6, Key::Num7, Key::Num8, Key::Num9];
+        for (n, key) in KEYS.into_iter().enumerate() {
+            if input.consume_key(Modifiers::NONE, key) {
+                self.recall(n + 1);
             }
         }
     }
@@ -189,25 +209,22 @@ impl Viewer {
                 picture(&painter.with_clip_rect(left.intersect(painter.clip_rect())), a.1, inner, Color32::WHITE);
                 picture(&painter.with_clip_rect(right.intersect(painter.clip_rect())), second, inner, Color32::WHITE);
                 painter.vline(x, inner.y_range(), Stroke::new(1.5, theme::ACCENT));
-                let font = FontId::proportional(12.0);
                 let top = inner.top() + 8.0;
-                painter.text(pos2(x - 8.0, top), Align2::RIGHT_TOP, a.0.output.to_string(), font.clone(), theme::TEXT);
-                painter.text(pos2(x + 8.0, top), Align2::LEFT_TOP, b.output.to_string(), font, theme::TEXT);
+                tag(painter, pos2(x - 8.0, top), Align2::RIGHT_TOP, a.0.output.to_string());
+                tag(painter, pos2(x + 8.0, top), Align2::LEFT_TOP, b.output.to_string());
             }
             Compare::Blink => {
                 let first = (ui.input(|i| i.time) / BLINK_S) as i64 % 2 == 0;
                 picture(painter, if first { a.1 } else { second }, inner, Color32::WHITE);
                 let name = if first { &a.0.output } else { &b.output };
-                let at = inner.left_top() + vec2(8.0, 8.0);
-                painter.text(at, Align2::LEFT_TOP, name.to_string(), FontId::proportional(12.0), theme::TEXT);
+                tag(painter, inner.left_top() + vec2(8.0, 8.0), Align2::LEFT_TOP, name.to_string());
                 ui.ctx().request_repaint_after(std::time::Duration::from_secs_f64(BLINK_S / 2.0));
             }
             Compare::Difference => {
                 if let Some((texture, mean)) = self.difference(ui.ctx(), shown, &a.0.output, &b.output) {
                     picture(painter, texture, inner, Color32::WHITE);
                     let words = format!("mean difference {mean:.1} of 255, shown four times as strong");
-                    let at = inner.left_top() + vec2(8.0, 8.0);
-                    painter.text(at, Align2::LEFT_TOP, words, FontId::proportional(12.0), theme::TEXT);
+                    tag(painter, inner.left_top() + vec2(8.0, 8.0), Align2::LEFT_TOP, words);
                 }
             }
         }
@@ -247,7 +264,7 @@ impl Viewer {
                     if ui.button("Close").on_hover_text("Escape").clicked() {
                         self.close();
                     }
-                    if a.packet == "cloud" && self.b.is_none() {
+                    if a.packet == "cloud" && self.b.is_none() && !self.picking {
                         let button = Button::new("Surface").selected(!self.flat);
                         if ui.add(button).on_hover_text("To be turned, or as the camera saw it").clicked() {
                             self.flat ^= true;
@@ -312,6 +329,15 @@ fn fit(room: Rect, size: Vec2) -> Rect {
 
 fn picture(painter: &Painter, texture: TextureId, rect: Rect, tint: Color32) {
     painter.image(texture, rect, Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0)), tint);
+}
+
+/// A name on a picture, readable on any.
+fn tag(painter: &Painter, at: Pos2, align: Align2, words: String) {
+    let galley = painter.layout_no_wrap(words, FontId::proportional(12.0), theme::TEXT);
+    let margin = vec2(6.0, 3.0);
+    let rect = align.anchor_size(at, galley.size() + 2.0 * margin);
+    painter.rect_filled(rect, 4.0, Color32::from_black_alpha(170));
+    painter.galley(rect.min + margin, galley, theme::TEXT);
 }
 
 /// Four times the absolute difference, at the first picture's size, and the mean difference of all channels.

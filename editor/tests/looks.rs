@@ -2,18 +2,17 @@
 
 mod common;
 
-use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use common::golden::{Textures, compare, paint};
-use common::{Folder, PATIENCE, Window, has_plugin};
-use eframe::egui::accesskit::Role;
-use eframe::egui::{Key, Modifiers, Rect, Ui, pos2, vec2};
-use egui_kittest::Harness;
-use egui_kittest::kittest::{NodeT, Queryable};
+use common::golden::{compare, paint};
+use common::theatre::options;
+use common::{Folder, Window, hand, has_plugin};
+use eframe::egui::{Key, Modifiers, Rect, pos2, vec2};
+use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::Options;
 use panoscope_editor::session::Phase;
-use panoscope_editor::theatre::{self, Theatre};
+use panoscope_editor::theatre;
+use panoscope_editor::theme::{BLACK, GROUND};
 
 const NONE: Modifiers = Modifiers::NONE;
 
@@ -69,7 +68,7 @@ fn at_rest(folder: &Folder) -> Window {
 fn looks(window: &mut Window, name: &str) {
     window.harness.remove_cursor();
     window.steps(3);
-    let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures);
+    let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures, GROUND);
     compare(name, picture, &[]);
 }
 
@@ -86,12 +85,7 @@ fn the_bench_looks_as_it_did() {
     window.harness.get_by_label("Sweep a parameter").click_accesskit();
     window.steps(2);
     for (label, text) in [("Sweep measure", "level.levels.mean"), ("Frames per value", "3")] {
-        window.harness.get_by_label(label).focus();
-        window.steps(2);
-        window.harness.key_press_modifiers(Modifiers::COMMAND, Key::A);
-        window.harness.get_by_label(label).type_text(text);
-        window.key(NONE, Key::Enter);
-        window.steps(2);
+        hand::fill(&mut window.harness, label, text);
     }
     window.harness.get_by_label("Start the sweep").click_accesskit();
     window.until("the sweep is done", |app| app.sweep().is_some_and(|p| p.done));
@@ -105,7 +99,7 @@ fn the_bench_looks_as_it_did() {
     let picture = window.harness.get_by_label("Pick level.spots here").rect();
     window.harness.remove_cursor();
     window.steps(3);
-    let now = paint(&window.harness.ctx, window.harness.output(), &window.textures);
+    let now = paint(&window.harness.ctx, window.harness.output(), &window.textures, GROUND);
     let age = Rect::from_min_size(picture.center_top(), vec2(0.0, 48.0)).expand2(vec2(160.0, 0.0));
     compare("bench_picker", now, &[age]);
 }
@@ -117,57 +111,16 @@ fn the_theatre_looks_as_it_did() {
     }
     let folder = Folder::new("theatre_looks");
     let path = folder.write("looks.toml", GRAPH);
-    let options =
-        theatre::Options { folder: folder.0.join("kept"), frames: Some(TICKS), ..theatre::Options::default() };
-    let textures = Textures::default();
-    let draw = move |ui: &mut Ui, theatre: &mut Option<Theatre>| {
-        theatre.get_or_insert_with(|| Theatre::open(ui.ctx(), &path, GRAPH, options.clone()).expect("it opens")).ui(ui);
-    };
-    let builder = Harness::builder().with_size(vec2(1440.0, 960.0)).renderer(textures.clone());
-    let mut harness = builder.build_ui_state(draw, None);
+    let options = theatre::Options { frames: Some(TICKS), ..options(&folder) };
+    let mut window = common::theatre::Window::open_with(folder, &path, options);
     let since = Instant::now();
-    let settled = |theatre: &Theatre| {
-        theatre.notices().iter().any(|n| n.words == "The source has ended") && theatre.has_picture()
-    };
-    while !harness.state().as_ref().is_some_and(settled) || since.elapsed() < Duration::from_secs(2) {
-        assert!(since.elapsed() < PATIENCE, "{:?}", harness.state().as_ref().map(|t| t.notices().to_vec()));
-        harness.step();
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    window.until("it has ended", |t| t.notices().iter().any(|n| n.words == "The source has ended") && t.has_picture());
+    window.until("all is at rest", |_| since.elapsed() > Duration::from_secs(2));
     // Ages grow: they stand above each picture, at its right.
-    let views = ["View Calm view", "View Gray"].map(|label| harness.get_by_label_contains(label).rect());
+    let views = ["View Calm view", "View Gray"].map(|label| window.harness.get_by_label_contains(label).rect());
     let ages = views.map(|v| Rect::from_min_max(pos2(v.right() - 180.0, v.top()), pos2(v.right(), v.top() + 32.0)));
-    let picture = paint(&harness.ctx, harness.output(), &textures);
+    let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures, BLACK);
     compare("theatre", picture, &ages);
-}
-
-/// Roles of what can be touched.
-const TOUCHED: [Role; 13] = [
-    Role::Button,
-    Role::CheckBox,
-    Role::ComboBox,
-    Role::Slider,
-    Role::SpinButton,
-    Role::TextInput,
-    Role::MultilineTextInput,
-    Role::Link,
-    Role::RadioButton,
-    Role::ListBoxOption,
-    Role::MenuItem,
-    Role::Tab,
-    Role::Switch,
-];
-
-/// What can be touched and has no name.
-fn nameless<S>(harness: &Harness<'_, S>) -> BTreeSet<String> {
-    let all = harness.root().children_recursive();
-    let touched = all.filter(|node| TOUCHED.contains(&node.accesskit_node().role()));
-    let nameless = touched.filter(|node| {
-        let node = node.accesskit_node();
-        let named = node.label().is_some_and(|label| !label.trim().is_empty());
-        !named && node.labelled_by().next().is_none()
-    });
-    nameless.map(|node| format!("{:?} at {:?}", node.accesskit_node().role(), node.rect())).collect()
 }
 
 #[test]
@@ -179,11 +132,7 @@ fn everything_to_be_touched_has_a_name() {
     let mut window = Window::run(&folder.write("looks.toml", GRAPH));
     let check = |window: &mut Window, what: &str| {
         window.steps(3);
-        let found = nameless(&window.harness);
-        assert!(found.is_empty(), "{what}: {found:#?}");
-        let touched = window.harness.root().children_recursive();
-        let count = touched.filter(|n| TOUCHED.contains(&n.accesskit_node().role())).count();
-        assert!(count > 5, "{what}: only {count} things can be touched");
+        hand::all_named(&window.harness, what, 6);
     };
     check(&mut window, "bench");
     for node in ["camera", "calm", "level"] {

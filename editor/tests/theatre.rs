@@ -2,117 +2,37 @@
 
 mod common;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
-use common::{Folder, PATIENCE, has_plugin};
+use common::theatre::{GRAPH, Window, options};
+use common::{Folder, PATIENCE, hand, has_plugin};
 use eframe::egui::accesskit::Role;
-use eframe::egui::{Key, Modifiers, Ui, vec2};
-use egui_kittest::Harness;
+use eframe::egui::{Key, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::session::Phase;
 use panoscope_editor::theatre::{Layout, OpenError, Options, Theatre};
 use panoscope_graph::ParamValue;
 use panoscope_runtime::lock::{Lock, THEATRE_PLUGINS};
 
-/// A camera, two stages, a setting.
-const GRAPH: &str = r#"# Seen by a surgeon.
-name = "case"
-plugins = ["flow"]
-
-[nodes.camera]
-type = "frames"
-params = { width_px = 64, height_px = 48, rate_hz = 30.0 }
-
-[nodes.calm]
-type = "smooth"
-inputs = { image = "camera.image" }
-params = { past_weight = 100 }
-
+/// A box whose points are known.
+const MEASURED: &str = r#"plugins = ["phantom", "stereo", "flow"]
+[nodes.scope]
+type = "phantom"
+params = { scene = "box", width = 320, height = 240 }
+[nodes.points]
+type = "reproject"
+inputs = { image = "scope.left", disparity = "scope.disparity", calibration = "scope.calibration" }
 [nodes.sink]
 type = "drain"
-inputs = { image = "calm.image" }
-
+inputs = { image = "scope.left" }
 [preset]
-views = [{ from = "calm.image", label = "calm view" }, "camera.image"]
-pinned = [{ param = "calm.past_weight", range = [50, 150], label = "calmness" }]
+views = ["scope.left", "points.cloud"]
 "#;
 
-struct Window {
-    harness: Harness<'static, Option<Theatre>>,
-    folder: Folder,
-}
-
-fn options(folder: &Folder) -> Options {
-    Options { folder: folder.0.join("kept"), ..Options::default() }
-}
-
-impl Window {
-    fn open(name: &str, text: &str) -> Self {
-        let folder = Folder::new(name);
-        let path = folder.write("g.toml", text);
-        Self::open_file(folder, path)
-    }
-
-    fn open_file(folder: Folder, path: PathBuf) -> Self {
-        let options = options(&folder);
-        let draw = move |ui: &mut Ui, theatre: &mut Option<Theatre>| {
-            let text = std::fs::read_to_string(&path).unwrap_or_default();
-            let theatre = theatre
-                .get_or_insert_with(|| Theatre::open(ui.ctx(), &path, &text, options.clone()).expect("it opens"));
-            theatre.ui(ui);
-        };
-        let harness = Harness::builder().with_size(vec2(1440.0, 960.0)).build_ui_state(draw, None);
-        let mut window = Self { harness, folder };
-        window.until("it runs", |t| t.session().status().phase == Phase::Running);
-        window
-    }
-
-    fn theatre(&self) -> &Theatre {
-        self.harness.state().as_ref().expect("it is open")
-    }
-
-    fn until(&mut self, what: &str, holds: impl Fn(&Theatre) -> bool) {
-        let until = Instant::now() + PATIENCE;
-        self.harness.step();
-        while !holds(self.theatre()) {
-            let told = self.theatre().notices();
-            assert!(Instant::now() < until, "not in time: {what}; told is {told:?}");
-            std::thread::sleep(Duration::from_millis(15));
-            self.harness.step();
-        }
-    }
-
-    fn until_shown(&mut self, label: &str) {
-        let until = Instant::now() + PATIENCE;
-        while self.harness.query_by_label_contains(label).is_none() {
-            assert!(Instant::now() < until, "nothing is called `{label}`");
-            std::thread::sleep(Duration::from_millis(15));
-            self.harness.step();
-        }
-    }
-
-    fn key(&mut self, key: Key) {
-        self.harness.key_press_modifiers(Modifiers::NONE, key);
-        self.harness.step();
-        self.harness.step();
-    }
-
-    fn past_weight(&self) -> Option<ParamValue> {
-        let engine = self.theatre().session().handle().engine()?;
-        engine.param_values("calm")?.first().cloned()
-    }
-
-    fn kept(&self) -> Vec<String> {
-        let files = std::fs::read_dir(self.folder.0.join("kept")).into_iter().flatten().flatten();
-        let mut names: Vec<String> = files.map(|f| f.file_name().to_string_lossy().into_owned()).collect();
-        names.sort();
-        names
-    }
-
-    fn told(&self) -> Vec<String> {
-        self.theatre().notices().iter().map(|n| n.words.clone()).collect()
-    }
+fn past_weight(window: &Window) -> Option<ParamValue> {
+    let engine = window.theatre().session().handle().engine()?;
+    engine.param_values("calm")?.first().cloned()
 }
 
 #[test]
@@ -130,13 +50,9 @@ fn layouts_change_by_one_key_by_pedal_and_by_tap() {
     assert!(window.harness.query_by_label_contains("View Calm view").is_none());
     window.key(Key::Num1);
     assert_eq!(window.theatre().layout(), Layout::One(0));
-    window.harness.get_by_label("View Calm view").click();
-    window.harness.step();
-    window.harness.step();
+    window.click("View Calm view");
     assert_eq!(window.theatre().layout(), Layout::All);
-    window.harness.get_by_label("Layout").click();
-    window.harness.step();
-    window.harness.step();
+    window.click("Layout");
     assert_eq!(window.theatre().layout(), Layout::One(0));
 }
 
@@ -151,17 +67,10 @@ fn only_pinned_settings_can_be_touched_and_only_within_their_range() {
     let slider = window.harness.get_by_role_and_label(Role::Slider, "Calmness");
     let rect = slider.rect();
     let far = rect.right_center() + vec2(200.0, 0.0);
-    window.harness.hover_at(rect.center());
-    window.harness.step();
-    window.harness.drag_at(rect.center());
-    window.harness.step();
-    window.harness.hover_at(far);
-    window.harness.step();
-    window.harness.drop_at(far);
-    window.harness.step();
+    hand::drag(&mut window.harness, rect.center(), far);
     let until = Instant::now() + PATIENCE;
-    while window.past_weight() != Some(ParamValue::Int(150)) {
-        assert!(Instant::now() < until, "it is {:?}", window.past_weight());
+    while past_weight(&window) != Some(ParamValue::Int(150)) {
+        assert!(Instant::now() < until, "it is {:?}", past_weight(&window));
         std::thread::sleep(Duration::from_millis(15));
         window.harness.step();
     }
@@ -185,9 +94,7 @@ fn a_frozen_picture_says_so_and_a_live_one_stays_beside_it() {
     window.key(Key::F);
     assert!(window.theatre().is_frozen());
     window.until_shown("View Live: Image camera");
-    window.harness.get_by_label("Go on").click();
-    window.harness.step();
-    window.harness.step();
+    window.click("Go on");
     assert!(!window.theatre().is_frozen());
 }
 
@@ -208,7 +115,7 @@ fn stills_and_clips_are_kept_under_numbers() {
     });
     assert!(window.theatre().clip_file().is_some_and(|f| f.ends_with("clip_0002.mkv")));
     let before = window.theatre().session().handle().engine().expect("it runs").report().nodes["calm"].dropped;
-    window.harness.get_by_label("End clip").click();
+    window.click("End clip");
     window.until("the clip is over", |t| {
         let engine = t.session().handle().engine().expect("it runs");
         t.clip_file().is_none() && engine.graph().node(node).is_none()
@@ -255,7 +162,7 @@ fn where_the_graph_stops_its_camera_goes_on_alone_and_it_can_be_started_again() 
         t.session().status().phase == Phase::Running && engine.graph().nodes.len() == 1
     });
     window.until_shown("View Image camera");
-    window.harness.get_by_label("Start again").click();
+    window.click("Start again");
     window.until("the whole graph is there", |t| {
         t.session().handle().engine().is_some_and(|e| e.graph().nodes.len() == 3)
     });
@@ -269,12 +176,8 @@ fn a_camera_that_ends_is_told() {
     let folder = Folder::new("ends");
     let path = folder.write("g.toml", GRAPH);
     let options = Options { frames: Some(20), ..options(&folder) };
-    let draw = move |ui: &mut Ui, theatre: &mut Option<Theatre>| {
-        theatre.get_or_insert_with(|| Theatre::open(ui.ctx(), &path, GRAPH, options.clone()).expect("it opens")).ui(ui);
-    };
-    let harness = Harness::builder().with_size(vec2(1440.0, 960.0)).build_ui_state(draw, None);
-    let mut window = Window { harness, folder };
-    window.until("it is told", |t| t.notices().iter().any(|n| n.words == "The source has ended"));
+    let mut window = Window::open_with(folder, &path, options);
+    window.until_told("The source has ended");
     window.until_shown("Start again");
 }
 
@@ -317,17 +220,9 @@ fn a_locked_preset_opens_only_as_it_was_locked_or_when_it_is_said() {
         other => panic!("{other:?}"),
     }
     std::fs::write(&path, &other).expect("written");
-    let mut window = Window { harness: harness_unlocked(&path, &folder), folder };
-    window.until("it is told", |t| t.notices().iter().any(|n| n.words.starts_with("Runs unlocked: graph `g.toml`")));
-}
-
-fn harness_unlocked(path: &Path, folder: &Folder) -> Harness<'static, Option<Theatre>> {
-    let (path, options) = (path.to_owned(), Options { unlocked: true, ..options(folder) });
-    let draw = move |ui: &mut Ui, theatre: &mut Option<Theatre>| {
-        let text = std::fs::read_to_string(&path).unwrap_or_default();
-        theatre.get_or_insert_with(|| Theatre::open(ui.ctx(), &path, &text, options.clone()).expect("it opens")).ui(ui);
-    };
-    Harness::builder().with_size(vec2(1440.0, 960.0)).build_ui_state(draw, None)
+    let options = Options { unlocked: true, ..options(&folder) };
+    let mut window = Window::open_with(folder, &path, options);
+    window.until_told("Runs unlocked: graph `g.toml`");
 }
 
 fn lock(path: &Path) {
@@ -388,34 +283,14 @@ fn distances_are_measured_by_two_taps() {
     if !has_plugin("phantom") || !has_plugin("stereo") {
         return;
     }
-    let text = r#"plugins = ["phantom", "stereo", "flow"]
-[nodes.scope]
-type = "phantom"
-params = { scene = "box", width = 320, height = 240 }
-[nodes.points]
-type = "reproject"
-inputs = { image = "scope.left", disparity = "scope.disparity", calibration = "scope.calibration" }
-[nodes.sink]
-type = "drain"
-inputs = { image = "scope.left" }
-[preset]
-views = ["scope.left", "points.cloud"]
-"#;
-    let mut window = Window::open("measure", text);
+    let mut window = Window::open("measure", MEASURED);
     window.key(Key::M);
     window.until_shown("Measure here");
     assert!(window.theatre().is_frozen());
     let rect = window.harness.get_by_label("Measure here").rect();
     for share in [0.4, 0.6] {
-        let at = rect.min + rect.size() * share;
-        window.harness.hover_at(at);
-        window.harness.step();
-        window.harness.drag_at(at);
-        window.harness.step();
-        window.harness.drop_at(at);
-        window.harness.step();
+        hand::tap(&mut window.harness, rect.min + rect.size() * share);
     }
-    window.harness.step();
     let length = window.theatre().distance().expect("both points are known");
     assert!((1.0..100.0).contains(&length.mm), "{length}");
     window.until("the error is known", |t| t.distance().is_some_and(|l| l.error_mm.is_some()));
@@ -430,4 +305,165 @@ views = ["scope.left", "points.cloud"]
     assert!(!window.theatre().is_frozen());
     assert!(window.told().iter().all(|w| !w.contains("stopped")), "{:?}", window.told());
     assert_eq!(window.theatre().distance(), None);
+}
+
+#[test]
+fn distances_are_measured_and_surfaces_turned_by_keys_alone() {
+    if !has_plugin("phantom") || !has_plugin("stereo") {
+        return;
+    }
+    let mut window = Window::open("measure_keys", MEASURED);
+    window.key(Key::M);
+    window.until_shown("Measure here");
+    // The first arrow shows the crosshair in the middle; Enter taps.
+    for key in [Key::ArrowLeft, Key::ArrowLeft, Key::ArrowLeft, Key::Enter] {
+        window.key(key);
+    }
+    (0..5).for_each(|_| window.key(Key::ArrowRight));
+    window.key(Key::Enter);
+    let length = window.theatre().distance().expect("both points are known");
+    assert!((0.5..100.0).contains(&length.mm), "{length}");
+    window.key(Key::M);
+    window.key(Key::Num2);
+    assert_eq!(window.theatre().layout(), Layout::One(1));
+    let before = window.theatre().sight("points.cloud").expect("it is shown");
+    window.key(Key::ArrowLeft);
+    window.key(Key::Plus);
+    let after = window.theatre().sight("points.cloud").expect("it is shown");
+    assert!(after.yaw > before.yaw && after.zoom > before.zoom, "{before:?} {after:?}");
+    window.key(Key::Home);
+    assert_eq!(window.theatre().sight("points.cloud"), Some(before));
+}
+
+/// Asserts that all that takes the focus has a name of its own, and that Tab leads to each of them.
+fn reached_by_tab(window: &mut Window, what: &str) {
+    hand::steps(&mut window.harness, 2);
+    hand::all_named(&window.harness, what, 4);
+    let mut all = hand::focusable(&window.harness);
+    let nameless: Vec<&String> =
+        all.iter().filter(|name| name.trim().is_empty() || name.starts_with("nameless")).collect();
+    assert!(nameless.is_empty(), "{what}: {nameless:?}");
+    let mut round = hand::round_by_tab(&mut window.harness);
+    all.sort();
+    round.sort();
+    assert_eq!(round, all, "{what}: by Tab, and all");
+    let doubled: Vec<&[String]> = all.windows(2).filter(|pair| pair[0] == pair[1]).collect();
+    assert!(doubled.is_empty(), "{what}: {doubled:?}");
+    window.key(Key::Escape);
+}
+
+#[test]
+fn everything_has_a_name_and_is_reached_by_tab() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut window = Window::open("names", &GRAPH.replace("type = \"drain\"", "type = \"device\""));
+    window.until("a picture is there", Theatre::has_picture);
+    window.until_shown("Calmness");
+    reached_by_tab(&mut window, "views");
+    window.key(Key::F);
+    window.until_shown("View Live: Image camera");
+    reached_by_tab(&mut window, "frozen");
+    window.key(Key::F);
+    window.key(Key::Num1);
+    reached_by_tab(&mut window, "one view");
+    window.key(Key::E);
+    window.until_shown("Release the arm");
+    reached_by_tab(&mut window, "arm stopped");
+    // What has the focus is pressed by Enter.
+    window.harness.get_by_label("Freeze").focus();
+    window.key(Key::Enter);
+    assert!(window.theatre().is_frozen());
+    drop(window);
+    if !has_plugin("phantom") || !has_plugin("stereo") {
+        return;
+    }
+    let mut window = Window::open("names_3d", MEASURED);
+    window.until("a picture is there", Theatre::has_picture);
+    reached_by_tab(&mut window, "surface");
+    window.key(Key::M);
+    window.until_shown("Measure here");
+    reached_by_tab(&mut window, "measuring");
+}
+
+#[test]
+fn settings_are_set_by_keys_and_none_is_out_of_reach() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut text = GRAPH[..GRAPH.find("pinned").expect("it pins")].to_owned();
+    text += "pinned = [\n";
+    for k in 0..9 {
+        text += &format!("  {{ param = \"more{k}.past_weight\", range = [50, 150], label = \"weight {k}\" }},\n");
+    }
+    text += "]\n";
+    for k in 0..9 {
+        text += &format!(
+            "[nodes.more{k}]\ntype = \"smooth\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ past_weight = 100 }}\n[nodes.end{k}]\ntype = \"drain\"\ninputs = {{ image = \"more{k}.image\" }}\n"
+        );
+    }
+    let mut window = Window::open("pages", &text);
+    window.until_shown("Weight 0");
+    // The first key shows that an arrow changes the value and does not leave it.
+    window.harness.get_by_role_and_label(Role::Slider, "Weight 0").focus();
+    for _ in 0..3 {
+        window.key(Key::ArrowRight);
+    }
+    assert_eq!(hand::focused(&window.harness).as_deref(), Some("Weight 0"));
+    window.until("it is in force", |t| {
+        let values = t.session().handle().engine().and_then(|e| e.param_values("more0"));
+        values.is_some_and(|v| v[0] == ParamValue::Int(103))
+    });
+    window.key(Key::Escape);
+    let mut seen = std::collections::BTreeSet::new();
+    for _ in 0..9 {
+        seen.extend((0..9).filter(|k| window.harness.query_by_label(&format!("Weight {k}")).is_some()));
+        window.key(Key::T);
+    }
+    assert_eq!(seen.len(), 9, "{seen:?}");
+    window.harness.get_by_label("More settings");
+}
+
+#[test]
+fn a_lost_camera_is_named_and_the_other_one_goes_on() {
+    if !has_plugin("flow") || !has_plugin("chaos") {
+        return;
+    }
+    let text = "plugins = [\"flow\", \"chaos\"]\n[nodes.camera]\ntype = \"frames\"\nparams = { width_px = 64, height_px = 48, rate_hz = 30.0 }\n[nodes.second]\ntype = \"chaos_source\"\nparams = { harm = \"nothing\", first = 40, ticks = 1000000000 }\n[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"camera.image\" }\n[nodes.other]\ntype = \"drain\"\ninputs = { image = \"second.image\" }\n[preset]\nviews = [\"camera.image\", \"second.image\"]\n";
+    let mut window = Window::open("lost", text);
+    window.until_told("Second image camera lost: no picture for ");
+    assert!(window.told().iter().all(|w| !w.contains("Camera image")), "one of the two: {:?}", window.told());
+    window.until("the other one goes on", Theatre::has_picture);
+}
+
+#[test]
+fn a_full_disk_is_told_in_plain_words() {
+    if !has_plugin("flow") {
+        return;
+    }
+    // What is written there finds no room, as on a full disk.
+    let ledger = "\n[nodes.kept]\ntype = \"ledger\"\ninputs = { images = [\"camera.image\"] }\nparams = { path = \"/dev/full\" }\n";
+    let text = GRAPH.replace("rate_hz = 30.0", "rate_hz = 240.0") + ledger;
+    let mut window = Window::open("full", &text);
+    window.until_told("The disk is full: `kept` cannot write");
+    window.until("the picture goes on", |t| t.has_picture() && !t.is_frozen());
+}
+
+#[test]
+fn a_drifted_calibration_and_swapped_cameras_are_told() {
+    if !has_plugin("phantom") || !has_plugin("stereo") {
+        return;
+    }
+    let graph = |left: &str, right: &str, k1: f64| {
+        format!(
+            "plugins = [\"phantom\", \"stereo\", \"flow\"]\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ width = 320, height = 240, distortion_k1 = {k1:.1} }}\n[nodes.match]\ntype = \"stereo_bm\"\ninputs = {{ left = \"scope.{left}\", right = \"scope.{right}\" }}\nparams = {{ drift_px = 0.3 }}\n[nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"scope.left\" }}\n[preset]\nviews = [\"match.disparity\", \"scope.left\"]\n"
+        )
+    };
+    // A lens that nothing corrects bends the rows, as a calibration that does not fit any more.
+    let mut window = Window::open("drift", &graph("left", "right", 0.4));
+    window.until_told("The calibration has drifted");
+    drop(window);
+    let mut window = Window::open("swapped", &graph("right", "left", 0.0));
+    window.until_told("Left and right cameras are swapped");
+    assert!(window.told().iter().all(|w| !w.contains("drifted")), "{:?}", window.told());
 }

@@ -4,7 +4,7 @@ mod common;
 
 use std::time::Instant;
 
-use common::{Folder, PATIENCE, Window, has_plugin};
+use common::{Folder, PATIENCE, Window, hand, has_plugin};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;
@@ -50,17 +50,6 @@ fn until_value(window: &mut Window, at: usize, wanted: &ParamValue) {
     }
 }
 
-/// Types into a named field and leaves it.
-fn fill(window: &mut Window, label: &str, text: &str) {
-    let field = window.harness.get_by_label(label);
-    field.focus();
-    window.steps(2);
-    window.harness.key_press_modifiers(Modifiers::COMMAND, Key::A);
-    window.harness.get_by_label(label).type_text(text);
-    window.key(NONE, Key::Enter);
-    window.steps(2);
-}
-
 #[test]
 fn a_sweep_runs_beside_the_graph_and_its_points_are_drawn() {
     if !has_plugin("flow") {
@@ -71,7 +60,7 @@ fn a_sweep_runs_beside_the_graph_and_its_points_are_drawn() {
     window.select("level");
     window.harness.get_by_label("Sweep a parameter").click();
     window.steps(3);
-    fill(&mut window, "Sweep measure", "level.levels.mean");
+    hand::fill(&mut window.harness, "Sweep measure", "level.levels.mean");
     window.harness.get_by_label("Start the sweep").click();
     window.until("the sweep is done", |app| app.sweep().is_some_and(|p| p.done));
     let progress = window.app().sweep().expect("a sweep");
@@ -85,19 +74,19 @@ fn a_sweep_runs_beside_the_graph_and_its_points_are_drawn() {
     assert_eq!(value(&window, 0), Some(ParamValue::Float(1.0)), "the graph here is as it was");
     assert!(!window.app().document().is_changed());
     // A measure that is not there is named, not taken for nothing.
-    fill(&mut window, "Sweep measure", "level.levels.middle");
+    hand::fill(&mut window.harness, "Sweep measure", "level.levels.middle");
     window.harness.get_by_label("Start the sweep").click();
     window.until_shown("columns are mean, min, max, spots");
     window.until("it is over", |app| app.sweep().is_some_and(|p| p.done));
     window.steps(2);
-    fill(&mut window, "Sweep measure", "levl.levels.mean");
+    hand::fill(&mut window.harness, "Sweep measure", "levl.levels.mean");
     window.harness.get_by_label("Start the sweep").click();
     window.until_shown("there is no node `levl`");
     window.until("it is over", |app| app.sweep().is_some_and(|p| p.done));
     window.steps(2);
     // One that would never end can be cancelled.
-    fill(&mut window, "Sweep measure", "level.level");
-    fill(&mut window, "Frames per value", "1000000");
+    hand::fill(&mut window.harness, "Sweep measure", "level.level");
+    hand::fill(&mut window.harness, "Frames per value", "1000000");
     window.harness.get_by_label("Start the sweep").click();
     window.until_shown("Cancel");
     window.harness.get_by_label("Cancel").click();
@@ -180,25 +169,11 @@ fn points_are_picked_by_click_drag_and_keys() {
         other => panic!("{other:?}"),
     };
     // A click adds one.
-    window.harness.hover_at(at(16.0, 12.0));
-    window.harness.step();
-    window.harness.drag_at(at(16.0, 12.0));
-    window.harness.step();
-    window.harness.drop_at(at(16.0, 12.0));
-    window.steps(2);
+    hand::tap(&mut window.harness, at(16.0, 12.0));
     until_value(&mut window, 2, &ParamValue::Floats(vec![16.0, 12.0]));
     assert!(window.app().document().text().contains("spots = [16, 12]"), "{}", window.app().document().text());
     // A drag moves it.
-    window.harness.hover_at(at(16.0, 12.0));
-    window.harness.step();
-    window.harness.drag_at(at(16.0, 12.0));
-    window.harness.step();
-    for x in [20.0, 32.0] {
-        window.harness.hover_at(at(x, 12.0));
-        window.harness.step();
-    }
-    window.harness.drop_at(at(32.0, 12.0));
-    window.steps(2);
+    hand::drag(&mut window.harness, at(16.0, 12.0), at(32.0, 12.0));
     until_value(&mut window, 2, &ParamValue::Floats(vec![32.0, 12.0]));
     // By keys alone: add one in the middle, move it, take the first away.
     window.harness.get_by_label("Add a point").click_accesskit();
@@ -231,17 +206,7 @@ fn rectangles_are_drawn_and_changed_by_their_handles() {
     let rect = window.harness.get_by_label("Pick level.window here").rect();
     let at = |x: f32, y: f32| rect.min + eframe::egui::vec2(x / 64.0 * rect.width(), y / 48.0 * rect.height());
     let drag = |window: &mut Window, from: (f32, f32), to: (f32, f32)| {
-        window.harness.hover_at(at(from.0, from.1));
-        window.harness.step();
-        window.harness.drag_at(at(from.0, from.1));
-        window.harness.step();
-        for share in [0.5, 1.0] {
-            let (x, y) = (from.0 + (to.0 - from.0) * share, from.1 + (to.1 - from.1) * share);
-            window.harness.hover_at(at(x, y));
-            window.harness.step();
-        }
-        window.harness.drop_at(at(to.0, to.1));
-        window.steps(2);
+        hand::drag(&mut window.harness, at(from.0, from.1), at(to.0, to.1));
     };
     drag(&mut window, (8.0, 6.0), (40.0, 30.0));
     until_value(&mut window, 1, &ParamValue::Floats(vec![8.0, 6.0, 32.0, 24.0]));

@@ -2,10 +2,11 @@
 
 mod common;
 
-use common::{Folder, GRAPH, Window, has_plugin, nothing_lost};
+use common::{Folder, GRAPH, Window, hand, has_plugin, nothing_lost};
 use eframe::egui::accesskit::Role;
-use eframe::egui::{Key, Modifiers};
+use eframe::egui::{Event, Key, Modifiers, OutputCommand, vec2};
 use egui_kittest::kittest::Queryable;
+use panoscope_editor::app::App;
 use panoscope_graph::ParamValue;
 
 const NONE: Modifiers = Modifiers::NONE;
@@ -284,4 +285,177 @@ fn dropped_pictures_become_a_source_and_a_new_file_offers_templates() {
     window.steps(3);
     assert!(window.app().document().text().contains("plugins = []"));
     assert!(!folder.0.join("new.toml").is_file(), "nothing is written before it is saved");
+}
+
+#[test]
+fn nodes_are_chosen_moved_aligned_and_copied_by_keys() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("arrange");
+    let mut window = Window::run(&folder.write("g.toml", GRAPH));
+    let shift = Modifiers::SHIFT;
+    window.select("b");
+    window.key(shift, Key::N);
+    let selected = |window: &Window| window.app().canvas().selected.iter().cloned().collect::<Vec<_>>();
+    assert_eq!(selected(&window), ["b", "mean"]);
+    let place = |window: &Window, id: &str| window.app().canvas().place(id).expect("it is drawn");
+    let before = ["b", "mean"].map(|id| place(&window, id));
+    for key in [Key::ArrowDown, Key::ArrowDown, Key::ArrowRight] {
+        window.key(shift, key);
+    }
+    window.steps(2);
+    let after = ["b", "mean"].map(|id| place(&window, id));
+    assert_eq!([after[0] - before[0], after[1] - before[1]], [vec2(16.0, 32.0); 2]);
+    window.key(NONE, Key::L);
+    window.steps(2);
+    assert_eq!(place(&window, "b").y, place(&window, "mean").y, "one lies beside the other");
+    window.key(CTRL, Key::Z);
+    window.key(CTRL, Key::Z);
+    assert_eq!(**window.app().document().text(), *GRAPH, "all moves are one step");
+    window.settled();
+    // Copies are wired among themselves, as text in the clipboard.
+    window.select("b");
+    window.key(shift, Key::N);
+    window.harness.event(Event::Copy);
+    window.harness.step();
+    let copied = window.harness.output().platform_output.commands.iter().find_map(|command| match command {
+        OutputCommand::CopyText(text) => Some(text.clone()),
+        _ => None,
+    });
+    let copied = copied.expect("something is copied");
+    assert!(copied.contains("[nodes.mean]") && copied.contains("# of 256"), "{copied}");
+    window.steps(1);
+    window.harness.event(Event::Paste(copied));
+    window.steps(2);
+    assert_eq!(selected(&window), ["b_2", "mean_2"]);
+    assert!(window.app().document().text().contains("inputs = { image = \"b_2.image\" }"));
+    window.key(CTRL, Key::D);
+    assert_eq!(selected(&window).len(), 2);
+    window.key(CTRL, Key::Z);
+    window.key(CTRL, Key::Z);
+    window.settled();
+    assert_eq!(**window.app().document().text(), *GRAPH);
+    let report = window.close();
+    nothing_lost(&folder, &report);
+}
+
+#[test]
+fn a_box_selects_a_node_dropped_on_a_wire_goes_into_it_and_a_pin_offers_what_fits() {
+    if !has_plugin("flow") || !has_plugin("stitch") {
+        return;
+    }
+    let folder = Folder::new("gestures");
+    let lone = "\n[nodes.lone]\ntype = \"pass\"\n\n[editor]\na = { x = 0, y = 0 }\nkept = { x = 320, y = 0 }\nb = { x = 0, y = 320 }\nmean = { x = 560, y = 320 }\nsink = { x = 860, y = 320 }\nlone = { x = 280, y = 620 }\n";
+    let mut window = Window::open(&folder.write("g.toml", &format!("{GRAPH}{lone}")));
+    window.steps(3);
+    // A frame around the upper two.
+    let at = |window: &Window, label: &str| window.harness.get_by_label(label).rect();
+    let (a, kept) = (at(&window, "Node a"), at(&window, "Node kept"));
+    window.harness.event(Event::ModifiersChanged(Modifiers::SHIFT));
+    hand::drag(&mut window.harness, a.min - vec2(12.0, 12.0), kept.max - vec2(20.0, 20.0));
+    window.harness.event(Event::ModifiersChanged(NONE));
+    window.steps(2);
+    assert_eq!(window.app().canvas().selected.iter().collect::<Vec<_>>(), ["a", "kept"]);
+    // The lone node is dragged by its head until its middle lies on the wire from b to mean.
+    let head = at(&window, "Node lone").center_top() + vec2(0.0, 8.0);
+    let wire =
+        (at(&window, "Output b.image").center().to_vec2() + at(&window, "Input mean.image").center().to_vec2()) / 2.0;
+    let by = wire.to_pos2() - at(&window, "Node lone").center();
+    hand::drag(&mut window.harness, head, head + by);
+    window.settled();
+    let text = window.app().document().text().to_string();
+    assert!(text.contains("inputs = { image = \"lone.image\" }"), "{text}");
+    assert!(window.running().contains(&"lone".to_owned()));
+    // A wire that is let go over nothing asks what is to be there; only what fits is offered.
+    let from = at(&window, "Output mean.image").center();
+    hand::drag(&mut window.harness, from, from + vec2(40.0, 200.0));
+    window.until_shown("Pick every_nth");
+    window.type_text("reg");
+    window.until_shown("Pick register_surf");
+    window.key(NONE, Key::Escape);
+}
+
+#[test]
+fn outputs_are_recalled_by_number_and_compared_by_keys() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("recall");
+    let mut window = Window::run(&folder.write("g.toml", GRAPH));
+    let viewed = |window: &Window| window.app().viewed().map(ToString::to_string);
+    for (node, output) in [("b", "b.image"), ("mean", "mean.image")] {
+        window.select(node);
+        window.key(NONE, Key::V);
+        assert_eq!(viewed(&window).as_deref(), Some(output));
+        window.until_shown("64 x 48 px");
+        window.key(NONE, Key::Escape);
+    }
+    // From the graph as well as from another picture.
+    window.key(NONE, Key::Num1);
+    assert_eq!(viewed(&window).as_deref(), Some("b.image"));
+    window.key(NONE, Key::Num2);
+    assert_eq!(viewed(&window).as_deref(), Some("mean.image"));
+    window.key(NONE, Key::Num9);
+    assert_eq!(viewed(&window).as_deref(), Some("mean.image"), "nothing has that number");
+    window.key(NONE, Key::C);
+    let place = window.app().canvas().rect;
+    // The line moves once both pictures are there.
+    let until = std::time::Instant::now() + common::PATIENCE;
+    while window.app().wipe().is_some_and(|line| line > 0.4) {
+        assert!(std::time::Instant::now() < until, "{:?}", window.app().wipe());
+        window.key(NONE, Key::ArrowLeft);
+    }
+    for mode in ["Blink", "Difference", "Wipe"] {
+        window.harness.get_by_label(mode).focus();
+        window.steps(1);
+        window.key(NONE, Key::Enter);
+        window.steps(2);
+        assert_eq!(window.app().wipe().is_some(), mode == "Wipe");
+    }
+    window.key(NONE, Key::Escape);
+    window.key(NONE, Key::Escape);
+    window.steps(3);
+    assert_eq!((viewed(&window), window.app().canvas().rect), (None, place), "the view of the graph did not move");
+    let report = window.close();
+    nothing_lost(&folder, &report);
+}
+
+#[test]
+fn a_surface_is_turned_cut_and_measured_by_keys() {
+    if !has_plugin("phantom") || !has_plugin("stereo") {
+        return;
+    }
+    let folder = Folder::new("space");
+    let text = r#"plugins = ["phantom", "stereo"]
+[nodes.scope]
+type = "phantom"
+params = { scene = "box", width = 320, height = 240 }
+[nodes.points]
+type = "reproject"
+inputs = { image = "scope.left", disparity = "scope.disparity", calibration = "scope.calibration" }
+[nodes.lengths]
+type = "measure"
+inputs = { cloud = "points.cloud" }
+"#;
+    let mut window = Window::run(&folder.write("g.toml", text));
+    window.select("points");
+    window.key(NONE, Key::V);
+    window.until_shown("Surface of points.cloud");
+    window.until("it is painted", App::has_surface);
+    let before = window.app().space().sight();
+    window.key(NONE, Key::ArrowLeft);
+    window.key(NONE, Key::Plus);
+    let after = window.app().space().sight();
+    assert!(after.yaw > before.yaw && after.zoom > before.zoom, "{before:?} {after:?}");
+    window.key(NONE, Key::Home);
+    // Two points by crosshair: the first arrow shows it in the middle.
+    window.harness.get_by_label("Measure").click_accesskit();
+    window.steps(3);
+    window.until_shown("Measuring");
+    for key in [Key::ArrowLeft, Key::Enter, Key::ArrowRight, Key::ArrowRight, Key::ArrowRight, Key::Enter] {
+        window.key(NONE, key);
+    }
+    let mm = window.app().space().distance_mm().expect("both points are known");
+    assert!((0.1..100.0).contains(&mm), "{mm}");
 }

@@ -31,6 +31,11 @@ const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     ("bench_files", "graphs/panorama_files.toml", &["browse:scope.left"], "6"),
     ("bench_viewer", "graphs/panorama.toml", &["view:wide.panorama"], "8"),
     ("bench_compare", "graphs/depth.toml", &["view:rectify.left", "compare:points.depth"], "12"),
+    ("bench_surface", "graphs/depth.toml", &["view:points.cloud"], "12"),
+    ("bench_system", "graphs/surgeon.toml", &[], "15"),
+    ("bench_problems", "tests/bad_graphs/many_mistakes.toml", &["problems", "text"], "4"),
+    ("bench_templates", "graphs/new.toml", &[], "4"),
+    ("bench_plugins", "graphs/panorama.toml", &["plugins"], "8"),
     ("bench_add", "graphs/panorama.toml", &["add"], "8"),
     ("bench_keys", "graphs/panorama.toml", &["help"], "8"),
     ("theatre", "graphs/depth.toml", &[], "12"),
@@ -38,6 +43,8 @@ const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     ("theatre_surface", "graphs/depth.toml", &["view:2"], "12"),
     ("theatre_measure", "graphs/depth.toml", &["measure", "wait:2", "tap:0.45,0.4", "tap:0.7,0.62"], "14"),
     ("theatre_frozen", "graphs/panorama.toml", &["freeze"], "8"),
+    ("theatre_arm", "graphs/surgeon.toml", &[], "15"),
+    ("theatre_arm_stopped", "graphs/surgeon.toml", &["stop", "more"], "15"),
 ];
 
 /// A screen that ends with this value.

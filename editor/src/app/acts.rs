@@ -16,6 +16,10 @@ use crate::panels::inspector::Wish;
 use crate::panels::params::Asked;
 use crate::viewer::Source;
 
+/// Points that an arrow key moves the view by, and points of the graph that it moves nodes by with Shift: two steps of the grid.
+const PAN: f32 = 64.0;
+const NUDGE: f32 = 16.0;
+
 impl App {
     /// Does what the canvas asks for.
     pub(super) fn answer(&mut self, ask: Ask) {
@@ -126,6 +130,8 @@ impl App {
             }
             Action::Save => self.save(),
             Action::Fit => self.canvas.fit(),
+            Action::ZoomIn if self.viewer.sight().is_some() => self.viewer.space().zoom_by(1.0),
+            Action::ZoomOut if self.viewer.sight().is_some() => self.viewer.space().zoom_by(-1.0),
             Action::ZoomIn => self.canvas.zoom_by(2),
             Action::ZoomOut => self.canvas.zoom_by(-2),
             Action::Delete => self.delete(),
@@ -134,7 +140,8 @@ impl App {
             Action::SelectAll => {
                 self.canvas.selected = self.document.view().nodes.iter().map(|n| n.id().to_owned()).collect();
             }
-            Action::Next => self.next(),
+            Action::Next => self.next(false),
+            Action::NextToo => self.next(true),
             Action::Frame | Action::Note => {
                 let frame = action == Action::Frame;
                 let marks = if frame { self.canvas.frame_selection() } else { self.canvas.add_note() };
@@ -253,20 +260,24 @@ impl App {
         }
     }
 
-    /// Arrow keys move the view.
+    /// Arrow keys move the view, with Shift the selected nodes; in the viewer they are for what is shown there.
     pub(super) fn arrows(&mut self, ctx: &Context, typing: bool) {
-        if typing || ctx.memory(|m| m.focused().is_some()) {
+        if typing || self.viewer.source().is_some() || ctx.memory(|m| m.focused().is_some()) {
             return;
         }
-        let steps = [
-            (Key::ArrowLeft, vec2(64.0, 0.0)),
-            (Key::ArrowRight, vec2(-64.0, 0.0)),
-            (Key::ArrowUp, vec2(0.0, 64.0)),
-            (Key::ArrowDown, vec2(0.0, -64.0)),
+        let ways = [
+            (Key::ArrowLeft, vec2(-1.0, 0.0)),
+            (Key::ArrowRight, vec2(1.0, 0.0)),
+            (Key::ArrowUp, vec2(0.0, -1.0)),
+            (Key::ArrowDown, vec2(0.0, 1.0)),
         ];
-        for (key, by) in steps {
-            if ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key)) {
-                self.canvas.pan_by(by);
+        for (key, way) in ways {
+            if ctx.input_mut(|i| i.consume_key(Modifiers::SHIFT, key)) {
+                let places = self.canvas.nudged(way * NUDGE);
+                let result = ops::nudge_nodes(&mut self.document, &places);
+                self.try_edit(result);
+            } else if ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key)) {
+                self.canvas.pan_by(way * -PAN);
             }
         }
     }
@@ -286,12 +297,15 @@ impl App {
         }
     }
 
-    fn next(&mut self) {
+    /// Selects the node after the last selected one, beside those that are selected already or in place of them.
+    fn next(&mut self, too: bool) {
         let view = self.document.view().clone();
-        let now = self.canvas.selected.iter().next_back().and_then(|id| view.node(id));
+        let now = self.canvas.selected.iter().filter_map(|id| view.node(id)).max();
         let next = now.map_or(0, |n| (n + 1) % view.nodes.len().max(1));
-        if let Some(node) = view.nodes.get(next) {
-            self.canvas.select_only(node.id());
+        match view.nodes.get(next) {
+            Some(node) if too => drop(self.canvas.selected.insert(node.id().to_owned())),
+            Some(node) => self.canvas.select_only(node.id()),
+            None => {}
         }
     }
 

@@ -4,11 +4,11 @@ mod acts;
 mod begin;
 mod picks;
 mod shot;
+mod signals;
 
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, CentralPanel, Context, Frame, Margin, Panel, RichText, Ui};
@@ -31,12 +31,14 @@ use crate::panels::top::{self, Switches};
 use crate::panels::{below, history, overview, plugins};
 use crate::picker::Picker;
 use crate::session::{Phase, Session, Status};
+use crate::space::Space;
 use crate::theatre::next_file;
 use crate::theme;
 use crate::viewer::{Source, Viewer};
 
 pub use begin::{templates, with_source};
 pub use shot::{Costs, Shot};
+pub use signals::close_on_signals;
 
 /// Pixels across of a thumbnail; enough for a sharp one at zoom 1 and double density.
 const THUMBNAIL: usize = 416;
@@ -156,6 +158,22 @@ impl App {
         self.viewer.source().map(|v| &v.output)
     }
 
+    /// The 3-D view.
+    pub fn space(&self) -> &Space {
+        self.viewer.space_now()
+    }
+
+    /// Whether a cloud is shown as a surface now.
+    pub fn has_surface(&self) -> bool {
+        let painted = |output: &Output| self.shown.look(output).is_some_and(|look| look.painted.is_some());
+        self.viewer.sight().is_some() && self.viewed().is_some_and(painted)
+    }
+
+    /// Place of the line between two outputs, as a part of the picture's width, while they are compared by wipe.
+    pub fn wipe(&self) -> Option<f32> {
+        self.viewer.wipe_line()
+    }
+
     /// Wires in words, each with the most packets that waited on it since the window was opened, as far as is remembered.
     pub fn queues(&self) -> Vec<(String, f64)> {
         let (counters, view) = (self.observer.counters(), self.document.view());
@@ -212,6 +230,9 @@ impl App {
             }
             self.clipboard(&ctx, typing);
             self.arrows(&ctx, typing);
+            if !typing {
+                ctx.input_mut(|input| self.viewer.recall_by_key(input));
+            }
         }
         if ctx.input(|i| i.pointer.any_released()) {
             self.document.end_merge();
@@ -407,7 +428,8 @@ impl App {
                     ("Ctrl+C, X, V", "Copy, cut, paste nodes as text"),
                     ("1 to 9", "Recall what was looked at"),
                     ("Ctrl and +, -, 0", "Size of everything"),
-                    ("Arrows", "Move the view"),
+                    ("Arrows", "Move the view; large: turn a surface, move the wipe"),
+                    ("Shift and arrows", "Move the selected nodes"),
                     ("Shift and drag", "Select with a frame"),
                     ("Double click", "Add a node there"),
                 ];
@@ -542,43 +564,13 @@ impl App {
     }
 }
 
-/// Set when the process was asked to end by a signal.
-static ASKED_TO_END: AtomicBool = AtomicBool::new(false);
-
-extern "C" fn on_signal(_: libc::c_int) {
-    // A second signal means now.
-    if ASKED_TO_END.swap(true, Ordering::Relaxed) {
-        // SAFETY: allowed in a signal handler.
-        unsafe { libc::_exit(130) }
-    }
-}
-
-/// Closes the window, with all files finished, on Ctrl-C and SIGTERM.
-pub fn close_on_signals(ctx: &Context) {
-    for signal in [libc::SIGINT, libc::SIGTERM] {
-        // SAFETY: the handler touches one atomic and leaves the process, both allowed there.
-        unsafe {
-            let mut action: libc::sigaction = std::mem::zeroed();
-            action.sa_sigaction = on_signal as *const () as usize;
-            action.sa_flags = libc::SA_RESTART;
-            libc::sigaction(signal, &raw const action, std::ptr::null_mut());
-        }
-    }
-    let ctx = ctx.clone();
-    let wait = move || {
-        while !ASKED_TO_END.load(Ordering::Relaxed) {
-            std::thread::sleep(Duration::from_millis(100));
-        }
-        ctx.send_viewport_cmd(egui::ViewportCommand::Close);
-        ctx.request_repaint();
-    };
-    // Without the thread a second Ctrl-C still ends the program.
-    let _ = std::thread::Builder::new().name("signals".to_owned()).spawn(wait);
-}
-
 impl eframe::App for App {
     fn ui(&mut self, ui: &mut Ui, _: &mut eframe::Frame) {
         Self::ui(self, ui);
+    }
+
+    fn clear_color(&self, _: &egui::Visuals) -> [f32; 4] {
+        theme::GROUND.to_normalized_gamma_f32()
     }
 
     fn on_exit(&mut self, _: Option<&eframe::glow::Context>) {

@@ -110,6 +110,12 @@ impl Canvas {
         nodes.iter().map(|(id, p)| ((*id).clone(), if wide { (p.x, y) } else { (x, p.y) })).collect()
     }
 
+    /// New places of the selected nodes, each moved by this.
+    pub fn nudged(&self, by: Vec2) -> Vec<(String, (f32, f32))> {
+        let places = self.selected.iter().filter_map(|id| Some((id.clone(), *self.places.get(id)? + by)));
+        places.map(|(id, at)| (id, (at.x, at.y))).collect()
+    }
+
     /// Draws the marks and lets them be touched.
     pub(super) fn show_marks(&mut self, ui: &mut Ui, scene: &Scene<'_>, asks: &mut Vec<Ask>) {
         for mark in 0..self.marks.len() {

@@ -239,7 +239,7 @@ impl Canvas {
 
     fn fit_now(&mut self, view: &View) {
         if let Some(extent) = self.extent(view) {
-            let room = self.rect.shrink(24.0).size();
+            let room = self.rect.shrink(32.0).size();
             let scale = (room.x / extent.width()).min(room.y / extent.height()).clamp(1e-3, 1.0);
             self.zoom = ((scale.log2() * 8.0).floor() as i32).clamp(*ZOOM_STEPS.start(), 0);
             self.offset = -extent.center().to_vec2() * self.scale();

@@ -9,7 +9,7 @@ use eframe::egui::{
     pos2, vec2,
 };
 
-use super::shape::{HEADER, Pin};
+use super::shape::{HEADER, PAD, Pin};
 use super::touch::{Drag, may_wire};
 use super::{Canvas, Scene};
 use crate::content::{Content, Found};
@@ -21,6 +21,8 @@ use crate::theme::{self, PinShape};
 pub const DETAIL: f32 = 0.38;
 /// Below this zoom it shows no picture either.
 pub const PICTURES: f32 = 0.2;
+/// Room between a wire that leads back and the nodes above it, points at zoom 1.
+const BELOW: f32 = 20.0;
 /// A fault is new for so long.
 const NEW_FAULT_MS: u64 = 3000;
 
@@ -35,9 +37,41 @@ pub(super) fn on_curve(p: &[Pos2; 4], t: f32) -> Pos2 {
     at
 }
 
+/// A curve as few straight pieces as eyes take for one: most wires of a large graph are one piece.
+fn flattened(p: &[Pos2; 4]) -> Vec<Pos2> {
+    const TOLERANCE: f32 = 0.25;
+    let chord = (p[3] - p[0]).normalized();
+    let aside = |q: Pos2| ((q - p[0]).x * chord.y - (q - p[0]).y * chord.x).abs();
+    if aside(p[1]).max(aside(p[2])) < TOLERANCE {
+        return vec![p[0], p[3]];
+    }
+    // Error of n equal steps: an eighth of the second derivative's largest value over n squared.
+    let bend = |a: Pos2, b: Pos2, c: Pos2| (a.to_vec2() - 2.0 * b.to_vec2() + c.to_vec2()).length();
+    let most = 6.0 * bend(p[0], p[1], p[2]).max(bend(p[1], p[2], p[3]));
+    let count = (most / (8.0 * TOLERANCE)).sqrt().ceil().clamp(2.0, 64.0) as usize;
+    (0..=count).map(|i| on_curve(p, i as f32 / count as f32)).collect()
+}
+
 fn bow(from: Pos2, to: Pos2, scale: f32) -> [Pos2; 4] {
     let reach = ((to.x - from.x).abs() * 0.5).max(40.0 * scale).min(220.0 * scale);
     [from, from + vec2(reach, 0.0), to - vec2(reach, 0.0), to]
+}
+
+/// Straight ways between corners, with round turns.
+fn rounded(corners: &[Pos2]) -> Vec<[Pos2; 4]> {
+    const RADIUS: f32 = 14.0;
+    let straight = |a: Pos2, b: Pos2| [a, a + (b - a) / 3.0, b - (b - a) / 3.0, b];
+    let (mut at, mut curves) = (corners[0], Vec::with_capacity(2 * corners.len()));
+    for three in corners.windows(3) {
+        let [a, b, c] = [three[0], three[1], three[2]];
+        let radius = RADIUS.min((b - a).length() / 2.0).min((c - b).length() / 2.0);
+        let (before, after) = (b - (b - a).normalized() * radius, b + (c - b).normalized() * radius);
+        curves.push(straight(at, before));
+        curves.push([before, before + (b - before) * 0.55, after + (b - after) * 0.55, after]);
+        at = after;
+    }
+    curves.push(straight(at, corners[corners.len() - 1]));
+    curves
 }
 
 impl Canvas {
@@ -46,8 +80,8 @@ impl Canvas {
         FontId::new(((size * self.scale()) * 2.0).round() / 2.0, FontFamily::Proportional)
     }
 
+    /// Points of the grid. What is behind them is what the window is cleared to: drivers without hardware pay for every pixel that is filled.
     pub(super) fn paint_ground(&self, painter: &Painter) {
-        painter.rect_filled(self.rect, 0.0, theme::GROUND);
         let step = 32.0 * self.scale();
         if step < 14.0 {
             return;
@@ -82,7 +116,9 @@ impl Canvas {
     pub(super) fn curves(&self, view: &View, wire: &Wire) -> Vec<[Pos2; 4]> {
         let ends = (self.pin_at(view, wire.from, &wire.output, false), self.pin_at(view, wire.to, &wire.input, true));
         let (Some((from, _)), Some((to, _))) = ends else { return Vec::new() };
-        let Some(lane) = self.lanes.get(&(wire.from, wire.to)) else { return vec![bow(from, to, self.scale())] };
+        let Some(lane) = self.lanes.get(&(wire.from, wire.to)) else {
+            return if to.x > from.x { vec![bow(from, to, self.scale())] } else { self.around(view, wire, from, to) };
+        };
         // Wires of one lane run beside each other.
         let mut beside = view.wires.iter().filter(|w| w.from == wire.from && w.to == wire.to);
         let shift = vec2(0.0, beside.position(|w| w == wire).unwrap_or(0) as f32 * 7.0 - 3.0);
@@ -96,6 +132,34 @@ impl Canvas {
         }
         curves.push(bow(at, to, self.scale()));
         curves
+    }
+
+    /// A wire that leads back: below the nodes between its ends, through none.
+    fn around(&self, view: &View, wire: &Wire, from: Pos2, to: Pos2) -> Vec<[Pos2; 4]> {
+        let transform = self.transform();
+        let (from, to) = (transform.inverse() * from, transform.inverse() * to);
+        let rects: Vec<Rect> = (view.nodes.iter().zip(&self.shapes))
+            .map(|(node, shape)| {
+                Rect::from_min_size(self.places.get(node.id()).copied().unwrap_or_default(), shape.size)
+            })
+            .collect();
+        let bottom = |n: usize| rects.get(n).map_or(f32::MIN, Rect::bottom);
+        // Wires that lead back run beside each other.
+        let beside = view.wires.iter().filter(|w| w.delayed).position(|w| w == wire).unwrap_or(0);
+        let room = BELOW + (beside % 4) as f32 * 7.0;
+        let mut low = bottom(wire.from).max(bottom(wire.to)) + room;
+        for _ in 0..rects.len() {
+            let between = rects.iter().filter(|r| r.right() > to.x - BELOW && r.left() < from.x + BELOW);
+            let met = between.filter(|r| r.top() - BELOW < low && low < r.bottom() + BELOW);
+            match met.map(Rect::bottom).reduce(f32::max) {
+                Some(bottom) => low = bottom + room,
+                None => break,
+            }
+        }
+        // Down and up between the columns.
+        let (right, left) = (from.x + room, to.x - room);
+        let corners = [from, pos2(right, from.y), pos2(right, low), pos2(left, low), pos2(left, to.y), to];
+        rounded(&corners).into_iter().map(|curve| curve.map(|at| transform * at)).collect()
     }
 
     pub(super) fn paint_wires(&self, painter: &Painter, scene: &Scene<'_>) {
@@ -119,6 +183,7 @@ impl Canvas {
             let (color, width) = match (selected, near) {
                 (true, _) => (theme::ACCENT, 3.0),
                 (_, true) => (theme::packet(packet), 2.5),
+                _ if wire.delayed => (theme::packet(packet).gamma_multiply(0.45), 1.5),
                 _ => (theme::packet(packet).gamma_multiply(0.6), 2.0),
             };
             let stroke = Stroke::new((width * self.scale()).max(1.0), color);
@@ -127,7 +192,10 @@ impl Canvas {
                     let points: Vec<Pos2> = (0..=32).map(|i| on_curve(&curve, i as f32 / 32.0)).collect();
                     painter.extend(Drawn::dashed_line(&points, stroke, 8.0 * self.scale(), 5.0 * self.scale()));
                 } else {
-                    painter.add(CubicBezierShape::from_points_stroke(curve, false, Color32::TRANSPARENT, stroke));
+                    match &flattened(&curve)[..] {
+                        [from, to] => painter.line_segment([*from, *to], stroke),
+                        points => painter.line(points.to_vec(), stroke),
+                    };
                 }
             }
         }
@@ -167,7 +235,10 @@ impl Canvas {
             let at = pos2(rect.left(), rect.top() - name.size().y - 1.0);
             painter.galley(at, name, theme::TEXT);
             self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
-            self.paint_picture(painter, scene, node, rect);
+            // Without pins and numbers all the room is the picture's.
+            let room = rect.shrink(PAD * scale);
+            let room = Rect::from_min_max(pos2(room.left(), rect.top() + HEADER * scale), room.max);
+            self.paint_picture(painter, scene, node, room);
             return;
         }
         let name = elided(painter, id, self.font(14.0), theme::TEXT, rect.width() - (28.0 + 16.0) * scale);
@@ -180,8 +251,11 @@ impl Canvas {
             let at = pos2(rect.right() - 26.0 * scale - words.size().x, line - words.size().y / 2.0);
             painter.galley(at, words, theme::MUTED);
         }
-        self.paint_picture(painter, scene, node, rect);
         let shape = &self.shapes[node];
+        if let Some(picture) = shape.picture {
+            let frame = Rect::from_min_size(rect.min + picture.min.to_vec2() * scale, picture.size() * scale);
+            self.paint_picture(painter, scene, node, frame);
+        }
         let transform = self.transform();
         let place = self.places.get(id).copied().unwrap_or_default();
         for pin in &shape.pins {
@@ -226,16 +300,16 @@ impl Canvas {
         }
     }
 
-    fn paint_picture(&self, painter: &Painter, scene: &Scene<'_>, node: usize, rect: Rect) {
+    /// What a node makes, inside `frame`: its picture, or words; where those are too small, how long it takes.
+    fn paint_picture(&self, painter: &Painter, scene: &Scene<'_>, node: usize, frame: Rect) {
         let shape = &self.shapes[node];
-        let (Some(picture), Some((output, packet))) = (shape.picture, &shape.output) else { return };
         let scale = self.scale();
-        let frame = Rect::from_min_size(rect.min + picture.min.to_vec2() * scale, picture.size() * scale);
-        painter.rect_filled(frame, 4.0 * scale, theme::SUNK);
+        let Some((output, packet)) = &shape.output else { return };
         // Boxes stand on the picture that they were found in.
         let below = shape.backdrop.as_ref().map_or(output, |(below, _)| below);
         match scene.shown.texture(below) {
             Some((texture, size)) => {
+                painter.rect_filled(frame, 4.0 * scale, theme::SUNK);
                 let fit = (frame.width() / size.x).min(frame.height() / size.y);
                 let inner = Rect::from_center_size(frame.center(), size * fit);
                 let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
@@ -254,8 +328,21 @@ impl Canvas {
                     painter.text(frame.center(), Align2::CENTER_CENTER, words, self.font(13.0), theme::WARN);
                 }
             }
-            None if scale < DETAIL => {}
+            None if scale < DETAIL => {
+                let counters = scene.counters.nodes.get(scene.view.nodes[node].id());
+                if let Some(counters) = counters.filter(|c| c.fps > 0.0) {
+                    let words = time_words(counters.p50_ms);
+                    painter.text(
+                        frame.center(),
+                        Align2::CENTER_CENTER,
+                        words,
+                        FontId::proportional(10.0),
+                        theme::MUTED,
+                    );
+                }
+            }
             None => {
+                painter.rect_filled(frame, 4.0 * scale, theme::SUNK);
                 let words = scene.shown.words(output).unwrap_or(packet);
                 let galley =
                     painter.layout(words.to_owned(), self.font(11.0), theme::TEXT, frame.width() - 16.0 * scale);
@@ -315,7 +402,8 @@ impl Canvas {
             right.append(&format!("{count} {word}{plural}  "), 0.0, plain(theme::WARN));
         }
         if c.dropped > 0 {
-            right.append(&format!("{} drops  ", c.dropped), 0.0, plain(theme::WARN));
+            let plural = if c.dropped > 1 { "s" } else { "" };
+            right.append(&format!("{} drop{plural}  ", c.dropped), 0.0, plain(theme::WARN));
         }
         if let Some(age) = c.age_p50_ms.filter(|a| *a > 0.0) {
             right.append(&format!("age {}  ", time_words(age)), 0.0, plain(theme::MUTED));
@@ -426,4 +514,36 @@ fn say(painter: &Painter, at: Pos2, words: &str) {
     let rect = Rect::from_min_size(at, galley.size() + vec2(16.0, 12.0));
     painter.rect(rect, 4.0, theme::PANEL, Stroke::new(1.0, theme::FAULT), StrokeKind::Inside);
     painter.galley(rect.min + vec2(8.0, 6.0), galley, theme::TEXT);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wires_are_few_pieces_and_keep_to_their_curve() {
+        let straight = bow(pos2(0.0, 5.0), pos2(300.0, 5.0), 1.0);
+        assert_eq!(flattened(&straight).len(), 2);
+        let curve = bow(pos2(0.0, 0.0), pos2(120.0, 400.0), 1.0);
+        let points = flattened(&curve);
+        assert!((8..=64).contains(&points.len()), "{}", points.len());
+        let apart = |at: Pos2| {
+            let near = points.windows(2).map(|pair| {
+                let way = pair[1] - pair[0];
+                let along = ((at - pair[0]).dot(way) / way.length_sq()).clamp(0.0, 1.0);
+                at.distance(pair[0] + way * along)
+            });
+            near.fold(f32::MAX, f32::min)
+        };
+        let worst = (0..=500).map(|i| apart(on_curve(&curve, i as f32 / 500.0))).fold(0.0, f32::max);
+        assert!(worst < 0.3, "{worst}");
+    }
+
+    #[test]
+    fn ways_back_have_round_turns_and_no_gaps() {
+        let corners = [pos2(10.0, 0.0), pos2(40.0, 0.0), pos2(40.0, 90.0), pos2(-60.0, 90.0), pos2(-60.0, 20.0)];
+        let curves = rounded(&corners);
+        assert!(curves.windows(2).all(|pair| pair[0][3] == pair[1][0]), "{curves:?}");
+        assert_eq!((curves[0][0], curves[curves.len() - 1][3]), (corners[0], corners[4]));
+    }
 }

@@ -15,7 +15,8 @@ const PICTURE: f32 = 120.0;
 const WORDS: f32 = 52.0;
 const ROW: f32 = 20.0;
 const FOOTER: f32 = 28.0;
-const PAD: f32 = 8.0;
+/// Between the parts of a node and its edge.
+pub const PAD: f32 = 8.0;
 /// Most optional inputs, and most outputs, that are shown unconnected.
 const MOST_FREE: usize = 3;
 

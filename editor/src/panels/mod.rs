@@ -1,6 +1,7 @@
 //! What stands around the canvas.
 
 pub mod below;
+pub mod crosshair;
 pub mod cutout;
 pub mod files;
 pub mod history;
@@ -29,6 +30,11 @@ pub fn time_words(ms: f64) -> String {
         _ if ms >= 0.1 => format!("{ms:.1} ms"),
         _ => format!("{:.0} us", ms * 1e3),
     }
+}
+
+/// A unit as it stands behind a number; parts of one have none.
+pub fn unit_words(unit: &str) -> &str {
+    if unit == "ratio" { "" } else { unit }
 }
 
 /// What is older is not live.

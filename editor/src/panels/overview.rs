@@ -73,6 +73,10 @@ fn shares(ui: &mut Ui, nodes: &[NodeView], counters: &Counters, wishes: &mut Vec
         .filter_map(|n| counters.nodes.get(n.id()).map(|c| (n, c.p50_ms, c.p50_ms * c.fps / 1e3)))
         .collect();
     rows.sort_by(|a, b| b.2.total_cmp(&a.2));
+    if rows.is_empty() {
+        ui.label(RichText::new("nothing runs").color(theme::MUTED));
+        return;
+    }
     let most = rows.first().map_or(1.0, |r| r.2.max(1e-6));
     let width = ui.available_width();
     Grid::new("shares").num_columns(1).spacing([0.0, 2.0]).show(ui, |ui| {
@@ -101,9 +105,6 @@ fn shares(ui: &mut Ui, nodes: &[NodeView], counters: &Counters, wishes: &mut Vec
             ui.end_row();
         }
     });
-    if counters.nodes.is_empty() {
-        ui.label(RichText::new("nothing runs").color(theme::MUTED));
-    }
 }
 
 #[cfg(test)]

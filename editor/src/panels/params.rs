@@ -6,6 +6,7 @@ use eframe::egui::{
 };
 use panoscope_graph::{Param, ParamKind, Pick};
 
+use super::unit_words;
 use crate::document::{Document, NodeView, default_value};
 use crate::theme;
 
@@ -109,7 +110,8 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
 
 /// The widget of one parameter; answers a new value.
 fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value> {
-    let unit = if param.unit.is_empty() { String::new() } else { format!(" {}", param.unit) };
+    let unit = unit_words(&param.unit);
+    let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
     let label = param.name.clone();
     ui.spacing_mut().slider_width = (ui.available_width() - 92.0).max(60.0);
     let (response, new): (_, Option<toml::Value>) = match &param.kind {

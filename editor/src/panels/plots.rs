@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write as _;
 
 use eframe::egui::{Align, Align2, Button, FontId, Layout, Ui, WidgetInfo, WidgetType};
-use egui_plot::{Legend, Line, Plot, PlotPoints};
+use egui_plot::{Corner, Legend, Line, Plot, PlotPoints};
 
 use super::Shown;
 use super::cutout::Cutout;
@@ -171,7 +171,7 @@ impl Plots {
             });
         });
         let mut plot = Plot::new("curves")
-            .legend(Legend::default())
+            .legend(Legend::default().position(Corner::LeftTop))
             .y_axis_label(self.kind.axis())
             .include_x(-30.0)
             .include_x(0.0)

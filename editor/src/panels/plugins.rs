@@ -1,10 +1,14 @@
 //! The plugins that can be seen from here: what they offer, where they came from.
 
-use eframe::egui::{CollapsingHeader, Context, Frame, Margin, Modal, RichText, ScrollArea};
+use eframe::egui::text::{LayoutJob, TextFormat};
+use eframe::egui::{CollapsingHeader, Context, FontId, Frame, Margin, Modal, RichText, ScrollArea};
 use panoscope_graph::Catalog;
 use panoscope_runtime::Loader;
 
 use crate::theme;
+
+/// Letters of the names of a plugin's nodes that have room beside its own name.
+const MOST_LETTERS: usize = 68;
 
 /// What was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,14 +32,27 @@ pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Asked> 
                 asked = Some(Asked::Reload);
             }
         });
-        ScrollArea::vertical().max_height(ctx.content_rect().height() * 0.7).show(ui, |ui| {
+        let height = ctx.content_rect().height();
+        ScrollArea::vertical().max_height(height * 0.7).min_scrolled_height(height * 0.5).show(ui, |ui| {
             for found in loader.found() {
                 let (name, version) = (&found.note.name, &found.note.version);
                 let used = catalog.has_plugin(name);
                 let color = if used { theme::TEXT } else { theme::MUTED };
-                let title = RichText::new(format!("{name}  {version}")).color(color).size(14.0);
+                let mut title = LayoutJob::default();
+                title.append(
+                    name,
+                    0.0,
+                    TextFormat { font_id: FontId::proportional(14.0), color, ..Default::default() },
+                );
+                let small = FontId::proportional(12.0);
+                let rest = TextFormat { font_id: small, color: theme::MUTED, ..Default::default() };
+                let nodes = found.note.node_types.join(", ");
+                let shown: String = nodes.chars().take(MOST_LETTERS).collect();
+                let dots = if shown.len() < nodes.len() { "..." } else { "" };
+                title.append(&format!("   {shown}{dots}"), 0.0, rest);
                 CollapsingHeader::new(title).id_salt(("plugin", name)).show(ui, |ui| {
-                    ui.label(RichText::new(found.file.display().to_string()).size(11.0).color(theme::MUTED));
+                    let words = format!("{version}   {}", found.file.display());
+                    ui.label(RichText::new(words).size(11.0).color(theme::MUTED));
                     let types = catalog.node_types.iter().filter(|t| t.plugin == *name);
                     for node_type in types {
                         ui.label(RichText::new(&node_type.name).color(theme::ACCENT));

@@ -7,7 +7,7 @@ use eframe::egui::{
     Align, Button, ComboBox, DragValue, Id, Label, Layout, ProgressBar, Response, RichText, ScrollArea, TextEdit, Ui,
     WidgetInfo, WidgetType, vec2,
 };
-use egui_plot::{Legend, Line, Plot, PlotPoints, Points};
+use egui_plot::{Corner, Legend, Line, Plot, PlotPoints, Points};
 use panoscope_graph::ParamKind;
 use panoscope_runtime::Loader;
 use panoscope_runtime::numbers::tells_numbers;
@@ -16,6 +16,7 @@ use panoscope_runtime::sweep::{COUNTERS, MOST_STEPS, Point, Request, can_sweep, 
 use super::Shown;
 use super::cutout::Cutout;
 use super::plots::Export;
+use super::unit_words;
 use crate::content::Content;
 use crate::document::Document;
 use crate::observe::{Counters, Output};
@@ -332,7 +333,7 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
     };
     ui.visuals_mut().override_text_color = Some(theme::MUTED.gamma_multiply(0.8));
     let shown = Plot::new("sweep")
-        .legend(Legend::default())
+        .legend(Legend::default().position(Corner::LeftTop))
         .x_axis_label(axis)
         .y_axis_label(&progress.measure)
         .allow_scroll(false)
@@ -384,7 +385,8 @@ fn kind_of(document: &Document, param: &str) -> (bool, String, Option<f64>) {
         node_type.params.iter().find(|p| p.name == param)
     });
     let Some(declared) = declared else { return (false, String::new(), None) };
-    let unit = if declared.unit.is_empty() { String::new() } else { format!(" {}", declared.unit) };
+    let unit = unit_words(&declared.unit);
+    let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
     match &declared.kind {
         ParamKind::Int { step, .. } => (true, unit, Some(step.unwrap_or(1) as f64)),
         ParamKind::Float { step, .. } => (true, unit, *step),

@@ -99,7 +99,7 @@ fn state(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters)
             words += &format!("  ·  age p99 {}", time_words(age));
         }
         if drops > 0 {
-            words += &format!("  ·  {drops} drops");
+            words += &format!("  ·  {drops} drop{}", if drops > 1 { "s" } else { "" });
         }
         ui.label(RichText::new(words).size(12.0));
     }

@@ -23,6 +23,8 @@ pub enum Act {
     Stop,
     /// Start the graph again after it has stopped.
     Again,
+    /// Show the settings that there was no room for.
+    More,
 }
 
 /// Acts with their keys, the first one being shown.
@@ -35,6 +37,7 @@ pub const KEYS: &[(Act, &[Key])] = &[
     (Act::Measure, &[Key::M, Key::F17]),
     (Act::Stop, &[Key::E, Key::F20]),
     (Act::Again, &[Key::Enter]),
+    (Act::More, &[Key::T]),
     (Act::One(0), &[Key::Num1]),
     (Act::One(1), &[Key::Num2]),
     (Act::One(2), &[Key::Num3]),
@@ -43,13 +46,12 @@ pub const KEYS: &[(Act, &[Key])] = &[
     (Act::One(5), &[Key::Num6]),
 ];
 
-/// Takes the acts whose keys were pressed out of the input; a key that is held counts once. With `focused` Space and Enter press what has the
-/// focus.
-pub fn pressed(input: &mut InputState, focused: bool) -> Vec<Act> {
+/// Takes the acts whose keys were pressed out of the input; a key that is held counts once. Keys in `left` are for something else now.
+pub fn pressed(input: &mut InputState, left: &[Key]) -> Vec<Act> {
     let mut found = Vec::new();
     for (act, keys) in KEYS {
         for key in *keys {
-            if focused && matches!(key, Key::Space | Key::Enter) {
+            if left.contains(key) {
                 continue;
             }
             let fresh = |e: &eframe::egui::Event| matches!(e, eframe::egui::Event::Key { key: k, pressed: true, repeat: false, .. } if k == key);

@@ -7,15 +7,16 @@ use eframe::egui::{
     vec2,
 };
 
-use super::notices::{Facts, Urgency, bytes_words};
+use super::arm::STOP_RED;
+use super::notices::{Facts, OLD_MS, Urgency, bytes_words};
 use super::{Act, EDGE, HOLD, REMARK, Theatre, key_words, settings};
 use crate::session::{Phase, Status};
 use crate::theme;
 
-const STOP_RED: Color32 = Color32::from_rgb(0xD6, 0x2F, 0x1F);
-
-/// A picture older than this is not called live.
-const DELAYED_MS: f64 = 500.0;
+/// Width of a setting, between two of them, and of the button that leads to more.
+const SETTING: f32 = 216.0;
+const SETTING_GAP: f32 = 24.0;
+const MORE: f32 = 84.0;
 
 fn clock_words(since: Instant) -> String {
     let seconds = since.elapsed().as_secs();
@@ -41,7 +42,7 @@ impl Theatre {
             (Phase::Ended | Phase::Failed(_), _) => ("STOPPED".to_owned(), theme::FAULT, theme::BLACK),
             (_, Some(since)) => (format!("FROZEN  {}", clock_words(since)), theme::ACCENT, theme::BLACK),
             // What is late must not be called live.
-            _ if !facts.stopped.is_empty() || facts.age_ms.is_some_and(|age| age > DELAYED_MS) => {
+            _ if !facts.stopped.is_empty() || facts.age_ms.is_some_and(|age| age > OLD_MS) => {
                 ("DELAYED".to_owned(), theme::WARN, theme::BLACK)
             }
             _ => ("LIVE".to_owned(), theme::RAISED, theme::LIVE),
@@ -134,12 +135,13 @@ impl Theatre {
         }
         let over = self.raw_only.is_some() || matches!(self.session.status().phase, Phase::Ended | Phase::Failed(_));
         let frozen = self.frozen.is_some() && !self.measure.is_on();
+        let whole = self.raw_only.is_none();
         let buttons = [
-            (Act::Next, "Layout", false, self.plan.views.len() > 1),
-            (Act::Freeze, if frozen { "Go on" } else { "Freeze" }, frozen, true),
+            (Act::Next, "Layout", false, whole && self.plan.views.len() > 1),
+            (Act::Freeze, if frozen { "Go on" } else { "Freeze" }, frozen, whole),
             (Act::Still, "Still", false, true),
-            (Act::Record, if self.clip.is_some() { "End clip" } else { "Record" }, self.clip.is_some(), true),
-            (Act::Measure, "Measure", self.measure.is_on(), self.plan.cloud.is_some()),
+            (Act::Record, if self.clip.is_some() { "End clip" } else { "Record" }, self.clip.is_some(), whole),
+            (Act::Measure, "Measure", self.measure.is_on(), whole && self.plan.cloud.is_some()),
             (Act::Again, "Start again", true, over),
         ];
         for (act, words, on, there) in buttons {
@@ -153,64 +155,51 @@ impl Theatre {
             }
             left = place.right() + 10.0;
         }
-        let settings = self.plan.settings.clone();
-        let room = right - left - 24.0;
-        let each = 240.0;
-        let fit = ((room + 28.0) / (each + 28.0)).floor().max(0.0) as usize;
-        let mut at = right - settings.len().min(fit) as f32 * (each + 28.0) + 28.0;
-        for setting in settings.iter().take(fit) {
-            let place = Rect::from_min_size(pos2(at, inner.top() + 4.0), vec2(each, inner.height() - 8.0));
+        self.settings(ui, Rect::from_min_max(pos2(left + 14.0, inner.top()), pos2(right, inner.bottom())));
+    }
+
+    /// The pinned settings; where there is no room for all, a button leads to the others.
+    fn settings(&mut self, ui: &mut Ui, room: Rect) {
+        // Where only the sources run there is nothing to set.
+        let settings = if self.raw_only.is_some() { Vec::new() } else { self.plan.settings.clone() };
+        let across = |width: f32| (((width + SETTING_GAP) / (SETTING + SETTING_GAP)).max(0.0) as usize).max(1);
+        let mut room = room;
+        let mut fit = across(room.width());
+        if settings.len() > fit {
+            let place = Rect::from_min_max(pos2(room.right() - MORE, room.top()), room.max);
+            room.max.x = place.left() - SETTING_GAP;
+            fit = across(room.width());
+            let pages = settings.len().div_ceil(fit);
+            self.page %= pages;
+            let words = format!("{} of {pages}", self.page + 1);
+            if button_named(ui, place, "More settings", &words, key_words(Act::More), false) {
+                self.act(Act::More);
+            }
+        } else {
+            self.page = 0;
+        }
+        let shown = settings.iter().skip(self.page * fit).take(fit);
+        let mut at = room.right() - shown.len() as f32 * (SETTING + SETTING_GAP) + SETTING_GAP;
+        for setting in shown {
+            let place = Rect::from_min_size(pos2(at, room.top() + 4.0), vec2(SETTING, room.height() - 8.0));
             let value = self.value(setting);
             if let Some(new) = settings::show(ui, place, setting, value.as_ref()) {
                 self.choose(&setting.node, &setting.param.name, new);
             }
-            at = place.right() + 28.0;
+            at = place.right() + SETTING_GAP;
         }
-    }
-
-    /// Always there while the graph has an arm. One tap stops it; it is let go only by holding.
-    fn stop_button(&mut self, ui: &mut Ui, rect: Rect) {
-        let response = ui.interact(rect, ui.id().with("stop"), Sense::click_and_drag());
-        let label = if self.emergency { "Release the arm: hold 2 s" } else { "Emergency stop of the arm" };
-        response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, label));
-        let held = response.is_pointer_button_down_on();
-        let painter = ui.painter();
-        let fill = if self.emergency { Color32::from_rgb(0x4A, 0x17, 0x12) } else { STOP_RED };
-        painter.rect(rect, 12.0, fill, Stroke::new(3.0, Color32::WHITE), StrokeKind::Inside);
-        if !self.emergency {
-            // On touch, not on release: nothing is to be waited for.
-            if held || response.clicked() {
-                self.emergency_stop(true);
-                self.releasing = None;
-            }
-        } else {
-            if held && ui.input(|i| i.pointer.any_pressed()) {
-                self.releasing = Some(Instant::now());
-            }
-            self.release(ui.ctx(), held);
-            let share = self.releasing.map_or(0.0, |s| s.elapsed().as_secs_f32() / HOLD.as_secs_f32());
-            let done = Rect::from_min_size(rect.min, vec2(rect.width() * share.min(1.0), rect.height())).shrink(6.0);
-            painter.rect_filled(done, 8.0, STOP_RED.gamma_multiply(0.6));
-        }
-        let (words, below) = if self.emergency {
-            ("ARM STOPPED", "hold 2 s to release".to_owned())
-        } else {
-            ("STOP ARM", format!("key {}", key_words(Act::Stop)))
-        };
-        let sign_at = pos2(rect.left() + 38.0, rect.center().y);
-        octagon(painter, sign_at, 20.0);
-        let left = rect.left() + 70.0;
-        let y = rect.center().y;
-        painter.text(pos2(left, y - 9.0), Align2::LEFT_CENTER, words, FontId::proportional(22.0), Color32::WHITE);
-        let pale = Color32::from_white_alpha(210);
-        painter.text(pos2(left, y + 15.0), Align2::LEFT_CENTER, below, FontId::proportional(14.0), pale);
     }
 }
 
 /// A large button with its key below its words.
 fn button(ui: &mut Ui, rect: Rect, words: &str, key: &str, on: bool) -> bool {
+    button_named(ui, rect, words, words, key, on)
+}
+
+/// As [`button`], with a name that is not what stands on it.
+fn button_named(ui: &mut Ui, rect: Rect, name: &str, words: &str, key: &str, on: bool) -> bool {
     let response = ui.interact(rect, ui.id().with(("button", key)), Sense::click());
-    response.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, on, words.to_owned()));
+    response.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, on, name.to_owned()));
     let fill = match () {
         () if on => theme::ACCENT.gamma_multiply(0.32),
         () if response.is_pointer_button_down_on() => theme::LINE,
@@ -233,14 +222,4 @@ fn sign(painter: &eframe::egui::Painter, at: eframe::egui::Pos2, size: f32, colo
     let bar = Stroke::new(size * 0.22, theme::BLACK);
     painter.line_segment([at + vec2(0.0, -size * 0.4), at + vec2(0.0, size * 0.25)], bar);
     painter.circle_filled(at + vec2(0.0, size * 0.52), size * 0.13, theme::BLACK);
-}
-
-/// The sign that says stop everywhere.
-fn octagon(painter: &eframe::egui::Painter, at: eframe::egui::Pos2, size: f32) {
-    let corner = |k: usize| {
-        let angle = (k as f32 + 0.5) * std::f32::consts::FRAC_PI_4;
-        at + vec2(angle.cos(), angle.sin()) * size
-    };
-    painter.add(Shape::convex_polygon((0..8).map(corner).collect(), Color32::WHITE, Stroke::NONE));
-    painter.rect_filled(Rect::from_center_size(at, vec2(size * 0.8, size * 0.8)), 2.0, STOP_RED);
 }

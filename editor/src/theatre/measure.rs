@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use eframe::egui::Context;
+use eframe::egui::{Context, InputState};
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw;
 use panoscope_imaging::stereo::Place;
@@ -12,6 +12,7 @@ use panoscope_imaging::stereo::length::{self, Errors, Noise};
 use crate::content::Rig;
 use crate::observe::Output;
 use crate::panels::Shown;
+use crate::panels::crosshair::Crosshair;
 use crate::picture::{Look, Pixels};
 use crate::surface::Cloud;
 
@@ -55,6 +56,8 @@ pub struct Measure {
 }
 
 struct On {
+    /// For taps by keys.
+    crosshair: Crosshair,
     cloud: Arc<Cloud>,
     output: Output,
     held: Shown,
@@ -87,7 +90,7 @@ impl Measure {
         let Some(cloud) = look.cloud.clone() else { return };
         let mut held = Shown::default();
         held.update(ctx, HashMap::from([(output.clone(), look)]));
-        let on = On { cloud, output: output.clone(), held, points: Vec::new() };
+        let on = On { crosshair: Crosshair::default(), cloud, output: output.clone(), held, points: Vec::new() };
         *self = Self { waits: false, on: Some(on), rig: self.rig };
     }
 
@@ -109,6 +112,20 @@ impl Measure {
         }
         let at_px = (x * on.cloud.width as f32 - 0.5, y * on.cloud.height as f32 - 0.5);
         on.points.push(Tapped { at_px, place: on.cloud.place(at_px, RADIUS_PX) });
+    }
+
+    /// Taps by keys: arrows move a crosshair, Enter taps there.
+    pub fn tap_by_key(&mut self, input: &mut InputState) {
+        let (width, height) = self.size_px();
+        let tapped = self.on.as_mut().and_then(|on| on.crosshair.steer(input, width as f32 / height as f32));
+        if let Some([x, y]) = tapped {
+            self.tap(x, y);
+        }
+    }
+
+    /// Where the next tap by key goes.
+    pub fn crosshair(&self) -> Crosshair {
+        self.on.as_ref().map(|on| on.crosshair).unwrap_or_default()
     }
 
     /// Points so far.

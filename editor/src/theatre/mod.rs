@@ -5,6 +5,7 @@
 //! started alone.
 
 mod acts;
+mod arm;
 mod arrange;
 mod bars;
 mod keep;
@@ -15,6 +16,7 @@ mod plan;
 mod records;
 mod settings;
 mod stage;
+mod watch;
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -24,13 +26,12 @@ use std::time::{Duration, Instant};
 use eframe::egui::{self, Context, Key, Rect, Ui, pos2, vec2};
 use panoscope_graph::edit::GraphEdit;
 use panoscope_graph::{GraphText, ParamValue};
-use panoscope_runtime::clock;
 
 use crate::app::{Costs, Shot};
-use crate::content::{Content, Rig};
-use crate::observe::{Counters, Observer, Output, Wanted};
+use crate::content::Rig;
+use crate::observe::{Observer, Output};
 use crate::panels::Shown;
-use crate::session::{Phase, Session, Status};
+use crate::session::{Phase, Session};
 use crate::surface::Sight;
 use crate::theme;
 
@@ -44,32 +45,19 @@ pub use plan::{Place, Plan, Setting};
 
 use keep::{Clip, Keeper};
 use measure::Measure;
-use notices::{Facts, STOPPED, Stages, told};
+use notices::{Facts, Stages};
+use watch::Seen;
 
-/// Shortest time from one picture to the next.
-const INTERVAL: Duration = Duration::from_millis(33);
 /// How long Esc is held to leave, and the stop to be released.
 const HOLD: Duration = Duration::from_secs(2);
-/// How long a view may take to show its first picture before it counts as stopped.
-const FIRST: Duration = Duration::from_secs(5);
 /// How long a remark stays.
 const REMARK: Duration = Duration::from_secs(5);
-/// Most columns of a view.
-const MOST_WIDTH: usize = 4096;
-/// Columns of a camera's picture that is only watched.
-const WATCHED_WIDTH: usize = 64;
 const TOP: f32 = 68.0;
 const BOTTOM: f32 = 104.0;
 const EDGE: f32 = 20.0;
-/// Height of the window in points that sizes are made for.
+/// Height of the window in points that sizes are made for, and the least width that all buttons have room in.
 const USUAL_HEIGHT: f32 = 960.0;
-
-/// When something was seen of an output, and how old it was.
-#[derive(Clone, Copy, Debug)]
-struct Seen {
-    at: Instant,
-    ingest_ns: Option<u64>,
-}
+const LEAST_WIDTH: f32 = 1180.0;
 
 /// The window.
 pub struct Theatre {
@@ -96,6 +84,8 @@ pub struct Theatre {
     emergency: bool,
     /// Settings that were changed here, by node and parameter.
     chosen: HashMap<(String, String), ParamValue>,
+    /// Which of the settings are shown, where there is no room for all.
+    page: usize,
     stages: Stages,
     told: Vec<Notice>,
     remark: Option<(String, bool, Instant)>,
@@ -151,6 +141,7 @@ impl Theatre {
             clip: None,
             emergency: false,
             chosen: HashMap::new(),
+            page: 0,
             stages: Stages::default(),
             told: Vec::new(),
             remark: None,
@@ -199,6 +190,11 @@ impl Theatre {
         self.measure.distance()
     }
 
+    /// From where the surface of an output, such as `points.cloud`, is looked at; `None` for one that was not shown yet.
+    pub fn sight(&self, output: &str) -> Option<Sight> {
+        self.sights.iter().find(|(known, _)| known.to_string() == output).map(|(_, sight)| *sight)
+    }
+
     /// Whether the window was asked to close.
     pub fn has_left(&self) -> bool {
         self.left
@@ -224,15 +220,19 @@ impl Theatre {
         let facts = self.facts(&status, &counters);
         self.told = notices::notices(&facts);
         self.keep_up(&status, &counters);
-        let focused = ctx.memory(|m| m.focused().is_some());
-        for act in ctx.input_mut(|input| acts::pressed(input, focused)) {
+        // These press what has the focus, and tap while points are chosen by keys.
+        let left: &[Key] = match ctx.memory(|m| m.focused().is_some()) {
+            true => &[Key::Space, Key::Enter],
+            false if self.measure.is_on() => &[Key::Enter],
+            false => &[],
+        };
+        for act in ctx.input_mut(|input| acts::pressed(input, left)) {
             self.act(act);
         }
         self.leave(&ctx);
         self.follow_screen(&ctx);
         let whole = ui.available_rect_before_wrap();
         ui.allocate_rect(whole, egui::Sense::hover());
-        ui.painter().rect_filled(whole, 0.0, theme::BLACK);
         let top = Rect::from_min_size(whole.min, vec2(whole.width(), TOP));
         let bottom = Rect::from_min_max(pos2(whole.left(), whole.bottom() - BOTTOM), whole.max);
         let stage =
@@ -248,111 +248,16 @@ impl Theatre {
         self.shot.measure(&ctx, &self.costs, &self.session);
     }
 
-    /// Sizes follow the screen's height, so that type is as large on any.
+    /// Sizes follow the screen's height, so that type is as large on any, as far as its width has room for the buttons.
     fn follow_screen(&self, ctx: &Context) {
         let now = ctx.zoom_factor();
-        let height_px = ctx.viewport_rect().height() * now;
-        let zoom = (height_px / USUAL_HEIGHT * self.scale).clamp(0.5, 4.0);
+        let size_px = ctx.viewport_rect().size() * now;
+        let zoom = (size_px.y / USUAL_HEIGHT * self.scale).min(size_px.x / LEAST_WIDTH).clamp(0.5, 4.0);
         // In steps, so that no window manager's rounding makes it swing.
         let zoom = (zoom * 20.0).round() / 20.0;
         if (zoom - now).abs() > 0.01 {
             ctx.set_zoom_factor(zoom);
         }
-    }
-
-    /// Takes what came since the last frame.
-    fn look(&mut self, ctx: &Context) {
-        let mut looks = self.observer.take();
-        let now = Instant::now();
-        for (output, look) in &looks {
-            self.seen.insert(output.clone(), Seen { at: now, ingest_ns: look.ingest_ns });
-        }
-        if let Some(rig) = &self.plan.rig
-            && let Some(Content::Rig(known)) = looks.get(&rig.calibration).map(|look| &look.content)
-        {
-            self.rig = Some(*known);
-        }
-        if let (Some(known), Some(rig)) = (self.rig, &self.plan.rig) {
-            self.measure.know(known, rig.noise);
-        }
-        if let Some(cloud) = self.plan.cloud.clone().filter(|_| self.measure.waits())
-            && let Some(look) = looks.remove(&cloud)
-            && look.cloud.is_some()
-        {
-            self.measure.take(ctx, &cloud, look);
-            self.frozen = Some(now);
-        }
-        if let Some(raw) = self.plan.raw.as_ref().map(|raw| &raw.output)
-            && let Some(look) = looks.get(raw)
-        {
-            self.live.update(ctx, HashMap::from([(raw.clone(), look.clone())]));
-        }
-        if self.frozen.is_none() {
-            self.shown.update(ctx, looks);
-        }
-    }
-
-    /// When the graph as a whole cannot run, its sources go on alone.
-    fn fall_back(&mut self, status: &Status) {
-        match status.phase {
-            Phase::Running if self.running_since.is_none() => self.running_since = Some(Instant::now()),
-            Phase::Running => {}
-            _ => self.running_since = None,
-        }
-        if self.raw_only.is_some() || status.busy {
-            return;
-        }
-        let why = match (&status.phase, &status.trouble) {
-            (Phase::Failed(why), _) => why.clone(),
-            (Phase::Idle | Phase::Ended, Some(trouble)) => trouble.words.clone(),
-            _ => return,
-        };
-        self.clip_is_over();
-        match self.plan.raw_only(&self.text) {
-            Ok(text) => self.session.restart(&text),
-            Err(error) => self.say(error.to_string(), true),
-        }
-        self.raw_only = Some(why);
-        self.frozen = None;
-        self.measure = Measure::default();
-    }
-
-    fn facts(&mut self, status: &Status, counters: &Counters) -> Facts {
-        let running = status.phase == Phase::Running;
-        let since = self.running_since.map(|s| s.elapsed()).unwrap_or_default();
-        let silent = |output: &Output| self.seen.get(output).map(|seen| seen.at.elapsed().min(since));
-        let has_stopped = |output: &Output| silent(output).map_or(since > FIRST, |age| age > STOPPED);
-        let lost = self.plan.cameras.iter().filter(|c| running && has_stopped(&c.output));
-        let lost: Vec<_> = lost.map(|c| (c.label.clone(), silent(&c.output))).collect();
-        let raw_goes_on = self.plan.raw.as_ref().is_some_and(|raw| !has_stopped(&raw.output));
-        let looking = running && self.frozen.is_none() && self.raw_only.is_none();
-        let stopped = self.displayed().into_iter().filter(|_| looking && raw_goes_on && !self.measure.waits());
-        let stopped = stopped.filter(|p| has_stopped(&p.output) && !self.plan.is_source(&p.output.node));
-        let stopped: Vec<String> = stopped.map(|p| p.label.clone()).collect();
-        let main = self.plan.views.get(self.layout.main()).map(|v| v.output.clone());
-        let age_ms = main.filter(|_| looking).and_then(|main| self.age_ms(&main));
-        let calibrated = |metric| told(counters, metric);
-        Facts {
-            phase: status.phase.clone(),
-            trouble: status.trouble.as_ref().filter(|_| !status.busy).map(|t| t.words.clone()),
-            raw_only: self.raw_only.clone(),
-            emergency: self.emergency,
-            lost,
-            stopped,
-            age_ms,
-            stages: self.stages.look(counters, Instant::now()),
-            free_bytes: self.keeper.free_bytes(),
-            recording: self.clip.is_some(),
-            drifted: calibrated("drifted"),
-            swapped: calibrated("views_swapped"),
-            unlocked: self.unlocked.clone(),
-        }
-    }
-
-    /// Age of what is known of an output: from its tick's ingest until now.
-    fn age_ms(&self, output: &Output) -> Option<f64> {
-        let ingest_ns = self.seen.get(output)?.ingest_ns?;
-        Some(clock::now_ns().saturating_sub(ingest_ns) as f64 / 1e6)
     }
 
     /// Views that the layout shows.
@@ -366,35 +271,6 @@ impl Theatre {
     /// Whether the place of a view is taken by the raw one, because it has stopped.
     fn replaced(&self, place: &Place, facts: &Facts) -> bool {
         self.raw_only.is_some() || facts.stopped.contains(&place.label)
-    }
-
-    /// Tells the observer what is looked at.
-    fn want(&mut self) {
-        let mut wanted: HashMap<Output, Wanted> = HashMap::new();
-        let of = |place: &Place, most_width| Wanted { packet: place.packet.clone(), most_width, ..Wanted::default() };
-        for camera in &self.plan.cameras {
-            wanted.insert(camera.output.clone(), of(camera, WATCHED_WIDTH));
-        }
-        if let Some(raw) = &self.plan.raw {
-            wanted.insert(raw.output.clone(), of(raw, MOST_WIDTH));
-        }
-        if let Some(rig) = self.plan.rig.as_ref().filter(|_| self.measure.is_on() && self.rig.is_none()) {
-            let packet = "calibration".to_owned();
-            wanted.insert(rig.calibration.clone(), Wanted { packet, most_width: 1, ..Wanted::default() });
-        }
-        if self.frozen.is_none() && self.raw_only.is_none() {
-            for place in self.displayed() {
-                let sight =
-                    (place.packet == "cloud").then(|| self.sights.get(&place.output).copied().unwrap_or_default());
-                wanted.insert(place.output.clone(), Wanted { sight, ..of(place, MOST_WIDTH) });
-            }
-            if let Some(cloud) = self.plan.cloud.as_ref().filter(|_| self.measure.waits()) {
-                let packet = "cloud".to_owned();
-                let points = Wanted { packet, most_width: MOST_WIDTH, points: true, ..Wanted::default() };
-                wanted.insert(cloud.clone(), points);
-            }
-        }
-        self.observer.want(wanted, INTERVAL);
     }
 
     /// Does what is asked for.
@@ -420,6 +296,7 @@ impl Theatre {
             Act::Stop if self.emergency => self.releasing = Some(Instant::now()),
             Act::Stop => self.emergency_stop(true),
             Act::Again => self.again(),
+            Act::More => self.page += 1,
         }
         if matches!(act, Act::Next | Act::Previous | Act::One(_)) && self.measure.is_on() {
             self.measure = Measure::default();
@@ -452,64 +329,6 @@ impl Theatre {
             self.seen.clear();
             self.session.restart(&self.text);
         }
-    }
-
-    /// Stops the arm at once, or lets it go again.
-    pub fn emergency_stop(&mut self, on: bool) {
-        if self.plan.stops.is_empty() {
-            return;
-        }
-        self.emergency = on;
-        let engine = self.session.handle().engine();
-        let mut failed = Vec::new();
-        let mut resets = Vec::new();
-        for stop in &self.plan.stops {
-            // Now, even while the graph is being changed.
-            let set = engine.as_ref().map(|e| e.set_bool_at_once(&stop.node, plan::EMERGENCY_STOP, on));
-            if !matches!(set, Some(Ok(()))) && self.raw_only.is_none() {
-                failed.push(stop.node.clone());
-            }
-            let values = engine.as_ref().and_then(|e| e.param_values(&stop.node));
-            if let Some(ParamValue::Int(number)) = stop.reset.and_then(|at| values?.into_iter().nth(at))
-                && !on
-            {
-                resets.push((stop.node.clone(), number.wrapping_add(1).max(0)));
-            }
-        }
-        let stops = &self.plan.stops;
-        let text = GraphEdit::parse(&self.text).and_then(|mut edit| {
-            stops.iter().try_for_each(|stop| edit.set_param(&stop.node, plan::EMERGENCY_STOP, &on.into()))?;
-            resets.iter().try_for_each(|(node, number)| edit.set_param(node, plan::RESET, &(*number).into()))?;
-            Ok(edit.text())
-        });
-        match text {
-            // And once more as part of the graph, so that it outlasts every change.
-            Ok(text) => self.run(text),
-            Err(error) => self.say(error.to_string(), true),
-        }
-        if !failed.is_empty() {
-            self.say(format!("{} did not take the stop: switch the arm off", failed.join(", ")), true);
-        }
-    }
-
-    /// Lets the arm go once the button, or the key, was held long enough.
-    fn release(&mut self, ctx: &Context, held: bool) {
-        let keys = acts::KEYS.iter().find(|(act, _)| *act == Act::Stop).map_or(&[][..], |(_, keys)| keys);
-        let held = held || ctx.input(|i| keys.iter().any(|key| i.key_down(*key)));
-        match self.releasing {
-            Some(_) if !held => self.releasing = None,
-            Some(since) if since.elapsed() >= HOLD => {
-                self.releasing = None;
-                self.emergency_stop(false);
-            }
-            Some(_) => ctx.request_repaint(),
-            None => {}
-        }
-    }
-
-    /// Whether the arm was stopped from here.
-    pub fn is_stopped(&self) -> bool {
-        self.emergency
     }
 
     /// The whole graph's text from now on.
@@ -591,6 +410,10 @@ impl Theatre {
 impl eframe::App for Theatre {
     fn ui(&mut self, ui: &mut Ui, _: &mut eframe::Frame) {
         Self::ui(self, ui);
+    }
+
+    fn clear_color(&self, _: &egui::Visuals) -> [f32; 4] {
+        theme::BLACK.to_normalized_gamma_f32()
     }
 
     fn on_exit(&mut self, _: Option<&eframe::glow::Context>) {

@@ -120,8 +120,16 @@ impl Plan {
             .iter()
             .flat_map(|&n| (0..node_type(n).outputs.len()).map(move |port| (n, port)))
             .filter(|&(n, port)| packet(n, port) == "image" && read(n, port))
-            .map(|(n, port)| place(n, port, format!("{} camera", plain(&node_type(n).outputs[port].name))))
+            .map(|(n, port)| place(n, port, node_type(n).outputs[port].name.clone()))
             .collect();
+        let mut cameras = cameras;
+        // By their port, and where several sources have the same one by the source, too.
+        let labels: Vec<String> = cameras.iter().map(|c| c.label.clone()).collect();
+        for camera in &mut cameras {
+            let alone = labels.iter().filter(|l| **l == camera.label).count() == 1;
+            let name = if alone { camera.label.clone() } else { format!("{} {}", camera.output.node, camera.label) };
+            camera.label = format!("{} camera", plain(&name));
+        }
         let raw = cameras.first().cloned().or_else(|| {
             let image =
                 |&n: &usize| Some((n, (0..node_type(n).outputs.len()).find(|&port| packet(n, port) == "image")?));
@@ -303,6 +311,14 @@ inputs = { pose = "scope.pose" }
         assert_eq!(names(&plan.cameras).len(), 2);
         assert_eq!(plan.cloud.as_ref().unwrap().to_string(), "points.cloud");
         assert_eq!(plan.stops, [Stop { node: "arm".to_owned(), reset: Some(1) }]);
+    }
+
+    #[test]
+    fn cameras_of_several_sources_have_names_of_their_own() {
+        let two = TEXT.replace("[nodes.points]", "[nodes.second]\ntype = \"cam\"\n[nodes.points]");
+        let two = two.replace("inputs = { l = \"scope.left\" }", "inputs = { l = \"second.left\" }");
+        let labels: Vec<String> = plan(&two).cameras.into_iter().map(|c| c.label).collect();
+        assert_eq!(labels, ["Scope left camera", "Right camera", "Second left camera"]);
     }
 
     #[test]

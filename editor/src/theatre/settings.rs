@@ -7,7 +7,8 @@ use eframe::egui::{
 use panoscope_graph::{ParamKind, ParamValue};
 
 use super::Setting;
-use crate::panels::time_words;
+use super::stage::keep_arrows;
+use crate::panels::{time_words, unit_words};
 use crate::picture::short;
 use crate::theme;
 
@@ -84,9 +85,15 @@ pub fn show(ui: &mut Ui, rect: Rect, setting: &Setting, value: Option<&ParamValu
     let painter = ui.painter().clone();
     let color = if response.has_focus() { theme::ACCENT } else { theme::MUTED };
     painter.text(rect.left_top(), Align2::LEFT_TOP, &setting.label, FontId::proportional(16.0), color);
-    let shown = value.map_or_else(|| "-".to_owned(), |v| words(v, &setting.param.unit));
+    let shown = value.map_or_else(|| "-".to_owned(), |v| words(v, unit_words(&setting.param.unit)));
     painter.text(rect.right_top(), Align2::RIGHT_TOP, &shown, FontId::proportional(18.0), theme::TEXT);
-    let value = value?;
+    let Some(value) = value else {
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, false, setting.label.clone()));
+        return None;
+    };
+    if response.has_focus() {
+        keep_arrows(ui, response.id);
+    }
     match (span(setting), value) {
         (Some(span), ParamValue::Int(_) | ParamValue::Float(_)) => {
             let now = match value {

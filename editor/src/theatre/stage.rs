@@ -1,13 +1,14 @@
 //! The pictures: each with a line above it, and nothing on it.
 
 use eframe::egui::{
-    Align2, Color32, FontId, Rect, Sense, Stroke, StrokeKind, TextureId, Ui, WidgetInfo, WidgetType, pos2, vec2,
+    Align2, Color32, EventFilter, FontId, Id, Rect, Sense, Stroke, StrokeKind, TextureId, Ui, WidgetInfo, WidgetType,
+    pos2, vec2,
 };
 
 use super::arrange::{GAP, TITLE, fit};
 use super::notices::{Facts, OLD_MS};
 use super::{Layout, Place, Theatre};
-use crate::observe::Output;
+use crate::panels::surface;
 use crate::theme;
 
 /// Share of the width for the live picture beside a frozen one.
@@ -48,7 +49,8 @@ impl Theatre {
                     self.picture(ui, rect, &raw, Some(&title), true, facts)
                 }
                 None if place.packet == "cloud" => {
-                    self.turn(ui, rect, &place.output);
+                    let alone = views.len() == 1 || self.layout == Layout::One(n);
+                    self.turn(ui, rect, place, alone);
                     self.picture(ui, rect, place, None, false, facts);
                     false
                 }
@@ -71,12 +73,21 @@ impl Theatre {
         facts: &Facts,
     ) -> bool {
         let title = title.unwrap_or(&place.label);
-        let tap = if place.packet == "cloud" { Sense::hover() } else { Sense::click() };
-        let response = ui.interact(rect, ui.id().with(("view", &place.output, live)), tap);
-        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("View {title}")));
-        let stopped = !live && facts.stopped.contains(&place.label);
+        // A tap leads from one layout to another; beside a frozen picture, or where there is one view, to nothing.
+        let idle = place.packet == "cloud" || self.plan.views.len() < 2 || live && self.frozen.is_some();
+        let tap = if idle { Sense::hover() } else { Sense::click() };
         let shown = if live { &self.live } else { &self.shown };
         let texture = shown.texture(&place.output);
+        let room = Rect::from_min_max(pos2(rect.left(), rect.top() + TITLE), rect.max);
+        let inner = texture.map_or(room, |(_, size)| fit(room, size));
+        // The line stands right above the picture, wherever in its room that is.
+        let rect = Rect::from_min_max(inner.min - vec2(0.0, TITLE), inner.max);
+        let response = ui.interact(rect, ui.id().with(("view", &place.output, live)), tap);
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("View {title}")));
+        if response.has_focus() {
+            focus_frame(ui, rect);
+        }
+        let stopped = !live && facts.stopped.contains(&place.label);
         let painter = ui.painter_at(rect);
         painter.text(
             pos2(rect.left(), rect.top() + TITLE / 2.0),
@@ -101,10 +112,8 @@ impl Theatre {
             FontId::proportional(14.0),
             color,
         );
-        let room = Rect::from_min_max(pos2(rect.left(), rect.top() + TITLE), rect.max);
         match texture {
-            Some((texture, size)) => {
-                let inner = fit(room, size);
+            Some((texture, _)) => {
                 // What has stopped must not be taken for live.
                 let tint = if stopped { Color32::from_gray(90) } else { Color32::WHITE };
                 image(ui, texture, inner, tint);
@@ -121,11 +130,19 @@ impl Theatre {
         response.clicked()
     }
 
-    /// Drags and scrolls turn, move and enlarge a surface.
-    fn turn(&mut self, ui: &Ui, rect: Rect, output: &Output) {
-        let response = ui.interact(rect, ui.id().with(("turn", output)), Sense::click_and_drag());
-        let sight = self.sights.entry(output.clone()).or_default();
-        crate::panels::surface::steer(ui, &response, sight, TURN);
+    /// Drags, the wheel and keys turn, move and enlarge a surface; keys do where it has the focus or stands `alone`.
+    fn turn(&mut self, ui: &Ui, rect: Rect, place: &Place, alone: bool) {
+        let response = ui.interact(rect, ui.id().with(("turn", &place.output)), Sense::click_and_drag());
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Turn {}", place.label)));
+        let sight = self.sights.entry(place.output.clone()).or_default();
+        surface::steer(ui, &response, sight, TURN);
+        if response.has_focus() {
+            keep_arrows(ui, response.id);
+            focus_frame(ui, rect);
+        }
+        if response.has_focus() || alone && ui.memory(|m| m.focused().is_none()) {
+            ui.input_mut(|i| surface::steer_by_key(i, sight));
+        }
         let points = ui.ctx().pixels_per_point();
         let size = [rect.width(), rect.height() - TITLE].map(|n| ((n * points) as usize / 16 * 16).clamp(160, 1280));
         sight.size_px = size;
@@ -134,22 +151,23 @@ impl Theatre {
     /// The picture that is measured in, and what was measured.
     fn measured(&mut self, ui: &mut Ui, rect: Rect) {
         let Some((held, output)) = self.measure.picture() else { return };
-        let texture = held.texture(output);
+        let Some((texture, size)) = held.texture(output) else { return };
+        let room = Rect::from_min_max(pos2(rect.left(), rect.top() + TITLE), rect.max);
+        let inner = fit(room, size);
+        let line = Rect::from_min_max(inner.min - vec2(0.0, TITLE), inner.right_top());
         let painter = ui.painter_at(rect);
         let hint = self.measure.hint();
-        painter.text(
-            pos2(rect.left(), rect.top() + TITLE / 2.0),
-            Align2::LEFT_CENTER,
-            hint,
-            FontId::proportional(18.0),
-            theme::ACCENT,
-        );
-        let room = Rect::from_min_max(pos2(rect.left(), rect.top() + TITLE), rect.max);
-        let Some((texture, size)) = texture else { return };
-        let inner = fit(room, size);
+        painter.text(line.left_center(), Align2::LEFT_CENTER, hint, FontId::proportional(18.0), theme::ACCENT);
         image(ui, texture, inner, Color32::WHITE);
         let response = ui.interact(inner, ui.id().with("measure"), Sense::click());
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Measure here"));
+        if response.has_focus() {
+            keep_arrows(ui, response.id);
+            focus_frame(ui, line.union(inner));
+        }
+        if response.has_focus() || ui.memory(|m| m.focused().is_none()) {
+            ui.input_mut(|i| self.measure.tap_by_key(i));
+        }
         if let Some(at) = response.interact_pointer_pos().filter(|_| response.clicked()) {
             self.measure.tap((at.x - inner.left()) / inner.width(), (at.y - inner.top()) / inner.height());
         }
@@ -168,6 +186,7 @@ impl Theatre {
             painter.circle_stroke(*at, 9.0, Stroke::new(2.5, color));
             painter.circle_filled(*at, 2.0, color);
         }
+        self.measure.crosshair().draw(&painter, inner);
         let told = match (self.measure.distance(), self.measure.depth()) {
             (Some(length), _) => Some(length.to_string()),
             (None, Some(depth)) => Some(format!("{depth} deep")),
@@ -175,15 +194,20 @@ impl Theatre {
         };
         if let Some(words) = told {
             // Beside the picture's title, where it covers nothing.
-            painter.text(
-                pos2(rect.right(), rect.top() + TITLE / 2.0),
-                Align2::RIGHT_CENTER,
-                words,
-                FontId::proportional(26.0),
-                theme::TEXT,
-            );
+            painter.text(line.right_center(), Align2::RIGHT_CENTER, words, FontId::proportional(26.0), theme::TEXT);
         }
     }
+}
+
+/// Arrow keys are for what has the focus, not for leaving it.
+pub(super) fn keep_arrows(ui: &Ui, id: Id) {
+    let filter = EventFilter { horizontal_arrows: true, vertical_arrows: true, ..EventFilter::default() };
+    ui.memory_mut(|m| m.set_focus_lock_filter(id, filter));
+}
+
+/// Around the picture that has the focus, not on it.
+pub(super) fn focus_frame(ui: &Ui, rect: Rect) {
+    ui.painter().rect_stroke(rect.expand(4.0), 6.0, Stroke::new(2.0, theme::ACCENT), StrokeKind::Inside);
 }
 
 fn image(ui: &Ui, texture: TextureId, rect: Rect, tint: Color32) {

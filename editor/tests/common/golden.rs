@@ -132,12 +132,13 @@ impl Canvas {
     }
 }
 
-/// What a frame looks like.
-pub fn paint(ctx: &Context, output: &FullOutput, textures: &Textures) -> RgbImage {
+/// What a frame looks like in a window that is cleared to `ground`.
+pub fn paint(ctx: &Context, output: &FullOutput, textures: &Textures, ground: Color32) -> RgbImage {
     let points = output.pixels_per_point;
     let size = ctx.viewport_rect().size() * points;
     let (width, height) = (size.x.round() as usize, size.y.round() as usize);
-    let mut canvas = Canvas { pixels: vec![[0.0; 3]; width * height], width, height };
+    let mut canvas =
+        Canvas { pixels: vec![[ground.r(), ground.g(), ground.b()].map(f32::from); width * height], width, height };
     let textures = textures.0.borrow();
     for part in ctx.tessellate(output.shapes.clone(), points) {
         let clip = Rect::from_min_max(

@@ -2,6 +2,8 @@
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 pub mod golden;
+pub mod hand;
+pub mod theatre;
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -164,16 +166,7 @@ impl Window {
     pub fn drag(&mut self, from: &str, to: &str) {
         let at = |label: &str| self.harness.get_by_label(label).rect().center();
         let (from, to) = (at(from), at(to));
-        self.harness.hover_at(from);
-        self.harness.step();
-        self.harness.drag_at(from);
-        self.harness.step();
-        for share in [0.3, 0.7, 1.0] {
-            self.harness.hover_at(from + (to - from) * share);
-            self.harness.step();
-        }
-        self.harness.drop_at(to);
-        self.steps(2);
+        hand::drag(&mut self.harness, from, to);
     }
 
     /// Waits until the text of the document runs.

@@ -1,0 +1,128 @@
+//! Where the graph has an arm: stopped by one touch, let go only by holding.
+
+use std::time::Instant;
+
+use eframe::egui::{
+    Align2, Color32, Context, FontId, Key, Painter, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo,
+    WidgetType, pos2, vec2,
+};
+use panoscope_graph::ParamValue;
+use panoscope_graph::edit::GraphEdit;
+
+use super::stage::focus_frame;
+use super::{Act, HOLD, Theatre, acts, key_words, plan};
+
+pub(super) const STOP_RED: Color32 = Color32::from_rgb(0xD6, 0x2F, 0x1F);
+
+impl Theatre {
+    /// Stops the arm at once, or lets it go again.
+    pub fn emergency_stop(&mut self, on: bool) {
+        if self.plan.stops.is_empty() {
+            return;
+        }
+        self.emergency = on;
+        let engine = self.session.handle().engine();
+        let mut failed = Vec::new();
+        let mut resets = Vec::new();
+        for stop in &self.plan.stops {
+            // Now, even while the graph is being changed.
+            let set = engine.as_ref().map(|e| e.set_bool_at_once(&stop.node, plan::EMERGENCY_STOP, on));
+            if !matches!(set, Some(Ok(()))) && self.raw_only.is_none() {
+                failed.push(stop.node.clone());
+            }
+            let values = engine.as_ref().and_then(|e| e.param_values(&stop.node));
+            if let Some(ParamValue::Int(number)) = stop.reset.and_then(|at| values?.into_iter().nth(at))
+                && !on
+            {
+                resets.push((stop.node.clone(), number.wrapping_add(1).max(0)));
+            }
+        }
+        let stops = &self.plan.stops;
+        let text = GraphEdit::parse(&self.text).and_then(|mut edit| {
+            stops.iter().try_for_each(|stop| edit.set_param(&stop.node, plan::EMERGENCY_STOP, &on.into()))?;
+            resets.iter().try_for_each(|(node, number)| edit.set_param(node, plan::RESET, &(*number).into()))?;
+            Ok(edit.text())
+        });
+        match text {
+            // And once more as part of the graph, so that it outlasts every change.
+            Ok(text) => self.run(text),
+            Err(error) => self.say(error.to_string(), true),
+        }
+        if !failed.is_empty() {
+            self.say(format!("{} did not take the stop: switch the arm off", failed.join(", ")), true);
+        }
+    }
+
+    /// Lets the arm go once the button, or the key, was held long enough.
+    fn release(&mut self, ctx: &Context, held: bool) {
+        let keys = acts::KEYS.iter().find(|(act, _)| *act == Act::Stop).map_or(&[][..], |(_, keys)| keys);
+        let held = held || ctx.input(|i| keys.iter().any(|key| i.key_down(*key)));
+        match self.releasing {
+            Some(_) if !held => self.releasing = None,
+            Some(since) if since.elapsed() >= HOLD => {
+                self.releasing = None;
+                self.emergency_stop(false);
+            }
+            Some(_) => ctx.request_repaint(),
+            None => {}
+        }
+    }
+
+    /// Whether the arm was stopped from here.
+    pub fn is_stopped(&self) -> bool {
+        self.emergency
+    }
+
+    /// Always there while the graph has an arm. One tap stops it; it is let go only by holding.
+    pub(super) fn stop_button(&mut self, ui: &mut Ui, rect: Rect) {
+        let response = ui.interact(rect, ui.id().with("stop"), Sense::click_and_drag());
+        let label = if self.emergency { "Release the arm: hold 2 s" } else { "Emergency stop of the arm" };
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, label));
+        let held = response.is_pointer_button_down_on();
+        if response.has_focus() {
+            focus_frame(ui, rect);
+        }
+        let painter = ui.painter();
+        let fill = if self.emergency { Color32::from_rgb(0x4A, 0x17, 0x12) } else { STOP_RED };
+        painter.rect(rect, 12.0, fill, Stroke::new(3.0, Color32::WHITE), StrokeKind::Inside);
+        if !self.emergency {
+            // On touch, not on release: nothing is to be waited for.
+            if held || response.clicked() {
+                self.emergency_stop(true);
+                self.releasing = None;
+            }
+        } else {
+            // Held by touch, or by the key that presses what has the focus.
+            let by_key = response.has_focus() && ui.input(|i| i.key_down(Key::Space) || i.key_down(Key::Enter));
+            if held && ui.input(|i| i.pointer.any_pressed()) || by_key && response.clicked() {
+                self.releasing = Some(Instant::now());
+            }
+            self.release(ui.ctx(), held || by_key);
+            let share = self.releasing.map_or(0.0, |s| s.elapsed().as_secs_f32() / HOLD.as_secs_f32());
+            let done = Rect::from_min_size(rect.min, vec2(rect.width() * share.min(1.0), rect.height())).shrink(6.0);
+            painter.rect_filled(done, 8.0, STOP_RED.gamma_multiply(0.6));
+        }
+        let (words, below) = if self.emergency {
+            ("ARM STOPPED", "hold 2 s to release".to_owned())
+        } else {
+            ("STOP ARM", format!("key {}", key_words(Act::Stop)))
+        };
+        let sign_at = pos2(rect.left() + 38.0, rect.center().y);
+        octagon(painter, sign_at, 20.0);
+        let left = rect.left() + 70.0;
+        let y = rect.center().y;
+        painter.text(pos2(left, y - 9.0), Align2::LEFT_CENTER, words, FontId::proportional(22.0), Color32::WHITE);
+        let pale = Color32::from_white_alpha(210);
+        painter.text(pos2(left, y + 15.0), Align2::LEFT_CENTER, below, FontId::proportional(14.0), pale);
+    }
+}
+
+/// The sign that says stop everywhere.
+fn octagon(painter: &Painter, at: Pos2, size: f32) {
+    let corner = |k: usize| {
+        let angle = (k as f32 + 0.5) * std::f32::consts::FRAC_PI_4;
+        at + vec2(angle.cos(), angle.sin()) * size
+    };
+    painter.add(Shape::convex_polygon((0..8).map(corner).collect(), Color32::WHITE, Stroke::NONE));
+    painter.rect_filled(Rect::from_center_size(at, vec2(size * 0.8, size * 0.8)), 2.0, STOP_RED);
+}
