@@ -62,7 +62,7 @@ mod tests {
     fn press(crosshair: &mut Crosshair, modifiers: Modifiers, key: Key) -> Option<[f32; 2]> {
         let ctx = Context::default();
         let event = Event::Key { key, physical_key: None, pressed: true, repeat: false, modifiers };
-        let input = RawInput { events: vec![event], modifiers, ..RawInput::default() };
+        let input = RawInput { events: vec![event], ..RawInput::default() };
         let mut chosen = None;
         let _ = ctx.run_ui(input, |ui| chosen = ui.ctx().input_mut(|i| crosshair.steer(i, 2.0)));
         chosen

@@ -81,7 +81,7 @@ mod tests {
         let start = sight;
         let mut press = |modifiers, key| {
             let event = Event::Key { key, physical_key: None, pressed: true, repeat: false, modifiers };
-            let input = RawInput { events: vec![event], modifiers, ..RawInput::default() };
+            let input = RawInput { events: vec![event], ..RawInput::default() };
             let _ = Context::default().run_ui(input, |ui| ui.ctx().input_mut(|i| steer_by_key(i, &mut sight)));
             sight
         };
