@@ -57,15 +57,13 @@ impl Crosshair {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eframe::egui::{Context, Event, RawInput};
+    use eframe::egui::Event;
 
     fn press(crosshair: &mut Crosshair, modifiers: Modifiers, key: Key) -> Option<[f32; 2]> {
-        let ctx = Context::default();
         let event = Event::Key { key, physical_key: None, pressed: true, repeat: false, modifiers };
-        let input = RawInput { events: vec![event], ..RawInput::default() };
-        let mut chosen = None;
-        let _ = ctx.run_ui(input, |ui| chosen = ui.ctx().input_mut(|i| crosshair.steer(i, 2.0)));
-        chosen
+        let mut input = InputState::default();
+        input.events.push(event);
+        crosshair.steer(&mut input, 2.0)
     }
 
     #[test]

@@ -72,7 +72,7 @@ fn put_back(sight: &mut Sight) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eframe::egui::{Context, Event, RawInput};
+    use eframe::egui::Event;
 
     #[test]
     fn keys_turn_move_enlarge_and_put_back() {
@@ -81,8 +81,9 @@ mod tests {
         let start = sight;
         let mut press = |modifiers, key| {
             let event = Event::Key { key, physical_key: None, pressed: true, repeat: false, modifiers };
-            let input = RawInput { events: vec![event], ..RawInput::default() };
-            let _ = Context::default().run_ui(input, |ui| ui.ctx().input_mut(|i| steer_by_key(i, &mut sight)));
+            let mut input = InputState::default();
+            input.events.push(event);
+            steer_by_key(&mut input, &mut sight);
             sight
         };
         assert!(press(Modifiers::NONE, Key::ArrowLeft).yaw > start.yaw);
