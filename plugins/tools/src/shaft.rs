@@ -101,6 +101,8 @@ const BORDER_GAP_PX: usize = 3;
 const MOST_LINES: f64 = 256.0;
 /// Parts of a mask with less than this share of its pixels are no instrument.
 const SPECK_SHARE: f64 = 0.1;
+/// Parts that begin within this share of a mask's length come in from outside.
+const ENTRY_SHARE: f64 = 0.15;
 /// How long the shorter jaw has to be beside the longer one, and how long at least: what is shorter is the outline's roughness.
 const JAW_SHARE: f64 = 0.35;
 const JAW_PX: f64 = 5.0;
@@ -334,8 +336,11 @@ impl TipFinder {
         // A jaw of its own is the other one's where the joint lies outside the picture: then both begin side by side.
         let from = |b: &Branch| if b.owner == longest { b.fork_line } else { b.fork_line.max(begin) };
         let length = |b: &Branch| b.end_line.saturating_sub(from(b));
-        let is_jaw =
-            |(n, b): &(u32, Branch)| *n != longest && (b.owner == longest || whole(n) && b.size >= SPECK_SHARE * all);
+        // What another instrument cuts off begins farther in.
+        let enters = |begin: u32| f64::from(begin) <= ENTRY_SHARE * lines.lines as f64;
+        let is_own =
+            |n: &u32, b: &Branch| whole(n) && b.size >= SPECK_SHARE * all && enters(b.fork_line) && enters(begin);
+        let is_jaw = |(n, b): &(u32, Branch)| *n != longest && (b.owner == longest || is_own(n, b));
         let jaws = numbers().map(|n| (n, self.branches[n as usize])).filter(is_jaw);
         let jaw = jaws.max_by_key(|(_, b)| length(b)).filter(|(_, b)| {
             let (short, long) = (f64::from(length(b)), f64::from(end - from(b)));

@@ -314,7 +314,7 @@ impl Node for ToolTip {
             };
             let others = |x: usize, y: usize| (0..found.items().len()).any(|other| other != index && of(other, x, y));
             let widest = if is_masked || is_cut { WIDER } else { 1 };
-            let (mut sum, mut count) = ([0.0; 3], 0.0);
+            let (mut sum, mut count, mut ends, mut hidden) = ([0.0; 3], 0.0, 0, 0);
             for end in jaws.as_ref().map_or(std::slice::from_ref(&tip), |jaws| &jaws[..]) {
                 let End { u_px, v_px, direction } = *end;
                 // Looked for a little inside the tool: at its very end half of the pixels are tissue.
@@ -326,14 +326,16 @@ impl Node for ToolTip {
                 else {
                     continue;
                 };
-                // What seems its end is where another instrument hides it: no tip is better than a wrong one.
-                if is_behind((u_px, v_px), z, params.radius_px, depth_size, depth_of, &others) {
-                    return Ok(());
-                }
+                hidden += usize::from(is_behind((u_px, v_px), z, params.radius_px, depth_size, depth_of, &others));
+                ends += 1;
                 let z = f64::from(z);
                 let place = [(u_px - p[2]) / p[0] * z, (v_px - p[6]) / p[5] * z, z];
                 sum.iter_mut().zip(place).for_each(|(sum, v)| *sum += v);
                 count += 1.0;
+            }
+            // What seems its end is where another instrument hides it: no tip is better than a wrong one. Of two jaws one still tells about where.
+            if ends > 0 && hidden == ends {
+                return Ok(());
             }
             if count > 1.0 {
                 // Between jaws the middle in space, which is seen a little beside the middle in the picture.
