@@ -266,6 +266,10 @@ impl Node for Overlay {
         if !words.is_empty() {
             let size = draw::text_size(words, params.text_scale);
             let (x, y) = params.label_corner.at(frame, size, 4.0 * params.text_scale);
+            // Lines and bright tissue stay away from the letters.
+            let room = (2.0 * params.text_scale).ceil();
+            let plate = [x - room, y - room, size.0 + 2.0 * room, size.1 + 2.0 * room].map(|v| v as i32);
+            draw::fill_rectangle(&mut picture, plate[0], plate[1], plate[2], plate[3], [0; 3], 0.55);
             draw::text(&mut picture, x, y, words, params.text_scale, [255, 255, 255]);
         }
         Ok(())
