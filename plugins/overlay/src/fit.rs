@@ -23,9 +23,69 @@ pub fn bytes<'f>(image: &AnyImage<'f>) -> Option<View<'f, u8>> {
     image.as_plane::<Rgba8>().map(|plane| plane.view())
 }
 
-/// Scales `picture` (1 channel gray, 3 BGR, 4 RGBA) to `width` x `height` at `(x, y)` of a BGR picture: the mean of the
-/// source pixels under each pixel when it shrinks, the nearest one when it grows. What leaves `out` is cut.
-pub fn place(out: &mut ViewMut<'_, u8>, picture: &View<'_, u8>, x: usize, y: usize, width: usize, height: usize) {
+/// Scales pictures into others; keeps its work memory.
+#[derive(Default)]
+pub struct Fit {
+    /// First byte of the first and of the last source pixel under each column.
+    columns: Vec<[u32; 2]>,
+    /// The source rows under one row, averaged.
+    row: Vec<u8>,
+}
+
+impl Fit {
+    /// Scales `picture` (1 channel gray, 3 BGR, 4 RGBA) to `width` x `height` at `(x, y)` of a BGR picture: the mean of the
+    /// source pixels under each pixel when it shrinks, the nearest one when it grows. What leaves `out` is cut.
+    pub fn place(
+        &mut self,
+        out: &mut ViewMut<'_, u8>,
+        picture: &View<'_, u8>,
+        (x, y): (usize, usize),
+        (width, height): (usize, usize),
+    ) {
+        let same = (width, height) == (picture.width, picture.height);
+        let at_most_two = picture.width <= 2 * width && picture.height <= 2 * height;
+        let colored = picture.channels == 3 && out.channels == 3 && picture.width > 0 && picture.height > 0;
+        if same || !at_most_two || !colored {
+            place(out, picture, x, y, width, height);
+            return;
+        }
+        let (right, bottom) = ((x + width).min(out.width), (y + height).min(out.height));
+        let span = |at: usize, target: usize, source: usize| {
+            let first = at * source / target;
+            (first, ((at + 1) * source / target).max(first + 1) - 1)
+        };
+        self.columns.clear();
+        self.columns.extend((0..right.saturating_sub(x)).map(|at| {
+            let (first, last) = span(at, width, picture.width);
+            [3 * first as u32, 3 * last as u32]
+        }));
+        self.row.clear();
+        // One byte more: pixels are read as four bytes.
+        self.row.resize(3 * picture.width + 1, 0);
+        let mut held = None;
+        for row in y..bottom {
+            let (top, end) = span(row - y, height, picture.height);
+            if held != Some((top, end)) {
+                held = Some((top, end));
+                let (above, below) = (picture.row(top), picture.row(end));
+                for (mean, (&a, &b)) in self.row.iter_mut().zip(above.iter().zip(below)) {
+                    *mean = u16::midpoint(u16::from(a), u16::from(b) + 1) as u8;
+                }
+            }
+            let word = |at: u32| self.row[at as usize..].first_chunk().map_or(0, |four| u32::from_le_bytes(*four));
+            let target = &mut out.row_mut(row)[x * 3..right.max(x) * 3];
+            for (pixel, [first, last]) in target.as_chunks_mut::<3>().0.iter_mut().zip(&self.columns) {
+                let (a, b) = (word(*first), word(*last));
+                // The rounded mean of each byte.
+                let mean = ((a | b) - (((a ^ b) >> 1) & 0x7f7f_7f7f)).to_le_bytes();
+                *pixel = [mean[0], mean[1], mean[2]];
+            }
+        }
+    }
+}
+
+/// [`Fit::place`] for any number of channels and any scale.
+fn place(out: &mut ViewMut<'_, u8>, picture: &View<'_, u8>, x: usize, y: usize, width: usize, height: usize) {
     if picture.width == 0 || picture.height == 0 || out.channels != 3 {
         return;
     }
@@ -102,6 +162,7 @@ pub fn usual_range(plane: &View<'_, f32>, step: usize, work: &mut Vec<f32>) -> O
 #[cfg(test)]
 mod tests {
     use super::*;
+    use panoscope_node::random;
 
     #[test]
     fn sizes_keep_their_proportions() {
@@ -122,6 +183,20 @@ mod tests {
         place(&mut ViewMut::new(&mut out, 2, 2, 3), &View::new(&[1, 2, 3, 255], 1, 1, 4), 1, 0, 5, 5);
         assert_eq!(out[3..6], [3, 2, 1]);
         assert_eq!(out[0..3], [9; 3]);
+    }
+
+    #[test]
+    fn rows_and_columns_one_after_the_other_give_the_same_picture() {
+        let source: Vec<u8> = (0..37 * 23 * 3).map(|i| random::mix(i) as u8).collect();
+        let source = View::new(&source, 37, 23, 3);
+        for (width, height) in [(37, 20), (30, 23), (19, 12), (50, 40), (36, 22)] {
+            let mut outs = [vec![7u8; 60 * 50 * 3], vec![7u8; 60 * 50 * 3]];
+            place(&mut ViewMut::new(&mut outs[0], 60, 50, 3), &source, 15, 13, width, height);
+            let mut fit = Fit::default();
+            fit.place(&mut ViewMut::new(&mut outs[1], 60, 50, 3), &source, (15, 13), (width, height));
+            let apart = outs[0].iter().zip(&outs[1]).map(|(a, b)| a.abs_diff(*b)).max();
+            assert!(apart <= Some(1), "{width}x{height}: {apart:?}");
+        }
     }
 
     #[test]

@@ -10,7 +10,7 @@ use panoscope_node::{
 };
 
 use crate::colorize::{AutoRange, Colors};
-use crate::fit::{fitted_size, place};
+use crate::fit::{Fit, fitted_size};
 use crate::marks::{self, Pen};
 
 /// Where words or an inset stand.
@@ -141,6 +141,7 @@ pub struct Overlay {
     words: String,
     item: String,
     inset: Vec<u8>,
+    fit: Fit,
 }
 
 impl Overlay {
@@ -190,7 +191,7 @@ impl Overlay {
         let size = fitted_size((map.width, map.height), limit);
         let (x, y) = params.inset_corner.at(frame, (size.0 as f32, size.1 as f32), 6.0);
         draw::fill_rectangle(picture, x as i32 - 1, y as i32 - 1, size.0 as i32 + 2, size.1 as i32 + 2, [0; 3], 1.0);
-        place(picture, &colored.as_view(), x as usize, y as usize, size.0, size.1);
+        self.fit.place(picture, &colored.as_view(), (x as usize, y as usize), size);
         self.item.clear();
         let _ = write!(self.item, "{low:.0}..{high:.0}");
         let scale = (params.text_scale * 0.75).max(1.0);

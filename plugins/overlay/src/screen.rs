@@ -5,7 +5,7 @@ use panoscope_node::{
     AnyImage, Bgr8, Context, List, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, ViewMut,
 };
 
-use crate::fit::{bytes, fitted_size, place};
+use crate::fit::{Fit, bytes, fitted_size};
 
 /// Inputs.
 #[derive(Ports)]
@@ -82,10 +82,13 @@ const BACKGROUND: u8 = 16;
 
 /// Composes the screen. A smaller picture that has not come yet leaves its place dark.
 #[derive(Default)]
-pub struct Screen;
+pub struct Screen {
+    fit: Fit,
+}
 
 /// Shows a picture in the middle of its cell; answers the place that it takes.
 fn show(
+    fit: &mut Fit,
     screen: &mut ViewMut<'_, u8>,
     picture: &AnyImage<'_>,
     cell: Cell,
@@ -96,7 +99,7 @@ fn show(
     };
     let size = fitted_size((pixels.width, pixels.height), (cell.width, cell.height));
     let (x, y) = (cell.x + (cell.width - size.0) / 2, cell.y + (cell.height - size.1) / 2);
-    place(screen, &pixels, x, y, size.0, size.1);
+    fit.place(screen, &pixels, (x, y), size);
     Ok(Cell { x, y, width: size.0, height: size.1 })
 }
 
@@ -108,7 +111,7 @@ impl Node for Screen {
     type Params = Settings;
 
     fn open(_: &Open<'_>, _: &Settings) -> Result<Self> {
-        Ok(Self)
+        Ok(Self::default())
     }
 
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Settings) -> Result<()> {
@@ -126,12 +129,14 @@ impl Node for Screen {
             }
         };
         let cell = params.main_cell(count);
-        let shown = show(&mut screen, &input.main, cell, format_args!("`main`"))?;
+        let shown = show(&mut self.fit, &mut screen, &input.main, cell, format_args!("`main`"))?;
         title(&mut screen, shown);
         for (index, picture) in input.side.iter().flat_map(List::iter).enumerate() {
             let cell = params.side_cell(index, count);
             let shown = match picture {
-                Some(picture) => show(&mut screen, &picture, cell, format_args!("picture {index} of `side`"))?,
+                Some(picture) => {
+                    show(&mut self.fit, &mut screen, &picture, cell, format_args!("picture {index} of `side`"))?
+                }
                 None => cell,
             };
             title(&mut screen, shown);

@@ -3,7 +3,7 @@
 use panoscope_imaging::draw;
 use panoscope_node::{AnyImage, Bgr8, Context, List, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot};
 
-use crate::fit::{bytes, fitted_size, place};
+use crate::fit::{Fit, bytes, fitted_size};
 
 /// Inputs.
 #[derive(Ports)]
@@ -46,6 +46,7 @@ pub struct Settings {
 #[derive(Default)]
 pub struct SideBySide {
     cell: Option<(usize, usize)>,
+    fit: Fit,
 }
 
 impl Node for SideBySide {
@@ -88,7 +89,7 @@ impl Node for SideBySide {
                 };
                 let size = fitted_size((pixels.width, pixels.height), cell);
                 let (left, top) = (x + (cell.0 - size.0) / 2, y + (cell.1 - size.1) / 2);
-                place(&mut picture, &pixels, left, top, size.0, size.1);
+                self.fit.place(&mut picture, &pixels, (left, top), size);
             }
             if let Some(title) = titles.next().map(str::trim).filter(|t| !t.is_empty()) {
                 let margin = 3.0 * params.text_scale;
