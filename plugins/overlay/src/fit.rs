@@ -30,6 +30,8 @@ pub struct Fit {
     columns: Vec<[u32; 2]>,
     /// The source rows under one row, averaged.
     row: Vec<u8>,
+    /// The same, added up.
+    sums: Vec<u16>,
 }
 
 impl Fit {
@@ -43,43 +45,82 @@ impl Fit {
         (width, height): (usize, usize),
     ) {
         let same = (width, height) == (picture.width, picture.height);
-        let at_most_two = picture.width <= 2 * width && picture.height <= 2 * height;
         let colored = picture.channels == 3 && out.channels == 3 && picture.width > 0 && picture.height > 0;
-        if same || !at_most_two || !colored {
+        // Sums of more rows than that could leave 16 bits.
+        if same || !colored || picture.height > 256 * height {
             place(out, picture, x, y, width, height);
             return;
         }
-        let (right, bottom) = ((x + width).min(out.width), (y + height).min(out.height));
         let span = |at: usize, target: usize, source: usize| {
             let first = at * source / target;
             (first, ((at + 1) * source / target).max(first + 1) - 1)
         };
+        let (right, bottom) = ((x + width).min(out.width).max(x), (y + height).min(out.height));
         self.columns.clear();
-        self.columns.extend((0..right.saturating_sub(x)).map(|at| {
+        self.columns.extend((0..right - x).map(|at| {
             let (first, last) = span(at, width, picture.width);
             [3 * first as u32, 3 * last as u32]
         }));
-        self.row.clear();
-        // One byte more: pixels are read as four bytes.
-        self.row.resize(3 * picture.width + 1, 0);
+        let at_most_two = picture.width <= 2 * width && picture.height <= 2 * height;
         let mut held = None;
         for row in y..bottom {
             let (top, end) = span(row - y, height, picture.height);
-            if held != Some((top, end)) {
-                held = Some((top, end));
-                let (above, below) = (picture.row(top), picture.row(end));
-                for (mean, (&a, &b)) in self.row.iter_mut().zip(above.iter().zip(below)) {
-                    *mean = u16::midpoint(u16::from(a), u16::from(b) + 1) as u8;
+            let new = held != Some((top, end));
+            held = Some((top, end));
+            let target = &mut out.row_mut(row)[x * 3..right * 3];
+            if at_most_two {
+                if new {
+                    self.average(picture.row(top), picture.row(end));
                 }
+                self.pairs(target);
+            } else {
+                if new {
+                    self.add(picture, top, end);
+                }
+                self.means(target, end + 1 - top);
             }
-            let word = |at: u32| self.row[at as usize..].first_chunk().map_or(0, |four| u32::from_le_bytes(*four));
-            let target = &mut out.row_mut(row)[x * 3..right.max(x) * 3];
-            for (pixel, [first, last]) in target.as_chunks_mut::<3>().0.iter_mut().zip(&self.columns) {
-                let (a, b) = (word(*first), word(*last));
-                // The rounded mean of each byte.
-                let mean = ((a | b) - (((a ^ b) >> 1) & 0x7f7f_7f7f)).to_le_bytes();
-                *pixel = [mean[0], mean[1], mean[2]];
+        }
+    }
+
+    fn average(&mut self, above: &[u8], below: &[u8]) {
+        // One byte more: pixels are read as four bytes.
+        self.row.resize(above.len() + 1, 0);
+        for (mean, (&a, &b)) in self.row.iter_mut().zip(above.iter().zip(below)) {
+            *mean = u16::midpoint(u16::from(a), u16::from(b) + 1) as u8;
+        }
+    }
+
+    /// The mean of one or two pixels under each column.
+    fn pairs(&self, target: &mut [u8]) {
+        let word = |at: u32| self.row[at as usize..].first_chunk().map_or(0, |four| u32::from_le_bytes(*four));
+        for (pixel, [first, last]) in target.as_chunks_mut::<3>().0.iter_mut().zip(&self.columns) {
+            let (a, b) = (word(*first), word(*last));
+            // The rounded mean of each byte.
+            let mean = ((a | b) - (((a ^ b) >> 1) & 0x7f7f_7f7f)).to_le_bytes();
+            *pixel = [mean[0], mean[1], mean[2]];
+        }
+    }
+
+    fn add(&mut self, picture: &View<'_, u8>, top: usize, end: usize) {
+        self.sums.clear();
+        self.sums.extend(picture.row(top).iter().map(|v| u16::from(*v)));
+        for row in top + 1..=end {
+            self.sums.iter_mut().zip(picture.row(row)).for_each(|(sum, v)| *sum += u16::from(*v));
+        }
+    }
+
+    /// The mean of all pixels under each column, of as many rows.
+    fn means(&self, target: &mut [u8], rows: usize) {
+        let (mut wide, mut share) = (0, 0.0);
+        for (pixel, [first, last]) in target.as_chunks_mut::<3>().0.iter_mut().zip(&self.columns) {
+            let under = self.sums[*first as usize..*last as usize + 3].as_chunks::<3>().0;
+            if under.len() != wide {
+                wide = under.len();
+                share = 1.0 / (rows * wide) as f32;
             }
+            let mut sum = [0u32; 3];
+            under.iter().for_each(|three| sum.iter_mut().zip(three).for_each(|(s, v)| *s += u32::from(*v)));
+            *pixel = sum.map(|s| (s as f32 * share + 0.5) as u8);
         }
     }
 }
@@ -189,7 +230,7 @@ mod tests {
     fn rows_and_columns_one_after_the_other_give_the_same_picture() {
         let source: Vec<u8> = (0..37 * 23 * 3).map(|i| random::mix(i) as u8).collect();
         let source = View::new(&source, 37, 23, 3);
-        for (width, height) in [(37, 20), (30, 23), (19, 12), (50, 40), (36, 22)] {
+        for (width, height) in [(37, 20), (30, 23), (19, 12), (50, 40), (36, 22), (17, 11), (9, 7), (40, 5), (1, 1)] {
             let mut outs = [vec![7u8; 60 * 50 * 3], vec![7u8; 60 * 50 * 3]];
             place(&mut ViewMut::new(&mut outs[0], 60, 50, 3), &source, 15, 13, width, height);
             let mut fit = Fit::default();
