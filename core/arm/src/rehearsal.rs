@@ -294,6 +294,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Measures {
     /// Root mean square and largest error, mm.
+    /// NaN where no tick with a known tip was judged.
     pub rms_mm: f64,
     /// See `rms_mm`.
     pub max_mm: f64,
@@ -331,7 +332,8 @@ pub fn measure(rows: &[Row]) -> Measures {
     let shakes = || judged.iter().map(|r| r.camera_mm_s2).filter(|a| a.is_finite());
     let (settling_s, overshoot_pct) = settling(&judged);
     Measures {
-        rms_mm: square.sqrt(),
+        // Nothing known is no error of 0.
+        rms_mm: if known().next().is_some() { square.sqrt() } else { f64::NAN },
         max_mm: known().fold(0.0, f64::max),
         deviation_mm: (square - mean * mean).max(0.0).sqrt(),
         in_view_pct: 100.0 * judged.iter().filter(|r| r.in_view).count() as f64 / judged.len().max(1) as f64,

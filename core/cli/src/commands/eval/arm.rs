@@ -132,6 +132,10 @@ fn stop_if_asked() -> Result<()> {
 
 /// Figures of one run.
 fn listed(name: &str, m: &Measures, rests: bool, input: &str, figures: &mut Vec<Figure>) {
+    if !m.rms_mm.is_finite() {
+        tell!("{name}: no tick with a known tip to judge; give it more --seconds");
+        return;
+    }
     let mut add = |measure: &str, value: f64, unit| {
         figures.push(Figure::new(&format!("{measure}/{name}"), value, unit, input));
     };
