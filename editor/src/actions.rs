@@ -2,6 +2,14 @@
 
 use eframe::egui::{InputState, Key, KeyboardShortcut, Modifiers};
 
+/// The arrow keys and where they point, right and down being positive.
+pub const ARROWS: [(Key, [f32; 2]); 4] = [
+    (Key::ArrowLeft, [-1.0, 0.0]),
+    (Key::ArrowRight, [1.0, 0.0]),
+    (Key::ArrowUp, [0.0, -1.0]),
+    (Key::ArrowDown, [0.0, 1.0]),
+];
+
 /// What can be asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Action {

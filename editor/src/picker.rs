@@ -6,6 +6,7 @@ use eframe::egui::{
 };
 use panoscope_graph::Pick;
 
+use crate::actions::ARROWS;
 use crate::canvas::is_pictorial;
 use crate::document::{Document, View};
 use crate::observe::Output;
@@ -228,12 +229,8 @@ impl Picker {
             self.touched = index;
             let arrows = EventFilter { horizontal_arrows: true, vertical_arrows: true, ..EventFilter::default() };
             ui.memory_mut(|m| m.set_focus_lock_filter(id, arrows));
-            for (key, dx, dy) in [
-                (Key::ArrowLeft, -1.0, 0.0),
-                (Key::ArrowRight, 1.0, 0.0),
-                (Key::ArrowUp, 0.0, -1.0),
-                (Key::ArrowDown, 0.0, 1.0),
-            ] {
+            for (key, way) in ARROWS {
+                let [dx, dy] = way.map(f64::from);
                 for (modifiers, step) in [(Modifiers::SHIFT, 10.0), (Modifiers::NONE, 1.0)] {
                     let count = ui.input_mut(|i| i.count_and_consume_key(modifiers, key)) as f64;
                     by = [by[0] + dx * step * count, by[1] + dy * step * count];

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use eframe::egui::{Context, Event, Key, Modifiers, vec2};
+use eframe::egui::{Context, Event, Modifiers, vec2};
 use panoscope_runtime::sweep::can_sweep;
 
 use super::App;
-use crate::actions::Action;
+use crate::actions::{ARROWS, Action};
 use crate::canvas::Ask;
 use crate::disk;
 use crate::observe::Output;
@@ -265,13 +265,8 @@ impl App {
         if typing || self.viewer.source().is_some() || ctx.memory(|m| m.focused().is_some()) {
             return;
         }
-        let ways = [
-            (Key::ArrowLeft, vec2(-1.0, 0.0)),
-            (Key::ArrowRight, vec2(1.0, 0.0)),
-            (Key::ArrowUp, vec2(0.0, -1.0)),
-            (Key::ArrowDown, vec2(0.0, 1.0)),
-        ];
-        for (key, way) in ways {
+        for (key, [x, y]) in ARROWS {
+            let way = vec2(x, y);
             if ctx.input_mut(|i| i.consume_key(Modifiers::SHIFT, key)) {
                 let places = self.canvas.nudged(way * NUDGE);
                 let result = ops::nudge_nodes(&mut self.document, &places);

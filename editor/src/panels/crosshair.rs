@@ -2,6 +2,7 @@
 
 use eframe::egui::{Color32, InputState, Key, Modifiers, Painter, Rect, Stroke, pos2, vec2};
 
+use crate::actions::ARROWS;
 use crate::theme;
 
 /// Part of the picture's width that an arrow key moves it by; with Shift a tenth of that.
@@ -19,13 +20,7 @@ impl Crosshair {
     /// Arrow keys move it, the first one shows it in the middle, Enter chooses: answers the place that was chosen. `aspect` is the picture's
     /// width divided by its height.
     pub fn steer(&mut self, input: &mut InputState, aspect: f32) -> Option<[f32; 2]> {
-        let ways = [
-            (Key::ArrowLeft, [-1.0, 0.0]),
-            (Key::ArrowRight, [1.0, 0.0]),
-            (Key::ArrowUp, [0.0, -1.0]),
-            (Key::ArrowDown, [0.0, 1.0]),
-        ];
-        for (key, [x, y]) in ways {
+        for (key, [x, y]) in ARROWS {
             for (modifiers, stride) in [(Modifiers::SHIFT, STRIDE / 10.0), (Modifiers::NONE, STRIDE)] {
                 let count = input.count_and_consume_key(modifiers, key) as f32;
                 if count == 0.0 {

@@ -2,6 +2,7 @@
 
 use eframe::egui::{InputState, Key, Modifiers, PointerButton, Response, Ui};
 
+use crate::actions::ARROWS;
 use crate::surface::Sight;
 
 /// Smallest and largest size.
@@ -43,13 +44,7 @@ pub fn zoom_by(sight: &mut Sight, steps: f32) {
 
 /// The same by keys: arrows turn, with Shift they move, + and - enlarge, Home puts back.
 pub fn steer_by_key(input: &mut InputState, sight: &mut Sight) {
-    let ways = [
-        (Key::ArrowLeft, [-1.0, 0.0]),
-        (Key::ArrowRight, [1.0, 0.0]),
-        (Key::ArrowUp, [0.0, -1.0]),
-        (Key::ArrowDown, [0.0, 1.0]),
-    ];
-    for (key, [x, y]) in ways {
+    for (key, [x, y]) in ARROWS {
         let moved = input.count_and_consume_key(Modifiers::SHIFT, key) as f32 * KEY_SHIFT;
         sight.shift = [sight.shift[0] + x * moved, sight.shift[1] + y * moved];
         let turned = input.count_and_consume_key(Modifiers::NONE, key) as f32 * KEY_TURN;
