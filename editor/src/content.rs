@@ -38,6 +38,8 @@ pub enum Content {
         /// Names of both frames.
         frames: (String, String),
     },
+    /// Where the links of an arm join, in the frame that its pose is told in, mm.
+    Links(Vec<[f64; 3]>),
     /// Named numbers: a scalar, the first row of a table.
     Numbers(Vec<(String, f64)>),
     /// Two cameras.
@@ -94,6 +96,9 @@ pub fn read(bytes: &[u8], packet: &str) -> Content {
             }
         }
         "scalar" | "table" => match numbers::read(bytes, packet) {
+            Some(told) if told.names == abi::LINK_COLUMNS => {
+                Content::Links(told.rows().filter_map(|row| row.try_into().ok()).collect())
+            }
             Some(told) => told.first_row().map_or(Content::Nothing, Content::Numbers),
             None => Content::Nothing,
         },
@@ -209,6 +214,21 @@ mod tests {
         let expected = vec![("x mm".to_owned(), 1.0), ("y".to_owned(), -2.0)];
         assert_eq!(read(&bytes, "table"), Content::Numbers(expected));
         assert_eq!(read(&[], "table"), Content::Nothing);
+    }
+
+    #[test]
+    fn a_table_of_links_is_a_line_in_space() {
+        let names = abi::LINK_COLUMNS.join("\n");
+        let mut bytes = Vec::new();
+        for number in [2u32, 3, names.len().next_multiple_of(8) as u32, 0] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(names.as_bytes());
+        bytes.resize(16 + names.len().next_multiple_of(8), 0);
+        for number in 1..=6 {
+            bytes.extend_from_slice(&f64::from(number).to_le_bytes());
+        }
+        assert_eq!(read(&bytes, "table"), Content::Links(vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]));
     }
 
     #[test]

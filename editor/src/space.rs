@@ -42,6 +42,8 @@ pub struct Space {
     points: Vec<[f32; 3]>,
     crosshair: Crosshair,
     ways: HashMap<Output, Way>,
+    /// Where the links of arms join, in the frame of their pose.
+    arms: HashMap<Output, Vec<[f64; 3]>>,
 }
 
 impl Space {
@@ -84,8 +86,13 @@ impl Space {
     /// Takes what tips and poses tell.
     fn follow(&mut self, shown: &Shown, ways: &[Output]) {
         self.ways.retain(|output, _| ways.contains(output));
+        self.arms.retain(|output, _| ways.contains(output));
         for output in ways {
             let Some(look) = shown.look(output) else { continue };
+            if let Content::Links(joints) = &look.content {
+                self.arms.insert(output.clone(), joints.clone());
+                continue;
+            }
             let way = self.ways.entry(output.clone()).or_default();
             if look.seq == way.seq && !way.steps.is_empty() {
                 continue;
@@ -152,9 +159,36 @@ impl Space {
             });
             chosen.into_iter().for_each(|at| self.tap(&painted, at));
         }
+        self.draw_arms(&painter, &view);
         self.draw_ways(&painter, &view);
         self.draw_points(&painter, &view);
         self.crosshair.draw(&painter, inner);
+    }
+
+    /// Arms as lines with a dot at each joint: the thinner, the farther out.
+    fn draw_arms(&self, painter: &Painter, view: &View<'_>) {
+        for (output, joints) in &self.arms {
+            let pose = self.ways.iter().find(|(way, _)| way.node == output.node).and_then(|(_, way)| way.now);
+            let here: Vec<[f64; 3]> = match pose {
+                Some((wxyz, mm)) => joints.iter().map(|joint| moved_back(wxyz, mm, *joint)).collect(),
+                None => joints.clone(),
+            };
+            for (k, pair) in here.windows(2).enumerate() {
+                let width = (7.0 - 0.7 * k as f32).max(1.5);
+                if let Some([a, b]) = view.line(pair[0], pair[1]) {
+                    painter.line_segment([a, b], Stroke::new(width + 2.0, theme::SUNK.gamma_multiply(0.8)));
+                    painter.line_segment([a, b], Stroke::new(width, theme::family("arm")));
+                }
+            }
+            for at in here.iter().filter_map(|joint| view.at(*joint)) {
+                painter.circle(at, 3.5, theme::SUNK, Stroke::new(1.5, theme::family("arm")));
+            }
+            if let Some(at) = here.first().and_then(|foot| view.at(*foot)) {
+                let words = format!("{} (foot)", output.node);
+                let at = at + vec2(8.0, -8.0);
+                painter.text(at, Align2::LEFT_BOTTOM, words, FontId::proportional(12.0), theme::family("arm"));
+            }
+        }
     }
 
     fn draw_ways(&self, painter: &Painter, view: &View<'_>) {
@@ -240,8 +274,29 @@ struct View<'a> {
 }
 
 impl View<'_> {
+    /// `None` for what stands behind the viewer.
     fn at(&self, place_mm: [f64; 3]) -> Option<Pos2> {
-        let [x, y, _] = self.painted.projection.project(place_mm.map(|v| v as f32));
-        (x.is_finite() && y.is_finite()).then(|| self.inner.min + vec2(x, y) * self.scale)
+        let place = place_mm.map(|v| v as f32);
+        let [x, y, depth] = self.painted.projection.project(place);
+        let seen = x.is_finite() && y.is_finite() && depth > self.painted.projection.nearest_mm();
+        seen.then(|| self.inner.min + vec2(x, y) * self.scale)
+    }
+
+    /// The part of a line before the viewer.
+    fn line(&self, a_mm: [f64; 3], b_mm: [f64; 3]) -> Option<[Pos2; 2]> {
+        let depth = |place: [f64; 3]| f64::from(self.painted.projection.project(place.map(|v| v as f32))[2]);
+        let nearest = f64::from(self.painted.projection.nearest_mm()) * 0.999;
+        let (from, to) = (depth(a_mm), depth(b_mm));
+        let cut = |near: [f64; 3], far: [f64; 3], near_mm: f64, far_mm: f64| {
+            let share = ((nearest - near_mm) / (far_mm - near_mm)).clamp(0.0, 1.0);
+            [0, 1, 2].map(|k| near[k] + (far[k] - near[k]) * share)
+        };
+        let [a, b] = match (from > nearest, to > nearest) {
+            (true, true) => [a_mm, b_mm],
+            (false, true) => [cut(a_mm, b_mm, from, to), b_mm],
+            (true, false) => [a_mm, cut(b_mm, a_mm, to, from)],
+            (false, false) => return None,
+        };
+        Some([self.at(a)?, self.at(b)?])
     }
 }

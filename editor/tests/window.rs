@@ -8,6 +8,7 @@ use eframe::egui::{Event, Key, Modifiers, OutputCommand, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::App;
 use panoscope_graph::ParamValue;
+use panoscope_runtime::{Loader, loader};
 
 const NONE: Modifiers = Modifiers::NONE;
 const CTRL: Modifiers = Modifiers::COMMAND;
@@ -68,6 +69,68 @@ fn a_click_on_a_picture_opens_it_large_and_escape_closes_it() {
     window.key(NONE, Key::Escape);
     assert_eq!(window.app().viewed(), None);
     window.harness.get_by_label("Node mean");
+}
+
+#[test]
+fn a_click_on_a_mistake_leads_to_its_line() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("line");
+    let notes: String = (0..200).map(|n| format!("# note {n}\n")).collect();
+    let text = format!("{notes}{GRAPH}").replace("mode = \"live\"", "mode = \"lively\"");
+    let mut window = Window::open(&folder.write("g.toml", &text));
+    window.steps(3);
+    assert!(window.harness.query_by_label("Text of the file").is_none());
+    window.key(NONE, Key::M);
+    let row = |window: &Window| window.harness.get_by_label_contains("line 203: \"lively\"").rect();
+    window.harness.get_by_label_contains("line 203: \"lively\"").click_accesskit();
+    window.steps(40);
+    let shown = window.harness.get_by_label("Text of the file").rect();
+    // The line, as far down the text as its number says, stands in the window's height.
+    let line = shown.top() + shown.height() * 203.0 / (text.lines().count() + 1) as f32;
+    assert!(shown.top() < -1000.0 && (60.0..880.0).contains(&line), "{shown:?} {line} {:?}", row(&window));
+}
+
+#[test]
+fn rebuilt_plugins_come_in_by_a_key_and_broken_ones_stay_out() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("rebuilt");
+    let plugins = folder.0.join("plugins");
+    std::fs::create_dir_all(&plugins).expect("a folder");
+    let loader = Loader::search(&loader::search_path(&[]));
+    let built = loader.found().find(|f| f.note.name == "flow").expect("looked for above").file.clone();
+    let (file, whole) = (plugins.join(built.file_name().expect("a file")), std::fs::read(&built).expect("readable"));
+    std::fs::write(&file, &whole).expect("written");
+    let path = folder.write("g.toml", &GRAPH.replace("plugins = [", "plugin_paths = [\"plugins\"]\nplugins = ["));
+    let mut window = Window::run(&path);
+    let old = window.app().session().status().generation;
+
+    std::fs::write(&file, &whole[..whole.len() / 2]).expect("written");
+    window.key(CTRL, Key::R);
+    window.until("the half is refused", |app| app.session().status().trouble.is_some());
+    window.key(NONE, Key::M);
+    window.until_shown("change refused");
+    window.key(NONE, Key::M);
+    assert_eq!(window.app().session().status().generation, old);
+
+    let (was, is) = (b"Hands pictures on without a copy.", b"Hands pictures on, newly compiled");
+    let mut rebuilt = whole.clone();
+    let at = rebuilt.windows(was.len()).position(|w| w == was).expect("the text of `pass`");
+    rebuilt[at..at + is.len()].copy_from_slice(is);
+    std::fs::write(&file, &rebuilt).expect("written");
+    window.key(CTRL, Key::R);
+    window.until("the new one is in", |app| app.session().status().generation > old);
+    assert!(window.app().session().status().trouble.is_none());
+    // What nodes say about themselves is the new text's.
+    window.key(NONE, Key::A);
+    window.type_text("newly compiled");
+    window.until_shown("Pick pass");
+    window.key(NONE, Key::Escape);
+    let report = window.close();
+    assert!(report.nodes["kept"].faults == 0 && report.nodes["mean"].faults == 0, "{report:?}");
 }
 
 #[test]
@@ -449,6 +512,7 @@ inputs = { cloud = "points.cloud" }
     let after = window.app().space().sight();
     assert!(after.yaw > before.yaw && after.zoom > before.zoom, "{before:?} {after:?}");
     window.key(NONE, Key::Home);
+    window.until("it is painted as at first", App::has_surface);
     // Two points by crosshair: the first arrow shows it in the middle.
     window.harness.get_by_label("Measure").click_accesskit();
     window.steps(3);

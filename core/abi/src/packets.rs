@@ -200,6 +200,12 @@ pub struct Scalar {
     pub unit: [u8; 16],
 }
 
+/// Name of the output that tells where the links of an arm join, as a table of [`LINK_COLUMNS`].
+pub const LINKS: &str = "links";
+/// Columns of a table that tells where the links of an arm join: a row per joint from the base to the camera, in the frame that the `pose` of the
+/// same node is told in.
+pub const LINK_COLUMNS: [&str; 3] = ["link_x_mm", "link_y_mm", "link_z_mm"];
+
 /// Opens a `table` packet; then the column text, then `rows * columns` f64 in row order.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

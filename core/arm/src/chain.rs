@@ -49,6 +49,9 @@ pub struct Chain {
     trocar_mm: Point3<f64>,
 }
 
+/// Points of [`Stance::links`].
+pub const LINK_POINTS: usize = JOINTS + 3;
+
 /// Where the arm's frames stand at some angles, seen from the base.
 #[derive(Clone, Copy, Debug)]
 pub struct Stance {
@@ -159,6 +162,15 @@ impl Chain {
 }
 
 impl Stance {
+    /// The line along the links, seen from the base: its foot, the joints, the end of the tube, the left camera.
+    pub fn links(&self) -> [Point3<f64>; LINK_POINTS] {
+        let [tip, camera] = [self.base_from_tip, self.base_from_camera].map(|at| Point3::from(at.translation.vector));
+        let mut out = [Point3::origin(); LINK_POINTS];
+        out[1..=JOINTS].copy_from_slice(&self.origins);
+        [out[JOINTS + 1], out[JOINTS + 2]] = [tip, camera];
+        out
+    }
+
     /// Velocity of a point fixed to the last link, and the link's rate of turn, per joint velocity; seen from the base.
     pub fn jacobian(&self, point_mm: &Point3<f64>) -> Jacobian {
         let mut out = Jacobian::zeros();

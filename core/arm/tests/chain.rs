@@ -26,6 +26,21 @@ fn home_looks_down_at_the_trocars_place() {
 }
 
 #[test]
+fn links_are_as_long_in_every_pose_and_end_at_the_camera() {
+    let chain = chain();
+    let lengths = |links: &[Point3<f64>]| links.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect::<Vec<_>>();
+    let home = lengths(&chain.stance(&JointVector::zeros()).links());
+    assert!((home[0] - 200.0).abs() < 1e-9, "the first joint stands 200 mm above the foot: {home:?}");
+    for seed in 0..20 {
+        let stance = chain.stance(&angles(seed));
+        let links = stance.links();
+        assert_eq!(links[0], Point3::origin());
+        assert_eq!(links[links.len() - 1].coords, stance.base_from_camera.translation.vector);
+        assert!(lengths(&links).iter().zip(&home).all(|(a, b)| (a - b).abs() < 1e-9));
+    }
+}
+
+#[test]
 fn the_jacobian_is_the_derivative_of_the_pose() {
     let chain = chain();
     for seed in 0..20 {

@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, CentralPanel, Context, Frame, Margin, Panel, RichText, Ui};
+use panoscope_abi::LINKS;
 use panoscope_graph::GraphText;
 
 use crate::actions;
@@ -81,6 +82,8 @@ pub struct App {
     plugins: bool,
     pub(crate) switches: Switches,
     pub(crate) detours: HashMap<String, Vec<Detour>>,
+    /// The line of the text that was asked for.
+    reading: below::Reading,
     disk: DiskWatch,
     /// The file's new text, when it and ours have both changed.
     conflict: Option<String>,
@@ -127,6 +130,7 @@ impl App {
             plugins: false,
             switches: Switches::default(),
             detours: HashMap::new(),
+            reading: below::Reading::default(),
             disk: DiskWatch::new(path),
             conflict: None,
             panning: false,
@@ -163,10 +167,10 @@ impl App {
         self.viewer.space_now()
     }
 
-    /// Whether a cloud is shown as a surface now.
+    /// Whether a cloud is shown as a surface, seen from where the user looks at it now.
     pub fn has_surface(&self) -> bool {
-        let painted = |output: &Output| self.shown.look(output).is_some_and(|look| look.painted.is_some());
-        self.viewer.sight().is_some() && self.viewed().is_some_and(painted)
+        let painted = self.viewed().and_then(|output| self.shown.look(output)?.painted.as_ref());
+        painted.is_some_and(|painted| self.viewer.sight() == Some(painted.sight))
     }
 
     /// Place of the line between two outputs, as a part of the picture's width, while they are compared by wipe.
@@ -314,13 +318,20 @@ impl App {
         let selected: Vec<String> = self.canvas.selected.iter().cloned().collect();
         if self.switches.text {
             let panel = Panel::left("text").frame(frame).default_size(430.0).size_range(200.0..=900.0);
-            panel.show(ui, |ui| below::text(ui, &self.document, &selected));
+            panel.show(ui, |ui| below::text(ui, &self.document, &selected, &mut self.reading));
         }
         if self.switches.problems {
             let panel = Panel::bottom("problems").frame(frame).default_size(180.0).size_range(80.0..=480.0);
             let go = panel.show(ui, |ui| below::problems(ui, &self.document, status, counters)).inner;
-            if let Some(id) = go {
-                self.canvas.show_node(&self.document.view().clone(), &id);
+            if let Some(spot) = go {
+                if let Some(line) = spot.line {
+                    self.reading.go_to(line);
+                    // A mistake that is no node's is shown where it stands.
+                    self.switches.text |= spot.node.is_none();
+                }
+                if let Some(id) = spot.node {
+                    self.canvas.show_node(&self.document.view().clone(), &id);
+                }
             }
         }
         if self.switches.history {
@@ -381,9 +392,11 @@ impl App {
         found
     }
 
-    /// Outputs of tips and poses: ways in the 3-D view.
+    /// Outputs that the 3-D view shows as lines: tips, poses, the links of an arm.
     fn ways(&self) -> Vec<(Output, String)> {
-        self.outputs_of(&["tip", "pose"])
+        let mut found = self.outputs_of(&["tip", "pose", "table"]);
+        found.retain(|(output, packet)| packet != "table" || output.port == LINKS);
+        found
     }
 
     /// Outputs of some types of packets, with these.

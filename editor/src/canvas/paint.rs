@@ -2,11 +2,12 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use eframe::egui::emath::GuiRounding as _;
 use eframe::egui::epaint::CubicBezierShape;
 use eframe::egui::text::{LayoutJob, TextFormat};
 use eframe::egui::{
-    Align2, Color32, CornerRadius, FontFamily, FontId, Painter, Pos2, Rect, Shape as Drawn, Stroke, StrokeKind, Ui,
-    pos2, vec2,
+    Align2, Color32, CornerRadius, FontFamily, FontId, Mesh, Painter, Pos2, Rect, Shape as Drawn, Stroke, StrokeKind,
+    Ui, pos2, vec2,
 };
 
 use super::shape::{HEADER, PAD, Pin};
@@ -218,16 +219,17 @@ impl Canvas {
             (_, _, true) => Stroke::new(1.0, theme::MUTED),
             _ => Stroke::new(1.0, theme::LINE),
         };
+        if scale < PICTURES {
+            painter.add(plain_node(rect.round_to_pixels(painter.pixels_per_point()), fill, stroke, family));
+            let name = elided(painter, id, FontId::proportional(9.0), theme::TEXT, rect.width() - 8.0 * scale);
+            painter.galley(pos2(rect.left() + 6.0 * scale, rect.top() + 4.0 * scale), name, theme::TEXT);
+            return;
+        }
         painter.rect(rect, radius, fill, stroke, StrokeKind::Outside);
         let bar = Rect::from_min_size(rect.min, vec2(4.0 * scale, HEADER * scale));
         let left = CornerRadius { nw: radius.nw, ne: 0, sw: 0, se: 0 };
         painter.rect_filled(bar, left, family);
         let line = rect.top() + HEADER * scale / 2.0;
-        if scale < PICTURES {
-            let name = elided(painter, id, FontId::proportional(9.0), theme::TEXT, rect.width() - 8.0 * scale);
-            painter.galley(pos2(rect.left() + 6.0 * scale, rect.top() + 4.0 * scale), name, theme::TEXT);
-            return;
-        }
         if scale < DETAIL {
             // The name stays readable: above the box it has all the width there is.
             let font = FontId::proportional(11.0);
@@ -462,6 +464,19 @@ impl Canvas {
             Drag::None | Drag::Nodes { .. } => {}
         }
     }
+}
+
+/// A small node as few rectangles: where hundreds are in view, round and soft edges are most of what there is to draw.
+fn plain_node(rect: Rect, fill: Color32, edge: Stroke, bar: Color32) -> Mesh {
+    let (mut mesh, w) = (Mesh::default(), edge.width);
+    let outer = rect.expand(w);
+    mesh.add_colored_rect(Rect::from_min_max(outer.min, pos2(outer.right(), rect.top())), edge.color);
+    mesh.add_colored_rect(Rect::from_min_max(pos2(outer.left(), rect.bottom()), outer.max), edge.color);
+    mesh.add_colored_rect(Rect::from_min_max(pos2(outer.left(), rect.top()), rect.left_bottom()), edge.color);
+    mesh.add_colored_rect(Rect::from_min_max(rect.right_top(), pos2(outer.right(), rect.bottom())), edge.color);
+    mesh.add_colored_rect(rect, fill);
+    mesh.add_colored_rect(Rect::from_min_size(rect.min, vec2(2.0, rect.height())), bar);
+    mesh
 }
 
 fn fault_word(fault: &panoscope_runtime::fault::Fault) -> &'static str {

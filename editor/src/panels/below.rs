@@ -1,7 +1,10 @@
 //! What can stand below the canvas: mistakes and faults; and the file's text beside it.
 
 use eframe::egui::text::LayoutJob;
-use eframe::egui::{Color32, FontId, Label, RichText, ScrollArea, Sense, TextFormat, Ui, WidgetInfo, WidgetType};
+use eframe::egui::{
+    Align, Color32, FontId, Label, Rect, RichText, ScrollArea, Sense, TextFormat, Ui, WidgetInfo, WidgetType, pos2,
+    vec2,
+};
 use panoscope_graph::Severity;
 
 use super::inspector::section;
@@ -10,14 +13,25 @@ use crate::observe::Counters;
 use crate::session::Status;
 use crate::theme;
 
-/// What is wrong, and what went wrong; answers the node that was clicked.
-pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters) -> Option<String> {
+/// Where something is wrong.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Spot {
+    /// The node, where it is one's.
+    pub node: Option<String>,
+    /// Line of the file, from 1 on.
+    pub line: Option<usize>,
+}
+
+/// What is wrong, and what went wrong; answers the place that was clicked.
+pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters) -> Option<Spot> {
     let view = document.view();
     let mut go = None;
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         if let Some(trouble) = &status.trouble {
             let place = trouble.node.clone().unwrap_or_else(|| "change refused".to_owned());
-            go = row(ui, theme::FAULT, &place, &trouble.words).then(|| trouble.node.clone()).flatten().or(go.take());
+            if row(ui, theme::FAULT, &place, &trouble.words) {
+                go = Some(Spot { node: trouble.node.clone(), line: None });
+            }
         }
         for d in &view.diagnostics {
             let node = view.node_of(d, document.text());
@@ -30,7 +44,7 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
                 }
             }
             if row(ui, color, &place, &words) {
-                go = node;
+                go = Some(Spot { node, line: Some(d.line) });
             }
         }
         if view.diagnostics.is_empty() && status.trouble.is_none() {
@@ -43,7 +57,7 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
             let place = format!("{:.1} s  {}", fault.run_ms / 1e3, fault.node);
             let words = format!("{} ({})", fault.words, format!("{:?}", fault.done).to_lowercase());
             if row(ui, theme::WARN, &place, &words) {
-                go = Some(fault.node.clone());
+                go = Some(Spot { node: Some(fault.node.clone()), line: None });
             }
         }
     });
@@ -61,8 +75,23 @@ fn row(ui: &mut Ui, color: Color32, place: &str, words: &str) -> bool {
     label.on_hover_cursor(eframe::egui::CursorIcon::PointingHand).clicked()
 }
 
-/// The file's text with its line numbers; the lines of `marked` nodes stand out. To read only.
-pub fn text(ui: &mut Ui, document: &Document, marked: &[String]) {
+/// The line that the text shows.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Reading {
+    line: Option<usize>,
+    /// It is not in view yet.
+    go: bool,
+}
+
+impl Reading {
+    /// Brings a line into view and makes it stand out.
+    pub fn go_to(&mut self, line: usize) {
+        *self = Self { line: Some(line), go: true };
+    }
+}
+
+/// The file's text with its line numbers; the lines of `marked` nodes stand out, and the one that was asked for. To read only.
+pub fn text(ui: &mut Ui, document: &Document, marked: &[String], reading: &mut Reading) {
     let font = FontId::monospace(12.0);
     let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
     let wrong: Vec<usize> = document.view().diagnostics.iter().map(|d| d.line).collect();
@@ -80,7 +109,9 @@ pub fn text(ui: &mut Ui, document: &Document, marked: &[String]) {
             job.append(&format!("{:>4}  ", number + 1), 0.0, plain(mark));
             for (words, color) in coloured(line) {
                 let mut format = plain(color);
-                if inside {
+                if reading.line == Some(number + 1) {
+                    format.background = theme::FAULT.gamma_multiply(0.25);
+                } else if inside {
                     format.background = theme::ACCENT.gamma_multiply(0.12);
                 }
                 job.append(words, 0.0, format);
@@ -89,6 +120,13 @@ pub fn text(ui: &mut Ui, document: &Document, marked: &[String]) {
         }
         let label = ui.add(Label::new(job).extend());
         label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, "Text of the file"));
+        if let Some(line) = reading.line.filter(|_| std::mem::take(&mut reading.go)) {
+            // Each line takes the same room; behind the last one is an empty one.
+            let height = label.rect.height() / (document.text().lines().count() + 1) as f32;
+            let top = label.rect.top() + (line.max(1) - 1) as f32 * height;
+            let at = Rect::from_min_size(pos2(label.rect.left(), top), vec2(1.0, height));
+            ui.scroll_to_rect(at, Some(Align::Center));
+        }
     });
 }
 

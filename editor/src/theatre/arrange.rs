@@ -73,6 +73,17 @@ impl Layout {
     }
 }
 
+/// Rooms of two views with pictures of these sizes, so that both pictures begin as high as the higher one did.
+pub fn level(rooms: [Rect; 2], sizes: [Vec2; 2]) -> [Rect; 2] {
+    let below_title = |room: Rect| Rect::from_min_max(room.min + vec2(0.0, TITLE), room.max);
+    let pictures = [0, 1].map(|k| fit(below_title(rooms[k]), sizes[k]));
+    let top = pictures[0].top().min(pictures[1].top());
+    [0, 1].map(|k| {
+        let bottom = top + pictures[k].height();
+        Rect::from_min_max(pos2(rooms[k].left(), top - TITLE), pos2(rooms[k].right(), bottom))
+    })
+}
+
 /// The largest rectangle of `size`'s proportions in the middle of `room`.
 pub fn fit(room: Rect, size: Vec2) -> Rect {
     let scale = (room.width() / size.x.max(1.0)).min(room.height() / size.y.max(1.0)).max(0.0);
@@ -108,5 +119,19 @@ mod tests {
             }
         }
         assert_eq!(fit(room, vec2(100.0, 100.0)).size(), vec2(700.0, 700.0));
+    }
+
+    #[test]
+    fn two_pictures_begin_at_one_height() {
+        let room = Rect::from_min_size(pos2(16.0, 80.0), vec2(1400.0, 700.0));
+        let rooms = [0, 1].map(|n| Layout::All.places(2, room)[n].1);
+        let sizes = [vec2(900.0, 560.0), vec2(640.0, 480.0)];
+        let levelled = level(rooms, sizes);
+        assert_eq!(levelled[0].top(), levelled[1].top());
+        for k in 0..2 {
+            assert!(rooms[k].expand(0.5).contains_rect(levelled[k]));
+            let picture = |room: Rect| fit(Rect::from_min_max(room.min + vec2(0.0, TITLE), room.max), sizes[k]).size();
+            assert!((picture(rooms[k]) - picture(levelled[k])).length() < 0.5, "as large as before");
+        }
     }
 }

@@ -5,7 +5,7 @@ use eframe::egui::{
     pos2, vec2,
 };
 
-use super::arrange::{GAP, TITLE, fit};
+use super::arrange::{GAP, TITLE, fit, level};
 use super::notices::{Facts, OLD_MS};
 use super::{Layout, Place, Theatre};
 use crate::panels::surface;
@@ -40,7 +40,14 @@ impl Theatre {
             return;
         }
         let views = self.plan.views.clone();
-        for (n, rect) in self.layout.places(views.len(), room) {
+        let mut places = self.layout.places(views.len(), room);
+        if let [(first, a), (second, b)] = &mut places[..] {
+            let size = |n: usize| self.shown.texture(&views[n].output).map(|(_, size)| size);
+            if let (Some(one), Some(other)) = (size(*first), size(*second)) {
+                [*a, *b] = level([*a, *b], [one, other]);
+            }
+        }
+        for (n, rect) in places {
             let place = &views[n];
             let raw = self.plan.raw.clone().filter(|_| self.replaced(place, facts) && n == self.layout.main());
             let clicked = match raw {

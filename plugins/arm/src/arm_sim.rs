@@ -7,12 +7,10 @@ use panoscope_arm_core::dynamics::{Quality, SimArm};
 use panoscope_arm_core::interlock::{Cause, Place};
 use panoscope_arm_core::{Chain, Interlock, JOINTS, JointVector};
 use panoscope_node::abi::{Joints, Pose, Tip};
-use panoscope_node::{
-    Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Value, error, name16,
-};
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Value, error};
 
 use crate::guard::{self, Switches};
-use crate::joints::{arm_of, asked, packet};
+use crate::joints::{arm_of, asked, camera_pose, packet, tell_links};
 
 /// Inputs.
 #[derive(Ports)]
@@ -32,6 +30,8 @@ pub struct Out<'f> {
     setpoint: Slot<'f, Joints>,
     /// Where the left camera really is, in the frame `scene`: where it is at home.
     camera_pose: Slot<'f, Pose>,
+    /// Where the links join, one row per joint from the base to the camera, in the frame of `camera_pose`.
+    links: Slot<'f, TableData>,
     /// One row per tick: state, cause of a stop, speeds, how the tube stands in the trocar.
     table: Slot<'f, TableData>,
     /// The state in words.
@@ -161,13 +161,10 @@ impl Node for ArmSim {
             _ => (Vector3::zeros(), Vector3::zeros()),
         };
         self.last = Some((at, velocity, now_ns));
-        let q = pose.rotation;
-        out.camera_pose.set(Pose {
-            a_from_b_wxyz: [q.w, q.i, q.j, q.k],
-            a_from_b_mm: [at.x, at.y, at.z],
-            a: name16("scene"),
-            b: name16("left_camera"),
-        })?;
+        out.camera_pose.set(camera_pose(&pose))?;
+        if out.links.is_read() {
+            tell_links(&mut out.links, &stance, &self.home)?;
+        }
         out.joints.set(packet(&arm.encoders(|| cx.random()), arm.velocities()))?;
         out.setpoint.set(packet(&lock.set_point().position, &lock.set_point().velocity))?;
         let stop = lock.stopped();

@@ -2,9 +2,11 @@
 
 use std::path::Path;
 
+use nalgebra::Isometry3;
+use panoscope_arm_core::chain::{LINK_POINTS, Stance};
 use panoscope_arm_core::{Chain, JOINTS, JointVector};
-use panoscope_node::abi::{Joints, MAX_JOINTS};
-use panoscope_node::{Result, error};
+use panoscope_node::abi::{Joints, LINK_COLUMNS, MAX_JOINTS, Pose};
+use panoscope_node::{Result, Slot, TableData, error, name16};
 
 /// The arm of a file, or the one that ships where none is named.
 ///
@@ -40,6 +42,29 @@ pub fn packet(position_rad: &JointVector, velocity_rad_s: &JointVector) -> Joint
     out.position_rad[..JOINTS].copy_from_slice(position_rad.as_slice());
     out.velocity_rad_s[..JOINTS].copy_from_slice(velocity_rad_s.as_slice());
     out
+}
+
+/// Where the left camera stands in the frame `scene`, that of the camera at home.
+pub fn camera_pose(scene_from_camera: &Isometry3<f64>) -> Pose {
+    let (q, at) = (scene_from_camera.rotation, scene_from_camera.translation.vector);
+    Pose {
+        a_from_b_wxyz: [q.w, q.i, q.j, q.k],
+        a_from_b_mm: [at.x, at.y, at.z],
+        a: name16("scene"),
+        b: name16("left_camera"),
+    }
+}
+
+/// Tells where the links join, in the frame of [`camera_pose`].
+///
+/// # Errors
+/// The host gave no memory.
+pub fn tell_links(slot: &mut Slot<'_, TableData>, stance: &Stance, base_from_scene: &Isometry3<f64>) -> Result<()> {
+    let mut values = [0.0; LINK_POINTS * LINK_COLUMNS.len()];
+    for (row, place) in values.chunks_exact_mut(LINK_COLUMNS.len()).zip(stance.links()) {
+        row.copy_from_slice(base_from_scene.inverse_transform_point(&place).coords.as_slice());
+    }
+    slot.set_table(&LINK_COLUMNS, &values)
 }
 
 /// The speeds of a packet as far as it says it has any: a packet that lies about its length asks for nothing sensible, and is refused later.

@@ -3,7 +3,7 @@
 use panoscope_arm::arm_pid::ArmPid;
 use panoscope_arm::arm_sim::ArmSim;
 use panoscope_arm_core::rehearsal::shipped_goals;
-use panoscope_node::abi::{Joints, MAX_JOINTS, Pose, Tip};
+use panoscope_node::abi::{Joints, LINK_COLUMNS, MAX_JOINTS, Pose, Tip};
 use panoscope_node::harness::{Harness, HarnessError, Level};
 
 fn tip(x_mm: f64, score: f64) -> Tip {
@@ -79,6 +79,20 @@ fn defaults_are_the_goals_that_were_tuned() -> Result<(), HarnessError> {
     ] {
         assert_eq!(default(name), value, "{name}");
     }
+    Ok(())
+}
+
+#[test]
+fn links_lead_from_the_foot_to_the_camera() -> Result<(), HarnessError> {
+    let mut arm = Harness::<ArmSim>::from_toml("")?;
+    let out = arm.process()?;
+    let (links, camera) = (out.table("links")?, out.value::<Pose>("camera_pose")?.a_from_b_mm);
+    assert!(links.names().eq(LINK_COLUMNS));
+    let rows: Vec<&[f64]> = links.rows().collect();
+    // At home the camera is the frame's origin and looks down: the foot stands 100 mm farther down, 412.5 mm away.
+    let foot = rows[0];
+    assert!((foot[2] - 100.0).abs() < 1e-6 && (foot[0].hypot(foot[1]) - 412.5).abs() < 1e-6, "{foot:?}");
+    assert!(rows[rows.len() - 1].iter().zip(camera).all(|(a, b)| (a - b).abs() < 1e-9), "{rows:?}");
     Ok(())
 }
 

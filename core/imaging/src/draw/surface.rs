@@ -64,6 +64,11 @@ impl Projection {
         [self.origin[0] + x1 * shrink, self.origin[1] + y1 * shrink, z2]
     }
 
+    /// Depth behind the middle, mm, from which on places stand before the viewer.
+    pub fn nearest_mm(&self) -> f32 {
+        -1.15 * self.middle_mm[2]
+    }
+
     fn shrink(&self, z2: f32) -> f32 {
         let mz = self.middle_mm[2];
         1.2 * mz / (1.2 * mz + z2).max(0.05 * mz)

@@ -7,12 +7,10 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use panoscope_node::abi::{Joints, Pose, Tip};
-use panoscope_node::{
-    Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Value, name16,
-};
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Value};
 
 use crate::guard;
-use crate::joints::{arm_of, asked, packet};
+use crate::joints::{arm_of, asked, camera_pose, packet, tell_links};
 use driver::{Driver, Place};
 
 /// Inputs.
@@ -33,6 +31,8 @@ pub struct Out<'f> {
     setpoint: Slot<'f, Joints>,
     /// Where the left camera stands by the encoders, in the frame `scene`: where it is at home.
     camera_pose: Slot<'f, Pose>,
+    /// Where the links join by the encoders, one row per joint from the base to the camera, in the frame of `camera_pose`.
+    links: Slot<'f, TableData>,
     /// One row per tick: state, cause of a stop, age of the arm's last answer.
     table: Slot<'f, TableData>,
     /// The state in words.
@@ -128,14 +128,11 @@ impl Node for ArmSerial {
         let known = self
             .driver
             .look(|event| if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) });
-        let pose = self.home.inverse() * self.chain.stance(&known.encoders).base_from_camera;
-        let (q, at) = (pose.rotation, pose.translation.vector);
-        out.camera_pose.set(Pose {
-            a_from_b_wxyz: [q.w, q.i, q.j, q.k],
-            a_from_b_mm: [at.x, at.y, at.z],
-            a: name16("scene"),
-            b: name16("left_camera"),
-        })?;
+        let stance = self.chain.stance(&known.encoders);
+        out.camera_pose.set(camera_pose(&(self.home.inverse() * stance.base_from_camera)))?;
+        if out.links.is_read() {
+            tell_links(&mut out.links, &stance, &self.home)?;
+        }
         out.joints.set(packet(&known.encoders, &known.set_point.1))?;
         out.setpoint.set(packet(&known.set_point.0, &known.set_point.1))?;
         cx.metric("stops", known.stops as f64);
