@@ -67,6 +67,11 @@ impl Space {
         self.crosshair = Crosshair::default();
     }
 
+    /// Looks at the cloud from elsewhere: turned about both axes, rad, and as large.
+    pub fn look_from(&mut self, yaw: f32, pitch: f32, zoom: f32) {
+        self.sight = Sight { yaw, pitch, zoom, ..self.sight };
+    }
+
     /// Enlarges by steps, or makes smaller.
     pub fn zoom_by(&mut self, steps: f32) {
         zoom_by(&mut self.sight, steps);

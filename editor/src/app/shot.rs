@@ -162,7 +162,7 @@ impl App {
     }
 
     /// One step of a script: `select:NODE`, `view:NODE.PORT`, `set:NODE.PARAM=VALUE`, `pick:NODE.PARAM`, `browse:NODE.PARAM`,
-    /// `sweep:NODE.PARAM MEASURE`, `heat`, ...
+    /// `sweep:NODE.PARAM MEASURE`, `orbit:YAW,PITCH,ZOOM`, `heat`, ...
     fn play(&mut self, step: &str) {
         let (word, rest) = step.split_once(':').unwrap_or((step, ""));
         match (word, rest.split_once('.')) {
@@ -175,6 +175,10 @@ impl App {
         match word {
             "pan" => self.panning = true,
             "zoom" => self.canvas.zoom_by(rest.parse().unwrap_or(0)),
+            "orbit" => match rest.split(',').map(|n| n.trim().parse()).collect::<Result<Vec<f32>, _>>().as_deref() {
+                Ok([yaw, pitch, zoom]) => self.viewer.space().look_from(*yaw, *pitch, *zoom),
+                _ => self.tell("orbit takes yaw and pitch in rad and the size: orbit:1.2,0.3,0.5", true),
+            },
             "select" => self.canvas.select_only(rest),
             "view" | "compare" if rest.contains('.') => {
                 if let Some((node, port)) = rest.split_once('.') {
