@@ -3,6 +3,10 @@
 //! A cut-off shared object dies of SIGBUS when it is mapped, and its constructors run before any handshake, so both are settled by
 //! reading the file. Only 64-bit ELF is read.
 
+use std::borrow::Cow;
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+
 use panoscope_abi as abi;
 
 /// What the note says.
@@ -39,6 +43,16 @@ pub enum ElfError {
         /// Length of the file.
         len: u64,
     },
+    /// A part of it could not be read.
+    #[error("bytes {at} to {end} cannot be read: {reason}")]
+    Unreadable {
+        /// First byte.
+        at: u64,
+        /// Behind the last byte.
+        end: u64,
+        /// What the system says.
+        reason: String,
+    },
     /// A shared library without the note.
     #[error("it carries no Panoscope note, so it is no Panoscope plugin")]
     NoNote,
@@ -52,6 +66,68 @@ pub enum ElfError {
 
 const PT_LOAD: u32 = 1;
 const SHT_NOBITS: u32 = 8;
+
+/// A file whose parts are read where they are needed: plugins are large, what is looked at before they are loaded is little.
+pub trait Parts {
+    /// Length of the file.
+    fn size(&self) -> u64;
+
+    /// `len` bytes from `at` on, which lie inside the file.
+    ///
+    /// # Errors
+    /// The system cannot read them.
+    fn part(&self, at: u64, len: u64) -> Result<Cow<'_, [u8]>, ElfError>;
+}
+
+impl Parts for [u8] {
+    fn size(&self) -> u64 {
+        self.len() as u64
+    }
+
+    fn part(&self, at: u64, len: u64) -> Result<Cow<'_, [u8]>, ElfError> {
+        let end = at.saturating_add(len);
+        let part = self.get(at as usize..end as usize);
+        part.map(Cow::Borrowed).ok_or_else(|| ElfError::Unreadable { at, end, reason: "it ends before".to_owned() })
+    }
+}
+
+/// A file on disk, and how long it was when it was opened.
+pub struct OnDisk {
+    file: File,
+    len: u64,
+}
+
+impl OnDisk {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// It cannot be opened.
+    pub fn open(path: &std::path::Path) -> std::io::Result<Self> {
+        Self::over(File::open(path)?)
+    }
+
+    /// An open file.
+    ///
+    /// # Errors
+    /// Its length cannot be told.
+    pub fn over(file: File) -> std::io::Result<Self> {
+        let len = file.metadata()?.len();
+        Ok(Self { file, len })
+    }
+}
+
+impl Parts for OnDisk {
+    fn size(&self) -> u64 {
+        self.len
+    }
+
+    fn part(&self, at: u64, len: u64) -> Result<Cow<'_, [u8]>, ElfError> {
+        let mut bytes = vec![0; len as usize];
+        let read = self.file.read_exact_at(&mut bytes, at);
+        let end = at.saturating_add(len);
+        read.map(|()| Cow::Owned(bytes)).map_err(|e| ElfError::Unreadable { at, end, reason: e.to_string() })
+    }
+}
 
 struct Reader<'a>(&'a [u8]);
 
@@ -72,24 +148,23 @@ impl Reader<'_> {
     fn u64(&self, at: u64) -> Option<u64> {
         self.bytes(at).map(u64::from_le_bytes)
     }
-
-    fn inside(&self, what: &'static str, start: u64, len: u64) -> Result<(), ElfError> {
-        let file_len = self.0.len() as u64;
-        let end = start.saturating_add(len);
-        if end > file_len { Err(ElfError::CutOff { what, end, len: file_len }) } else { Ok(()) }
-    }
 }
 
 /// Checks that every segment and section lies inside the file and reads the note.
-pub fn read_note(file: &[u8]) -> Result<Note, ElfError> {
-    let reader = Reader(file);
-    if file.len() < 4 || &file[..4] != b"\x7fELF" {
-        let what =
-            if file.is_empty() { "the file is empty".to_owned() } else { "it does not begin with ELF".to_owned() };
-        return Err(ElfError::NotElf { what });
+pub fn read_note(file: &(impl Parts + ?Sized)) -> Result<Note, ElfError> {
+    let file_len = file.size();
+    let inside = |what: &'static str, start: u64, len: u64| {
+        let end = start.saturating_add(len);
+        if end > file_len { Err(ElfError::CutOff { what, end, len: file_len }) } else { Ok(()) }
+    };
+    let header = file.part(0, file_len.min(64))?;
+    if !header.starts_with(b"\x7fELF") {
+        let what = if file_len == 0 { "the file is empty" } else { "it does not begin with ELF" };
+        return Err(ElfError::NotElf { what: what.to_owned() });
     }
-    reader.inside("the ELF header", 0, 64)?;
-    if file[4] != 2 || file[5] != 1 {
+    inside("the ELF header", 0, 64)?;
+    let reader = Reader(&header);
+    if header[4] != 2 || header[5] != 1 {
         return Err(ElfError::NotElf { what: "not 64-bit little-endian".to_owned() });
     }
     let machine = reader.u16(18).unwrap_or(0);
@@ -106,30 +181,32 @@ pub fn read_note(file: &[u8]) -> Result<Note, ElfError> {
     let program_count = reader.u16(56).ok_or(lost("header"))?;
     let section_size = reader.u16(58).ok_or(lost("header"))?;
     let section_count = reader.u16(60).ok_or(lost("header"))?;
-    reader.inside("the table of segments", programs, program_size * program_count)?;
-    reader.inside("the table of sections", sections, section_size * section_count)?;
+    inside("the table of segments", programs, program_size * program_count)?;
+    inside("the table of sections", sections, section_size * section_count)?;
     let mut notes = Vec::new();
-    for index in 0..program_count {
-        let at = programs + index * program_size;
+    let table = file.part(programs, program_size * program_count)?;
+    let reader = Reader(&table);
+    for at in (0..program_count).map(|index| index * program_size) {
         let kind = reader.u32(at).ok_or(lost("segment"))?;
         let (offset, size) = (reader.u64(at + 8).ok_or(lost("segment"))?, reader.u64(at + 32).ok_or(lost("segment"))?);
         if kind == PT_LOAD {
-            reader.inside("a segment", offset, size)?;
+            inside("a segment", offset, size)?;
         }
     }
-    for index in 0..section_count {
-        let at = sections + index * section_size;
+    let table = file.part(sections, section_size * section_count)?;
+    let reader = Reader(&table);
+    for at in (0..section_count).map(|index| index * section_size) {
         let kind = reader.u32(at + 4).ok_or(lost("section"))?;
         let (offset, size) = (reader.u64(at + 24).ok_or(lost("section"))?, reader.u64(at + 32).ok_or(lost("section"))?);
         if kind != SHT_NOBITS {
-            reader.inside("a section", offset, size)?;
+            inside("a section", offset, size)?;
         }
         if kind == 7 {
             notes.push((offset, size));
         }
     }
     for (offset, size) in notes {
-        if let Some(note) = find_note(&file[offset as usize..(offset + size) as usize])? {
+        if let Some(note) = find_note(&file.part(offset, size)?)? {
             return Ok(note);
         }
     }

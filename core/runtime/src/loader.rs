@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -163,8 +164,8 @@ pub fn search_path(extra: &[PathBuf]) -> Vec<PathBuf> {
 
 /// Reads a plugin's note without loading it.
 pub fn inspect(file: &Path) -> Result<Found, LoadError> {
-    let bytes = std::fs::read(file).map_err(|cause| LoadError::Unreadable { file: file.to_owned(), cause })?;
-    let note = elf::read_note(&bytes).map_err(|cause| LoadError::BadFile { file: file.to_owned(), cause })?;
+    let parts = elf::OnDisk::open(file).map_err(|cause| LoadError::Unreadable { file: file.to_owned(), cause })?;
+    let note = elf::read_note(&parts).map_err(|cause| LoadError::BadFile { file: file.to_owned(), cause })?;
     if note.abi_major != abi::ABI_MAJOR {
         let (found, expected) = (note.abi_major, abi::ABI_MAJOR);
         return Err(LoadError::AbiMismatch { file: file.to_owned(), found, expected });
@@ -176,10 +177,10 @@ pub fn inspect(file: &Path) -> Result<Found, LoadError> {
 pub fn load(found: &Found) -> Result<Loaded, LoadError> {
     let file = &found.file;
     let link = |cause: String| LoadError::Link { file: file.clone(), cause };
-    let bytes = std::fs::read(file).map_err(|cause| LoadError::Unreadable { file: file.clone(), cause })?;
+    let mut whole = File::open(file).map_err(|cause| LoadError::Unreadable { file: file.clone(), cause })?;
+    let copy = private_copy(file, &mut whole).map_err(|e| link(format!("no private copy could be made: {e}")))?;
     // Checked again on the very bytes that are loaded: the file may have changed since it was found.
-    elf::read_note(&bytes).map_err(|cause| LoadError::BadFile { file: file.clone(), cause })?;
-    let copy = private_copy(file, &bytes).map_err(|e| link(format!("no private copy could be made: {e}")))?;
+    elf::read_note(&copy.parts).map_err(|cause| LoadError::BadFile { file: file.clone(), cause })?;
     // SAFETY: constructors of the library run here. The note says that it is a plugin of this ABI; a plugin is trusted like
     // any program its user installs.
     let library = unsafe {
@@ -195,8 +196,10 @@ pub fn load(found: &Found) -> Result<Loaded, LoadError> {
             .map_err(|_| bad(format!("it exports no symbol `{}`", abi::ENTRY_SYMBOL)))?;
         entry()
     };
-    // The library stays mapped: its threads, thread-locals and exit handlers cannot be undone safely.
+    // The library stays mapped: its threads, thread-locals and exit handlers cannot be undone safely. The descriptor of its copy stays open
+    // like the mapping: debuggers and profilers read symbols through it.
     std::mem::forget(library);
+    std::mem::forget(copy);
     // SAFETY: a descriptor of a plugin that stays mapped; every field is checked before use.
     let node_types = unsafe { panoscope_graph::from_abi::node_types(plugin) }.map_err(|e| bad(e.to_string()))?;
     // SAFETY: validated by `node_types`.
@@ -221,12 +224,13 @@ pub fn load(found: &Found) -> Result<Loaded, LoadError> {
 
 struct PrivateCopy {
     path: PathBuf,
+    /// The same bytes.
+    parts: elf::OnDisk,
 }
 
-/// A copy in memory where the system offers it, else in the folder for temporary files.
-fn private_copy(file: &Path, bytes: &[u8]) -> std::io::Result<PrivateCopy> {
-    use std::io::Write;
-    use std::os::fd::{FromRawFd, IntoRawFd};
+/// A copy in memory.
+fn private_copy(file: &Path, whole: &mut File) -> std::io::Result<PrivateCopy> {
+    use std::os::fd::{AsRawFd, FromRawFd};
     let name = file.file_name().unwrap_or(OsStr::new("plugin")).to_string_lossy();
     let c_name = std::ffi::CString::new(name.as_bytes()).map_err(std::io::Error::other)?;
     // SAFETY: a plain system call with a terminated name.
@@ -235,10 +239,10 @@ fn private_copy(file: &Path, bytes: &[u8]) -> std::io::Result<PrivateCopy> {
         return Err(std::io::Error::last_os_error());
     }
     // SAFETY: a fresh descriptor that nobody else owns.
-    let mut copy = unsafe { std::fs::File::from_raw_fd(fd) };
-    copy.write_all(bytes)?;
-    // The descriptor stays open like the mapping: debuggers and profilers read symbols through it.
-    Ok(PrivateCopy { path: PathBuf::from(format!("/proc/self/fd/{}", copy.into_raw_fd())) })
+    let mut copy = unsafe { File::from_raw_fd(fd) };
+    std::io::copy(whole, &mut copy)?;
+    let path = PathBuf::from(format!("/proc/self/fd/{}", copy.as_raw_fd()));
+    Ok(PrivateCopy { path, parts: elf::OnDisk::over(copy)? })
 }
 
 fn clean(error: &libloading::Error, copy: &Path, file: &Path) -> String {

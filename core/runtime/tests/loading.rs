@@ -135,7 +135,7 @@ fn no_flipped_byte_crashes_the_reader() {
             let mut bytes = whole.clone();
             bytes[place] = value;
             // Any answer will do; it must come.
-            let _ = panoscope_runtime::elf::read_note(&bytes);
+            let _ = panoscope_runtime::elf::read_note(&bytes[..]);
         }
     }
 }
