@@ -210,7 +210,9 @@ class Augmented:
             rare = max((1.0 / per_class[k] for k in kinds), default=1.0 / per_class.max())
             weights.append((rare**balance) * (1.0 / per_group[groups[f.group]]) ** (balance / 2))
         hosts = len(frames) - guests
-        self.weights = shared_out(np.array(weights), np.arange(len(frames)) >= hosts, guests_share)
+        guest = np.arange(len(frames)) >= hosts
+        self.weights = shared_out(np.array(weights), guest, guests_share)
+        self.plain_weights = shared_out(np.ones(len(frames)), guest, guests_share)
         tools = [(i, j) for i, f in enumerate(frames) for j in range(len(f.boxes))]
         rare = np.array([1.0 / per_class[int(frames[i].boxes[j, 0])] for i, j in tools]) ** 0.7
         self.tools = tools
@@ -234,8 +236,8 @@ class Augmented:
         rng = np.random.default_rng((self.seed, number))
         w, h = self.width, self.height
         if plain:
-            # The closing epochs: whole frames with mild light changes only.
-            f = self.frames[int(rng.choice(len(self.frames), p=self.weights))]
+            # The closing epochs: whole frames with mild light changes only, each as often as the next.
+            f = self.frames[int(rng.choice(len(self.frames), p=self.plain_weights))]
             picture = light(f.picture, rng) if rng.random() < 0.5 else f.picture
             picture, boxes = warp(picture, f.boxes, w, h, rng, (0.9, 1.15), 4.0, 0.04)
         elif rng.random() < self.mosaic:
