@@ -356,3 +356,96 @@ fn find_regions(
         .collect();
     (regions, extents)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use panoscope_graph::{Node, OnFault, Preset};
+
+    /// A graph of nodes by name; edges as `from > to`, `from ~ to` for the newest there is, `from . to` for that of the tick before.
+    fn graph(nodes: &[&str], edges: &[&str]) -> Graph {
+        let node = |id: &&str| Node {
+            id: (*id).to_owned(),
+            type_index: 0,
+            type_name: "pass".to_owned(),
+            plugin: "flow".to_owned(),
+            params: Vec::new(),
+            on_fault: OnFault::default(),
+            budget_ms: None,
+            max_rate_hz: None,
+            cpu: None,
+            span: 0..0,
+            line: 0,
+        };
+        let place = |id: &str| nodes.iter().position(|n| *n == id).expect("a node");
+        let mut edges: Vec<Edge> = edges
+            .iter()
+            .map(|edge| {
+                let [from, kind, to] = edge.split(' ').collect::<Vec<_>>()[..] else { panic!("{edge}") };
+                Edge {
+                    from_node: place(from),
+                    from_port: 0,
+                    to_node: place(to),
+                    to_port: 0,
+                    list_index: 0,
+                    align: if kind == "~" { Align::Latest } else { Align::Exact },
+                    queue: None,
+                    delay: u8::from(kind == "."),
+                    trigger: false,
+                    convert: false,
+                    span: 0..0,
+                }
+            })
+            .collect();
+        edges.sort_by_key(|e| e.to_node);
+        (1..).zip(&mut edges).for_each(|(port, edge)| edge.to_port = port);
+        Graph {
+            name: "test".to_owned(),
+            mode: Mode::Live,
+            plugins: Vec::new(),
+            nodes: nodes.iter().map(node).collect(),
+            edges,
+            order: (0..nodes.len()).collect(),
+            preset: Preset::default(),
+            editor: toml::Table::new(),
+        }
+    }
+
+    fn patient(nodes: &[&str], edges: &[&str]) -> Vec<String> {
+        let graph = graph(nodes, edges);
+        let patient = urgencies(&graph).into_iter().zip(&graph.nodes).filter(|(u, _)| *u == Urgency::Patient);
+        patient.map(|(_, node)| node.id.clone()).collect()
+    }
+
+    #[test]
+    fn what_leads_to_an_end_is_urgent() {
+        assert!(patient(&["camera", "smooth", "video"], &["camera > smooth", "smooth > video"]).is_empty());
+    }
+
+    #[test]
+    fn what_is_only_looked_at_waits_and_so_does_what_leads_there() {
+        let nodes = ["camera", "match", "find", "screen"];
+        let edges = ["camera > match", "match > find", "camera > screen", "find ~ screen"];
+        assert_eq!(patient(&nodes, &edges), ["match", "find"]);
+        // A second reader that waits makes it urgent.
+        let nodes = ["camera", "match", "find", "screen", "file"];
+        let edges = [&edges[..], &["find > file"]].concat();
+        assert!(patient(&nodes, &edges).is_empty());
+    }
+
+    #[test]
+    fn what_fires_its_reader_does_not_wait() {
+        let nodes = ["camera", "slow", "screen"];
+        assert!(patient(&nodes, &["camera ~ screen", "camera > slow", "slow ~ screen"]).is_empty());
+        // One of both fires it alone.
+        let mut graph = graph(&nodes, &["camera ~ screen", "camera > slow", "slow ~ screen"]);
+        graph.edges.iter_mut().filter(|e| e.from_node == 0).for_each(|e| e.trigger = true);
+        assert_eq!(urgencies(&graph), [Urgency::Urgent, Urgency::Patient, Urgency::Urgent]);
+    }
+
+    #[test]
+    fn what_closes_a_loop_is_urgent() {
+        let nodes = ["camera", "arm", "screen"];
+        assert!(patient(&nodes, &["camera > arm", "camera > screen", "arm . camera"]).is_empty());
+    }
+}
