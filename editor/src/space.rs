@@ -197,7 +197,10 @@ impl Space {
     }
 
     fn draw_ways(&self, painter: &Painter, view: &View<'_>) {
-        for (output, way) in &self.ways {
+        let mut ways: Vec<(&Output, &Way)> = self.ways.iter().collect();
+        ways.sort_by_key(|(output, _)| output.to_string());
+        let mut names: Vec<Pos2> = Vec::new();
+        for (output, way) in ways {
             // What a pose tells is seen from where the camera is now; what a tip tells is in the camera's frame already.
             let here = |place: &[f64; 3]| match way.now {
                 Some((wxyz, mm)) => moved_back(wxyz, mm, *place),
@@ -211,13 +214,13 @@ impl Space {
             let Some(last) = way.steps.back().map(here) else { continue };
             let Some(at) = view.at(last) else { continue };
             painter.circle_filled(at, 4.0, color);
-            painter.text(
-                at + vec2(8.0, -8.0),
-                Align2::LEFT_BOTTOM,
-                output.to_string(),
-                FontId::proportional(12.0),
-                color,
-            );
+            // Names of what is at one place stand below each other.
+            let mut name = at + vec2(8.0, -8.0);
+            while names.iter().any(|n| (n.y - name.y).abs() < 13.0 && (n.x - name.x).abs() < 110.0) {
+                name.y += 14.0;
+            }
+            names.push(name);
+            painter.text(name, Align2::LEFT_BOTTOM, output.to_string(), FontId::proportional(12.0), color);
             if way.now.is_some() {
                 let still = [1.0, 0.0, 0.0, 0.0];
                 for (axis, color) in

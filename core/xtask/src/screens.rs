@@ -32,7 +32,7 @@ const SCREENS: &[(&str, &str, &[&str], &str)] = &[
     ("bench_viewer", "graphs/panorama.toml", &["view:wide.panorama"], "8"),
     ("bench_compare", "graphs/depth.toml", &["view:rectify.left", "compare:points.depth"], "12"),
     ("bench_surface", "graphs/depth.toml", &["view:points.cloud"], "12"),
-    ("bench_arm", "graphs/surgeon.toml", &["view:points.cloud", "orbit:-1.2,0.35,0.25"], "15"),
+    ("bench_arm", "graphs/surgeon.toml", &["view:points.cloud", "orbit:2.2,0.5,0.09"], "15"),
     ("bench_system", "graphs/surgeon.toml", &[], "15"),
     ("bench_problems", "tests/bad_graphs/many_mistakes.toml", &["problems", "text"], "4"),
     ("bench_templates", "graphs/new.toml", &[], "4"),

@@ -6,7 +6,7 @@ use crate::actions::ARROWS;
 use crate::surface::Sight;
 
 /// Smallest and largest size.
-const ZOOM: std::ops::RangeInclusive<f32> = 0.2..=12.0;
+const ZOOM: std::ops::RangeInclusive<f32> = 0.05..=12.0;
 /// Farthest turn from above or below, radians.
 const PITCH: f32 = 1.5;
 
