@@ -1227,6 +1227,11 @@ typedef struct PanoscopeTip {
 /** ELF section that holds the note. */
 #define PANOSCOPE_NOTE_SECTION ".note.panoscope"
 
+/** Name of the output that tells where the links of an arm join. */
+#define PANOSCOPE_LINKS "links"
+/** Columns of its table: a row per joint from the base to the camera, in the frame of the node's pose. */
+#define PANOSCOPE_LINK_COLUMNS "link_x_mm\nlink_y_mm\nlink_z_mm"
+
 /* The layout that the host was built with, on 64-bit systems. */
 #ifdef __cplusplus
 #define PANOSCOPE_ASSERT(CONDITION) static_assert(CONDITION, #CONDITION)

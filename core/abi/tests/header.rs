@@ -110,9 +110,14 @@ fn links_to_c(text: &str, types: &BTreeSet<String>) -> String {
 fn sizes() -> String {
     let mut out = format!(
         "/** The one symbol that a plugin exports. */\n#define PANOSCOPE_ENTRY_SYMBOL \"{}\"\n\n\
-         /** ELF section that holds the note. */\n#define PANOSCOPE_NOTE_SECTION \"{}\"\n\n",
+         /** ELF section that holds the note. */\n#define PANOSCOPE_NOTE_SECTION \"{}\"\n\n\
+         /** Name of the output that tells where the links of an arm join. */\n#define PANOSCOPE_LINKS \"{}\"\n\
+         /** Columns of its table: a row per joint from the base to the camera, in the frame of the node's pose. */\n\
+         #define PANOSCOPE_LINK_COLUMNS \"{}\"\n\n",
         abi::ENTRY_SYMBOL,
-        abi::NOTE_SECTION
+        abi::NOTE_SECTION,
+        abi::LINKS,
+        abi::LINK_COLUMNS.join("\\n")
     );
     out.push_str(
         "/* The layout that the host was built with, on 64-bit systems. */\n#ifdef __cplusplus\n#define PANOSCOPE_ASSERT(CONDITION) \
