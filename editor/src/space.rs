@@ -1,6 +1,6 @@
 //! The 3-D view of the viewer: a cloud to turn, cut and measure, with the ways that tools and the camera took.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 
 use eframe::egui::{
     Align2, Color32, DragValue, FontId, Painter, Pos2, Rect, RichText, Sense, Stroke, Ui, WidgetInfo, WidgetType, pos2,
@@ -41,9 +41,9 @@ pub struct Space {
     measuring: bool,
     points: Vec<[f32; 3]>,
     crosshair: Crosshair,
-    ways: HashMap<Output, Way>,
+    ways: BTreeMap<Output, Way>,
     /// Where the links of arms join, in the frame of their pose.
-    arms: HashMap<Output, Vec<[f64; 3]>>,
+    arms: BTreeMap<Output, Vec<[f64; 3]>>,
 }
 
 impl Space {
@@ -173,7 +173,7 @@ impl Space {
     /// Arms as lines with a dot at each joint: the thinner, the farther out.
     fn draw_arms(&self, painter: &Painter, view: &View<'_>) {
         for (output, joints) in &self.arms {
-            let pose = self.ways.iter().find(|(way, _)| way.node == output.node).and_then(|(_, way)| way.now);
+            let pose = self.ways.iter().filter(|(way, _)| way.node == output.node).find_map(|(_, way)| way.now);
             let here: Vec<[f64; 3]> = match pose {
                 Some((wxyz, mm)) => joints.iter().map(|joint| moved_back(wxyz, mm, *joint)).collect(),
                 None => joints.clone(),
@@ -197,10 +197,8 @@ impl Space {
     }
 
     fn draw_ways(&self, painter: &Painter, view: &View<'_>) {
-        let mut ways: Vec<(&Output, &Way)> = self.ways.iter().collect();
-        ways.sort_by_key(|(output, _)| output.to_string());
         let mut names: Vec<Pos2> = Vec::new();
-        for (output, way) in ways {
+        for (output, way) in &self.ways {
             // What a pose tells is seen from where the camera is now; what a tip tells is in the camera's frame already.
             let here = |place: &[f64; 3]| match way.now {
                 Some((wxyz, mm)) => moved_back(wxyz, mm, *place),
