@@ -1,24 +1,58 @@
-//! `composite_opencv`: OpenCV's stitching classes in the order of its `stitching_detailed` sample.
+//! `composite_opencv`: OpenCV's stitching classes in the order of its own stitcher: gains and seam on shrunken views, blend at full
+//! resolution.
 
-use opencv::core::{CV_8U, CV_8UC1, CV_16S, CV_32F, Mat, Point, Rect, Scalar, Size, UMat, Vector, bitwise_and_def};
+use opencv::core::{
+    BORDER_CONSTANT, BORDER_REFLECT, CV_8U, CV_8UC1, CV_16S, CV_32F, Mat, Point, Rect, Scalar, Size, UMat, Vector,
+    bitwise_and_def,
+};
 use opencv::imgproc::{self, INTER_LINEAR, INTER_LINEAR_EXACT, INTER_NEAREST};
 use opencv::prelude::*;
-use opencv::stitching::{Detail_GainCompensator, Detail_GraphCutSeamFinder, Detail_MultiBandBlender};
+use opencv::stitching::{
+    Detail_DpSeamFinder, Detail_DpSeamFinder_CostFunction as DpCost, Detail_GainCompensator, Detail_GraphCutSeamFinder,
+    Detail_GraphCutSeamFinderBase_CostType as CutCost, Detail_MultiBandBlender,
+};
 use panoscope_imaging::geometry::Homography as Map;
 use panoscope_imaging::stitch::{self, Canvas, CompositeParams, Compositor, GeometryState};
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
-    Bgr8, Context, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, View,
+    Bgr8, Choice, Context, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, View,
 };
 
-use crate::mats::{self, Threads, failed, mat, umat};
+use crate::mats::{self, Threads, borrowed, failed, umat};
+use crate::register::shrink;
+
+/// OpenCV's seam finders.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SeamFinder {
+    /// Minimum cut: `GraphCutSeamFinder`, as OpenCV's stitcher takes it.
+    GraphCut,
+    /// Shortest path: `DpSeamFinder`.
+    DynamicProgramming,
+    /// No seam: the blender mixes all of the overlap.
+    None,
+}
+
+/// What a seam avoids.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SeamCost {
+    /// Differences of colour, as OpenCV's stitcher and its sample `stitching_detailed` take them.
+    Color,
+    /// Differences of colour over gradients: the cut takes two to three times as long.
+    ColorGrad,
+}
 
 /// Parameters of the composite.
 #[derive(Params, Clone, PartialEq)]
 pub struct CompositeOpencvParams {
-    /// Size to which each view is shrunk for the seam, in million pixels; 0 finds it at full resolution. OpenCV's stitcher takes 0.1.
+    /// Size to which each view is shrunk for gains and seam, in million pixels; 0 takes full resolution. OpenCV's stitcher takes 0.1.
     #[param(default = 0.0, range = 0.0..=10.0, step = 0.05)]
     seam_megapixels: f64,
+    /// How the line between the views is found.
+    #[param(default = "graph_cut")]
+    seam: SeamFinder,
+    /// What the line avoids.
+    #[param(default = "color")]
+    seam_cost: SeamCost,
     /// Even out the exposure with one gain per view.
     #[param(default = true)]
     gain: bool,
@@ -72,7 +106,8 @@ struct Placed {
 fn upright(view: View<'_, u8>, canvas: &Canvas) -> opencv::Result<Placed> {
     let white = Scalar::all(255.0);
     let mask = Mat::new_rows_cols_with_default(view.height as i32, view.width as i32, CV_8UC1, white)?;
-    Ok(Placed { corner: Point::new(canvas.left, canvas.top), image: mat(view)?, mask })
+    let image = borrowed(view)?.try_clone()?;
+    Ok(Placed { corner: Point::new(canvas.left, canvas.top), image, mask })
 }
 
 fn warped(view: View<'_, u8>, map: &Map, canvas: &Canvas) -> opencv::Result<Placed> {
@@ -87,48 +122,82 @@ fn warped(view: View<'_, u8>, map: &Map, canvas: &Canvas) -> opencv::Result<Plac
     let local = Map::translation(-f64::from(x), -f64::from(y)).compose(&moved);
     let matrix = Mat::from_slice_2d(&[&local.0[..3], &local.0[3..6], &local.0[6..]])?;
     let size = Size::new(width.max(1), height.max(1));
-    let (border, black) = (opencv::core::BORDER_CONSTANT, Scalar::default());
+    let black = Scalar::default();
     let (mut image, mut mask) = (Mat::default(), Mat::default());
     // Reflected at the border, as OpenCV's warpers do: the blender would carry black edges inwards.
-    let reflect = opencv::core::BORDER_REFLECT;
-    imgproc::warp_perspective(&mat(view)?, &mut image, &matrix, size, INTER_LINEAR, reflect, black)?;
+    imgproc::warp_perspective(&borrowed(view)?, &mut image, &matrix, size, INTER_LINEAR, BORDER_REFLECT, black)?;
     let white = Mat::new_rows_cols_with_default(view.height as i32, view.width as i32, CV_8UC1, Scalar::all(255.0))?;
-    imgproc::warp_perspective(&white, &mut mask, &matrix, size, INTER_NEAREST, border, black)?;
+    imgproc::warp_perspective(&white, &mut mask, &matrix, size, INTER_NEAREST, BORDER_CONSTANT, black)?;
     Ok(Placed { corner: Point::new(x, y), image, mask })
 }
 
-/// The masks cut along the seam.
-fn seam(placed: &[Placed; 2], scale: f64) -> opencv::Result<[Mat; 2]> {
+/// The view shrunk for gains and seam.
+fn shrunk(view: &Placed, scale: f64) -> opencv::Result<Placed> {
+    let (mut image, mut mask) = (Mat::default(), Mat::default());
+    imgproc::resize(&view.image, &mut image, Size::default(), scale, scale, INTER_LINEAR_EXACT)?;
+    imgproc::resize(&view.mask, &mut mask, Size::default(), scale, scale, INTER_NEAREST)?;
+    let at = |v: i32| (f64::from(v) * scale).round() as i32;
+    Ok(Placed { corner: Point::new(at(view.corner.x), at(view.corner.y)), image, mask })
+}
+
+fn corners(views: &[Placed; 2]) -> Vector<Point> {
+    views.iter().map(|view| view.corner).collect()
+}
+
+/// Estimates one gain per view where they overlap.
+fn gains(views: &[Placed; 2]) -> opencv::Result<Detail_GainCompensator> {
+    let mut compensator = Detail_GainCompensator::default()?;
     let (mut images, mut masks) = (Vector::<UMat>::new(), Vector::<UMat>::new());
-    let mut corners = Vector::<Point>::new();
-    for view in placed {
-        let (mut image, mut mask) = (view.image.clone(), view.mask.clone());
-        if scale < 1.0 {
-            let none = Size::default();
-            imgproc::resize(&view.image, &mut image, none, scale, scale, INTER_LINEAR_EXACT)?;
-            imgproc::resize(&view.mask, &mut mask, none, scale, scale, INTER_NEAREST)?;
-        }
-        let mut float = Mat::default();
-        image.convert_to(&mut float, CV_32F, 1.0, 0.0)?;
-        images.push(umat(&float)?);
-        masks.push(umat(&mask)?);
-        let at = |v: i32| (f64::from(v) * scale).round() as i32;
-        corners.push(Point::new(at(view.corner.x), at(view.corner.y)));
+    for view in views {
+        images.push(umat(&view.image)?);
+        masks.push(umat(&view.mask)?);
     }
-    let mut finder = Detail_GraphCutSeamFinder::new_def()?;
-    Detail_SeamFinderTrait::find(&mut finder, &images, &corners, &mut masks)?;
-    let mut cut = [Mat::default(), Mat::default()];
-    for (index, view) in placed.iter().enumerate() {
-        let mask = mats::from_umat(&masks.get(index)?)?;
-        if scale < 1.0 {
-            let (mut wide, mut full) = (Mat::default(), Mat::default());
-            imgproc::dilate_def(&mask, &mut wide, &Mat::default())?;
-            imgproc::resize(&wide, &mut full, view.mask.size()?, 0.0, 0.0, INTER_LINEAR_EXACT)?;
-            bitwise_and_def(&full, &view.mask, &mut cut[index])?;
-        } else {
-            cut[index] = mask;
-        }
+    Detail_ExposureCompensatorTrait::feed(&mut compensator, &corners(views), &images, &masks)?;
+    Ok(compensator)
+}
+
+fn apply(compensator: &mut Detail_GainCompensator, views: &mut [Placed; 2]) -> opencv::Result<()> {
+    for (index, view) in views.iter_mut().enumerate() {
+        let (image, mask) = (&mut view.image, &view.mask);
+        Detail_ExposureCompensatorTrait::apply(compensator, index as i32, view.corner, image, mask)?;
     }
+    Ok(())
+}
+
+/// The masks of both views cut along the seam, as large as the views.
+fn seam(views: &[Placed; 2], params: &CompositeOpencvParams) -> opencv::Result<[Mat; 2]> {
+    const TERMINAL_COST: f32 = 10_000.0;
+    const BAD_REGION_PENALTY: f32 = 1_000.0;
+    let (mut images, mut masks) = (Vector::<UMat>::new(), Vector::<UMat>::new());
+    for view in views {
+        // The dynamic programming takes 8-bit pictures too, and is as fast with either.
+        let mut float = UMat::new_def();
+        view.image.convert_to(&mut float, CV_32F, 1.0, 0.0)?;
+        images.push(float);
+        masks.push(umat(&view.mask)?);
+    }
+    let color = params.seam_cost == SeamCost::Color;
+    match params.seam {
+        SeamFinder::GraphCut => {
+            let cost = if color { CutCost::COST_COLOR } else { CutCost::COST_COLOR_GRAD };
+            let mut finder = Detail_GraphCutSeamFinder::new(cost as i32, TERMINAL_COST, BAD_REGION_PENALTY)?;
+            Detail_SeamFinderTrait::find(&mut finder, &images, &corners(views), &mut masks)?;
+        }
+        SeamFinder::DynamicProgramming => {
+            let mut finder = Detail_DpSeamFinder::new(if color { DpCost::COLOR } else { DpCost::COLOR_GRAD })?;
+            Detail_SeamFinderTrait::find(&mut finder, &images, &corners(views), &mut masks)?;
+        }
+        SeamFinder::None => {}
+    }
+    Ok([mats::from_umat(&masks.get(0)?)?, mats::from_umat(&masks.get(1)?)?])
+}
+
+/// A mask cut on the shrunken view, at the size of the whole one.
+fn enlarged(small: &Mat, whole: &Mat) -> opencv::Result<Mat> {
+    let (mut wide, mut full, mut cut) = (Mat::default(), Mat::default(), Mat::default());
+    imgproc::dilate_def(small, &mut wide, &Mat::default())?;
+    imgproc::resize(&wide, &mut full, whole.size()?, 0.0, 0.0, INTER_LINEAR_EXACT)?;
+    bitwise_and_def(&full, whole, &mut cut)?;
     Ok(cut)
 }
 
@@ -140,24 +209,23 @@ fn compose(
     with_shown: bool,
 ) -> opencv::Result<Joined> {
     let mut placed = [upright(views[0], canvas)?, warped(views[1], map, canvas)?];
+    let scale = shrink(params.seam_megapixels, views[0].width * views[0].height);
+    let mut small = if scale < 1.0 { Some([shrunk(&placed[0], scale)?, shrunk(&placed[1], scale)?]) } else { None };
     if params.gain {
-        let mut compensator = Detail_GainCompensator::default()?;
-        let (mut images, mut masks) = (Vector::<UMat>::new(), Vector::<UMat>::new());
-        let corners: Vector<Point> = placed.iter().map(|view| view.corner).collect();
-        for view in &placed {
-            images.push(umat(&view.image)?);
-            masks.push(umat(&view.mask)?);
-        }
-        Detail_ExposureCompensatorTrait::feed(&mut compensator, &corners, &images, &masks)?;
-        for (index, view) in placed.iter_mut().enumerate() {
-            let (image, mask) = (&mut view.image, &view.mask);
-            Detail_ExposureCompensatorTrait::apply(&mut compensator, index as i32, view.corner, image, mask)?;
+        let mut compensator = gains(small.as_ref().unwrap_or(&placed))?;
+        apply(&mut compensator, &mut placed)?;
+        if let Some(small) = small.as_mut().filter(|_| params.seam != SeamFinder::None) {
+            apply(&mut compensator, small)?;
         }
     }
-    let pixels = (views[0].width * views[0].height) as f64;
-    let scale =
-        if params.seam_megapixels > 0.0 { (params.seam_megapixels * 1e6 / pixels).sqrt().min(1.0) } else { 1.0 };
-    let cut = seam(&placed, scale)?;
+    let cut = match (&small, params.seam) {
+        (_, SeamFinder::None) => [placed[0].mask.clone(), placed[1].mask.clone()],
+        (None, _) => seam(&placed, params)?,
+        (Some(small), _) => {
+            let cut = seam(small, params)?;
+            [enlarged(&cut[0], &placed[0].mask)?, enlarged(&cut[1], &placed[1].mask)?]
+        }
+    };
 
     let width_px = ((canvas.width * canvas.height) as f64).sqrt() * params.blend_strength / 100.0;
     let bands = if width_px < 2.0 { 0 } else { (width_px.log2().ceil() as i32 - 1).max(0) };

@@ -1,11 +1,9 @@
 //! OpenCV's detectors with the number of points bounded, and its brute-force matcher.
 
-use opencv::core::{DMatch, KeyPoint, Mat, NORM_HAMMING, NORM_L2, Vector, no_array};
+use opencv::core::{DMatch, KeyPoint, Mat, NORM_HAMMING, NORM_L2, ToInputArray, Vector, no_array};
 use opencv::features2d::{AKAZE, AKAZE_DescriptorType, BFMatcher, KAZE_DiffusivityType, ORB, ORB_ScoreType, SIFT};
 use opencv::prelude::*;
-use panoscope_node::{Choice, View};
-
-use crate::mats::mat;
+use panoscope_node::Choice;
 
 /// Which features OpenCV finds.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,20 +37,33 @@ pub struct Pair {
     pub ratio: f32,
 }
 
+/// The rows of a matrix that `order` names, in that order.
+fn rows_of(all: &Mat, order: &[usize]) -> opencv::Result<Mat> {
+    if order.is_empty() {
+        return Ok(Mat::default());
+    }
+    let mut out = Mat::new_rows_cols_with_default(order.len() as i32, all.cols(), all.typ(), 0.0.into())?;
+    let width = all.cols() as usize * all.elem_size()?;
+    let bytes = all.data_bytes()?;
+    for (row, &index) in out.data_bytes_mut()?.chunks_exact_mut(width.max(1)).zip(order) {
+        row.copy_from_slice(&bytes[index * width..][..width]);
+    }
+    Ok(out)
+}
+
 impl Detector {
     /// Detects and describes at most `max_points` (0: as many as OpenCV's defaults give). `threshold` 0 is OpenCV's own.
     ///
     /// # Errors
     /// OpenCV's.
-    pub fn find(self, gray: View<'_, u8>, max_points: usize, threshold: f64) -> opencv::Result<Found> {
-        let image = mat(gray)?;
+    pub fn find(self, image: &impl ToInputArray, max_points: usize, threshold: f64) -> opencv::Result<Found> {
         let (mut points, mut descriptors) = (Vector::<KeyPoint>::new(), Mat::default());
         let count = i32::try_from(max_points).unwrap_or(i32::MAX);
         let or = |default: f64| if threshold > 0.0 { threshold } else { default };
         match self {
             // SIFT counts before it knows the orientations, of which a place may have several.
             Self::Sift => SIFT::create(count, 3, or(0.04), 10.0, 1.6)?.detect_and_compute(
-                &image,
+                image,
                 &no_array(),
                 &mut points,
                 &mut descriptors,
@@ -67,11 +78,11 @@ impl Detector {
                 4,
                 KAZE_DiffusivityType::DIFF_PM_G2,
             )?
-            .detect_and_compute(&image, &no_array(), &mut points, &mut descriptors, false)?,
+            .detect_and_compute(image, &no_array(), &mut points, &mut descriptors, false)?,
             Self::Orb => {
                 let count = if count == 0 { 500 } else { count };
                 ORB::create(count, 1.2, 8, 31, 0, 2, ORB_ScoreType::HARRIS_SCORE, 31, or(20.0) as i32)?
-                    .detect_and_compute(&image, &no_array(), &mut points, &mut descriptors, false)?;
+                    .detect_and_compute(image, &no_array(), &mut points, &mut descriptors, false)?;
             }
         }
         let points = points.to_vec();
@@ -80,11 +91,8 @@ impl Detector {
         if max_points > 0 {
             order.truncate(max_points);
         }
-        let mut rows = Mat::default();
-        for &index in &order {
-            rows.push_back(&descriptors.row(index as i32)?)?;
-        }
-        Ok(Found { points: order.iter().map(|&index| points[index].clone()).collect(), descriptors: rows })
+        let strongest = order.iter().map(|&index| points[index].clone()).collect();
+        Ok(Found { points: strongest, descriptors: rows_of(&descriptors, &order)? })
     }
 
     /// Ratio test, and each the other's best when `mutual`.

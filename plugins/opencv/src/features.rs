@@ -4,7 +4,7 @@ use opencv::prelude::*;
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData};
 
 use crate::detector::{Detector, Found};
-use crate::mats::{Threads, failed};
+use crate::mats::{Threads, borrowed, failed};
 
 /// Parameters of the features.
 #[derive(Params, Clone, PartialEq)]
@@ -81,7 +81,8 @@ impl Node for FeaturesOpencv {
         const POINTS: [&str; 5] = ["x_px", "y_px", "size_px", "angle_deg", "response"];
         let _threads = Threads::set(params.threads).map_err(failed)?;
         let find = |view: &Image<'_, Gray8>| {
-            params.detector.find(view.view(), params.max_points as usize, params.threshold).map_err(failed)
+            let image = borrowed(view.view()).map_err(failed)?;
+            params.detector.find(&image, params.max_points as usize, params.threshold).map_err(failed)
         };
         let left = find(&input.left)?;
         out.left_points.set_table(&POINTS, &rows(&left))?;

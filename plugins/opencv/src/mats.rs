@@ -1,5 +1,6 @@
 //! Pictures as OpenCV's matrices, and its number of threads.
 
+use opencv::boxed_ref::BoxedRef;
 use opencv::core::{self, CV_8UC1, CV_8UC3, Mat, UMat};
 use opencv::prelude::*;
 use panoscope_node::{NodeError, Result, View, ViewMut};
@@ -9,15 +10,15 @@ pub fn failed(error: opencv::Error) -> NodeError {
     NodeError::new(format!("OpenCV: {}", error.message))
 }
 
-/// A copy of an 8-bit picture of one or three channels.
-pub fn mat(view: View<'_, u8>) -> opencv::Result<Mat> {
+/// An 8-bit picture of one or three channels as a matrix over the same bytes: nothing is copied.
+pub fn borrowed(view: View<'_, u8>) -> opencv::Result<BoxedRef<'_, Mat>> {
     let kind = if view.channels == 1 { CV_8UC1 } else { CV_8UC3 };
-    let mut out = Mat::new_rows_cols_with_default(view.height as i32, view.width as i32, kind, 0.0.into())?;
-    let row = view.width * view.channels;
-    for (y, target) in out.data_bytes_mut()?.chunks_exact_mut(row.max(1)).enumerate() {
-        target.copy_from_slice(view.row(y));
-    }
-    Ok(out)
+    let (rows, columns) = (view.height as i32, view.width as i32);
+    let bytes = view.data.as_ptr().cast_mut().cast();
+    // SAFETY: `View` guarantees that its slice holds `height` rows of `width * channels` bytes, `stride` bytes apart. The matrix
+    // lives no longer than the slice, and `BoxedRef` hands out shared references only, so that OpenCV does not write to it.
+    let mat = unsafe { Mat::new_rows_cols_with_data_unsafe(rows, columns, kind, bytes, view.stride)? };
+    Ok(mat.into())
 }
 
 /// Writes an 8-bit matrix of the same size and channels.

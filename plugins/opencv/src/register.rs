@@ -1,14 +1,15 @@
 //! `register_opencv`: the conventional registration with OpenCV's classes (thesis, section 2.2).
 
 use opencv::calib3d::{RANSAC, find_homography_ext};
-use opencv::core::{Mat, Point2d, Vector};
+use opencv::core::{Mat, Point2d, Size, Vector};
+use opencv::imgproc::{self, INTER_LINEAR_EXACT};
 use opencv::prelude::*;
 use panoscope_imaging::geometry::{Homography as Map, Plausibility};
 use panoscope_node::abi::{self, Homography};
-use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot};
+use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, View};
 
-use crate::detector::Detector;
-use crate::mats::{Threads, failed};
+use crate::detector::{Detector, Found};
+use crate::mats::{Threads, borrowed, failed};
 
 /// Parameters of the registration.
 #[derive(Params, Clone, PartialEq)]
@@ -22,9 +23,15 @@ pub struct RegisterParams {
     /// The detector's threshold; 0 takes OpenCV's default (0.04, 0.001, 20).
     #[param(default = 0.0, range = 0.0..=1000.0)]
     threshold: f64,
+    /// Size to which larger views are shrunk for the search, in million pixels; 0 searches at full resolution. OpenCV's stitcher takes 0.6.
+    #[param(default = 0.0, range = 0.0..=10.0, step = 0.05)]
+    work_megapixels: f64,
     /// Largest ratio of the best to the second-best distance of a match.
     #[param(default = 0.75, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
     ratio: f32,
+    /// Keep a match only when each point is the other's best; matches both ways, which takes twice as long.
+    #[param(default = true)]
+    mutual: bool,
     /// Largest reprojection error of an inlier.
     #[param(default = 3.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
     ransac_px: f64,
@@ -55,6 +62,29 @@ pub struct Out<'f> {
 /// See the module.
 pub struct RegisterOpencv {
     last: [f64; 9],
+}
+
+/// Factor, at most 1, that shrinks `pixels` to so many million; 0 million leaves them.
+pub fn shrink(megapixels: f64, pixels: usize) -> f64 {
+    if megapixels > 0.0 { (megapixels * 1e6 / pixels.max(1) as f64).sqrt().min(1.0) } else { 1.0 }
+}
+
+/// Finds features of a view shrunk to `work_megapixels`, and gives their places in pixels of the whole view.
+fn find(view: View<'_, u8>, params: &RegisterParams) -> opencv::Result<(Found, Vec<[f64; 2]>)> {
+    let whole = borrowed(view)?;
+    let scale = shrink(params.work_megapixels, view.width * view.height);
+    let (count, threshold) = (params.max_points as usize, params.threshold);
+    let found = if scale < 1.0 {
+        let mut small = Mat::default();
+        imgproc::resize(&whole, &mut small, Size::default(), scale, scale, INTER_LINEAR_EXACT)?;
+        params.detector.find(&small, count, threshold)?
+    } else {
+        params.detector.find(&whole, count, threshold)?
+    };
+    // Pixel centres: the middle of the first small pixel is the middle of the patch that it stands for.
+    let up = |v: f32| (f64::from(v) + 0.5) / scale - 0.5;
+    let places = found.points.iter().map(|p| [up(p.pt().x), up(p.pt().y)]).collect();
+    Ok((found, places))
 }
 
 struct Fit {
@@ -109,14 +139,11 @@ impl Node for RegisterOpencv {
         params: &RegisterParams,
     ) -> Result<()> {
         let _threads = Threads::set(params.threads).map_err(failed)?;
-        let find = |view: &Image<'_, Gray8>| {
-            params.detector.find(view.view(), params.max_points as usize, params.threshold).map_err(failed)
-        };
-        let (left, right) = (find(&input.left)?, find(&input.right)?);
-        let pairs = params.detector.pairs(&left, &right, params.ratio, true).map_err(failed)?;
-        let place = |p: opencv::core::Point2f| [f64::from(p.x), f64::from(p.y)];
-        let from: Vec<_> = pairs.iter().map(|p| place(right.points[p.right].pt())).collect();
-        let to: Vec<_> = pairs.iter().map(|p| place(left.points[p.left].pt())).collect();
+        let (left, places_left) = find(input.left.view(), params).map_err(failed)?;
+        let (right, places_right) = find(input.right.view(), params).map_err(failed)?;
+        let pairs = params.detector.pairs(&left, &right, params.ratio, params.mutual).map_err(failed)?;
+        let from: Vec<_> = pairs.iter().map(|p| places_right[p.right]).collect();
+        let to: Vec<_> = pairs.iter().map(|p| places_left[p.left]).collect();
         let size = (input.right.width(), input.right.height());
         let good = fit(&from, &to, params.ransac_px).map_err(failed)?.filter(|found| {
             found.inliers >= params.min_inliers && Plausibility::default().accepts(&Map(found.map), size)

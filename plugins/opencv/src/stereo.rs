@@ -10,7 +10,7 @@ use panoscope_node::{
     View, ViewMut, error,
 };
 
-use crate::mats::{Threads, failed, mat};
+use crate::mats::{Threads, borrowed, failed};
 
 /// OpenCV's disparities count sixteenths.
 const STEPS_PER_PX: f32 = 16.0;
@@ -31,6 +31,7 @@ struct Search {
     min_disparity_px: i32,
     search_px: i32,
     block_px: i32,
+    own_checks: bool,
 }
 
 impl Search {
@@ -40,6 +41,10 @@ impl Search {
             Method::Bm => {
                 let mut matcher = StereoBM::create(self.search_px, side)?;
                 matcher.set_min_disparity(self.min_disparity_px)?;
+                if !self.own_checks {
+                    matcher.set_texture_threshold(0)?;
+                    matcher.set_uniqueness_ratio(0)?;
+                }
                 matcher.into()
             }
             Method::Sgbm => {
@@ -82,10 +87,15 @@ fn write(mat: &Mat, sign: f32, least_px: f32, out: &mut ViewMut<'_, f32>) -> Res
 
 /// Sixteenths of a map, `unknown` where it is NaN.
 fn sixteenths(view: View<'_, f32>, sign: f32, unknown: i16) -> opencv::Result<Mat> {
+    // Added to a number below 2^22 it leaves the nearest integer in the low bits: one addition instead of a call per pixel.
+    const ROUND: f32 = 12_582_912.0;
+    let (least, most) = (f32::from(i16::MIN), f32::from(i16::MAX));
     let mut out = Mat::new_rows_cols_with_default(view.height as i32, view.width as i32, CV_16SC1, 0.0.into())?;
     for (y, row) in out.data_typed_mut::<i16>()?.chunks_exact_mut(view.width.max(1)).enumerate() {
         for (out, value) in row.iter_mut().zip(view.row(y)) {
-            *out = if value.is_nan() { unknown } else { (sign * value * STEPS_PER_PX).round() as i16 };
+            let steps = (sign * value * STEPS_PER_PX).clamp(least, most);
+            let nearest = (steps + ROUND).to_bits().wrapping_sub(ROUND.to_bits()) as i16;
+            *out = if value.is_nan() { unknown } else { nearest };
         }
     }
     Ok(out)
@@ -106,6 +116,10 @@ pub struct StereoParams {
     /// Side of the window: at least 5 for block matching.
     #[param(default = 15, range = 3..=31, step = 2, unit = "px")]
     block_px: i32,
+    /// Block matching's tests of texture and uniqueness. OpenCV's sample `disparity_filtering` switches them off in front of
+    /// `disparity_wls_opencv`, which judges the matches itself.
+    #[param(default = true)]
+    own_checks: bool,
     /// OpenCV's threads while this node works.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
@@ -165,6 +179,7 @@ impl Node for StereoOpencv {
             min_disparity_px: params.min_disparity_px,
             search_px: params.search_px,
             block_px: params.block_px,
+            own_checks: params.own_checks,
         };
         let _threads = Threads::set(params.threads).map_err(failed)?;
         let right_is_read = out.disparity_right.is_read();
@@ -174,7 +189,7 @@ impl Node for StereoOpencv {
                 let other = ximgproc::create_right_matcher(search.matcher()?)?;
                 self.kept = Some((search, matcher, other));
             }
-            let (left, right) = (mat(left)?, mat(right)?);
+            let (left, right) = (borrowed(left)?, borrowed(right)?);
             let (mut map, mut map_right) = (Mat::default(), Mat::default());
             if let Some((_, matcher, other)) = &mut self.kept {
                 matcher.compute(&left, &right, &mut map)?;
@@ -235,8 +250,8 @@ pub struct WlsParams {
     /// Sensitivity to the picture's edges.
     #[param(default = 1.5, range = 0.1..=100.0)]
     sigma_color: f64,
-    /// OpenCV's threads while this node works.
-    #[param(default = 1, range = 1..=64)]
+    /// OpenCV's threads while this node works; the filter splits its rows among as many when it is made.
+    #[param(default = 1, range = 1..=64, reopen)]
     threads: u32,
 }
 
@@ -274,7 +289,9 @@ impl Node for DisparityWlsOpencv {
             min_disparity_px: params.min_disparity_px,
             search_px: params.search_px,
             block_px: params.block_px,
+            own_checks: false,
         };
+        let _threads = Threads::set(params.threads).map_err(failed)?;
         let filter = search.matcher().and_then(ximgproc::create_disparity_wls_filter).map_err(failed)?;
         Ok(Self { filter, search })
     }
@@ -299,7 +316,7 @@ impl Node for DisparityWlsOpencv {
             self.filter.set_lambda(params.lambda)?;
             self.filter.set_sigma_color(params.sigma_color)?;
             let none = Mat::default();
-            self.filter.filter(&left, &mat(guide)?, &mut map, &right, Rect::default(), &none)?;
+            self.filter.filter(&left, &borrowed(guide)?, &mut map, &right, Rect::default(), &none)?;
             Ok((map, self.filter.get_confidence_map()?))
         };
         let (map, confidence) = filtered().map_err(failed)?;
@@ -386,7 +403,7 @@ impl Node for DisparityFbsOpencv {
             }
             let (mut solved, source) = (Mat::default(), sixteenths(map, 1.0, 0)?);
             ximgproc::fast_bilateral_solver_filter(
-                &mat(guide)?,
+                &borrowed(guide)?,
                 &source,
                 &confidence,
                 &mut solved,
@@ -401,5 +418,25 @@ impl Node for DisparityFbsOpencv {
         };
         let solved = solved().map_err(failed)?;
         write(&solved, 1.0, 1.0 / STEPS_PER_PX, &mut out.disparity.alloc(width, height)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use opencv::prelude::*;
+    use panoscope_node::View;
+
+    #[test]
+    fn sixteenths_are_the_nearest_and_stay_within_their_type() {
+        let mut values: Vec<f32> = (-20_000..20_000).map(|step| step as f32 / 16.0).collect();
+        values.extend([0.04, -0.04, 100.03, -1023.97, f32::NAN, 1e9, -1e9, f32::INFINITY]);
+        let view = View::new(&values, values.len(), 1, 1);
+        for sign in [1.0, -1.0] {
+            let out = super::sixteenths(view, sign, -77).unwrap();
+            for (out, value) in out.data_typed::<i16>().unwrap().iter().zip(&values) {
+                let wanted = if value.is_nan() { -77 } else { (sign * value * 16.0).round() as i16 };
+                assert_eq!(*out, wanted, "{sign} x {value}");
+            }
+        }
     }
 }

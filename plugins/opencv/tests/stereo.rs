@@ -52,9 +52,13 @@ fn look(plane: panoscope_node::View<'_, f32>, columns: std::ops::Range<usize>) -
 }
 
 fn matched(method: &str) -> (Vec<f32>, Vec<f32>) {
+    matched_with(method, "")
+}
+
+fn matched_with(method: &str, more: &str) -> (Vec<f32>, Vec<f32>) {
     let (left, right) = pair();
     let block = if method == "bm" { 15 } else { 5 };
-    let toml = format!("params = {{ method = \"{method}\", search_px = 64, block_px = {block} }}");
+    let toml = format!("params = {{ method = \"{method}\", search_px = 64, block_px = {block}{more} }}");
     let mut node = Harness::<StereoOpencv>::from_toml(&toml).unwrap();
     node.input_image::<Gray8>("left", SIZE.0, SIZE.1, &left).input_image::<Gray8>("right", SIZE.0, SIZE.1, &right);
     let out = node.process().unwrap();
@@ -75,6 +79,20 @@ fn both_matchers_see_both_planes() {
         let (known, near) = look(plane(&other), 160..240);
         assert!(known > 0.9 && (near - NEAR_PX as f32).abs() < 0.3, "{method} right: {known} {near}");
     }
+}
+
+#[test]
+fn without_its_own_checks_the_matcher_keeps_all_that_it_keeps_with_them() {
+    let (strict, strict_right) = matched("bm");
+    let (all, all_right) = matched_with("bm", ", own_checks = false");
+    let known = |map: &[f32]| map.iter().filter(|v| v.is_finite()).count();
+    assert!(known(&all) > known(&strict), "{} of {}", known(&all), known(&strict));
+    for (a, s) in all.iter().zip(&strict).filter(|(_, s)| s.is_finite()) {
+        assert_eq!(a, s, "a match is the same whether it is checked or not");
+    }
+    // The right matcher never has them.
+    let bits = |map: &[f32]| map.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&all_right), bits(&strict_right));
 }
 
 #[test]

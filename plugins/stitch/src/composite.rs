@@ -149,6 +149,8 @@ pub struct Out<'f> {
 /// See the module.
 pub struct Composite {
     kernel: Compositor,
+    /// Seams found since the node was opened.
+    seams: u64,
 }
 
 /// The views of a tick and their maps to the first one.
@@ -228,7 +230,7 @@ impl Node for Composite {
     type Params = CompositeNodeParams;
 
     fn open(_: &Open<'_>, params: &CompositeNodeParams) -> Result<Self> {
-        Ok(Self { kernel: Compositor::new(params.kernel()) })
+        Ok(Self { kernel: Compositor::new(params.kernel()), seams: 0 })
     }
 
     fn process<'f>(
@@ -250,6 +252,8 @@ impl Node for Composite {
         let mut mask = if mask_is_read { Some(out.mask.alloc(canvas.width, canvas.height)?) } else { None };
         let report = self.kernel.compose(views, maps, scene.state, cx.pool(), &mut panorama, mask.as_mut())?;
         cx.metric("seam_cost_levels", f64::from(report.seam_cost));
+        self.seams += u64::from(report.seam_found);
+        cx.metric("seams_found", self.seams as f64);
         if out.shown.is_read() {
             self.kernel.shown(&mut out.shown.alloc(canvas.width, canvas.height)?)?;
         }

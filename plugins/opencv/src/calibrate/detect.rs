@@ -2,7 +2,7 @@
 
 use opencv::aruco;
 use opencv::calib3d;
-use opencv::core::{Mat, Point2f, Ptr, Size, TermCriteria, TermCriteria_COUNT, TermCriteria_EPS, Vector};
+use opencv::core::{Mat, Point2f, Ptr, Size, TermCriteria, TermCriteria_COUNT, TermCriteria_EPS, ToInputArray, Vector};
 use opencv::features2d::{Feature2D, SimpleBlobDetector};
 use opencv::imgproc;
 use panoscope_calibration::Board;
@@ -50,7 +50,7 @@ impl Detector {
 
     /// The points in a gray picture; none where there is no board. All of a chessboard or grid, what is seen of a ChArUco
     /// board.
-    pub fn find(&self, gray: &Mat) -> opencv::Result<Points> {
+    pub fn find(&self, gray: &impl ToInputArray) -> opencv::Result<Points> {
         let mut places = Vector::<Point2f>::new();
         let whole = |places: &Vector<Point2f>| places.iter().map(|p| [p.x, p.y]).enumerate().collect();
         match &self.0 {
@@ -91,7 +91,7 @@ impl Detector {
 }
 
 /// Looks in the picture as it is, and, as OpenCV's sample does, in twice its size.
-fn find_chessboard(gray: &Mat, corners: Size, places: &mut Vector<Point2f>) -> opencv::Result<bool> {
+fn find_chessboard(gray: &impl ToInputArray, corners: Size, places: &mut Vector<Point2f>) -> opencv::Result<bool> {
     let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE;
     if calib3d::find_chessboard_corners(gray, corners, places, flags)? {
         return Ok(true);

@@ -14,7 +14,7 @@ use panoscope_node::{
     Bgr8, Choice, Context, Gray8, Image, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, TableData, View,
 };
 
-use crate::mats::{Threads, failed, mat};
+use crate::mats::{Threads, borrowed, failed};
 use detect::{Detector, Points, same_order};
 use neighbours::keep_fitting;
 use solve::{Model, Pair, Procedure, Solution, solve};
@@ -189,7 +189,7 @@ impl CalibrateStereo {
             ViewState::NotNeeded
         } else {
             for side in 0..2 {
-                found[side] = mat(views[side]).and_then(|gray| self.detector.find(&gray)).map_err(failed)?;
+                found[side] = borrowed(views[side]).and_then(|gray| self.detector.find(&gray)).map_err(failed)?;
             }
             if let Board::Charuco { square_mm, .. } = self.board {
                 found.iter_mut().for_each(|points| keep_fitting(points, &self.places_mm, square_mm));

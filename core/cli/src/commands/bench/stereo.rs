@@ -131,13 +131,14 @@ inputs = {{ image = "rectify.left", disparity = "wls.disparity", confidence = "w
         let (Search { first_px, width_px, .. }, threads) = (self.search, self.threads);
         let matcher =
             format!("method = \"bm\", min_disparity_px = {first_px}, search_px = {width_px}, threads = {threads}");
+        // The matches are judged by the filter behind, as in OpenCV's sample `disparity_filtering`: tests of its own cost the matcher time.
         rectified("batch", &["opencv"], source)
             + &format!(
                 r#"
 [nodes.bm]
 type = "stereo_opencv"
 inputs = {{ left = "rectify.left", right = "rectify.right" }}
-params = {{ {matcher} }}
+params = {{ {matcher}, own_checks = false }}
 [nodes.wls]
 type = "disparity_wls_opencv"
 inputs = {{ image = "rectify.left", disparity = "bm.disparity", disparity_right = "bm.disparity_right" }}

@@ -17,6 +17,8 @@ entry = session.get_inputs()[0]
 height, width = [d if isinstance(d, int) else s for d, s in zip(entry.shape[-2:], (480, 640))]
 frame = cv2.imread(picture)
 network = []
+# Filled once: each frame covers the same part of it.
+canvas = np.full((height, width, 3), 114, np.uint8)
 
 
 def fit(rgb):
@@ -24,8 +26,11 @@ def fit(rgb):
     h, w = frame.shape[:2]
     scale = min(width / w, height / h)
     size = (round(w * scale), round(h * scale))
-    canvas = np.full((height, width, 3), 114, np.uint8)
-    canvas[: size[1], : size[0]] = cv2.resize(frame, size, interpolation=cv2.INTER_LINEAR)
+    part = canvas[: size[1], : size[0]]
+    if size == (w, h):
+        part[:] = frame
+    else:
+        part[:] = cv2.resize(frame, size, interpolation=cv2.INTER_LINEAR)
     if rgb:
         return cv2.dnn.blobFromImage(canvas, 1 / 255.0, swapRB=True), scale
     return cv2.dnn.blobFromImage(canvas), scale
