@@ -21,7 +21,7 @@ const DISC: ([f64; 2], f64, f64) = ([225.0, 120.0], 24.0, 14.0);
 /// `composite_opencv`'s default.
 const MARGIN_PX: i32 = 16;
 /// Sides of the canvas are rounded up to a multiple of this.
-const CELL_PX: i32 = 8;
+const CELL_PX: i32 = 16;
 
 fn lattice(x: i64, y: i64, seed: u32) -> f64 {
     let mut h = (x as u32).wrapping_mul(0x9E37_79B1) ^ (y as u32).wrapping_mul(0x85EB_CA77) ^ seed;
