@@ -13,10 +13,6 @@ use panoscope_runtime::clock;
 type Object = *mut c_void;
 type Probe = unsafe extern "C" fn(pad: Object, info: *mut c_void, times: *mut c_void) -> c_int;
 
-/// The source cuts its frames out of memory for 64: asked for one by one, each costs calls of the kernel that ours, out of a pool, does
-/// not have.
-const PARENT_BYTES: u32 = 64 * 921_600;
-
 const STATE_NULL: c_int = 1;
 const STATE_PLAYING: c_int = 4;
 const PROBE_BUFFER: c_int = 1 << 4;
@@ -103,7 +99,7 @@ impl GStreamer {
             format!(" is-live=true sync=true format=time datarate={}", (921_600.0 * hz) as u64)
         });
         let mut text = format!(
-            "fakesrc name=source num-buffers={frames} sizetype=fixed sizemax=921600 filltype=nothing data=subbuffer parentsize={PARENT_BYTES} silent=true signal-handoffs=false{pace}"
+            "fakesrc name=source num-buffers={frames} sizetype=fixed sizemax=921600 filltype=nothing silent=true signal-handoffs=false{pace}"
         );
         for element in elements {
             text.push_str(" ! ");

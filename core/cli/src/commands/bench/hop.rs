@@ -13,6 +13,7 @@ const THREADS: [usize; 4] = [1, 2, 4, 8];
 const PACED_HZ: f64 = 200.0;
 const QUEUE: u32 = 64;
 const IDENTITY: &str = "identity silent=true signal-handoffs=false";
+// `silent`: it need not signal that it runs full or empty.
 const GST_QUEUE: &str = "queue silent=true max-size-buffers=64 max-size-bytes=0 max-size-time=0";
 
 /// Least time per chain length over the rounds, ours and the peer's.
