@@ -62,7 +62,7 @@ pub struct CompositeOpencvParams {
     /// Room kept free around the first good registration, so that the canvas can hold still.
     #[param(default = 16, range = 0..=512, unit = "px")]
     canvas_margin: u32,
-    /// OpenCV's threads while this node works.
+    /// OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
@@ -94,6 +94,7 @@ pub struct Out<'f> {
 /// See the module.
 pub struct CompositeOpencv {
     canvas: Compositor,
+    threads: Threads,
 }
 
 /// A view on the canvas.
@@ -284,7 +285,7 @@ impl Node for CompositeOpencv {
             canvas_grow_after_frames: 0,
             ..CompositeParams::default()
         };
-        Ok(Self { canvas: Compositor::new(params) })
+        Ok(Self { canvas: Compositor::new(params), threads: Threads::hold()? })
     }
 
     fn process<'f>(
@@ -297,7 +298,7 @@ impl Node for CompositeOpencv {
         if input.homography.state == abi::STATE_LOST {
             return Ok(());
         }
-        let _threads = Threads::set(params.threads).map_err(failed)?;
+        self.threads.set(params.threads)?;
         let views = [input.left.view(), input.right.view()];
         let maps = [stitch::IDENTITY, input.homography.left_from_right];
         let canvas = self.canvas.canvas(&views, &maps, GeometryState::Fresh)?;

@@ -24,7 +24,7 @@ pub struct FeaturesParams {
     /// Keep a match only when each point is the other's best.
     #[param(default = true)]
     mutual: bool,
-    /// OpenCV's threads while this node works.
+    /// OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
@@ -50,7 +50,9 @@ pub struct Out<'f> {
 }
 
 /// See the module.
-pub struct FeaturesOpencv;
+pub struct FeaturesOpencv {
+    threads: Threads,
+}
 
 fn rows(found: &Found) -> Vec<f64> {
     let row = |p: &opencv::core::KeyPoint| [p.pt().x, p.pt().y, p.size(), p.angle(), p.response()].map(f64::from);
@@ -68,7 +70,7 @@ impl Node for FeaturesOpencv {
     type Params = FeaturesParams;
 
     fn open(_: &Open<'_>, _: &FeaturesParams) -> Result<Self> {
-        Ok(Self)
+        Ok(Self { threads: Threads::hold()? })
     }
 
     fn process<'f>(
@@ -79,7 +81,7 @@ impl Node for FeaturesOpencv {
         params: &FeaturesParams,
     ) -> Result<()> {
         const POINTS: [&str; 5] = ["x_px", "y_px", "size_px", "angle_deg", "response"];
-        let _threads = Threads::set(params.threads).map_err(failed)?;
+        self.threads.set(params.threads)?;
         let find = |view: &Image<'_, Gray8>| {
             let image = borrowed(view.view()).map_err(failed)?;
             params.detector.find(&image, params.max_points as usize, params.threshold).map_err(failed)

@@ -1,5 +1,7 @@
 //! Pictures as OpenCV's matrices, and its number of threads.
 
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
 use opencv::boxed_ref::BoxedRef;
 use opencv::core::{self, CV_8UC1, CV_8UC3, Mat, UMat};
 use opencv::prelude::*;
@@ -48,21 +50,57 @@ pub fn from_umat(umat: &UMat) -> opencv::Result<Mat> {
     Ok(out)
 }
 
-/// Sets OpenCV's number of threads, which holds for the whole process, and puts it back at the end of the scope.
-pub struct Threads(i32);
+/// OpenCV's number of threads, which holds for the whole process.
+///
+/// Setting it ends OpenCV's threads; the next loop starts them anew, too late to get a fair share of it. So the number stays as it is
+/// from frame to frame, and is put back when the last node that holds one of these is dropped.
+pub struct Threads(());
+
+struct Held {
+    holders: usize,
+    /// The number before the first holder.
+    before: i32,
+    /// What was set last; none when nothing was.
+    set: Option<u32>,
+}
+
+static HELD: Mutex<Held> = Mutex::new(Held { holders: 0, before: 0, set: None });
+
+fn held() -> MutexGuard<'static, Held> {
+    // Each update is one assignment: a panic leaves nothing half done.
+    HELD.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 impl Threads {
-    /// `threads` from now on.
-    pub fn set(threads: u32) -> opencv::Result<Self> {
-        let before = core::get_num_threads()?;
-        core::set_num_threads(threads as i32)?;
-        Ok(Self(before))
+    /// A share in OpenCV's number of threads; nothing changes yet.
+    pub fn hold() -> Result<Self> {
+        let mut held = held();
+        if held.holders == 0 {
+            held.before = core::get_num_threads().map_err(failed)?;
+            held.set = None;
+        }
+        held.holders += 1;
+        Ok(Self(()))
+    }
+
+    /// `threads` from now on, until another holder sets another number.
+    pub fn set(&self, threads: u32) -> Result<()> {
+        let mut held = held();
+        if held.set != Some(threads) {
+            core::set_num_threads(threads as i32).map_err(failed)?;
+            held.set = Some(threads);
+        }
+        Ok(())
     }
 }
 
 impl Drop for Threads {
     fn drop(&mut self) {
-        // A failure leaves the number as it is; nothing depends on it but speed.
-        let _ = core::set_num_threads(self.0);
+        let mut held = held();
+        held.holders -= 1;
+        if held.holders == 0 && held.set.take().is_some() {
+            // A failure leaves the number as it is; nothing depends on it but speed.
+            let _ = core::set_num_threads(held.before);
+        }
     }
 }

@@ -38,7 +38,7 @@ pub struct RegisterParams {
     /// Fewer inliers than this are no registration.
     #[param(default = 8, range = 4..=1000, unit = "points")]
     min_inliers: u32,
-    /// OpenCV's threads while this node works.
+    /// OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
@@ -62,6 +62,7 @@ pub struct Out<'f> {
 /// See the module.
 pub struct RegisterOpencv {
     last: [f64; 9],
+    threads: Threads,
 }
 
 /// Factor, at most 1, that shrinks `pixels` to so many million; 0 million leaves them.
@@ -128,7 +129,7 @@ impl Node for RegisterOpencv {
     type Params = RegisterParams;
 
     fn open(_: &Open<'_>, _: &RegisterParams) -> Result<Self> {
-        Ok(Self { last: Map::identity().0 })
+        Ok(Self { last: Map::identity().0, threads: Threads::hold()? })
     }
 
     fn process<'f>(
@@ -138,7 +139,7 @@ impl Node for RegisterOpencv {
         mut out: Out<'f>,
         params: &RegisterParams,
     ) -> Result<()> {
-        let _threads = Threads::set(params.threads).map_err(failed)?;
+        self.threads.set(params.threads)?;
         let (left, places_left) = find(input.left.view(), params).map_err(failed)?;
         let (right, places_right) = find(input.right.view(), params).map_err(failed)?;
         let pairs = params.detector.pairs(&left, &right, params.ratio, params.mutual).map_err(failed)?;

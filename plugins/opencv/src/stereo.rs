@@ -120,7 +120,7 @@ pub struct StereoParams {
     /// `disparity_wls_opencv`, which judges the matches itself.
     #[param(default = true)]
     own_checks: bool,
-    /// OpenCV's threads while this node works.
+    /// OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
@@ -146,6 +146,7 @@ pub struct StereoOut<'f> {
 /// Both matchers, kept from frame to frame.
 pub struct StereoOpencv {
     kept: Option<(Search, Ptr<StereoMatcher>, Ptr<StereoMatcher>)>,
+    threads: Threads,
 }
 
 // SAFETY: OpenCV's objects hold no thread's state; one thread at a time uses a node.
@@ -159,7 +160,7 @@ impl Node for StereoOpencv {
     type Params = StereoParams;
 
     fn open(_: &Open<'_>, _: &StereoParams) -> Result<Self> {
-        Ok(Self { kept: None })
+        Ok(Self { kept: None, threads: Threads::hold()? })
     }
 
     fn process<'f>(
@@ -181,7 +182,7 @@ impl Node for StereoOpencv {
             block_px: params.block_px,
             own_checks: params.own_checks,
         };
-        let _threads = Threads::set(params.threads).map_err(failed)?;
+        self.threads.set(params.threads)?;
         let right_is_read = out.disparity_right.is_read();
         let mut matched = || -> opencv::Result<(Mat, Option<Mat>)> {
             if self.kept.as_ref().is_none_or(|(kept, ..)| *kept != search) {
@@ -250,7 +251,7 @@ pub struct WlsParams {
     /// Sensitivity to the picture's edges.
     #[param(default = 1.5, range = 0.1..=100.0)]
     sigma_color: f64,
-    /// OpenCV's threads while this node works; the filter splits its rows among as many when it is made.
+    /// OpenCV's threads, for the whole process while this node is open; the filter splits its rows among as many when it is made.
     #[param(default = 1, range = 1..=64, reopen)]
     threads: u32,
 }
@@ -259,6 +260,7 @@ pub struct WlsParams {
 pub struct DisparityWlsOpencv {
     filter: Ptr<ximgproc::DisparityWLSFilter>,
     search: Search,
+    threads: Threads,
 }
 
 // SAFETY: as for `StereoOpencv`.
@@ -291,9 +293,10 @@ impl Node for DisparityWlsOpencv {
             block_px: params.block_px,
             own_checks: false,
         };
-        let _threads = Threads::set(params.threads).map_err(failed)?;
+        let threads = Threads::hold()?;
+        threads.set(params.threads)?;
         let filter = search.matcher().and_then(ximgproc::create_disparity_wls_filter).map_err(failed)?;
-        Ok(Self { filter, search })
+        Ok(Self { filter, search, threads })
     }
 
     fn process<'f>(
@@ -306,7 +309,7 @@ impl Node for DisparityWlsOpencv {
         let (guide, left, right) = (input.image.view(), input.disparity.view(), input.disparity_right.view());
         let (width, height) = (left.width, left.height);
         one_size(&[(width, height), (guide.width, guide.height), (right.width, right.height)])?;
-        let _threads = Threads::set(params.threads).map_err(failed)?;
+        self.threads.set(params.threads)?;
         let unknown = self.search.unknown();
         let mut filtered = || -> opencv::Result<(Mat, Mat)> {
             // A pixel of the right view that is unknown lies beyond every disparity searched.
@@ -365,13 +368,15 @@ pub struct FbsParams {
     /// Weight of smoothness.
     #[param(default = 128.0, range = 0.0..=100000.0)]
     lambda: f64,
-    /// OpenCV's threads while this node works.
+    /// OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
 
 /// OpenCV's fast bilateral solver.
-pub struct DisparityFbsOpencv;
+pub struct DisparityFbsOpencv {
+    threads: Threads,
+}
 
 impl Node for DisparityFbsOpencv {
     const INFO: NodeInfo = NodeInfo::compute("disparity_fbs_opencv", "stereo", "OpenCV's fast bilateral solver.");
@@ -380,7 +385,7 @@ impl Node for DisparityFbsOpencv {
     type Params = FbsParams;
 
     fn open(_: &Open<'_>, _: &FbsParams) -> Result<Self> {
-        Ok(Self)
+        Ok(Self { threads: Threads::hold()? })
     }
 
     fn process<'f>(
@@ -393,7 +398,7 @@ impl Node for DisparityFbsOpencv {
         let (guide, map, trust) = (input.image.view(), input.disparity.view(), input.confidence.view());
         let (width, height) = (map.width, map.height);
         one_size(&[(width, height), (guide.width, guide.height), (trust.width, trust.height)])?;
-        let _threads = Threads::set(params.threads).map_err(failed)?;
+        self.threads.set(params.threads)?;
         let solved = || -> opencv::Result<Mat> {
             let mut confidence = Mat::new_rows_cols_with_default(height as i32, width as i32, CV_32FC1, 0.0.into())?;
             for (y, row) in confidence.data_typed_mut::<f32>()?.chunks_exact_mut(width.max(1)).enumerate() {

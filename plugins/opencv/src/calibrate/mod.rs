@@ -121,6 +121,7 @@ pub struct CalibrateStereo {
     /// Index and pictures of the view that fills most.
     largest: Option<(usize, [Vec<u8>; 2])>,
     solution: Option<(Vec<usize>, Solution)>,
+    threads: Threads,
 }
 
 impl Node for CalibrateStereo {
@@ -141,7 +142,18 @@ impl Node for CalibrateStereo {
         };
         let detector = Detector::new(&board, is_sample).map_err(failed)?;
         let places_mm = board.points_mm();
-        Ok(Self { board, places_mm, detector, procedure, seen: Vec::new(), size: None, largest: None, solution: None })
+        let threads = Threads::hold()?;
+        Ok(Self {
+            board,
+            places_mm,
+            detector,
+            procedure,
+            seen: Vec::new(),
+            size: None,
+            largest: None,
+            solution: None,
+            threads,
+        })
     }
 
     fn process<'f>(
@@ -152,7 +164,7 @@ impl Node for CalibrateStereo {
         params: &CalibrateParams,
     ) -> Result<()> {
         let views = [input.left.view(), input.right.view()];
-        let _threads = Threads::set(1).map_err(failed)?;
+        self.threads.set(1)?;
         let found = self.look(cx, views, params)?;
         if out.image.is_read() && views[0].height == views[1].height && views[0].width == views[1].width {
             let mut image = out.image.alloc(2 * views[0].width, views[0].height)?;
