@@ -7,9 +7,9 @@
 //! that looks for none). Ours finds one every 15th frame: `seam` is its mean per frame,
 //! `seam_found` the time of a frame that finds one, `every_frame` the whole with one in each frame, as the peer has it.
 //!
-//! The peer is OpenCV through the nodes of the plugin `opencv`, not a program of its own: they call the same functions, and what they
-//! add (copies in and out of frames, below half a millisecond) is within the noise of two runs of `plugins/opencv/tests/reference.cpp`,
-//! which does the same work without us and which a test holds them against. Its options are the fastest that do the job:
+//! The peer is OpenCV through the nodes of the plugin `opencv`, not a program of its own: they call the same functions, and the copies
+//! in and out of frames that they add are small beside what those take. `plugins/opencv/tests/reference.cpp` does the same work without
+//! us; a test holds the nodes against it. The options are the fastest that do the job:
 //! - SIFT. Debian's OpenCV has no SURF. ORB takes a tenth of the time, but registers at most half of the frames of the phantom's liver,
 //!   AKAZE none. Brute force one way with the ratio test: matched both ways it takes twice as long and keeps the same inliers.
 //! - The graph cut on differences of colour, as OpenCV's own stitcher takes it. Over gradients, the default of the bare class, it takes
