@@ -5,6 +5,11 @@ use crate::nearest::{list, nearest};
 use crate::text::NodeText;
 use std::collections::HashMap;
 
+/// Help where there is no plugin anywhere, as after a plain `cargo build`, which leaves none where they are looked for.
+const NO_PLUGIN_AT_ALL: &str = "no plugin was found at all
+plugins are looked for in `plugins` beside the program, in the folders that PANOSCOPE_PLUGIN_PATH names and in the graph's `plugin_paths`
+`cargo build` does not put them there: run `cargo xtask build`, or `cargo xtask install DIR` for a folder that works without cargo";
+
 impl<'a> Checker<'a> {
     pub(super) fn plugins(&mut self) {
         let mut seen: HashMap<&str, &std::ops::Range<usize>> = HashMap::new();
@@ -36,10 +41,12 @@ impl<'a> Checker<'a> {
                 };
                 let mut help = match offers {
                     Some(plugin) => format!("write \"{plugin}\""),
-                    None if known.is_empty() => "no plugin was found at all".to_owned(),
+                    // Said once: it holds for all of them.
+                    None if known.is_empty() && seen.len() > 1 => String::new(),
+                    None if known.is_empty() => NO_PLUGIN_AT_ALL.to_owned(),
                     None => format!("plugins found: {}", list(known.iter().copied(), 12, "and")),
                 };
-                if offers.is_none() && near.is_none() {
+                if offers.is_none() && near.is_none() && !known.is_empty() {
                     help.push_str("\nplugins are looked for beside the program, in PANOSCOPE_PLUGIN_PATH and in the graph's `plugin_paths`");
                 }
                 // What was meant counts as listed, so that its node types are no mistakes as well.
