@@ -115,15 +115,19 @@ pub fn inset(room: Rect, size: Vec2, pictures: &[Rect]) -> Rect {
             return place;
         }
     }
-    // The corners of the picture with most room, as large as its middle lets it be.
+    // A corner of the room or of the largest picture, as large as the pictures' middles let it be, where it covers least.
     let area = |r: &Rect| r.width() * r.height();
     let largest = pictures.iter().copied().max_by(|a, b| area(a).total_cmp(&area(b))).unwrap_or(room);
     let most = (largest.width() * (1.0 - MIDDLE) / 2.0).min(room.width() * INSET_SHARES[0]);
     let allowed = |place: &Rect| pictures.iter().all(|p| apart(*place, middle(*p)));
-    let covered = |place: &Rect| pictures.iter().map(|p| area(&place.intersect(*p)).max(0.0)).sum::<f32>();
+    // In whole points: rounding must not choose between corners that are alike.
+    let covered = |place: &Rect| {
+        let shared = pictures.iter().map(|p| place.intersect(*p)).filter(Rect::is_positive);
+        shared.map(|r| area(&r)).sum::<f32>().round()
+    };
     let mut width = most;
     loop {
-        let places = corners(largest, width).into_iter().filter(allowed);
+        let places = corners(room, width).into_iter().chain(corners(largest, width)).filter(allowed);
         if let Some(place) = places.min_by(|a, b| covered(a).total_cmp(&covered(b))) {
             return place;
         }

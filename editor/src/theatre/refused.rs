@@ -11,13 +11,16 @@ use crate::theme;
 /// Width of the text in points.
 const WIDTH: f32 = 860.0;
 
+/// The last remedy where a lock refuses.
+const UNVERIFIED: &str = "Or open it unverified, which stays told on the screen:";
+
 /// The window of a theatre that did not open.
 pub struct Refused {
     heading: String,
     /// What is wrong, one line or text each.
     causes: Vec<String>,
-    /// What can be done, the best first.
-    remedies: Vec<String>,
+    /// What can be done, the best first, each with the command that does it.
+    remedies: Vec<(&'static str, Option<String>)>,
     left: bool,
     shot: Shot,
 }
@@ -34,33 +37,30 @@ impl Refused {
                 format!("{name} is not as it was locked"),
                 differences.iter().map(ToString::to_string).collect(),
                 vec![
-                    "Put back what has changed.".to_owned(),
-                    format!("Or verify the graph as it is now, and lock it anew: {lock}"),
-                    format!("Or open it without that, which stays told on the screen: {unlocked}"),
+                    ("Put back what has changed.", None),
+                    ("Or verify the graph as it is now, and lock it anew:", Some(lock)),
+                    (UNVERIFIED, Some(unlocked)),
                 ],
             ),
             OpenError::Lock(error) => (
                 format!("The lock of {name} cannot be read"),
                 vec![error.to_string()],
-                vec![
-                    format!("Verify the graph, and lock it anew: {lock}"),
-                    format!("Or open it without that, which stays told on the screen: {unlocked}"),
-                ],
+                vec![("Verify the graph, and lock it anew:", Some(lock)), (UNVERIFIED, Some(unlocked))],
             ),
             OpenError::Graph(diagnostics) => (
                 format!("{name} has mistakes"),
                 vec![diagnostics.render(false).trim_end().to_owned()],
-                vec![format!("Correct them in the editor: panoscope edit {file}")],
+                vec![("Correct them in the editor:", Some(format!("panoscope edit {file}")))],
             ),
             OpenError::NoPicture => (
                 format!("{name} makes no picture"),
                 vec![error.to_string()],
-                vec!["Name outputs with pictures in `views` of `[preset]`.".to_owned()],
+                vec![("Name outputs with pictures in `views` of `[preset]`.", None)],
             ),
             OpenError::Thread(_) => (
                 format!("{name} does not start"),
                 vec![error.to_string()],
-                vec!["Close other programs, then open it again.".to_owned()],
+                vec![("Close other programs, then open it again.", None)],
             ),
         };
         Self { heading, causes, remedies, left: false, shot }
@@ -81,10 +81,11 @@ impl Refused {
         ui.scope_builder(egui::UiBuilder::new().max_rect(room).layout(Layout::top_down(Align::Min)), |ui| {
             let text = |words: &str, size: f32, color| egui::Label::new(RichText::new(words).size(size).color(color)).wrap();
             ui.spacing_mut().item_spacing.y = 10.0;
+            ui.add_space(room.height() * 0.12);
             ui.add(text("The theatre was not opened", 18.0, theme::MUTED));
             ui.add(text(&self.heading, 34.0, theme::FAULT));
             ui.add_space(14.0);
-            let most = (ui.available_height() - 260.0).max(120.0);
+            let most = (ui.available_height() - 340.0).max(120.0);
             let frame = Frame::new().fill(theme::PANEL).corner_radius(8.0).inner_margin(Margin::same(18));
             frame.show(ui, |ui| {
                 ui.set_width(ui.available_width());
@@ -99,12 +100,17 @@ impl Refused {
             });
             ui.add_space(14.0);
             ui.add(text("What to do", 18.0, theme::MUTED));
-            for remedy in &self.remedies {
+            for (remedy, command) in &self.remedies {
                 ui.add(text(remedy, 17.0, theme::TEXT));
+                if let Some(command) = command {
+                    let words = RichText::new(command).monospace().size(16.0).color(theme::ACCENT);
+                    ui.add(egui::Label::new(words).wrap());
+                    ui.add_space(4.0);
+                }
             }
             ui.add_space(20.0);
-            let words = RichText::new("Close  (Esc)").size(18.0);
-            close |= ui.add(Button::new(words).min_size(vec2(180.0, 52.0)).corner_radius(12.0)).clicked();
+            let button = Button::new(RichText::new("Close (Esc)").size(18.0)).corner_radius(12.0);
+            close |= ui.add_sized(vec2(180.0, 52.0), button).clicked();
         });
         if close && !self.left {
             self.left = true;
