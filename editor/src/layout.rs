@@ -21,9 +21,9 @@ pub type Ground = ([f32; 2], [f32; 2]);
 pub fn free(wanted: [f32; 2], size: [f32; 2], taken: &[Ground]) -> [f32; 2] {
     let near = |a: f32, a_size: f32, b: f32, b_size: f32| a < b + b_size + MARGIN && b < a + a_size + MARGIN;
     let is_free = |at: [f32; 2]| {
-        !taken.iter().any(|(place, other)| {
-            near(at[0], size[0], place[0], other[0]) && near(at[1], size[1], place[1], other[1])
-        })
+        !taken
+            .iter()
+            .any(|(place, other)| near(at[0], size[0], place[0], other[0]) && near(at[1], size[1], place[1], other[1]))
     };
     let start = wanted.map(|v| (v / GRID).round() * GRID);
     for ring in 0..=MOST_RINGS {
@@ -131,8 +131,7 @@ pub fn layered_part(sizes: &[[f32; 2]], edges: &[(usize, usize)], part: &[usize]
     }
     let among = |n: &usize| part.binary_search(n).ok();
     let part_sizes: Vec<[f32; 2]> = part.iter().map(|n| sizes[*n]).collect();
-    let part_edges: Vec<(usize, usize)> =
-        edges.iter().filter_map(|(from, to)| among(from).zip(among(to))).collect();
+    let part_edges: Vec<(usize, usize)> = edges.iter().filter_map(|(from, to)| among(from).zip(among(to))).collect();
     let laid = layered(&part_sizes, &part_edges);
     let mut places = vec![[0.0; 2]; sizes.len()];
     part.iter().zip(laid.places).for_each(|(n, place)| places[*n] = place);

@@ -20,7 +20,8 @@ fn runs(name: &str, path: &Path, text: &str, frames: u64) {
     let parsed = GraphText::parse(path, text);
     let loader = Loader::search(&loader::search_path(&[]));
     let catalog = loader.catalog(&parsed.plugins());
-    let (graph, warnings) = check(&parsed, &catalog).into_result().unwrap_or_else(|m| panic!("{name}: {}", m.render(false)));
+    let (graph, warnings) =
+        check(&parsed, &catalog).into_result().unwrap_or_else(|m| panic!("{name}: {}", m.render(false)));
     assert!(warnings.is_empty(), "{name}: {}", warnings.render(false));
     let graph_dir = path.parent().expect("a folder").to_owned();
     let options = Options { frames: Some(frames), paced: false, graph_dir, ..Options::default() };
@@ -28,7 +29,12 @@ fn runs(name: &str, path: &Path, text: &str, frames: u64) {
     assert!(engine.wait(Some(Duration::from_secs(120))), "{name} does not end: {:?}", engine.recent_log());
     assert_eq!(engine.close(Duration::from_secs(30)), Outcome::Done, "{name}");
     for (node, counts) in engine.report().nodes {
-        assert!(counts.count > 0 && counts.faults == 0, "{name}: `{node}` made {}, {} faults", counts.count, counts.faults);
+        assert!(
+            counts.count > 0 && counts.faults == 0,
+            "{name}: `{node}` made {}, {} faults",
+            counts.count,
+            counts.faults
+        );
     }
 }
 
@@ -88,10 +94,7 @@ fn check_only(name: &str, path: &Path, text: &str) {
 /// Rectangles of all nodes, in the window's points.
 fn rects(window: &Window) -> Vec<(String, Rect)> {
     let nodes = window.app().document().view().nodes.clone();
-    nodes
-        .iter()
-        .map(|n| (n.id().to_owned(), window.harness.get_by_label(&format!("Node {}", n.id())).rect()))
-        .collect()
+    nodes.iter().map(|n| (n.id().to_owned(), window.harness.get_by_label(&format!("Node {}", n.id())).rect())).collect()
 }
 
 fn none_overlaps(window: &Window, what: &str) {
@@ -174,7 +177,9 @@ fn a_save_during_a_conflict_says_what_to_do() {
         window.key(CTRL, Key::S);
         window.steps(2);
         assert_eq!(std::fs::read_to_string(&path).expect("read"), theirs, "nothing is written over");
-        for words in ["Not saved.", "Choose which text to keep", "Take the file's", "Keep this one", "choose in the bar above"] {
+        for words in
+            ["Not saved.", "Choose which text to keep", "Take the file's", "Keep this one", "choose in the bar above"]
+        {
             assert!(window.harness.query_by_label_contains(words).is_some(), "`{words}` is not on the screen");
         }
         window.until_shown("Take the file's");

@@ -18,7 +18,9 @@ fn without_any_plugin_the_error_says_how_to_get_them() {
         let output = output.expect("it starts");
         let said = String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{said}");
-        for words in ["cargo xtask build", "cargo xtask install DIR", "PANOSCOPE_PLUGIN_PATH", "no plugin was found at all"] {
+        for words in
+            ["cargo xtask build", "cargo xtask install DIR", "PANOSCOPE_PLUGIN_PATH", "no plugin was found at all"]
+        {
             assert_eq!(said.matches(words).count(), 1, "`{words}` in what `{command}` says:\n{said}");
         }
     }

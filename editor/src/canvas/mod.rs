@@ -145,7 +145,8 @@ impl Canvas {
     pub fn place_for_new(&self) -> Pos2 {
         let last = self.selected.iter().next_back();
         let shape = last.and_then(|id| self.ids.iter().position(|known| known == id)).and_then(|n| self.shapes.get(n));
-        let beside = last.and_then(|id| self.place(id)).zip(shape).map(|(at, shape)| at + vec2(shape.size.x + BESIDE, 0.0));
+        let beside =
+            last.and_then(|id| self.place(id)).zip(shape).map(|(at, shape)| at + vec2(shape.size.x + BESIDE, 0.0));
         let seen = |at: &Pos2| self.rect.contains(self.transform() * *at);
         beside.filter(seen).unwrap_or_else(|| self.middle())
     }

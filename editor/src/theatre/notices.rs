@@ -92,8 +92,7 @@ impl Facts {
     /// What stands in place of the picture of `node`, which was never seen.
     pub fn no_picture(&self, node: &str, stopped: bool) -> NoPicture {
         const AGAIN: &str = "Correct this, then press Enter to start again. For a camera: check its cable and power, and close other programs that use it.";
-        const BY_ITSELF: &str =
-            "It is tried again by itself. For a camera: check its cable and power, and close other programs that use it.";
+        const BY_ITSELF: &str = "It is tried again by itself. For a camera: check its cable and power, and close other programs that use it.";
         let fault = self.source_faults.get(node).filter(|words| !words.is_empty());
         match (&self.why_dark, fault) {
             (Some(why), _) => NoPicture::Because { why: why.clone(), remedy: AGAIN },
@@ -263,7 +262,8 @@ mod tests {
 
     #[test]
     fn a_pane_without_a_picture_says_why_and_what_to_do() {
-        let why = "node `scope` (capture) did not open: camera 2 does not open: it may be in use by another program".to_owned();
+        let why = "node `scope` (capture) did not open: camera 2 does not open: it may be in use by another program"
+            .to_owned();
         let dark = Facts { why_dark: Some(why.clone()), trouble: Some(why.clone()), ..Facts::default() };
         assert_eq!(words(&dark), [format!("No picture: {why}")], "said once");
         match dark.no_picture("scope", false) {
@@ -275,7 +275,9 @@ mod tests {
         }
         let faults = HashMap::from([("scope".to_owned(), "camera 2 is gone".to_owned())]);
         let retried = Facts { source_faults: faults, ..Facts::default() };
-        assert!(matches!(retried.no_picture("scope", false), NoPicture::Because { remedy, .. } if remedy.contains("by itself")));
+        assert!(
+            matches!(retried.no_picture("scope", false), NoPicture::Because { remedy, .. } if remedy.contains("by itself"))
+        );
         assert_eq!(retried.no_picture("wide", false), NoPicture::Plain("starting"));
         assert_eq!(Facts::default().no_picture("wide", true), NoPicture::Plain("no picture"));
     }

@@ -79,7 +79,8 @@ impl Refused {
         let room = egui::Rect::from_center_size(whole.center(), vec2(width, whole.height() - 4.0 * EDGE));
         let mut close = ctx.input_mut(|i| i.consume_key(egui::Modifiers::NONE, Key::Escape));
         ui.scope_builder(egui::UiBuilder::new().max_rect(room).layout(Layout::top_down(Align::Min)), |ui| {
-            let text = |words: &str, size: f32, color| egui::Label::new(RichText::new(words).size(size).color(color)).wrap();
+            let text =
+                |words: &str, size: f32, color| egui::Label::new(RichText::new(words).size(size).color(color)).wrap();
             ui.spacing_mut().item_spacing.y = 10.0;
             ui.add_space(room.height() * 0.12);
             ui.add(text("The theatre was not opened", 18.0, theme::MUTED));

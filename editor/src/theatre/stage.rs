@@ -260,11 +260,8 @@ fn no_picture(ui: &mut Ui, room: Rect, why: &NoPicture) {
         let job = LayoutJob::simple(words.to_owned(), FontId::proportional(size), color, width);
         ui.painter().layout_job(job)
     };
-    let parts = [
-        ("No picture", 26.0, theme::FAULT, 12.0),
-        (why, 18.0, theme::TEXT, 20.0),
-        (remedy, 18.0, theme::ACCENT, 0.0),
-    ];
+    let parts =
+        [("No picture", 26.0, theme::FAULT, 12.0), (why, 18.0, theme::TEXT, 20.0), (remedy, 18.0, theme::ACCENT, 0.0)];
     // Small panes take smaller letters rather than a cut message.
     let (mut scale, mut laid) = (1.0, Vec::new());
     while scale > 0.5 {

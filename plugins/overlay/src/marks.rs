@@ -157,7 +157,8 @@ pub fn tip(out: &mut ViewMut<'_, u8>, tip: &Tip, pen: &Pen, words: &mut String, 
         let reach = pen.reach_px() + pen.line_px;
         let anchor = Area { x: x + reach, y, width: 0.0, height: 0.0 };
         let around = tip_area(tip, pen).unwrap_or(anchor);
-        let place = labels.place_at((anchor.x, anchor.y), pen.room(words)).or_else(|| labels.place(around, pen.room(words)));
+        let place =
+            labels.place_at((anchor.x, anchor.y), pen.room(words)).or_else(|| labels.place(around, pen.room(words)));
         if let Some(at) = place {
             pen.write(out, at, words, color);
         }

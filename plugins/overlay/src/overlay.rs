@@ -249,12 +249,8 @@ impl Node for Overlay {
         let corner = params.label_corner.at(frame, size, 4.0 * params.text_scale);
         // Lines and bright tissue stay away from the letters.
         let room = (2.0 * params.text_scale).ceil();
-        let plate = Area {
-            x: corner.0 - room,
-            y: corner.1 - room,
-            width: size.0 + 2.0 * room,
-            height: size.1 + 2.0 * room,
-        };
+        let plate =
+            Area { x: corner.0 - room, y: corner.1 - room, width: size.0 + 2.0 * room, height: size.1 + 2.0 * room };
         // What keeps its place is taken before labels look for theirs.
         self.labels.begin(frame.0, frame.1);
         if !words.is_empty() {

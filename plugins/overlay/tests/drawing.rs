@@ -91,8 +91,15 @@ fn labels_of_two_boxes_and_a_tip_do_not_cover_each_other() {
     let inner =
         Detection { x_px: 24.0, y_px: 104.0, width_px: 270.0, height_px: 66.0, class_index: 2, ..detection(0.0, 0.0) };
     // Just where the label of the outer box would stand; that of the inner one has room below it, off the outer box's lines.
-    let tip =
-        Tip { u_px: 130.0, v_px: 70.0, xyz_mm: [1.5, -2.5, 66.0], score: 0.5, class_index: 0, xyz_valid: 1, track_id: 1 };
+    let tip = Tip {
+        u_px: 130.0,
+        v_px: 70.0,
+        xyz_mm: [1.5, -2.5, 66.0],
+        score: 0.5,
+        class_index: 0,
+        xyz_valid: 1,
+        track_id: 1,
+    };
     // Pixels of the outer box with its label, and of the tip with its words.
     let inked = |boxes: &[Detection], with_tip: bool| {
         let mut node = overlay("");
