@@ -38,11 +38,11 @@ params = { scene = "bowel", seed = 7, distance_mm = 66.0, tools = 1 }
 [nodes.left]
 type = "write_images"
 inputs = { image = "scope.left" }
-params = { path = "left.png" }
+params = { path = "left_{seq}.png" }
 [nodes.right]
 type = "write_images"
 inputs = { image = "scope.right" }
-params = { path = "right.png" }
+params = { path = "right_{seq}.png" }
 "#;
 
 /// The phantom's cameras, as `panoscope calibrate` would write them.
