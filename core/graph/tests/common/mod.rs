@@ -50,7 +50,16 @@ fn with(mut node: NodeType, params: Vec<Param>) -> NodeType {
 }
 
 fn param(name: &str, unit: &str, doc: &str, kind: ParamKind) -> Param {
-    Param { name: name.to_owned(), doc: doc.to_owned(), unit: unit.to_owned(), kind, reopen: false, pick: Pick::None }
+    Param {
+        name: name.to_owned(),
+        doc: doc.to_owned(),
+        unit: unit.to_owned(),
+        kind,
+        reopen: false,
+        pick: Pick::None,
+        writes: false,
+        shipped: false,
+    }
 }
 
 fn int(name: &str, unit: &str, doc: &str, default: i64, min: i64, max: i64, step: Option<i64>) -> Param {
@@ -67,6 +76,10 @@ fn bool(name: &str, doc: &str, default: bool) -> Param {
 
 fn path(name: &str, doc: &str, default: &str, must_exist: bool) -> Param {
     param(name, "", doc, ParamKind::Path { default: default.to_owned(), must_exist })
+}
+
+fn written(name: &str, doc: &str, default: &str) -> Param {
+    Param { writes: true, ..path(name, doc, default, false) }
 }
 
 fn choice(name: &str, doc: &str, choices: &[&str]) -> Param {
@@ -220,11 +233,14 @@ pub fn catalog() -> Catalog {
         with(
             sink(node("sinks", "write_video", &["image: image bgr8 gray8"], &[])),
             vec![
-                path("path", "File to write.", "out/video.mkv", false),
+                written("path", "File to write.", "out/video.mkv"),
                 float("fps", "Hz", "Frames per second of the file.", 30.0, 1.0, 240.0),
             ],
         ),
-        sink(node("sinks", "write_images", &["images*: image"], &[])),
+        with(
+            sink(node("sinks", "write_images", &["images*: image"], &[])),
+            vec![written("path", "Files to write; {seq} is the tick.", "out/{seq}.png")],
+        ),
         sink(node("sinks", "write_table", &["table: table"], &[])),
         sink(node("sinks", "preview", &["packet: any"], &[])),
         // Two plugins with a node type of one name, and two with other ideas of one packet.
