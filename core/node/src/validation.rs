@@ -128,6 +128,12 @@ impl<'a> Validation<'a> {
         self.tell(abi::PROBLEM_WARNING, abi::NO_PARAM, message.as_ref(), help.as_ref());
     }
 
+    /// Whether the node has a parameter of that name.
+    pub fn has_param(&self, name: &str) -> bool {
+        // SAFETY: names of parameters are static texts made by the derive.
+        self.names.params.iter().any(|p| unsafe { p.name.bytes() } == name.as_bytes())
+    }
+
     #[track_caller]
     fn position(&self, param: &str) -> u32 {
         position(self.names.params.iter().map(|p| p.name), "parameter", param) as u32

@@ -5,7 +5,9 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 
-use crate::build::{Means, Profile, build, build_editor, editor_name, library_name, place, program_name};
+use crate::build::{
+    Means, Profile, build, build_editor, editor_name, lay_out_models, library_name, place, place_files, program_name,
+};
 use crate::workspace::Workspace;
 
 /// Builds in release and copies the program, the editor, `plugins/` with their models, and `graphs/` into `dir`.
@@ -16,30 +18,14 @@ pub fn install(workspace: &Workspace, dir: &Path) -> Result<()> {
     for plugin in &workspace.plugins {
         let name = library_name(&plugin.name);
         place(&built.plugin_dir.join(&name), &plugin_dir.join(&name), Means::Copy)?;
-        // Where graphs look for them: `../plugins/NAME/models/`.
-        let models = Path::new("plugins").join(&plugin.name).join("models");
-        if workspace.root.join(&models).is_dir() {
-            copy_files(&workspace.root.join(&models), &dir.join(&models), &["onnx", "md", "txt"])?;
-        }
     }
-    copy_files(&workspace.root.join("graphs"), &dir.join("graphs"), &["toml"])?;
+    lay_out_models(workspace, &plugin_dir, Means::Copy)?;
+    place_files(&workspace.root.join("graphs"), &dir.join("graphs"), &["toml"], Means::Copy)?;
     place(&build_editor(workspace, Profile::Release)?, &dir.join(editor_name()), Means::Copy)?;
     // Last, so that a program that starts finds everything it came with.
     let program = dir.join(program_name());
     place(&built.program, &program, Means::Copy)?;
     println!("{}", program.display());
-    Ok(())
-}
-
-/// Copies the files of a folder that have one of these endings; what runs have written beside them stays behind.
-fn copy_files(from: &Path, to: &Path, endings: &[&str]) -> Result<()> {
-    fs::create_dir_all(to).with_context(|| format!("cannot make {}", to.display()))?;
-    for entry in fs::read_dir(from).with_context(|| format!("cannot read {}", from.display()))?.flatten() {
-        let path = entry.path();
-        if path.extension().is_some_and(|extension| endings.iter().any(|wanted| extension == *wanted)) {
-            place(&path, &to.join(entry.file_name()), Means::Copy)?;
-        }
-    }
     Ok(())
 }
 
@@ -54,7 +40,7 @@ mod tests {
         fs::create_dir_all(from.join("out")).unwrap();
         fs::write(from.join("a.toml"), "name = \"a\"").unwrap();
         fs::write(from.join("a.mkv"), "video").unwrap();
-        copy_files(&from, &to, &["toml"]).unwrap();
+        place_files(&from, &to, &["toml"], Means::Copy).unwrap();
         let names: Vec<_> = fs::read_dir(&to).unwrap().flatten().map(|file| file.file_name()).collect();
         assert_eq!(names, ["a.toml"]);
         fs::remove_dir_all(&folder).unwrap();

@@ -7,7 +7,8 @@ use panoscope_imaging::SharedMut;
 use panoscope_node::abi::Detection;
 use panoscope_node::detections::mask_len;
 use panoscope_node::{
-    AnyImage, Choice, Context, LabeledInstances, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Slot, error,
+    AnyImage, Choice, Context, LabeledInstances, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Slot,
+    Validation, error,
 };
 
 use crate::candidates::{Candidate, Decoder, suppress};
@@ -15,7 +16,7 @@ use crate::export_kind::ExportKind;
 use crate::letterbox::{Fit, PixelForm, Placement};
 use crate::model::{Tensor, Values};
 use crate::track::Tracker;
-use crate::yolo::{Network, detection, picture_of};
+use crate::yolo::{Network, check_labels, detection, picture_of};
 
 /// Inputs.
 #[derive(Ports)]
@@ -48,7 +49,7 @@ pub enum Family {
 #[derive(Params)]
 pub struct MaskRcnnParams {
     /// The network, an .onnx file.
-    #[param(default = "models/instrument_masks.onnx", reopen, must_exist)]
+    #[param(default = "models/instrument_masks.onnx", reopen, must_exist, shipped)]
     model: PathBuf,
     /// Whose export it is.
     #[param(default = "auto", reopen)]
@@ -258,6 +259,10 @@ impl Node for MaskRcnn {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = MaskRcnnParams;
+
+    fn validate(params: &MaskRcnnParams, check: &mut Validation<'_>) {
+        check_labels(check, &params.labels);
+    }
 
     fn open(open: &Open<'_>, params: &MaskRcnnParams) -> Result<Self> {
         let size = (params.input_width, params.input_height);

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use panoscope_node::abi::Detection;
 use panoscope_node::{
     AnyImage, Bgr8, Choice, Context, Gray8, LabeledDetections, Node, NodeInfo, Open, Parallel, Params, Ports, Result,
-    Slot, View, error,
+    Slot, Validation, View, error,
 };
 
 use crate::candidates::{Candidate, Decoder, suppress};
@@ -67,7 +67,7 @@ impl Layout {
 #[derive(Params)]
 pub struct YoloParams {
     /// The network, an .onnx file.
-    #[param(default = "models/instruments.onnx", reopen, must_exist)]
+    #[param(default = "models/instruments.onnx", reopen, must_exist, shipped)]
     model: PathBuf,
     /// Family of the export.
     #[param(default = "auto", reopen)]
@@ -136,6 +136,15 @@ impl Network {
     }
 }
 
+/// Reports a file of labels that does not serve.
+pub(crate) fn check_labels(check: &mut Validation<'_>, file: &std::path::Path) {
+    if !file.as_os_str().is_empty()
+        && let Err(why) = labels::from_file(file)
+    {
+        check.error("labels", why, "");
+    }
+}
+
 /// Finds tools in a picture.
 pub struct Yolo {
     network: Network,
@@ -174,6 +183,10 @@ impl Node for Yolo {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = YoloParams;
+
+    fn validate(params: &YoloParams, check: &mut Validation<'_>) {
+        check_labels(check, &params.labels);
+    }
 
     fn open(open: &Open<'_>, params: &YoloParams) -> Result<Self> {
         let size = (params.input_width, params.input_height);

@@ -83,6 +83,11 @@ impl<'a> Checker<'a> {
         format!("`{name}` of `{}`", self.id(file.node))
     }
 
+    /// A path as a graph file would write it, where it lies in the folder of the graph.
+    fn shown(&self, path: &Path) -> String {
+        path.strip_prefix(tidy(&self.resolve("."))).unwrap_or(path).display().to_string()
+    }
+
     /// A diagnostic at the value of the parameter, with a note at the other one where both stand in the same text.
     fn about_both(&self, severity: Severity, code: &'static str, main: &File, other: (&File, &str), message: String) -> Diagnostic {
         let place = |file: &File| {
@@ -102,7 +107,7 @@ impl<'a> Checker<'a> {
             "{} and {} are one file, {}: what one of them writes would be lost",
             self.owner(first),
             self.owner(second),
-            second.path.display()
+            self.shown(&second.path)
         );
         let mut d = self.about_both(Severity::Error, "written-twice", second, (first, "written here too"), message);
         d.help("give each its own file");
@@ -113,7 +118,7 @@ impl<'a> Checker<'a> {
         let message = format!(
             "{} reads {}, which {} writes while the graph runs",
             self.owner(reader),
-            reader.path.display(),
+            self.shown(&reader.path),
             self.owner(writer)
         );
         let mut d = self.about_both(Severity::Warning, "read-while-written", reader, (writer, "written here"), message);

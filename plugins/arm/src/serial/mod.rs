@@ -7,10 +7,10 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use panoscope_node::abi::{Joints, Pose, Tip};
-use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Value};
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation, Value};
 
 use crate::guard;
-use crate::joints::{arm_of, asked, camera_pose, packet, tell_links};
+use crate::joints::{arm_of, check_arm, asked, camera_pose, packet, tell_links};
 use driver::{Driver, Place};
 
 /// Inputs.
@@ -94,6 +94,10 @@ impl Node for ArmSerial {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = SerialParams;
+
+    fn validate(params: &SerialParams, check: &mut Validation<'_>) {
+        check_arm(check, &params.arm);
+    }
 
     fn open(_: &Open<'_>, params: &SerialParams) -> Result<Self> {
         let chain = arm_of(&params.arm)?;

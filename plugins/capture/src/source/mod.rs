@@ -24,6 +24,14 @@ pub enum CaptureError {
         /// What else there is.
         hint: String,
     },
+    /// A camera that is not there.
+    #[error("there is no camera {path}: {present}", path = path.display())]
+    NoDevice {
+        /// The device's file.
+        path: PathBuf,
+        /// Which there are.
+        present: String,
+    },
     /// A pattern or folder without any image.
     #[error("no image matches {pattern}; {hint}")]
     NoMatch {
