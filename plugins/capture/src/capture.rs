@@ -11,7 +11,7 @@ use panoscope_node::{
 };
 
 use crate::crop::{self, Halves, Rect};
-use crate::source::{CaptureError, Grab, Lock, Picture, Request, Source, SourceName};
+use crate::source::{CaptureError, Grab, Lock, Picture, Request, Source, SourceName, unknown_element};
 
 /// Most views of one node.
 const MAX_VIEWS: usize = 4;
@@ -394,6 +394,12 @@ impl Node for Capture {
         };
         let mut names = Vec::with_capacity(texts.len());
         for (param, text) in texts {
+            if text.contains('!')
+                && let Some(element) = unknown_element(text)
+            {
+                let message = format!("the pipeline names `{element}`, which is no GStreamer element of this machine");
+                check.error(param, message, "correct the name, or install its plugin; gst-inspect-1.0 lists all elements");
+            }
             names.push(match SourceName::parse(text, folder) {
                 Ok(name) => Some(name),
                 // A camera may be plugged in until the graph runs.

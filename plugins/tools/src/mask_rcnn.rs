@@ -13,6 +13,7 @@ use panoscope_node::{
 
 use crate::candidates::{Candidate, Decoder, suppress};
 use crate::export_kind::ExportKind;
+use crate::finite::{Rows, count_bad};
 use crate::letterbox::{Fit, PixelForm, Placement};
 use crate::model::{Tensor, Values};
 use crate::track::Tracker;
@@ -245,6 +246,11 @@ fn mix(map: &[f32], (width, height): (usize, usize), at: Place, line: &mut [f32]
     }
 }
 
+/// YOLO exports that segment answer their boxes in columns.
+fn rows_of(is_yolo: bool) -> Rows {
+    if is_yolo { Rows::Columns } else { Rows::Whole }
+}
+
 fn pixel_form(family: Family) -> PixelForm {
     match family {
         Family::Detectron2 => PixelForm { rgb: false, mean: [0.0; 3], gain: [1.0; 3], fit: Fit::Corner },
@@ -272,6 +278,8 @@ impl Node for MaskRcnn {
         let named = network.model.metadata("family").map(str::to_owned);
         let path = network.model.path().to_owned();
         let (family, classes) = network.model.run(&gray, |outputs| -> Result<_> {
+            let segments = matches!(outputs, [boxes, _] if boxes.shape.len() == 3);
+            count_bad(&path, outputs, rows_of(segments)).map_err(|e| error!("{e}"))?;
             if let [boxes, prototypes] = outputs
                 && let ([1, len, _], [1, masks, _, _]) = (&boxes.shape[..], &prototypes.shape[..])
                 && matches!(params.family, Family::Auto | Family::YoloSeg)
@@ -317,8 +325,10 @@ impl Node for MaskRcnn {
         let net = self.network.model.input_size();
         let placement = self.network.letterbox.fit(picture, net, &pixel_form(self.family), cx.pool());
         let family = self.family;
-        let Self { network: Network { model, letterbox, .. }, path, candidates, maps, map_size, .. } = self;
+        let Self { network: Network { model, letterbox, damage, .. }, path, candidates, maps, map_size, .. } = self;
         let covers = model.run(&letterbox.input, |outputs| -> Result<Covers> {
+            let bad = count_bad(path, outputs, rows_of(family == Family::YoloSeg)).map_err(|e| error!("{e}"))?;
+            damage.tell(cx, path, bad);
             maps.clear();
             candidates.clear();
             if family == Family::YoloSeg {

@@ -1,5 +1,6 @@
 //! Where pictures come from: one [`Source`] per camera, file, image sequence or pipeline.
 
+mod elements;
 mod images;
 mod name;
 mod stream;
@@ -7,6 +8,7 @@ mod stream;
 use std::path::PathBuf;
 use std::time::Instant;
 
+pub use elements::unknown_element;
 pub use name::SourceName;
 pub use stream::Lock;
 
