@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use panoscope_graph::{Diagnostics, GraphText, Severity, check};
-use panoscope_runtime::{Loader, loader};
+use panoscope_graph::{Diagnostics, GraphText, ParamValue, Severity, check};
+use panoscope_runtime::{Engine, Loader, Options, loader};
 
 /// The diagnostics of a graph text in `folder`.
 fn diagnostics(folder: &Path, text: &str) -> Diagnostics {
@@ -386,5 +386,29 @@ fn the_shipped_models_are_found_from_any_folder() {
                 [nodes.out]\ntype = \"write_table\"\ninputs = { detections = \"find.detections\", instances = \"cut.instances\" }\n";
     let found = diagnostics(&folder, text);
     assert!(!found.has_errors(), "{}", found.render(false));
+    std::fs::remove_dir_all(folder).expect("removed");
+}
+
+#[test]
+fn a_running_node_refuses_what_check_would_refuse() {
+    let folder = folder("set");
+    let text = "mode = \"batch\"\nplugins = [\"phantom\", \"stereo\", \"sinks\"]\n[nodes.scope]\ntype = \"phantom\"\nparams = { width = 128, height = 96 }\n\
+                [nodes.match]\ntype = \"stereo_sgbm\"\ninputs = { left = \"scope.left\", right = \"scope.right\" }\n\
+                [nodes.out]\ntype = \"write_raw\"\ninputs = { disparity = \"match.disparity\" }\nparams = { path = \"out/d.pfm\" }\n";
+    let path = folder.join("graph.toml");
+    let (graph, catalog, loader) = panoscope_tests::load(&path, text).unwrap_or_else(|mistakes| panic!("{mistakes}"));
+    let options = Options { threads: 2, graph_dir: folder.clone(), ..Options::default() };
+    let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
+    let set = |param: &str, value: i64| engine.set_param("match", param, ParamValue::Int(value));
+    let refused = set("small_penalty", 100).expect_err("not below 100").to_string();
+    assert!(refused.starts_with("`match.small_penalty`: `small_penalty` is 100, not below `large_penalty`"), "{refused}");
+    let values = engine.param_values("match").expect("a node");
+    assert!(values.contains(&ParamValue::Int(10)), "the old value stays: {values:?}");
+    set("large_penalty", 110).expect("it is above");
+    set("small_penalty", 100).expect("now it is below");
+    // A path that cannot be written is refused before the file in use is touched.
+    let refused = engine.set_param("out", "path", ParamValue::Path(folder.join("q.jpg"))).expect_err("no such format");
+    assert!(refused.to_string().contains("no format has the ending `jpg`"), "{refused}");
+    engine.close(std::time::Duration::from_secs(30));
     std::fs::remove_dir_all(folder).expect("removed");
 }
