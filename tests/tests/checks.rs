@@ -162,6 +162,12 @@ const CASES: &[Case] = &[
         outputs: &["detections"],
         found: (ERROR, PARAM, "\"names.txt\"", "cannot read the labels"),
     },
+    Case {
+        name: "tips of nothing",
+        node: "type = \"tool_tip\"\ninputs = { image = \"scope.left\" }",
+        outputs: &["tip"],
+        found: (WARNING, NODE, "it", "neither `detections` nor `instances` is connected"),
+    },
     // --- overlay
     Case {
         name: "half an offset",
@@ -187,6 +193,12 @@ const CASES: &[Case] = &[
         node: "type = \"arm_sim\"\nparams = { arm = \"words.txt\" }\ninputs = { tip = \"scope.tip\" }",
         outputs: &["joints"],
         found: (ERROR, PARAM, "\"words.txt\"", "words.txt: "),
+    },
+    Case {
+        name: "a serial line that is not there",
+        node: "type = \"arm_serial\"\nparams = { port = \"/dev/ttyNONE9\" }\ninputs = { tip = \"scope.tip\" }",
+        outputs: &["joints"],
+        found: (WARNING, PARAM, "\"/dev/ttyNONE9\"", "there is no serial line /dev/ttyNONE9"),
     },
     // --- phantom
     Case {
@@ -256,7 +268,7 @@ const CASES: &[Case] = &[
         node: "type = \"write_cloud\"\ninputs = { cloud = \"points.cloud\" }\nparams = { path = \"words.txt/q.ply\" }\n\
                [nodes.points]\ntype = \"reproject\"\ninputs = { image = \"scope.left\", disparity = \"bm.disparity\", calibration = \"scope.calibration\" }",
         outputs: &[],
-        found: (ERROR, PARAM, "\"words.txt/q.ply\"", "which is a file and no folder"),
+        found: (ERROR, PARAM, "\"words.txt/q.ply\"", "is a file, not a folder"),
     },
     Case {
         name: "other numbers in a COCO file",
@@ -293,7 +305,11 @@ fn every_node_refuses_at_check_what_it_would_refuse_when_it_runs() {
             d.severity == severity && d.code == code && &text[d.span.clone()] == at && d.message.contains(words)
         };
         if !found.iter().any(fits) || found.errors() != usize::from(severity == ERROR) {
-            wrong.push(format!("--- {}: expected {severity:?} {code} at {at}: {words}\n{}", case.name, found.render(false)));
+            wrong.push(format!(
+                "--- {}: expected {severity:?} {code} at {at}: {words}\n{}",
+                case.name,
+                found.render(false)
+            ));
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
@@ -310,6 +326,7 @@ fn readers(case: &Case) -> String {
             "depth" => ("write_raw", "depth", "pfm"),
             "detections" => ("write_table", "detections", "jsonl"),
             "joints" => ("write_table", "joints", "jsonl"),
+            "tip" => ("write_table", "tip", "jsonl"),
             "table" => ("write_table", "table", "jsonl"),
             // Calibrations are read by `rectify`.
             _ => {
@@ -372,7 +389,10 @@ fn a_type_of_an_installed_plugin_says_which_to_list() {
     let text = "plugins = [\"phantom\"]\n[nodes.scope]\ntype = \"phantom\"\n[nodes.find]\ntype = \"yolo\"\ninputs = { image = \"scope.left\" }\n\
                 [nodes.out]\ntype = \"write_table\"\ninputs = { detections = \"find.detections\" }\n";
     let rendered = diagnostics(&folder, text).render(false);
-    assert!(rendered.contains("node type `yolo` belongs to plugin `tools`, which `plugins` does not list"), "{rendered}");
+    assert!(
+        rendered.contains("node type `yolo` belongs to plugin `tools`, which `plugins` does not list"),
+        "{rendered}"
+    );
     assert!(rendered.contains("write plugins = [\"phantom\", \"tools\", \"sinks\"]"), "{rendered}");
     std::fs::remove_dir_all(folder).expect("removed");
 }
@@ -401,7 +421,10 @@ fn a_running_node_refuses_what_check_would_refuse() {
     let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
     let set = |param: &str, value: i64| engine.set_param("match", param, ParamValue::Int(value));
     let refused = set("small_penalty", 100).expect_err("not below 100").to_string();
-    assert!(refused.starts_with("`match.small_penalty`: `small_penalty` is 100, not below `large_penalty`"), "{refused}");
+    assert!(
+        refused.starts_with("`match.small_penalty`: `small_penalty` is 100, not below `large_penalty`"),
+        "{refused}"
+    );
     let values = engine.param_values("match").expect("a node");
     assert!(values.contains(&ParamValue::Int(10)), "the old value stays: {values:?}");
     set("large_penalty", 110).expect("it is above");

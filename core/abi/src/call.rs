@@ -90,8 +90,7 @@ pub struct ValidateCall {
     pub outputs_read: u64,
     /// Takes one problem: a `PROBLEM_` severity, the position of the parameter it is about (or [`NO_PARAM`]), what is wrong in one
     /// sentence, and what to do about it (may be empty). Texts are copied.
-    pub invalid:
-        Option<unsafe extern "C" fn(call: *mut c_void, severity: u32, param: u32, message: Str, help: Str)>,
+    pub invalid: Option<unsafe extern "C" fn(call: *mut c_void, severity: u32, param: u32, message: Str, help: Str)>,
 }
 
 /// Arguments of [`crate::NodeType::process`].

@@ -4,7 +4,9 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, NodeSetup, ParamKind, ParamValue, Pick, Severity, check};
+use panoscope_graph::{
+    Catalog, Diagnostics, Graph, GraphText, NodeSetup, ParamKind, ParamValue, Pick, Severity, check,
+};
 
 const PENALTIES: &str = "plugins = [\"phantom\", \"stereo\", \"sinks\"]\n[nodes.scope]\ntype = \"phantom\"\n\
     [nodes.stereo]\ntype = \"stereo_sgbm\"\ninputs = { left = \"scope.left\", right = \"scope.right\" }\n\

@@ -118,7 +118,11 @@ unsafe extern "C" fn validate<N: Node>(call: *mut abi::ValidateCall) -> abi::Sta
     let checked = guard::catch(|| {
         // SAFETY: texts and values of the call are valid for its length.
         let (node_id, graph_dir, values) = unsafe {
-            (call.node_id.text().unwrap_or(""), call.graph_dir.text().unwrap_or(""), values(call.params, call.params_len))
+            (
+                call.node_id.text().unwrap_or(""),
+                call.graph_dir.text().unwrap_or(""),
+                values(call.params, call.params_len),
+            )
         };
         let mut take = |p: Problem<'_>| report(p.severity, p.param, p.message, p.help);
         let counts = match call.connections_len {

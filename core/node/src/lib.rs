@@ -174,7 +174,8 @@ impl NodeInfo {
 pub mod __private {
     pub use crate::packet::{plain_size, sum};
     pub use crate::param::{
-        Declared, DefaultValue, has_word, is_flag, is_floats, is_number, is_path, is_text, on_step, param, wrong_param_count,
+        Declared, DefaultValue, has_word, is_flag, is_floats, is_number, is_path, is_text, on_step, param,
+        wrong_param_count,
     };
     pub use crate::port::port;
 }

@@ -96,7 +96,10 @@ fn parameters_and_wiring_are_judged_without_opening() {
 fn a_check_that_panics_is_a_problem_and_no_crash() {
     let told = problems("high = 10", &["image"]);
     let [(Severity::Error, None, words)] = &told[..] else { panic!("{told:?}") };
-    assert!(words.contains("panicked at core/node/tests/validation.rs:") && words.ends_with("ten is too much"), "{words}");
+    assert!(
+        words.contains("panicked at core/node/tests/validation.rs:") && words.ends_with("ten is too much"),
+        "{words}"
+    );
 }
 
 #[test]
@@ -131,13 +134,8 @@ fn described(node: *const abi::NodeType) -> NodeType {
 fn ask(node_type: &NodeType) -> Option<Vec<ParamProblem>> {
     let wiring = Wiring { connections: vec![1, 0], outputs_read: 1 };
     let params = [ParamValue::Int(6), ParamValue::Int(5)];
-    let setup = NodeSetup {
-        node_id: "n",
-        params: &params,
-        graph_dir: Path::new(""),
-        batch: true,
-        wiring: Some(&wiring),
-    };
+    let setup =
+        NodeSetup { node_id: "n", params: &params, graph_dir: Path::new(""), batch: true, wiring: Some(&wiring) };
     Some(node_type.validator.as_ref()?.problems(&setup))
 }
 
@@ -146,10 +144,11 @@ fn a_node_of_an_older_plugin_has_no_check() {
     // As long as the struct was before `validate`, at the end of its memory.
     let size = std::mem::offset_of!(abi::NodeType, validate);
     let layout = std::alloc::Layout::from_size_align(size, align_of::<abi::NodeType>()).expect("a layout");
+    let full = NodeTypeOf::<Careful>::NODE_TYPE;
     // SAFETY: `size` bytes are copied from a longer struct into a block of that size; fields past it are not touched.
     let old = unsafe {
         let old = std::alloc::alloc(layout).cast::<abi::NodeType>();
-        std::ptr::copy_nonoverlapping((&raw const NodeTypeOf::<Careful>::NODE_TYPE).cast::<u8>(), old.cast(), size);
+        std::ptr::copy_nonoverlapping((&raw const full).cast::<u8>(), old.cast(), size);
         (&raw mut (*old).struct_size).write(size as u32);
         old
     };

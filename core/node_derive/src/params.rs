@@ -223,7 +223,8 @@ fn checks(ident: &Ident, ty: &Type, attribute: &Attribute, default: &Expr) -> Re
         let message = format!("`{ident}`: `{flag}` is for a `PathBuf`, this is `{ty_text}`");
         out.check(flag, is_number.then_some(false), quote!(#private::is_path::<#ty>()), message)?;
     }
-    if let (Some(writes), Some(other)) = (&attribute.writes, attribute.must_exist.as_ref().or(attribute.shipped.as_ref()))
+    if let (Some(writes), Some(other)) =
+        (&attribute.writes, attribute.must_exist.as_ref().or(attribute.shipped.as_ref()))
     {
         let message = format!("`{ident}`: a file that is written need not exist: remove `{other}` or `{writes}`");
         return Err(Error::new_spanned(writes, message));

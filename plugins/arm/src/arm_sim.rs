@@ -7,10 +7,12 @@ use panoscope_arm_core::dynamics::{Quality, SimArm};
 use panoscope_arm_core::interlock::{Cause, Place};
 use panoscope_arm_core::{Chain, Interlock, JOINTS, JointVector};
 use panoscope_node::abi::{Joints, Pose, Tip};
-use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation, Value, error};
+use panoscope_node::{
+    Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation, Value, error,
+};
 
 use crate::guard::{self, Switches};
-use crate::joints::{arm_of, check_arm, asked, camera_pose, packet, tell_links};
+use crate::joints::{arm_of, asked, camera_pose, check_arm, packet, tell_links};
 
 /// Inputs.
 #[derive(Ports)]

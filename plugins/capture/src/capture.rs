@@ -6,8 +6,7 @@ use std::time::{Duration, Instant};
 
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
-    Bgr8, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Parallel, Params, Ports, Result, Slot,
-    Validation,
+    Bgr8, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Parallel, Params, Ports, Result, Slot, Validation,
 };
 
 use crate::crop::{self, Halves, Rect};
@@ -398,7 +397,11 @@ impl Node for Capture {
                 && let Some(element) = unknown_element(text)
             {
                 let message = format!("the pipeline names `{element}`, which is no GStreamer element of this machine");
-                check.error(param, message, "correct the name, or install its plugin; gst-inspect-1.0 lists all elements");
+                check.error(
+                    param,
+                    message,
+                    "correct the name, or install its plugin; gst-inspect-1.0 lists all elements",
+                );
             }
             names.push(match SourceName::parse(text, folder) {
                 Ok(name) => Some(name),
@@ -416,8 +419,13 @@ impl Node for Capture {
         params.check_crops(&names, check);
         let views = if params.split == Split::None { names.len() } else { 2 };
         let missing = [("right", 1), ("view1", 1), ("view2", 2), ("view3", 3)];
-        if let Some((output, _)) = missing.iter().find(|(name, view)| *view >= views && check.is_read(name) == Some(true)) {
-            let message = format!("output `{output}` is read and stays empty: {views} view{} given", if views == 1 { " is" } else { "s are" });
+        if let Some((output, _)) =
+            missing.iter().find(|(name, view)| *view >= views && check.is_read(name) == Some(true))
+        {
+            let message = format!(
+                "output `{output}` is read and stays empty: {views} view{} given",
+                if views == 1 { " is" } else { "s are" }
+            );
             check.node_warning(message, "name one more source, or `split` the picture");
         }
     }

@@ -300,8 +300,7 @@ impl PhantomParams {
     fn canvas(&self) -> Canvas {
         let (width, height) = (self.width as f64, self.height as f64);
         let side = |length: f64| ((length * self.wide_factor / 2.0).ceil() * 2.0) as usize;
-        let (wide, high) =
-            (side(width), if self.layout == Layout::Quad { side(height) } else { self.height as usize });
+        let (wide, high) = (side(width), if self.layout == Layout::Quad { side(height) } else { self.height as usize });
         // The other cameras stand to the right (and below): the room goes there.
         Canvas {
             width: wide,

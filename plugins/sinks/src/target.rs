@@ -126,7 +126,7 @@ pub fn check_path(
     let ending = check_name(path, example, known).map_err(|error| check.error("path", error.to_string(), "")).ok()?;
     let there = path.ancestors().skip(1).find(|folder| folder.exists());
     if let Some(file) = there.filter(|there| !there.is_dir()) {
-        let message = format!("`path` leads through {}, which is a file and no folder", file.display());
+        let message = format!("cannot write {}: {} is a file, not a folder", path.display(), file.display());
         check.error("path", message, "choose another folder, or move that file away");
     }
     Some(ending)

@@ -82,7 +82,11 @@ impl Node for WriteImages {
     fn validate(params: &Settings, check: &mut Validation<'_>) {
         check_path(check, &params.path, "{seq}.png", still::ENDINGS);
         if params.at_end && check.is_connected("image") == Some(false) {
-            check.error("at_end", "`at_end` keeps a picture of input `image`, which is not connected", "connect `image`");
+            check.error(
+                "at_end",
+                "`at_end` keeps a picture of input `image`, which is not connected",
+                "connect `image`",
+            );
         }
     }
 

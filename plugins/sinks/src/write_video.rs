@@ -4,7 +4,9 @@ mod encoder;
 
 use std::path::PathBuf;
 
-use panoscope_node::{AnyImage, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation};
+use panoscope_node::{
+    AnyImage, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation,
+};
 
 use crate::picture::Pixels;
 use crate::target::{check_name, check_path, make_folder};

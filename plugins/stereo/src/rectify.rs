@@ -2,7 +2,9 @@
 
 use panoscope_imaging::stereo::{RemapTable, Roi};
 use panoscope_node::abi::Calibration;
-use panoscope_node::{Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation, Value, error};
+use panoscope_node::{
+    Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation, Value, error,
+};
 
 use panoscope_calibration::packet as calibration;
 

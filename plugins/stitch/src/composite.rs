@@ -5,8 +5,8 @@ use panoscope_imaging::stitch::{
 };
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
-    Bgr8, Choice, Context, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation, Value,
-    View, error,
+    Bgr8, Choice, Context, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation,
+    Value, View, error,
 };
 
 /// How the line between two views is found.

@@ -25,10 +25,12 @@ impl<'a> Checker<'a> {
         }
         let (mut written, mut read) = (Vec::new(), Vec::new());
         for (node, values) in params.iter().enumerate() {
-            let Some(node_type) = self.type_of(node).filter(|_| !self.doubled.contains(self.id(node))) else { continue };
+            let Some(node_type) = self.type_of(node).filter(|_| !self.doubled.contains(self.id(node))) else {
+                continue;
+            };
             for (param, (declared, value)) in node_type.params.iter().zip(values).enumerate() {
                 match value {
-                    ParamValue::Path(path) if path.as_os_str().is_empty() => {}
+                    ParamValue::Path(path) if path.as_os_str().is_empty() || is_device(path) => {}
                     ParamValue::Path(path) if declared.writes => {
                         written.extend(self.per_port(node, path).map(|path| File { node, param, path: tidy(&path) }));
                     }
@@ -89,7 +91,14 @@ impl<'a> Checker<'a> {
     }
 
     /// A diagnostic at the value of the parameter, with a note at the other one where both stand in the same text.
-    fn about_both(&self, severity: Severity, code: &'static str, main: &File, other: (&File, &str), message: String) -> Diagnostic {
+    fn about_both(
+        &self,
+        severity: Severity,
+        code: &'static str,
+        main: &File,
+        other: (&File, &str),
+        message: String,
+    ) -> Diagnostic {
         let place = |file: &File| {
             let name = self.type_of(file.node).map_or("", |t| t.params[file.param].name.as_str());
             self.given(file.node, name).unwrap_or((&self.text.source, &self.text.nodes[file.node].id.span))
@@ -136,6 +145,11 @@ fn holds(read: &Path, written: &Path) -> bool {
     name.contains(['*', '%', '?']) && read.parent() == written.parent() && read.extension() == written.extension()
 }
 
+/// Whether the path is neither a file nor a folder nor free: what is written to /dev/null is not lost by writing it twice.
+fn is_device(path: &Path) -> bool {
+    path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir())
+}
+
 /// `path` made absolute, without `.` and `..`. Links are not followed: the files need not exist.
 fn tidy(path: &Path) -> PathBuf {
     let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
@@ -159,6 +173,12 @@ mod tests {
         assert_eq!(tidy(Path::new("/a/./b/../c.mkv")), Path::new("/a/c.mkv"));
         assert_eq!(tidy(Path::new("/../c.mkv")), Path::new("/c.mkv"));
         assert_eq!(tidy(Path::new("out/x.png")), tidy(&std::env::current_dir().unwrap().join("out/./x.png")));
+    }
+
+    #[test]
+    fn devices_are_no_files() {
+        assert!(is_device(Path::new("/dev/null")));
+        assert!(!is_device(Path::new("/no/such/file")) && !is_device(Path::new("/")));
     }
 
     #[test]

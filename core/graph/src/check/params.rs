@@ -90,8 +90,7 @@ impl<'a> Checker<'a> {
             return;
         }
         let message = format!("`{}` of this node is `{default}` unless given, and there is no such file", param.name);
-        let mut help =
-            format!("give one, as in params = {{ {} = \"...\" }}, relative to the graph file", param.name);
+        let mut help = format!("give one, as in params = {{ {} = \"...\" }}, relative to the graph file", param.name);
         if param.shipped {
             help = format!("it comes with plugin `{}`, as {}\n{help}", node_type.plugin, path.display());
         }

@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use panoscope_abi as abi;
 
 use super::{
-    FromAbiError, MOST_PARAMS, MOST_PORTS, Result, check_name, known_bits, params, ports, slice, struct_size, text, validator,
+    FromAbiError, MOST_PARAMS, MOST_PORTS, Result, check_name, known_bits, params, ports, slice, struct_size, text,
+    validator,
 };
 use crate::catalog::{NodeKind, NodeType};
 
@@ -42,7 +43,12 @@ pub unsafe fn whole(node: *const abi::NodeType) -> &'static abi::NodeType {
     }
 }
 
-pub(super) unsafe fn node_type(plugin_place: &str, place: String, plugin: &str, node: *const abi::NodeType) -> Result<NodeType> {
+pub(super) unsafe fn node_type(
+    plugin_place: &str,
+    place: String,
+    plugin: &str,
+    node: *const abi::NodeType,
+) -> Result<NodeType> {
     if node.is_null() || !node.is_aligned() {
         let fault = if node.is_null() { "null" } else { "misaligned" };
         return Err(FromAbiError::Pointer { place, field: "the entry of node_types", fault, len: 1 });
@@ -91,4 +97,3 @@ pub(super) unsafe fn node_type(plugin_place: &str, place: String, plugin: &str, 
         Ok(found)
     }
 }
-

@@ -85,7 +85,10 @@ fn written(name: &str, doc: &str, default: &str) -> Param {
     Param { writes: true, ..path(name, doc, default, false) }
 }
 
-fn checked(mut node: NodeType, check: impl Fn(&NodeSetup<'_>) -> Vec<ParamProblem> + Send + Sync + 'static) -> NodeType {
+fn checked(
+    mut node: NodeType,
+    check: impl Fn(&NodeSetup<'_>) -> Vec<ParamProblem> + Send + Sync + 'static,
+) -> NodeType {
     node.validator = Some(Validator::new(check));
     node
 }
@@ -105,7 +108,9 @@ fn wants_calibration(setup: &NodeSetup<'_>) -> Vec<ParamProblem> {
 
 /// As `stereo_sgbm` does; odd window sides are warned of too.
 fn penalties_in_order(setup: &NodeSetup<'_>) -> Vec<ParamProblem> {
-    let [ParamValue::Int(small), ParamValue::Int(large), ParamValue::Path(mask)] = setup.params else { return Vec::new() };
+    let [ParamValue::Int(small), ParamValue::Int(large), ParamValue::Path(mask)] = setup.params else {
+        return Vec::new();
+    };
     let mut problems = Vec::new();
     if small >= large {
         let message = format!("`small_penalty` is {small}, not below `large_penalty`, which is {large}");

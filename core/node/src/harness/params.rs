@@ -14,8 +14,7 @@ pub(super) fn read(node_type: &NodeType, graph_dir: &Path, toml: &str) -> Result
     let plugin = &node_type.plugin;
     let text = format!("plugins = [\"{plugin}\"]\n[nodes.node]\ntype = \"{}\"\n{toml}", node_type.name);
     // The harness feeds inputs by hand: a graph without wires is checked. What the node itself checks comes with its `open`.
-    let alone =
-        NodeType { inputs: Vec::new(), source: true, side_effects: true, validator: None, ..node_type.clone() };
+    let alone = NodeType { inputs: Vec::new(), source: true, side_effects: true, validator: None, ..node_type.clone() };
     let catalog = Catalog { plugins: vec![plugin.clone()], node_types: vec![alone], ..Catalog::default() };
     let checked = check(&GraphText::parse(&graph_dir.join("node.toml"), &text), &catalog);
     if let Some(graph) = checked.graph {

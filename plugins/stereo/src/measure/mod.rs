@@ -199,13 +199,18 @@ impl Node for Measure {
     fn validate(params: &MeasureParams, check: &mut Validation<'_>) {
         let is_connected = |name: &str| check.is_connected(name);
         match (is_connected("cloud"), is_connected("depth"), is_connected("calibration")) {
-            (Some(true), Some(true), _) => check.node_error("`cloud` and `depth` are both connected", "connect one of them"),
+            (Some(true), Some(true), _) => {
+                check.node_error("`cloud` and `depth` are both connected", "connect one of them")
+            }
             (Some(false), Some(true), Some(false)) => check.node_error(
                 "`depth` alone has no rays: `calibration` is not connected",
                 "connect `calibration` too, or `cloud` instead",
             ),
             (Some(false), Some(false), _) => {
-                check.node_warning("neither `cloud` nor `depth` is connected: nothing is measured", "connect one of them");
+                check.node_warning(
+                    "neither `cloud` nor `depth` is connected: nothing is measured",
+                    "connect one of them",
+                );
             }
             _ => {}
         }
