@@ -100,7 +100,7 @@ impl Node for WriteTable {
         {
             let message = format!("a .json file holds detections or instances in COCO's form, not input `{other}`");
             check.error("path", message, "write it to .jsonl or .csv");
-        } else if ending == "csv" && ["table", "detections"].iter().all(|name| is_connected(name)) {
+        } else if ending == "csv" && ["table", "detections"].iter().all(is_connected) {
             let message = "a CSV file has one kind of line: `table` and `detections` are both connected";
             check.error("path", message, "give each a `write_table`, or write .jsonl");
         }
