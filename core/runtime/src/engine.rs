@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use arc_swap::ArcSwap;
 use panoscope_abi as abi;
-use panoscope_graph::{Catalog, Graph, Mode, Param, ParamValue};
+use panoscope_graph::{Catalog, Graph, Mode, NodeSetup, Param, ParamValue, Validator};
 
 use crate::cell::{Cell, Surroundings, lock};
 use crate::clock;
@@ -154,6 +154,8 @@ pub(crate) struct Current {
     pub graph: Graph,
     /// Declared parameters of each node.
     pub params: Vec<Vec<Param>>,
+    /// What each node checks about its values.
+    pub validators: Vec<Option<Validator>>,
     /// Names of each node's outputs.
     pub outputs: Vec<Vec<String>>,
     /// Slot of each node.
@@ -165,6 +167,7 @@ impl Current {
         let types = || graph.nodes.iter().map(|n| n.node_type(catalog));
         Self {
             params: types().map(|t| t.params.clone()).collect(),
+            validators: types().map(|t| t.validator.clone()).collect(),
             outputs: types().map(|t| t.outputs.iter().map(|p| p.name.clone()).collect()).collect(),
             graph,
             slots,
@@ -385,8 +388,22 @@ impl Engine {
             reason,
         })?;
         let cell = Arc::clone(&self.shared.plan.load().cells[current.slots[index]]);
-        let mut values = cell.snapshot().owned().to_vec();
+        let old = cell.snapshot();
+        let mut values = old.owned().to_vec();
         values[position] = value;
+        if let Some(validator) = &current.validators[index] {
+            let wiring = current.graph.wiring(index, cell.node_type.inputs_len);
+            let setup = NodeSetup {
+                node_id: node,
+                params: &values,
+                graph_dir: self.shared.around.graph_dir.as_ref(),
+                batch: self.shared.around.batch,
+                wiring: Some(&wiring),
+            };
+            if let Some(reason) = validator.refusal(&setup, old.owned()) {
+                return Err(SetError::BadValue { node: node.to_owned(), param: param.to_owned(), reason });
+            }
+        }
         let snapshot = Snapshot::new(values.clone());
         if declared[position].reopen {
             let instance = {
@@ -447,7 +464,8 @@ impl Engine {
         let mut graph = current.graph.clone();
         graph.nodes[index].params = values;
         let (params, outputs) = (current.params.clone(), current.outputs.clone());
-        self.current.store(Arc::new(Current { graph, params, outputs, slots: current.slots.clone() }));
+        let (validators, slots) = (current.validators.clone(), current.slots.clone());
+        self.current.store(Arc::new(Current { graph, params, validators, outputs, slots }));
     }
 
     fn cell(&self, current: &Current, node: &str) -> Option<(usize, Arc<Cell>)> {

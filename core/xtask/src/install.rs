@@ -5,7 +5,9 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 
-use crate::build::{Built, Means, Profile, build, build_editor, editor_name, library_name, place, program_name};
+use crate::build::{
+    Built, Means, Profile, build, build_editor, editor_name, lay_out_models, library_name, place, place_files, program_name,
+};
 use crate::onnxruntime;
 use crate::workspace::Workspace;
 
@@ -45,12 +47,8 @@ impl Tree<'_> {
         for plugin in &workspace.plugins {
             let name = library_name(&plugin.name);
             place(&self.built.plugin_dir.join(&name), &plugin_dir.join(&name), means)?;
-            // Where graphs look for them: `../plugins/NAME/models/`.
-            let models = Path::new("plugins").join(&plugin.name).join("models");
-            if workspace.root.join(&models).is_dir() {
-                copy_files(&workspace.root.join(&models), &dir.join(&models), &["onnx", "md", "txt"])?;
-            }
         }
+        lay_out_models(workspace, &plugin_dir, means)?;
         if let Some(library) = self.runtime {
             // Beside the program, where the `tools` plugin looks for it.
             let folder = dir.join("onnxruntime");
@@ -59,25 +57,13 @@ impl Tree<'_> {
                 place(&file, &folder.join(file.file_name().unwrap_or_default()), means)?;
             }
         }
-        copy_files(&workspace.root.join("graphs"), &dir.join("graphs"), &["toml"])?;
+        place_files(&workspace.root.join("graphs"), &dir.join("graphs"), &["toml"], means)?;
         if let Some(editor) = self.editor {
             place(editor, &dir.join(editor_name()), means)?;
         }
         // Last, so that a program that starts finds everything it came with.
         place(&self.built.program, &dir.join(program_name()), means)
     }
-}
-
-/// Copies the files of a folder that have one of these endings; what runs have written beside them stays behind.
-fn copy_files(from: &Path, to: &Path, endings: &[&str]) -> Result<()> {
-    fs::create_dir_all(to).with_context(|| format!("cannot make {}", to.display()))?;
-    for entry in fs::read_dir(from).with_context(|| format!("cannot read {}", from.display()))?.flatten() {
-        let path = entry.path();
-        if path.extension().is_some_and(|extension| endings.iter().any(|wanted| extension == *wanted)) {
-            place(&path, &to.join(entry.file_name()), Means::Copy)?;
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -138,7 +124,7 @@ mod tests {
         fs::create_dir_all(from.join("out")).unwrap();
         fs::write(from.join("a.toml"), "name = \"a\"").unwrap();
         fs::write(from.join("a.mkv"), "video").unwrap();
-        copy_files(&from, &to, &["toml"]).unwrap();
+        place_files(&from, &to, &["toml"], Means::Copy).unwrap();
         let names: Vec<_> = fs::read_dir(&to).unwrap().flatten().map(|file| file.file_name()).collect();
         assert_eq!(names, ["a.toml"]);
         fs::remove_dir_all(&folder).unwrap();

@@ -167,7 +167,7 @@ fn mistakes_are_named() {
         (r#"left = "a.png", views = "a.png""#, "not both"),
         (r#"views = "a.png;a.png;a.png;a.png;a.png""#, "4 are the most"),
         (r#"left = "a.png", right = "a.png", split = "top_bottom""#, "`split`"),
-        (r#"left = "nosuchelement ! appsink""#, "does not open"),
+        (r#"left = "nosuchelement ! appsink""#, "nosuchelement"),
     ];
     for (params, words) in cases {
         let message = folder.refused(params);

@@ -6,7 +6,7 @@ use panoscope_imaging::draw::{self, Area, Colormap, Labels};
 use panoscope_node::abi::{Homography, Roi, Scalar, Tip};
 use panoscope_node::{
     Bgr8, Choice, Context, Depth, Detections, Disparity, Image, Instances, Mask, Node, NodeError, NodeInfo, Open,
-    Params, Ports, Result, Slot, Table, Text, Value, View, ViewMut,
+    Params, Ports, Result, Slot, Table, Text, Validation, Value, View, ViewMut,
 };
 
 use crate::colorize::{AutoRange, Colors};
@@ -211,6 +211,12 @@ impl Node for Overlay {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Settings;
+
+    fn validate(params: &Settings, check: &mut Validation<'_>) {
+        if params.offset_px.len() == 1 {
+            check.error("offset_px", "`offset_px` is x and y, one number is given", "give two numbers, or none");
+        }
+    }
 
     fn open(_: &Open<'_>, _: &Settings) -> Result<Self> {
         Ok(Self::default())

@@ -5,8 +5,8 @@ use panoscope_imaging::stitch::{
 };
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
-    Bgr8, Choice, Context, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, View,
-    error,
+    Bgr8, Choice, Context, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation,
+    Value, View, error,
 };
 
 /// How the line between two views is found.
@@ -228,6 +228,25 @@ impl Node for Composite {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = CompositeNodeParams;
+
+    fn validate(_: &CompositeNodeParams, check: &mut Validation<'_>) {
+        let count = |name: &str| check.connections(name);
+        let (Some(views), Some(maps), Some(left), Some(right)) =
+            (count("views"), count("homographies"), count("left"), count("right"))
+        else {
+            return;
+        };
+        if views > MAX_VIEWS {
+            check.node_error(format!("{views} views are connected, {MAX_VIEWS} are the most"), "connect fewer");
+        } else if views > 0 && maps + 1 != views {
+            check.node_error(
+                format!("{views} views need {} homographies, {maps} are connected", views - 1),
+                "connect one homography for each view but the first",
+            );
+        } else if views == 0 && (left == 0 || right == 0) {
+            check.node_warning("there are no two views to put together", "connect `left` and `right`, or `views`");
+        }
+    }
 
     fn open(_: &Open<'_>, params: &CompositeNodeParams) -> Result<Self> {
         Ok(Self { kernel: Compositor::new(params.kernel()), seams: 0 })

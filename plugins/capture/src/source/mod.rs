@@ -1,5 +1,6 @@
 //! Where pictures come from: one [`Source`] per camera, file, image sequence or pipeline.
 
+mod elements;
 mod images;
 mod name;
 mod stream;
@@ -7,6 +8,7 @@ mod stream;
 use std::path::PathBuf;
 use std::time::Instant;
 
+pub use elements::unknown_element;
 pub use name::SourceName;
 pub use stream::Lock;
 
@@ -23,6 +25,14 @@ pub enum CaptureError {
         path: PathBuf,
         /// What else there is.
         hint: String,
+    },
+    /// A camera that is not there.
+    #[error("there is no camera {path}: {present}", path = path.display())]
+    NoDevice {
+        /// The device's file.
+        path: PathBuf,
+        /// Which there are.
+        present: String,
     },
     /// A pattern or folder without any image.
     #[error("no image matches {pattern}; {hint}")]
