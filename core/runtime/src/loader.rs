@@ -217,8 +217,8 @@ pub fn load(found: &Found) -> Result<Loaded, LoadError> {
         .map(|index| unsafe { panoscope_graph::from_abi::whole(*descriptor.node_types.add(index)) })
         .collect();
     if let Some(attach) = descriptor.attach {
-        // SAFETY: the process-wide table outlives every plugin.
-        let status = unsafe { attach(host::process_table()) };
+        // SAFETY: the plugin's table outlives it.
+        let status = unsafe { attach(host::plugin_table(plugin)) };
         if status != abi::STATUS_OK {
             return Err(bad(format!("it refused the host ({status})")));
         }
