@@ -108,7 +108,7 @@ impl Reader {
             return None;
         }
         if number > most {
-            self.error("out-of-range", &value.span, format!("`{what}` is {number:e}, allowed are at most {most}"))
+            self.error("out-of-range", &value.span, format!("`{what}` is {number:?}, allowed are at most {most}"))
                 .label(format!("expected at most {most}"));
             return None;
         }

@@ -10,6 +10,7 @@ use common::{PATIENCE, folders, ledger, scratch};
 use panoscope_graph::{GraphText, ParamValue, check};
 use panoscope_runtime::fault::{Action, Cause};
 use panoscope_runtime::log::Level;
+use panoscope_runtime::record::{Output, RecordOptions, Recorder, head};
 use panoscope_runtime::{Engine, Listener, Live, Loader, Options, Outcome, StartError};
 
 /// Longer than any limit here, but not than a test that waits for a call instead of leaving it behind.
@@ -309,6 +310,50 @@ fn a_panic_in_a_thread_of_the_host_is_told_and_ends_the_run() {
     }
 }
 
+/// A disk whose driver is broken.
+struct Broken;
+
+impl std::io::Write for Broken {
+    fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+        panic!("no such sector")
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        panic!("no such sector")
+    }
+}
+
+impl std::io::Seek for Broken {
+    fn seek(&mut self, _: std::io::SeekFrom) -> std::io::Result<u64> {
+        Ok(0)
+    }
+}
+
+impl Output for Broken {
+    fn cut(&mut self, _: u64) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_panic_in_the_recorders_thread_is_told_at_once_and_the_run_goes_on() {
+    let text = graph("chaos", "");
+    let parsed = GraphText::parse("limits.toml".as_ref(), &text);
+    let loader = Loader::search(folders());
+    let catalog = loader.catalog(&parsed.plugins());
+    let (graph, _) = check(&parsed, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
+    let head = head(&graph, &catalog, &loader, "limits.toml".as_ref(), &text, &[]);
+    // The first bytes wait in memory, so that it is the thread that meets the disk.
+    let recorder = Recorder::start_on(Some(Box::new(Broken)), RecordOptions::default(), head).expect("it begins");
+    let (engine, _live) = start(&text, Options { record: Some(Arc::clone(&recorder)), ..options() });
+    let told = || engine.recent_log().iter().any(|(_, node, words)| node == "record" && words.contains("no such sector"));
+    until(&engine, "it is told", told);
+    goes_on(&engine, "end", "the run goes on");
+    assert_eq!(engine.close(Duration::from_secs(1)), Outcome::Done);
+    let failed = recorder.finish().failed.expect("the recording is not whole");
+    assert!(failed.contains("thread `record` panicked"), "{failed}");
+}
+
 #[test]
 fn a_terminal_that_nobody_reads_stops_neither_watchdog_nor_nodes() {
     let (go, gate) = mpsc::channel::<()>();
@@ -337,7 +382,7 @@ mode = "live"
 plugins = ["flow", "chaos"]
 [nodes.slow]
 type = "frames"
-params = { width_px = 16, height_px = 8, format = "gray8", rate_hz = 0.01 }
+params = { width_px = 16, height_px = 8, format = "gray8", rate_hz = 0.6 }
 [nodes.fast]
 type = "frames"
 params = { width_px = 16, height_px = 8, format = "gray8", rate_hz = 500.0 }
@@ -349,7 +394,7 @@ type = "drain"
 inputs = { image = "near.image" }
 [nodes.late]
 type = "chaos_pair"
-inputs = { left = "slow.image", right = { from = "fast.image", delay = 1, queue = 5 } }
+inputs = { left = "slow.image", right = { from = "fast.image", align = "latest", delay = 1, queue = 5 } }
 [nodes.late_end]
 type = "drain"
 inputs = { image = "late.image" }

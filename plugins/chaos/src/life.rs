@@ -48,6 +48,7 @@ pub struct Life {
     fails_at: u64,
     /// Another number opens the node again.
     #[param(default = 0, range = 0..=1000000000, reopen)]
+    #[allow(dead_code, reason = "only its change matters")]
     turn: u64,
 }
 
