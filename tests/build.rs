@@ -13,7 +13,11 @@ fn main() {
         let text = text.split("#[cfg(test)]").next().unwrap_or_default();
         // Of the file that runs a node, the mark of its running call.
         let text = match name {
-            "busy" => between(text, "/// A call was left behind by the watchdog.", "/// An output as the checks after a call need it."),
+            "busy" => between(
+                text,
+                "/// A call was left behind by the watchdog.",
+                "/// An output as the checks after a call need it.",
+            ),
             _ => text,
         };
         let lines = text.lines().filter(|line| !line.starts_with("//!"));

@@ -32,7 +32,7 @@ mod region {
 }
 mod busy {
     use panoscope_abi::Tick;
-    use shuttle::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
+    use shuttle::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
     include!(concat!(env!("OUT_DIR"), "/busy.rs"));
 }
@@ -136,19 +136,13 @@ fn a_call_ends_or_is_left_behind_and_the_watchdog_knows_what_it_was_for() {
                 for (n, doing) in CALLS.into_iter().enumerate() {
                     // As `Cell::run` and `Cell::aside` do.
                     let since_ns = n as u64 + 1;
-                    if doing != Doing::Process {
-                        mine.set_doing(doing);
-                    }
-                    mine.begin(&Tick { source: 0, flags: 0, seq: n as u64, capture_ns: 0 }, since_ns);
+                    mine.begin_doing(doing, &Tick { source: 3, flags: 0, seq: n as u64, capture_ns: 0 }, since_ns);
                     thread::yield_now();
                     if !mine.end(since_ns) {
                         // Left behind: it touches nothing any more.
                         return;
                     }
                     list.lock().expect("no panic").push(n);
-                    if doing != Doing::Process {
-                        mine.set_doing(Doing::Process);
-                    }
                 }
             });
             let mut left_behind = None;
@@ -158,9 +152,9 @@ fn a_call_ends_or_is_left_behind_and_the_watchdog_knows_what_it_was_for() {
                 let (doing, tick, thread) = (busy.doing(), busy.tick(), busy.thread.load(Ordering::Relaxed));
                 if since_ns != 0 && busy.abandon(since_ns) {
                     let call = since_ns as usize - 1;
-                    assert_eq!((doing, tick.seq, thread), (CALLS[call], call as u64, 7), "it is another call's");
+                    let seen = (doing, tick.source, tick.seq, thread);
+                    assert_eq!(seen, (CALLS[call], 3, call as u64, 7), "it is another call's");
                     busy.clear();
-                    assert_eq!(busy.doing(), Doing::Process, "the next call is a tick");
                     left_behind = Some(call);
                     break;
                 }

@@ -12,11 +12,11 @@ use arc_swap::ArcSwap;
 use panoscope_abi as abi;
 use panoscope_graph::{Catalog, Graph, Mode, NodeSetup, Param, ParamValue, Validator};
 
+use crate::apply::ChangeLock;
 use crate::cell::{Cell, LONGEST_BUDGET_NS, Surroundings, lock};
 use crate::clock;
-use crate::exec::Doing;
 use crate::fault::{Fault, FaultFn, FaultLog};
-use crate::guard::{Call, Limit};
+use crate::guard::Limit;
 use crate::host;
 use crate::loader::Loader;
 use crate::log::{Level, Log, LogFn};
@@ -184,53 +184,10 @@ impl Current {
     }
 }
 
-/// Held by whoever changes the graph. Unlike a `Mutex` it can be waited for for a limited time.
-#[derive(Default)]
-pub(crate) struct ChangeLock {
-    held: Mutex<bool>,
-    freed: Condvar,
-}
-
-/// Frees a [`ChangeLock`] when dropped.
-pub(crate) struct ChangeGuard<'l>(&'l ChangeLock);
-
-impl ChangeLock {
-    /// Waits until nobody else holds it.
-    pub fn lock(&self) -> ChangeGuard<'_> {
-        let mut held = lock(&self.held);
-        while *held {
-            held = self.freed.wait(held).unwrap_or_else(std::sync::PoisonError::into_inner);
-        }
-        *held = true;
-        ChangeGuard(self)
-    }
-
-    /// The same until then; `None` when somebody still holds it.
-    pub fn lock_until(&self, until: Instant) -> Option<ChangeGuard<'_>> {
-        let mut held = lock(&self.held);
-        while *held {
-            let left = until.checked_duration_since(Instant::now()).filter(|left| !left.is_zero())?;
-            held = self.freed.wait_timeout(held, left).unwrap_or_else(std::sync::PoisonError::into_inner).0;
-        }
-        *held = true;
-        Some(ChangeGuard(self))
-    }
-}
-
-impl Drop for ChangeGuard<'_> {
-    fn drop(&mut self) {
-        *lock(&self.0.held) = false;
-        self.0.freed.notify_one();
-    }
-}
-
 /// The most patience that there is: more is as good as none.
 const LONGEST_PATIENCE: Duration = Duration::from_secs(100 * 24 * 3600);
 /// How long closing waits at least, whatever the caller's patience: for threads to leave and for nodes to finish their files.
 const LEAST_PATIENCE: Duration = Duration::from_secs(1);
-/// After this time the nodes that follow are closed beside one that still closes.
-const LONGEST_TURN: Duration = Duration::from_secs(1);
-
 /// A running graph.
 pub struct Engine {
     pub(crate) shared: Arc<Shared>,
@@ -651,38 +608,6 @@ fn open_all(shared: &Arc<Shared>) -> Result<(), StartError> {
     let Some((node, node_type, reason)) = failed else { return Ok(()) };
     shared.close_all(plan.cells.clone(), Instant::now() + shared.around.close_limit);
     Err(StartError::Open { node, node_type, reason })
-}
-
-impl Shared {
-    /// Closes all instances of nodes, one after the other; beside one that takes long the next are closed already. What has not come to its
-    /// end by then is left behind and named in the log.
-    fn close_all(self: &Arc<Self>, cells: Vec<Arc<Cell>>, until: Instant) {
-        let mut open = Vec::new();
-        let mut calls = Vec::new();
-        for cell in cells {
-            // Whoever opens the node again is too late.
-            cell.mending.fetch_add(1, Ordering::AcqRel);
-            let (instances, all) = cell.take_instances();
-            let closed = Arc::new(AtomicBool::new(!all));
-            open.push((Arc::clone(&cell), Arc::clone(&closed), all));
-            let run = Box::new(move || {
-                drop(instances);
-                closed.store(true, Ordering::Release);
-            });
-            calls.push(Call { cell, doing: Doing::Close, run });
-        }
-        let turn = until.saturating_duration_since(Instant::now()).min(LONGEST_TURN);
-        self.guarded(Limit::always(turn), |()| true, calls, |_, _| ControlFlow::Continue(()));
-        for (cell, closed, all) in open {
-            while !closed.load(Ordering::Acquire) && Instant::now() < until {
-                std::thread::sleep(Duration::from_millis(1));
-            }
-            if !all || !closed.load(Ordering::Acquire) || cell.stuck.load(Ordering::Relaxed) > 0 {
-                let words = "it does not return and is left behind; its files may be incomplete";
-                self.around.log.say(Level::Error, &cell.id, words);
-            }
-        }
-    }
 }
 
 fn absolute(path: &Path) -> String {

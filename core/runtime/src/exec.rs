@@ -2,7 +2,7 @@
 
 use std::ffi::c_void;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicPtr, AtomicU8, AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicPtr, AtomicU32, AtomicU64, Ordering};
 
 use panoscope_abi::{self as abi, Frame, PortRange, Tick};
 
@@ -125,33 +125,39 @@ pub(crate) struct LeftBehind;
 pub(crate) struct Busy {
     /// Start of the call in ns of the host's clock; 0 when idle, [`ABANDONED`] once the watchdog gave it up.
     pub since_ns: AtomicU64,
-    pub source: AtomicU32,
+    /// The tick's source, and from [`Self::DOING_BITS`] on a [`Doing`].
+    source: AtomicU32,
     /// Number of the thread, see [`crate::pool::thread_number`].
     pub thread: AtomicU32,
-    pub seq: AtomicU64,
-    pub capture_ns: AtomicU64,
-    /// A [`Doing`]; [`Doing::Process`] unless set for a call that has not begun yet.
-    doing: AtomicU8,
+    seq: AtomicU64,
+    capture_ns: AtomicU64,
 }
 
 impl Busy {
-    /// What the node is called for. Only of meaning for a call that [`Self::abandon`] still finds.
-    pub fn doing(&self) -> Doing {
-        Doing::ALL[usize::from(self.doing.load(Ordering::Relaxed)) % Doing::ALL.len()]
-    }
+    /// Sources have smaller numbers.
+    const DOING_BITS: u32 = 28;
 
-    /// Says what the next call is for; whoever sets anything but [`Doing::Process`] sets that again when the call has ended.
-    pub fn set_doing(&self, doing: Doing) {
-        self.doing.store(doing as u8, Ordering::Relaxed);
-    }
-
+    /// Begins a call for a tick.
     #[inline]
     pub fn begin(&self, tick: &Tick, start_ns: u64) {
-        self.source.store(tick.source, Ordering::Relaxed);
+        self.begin_doing(Doing::Process, tick, start_ns);
+    }
+
+    /// Begins a call for something else, at a tick.
+    #[inline]
+    pub fn begin_doing(&self, doing: Doing, tick: &Tick, start_ns: u64) {
+        self.source.store(tick.source | (doing as u32) << Self::DOING_BITS, Ordering::Relaxed);
         self.seq.store(tick.seq, Ordering::Relaxed);
         self.capture_ns.store(tick.capture_ns as u64, Ordering::Relaxed);
         self.thread.store(crate::pool::thread_number(), Ordering::Relaxed);
         self.since_ns.store(start_ns.max(1), Ordering::Release);
+    }
+
+    /// What the call is for. As [`Self::tick`] and `thread` it belongs to the call whose start was read before, if [`Self::abandon`] finds that
+    /// one afterwards.
+    pub fn doing(&self) -> Doing {
+        let number = (self.source.load(Ordering::Relaxed) >> Self::DOING_BITS) as usize;
+        Doing::ALL.get(number).copied().unwrap_or_default()
     }
 
     /// Ends the call that began at `start_ns`; `false` when the watchdog has taken everything over: by now it may be another call's turn,
@@ -163,7 +169,6 @@ impl Busy {
 
     /// Makes room for calls after one that was given up.
     pub fn clear(&self) {
-        self.set_doing(Doing::Process);
         self.since_ns.store(0, Ordering::Release);
     }
 
@@ -174,7 +179,7 @@ impl Busy {
 
     pub fn tick(&self) -> Tick {
         Tick {
-            source: self.source.load(Ordering::Relaxed),
+            source: self.source.load(Ordering::Relaxed) & ((1 << Self::DOING_BITS) - 1),
             flags: 0,
             seq: self.seq.load(Ordering::Relaxed),
             capture_ns: self.capture_ns.load(Ordering::Relaxed) as i64,

@@ -6,12 +6,13 @@
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::cell::Cell;
 use crate::exec::{Doing, Instance};
+use crate::log::Level;
 use crate::outbox::panic_words;
 use crate::params::Snapshot;
 use crate::pool;
@@ -19,6 +20,8 @@ use crate::schedule::Shared;
 
 /// How long calls may take once the engine is to stop: long enough for what goes well.
 const LONGEST_AT_STOP: Duration = Duration::from_secs(1);
+/// After this time the nodes that follow are closed beside one that still closes.
+const LONGEST_TURN: Duration = Duration::from_secs(1);
 /// As much as the main thread has: some libraries count on it when they are opened.
 const STACK_BYTES: usize = 8 << 20;
 
@@ -225,10 +228,15 @@ impl Shared {
     ) -> Result<T, CallError> {
         let mut answer = None;
         let call = Call { cell: Arc::clone(cell), doing, run: Box::new(run) };
-        self.guarded(limit, |_| true, [call], |_, result| {
-            answer = Some(result);
-            ControlFlow::Break(())
-        });
+        self.guarded(
+            limit,
+            |_| true,
+            [call],
+            |_, result| {
+                answer = Some(result);
+                ControlFlow::Break(())
+            },
+        );
         answer.unwrap_or_else(|| Err(CallError::Panic { words: "the call was not made".to_owned() }))
     }
 
@@ -259,12 +267,47 @@ impl Shared {
             doing: Doing::Close,
             run: Box::new(move || drop(instance)),
         });
-        self.guarded(Limit::always(self.around.close_limit), |()| true, calls, |cell, result| {
-            if let Err(error) = result {
-                self.tell_no_return(cell, &error);
+        self.guarded(
+            Limit::always(self.around.close_limit),
+            |()| true,
+            calls,
+            |cell, result| {
+                if let Err(error) = result {
+                    self.tell_no_return(cell, &error);
+                }
+                ControlFlow::Continue(())
+            },
+        );
+    }
+
+    /// Closes all instances of nodes, one after the other; beside one that takes long the next are closed already. What has not come to its
+    /// end by then is left behind and named in the log.
+    pub fn close_all(self: &Arc<Self>, cells: Vec<Arc<Cell>>, until: Instant) {
+        let mut open = Vec::new();
+        let mut calls = Vec::new();
+        for cell in cells {
+            // Whoever opens the node again is too late.
+            cell.mending.fetch_add(1, Ordering::AcqRel);
+            let (instances, all) = cell.take_instances();
+            let closed = Arc::new(AtomicBool::new(!all));
+            open.push((Arc::clone(&cell), Arc::clone(&closed), all));
+            let run = Box::new(move || {
+                drop(instances);
+                closed.store(true, Ordering::Release);
+            });
+            calls.push(Call { cell, doing: Doing::Close, run });
+        }
+        let turn = until.saturating_duration_since(Instant::now()).min(LONGEST_TURN);
+        self.guarded(Limit::always(turn), |()| true, calls, |_, _| ControlFlow::Continue(()));
+        for (cell, closed, all) in open {
+            while !closed.load(Ordering::Acquire) && Instant::now() < until {
+                std::thread::sleep(Duration::from_millis(1));
             }
-            ControlFlow::Continue(())
-        });
+            if !all || !closed.load(Ordering::Acquire) || cell.stuck.load(Ordering::Relaxed) > 0 {
+                let words = "it does not return and is left behind; its files may be incomplete";
+                self.around.log.say(Level::Error, &cell.id, words);
+            }
+        }
     }
 }
 

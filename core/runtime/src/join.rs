@@ -148,23 +148,27 @@ impl Join {
         let (batch, heads) = (self.batch, !self.exact);
         let slot = &mut self.slots[slot];
         let mut dropped = 0;
-        if let (Rule::Latest { trigger }, false) = (slot.rule, batch) {
-            if frame.is_empty() {
-                return 0; // An empty port leaves the newest value standing.
+        match slot.rule {
+            Rule::Latest { trigger } if !batch => {
+                if frame.is_empty() {
+                    return 0; // An empty port leaves the newest value standing.
+                }
+                while slot.queue.len() >= slot.capacity + if trigger { self.spare } else { 0 } {
+                    slot.queue.pop_front();
+                    // A value that was only looked at is replaced, not lost: only ticks that would have fired count.
+                    dropped += u64::from(trigger && heads);
+                }
+                slot.dropped += dropped;
             }
-            while slot.queue.len() >= slot.capacity + if trigger { self.spare } else { 0 } {
-                slot.queue.pop_front();
-                // A value that was only looked at is replaced, not lost: only ticks that would have fired count.
-                dropped += u64::from(trigger && heads);
+            Rule::Nearest { .. } | Rule::Delay if !batch => {
+                while slot.queue.len() >= slot.capacity {
+                    slot.queue.pop_front();
+                    dropped += 1;
+                }
+                slot.dropped += dropped;
             }
+            _ => {}
         }
-        if let (Rule::Nearest { .. } | Rule::Delay, false) = (slot.rule, batch) {
-            while slot.queue.len() >= slot.capacity {
-                slot.queue.pop_front();
-                dropped += 1;
-            }
-        }
-        slot.dropped += dropped;
         slot.put(frame);
         dropped
     }
@@ -569,7 +573,8 @@ mod tests {
             // SAFETY: the reference that was just taken out.
             unsafe { FrameRef::adopt(Frame { tick: Tick { capture_ns, ..raw.tick }, ..raw }) }
         };
-        let slots = vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Nearest { tolerance_ns: i64::MAX }, true, 4)];
+        let slots =
+            vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Nearest { tolerance_ns: i64::MAX }, true, 4)];
         let mut join = Join::new(slots, false);
         join.push(0, at(i64::MAX));
         join.push(1, at(i64::MIN));

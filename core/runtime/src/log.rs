@@ -58,7 +58,9 @@ impl Log {
         let recent = Arc::new(Recent::default());
         let told = Arc::clone(&recent);
         let out = sink.map(|sink| {
-            let note = |n| (Level::Warn, NAME.to_owned(), format!("{n} lines were left out: they came faster than they were read"));
+            let note = |n| {
+                (Level::Warn, NAME.to_owned(), format!("{n} lines were left out: they came faster than they were read"))
+            };
             let write = move |(level, node, words): Line| sink(level, &node, &words);
             let panicked = move |words: &str| {
                 let words = format!("thread `{NAME}` panicked on a line, which is lost: {words}");

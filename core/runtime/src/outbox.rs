@@ -132,7 +132,9 @@ impl<T: Send + 'static> Outbox<T> {
         let until = Instant::now() + limit;
         let mut state = self.inner.state();
         while state.writing || !state.items.is_empty() || state.left_out > 0 {
-            let Some(left) = until.checked_duration_since(Instant::now()).filter(|d| !d.is_zero()) else { return false };
+            let Some(left) = until.checked_duration_since(Instant::now()).filter(|d| !d.is_zero()) else {
+                return false;
+            };
             state = self.inner.done.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
         }
         true

@@ -287,7 +287,11 @@ fn wire_drops(cell: &Cell) -> Vec<WireDrops> {
     let wires = ranges.iter().enumerate().flat_map(|(port, r)| (0..r.count as usize).map(move |index| (port, index)));
     let drops = wires.zip(&join.slots).filter(|(_, slot)| slot.dropped() > 0);
     drops
-        .map(|((port, index), slot)| WireDrops { input: cell.input_name(port).to_owned(), index, dropped: slot.dropped() })
+        .map(|((port, index), slot)| WireDrops {
+            input: cell.input_name(port).to_owned(),
+            index,
+            dropped: slot.dropped(),
+        })
         .collect()
 }
 

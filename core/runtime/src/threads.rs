@@ -263,9 +263,9 @@ impl Shared {
             }
             return Step::Next;
         }
-        if let Some(words) = capture_objection(tick.capture_ns, pace.last_capture_ns) {
+        if !capture_fits(tick.capture_ns, pace.last_capture_ns) {
             made.clear();
-            self.capture_fault(cell, &tick, words);
+            self.capture_fault(cell, &tick, pace.last_capture_ns);
             cell.made.store(seq + 1, Ordering::Relaxed);
             return Step::Next;
         }
@@ -320,10 +320,11 @@ impl Shared {
     }
 
     #[cold]
-    fn capture_fault(&self, cell: &Cell, tick: &Tick, words: String) {
+    fn capture_fault(&self, cell: &Cell, tick: &Tick, last_ns: Option<i64>) {
         bump(&cell.stats.faults);
         bump(&cell.stats.dropped);
         cell.note(&self.around, Cause::CaptureTime, Action::Withhold, Some(tick.seq), || {
+            let words = capture_words(tick.capture_ns, last_ns);
             self.around.log.say(crate::log::Level::Error, &cell.id, &words);
             words
         });
@@ -340,7 +341,8 @@ impl Shared {
                 return true;
             }
             let seq = recorded.seq;
-            if let Some(words) = capture_objection(recorded.capture_ns, None) {
+            if !capture_fits(recorded.capture_ns, None) {
+                let words = capture_words(recorded.capture_ns, None);
                 let words = format!("tick {seq} of `{}` in the recording: {words}", cell.id);
                 script.fail(words.clone());
                 self.fail(words);
@@ -421,15 +423,23 @@ impl Shared {
     }
 }
 
-/// Why a tick of this capture time is not let in after one of another; `None` for a good one.
-fn capture_objection(capture_ns: i64, last_ns: Option<i64>) -> Option<String> {
-    let ms = |ns: i64| ns as f64 / 1e6;
-    if !CAPTURE_NS.contains(&capture_ns) {
-        let (from, to) = (CAPTURE_NS.start, CAPTURE_NS.end);
-        return Some(format!("capture time {capture_ns} ns lies outside {from}..{to}: the tick was dropped"));
+/// Whether a tick of this capture time is let in after one of another.
+#[inline]
+fn capture_fits(capture_ns: i64, last_ns: Option<i64>) -> bool {
+    let back = |last: i64| capture_ns <= last && last.saturating_sub(capture_ns) < REWIND_NS;
+    CAPTURE_NS.contains(&capture_ns) && !last_ns.is_some_and(back)
+}
+
+/// Why it is not.
+#[cold]
+fn capture_words(capture_ns: i64, last_ns: Option<i64>) -> String {
+    let (range, ms) = (CAPTURE_NS, |ns: i64| ns as f64 / 1e6);
+    match last_ns.filter(|_| range.contains(&capture_ns)) {
+        Some(last) => {
+            format!("capture time {:.3} ms after {:.3} ms: the tick was dropped", ms(capture_ns), ms(last))
+        }
+        None => format!("capture time {capture_ns} ns lies outside {range:?}: the tick was dropped"),
     }
-    let last_ns = last_ns.filter(|&last| capture_ns <= last && last.saturating_sub(capture_ns) < REWIND_NS)?;
-    Some(format!("capture time {:.3} ms after {:.3} ms: the tick was dropped", ms(capture_ns), ms(last_ns)))
 }
 
 enum Step {
@@ -462,7 +472,7 @@ mod tests {
 
     #[test]
     fn capture_times_outside_their_range_or_backwards_are_not_let_in() {
-        let refused = |ns, last| capture_objection(ns, last).is_some();
+        let refused = |ns, last| !capture_fits(ns, last);
         for ns in [i64::MIN, i64::MAX, 1 << 62, -(1 << 62) - 1] {
             assert!(refused(ns, None) && refused(ns, Some(0)), "{ns}");
         }

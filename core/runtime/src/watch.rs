@@ -55,7 +55,8 @@ impl Shared {
                 }
                 let before = std::mem::replace(&mut refused, keep::refused_outside());
                 if refused != before {
-                    let words = "a plugin's thread gave back or kept a frame that the plugin does not hold; this was refused";
+                    let words =
+                        "a plugin's thread gave back or kept a frame that the plugin does not hold; this was refused";
                     self.around.log.say(Level::Error, "engine", words);
                 }
             }
@@ -105,7 +106,6 @@ impl Shared {
     fn look_for_hangs(&self, now_ns: u64) {
         let plan = self.plan.load();
         for (node, cell) in plan.live() {
-            // What the call is for is read after its begin: it is set before that.
             let since_ns = cell.busy.since_ns.load(Ordering::Acquire);
             let (budget_ns, grace_ns) = self.patience(cell);
             let running = since_ns != 0 && since_ns != ABANDONED;

@@ -148,7 +148,9 @@ fn a_parameter_that_reopens_a_node_is_refused_when_it_does_not_open() {
 #[test]
 fn a_state_that_is_not_handed_over_in_time_leaves_the_rest_alone() {
     // Where the node is closed for its successor the change is refused; beside the hot path it is made, and the node begins anew.
-    for (hangs, what) in [("save", "from saving its state"), ("load", "from taking over a state"), ("close", "from closing")] {
+    for (hangs, what) in
+        [("save", "from saving its state"), ("load", "from taking over a state"), ("close", "from closing")]
+    {
         for kind in ["chaos_life", "chaos_device"] {
             let at_first = if hangs == "load" { "never" } else { hangs };
             let (engine, mut live) = start(&graph(kind, &format!("hangs = \"{at_first}\", {HANGS_MS}")), options());
@@ -298,7 +300,10 @@ fn a_panic_in_a_thread_of_the_host_is_told_and_ends_the_run() {
         let hear: Arc<panoscope_runtime::HearFn> = Arc::new(|frame| assert!(frame.tick().seq < 20, "no more of this"));
         let listen = vec![Listener { node: node.to_owned(), output: "image".to_owned(), hear }];
         // `left` waits, so that it is a worker that joins it with `right`.
-        let text = graph("chaos", "").replace("type = \"pass\"\ninputs = { image = \"b.image\" }\n[nodes.right]", "type = \"pass_blocking\"\ninputs = { image = \"b.image\" }\nparams = { wait_ms = 1.0 }\n[nodes.right]");
+        let text = graph("chaos", "").replace(
+            "type = \"pass\"\ninputs = { image = \"b.image\" }\n[nodes.right]",
+            "type = \"pass_blocking\"\ninputs = { image = \"b.image\" }\nparams = { wait_ms = 1.0 }\n[nodes.right]",
+        );
         let (engine, _live) = start(&text, Options { listen, ..options() });
         let engine = &*engine;
         assert!(engine.wait(Some(PATIENCE)), "the run does not wait for a thread that is gone");
@@ -346,7 +351,8 @@ fn a_panic_in_the_recorders_thread_is_told_at_once_and_the_run_goes_on() {
     // The first bytes wait in memory, so that it is the thread that meets the disk.
     let recorder = Recorder::start_on(Some(Box::new(Broken)), RecordOptions::default(), head).expect("it begins");
     let (engine, _live) = start(&text, Options { record: Some(Arc::clone(&recorder)), ..options() });
-    let told = || engine.recent_log().iter().any(|(_, node, words)| node == "record" && words.contains("no such sector"));
+    let told =
+        || engine.recent_log().iter().any(|(_, node, words)| node == "record" && words.contains("no such sector"));
     until(&engine, "it is told", told);
     goes_on(&engine, "end", "the run goes on");
     assert_eq!(engine.close(Duration::from_secs(1)), Outcome::Done);
@@ -365,7 +371,8 @@ fn a_terminal_that_nobody_reads_stops_neither_watchdog_nor_nodes() {
         let _ = gate.lock().unwrap_or_else(std::sync::PoisonError::into_inner).recv();
     });
     let params = format!("harm = \"hang\", first = 20, ticks = 1, {HANGS_MS}");
-    let (engine, _live) = start(&graph("chaos", &params), Options { hang: Duration::from_millis(300), log: Some(log), ..options() });
+    let (engine, _live) =
+        start(&graph("chaos", &params), Options { hang: Duration::from_millis(300), log: Some(log), ..options() });
     let engine = &*engine;
     until(engine, "the hang is seen", || is_faulty(engine, "did not return"));
     until(engine, "its words are on their way", || blocked.load(Ordering::Acquire));

@@ -4,7 +4,9 @@
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
-use panoscope_node::{Choice, Context, Gray8, Image, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Slot, error};
+use panoscope_node::{
+    Choice, Context, Gray8, Image, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Slot, error,
+};
 
 use crate::harm::wait;
 
@@ -122,7 +124,8 @@ impl Drop for Instance {
 pub struct ChaosLife(Instance);
 
 impl Node for ChaosLife {
-    const INFO: NodeInfo = NodeInfo::compute("chaos_life", "flow", "Does not return from opening or closing when told to.");
+    const INFO: NodeInfo =
+        NodeInfo::compute("chaos_life", "flow", "Does not return from opening or closing when told to.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Life;
@@ -150,7 +153,8 @@ pub struct ChaosDevice(Instance);
 
 impl Node for ChaosDevice {
     const INFO: NodeInfo =
-        NodeInfo::compute("chaos_device", "flow", "As `chaos_life`, but closed before its successor opens.").exclusive();
+        NodeInfo::compute("chaos_device", "flow", "As `chaos_life`, but closed before its successor opens.")
+            .exclusive();
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Life;

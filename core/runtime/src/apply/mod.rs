@@ -5,6 +5,7 @@
 //! notice. Whatever fails before the switch leaves everything as it was.
 
 mod change;
+mod change_lock;
 mod outcome;
 mod switch;
 
@@ -16,6 +17,7 @@ use std::time::{Duration, Instant};
 use panoscope_graph::{Catalog, Graph, Mode};
 
 use self::change::{Change, Fate};
+pub(crate) use self::change_lock::ChangeLock;
 pub use self::outcome::{Applied, ApplyError};
 use crate::cell::{Cell, lock};
 use crate::engine::{Engine, type_name};
@@ -452,7 +454,8 @@ impl Engine {
                 let words = "it was removed and does not return; it is left behind, and its files may be incomplete";
                 self.shared.around.log.say(Level::Error, &cell.id, words);
                 let mut threads = lock(&self.shared.own_threads);
-                let number = threads.iter().find(|(_, thread)| Arc::ptr_eq(&thread.cell, cell)).map(|(number, _)| *number);
+                let number =
+                    threads.iter().find(|(_, thread)| Arc::ptr_eq(&thread.cell, cell)).map(|(number, _)| *number);
                 number.map(|number| threads.remove(&number));
                 drop(threads);
                 if let Some(Err(cause)) = number.map(|number| self.shared.pool.give_up(number)) {

@@ -156,14 +156,9 @@ impl Cell {
     /// The watchdog gave the call up: what it answered is dropped here, by the thread that was left behind.
     pub fn aside<R>(&self, doing: Doing, tick: &Tick, call: impl FnOnce() -> R) -> Result<R, LeftBehind> {
         let start_ns = clock::now_ns();
-        self.busy.set_doing(doing);
-        self.busy.begin(tick, start_ns);
+        self.busy.begin_doing(doing, tick, start_ns);
         let answer = call();
-        if !self.busy.end(start_ns) {
-            return Err(LeftBehind);
-        }
-        self.busy.set_doing(Doing::Process);
-        Ok(answer)
+        if self.busy.end(start_ns) { Ok(answer) } else { Err(LeftBehind) }
     }
 
     /// The node made nothing of a tick although its inputs were there.

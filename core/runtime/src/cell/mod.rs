@@ -170,6 +170,9 @@ pub(crate) struct Cell {
     pub fault_counts: [AtomicU64; CAUSES],
 }
 
+// The last of what every call touches is the count of readers, with which `taps` begins.
+const _: () = assert!(std::mem::offset_of!(Cell, taps) + size_of::<usize>() <= 64);
+
 /// What the host refused a node.
 pub(crate) type Refused = Box<(Cause, String)>;
 
