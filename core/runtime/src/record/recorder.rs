@@ -92,6 +92,8 @@ struct Inner {
     gaps: AtomicU64,
     writes: AtomicBool,
     tell: OnceLock<Box<Tell>>,
+    /// What there was to tell before anybody could hear it.
+    untold: Mutex<Vec<String>>,
 }
 
 /// A node's name and its outputs'.
@@ -134,6 +136,7 @@ impl Recorder {
             gaps: AtomicU64::new(0),
             writes: AtomicBool::new(file.is_some()),
             tell: OnceLock::new(),
+            untold: Mutex::default(),
             options,
         });
         let mine = Arc::clone(&inner);
@@ -171,7 +174,11 @@ impl Recorder {
 
     /// Where trouble is told.
     pub(crate) fn tell_to(&self, tell: Box<Tell>) {
+        let mut untold = lock(&self.inner.untold);
         let _ = self.inner.tell.set(tell);
+        let before = std::mem::take(&mut *untold);
+        drop(untold);
+        before.iter().for_each(|words| self.inner.tell(words));
     }
 
     pub(crate) fn all_source_ports(&self) -> bool {
@@ -284,6 +291,13 @@ fn create(path: &Path) -> Result<std::fs::File, RecordError> {
 
 impl Inner {
     fn tell(&self, words: &str) {
+        if self.tell.get().is_none() {
+            let mut untold = lock(&self.untold);
+            // Whoever sets it does so under this lock.
+            if self.tell.get().is_none() {
+                return untold.push(words.to_owned());
+            }
+        }
         if let Some(tell) = self.tell.get() {
             tell(words);
         }
