@@ -124,10 +124,17 @@ impl Engine {
             .and_then(|()| self.hold(&old, &change))
             .and_then(|()| self.hand_over_early(&old, &change, &mut early))
             .and_then(|()| self.open_late(&old, &change, &graph));
+        let still = match still {
+            // Closing waits for the change only so long.
+            Ok(late) if shared.is_stopping() => Err((ApplyError::Ended, late)),
+            Ok(late) => Ok(late),
+            Err(error) => Err((error, Vec::new())),
+        };
         let late = match still {
             Ok(late) => late,
-            Err(error) => {
+            Err((error, late)) => {
                 self.let_go(&old, &change);
+                early.extend(late);
                 self.close_opened(&change, early);
                 return Err(error);
             }
@@ -220,6 +227,20 @@ impl Engine {
         let wanted = |f: &Fate| (f.added || f.replaced || (f.reopened && !scripted)) && !f.late;
         let nodes: Vec<usize> = (0..graph.nodes.len()).filter(|&n| wanted(&change.fates[n])).collect();
         self.open_each(change, graph, &nodes)
+    }
+
+    /// Waits until nobody is busy, or the engine is to stop.
+    fn wait_for(&self, until: Instant, busy: impl Fn() -> Option<String>) -> Result<(), ApplyError> {
+        while let Some(node) = busy() {
+            if self.shared.is_stopping() {
+                return Err(ApplyError::Ended);
+            }
+            if Instant::now() >= until {
+                return Err(ApplyError::Busy { node, seconds: LONGEST_DRAIN.as_secs() });
+            }
+            std::thread::sleep(Duration::from_micros(50));
+        }
+        Ok(())
     }
 
     /// Takes the state of a node at rest, for a successor, and closes it if it is to be closed.
@@ -322,13 +343,13 @@ impl Engine {
             // A region may wait for packets of those before it: the last ones come to rest first.
             for held in change.held.iter().rev() {
                 pause(held);
-                wait_for(until, || busy_member(old, held))?;
+                self.wait_for(until, || busy_member(old, held))?;
             }
         } else {
             change.held.iter().for_each(pause);
-            wait_for(until, || change.held.iter().find_map(|held| busy_member(old, held)))?;
+            self.wait_for(until, || change.held.iter().find_map(|held| busy_member(old, held)))?;
         }
-        wait_for(until, || {
+        self.wait_for(until, || {
             let stays = |slot: &&usize| old.cells[**slot].has_thread.load(Ordering::Acquire);
             change.quiet.iter().find(stays).map(|&slot| old.cells[slot].id.clone())
         })
@@ -497,14 +518,4 @@ fn busy_member(plan: &Plan, (region, extent): &(Arc<Region>, Extent)) -> Option<
     let member = extent.members.iter().copied().find(|&slot| works(slot));
     let inside = region.in_flight() > 0;
     member.or(inside.then_some(extent.head)).map(|slot| plan.cells[slot].id.clone())
-}
-
-fn wait_for(until: Instant, busy: impl Fn() -> Option<String>) -> Result<(), ApplyError> {
-    while let Some(node) = busy() {
-        if Instant::now() >= until {
-            return Err(ApplyError::Busy { node, seconds: LONGEST_DRAIN.as_secs() });
-        }
-        std::thread::sleep(Duration::from_micros(50));
-    }
-    Ok(())
 }
