@@ -145,6 +145,22 @@ pub struct NodeType {
     pub save_state: Option<unsafe extern "C" fn(instance: *mut c_void, host: *const Host, sink: *mut c_void) -> Status>,
     /// Optional: takes the bytes that an earlier instance saved.
     pub load_state: Option<unsafe extern "C" fn(instance: *mut c_void, bytes: *const u8, len: usize) -> Status>,
+    /// Optional: completes files before [`NodeType::close`] and says through [`Host::fail`] what could not be written. `call` is the handle
+    /// for host functions that take one.
+    pub finish: Option<unsafe extern "C" fn(instance: *mut c_void, host: *const Host, call: *mut c_void) -> Status>,
+}
+
+impl NodeType {
+    /// Bytes of the descriptor of the first minor version: fields after it may be missing.
+    pub const FIRST_SIZE: usize = core::mem::offset_of!(NodeType, finish);
+
+    /// [`NodeType::finish`], where the plugin is new enough to have the field.
+    pub fn finish_function(
+        &self,
+    ) -> Option<unsafe extern "C" fn(instance: *mut c_void, host: *const Host, call: *mut c_void) -> Status> {
+        let end = core::mem::offset_of!(NodeType, finish) + size_of::<usize>();
+        if self.struct_size as usize >= end { self.finish } else { None }
+    }
 }
 
 /// What a plugin is.

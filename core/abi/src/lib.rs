@@ -26,7 +26,7 @@ pub const MAGIC: u64 = 0x504F_4353_4F4E_4150;
 /// Plugins of another major version are refused.
 pub const ABI_MAJOR: u32 = 1;
 /// Grows when fields, flags or host functions are appended.
-pub const ABI_MINOR: u32 = 1;
+pub const ABI_MINOR: u32 = 2;
 /// The one symbol a plugin exports, an [`Entry`].
 pub const ENTRY_SYMBOL: &str = "panoscope_plugin";
 
@@ -95,6 +95,8 @@ pub const STATUS_PANIC: Status = -2;
 pub const STATUS_EXHAUSTED: Status = -3;
 /// An argument makes no sense (a wrong port number, a size of 0).
 pub const STATUS_INVALID: Status = -4;
+/// The node failed and opening it again would not help (the disk is full): it stays closed until its graph is edited.
+pub const STATUS_STOPPED: Status = -5;
 
 /// 64-bit FNV-1a, used for layout hashes.
 pub const fn fnv1a(mut hash: u64, bytes: &[u8]) -> u64 {

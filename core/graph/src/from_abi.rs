@@ -185,8 +185,8 @@ unsafe fn node_type(plugin_place: &str, place: String, plugin: &str, node: *cons
         return Err(FromAbiError::Pointer { place, field: "the entry of node_types", fault, len: 1 });
     }
     // SAFETY: the caller's promise; the size is the first field of every version.
-    struct_size(&place, unsafe { (*node).struct_size }, size_of::<abi::NodeType>())?;
-    // SAFETY: the caller's promise, and the struct has all fields.
+    struct_size(&place, unsafe { (*node).struct_size }, abi::NodeType::FIRST_SIZE)?;
+    // SAFETY: the caller's promise, and the struct has all fields that are read here; later ones are asked for by their functions.
     let node = unsafe { &*node };
     // SAFETY: the caller's promise.
     let name = unsafe { text(&place, "name", node.name)? };

@@ -17,6 +17,16 @@ impl NodeError {
         Self { message: message.into(), status: crate::abi::STATUS_ERROR }
     }
 
+    /// An error that opening the node again would not mend, such as a full disk: the host stops the node, says so and goes on without it.
+    pub fn lasting(message: impl Into<String>) -> Self {
+        Self::with_status(message, crate::abi::STATUS_STOPPED)
+    }
+
+    /// Whether the node is to stay closed, see [`NodeError::lasting`].
+    pub fn is_lasting(&self) -> bool {
+        self.status == crate::abi::STATUS_STOPPED
+    }
+
     /// An error that stands for a status of the contract.
     pub(crate) fn with_status(message: impl Into<String>, status: crate::abi::Status) -> Self {
         Self { message: message.into(), status }
@@ -45,11 +55,21 @@ impl fmt::Debug for NodeError {
     }
 }
 
-impl<E: std::error::Error> From<E> for NodeError {
+/// Whether a device takes nothing more until somebody does something about it.
+fn is_full(error: &(dyn std::error::Error + 'static)) -> bool {
+    use std::io::ErrorKind::{FileTooLarge, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
+    let kind = error.downcast_ref::<std::io::Error>().map(std::io::Error::kind);
+    matches!(kind, Some(StorageFull | QuotaExceeded | ReadOnlyFilesystem | FileTooLarge))
+}
+
+/// The message with those of its causes. A full disk, as a cause, makes the error a [lasting](NodeError::lasting) one.
+impl<E: std::error::Error + 'static> From<E> for NodeError {
     fn from(error: E) -> Self {
         let mut message = error.to_string();
+        let mut full = is_full(&error);
         let mut source = error.source();
         while let Some(cause) = source {
+            full |= is_full(cause);
             let text = cause.to_string();
             if !message.contains(&text) {
                 message.push_str(": ");
@@ -57,7 +77,7 @@ impl<E: std::error::Error> From<E> for NodeError {
             }
             source = cause.source();
         }
-        Self::new(message)
+        if full { Self::lasting(message) } else { Self::new(message) }
     }
 }
 

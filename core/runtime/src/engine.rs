@@ -213,6 +213,8 @@ impl Engine {
             recorder: options.record,
             script: options.replay,
             thread_allocations: options.thread_allocations,
+            claims: Arc::default(),
+            stopped: Mutex::default(),
         };
         let hurried = !around.unhurried();
         let pool = Pool::new(threads);
@@ -352,7 +354,7 @@ impl Engine {
             let (plan, current) = (self.shared.plan.load(), self.current.load());
             for &node in &current.graph.order {
                 let cell = &plan.cells[current.slots[node]];
-                if !cell.close_instance() || cell.stuck.load(Ordering::Relaxed) > 0 {
+                if !cell.close_instance(&self.shared.around) || cell.stuck.load(Ordering::Relaxed) > 0 {
                     let words = "it does not return and is left behind; its files may be incomplete";
                     self.shared.around.log.say(Level::Error, &cell.id, words);
                 }

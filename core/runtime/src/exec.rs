@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicPtr, AtomicU32, AtomicU64, Ordering};
 
 use panoscope_abi::{self as abi, Frame, PortRange, Tick};
 
+use crate::claims::Holds;
 use crate::keep::Kept;
 use crate::memory::FrameRef;
 use crate::outputs::OutputRule;
@@ -20,6 +21,8 @@ pub(crate) struct Instance {
     pub open: bool,
     /// Frames that it holds beyond its calls.
     pub kept: Kept,
+    /// Files that it claims.
+    pub holds: Holds,
 }
 
 // SAFETY: the contract lets an instance move between threads; it is used by one at a time.
@@ -38,7 +41,7 @@ unsafe extern "C" fn collect(sink: *mut c_void, bytes: *const u8, len: usize) {
 
 impl Instance {
     pub fn none(node_type: &'static abi::NodeType) -> Self {
-        Self { raw: std::ptr::null_mut(), node_type, open: false, kept: Kept::default() }
+        Self { raw: std::ptr::null_mut(), node_type, open: false, kept: Kept::default(), holds: Holds::default() }
     }
 
     pub fn is_open(&self) -> bool {
@@ -55,6 +58,7 @@ impl Instance {
             unsafe { close(raw) }
         }
         self.kept.reclaim();
+        self.holds.release();
     }
 
     /// State for a successor; `None` when there is none.

@@ -55,7 +55,7 @@ impl Cell {
             exec.skip_calls -= 1;
             return false;
         }
-        lock(&self.broken).clear();
+        self.close_broken(around);
         let snapshot = Arc::clone(exec.snapshot());
         match self.open(around, &snapshot) {
             Ok(instance) => {
@@ -69,6 +69,7 @@ impl Cell {
                 exec.troubled = true;
                 exec.failures_in_a_row += 1;
                 exec.skip_calls = skipped_calls(exec.failures_in_a_row);
+                exec.bypassed = self.has_given_up();
                 self.open_failed(around, &words, Some(tick.seq));
                 false
             }
@@ -79,7 +80,12 @@ impl Cell {
     pub fn open_failed(&self, around: &Surroundings, words: &str, seq: Option<u64>) {
         bump(&self.stats.faults);
         around.log.say(Level::Error, &self.id, &format!("could not be opened again: {words}"));
-        self.tell(around, Cause::Open, Action::Restart, seq, None, words.to_owned());
+        let gives_up = self.has_given_up();
+        if gives_up {
+            self.lost(around, words);
+        }
+        let done = if gives_up { Action::Bypass } else { Action::Restart };
+        self.tell(around, Cause::Open, done, seq, None, words.to_owned());
     }
 
     #[cold]
@@ -123,7 +129,13 @@ impl Cell {
         self.failures.store(exec.failures_in_a_row, Ordering::Relaxed);
         // What the instance holds after a fault is not to be trusted. It may take long to close.
         lock(&self.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
+        let gives_up = status == abi::STATUS_STOPPED;
+        self.gives_up.store(gives_up, Ordering::Release);
+        if gives_up {
+            self.lost(around, &words);
+        }
         let (done, ran) = match self.on_fault() {
+            OnFault::Restart if gives_up => (Action::Bypass, Ran::Fault),
             OnFault::Restart => (Action::Restart, Ran::Fault),
             OnFault::Bypass => (Action::Bypass, Ran::Fault),
             OnFault::Stop => (Action::Stop, Ran::Stop),

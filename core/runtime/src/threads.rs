@@ -121,7 +121,7 @@ impl Shared {
                 return;
             }
             if cell.retired.load(Ordering::Acquire) {
-                cell.close_instance();
+                cell.close_instance(&shared.around);
             }
             cell.has_thread.store(false, Ordering::Release);
         })?;

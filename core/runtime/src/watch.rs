@@ -180,7 +180,7 @@ impl Shared {
     pub fn start_mending(&self, cell: &Arc<Cell>) {
         if self.around.unhurried() {
             // Opened again before a tick that does not depend on the clock.
-            lock(&cell.broken).clear();
+            cell.close_broken(&self.around);
             return;
         }
         let Some(me) = self.me.upgrade() else { return };
@@ -198,9 +198,8 @@ impl Shared {
 
     fn mend(&self, cell: &Cell, mine: u64) {
         let outdated = || cell.mending.load(Ordering::Acquire) != mine || cell.retired.load(Ordering::Relaxed);
-        let broken = std::mem::take(&mut *lock(&cell.broken));
-        drop(broken);
-        if cell.on_fault() != OnFault::Restart {
+        cell.close_broken(&self.around);
+        if cell.on_fault() != OnFault::Restart || cell.has_given_up() {
             return;
         }
         loop {
@@ -233,6 +232,9 @@ impl Shared {
                 Err(words) => {
                     cell.failures.fetch_add(1, Ordering::Relaxed);
                     cell.open_failed(&self.around, &words, None);
+                    if cell.has_given_up() {
+                        return;
+                    }
                 }
             }
         }

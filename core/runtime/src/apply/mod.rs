@@ -103,13 +103,18 @@ impl Engine {
             (When::Recorded(edit), Some(script)) => script.edits[*edit].applied.replaced.as_slice(),
             _ => &[],
         };
-        let mut change = Change::between(&old, &current, &graph, catalog, &entry, as_once)
+        let claims = &shared.around.claims;
+        let mut change = Change::between(&old, &current, &graph, catalog, &entry, as_once, claims)
             .map_err(|reason| ApplyError::Stale { reason })?;
         if let When::At(at) = when {
             change.hold_also(&old, at)?;
         }
         let _visit = shared.pool.visit();
-        let early = self.open_early(&change, &graph)?;
+        let early = {
+            // Nodes that the change ends write until the switch; those that it opens begin after it.
+            let _leaving = shared.around.claims.leaving(change.leaving(&old, &graph));
+            self.open_early(&change, &graph)?
+        };
 
         // From here until the switch whole parts of the graph stand still.
         let start = Instant::now();
@@ -225,6 +230,7 @@ impl Engine {
         for &slot in &closing {
             if let Some(mut exec) = old.cells[slot].exec.take() {
                 states.push((slot, exec.instance.save_state(&self.shared.around.host)));
+                old.cells[slot].finish(&self.shared.around, &mut exec.instance);
                 exec.instance.close();
                 old.cells[slot].exec.put(exec);
             }
@@ -327,7 +333,7 @@ impl Engine {
                 self.shared.wake(cell);
                 std::thread::sleep(Duration::from_micros(200));
             }
-            cell.close_instance();
+            cell.close_instance(&self.shared.around);
         }
     }
 }

@@ -134,12 +134,15 @@ impl Cell {
         self.replace.store(false, Ordering::Relaxed);
         let Some((mut instance, snapshot)) = lock(&self.replacement).take() else { return };
         self.hand_over(exec, &mut instance, around);
-        drop(std::mem::replace(&mut exec.instance, instance));
+        let mut predecessor = std::mem::replace(&mut exec.instance, instance);
+        self.finish(around, &mut predecessor);
+        drop(predecessor);
         if let Some(snapshot) = snapshot {
             self.set_snapshot(Arc::clone(&snapshot));
             exec.set_snapshot(snapshot);
         }
         exec.bypassed = false;
+        self.gives_up.store(false, Ordering::Release);
         exec.bad_in_a_row = 0;
         if around.recorder.is_some() {
             self.opened(&self.snapshot(), around, tick);
@@ -195,6 +198,7 @@ impl Cell {
             lent: None,
             first_formats: exec.first_formats(),
             cell: self,
+            holds: &exec.instance.holds,
             log: &around.log,
             failure: &mut exec.failure,
             refused: None,

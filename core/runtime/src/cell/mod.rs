@@ -2,13 +2,14 @@
 
 mod call;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use panoscope_abi::{self as abi, PortRange, Str, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
+use crate::claims::{Claims, Holds};
 use crate::clock;
 use crate::exec::{Busy, Exec, ExecPlace, Instance, Made};
 use crate::fault::{Action, Cause, Fault, FaultLog, unix_ms};
@@ -45,6 +46,10 @@ pub(crate) struct Surroundings {
     pub script: Option<Arc<Script>>,
     /// Heap allocations of the calling thread so far.
     pub thread_allocations: Option<fn() -> u64>,
+    /// Files that nodes of this run write.
+    pub claims: Arc<Claims>,
+    /// Nodes that lost something for good, with the reason.
+    pub stopped: Mutex<BTreeMap<String, String>>,
 }
 
 impl Surroundings {
@@ -125,6 +130,8 @@ pub(crate) struct Cell {
     pub broken: Mutex<Vec<Instance>>,
     /// A failed node is to be opened again.
     pub wants_mending: AtomicBool,
+    /// Its last error was one that opening it again would not mend.
+    pub gives_up: AtomicBool,
     /// Increases whenever somebody sets out to mend; only the newest may hand over.
     pub mending: AtomicU64,
     /// Since when somebody waits for `open`; 0 when nobody does.
@@ -229,6 +236,7 @@ impl Cell {
             replace: AtomicBool::new(false),
             broken: Mutex::new(Vec::new()),
             wants_mending: AtomicBool::new(false),
+            gives_up: AtomicBool::new(false),
             mending: AtomicU64::new(0),
             opening_since_ns: AtomicU64::new(0),
             failures: AtomicU32::new(0),
@@ -306,11 +314,12 @@ impl Cell {
     }
 
     /// Ends the instance, if nobody runs the node; files are finished then. Answers whether it could be had.
-    pub fn close_instance(&self) -> bool {
+    pub fn close_instance(&self, around: &Surroundings) -> bool {
         drop(lock(&self.replacement).take());
-        lock(&self.broken).clear();
+        self.close_broken(around);
         match self.exec.take() {
             Some(mut exec) => {
+                self.finish(around, &mut exec.instance);
                 exec.instance.close();
                 self.exec.put(exec);
                 true
@@ -324,6 +333,8 @@ impl Cell {
         if around.script.as_ref().is_some_and(|s| s.closes(self)) {
             return Ok(Instance::none(self.node_type));
         }
+        let mut instance = Instance::none(self.node_type);
+        instance.holds = Holds::new(&around.claims);
         let mut failure = String::new();
         let mut context = CallContext {
             outputs: std::ptr::null_mut(),
@@ -334,6 +345,7 @@ impl Cell {
             lent: None,
             first_formats: 0,
             cell: self,
+            holds: &instance.holds,
             log: &around.log,
             failure: &mut failure,
             refused: None,
@@ -352,21 +364,22 @@ impl Cell {
             graph_dir: Str::borrow(&around.graph_dir),
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
-        let mut instance = Instance::none(self.node_type);
+        let mut raw = std::ptr::null_mut();
         let keeper = instance.kept.enter();
         let status = match self.node_type.open {
             // SAFETY: the contract; everything the call points to outlives it.
-            Some(open) => unsafe { open(&raw mut call, &raw mut instance.raw) },
+            Some(open) => unsafe { open(&raw mut call, &raw mut raw) },
             None => abi::STATUS_INVALID,
         };
         drop(keeper);
         if status == abi::STATUS_OK {
-            instance.open = true;
+            (instance.raw, instance.open) = (raw, true);
             return Ok(instance);
         }
         if failure.is_empty() {
             failure = format!("it did not open (status {status})");
         }
+        self.gives_up.store(status == abi::STATUS_STOPPED, Ordering::Release);
         Err(failure)
     }
 }
