@@ -29,7 +29,7 @@
 /**
  * Grows when fields, flags or host functions are appended.
  */
-#define PANOSCOPE_ABI_MINOR 1
+#define PANOSCOPE_ABI_MINOR 2
 
 /**
  * Set in PanoscopeCall.flags in `batch` mode.
@@ -55,6 +55,21 @@
  * For whoever debugs the node.
  */
 #define PANOSCOPE_LOG_DEBUG 4
+
+/**
+ * The node is going to write the file: no other node may.
+ */
+#define PANOSCOPE_CLAIM_HOLD 0
+
+/**
+ * The node begins to write: the answered file may be created anew. One of an earlier run is replaced.
+ */
+#define PANOSCOPE_CLAIM_BEGIN 1
+
+/**
+ * As PANOSCOPE_CLAIM_BEGIN, but a file that exists is never answered.
+ */
+#define PANOSCOPE_CLAIM_BEGIN_NEW 2
 
 /**
  * Short calculation, runs on the shared pool or inline after its producer.
@@ -504,6 +519,16 @@ typedef struct PanoscopeHost {
      * Takes bytes of PanoscopeNodeType.save_state.
      */
     void (*save)(void *sink, const uint8_t *bytes, size_t len);
+    /**
+     * Claims a file that the node writes, for as long as the instance is open. `action` is a `CLAIM_` constant. With `file`, the host
+     * answers the path to write, valid until the call ends: `path` itself the first time in a run, later `name.part2.ending` and so on, so
+     * that nothing written in this run is cut off. `PANOSCOPE_STATUS_INVALID` and `file` set to the other node's name: an open node writes it.
+     */
+    PanoscopeStatus (*claim_file)(void *call, struct PanoscopeStr path, uint32_t action, struct PanoscopeStr *file);
+    /**
+     * The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend on it.
+     */
+    int64_t (*clock_ns)(void *call);
 } PanoscopeHost;
 
 /**
@@ -916,6 +941,11 @@ typedef struct PanoscopeNodeType {
      * Optional: takes the bytes that an earlier instance saved.
      */
     PanoscopeStatus (*load_state)(void *instance, const uint8_t *bytes, size_t len);
+    /**
+     * Optional: completes files before PanoscopeNodeType.close and says through PanoscopeHost.fail what could not be written. `call` is the handle
+     * for host functions that take one.
+     */
+    PanoscopeStatus (*finish)(void *instance, const struct PanoscopeHost *host, void *call);
 } PanoscopeNodeType;
 
 /**
@@ -1221,6 +1251,11 @@ typedef struct PanoscopeTip {
  */
 #define PANOSCOPE_STATUS_INVALID (-4)
 
+/**
+ * The node failed and opening it again would not help (the disk is full): it stays closed until its graph is edited.
+ */
+#define PANOSCOPE_STATUS_STOPPED (-5)
+
 /** The one symbol that a plugin exports. */
 #define PANOSCOPE_ENTRY_SYMBOL "panoscope_plugin"
 
@@ -1246,10 +1281,10 @@ PANOSCOPE_ASSERT(sizeof(PanoscopePortRange) == 8);
 PANOSCOPE_ASSERT(sizeof(PanoscopeParamValue) == 56);
 PANOSCOPE_ASSERT(sizeof(PanoscopeOpenCall) == 80);
 PANOSCOPE_ASSERT(sizeof(PanoscopeCall) == 128);
-PANOSCOPE_ASSERT(sizeof(PanoscopeHost) == 120);
+PANOSCOPE_ASSERT(sizeof(PanoscopeHost) == 136);
 PANOSCOPE_ASSERT(sizeof(PanoscopePort) == 64);
 PANOSCOPE_ASSERT(sizeof(PanoscopeParam) == 136);
-PANOSCOPE_ASSERT(sizeof(PanoscopeNodeType) == 152);
+PANOSCOPE_ASSERT(sizeof(PanoscopeNodeType) == 160);
 PANOSCOPE_ASSERT(sizeof(PanoscopePlugin) == 104);
 PANOSCOPE_ASSERT(sizeof(PanoscopeNoteBody) == 2152);
 PANOSCOPE_ASSERT(sizeof(PanoscopeNote) == 2176);

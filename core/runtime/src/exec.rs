@@ -22,7 +22,7 @@ pub(crate) struct Instance {
     /// Frames that it holds beyond its calls.
     pub kept: Kept,
     /// Files that it claims.
-    pub holds: Holds,
+    pub holds: Box<Holds>,
 }
 
 // SAFETY: the contract lets an instance move between threads; it is used by one at a time.
@@ -41,7 +41,7 @@ unsafe extern "C" fn collect(sink: *mut c_void, bytes: *const u8, len: usize) {
 
 impl Instance {
     pub fn none(node_type: &'static abi::NodeType) -> Self {
-        Self { raw: std::ptr::null_mut(), node_type, open: false, kept: Kept::default(), holds: Holds::default() }
+        Self { raw: std::ptr::null_mut(), node_type, open: false, kept: Kept::default(), holds: Box::default() }
     }
 
     pub fn is_open(&self) -> bool {

@@ -334,7 +334,7 @@ impl Cell {
             return Ok(Instance::none(self.node_type));
         }
         let mut instance = Instance::none(self.node_type);
-        instance.holds = Holds::new(&around.claims);
+        *instance.holds = Holds::new(&around.claims);
         let mut failure = String::new();
         let mut context = CallContext {
             outputs: std::ptr::null_mut(),

@@ -219,6 +219,7 @@ impl Encoder {
         let writer = VideoWriter::new_with_backend(path, CAP_FFMPEG, fourcc, fps, size, true)
             .map_err(|error| failed(&self.path, error))?;
         if !writer.is_opened().unwrap_or(false) {
+            let _ = std::fs::remove_file(&self.path);
             return Err(refuse(format!(
                 "this OpenCV has no {:?} encoder for such a file: try codec = \"mjpg\" with .mkv",
                 self.codec
