@@ -148,6 +148,11 @@ impl<N> Harness<N> {
         result
     }
 
+    /// Closes the node without having it complete anything, as the runtime does with an instance that was opened for a change which was refused.
+    pub fn discard(mut self) {
+        self.close();
+    }
+
     /// Closes the node and opens it with the parameters in force, as the runtime does after a fault.
     pub fn reopen(&mut self) -> Result<(), HarnessError> {
         let _ = self.finish();

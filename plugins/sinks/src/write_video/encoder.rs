@@ -130,7 +130,9 @@ impl Encoder {
                 let file = File::create(&self.path).map_err(io)?;
                 let muxer = Muxer::new(file, size.0, size.1).map_err(|error| {
                     // Without a head it is no video.
-                    let _ = std::fs::remove_file(&self.path);
+                    if self.path.symlink_metadata().is_ok_and(|found| found.is_file()) {
+                        let _ = std::fs::remove_file(&self.path);
+                    }
                     io(error)
                 })?;
                 self.state = State::Mkv { muxer: Box::new(muxer), timeline: Timeline::new(self.fps) };
