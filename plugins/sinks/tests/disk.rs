@@ -288,7 +288,12 @@ fn csv(folder: &Path) -> BTreeSet<u64> {
 fn coco(folder: &Path) -> BTreeSet<u64> {
     let mut ticks = BTreeSet::new();
     for path in files(folder, "json") {
-        let json: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).expect("a whole file");
+        let bytes = fs::read(&path).unwrap();
+        if bytes.is_empty() {
+            // Made to see whether it can be, and the disk did not let go of it.
+            continue;
+        }
+        let json: serde_json::Value = serde_json::from_slice(&bytes).expect("a whole file");
         for image in json["images"].as_array().unwrap() {
             let tick = image["id"].as_u64().unwrap();
             let is_its = |a: &&serde_json::Value| a["image_id"].as_u64() == Some(tick);

@@ -323,9 +323,9 @@ fn a_constant_rate_file_shows_each_picture_for_its_time() {
     let folder = Folder::new("rate");
     let mut node = folder.open::<WriteVideo>(r#"path = "v.mkv", codec = "ffv1""#);
     // 30 Hz, then 10 Hz: 2 s in all.
-    let times_ms = (0..30).map(|k| k * 1000 / 30).chain((0..10).map(|k| 1000 + k * 100));
-    for (index, ms) in times_ms.enumerate() {
-        node.at_tick(index as u64, ms * 1_000_000);
+    let times_ns = (0..30).map(|k| k * 1_000_000_000 / 30).chain((0..10).map(|k| 1_000_000_000 + k * 100_000_000));
+    for (index, ns) in times_ns.enumerate() {
+        node.at_tick(index as u64, ns);
         node.input_image::<Bgr8>("image", 64, 48, &gradient(64, 48, index)).process().unwrap();
     }
     node.finish().unwrap();
