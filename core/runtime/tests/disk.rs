@@ -112,8 +112,10 @@ fn what_was_recorded_is_readable_after_a_fault_at_any_operation() {
                     assert!((0..).zip(ticks).all(|(seq, tick)| tick.seq == seq), "{case}: a tick is missing inside");
                     ticks.len() as u64
                 }
-                // Nothing was acknowledged before the first flush.
-                Err(RecordingError::Empty { .. } | RecordingError::Unreadable { .. }) => 0,
+                // It was not begun: nothing may have been told then.
+                Err(
+                    RecordingError::Empty { .. } | RecordingError::Unreadable { .. } | RecordingError::Foreign { .. },
+                ) => 0,
                 Err(error) => panic!("{case}: {error}"),
             };
             if line.is_empty() {
