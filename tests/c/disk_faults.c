@@ -1,7 +1,7 @@
 /*
  * Makes input and output fail, for tests that start themselves with this library in LD_PRELOAD.
  *
- * disk_arm() names a folder and which of the operations on its files fails. Counted are opening for writing, write, fsync, ftruncate,
+ * disk_arm(), or PANOSCOPE_DISK_FAULT, names a folder and which of the operations on its files fails. Counted are opening for writing, write, fsync, ftruncate,
  * rename and unlink, in the order in which they happen. Everything else goes to the C library.
  */
 #define _GNU_SOURCE
@@ -11,6 +11,8 @@
 #include <signal.h>
 #include <stdarg.h>
 #include <stdatomic.h>
+#include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/types.h>
 #include <sys/uio.h>
@@ -42,6 +44,15 @@ __attribute__((visibility("default"))) void disk_arm(const char *where, int how,
     atomic_store(&torn, 0);
     atomic_store(&countdown, number);
     atomic_store(&mode, how);
+}
+
+/* A program that knows nothing of this library is told by the environment: "MODE NUMBER FOLDER". */
+__attribute__((constructor)) static void arm_by_environment(void) {
+    const char *wanted = getenv("PANOSCOPE_DISK_FAULT");
+    int how = 0, number = 0, length = 0;
+    if (wanted && sscanf(wanted, "%d %d %n", &how, &number, &length) == 2) {
+        disk_arm(wanted + length, how, number);
+    }
 }
 
 /* Answers whether the fault came. */
