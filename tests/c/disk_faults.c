@@ -14,6 +14,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <sys/types.h>
 #include <sys/uio.h>
 #include <unistd.h>
@@ -163,8 +164,16 @@ OPENS(open64)
 OPENS_AT(openat)
 OPENS_AT(openat64)
 
+/* Whether a write stays inside the file as it is: a full disk has room for that. */
+static int is_in_place(int fd, size_t len) {
+    struct stat found;
+    const off_t at = lseek(fd, 0, SEEK_CUR);
+    return at >= 0 && fstat(fd, &found) == 0 && S_ISREG(found.st_mode) && at + (off_t)len <= found.st_size;
+}
+
 EXPORT ssize_t write(int fd, const void *bytes, size_t len) {
-    const int error = is_watched(fd) ? verdict(WRITE, len) : 0;
+    const int free_of_charge = atomic_load(&mode) == FULL && is_in_place(fd, len);
+    const int error = is_watched(fd) && !free_of_charge ? verdict(WRITE, len) : 0;
     if (error > 0) {
         errno = error;
         return -1;

@@ -2,7 +2,7 @@
 //! before is readable after, and nothing is lost in silence.
 //!
 //! The faults come from `tests/c/disk_faults.c`, preloaded into a child process of this test. `PANOSCOPE_DISK_TICKS` sets how many ticks each
-//! case has (5 without it): each tick brings more operations, each of which fails in a case of its own.
+//! case has (3 without it): each tick brings more operations, each of which fails in a case of its own.
 
 use std::collections::BTreeSet;
 use std::ffi::CString;
@@ -392,7 +392,7 @@ fn case(disk: &Disk, board: &Board, folder: &Path, sink: &Sink, fault: Fault, nu
 
 /// Runs in the child process that the library is preloaded into.
 fn campaign(only: &str) {
-    let ticks = std::env::var("PANOSCOPE_DISK_TICKS").ok().and_then(|n| n.parse().ok()).unwrap_or(5).clamp(1, 12);
+    let ticks = std::env::var("PANOSCOPE_DISK_TICKS").ok().and_then(|n| n.parse().ok()).unwrap_or(3).clamp(1, 12);
     let (disk, board) = (Disk::find(), Board::new());
     let folder = std::env::temp_dir().join(format!("panoscope_disk_{only}_{}", std::process::id()));
     let mut cases = 0;
