@@ -86,3 +86,33 @@ impl<E: std::error::Error + 'static> From<E> for NodeError {
 macro_rules! error {
     ($($argument:tt)*) => { $crate::NodeError::new(format!($($argument)*)) };
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug)]
+    struct Outer(std::io::Error);
+
+    impl fmt::Display for Outer {
+        fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("cannot write x")
+        }
+    }
+
+    impl std::error::Error for Outer {
+        fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+            Some(&self.0)
+        }
+    }
+
+    #[test]
+    fn a_full_disk_is_a_lasting_error_wherever_it_stands_in_the_chain() {
+        let io = |kind: std::io::ErrorKind| std::io::Error::from(kind);
+        assert!(NodeError::from(io(std::io::ErrorKind::StorageFull)).is_lasting());
+        let wrapped = NodeError::from(Outer(io(std::io::ErrorKind::QuotaExceeded)));
+        assert!(wrapped.is_lasting() && wrapped.message().starts_with("cannot write x: "), "{wrapped}");
+        assert!(!NodeError::from(Outer(io(std::io::ErrorKind::TimedOut))).is_lasting());
+        assert!(!NodeError::new("no space left, says a node").is_lasting());
+    }
+}

@@ -189,10 +189,18 @@ impl Growing {
                 Ok(())
             }
             Err(error) => {
-                begun.cut_back();
-                Err(SinkError::io(&begun.path, error).into())
+                let error = SinkError::io(&begun.path, error);
+                if begun.cut_back() {
+                    self.begun = None;
+                }
+                Err(error.into())
             }
         }
+    }
+
+    /// Whether there is a file.
+    pub fn is_begun(&self) -> bool {
+        self.begun.is_some()
     }
 
     /// Creates the file.
@@ -226,14 +234,16 @@ impl Growing {
 }
 
 impl Begun {
-    /// Takes a torn end off. Where even that fails, readers meet half a line at the end.
-    fn cut_back(&mut self) {
+    /// Takes a torn end off; where even that fails, readers meet half a line at the end. Answers whether nothing was left and the file is removed.
+    fn cut_back(&mut self) -> bool {
         let is_file = self.file.metadata().is_ok_and(|found| found.is_file());
         if self.len == 0 && is_file {
-            let _ = fs::remove_file(&self.path);
-        } else if self.file.set_len(self.len).is_ok() {
+            return fs::remove_file(&self.path).is_ok();
+        }
+        if self.file.set_len(self.len).is_ok() {
             let _ = self.file.seek(SeekFrom::Start(self.len));
         }
+        false
     }
 }
 

@@ -176,7 +176,12 @@ impl Node for WriteTable {
                     *begun = Some(file);
                 }
                 json_line(&mut self.line, cx, &input);
-                journal.append(cx, self.line.as_bytes())?;
+                if let Err(error) = journal.append(cx, self.line.as_bytes()) {
+                    if !journal.is_begun() {
+                        *begun = None;
+                    }
+                    return Err(error);
+                }
                 let seq = cx.tick().seq;
                 let name = image_name.file(seq, "image", false);
                 // Instances repeat the boxes of their detections.

@@ -110,11 +110,9 @@ impl Engine {
             change.hold_also(&old, at)?;
         }
         let _visit = shared.pool.visit();
-        let early = {
-            // Nodes that the change ends write until the switch; those that it opens begin after it.
-            let _leaving = shared.around.claims.leaving(change.leaving(&old, &graph));
-            self.open_early(&change, &graph)?
-        };
+        // Nodes that the change ends write until the switch; those that it opens begin after it.
+        let leaving = shared.around.claims.leaving(change.leaving(&old, &graph));
+        let early = self.open_early(&change, &graph)?;
 
         // From here until the switch whole parts of the graph stand still.
         let start = Instant::now();
@@ -129,6 +127,7 @@ impl Engine {
                 return Err(error);
             }
         };
+        drop(leaving);
         let applied = self.switch(&old, &current, change, graph, catalog, loader, when, early, late, start);
         Ok(applied)
     }

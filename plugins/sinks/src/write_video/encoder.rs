@@ -36,12 +36,12 @@ enum State {
         /// The newest picture, to be repeated.
         last: Vec<u8>,
     },
-    Done,
 }
 
 /// Writes one video file.
 pub struct Encoder {
-    /// As asked for; once something was written, where it went.
+    asked: PathBuf,
+    /// Where the newest part is.
     path: PathBuf,
     codec: Codec,
     own: bool,
@@ -98,20 +98,20 @@ impl Encoder {
     /// Nothing is created before the first picture.
     pub fn new(path: &Path, ending: &str, codec: Codec, fps: f64) -> Self {
         let own = codec == Codec::Mjpg && ending == "mkv";
-        Self { path: path.to_owned(), codec, own, fps, size: (0, 0), state: State::New, jpeg: Vector::new() }
+        Self { asked: path.to_owned(), path: path.to_owned(), codec, own, fps, size: (0, 0), state: State::New, jpeg: Vector::new() }
     }
 
-    /// Appends a picture. `begin` is asked once, before the file is created, and answers the path to create.
+    /// Appends a picture. `begin` is asked before a file is created, and answers the path to create.
     ///
     /// # Errors
-    /// Of the encoder and of the file, which is complete then and ends with the picture before.
+    /// Of the encoder and of the file, which is complete then and ends with the picture before; the next picture begins another one.
     pub fn push(
         &mut self,
         picture: &Picture<'_>,
         begin: impl FnOnce(&Path) -> NodeResult<PathBuf>,
     ) -> Result<(), NodeError> {
         if matches!(self.state, State::New) {
-            self.path = begin(&self.path)?;
+            self.path = begin(&self.asked)?;
         }
         let pushed = self.append(picture);
         if pushed.is_err() {
@@ -167,7 +167,7 @@ impl Encoder {
             }
             State::OpenCv { .. } => {
                 let State::OpenCv { mut writer, mut pacing, mut last } =
-                    std::mem::replace(&mut self.state, State::Done)
+                    std::mem::replace(&mut self.state, State::New)
                 else {
                     return Ok(());
                 };
@@ -260,8 +260,8 @@ impl Encoder {
     /// # Errors
     /// Of the encoder and of the file.
     pub fn finish(&mut self) -> Result<(), SinkError> {
-        let mut writer = match std::mem::replace(&mut self.state, State::Done) {
-            State::New | State::Done => return Ok(()),
+        let mut writer = match std::mem::replace(&mut self.state, State::New) {
+            State::New => return Ok(()),
             State::Mkv { mut muxer, .. } => return muxer.finish().map_err(|error| SinkError::io(&self.path, error)),
             State::First { bgr, .. } => {
                 let mut writer = self.open_writer(FALLBACK_FPS)?;
