@@ -87,7 +87,8 @@ fn a_refused_change_of_path_leaves_the_file_as_it_is() {
     let mut live = start(&graph(&video("out", &file, ""))).expect("a good graph");
     more_frames(&live, "out");
     for path in ["/proc/nowhere/v.mkv", "/dev/null/v.mkv"] {
-        let refused = live.set_param("out", "path", &path.into()).expect_err("nothing can be written there").to_string();
+        let refused =
+            live.set_param("out", "path", &path.into()).expect_err("nothing can be written there").to_string();
         assert!(refused.contains("nothing was changed") && refused.contains(path), "{refused}");
         more_frames(&live, "out");
     }

@@ -153,8 +153,7 @@ pub struct Host {
     /// Claims a file that the node writes, for as long as the instance is open. `action` is a `CLAIM_` constant. With `file`, the host
     /// answers the path to write, valid until the call ends: `path` itself the first time in a run, later `name.part2.ending` and so on, so
     /// that nothing written in this run is cut off. `STATUS_INVALID` and `file` set to the other node's name: an open node writes it.
-    pub claim_file:
-        Option<unsafe extern "C" fn(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status>,
+    pub claim_file: Option<unsafe extern "C" fn(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status>,
     /// The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend on it.
     pub clock_ns: Option<unsafe extern "C" fn(call: *mut c_void) -> i64>,
 }

@@ -123,11 +123,7 @@ unsafe extern "C" fn process<N: Node>(instance: *mut c_void, call: *mut abi::Cal
     }
 }
 
-unsafe extern "C" fn finish<N: Node>(
-    instance: *mut c_void,
-    host: *const abi::Host,
-    call: *mut c_void,
-) -> abi::Status {
+unsafe extern "C" fn finish<N: Node>(instance: *mut c_void, host: *const abi::Host, call: *mut c_void) -> abi::Status {
     // SAFETY: an open instance that no other thread uses; the host's table and handle are valid for the length of the call.
     unsafe {
         let this = &mut *instance.cast::<Instance<N>>();

@@ -177,7 +177,10 @@ mod tests {
     fn an_unknown_suite_lists_the_known_ones() {
         let args = words("fualts");
         let error = Request::parse(&args).err().unwrap().to_string();
-        assert_eq!(error, "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, kill");
+        assert_eq!(
+            error,
+            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, kill"
+        );
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));
     }

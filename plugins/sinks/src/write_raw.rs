@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use panoscope_node::{
-    AnyImage, Confidence, Context, Depth, Disparity, Finish, Image, Mask, NoPorts, Node, NodeError, NodeInfo, Open, Params,
-    Ports, Result,
+    AnyImage, Confidence, Context, Depth, Disparity, Finish, Image, Mask, NoPorts, Node, NodeError, NodeInfo, Open,
+    Params, Ports, Result,
 };
 
 use crate::formats::array::{self, ArrayFormat};

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use panoscope_node::abi::{Homography, Joints, Pose, Roi, Scalar, Tip};
 use panoscope_node::{
-    Context, Detections, Finish, Instances, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Table, Text, Value,
+    Context, Detections, Finish, Instances, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Table,
+    Text, Value,
 };
 
 use crate::formats::coco::{Coco, run_lengths};
@@ -224,7 +225,8 @@ impl WriteTable {
         let Form::Coco { coco, begun, .. } = &mut self.form else { return Ok(()) };
         let Some(path) = begun.take() else { return Ok(()) };
         let mut whole = Wholes::default();
-        whole.write(&path, |file| file.write_all(coco.text().as_bytes()).map_err(|error| SinkError::io(&path, error)))?;
+        whole
+            .write(&path, |file| file.write_all(coco.text().as_bytes()).map_err(|error| SinkError::io(&path, error)))?;
         whole.finish()?;
         let _ = std::fs::remove_file(journal_of(&path));
         Ok(())

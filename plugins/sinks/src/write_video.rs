@@ -5,7 +5,9 @@ mod timeline;
 
 use std::path::PathBuf;
 
-use panoscope_node::{AnyImage, Choice, Context, Finish, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result};
+use panoscope_node::{
+    AnyImage, Choice, Context, Finish, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result,
+};
 
 use crate::picture::Pixels;
 use crate::target::{check_name, claim};

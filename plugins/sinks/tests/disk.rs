@@ -36,10 +36,13 @@ enum Fault {
 
 const FAULTS: [Fault; 6] = [Fault::Full, Fault::EioOnce, Fault::EioTorn, Fault::Gone, Fault::Kill, Fault::KillTorn];
 
+type Arm = unsafe extern "C" fn(*const libc::c_char, libc::c_int, libc::c_int);
+type Disarm = unsafe extern "C" fn() -> libc::c_int;
+
 /// The preloaded library.
 struct Disk {
-    arm: unsafe extern "C" fn(*const libc::c_char, libc::c_int, libc::c_int),
-    disarm: unsafe extern "C" fn() -> libc::c_int,
+    arm: Arm,
+    disarm: Disarm,
 }
 
 impl Disk {
@@ -52,7 +55,13 @@ impl Disk {
             found
         };
         // SAFETY: functions of `disk_faults.c` with these signatures.
-        unsafe { Self { arm: std::mem::transmute(symbol("disk_arm")), disarm: std::mem::transmute(symbol("disk_disarm")) } }
+        let (arm, disarm) = unsafe {
+            (
+                std::mem::transmute::<*mut libc::c_void, Arm>(symbol("disk_arm")),
+                std::mem::transmute::<*mut libc::c_void, Disarm>(symbol("disk_disarm")),
+            )
+        };
+        Self { arm, disarm }
     }
 
     fn arm(&self, folder: &Path, fault: Fault, number: i32) {
@@ -208,7 +217,9 @@ fn files(folder: &Path, ending: &str) -> Vec<PathBuf> {
 fn videos(folder: &Path) -> BTreeSet<u64> {
     let mut ticks = BTreeSet::new();
     for path in files(folder, "mkv") {
-        let Ok(mut video) = videoio::VideoCapture::from_file(path.to_str().unwrap(), videoio::CAP_FFMPEG) else { continue };
+        let Ok(mut video) = videoio::VideoCapture::from_file(path.to_str().unwrap(), videoio::CAP_FFMPEG) else {
+            continue;
+        };
         let mut mat = Mat::default();
         while video.is_opened().unwrap() && video.read(&mut mat).unwrap() {
             let bytes = mat.data_bytes().unwrap();
@@ -382,9 +393,9 @@ fn case(disk: &Disk, board: &Board, folder: &Path, sink: &Sink, fault: Fault, nu
         assert!(told.stopped || !told.errors.is_empty(), "the full disk was not told");
         assert!(told.errors.len() <= 2, "told once in a call, and perhaps at the end: {:?}", told.errors);
         assert!(told.errors.iter().all(|e| e.contains("the disk is full")), "{:?}", told.errors);
-        let parts = fs::read_dir(folder).unwrap().filter(|f| {
-            f.as_ref().unwrap().file_name().to_string_lossy().ends_with("tmp-part")
-        });
+        let parts = fs::read_dir(folder)
+            .unwrap()
+            .filter(|f| f.as_ref().unwrap().file_name().to_string_lossy().ends_with("tmp-part"));
         assert_eq!(parts.count(), 0, "something half-written is left");
     }
     came

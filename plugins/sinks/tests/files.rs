@@ -357,7 +357,8 @@ fn a_reopened_sink_goes_on_in_the_next_part() {
     for part in ["v.mkv", "v.part2.mkv", "v.part3.mkv"] {
         assert_eq!(read_video(&folder.0.join(part)).frames.len(), 3, "{part}");
     }
-    let text: String = ["t.jsonl", "t.part2.jsonl", "t.part3.jsonl"].map(|p| fs::read_to_string(folder.0.join(p)).unwrap()).concat();
+    let text: String =
+        ["t.jsonl", "t.part2.jsonl", "t.part3.jsonl"].map(|p| fs::read_to_string(folder.0.join(p)).unwrap()).concat();
     assert_eq!(text.lines().count(), 9);
     for part in ["d.json", "d.part2.json", "d.part3.json"] {
         let json: serde_json::Value = serde_json::from_slice(&fs::read(folder.0.join(part)).unwrap()).unwrap();
@@ -403,9 +404,7 @@ fn an_unwritable_place_is_found_when_a_sink_opens() {
 fn one_file_has_one_writer() {
     let folder = Folder::new("writers");
     let run = Files::default();
-    let setup = |id: &str| {
-        Setup::new("params = { path = \"t.csv\" }").graph_dir(&folder.0).node_id(id).files(&run)
-    };
+    let setup = |id: &str| Setup::new("params = { path = \"t.csv\" }").graph_dir(&folder.0).node_id(id).files(&run);
     let first = Harness::<WriteTable>::open(setup("first")).unwrap();
     let message = Harness::<WriteTable>::open(setup("second")).err().unwrap().to_string();
     assert!(message.contains("`first`") && message.contains("t.csv"), "{message}");

@@ -82,7 +82,15 @@ pub struct Setup {
 impl Default for Setup {
     fn default() -> Self {
         let (toml, node_id) = (String::new(), "node".to_owned());
-        Self { toml, node_id, graph_dir: PathBuf::from("."), threads: 1, batch: false, read: None, files: Files::default() }
+        Self {
+            toml,
+            node_id,
+            graph_dir: PathBuf::from("."),
+            threads: 1,
+            batch: false,
+            read: None,
+            files: Files::default(),
+        }
     }
 }
 

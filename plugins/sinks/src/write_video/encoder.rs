@@ -98,7 +98,16 @@ impl Encoder {
     /// Nothing is created before the first picture.
     pub fn new(path: &Path, ending: &str, codec: Codec, fps: f64) -> Self {
         let own = codec == Codec::Mjpg && ending == "mkv";
-        Self { asked: path.to_owned(), path: path.to_owned(), codec, own, fps, size: (0, 0), state: State::New, jpeg: Vector::new() }
+        Self {
+            asked: path.to_owned(),
+            path: path.to_owned(),
+            codec,
+            own,
+            fps,
+            size: (0, 0),
+            state: State::New,
+            jpeg: Vector::new(),
+        }
     }
 
     /// Appends a picture. `begin` is asked before a file is created, and answers the path to create.
@@ -166,8 +175,7 @@ impl Encoder {
                 muxer.push(time_ms, self.jpeg.as_slice()).map_err(|error| SinkError::io(&self.path, error))
             }
             State::OpenCv { .. } => {
-                let State::OpenCv { mut writer, mut pacing, mut last } =
-                    std::mem::replace(&mut self.state, State::New)
+                let State::OpenCv { mut writer, mut pacing, mut last } = std::mem::replace(&mut self.state, State::New)
                 else {
                     return Ok(());
                 };
@@ -271,9 +279,7 @@ impl Encoder {
             State::OpenCv { writer, .. } => writer,
         };
         writer.release().map_err(|error| failed(&self.path, error))?;
-        File::open(&self.path)
-            .and_then(|file| sync(&file))
-            .map_err(|error| SinkError::io(&self.path, error))?;
+        File::open(&self.path).and_then(|file| sync(&file)).map_err(|error| SinkError::io(&self.path, error))?;
         // FFmpeg does not say when a write fails.
         let plays = self.path.to_str().is_some_and(|path| {
             VideoCapture::from_file(path, CAP_FFMPEG).and_then(|video| video.is_opened()).unwrap_or(false)
