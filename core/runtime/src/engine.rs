@@ -231,6 +231,8 @@ impl Engine {
             thread_allocations: options.thread_allocations,
             open_limit: options.open_limit,
             close_limit: options.close_limit,
+            claims: Arc::default(),
+            stopped: Mutex::default(),
         };
         let hurried = !around.unhurried();
         let pool = Pool::new(threads);
@@ -595,7 +597,7 @@ fn open_all(shared: &Arc<Shared>) -> Result<(), StartError> {
         match answer.map_err(|error| error.to_string()).flatten() {
             Ok(instance) => {
                 if let Some(mut exec) = cell.exec.take() {
-                    exec.instance = instance;
+                    exec.instance = instance.begun();
                     cell.exec.put(exec);
                 }
             }

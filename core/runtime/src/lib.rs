@@ -5,6 +5,7 @@
 
 mod apply;
 mod cell;
+mod claims;
 pub mod clock;
 mod convert;
 pub mod elf;
@@ -12,6 +13,7 @@ mod engine;
 mod exec;
 mod failures;
 pub mod fault;
+mod finish;
 mod guard;
 mod host;
 mod join;

@@ -26,6 +26,9 @@ pub struct Report {
     pub nodes: BTreeMap<String, NodeReport>,
     /// Per sink: time from ingest to the end of its work.
     pub paths: BTreeMap<String, PathReport>,
+    /// Nodes that lost something for good, with the reason: a full disk, a file that could not be completed. Such a run has failed.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub stopped: BTreeMap<String, String>,
     /// Heap allocations per frame in steady state, null when not counted.
     pub allocations_per_frame: Option<f64>,
     /// Where it ran.
@@ -180,6 +183,7 @@ impl Report {
             fps: if seconds > 0.0 { frames as f64 / seconds } else { 0.0 },
             nodes,
             paths,
+            stopped: lock(&shared.around.stopped).clone(),
             allocations_per_frame,
             machine: Machine::here(shared.pool.threads()),
         }

@@ -206,7 +206,14 @@ fn judge(engine: &Engine, graph: &Graph, report: &Report, outcome: &Outcome) -> 
         tell!("error: {reason}");
         end = End::Failed;
     }
+    for (node, words) in &report.stopped {
+        tell!("error: node `{node}` lost data: {words}");
+        end = End::Failed;
+    }
     for node in &graph.nodes {
+        if report.stopped.contains_key(&node.id) {
+            continue;
+        }
         let Some(counts) = report.nodes.get(&node.id).filter(|n| n.faults > 0) else { continue };
         let words = last_words(&node.id).unwrap_or_default();
         // A node that never once did its work made the run useless, whatever the graph says about faults.

@@ -2,7 +2,7 @@
 
 mod call;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -10,6 +10,7 @@ use std::time::Duration;
 use panoscope_abi::{self as abi, PortRange, Str, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
+use crate::claims::{Claims, Holds};
 use crate::clock;
 use crate::exec::{Busy, Exec, ExecPlace, Instance, Made};
 use crate::fault::{Action, CAUSES, Cause, Fault, FaultLog, unix_ms};
@@ -52,6 +53,10 @@ pub(crate) struct Surroundings {
     /// Longest that a node may take to open, and to close or to save or take over a state.
     pub open_limit: Duration,
     pub close_limit: Duration,
+    /// Files that nodes of this run write.
+    pub claims: Arc<Claims>,
+    /// Nodes that lost something for good, with the reason.
+    pub stopped: Mutex<BTreeMap<String, String>>,
 }
 
 impl Surroundings {
@@ -138,6 +143,8 @@ pub(crate) struct Cell {
     pub broken: Mutex<Vec<Instance>>,
     /// A failed node is to be opened again.
     pub wants_mending: AtomicBool,
+    /// Its last error was one that opening it again would not mend.
+    pub gives_up: AtomicBool,
     /// Increases whenever somebody sets out to mend; only the newest may hand over.
     pub mending: AtomicU64,
     pub failures: AtomicU32,
@@ -243,6 +250,7 @@ impl Cell {
             replace: AtomicBool::new(false),
             broken: Mutex::new(Vec::new()),
             wants_mending: AtomicBool::new(false),
+            gives_up: AtomicBool::new(false),
             mending: AtomicU64::new(0),
             failures: AtomicU32::new(0),
             stuck: Arc::default(),
@@ -347,6 +355,8 @@ impl Cell {
         if around.script.as_ref().is_some_and(|s| s.closes(self)) {
             return Ok(Instance::none(self.node_type));
         }
+        let mut instance = Instance::none(self.node_type);
+        *instance.holds = Holds::new(&around.claims);
         let mut failure = String::new();
         let mut context = CallContext {
             outputs: std::ptr::null_mut(),
@@ -357,6 +367,7 @@ impl Cell {
             lent: None,
             first_formats: 0,
             cell: self,
+            holds: &instance.holds,
             log: &around.log,
             failure: &mut failure,
             refused: None,
@@ -375,21 +386,20 @@ impl Cell {
             graph_dir: Str::borrow(&around.graph_dir),
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
-        let mut instance = Instance::none(self.node_type);
         let mut raw = std::ptr::null_mut();
         let status = match self.node_type.open {
             // SAFETY: the contract; everything the call points to outlives it.
             Some(open) => instance.kept.during(|| unsafe { open(&raw mut call, &raw mut raw) }),
             None => abi::STATUS_INVALID,
         };
-        instance.raw = raw;
         if status == abi::STATUS_OK {
-            instance.open = true;
+            (instance.raw, instance.open) = (raw, true);
             return Ok(instance);
         }
         if failure.is_empty() {
             failure = format!("it did not open (status {status})");
         }
+        self.gives_up.store(status == abi::STATUS_STOPPED, Ordering::Release);
         Err(failure)
     }
 }
