@@ -25,6 +25,11 @@ impl Hysteresis {
         self.is_on
     }
 
+    /// Since when distances ask for the other state, s; none while they do not.
+    pub fn leans_since_s(&self) -> Option<f64> {
+        self.since_s
+    }
+
     /// A distance at a time; answers whether the warning is on. A distance that is not known changes nothing.
     pub fn step(&mut self, now_s: f64, distance_mm: f64, rule: &Rule) -> bool {
         if distance_mm.is_nan() {

@@ -65,7 +65,7 @@ pub struct Tool {
     first: i64,
     speeds: Vec<f32>,
     touch: Hysteresis,
-    touch_from_s: f64,
+    touched_s: f64,
 }
 
 impl Tool {
@@ -106,16 +106,16 @@ impl Tool {
         if !sample.tissue_mm.is_finite() {
             return;
         }
-        let settings = sink.settings;
-        let was = self.touch.is_on();
-        let is = self.touch.step(sample.at_s, sample.tissue_mm, &settings.touch_rule());
-        if is && !was {
-            self.touch_from_s = sample.at_s - settings.touch_s;
-        }
-        let lasted_s = if is { sample.at_s - self.touch_from_s } else { 0.0 };
-        if is {
-            self.touch_from_s = sample.at_s;
-        }
+        let (was, since_s) = (self.touch.is_on(), self.touch.leans_since_s());
+        let is = self.touch.step(sample.at_s, sample.tissue_mm, &sink.settings.touch_rule());
+        // From where it began until it ends, not until that is certain.
+        let lasted_s = match self.touch.leans_since_s() {
+            _ if is && !was => sample.at_s - since_s.unwrap_or(sample.at_s),
+            None if is => sample.at_s - self.touched_s,
+            Some(since) if is && since >= sample.at_s => sample.at_s - self.touched_s,
+            _ => 0.0,
+        };
+        self.touched_s = sample.at_s;
         self.both(sink.phase, |m| m.contact(is && !was, lasted_s));
     }
 
