@@ -289,7 +289,8 @@ fn a_full_picture() {
 
 #[test]
 fn a_near_tip_has_a_ring_a_line_to_the_tissue_and_a_colour_that_says_how_near() {
-    let names = ["track_id", "u_px", "v_px", "tissue_u_px", "tissue_v_px", "tissue_mm", "tissue_state", "tip_mm", "tip_state"];
+    let names =
+        ["track_id", "u_px", "v_px", "tissue_u_px", "tissue_v_px", "tissue_mm", "tissue_state", "tip_mm", "tip_state"];
     let pixel = |params: &str, state: f64, tip_state: f64, at: (usize, usize)| -> [u8; 3] {
         let mut node = overlay(params);
         node.input_table("nearness", &names, &[1.0, 100.0, 80.0, 160.0, 80.0, 3.2, state, 6.0, tip_state]);

@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{
-    AnyImage, Bgr8, Cloud, Context, Depth, Detections, Image, Instances, List, Mask, Node, NodeInfo, Open, Params, Ports,
-    Result, Slot, TableData, TextPacket, Value, error,
+    AnyImage, Bgr8, Cloud, Context, Depth, Detections, Image, Instances, List, Mask, Node, NodeInfo, Open, Params,
+    Ports, Result, Slot, TableData, TextPacket, Value, error,
 };
 use panoscope_tracking::proximity::{Hysteresis, Lens, Rule, Surface};
 
@@ -142,7 +142,10 @@ impl Proximity {
             if (width, height) == size {
                 return Ok(());
             }
-            Err(error!("`{what}` is of a picture of {width}x{height}, depth is {}x{}: wire both of one view", size.0, size.1))
+            Err(error!(
+                "`{what}` is of a picture of {width}x{height}, depth is {}x{}: wire both of one view",
+                size.0, size.1
+            ))
         };
         self.tool.clear();
         self.tool.resize(size.0 * size.1, false);
@@ -239,11 +242,8 @@ fn call(words: &mut String, names: &str, tip: &Tip) {
 }
 
 impl Node for Proximity {
-    const INFO: NodeInfo = NodeInfo::compute(
-        "proximity",
-        "tools",
-        "Measures how near tips are to tissue and to each other, and warns.",
-    );
+    const INFO: NodeInfo =
+        NodeInfo::compute("proximity", "tools", "Measures how near tips are to tissue and to each other, and warns.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = ProximityParams;
@@ -252,10 +252,17 @@ impl Node for Proximity {
         Ok(Self::default())
     }
 
-    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &ProximityParams) -> Result<()> {
+    fn process<'f>(
+        &mut self,
+        cx: &Context<'f>,
+        input: In<'f>,
+        mut out: Out<'f>,
+        params: &ProximityParams,
+    ) -> Result<()> {
         let now_ns = cx.tick().capture_ns;
         let max_age_ns = (params.max_age_ms * 1e6) as i64;
-        if self.surface_ns.is_some_and(|made| made > now_ns) || self.watches.iter().any(|watch| watch.seen_ns > now_ns) {
+        if self.surface_ns.is_some_and(|made| made > now_ns) || self.watches.iter().any(|watch| watch.seen_ns > now_ns)
+        {
             // Time went back.
             self.surface_ns = None;
             self.watches.clear();
@@ -300,7 +307,8 @@ impl Node for Proximity {
             let is_near = watch.near.step(now_s, tissue_mm, &rule(params.warn_mm));
             let is_contact = watch.contact.step(now_s, tissue_mm, &rule(params.contact_mm));
             // Without another tip there is nothing to run into.
-            let is_close = watch.other.step(now_s, if other.is_some() { tip_mm } else { f64::INFINITY }, &rule(params.tips_mm));
+            let is_close =
+                watch.other.step(now_s, if other.is_some() { tip_mm } else { f64::INFINITY }, &rule(params.tips_mm));
             let state = match () {
                 () if tissue_mm.is_nan() => -1.0,
                 () if is_contact => 2.0,

@@ -6,8 +6,8 @@ use std::fmt::Write;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion};
 use panoscope_node::abi::{Pose, Tip};
 use panoscope_node::{
-    Choice, Context, List, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData, Text, TextPacket, Value,
-    error,
+    Choice, Context, List, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData, Text, TextPacket,
+    Value, error,
 };
 use panoscope_tracking::skill::measures::FIGURES;
 use panoscope_tracking::skill::{Measures, Sample, Session, Settings};
@@ -135,7 +135,9 @@ fn pose_of(pose: &Pose) -> Option<Isometry3<f64>> {
 fn tissue_mm(table: &Table<'_>, track_id: i64) -> Result<f64> {
     let column = |name: &str| {
         let place = table.names().position(|n| n == name);
-        place.ok_or_else(|| error!("the table at `proximity` has no column `{name}`: wire the table of a `proximity` node"))
+        place.ok_or_else(|| {
+            error!("the table at `proximity` has no column `{name}`: wire the table of a `proximity` node")
+        })
     };
     let (id, tissue) = (column("track_id")?, column("tissue_mm")?);
     Ok(table.rows().find(|row| row[id] == track_id as f64).map_or(f64::NAN, |row| row[tissue]))
@@ -210,7 +212,9 @@ impl Node for Skill {
             };
             let Some(tool) = self.session.tool(key, String::new) else {
                 if !std::mem::replace(&mut self.refused, true) {
-                    cx.warn("there are more tools than 16: the last ones are not measured; `tools = \"class\"` has fewer");
+                    cx.warn(
+                        "there are more tools than 16: the last ones are not measured; `tools = \"class\"` has fewer",
+                    );
                 }
                 continue;
             };

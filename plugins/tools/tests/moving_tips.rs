@@ -14,8 +14,7 @@ const TICK_NS: i64 = 33_333_333;
 
 fn calibration() -> Calibration {
     let (width, height) = (SIZE.0 as u32, SIZE.1 as u32);
-    let camera =
-        Camera { width, height, fx: FOCAL, fy: FOCAL, cx: CENTRE.0, cy: CENTRE.1, distortion: [0.0; 14] };
+    let camera = Camera { width, height, fx: FOCAL, fy: FOCAL, cx: CENTRE.0, cy: CENTRE.1, distortion: [0.0; 14] };
     let eye = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     let projection = |tx: f64| [FOCAL, 0.0, CENTRE.0, tx, 0.0, FOCAL, CENTRE.1, 0.0, 0.0, 0.0, 1.0, 0.0];
     Calibration {
@@ -235,9 +234,10 @@ fn false_and_missed_warnings_are_counted_per_tip() -> Result<(), HarnessError> {
         let tissue = ["tissue_approaches", "tissue_missed", "tissue_warnings", "tissue_false", "tissue_ticks"];
         assert_eq!(counts(tissue), [2.0, 1.0, 2.0, 1.0, 51.0]);
         // Only the second tip has another one beside it.
-        assert_eq!(counts(["tips_approaches", "tips_missed", "tips_warnings", "tips_false", "tips_ticks"]), [
-            1.0, 0.0, 1.0, 0.0, 25.0
-        ]);
+        assert_eq!(
+            counts(["tips_approaches", "tips_missed", "tips_warnings", "tips_false", "tips_ticks"]),
+            [1.0, 0.0, 1.0, 0.0, 25.0]
+        );
     }
     assert!((column(&out, 0, "tissue_delay_ms")? - TICK_NS as f64 * 1e-6).abs() < 1e-3);
     assert!((column(&out, 0, "tissue_rms_mm")? - 0.3).abs() < 1e-9);
@@ -323,7 +323,8 @@ fn skill_leaves_out_what_is_only_predicted_and_says_when_there_are_too_many_tool
         node.input_value("tip", tip([0.0, 0.0, 60.0], k));
         node.process()?;
     }
-    let said: Vec<&str> = node.logs().iter().filter(|line| line.level == Level::Warn).map(|line| line.message.as_str()).collect();
+    let said: Vec<&str> =
+        node.logs().iter().filter(|line| line.level == Level::Warn).map(|line| line.message.as_str()).collect();
     assert_eq!(said.len(), 1, "{said:?}");
     assert!(said[0].contains("more tools than 16"), "{said:?}");
     Ok(())

@@ -43,6 +43,7 @@ pub struct Session {
     pairs: Vec<Pair>,
     phases: Vec<String>,
     phase: usize,
+    next_phase: usize,
     meter: Meter,
     movements: Vec<VecDeque<Movement>>,
     cells: Option<Vec<Vec<Cell>>>,
@@ -71,25 +72,16 @@ impl Session {
         self.phase
     }
 
-    /// What comes from now on belongs to this phase. A name that was used before continues that phase.
+    /// From the next [`Session::advance`] on all belongs to this phase. A name that was used before continues that phase.
     pub fn set_phase(&mut self, name: &str) {
-        if self.phases.get(self.phase).is_some_and(|now| now == name) {
-            return;
-        }
         if let [only] = &mut self.phases[..]
             && only.is_empty()
             && self.tools.iter().all(|tool| tool.total.is_empty())
         {
             // Nothing happened before the first name.
             name.clone_into(only);
-            return;
         }
-        for index in 0..self.tools.len() {
-            let (tool, mut sink) = self.part(index);
-            tool.cut(&mut sink);
-        }
-        self.look_at_pairs();
-        self.phase = match self.phases.iter().position(|known| known == name) {
+        self.next_phase = match self.phases.iter().position(|known| known == name) {
             Some(known) => known,
             None if self.phases.len() < MOST_PHASES => {
                 self.phases.push(name.to_owned());
@@ -100,6 +92,16 @@ impl Session {
         let count = self.phases.len();
         self.tools.iter_mut().for_each(|tool| tool.phases.resize(count, Measures::default()));
         self.pairs.iter_mut().for_each(|pair| pair.phases.resize(count, Together::default()));
+    }
+
+    /// Counts what is undecided to the phase that ends.
+    fn change_phase(&mut self) {
+        for index in 0..self.tools.len() {
+            let (tool, mut sink) = self.part(index);
+            tool.cut(&mut sink);
+        }
+        self.look_at_pairs();
+        self.phase = self.next_phase;
     }
 
     /// Number of the tool with a key, made with a name where there is none; none when there are [`MOST_TOOLS`] others.
@@ -154,6 +156,9 @@ impl Session {
         for index in 0..self.tools.len() {
             let (tool, mut sink) = self.part(index);
             tool.advance(now_s, &mut sink);
+        }
+        if self.next_phase != self.phase {
+            self.change_phase();
         }
         self.look_at_pairs();
     }

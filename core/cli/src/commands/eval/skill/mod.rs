@@ -55,7 +55,9 @@ pub struct Arguments {
 /// Judges the measures beside motions that are known in closed form, sampled evenly, at uneven times, and with pictures lost.
 pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
     if arguments.html.is_some() || arguments.phases.is_some() {
-        tell!("error: `--html` and `--phases` need a track: `panoscope eval skill out/skill_tip.csv --html skill.html`");
+        tell!(
+            "error: `--html` and `--phases` need a track: `panoscope eval skill out/skill_tip.csv --html skill.html`"
+        );
         return Ok(None);
     }
     let settings = settings(arguments);
@@ -102,7 +104,8 @@ fn read_phases(path: &Path) -> Result<Vec<(f64, String)>> {
     let mut phases: Vec<(f64, String)> = Vec::new();
     for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let place = || format!("{}, line {}", path.display(), index + 1);
-        let (start, name) = line.split_once(',').with_context(|| format!("{}: a begin in s, a comma, a name", place()))?;
+        let (start, name) =
+            line.split_once(',').with_context(|| format!("{}: a begin in s, a comma, a name", place()))?;
         let Ok(start) = start.trim().parse::<f64>() else {
             // A head is welcome.
             ensure!(index == 0, "{}: `{}` is no number of seconds", place(), start.trim());
@@ -157,14 +160,12 @@ fn study(arguments: &Arguments) -> Result<Study> {
         if let Some(name) = row.phase.as_deref().filter(|_| phases.is_none()) {
             study.session.set_phase(name.lines().next().unwrap_or("").trim());
         }
-        if study.changes.last().is_none_or(|(_, phase)| *phase != study.session.phase()) {
-            study.changes.push((at_s, study.session.phase()));
-        }
         if let Some(tip) = row.tip {
             // Files are hands; numbers tell tools of one hand apart.
             let key = (file as u64) << 32 | u64::from(tip.track_id as u32);
             let name = || {
-                let class = tip.class_index.and_then(|class| labels.get(class as usize)).filter(|name| !name.is_empty());
+                let class =
+                    tip.class_index.and_then(|class| labels.get(class as usize)).filter(|name| !name.is_empty());
                 let name = class.map_or_else(|| stems[file].clone(), |class| format!("{} {class}", stems[file]));
                 if tip.track_id >= 0 { format!("{name} #{}", tip.track_id) } else { name }
             };
@@ -174,6 +175,9 @@ fn study(arguments: &Arguments) -> Result<Study> {
             }
         }
         study.session.advance(at_s);
+        if study.changes.last().is_none_or(|(_, phase)| *phase != study.session.phase()) {
+            study.changes.push((at_s, study.session.phase()));
+        }
         study.collect();
     }
     ensure!(study.session.tools().next().is_some(), "no tip in {}: was anything seen?", study.files.join(", "));
@@ -265,7 +269,11 @@ pub fn report(arguments: &Arguments) -> Result<End> {
     let names: Vec<&str> = study.session.tools().map(|tool| tool.name).collect();
     for (a, b, both, _) in study.session.pairs() {
         let (overlap, correlation) = (shown(both.overlap()), shown(both.correlation()));
-        say!("  {} and {}: together {overlap} of the time in which either moves, speeds correlate by {correlation}", names[a], names[b]);
+        say!(
+            "  {} and {}: together {overlap} of the time in which either moves, speeds correlate by {correlation}",
+            names[a],
+            names[b]
+        );
     }
     if study.refused > 0 {
         tell!("warning: {} tips belong to more than 16 tools and are not measured", study.refused);

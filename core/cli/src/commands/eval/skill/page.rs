@@ -17,17 +17,50 @@ svg{width:100%;height:auto;margin:.4em 0}svg text{font:11px system-ui,sans-serif
 
 /// What measures mean, with their sources.
 const MEANINGS: [(&str, &str); 11] = [
-    ("Time, time out of view, departures", "From the tool's first picture on. Pictures without it for longer than the longest gap are time out of view. (Oropesa et al. 2013)"),
-    ("Path, speed", "Length of the tip's smoothed path while it moves; rest adds none, since what a tracker trembles there would grow with time. Mean speed is path over time of movement. (Oropesa et al. 2013; Chmarra et al. 2007)"),
-    ("Idle share", "Share of the time in view in which the tool is slower than the speed of rest for longer than the shortest rest. (D'Angelo et al. 2015)"),
-    ("Movement", "From rest to rest, measured from where its speed first passes a tenth of its peak (or the speed of rest) to where it last does."),
-    ("Economy of motion", "Straight distance between the ends of movements over their paths; 1 is straight. (Oropesa et al. 2013)"),
-    ("Jerk; log dimensionless jerk", "Third derivative of the place, from a quintic spline. -ln(T^3 / v_peak^2 * integral of squared jerk), mean of all movements; greater is smoother; -5.32 is a minimum-jerk reach from rest to rest, and one measured between a tenth of its peak speed is a little above -4. (Hogan and Sternad 2009; Balasubramanian et al. 2012, 2015)"),
-    ("Spectral arc length", "Minus the length of the normalised amplitude spectrum of the speed, up to 10 Hz or where it stays below 0.05, mean of all movements; greater is smoother. (Balasubramanian et al. 2012, 2015)"),
-    ("Working box, ellipsoid", "Extent of all places in view; volume of the ellipsoid that holds 95 % of a normal distribution like theirs. (Oropesa et al. 2013)"),
-    ("Depth", "Range of the depth in the camera's frame, and path along it while the tool moves. (Oropesa et al. 2013)"),
-    ("Both hands", "Share of the time in which either tool moves, both in view, in which both do; and the correlation of their speeds. (Hofstad et al. 2013)"),
-    ("Touches, grasps", "Stretches in which the tip is within the distance of touch of the tissue. Of tools that grasp they are counted as grasps: the tracks do not tell whether jaws close."),
+    (
+        "Time, time out of view, departures",
+        "From the tool's first picture on. Pictures without it for longer than the longest gap are time out of view. (Oropesa et al. 2013)",
+    ),
+    (
+        "Path, speed",
+        "Length of the tip's smoothed path while it moves; rest adds none, since what a tracker trembles there would grow with time. Mean speed is path over time of movement. (Oropesa et al. 2013; Chmarra et al. 2007)",
+    ),
+    (
+        "Idle share",
+        "Share of the time in view in which the tool is slower than the speed of rest for longer than the shortest rest. (D'Angelo et al. 2015)",
+    ),
+    (
+        "Movement",
+        "From rest to rest, measured from where its speed first passes a tenth of its peak (or the speed of rest) to where it last does.",
+    ),
+    (
+        "Economy of motion",
+        "Straight distance between the ends of movements over their paths; 1 is straight. (Oropesa et al. 2013)",
+    ),
+    (
+        "Jerk; log dimensionless jerk",
+        "Third derivative of the place, from a quintic spline. -ln(T^3 / v_peak^2 * integral of squared jerk), mean of all movements; greater is smoother; -5.32 is a minimum-jerk reach from rest to rest, and one measured between a tenth of its peak speed is a little above -4. (Hogan and Sternad 2009; Balasubramanian et al. 2012, 2015)",
+    ),
+    (
+        "Spectral arc length",
+        "Minus the length of the normalised amplitude spectrum of the speed, up to 10 Hz or where it stays below 0.05, mean of all movements; greater is smoother. (Balasubramanian et al. 2012, 2015)",
+    ),
+    (
+        "Working box, ellipsoid",
+        "Extent of all places in view; volume of the ellipsoid that holds 95 % of a normal distribution like theirs. (Oropesa et al. 2013)",
+    ),
+    (
+        "Depth",
+        "Range of the depth in the camera's frame, and path along it while the tool moves. (Oropesa et al. 2013)",
+    ),
+    (
+        "Both hands",
+        "Share of the time in which either tool moves, both in view, in which both do; and the correlation of their speeds. (Hofstad et al. 2013)",
+    ),
+    (
+        "Touches, grasps",
+        "Stretches in which the tip is within the distance of touch of the tissue. Of tools that grasp they are counted as grasps: the tracks do not tell whether jaws close.",
+    ),
 ];
 
 fn measures_table(out: &mut String, heads: &[&str], columns: &[(&Measures, Option<u64>)]) {
@@ -48,7 +81,9 @@ fn measures_table(out: &mut String, heads: &[&str], columns: &[(&Measures, Optio
 
 /// The page.
 pub fn page(study: &Study) -> String {
-    let mut out = String::from("<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>Surgical skill</title><style>");
+    let mut out = String::from(
+        "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>Surgical skill</title><style>",
+    );
     out.push_str(STYLE);
     out.push_str("</style></head><body><h1>Surgical skill</h1>\n");
     let names: Vec<&str> = study.session.tools().map(|tool| tool.name).collect();
@@ -119,9 +154,8 @@ fn over_time(out: &mut String, study: &Study, names: &[&str]) {
     let mut plot = Plot::new("highest speed over time", (WIDTH, 240.0), time, Axis::around(0.0, top), "s", "mm/s");
     for (index, trace) in study.traces.iter().enumerate() {
         let of = trace.parts.iter().enumerate();
-        let points = of.map(|(k, part)| {
-            ((trace.part_s(k) - from, if part.cells == 0 { f64::NAN } else { part.speed_max }), true)
-        });
+        let points = of
+            .map(|(k, part)| ((trace.part_s(k) - from, if part.cells == 0 { f64::NAN } else { part.speed_max }), true));
         plot.line(index, points);
     }
     flags(&mut plot);
@@ -136,7 +170,12 @@ fn over_time(out: &mut String, study: &Study, names: &[&str]) {
             let (middle, half) = (trace.part_s(k) - from, 0.005 * trace.per_part as f64);
             let seen = f64::from(part.cells) / trace.per_part as f64;
             let moving = f64::from(part.moving) / f64::from(part.cells);
-            plot.bar(index, (middle - half, middle + half), (base + 0.15, base + 0.75), (0.2 + 0.8 * moving) * seen.min(1.0));
+            plot.bar(
+                index,
+                (middle - half, middle + half),
+                (base + 0.15, base + 0.75),
+                (0.2 + 0.8 * moving) * seen.min(1.0),
+            );
         }
         plot.word(base + 0.88, names[index]);
     }
@@ -179,9 +218,11 @@ fn movements(out: &mut String, study: &Study) {
     out.push_str("<h2>Smoothness of each movement</h2>");
     let (from, to) = study.span_s;
     type Of = fn(&Movement) -> Option<f64>;
-    for (title, of) in
-        [("log dimensionless jerk", (|m| m.ldlj) as Of), ("spectral arc length", |m| m.sparc), ("economy of motion", |m| Some(m.chord_mm / m.path_mm))]
-    {
+    for (title, of) in [
+        ("log dimensionless jerk", (|m| m.ldlj) as Of),
+        ("spectral arc length", |m| m.sparc),
+        ("economy of motion", |m| Some(m.chord_mm / m.path_mm)),
+    ] {
         let values = all().filter_map(of);
         let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
         let axis = Axis::around(low, high);

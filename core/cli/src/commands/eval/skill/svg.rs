@@ -64,17 +64,36 @@ impl Plot {
         let (w, h) = size;
         let mut plot = Self { out: String::new(), x, y, size };
         let title = escaped(title);
-        let _ = write!(plot.out, "<svg viewBox=\"0 0 {w:.0} {h:.0}\" role=\"img\" aria-label=\"{title}\"><title>{title}</title>");
+        let _ = write!(
+            plot.out,
+            "<svg viewBox=\"0 0 {w:.0} {h:.0}\" role=\"img\" aria-label=\"{title}\"><title>{title}</title>"
+        );
         for mark in x.marks() {
             let (at, bottom) = (plot.across(mark), h - BOTTOM);
-            let _ = write!(plot.out, "<path class=\"grid\" d=\"M{at:.1} {TOP}V{bottom:.1}\"/><text x=\"{at:.1}\" y=\"{:.1}\" class=\"mid\">{}</text>", bottom + 14.0, x.number(mark));
+            let _ = write!(
+                plot.out,
+                "<path class=\"grid\" d=\"M{at:.1} {TOP}V{bottom:.1}\"/><text x=\"{at:.1}\" y=\"{:.1}\" class=\"mid\">{}</text>",
+                bottom + 14.0,
+                x.number(mark)
+            );
         }
         for mark in y.marks() {
             let (at, right) = (plot.up(mark), w - RIGHT);
-            let _ = write!(plot.out, "<path class=\"grid\" d=\"M{LEFT} {at:.1}H{right:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" class=\"end\">{}</text>", LEFT - 5.0, at + 4.0, y.number(mark));
+            let _ = write!(
+                plot.out,
+                "<path class=\"grid\" d=\"M{LEFT} {at:.1}H{right:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" class=\"end\">{}</text>",
+                LEFT - 5.0,
+                at + 4.0,
+                y.number(mark)
+            );
         }
         let (x_label, y_label) = (escaped(x_label), escaped(y_label));
-        let _ = write!(plot.out, "<text x=\"{:.1}\" y=\"{:.1}\" class=\"mid\">{x_label}</text><text x=\"4\" y=\"10\">{y_label}</text>", w / 2.0, h - 4.0);
+        let _ = write!(
+            plot.out,
+            "<text x=\"{:.1}\" y=\"{:.1}\" class=\"mid\">{x_label}</text><text x=\"4\" y=\"10\">{y_label}</text>",
+            w / 2.0,
+            h - 4.0
+        );
         plot
     }
 
@@ -116,18 +135,27 @@ impl Plot {
         let (x, y) = (self.across(across.0), self.up(up.1));
         let (w, h) = ((self.across(across.1) - x).max(0.2), (self.up(up.0) - y).max(0.2));
         let color = COLORS[color % COLORS.len()];
-        let _ = write!(self.out, "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{w:.2}\" height=\"{h:.1}\" fill=\"{color}\" fill-opacity=\"{opacity:.2}\"/>");
+        let _ = write!(
+            self.out,
+            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{w:.2}\" height=\"{h:.1}\" fill=\"{color}\" fill-opacity=\"{opacity:.2}\"/>"
+        );
     }
 
     /// An upright line with a word, such as where a phase begins.
     pub fn flag(&mut self, at: f64, word: &str) {
         let (x, bottom, word) = (self.across(at), self.size.1 - BOTTOM, escaped(word));
-        let _ = write!(self.out, "<path class=\"flag\" d=\"M{x:.1} {TOP}V{bottom:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\">{word}</text>", x + 3.0, TOP + 10.0);
+        let _ = write!(
+            self.out,
+            "<path class=\"flag\" d=\"M{x:.1} {TOP}V{bottom:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\">{word}</text>",
+            x + 3.0,
+            TOP + 10.0
+        );
     }
 
     /// A word at the left of a value up.
     pub fn word(&mut self, up: f64, word: &str) {
-        let _ = write!(self.out, "<text x=\"{:.1}\" y=\"{:.1}\">{}</text>", LEFT + 4.0, self.up(up) + 4.0, escaped(word));
+        let _ =
+            write!(self.out, "<text x=\"{:.1}\" y=\"{:.1}\">{}</text>", LEFT + 4.0, self.up(up) + 4.0, escaped(word));
     }
 
     /// The plot as text.

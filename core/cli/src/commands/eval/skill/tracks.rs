@@ -104,16 +104,21 @@ impl Track {
         let form = if is_csv {
             let head = lines.next().with_context(|| format!("{name} is empty: no tip was written"))??;
             line = 1;
-            let columns = cells(head.trim_end()).with_context(|| format!("{name}: the first line ends inside a quoted name"))?;
+            let columns =
+                cells(head.trim_end()).with_context(|| format!("{name}: the first line ends inside a quoted name"))?;
             let has = |names: &[&str]| names.iter().all(|n| columns.iter().any(|c| c == n));
             if !has(&["capture_ms"]) && !has(&["time_s"]) {
-                bail!("{name} has no column `capture_ms` or `time_s`: give a table of `tip_track` or `proximity`, or a tip, as `write_table` writes it");
+                bail!(
+                    "{name} has no column `capture_ms` or `time_s`: give a table of `tip_track` or `proximity`, or a tip, as `write_table` writes it"
+                );
             }
             let is_track = has(&["x_mm", "y_mm", "z_mm"])
                 || has(&["room_x_mm", "room_y_mm", "room_z_mm"])
                 || has(&["tip.xyz_mm_0", "tip.xyz_mm_1", "tip.xyz_mm_2"]);
             if !is_track {
-                bail!("{name} has no columns of places (`x_mm`, `y_mm`, `z_mm`): give a table of `tip_track` or `proximity`, or a tip");
+                bail!(
+                    "{name} has no columns of places (`x_mm`, `y_mm`, `z_mm`): give a table of `tip_track` or `proximity`, or a tip"
+                );
             }
             Form::Csv(columns)
         } else {
@@ -159,12 +164,16 @@ impl Track {
                         if self.lines.next().is_none() {
                             return Ok(());
                         }
-                        bail!("{} has not as many cells as the first line: was the file written by two runs?", place(self.line));
+                        bail!(
+                            "{} has not as many cells as the first line: was the file written by two runs?",
+                            place(self.line)
+                        );
                     };
                     let cell = |name: &str| columns.iter().position(|c| c == name).map(|at| cells[at].as_str());
                     let number = |name: &str| cell(name).and_then(|c| c.trim().parse().ok()).unwrap_or(f64::NAN);
                     let word = |name: &str| cell(name).filter(|c| !c.is_empty()).map(str::to_owned);
-                    let at_s = if cell("capture_ms").is_some() { number("capture_ms") * 1e-3 } else { number("time_s") };
+                    let at_s =
+                        if cell("capture_ms").is_some() { number("capture_ms") * 1e-3 } else { number("time_s") };
                     vec![row(at_s, &number, &word)]
                 }
                 Form::Lines => {
@@ -197,7 +206,12 @@ impl Track {
                     bail!("{} has no time: `capture_ms` is missing or no number", place(self.line));
                 }
                 if row.at_s < self.last_s {
-                    bail!("{}: time goes back, from {:.3} to {:.3} s: was the file written by two runs?", place(self.line), self.last_s, row.at_s);
+                    bail!(
+                        "{}: time goes back, from {:.3} to {:.3} s: was the file written by two runs?",
+                        place(self.line),
+                        self.last_s,
+                        row.at_s
+                    );
                 }
                 self.last_s = row.at_s;
                 self.ready.push_back(row);
