@@ -147,3 +147,65 @@ fn without_a_track_the_measures_are_less_than_a_hundredth_off_closed_forms() {
     assert!(figures.iter().any(|figure| figure["name"] == "ldlj/reaches" && figure["peer"] == "closed form"));
     std::fs::remove_dir_all(folder).expect("the folder goes");
 }
+
+/// Folder that holds these plugins, or words that they are not built.
+fn plugins(names: &[&str]) -> Option<PathBuf> {
+    let given = std::env::var_os("PANOSCOPE_PLUGIN_PATH").unwrap_or_default();
+    let beside = Path::new(env!("CARGO_BIN_EXE_panoscope")).parent().map(Path::to_owned);
+    let has = |folder: &PathBuf, name: &str| {
+        [format!("lib{name}.so"), format!("libpanoscope_{name}.so")].iter().any(|file| folder.join(file).is_file())
+    };
+    let found = std::env::split_paths(&given).chain(beside).find(|folder| names.iter().all(|name| has(folder, name)));
+    if found.is_none() {
+        println!("skipped: the plugins {} are not built together; `cargo xtask test` builds them", names.join(", "));
+    }
+    found
+}
+
+#[test]
+fn a_rendered_circle_has_its_closed_form_though_pictures_are_lost() {
+    let Some(plugins) = plugins(&["phantom", "sinks"]) else { return };
+    let folder = folder("circle");
+    // The tip circles at 12 mm in 5 s, with 0.3 of that in depth at twice the rate; from 7 s on it has its full radius. Ends after three turns.
+    let graph = "mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]\n[nodes.scope]\ntype = \"phantom\"\n\
+        params = { width = 64, height = 48, distance_mm = 66.0, speed_mm_s = 0.0, tools = 1, tool_motion = \"circle\", drop_share = 0.1 }\n\
+        [nodes.out]\ntype = \"write_table\"\ninputs = { tip = \"scope.lead\" }\nparams = { path = \"tip.csv\" }\n";
+    let graph = file(&folder, "graph.toml", graph);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
+    let ran = command.env("PANOSCOPE_PLUGIN_PATH", plugins).args(["run", &graph, "--headless", "--frames", "661"]);
+    let ran = ran.output().expect("it starts");
+    assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
+    let track = folder.join("tip.csv").display().to_string();
+    let phases = file(&folder, "phases.csv", "0,begin\n7,turns\n");
+    let json = folder.join("skill.json").display().to_string();
+    let (code, _, err) = run(&["eval", "skill", &track, "--phases", &phases, "--json", &json]);
+    assert_eq!(code, 0, "{err}");
+    let report: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&json).expect("the report")).expect("JSON");
+    let measured = &report["tools"][0]["phases"]["turns"];
+    let (radius, length) = (12.0_f64, 15.0_f64);
+    let omega = std::f64::consts::TAU / 5.0;
+    let speed =
+        |k: i32| radius * omega * (1.0 + 0.36 * (f64::from(k) * 0.001 * std::f64::consts::TAU).cos().powi(2)).sqrt();
+    let mean = (0..1000).map(speed).sum::<f64>() / 1000.0;
+    // Jerk: r w^3 across, 2.4 r w^3 cos(2 w t) away.
+    let jerk = radius * omega.powi(3) * (1.0 + 0.5 * 2.4 * 2.4_f64).sqrt();
+    let peak = radius * omega * 1.36_f64.sqrt();
+    for (name, want) in [
+        ("time_s", length),
+        ("path_mm", mean * length),
+        ("mean_speed_mm_s", mean),
+        ("peak_speed_mm_s", peak),
+        ("jerk_rms_mm_s3", jerk),
+        ("ldlj", -(length.powi(4) / (peak * peak) * jerk * jerk).ln()),
+        ("box_x_mm", 2.0 * radius),
+        ("box_z_mm", 0.6 * radius),
+        ("depth_range_mm", 0.6 * radius),
+        ("depth_path_mm", 3.0 * 8.0 * 0.3 * radius),
+        ("movements", 1.0),
+    ] {
+        let value = measured[name].as_f64().unwrap_or(f64::NAN);
+        assert!((value / want - 1.0).abs() < 0.01, "{name} is {value}, in closed form {want}");
+    }
+    std::fs::remove_dir_all(folder).expect("the folder goes");
+}

@@ -257,6 +257,8 @@ pub struct Out<'f> {
     /// True tip of the first instrument, wherever it is: score 1 while it is seen, 0 while it is hidden or outside the left view. Empty behind the
     /// camera and without instruments.
     lead: Slot<'f, abi::Tip>,
+    /// The same of the second instrument.
+    second: Slot<'f, abi::Tip>,
     /// One row per instrument: where its tip is, whether it is seen, and how far it is from the tissue and from the nearest other tip.
     clearance: Slot<'f, TableData>,
 }
@@ -582,7 +584,7 @@ impl PhantomNode {
     /// Boxes, masks and tip of the instruments.
     fn tools(&mut self, cx: &Context<'_>, frame: u64, pose: Option<Pose>, out: &mut Out<'_>) -> Result<()> {
         let read = [out.detections.is_read(), out.instances.is_read(), out.tip.is_read(), out.lead.is_read()];
-        if !read.contains(&true) && !out.clearance.is_read() {
+        if !read.contains(&true) && !out.second.is_read() && !out.clearance.is_read() {
             return Ok(());
         }
         let (width, height) = (self.calibration.left.width as usize, self.calibration.left.height as usize);
@@ -627,6 +629,9 @@ impl PhantomNode {
         }
         if let Some(tool) = truth.iter().find(|tool| tool.id == 1 && tool.tip_mm[2] > 0.0) {
             out.lead.set(tip_of(tool))?;
+        }
+        if let Some(tool) = truth.iter().find(|tool| tool.id == 2 && tool.tip_mm[2] > 0.0) {
+            out.second.set(tip_of(tool))?;
         }
         if out.clearance.is_read() {
             self.phantom.clearances(frame, cx.pool(), clearances_mm);

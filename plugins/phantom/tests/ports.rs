@@ -123,7 +123,8 @@ fn clearances_agree_with_depth_where_the_tissue_is_flat_and_with_tips() -> Resul
         let rows: Vec<&[f64]> = table.rows().collect();
         assert_eq!(rows.len(), 2);
         let lead: Tip = out.value("lead")?;
-        assert_eq!(&rows[0][3..6], lead.xyz_mm.as_slice());
+        let second: Tip = out.value("second")?;
+        assert_eq!((&rows[0][3..6], &rows[1][3..6]), (lead.xyz_mm.as_slice(), second.xyz_mm.as_slice()));
         for row in &rows {
             assert!((row[6] - (60.0 - row[5])).abs() < 1e-3, "{row:?}");
             let apart = (0..3).map(|k| (rows[0][3 + k] - rows[1][3 + k]).powi(2)).sum::<f64>().sqrt();

@@ -9,7 +9,7 @@ pub struct Verdict {
     pub ticks: u64,
     /// Approaches by true distance.
     pub approaches: u64,
-    /// Approaches in which nothing warned, from their begin to their end and the allowed delay.
+    /// Approaches in which nothing warned until the allowed delay after they were nearer than `on_mm` by the margin.
     pub missed: u64,
     /// Warnings.
     pub warnings: u64,
@@ -74,9 +74,9 @@ pub struct Judge {
 
 #[derive(Clone, Copy, Debug)]
 struct Approach {
-    start_s: f64,
     end_s: Option<f64>,
-    nearest_mm: f64,
+    /// Since when it is nearer than `on_mm` by the margin.
+    near_s: Option<f64>,
     warned_s: Option<f64>,
 }
 
@@ -119,10 +119,12 @@ impl Judge {
             self.close_approach();
         }
         if is_near && self.approach.is_none() {
-            self.approach = Some(Approach { start_s: now_s, end_s: None, nearest_mm: true_mm, warned_s: None });
+            self.approach = Some(Approach { end_s: None, near_s: None, warned_s: None });
         }
         if let Some(approach) = &mut self.approach {
-            approach.nearest_mm = approach.nearest_mm.min(true_mm);
+            if true_mm <= self.rule.on_mm - self.margin_mm {
+                approach.near_s.get_or_insert(now_s);
+            }
             if is_warned {
                 approach.warned_s.get_or_insert(now_s);
             }
@@ -141,18 +143,15 @@ impl Judge {
 
     fn close_approach(&mut self) {
         let Some(approach) = self.approach.take() else { return };
-        if approach.nearest_mm > self.rule.on_mm - self.margin_mm {
+        let Some(near_s) = approach.near_s else { return };
+        self.verdict.approaches += 1;
+        let delay = approach.warned_s.map_or(f64::INFINITY, |at| (at - near_s).max(0.0));
+        if delay > self.delay_s {
+            self.verdict.missed += 1;
             return;
         }
-        self.verdict.approaches += 1;
-        match approach.warned_s {
-            Some(at) => {
-                let delay = (at - approach.start_s).max(0.0);
-                self.verdict.delay_sum_s += delay;
-                self.verdict.delay_max_s = self.verdict.delay_max_s.max(delay);
-            }
-            None => self.verdict.missed += 1,
-        }
+        self.verdict.delay_sum_s += delay;
+        self.verdict.delay_max_s = self.verdict.delay_max_s.max(delay);
     }
 
     fn close_warning(&mut self) {
@@ -192,6 +191,12 @@ mod tests {
         let warned = judged(&[off, (4.0, false), (3.0, true), (4.0, true), off, off, off, off]);
         assert_eq!((warned.approaches, warned.missed, warned.warnings, warned.false_warnings), (1, 0, 1, 0));
         assert!((warned.delay_s() - 0.1).abs() < 1e-9 && (warned.rms_mm() - 0.5).abs() < 1e-9, "{warned:?}");
+        let slow = judged(&[off, (4.0, false), (3.0, false), (3.0, false), (3.0, false), (3.0, true), off]);
+        assert_eq!(
+            (slow.approaches, slow.missed, slow.warnings, slow.false_warnings),
+            (1, 1, 1, 0),
+            "it comes too late"
+        );
         let missed = judged(&[off, (4.0, false), (3.0, false), off, off, off, off]);
         assert_eq!((missed.approaches, missed.missed, missed.warnings), (1, 1, 0));
         let wrong = judged(&[off, off, off, (9.0, true), (8.0, true), off]);

@@ -9,9 +9,9 @@ use crate::commands::bench::record::Figure;
 
 /// Ways to know where tips, tissue and instruments are.
 ///
-/// `truth`: exact depth and masks, so that only what instruments hide is guessed. `stereo`: depth from block matching, tips found in exact masks.
-/// `boxes`: the same with boxes instead of masks, as a detector gives them.
-const CHAINS: [&str; 3] = ["truth", "stereo", "boxes"];
+/// `exact`: exact tips, depth and masks, so that only what instruments hide is guessed. `matched`: depth from block matching instead. `found`: tips
+/// found in masks too. `boxes`: the same with boxes instead of masks, as a detector gives them.
+const CHAINS: [&str; 4] = ["exact", "matched", "found", "boxes"];
 
 /// Arguments of `eval proximity`.
 #[derive(clap::Args)]
@@ -29,7 +29,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 640, value_parser = clap::value_parser!(u32).range(160..=1920))]
     width: u32,
     /// Mean distance of the tissue, mm: the nearer, the closer to it the instruments work.
-    #[arg(long, default_value_t = 45.0)]
+    #[arg(long, default_value_t = 60.0)]
     distance_mm: f64,
     /// Seed of scenes and movements.
     #[arg(long, default_value_t = 7)]
@@ -48,7 +48,7 @@ fn text(chain: &str, scene: &str, arguments: &Arguments) -> String {
     };
     let image = if found == "detections" { ", image = \"scope.left\"" } else { "" };
     let (nodes, tip_depth, depth) = match chain {
-        "truth" => ("", "depth = \"scope.depth\"", "scope.depth"),
+        "exact" => ("", "depth = \"scope.depth\"", "scope.depth"),
         _ => (
             r#"[nodes.match]
 type = "stereo_bm"
@@ -67,7 +67,9 @@ inputs = { image = "scope.left", disparity = "match.disparity", calibration = "s
             "[nodes.{class}]\ntype = \"tool_tip\"\ninputs = {{ {found} = \"scope.{found}\"{image}, {tip_depth}, calibration = \"scope.calibration\" }}\nparams = {{ class = \"{class}\" }}\n"
         )
     };
-    let (grasper, hook) = (tip("grasper"), tip("hook"));
+    let is_told = matches!(chain, "exact" | "matched");
+    let finders = if is_told { String::new() } else { tip("grasper") + &tip("hook") };
+    let tips = if is_told { "\"scope.lead\", \"scope.second\"" } else { "\"grasper.tip\", \"hook.tip\"" };
     format!(
         r#"# Warnings that `panoscope eval proximity` judges.
 mode = "batch"
@@ -78,11 +80,10 @@ type = "phantom"
 params = {{ scene = "{scene}", seed = {seed}, distance_mm = {distance_mm:?}, width = {width}, height = {height}, tools = 2, tool_kinds = "grasper, hook", tool_motion = "strokes", speed_mm_s = 2.0 }}
 
 {nodes}
-{grasper}
-{hook}
+{finders}
 [nodes.near]
 type = "proximity"
-inputs = {{ tip = ["grasper.tip", "hook.tip"], depth = "{depth}", {masked}, calibration = "scope.calibration" }}
+inputs = {{ tip = [{tips}], depth = "{depth}", {masked}, calibration = "scope.calibration" }}
 
 [nodes.judge]
 type = "evaluate_proximity"
