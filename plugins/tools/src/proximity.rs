@@ -298,6 +298,8 @@ impl Node for Proximity {
         let (mut nearest_mm, mut warnings) = (f64::NAN, 0);
         for Known { tip, key } in known.iter().flatten() {
             let nearest = if is_surface_known { self.surface.nearest(tip.xyz_mm) } else { None };
+            // Where the surface ahead of the tip is not known, what is known says only how far tissue is at most.
+            let nearest = nearest.filter(|nearest| nearest.is_known_ahead || nearest.distance_mm <= params.warn_mm);
             let tissue_mm = nearest.map_or(f64::NAN, |nearest| nearest.distance_mm);
             let others = known.iter().flatten().filter(|other| other.key != *key);
             let other = others.min_by(|a, b| distance(tip, &a.tip).total_cmp(&distance(tip, &b.tip)));

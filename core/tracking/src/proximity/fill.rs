@@ -1,7 +1,5 @@
 //! Filling in what is not known from what is known around it.
 
-/// How far from known cells holes are filled, cells.
-pub const REACH: u16 = 28;
 /// Sweeps of the relaxation.
 const SWEEPS: usize = 60;
 /// Over-relaxation (Young 1954).
@@ -30,12 +28,12 @@ fn beside(at: usize, columns: usize, rows: usize) -> [Option<usize>; 4] {
 impl Fill {
     /// Whether a cell was filled in.
     pub fn is_filled(&self, at: usize) -> bool {
-        self.steps.get(at).is_some_and(|steps| (1..=REACH).contains(steps))
+        self.steps.get(at).is_some_and(|steps| (1..u16::MAX).contains(steps))
     }
 
-    /// Fills NaN cells within [`REACH`] of known ones by a membrane: each is the mean of those beside it, so that no filled value lies beyond
+    /// Fills NaN cells within `reach` cells of known ones by a membrane: each is the mean of those beside it, so that no filled value lies beyond
     /// the known ones around it. Others stay NaN.
-    pub fn fill(&mut self, values: &mut [f32], columns: usize, rows: usize) {
+    pub fn fill(&mut self, values: &mut [f32], columns: usize, rows: usize, reach: u16) {
         self.steps.clear();
         self.steps.extend(values.iter().map(|v| if v.is_finite() { 0 } else { u16::MAX }));
         self.holes.clear();
@@ -50,7 +48,7 @@ impl Fill {
         }
         // Rings of holes around what is known, each filled from the rings before.
         let mut from = 0;
-        for ring in 1..=REACH {
+        for ring in 1..=reach {
             let end = holes.len();
             for k in from..end {
                 let at = holes[k] as usize;
@@ -58,7 +56,7 @@ impl Fill {
                 let (sum, count) = known.fold((0.0, 0.0), |(sum, count), n| (sum + values[n], count + 1.0));
                 values[at] = sum / count;
                 for hole in beside(at, columns, rows).into_iter().flatten() {
-                    if steps[hole] == u16::MAX && ring < REACH {
+                    if steps[hole] == u16::MAX && ring < reach {
                         steps[hole] = ring + 1;
                         holes.push(hole as u32);
                     }
@@ -92,7 +90,7 @@ mod tests {
         let mut values: Vec<f32> =
             (0..columns * rows).map(|at| if is_hole(at) { f32::NAN } else { slope(at) }).collect();
         let mut fill = Fill::default();
-        fill.fill(&mut values, columns, rows);
+        fill.fill(&mut values, columns, rows, 28);
         for y in 20..rows {
             for x in 20..35 {
                 let at = y * columns + x;
@@ -102,10 +100,10 @@ mod tests {
                 assert!((values[at] - slope(at)).abs() < allowed, "{x} {y}: {} {}", values[at], slope(at));
             }
         }
-        assert!(values[30 * columns + 80 + usize::from(REACH) - 1].is_finite());
-        assert!(values[30 * columns + 80 + usize::from(REACH)].is_nan() && !fill.is_filled(0));
+        assert!(values[30 * columns + 80 + 28 - 1].is_finite());
+        assert!(values[30 * columns + 80 + 28].is_nan() && !fill.is_filled(0));
         let mut nothing = vec![f32::NAN; 12];
-        fill.fill(&mut nothing, 4, 3);
+        fill.fill(&mut nothing, 4, 3, 28);
         assert!(nothing.iter().all(|v| v.is_nan()));
     }
 }

@@ -7,6 +7,10 @@ use crate::vector::{add_scaled, dot, norm, sub};
 const CELL_PX: usize = 4;
 /// Pixels of a cell whose depth has to be known.
 const FEWEST: usize = 4;
+/// Cells of nine that have to be known: what stands alone is a wrong match.
+const FEWEST_AROUND: usize = 5;
+/// How far holes are filled in from known tissue, as a share of the focal length: half the width of a thick instrument close to the camera (5 of 35 mm).
+const FILLED: f64 = 0.15;
 
 /// How space becomes a picture: `u = fx x / z + cx`, `v = fy y / z + cy`, px.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,6 +48,8 @@ pub struct Nearest {
     pub pixel: [f64; 2],
     /// Whether the surface is seen there; else it is hidden, and was filled in from around.
     pub is_seen: bool,
+    /// Whether the surface is known straight ahead of the tip, seen or filled in; else there may be nearer tissue than this.
+    pub is_known_ahead: bool,
 }
 
 /// The tissue in a depth picture.
@@ -56,6 +62,7 @@ pub struct Surface {
     rows: usize,
     lens: Option<Lens>,
     z_mm: Vec<f32>,
+    rough: Vec<f32>,
     hidden: Vec<bool>,
     spread: Vec<bool>,
     sorted: Vec<f32>,
@@ -92,7 +99,26 @@ impl Surface {
                 self.z_mm.push(z);
             }
         }
-        self.fill.fill(&mut self.z_mm, self.columns, self.rows);
+        self.smooth();
+        let reach = (FILLED * lens.fx.max(lens.fy) / CELL_PX as f64).ceil().clamp(1.0, 1000.0) as u16;
+        self.fill.fill(&mut self.z_mm, self.columns, self.rows, reach);
+    }
+
+    /// Gives each known cell the median of those around it: the nearest point is a minimum, which single wrong depths would win.
+    fn smooth(&mut self) {
+        let (columns, rows) = (self.columns, self.rows);
+        self.rough.clone_from(&self.z_mm);
+        for (at, z) in self.z_mm.iter_mut().enumerate().filter(|(_, z)| z.is_finite()) {
+            let (column, row) = (at % columns, at / columns);
+            self.sorted.clear();
+            for y in row.saturating_sub(1)..(row + 2).min(rows) {
+                let line = &self.rough[y * columns + column.saturating_sub(1)..y * columns + (column + 2).min(columns)];
+                self.sorted.extend(line.iter().copied().filter(|z| z.is_finite()));
+            }
+            let middle = self.sorted.len() / 2;
+            let median = *self.sorted.select_nth_unstable_by(middle, f32::total_cmp).1;
+            *z = if self.sorted.len() >= FEWEST_AROUND { median } else { f32::NAN };
+        }
     }
 
     /// Marks cells that an instrument touches, and those up to `rim` cells away.
@@ -185,10 +211,11 @@ impl Surface {
             }
         }
         let [u, v] = lens.pixel(tip_mm);
-        let is_behind = tip_mm[2] > 0.0 && self.depth_at(u, v).is_some_and(|z| tip_mm[2] > z);
+        let ahead = self.depth_at(u, v).filter(|_| tip_mm[2] > 0.0);
+        let is_behind = ahead.is_some_and(|z| tip_mm[2] > z);
         let distance_mm = norm(sub(place_mm, tip_mm)) * if is_behind { -1.0 } else { 1.0 };
         let is_seen = !self.fill.is_filled(row * self.columns + column);
-        Some(Nearest { distance_mm, place_mm, pixel: lens.pixel(place_mm), is_seen })
+        Some(Nearest { distance_mm, place_mm, pixel: lens.pixel(place_mm), is_seen, is_known_ahead: ahead.is_some() })
     }
 }
 
@@ -259,6 +286,23 @@ mod tests {
         }
         surface.build(SIZE, LENS, 0, |_, _| f32::NAN, |_, _| false);
         assert_eq!(surface.nearest([0.0, 0.0, 50.0]), None);
+    }
+
+    #[test]
+    fn single_wrong_depths_are_left_out_and_what_no_camera_matched_is_not_known() {
+        // Twelve wrong pixels of one cell stand before the tissue, and the left third was not matched.
+        let is_wrong = |x: usize, y: usize| (200..204).contains(&x) && (100..103).contains(&y);
+        let depth = |x: usize, y: usize| match () {
+            () if x < 110 => f32::NAN,
+            () if is_wrong(x, y) => 42.0,
+            () => 60.0,
+        };
+        let mut surface = Surface::default();
+        surface.build(SIZE, LENS, 0, depth, |_, _| false);
+        let nearest = surface.nearest(LENS.place(202.0, 101.0, 40.0)).unwrap();
+        assert!((nearest.distance_mm - 20.0).abs() < 0.1 && nearest.is_known_ahead, "{nearest:?}");
+        let nearest = surface.nearest(LENS.place(20.0, 120.0, 59.0)).unwrap();
+        assert!(!nearest.is_known_ahead && nearest.distance_mm > 1.0, "{nearest:?}");
     }
 
     #[test]
