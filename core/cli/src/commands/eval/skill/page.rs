@@ -39,7 +39,7 @@ const MEANINGS: [(&str, &str); 11] = [
     ),
     (
         "Jerk; log dimensionless jerk",
-        "Third derivative of the place, from a quintic spline. -ln(T^3 / v_peak^2 * integral of squared jerk), mean of all movements; greater is smoother; -5.32 is a minimum-jerk reach from rest to rest, and one measured between a tenth of its peak speed is a little above -4. (Hogan and Sternad 2009; Balasubramanian et al. 2012, 2015)",
+        "Third derivative of the place, from a quintic spline. -ln(T^3 / v_peak^2 * integral of squared jerk), mean of all movements; greater is smoother; -5.32 is a minimum-jerk reach from rest to rest, -4.04 one that is measured from a tenth of its peak speed to a tenth, as here. (Hogan and Sternad 2009; Balasubramanian et al. 2012, 2015)",
     ),
     (
         "Spectral arc length",
