@@ -17,6 +17,11 @@ impl NodeError {
         Self { message: message.into(), status: crate::abi::STATUS_ERROR }
     }
 
+    /// For sources: nothing comes after this call, and something is missing. A fault is counted and the source is not opened again.
+    pub fn ended_early(message: impl Into<String>) -> Self {
+        Self::with_status(message, crate::abi::STATUS_END)
+    }
+
     /// An error that stands for a status of the contract.
     pub(crate) fn with_status(message: impl Into<String>, status: crate::abi::Status) -> Self {
         Self { message: message.into(), status }

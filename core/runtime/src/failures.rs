@@ -11,6 +11,7 @@ use crate::clock;
 use crate::exec::{Exec, Instance, Made};
 use crate::fault::{Action, Cause, Fault, unix_ms};
 use crate::log::Level;
+use crate::params::Snapshot;
 use crate::record::format::Event;
 use crate::stats::bump;
 
@@ -45,6 +46,40 @@ impl Cell {
         Ran::Ok
     }
 
+    /// A call went well, or ended its source, and gave the words of a fault all the same.
+    #[cold]
+    pub(crate) fn reported(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick, status: abi::Status) {
+        let words = std::mem::take(&mut exec.failure);
+        let done = if status == abi::STATUS_END { Action::End } else { Action::Note };
+        bump(&self.stats.faults);
+        around.log.say(Level::Error, &self.id, &words);
+        self.tell(around, Cause::Error, done, Some(tick.seq), None, words);
+    }
+
+    /// A source that failed goes on where it was, not from its start: at its start the same fault would come again, for ever.
+    #[cold]
+    pub(crate) fn keep_position(&self, exec: &mut Exec, around: &Surroundings) {
+        if exec.source
+            && let Some(state) = exec.instance.save_state(&around.host)
+        {
+            *lock(&self.position) = Some(state);
+        }
+    }
+
+    /// Opens a failed node again; a source goes on where it was.
+    pub(crate) fn open_again(&self, around: &Surroundings, snapshot: &Snapshot) -> Result<Instance, String> {
+        let mut instance = self.open(around, snapshot)?;
+        // Kept until the next fault: this instance may fail before it has a position of its own.
+        let position = lock(&self.position).clone();
+        if let Some(state) = position
+            && instance.is_open()
+            && !instance.load_state(&state)
+        {
+            around.log.say(Level::Warn, &self.id, "it does not know its position any more and starts anew");
+        }
+        Ok(instance)
+    }
+
     /// In batch a failed node is opened again before a tick that does not depend on the clock.
     #[cold]
     pub(crate) fn open_in_batch(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> bool {
@@ -57,7 +92,7 @@ impl Cell {
         }
         lock(&self.broken).clear();
         let snapshot = Arc::clone(exec.snapshot());
-        match self.open(around, &snapshot) {
+        match self.open_again(around, &snapshot) {
             Ok(instance) => {
                 bump(&self.stats.restarts);
                 around.log.say(Level::Info, &self.id, "opened again");
@@ -121,6 +156,7 @@ impl Cell {
         exec.bad_in_a_row = 0;
         exec.silent_calls = 0;
         self.failures.store(exec.failures_in_a_row, Ordering::Relaxed);
+        self.keep_position(exec, around);
         // What the instance holds after a fault is not to be trusted. It may take long to close.
         lock(&self.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
         let (done, ran) = match self.on_fault() {

@@ -214,7 +214,7 @@ impl Shared {
                 return;
             }
             cell.opening_since_ns.store(clock::now_ns().max(1), Ordering::Relaxed);
-            let opened = cell.open(&self.around, &cell.snapshot());
+            let opened = cell.open_again(&self.around, &cell.snapshot());
             if cell.mending.load(Ordering::Acquire) != mine {
                 // Given up meanwhile, or somebody opened the node otherwise.
                 return;

@@ -197,6 +197,7 @@ impl Cell {
             cell: self,
             log: &around.log,
             failure: &mut exec.failure,
+            has_failure: false,
             refused: None,
             random: None,
             tick: *tick,
@@ -224,6 +225,7 @@ impl Cell {
         let status = unsafe { process(exec.instance.raw, &raw mut call) };
         drop(keeper);
         let refused = context.refused.take();
+        let reports = context.has_failure && status >= abi::STATUS_OK;
         if let Some(lent) = context.lent {
             // The output holds the input's reference from here on.
             ports.inputs[lent.input as usize].forget();
@@ -233,6 +235,9 @@ impl Cell {
             for frame in made.outputs.iter_mut().filter(|f| !f.is_empty()) {
                 frame.tick = *tick;
             }
+        }
+        if reports {
+            self.reported(exec, around, tick, status);
         }
         (status, refused)
     }

@@ -123,6 +123,8 @@ pub(crate) struct Cell {
     replace: AtomicBool,
     /// Failed instances, to be closed off the hot path.
     pub broken: Mutex<Vec<Instance>>,
+    /// Where a failed source was: the instance that replaces it goes on from there.
+    pub position: Mutex<Option<Vec<u8>>>,
     /// A failed node is to be opened again.
     pub wants_mending: AtomicBool,
     /// Increases whenever somebody sets out to mend; only the newest may hand over.
@@ -228,6 +230,7 @@ impl Cell {
             replacement: Mutex::new(None),
             replace: AtomicBool::new(false),
             broken: Mutex::new(Vec::new()),
+            position: Mutex::new(None),
             wants_mending: AtomicBool::new(false),
             mending: AtomicU64::new(0),
             opening_since_ns: AtomicU64::new(0),
@@ -336,6 +339,7 @@ impl Cell {
             cell: self,
             log: &around.log,
             failure: &mut failure,
+            has_failure: false,
             refused: None,
             random: None,
             tick: Tick::default(),
