@@ -57,7 +57,7 @@ fn jpeg(gray: u8) -> Vec<u8> {
     let mat = Mat::new_rows_cols_with_default(48, 64, opencv::core::CV_8UC3, Scalar::all(f64::from(gray))).unwrap();
     let mut bytes = Vector::<u8>::new();
     imgcodecs::imencode(".jpg", &mat, &mut bytes, &Vector::new()).unwrap();
-    bytes.to_vec()
+    bytes.iter().collect()
 }
 
 /// Serves Motion JPEG: `frames` for every text that comes, then the connection ends and the next one is waited for.

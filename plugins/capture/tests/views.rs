@@ -5,7 +5,7 @@ mod common;
 use std::fs;
 use std::path::Path;
 
-use common::{Folder, WIDTH, drain, value, write_video};
+use common::{Folder, WIDTH, drain, drain_to_failure, value, write_video};
 use panoscope_capture::capture::Capture;
 use panoscope_node::Bgr8;
 use panoscope_node::abi::Calibration;
@@ -176,13 +176,9 @@ fn videos_play_loop_and_keep_their_rate() {
     let bytes_long = fs::read(folder.0.join("long.avi")).unwrap();
     assert!(bytes_long.len() > bytes.len());
     fs::write(folder.0.join("long.avi"), &bytes_long[..bytes_long.len() / 2]).unwrap();
-    match folder.try_open(r#"left = "long.avi""#) {
-        Ok(mut node) => {
-            let count = drain(&mut node).len();
-            assert!(count < 60, "{count}");
-        }
-        Err(error) => assert!(error.to_string().contains("long.avi"), "{error}"),
-    }
+    let (all, failure) = drain_to_failure(&mut folder.open(r#"left = "long.avi""#));
+    let message = failure.expect("an end before the end is a fault");
+    assert!(all.len() < 60 && message.contains("long.avi") && message.contains("of 60"), "{message}");
 }
 
 #[test]
