@@ -126,6 +126,20 @@ impl<'f> Context<'f> {
     }
 }
 
+impl panoscope_imaging::Report for Context<'_> {
+    fn warn(&self, message: &str) {
+        Context::warn(self, message);
+    }
+
+    fn info(&self, message: &str) {
+        Context::info(self, message);
+    }
+
+    fn metric(&self, name: &str, value: f64) {
+        Context::metric(self, name, value);
+    }
+}
+
 /// The call that opens a node.
 pub struct Open<'a> {
     call: *mut abi::OpenCall,
