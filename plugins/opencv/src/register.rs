@@ -39,7 +39,7 @@ pub struct RegisterParams {
     #[param(default = 8, range = 4..=1000, unit = "points")]
     min_inliers: u32,
     /// A homography whose inliers are further off than this (root mean square) is not used: the state is lost. 0 uses all.
-    #[param(default = 8.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
+    #[param(default = 18.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
     max_rms_px: f64,
     /// OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]

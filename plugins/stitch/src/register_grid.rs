@@ -47,7 +47,7 @@ pub struct RegisterGridParams {
     #[param(default = 1.0, range = 0.0..=4.0, step = 0.05, unit = "ratio")]
     calm: f64,
     /// A homography whose inliers are further off than this (root mean square) is not used: the one before is held, then lost. 0 uses all.
-    #[param(default = 8.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
+    #[param(default = 18.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
     max_rms_px: f64,
     /// Failed frames in a row for which the homography before still counts as held.
     #[param(default = 5, range = 0..=1000, unit = "frames")]

@@ -266,6 +266,7 @@ impl RegisterSurf {
             still_tolerance: STILL_TOLERANCE,
             outlier_px: params.ransac.threshold_px,
             calm: params.calm,
+            max_rms_px: params.max_rms_px,
         };
         let chosen = self.stability.choose(&fit, trusted, sizes[1], (&self.from, &self.to, &self.mask), &stable);
         // That of the map which goes out, not of the fit: the map before may have been kept, and calming moves it.

@@ -203,6 +203,7 @@ impl RegisterGrid {
             still_tolerance: params.still_tolerance,
             outlier_px: params.ransac.threshold_px,
             calm: params.calm,
+            max_rms_px: params.max_rms_px,
         };
         let mask = &self.mask;
         let chosen = self.stability.choose(&fit, previous, right.size, (&self.from, &self.to, mask), &stable);
