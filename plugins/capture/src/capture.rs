@@ -226,7 +226,9 @@ impl Capture {
                 if !self.is_lost {
                     self.is_lost = true;
                     self.reconnects += 1;
-                    cx.fault(&format!("{words}: outputs stay empty, and it is opened again every few seconds until it comes back"));
+                    cx.fault(&format!(
+                        "{words}: outputs stay empty, and it is opened again every few seconds until it comes back"
+                    ));
                 }
                 cx.metric("lost", 1.0);
                 self.frame += 1;
@@ -250,7 +252,10 @@ impl Capture {
     fn end(&mut self, cx: &Context<'_>) {
         self.has_ended = true;
         if self.views.unpaired() > 0 {
-            cx.warn(&format!("{} pictures were left out because no other view had a partner for them", self.views.unpaired()));
+            cx.warn(&format!(
+                "{} pictures were left out because no other view had a partner for them",
+                self.views.unpaired()
+            ));
         }
         cx.end();
     }

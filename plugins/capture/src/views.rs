@@ -75,9 +75,8 @@ fn listed(files: &[PathBuf]) -> String {
 pub fn pair_by_numbers(names: &mut [SourceName], texts: &[String]) -> Vec<String> {
     let mut remarks = Vec::new();
     let is_pattern = |index: usize| !texts[index].trim().contains('\n');
-    let series: Vec<usize> = (0..names.len())
-        .filter(|&index| matches!(names[index], SourceName::Images(_)) && is_pattern(index))
-        .collect();
+    let series: Vec<usize> =
+        (0..names.len()).filter(|&index| matches!(names[index], SourceName::Images(_)) && is_pattern(index)).collect();
     if series.len() < 2 {
         return remarks;
     }
@@ -120,15 +119,21 @@ impl Views {
         let mut list = Vec::new();
         for (name, text) in names.iter().zip(texts) {
             let source = Source::open(name, demands, keep)?;
-            list.push(View { source, picture: Picture::default(), result: Ok(()), name: name.in_words(), text, is_ahead: false });
+            list.push(View {
+                source,
+                picture: Picture::default(),
+                result: Ok(()),
+                name: name.in_words(),
+                text,
+                is_ahead: false,
+            });
         }
         let is_forced = rate_hz > 0.0;
         let native = list.iter().find_map(|view| view.source.native_fps());
         let rate_hz = if is_forced { rate_hz } else { native.unwrap_or(default_hz) };
         let timed = list.iter().filter(|view| !view.source.is_still() && !view.source.is_device());
-        let rates: Vec<f64> = timed
-            .map(|view| if is_forced { rate_hz } else { view.source.native_fps().unwrap_or(rate_hz) })
-            .collect();
+        let rates: Vec<f64> =
+            timed.map(|view| if is_forced { rate_hz } else { view.source.native_fps().unwrap_or(rate_hz) }).collect();
         let fastest = rates.iter().copied().reduce(f64::max).unwrap_or(rate_hz);
         let slowest = rates.iter().copied().reduce(f64::min).unwrap_or(rate_hz);
         let is_one_rate = rates.iter().all(|rate| fastest - rate <= SAME_RATE * fastest);

@@ -45,7 +45,8 @@ fn a_file_that_never_answers_is_given_up_and_not_opened_over_and_over() {
 #[test]
 fn an_element_that_does_not_exist_is_named() {
     let folder = Folder::new("element");
-    let message = folder.refused(r#"left = "videotestsrk num-buffers=3 ! video/x-raw,width=32 ! appsink", open_limit_s = 20.0"#);
+    let message =
+        folder.refused(r#"left = "videotestsrk num-buffers=3 ! video/x-raw,width=32 ! appsink", open_limit_s = 20.0"#);
     if message.contains("no GStreamer") {
         println!("skipped: {message}");
         return;
@@ -80,17 +81,19 @@ fn send(stream: &mut TcpStream) {
     for index in 0..40_u8 {
         let picture = jpeg(100 + index);
         let head = format!("--part\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", picture.len());
-        if stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&picture)).and_then(|()| stream.write_all(b"\r\n")).is_err() {
+        if stream
+            .write_all(head.as_bytes())
+            .and_then(|()| stream.write_all(&picture))
+            .and_then(|()| stream.write_all(b"\r\n"))
+            .is_err()
+        {
             return;
         }
     }
 }
 
 /// Calls until `wanted`, or too long.
-fn until(
-    node: &mut Harness<Capture>,
-    wanted: impl Fn(&Outputs) -> bool,
-) -> Result<Outputs, HarnessError> {
+fn until(node: &mut Harness<Capture>, wanted: impl Fn(&Outputs) -> bool) -> Result<Outputs, HarnessError> {
     let begin = Instant::now();
     loop {
         let out = node.process()?;
@@ -144,7 +147,10 @@ fn a_lost_stream_ends_a_batch_with_its_place() {
     end.send(()).unwrap();
     let (all, failure) = common::drain_to_failure(&mut node);
     let message = failure.expect("a lost stream is no regular end");
-    assert!(message.contains("STATUS_END") && message.contains(&format!("is gone after {} frames", all.len() + 1)), "{message}");
+    assert!(
+        message.contains("STATUS_END") && message.contains(&format!("is gone after {} frames", all.len() + 1)),
+        "{message}"
+    );
     drop(end);
     server.join().unwrap();
 }

@@ -81,7 +81,9 @@ fn says_what_it_cannot_match<N: Node>() -> TestResult {
     // A moment without light is no news, a long one is, and so is its end.
     let mut node = Harness::<N>::from_toml("params = { search_px = 64 }")?;
     let dark = vec![5; SIZE.0 * SIZE.1];
-    for (views, calls, poor) in [((&left, &right), 4, 0), ((&dark, &dark), 4, 0), ((&left, &right), 4, 0), ((&dark, &dark), 16, 1)] {
+    for (views, calls, poor) in
+        [((&left, &right), 4, 0), ((&dark, &dark), 4, 0), ((&left, &right), 4, 0), ((&dark, &dark), 16, 1)]
+    {
         for _ in 0..calls {
             run(&mut node, views.0, views.1)?;
         }

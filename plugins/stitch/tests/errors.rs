@@ -29,8 +29,9 @@ fn steps(step_px: f32) -> Vec<f32> {
 fn the_grid_holds_and_then_loses_what_does_not_fit() {
     let toml = "params = { ransac_px = 40.0, max_rms_px = 8.0, hold_frames = 2, rows = 8, columns = 10 }";
     let mut node = Harness::<RegisterGridNode>::open(Setup::new(toml)).unwrap();
-    let mut look = |node: &mut Harness<RegisterGridNode>, step_px: f32| -> Homography {
-        node.input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &steps(step_px)).input_value("calibration", calibration());
+    let look = |node: &mut Harness<RegisterGridNode>, step_px: f32| -> Homography {
+        node.input_image::<Disparity>("disparity", SIZE.0, SIZE.1, &steps(step_px))
+            .input_value("calibration", calibration());
         node.process().unwrap().value("homography").unwrap()
     };
     let good = look(&mut node, 0.0);
@@ -55,7 +56,8 @@ fn the_grid_holds_and_then_loses_what_does_not_fit() {
     look(&mut node, 36.0);
     assert_eq!(warnings(&node).len(), 2, "a new time is said anew");
     // Whoever wants it all the same gets it.
-    node.set_params("params = { ransac_px = 40.0, max_rms_px = 0.0, hold_frames = 2, rows = 8, columns = 10 }").unwrap();
+    node.set_params("params = { ransac_px = 40.0, max_rms_px = 0.0, hold_frames = 2, rows = 8, columns = 10 }")
+        .unwrap();
     let found = look(&mut node, 36.0);
     assert!(found.state == abi::STATE_FRESH && found.rms_px > 8.0, "{}", found.rms_px);
 }
@@ -86,11 +88,18 @@ fn spots(side: usize) -> Vec<u8> {
 #[test]
 fn features_that_no_plane_explains_are_not_called_fresh() {
     let open = |limit: f64| {
-        let toml = format!("params = {{ roi = false, ransac_px = 20.0, stability_px = 0.0, calm = 0.0, max_rms_px = {limit:.1} }}");
+        let toml = format!(
+            "params = {{ roi = false, ransac_px = 20.0, stability_px = 0.0, calm = 0.0, max_rms_px = {limit:.1} }}"
+        );
         Harness::<RegisterSurf>::open(Setup::new(&toml)).unwrap()
     };
     let look = |node: &mut Harness<RegisterSurf>| -> Homography {
-        node.input_image::<Gray8>("left", SIZE.0, SIZE.1, &spots(0)).input_image::<Gray8>("right", SIZE.0, SIZE.1, &spots(1));
+        node.input_image::<Gray8>("left", SIZE.0, SIZE.1, &spots(0)).input_image::<Gray8>(
+            "right",
+            SIZE.0,
+            SIZE.1,
+            &spots(1),
+        );
         node.process().unwrap().value("homography").unwrap()
     };
     let found = look(&mut open(0.0));

@@ -80,7 +80,10 @@ mod tests {
             names("v4l2src device=/dev/video0 ! video/x-raw,width=640 ! tee name=t ! queue ! appsink"),
             ["v4l2src", "tee", "queue", "appsink"]
         );
-        assert_eq!(names(r#"filesrc location="a ! b.mkv" ! decodebin ! t. ! appsink"#), ["filesrc", "decodebin", "appsink"]);
+        assert_eq!(
+            names(r#"filesrc location="a ! b.mkv" ! decodebin ! t. ! appsink"#),
+            ["filesrc", "decodebin", "appsink"]
+        );
         assert_eq!(names(" ! ( ! x=1"), Vec::<String>::new());
     }
 }

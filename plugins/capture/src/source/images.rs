@@ -131,8 +131,8 @@ pub fn read(path: &Path) -> Result<Picture, String> {
 
 /// Decodes a PNG or a JPEG that is known to be whole.
 pub(super) fn decode(bytes: &[u8], format: image::ImageFormat) -> Result<Picture, String> {
-    let picture = image::load_from_memory_with_format(bytes, format)
-        .map_err(|error| format!("the image is damaged: {error}"))?;
+    let picture =
+        image::load_from_memory_with_format(bytes, format).map_err(|error| format!("the image is damaged: {error}"))?;
     let (width, height) = (picture.width() as usize, picture.height() as usize);
     let is_deep = matches!(
         picture,
@@ -170,8 +170,8 @@ fn decode_opencv(bytes: &[u8]) -> Result<Picture, String> {
         return Err(UNKNOWN.to_owned());
     }
     for ground in [0.0, 77.0] {
-        let mut again =
-            Mat::new_rows_cols_with_default(first.rows(), first.cols(), first.typ(), Scalar::all(ground)).map_err(words)?;
+        let mut again = Mat::new_rows_cols_with_default(first.rows(), first.cols(), first.typ(), Scalar::all(ground))
+            .map_err(words)?;
         imgcodecs::imdecode_to(&buffer, flags, &mut again).map_err(words)?;
         if again.empty() {
             return Err(UNKNOWN.to_owned());

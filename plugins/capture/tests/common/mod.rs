@@ -94,7 +94,8 @@ pub fn write_video(path: &Path, frames: u8) {
 pub fn write_video_at(path: &Path, fps: f64, grays: impl Iterator<Item = u8>) {
     let fourcc = i32::from_le_bytes(*b"MJPG");
     let size = Size::new(64, 48);
-    let mut writer = videoio::VideoWriter::new_with_backend(path, videoio::CAP_FFMPEG, fourcc, fps, size, true).unwrap();
+    let mut writer =
+        videoio::VideoWriter::new_with_backend(path, videoio::CAP_FFMPEG, fourcc, fps, size, true).unwrap();
     for gray in grays {
         let mat = Mat::new_rows_cols_with_default(48, 64, opencv::core::CV_8UC3, Scalar::all(f64::from(gray)));
         writer.write(&mat.unwrap()).unwrap();
