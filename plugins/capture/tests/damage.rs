@@ -108,6 +108,7 @@ fn chunks(bytes: &[u8]) -> Vec<std::ops::Range<usize>> {
 
 #[test]
 fn a_damaged_frame_of_a_video_shows_nothing_of_the_one_before() {
+    type Damage<'d> = &'d dyn Fn(&mut [u8]);
     let folder = Folder::new("stale");
     let path = folder.0.join("v.avi");
     write_video_at(&path, 20.0, (0..8).map(|index| 30 * index));
@@ -115,7 +116,7 @@ fn a_damaged_frame_of_a_video_shows_nothing_of_the_one_before() {
     let frames = chunks(&whole);
     assert_eq!(frames.len(), 8);
     let range = frames[4].clone();
-    let damages: [&dyn Fn(&mut [u8]); 3] = [
+    let damages: [Damage<'_>; 3] = [
         // Nothing behind the first half, nothing but noise, nothing at all.
         &|frame| {
             let half = frame.len() / 2;
