@@ -29,12 +29,32 @@
 /**
  * Grows when fields, flags or host functions are appended.
  */
-#define PANOSCOPE_ABI_MINOR 1
+#define PANOSCOPE_ABI_MINOR 2
 
 /**
  * Set in PanoscopeCall.flags in `batch` mode.
  */
 #define PANOSCOPE_CALL_BATCH 1
+
+/**
+ * Set in PanoscopeValidateCall.flags when `connections` and `outputs_read` are known.
+ */
+#define PANOSCOPE_CALL_WIRED 2
+
+/**
+ * In PanoscopeValidateCall.invalid: the node cannot open, or no tick of it can succeed.
+ */
+#define PANOSCOPE_PROBLEM_ERROR 1
+
+/**
+ * In PanoscopeValidateCall.invalid: the node works, but probably not as meant.
+ */
+#define PANOSCOPE_PROBLEM_WARNING 2
+
+/**
+ * In PanoscopeValidateCall.invalid: the problem is of the node as a whole.
+ */
+#define PANOSCOPE_NO_PARAM 4294967295
 
 /**
  * Errors that stop a node.
@@ -156,6 +176,17 @@
  * The text may name a file or folder, relative to the graph file.
  */
 #define PANOSCOPE_PARAM_FILE 16
+
+/**
+ * The node writes the file that the path names; the path may hold place holders such as `{seq}`.
+ */
+#define PANOSCOPE_PARAM_WRITES 32
+
+/**
+ * The default of the path names a file that comes with the plugin: relative to the folder beside the plugin's library that has the
+ * plugin's name, not to the graph file.
+ */
+#define PANOSCOPE_PARAM_SHIPPED 64
 
 /**
  * Payload is raw bytes or plain data of the port's packet type.
@@ -758,7 +789,7 @@ typedef struct PanoscopeParam {
      */
     uint32_t kind;
     /**
-     * `PANOSCOPE_PARAM_REOPEN`, `PANOSCOPE_PARAM_MUST_EXIST`, `PANOSCOPE_PARAM_POINTS`, `PANOSCOPE_PARAM_RECTANGLES`, `PANOSCOPE_PARAM_FILE`.
+     * `PANOSCOPE_PARAM_REOPEN`, `PANOSCOPE_PARAM_MUST_EXIST`, `PANOSCOPE_PARAM_POINTS`, `PANOSCOPE_PARAM_RECTANGLES`, `PANOSCOPE_PARAM_FILE`, `PANOSCOPE_PARAM_WRITES`, `PANOSCOPE_PARAM_SHIPPED`.
      */
     uint32_t flags;
     /**
@@ -842,6 +873,57 @@ typedef struct PanoscopeOpenCall {
 } PanoscopeOpenCall;
 
 /**
+ * Arguments of PanoscopeNodeType.validate.
+ */
+typedef struct PanoscopeValidateCall {
+    /**
+     * Size of this struct in bytes.
+     */
+    uint32_t struct_size;
+    /**
+     * `PANOSCOPE_CALL_` bits.
+     */
+    uint32_t flags;
+    /**
+     * Handle for `invalid`.
+     */
+    void *call;
+    /**
+     * The node's name in the graph.
+     */
+    struct PanoscopeStr node_id;
+    /**
+     * Values in the order of the type's declaration.
+     */
+    const struct PanoscopeParamValue *params;
+    /**
+     * Count of `params`.
+     */
+    size_t params_len;
+    /**
+     * Folder of the graph file, absolute.
+     */
+    struct PanoscopeStr graph_dir;
+    /**
+     * Number of connections of each declared input.
+     */
+    const uint32_t *connections;
+    /**
+     * Count of `connections`; 0 without PANOSCOPE_CALL_WIRED.
+     */
+    size_t connections_len;
+    /**
+     * Bit `i` is set when output `i` has a reader (outputs above 63 count as read).
+     */
+    uint64_t outputs_read;
+    /**
+     * Takes one problem: a `PANOSCOPE_PROBLEM_` severity, the position of the parameter it is about (or PANOSCOPE_NO_PARAM), what is wrong in one
+     * sentence, and what to do about it (may be empty). Texts are copied.
+     */
+    void (*invalid)(void *call, uint32_t severity, uint32_t param, struct PanoscopeStr message, struct PanoscopeStr help);
+} PanoscopeValidateCall;
+
+/**
  * A node type that a plugin offers.
  */
 typedef struct PanoscopeNodeType {
@@ -917,6 +999,11 @@ typedef struct PanoscopeNodeType {
      * Optional: takes the bytes that an earlier instance saved.
      */
     PanoscopeStatus (*load_state)(void *instance, const uint8_t *bytes, size_t len);
+    /**
+     * Optional: reports to PanoscopeValidateCall.invalid what PanoscopeNodeType.open or a first tick would refuse about parameters and wiring. Opens
+     * no device, writes nothing and makes no instance; may be called at any time, from any thread. Since `ABI_MINOR` 2.
+     */
+    PanoscopeStatus (*validate)(struct PanoscopeValidateCall *call);
 } PanoscopeNodeType;
 
 /**
@@ -1246,11 +1333,12 @@ PANOSCOPE_ASSERT(sizeof(PanoscopeFrame) == 72);
 PANOSCOPE_ASSERT(sizeof(PanoscopePortRange) == 8);
 PANOSCOPE_ASSERT(sizeof(PanoscopeParamValue) == 56);
 PANOSCOPE_ASSERT(sizeof(PanoscopeOpenCall) == 80);
+PANOSCOPE_ASSERT(sizeof(PanoscopeValidateCall) == 96);
 PANOSCOPE_ASSERT(sizeof(PanoscopeCall) == 128);
 PANOSCOPE_ASSERT(sizeof(PanoscopeHost) == 120);
 PANOSCOPE_ASSERT(sizeof(PanoscopePort) == 64);
 PANOSCOPE_ASSERT(sizeof(PanoscopeParam) == 136);
-PANOSCOPE_ASSERT(sizeof(PanoscopeNodeType) == 152);
+PANOSCOPE_ASSERT(sizeof(PanoscopeNodeType) == 160);
 PANOSCOPE_ASSERT(sizeof(PanoscopePlugin) == 104);
 PANOSCOPE_ASSERT(sizeof(PanoscopeNoteBody) == 2152);
 PANOSCOPE_ASSERT(sizeof(PanoscopeNote) == 2176);

@@ -88,6 +88,9 @@ pub struct View {
     pub marks: Vec<Mark>,
 }
 
+/// What the checker says of a graph without nodes.
+const EMPTY_GRAPH: &str = "empty-graph";
+
 /// Keys of `[editor]` that no node can have.
 pub(crate) const FRAMES: &str = ":frames";
 pub(crate) const NOTES: &str = ":notes";
@@ -387,6 +390,21 @@ impl Document {
         Ok(())
     }
 
+    /// Edits the text as a part of the step before: one undo takes both back.
+    ///
+    /// # Errors
+    /// The text cannot be edited like that; it is as before.
+    pub fn amend(&mut self, edit: impl FnOnce(&mut GraphEdit) -> Result<(), EditError>) -> Result<(), EditError> {
+        let mut document = GraphEdit::parse(&self.text)?;
+        edit(&mut document)?;
+        let text = document.text();
+        if *text != *self.text {
+            self.text = text.into();
+            self.derive_by(By::Hand, true);
+        }
+        Ok(())
+    }
+
     /// Takes the last step back; answers what it was.
     pub fn undo(&mut self) -> Option<String> {
         let step = self.undo.pop()?;
@@ -448,7 +466,9 @@ impl Document {
             }
         }
         let checked = check(&parsed, catalog);
-        let diagnostics: Vec<Diagnostic> = checked.diagnostics.iter().cloned().collect();
+        // A graph without nodes is not begun yet; nothing in it is wrong.
+        let diagnostics: Vec<Diagnostic> =
+            checked.diagnostics.iter().filter(|d| d.code != EMPTY_GRAPH).cloned().collect();
         let view = View {
             right: checked.graph.is_some(),
             name: parsed.name().to_owned(),

@@ -8,6 +8,54 @@ const GAP: [f32; 2] = [64.0, 32.0];
 /// Height kept free where wires pass a layer.
 const LANE: f32 = 24.0;
 
+/// Least distance between a node that is put on free ground and the others, and the grid that it is put on.
+const MARGIN: f32 = 24.0;
+const GRID: f32 = 8.0;
+/// How far free ground is looked for, in steps of two grid lines.
+const MOST_RINGS: i32 = 1024;
+
+/// A rectangle by its upper left corner and its size.
+pub type Ground = ([f32; 2], [f32; 2]);
+
+/// The place nearest to `wanted`, on the grid, where something of `size` keeps its distance from all that is `taken`.
+pub fn free(wanted: [f32; 2], size: [f32; 2], taken: &[Ground]) -> [f32; 2] {
+    let near = |a: f32, a_size: f32, b: f32, b_size: f32| a < b + b_size + MARGIN && b < a + a_size + MARGIN;
+    let is_free = |at: [f32; 2]| {
+        !taken
+            .iter()
+            .any(|(place, other)| near(at[0], size[0], place[0], other[0]) && near(at[1], size[1], place[1], other[1]))
+    };
+    let start = wanted.map(|v| (v / GRID).round() * GRID);
+    for ring in 0..=MOST_RINGS {
+        let step = 2.0 * GRID;
+        let mut best: Option<(f32, [f32; 2])> = None;
+        for k in -ring..=ring {
+            for (dx, dy) in [(ring, k), (-ring, k), (k, ring), (k, -ring)] {
+                let (dx, dy) = (dx as f32 * step, dy as f32 * step);
+                let (at, far) = ([start[0] + dx, start[1] + dy], dx * dx + dy * dy);
+                if best.is_none_or(|(least, _)| far < least) && is_free(at) {
+                    best = Some((far, at));
+                }
+            }
+        }
+        if let Some((_, at)) = best {
+            return at;
+        }
+    }
+    // All around is full: to the right of everything.
+    let right = taken.iter().map(|(place, size)| place[0] + size[0]).filter(|x| x.is_finite()).fold(start[0], f32::max);
+    [((right + MARGIN) / GRID).ceil() * GRID, start[1]]
+}
+
+/// The place itself where it is free, else as [`free`].
+pub fn clear_of(at: [f32; 2], size: [f32; 2], taken: &[Ground]) -> [f32; 2] {
+    let within = |a: f32, a_size: f32, b: f32, b_size: f32| a < b + b_size && b < a + a_size;
+    let lies_on = |(place, other): &Ground| {
+        within(at[0], size[0], place[0], other[0]) && within(at[1], size[1], place[1], other[1])
+    };
+    if taken.iter().any(lies_on) { free(at, size, taken) } else { at }
+}
+
 /// Where nodes go, and how wires get past the layers between their ends.
 #[derive(Clone, Debug, Default)]
 pub struct Layout {
@@ -73,6 +121,21 @@ pub fn layered(sizes: &[[f32; 2]], edges: &[(usize, usize)]) -> Layout {
     };
     let lanes = chains.into_iter().map(|(ends, chain)| (ends, chain.iter().map(segment).collect())).collect();
     places.truncate(nodes);
+    Layout { places, lanes }
+}
+
+/// As [`layered`], of a part of the nodes; the others have no place that means anything.
+pub fn layered_part(sizes: &[[f32; 2]], edges: &[(usize, usize)], part: &[usize]) -> Layout {
+    if part.len() == sizes.len() {
+        return layered(sizes, edges);
+    }
+    let among = |n: &usize| part.binary_search(n).ok();
+    let part_sizes: Vec<[f32; 2]> = part.iter().map(|n| sizes[*n]).collect();
+    let part_edges: Vec<(usize, usize)> = edges.iter().filter_map(|(from, to)| among(from).zip(among(to))).collect();
+    let laid = layered(&part_sizes, &part_edges);
+    let mut places = vec![[0.0; 2]; sizes.len()];
+    part.iter().zip(laid.places).for_each(|(n, place)| places[*n] = place);
+    let lanes = laid.lanes.into_iter().map(|((from, to), lane)| ((part[from], part[to]), lane)).collect();
     Layout { places, lanes }
 }
 
@@ -194,12 +257,41 @@ mod tests {
     }
 
     #[test]
+    fn free_ground_is_near_and_touches_nothing() {
+        assert_eq!(free([3.0, 5.0], [200.0, 100.0], &[]), [0.0, 8.0], "on the grid");
+        let mut taken: Vec<Ground> = Vec::new();
+        for k in 0..60 {
+            let size = [208.0, 80.0 + (k * 37 % 90) as f32];
+            let at = free([0.0, 0.0], size, &taken);
+            let far = at[0].hypot(at[1]);
+            assert!(far < 1800.0, "{k}: {at:?}");
+            taken.push((at, size));
+        }
+        let (places, sizes): (Vec<_>, Vec<_>) = taken.into_iter().unzip();
+        assert!(!overlaps(&places, &sizes));
+        // What has no place takes none.
+        assert_eq!(free([0.0; 2], [10.0; 2], &[([f32::NAN; 2], [10.0; 2])]), [0.0; 2]);
+        // A wall without an end.
+        let wall = free([0.0; 2], [10.0; 2], &[([-1e6, -1e6], [2e6, 2e6])]);
+        assert!(wall[0] > 1e6, "{wall:?}");
+    }
+
+    #[test]
     fn edges_go_right_and_nothing_overlaps() {
         let sizes: Vec<[f32; 2]> = (0..40).map(|i| [200.0, 80.0 + (i * 37 % 90) as f32]).collect();
         let edges: Vec<(usize, usize)> = (1..40).flat_map(|i| [(i / 2, i), (i / 3, i)]).collect();
         let places = layered(&sizes, &edges).places;
         assert!(edges.iter().all(|&(a, b)| a == b || places[a][0] + sizes[a][0] < places[b][0]));
         assert!(!overlaps(&places, &sizes));
+    }
+
+    #[test]
+    fn a_part_is_laid_out_as_if_it_were_all() {
+        let sizes = [[200.0, 150.0], [90.0, 90.0], [200.0, 150.0], [200.0, 150.0]];
+        let whole = layered(&[sizes[0], sizes[2], sizes[3]], &[(0, 1), (1, 2), (0, 2)]);
+        let part = layered_part(&sizes, &[(0, 2), (2, 3), (0, 3)], &[0, 2, 3]);
+        assert_eq!([part.places[0], part.places[2], part.places[3]], whole.places[..]);
+        assert_eq!(part.lanes[&(0, 3)], whole.lanes[&(0, 2)]);
     }
 
     #[test]

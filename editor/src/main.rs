@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Parser;
 use eframe::egui::{ViewportBuilder, vec2};
 use panoscope_editor::app::{App, Options, Shot, close_on_signals};
-use panoscope_editor::theatre::{self, Ready, Theatre};
+use panoscope_editor::theatre::{self, Ready, Refused, Theatre};
 
 /// Shows a graph while it runs, to change it and to set its parameters.
 #[derive(Parser)]
@@ -103,15 +103,16 @@ fn run(arguments: &Arguments) -> i32 {
         .with_min_inner_size(vec2(480.0, 320.0));
     let (path, frames, scale) = (arguments.graph.clone(), arguments.frames, arguments.scale);
     if arguments.theatre {
-        // What is wrong is said before any window opens.
+        let viewport = viewport.with_fullscreen(!arguments.windowed).with_decorations(arguments.windowed);
         let ready = match Ready::look(&path, &text, arguments.unlocked) {
             Ok(ready) => ready,
             Err(error) => {
+                // On the terminal, and in a window where there is a screen.
                 eprintln!("{}", error.told());
+                let _ = show(viewport, move |cc| Ok(Box::new(Refused::new(&cc.egui_ctx, &path, &error, shot))));
                 return 2;
             }
         };
-        let viewport = viewport.with_fullscreen(!arguments.windowed).with_decorations(arguments.windowed);
         let options = theatre::Options {
             folder: arguments.into.clone(),
             label: arguments.label.clone(),
@@ -129,25 +130,29 @@ fn run(arguments: &Arguments) -> i32 {
 type Made = Result<Box<dyn eframe::App>, Box<dyn std::error::Error + Send + Sync>>;
 
 fn open(viewport: ViewportBuilder, make: impl FnOnce(&eframe::CreationContext<'_>) -> Made) -> i32 {
-    let native = eframe::NativeOptions {
-        viewport,
-        renderer: eframe::Renderer::Glow,
-        dithering: false,
-        ..eframe::NativeOptions::default()
-    };
-    let made = eframe::run_native(
-        "panoscope-editor",
-        native,
-        Box::new(|cc| {
-            close_on_signals(&cc.egui_ctx);
-            make(cc)
-        }),
-    );
-    match made {
+    match show(viewport, make) {
         Ok(()) => 0,
         Err(error) => {
             eprintln!("error: no window could be opened: {error}");
             1
         }
     }
+}
+
+/// Shows a window until it is closed.
+fn show(viewport: ViewportBuilder, make: impl FnOnce(&eframe::CreationContext<'_>) -> Made) -> eframe::Result {
+    let native = eframe::NativeOptions {
+        viewport,
+        renderer: eframe::Renderer::Glow,
+        dithering: false,
+        ..eframe::NativeOptions::default()
+    };
+    eframe::run_native(
+        "panoscope-editor",
+        native,
+        Box::new(|cc| {
+            close_on_signals(&cc.egui_ctx);
+            make(cc)
+        }),
+    )
 }

@@ -8,10 +8,12 @@ use std::time::{Duration, Instant};
 use common::theatre::{GRAPH, Window, options};
 use common::{Folder, PATIENCE, hand, has_plugin};
 use eframe::egui::accesskit::Role;
-use eframe::egui::{Key, vec2};
+use eframe::egui::{Key, Rect, Ui, vec2};
+use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
+use panoscope_editor::app::Shot;
 use panoscope_editor::session::Phase;
-use panoscope_editor::theatre::{Layout, OpenError, Options, Theatre};
+use panoscope_editor::theatre::{Layout, OpenError, Options, Ready, Refused, Theatre, Verified};
 use panoscope_graph::ParamValue;
 use panoscope_runtime::lock::{Lock, THEATRE_PLUGINS};
 
@@ -91,11 +93,23 @@ fn a_frozen_picture_says_so_and_a_live_one_stays_beside_it() {
     }
     let mut window = Window::open("freeze", GRAPH);
     window.until("the first pictures are there", |t| t.notices().is_empty() && t.has_picture());
-    window.key(Key::F);
-    assert!(window.theatre().is_frozen());
-    window.until_shown("View Live: Image camera");
-    window.click("Go on");
-    assert!(!window.theatre().is_frozen());
+    for alone in [false, true] {
+        if alone {
+            window.key(Key::Num1);
+        }
+        window.until_shown("View Calm view");
+        let before = window.harness.get_by_label("View Calm view").rect();
+        window.key(Key::F);
+        assert!(window.theatre().is_frozen());
+        window.until_shown("View Live: Image camera");
+        let frozen = window.harness.get_by_label("View Calm view").rect();
+        assert_eq!(frozen, before, "a frozen picture keeps its size");
+        let live = window.harness.get_by_label("View Live: Image camera").rect();
+        let middle = Rect::from_center_size(frozen.center(), frozen.size() * 0.45);
+        assert!(!live.intersects(middle) && live.width() > 120.0, "{live:?} over {frozen:?}");
+        window.click("Go on");
+        assert!(!window.theatre().is_frozen());
+    }
 }
 
 #[test]
@@ -223,6 +237,96 @@ fn a_locked_preset_opens_only_as_it_was_locked_or_when_it_is_said() {
     let options = Options { unlocked: true, ..options(&folder) };
     let mut window = Window::open_with(folder, &path, options);
     window.until_told("Runs unlocked: graph `g.toml`");
+}
+
+#[test]
+fn a_graph_that_nobody_locked_says_so_for_as_long_as_it_runs() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let words = "Not locked: nobody verified this graph";
+    let mut window = Window::open("never_locked", GRAPH);
+    assert_eq!(*window.theatre().verified(), Verified::Never);
+    window.until("a picture is there", Theatre::has_picture);
+    let pictures = window.harness.get_by_label_contains("View Calm view").rect();
+    let chip = window.harness.get_by_label(words).rect();
+    assert!(chip.height() >= 34.0 && chip.bottom() <= pictures.top(), "{chip:?} above {pictures:?}");
+    // Whatever else is told, it stays.
+    for key in [Key::F, Key::S, Key::R, Key::Space] {
+        window.key(key);
+        assert!(window.harness.query_by_label(words).is_some(), "after {key:?}");
+    }
+    drop(window);
+    let folder = Folder::new("is_locked");
+    let path = folder.write("g.toml", GRAPH);
+    lock(&path);
+    let options = options(&folder);
+    let mut window = Window::open_with(folder, &path, options);
+    window.until("a picture is there", Theatre::has_picture);
+    assert_eq!(*window.theatre().verified(), Verified::AsLocked);
+    assert!(window.harness.query_by_label_contains("nobody verified").is_none());
+    assert!(window.harness.query_by_label_contains("ocked:").is_none());
+}
+
+#[test]
+fn a_refused_lock_is_told_in_the_window() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("refused");
+    let path = folder.write("g.toml", GRAPH);
+    lock(&path);
+    let other = GRAPH.replace("rate_hz = 30.0", "rate_hz = 25.0");
+    let error = Ready::look(&path, &other, false).err().expect("it differs");
+    let draw = {
+        let path = path.clone();
+        move |ui: &mut Ui, refused: &mut Option<Refused>| {
+            refused.get_or_insert_with(|| Refused::new(ui.ctx(), &path, &error, Shot::default())).ui(ui);
+        }
+    };
+    let mut harness = Harness::builder().with_size(vec2(1440.0, 960.0)).build_ui_state(draw, None);
+    hand::steps(&mut harness, 3);
+    for words in [
+        "g.toml is not as it was locked",
+        "graph `g.toml` has changed since the graph was locked",
+        "Put back what has changed",
+        "panoscope lock ",
+        "--unlocked",
+    ] {
+        let place = harness.get_by_label_contains(words).rect();
+        assert!(harness.ctx.viewport_rect().contains_rect(place), "`{words}` at {place:?}");
+    }
+    assert!(!harness.state().as_ref().expect("it is shown").has_left());
+    harness.key_press_modifiers(eframe::egui::Modifiers::NONE, Key::Escape);
+    hand::steps(&mut harness, 2);
+    assert!(harness.state().as_ref().expect("it is shown").has_left());
+}
+
+#[test]
+fn a_camera_that_does_not_open_is_told_in_full_in_its_pane() {
+    if !has_plugin("flow") || !has_plugin("capture") {
+        return;
+    }
+    let folder = Folder::new("does_not_open");
+    for side in ["left.mp4", "right.mp4"] {
+        folder.write(side, "no video at all");
+    }
+    let text = "plugins = [\"capture\", \"flow\"]\n[nodes.scope]\ntype = \"capture\"\nparams = { left = \"left.mp4\", right = \"right.mp4\" }\n[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"scope.left\" }\n";
+    let path = folder.write("g.toml", text);
+    let options = options(&folder);
+    let mut window = Window::open_with(folder, &path, options);
+    window.until_told("No picture: ");
+    let told = window.told().into_iter().find(|w| w.starts_with("No picture: ")).expect("it is told");
+    let whole = told.trim_start_matches("No picture: ").to_owned();
+    assert!(whole.contains("left.mp4"), "{whole}");
+    window.until_shown("View Left camera");
+    let pane = window.harness.get_by_label("View Left camera").rect();
+    let why = window.harness.get_by_label(&whole).rect();
+    let remedy = window.harness.get_by_label_contains("press Enter to start again").rect();
+    assert!(pane.contains_rect(why) && pane.contains_rect(remedy), "{why:?} and {remedy:?} in {pane:?}");
+    assert!(why.bottom() <= remedy.top(), "the remedy stands below the reason");
+    assert!(why.height() > 30.0, "long words are wrapped: {why:?}");
+    window.until_shown("Start again");
 }
 
 fn lock(path: &Path) {

@@ -54,6 +54,45 @@ pub struct OpenCall {
     pub outputs_read: u64,
 }
 
+/// Set in [`ValidateCall::flags`] when `connections` and `outputs_read` are known.
+pub const CALL_WIRED: u32 = 2;
+
+/// In [`ValidateCall::invalid`]: the node cannot open, or no tick of it can succeed.
+pub const PROBLEM_ERROR: u32 = 1;
+/// In [`ValidateCall::invalid`]: the node works, but probably not as meant.
+pub const PROBLEM_WARNING: u32 = 2;
+/// In [`ValidateCall::invalid`]: the problem is of the node as a whole.
+pub const NO_PARAM: u32 = 0xFFFF_FFFF;
+
+/// Arguments of [`crate::NodeType::validate`].
+#[repr(C)]
+#[derive(Debug)]
+pub struct ValidateCall {
+    /// Size of this struct in bytes.
+    pub struct_size: u32,
+    /// `CALL_` bits.
+    pub flags: u32,
+    /// Handle for `invalid`.
+    pub call: *mut c_void,
+    /// The node's name in the graph.
+    pub node_id: Str,
+    /// Values in the order of the type's declaration.
+    pub params: *const ParamValue,
+    /// Count of `params`.
+    pub params_len: usize,
+    /// Folder of the graph file, absolute.
+    pub graph_dir: Str,
+    /// Number of connections of each declared input.
+    pub connections: *const u32,
+    /// Count of `connections`; 0 without [`CALL_WIRED`].
+    pub connections_len: usize,
+    /// Bit `i` is set when output `i` has a reader (outputs above 63 count as read).
+    pub outputs_read: u64,
+    /// Takes one problem: a `PROBLEM_` severity, the position of the parameter it is about (or [`NO_PARAM`]), what is wrong in one
+    /// sentence, and what to do about it (may be empty). Texts are copied.
+    pub invalid: Option<unsafe extern "C" fn(call: *mut c_void, severity: u32, param: u32, message: Str, help: Str)>,
+}
+
 /// Arguments of [`crate::NodeType::process`].
 #[repr(C)]
 #[derive(Debug)]

@@ -1,6 +1,6 @@
 use core::ffi::c_void;
 
-use crate::{Call, Host, Note, OpenCall, Status, Str};
+use crate::{Call, Host, Note, OpenCall, Status, Str, ValidateCall};
 
 /// Short calculation, runs on the shared pool or inline after its producer.
 pub const KIND_COMPUTE: u32 = 0;
@@ -47,6 +47,11 @@ pub const PARAM_POINTS: u32 = 4;
 pub const PARAM_RECTANGLES: u32 = 8;
 /// The text may name a file or folder, relative to the graph file.
 pub const PARAM_FILE: u32 = 16;
+/// The node writes the file that the path names; the path may hold place holders such as `{seq}`.
+pub const PARAM_WRITES: u32 = 32;
+/// The default of the path names a file that comes with the plugin: relative to the folder beside the plugin's library that has the
+/// plugin's name, not to the graph file.
+pub const PARAM_SHIPPED: u32 = 64;
 
 /// Bit of [`crate::FORMAT_GRAY8`] and so on in [`Port::formats`].
 pub const fn format_bit(format: u32) -> u32 {
@@ -83,7 +88,7 @@ pub struct Param {
     pub unit: Str,
     /// One of the `PARAM_` kinds.
     pub kind: u32,
-    /// `PARAM_REOPEN`, `PARAM_MUST_EXIST`, `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE`.
+    /// `PARAM_REOPEN`, `PARAM_MUST_EXIST`, `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE`, `PARAM_WRITES`, `PARAM_SHIPPED`.
     pub flags: u32,
     /// Default of `PARAM_BOOL`, `PARAM_INT`, `PARAM_FLOAT`; index of the default `PARAM_CHOICE`.
     pub default_number: f64,
@@ -145,6 +150,9 @@ pub struct NodeType {
     pub save_state: Option<unsafe extern "C" fn(instance: *mut c_void, host: *const Host, sink: *mut c_void) -> Status>,
     /// Optional: takes the bytes that an earlier instance saved.
     pub load_state: Option<unsafe extern "C" fn(instance: *mut c_void, bytes: *const u8, len: usize) -> Status>,
+    /// Optional: reports to [`ValidateCall::invalid`] what [`NodeType::open`] or a first tick would refuse about parameters and wiring. Opens
+    /// no device, writes nothing and makes no instance; may be called at any time, from any thread. Since `ABI_MINOR` 2.
+    pub validate: Option<unsafe extern "C" fn(call: *mut ValidateCall) -> Status>,
 }
 
 /// What a plugin is.

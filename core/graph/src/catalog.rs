@@ -2,7 +2,9 @@
 //! The runtime fills it from loaded plugins; tests write it by hand.
 
 use crate::check::{Fit, fit};
+use crate::validate::Validator;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// Every node type known on this machine, with the plugins that could not be used and why.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -14,12 +16,34 @@ pub struct Catalog {
     /// Plugins that were found (or named) but cannot be used. Reported at the `plugins` entry that names them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub problems: Vec<PluginProblem>,
+    /// Node types of plugins that were found and not loaded, by name only: they tell which plugin a graph forgot to list.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub offers: Vec<Offer>,
+}
+
+/// What a plugin that is not loaded offers.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Offer {
+    /// Name of the plugin.
+    pub plugin: String,
+    /// Names of its node types.
+    pub node_types: Vec<String>,
 }
 
 impl Catalog {
     /// Whether `plugin` can be used.
     pub fn has_plugin(&self, plugin: &str) -> bool {
         self.plugins.iter().any(|p| p == plugin) || self.node_types.iter().any(|t| t.plugin == plugin)
+    }
+
+    /// Plugins that offer a node type called `name` (a bare name, or `plugin/type`) and are not loaded.
+    pub fn offering(&self, name: &str) -> Vec<&str> {
+        let (plugin, name) = match name.split_once('/') {
+            Some((plugin, name)) => (Some(plugin), name),
+            None => (None, name),
+        };
+        let offers = self.offers.iter().filter(|o| plugin.is_none_or(|p| o.plugin == p));
+        offers.filter(|o| o.node_types.iter().any(|t| t == name)).map(|o| o.plugin.as_str()).collect()
     }
 
     /// The problem of `plugin`, if it has one.
@@ -100,6 +124,16 @@ pub struct NodeType {
     /// Parameters in declaration order.
     #[serde(default)]
     pub params: Vec<Param>,
+    /// Folder of the files that come with its plugin; empty when it is not known.
+    #[serde(default, skip_serializing_if = "is_empty_path")]
+    pub shipped_dir: PathBuf,
+    /// What the node itself checks about its parameters and wiring; it is not written out.
+    #[serde(skip)]
+    pub validator: Option<Validator>,
+}
+
+fn is_empty_path(path: &std::path::Path) -> bool {
+    path.as_os_str().is_empty()
 }
 
 impl NodeType {
@@ -189,6 +223,16 @@ pub struct Param {
     /// How a person picks the value, besides typing it.
     #[serde(default, skip_serializing_if = "Pick::is_none")]
     pub pick: Pick,
+    /// The node writes the file that the path names. The path may hold place holders such as `{seq}`.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub writes: bool,
+    /// The default of the path is relative to [`NodeType::shipped_dir`] and not to the graph file.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub shipped: bool,
+}
+
+fn is_false(flag: &bool) -> bool {
+    !flag
 }
 
 /// How a person picks a value, besides typing it.
@@ -283,7 +327,7 @@ pub enum ParamKind {
     },
     /// File or folder, relative to the graph file. Empty means "not set".
     Path {
-        /// Value when the graph says nothing; relative to the graph file too.
+        /// Value when the graph says nothing; relative to the graph file too, unless [`Param::shipped`].
         default: String,
         /// It must exist when the graph is checked.
         #[serde(default)]

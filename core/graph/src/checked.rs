@@ -1,6 +1,7 @@
 //! A graph that passed every check: names resolved to indices, defaults filled in, order known. The runtime builds from this.
 
 use crate::catalog::{Catalog, NodeType};
+use crate::validate::{Wiring, port_bit};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::path::PathBuf;
@@ -113,6 +114,18 @@ impl Graph {
         let start = self.edges.partition_point(|e| e.to_node < node);
         let end = self.edges.partition_point(|e| e.to_node <= node);
         &self.edges[start..end]
+    }
+
+    /// Which ports of `node`, whose type has `inputs` inputs, are connected.
+    pub fn wiring(&self, node: usize, inputs: usize) -> Wiring {
+        let mut wiring = Wiring { connections: vec![0; inputs], outputs_read: 0 };
+        for edge in self.inputs_of(node) {
+            if let Some(count) = wiring.connections.get_mut(edge.to_port) {
+                *count += 1;
+            }
+        }
+        self.outputs_of(node).for_each(|e| wiring.outputs_read |= port_bit(e.from_port));
+        wiring
     }
 
     /// Edges out of `node`.

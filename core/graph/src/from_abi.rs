@@ -4,12 +4,17 @@
 //! A descriptor may come from C, so nothing in it is trusted: pointers, lengths, texts, names and limits are checked and a
 //! mistake is named with its place, for the plugin's author. What cannot be checked is whether a non-null pointer is valid.
 
+mod node_type;
+mod validator;
+
 use std::collections::HashSet;
 
 use panoscope_abi as abi;
 use thiserror::Error;
 
-use crate::catalog::{NodeKind, NodeType, PacketType, Param, ParamKind, Pick, Port};
+pub use self::node_type::whole;
+
+use crate::catalog::{NodeType, PacketType, Param, ParamKind, Pick, Port};
 use crate::checked::ParamValue;
 
 /// Why a plugin's descriptor cannot be used.
@@ -172,59 +177,11 @@ pub unsafe fn node_types(plugin: *const abi::Plugin) -> Result<Vec<NodeType>> {
     for (index, &pointer) in pointers.iter().enumerate() {
         let at = format!("{place}, node type {}", index + 1);
         // SAFETY: the caller's promise.
-        let found = unsafe { node_type(&place, at, &name, pointer)? };
+        let found = unsafe { node_type::node_type(&place, at, &name, pointer)? };
         unique(&place, "node type", &found.name, &mut names)?;
         types.push(found);
     }
     Ok(types)
-}
-
-unsafe fn node_type(plugin_place: &str, place: String, plugin: &str, node: *const abi::NodeType) -> Result<NodeType> {
-    if node.is_null() || !node.is_aligned() {
-        let fault = if node.is_null() { "null" } else { "misaligned" };
-        return Err(FromAbiError::Pointer { place, field: "the entry of node_types", fault, len: 1 });
-    }
-    // SAFETY: the caller's promise; the size is the first field of every version.
-    struct_size(&place, unsafe { (*node).struct_size }, size_of::<abi::NodeType>())?;
-    // SAFETY: the caller's promise, and the struct has all fields.
-    let node = unsafe { &*node };
-    // SAFETY: the caller's promise.
-    let name = unsafe { text(&place, "name", node.name)? };
-    check_name(&place, &name, false)?;
-    let place = format!("{plugin_place}, node type `{name}`");
-    let kind = match node.kind {
-        abi::KIND_COMPUTE => NodeKind::Compute,
-        abi::KIND_BLOCKING => NodeKind::Blocking,
-        abi::KIND_REALTIME => NodeKind::Realtime,
-        found => return Err(FromAbiError::Unknown { place, field: "kind", found }),
-    };
-    known_bits(&place, "flags", node.flags, abi::NODE_SOURCE | abi::NODE_EXCLUSIVE | abi::NODE_SIDE_EFFECTS)?;
-    let functions =
-        [("open", node.open.is_some()), ("process", node.process.is_some()), ("close", node.close.is_some())];
-    if let Some((function, _)) = functions.into_iter().find(|(_, there)| !there) {
-        return Err(FromAbiError::NoFunction { place, function });
-    }
-    // SAFETY: the caller's promise.
-    unsafe {
-        let found = NodeType {
-            plugin: plugin.to_owned(),
-            family: text(&place, "family", node.family)?,
-            doc: text(&place, "doc", node.doc)?,
-            kind,
-            source: node.flags & abi::NODE_SOURCE != 0,
-            exclusive: node.flags & abi::NODE_EXCLUSIVE != 0,
-            side_effects: node.flags & abi::NODE_SIDE_EFFECTS != 0,
-            inputs: ports(&place, "input", slice(&place, "inputs", node.inputs, node.inputs_len, MOST_PORTS)?)?,
-            outputs: ports(&place, "output", slice(&place, "outputs", node.outputs, node.outputs_len, MOST_PORTS)?)?,
-            params: params(&place, slice(&place, "params", node.params, node.params_len, MOST_PARAMS)?)?,
-            name,
-        };
-        if found.inputs.is_empty() && !found.source {
-            let problem = "it has no inputs and is not marked as a source (NODE_SOURCE), so it would never run";
-            return Err(FromAbiError::Contradiction { place, problem: problem.to_owned() });
-        }
-        Ok(found)
-    }
 }
 
 unsafe fn ports(node_place: &str, what: &'static str, ports: &[abi::Port]) -> Result<Vec<Port>> {
@@ -309,7 +266,8 @@ unsafe fn params(node_place: &str, params: &[abi::Param]) -> Result<Vec<Param>> 
         unique(node_place, "parameter", &name, &mut names)?;
         let place = format!("{node_place}, parameter `{name}`");
         let picks = abi::PARAM_POINTS | abi::PARAM_RECTANGLES | abi::PARAM_FILE;
-        known_bits(&place, "flags", param.flags, abi::PARAM_REOPEN | abi::PARAM_MUST_EXIST | picks)?;
+        let paths = abi::PARAM_MUST_EXIST | abi::PARAM_WRITES | abi::PARAM_SHIPPED;
+        known_bits(&place, "flags", param.flags, abi::PARAM_REOPEN | paths | picks)?;
         // SAFETY: the caller's promise.
         out.push(unsafe {
             Param {
@@ -318,6 +276,8 @@ unsafe fn params(node_place: &str, params: &[abi::Param]) -> Result<Vec<Param>> 
                 kind: param_kind(&place, param)?,
                 reopen: param.flags & abi::PARAM_REOPEN != 0,
                 pick: pick(&place, param)?,
+                writes: param.flags & abi::PARAM_WRITES != 0,
+                shipped: param.flags & abi::PARAM_SHIPPED != 0,
                 name,
             }
         });
@@ -348,8 +308,18 @@ fn pick(place: &str, param: &abi::Param) -> Result<Pick> {
 unsafe fn param_kind(place: &str, param: &abi::Param) -> Result<ParamKind> {
     let contradiction = |problem: String| Err(FromAbiError::Contradiction { place: place.to_owned(), problem });
     let (default, min, max, step) = (param.default_number, param.min, param.max, param.step);
-    if param.flags & abi::PARAM_MUST_EXIST != 0 && param.kind != abi::PARAM_PATH {
-        return contradiction("only a path can be asked to exist".to_owned());
+    let of_paths = [
+        (abi::PARAM_MUST_EXIST, "only a path can be asked to exist"),
+        (abi::PARAM_WRITES, "only a path can name a file that is written"),
+        (abi::PARAM_SHIPPED, "only a path can name a file that comes with the plugin"),
+    ];
+    if let Some((_, problem)) =
+        of_paths.iter().find(|(flag, _)| param.flags & flag != 0 && param.kind != abi::PARAM_PATH)
+    {
+        return contradiction((*problem).to_owned());
+    }
+    if param.flags & abi::PARAM_WRITES != 0 && param.flags & (abi::PARAM_MUST_EXIST | abi::PARAM_SHIPPED) != 0 {
+        return contradiction("a file that is written neither must exist nor comes with the plugin".to_owned());
     }
     let numeric = matches!(param.kind, abi::PARAM_INT | abi::PARAM_FLOAT);
     if numeric || param.kind == abi::PARAM_FLOATS {

@@ -26,9 +26,10 @@ mod schema;
 mod shape;
 mod source;
 mod text;
+pub mod validate;
 pub mod value;
 
-pub use catalog::{Catalog, NodeKind, NodeType, PacketType, Param, ParamKind, Pick, PluginProblem, Port};
+pub use catalog::{Catalog, NodeKind, NodeType, Offer, PacketType, Param, ParamKind, Pick, PluginProblem, Port};
 pub use check::{Checked, check};
 pub use checked::{Align, Edge, Graph, Mode, Node, OnFault, ParamValue, Pin, Preset, PresetView};
 pub use diagnostic::{Diagnostic, Diagnostics, Note, Severity};
@@ -36,3 +37,4 @@ pub use dot::to_dot;
 pub use outline::{InputOutline, NodeOutline, Reference};
 pub use schema::json_schema;
 pub use text::GraphText;
+pub use validate::{NodeSetup, ParamProblem, Validator, Wiring};

@@ -29,7 +29,9 @@ inputs.packet = { from = "bm.disparity", align = "latest" }
 
 #[test]
 fn the_catalog_survives_json() {
-    let catalog = common::catalog();
+    let mut catalog = common::catalog();
+    // Code is not written.
+    catalog.node_types.iter_mut().for_each(|node_type| node_type.validator = None);
     let text = serde_json::to_string(&catalog).expect("JSON");
     assert_eq!(serde_json::from_str::<Catalog>(&text).expect("a catalog"), catalog);
 }

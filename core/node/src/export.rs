@@ -10,6 +10,7 @@ use crate::guard;
 pub use crate::guard::install_panic_hook;
 use crate::param::Params;
 use crate::port::{Ports, RawCall};
+use crate::validation::{Problem, Validation, refuse_invalid};
 use crate::{Kind, Node};
 
 struct Instance<N: Node> {
@@ -48,6 +49,7 @@ impl<N: Node> NodeTypeOf<N> {
         close: Some(close::<N>),
         save_state: Some(save_state::<N>),
         load_state: Some(load_state::<N>),
+        validate: Some(validate::<N>),
     };
 }
 
@@ -94,11 +96,58 @@ unsafe extern "C" fn open<N: Node>(open: *mut abi::OpenCall, instance: *mut *mut
     unsafe {
         guarded(host, call, || {
             let params = N::Params::read(values((*open).params, (*open).params_len))?;
-            let node = N::open(&Open::new(open), &params)?;
+            let opening = Open::new(open);
+            refuse_invalid::<N>(opening.node_id(), opening.graph_dir(), (*open).flags, &params)?;
+            let node = N::open(&opening, &params)?;
             let boxed = Box::new(Instance { node, params, params_version: u64::MAX });
             *instance = Box::into_raw(boxed).cast();
             Ok(abi::STATUS_OK)
         })
+    }
+}
+
+unsafe extern "C" fn validate<N: Node>(call: *mut abi::ValidateCall) -> abi::Status {
+    // SAFETY: the host's call is valid for its length, and nothing writes to it meanwhile.
+    let call = unsafe { &*call };
+    let report = |severity: u32, param: u32, message: &str, help: &str| {
+        if let Some(invalid) = call.invalid {
+            // SAFETY: the handle of the running call; texts are borrowed for the length of the function.
+            unsafe { invalid(call.call, severity, param, Str::borrow(message), Str::borrow(help)) }
+        }
+    };
+    let checked = guard::catch(|| {
+        // SAFETY: texts and values of the call are valid for its length.
+        let (node_id, graph_dir, values) = unsafe {
+            (
+                call.node_id.text().unwrap_or(""),
+                call.graph_dir.text().unwrap_or(""),
+                values(call.params, call.params_len),
+            )
+        };
+        let mut take = |p: Problem<'_>| report(p.severity, p.param, p.message, p.help);
+        let counts = match call.connections_len {
+            0 => &[],
+            // SAFETY: the host's counts are readable for the length of the call.
+            len => unsafe { std::slice::from_raw_parts(call.connections, len) },
+        };
+        let wiring = (call.flags & abi::CALL_WIRED != 0).then_some((counts, call.outputs_read));
+        let params = N::Params::read(values)?;
+        let mut check = Validation::new::<N>(node_id, graph_dir.as_ref(), call.flags, wiring, &mut take);
+        N::validate(&params, &mut check);
+        Ok::<(), NodeError>(())
+    });
+    match checked {
+        Ok(Ok(())) => abi::STATUS_OK,
+        Ok(Err(error)) => {
+            report(abi::PROBLEM_ERROR, abi::NO_PARAM, error.message(), "");
+            error.status()
+        }
+        Err(caught) => {
+            let message = format!("its check of the parameters {}", caught.text());
+            report(abi::PROBLEM_ERROR, abi::NO_PARAM, &message, "this is a mistake in the plugin");
+            caught.discard();
+            abi::STATUS_PANIC
+        }
     }
 }
 

@@ -20,6 +20,7 @@ pub mod packet;
 pub mod param;
 pub mod port;
 pub mod table;
+pub mod validation;
 
 pub use context::{Context, Open, Pool};
 pub use detections::{Detections, Instances, LabeledDetections, LabeledInstances};
@@ -36,6 +37,7 @@ pub use panoscope_node_derive::{Choice, Packet, Params, Ports};
 pub use param::{Choice, ParamField, Params};
 pub use port::{NoPorts, PortField, Ports, RawCall};
 pub use table::{Table, TableData};
+pub use validation::Validation;
 
 /// One processing node.
 ///
@@ -51,7 +53,12 @@ pub trait Node: Sized + Send + 'static {
     /// Parameters, see [`macro@Params`].
     type Params: Params;
 
-    /// Makes an instance: loads models, opens devices, builds tables. May take long.
+    /// Reports what `open` or a first tick would refuse about parameters and wiring, so that `panoscope check` finds it. Opens no device and
+    /// writes nothing; may look whether files are there. Called again before `open`, which therefore need not repeat it.
+    fn validate(_params: &Self::Params, _check: &mut Validation<'_>) {}
+
+    /// Makes an instance: loads models, opens devices, builds tables. May take long. Not called for parameters that
+    /// [`Self::validate`] refuses.
     fn open(open: &Open<'_>, params: &Self::Params) -> Result<Self>;
 
     /// Processes one tick.
@@ -167,7 +174,8 @@ impl NodeInfo {
 pub mod __private {
     pub use crate::packet::{plain_size, sum};
     pub use crate::param::{
-        Declared, DefaultValue, has_word, is_flag, is_floats, is_number, is_text, on_step, param, wrong_param_count,
+        Declared, DefaultValue, has_word, is_flag, is_floats, is_number, is_path, is_text, on_step, param,
+        wrong_param_count,
     };
     pub use crate::port::port;
 }

@@ -207,6 +207,10 @@ pub struct Declared {
     pub reopen: bool,
     /// The path must exist.
     pub must_exist: bool,
+    /// The node writes the path's file.
+    pub writes: bool,
+    /// The default comes with the plugin.
+    pub shipped: bool,
     /// `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE` or 0: how a person picks the value.
     pub pick: u32,
 }
@@ -233,6 +237,11 @@ pub const fn is_number<T: ParamField>() -> bool {
 /// Whether the type is a switch; called by the derive.
 pub const fn is_flag<T: ParamField>() -> bool {
     T::KIND == abi::PARAM_BOOL
+}
+
+/// Whether the type is a path; called by the derive.
+pub const fn is_path<T: ParamField>() -> bool {
+    T::KIND == abi::PARAM_PATH
 }
 
 /// Whether the type takes a text as default; called by the derive.
@@ -274,6 +283,8 @@ pub const fn param(d: Declared) -> abi::Param {
         kind: d.kind,
         flags: if d.reopen { abi::PARAM_REOPEN } else { 0 }
             | if d.must_exist { abi::PARAM_MUST_EXIST } else { 0 }
+            | if d.writes { abi::PARAM_WRITES } else { 0 }
+            | if d.shipped { abi::PARAM_SHIPPED } else { 0 }
             | d.pick,
         default_number: 0.0,
         min: d.limits.0,

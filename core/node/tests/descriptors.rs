@@ -76,6 +76,7 @@ fn parts() -> Parts {
             close: Some(close),
             save_state: None,
             load_state: None,
+            validate: None,
         },
         plugin: abi::Plugin {
             magic: abi::MAGIC,

@@ -63,6 +63,7 @@ const NODE: abi::NodeType = abi::NodeType {
     close: Some(close),
     save_state: None,
     load_state: None,
+    validate: None,
 };
 static SCRIPTED: abi::NodeType = NODE;
 static GREEDY: abi::NodeType = abi::NodeType { name: Str::new("greedy"), open: Some(open), ..NODE };

@@ -26,7 +26,9 @@ pub fn derive_ports(input: TokenStream) -> TokenStream {
 /// Makes a struct usable as a node's parameters.
 ///
 /// Every field needs a doc comment and `#[param(default = ...)]`; numbers need `range = low..=high`.
-/// Further: `step = ...`, `unit = "px"`, `reopen`, `must_exist`.
+/// Further: `step = ...`, `unit = "px"` (which must agree with a name such as `window_px`), `reopen`; for lists `points`, `rectangles`; for texts
+/// `file`; for paths `must_exist`, `writes` (the node writes that file) and `shipped` (the default comes with the plugin, in the folder of the
+/// plugin's name beside its library).
 #[proc_macro_derive(Params, attributes(param))]
 pub fn derive_params(input: TokenStream) -> TokenStream {
     answer(params::expand(&parse_macro_input!(input as DeriveInput)))

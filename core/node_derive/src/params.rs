@@ -50,8 +50,50 @@ struct Attribute {
     step: Option<Expr>,
     unit: Option<LitStr>,
     reopen: bool,
-    must_exist: bool,
+    must_exist: Option<Ident>,
+    writes: Option<Ident>,
+    shipped: Option<Ident>,
     pick: Option<Ident>,
+}
+
+/// Endings of parameter names that state a unit, longest first: whoever reads `window_px` in a graph file takes it for pixels.
+const ENDINGS: &[(&str, &[&str])] = &[
+    ("_mm_s2", &["mm/s2"]),
+    ("_px_s", &["px/s"]),
+    ("_mm_s", &["mm/s"]),
+    ("_rad_s", &["rad/s"]),
+    ("_deg_s", &["deg/s"]),
+    ("_per_s", &["1/s", "px/s", "mm/s", "rad/s", "deg/s", "frames", "bytes", "MiB"]),
+    ("_percent", &["%"]),
+    ("_pct", &["%"]),
+    ("_px", &["px", "pixels"]),
+    ("_mm", &["mm"]),
+    ("_m", &["m"]),
+    ("_ms", &["ms"]),
+    ("_us", &["us"]),
+    ("_ns", &["ns"]),
+    ("_s", &["s"]),
+    ("_hz", &["Hz"]),
+    ("_rad", &["rad"]),
+    ("_deg", &["deg"]),
+    ("_db", &["dB"]),
+    ("_bytes", &["bytes"]),
+    ("_mib", &["MiB"]),
+];
+
+/// A unit that the parameter's name contradicts.
+fn check_ending(name: &str, unit: &LitStr) -> Result<()> {
+    let Some((ending, units)) = ENDINGS.iter().find(|(ending, _)| name.ends_with(ending)) else { return Ok(()) };
+    if units.contains(&unit.value().as_str()) {
+        return Ok(());
+    }
+    let quoted: Vec<String> = units.iter().map(|unit| format!("\"{unit}\"")).collect();
+    let message = format!(
+        "`{name}` ends in `{ending}`, its unit is \"{}\": write unit = {}, or give the parameter another name",
+        unit.value(),
+        quoted.join(" or ")
+    );
+    Err(Error::new_spanned(unit, message))
 }
 
 /// How a person picks a value: the word in the attribute, and the flag of the contract.
@@ -75,7 +117,9 @@ impl Parse for Attribute {
             }
             match key.to_string().as_str() {
                 "reopen" => out.reopen = true,
-                "must_exist" => out.must_exist = true,
+                "must_exist" => out.must_exist = Some(key),
+                "writes" => out.writes = Some(key),
+                "shipped" => out.shipped = Some(key),
                 "points" | "rectangles" | "file" => out.pick = Some(key),
                 "default" | "range" | "step" | "unit" => {
                     input.parse::<Token![=]>()?;
@@ -100,7 +144,7 @@ impl Parse for Attribute {
                     return Err(Error::new(
                         key.span(),
                         format!(
-                            "`{other}` is none of: default, range, step, unit, reopen, must_exist, points, rectangles, file"
+                            "`{other}` is none of: default, range, step, unit, reopen, must_exist, writes, shipped, points, rectangles, file"
                         ),
                     ));
                 }
@@ -174,6 +218,16 @@ fn checks(ident: &Ident, ty: &Type, attribute: &Attribute, default: &Expr) -> Re
             false => (quote!(#private::is_floats::<#ty>()), "a list of numbers"),
         };
         out.check(pick, None, fits, format!("`{ident}`: `{pick}` is for {what}, this is `{ty_text}`"))?;
+    }
+    for flag in [&attribute.must_exist, &attribute.writes, &attribute.shipped].into_iter().flatten() {
+        let message = format!("`{ident}`: `{flag}` is for a `PathBuf`, this is `{ty_text}`");
+        out.check(flag, is_number.then_some(false), quote!(#private::is_path::<#ty>()), message)?;
+    }
+    if let (Some(writes), Some(other)) =
+        (&attribute.writes, attribute.must_exist.as_ref().or(attribute.shipped.as_ref()))
+    {
+        let message = format!("`{ident}`: a file that is written need not exist: remove `{other}` or `{writes}`");
+        return Err(Error::new_spanned(writes, message));
     }
     let Some((range, low, high)) =
         attribute.range.as_ref().and_then(|r| Some((r, r.start.as_deref()?, r.end.as_deref()?)))
@@ -305,6 +359,9 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
                 format!("`{}` is no unit known here; units are: {}", unit.value(), UNITS.join(", ")),
             ));
         }
+        if let Some(unit) = &attribute.unit {
+            check_ending(param_name, unit)?;
+        }
         let unit = attribute.unit.as_ref().map(LitStr::value).unwrap_or_default();
         asserts.push(checks(ident, ty, &attribute, default)?);
         let (min, max) = match &attribute.range {
@@ -320,7 +377,8 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
             Some(step) => quote!((#step) as f64),
             None => quote!(0.0),
         };
-        let (reopen, must_exist) = (attribute.reopen, attribute.must_exist);
+        let (reopen, must_exist) = (attribute.reopen, attribute.must_exist.is_some());
+        let (writes, shipped) = (attribute.writes.is_some(), attribute.shipped.is_some());
         let default = default_value(default);
         let flag = attribute.pick.as_ref().and_then(|pick| PICKS.iter().find(|(word, _)| pick == word));
         let pick = match flag {
@@ -344,6 +402,8 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
                 step: #step,
                 reopen: #reopen,
                 must_exist: #must_exist,
+                writes: #writes,
+                shipped: #shipped,
                 pick: #pick,
             })
         });

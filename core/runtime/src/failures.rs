@@ -8,7 +8,7 @@ use panoscope_graph::OnFault;
 
 use crate::cell::{Cell, Ran, Refused, Surroundings, lock};
 use crate::clock;
-use crate::exec::{Exec, Instance, Made};
+use crate::exec::{Doing, Exec, Instance, LeftBehind, Made};
 use crate::fault::{Action, Cause, Fault, unix_ms};
 use crate::log::Level;
 use crate::params::Snapshot;
@@ -58,41 +58,66 @@ impl Cell {
 
     /// A source that failed goes on where it was, not from its start: at its start the same fault would come again, for ever.
     #[cold]
-    pub(crate) fn keep_position(&self, exec: &mut Exec, around: &Surroundings) {
+    fn keep_position(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> Result<(), LeftBehind> {
         if exec.source
-            && let Some(state) = exec.instance.save_state(&around.host)
+            && exec.instance.saves_state()
+            && let Some(state) = self.aside(Doing::SaveState, tick, || exec.instance.save_state(&around.host))?
         {
             *lock(&self.position) = Some(state);
         }
+        Ok(())
     }
 
-    /// Opens a failed node again; a source goes on where it was.
-    pub(crate) fn open_again(&self, around: &Surroundings, snapshot: &Snapshot) -> Result<Instance, String> {
-        let mut instance = self.open(around, snapshot)?;
+    /// Where an instance that was opened again goes on, if it is a source that failed before.
+    pub(crate) fn position_for(&self, instance: &Instance) -> Option<Vec<u8>> {
         // Kept until the next fault: this instance may fail before it has a position of its own.
-        let position = lock(&self.position).clone();
-        if let Some(state) = position
-            && instance.is_open()
-            && !instance.load_state(&state)
+        if instance.is_open() { lock(&self.position).clone() } else { None }
+    }
+
+    /// Says that the position of a source is lost.
+    pub(crate) fn position_lost(&self, around: &Surroundings) {
+        around.log.say(Level::Warn, &self.id, "it does not know its position any more and starts anew");
+    }
+
+    /// Opens a failed node again on the thread that runs it; a source goes on where it was.
+    fn open_again(
+        &self,
+        around: &Surroundings,
+        snapshot: &Snapshot,
+        tick: &Tick,
+    ) -> Result<Result<Instance, String>, LeftBehind> {
+        let opened = self.aside(Doing::Open, tick, || self.open(around, snapshot))?;
+        let Ok(mut instance) = opened else { return Ok(opened) };
+        if let Some(state) = self.position_for(&instance)
+            && !self.aside(Doing::LoadState, tick, || instance.load_state(&state))?
         {
-            around.log.say(Level::Warn, &self.id, "it does not know its position any more and starts anew");
+            self.position_lost(around);
         }
-        Ok(instance)
+        Ok(Ok(instance))
     }
 
     /// In batch a failed node is opened again before a tick that does not depend on the clock.
     #[cold]
-    pub(crate) fn open_in_batch(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> bool {
+    pub(crate) fn open_in_batch(
+        &self,
+        exec: &mut Exec,
+        around: &Surroundings,
+        tick: &Tick,
+    ) -> Result<bool, LeftBehind> {
         if self.on_fault() != OnFault::Restart {
-            return false;
+            return Ok(false);
         }
         if exec.skip_calls > 0 {
             exec.skip_calls -= 1;
-            return false;
+            return Ok(false);
         }
-        lock(&self.broken).clear();
+        let broken = std::mem::take(&mut *lock(&self.broken));
+        if !broken.is_empty() {
+            self.aside(Doing::Close, tick, || drop(broken))?;
+        }
         let snapshot = Arc::clone(exec.snapshot());
-        match self.open_again(around, &snapshot) {
+        let opened = self.open_again(around, &snapshot, tick)?;
+        Ok(match opened {
             Ok(instance) => {
                 bump(&self.stats.restarts);
                 around.log.say(Level::Info, &self.id, "opened again");
@@ -107,7 +132,7 @@ impl Cell {
                 self.open_failed(around, &words, Some(tick.seq));
                 false
             }
-        }
+        })
     }
 
     /// Writes down that a node did not open again.
@@ -156,17 +181,20 @@ impl Cell {
         exec.bad_in_a_row = 0;
         exec.silent_calls = 0;
         self.failures.store(exec.failures_in_a_row, Ordering::Relaxed);
-        self.keep_position(exec, around);
-        // What the instance holds after a fault is not to be trusted. It may take long to close.
-        lock(&self.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
         let (done, ran) = match self.on_fault() {
             OnFault::Restart => (Action::Restart, Ran::Fault),
             OnFault::Bypass => (Action::Bypass, Ran::Fault),
             OnFault::Stop => (Action::Stop, Ran::Stop),
         };
+        // Told first: the node may not return from what follows.
+        self.tell(around, cause, done, Some(tick.seq), None, words);
+        if self.keep_position(exec, around, tick).is_err() {
+            return Ran::Abandoned;
+        }
+        // What the instance holds after a fault is not to be trusted. It may take long to close.
+        lock(&self.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
         exec.bypassed = done == Action::Bypass;
         self.wants_mending.store(true, Ordering::Release);
-        self.tell(around, cause, done, Some(tick.seq), None, words);
         ran
     }
 

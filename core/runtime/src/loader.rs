@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use panoscope_abi as abi;
-use panoscope_graph::{Catalog, NodeType, PluginProblem};
+use panoscope_graph::{Catalog, NodeType, Offer, PluginProblem};
 
 use crate::elf::{self, ElfError, Note};
 use crate::host;
@@ -201,7 +201,10 @@ pub fn load(found: &Found) -> Result<Loaded, LoadError> {
     std::mem::forget(library);
     std::mem::forget(copy);
     // SAFETY: a descriptor of a plugin that stays mapped; every field is checked before use.
-    let node_types = unsafe { panoscope_graph::from_abi::node_types(plugin) }.map_err(|e| bad(e.to_string()))?;
+    let mut node_types = unsafe { panoscope_graph::from_abi::node_types(plugin) }.map_err(|e| bad(e.to_string()))?;
+    // Files that come with a plugin lie in a folder of its name beside its library.
+    let shipped_dir = file.parent().unwrap_or(Path::new("")).join(&found.note.name);
+    node_types.iter_mut().for_each(|node_type| node_type.shipped_dir.clone_from(&shipped_dir));
     // SAFETY: validated by `node_types`.
     let descriptor = unsafe { &*plugin };
     // SAFETY: as above.
@@ -210,11 +213,12 @@ pub fn load(found: &Found) -> Result<Loaded, LoadError> {
         return Err(bad(format!("its note says `{}`, its code says `{name}`", found.note.name)));
     }
     // SAFETY: validated by `node_types`.
-    let entries: Vec<&'static abi::NodeType> =
-        (0..descriptor.node_types_len).map(|index| unsafe { &**descriptor.node_types.add(index) }).collect();
+    let entries: Vec<&'static abi::NodeType> = (0..descriptor.node_types_len)
+        .map(|index| unsafe { panoscope_graph::from_abi::whole(*descriptor.node_types.add(index)) })
+        .collect();
     if let Some(attach) = descriptor.attach {
-        // SAFETY: the process-wide table outlives every plugin.
-        let status = unsafe { attach(host::process_table()) };
+        // SAFETY: the plugin's table outlives it.
+        let status = unsafe { attach(host::plugin_table(plugin)) };
         if status != abi::STATUS_OK {
             return Err(bad(format!("it refused the host ({status})")));
         }
@@ -354,9 +358,10 @@ impl Loader {
     /// The catalogue for a graph: its listed plugins loaded, all others by name only.
     pub fn catalog<S: AsRef<str>>(&self, plugins: &[S]) -> Catalog {
         let mut catalog = Catalog { problems: self.problems.clone(), ..Catalog::default() };
-        for plugin in self.found.keys() {
+        for (plugin, found) in &self.found {
             if !plugins.iter().any(|p| p.as_ref() == plugin) {
                 catalog.plugins.push(plugin.clone());
+                catalog.offers.push(Offer { plugin: plugin.clone(), node_types: found.note.node_types.clone() });
             }
         }
         for plugin in plugins {

@@ -30,7 +30,7 @@ pub enum Profile {
 #[derive(Debug)]
 pub struct Built {
     pub program: PathBuf,
-    /// Beside the program; holds one shared library per plugin and nothing else.
+    /// Beside the program; holds one shared library per plugin, and a folder with the files that come with it.
     pub plugin_dir: PathBuf,
 }
 
@@ -85,6 +85,7 @@ pub fn build(workspace: &Workspace, profile: Profile) -> Result<Built> {
     let program = artifacts.program.with_context(|| format!("{PROGRAM_PACKAGE} makes no program `{PROGRAM}`"))?;
     let plugin_dir = program.with_file_name("plugins");
     lay_out(&workspace.plugins, &artifacts.libraries, &plugin_dir)?;
+    lay_out_models(workspace, &plugin_dir, Means::Link)?;
     Ok(Built { program, plugin_dir })
 }
 
@@ -146,6 +147,29 @@ fn lay_out(plugins: &[Plugin], libraries: &BTreeMap<PathBuf, PathBuf>, plugin_di
         let is_library = name.to_string_lossy().ends_with(DLL_SUFFIX);
         if is_library && !kept.iter().any(|kept| name == kept.as_str()) {
             fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// Puts the models that come with plugins where the program looks for them: `NAME/models` beside the library of plugin NAME.
+pub fn lay_out_models(workspace: &Workspace, plugin_dir: &Path, means: Means) -> Result<()> {
+    for plugin in &workspace.plugins {
+        let models = workspace.root.join("plugins").join(&plugin.name).join("models");
+        if models.is_dir() {
+            place_files(&models, &plugin_dir.join(&plugin.name).join("models"), &["onnx", "md", "txt"], means)?;
+        }
+    }
+    Ok(())
+}
+
+/// Puts the files of a folder that have one of these endings into another; what runs have written beside them stays behind.
+pub fn place_files(from: &Path, to: &Path, endings: &[&str], means: Means) -> Result<()> {
+    fs::create_dir_all(to).with_context(|| format!("cannot make {}", to.display()))?;
+    for entry in fs::read_dir(from).with_context(|| format!("cannot read {}", from.display()))?.flatten() {
+        let path = entry.path();
+        if path.extension().is_some_and(|extension| endings.iter().any(|wanted| extension == *wanted)) {
+            place(&path, &to.join(entry.file_name()), means)?;
         }
     }
     Ok(())

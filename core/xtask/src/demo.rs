@@ -7,6 +7,7 @@ use std::time::SystemTime;
 use anyhow::{Context, Result, bail, ensure};
 
 use crate::build::{Profile, build, build_editor};
+use crate::onnxruntime;
 use crate::packages::Purpose;
 use crate::process;
 use crate::report::Summary;
@@ -32,6 +33,12 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
     let outputs = outputs(&text, &graph, args)?;
 
     setup::ensure(&[Purpose::Build])?;
+    // For graphs that find instruments: this one, or those that are tried next.
+    match onnxruntime::fetch(workspace) {
+        Ok(_) => {}
+        Err(error) if needs_runtime(&text) => return Err(error.context("this graph needs ONNX Runtime")),
+        Err(error) => println!("ONNX Runtime was not fetched, so graphs that find instruments do not run: {error:#}"),
+    }
     let built = build(workspace, Profile::Dev)?;
     let mut run = built.panoscope();
     run.arg("run").arg(&graph);
@@ -85,6 +92,14 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
         process::run(built.panoscope().arg("edit").arg(&graph))?;
     }
     Ok(())
+}
+
+/// Whether a graph finds instruments by a network.
+fn needs_runtime(text: &str) -> bool {
+    let table: Option<toml::Table> = text.parse().ok();
+    let nodes = table.as_ref().and_then(|t| t.get("nodes")).and_then(toml::Value::as_table);
+    let types = nodes.into_iter().flatten().filter_map(|(_, node)| node.get("type")?.as_str());
+    types.map(|name| name.rsplit('/').next().unwrap_or(name)).any(|name| matches!(name, "yolo" | "mask_rcnn"))
 }
 
 /// What a sink of the graph is to write.
@@ -259,6 +274,15 @@ mod tests {
         let later = now + std::time::Duration::from_secs(3600);
         assert!(names("other.png", later).is_empty(), "an old file is not this run's");
         fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn graphs_that_find_instruments_are_known() {
+        assert!(!needs_runtime(GRAPH));
+        assert!(needs_runtime("[nodes.find]\ntype = \"yolo\"\n"));
+        assert!(needs_runtime("[nodes.find]\ntype = \"tools/mask_rcnn\"\n"));
+        let shipped = Workspace::locate().unwrap().root.join("graphs/tools.toml");
+        assert!(needs_runtime(&fs::read_to_string(shipped).unwrap()));
     }
 
     #[test]

@@ -37,7 +37,7 @@ cargo xtask COMMAND
   setup [--bench]      installs the system packages that are missing (--bench: the peers of `bench` too)
   build [--release]    builds the program, the editor and the plugins, laid out so that they also run outside cargo
   bench [args]         builds in release and runs `panoscope bench args`
-  install DIR          puts a release build (program, editor, plugins with models, graphs) into DIR
+  install DIR          puts a release build (program, editor, plugins with models, ONNX Runtime, graphs) into DIR
   screens [DIR]        takes pictures of the editor at work, on a screen that nobody sees, into DIR (target/screens)
   data                 fetches the test data that comes from Python wheels into target/data
   onnxruntime          fetches ONNX Runtime's shared library into target/onnxruntime

@@ -1,6 +1,6 @@
 //! ONNX Runtime's shared library, out of its Python wheel.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 
@@ -41,6 +41,12 @@ pub fn fetch(workspace: &Workspace) -> Result<PathBuf> {
     let folder = workspace.target.join("onnxruntime");
     wheel.unpack_into(&folder)?;
     Ok(folder.join(LIBRARY))
+}
+
+/// The library with what its licence asks to go with it.
+pub fn files(library: &Path) -> Vec<PathBuf> {
+    let names = MEMBERS.iter().filter_map(|member| Path::new(member).file_name());
+    names.map(|name| library.with_file_name(name)).filter(|file| file.is_file()).collect()
 }
 
 #[cfg(test)]

@@ -1,14 +1,11 @@
 //! What is done when something is asked for: by key, button, canvas or panel.
 
-use std::sync::Arc;
-
-use eframe::egui::{Context, Event, Modifiers, vec2};
+use eframe::egui::{Context, Event, Modifiers, Vec2, vec2};
 use panoscope_runtime::sweep::can_sweep;
 
 use super::App;
 use crate::actions::{ARROWS, Action};
 use crate::canvas::Ask;
-use crate::disk;
 use crate::observe::Output;
 use crate::ops::{self, Waiting};
 use crate::palette::{Palette, Picked, Purpose};
@@ -177,7 +174,7 @@ impl App {
                 }
             }
             Action::Add => {
-                let at = self.canvas.middle();
+                let at = self.canvas.place_for_new();
                 self.open_palette(Purpose::Add { at: (at.x, at.y), waiting: None });
             }
             Action::Connect => match self.selected() {
@@ -220,7 +217,9 @@ impl App {
             Picked::Add(node_type, at, waiting) => {
                 let result = ops::add(&mut self.document, &node_type, at, waiting.as_ref());
                 if let Some(id) = self.try_edit(result) {
+                    self.make_room(std::slice::from_ref(&id));
                     self.canvas.select_only(&id);
+                    self.canvas.keep_in_view(&self.document.view().clone(), self.document.revision(), &id);
                 }
             }
             Picked::Connect(node, input, from) => {
@@ -228,6 +227,24 @@ impl App {
             }
             Picked::Go(id) => self.canvas.show_node(&self.document.view().clone(), &id),
         }
+    }
+
+    /// Moves nodes that were just added off those that were there, as a part of the same step.
+    fn make_room(&mut self, added: &[String]) {
+        let view = self.document.view().clone();
+        let by = self.canvas.way_to_free_ground(&view, self.document.revision(), added);
+        if by == Vec2::ZERO {
+            return;
+        }
+        let result = self.document.amend(|edit| {
+            for id in added {
+                if let Some((x, y)) = view.node(id).and_then(|n| view.nodes[n].position) {
+                    edit.set_position(id, f64::from(x + by.x), f64::from(y + by.y));
+                }
+            }
+            Ok(())
+        });
+        self.try_edit(result);
     }
 
     /// Copies, cuts and pastes nodes as text.
@@ -252,6 +269,7 @@ impl App {
                     let at = self.canvas.middle();
                     let result = ops::paste(&mut self.document, &text, (at.x, at.y));
                     if let Some(names) = self.try_edit(result) {
+                        self.make_room(&names);
                         self.canvas.selected = names.into_iter().collect();
                     }
                 }
@@ -331,6 +349,7 @@ impl App {
         }
         let result = ops::duplicate(&mut self.document, &nodes);
         if let Some(copies) = self.try_edit(result) {
+            self.make_room(&copies);
             self.canvas.selected = copies.into_iter().collect();
         }
     }
@@ -349,24 +368,6 @@ impl App {
                 self.tell(format!("{id} is bypassed"), false);
                 self.detours.insert(id, detours);
             }
-        }
-    }
-
-    fn save(&mut self) {
-        // Someone else's text is not overwritten unseen.
-        if let Ok(text) = std::fs::read_to_string(self.document.path())
-            && text != **self.document.saved()
-            && text != **self.document.text()
-        {
-            self.conflict = Some(text);
-            return;
-        }
-        let text = Arc::clone(self.document.text());
-        let result = disk::save(self.document.path(), &text);
-        if self.try_edit(result).is_some() {
-            self.disk.settle();
-            self.document.now_saved(&text);
-            self.tell("saved", false);
         }
     }
 }

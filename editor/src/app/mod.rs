@@ -2,6 +2,7 @@
 
 mod acts;
 mod begin;
+mod conflict;
 mod picks;
 mod shot;
 mod signals;
@@ -19,7 +20,6 @@ use crate::actions;
 use crate::canvas::{Canvas, Scene, is_pictorial};
 use crate::disk::{self, DiskWatch};
 use crate::document::Document;
-use crate::history::By;
 use crate::observe::{Counters, LARGE_INTERVAL, Observer, Output, THUMBNAIL_INTERVAL, Wanted};
 use crate::ops::Detour;
 use crate::palette::{Palette, Types};
@@ -38,6 +38,7 @@ use crate::theme;
 use crate::viewer::{Source, Viewer};
 
 pub use begin::{templates, with_source};
+use conflict::Conflict;
 pub use shot::{Costs, Shot};
 pub use signals::close_on_signals;
 
@@ -85,8 +86,7 @@ pub struct App {
     /// The line of the text that was asked for.
     reading: below::Reading,
     disk: DiskWatch,
-    /// The file's new text, when it and ours have both changed.
-    conflict: Option<String>,
+    conflict: Option<Conflict>,
     /// The view moves with every frame, to be measured.
     panning: bool,
     note: Option<(String, bool, Instant)>,
@@ -468,45 +468,6 @@ impl App {
     pub fn selected(&self) -> Option<String> {
         let mut selected = self.canvas.selected.iter();
         selected.next().filter(|_| selected.next().is_none()).cloned()
-    }
-
-    fn changed_on_disk(&mut self, text: String) {
-        if text == **self.document.saved() {
-            return;
-        }
-        if self.document.is_changed() && text != **self.document.text() {
-            self.conflict = Some(text);
-            return;
-        }
-        self.document.set_text_by(By::File, &text, "change on disk", None);
-        self.document.now_saved(&text);
-        self.tell("the file changed on disk and was read again; undo brings the old text back", false);
-    }
-
-    fn conflict_bar(&mut self, ui: &mut Ui) {
-        if self.conflict.is_none() {
-            return;
-        }
-        let frame = Frame::new().fill(theme::WARN.gamma_multiply(0.18)).inner_margin(Margin::symmetric(16, 8));
-        Panel::top("conflict").frame(frame).show(ui, |ui| {
-            ui.horizontal(|ui| {
-                ui.label("The file was changed on disk, and so was the graph here.");
-                let theirs = ui.button("Take the file's").on_hover_text("Undo brings the graph of this window back");
-                let ours = ui
-                    .button("Keep this one")
-                    .on_hover_text("The next save replaces the file; its text is kept as a backup");
-                if theirs.clicked()
-                    && let Some(text) = self.conflict.take()
-                {
-                    self.document.set_text_by(By::File, &text, "take the file's text", None);
-                    self.document.now_saved(&text);
-                } else if ours.clicked()
-                    && let Some(text) = self.conflict.take()
-                {
-                    self.document.now_saved(&text);
-                }
-            });
-        });
     }
 
     /// What was told last, at the lower edge; never over a picture's middle.

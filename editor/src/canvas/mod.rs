@@ -20,6 +20,9 @@ pub use marks::Mark;
 pub use shape::{Pin, Shape, is_pictorial, shown_output};
 pub use touch::{Ask, End};
 
+/// Distance of a new node from the one that it is put beside, in points at zoom 1.
+const BESIDE: f32 = 64.0;
+
 /// Zoom in powers of the eighth root of two.
 const ZOOM_STEPS: std::ops::RangeInclusive<i32> = -28..=8;
 
@@ -138,6 +141,42 @@ impl Canvas {
         pos2((at.x / 8.0).round() * 8.0, (at.y / 8.0).round() * 8.0)
     }
 
+    /// Where a node that is added by key goes, if there is room: right of the one that is selected, as far as that is seen, else the middle.
+    pub fn place_for_new(&self) -> Pos2 {
+        let last = self.selected.iter().next_back();
+        let shape = last.and_then(|id| self.ids.iter().position(|known| known == id)).and_then(|n| self.shapes.get(n));
+        let beside =
+            last.and_then(|id| self.place(id)).zip(shape).map(|(at, shape)| at + vec2(shape.size.x + BESIDE, 0.0));
+        let seen = |at: &Pos2| self.rect.contains(self.transform() * *at);
+        beside.filter(seen).unwrap_or_else(|| self.middle())
+    }
+
+    /// By how much nodes that were just added, as one group, must move so that they lie on no other.
+    pub fn way_to_free_ground(&mut self, view: &View, revision: u64, added: &[String]) -> Vec2 {
+        // The others as they stood before: those without a place of their own must not have to yield.
+        let before = self.places.clone();
+        self.lay_out(view, revision);
+        let grounds = view.nodes.iter().zip(&self.shapes).filter_map(|(node, shape)| {
+            let at = node.position.map(|(x, y)| pos2(x, y)).or_else(|| before.get(node.id()).copied())?;
+            Some((added.iter().any(|id| id == node.id()), Rect::from_min_size(at, shape.size)))
+        });
+        let (new, others): (Vec<_>, Vec<_>) = grounds.partition(|(new, _)| *new);
+        let Some(group) = new.into_iter().map(|(_, rect)| rect).reduce(|a, b| a.union(b)) else { return Vec2::ZERO };
+        let taken: Vec<layout::Ground> = others.iter().map(|(_, r)| (r.min.into(), r.size().into())).collect();
+        Pos2::from(layout::free(group.min.into(), group.size().into(), &taken)) - group.min
+    }
+
+    /// Moves the view, where a node lies outside of it.
+    pub fn keep_in_view(&mut self, view: &View, revision: u64, id: &str) {
+        self.lay_out(view, revision);
+        let node = view.node(id).and_then(|n| self.shapes.get(n)).zip(self.place(id));
+        let Some((shape, place)) = node.filter(|_| !self.fit) else { return };
+        let rect = Rect::from_min_size(self.transform() * place, shape.size * self.scale());
+        if !self.rect.contains_rect(rect) {
+            self.offset -= rect.center() - self.rect.center();
+        }
+    }
+
     /// Where a node is drawn.
     pub fn place(&self, id: &str) -> Option<Pos2> {
         self.places.get(id).copied()
@@ -202,13 +241,29 @@ impl Canvas {
             .collect();
         let sizes: Vec<[f32; 2]> = self.shapes.iter().map(|s| [s.size.x, s.size.y]).collect();
         let edges: Vec<(usize, usize)> = view.wires.iter().filter(|w| !w.delayed).map(|w| (w.from, w.to)).collect();
-        let automatic = layout::layered(&sizes, &edges);
-        self.places = (view.nodes.iter().zip(&automatic.places))
-            .map(|(node, &[x, y])| {
-                let at = node.position.map_or(pos2(x, y), |(x, y)| pos2(x, y));
-                (node.id().to_owned(), at)
-            })
+        // A lone node that has its own place leaves the others where they are.
+        let laid: Vec<usize> = (0..view.nodes.len())
+            .filter(|n| view.nodes[*n].position.is_none() || edges.iter().any(|(from, to)| from == n || to == n))
             .collect();
+        let automatic = layout::layered_part(&sizes, &edges, &laid);
+        // Nodes that the file gives no place yield to those that it does.
+        let mut taken: Vec<layout::Ground> = (view.nodes.iter().zip(&sizes))
+            .filter_map(|(node, size)| node.position.map(|(x, y)| ([x, y], *size)))
+            .collect();
+        let placed = taken.len();
+        self.places = HashMap::with_capacity(view.nodes.len());
+        for (n, node) in view.nodes.iter().enumerate() {
+            let at = match node.position {
+                Some((x, y)) => [x, y],
+                None if placed == 0 => automatic.places[n],
+                None => {
+                    let at = layout::clear_of(automatic.places[n], sizes[n], &taken);
+                    taken.push((at, sizes[n]));
+                    at
+                }
+            };
+            self.places.insert(node.id().to_owned(), pos2(at[0], at[1]));
+        }
         let untouched = |n: usize| view.nodes[n].position.is_none();
         let ways = automatic.lanes.into_iter().filter(|((from, to), _)| untouched(*from) && untouched(*to));
         self.lanes =

@@ -74,6 +74,9 @@ fn state(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters)
     let behind = *status.running != **document.text();
     let (color, words) = match &status.phase {
         Phase::Idle if document.view().right => (theme::MUTED, "not started".to_owned()),
+        Phase::Idle if document.view().nodes.is_empty() && document.view().diagnostics.is_empty() => {
+            (theme::MUTED, "no nodes yet: A adds one".to_owned())
+        }
         Phase::Idle => (theme::FAULT, "the file has mistakes".to_owned()),
         Phase::Starting => (theme::MUTED, "starting".to_owned()),
         Phase::Running if status.trouble.is_some() => {

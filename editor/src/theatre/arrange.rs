@@ -84,6 +84,60 @@ pub fn level(rooms: [Rect; 2], sizes: [Vec2; 2]) -> [Rect; 2] {
     })
 }
 
+/// Widths of an inset as parts of the room's, the first one that covers nothing is taken.
+const INSET_SHARES: [f32; 5] = [0.24, 0.21, 0.18, 0.15, 0.125];
+/// Part of a picture's width and height, about its centre, that no inset reaches into.
+const MIDDLE: f32 = 0.5;
+
+/// The part of a picture that nothing may cover.
+pub fn middle(picture: Rect) -> Rect {
+    Rect::from_center_size(picture.center(), picture.size() * MIDDLE)
+}
+
+/// Room for a small picture of `size`'s proportions, with its title, in a corner of `room`, in which `pictures` stand.
+///
+/// On free ground if there is any; else over the corner of a picture, so small that it stays out of every picture's [`middle`].
+pub fn inset(room: Rect, size: Vec2, pictures: &[Rect]) -> Rect {
+    let high = |width: f32| TITLE + width * size.y.max(1.0) / size.x.max(1.0);
+    let corners = |bounds: Rect, width: f32| {
+        let size = vec2(width, high(width));
+        // The lower right first: the lower left is where menus and tools most often come in.
+        [(true, true), (true, false), (false, true), (false, false)].map(|(right, bottom)| {
+            let x = if right { bounds.right() - size.x } else { bounds.left() };
+            let y = if bottom { bounds.bottom() - size.y } else { bounds.top() };
+            Rect::from_min_size(pos2(x, y), size)
+        })
+    };
+    let apart = |a: Rect, b: Rect| !a.shrink(0.5).intersects(b.shrink(0.5));
+    for share in INSET_SHARES {
+        let free = |place: &Rect| room.expand(0.5).contains_rect(*place) && pictures.iter().all(|p| apart(*place, *p));
+        if let Some(place) = corners(room, room.width() * share).into_iter().find(free) {
+            return place;
+        }
+    }
+    // A corner of the room or of the largest picture, as large as the pictures' middles let it be, where it covers least.
+    let area = |r: &Rect| r.width() * r.height();
+    let largest = pictures.iter().copied().max_by(|a, b| area(a).total_cmp(&area(b))).unwrap_or(room);
+    let most = (largest.width() * (1.0 - MIDDLE) / 2.0).min(room.width() * INSET_SHARES[0]);
+    let allowed = |place: &Rect| pictures.iter().all(|p| apart(*place, middle(*p)));
+    // In whole points: rounding must not choose between corners that are alike.
+    let covered = |place: &Rect| {
+        let shared = pictures.iter().map(|p| place.intersect(*p)).filter(Rect::is_positive);
+        shared.map(|r| area(&r)).sum::<f32>().round()
+    };
+    let mut width = most;
+    loop {
+        let places = corners(room, width).into_iter().chain(corners(largest, width)).filter(allowed);
+        if let Some(place) = places.min_by(|a, b| covered(a).total_cmp(&covered(b))) {
+            return place;
+        }
+        width *= 0.9;
+        if width < 1.0 {
+            return corners(largest, width)[0];
+        }
+    }
+}
+
 /// The largest rectangle of `size`'s proportions in the middle of `room`.
 pub fn fit(room: Rect, size: Vec2) -> Rect {
     let scale = (room.width() / size.x.max(1.0)).min(room.height() / size.y.max(1.0)).max(0.0);
@@ -119,6 +173,33 @@ mod tests {
             }
         }
         assert_eq!(fit(room, vec2(100.0, 100.0)).size(), vec2(700.0, 700.0));
+    }
+
+    #[test]
+    fn an_inset_takes_free_ground_and_else_a_corner() {
+        let room = Rect::from_min_size(pos2(20.0, 68.0), vec2(1400.0, 780.0));
+        let camera = vec2(640.0, 480.0);
+        // Beside one picture of 4 to 3 there is room; above a wide one, too.
+        for picture in [vec2(640.0, 480.0), vec2(2000.0, 500.0)] {
+            let picture = fit(room, picture);
+            let place = inset(room, camera, &[picture]);
+            assert!(room.expand(0.5).contains_rect(place), "{place:?}");
+            assert!(!place.shrink(0.5).intersects(picture), "{place:?} covers {picture:?}");
+            assert!(place.width() >= 0.12 * room.width());
+        }
+        // A picture that fills the room, as a panorama does: its corner, not its middle.
+        for picture in [room, Rect::from_center_size(room.center(), vec2(1400.0, 700.0))] {
+            let place = inset(room, camera, &[picture]);
+            assert!(room.expand(0.5).contains_rect(place), "{place:?}");
+            assert!(!place.intersects(middle(picture)), "{place:?} reaches into the middle");
+            assert!(place.width() >= 0.15 * room.width(), "{place:?}");
+        }
+        // Several pictures, none without a middle that is seen.
+        for count in 1..6 {
+            let pictures: Vec<Rect> = Layout::All.places(count, room).into_iter().map(|(_, r)| r).collect();
+            let place = inset(room, camera, &pictures);
+            assert!(pictures.iter().all(|p| !place.shrink(0.5).intersects(middle(*p))), "{count}: {place:?}");
+        }
     }
 
     #[test]

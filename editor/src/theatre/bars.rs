@@ -3,8 +3,8 @@
 use std::time::Instant;
 
 use eframe::egui::{
-    Align2, Color32, CornerRadius, FontId, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType, pos2,
-    vec2,
+    Align2, Color32, CornerRadius, FontId, Pos2, Rect, Sense, Shape, Stroke, StrokeKind, Ui, WidgetInfo, WidgetType,
+    pos2, vec2,
 };
 
 use super::arm::STOP_RED;
@@ -38,6 +38,7 @@ impl Theatre {
             right = place.left() - 10.0;
         };
         let (words, fill, color) = match (&status.phase, self.frozen) {
+            _ if facts.why_dark.is_some() => ("NO PICTURE".to_owned(), theme::FAULT, theme::BLACK),
             (Phase::Starting | Phase::Idle, _) => ("STARTING".to_owned(), theme::RAISED, theme::MUTED),
             (Phase::Ended | Phase::Failed(_), _) => ("STOPPED".to_owned(), theme::FAULT, theme::BLACK),
             (_, Some(since)) => (format!("FROZEN  {}", clock_words(since)), theme::ACCENT, theme::BLACK),
@@ -54,6 +55,9 @@ impl Theatre {
             let font = FontId::proportional(14.0);
             let place = painter.text(pos2(right, middle), Align2::RIGHT_CENTER, free, font, theme::MUTED);
             right = place.left() - 16.0;
+        }
+        if let Some((heading, line)) = self.verified.words() {
+            right = unverified(ui, pos2(right, middle), heading, line).left() - 10.0;
         }
         let room = Rect::from_min_max(inner.min, pos2(right - 10.0, inner.bottom()));
         self.message(ui, room);
@@ -189,6 +193,26 @@ impl Theatre {
             at = place.right() + SETTING_GAP;
         }
     }
+}
+
+/// Says that nobody verified what runs, as long as it runs: an outline, so that it neither blinks for attention nor is overlooked.
+/// Ends at `right`; answers its place.
+fn unverified(ui: &mut Ui, right: Pos2, heading: &str, line: &str) -> Rect {
+    let painter = ui.painter();
+    let heading_text = painter.layout_no_wrap(heading.to_owned(), FontId::proportional(15.0), theme::WARN);
+    let line_text = painter.layout_no_wrap(line.to_owned(), FontId::proportional(13.0), theme::TEXT);
+    let text = vec2(heading_text.size().x.max(line_text.size().x), heading_text.size().y + line_text.size().y);
+    let size = text + vec2(28.0, 8.0);
+    let place = Rect::from_min_size(pos2(right.x - size.x, right.y - size.y / 2.0), size);
+    painter.rect_stroke(place, CornerRadius::same(8), Stroke::new(1.5, theme::WARN), StrokeKind::Inside);
+    let at = place.min + vec2(14.0, 4.0);
+    let below = at + vec2(0.0, heading_text.size().y);
+    painter.galley(at, heading_text, theme::WARN);
+    painter.galley(below, line_text, theme::TEXT);
+    let response = ui.interact(place, ui.id().with("verified"), Sense::hover());
+    let words = format!("{}: {line}", heading[..1].to_owned() + &heading[1..].to_lowercase());
+    response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, words.clone()));
+    place
 }
 
 /// A large button with its key below its words.

@@ -1,5 +1,6 @@
 //! The theatre: a surgeon's window over a running graph. Full screen, dark, large type; pictures and what must be known, and only the settings that
-//! the preset offers. Nothing ever covers a picture: what is told stands above, what can be done below.
+//! the preset offers. Nothing ever covers a picture's middle: what is told stands above, what can be done below, and the live picture beside a frozen
+//! one in a corner.
 //!
 //! Whatever fails, a camera's own picture stays: where a view stops it takes its place, and where the graph as a whole cannot run its sources are
 //! started alone.
@@ -14,6 +15,7 @@ mod notices;
 mod open;
 mod plan;
 mod records;
+mod refused;
 mod settings;
 mod stage;
 mod watch;
@@ -40,8 +42,9 @@ pub use arrange::Layout;
 pub use keep::{free_bytes, next_file, with_clip, without_clip, write_still};
 pub use measure::Length;
 pub use notices::{Notice, Urgency};
-pub use open::{OpenError, Options, Ready};
+pub use open::{OpenError, Options, Ready, Verified};
 pub use plan::{Place, Plan, Setting};
+pub use refused::Refused;
 
 use keep::{Clip, Keeper};
 use measure::Measure;
@@ -92,7 +95,7 @@ pub struct Theatre {
     /// Since when Esc, and the released stop, are held.
     leaving: Option<Instant>,
     releasing: Option<Instant>,
-    unlocked: Option<String>,
+    verified: Verified,
     scale: f32,
     left: bool,
     shot: Shot,
@@ -147,7 +150,7 @@ impl Theatre {
             remark: None,
             leaving: None,
             releasing: None,
-            unlocked: ready.unlocked,
+            verified: ready.verified,
             scale: options.scale,
             left: false,
             shot: options.shot,
@@ -158,6 +161,11 @@ impl Theatre {
     /// What the graph offers.
     pub fn plan(&self) -> &Plan {
         &self.plan
+    }
+
+    /// Whether somebody has verified what runs.
+    pub fn verified(&self) -> &Verified {
+        &self.verified
     }
 
     /// The session.
@@ -213,10 +221,10 @@ impl Theatre {
     pub fn ui(&mut self, ui: &mut Ui) {
         self.costs.count_frame();
         let ctx = ui.ctx().clone();
-        let status = self.session.status();
         let counters = self.observer.counters();
         self.look(&ctx);
-        self.fall_back(&status);
+        self.fall_back(&self.session.status());
+        let status = self.session.status();
         let facts = self.facts(&status, &counters);
         self.told = notices::notices(&facts);
         self.keep_up(&status, &counters);

@@ -48,6 +48,10 @@ pub struct Facts {
     pub trouble: Option<String>,
     /// Only the sources run, for this reason.
     pub raw_only: Option<String>,
+    /// Nothing runs, for this reason: there is no picture at all.
+    pub why_dark: Option<String>,
+    /// What sources said when they failed last, by the node's name.
+    pub source_faults: HashMap<String, String>,
     /// The arm was stopped.
     pub emergency: bool,
     /// Cameras without a picture, with the time since the last one; `None` when there never was one.
@@ -70,6 +74,34 @@ pub struct Facts {
     pub unlocked: Option<String>,
 }
 
+/// What stands in place of a picture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NoPicture {
+    /// Nothing is wrong, or it is told elsewhere.
+    Plain(&'static str),
+    /// Something does not open.
+    Because {
+        /// What it said, in full.
+        why: String,
+        /// What can be done.
+        remedy: &'static str,
+    },
+}
+
+impl Facts {
+    /// What stands in place of the picture of `node`, which was never seen.
+    pub fn no_picture(&self, node: &str, stopped: bool) -> NoPicture {
+        const AGAIN: &str = "Correct this, then press Enter to start again. For a camera: check its cable and power, and close other programs that use it.";
+        const BY_ITSELF: &str = "It is tried again by itself. For a camera: check its cable and power, and close other programs that use it.";
+        let fault = self.source_faults.get(node).filter(|words| !words.is_empty());
+        match (&self.why_dark, fault) {
+            (Some(why), _) => NoPicture::Because { why: why.clone(), remedy: AGAIN },
+            (None, Some(why)) => NoPicture::Because { why: why.clone(), remedy: BY_ITSELF },
+            (None, None) => NoPicture::Plain(if stopped { "no picture" } else { "starting" }),
+        }
+    }
+}
+
 /// Room in words.
 pub fn bytes_words(bytes: u64) -> String {
     let mb = bytes as f64 / 1e6;
@@ -84,7 +116,9 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
     if facts.emergency {
         tell(Alarm, "Emergency stop: the arm stands still".to_owned());
     }
-    if let Some(why) = &facts.raw_only {
+    if let Some(why) = &facts.why_dark {
+        tell(Alarm, format!("No picture: {why}"));
+    } else if let Some(why) = &facts.raw_only {
         tell(Alarm, format!("Camera picture only: {why}"));
     } else if let Phase::Failed(why) = &facts.phase {
         tell(Alarm, format!("The system stopped: {why}"));
@@ -107,7 +141,7 @@ pub fn notices(facts: &Facts) -> Vec<Notice> {
     for words in &facts.stages {
         tell(Alarm, words.clone());
     }
-    if let Some(trouble) = &facts.trouble {
+    if let Some(trouble) = facts.trouble.as_ref().filter(|_| facts.why_dark.is_none()) {
         tell(Warning, trouble.clone());
     }
     if let Some(age) = facts.age_ms.filter(|age| *age > OLD_MS && facts.stopped.is_empty()) {
@@ -224,6 +258,28 @@ mod tests {
         assert!(words.last().is_some_and(|w| w.starts_with("Runs unlocked")));
         let stopped = Facts { age_ms: Some(5000.0), stopped: vec!["Wide".to_owned()], ..Facts::default() };
         assert_eq!(self::words(&stopped), ["Wide has stopped"], "said once");
+    }
+
+    #[test]
+    fn a_pane_without_a_picture_says_why_and_what_to_do() {
+        let why = "node `scope` (capture) did not open: camera 2 does not open: it may be in use by another program"
+            .to_owned();
+        let dark = Facts { why_dark: Some(why.clone()), trouble: Some(why.clone()), ..Facts::default() };
+        assert_eq!(words(&dark), [format!("No picture: {why}")], "said once");
+        match dark.no_picture("scope", false) {
+            NoPicture::Because { why: told, remedy } => {
+                assert_eq!(told, why);
+                assert!(remedy.contains("Enter") && remedy.contains("cable"), "{remedy}");
+            }
+            other => panic!("{other:?}"),
+        }
+        let faults = HashMap::from([("scope".to_owned(), "camera 2 is gone".to_owned())]);
+        let retried = Facts { source_faults: faults, ..Facts::default() };
+        assert!(
+            matches!(retried.no_picture("scope", false), NoPicture::Because { remedy, .. } if remedy.contains("by itself"))
+        );
+        assert_eq!(retried.no_picture("wide", false), NoPicture::Plain("starting"));
+        assert_eq!(Facts::default().no_picture("wide", true), NoPicture::Plain("no picture"));
     }
 
     #[test]

@@ -70,6 +70,28 @@ impl OpenError {
     }
 }
 
+/// Whether somebody has verified what runs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verified {
+    /// All is as it was locked.
+    AsLocked,
+    /// The graph was never locked.
+    Never,
+    /// It differs from its lock in this, and was opened all the same.
+    Differs(String),
+}
+
+impl Verified {
+    /// What must be said on the screen for as long as it runs: a heading and a line; nothing where all is as it was locked.
+    pub fn words(&self) -> Option<(&'static str, &'static str)> {
+        match self {
+            Self::AsLocked => None,
+            Self::Never => Some(("NOT LOCKED", "nobody verified this graph")),
+            Self::Differs(_) => Some(("UNLOCKED", "not as it was verified")),
+        }
+    }
+}
+
 /// What is wrong between a lock and now; `None` when the graph was never locked.
 fn compare(path: &Path, now: &Lock) -> Result<Option<Vec<Difference>>, LockError> {
     Ok(Lock::read(path)?.map(|was| was.differences(now)))
@@ -78,7 +100,7 @@ fn compare(path: &Path, now: &Lock) -> Result<Option<Vec<Difference>>, LockError
 /// A graph that was looked at and found to be fit for the theatre.
 pub struct Ready {
     pub(super) plan: Plan,
-    pub(super) unlocked: Option<String>,
+    pub(super) verified: Verified,
 }
 
 impl Ready {
@@ -92,20 +114,20 @@ impl Ready {
         let catalog = loader.catalog(&parsed.plugins());
         let (graph, _) = check(&parsed, &catalog).into_result().map_err(OpenError::Graph)?;
         let now = Lock::of(&graph, &catalog, &loader, path, text, &THEATRE_PLUGINS);
-        let told = match compare(path, &now) {
-            Ok(None) => None,
+        let verified = match compare(path, &now) {
+            Ok(None) => Verified::Never,
             Ok(Some(differences)) => match differences.first() {
-                None => None,
-                Some(first) if unlocked => Some(first.to_string()),
+                None => Verified::AsLocked,
+                Some(first) if unlocked => Verified::Differs(first.to_string()),
                 Some(_) => return Err(OpenError::Locked(differences)),
             },
-            Err(error) if unlocked => Some(error.to_string()),
+            Err(error) if unlocked => Verified::Differs(error.to_string()),
             Err(error) => return Err(error.into()),
         };
         let plan = Plan::of(&graph, &catalog);
         if plan.views.is_empty() {
             return Err(OpenError::NoPicture);
         }
-        Ok(Self { plan, unlocked: told })
+        Ok(Self { plan, verified })
     }
 }

@@ -244,6 +244,8 @@ mod tests {
             kind: ParamKind::Bool { default: false },
             reopen: false,
             pick: Pick::None,
+            writes: false,
+            shipped: false,
         };
         let reset = ParamKind::Int { default: 0, min: None, max: None, step: None };
         let reset = Param { name: RESET.to_owned(), kind: reset, ..stop.clone() };
@@ -257,7 +259,7 @@ mod tests {
             node("write", &["image:image"], &[]),
             arm,
         ];
-        Catalog { plugins: vec!["p".to_owned()], node_types, problems: Vec::new() }
+        Catalog { plugins: vec!["p".to_owned()], node_types, ..Catalog::default() }
     }
 
     const TEXT: &str = r#"plugins = ["p"]

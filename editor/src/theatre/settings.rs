@@ -176,6 +176,8 @@ mod tests {
             kind,
             reopen: false,
             pick: Default::default(),
+            writes: false,
+            shipped: false,
         };
         Setting { node: "n".to_owned(), param, index: 0, label: "P".to_owned(), range }
     }

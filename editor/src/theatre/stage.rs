@@ -1,41 +1,47 @@
-//! The pictures: each with a line above it, and nothing on it.
+//! The pictures: each with a line above it, and nothing on it but the live picture in a corner of a frozen one.
 
+use eframe::egui::text::LayoutJob;
 use eframe::egui::{
-    Align2, Color32, EventFilter, FontId, Id, Rect, Sense, Stroke, StrokeKind, TextureId, Ui, WidgetInfo, WidgetType,
-    pos2, vec2,
+    Align2, Color32, EventFilter, FontId, Id, Rect, Sense, Stroke, StrokeKind, TextureId, Ui, Vec2, WidgetInfo,
+    WidgetType, pos2, vec2,
 };
 
-use super::arrange::{GAP, TITLE, fit, level};
-use super::notices::{Facts, OLD_MS};
+use super::arrange::{GAP, TITLE, fit, inset, level};
+use super::notices::{Facts, NoPicture, OLD_MS};
 use super::{Layout, Place, Theatre};
 use crate::panels::surface;
 use crate::theme;
 
-/// Share of the width for the live picture beside a frozen one.
+/// Share of the width for the live picture beside one that is measured.
 const LIVE_SHARE: f32 = 0.22;
+/// Most points across of a message in place of a picture.
+const NO_PICTURE_WIDTH: f32 = 820.0;
 /// How fast a drag turns a surface, radians per point.
 const TURN: f32 = 0.008;
 
 impl Theatre {
     pub(super) fn stage(&mut self, ui: &mut Ui, room: Rect, facts: &Facts) {
-        let mut room = room;
-        // While anything is held still, a live picture stays beside it.
-        if self.frozen.is_some()
-            && let Some(raw) = self.plan.raw.clone()
-        {
-            let width = (room.width() * LIVE_SHARE).round();
-            let side = Rect::from_min_max(pos2(room.right() - width, room.top()), room.max);
-            room.max.x -= width + GAP;
-            let height = TITLE + width * 0.75;
-            let side = Rect::from_min_size(side.min, vec2(width, height.min(side.height())));
-            self.picture(ui, side, &raw, Some(&format!("Live: {}", raw.label)), true, facts);
-        }
-        if self.measure.picture().is_some() {
-            return self.measured(ui, room);
+        if let Some((held, output)) = self.measure.picture() {
+            // Nothing may lie on what is measured: where no ground is free the picture makes room.
+            let size = held.texture(output).map_or(vec2(4.0, 3.0), |(_, size)| size);
+            let below_title = |room: Rect| Rect::from_min_max(room.min + vec2(0.0, TITLE), room.max);
+            let mut rect = room;
+            let mut side = inset(room, self.live_size(), &[with_title(fit(below_title(room), size))]);
+            if side.intersects(fit(below_title(room), size)) {
+                let width = (room.width() * LIVE_SHARE).round();
+                rect.max.x -= width + GAP;
+                let height = (TITLE + width * 0.75).min(room.height());
+                side = Rect::from_min_size(pos2(room.right() - width, room.top()), vec2(width, height));
+            }
+            self.measured(ui, rect);
+            return self.live_beside(ui, side, facts);
         }
         if self.raw_only.is_some() {
-            if let Some(raw) = self.plan.raw.clone() {
-                self.picture(ui, room, &raw, None, true, facts);
+            match self.plan.raw.clone() {
+                Some(raw) => {
+                    self.picture(ui, room, &raw, None, true, facts);
+                }
+                None => no_picture(ui, room, &facts.no_picture("", false)),
             }
             return;
         }
@@ -47,6 +53,15 @@ impl Theatre {
                 [*a, *b] = level([*a, *b], [one, other]);
             }
         }
+        // A frozen picture stays as it was; while it does, a live one stands in a corner.
+        let live = self.frozen.is_some().then(|| {
+            let stand = |(n, rect): &(usize, Rect)| {
+                let below_title = Rect::from_min_max(rect.min + vec2(0.0, TITLE), rect.max);
+                let size = self.shown.texture(&views[*n].output).map(|(_, size)| size);
+                with_title(size.map_or(below_title, |size| fit(below_title, size)))
+            };
+            inset(room, self.live_size(), &places.iter().map(stand).collect::<Vec<_>>())
+        });
         for (n, rect) in places {
             let place = &views[n];
             let raw = self.plan.raw.clone().filter(|_| self.replaced(place, facts) && n == self.layout.main());
@@ -66,6 +81,25 @@ impl Theatre {
             if clicked && views.len() > 1 {
                 self.layout = if self.layout == Layout::One(n) { Layout::All } else { Layout::One(n) };
             }
+        }
+        if let Some(side) = live {
+            self.live_beside(ui, side, facts);
+        }
+    }
+
+    /// Size of the raw view's picture, or one of its usual proportions.
+    fn live_size(&self) -> Vec2 {
+        let texture = self.plan.raw.as_ref().and_then(|raw| self.live.texture(&raw.output));
+        texture.map_or(vec2(4.0, 3.0), |(_, size)| size)
+    }
+
+    /// While anything is held still, a live picture stays beside it.
+    fn live_beside(&mut self, ui: &mut Ui, side: Rect, facts: &Facts) {
+        if let Some(raw) = self.plan.raw.clone() {
+            // Its own ground and edge, so that it is not taken for a part of the picture that it may lie on.
+            ui.painter().rect_filled(side.expand(4.0), 6.0, theme::BLACK);
+            ui.painter().rect_stroke(side.expand(4.0), 6.0, Stroke::new(1.5, theme::LIVE), StrokeKind::Inside);
+            self.picture(ui, side, &raw, Some(&format!("Live: {}", raw.label)), true, facts);
         }
     }
 
@@ -129,9 +163,7 @@ impl Theatre {
                 }
             }
             None => {
-                painter.rect_filled(room, 4.0, theme::SUNK);
-                let words = if stopped { "no picture" } else { "starting" };
-                painter.text(room.center(), Align2::CENTER_CENTER, words, FontId::proportional(20.0), theme::MUTED);
+                no_picture(ui, room, &facts.no_picture(&place.output.node, stopped));
             }
         }
         response.clicked()
@@ -203,6 +235,51 @@ impl Theatre {
             // Beside the picture's title, where it covers nothing.
             painter.text(line.right_center(), Align2::RIGHT_CENTER, words, FontId::proportional(26.0), theme::TEXT);
         }
+    }
+}
+
+/// A picture's place with the line above it.
+fn with_title(picture: Rect) -> Rect {
+    Rect::from_min_max(picture.min - vec2(0.0, TITLE), picture.max)
+}
+
+/// In place of a picture: why there is none, in full, and what can be done.
+fn no_picture(ui: &mut Ui, room: Rect, why: &NoPicture) {
+    ui.painter().rect_filled(room, 4.0, theme::SUNK);
+    let (why, remedy) = match why {
+        NoPicture::Because { why, remedy } => (why.as_str(), *remedy),
+        NoPicture::Plain(words) => {
+            let font = FontId::proportional(20.0);
+            ui.painter().text(room.center(), Align2::CENTER_CENTER, *words, font, theme::MUTED);
+            return;
+        }
+    };
+    let width = (room.width() - 48.0).min(NO_PICTURE_WIDTH);
+    let inner = Rect::from_center_size(room.center(), vec2(width, room.height() - 32.0));
+    let text = |words: &str, size: f32, color: Color32| {
+        let job = LayoutJob::simple(words.to_owned(), FontId::proportional(size), color, width);
+        ui.painter().layout_job(job)
+    };
+    let parts =
+        [("No picture", 26.0, theme::FAULT, 12.0), (why, 18.0, theme::TEXT, 20.0), (remedy, 18.0, theme::ACCENT, 0.0)];
+    // Small panes take smaller letters rather than a cut message.
+    let (mut scale, mut laid) = (1.0, Vec::new());
+    while scale > 0.5 {
+        laid = parts.map(|(words, size, color, gap)| (text(words, size * scale, color), gap * scale, words)).to_vec();
+        let high: f32 = laid.iter().map(|(galley, gap, _)| galley.size().y + gap).sum();
+        if high <= inner.height() {
+            break;
+        }
+        scale -= 0.1;
+    }
+    let high: f32 = laid.iter().map(|(galley, gap, _)| galley.size().y + gap).sum();
+    let mut at = pos2(inner.left(), inner.center().y - (high / 2.0).min(inner.height() / 2.0));
+    for (galley, gap, words) in laid {
+        let place = Rect::from_min_size(at, galley.size());
+        let response = ui.interact(place, ui.id().with(("no picture", words)), Sense::hover());
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, words));
+        at.y += galley.size().y + gap;
+        ui.painter_at(room).galley(place.min, galley, theme::TEXT);
     }
 }
 

@@ -8,7 +8,7 @@ use panoscope_runtime::clock;
 
 use super::measure::Measure;
 use super::notices::{Facts, STOPPED, told};
-use super::{Place, Theatre};
+use super::{Place, Theatre, Verified};
 use crate::content::Content;
 use crate::observe::{Counters, Output, Wanted};
 use crate::session::{Phase, Status};
@@ -102,9 +102,19 @@ impl Theatre {
         let main = self.plan.views.get(self.layout.main()).map(|v| v.output.clone());
         let age_ms = main.filter(|_| looking).and_then(|main| self.age_ms(&main));
         let calibrated = |metric| told(counters, metric);
+        let trouble = status.trouble.as_ref().filter(|_| !status.busy).map(|t| t.words.clone());
+        let nothing_runs = match &status.phase {
+            Phase::Failed(why) => Some(why.clone()),
+            Phase::Idle | Phase::Ended => trouble.clone(),
+            Phase::Starting | Phase::Running => None,
+        };
+        let source_faults = counters.faults.iter().filter(|(node, _)| self.plan.is_source(node));
         Facts {
+            // The sources alone do not run either.
+            why_dark: nothing_runs.filter(|_| !status.busy && self.raw_only.is_some()),
+            source_faults: source_faults.map(|(node, fault)| (node.clone(), fault.words.clone())).collect(),
             phase: status.phase.clone(),
-            trouble: status.trouble.as_ref().filter(|_| !status.busy).map(|t| t.words.clone()),
+            trouble,
             raw_only: self.raw_only.clone(),
             emergency: self.emergency,
             lost,
@@ -115,7 +125,10 @@ impl Theatre {
             recording: self.clip.is_some(),
             drifted: calibrated("drifted"),
             swapped: calibrated("views_swapped"),
-            unlocked: self.unlocked.clone(),
+            unlocked: match &self.verified {
+                Verified::Differs(how) => Some(how.clone()),
+                Verified::AsLocked | Verified::Never => None,
+            },
         }
     }
 

@@ -6,9 +6,9 @@ use nalgebra::Vector3;
 use panoscope_arm_core::control::{Controller, Eyes, Goals, SeenTip};
 use panoscope_arm_core::pid::Gains;
 use panoscope_node::abi::{Calibration, Joints, Tip};
-use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, error};
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Validation, Value, error};
 
-use crate::joints::{angles, arm_of, packet};
+use crate::joints::{angles, arm_of, check_arm, packet};
 
 /// Inputs.
 #[derive(Ports)]
@@ -153,6 +153,10 @@ impl Node for ArmPid {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = PidParams;
+
+    fn validate(params: &PidParams, check: &mut Validation<'_>) {
+        check_arm(check, &params.arm);
+    }
 
     fn open(_: &Open<'_>, params: &PidParams) -> Result<Self> {
         Ok(Self { controller: Controller::new(arm_of(&params.arm)?) })

@@ -7,10 +7,12 @@ use panoscope_arm_core::dynamics::{Quality, SimArm};
 use panoscope_arm_core::interlock::{Cause, Place};
 use panoscope_arm_core::{Chain, Interlock, JOINTS, JointVector};
 use panoscope_node::abi::{Joints, Pose, Tip};
-use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Value, error};
+use panoscope_node::{
+    Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation, Value, error,
+};
 
 use crate::guard::{self, Switches};
-use crate::joints::{arm_of, asked, camera_pose, packet, tell_links};
+use crate::joints::{arm_of, asked, camera_pose, check_arm, packet, tell_links};
 
 /// Inputs.
 #[derive(Ports)]
@@ -125,6 +127,10 @@ impl Node for ArmSim {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = SimParams;
+
+    fn validate(params: &SimParams, check: &mut Validation<'_>) {
+        check_arm(check, &params.arm);
+    }
 
     fn open(_: &Open<'_>, params: &SimParams) -> Result<Self> {
         Ok(Self::at(arm_of(&params.arm)?, JointVector::zeros(), Self::quality(params)))

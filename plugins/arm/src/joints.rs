@@ -6,7 +6,7 @@ use nalgebra::Isometry3;
 use panoscope_arm_core::chain::{LINK_POINTS, Stance};
 use panoscope_arm_core::{Chain, JOINTS, JointVector};
 use panoscope_node::abi::{Joints, LINK_COLUMNS, MAX_JOINTS, Pose};
-use panoscope_node::{Result, Slot, TableData, error, name16};
+use panoscope_node::{Result, Slot, TableData, Validation, error, name16};
 
 /// The arm of a file, or the one that ships where none is named.
 ///
@@ -18,6 +18,13 @@ pub fn arm_of(file: &Path) -> Result<Chain> {
     }
     let text = std::fs::read_to_string(file).map_err(|e| error!("cannot read {}: {e}", file.display()))?;
     Chain::from_urdf(&text).map_err(|e| error!("{}: {e}", file.display()))
+}
+
+/// Reports an arm that [`arm_of`] refuses.
+pub fn check_arm(check: &mut Validation<'_>, file: &Path) {
+    if let Err(error) = arm_of(file) {
+        check.error("arm", error.message(), "name a URDF file of six axes, or leave it empty for the arm that ships");
+    }
 }
 
 /// Angles of a packet, in rad.

@@ -5,13 +5,13 @@ use std::time::{Duration, Instant};
 
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
-    Bgr8, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Parallel, Params, Ports, Result, Slot,
+    Bgr8, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Parallel, Params, Ports, Result, Slot, Validation,
 };
 
 use crate::crop::{self, Halves, Rect};
 use crate::depth::Depth;
 use crate::position::{Position, ViewPosition};
-use crate::source::{Demands, Lock, SourceName};
+use crate::source::{CaptureError, Demands, Lock, SourceName, unknown_element};
 use crate::views::{Taken, View, Views, pair_by_numbers};
 
 /// Most views of one node.
@@ -161,28 +161,62 @@ pub struct Capture {
     calibration: Option<Calibration>,
 }
 
-fn source_texts(params: &Settings) -> Result<Vec<String>> {
+/// The texts that name sources, each with the parameter it stands in; the error tells the parameter that is wrong.
+fn source_texts(params: &Settings) -> std::result::Result<Vec<(&'static str, &str)>, (&'static str, String)> {
     let pair = [params.left.trim(), params.right.trim()];
     let list: Vec<&str> = params.views.split([';', '\n']).map(str::trim).filter(|t| !t.is_empty()).collect();
-    let texts: Vec<&str> = match (pair, list.is_empty()) {
+    let texts: Vec<(&'static str, &str)> = match (pair, list.is_empty()) {
         (["", ""], true) => {
-            return Err(NodeError::new(
-                "no source: give `left` and `right` (camera, video, images or pipeline), `left` with `split`, or `views`",
-            ));
+            let words = "no source: give `left` and `right` (camera, video, images or pipeline), `left` with `split`, or `views`";
+            return Err(("left", words.to_owned()));
         }
-        (["", ""], false) => list,
-        (_, false) => return Err(NodeError::new("give either `views` or `left` and `right`, not both")),
-        (["", _], true) => return Err(NodeError::new("`right` is given without `left`")),
-        ([left, ""], true) => vec![left],
-        ([left, right], true) => vec![left, right],
+        (["", ""], false) => list.into_iter().map(|text| ("views", text)).collect(),
+        (_, false) => return Err(("views", "give either `views` or `left` and `right`, not both".to_owned())),
+        (["", _], true) => return Err(("right", "`right` is given without `left`".to_owned())),
+        ([left, ""], true) => vec![("left", left)],
+        ([left, right], true) => vec![("left", left), ("right", right)],
     };
     if texts.len() > MAX_VIEWS {
-        return Err(NodeError::new(format!("{} views are given, {MAX_VIEWS} are the most", texts.len())));
+        return Err(("views", format!("{} views are given, {MAX_VIEWS} are the most", texts.len())));
     }
     if params.split != Split::None && texts.len() != 1 {
-        return Err(NodeError::new("`split` cuts one picture in two: give `left` only"));
+        return Err(("split", "`split` cuts one picture in two: give `left` only".to_owned()));
     }
-    Ok(texts.into_iter().map(str::to_owned).collect())
+    Ok(texts)
+}
+
+impl Settings {
+    fn halves(&self) -> Option<Halves> {
+        match self.split {
+            Split::None => None,
+            Split::SideBySide => Some(Halves::SideBySide),
+            Split::TopBottom => Some(Halves::TopBottom),
+        }
+    }
+
+    /// Reports crops that no picture, or not the first one of a view's images, can be cut by.
+    fn check_crops(&self, names: &[Option<SourceName>], check: &mut Validation<'_>) {
+        let views = if self.split == Split::None { names.len() } else { 2 };
+        for view in 0..views {
+            let crop = match crop::of_view(&self.crop, view, views) {
+                Ok(Some(crop)) => crop,
+                Ok(None) => return,
+                Err(why) => return check.error("crop", why, ""),
+            };
+            let name = names.get(if self.split == Split::None { view } else { 0 }).and_then(Option::as_ref);
+            let checked = match name.and_then(SourceName::picture_size) {
+                Some((width, height)) => {
+                    let whole = Rect::whole(width, height);
+                    self.halves().map_or(whole, |halves| whole.half(halves, view)).part(crop).map(drop)
+                }
+                // The picture is not known yet: only what no picture holds is refused.
+                None => crop::whole_numbers(crop).map(drop),
+            };
+            if let Err(why) = checked {
+                return check.error("crop", format!("view {view}: {why}"), "give x, y, width, height in px");
+            }
+        }
+    }
 }
 
 /// Reads the calibration, if a file is given.
@@ -442,6 +476,57 @@ impl Node for Capture {
     type Out<'f> = Out<'f>;
     type Params = Settings;
 
+    fn validate(params: &Settings, check: &mut Validation<'_>) {
+        let folder = check.graph_dir();
+        if let Err(error) = calibration_of(&params.calibration, folder) {
+            check.error("calibration", error.message(), "");
+        } else if params.calibration.trim().is_empty() && check.is_read("calibration") == Some(true) {
+            let message = "output `calibration` is read and stays empty: no calibration file is given";
+            check.warning("calibration", message, "give a file, as in calibration = \"stereo.yaml\"");
+        }
+        let texts = match source_texts(params) {
+            Ok(texts) => texts,
+            Err((param, why)) => return check.error(param, why, ""),
+        };
+        let mut names = Vec::with_capacity(texts.len());
+        for (param, text) in texts {
+            if text.contains('!')
+                && let Some(element) = unknown_element(text)
+            {
+                let message = format!("the pipeline names `{element}`, which is no GStreamer element of this machine");
+                check.error(
+                    param,
+                    message,
+                    "correct the name, or install its plugin; gst-inspect-1.0 lists all elements",
+                );
+            }
+            names.push(match SourceName::parse(text, folder) {
+                Ok(name) => Some(name),
+                // A camera may be plugged in until the graph runs.
+                Err(error @ CaptureError::NoDevice { .. }) => {
+                    check.warning(param, error.to_string(), "plug it in before the graph runs");
+                    None
+                }
+                Err(error) => {
+                    check.error(param, error.to_string(), "");
+                    None
+                }
+            });
+        }
+        params.check_crops(&names, check);
+        let views = if params.split == Split::None { names.len() } else { 2 };
+        let missing = [("right", 1), ("view1", 1), ("view2", 2), ("view3", 3)];
+        if let Some((output, _)) =
+            missing.iter().find(|(name, view)| *view >= views && check.is_read(name) == Some(true))
+        {
+            let message = format!(
+                "output `{output}` is read and stays empty: {views} view{} given",
+                if views == 1 { " is" } else { "s are" }
+            );
+            check.node_warning(message, "name one more source, or `split` the picture");
+        }
+    }
+
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         let calibration = calibration_of(&params.calibration, open.graph_dir())?;
         let demands = Demands {
@@ -450,7 +535,8 @@ impl Node for Capture {
             fps: params.fps,
             open_limit: Duration::from_secs_f64(params.open_limit_s.max(0.0)),
         };
-        let texts = source_texts(params)?;
+        let texts = source_texts(params).map_err(|(_, why)| NodeError::new(why))?;
+        let texts: Vec<String> = texts.into_iter().map(|(_, text)| text.to_owned()).collect();
         let names = texts.iter().map(|text| SourceName::parse(text, open.graph_dir()));
         let mut names = names.collect::<std::result::Result<Vec<_>, _>>()?;
         for remark in pair_by_numbers(&mut names, &texts) {
@@ -460,11 +546,7 @@ impl Node for Capture {
         if let Some(words) = views.rates_in_words() {
             open.warn(&words);
         }
-        let halves = match params.split {
-            Split::None => None,
-            Split::SideBySide => Some(Halves::SideBySide),
-            Split::TopBottom => Some(Halves::TopBottom),
-        };
+        let halves = params.halves();
         Ok(Self {
             views,
             halves,

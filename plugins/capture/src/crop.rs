@@ -41,10 +41,7 @@ impl Rect {
     /// # Errors
     /// Says what does not fit.
     pub fn part(self, crop: [f64; 4]) -> Result<Self, String> {
-        let whole = |value: f64| (value >= 0.0 && value.fract() == 0.0 && value < 1e6).then_some(value as usize);
-        let [Some(x), Some(y), Some(width), Some(height)] = crop.map(whole) else {
-            return Err(format!("the crop {crop:?} must be whole numbers of px: x, y, width, height"));
-        };
+        let [x, y, width, height] = whole_numbers(crop)?;
         let width = if width == 0 { self.width.saturating_sub(x) } else { width };
         let height = if height == 0 { self.height.saturating_sub(y) } else { height };
         if width == 0 || height == 0 || x + width > self.width || y + height > self.height {
@@ -55,6 +52,17 @@ impl Rect {
         }
         Ok(Self { x: self.x + x, y: self.y + y, width, height })
     }
+}
+
+/// `x, y, width, height` as whole numbers.
+///
+/// # Errors
+/// When one is negative, no whole number, or too large for any picture.
+pub fn whole_numbers(crop: [f64; 4]) -> Result<[usize; 4], String> {
+    if crop.iter().all(|value| *value >= 0.0 && value.fract() == 0.0 && *value < 1e6) {
+        return Ok(crop.map(|value| value as usize));
+    }
+    Err(format!("the crop {crop:?} must be whole numbers of px from 0 on: x, y, width, height"))
 }
 
 /// The crop of view `view` out of a flat list: nothing, one rectangle for all views, or one for each.

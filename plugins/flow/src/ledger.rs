@@ -17,7 +17,7 @@ pub struct In<'f> {
 #[derive(Params)]
 pub struct Place {
     /// File for one JSON line per tick: `{"seq", "capture_ns", "inputs": [seq or null, ...]}`.
-    #[param(default = "ledger.jsonl", reopen)]
+    #[param(default = "ledger.jsonl", reopen, writes)]
     path: PathBuf,
 }
 

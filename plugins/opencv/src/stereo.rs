@@ -8,7 +8,7 @@ use opencv::ximgproc;
 use panoscope_imaging::stereo::{self, SearchParams};
 use panoscope_node::{
     Bgr8, Choice, Confidence, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot,
-    View, ViewMut, error,
+    Validation, View, ViewMut, error,
 };
 
 use crate::mats::{Threads, borrowed, failed};
@@ -71,6 +71,17 @@ impl Search {
 
     fn unknown(&self) -> i16 {
         ((self.min_disparity_px - 1) * STEPS_PER_PX as i32) as i16
+    }
+}
+
+/// OpenCV's block matching takes no window below this, px.
+const LEAST_BM_BLOCK_PX: i32 = 5;
+
+/// Reports a window that the matcher refuses.
+fn check_window(check: &mut Validation<'_>, method: Method, block_px: i32) {
+    if method == Method::Bm && block_px < LEAST_BM_BLOCK_PX {
+        let message = format!("`block_px` is {block_px}, OpenCV's block matching takes at least {LEAST_BM_BLOCK_PX}");
+        check.error("block_px", message, "take a larger window, or method = \"sgbm\"");
     }
 }
 
@@ -163,6 +174,10 @@ impl Node for StereoOpencv {
     type In<'f> = StereoIn<'f>;
     type Out<'f> = StereoOut<'f>;
     type Params = StereoParams;
+
+    fn validate(params: &StereoParams, check: &mut Validation<'_>) {
+        check_window(check, params.method, params.block_px);
+    }
 
     fn open(_: &Open<'_>, _: &StereoParams) -> Result<Self> {
         Ok(Self { search: stereo::Search::new()?, kept: None, threads: Threads::hold()? })
@@ -328,6 +343,10 @@ impl Node for DisparityWlsOpencv {
     type In<'f> = WlsIn<'f>;
     type Out<'f> = FilterOut<'f>;
     type Params = WlsParams;
+
+    fn validate(params: &WlsParams, check: &mut Validation<'_>) {
+        check_window(check, params.method, params.block_px);
+    }
 
     fn open(_: &Open<'_>, params: &WlsParams) -> Result<Self> {
         let search = Search {

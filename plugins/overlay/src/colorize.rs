@@ -3,7 +3,7 @@
 use panoscope_imaging::draw::{self, Colormap, ScaleBar};
 use panoscope_node::{
     Bgr8, Choice, Confidence, Context, Depth, Disparity, Image, Node, NodeError, NodeInfo, Open, Params, Ports, Result,
-    Slot, View,
+    Slot, Validation, View,
 };
 
 use crate::fit::usual_range;
@@ -99,6 +99,13 @@ impl Node for Colorize {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Settings;
+
+    fn validate(_: &Settings, check: &mut Validation<'_>) {
+        let is_connected = |name: &&&str| check.is_connected(name) == Some(true);
+        if ["disparity", "depth", "confidence"].iter().filter(is_connected).count() > 1 {
+            check.node_error("it colours one map, and more than one is connected", "give each map a `colorize`");
+        }
+    }
 
     fn open(_: &Open<'_>, _: &Settings) -> Result<Self> {
         Ok(Self::default())

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use panoscope_imaging::draw::{self, Color};
+use panoscope_imaging::draw::{self, Area, Color, Labels};
 use panoscope_node::abi::{self, Homography, Roi, Tip};
 use panoscope_node::{Detections, Instances, ViewMut};
 
@@ -34,12 +34,47 @@ pub fn color_of(index: u64) -> Color {
     COLORS[(index % COLORS.len() as u64) as usize]
 }
 
-/// Rectangles with class, score and track number.
-pub fn boxes(out: &mut ViewMut<'_, u8>, detections: &Detections<'_>, pen: &Pen, words: &mut String) {
+impl Pen {
+    /// Distance between letters and the edge of their room, px: their dark outline lies in it.
+    pub fn margin_px(&self) -> f32 {
+        1.0 + 2.0 * self.text_scale
+    }
+
+    /// Distance from a tip to the ends of its cross, px.
+    fn reach_px(&self) -> f32 {
+        6.0 * self.line_px + 6.0
+    }
+
+    /// Width and height of the room that words take, outline included.
+    fn room(&self, words: &str) -> (f32, f32) {
+        let (width, height) = draw::text_size(words, self.text_scale);
+        (width + 2.0 * self.margin_px(), height + 2.0 * self.margin_px())
+    }
+
+    /// Writes words into the room that begins at `at`.
+    fn write(&self, out: &mut ViewMut<'_, u8>, at: (f32, f32), words: &str, color: Color) {
+        draw::text(out, at.0 + self.margin_px(), at.1 + self.margin_px(), words, self.text_scale, color);
+    }
+}
+
+/// Rectangles.
+pub fn boxes(out: &mut ViewMut<'_, u8>, detections: &Detections<'_>, pen: &Pen) {
     for item in detections.items() {
-        let color = color_of(u64::from(item.class_index));
         let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
+        let color = color_of(u64::from(item.class_index));
         draw::rectangle(out, x, y, item.width_px, item.height_px, pen.line_px, color);
+    }
+}
+
+/// Class, score and track number of each rectangle, where `labels` has room; a label without room is left out.
+pub fn box_labels(
+    out: &mut ViewMut<'_, u8>,
+    detections: &Detections<'_>,
+    pen: &Pen,
+    words: &mut String,
+    labels: &mut Labels,
+) {
+    for item in detections.items() {
         words.clear();
         let label = detections.label(item.class_index);
         if label.is_empty() {
@@ -51,11 +86,11 @@ pub fn boxes(out: &mut ViewMut<'_, u8>, detections: &Detections<'_>, pen: &Pen, 
         if item.track_id >= 0 {
             let _ = write!(words, " #{}", item.track_id);
         }
-        let (_, height) = draw::text_size(words, pen.text_scale);
-        // Above the box, or inside where the picture ends.
-        let above = y - height - 2.0 * pen.text_scale;
-        let text_y = if above >= 0.0 { above } else { y + 2.0 * pen.text_scale };
-        draw::text(out, x.max(0.0) + 1.0, text_y, words, pen.text_scale, color);
+        let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
+        let anchor = Area { x, y, width: item.width_px, height: item.height_px };
+        if let Some(at) = labels.place(anchor, pen.room(words)) {
+            pen.write(out, at, words, color_of(u64::from(item.class_index)));
+        }
     }
 }
 
@@ -95,21 +130,38 @@ pub fn masks(out: &mut ViewMut<'_, u8>, instances: &Instances<'_>, pen: &Pen) {
     }
 }
 
-/// A cross and its place in mm.
-pub fn tip(out: &mut ViewMut<'_, u8>, tip: &Tip, pen: &Pen, words: &mut String) {
+/// Where a tip stands in the picture; `None` when that is not known.
+fn tip_px(tip: &Tip, pen: &Pen) -> Option<(f32, f32)> {
     let (x, y) = (tip.u_px as f32 + pen.offset.0, tip.v_px as f32 + pen.offset.1);
-    if !x.is_finite() || !y.is_finite() {
-        return;
-    }
+    (x.is_finite() && y.is_finite()).then_some((x, y))
+}
+
+/// The area that a tip's cross takes.
+pub fn tip_area(tip: &Tip, pen: &Pen) -> Option<Area> {
+    let (x, y) = tip_px(tip, pen)?;
+    let reach = pen.reach_px() + pen.line_px;
+    Some(Area { x: x - reach, y: y - reach, width: 2.0 * reach, height: 2.0 * reach })
+}
+
+/// A cross and its place in mm, beside it where `labels` has room.
+pub fn tip(out: &mut ViewMut<'_, u8>, tip: &Tip, pen: &Pen, words: &mut String, labels: &mut Labels) {
+    let Some((x, y)) = tip_px(tip, pen) else { return };
     let color = [60, 220, 255];
-    let radius = 4.0 * pen.line_px + 4.0;
-    draw::circle(out, x, y, radius, pen.line_px, color);
-    draw::cross(out, x, y, radius * 1.5, pen.line_px, color);
+    draw::circle(out, x, y, pen.reach_px() / 1.5, pen.line_px, color);
+    draw::cross(out, x, y, pen.reach_px(), pen.line_px, color);
     if tip.xyz_valid == 1 {
         words.clear();
         let [x_mm, y_mm, z_mm] = tip.xyz_mm;
         let _ = write!(words, "{x_mm:.1} {y_mm:.1} {z_mm:.1} mm");
-        draw::text(out, x + radius * 1.5 + 3.0, y + 3.0, words, pen.text_scale, color);
+        // Right below the middle of the cross, else around it.
+        let reach = pen.reach_px() + pen.line_px;
+        let anchor = Area { x: x + reach, y, width: 0.0, height: 0.0 };
+        let around = tip_area(tip, pen).unwrap_or(anchor);
+        let place =
+            labels.place_at((anchor.x, anchor.y), pen.room(words)).or_else(|| labels.place(around, pen.room(words)));
+        if let Some(at) = place {
+            pen.write(out, at, words, color);
+        }
     }
 }
 

@@ -2,11 +2,11 @@
 
 use std::fmt::Write;
 
-use panoscope_imaging::draw::{self, Colormap};
+use panoscope_imaging::draw::{self, Area, Colormap, Labels};
 use panoscope_node::abi::{Homography, Roi, Scalar, Tip};
 use panoscope_node::{
     Bgr8, Choice, Context, Depth, Detections, Disparity, Image, Instances, Mask, Node, NodeError, NodeInfo, Open,
-    Params, Ports, Result, Slot, Table, Text, Value, View, ViewMut,
+    Params, Ports, Result, Slot, Table, Text, Validation, Value, View, ViewMut,
 };
 
 use crate::colorize::{AutoRange, Colors};
@@ -142,6 +142,7 @@ pub struct Overlay {
     item: String,
     inset: Vec<u8>,
     fit: Fit,
+    labels: Labels,
 }
 
 impl Overlay {
@@ -196,6 +197,8 @@ impl Overlay {
         let _ = write!(self.item, "{low:.0}..{high:.0}");
         let scale = (params.text_scale * 0.75).max(1.0);
         draw::text(picture, x + 3.0, y + 3.0, &self.item, scale, [255, 255, 255]);
+        let (width, height) = draw::text_size(&self.item, scale);
+        self.labels.take(Area { x, y, width: width + 6.0, height: height + 6.0 });
     }
 }
 
@@ -208,6 +211,12 @@ impl Node for Overlay {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Settings;
+
+    fn validate(params: &Settings, check: &mut Validation<'_>) {
+        if params.offset_px.len() == 1 {
+            check.error("offset_px", "`offset_px` is x and y, one number is given", "give two numbers, or none");
+        }
+    }
 
     fn open(_: &Open<'_>, _: &Settings) -> Result<Self> {
         Ok(Self::default())
@@ -241,6 +250,21 @@ impl Node for Overlay {
         }
         let mut picture = out.image.alloc_copy(&input.image)?;
         let pen = Pen { line_px: params.line_px, text_scale: params.text_scale, offset, alpha: params.mask_alpha };
+        let words = self.words.trim_end();
+        let size = draw::text_size(words, params.text_scale);
+        let corner = params.label_corner.at(frame, size, 4.0 * params.text_scale);
+        // Lines and bright tissue stay away from the letters.
+        let room = (2.0 * params.text_scale).ceil();
+        let plate =
+            Area { x: corner.0 - room, y: corner.1 - room, width: size.0 + 2.0 * room, height: size.1 + 2.0 * room };
+        // What keeps its place is taken before labels look for theirs.
+        self.labels.begin(frame.0, frame.1);
+        if !words.is_empty() {
+            self.labels.take(plate);
+        }
+        if let Some(area) = tip.as_ref().and_then(|tip| marks::tip_area(tip, &pen)) {
+            self.labels.take(area);
+        }
         // Areas first, then lines, words last.
         if let Some(mask) = mask {
             draw::blend_mask(&mut picture, &mask.view(), [200, 160, 40], params.mask_alpha);
@@ -258,20 +282,20 @@ impl Node for Overlay {
             self.draw_inset(&mut picture, map, params);
         }
         if let Some(boxes) = &boxes {
-            marks::boxes(&mut picture, boxes, &pen, &mut self.item);
+            marks::boxes(&mut picture, boxes, &pen);
         }
+        // The tip's words belong to a point, so they take their room before those of the boxes.
         if let Some(tip) = &tip {
-            marks::tip(&mut picture, tip, &pen, &mut self.item);
+            marks::tip(&mut picture, tip, &pen, &mut self.item, &mut self.labels);
+        }
+        if let Some(boxes) = &boxes {
+            marks::box_labels(&mut picture, boxes, &pen, &mut self.item, &mut self.labels);
         }
         let words = self.words.trim_end();
         if !words.is_empty() {
-            let size = draw::text_size(words, params.text_scale);
-            let (x, y) = params.label_corner.at(frame, size, 4.0 * params.text_scale);
-            // Lines and bright tissue stay away from the letters.
-            let room = (2.0 * params.text_scale).ceil();
-            let plate = [x - room, y - room, size.0 + 2.0 * room, size.1 + 2.0 * room].map(|v| v as i32);
+            let plate = [plate.x, plate.y, plate.width, plate.height].map(|v| v as i32);
             draw::fill_rectangle(&mut picture, plate[0], plate[1], plate[2], plate[3], [0; 3], 0.55);
-            draw::text(&mut picture, x, y, words, params.text_scale, [255, 255, 255]);
+            draw::text(&mut picture, corner.0, corner.1, words, params.text_scale, [255, 255, 255]);
         }
         Ok(())
     }

@@ -6,6 +6,7 @@ use panoscope_node::abi::{Detection, Homography, Roi, STATE_FRESH, STATE_LOST, S
 use panoscope_node::harness::{Harness, Setup};
 use panoscope_node::{Bgr8, Confidence, Depth, Disparity, Gray8, GrayF32, Mask, View, name16, name32};
 use panoscope_overlay::colorize::Colorize;
+use panoscope_overlay::marks::color_of;
 use panoscope_overlay::overlay::Overlay;
 use panoscope_overlay::screen::Screen;
 use panoscope_overlay::side_by_side::SideBySide;
@@ -82,6 +83,42 @@ fn a_box_has_its_label_above_or_inside() {
         overlay("").input_detections("detections", &[detection(100.0, 1.0)], "a\ngrasper", SIZE).process().unwrap();
     let b = changed(&out.plane::<Bgr8>("image").unwrap()).unwrap();
     assert!(b.3 <= 43, "{b:?}");
+}
+
+#[test]
+fn labels_of_two_boxes_and_a_tip_do_not_cover_each_other() {
+    let outer = Detection { x_px: 20.0, y_px: 100.0, width_px: 280.0, height_px: 100.0, ..detection(0.0, 0.0) };
+    let inner =
+        Detection { x_px: 24.0, y_px: 104.0, width_px: 270.0, height_px: 66.0, class_index: 2, ..detection(0.0, 0.0) };
+    // Just where the label of the outer box would stand; that of the inner one has room below it, off the outer box's lines.
+    let tip = Tip {
+        u_px: 130.0,
+        v_px: 70.0,
+        xyz_mm: [1.5, -2.5, 66.0],
+        score: 0.5,
+        class_index: 0,
+        xyz_valid: 1,
+        track_id: 1,
+    };
+    // Pixels of the outer box with its label, and of the tip with its words.
+    let inked = |boxes: &[Detection], with_tip: bool| {
+        let mut node = overlay("");
+        node.input_detections("detections", boxes, "a\ngrasper\nhook", SIZE);
+        if with_tip {
+            node.input_value("tip", tip);
+        }
+        let out = node.process().unwrap();
+        let view = out.plane::<Bgr8>("image").unwrap();
+        let count = |color: [u8; 3]| {
+            (0..SIZE.1).map(|y| view.row(y).chunks_exact(3).filter(|p| *p == color).count()).sum::<usize>()
+        };
+        (count(color_of(1)), count([60, 220, 255]))
+    };
+    let (box_alone, _) = inked(&[outer], false);
+    let (_, tip_alone) = inked(&[], true);
+    assert!(box_alone > 1000 && tip_alone > 100, "{box_alone} {tip_alone}");
+    assert_eq!(inked(&[outer, inner], false).0, box_alone, "the other label lies on it");
+    assert_eq!(inked(&[outer, inner], true), (box_alone, tip_alone), "labels and tip lie on each other");
 }
 
 #[test]

@@ -3,9 +3,11 @@
 use panoscope_node::abi::{self, Calibration, Camera, Detection};
 use panoscope_node::{
     Bgr8, Choice, Context, Depth, Disparity, LabeledDetections, LabeledInstances, Mask, Node, NodeError, NodeInfo,
-    Open, Params, Ports, Result, Slot, Value, ViewMut, detections, name16,
+    Open, Params, Ports, Result, Slot, Validation, Value, ViewMut, detections, name16,
 };
 
+use crate::render::lens::Lens;
+use crate::render::truth::MOST_WIDE_PX;
 use crate::render::{
     self, BlackOut, BoardPrint, CameraModel, Canvas, Incident, IncidentKind, Phantom, Pose, Rig, SceneKind,
     SceneParams, ToolKind, ToolMotion, ToolTruth, TruthMut,
@@ -293,6 +295,22 @@ fn tool_kinds(text: &str) -> Result<Vec<ToolKind>> {
         .collect()
 }
 
+impl PhantomParams {
+    /// Size and place of the `wide` picture.
+    fn canvas(&self) -> Canvas {
+        let (width, height) = (self.width as f64, self.height as f64);
+        let side = |length: f64| ((length * self.wide_factor / 2.0).ceil() * 2.0) as usize;
+        let (wide, high) = (side(width), if self.layout == Layout::Quad { side(height) } else { self.height as usize });
+        // The other cameras stand to the right (and below): the room goes there.
+        Canvas {
+            width: wide,
+            height: high,
+            offset_x: ((wide as f64 - width) / 8.0).floor(),
+            offset_y: ((high as f64 - height) / 8.0).floor(),
+        }
+    }
+}
+
 fn rig(params: &PhantomParams) -> Rig {
     let (width, height) = (params.width as usize, params.height as usize);
     let mut rig = match params.layout {
@@ -358,6 +376,27 @@ impl Node for PhantomNode {
     type Out<'f> = Out<'f>;
     type Params = PhantomParams;
 
+    fn validate(params: &PhantomParams, check: &mut Validation<'_>) {
+        if let Err(error) = tool_kinds(&params.tool_kinds) {
+            check.error("tool_kinds", error.message(), "");
+        }
+        for (index, model) in rig(params).cameras.iter().enumerate() {
+            if let Err(error) = Lens::check(model, index) {
+                let help = "bring `distortion_k1` and `distortion_k2` nearer to 0";
+                check.error("distortion_k1", error.to_string(), help);
+                break;
+            }
+        }
+        let canvas = params.canvas();
+        if check.is_read("wide") == Some(true) && canvas.width.max(canvas.height) > MOST_WIDE_PX {
+            let message = format!(
+                "the `wide` picture would have {}x{} px, {MOST_WIDE_PX} are the most",
+                canvas.width, canvas.height
+            );
+            check.error("wide_factor", message, "lower `wide_factor`, or the size of the views");
+        }
+    }
+
     fn open(open: &Open<'_>, params: &PhantomParams) -> Result<Self> {
         let scene = SceneParams {
             scene: match params.scene {
@@ -417,17 +456,7 @@ impl Node for PhantomNode {
             ..SceneParams::default()
         };
         let rig = rig(params);
-        let (width, height) = (params.width as f64, params.height as f64);
-        let side = |length: f64| ((length * params.wide_factor / 2.0).ceil() * 2.0) as usize;
-        let (wide, high) =
-            (side(width), if params.layout == Layout::Quad { side(height) } else { params.height as usize });
-        // The other cameras stand to the right (and below): the room goes there.
-        let canvas = Canvas {
-            width: wide,
-            height: high,
-            offset_x: ((wide as f64 - width) / 8.0).floor(),
-            offset_y: ((high as f64 - height) / 8.0).floor(),
-        };
+        let canvas = params.canvas();
         let calibration = calibration(&rig);
         let labels: Vec<&str> = ToolKind::ALL.iter().map(|kind| kind.name()).collect();
         Ok(Self {

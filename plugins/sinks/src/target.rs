@@ -4,6 +4,8 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
+use panoscope_node::Validation;
+
 /// Ending of a file that is still being written.
 pub const PART: &str = ".tmp-part";
 
@@ -112,6 +114,22 @@ pub fn check_name(path: &Path, example: &'static str, known: &'static str) -> Re
         return Ok(ending);
     }
     Err(SinkError::Ending { path: path.to_owned(), ending, known })
+}
+
+/// Reports what [`check_name`] refuses about parameter `path`, and a folder on the way that is a file.
+pub fn check_path(
+    check: &mut Validation<'_>,
+    path: &Path,
+    example: &'static str,
+    known: &'static str,
+) -> Option<String> {
+    let ending = check_name(path, example, known).map_err(|error| check.error("path", error.to_string(), "")).ok()?;
+    let there = path.ancestors().skip(1).find(|folder| folder.exists());
+    if let Some(file) = there.filter(|there| !there.is_dir()) {
+        let message = format!("cannot write {}: {} is a file, not a folder", path.display(), file.display());
+        check.error("path", message, "choose another folder, or move that file away");
+    }
+    Some(ending)
 }
 
 /// Writes a whole file beside its place and then renames it, so that nobody ever sees half of it.

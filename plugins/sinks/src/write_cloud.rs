@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use panoscope_node::{Cloud, Context, NoPorts, Node, NodeInfo, Open, Params, Ports, Result};
+use panoscope_node::{Cloud, Context, NoPorts, Node, NodeInfo, Open, Params, Ports, Result, Validation};
 
 use crate::formats::ply;
-use crate::target::{Pattern, SinkError, check_name, make_folder, write_whole};
+use crate::target::{Pattern, SinkError, check_name, check_path, make_folder, write_whole};
 
 /// Inputs.
 #[derive(Ports)]
@@ -18,7 +18,7 @@ pub struct In<'f> {
 #[derive(Params)]
 pub struct Settings {
     /// File to write, ending in .ply. `{seq}` becomes the tick's number; without it every cloud replaces the one before.
-    #[param(default = "out/cloud.ply", reopen)]
+    #[param(default = "out/cloud.ply", reopen, writes)]
     pub path: PathBuf,
     /// Writes only every so many clouds.
     #[param(default = 1, range = 1..=100000, unit = "frames")]
@@ -43,6 +43,10 @@ impl Node for WriteCloud {
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = Settings;
+
+    fn validate(params: &Settings, check: &mut Validation<'_>) {
+        check_path(check, &params.path, "{seq}.ply", "ply");
+    }
 
     fn open(_: &Open<'_>, params: &Settings) -> Result<Self> {
         check_name(&params.path, "{seq}.ply", "ply")?;

@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use panoscope_node::{
     AnyImage, Bgr8, Context, Image, Kept, Mask, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result,
+    Validation,
 };
 
 use crate::formats::still;
 use crate::picture::Pixels;
-use crate::target::{Pattern, SinkError, check_name, make_folder, write_whole};
+use crate::target::{Pattern, SinkError, check_name, check_path, make_folder, write_whole};
 
 /// Inputs.
 #[derive(Ports)]
@@ -24,7 +25,7 @@ pub struct In<'f> {
 pub struct Settings {
     /// File to write, ending in .png or .jpg. `{seq}` becomes the tick's number, six digits (`{seq:4}` four); without it
     /// every picture replaces the one before.
-    #[param(default = "out/image.png", reopen)]
+    #[param(default = "out/image.png", reopen, writes)]
     pub path: PathBuf,
     /// Writes only every so many pictures.
     #[param(default = 1, range = 1..=100000, unit = "frames")]
@@ -77,6 +78,17 @@ impl Node for WriteImages {
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = Settings;
+
+    fn validate(params: &Settings, check: &mut Validation<'_>) {
+        check_path(check, &params.path, "{seq}.png", still::ENDINGS);
+        if params.at_end && check.is_connected("image") == Some(false) {
+            check.error(
+                "at_end",
+                "`at_end` keeps a picture of input `image`, which is not connected",
+                "connect `image`",
+            );
+        }
+    }
 
     fn open(_: &Open<'_>, params: &Settings) -> Result<Self> {
         let pattern = Pattern::new(&params.path);

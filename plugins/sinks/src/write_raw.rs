@@ -4,12 +4,12 @@ use std::path::PathBuf;
 
 use panoscope_node::{
     AnyImage, Confidence, Context, Depth, Disparity, Image, Mask, NoPorts, Node, NodeError, NodeInfo, Open, Params,
-    Ports, Result,
+    Ports, Result, Validation,
 };
 
 use crate::formats::array::{self, ArrayFormat};
 use crate::picture::Pixels;
-use crate::target::{Pattern, SinkError, check_name, make_folder, write_whole};
+use crate::target::{Pattern, SinkError, check_name, check_path, make_folder, write_whole};
 
 /// Inputs.
 #[derive(Ports)]
@@ -31,7 +31,7 @@ pub struct In<'f> {
 pub struct Settings {
     /// File to write; its ending chooses the format: .pfm (floats), .npy, .tif, .pgm or .ppm, .raw (bare rows). `{seq}` becomes
     /// the tick's number, `{port}` the input's name; with several inputs the name is added where `{port}` is missing.
-    #[param(default = "out/plane.pfm", reopen)]
+    #[param(default = "out/plane.pfm", reopen, writes)]
     pub path: PathBuf,
     /// Writes only every so many ticks.
     #[param(default = 1, range = 1..=100000, unit = "frames")]
@@ -56,6 +56,10 @@ impl Node for WriteRaw {
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = Settings;
+
+    fn validate(params: &Settings, check: &mut Validation<'_>) {
+        check_path(check, &params.path, "{seq}_{port}.pfm", ArrayFormat::ENDINGS);
+    }
 
     fn open(_: &Open<'_>, params: &Settings) -> Result<Self> {
         let pattern = Pattern::new(&params.path);

@@ -7,15 +7,18 @@ use std::path::PathBuf;
 
 use panoscope_node::abi::{Homography, Joints, Pose, Roi, Scalar, Tip};
 use panoscope_node::{
-    Context, Detections, Instances, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Table, Text, Value,
+    Context, Detections, Instances, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Table, Text,
+    Validation, Value,
 };
 
 use crate::formats::coco::{Coco, run_lengths};
 use crate::formats::fields::{self, CsvFields, Fields, JsonFields, csv_cell};
 use crate::formats::json;
-use crate::target::{Pattern, SinkError, check_name, make_folder, write_whole};
+use crate::target::{Pattern, SinkError, check_name, check_path, make_folder, write_whole};
 
 const ENDINGS: &str = "jsonl, ndjson, csv, json";
+/// Inputs that COCO's form has no room for.
+const NOT_IN_COCO: [&str; 8] = ["table", "scalar", "homography", "roi", "tip", "pose", "joints", "text"];
 
 /// Inputs.
 #[derive(Ports)]
@@ -47,7 +50,7 @@ pub struct In<'f> {
 pub struct Settings {
     /// File to write: .jsonl holds one JSON object per tick, .csv one line per tick or table row, .json is one COCO file of all
     /// detections or instances.
-    #[param(default = "out/table.jsonl", reopen)]
+    #[param(default = "out/table.jsonl", reopen, writes)]
     pub path: PathBuf,
     /// Name of each tick's picture in a COCO file; `{seq}` becomes the tick's number. Empty: number and .png.
     #[param(default = "", reopen)]
@@ -88,6 +91,20 @@ impl Node for WriteTable {
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
     type Params = Settings;
+
+    fn validate(params: &Settings, check: &mut Validation<'_>) {
+        let Some(ending) = check_path(check, &params.path, "table.jsonl", ENDINGS) else { return };
+        let is_connected = |name: &&str| check.is_connected(name) == Some(true);
+        if ending == "json"
+            && let Some(other) = NOT_IN_COCO.iter().find(|name| is_connected(name))
+        {
+            let message = format!("a .json file holds detections or instances in COCO's form, not input `{other}`");
+            check.error("path", message, "write it to .jsonl or .csv");
+        } else if ending == "csv" && ["table", "detections"].iter().all(is_connected) {
+            let message = "a CSV file has one kind of line: `table` and `detections` are both connected";
+            check.error("path", message, "give each a `write_table`, or write .jsonl");
+        }
+    }
 
     fn open(_: &Open<'_>, params: &Settings) -> Result<Self> {
         let path = params.path.clone();

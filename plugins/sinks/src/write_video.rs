@@ -4,11 +4,16 @@ mod encoder;
 
 use std::path::PathBuf;
 
-use panoscope_node::{AnyImage, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result};
+use panoscope_node::{
+    AnyImage, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation,
+};
 
 use crate::picture::Pixels;
-use crate::target::{check_name, make_folder};
+use crate::target::{check_name, check_path, make_folder};
 use encoder::Encoder;
+
+const EXAMPLE: &str = "video.mkv";
+const ENDINGS: &str = "mkv, avi, mp4, mov, webm";
 
 /// How a video is compressed.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,7 +41,7 @@ pub struct In<'f> {
 #[derive(Params)]
 pub struct Settings {
     /// File to write. .mkv plays even when the program died while writing it; .avi and .mp4 do not.
-    #[param(default = "out/video.mkv", reopen)]
+    #[param(default = "out/video.mkv", reopen, writes)]
     pub path: PathBuf,
     /// How the pictures are compressed.
     #[param(default = "mjpg", reopen)]
@@ -65,8 +70,21 @@ impl Node for WriteVideo {
     type Out<'f> = NoPorts;
     type Params = Settings;
 
+    fn validate(params: &Settings, check: &mut Validation<'_>) {
+        let Some(ending) = check_path(check, &params.path, EXAMPLE, ENDINGS) else { return };
+        let is_held = match ending.as_str() {
+            "webm" => params.codec == Codec::Vp8,
+            "mp4" => !matches!(params.codec, Codec::Vp8 | Codec::Ffv1),
+            _ => true,
+        };
+        if !is_held {
+            let message = format!("a .{ending} file cannot hold the chosen `codec`");
+            check.error("codec", message, "write .mkv, which holds every codec");
+        }
+    }
+
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
-        let ending = check_name(&params.path, "video.mkv", "mkv, avi, mp4, mov, webm")?;
+        let ending = check_name(&params.path, EXAMPLE, ENDINGS)?;
         if ending != "mkv" {
             open.warn(&format!("a crash leaves an unplayable .{ending} file: .mkv survives it"));
         }

@@ -5,8 +5,10 @@ use panoscope_imaging::stereo::{
 };
 use panoscope_node::{
     AnyImage, Bgr8, Confidence, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot,
-    View, error,
+    Validation, View, error,
 };
+
+use crate::matcher::check_kernel;
 
 /// Inputs of both filters.
 #[derive(Ports)]
@@ -153,6 +155,10 @@ impl Node for DisparityWls {
     type Out<'f> = Out<'f>;
     type Params = DisparityWlsParams;
 
+    fn validate(params: &DisparityWlsParams, check: &mut Validation<'_>) {
+        check_kernel(check, params.kernel().validate());
+    }
+
     fn open(_: &Open<'_>, params: &DisparityWlsParams) -> Result<Self> {
         Ok(Self { kernel: WlsFilter::new(params.kernel())? })
     }
@@ -245,6 +251,10 @@ impl Node for DisparityFbs {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = DisparityFbsParams;
+
+    fn validate(params: &DisparityFbsParams, check: &mut Validation<'_>) {
+        check_kernel(check, params.kernel().validate());
+    }
 
     fn open(_: &Open<'_>, params: &DisparityFbsParams) -> Result<Self> {
         Ok(Self { kernel: BilateralSolver::new(params.kernel())? })

@@ -2,7 +2,9 @@
 
 use panoscope_imaging::stereo::{self, Roi, SearchParams, SharedField, SpeckleFilter, StereoError};
 use panoscope_node::abi;
-use panoscope_node::{Context, Disparity, Gray8, Image, Parallel, Ports, Result, Slot, Value, View, ViewMut, error};
+use panoscope_node::{
+    Context, Disparity, Gray8, Image, Parallel, Ports, Result, Slot, Validation, Value, View, ViewMut, error,
+};
 
 /// Inputs.
 #[derive(Ports)]
@@ -56,6 +58,17 @@ pub struct Matcher {
     field: SharedField,
     /// The right view's map when nobody reads it: the shared field is found by it.
     right: Vec<f32>,
+}
+
+/// Reports what a kernel refuses about its parameters; kernels name them as the nodes do.
+pub fn check_kernel(check: &mut Validation<'_>, checked: Result<(), StereoError>) {
+    match checked {
+        Ok(()) => {}
+        Err(StereoError::Parameter { name, value, accepted }) if check.has_param(name) => {
+            check.error(name, format!("`{name}` is {value}, accepted is {accepted}"), "");
+        }
+        Err(other) => check.node_error(other.to_string(), ""),
+    }
 }
 
 /// A rectangle of the packet inside a view.

@@ -2,7 +2,9 @@
 
 use panoscope_imaging::stereo::{RemapTable, Roi};
 use panoscope_node::abi::Calibration;
-use panoscope_node::{Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, error};
+use panoscope_node::{
+    Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation, Value, error,
+};
 
 use panoscope_calibration::packet as calibration;
 
@@ -72,6 +74,15 @@ impl Node for Rectify {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = RectifyNodeParams;
+
+    fn validate(params: &RectifyNodeParams, check: &mut Validation<'_>) {
+        if !params.bypass && check.is_connected("calibration") == Some(false) {
+            check.node_error(
+                "there is no calibration to rectify by: input `calibration` is not connected",
+                "connect it, as in calibration = \"scope.calibration\", or set bypass = true when the views are rectified already",
+            );
+        }
+    }
 
     fn open(_: &Open<'_>, _: &RectifyNodeParams) -> Result<Self> {
         Ok(Self { maps: None })

@@ -5,7 +5,7 @@ use panoscope_imaging::stereo::{self, Rectification, ReprojectInput, ReprojectPa
 use panoscope_node::abi::{Calibration, CloudPoint};
 use panoscope_node::{
     AnyImage, Bgr8, Confidence, Context, Depth, Disparity, Gray8, Image, Node, NodeInfo, Open, Parallel, Params,
-    PointCloud, Ports, Result, Slot, Value, View, ViewMut, error,
+    PointCloud, Ports, Result, Slot, Validation, Value, View, ViewMut, error,
 };
 
 use panoscope_calibration::packet as calibration;
@@ -88,6 +88,16 @@ impl Node for Reproject {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = ReprojectNodeParams;
+
+    fn validate(params: &ReprojectNodeParams, check: &mut Validation<'_>) {
+        if params.near_mm >= params.far_mm {
+            let message = format!(
+                "`near_mm` is {} and `far_mm` is {}: no depth lies between them",
+                params.near_mm, params.far_mm
+            );
+            check.error("near_mm", message, "give `near_mm` less than `far_mm`");
+        }
+    }
 
     fn open(_: &Open<'_>, _: &ReprojectNodeParams) -> Result<Self> {
         Ok(Self { views: None, depth: Vec::new() })

@@ -1,9 +1,9 @@
 //! `stereo_bm`: block matching, a rectified pair in, disparity maps of both views out (thesis, fig. 3.7).
 
 use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, SearchParams};
-use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result};
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
-use crate::matcher::{In, Matcher, Out, Search};
+use crate::matcher::{In, Matcher, Out, Search, check_kernel};
 use crate::shrunk::Shrunk;
 
 /// Parameters.
@@ -86,6 +86,10 @@ impl Node for StereoBm {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = StereoBmParams;
+
+    fn validate(params: &StereoBmParams, check: &mut Validation<'_>) {
+        check_kernel(check, params.kernel(params.min_disparity_px).validate());
+    }
 
     fn open(_: &Open<'_>, params: &StereoBmParams) -> Result<Self> {
         let kernel = BlockMatcher::new(params.kernel(params.min_disparity_px))?;

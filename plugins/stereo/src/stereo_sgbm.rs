@@ -1,9 +1,9 @@
 //! `stereo_sgbm`: semi-global matching, a rectified pair in, disparity maps of both views out.
 
 use panoscope_imaging::stereo::{Roi, SearchParams, SemiGlobalMatcher, SemiGlobalParams, StereoError};
-use panoscope_node::{Context, Node, NodeInfo, Open, Parallel, Params, Result, View, ViewMut};
+use panoscope_node::{Context, Node, NodeInfo, Open, Parallel, Params, Result, Validation, View, ViewMut};
 
-use crate::matcher::{Engine, In, Matcher, Out, Search};
+use crate::matcher::{Engine, In, Matcher, Out, Search, check_kernel};
 
 /// Parameters.
 #[derive(Params)]
@@ -91,6 +91,17 @@ impl Node for StereoSgbm {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = StereoSgbmParams;
+
+    fn validate(params: &StereoSgbmParams, check: &mut Validation<'_>) {
+        if params.small_penalty >= params.large_penalty {
+            let message = format!(
+                "`small_penalty` is {}, not below `large_penalty`, which is {}: a large change of disparity must cost more than a small one",
+                params.small_penalty, params.large_penalty
+            );
+            return check.error("small_penalty", message, "lower `small_penalty` or raise `large_penalty`");
+        }
+        check_kernel(check, params.kernel(params.min_disparity_px).validate());
+    }
 
     fn open(_: &Open<'_>, params: &StereoSgbmParams) -> Result<Self> {
         let kernel = SemiGlobalMatcher::new(params.kernel(params.min_disparity_px))?;

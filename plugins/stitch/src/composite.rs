@@ -1,12 +1,12 @@
 //! `composite`: overlapping views and their homographies in, one wide picture out (thesis, chapter 2.2 and Alg. 2.3).
 
 use panoscope_imaging::stitch::{
-    self, BlendMethod, CompositeParams, Compositor, ExposureMethod, GeometryState, MAX_VIEWS, SeamMethod,
+    self, BlendMethod, CompositeParams, Compositor, ExposureMethod, GeometryState, MAX_VIEWS, SeamCost, SeamMethod,
 };
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
-    Bgr8, Choice, Context, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Value, View,
-    error,
+    Bgr8, Choice, Context, Gray8, Image, List, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation,
+    Value, View, error,
 };
 
 /// How the line between two views is found.
@@ -18,6 +18,24 @@ pub enum Seam {
     DynamicProgramming,
     /// Later views cover earlier ones.
     None,
+}
+
+/// What the seam pays for passing between two pixels.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum Cost {
+    /// Euclidean colour difference of the two views (thesis 2.2).
+    Color,
+    /// Colour difference divided by the local gradient: seams hide along edges (Kwatra et al. 2003, eq. 2).
+    ColorGradient,
+}
+
+/// What is shown when a frame's registration is lost or implausible.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum OnLost {
+    /// The panorama of this frame's views with the last good homography, marked as lost.
+    Last,
+    /// Nothing: the outputs stay empty until the next good frame (thesis 2.4.3).
+    Skip,
 }
 
 /// How the views are joined along the seam.
@@ -54,6 +72,12 @@ pub struct CompositeNodeParams {
     /// Frames after which the seam is found anew at the latest.
     #[param(default = 15, range = 1..=10000, unit = "frames")]
     seam_interval: u32,
+    /// What the seam pays for passing between two pixels.
+    #[param(default = "color_gradient")]
+    seam_cost: Cost,
+    /// Colour difference that a seam must gain before it leaves its last course; 0 finds each seam without regard to the last.
+    #[param(default = 0.5, range = 0.0..=20.0, step = 0.1, unit = "levels")]
+    seam_hold: f32,
     /// How the views are joined along the seam.
     #[param(default = "multi_band")]
     blend: Blend,
@@ -84,6 +108,9 @@ pub struct CompositeNodeParams {
     /// Mark frames whose registration is lost.
     #[param(default = true)]
     mark_lost: bool,
+    /// What is shown when a frame's registration is lost or implausible.
+    #[param(default = "last")]
+    on_lost: OnLost,
 }
 
 impl CompositeNodeParams {
@@ -97,6 +124,11 @@ impl CompositeNodeParams {
             },
             seam_scale: self.seam_scale as usize,
             seam_interval_frames: self.seam_interval,
+            seam_cost: match self.seam_cost {
+                Cost::Color => SeamCost::Color,
+                Cost::ColorGradient => SeamCost::ColorGradient,
+            },
+            seam_hold_levels: self.seam_hold,
             blend: match self.blend {
                 Blend::MultiBand => BlendMethod::MultiBand,
                 Blend::Feather => BlendMethod::Feather,
@@ -229,6 +261,25 @@ impl Node for Composite {
     type Out<'f> = Out<'f>;
     type Params = CompositeNodeParams;
 
+    fn validate(_: &CompositeNodeParams, check: &mut Validation<'_>) {
+        let count = |name: &str| check.connections(name);
+        let (Some(views), Some(maps), Some(left), Some(right)) =
+            (count("views"), count("homographies"), count("left"), count("right"))
+        else {
+            return;
+        };
+        if views > MAX_VIEWS {
+            check.node_error(format!("{views} views are connected, {MAX_VIEWS} are the most"), "connect fewer");
+        } else if views > 0 && maps + 1 != views {
+            check.node_error(
+                format!("{views} views need {} homographies, {maps} are connected", views - 1),
+                "connect one homography for each view but the first",
+            );
+        } else if views == 0 && (left == 0 || right == 0) {
+            check.node_warning("there are no two views to put together", "connect `left` and `right`, or `views`");
+        }
+    }
+
     fn open(_: &Open<'_>, params: &CompositeNodeParams) -> Result<Self> {
         Ok(Self { kernel: Compositor::new(params.kernel()), seams: 0 })
     }
@@ -246,6 +297,9 @@ impl Node for Composite {
         }
         let Some(scene) = Scene::of(&input)? else { return Ok(()) };
         let (views, maps) = (&scene.views[..scene.count], &scene.maps[..scene.count]);
+        if params.on_lost == OnLost::Skip && !self.kernel.accepts(views, maps, scene.state)? {
+            return Ok(());
+        }
         let canvas = self.kernel.canvas(views, maps, scene.state)?;
         let mask_is_read = out.mask.is_read();
         let mut panorama = out.panorama.alloc(canvas.width, canvas.height)?;

@@ -1,6 +1,6 @@
 //! Registration and compositing of overlapping views (thesis, chapters 2 and 4).
 
-mod composite;
+pub mod composite;
 mod cut_views;
 mod evaluate_stitch;
 mod features_surf;

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::finite::Rows;
 use crate::letterbox::{Fit, PixelForm};
 use crate::model::Tensor;
 
@@ -36,6 +37,11 @@ impl ExportKind {
             Self::Detr => PixelForm { fit: Fit::Stretch, ..unit },
             _ => unit,
         }
+    }
+
+    /// How the rows of an answer lie in memory.
+    pub fn rows(self) -> Rows {
+        if matches!(self, Self::YoloV8 { .. }) { Rows::Columns } else { Rows::Whole }
     }
 
     /// Number of classes in an answer.

@@ -5,6 +5,7 @@
 
 pub mod candidates;
 pub mod export_kind;
+pub mod finite;
 pub mod labels;
 pub mod letterbox;
 pub mod mask_rcnn;

@@ -7,15 +7,17 @@ use panoscope_imaging::SharedMut;
 use panoscope_node::abi::Detection;
 use panoscope_node::detections::mask_len;
 use panoscope_node::{
-    AnyImage, Choice, Context, LabeledInstances, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Slot, error,
+    AnyImage, Choice, Context, LabeledInstances, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Slot,
+    Validation, error,
 };
 
 use crate::candidates::{Candidate, Decoder, suppress};
 use crate::export_kind::ExportKind;
+use crate::finite::{Rows, count_bad};
 use crate::letterbox::{Fit, PixelForm, Placement};
 use crate::model::{Tensor, Values};
 use crate::track::Tracker;
-use crate::yolo::{Network, detection, picture_of};
+use crate::yolo::{Network, check_labels, detection, picture_of};
 
 /// Inputs.
 #[derive(Ports)]
@@ -48,7 +50,7 @@ pub enum Family {
 #[derive(Params)]
 pub struct MaskRcnnParams {
     /// The network, an .onnx file.
-    #[param(default = "models/instrument_masks.onnx", reopen, must_exist)]
+    #[param(default = "models/instrument_masks.onnx", reopen, must_exist, shipped)]
     model: PathBuf,
     /// Whose export it is.
     #[param(default = "auto", reopen)]
@@ -244,6 +246,11 @@ fn mix(map: &[f32], (width, height): (usize, usize), at: Place, line: &mut [f32]
     }
 }
 
+/// YOLO exports that segment answer their boxes in columns.
+fn rows_of(is_yolo: bool) -> Rows {
+    if is_yolo { Rows::Columns } else { Rows::Whole }
+}
+
 fn pixel_form(family: Family) -> PixelForm {
     match family {
         Family::Detectron2 => PixelForm { rgb: false, mean: [0.0; 3], gain: [1.0; 3], fit: Fit::Corner },
@@ -259,6 +266,10 @@ impl Node for MaskRcnn {
     type Out<'f> = Out<'f>;
     type Params = MaskRcnnParams;
 
+    fn validate(params: &MaskRcnnParams, check: &mut Validation<'_>) {
+        check_labels(check, &params.labels);
+    }
+
     fn open(open: &Open<'_>, params: &MaskRcnnParams) -> Result<Self> {
         let size = (params.input_width, params.input_height);
         let mut network = Network::open(open, &params.model, params.threads, size)?;
@@ -267,6 +278,8 @@ impl Node for MaskRcnn {
         let named = network.model.metadata("family").map(str::to_owned);
         let path = network.model.path().to_owned();
         let (family, classes) = network.model.run(&gray, |outputs| -> Result<_> {
+            let segments = matches!(outputs, [boxes, _] if boxes.shape.len() == 3);
+            count_bad(&path, outputs, rows_of(segments)).map_err(|e| error!("{e}"))?;
             if let [boxes, prototypes] = outputs
                 && let ([1, len, _], [1, masks, _, _]) = (&boxes.shape[..], &prototypes.shape[..])
                 && matches!(params.family, Family::Auto | Family::YoloSeg)
@@ -312,8 +325,10 @@ impl Node for MaskRcnn {
         let net = self.network.model.input_size();
         let placement = self.network.letterbox.fit(picture, net, &pixel_form(self.family), cx.pool());
         let family = self.family;
-        let Self { network: Network { model, letterbox, .. }, path, candidates, maps, map_size, .. } = self;
+        let Self { network: Network { model, letterbox, damage, .. }, path, candidates, maps, map_size, .. } = self;
         let covers = model.run(&letterbox.input, |outputs| -> Result<Covers> {
+            let bad = count_bad(path, outputs, rows_of(family == Family::YoloSeg)).map_err(|e| error!("{e}"))?;
+            damage.tell(cx, path, bad);
             maps.clear();
             candidates.clear();
             if family == Family::YoloSeg {

@@ -3,7 +3,7 @@
 use panoscope_node::abi::{Calibration, Detection, Tip};
 use panoscope_node::{
     AnyImage, Bgr8, Context, Depth, Detections, Disparity, Image, Instances, Node, NodeInfo, Open, Params, Ports,
-    Result, Slot, Value, View, error,
+    Result, Slot, Validation, Value, View, error,
 };
 
 use crate::candidates::iou;
@@ -216,6 +216,13 @@ impl Node for ToolTip {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = ToolTipParams;
+
+    fn validate(_: &ToolTipParams, check: &mut Validation<'_>) {
+        if ["detections", "instances"].iter().all(|name| check.is_connected(name) == Some(false)) {
+            let message = "neither `detections` nor `instances` is connected: no tip is found";
+            check.node_warning(message, "connect a detector, such as `yolo`");
+        }
+    }
 
     fn open(_: &Open<'_>, _: &ToolTipParams) -> Result<Self> {
         Ok(Self { near: Vec::new(), leading: None, finder: TipFinder::default(), silhouette: Silhouette::default() })

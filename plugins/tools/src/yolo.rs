@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use panoscope_node::abi::Detection;
 use panoscope_node::{
     AnyImage, Bgr8, Choice, Context, Gray8, LabeledDetections, Node, NodeInfo, Open, Parallel, Params, Ports, Result,
-    Slot, View, error,
+    Slot, Validation, View, error,
 };
 
 use crate::candidates::{Candidate, Decoder, suppress};
 use crate::export_kind::{ExportKind, recognise};
+use crate::finite::count_bad;
 use crate::labels;
 use crate::letterbox::Letterbox;
 use crate::model::Model;
@@ -67,7 +68,7 @@ impl Layout {
 #[derive(Params)]
 pub struct YoloParams {
     /// The network, an .onnx file.
-    #[param(default = "models/instruments.onnx", reopen, must_exist)]
+    #[param(default = "models/instruments.onnx", reopen, must_exist, shipped)]
     model: PathBuf,
     /// Family of the export.
     #[param(default = "auto", reopen)]
@@ -106,14 +107,37 @@ pub(crate) struct Network {
     pub model: Model,
     pub letterbox: Letterbox,
     pub labels: String,
+    pub path: PathBuf,
+    pub damage: Damage,
+}
+
+/// Remembers whether values that are no numbers were warned of.
+#[derive(Default)]
+pub(crate) struct Damage {
+    told: bool,
+}
+
+impl Damage {
+    /// Reports `bad` values of one answer that are NaN or infinite: the rows that hold them give no boxes.
+    pub fn tell(&mut self, cx: &Context<'_>, path: &std::path::Path, bad: usize) {
+        cx.metric("bad_values", bad as f64);
+        if bad > 0 && !self.told {
+            self.told = true;
+            cx.warn(&format!(
+                "{} answers {bad} values that are NaN or infinite; rows that hold them give no boxes (metric `bad_values` counts on)",
+                path.display()
+            ));
+        }
+    }
 }
 
 impl Network {
     pub fn open(open: &Open<'_>, model: &std::path::Path, threads: usize, size: (usize, usize)) -> Result<Self> {
         let threads = if threads == 0 { open.pool().threads() } else { threads };
         // Paths come resolved against the graph file's folder.
+        let path = model.to_owned();
         let model = Model::open(model, threads, size)?;
-        Ok(Self { model, letterbox: Letterbox::default(), labels: String::new() })
+        Ok(Self { model, letterbox: Letterbox::default(), labels: String::new(), path, damage: Damage::default() })
     }
 
     /// Fills the label table: the file's names, else the model's, else numbers.
@@ -133,6 +157,15 @@ impl Network {
         (names.len()..classes).for_each(|i| names.push(format!("class {i}")));
         self.labels = names.join("\n");
         Ok(())
+    }
+}
+
+/// Reports a file of labels that does not serve.
+pub(crate) fn check_labels(check: &mut Validation<'_>, file: &std::path::Path) {
+    if !file.as_os_str().is_empty()
+        && let Err(why) = labels::from_file(file)
+    {
+        check.error("labels", why, "");
     }
 }
 
@@ -175,6 +208,10 @@ impl Node for Yolo {
     type Out<'f> = Out<'f>;
     type Params = YoloParams;
 
+    fn validate(params: &YoloParams, check: &mut Validation<'_>) {
+        check_labels(check, &params.labels);
+    }
+
     fn open(open: &Open<'_>, params: &YoloParams) -> Result<Self> {
         let size = (params.input_width, params.input_height);
         let mut network = Network::open(open, &params.model, params.threads, size)?;
@@ -186,6 +223,7 @@ impl Node for Yolo {
         let told = params.layout.kind();
         let answer = network.model.run(&gray, |outputs| {
             let kind = told.map_or_else(|| recognise(&path, (w, h), end_to_end, outputs), Ok)?;
+            count_bad(&path, outputs, kind.rows())?;
             Ok::<_, String>((kind, kind.classes(outputs)))
         })?;
         let (kind, classes) = answer.map_err(|e| error!("{e}"))?;
@@ -206,8 +244,13 @@ impl Node for Yolo {
             min_score: params.min_score,
             out: &mut self.candidates,
         };
-        let Network { model, letterbox, labels } = &mut self.network;
-        model.run(&letterbox.input, |outputs| decoder.decode(outputs))?.map_err(|e| error!("{e}"))?;
+        let Network { model, letterbox, labels, path, damage } = &mut self.network;
+        let rows = self.kind.rows();
+        let bad = model.run(&letterbox.input, |outputs| {
+            let bad = count_bad(path, outputs, rows)?;
+            decoder.decode(outputs).map(|()| bad)
+        })?;
+        damage.tell(cx, path, bad.map_err(|e| error!("{e}"))?);
         suppress(&mut self.candidates, params.max_overlap, params.class_agnostic, params.max_boxes);
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));

@@ -62,6 +62,52 @@ fn yolox_boxes_are_relative_to_the_grid() {
 }
 
 #[test]
+fn a_network_that_answers_no_numbers_is_refused_and_single_ones_are_told() {
+    if !runtime_is_there() {
+        return;
+    }
+    let folder = folder("nan");
+    let answer = |values: Vec<f32>| model(vec![("output", vec![1, CELLS as i64, 7], Fixed::Floats(values))]);
+    let error = open(&answer(vec![f32::NAN; CELLS * 7]).write(&folder, "all.onnx"), "").err().expect("refused");
+    let error = error.to_string();
+    assert!(error.contains("all.onnx is broken: 588 of 588 values of its output `output` are NaN"), "{error}");
+    // Scores alone: boxes of such a network would be missing in silence.
+    let scores: Vec<f32> = (0..CELLS * 7).map(|i| if i % 7 == 4 { f32::NAN } else { 0.5 }).collect();
+    let error = open(&answer(scores).write(&folder, "scores.onnx"), "").err().expect("refused").to_string();
+    assert!(error.contains("84 of 588 values") && error.contains("some in each row"), "{error}");
+    // One damaged row among sound ones.
+    let sound = vec![0.5, 0.5, 2f32.ln(), 0.0, 0.9, 0.1, 0.8];
+    let damaged = vec![f32::NAN, 0.5, 0.0, 0.0, 0.9, 0.1, 0.8];
+    let m = model(vec![("output", vec![1, CELLS as i64, 7], rows(CELLS, 7, &[(19, sound), (20, damaged)]))]);
+    let mut node = open(&m.write(&folder, "one.onnx"), "").expect("it opens");
+    for _ in 0..2 {
+        let out = node.input_image::<Bgr8>("image", 128, 96, &vec![90; 128 * 96 * 3]).process().expect("it runs");
+        assert_eq!(out.detections("detections").expect("detections").items().len(), 1);
+    }
+    assert_eq!(node.metric("bad_values"), Some(1.0));
+    let warnings = node.logs().iter().filter(|l| l.message.contains("answers 1 values that are NaN")).count();
+    assert_eq!(warnings, 1, "{:?}", node.logs());
+}
+
+#[test]
+fn a_segmenter_without_numbers_is_refused() {
+    if !runtime_is_there() {
+        return;
+    }
+    let nan = |len: usize| Fixed::Floats(vec![f32::NAN; len]);
+    let m = model(vec![
+        ("boxes", vec![2, 4], Fixed::Floats(vec![1.0; 8])),
+        ("labels", vec![2], Fixed::Ints(vec![1, 2])),
+        ("scores", vec![2], nan(2)),
+        ("masks", vec![2, 1, 28, 28], Fixed::Floats(vec![0.9; 2 * 28 * 28])),
+    ]);
+    let path = m.write(&folder("nan_masks"), "m.onnx");
+    let opened = Harness::<MaskRcnn>::from_toml(&format!("params = {{ model = {path:?} }}"));
+    let error = opened.err().expect("refused").to_string();
+    assert!(error.contains("2 of 2 values of its output `scores` are NaN"), "{error}");
+}
+
+#[test]
 fn yolov5_has_three_anchors_a_cell_and_a_centred_picture() {
     if !runtime_is_there() {
         return;

@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
 """Trains the instrument detector (YOLOX-nano) on frames with boxes and writes checkpoints from which it goes on.
 
-    python3 train_detector.py --data FOLDER --start yolox_nano.onnx --out run [--without v02,v08] [--also frames]
+    python3 train_detector.py --data FOLDER --out run [--start FILE] [--without v02,v08] [--also frames]
 
 FOLDER holds VOC (ImageSets, Annotations, JPEGImages), COCO (train.json) or YOLO (images/train, labels/train) data. Frames of --also, as those
 of make_phantom_frames.py, make a fixed share of the samples. Seeds are fixed: the same data, arguments and PyTorch give the same weights.
-Needs PyTorch, NumPy, OpenCV and, for --start, onnx.
+Training starts from the detector that ships, unless --start names other weights: an ONNX file of export_detector.py or of YOLOX-nano, a checkpoint of
+this script, or `none` for random ones. The detector that ships has seen most frames of m2cai16-tool-locations: a score on those says little then.
+Needs PyTorch, NumPy, OpenCV and, to start from ONNX, onnx: pip install torch numpy opencv-python-headless onnx
 """
 
 import argparse
@@ -14,16 +16,7 @@ import math
 import time
 from pathlib import Path
 
-import cv2
-import numpy as np
-import torch
-
-from instruments.assign import loss
-from instruments.augment import Augmented
-from instruments.batches import batches, blend, store
-from instruments.data import CLASSES, read
-from instruments.score import average_precision, detect
-from instruments.yolox import Yolox, load_onnx
+SHIPPED = Path(__file__).resolve().parent.parent / "models" / "instruments.onnx"
 
 
 def arguments():
@@ -34,7 +27,7 @@ def arguments():
     p.add_argument("--also", type=Path, help="more frames to learn from (split `train`), as those of make_phantom_frames.py")
     p.add_argument("--also-share", type=float, default=0.12, help="share of the samples that come from --also")
     p.add_argument("--without", default="", help="operations kept out of training and tested on instead: v02,v08")
-    p.add_argument("--start", type=Path, help="weights to start from: a YOLOX-nano ONNX file or a checkpoint of this script")
+    p.add_argument("--start", type=Path, default=SHIPPED, help="weights to start from, or none: an ONNX file or a checkpoint (default: %(default)s)")
     p.add_argument("--out", required=True, type=Path)
     p.add_argument("--epochs", type=int, default=40)
     p.add_argument("--plain-epochs", type=int, default=6, help="last epochs on whole, hardly changed frames")
@@ -45,11 +38,31 @@ def arguments():
     p.add_argument("--seed", type=int, default=1)
     p.add_argument("--threads", type=int, default=2)
     p.add_argument("--test-every", type=int, default=5)
-    return p.parse_args()
+    a = p.parse_args()
+    # Said before anything large is loaded.
+    a.start = None if str(a.start) == "none" else a.start
+    for option, path in (("--data", a.data), ("--start", a.start), ("--also", a.also)):
+        if path and not path.exists():
+            p.error(f"{option}: there is no {path}")
+    return a
 
 
 def main():
     a = arguments()
+    try:
+        import cv2
+        import numpy as np
+        import torch
+
+        from instruments.assign import loss
+        from instruments.augment import Augmented
+        from instruments.batches import batches, blend, store
+        from instruments.data import CLASSES, read
+        from instruments.score import average_precision, detect
+        from instruments.yolox import Yolox, load_onnx
+    except ModuleNotFoundError as missing:
+        raise SystemExit(f"training needs {missing.name}: pip install torch numpy opencv-python-headless onnx") from None
+
     torch.manual_seed(a.seed)
     torch.set_num_threads(a.threads)
     cv2.setNumThreads(1)

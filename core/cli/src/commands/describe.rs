@@ -150,7 +150,13 @@ fn show_param(param: &Param) {
         ParamKind::Choice { default, choices } => (format!("{default:?}"), Some(choices.join(", "))),
         ParamKind::Text { default } => (format!("{default:?}"), None),
         ParamKind::Path { default, must_exist } => {
-            (format!("{default:?}"), must_exist.then(|| "must exist".to_owned()))
+            let about = [
+                (*must_exist, "must exist"),
+                (param.writes, "is written"),
+                (param.shipped, "the default comes with the plugin"),
+            ];
+            let words: Vec<&str> = about.iter().filter(|(is, _)| *is).map(|(_, words)| *words).collect();
+            (format!("{default:?}"), (!words.is_empty()).then(|| words.join("; ")))
         }
         ParamKind::Floats { default, min_len, max_len } => {
             let count = range(Some(min_len.to_string()), max_len.map(|n| n.to_string()));

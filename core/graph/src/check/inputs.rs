@@ -10,6 +10,7 @@ impl<'a> Checker<'a> {
     pub(super) fn inputs(&mut self) {
         let text = self.text;
         for (index, node) in text.nodes.iter().enumerate() {
+            let errors = self.diagnostics.errors();
             let node_type = self.type_of(index);
             // Inputs that a misspelt name was probably meant for are not missing as well.
             let mut meant = Vec::new();
@@ -28,6 +29,7 @@ impl<'a> Checker<'a> {
                 self.missing(index, node, node_type, &meant);
             }
             self.triggers(index);
+            self.sound[index] &= self.diagnostics.errors() == errors;
         }
     }
 
@@ -86,6 +88,10 @@ impl<'a> Checker<'a> {
             self.unknown_node(&reference.span, &reference.node);
             return;
         };
+        // Which of the two is meant is not known; that there are two is reported.
+        if self.doubled.contains(reference.node.as_str()) {
+            return;
+        }
         let from_type = self.type_of(from_node);
         let from_port = from_type.and_then(|t| t.output(&reference.port));
         let mut convert = false;

@@ -1,7 +1,9 @@
 //! Everything that needs the catalog: names, types, limits, and how ticks flow through the wiring.
 
+mod files;
 mod flow;
 mod inputs;
+mod nodes;
 mod params;
 mod preset;
 mod types;
@@ -40,20 +42,27 @@ pub fn check(text: &GraphText, catalog: &Catalog) -> Checked {
         catalog,
         diagnostics: text.diagnostics.clone(),
         ids: HashMap::new(),
+        doubled: HashSet::new(),
+        sound: vec![true; text.nodes.len()],
         listed: text.plugins.iter().map(|p| p.value.as_str()).collect(),
         types: Vec::new(),
         links: Vec::new(),
     };
     for (index, node) in text.nodes.iter().enumerate() {
-        checker.ids.entry(node.id.value.as_str()).or_insert(index);
+        if *checker.ids.entry(node.id.value.as_str()).or_insert(index) != index {
+            checker.doubled.insert(&node.id.value);
+        }
     }
     checker.plugins();
+    checker.plugin_paths();
     checker.types = text.nodes.iter().map(|node| checker.node_type(node)).collect();
     checker.empty();
     let params = checker.params();
     checker.inputs();
     let order = checker.flow();
     let pinned = checker.pins();
+    checker.files(&params);
+    checker.nodes(&params);
     checker.finish(params, order, pinned)
 }
 
@@ -80,6 +89,10 @@ struct Checker<'a> {
     diagnostics: Diagnostics,
     /// Position of each node; the first of several of one name.
     ids: HashMap<&'a str, usize>,
+    /// Names of more than one node: what refers to them is in doubt.
+    doubled: HashSet<&'a str>,
+    /// Per node, whether its parameters and inputs are without errors so far.
+    sound: Vec<bool>,
     /// Plugins the file lists.
     listed: HashSet<&'a str>,
     /// Per node, its type's position in the catalog.

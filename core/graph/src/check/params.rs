@@ -30,10 +30,19 @@ impl<'a> Checker<'a> {
                 all.push(Vec::new());
                 continue;
             };
+            let errors = self.diagnostics.errors();
             all.push(self.node_params(index, node, node_type));
+            self.sound[index] &= self.diagnostics.errors() == errors;
         }
         for over in &self.text.overrides {
-            if let Some((node, param, value)) = self.set(over)
+            let errors = self.diagnostics.errors();
+            let given = self.set(over);
+            if self.diagnostics.errors() > errors
+                && let Some(&index) = self.ids.get(over.node.value.as_str())
+            {
+                self.sound[index] = false;
+            }
+            if let Some((node, param, value)) = given
                 && let Some(slot) = all[node].get_mut(param)
             {
                 *slot = value;
@@ -54,7 +63,7 @@ impl<'a> Checker<'a> {
                 Ok(value) => given[position] = Some(value),
                 Err(wrong) => {
                     // A default stands in, so that it is not reported as missing too.
-                    given[position] = Some(self.default(param));
+                    given[position] = Some(self.default(node_type, param));
                     let source = &self.text.source;
                     self.wrong(source, wrong);
                 }
@@ -63,8 +72,8 @@ impl<'a> Checker<'a> {
         let mut values = Vec::with_capacity(given.len());
         for (param, value) in node_type.params.iter().zip(given) {
             let value = value.unwrap_or_else(|| {
-                self.default_file(index, node, param);
-                self.default(param)
+                self.default_file(index, node, node_type, param);
+                self.default(node_type, param)
             });
             values.push(value);
         }
@@ -72,16 +81,20 @@ impl<'a> Checker<'a> {
     }
 
     /// A default file that is not there, unless `--set` gives another.
-    fn default_file(&mut self, index: usize, node: &'a NodeText, param: &Param) {
+    fn default_file(&mut self, index: usize, node: &'a NodeText, node_type: &NodeType, param: &Param) {
         let ParamKind::Path { default, must_exist: true } = &param.kind else { return };
         let replaced =
             |o: &Override| self.ids.get(o.node.value.as_str()) == Some(&index) && o.param.value == param.name;
-        if default.is_empty() || self.text.dir.join(default).exists() || self.text.overrides.iter().any(replaced) {
+        let path = self.default_path(node_type, param, default);
+        if default.is_empty() || path.exists() || self.text.overrides.iter().any(replaced) {
             return;
         }
         let message = format!("`{}` of this node is `{default}` unless given, and there is no such file", param.name);
-        self.error("missing-file", &node.id.span, message)
-            .help(format!("give one, as in params = {{ {} = \"...\" }}, relative to the graph file", param.name));
+        let mut help = format!("give one, as in params = {{ {} = \"...\" }}, relative to the graph file", param.name);
+        if param.shipped {
+            help = format!("it comes with plugin `{}`, as {}\n{help}", node_type.plugin, path.display());
+        }
+        self.error("missing-file", &node.id.span, message).help(help);
     }
 
     pub(super) fn unknown_param(&mut self, span: &Range<usize>, node_type: &NodeType, name: &str) {
@@ -114,6 +127,9 @@ impl<'a> Checker<'a> {
     }
 
     fn set(&mut self, over: &'a Override) -> Option<(usize, usize, ParamValue)> {
+        if self.doubled.contains(over.node.value.as_str()) {
+            return None;
+        }
         let Some(&node) = self.ids.get(over.node.value.as_str()) else {
             let ids = || self.text.nodes.iter().map(|n| n.id.value.as_str());
             let near = nearest(&over.node.value, ids()).map(|n| format!("did you mean `{n}`?"));
@@ -149,7 +165,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    fn default(&self, param: &Param) -> ParamValue {
+    fn default(&self, node_type: &NodeType, param: &Param) -> ParamValue {
         match &param.kind {
             ParamKind::Bool { default } => ParamValue::Bool(*default),
             ParamKind::Int { default, .. } => ParamValue::Int(*default),
@@ -159,12 +175,17 @@ impl<'a> Checker<'a> {
                 ParamValue::Choice { index, name: default.clone() }
             }
             ParamKind::Text { default } => ParamValue::Text(default.clone()),
-            ParamKind::Path { default, .. } => ParamValue::Path(self.resolve(default)),
+            ParamKind::Path { default, .. } => ParamValue::Path(self.default_path(node_type, param, default)),
             ParamKind::Floats { default, .. } => ParamValue::Floats(default.clone()),
         }
     }
 
-    fn resolve(&self, path: &str) -> PathBuf {
+    /// Where a default stands: beside the plugin when it comes with it, else beside the graph file.
+    fn default_path(&self, node_type: &NodeType, param: &Param, default: &str) -> PathBuf {
+        if param.shipped && !default.is_empty() { node_type.shipped_dir.join(default) } else { self.resolve(default) }
+    }
+
+    pub(super) fn resolve(&self, path: &str) -> PathBuf {
         if path.is_empty() { PathBuf::new() } else { self.text.dir.join(path) }
     }
 

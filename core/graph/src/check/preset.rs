@@ -18,6 +18,9 @@ impl<'a> Checker<'a> {
 
     fn view(&mut self, view: &'a ViewText) -> Option<PresetView> {
         let reference = &view.from;
+        if self.doubled.contains(reference.node.as_str()) {
+            return None;
+        }
         let Some(&node) = self.ids.get(reference.node.as_str()) else {
             self.unknown_node(&reference.span, &reference.node);
             return None;
@@ -45,6 +48,9 @@ impl<'a> Checker<'a> {
                 .help("as in { param = \"wide.blend_px\" }");
             return None;
         };
+        if self.doubled.contains(id) {
+            return None;
+        }
         let Some(&node) = self.ids.get(id) else {
             self.unknown_node(span, id);
             return None;

@@ -3,7 +3,13 @@
 use super::Checker;
 use crate::nearest::{list, nearest};
 use crate::text::NodeText;
+use crate::value::Spanned;
 use std::collections::HashMap;
+
+/// Help where there is no plugin anywhere, as after a plain `cargo build`, which leaves none where they are looked for.
+const NO_PLUGIN_AT_ALL: &str = "no plugin was found at all
+plugins are looked for in `plugins` beside the program, in the folders that PANOSCOPE_PLUGIN_PATH names and in the graph's `plugin_paths`
+`cargo build` does not put them there: run `cargo xtask build`, or `cargo xtask install DIR` for a folder that works without cargo";
 
 impl<'a> Checker<'a> {
     pub(super) fn plugins(&mut self) {
@@ -36,10 +42,12 @@ impl<'a> Checker<'a> {
                 };
                 let mut help = match offers {
                     Some(plugin) => format!("write \"{plugin}\""),
-                    None if known.is_empty() => "no plugin was found at all".to_owned(),
+                    // Said once: it holds for all of them.
+                    None if known.is_empty() && seen.len() > 1 => String::new(),
+                    None if known.is_empty() => NO_PLUGIN_AT_ALL.to_owned(),
                     None => format!("plugins found: {}", list(known.iter().copied(), 12, "and")),
                 };
-                if offers.is_none() && near.is_none() {
+                if offers.is_none() && near.is_none() && !known.is_empty() {
                     help.push_str("\nplugins are looked for beside the program, in PANOSCOPE_PLUGIN_PATH and in the graph's `plugin_paths`");
                 }
                 // What was meant counts as listed, so that its node types are no mistakes as well.
@@ -89,33 +97,74 @@ impl<'a> Checker<'a> {
                 None
             }
             ([], []) => {
-                self.unknown_type(node, &name.value);
+                self.unloaded_type(node, name);
                 None
             }
             // The list of plugins could not be read.
             ([], some) if self.text.incomplete && self.listed.is_empty() => (some.len() == 1).then(|| some[0]),
             ([], some) => {
-                let plugins = list(some.iter().map(plugin_of), 6, "or");
-                let verb = if some.len() == 1 { "which" } else { "none of which" };
-                let not = if some.len() == 1 { "does not list" } else { "lists" };
-                self.error(
-                    "plugin-not-listed",
-                    &name.span,
-                    format!("node type `{}` belongs to plugin {plugins}, {verb} `plugins` {not}", name.value),
-                )
-                .help(format!("add \"{}\" to `plugins`", plugin_of(&some[0])));
+                let plugins: Vec<&str> = some.iter().map(plugin_of).collect();
+                self.not_listed(name, &plugins);
                 if some.len() == 1 { Some(some[0]) } else { None }
             }
         }
     }
 
+    /// A type that no loaded plugin has: one that was found and not loaded may.
+    fn unloaded_type(&mut self, node: &'a NodeText, name: &Spanned<String>) {
+        let plugins = self.catalog.offering(&name.value);
+        // Listed, found and yet not loaded: that is reported at `plugins`.
+        if plugins.iter().any(|p| self.listed.contains(p)) || !plugins.is_empty() && self.text.incomplete {
+            return;
+        }
+        match plugins.is_empty() {
+            true => self.unknown_type(node, &name.value),
+            false => self.not_listed(name, &plugins),
+        }
+    }
+
+    fn not_listed(&mut self, name: &Spanned<String>, plugins: &[&str]) {
+        let (verb, not) = if plugins.len() == 1 { ("which", "does not list") } else { ("none of which", "lists") };
+        let belongs = list(plugins.iter().copied(), 6, "or");
+        let message = format!("node type `{}` belongs to plugin {belongs}, {verb} `plugins` {not}", name.value);
+        let help = self.plugins_help(plugins);
+        self.error("plugin-not-listed", &name.span, message).help(help);
+    }
+
+    /// The line that lists what this graph needs: one of `plugins`, and all others that leave no doubt.
+    fn plugins_help(&self, plugins: &[&str]) -> String {
+        let mut wanted: Vec<&str> = self.text.plugins.iter().map(|p| p.value.as_str()).collect();
+        let mut add = |plugin: &'a str| {
+            if !wanted.contains(&plugin) {
+                wanted.push(plugin);
+            }
+        };
+        for name in self.text.nodes.iter().filter_map(|n| n.type_name.as_ref()) {
+            let loaded = self.catalog.find(&name.value).into_iter().map(|i| self.catalog.node_types[i].plugin.as_str());
+            let offering: Vec<&'a str> = loaded.chain(self.catalog.offering(&name.value)).collect();
+            if let [only] = offering[..] {
+                add(only);
+            }
+        }
+        let first = plugins.first().copied().unwrap_or_default();
+        if !wanted.contains(&first) {
+            wanted.push(first);
+        }
+        let quoted: Vec<String> = wanted.iter().map(|plugin| format!("\"{plugin}\"")).collect();
+        let verb = if self.text.plugins.is_empty() { "begin the file with" } else { "write" };
+        format!("{verb} plugins = [{}]", quoted.join(", "))
+    }
+
     fn unknown_type(&mut self, node: &'a NodeText, name: &str) {
         let Some(span) = node.type_name.as_ref().map(|t| &t.span) else { return };
         let bare = name.rsplit('/').next().unwrap_or(name);
-        let (here, elsewhere): (Vec<_>, Vec<_>) =
-            self.catalog.node_types.iter().partition(|t| self.listed.contains(t.plugin.as_str()));
-        let near = nearest(bare, here.iter().map(|t| t.name.as_str()));
-        let far = nearest(bare, elsewhere.iter().map(|t| t.name.as_str()));
+        // Plugin and type.
+        let catalog = self.catalog;
+        let loaded = catalog.node_types.iter().map(|t| (t.plugin.as_str(), t.name.as_str()));
+        let offered = catalog.offers.iter().flat_map(|o| o.node_types.iter().map(|t| (o.plugin.as_str(), t.as_str())));
+        let (here, elsewhere): (Vec<_>, Vec<_>) = loaded.chain(offered).partition(|(p, _)| self.listed.contains(p));
+        let near = nearest(bare, here.iter().map(|(_, name)| *name));
+        let far = nearest(bare, elsewhere.iter().map(|(_, name)| *name));
         // Its plugin may be the one that is missing, and that is reported already.
         if (self.blind() || self.text.incomplete) && near.is_none() && far.is_none() {
             return;
@@ -128,11 +177,9 @@ impl<'a> Checker<'a> {
             ),
             (_, Some(near), _) => (format!("did you mean \"{near}\"?"), String::new()),
             (_, None, Some(far)) => {
-                let plugin = elsewhere.iter().find(|t| t.name == far).map_or("", |t| t.plugin.as_str());
-                (
-                    format!("did you mean \"{far}\"?"),
-                    format!("`{far}` belongs to plugin `{plugin}`; add it to `plugins`"),
-                )
+                let plugin = elsewhere.iter().find(|(_, name)| *name == far).map_or("", |(plugin, _)| *plugin);
+                let help = format!("`{far}` belongs to plugin `{plugin}`; {}", self.plugins_help(&[plugin]));
+                (format!("did you mean \"{far}\"?"), help)
             }
             _ => (String::new(), self.type_help()),
         };

@@ -1,7 +1,10 @@
 //! A fixed catalog after the node table of the design, so that messages do not change when a plugin does.
 #![allow(dead_code)]
 
-use panoscope_graph::{Catalog, NodeKind, NodeType, PacketType, Param, ParamKind, Pick, PluginProblem, Port};
+use panoscope_graph::{
+    Catalog, NodeKind, NodeSetup, NodeType, Offer, PacketType, Param, ParamKind, ParamProblem, ParamValue, Pick,
+    PluginProblem, Port, Severity, Validator,
+};
 
 /// `name: packet [format...]`, with `?` after the name for an optional and `*` for a list input.
 fn port(text: &str) -> Port {
@@ -50,7 +53,16 @@ fn with(mut node: NodeType, params: Vec<Param>) -> NodeType {
 }
 
 fn param(name: &str, unit: &str, doc: &str, kind: ParamKind) -> Param {
-    Param { name: name.to_owned(), doc: doc.to_owned(), unit: unit.to_owned(), kind, reopen: false, pick: Pick::None }
+    Param {
+        name: name.to_owned(),
+        doc: doc.to_owned(),
+        unit: unit.to_owned(),
+        kind,
+        reopen: false,
+        pick: Pick::None,
+        writes: false,
+        shipped: false,
+    }
 }
 
 fn int(name: &str, unit: &str, doc: &str, default: i64, min: i64, max: i64, step: Option<i64>) -> Param {
@@ -67,6 +79,51 @@ fn bool(name: &str, doc: &str, default: bool) -> Param {
 
 fn path(name: &str, doc: &str, default: &str, must_exist: bool) -> Param {
     param(name, "", doc, ParamKind::Path { default: default.to_owned(), must_exist })
+}
+
+fn written(name: &str, doc: &str, default: &str) -> Param {
+    Param { writes: true, ..path(name, doc, default, false) }
+}
+
+fn checked(
+    mut node: NodeType,
+    check: impl Fn(&NodeSetup<'_>) -> Vec<ParamProblem> + Send + Sync + 'static,
+) -> NodeType {
+    node.validator = Some(Validator::new(check));
+    node
+}
+
+fn problem(severity: Severity, param: Option<usize>, message: String, help: &str) -> ParamProblem {
+    ParamProblem { severity, param, message, help: help.to_owned() }
+}
+
+/// As `rectify` does.
+fn wants_calibration(setup: &NodeSetup<'_>) -> Vec<ParamProblem> {
+    let message = "input `calibration` is not connected: there is nothing to rectify by".to_owned();
+    match setup.wiring.map(|w| w.connections[2]) {
+        Some(0) => vec![problem(Severity::Error, None, message, "connect it, or set bypass = true")],
+        _ => Vec::new(),
+    }
+}
+
+/// As `stereo_sgbm` does; odd window sides are warned of too.
+fn penalties_in_order(setup: &NodeSetup<'_>) -> Vec<ParamProblem> {
+    let [ParamValue::Int(small), ParamValue::Int(large), ParamValue::Path(mask)] = setup.params else {
+        return Vec::new();
+    };
+    let mut problems = Vec::new();
+    if small >= large {
+        let message = format!("`small_penalty` is {small}, not below `large_penalty`, which is {large}");
+        problems.push(problem(Severity::Error, Some(0), message, "lower `small_penalty` or raise `large_penalty`"));
+    }
+    if *large > 110 {
+        let message = format!("`large_penalty` is {large}: edges bleed above 110");
+        problems.push(problem(Severity::Warning, Some(1), message, ""));
+    }
+    if mask.extension().is_some_and(|e| e == "jpg") {
+        problems.push(problem(Severity::Error, Some(2), "`mask` is a JPEG, which blurs".to_owned(), "give a .png"));
+    }
+    problems
 }
 
 fn choice(name: &str, doc: &str, choices: &[&str]) -> Param {
@@ -127,11 +184,25 @@ pub fn catalog() -> Catalog {
             )),
             vec![int("seed", "", "Seed of texture and motion.", 1, 0, 1_000_000, None)],
         ),
-        node(
-            "stereo",
-            "rectify",
-            &["left: image", "right: image", "calibration?: calibration"],
-            &["left: image bgr8", "right: image bgr8", "calibration: calibration"],
+        checked(
+            node(
+                "stereo",
+                "rectify",
+                &["left: image", "right: image", "calibration?: calibration"],
+                &["left: image bgr8", "right: image bgr8", "calibration: calibration"],
+            ),
+            wants_calibration,
+        ),
+        checked(
+            with(
+                node("stereo", "stereo_sgbm", &["left: image gray8", "right: image gray8"], &["disparity: disparity"]),
+                vec![
+                    int("small_penalty", "", "Charge for a change of disparity by one.", 10, 1, 120, None),
+                    int("large_penalty", "", "Charge for a larger change.", 100, 1, 120, None),
+                    path("mask", "Picture of what is matched.", "", false),
+                ],
+            ),
+            penalties_in_order,
         ),
         with(
             node(
@@ -220,11 +291,14 @@ pub fn catalog() -> Catalog {
         with(
             sink(node("sinks", "write_video", &["image: image bgr8 gray8"], &[])),
             vec![
-                path("path", "File to write.", "out/video.mkv", false),
+                written("path", "File to write.", "out/video.mkv"),
                 float("fps", "Hz", "Frames per second of the file.", 30.0, 1.0, 240.0),
             ],
         ),
-        sink(node("sinks", "write_images", &["images*: image"], &[])),
+        with(
+            sink(node("sinks", "write_images", &["images*: image"], &[])),
+            vec![written("path", "Files to write; {seq} is the tick.", "out/{seq}.png")],
+        ),
         sink(node("sinks", "write_table", &["table: table"], &[])),
         sink(node("sinks", "preview", &["packet: any"], &[])),
         // Two plugins with a node type of one name, and two with other ideas of one packet.
@@ -252,6 +326,10 @@ pub fn catalog() -> Catalog {
         "tools",
     ];
     Catalog {
+        offers: vec![Offer {
+            plugin: "segment".to_owned(),
+            node_types: vec!["superpixels".to_owned(), "watershed".to_owned()],
+        }],
         plugins: plugins.iter().map(|p| (*p).to_owned()).collect(),
         node_types,
         problems: vec![

@@ -5,12 +5,14 @@
 
 mod colormap;
 mod font;
+mod labels;
 mod overlay;
 mod shapes;
 mod surface;
 mod text;
 
 pub use colormap::{Colormap, colorize};
+pub use labels::{Area, Labels};
 pub use overlay::{ScaleBar, blend_mask, scale_bar};
 pub use shapes::{arrow, circle, cross, fill_circle, fill_polygon, fill_rectangle, line, polygon, polyline, rectangle};
 pub use surface::{Orbit, Projection, SurfacePainter, SurfacePoints};

@@ -128,6 +128,20 @@ impl Compositor {
         Ok(self.prepare(views, left_from_view, state)?.canvas)
     }
 
+    /// Whether [`compose`](Self::compose), called next with the same arguments, uses these homographies; `false` when the
+    /// last good geometry (or the reference view alone) would stand in for them.
+    ///
+    /// # Errors
+    /// When views and homographies do not fit together.
+    pub fn accepts(
+        &mut self,
+        views: &[View<u8>],
+        left_from_view: &[[f64; 9]],
+        state: GeometryState,
+    ) -> Result<bool, CompositeError> {
+        Ok(self.prepare(views, left_from_view, state)?.state != GeometryState::Lost)
+    }
+
     fn prepare(
         &mut self,
         views: &[View<u8>],

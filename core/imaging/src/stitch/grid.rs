@@ -4,8 +4,9 @@
 //! partner in the right rectified view is `Q = P - (d, 0)`. Both are carried back to the cameras' own pictures, and RANSAC
 //! finds the homography between them. Algorithm 2 of that chapter keeps it still.
 
+use super::disparity_plane::{DisparityPlane, Sample};
 use crate::View;
-use crate::geometry::ransac::{Ransac, RansacParams};
+use crate::geometry::ransac::{Ransac, RansacFit, RansacParams};
 use crate::geometry::{
     Homography, Plausibility, Point, Rect, RegistrationState, Stability, StabilityParams, Stabilized, overlap_roi,
     overlap_rois, rms_of,
@@ -147,9 +148,37 @@ pub struct RegisterGrid {
     to: Vec<Point>,
     mask: Vec<bool>,
     cell: Vec<f32>,
+    samples: Vec<Sample>,
+    counts: [Vec<u32>; 2],
     stability: Stability,
     memory: Option<Homography>,
     failures: usize,
+}
+
+/// Pairs each way that carry a plane over to pictures that are not rectified.
+const PLANE_PAIRS: usize = 5;
+/// Columns looked at in a cell at least.
+const LEAST_CELL_STEPS: usize = 2;
+/// Share of the matched pixels, in per mille, that may lie beyond each side of the shared area: wrong matches.
+const BEYOND_PER_MILLE: u64 = 10;
+
+/// Position of the entry at which the sum first exceeds `few`.
+fn beyond<'a>(mut counts: impl Iterator<Item = &'a u32>, few: u32) -> Option<usize> {
+    let mut sum = 0;
+    counts.position(|count| {
+        sum += count;
+        sum > few
+    })
+}
+
+/// First entry and length of the part of `counts` that holds all of `total` but a few at each end.
+fn bounds(counts: &[u32], total: u32, step: usize) -> (usize, usize) {
+    let few = (u64::from(total) * BEYOND_PER_MILLE / 1000) as u32;
+    let (Some(first), Some(last)) = (beyond(counts.iter(), few), beyond(counts.iter().rev(), few)) else {
+        return (0, 0);
+    };
+    let (start, end) = (first.saturating_sub(step / 2), (counts.len() - last + step / 2).min(counts.len()));
+    (start, end.saturating_sub(start))
 }
 
 impl RegisterGrid {
@@ -193,9 +222,11 @@ impl RegisterGrid {
             ..GridRegistration::default()
         };
         let params = self.params;
-        let fit = self.ransac.estimate(&self.from, &self.to, &params.ransac, &mut self.mask).ok().filter(|fit| {
+        let accepted = |fit: &RansacFit| {
             fit.inliers >= params.min_inliers.max(4) && params.plausibility.accepts(&fit.homography, right.size)
-        });
+        };
+        let fit = self.ransac.estimate(&self.from, &self.to, &params.ransac, &mut self.mask).ok().filter(accepted);
+        let fit = fit.or_else(|| self.fit_plane(left, right).filter(accepted));
         let Some(fit) = fit else { return self.failed(result) };
         let previous = self.memory.filter(|_| self.failures == 0);
         let stable = StabilityParams {
@@ -237,6 +268,57 @@ impl RegisterGrid {
         result
     }
 
+    /// The homography of a plane in space, for an overlap too narrow to determine more; `mask` becomes its inliers.
+    fn fit_plane(&mut self, left: &RectifiedView, right: &RectifiedView) -> Option<RansacFit> {
+        let RansacParams { threshold_px, seed, .. } = self.params.ransac;
+        let plane = DisparityPlane::fit(&self.samples, threshold_px, self.params.min_inliers, seed)?;
+        // Exact for pinhole cameras; lens distortion is averaged over the view.
+        let (mut from, mut to) = ([[0.0; 2]; PLANE_PAIRS * PLANE_PAIRS], [[0.0; 2]; PLANE_PAIRS * PLANE_PAIRS]);
+        for index in 0..PLANE_PAIRS * PLANE_PAIRS {
+            let along = |step: usize, length: usize| step as f64 / (PLANE_PAIRS - 1) as f64 * (length as f64 - 1.0);
+            let place = [along(index % PLANE_PAIRS, right.size.0), along(index / PLANE_PAIRS, right.size.1)];
+            from[index] = right.unrectify(place);
+            to[index] = left.unrectify(plane.left_from_right(place));
+        }
+        let homography = Homography::fit(&from, &to, |_| true)?;
+        let bound = threshold_px * threshold_px;
+        self.mask.clear();
+        let (mut inliers, mut squares) = (0, 0.0);
+        for (from, to) in self.from.iter().zip(&self.to) {
+            let error = homography.squared_error(*from, *to);
+            self.mask.push(error < bound);
+            if error < bound {
+                inliers += 1;
+                squares += error;
+            }
+        }
+        let rms_px = (squares / f64::max(inliers as f64, 1.0)).sqrt();
+        Some(RansacFit { homography, inliers, rms_px, iterations: 0 })
+    }
+
+    /// The part of the left rectified view that both views share, by its disparities alone: where `x - d` lies in the right view.
+    fn shared_area(&mut self, disparity: View<'_, f32>, step: usize) -> Rect {
+        let (width, height) = (disparity.width, disparity.height);
+        for (counts, length) in self.counts.iter_mut().zip([width, height]) {
+            counts.clear();
+            counts.resize(length, 0);
+        }
+        let mut total = 0u32;
+        for y in (step / 2..height).step_by(step) {
+            let line = disparity.row(y);
+            for x in (step / 2..width).step_by(step) {
+                let d = line[x];
+                if d > 0.0 && d <= x as f32 {
+                    self.counts[0][x] += 1;
+                    self.counts[1][y] += 1;
+                    total += 1;
+                }
+            }
+        }
+        let [(x, columns), (y, rows)] = [0, 1].map(|axis| bounds(&self.counts[axis], total, step));
+        Rect::new(x, y, columns, rows)
+    }
+
     /// Lays the grid and takes a pair from each cell.
     fn gather(&mut self, disparity: View<'_, f32>, left: &RectifiedView, right: &RectifiedView) {
         self.from.clear();
@@ -244,24 +326,33 @@ impl RegisterGrid {
         let (width, height) = (disparity.width, disparity.height);
         // Rectified views differ from the pictures by little, so that the pictures' overlap places the grid.
         let known = self.memory.filter(|_| self.failures == 0);
-        let area = known
-            .map_or(Rect::new(0, 0, width, height), |map| overlap_roi(&map, right.size.0, right.size.1, width, height));
+        let step = self.params.step_px.max(1);
+        let area = match known {
+            Some(map) => overlap_roi(&map, right.size.0, right.size.1, width, height),
+            None => self.shared_area(disparity, step),
+        };
         let (rows, columns) = (self.params.rows.max(1), self.params.columns.max(1));
+        self.samples.clear();
+        self.samples.reserve(rows * columns);
         self.from.reserve(rows * columns);
         self.to.reserve(rows * columns);
         self.mask.reserve((rows * columns).saturating_sub(self.mask.len()));
         self.ransac.reserve(rows * columns);
         self.stability.reserve(rows * columns, self.params.calm);
-        if area.width < columns || area.height < rows {
+        // Cells of a narrow overlap still hold some pixels each.
+        let columns = columns.min(area.width / (LEAST_CELL_STEPS * step));
+        if columns == 0 || area.height < rows {
             return;
         }
-        let step = self.params.step_px.max(1);
         for row in 0..rows {
             let (y0, y1) = (area.y + row * area.height / rows, area.y + (row + 1) * area.height / rows);
             for column in 0..columns {
                 let (x0, x1) = (area.x + column * area.width / columns, area.x + (column + 1) * area.width / columns);
                 let Some((point, d)) = self.cell(disparity, (x0, x1), (y0, y1), step) else { continue };
                 let other = [point[0] - f64::from(d), point[1]];
+                if other[0] >= 0.0 {
+                    self.samples.push(Sample { at: point, disparity_px: f64::from(d) });
+                }
                 let (to, from) = (left.unrectify(point), right.unrectify(other));
                 let inside = from[0] >= 0.0
                     && from[1] >= 0.0
@@ -353,6 +444,34 @@ mod tests {
             assert!(error < 0.2, "{error} px at {x}, {y}");
         }
         assert!(found.roi_left.x > 180 && found.roi_left.width > 400, "{:?}", found.roi_left);
+    }
+
+    #[test]
+    fn an_overlap_of_a_few_columns_is_registered_by_a_plane() {
+        // Views 20 mm from the tissue share a strip of 40 to 60 px of 640; half of it is unmatched, and wrong matches lie around it.
+        let mut map = vec![f32::NAN; 640 * 480];
+        let truth = |x: usize, y: usize| 590.0 - y as f32 / 24.0 + (x % 3) as f32 * 0.3;
+        for y in 0..480 {
+            for x in 0..640 {
+                let d = truth(x, y);
+                match (x * 31 + y * 17) % 40 {
+                    0 if x > 450 => map[y * 640 + x] = 490.0 + (x % 90) as f32,
+                    1..=20 if x as f32 >= d => map[y * 640 + x] = d,
+                    _ => {}
+                }
+            }
+        }
+        let camera = camera();
+        let mut register = RegisterGrid::new(GridParams::default());
+        for frame in 0..3 {
+            let found = register.register(View::new(&map, 640, 480, 1), &camera, &camera);
+            assert_eq!(found.state, RegistrationState::Fresh, "frame {frame}: {found:?}");
+            for y in [0.0, 240.0, 479.0] {
+                let [u, v] = found.left_from_right.map([639.0, y]);
+                let expected = 639.0 + 590.0 - y / 24.0;
+                assert!((u - expected).abs() < 30.0 && (v - y).abs() < 10.0, "frame {frame}: {u}, {v} at row {y}");
+            }
+        }
     }
 
     #[test]

@@ -9,6 +9,7 @@ mod canvas;
 mod compositor;
 pub mod correspond;
 pub mod cut;
+pub mod disparity_plane;
 pub mod evaluate;
 mod graph_cut;
 pub mod grid;

@@ -22,7 +22,7 @@ use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::from_abi::{ParamSnapshot, node_types};
-use panoscope_graph::{NodeType, ParamValue};
+use panoscope_graph::{NodeSetup, NodeType, ParamProblem, ParamValue, Wiring};
 
 pub use error::HarnessError;
 pub use outputs::Outputs;
@@ -154,6 +154,38 @@ impl<N: Node> Harness<N> {
     /// # Errors
     /// As [`Harness::from_toml`].
     pub fn open(setup: Setup) -> Result<Self, HarnessError> {
+        let (descriptor, node_type) = Self::described()?;
+        Self::with(descriptor, node_type, setup)
+    }
+
+    /// What the node's own check says when a graph is checked whose only connections go to the inputs `connected`
+    /// (a list may stand in it several times). Nothing is opened.
+    ///
+    /// # Errors
+    /// Mistakes in the text, with the messages of a graph file; an input or output that the node does not have.
+    pub fn problems(setup: &Setup, connected: &[&str]) -> Result<Vec<ParamProblem>, HarnessError> {
+        let (_, node_type) = Self::described()?;
+        let values = params::read(&node_type, &setup.graph_dir, &setup.toml)?;
+        let mut connections = vec![0; node_type.inputs.len()];
+        for name in connected {
+            let Some(index) = node_type.input(name) else {
+                let names = node_type.inputs.iter().map(|i| i.name.as_str());
+                return Err(HarnessError::port(format!("there is no input `{name}`{}", there_are(name, names))));
+            };
+            connections[index] += 1;
+        }
+        let wiring = Wiring { connections, outputs_read: outputs_read(&node_type, setup)? };
+        let node = NodeSetup {
+            node_id: &setup.node_id,
+            params: &values,
+            graph_dir: &setup.graph_dir,
+            batch: setup.batch,
+            wiring: Some(&wiring),
+        };
+        Ok(node_type.validator.as_ref().map(|validator| validator.problems(&node)).unwrap_or_default())
+    }
+
+    fn described() -> Result<(&'static abi::NodeType, NodeType), HarnessError> {
         // SAFETY: the table is never freed.
         unsafe { crate::host::attach(host::attached()) };
         crate::export::install_panic_hook();
@@ -174,7 +206,7 @@ impl<N: Node> Harness<N> {
         };
         // SAFETY: descriptors made by this crate.
         let node_type = unsafe { node_types(&plugin) }?.remove(0);
-        Self::with(descriptor, node_type, setup)
+        Ok((descriptor, node_type))
     }
 }
 
@@ -209,17 +241,7 @@ impl Harness<Foreign> {
 impl<N> Harness<N> {
     fn with(descriptor: *const abi::NodeType, node_type: NodeType, setup: Setup) -> Result<Self, HarnessError> {
         let values = params::read(&node_type, &setup.graph_dir, &setup.toml)?;
-        let mut outputs_read = u64::MAX;
-        if let Some(read) = &setup.read {
-            outputs_read = 0;
-            for name in read {
-                let Some(index) = node_type.output(name) else {
-                    let names = node_type.outputs.iter().map(|o| o.name.as_str());
-                    return Err(HarnessError::port(format!("there is no output `{name}`{}", there_are(name, names))));
-                };
-                outputs_read |= 1_u64.checked_shl(index as u32).unwrap_or(0);
-            }
-        }
+        let outputs_read = outputs_read(&node_type, &setup)?;
         let mut harness = Self {
             descriptor,
             host: host::table(setup.threads),
@@ -319,6 +341,20 @@ impl<N> Drop for Harness<N> {
             panic!("the node broke the contract: {problem}");
         }
     }
+}
+
+/// Bits of the outputs that have a reader.
+fn outputs_read(node_type: &NodeType, setup: &Setup) -> Result<u64, HarnessError> {
+    let Some(read) = &setup.read else { return Ok(u64::MAX) };
+    let mut bits = 0;
+    for name in read {
+        let Some(index) = node_type.output(name) else {
+            let names = node_type.outputs.iter().map(|o| o.name.as_str());
+            return Err(HarnessError::port(format!("there is no output `{name}`{}", there_are(name, names))));
+        };
+        bits |= 1_u64.checked_shl(index as u32).unwrap_or(0);
+    }
+    Ok(bits)
 }
 
 /// The list of what there is, to follow a name that is not in it.

@@ -13,9 +13,9 @@ const HEAD_LINES: usize = 3;
 pub(super) fn read(node_type: &NodeType, graph_dir: &Path, toml: &str) -> Result<Vec<ParamValue>, HarnessError> {
     let plugin = &node_type.plugin;
     let text = format!("plugins = [\"{plugin}\"]\n[nodes.node]\ntype = \"{}\"\n{toml}", node_type.name);
-    // The harness feeds inputs by hand: a graph without wires is checked.
-    let alone = NodeType { inputs: Vec::new(), source: true, side_effects: true, ..node_type.clone() };
-    let catalog = Catalog { plugins: vec![plugin.clone()], node_types: vec![alone], problems: Vec::new() };
+    // The harness feeds inputs by hand: a graph without wires is checked. What the node itself checks comes with its `open`.
+    let alone = NodeType { inputs: Vec::new(), source: true, side_effects: true, validator: None, ..node_type.clone() };
+    let catalog = Catalog { plugins: vec![plugin.clone()], node_types: vec![alone], ..Catalog::default() };
     let checked = check(&GraphText::parse(&graph_dir.join("node.toml"), &text), &catalog);
     if let Some(graph) = checked.graph {
         return Ok(graph.nodes.into_iter().next().map(|node| node.params).unwrap_or_default());

@@ -7,10 +7,12 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use panoscope_node::abi::{Joints, Pose, Tip};
-use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Value};
+use panoscope_node::{
+    Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation, Value,
+};
 
 use crate::guard;
-use crate::joints::{arm_of, asked, camera_pose, packet, tell_links};
+use crate::joints::{arm_of, asked, camera_pose, check_arm, packet, tell_links};
 use driver::{Driver, Place};
 
 /// Inputs.
@@ -94,6 +96,15 @@ impl Node for ArmSerial {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = SerialParams;
+
+    fn validate(params: &SerialParams, check: &mut Validation<'_>) {
+        check_arm(check, &params.arm);
+        // A line may be plugged in until the graph runs.
+        if !std::path::Path::new(&params.port).exists() {
+            let message = format!("there is no serial line {}", params.port);
+            check.warning("port", message, "plug the arm in before the graph runs, or name its line");
+        }
+    }
 
     fn open(_: &Open<'_>, params: &SerialParams) -> Result<Self> {
         let chain = arm_of(&params.arm)?;

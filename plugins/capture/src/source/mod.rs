@@ -11,6 +11,7 @@ mod stream;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+pub use elements::unknown_element;
 pub use name::SourceName;
 pub use picture::{Picture, Samples, white_of_bits};
 pub use stream::{Demands, Lock};
@@ -28,6 +29,14 @@ pub enum CaptureError {
         path: PathBuf,
         /// What else there is.
         hint: String,
+    },
+    /// A camera that is not there.
+    #[error("there is no camera {path}: {present}", path = path.display())]
+    NoDevice {
+        /// The device's file.
+        path: PathBuf,
+        /// Which there are.
+        present: String,
     },
     /// A pattern or folder without any image.
     #[error("no image matches {pattern}; {hint}")]

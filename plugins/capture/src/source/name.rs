@@ -56,7 +56,7 @@ impl SourceName {
         if let Ok(number) = device.parse::<u16>() {
             let path = PathBuf::from(format!("/dev/video{number}"));
             if !path.exists() {
-                return Err(CaptureError::Missing { path, hint: format!(": {}", devices::in_words()) });
+                return Err(CaptureError::NoDevice { path, present: devices::in_words() });
             }
             return Ok(Self::Device(number.into()));
         }
@@ -82,6 +82,17 @@ impl SourceName {
             return Err(CaptureError::Missing { path, hint });
         }
         Ok(if is_image(&path) { Self::Image(path) } else { Self::Video(path) })
+    }
+
+    /// Width and height of the first picture, read from its header; `None` for sources that must be opened to know.
+    pub fn picture_size(&self) -> Option<(usize, usize)> {
+        let file = match self {
+            Self::Image(file) => file,
+            Self::Images(files) => files.first()?,
+            _ => return None,
+        };
+        let (width, height) = image::image_dimensions(file).ok()?;
+        Some((width as usize, height as usize))
     }
 
     /// For messages.

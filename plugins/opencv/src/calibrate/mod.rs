@@ -11,7 +11,8 @@ mod solve;
 use panoscope_calibration::{Board, ViewState};
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
-    Bgr8, Choice, Context, Gray8, Image, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, TableData, View,
+    Bgr8, Choice, Context, Gray8, Image, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Slot, TableData,
+    Validation, View,
 };
 
 use crate::mats::{Threads, borrowed, failed};
@@ -133,6 +134,21 @@ impl Node for CalibrateStereo {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = CalibrateParams;
+
+    fn validate(params: &CalibrateParams, check: &mut Validation<'_>) {
+        if let Err(error) = params.board.parse::<Board>() {
+            check.error("board", error.to_string(), "");
+        }
+        let need = params.min_views;
+        if params.max_views < need {
+            let message = format!("`max_views` is {}, below `min_views`, which is {need}", params.max_views);
+            check.error("max_views", message, "it would never be solved: raise `max_views` or lower `min_views`");
+        }
+        if params.solve_at > 0 && params.solve_at < need as u64 {
+            let message = format!("`solve_at` is {}, before {need} views (`min_views`) can have come", params.solve_at);
+            check.error("solve_at", message, "it would never be solved: raise `solve_at` or lower `min_views`");
+        }
+    }
 
     fn open(_: &Open<'_>, params: &CalibrateParams) -> Result<Self> {
         let board: Board = params.board.parse().map_err(|error| NodeError::new(format!("{error}")))?;

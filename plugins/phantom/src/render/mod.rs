@@ -9,7 +9,7 @@ mod cast;
 mod effects;
 mod fit;
 mod lanes;
-mod lens;
+pub(crate) mod lens;
 mod marks;
 mod material;
 mod math;
@@ -24,7 +24,7 @@ mod solid;
 #[cfg(test)]
 mod tests;
 mod tools;
-mod truth;
+pub(crate) mod truth;
 mod vessels;
 
 pub use boards::BoardPrint;

@@ -14,6 +14,9 @@ use super::phantom::{Eye, Phantom, check_size, equip, station_at};
 use super::shade::{self, Sensor, portable};
 use super::tools::{ToolTruth, to_camera};
 
+/// Longest side of the wide picture, px.
+pub const MOST_WIDE_PX: usize = 8192;
+
 /// Rows of one chunk.
 const CHUNK_ROWS: usize = 16;
 /// A point counts as seen when the other camera's first hit lies within this of it along its axis, mm.
@@ -325,8 +328,9 @@ impl Phantom {
         view: &mut ViewMut<u8>,
     ) -> Result<(), PhantomError> {
         for (name, value, low) in [("canvas width", canvas.width, 8.0), ("canvas height", canvas.height, 8.0)] {
-            if !(low..=8192.0).contains(&(value as f64)) {
-                return Err(PhantomError::OutOfRange { name, value: value as f64, low, high: 8192.0 });
+            let high = MOST_WIDE_PX as f64;
+            if !(low..=high).contains(&(value as f64)) {
+                return Err(PhantomError::OutOfRange { name, value: value as f64, low, high });
             }
         }
         check_size(0, view, canvas.width, canvas.height, 3)?;

@@ -7,7 +7,7 @@ use panoscope_imaging::stereo::{Place, Rectification};
 use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{
     Choice, Cloud, Context, Depth, Detections, Image, List, Node, NodeInfo, Open, Params, Ports, Result, Slot,
-    TableData, Value, error,
+    TableData, Validation, Value, error,
 };
 
 use panoscope_calibration::packet as calibration;
@@ -195,6 +195,30 @@ impl Node for Measure {
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = MeasureParams;
+
+    fn validate(params: &MeasureParams, check: &mut Validation<'_>) {
+        let is_connected = |name: &str| check.is_connected(name);
+        match (is_connected("cloud"), is_connected("depth"), is_connected("calibration")) {
+            (Some(true), Some(true), _) => {
+                check.node_error("`cloud` and `depth` are both connected", "connect one of them")
+            }
+            (Some(false), Some(true), Some(false)) => check.node_error(
+                "`depth` alone has no rays: `calibration` is not connected",
+                "connect `calibration` too, or `cloud` instead",
+            ),
+            (Some(false), Some(false), _) => {
+                check.node_warning(
+                    "neither `cloud` nor `depth` is connected: nothing is measured",
+                    "connect one of them",
+                );
+            }
+            _ => {}
+        }
+        if !params.points.len().is_multiple_of(2) {
+            let message = format!("`points` has {} numbers: half a point is left over", params.points.len());
+            check.warning("points", message, "each point is two numbers: u, v");
+        }
+    }
 
     fn open(_: &Open<'_>, _: &MeasureParams) -> Result<Self> {
         Ok(Self {

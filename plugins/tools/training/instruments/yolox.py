@@ -3,6 +3,8 @@
 import torch
 from torch import nn
 
+from .onnx_weights import convolutions, narrow_stem
+
 STRIDES = (8, 16, 32)
 
 
@@ -149,14 +151,12 @@ def decode(raw, grid, stride):
 def load_onnx(model, path):
     """Takes convolution weights from a YOLOX export whose normalisations were folded; heads of another class count stay as they are.
 
-    The export lists convolutions in the order in which they are computed, and so does `model`.
+    The export lists convolutions in the order in which they are computed, and so does `model`. Files of export_detector.py are such exports, the
+    one that ships included: their wide first convolution is taken apart, weights of 16 bits are widened.
     """
     import onnx
-    from onnx import numpy_helper
 
-    graph = onnx.load(path).graph
-    stored = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
-    exported = [node for node in graph.node if node.op_type == "Conv"]
+    exported = convolutions(onnx.load(str(path)).graph)
     order = []
     hooks = [m.register_forward_hook(lambda m, *_: order.append(m)) for m in model.modules() if isinstance(m, nn.Conv2d)]
     model.eval()
@@ -167,11 +167,13 @@ def load_onnx(model, path):
     if len(order) != len(exported):
         raise ValueError(f"{path}: {len(exported)} convolutions, expected {len(order)}: not a YOLOX-nano export")
     norms = {m.conv: m.norm for m in model.modules() if isinstance(m, Conv)}
-    for module, node in zip(order, exported):
-        weight, bias = (torch.from_numpy(stored[name].copy()) for name in node.input[1:3])
+    for at, (module, (name, weight, bias)) in enumerate(zip(order, exported)):
+        if at == 0 and weight.shape[1:] == (3, 6, 6):
+            weight = narrow_stem(weight)
+        weight, bias = torch.from_numpy(weight), torch.from_numpy(bias)
         if weight.shape != module.weight.shape:
             if module in norms or weight.shape[1:] != module.weight.shape[1:]:
-                raise ValueError(f"{path}: {node.name} is {tuple(weight.shape)}, expected {tuple(module.weight.shape)}")
+                raise ValueError(f"{path}: {name} is {tuple(weight.shape)}, expected {tuple(module.weight.shape)}")
             continue
         module.weight.data.copy_(weight)
         if module in norms:

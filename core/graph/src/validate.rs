@@ -1,0 +1,100 @@
+//! What a node itself checks about its parameters and wiring, before it is opened.
+//!
+//! This crate knows no plugin: whoever fills a [`Catalog`](crate::Catalog) attaches a [`Validator`] to a node type, and
+//! [`check`](crate::check) calls it with the values that the graph gives.
+
+use std::fmt;
+use std::path::Path;
+use std::sync::Arc;
+
+use crate::checked::ParamValue;
+use crate::diagnostic::Severity;
+
+/// One node of a graph as its [`Validator`] sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct NodeSetup<'a> {
+    /// Its name in the graph.
+    pub node_id: &'a str,
+    /// Values in declaration order, defaults filled in; of the declared types and inside their limits.
+    pub params: &'a [ParamValue],
+    /// Folder of the graph file.
+    pub graph_dir: &'a Path,
+    /// Whether the graph runs in `batch` mode.
+    pub batch: bool,
+    /// How it is wired; `None` when that is not known.
+    pub wiring: Option<&'a Wiring>,
+}
+
+/// Which ports of a node are connected.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Wiring {
+    /// Number of connections of each input, in declaration order.
+    pub connections: Vec<u32>,
+    /// Bit `i` is set when output `i` has a reader; outputs above 63 count as read.
+    pub outputs_read: u64,
+}
+
+/// Bit of an output in [`Wiring::outputs_read`]; 0 for those above 63.
+pub(crate) fn port_bit(port: usize) -> u64 {
+    u32::try_from(port).ok().and_then(|port| 1_u64.checked_shl(port)).unwrap_or(0)
+}
+
+/// Something that a node says is wrong with its parameters or wiring.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ParamProblem {
+    /// Whether the node can work at all.
+    pub severity: Severity,
+    /// The parameter it is about, a position in the type's `params`; `None` for the node as a whole.
+    pub param: Option<usize>,
+    /// What is wrong, in one sentence.
+    pub message: String,
+    /// What to do; may be empty.
+    pub help: String,
+}
+
+type Check = dyn Fn(&NodeSetup<'_>) -> Vec<ParamProblem> + Send + Sync;
+
+/// Checks the parameters and the wiring of a node that is not open.
+#[derive(Clone)]
+pub struct Validator(Arc<Check>);
+
+impl Validator {
+    /// A validator that asks `check`, which opens no device and writes nothing.
+    pub fn new(check: impl Fn(&NodeSetup<'_>) -> Vec<ParamProblem> + Send + Sync + 'static) -> Self {
+        Self(Arc::new(check))
+    }
+
+    /// All that is wrong with a node.
+    pub fn problems(&self, setup: &NodeSetup<'_>) -> Vec<ParamProblem> {
+        (self.0)(setup)
+    }
+
+    /// Why a running node that has the values `old` may not take those of `setup`: the first error that `old` does not have too.
+    pub fn refusal(&self, setup: &NodeSetup<'_>, old: &[ParamValue]) -> Option<String> {
+        let errors = |setup: &NodeSetup<'_>| {
+            let mut all = self.problems(setup);
+            all.retain(|p| p.severity == Severity::Error);
+            all
+        };
+        let new = errors(setup);
+        if new.is_empty() {
+            return None;
+        }
+        let known = errors(&NodeSetup { params: old, ..*setup });
+        let first = new.into_iter().find(|p| !known.contains(p))?;
+        Some(if first.help.is_empty() { first.message } else { format!("{}; {}", first.message, first.help) })
+    }
+}
+
+impl fmt::Debug for Validator {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Validator")
+    }
+}
+
+/// Code is no part of a node type's description.
+impl PartialEq for Validator {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}

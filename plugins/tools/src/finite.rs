@@ -1,0 +1,91 @@
+//! Values of a network's answer that are no numbers: without a look at them a broken network finds nothing, in silence.
+
+use std::path::Path;
+
+use crate::model::Tensor;
+
+/// Whether no box can come of the value. Minus infinity is a sure "no" of a classifier.
+fn is_bad(value: &f32) -> bool {
+    value.is_nan() || *value == f32::INFINITY
+}
+
+/// How the rows of an answer lie in its tensors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rows {
+    /// One row after the other: `... x rows x values`.
+    Whole,
+    /// One value of all rows after the other: `... x values x rows` (YOLOv8 and later).
+    Columns,
+}
+
+/// Counts the values of boxes, scores and logits that are NaN or infinite.
+///
+/// # Errors
+/// No row of an output is sound, or a map of masks or prototypes holds no number at all: the network is broken.
+pub fn count_bad(path: &Path, outputs: &[Tensor<'_>], rows: Rows) -> Result<usize, String> {
+    let mut total = 0;
+    for tensor in outputs {
+        let Some(values) = tensor.data.floats().filter(|values| !values.is_empty()) else { continue };
+        let broken = |bad: usize, what: &str| {
+            Err(format!(
+                "{} is broken: {bad} of {} values of its output `{}` are NaN or infinite, {what}; export the network again, \
+                 or try it in full precision (f32)",
+                path.display(),
+                values.len(),
+                tensor.name
+            ))
+        };
+        if !values.iter().any(|value| value.is_finite()) {
+            return broken(values.len(), "that is all of them");
+        }
+        // Masks and prototypes are large; one that is partly damaged shows in its mask alone.
+        if tensor.shape.len() > 3 {
+            continue;
+        }
+        let bad = values.iter().filter(|value| is_bad(value)).count();
+        total += bad;
+        if bad > 0 && !has_sound_row(values, &tensor.shape, rows) {
+            return broken(bad, "some in each row");
+        }
+    }
+    Ok(total)
+}
+
+fn has_sound_row(values: &[f32], shape: &[usize], rows: Rows) -> bool {
+    let last = shape.last().copied().unwrap_or(1).max(1);
+    match rows {
+        _ if shape.len() < 2 => values.iter().any(|value| !is_bad(value)),
+        Rows::Whole => values.chunks(last).any(|row| !row.iter().any(is_bad)),
+        Rows::Columns => (0..last).any(|row| !values.iter().skip(row).step_by(last).any(is_bad)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::Values;
+
+    fn count(values: &[f32], shape: &[usize], rows: Rows) -> Result<usize, String> {
+        let tensor = Tensor { name: "out", shape: shape.to_vec(), data: Values::Float(values) };
+        count_bad(Path::new("m.onnx"), &[tensor], rows)
+    }
+
+    #[test]
+    fn single_bad_values_are_counted_and_broken_answers_refused() {
+        let (nan, inf) = (f32::NAN, f32::INFINITY);
+        assert_eq!(count(&[1.0, 2.0, 3.0, 4.0], &[1, 2, 2], Rows::Whole), Ok(0));
+        assert_eq!(count(&[1.0, 2.0, nan, inf], &[1, 2, 2], Rows::Whole), Ok(2));
+        let told = count(&[1.0, nan, 3.0, inf], &[1, 2, 2], Rows::Whole).unwrap_err();
+        assert!(told.starts_with("m.onnx is broken: 2 of 4 values of its output `out` are NaN or infinite"), "{told}");
+        // The same numbers in columns: the first row is 1 and 3, sound.
+        assert_eq!(count(&[1.0, nan, 3.0, inf], &[1, 2, 2], Rows::Columns), Ok(2));
+        assert!(count(&[nan, 1.0, 1.0, nan], &[1, 2, 2], Rows::Columns).is_err());
+        assert!(count(&[nan; 16], &[1, 1, 4, 4], Rows::Whole).unwrap_err().contains("all of them"));
+        assert_eq!(count(&[nan, 1.0], &[1, 1, 1, 2], Rows::Whole), Ok(0), "a mask that is partly damaged");
+        // Nothing found, and a class that is ruled out.
+        assert_eq!(count(&[], &[0, 4], Rows::Whole), Ok(0));
+        assert_eq!(count(&[f32::NEG_INFINITY, 1.0], &[1, 1, 2], Rows::Whole), Ok(0));
+        assert!(count(&[f32::NEG_INFINITY; 2], &[1, 1, 2], Rows::Whole).is_err());
+        assert_eq!(count(&[nan, 0.5], &[2], Rows::Whole), Ok(1));
+    }
+}
