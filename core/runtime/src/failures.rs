@@ -68,10 +68,20 @@ impl Cell {
         Ok(())
     }
 
-    /// Where an instance that was opened again goes on, if it is a source that failed before.
-    pub(crate) fn position_for(&self, instance: &Instance) -> Option<Vec<u8>> {
-        // Kept until the next fault: this instance may fail before it has a position of its own.
-        if instance.is_open() { lock(&self.position).clone() } else { None }
+    /// Where an instance that was opened again goes on, if it is a source that failed before. Back comes only what was understood: a position
+    /// over which an instance hangs is not tried twice.
+    pub(crate) fn take_position(&self, instance: &Instance) -> Option<Vec<u8>> {
+        if instance.is_open() { lock(&self.position).take() } else { None }
+    }
+
+    /// An instance goes on at a position, or did not understand it.
+    pub(crate) fn position_taken(&self, around: &Surroundings, state: Vec<u8>, understood: bool) {
+        if understood {
+            // Kept until the next fault: this instance may fail before it has a position of its own.
+            lock(&self.position).get_or_insert(state);
+        } else {
+            self.position_lost(around);
+        }
     }
 
     /// Says that the position of a source is lost.
@@ -88,10 +98,9 @@ impl Cell {
     ) -> Result<Result<Instance, String>, LeftBehind> {
         let opened = self.aside(Doing::Open, tick, || self.open(around, snapshot))?;
         let Ok(mut instance) = opened else { return Ok(opened) };
-        if let Some(state) = self.position_for(&instance)
-            && !self.aside(Doing::LoadState, tick, || instance.load_state(&state))?
-        {
-            self.position_lost(around);
+        if let Some(state) = self.take_position(&instance) {
+            let understood = self.aside(Doing::LoadState, tick, || instance.load_state(&state))?;
+            self.position_taken(around, state, understood);
         }
         Ok(Ok(instance))
     }

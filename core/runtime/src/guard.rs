@@ -265,12 +265,17 @@ impl Shared {
     /// What the node says, or that it did not return.
     pub fn open_again(self: &Arc<Self>, cell: &Arc<Cell>, snapshot: &Arc<Snapshot>) -> Result<Instance, OpenError> {
         let instance = self.open_guarded(cell, snapshot)?;
-        let Some(state) = cell.position_for(&instance) else { return Ok(instance) };
-        let (instance, understood) = self.load_guarded(cell, instance, state).map_err(OpenError::Call)?;
-        if !understood {
-            cell.position_lost(&self.around);
+        let Some(state) = cell.take_position(&instance) else { return Ok(instance) };
+        match self.load_guarded(cell, instance, state.clone()) {
+            Ok((instance, understood)) => {
+                cell.position_taken(&self.around, state, understood);
+                Ok(instance)
+            }
+            Err(error) => {
+                cell.position_lost(&self.around);
+                Err(OpenError::Call(error))
+            }
         }
-        Ok(instance)
     }
 
     /// Gives a state to an instance; answers whether it was understood.
