@@ -535,7 +535,8 @@ typedef struct PanoscopeHost {
      */
     void (*log)(void *call, uint32_t level, struct PanoscopeStr message);
     /**
-     * Says why the call is about to answer `PANOSCOPE_STATUS_ERROR` or `PANOSCOPE_STATUS_PANIC`.
+     * Gives the words of a fault. With `PANOSCOPE_STATUS_ERROR` or `PANOSCOPE_STATUS_PANIC` they say why the call failed; with `PANOSCOPE_STATUS_END`, why the source
+     * ended too early; with `PANOSCOPE_STATUS_OK`, what went wrong although the node goes on. Each is one fault of the node.
      */
     void (*fail)(void *call, struct PanoscopeStr message);
     /**

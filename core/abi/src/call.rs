@@ -181,7 +181,8 @@ pub struct Host {
         Option<unsafe extern "C" fn(ctx: *mut c_void, chunks: usize, body: ChunkFn, data: *mut c_void) -> Status>,
     /// A line for the host's log, with the node's name added by the host.
     pub log: Option<unsafe extern "C" fn(call: *mut c_void, level: u32, message: Str)>,
-    /// Says why the call is about to answer `STATUS_ERROR` or `STATUS_PANIC`.
+    /// Gives the words of a fault. With `STATUS_ERROR` or `STATUS_PANIC` they say why the call failed; with `STATUS_END`, why the source
+    /// ended too early; with `STATUS_OK`, what went wrong although the node goes on. Each is one fault of the node.
     pub fail: Option<unsafe extern "C" fn(call: *mut c_void, message: Str)>,
     /// A named number of the node, shown beside its timing.
     pub metric: Option<unsafe extern "C" fn(call: *mut c_void, name: Str, value: f64)>,

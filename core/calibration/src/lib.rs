@@ -7,7 +7,7 @@
 //! - [`read`] understands OpenCV's `FileStorage` YAML, ROS `camera_info` and Kalibr camera chains; [`write`] writes
 //!   `FileStorage` YAML that OpenCV reads back bit by bit.
 //! - [`packet`] turns the packet into camera models and a rectification, and refuses what cannot be.
-//! - [`pictures`] finds the picture files that a pattern means.
+//! - [`pictures`] finds the picture files that a pattern means, [`views`] puts those of several views together.
 //! - [`Board`] names a printed pattern, [`ViewState`] what became of one view of it.
 
 mod board;
@@ -20,6 +20,7 @@ pub mod packet;
 pub mod pictures;
 mod ros;
 mod view;
+pub mod views;
 
 pub use board::{Board, BoardError};
 pub use error::FileError;

@@ -5,9 +5,11 @@
 //! nothing is allocated per frame. AVX2 paths are chosen at run time; a portable path always exists.
 
 pub mod parallel;
+pub mod report;
 pub mod view;
 
 pub use parallel::{Parallel, Serial, SharedMut};
+pub use report::{Report, Silent};
 pub use view::{View, ViewMut};
 
 pub mod draw;

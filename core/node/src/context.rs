@@ -137,6 +137,15 @@ impl<'f> Context<'f> {
         }
     }
 
+    /// Reports a fault after which the node goes on: a device that is gone and waited for. It is counted and written down like a
+    /// failed call, but the instance stays. One fault per call; the last one counts.
+    pub fn fault(&self, message: &str) {
+        if let Some(fail) = self.pool.host.fail {
+            // SAFETY: the handle of the running call; the text is borrowed for the length of the function.
+            unsafe { fail(self.call().call, abi::Str::borrow(message)) }
+        }
+    }
+
     /// A named number, shown beside the node's timing.
     pub fn metric(&self, name: &str, value: f64) {
         if let Some(metric) = self.pool.host.metric {
@@ -158,6 +167,20 @@ impl<'f> Context<'f> {
     /// For whoever debugs the node.
     pub fn debug(&self, message: &str) {
         log(self.pool.host, self.call().call, abi::LOG_DEBUG, message);
+    }
+}
+
+impl panoscope_imaging::Report for Context<'_> {
+    fn warn(&self, message: &str) {
+        Context::warn(self, message);
+    }
+
+    fn info(&self, message: &str) {
+        Context::info(self, message);
+    }
+
+    fn metric(&self, name: &str, value: f64) {
+        Context::metric(self, name, value);
     }
 }
 

@@ -27,6 +27,11 @@ impl NodeError {
         self.status == crate::abi::STATUS_STOPPED
     }
 
+    /// For sources: nothing comes after this call, and something is missing. A fault is counted and the source is not opened again.
+    pub fn ended_early(message: impl Into<String>) -> Self {
+        Self::with_status(message, crate::abi::STATUS_END)
+    }
+
     /// An error that stands for a status of the contract.
     pub(crate) fn with_status(message: impl Into<String>, status: crate::abi::Status) -> Self {
         Self { message: message.into(), status }

@@ -11,6 +11,7 @@ use crate::clock;
 use crate::exec::{Doing, Exec, Instance, LeftBehind, Made};
 use crate::fault::{Action, Cause, Fault, unix_ms};
 use crate::log::Level;
+use crate::params::Snapshot;
 use crate::record::format::Event;
 use crate::stats::bump;
 
@@ -45,6 +46,65 @@ impl Cell {
         Ran::Ok
     }
 
+    /// A call went well, or ended its source, and gave the words of a fault all the same.
+    #[cold]
+    pub(crate) fn reported(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick, status: abi::Status) {
+        let words = std::mem::take(&mut exec.failure);
+        let done = if status == abi::STATUS_END { Action::End } else { Action::Note };
+        bump(&self.stats.faults);
+        around.log.say(Level::Error, &self.id, &words);
+        self.tell(around, Cause::Error, done, Some(tick.seq), None, words);
+    }
+
+    /// A source that failed goes on where it was, not from its start: at its start the same fault would come again, for ever.
+    #[cold]
+    fn keep_position(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> Result<(), LeftBehind> {
+        if exec.source
+            && exec.instance.saves_state()
+            && let Some(state) = self.aside(Doing::SaveState, tick, || exec.instance.save_state(&around.host))?
+        {
+            *lock(&self.position) = Some(state);
+        }
+        Ok(())
+    }
+
+    /// Where an instance that was opened again goes on, if it is a source that failed before. Back comes only what was understood: a position
+    /// over which an instance hangs is not tried twice.
+    pub(crate) fn take_position(&self, instance: &Instance) -> Option<Vec<u8>> {
+        if instance.is_open() { lock(&self.position).take() } else { None }
+    }
+
+    /// An instance goes on at a position, or did not understand it.
+    pub(crate) fn position_taken(&self, around: &Surroundings, state: Vec<u8>, understood: bool) {
+        if understood {
+            // Kept until the next fault: this instance may fail before it has a position of its own.
+            lock(&self.position).get_or_insert(state);
+        } else {
+            self.position_lost(around);
+        }
+    }
+
+    /// Says that the position of a source is lost.
+    pub(crate) fn position_lost(&self, around: &Surroundings) {
+        around.log.say(Level::Warn, &self.id, "it does not know its position any more and starts anew");
+    }
+
+    /// Opens a failed node again on the thread that runs it; a source goes on where it was.
+    fn open_again(
+        &self,
+        around: &Surroundings,
+        snapshot: &Snapshot,
+        tick: &Tick,
+    ) -> Result<Result<Instance, String>, LeftBehind> {
+        let opened = self.aside(Doing::Open, tick, || self.open(around, snapshot))?;
+        let Ok(mut instance) = opened else { return Ok(opened) };
+        if let Some(state) = self.take_position(&instance) {
+            let understood = self.aside(Doing::LoadState, tick, || instance.load_state(&state))?;
+            self.position_taken(around, state, understood);
+        }
+        Ok(Ok(instance))
+    }
+
     /// In batch a failed node is opened again before a tick that does not depend on the clock.
     #[cold]
     pub(crate) fn open_in_batch(
@@ -65,7 +125,7 @@ impl Cell {
             self.aside(Doing::Close, tick, || broken.into_iter().for_each(|instance| self.end(around, instance)))?;
         }
         let snapshot = Arc::clone(exec.snapshot());
-        let opened = self.aside(Doing::Open, tick, || self.open(around, &snapshot))?;
+        let opened = self.open_again(around, &snapshot, tick)?;
         Ok(match opened {
             Ok(instance) => {
                 bump(&self.stats.restarts);
@@ -136,8 +196,6 @@ impl Cell {
         exec.bad_in_a_row = 0;
         exec.silent_calls = 0;
         self.failures.store(exec.failures_in_a_row, Ordering::Relaxed);
-        // What the instance holds after a fault is not to be trusted. It may take long to close.
-        lock(&self.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
         let gives_up = status == abi::STATUS_STOPPED;
         self.gives_up.store(gives_up, Ordering::Release);
         if gives_up {
@@ -149,9 +207,15 @@ impl Cell {
             OnFault::Bypass => (Action::Bypass, Ran::Fault),
             OnFault::Stop => (Action::Stop, Ran::Stop),
         };
+        // Told first: the node may not return from what follows.
+        self.tell(around, cause, done, Some(tick.seq), None, words);
+        if self.keep_position(exec, around, tick).is_err() {
+            return Ran::Abandoned;
+        }
+        // What the instance holds after a fault is not to be trusted. It may take long to close.
+        lock(&self.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
         exec.bypassed = done == Action::Bypass;
         self.wants_mending.store(true, Ordering::Release);
-        self.tell(around, cause, done, Some(tick.seq), None, words);
         ran
     }
 

@@ -67,6 +67,8 @@ pub enum Action {
     Bypass,
     /// The run ends.
     Stop,
+    /// The source has ended, too early; the rest of the graph finishes.
+    End,
     /// The packet was not delivered; the node goes on.
     Withhold,
     /// Written down; the node goes on.

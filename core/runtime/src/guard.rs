@@ -259,6 +259,42 @@ impl Shared {
         }
     }
 
+    /// Opens a failed node again; a source goes on where it was.
+    ///
+    /// # Errors
+    /// What the node says, or that it did not return.
+    pub fn open_again(self: &Arc<Self>, cell: &Arc<Cell>, snapshot: &Arc<Snapshot>) -> Result<Instance, OpenError> {
+        let instance = self.open_guarded(cell, snapshot)?;
+        let Some(state) = cell.take_position(&instance) else { return Ok(instance) };
+        match self.load_guarded(cell, instance, state.clone()) {
+            Ok((instance, understood)) => {
+                cell.position_taken(&self.around, state, understood);
+                Ok(instance)
+            }
+            Err(error) => {
+                cell.position_lost(&self.around);
+                Err(OpenError::Call(error))
+            }
+        }
+    }
+
+    /// Gives a state to an instance; answers whether it was understood.
+    ///
+    /// # Errors
+    /// It did not return: the instance is lost.
+    pub fn load_guarded(
+        self: &Arc<Self>,
+        cell: &Arc<Cell>,
+        mut instance: Instance,
+        state: Vec<u8>,
+    ) -> Result<(Instance, bool), CallError> {
+        let load = move || {
+            let understood = instance.load_state(&state);
+            (instance, understood)
+        };
+        self.call_guarded(Limit::until_stop(self.around.close_limit), cell, Doing::LoadState, load)
+    }
+
     /// Closes instances of a node; one that does not return is told of and left behind.
     pub fn close_guarded(self: &Arc<Self>, cell: &Arc<Cell>, instances: Vec<Instance>) {
         let open = instances.into_iter().filter(Instance::is_open);

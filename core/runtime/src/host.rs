@@ -34,6 +34,8 @@ pub(crate) struct CallContext<'a> {
     pub log: &'a Log,
     /// What the node said when it failed; reused.
     pub failure: &'a mut String,
+    /// Words of a fault were given during this call.
+    pub has_failure: bool,
     /// What the host refused during this call, if anything.
     pub refused: Option<Refused>,
     /// State of the generator; `None` until the node asks for a number.
@@ -258,6 +260,7 @@ unsafe extern "C" fn fail(call: *mut c_void, message: Str) {
         context.failure.clear();
         // SAFETY: as above.
         context.failure.push_str(&unsafe { words(message) });
+        context.has_failure = true;
     }
 }
 

@@ -258,7 +258,7 @@ impl Shared {
             if outdated() || self.is_stopping() {
                 return;
             }
-            let opened = self.open_guarded(cell, &cell.snapshot());
+            let opened = self.open_again(cell, &cell.snapshot());
             if outdated() {
                 // Somebody opened the node otherwise, or it is gone.
                 if let Ok(instance) = opened {

@@ -175,6 +175,33 @@ fn a_state_that_is_not_handed_over_in_time_leaves_the_rest_alone() {
 }
 
 #[test]
+fn a_failed_source_whose_position_is_not_kept_or_taken_over_in_time_is_opened_again() {
+    for mode in ["live", "batch"] {
+        for (hangs, what) in [("save", "from saving its state"), ("load", "from taking over a state")] {
+            let camera = format!(
+                r#"mode = "{mode}"
+plugins = ["flow", "chaos"]
+[nodes.bad]
+type = "chaos_camera"
+params = {{ hangs = "{hangs}", {HANGS_MS}, fails_at = 20 }}
+[nodes.end]
+type = "drain"
+inputs = {{ image = "bad.image" }}
+"#
+            );
+            let (engine, _live) = start(&camera, options());
+            until(&engine, "the call is left behind", || is_faulty(&engine, what));
+            let faults = engine.recent_faults();
+            let told = faults.iter().any(|f| f.cause == Cause::Error && f.words.contains("told to fail at tick 20"));
+            assert!(told, "{mode}, {hangs}: {faults:?}");
+            until(&engine, "it is opened again", || engine.report().nodes["bad"].restarts == 1);
+            goes_on(&engine, "end", "it works again");
+            closes_in_time(&engine);
+        }
+    }
+}
+
+#[test]
 fn a_removed_node_that_does_not_close_is_left_behind() {
     let (engine, mut live) = start(&graph("chaos_life", &format!("hangs = \"close\", {HANGS_MS}")), options());
     goes_on(&engine, "end", "at first");

@@ -1,7 +1,6 @@
 //! `capture`: views of cameras, files and pipelines, taken together.
 
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use panoscope_node::abi::Calibration;
@@ -10,12 +9,19 @@ use panoscope_node::{
 };
 
 use crate::crop::{self, Halves, Rect};
-use crate::source::{CaptureError, Grab, Lock, Picture, Request, Source, SourceName, unknown_element};
+use crate::depth::Depth;
+use crate::position::{Position, ViewPosition};
+use crate::source::{CaptureError, Demands, Lock, SourceName, unknown_element};
+use crate::views::{Taken, View, Views, pair_by_numbers};
 
 /// Most views of one node.
 const MAX_VIEWS: usize = 4;
 /// Media time of images, which tell no rate.
 const IMAGE_FPS: f64 = 30.0;
+/// Longest wait for a picture's time: a jump in a file's times is not waited for.
+const LONGEST_PAUSE: Duration = Duration::from_millis(1500);
+/// Between two empty ticks of a lost device.
+const LOST_PAUSE: Duration = Duration::from_millis(50);
 
 /// How one source holds two views.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,9 +48,9 @@ pub enum Pace {
 /// What a damaged picture does.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OnDamage {
-    /// The node fails and names the file.
+    /// The node fails and names the file: in batch mode its pictures end there, in live mode it goes on with the next one.
     Fail,
-    /// The tick is empty, with a warning.
+    /// The tick is empty, with a warning, and the next picture comes.
     Skip,
 }
 
@@ -71,7 +77,7 @@ pub struct Out<'f> {
 #[derive(Params)]
 pub struct Settings {
     /// Left view: camera number or /dev/videoN, video file, image, folder of images, pattern (dir/*.png or img_%04d.png), stream address, or
-    /// GStreamer pipeline (any text with !).
+    /// GStreamer pipeline (any text with !). Pictures of folders and patterns are paired by the numbers in their names, videos by time.
     #[param(default = "", reopen, file)]
     pub left: String,
     /// Right view, as `left`.
@@ -87,10 +93,10 @@ pub struct Settings {
     /// edge. Views are split first.
     #[param(default = [], range = 0..=16, rectangles)]
     pub crop: Vec<f64>,
-    /// Starts files again at their end.
+    /// Starts files again at their end. In batch mode single images are one tick without it.
     #[param(default = false, reopen)]
     pub r#loop: bool,
-    /// Pictures per second of media time; 0 takes the video's own rate, and 30 for images.
+    /// Pictures per second of media time, of all views; 0 takes the videos' own times, and 30 for images.
     #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
     pub rate_hz: f64,
     /// When to wait so that pictures come at their rate. Cameras keep their own pace.
@@ -120,28 +126,36 @@ pub struct Settings {
     /// What a damaged picture does.
     #[param(default = "fail")]
     pub on_damage: OnDamage,
+    /// Bits of pictures that have more than eight: 12 makes 4095 white. 0 finds it from their values and says so.
+    #[param(default = 0, range = 0..=16)]
+    pub bit_depth: u32,
+    /// Longest time that a camera, stream or pipeline may take to open.
+    #[param(default = 10.0, range = 0.1..=600.0, unit = "s", reopen)]
+    pub open_limit_s: f64,
     /// Calibration file of the first two views: OpenCV's FileStorage YAML or a Kalibr camera chain; the two files of ROS (left;
     /// right) or of OpenCV's sample (intrinsics; extrinsics) are separated by a semicolon.
     #[param(default = "", reopen, file)]
     pub calibration: String,
 }
 
-struct View {
-    source: Source,
-    picture: Picture,
-    result: std::result::Result<(), String>,
-    name: String,
-}
-
 /// Takes the pictures of all views: first all are grabbed, then decoded on the host's threads.
 pub struct Capture {
     /// One per source; a split source serves two views.
-    sources: Vec<Mutex<View>>,
+    views: Views,
     halves: Option<Halves>,
-    rate_hz: f64,
+    depth: Depth,
+    white: f32,
     frame: u64,
-    due: Option<Instant>,
-    lost_told: bool,
+    /// Ticks of this instance.
+    since_open: u64,
+    /// Capture time of the newest tick; -1 before the first.
+    capture_ns: i64,
+    /// Clock and capture time that the pace counts from.
+    pace_from: Option<(Instant, i64)>,
+    /// The same for devices, whose capture time is the clock's.
+    clock_from: Option<(Instant, i64)>,
+    has_ended: bool,
+    is_lost: bool,
     sizes_told: bool,
     reconnects: u64,
     calibration: Option<Calibration>,
@@ -215,74 +229,158 @@ fn calibration_of(text: &str, folder: &Path) -> Result<Option<Calibration>> {
     panoscope_calibration::read(&files).map(Some).map_err(|error| NodeError::new(format!("calibration: {error}")))
 }
 
-fn poisoned<T>(error: std::sync::PoisonError<T>) -> T {
-    error.into_inner()
-}
-
 impl Capture {
-    /// Grabs all sources; `None` when one has ended, `Some(false)` when a device is away.
-    fn grab(&mut self, cx: &Context<'_>) -> Option<bool> {
-        let mut times: Vec<Instant> = Vec::new();
-        let mut lost = None;
-        for view in &mut self.sources {
-            let view = view.get_mut().unwrap_or_else(poisoned);
-            match view.source.grab() {
-                Grab::Ready(time) => times.push(time),
-                Grab::Lost => lost = Some(view.name.clone()),
-                Grab::End => {
-                    if let Some(words) = view.source.cut_off() {
-                        cx.warn(&words);
-                    }
-                    return None;
+    /// Grabs all views; `None` when nothing comes of this tick, which is empty then.
+    ///
+    /// # Errors
+    /// A view that ended too early, in batch mode also a device that is gone.
+    fn grab(&mut self, cx: &Context<'_>, params: &Settings) -> Result<Option<()>> {
+        let mut taken = self.views.grab(cx);
+        if taken == Taken::End {
+            if let Some(words) = self.views.left_over() {
+                cx.warn(&words);
+            }
+            // Nothing at all came: starting anew would find the same.
+            if params.r#loop && self.since_open > 0 {
+                let last_s = self.capture_ns.max(0) as f64 / 1e9;
+                self.views.rewind(last_s)?;
+                taken = self.views.grab(cx);
+            }
+        }
+        match taken {
+            Taken::Ready => {}
+            Taken::End => {
+                self.end(cx);
+                return Ok(None);
+            }
+            Taken::Failed(words) => return Err(self.ended_early(words)),
+            Taken::Lost(words) if cx.is_batch() => return Err(self.ended_early(words)),
+            Taken::Lost(words) => {
+                self.set_time(cx);
+                if !self.is_lost {
+                    self.is_lost = true;
+                    self.reconnects += 1;
+                    cx.fault(&format!(
+                        "{words}: outputs stay empty, and it is opened again every few seconds until it comes back"
+                    ));
                 }
+                cx.metric("lost", 1.0);
+                self.frame += 1;
+                // An empty tick now and then shows that the node lives, without spinning.
+                std::thread::sleep(LOST_PAUSE);
+                return Ok(None);
             }
         }
-        if let Some(name) = lost {
-            if !self.lost_told {
-                self.lost_told = true;
-                self.reconnects += 1;
-                cx.warn(&format!("{name} is gone: its outputs stay empty until it comes back"));
-            }
-            return Some(false);
+        if self.is_lost {
+            self.is_lost = false;
+            cx.info("all sources are back");
         }
-        if self.lost_told {
-            self.lost_told = false;
-            cx.info("all cameras are back");
-        }
+        cx.metric("lost", 0.0);
         cx.metric("reconnects", self.reconnects as f64);
-        if let (Some(first), Some(last)) = (times.iter().min(), times.iter().max()) {
-            cx.metric("skew_ms", last.duration_since(*first).as_secs_f64() * 1e3);
-        }
-        Some(true)
+        cx.metric("skew_ms", self.views.skew_ms());
+        cx.metric("unpaired", self.views.unpaired() as f64);
+        Ok(Some(()))
     }
 
-    /// Waits until the next picture is due.
+    /// Nothing comes any more.
+    fn end(&mut self, cx: &Context<'_>) {
+        self.has_ended = true;
+        if self.views.unpaired() > 0 {
+            cx.warn(&format!(
+                "{} pictures were left out because no other view had a partner for them",
+                self.views.unpaired()
+            ));
+        }
+        cx.end();
+    }
+
+    fn ended_early(&mut self, words: String) -> NodeError {
+        self.has_ended = true;
+        NodeError::ended_early(words)
+    }
+
+    /// Gives the tick its capture time: that of the file, or of the clock for devices; always later than the one before.
+    fn set_time(&mut self, cx: &Context<'_>) {
+        let media_s = self.views.media_s();
+        let next_ns = match media_s {
+            Some(media_s) => (media_s * 1e9).round() as i64,
+            None if self.views.has_device() => {
+                let (start, first_ns) = *self.clock_from.get_or_insert((Instant::now(), self.capture_ns + 1));
+                first_ns + start.elapsed().as_nanos() as i64
+            }
+            None => (self.frame as f64 * 1e9 / self.views.rate_hz()).round() as i64,
+        };
+        self.capture_ns = next_ns.max(self.capture_ns + 1);
+        cx.set_capture_ns(self.capture_ns);
+    }
+
+    /// Waits until the picture is due.
     fn wait(&mut self, cx: &Context<'_>, pace: Pace) {
-        let paced = match pace {
+        let is_paced = match pace {
             Pace::Auto => !cx.is_batch(),
             Pace::On => true,
             Pace::Off => false,
         };
-        let devices = self.sources.iter_mut().any(|v| v.get_mut().unwrap_or_else(poisoned).source.is_device());
-        if !paced || devices {
-            self.due = None;
+        if !is_paced || self.views.has_device() {
+            self.pace_from = None;
             return;
         }
-        let step = Duration::from_secs_f64(1.0 / self.rate_hz);
         let now = Instant::now();
-        let due = self.due.unwrap_or(now);
-        std::thread::sleep(due.saturating_duration_since(now));
+        let (start, first_ns) = *self.pace_from.get_or_insert((now, self.capture_ns));
+        let due = start + Duration::from_nanos((self.capture_ns - first_ns).max(0) as u64);
+        let step = Duration::from_secs_f64(1.0 / self.views.rate_hz());
+        let pause = due.saturating_duration_since(now);
+        std::thread::sleep(pause.min(LONGEST_PAUSE));
         // After a long pause the pictures that were missed are not made up for.
-        self.due = Some(if now > due + step { now } else { due } + step);
+        if now > due + step || pause > LONGEST_PAUSE {
+            self.pace_from = Some((Instant::now(), self.capture_ns));
+        }
+    }
+
+    /// Decodes what was grabbed; `false` when a damaged picture leaves the tick empty.
+    ///
+    /// # Errors
+    /// A damaged picture, by file and number.
+    fn decode(&mut self, cx: &Context<'_>, params: &Settings) -> Result<bool> {
+        let views = self.views.locked();
+        cx.pool().run(views.len(), &|index| {
+            let mut view = views[index].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            let view = &mut *view;
+            view.result = view.source.retrieve(&mut view.picture).map_err(|error| error.to_string());
+        });
+        let Some(why) = self.views.iter().find_map(|view| std::mem::replace(&mut view.result, Ok(())).err()) else {
+            return Ok(true);
+        };
+        match params.on_damage {
+            OnDamage::Skip => {
+                cx.warn(&format!("{why}: this tick stays empty"));
+                Ok(false)
+            }
+            OnDamage::Fail => {
+                let words = format!("{why}; with `on_damage = \"skip\"` such a picture is left out");
+                // In live mode the node is opened again and goes on with the next picture.
+                Err(if cx.is_batch() { self.ended_early(words) } else { NodeError::new(words) })
+            }
+        }
+    }
+
+    /// One white for the pictures of all views.
+    fn find_white(&mut self, cx: &Context<'_>, bits: u32) -> Result<()> {
+        let views = self.views.locked();
+        let guards: Vec<_> =
+            views.iter().map(|view| view.lock().unwrap_or_else(std::sync::PoisonError::into_inner)).collect();
+        let pictures = guards.iter().map(|view| (view.name.as_str(), &view.picture));
+        let series = || guards.iter().flat_map(|view| view.source.peaks()).collect();
+        self.white = self.depth.white(cx, bits, pictures, series)?;
+        Ok(())
     }
 
     fn lock(&mut self, cx: &Context<'_>, params: &Settings) {
-        if !(params.lock_exposure || params.lock_white_balance) || self.frame != params.lock_after {
+        if !(params.lock_exposure || params.lock_white_balance) || self.since_open != params.lock_after {
             return;
         }
         let mut found: Option<Lock> = None;
-        for view in &mut self.sources {
-            let view = view.get_mut().unwrap_or_else(poisoned);
+        for view in self.views.iter() {
             let Some(device) = view.source.device_mut() else { continue };
             let values = *found.get_or_insert_with(|| device.found());
             let lock = Lock {
@@ -319,9 +417,9 @@ impl Capture {
 
     /// Source and rectangle of a view.
     fn part(&mut self, view: usize, crops: &[f64]) -> Result<(usize, Rect)> {
-        let views = if self.halves.is_some() { 2 } else { self.sources.len() };
+        let views = if self.halves.is_some() { 2 } else { self.views.len() };
         let source = if self.halves.is_some() { 0 } else { view };
-        let picture = &self.sources[source].get_mut().unwrap_or_else(poisoned).picture;
+        let picture = &self.views.view(source).picture;
         let mut rect = Rect::whole(picture.width, picture.height);
         if let Some(halves) = self.halves {
             rect = rect.half(halves, view);
@@ -330,7 +428,7 @@ impl Capture {
             rect = rect.part(crop).map_err(|why| NodeError::new(format!("view {view}: {why}")))?;
         }
         if rect.width == 0 || rect.height == 0 {
-            let name = &self.sources[source].get_mut().unwrap_or_else(poisoned).name;
+            let name = &self.views.view(source).name;
             return Err(NodeError::new(format!("{name}: a picture of {rect:?} is too small to be split")));
         }
         Ok((source, rect))
@@ -356,12 +454,11 @@ impl Capture {
         if !slot.is_read() {
             return Ok(());
         }
-        let picture = &self.sources[source].get_mut().unwrap_or_else(poisoned).picture;
+        let white = self.white;
+        let View { picture, .. } = self.views.view(source);
         let mut out = slot.alloc(rect.width, rect.height)?;
-        let stride = picture.width * 3;
         for y in 0..rect.height {
-            let start = (rect.y + y) * stride + rect.x * 3;
-            out.row_mut(y).copy_from_slice(&picture.bgr[start..start + rect.width * 3]);
+            picture.write_row(rect.x, rect.y + y, white, out.row_mut(y));
         }
         Ok(())
     }
@@ -432,24 +529,36 @@ impl Node for Capture {
 
     fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         let calibration = calibration_of(&params.calibration, open.graph_dir())?;
-        let request = Request { width: params.width, height: params.height, fps: params.fps };
-        let mut sources = Vec::new();
-        for (_, text) in source_texts(params).map_err(|(_, why)| NodeError::new(why))? {
-            let name = SourceName::parse(text, open.graph_dir())?;
-            let source = Source::open(&name, request, params.r#loop)?;
-            let view = View { source, picture: Picture::default(), result: Ok(()), name: name.in_words() };
-            sources.push(Mutex::new(view));
+        let demands = Demands {
+            width: params.width,
+            height: params.height,
+            fps: params.fps,
+            open_limit: Duration::from_secs_f64(params.open_limit_s.max(0.0)),
+        };
+        let texts = source_texts(params).map_err(|(_, why)| NodeError::new(why))?;
+        let texts: Vec<String> = texts.into_iter().map(|(_, text)| text.to_owned()).collect();
+        let names = texts.iter().map(|text| SourceName::parse(text, open.graph_dir()));
+        let mut names = names.collect::<std::result::Result<Vec<_>, _>>()?;
+        for remark in pair_by_numbers(&mut names, &texts) {
+            open.warn(&remark);
         }
-        let native = sources.iter_mut().find_map(|v| v.get_mut().unwrap_or_else(poisoned).source.native_fps());
-        let rate_hz = if params.rate_hz > 0.0 { params.rate_hz } else { native.unwrap_or(IMAGE_FPS) };
+        let mut views = Views::open(&names, texts, demands, params.r#loop, (params.rate_hz, IMAGE_FPS))?;
+        if let Some(words) = views.rates_in_words() {
+            open.warn(&words);
+        }
         let halves = params.halves();
         Ok(Self {
-            sources,
+            views,
             halves,
-            rate_hz,
+            depth: Depth::default(),
+            white: 255.0,
             frame: 0,
-            due: None,
-            lost_told: false,
+            since_open: 0,
+            capture_ns: -1,
+            pace_from: None,
+            clock_from: None,
+            has_ended: false,
+            is_lost: false,
             sizes_told: false,
             reconnects: 0,
             calibration,
@@ -457,46 +566,25 @@ impl Node for Capture {
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Out<'f>, params: &Settings) -> Result<()> {
-        if params.frames > 0 && self.frame >= params.frames {
+        // Single images have no end of their own: in batch mode they are one tick unless they are to be repeated.
+        let is_shown = cx.is_batch() && !params.r#loop && self.frame > 0 && self.views.are_stills();
+        if self.has_ended || is_shown || (params.frames > 0 && self.frame >= params.frames) {
             cx.end();
             return Ok(());
         }
+        if self.grab(cx, params)?.is_none() {
+            return Ok(());
+        }
+        self.set_time(cx);
         self.wait(cx, params.pace);
-        cx.set_capture_ns((self.frame as f64 * 1e9 / self.rate_hz).round() as i64);
-        match self.grab(cx) {
-            None => {
-                cx.end();
-                return Ok(());
-            }
-            Some(false) => {
-                // An empty tick now and then shows that the node lives, without spinning.
-                self.frame += 1;
-                std::thread::sleep(Duration::from_millis(50));
-                return Ok(());
-            }
-            Some(true) => {}
-        }
         self.frame += 1;
+        self.since_open += 1;
         self.lock(cx, params);
-        let sources = &self.sources;
-        cx.pool().run(sources.len(), &|index| {
-            let mut view = sources[index].lock().unwrap_or_else(poisoned);
-            let view = &mut *view;
-            view.result = view.source.retrieve(&mut view.picture).map_err(|error| error.to_string());
-        });
-        for view in &mut self.sources {
-            let view = view.get_mut().unwrap_or_else(poisoned);
-            if let Err(why) = std::mem::replace(&mut view.result, Ok(())) {
-                match params.on_damage {
-                    OnDamage::Fail => return Err(NodeError::new(why)),
-                    OnDamage::Skip => {
-                        cx.warn(&format!("{why}: this tick stays empty"));
-                        return Ok(());
-                    }
-                }
-            }
+        if !self.decode(cx, params)? {
+            return Ok(());
         }
-        let views = if self.halves.is_some() { 2 } else { self.sources.len() };
+        self.find_white(cx, params.bit_depth)?;
+        let views = if self.halves.is_some() { 2 } else { self.views.len() };
         let mut parts = Vec::with_capacity(MAX_VIEWS);
         for view in 0..views {
             parts.push(self.part(view, &params.crop)?);
@@ -523,6 +611,35 @@ impl Node for Capture {
                 2 => self.write(&mut out.view2, source, rect)?,
                 _ => self.write(&mut out.view3, source, rect)?,
             }
+        }
+        Ok(())
+    }
+
+    fn save_state(&self) -> Option<Vec<u8>> {
+        let views = self.views.locked().iter().map(|view| {
+            let view = view.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            ViewPosition {
+                text: view.text.clone(),
+                grabbed: view.source.grabbed(),
+                next_file: view.source.next_file().map(Path::to_owned),
+            }
+        });
+        let (frame, capture_ns, round_s) = (self.frame, self.capture_ns, self.views.round_s);
+        Some(Position { frame, capture_ns, round_s, views: views.collect() }.to_bytes())
+    }
+
+    fn load_state(&mut self, state: &[u8]) -> Result<()> {
+        let Some(position) = Position::from_bytes(state) else {
+            return Err(NodeError::new("the position is not one of `capture`"));
+        };
+        let texts: Vec<String> = self.views.iter().map(|view| view.text.clone()).collect();
+        // Other sources than before begin at their start.
+        if !texts.iter().eq(position.views.iter().map(|view| &view.text)) {
+            return Ok(());
+        }
+        (self.frame, self.capture_ns, self.views.round_s) = (position.frame, position.capture_ns, position.round_s);
+        for (view, position) in self.views.iter().zip(&position.views) {
+            view.source.go_to(position.grabbed, position.next_file.as_deref());
         }
         Ok(())
     }

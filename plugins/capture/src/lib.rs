@@ -2,8 +2,11 @@
 
 pub mod capture;
 pub mod crop;
+mod depth;
 pub mod devices;
+mod position;
 pub mod source;
+mod views;
 
 use panoscope_node::export_plugin;
 

@@ -1,70 +1,15 @@
 //! Every kind of source that needs no hardware, and every way it can be wrong.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+mod common;
 
-use opencv::core::{Mat, Size, Vec3b, Vector};
-use opencv::prelude::*;
-use opencv::{imgcodecs, videoio};
+use std::fs;
+use std::path::Path;
+
+use common::{Folder, WIDTH, drain, drain_to_failure, value, write_video};
 use panoscope_capture::capture::Capture;
 use panoscope_node::Bgr8;
 use panoscope_node::abi::Calibration;
-use panoscope_node::harness::{Harness, HarnessError, Outputs, Setup};
-
-const WIDTH: usize = 16;
-const HEIGHT: usize = 8;
-
-/// A folder of its own, removed at the end.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("panoscope_capture_{name}_{}", std::process::id()));
-        let _ = fs::remove_dir_all(&path);
-        fs::create_dir_all(&path).unwrap();
-        Self(path)
-    }
-
-    fn image(&self, name: &str, value: u8, width: usize) {
-        let bgr: Vec<u8> = (0..width * HEIGHT).flat_map(|i| [value, (i % width) as u8, (i / width) as u8]).collect();
-        let mat = Mat::new_rows_cols_with_bytes::<Vec3b>(HEIGHT as i32, width as i32, &bgr).unwrap();
-        imgcodecs::imwrite(self.0.join(name).to_str().unwrap(), &mat, &Vector::new()).unwrap();
-    }
-
-    fn try_open(&self, params: &str) -> Result<Harness<Capture>, HarnessError> {
-        Harness::open(Setup::new(&format!("params = {{ {params} }}")).graph_dir(&self.0).batch())
-    }
-
-    fn open(&self, params: &str) -> Harness<Capture> {
-        self.try_open(params).unwrap()
-    }
-
-    fn refused(&self, params: &str) -> String {
-        self.try_open(params).err().unwrap().to_string()
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.0);
-    }
-}
-
-/// First byte of an output's picture.
-fn value(out: &Outputs, port: &str) -> u8 {
-    out.plane::<Bgr8>(port).unwrap().data[0]
-}
-
-fn drain(node: &mut Harness<Capture>) -> Vec<Outputs> {
-    let mut all = Vec::new();
-    loop {
-        let out = node.process().unwrap();
-        if out.ended() || all.len() > 1000 {
-            return all;
-        }
-        all.push(out);
-    }
-}
+use panoscope_node::harness::{Harness, Setup};
 
 #[test]
 fn the_shortest_pattern_ends_the_source() {
@@ -88,7 +33,8 @@ fn the_shortest_pattern_ends_the_source() {
     }
     let all = drain(&mut folder.open(r#"left = "l*.png", right = "r_%04d.bmp", loop = true, frames = 14"#));
     let values: Vec<(u8, u8)> = all.iter().map(|o| (value(o, "left"), value(o, "right") - 100)).collect();
-    assert_eq!(values[10..], [(10, 1), (11, 2), (0, 0), (1, 1)]);
+    // A pair stays a pair: the views start again together.
+    assert_eq!(values[10..], [(1, 1), (2, 2), (0, 0), (1, 1)]);
 }
 
 #[test]
@@ -106,11 +52,11 @@ fn one_image_is_repeated_beside_a_sequence() {
 fn crops_and_halves() {
     let folder = Folder::new("crop");
     folder.image("a.png", 1, WIDTH);
-    let mut node = folder.open(r#"left = "a.png", right = "a.png", crop = [0, 0, 10, 8, 6, 0, 10, 8]"#);
+    let mut node = folder.open(r#"left = "a.png", right = "a.png", loop = true, crop = [0, 0, 10, 8, 6, 0, 10, 8]"#);
     let out = node.process().unwrap();
     let (left, right) = (out.plane::<Bgr8>("left").unwrap(), out.plane::<Bgr8>("right").unwrap());
     assert_eq!((left.width, right.width, left.row(0)[1], right.row(0)[1]), (10, 10, 0, 6));
-    node.set_params(r#"params = { left = "a.png", right = "a.png", crop = [9, 0, 10, 8] }"#).unwrap();
+    node.set_params(r#"params = { left = "a.png", right = "a.png", loop = true, crop = [9, 0, 10, 8] }"#).unwrap();
     let message = node.process().err().unwrap().to_string();
     assert!(message.contains("leaves the picture of 16x8"), "{message}");
     let out = folder.open(r#"left = "a.png", split = "side_by_side""#).process().unwrap();
@@ -143,7 +89,7 @@ fn views_of_different_size_are_passed_on_with_one_warning() {
     let folder = Folder::new("sizes");
     folder.image("a.png", 1, WIDTH);
     folder.image("b.png", 2, WIDTH / 2);
-    let mut node = folder.open(r#"left = "a.png", right = "b.png""#);
+    let mut node = folder.open(r#"left = "a.png", right = "b.png", loop = true"#);
     for _ in 0..2 {
         let out = node.process().unwrap();
         assert_eq!((out.plane::<Bgr8>("left").unwrap().width, out.plane::<Bgr8>("right").unwrap().width), (16, 8));
@@ -167,7 +113,7 @@ fn mistakes_are_named() {
         (r#"left = "a.png", views = "a.png""#, "not both"),
         (r#"views = "a.png;a.png;a.png;a.png;a.png""#, "4 are the most"),
         (r#"left = "a.png", right = "a.png", split = "top_bottom""#, "`split`"),
-        (r#"left = "nosuchelement ! appsink""#, "nosuchelement"),
+        (r#"left = "nosuchelement ! appsink""#, "`nosuchelement"),
     ];
     for (params, words) in cases {
         let message = folder.refused(params);
@@ -210,23 +156,6 @@ fn damaged_images_are_named_and_never_shown() {
     assert!(folder.open(r#"left = "0.png""#).process().is_err());
 }
 
-fn write_video(path: &Path, frames: u8) {
-    let fourcc = i32::from_le_bytes(*b"MJPG");
-    let size = Size::new(64, 48);
-    let mut writer =
-        videoio::VideoWriter::new_with_backend(path, videoio::CAP_FFMPEG, fourcc, 20.0, size, true).unwrap();
-    for index in 0..frames {
-        let mat = Mat::new_rows_cols_with_default(
-            48,
-            64,
-            opencv::core::CV_8UC3,
-            opencv::core::Scalar::all(f64::from(index) * 20.0),
-        );
-        writer.write(&mat.unwrap()).unwrap();
-    }
-    writer.release().unwrap();
-}
-
 #[test]
 fn videos_play_loop_and_keep_their_rate() {
     let folder = Folder::new("video");
@@ -247,13 +176,9 @@ fn videos_play_loop_and_keep_their_rate() {
     let bytes_long = fs::read(folder.0.join("long.avi")).unwrap();
     assert!(bytes_long.len() > bytes.len());
     fs::write(folder.0.join("long.avi"), &bytes_long[..bytes_long.len() / 2]).unwrap();
-    match folder.try_open(r#"left = "long.avi""#) {
-        Ok(mut node) => {
-            let count = drain(&mut node).len();
-            assert!(count < 60, "{count}");
-        }
-        Err(error) => assert!(error.to_string().contains("long.avi"), "{error}"),
-    }
+    let (all, failure) = drain_to_failure(&mut folder.open(r#"left = "long.avi""#));
+    let message = failure.expect("an end before the end is a fault");
+    assert!(all.len() < 60 && message.contains("long.avi") && message.contains("of 60"), "{message}");
 }
 
 #[test]

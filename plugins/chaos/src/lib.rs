@@ -18,4 +18,5 @@ export_plugin![
     pose::ChaosPose,
     life::ChaosLife,
     life::ChaosDevice,
+    life::ChaosCamera,
 ];

@@ -1,11 +1,11 @@
-//! `chaos_life` and `chaos_device`: hand pictures on; what does not return is not their work on a tick but what comes before and after:
+//! `chaos_life` and `chaos_device` hand pictures on, `chaos_camera` makes them; what does not return is not their work on a tick but what comes before and after:
 //! opening, closing, handing a state over.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
 use panoscope_node::{
-    Choice, Context, Gray8, Image, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Slot, error,
+    Choice, Context, Gray8, Image, NoPorts, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Slot, error,
 };
 
 use crate::harm::wait;
@@ -91,10 +91,15 @@ impl Instance {
         Self { hangs: life.hangs, hang_ms: life.hang_ms, fails_at: life.fails_at }
     }
 
-    fn process(&mut self, cx: &Context<'_>, input: &In<'_>, out: &mut Out<'_>) -> Result<()> {
+    fn fail(&self, cx: &Context<'_>) -> Result<()> {
         if self.fails_at > 0 && cx.tick().seq == self.fails_at {
             return Err(error!("told to fail at tick {}", self.fails_at));
         }
+        Ok(())
+    }
+
+    fn process(&mut self, cx: &Context<'_>, input: &In<'_>, out: &mut Out<'_>) -> Result<()> {
+        self.fail(cx)?;
         out.image.forward(input.image.frame())
     }
 
@@ -165,6 +170,47 @@ impl Node for ChaosDevice {
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, _: &Life) -> Result<()> {
         self.0.process(cx, &input, &mut out)
+    }
+
+    fn save_state(&self) -> Option<Vec<u8>> {
+        self.0.save()
+    }
+
+    fn load_state(&mut self, _: &[u8]) -> Result<()> {
+        self.0.load();
+        Ok(())
+    }
+}
+
+/// Made pictures.
+#[derive(Ports)]
+pub struct Made<'f> {
+    /// A black picture.
+    image: Slot<'f, Gray8>,
+}
+
+/// A source: it is asked for its position when it fails.
+pub struct ChaosCamera(Instance);
+
+impl Node for ChaosCamera {
+    const INFO: NodeInfo =
+        NodeInfo::compute("chaos_camera", "source", "As `chaos_life`, but a source, 200 frames per second.").source();
+    type In<'f> = NoPorts;
+    type Out<'f> = Made<'f>;
+    type Params = Life;
+
+    fn open(open: &Open<'_>, life: &Life) -> Result<Self> {
+        Ok(Self(Instance::open(open, life)))
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Made<'f>, _: &Life) -> Result<()> {
+        self.0.fail(cx)?;
+        cx.set_capture_ns(cx.tick().seq as i64 * 5_000_000);
+        let mut plane = out.image.alloc(16, 8)?;
+        for y in 0..plane.height {
+            plane.row_mut(y).fill(0);
+        }
+        Ok(())
     }
 
     fn save_state(&self) -> Option<Vec<u8>> {

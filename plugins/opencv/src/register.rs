@@ -4,7 +4,7 @@ use opencv::calib3d::{RANSAC, find_homography_ext};
 use opencv::core::{Mat, Point2d, Size, Vector};
 use opencv::imgproc::{self, INTER_LINEAR_EXACT};
 use opencv::prelude::*;
-use panoscope_imaging::geometry::{Homography as Map, Plausibility};
+use panoscope_imaging::geometry::{Homography as Map, Plausibility, RmsWatch};
 use panoscope_node::abi::{self, Homography};
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, View};
 
@@ -38,6 +38,9 @@ pub struct RegisterParams {
     /// Fewer inliers than this are no registration.
     #[param(default = 8, range = 4..=1000, unit = "points")]
     min_inliers: u32,
+    /// A homography whose inliers are further off than this (root mean square) is not used: the state is lost. 0 uses all.
+    #[param(default = 18.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
+    max_rms_px: f64,
     /// OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
@@ -62,6 +65,7 @@ pub struct Out<'f> {
 /// See the module.
 pub struct RegisterOpencv {
     last: [f64; 9],
+    watch: RmsWatch,
     threads: Threads,
 }
 
@@ -129,7 +133,7 @@ impl Node for RegisterOpencv {
     type Params = RegisterParams;
 
     fn open(_: &Open<'_>, _: &RegisterParams) -> Result<Self> {
-        Ok(Self { last: Map::identity().0, threads: Threads::hold()? })
+        Ok(Self { last: Map::identity().0, watch: RmsWatch::default(), threads: Threads::hold()? })
     }
 
     fn process<'f>(
@@ -150,6 +154,14 @@ impl Node for RegisterOpencv {
             found.inliers >= params.min_inliers && Plausibility::default().accepts(&Map(found.map), size)
         });
         cx.metric("matches", pairs.len() as f64);
+        let limit_px = params.max_rms_px;
+        let is_refused = |found: &Fit| limit_px > 0.0 && found.rms_px > limit_px;
+        let (rms_px, refused_px) = match &good {
+            Some(found) if is_refused(found) => (0.0, Some(found.rms_px)),
+            found => (found.as_ref().map_or(0.0, |found| found.rms_px), None),
+        };
+        self.watch.look(cx, rms_px, refused_px, limit_px);
+        let good = good.filter(|found| !is_refused(found));
         out.homography.set(match good {
             Some(found) => {
                 self.last = found.map;

@@ -5,6 +5,7 @@ use opencv::calib3d::{StereoBM, StereoMatcher, StereoSGBM};
 use opencv::core::{CV_16SC1, CV_32FC1, Mat, Ptr, Rect};
 use opencv::prelude::*;
 use opencv::ximgproc;
+use panoscope_imaging::stereo::{self, SearchParams};
 use panoscope_node::{
     Bgr8, Choice, Confidence, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot,
     Validation, View, ViewMut, error,
@@ -118,7 +119,10 @@ pub struct StereoParams {
     /// Which matcher.
     #[param(default = "bm")]
     method: Method,
-    /// Smallest disparity searched.
+    /// Find the offset of the search from the region that the views share.
+    #[param(default = true)]
+    auto_offset: bool,
+    /// Smallest disparity searched when the offset is not found from the pictures.
     #[param(default = 0, range = -1024..=1500, unit = "px")]
     min_disparity_px: i32,
     /// Width of the disparity search.
@@ -156,6 +160,7 @@ pub struct StereoOut<'f> {
 
 /// Both matchers, kept from frame to frame.
 pub struct StereoOpencv {
+    search: stereo::Search,
     kept: Option<(Search, Ptr<StereoMatcher>, Ptr<StereoMatcher>)>,
     threads: Threads,
 }
@@ -175,12 +180,12 @@ impl Node for StereoOpencv {
     }
 
     fn open(_: &Open<'_>, _: &StereoParams) -> Result<Self> {
-        Ok(Self { kept: None, threads: Threads::hold()? })
+        Ok(Self { search: stereo::Search::new()?, kept: None, threads: Threads::hold()? })
     }
 
     fn process<'f>(
         &mut self,
-        _: &Context<'f>,
+        cx: &Context<'f>,
         input: StereoIn<'f>,
         mut out: StereoOut<'f>,
         params: &StereoParams,
@@ -190,9 +195,17 @@ impl Node for StereoOpencv {
         if (right.width, right.height) != (width, height) {
             return Err(error!("the left view is {width}x{height}, the right one {}x{}", right.width, right.height));
         }
+        let place = SearchParams {
+            auto_offset: params.auto_offset,
+            min_disparity_px: params.min_disparity_px,
+            keeps_asked: true,
+            search_px: params.search_px.max(0) as usize,
+            drift_px: 0.0,
+        };
+        let offset_px = self.search.begin(cx, [left, right], &place, cx.pool())?;
         let search = Search {
             method: params.method,
-            min_disparity_px: params.min_disparity_px,
+            min_disparity_px: offset_px,
             search_px: params.search_px,
             block_px: params.block_px,
             own_checks: params.own_checks,
@@ -206,6 +219,7 @@ impl Node for StereoOpencv {
                 self.kept = Some((search, matcher, other));
             }
             let (left, right) = (borrowed(left)?, borrowed(right)?);
+            // New ones in every call: nothing of the map before is left in them.
             let (mut map, mut map_right) = (Mat::default(), Mat::default());
             if let Some((_, matcher, other)) = &mut self.kept {
                 matcher.compute(&left, &right, &mut map)?;
@@ -216,8 +230,10 @@ impl Node for StereoOpencv {
             Ok((map, right_is_read.then_some(map_right)))
         };
         let (map, map_right) = matched().map_err(failed)?;
-        let least = params.min_disparity_px as f32;
-        write(&map, 1.0, least, &mut out.disparity.alloc(width, height)?)?;
+        let least = offset_px as f32;
+        let mut disparity = out.disparity.alloc(width, height)?;
+        write(&map, 1.0, least, &mut disparity)?;
+        self.search.end(cx, [left, right], disparity.as_view(), true, &place);
         if let Some(map) = map_right {
             write(&map, -1.0, least, &mut out.disparity_right.alloc(width, height)?)?;
         }
@@ -276,6 +292,34 @@ pub struct DisparityWlsOpencv {
     filter: Ptr<ximgproc::DisparityWLSFilter>,
     search: Search,
     threads: Threads,
+    known: Vec<f32>,
+}
+
+/// Every so many columns and rows are looked at to find where a map's disparities lie.
+const LOOK_STEP: usize = 4;
+/// Offsets are multiples of this.
+const OFFSET_STEP_PX: f32 = 8.0;
+
+impl DisparityWlsOpencv {
+    /// Follows the offset of the matcher in front, which may have found it from the pictures: where the search asked for holds less than
+    /// half of the map's disparities, one of the same width around them is taken.
+    fn follow(&mut self, map: View<'_, f32>) -> opencv::Result<()> {
+        self.known.clear();
+        for y in (0..map.height).step_by(LOOK_STEP) {
+            self.known.extend(map.row(y).iter().step_by(LOOK_STEP).filter(|value| value.is_finite()));
+        }
+        let (first, end) = (self.search.min_disparity_px, self.search.min_disparity_px + self.search.search_px);
+        let holds = |value: &&f32| (first as f32..end as f32).contains(*value);
+        if 2 * self.known.iter().filter(holds).count() >= self.known.len() {
+            return Ok(());
+        }
+        let middle = self.known.len() / 2;
+        let (_, median, _) = self.known.select_nth_unstable_by(middle, f32::total_cmp);
+        let offset = (*median - self.search.search_px as f32 / 2.0) / OFFSET_STEP_PX;
+        self.search.min_disparity_px = (offset.floor() * OFFSET_STEP_PX).clamp(-1024.0, 1500.0) as i32;
+        self.filter = ximgproc::create_disparity_wls_filter(self.search.matcher()?)?;
+        Ok(())
+    }
 }
 
 // SAFETY: as for `StereoOpencv`.
@@ -315,12 +359,12 @@ impl Node for DisparityWlsOpencv {
         let threads = Threads::hold()?;
         threads.set(params.threads)?;
         let filter = search.matcher().and_then(ximgproc::create_disparity_wls_filter).map_err(failed)?;
-        Ok(Self { filter, search, threads })
+        Ok(Self { filter, search, known: Vec::new(), threads })
     }
 
     fn process<'f>(
         &mut self,
-        _: &Context<'f>,
+        cx: &Context<'f>,
         input: WlsIn<'f>,
         mut out: FilterOut<'f>,
         params: &WlsParams,
@@ -329,6 +373,8 @@ impl Node for DisparityWlsOpencv {
         let (width, height) = (left.width, left.height);
         one_size(&[(width, height), (guide.width, guide.height), (right.width, right.height)])?;
         self.threads.set(params.threads)?;
+        self.follow(left).map_err(failed)?;
+        cx.metric("offset_px", f64::from(self.search.min_disparity_px));
         let unknown = self.search.unknown();
         let mut filtered = || -> opencv::Result<(Mat, Mat)> {
             // A pixel of the right view that is unknown lies beyond every disparity searched.

@@ -1,6 +1,6 @@
 //! OpenCV's stereo engines behind our ports: disparities come out in px, positive, NaN where unknown.
 
-use panoscope_node::harness::{Harness, Setup};
+use panoscope_node::harness::{Harness, Level, Setup};
 use panoscope_node::{Bgr8, Confidence, Disparity, Gray8};
 use panoscope_opencv::{DisparityFbsOpencv, DisparityWlsOpencv, StereoOpencv};
 
@@ -129,4 +129,87 @@ fn sizes_that_differ_are_refused() {
     node.input_image::<Gray8>("right", SIZE.0 / 2, SIZE.1, &right[..SIZE.0 / 2 * SIZE.1]);
     let message = node.process().err().unwrap().to_string();
     assert!(message.contains("320x120") && message.contains("160x120"), "{message}");
+}
+
+/// A wall whose disparity rises from 213 to 252 px from left to right.
+fn far_beyond(width: usize, height: usize) -> (Vec<u8>, Vec<u8>) {
+    let smooth = |x: f64, y: usize| {
+        let (column, part) = (x.floor(), x.fract());
+        let at = |x: f64| {
+            let sum: u32 = (0..9).map(|k| u32::from(noise((x as i64 + 1000) as usize + k % 3, y + k / 3))).sum();
+            f64::from(sum) / 9.0
+        };
+        (at(column) * (1.0 - part) + at(column + 1.0) * part) as u8
+    };
+    let pixels = |shift: &dyn Fn(f64) -> f64| -> Vec<u8> {
+        (0..width * height).map(|i| smooth(shift((i % width) as f64), i / width)).collect()
+    };
+    let rise = 39.0 / width as f64;
+    // The right view's pixel x shows the left view's pixel u with u - d(u) = x.
+    (pixels(&|x| x), pixels(&|x| (x + 213.0) / (1.0 - rise)))
+}
+
+#[test]
+fn the_offset_is_found_and_a_search_beside_the_scene_is_said() {
+    let (width, height) = (640, 96);
+    let (left, right) = far_beyond(width, height);
+    let truth = |x: usize| 213.0 + 39.0 * x as f32 / width as f32;
+    for method in ["bm", "sgbm"] {
+        let block = if method == "bm" { 15 } else { 5 };
+        let open = |more: &str| {
+            let toml = format!("params = {{ method = \"{method}\", block_px = {block}{more} }}");
+            Harness::<StereoOpencv>::from_toml(&toml).unwrap()
+        };
+        let run = |node: &mut Harness<StereoOpencv>| {
+            node.input_image::<Gray8>("left", width, height, &left)
+                .input_image::<Gray8>("right", width, height, &right)
+                .process()
+                .unwrap()
+        };
+        // Known pixels that are right, and of how many.
+        let judge = |out: &panoscope_node::harness::Outputs| {
+            let map = out.plane::<Disparity>("disparity").unwrap();
+            let known = (0..height).flat_map(|y| (260..620).map(move |x| (x, map.row(y)[x])));
+            let known: Vec<_> = known.filter(|(_, d)| d.is_finite()).collect();
+            let good = known.iter().filter(|(x, d)| (d - truth(*x)).abs() < 1.5).count();
+            (good as f64 / known.len().max(1) as f64, known.len() as f64 / (360 * height) as f64)
+        };
+        let mut node = open("");
+        let out = run(&mut node);
+        let (good, known) = judge(&out);
+        assert!(good > 0.95 && known > 0.7, "{method}: {good} of {known}");
+        assert_eq!(node.logs(), []);
+        assert!(node.metric("in_search_pct").is_some_and(|share| share > 90.0), "{:?}", node.metric("in_search_pct"));
+        // The filter follows the matcher.
+        let toml = format!("params = {{ method = \"{method}\", block_px = {block} }}");
+        let mut wls = Harness::<DisparityWlsOpencv>::from_toml(&toml).unwrap();
+        let copy = |port: &str| out.plane::<Disparity>(port).unwrap().data.to_vec();
+        wls.input_image::<Bgr8>("image", width, height, &bgr(&left))
+            .input_image::<Disparity>("disparity", width, height, &copy("disparity"))
+            .input_image::<Disparity>("disparity_right", width, height, &copy("disparity_right"));
+        let (good, known) = judge(&wls.process().unwrap());
+        assert!(good > 0.9 && known > 0.7, "{method} wls: {good} of {known}");
+        // As it was asked for: wrong everywhere, and said.
+        let mut node = open(", auto_offset = false");
+        for _ in 0..9 {
+            let (good, _) = judge(&run(&mut node));
+            assert!(good < 0.01, "{method}: {good}");
+        }
+        let said: Vec<_> = node.logs().iter().filter(|line| line.level == Level::Warn).collect();
+        assert_eq!(said.iter().filter(|line| line.message.contains("`auto_offset`")).count(), 1, "{said:?}");
+        assert!(node.metric("in_search_pct").is_some_and(|share| share < 25.0));
+    }
+}
+
+#[test]
+fn views_without_anything_in_common_are_said_to_be_so() {
+    let blank = vec![90; SIZE.0 * SIZE.1];
+    let mut node = Harness::<StereoOpencv>::from_toml("params = { method = \"sgbm\", block_px = 5 }").unwrap();
+    for _ in 0..12 {
+        node.input_image::<Gray8>("left", SIZE.0, SIZE.1, &blank).input_image::<Gray8>("right", SIZE.0, SIZE.1, &blank);
+        node.process().unwrap();
+    }
+    let said = node.logs().iter().filter(|line| line.message.contains("hardly anything in the two views matches"));
+    assert_eq!(said.count(), 1, "{:?}", node.logs());
+    assert_eq!(node.metric("poor_match"), Some(1.0));
 }

@@ -1,17 +1,13 @@
 //! Rectification, disparity, depth and measurement (thesis, chapter 3).
 
-mod epipolar;
 mod filter;
 mod matcher;
 mod measure;
-mod offset;
 mod rectify;
 mod reproject;
 mod shrunk;
 mod stereo_bm;
 mod stereo_sgbm;
-mod survey;
-mod watch;
 
 pub use filter::{DisparityFbs, DisparityWls};
 pub use measure::Measure;

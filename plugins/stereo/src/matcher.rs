@@ -1,14 +1,10 @@
 //! What `stereo_bm` and `stereo_sgbm` share: ports, the offset of the search, the warnings.
 
-use panoscope_imaging::stereo::{Roi, SharedField, SpeckleFilter, StereoError};
+use panoscope_imaging::stereo::{self, Roi, SearchParams, SharedField, SpeckleFilter, StereoError};
 use panoscope_node::abi;
 use panoscope_node::{
     Context, Disparity, Gray8, Image, Parallel, Ports, Result, Slot, Validation, Value, View, ViewMut, error,
 };
-
-use crate::offset::Offset;
-use crate::survey::{COARSE_WIDTH, FINE_WIDTH, Survey};
-use crate::watch::Watch;
 
 /// Inputs.
 #[derive(Ports)]
@@ -43,39 +39,25 @@ pub trait Engine {
     ) -> Result<(), StereoError>;
 }
 
-/// Where the search lies.
+/// Where the search lies, and what is dropped behind it.
 #[derive(Clone, Copy, Debug)]
 pub struct Search {
-    /// Whether the offset is found from the pictures.
-    pub auto_offset: bool,
-    /// The offset otherwise, and until one is found.
-    pub min_disparity_px: i32,
-    /// Width of the search.
-    pub search_px: usize,
-    /// Distance of matched points from their rows that is warned of, px.
-    pub drift_px: f32,
+    /// The offset.
+    pub place: SearchParams,
     /// Patches of at most so many pixels are taken for wrong; 0 keeps all.
     pub speckle_area_px: usize,
 }
-
-/// Calls between two surveys.
-const SURVEY_CALLS: u64 = 4;
-/// Calls between two measurements of the rows.
-const ROWS_CALLS: u64 = 8;
 
 /// Largest step of disparity within a speckle.
 const SPECKLE_STEP_PX: f32 = 1.0;
 
 /// The part of a matcher that is not its kernel.
 pub struct Matcher {
-    survey: Survey,
-    offset: Offset,
-    watch: Watch,
+    search: stereo::Search,
     speckles: SpeckleFilter,
     field: SharedField,
     /// The right view's map when nobody reads it: the shared field is found by it.
     right: Vec<f32>,
-    calls: u64,
 }
 
 /// Reports what a kernel refuses about its parameters; kernels name them as the nodes do.
@@ -104,16 +86,13 @@ impl Matcher {
     /// Nothing seen yet.
     ///
     /// # Errors
-    /// As [`Survey::new`].
+    /// As [`stereo::Search::new`].
     pub fn new() -> Result<Self> {
         Ok(Self {
-            survey: Survey::new()?,
-            offset: Offset::default(),
-            watch: Watch::default(),
+            search: stereo::Search::new()?,
             speckles: SpeckleFilter::default(),
             field: SharedField::default(),
             right: Vec::new(),
-            calls: 0,
         })
     }
 
@@ -136,23 +115,7 @@ impl Matcher {
             ));
         }
         let roi = input.roi.as_ref().map_or(Roi::full(width, height), |roi| inside(roi, width, height));
-        let call = self.calls;
-        self.calls += 1;
-        if call.is_multiple_of(SURVEY_CALLS) {
-            let mut found = self.survey.look([left, right], COARSE_WIDTH, cx.pool())?;
-            if search.auto_offset && self.offset.says_nothing(found.matched, found.pixels) {
-                found = self.survey.look([left, right], FINE_WIDTH, cx.pool())?;
-            }
-            let counts = self.survey.counts();
-            self.offset.update(counts, self.survey.bin_px(), found.pixels, search.search_px);
-            self.watch.swapped(cx, &mut self.survey, found, [left, right], cx.pool())?;
-        }
-        let known = if search.auto_offset { self.offset.current_px() } else { None };
-        let offset_px = known.unwrap_or(search.min_disparity_px);
-        if !search.auto_offset {
-            self.watch.blind(cx, offset_px, search.search_px, width);
-        }
-        cx.metric("offset_px", f64::from(offset_px));
+        let offset_px = self.search.begin(cx, [left, right], &search.place, cx.pool())?;
         prepare(engine, offset_px)?;
         let disparity = out.disparity.alloc(width, height)?;
         // A region was chosen by who knows what the views share; the whole frame is cut down to that by the maps of both views.
@@ -180,9 +143,7 @@ impl Matcher {
             }
         };
         self.speckles.remove(&mut map, roi, search.speckle_area_px, SPECKLE_STEP_PX);
-        if call.is_multiple_of(ROWS_CALLS) {
-            self.watch.rows(cx, [left, right], disparity.as_view(), search.drift_px);
-        }
+        self.search.end(cx, [left, right], disparity.as_view(), !chosen, &search.place);
         Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! `stereo_bm`: block matching, a rectified pair in, disparity maps of both views out (thesis, fig. 3.7).
 
-use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams};
+use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, SearchParams};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
 use crate::matcher::{In, Matcher, Out, Search, check_kernel};
@@ -103,13 +103,14 @@ impl Node for StereoBm {
         mut out: Out<'f>,
         params: &StereoBmParams,
     ) -> Result<()> {
-        let search = Search {
+        let place = SearchParams {
             auto_offset: params.auto_offset,
             min_disparity_px: params.min_disparity_px,
+            keeps_asked: false,
             search_px: params.search_px,
             drift_px: params.drift_px,
-            speckle_area_px: params.speckle_area_px,
         };
+        let search = Search { place, speckle_area_px: params.speckle_area_px };
         self.kernel.factor = params.scale;
         self.matcher.process(cx, &input, &mut out, search, &mut self.kernel, |shrunk, offset_px| {
             let wanted = params.kernel(offset_px);

@@ -1,6 +1,6 @@
 //! `stereo_sgbm`: semi-global matching, a rectified pair in, disparity maps of both views out.
 
-use panoscope_imaging::stereo::{Roi, SemiGlobalMatcher, SemiGlobalParams, StereoError};
+use panoscope_imaging::stereo::{Roi, SearchParams, SemiGlobalMatcher, SemiGlobalParams, StereoError};
 use panoscope_node::{Context, Node, NodeInfo, Open, Parallel, Params, Result, Validation, View, ViewMut};
 
 use crate::matcher::{Engine, In, Matcher, Out, Search, check_kernel};
@@ -115,13 +115,14 @@ impl Node for StereoSgbm {
         mut out: Out<'f>,
         params: &StereoSgbmParams,
     ) -> Result<()> {
-        let search = Search {
+        let place = SearchParams {
             auto_offset: params.auto_offset,
             min_disparity_px: params.min_disparity_px,
+            keeps_asked: false,
             search_px: params.search_px,
             drift_px: params.drift_px,
-            speckle_area_px: params.speckle_area_px,
         };
+        let search = Search { place, speckle_area_px: params.speckle_area_px };
         self.matcher.process(cx, &input, &mut out, search, &mut self.kernel, |kernel, offset_px| {
             let wanted = params.kernel(offset_px);
             if *kernel.params() == wanted { Ok(()) } else { kernel.set_params(wanted) }

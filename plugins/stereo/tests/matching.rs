@@ -69,6 +69,45 @@ fn semi_global_matching_finds_the_offset() -> TestResult {
     finds_the_offset::<StereoSgbm>()
 }
 
+fn says_what_it_cannot_match<N: Node>() -> TestResult {
+    let (left, right) = pair(slanted, 0.0);
+    let mut node = Harness::<N>::from_toml("params = { search_px = 64, auto_offset = false }")?;
+    for _ in 0..13 {
+        run(&mut node, &left, &right)?;
+    }
+    let said = |node: &Harness<N>, words: &str| node.logs().iter().filter(|line| line.message.contains(words)).count();
+    assert_eq!(said(&node, "`auto_offset` on"), 1, "{:?}", node.logs());
+    assert!(node.metric("in_search_pct").is_some_and(|share| share < 25.0));
+    // A moment without light is no news, a long one is, and so is its end.
+    let mut node = Harness::<N>::from_toml("params = { search_px = 64 }")?;
+    let dark = vec![5; SIZE.0 * SIZE.1];
+    for (views, calls, poor) in
+        [((&left, &right), 4, 0), ((&dark, &dark), 4, 0), ((&left, &right), 4, 0), ((&dark, &dark), 16, 1)]
+    {
+        for _ in 0..calls {
+            run(&mut node, views.0, views.1)?;
+        }
+        assert_eq!(said(&node, "hardly anything"), poor, "{:?}", node.logs());
+    }
+    assert_eq!(node.metric("poor_match"), Some(1.0));
+    for _ in 0..8 {
+        run(&mut node, &left, &right)?;
+    }
+    assert_eq!((said(&node, "match again"), node.metric("poor_match")), (1, Some(0.0)));
+    assert!(node.metric("matched_pct").is_some_and(|share| share > 40.0), "{:?}", node.metric("matched_pct"));
+    Ok(())
+}
+
+#[test]
+fn block_matching_says_what_it_cannot_match() -> TestResult {
+    says_what_it_cannot_match::<StereoBm>()
+}
+
+#[test]
+fn semi_global_matching_says_what_it_cannot_match() -> TestResult {
+    says_what_it_cannot_match::<StereoSgbm>()
+}
+
 #[test]
 fn swapped_views_are_named_once() -> TestResult {
     let (left, right) = pair(slanted, 0.0);

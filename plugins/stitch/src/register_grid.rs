@@ -1,6 +1,6 @@
 //! `register_grid`: a disparity map in, the homography between the two pictures out (thesis, chapter 4).
 
-use panoscope_imaging::geometry::RansacParams;
+use panoscope_imaging::geometry::{RansacParams, RmsWatch};
 use panoscope_imaging::stitch::{CellPoint, GridParams, RectifiedView, RegisterGrid};
 use panoscope_node::abi::{Calibration, Camera};
 use panoscope_node::{Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Ports, Result, Value};
@@ -46,6 +46,9 @@ pub struct RegisterGridParams {
     /// Weight of the frame before beside that of all inliers: holds still what the overlap leaves open; 0 fits the inliers alone.
     #[param(default = 1.0, range = 0.0..=4.0, step = 0.05, unit = "ratio")]
     calm: f64,
+    /// A homography whose inliers are further off than this (root mean square) is not used: the one before is held, then lost. 0 uses all.
+    #[param(default = 18.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
+    max_rms_px: f64,
     /// Failed frames in a row for which the homography before still counts as held.
     #[param(default = 5, range = 0..=1000, unit = "frames")]
     hold_frames: u32,
@@ -67,6 +70,7 @@ impl RegisterGridParams {
             min_inliers: self.min_inliers as usize,
             stability_px: self.stability_px,
             calm: self.calm,
+            max_rms_px: self.max_rms_px,
             hold_frames: self.hold_frames as usize,
             ..default
         }
@@ -86,6 +90,7 @@ pub struct In<'f> {
 /// See the module.
 pub struct RegisterGridNode {
     kernel: RegisterGrid,
+    watch: RmsWatch,
 }
 
 /// One side of a calibration.
@@ -129,7 +134,7 @@ impl Node for RegisterGridNode {
     type Params = RegisterGridParams;
 
     fn open(_: &Open<'_>, params: &RegisterGridParams) -> Result<Self> {
-        Ok(Self { kernel: RegisterGrid::new(params.kernel()) })
+        Ok(Self { kernel: RegisterGrid::new(params.kernel()), watch: RmsWatch::default() })
     }
 
     fn process<'f>(
@@ -149,6 +154,7 @@ impl Node for RegisterGridNode {
         let right = view(&c.right, &c.rectified_from_right, &c.right_projection, rectified);
         let found = self.kernel.register(input.disparity.view(), &left, &right);
         cx.metric("grid_points", found.points as f64);
+        self.watch.look(cx, found.rms_px, found.refused_rms_px, params.max_rms_px);
         out.set(&Found {
             left_from_right: &found.left_from_right,
             rms_px: found.rms_px,

@@ -1,6 +1,7 @@
 //! `register_surf`: two views in, the homography between them out (thesis, chapter 2, Algs 2.1 and 2.2).
 
 use panoscope_imaging::features::{self, MatchParams, RegisterParams, SurfParams};
+use panoscope_imaging::geometry::RmsWatch;
 use panoscope_imaging::geometry::ransac::RansacParams;
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result};
 
@@ -48,6 +49,9 @@ pub struct RegisterSurfParams {
     /// Weight of the frame before beside that of all inliers: holds still what the overlap leaves open; 0 fits the inliers alone.
     #[param(default = 1.0, range = 0.0..=4.0, step = 0.05, unit = "ratio")]
     calm: f64,
+    /// A homography whose inliers are further off than this (root mean square) is not used: the one before is held, then lost. 0 uses all.
+    #[param(default = 18.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
+    max_rms_px: f64,
     /// Failed frames in a row for which the homography before still counts as held.
     #[param(default = 5, range = 0..=1000, unit = "frames")]
     hold_frames: u32,
@@ -76,6 +80,7 @@ impl RegisterSurfParams {
             min_inliers: self.min_inliers as usize,
             stability_px: self.stability_px,
             calm: self.calm,
+            max_rms_px: self.max_rms_px,
             hold_frames: self.hold_frames as usize,
             ..default
         }
@@ -94,6 +99,7 @@ pub struct In<'f> {
 /// See the module.
 pub struct RegisterSurf {
     kernel: features::RegisterSurf,
+    watch: RmsWatch,
 }
 
 impl Node for RegisterSurf {
@@ -107,7 +113,7 @@ impl Node for RegisterSurf {
     type Params = RegisterSurfParams;
 
     fn open(_: &Open<'_>, params: &RegisterSurfParams) -> Result<Self> {
-        Ok(Self { kernel: features::RegisterSurf::new(params.kernel()) })
+        Ok(Self { kernel: features::RegisterSurf::new(params.kernel()), watch: RmsWatch::default() })
     }
 
     fn process<'f>(
@@ -122,6 +128,7 @@ impl Node for RegisterSurf {
             self.kernel.set_params(wanted);
         }
         let found = self.kernel.register(input.left.view(), input.right.view(), cx.pool());
+        self.watch.look(cx, found.rms_px, found.refused_rms_px, params.max_rms_px);
         out.set(&Found {
             left_from_right: &found.left_from_right,
             rms_px: found.rms_px,

@@ -4,7 +4,7 @@ use super::matching::{Gate, Match, MatchParams, Matcher};
 use super::surf::{Features, Surf, SurfParams};
 use crate::geometry::ransac::{Ransac, RansacParams};
 use crate::geometry::{
-    Homography, Plausibility, Point, Rect, RegistrationState, Stability, StabilityParams, overlap_rois,
+    Homography, Plausibility, Point, Rect, RegistrationState, Stability, StabilityParams, overlap_rois, rms_of,
 };
 use crate::{Parallel, Serial, SharedMut, View};
 
@@ -38,6 +38,8 @@ pub struct RegisterParams {
     /// Weight of the frame before (of a plain shift in the first frame) beside that of all inliers, 0..=4: what the overlap leaves open, the far corners
     /// above all, then moves slowly instead of jumping with every change of inliers. 0: the inliers alone.
     pub calm: f64,
+    /// A homography whose inliers are further off than this (rms, px) is not believed; 0 believes all.
+    pub max_rms_px: f64,
     /// Failed frames in a row for which the homography before still counts as held rather than lost.
     pub hold_frames: usize,
     /// Widens both search regions, in pixels.
@@ -57,6 +59,7 @@ impl Default for RegisterParams {
             plausibility: Plausibility::default(),
             stability_px: 0.0,
             calm: 0.0,
+            max_rms_px: 0.0,
             hold_frames: 0,
             roi_margin_px: 8,
         }
@@ -78,6 +81,8 @@ pub struct Registration {
     pub inliers: usize,
     /// Root mean square reprojection error of the inliers in the left frame, in pixels; 0 unless fresh.
     pub rms_px: f64,
+    /// The error for which this frame's homography was not believed, px.
+    pub refused_rms_px: Option<f64>,
     /// Overlap in the left frame (the next search region); the whole frame unless fresh.
     pub roi_left: Rect,
     /// Overlap in the right frame.
@@ -100,6 +105,7 @@ pub struct RegisterSurf {
     stability: Stability,
     memory: Option<Memory>,
     failures: usize,
+    refused_rms_px: Option<f64>,
 }
 
 /// Detector and features of one view.
@@ -132,6 +138,7 @@ impl RegisterSurf {
             stability: Stability::default(),
             memory: None,
             failures: 0,
+            refused_rms_px: None,
         }
     }
 
@@ -211,6 +218,7 @@ impl RegisterSurf {
                 self.failures += 1;
                 self.mask.clear();
                 self.mask.resize(self.matches.len(), false);
+                result.refused_rms_px = self.refused_rms_px;
                 if let Some(memory) = memory {
                     result.left_from_right = memory.left_from_right;
                     if self.failures <= self.params.hold_frames {
@@ -232,6 +240,7 @@ impl RegisterSurf {
     }
 
     fn estimate(&mut self, trusted: Option<Homography>, sizes: [(usize, usize); 2]) -> Option<Estimate> {
+        self.refused_rms_px = None;
         self.from.clear();
         self.to.clear();
         // No frame has more matches than keypoints: the lists grow once.
@@ -257,14 +266,14 @@ impl RegisterSurf {
             still_tolerance: STILL_TOLERANCE,
             outlier_px: params.ransac.threshold_px,
             calm: params.calm,
+            max_rms_px: params.max_rms_px,
         };
         let chosen = self.stability.choose(&fit, trusted, sizes[1], (&self.from, &self.to, &self.mask), &stable);
-        let mut rms_px = fit.rms_px;
-        if chosen.kept {
-            let inliers = (0..self.from.len()).filter(|&index| self.mask[index]);
-            let squares: f64 =
-                inliers.map(|index| chosen.homography.squared_error(self.from[index], self.to[index])).sum();
-            rms_px = (squares / fit.inliers.max(1) as f64).sqrt();
+        // That of the map which goes out, not of the fit: the map before may have been kept, and calming moves it.
+        let rms_px = rms_of(&chosen.homography, &self.from, &self.to, &self.mask);
+        if params.max_rms_px > 0.0 && rms_px > params.max_rms_px {
+            self.refused_rms_px = Some(rms_px);
+            return None;
         }
         Some(Estimate { left_from_right: chosen.homography, inliers: fit.inliers, rms_px, kept: chosen.kept })
     }

@@ -3,6 +3,7 @@
 use super::calm::{Calm, shift_of};
 use super::homography::{Homography, Point};
 use super::ransac::RansacFit;
+use super::rms::rms_of;
 
 /// What a frame's homography is worth.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -80,6 +81,8 @@ pub struct StabilityParams {
     pub outlier_px: f64,
     /// Weight of the frame before (of a plain shift in the first frame) beside that of all inliers; 0 fits the inliers alone.
     pub calm: f64,
+    /// Neither the homography before nor a calmed one is taken whose error on the new inliers (rms) is above this, in pixels; 0: any.
+    pub max_rms_px: f64,
 }
 
 /// Chooses the homography of each frame; work memory and one doubt are kept between frames.
@@ -122,7 +125,8 @@ impl Stability {
             let explained = from.iter().zip(to).filter(|(from, to)| before.squared_error(**from, **to) < bound).count();
             near || 2 * explained >= fit.inliers
         });
-        let fresh = if params.calm > 0.0 {
+        let fits = |map: &Homography| params.max_rms_px <= 0.0 || rms_of(map, from, to, mask) <= params.max_rms_px;
+        let mut fresh = if params.calm > 0.0 {
             // A shift is a guess, the frame before is not.
             let guess = || (shift_of(&fit.homography, from, mask), 0.1 * params.calm);
             let (anchor, weight) = held.map_or_else(guess, |before| (before, params.calm));
@@ -130,8 +134,11 @@ impl Stability {
         } else {
             fit.homography
         };
+        if !fits(&fresh) {
+            fresh = fit.homography;
+        }
         let doubted = std::mem::take(&mut self.doubted);
-        if let Some(previous) = held.filter(|_| params.stability_px > 0.0) {
+        if let Some(previous) = held.filter(|before| params.stability_px > 0.0 && fits(before)) {
             let median = median_error(&previous, from, to, |index| mask[index], &mut self.errors);
             let near = median.is_some_and(|median| median < params.stability_px);
             let explains = |share| explains_as_well(&previous, &fresh, from, to, params.outlier_px, share);

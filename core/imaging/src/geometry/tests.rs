@@ -141,7 +141,8 @@ fn a_good_previous_map_stays() {
     let mut work = Vec::new();
     let mut near = truth();
     near.0[2] += 0.4;
-    let params = StabilityParams { stability_px: 1.0, still_tolerance: 0.1, outlier_px: 3.0, calm: 0.0 };
+    let params =
+        StabilityParams { stability_px: 1.0, still_tolerance: 0.1, outlier_px: 3.0, calm: 0.0, max_rms_px: 0.0 };
     let mask = vec![true; from.len()];
     let fit = RansacFit { homography: truth(), inliers: from.len(), rms_px: 0.0, iterations: 1 };
     let mut stability = Stability::default();
@@ -159,7 +160,8 @@ fn a_jump_lets_go_of_the_frame_before() {
     let (from, to) = pairs(100, 0.3, 0.0);
     let mask = vec![true; from.len()];
     let fit = RansacFit { homography: truth(), inliers: from.len(), rms_px: 0.0, iterations: 1 };
-    let params = StabilityParams { stability_px: 1.0, still_tolerance: 0.1, outlier_px: 5.0, calm: 1.0 };
+    let params =
+        StabilityParams { stability_px: 1.0, still_tolerance: 0.1, outlier_px: 5.0, calm: 1.0, max_rms_px: 0.0 };
     let choose =
         |previous| Stability::default().choose(&fit, previous, (640, 480), (&from, &to, &mask), &params).homography;
     let moved = |px: f64| {
@@ -189,7 +191,8 @@ fn one_noisy_frame_does_not_move_the_picture_and_two_do() {
     let from: Vec<Point> = (0..40).map(|i| [f64::from(i % 8) * 50.0, f64::from(i / 8) * 60.0]).collect();
     let to: Vec<Point> =
         from.iter().enumerate().map(|(i, p)| [p[0] + if i % 2 == 0 { 1.5 } else { -1.5 }, p[1]]).collect();
-    let params = StabilityParams { stability_px: 0.3, still_tolerance: 0.1, outlier_px: 4.0, calm: 0.0 };
+    let params =
+        StabilityParams { stability_px: 0.3, still_tolerance: 0.1, outlier_px: 4.0, calm: 0.0, max_rms_px: 0.0 };
     let mask = vec![true; from.len()];
     let fit = RansacFit { homography: Homography::identity(), inliers: from.len(), rms_px: 1.5, iterations: 1 };
     let mut stability = Stability::default();
@@ -202,4 +205,22 @@ fn one_noisy_frame_does_not_move_the_picture_and_two_do() {
     assert!(!keeps(1.0), "twice in a row");
     assert!(keeps(1.0) && keeps(0.1) && keeps(1.0), "a good frame ends the doubt");
     assert!(!keeps(4.0), "far off");
+}
+
+#[test]
+fn a_map_whose_inliers_are_far_off_is_not_kept() {
+    // Few pairs of another plane, which the capped costs of the map before do not show: most pairs are outliers of both.
+    let from: Vec<Point> = (0..60).map(|i| [f64::from(i % 8) * 50.0, f64::from(i / 8) * 50.0]).collect();
+    let to: Vec<Point> = from.iter().enumerate().map(|(i, p)| [p[0] + if i < 28 { 0.0 } else { 15.0 }, p[1]]).collect();
+    let mask: Vec<bool> = (0..60).map(|i| i >= 28).collect();
+    let fit = RansacFit { homography: Homography::translation(15.0, 0.0), inliers: 32, rms_px: 0.0, iterations: 1 };
+    let choose = |max_rms_px: f64| {
+        let params =
+            StabilityParams { stability_px: 0.8, still_tolerance: 0.2, outlier_px: 5.0, calm: 0.0, max_rms_px };
+        let before = Some(Homography::identity());
+        Stability::default().choose(&fit, before, (640, 480), (&from, &to, &mask), &params)
+    };
+    assert_eq!(choose(0.0), Stabilized { homography: Homography::identity(), kept: true });
+    assert_eq!(super::rms_of(&Homography::identity(), &from, &to, &mask), 15.0);
+    assert_eq!(choose(10.0), Stabilized { homography: fit.homography, kept: false });
 }

@@ -9,7 +9,7 @@ use crate::View;
 use crate::geometry::ransac::{Ransac, RansacFit, RansacParams};
 use crate::geometry::{
     Homography, Plausibility, Point, Rect, RegistrationState, Stability, StabilityParams, Stabilized, overlap_roi,
-    overlap_rois,
+    overlap_rois, rms_of,
 };
 
 /// One camera and its rectification, as far as a pixel's way from the rectified view back to the picture needs them.
@@ -90,6 +90,8 @@ pub struct GridParams {
     pub still_tolerance: f64,
     /// Weight of the frame before beside that of all inliers: holds still what the overlap leaves open; 0 fits the inliers alone.
     pub calm: f64,
+    /// A homography whose inliers are further off than this (rms, px) is not believed; 0 believes all.
+    pub max_rms_px: f64,
     /// Failed frames in a row for which the homography before still counts as held.
     pub hold_frames: usize,
 }
@@ -108,6 +110,7 @@ impl Default for GridParams {
             stability_px: 0.8,
             still_tolerance: 0.1,
             calm: 1.0,
+            max_rms_px: 0.0,
             hold_frames: 5,
         }
     }
@@ -126,6 +129,8 @@ pub struct GridRegistration {
     pub inliers: usize,
     /// Root mean square reprojection error of the inliers in the left picture, px; 0 unless fresh.
     pub rms_px: f64,
+    /// The error for which this map's homography was not believed, px.
+    pub refused_rms_px: Option<f64>,
     /// Overlap in the left picture; the whole picture unless fresh.
     pub roi_left: Rect,
     /// Overlap in the right picture.
@@ -222,40 +227,45 @@ impl RegisterGrid {
         };
         let fit = self.ransac.estimate(&self.from, &self.to, &params.ransac, &mut self.mask).ok().filter(accepted);
         let fit = fit.or_else(|| self.fit_plane(left, right).filter(accepted));
-        let Some(fit) = fit else {
-            self.failures += 1;
-            if self.memory.is_some() && self.failures <= params.hold_frames {
-                result.state = RegistrationState::Held;
-            }
-            return result;
-        };
+        let Some(fit) = fit else { return self.failed(result) };
         let previous = self.memory.filter(|_| self.failures == 0);
         let stable = StabilityParams {
             stability_px: params.stability_px,
             still_tolerance: params.still_tolerance,
             outlier_px: params.ransac.threshold_px,
             calm: params.calm,
+            max_rms_px: params.max_rms_px,
         };
         let mask = &self.mask;
         let chosen = self.stability.choose(&fit, previous, right.size, (&self.from, &self.to, mask), &stable);
         let Stabilized { homography: map, kept } = chosen;
+        let rms_px = rms_of(&map, &self.from, &self.to, mask);
+        if params.max_rms_px > 0.0 && rms_px > params.max_rms_px {
+            result.refused_rms_px = Some(rms_px);
+            return self.failed(result);
+        }
         self.failures = 0;
         self.memory = Some(map);
-        let squares: f64 = (0..self.from.len())
-            .filter(|&index| mask[index])
-            .map(|index| map.squared_error(self.from[index], self.to[index]))
-            .sum();
         let (roi_left, roi_right) = overlap_rois(&map, left.size, right.size);
         GridRegistration {
             left_from_right: map,
             state: RegistrationState::Fresh,
             inliers: fit.inliers,
-            rms_px: (squares / fit.inliers.max(1) as f64).sqrt(),
+            rms_px,
             roi_left,
             roi_right,
             kept,
             ..result
         }
+    }
+
+    /// This map gave nothing: the homography before is held, for a while.
+    fn failed(&mut self, mut result: GridRegistration) -> GridRegistration {
+        self.failures += 1;
+        if self.memory.is_some() && self.failures <= self.params.hold_frames {
+            result.state = RegistrationState::Held;
+        }
+        result
     }
 
     /// The homography of a plane in space, for an overlap too narrow to determine more; `mask` becomes its inliers.

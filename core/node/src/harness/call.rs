@@ -248,10 +248,14 @@ impl<N> Harness<N> {
         let status = unsafe { process(instance, &mut call) };
         let tick = call.tick;
         let (failure, problem) = self.take(state.into_said());
-        let made =
+        let mut made =
             self.collect(tick, if status == abi::STATUS_OK { &outputs } else { &[] }, false, status == abi::STATUS_END);
         outputs.iter().filter(|f| !f.is_empty()).for_each(|f| memory::release(f.buffer));
-        let status = if status == abi::STATUS_END { abi::STATUS_OK } else { status };
+        if status == abi::STATUS_OK {
+            made.set_fault(failure.clone());
+        }
+        // An end with words is an end that came too early.
+        let status = if status == abi::STATUS_END && failure.is_none() { abi::STATUS_OK } else { status };
         finish("process", status, failure, problem).map(|()| made)
     }
 

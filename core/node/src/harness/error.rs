@@ -63,6 +63,7 @@ impl HarnessError {
 
 fn status_name(status: abi::Status) -> String {
     match status {
+        abi::STATUS_END => "STATUS_END".to_owned(),
         abi::STATUS_ERROR => "STATUS_ERROR".to_owned(),
         abi::STATUS_PANIC => "STATUS_PANIC".to_owned(),
         abi::STATUS_EXHAUSTED => "STATUS_EXHAUSTED".to_owned(),

@@ -27,11 +27,21 @@ pub struct Outputs {
     tick: Tick,
     skipped: bool,
     ended: bool,
+    fault: Option<String>,
 }
 
 impl Outputs {
     pub(super) fn new(tick: Tick, skipped: bool, ended: bool) -> Self {
-        Self { list: Vec::new(), tick, skipped, ended }
+        Self { list: Vec::new(), tick, skipped, ended, fault: None }
+    }
+
+    pub(super) fn set_fault(&mut self, fault: Option<String>) {
+        self.fault = fault;
+    }
+
+    /// What the node reported as a fault although it goes on.
+    pub fn fault(&self) -> Option<&str> {
+        self.fault.as_deref()
     }
 
     pub(super) fn push(&mut self, name: &str, packet: &str, frame: &Frame) {

@@ -288,13 +288,7 @@ impl Engine {
     /// It did not return: the instance is lost.
     fn load(&self, cell: &Arc<Cell>, instance: Instance, state: Option<&Vec<u8>>) -> Result<Instance, ApplyError> {
         let Some(state) = state.cloned() else { return Ok(instance) };
-        let limit = Limit::until_stop(self.shared.around.close_limit);
-        let mut instance = instance;
-        let load = move || {
-            let understood = instance.load_state(&state);
-            (instance, understood)
-        };
-        match self.shared.call_guarded(limit, cell, Doing::LoadState, load) {
+        match self.shared.load_guarded(cell, instance, state) {
             Ok((instance, understood)) => {
                 if !understood {
                     cell.starts_anew(&self.shared.around);

@@ -106,7 +106,7 @@ impl Cell {
                 self.failed(exec, around, status, refused, tick, end_ns)
             }
         };
-        if ran != Ran::Ok && ran != Ran::End {
+        if !matches!(ran, Ran::Ok | Ran::End | Ran::Abandoned) {
             self.left_out(around, tick, !exec.instance.is_open());
         }
         (ran, end_ns)
@@ -277,6 +277,7 @@ impl Cell {
             holds: &exec.instance.holds,
             log: &around.log,
             failure: &mut exec.failure,
+            has_failure: false,
             refused: None,
             random: None,
             tick: *tick,
@@ -303,6 +304,7 @@ impl Cell {
         // SAFETY: the contract: an open instance that no other thread uses, and a call whose parts outlive it.
         let status = exec.instance.kept.during(|| unsafe { process(raw, &raw mut call) });
         let refused = context.refused.take();
+        let reports = context.has_failure && status >= abi::STATUS_OK;
         if let Some(lent) = context.lent {
             // The output holds the input's reference from here on.
             ports.inputs[lent.input as usize].forget();
@@ -312,6 +314,9 @@ impl Cell {
             for frame in made.outputs.iter_mut().filter(|f| !f.is_empty()) {
                 frame.tick = *tick;
             }
+        }
+        if reports {
+            self.reported(exec, around, tick, status);
         }
         (status, refused)
     }

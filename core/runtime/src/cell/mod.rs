@@ -141,6 +141,8 @@ pub(crate) struct Cell {
     replace: AtomicBool,
     /// Failed instances, to be closed off the hot path.
     pub broken: Mutex<Vec<Instance>>,
+    /// Where a failed source was: the instance that replaces it goes on from there.
+    pub position: Mutex<Option<Vec<u8>>>,
     /// A failed node is to be opened again.
     pub wants_mending: AtomicBool,
     /// Its last error was one that opening it again would not mend.
@@ -249,6 +251,7 @@ impl Cell {
             replacement: Mutex::new(None),
             replace: AtomicBool::new(false),
             broken: Mutex::new(Vec::new()),
+            position: Mutex::new(None),
             wants_mending: AtomicBool::new(false),
             gives_up: AtomicBool::new(false),
             mending: AtomicU64::new(0),
@@ -370,6 +373,7 @@ impl Cell {
             holds: &instance.holds,
             log: &around.log,
             failure: &mut failure,
+            has_failure: false,
             refused: None,
             random: None,
             tick: Tick::default(),

@@ -60,24 +60,39 @@ impl Registry {
     }
 }
 
-/// Names that stand where a pipeline has its elements. What is not plainly one (caps, pads, quoted texts, bins) is left out.
-fn elements(pipeline: &str) -> Vec<&str> {
-    // A quoted text may hold `!`, a bin other pipelines.
-    if pipeline.contains(['"', '\'', '(', ')']) {
-        return Vec::new();
-    }
+/// Names that stand where a pipeline has its elements: the first word behind the start or a `!`. What is not plainly one (caps, pads, bins)
+/// is left out.
+pub fn names(pipeline: &str) -> Vec<&str> {
+    let (mut quote, mut escaped) = (None, false);
+    // A quoted text may hold `!`.
+    let parts = pipeline.split(|c: char| {
+        if std::mem::take(&mut escaped) {
+            return false;
+        }
+        match (quote, c) {
+            (_, '\\') => escaped = true,
+            (None, '"' | '\'') => quote = Some(c),
+            (Some(open), _) if open == c => quote = None,
+            _ => {}
+        }
+        c == '!' && quote.is_none()
+    });
     let is_name = |word: &&str| {
         word.starts_with(|c: char| c.is_ascii_alphabetic())
             && word.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
     };
-    pipeline.split('!').filter_map(|part| part.split_whitespace().next()).filter(is_name).collect()
+    parts.filter_map(|part| part.split_whitespace().next()).filter(is_name).collect()
+}
+
+/// The first of `names` that this machine does not have; `None` also where that cannot be told.
+pub fn missing<'t>(names: &[&'t str]) -> Option<&'t str> {
+    let registry = Registry::get()?;
+    names.iter().copied().find(|name| !registry.has(name))
 }
 
 /// The first element of a pipeline that this machine does not have; `None` also where that cannot be told.
 pub fn unknown_element(pipeline: &str) -> Option<&str> {
-    let names = elements(pipeline);
-    let registry = Registry::get()?;
-    names.into_iter().find(|name| !registry.has(name))
+    missing(&names(pipeline))
 }
 
 #[cfg(test)]
@@ -87,9 +102,10 @@ mod tests {
     #[test]
     fn elements_are_told_from_caps_and_pads() {
         let text = "v4l2src device=/dev/video0 ! video/x-raw,width=640 ! tee name=t t. ! queue ! appsink t. ! fakesink";
-        assert_eq!(elements(text), ["v4l2src", "tee", "queue", "appsink", "fakesink"]);
-        assert!(elements("filesrc location=\"a!b.mkv\" ! decodebin").is_empty());
-        assert!(elements("! !").is_empty());
+        assert_eq!(names(text), ["v4l2src", "tee", "queue", "appsink", "fakesink"]);
+        let text = r#"filesrc location="a ! \" ! b.mkv" ! 'video/x-raw, width=640' ! decodebin ! t. ! appsink"#;
+        assert_eq!(names(text), ["filesrc", "decodebin", "appsink"]);
+        assert!(names(" ! ( ! x=1").is_empty());
     }
 
     #[test]

@@ -2,15 +2,19 @@
 
 mod elements;
 mod images;
+mod jpeg;
 mod name;
+mod opening;
+mod picture;
 mod stream;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 pub use elements::unknown_element;
 pub use name::SourceName;
-pub use stream::Lock;
+pub use picture::{Picture, Samples, white_of_bits};
+pub use stream::{Demands, Lock};
 
 use images::Images;
 use stream::Stream;
@@ -43,10 +47,12 @@ pub enum CaptureError {
         hint: String,
     },
     /// A file that cannot be read or is no image.
-    #[error("{path} cannot be read: {reason}", path = path.display())]
+    #[error("{path}{place} cannot be read: {reason}", path = path.display())]
     Unreadable {
         /// Absolute path.
         path: PathBuf,
+        /// Its number in a series.
+        place: String,
         /// Why.
         reason: String,
     },
@@ -68,36 +74,16 @@ pub enum CaptureError {
     },
 }
 
-/// One BGR picture.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Picture {
-    /// Columns in px.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Blue, green, red; rows without padding.
-    pub bgr: Vec<u8>,
-}
-
-/// What a device is asked for; 0 leaves it as it is.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Request {
-    /// Columns in px.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// Frames per second.
-    pub fps: f64,
-}
-
 /// What a grab found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Grab {
     /// A picture waits, taken at this time.
     Ready(Instant),
     /// Nothing comes any more.
     End,
-    /// The device is gone.
+    /// Nothing comes any more, but more was promised: what is missing.
+    Failed(String),
+    /// The device is gone; it is opened again with growing pauses.
     Lost,
 }
 
@@ -110,15 +96,15 @@ pub enum Source {
 }
 
 impl Source {
-    /// Opens `name`.
+    /// Opens `name`; `keep` keeps decoded images, which are shown again.
     ///
     /// # Errors
-    /// What is missing, damaged or refused, and what would help.
-    pub fn open(name: &SourceName, request: Request, looped: bool) -> Result<Self, CaptureError> {
+    /// What is missing, damaged, refused or does not answer in time, and what would help.
+    pub fn open(name: &SourceName, demands: Demands, keep: bool) -> Result<Self, CaptureError> {
         match name {
-            SourceName::Images(files) => Ok(Self::Images(Images::new(files.clone(), looped))),
-            SourceName::Image(file) => Ok(Self::Images(Images::repeated(file.clone()))),
-            other => Ok(Self::Stream(Box::new(Stream::open(other, request, looped)?))),
+            SourceName::Images(files) => Ok(Self::Images(Images::new(files.clone(), keep))),
+            SourceName::Image(file) => Ok(Self::Images(Images::still(file.clone()))),
+            other => Ok(Self::Stream(Box::new(Stream::open(other, demands)?))),
         }
     }
 
@@ -133,11 +119,27 @@ impl Source {
     /// Decodes the picture that was grabbed.
     ///
     /// # Errors
-    /// A damaged file, by name; never old pixels.
+    /// A damaged file or frame, by name and number; never old pixels.
     pub fn retrieve(&mut self, out: &mut Picture) -> Result<(), CaptureError> {
+        out.clear();
         match self {
             Self::Images(images) => images.retrieve(out),
             Self::Stream(stream) => stream.retrieve(out),
+        }
+    }
+
+    /// Starts anew.
+    ///
+    /// # Errors
+    /// A video that does not open any more.
+    pub fn rewind(&mut self) -> Result<(), CaptureError> {
+        match self {
+            Self::Images(images) => {
+                images.go_to(None, 0);
+                Ok(())
+            }
+            Self::Stream(stream) if stream.is_live() => Ok(()),
+            Self::Stream(stream) => stream.rewind(),
         }
     }
 
@@ -149,11 +151,38 @@ impl Source {
         }
     }
 
-    /// Why an ended source is to be doubted, in words.
-    pub fn cut_off(&self) -> Option<String> {
-        let Self::Stream(stream) = self else { return None };
-        let (read, told) = stream.cut_off()?;
-        Some(format!("{} ended after {read} of {told} frames: it is cut off or damaged", stream.in_words()))
+    /// Pictures that have been grabbed since the start.
+    pub fn grabbed(&self) -> u64 {
+        match self {
+            Self::Images(images) => images.grabbed(),
+            Self::Stream(stream) => stream.frames(),
+        }
+    }
+
+    /// Pictures that are left, as far as the source knows.
+    pub fn left(&self) -> u64 {
+        match self {
+            Self::Images(images) if images.is_still() => 0,
+            Self::Images(images) => images.left(),
+            Self::Stream(stream) => stream.left(),
+        }
+    }
+
+    /// Time of the picture that was grabbed since the first one, in s. `rate_hz` is that of pictures without a time of their own and, when
+    /// `is_forced`, of all. `None` for what has no place in time: a still, a live source.
+    pub fn media_s(&self, rate_hz: f64, is_forced: bool) -> Option<f64> {
+        let by_rate = self.grabbed().saturating_sub(1) as f64 / rate_hz;
+        match self {
+            Self::Images(images) if images.is_still() => None,
+            Self::Stream(stream) if stream.is_live() => None,
+            Self::Stream(stream) if !is_forced => stream.media_s().or(Some(by_rate)),
+            _ => Some(by_rate),
+        }
+    }
+
+    /// Whether it is one image, which has no end of its own.
+    pub fn is_still(&self) -> bool {
+        matches!(self, Self::Images(images) if images.is_still())
     }
 
     /// Whether the source sets the pace by itself.
@@ -166,6 +195,31 @@ impl Source {
         match self {
             Self::Stream(stream) if stream.is_live() => Some(stream),
             _ => None,
+        }
+    }
+
+    /// Largest values of some pictures with more than eight bits.
+    pub fn peaks(&self) -> Vec<f32> {
+        match self {
+            Self::Images(images) => images.peaks(),
+            Self::Stream(_) => Vec::new(),
+        }
+    }
+
+    /// The file that comes next, where every picture has one of its own.
+    pub fn next_file(&self) -> Option<&Path> {
+        match self {
+            Self::Images(images) => images.next_file(),
+            Self::Stream(_) => None,
+        }
+    }
+
+    /// Goes on behind `grabbed` pictures, or at `file` where that is still there.
+    pub fn go_to(&mut self, grabbed: u64, file: Option<&Path>) {
+        match self {
+            Self::Images(images) if !images.is_still() => images.go_to(file, grabbed),
+            Self::Stream(stream) if !stream.is_live() => stream.go_to(grabbed),
+            _ => {}
         }
     }
 }

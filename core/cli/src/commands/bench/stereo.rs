@@ -138,7 +138,7 @@ inputs = {{ image = "rectify.left", disparity = "wls.disparity", confidence = "w
 [nodes.bm]
 type = "stereo_opencv"
 inputs = {{ left = "rectify.left", right = "rectify.right" }}
-params = {{ {matcher}, own_checks = false }}
+params = {{ auto_offset = false, {matcher}, own_checks = false }}
 [nodes.wls]
 type = "disparity_wls_opencv"
 inputs = {{ image = "rectify.left", disparity = "bm.disparity", disparity_right = "bm.disparity_right" }}

@@ -1,10 +1,10 @@
 //! Where the views come from, and the graph that looks at them.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use panoscope_calibration::pictures::{image_files, is_pattern};
+use panoscope_calibration::views::matched;
 use toml::{Table, Value};
 
 use super::{Arguments, from_here};
@@ -39,30 +39,12 @@ fn images(text: &str) -> Result<Option<Vec<PathBuf>>> {
     image_files(&path).map(Some).map_err(|why| anyhow::anyhow!("no picture matches {text}: {why}"))
 }
 
-/// The digits of a file's name, without zeros in front.
-fn number(path: &Path) -> String {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let digits: String = stem.chars().filter(char::is_ascii_digit).collect();
-    digits.trim_start_matches('0').to_owned()
-}
-
-/// Pairs the pictures that carry the same number; pictures without a partner are named. Where numbers are missing, repeat or are
-/// never the same on both sides, pictures are paired in order.
+/// Pairs of pictures, and the pictures without a partner.
 fn pairs(left: Vec<PathBuf>, right: Vec<PathBuf>) -> ([Vec<PathBuf>; 2], Vec<PathBuf>) {
-    let numbers = |files: &[PathBuf]| files.iter().map(|path| number(path)).collect::<BTreeSet<String>>();
-    let own = [numbers(&left), numbers(&right)];
-    let are_numbered = own[0].len() == left.len() && own[1].len() == right.len() && own.iter().all(|n| !n.contains(""));
-    if !are_numbered || own[0].is_disjoint(&own[1]) {
-        let count = left.len().min(right.len());
-        let lonely = left[count..].iter().chain(&right[count..]).cloned().collect();
-        return ([left[..count].to_vec(), right[..count].to_vec()], lonely);
-    }
-    let both: BTreeSet<&String> = own[0].intersection(&own[1]).collect();
-    let split = |files: Vec<PathBuf>| -> (Vec<PathBuf>, Vec<PathBuf>) {
-        files.into_iter().partition(|path| both.contains(&number(path)))
-    };
-    let ((left, mut lonely), (right, others)) = (split(left), split(right));
-    lonely.extend(others);
+    let mut found = matched(&[left, right]);
+    let lonely = found.lonely.concat();
+    let right = found.views.pop().unwrap_or_default();
+    let left = found.views.pop().unwrap_or_default();
     ([left, right], lonely)
 }
 

@@ -3,8 +3,8 @@
 //! The views are shrunk to about 160 columns and matched from 0 px to their full width, so that the region which both
 //! share is found wherever it lies; the cost is a small part of one full-size search.
 
-use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, Roi, StereoError};
-use panoscope_node::{Parallel, View, ViewMut};
+use super::{BlockMatcher, BlockMatchingParams, Roi, StereoError};
+use crate::{Parallel, View, ViewMut};
 
 /// Columns of a shrunk view, about.
 pub const COARSE_WIDTH: usize = 160;
@@ -50,6 +50,26 @@ impl Survey {
     /// Matched coarse pixels per disparity, in bins of [`Survey::bin_px`] from 0 px on.
     pub fn counts(&self) -> &[u32] {
         &self.counts
+    }
+
+    /// Matched coarse pixels whose disparity lies in the `search_px` pixels from `offset_px` on.
+    pub fn within(&self, offset_px: i32, search_px: usize) -> usize {
+        let (first, end) = (i64::from(offset_px), i64::from(offset_px) + search_px as i64);
+        let lies_within = |bin: usize| (first..end).contains(&((bin * self.factor) as i64));
+        self.counts.iter().enumerate().filter(|(bin, _)| lies_within(*bin)).map(|(_, count)| *count as usize).sum()
+    }
+
+    /// Where the middle 80 % of the matched disparities lie, px; `None` when nothing matched.
+    pub fn range_px(&self) -> Option<(usize, usize)> {
+        let all: u64 = self.counts.iter().map(|count| u64::from(*count)).sum();
+        let below = |share: u64| {
+            let mut sum = 0;
+            self.counts.iter().position(|count| {
+                sum += u64::from(*count);
+                sum * 10 > all * share
+            })
+        };
+        Some((below(1)? * self.factor, below(9)? * self.factor))
     }
 
     /// Matches the views shrunk to about `columns` columns. `left` and `right` have one size.

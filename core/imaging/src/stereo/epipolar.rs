@@ -1,6 +1,6 @@
 //! How far matched points lie off each other's row: 0 for a rectified pair, more when the calibration has drifted.
 
-use panoscope_node::View;
+use crate::View;
 
 /// Rows looked at above and below.
 const REACH: usize = 6;

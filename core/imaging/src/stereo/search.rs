@@ -1,0 +1,130 @@
+//! Where any matcher searches, and what it tells its user: one mechanism for all engines, ours and others'.
+
+use super::StereoError;
+use super::offset::Offset;
+use super::survey::{COARSE_WIDTH, FINE_WIDTH, Found, Survey};
+use super::watch::Watch;
+use crate::{Parallel, Report, View};
+
+/// Calls between two surveys.
+const SURVEY_CALLS: u64 = 4;
+/// A search that holds this share of what a survey matched, in percent, needs no other offset.
+const ENOUGH_PERCENT: usize = 98;
+/// Calls between two measurements of the rows.
+const ROWS_CALLS: u64 = 8;
+
+/// Where the search lies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SearchParams {
+    /// Whether the offset is found from the pictures.
+    pub auto_offset: bool,
+    /// The offset otherwise, and until one is found, px.
+    pub min_disparity_px: i32,
+    /// That offset stays, too, while the search from there holds nearly all that the views show: for engines that lose columns with
+    /// every pixel of offset.
+    pub keeps_asked: bool,
+    /// Width of the search, px.
+    pub search_px: usize,
+    /// Distance of matched points from their rows that is warned of, px; 0 warns of none.
+    pub drift_px: f32,
+}
+
+/// Finds the offset of the search and watches what is matched; work memory is kept.
+#[derive(Debug)]
+pub struct Search {
+    survey: Survey,
+    offset: Offset,
+    watch: Watch,
+    calls: u64,
+    found_nothing: bool,
+    asked_is_enough: bool,
+}
+
+impl Search {
+    /// Nothing seen yet.
+    ///
+    /// # Errors
+    /// As [`Survey::new`].
+    pub fn new() -> Result<Self, StereoError> {
+        let (survey, offset, watch) = (Survey::new()?, Offset::default(), Watch::default());
+        Ok(Self { survey, offset, watch, calls: 0, found_nothing: false, asked_is_enough: false })
+    }
+
+    /// Before matching: where the search of this pair begins, in px. Both views have one size.
+    ///
+    /// # Errors
+    /// As the kernel of the survey.
+    pub fn begin(
+        &mut self,
+        report: &dyn Report,
+        views: [View<'_, u8>; 2],
+        params: &SearchParams,
+        pool: &dyn Parallel,
+    ) -> Result<i32, StereoError> {
+        let is_survey = self.calls.is_multiple_of(SURVEY_CALLS);
+        self.calls += 1;
+        let mut found = None;
+        if is_survey {
+            let mut coarse = self.survey.look(views, COARSE_WIDTH, pool)?;
+            if self.offset.says_nothing(coarse.matched, coarse.pixels) {
+                coarse = self.survey.look(views, FINE_WIDTH, pool)?;
+            }
+            self.found_nothing = self.offset.says_nothing(coarse.matched, coarse.pixels);
+            self.offset.update(self.survey.counts(), self.survey.bin_px(), coarse.pixels, params.search_px);
+            if !self.found_nothing {
+                let within = self.survey.within(params.min_disparity_px, params.search_px);
+                self.asked_is_enough = within * 100 >= coarse.matched * ENOUGH_PERCENT;
+            }
+            found = Some(coarse);
+        }
+        let stays = params.keeps_asked && self.asked_is_enough;
+        let known = if params.auto_offset && !stays { self.offset.current_px() } else { None };
+        let offset_px = known.unwrap_or(params.min_disparity_px);
+        if let Some(found) = found {
+            self.report_survey(report, views, found, offset_px, params, pool)?;
+        }
+        if !params.auto_offset {
+            self.watch.blind(report, offset_px, params.search_px, views[0].width);
+        }
+        report.metric("offset_px", f64::from(offset_px));
+        Ok(offset_px)
+    }
+
+    fn report_survey(
+        &mut self,
+        report: &dyn Report,
+        views: [View<'_, u8>; 2],
+        found: Found,
+        offset_px: i32,
+        params: &SearchParams,
+        pool: &dyn Parallel,
+    ) -> Result<(), StereoError> {
+        // First, because looking at the views the other way round overwrites the survey's counts.
+        self.watch.beside(report, &self.survey, found, offset_px, params.search_px);
+        self.watch.swapped(report, &mut self.survey, found, views, pool)
+    }
+
+    /// After matching. `is_whole` says that all of the left view was matched, not a region of it.
+    pub fn end(
+        &mut self,
+        report: &dyn Report,
+        views: [View<'_, u8>; 2],
+        disparity: View<'_, f32>,
+        is_whole: bool,
+        params: &SearchParams,
+    ) {
+        let call = self.calls.saturating_sub(1);
+        if call.is_multiple_of(SURVEY_CALLS) {
+            let known_percent = is_whole.then(|| {
+                let known: usize = (0..disparity.height)
+                    .map(|y| disparity.row(y).iter().filter(|value| value.is_finite()).count())
+                    .sum();
+                100.0 * known as f64 / (disparity.width * disparity.height).max(1) as f64
+            });
+            self.watch.poor(report, self.found_nothing, known_percent);
+        }
+        if call.is_multiple_of(ROWS_CALLS) {
+            self.watch.rows(report, views, disparity, params.drift_px);
+        }
+    }
+}

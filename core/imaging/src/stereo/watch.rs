@@ -1,0 +1,138 @@
+//! What a matcher tells its user: swapped views, a drifted calibration, a search that can see nothing. Each is said
+//! once when it begins, and once when it is over.
+
+use super::StereoError;
+use super::epipolar::Epipolar;
+use super::survey::{COARSE_WIDTH, Found, Survey};
+use crate::{Parallel, Report, View};
+
+/// Part of the limit below which a drifted calibration counts as mended.
+const MENDED: f32 = 0.7;
+/// Part of the way to a new measurement that the error shown moves.
+const DRIFT_STEP: f32 = 0.25;
+/// A search that holds less than this share of what a survey matched, in percent, lies beside the scene.
+const BESIDE_PERCENT: usize = 25;
+/// Share of matched coarse pixels, in percent, from which on their disparities say where the scene lies.
+const TELLING_PERCENT: usize = 2;
+/// Known share of a disparity map, in percent, below which hardly anything is matched. The least that the scope's geometry leaves is a
+/// shared region of 12 % of the picture.
+const POOR_PERCENT: f64 = 0.5;
+/// Surveys in a row that must find hardly anything: a short blur or a covered lens is no news.
+const POOR_SURVEYS: u32 = 3;
+
+/// State of the warnings.
+#[derive(Debug, Default)]
+pub struct Watch {
+    epipolar: Epipolar,
+    error_px: Option<f32>,
+    drifted: bool,
+    swapped: bool,
+    blind: bool,
+    /// The search lies beside what the views hold.
+    beside: bool,
+    /// Surveys in a row that found hardly anything.
+    poor_surveys: u32,
+    poor: bool,
+}
+
+impl Watch {
+    /// After a survey with few matches: looks whether the views match the other way round.
+    ///
+    /// # Errors
+    /// As the kernel.
+    pub fn swapped(
+        &mut self,
+        cx: &dyn Report,
+        survey: &mut Survey,
+        found: Found,
+        views: [View<'_, u8>; 2],
+        pool: &dyn Parallel,
+    ) -> Result<(), StereoError> {
+        // A pair in order matches a good part of what its views share.
+        let few = found.matched * 4 < found.pixels;
+        let swapped = few && {
+            let other = survey.look([views[1], views[0]], COARSE_WIDTH, pool)?;
+            other.matched > 3 * found.matched && other.matched * 10 > other.pixels
+        };
+        if swapped && !self.swapped {
+            cx.warn("left and right are swapped: the disparities are negative, nothing is matched until the inputs change places");
+        } else if self.swapped && !swapped {
+            cx.info("left and right are in order again");
+        }
+        self.swapped = swapped;
+        cx.metric("views_swapped", f64::from(u8::from(swapped)));
+        Ok(())
+    }
+
+    /// Says so when a search that begins at `offset_px` can see nothing in views of `width` columns.
+    pub fn blind(&mut self, cx: &dyn Report, offset_px: i32, search_px: usize, width: usize) {
+        let (first, last) = (i64::from(offset_px), i64::from(offset_px) + search_px as i64);
+        let blind = first >= width as i64 || last <= -(width as i64);
+        if blind && !self.blind {
+            cx.warn(&format!(
+                "the search for disparities begins at {first} px, the views are {width} px wide: nothing can be matched"
+            ));
+        }
+        self.blind = blind;
+    }
+
+    /// Says so when the search of `search_px` pixels from `offset_px` on holds hardly any of the disparities that a survey found.
+    pub fn beside(&mut self, cx: &dyn Report, survey: &Survey, found: Found, offset_px: i32, search_px: usize) {
+        cx.metric("found_pct", 100.0 * found.matched as f64 / found.pixels.max(1) as f64);
+        if found.matched * 100 < found.pixels * TELLING_PERCENT || self.swapped {
+            return;
+        }
+        let within = survey.within(offset_px, search_px);
+        cx.metric("in_search_pct", 100.0 * within as f64 / found.matched.max(1) as f64);
+        let beside = within * 100 < found.matched * BESIDE_PERCENT;
+        let range = survey.range_px().unwrap_or((0, 0));
+        if beside && !self.beside {
+            cx.warn(&format!(
+                "disparities are searched from {offset_px} to {} px, the views hold them from about {} to {} px: nearly all of the map is wrong. Switch `auto_offset` on, or set `min_disparity_px` and `search_px` to that range",
+                i64::from(offset_px) + search_px as i64,
+                range.0,
+                range.1
+            ));
+        } else if self.beside && !beside {
+            cx.info("the search for disparities holds what the views show again");
+        }
+        self.beside = beside;
+    }
+
+    /// Says so when hardly anything is matched for a while. `known_percent` is the share of the map that is known.
+    pub fn poor(&mut self, cx: &dyn Report, found_nothing: bool, known_percent: Option<f64>) {
+        if let Some(percent) = known_percent {
+            cx.metric("matched_pct", percent);
+        }
+        let is_poor = found_nothing || known_percent.is_some_and(|percent| percent < POOR_PERCENT);
+        self.poor_surveys = if is_poor { self.poor_surveys.saturating_add(1) } else { 0 };
+        if self.poor_surveys >= POOR_SURVEYS && !self.poor && !self.swapped && !self.blind {
+            self.poor = true;
+            cx.warn(
+                "hardly anything in the two views matches: they are dark, blurred or covered, not rectified, not of one instant, or show different things",
+            );
+        } else if self.poor && self.poor_surveys == 0 {
+            self.poor = false;
+            cx.info("the two views match again");
+        }
+        cx.metric("poor_match", f64::from(u8::from(self.poor)));
+    }
+
+    /// Measures how far matched points lie off their rows, and warns when that grows beyond `limit_px`; 0 never warns.
+    pub fn rows(&mut self, cx: &dyn Report, views: [View<'_, u8>; 2], disparity: View<'_, f32>, limit_px: f32) {
+        let Some(measured) = self.epipolar.measure(views[0], views[1], disparity) else { return };
+        let error = self.error_px.map_or(measured, |error| error + (measured - error) * DRIFT_STEP);
+        self.error_px = Some(error);
+        cx.metric("epipolar_px", f64::from(error));
+        if limit_px > 0.0 && error > limit_px && !self.drifted {
+            self.drifted = true;
+            cx.warn(&format!(
+                "matched points lie {error:.1} px off their rows, {limit_px:.1} px are allowed: the calibration does not fit these views (drifted, or not rectified)"
+            ));
+        } else if self.drifted && (error < MENDED * limit_px || limit_px <= 0.0) {
+            self.drifted = false;
+            cx.info(&format!("matched points lie on their rows again ({error:.1} px)"));
+        }
+        cx.metric("drifted", f64::from(u8::from(self.drifted)));
+    }
+}

@@ -1,0 +1,112 @@
+//! Where a source stands, as bytes for the instance that replaces it.
+
+use std::os::unix::ffi::{OsStrExt, OsStringExt};
+use std::path::PathBuf;
+
+const MAGIC: &[u8; 8] = b"capture1";
+
+/// Where one view stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ViewPosition {
+    /// What the view shows, as the parameters say it.
+    pub text: String,
+    /// Pictures grabbed so far.
+    pub grabbed: u64,
+    /// The file that comes next, where every picture has one of its own.
+    pub next_file: Option<PathBuf>,
+}
+
+/// Where all views stand.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Position {
+    /// Ticks made.
+    pub frame: u64,
+    /// Capture time of the newest tick; -1 before the first.
+    pub capture_ns: i64,
+    /// Media time at which the present round of a loop began, in s.
+    pub round_s: f64,
+    /// The views.
+    pub views: Vec<ViewPosition>,
+}
+
+fn put(bytes: &mut Vec<u8>, text: &[u8]) {
+    bytes.extend((text.len() as u32).to_le_bytes());
+    bytes.extend(text);
+}
+
+/// Takes bytes from the front.
+struct Reader<'b>(&'b [u8]);
+
+impl<'b> Reader<'b> {
+    fn word(&mut self) -> Option<[u8; 8]> {
+        let (word, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(*word)
+    }
+
+    fn text(&mut self) -> Option<&'b [u8]> {
+        let (length, rest) = self.0.split_first_chunk()?;
+        let (text, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+        self.0 = rest;
+        Some(text)
+    }
+}
+
+impl Position {
+    /// As bytes.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend(self.frame.to_le_bytes());
+        bytes.extend(self.capture_ns.to_le_bytes());
+        bytes.extend(self.round_s.to_le_bytes());
+        for view in &self.views {
+            put(&mut bytes, view.text.as_bytes());
+            bytes.extend(view.grabbed.to_le_bytes());
+            put(&mut bytes, view.next_file.as_ref().map_or(&[][..], |path| path.as_os_str().as_bytes()));
+        }
+        bytes
+    }
+
+    /// From bytes; `None` when they are not a position.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let mut rest = Reader(bytes);
+        if rest.word()? != *MAGIC {
+            return None;
+        }
+        let mut position = Self {
+            frame: u64::from_le_bytes(rest.word()?),
+            capture_ns: i64::from_le_bytes(rest.word()?),
+            round_s: f64::from_le_bytes(rest.word()?),
+            views: Vec::new(),
+        };
+        while !rest.0.is_empty() {
+            let text = String::from_utf8(rest.text()?.to_vec()).ok()?;
+            let grabbed = u64::from_le_bytes(rest.word()?);
+            let file = rest.text()?;
+            let next_file = (!file.is_empty()).then(|| PathBuf::from(std::ffi::OsString::from_vec(file.to_vec())));
+            position.views.push(ViewPosition { text, grabbed, next_file });
+        }
+        Some(position)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn positions_come_back_and_nonsense_does_not() {
+        let view = |text: &str, file: Option<&str>| ViewPosition {
+            text: text.to_owned(),
+            grabbed: 7,
+            next_file: file.map(PathBuf::from),
+        };
+        let views = vec![view("l/*.png", Some("/l/8.png")), view("r.mkv", None)];
+        let position = Position { frame: 9, capture_ns: -1, round_s: 1.5, views };
+        let bytes = position.to_bytes();
+        assert_eq!(Position::from_bytes(&bytes), Some(position));
+        for length in [0, 7, 20, 33, bytes.len() - 1] {
+            assert_eq!(Position::from_bytes(&bytes[..length]), None, "{length}");
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! Opening with a limit. OpenCV, FFmpeg and GStreamer wait for an answer as long as it takes, some for ever: the call stands on a
+//! thread of its own, which is left behind when it does not return.
+
+use std::collections::BTreeMap;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError, channel};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use opencv::videoio::VideoCapture;
+
+use super::stream::{Demands, open};
+use super::{CaptureError, SourceName};
+
+/// Calls that have not returned yet, by the source's name.
+static RUNNING: Mutex<BTreeMap<String, usize>> = Mutex::new(BTreeMap::new());
+/// So many calls may hang for one source; more would only leave more threads behind.
+const MOST_RUNNING: usize = 3;
+
+/// A call that opens a source.
+pub struct Opening {
+    name: SourceName,
+    since: Instant,
+    limit: Duration,
+    result: Receiver<Result<VideoCapture, CaptureError>>,
+}
+
+fn running<T>(look: impl FnOnce(&mut BTreeMap<String, usize>) -> T) -> T {
+    look(&mut RUNNING.lock().unwrap_or_else(PoisonError::into_inner))
+}
+
+impl Opening {
+    /// Begins to open `name`.
+    ///
+    /// # Errors
+    /// [`CaptureError::Closed`] when too many earlier calls for the same source have not returned, or no thread starts.
+    pub fn start(name: &SourceName, demands: Demands) -> Result<Self, CaptureError> {
+        let key = name.in_words();
+        let closed = |reason: String| CaptureError::Closed { name: key.clone(), reason };
+        let is_free = running(|running| {
+            let count = running.entry(key.clone()).or_default();
+            let is_free = *count < MOST_RUNNING;
+            *count += usize::from(is_free);
+            is_free
+        });
+        if !is_free {
+            return Err(closed(format!("{MOST_RUNNING} earlier attempts have not returned yet")));
+        }
+        let (sender, result) = channel();
+        let (task, key_of_task) = (name.clone(), key.clone());
+        let started = std::thread::Builder::new().name("open source".to_owned()).spawn(move || {
+            let opened = open(&task, demands);
+            returned(&key_of_task);
+            // Nobody listens any more when it took too long: the source closes again here.
+            let _ = sender.send(opened);
+        });
+        if let Err(error) = started {
+            returned(&key);
+            return Err(closed(format!("no thread starts: {error}")));
+        }
+        Ok(Self { name: name.clone(), since: Instant::now(), limit: demands.open_limit, result })
+    }
+
+    /// Waits for the end of the call, or of the limit.
+    ///
+    /// # Errors
+    /// Why the source does not open.
+    pub fn wait(self) -> Result<VideoCapture, CaptureError> {
+        match self.result.recv_timeout(self.limit) {
+            Ok(opened) => opened,
+            Err(RecvTimeoutError::Timeout) => Err(self.too_late()),
+            Err(RecvTimeoutError::Disconnected) => Err(self.broken()),
+        }
+    }
+
+    /// The end of the call, if it has come, or of the limit.
+    pub fn poll(&self) -> Option<Result<VideoCapture, CaptureError>> {
+        match self.result.try_recv() {
+            Ok(opened) => Some(opened),
+            Err(TryRecvError::Empty) if self.since.elapsed() < self.limit => None,
+            Err(TryRecvError::Empty) => Some(Err(self.too_late())),
+            Err(TryRecvError::Disconnected) => Some(Err(self.broken())),
+        }
+    }
+
+    fn broken(&self) -> CaptureError {
+        CaptureError::Closed { name: self.name.in_words(), reason: "the call that opens it panicked".to_owned() }
+    }
+
+    fn too_late(&self) -> CaptureError {
+        let seconds = self.limit.as_secs_f64();
+        let hint = match &self.name {
+            SourceName::Address(_) => {
+                "is the address right, and the sender running? `open_limit_s` sets the time".to_owned()
+            }
+            SourceName::Pipeline(text) => format!(
+                "one of its elements ({}) waits for data, a device or an address; try it with gst-launch-1.0, or set `open_limit_s`",
+                super::elements::names(text).join(", ")
+            ),
+            SourceName::Device(_) => "the driver does not answer; unplug the camera and plug it in again".to_owned(),
+            _ => "is it a file, on a disk that answers?".to_owned(),
+        };
+        CaptureError::Closed { name: self.name.in_words(), reason: format!("no answer within {seconds} s: {hint}") }
+    }
+}
+
+fn returned(key: &str) {
+    running(|running| {
+        if let Some(count) = running.get_mut(key) {
+            *count -= 1;
+            if *count == 0 {
+                running.remove(key);
+            }
+        }
+    });
+}

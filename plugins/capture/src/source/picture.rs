@@ -1,0 +1,128 @@
+//! One picture as its file or device gave it, and how its values become eight bits.
+
+/// Blue, green, red of every pixel, row after row without padding.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Samples {
+    /// 0..=255.
+    Eight(Vec<u8>),
+    /// As the file holds them; white may be any of 255, 1023, 4095, 16383, 65535.
+    Sixteen(Vec<u16>),
+    /// As the file holds them; white may be 1.0 or any of the above.
+    Float(Vec<f32>),
+}
+
+/// One picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// Columns in px.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Its values.
+    pub samples: Samples,
+}
+
+impl Default for Picture {
+    fn default() -> Self {
+        Self { width: 0, height: 0, samples: Samples::Eight(Vec::new()) }
+    }
+}
+
+/// Bits that cameras have.
+const BITS: [u32; 5] = [8, 10, 12, 14, 16];
+
+/// The value that is white with so many bits.
+pub fn white_of_bits(bits: u32) -> f32 {
+    ((1u32 << bits.clamp(1, 16)) - 1) as f32
+}
+
+impl Picture {
+    /// Forgets the pixels: after a failure nothing of the picture before is left to be shown.
+    pub fn clear(&mut self) {
+        self.width = 0;
+        self.height = 0;
+        match &mut self.samples {
+            Samples::Eight(bgr) => bgr.clear(),
+            other => *other = Samples::Eight(Vec::new()),
+        }
+    }
+
+    /// Bytes of memory.
+    pub fn bytes(&self) -> usize {
+        match &self.samples {
+            Samples::Eight(bgr) => bgr.len(),
+            Samples::Sixteen(bgr) => 2 * bgr.len(),
+            Samples::Float(bgr) => 4 * bgr.len(),
+        }
+    }
+
+    /// The largest value of a picture with more than eight bits; `None` for one of eight. NaN counts as nothing.
+    pub fn peak(&self) -> Option<f32> {
+        match &self.samples {
+            Samples::Eight(_) => None,
+            Samples::Sixteen(bgr) => Some(f32::from(bgr.iter().copied().max().unwrap_or(0))),
+            Samples::Float(bgr) => Some(bgr.iter().copied().fold(0.0, f32::max)),
+        }
+    }
+
+    /// The least white of a usual bit depth that holds a picture with this `peak`.
+    ///
+    /// # Errors
+    /// The peak, when no depth holds it.
+    pub fn white_for(&self, peak: f32) -> Result<f32, f32> {
+        if matches!(self.samples, Samples::Float(_)) && peak <= 1.0 {
+            return Ok(1.0);
+        }
+        BITS.into_iter().map(white_of_bits).find(|white| peak <= *white).ok_or(peak)
+    }
+
+    /// Writes columns `x..` of row `y` as eight bits; `white` becomes 255, what is brighter too.
+    pub fn write_row(&self, x: usize, y: usize, white: f32, out: &mut [u8]) {
+        let start = (y * self.width + x) * 3;
+        let end = start + out.len();
+        match &self.samples {
+            Samples::Eight(bgr) => out.copy_from_slice(&bgr[start..end]),
+            Samples::Sixteen(bgr) => {
+                let scale = 255.0 / white;
+                for (out, value) in out.iter_mut().zip(&bgr[start..end]) {
+                    // A cast of a float ends at 255.
+                    *out = f32::from(*value).mul_add(scale, 0.5) as u8;
+                }
+            }
+            Samples::Float(bgr) => {
+                let scale = 255.0 / white;
+                for (out, value) in out.iter_mut().zip(&bgr[start..end]) {
+                    // It ends at 0 for negative values and NaN, too.
+                    *out = value.mul_add(scale, 0.5) as u8;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(picture: &Picture, white: f32) -> Vec<u8> {
+        let mut out = vec![0; picture.width * 3];
+        picture.write_row(0, 0, white, &mut out);
+        out
+    }
+
+    #[test]
+    fn values_are_scaled_by_the_depth_that_holds_them() {
+        let deep = Picture { width: 1, height: 1, samples: Samples::Sixteen(vec![0, 2048, 4095]) };
+        let white = deep.white_for(deep.peak().unwrap()).unwrap();
+        assert_eq!(white, 4095.0);
+        assert_eq!(row(&deep, white), [0, 128, 255]);
+        assert_eq!(row(&deep, 1023.0), [0, 255, 255]);
+        let float = Picture { width: 2, height: 1, samples: Samples::Float(vec![-1.0, 0.5, 1.0, f32::NAN, 0.25, 0.0]) };
+        let white = float.white_for(float.peak().unwrap()).unwrap();
+        assert_eq!((white, row(&float, white)), (1.0, vec![0, 128, 255, 0, 64, 0]));
+        for (peak, white) in [(200.0, 255.0), (256.0, 1023.0), (16_000.0, 16_383.0), (65_535.0, 65_535.0)] {
+            assert_eq!(float.white_for(peak), Ok(white));
+        }
+        assert_eq!(float.white_for(1e6), Err(1e6));
+    }
+}
