@@ -13,6 +13,7 @@ use panoscope_graph::{Catalog, Graph, Mode, NodeSetup, Param, ParamValue, Valida
 
 use crate::cell::{Cell, Surroundings, lock};
 use crate::clock;
+use crate::ending;
 use crate::fault::{Fault, FaultFn, FaultLog};
 use crate::host;
 use crate::loader::Loader;
@@ -267,6 +268,7 @@ impl Engine {
             closed: AtomicBool::new(false),
             _listening: listening,
         };
+        ending::register(&engine.shared);
         engine.start_threads().map_err(|cause| StartError::Thread { cause })?;
         Ok(engine)
     }
@@ -358,6 +360,7 @@ impl Engine {
                 if !cell.close_instance() || cell.stuck.load(Ordering::Relaxed) > 0 {
                     let words = "it does not return and is left behind; its files may be incomplete";
                     self.shared.around.log.say(Level::Error, &cell.id, words);
+                    cell.stopped_because(words.to_owned());
                 }
             }
         }

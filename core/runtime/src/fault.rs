@@ -46,6 +46,8 @@ pub enum Cause {
     Leak,
     /// The recording of the run has a gap, or has ended.
     Recording,
+    /// The node's plugin ended the program: it crashed or called `exit`.
+    Crash,
 }
 
 /// What was done about a fault.

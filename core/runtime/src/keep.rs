@@ -2,10 +2,11 @@
 
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use panoscope_abi::BufferId;
 
+use crate::ending::who::Who;
 use crate::memory::memory;
 
 thread_local! {
@@ -21,6 +22,8 @@ static STRAY_RELEASE: AtomicBool = AtomicBool::new(false);
 struct Inner {
     count: AtomicUsize,
     ids: Mutex<Vec<BufferId>>,
+    /// The node that the instance belongs to.
+    who: OnceLock<Arc<Who>>,
 }
 
 /// What one instance keeps.
@@ -43,6 +46,16 @@ impl Kept {
     #[inline]
     pub fn enter(&self) -> Keeper {
         Keeper { before: KEEPER.with(|k| k.replace(&raw const *self.0)) }
+    }
+
+    /// Says whose instance this is.
+    pub fn belongs_to(&self, who: &Arc<Who>) {
+        let _ = self.0.who.set(Arc::clone(who));
+    }
+
+    /// The node that the instance belongs to.
+    pub fn who(&self) -> Arc<Who> {
+        self.0.who.get().cloned().unwrap_or_default()
     }
 
     /// Frames kept now.

@@ -8,6 +8,7 @@ mod cell;
 pub mod clock;
 mod convert;
 pub mod elf;
+pub mod ending;
 mod engine;
 mod exec;
 mod failures;

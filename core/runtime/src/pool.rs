@@ -11,6 +11,7 @@ use arc_swap::ArcSwap;
 use panoscope_abi::ChunkFn;
 
 use crate::clock;
+use crate::ending::who::{self, Doing};
 use crate::exec::Walk;
 
 /// Longest that a patient task waits behind urgent ones.
@@ -31,6 +32,8 @@ struct Loop {
     caller_number: u32,
     /// Of the node that it belongs to.
     urgency: Urgency,
+    /// The node that it belongs to.
+    doing: Doing,
 }
 
 /// What comes first where there are fewer threads than work.
@@ -332,7 +335,7 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
             state.helping.push((number, this.caller_number));
             drop(state);
             set_urgency(this.urgency);
-            this.help(inner);
+            who::help(this.doing, || this.help(inner));
             let caller = this.caller.clone();
             if this.helpers.fetch_sub(1, Ordering::Release) == 1 {
                 // `this` may be gone now; its caller's handle was copied.
@@ -385,6 +388,7 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
         caller: std::thread::current(),
         caller_number: thread_number(),
         urgency: URGENCY.with(Cell::get),
+        doing: who::doing(),
     };
     let wanted = (inner.threads - 1).min(chunks - 1);
     let mut state = lock(inner);

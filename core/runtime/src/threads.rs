@@ -367,6 +367,7 @@ impl Shared {
                 }
             };
             let raw: Vec<Frame> = outputs.iter().map(|f| *f.frame()).collect();
+            cell.note_made(&raw);
             cell.taps.show(&raw);
             if let Some(recorder) = &self.around.recorder {
                 recorder.made_tick(cell, &tick, &raw);

@@ -118,6 +118,9 @@ impl Shared {
             _ => Action::Bypass,
         };
         exec.bypassed = done == Action::Bypass;
+        if exec.bypassed {
+            cell.stopped_because(format!("{stuck} of its calls did not return"));
+        }
         busy.clear();
         cell.exec.put(exec);
 
@@ -169,6 +172,9 @@ impl Shared {
         let done = if stuck <= MOST_STUCK { Action::Abandon } else { Action::Bypass };
         bump(&cell.stats.faults);
         let words = "it does not return from opening".to_owned();
+        if done == Action::Bypass {
+            cell.stopped_because(words.clone());
+        }
         self.around.log.say(Level::Error, &cell.id, &words);
         cell.tell(&self.around, Cause::Hang, done, None, None, words);
         if done == Action::Abandon {

@@ -9,7 +9,8 @@ use super::{
     Cell, MOST_KEPT_FRAMES, ONE_INPUT, Ports, REMEMBERED_SIZES, Ran, Refused, Resized, SILENT_CALLS, Surroundings, lock,
 };
 use crate::clock;
-use crate::exec::{Exec, Instance, Made, clear};
+use crate::ending::who;
+use crate::exec::{Exec, Instance, Made, Port, clear};
 use crate::fault::{Action, Cause};
 use crate::host::CallContext;
 use crate::keep::kept_more;
@@ -70,6 +71,9 @@ impl Cell {
         } else {
             ports.made.clear();
             if status == abi::STATUS_END && exec.source {
+                if !exec.failure.is_empty() {
+                    self.ended_by_error(exec, around, tick);
+                }
                 Ran::End
             } else {
                 self.failed(exec, around, status, refused, tick, end_ns)
@@ -220,8 +224,10 @@ impl Cell {
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
         let keeper = exec.instance.kept.enter();
+        who::begin_call(self);
         // SAFETY: the contract: an open instance that no other thread uses, and a call whose parts outlive it.
         let status = unsafe { process(exec.instance.raw, &raw mut call) };
+        who::end_call();
         drop(keeper);
         let refused = context.refused.take();
         if let Some(lent) = context.lent {
@@ -263,7 +269,9 @@ impl Cell {
             } else if (port.width, port.height) != (frame.width, frame.height) {
                 let (from, to) = ((port.width, port.height), (frame.width, frame.height));
                 (port.width, port.height) = to;
-                if from != (0, 0) {
+                if from == Port::NEVER {
+                    self.ports_made.fetch_or(1u64.checked_shl(index as u32).unwrap_or(0), Ordering::Relaxed);
+                } else if from != (0, 0) {
                     self.resize(Resized { output: index, tick: *tick, from, to });
                 }
             }

@@ -10,6 +10,7 @@ use panoscope_abi::{self as abi, PortRange, Str, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
 use crate::clock;
+use crate::ending::who::{self, Who};
 use crate::exec::{Busy, Exec, ExecPlace, Instance, Made};
 use crate::fault::{Action, Cause, Fault, FaultLog, unix_ms};
 use crate::host::CallContext;
@@ -29,7 +30,7 @@ pub(crate) const MOST_KEPT_FRAMES: usize = 128;
 const SILENT_CALLS: u32 = 30;
 /// Changes of size that are remembered: a reader may lag a few ticks behind.
 const REMEMBERED_SIZES: usize = 8;
-const CAUSES: usize = Cause::Leak as usize + 1;
+const CAUSES: usize = Cause::Crash as usize + 1;
 
 /// What every call of an engine shares.
 pub(crate) struct Surroundings {
@@ -157,6 +158,12 @@ pub(crate) struct Cell {
     /// The newest changes of outputs' sizes.
     pub resized: Mutex<VecDeque<Resized>>,
     pub fault_counts: [AtomicU64; CAUSES],
+    /// The node as a crash report names it.
+    pub who: Arc<Who>,
+    /// Outputs that made a packet so far, one bit each.
+    pub ports_made: AtomicU64,
+    /// Why the node works no more although the run went on; the first reason stays.
+    pub stopped: Mutex<Option<String>>,
 }
 
 /// What the host refused a node.
@@ -208,6 +215,9 @@ impl Cell {
         let time = Arc::clone(&stats.time);
         let exec = Exec::new(spec.node_type, &rules, spec.ranges.clone(), Arc::clone(&snapshot), time);
         let this = Self {
+            who: Who::of(&spec.id, spec.node_type),
+            ports_made: AtomicU64::new(0),
+            stopped: Mutex::default(),
             id: spec.id,
             node_type: spec.node_type,
             kind: spec.kind,
@@ -286,6 +296,19 @@ impl Cell {
         self.walk_ns.store(ns.max(faded), Ordering::Relaxed);
     }
 
+    /// Notes which outputs were made, where no call did.
+    pub fn note_made(&self, outputs: &[abi::Frame]) {
+        let made = outputs.iter().enumerate().filter(|(_, frame)| !frame.is_empty());
+        let bits = made.fold(0u64, |bits, (port, _)| bits | 1u64.checked_shl(port as u32).unwrap_or(0));
+        self.ports_made.fetch_or(bits, Ordering::Relaxed);
+    }
+
+    /// The node works no more from now on.
+    #[cold]
+    pub fn stopped_because(&self, reason: String) {
+        lock(&self.stopped).get_or_insert(reason);
+    }
+
     /// The values in force.
     pub fn snapshot(&self) -> Arc<Snapshot> {
         self.values.get()
@@ -353,10 +376,11 @@ impl Cell {
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
         let mut instance = Instance::none(self.node_type);
+        instance.kept.belongs_to(&self.who);
         let keeper = instance.kept.enter();
         let status = match self.node_type.open {
             // SAFETY: the contract; everything the call points to outlives it.
-            Some(open) => unsafe { open(&raw mut call, &raw mut instance.raw) },
+            Some(open) => who::opening(&self.who, || unsafe { open(&raw mut call, &raw mut instance.raw) }),
             None => abi::STATUS_INVALID,
         };
         drop(keeper);
