@@ -152,7 +152,7 @@ pub fn judge(facts: &Facts<'_>) -> Verdict {
         }
     }
     if report.frames > 0 {
-        for (id, node) in report.nodes.iter().filter(|(_, n)| never_ran(n)) {
+        for (id, node) in report.nodes.iter().filter(|(id, n)| never_ran(n) && !report.stopped.contains_key(*id)) {
             idle(facts, id, node, &mut verdict);
         }
     }
@@ -169,7 +169,7 @@ fn faults_of(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdi
         let weight = if asked && !always { Weight::Warning } else { Weight::Error };
         verdict.add(weight, format!("node `{id}` failed {times}{how_often}: {}", last_words(facts.faults, id)));
     }
-    if let Some(reason) = &node.stopped {
+    if let Some(reason) = facts.report.stopped.get(id) {
         let (weight, words) = if asked { (Weight::Warning, "was bypassed") } else { (Weight::Error, "stopped") };
         verdict.add(weight, format!("node `{id}` {words}: {reason}"));
     }
@@ -177,7 +177,7 @@ fn faults_of(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdi
 
 /// Sources are judged by what they made; what failed or was left out is told otherwise.
 fn never_ran(node: &NodeReport) -> bool {
-    node.count == 0 && node.made.is_none() && node.faults == 0 && node.stopped.is_none() && !node.muted
+    node.count == 0 && node.made.is_none() && node.faults == 0 && !node.muted
 }
 
 fn idle(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdict) {
@@ -226,7 +226,6 @@ mod tests {
             allocations: None,
             made,
             never_got: Vec::new(),
-            stopped: None,
             muted: false,
             metrics: BTreeMap::new(),
         }
@@ -245,6 +244,7 @@ mod tests {
             fps: 30.0,
             nodes,
             paths: BTreeMap::new(),
+            stopped: BTreeMap::new(),
             allocations_per_frame: None,
             machine: Machine { cpu: String::new(), cores: 1, threads: 1, os: String::new() },
         }
@@ -274,7 +274,7 @@ mod tests {
 
     #[test]
     fn faults_fail_a_run_unless_they_were_to_be_bypassed() {
-        let report = report(|nodes| nodes.get_mut("sink").expect("there").faults = 63.min(59));
+        let report = report(|nodes| nodes.get_mut("sink").expect("there").faults = 59);
         let fault = Fault {
             unix_ms: 0,
             run_ms: 0.0,
@@ -320,7 +320,8 @@ mod tests {
 
     #[test]
     fn a_node_that_stopped_or_never_ran_is_named_where_it_began() {
-        let stopped = report(|nodes| nodes.get_mut("sink").expect("there").stopped = Some("the disk is full".to_owned()));
+        let mut stopped = report(|_| ());
+        stopped.stopped.insert("sink".to_owned(), "the disk is full".to_owned());
         let verdict = judge(&facts(&stopped));
         assert_eq!((verdict.end(), verdict.findings.len()), (End::Failed, 1));
         assert_eq!(verdict.findings[0].words, "node `sink` stopped: the disk is full");

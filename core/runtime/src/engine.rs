@@ -24,7 +24,7 @@ use crate::pool::{self, Pool, Task};
 use crate::preview::{Listener, Preview};
 use crate::record::{Event, Recorder, Script};
 use crate::report::{NodeWindow, Report, Window};
-use crate::schedule::{AllocationMeter, Shared};
+use crate::schedule::{AllocationMeter, Ready, Shared};
 
 /// How a graph is run.
 pub struct Options {
@@ -217,6 +217,7 @@ impl Engine {
             recorder: options.record,
             script: options.replay,
             thread_allocations: options.thread_allocations,
+            stopped: Mutex::default(),
         };
         let hurried = !around.unhurried();
         let pool = Pool::new(threads);
@@ -299,6 +300,14 @@ impl Engine {
                 shared.start_thread(node, cell)?;
             }
         }
+        // A node that reads nothing never gets a tick: it is finished, and nobody waits for it when the engine is closed.
+        let mut ready = Ready::default();
+        for (node, cell) in plan.live().filter(|(_, c)| !c.source) {
+            if lock(&cell.join).slots.is_empty() {
+                shared.poke(&plan, node, &mut ready);
+            }
+        }
+        ready.settle(shared, &plan, 0);
         Ok(())
     }
 
@@ -360,7 +369,7 @@ impl Engine {
                 if !cell.close_instance() || cell.stuck.load(Ordering::Relaxed) > 0 {
                     let words = "it does not return and is left behind; its files may be incomplete";
                     self.shared.around.log.say(Level::Error, &cell.id, words);
-                    cell.stopped_because(words.to_owned());
+                    cell.lost(&self.shared.around, words);
                 }
             }
         }

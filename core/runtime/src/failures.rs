@@ -130,21 +130,11 @@ impl Cell {
         };
         exec.bypassed = done == Action::Bypass;
         if exec.bypassed {
-            self.stopped_because(words.clone());
+            self.lost(around, &words);
         }
         self.wants_mending.store(true, Ordering::Release);
         self.tell(around, cause, done, Some(tick.seq), None, words);
         ran
-    }
-
-    /// A source ends because of an error that it names: its device is gone, its stream broke.
-    #[cold]
-    pub(crate) fn ended_by_error(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) {
-        let words = std::mem::take(&mut exec.failure);
-        bump(&self.stats.faults);
-        around.log.say(Level::Error, &self.id, &words);
-        self.stopped_because(words.clone());
-        self.tell(around, Cause::Error, Action::Bypass, Some(tick.seq), None, words);
     }
 
     fn count(&self, cause: Cause) -> u64 {

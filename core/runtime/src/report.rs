@@ -27,6 +27,9 @@ pub struct Report {
     pub nodes: BTreeMap<String, NodeReport>,
     /// Per sink: time from ingest to the end of its work.
     pub paths: BTreeMap<String, PathReport>,
+    /// Nodes that lost something for good, with the reason: a full disk, a file that could not be completed. Such a run has failed.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub stopped: BTreeMap<String, String>,
     /// Heap allocations per frame in steady state, null when not counted.
     pub allocations_per_frame: Option<f64>,
     /// Where it ran.
@@ -68,9 +71,6 @@ pub struct NodeReport {
     /// Required inputs that never got a packet, as `node.port` of who should have made one.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub never_got: Vec<String>,
-    /// Why it works no more although the run went on.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub stopped: Option<String>,
     /// Left out of a replay because it acts on the world.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub muted: bool,
@@ -154,7 +154,6 @@ impl Report {
                     allocations: shared.around.thread_allocations.map(|_| load(&stats.allocations)),
                     made: cell.source.then(|| load(&cell.made)),
                     never_got: Vec::new(),
-                    stopped: lock(&cell.stopped).clone(),
                     muted: !cell.source && shared.around.script.as_ref().is_some_and(|script| script.closes(cell)),
                     metrics: lock(&cell.metrics).iter().cloned().collect(),
                 },
@@ -187,6 +186,7 @@ impl Report {
             fps: if seconds > 0.0 { frames as f64 / seconds } else { 0.0 },
             nodes,
             paths,
+            stopped: lock(&shared.around.stopped).clone(),
             allocations_per_frame,
             machine: Machine::here(shared.pool.threads()),
         }

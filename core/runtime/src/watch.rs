@@ -119,7 +119,7 @@ impl Shared {
         };
         exec.bypassed = done == Action::Bypass;
         if exec.bypassed {
-            cell.stopped_because(format!("{stuck} of its calls did not return"));
+            cell.lost(&self.around, &format!("{stuck} of its calls did not return"));
         }
         busy.clear();
         cell.exec.put(exec);
@@ -173,7 +173,7 @@ impl Shared {
         bump(&cell.stats.faults);
         let words = "it does not return from opening".to_owned();
         if done == Action::Bypass {
-            cell.stopped_because(words.clone());
+            cell.lost(&self.around, &words);
         }
         self.around.log.say(Level::Error, &cell.id, &words);
         cell.tell(&self.around, Cause::Hang, done, None, None, words);

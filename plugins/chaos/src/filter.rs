@@ -40,7 +40,8 @@ impl Node for Chaos {
     type Out<'f> = Out<'f>;
     type Params = Plan;
 
-    fn open(_: &Open<'_>, _: &Plan) -> Result<Self> {
+    fn open(_: &Open<'_>, plan: &Plan) -> Result<Self> {
+        plan.open();
         Ok(Self)
     }
 
@@ -59,7 +60,8 @@ impl Node for ChaosBlocking {
     type Out<'f> = Out<'f>;
     type Params = Plan;
 
-    fn open(_: &Open<'_>, _: &Plan) -> Result<Self> {
+    fn open(_: &Open<'_>, plan: &Plan) -> Result<Self> {
+        plan.open();
         Ok(Self)
     }
 

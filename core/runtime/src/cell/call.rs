@@ -71,9 +71,6 @@ impl Cell {
         } else {
             ports.made.clear();
             if status == abi::STATUS_END && exec.source {
-                if !exec.failure.is_empty() {
-                    self.ended_by_error(exec, around, tick);
-                }
                 Ran::End
             } else {
                 self.failed(exec, around, status, refused, tick, end_ns)

@@ -2,7 +2,7 @@
 
 mod call;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -46,6 +46,8 @@ pub(crate) struct Surroundings {
     pub script: Option<Arc<Script>>,
     /// Heap allocations of the calling thread so far.
     pub thread_allocations: Option<fn() -> u64>,
+    /// Nodes that lost something for good, with the reason.
+    pub stopped: Mutex<BTreeMap<String, String>>,
 }
 
 impl Surroundings {
@@ -162,8 +164,6 @@ pub(crate) struct Cell {
     pub who: Arc<Who>,
     /// Outputs that made a packet so far, one bit each.
     pub ports_made: AtomicU64,
-    /// Why the node works no more although the run went on; the first reason stays.
-    pub stopped: Mutex<Option<String>>,
 }
 
 /// What the host refused a node.
@@ -217,7 +217,6 @@ impl Cell {
         let this = Self {
             who: Who::of(&spec.id, spec.node_type),
             ports_made: AtomicU64::new(0),
-            stopped: Mutex::default(),
             id: spec.id,
             node_type: spec.node_type,
             kind: spec.kind,
@@ -303,10 +302,10 @@ impl Cell {
         self.ports_made.fetch_or(bits, Ordering::Relaxed);
     }
 
-    /// The node works no more from now on.
+    /// Notes that the node has lost something for good: the run has failed.
     #[cold]
-    pub fn stopped_because(&self, reason: String) {
-        lock(&self.stopped).get_or_insert(reason);
+    pub fn lost(&self, around: &Surroundings, words: &str) {
+        lock(&around.stopped).entry(self.id.clone()).or_insert_with(|| words.to_owned());
     }
 
     /// The values in force.

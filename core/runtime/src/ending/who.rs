@@ -60,10 +60,6 @@ pub(crate) struct Doing {
     phase: Phase,
 }
 
-impl Doing {
-    const NOTHING: Self = Self { call: std::ptr::null(), other: std::ptr::null(), phase: Phase::Process };
-}
-
 thread_local! {
     // Constants without destructors: no lazy initialisation, so that a signal handler may read them.
     static CALL: Slot<*const Cell> = const { Slot::new(std::ptr::null()) };
