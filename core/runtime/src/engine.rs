@@ -21,7 +21,7 @@ use crate::log::{Level, Log, LogFn};
 use crate::params::Snapshot;
 use crate::plan;
 use crate::pool::{self, Pool, Task};
-use crate::preview::{Listener, Preview};
+use crate::preview::{Listener, NumberListener, Preview};
 use crate::record::{Event, Recorder, Script};
 use crate::report::{NodeWindow, Report, Window};
 use crate::schedule::{AllocationMeter, Ready, Shared};
@@ -49,6 +49,8 @@ pub struct Options {
     pub replay: Option<Arc<Script>>,
     /// Ports whose every packet is heard.
     pub listen: Vec<Listener>,
+    /// A node whose told numbers are heard, each as it is told.
+    pub numbers: Option<NumberListener>,
     /// A call of a node without a budget that takes longer does not return, in live mode; in batch, 30 times that.
     pub hang: Duration,
     /// Heap allocations of the process so far, where the program counts them.
@@ -70,6 +72,7 @@ impl Default for Options {
             record: None,
             replay: None,
             listen: Vec::new(),
+            numbers: None,
             hang: Duration::from_secs(2),
             process_allocations: None,
             thread_allocations: None,
@@ -204,6 +207,11 @@ impl Engine {
         }
         let slots: Vec<usize> = (0..cells.len()).collect();
         let plan = plan::lay_out(&graph, catalog, cells, slots.clone(), options.ticks_at_once, None);
+        if let Some(numbers) = &options.numbers
+            && let Some(node) = graph.node(&numbers.node)
+        {
+            let _ = plan.cells[node].hear_number.set(Arc::clone(&numbers.hear));
+        }
         let listening = listen(&graph, catalog, &plan.cells, &options.listen)?;
         let batch = graph.mode == Mode::Batch;
         let start_ns = clock::now_ns();

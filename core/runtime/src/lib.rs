@@ -40,5 +40,5 @@ pub use apply::{Applied, ApplyError};
 pub use engine::{Engine, Options, Outcome, SetError, StartError};
 pub use live::Live;
 pub use loader::Loader;
-pub use preview::{HearFn, Listener, Preview};
+pub use preview::{HearFn, HearNumberFn, Listener, NumberListener, Preview};
 pub use report::{Machine, NodeReport, NodeWindow, PathReport, QueueWindow, Report, Window};

@@ -358,7 +358,7 @@ impl Shared {
                 continue;
             }
             let tick = Tick { source: node as u32, flags: 0, seq, capture_ns: recorded.capture_ns };
-            let outputs = match script.outputs(cell, recorded, tick) {
+            let outputs = match script.outputs(cell, &self.around, recorded, tick) {
                 Ok(outputs) => outputs,
                 Err(error) => {
                     script.fail(error.to_string());

@@ -4,7 +4,7 @@ mod call;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use panoscope_abi::{self as abi, PortRange, Str, Tick};
 use panoscope_graph::{NodeKind, OnFault};
@@ -19,7 +19,7 @@ use crate::log::{Level, Log};
 use crate::memory::FrameRef;
 use crate::outputs::OutputRule;
 use crate::params::{InForce, Snapshot};
-use crate::preview::Taps;
+use crate::preview::{HearNumberFn, Taps};
 use crate::record::{Recorder, Script};
 use crate::stats::NodeStats;
 use crate::threads::{Leave, ingest_ring};
@@ -137,6 +137,8 @@ pub(crate) struct Cell {
     pub stuck: Arc<AtomicU32>,
     pub stats: NodeStats,
     pub metrics: Mutex<Vec<(String, f64)>>,
+    /// Hears each number that the node tells.
+    pub hear_number: OnceLock<Arc<HearNumberFn>>,
     /// The node's own thread, if it has one.
     pub thread: Mutex<Option<std::thread::Thread>>,
     pub wake: AtomicBool,
@@ -244,6 +246,7 @@ impl Cell {
             stuck: Arc::default(),
             stats,
             metrics: Mutex::new(Vec::new()),
+            hear_number: OnceLock::new(),
             outputs_read: AtomicU64::new(spec.outputs_read),
             taps: Taps::new(spec.node_type.outputs_len),
             thread: Mutex::new(None),
