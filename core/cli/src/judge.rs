@@ -307,8 +307,7 @@ mod tests {
         let verdict = judge(&Facts { frames: Some(100), ..facts(&report) });
         assert_eq!(verdict.end(), End::Failed);
         assert!(verdict.last_line().starts_with("failed: 60 of 100 frames in"), "{}", verdict.last_line());
-        let stopped =
-            judge(&Facts { frames: Some(100), stopped_by: Some("SIGINT".to_owned()), ..facts(&report) });
+        let stopped = judge(&Facts { frames: Some(100), stopped_by: Some("SIGINT".to_owned()), ..facts(&report) });
         assert!(stopped.last_line().starts_with("failed, stopped by SIGINT: 60 of 100"), "{}", stopped.last_line());
         // The slower of two sources counts.
         let report = self::report(|nodes| drop(nodes.insert("other".to_owned(), node(11, Some(10)))));

@@ -65,7 +65,8 @@ impl Instance {
         let mut bytes: Vec<u8> = Vec::new();
         let (raw, who) = (self.raw, self.kept.who());
         // SAFETY: an open instance that no other thread uses; the sink outlives the call.
-        let status = who::with(&who, Phase::SaveState, || unsafe { save(raw, &raw const host, (&raw mut bytes).cast()) });
+        let status =
+            who::with(&who, Phase::SaveState, || unsafe { save(raw, &raw const host, (&raw mut bytes).cast()) });
         (status == abi::STATUS_OK && !bytes.is_empty()).then_some(bytes)
     }
 

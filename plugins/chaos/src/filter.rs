@@ -40,8 +40,8 @@ impl Node for Chaos {
     type Out<'f> = Out<'f>;
     type Params = Plan;
 
-    fn open(_: &Open<'_>, plan: &Plan) -> Result<Self> {
-        plan.open();
+    fn open(open: &Open<'_>, plan: &Plan) -> Result<Self> {
+        plan.open(open);
         Ok(Self)
     }
 
@@ -60,8 +60,8 @@ impl Node for ChaosBlocking {
     type Out<'f> = Out<'f>;
     type Params = Plan;
 
-    fn open(_: &Open<'_>, plan: &Plan) -> Result<Self> {
-        plan.open();
+    fn open(open: &Open<'_>, plan: &Plan) -> Result<Self> {
+        plan.open(open);
         Ok(Self)
     }
 

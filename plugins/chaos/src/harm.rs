@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use panoscope_node::{AnyFormat, Choice, Context, Gray8, GrayF32, Params, Result, Slot, error, random};
+use panoscope_node::{AnyFormat, Choice, Context, Gray8, GrayF32, Open, Params, Result, Slot, error, random};
 
 /// What goes wrong.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,11 +89,14 @@ impl Plan {
     }
 
     /// What goes wrong while a node is opened.
-    pub fn open(&self) {
+    pub fn open(&self, open: &Open<'_>) {
         if self.harm == Harm::SegvInOpen {
             segv();
         }
-        wait(self.open_ms);
+        if self.open_ms > 0.0 {
+            open.info(&format!("told to open for {} ms", self.open_ms));
+            wait(self.open_ms);
+        }
     }
 
     /// Harm that does not depend on what the node makes: it fails, or it takes its time.

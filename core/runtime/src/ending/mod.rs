@@ -11,8 +11,8 @@ mod crash;
 mod exit;
 mod rescue;
 pub mod signals;
-mod words;
 pub(crate) mod who;
+mod words;
 
 pub use exit::{ExitCall, called, leave};
 

@@ -53,6 +53,7 @@ pub(super) fn start() {
         let told = std::panic::catch_unwind(|| finish(victim, Instant::now() + LIMIT));
         let mut words = Words::new();
         words.text(told.as_deref().unwrap_or("  files: may be incomplete, finishing them failed")).tell();
+        words.text(&last_line()).tell();
         DONE.store(true, Ordering::Release);
     };
     if std::thread::Builder::new().name("rescue".to_owned()).spawn(wait).is_ok() {
@@ -110,8 +111,7 @@ fn finish(victim: *const Who, until: Instant) -> String {
         if let Some((_, cell)) = plan.live().find(|(_, cell)| Arc::as_ptr(&cell.who) == victim) {
             write_down(shared, cell);
         }
-        let writes = |slot: usize, cell: &Cell| cell.side_effects || plan.wiring[slot].sink;
-        for (_, cell) in plan.live().filter(|(slot, cell)| writes(*slot, cell)) {
+        for (_, cell) in plan.live().filter(|(_, cell)| cell.side_effects) {
             let list = if close(cell, victim, until) { &mut finished } else { &mut torn };
             list.push(format!("`{}`", cell.id));
         }
@@ -128,6 +128,21 @@ fn finish(victim: *const Who, until: Instant) -> String {
             format!("  files: finished are those of {}; may be incomplete: those of {}", list(&finished), list(&torn))
         }
     }
+}
+
+/// What the program came to, as the last line says it of a run.
+fn last_line() -> String {
+    let engines = ENGINES.try_lock().map(|engines| engines.iter().filter_map(Weak::upgrade).collect::<Vec<_>>());
+    let (mut frames, mut dropped, mut faults) = (0, 0, 0);
+    for shared in engines.unwrap_or_default() {
+        let plan = shared.plan.load();
+        frames += plan.live().map(|(_, cell)| cell.made.load(Ordering::Relaxed)).max().unwrap_or(0);
+        for (_, cell) in plan.live() {
+            dropped += cell.stats.dropped.load(Ordering::Relaxed);
+            faults += cell.stats.faults.load(Ordering::Relaxed);
+        }
+    }
+    format!("failed: the program was ended after {frames} frames, {dropped} dropped, {faults} faults")
 }
 
 /// Closes a node once it is at rest; `false` when it crashed or does not come to rest.

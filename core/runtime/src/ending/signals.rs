@@ -256,7 +256,11 @@ fn answer() {
 
 fn leave_opening(signal: Signal) -> ! {
     let nodes = who::being_opened();
-    let what = if nodes.is_empty() { "the graph was being loaded".to_owned() } else { format!("{} was still opening", nodes.join(", ")) };
+    let what = if nodes.is_empty() {
+        "the graph was being loaded".to_owned()
+    } else {
+        format!("{} was still opening", nodes.join(", "))
+    };
     Words::new().text("stopped by ").text(signal.name()).text(" before the first frame: ").text(&what).tell();
     leave(signal.status())
 }

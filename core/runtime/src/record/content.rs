@@ -206,7 +206,8 @@ mod tests {
     }
 
     fn cloud(points: &[[f32; 3]]) -> Vec<u8> {
-        let bytes = points.iter().map(|p| [p[0].to_le_bytes(), p[1].to_le_bytes(), p[2].to_le_bytes(), [1, 2, 3, 0]].concat());
+        let bytes =
+            points.iter().map(|p| [p[0].to_le_bytes(), p[1].to_le_bytes(), p[2].to_le_bytes(), [1, 2, 3, 0]].concat());
         bytes.collect::<Vec<_>>().concat()
     }
 

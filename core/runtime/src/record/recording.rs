@@ -239,6 +239,9 @@ impl Recording {
         };
         let Some(head) = scan.head else {
             return Err(match cut {
+                Some(Cut { damaged: true, .. }) if !scan.is_ours() => {
+                    RecordingError::Foreign { file: path.to_owned(), reason: format!("it has no `{EVENTS}`") }
+                }
                 Some(Cut { damaged: true, at, .. }) => {
                     let (port, seq) = (EVENTS.to_owned(), 0);
                     RecordingError::Damaged { file: path.to_owned(), at, port, seq }
@@ -345,6 +348,11 @@ fn ends_with_magic(file: &File, len: u64) -> std::io::Result<bool> {
 }
 
 impl Scan {
+    /// Whether MCAP's header names this program.
+    fn is_ours(&self) -> bool {
+        self.library.starts_with("panoscope ")
+    }
+
     fn skip(&mut self, bytes: u64) -> Result<(), Stop> {
         let step = i64::try_from(bytes).map_err(|_| Stop::Damaged("a length makes no sense".to_owned()))?;
         self.reader.seek_relative(step)?;
@@ -377,7 +385,12 @@ impl Scan {
                 let Ok(Record::Channel(channel)) = mcap::parse_record(op::CHANNEL, &body) else {
                     return Err(damaged("a channel that cannot be read"));
                 };
-                if channel.schema_id != 0 || !channel.metadata.is_empty() {
+                let events = channel.topic == EVENTS;
+                if self.is_ours()
+                    && (channel.schema_id != 0
+                        || !channel.metadata.is_empty()
+                        || (events && channel.message_encoding != "json"))
+                {
                     return Err(damaged("a channel that was not written like that"));
                 }
                 let packets = channel.message_encoding == PACKET_ENCODING;

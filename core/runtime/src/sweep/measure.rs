@@ -148,7 +148,8 @@ impl Measure {
                 let ran = |node: &str| NoSummary::Run(format!("`{node}` did not run"));
                 let found = report.nodes.get(node).ok_or_else(|| ran(node))?;
                 if !heard.told.is_empty() {
-                    let (finite, unknown): (Vec<f64>, Vec<f64>) = heard.told.iter().map(|(_, v)| *v).partition(|v| v.is_finite());
+                    let (finite, unknown): (Vec<f64>, Vec<f64>) =
+                        heard.told.iter().map(|(_, v)| *v).partition(|v| v.is_finite());
                     return Ok(Summary::of(&finite, unknown.len() as u64));
                 }
                 if found.count == 0 && found.metrics.is_empty() && !COUNTERS.contains(&name.as_str()) {
@@ -282,7 +283,52 @@ impl Summary {
 
 #[cfg(test)]
 mod tests {
-    use super::Summary;
+    use super::{Heard, Measure, Rows, Summary, rows_of};
+
+    fn table(rows: &[[f64; 2]]) -> Vec<u8> {
+        let mut bytes: Vec<u8> = [rows.len() as u32, 2, 8, 0].iter().flat_map(|n| n.to_le_bytes()).collect();
+        bytes.extend(b"mm\nerr\0\0");
+        rows.iter().flatten().for_each(|v| bytes.extend(v.to_le_bytes()));
+        bytes
+    }
+
+    fn heard(rows: Rows, packets: &[&[[f64; 2]]]) -> Heard {
+        let mut heard = Heard::default();
+        packets.iter().for_each(|packet| heard.take(&table(packet), "table", Some("mm"), rows));
+        heard
+    }
+
+    #[test]
+    fn rows_of_several_measures_are_not_pooled() {
+        let of = |rows| Measure::Port {
+            node: "measure".to_owned(),
+            port: "table".to_owned(),
+            packet: "table".to_owned(),
+            column: Some("mm".to_owned()),
+            rows,
+        };
+        let two: [&[[f64; 2]]; 2] = [&[[10.0, 0.1], [70.0, 0.2]], &[[12.0, 0.1], [72.0, 0.2]]];
+        let wrong = of(Rows::Only).wrong(&heard(Rows::Only, &two)).expect("two measures are no one");
+        assert!(wrong.contains("measure.table.mm[1] to measure.table.mm[2]"), "{wrong}");
+        assert!(of(Rows::Only).wrong(&heard(Rows::Only, &[&[[10.0, 0.1]], &[]])).is_none());
+        assert_eq!(heard(Rows::Nth(2), &two).values, [70.0, 72.0]);
+        assert_eq!(heard(Rows::All, &two).values, [10.0, 70.0, 12.0, 72.0]);
+        let short = heard(Rows::Nth(2), &[&[[10.0, 0.1]], &[[1.0, 0.1], [2.0, 0.1]]]);
+        assert_eq!((short.values, short.missing), (vec![2.0], 1));
+        assert_eq!(rows_of("mm[3]"), Ok(("mm", Rows::Nth(3))));
+        assert_eq!(rows_of("mm[*]"), Ok(("mm", Rows::All)));
+        assert!(rows_of("mm[0]").is_err() && rows_of("mm[last]").is_err());
+        assert_eq!(of(Rows::All).to_string(), "measure.table.mm[*]");
+    }
+
+    #[test]
+    fn a_number_told_twice_in_a_tick_counts_once() {
+        let mut heard = Heard::default();
+        for (tick, value) in [((0, 1), 5.0), ((0, 1), 6.0), ((0, 2), 7.0)] {
+            heard.tell(tick, value);
+        }
+        assert_eq!(heard.told, [((0, 1), 6.0), ((0, 2), 7.0)]);
+    }
 
     #[test]
     fn a_summary_has_mean_median_and_ends() {
