@@ -483,7 +483,11 @@ impl Scan {
             Err(stop) => return stop,
         };
         let Some(index) = rest.strip_suffix(mcap::MAGIC).filter(|index| index.len() >= FOOTER_BYTES) else {
-            return Stop::Cut("its index is missing".to_owned());
+            // With a footer where a whole file has it, only the end mark is wrong.
+            let footer = rest.len().checked_sub(FOOTER_BYTES + mcap::MAGIC.len()).and_then(|at| rest.get(at..at + 9));
+            let whole = footer.is_some_and(|f| f[0] == op::FOOTER && f[1..] == 20u64.to_le_bytes());
+            let reason = "its end mark is missing".to_owned();
+            return if whole { Stop::Damaged(reason) } else { Stop::Cut(reason) };
         };
         let (summed, sum) = index.split_at(index.len() - 4);
         let known = sum.iter().rev().fold(0u32, |n, b| n << 8 | u32::from(*b));
