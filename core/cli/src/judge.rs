@@ -186,17 +186,21 @@ fn idle(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdict) {
     let from_source: Vec<&str> =
         node.never_got.iter().filter(|o| maker(o).is_some_and(|m| m.made.is_some())).map(String::as_str).collect();
     let from_idle = node.never_got.iter().any(|o| maker(o).is_none_or(|m| m.made.is_none() && m.count == 0));
-    let stopped = facts.stopped_by.is_some();
     if !from_source.is_empty() {
         let outputs = from_source.iter().map(|o| format!("`{o}`")).collect::<Vec<_>>().join(", ");
         verdict.error(format!("node `{id}` never ran: {outputs} never gave a picture or packet"));
-    } else if from_idle {
-    } else if let Some(output) = node.never_got.first() {
-        verdict.add(Weight::Warning, format!("node `{id}` never ran: `{output}` made nothing"));
-    } else {
-        // A run that was stopped early may not have come so far.
-        let weight = if stopped { Weight::Warning } else { Weight::Error };
-        verdict.add(weight, format!("node `{id}` never ran: its inputs never came together"));
+        return;
+    }
+    if from_idle {
+        return;
+    }
+    match node.never_got.first() {
+        Some(output) => verdict.add(Weight::Warning, format!("node `{id}` never ran: `{output}` made nothing")),
+        None => {
+            // A run that was stopped early may not have come so far.
+            let weight = if facts.stopped_by.is_some() { Weight::Warning } else { Weight::Error };
+            verdict.add(weight, format!("node `{id}` never ran: its inputs never came together"));
+        }
     }
 }
 

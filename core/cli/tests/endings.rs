@@ -205,7 +205,7 @@ fn exit_code_and_last_line_tell_what_a_run_came_to() {
 }
 
 #[test]
-fn a_node_that_may_be_bypassed_is_a_warning_and_one_that_hangs_is_not() {
+fn a_node_that_may_be_bypassed_is_a_warning() {
     let folder = folder("bypass");
     let graph = graph(&folder, "harm = \"error\"");
     let text = std::fs::read_to_string(&graph).expect("the graph");

@@ -4,7 +4,7 @@
 //! - [`install`]: a plugin that crashes, aborts or calls `exit` is named, the files of the other nodes are finished, and the process
 //!   ends with the signal's own status (exit 1 for `exit`).
 //!
-//! Both programs, the command and the editor, call [`install`] and [`signals::install`] first, and define the exit functions with
+//! Both programs, the command and the editor, call [`signals::install`] first, which calls [`install`], and define the exit functions with
 //! [`guard_exits!`](crate::guard_exits).
 
 mod crash;

@@ -224,7 +224,7 @@ impl Drop for OnDuty {
 
 /// Answers the first signal, on a thread of its own.
 fn answer() {
-    let Some(signal) = Some(Signal(ASKED.load(Ordering::Acquire))).filter(|s| s.0 != 0) else { return };
+    let signal = Signal(ASKED.load(Ordering::Acquire));
     let asked = Instant::now();
     let mut now = duty();
     loop {
