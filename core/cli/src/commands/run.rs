@@ -77,7 +77,7 @@ pub enum Ran {
         /// What it came to.
         verdict: Verdict,
         /// What its recording came to.
-        recorded: Option<Recorded>,
+        recorded: Option<Box<Recorded>>,
     },
 }
 
@@ -156,7 +156,7 @@ pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: 
     if let Some(path) = &arguments.report {
         report_into(path, &engine.report(), &mut verdict);
     }
-    Ok(Ran::Over { verdict, recorded: recorder.map(|r| r.finish()) })
+    Ok(Ran::Over { verdict, recorded: recorder.map(|r| Box::new(r.finish())) })
 }
 
 /// Closes a run that is over or to end, shows its summary and judges it.

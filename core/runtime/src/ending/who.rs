@@ -78,7 +78,10 @@ pub(crate) fn end_call() {
     CALL.with(|call| call.set(std::ptr::null()));
 }
 
-/// Ends what [`enter`] or [`help`] began.
+/// Source slot and number of a tick.
+pub(crate) type TickName = (u32, u64);
+
+/// Ends what [`with`] or [`help`] began.
 pub(crate) struct Guard {
     before: Doing,
 }
@@ -120,7 +123,7 @@ pub(crate) fn help<T>(doing_there: Doing, work: impl FnOnce() -> T) -> T {
 /// The node that the calling thread works for, what it is asked to do, and in `process` the tick: source and number.
 ///
 /// Reads thread-locals and memory that the calls below on this thread keep alive: a signal handler may call this.
-pub(crate) fn current<'a>() -> Option<(&'a Who, Phase, Option<(u32, u64)>)> {
+pub(crate) fn current<'a>() -> Option<(&'a Who, Phase, Option<TickName>)> {
     let Doing { call, other, phase } = doing();
     // SAFETY: set by `with` or `help`, which are under way below on this thread and keep it borrowed.
     if let Some(who) = unsafe { other.as_ref() } {
