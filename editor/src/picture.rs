@@ -325,7 +325,9 @@ mod tests {
         // SAFETY: the buffer is fresh and at least that long.
         unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), data, bytes.len()) };
         let (len, stride_bytes) = (bytes.len(), stride);
-        FrameRef::adopt(abi::Frame { buffer, data, len, format, width, height, stride_bytes, ..abi::Frame::EMPTY })
+        let raw = abi::Frame { buffer, data, len, format, width, height, stride_bytes, ..abi::Frame::EMPTY };
+        // SAFETY: the one reference of the new buffer.
+        unsafe { FrameRef::adopt(raw) }
     }
 
     #[test]

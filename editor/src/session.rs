@@ -393,7 +393,9 @@ impl Worker {
 
 fn trouble(error: &LiveError) -> Trouble {
     let node = match error {
-        LiveError::Apply(ApplyError::Open { node, .. } | ApplyError::Busy { node, .. }) => Some(node.clone()),
+        LiveError::Apply(
+            ApplyError::Open { node, .. } | ApplyError::NoReturn { node, .. } | ApplyError::Busy { node, .. },
+        ) => Some(node.clone()),
         _ => None,
     };
     Trouble { node, words: error.to_string() }

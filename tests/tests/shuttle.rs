@@ -1,4 +1,4 @@
-//! The runtime's frame pool, parameter snapshot and admission queue under a scheduler that tries thousands of orders (`shuttle`, after
+//! The runtime's frame pool, parameter snapshot, admission queue and mark of a running call under a scheduler that tries thousands of orders (`shuttle`, after
 //! Burckhardt et al., "A randomized scheduler with probabilistic guarantees of finding bugs", 2010). `build.rs` lays their sources out with
 //! its locks and atomics; nothing else in them is changed.
 #![allow(dead_code, missing_docs, unreachable_pub, clippy::undocumented_unsafe_blocks)]
@@ -30,7 +30,20 @@ mod params {
 mod region {
     include!(concat!(env!("OUT_DIR"), "/region.rs"));
 }
+mod busy {
+    use panoscope_abi::Tick;
+    use shuttle::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
+    include!(concat!(env!("OUT_DIR"), "/busy.rs"));
+}
+mod pool {
+    /// The model has one thread that runs nodes.
+    pub(crate) fn thread_number() -> u32 {
+        7
+    }
+}
+
+use busy::{Busy, Doing};
 use memory::{FrameRef, Memory};
 use panoscope_abi::Tick;
 use panoscope_graph::ParamValue;
@@ -74,6 +87,85 @@ fn no_buffer_of_the_frame_pool_has_two_owners() {
             assert_eq!(memory.in_use_bytes(), 0, "all is given back");
         },
         ORDERS / 10,
+        3,
+    );
+}
+
+#[test]
+fn a_buffer_that_is_gone_cannot_be_kept() {
+    shuttle::check_pct(
+        || {
+            let memory = Arc::new(Memory::fresh(4 * BYTES as i64));
+            let Ok((id, _)) = memory.allocate(BYTES) else { panic!("there is room") };
+            // A plugin knows the name of a buffer that is given back meanwhile, and maybe handed out anew.
+            let theirs = Arc::clone(&memory);
+            let plugin = thread::spawn(move || {
+                for _ in 0..3 {
+                    if theirs.retain_held(id) {
+                        thread::yield_now();
+                        assert!(theirs.references(id) > 0, "gone although it is kept");
+                        theirs.release(id);
+                    }
+                }
+            });
+            memory.release(id);
+            let mut mine = Vec::new();
+            for _ in 0..3 {
+                let Ok((new, _)) = memory.allocate(BYTES) else { continue };
+                assert!(!mine.contains(&new), "handed out twice");
+                mine.push(new);
+            }
+            plugin.join().expect("no panic");
+            mine.into_iter().for_each(|id| memory.release(id));
+            assert_eq!(memory.in_use_bytes(), 0, "all is given back");
+        },
+        ORDERS,
+        3,
+    );
+}
+
+#[test]
+fn a_call_ends_or_is_left_behind_and_the_watchdog_knows_what_it_was_for() {
+    const CALLS: [Doing; 5] = [Doing::Process, Doing::Open, Doing::Process, Doing::SaveState, Doing::Process];
+    shuttle::check_pct(
+        || {
+            let busy = Arc::new(Busy::default());
+            let ended = Arc::new(Mutex::new(Vec::new()));
+            let (mine, list) = (Arc::clone(&busy), Arc::clone(&ended));
+            let runner = thread::spawn(move || {
+                for (n, doing) in CALLS.into_iter().enumerate() {
+                    // As `Cell::run` and `Cell::aside` do.
+                    let since_ns = n as u64 + 1;
+                    mine.begin_doing(doing, &Tick { source: 3, flags: 0, seq: n as u64, capture_ns: 0 }, since_ns);
+                    thread::yield_now();
+                    if !mine.end(since_ns) {
+                        // Left behind: it touches nothing any more.
+                        return;
+                    }
+                    list.lock().expect("no panic").push(n);
+                }
+            });
+            let mut left_behind = None;
+            for _ in 0..6 {
+                // As the watchdog does.
+                let since_ns = busy.since_ns.load(Ordering::Acquire);
+                let (doing, tick, thread) = (busy.doing(), busy.tick(), busy.thread.load(Ordering::Relaxed));
+                if since_ns != 0 && busy.abandon(since_ns) {
+                    let call = since_ns as usize - 1;
+                    let seen = (doing, tick.source, tick.seq, thread);
+                    assert_eq!(seen, (CALLS[call], 3, call as u64, 7), "it is another call's");
+                    busy.clear();
+                    left_behind = Some(call);
+                    break;
+                }
+                thread::yield_now();
+            }
+            runner.join().expect("no panic");
+            let ended = ended.lock().expect("no panic");
+            let calls = left_behind.unwrap_or(CALLS.len());
+            assert_eq!(*ended, (0..calls).collect::<Vec<_>>(), "each call ends once or is left behind");
+        },
+        ORDERS,
         3,
     );
 }

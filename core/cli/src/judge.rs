@@ -220,6 +220,7 @@ mod tests {
             p99_ms: 0.0,
             max_ms: 0.0,
             dropped: 0,
+            dropped_on: Vec::new(),
             skipped: 0,
             faults: 0,
             restarts: 0,

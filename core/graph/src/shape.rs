@@ -10,6 +10,9 @@ use std::ops::Range;
 
 const TOP: [&str; 7] = ["name", "mode", "plugins", "plugin_paths", "nodes", "preset", "editor"];
 const NODE: [&str; 7] = ["type", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu"];
+/// Times and rates that a graph may ask for: a day, and a tick per nanosecond.
+pub(crate) const LONGEST_MS: f64 = 86_400_000.0;
+pub(crate) const HIGHEST_HZ: f64 = 1e9;
 const INPUT: [&str; 6] = ["from", "align", "tolerance_ms", "queue", "delay", "trigger"];
 const PRESET: [&str; 2] = ["pinned", "views"];
 const PIN: [&str; 3] = ["param", "range", "label"];
@@ -93,8 +96,8 @@ impl Reader {
         None
     }
 
-    /// A number above 0.
-    fn positive(&mut self, what: &str, value: &Value) -> Option<f64> {
+    /// A number above 0 and not above `most`.
+    fn positive(&mut self, what: &str, value: &Value, most: f64) -> Option<f64> {
         let Some(number) = value.value.number() else {
             self.wrong_type(&format!("`{what}`"), "a number", value);
             return None;
@@ -102,6 +105,11 @@ impl Reader {
         if !(number.is_finite() && number > 0.0) {
             self.error("out-of-range", &value.span, format!("`{what}` must be more than 0"))
                 .label("expected more than 0");
+            return None;
+        }
+        if number > most {
+            self.error("out-of-range", &value.span, format!("`{what}` is {number:?}, allowed are at most {most}"))
+                .label(format!("expected at most {most}"));
             return None;
         }
         Some(number)
@@ -217,8 +225,8 @@ impl Reader {
                     let words = [("restart", OnFault::Restart), ("bypass", OnFault::Bypass), ("stop", OnFault::Stop)];
                     node.on_fault = self.word("on_fault", value, &words).unwrap_or_default();
                 }
-                "budget_ms" => node.budget_ms = self.positive("budget_ms", value),
-                "max_rate_hz" => node.max_rate_hz = self.positive("max_rate_hz", value),
+                "budget_ms" => node.budget_ms = self.positive("budget_ms", value, LONGEST_MS),
+                "max_rate_hz" => node.max_rate_hz = self.positive("max_rate_hz", value, HIGHEST_HZ),
                 "cpu" => node.cpu = self.whole("cpu", value, 0..=4095).map(|n| n as u32),
                 _ => {}
             }
@@ -313,7 +321,7 @@ impl Reader {
                     }
                 }
                 "tolerance_ms" => {
-                    tolerance = Some((key.span.clone(), self.positive("tolerance_ms", value)));
+                    tolerance = Some((key.span.clone(), self.positive("tolerance_ms", value, LONGEST_MS)));
                 }
                 "queue" => queue = self.whole("queue", value, 1..=1024).map(|n| n as u32),
                 "delay" => delay = self.delay(value),

@@ -25,12 +25,8 @@ pub(crate) fn to_gray8(source: &FrameRef) -> Option<FrameRef> {
         let from = View::with_stride(source.bytes(), width, height, 3, stride);
         panoscope_imaging::features::bgr_to_gray(&from, &mut ViewMut::new(out, width, height, 1));
     }
-    Some(FrameRef::adopt(Frame {
-        buffer,
-        data,
-        len: width * height,
-        format: abi::FORMAT_GRAY8,
-        stride_bytes: width as u32,
-        ..*frame
-    }))
+    let len = width * height;
+    let gray = Frame { buffer, data, len, format: abi::FORMAT_GRAY8, stride_bytes: width as u32, ..*frame };
+    // SAFETY: the one reference of the new buffer.
+    Some(unsafe { FrameRef::adopt(gray) })
 }

@@ -1,6 +1,7 @@
 //! Starting, steering and ending a graph.
 
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
@@ -11,10 +12,12 @@ use arc_swap::ArcSwap;
 use panoscope_abi as abi;
 use panoscope_graph::{Catalog, Graph, Mode, NodeSetup, Param, ParamValue, Validator};
 
-use crate::cell::{Cell, Surroundings, lock};
+use crate::apply::ChangeLock;
+use crate::cell::{Cell, LONGEST_BUDGET_NS, Surroundings, lock};
 use crate::clock;
 use crate::ending;
 use crate::fault::{Fault, FaultFn, FaultLog};
+use crate::guard::Limit;
 use crate::host;
 use crate::loader::Loader;
 use crate::log::{Level, Log, LogFn};
@@ -53,6 +56,10 @@ pub struct Options {
     pub numbers: Option<NumberListener>,
     /// A call of a node without a budget that takes longer does not return, in live mode; in batch, 30 times that.
     pub hang: Duration,
+    /// Longest that a node may take to open: at the start, in a change and after a fault.
+    pub open_limit: Duration,
+    /// Longest that a node may take to close, to save a state or to take one over while the graph runs.
+    pub close_limit: Duration,
     /// Heap allocations of the process so far, where the program counts them.
     pub process_allocations: Option<fn() -> u64>,
     /// Heap allocations of the calling thread so far, where the program counts them.
@@ -74,6 +81,8 @@ impl Default for Options {
             listen: Vec::new(),
             numbers: None,
             hang: Duration::from_secs(2),
+            open_limit: Duration::from_secs(30),
+            close_limit: Duration::from_secs(10),
             process_allocations: None,
             thread_allocations: None,
         }
@@ -179,12 +188,16 @@ impl Current {
     }
 }
 
+/// The most patience that there is: more is as good as none.
+const LONGEST_PATIENCE: Duration = Duration::from_secs(100 * 24 * 3600);
+/// How long closing waits at least, whatever the caller's patience: for threads to leave and for nodes to finish their files.
+const LEAST_PATIENCE: Duration = Duration::from_secs(1);
 /// A running graph.
 pub struct Engine {
     pub(crate) shared: Arc<Shared>,
     pub(crate) current: ArcSwap<Current>,
     /// Held while the graph is changed.
-    pub(crate) change: Mutex<()>,
+    pub(crate) change: ChangeLock,
     watch: Mutex<Option<JoinHandle<()>>>,
     watch_stop: Arc<AtomicBool>,
     closed: AtomicBool,
@@ -226,19 +239,14 @@ impl Engine {
             script: options.replay,
             thread_allocations: options.thread_allocations,
             stopped: Mutex::default(),
+            open_limit: options.open_limit,
+            close_limit: options.close_limit,
         };
         let hurried = !around.unhurried();
         let pool = Pool::new(threads);
-        {
-            let _visit = pool.visit();
-            for cell in &plan.cells {
-                around.widen(cell);
-                open_first(cell, &around)?;
-            }
-        }
         let count = plan.cells.len();
         let warm_up_ticks = options.frames.map_or(30, |n| (n / 4).min(30)).max(1);
-        let patience = u64::try_from(options.hang.as_nanos()).unwrap_or(u64::MAX / 64).min(u64::MAX / 64);
+        let patience = u64::try_from(options.hang.as_nanos()).map_or(LONGEST_BUDGET_NS, |ns| ns.min(LONGEST_BUDGET_NS));
         let shared = Arc::new_cyclic(|me| Shared {
             me: me.clone(),
             plan: ArcSwap::from_pointee(plan),
@@ -248,6 +256,7 @@ impl Engine {
             frames: options.frames,
             stopping: AtomicBool::new(false),
             failed: Mutex::new(None),
+            broken: AtomicBool::new(false),
             unfinished: AtomicUsize::new(count),
             finished: Condvar::new(),
             finished_lock: Mutex::new(()),
@@ -257,9 +266,13 @@ impl Engine {
             allocations: AllocationMeter { count: options.process_allocations, warm_up_ticks, ..Default::default() },
             waiting_nearest: AtomicI64::new(0),
             own_threads: Mutex::default(),
-            hang_ns: if hurried { patience } else { patience * 30 },
+            hang_ns: if hurried { patience } else { patience.saturating_mul(30) },
             frame_ns: AtomicU64::new(33_333_333),
         });
+        if let Err(error) = open_all(&shared) {
+            shared.around.flush();
+            return Err(error);
+        }
         if let Some(recorder) = &shared.around.recorder {
             let shared = Arc::downgrade(&shared);
             recorder.tell_to(Box::new(move |words| {
@@ -271,7 +284,7 @@ impl Engine {
         let engine = Self {
             shared,
             current: ArcSwap::from_pointee(Current::new(graph, catalog, slots)),
-            change: Mutex::new(()),
+            change: ChangeLock::default(),
             watch: Mutex::new(None),
             watch_stop: Arc::new(AtomicBool::new(false)),
             closed: AtomicBool::new(false),
@@ -291,10 +304,16 @@ impl Engine {
                 shared.run(node as usize, walk, u64::MAX);
             }
         });
+        let weak = Arc::downgrade(shared);
+        shared.pool.on_panic(Box::new(move |name, words| {
+            if let Some(shared) = weak.upgrade() {
+                shared.thread_panicked(name, words);
+            }
+        }));
         shared.pool.start(&task)?;
         let (watching, stop) = (Arc::clone(shared), Arc::clone(&self.watch_stop));
         let (tell, told) = std::sync::mpsc::channel();
-        let watch = std::thread::Builder::new().name("watch".to_owned()).spawn(move || {
+        let watch = shared.start_host_thread("watch", move || {
             pool::warm_up();
             let _ = tell.send(());
             watching.watch(&stop);
@@ -329,8 +348,12 @@ impl Engine {
         self.shared.stop();
     }
 
-    /// Whether all nodes are finished.
+    /// Whether all nodes are finished, or never will be because a thread of the engine panicked.
     pub fn is_finished(&self) -> bool {
+        self.all_finished() || self.shared.broken.load(Ordering::Acquire)
+    }
+
+    fn all_finished(&self) -> bool {
         self.shared.unfinished.load(Ordering::Acquire) == 0
     }
 
@@ -351,35 +374,36 @@ impl Engine {
         true
     }
 
-    /// Stops, waits and closes all nodes, so that files are finished. `patience` bounds the wait for nodes that do not return; those are left
-    /// behind and named in the log.
+    /// Stops, waits and closes all nodes, so that files are finished. `patience` bounds the wait for nodes that do not return, and then that
+    /// for nodes that do not close (each is at least a second); those are left behind and named in the log. A change of the graph that is
+    /// being made is given up.
     pub fn close(&self, patience: Duration) -> Outcome {
         if !self.closed.swap(true, Ordering::AcqRel) {
             self.stop();
-            let _change = lock(&self.change);
-            let all = self.wait(Some(patience));
+            let log = &self.shared.around.log;
+            let patience = patience.min(LONGEST_PATIENCE);
+            let until = Instant::now() + patience.max(LEAST_PATIENCE);
+            let change = self.change.lock_until(until);
+            if change.is_none() {
+                log.say(Level::Error, "engine", "a change of the graph does not come to its end and is left behind");
+            }
+            self.wait(Some(until.saturating_duration_since(Instant::now()).min(patience)));
             self.watch_stop.store(true, Ordering::Relaxed);
+            let leave = Instant::now() + LEAST_PATIENCE;
             if let Some(watch) = lock(&self.watch).take() {
                 watch.thread().unpark();
-                let _ = watch.join();
+                pool::join_until(watch, leave);
             }
-            if all {
+            if self.all_finished() {
                 let threads = std::mem::take(&mut *lock(&self.shared.own_threads));
-                for thread in threads.into_values() {
-                    let _ = thread.join();
-                }
-                self.shared.pool.stop();
+                threads.into_values().for_each(|thread| thread.join_until(leave));
+                self.shared.pool.stop(leave);
             }
-            // Sources first, then along the graph: readers finish their files last.
             let (plan, current) = (self.shared.plan.load(), self.current.load());
-            for &node in &current.graph.order {
-                let cell = &plan.cells[current.slots[node]];
-                if !cell.close_instance() || cell.stuck.load(Ordering::Relaxed) > 0 {
-                    let words = "it does not return and is left behind; its files may be incomplete";
-                    self.shared.around.log.say(Level::Error, &cell.id, words);
-                    cell.lost(&self.shared.around, words);
-                }
-            }
+            // Sources first, then along the graph: readers finish their files last.
+            let cells = current.graph.order.iter().map(|&node| Arc::clone(&plan.cells[current.slots[node]]));
+            self.shared.close_all(cells.collect(), Instant::now() + patience.max(LEAST_PATIENCE));
+            self.shared.around.flush();
         }
         self.outcome()
     }
@@ -394,7 +418,7 @@ impl Engine {
 
     /// Changes one parameter between two ticks. A `reopen` parameter opens a new instance beside the running one first.
     pub fn set_param(&self, node: &str, param: &str, value: ParamValue) -> Result<(), SetError> {
-        let _change = lock(&self.change);
+        let _change = self.change.lock();
         let current = self.current.load_full();
         let index = current.graph.node(node).ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
         let declared = &current.params[index];
@@ -426,13 +450,13 @@ impl Engine {
         }
         let snapshot = Snapshot::new(values.clone());
         if declared[position].reopen {
-            let instance = {
-                let _visit = self.shared.pool.visit();
-                cell.open(&self.shared.around, &snapshot)
-                    .map_err(|reason| SetError::Reopen { node: node.to_owned(), reason })?
-            };
+            let instance = self
+                .shared
+                .open_guarded(&cell, &snapshot)
+                .map_err(|reason| SetError::Reopen { node: node.to_owned(), reason: reason.to_string() })?;
             cell.mending.fetch_add(1, Ordering::AcqRel);
-            cell.replace_instance(instance, Some(snapshot));
+            let unused = cell.replace_instance(instance, Some(snapshot));
+            self.shared.close_guarded(&cell, unused.into_iter().collect());
         } else {
             cell.set_snapshot(snapshot);
         }
@@ -472,7 +496,7 @@ impl Engine {
 
     /// A node's values as a recording says they were set; the script puts them in force at their tick.
     pub(crate) fn know(&self, node: &str, values: &[ParamValue]) {
-        let _change = lock(&self.change);
+        let _change = self.change.lock();
         let current = self.current.load_full();
         if let Some(index) = current.graph.node(node) {
             self.know_values(&current, index, values.to_vec());
@@ -514,7 +538,7 @@ impl Engine {
     /// After previews of a node were dropped: outputs that nobody reads any more are not made any more. While the graph is being changed
     /// nothing happens, so that nobody waits here. Not to be called while another thread calls [`Self::preview`].
     pub fn end_previews(&self, node: &str) {
-        let Ok(_change) = self.change.try_lock() else { return };
+        let Some(_change) = self.change.lock_until(Instant::now()) else { return };
         let current = self.current.load();
         if let Some((index, cell)) = self.cell(&current, node) {
             let read = plan::outputs_read(&current.graph, index) | cell.taps.bits();
@@ -578,17 +602,31 @@ fn listen(
     wanted.iter().map(|listener| one(listener).ok_or_else(|| missing(listener))).collect()
 }
 
-fn open_first(cell: &Cell, around: &Surroundings) -> Result<(), StartError> {
-    let instance = cell.open(around, &cell.snapshot()).map_err(|reason| StartError::Open {
-        node: cell.id.clone(),
-        node_type: type_name(cell.node_type),
-        reason,
-    })?;
-    if let Some(mut exec) = cell.exec.take() {
-        exec.instance = instance;
-        cell.exec.put(exec);
-    }
-    Ok(())
+/// Opens all nodes of an engine that does not run yet. When one does not open, the others are closed again.
+fn open_all(shared: &Arc<Shared>) -> Result<(), StartError> {
+    let plan = shared.plan.load_full();
+    let calls = plan.cells.iter().map(|cell| {
+        shared.around.widen(cell);
+        shared.opening(cell, &cell.snapshot())
+    });
+    let mut failed = None;
+    shared.guarded(Limit::until_stop(shared.around.open_limit), Result::is_ok, calls, |cell, answer| {
+        match answer.map_err(|error| error.to_string()).flatten() {
+            Ok(instance) => {
+                if let Some(mut exec) = cell.exec.take() {
+                    exec.instance = instance;
+                    cell.exec.put(exec);
+                }
+            }
+            Err(reason) => {
+                failed = Some((cell.id.clone(), type_name(cell.node_type), reason));
+            }
+        }
+        if failed.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
+    let Some((node, node_type, reason)) = failed else { return Ok(()) };
+    shared.close_all(plan.cells.clone(), Instant::now() + shared.around.close_limit);
+    Err(StartError::Open { node, node_type, reason })
 }
 
 fn absolute(path: &Path) -> String {

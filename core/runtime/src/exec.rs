@@ -39,7 +39,8 @@ unsafe extern "C" fn collect(sink: *mut c_void, bytes: *const u8, len: usize) {
 
 impl Instance {
     pub fn none(node_type: &'static abi::NodeType) -> Self {
-        Self { raw: std::ptr::null_mut(), node_type, open: false, kept: Kept::default() }
+        let kept = Kept::new(std::ptr::from_ref(node_type).cast());
+        Self { raw: std::ptr::null_mut(), node_type, open: false, kept }
     }
 
     pub fn is_open(&self) -> bool {
@@ -51,11 +52,15 @@ impl Instance {
         let raw = std::mem::replace(&mut self.raw, std::ptr::null_mut());
         let was_open = std::mem::replace(&mut self.open, false);
         if let Some(close) = self.node_type.close.filter(|_| was_open) {
-            let _keeper = self.kept.enter();
             // SAFETY: opened by `open` and closed once.
-            who::with(&self.kept.who(), Phase::Close, || unsafe { close(raw) });
+            who::with(&self.kept.who(), Phase::Close, || self.kept.during(|| unsafe { close(raw) }));
         }
         self.kept.reclaim();
+    }
+
+    /// Whether there may be a state for a successor.
+    pub fn saves_state(&self) -> bool {
+        self.open && self.node_type.save_state.is_some()
     }
 
     /// State for a successor; `None` when there is none.
@@ -65,8 +70,9 @@ impl Instance {
         let mut bytes: Vec<u8> = Vec::new();
         let (raw, who) = (self.raw, self.kept.who());
         // SAFETY: an open instance that no other thread uses; the sink outlives the call.
-        let status =
-            who::with(&who, Phase::SaveState, || unsafe { save(raw, &raw const host, (&raw mut bytes).cast()) });
+        let status = who::with(&who, Phase::SaveState, || {
+            self.kept.during(|| unsafe { save(raw, &raw const host, (&raw mut bytes).cast()) })
+        });
         (status == abi::STATUS_OK && !bytes.is_empty()).then_some(bytes)
     }
 
@@ -75,7 +81,9 @@ impl Instance {
         let Some(load) = self.node_type.load_state.filter(|_| self.open) else { return false };
         let (raw, who) = (self.raw, self.kept.who());
         // SAFETY: an open instance that no other thread uses; the bytes are lent for the call.
-        who::with(&who, Phase::LoadState, || unsafe { load(raw, bytes.as_ptr(), bytes.len()) == abi::STATUS_OK })
+        who::with(&who, Phase::LoadState, || {
+            self.kept.during(|| unsafe { load(raw, bytes.as_ptr(), bytes.len()) == abi::STATUS_OK })
+        })
     }
 }
 
@@ -88,26 +96,75 @@ impl Drop for Instance {
 /// A call was left behind by the watchdog.
 pub(crate) const ABANDONED: u64 = u64::MAX;
 
+/// What a plugin is called for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Doing {
+    /// A tick.
+    #[default]
+    Process,
+    Open,
+    Close,
+    SaveState,
+    LoadState,
+}
+
+impl Doing {
+    const ALL: [Doing; 5] = [Doing::Process, Doing::Open, Doing::Close, Doing::SaveState, Doing::LoadState];
+
+    /// After "it did not return".
+    pub fn words(self) -> &'static str {
+        match self {
+            Doing::Process => "",
+            Doing::Open => " from opening",
+            Doing::Close => " from closing",
+            Doing::SaveState => " from saving its state",
+            Doing::LoadState => " from taking over a state",
+        }
+    }
+}
+
+/// A call was given up: its thread leaves without touching anything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct LeftBehind;
+
 /// The running call as the watchdog sees it.
 #[derive(Default)]
 pub(crate) struct Busy {
     /// Start of the call in ns of the host's clock; 0 when idle, [`ABANDONED`] once the watchdog gave it up.
     pub since_ns: AtomicU64,
-    pub source: AtomicU32,
+    /// The tick's source, and from [`Self::DOING_BITS`] on a [`Doing`].
+    source: AtomicU32,
     /// Number of the thread, see [`crate::pool::thread_number`].
     pub thread: AtomicU32,
-    pub seq: AtomicU64,
-    pub capture_ns: AtomicU64,
+    seq: AtomicU64,
+    capture_ns: AtomicU64,
 }
 
 impl Busy {
+    /// Sources have smaller numbers.
+    const DOING_BITS: u32 = 28;
+
+    /// Begins a call for a tick.
     #[inline]
     pub fn begin(&self, tick: &Tick, start_ns: u64) {
-        self.source.store(tick.source, Ordering::Relaxed);
+        self.begin_doing(Doing::Process, tick, start_ns);
+    }
+
+    /// Begins a call for something else, at a tick.
+    #[inline]
+    pub fn begin_doing(&self, doing: Doing, tick: &Tick, start_ns: u64) {
+        self.source.store(tick.source | (doing as u32) << Self::DOING_BITS, Ordering::Relaxed);
         self.seq.store(tick.seq, Ordering::Relaxed);
         self.capture_ns.store(tick.capture_ns as u64, Ordering::Relaxed);
         self.thread.store(crate::pool::thread_number(), Ordering::Relaxed);
         self.since_ns.store(start_ns.max(1), Ordering::Release);
+    }
+
+    /// What the call is for. As [`Self::tick`] and `thread` it belongs to the call whose start was read before, if [`Self::abandon`] finds that
+    /// one afterwards.
+    pub fn doing(&self) -> Doing {
+        let number = (self.source.load(Ordering::Relaxed) >> Self::DOING_BITS) as usize;
+        Doing::ALL.get(number).copied().unwrap_or_default()
     }
 
     /// Ends the call that began at `start_ns`; `false` when the watchdog has taken everything over: by now it may be another call's turn,
@@ -129,7 +186,7 @@ impl Busy {
 
     pub fn tick(&self) -> Tick {
         Tick {
-            source: self.source.load(Ordering::Relaxed),
+            source: self.source.load(Ordering::Relaxed) & ((1 << Self::DOING_BITS) - 1),
             flags: 0,
             seq: self.seq.load(Ordering::Relaxed),
             capture_ns: self.capture_ns.load(Ordering::Relaxed) as i64,
@@ -316,7 +373,9 @@ impl Made {
     /// Gives everything back.
     #[inline]
     pub(crate) fn clear(&mut self) {
-        clear(&mut self.outputs);
+        // SAFETY: outside a call the outputs are empty or hold references: `CallContext` puts nothing else there, and a frame that was only
+        // lent has its input's reference when the call ends.
+        unsafe { clear(&mut self.outputs) };
     }
 }
 
@@ -353,9 +412,13 @@ impl Walk {
 }
 
 /// Gives back what stands in the outputs.
-pub(crate) fn clear(outputs: &mut [Frame]) {
+///
+/// # Safety
+/// Each frame that is not empty holds a reference, as [`FrameRef::adopt`] wants it.
+pub(crate) unsafe fn clear(outputs: &mut [Frame]) {
     for frame in outputs.iter_mut().filter(|f| !f.is_empty()) {
-        drop(FrameRef::adopt(std::mem::replace(frame, Frame::EMPTY)));
+        // SAFETY: the caller's promise; the list forgets the frame.
+        drop(unsafe { FrameRef::adopt(std::mem::replace(frame, Frame::EMPTY)) });
     }
 }
 

@@ -8,7 +8,7 @@ use panoscope_graph::OnFault;
 
 use crate::cell::{Cell, Ran, Refused, Surroundings, lock};
 use crate::clock;
-use crate::exec::{Exec, Instance, Made};
+use crate::exec::{Doing, Exec, Instance, LeftBehind, Made};
 use crate::fault::{Action, Cause, Fault, unix_ms};
 use crate::log::Level;
 use crate::record::format::Event;
@@ -47,17 +47,26 @@ impl Cell {
 
     /// In batch a failed node is opened again before a tick that does not depend on the clock.
     #[cold]
-    pub(crate) fn open_in_batch(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> bool {
+    pub(crate) fn open_in_batch(
+        &self,
+        exec: &mut Exec,
+        around: &Surroundings,
+        tick: &Tick,
+    ) -> Result<bool, LeftBehind> {
         if self.on_fault() != OnFault::Restart {
-            return false;
+            return Ok(false);
         }
         if exec.skip_calls > 0 {
             exec.skip_calls -= 1;
-            return false;
+            return Ok(false);
         }
-        lock(&self.broken).clear();
+        let broken = std::mem::take(&mut *lock(&self.broken));
+        if !broken.is_empty() {
+            self.aside(Doing::Close, tick, || drop(broken))?;
+        }
         let snapshot = Arc::clone(exec.snapshot());
-        match self.open(around, &snapshot) {
+        let opened = self.aside(Doing::Open, tick, || self.open(around, &snapshot))?;
+        Ok(match opened {
             Ok(instance) => {
                 bump(&self.stats.restarts);
                 around.log.say(Level::Info, &self.id, "opened again");
@@ -72,7 +81,7 @@ impl Cell {
                 self.open_failed(around, &words, Some(tick.seq));
                 false
             }
-        }
+        })
     }
 
     /// Writes down that a node did not open again.

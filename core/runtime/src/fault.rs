@@ -4,12 +4,14 @@ use std::collections::VecDeque;
 use std::fs::File;
 use std::io::Write;
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
-/// Takes a fault as it happens.
+use crate::outbox::Outbox;
+
+/// Takes a fault as it happens, on a thread of the log's own, one after the other.
 pub type FaultFn = dyn Fn(&Fault) + Send + Sync;
 
 /// What went wrong.
@@ -46,9 +48,14 @@ pub enum Cause {
     Leak,
     /// The recording of the run has a gap, or has ended.
     Recording,
+    /// A buffer given back that the node does not keep.
+    Release,
     /// The node's plugin ended the program: it crashed or called `exit`.
     Crash,
 }
+
+/// How many causes there are.
+pub(crate) const CAUSES: usize = Cause::Crash as usize + 1;
 
 /// What was done about a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -94,27 +101,55 @@ pub struct Fault {
 
 const REMEMBERED: usize = 4096;
 
-/// Passes faults on and remembers the newest.
+/// Passes faults on, on a thread of its own, and remembers the newest.
 pub(crate) struct FaultLog {
-    sink: Option<Box<FaultFn>>,
-    recent: Mutex<VecDeque<Fault>>,
+    out: Option<Outbox<Fault>>,
+    recent: Arc<Mutex<VecDeque<Fault>>>,
+}
+
+/// In faults of the log itself, the name in the node's place.
+const NAME: &str = "faults";
+
+fn own_fault(words: String, count: u64) -> Fault {
+    let (node, cause) = (NAME.to_owned(), Cause::Recording);
+    Fault { unix_ms: unix_ms(), run_ms: 0.0, node, cause, words, done: Action::Note, seq: None, late_ms: None, count }
+}
+
+/// What stands for faults that came faster than they were written.
+fn left_out(count: u64) -> Fault {
+    own_fault(format!("{count} faults were left out: they came faster than they were written"), count)
 }
 
 impl FaultLog {
     pub fn new(sink: Option<Box<FaultFn>>) -> Self {
-        Self { sink, recent: Mutex::new(VecDeque::new()) }
+        let recent: Arc<Mutex<VecDeque<Fault>>> = Arc::default();
+        let told = Arc::clone(&recent);
+        let out = sink.map(|sink| {
+            let panicked = move |words: &str| {
+                let words = format!("thread `{NAME}` panicked on a fault, which is lost: {words}");
+                told.lock().unwrap_or_else(PoisonError::into_inner).push_back(own_fault(words, 1));
+            };
+            Outbox::new(NAME, left_out, move |fault| sink(&fault), panicked)
+        });
+        Self { out, recent }
     }
 
     /// Takes one fault.
     pub fn put(&self, fault: Fault) {
-        if let Some(sink) = &self.sink {
-            sink(&fault);
-        }
         let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        // Put in under the lock, so that both have the same order.
+        if let Some(out) = &self.out {
+            out.put(fault.clone());
+        }
         if recent.len() >= REMEMBERED {
             recent.pop_front();
         }
         recent.push_back(fault);
+    }
+
+    /// Waits until all faults are passed on, at most `limit`; `false` when they are not by then.
+    pub fn flush(&self, limit: Duration) -> bool {
+        self.out.as_ref().is_none_or(|out| out.flush(limit))
     }
 
     /// The newest faults, oldest first.

@@ -1,7 +1,6 @@
 //! The functions that the host offers to plugins.
 
 use std::ffi::c_void;
-use std::sync::OnceLock;
 
 use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str};
 use panoscope_imaging::random::SplitMix64;
@@ -65,13 +64,15 @@ impl CallContext<'_> {
         match self.output(index) {
             Some(slot) => {
                 if held && !slot.is_empty() {
-                    drop(FrameRef::adopt(*slot));
+                    // SAFETY: an output that is not lent holds a reference, which `write` below forgets.
+                    drop(unsafe { FrameRef::adopt(*slot) });
                 }
                 self.write(index, frame);
                 abi::STATUS_OK
             }
             None => {
-                drop(FrameRef::adopt(*frame));
+                // SAFETY: the caller hands over a reference.
+                drop(unsafe { FrameRef::adopt(*frame) });
                 abi::STATUS_INVALID
             }
         }
@@ -212,12 +213,12 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
     }
 }
 
-unsafe extern "C" fn retain(_: *mut c_void, buffer: BufferId) {
-    keep::retain(buffer);
+unsafe extern "C" fn retain(ctx: *mut c_void, buffer: BufferId) {
+    keep::retain(ctx as keep::Plugin, buffer);
 }
 
-unsafe extern "C" fn release(_: *mut c_void, buffer: BufferId) {
-    keep::release(buffer);
+unsafe extern "C" fn release(ctx: *mut c_void, buffer: BufferId) {
+    keep::release(ctx as keep::Plugin, buffer);
 }
 
 unsafe extern "C" fn resolve(_: *mut c_void, buffer: BufferId) -> *mut u8 {
@@ -317,8 +318,9 @@ pub(crate) fn table(threads: usize) -> Host {
     }
 }
 
-/// The table given to plugins when they are loaded; lives as long as the process.
-pub(crate) fn process_table() -> *const Host {
-    static TABLE: OnceLock<Host> = OnceLock::new();
-    TABLE.get_or_init(|| table(std::thread::available_parallelism().map_or(1, usize::from)))
+/// The table given to a plugin when it is loaded; lives as long as the process. Its handle says which plugin calls, on whatever thread.
+pub(crate) fn plugin_table(descriptor: *const abi::Plugin) -> *const Host {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let ctx = keep::plugin_of(descriptor.cast()) as *mut c_void;
+    Box::leak(Box::new(Host { ctx, ..table(threads) }))
 }

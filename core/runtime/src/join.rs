@@ -11,6 +11,12 @@ use crate::region::Region;
 
 /// Most packets that a trigger slot keeps while its region is paused.
 const MOST_PAUSED: usize = 1 << 10;
+/// Most packets that wait in live mode to be the nearest, where the graph says nothing: a second of a camera.
+const MOST_NEAREST: usize = 32;
+/// Most packets of another region that wait in live mode to be that of the tick before, where the graph says nothing.
+const MOST_DELAYED: usize = 8;
+/// Packets that a slot has room for from its start at most.
+const MOST_RESERVED: usize = 256;
 
 /// How a slot is matched with the node's other slots.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,7 +36,8 @@ pub(crate) struct Slot {
     pub rule: Rule,
     /// The input may be empty or unconnected.
     pub optional: bool,
-    /// Most packets that wait on a `latest` slot in live mode.
+    /// Most packets that wait in live mode; older ones are dropped. It is not used for `exact` slots: no more wait there than ticks are in
+    /// the region.
     pub capacity: usize,
     queue: VecDeque<FrameRef>,
     /// Newest non-empty value that was used (`latest`, `delay`).
@@ -38,14 +45,36 @@ pub(crate) struct Slot {
     ended: bool,
     /// Most packets that waited since somebody last asked.
     most: usize,
+    /// Packets dropped on this wire because no more could wait.
+    dropped: u64,
     /// A `delay` slot whose producer saw a tick of this node: its packet is waited for.
     expects: bool,
 }
 
 impl Slot {
     pub fn new(rule: Rule, optional: bool, capacity: usize) -> Self {
-        let queue = VecDeque::with_capacity(capacity.max(8));
-        Self { rule, optional, capacity: capacity.max(1), queue, held: None, ended: false, most: 0, expects: false }
+        let queue = VecDeque::with_capacity(capacity.clamp(8, MOST_RESERVED));
+        let capacity = capacity.max(1);
+        Self { rule, optional, capacity, queue, held: None, ended: false, most: 0, dropped: 0, expects: false }
+    }
+
+    /// Most packets that wait where the graph says nothing.
+    pub fn usual_capacity(rule: Rule) -> usize {
+        match rule {
+            Rule::Exact | Rule::Latest { .. } => 1,
+            Rule::Nearest { .. } => MOST_NEAREST,
+            Rule::Delay => MOST_DELAYED,
+        }
+    }
+
+    /// Whether packets are picked by their time or their turn.
+    pub fn is_timed(&self) -> bool {
+        matches!(self.rule, Rule::Nearest { .. } | Rule::Delay)
+    }
+
+    /// Packets dropped so far because no more could wait.
+    pub fn dropped(&self) -> u64 {
+        self.dropped
     }
 
     fn waits_for_delayed(&self) -> bool {
@@ -69,6 +98,7 @@ impl Slot {
         self.held = old.held.take();
         self.ended = old.ended;
         self.expects = old.expects;
+        self.dropped = old.dropped;
     }
 }
 
@@ -118,15 +148,26 @@ impl Join {
         let (batch, heads) = (self.batch, !self.exact);
         let slot = &mut self.slots[slot];
         let mut dropped = 0;
-        if let (Rule::Latest { trigger }, false) = (slot.rule, batch) {
-            if frame.is_empty() {
-                return 0; // An empty port leaves the newest value standing.
+        match slot.rule {
+            Rule::Latest { trigger } if !batch => {
+                if frame.is_empty() {
+                    return 0; // An empty port leaves the newest value standing.
+                }
+                while slot.queue.len() >= slot.capacity + if trigger { self.spare } else { 0 } {
+                    slot.queue.pop_front();
+                    // A value that was only looked at is replaced, not lost: only ticks that would have fired count.
+                    dropped += u64::from(trigger && heads);
+                }
+                slot.dropped += dropped;
             }
-            while slot.queue.len() >= slot.capacity + if trigger { self.spare } else { 0 } {
-                slot.queue.pop_front();
-                // A value that was only looked at is replaced, not lost: only ticks that would have fired count.
-                dropped += u64::from(trigger && heads);
+            Rule::Nearest { .. } | Rule::Delay if !batch => {
+                while slot.queue.len() >= slot.capacity {
+                    slot.queue.pop_front();
+                    dropped += 1;
+                }
+                slot.dropped += dropped;
             }
+            _ => {}
         }
         slot.put(frame);
         dropped
@@ -144,6 +185,13 @@ impl Join {
             if slot.rule == (Rule::Latest { trigger: true }) {
                 self.spare = self.spare.max(slot.queue.len());
             }
+        }
+    }
+
+    /// Sets how many packets wait at most, slot by slot.
+    pub fn set_capacities(&mut self, capacities: impl Iterator<Item = usize>) {
+        for (slot, capacity) in self.slots.iter_mut().zip(capacities) {
+            slot.capacity = capacity.max(1);
         }
     }
 
@@ -299,7 +347,7 @@ impl Join {
                 Rule::Nearest { tolerance_ns } => {
                     let arrived = slot.ended || newest.is_some_and(|t| t >= tick.capture_ns);
                     if !arrived && !self.batch && self.nearest_deadline_ns == 0 {
-                        self.nearest_deadline_ns = now_ns + tolerance_ns.max(1) as u64;
+                        self.nearest_deadline_ns = now_ns.saturating_add(tolerance_ns.max(1) as u64);
                     }
                     arrived || (!self.batch && now_ns >= self.nearest_deadline_ns)
                 }
@@ -385,11 +433,11 @@ impl Join {
                     slot.held.clone()
                 }
                 Rule::Nearest { tolerance_ns } => {
-                    let distance = |f: &FrameRef| (f.tick().capture_ns - tick.capture_ns).abs();
+                    let distance = |f: &FrameRef| f.tick().capture_ns.abs_diff(tick.capture_ns);
                     while slot.queue.len() > 1 && distance(&slot.queue[1]) <= distance(&slot.queue[0]) {
                         slot.queue.pop_front();
                     }
-                    slot.queue.front().filter(|f| distance(f) <= tolerance_ns).cloned()
+                    slot.queue.front().filter(|f| distance(f) <= tolerance_ns.max(0) as u64).cloned()
                 }
             };
             let frame = frame.unwrap_or_else(|| FrameRef::empty(tick));
@@ -414,7 +462,8 @@ mod tests {
     fn packet(seq: u64) -> FrameRef {
         let (buffer, data) = memory().allocate(16).expect("memory");
         let tick = Tick { source: 0, flags: 0, seq, capture_ns: seq as i64 * 10 };
-        FrameRef::adopt(Frame { buffer, data, len: 16, tick, ..Frame::EMPTY })
+        // SAFETY: the one reference of a new buffer.
+        unsafe { FrameRef::adopt(Frame { buffer, data, len: 16, tick, ..Frame::EMPTY }) }
     }
 
     fn seq(frame: &FrameRef) -> Option<u64> {
@@ -484,7 +533,8 @@ mod tests {
     #[test]
     fn nearest_takes_the_closest_or_nothing() {
         let nearest = Rule::Nearest { tolerance_ns: 12 };
-        let mut join = Join::new(vec![Slot::new(Rule::Exact, false, 1), Slot::new(nearest, true, 1)], false);
+        let room = Slot::usual_capacity(nearest);
+        let mut join = Join::new(vec![Slot::new(Rule::Exact, false, 1), Slot::new(nearest, true, room)], false);
         join.push(0, packet(5));
         assert_eq!(join.try_take(None, 100), Take::Wait);
         join.push(1, packet(4));
@@ -495,6 +545,43 @@ mod tests {
         assert_eq!(join.try_take(None, 200), Take::Wait);
         assert_eq!(fired(join.try_take(None, 212)), Some((20, true)), "the wait has an end");
         assert_eq!(seq(&join.staged[1]), None);
+    }
+
+    #[test]
+    fn nearest_and_delay_take_no_more_than_fit_and_count_what_goes() {
+        for rule in [Rule::Nearest { tolerance_ns: 12 }, Rule::Delay] {
+            let mut join = Join::new(vec![Slot::new(Rule::Exact, false, 1), Slot::new(rule, true, 4)], false);
+            let dropped: u64 = (0..1_000).map(|seq| join.push(1, packet(seq))).sum();
+            assert_eq!((join.waiting(1), dropped, join.slots[1].dropped()), (4, 996, 996), "{rule:?}");
+            join.push(0, packet(997));
+            join.push(1, packet(1_000));
+            assert_eq!(fired(join.try_take(None, 0)), Some((997, true)));
+            if rule != Rule::Delay {
+                assert_eq!(seq(&join.staged[1]), Some(997), "the newest are kept");
+            }
+        }
+        // In batch nothing is lost.
+        let slots = vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Nearest { tolerance_ns: 12 }, true, 4)];
+        let mut join = Join::new(slots, true);
+        assert_eq!((0..100).map(|seq| join.push(1, packet(seq))).sum::<u64>(), 0);
+    }
+
+    #[test]
+    fn capture_times_at_the_ends_of_their_range_do_no_harm() {
+        let at = |capture_ns| {
+            let raw = packet(1).into_raw();
+            // SAFETY: the reference that was just taken out.
+            unsafe { FrameRef::adopt(Frame { tick: Tick { capture_ns, ..raw.tick }, ..raw }) }
+        };
+        let slots =
+            vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Nearest { tolerance_ns: i64::MAX }, true, 4)];
+        let mut join = Join::new(slots, false);
+        join.push(0, at(i64::MAX));
+        join.push(1, at(i64::MIN));
+        assert_eq!(join.try_take(None, u64::MAX - 1), Take::Wait);
+        join.push(1, at(i64::MIN + 1));
+        assert_eq!(fired(join.try_take(None, u64::MAX)), Some((1, true)));
+        assert_eq!(seq(&join.staged[1]), None, "too far away");
     }
 
     #[test]

@@ -219,8 +219,8 @@ pub fn load(found: &Found) -> Result<Loaded, LoadError> {
         .collect();
     who::loaded(&entries, file);
     if let Some(attach) = descriptor.attach {
-        // SAFETY: the process-wide table outlives every plugin.
-        let status = who::loading(file, || unsafe { attach(host::process_table()) });
+        // SAFETY: the plugin's table outlives it.
+        let status = who::loading(file, || unsafe { attach(host::plugin_table(plugin)) });
         if status != abi::STATUS_OK {
             return Err(bad(format!("it refused the host ({status})")));
         }

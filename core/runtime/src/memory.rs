@@ -175,33 +175,42 @@ impl Memory {
         self.slot(id).map_or(0, |(pool, slot)| pool.references[slot].load(Ordering::Acquire))
     }
 
-    /// One reference more.
-    pub fn retain(&self, id: BufferId) {
+    /// One reference more to a buffer that the caller holds one of.
+    pub(crate) fn retain(&self, id: BufferId) {
         if let Some((pool, slot)) = self.slot(id) {
             pool.references[slot].fetch_add(1, Ordering::Relaxed);
         }
     }
 
+    /// One reference more to a buffer that somebody holds; `false` when nobody does, or there is no such buffer.
+    pub(crate) fn retain_held(&self, id: BufferId) -> bool {
+        let Some((pool, slot)) = self.slot(id) else { return false };
+        let references = &pool.references[slot];
+        let mut count = references.load(Ordering::Relaxed);
+        while count != 0 {
+            match references.compare_exchange_weak(count, count + 1, Ordering::Relaxed, Ordering::Relaxed) {
+                Ok(_) => return true,
+                Err(now) => count = now,
+            }
+        }
+        false
+    }
+
     /// One reference more to the buffer of a frame that came from a plugin; `false` when there is no such buffer in use, or its address or
     /// length do not fit it.
-    pub fn retain_checked(&self, frame: &Frame) -> bool {
-        let Some((pool, slot)) = self.slot(frame.buffer) else { return false };
+    pub(crate) fn retain_checked(&self, frame: &Frame) -> bool {
+        let Some((pool, _)) = self.slot(frame.buffer) else { return false };
         // SAFETY: the slot lies inside the reserved mapping.
         let address = unsafe { pool.base.add(frame.buffer.offset as usize) };
-        let fits = frame.data == address && frame.len <= 1 << pool.bits;
-        if !fits || pool.references[slot].load(Ordering::Acquire) == 0 {
-            return false;
-        }
-        pool.references[slot].fetch_add(1, Ordering::Relaxed);
-        true
+        frame.data == address && frame.len <= 1 << pool.bits && self.retain_held(frame.buffer)
     }
 
     /// One reference less; the last one gives the buffer back.
-    pub fn release(&self, id: BufferId) {
+    pub(crate) fn release(&self, id: BufferId) {
         let Some((pool, slot)) = self.slot(id) else { return };
         let before = pool.references[slot].load(Ordering::Relaxed);
         if before == 0 {
-            return; // A plugin released once too often: the buffer is free already.
+            return; // The buffer is free already.
         }
         if pool.references[slot].fetch_sub(1, Ordering::Release) == 1 {
             fence(Ordering::Acquire);
@@ -223,18 +232,25 @@ impl FrameRef {
     }
 
     /// Takes over one reference that the caller holds.
-    pub fn adopt(frame: Frame) -> Self {
+    ///
+    /// # Safety
+    /// The frame is empty, or `frame.buffer` is a buffer of [`memory`] of which the caller gives up one reference, `frame.data` is its
+    /// address and `frame.len` lies within it.
+    pub unsafe fn adopt(frame: Frame) -> Self {
         Self(frame)
     }
 
-    /// Becomes empty; somebody else has the reference now.
+    /// Becomes empty without giving its reference back; somebody else has it now.
     #[inline]
     pub(crate) fn forget(&mut self) {
         self.0 = Frame::EMPTY;
     }
 
-    /// Takes over the reference that a frame in somebody's list holds, in its place.
-    pub(crate) fn adopt_in_place(frame: &mut Frame) -> &mut Self {
+    /// Looks at a frame in a list as the reference that it holds.
+    ///
+    /// # Safety
+    /// As for [`Self::adopt`], but the reference stays with the list: taking it out leaves an empty frame behind.
+    pub(crate) unsafe fn adopt_in_place(frame: &mut Frame) -> &mut Self {
         // SAFETY: `Self` is a transparent `Frame`.
         unsafe { &mut *(&raw mut *frame).cast() }
     }

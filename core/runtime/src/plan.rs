@@ -104,6 +104,11 @@ impl Plan {
         self.cells.iter().enumerate().filter(|(slot, _)| self.alive[*slot])
     }
 
+    /// The region that a node is part of.
+    pub fn region_of(&self, node: usize) -> &Arc<Region> {
+        &self.regions[self.wiring[node].region]
+    }
+
     /// The nodes that run inline after a node, one after the other.
     #[inline]
     pub fn following(&self, node: usize) -> &[Link] {
@@ -135,6 +140,31 @@ pub(crate) fn entry_of(graph: &Graph, node: usize, entry: Entry<'_>) -> Result<&
         .ok_or_else(|| format!("plugin `{}` no longer offers `{}`", node.plugin, node.type_name))
 }
 
+/// The node through which ticks enter the region of `node`.
+fn head_of(graph: &Graph, mut node: usize) -> usize {
+    while let Some(edge) = graph.inputs_of(node).iter().find(|e| is_exact(e)) {
+        node = edge.from_node;
+    }
+    node
+}
+
+/// Most packets that wait on a wire in live mode, see [`Slot::capacity`].
+fn capacity(graph: &Graph, edge: &Edge, any_trigger: bool) -> usize {
+    let rule = rule(edge, any_trigger);
+    if rule == Rule::Delay && head_of(graph, edge.from_node) == head_of(graph, edge.to_node) {
+        // Each tick of the region wants its packet.
+        return usize::MAX;
+    }
+    edge.queue.map_or_else(|| Slot::usual_capacity(rule), |queue| queue as usize)
+}
+
+/// The same for all wires into a node, in the order of its slots.
+pub(crate) fn capacities(graph: &Graph, node: usize) -> impl Iterator<Item = usize> {
+    let edges = graph.inputs_of(node);
+    let any_trigger = edges.iter().any(|e| e.trigger);
+    edges.iter().map(move |edge| capacity(graph, edge, any_trigger))
+}
+
 /// Empty inputs of a node, and which slots belong to which port.
 pub(crate) fn inputs(graph: &Graph, catalog: &Catalog, node: usize) -> (Join, Vec<PortRange>) {
     let description = graph.nodes[node].node_type(catalog);
@@ -147,7 +177,7 @@ pub(crate) fn inputs(graph: &Graph, catalog: &Catalog, node: usize) -> (Join, Ve
         for edge in edges.iter().filter(|e| e.to_port == port) {
             // A list's entries may be empty one by one.
             let optional = declared.optional || declared.list;
-            slots.push(Slot::new(rule(edge, any_trigger), optional, edge.queue.unwrap_or(1) as usize));
+            slots.push(Slot::new(rule(edge, any_trigger), optional, capacity(graph, edge, any_trigger)));
         }
         ranges.push(PortRange { first, count: slots.len() as u32 - first });
     }

@@ -1,11 +1,13 @@
 //! The one thread pool: node tasks, and loops of kernels inside nodes.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::ffi::c_void;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, LazyLock, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, LazyLock, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
+use std::time::Instant;
 
 use arc_swap::ArcSwap;
 use panoscope_abi::ChunkFn;
@@ -13,9 +15,13 @@ use panoscope_abi::ChunkFn;
 use crate::clock;
 use crate::ending::who::{self, Doing};
 use crate::exec::Walk;
+use crate::keep;
+use crate::outbox::panic_words;
 
 /// Longest that a patient task waits behind urgent ones.
 const LONGEST_PATIENCE_NS: u64 = 100_000_000;
+/// Longest that urgent tasks wait while no worker comes back from what it does, until another worker is added.
+const LONGEST_STALL_NS: u64 = 100_000_000;
 
 /// Runs a node task; called on a worker.
 pub type Task = Arc<dyn Fn(u32, &mut Walk) + Send + Sync>;
@@ -34,6 +40,10 @@ struct Loop {
     urgency: Urgency,
     /// The node that it belongs to.
     doing: Doing,
+    /// Whose call it is part of.
+    scope: keep::Scope,
+    /// A helper kept a frame for it, or was refused something.
+    attention: AtomicBool,
 }
 
 /// What comes first where there are fewer threads than work.
@@ -88,9 +98,42 @@ struct State {
     started: usize,
     /// Workers inside a chunk of somebody's loop, and that loop's caller.
     helping: Vec<(u32, u32)>,
-    /// Workers that were given up: they leave when they come back.
+    /// Threads that were given up: they leave when they come back, and nobody helps them.
     given_up: Vec<u32>,
+    /// Workers that were started and not given up.
+    live: usize,
+    /// Workers beside these while all of them are stuck, see [`Pool::relieve`].
+    reliefs: Vec<u32>,
+    /// How often a worker came back for more.
+    turns: u64,
+    /// Since when urgent tasks wait while this number does not change; 0 when they do not.
+    stalled: (u64, u64),
 }
+
+impl State {
+    /// How long the oldest patient task has waited, in ns.
+    fn patient_for(&self, now_ns: u64) -> u64 {
+        self.patient.front().map_or(0, |(_, since_ns)| now_ns.saturating_sub(*since_ns))
+    }
+
+    /// A thread with all workers that are inside its loops, inside theirs, and so on.
+    fn stuck_with(&self, thread: u32) -> Vec<u32> {
+        let mut all = vec![thread];
+        let mut at = 0;
+        while let Some(&caller) = all.get(at) {
+            for &(worker, of) in &self.helping {
+                if of == caller && !all.contains(&worker) {
+                    all.push(worker);
+                }
+            }
+            at += 1;
+        }
+        all
+    }
+}
+
+/// Hears of a worker that panicked: its name and what it said.
+pub(crate) type PanicFn = Box<dyn Fn(&str, &str) + Send + Sync>;
 
 struct Inner {
     state: Mutex<State>,
@@ -100,7 +143,7 @@ struct Inner {
     /// A worker has come to life.
     arrived: Condvar,
     threads: usize,
-    stopping: AtomicBool,
+    panicked: OnceLock<PanicFn>,
 }
 
 /// A pool of `threads` workers.
@@ -111,7 +154,8 @@ pub struct Pool {
 }
 
 thread_local! {
-    static CURRENT: Cell<*const Inner> = const { Cell::new(std::ptr::null()) };
+    /// The pool that loops of this thread run on.
+    static CURRENT: RefCell<Option<Arc<Inner>>> = const { RefCell::new(None) };
     static NUMBER: Cell<u32> = const { Cell::new(0) };
     static URGENCY: Cell<Urgency> = const { Cell::new(Urgency::Urgent) };
 }
@@ -128,15 +172,15 @@ pub(crate) fn thread_number() -> u32 {
     NUMBER.with(Cell::get)
 }
 
-/// Ends what [`Pool::visit`] began.
+/// Ends what [`Pool::visit`] began, on the thread that began it.
 pub struct Visit<'p> {
-    before: *const Inner,
-    pool: std::marker::PhantomData<&'p Pool>,
+    before: Option<Arc<Inner>>,
+    pool: std::marker::PhantomData<(&'p Pool, *const ())>,
 }
 
 impl Drop for Visit<'_> {
     fn drop(&mut self) {
-        CURRENT.with(|current| current.set(self.before));
+        CURRENT.set(self.before.take());
     }
 }
 
@@ -172,8 +216,9 @@ impl State {
         if urgency == Urgency::Patient {
             return self.patient.pop_front().map(|(task, _)| task);
         }
-        let oldest = if self.urgent.is_empty() { None } else { self.patient.front() };
-        if oldest.is_some_and(|(_, since_ns)| clock::now_ns().saturating_sub(*since_ns) > LONGEST_PATIENCE_NS) {
+        // Where nothing is urgent, nothing is to be compared with, and the time is not read.
+        let compared = (!self.urgent.is_empty() || !self.reliefs.is_empty()) && !self.patient.is_empty();
+        if compared && self.patient_for(clock::now_ns()) > LONGEST_PATIENCE_NS {
             return self.patient.pop_front().map(|(task, _)| task);
         }
         let task = self.urgent.pop_front();
@@ -198,6 +243,10 @@ impl Pool {
             started: 0,
             helping: Vec::with_capacity(64),
             given_up: Vec::new(),
+            live: 0,
+            reliefs: Vec::new(),
+            turns: 0,
+            stalled: (0, 0),
         };
         let inner = Inner {
             state: Mutex::new(state),
@@ -205,7 +254,7 @@ impl Pool {
             wake: Condvar::new(),
             arrived: Condvar::new(),
             threads: threads.max(1),
-            stopping: AtomicBool::new(false),
+            panicked: OnceLock::new(),
         };
         Self { inner: Arc::new(inner), workers: Mutex::new(Vec::new()), task: Mutex::new(None) }
     }
@@ -215,12 +264,15 @@ impl Pool {
         self.inner.threads
     }
 
+    /// Where panics of workers are told; a worker goes on after one.
+    pub(crate) fn on_panic(&self, tell: PanicFn) {
+        let _ = self.inner.panicked.set(tell);
+    }
+
     /// Starts the workers and waits until they are there: what a thread allocates when it begins is not to happen among ticks.
     pub fn start(&self, task: &Task) -> std::io::Result<()> {
         *self.task.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(task));
-        for _ in 0..self.inner.threads {
-            self.add_worker(task)?;
-        }
+        self.fill(task)?;
         let mut state = lock(&self.inner);
         while state.started < self.inner.threads {
             state = self.inner.arrived.wait(state).unwrap_or_else(PoisonError::into_inner);
@@ -228,54 +280,107 @@ impl Pool {
         Ok(())
     }
 
-    fn add_worker(&self, task: &Task) -> std::io::Result<()> {
-        let number = next_thread_number();
+    /// Starts workers until there are as many as there should be.
+    fn fill(&self, task: &Task) -> std::io::Result<()> {
+        loop {
+            let mut state = lock(&self.inner);
+            if state.live >= self.inner.threads {
+                return Ok(());
+            }
+            state.live += 1;
+            drop(state);
+            if let Err(error) = self.add_worker(task, next_thread_number(), false) {
+                lock(&self.inner).live -= 1;
+                return Err(error);
+            }
+        }
+    }
+
+    /// Starts a worker that is counted already.
+    fn add_worker(&self, task: &Task, number: u32, relief: bool) -> std::io::Result<()> {
         let (inner, task) = (Arc::clone(&self.inner), Arc::clone(task));
-        let handle = std::thread::Builder::new().name(format!("pool-{number}")).spawn(move || {
+        let name = format!("pool-{number}");
+        let started = std::thread::Builder::new().name(name.clone()).spawn(move || {
             set_thread_number(number);
-            worker(&inner, &task, number);
-        })?;
-        self.workers.lock().unwrap_or_else(PoisonError::into_inner).push((number, handle));
+            while let Err(payload) = catch_unwind(AssertUnwindSafe(|| worker(&inner, &task, number, relief))) {
+                if let Some(tell) = inner.panicked.get() {
+                    tell(&name, panic_words(&*payload));
+                }
+            }
+        });
+        let mut workers = self.workers.lock().unwrap_or_else(PoisonError::into_inner);
+        workers.retain(|(_, worker)| !worker.is_finished());
+        workers.push((number, started?));
         Ok(())
     }
 
-    /// Gives a thread up that does not return from a node, with all workers that are stuck in its loops, and starts new workers in
-    /// their place. The thread itself may be no worker. They leave on their own should they ever return.
+    /// Gives a thread up that does not return from a node, with all workers that are stuck in its loops, or in loops of theirs, and starts
+    /// new workers in their place. The thread itself may be no worker. They leave on their own should they ever return.
     pub fn give_up(&self, thread: u32) -> std::io::Result<()> {
+        if thread == 0 {
+            return Ok(());
+        }
         let mut workers = self.workers.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut lost = Vec::new();
         let mut state = lock(&self.inner);
-        let helpers = state.helping.iter().filter(|(_, caller)| *caller == thread).map(|(worker, _)| *worker);
-        for number in helpers.chain([thread]).collect::<Vec<_>>() {
-            if let Some(at) = workers.iter().position(|(n, _)| *n == number) {
+        let stuck = state.stuck_with(thread);
+        for number in &stuck {
+            if let Some(at) = workers.iter().position(|(n, _)| n == number) {
                 // Dropping the handle lets the thread go.
-                lost.push(workers.swap_remove(at).0);
+                drop(workers.swap_remove(at));
+                match state.reliefs.iter().position(|n| n == number) {
+                    Some(at) => _ = state.reliefs.swap_remove(at),
+                    None => state.live -= 1,
+                }
             }
         }
-        // Nobody else shall enter what the thread is stuck in.
+        // Nobody else shall enter what they are stuck in.
         // SAFETY: on the list, so its caller has not returned.
-        state.loops.retain(|l| unsafe { &*l.0 }.caller_number != thread);
-        state.given_up.extend(&lost);
+        state.loops.retain(|l| !stuck.contains(&unsafe { &*l.0 }.caller_number));
+        state.given_up.extend(&stuck);
         drop(state);
         drop(workers);
         let task = self.task.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        for _ in lost {
-            if let Some(task) = &task {
-                self.add_worker(task)?;
-            }
+        task.map_or(Ok(()), |task| self.fill(&task))
+    }
+
+    /// A thread that was given up leaves; for threads that are no workers.
+    pub(crate) fn left(&self, thread: u32) {
+        lock(&self.inner).given_up.retain(|n| *n != thread);
+    }
+
+    /// To be called a few times per second: where urgent tasks wait and no worker comes back, because all are stuck in calls that may yet be
+    /// given up, another worker is added, so that what has nothing to do with these calls goes on. It leaves when nothing urgent waits.
+    pub(crate) fn relieve(&self, now_ns: u64) -> std::io::Result<bool> {
+        let mut state = lock(&self.inner);
+        let waiting = !state.urgent.is_empty() || state.patient_for(now_ns) > LONGEST_PATIENCE_NS;
+        let (since_ns, turns) = state.stalled;
+        if !waiting || state.idle > 0 || since_ns == 0 || turns != state.turns {
+            state.stalled = (if waiting { now_ns.max(1) } else { 0 }, state.turns);
+            return Ok(false);
         }
-        Ok(())
+        if now_ns.saturating_sub(since_ns) < LONGEST_STALL_NS || state.reliefs.len() >= self.inner.threads {
+            return Ok(false);
+        }
+        let number = next_thread_number();
+        state.reliefs.push(number);
+        state.stalled = (now_ns, turns);
+        drop(state);
+        let task = self.task.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let started = task.map_or(Ok(false), |task| self.add_worker(&task, number, true).map(|()| true));
+        if !matches!(started, Ok(true)) {
+            lock(&self.inner).reliefs.retain(|n| *n != number);
+        }
+        started
     }
 
     /// Makes this pool the one that `parallel_for` uses on the calling thread.
     pub fn enter(&self) {
-        CURRENT.with(|current| current.set(Arc::as_ptr(&self.inner)));
+        CURRENT.set(Some(Arc::clone(&self.inner)));
     }
 
     /// Like [`Self::enter`], until the guard goes.
     pub fn visit(&self) -> Visit<'_> {
-        let before = CURRENT.with(|current| current.replace(Arc::as_ptr(&self.inner)));
-        Visit { before, pool: std::marker::PhantomData }
+        Visit { before: CURRENT.replace(Some(Arc::clone(&self.inner))), pool: std::marker::PhantomData }
     }
 
     /// Queues a node task.
@@ -301,32 +406,49 @@ impl Pool {
         self.inner.urgent_tasks.load(Ordering::Relaxed) > 0
     }
 
-    /// Lets the workers finish what is queued and joins them.
-    pub fn stop(&self) {
-        self.inner.stopping.store(true, Ordering::Relaxed);
+    /// Lets the workers finish what is queued and joins them, as long as that takes no longer than `until`; a worker that still works then
+    /// is left to itself. Answers whether all were joined.
+    pub fn stop(&self, until: Instant) -> bool {
         lock(&self.inner).stop = true;
         self.inner.wake.notify_all();
         let workers = std::mem::take(&mut *self.workers.lock().unwrap_or_else(PoisonError::into_inner));
-        for (_, worker) in workers {
-            let _ = worker.join();
-        }
+        workers.into_iter().fold(true, |all, (_, worker)| join_until(worker, until) && all)
     }
 }
 
-fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
-    CURRENT.with(|current| current.set(Arc::as_ptr(inner)));
+/// Waits for the end of a thread until then; answers whether it has ended.
+pub(crate) fn join_until<T>(thread: JoinHandle<T>, until: Instant) -> bool {
+    while !thread.is_finished() {
+        if Instant::now() >= until {
+            return false;
+        }
+        std::thread::sleep(std::time::Duration::from_micros(200));
+    }
+    let _ = thread.join();
+    true
+}
+
+/// Works until the pool stops or the worker is given up. One that stands in for others takes urgent tasks only and leaves when there is none:
+/// it helps in no loop, which may be what the others are stuck in.
+fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
+    CURRENT.set(Some(Arc::clone(inner)));
     warm_up();
     let mut walk = Walk::default();
     let mut state = lock(inner);
     state.started += 1;
     inner.arrived.notify_all();
     loop {
+        state.turns = state.turns.wrapping_add(1);
         if let Some(at) = state.given_up.iter().position(|n| *n == number) {
             state.given_up.swap_remove(at);
             return;
         }
-        let found = state.next_loop(Urgency::Urgent);
+        let found = if relief { None } else { state.next_loop(Urgency::Urgent) };
         let urgent = if found.is_none() { state.next_task(inner, Urgency::Urgent) } else { None };
+        if relief && urgent.is_none() {
+            state.reliefs.retain(|n| *n != number);
+            return;
+        }
         let found = found.or_else(|| if urgent.is_none() { state.next_loop(Urgency::Patient) } else { None });
         if let Some(found) = found {
             // SAFETY: as above; counted as helper under the lock, so the caller waits for us.
@@ -335,7 +457,10 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
             state.helping.push((number, this.caller_number));
             drop(state);
             set_urgency(this.urgency);
-            who::help(this.doing, || this.help(inner));
+            // SAFETY: the call that the loop is part of does not end before its helpers are through.
+            if who::help(this.doing, || unsafe { keep::within(this.scope, || this.help(inner)) }) {
+                this.attention.store(true, Ordering::Relaxed);
+            }
             let caller = this.caller.clone();
             if this.helpers.fetch_sub(1, Ordering::Release) == 1 {
                 // `this` may be gone now; its caller's handle was copied.
@@ -369,16 +494,17 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32) {
 /// `body` may be called from any thread, once per index, with `data` until this returns.
 pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> bool {
     let Some(body) = body else { return false };
-    let inner = CURRENT.with(Cell::get);
-    // SAFETY: set by `enter` or `worker` on this thread while the pool lives.
-    let inner = unsafe { inner.as_ref() };
-    let Some(inner) = inner.filter(|i| i.threads > 1 && chunks > 1) else {
+    let alone = || {
         for index in 0..chunks {
             // SAFETY: the caller's promise.
             unsafe { body(data, index) }
         }
-        return true;
+        true
     };
+    // A copy: a chunk may enter another pool, and leave it.
+    let inner = CURRENT.try_with(|current| current.borrow().clone()).ok().flatten();
+    let Some(inner) = inner.filter(|i| i.threads > 1 && chunks > 1) else { return alone() };
+    let inner = &*inner;
     let this = Loop {
         body,
         data,
@@ -389,9 +515,16 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
         caller_number: thread_number(),
         urgency: URGENCY.with(Cell::get),
         doing: who::doing(),
+        scope: keep::scope(),
+        attention: AtomicBool::new(false),
     };
     let wanted = (inner.threads - 1).min(chunks - 1);
     let mut state = lock(inner);
+    if state.given_up.contains(&this.caller_number) {
+        // Nobody would notice a helper that gets stuck.
+        drop(state);
+        return alone();
+    }
     state.loops.push(LoopPtr(&raw const this));
     let wake = state.idle.min(wanted);
     drop(state);
@@ -412,83 +545,11 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
             std::thread::park_timeout(std::time::Duration::from_micros(200));
         }
     }
+    if this.attention.load(Ordering::Relaxed) {
+        keep::set_attention();
+    }
     true
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use std::sync::atomic::AtomicU64;
-
-    unsafe extern "C" fn add(data: *mut c_void, index: usize) {
-        // SAFETY: the test passes a counter.
-        unsafe { &*data.cast::<AtomicU64>() }.fetch_add(index as u64 + 1, Ordering::Relaxed);
-    }
-
-    #[test]
-    fn every_chunk_runs_once() {
-        for threads in [1, 2, 8] {
-            let pool = Pool::new(threads);
-            pool.start(&(Arc::new(|_: u32, _: &mut Walk| {}) as Task)).expect("threads");
-            pool.enter();
-            for chunks in [0usize, 1, 2, 7, 1000] {
-                let sum = AtomicU64::new(0);
-                // SAFETY: `add` takes a counter.
-                assert!(unsafe { parallel_for(chunks, Some(add), (&raw const sum).cast_mut().cast()) });
-                assert_eq!(sum.load(Ordering::Relaxed), (chunks * (chunks + 1) / 2) as u64);
-            }
-            pool.stop();
-            CURRENT.with(|current| current.set(std::ptr::null()));
-        }
-    }
-
-    unsafe extern "C" fn nested(data: *mut c_void, _: usize) {
-        // SAFETY: `add` takes the same counter.
-        unsafe { parallel_for(10, Some(add), data) };
-    }
-
-    #[test]
-    fn urgent_tasks_go_first_and_patient_ones_do_not_starve() {
-        let pool = Pool::new(1);
-        let (held, hold) = std::sync::mpsc::channel::<()>();
-        let (done, seen) = std::sync::mpsc::channel();
-        let hold = Mutex::new(hold);
-        let task: Task = Arc::new(move |task, _: &mut Walk| {
-            if task == 0 {
-                // The one worker is kept until all others wait.
-                let _ = hold.lock().unwrap_or_else(PoisonError::into_inner).recv();
-            }
-            let _ = done.send(task);
-        });
-        pool.start(&task).expect("threads");
-        pool.push(0, Urgency::Urgent);
-        pool.push(1, Urgency::Patient);
-        pool.push(2, Urgency::Urgent);
-        pool.push(3, Urgency::Urgent);
-        let order = |count: usize| seen.iter().take(count).collect::<Vec<u32>>();
-        held.send(()).expect("the worker waits");
-        assert_eq!(order(4), [0, 2, 3, 1]);
-        assert!(!pool.is_pressed());
-        // What has waited too long goes first.
-        pool.push(0, Urgency::Urgent);
-        pool.push(4, Urgency::Patient);
-        std::thread::sleep(std::time::Duration::from_nanos(LONGEST_PATIENCE_NS * 3 / 2));
-        pool.push(5, Urgency::Urgent);
-        held.send(()).expect("the worker waits");
-        assert_eq!(order(3), [0, 4, 5]);
-        pool.stop();
-    }
-
-    #[test]
-    fn loops_nest() {
-        let pool = Pool::new(3);
-        pool.start(&(Arc::new(|_: u32, _: &mut Walk| {}) as Task)).expect("threads");
-        pool.enter();
-        let sum = AtomicU64::new(0);
-        // SAFETY: `nested` takes a counter.
-        unsafe { parallel_for(20, Some(nested), (&raw const sum).cast_mut().cast()) };
-        assert_eq!(sum.load(Ordering::Relaxed), 20 * 55);
-        pool.stop();
-        CURRENT.with(|current| current.set(std::ptr::null()));
-    }
-}
+mod tests;

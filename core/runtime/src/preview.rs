@@ -120,7 +120,8 @@ impl Taps {
                     return false;
                 };
                 if !frame.is_empty() {
-                    let borrowed = std::mem::ManuallyDrop::new(FrameRef::adopt(*frame));
+                    // SAFETY: the reference stays with the outputs: this one is never dropped.
+                    let borrowed = std::mem::ManuallyDrop::new(unsafe { FrameRef::adopt(*frame) });
                     match &place.hear {
                         Some(hear) => hear(&borrowed),
                         None => *lock(&place.newest) = Some(FrameRef::clone(&borrowed)),

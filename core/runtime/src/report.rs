@@ -47,8 +47,11 @@ pub struct NodeReport {
     pub p99_ms: f64,
     /// The longest call.
     pub max_ms: f64,
-    /// Ticks dropped where they would have entered here.
+    /// Ticks and packets dropped where they would have entered here.
     pub dropped: u64,
+    /// Packets dropped on each wire because no more could wait; wires without any are left out.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub dropped_on: Vec<WireDrops>,
     /// Ticks not processed because a required input was empty.
     pub skipped: u64,
     /// Errors and panics.
@@ -77,6 +80,17 @@ pub struct NodeReport {
     /// Numbers that the node told.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub metrics: BTreeMap<String, f64>,
+}
+
+/// Packets dropped on one wire.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct WireDrops {
+    /// The input's name.
+    pub input: String,
+    /// Position in a list input; 0 for others.
+    pub index: usize,
+    /// How many.
+    pub dropped: u64,
 }
 
 /// Age of what a sink took.
@@ -144,6 +158,7 @@ impl Report {
                     p99_ms: ms(stats.time.quantile_ns(0.99)),
                     max_ms: ms(stats.time.max_ns()),
                     dropped: load(&stats.dropped),
+                    dropped_on: wire_drops(cell),
                     skipped: load(&stats.skipped),
                     faults: load(&stats.faults),
                     restarts: load(&stats.restarts),
@@ -266,6 +281,8 @@ pub struct QueueWindow {
     pub waiting: usize,
     /// The most that waited since the last look.
     pub most: usize,
+    /// Dropped so far because no more could wait.
+    pub dropped: u64,
 }
 
 impl Window {
@@ -305,6 +322,21 @@ impl Window {
     }
 }
 
+/// Drops of a node's wires, in the order of ports and list positions.
+fn wire_drops(cell: &Cell) -> Vec<WireDrops> {
+    let ranges = lock(&cell.ranges).clone();
+    let join = lock(&cell.join);
+    let wires = ranges.iter().enumerate().flat_map(|(port, r)| (0..r.count as usize).map(move |index| (port, index)));
+    let drops = wires.zip(&join.slots).filter(|(_, slot)| slot.dropped() > 0);
+    drops
+        .map(|((port, index), slot)| WireDrops {
+            input: cell.input_name(port).to_owned(),
+            index,
+            dropped: slot.dropped(),
+        })
+        .collect()
+}
+
 /// What waits at a node, in the order of ports and list places.
 fn queues(cell: &Cell) -> Vec<QueueWindow> {
     let ranges = lock(&cell.ranges).clone();
@@ -312,7 +344,7 @@ fn queues(cell: &Cell) -> Vec<QueueWindow> {
     let places = ranges.iter().enumerate().flat_map(|(port, r)| (0..r.count as usize).map(move |index| (port, index)));
     let of = |((port, index), slot): ((usize, usize), &mut crate::join::Slot)| {
         let (waiting, most) = slot.fill();
-        QueueWindow { port, index, waiting, most }
+        QueueWindow { port, index, waiting, most, dropped: slot.dropped() }
     };
     places.zip(join.slots.iter_mut()).map(of).collect()
 }

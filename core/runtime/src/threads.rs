@@ -1,9 +1,10 @@
 //! Threads that belong to one node: sources and nodes that may wait.
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{NodeKind, OnFault};
@@ -31,6 +32,9 @@ const DEFAULT_FRAME_NS: i64 = 33_333_333;
 /// A step back in capture time of at least this length is a recording that starts again, not a fault.
 const REWIND_NS: i64 = 1_000_000_000;
 
+/// Capture times that are let in: 146 years to either side. The difference of any two of them is a number of nanoseconds, too.
+const CAPTURE_NS: Range<i64> = -(1 << 62)..1 << 62;
+
 /// Memory for the ingest times of one source.
 pub(crate) fn ingest_ring(source: bool) -> Box<[AtomicU64]> {
     (0..if source { INGEST_RING } else { 0 }).map(|_| AtomicU64::new(0)).collect()
@@ -50,9 +54,9 @@ pub(crate) struct OwnThread {
 }
 
 impl OwnThread {
-    /// Waits until it has left.
-    pub fn join(self) -> std::thread::Result<()> {
-        self.handle.join()
+    /// Waits until it has left, but no longer than until then.
+    pub fn join_until(self, until: Instant) {
+        pool::join_until(self.handle, until);
     }
 }
 
@@ -110,7 +114,8 @@ impl Shared {
         cell.has_thread.store(true, Ordering::Release);
         let mut threads = lock(&self.own_threads);
         let builder = std::thread::Builder::new().name(cell.id.chars().take(15).collect());
-        let handle = builder.spawn(move || {
+        let name = cell.id.clone();
+        let work = Arc::clone(&shared).watched(name, move || {
             *lock(&cell.thread) = Some(std::thread::current());
             pool::set_thread_number(number);
             shared.pool.enter();
@@ -118,13 +123,15 @@ impl Shared {
             let given_up =
                 if cell.source { shared.source_thread(node, &cell) } else { shared.blocking_thread(node, &cell) };
             if given_up {
+                shared.pool.left(number);
                 return;
             }
             if cell.retired.load(Ordering::Acquire) {
-                cell.close_instance();
+                drop(cell.take_instances());
             }
             cell.has_thread.store(false, Ordering::Release);
-        })?;
+        });
+        let handle = builder.spawn(work)?;
         threads.insert(number, OwnThread { node, cell: owner, handle });
         Ok(())
     }
@@ -194,7 +201,7 @@ impl Shared {
 
     /// A source has made its last tick: answers `false` when all is said.
     fn source_over(&self, node: usize, cell: &Cell) -> bool {
-        let region = Arc::clone(&self.plan.load().regions[self.plan.load().wiring[node].region]);
+        let region = Arc::clone(self.plan.load().region_of(node));
         while region.has_pending() {
             self.park(cell, Some(Duration::from_millis(1)));
             if cell.leave.grant() {
@@ -211,17 +218,14 @@ impl Shared {
 
     fn source_tick(&self, node: usize, cell: &Arc<Cell>, seq: u64, pace: &mut Pace, walk: &mut Walk) -> Step {
         if self.around.batch || !self.paced {
-            let has_room = {
-                let plan = self.plan.load();
-                plan.regions[plan.wiring[node].region].has_room()
-            };
+            let has_room = self.plan.load().region_of(node).has_room();
             if !has_room || self.readers_lag(node) {
                 // A reader of another region does not wake this thread when it catches up.
                 self.park(cell, Some(Duration::from_millis(if has_room { 1 } else { 100 })));
                 return Step::Next;
             }
         }
-        let capture_ns = pace.last_capture_ns.map_or(0, |last| last + DEFAULT_FRAME_NS);
+        let capture_ns = pace.last_capture_ns.map_or(0, |last| last.saturating_add(DEFAULT_FRAME_NS));
         let mut tick = Tick { source: node as u32, flags: 0, seq, capture_ns };
         if !lock(&cell.join).take_source(tick, pace.again) {
             pace.again = false;
@@ -259,18 +263,16 @@ impl Shared {
             }
             return Step::Next;
         }
-        if let Some(last) =
-            pace.last_capture_ns.filter(|&last| tick.capture_ns <= last && last - tick.capture_ns < REWIND_NS)
-        {
+        if !capture_fits(tick.capture_ns, pace.last_capture_ns) {
             made.clear();
-            self.capture_fault(cell, &tick, last);
+            self.capture_fault(cell, &tick, pace.last_capture_ns);
             cell.made.store(seq + 1, Ordering::Relaxed);
             return Step::Next;
         }
         pace.again = false;
         let mut allowance_ns = 0;
         if let Some(last) = pace.last_capture_ns.replace(tick.capture_ns).filter(|&last| tick.capture_ns > last) {
-            let period_ns = (tick.capture_ns - last) as u64;
+            let period_ns = tick.capture_ns.abs_diff(last);
             self.frame_ns.store(period_ns, Ordering::Relaxed);
             // Where nobody waits for the time of a tick, the next one is made meanwhile.
             if self.paced && !self.around.batch {
@@ -282,14 +284,12 @@ impl Shared {
         if let Some(recorder) = &self.around.recorder {
             recorder.made_tick(cell, &tick, &made.outputs);
         }
-        let region = {
-            let plan = self.plan.load();
-            Arc::clone(&plan.regions[plan.wiring[node].region])
-        };
+        let region = Arc::clone(self.plan.load().region_of(node));
         let mut outputs = region.spare();
         for output in &mut made.outputs {
             let raw = std::mem::replace(output, Frame::EMPTY);
-            outputs.push(FrameRef::adopt(Frame { tick, ..raw }));
+            // SAFETY: outputs of a call that has ended are empty or hold a reference, which the list has just forgotten.
+            outputs.push(unsafe { FrameRef::adopt(Frame { tick, ..raw }) });
         }
         if self.paced && !self.around.batch {
             now_ns = self.wait_until_due(cell, tick.capture_ns, now_ns, &mut pace.first);
@@ -320,15 +320,11 @@ impl Shared {
     }
 
     #[cold]
-    fn capture_fault(&self, cell: &Cell, tick: &Tick, last_ns: i64) {
+    fn capture_fault(&self, cell: &Cell, tick: &Tick, last_ns: Option<i64>) {
         bump(&cell.stats.faults);
         bump(&cell.stats.dropped);
         cell.note(&self.around, Cause::CaptureTime, Action::Withhold, Some(tick.seq), || {
-            let words = format!(
-                "capture time {:.3} ms after {:.3} ms: the tick was dropped",
-                tick.capture_ns as f64 / 1e6,
-                last_ns as f64 / 1e6
-            );
+            let words = capture_words(tick.capture_ns, last_ns);
             self.around.log.say(crate::log::Level::Error, &cell.id, &words);
             words
         });
@@ -345,13 +341,17 @@ impl Shared {
                 return true;
             }
             let seq = recorded.seq;
+            if !capture_fits(recorded.capture_ns, None) {
+                let words = capture_words(recorded.capture_ns, None);
+                let words = format!("tick {seq} of `{}` in the recording: {words}", cell.id);
+                script.fail(words.clone());
+                self.fail(words);
+                return false;
+            }
             if self.frames.is_some_and(|most| seq >= most) {
                 return false;
             }
-            let region = {
-                let plan = self.plan.load();
-                Arc::clone(&plan.regions[plan.wiring[node].region])
-            };
+            let region = Arc::clone(self.plan.load().region_of(node));
             let enters = recorded.admitted || recorded.gap;
             if enters && (!script.may_enter(&cell.id) || !region.has_room() || self.readers_lag(node)) {
                 self.park(cell, Some(Duration::from_millis(1)));
@@ -409,9 +409,9 @@ impl Shared {
 
     fn wait_until_due(&self, cell: &Cell, capture_ns: i64, now_ns: u64, first: &mut Option<(i64, u64)>) -> u64 {
         let &mut (first_capture, first_ns) = first.get_or_insert((capture_ns, now_ns));
-        let due = first_ns.saturating_add_signed(capture_ns - first_capture);
+        let due = first_ns.saturating_add_signed(capture_ns.saturating_sub(first_capture));
         // A jump in media time is not waited for.
-        if due > now_ns + 2_000_000_000 || due + 1_000_000_000 < now_ns {
+        if due > now_ns.saturating_add(2_000_000_000) || due.saturating_add(1_000_000_000) < now_ns {
             *first = Some((capture_ns, now_ns));
             return now_ns;
         }
@@ -421,6 +421,25 @@ impl Shared {
             now = clock::now_ns();
         }
         now
+    }
+}
+
+/// Whether a tick of this capture time is let in after one of another.
+#[inline]
+fn capture_fits(capture_ns: i64, last_ns: Option<i64>) -> bool {
+    let back = |last: i64| capture_ns <= last && last.saturating_sub(capture_ns) < REWIND_NS;
+    CAPTURE_NS.contains(&capture_ns) && !last_ns.is_some_and(back)
+}
+
+/// Why it is not.
+#[cold]
+fn capture_words(capture_ns: i64, last_ns: Option<i64>) -> String {
+    let (range, ms) = (CAPTURE_NS, |ns: i64| ns as f64 / 1e6);
+    match last_ns.filter(|_| range.contains(&capture_ns)) {
+        Some(last) => {
+            format!("capture time {:.3} ms after {:.3} ms: the tick was dropped", ms(capture_ns), ms(last))
+        }
+        None => format!("capture time {capture_ns} ns lies outside {range:?}: the tick was dropped"),
     }
 }
 
@@ -445,5 +464,23 @@ fn place_thread(cpu: Option<u32>, realtime: bool) {
         let priority = libc::sched_param { sched_priority: 20 };
         // SAFETY: a plain system call.
         unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const priority) };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn capture_times_outside_their_range_or_backwards_are_not_let_in() {
+        let refused = |ns, last| !capture_fits(ns, last);
+        for ns in [i64::MIN, i64::MAX, 1 << 62, -(1 << 62) - 1] {
+            assert!(refused(ns, None) && refused(ns, Some(0)), "{ns}");
+        }
+        let (least, most) = (CAPTURE_NS.start, CAPTURE_NS.end - 1);
+        assert!(!refused(least, None) && !refused(most, Some(least)));
+        assert!(most.checked_sub(least).is_some() && least.checked_sub(most).is_some());
+        assert!(refused(5, Some(5)) && refused(4, Some(5)) && !refused(6, Some(5)));
+        assert!(!refused(least, Some(most)), "a recording that starts again");
     }
 }

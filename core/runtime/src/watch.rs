@@ -1,17 +1,23 @@
-//! The watchdog: sees calls that do not return, leaves them behind with their thread and has failed nodes opened again.
+//! The watchdog: sees calls that do not return, leaves them behind with their thread and has failed nodes opened again. It calls no
+//! plugin itself.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use panoscope_graph::OnFault;
 
 use crate::cell::{Cell, lock};
 use crate::clock;
-use crate::exec::ABANDONED;
+use crate::exec::{ABANDONED, Doing};
 use crate::failures::backoff_ms;
 use crate::fault::{Action, Cause};
+use crate::guard::{CallError, OpenError};
+use crate::keep;
 use crate::log::Level;
+use crate::outbox::panic_words;
 use crate::plan::Plan;
 use crate::schedule::{Ready, Shared};
 use crate::stats::bump;
@@ -23,13 +29,12 @@ const SHORTEST_GRACE_NS: u64 = 20_000_000;
 const LONGEST_GRACE_NS: u64 = 66_000_000;
 /// In batch time is no measure of a node: only what takes this many times its budget hangs.
 const BATCH_BUDGETS: u64 = 20;
-/// Longest that a failed node may take to open again.
-const LONGEST_OPEN_NS: u64 = 30_000_000_000;
 
 impl Shared {
     /// Looks at the running calls until `stop` is set.
     pub fn watch(&self, stop: &AtomicBool) {
         let mut next_look_ns = 0;
+        let mut refused = keep::refused_outside();
         while !stop.load(Ordering::Relaxed) {
             let (nearest, budgets) = {
                 let plan = self.plan.load();
@@ -42,6 +47,18 @@ impl Shared {
             if now_ns >= next_look_ns {
                 next_look_ns = now_ns + look_ms * 1_000_000;
                 self.look_for_hangs(now_ns);
+                clock::keep();
+                if !self.around.unhurried()
+                    && let Err(cause) = self.pool.relieve(now_ns)
+                {
+                    self.fail(format!("no thread could be started beside those that hang: {cause}"));
+                }
+                let before = std::mem::replace(&mut refused, keep::refused_outside());
+                if refused != before {
+                    let words =
+                        "a plugin's thread gave back or kept a frame that the plugin does not hold; this was refused";
+                    self.around.log.say(Level::Error, "engine", words);
+                }
             }
         }
     }
@@ -70,13 +87,18 @@ impl Shared {
 
     /// Time from the start of a call to the end of its budget, and from there until it is called hung.
     fn patience(&self, cell: &Cell) -> (u64, u64) {
+        match cell.busy.doing() {
+            Doing::Process => {}
+            Doing::Open => return (nanoseconds(self.around.open_limit), 0),
+            Doing::Close | Doing::SaveState | Doing::LoadState => return (nanoseconds(self.around.close_limit), 0),
+        }
         let budget_ns = cell.budget_ns.load(Ordering::Relaxed);
         match (budget_ns, self.around.unhurried()) {
             (0, _) => (self.hang_ns, 0),
             (budget, true) => (self.hang_ns.max(budget.saturating_mul(BATCH_BUDGETS)), 0),
             (budget, false) => {
                 let frame_ns = self.frame_ns.load(Ordering::Relaxed);
-                (budget, (2 * frame_ns).clamp(SHORTEST_GRACE_NS, LONGEST_GRACE_NS))
+                (budget, frame_ns.saturating_mul(2).clamp(SHORTEST_GRACE_NS, LONGEST_GRACE_NS))
             }
         }
     }
@@ -84,14 +106,10 @@ impl Shared {
     fn look_for_hangs(&self, now_ns: u64) {
         let plan = self.plan.load();
         for (node, cell) in plan.live() {
-            let opening_ns = cell.opening_since_ns.load(Ordering::Relaxed);
-            if opening_ns != 0 && now_ns.saturating_sub(opening_ns) > LONGEST_OPEN_NS {
-                self.give_up_opening(cell);
-            }
-            let (budget_ns, grace_ns) = self.patience(cell);
             let since_ns = cell.busy.since_ns.load(Ordering::Acquire);
+            let (budget_ns, grace_ns) = self.patience(cell);
             let running = since_ns != 0 && since_ns != ABANDONED;
-            if running && now_ns.saturating_sub(since_ns) > budget_ns + grace_ns {
+            if running && now_ns.saturating_sub(since_ns) > budget_ns.saturating_add(grace_ns) {
                 self.abandon(&plan, node, cell, since_ns, budget_ns);
             }
         }
@@ -101,7 +119,7 @@ impl Shared {
     #[cold]
     fn abandon(&self, plan: &Plan, node: usize, cell: &Arc<Cell>, since_ns: u64, budget_ns: u64) {
         let busy = &cell.busy;
-        let (tick, thread) = (busy.tick(), busy.thread.load(Ordering::Relaxed));
+        let (tick, thread, doing) = (busy.tick(), busy.thread.load(Ordering::Relaxed), busy.doing());
         if !busy.abandon(since_ns) {
             return;
         }
@@ -124,9 +142,10 @@ impl Shared {
         busy.clear();
         cell.exec.put(exec);
 
-        let late_ms = now_ns.saturating_sub(since_ns + budget_ns) as f64 / 1e6;
+        let late_ms = now_ns.saturating_sub(since_ns.saturating_add(budget_ns)) as f64 / 1e6;
         let spent_ms = now_ns.saturating_sub(since_ns) as f64 / 1e6;
-        let words = format!("it did not return for {spent_ms:.0} ms and was left behind with its thread");
+        let words =
+            format!("it did not return{} for {spent_ms:.0} ms and was left behind with its thread", doing.words());
         self.around.log.say(Level::Error, &cell.id, &words);
         cell.tell(&self.around, Cause::Hang, done, Some(tick.seq), Some(late_ms), words);
         // The rest of the tick first, so that nobody runs the node before.
@@ -164,48 +183,74 @@ impl Shared {
         }
     }
 
+    /// Writes down that a call off the hot path has no answer; answers what is done about it.
     #[cold]
-    fn give_up_opening(&self, cell: &Arc<Cell>) {
-        cell.opening_since_ns.store(0, Ordering::Relaxed);
-        cell.mending.fetch_add(1, Ordering::AcqRel);
-        let stuck = cell.stuck.fetch_add(1, Ordering::Relaxed) + 1;
+    pub fn tell_no_return(&self, cell: &Cell, error: &CallError) -> Action {
+        let stuck = cell.stuck.load(Ordering::Relaxed);
         let done = if stuck <= MOST_STUCK { Action::Abandon } else { Action::Bypass };
         bump(&cell.stats.faults);
-        let words = "it does not return from opening".to_owned();
+        let words = error.to_string();
         if done == Action::Bypass {
             cell.lost(&self.around, &words);
         }
         self.around.log.say(Level::Error, &cell.id, &words);
         cell.tell(&self.around, Cause::Hang, done, None, None, words);
-        if done == Action::Abandon {
-            self.start_mending(cell);
+        done
+    }
+
+    /// Starts a thread of the host.
+    ///
+    /// # Errors
+    /// The system gives none.
+    pub fn start_host_thread(
+        self: &Arc<Self>,
+        name: &str,
+        work: impl FnOnce() + Send + 'static,
+    ) -> std::io::Result<JoinHandle<()>> {
+        let work = Arc::clone(self).watched(name.to_owned(), work);
+        std::thread::Builder::new().name(name.chars().take(15).collect()).spawn(work)
+    }
+
+    /// Work of a thread of the host. A panic there is a mistake of the host: it is told with the thread's name and ends the run.
+    pub fn watched(self: Arc<Self>, name: String, work: impl FnOnce() + Send + 'static) -> impl FnOnce() + Send {
+        move || {
+            if let Err(payload) = catch_unwind(AssertUnwindSafe(work)) {
+                self.thread_panicked(&name, panic_words(&*payload));
+            }
         }
     }
 
-    /// Closes what failed and, if the graph wants that, opens the node again. In live mode this happens on a thread of its own.
+    /// A thread of the host panicked: what it was to do may never be done, so the run does not wait for it.
+    #[cold]
+    pub fn thread_panicked(&self, name: &str, words: &str) {
+        let words = format!("thread `{name}` of the engine panicked: {words}");
+        self.around.log.say(Level::Error, "engine", &words);
+        self.fail(words);
+        self.broken.store(true, Ordering::Release);
+        let _guard = lock(&self.finished_lock);
+        self.finished.notify_all();
+    }
+
+    /// Closes what failed and, if the graph wants that, opens the node again. This happens on a thread of its own.
     pub fn start_mending(&self, cell: &Arc<Cell>) {
-        if self.around.unhurried() {
-            // Opened again before a tick that does not depend on the clock.
-            lock(&cell.broken).clear();
+        if self.around.unhurried() && cell.on_fault() == OnFault::Restart {
+            // Closed and opened again before a tick that does not depend on the clock.
             return;
         }
         let Some(me) = self.me.upgrade() else { return };
         let mine = cell.mending.fetch_add(1, Ordering::AcqRel) + 1;
         let cell = Arc::clone(cell);
-        let name = format!("mend {}", cell.id).chars().take(15).collect();
-        let started = std::thread::Builder::new().name(name).spawn(move || {
-            me.pool.enter();
-            me.mend(&cell, mine);
-        });
-        if let Err(cause) = started {
+        let name = format!("mend {}", cell.id);
+        let mender = Arc::clone(&me);
+        if let Err(cause) = me.start_host_thread(&name, move || mender.mend(&cell, mine)) {
             self.fail(format!("no thread could be started to open a node again: {cause}"));
         }
     }
 
-    fn mend(&self, cell: &Cell, mine: u64) {
+    fn mend(self: &Arc<Self>, cell: &Arc<Cell>, mine: u64) {
         let outdated = || cell.mending.load(Ordering::Acquire) != mine || cell.retired.load(Ordering::Relaxed);
         let broken = std::mem::take(&mut *lock(&cell.broken));
-        drop(broken);
+        self.close_guarded(cell, broken);
         if cell.on_fault() != OnFault::Restart {
             return;
         }
@@ -219,28 +264,40 @@ impl Shared {
             if outdated() || self.is_stopping() {
                 return;
             }
-            cell.opening_since_ns.store(clock::now_ns().max(1), Ordering::Relaxed);
-            let opened = cell.open(&self.around, &cell.snapshot());
-            if cell.mending.load(Ordering::Acquire) != mine {
-                // Given up meanwhile, or somebody opened the node otherwise.
+            let opened = self.open_guarded(cell, &cell.snapshot());
+            if outdated() {
+                // Somebody opened the node otherwise, or it is gone.
+                if let Ok(instance) = opened {
+                    self.close_guarded(cell, vec![instance]);
+                }
                 return;
             }
-            cell.opening_since_ns.store(0, Ordering::Relaxed);
             match opened {
                 Ok(instance) => {
                     bump(&cell.stats.restarts);
                     self.around.log.say(Level::Info, &cell.id, "opened again");
-                    cell.replace_instance(instance, None);
+                    let unused = cell.replace_instance(instance, None);
+                    self.close_guarded(cell, unused.into_iter().collect());
                     if cell.source {
                         self.wake(cell);
                     }
                     return;
                 }
-                Err(words) => {
+                Err(OpenError::Refused(words)) => {
                     cell.failures.fetch_add(1, Ordering::Relaxed);
                     cell.open_failed(&self.around, &words, None);
+                }
+                Err(OpenError::Call(error)) => {
+                    cell.failures.fetch_add(1, Ordering::Relaxed);
+                    if self.tell_no_return(cell, &error) == Action::Bypass {
+                        return;
+                    }
                 }
             }
         }
     }
+}
+
+fn nanoseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }

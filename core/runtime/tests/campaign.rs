@@ -2,13 +2,14 @@
 //!
 //! `PANOSCOPE_FAULT_CASES` sets how many cases are run (200 without it), `PANOSCOPE_FAULT_SEED` which.
 
+mod common;
+
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
+use common::folders;
 use panoscope_graph::{GraphText, check};
 use panoscope_imaging::random::SplitMix64;
 use panoscope_runtime::fault::{Action, Cause, Fault};
@@ -18,37 +19,15 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Cases that run at a time: each of them mostly waits for its next frame.
 const SIDE_BY_SIDE: usize = 6;
 
-/// The built plugins: out of `PANOSCOPE_PLUGIN_PATH`, else built now.
-fn folders() -> &'static [PathBuf] {
-    static FOLDERS: OnceLock<Vec<PathBuf>> = OnceLock::new();
-    FOLDERS.get_or_init(|| {
-        let path = std::env::var_os("PANOSCOPE_PLUGIN_PATH").unwrap_or_default();
-        let given: Vec<PathBuf> = std::env::split_paths(&path).filter(|p| p.is_dir()).collect();
-        let has = |plugin: &str| Loader::search(&given).found().any(|f| f.note.name == plugin);
-        if has("flow") && has("chaos") { given } else { vec![build()] }
-    })
-}
-
-fn build() -> PathBuf {
-    let test = std::env::current_exe().expect("a test has a file");
-    let profile_dir = test.parent().and_then(Path::parent).expect("tests lie in <target>/<profile>/deps");
-    let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
-    cargo.args(["build", "--quiet", "--package", "panoscope-flow", "--package", "panoscope-chaos", "--manifest-path"]);
-    cargo.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../Cargo.toml"));
-    cargo.arg("--target-dir").arg(profile_dir.parent().expect("a target folder"));
-    if profile_dir.ends_with("release") {
-        cargo.arg("--release");
-    }
-    assert!(cargo.status().expect("cargo runs").success(), "the plugins do not build");
-    profile_dir.to_owned()
-}
-
 /// Harm, type of the node, and the causes that name it.
 const HARMS: &[(&str, &[&str], &[Cause])] = &[
     ("error", &["chaos", "chaos_blocking", "chaos_source", "chaos_pose"], &[Cause::Error]),
     ("panic", &["chaos", "chaos_blocking", "chaos_source", "chaos_pose"], &[Cause::Panic]),
     ("hang", &["chaos", "chaos_blocking", "chaos_source", "chaos_pose"], &[Cause::Hang]),
     ("hang_in_loop", &["chaos", "chaos_blocking"], &[Cause::Hang]),
+    ("hang_in_nested_loop", &["chaos", "chaos_blocking"], &[Cause::Hang]),
+    ("extreme", &["chaos_source"], &[Cause::CaptureTime]),
+    ("release_twice", &["chaos", "chaos_blocking"], &[Cause::Release]),
     ("nan", &["chaos", "chaos_blocking", "chaos_source", "chaos_pose"], &[Cause::NotANumber]),
     ("wrong_size", &["chaos", "chaos_blocking"], &[Cause::Size]),
     ("wrong_format", &["chaos", "chaos_blocking", "chaos_source"], &[Cause::Format]),
@@ -80,7 +59,7 @@ fn case(number: usize, seed: u64) -> Case {
         match harm {
             "nothing" => 40,
             "leak" => 150,
-            "hang" | "hang_in_loop" => 1,
+            "hang" | "hang_in_loop" | "hang_in_nested_loop" => 1,
             "too_much" | "nan" => 1 + dice.below(15),
             _ => 1 + dice.below(3),
         },

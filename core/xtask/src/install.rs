@@ -6,7 +6,8 @@ use std::path::Path;
 use anyhow::{Context, Result};
 
 use crate::build::{
-    Built, Means, Profile, build, build_editor, editor_name, lay_out_models, library_name, place, place_files, program_name,
+    Built, Means, Profile, build, build_editor, editor_name, lay_out_models, library_name, place, place_files,
+    program_name,
 };
 use crate::onnxruntime;
 use crate::workspace::Workspace;

@@ -25,6 +25,17 @@ fn process<'f>(cx: &Context<'f>, input: &In<'f>, out: &mut Out<'f>, plan: &Plan)
     if harm == Harm::Leak {
         std::mem::forget(input.image.keep());
     }
+    if matches!(harm, Harm::ReleaseTwice | Harm::ReleaseTwiceElsewhere) {
+        let kept = input.image.keep();
+        // SAFETY: none: this is the misuse that the host has to survive.
+        let twin = unsafe { std::ptr::read(&raw const kept) };
+        if harm == Harm::ReleaseTwice {
+            drop((kept, twin));
+        } else {
+            // The call waits: the host must not depend on the order of things.
+            std::thread::scope(|scope| drop(scope.spawn(|| drop((kept, twin))).join()));
+        }
+    }
     if plan.spoil(harm, &mut out.image, frame.width as usize, frame.height as usize)? {
         return Ok(());
     }

@@ -17,6 +17,8 @@ pub enum Harm {
     Hang,
     /// A chunk of a loop on the host's pool does not return for `hang_ms`.
     HangInLoop,
+    /// A chunk of a loop in a chunk of a loop does not return for `hang_ms`.
+    HangInNestedLoop,
     /// A picture of NaN.
     Nan,
     /// A picture of another size than its input.
@@ -35,6 +37,12 @@ pub enum Harm {
     Repeat,
     /// A capture time before that of the tick before. Sources only.
     Reorder,
+    /// Capture times at the ends of what the number holds. Sources only.
+    Extreme,
+    /// A picture that is kept once is given back twice.
+    ReleaseTwice,
+    /// The same on a thread of the plugin's own.
+    ReleaseTwiceElsewhere,
     /// The call writes to memory that is not there: the process ends.
     Segv,
     /// A chunk of a loop on the host's pool does so.
@@ -110,6 +118,11 @@ impl Plan {
                 use panoscope_node::Parallel;
                 cx.pool().run(4, &|_| wait(self.hang_ms));
             }
+            Harm::HangInNestedLoop => {
+                use panoscope_node::Parallel;
+                let pool = cx.pool();
+                pool.run(2, &|_| pool.run(16, &|_| wait(self.hang_ms)));
+            }
             Harm::Slow => wait(self.slow_ms),
             Harm::Segv => segv(),
             Harm::SegvInLoop => {
@@ -163,7 +176,8 @@ fn deeper(level: u64) -> u64 {
     deeper(piece[7] + 1).wrapping_add(piece[8])
 }
 
-fn wait(ms: f64) {
+/// Does not return for a time.
+pub(crate) fn wait(ms: f64) {
     let end = Instant::now() + Duration::from_secs_f64(ms / 1e3);
     while Instant::now() < end {
         std::thread::sleep(Duration::from_millis(1).min(end.saturating_duration_since(Instant::now())));

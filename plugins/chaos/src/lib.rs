@@ -3,10 +3,19 @@
 
 pub mod filter;
 pub mod harm;
+pub mod life;
 pub mod pair;
 pub mod pose;
 pub mod source;
 
 use panoscope_node::export_plugin;
 
-export_plugin![filter::Chaos, filter::ChaosBlocking, source::ChaosSource, pair::ChaosPair, pose::ChaosPose];
+export_plugin![
+    filter::Chaos,
+    filter::ChaosBlocking,
+    source::ChaosSource,
+    pair::ChaosPair,
+    pose::ChaosPose,
+    life::ChaosLife,
+    life::ChaosDevice,
+];

@@ -40,7 +40,11 @@ impl Node for ChaosSource {
             Harm::Reorder => 2 * FRAME_NS + FRAME_NS / 2,
             _ => 0,
         };
-        cx.set_capture_ns(seq as i64 * FRAME_NS - late_ns);
+        match harm {
+            Harm::Extreme if seq.is_multiple_of(2) => cx.set_capture_ns(i64::MIN),
+            Harm::Extreme => cx.set_capture_ns(i64::MAX),
+            _ => cx.set_capture_ns(seq as i64 * FRAME_NS - late_ns),
+        }
         if plan.spoil(harm, &mut out.image, WIDTH, HEIGHT)? {
             return Ok(());
         }

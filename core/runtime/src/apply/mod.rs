@@ -5,9 +5,11 @@
 //! notice. Whatever fails before the switch leaves everything as it was.
 
 mod change;
+mod change_lock;
 mod outcome;
 mod switch;
 
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -15,10 +17,12 @@ use std::time::{Duration, Instant};
 use panoscope_graph::{Catalog, Graph, Mode};
 
 use self::change::{Change, Fate};
+pub(crate) use self::change_lock::ChangeLock;
 pub use self::outcome::{Applied, ApplyError};
 use crate::cell::{Cell, lock};
-use crate::engine::Engine;
-use crate::exec::Instance;
+use crate::engine::{Engine, type_name};
+use crate::exec::{Doing, Instance};
+use crate::guard::{CallError, Limit};
 use crate::loader::Loader;
 use crate::log::Level;
 use crate::params::Snapshot;
@@ -28,6 +32,9 @@ use crate::schedule::Ready;
 
 /// Longest wait for the ticks inside a region.
 const LONGEST_DRAIN: Duration = Duration::from_secs(10);
+
+/// Longest wait for the threads of nodes that were removed.
+const LONGEST_LEAVE: Duration = Duration::from_secs(2);
 
 /// When a change is to be made.
 enum When<'a> {
@@ -89,7 +96,7 @@ impl Engine {
         loader: &Loader,
         when: &When<'_>,
     ) -> Result<Applied, ApplyError> {
-        let _change = lock(&self.change);
+        let _change = self.change.lock();
         let shared = &self.shared;
         if shared.is_stopping() || self.is_finished() {
             return Err(ApplyError::Ended);
@@ -108,19 +115,27 @@ impl Engine {
         if let When::At(at) = when {
             change.hold_also(&old, at)?;
         }
-        let _visit = shared.pool.visit();
-        let early = self.open_early(&change, &graph)?;
+        let mut early = self.open_early(&change, &graph)?;
 
         // From here until the switch whole parts of the graph stand still.
         let start = Instant::now();
         let still = self
             .come_to(&old, &change, when)
             .and_then(|()| self.hold(&old, &change))
+            .and_then(|()| self.hand_over_early(&old, &change, &mut early))
             .and_then(|()| self.open_late(&old, &change, &graph));
+        let still = match still {
+            // Closing waits for the change only so long.
+            Ok(late) if shared.is_stopping() => Err((ApplyError::Ended, late)),
+            Ok(late) => Ok(late),
+            Err(error) => Err((error, Vec::new())),
+        };
         let late = match still {
             Ok(late) => late,
-            Err(error) => {
+            Err((error, late)) => {
                 self.let_go(&old, &change);
+                early.extend(late);
+                self.close_opened(&change, early);
                 return Err(error);
             }
         };
@@ -161,18 +176,47 @@ impl Engine {
         Ok(())
     }
 
-    fn open_one(&self, change: &Change, graph: &Graph, node: usize) -> Result<Opened, ApplyError> {
-        let cell = &change.plan.cells[change.plan.slots[node]];
-        self.shared.around.widen(cell);
-        let snapshot =
-            if change.fates[node].reopened { Snapshot::new(graph.nodes[node].params.clone()) } else { cell.snapshot() };
-        match cell.open(&self.shared.around, &snapshot) {
-            Ok(instance) => Ok(Opened { node, instance, snapshot }),
-            Err(reason) => Err(ApplyError::Open {
-                node: graph.nodes[node].id.clone(),
-                node_type: graph.nodes[node].type_name.clone(),
-                reason,
-            }),
+    /// Opens nodes of the new graph, one after the other, each within its limit. When one does not open, those before it are closed again.
+    fn open_each(&self, change: &Change, graph: &Graph, nodes: &[usize]) -> Result<Vec<Opened>, ApplyError> {
+        let shared = &self.shared;
+        let cell = |node: usize| &change.plan.cells[change.plan.slots[node]];
+        let snapshots: Vec<Arc<Snapshot>> = nodes
+            .iter()
+            .map(|&node| {
+                shared.around.widen(cell(node));
+                let reopened = change.fates[node].reopened;
+                if reopened { Snapshot::new(graph.nodes[node].params.clone()) } else { cell(node).snapshot() }
+            })
+            .collect();
+        let calls = nodes.iter().zip(&snapshots).map(|(&node, snapshot)| shared.opening(cell(node), snapshot));
+        let mut opened = Vec::with_capacity(nodes.len());
+        let mut failed = None;
+        let limit = Limit::until_stop(shared.around.open_limit);
+        shared.guarded(limit, Result::is_ok, calls.collect::<Vec<_>>(), |_, answer| {
+            let (node, snapshot) = (nodes[opened.len()], &snapshots[opened.len()]);
+            match answer {
+                Ok(Ok(instance)) => opened.push(Opened { node, instance, snapshot: Arc::clone(snapshot) }),
+                Ok(Err(reason)) => {
+                    let (id, node_type) = (graph.nodes[node].id.clone(), graph.nodes[node].type_name.clone());
+                    failed = Some(ApplyError::Open { node: id, node_type, reason });
+                }
+                Err(error) => failed = Some(no_answer(&graph.nodes[node].id, &error)),
+            }
+            if failed.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        match failed {
+            None => Ok(opened),
+            Some(error) => {
+                self.close_opened(change, opened);
+                Err(error)
+            }
+        }
+    }
+
+    /// Closes what was opened for a change that is not made.
+    fn close_opened(&self, change: &Change, opened: Vec<Opened>) {
+        for Opened { node, instance, .. } in opened {
+            self.shared.close_guarded(&change.plan.cells[change.plan.slots[node]], vec![instance]);
         }
     }
 
@@ -181,8 +225,107 @@ impl Engine {
         // In a replay the script says at which tick a node goes on with a new instance.
         let scripted = self.shared.around.script.is_some();
         let wanted = |f: &Fate| (f.added || f.replaced || (f.reopened && !scripted)) && !f.late;
-        let nodes = (0..graph.nodes.len()).filter(|&n| wanted(&change.fates[n]));
-        nodes.map(|node| self.open_one(change, graph, node)).collect()
+        let nodes: Vec<usize> = (0..graph.nodes.len()).filter(|&n| wanted(&change.fates[n])).collect();
+        self.open_each(change, graph, &nodes)
+    }
+
+    /// Waits until nobody is busy, or the engine is to stop.
+    fn wait_for(&self, until: Instant, busy: impl Fn() -> Option<String>) -> Result<(), ApplyError> {
+        while let Some(node) = busy() {
+            if self.shared.is_stopping() {
+                return Err(ApplyError::Ended);
+            }
+            if Instant::now() >= until {
+                return Err(ApplyError::Busy { node, seconds: LONGEST_DRAIN.as_secs() });
+            }
+            std::thread::sleep(Duration::from_micros(50));
+        }
+        Ok(())
+    }
+
+    /// Takes the state of a node at rest, for a successor, and closes it if it is to be closed.
+    ///
+    /// # Errors
+    /// It did not return: its instance is lost, and the node is opened again.
+    fn save(&self, cell: &Arc<Cell>, closes: bool) -> Result<Option<Vec<u8>>, ApplyError> {
+        let shared = &self.shared;
+        let Some(mut exec) = cell.exec.take() else { return Ok(None) };
+        let limit = Limit::until_stop(shared.around.close_limit);
+        let mut instance = std::mem::replace(&mut exec.instance, Instance::none(cell.node_type));
+        cell.exec.put(exec);
+        let lost = |error: CallError| {
+            shared.tell_no_return(cell, &error);
+            shared.start_mending(cell);
+            no_answer(&cell.id, &error)
+        };
+        let mut state = None;
+        if instance.saves_state() {
+            let me = Arc::clone(shared);
+            let save = move || {
+                let state = instance.save_state(&me.around.host);
+                (instance, state)
+            };
+            (instance, state) = shared.call_guarded(limit, cell, Doing::SaveState, save).map_err(lost)?;
+        }
+        if closes {
+            shared.call_guarded(limit, cell, Doing::Close, move || drop(instance)).map_err(lost)?;
+        } else if let Some(mut exec) = cell.exec.take() {
+            exec.instance = instance;
+            cell.exec.put(exec);
+        }
+        Ok(state)
+    }
+
+    /// Gives a state to a new instance.
+    ///
+    /// # Errors
+    /// It did not return: the instance is lost.
+    fn load(&self, cell: &Arc<Cell>, instance: Instance, state: Option<&Vec<u8>>) -> Result<Instance, ApplyError> {
+        let Some(state) = state.cloned() else { return Ok(instance) };
+        let limit = Limit::until_stop(self.shared.around.close_limit);
+        let mut instance = instance;
+        let load = move || {
+            let understood = instance.load_state(&state);
+            (instance, understood)
+        };
+        match self.shared.call_guarded(limit, cell, Doing::LoadState, load) {
+            Ok((instance, understood)) => {
+                if !understood {
+                    cell.starts_anew(&self.shared.around);
+                }
+                Ok(instance)
+            }
+            Err(error) => Err(no_answer(&cell.id, &error)),
+        }
+    }
+
+    /// Gives the states of nodes that are replaced to their successors, which are open beside them. All are at rest.
+    fn hand_over_early(&self, old: &Plan, change: &Change, early: &mut Vec<Opened>) -> Result<(), ApplyError> {
+        let mut rest = std::mem::take(early).into_iter();
+        let mut failed = Ok(());
+        for Opened { node, instance, snapshot } in rest.by_ref() {
+            let slot = change.plan.slots[node];
+            let cell = &change.plan.cells[slot];
+            let heir = change.fates[node].replaced && type_name(old.cells[slot].node_type) == type_name(cell.node_type);
+            let state = if heir { self.save(&old.cells[slot], false) } else { Ok(None) };
+            let loaded = match state {
+                Ok(state) => self.load(cell, instance, state.as_ref()),
+                Err(error) => {
+                    early.push(Opened { node, instance, snapshot });
+                    failed = Err(error);
+                    break;
+                }
+            };
+            match loaded {
+                Ok(instance) => early.push(Opened { node, instance, snapshot }),
+                Err(error) => {
+                    failed = Err(error);
+                    break;
+                }
+            }
+        }
+        early.extend(rest);
+        failed
     }
 
     /// Brings the touched regions to rest.
@@ -200,13 +343,13 @@ impl Engine {
             // A region may wait for packets of those before it: the last ones come to rest first.
             for held in change.held.iter().rev() {
                 pause(held);
-                wait_for(until, || busy_member(old, held))?;
+                self.wait_for(until, || busy_member(old, held))?;
             }
         } else {
             change.held.iter().for_each(pause);
-            wait_for(until, || change.held.iter().find_map(|held| busy_member(old, held)))?;
+            self.wait_for(until, || change.held.iter().find_map(|held| busy_member(old, held)))?;
         }
-        wait_for(until, || {
+        self.wait_for(until, || {
             let stays = |slot: &&usize| old.cells[**slot].has_thread.load(Ordering::Acquire);
             change.quiet.iter().find(stays).map(|&slot| old.cells[slot].id.clone())
         })
@@ -223,23 +366,29 @@ impl Engine {
             replaced.chain(change.removed.iter().copied().filter(|&s| old.cells[s].exclusive)).collect();
         let mut states: Vec<(usize, Option<Vec<u8>>)> = Vec::new();
         for &slot in &closing {
-            if let Some(mut exec) = old.cells[slot].exec.take() {
-                states.push((slot, exec.instance.save_state(&self.shared.around.host)));
-                exec.instance.close();
-                old.cells[slot].exec.put(exec);
+            match self.save(&old.cells[slot], true) {
+                Ok(state) => states.push((slot, state)),
+                Err(error) => {
+                    self.reopen(old, &states);
+                    return Err(error);
+                }
             }
         }
-        let mut opened = Vec::new();
+        let mut opened: Vec<Opened> = Vec::new();
         for node in nodes {
-            match self.open_one(change, graph, node) {
-                Ok(mut new) => {
-                    let slot = change.plan.slots[node];
-                    let state = states.iter().find(|(s, _)| *s == slot).and_then(|(_, state)| state.as_ref());
-                    self.load(&change.plan.cells[slot], &mut new.instance, state);
-                    opened.push(new);
-                }
+            let slot = change.plan.slots[node];
+            let state = states.iter().find(|(s, _)| *s == slot).and_then(|(_, state)| state.as_ref());
+            let new = self.open_each(change, graph, &[node]).and_then(|new| {
+                let loaded = new.into_iter().map(|Opened { node, instance, snapshot }| {
+                    let instance = self.load(&change.plan.cells[slot], instance, state)?;
+                    Ok(Opened { node, instance, snapshot })
+                });
+                loaded.collect::<Result<Vec<_>, ApplyError>>()
+            });
+            match new {
+                Ok(new) => opened.extend(new),
                 Err(error) => {
-                    drop(opened);
+                    self.close_opened(change, opened);
                     self.reopen(old, &states);
                     return Err(error);
                 }
@@ -248,22 +397,15 @@ impl Engine {
         Ok(opened)
     }
 
-    fn load(&self, cell: &Cell, instance: &mut Instance, state: Option<&Vec<u8>>) {
-        if let Some(state) = state
-            && !instance.load_state(state)
-        {
-            let words = "the state of its predecessor was not understood: it starts anew";
-            self.shared.around.log.say(Level::Warn, &cell.id, words);
-        }
-    }
-
     /// Opens nodes again that were closed for a change that failed.
     fn reopen(&self, old: &Plan, states: &[(usize, Option<Vec<u8>>)]) {
         for (slot, state) in states {
             let cell = &old.cells[*slot];
-            match cell.open(&self.shared.around, &cell.snapshot()) {
-                Ok(mut instance) => {
-                    self.load(cell, &mut instance, state.as_ref());
+            let opened = self.shared.open_guarded(cell, &cell.snapshot()).map_err(|error| error.to_string());
+            let loaded = opened
+                .and_then(|instance| self.load(cell, instance, state.as_ref()).map_err(|error| error.to_string()));
+            match loaded {
+                Ok(instance) => {
                     if let Some(mut exec) = cell.exec.take() {
                         exec.instance = instance;
                         cell.exec.put(exec);
@@ -319,17 +461,38 @@ impl Engine {
 
     /// Closes what is not part of the graph any more, so that its files are finished.
     fn close_old(&self, old: &Plan, slots: &[usize]) {
-        let until = Instant::now() + Duration::from_secs(2);
+        let until = Instant::now() + LONGEST_LEAVE;
         for &slot in slots {
             let cell = &old.cells[slot];
             // A node with a thread of its own closes there.
-            while cell.owns_thread() && cell.has_thread.load(Ordering::Acquire) && Instant::now() < until {
+            let stays = || cell.owns_thread() && cell.has_thread.load(Ordering::Acquire);
+            while stays() && Instant::now() < until {
                 self.shared.wake(cell);
                 std::thread::sleep(Duration::from_micros(200));
             }
-            cell.close_instance();
+            if stays() {
+                // It closes the node if it ever leaves. Nobody waits for it; workers that are stuck in its loops go with it.
+                let words = "it was removed and does not return; it is left behind, and its files may be incomplete";
+                self.shared.around.log.say(Level::Error, &cell.id, words);
+                let mut threads = lock(&self.shared.own_threads);
+                let number =
+                    threads.iter().find(|(_, thread)| Arc::ptr_eq(&thread.cell, cell)).map(|(number, _)| *number);
+                number.map(|number| threads.remove(&number));
+                drop(threads);
+                if let Some(Err(cause)) = number.map(|number| self.shared.pool.give_up(number)) {
+                    self.shared.fail(format!("no thread could be started in place of one that hangs: {cause}"));
+                }
+                continue;
+            }
+            let (instances, _) = cell.take_instances();
+            self.shared.close_guarded(cell, instances);
         }
     }
+}
+
+/// A call of a node has no answer.
+fn no_answer(node: &str, error: &CallError) -> ApplyError {
+    ApplyError::NoReturn { node: node.to_owned(), reason: error.to_string() }
 }
 
 /// Takes a node out of the graph; `true` when it was not finished.
@@ -355,14 +518,4 @@ fn busy_member(plan: &Plan, (region, extent): &(Arc<Region>, Extent)) -> Option<
     let member = extent.members.iter().copied().find(|&slot| works(slot));
     let inside = region.in_flight() > 0;
     member.or(inside.then_some(extent.head)).map(|slot| plan.cells[slot].id.clone())
-}
-
-fn wait_for(until: Instant, busy: impl Fn() -> Option<String>) -> Result<(), ApplyError> {
-    while let Some(node) = busy() {
-        if Instant::now() >= until {
-            return Err(ApplyError::Busy { node, seconds: LONGEST_DRAIN.as_secs() });
-        }
-        std::thread::sleep(Duration::from_micros(50));
-    }
-    Ok(())
 }

@@ -63,6 +63,14 @@ pub enum ApplyError {
         /// What it said.
         reason: String,
     },
+    /// A node did not come to an answer.
+    #[error("node `{node}`, nothing was changed: {reason}")]
+    NoReturn {
+        /// The node's name.
+        node: String,
+        /// What it did not return from, and after what time.
+        reason: String,
+    },
     /// The graph does not fit the loaded plugins any more.
     #[error("{reason}; check the graph again")]
     Stale {

@@ -4,13 +4,13 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use panoscope_abi as abi;
 use panoscope_graph::{Catalog, Graph};
 
 use super::change::{Change, Fate, connections, inherited};
 use super::{Applied, Opened, When, retire};
 use crate::cell::lock;
 use crate::engine::{Current, Engine, type_name};
+use crate::exec::Instance;
 use crate::loader::Loader;
 use crate::params::Snapshot;
 use crate::plan::{self, Plan};
@@ -38,8 +38,9 @@ impl Engine {
         shared.unfinished.fetch_add(1, Ordering::AcqRel);
         let order = lock(&shared.finishing);
         let Change { plan, fates, removed, held, quiet } = change;
+        let mut unused = Vec::new();
         for opened in early.into_iter().chain(late) {
-            self.install(old, &plan, &fates, opened);
+            unused.extend(Self::install(&plan, &fates, opened));
         }
         let mut threads = Vec::new();
         // Replaced nodes count as finished as soon as their successors took over.
@@ -143,29 +144,22 @@ impl Engine {
         }
         ready.settle(shared, &plan, 0);
         shared.one_finished();
+        for (slot, instance) in unused {
+            shared.close_guarded(&plan.cells[slot], vec![instance]);
+        }
         let replaced = fates.iter().enumerate().filter(|(_, f)| f.replaced).map(|(n, _)| plan.slots[n]);
         self.close_old(old, &removed.into_iter().chain(replaced).collect::<Vec<_>>());
         applied
     }
 
-    /// Puts an opened instance where it belongs, with the state of its predecessor.
-    fn install(&self, old: &Plan, plan: &Plan, fates: &[Fate], opened: Opened) {
-        let Opened { node, mut instance, snapshot } = opened;
+    /// Puts an opened instance where it belongs; answers one that waited there and is not wanted any more, with its slot.
+    fn install(plan: &Plan, fates: &[Fate], opened: Opened) -> Option<(usize, Instance)> {
+        let Opened { node, instance, snapshot } = opened;
         let slot = plan.slots[node];
         let (cell, fate) = (&plan.cells[slot], fates[node]);
         if fate.reopened && !fate.late {
             cell.mending.fetch_add(1, Ordering::AcqRel);
-            cell.replace_instance(instance, Some(snapshot));
-            return;
-        }
-        let same_type = |a: &'static abi::NodeType, b: &'static abi::NodeType| type_name(a) == type_name(b);
-        if fate.replaced
-            && !fate.late
-            && same_type(old.cells[slot].node_type, cell.node_type)
-            && let Some(mut exec) = old.cells[slot].exec.take()
-        {
-            old.cells[slot].hand_over(&mut exec, &mut instance, &self.shared.around);
-            old.cells[slot].exec.put(exec);
+            return cell.replace_instance(instance, Some(snapshot)).map(|unused| (slot, unused));
         }
         if let Some(mut exec) = cell.exec.take() {
             exec.instance = instance;
@@ -175,6 +169,7 @@ impl Engine {
             cell.mending.fetch_add(1, Ordering::AcqRel);
             cell.set_snapshot(snapshot);
         }
+        None
     }
 
     /// Gives a node its inputs; answers whether it, or its predecessor, was finished.
@@ -195,6 +190,8 @@ impl Engine {
         cell.outputs_read.store(plan::outputs_read(graph, node) | tapped, Ordering::Relaxed);
         self.shared.around.widen(cell);
         if !(fate.added || fate.replaced || fate.rewired) {
+            // Where its producers are in other regions now, so may be what can wait.
+            lock(&cell.join).set_capacities(plan::capacities(graph, node));
             return false;
         }
         let new = connections(graph, &plan.slots, node);

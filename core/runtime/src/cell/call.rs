@@ -10,15 +10,26 @@ use super::{
 };
 use crate::clock;
 use crate::ending::who;
-use crate::exec::{Exec, Instance, Made, Port, clear};
+use crate::exec::{Doing, Exec, Instance, LeftBehind, Made, Port, clear};
 use crate::fault::{Action, Cause};
 use crate::host::CallContext;
-use crate::keep::kept_more;
+use crate::keep::attention;
 use crate::log::Level;
 use crate::outputs::is_same;
 use crate::params::Snapshot;
 use crate::record::format::Event;
 use crate::stats::bump;
+
+/// Whether a node is called for a tick.
+enum May {
+    /// From then on.
+    Run {
+        start_ns: u64,
+    },
+    Skip,
+    /// It did not return from opening.
+    LeftBehind,
+}
 
 impl Cell {
     /// Calls the node for one tick; answers how it went and the time at its end. The inputs are the caller's to give back.
@@ -31,19 +42,39 @@ impl Cell {
         start_ns: u64,
         ports: &mut Ports<'_>,
     ) -> (Ran, u64) {
-        let led = around.script.as_ref().and_then(|s| s.lead(self, exec, around, tick));
+        let mut start_ns = start_ns;
+        let mut led = None;
+        if let Some(script) = &around.script {
+            match script.lead(self, exec, around, tick) {
+                Ok(runs) => led = runs,
+                Err(LeftBehind) => return (Ran::Abandoned, start_ns),
+            }
+            start_ns = clock::now_ns();
+        }
         if self.news.load(Ordering::Acquire) != exec.news {
-            self.catch_up(exec, around, tick, led.is_some());
+            if let Err(LeftBehind) = self.catch_up(exec, around, tick, led.is_some()) {
+                return (Ran::Abandoned, start_ns);
+            }
+            start_ns = clock::now_ns();
         }
         ports.made.set_len(exec.outputs_len as usize);
         if !complete {
             bump(&self.stats.skipped);
             return (Ran::Skipped, start_ns);
         }
-        if !led.unwrap_or_else(|| self.may_run(exec, around, tick)) {
-            self.left_out(around, tick, false);
-            return (Ran::Skipped, start_ns);
-        }
+        let may = match led {
+            None => self.may_run(exec, around, tick, start_ns),
+            Some(true) => May::Run { start_ns },
+            Some(false) => May::Skip,
+        };
+        let start_ns = match may {
+            May::Run { start_ns } => start_ns,
+            May::Skip => {
+                self.left_out(around, tick, false);
+                return (Ran::Skipped, start_ns);
+            }
+            May::LeftBehind => return (Ran::Abandoned, start_ns),
+        };
         let allocations = around.thread_allocations.map(|count| count());
         self.busy.begin(tick, start_ns);
         let (status, refused) = self.call(exec, around, tick, ports);
@@ -99,10 +130,10 @@ impl Cell {
 
     /// Takes over what others changed since the last call. Where a recording leads, it says when a replacement takes its turn.
     #[cold]
-    fn catch_up(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick, led: bool) {
+    fn catch_up(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick, led: bool) -> Result<(), LeftBehind> {
         exec.news = self.news.load(Ordering::Acquire);
         if !led && self.replace.load(Ordering::Relaxed) {
-            self.take_replacement(exec, around, tick);
+            self.take_replacement(exec, around, tick)?;
         }
         if let Some(snapshot) = self.values.newer(exec.snapshot()) {
             let values = || snapshot.owned().to_vec();
@@ -117,6 +148,18 @@ impl Cell {
         exec.period_ns = self.period_ns.load(Ordering::Relaxed);
         exec.budget_ns = self.budget_ns.load(Ordering::Relaxed);
         exec.limited = exec.period_ns > 0 || exec.budget_ns != 0;
+        Ok(())
+    }
+
+    /// Calls the plugin for something else than a tick, on the thread that runs the node and under the eyes of the watchdog.
+    ///
+    /// # Errors
+    /// The watchdog gave the call up: what it answered is dropped here, by the thread that was left behind.
+    pub fn aside<R>(&self, doing: Doing, tick: &Tick, call: impl FnOnce() -> R) -> Result<R, LeftBehind> {
+        let start_ns = clock::now_ns();
+        self.busy.begin_doing(doing, tick, start_ns);
+        let answer = call();
+        if self.busy.end(start_ns) { Ok(answer) } else { Err(LeftBehind) }
     }
 
     /// The node made nothing of a tick although its inputs were there.
@@ -131,11 +174,14 @@ impl Cell {
     }
 
     #[cold]
-    fn take_replacement(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) {
+    fn take_replacement(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> Result<(), LeftBehind> {
         self.replace.store(false, Ordering::Relaxed);
-        let Some((mut instance, snapshot)) = lock(&self.replacement).take() else { return };
-        self.hand_over(exec, &mut instance, around);
-        drop(std::mem::replace(&mut exec.instance, instance));
+        let Some((mut instance, snapshot)) = lock(&self.replacement).take() else { return Ok(()) };
+        self.hand_over(exec, &mut instance, around, tick)?;
+        let old = std::mem::replace(&mut exec.instance, instance);
+        if old.is_open() {
+            self.aside(Doing::Close, tick, || drop(old))?;
+        }
         if let Some(snapshot) = snapshot {
             self.set_snapshot(Arc::clone(&snapshot));
             exec.set_snapshot(snapshot);
@@ -145,30 +191,62 @@ impl Cell {
         if around.recorder.is_some() {
             self.opened(&self.snapshot(), around, tick);
         }
+        Ok(())
     }
 
     /// Gives the state of the running instance to its successor, where both know how.
-    pub fn hand_over(&self, exec: &mut Exec, successor: &mut Instance, around: &Surroundings) {
-        if let Some(state) = exec.instance.save_state(&around.host)
-            && !successor.load_state(&state)
-        {
-            around.log.say(Level::Warn, &self.id, "the state of its predecessor was not understood: it starts anew");
+    pub fn hand_over(
+        &self,
+        exec: &mut Exec,
+        successor: &mut Instance,
+        around: &Surroundings,
+        tick: &Tick,
+    ) -> Result<(), LeftBehind> {
+        if !exec.instance.saves_state() {
+            return Ok(());
         }
+        if let Some(state) = self.aside(Doing::SaveState, tick, || exec.instance.save_state(&around.host))?
+            && !self.aside(Doing::LoadState, tick, || successor.load_state(&state))?
+        {
+            self.starts_anew(around);
+        }
+        Ok(())
+    }
+
+    /// Says that a saved state is lost.
+    pub fn starts_anew(&self, around: &Surroundings) {
+        around.log.say(Level::Warn, &self.id, "the state of its predecessor was not understood: it starts anew");
     }
 
     #[inline]
-    fn may_run(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> bool {
+    fn may_run(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick, start_ns: u64) -> May {
         let last = exec.last_fired_ns;
-        if exec.limited && exec.period_ns > 0 && last != i64::MIN && tick.capture_ns - last < exec.period_ns {
-            return false;
+        // After a step back in capture time a node does not wait until the old time comes again.
+        if exec.limited
+            && exec.period_ns > 0
+            && last != i64::MIN
+            && (0..exec.period_ns).contains(&tick.capture_ns.saturating_sub(last))
+        {
+            return May::Skip;
         }
-        if exec.bypassed || !(exec.instance.is_open() || (around.batch && self.open_in_batch(exec, around, tick))) {
-            return false;
+        if exec.bypassed {
+            return May::Skip;
+        }
+        let mut start_ns = start_ns;
+        if !exec.instance.is_open() {
+            if !around.batch {
+                return May::Skip;
+            }
+            match self.open_in_batch(exec, around, tick) {
+                Ok(true) => start_ns = clock::now_ns(),
+                Ok(false) => return May::Skip,
+                Err(LeftBehind) => return May::LeftBehind,
+            }
         }
         if !exec.source {
             exec.last_fired_ns = tick.capture_ns;
         }
-        true
+        May::Run { start_ns }
     }
 
     fn call(
@@ -220,12 +298,11 @@ impl Cell {
             params_version: exec.params_version,
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
-        let keeper = exec.instance.kept.enter();
+        let raw = exec.instance.raw;
         who::begin_call(self);
         // SAFETY: the contract: an open instance that no other thread uses, and a call whose parts outlive it.
-        let status = unsafe { process(exec.instance.raw, &raw mut call) };
+        let status = exec.instance.kept.during(|| unsafe { process(raw, &raw mut call) });
         who::end_call();
-        drop(keeper);
         let refused = context.refused.take();
         if let Some(lent) = context.lent {
             // The output holds the input's reference from here on.
@@ -261,7 +338,8 @@ impl Cell {
             if (port.inspected >> frame.format & 1 == 1 || !is_same(frame, shown))
                 && let Err(objection) = self.rules[index].inspect(frame, shown)
             {
-                clear(std::slice::from_mut(frame));
+                // SAFETY: the call has ended, so the output holds its reference.
+                unsafe { clear(std::slice::from_mut(frame)) };
                 refused = Some(Box::new(objection));
             } else if (port.width, port.height) != (frame.width, frame.height) {
                 let (from, to) = ((port.width, port.height), (frame.width, frame.height));
@@ -277,7 +355,7 @@ impl Cell {
             return self.bad_output(exec, made, around, tick, *refused, end_ns);
         }
         let silent = count == 0 && exec.outputs_len != 0;
-        if exec.troubled || silent || kept_more() {
+        if exec.troubled || silent || attention() {
             return self.accept_troubled(exec, around, tick, silent, end_ns, made);
         }
         Ran::Ok
@@ -295,6 +373,7 @@ impl Cell {
         made: &mut Made,
     ) -> Ran {
         exec.bad_in_a_row = 0;
+        self.blame_for_refused(exec, around, tick);
         if exec.instance.kept.count() > MOST_KEPT_FRAMES {
             made.clear();
             exec.failure.clear();
@@ -325,6 +404,19 @@ impl Cell {
         }
         exec.troubled = silent;
         Ran::Ok
+    }
+
+    /// A node that kept or gave back what it does not hold: nothing was done, so the node goes on.
+    fn blame_for_refused(&self, exec: &Exec, around: &Surroundings, tick: &Tick) {
+        if exec.instance.kept.take_refused() == 0 {
+            return;
+        }
+        bump(&self.stats.faults);
+        self.note(around, Cause::Release, Action::Note, Some(tick.seq), || {
+            let words = "it gave back or kept a frame that it does not hold; this was refused".to_owned();
+            around.log.say(Level::Error, &self.id, &words);
+            words
+        });
     }
 
     #[cold]

@@ -5,6 +5,7 @@ mod call;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
 
 use panoscope_abi::{self as abi, PortRange, Str, Tick};
 use panoscope_graph::{NodeKind, OnFault};
@@ -12,7 +13,7 @@ use panoscope_graph::{NodeKind, OnFault};
 use crate::clock;
 use crate::ending::who::{self, Who};
 use crate::exec::{Busy, Exec, ExecPlace, Instance, Made};
-use crate::fault::{Action, Cause, Fault, FaultLog, unix_ms};
+use crate::fault::{Action, CAUSES, Cause, Fault, FaultLog, unix_ms};
 use crate::host::CallContext;
 use crate::join::Join;
 use crate::log::{Level, Log};
@@ -26,11 +27,14 @@ use crate::threads::{Leave, ingest_ring};
 
 /// Frames that a node may keep beyond its calls.
 pub(crate) const MOST_KEPT_FRAMES: usize = 128;
+/// Longest wait for whoever reads the log, and for the file of faults.
+const LONGEST_FLUSH: Duration = Duration::from_secs(1);
+/// Budgets are no longer: 100 days.
+pub(crate) const LONGEST_BUDGET_NS: u64 = 100 * 24 * 3600 * 1_000_000_000;
 /// Calls in a row without any output after which a node is called silent.
 const SILENT_CALLS: u32 = 30;
 /// Changes of size that are remembered: a reader may lag a few ticks behind.
 const REMEMBERED_SIZES: usize = 8;
-const CAUSES: usize = Cause::Crash as usize + 1;
 
 /// What every call of an engine shares.
 pub(crate) struct Surroundings {
@@ -48,6 +52,9 @@ pub(crate) struct Surroundings {
     pub thread_allocations: Option<fn() -> u64>,
     /// Nodes that lost something for good, with the reason.
     pub stopped: Mutex<BTreeMap<String, String>>,
+    /// Longest that a node may take to open, and to close or to save or take over a state.
+    pub open_limit: Duration,
+    pub close_limit: Duration,
 }
 
 impl Surroundings {
@@ -72,6 +79,12 @@ impl Surroundings {
         if cell.source && self.recorder.as_ref().is_some_and(|r| r.all_source_ports()) {
             cell.outputs_read.store(u64::MAX, Ordering::Relaxed);
         }
+    }
+
+    /// Has log lines and faults passed on that were put in so far; a reader that stands still is not waited for.
+    pub fn flush(&self) {
+        self.log.flush(LONGEST_FLUSH);
+        self.faults.flush(LONGEST_FLUSH);
     }
 
     /// Nobody watches the clock: a tick waits rather than being lost.
@@ -130,10 +143,8 @@ pub(crate) struct Cell {
     pub wants_mending: AtomicBool,
     /// Increases whenever somebody sets out to mend; only the newest may hand over.
     pub mending: AtomicU64,
-    /// Since when somebody waits for `open`; 0 when nobody does.
-    pub opening_since_ns: AtomicU64,
     pub failures: AtomicU32,
-    /// Calls and openings that did not return so far.
+    /// Calls of all kinds that were left behind and have not returned.
     pub stuck: Arc<AtomicU32>,
     pub stats: NodeStats,
     pub metrics: Mutex<Vec<(String, f64)>>,
@@ -167,6 +178,9 @@ pub(crate) struct Cell {
     /// Outputs that made a packet so far, one bit each.
     pub ports_made: AtomicU64,
 }
+
+// The last of what every call touches is the count of readers, with which `taps` begins.
+const _: () = assert!(std::mem::offset_of!(Cell, taps) + size_of::<usize>() <= 64);
 
 /// What the host refused a node.
 pub(crate) type Refused = Box<(Cause, String)>;
@@ -241,7 +255,6 @@ impl Cell {
             broken: Mutex::new(Vec::new()),
             wants_mending: AtomicBool::new(false),
             mending: AtomicU64::new(0),
-            opening_since_ns: AtomicU64::new(0),
             failures: AtomicU32::new(0),
             stuck: Arc::default(),
             stats,
@@ -270,7 +283,9 @@ impl Cell {
     /// Sets what the host does with the node; in force from the next tick on.
     pub fn set_manners(&self, on_fault: OnFault, budget_ms: Option<f64>, max_rate_hz: Option<f64>) {
         self.on_fault.store(on_fault as u8, Ordering::Relaxed);
-        self.budget_ns.store(budget_ms.map_or(0, |ms| (ms * 1e6).max(1.0) as u64), Ordering::Relaxed);
+        // Within what a clock may be asked to add up.
+        let budget_ns = budget_ms.map_or(0, |ms| ((ms * 1e6).max(1.0) as u64).min(LONGEST_BUDGET_NS));
+        self.budget_ns.store(budget_ns, Ordering::Relaxed);
         self.period_ns.store(max_rate_hz.map_or(0, |hz| (1e9 / hz) as i64), Ordering::Relaxed);
         self.news.fetch_add(1, Ordering::Release);
     }
@@ -322,26 +337,34 @@ impl Cell {
         self.news.fetch_add(1, Ordering::Release);
     }
 
-    /// Hands over an instance that was opened beside the running one, with the values it was opened with where they are new.
-    pub fn replace_instance(&self, instance: Instance, snapshot: Option<Arc<Snapshot>>) {
+    /// Hands over an instance that was opened beside the running one, with the values it was opened with where they are new. Answers one
+    /// that was handed over before and is not wanted any more; the caller closes it.
+    #[must_use]
+    pub fn replace_instance(&self, instance: Instance, snapshot: Option<Arc<Snapshot>>) -> Option<Instance> {
         let old = lock(&self.replacement).replace((instance, snapshot));
         self.replace.store(true, Ordering::Relaxed);
         self.news.fetch_add(1, Ordering::Release);
-        drop(old);
+        old.map(|(instance, _)| instance)
     }
 
-    /// Ends the instance, if nobody runs the node; files are finished then. Answers whether it could be had.
-    pub fn close_instance(&self) -> bool {
-        drop(lock(&self.replacement).take());
-        lock(&self.broken).clear();
-        match self.exec.take() {
-            Some(mut exec) => {
-                exec.instance.close();
-                self.exec.put(exec);
-                true
-            }
-            None => false,
+    /// Takes all instances out, for the caller to close: files are finished then. `false` when somebody runs the node, whose instance stays.
+    #[must_use]
+    pub fn take_instances(&self) -> (Vec<Instance>, bool) {
+        let mut all = std::mem::take(&mut *lock(&self.broken));
+        all.extend(lock(&self.replacement).take().map(|(instance, _)| instance));
+        let Some(mut exec) = self.exec.take() else { return (all, false) };
+        all.push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
+        self.exec.put(exec);
+        (all, true)
+    }
+
+    /// Name of an input.
+    pub fn input_name(&self, port: usize) -> &str {
+        if port >= self.node_type.inputs_len {
+            return "?";
         }
+        // SAFETY: a validated descriptor of a plugin that stays mapped.
+        unsafe { (*self.node_type.inputs.add(port)).name.text() }.unwrap_or("?")
     }
 
     /// Opens an instance with the given values.
@@ -379,13 +402,15 @@ impl Cell {
         };
         let mut instance = Instance::none(self.node_type);
         instance.kept.belongs_to(&self.who);
-        let keeper = instance.kept.enter();
+        let mut raw = std::ptr::null_mut();
         let status = match self.node_type.open {
             // SAFETY: the contract; everything the call points to outlives it.
-            Some(open) => who::opening(&self.who, || unsafe { open(&raw mut call, &raw mut instance.raw) }),
+            Some(open) => {
+                who::opening(&self.who, || instance.kept.during(|| unsafe { open(&raw mut call, &raw mut raw) }))
+            }
             None => abi::STATUS_INVALID,
         };
-        drop(keeper);
+        instance.raw = raw;
         if status == abi::STATUS_OK {
             instance.open = true;
             return Ok(instance);

@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 
 use super::words::Words;
 use super::{rescue, who};
+use crate::log;
 
 const SIGNALS: [c_int; 5] = [libc::SIGSEGV, libc::SIGBUS, libc::SIGFPE, libc::SIGILL, libc::SIGABRT];
 
@@ -150,6 +151,8 @@ extern "C" fn handle(signal: c_int, info: *mut libc::siginfo_t, context: *mut c_
         }
     }
     let overflow = !sent && is_overflow(signal, address, context);
+    // What was said before comes first.
+    log::flush_all(rescue::LINES);
     tell(signal, (!sent).then_some(address), overflow);
     rescue::after_crash(who::current().map(|(who, _, _)| who));
     // An overflow was named: what Rust's own handler would say of it is left out. Everything else goes to who was there before.

@@ -7,6 +7,7 @@ use std::ffi::c_int;
 
 use super::words::Words;
 use super::{crash, rescue, who};
+use crate::log;
 
 /// Which of C's functions was called.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,6 +35,7 @@ pub fn called(code: c_int, call: ExitCall) -> ! {
     }
     match who::current() {
         Some((who, _, tick)) => {
+            log::flush_all(rescue::LINES);
             let mut words = Words::new();
             words.text("error: ");
             if who.node.is_empty() {

@@ -10,10 +10,14 @@ use super::words::Words;
 use crate::cell::{Cell, lock};
 use crate::clock;
 use crate::fault::{Action, Cause, Fault, unix_ms};
+use crate::log;
 use crate::schedule::Shared;
 
 /// Longest that files are finished: what crashed may have left locks behind.
 pub(super) const LIMIT: Duration = Duration::from_secs(5);
+
+/// Longest that is waited for lines of the log and faults that are not passed on yet.
+pub(super) const LINES: Duration = Duration::from_millis(500);
 
 /// Where the rescue thread waits: a pipe, because a signal handler can write to one.
 static WAKE: AtomicI32 = AtomicI32::new(-1);
@@ -120,6 +124,7 @@ fn finish(victim: *const Who, until: Instant) -> String {
             list.push("the recording".to_owned());
         }
     }
+    log::flush_all(LINES);
     let list = |names: &[String]| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
     match (engines.is_empty(), torn.is_empty()) {
         (true, _) => "  files: no graph was running".to_owned(),

@@ -4,6 +4,7 @@
 //! too many wait, those of a tick are left out and a gap is written down in their place.
 
 use std::collections::{HashMap, VecDeque};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, OnceLock};
@@ -16,6 +17,7 @@ use super::file::{Output, RecordFile};
 use super::format::{Event, Head};
 use crate::cell::{Cell, lock};
 use crate::memory::FrameRef;
+use crate::outbox::panic_words;
 
 /// How a run is recorded.
 pub struct RecordOptions {
@@ -90,6 +92,8 @@ struct Inner {
     gaps: AtomicU64,
     writes: AtomicBool,
     tell: OnceLock<Box<Tell>>,
+    /// What there was to tell before anybody could hear it.
+    untold: Mutex<Vec<String>>,
 }
 
 /// A node's name and its outputs'.
@@ -132,10 +136,24 @@ impl Recorder {
             gaps: AtomicU64::new(0),
             writes: AtomicBool::new(file.is_some()),
             tell: OnceLock::new(),
+            untold: Mutex::default(),
             options,
         });
         let mine = Arc::clone(&inner);
-        let work = move || mine.work(file, graph);
+        let work = move || {
+            let recorded = catch_unwind(AssertUnwindSafe(|| mine.work(file, graph)));
+            recorded.unwrap_or_else(|payload| {
+                // Nothing more is taken in: nobody would take it out.
+                mine.writes.store(false, Ordering::Relaxed);
+                let words = format!("thread `record` panicked, the recording ends here: {}", panic_words(&*payload));
+                mine.tell(&words);
+                while let Some(items) = mine.next() {
+                    drop(items);
+                    lock(&mine.queue).bytes = 0;
+                }
+                Recorded { failed: Some(words), ..Recorded::default() }
+            })
+        };
         let thread = std::thread::Builder::new().name("record".to_owned()).spawn(work);
         let thread =
             thread.map_err(|cause| RecordError { file: inner.options.file.clone().unwrap_or_default(), cause })?;
@@ -171,7 +189,11 @@ impl Recorder {
 
     /// Where trouble is told.
     pub(crate) fn tell_to(&self, tell: Box<Tell>) {
+        let mut untold = lock(&self.inner.untold);
         let _ = self.inner.tell.set(tell);
+        let before = std::mem::take(&mut *untold);
+        drop(untold);
+        before.iter().for_each(|words| self.inner.tell(words));
     }
 
     pub(crate) fn all_source_ports(&self) -> bool {
@@ -237,7 +259,8 @@ impl Recorder {
         let mut items = Vec::with_capacity(outputs.len() + 1);
         for (port, frame) in outputs.iter().enumerate().filter(|(_, f)| !f.is_empty()) {
             // The engine's own reference stays with it.
-            let borrowed = std::mem::ManuallyDrop::new(FrameRef::adopt(*frame));
+            // SAFETY: the reference stays the engine's: this one is never dropped.
+            let borrowed = std::mem::ManuallyDrop::new(unsafe { FrameRef::adopt(*frame) });
             packets += 1;
             if gap {
                 if inner.options.digests {
@@ -283,6 +306,13 @@ fn create(path: &Path) -> Result<std::fs::File, RecordError> {
 
 impl Inner {
     fn tell(&self, words: &str) {
+        if self.tell.get().is_none() {
+            let mut untold = lock(&self.untold);
+            // Whoever sets it does so under this lock.
+            if self.tell.get().is_none() {
+                return untold.push(words.to_owned());
+            }
+        }
         if let Some(tell) = self.tell.get() {
             tell(words);
         }
@@ -376,7 +406,9 @@ impl Inner {
                     Some(file) => file.packet(name, &frame, digest.hash),
                     None => Ok(()),
                 };
-                lock(&self.queue).bytes -= frame.bytes().len();
+                let mut queue = lock(&self.queue);
+                queue.bytes = queue.bytes.saturating_sub(frame.bytes().len());
+                drop(queue);
                 wrote?;
             }
         }

@@ -318,7 +318,8 @@ impl Recording {
             }
         };
         let frame = Frame { buffer, data, len: wanted, format, width, height, stride_bytes, tick };
-        let frame = FrameRef::adopt(frame);
+        // SAFETY: the one reference of the buffer that was allocated for it above.
+        let frame = unsafe { FrameRef::adopt(frame) };
         // SAFETY: a fresh buffer of at least `wanted` bytes that nobody else knows.
         self.read(port, packet, unsafe { std::slice::from_raw_parts_mut(data, wanted) })?;
         Ok(frame)

@@ -14,7 +14,7 @@ use super::format::Event;
 use super::recording::{Recording, RecordingError, SourceTick};
 use crate::apply::Applied;
 use crate::cell::{Cell, Surroundings, lock};
-use crate::exec::{Exec, Instance};
+use crate::exec::{Doing, Exec, Instance, LeftBehind};
 use crate::fault::{Action, Cause};
 use crate::log::Level;
 use crate::memory::FrameRef;
@@ -222,7 +222,8 @@ impl Script {
                 }
                 let mut raw = frame.into_raw();
                 raw.tick = tick;
-                Ok(FrameRef::adopt(raw))
+                // SAFETY: the reference that `into_raw` gave up; only the tick is another.
+                Ok(unsafe { FrameRef::adopt(raw) })
             }
             None => Ok(FrameRef::empty(tick)),
         };
@@ -282,26 +283,30 @@ impl Script {
 
     /// Brings a node to where it was before this tick; whether it is to run, if the script knows.
     #[cold]
-    pub(crate) fn lead(&self, cell: &Cell, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> Option<bool> {
+    pub(crate) fn lead(
+        &self,
+        cell: &Cell,
+        exec: &mut Exec,
+        around: &Surroundings,
+        tick: &Tick,
+    ) -> Result<Option<bool>, LeftBehind> {
         if self.closes(cell) {
-            return Some(false);
+            return Ok(Some(false));
         }
         if self.sources_only {
-            return None;
+            return Ok(None);
         }
         let mut runs = true;
-        if let Some(turns) = self.turns.get(&cell.id) {
-            let mut turns = lock(turns);
-            while let Some(next) = turns.front() {
-                if (next.source, next.seq) != (tick.source, tick.seq) {
-                    // A tick that is missing here, behind a gap: what it brought still holds.
-                    let passed = next.source == tick.source && next.seq < tick.seq;
-                    if !passed {
-                        break;
-                    }
-                }
+        if let Some(all) = self.turns.get(&cell.id) {
+            // The list is not locked while the plugin is called.
+            let next = || {
+                let mut turns = lock(all);
+                // A tick that is missing here, behind a gap: what it brought still holds.
+                let due = turns.front().is_some_and(|t| t.source == tick.source && t.seq <= tick.seq);
+                if due { turns.pop_front() } else { None }
+            };
+            while let Some(next) = next() {
                 let here = next.seq == tick.seq;
-                let Some(next) = turns.pop_front() else { break };
                 match next.turn {
                     Turn::Values(values) => {
                         let snapshot = Snapshot::new(values);
@@ -314,29 +319,38 @@ impl Script {
                         cell.set_snapshot(Arc::clone(&snapshot));
                         exec.set_snapshot(snapshot);
                     }
-                    Turn::Opened(values) => self.open(cell, exec, around, tick, values),
+                    Turn::Opened(values) => self.open(cell, exec, around, tick, values)?,
                     Turn::LeftOut { closed } => {
                         runs &= !here;
                         if closed {
                             cell.left_out(around, tick, true);
-                            exec.instance = Instance::none(cell.node_type);
+                            let old = std::mem::replace(&mut exec.instance, Instance::none(cell.node_type));
+                            cell.aside(Doing::Close, tick, || drop(old))?;
                         }
                     }
                 }
             }
         }
-        Some(runs && exec.instance.is_open())
+        Ok(Some(runs && exec.instance.is_open()))
     }
 
-    fn open(&self, cell: &Cell, exec: &mut Exec, around: &Surroundings, tick: &Tick, values: Vec<ParamValue>) {
+    fn open(
+        &self,
+        cell: &Cell,
+        exec: &mut Exec,
+        around: &Surroundings,
+        tick: &Tick,
+        values: Vec<ParamValue>,
+    ) -> Result<(), LeftBehind> {
         let snapshot = Snapshot::new(values);
         cell.opened(&snapshot, around, tick);
-        match cell.open(around, &snapshot) {
+        match cell.aside(Doing::Open, tick, || cell.open(around, &snapshot))? {
             Ok(mut instance) => {
                 if instance.is_open() {
-                    cell.hand_over(exec, &mut instance, around);
+                    cell.hand_over(exec, &mut instance, around, tick)?;
                 }
-                exec.instance = instance;
+                let old = std::mem::replace(&mut exec.instance, instance);
+                cell.aside(Doing::Close, tick, || drop(old))?;
                 cell.set_snapshot(Arc::clone(&snapshot));
                 exec.set_snapshot(snapshot);
                 exec.bypassed = false;
@@ -348,5 +362,6 @@ impl Script {
                 self.fail(format!("node `{}`: {words}", cell.id));
             }
         }
+        Ok(())
     }
 }

@@ -38,6 +38,8 @@ pub(crate) struct Shared {
     pub frames: Option<u64>,
     pub stopping: AtomicBool,
     pub failed: Mutex<Option<String>>,
+    /// A thread of the host panicked: nodes may never finish.
+    pub broken: AtomicBool,
     /// Nodes that are not finished.
     pub unfinished: AtomicUsize,
     pub finished: Condvar,
@@ -277,7 +279,8 @@ impl Shared {
             let frame = &mut made.outputs[link.port as usize];
             if !takes(link.accepts, frame) {
                 self.refused(plan, last, link.port as usize, link.node as usize, link.accepts, frame);
-                clear(std::slice::from_mut(frame));
+                // SAFETY: an output of a call that has ended holds its reference.
+                unsafe { clear(std::slice::from_mut(frame)) };
             }
             let cell = &*link.cell;
             let Some(mut exec) = cell.exec.take() else {
@@ -291,7 +294,8 @@ impl Shared {
             if frame.tick != tick {
                 frame.tick = tick;
             }
-            let inputs = std::slice::from_mut(FrameRef::adopt_in_place(frame));
+            // SAFETY: an output of a call that has ended is empty or holds its reference, and `made` goes on holding it.
+            let inputs = std::slice::from_mut(unsafe { FrameRef::adopt_in_place(frame) });
             let mut ports = Ports { inputs, lone: link.lone, made: next };
             let (ran, end_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, now_ns, &mut ports);
             if ran == Ran::Abandoned {
@@ -310,7 +314,9 @@ impl Shared {
         self.show(last_cell, &made.outputs);
         for (port, output) in made.outputs.iter_mut().enumerate() {
             let raw = std::mem::replace(output, Frame::EMPTY);
-            self.deliver_port(plan, last, port, FrameRef::adopt(Frame { tick, ..raw }), ready);
+            // SAFETY: as above; `made` has just forgotten it.
+            let frame = unsafe { FrameRef::adopt(Frame { tick, ..raw }) };
+            self.deliver_port(plan, last, port, frame, ready);
         }
         self.leave(plan, last, ready);
         Some(now_ns)
@@ -436,6 +442,10 @@ impl Shared {
         };
         if dropped > 0 {
             cell.stats.dropped.fetch_add(dropped, Ordering::Relaxed);
+            let slot = &join.slots[reader.slot];
+            if slot.is_timed() {
+                self.tell_of_drops(cell, reader.slot, slot.dropped(), dropped, slot.capacity);
+            }
         }
         if join.running || join.finished {
             return;
@@ -447,6 +457,22 @@ impl Shared {
         let next = self.decide(plan, node, &mut join);
         drop(join);
         self.go_on(plan, node, next, ready);
+    }
+
+    /// A wire on which packets wait to be picked by their time is full.
+    #[cold]
+    fn tell_of_drops(&self, cell: &Cell, slot: usize, all: u64, new: u64, capacity: usize) {
+        // With every power of two.
+        if all.ilog2() == (all - new).checked_ilog2().unwrap_or(u32::MAX) {
+            return;
+        }
+        let port = lock(&cell.ranges).iter().position(|r| (r.first..r.first + r.count).contains(&(slot as u32)));
+        let name = port.map_or("?", |port| cell.input_name(port));
+        let words = format!(
+            "input `{name}`: {all} packets were dropped, because {capacity} wait already; what they are matched with comes too seldom \
+             (`queue` says how many may wait)"
+        );
+        self.around.log.say(Level::Warn, &cell.id, &words);
     }
 
     /// No tick will come out of this node again.
