@@ -77,6 +77,21 @@
 #define PANOSCOPE_LOG_DEBUG 4
 
 /**
+ * The node is going to write the file: no other node may.
+ */
+#define PANOSCOPE_CLAIM_HOLD 0
+
+/**
+ * The node begins to write: the answered file may be created anew. One of an earlier run is replaced.
+ */
+#define PANOSCOPE_CLAIM_BEGIN 1
+
+/**
+ * As PANOSCOPE_CLAIM_BEGIN, but a file that exists is never answered.
+ */
+#define PANOSCOPE_CLAIM_BEGIN_NEW 2
+
+/**
  * Short calculation, runs on the shared pool or inline after its producer.
  */
 #define PANOSCOPE_KIND_COMPUTE 0
@@ -535,6 +550,16 @@ typedef struct PanoscopeHost {
      * Takes bytes of PanoscopeNodeType.save_state.
      */
     void (*save)(void *sink, const uint8_t *bytes, size_t len);
+    /**
+     * Claims a file that the node writes, for as long as the instance is open. `action` is a `CLAIM_` constant. With `file`, the host
+     * answers the path to write, valid until the call ends: `path` itself the first time in a run, later `name.part2.ending` and so on, so
+     * that nothing written in this run is cut off. `PANOSCOPE_STATUS_INVALID` and `file` set to the other node's name: an open node writes it.
+     */
+    PanoscopeStatus (*claim_file)(void *call, struct PanoscopeStr path, uint32_t action, struct PanoscopeStr *file);
+    /**
+     * The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend on it.
+     */
+    int64_t (*clock_ns)(void *call);
 } PanoscopeHost;
 
 /**
@@ -1003,6 +1028,11 @@ typedef struct PanoscopeNodeType {
      * no device, writes nothing and makes no instance; may be called at any time, from any thread. Since `ABI_MINOR` 2.
      */
     PanoscopeStatus (*validate)(struct PanoscopeValidateCall *call);
+    /**
+     * Optional: completes files before PanoscopeNodeType.close and says through PanoscopeHost.fail what could not be written. `call` is the handle
+     * for host functions that take one. Since `ABI_MINOR` 2.
+     */
+    PanoscopeStatus (*finish)(void *instance, const struct PanoscopeHost *host, void *call);
 } PanoscopeNodeType;
 
 /**
@@ -1308,6 +1338,11 @@ typedef struct PanoscopeTip {
  */
 #define PANOSCOPE_STATUS_INVALID (-4)
 
+/**
+ * The node failed and opening it again would not help (the disk is full): it stays closed until its graph is edited.
+ */
+#define PANOSCOPE_STATUS_STOPPED (-5)
+
 /** The one symbol that a plugin exports. */
 #define PANOSCOPE_ENTRY_SYMBOL "panoscope_plugin"
 
@@ -1334,10 +1369,10 @@ PANOSCOPE_ASSERT(sizeof(PanoscopeParamValue) == 56);
 PANOSCOPE_ASSERT(sizeof(PanoscopeOpenCall) == 80);
 PANOSCOPE_ASSERT(sizeof(PanoscopeValidateCall) == 96);
 PANOSCOPE_ASSERT(sizeof(PanoscopeCall) == 128);
-PANOSCOPE_ASSERT(sizeof(PanoscopeHost) == 120);
+PANOSCOPE_ASSERT(sizeof(PanoscopeHost) == 136);
 PANOSCOPE_ASSERT(sizeof(PanoscopePort) == 64);
 PANOSCOPE_ASSERT(sizeof(PanoscopeParam) == 136);
-PANOSCOPE_ASSERT(sizeof(PanoscopeNodeType) == 160);
+PANOSCOPE_ASSERT(sizeof(PanoscopeNodeType) == 168);
 PANOSCOPE_ASSERT(sizeof(PanoscopePlugin) == 104);
 PANOSCOPE_ASSERT(sizeof(PanoscopeNoteBody) == 2152);
 PANOSCOPE_ASSERT(sizeof(PanoscopeNote) == 2176);

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use panoscope_runtime::fault::Fault;
+use panoscope_runtime::fault::{Action, Fault};
 use panoscope_runtime::memory::FrameRef;
 use panoscope_runtime::{NodeWindow, Preview, Window};
 
@@ -84,6 +84,14 @@ pub struct Counters {
     pub faults: HashMap<String, Fault>,
     /// All faults that are remembered, oldest first.
     pub fault_list: Vec<Fault>,
+}
+
+impl Counters {
+    /// Last faults of nodes that are left out since then, until an edit brings them back.
+    pub fn switched_off(&self) -> impl Iterator<Item = &Fault> {
+        let rests = |fault: &&Fault| self.nodes.get(&fault.node).is_some_and(|node| node.fps == 0.0);
+        self.faults.values().filter(|fault| fault.done == Action::Bypass).filter(rests)
+    }
 }
 
 /// One point of a node's history.

@@ -554,6 +554,34 @@ fn a_full_disk_is_told_in_plain_words() {
 }
 
 #[test]
+fn a_sink_without_room_stays_told_and_a_clip_without_room_ends() {
+    if !has_plugin("flow") || !has_plugin("sinks") {
+        return;
+    }
+    let folder = Folder::new("no_room_sink");
+    // What is written there finds no room.
+    let full = folder.0.join("full.mkv");
+    std::os::unix::fs::symlink("/dev/full", &full).expect("a link");
+    let sink = format!(
+        "\n[nodes.kept]\ntype = \"write_video\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ path = \"{}\" }}\n",
+        full.display()
+    );
+    let text = GRAPH.replace("plugins = [\"flow\"]", "plugins = [\"flow\", \"sinks\"]") + &sink;
+    let mut window = Window::open("no_room", &text);
+    window.until_told("The disk is full: `kept` cannot write");
+    let faults = |t: &Theatre| t.session().handle().engine().map(|e| e.report().nodes["kept"].faults);
+    let kept = window.folder.0.join("kept");
+    std::fs::create_dir_all(&kept).expect("a folder");
+    std::os::unix::fs::symlink("/dev/full", kept.join("clip_0001.mkv")).expect("a link");
+    window.key(Key::R);
+    window.until("the clip is ended", |t| {
+        t.remark().is_some_and(|r| r.contains("clip_0001.mkv ended early: the disk is full")) && t.clip_file().is_none()
+    });
+    assert_eq!(faults(window.theatre()), Some(1), "it was not opened again and again");
+    window.until_told("The disk is full: `kept` cannot write");
+}
+
+#[test]
 fn a_drifted_calibration_and_swapped_cameras_are_told() {
     if !has_plugin("phantom") || !has_plugin("stereo") {
         return;

@@ -189,7 +189,20 @@ pub struct Host {
     pub random: Option<unsafe extern "C" fn(call: *mut c_void) -> u64>,
     /// Takes bytes of [`crate::NodeType::save_state`].
     pub save: Option<unsafe extern "C" fn(sink: *mut c_void, bytes: *const u8, len: usize)>,
+    /// Claims a file that the node writes, for as long as the instance is open. `action` is a `CLAIM_` constant. With `file`, the host
+    /// answers the path to write, valid until the call ends: `path` itself the first time in a run, later `name.part2.ending` and so on, so
+    /// that nothing written in this run is cut off. `STATUS_INVALID` and `file` set to the other node's name: an open node writes it.
+    pub claim_file: Option<unsafe extern "C" fn(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status>,
+    /// The host's monotonic clock in ns: for nodes that note when something happened. What a node makes must not depend on it.
+    pub clock_ns: Option<unsafe extern "C" fn(call: *mut c_void) -> i64>,
 }
+
+/// The node is going to write the file: no other node may.
+pub const CLAIM_HOLD: u32 = 0;
+/// The node begins to write: the answered file may be created anew. One of an earlier run is replaced.
+pub const CLAIM_BEGIN: u32 = 1;
+/// As [`CLAIM_BEGIN`], but a file that exists is never answered.
+pub const CLAIM_BEGIN_NEW: u32 = 2;
 
 // SAFETY: the table is immutable and its functions may be called from any thread.
 unsafe impl Send for Host {}

@@ -153,6 +153,22 @@ pub struct NodeType {
     /// Optional: reports to [`ValidateCall::invalid`] what [`NodeType::open`] or a first tick would refuse about parameters and wiring. Opens
     /// no device, writes nothing and makes no instance; may be called at any time, from any thread. Since `ABI_MINOR` 2.
     pub validate: Option<unsafe extern "C" fn(call: *mut ValidateCall) -> Status>,
+    /// Optional: completes files before [`NodeType::close`] and says through [`Host::fail`] what could not be written. `call` is the handle
+    /// for host functions that take one. Since `ABI_MINOR` 2.
+    pub finish: Option<unsafe extern "C" fn(instance: *mut c_void, host: *const Host, call: *mut c_void) -> Status>,
+}
+
+impl NodeType {
+    /// Bytes of the descriptor of the first minor version: fields after it may be missing.
+    pub const FIRST_SIZE: usize = core::mem::offset_of!(NodeType, validate);
+
+    /// [`NodeType::finish`], where the plugin is new enough to have the field.
+    pub fn finish_function(
+        &self,
+    ) -> Option<unsafe extern "C" fn(instance: *mut c_void, host: *const Host, call: *mut c_void) -> Status> {
+        let end = core::mem::offset_of!(NodeType, finish) + size_of::<usize>();
+        if self.struct_size as usize >= end { self.finish } else { None }
+    }
 }
 
 /// What a plugin is.

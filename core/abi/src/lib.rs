@@ -95,6 +95,8 @@ pub const STATUS_PANIC: Status = -2;
 pub const STATUS_EXHAUSTED: Status = -3;
 /// An argument makes no sense (a wrong port number, a size of 0).
 pub const STATUS_INVALID: Status = -4;
+/// The node failed and opening it again would not help (the disk is full): it stays closed until its graph is edited.
+pub const STATUS_STOPPED: Status = -5;
 
 /// 64-bit FNV-1a, used for layout hashes.
 pub const fn fnv1a(mut hash: u64, bytes: &[u8]) -> u64 {

@@ -3,7 +3,7 @@
 //! The rule: a run is done (exit 0) when every node did its work on every tick that it was given, and every source made what was asked for.
 //! It failed (exit 1) when
 //! - a node had faults and the graph does not say `on_fault = "bypass"` for it: each fault is a tick lost, also where the node was opened again,
-//! - a node stopped working, or was left behind because it did not return,
+//! - a node stopped working, lost what it was to write, or was left behind because it did not return,
 //! - a source ended by an error, made no tick, or fewer ticks than `--frames` asks for,
 //! - a node never ran because a source never made what it needs, or because its inputs never met,
 //! - the engine says so (`on_fault = "stop"`), or the recording of the run has gaps.
@@ -13,7 +13,7 @@
 
 use std::collections::BTreeSet;
 
-use panoscope_runtime::fault::{Cause, Fault};
+use panoscope_runtime::fault::{Action, Cause, Fault};
 use panoscope_runtime::{NodeReport, Outcome, Report};
 
 use crate::End;
@@ -160,6 +160,11 @@ pub fn judge(facts: &Facts<'_>) -> Verdict {
 }
 
 fn faults_of(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdict) {
+    // Whatever the graph says about faults: what was to be written is gone. Its faults are those that this tells of.
+    if let Some(reason) = facts.report.stopped.get(id) {
+        verdict.error(format!("node `{id}` lost data: {reason}"));
+        return;
+    }
     let asked = facts.bypassed.contains(id);
     if node.faults > 0 {
         let times = if node.faults == 1 { "once".to_owned() } else { format!("{} times", node.faults) };
@@ -169,9 +174,8 @@ fn faults_of(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdi
         let weight = if asked && !always { Weight::Warning } else { Weight::Error };
         verdict.add(weight, format!("node `{id}` failed {times}{how_often}: {}", last_words(facts.faults, id)));
     }
-    if let Some(reason) = facts.report.stopped.get(id) {
-        let (weight, words) = if asked { (Weight::Warning, "was bypassed") } else { (Weight::Error, "stopped") };
-        verdict.add(weight, format!("node `{id}` {words}: {reason}"));
+    if let Some(fault) = facts.faults.iter().rev().find(|f| f.node == id && f.done == Action::Bypass) {
+        verdict.add(Weight::Warning, format!("node `{id}` was bypassed: {}", fault.words));
     }
 }
 
@@ -209,7 +213,6 @@ mod tests {
     use std::collections::BTreeMap;
 
     use panoscope_runtime::Machine;
-    use panoscope_runtime::fault::Action;
 
     use super::*;
 
@@ -328,7 +331,11 @@ mod tests {
         stopped.stopped.insert("sink".to_owned(), "the disk is full".to_owned());
         let verdict = judge(&facts(&stopped));
         assert_eq!((verdict.end(), verdict.findings.len()), (End::Failed, 1));
-        assert_eq!(verdict.findings[0].words, "node `sink` stopped: the disk is full");
+        assert_eq!(verdict.findings[0].words, "node `sink` lost data: the disk is full");
+        // Also where the graph lets the node be left out, and said once.
+        stopped.nodes.get_mut("sink").expect("there").faults = 1;
+        let verdict = judge(&Facts { bypassed: BTreeSet::from(["sink"]), ..facts(&stopped) });
+        assert_eq!((verdict.end(), verdict.findings.len()), (End::Failed, 1));
 
         let idle = report(|nodes| {
             let waiting = |output: &str| NodeReport { never_got: vec![output.to_owned()], ..node(0, None) };

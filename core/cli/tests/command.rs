@@ -18,7 +18,8 @@ fn plugin_folder() -> &'static Path {
         }
         let profile_dir = Path::new(PROGRAM).parent().expect("a folder");
         let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
-        cargo.args(["build", "--quiet", "--package", "panoscope-flow", "--manifest-path"]);
+        cargo.args(["build", "--quiet", "--package", "panoscope-flow", "--package", "panoscope-sinks"]);
+        cargo.arg("--manifest-path");
         cargo.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../Cargo.toml"));
         cargo.arg("--target-dir").arg(profile_dir.parent().expect("a target folder"));
         if profile_dir.ends_with("release") {
@@ -142,6 +143,66 @@ fn wrong_graphs_and_arguments_are_2_and_failed_runs_1() {
     let (code, _, err) = run(&["run", &once, "--frames", "50"]);
     assert_eq!(code, 1, "a fault that lost a tick fails the run: {err}");
     assert!(err.contains("error: node `middle` failed once: told to fail at tick 5"), "{err}");
+}
+
+/// Frames of a video that was completed: the size in its head is that of the file.
+fn frames_of(path: &Path) -> u64 {
+    let bytes = std::fs::read(path).expect("the video");
+    let find = |what: [u8; 4], from: usize| bytes[from..].windows(4).position(|w| w == what).map(|at| from + at);
+    let size = |at: usize| u64::from_be_bytes(bytes[at + 4..at + 12].try_into().expect("a size")) & !(0xFF << 56);
+    let segment = find([0x18, 0x53, 0x80, 0x67], 0).expect("a segment");
+    assert_eq!(segment as u64 + 12 + size(segment), bytes.len() as u64, "it was not completed");
+    let (mut at, mut frames) = (find([0x1F, 0x43, 0xB6, 0x75], 0), 0);
+    while let Some(cluster) = at {
+        frames += 1;
+        let next = cluster + 12 + size(cluster) as usize;
+        at = (bytes.get(next..next + 4) == Some(&[0x1F, 0x43, 0xB6, 0x75])).then_some(next);
+    }
+    frames
+}
+
+#[test]
+fn a_disk_that_fills_up_fails_the_run_and_keeps_what_was_written() {
+    let folder = std::env::temp_dir().join(format!("panoscope_command_full_{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let library = folder.join("disk_faults.so");
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/c/disk_faults.c");
+    let mut cc = Command::new("cc");
+    cc.args(["-O1", "-shared", "-fPIC", "-fvisibility=hidden", "-o"]).args([&library, &source]);
+    assert!(cc.status().expect("a C compiler").success());
+    let (disk, report) = (folder.join("disk"), folder.join("report.json"));
+    let video = disk.join("v.mkv");
+    let sink = format!(
+        "[nodes.out]\ntype = \"write_video\"\ninputs = {{ image = \"source.image\" }}\nparams = {{ path = \"{}\" }}",
+        video.display()
+    );
+    let text = graph("batch", "pass", &sink).replace("[\"flow\"]", "[\"flow\", \"sinks\"]");
+    let graph = file("fills_up.toml", &text);
+    let full_from = |operation: u32| {
+        let _ = std::fs::remove_dir_all(&disk);
+        let mut command = panoscope();
+        command.env("LD_PRELOAD", &library).env("PANOSCOPE_DISK_FAULT", format!("1 {operation} {}", disk.display()));
+        command.args(["run", &graph, "--headless", "--frames", "100", "--report"]).arg(&report);
+        let Output { status, stderr, .. } = command.output().expect("the program starts");
+        (status.code(), String::from_utf8(stderr).expect("UTF-8"))
+    };
+    let (code, said) = full_from(1_000_000);
+    assert_eq!((code, frames_of(&video)), (Some(0), 100), "{said}");
+    let (code, said) = full_from(40);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("`out` lost data") && said.contains("the disk is full"), "{said}");
+    let report = json(&report.display().to_string());
+    assert!(report["stopped"]["out"].as_str().is_some_and(|words| words.contains("the disk is full")), "{report}");
+    let node = &report["nodes"]["out"];
+    assert_eq!((node["faults"].as_u64(), node["restarts"].as_u64()), (Some(1), Some(0)), "{report}");
+    let calls = node["count"].as_u64().expect("a count");
+    assert!(calls > 5 && frames_of(&video) == calls - 1, "{calls} calls, {} frames", frames_of(&video));
+    assert_eq!(std::fs::read_dir(&disk).expect("the folder").count(), 1, "one file, not one per attempt");
+    assert_eq!(report["nodes"]["sink"]["count"], 100, "the others go on");
+    // A disk that is full before the run begins.
+    let (code, said) = full_from(1);
+    assert!(code == Some(1) && said.contains("`out`") && said.contains("the disk is full"), "{said}");
+    std::fs::remove_dir_all(folder).expect("it is removed");
 }
 
 #[test]

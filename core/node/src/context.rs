@@ -1,10 +1,11 @@
 //! What a node may ask of the host besides its frames.
 
 use std::marker::PhantomData;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::Parallel;
 use crate::abi;
+use crate::error::NodeError;
 use crate::host;
 use crate::port::RawCall;
 
@@ -39,6 +40,29 @@ fn log(host: &abi::Host, call: *mut std::ffi::c_void, level: u32, message: &str)
     if let Some(log) = host.log {
         // SAFETY: `call` is the handle of the running call; the text is borrowed for the length of the function.
         unsafe { log(call, level, abi::Str::borrow(message)) }
+    }
+}
+
+/// Whether the host's table has the fields up to the one that ends at `end`.
+fn has(host: &abi::Host, end: usize) -> bool {
+    host.struct_size as usize >= end
+}
+
+/// See [`abi::Host::claim_file`]; a host of an earlier version claims nothing.
+fn claim(host: &abi::Host, call: *mut std::ffi::c_void, path: &Path, action: u32) -> Result<PathBuf, NodeError> {
+    let end = std::mem::offset_of!(abi::Host, claim_file) + size_of::<usize>();
+    let (Some(claim), Some(text)) = (host.claim_file.filter(|_| has(host, end)), path.to_str()) else {
+        return Ok(path.to_owned());
+    };
+    let mut answer = abi::Str::EMPTY;
+    // SAFETY: `call` is the handle of the running call; the text is borrowed for the length of the function.
+    let status = unsafe { claim(call, abi::Str::borrow(text), action, &raw mut answer) };
+    // SAFETY: the host's answer is valid until the call ends.
+    let answer = unsafe { answer.text() }.unwrap_or("");
+    match status {
+        abi::STATUS_OK if answer.is_empty() => Ok(path.to_owned()),
+        abi::STATUS_OK => Ok(PathBuf::from(answer)),
+        _ => Err(NodeError::new(format!("{text} is written by node `{answer}`: give this node a file of its own"))),
     }
 }
 
@@ -82,6 +106,26 @@ impl<'f> Context<'f> {
 
     pub(crate) fn ended(&self) -> bool {
         self.ended.get()
+    }
+
+    /// Begins to write a file that was claimed with [`Open::claim_file`]; answers the path to create. That is `path` itself the first time in a
+    /// run; later, when the node was opened again, `name.part2.ending` and so on, so that nothing written before is cut off. With
+    /// `may_replace` the file of an earlier run is replaced, else a path is answered where nothing exists.
+    ///
+    /// # Errors
+    /// Another node writes it.
+    pub fn begin_file(&self, path: &Path, may_replace: bool) -> Result<PathBuf, NodeError> {
+        let action = if may_replace { abi::CLAIM_BEGIN } else { abi::CLAIM_BEGIN_NEW };
+        claim(self.pool.host, self.call().call, path, action)
+    }
+
+    /// The host's monotonic clock in ns, for nodes that note when something happened; `None` where the host has none. What a node makes must
+    /// not depend on it.
+    pub fn clock_ns(&self) -> Option<i64> {
+        let host = self.pool.host;
+        let end = std::mem::offset_of!(abi::Host, clock_ns) + size_of::<usize>();
+        // SAFETY: the handle of the running call.
+        host.clock_ns.filter(|_| has(host, end)).map(|clock| unsafe { clock(self.call().call) })
     }
 
     /// The next number of a generator seeded by node and tick: the same in every run.
@@ -152,6 +196,14 @@ impl<'a> Open<'a> {
         Path::new(unsafe { self.call().graph_dir.text() }.unwrap_or(""))
     }
 
+    /// Claims a file, or a pattern of files, for this node for as long as it is open. Nothing is created.
+    ///
+    /// # Errors
+    /// Another node of the graph writes it.
+    pub fn claim_file(&self, path: &Path) -> Result<(), NodeError> {
+        claim(self.pool.host, self.call().call, path, abi::CLAIM_HOLD).map(drop)
+    }
+
     /// Whether output `index` has a reader.
     pub fn is_read(&self, index: usize) -> bool {
         index >= 64 || self.call().outputs_read >> index & 1 == 1
@@ -175,5 +227,35 @@ impl<'a> Open<'a> {
     /// Progress.
     pub fn info(&self, message: &str) {
         log(self.pool.host, self.call().call, abi::LOG_INFO, message);
+    }
+}
+
+/// The call that completes a node's files.
+pub struct Finish<'a> {
+    host: &'a abi::Host,
+    call: *mut std::ffi::c_void,
+}
+
+impl<'a> Finish<'a> {
+    /// Wraps the host's handle.
+    ///
+    /// # Safety
+    /// `call` is a handle of this host that is valid for `'a`.
+    pub(crate) unsafe fn new(host: &'a abi::Host, call: *mut std::ffi::c_void) -> Self {
+        Self { host, call }
+    }
+
+    /// Something the user should know.
+    pub fn warn(&self, message: &str) {
+        log(self.host, self.call, abi::LOG_WARN, message);
+    }
+
+    /// Begins to write a file, as [`Context::begin_file`].
+    ///
+    /// # Errors
+    /// Another node writes it.
+    pub fn begin_file(&self, path: &Path, may_replace: bool) -> Result<PathBuf, NodeError> {
+        let action = if may_replace { abi::CLAIM_BEGIN } else { abi::CLAIM_BEGIN_NEW };
+        claim(self.host, self.call, path, action)
     }
 }

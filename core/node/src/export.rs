@@ -4,7 +4,7 @@ use std::ffi::c_void;
 use std::marker::PhantomData;
 
 use crate::abi::{self, Str};
-use crate::context::{Context, Open};
+use crate::context::{Context, Finish, Open};
 use crate::error::NodeError;
 use crate::guard;
 pub use crate::guard::install_panic_hook;
@@ -50,6 +50,7 @@ impl<N: Node> NodeTypeOf<N> {
         save_state: Some(save_state::<N>),
         load_state: Some(load_state::<N>),
         validate: Some(validate::<N>),
+        finish: Some(finish::<N>),
     };
 }
 
@@ -167,6 +168,17 @@ unsafe extern "C" fn process<N: Node>(instance: *mut c_void, call: *mut abi::Cal
             let context = Context::new(raw);
             this.node.process(&context, input, out, &this.params)?;
             Ok(if context.ended() { abi::STATUS_END } else { abi::STATUS_OK })
+        })
+    }
+}
+
+unsafe extern "C" fn finish<N: Node>(instance: *mut c_void, host: *const abi::Host, call: *mut c_void) -> abi::Status {
+    // SAFETY: an open instance that no other thread uses; the host's table and handle are valid for the length of the call.
+    unsafe {
+        let this = &mut *instance.cast::<Instance<N>>();
+        guarded(host, call, || {
+            this.node.finish(&Finish::new(&*host, call))?;
+            Ok(abi::STATUS_OK)
         })
     }
 }

@@ -353,6 +353,11 @@ impl<'f> Cloud<'f> {
         self.frame.height as usize
     }
 
+    /// The tick that this cloud belongs to.
+    pub fn tick(&self) -> abi::Tick {
+        self.frame.tick
+    }
+
     /// The points, row after row.
     pub fn points(&self) -> &'f [abi::CloudPoint] {
         let count = self.width() * self.height();

@@ -22,7 +22,7 @@ pub mod port;
 pub mod table;
 pub mod validation;
 
-pub use context::{Context, Open, Pool};
+pub use context::{Context, Finish, Open, Pool};
 pub use detections::{Detections, Instances, LabeledDetections, LabeledInstances};
 pub use error::{NodeError, Result};
 pub use input::{AnyImage, Cloud, Image, Kept, List, Text, Value};
@@ -69,6 +69,12 @@ pub trait Node: Sized + Send + 'static {
         out: Self::Out<'f>,
         params: &Self::Params,
     ) -> Result<()>;
+
+    /// Completes what the node writes, before it is closed: nothing comes after this call. An error is told and fails the run. Not called for an
+    /// instance that was never used, nor when the host has no time left: `drop` does what can be done then.
+    fn finish(&mut self, _cx: &Finish<'_>) -> Result<()> {
+        Ok(())
+    }
 
     /// State worth handing to a replacement of this node while the graph runs.
     fn save_state(&self) -> Option<Vec<u8>> {

@@ -77,6 +77,7 @@ fn parts() -> Parts {
             save_state: None,
             load_state: None,
             validate: None,
+            finish: None,
         },
         plugin: abi::Plugin {
             magic: abi::MAGIC,

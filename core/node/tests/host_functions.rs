@@ -64,6 +64,7 @@ const NODE: abi::NodeType = abi::NodeType {
     save_state: None,
     load_state: None,
     validate: None,
+    finish: None,
 };
 static SCRIPTED: abi::NodeType = NODE;
 static GREEDY: abi::NodeType = abi::NodeType { name: Str::new("greedy"), open: Some(open), ..NODE };
@@ -266,6 +267,45 @@ fn parallel_for_uses_the_threads_it_says() {
     });
     node(Setup::default().threads(3)).process().expect("runs");
     assert_eq!(SUM.load(Ordering::Relaxed), 4950);
+}
+
+#[test]
+fn a_file_is_claimed_and_begun_in_parts() {
+    let path = std::env::temp_dir().join(format!("panoscope_claimed_{}.csv", std::process::id()));
+    std::fs::write(&path, "earlier").expect("temporary files can be written");
+    thread_local! {
+        static ANSWERS: std::cell::RefCell<Vec<(abi::Status, String)>> = const { std::cell::RefCell::new(Vec::new()) };
+    }
+    SCRIPT.set(|call, host| {
+        let claim = host.claim_file.expect("claim_file");
+        let path = std::env::temp_dir().join(format!("panoscope_claimed_{}.csv", std::process::id()));
+        for action in [abi::CLAIM_HOLD, abi::CLAIM_BEGIN, abi::CLAIM_BEGIN, abi::CLAIM_BEGIN_NEW] {
+            let mut answer = Str::EMPTY;
+            // SAFETY: a function of this call; its answer is read before the next one.
+            let (status, text) = unsafe {
+                let path = Str::borrow(path.to_str().expect("UTF-8"));
+                (claim(call.call, path, action, &raw mut answer), answer.text().unwrap_or("?").to_owned())
+            };
+            ANSWERS.with_borrow_mut(|all| all.push((status, text)));
+        }
+        // SAFETY: a function of this call.
+        assert!(unsafe { host.clock_ns.expect("clock_ns")(call.call) } >= 0);
+        abi::STATUS_OK
+    });
+    let run = panoscope_node::harness::Files::default();
+    let mut first = node(Setup::default().node_id("first").files(&run));
+    first.process().expect("runs");
+    let name = |part: &str| path.with_extension(part).to_string_lossy().into_owned();
+    let answers = ANSWERS.take();
+    let expected = ["csv", "csv", "part2.csv", "part3.csv"].map(|part| (abi::STATUS_OK, name(part)));
+    assert_eq!(answers, expected);
+    let mut second = node(Setup::default().node_id("second").files(&run));
+    second.process().expect("runs");
+    assert!(ANSWERS.take().iter().all(|answer| *answer == (abi::STATUS_INVALID, "first".to_owned())));
+    drop(first);
+    second.process().expect("runs");
+    assert_eq!(ANSWERS.take()[1], (abi::STATUS_OK, name("part4.csv")), "what was written in this run stays");
+    std::fs::remove_file(path).expect("it is removed");
 }
 
 #[test]

@@ -238,9 +238,10 @@ impl Engine {
             recorder: options.record,
             script: options.replay,
             thread_allocations: options.thread_allocations,
-            stopped: Mutex::default(),
             open_limit: options.open_limit,
             close_limit: options.close_limit,
+            claims: Arc::default(),
+            stopped: Mutex::default(),
         };
         let hurried = !around.unhurried();
         let pool = Pool::new(threads);
@@ -614,7 +615,7 @@ fn open_all(shared: &Arc<Shared>) -> Result<(), StartError> {
         match answer.map_err(|error| error.to_string()).flatten() {
             Ok(instance) => {
                 if let Some(mut exec) = cell.exec.take() {
-                    exec.instance = instance;
+                    exec.instance = instance.begun();
                     cell.exec.put(exec);
                 }
             }

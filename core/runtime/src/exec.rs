@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicPtr, AtomicU32, AtomicU64, Ordering};
 
 use panoscope_abi::{self as abi, Frame, PortRange, Tick};
 
+use crate::claims::Holds;
 use crate::ending::who::{self, Phase};
 use crate::keep::Kept;
 use crate::memory::FrameRef;
@@ -19,8 +20,12 @@ pub(crate) struct Instance {
     pub raw: *mut c_void,
     pub node_type: &'static abi::NodeType,
     pub open: bool,
+    /// Whether it was handed to its node; one that never was has nothing to complete.
+    pub begun: bool,
     /// Frames that it holds beyond its calls.
     pub kept: Kept,
+    /// Files that it claims.
+    pub holds: Box<Holds>,
 }
 
 // SAFETY: the contract lets an instance move between threads; it is used by one at a time.
@@ -40,7 +45,13 @@ unsafe extern "C" fn collect(sink: *mut c_void, bytes: *const u8, len: usize) {
 impl Instance {
     pub fn none(node_type: &'static abi::NodeType) -> Self {
         let kept = Kept::new(std::ptr::from_ref(node_type).cast());
-        Self { raw: std::ptr::null_mut(), node_type, open: false, kept }
+        Self { raw: std::ptr::null_mut(), node_type, open: false, begun: false, kept, holds: Box::default() }
+    }
+
+    /// The instance, handed to its node.
+    pub fn begun(mut self) -> Self {
+        self.begun = true;
+        self
     }
 
     pub fn is_open(&self) -> bool {
@@ -56,6 +67,7 @@ impl Instance {
             who::with(&self.kept.who(), Phase::Close, || self.kept.during(|| unsafe { close(raw) }));
         }
         self.kept.reclaim();
+        self.holds.release();
     }
 
     /// Whether there may be a state for a successor.

@@ -62,7 +62,7 @@ impl Cell {
         }
         let broken = std::mem::take(&mut *lock(&self.broken));
         if !broken.is_empty() {
-            self.aside(Doing::Close, tick, || drop(broken))?;
+            self.aside(Doing::Close, tick, || broken.into_iter().for_each(|instance| self.end(around, instance)))?;
         }
         let snapshot = Arc::clone(exec.snapshot());
         let opened = self.aside(Doing::Open, tick, || self.open(around, &snapshot))?;
@@ -70,7 +70,7 @@ impl Cell {
             Ok(instance) => {
                 bump(&self.stats.restarts);
                 around.log.say(Level::Info, &self.id, "opened again");
-                exec.instance = instance;
+                exec.instance = instance.begun();
                 self.opened(&snapshot, around, tick);
                 true
             }
@@ -78,6 +78,7 @@ impl Cell {
                 exec.troubled = true;
                 exec.failures_in_a_row += 1;
                 exec.skip_calls = skipped_calls(exec.failures_in_a_row);
+                exec.bypassed = self.has_given_up();
                 self.open_failed(around, &words, Some(tick.seq));
                 false
             }
@@ -88,7 +89,12 @@ impl Cell {
     pub fn open_failed(&self, around: &Surroundings, words: &str, seq: Option<u64>) {
         bump(&self.stats.faults);
         around.log.say(Level::Error, &self.id, &format!("could not be opened again: {words}"));
-        self.tell(around, Cause::Open, Action::Restart, seq, None, words.to_owned());
+        let gives_up = self.has_given_up();
+        if gives_up {
+            self.lost(around, words);
+        }
+        let done = if gives_up { Action::Bypass } else { Action::Restart };
+        self.tell(around, Cause::Open, done, seq, None, words.to_owned());
     }
 
     #[cold]
@@ -132,15 +138,18 @@ impl Cell {
         self.failures.store(exec.failures_in_a_row, Ordering::Relaxed);
         // What the instance holds after a fault is not to be trusted. It may take long to close.
         lock(&self.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
+        let gives_up = status == abi::STATUS_STOPPED;
+        self.gives_up.store(gives_up, Ordering::Release);
+        if gives_up {
+            self.lost(around, &words);
+        }
         let (done, ran) = match self.on_fault() {
+            OnFault::Restart if gives_up => (Action::Bypass, Ran::Fault),
             OnFault::Restart => (Action::Restart, Ran::Fault),
             OnFault::Bypass => (Action::Bypass, Ran::Fault),
             OnFault::Stop => (Action::Stop, Ran::Stop),
         };
         exec.bypassed = done == Action::Bypass;
-        if exec.bypassed {
-            self.lost(around, &words);
-        }
         self.wants_mending.store(true, Ordering::Release);
         self.tell(around, cause, done, Some(tick.seq), None, words);
         ran

@@ -163,17 +163,38 @@ pub(crate) fn unix_ms() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64)
 }
 
+/// A file of faults.
+struct FaultFile {
+    file: File,
+    /// A line could not be written, and that was told.
+    told: bool,
+}
+
+impl FaultFile {
+    /// Appends a line, whole or not at all. A full disk must not stop the picture; it is told once.
+    fn append(&mut self, line: &[u8]) {
+        let before = self.file.metadata().map(|found| found.len());
+        if let Err(error) = self.file.write_all(line) {
+            if !std::mem::replace(&mut self.told, true) {
+                eprintln!("panoscope: faults are missing in the fault log: {error}");
+            }
+            if let Ok(len) = before {
+                let _ = self.file.set_len(len);
+            }
+        }
+    }
+}
+
 /// A sink for [`crate::Options::faults`] that appends one JSON line per fault to a file.
 pub fn json_lines(path: &Path) -> std::io::Result<Box<FaultFn>> {
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder)?;
     }
-    let file = Mutex::new(File::options().create(true).append(true).open(path)?);
+    let file = Mutex::new(FaultFile { file: File::options().create(true).append(true).open(path)?, told: false });
     Ok(Box::new(move |fault| {
         if let Ok(mut line) = serde_json::to_vec(fault) {
             line.push(b'\n');
-            // One write per line: a cut-off run ends with a whole one. A full disk must not stop the picture.
-            let _ = file.lock().unwrap_or_else(PoisonError::into_inner).write_all(&line);
+            file.lock().unwrap_or_else(PoisonError::into_inner).append(&line);
         }
     }))
 }

@@ -262,10 +262,10 @@ impl Shared {
     /// Closes instances of a node; one that does not return is told of and left behind.
     pub fn close_guarded(self: &Arc<Self>, cell: &Arc<Cell>, instances: Vec<Instance>) {
         let open = instances.into_iter().filter(Instance::is_open);
-        let calls = open.map(|instance| Call {
-            cell: Arc::clone(cell),
-            doing: Doing::Close,
-            run: Box::new(move || drop(instance)),
+        let calls = open.map(|instance| {
+            let (me, mine) = (Arc::clone(self), Arc::clone(cell));
+            let run = Box::new(move || mine.end(&me.around, instance));
+            Call { cell: Arc::clone(cell), doing: Doing::Close, run }
         });
         self.guarded(
             Limit::always(self.around.close_limit),
@@ -291,8 +291,9 @@ impl Shared {
             let (instances, all) = cell.take_instances();
             let closed = Arc::new(AtomicBool::new(!all));
             open.push((Arc::clone(&cell), Arc::clone(&closed), all));
+            let (me, mine) = (Arc::clone(self), Arc::clone(&cell));
             let run = Box::new(move || {
-                drop(instances);
+                instances.into_iter().for_each(|instance| mine.end(&me.around, instance));
                 closed.store(true, Ordering::Release);
             });
             calls.push(Call { cell, doing: Doing::Close, run });
@@ -306,7 +307,7 @@ impl Shared {
             if !all || !closed.load(Ordering::Acquire) || cell.stuck.load(Ordering::Relaxed) > 0 {
                 let words = "it does not return and is left behind; its files may be incomplete";
                 self.around.log.say(Level::Error, &cell.id, words);
-                cell.lost(&self.around, words);
+                cell.ceased(&self.around, words);
             }
         }
     }

@@ -6,6 +6,7 @@ use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str};
 use panoscope_imaging::random::SplitMix64;
 
 use crate::cell::{Cell, Refused};
+use crate::claims::{self, Holds};
 use crate::fault::Cause;
 use crate::keep;
 use crate::log::{Level, Log};
@@ -28,6 +29,8 @@ pub(crate) struct CallContext<'a> {
     /// What the first output may be.
     pub first_formats: u32,
     pub cell: &'a Cell,
+    /// Files that the instance claims.
+    pub holds: &'a Holds,
     pub log: &'a Log,
     /// What the node said when it failed; reused.
     pub failure: &'a mut String,
@@ -47,7 +50,7 @@ pub(crate) struct Lent {
     pub input: u32,
 }
 
-unsafe fn context<'a>(call: *mut c_void) -> Option<&'a mut CallContext<'a>> {
+pub(crate) unsafe fn context<'a>(call: *mut c_void) -> Option<&'a mut CallContext<'a>> {
     // SAFETY: plugins pass back the handle of the running call (the contract).
     unsafe { call.cast::<CallContext<'a>>().as_mut() }
 }
@@ -315,6 +318,8 @@ pub(crate) fn table(threads: usize) -> Host {
         metric: Some(metric),
         random: Some(random),
         save: Some(save),
+        claim_file: Some(claims::claim_file),
+        clock_ns: Some(claims::clock_ns),
     }
 }
 

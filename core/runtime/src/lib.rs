@@ -5,6 +5,7 @@
 
 mod apply;
 mod cell;
+mod claims;
 pub mod clock;
 mod convert;
 pub mod elf;
@@ -13,6 +14,7 @@ mod engine;
 mod exec;
 mod failures;
 pub mod fault;
+mod finish;
 mod guard;
 mod host;
 mod join;

@@ -127,7 +127,9 @@ impl Shared {
                 return;
             }
             if cell.retired.load(Ordering::Acquire) {
-                drop(cell.take_instances());
+                for instance in cell.take_instances().0 {
+                    cell.end(&shared.around, instance);
+                }
             }
             cell.has_thread.store(false, Ordering::Release);
         });

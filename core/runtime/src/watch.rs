@@ -137,7 +137,7 @@ impl Shared {
         };
         exec.bypassed = done == Action::Bypass;
         if exec.bypassed {
-            cell.lost(&self.around, &format!("{stuck} of its calls did not return"));
+            cell.ceased(&self.around, &format!("{stuck} of its calls did not return"));
         }
         busy.clear();
         cell.exec.put(exec);
@@ -191,7 +191,7 @@ impl Shared {
         bump(&cell.stats.faults);
         let words = error.to_string();
         if done == Action::Bypass {
-            cell.lost(&self.around, &words);
+            cell.ceased(&self.around, &words);
         }
         self.around.log.say(Level::Error, &cell.id, &words);
         cell.tell(&self.around, Cause::Hang, done, None, None, words);
@@ -233,7 +233,7 @@ impl Shared {
 
     /// Closes what failed and, if the graph wants that, opens the node again. This happens on a thread of its own.
     pub fn start_mending(&self, cell: &Arc<Cell>) {
-        if self.around.unhurried() && cell.on_fault() == OnFault::Restart {
+        if self.around.unhurried() && cell.on_fault() == OnFault::Restart && !cell.has_given_up() {
             // Closed and opened again before a tick that does not depend on the clock.
             return;
         }
@@ -251,7 +251,7 @@ impl Shared {
         let outdated = || cell.mending.load(Ordering::Acquire) != mine || cell.retired.load(Ordering::Relaxed);
         let broken = std::mem::take(&mut *lock(&cell.broken));
         self.close_guarded(cell, broken);
-        if cell.on_fault() != OnFault::Restart {
+        if cell.on_fault() != OnFault::Restart || cell.has_given_up() {
             return;
         }
         loop {
@@ -286,6 +286,9 @@ impl Shared {
                 Err(OpenError::Refused(words)) => {
                     cell.failures.fetch_add(1, Ordering::Relaxed);
                     cell.open_failed(&self.around, &words, None);
+                    if cell.has_given_up() {
+                        return;
+                    }
                 }
                 Err(OpenError::Call(error)) => {
                     cell.failures.fetch_add(1, Ordering::Relaxed);

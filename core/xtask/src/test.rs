@@ -46,6 +46,14 @@ static SUITES: &[Suite] = &[
         only: &["-p", "panoscope-tools", "--test", "hostile_campaign"],
         env: &[("PANOSCOPE_HOSTILE_CASES", "200")],
     },
+    // Disk full, I/O errors and kills at every operation on files; PANOSCOPE_DISK_TICKS chooses how many ticks each case has.
+    Suite {
+        name: "disk",
+        lints: false,
+        tests: true,
+        only: &["-p", "panoscope-sinks", "-p", "panoscope-runtime", "--test", "disk"],
+        env: &[("PANOSCOPE_DISK_TICKS", "12")],
+    },
     // Killed while saving, keeping a still, recording a clip; graphs in which everything fails.
     Suite { name: "kill", lints: false, tests: true, only: &["-p", "panoscope-editor", "--test", "kill"], env: &[] },
 ];
@@ -169,7 +177,10 @@ mod tests {
     fn an_unknown_suite_lists_the_known_ones() {
         let args = words("fualts");
         let error = Request::parse(&args).err().unwrap().to_string();
-        assert_eq!(error, "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, kill");
+        assert_eq!(
+            error,
+            "there is no test suite `fualts`; there are: all, lint, code, faults, hostile-models, disk, kill"
+        );
         let args = words("code filter");
         assert!(Request::parse(&args).err().unwrap().to_string().contains("after `--`"));
     }

@@ -7,6 +7,7 @@ use crate::actions::{self, Action};
 use crate::document::Document;
 use crate::observe::Counters;
 use crate::session::{Phase, Status};
+use crate::theatre::is_full;
 use crate::theme;
 
 /// Which switches are on.
@@ -72,6 +73,11 @@ pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counte
 
 fn state(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters) {
     let behind = *status.running != **document.text();
+    let off = counters.switched_off().map(|fault| match is_full(&fault.words) {
+        true => format!("the disk is full: `{}` writes nothing more", fault.node),
+        false => format!("`{}` is switched off after a fault", fault.node),
+    });
+    let off = off.min();
     let (color, words) = match &status.phase {
         Phase::Idle if document.view().right => (theme::MUTED, "not started".to_owned()),
         Phase::Idle if document.view().nodes.is_empty() && document.view().diagnostics.is_empty() => {
@@ -85,6 +91,7 @@ fn state(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters)
         Phase::Running if behind && !document.view().right => {
             (theme::WARN, "unfinished; the last right graph runs".to_owned())
         }
+        Phase::Running | Phase::Ended if off.is_some() => (theme::FAULT, off.unwrap_or_default()),
         Phase::Running => (theme::family("source"), "running".to_owned()),
         Phase::Ended => (theme::MUTED, "the run has ended, its files are finished".to_owned()),
         Phase::Failed(why) => (theme::FAULT, why.clone()),

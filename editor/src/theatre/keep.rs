@@ -78,9 +78,9 @@ pub fn with_clip(text: &str, output: &Output, file: &Path) -> Result<(String, St
     let names = std::iter::once("theatre_clip".to_owned()).chain((2..).map(|k| format!("theatre_clip_{k}")));
     let node = names.into_iter().find(|n| !taken.contains(n)).unwrap_or_default();
     let file = toml::Value::from(file.to_string_lossy().into_owned());
-    // A writer that was opened again would begin its file anew: it stays off instead, and what it wrote is kept.
+    // A clip shows what was seen: it lasts as long as it was recorded, however slow the machine is. A fault ends it, and no file is ever replaced.
     let part = format!(
-        "[nodes.{node}]\ntype = \"sinks/write_video\"\ninputs = {{ image = \"{output}\" }}\nparams = {{ path = {file} }}\non_fault = \"bypass\"\n"
+        "[nodes.{node}]\ntype = \"sinks/write_video\"\ninputs = {{ image = \"{output}\" }}\nparams = {{ path = {file}, time = \"passed\", replace = false }}\non_fault = \"bypass\"\n"
     );
     edit.add_plugin("sinks")?;
     edit.paste_nodes(&GraphEdit::parse(&part)?, &[(node.clone(), node.clone())])?;
@@ -252,6 +252,7 @@ mod tests {
         assert_eq!(parsed.plugins(), ["flow", "sinks"]);
         let outline = parsed.outline();
         assert_eq!(outline[1].params["path"].as_str(), Some("/x/clip \"1\".mkv"));
+        assert_eq!(outline[1].params["time"].as_str(), Some("passed"));
         assert!(with.contains("on_fault = \"bypass\""));
         let (twice, second) = with_clip(&with, &Output::new("a", "image"), Path::new("/x/2.mkv")).unwrap();
         assert_eq!((node.as_str(), second.as_str()), ("theatre_clip", "theatre_clip_2"));

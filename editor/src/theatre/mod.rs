@@ -41,7 +41,7 @@ pub use acts::{Act, key_words};
 pub use arrange::Layout;
 pub use keep::{free_bytes, next_file, with_clip, without_clip, write_still};
 pub use measure::Length;
-pub use notices::{Notice, Urgency};
+pub use notices::{Notice, Urgency, is_full};
 pub use open::{OpenError, Options, Ready, Verified};
 pub use plan::{Place, Plan, Setting};
 pub use refused::Refused;

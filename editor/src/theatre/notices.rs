@@ -175,9 +175,14 @@ pub struct Stages {
     at: HashMap<String, Instant>,
 }
 
+/// Whether a node's words say that a disk takes nothing more.
+pub fn is_full(words: &str) -> bool {
+    words.contains("No space left") || words.contains("the disk is full")
+}
+
 /// What a fault means for whoever looks at the picture; `None` for what changes nothing there.
 fn fault_words(node: &str, fault: &Fault) -> Option<String> {
-    if fault.words.contains("No space left") {
+    if is_full(&fault.words) {
         return Some(format!("The disk is full: `{node}` cannot write"));
     }
     let what = match fault.cause {
@@ -205,7 +210,7 @@ impl Stages {
             }
         }
         self.at.retain(|id, at| counters.nodes.contains_key(id) && now.duration_since(*at) < FAULT_TOLD);
-        let off = counters.faults.values().filter(|f| f.done == Action::Bypass).map(|f| f.node.clone());
+        let off = counters.switched_off().map(|f| f.node.clone());
         let mut nodes: Vec<String> = self.at.keys().cloned().chain(off).collect();
         nodes.retain(|id| counters.nodes.contains_key(id));
         nodes.sort();

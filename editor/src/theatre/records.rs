@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use super::keep::{self, Clip};
-use super::notices::{FULL_BYTES, STOPPED};
+use super::notices::{FULL_BYTES, STOPPED, is_full};
 use super::{Place, Theatre};
 use crate::observe::Counters;
 use crate::session::Status;
@@ -115,7 +115,7 @@ impl Theatre {
             self.say(words, true);
         } else if full || fault.is_some() {
             self.end_clip();
-            let full = full || fault.as_ref().is_some_and(|f| f.contains("No space left"));
+            let full = full || fault.as_ref().is_some_and(|f| is_full(f));
             let why = if full { "the disk is full".to_owned() } else { fault.unwrap_or_default() };
             self.say(format!("{name} ended early: {why}; what was recorded is kept"), true);
         }

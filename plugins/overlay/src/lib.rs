@@ -6,6 +6,7 @@
 pub mod colorize;
 pub mod fit;
 pub mod marks;
+pub mod nearness;
 pub mod overlay;
 pub mod screen;
 pub mod side_by_side;

@@ -12,6 +12,7 @@ use panoscope_node::{
 use crate::colorize::{AutoRange, Colors};
 use crate::fit::{Fit, fitted_size};
 use crate::marks::{self, Pen};
+use crate::nearness;
 
 /// Where words or an inset stand.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,6 +57,8 @@ pub struct In<'f> {
     pub instances: Option<Instances<'f>>,
     /// A tool's tip.
     pub tip: Option<Value<'f, Tip>>,
+    /// Table of `proximity`: a ring around each tip, a line to the tissue nearest to it, and the distance.
+    pub nearness: Option<Table<'f>>,
     /// Numbers: the first row is shown.
     pub table: Option<Table<'f>>,
     /// A number.
@@ -92,7 +95,7 @@ pub struct Settings {
     /// Draws masks.
     #[param(default = true)]
     pub show_masks: bool,
-    /// Draws the tip.
+    /// Draws the tip, and how near tips are.
     #[param(default = true)]
     pub show_tip: bool,
     /// Writes table, scalar and text.
@@ -235,6 +238,7 @@ impl Node for Overlay {
         let instances = input.instances.filter(|_| params.show_masks);
         let mask = input.mask.filter(|_| params.show_masks);
         let tip = input.tip.filter(|_| params.show_tip);
+        let nearness = input.nearness.filter(|_| params.show_tip);
         let map = input.disparity.map(|p| p.view()).or(input.depth.map(|p| p.view())).filter(|_| params.show_inset);
         self.write_words(&input, params);
         let something = homography.is_some()
@@ -243,6 +247,7 @@ impl Node for Overlay {
             || instances.is_some_and(|i| !i.detections().items().is_empty())
             || mask.is_some()
             || tip.is_some()
+            || nearness.is_some()
             || map.is_some()
             || !self.words.is_empty();
         if !something {
@@ -290,6 +295,9 @@ impl Node for Overlay {
         }
         if let Some(boxes) = &boxes {
             marks::box_labels(&mut picture, boxes, &pen, &mut self.item, &mut self.labels);
+        }
+        if let Some(table) = &nearness {
+            nearness::draw(&mut picture, table, &pen, &mut self.item);
         }
         let words = self.words.trim_end();
         if !words.is_empty() {

@@ -286,3 +286,34 @@ fn a_full_picture() {
         image::save_buffer(path, &rgb, view.width as u32, view.height as u32, image::ExtendedColorType::Rgb8).unwrap();
     }
 }
+
+#[test]
+fn a_near_tip_has_a_ring_a_line_to_the_tissue_and_a_colour_that_says_how_near() {
+    let names =
+        ["track_id", "u_px", "v_px", "tissue_u_px", "tissue_v_px", "tissue_mm", "tissue_state", "tip_mm", "tip_state"];
+    let pixel = |params: &str, state: f64, tip_state: f64, at: (usize, usize)| -> [u8; 3] {
+        let mut node = overlay(params);
+        node.input_table("nearness", &names, &[1.0, 100.0, 80.0, 160.0, 80.0, 3.2, state, 6.0, tip_state]);
+        let out = node.process().unwrap();
+        let view = out.plane::<Bgr8>("image").unwrap();
+        std::array::from_fn(|k| view.row(at.1)[at.0 * 3 + k])
+    };
+    // On the line between tip and tissue: green, amber, red; gray where nothing is known. Blue, green, red.
+    let line = (140, 80);
+    for (state, is_color) in [
+        (0.0, (|[b, g, r]| g > r && g > b) as fn([u8; 3]) -> bool),
+        (1.0, |[b, g, r]| r > 200 && g > 120 && b < 60),
+        (2.0, |[b, g, r]| r > 200 && g < 90 && b < 90),
+        (-1.0, |[b, g, r]| r == g && g == b && b > 130),
+    ] {
+        let found = pixel("line_px = 3.0", state, 0.0, line);
+        assert!(is_color(found), "state {state}: {found:?}");
+    }
+    assert_eq!(pixel("show_tip = false", 1.0, 0.0, line), [100; 3]);
+    // A second ring where tips are near each other.
+    let ring = |tip_state| (84..125).filter(|y| pixel("", 0.0, tip_state, (100, *y)) == [0, 190, 255]).count();
+    assert!(ring(0.0) == 0 && ring(1.0) >= 2, "{} {}", ring(0.0), ring(1.0));
+    let mut node = overlay("");
+    node.input_table("nearness", &["u_px"], &[100.0]);
+    assert_eq!(node.process().unwrap().plane::<Bgr8>("image").unwrap().data, flat(100), "another table");
+}

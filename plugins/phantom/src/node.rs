@@ -3,7 +3,7 @@
 use panoscope_node::abi::{self, Calibration, Camera, Detection};
 use panoscope_node::{
     Bgr8, Choice, Context, Depth, Disparity, LabeledDetections, LabeledInstances, Mask, Node, NodeError, NodeInfo,
-    Open, Params, Ports, Result, Slot, Validation, Value, ViewMut, detections, name16,
+    Open, Params, Ports, Result, Slot, TableData, Validation, Value, ViewMut, detections, name16,
 };
 
 use crate::render::lens::Lens;
@@ -257,7 +257,14 @@ pub struct Out<'f> {
     /// True tip of the first instrument, wherever it is: score 1 while it is seen, 0 while it is hidden or outside the left view. Empty behind the
     /// camera and without instruments.
     lead: Slot<'f, abi::Tip>,
+    /// The same of the second instrument.
+    second: Slot<'f, abi::Tip>,
+    /// One row per instrument: where its tip is, whether it is seen, and how far it is from the tissue and from the nearest other tip.
+    clearance: Slot<'f, TableData>,
 }
+
+/// Columns of `clearance`: places in the left camera's frame; distances below 0 lie inside the tissue; NaN where there is no other tip.
+const CLEARANCE: [&str; 8] = ["track_id", "class_index", "seen", "x_mm", "y_mm", "z_mm", "tissue_mm", "tip_mm"];
 
 /// See the module.
 pub struct PhantomNode {
@@ -278,6 +285,8 @@ struct ToolWork {
     truth: Vec<ToolTruth>,
     items: Vec<Detection>,
     masks: Vec<u8>,
+    clearances_mm: Vec<f64>,
+    rows: Vec<f64>,
 }
 
 fn tool_kinds(text: &str) -> Result<Vec<ToolKind>> {
@@ -575,11 +584,11 @@ impl PhantomNode {
     /// Boxes, masks and tip of the instruments.
     fn tools(&mut self, cx: &Context<'_>, frame: u64, pose: Option<Pose>, out: &mut Out<'_>) -> Result<()> {
         let read = [out.detections.is_read(), out.instances.is_read(), out.tip.is_read(), out.lead.is_read()];
-        if !read.contains(&true) {
+        if !read.contains(&true) && !out.second.is_read() && !out.clearance.is_read() {
             return Ok(());
         }
         let (width, height) = (self.calibration.left.width as usize, self.calibration.left.height as usize);
-        let ToolWork { ids, truth, items, masks } = &mut self.tools;
+        let ToolWork { ids, truth, items, masks, clearances_mm, rows } = &mut self.tools;
         ids.resize(width * height, 0);
         self.phantom.tools(frame, pose, cx.pool(), &mut ViewMut::new(ids, width, height, 1), truth)?;
         let class_of = |kind: ToolKind| ToolKind::ALL.iter().position(|k| *k == kind).unwrap_or(0) as u32;
@@ -620,6 +629,24 @@ impl PhantomNode {
         }
         if let Some(tool) = truth.iter().find(|tool| tool.id == 1 && tool.tip_mm[2] > 0.0) {
             out.lead.set(tip_of(tool))?;
+        }
+        if let Some(tool) = truth.iter().find(|tool| tool.id == 2 && tool.tip_mm[2] > 0.0) {
+            out.second.set(tip_of(tool))?;
+        }
+        if out.clearance.is_read() {
+            self.phantom.clearances(frame, cx.pool(), clearances_mm);
+            rows.clear();
+            for (tool, tissue_mm) in truth.iter().zip(clearances_mm) {
+                let others = truth.iter().filter(|other| other.id != tool.id);
+                let distance = |other: &ToolTruth| {
+                    tool.tip_mm.iter().zip(other.tip_mm).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+                };
+                let tip_mm = others.map(distance).fold(f64::NAN, f64::min);
+                let [x, y, z] = tool.tip_mm;
+                let seen = f64::from(u8::from(tool.tip_visible));
+                rows.extend([f64::from(tool.id), f64::from(class_of(tool.kind)), seen, x, y, z, *tissue_mm, tip_mm]);
+            }
+            out.clearance.set_table(&CLEARANCE, rows)?;
         }
         Ok(())
     }

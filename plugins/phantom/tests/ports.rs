@@ -111,3 +111,28 @@ fn dropped_ticks_leave_out_what_they_should_and_are_the_same_in_every_run() -> R
     }
     Ok(())
 }
+
+#[test]
+fn clearances_agree_with_depth_where_the_tissue_is_flat_and_with_tips() -> Result<(), HarnessError> {
+    // The board is flat, still and square to the resting camera: the clearance is the difference of depths.
+    let mut node = open("scene = \"board\", speed_mm_s = 0.0, distance_mm = 60.0, tools = 2")?;
+    for _ in 0..3 {
+        let out = node.process()?;
+        let table = out.table("clearance")?;
+        assert_eq!(table.names().nth(6), Some("tissue_mm"));
+        let rows: Vec<&[f64]> = table.rows().collect();
+        assert_eq!(rows.len(), 2);
+        let lead: Tip = out.value("lead")?;
+        let second: Tip = out.value("second")?;
+        assert_eq!((&rows[0][3..6], &rows[1][3..6]), (lead.xyz_mm.as_slice(), second.xyz_mm.as_slice()));
+        for row in &rows {
+            assert!((row[6] - (60.0 - row[5])).abs() < 1e-3, "{row:?}");
+            let apart = (0..3).map(|k| (rows[0][3 + k] - rows[1][3 + k]).powi(2)).sum::<f64>().sqrt();
+            assert!((row[7] - apart).abs() < 1e-9, "{row:?}");
+        }
+    }
+    let mut alone = open("tools = 1")?;
+    let out = alone.process()?;
+    assert!(out.table("clearance")?.rows().next().is_some_and(|row| row[7].is_nan()), "there is no other tip");
+    Ok(())
+}

@@ -1,10 +1,11 @@
 //! From a path parameter to a finished file: names, folders, part files and errors that say what helps.
 
-use std::fs::{self, File};
-use std::io::{self, BufWriter, ErrorKind, Write};
+use std::collections::VecDeque;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufWriter, ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use panoscope_node::Validation;
+use panoscope_node::{Context, Finish, Open, Result as NodeResult, Validation};
 
 /// Ending of a file that is still being written.
 pub const PART: &str = ".tmp-part";
@@ -130,6 +131,180 @@ pub fn check_path(
         check.error("path", message, "choose another folder, or move that file away");
     }
     Some(ending)
+}
+
+/// Claims the file of a node that is being opened and makes sure that it can be written: folders are made, what the file holds stays as it is.
+///
+/// # Errors
+/// Another node writes it; what the system says.
+pub fn claim(open: &Open<'_>, path: &Path) -> NodeResult<()> {
+    make_folder(path)?;
+    open.claim_file(path)?;
+    let tried = match OpenOptions::new().write(true).create_new(true).open(path) {
+        Ok(_) => fs::remove_file(path),
+        // A pipe would wait for its reader.
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => match path.metadata() {
+            Ok(found) if found.is_file() => OpenOptions::new().write(true).open(path).map(drop),
+            _ => Ok(()),
+        },
+        Err(error) => Err(error),
+    };
+    tried.map_err(|error| SinkError::io(path, error).into())
+}
+
+/// Hands a file's content to the disk. Pipes and devices have nothing to hand over.
+///
+/// # Errors
+/// Those of the system, also of writes that it has put off.
+pub fn sync(file: &File) -> io::Result<()> {
+    match file.sync_all() {
+        Err(error) if error.kind() == ErrorKind::InvalidInput => Ok(()),
+        done => done,
+    }
+}
+
+/// A file that grows while the graph runs. It is created with the first bytes, and every instance of its node begins a part of its own: what was
+/// written before is never cut off.
+pub struct Growing {
+    asked: PathBuf,
+    begun: Option<Begun>,
+}
+
+struct Begun {
+    file: File,
+    path: PathBuf,
+    /// Bytes that were written whole.
+    len: u64,
+}
+
+impl Growing {
+    /// A file that was claimed.
+    pub fn new(path: &Path) -> Self {
+        Self { asked: path.to_owned(), begun: None }
+    }
+
+    /// Appends bytes; all of them or none are in the file on return.
+    ///
+    /// # Errors
+    /// Another node writes the file; those of the system.
+    pub fn append(&mut self, cx: &Context<'_>, bytes: &[u8]) -> NodeResult<()> {
+        if bytes.is_empty() {
+            return Ok(());
+        }
+        if self.begun.is_none() {
+            let path = cx.begin_file(&self.asked, true)?;
+            if path != self.asked {
+                cx.info(&format!("goes on in {}", path.display()));
+            }
+            self.create(path)?;
+        }
+        let Some(begun) = &mut self.begun else { return Ok(()) };
+        match begun.file.write_all(bytes) {
+            Ok(()) => {
+                begun.len += bytes.len() as u64;
+                Ok(())
+            }
+            Err(error) => {
+                let error = SinkError::io(&begun.path, error);
+                if begun.cut_back() {
+                    self.begun = None;
+                }
+                Err(error.into())
+            }
+        }
+    }
+
+    /// Whether there is a file.
+    pub fn is_begun(&self) -> bool {
+        self.begun.is_some()
+    }
+
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// Those of the system.
+    pub fn create(&mut self, path: PathBuf) -> Result<(), SinkError> {
+        let file = File::create(&path).map_err(|error| SinkError::io(&path, error))?;
+        self.begun = Some(Begun { file, path, len: 0 });
+        Ok(())
+    }
+
+    /// Completes the file. One that nothing was written to is created empty, so that it does not show an earlier run's content; but a further part
+    /// is not.
+    ///
+    /// # Errors
+    /// Those of the system.
+    pub fn finish(&mut self, cx: &Finish<'_>) -> NodeResult<()> {
+        if self.begun.is_none() {
+            let path = cx.begin_file(&self.asked, true)?;
+            if path != self.asked {
+                return Ok(());
+            }
+            self.create(path)?;
+        }
+        match self.begun.take() {
+            Some(begun) => sync(&begun.file).map_err(|error| SinkError::io(&begun.path, error).into()),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Begun {
+    /// Takes a torn end off; where even that fails, readers meet half a line at the end. Answers whether nothing was left and the file is removed.
+    fn cut_back(&mut self) -> bool {
+        let is_file = self.file.metadata().is_ok_and(|found| found.is_file());
+        if self.len == 0 && is_file {
+            return fs::remove_file(&self.path).is_ok();
+        }
+        if self.file.set_len(self.len).is_ok() {
+            let _ = self.file.seek(SeekFrom::Start(self.len));
+        }
+        false
+    }
+}
+
+/// Files of which each is written in one go, see [`write_whole`].
+#[derive(Default)]
+pub struct Wholes {
+    /// The newest ones, which the system may not have on the disk yet.
+    recent: VecDeque<PathBuf>,
+}
+
+/// Older files than so many are on the disk by themselves: the system waits half a minute at most.
+const MOST_RECENT: usize = 300;
+
+impl Wholes {
+    /// Writes a file.
+    ///
+    /// # Errors
+    /// As [`write_whole`].
+    pub fn write(
+        &mut self,
+        path: &Path,
+        body: impl FnOnce(&mut BufWriter<File>) -> Result<(), SinkError>,
+    ) -> Result<(), SinkError> {
+        write_whole(path, body)?;
+        if self.recent.back().is_none_or(|last| last != path) {
+            if self.recent.len() == MOST_RECENT {
+                self.recent.pop_front();
+            }
+            self.recent.push_back(path.to_owned());
+        }
+        Ok(())
+    }
+
+    /// Hands the newest files to the disk.
+    ///
+    /// # Errors
+    /// Those of the system, also of writes that it has put off.
+    pub fn finish(&mut self) -> Result<(), SinkError> {
+        for path in self.recent.drain(..) {
+            // Taken away or replaced by somebody else meanwhile: no longer this node's.
+            let Ok(file) = File::open(&path) else { continue };
+            sync(&file).map_err(|error| SinkError::io(&path, error))?;
+        }
+        Ok(())
+    }
 }
 
 /// Writes a whole file beside its place and then renames it, so that nobody ever sees half of it.

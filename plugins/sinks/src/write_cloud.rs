@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use panoscope_node::{Cloud, Context, NoPorts, Node, NodeInfo, Open, Params, Ports, Result, Validation};
+use panoscope_node::{Cloud, Context, Finish, NoPorts, Node, NodeInfo, Open, Params, Ports, Result, Validation};
 
 use crate::formats::ply;
-use crate::target::{Pattern, SinkError, check_name, check_path, make_folder, write_whole};
+use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
 
 /// Inputs.
 #[derive(Ports)]
@@ -34,6 +34,7 @@ pub struct Settings {
 /// Writes point clouds.
 pub struct WriteCloud {
     pattern: Pattern,
+    files: Wholes,
 }
 
 impl Node for WriteCloud {
@@ -48,9 +49,10 @@ impl Node for WriteCloud {
         check_path(check, &params.path, "{seq}.ply", "ply");
     }
 
-    fn open(_: &Open<'_>, params: &Settings) -> Result<Self> {
+    fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         check_name(&params.path, "{seq}.ply", "ply")?;
-        Ok(Self { pattern: Pattern::new(&params.path) })
+        open.claim_file(&params.path)?;
+        Ok(Self { pattern: Pattern::new(&params.path), files: Wholes::default() })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
@@ -61,12 +63,16 @@ impl Node for WriteCloud {
         make_folder(&path)?;
         let mut points = 0;
         let slope = params.mesh.then_some(params.max_slope);
-        write_whole(&path, |file| {
+        self.files.write(&path, |file| {
             points = ply::write(file, input.cloud.points(), input.cloud.width(), slope)
                 .map_err(|error| SinkError::io(&path, error))?;
             Ok(())
         })?;
         cx.metric("points", points as f64);
         Ok(())
+    }
+
+    fn finish(&mut self, _: &Finish<'_>) -> Result<()> {
+        Ok(self.files.finish()?)
     }
 }

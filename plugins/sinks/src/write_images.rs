@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 
 use panoscope_node::{
-    AnyImage, Bgr8, Context, Image, Kept, Mask, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result,
-    Validation,
+    AnyImage, Bgr8, Context, Finish, Image, Kept, Mask, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports,
+    Result, Validation,
 };
 
 use crate::formats::still;
 use crate::picture::Pixels;
-use crate::target::{Pattern, SinkError, check_name, check_path, make_folder, write_whole};
+use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
 
 /// Inputs.
 #[derive(Ports)]
@@ -46,6 +46,7 @@ pub struct WriteImages {
     pattern: Pattern,
     ending: String,
     work: Vec<u8>,
+    written: Wholes,
     files: u64,
     last: Option<(Kept<Bgr8>, u64, u8)>,
 }
@@ -61,7 +62,7 @@ impl WriteImages {
         }
         make_folder(&path)?;
         let (ending, work) = (self.ending.as_str(), &mut self.work);
-        write_whole(&path, |file| {
+        self.written.write(&path, |file| {
             still::encode(file, ending, pixels, quality, work).map_err(|error| match error {
                 image::ImageError::IoError(source) => SinkError::io(&path, source),
                 other => SinkError::Encode { path: path.clone(), reason: other.to_string() },
@@ -69,6 +70,16 @@ impl WriteImages {
         })?;
         self.files += 1;
         Ok(())
+    }
+}
+
+impl WriteImages {
+    /// Writes the picture that was kept for the end.
+    fn write_last(&mut self) -> Result<(), SinkError> {
+        match self.last.take() {
+            Some((kept, seq, quality)) => self.write(&Pixels::Bgr8(kept.view()), seq, "image", false, quality),
+            None => Ok(()),
+        }
     }
 }
 
@@ -90,10 +101,11 @@ impl Node for WriteImages {
         }
     }
 
-    fn open(_: &Open<'_>, params: &Settings) -> Result<Self> {
+    fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         let pattern = Pattern::new(&params.path);
         let ending = check_name(&params.path, "{seq}.png", still::ENDINGS)?;
-        Ok(Self { pattern, ending, work: Vec::new(), files: 0, last: None })
+        open.claim_file(&params.path)?;
+        Ok(Self { pattern, ending, work: Vec::new(), written: Wholes::default(), files: 0, last: None })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
@@ -123,14 +135,17 @@ impl Node for WriteImages {
         cx.metric("files", self.files as f64);
         Ok(())
     }
+
+    fn finish(&mut self, _: &Finish<'_>) -> Result<()> {
+        self.write_last()?;
+        Ok(self.written.finish()?)
+    }
 }
 
 impl Drop for WriteImages {
     fn drop(&mut self) {
-        if let Some((kept, seq, quality)) = self.last.take()
-            && let Err(error) = self.write(&Pixels::Bgr8(kept.view()), seq, "image", false, quality)
-        {
-            // No call is running any more that could carry the words.
+        if let Err(error) = self.write_last() {
+            // `finish` was not called, and no call is running that could carry the words.
             eprintln!("panoscope: write_images: {error}");
         }
     }

@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 
 use panoscope_node::{
-    AnyImage, Confidence, Context, Depth, Disparity, Image, Mask, NoPorts, Node, NodeError, NodeInfo, Open, Params,
-    Ports, Result, Validation,
+    AnyImage, Confidence, Context, Depth, Disparity, Finish, Image, Mask, NoPorts, Node, NodeError, NodeInfo, Open,
+    Params, Ports, Result, Validation,
 };
 
 use crate::formats::array::{self, ArrayFormat};
 use crate::picture::Pixels;
-use crate::target::{Pattern, SinkError, check_name, check_path, make_folder, write_whole};
+use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_folder};
 
 /// Inputs.
 #[derive(Ports)]
@@ -44,6 +44,7 @@ pub struct Settings {
 /// Writes planes for other programs to calculate with.
 pub struct WriteRaw {
     pattern: Pattern,
+    files: Wholes,
     format: ArrayFormat,
     ticks: u64,
     bare_told: bool,
@@ -61,11 +62,12 @@ impl Node for WriteRaw {
         check_path(check, &params.path, "{seq}_{port}.pfm", ArrayFormat::ENDINGS);
     }
 
-    fn open(_: &Open<'_>, params: &Settings) -> Result<Self> {
+    fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         let pattern = Pattern::new(&params.path);
         let ending = check_name(&params.path, "{seq}_{port}.pfm", ArrayFormat::ENDINGS)?;
         let format = ArrayFormat::from_ending(&ending).ok_or_else(|| NodeError::new("the ending has no format"))?;
-        Ok(Self { pattern, format, ticks: 0, bare_told: false })
+        open.claim_file(&params.path)?;
+        Ok(Self { pattern, files: Wholes::default(), format, ticks: 0, bare_told: false })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
@@ -89,7 +91,7 @@ impl Node for WriteRaw {
                 return Err(SinkError::Unfit { path, what, mend }.into());
             }
             make_folder(&path)?;
-            write_whole(&path, |file| {
+            self.files.write(&path, |file| {
                 array::write(file, self.format, &pixels).map_err(|error| SinkError::io(&path, error))
             })?;
             if self.format == ArrayFormat::Bare && !self.bare_told {
@@ -100,5 +102,9 @@ impl Node for WriteRaw {
         }
         cx.metric("ticks", self.ticks as f64);
         Ok(())
+    }
+
+    fn finish(&mut self, _: &Finish<'_>) -> Result<()> {
+        Ok(self.files.finish()?)
     }
 }

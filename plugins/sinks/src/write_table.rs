@@ -1,20 +1,19 @@
 //! `write_table`: numbers as JSON lines or CSV; detections and instances as COCO JSON too.
 
 use std::fmt::Write as _;
-use std::fs::File;
 use std::io::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use panoscope_node::abi::{Homography, Joints, Pose, Roi, Scalar, Tip};
 use panoscope_node::{
-    Context, Detections, Instances, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Table, Text,
-    Validation, Value,
+    Context, Detections, Finish, Instances, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Table,
+    Text, Validation, Value,
 };
 
 use crate::formats::coco::{Coco, run_lengths};
 use crate::formats::fields::{self, CsvFields, Fields, JsonFields, csv_cell};
 use crate::formats::json;
-use crate::target::{Pattern, SinkError, check_name, check_path, make_folder, write_whole};
+use crate::target::{Growing, Pattern, SinkError, Wholes, check_name, check_path, claim};
 
 const ENDINGS: &str = "jsonl, ndjson, csv, json";
 /// Inputs that COCO's form has no room for.
@@ -49,7 +48,8 @@ pub struct In<'f> {
 #[derive(Params)]
 pub struct Settings {
     /// File to write: .jsonl holds one JSON object per tick, .csv one line per tick or table row, .json is one COCO file of all
-    /// detections or instances.
+    /// detections or instances, written at the end; until then they are JSON lines in a file beside it, ending in .json.journal. A node that is
+    /// opened again in the same run goes on in .part2.jsonl and so on.
     #[param(default = "out/table.jsonl", reopen, writes)]
     pub path: PathBuf,
     /// Name of each tick's picture in a COCO file; `{seq}` becomes the tick's number. Empty: number and .png.
@@ -59,17 +59,19 @@ pub struct Settings {
 
 enum Form {
     /// Whole lines are handed to the system one by one, so that a crash leaves a file of whole lines.
-    Lines(File),
+    Lines(Growing),
     Csv {
-        file: File,
+        file: Growing,
         columns: Vec<String>,
         lost_told: bool,
     },
-    /// Written anew whenever the number of ticks has doubled, and at the end.
+    /// Written at the end; the journal holds what has come so far, in case that the end does not.
     Coco {
         coco: Coco,
         image_name: Pattern,
-        next_write: u64,
+        journal: Growing,
+        /// The file to write, known once the first tick has come.
+        begun: Option<PathBuf>,
     },
 }
 
@@ -106,18 +108,19 @@ impl Node for WriteTable {
         }
     }
 
-    fn open(_: &Open<'_>, params: &Settings) -> Result<Self> {
+    fn open(open: &Open<'_>, params: &Settings) -> Result<Self> {
         let path = params.path.clone();
         let ending = check_name(&path, "table.jsonl", ENDINGS)?;
-        make_folder(&path)?;
-        let create = || File::create(&path).map_err(|error| SinkError::io(&path, error));
+        claim(open, &path)?;
+        let file = Growing::new(&path);
         let image_name = if params.image_name.is_empty() { "{seq}.png" } else { &params.image_name };
         let form = match ending.as_str() {
-            "csv" => Form::Csv { file: create()?, columns: Vec::new(), lost_told: false },
+            "csv" => Form::Csv { file, columns: Vec::new(), lost_told: false },
             "json" => {
-                Form::Coco { coco: Coco::default(), image_name: Pattern::new(image_name.as_ref()), next_write: 64 }
+                let image_name = Pattern::new(image_name.as_ref());
+                Form::Coco { coco: Coco::default(), image_name, journal: file, begun: None }
             }
-            _ => Form::Lines(create()?),
+            _ => Form::Lines(file),
         };
         Ok(Self { path, form, line: String::new(), lines: 0 })
     }
@@ -127,7 +130,7 @@ impl Node for WriteTable {
         match &mut self.form {
             Form::Lines(file) => {
                 json_line(&mut self.line, cx, &input);
-                file.write_all(self.line.as_bytes()).map_err(|error| SinkError::io(&self.path, error))?;
+                file.append(cx, self.line.as_bytes())?;
                 self.lines += 1;
             }
             Form::Csv { file, columns, lost_told } => {
@@ -136,6 +139,7 @@ impl Node for WriteTable {
                         "a CSV file has one kind of line: give `table` and `detections` a `write_table` each, or write .jsonl",
                     ));
                 }
+                let (columns_before, lines_before) = (columns.len(), self.lines);
                 for cells in csv_lines(cx, &input) {
                     // An empty tick has nothing to name columns after.
                     if cells.len() <= 3 && columns.is_empty() {
@@ -159,9 +163,13 @@ impl Node for WriteTable {
                         ));
                     }
                 }
-                file.write_all(self.line.as_bytes()).map_err(|error| SinkError::io(&self.path, error))?;
+                if let Err(error) = file.append(cx, self.line.as_bytes()) {
+                    columns.truncate(columns_before);
+                    self.lines = lines_before;
+                    return Err(error);
+                }
             }
-            Form::Coco { coco, image_name, next_write } => {
+            Form::Coco { coco, image_name, journal, begun } => {
                 let others = [
                     input.table.is_some(),
                     input.scalar.is_some(),
@@ -177,6 +185,20 @@ impl Node for WriteTable {
                         "a .json file holds detections or instances in COCO's form: write other inputs to .jsonl or .csv",
                     ));
                 }
+                if begun.is_none() {
+                    let file = cx.begin_file(&self.path, true)?;
+                    journal.create(journal_of(&file))?;
+                    // That of an earlier run must not pass for this one's, should this run be cut off.
+                    let _ = std::fs::remove_file(&file);
+                    *begun = Some(file);
+                }
+                json_line(&mut self.line, cx, &input);
+                if let Err(error) = journal.append(cx, self.line.as_bytes()) {
+                    if !journal.is_begun() {
+                        *begun = None;
+                    }
+                    return Err(error);
+                }
                 let seq = cx.tick().seq;
                 let name = image_name.file(seq, "image", false);
                 // Instances repeat the boxes of their detections.
@@ -185,28 +207,52 @@ impl Node for WriteTable {
                 } else if let Some(detections) = &input.detections {
                     coco.push_detections(seq, &name.to_string_lossy(), detections);
                 }
-                if coco.ticks() >= *next_write {
-                    *next_write *= 2;
-                    write_coco(&self.path, coco)?;
-                }
                 self.lines = coco.ticks();
             }
         }
         cx.metric("lines", self.lines as f64);
         Ok(())
     }
+
+    fn finish(&mut self, cx: &Finish<'_>) -> Result<()> {
+        match &mut self.form {
+            Form::Lines(file) | Form::Csv { file, .. } => file.finish(cx),
+            Form::Coco { begun, .. } => {
+                if begun.is_none() {
+                    let file = cx.begin_file(&self.path, true)?;
+                    *begun = (file == self.path).then_some(file);
+                }
+                Ok(self.complete_coco()?)
+            }
+        }
+    }
 }
 
-fn write_coco(path: &std::path::Path, coco: &Coco) -> Result<(), SinkError> {
-    write_whole(path, |file| file.write_all(coco.text().as_bytes()).map_err(|error| SinkError::io(path, error)))
+/// Where the ticks of a COCO file are until it is complete.
+fn journal_of(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".journal");
+    name.into()
+}
+
+impl WriteTable {
+    /// Writes the COCO file, if its node is one of those, and removes its journal.
+    fn complete_coco(&mut self) -> Result<(), SinkError> {
+        let Form::Coco { coco, begun, .. } = &mut self.form else { return Ok(()) };
+        let Some(path) = begun.take() else { return Ok(()) };
+        let mut whole = Wholes::default();
+        whole
+            .write(&path, |file| file.write_all(coco.text().as_bytes()).map_err(|error| SinkError::io(&path, error)))?;
+        whole.finish()?;
+        let _ = std::fs::remove_file(journal_of(&path));
+        Ok(())
+    }
 }
 
 impl Drop for WriteTable {
     fn drop(&mut self) {
-        if let Form::Coco { coco, .. } = &self.form
-            && let Err(error) = write_coco(&self.path, coco)
-        {
-            // No call is running any more that could carry the words.
+        if let Err(error) = self.complete_coco() {
+            // `finish` was not called, and no call is running that could carry the words.
             eprintln!("panoscope: write_table: {error}");
         }
     }

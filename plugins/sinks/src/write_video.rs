@@ -1,16 +1,17 @@
 //! `write_video`: pictures as a video file.
 
 mod encoder;
+mod timeline;
 
 use std::path::PathBuf;
 
 use panoscope_node::{
-    AnyImage, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation,
+    AnyImage, Choice, Context, Finish, NoPorts, Node, NodeError, NodeInfo, Open, Params, Ports, Result, Validation,
 };
 
 use crate::picture::Pixels;
-use crate::target::{check_name, check_path, make_folder};
-use encoder::Encoder;
+use crate::target::{check_name, check_path, claim};
+use encoder::{Encoder, Picture};
 
 const EXAMPLE: &str = "video.mkv";
 const ENDINGS: &str = "mkv, avi, mp4, mov, webm";
@@ -30,6 +31,18 @@ pub enum Codec {
     Ffv1,
 }
 
+/// Which time a video shows.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Time {
+    /// That of the pictures' capture: a recording that is replayed, or a slow machine, gives the same video.
+    Capture,
+    /// That which passed while the graph ran: what somebody saw live, at the speed at which they saw it.
+    Passed,
+}
+
+/// A video of a constant rate that falls behind by so much is told of.
+const TOLD_BEHIND_MS: f64 = 500.0;
+
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
@@ -40,16 +53,23 @@ pub struct In<'f> {
 /// Parameters.
 #[derive(Params)]
 pub struct Settings {
-    /// File to write. .mkv plays even when the program died while writing it; .avi and .mp4 do not.
+    /// File to write. .mkv plays even when the program died while writing it; .avi and .mp4 do not. A node that is opened again in the same run
+    /// goes on in .part2.mkv and so on.
     #[param(default = "out/video.mkv", reopen, writes)]
     pub path: PathBuf,
     /// How the pictures are compressed.
     #[param(default = "mjpg", reopen)]
     pub codec: Codec,
-    /// Frames per second; 0 takes the time from the pictures' own capture times (`mjpg` in .mkv: frame by frame, else from the
-    /// first two).
+    /// Frames per second, however far the pictures lie apart; 0 gives each picture its own time (`mjpg` in .mkv exactly; else the first two pictures
+    /// set the rate of the file, and later ones are repeated where they lie farther apart).
     #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
     pub fps: f64,
+    /// Which time of the pictures counts.
+    #[param(default = "capture", reopen)]
+    pub time: Time,
+    /// Replaces the file of an earlier run; else the video goes into the next .part file that does not exist.
+    #[param(default = true, reopen)]
+    pub replace: bool,
     /// Quality of `mjpg` in .mkv.
     #[param(default = 90, range = 1..=100, unit = "%")]
     pub quality: i32,
@@ -61,6 +81,7 @@ pub struct WriteVideo {
     bgr: Vec<u8>,
     size: Option<(usize, usize)>,
     told: bool,
+    behind_told: bool,
     frames: u64,
 }
 
@@ -88,9 +109,9 @@ impl Node for WriteVideo {
         if ending != "mkv" {
             open.warn(&format!("a crash leaves an unplayable .{ending} file: .mkv survives it"));
         }
-        make_folder(&params.path)?;
+        claim(open, &params.path)?;
         let encoder = Encoder::new(&params.path, &ending, params.codec, params.fps);
-        Ok(Self { encoder, bgr: Vec::new(), size: None, told: false, frames: 0 })
+        Ok(Self { encoder, bgr: Vec::new(), size: None, told: false, behind_told: false, frames: 0 })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
@@ -115,17 +136,39 @@ impl Node for WriteVideo {
             }
             self.bgr = encoder::letterbox(&self.bgr, size, first)?;
         }
-        self.encoder.push(&self.bgr, first, cx.tick().capture_ns, params.quality)?;
+        let at_ns = match params.time {
+            Time::Capture => cx.tick().capture_ns,
+            Time::Passed => cx.clock_ns().unwrap_or(cx.tick().capture_ns),
+        };
+        let picture = Picture { bgr: &self.bgr, size: first, at_ns, quality: params.quality };
+        self.encoder.push(&picture, |path| {
+            let file = cx.begin_file(path, params.replace)?;
+            if file != path {
+                cx.info(&format!("goes on in {}", file.display()));
+            }
+            Ok(file)
+        })?;
+        if !self.behind_told && self.encoder.behind_ms() > TOLD_BEHIND_MS {
+            self.behind_told = true;
+            cx.warn(&format!(
+                "pictures come faster than the first two said: {} plays too slowly; give `fps`, or write mjpg into .mkv",
+                self.encoder.path().display()
+            ));
+        }
         self.frames += 1;
         cx.metric("frames", self.frames as f64);
         Ok(())
+    }
+
+    fn finish(&mut self, _: &Finish<'_>) -> Result<()> {
+        Ok(self.encoder.finish()?)
     }
 }
 
 impl Drop for WriteVideo {
     fn drop(&mut self) {
         if let Err(error) = self.encoder.finish() {
-            // No call is running any more that could carry the words.
+            // `finish` was not called, and no call is running that could carry the words.
             eprintln!("panoscope: write_video: {error}");
         }
     }

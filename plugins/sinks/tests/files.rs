@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use opencv::core::{self, Mat, Vec3b};
 use opencv::prelude::*;
 use opencv::{imgcodecs, videoio};
-use panoscope_node::abi::{CloudPoint, Detection, Homography, STATE_HELD};
-use panoscope_node::harness::{Harness, Setup};
+use panoscope_node::abi::{CloudPoint, Detection, Homography, STATE_HELD, STATUS_STOPPED};
+use panoscope_node::harness::{Files, Harness, Setup};
 use panoscope_node::{Bgr8, Depth, Disparity, Gray8, Gray16, GrayF32, Mask};
 use panoscope_sinks::preview::Preview;
 use panoscope_sinks::write_cloud::WriteCloud;
@@ -298,6 +298,133 @@ fn videos_come_back_with_their_times() {
     for (index, frame) in video.frames.iter().enumerate() {
         let difference = mean_difference(frame, &gradient(64, 48, index));
         assert!(difference < 3.0, "frame {index} differs by {difference}");
+    }
+}
+
+#[test]
+fn a_video_of_the_time_that_passed_lasts_as_long_as_it_took() {
+    let folder = Folder::new("passed");
+    let mut node = folder.open::<WriteVideo>(r#"path = "v.mkv", time = "passed""#);
+    let step = std::time::Duration::from_millis(30);
+    for index in 0..4_i64 {
+        // A slow machine: its source says 1 ms, 30 ms pass.
+        node.at_tick(index as u64, index * 1_000_000);
+        node.input_image::<Bgr8>("image", 64, 48, &gradient(64, 48, 0)).process().unwrap();
+        std::thread::sleep(step);
+    }
+    drop(node);
+    let times = read_video(&folder.0.join("v.mkv")).times_ms;
+    assert!(times.windows(2).all(|t| t[1] - t[0] >= 29.0), "{times:?}");
+}
+
+#[test]
+fn a_constant_rate_file_shows_each_picture_for_its_time() {
+    let folder = Folder::new("rate");
+    let mut node = folder.open::<WriteVideo>(r#"path = "v.mkv", codec = "ffv1""#);
+    // 30 Hz, then 10 Hz: 2 s in all.
+    let times_ns = (0..30).map(|k| k * 1_000_000_000 / 30).chain((0..10).map(|k| 1_000_000_000 + k * 100_000_000));
+    for (index, ns) in times_ns.enumerate() {
+        node.at_tick(index as u64, ns);
+        node.input_image::<Bgr8>("image", 64, 48, &gradient(64, 48, index)).process().unwrap();
+    }
+    node.finish().unwrap();
+    let video = read_video(&folder.0.join("v.mkv"));
+    assert_eq!(video.frames.len(), 30 + 9 * 3 + 1);
+    assert!((video.times_ms.last().unwrap() - 1900.0).abs() < 40.0, "{:?}", video.times_ms.last());
+}
+
+#[test]
+fn a_reopened_sink_goes_on_in_the_next_part() {
+    let folder = Folder::new("parts");
+    let mut video = folder.open::<WriteVideo>(r#"path = "v.mkv""#);
+    let mut lines = folder.open::<WriteTable>(r#"path = "t.jsonl""#);
+    let mut coco = folder.open::<WriteTable>(r#"path = "d.json""#);
+    for index in 0..9 {
+        video.input_image::<Bgr8>("image", 64, 48, &gradient(64, 48, index)).process().unwrap();
+        lines.input_text("text", "x").process().unwrap();
+        coco.input_detections("detections", &boxes(), "hook\nclipper", (640, 480)).process().unwrap();
+        if index % 3 == 2 {
+            video.reopen().unwrap();
+            lines.reopen().unwrap();
+            coco.reopen().unwrap();
+        }
+    }
+    drop((video, lines, coco));
+    let names = ["d", "t", "v"].iter().zip(["json", "jsonl", "mkv"]);
+    let names = names.flat_map(|(n, e)| [format!("{n}.{e}"), format!("{n}.part2.{e}"), format!("{n}.part3.{e}")]);
+    assert_eq!(folder.names(), names.collect::<Vec<_>>(), "and no empty part at the end");
+    for part in ["v.mkv", "v.part2.mkv", "v.part3.mkv"] {
+        assert_eq!(read_video(&folder.0.join(part)).frames.len(), 3, "{part}");
+    }
+    let text: String =
+        ["t.jsonl", "t.part2.jsonl", "t.part3.jsonl"].map(|p| fs::read_to_string(folder.0.join(p)).unwrap()).concat();
+    assert_eq!(text.lines().count(), 9);
+    for part in ["d.json", "d.part2.json", "d.part3.json"] {
+        let json: serde_json::Value = serde_json::from_slice(&fs::read(folder.0.join(part)).unwrap()).unwrap();
+        assert_eq!(json["images"].as_array().unwrap().len(), 3, "{part}");
+    }
+}
+
+#[test]
+fn an_instance_that_is_thrown_away_touches_nothing() {
+    let folder = Folder::new("unused");
+    for (name, text) in [("v.mkv", "a video"), ("t.jsonl", "lines"), ("d.json", "boxes")] {
+        fs::write(folder.0.join(name), text).unwrap();
+        let setup = || Setup::new(&format!("params = {{ path = \"{name}\" }}")).graph_dir(&folder.0);
+        // Closed without having been finished, as one of a refused edit.
+        if name == "v.mkv" {
+            Harness::<WriteVideo>::open(setup()).unwrap().discard();
+        } else {
+            Harness::<WriteTable>::open(setup()).unwrap().discard();
+        }
+        assert_eq!(fs::read_to_string(folder.0.join(name)).unwrap(), text);
+    }
+    assert_eq!(folder.names(), ["d.json", "t.jsonl", "v.mkv"]);
+    // A run that met nothing leaves no earlier run's numbers behind.
+    folder.open::<WriteTable>(r#"path = "t.jsonl""#).finish().unwrap();
+    assert_eq!(fs::read_to_string(folder.0.join("t.jsonl")).unwrap(), "");
+}
+
+#[test]
+fn an_unwritable_place_is_found_when_a_sink_opens() {
+    let folder = Folder::new("unwritable");
+    let refused = |path: &str| {
+        let setup = Setup::new(&format!("params = {{ path = \"{path}\" }}")).graph_dir(&folder.0);
+        let video = path.ends_with("mkv");
+        if video { Harness::<WriteVideo>::open(setup).err() } else { Harness::<WriteTable>::open(setup).err() }
+    };
+    for path in ["/proc/nowhere/v.mkv", "/proc/nowhere/t.csv", "/proc/self/maps.jsonl"] {
+        let message = refused(path).unwrap_or_else(|| panic!("{path} was accepted")).to_string();
+        assert!(message.contains(path), "{message}");
+    }
+}
+
+#[test]
+fn one_file_has_one_writer() {
+    let folder = Folder::new("writers");
+    let run = Files::default();
+    let setup = |id: &str| Setup::new("params = { path = \"t.csv\" }").graph_dir(&folder.0).node_id(id).files(&run);
+    let first = Harness::<WriteTable>::open(setup("first")).unwrap();
+    let message = Harness::<WriteTable>::open(setup("second")).err().unwrap().to_string();
+    assert!(message.contains("`first`") && message.contains("t.csv"), "{message}");
+    drop(first);
+    Harness::<WriteTable>::open(setup("second")).unwrap();
+}
+
+#[test]
+fn a_full_disk_is_an_error_that_opening_again_would_not_mend() {
+    let folder = Folder::new("full");
+    for name in ["t.jsonl", "t.csv", "v.mkv"] {
+        std::os::unix::fs::symlink("/dev/full", folder.0.join(name)).unwrap();
+        let setup = Setup::new(&format!("params = {{ path = \"{name}\" }}")).graph_dir(&folder.0);
+        let error = if name == "v.mkv" {
+            let mut node = Harness::<WriteVideo>::open(setup).unwrap();
+            node.input_image::<Bgr8>("image", 8, 6, &gradient(8, 6, 0)).process().err()
+        } else {
+            Harness::<WriteTable>::open(setup).unwrap().input_text("text", "x").process().err()
+        };
+        let error = error.unwrap();
+        assert_eq!(error.status(), Some(STATUS_STOPPED), "{name}: {error}");
     }
 }
 

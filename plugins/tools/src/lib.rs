@@ -1,9 +1,11 @@
 //! Finding surgical instruments: boxes, masks, tips.
 //!
 //! `yolo` runs a detector, `mask_rcnn` a model that also segments; both read the exports that people have, through ONNX Runtime. `tool_tip`
-//! finds the tip of the instrument in what they found, `tip_track` follows it over time.
+//! finds the tip of the instrument in what they found, `tip_track` follows it over time. `skill` measures how skilfully tips are moved, `proximity` how
+//! near they are to tissue and to each other; `evaluate_proximity` judges its warnings.
 
 pub mod candidates;
+pub mod evaluate_proximity;
 pub mod export_kind;
 pub mod finite;
 pub mod labels;
@@ -11,9 +13,11 @@ pub mod letterbox;
 pub mod mask_rcnn;
 pub mod model;
 pub mod onnx_file;
+pub mod proximity;
 pub mod runtime_library;
 pub mod shaft;
 pub mod silhouette;
+pub mod skill;
 pub mod tip_track;
 pub mod tool_tip;
 pub mod track;
@@ -21,4 +25,12 @@ pub mod yolo;
 
 use panoscope_node::export_plugin;
 
-export_plugin![yolo::Yolo, mask_rcnn::MaskRcnn, tool_tip::ToolTip, tip_track::TipTrack];
+export_plugin![
+    yolo::Yolo,
+    mask_rcnn::MaskRcnn,
+    tool_tip::ToolTip,
+    tip_track::TipTrack,
+    skill::Skill,
+    proximity::Proximity,
+    evaluate_proximity::EvaluateProximity,
+];

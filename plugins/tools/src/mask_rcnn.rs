@@ -380,7 +380,7 @@ impl Node for MaskRcnn {
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));
         if params.track {
-            self.tracker.follow(&mut self.items);
+            self.tracker.follow(&mut self.items, cx.tick().capture_ns);
         }
         self.paint(covers, size, params.mask_threshold, cx.pool());
         out.instances.set_instances(&self.items, &self.network.labels, size, &self.bits)

@@ -255,7 +255,7 @@ impl Node for Yolo {
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));
         if params.track {
-            self.tracker.follow(&mut self.items);
+            self.tracker.follow(&mut self.items, cx.tick().capture_ns);
         }
         out.detections.set_detections(&self.items, labels, (picture.width, picture.height))
     }

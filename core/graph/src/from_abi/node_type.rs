@@ -1,6 +1,5 @@
 //! One node type's descriptor. The struct has grown: a plugin built for an older minor version has a shorter one.
 
-use std::mem::offset_of;
 use std::path::PathBuf;
 
 use panoscope_abi as abi;
@@ -12,7 +11,7 @@ use super::{
 use crate::catalog::{NodeKind, NodeType};
 
 /// Size of the struct in the first version of the contract: all before `validate`, bytes.
-const LEAST_SIZE: usize = offset_of!(abi::NodeType, validate);
+const LEAST_SIZE: usize = abi::NodeType::FIRST_SIZE;
 
 /// A copy of a descriptor in which fields that its plugin does not have are null.
 ///

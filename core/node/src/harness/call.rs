@@ -13,7 +13,7 @@ use super::error::HarnessError;
 use super::host::{CallState, Said};
 use super::inputs::Pending;
 use super::outputs::Outputs;
-use super::{Harness, memory};
+use super::{Harness, Setup, memory};
 
 /// Media time between two ticks.
 const TICK_NS: i64 = 33_333_333;
@@ -27,7 +27,14 @@ impl CallState {
             formats,
             random: Mutex::new(SplitMix64(seed)),
             said: Mutex::default(),
+            files: None,
+            answer: Mutex::default(),
         }
+    }
+
+    fn in_run(mut self, setup: &Setup) -> Self {
+        self.files = Some((setup.files.clone(), setup.node_id.clone()));
+        self
     }
 
     fn into_said(self) -> Said {
@@ -121,13 +128,36 @@ impl<N> Harness<N> {
             // SAFETY: the instance came from `open` and is given up here.
             unsafe { close(instance) };
         }
+        self.setup.files.release(&self.setup.node_id);
+    }
+
+    /// Has the node complete its files and closes it, as the runtime does at the end of a run.
+    ///
+    /// # Errors
+    /// What the node could not complete.
+    pub fn finish(&mut self) -> Result<(), HarnessError> {
+        let mut result = Ok(());
+        if let (Some(finish_node), Some(instance)) = (self.descriptor().finish_function(), self.instance) {
+            let mut state = CallState::new(self.pool, &mut [], Vec::new(), self.seed()).in_run(&self.setup);
+            // SAFETY: an open instance; the handle lives for the length of the call.
+            let status = unsafe { finish_node(instance, &*self.host, (&raw mut state).cast()) };
+            let (failure, problem) = self.take(state.into_said());
+            result = finish("finish", status, failure, problem);
+        }
+        self.close();
+        result
+    }
+
+    /// Closes the node without having it complete anything, as the runtime does with an instance that was opened for a change which was refused.
+    pub fn discard(mut self) {
+        self.close();
     }
 
     /// Closes the node and opens it with the parameters in force, as the runtime does after a fault.
     pub fn reopen(&mut self) -> Result<(), HarnessError> {
-        self.close();
+        let _ = self.finish();
         let open = self.function(self.descriptor().open, "open")?;
-        let mut state = CallState::new(self.pool, &mut [], Vec::new(), self.seed());
+        let mut state = CallState::new(self.pool, &mut [], Vec::new(), self.seed()).in_run(&self.setup);
         let dir = self.setup.graph_dir.to_string_lossy().into_owned();
         let mut call = abi::OpenCall {
             struct_size: size_of::<abi::OpenCall>() as u32,
@@ -201,7 +231,7 @@ impl<N> Harness<N> {
         let process = self.function(self.descriptor().process, "process")?;
         let instance = self.instance.ok_or_else(|| HarnessError::port("the node is not open"))?;
         let formats = self.output_formats();
-        let mut state = CallState::new(self.pool, &mut outputs, formats, self.seed());
+        let mut state = CallState::new(self.pool, &mut outputs, formats, self.seed()).in_run(&self.setup);
         let mut call = abi::Call {
             flags: self.flags(),
             inputs: frames.as_ptr(),

@@ -25,7 +25,7 @@ pub enum HarnessError {
     /// The node answered with an error.
     #[error("{call} answered {}: {message}", status_name(*.status))]
     Node {
-        /// `open`, `process`, `save_state` or `load_state`.
+        /// `open`, `process`, `finish`, `save_state` or `load_state`.
         call: &'static str,
         /// The contract's status.
         status: abi::Status,
@@ -67,6 +67,7 @@ fn status_name(status: abi::Status) -> String {
         abi::STATUS_PANIC => "STATUS_PANIC".to_owned(),
         abi::STATUS_EXHAUSTED => "STATUS_EXHAUSTED".to_owned(),
         abi::STATUS_INVALID => "STATUS_INVALID".to_owned(),
+        abi::STATUS_STOPPED => "STATUS_STOPPED".to_owned(),
         other => format!("status {other}"),
     }
 }

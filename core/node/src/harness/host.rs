@@ -8,6 +8,7 @@ use panoscope_imaging::random::SplitMix64;
 
 use crate::abi::{self, BufferId, Frame, Status, Str};
 
+use super::files::Files;
 use super::memory;
 use super::{Level, LogLine, Metric};
 
@@ -21,6 +22,10 @@ pub(super) struct CallState {
     pub(super) formats: Vec<u32>,
     pub(super) random: Mutex<SplitMix64>,
     pub(super) said: Mutex<Said>,
+    /// The run's files and the node's name; none while inputs are made.
+    pub(super) files: Option<(Files, String)>,
+    /// The last answer of `claim_file`, lent to the node.
+    pub(super) answer: Mutex<String>,
 }
 
 /// What a node told the host.
@@ -87,6 +92,8 @@ pub(super) fn table(threads: usize) -> Box<abi::Host> {
         metric: Some(metric),
         random: Some(random),
         save: Some(save),
+        claim_file: Some(claim_file),
+        clock_ns: Some(clock_ns),
     })
 }
 
@@ -285,4 +292,29 @@ unsafe extern "C" fn save(sink: *mut c_void, bytes: *const u8, len: usize) {
         let bytes = if len == 0 { &[] } else { std::slice::from_raw_parts(bytes, len) };
         sink.get_or_insert_default().extend_from_slice(bytes);
     }
+}
+
+unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status {
+    // SAFETY: the node passes the handle of its call, a text valid for this function and a place for the answer.
+    unsafe {
+        let Some(state) = CallState::of(call) else { return abi::STATUS_INVALID };
+        if file.is_null() || action > abi::CLAIM_BEGIN_NEW {
+            return state.blame(format!("it claimed a file with action {action}"));
+        }
+        let Some((files, node)) = &state.files else { return abi::STATUS_INVALID };
+        let (status, text) = match files.claim(node, &words(path), action) {
+            Ok(path) => (abi::STATUS_OK, path),
+            Err(other) => (abi::STATUS_INVALID, other),
+        };
+        let mut answer = state.answer.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        *answer = text;
+        *file = Str::borrow(&answer);
+        status
+    }
+}
+
+unsafe extern "C" fn clock_ns(_: *mut c_void) -> i64 {
+    static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
+    let start = START.get_or_init(std::time::Instant::now);
+    i64::try_from(start.elapsed().as_nanos()).unwrap_or(i64::MAX)
 }

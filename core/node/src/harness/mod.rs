@@ -11,6 +11,7 @@
 
 mod call;
 mod error;
+mod files;
 mod host;
 mod inputs;
 mod memory;
@@ -25,6 +26,7 @@ use panoscope_graph::from_abi::{ParamSnapshot, node_types};
 use panoscope_graph::{NodeSetup, NodeType, ParamProblem, ParamValue, Wiring};
 
 pub use error::HarnessError;
+pub use files::Files;
 pub use outputs::Outputs;
 
 use crate::Node;
@@ -74,12 +76,21 @@ pub struct Setup {
     threads: usize,
     batch: bool,
     read: Option<Vec<String>>,
+    files: Files,
 }
 
 impl Default for Setup {
     fn default() -> Self {
         let (toml, node_id) = (String::new(), "node".to_owned());
-        Self { toml, node_id, graph_dir: PathBuf::from("."), threads: 1, batch: false, read: None }
+        Self {
+            toml,
+            node_id,
+            graph_dir: PathBuf::from("."),
+            threads: 1,
+            batch: false,
+            read: None,
+            files: Files::default(),
+        }
     }
 }
 
@@ -113,6 +124,11 @@ impl Setup {
     /// As in a graph with `mode = "batch"`.
     pub fn batch(self) -> Self {
         Self { batch: true, ..self }
+    }
+
+    /// The run that the node belongs to; one of its own unless given.
+    pub fn files(self, files: &Files) -> Self {
+        Self { files: files.clone(), ..self }
     }
 
     /// Only these outputs have a reader; all have one unless given.
@@ -329,7 +345,8 @@ impl<N> Harness<N> {
 
 impl<N> Drop for Harness<N> {
     fn drop(&mut self) {
-        self.close();
+        // A test that looks at the outcome calls `finish` itself.
+        let _ = self.finish();
         self.drop_inputs();
         let broken = memory::broken(self.pool);
         let left = memory::close_pool(self.pool);

@@ -6,6 +6,7 @@ use panoscope_graph::{Align, Catalog, Graph};
 
 use super::ApplyError;
 use crate::cell::Cell;
+use crate::claims::Claims;
 use crate::engine::{Current, type_name};
 use crate::plan::{self, Extent, Plan};
 use crate::region::Region;
@@ -70,6 +71,7 @@ impl Change {
         catalog: &Catalog,
         entry: plan::Entry<'_>,
         as_once: &[String],
+        claims: &Claims,
     ) -> Result<Self, String> {
         let mut cells = old.cells.clone();
         let mut free: Vec<usize> = (0..cells.len()).filter(|&s| !old.alive[s]).rev().collect();
@@ -134,7 +136,9 @@ impl Change {
             .map(|node| {
                 let cell = &cells[slots[node]];
                 let fate = fates[node];
-                ((fate.replaced || fate.reopened) && (cell.exclusive || cell.side_effects))
+                // What claims its files can write beside its predecessor, so that a refused change leaves that one as it is.
+                let acts = cell.side_effects && !claims.are_used_by(&cell.id);
+                ((fate.replaced || fate.reopened) && (cell.exclusive || acts))
                     || (fate.added && cell.exclusive && gives_device_back(cell))
             })
             .collect();
@@ -145,6 +149,14 @@ impl Change {
         let mut change = Self { plan, fates, removed, held: Vec::new(), quiet: Vec::new() };
         change.find_held(old);
         Ok(change)
+    }
+
+    /// Names of nodes whose instance of now ends with the change.
+    pub(super) fn leaving(&self, old: &Plan, graph: &Graph) -> Vec<String> {
+        let removed = self.removed.iter().map(|&slot| old.cells[slot].id.clone());
+        let fates = self.fates.iter().zip(&graph.nodes);
+        let anew = fates.filter(|(f, _)| f.replaced || f.reopened).map(|(_, node)| node.id.clone());
+        removed.chain(anew).collect()
     }
 
     /// Brings the regions of these sources to rest too.

@@ -110,11 +110,14 @@ impl Engine {
             (When::Recorded(edit), Some(script)) => script.edits[*edit].applied.replaced.as_slice(),
             _ => &[],
         };
-        let mut change = Change::between(&old, &current, &graph, catalog, &entry, as_once)
+        let claims = &shared.around.claims;
+        let mut change = Change::between(&old, &current, &graph, catalog, &entry, as_once, claims)
             .map_err(|reason| ApplyError::Stale { reason })?;
         if let When::At(at) = when {
             change.hold_also(&old, at)?;
         }
+        // Nodes that the change ends write until the switch; those that it opens begin after it.
+        let leaving = shared.around.claims.leaving(change.leaving(&old, &graph));
         let mut early = self.open_early(&change, &graph)?;
 
         // From here until the switch whole parts of the graph stand still.
@@ -139,6 +142,7 @@ impl Engine {
                 return Err(error);
             }
         };
+        drop(leaving);
         let applied = self.switch(&old, &current, change, graph, catalog, loader, when, early, late, start);
         Ok(applied)
     }
@@ -268,7 +272,9 @@ impl Engine {
             (instance, state) = shared.call_guarded(limit, cell, Doing::SaveState, save).map_err(lost)?;
         }
         if closes {
-            shared.call_guarded(limit, cell, Doing::Close, move || drop(instance)).map_err(lost)?;
+            let (me, mine) = (Arc::clone(shared), Arc::clone(cell));
+            let end = move || mine.end(&me.around, instance);
+            shared.call_guarded(limit, cell, Doing::Close, end).map_err(lost)?;
         } else if let Some(mut exec) = cell.exec.take() {
             exec.instance = instance;
             cell.exec.put(exec);
@@ -407,7 +413,7 @@ impl Engine {
             match loaded {
                 Ok(instance) => {
                     if let Some(mut exec) = cell.exec.take() {
-                        exec.instance = instance;
+                        exec.instance = instance.begun();
                         cell.exec.put(exec);
                     }
                 }

@@ -162,9 +162,13 @@ impl Engine {
             return cell.replace_instance(instance, Some(snapshot)).map(|unused| (slot, unused));
         }
         if let Some(mut exec) = cell.exec.take() {
-            exec.instance = instance;
+            exec.instance = instance.begun();
+            // A node that was left out after a fault has another chance.
+            exec.bypassed = false;
+            exec.bad_in_a_row = 0;
             cell.exec.put(exec);
         }
+        cell.gives_up.store(false, Ordering::Release);
         if fate.reopened {
             cell.mending.fetch_add(1, Ordering::AcqRel);
             cell.set_snapshot(snapshot);

@@ -178,15 +178,16 @@ impl Cell {
         self.replace.store(false, Ordering::Relaxed);
         let Some((mut instance, snapshot)) = lock(&self.replacement).take() else { return Ok(()) };
         self.hand_over(exec, &mut instance, around, tick)?;
-        let old = std::mem::replace(&mut exec.instance, instance);
+        let old = std::mem::replace(&mut exec.instance, instance.begun());
         if old.is_open() {
-            self.aside(Doing::Close, tick, || drop(old))?;
+            self.aside(Doing::Close, tick, || self.end(around, old))?;
         }
         if let Some(snapshot) = snapshot {
             self.set_snapshot(Arc::clone(&snapshot));
             exec.set_snapshot(snapshot);
         }
         exec.bypassed = false;
+        self.gives_up.store(false, Ordering::Release);
         exec.bad_in_a_row = 0;
         if around.recorder.is_some() {
             self.opened(&self.snapshot(), around, tick);
@@ -274,6 +275,7 @@ impl Cell {
             lent: None,
             first_formats: exec.first_formats(),
             cell: self,
+            holds: &exec.instance.holds,
             log: &around.log,
             failure: &mut exec.failure,
             refused: None,

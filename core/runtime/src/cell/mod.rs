@@ -10,6 +10,7 @@ use std::time::Duration;
 use panoscope_abi::{self as abi, PortRange, Str, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
+use crate::claims::{Claims, Holds};
 use crate::clock;
 use crate::ending::who::{self, Who};
 use crate::exec::{Busy, Exec, ExecPlace, Instance, Made};
@@ -50,11 +51,13 @@ pub(crate) struct Surroundings {
     pub script: Option<Arc<Script>>,
     /// Heap allocations of the calling thread so far.
     pub thread_allocations: Option<fn() -> u64>,
-    /// Nodes that lost something for good, with the reason.
-    pub stopped: Mutex<BTreeMap<String, String>>,
     /// Longest that a node may take to open, and to close or to save or take over a state.
     pub open_limit: Duration,
     pub close_limit: Duration,
+    /// Files that nodes of this run write.
+    pub claims: Arc<Claims>,
+    /// Nodes that lost something for good, with the reason.
+    pub stopped: Mutex<BTreeMap<String, String>>,
 }
 
 impl Surroundings {
@@ -141,6 +144,8 @@ pub(crate) struct Cell {
     pub broken: Mutex<Vec<Instance>>,
     /// A failed node is to be opened again.
     pub wants_mending: AtomicBool,
+    /// Its last error was one that opening it again would not mend.
+    pub gives_up: AtomicBool,
     /// Increases whenever somebody sets out to mend; only the newest may hand over.
     pub mending: AtomicU64,
     pub failures: AtomicU32,
@@ -254,6 +259,7 @@ impl Cell {
             replace: AtomicBool::new(false),
             broken: Mutex::new(Vec::new()),
             wants_mending: AtomicBool::new(false),
+            gives_up: AtomicBool::new(false),
             mending: AtomicU64::new(0),
             failures: AtomicU32::new(0),
             stuck: Arc::default(),
@@ -320,12 +326,6 @@ impl Cell {
         self.ports_made.fetch_or(bits, Ordering::Relaxed);
     }
 
-    /// Notes that the node has lost something for good: the run has failed.
-    #[cold]
-    pub fn lost(&self, around: &Surroundings, words: &str) {
-        lock(&around.stopped).entry(self.id.clone()).or_insert_with(|| words.to_owned());
-    }
-
     /// The values in force.
     pub fn snapshot(&self) -> Arc<Snapshot> {
         self.values.get()
@@ -372,6 +372,9 @@ impl Cell {
         if around.script.as_ref().is_some_and(|s| s.closes(self)) {
             return Ok(Instance::none(self.node_type));
         }
+        let mut instance = Instance::none(self.node_type);
+        *instance.holds = Holds::new(&around.claims);
+        instance.kept.belongs_to(&self.who);
         let mut failure = String::new();
         let mut context = CallContext {
             outputs: std::ptr::null_mut(),
@@ -382,6 +385,7 @@ impl Cell {
             lent: None,
             first_formats: 0,
             cell: self,
+            holds: &instance.holds,
             log: &around.log,
             failure: &mut failure,
             refused: None,
@@ -400,8 +404,6 @@ impl Cell {
             graph_dir: Str::borrow(&around.graph_dir),
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
-        let mut instance = Instance::none(self.node_type);
-        instance.kept.belongs_to(&self.who);
         let mut raw = std::ptr::null_mut();
         let status = match self.node_type.open {
             // SAFETY: the contract; everything the call points to outlives it.
@@ -410,14 +412,14 @@ impl Cell {
             }
             None => abi::STATUS_INVALID,
         };
-        instance.raw = raw;
         if status == abi::STATUS_OK {
-            instance.open = true;
+            (instance.raw, instance.open) = (raw, true);
             return Ok(instance);
         }
         if failure.is_empty() {
             failure = format!("it did not open (status {status})");
         }
+        self.gives_up.store(status == abi::STATUS_STOPPED, Ordering::Release);
         Err(failure)
     }
 }

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
 
 use super::crash::thread_id;
-use super::who::{self, Phase, Who};
+use super::who::Who;
 use super::words::Words;
 use crate::cell::{Cell, lock};
 use crate::clock;
@@ -116,7 +116,7 @@ fn finish(victim: *const Who, until: Instant) -> String {
             write_down(shared, cell);
         }
         for (_, cell) in plan.live().filter(|(_, cell)| cell.side_effects) {
-            let list = if close(cell, victim, until) { &mut finished } else { &mut torn };
+            let list = if close(shared, cell, victim, until) { &mut finished } else { &mut torn };
             list.push(format!("`{}`", cell.id));
         }
         if let Some(recorder) = &shared.around.recorder {
@@ -150,8 +150,8 @@ fn last_line() -> String {
     format!("failed: the program was ended after {frames} frames, {dropped} dropped, {faults} faults")
 }
 
-/// Closes a node once it is at rest; `false` when it crashed or does not come to rest.
-fn close(cell: &Cell, victim: *const Who, until: Instant) -> bool {
+/// Completes a node's files and closes it once it is at rest; `false` when it crashed, does not come to rest, or could not complete them.
+fn close(shared: &Shared, cell: &Cell, victim: *const Who, until: Instant) -> bool {
     if Arc::as_ptr(&cell.who) == victim {
         return false;
     }
@@ -159,10 +159,11 @@ fn close(cell: &Cell, victim: *const Who, until: Instant) -> bool {
         // What waits for it is written first, as long as there is time.
         let idle = cell.join.try_lock().is_ok_and(|join| !join.running);
         if idle && let Some(mut exec) = cell.exec.take() {
-            who::with(&cell.who, Phase::Close, || exec.instance.close());
+            cell.finish(&shared.around, &mut exec.instance);
+            exec.instance.close();
             // Not put back: nobody shall run the node again.
             std::mem::forget(exec);
-            return true;
+            return !lock(&shared.around.stopped).contains_key(&cell.id);
         }
         if Instant::now() >= until {
             return false;

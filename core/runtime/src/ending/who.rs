@@ -33,6 +33,7 @@ impl Who {
 pub(crate) enum Phase {
     Process,
     Open,
+    Finish,
     Close,
     SaveState,
     LoadState,
@@ -43,6 +44,7 @@ impl Phase {
         match self {
             Self::Process => "processed",
             Self::Open => "opened",
+            Self::Finish => "asked to complete its output",
             Self::Close => "closed",
             Self::SaveState => "asked for its state",
             Self::LoadState => "given a state",

@@ -1,6 +1,6 @@
 //! The file of a recording as it is written.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::sync::Arc;
@@ -19,11 +19,24 @@ use crate::memory::FrameRef;
 pub trait Output: Write + Seek + Send {
     /// Cuts the output off.
     fn cut(&mut self, len: u64) -> io::Result<()>;
+
+    /// Hands everything to the disk, where there is one.
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }
 
 impl Output for File {
     fn cut(&mut self, len: u64) -> io::Result<()> {
         self.set_len(len)
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        match self.sync_all() {
+            // Pipes and devices have nothing to hand over.
+            Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+            done => done,
+        }
     }
 }
 
@@ -68,6 +81,9 @@ pub(crate) struct RecordFile {
     buffer: Vec<u8>,
     /// Length up to the last whole message.
     whole: u64,
+    /// Source ticks that have left for the system, and where each of the later ones ends.
+    ticks: u64,
+    pending_ticks: VecDeque<u64>,
 }
 
 fn io_error(error: mcap::McapError) -> io::Error {
@@ -90,8 +106,17 @@ impl RecordFile {
             .library(concat!("panoscope ", env!("CARGO_PKG_VERSION")));
         let mut writer = options.create(counted).map_err(io_error)?;
         let events = writer.add_channel(0, EVENTS, "json", &Default::default()).map_err(io_error)?;
-        let mut this =
-            Self { writer, written, events, channels: HashMap::new(), event_count: 0, buffer: Vec::new(), whole: 0 };
+        let mut this = Self {
+            writer,
+            written,
+            events,
+            channels: HashMap::new(),
+            event_count: 0,
+            buffer: Vec::new(),
+            whole: 0,
+            ticks: 0,
+            pending_ticks: VecDeque::new(),
+        };
         this.flush()?;
         Ok(this)
     }
@@ -110,7 +135,11 @@ impl RecordFile {
         let header =
             MessageHeader { channel_id: self.events, sequence: self.event_count, log_time: now, publish_time: now };
         check::seal(EVENTS, &check::head_bytes(&header), &mut self.buffer);
-        self.message(&header)
+        self.message(&header)?;
+        if matches!(event, Event::Tick { gap: false, .. }) {
+            self.pending_ticks.push_back(self.whole);
+        }
+        Ok(())
     }
 
     pub fn packet(&mut self, port: &str, frame: &FrameRef, hash: u64) -> io::Result<()> {
@@ -137,24 +166,37 @@ impl RecordFile {
     }
 
     pub fn flush(&mut self) -> io::Result<()> {
-        self.writer.flush().map_err(io_error)
+        self.writer.flush().map_err(io_error)?;
+        self.ticks += self.pending_ticks.drain(..).count() as u64;
+        Ok(())
     }
 
-    /// Writes the summary; answers the file's length.
+    /// Source ticks that have left for the system.
+    pub fn ticks(&self) -> u64 {
+        self.ticks
+    }
+
+    /// Writes the summary and hands the file to the disk; answers its length.
     pub fn finish(mut self) -> io::Result<u64> {
         self.writer.finish().map_err(io_error)?;
-        self.writer.into_inner().output.flush()?;
+        let mut output = self.writer.into_inner().output;
+        output.flush()?;
+        output.get_mut().sync()?;
         Ok(self.written.load(Ordering::Relaxed))
     }
 
-    /// After an error nothing more is written; what is torn is cut off. Answers how long the file is.
-    pub fn give_up(self) -> u64 {
+    /// After an error nothing more is written; what is torn is cut off. Answers how long the file is, and the source ticks in it.
+    pub fn give_up(self) -> (u64, u64) {
         let (mut output, _) = self.writer.into_inner().output.into_parts();
-        match output.seek(SeekFrom::End(0)) {
+        let len = match output.seek(SeekFrom::End(0)) {
             Ok(len) if len > self.whole => output.cut(self.whole).map_or(len, |()| self.whole),
             Ok(len) => len,
-            Err(_) => self.whole,
-        }
+            Err(_) => 0,
+        };
+        // The first error is the one to tell.
+        let _ = output.sync();
+        let more = self.pending_ticks.iter().filter(|end| **end <= len).count() as u64;
+        (len, self.ticks + more)
     }
 }
 

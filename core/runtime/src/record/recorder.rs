@@ -343,7 +343,7 @@ impl Inner {
         let mut names: HashMap<(Arc<str>, u32), String> = HashMap::new();
         while let Some(items) = self.next() {
             for item in items {
-                let wrote = self.write(item, &mut file, &mut digests, &mut names, &mut recorded);
+                let wrote = self.write(item, &mut file, &mut digests, &mut names);
                 if let Err(cause) = wrote {
                     self.give_up(&mut file, &cause, &mut recorded);
                 }
@@ -353,6 +353,7 @@ impl Inner {
             }
         }
         if let Some(file) = file {
+            recorded.ticks = file.ticks();
             match file.finish() {
                 Ok(bytes) => recorded.bytes = bytes,
                 Err(cause) => recorded.failed = Some(format!("the recording could not be finished: {cause}")),
@@ -370,7 +371,7 @@ impl Inner {
     fn give_up(&self, file: &mut Option<RecordFile>, cause: &std::io::Error, recorded: &mut Recorded) {
         let Some(file) = file.take() else { return };
         self.writes.store(false, Ordering::Relaxed);
-        recorded.bytes = file.give_up();
+        (recorded.bytes, recorded.ticks) = file.give_up();
         let words = format!("the recording ends here, the run goes on: {cause}");
         self.tell(&words);
         recorded.failed = Some(words);
@@ -382,13 +383,11 @@ impl Inner {
         file: &mut Option<RecordFile>,
         digests: &mut Option<Digests>,
         names: &mut HashMap<(Arc<str>, u32), String>,
-        recorded: &mut Recorded,
     ) -> std::io::Result<()> {
         match item {
             Item::Event(event) => {
                 if let Some(file) = file {
                     file.event(&event)?;
-                    recorded.ticks += u64::from(matches!(event, Event::Tick { gap: false, .. }));
                 }
             }
             Item::Digest(node, port, digest) => {

@@ -325,7 +325,7 @@ impl Script {
                         if closed {
                             cell.left_out(around, tick, true);
                             let old = std::mem::replace(&mut exec.instance, Instance::none(cell.node_type));
-                            cell.aside(Doing::Close, tick, || drop(old))?;
+                            cell.aside(Doing::Close, tick, || cell.end(around, old))?;
                         }
                     }
                 }
@@ -349,8 +349,8 @@ impl Script {
                 if instance.is_open() {
                     cell.hand_over(exec, &mut instance, around, tick)?;
                 }
-                let old = std::mem::replace(&mut exec.instance, instance);
-                cell.aside(Doing::Close, tick, || drop(old))?;
+                let old = std::mem::replace(&mut exec.instance, instance.begun());
+                cell.aside(Doing::Close, tick, || cell.end(around, old))?;
                 cell.set_snapshot(Arc::clone(&snapshot));
                 exec.set_snapshot(snapshot);
                 exec.bypassed = false;

@@ -6,6 +6,7 @@
 
 mod boards;
 mod cast;
+mod clearance;
 mod effects;
 mod fit;
 mod lanes;

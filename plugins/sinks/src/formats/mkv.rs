@@ -3,6 +3,7 @@
 //! Every frame is a cluster of its own with its size in front, and the segment's size is unknown until [`Muxer::finish`]
 //! writes it together with the duration, the index and the place of the index.
 
+use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
 
 const EBML: u32 = 0x1A45_DFA3;
@@ -54,15 +55,42 @@ fn master(out: &mut Vec<u8>, tag: u32, fill: impl FnOnce(&mut Vec<u8>)) {
     element(out, tag, &body);
 }
 
+/// Where a video goes.
+pub trait Output: Write + Seek {
+    /// Cuts off what lies behind `len` bytes; writing goes on there.
+    ///
+    /// # Errors
+    /// Those of the system.
+    fn cut(&mut self, len: u64) -> io::Result<()>;
+
+    /// Hands everything to the disk.
+    ///
+    /// # Errors
+    /// Those of the system, also of writes that it has put off.
+    fn sync(&mut self) -> io::Result<()>;
+}
+
+impl Output for File {
+    fn cut(&mut self, len: u64) -> io::Result<()> {
+        self.set_len(len)?;
+        self.seek(SeekFrom::Start(len)).map(drop)
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        crate::target::sync(self)
+    }
+}
+
 /// Writes one file.
 #[derive(Debug)]
-pub struct Muxer<W: Write + Seek> {
+pub struct Muxer<W: Output> {
     out: W,
     /// Where the segment's body begins; all places inside the file count from here.
     segment_at: u64,
     seek_head_at: u64,
     duration_at: u64,
     default_duration_at: u64,
+    /// End of the last whole frame.
     at: u64,
     cues: Vec<(u64, u64)>,
     head: Vec<u8>,
@@ -73,7 +101,7 @@ const SEEK_HEAD_LEN: usize = 40;
 const DURATION_LEN: usize = 2 + 1 + 8;
 const DEFAULT_DURATION_LEN: usize = 3 + 1 + 8;
 
-impl<W: Write + Seek> Muxer<W> {
+impl<W: Output> Muxer<W> {
     /// Writes what stands before the first frame: `width` x `height` in px.
     ///
     /// # Errors
@@ -126,23 +154,26 @@ impl<W: Write + Seek> Muxer<W> {
     /// Appends a JPEG that is shown from `time_ms` on; times grow. The frame has left for the system on return.
     ///
     /// # Errors
-    /// Those of the file.
+    /// Those of the file, which then ends with the frame before.
     pub fn push(&mut self, time_ms: u64, jpeg: &[u8]) -> io::Result<()> {
+        let mut block = Vec::with_capacity(32);
+        number(&mut block, 0xE7, time_ms); // the cluster's time
+        block.push(0xA3); // SimpleBlock
+        size8(&mut block, jpeg.len() as u64 + 4);
+        block.extend_from_slice(&[0x81, 0, 0, 0x80]); // track 1, 0 ms after the cluster, a key frame
         let head = &mut self.head;
         head.clear();
-        number(head, 0xE7, time_ms); // the cluster's time
-        head.push(0xA3); // SimpleBlock
-        size8(head, jpeg.len() as u64 + 4);
-        head.extend_from_slice(&[0x81, 0, 0, 0x80]); // track 1, 0 ms after the cluster, a key frame
-        let mut cluster = Vec::with_capacity(16);
-        id(&mut cluster, CLUSTER);
-        size8(&mut cluster, (head.len() + jpeg.len()) as u64);
-        self.out.write_all(&cluster)?;
-        self.out.write_all(head)?;
-        self.out.write_all(jpeg)?;
-        self.out.flush()?;
+        id(head, CLUSTER);
+        size8(head, (block.len() + jpeg.len()) as u64);
+        head.extend_from_slice(&block);
+        let written = self.out.write_all(head).and_then(|()| self.out.write_all(jpeg)).and_then(|()| self.out.flush());
+        if let Err(error) = written {
+            // Readers take a torn end for the end, where it cannot be cut off.
+            let _ = self.out.cut(self.at);
+            return Err(error);
+        }
         self.cues.push((time_ms, self.at - self.segment_at));
-        self.at += (cluster.len() + head.len() + jpeg.len()) as u64;
+        self.at += (self.head.len() + jpeg.len()) as u64;
         Ok(())
     }
 
@@ -151,11 +182,11 @@ impl<W: Write + Seek> Muxer<W> {
         self.cues.len()
     }
 
-    /// Writes index, duration and sizes; answers the file.
+    /// Writes index, duration and sizes and hands the file to the disk.
     ///
     /// # Errors
-    /// Those of the file; it still plays as far as it was written.
-    pub fn finish(mut self) -> io::Result<W> {
+    /// The first one of the file: it plays as far as it was written, and where only the index did not fit it is complete without.
+    pub fn finish(&mut self) -> io::Result<()> {
         let mut cues = Vec::with_capacity(self.cues.len() * 24);
         master(&mut cues, CUES, |b| {
             for &(time, place) in &self.cues {
@@ -168,8 +199,19 @@ impl<W: Write + Seek> Muxer<W> {
                 });
             }
         });
-        self.out.write_all(&cues)?;
-        let end = self.at + cues.len() as u64;
+        let indexed = self.out.seek(SeekFrom::Start(self.at)).and_then(|_| self.out.write_all(&cues));
+        let end = match &indexed {
+            Ok(()) => self.at + cues.len() as u64,
+            Err(_) => self.out.cut(self.at).map(|()| self.at)?,
+        };
+        self.complete(indexed.is_ok(), end)?;
+        self.out.flush()?;
+        self.out.sync()?;
+        indexed
+    }
+
+    /// Fills in what only the end knows; nothing here makes the file longer.
+    fn complete(&mut self, is_indexed: bool, end: u64) -> io::Result<()> {
         let mut patch = Vec::new();
         let step_ms = match (self.cues.first(), self.cues.last()) {
             (Some(first), Some(last)) if self.cues.len() > 1 => {
@@ -186,22 +228,21 @@ impl<W: Write + Seek> Muxer<W> {
             element(&mut patch, DEFAULT_DURATION, &((step_ms * 1e6) as u64).to_be_bytes());
             self.patch(self.default_duration_at, &patch)?;
         }
-        patch.clear();
-        master(&mut patch, SEEK_HEAD, |b| {
-            master(b, 0x4DBB, |b| {
-                element(b, 0x53AB, &CUES.to_be_bytes());
-                element(b, 0x53AC, &(self.at - self.segment_at).to_be_bytes());
+        if is_indexed {
+            patch.clear();
+            master(&mut patch, SEEK_HEAD, |b| {
+                master(b, 0x4DBB, |b| {
+                    element(b, 0x53AB, &CUES.to_be_bytes());
+                    element(b, 0x53AC, &(self.at - self.segment_at).to_be_bytes());
+                });
             });
-        });
-        let rest = SEEK_HEAD_LEN - patch.len();
-        reserve(&mut patch, rest);
-        self.patch(self.seek_head_at, &patch)?;
+            let rest = SEEK_HEAD_LEN - patch.len();
+            reserve(&mut patch, rest);
+            self.patch(self.seek_head_at, &patch)?;
+        }
         patch.clear();
         size8(&mut patch, end - self.segment_at);
-        self.patch(self.segment_at - 8, &patch)?;
-        self.out.seek(SeekFrom::End(0))?;
-        self.out.flush()?;
-        Ok(self.out)
+        self.patch(self.segment_at - 8, &patch)
     }
 
     fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {

@@ -5,12 +5,14 @@ use std::path::{Path, PathBuf};
 
 use opencv::core::{Mat, Scalar, Size, Vec3b, Vector};
 use opencv::prelude::*;
-use opencv::videoio::{CAP_FFMPEG, VideoWriter};
+use opencv::videoio::{CAP_FFMPEG, VideoCapture, VideoWriter};
 use opencv::{core, imgcodecs, imgproc};
+use panoscope_node::{NodeError, Result as NodeResult};
 
 use super::Codec;
+use super::timeline::{Pacing, Timeline};
 use crate::formats::mkv::Muxer;
-use crate::target::SinkError;
+use crate::target::{SinkError, sync};
 
 /// Frame rate of a video whose pictures do not tell one.
 const FALLBACK_FPS: f64 = 30.0;
@@ -21,19 +23,25 @@ enum State {
     /// The first picture waits for the second one, whose time gives the frame rate.
     First {
         bgr: Vec<u8>,
-        capture_ns: i64,
+        at_ns: i64,
     },
     Mkv {
         muxer: Box<Muxer<File>>,
-        start_ns: i64,
-        last_ms: u64,
+        timeline: Timeline,
     },
-    OpenCv(VideoWriter),
-    Done,
+    OpenCv {
+        writer: VideoWriter,
+        /// None where pictures are counted instead of timed.
+        pacing: Option<Pacing>,
+        /// The newest picture, to be repeated.
+        last: Vec<u8>,
+    },
 }
 
 /// Writes one video file.
 pub struct Encoder {
+    asked: PathBuf,
+    /// Where the newest part is.
     path: PathBuf,
     codec: Codec,
     own: bool,
@@ -41,6 +49,18 @@ pub struct Encoder {
     size: (usize, usize),
     state: State,
     jpeg: Vector<u8>,
+}
+
+/// A picture to be written.
+pub struct Picture<'a> {
+    /// Blue, green, red; rows without padding.
+    pub bgr: &'a [u8],
+    /// Width and height in px, the same for all pictures of a file.
+    pub size: (usize, usize),
+    /// When it was taken, in ns.
+    pub at_ns: i64,
+    /// Of JPEG, in %.
+    pub quality: i32,
 }
 
 fn mat(bgr: &[u8], size: (usize, usize)) -> opencv::Result<opencv::boxed_ref::BoxedRef<'_, Mat>> {
@@ -78,63 +98,112 @@ impl Encoder {
     /// Nothing is created before the first picture.
     pub fn new(path: &Path, ending: &str, codec: Codec, fps: f64) -> Self {
         let own = codec == Codec::Mjpg && ending == "mkv";
-        Self { path: path.to_owned(), codec, own, fps, size: (0, 0), state: State::New, jpeg: Vector::new() }
+        Self {
+            asked: path.to_owned(),
+            path: path.to_owned(),
+            codec,
+            own,
+            fps,
+            size: (0, 0),
+            state: State::New,
+            jpeg: Vector::new(),
+        }
     }
 
-    /// Appends a picture of always the same `size`.
+    /// Appends a picture. `begin` is asked before a file is created, and answers the path to create.
     ///
     /// # Errors
-    /// Of the encoder and of the file.
-    pub fn push(&mut self, bgr: &[u8], size: (usize, usize), capture_ns: i64, quality: i32) -> Result<(), SinkError> {
+    /// Of the encoder and of the file, which is complete then and ends with the picture before; the next picture begins another one.
+    pub fn push(
+        &mut self,
+        picture: &Picture<'_>,
+        begin: impl FnOnce(&Path) -> NodeResult<PathBuf>,
+    ) -> Result<(), NodeError> {
+        if matches!(self.state, State::New) {
+            self.path = begin(&self.asked)?;
+        }
+        let pushed = self.append(picture);
+        if pushed.is_err() {
+            // The first error is the one to tell.
+            let _ = self.finish();
+        }
+        Ok(pushed?)
+    }
+
+    fn append(&mut self, picture: &Picture<'_>) -> Result<(), SinkError> {
+        let Picture { bgr, size, at_ns, quality } = *picture;
         self.size = size;
         match &self.state {
             State::New if self.own => {
-                let file = File::create(&self.path).map_err(|error| SinkError::io(&self.path, error))?;
-                let muxer = Muxer::new(file, size.0, size.1).map_err(|error| SinkError::io(&self.path, error))?;
-                self.state = State::Mkv { muxer: Box::new(muxer), start_ns: capture_ns, last_ms: 0 };
+                let io = |error| SinkError::io(&self.path, error);
+                let file = File::create(&self.path).map_err(io)?;
+                let muxer = Muxer::new(file, size.0, size.1).map_err(|error| {
+                    // Without a head it is no video.
+                    if self.path.symlink_metadata().is_ok_and(|found| found.is_file()) {
+                        let _ = std::fs::remove_file(&self.path);
+                    }
+                    io(error)
+                })?;
+                self.state = State::Mkv { muxer: Box::new(muxer), timeline: Timeline::new(self.fps) };
             }
-            State::New if self.fps > 0.0 => self.state = State::OpenCv(self.open_writer(self.fps)?),
+            State::New if self.fps > 0.0 => {
+                let writer = self.open_writer(self.fps)?;
+                self.state = State::OpenCv { writer, pacing: None, last: Vec::new() };
+            }
             State::New => {
-                self.state = State::First { bgr: bgr.to_owned(), capture_ns };
+                self.state = State::First { bgr: bgr.to_owned(), at_ns };
                 return Ok(());
             }
-            State::First { bgr: first, capture_ns: first_ns } => {
-                let step_ns = capture_ns - first_ns;
+            State::First { bgr: first, at_ns: first_ns } => {
+                let step_ns = at_ns - first_ns;
                 let fps = if step_ns > 0 { (1e9 / step_ns as f64).clamp(0.1, 1000.0) } else { FALLBACK_FPS };
+                let mut pacing = Pacing::new(fps);
+                pacing.repeats(*first_ns);
                 let mut writer = self.open_writer(fps)?;
                 self.write(&mut writer, first)?;
-                self.state = State::OpenCv(writer);
+                self.state = State::OpenCv { writer, pacing: Some(pacing), last: first.clone() };
             }
             _ => {}
         }
         match &mut self.state {
-            State::Mkv { muxer, start_ns, last_ms } => {
-                let frames = muxer.frames() as u64;
-                let mut time_ms = if self.fps > 0.0 {
-                    (frames as f64 * 1000.0 / self.fps).round() as u64
-                } else {
-                    (capture_ns.saturating_sub(*start_ns).max(0) as u64 + 500_000) / 1_000_000
-                };
-                if frames > 0 {
-                    time_ms = time_ms.max(*last_ms + 1);
-                }
-                *last_ms = time_ms;
+            State::Mkv { muxer, timeline } => {
                 let params = Vector::from_slice(&[imgcodecs::IMWRITE_JPEG_QUALITY, quality]);
                 mat(bgr, size)
                     .and_then(|picture| imgcodecs::imencode(".jpg", &picture, &mut self.jpeg, &params))
                     .map_err(|error| failed(&self.path, error))?;
+                let time_ms = timeline.next_ms(at_ns);
                 muxer.push(time_ms, self.jpeg.as_slice()).map_err(|error| SinkError::io(&self.path, error))
             }
-            State::OpenCv(_) => {
-                let State::OpenCv(mut writer) = std::mem::replace(&mut self.state, State::Done) else {
+            State::OpenCv { .. } => {
+                let State::OpenCv { mut writer, mut pacing, mut last } = std::mem::replace(&mut self.state, State::New)
+                else {
                     return Ok(());
                 };
-                let written = self.write(&mut writer, bgr);
-                self.state = State::OpenCv(writer);
+                let repeats = pacing.as_mut().map_or(0, |pacing| pacing.repeats(at_ns));
+                let mut written = (0..repeats).try_for_each(|_| self.write(&mut writer, &last));
+                written = written.and_then(|()| self.write(&mut writer, bgr));
+                if pacing.is_some() {
+                    last.clear();
+                    last.extend_from_slice(bgr);
+                }
+                self.state = State::OpenCv { writer, pacing, last };
                 written
             }
             _ => Ok(()),
         }
+    }
+
+    /// How far the video has fallen behind because pictures come faster than the rate of its file, in ms.
+    pub fn behind_ms(&self) -> f64 {
+        match &self.state {
+            State::OpenCv { pacing: Some(pacing), .. } => pacing.behind_ms(),
+            _ => 0.0,
+        }
+    }
+
+    /// Where the video is written.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// OpenCV's writer cuts odd sides off: they are made even by repeating the last row or column.
@@ -160,6 +229,7 @@ impl Encoder {
         let writer = VideoWriter::new_with_backend(path, CAP_FFMPEG, fourcc, fps, size, true)
             .map_err(|error| failed(&self.path, error))?;
         if !writer.is_opened().unwrap_or(false) {
+            let _ = std::fs::remove_file(&self.path);
             return Err(refuse(format!(
                 "this OpenCV has no {:?} encoder for such a file: try codec = \"mjpg\" with .mkv",
                 self.codec
@@ -193,20 +263,31 @@ impl Encoder {
         written.map_err(|error| failed(&self.path, error))
     }
 
-    /// Completes the file.
+    /// Completes the file and hands it to the disk.
     ///
     /// # Errors
     /// Of the encoder and of the file.
     pub fn finish(&mut self) -> Result<(), SinkError> {
-        match std::mem::replace(&mut self.state, State::Done) {
-            State::New | State::Done => Ok(()),
+        let mut writer = match std::mem::replace(&mut self.state, State::New) {
+            State::New => return Ok(()),
+            State::Mkv { mut muxer, .. } => return muxer.finish().map_err(|error| SinkError::io(&self.path, error)),
             State::First { bgr, .. } => {
                 let mut writer = self.open_writer(FALLBACK_FPS)?;
                 self.write(&mut writer, &bgr)?;
-                writer.release().map_err(|error| failed(&self.path, error))
+                writer
             }
-            State::Mkv { muxer, .. } => muxer.finish().map(drop).map_err(|error| SinkError::io(&self.path, error)),
-            State::OpenCv(mut writer) => writer.release().map_err(|error| failed(&self.path, error)),
-        }
+            State::OpenCv { writer, .. } => writer,
+        };
+        writer.release().map_err(|error| failed(&self.path, error))?;
+        File::open(&self.path).and_then(|file| sync(&file)).map_err(|error| SinkError::io(&self.path, error))?;
+        // FFmpeg does not say when a write fails.
+        let plays = self.path.to_str().is_some_and(|path| {
+            VideoCapture::from_file(path, CAP_FFMPEG).and_then(|video| video.is_opened()).unwrap_or(false)
+        });
+        let unplayable = || SinkError::Encode {
+            path: self.path.clone(),
+            reason: "the completed file does not play: the disk may be full".to_owned(),
+        };
+        if plays { Ok(()) } else { Err(unplayable()) }
     }
 }

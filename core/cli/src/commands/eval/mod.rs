@@ -6,7 +6,9 @@ mod detect;
 pub mod disparity;
 pub mod look;
 pub mod plot;
+mod proximity;
 mod rewire;
+mod skill;
 pub mod stitch;
 mod surf;
 
@@ -33,6 +35,10 @@ pub enum Eval {
     Detect(detect::Arguments),
     /// The arm: closed loop on moving tips, limits against hostile inputs, time of the control.
     Arm(arm::Arguments),
+    /// Surgical skill: a report of tracks of tips, or the measures beside motions that are known in closed form.
+    Skill(skill::Arguments),
+    /// False and missed warnings near tissue and other tips, beside the phantom's exact distances.
+    Proximity(proximity::Arguments),
 }
 
 /// Judges.
@@ -45,6 +51,9 @@ pub fn run(eval: &Eval) -> Result<End> {
         Eval::Calibrate(arguments) => (calibrate::judge(arguments)?, &arguments.json),
         Eval::Detect(arguments) => (detect::judge(arguments)?, &arguments.json),
         Eval::Arm(arguments) => (arm::judge(arguments)?, &arguments.json),
+        Eval::Skill(arguments) if !arguments.files.is_empty() => return skill::report(arguments),
+        Eval::Skill(arguments) => (skill::judge(arguments)?, &arguments.json),
+        Eval::Proximity(arguments) => (proximity::judge(arguments)?, &arguments.json),
     };
     let Some(figures) = figures else { return Ok(End::Wrong) };
     record::show(&figures);

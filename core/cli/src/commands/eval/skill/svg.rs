@@ -1,0 +1,182 @@
+//! Plots as SVG.
+
+use std::fmt::Write;
+
+/// Colours told apart by people who see few (Okabe and Ito).
+pub const COLORS: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
+
+/// Width of plots over time, px.
+pub const WIDTH: f64 = 960.0;
+const LEFT: f64 = 56.0;
+const RIGHT: f64 = 12.0;
+const TOP: f64 = 14.0;
+const BOTTOM: f64 = 34.0;
+
+/// What a plot's numbers span.
+#[derive(Clone, Copy, Debug)]
+pub struct Axis {
+    pub low: f64,
+    pub high: f64,
+    step: f64,
+}
+
+impl Axis {
+    /// Round numbers around a range.
+    pub fn around(low: f64, high: f64) -> Self {
+        let (low, high) = match (low.is_finite() && high.is_finite(), high - low > 1e-9) {
+            (false, _) => (0.0, 1.0),
+            (true, false) => (low - 0.5, high + 0.5),
+            (true, true) => (low, high),
+        };
+        let size = 10f64.powf(((high - low) / 5.0).log10().floor());
+        let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * size).into_iter().find(|s| (high - low) / s <= 6.0);
+        let step = step.unwrap_or(size);
+        Self { low: (low / step).floor() * step, high: (high / step).ceil() * step, step }
+    }
+
+    fn marks(&self) -> impl Iterator<Item = f64> + use<> {
+        let (low, step) = (self.low, self.step);
+        (0..=((self.high - low) / step).round() as usize).map(move |k| low + step * k as f64)
+    }
+
+    fn number(&self, value: f64) -> String {
+        let places = (-self.step.log10().floor()).clamp(0.0, 4.0) as usize;
+        format!("{:.places$}", if value.abs() < 1e-9 * self.step { 0.0 } else { value })
+    }
+}
+
+/// Text inside a page.
+pub fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// A plot that is being drawn.
+pub struct Plot {
+    out: String,
+    x: Axis,
+    y: Axis,
+    size: (f64, f64),
+}
+
+impl Plot {
+    /// An empty plot with axes. `title` says what it shows to those who do not see it.
+    pub fn new(title: &str, size: (f64, f64), x: Axis, y: Axis, x_label: &str, y_label: &str) -> Self {
+        let (w, h) = size;
+        let mut plot = Self { out: String::new(), x, y, size };
+        let title = escaped(title);
+        let _ = write!(
+            plot.out,
+            "<svg viewBox=\"0 0 {w:.0} {h:.0}\" role=\"img\" aria-label=\"{title}\"><title>{title}</title>"
+        );
+        for mark in x.marks() {
+            let (at, bottom) = (plot.across(mark), h - BOTTOM);
+            let _ = write!(
+                plot.out,
+                "<path class=\"grid\" d=\"M{at:.1} {TOP}V{bottom:.1}\"/><text x=\"{at:.1}\" y=\"{:.1}\" class=\"mid\">{}</text>",
+                bottom + 14.0,
+                x.number(mark)
+            );
+        }
+        for mark in y.marks() {
+            let (at, right) = (plot.up(mark), w - RIGHT);
+            let _ = write!(
+                plot.out,
+                "<path class=\"grid\" d=\"M{LEFT} {at:.1}H{right:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" class=\"end\">{}</text>",
+                LEFT - 5.0,
+                at + 4.0,
+                y.number(mark)
+            );
+        }
+        let (x_label, y_label) = (escaped(x_label), escaped(y_label));
+        let _ = write!(
+            plot.out,
+            "<text x=\"{:.1}\" y=\"{:.1}\" class=\"mid\">{x_label}</text><text x=\"4\" y=\"10\">{y_label}</text>",
+            w / 2.0,
+            h - 4.0
+        );
+        plot
+    }
+
+    fn across(&self, value: f64) -> f64 {
+        LEFT + (value - self.x.low) / (self.x.high - self.x.low) * (self.size.0 - LEFT - RIGHT)
+    }
+
+    fn up(&self, value: f64) -> f64 {
+        self.size.1 - BOTTOM - (value - self.y.low) / (self.y.high - self.y.low) * (self.size.1 - TOP - BOTTOM)
+    }
+
+    /// A line; a point that is not joined begins a new one.
+    pub fn line(&mut self, color: usize, points: impl Iterator<Item = ((f64, f64), bool)>) {
+        let mut path = String::new();
+        let mut has_pen = false;
+        for ((x, y), is_joined) in points {
+            if !(x.is_finite() && y.is_finite()) {
+                has_pen = false;
+                continue;
+            }
+            let word = if has_pen && is_joined { 'L' } else { 'M' };
+            let _ = write!(path, "{word}{:.1} {:.1}", self.across(x), self.up(y));
+            has_pen = true;
+        }
+        let _ = write!(self.out, "<path class=\"line\" stroke=\"{}\" d=\"{path}\"/>", COLORS[color % COLORS.len()]);
+    }
+
+    /// Dots.
+    pub fn dots(&mut self, color: usize, points: impl Iterator<Item = (f64, f64)>) {
+        let color = COLORS[color % COLORS.len()];
+        for (x, y) in points.filter(|(x, y)| x.is_finite() && y.is_finite()) {
+            let (x, y) = (self.across(x), self.up(y));
+            let _ = write!(self.out, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.4\" fill=\"{color}\"/>");
+        }
+    }
+
+    /// A filled rectangle between two values across and two up.
+    pub fn bar(&mut self, color: usize, across: (f64, f64), up: (f64, f64), opacity: f64) {
+        let (x, y) = (self.across(across.0), self.up(up.1));
+        let (w, h) = ((self.across(across.1) - x).max(0.2), (self.up(up.0) - y).max(0.2));
+        let color = COLORS[color % COLORS.len()];
+        let _ = write!(
+            self.out,
+            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{w:.2}\" height=\"{h:.1}\" fill=\"{color}\" fill-opacity=\"{opacity:.2}\"/>"
+        );
+    }
+
+    /// An upright line with a word, such as where a phase begins.
+    pub fn flag(&mut self, at: f64, word: &str) {
+        let (x, bottom, word) = (self.across(at), self.size.1 - BOTTOM, escaped(word));
+        let _ = write!(
+            self.out,
+            "<path class=\"flag\" d=\"M{x:.1} {TOP}V{bottom:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\">{word}</text>",
+            x + 3.0,
+            TOP + 10.0
+        );
+    }
+
+    /// A word at the left of a value up.
+    pub fn word(&mut self, up: f64, word: &str) {
+        let _ =
+            write!(self.out, "<text x=\"{:.1}\" y=\"{:.1}\">{}</text>", LEFT + 4.0, self.up(up) + 4.0, escaped(word));
+    }
+
+    /// The plot as text.
+    pub fn end(mut self) -> String {
+        self.out.push_str("</svg>\n");
+        self.out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn axes_are_round_and_words_cannot_leave_their_text() {
+        for (low, high) in [(0.0, 7.3), (-3.0, 250.0), (5.0, 5.0), (f64::NAN, 1.0)] {
+            let axis = Axis::around(low, high);
+            assert!((2..=9).contains(&axis.marks().count()), "{axis:?}");
+            assert!(low.is_nan() || (axis.low <= low && axis.high >= high));
+        }
+        let plot = Plot::new("<b>\"", (300.0, 200.0), Axis::around(0.0, 1.0), Axis::around(0.0, 1.0), "x", "y").end();
+        assert!(!plot.contains("<b>") && plot.contains("&lt;b&gt;&quot;"));
+    }
+}

@@ -1,0 +1,127 @@
+//! What plots show of a tool, in bounded memory however long the operation.
+
+use panoscope_tracking::skill::measures::Activity;
+use panoscope_tracking::skill::{CELL_S, Cell, Movement};
+
+/// Parts of time that are kept; when there are more, pairs become one.
+const MOST_PARTS: usize = 1200;
+/// Places of the path that are kept, and movements; so too.
+const MOST_PLACES: usize = 4000;
+const MOST_MOVEMENTS: usize = 4000;
+
+/// A part of time.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Part {
+    pub cells: u32,
+    pub moving: u32,
+    pub speed_sum: f64,
+    pub speed_max: f64,
+}
+
+/// See the module.
+#[derive(Debug, Default)]
+pub struct Trace {
+    /// Cells per part: 1, 2, 4 and so on.
+    pub per_part: i64,
+    /// Cell that the first part begins with.
+    pub first: i64,
+    pub parts: Vec<Part>,
+    /// Places, mm, and whether the tool was in view all the way from the one before.
+    pub places: Vec<([f64; 3], bool)>,
+    per_place: i64,
+    last_cell: i64,
+    was_broken: bool,
+    pub movements: Vec<Movement>,
+    per_movement: usize,
+    skipped: usize,
+}
+
+impl Trace {
+    /// Takes a cell; they come in order.
+    pub fn cell(&mut self, cell: &Cell) {
+        if self.per_part == 0 {
+            (self.per_part, self.per_place, self.first) = (1, 1, cell.index);
+            (self.last_cell, self.was_broken) = (cell.index, true);
+        }
+        while (cell.index - self.first) / self.per_part >= MOST_PARTS as i64 {
+            let pairs = self.parts.chunks(2).map(|two| {
+                two.iter().fold(Part::default(), |sum, part| Part {
+                    cells: sum.cells + part.cells,
+                    moving: sum.moving + part.moving,
+                    speed_sum: sum.speed_sum + part.speed_sum,
+                    speed_max: sum.speed_max.max(part.speed_max),
+                })
+            });
+            self.parts = pairs.collect();
+            self.per_part *= 2;
+        }
+        let at = ((cell.index - self.first) / self.per_part) as usize;
+        if self.parts.len() <= at {
+            self.parts.resize(at + 1, Part::default());
+        }
+        let (part, speed) = (&mut self.parts[at], cell.state.speed());
+        part.cells += 1;
+        part.moving += u32::from(cell.activity == Activity::Moving);
+        part.speed_sum += speed;
+        part.speed_max = part.speed_max.max(speed);
+        self.was_broken |= cell.index > self.last_cell + 1;
+        self.last_cell = cell.index;
+        if cell.index % self.per_place == 0 {
+            let [x, y, z, _] = cell.state.place;
+            self.places.push(([x, y, z], !self.was_broken));
+            self.was_broken = false;
+            if self.places.len() > MOST_PLACES {
+                let kept = self.places.chunks(2).map(|two| (two[0].0, two.iter().all(|(_, is_joined)| *is_joined)));
+                self.places = kept.collect();
+                self.per_place *= 2;
+            }
+        }
+    }
+
+    /// Takes a movement.
+    pub fn movement(&mut self, movement: &Movement) {
+        self.per_movement = self.per_movement.max(1);
+        self.skipped += 1;
+        if self.skipped < self.per_movement {
+            return;
+        }
+        self.skipped = 0;
+        self.movements.push(*movement);
+        if self.movements.len() > MOST_MOVEMENTS {
+            let mut index = 0;
+            self.movements.retain(|_| {
+                index += 1;
+                index % 2 == 0
+            });
+            self.per_movement *= 2;
+        }
+    }
+
+    /// Middle of a part, s.
+    pub fn part_s(&self, part: usize) -> f64 {
+        (self.first as f64 + (part as f64 + 0.5) * self.per_part as f64) * CELL_S
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use panoscope_tracking::skill::local_fit::State;
+
+    use super::*;
+
+    #[test]
+    fn an_hour_keeps_its_highest_speed_and_its_shares_in_few_parts() {
+        let mut trace = Trace::default();
+        for index in 0..360_000 {
+            let speed = if index == 123_456 { 90.0 } else { 10.0 };
+            let activity = if index % 4 == 0 { Activity::Idle } else { Activity::Moving };
+            let state = State { place: [index as f64, 0.0, 0.0, 0.0], velocity: [speed, 0.0, 0.0, 0.0] };
+            trace.cell(&Cell { index, activity, state });
+        }
+        assert!((MOST_PARTS / 2..=MOST_PARTS).contains(&trace.parts.len()), "{}", trace.parts.len());
+        assert!(trace.places.len() <= MOST_PLACES && trace.places.iter().skip(1).all(|(_, is_joined)| *is_joined));
+        let peak = trace.parts.iter().map(|p| p.speed_max).fold(0.0, f64::max);
+        let (cells, moving) = trace.parts.iter().fold((0, 0), |(c, m), p| (c + p.cells, m + p.moving));
+        assert_eq!((peak, cells, moving), (90.0, 360_000, 270_000));
+    }
+}

@@ -1,0 +1,81 @@
+//! Completing what nodes write before their instances are closed, and what the run is told when something is lost.
+
+use std::sync::atomic::Ordering;
+
+use panoscope_abi::{self as abi, Tick};
+use panoscope_graph::OnFault;
+
+use crate::cell::{Cell, Surroundings, lock};
+use crate::ending::who::{self, Phase};
+use crate::exec::Instance;
+use crate::fault::{Action, Cause};
+use crate::host::CallContext;
+use crate::log::Level;
+use crate::stats::bump;
+
+impl Cell {
+    /// Has an instance complete its files; what it could not is a fault, and fails the run.
+    pub fn finish(&self, around: &Surroundings, instance: &mut Instance) {
+        let Some(finish) = instance.node_type.finish_function().filter(|_| instance.is_open() && instance.begun) else {
+            return;
+        };
+        let mut failure = String::new();
+        let mut context = CallContext {
+            outputs: std::ptr::null_mut(),
+            shown: std::ptr::null_mut(),
+            outputs_len: 0,
+            inputs: std::ptr::null(),
+            inputs_len: 0,
+            lent: None,
+            first_formats: 0,
+            cell: self,
+            holds: &instance.holds,
+            log: &around.log,
+            failure: &mut failure,
+            refused: None,
+            random: None,
+            tick: Tick::default(),
+            wait_for_memory: around.unhurried(),
+        };
+        let (raw, host, call) = (instance.raw, &raw const around.host, (&raw mut context).cast());
+        // SAFETY: the contract: an open instance that no other thread uses, since the caller owns it; table and handle outlive the call.
+        let status =
+            who::with(&self.who, Phase::Finish, || instance.kept.during(|| unsafe { finish(raw, host, call) }));
+        if status == abi::STATUS_OK {
+            return;
+        }
+        if failure.is_empty() {
+            failure = "it gave no reason".to_owned();
+        }
+        let words = format!("its output could not be completed: {failure}");
+        bump(&self.stats.faults);
+        around.log.say(Level::Error, &self.id, &words);
+        self.lost(around, &words);
+        let cause = if status == abi::STATUS_PANIC { Cause::Panic } else { Cause::Error };
+        self.tell(around, cause, Action::Note, None, None, words);
+    }
+
+    /// Closes an instance of the node; what it has written is completed first.
+    pub fn end(&self, around: &Surroundings, mut instance: Instance) {
+        self.finish(around, &mut instance);
+    }
+
+    /// Notes that the node has lost something for good: the run has failed.
+    #[cold]
+    pub fn lost(&self, around: &Surroundings, words: &str) {
+        lock(&around.stopped).entry(self.id.clone()).or_insert_with(|| words.to_owned());
+    }
+
+    /// Notes that the node does nothing any more: the run has failed, unless the graph says that the node may be left out.
+    #[cold]
+    pub fn ceased(&self, around: &Surroundings, words: &str) {
+        if self.on_fault() != OnFault::Bypass {
+            self.lost(around, words);
+        }
+    }
+
+    /// Whether the last error of the node was one that opening it again would not mend.
+    pub fn has_given_up(&self) -> bool {
+        self.gives_up.load(Ordering::Acquire)
+    }
+}

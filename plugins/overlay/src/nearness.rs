@@ -1,0 +1,63 @@
+//! Distances of tips on a picture: a ring around each tip, a line to what it is nearest to, and how far that is.
+
+use std::fmt::Write;
+
+use panoscope_imaging::draw::{self, Color};
+use panoscope_node::{Table, ViewMut};
+
+use crate::marks::Pen;
+
+const CLEAR: Color = [80, 220, 80];
+const NEAR: Color = [0, 190, 255];
+const CONTACT: Color = [60, 60, 255];
+const UNKNOWN: Color = [170, 170, 170];
+
+/// Columns of the table of `proximity` that are drawn.
+const COLUMNS: [&str; 8] =
+    ["u_px", "v_px", "tissue_u_px", "tissue_v_px", "tissue_mm", "tissue_state", "tip_mm", "tip_state"];
+
+/// Draws a row per tip; nothing of a table without these columns.
+pub fn draw(out: &mut ViewMut<'_, u8>, table: &Table<'_>, pen: &Pen, words: &mut String) {
+    let mut places = [0; COLUMNS.len()];
+    for (place, name) in places.iter_mut().zip(COLUMNS) {
+        let Some(found) = table.names().position(|n| n == name) else { return };
+        *place = found;
+    }
+    for row in table.rows() {
+        let [u, v, tissue_u, tissue_v, tissue_mm, state, tip_mm, tip_state] = places.map(|place| row[place]);
+        let at = |u: f64, v: f64| (u as f32 + pen.offset.0, v as f32 + pen.offset.1);
+        let (x, y) = at(u, v);
+        if !x.is_finite() || !y.is_finite() {
+            continue;
+        }
+        let color = match state {
+            s if s < 0.0 => UNKNOWN,
+            s if s > 1.5 => CONTACT,
+            s if s > 0.5 => NEAR,
+            _ => CLEAR,
+        };
+        // What warns is thicker too: colour is not all that tells.
+        let line_px = if state > 0.5 { 1.6 * pen.line_px } else { pen.line_px };
+        let radius = 5.0 * pen.line_px + 4.0;
+        let to = at(tissue_u, tissue_v);
+        if to.0.is_finite() && to.1.is_finite() {
+            draw::line(out, (x, y), to, line_px, color);
+            draw::fill_circle(out, to.0, to.1, 1.5 * line_px, color, 1.0);
+        }
+        draw::circle(out, x, y, radius, line_px, color);
+        words.clear();
+        let _ = match state {
+            s if s < 0.0 => write!(words, "?"),
+            s if s > 1.5 => write!(words, "contact {tissue_mm:.1} mm"),
+            _ => write!(words, "{tissue_mm:.1} mm"),
+        };
+        draw::text(out, x + radius + 3.0, y + 3.0, words, pen.text_scale, color);
+        if tip_state > 0.5 {
+            draw::circle(out, x, y, radius + 2.5 * line_px, 1.6 * pen.line_px, NEAR);
+            words.clear();
+            let _ = write!(words, "tips {tip_mm:.1} mm");
+            let below = y + 3.0 + draw::text_size(words, pen.text_scale).1 + 2.0 * pen.text_scale;
+            draw::text(out, x + radius + 3.0, below, words, pen.text_scale, NEAR);
+        }
+    }
+}

@@ -1,0 +1,121 @@
+//! When each picture of a video is shown.
+
+/// A picture that comes so much later than the one before is shown for no longer than that, in files of a constant rate.
+const LONGEST_REPEAT_MS: u64 = 10_000;
+
+/// File times out of the times at which pictures were taken.
+#[derive(Debug, Default)]
+pub struct Timeline {
+    /// A constant rate, whatever the pictures' times are; 0 for the pictures' own.
+    rate_hz: f64,
+    /// Time of a picture in ns and where it stands in the file in ms: later ones are placed from there.
+    base: Option<(i64, u64)>,
+    last: Option<(i64, u64)>,
+    step_ms: u64,
+    count: u64,
+}
+
+impl Timeline {
+    /// With `rate_hz` above 0 pictures are counted instead of timed.
+    pub fn new(rate_hz: f64) -> Self {
+        Self { rate_hz, ..Self::default() }
+    }
+
+    /// When the next picture, taken at `at_ns`, is shown, in ms from the first one: later than the one before. A source that begins anew goes on
+    /// one step after its last picture.
+    pub fn next_ms(&mut self, at_ns: i64) -> u64 {
+        let time_ms = if self.rate_hz > 0.0 {
+            (self.count as f64 * 1000.0 / self.rate_hz).round() as u64
+        } else {
+            self.timed_ms(at_ns)
+        };
+        let time_ms = self.last.map_or(time_ms, |(_, last_ms)| time_ms.max(last_ms + 1));
+        if let Some((_, last_ms)) = self.last {
+            self.step_ms = time_ms - last_ms;
+        }
+        self.last = Some((at_ns, time_ms));
+        self.count += 1;
+        time_ms
+    }
+
+    fn timed_ms(&mut self, at_ns: i64) -> u64 {
+        let Some((last_ns, last_ms)) = self.last else {
+            self.base = Some((at_ns, 0));
+            return 0;
+        };
+        if at_ns < last_ns {
+            self.base = Some((at_ns, last_ms + self.step_ms.max(1)));
+        }
+        let (base_ns, base_ms) = self.base.unwrap_or((at_ns, 0));
+        base_ms + ms(at_ns.saturating_sub(base_ns))
+    }
+}
+
+fn ms(ns: i64) -> u64 {
+    (ns.max(0) as u64 + 500_000) / 1_000_000
+}
+
+/// How often pictures are written into a file of a constant rate, so that each is shown for as long as it was the newest.
+#[derive(Debug)]
+pub struct Pacing {
+    rate_hz: f64,
+    timeline: Timeline,
+    /// Frames in the file, and where they should end by the pictures' times.
+    written: u64,
+    skipped_ms: u64,
+    last_ms: u64,
+}
+
+impl Pacing {
+    /// A file of `rate_hz` frames per second.
+    pub fn new(rate_hz: f64) -> Self {
+        Self { rate_hz, timeline: Timeline::new(0.0), written: 0, skipped_ms: 0, last_ms: 0 }
+    }
+
+    /// How often the picture before is to be repeated before the one that was taken at `at_ns` is written.
+    pub fn repeats(&mut self, at_ns: i64) -> u64 {
+        let time_ms = self.timeline.next_ms(at_ns);
+        self.skipped_ms += (time_ms - self.last_ms).saturating_sub(LONGEST_REPEAT_MS);
+        self.last_ms = time_ms;
+        let place = ((time_ms - self.skipped_ms) as f64 * self.rate_hz / 1000.0).round() as u64;
+        let repeats = if self.written == 0 { 0 } else { place.saturating_sub(self.written) };
+        self.written += repeats + 1;
+        repeats
+    }
+
+    /// How far the file has fallen behind the pictures because they come faster than its rate, in ms.
+    pub fn behind_ms(&self) -> f64 {
+        let ends_ms = self.written.saturating_sub(1) as f64 * 1000.0 / self.rate_hz;
+        ends_ms - (self.last_ms - self.skipped_ms) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    #[test]
+    fn pictures_keep_their_times_and_always_go_on() {
+        let mut line = Timeline::new(0.0);
+        let times: Vec<u64> = [500, 540, 540, 700].map(|ms| line.next_ms(ms * MS)).to_vec();
+        assert_eq!(times, [0, 40, 41, 200]);
+        // The source was opened again and counts from 0.
+        assert_eq!([0, 40, 80].map(|ms| line.next_ms(ms * MS)), [359, 399, 439]);
+        let mut counted = Timeline::new(25.0);
+        assert_eq!([0, 1000, 5000].map(|ms| counted.next_ms(ms * MS)), [0, 40, 80]);
+    }
+
+    #[test]
+    fn a_constant_rate_repeats_pictures_that_were_shown_longer() {
+        let mut pacing = Pacing::new(30.0);
+        // A camera at 30 Hz that falls to 10 Hz.
+        let repeats: Vec<u64> = [0, 33, 67, 100, 200, 300].map(|ms| pacing.repeats(ms * MS)).to_vec();
+        assert_eq!(repeats, [0, 0, 0, 0, 2, 2]);
+        assert_eq!(pacing.repeats(7_200_300 * MS), 299, "two hours without a picture are not filled");
+        let mut slow = Pacing::new(10.0);
+        assert!((0..60).all(|k| slow.repeats(k * 33 * MS) == 0), "no picture is left out");
+        assert!(slow.behind_ms() > 3000.0);
+    }
+}

@@ -1,0 +1,273 @@
+//! `skill`: how skilfully instruments are moved, while they are (thesis, abstract). What each measure means: `panoscope_tracking::skill`.
+
+use std::collections::VecDeque;
+use std::fmt::Write;
+
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion};
+use panoscope_node::abi::{Pose, Tip};
+use panoscope_node::{
+    Choice, Context, List, Node, NodeInfo, Open, Params, Ports, Result, Slot, Table, TableData, Text, TextPacket,
+    Value, error,
+};
+use panoscope_tracking::skill::measures::FIGURES;
+use panoscope_tracking::skill::{Measures, Sample, Session, Settings};
+
+/// Inputs.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// Tips in the left rectified camera's frame: best one `tip_track` per hand.
+    tip: List<'f, Value<'f, Tip>>,
+    /// Where the left camera stood, in a frame that rests: without it the camera's own movement counts as the tips'.
+    camera_pose: Option<Value<'f, Pose>>,
+    /// Name of the phase of the operation that goes on.
+    phase: Option<Text<'f>>,
+    /// Table of `proximity`: touches of the tissue are counted where it is connected.
+    proximity: Option<Table<'f>>,
+}
+
+/// Outputs.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// One row per tool and phase: number of the tool, its class, of the phase (-1: all phases), then all measures since the start. Times count from the
+    /// tool's first picture.
+    table: Slot<'f, TableData>,
+    /// One row per pair of tools: their numbers, the time in which both were seen, in which both moved, the share of movement that both made together,
+    /// and the correlation of their speeds.
+    pairs: Slot<'f, TableData>,
+    /// The most important measures, a line per tool.
+    text: Slot<'f, TextPacket>,
+}
+
+/// Which tips are of one tool.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum Tools {
+    /// Those that come in at one input: each hand has its own.
+    Input,
+    /// Those with one number.
+    Track,
+    /// Those of one class.
+    Class,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct SkillParams {
+    /// Which tips are of one tool.
+    #[param(default = "input", reopen)]
+    tools: Tools,
+    /// Lowest score of a tip that counts: one that is only predicted loses score.
+    #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    min_score: f64,
+    /// Longest time between two tips that is bridged; beyond it the tool is out of view.
+    #[param(default = 250.0, range = 10.0..=5000.0, step = 10.0, unit = "ms", reopen)]
+    max_gap_ms: f64,
+    /// Half width of the window that speed is taken from.
+    #[param(default = 80.0, range = 10.0..=1000.0, step = 10.0, unit = "ms", reopen)]
+    window_ms: f64,
+    /// Speed below which a tool rests.
+    #[param(default = 3.0, range = 0.1..=50.0, step = 0.1, unit = "mm/s", reopen)]
+    rest_mm_s: f64,
+    /// Shortest rest that is idleness.
+    #[param(default = 300.0, range = 10.0..=10000.0, step = 10.0, unit = "ms", reopen)]
+    rest_ms: f64,
+    /// Distance of the knots that jerk is smoothed with.
+    #[param(default = 100.0, range = 20.0..=1000.0, step = 10.0, unit = "ms", reopen)]
+    knot_ms: f64,
+    /// Distance to the tissue at which a tip touches it.
+    #[param(default = 1.5, range = -5.0..=20.0, step = 0.1, unit = "mm", reopen)]
+    touch_mm: f64,
+    /// Shortest touch that counts.
+    #[param(default = 200.0, range = 0.0..=10000.0, step = 10.0, unit = "ms", reopen)]
+    touch_ms: f64,
+}
+
+/// Columns of the table before the measures.
+const KEYS: [&str; 3] = ["tool", "class_index", "phase"];
+/// All columns of the table.
+pub const COLUMNS: [&str; KEYS.len() + FIGURES.len()] = {
+    let mut names = [""; KEYS.len() + FIGURES.len()];
+    let mut at = 0;
+    while at < names.len() {
+        names[at] = if at < KEYS.len() { KEYS[at] } else { FIGURES[at - KEYS.len()].name };
+        at += 1;
+    }
+    names
+};
+/// Columns of the pairs.
+pub const PAIRS: [&str; 6] = ["a", "b", "seen_s", "both_s", "overlap", "correlation"];
+
+/// Poses of the camera that are kept for tips that come late.
+const MOST_POSES: usize = 64;
+
+/// See the module.
+pub struct Skill {
+    session: Session,
+    poses: VecDeque<(i64, Isometry3<f64>)>,
+    /// Class of each tool, and capture time of the newest tip of each input.
+    classes: Vec<u32>,
+    looked_ns: Vec<i64>,
+    refused: bool,
+    rows: Vec<f64>,
+    words: String,
+}
+
+fn settings(params: &SkillParams) -> Settings {
+    Settings {
+        max_gap_s: params.max_gap_ms * 1e-3,
+        window_s: params.window_ms * 1e-3,
+        rest_mm_s: params.rest_mm_s,
+        rest_s: params.rest_ms * 1e-3,
+        knot_s: params.knot_ms * 1e-3,
+        touch_mm: params.touch_mm,
+        touch_s: params.touch_ms * 1e-3,
+    }
+}
+
+fn pose_of(pose: &Pose) -> Option<Isometry3<f64>> {
+    let [w, x, y, z] = pose.a_from_b_wxyz;
+    let [tx, ty, tz] = pose.a_from_b_mm;
+    let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-9)?;
+    let all = [w, x, y, z, tx, ty, tz];
+    all.iter().all(|v| v.is_finite()).then(|| Isometry3::from_parts(Translation3::new(tx, ty, tz), turn))
+}
+
+/// Distance to the tissue of a tip with a number, by the table of `proximity`; NaN where that does not tell.
+fn tissue_mm(table: &Table<'_>, track_id: i64) -> Result<f64> {
+    let column = |name: &str| {
+        let place = table.names().position(|n| n == name);
+        place.ok_or_else(|| {
+            error!("the table at `proximity` has no column `{name}`: wire the table of a `proximity` node")
+        })
+    };
+    let (id, tissue) = (column("track_id")?, column("tissue_mm")?);
+    Ok(table.rows().find(|row| row[id] == track_id as f64).map_or(f64::NAN, |row| row[tissue]))
+}
+
+impl Skill {
+    fn tell(&mut self) {
+        self.words.clear();
+        for (tool, class) in self.session.tools().zip(&self.classes) {
+            let m = tool.total;
+            let _ = write!(
+                self.words,
+                "tool {} (class {class}): {:.0} s in view, {:.0} mm, {:.0} % idle, economy {:.2}",
+                tool.key,
+                m.seen_s(),
+                m.path_mm(),
+                100.0 * m.idle_share(),
+                m.economy()
+            );
+            let _ = writeln!(self.words, ", log dimensionless jerk {:.1}", m.ldlj.mean());
+        }
+    }
+}
+
+impl Node for Skill {
+    const INFO: NodeInfo = NodeInfo::compute(
+        "skill",
+        "tools",
+        "Measures surgical skill from the tracks of tips: path, economy, smoothness, idleness, working room, both hands.",
+    );
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = SkillParams;
+
+    fn open(_: &Open<'_>, params: &SkillParams) -> Result<Self> {
+        Ok(Self {
+            session: Session::new(settings(params)),
+            poses: VecDeque::with_capacity(MOST_POSES),
+            classes: Vec::new(),
+            looked_ns: Vec::new(),
+            refused: false,
+            rows: Vec::new(),
+            words: String::new(),
+        })
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &SkillParams) -> Result<()> {
+        let now_ns = cx.tick().capture_ns;
+        let room_from_camera = match &input.camera_pose {
+            Some(pose) => pose_of(pose).ok_or_else(|| error!("the camera pose holds numbers that are no pose"))?,
+            None => Isometry3::identity(),
+        };
+        if self.poses.len() == MOST_POSES {
+            self.poses.pop_front();
+        }
+        self.poses.push_back((now_ns, room_from_camera));
+        if let Some(phase) = &input.phase {
+            let name = phase.lines().next().unwrap_or("").trim();
+            self.session.set_phase(name);
+        }
+        self.looked_ns.resize(input.tip.len(), i64::MIN);
+        for (index, tip) in input.tip.iter().enumerate().filter_map(|(index, tip)| Some((index, tip?))) {
+            let seen_ns = tip.tick().capture_ns;
+            let is_new = std::mem::replace(&mut self.looked_ns[index], seen_ns) < seen_ns;
+            if !is_new || tip.xyz_valid != 1 || tip.score < params.min_score {
+                continue;
+            }
+            let key = match params.tools {
+                Tools::Input => index as u64,
+                Tools::Track => tip.track_id as u64,
+                Tools::Class => u64::from(tip.class_index),
+            };
+            let Some(tool) = self.session.tool(key, String::new) else {
+                if !std::mem::replace(&mut self.refused, true) {
+                    cx.warn(
+                        "there are more tools than 16: the last ones are not measured; `tools = \"class\"` has fewer",
+                    );
+                }
+                continue;
+            };
+            self.classes.resize(self.classes.len().max(tool + 1), 0);
+            self.classes[tool] = tip.class_index;
+            let then = self.poses.iter().min_by_key(|(pose_ns, _)| pose_ns.abs_diff(seen_ns));
+            let room = then.map_or(room_from_camera, |(_, room)| *room) * Point3::from(tip.xyz_mm);
+            let tissue_mm = match &input.proximity {
+                Some(table) => tissue_mm(table, tip.track_id)?,
+                None => f64::NAN,
+            };
+            let sample = Sample {
+                at_s: seen_ns as f64 * 1e-9,
+                place_mm: [room.x, room.y, room.z],
+                depth_mm: tip.xyz_mm[2],
+                tissue_mm,
+            };
+            self.session.observe(tool, sample);
+        }
+        self.session.advance(now_ns as f64 * 1e-9);
+        if out.table.is_read() {
+            self.rows.clear();
+            for (tool, class) in self.session.tools().zip(&self.classes) {
+                let rows = &mut self.rows;
+                let mut add = |phase: f64, measures: &Measures| {
+                    rows.extend([tool.key as f64, f64::from(*class), phase]);
+                    rows.extend(FIGURES.iter().map(|figure| (figure.of)(measures)));
+                };
+                add(-1.0, tool.total);
+                for (phase, measures) in tool.phases.iter().enumerate().filter(|(_, measures)| !measures.is_empty()) {
+                    add(phase as f64, measures);
+                }
+            }
+            if !self.rows.is_empty() {
+                out.table.set_table(&COLUMNS, &self.rows)?;
+            }
+        }
+        if out.pairs.is_read() {
+            self.rows.clear();
+            let keys = |number: usize| self.session.tools().nth(number).map_or(f64::NAN, |tool| tool.key as f64);
+            for (a, b, both, _) in self.session.pairs() {
+                let figures = [both.seen_s(), both.both_s(), both.overlap(), both.correlation()];
+                self.rows.extend([keys(a), keys(b)]);
+                self.rows.extend(figures);
+            }
+            if !self.rows.is_empty() {
+                out.pairs.set_table(&PAIRS, &self.rows)?;
+            }
+        }
+        if out.text.is_read() && !self.classes.is_empty() {
+            self.tell();
+            out.text.set_text(self.words.trim_end())?;
+        }
+        Ok(())
+    }
+}
