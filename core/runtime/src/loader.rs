@@ -205,7 +205,10 @@ pub fn load(found: &Found) -> Result<Loaded, LoadError> {
     let mut node_types = unsafe { panoscope_graph::from_abi::node_types(plugin) }.map_err(|e| bad(e.to_string()))?;
     // Files that come with a plugin lie in a folder of its name beside its library.
     let shipped_dir = file.parent().unwrap_or(Path::new("")).join(&found.note.name);
-    node_types.iter_mut().for_each(|node_type| node_type.shipped_dir.clone_from(&shipped_dir));
+    for node_type in &mut node_types {
+        node_type.shipped_dir.clone_from(&shipped_dir);
+        node_type.validator = node_type.validator.take().map(|v| who::checking(&node_type.name, file, v));
+    }
     // SAFETY: validated by `node_types`.
     let descriptor = unsafe { &*plugin };
     // SAFETY: as above.

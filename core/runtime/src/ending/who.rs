@@ -6,6 +6,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, OnceLock};
 
 use panoscope_abi as abi;
+use panoscope_graph::Validator;
 
 use crate::cell::{Cell, lock};
 
@@ -32,6 +33,7 @@ impl Who {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Phase {
     Process,
+    Check,
     Open,
     Finish,
     Close,
@@ -43,6 +45,7 @@ impl Phase {
     pub fn words(self) -> &'static str {
         match self {
             Self::Process => "processed",
+            Self::Check => "checked",
             Self::Open => "opened",
             Self::Finish => "asked to complete its output",
             Self::Close => "closed",
@@ -160,6 +163,15 @@ pub(crate) fn loading<T>(file: &Path, work: impl FnOnce() -> T) -> T {
     with(&who, Phase::Open, work)
 }
 
+/// A plugin's validator whose node is named when it crashes.
+pub(crate) fn checking(node_type: &str, file: &Path, validator: Validator) -> Validator {
+    let (node_type, file) = (node_type.to_owned(), file.display().to_string());
+    Validator::new(move |setup| {
+        let who = Who { node: setup.node_id.to_owned(), node_type: node_type.clone(), file: file.clone() };
+        with(&Arc::new(who), Phase::Check, || validator.problems(setup))
+    })
+}
+
 /// Nodes that are being opened now, for whoever waits for them.
 static OPENING: Mutex<Vec<Arc<Who>>> = Mutex::new(Vec::new());
 
@@ -187,6 +199,7 @@ pub(crate) fn being_opened() -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use panoscope_graph::NodeSetup;
 
     #[test]
     fn a_thread_knows_what_it_does_and_forgets_it_after_a_panic() {
@@ -204,5 +217,24 @@ mod tests {
         assert!(caught.is_err() && current().is_none());
         assert_eq!(opening(&who, being_opened), ["`a` (t)"]);
         assert!(being_opened().is_empty());
+    }
+
+    #[test]
+    fn a_validator_runs_in_the_name_of_the_node_that_it_checks() {
+        let seen = Arc::new(Mutex::new(None));
+        let saw = Arc::clone(&seen);
+        let validator = checking(
+            "t",
+            Path::new("p.so"),
+            Validator::new(move |_| {
+                let (who, phase, _) = current().expect("set");
+                *lock(&saw) = Some((who.node.clone(), who.node_type.clone(), who.file.clone(), phase));
+                Vec::new()
+            }),
+        );
+        let setup = NodeSetup { node_id: "a", params: &[], graph_dir: Path::new(""), batch: true, wiring: None };
+        assert!(validator.problems(&setup).is_empty() && current().is_none());
+        let [node, node_type, file] = ["a", "t", "p.so"].map(str::to_owned);
+        assert_eq!(*lock(&seen), Some((node, node_type, file, Phase::Check)));
     }
 }
