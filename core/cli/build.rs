@@ -1,10 +1,14 @@
-//! Makes the program's allocation functions the ones that plugins and their libraries call, so that they are counted.
+//! Makes the program's allocation and exit functions the ones that plugins and their libraries call: allocations are counted, and nobody ends
+//! the program without a word.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
     let target = |key: &str| std::env::var(format!("CARGO_CFG_TARGET_{key}")).unwrap_or_default();
     if target("OS") == "linux" && target("ENV") == "gnu" {
         for symbol in ["malloc", "calloc", "realloc", "aligned_alloc", "posix_memalign", "memalign"] {
+            println!("cargo:rustc-link-arg-bins=-Wl,--export-dynamic-symbol={symbol}");
+        }
+        for symbol in ["exit", "_exit", "_Exit", "quick_exit"] {
             println!("cargo:rustc-link-arg-bins=-Wl,--export-dynamic-symbol={symbol}");
         }
     }

@@ -62,15 +62,19 @@ fn size(text: &str) -> Result<(f32, f32), String> {
     parts.filter(|&(w, h)| w >= 480.0 && h >= 320.0).ok_or_else(|| "as in 1440x900, at least 480x320".to_owned())
 }
 
+panoscope_runtime::guard_exits!();
+
 fn main() {
+    if let Err(error) = panoscope_runtime::ending::signals::install() {
+        eprintln!("warning: signals end the program without finishing files: {error}");
+    }
     let arguments = Arguments::parse();
     let code = run(&arguments);
     // As the command does: destructors of foreign libraries are not to be trusted. Files are finished by now.
     use std::io::Write;
     let _ = std::io::stdout().flush();
     let _ = std::io::stderr().flush();
-    // SAFETY: leaves the process; nothing of it is used afterwards.
-    unsafe { libc::_exit(code) }
+    panoscope_runtime::ending::leave(code)
 }
 
 /// Whether a file could be made there.

@@ -21,6 +21,8 @@ pub struct Progress {
     pub param: String,
     /// Unit of the parameter.
     pub unit: String,
+    /// The values are words, whose numbers are positions only.
+    pub words: bool,
     /// What is measured.
     pub measure: String,
     /// Points so far.
@@ -109,10 +111,11 @@ fn sweep(
         let mut progress = lock(place);
         progress.total = sweep.len();
         sweep.unit().clone_into(&mut progress.unit);
+        progress.words = sweep.has_words();
     }
-    sweep.run(&|| stop.load(Ordering::Relaxed), |point| {
+    let each = |point| {
         lock(place).points.push(point);
         wake();
-    });
-    Ok(())
+    };
+    sweep.run(&|| stop.load(Ordering::Relaxed), each).map_err(|e| e.to_string())
 }

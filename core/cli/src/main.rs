@@ -1,9 +1,11 @@
-//! The `panoscope` command. Exit codes: 0 done, 1 the run failed, 2 the arguments or the graph are wrong.
+//! The `panoscope` command. Exit codes: 0 done, 1 the run failed (`judge` has the rule), 2 the arguments or the graph are wrong; 128 and the
+//! signal's number where a signal ended the command before there was a run, or at once; the signal itself where a plugin crashed.
 
 mod allocations;
 mod commands;
 mod graph_file;
 mod interrupt;
+mod judge;
 mod log_lines;
 mod probe;
 mod progress;
@@ -11,6 +13,9 @@ mod summary;
 mod terminal;
 
 use clap::{Parser, Subcommand};
+use panoscope_runtime::ending::signals;
+
+panoscope_runtime::guard_exits!();
 
 /// Runs graphs of image-processing nodes on the live picture of two-camera endoscopes.
 #[derive(Parser)]
@@ -70,7 +75,7 @@ enum Command {
 }
 
 /// How a command ended.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// Done.
     Done,
@@ -81,6 +86,9 @@ pub enum End {
 }
 
 fn main() {
+    if let Err(error) = signals::install() {
+        terminal::tell!("warning: signals end the program without finishing files: {error}");
+    }
     let arguments = Arguments::parse();
     let end = match arguments.command {
         Command::Run(arguments) => commands::run::run(&arguments),

@@ -47,6 +47,9 @@ fn limit(resource: libc::__rlimit_resource_t, most: u64) {
 
 /// The child's part.
 pub fn run(arguments: &Arguments) -> Result<End> {
+    // Whoever ends the parent ends this, too.
+    // SAFETY: a plain system call.
+    unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) };
     limit(libc::RLIMIT_AS, MEMORY_BYTES);
     limit(libc::RLIMIT_CPU, 2 * PATIENCE.as_secs());
     limit(libc::RLIMIT_CORE, 0);

@@ -141,8 +141,8 @@ fn wrong_graphs_and_arguments_are_2_and_failed_runs_1() {
     assert!(err.contains("told not to open"), "{err}");
     let once = file("once.toml", &graph("batch", "failing", "params = { first = 5 }"));
     let (code, _, err) = run(&["run", &once, "--frames", "50"]);
-    assert_eq!(code, 0, "a node that was restarted does not fail the run: {err}");
-    assert!(err.contains("warning: node `middle` failed once"), "{err}");
+    assert_eq!(code, 1, "a fault that lost a tick fails the run: {err}");
+    assert!(err.contains("error: node `middle` failed once: told to fail at tick 5"), "{err}");
 }
 
 /// Frames of a video that was completed: the size in its head is that of the file.
@@ -340,4 +340,8 @@ fn a_sweep_writes_a_row_per_value() {
     assert!(out.contains("level.gain") && out.contains("deviation"), "{out}");
     let (code, _, err) = run(&["sweep", &graph, "--param", "level.gian", "--measure", "level.level"]);
     assert!(code == 2 && err.contains("it has gain, window, spots"), "{code}: {err}");
+    // What only a run can tell is told after its first packet, and nothing more is run.
+    let wrong = ["--measure", "level.levels.median"];
+    let (code, out, err) = run(&[&["sweep", &graph], &arguments[..], &wrong].concat());
+    assert!(code == 2 && err.contains("columns are mean, min, max, spots") && out.is_empty(), "{code}: {out}{err}");
 }

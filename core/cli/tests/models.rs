@@ -65,6 +65,23 @@ fn a_model_of_another_kind_is_refused_with_both_shapes() {
     std::fs::remove_dir_all(folder).expect("removed");
 }
 
+#[test]
+fn a_good_model_passes() {
+    let Some(plugins) = plugins(&["flow", "tools", "sinks"]) else { return };
+    let folder = std::env::temp_dir().join(format!("panoscope_models_good_{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    // As YOLO's with 80 classes: a row per box and class.
+    let (code, words, seconds) = check(&folder, &plugins, &constant("output0", [1, 84, 84]));
+    if words.contains("model-unchecked") {
+        println!("skipped: {}", words.lines().next().unwrap_or("ONNX Runtime is not there"));
+        return;
+    }
+    assert_eq!(code, 0, "{words}");
+    assert!(words.contains("ok (3 nodes, 2 connections)"), "{words}");
+    println!("checked in {seconds:.1} s");
+    std::fs::remove_dir_all(folder).expect("removed");
+}
+
 /// A field of a protobuf message.
 fn field(number: u8, bytes: &[u8]) -> Vec<u8> {
     let mut out = vec![number << 3 | 2];
@@ -79,6 +96,12 @@ fn field(number: u8, bytes: &[u8]) -> Vec<u8> {
 }
 
 fn weird() -> Vec<u8> {
+    constant("weird", [1, 7, 11])
+}
+
+/// A network with one input `images` 1x3x64x64 and one output that is always 0.
+fn constant(output: &str, shape: [u8; 3]) -> Vec<u8> {
+    let values = shape.iter().map(|d| usize::from(*d)).product::<usize>();
     let number = |field: u8, value: u8| vec![field << 3, value];
     let value_info = |name: &[u8], dims: &[u8]| {
         let shape: Vec<u8> = dims.iter().flat_map(|&d| field(1, &number(1, d))).collect();
@@ -86,19 +109,19 @@ fn weird() -> Vec<u8> {
         [field(1, name), field(2, &field(1, &tensor))].concat()
     };
     let held = [
-        [1u8, 7, 11].iter().flat_map(|&d| number(1, d)).collect(),
+        shape.iter().flat_map(|&d| number(1, d)).collect(),
         number(2, 1),
         field(8, b"held"),
-        field(9, &[0; 77 * 4]),
+        field(9, &vec![0; values * 4]),
     ]
     .concat();
-    let node = [field(1, b"held"), field(2, b"weird"), field(4, b"Identity")].concat();
+    let node = [field(1, b"held"), field(2, output.as_bytes()), field(4, b"Identity")].concat();
     let graph = [
         field(1, &node),
         field(2, b"g"),
         field(5, &held),
         field(11, &value_info(b"images", &[1, 3, 64, 64])),
-        field(12, &value_info(b"weird", &[1, 7, 11])),
+        field(12, &value_info(output.as_bytes(), &shape)),
     ]
     .concat();
     [number(1, 8), field(7, &graph), field(8, &[field(1, b""), number(2, 13)].concat())].concat()

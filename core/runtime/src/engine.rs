@@ -15,6 +15,7 @@ use panoscope_graph::{Catalog, Graph, Mode, NodeSetup, Param, ParamValue, Valida
 use crate::apply::ChangeLock;
 use crate::cell::{Cell, LONGEST_BUDGET_NS, Surroundings, lock};
 use crate::clock;
+use crate::ending;
 use crate::fault::{Fault, FaultFn, FaultLog};
 use crate::guard::Limit;
 use crate::host;
@@ -23,10 +24,10 @@ use crate::log::{Level, Log, LogFn};
 use crate::params::Snapshot;
 use crate::plan;
 use crate::pool::{self, Pool, Task};
-use crate::preview::{Listener, Preview};
+use crate::preview::{Listener, NumberListener, Preview};
 use crate::record::{Event, Recorder, Script};
 use crate::report::{NodeWindow, Report, Window};
-use crate::schedule::{AllocationMeter, Shared};
+use crate::schedule::{AllocationMeter, Ready, Shared};
 
 /// How a graph is run.
 pub struct Options {
@@ -51,6 +52,8 @@ pub struct Options {
     pub replay: Option<Arc<Script>>,
     /// Ports whose every packet is heard.
     pub listen: Vec<Listener>,
+    /// A node whose told numbers are heard, each as it is told.
+    pub numbers: Option<NumberListener>,
     /// A call of a node without a budget that takes longer does not return, in live mode; in batch, 30 times that.
     pub hang: Duration,
     /// Longest that a node may take to open: at the start, in a change and after a fault.
@@ -76,6 +79,7 @@ impl Default for Options {
             record: None,
             replay: None,
             listen: Vec::new(),
+            numbers: None,
             hang: Duration::from_secs(2),
             open_limit: Duration::from_secs(30),
             close_limit: Duration::from_secs(10),
@@ -216,6 +220,11 @@ impl Engine {
         }
         let slots: Vec<usize> = (0..cells.len()).collect();
         let plan = plan::lay_out(&graph, catalog, cells, slots.clone(), options.ticks_at_once, None);
+        if let Some(numbers) = &options.numbers
+            && let Some(node) = graph.node(&numbers.node)
+        {
+            let _ = plan.cells[node].hear_number.set(Arc::clone(&numbers.hear));
+        }
         let listening = listen(&graph, catalog, &plan.cells, &options.listen)?;
         let batch = graph.mode == Mode::Batch;
         let start_ns = clock::now_ns();
@@ -282,6 +291,7 @@ impl Engine {
             closed: AtomicBool::new(false),
             _listening: listening,
         };
+        ending::register(&engine.shared);
         engine.start_threads().map_err(|cause| StartError::Thread { cause })?;
         Ok(engine)
     }
@@ -318,6 +328,14 @@ impl Engine {
                 shared.start_thread(node, cell)?;
             }
         }
+        // A node that reads nothing never gets a tick: it is finished, and nobody waits for it when the engine is closed.
+        let mut ready = Ready::default();
+        for (node, cell) in plan.live().filter(|(_, c)| !c.source) {
+            if lock(&cell.join).slots.is_empty() {
+                shared.poke(&plan, node, &mut ready);
+            }
+        }
+        ready.settle(shared, &plan, 0);
         Ok(())
     }
 

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicPtr, AtomicU32, AtomicU64, Ordering};
 use panoscope_abi::{self as abi, Frame, PortRange, Tick};
 
 use crate::claims::Holds;
+use crate::ending::who::{self, Phase};
 use crate::keep::Kept;
 use crate::memory::FrameRef;
 use crate::outputs::OutputRule;
@@ -63,7 +64,7 @@ impl Instance {
         let was_open = std::mem::replace(&mut self.open, false);
         if let Some(close) = self.node_type.close.filter(|_| was_open) {
             // SAFETY: opened by `open` and closed once.
-            self.kept.during(|| unsafe { close(raw) });
+            who::with(&self.kept.who(), Phase::Close, || self.kept.during(|| unsafe { close(raw) }));
         }
         self.kept.reclaim();
         self.holds.release();
@@ -79,16 +80,22 @@ impl Instance {
         let save = self.node_type.save_state.filter(|_| self.open)?;
         let host = abi::Host { save: Some(collect), ..*host };
         let mut bytes: Vec<u8> = Vec::new();
+        let (raw, who) = (self.raw, self.kept.who());
         // SAFETY: an open instance that no other thread uses; the sink outlives the call.
-        let status = self.kept.during(|| unsafe { save(self.raw, &raw const host, (&raw mut bytes).cast()) });
+        let status = who::with(&who, Phase::SaveState, || {
+            self.kept.during(|| unsafe { save(raw, &raw const host, (&raw mut bytes).cast()) })
+        });
         (status == abi::STATUS_OK && !bytes.is_empty()).then_some(bytes)
     }
 
     /// Takes over a predecessor's state; `false` when it was not understood.
     pub fn load_state(&mut self, bytes: &[u8]) -> bool {
         let Some(load) = self.node_type.load_state.filter(|_| self.open) else { return false };
+        let (raw, who) = (self.raw, self.kept.who());
         // SAFETY: an open instance that no other thread uses; the bytes are lent for the call.
-        self.kept.during(|| unsafe { load(self.raw, bytes.as_ptr(), bytes.len()) == abi::STATUS_OK })
+        who::with(&who, Phase::LoadState, || {
+            self.kept.during(|| unsafe { load(raw, bytes.as_ptr(), bytes.len()) == abi::STATUS_OK })
+        })
     }
 }
 
@@ -203,11 +210,20 @@ impl Busy {
 #[derive(Clone, Copy)]
 pub(crate) struct Port {
     pub formats: u32,
-    /// Size when it was last made.
+    /// Size when it was last made, [`Port::NEVER`] before.
     pub width: u32,
     pub height: u32,
     /// Formats whose contents are looked at, one bit each, see [`OutputRule::inspect`].
     pub inspected: u32,
+}
+
+impl Port {
+    /// Width and height of an output that was not made yet.
+    pub const NEVER: (u32, u32) = (u32::MAX, u32::MAX);
+
+    fn new(formats: u32, inspected: u32) -> Self {
+        Self { formats, width: Self::NEVER.0, height: Self::NEVER.1, inspected }
+    }
 }
 
 /// The instance and what a call needs; owned by whoever runs the node. The order is that of use: what every call touches stands in
@@ -264,9 +280,8 @@ impl Exec {
         snapshot: Arc<Snapshot>,
         time: Arc<Histogram>,
     ) -> Box<Self> {
-        let port =
-            |rule: &OutputRule| Port { formats: rule.formats(), width: 0, height: 0, inspected: rule.inspected() };
-        let first = Port { formats: 0, width: 0, height: 0, inspected: 0 };
+        let port = |rule: &OutputRule| Port::new(rule.formats(), rule.inspected());
+        let first = Port::new(0, 0);
         Box::new(Self {
             instance: Instance::none(node_type),
             process: node_type.process,

@@ -50,10 +50,12 @@ pub enum Cause {
     Recording,
     /// A buffer given back that the node does not keep.
     Release,
+    /// The node's plugin ended the program: it crashed or called `exit`.
+    Crash,
 }
 
 /// How many causes there are.
-pub(crate) const CAUSES: usize = Cause::Release as usize + 1;
+pub(crate) const CAUSES: usize = Cause::Crash as usize + 1;
 
 /// What was done about a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]

@@ -3,8 +3,10 @@
 use std::sync::atomic::Ordering;
 
 use panoscope_abi::{self as abi, Tick};
+use panoscope_graph::OnFault;
 
 use crate::cell::{Cell, Surroundings, lock};
+use crate::ending::who::{self, Phase};
 use crate::exec::Instance;
 use crate::fault::{Action, Cause};
 use crate::host::CallContext;
@@ -37,7 +39,8 @@ impl Cell {
         };
         let (raw, host, call) = (instance.raw, &raw const around.host, (&raw mut context).cast());
         // SAFETY: the contract: an open instance that no other thread uses, since the caller owns it; table and handle outlive the call.
-        let status = instance.kept.during(|| unsafe { finish(raw, host, call) });
+        let status =
+            who::with(&self.who, Phase::Finish, || instance.kept.during(|| unsafe { finish(raw, host, call) }));
         if status == abi::STATUS_OK {
             return;
         }
@@ -58,8 +61,17 @@ impl Cell {
     }
 
     /// Notes that the node has lost something for good: the run has failed.
+    #[cold]
     pub fn lost(&self, around: &Surroundings, words: &str) {
         lock(&around.stopped).entry(self.id.clone()).or_insert_with(|| words.to_owned());
+    }
+
+    /// Notes that the node does nothing any more: the run has failed, unless the graph says that the node may be left out.
+    #[cold]
+    pub fn ceased(&self, around: &Surroundings, words: &str) {
+        if self.on_fault() != OnFault::Bypass {
+            self.lost(around, words);
+        }
     }
 
     /// Whether the last error of the node was one that opening it again would not mend.

@@ -343,6 +343,7 @@ impl Shared {
             if !all || !closed.load(Ordering::Acquire) || cell.stuck.load(Ordering::Relaxed) > 0 {
                 let words = "it does not return and is left behind; its files may be incomplete";
                 self.around.log.say(Level::Error, &cell.id, words);
+                cell.ceased(&self.around, words);
             }
         }
     }

@@ -269,6 +269,9 @@ unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
     if let Some(context) = unsafe { context(call) } {
         // SAFETY: as above.
         let name = unsafe { words(name) };
+        if let Some(hear) = context.cell.hear_number.get() {
+            hear(&context.tick, &name, value);
+        }
         let mut metrics = context.cell.metrics.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         match metrics.iter_mut().find(|(known, _)| *known == name) {
             Some((_, slot)) => *slot = value,

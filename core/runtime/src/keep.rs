@@ -4,10 +4,11 @@
 use std::cell::Cell;
 use std::ffi::c_void;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 
 use panoscope_abi::BufferId;
 
+use crate::ending::who::Who;
 use crate::memory::memory;
 
 thread_local! {
@@ -39,6 +40,8 @@ pub(crate) fn plugin_of(address: *const c_void) -> Plugin {
 struct Inner {
     count: AtomicUsize,
     ids: Mutex<Vec<BufferId>>,
+    /// The node that the instance belongs to.
+    who: OnceLock<Arc<Who>>,
     /// An address of the plugin.
     address: usize,
     /// Buffers that it kept or gave back without holding them, since somebody last asked.
@@ -93,6 +96,16 @@ impl Kept {
     pub fn during<R>(&self, call: impl FnOnce() -> R) -> R {
         let _restore = Restore(KEEPER.with(|k| k.replace(Arc::as_ptr(&self.0))));
         call()
+    }
+
+    /// Says whose instance this is.
+    pub fn belongs_to(&self, who: &Arc<Who>) {
+        let _ = self.0.who.set(Arc::clone(who));
+    }
+
+    /// The node that the instance belongs to.
+    pub fn who(&self) -> Arc<Who> {
+        self.0.who.get().cloned().unwrap_or_default()
     }
 
     /// Frames kept now.

@@ -10,6 +10,7 @@ use panoscope_abi as abi;
 use panoscope_graph::{Catalog, NodeType, Offer, PluginProblem};
 
 use crate::elf::{self, ElfError, Note};
+use crate::ending::who;
 use crate::host;
 
 /// Environment variable with further plugin folders, separated by colons.
@@ -183,10 +184,10 @@ pub fn load(found: &Found) -> Result<Loaded, LoadError> {
     elf::read_note(&copy.parts).map_err(|cause| LoadError::BadFile { file: file.clone(), cause })?;
     // SAFETY: constructors of the library run here. The note says that it is a plugin of this ABI; a plugin is trusted like
     // any program its user installs.
-    let library = unsafe {
+    let library = who::loading(file, || unsafe {
         libloading::os::unix::Library::open(Some(&copy.path), libc::RTLD_NOW | libc::RTLD_LOCAL)
             .map_err(|e| link(clean(&e, &copy.path, file)))
-    };
+    });
     let library = library?;
     let bad = |cause: String| LoadError::BadDescriptor { file: file.clone(), cause };
     // SAFETY: the symbol's type is part of the contract.
@@ -194,7 +195,7 @@ pub fn load(found: &Found) -> Result<Loaded, LoadError> {
         let entry = library
             .get::<abi::Entry>(abi::ENTRY_SYMBOL.as_bytes())
             .map_err(|_| bad(format!("it exports no symbol `{}`", abi::ENTRY_SYMBOL)))?;
-        entry()
+        who::loading(file, || entry())
     };
     // The library stays mapped: its threads, thread-locals and exit handlers cannot be undone safely. The descriptor of its copy stays open
     // like the mapping: debuggers and profilers read symbols through it.
@@ -204,7 +205,10 @@ pub fn load(found: &Found) -> Result<Loaded, LoadError> {
     let mut node_types = unsafe { panoscope_graph::from_abi::node_types(plugin) }.map_err(|e| bad(e.to_string()))?;
     // Files that come with a plugin lie in a folder of its name beside its library.
     let shipped_dir = file.parent().unwrap_or(Path::new("")).join(&found.note.name);
-    node_types.iter_mut().for_each(|node_type| node_type.shipped_dir.clone_from(&shipped_dir));
+    for node_type in &mut node_types {
+        node_type.shipped_dir.clone_from(&shipped_dir);
+        node_type.validator = node_type.validator.take().map(|v| who::checking(&node_type.name, file, v));
+    }
     // SAFETY: validated by `node_types`.
     let descriptor = unsafe { &*plugin };
     // SAFETY: as above.
@@ -216,9 +220,10 @@ pub fn load(found: &Found) -> Result<Loaded, LoadError> {
     let entries: Vec<&'static abi::NodeType> = (0..descriptor.node_types_len)
         .map(|index| unsafe { panoscope_graph::from_abi::whole(*descriptor.node_types.add(index)) })
         .collect();
+    who::loaded(&entries, file);
     if let Some(attach) = descriptor.attach {
         // SAFETY: the plugin's table outlives it.
-        let status = unsafe { attach(host::plugin_table(plugin)) };
+        let status = who::loading(file, || unsafe { attach(host::plugin_table(plugin)) });
         if status != abi::STATUS_OK {
             return Err(bad(format!("it refused the host ({status})")));
         }

@@ -109,6 +109,11 @@ impl OutputRule {
         (Cause::BadOutput, words)
     }
 
+    /// Whether a packet that no call of the node made may be put out: what a recording holds is checked like what is made.
+    pub fn admit(&self, frame: &Frame) -> Result<(), (Cause, String)> {
+        if fits(self.formats, frame) { self.inspect(frame, frame) } else { Err(self.objection(frame)) }
+    }
+
     /// Looks at what the node made: `shown` is what it may have tampered with.
     pub fn inspect(&self, frame: &Frame, shown: &Frame) -> Result<(), (Cause, String)> {
         if !is_same(frame, shown) {

@@ -13,6 +13,7 @@ use arc_swap::ArcSwap;
 use panoscope_abi::ChunkFn;
 
 use crate::clock;
+use crate::ending::who::{self, Doing};
 use crate::exec::Walk;
 use crate::keep;
 use crate::outbox::panic_words;
@@ -37,6 +38,8 @@ struct Loop {
     caller_number: u32,
     /// Of the node that it belongs to.
     urgency: Urgency,
+    /// The node that it belongs to.
+    doing: Doing,
     /// Whose call it is part of.
     scope: keep::Scope,
     /// A helper kept a frame for it, or was refused something.
@@ -455,7 +458,7 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
             drop(state);
             set_urgency(this.urgency);
             // SAFETY: the call that the loop is part of does not end before its helpers are through.
-            if unsafe { keep::within(this.scope, || this.help(inner)) } {
+            if who::help(this.doing, || unsafe { keep::within(this.scope, || this.help(inner)) }) {
                 this.attention.store(true, Ordering::Relaxed);
             }
             let caller = this.caller.clone();
@@ -511,6 +514,7 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
         caller: std::thread::current(),
         caller_number: thread_number(),
         urgency: URGENCY.with(Cell::get),
+        doing: who::doing(),
         scope: keep::scope(),
         attention: AtomicBool::new(false),
     };

@@ -22,6 +22,18 @@ pub struct Listener {
     pub hear: Arc<HearFn>,
 }
 
+/// Hears each number that a node tells, on the thread that tells it: tick, name, value.
+pub type HearNumberFn = dyn Fn(&panoscope_abi::Tick, &str, f64) + Send + Sync;
+
+/// A node whose told numbers are heard from the first tick on; see [`crate::Options::numbers`].
+#[derive(Clone)]
+pub struct NumberListener {
+    /// The node.
+    pub node: String,
+    /// What is done with each number.
+    pub hear: Arc<HearNumberFn>,
+}
+
 /// Where a port's packets go.
 struct Place {
     newest: Mutex<Option<FrameRef>>,

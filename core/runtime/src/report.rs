@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::cell::{Cell, lock};
 use crate::clock;
+use crate::plan::Plan;
 use crate::schedule::Shared;
 use crate::stats::quantile_between_ns;
 
@@ -67,6 +68,15 @@ pub struct NodeReport {
     pub conversions: u64,
     /// Heap allocations on the calling thread, all calls together; null when not counted.
     pub allocations: Option<u64>,
+    /// Of a source: ticks that it made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub made: Option<u64>,
+    /// Required inputs that never got a packet, as `node.port` of who should have made one.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub never_got: Vec<String>,
+    /// Left out of a replay because it acts on the world.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub muted: bool,
     /// Numbers that the node told.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub metrics: BTreeMap<String, f64>,
@@ -157,6 +167,9 @@ impl Report {
                     copies: load(&stats.copies),
                     conversions: load(&stats.conversions),
                     allocations: shared.around.thread_allocations.map(|_| load(&stats.allocations)),
+                    made: cell.source.then(|| load(&cell.made)),
+                    never_got: Vec::new(),
+                    muted: !cell.source && shared.around.script.as_ref().is_some_and(|script| script.closes(cell)),
                     metrics: lock(&cell.metrics).iter().cloned().collect(),
                 },
             );
@@ -169,6 +182,11 @@ impl Report {
                         age_max_ms: ms(stats.age.max_ns()),
                     },
                 );
+            }
+        }
+        for (reader, output) in starved(&plan) {
+            if let Some(node) = nodes.get_mut(&reader) {
+                node.never_got.push(output);
             }
         }
         let (from, to) = (*lock(&shared.allocations.from), *lock(&shared.allocations.to));
@@ -188,6 +206,26 @@ impl Report {
             machine: Machine::here(shared.pool.threads()),
         }
     }
+}
+
+/// Nodes with the outputs that they require and that were never made.
+fn starved(plan: &Plan) -> Vec<(String, String)> {
+    let mut found = Vec::new();
+    for (slot, cell) in plan.live() {
+        let made = cell.ports_made.load(Ordering::Relaxed);
+        let never = |port: usize| made & 1u64.checked_shl(port as u32).unwrap_or(0) == 0;
+        for (port, readers) in plan.wiring[slot].readers.iter().enumerate().filter(|(port, _)| never(*port)) {
+            let name = cell.rules.get(port).map_or("?", |rule| rule.name.as_str());
+            for reader in readers {
+                let cell_of_reader = &plan.cells[reader.node];
+                let required = lock(&cell_of_reader.join).slots.get(reader.slot).is_some_and(|s| !s.optional);
+                if required {
+                    found.push((cell_of_reader.id.clone(), format!("{}.{name}", cell.id)));
+                }
+            }
+        }
+    }
+    found
 }
 
 /// What each node did in a stretch of time, for displays; [`Engine::window`](crate::Engine::window) moves it on.

@@ -360,7 +360,7 @@ impl Shared {
                 continue;
             }
             let tick = Tick { source: node as u32, flags: 0, seq, capture_ns: recorded.capture_ns };
-            let outputs = match script.outputs(cell, recorded, tick) {
+            let outputs = match script.outputs(cell, &self.around, recorded, tick) {
                 Ok(outputs) => outputs,
                 Err(error) => {
                     script.fail(error.to_string());
@@ -369,6 +369,7 @@ impl Shared {
                 }
             };
             let raw: Vec<Frame> = outputs.iter().map(|f| *f.frame()).collect();
+            cell.note_made(&raw);
             cell.taps.show(&raw);
             if let Some(recorder) = &self.around.recorder {
                 recorder.made_tick(cell, &tick, &raw);

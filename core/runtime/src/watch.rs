@@ -136,6 +136,9 @@ impl Shared {
             _ => Action::Bypass,
         };
         exec.bypassed = done == Action::Bypass;
+        if exec.bypassed {
+            cell.ceased(&self.around, &format!("{stuck} of its calls did not return"));
+        }
         busy.clear();
         cell.exec.put(exec);
 
@@ -187,6 +190,9 @@ impl Shared {
         let done = if stuck <= MOST_STUCK { Action::Abandon } else { Action::Bypass };
         bump(&cell.stats.faults);
         let words = error.to_string();
+        if done == Action::Bypass {
+            cell.ceased(&self.around, &words);
+        }
         self.around.log.say(Level::Error, &cell.id, &words);
         cell.tell(&self.around, Cause::Hang, done, None, None, words);
         done

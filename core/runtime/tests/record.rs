@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use common::{PATIENCE, loader, scratch};
 use panoscope_graph::{GraphText, ParamValue, check};
-use panoscope_runtime::record::compare::compare;
+use panoscope_runtime::record::compare::{compare, compare_recordings};
 use panoscope_runtime::record::{
     Digests, Event, RecordOptions, Recorded, Recorder, Recording, RecordingError, Replay, ReplayError, ReplayOptions,
     head,
@@ -314,12 +314,149 @@ fn damaged_bytes_are_named_or_end_the_recording() {
             }
         }
     }
+    assert!(all.verify().is_ok() && all.checked);
     let packet = all.ports["a.image"][3];
     let mut bytes = whole;
     bytes[packet.at as usize + 20] ^= 1;
     std::fs::write(&file, &bytes).expect("written");
     let error = replay(&file, 2).expect_err("a damaged frame is not shown as if it were whole");
     assert!(error.to_string().contains("is damaged at byte") && error.to_string().contains("a.image"), "{error}");
+}
+
+/// Every way in which damage is told: at opening, where the recording ends, or at the packet.
+fn is_told(file: &Path) -> Option<String> {
+    match Recording::open(file) {
+        Err(error) => Some(error.to_string()),
+        Ok(recording) => match recording.verify() {
+            Err(error) => Some(error.to_string()),
+            Ok(()) => recording.cut.filter(|cut| cut.damaged).map(|cut| cut.reason),
+        },
+    }
+}
+
+#[test]
+fn a_flipped_bit_anywhere_is_told_and_never_other_data() {
+    let whole = short();
+    let file = scratch("flipped.mcap");
+    std::fs::write(&file, &whole).expect("written");
+    assert_eq!(is_told(&file), None);
+    let all = Recording::open(&file).expect("whole");
+    // All of the beginning (header, channel, head, first ticks) and of the end; a sample of what repeats between them.
+    let first = all.ports["a.image"][2].at as usize + 8;
+    let (mut flipped, mut step) = (0, 0u64);
+    let mut at = 0;
+    while at < whole.len() {
+        let mut bytes = whole.clone();
+        step += 1;
+        bytes[at] ^= 1 << (step % 8);
+        std::fs::write(&file, &bytes).expect("written");
+        assert!(is_told(&file).is_some(), "bit {} of byte {at} of {}: nobody notices", step % 8, whole.len());
+        flipped += 1;
+        at += if at < first || at + 800 > whole.len() { 1 } else { 13 };
+    }
+    assert!(flipped > 3000, "{flipped}");
+}
+
+#[test]
+fn what_is_damaged_fails_a_replay_and_is_not_called_equal() {
+    let whole = short();
+    let [good, bad] = ["good.mcap", "bad.mcap"].map(scratch);
+    std::fs::write(&good, &whole).expect("written");
+    let all = Recording::open(&good).expect("whole");
+    // The description of a packet in the middle: source, tick, time and size stand there.
+    let packet = all.ports["a.image"][10];
+    let mut bytes = whole.clone();
+    bytes[packet.at as usize - 72 + 33] ^= 4;
+    std::fs::write(&bad, &bytes).expect("written");
+    let cut = Recording::open(&bad).expect("good up to there").cut.expect("it is damaged");
+    assert!(cut.damaged && cut.at < packet.at, "{cut:?}");
+    let error = replay(&bad, 2).expect_err("the rest is lost").to_string();
+    assert!(error.contains("is damaged at byte") && error.contains("description of a packet"), "{error}");
+    // Bytes of a picture: the fingerprints are equal.
+    let mut bytes = whole;
+    bytes[packet.at as usize + 5] ^= 1;
+    std::fs::write(&bad, &bytes).expect("written");
+    let damaged = Recording::open(&bad).expect("its messages are whole");
+    let error = compare_recordings(&all, &damaged, 0.0).expect_err("it is not called equal").to_string();
+    assert!(error.contains("is damaged at byte") && error.contains("packet 10 of `a.image`"), "{error}");
+}
+
+/// A recording as format 1 had it: without checksums.
+fn without_checksums(recording: &Path) -> Vec<u8> {
+    let whole = std::fs::read(recording).expect("it was written");
+    let mut out = Vec::from(mcap::MAGIC);
+    let mut at = mcap::MAGIC.len();
+    let mut packets = std::collections::HashSet::new();
+    while whole[at] != mcap::records::op::DATA_END {
+        let len = u64::from_le_bytes(whole[at + 1..at + 9].try_into().expect("eight")) as usize;
+        let (kind, mut body) = (whole[at], whole[at + 9..at + 9 + len].to_vec());
+        at += 9 + len;
+        let channel = u16::from_le_bytes([body[0], body[1]]);
+        if kind == mcap::records::op::CHANNEL && String::from_utf8_lossy(&body).contains("panoscope.packet") {
+            packets.insert(channel);
+        }
+        if kind == mcap::records::op::MESSAGE {
+            if packets.contains(&channel) {
+                body.drain(22 + 56..22 + 72);
+            } else {
+                body.truncate(body.len() - 27);
+                body.push(b'}');
+                let json = String::from_utf8(body.split_off(22)).expect("JSON");
+                body.extend(json.replacen("\"format\":2", "\"format\":1", 1).into_bytes());
+            }
+        }
+        out.push(kind);
+        out.extend((body.len() as u64).to_le_bytes());
+        out.extend(body);
+    }
+    out
+}
+
+#[test]
+fn recordings_of_format_1_still_play_and_say_that_they_carry_no_checksums() {
+    let text = [HEAD, &source("a", 400.0), &node("end", "drain", "a.image")].concat();
+    let file = scratch("new_format.mcap");
+    let run = start(&text, Some(file.clone()), Options { threads: 2, ..Options::default() }, false);
+    run.until("a", 30);
+    let original = run.end().digests.expect("fingerprints");
+    let old = scratch("old_format.mcap");
+    std::fs::write(&old, without_checksums(&file)).expect("written");
+    let recording = Arc::new(Recording::open(&old).expect("an old recording"));
+    assert_eq!((recording.head.format, recording.checked), (1, false));
+    let replay = Replay::start(&recording, ReplayOptions::default()).unwrap_or_else(|e| panic!("{e}"));
+    assert!(replay.warnings.iter().any(|w| w.contains("carry no checksums")), "{:?}", replay.warnings);
+    drop(replay);
+    assert_same("format 1", &original, &self::replay(&old, 2).unwrap_or_else(|e| panic!("{e}")));
+}
+
+/// A recording whose packets are described otherwise than its source declares them.
+#[test]
+fn a_recorded_packet_that_its_source_may_not_put_out_is_withheld() {
+    let text = [HEAD, &source("a", 400.0), &node("end", "drain", "a.image")].concat();
+    let file = scratch("misfit.mcap");
+    let run = start(&text, Some(file.clone()), Options { threads: 2, ..Options::default() }, false);
+    run.until("a", 30);
+    run.end();
+    // Rows that do not lie inside the packet, in a format without checksums: what a reader would take for its own memory.
+    let mut bytes = without_checksums(&file);
+    let old = scratch("misfit_old.mcap");
+    std::fs::write(&old, &bytes).expect("written");
+    let recording = Recording::open(&old).expect("an old recording");
+    let packet = recording.ports["a.image"][7];
+    let head = packet.at as usize - 56;
+    // The stride, which the packet's own fingerprint does not cover for one row of pixels after the other.
+    bytes[head + 16..head + 20].copy_from_slice(&3u32.to_le_bytes());
+    std::fs::write(&old, &bytes).expect("written");
+    let recording = Arc::new(Recording::open(&old).expect("an old recording"));
+    let options = ReplayOptions { act: true, ..ReplayOptions::default() };
+    let replay = Replay::start(&recording, options).unwrap_or_else(|e| panic!("{e}"));
+    assert!(replay.engine().wait(Some(PATIENCE)));
+    replay.engine().close(PATIENCE);
+    let report = replay.engine().report();
+    let ticks = recording.sources["a"].iter().filter(|t| t.admitted).count() as u64;
+    assert_eq!((report.nodes["a"].faults, report.nodes["end"].count), (1, ticks - 1), "{:?}", report.nodes);
+    let faults = replay.engine().recent_faults();
+    assert!(faults.iter().any(|f| f.node == "a" && f.words.contains("3 bytes a row does not fit")), "{faults:?}");
 }
 
 #[test]

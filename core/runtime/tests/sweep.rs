@@ -30,6 +30,9 @@ inputs = {{ image = "source.image" }}
 type = "ledger"
 inputs = {{ images = ["shut.image"] }}
 params = {{ path = "{}" }}
+[nodes.heap]
+type = "allocate"
+inputs = {{ image = "source.image" }}
 [preset]
 views = ["source.image"]
 pinned = [{{ param = "level.gain", range = [0.0, 2.0] }}]
@@ -57,7 +60,7 @@ fn request(param: &str, measure: &str) -> Request {
 fn points(request: Request) -> Vec<Point> {
     let sweep = Sweep::new(request, Arc::new(loader())).unwrap_or_else(|e| panic!("{e}"));
     let mut points = Vec::new();
-    sweep.run(&|| false, |point| points.push(point));
+    sweep.run(&|| false, |point| points.push(point)).unwrap_or_else(|e| panic!("{e}"));
     assert_eq!(points.len(), sweep.len());
     points
 }
@@ -78,7 +81,15 @@ fn a_column_a_scalar_and_a_told_number_follow_the_parameter() {
     assert_eq!(means(&points(request("level.gain", "level.level"))), mean, "the scalar says the same");
     assert_eq!(points(request("level.gain", "level.levels.mean")), column, "and the next time, too");
     let count = points(request("level.gain", "level.count"));
-    assert_eq!(means(&count), [20.0, 20.0, 20.0]);
+    assert_eq!(means(&count), [20.0, 20.0, 20.0], "a counter counts once, at the end");
+    // A told number counts tick by tick, not once at the end: 1, 2, ... 20.
+    let told = points(Request { from: Some(1.0), ..request("heap.count", "heap.allocated") });
+    for (factor, point) in [1.0, 2.0].into_iter().zip(&told) {
+        let summary = point.result.as_ref().unwrap_or_else(|why| panic!("{why}"));
+        let seen = (summary.count, summary.mean, summary.min, summary.max);
+        assert_eq!(seen, (20, 10.5 * factor, factor, 20.0 * factor));
+    }
+    assert_eq!(told.len(), 2);
     assert!(!scratch("swept.jsonl").exists(), "what acts on the world is left out");
     let csv = csv("level.gain", "level.levels.mean", &column);
     assert_eq!(csv.lines().count(), 4);
@@ -128,11 +139,21 @@ fn mistakes_are_named_before_anything_runs() {
     assert!(Sweep::new(far, Arc::new(loader())).is_err_and(|e| e.to_string().contains("outside 0 to 8")));
     let broken = Request { text: "nodes = 3".to_owned(), ..request("level.gain", "level.level") };
     assert!(matches!(Sweep::new(broken, Arc::new(loader())), Err(SweepError::Check(_))));
-    // What only a run can tell.
-    let points = points(request("level.gain", "level.levels.median"));
-    assert!(
-        points.iter().all(|p| p.result.as_ref().is_err_and(|why| why.contains("columns are mean, min, max, spots")))
-    );
+    assert!(refused("level.gain", "level.levels.mean[0]").contains("mean[1] for the first one"));
+    // What only a run can tell ends the sweep at the first packet: the first run is not made to its end, the others not at all.
+    let wrong = |measure: &str| {
+        let endless = Request { frames: u64::MAX, ..request("level.gain", measure) };
+        let sweep = Sweep::new(endless, Arc::new(loader())).unwrap_or_else(|e| panic!("{e}"));
+        let mut points = 0;
+        let error = sweep.run(&|| false, |_| points += 1).expect_err("there is no such measure");
+        assert_eq!(points, 0);
+        error.to_string()
+    };
+    assert!(wrong("level.levels.median").contains("columns are mean, min, max, spots"));
+    let told =
+        Sweep::new(request("level.gain", "level.sharpness"), Arc::new(loader())).unwrap_or_else(|e| panic!("{e}"));
+    let error = told.run(&|| false, |_| panic!("nothing was measured")).expect_err("no such number").to_string();
+    assert!(error.contains("tells no number `sharpness`; it tells level, p50_ms"), "{error}");
 }
 
 #[test]
@@ -141,7 +162,7 @@ fn a_sweep_ends_when_it_is_told_to() {
     let sweep = Sweep::new(endless, Arc::new(loader())).unwrap_or_else(|e| panic!("{e}"));
     let since = std::time::Instant::now();
     let mut points = 0;
-    sweep.run(&|| since.elapsed().as_millis() > 300, |_| points += 1);
+    sweep.run(&|| since.elapsed().as_millis() > 300, |_| points += 1).unwrap_or_else(|e| panic!("{e}"));
     assert_eq!(points, 0);
     assert!(since.elapsed() < common::PATIENCE);
 }

@@ -327,6 +327,7 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
     };
     let known = known(&progress.points);
     let words: Vec<(f64, String)> = progress.points.iter().map(|p| (p.at, p.value.clone())).collect();
+    let has_words = progress.words;
     let axis = match progress.unit.is_empty() {
         true => progress.param.clone(),
         false => format!("{} [{}]", progress.param, progress.unit),
@@ -338,8 +339,12 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
         .y_axis_label(&progress.measure)
         .allow_scroll(false)
         .x_axis_formatter(move |mark, _| {
-            let near = |(at, _): &&(f64, String)| (at - mark.value).abs() < 1e-9 && at.fract() == 0.0;
-            words.iter().find(near).map_or_else(|| short(mark.value), |(_, word)| word.clone())
+            if !has_words {
+                return short(mark.value);
+            }
+            // Between words there is nothing.
+            let near = |(at, _): &&(f64, String)| (at - mark.value).abs() < 1e-9;
+            words.iter().find(near).map_or_else(String::new, |(_, word)| word.clone())
         })
         .show(ui, |plot| {
             for (at, s) in &known {
@@ -347,11 +352,17 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
                 plot.line(Line::new("smallest to largest", ends).color(theme::class(1).gamma_multiply(0.7)).width(2.0));
             }
             let means: PlotPoints<'_> = known.iter().map(|(at, s)| [*at, s.mean]).collect();
-            plot.line(Line::new("mean", means).color(theme::class(0)).width(1.8));
+            if !has_words {
+                plot.line(Line::new("mean", means).color(theme::class(0)).width(1.8));
+            }
             let dots: PlotPoints<'_> = known.iter().map(|(at, s)| [*at, s.mean]).collect();
             plot.points(Points::new("mean", dots).color(theme::class(0)).radius(3.0));
         });
-    let told = known.iter().map(|(at, s)| format!("{}: {}", short(*at), short(s.mean))).collect::<Vec<_>>().join(", ");
+    let place = |at: f64| {
+        let word = progress.points.iter().find(|p| has_words && p.at == at);
+        word.map_or_else(|| short(at), |p| p.value.clone())
+    };
+    let told = known.iter().map(|(at, s)| format!("{}: {}", place(*at), short(s.mean))).collect::<Vec<_>>().join(", ");
     shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Sweep: {told}")));
     shown.response
 }

@@ -51,7 +51,8 @@ impl Node for Chaos {
     type Out<'f> = Out<'f>;
     type Params = Plan;
 
-    fn open(_: &Open<'_>, _: &Plan) -> Result<Self> {
+    fn open(open: &Open<'_>, plan: &Plan) -> Result<Self> {
+        plan.open(open);
         Ok(Self)
     }
 
@@ -70,7 +71,8 @@ impl Node for ChaosBlocking {
     type Out<'f> = Out<'f>;
     type Params = Plan;
 
-    fn open(_: &Open<'_>, _: &Plan) -> Result<Self> {
+    fn open(open: &Open<'_>, plan: &Plan) -> Result<Self> {
+        plan.open(open);
         Ok(Self)
     }
 

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use panoscope_node::{AnyFormat, Choice, Context, Gray8, GrayF32, Params, Result, Slot, error, random};
+use panoscope_node::{AnyFormat, Choice, Context, Gray8, GrayF32, Open, Params, Result, Slot, error, random};
 
 /// What goes wrong.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,6 +43,20 @@ pub enum Harm {
     ReleaseTwice,
     /// The same on a thread of the plugin's own.
     ReleaseTwiceElsewhere,
+    /// The call writes to memory that is not there: the process ends.
+    Segv,
+    /// A chunk of a loop on the host's pool does so.
+    SegvInLoop,
+    /// Opening does so, whatever the tick.
+    SegvInOpen,
+    /// The call aborts the process.
+    Abort,
+    /// The call calls itself until its stack overflows.
+    StackOverflow,
+    /// The call calls `exit`.
+    Exit,
+    /// The call calls `_exit`.
+    ExitAtOnce,
 }
 
 /// When it goes wrong.
@@ -69,6 +83,9 @@ pub struct Plan {
     /// How long a slow call takes.
     #[param(default = 50.0, range = 0.0..=100000.0, unit = "ms")]
     pub slow_ms: f64,
+    /// How long opening takes.
+    #[param(default = 0.0, range = 0.0..=1000000000.0, unit = "ms", reopen)]
+    pub open_ms: f64,
 }
 
 impl Plan {
@@ -77,6 +94,17 @@ impl Plan {
         let planned = seq >= self.first && seq - self.first < self.ticks;
         let lucky = seq >= self.first && random::unit(random::mix(self.seed) ^ seq) < self.chance;
         if planned || lucky { self.harm } else { Harm::Never }
+    }
+
+    /// What goes wrong while a node is opened.
+    pub fn open(&self, open: &Open<'_>) {
+        if self.harm == Harm::SegvInOpen {
+            segv();
+        }
+        if self.open_ms > 0.0 {
+            open.info(&format!("told to open for {} ms", self.open_ms));
+            wait(self.open_ms);
+        }
     }
 
     /// Harm that does not depend on what the node makes: it fails, or it takes its time.
@@ -96,6 +124,18 @@ impl Plan {
                 pool.run(2, &|_| pool.run(16, &|_| wait(self.hang_ms)));
             }
             Harm::Slow => wait(self.slow_ms),
+            Harm::Segv => segv(),
+            Harm::SegvInLoop => {
+                use panoscope_node::Parallel;
+                cx.pool().run(4, &|_| segv());
+            }
+            Harm::Abort => std::process::abort(),
+            Harm::StackOverflow => {
+                std::hint::black_box(deeper(seq));
+            }
+            Harm::Exit => std::process::exit(3),
+            // SAFETY: ends the process, which is what was asked for.
+            Harm::ExitAtOnce => unsafe { _exit(0) },
             _ => {}
         }
         Ok(())
@@ -118,6 +158,22 @@ impl Plan {
         }
         Ok(true)
     }
+}
+
+unsafe extern "C" {
+    fn _exit(code: std::ffi::c_int) -> !;
+}
+
+fn segv() {
+    // SAFETY: none: nothing lies at that address, and the process ends here as it was told to.
+    unsafe { std::ptr::without_provenance_mut::<u8>(0xbad).write_volatile(1) };
+}
+
+/// Calls itself for ever; every level needs its own piece of the stack.
+#[allow(unconditional_recursion, reason = "the stack is to overflow")]
+fn deeper(level: u64) -> u64 {
+    let piece = std::hint::black_box([level; 64]);
+    deeper(piece[7] + 1).wrapping_add(piece[8])
 }
 
 /// Does not return for a time.

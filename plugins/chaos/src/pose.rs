@@ -28,7 +28,8 @@ impl Node for ChaosPose {
     type Out<'f> = Out<'f>;
     type Params = Plan;
 
-    fn open(_: &Open<'_>, _: &Plan) -> Result<Self> {
+    fn open(open: &Open<'_>, plan: &Plan) -> Result<Self> {
+        plan.open(open);
         Ok(Self)
     }
 

@@ -26,7 +26,8 @@ impl Node for ChaosSource {
     type Out<'f> = Out<'f>;
     type Params = Plan;
 
-    fn open(_: &Open<'_>, _: &Plan) -> Result<Self> {
+    fn open(open: &Open<'_>, plan: &Plan) -> Result<Self> {
+        plan.open(open);
         Ok(Self)
     }
 

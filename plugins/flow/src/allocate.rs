@@ -16,7 +16,11 @@ pub struct Heap {
 }
 
 /// Hands pictures on after some heap allocations.
-pub struct Allocate;
+#[derive(Default)]
+pub struct Allocate {
+    /// Allocations so far.
+    total: u64,
+}
 
 impl Node for Allocate {
     const INFO: NodeInfo = NodeInfo::compute("allocate", "flow", "Hands pictures on after some heap allocations.");
@@ -25,14 +29,16 @@ impl Node for Allocate {
     type Params = Heap;
 
     fn open(_: &Open<'_>, _: &Heap) -> Result<Self> {
-        Ok(Self)
+        Ok(Self::default())
     }
 
-    fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Heap) -> Result<()> {
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Heap) -> Result<()> {
         for _ in 0..params.count {
             // The compiler may not leave out what it cannot see through.
             std::hint::black_box(Vec::<u8>::with_capacity(params.size_bytes));
         }
+        self.total += u64::from(params.count);
+        cx.metric("allocated", self.total as f64);
         out.image.forward(input.image.frame())
     }
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use panoscope_runtime::record::compare::{PortDifference, compare, compare_recordings};
+use panoscope_runtime::record::compare::{Content, FirstCell, PortDifference, compare, compare_recordings};
 use panoscope_runtime::record::{Digests, Recording};
 
 use crate::End;
@@ -16,6 +16,15 @@ pub struct Arguments {
     a: PathBuf,
     /// Another one.
     b: PathBuf,
+    /// Numbers of tables that differ by no more than this share of the larger one (of 1 at least) count as equal, and points of clouds that
+    /// lie no more than this many mm apart.
+    #[arg(long, default_value_t = 0.0, value_parser = tolerance)]
+    tolerance: f64,
+}
+
+fn tolerance(text: &str) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| format!("{text} is no number"))?;
+    if number.is_finite() && number >= 0.0 { Ok(number) } else { Err("a number from 0 on".to_owned()) }
 }
 
 enum Run {
@@ -57,7 +66,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         }
     };
     let differences = match (&a, &b) {
-        (Run::Recording(a), Run::Recording(b)) => match compare_recordings(a, b) {
+        (Run::Recording(a), Run::Recording(b)) => match compare_recordings(a, b, arguments.tolerance) {
             Ok(differences) => differences,
             Err(error) => {
                 tell!("error: {error}");
@@ -77,6 +86,46 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     Ok(show(differences))
 }
 
+/// What a packet consists of.
+fn parts(content: &Content) -> &'static str {
+    match content {
+        Content::Pixels => "pixels",
+        Content::Table(..) => "cells",
+        Content::Cloud { .. } => "points",
+    }
+}
+
+/// What differs in a table or cloud, in words.
+fn content(content: &Content) -> Option<String> {
+    match content {
+        Content::Pixels => None,
+        Content::Table(tick, first) => Some(match first {
+            FirstCell::Value(row, column, a, b) => {
+                let by =
+                    if a.is_finite() && b.is_finite() { format!(", {} apart", (a - b).abs()) } else { String::new() };
+                format!("differs first at tick {tick}, row {row}, column `{column}`: {a} and {b}{by}")
+            }
+            FirstCell::Column(column, first) => {
+                format!("at tick {tick} only the {} has column `{column}`", if *first { "first" } else { "second" })
+            }
+            FirstCell::Rows(a, b) => format!("at tick {tick} the first has {a} rows, the second {b}"),
+        }),
+        Content::Cloud { farthest, only_in_one, recoloured } => {
+            let mut words = Vec::new();
+            if let Some((tick, x, y)) = farthest {
+                words.push(format!("points lie farthest apart at tick {tick}, column {x}, row {y}"));
+            }
+            if *only_in_one > 0 {
+                words.push(format!("{only_in_one} points are known to one only"));
+            }
+            if *recoloured > 0 {
+                words.push(format!("{recoloured} points have another colour"));
+            }
+            Some(words.join(", "))
+        }
+    }
+}
+
 fn show(mut differences: Vec<PortDifference>) -> End {
     let same = differences.iter().filter(|d| d.is_nothing()).count();
     let packets: usize = differences.iter().filter(|d| d.is_nothing()).map(|d| d.packets.0).sum();
@@ -87,7 +136,7 @@ fn show(mut differences: Vec<PortDifference>) -> End {
         return End::Done;
     }
     let mut rows = vec![
-        ["port that differs", "first tick", "packets", "differ", "only in one", "largest", "mean", "share of pixels"]
+        ["port that differs", "first tick", "packets", "differ", "only in one", "largest", "mean", "share"]
             .map(str::to_owned)
             .to_vec(),
     ];
@@ -105,12 +154,17 @@ fn show(mut differences: Vec<PortDifference>) -> End {
             amount(|a| format!("{:.4}", a.largest)),
             amount(|a| format!("{:.6}", a.mean)),
             amount(|a| match a.other_shape {
-                0 => format!("{:.4} %", a.share * 100.0),
+                0 => format!("{:.4} % of {}", a.share * 100.0, parts(&a.content)),
                 n => format!("{n} of another size"),
             }),
         ]);
     }
     raw(&table(&rows));
+    for difference in &differences {
+        if let Some(words) = difference.amount.as_ref().and_then(|a| content(&a.content)) {
+            raw(&format!("  `{}`: {words}\n", difference.port));
+        }
+    }
     if let Some(first) = differences.first() {
         let tick = first.first.map_or(0, |(_, seq)| seq);
         raw(&format!("first to differ: `{}` at tick {tick}\n", first.port));

@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use panoscope_runtime::record::{RecordOptions, Recorded};
 
-use super::run;
+use super::run::{self, Ran};
 use crate::End;
+use crate::judge::{Verdict, Weight};
 use crate::terminal::tell;
 
 /// Arguments of `record`.
@@ -45,36 +46,41 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         all_source_ports: !arguments.read_ports_only,
         ..RecordOptions::default()
     };
-    let (end, recorded) = run::run_recorded(&arguments.run, Some(options))?;
-    match recorded {
-        Some(recorded) => told(&recorded, &arguments.output, &arguments.ports, end),
-        None => Ok(end),
-    }
+    Ok(match run::run_with(&arguments.run, Some(options), |_| {})? {
+        Ran::Not(end) => end,
+        Ran::Over { mut verdict, recorded } => {
+            if let Some(recorded) = recorded {
+                told(&recorded, &arguments.output, &arguments.ports, &mut verdict);
+            }
+            run::conclude(&verdict)
+        }
+    })
 }
 
 /// Says what a recording came to and writes its fingerprints.
-pub fn told(recorded: &Recorded, file: &std::path::Path, ports: &Ports, mut end: End) -> Result<End> {
+pub fn told(recorded: &Recorded, file: &std::path::Path, ports: &Ports, verdict: &mut Verdict) {
     let mb = recorded.bytes as f64 / 1e6;
     tell!("recorded {} source ticks, {mb:.1} MB: {}", recorded.ticks, file.display());
     if recorded.gaps > 0 {
-        tell!(
-            "warning: {} ticks are not in the recording because the disk was too slow; --read-ports-only records less",
+        let words = format!(
+            "{} ticks are not in the recording because the disk was too slow; --read-ports-only records less",
             recorded.gaps
         );
+        verdict.add(Weight::Error, words);
     }
     if let Some(reason) = &recorded.failed {
-        tell!("error: {reason}");
-        end = End::Failed;
+        verdict.add(Weight::Error, reason.clone());
     }
-    write_digests(recorded, ports)?;
-    Ok(end)
+    write_digests(recorded, ports, verdict);
 }
 
 /// Writes fingerprints, where wanted.
-pub fn write_digests(recorded: &Recorded, ports: &Ports) -> Result<()> {
-    if let (Some(path), Some(digests)) = (&ports.digests, &recorded.digests) {
-        digests.write(path).with_context(|| format!("cannot write {}", path.display()))?;
-        tell!("fingerprints of {} packets on {} ports: {}", digests.packets(), digests.ports.len(), path.display());
+pub fn write_digests(recorded: &Recorded, ports: &Ports, verdict: &mut Verdict) {
+    let (Some(path), Some(digests)) = (&ports.digests, &recorded.digests) else { return };
+    match digests.write(path) {
+        Ok(()) => {
+            tell!("fingerprints of {} packets on {} ports: {}", digests.packets(), digests.ports.len(), path.display());
+        }
+        Err(cause) => verdict.add(Weight::Error, format!("cannot write {}: {cause}", path.display())),
     }
-    Ok(())
 }

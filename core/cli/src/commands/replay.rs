@@ -4,14 +4,16 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Result;
+use panoscope_runtime::Options;
+use panoscope_runtime::ending::signals;
 use panoscope_runtime::record::{RecordOptions, Recording, Replay, ReplayError, ReplayOptions};
-use panoscope_runtime::{Options, Outcome};
 
 use super::record::{Ports, told, write_digests};
-use super::run::{self, PATIENCE};
+use super::run;
+use crate::End;
+use crate::judge::Weight;
 use crate::progress::Progress;
-use crate::terminal::{raw, stderr_color, tell};
-use crate::{End, interrupt, summary};
+use crate::terminal::{say, stderr_color, tell};
 
 /// Arguments of `replay`.
 #[derive(clap::Args)]
@@ -60,6 +62,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         tell!("error: -o {} is the recording that is played; name another file", arguments.recording.display());
         return Ok(End::Wrong);
     }
+    let on_duty = signals::opening();
     let recording = match Recording::open(&arguments.recording) {
         Ok(recording) => Arc::new(recording),
         Err(error) => {
@@ -101,7 +104,6 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             ..Options::default()
         },
     };
-    interrupt::listen();
     let replay = match Replay::start(&recording, options) {
         Ok(replay) => replay,
         Err(ReplayError::Check(diagnostics)) => {
@@ -112,9 +114,14 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         Err(error) => {
             progress.finish();
             tell!("error: {error}");
-            return Ok(if matches!(error, ReplayError::Start(_)) { End::Failed } else { End::Wrong });
+            if !matches!(error, ReplayError::Start(_)) {
+                return Ok(End::Wrong);
+            }
+            say!("failed: the graph did not start");
+            return Ok(End::Failed);
         }
     };
+    let on_duty = on_duty.watching();
     for warning in &replay.warnings {
         tell!("note: {warning}");
     }
@@ -125,33 +132,23 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         engine.stop();
         follows.join()
     });
-    let outcome = engine.close(PATIENCE);
-    let report = engine.report();
-    progress.finish();
-    raw(&summary::text(&engine.graph(), &report));
-    let mut end = End::Done;
-    let mut failures: Vec<String> = Vec::new();
-    if let Ok(Err(error)) = followed {
-        failures.push(error.to_string());
-    }
-    failures.extend(replay.verdict().err().map(|e| e.to_string()));
-    if let Outcome::Failed(reason) = outcome {
-        failures.push(reason);
-    }
-    failures.dedup();
-    for failure in failures {
-        tell!("error: {failure}");
-        end = End::Failed;
+    let mut verdict = run::close(engine, on_duty, None, &progress);
+    let followed = if let Ok(Err(error)) = followed { Some(error) } else { None };
+    for error in followed.into_iter().chain(replay.verdict().err()) {
+        let words = error.to_string();
+        if !verdict.findings.iter().any(|finding| finding.words == words) {
+            verdict.add(Weight::Error, words);
+        }
     }
     if let Some(path) = &arguments.report {
-        run::write_report(path, &report)?;
+        run::report_into(path, &engine.report(), &mut verdict);
     }
     if let Some(recorder) = replay.recorder() {
         let recorded = recorder.finish();
         match &arguments.output {
-            Some(file) => end = told(&recorded, file, &arguments.ports, end)?,
-            None => write_digests(&recorded, &arguments.ports)?,
+            Some(file) => told(&recorded, file, &arguments.ports, &mut verdict),
+            None => write_digests(&recorded, &arguments.ports, &mut verdict),
         }
     }
-    Ok(end)
+    Ok(run::conclude(&verdict))
 }

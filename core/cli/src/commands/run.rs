@@ -5,15 +5,16 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use panoscope_graph::Graph;
+use panoscope_graph::OnFault;
+use panoscope_runtime::ending::signals;
 use panoscope_runtime::fault::json_lines;
 use panoscope_runtime::live::FileWatch;
-use panoscope_runtime::log::Level;
 use panoscope_runtime::record::{RecordOptions, Recorded, Recorder, head};
-use panoscope_runtime::{Engine, Live, Options, Outcome, Report};
+use panoscope_runtime::{Engine, Live, Options, Report};
 
+use crate::judge::{Facts, Verdict, Weight, judge};
 use crate::progress::Progress;
-use crate::terminal::{raw, stderr_color, tell};
+use crate::terminal::{raw, say, stderr_color, tell};
 use crate::{End, allocations, graph_file, interrupt, summary};
 
 /// How long nodes may take to finish after the end of a run was asked for.
@@ -61,25 +62,33 @@ pub struct Arguments {
 
 /// Runs a graph to its end.
 pub fn run(arguments: &Arguments) -> Result<End> {
-    Ok(run_recorded(arguments, None)?.0)
+    Ok(match run_with(arguments, None, |_| {})? {
+        Ran::Not(end) => end,
+        Ran::Over { verdict, .. } => conclude(&verdict),
+    })
 }
 
-/// Runs a graph to its end and writes it down; answers what the recording came to, if the run began.
-pub fn run_recorded(arguments: &Arguments, record: Option<RecordOptions>) -> Result<(End, Option<Recorded>)> {
-    run_with(arguments, record, |_| {})
+/// What became of a run.
+pub enum Ran {
+    /// It did not begin; why has been said.
+    Not(End),
+    /// It is over; the verdict is still to be told, with [`conclude`].
+    Over {
+        /// What it came to.
+        verdict: Verdict,
+        /// What its recording came to.
+        recorded: Option<Box<Recorded>>,
+    },
 }
 
-/// The same, with a look at the engine ten times a second.
-pub fn run_with(
-    arguments: &Arguments,
-    record: Option<RecordOptions>,
-    mut look: impl FnMut(&Engine),
-) -> Result<(End, Option<Recorded>)> {
+/// Runs a graph to its end, recorded where wanted, with a look at the engine ten times a second.
+pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: impl FnMut(&Engine)) -> Result<Ran> {
+    let on_duty = signals::opening();
     let mut settings = match capture_settings(arguments) {
         Ok(settings) => settings,
         Err(error) => {
             tell!("error: {error:#}");
-            return Ok((End::Wrong, None));
+            return Ok(Ran::Not(End::Wrong));
         }
     };
     settings.extend(arguments.set.iter().cloned());
@@ -87,7 +96,7 @@ pub fn run_with(
         Ok(ready) => ready,
         Err(diagnostics) => {
             tell!("{}", diagnostics.render(stderr_color()).trim_end());
-            return Ok((End::Wrong, None));
+            return Ok(Ran::Not(End::Wrong));
         }
     };
     if !ready.warnings.is_empty() {
@@ -121,15 +130,16 @@ pub fn run_with(
         faults,
         ..Options::default()
     };
-    interrupt::listen();
     let engine = match Engine::start(ready.graph, &ready.catalog, &ready.loader, options) {
         Ok(engine) => engine,
         Err(error) => {
             progress.finish();
             tell!("error: {error}");
-            return Ok((End::Failed, None));
+            say!("failed: the graph did not start");
+            return Ok(Ran::Not(End::Failed));
         }
     };
+    let on_duty = on_duty.watching();
     allocations::leave_this_thread_out();
     let mut changes = arguments.watch.then(|| {
         let files = FileWatch::new(&arguments.graph, &ready.loader);
@@ -142,16 +152,37 @@ pub fn run_with(
         }
     });
     drop(changes);
-    let outcome = engine.close(PATIENCE);
-    let report = engine.report();
-    progress.finish();
-    let graph = engine.graph();
-    raw(&summary::text(&graph, &report));
+    let mut verdict = close(&engine, on_duty, arguments.frames, &progress);
     if let Some(path) = &arguments.report {
-        write_report(path, &report)?;
+        report_into(path, &engine.report(), &mut verdict);
     }
-    let end = judge(&engine, &graph, &report, &outcome);
-    Ok((end, recorder.map(|r| r.finish())))
+    Ok(Ran::Over { verdict, recorded: recorder.map(|r| Box::new(r.finish())) })
+}
+
+/// Closes a run that is over or to end, shows its summary and judges it.
+pub fn close(engine: &Engine, on_duty: signals::OnDuty, frames: Option<u64>, progress: &Progress) -> Verdict {
+    let stopped_by = signals::asked();
+    // Held until the process leaves: a signal that comes now finds the end being made.
+    std::mem::forget(on_duty.finishing());
+    let outcome = engine.close(PATIENCE);
+    let (graph, report, faults) = (engine.graph(), engine.report(), engine.recent_faults());
+    progress.finish();
+    raw(&summary::text(&graph, &report));
+    let bypassed = graph.nodes.iter().filter(|n| n.on_fault == OnFault::Bypass).map(|n| n.id.as_str()).collect();
+    let stopped_by = stopped_by.map(|signal| signal.to_string());
+    judge(&Facts { report: &report, faults: &faults, outcome: &outcome, bypassed, frames, stopped_by })
+}
+
+/// Tells the verdict: what was wrong, and the line that stands last.
+pub fn conclude(verdict: &Verdict) -> End {
+    for finding in &verdict.findings {
+        match finding.weight {
+            Weight::Error => tell!("error: {}", finding.words),
+            Weight::Warning => tell!("warning: {}", finding.words),
+        }
+    }
+    say!("{}", verdict.last_line());
+    verdict.end()
 }
 
 /// Shows progress until the end of the run, or until the user's patience with a stopped one is over.
@@ -195,42 +226,15 @@ fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>) {
     }
 }
 
-/// Says why a run failed, if it did.
-fn judge(engine: &Engine, graph: &Graph, report: &Report, outcome: &Outcome) -> End {
-    let last_words = |node: &str| {
-        let log = engine.recent_log();
-        log.into_iter().rev().find(|(level, id, _)| *level == Level::Error && id == node).map(|(_, _, words)| words)
-    };
-    let mut end = End::Done;
-    if let Outcome::Failed(reason) = outcome {
-        tell!("error: {reason}");
-        end = End::Failed;
+/// Writes the report; one that cannot be written is a failure, which does not hide what else the run came to.
+pub fn report_into(path: &Path, report: &Report, verdict: &mut Verdict) {
+    if let Err(error) = write_report(path, report) {
+        verdict.add(Weight::Error, format!("{error:#}"));
     }
-    for (node, words) in &report.stopped {
-        tell!("error: node `{node}` lost data: {words}");
-        end = End::Failed;
-    }
-    for node in &graph.nodes {
-        if report.stopped.contains_key(&node.id) {
-            continue;
-        }
-        let Some(counts) = report.nodes.get(&node.id).filter(|n| n.faults > 0) else { continue };
-        let words = last_words(&node.id).unwrap_or_default();
-        // A node that never once did its work made the run useless, whatever the graph says about faults.
-        let never = counts.faults >= counts.count;
-        if never {
-            end = End::Failed;
-        }
-        let level = if never || end == End::Failed { "error" } else { "warning" };
-        let times = if counts.faults == 1 { "once".to_owned() } else { format!("{} times", counts.faults) };
-        let always = if never { ", every time it was called" } else { "" };
-        tell!("{level}: node `{}` failed {times}{always}: {words}", node.id);
-    }
-    end
 }
 
 /// Writes the report in one step, so that nobody reads half of it.
-pub fn write_report(path: &Path, report: &Report) -> Result<()> {
+fn write_report(path: &Path, report: &Report) -> Result<()> {
     let text = serde_json::to_string_pretty(report)? + "\n";
     if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
         fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;

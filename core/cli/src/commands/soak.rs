@@ -8,8 +8,9 @@ use anyhow::{Context, Result};
 use panoscope_runtime::Engine;
 use panoscope_runtime::memory::memory;
 
-use super::run;
+use super::run::{self, Ran};
 use crate::End;
+use crate::judge::Weight;
 use crate::terminal::raw;
 
 /// Arguments of `soak`.
@@ -106,7 +107,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let mut samples: Vec<Sample> = Vec::new();
     let length = Duration::from_secs_f64(arguments.minutes * 60.0);
     let mut began: Option<Instant> = None;
-    let (mut end, _) = run::run_with(&arguments.run, None, |engine| {
+    let ran = run::run_with(&arguments.run, None, |engine| {
         let since = *began.get_or_insert_with(Instant::now);
         if since.elapsed().as_secs_f64() >= samples.len() as f64 {
             samples.push(look(engine, since));
@@ -115,8 +116,12 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             engine.stop();
         }
     })?;
-    if end == End::Wrong || samples.is_empty() {
-        return Ok(end);
+    let mut verdict = match ran {
+        Ran::Not(end) => return Ok(end),
+        Ran::Over { verdict, .. } => verdict,
+    };
+    if samples.is_empty() {
+        return Ok(run::conclude(&verdict));
     }
     if let Some(path) = &arguments.csv {
         let mut text = String::from("seconds,resident_mb,frames,frame_memory_mb,dropped,faults\n");
@@ -136,10 +141,9 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     ));
     let tolerated = (last * TOLERATED_SHARE).max(3.0 * error);
     if growth > tolerated {
-        raw(&format!("memory grows: more than {tolerated:.1} MB per hour\n"));
-        end = End::Failed;
+        verdict.add(Weight::Error, format!("memory grows: more than {tolerated:.1} MB per hour"));
     } else {
         raw("memory does not grow\n");
     }
-    Ok(end)
+    Ok(run::conclude(&verdict))
 }

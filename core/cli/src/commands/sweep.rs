@@ -11,7 +11,7 @@ use panoscope_runtime::{Loader, loader};
 use serde_json::{Value, json};
 
 use super::eval::plot::{self, Chart, Series, Style};
-use crate::terminal::{raw, stderr_color, table, tell};
+use crate::terminal::{raw, say, stderr_color, table, tell};
 use crate::{End, interrupt};
 
 /// Arguments of `sweep`.
@@ -31,7 +31,8 @@ pub struct Arguments {
     /// Number of values, both ends included.
     #[arg(long, default_value_t = 9)]
     steps: usize,
-    /// A scalar port, a column of a table port, or a number or counter that a node tells (p50_ms, ...).
+    /// A scalar port, a column of a table port (`COLUMN[2]` for the second of several rows, `COLUMN[*]` for all), or a number or counter that a
+    /// node tells (p50_ms, ...).
     #[arg(long, value_name = "NODE.PORT[.COLUMN]")]
     measure: String,
     /// Most ticks of each source per value.
@@ -68,10 +69,14 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     };
     interrupt::listen();
     let mut points: Vec<Point> = Vec::new();
-    sweep.run(&interrupt::asked, |point| {
+    let ran = sweep.run(&interrupt::asked, |point| {
         tell!("{} of {}: {}", points.len() + 1, sweep.len(), told(&arguments.param, sweep.unit(), &point));
         points.push(point);
     });
+    if let Err(error) = ran {
+        tell!("error: {error}");
+        return Ok(End::Wrong);
+    }
     show(arguments, &points);
     let write = |path: &Path, text: String| {
         std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
@@ -84,10 +89,21 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         write(path, csv(&arguments.param, &arguments.measure, &points))?;
     }
     if let Some(path) = &arguments.plot {
-        plot::save(path, &[chart(arguments, sweep.unit(), &points)])?;
+        plot::save(path, &[chart(arguments, &sweep, &points)])?;
     }
-    let any = points.iter().any(|point| point.result.is_ok());
-    Ok(if any { End::Done } else { End::Failed })
+    Ok(conclude(&points, sweep.len()))
+}
+
+/// The last line: how many values were measured.
+fn conclude(points: &[Point], wanted: usize) -> End {
+    let measured = points.iter().filter(|point| point.result.is_ok()).count();
+    let (how, end) = match (measured, points.len()) {
+        (m, _) if m == wanted => ("done", End::Done),
+        (m, p) if m == p => ("stopped", End::Done),
+        _ => ("failed", End::Failed),
+    };
+    say!("{how}: {measured} of {wanted} values measured");
+    end
 }
 
 /// The sweep, or what is wrong, in words.
@@ -171,7 +187,8 @@ fn row(arguments: &Arguments, unit: &str, point: &Point) -> Value {
     })
 }
 
-fn chart(arguments: &Arguments, unit: &str, points: &[Point]) -> Chart {
+fn chart(arguments: &Arguments, sweep: &Sweep, points: &[Point]) -> Chart {
+    let (unit, has_words) = (sweep.unit(), sweep.has_words());
     let known = || points.iter().filter_map(|p| Some((p.at, p.result.as_ref().ok()?)));
     let bars = known().flat_map(|(at, s)| [(at, s.min), (at, s.max)]).collect();
     let means = known().map(|(at, s)| (at, s.mean)).collect();
@@ -180,7 +197,12 @@ fn chart(arguments: &Arguments, unit: &str, points: &[Point]) -> Chart {
         title: format!("{} over {}", arguments.measure, arguments.param),
         x_label: if unit.is_empty() { arguments.param.clone() } else { format!("{} [{unit}]", arguments.param) },
         y_label: arguments.measure.clone(),
-        series: vec![series("smallest to largest", Style::Bars, 1, bars), series("mean", Style::Line, 0, means)],
+        // Between words there is nothing.
+        series: vec![
+            series("smallest to largest", Style::Bars, 1, bars),
+            series("mean", if has_words { Style::Dots } else { Style::Line }, 0, means),
+        ],
         from_zero: false,
+        words: if has_words { points.iter().map(|p| (p.at, p.value.clone())).collect() } else { Vec::new() },
     }
 }

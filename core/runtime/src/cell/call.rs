@@ -9,7 +9,8 @@ use super::{
     Cell, MOST_KEPT_FRAMES, ONE_INPUT, Ports, REMEMBERED_SIZES, Ran, Refused, Resized, SILENT_CALLS, Surroundings, lock,
 };
 use crate::clock;
-use crate::exec::{Doing, Exec, Instance, LeftBehind, Made, clear};
+use crate::ending::who;
+use crate::exec::{Doing, Exec, Instance, LeftBehind, Made, Port, clear};
 use crate::fault::{Action, Cause};
 use crate::host::CallContext;
 use crate::keep::attention;
@@ -301,8 +302,10 @@ impl Cell {
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
         let raw = exec.instance.raw;
+        who::begin_call(self);
         // SAFETY: the contract: an open instance that no other thread uses, and a call whose parts outlive it.
         let status = exec.instance.kept.during(|| unsafe { process(raw, &raw mut call) });
+        who::end_call();
         let refused = context.refused.take();
         let reports = context.has_failure && status >= abi::STATUS_OK;
         if let Some(lent) = context.lent {
@@ -348,7 +351,9 @@ impl Cell {
             } else if (port.width, port.height) != (frame.width, frame.height) {
                 let (from, to) = ((port.width, port.height), (frame.width, frame.height));
                 (port.width, port.height) = to;
-                if from != (0, 0) {
+                if from == Port::NEVER {
+                    self.ports_made.fetch_or(1u64.checked_shl(index as u32).unwrap_or(0), Ordering::Relaxed);
+                } else if from != (0, 0) {
                     self.resize(Resized { output: index, tick: *tick, from, to });
                 }
             }

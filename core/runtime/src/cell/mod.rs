@@ -4,7 +4,7 @@ mod call;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use panoscope_abi::{self as abi, PortRange, Str, Tick};
@@ -12,6 +12,7 @@ use panoscope_graph::{NodeKind, OnFault};
 
 use crate::claims::{Claims, Holds};
 use crate::clock;
+use crate::ending::who::{self, Who};
 use crate::exec::{Busy, Exec, ExecPlace, Instance, Made};
 use crate::fault::{Action, CAUSES, Cause, Fault, FaultLog, unix_ms};
 use crate::host::CallContext;
@@ -20,7 +21,7 @@ use crate::log::{Level, Log};
 use crate::memory::FrameRef;
 use crate::outputs::OutputRule;
 use crate::params::{InForce, Snapshot};
-use crate::preview::Taps;
+use crate::preview::{HearNumberFn, Taps};
 use crate::record::{Recorder, Script};
 use crate::stats::NodeStats;
 use crate::threads::{Leave, ingest_ring};
@@ -154,6 +155,8 @@ pub(crate) struct Cell {
     pub stuck: Arc<AtomicU32>,
     pub stats: NodeStats,
     pub metrics: Mutex<Vec<(String, f64)>>,
+    /// Hears each number that the node tells.
+    pub hear_number: OnceLock<Arc<HearNumberFn>>,
     /// The node's own thread, if it has one.
     pub thread: Mutex<Option<std::thread::Thread>>,
     pub wake: AtomicBool,
@@ -177,6 +180,10 @@ pub(crate) struct Cell {
     /// The newest changes of outputs' sizes.
     pub resized: Mutex<VecDeque<Resized>>,
     pub fault_counts: [AtomicU64; CAUSES],
+    /// The node as a crash report names it.
+    pub who: Arc<Who>,
+    /// Outputs that made a packet so far, one bit each.
+    pub ports_made: AtomicU64,
 }
 
 // The last of what every call touches is the count of readers, with which `taps` begins.
@@ -231,6 +238,8 @@ impl Cell {
         let time = Arc::clone(&stats.time);
         let exec = Exec::new(spec.node_type, &rules, spec.ranges.clone(), Arc::clone(&snapshot), time);
         let this = Self {
+            who: Who::of(&spec.id, spec.node_type),
+            ports_made: AtomicU64::new(0),
             id: spec.id,
             node_type: spec.node_type,
             kind: spec.kind,
@@ -259,6 +268,7 @@ impl Cell {
             stuck: Arc::default(),
             stats,
             metrics: Mutex::new(Vec::new()),
+            hear_number: OnceLock::new(),
             outputs_read: AtomicU64::new(spec.outputs_read),
             taps: Taps::new(spec.node_type.outputs_len),
             thread: Mutex::new(None),
@@ -312,6 +322,13 @@ impl Cell {
         self.walk_ns.store(ns.max(faded), Ordering::Relaxed);
     }
 
+    /// Notes which outputs were made, where no call did.
+    pub fn note_made(&self, outputs: &[abi::Frame]) {
+        let made = outputs.iter().enumerate().filter(|(_, frame)| !frame.is_empty());
+        let bits = made.fold(0u64, |bits, (port, _)| bits | 1u64.checked_shl(port as u32).unwrap_or(0));
+        self.ports_made.fetch_or(bits, Ordering::Relaxed);
+    }
+
     /// The values in force.
     pub fn snapshot(&self) -> Arc<Snapshot> {
         self.values.get()
@@ -360,6 +377,7 @@ impl Cell {
         }
         let mut instance = Instance::none(self.node_type);
         *instance.holds = Holds::new(&around.claims);
+        instance.kept.belongs_to(&self.who);
         let mut failure = String::new();
         let mut context = CallContext {
             outputs: std::ptr::null_mut(),
@@ -393,7 +411,9 @@ impl Cell {
         let mut raw = std::ptr::null_mut();
         let status = match self.node_type.open {
             // SAFETY: the contract; everything the call points to outlives it.
-            Some(open) => instance.kept.during(|| unsafe { open(&raw mut call, &raw mut raw) }),
+            Some(open) => {
+                who::opening(&self.who, || instance.kept.during(|| unsafe { open(&raw mut call, &raw mut raw) }))
+            }
             None => abi::STATUS_INVALID,
         };
         if status == abi::STATUS_OK {

@@ -2,8 +2,10 @@
 
 use std::collections::{BTreeSet, HashMap};
 
-use panoscope_abi as abi;
+use panoscope_abi::{self as abi, Tick};
 
+pub use super::content::FirstCell;
+use super::content::{self, Apart, Table};
 use super::digest::{Digests, PacketDigest, PortDigest, row_bytes};
 use super::format::PacketHead;
 use super::recording::{Packet, Recording, RecordingError};
@@ -23,19 +25,42 @@ pub struct PortDifference {
     pub first: Option<(u32, u64)>,
     /// How far apart the differing packets are, where both recordings hold them.
     pub amount: Option<Amount>,
+    /// First tick that only one of them has.
+    lonely: Option<(u32, u64)>,
 }
 
 /// How far apart pictures or bytes are.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Amount {
-    /// Largest absolute difference of two values; of bytes where the packets are no pictures.
+    /// Largest absolute difference of two values; distance of two points in mm; of bytes where the packet's type is not known.
     pub largest: f64,
     /// Mean absolute difference over all values of the differing packets.
     pub mean: f64,
-    /// Share of pixels (bytes) that differ in them.
+    /// Share of pixels (cells, points, bytes) that differ in them.
     pub share: f64,
     /// Packets of another size or format, which cannot be laid over each other.
     pub other_shape: usize,
+    /// What the numbers above are of.
+    pub content: Content,
+}
+
+/// What packets hold, and what differs in them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Content {
+    /// Pictures, or bytes of a type that is not known here.
+    #[default]
+    Pixels,
+    /// Tables: number of the tick that differs first, and what differs there first.
+    Table(u64, FirstCell),
+    /// Clouds, in mm.
+    Cloud {
+        /// Where the farthest two points are: number of the tick, column, row.
+        farthest: Option<(u64, usize, usize)>,
+        /// Points that only one recording knows, all packets together.
+        only_in_one: u64,
+        /// Points with another colour.
+        recoloured: u64,
+    },
 }
 
 impl PortDifference {
@@ -97,17 +122,29 @@ pub fn compare(a: &Digests, b: &Digests) -> Vec<PortDifference> {
             .map(|(l, _)| key(&left.packets[*l]))
             .collect();
         let first = differing.iter().copied().chain(lonely).min_by_key(|(source, seq)| (*seq, *source));
-        PortDifference { port: port.clone(), packets, differing: differing.len(), missing, first, amount: None }
+        PortDifference { port: port.clone(), packets, differing: differing.len(), missing, first, amount: None, lonely }
     };
     ports.into_iter().map(one).collect()
 }
 
-/// Compares two recordings; where both hold a port's packets, it is also said by how much they differ.
-pub fn compare_recordings(a: &Recording, b: &Recording) -> Result<Vec<PortDifference>, RecordingError> {
+/// Compares two recordings; where both hold a port's packets, it is also said by how much they differ. Numbers of tables count as equal
+/// up to `tolerance` of the larger one (of 1 at least), points of clouds up to `tolerance` mm.
+///
+/// # Errors
+/// One of them is damaged.
+pub fn compare_recordings(a: &Recording, b: &Recording, tolerance: f64) -> Result<Vec<PortDifference>, RecordingError> {
+    // Fingerprints alone would call a damaged packet equal.
+    a.verify()?;
+    b.verify()?;
     let mut all = compare(&a.digests(), &b.digests());
     for port in all.iter_mut().filter(|p| p.differing > 0) {
         let (Some(left), Some(right)) = (a.ports.get(&port.port), b.ports.get(&port.port)) else { continue };
-        port.amount = Some(amount(a, b, &port.port, left, right)?);
+        let (amount, ticks) = amount(a, b, &port.port, left, right, tolerance)?;
+        // What differs in bytes only does not differ; ticks that only one has stay.
+        let ticks: Vec<Key> = ticks.iter().map(|tick| (tick.source, tick.seq)).collect();
+        port.first = ticks.iter().copied().chain(port.lonely).min_by_key(|(source, seq)| (*seq, *source));
+        port.differing = ticks.len();
+        port.amount = (port.differing > 0).then_some(amount);
     }
     Ok(all)
 }
@@ -120,6 +157,7 @@ struct Sums {
     pixels: f64,
     differing: f64,
     other_shape: usize,
+    content: Content,
 }
 
 fn amount(
@@ -128,7 +166,9 @@ fn amount(
     port: &str,
     left: &[Packet],
     right: &[Packet],
-) -> Result<Amount, RecordingError> {
+    tolerance: f64,
+) -> Result<(Amount, Vec<Tick>), RecordingError> {
+    let mut differing = Vec::new();
     let mut sums = Sums::default();
     let ticks = |list: &[Packet]| numbered(list.iter().map(|p| (p.head.tick.source, p.head.tick.seq)));
     for (one, two) in places(&ticks(left), &ticks(right)) {
@@ -136,8 +176,28 @@ fn amount(
         if other.head.hash == packet.head.hash {
             continue;
         }
-        let shape = |h: &PacketHead| (h.format, h.width, h.height);
+        let tick = packet.head.tick;
         let plain = packet.head.format == abi::FORMAT_BYTES;
+        if plain && other.head.format == abi::FORMAT_BYTES {
+            let (bytes, others) = (a.bytes(port, packet)?, b.bytes(port, other)?);
+            if let (Some(one), Some(two)) = (Table::read(&bytes), Table::read(&others)) {
+                if sums.take(tick, &content::tables(&one, &two, tolerance)) {
+                    differing.push(tick);
+                }
+                continue;
+            }
+        }
+        let shape = |h: &PacketHead| (h.format, h.width, h.height);
+        if packet.head.format == abi::FORMAT_CLOUD && shape(&packet.head) == shape(&other.head) {
+            let (bytes, others) = (a.bytes(port, packet)?, b.bytes(port, other)?);
+            let size = (packet.head.width as usize, packet.head.height as usize);
+            let strides = (packet.head.stride_bytes as usize, other.head.stride_bytes as usize);
+            if sums.take(tick, &content::clouds(size, (&bytes, strides.0), (&others, strides.1), tolerance)) {
+                differing.push(tick);
+            }
+            continue;
+        }
+        differing.push(tick);
         if shape(&packet.head) != shape(&other.head) || (plain && packet.head.len != other.head.len) {
             sums.other_shape += 1;
             continue;
@@ -145,12 +205,14 @@ fn amount(
         sums.add(&packet.head, &a.bytes(port, packet)?, &other.head, &b.bytes(port, other)?);
     }
     let over = |sum: f64, count: f64| if count > 0.0 { sum / count } else { 0.0 };
-    Ok(Amount {
+    let amount = Amount {
         largest: sums.largest,
         mean: over(sums.sum, sums.values),
         share: over(sums.differing, sums.pixels),
         other_shape: sums.other_shape,
-    })
+        content: sums.content,
+    };
+    Ok((amount, differing))
 }
 
 /// The numbers of a pixel or byte group.
@@ -166,6 +228,37 @@ fn values(format: u32, bytes: &[u8], out: &mut Vec<f64>) {
 }
 
 impl Sums {
+    /// Takes how two packets differ; answers whether they do.
+    fn take(&mut self, tick: Tick, apart: &Apart) -> bool {
+        if !apart.differs {
+            return false;
+        }
+        let farther = apart.largest > self.largest;
+        self.largest = self.largest.max(apart.largest);
+        self.sum += apart.sum;
+        self.values += apart.values;
+        self.pixels += apart.values;
+        self.differing += apart.differing;
+        self.other_shape += usize::from(apart.other_shape);
+        if let Some(first) = &apart.first_cell {
+            if self.content == Content::Pixels {
+                self.content = Content::Table(tick.seq, first.clone());
+            }
+            return true;
+        }
+        if self.content == Content::Pixels {
+            self.content = Content::Cloud { farthest: None, only_in_one: 0, recoloured: 0 };
+        }
+        if let Content::Cloud { farthest, only_in_one, recoloured } = &mut self.content {
+            *only_in_one += apart.only_in_one;
+            *recoloured += apart.recoloured;
+            if farther {
+                *farthest = apart.farthest.map(|(x, y)| (tick.seq, x, y));
+            }
+        }
+        true
+    }
+
     fn add(&mut self, left: &PacketHead, a: &[u8], right: &PacketHead, b: &[u8]) {
         let row = row_bytes(left.format, left.width);
         let (mut one, mut two) = (Vec::new(), Vec::new());

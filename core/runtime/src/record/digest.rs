@@ -40,6 +40,12 @@ pub fn packet_hash(frame: &Frame, bytes: &[u8]) -> u64 {
     hash.digest()
 }
 
+/// XXH3 of all bytes of a packet whose rows are padded, 0 for others: [`packet_hash`] sees all of those.
+pub(crate) fn padded_hash(frame: &Frame, bytes: &[u8]) -> u64 {
+    let row = row_bytes(frame.format, frame.width);
+    if row == 0 || frame.stride_bytes as usize <= row { 0 } else { xxh3_64(bytes) }
+}
+
 /// XXH3 of a file, as hexadecimal digits, and its length.
 pub fn file_hash(path: &Path) -> std::io::Result<(String, u64)> {
     let mut file = File::open(path)?;

@@ -10,6 +10,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use mcap::records::MessageHeader;
 use mcap::{WriteOptions, Writer};
 
+use super::check;
+use super::digest::padded_hash;
 use super::format::{EVENTS, Event, PACKET_ENCODING, PacketHead};
 use crate::memory::FrameRef;
 
@@ -119,9 +121,8 @@ impl RecordFile {
         Ok(this)
     }
 
-    fn message(&mut self, channel_id: u16, sequence: u32, publish_time: u64) -> io::Result<()> {
-        let header = MessageHeader { channel_id, sequence, log_time: unix_ns(), publish_time };
-        self.writer.write_to_known_channel(&header, &self.buffer).map_err(io_error)?;
+    fn message(&mut self, header: &MessageHeader) -> io::Result<()> {
+        self.writer.write_to_known_channel(header, &self.buffer).map_err(io_error)?;
         self.whole = self.written.load(Ordering::Relaxed);
         Ok(())
     }
@@ -130,7 +131,11 @@ impl RecordFile {
         self.buffer.clear();
         serde_json::to_writer(&mut self.buffer, event)?;
         self.event_count += 1;
-        self.message(self.events, self.event_count, unix_ns())?;
+        let now = unix_ns();
+        let header =
+            MessageHeader { channel_id: self.events, sequence: self.event_count, log_time: now, publish_time: now };
+        check::seal(EVENTS, &check::head_bytes(&header), &mut self.buffer);
+        self.message(&header)?;
         if matches!(event, Event::Tick { gap: false, .. }) {
             self.pending_ticks.push_back(self.whole);
         }
@@ -151,9 +156,13 @@ impl RecordFile {
             }
         };
         self.buffer.clear();
-        PacketHead::of(frame.frame(), hash).write(&mut self.buffer);
+        let publish_time = u64::try_from(frame.tick().capture_ns).unwrap_or(0);
+        let header = MessageHeader { channel_id: channel, sequence, log_time: unix_ns(), publish_time };
+        PacketHead::of(frame.frame(), hash, padded_hash(frame.frame(), frame.bytes())).write(&mut self.buffer);
+        let sum = check::sum(port, &check::head_bytes(&header), &self.buffer);
+        self.buffer.extend_from_slice(&sum.to_le_bytes());
         self.buffer.extend_from_slice(frame.bytes());
-        self.message(channel, sequence, u64::try_from(frame.tick().capture_ns).unwrap_or(0))
+        self.message(&header)
     }
 
     pub fn flush(&mut self) -> io::Result<()> {

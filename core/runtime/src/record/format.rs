@@ -3,6 +3,9 @@
 //! The channel [`EVENTS`] carries [`Event`]s as JSON. Every recorded port has a channel of its own, named `node.port`, whose messages are a
 //! [`PacketHead`] followed by the frame's bytes as they lay in memory. All messages are in the order in which things happened to
 //! their node.
+//!
+//! Since format 2 every message carries a checksum: an event as the last field of its JSON object (`xxh3`), a packet in its head. It covers
+//! the topic of the channel, MCAP's header of the message, and the event or the packet's head. The head holds the sums of the packet's bytes.
 
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{Graph, ParamValue};
@@ -16,8 +19,12 @@ use crate::report::Machine;
 pub const EVENTS: &str = "panoscope/events";
 /// Message encoding of packets.
 pub(crate) const PACKET_ENCODING: &str = "panoscope.packet";
-/// Number of this format; another one is refused.
-pub const FORMAT: u32 = 1;
+/// Number of the format that is written.
+pub const FORMAT: u32 = 2;
+/// The oldest format that is read: its messages carry no checksums.
+pub const OLDEST_FORMAT: u32 = 1;
+/// The first format whose messages carry checksums.
+pub(crate) const CHECKED_FORMAT: u32 = 2;
 
 /// A plugin's or model's file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -159,8 +166,12 @@ pub enum Event {
     },
 }
 
-/// Bytes of a [`PacketHead`].
-pub(crate) const PACKET_HEAD_BYTES: usize = 56;
+/// Bytes of a [`PacketHead`] in format 1.
+pub(crate) const PLAIN_HEAD_BYTES: usize = 56;
+/// Bytes of a [`PacketHead`] since format 2: with the sum of padded rows, and the message's own behind all.
+pub(crate) const PACKET_HEAD_BYTES: usize = 72;
+/// Of these, the ones that the message's sum covers.
+pub(crate) const SUMMED_HEAD_BYTES: usize = 64;
 
 /// Description of a packet, before its bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -179,12 +190,14 @@ pub struct PacketHead {
     pub len: u64,
     /// See [`super::digest::packet_hash`].
     pub hash: u64,
+    /// XXH3 of all bytes where rows are padded, else 0: `hash` leaves the padding out.
+    pub padded: u64,
 }
 
 impl PacketHead {
-    pub(crate) fn of(frame: &Frame, hash: u64) -> Self {
+    pub(crate) fn of(frame: &Frame, hash: u64, padded: u64) -> Self {
         let Frame { format, width, height, stride_bytes, tick, len, .. } = *frame;
-        Self { tick, format, width, height, stride_bytes, len: len as u64, hash }
+        Self { tick, format, width, height, stride_bytes, len: len as u64, hash, padded }
     }
 
     pub(crate) fn write(&self, out: &mut Vec<u8>) {
@@ -195,13 +208,15 @@ impl PacketHead {
         out.extend(self.tick.capture_ns.to_le_bytes());
         out.extend(self.len.to_le_bytes());
         out.extend(self.hash.to_le_bytes());
+        out.extend(self.padded.to_le_bytes());
     }
 
-    pub(crate) fn read(bytes: &[u8; PACKET_HEAD_BYTES]) -> Self {
+    /// Reads a head of format 1, or the beginning of a newer one.
+    pub(crate) fn read(bytes: &[u8; PLAIN_HEAD_BYTES]) -> Self {
         let four = |at: usize| bytes[at..at + 4].iter().rev().fold(0u32, |n, b| n << 8 | u32::from(*b));
         let eight = |at: usize| bytes[at..at + 8].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));
         let tick = Tick { source: four(0), flags: 0, seq: eight(24), capture_ns: eight(32) as i64 };
         let (format, width, height, stride_bytes) = (four(4), four(8), four(12), four(16));
-        Self { tick, format, width, height, stride_bytes, len: eight(40), hash: eight(48) }
+        Self { tick, format, width, height, stride_bytes, len: eight(40), hash: eight(48), padded: 0 }
     }
 }

@@ -5,7 +5,9 @@
 //! force, which ticks a failed node missed). A [`Replay`] follows that; all else follows from the ticks, because nodes see neither clock nor
 //! thread.
 
+mod check;
 pub mod compare;
+mod content;
 pub mod digest;
 mod file;
 pub mod format;

@@ -172,6 +172,21 @@ impl Recorder {
         thread.map_or_else(Recorded::default, |t| t.join().unwrap_or_else(|_| broken()))
     }
 
+    /// Ends the recording in the middle of the run, after a crash: all that was queued is written, without the mark of a good end. Answers
+    /// whether that was done by `until`.
+    pub(crate) fn break_off(&self, until: std::time::Instant) -> bool {
+        lock(&self.inner.queue).ended = true;
+        self.inner.wake.notify_all();
+        let done = || lock(&self.thread).as_ref().is_none_or(JoinHandle::is_finished);
+        while !done() {
+            if std::time::Instant::now() >= until {
+                return false;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        true
+    }
+
     /// Where trouble is told.
     pub(crate) fn tell_to(&self, tell: Box<Tell>) {
         let mut untold = lock(&self.inner.untold);

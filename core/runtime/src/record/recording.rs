@@ -11,12 +11,18 @@ use std::path::{Path, PathBuf};
 use mcap::records::{Record, op};
 use panoscope_abi::Frame;
 
-use super::digest::{Digests, PacketDigest, packet_hash};
-use super::format::{EVENTS, Event, FORMAT, Head, PACKET_ENCODING, PACKET_HEAD_BYTES, PacketHead};
+use super::check::{self, MESSAGE_HEAD_BYTES, Seal};
+use super::digest::{Digests, PacketDigest, packet_hash, padded_hash};
+use super::format::{
+    CHECKED_FORMAT, EVENTS, Event, FORMAT, Head, OLDEST_FORMAT, PACKET_ENCODING, PACKET_HEAD_BYTES, PLAIN_HEAD_BYTES,
+    PacketHead, SUMMED_HEAD_BYTES,
+};
 use crate::memory::{FrameRef, memory};
 
-/// Bytes of a message's own header.
-const MESSAGE_HEAD_BYTES: u64 = 22;
+/// No index at the end of a recording is longer.
+const LONGEST_INDEX: u64 = 64 << 20;
+/// Bytes of MCAP's footer record.
+const FOOTER_BYTES: usize = 9 + 20;
 /// No event is longer.
 const LONGEST_EVENT: u64 = 256 << 20;
 /// No packet is longer.
@@ -56,7 +62,7 @@ pub enum RecordingError {
         bytes: u64,
     },
     /// Written by another version.
-    #[error("{} is a recording of format {found}, this program reads format {FORMAT}: use panoscope {version}", .file.display())]
+    #[error("{} is a recording of format {found}, this program reads formats {OLDEST_FORMAT} to {FORMAT}: use panoscope {version}", .file.display())]
     OtherFormat {
         /// The file.
         file: PathBuf,
@@ -120,6 +126,8 @@ pub struct Cut {
     pub at: u64,
     /// What is there instead of a message.
     pub reason: String,
+    /// It is damaged there, not cut off: what follows was recorded and is lost.
+    pub damaged: bool,
 }
 
 /// A recording that was looked through.
@@ -137,9 +145,14 @@ pub struct Recording {
     pub ports: BTreeMap<String, Vec<Packet>>,
     /// Where it was cut off or damaged.
     pub cut: Option<Cut>,
+    /// Its messages carry checksums; those of format 1 do not.
+    pub checked: bool,
 }
 
 struct Scan {
+    /// The library that MCAP's header names.
+    library: String,
+
     at: u64,
     len: u64,
     reader: BufReader<File>,
@@ -157,6 +170,7 @@ struct Scan {
 enum Stop {
     End,
     Cut(String),
+    Damaged(String),
     Io(std::io::Error),
     Foreign(String),
     OtherFormat(u32, String),
@@ -191,7 +205,9 @@ impl Recording {
         if !mcap::MAGIC.starts_with(&magic) {
             return Err(RecordingError::NoMcap { file: path.to_owned() });
         }
+        let finished = ends_with_magic(&file, len).map_err(unreadable)?;
         let mut scan = Scan {
+            library: String::new(),
             at: magic.len() as u64,
             len,
             reader,
@@ -209,7 +225,12 @@ impl Recording {
         };
         let cut = match stop {
             Stop::End => None,
-            Stop::Cut(reason) => Some(Cut { at: scan.at, reason }),
+            // What has its end was not cut off.
+            Stop::Cut(_) if finished => {
+                Some(Cut { at: scan.at, reason: "a length makes no sense".to_owned(), damaged: true })
+            }
+            Stop::Cut(reason) => Some(Cut { at: scan.at, reason, damaged: false }),
+            Stop::Damaged(reason) => Some(Cut { at: scan.at, reason, damaged: true }),
             Stop::Io(cause) => return Err(unreadable(cause)),
             Stop::Foreign(reason) => return Err(RecordingError::Foreign { file: path.to_owned(), reason }),
             Stop::OtherFormat(found, version) => {
@@ -218,12 +239,37 @@ impl Recording {
         };
         let Some(head) = scan.head else {
             return Err(match cut {
+                Some(Cut { damaged: true, .. }) if !scan.is_ours() => {
+                    RecordingError::Foreign { file: path.to_owned(), reason: format!("it has no `{EVENTS}`") }
+                }
+                Some(Cut { damaged: true, at, .. }) => {
+                    let (port, seq) = (EVENTS.to_owned(), 0);
+                    RecordingError::Damaged { file: path.to_owned(), at, port, seq }
+                }
                 Some(_) => RecordingError::Empty { file: path.to_owned(), bytes: len },
                 None => RecordingError::Foreign { file: path.to_owned(), reason: format!("it has no `{EVENTS}`") },
             });
         };
         let (events, sources, ports) = (scan.events, scan.sources, scan.ports);
-        Ok(Self { file, path: path.to_owned(), head, events, sources, ports, cut })
+        let checked = head.format >= CHECKED_FORMAT;
+        Ok(Self { file, path: path.to_owned(), head, events, sources, ports, cut, checked })
+    }
+
+    /// Reads every packet: nothing of it is damaged.
+    ///
+    /// # Errors
+    /// [`RecordingError::Damaged`] with the first damage.
+    pub fn verify(&self) -> Result<(), RecordingError> {
+        if let Some(Cut { at, damaged: true, .. }) = self.cut {
+            let (file, port) = (self.path.clone(), EVENTS.to_owned());
+            return Err(RecordingError::Damaged { file, at, port, seq: self.events.len() as u64 });
+        }
+        let mut bytes = Vec::new();
+        for (port, packet) in self.ports.iter().flat_map(|(port, all)| all.iter().map(move |p| (port, p))) {
+            bytes.resize(packet.head.len as usize, 0);
+            self.read(port, packet, &mut bytes)?;
+        }
+        Ok(())
     }
 
     /// Where it lies.
@@ -244,12 +290,13 @@ impl Recording {
     }
 
     fn read(&self, port: &str, packet: &Packet, bytes: &mut [u8]) -> Result<(), RecordingError> {
-        let PacketHead { format, width, height, stride_bytes, hash, tick, .. } = packet.head;
+        let PacketHead { format, width, height, stride_bytes, hash, padded, tick, .. } = packet.head;
         let damaged =
             || RecordingError::Damaged { file: self.path.clone(), at: packet.at, port: port.to_owned(), seq: tick.seq };
         self.file.read_exact_at(bytes, packet.at).map_err(|_| damaged())?;
         let frame = Frame { format, width, height, stride_bytes, ..Frame::EMPTY };
-        if packet_hash(&frame, bytes) == hash { Ok(()) } else { Err(damaged()) }
+        let whole = packet_hash(&frame, bytes) == hash && (!self.checked || padded_hash(&frame, bytes) == padded);
+        if whole { Ok(()) } else { Err(damaged()) }
     }
 
     /// A packet as a frame of the host.
@@ -292,9 +339,23 @@ impl Recording {
     }
 }
 
+/// Whether a file has MCAP's end: a recording that was finished.
+fn ends_with_magic(file: &File, len: u64) -> std::io::Result<bool> {
+    let mut end = [0; mcap::MAGIC.len()];
+    // Its beginning looks the same.
+    let Some(at) = len.checked_sub(end.len() as u64).filter(|at| *at > 0) else { return Ok(false) };
+    file.read_exact_at(&mut end, at)?;
+    Ok(end == mcap::MAGIC)
+}
+
 impl Scan {
+    /// Whether MCAP's header names this program.
+    fn is_ours(&self) -> bool {
+        self.library.starts_with("panoscope ")
+    }
+
     fn skip(&mut self, bytes: u64) -> Result<(), Stop> {
-        let step = i64::try_from(bytes).map_err(|_| Stop::Cut("a length makes no sense".to_owned()))?;
+        let step = i64::try_from(bytes).map_err(|_| Stop::Damaged("a length makes no sense".to_owned()))?;
         self.reader.seek_relative(step)?;
         Ok(())
     }
@@ -317,22 +378,38 @@ impl Scan {
         if len > self.len.saturating_sub(begin) {
             return Err(Stop::Cut("it was cut off, or is damaged".to_owned()));
         }
-        let damaged = |what: &str| Stop::Cut(format!("damaged: {what}"));
+        let damaged = |what: &str| Stop::Damaged(what.to_owned());
         match head[0] {
-            op::DATA_END => return Err(Stop::End),
+            op::DATA_END => return Err(self.index(len)),
             op::CHANNEL if len < 1 << 16 => {
                 let body = self.body(len)?;
                 let Ok(Record::Channel(channel)) = mcap::parse_record(op::CHANNEL, &body) else {
                     return Err(damaged("a channel that cannot be read"));
                 };
+                let events = channel.topic == EVENTS;
+                if self.is_ours()
+                    && (channel.schema_id != 0
+                        || !channel.metadata.is_empty()
+                        || (events && channel.message_encoding != "json"))
+                {
+                    return Err(damaged("a channel that was not written like that"));
+                }
                 let packets = channel.message_encoding == PACKET_ENCODING;
                 if packets || channel.topic == EVENTS {
                     self.channels.insert(channel.id, (channel.topic, packets));
                 }
             }
-            op::MESSAGE if len >= MESSAGE_HEAD_BYTES => self.message(begin, len)?,
+            op::MESSAGE if len >= MESSAGE_HEAD_BYTES as u64 => self.message(begin, len)?,
             op::CHUNK if self.head.is_none() => return Err(Stop::Foreign("it has chunks".to_owned())),
-            op::HEADER | op::SCHEMA | op::ATTACHMENT | op::METADATA => self.skip(len)?,
+            op::HEADER if self.at == mcap::MAGIC.len() as u64 && len < 1 << 16 => {
+                let body = self.body(len)?;
+                let Ok(Record::Header(header)) = mcap::parse_record(op::HEADER, &body) else {
+                    return Err(damaged("a header that cannot be read"));
+                };
+                self.library = format!("{} {}", header.profile, header.library);
+            }
+            // Other programs' files: they have no head of ours.
+            op::SCHEMA | op::ATTACHMENT | op::METADATA if self.head.is_none() => self.skip(len)?,
             other => return Err(damaged(&format!("no record is of kind {other}"))),
         }
         self.at = begin + len;
@@ -340,10 +417,11 @@ impl Scan {
     }
 
     fn message(&mut self, begin: u64, len: u64) -> Result<(), Stop> {
-        let damaged = |what: &str| Stop::Cut(format!("damaged: {what}"));
-        let head = self.body(MESSAGE_HEAD_BYTES)?;
-        let channel = u16::from_le_bytes([head[0], head[1]]);
-        let rest = len - MESSAGE_HEAD_BYTES;
+        let damaged = |what: &str| Stop::Damaged(what.to_owned());
+        let mut message = [0; MESSAGE_HEAD_BYTES];
+        self.reader.read_exact(&mut message)?;
+        let channel = u16::from_le_bytes([message[0], message[1]]);
+        let rest = len - MESSAGE_HEAD_BYTES as u64;
         let Some((topic, packets)) = self.channels.get(&channel).cloned() else {
             return if self.head.is_some() { Err(damaged("a message of no channel")) } else { self.skip(rest) };
         };
@@ -351,29 +429,72 @@ impl Scan {
             if rest > LONGEST_EVENT {
                 return Err(damaged("an event that long is none"));
             }
-            let body = self.body(rest)?;
+            let mut body = self.body(rest)?;
+            let seal = check::unseal(&topic, &message, &mut body);
+            let checked = self.head.as_ref().is_some_and(|h| h.format >= CHECKED_FORMAT);
+            if seal == Seal::Broken || (seal == Seal::None && checked) {
+                return Err(damaged("an event is not what was recorded"));
+            }
             let event = serde_json::from_slice(&body).map_err(|_| damaged("an event that cannot be read"));
             return match event {
+                Ok(Event::Head(head)) if seal == Seal::None && head.format >= CHECKED_FORMAT => {
+                    Err(damaged("its head is not what was recorded"))
+                }
                 Ok(event) => self.event(event),
                 Err(stop) if self.head.is_some() => Err(stop),
                 Err(_) => Err(self.foreign_head(&body)),
             };
         }
-        let mut packet_head = [0; PACKET_HEAD_BYTES];
-        if rest < PACKET_HEAD_BYTES as u64 {
+        let checked = self.head.as_ref().is_some_and(|h| h.format >= CHECKED_FORMAT);
+        let head_bytes = if checked { PACKET_HEAD_BYTES } else { PLAIN_HEAD_BYTES };
+        if rest < head_bytes as u64 {
             return Err(damaged("a packet without a head"));
         }
-        self.reader.read_exact(&mut packet_head)?;
-        let head = PacketHead::read(&packet_head);
-        if head.len != rest - PACKET_HEAD_BYTES as u64 || head.len > LONGEST_PACKET || self.head.is_none() {
+        let mut packet_head = [0; PACKET_HEAD_BYTES];
+        self.reader.read_exact(&mut packet_head[..head_bytes])?;
+        let (plain, more) = packet_head.split_at(PLAIN_HEAD_BYTES);
+        let mut head = PacketHead::read(plain.try_into().map_err(|_| damaged("a packet without a head"))?);
+        if checked {
+            let eight = |at: usize| more[at..at + 8].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));
+            head.padded = eight(0);
+            if check::sum(&topic, &message, &packet_head[..SUMMED_HEAD_BYTES]) != eight(8) {
+                return Err(damaged("the description of a packet is not what was recorded"));
+            }
+        }
+        if head.len != rest - head_bytes as u64 || head.len > LONGEST_PACKET || self.head.is_none() {
             return Err(damaged("a packet whose length is another"));
         }
         self.skip(head.len)?;
-        let packet = Packet { head, at: begin + MESSAGE_HEAD_BYTES + PACKET_HEAD_BYTES as u64 };
+        let packet = Packet { head, at: begin + (MESSAGE_HEAD_BYTES + head_bytes) as u64 };
         let Some((node, port)) = topic.split_once('.') else { return Err(damaged("a port without a node")) };
         self.loose.entry(node.to_owned()).or_default().push((port.to_owned(), packet));
         self.ports.entry(topic).or_default().push(packet);
         Ok(())
+    }
+
+    /// What stands behind the data: MCAP's index, with a sum of its own. How the recording ends.
+    fn index(&mut self, end_len: u64) -> Stop {
+        let read = |this: &mut Self, len: u64| if len > LONGEST_INDEX { Ok(Vec::new()) } else { this.body(len) };
+        let end = match read(self, end_len) {
+            Ok(end) => end,
+            Err(stop) => return stop,
+        };
+        let rest = match read(self, self.len.saturating_sub(self.at + 9 + end_len)) {
+            Ok(rest) => rest,
+            Err(stop) => return stop,
+        };
+        let Some(index) = rest.strip_suffix(mcap::MAGIC).filter(|index| index.len() >= FOOTER_BYTES) else {
+            // With a footer where a whole file has it, only the end mark is wrong.
+            let footer = rest.len().checked_sub(FOOTER_BYTES + mcap::MAGIC.len()).and_then(|at| rest.get(at..at + 9));
+            let whole = footer.is_some_and(|f| f[0] == op::FOOTER && f[1..] == 20u64.to_le_bytes());
+            let reason = "its end mark is missing".to_owned();
+            return if whole { Stop::Damaged(reason) } else { Stop::Cut(reason) };
+        };
+        let (summed, sum) = index.split_at(index.len() - 4);
+        let known = sum.iter().rev().fold(0u32, |n, b| n << 8 | u32::from(*b));
+        // The sum of the data itself is not written: every message has its own.
+        let whole = end == [0; 4] && (known == 0 || known == check::crc32(summed));
+        if whole { Stop::End } else { Stop::Damaged("its index is not what was recorded".to_owned()) }
     }
 
     /// A head that cannot be read may be one of another version.
@@ -381,23 +502,29 @@ impl Scan {
         let value: serde_json::Value = serde_json::from_slice(body).unwrap_or_default();
         let format = value.get("format").and_then(serde_json::Value::as_u64);
         let version = value.get("version").and_then(serde_json::Value::as_str).unwrap_or("?").to_owned();
-        match format.and_then(|f| u32::try_from(f).ok()).filter(|f| *f != FORMAT) {
+        match format.and_then(|f| u32::try_from(f).ok()).filter(|f| !(OLDEST_FORMAT..=FORMAT).contains(f)) {
             Some(found) => Stop::OtherFormat(found, version),
-            None => Stop::Cut("damaged: its head cannot be read".to_owned()),
+            None => Stop::Damaged("its head cannot be read".to_owned()),
         }
     }
 
     fn event(&mut self, event: Event) -> Result<(), Stop> {
         match event {
             Event::Head(head) if self.head.is_none() => {
-                if head.format != FORMAT {
+                if !(OLDEST_FORMAT..=FORMAT).contains(&head.format) {
                     return Err(Stop::OtherFormat(head.format, head.version));
+                }
+                if head.format >= CHECKED_FORMAT && self.library != format!("panoscope panoscope {}", head.version) {
+                    return Err(Stop::Damaged("its header is not what was recorded".to_owned()));
                 }
                 self.head = Some(*head);
             }
             _ if self.head.is_none() => return Err(Stop::Foreign("its first message is no head".to_owned())),
-            Event::Tick { node, seq, capture_ns, packets: _, gap } => {
+            Event::Tick { node, seq, capture_ns, packets: count, gap } => {
                 let packets = self.loose.remove(&node).unwrap_or_default();
+                if !gap && packets.len() != count as usize {
+                    return Err(Stop::Damaged(format!("packets of tick {seq} of `{node}` are missing")));
+                }
                 let tick = SourceTick { seq, capture_ns, admitted: true, gap, packets };
                 self.sources.entry(node).or_default().push(tick);
             }

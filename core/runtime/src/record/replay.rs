@@ -90,6 +90,8 @@ pub struct Replay {
     script: Arc<Script>,
     loader: Arc<Loader>,
     recorder: Option<Arc<Recorder>>,
+    /// Where the recording is damaged: what follows was not played.
+    damage: Option<String>,
     /// What differs from the machine and files of the recording, in words.
     pub warnings: Vec<String>,
 }
@@ -148,7 +150,11 @@ impl Replay {
             ..options.engine
         };
         let engine = Engine::start(graph, &catalog, &loader, engine_options)?;
-        Ok(Self { engine, script, loader, recorder, warnings })
+        let damage = recording.cut.as_ref().filter(|cut| cut.damaged).map(|cut| {
+            let (file, at, reason) = (recording.path().display(), cut.at, &cut.reason);
+            format!("{file} is damaged at byte {at}: {reason}; only what is before it was played")
+        });
+        Ok(Self { engine, script, loader, recorder, damage, warnings })
     }
 
     /// The engine.
@@ -190,7 +196,10 @@ impl Replay {
     pub fn verdict(&self) -> Result<(), ReplayError> {
         match self.script.failure() {
             Some(reason) => Err(ReplayError::Broken(reason.to_owned())),
-            None => Ok(()),
+            None => match &self.damage {
+                Some(words) => Err(ReplayError::Broken(words.clone())),
+                None => Ok(()),
+            },
         }
     }
 }
@@ -286,7 +295,14 @@ fn resolve(graph: &mut Graph, catalog: &Catalog) -> Result<(), String> {
 /// Why the bytes of a replay may be others than the recorded run's.
 fn differences(recording: &Recording, graph: &Graph, catalog: &Catalog, loader: &Loader, other: bool) -> Vec<String> {
     let mut words = Vec::new();
-    if let Some(cut) = &recording.cut {
+    if !recording.checked {
+        let version = &recording.head.version;
+        words.push(format!(
+            "the recording is of format {}, by panoscope {version}: its events carry no checksums, damage to them cannot be seen",
+            recording.head.format
+        ));
+    }
+    if let Some(cut) = recording.cut.as_ref().filter(|cut| !cut.damaged) {
         words.push(format!("the recording ends at byte {}: {}; what is before it is played", cut.at, cut.reason));
     }
     for (source, ticks) in &recording.sources {

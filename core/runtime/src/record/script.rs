@@ -15,14 +15,24 @@ use super::recording::{Recording, RecordingError, SourceTick};
 use crate::apply::Applied;
 use crate::cell::{Cell, Surroundings, lock};
 use crate::exec::{Doing, Exec, Instance, LeftBehind};
+use crate::fault::{Action, Cause};
 use crate::log::Level;
 use crate::memory::FrameRef;
+use crate::outputs::OutputRule;
 use crate::params::Snapshot;
+use crate::stats::bump;
 
 /// The tick of each connection's packet.
 pub(crate) struct Wanted {
     pub tick: Tick,
     pub inputs: Vec<Option<(u32, u64)>>,
+}
+
+/// A recorded packet that the source may not put out here, such as one of a format that it does not declare any more.
+fn withhold(cell: &Cell, around: &Surroundings, tick: &Tick, cause: Cause, words: &str) {
+    bump(&cell.stats.faults);
+    around.log.say(Level::Error, &cell.id, words);
+    cell.note(around, cause, Action::Withhold, Some(tick.seq), || words.to_owned());
 }
 
 enum Turn {
@@ -199,12 +209,17 @@ impl Script {
     pub(crate) fn outputs(
         &self,
         cell: &Cell,
+        around: &Surroundings,
         recorded: &SourceTick,
         tick: Tick,
     ) -> Result<Vec<FrameRef>, RecordingError> {
-        let output = |name: &str| match recorded.packets.iter().find(|(port, _)| port == name) {
+        let output = |rule: &OutputRule| match recorded.packets.iter().find(|(port, _)| *port == rule.name) {
             Some((port, packet)) => {
                 let frame = self.recording.frame(&format!("{}.{port}", cell.id), packet)?;
+                if let Err((cause, words)) = rule.admit(frame.frame()) {
+                    withhold(cell, around, &tick, cause, &words);
+                    return Ok(FrameRef::empty(tick));
+                }
                 let mut raw = frame.into_raw();
                 raw.tick = tick;
                 // SAFETY: the reference that `into_raw` gave up; only the tick is another.
@@ -212,7 +227,7 @@ impl Script {
             }
             None => Ok(FrameRef::empty(tick)),
         };
-        cell.rules.iter().map(|rule| output(&rule.name)).collect()
+        cell.rules.iter().map(output).collect()
     }
 
     /// The replay cannot go on.

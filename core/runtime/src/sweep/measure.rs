@@ -24,10 +24,21 @@ fn counter(node: &NodeReport, name: &str) -> Option<f64> {
     })
 }
 
+/// Which rows of a table are measured: each may be a measure of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rows {
+    /// The only one; a table with more is refused.
+    Only,
+    /// This one, from 1.
+    Nth(usize),
+    /// All, as values of the same measure.
+    All,
+}
+
 /// What is measured.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Measure {
-    /// Each packet of an output: a scalar, or a column of a table, all rows alike.
+    /// Each packet of an output: a scalar, or a column of a table.
     Port {
         /// The node.
         node: String,
@@ -37,8 +48,10 @@ pub enum Measure {
         packet: String,
         /// Of a table.
         column: Option<String>,
+        /// Of a table.
+        rows: Rows,
     },
-    /// A number that the node tells, or a counter, at the end of the run.
+    /// A number that the node tells, tick by tick, or a counter, at the end of the run.
     Told {
         /// The node.
         node: String,
@@ -50,7 +63,11 @@ pub enum Measure {
 impl fmt::Display for Measure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Port { node, port, column: Some(column), .. } => write!(f, "{node}.{port}.{column}"),
+            Self::Port { node, port, column: Some(column), rows, .. } => match rows {
+                Rows::Only => write!(f, "{node}.{port}.{column}"),
+                Rows::Nth(row) => write!(f, "{node}.{port}.{column}[{row}]"),
+                Rows::All => write!(f, "{node}.{port}.{column}[*]"),
+            },
             Self::Port { node, port: name, .. } | Self::Told { node, name } => write!(f, "{node}.{name}"),
         }
     }
@@ -64,9 +81,12 @@ impl Measure {
         let (id, rest) = text.split_once('.').ok_or_else(|| bad(words.to_owned()))?;
         let node = graph.node(id).ok_or_else(|| bad(part::no_node(graph, id)))?;
         let node_type = graph.nodes[node].node_type(catalog);
-        let (port, column) = match rest.split_once('.') {
-            Some((port, column)) => (port, Some(column.to_owned())),
-            None => (rest, None),
+        let (port, column, rows) = match rest.split_once('.') {
+            Some((port, column)) => {
+                let (column, rows) = rows_of(column).map_err(&bad)?;
+                (port, Some(column.to_owned()), rows)
+            }
+            None => (rest, None, Rows::Only),
         };
         let told: Vec<&str> =
             node_type.outputs.iter().filter(|p| tells_numbers(&p.packet.name)).map(|p| p.name.as_str()).collect();
@@ -87,33 +107,83 @@ impl Measure {
                 return Err(bad(format!("it carries {packet}, no numbers; outputs of `{id}` with numbers: {told}")));
             }
         }
-        Ok((Self::Port { node: id.to_owned(), port: port.to_owned(), packet, column }, node))
+        Ok((Self::Port { node: id.to_owned(), port: port.to_owned(), packet, column, rows }, node))
+    }
+
+    /// Why what was heard shows that there is no such measure, for any value.
+    pub(super) fn wrong(&self, heard: &Heard) -> Option<String> {
+        let Self::Port { column: Some(column), rows, .. } = self else { return None };
+        if let Some(others) = &heard.others {
+            let others: Vec<&str> = others.iter().map(String::as_str).collect();
+            return Some(format!("there is no column `{column}`; columns are {}", part::list(&others)));
+        }
+        (*rows == Rows::Only && heard.most_rows > 1).then(|| {
+            format!(
+                "the table has {} rows, which may be different measures: name one, {self}[1] to {self}[{}], or take all as one with {self}[*]",
+                heard.most_rows, heard.most_rows
+            )
+        })
     }
 
     /// What a run came to.
-    pub(super) fn summary(&self, heard: &Heard, report: &Report) -> Result<Summary, String> {
+    pub(super) fn summary(&self, heard: &Heard, report: &Report) -> Result<Summary, NoSummary> {
+        if let Some(reason) = self.wrong(heard) {
+            return Err(NoSummary::Measure(reason));
+        }
         match self {
-            Self::Port { column, .. } => {
-                if let (Some(column), Some(others)) = (column, &heard.others) {
-                    let others: Vec<&str> = others.iter().map(String::as_str).collect();
-                    return Err(format!("there is no column `{column}`; columns are {}", part::list(&others)));
+            Self::Port { rows, .. } => {
+                if let Rows::Nth(row) = rows
+                    && heard.most_rows > 0
+                    && *row > heard.most_rows
+                {
+                    let most = heard.most_rows;
+                    return Err(NoSummary::Run(format!("there is no row {row}: the table has up to {most}")));
                 }
                 if heard.values.is_empty() && heard.missing == 0 {
-                    return Err("nothing came out of it".to_owned());
+                    return Err(NoSummary::Run("nothing came out of it".to_owned()));
                 }
                 Ok(Summary::of(&heard.values, heard.missing))
             }
             Self::Told { node, name } => {
-                let Some(found) = report.nodes.get(node) else { return Err(format!("`{node}` did not run")) };
-                let value = found.metrics.get(name).copied().or_else(|| counter(found, name));
-                let value = value.ok_or_else(|| {
+                let ran = |node: &str| NoSummary::Run(format!("`{node}` did not run"));
+                let found = report.nodes.get(node).ok_or_else(|| ran(node))?;
+                if !heard.told.is_empty() {
+                    let (finite, unknown): (Vec<f64>, Vec<f64>) =
+                        heard.told.iter().map(|(_, v)| *v).partition(|v| v.is_finite());
+                    return Ok(Summary::of(&finite, unknown.len() as u64));
+                }
+                if found.count == 0 && found.metrics.is_empty() && !COUNTERS.contains(&name.as_str()) {
+                    return Err(ran(node));
+                }
+                let value = counter(found, name).ok_or_else(|| {
                     let names = found.metrics.keys().map(String::as_str);
                     let names: Vec<&str> = names.chain(COUNTERS).collect();
-                    format!("`{node}` tells no number `{name}`; it tells {}", part::list(&names))
+                    NoSummary::Measure(format!("`{node}` tells no number `{name}`; it tells {}", part::list(&names)))
                 })?;
                 Ok(Summary::of(&[value], 0))
             }
         }
+    }
+}
+
+/// Why a run came to nothing.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum NoSummary {
+    /// There is no such measure: other values would come to nothing, too.
+    Measure(String),
+    /// This run failed.
+    Run(String),
+}
+
+/// A column and which rows of it: `x_mm`, `x_mm[2]`, `x_mm[*]`.
+fn rows_of(column: &str) -> Result<(&str, Rows), String> {
+    let Some((name, index)) = column.strip_suffix(']').and_then(|c| c.rsplit_once('[')) else {
+        return Ok((column, Rows::Only));
+    };
+    match (index, index.parse::<usize>()) {
+        ("*", _) => Ok((name, Rows::All)),
+        (_, Ok(row)) if row > 0 => Ok((name, Rows::Nth(row))),
+        _ => Err(format!("`[{index}]` is no row: write {name}[1] for the first one, {name}[*] for all")),
     }
 }
 
@@ -124,11 +194,15 @@ pub(super) struct Heard {
     missing: u64,
     /// Columns of a table that does not have the wanted one.
     others: Option<Vec<String>>,
+    /// The most rows that a table had.
+    most_rows: usize,
+    /// Numbers that were told: tick and value.
+    told: Vec<((u32, u64), f64)>,
 }
 
 impl Heard {
     /// Takes a packet.
-    pub fn take(&mut self, bytes: &[u8], packet: &str, column: Option<&str>) {
+    pub fn take(&mut self, bytes: &[u8], packet: &str, column: Option<&str>, rows: Rows) {
         let Some(told) = numbers::read(bytes, packet) else { return };
         let at = match column {
             None => 0,
@@ -140,8 +214,26 @@ impl Heard {
                 }
             },
         };
-        for value in told.rows().filter_map(|row| row.get(at)) {
+        let count = told.rows().count();
+        self.most_rows = self.most_rows.max(count);
+        let wanted = |index: usize| match rows {
+            Rows::Nth(row) => index + 1 == row,
+            Rows::Only | Rows::All => true,
+        };
+        let values = told.rows().enumerate().filter(|(index, _)| wanted(*index)).filter_map(|(_, row)| row.get(at));
+        for value in values {
             if value.is_finite() { self.values.push(*value) } else { self.missing += 1 }
+        }
+        if matches!(rows, Rows::Nth(row) if row > count) {
+            self.missing += 1;
+        }
+    }
+
+    /// Takes a number that a node told; the last one of a tick counts.
+    pub fn tell(&mut self, tick: (u32, u64), value: f64) {
+        match self.told.last_mut() {
+            Some((last, slot)) if *last == tick => *slot = value,
+            _ => self.told.push((tick, value)),
         }
     }
 }
@@ -191,7 +283,52 @@ impl Summary {
 
 #[cfg(test)]
 mod tests {
-    use super::Summary;
+    use super::{Heard, Measure, Rows, Summary, rows_of};
+
+    fn table(rows: &[[f64; 2]]) -> Vec<u8> {
+        let mut bytes: Vec<u8> = [rows.len() as u32, 2, 8, 0].iter().flat_map(|n| n.to_le_bytes()).collect();
+        bytes.extend(b"mm\nerr\0\0");
+        rows.iter().flatten().for_each(|v| bytes.extend(v.to_le_bytes()));
+        bytes
+    }
+
+    fn heard(rows: Rows, packets: &[&[[f64; 2]]]) -> Heard {
+        let mut heard = Heard::default();
+        packets.iter().for_each(|packet| heard.take(&table(packet), "table", Some("mm"), rows));
+        heard
+    }
+
+    #[test]
+    fn rows_of_several_measures_are_not_pooled() {
+        let of = |rows| Measure::Port {
+            node: "measure".to_owned(),
+            port: "table".to_owned(),
+            packet: "table".to_owned(),
+            column: Some("mm".to_owned()),
+            rows,
+        };
+        let two: [&[[f64; 2]]; 2] = [&[[10.0, 0.1], [70.0, 0.2]], &[[12.0, 0.1], [72.0, 0.2]]];
+        let wrong = of(Rows::Only).wrong(&heard(Rows::Only, &two)).expect("two measures are no one");
+        assert!(wrong.contains("measure.table.mm[1] to measure.table.mm[2]"), "{wrong}");
+        assert!(of(Rows::Only).wrong(&heard(Rows::Only, &[&[[10.0, 0.1]], &[]])).is_none());
+        assert_eq!(heard(Rows::Nth(2), &two).values, [70.0, 72.0]);
+        assert_eq!(heard(Rows::All, &two).values, [10.0, 70.0, 12.0, 72.0]);
+        let short = heard(Rows::Nth(2), &[&[[10.0, 0.1]], &[[1.0, 0.1], [2.0, 0.1]]]);
+        assert_eq!((short.values, short.missing), (vec![2.0], 1));
+        assert_eq!(rows_of("mm[3]"), Ok(("mm", Rows::Nth(3))));
+        assert_eq!(rows_of("mm[*]"), Ok(("mm", Rows::All)));
+        assert!(rows_of("mm[0]").is_err() && rows_of("mm[last]").is_err());
+        assert_eq!(of(Rows::All).to_string(), "measure.table.mm[*]");
+    }
+
+    #[test]
+    fn a_number_told_twice_in_a_tick_counts_once() {
+        let mut heard = Heard::default();
+        for (tick, value) in [((0, 1), 5.0), ((0, 1), 6.0), ((0, 2), 7.0)] {
+            heard.tell(tick, value);
+        }
+        assert_eq!(heard.told, [((0, 1), 6.0), ((0, 2), 7.0)]);
+    }
 
     #[test]
     fn a_summary_has_mean_median_and_ends() {

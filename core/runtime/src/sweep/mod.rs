@@ -17,13 +17,13 @@ use panoscope_graph::{Diagnostics, GraphText, ParamKind, ParamValue, check};
 use crate::cell::lock;
 use crate::engine::{Engine, Options, Outcome};
 use crate::loader::Loader;
-use crate::preview::Listener;
+use crate::preview::{Listener, NumberListener};
 use crate::record::{Recording, Replay, ReplayOptions};
 
-pub use measure::{COUNTERS, Measure, Summary};
+pub use measure::{COUNTERS, Measure, Rows, Summary};
 pub use values::{MOST_STEPS, shown};
 
-use measure::Heard;
+use measure::{Heard, NoSummary};
 
 /// How long nodes may take to end.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -45,7 +45,8 @@ pub struct Request {
     pub to: Option<f64>,
     /// Number of values, both ends included.
     pub steps: usize,
-    /// `node.port` of a scalar, `node.port.column` of a table, `node.metric`, or `node.` and one of [`COUNTERS`].
+    /// `node.port` of a scalar, `node.port.column` of a table (`column[2]` where it has several rows, `column[*]` for all), `node.metric`, or
+    /// `node.` and one of [`COUNTERS`].
     pub measure: String,
     /// Most ticks of each source per value.
     pub frames: u64,
@@ -110,6 +111,8 @@ pub struct Sweep {
     measure: Measure,
     /// Unit of the parameter.
     unit: String,
+    /// The values are words: switches or choices.
+    words: bool,
 }
 
 impl Sweep {
@@ -153,9 +156,10 @@ impl Sweep {
             node.is_some_and(|n| kept[n])
         };
         let unit = declared.unit.clone();
+        let words = matches!(declared.kind, ParamKind::Bool { .. } | ParamKind::Choice { .. });
         let mut request = request;
         request.settings.retain(of_kept);
-        Ok(Self { request, loader, text, values, measure, unit })
+        Ok(Self { request, loader, text, values, measure, unit, words })
     }
 
     /// Number of values.
@@ -178,20 +182,33 @@ impl Sweep {
         &self.unit
     }
 
+    /// Whether the values are words, of switches and choices: their numbers are positions only.
+    pub fn has_words(&self) -> bool {
+        self.words
+    }
+
     /// Runs all values; `each` gets the points one by one. Ends early once `cancelled` says so; it is asked often.
-    pub fn run(&self, cancelled: &dyn Fn() -> bool, mut each: impl FnMut(Point)) {
+    ///
+    /// # Errors
+    /// There is no such column, row or number. That shows only while the first value runs, which ends then.
+    pub fn run(&self, cancelled: &dyn Fn() -> bool, mut each: impl FnMut(Point)) -> Result<(), SweepError> {
         for (value, at) in &self.values {
             let value = shown(value);
-            let result = self.one(&value, cancelled);
-            if cancelled() {
-                return;
-            }
+            let result = match self.one(&value, cancelled) {
+                _ if cancelled() => return Ok(()),
+                Ok(summary) => Ok(summary),
+                Err(NoSummary::Run(reason)) => Err(reason),
+                Err(NoSummary::Measure(reason)) => {
+                    return Err(SweepError::Measure { measure: self.request.measure.clone(), reason });
+                }
+            };
             each(Point { value, at: *at, result });
         }
+        Ok(())
     }
 
     /// One run to its end.
-    fn one(&self, value: &str, cancelled: &dyn Fn() -> bool) -> Result<Summary, String> {
+    fn one(&self, value: &str, cancelled: &dyn Fn() -> bool) -> Result<Summary, NoSummary> {
         let heard = Arc::new(Mutex::new(Heard::default()));
         let mut settings = self.request.settings.clone();
         settings.push(format!("{}={value}", self.request.param));
@@ -201,11 +218,12 @@ impl Sweep {
             paced: false,
             graph_dir: self.request.path.parent().unwrap_or(Path::new("")).to_owned(),
             listen: self.listener(&heard).into_iter().collect(),
+            numbers: self.number_listener(&heard),
             ..Options::default()
         };
         let wait = |engine: &Engine| {
             while !engine.wait(Some(Duration::from_millis(50))) {
-                if cancelled() {
+                if cancelled() || self.measure.wrong(&lock(&heard)).is_some() {
                     engine.stop();
                 }
             }
@@ -221,36 +239,50 @@ impl Sweep {
                     engine: options,
                     ..ReplayOptions::default()
                 };
-                let replay = Replay::start(recording, replay_options).map_err(|e| e.to_string())?;
+                let replay = Replay::start(recording, replay_options).map_err(|e| NoSummary::Run(e.to_string()))?;
                 let done = wait(replay.engine());
-                replay.verdict().map_err(|e| e.to_string())?;
+                replay.verdict().map_err(|e| NoSummary::Run(e.to_string()))?;
                 done
             }
             None => {
                 let mut parsed = GraphText::parse(&self.request.path, &self.text);
                 settings.iter().for_each(|setting| parsed.set(setting));
                 let catalog = self.loader.catalog(&parsed.plugins());
-                let (graph, _) = check(&parsed, &catalog).into_result().map_err(|d| d.render(false))?;
-                let engine =
-                    Engine::start(graph, &catalog, &self.loader, options).map_err(|error| error.to_string())?;
+                let checked = check(&parsed, &catalog).into_result();
+                let (graph, _) = checked.map_err(|d| NoSummary::Run(d.render(false)))?;
+                let started = Engine::start(graph, &catalog, &self.loader, options);
+                let engine = started.map_err(|error| NoSummary::Run(error.to_string()))?;
                 wait(&engine)
             }
         };
         if let Outcome::Failed(reason) = outcome {
-            return Err(reason);
+            return Err(NoSummary::Run(reason));
         }
         let heard = lock(&heard);
         self.measure.summary(&heard, &report)
     }
 
     fn listener(&self, heard: &Arc<Mutex<Heard>>) -> Option<Listener> {
-        let Measure::Port { node, port, packet, column } = &self.measure else { return None };
-        let (heard, packet, column) = (Arc::clone(heard), packet.clone(), column.clone());
+        let Measure::Port { node, port, packet, column, rows } = &self.measure else { return None };
+        let (heard, packet, column, rows) = (Arc::clone(heard), packet.clone(), column.clone(), *rows);
         Some(Listener {
             node: node.clone(),
             output: port.clone(),
-            hear: Arc::new(move |frame| lock(&heard).take(frame.bytes(), &packet, column.as_deref())),
+            hear: Arc::new(move |frame| lock(&heard).take(frame.bytes(), &packet, column.as_deref(), rows)),
         })
+    }
+}
+
+impl Sweep {
+    fn number_listener(&self, heard: &Arc<Mutex<Heard>>) -> Option<NumberListener> {
+        let Measure::Told { node, name } = &self.measure else { return None };
+        let (heard, name) = (Arc::clone(heard), name.clone());
+        let hear = move |tick: &panoscope_abi::Tick, told: &str, value: f64| {
+            if told == name {
+                lock(&heard).tell((tick.source, tick.seq), value);
+            }
+        };
+        Some(NumberListener { node: node.clone(), hear: Arc::new(hear) })
     }
 }
 

@@ -37,10 +37,16 @@ pub(super) fn of(
             let from = from.or(min.map(|m| m as f64)).ok_or_else(unbounded)?;
             let to = to.or(max.map(|m| m as f64)).ok_or_else(unbounded)?;
             let (base, step) = (min.unwrap_or(0) as f64, step.unwrap_or(1).max(1) as f64);
+            // Never beyond what was asked for.
+            let (low, high) = ((from.min(to) - base) / step, (from.max(to) - base) / step);
+            let (low, high) = (low.ceil(), high.floor());
+            if low > high {
+                return Err(format!("no value that is allowed lies from {from} to {to}: they are {step} apart"));
+            }
             let mut values: Vec<(ParamValue, f64)> = Vec::new();
             for number in spread(from, to, steps)? {
                 // The nearest value that is allowed; neighbours that become one are taken once.
-                let number = base + ((number - base) / step).round() * step;
+                let number = base + ((number - base) / step).round().clamp(low, high) * step;
                 if values.last().is_none_or(|(_, last)| *last != number) {
                     values.push((ParamValue::Int(number as i64), number));
                 }
@@ -98,6 +104,9 @@ mod tests {
         let int = ParamKind::Int { default: 5, min: Some(5), max: Some(25), step: Some(2) };
         assert_eq!(words(&int, 5.0, 25.0, 5), ["5", "11", "15", "21", "25"]);
         assert_eq!(words(&int, 5.0, 9.0, 9), ["5", "7", "9"], "values that become one are taken once");
+        assert_eq!(words(&int, 6.0, 24.0, 4), ["7", "13", "19", "23"], "no value lies beyond what was asked for");
+        assert_eq!(words(&int, 24.0, 6.0, 2), ["23", "7"], "backwards, too");
+        assert!(of(&int, Some(6.0), Some(6.5), 2).is_err_and(|why| why.contains("2 apart")));
         assert_eq!(of(&int, None, None, 3).map(|v| v.len()), Ok(3));
         assert!(of(&int, Some(1.0), Some(9.0), 3).is_err_and(|why| why.contains("outside 5 to 25")));
         assert!(of(&int, Some(5.0), Some(9.0), 1).is_err());

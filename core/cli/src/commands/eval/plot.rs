@@ -55,6 +55,8 @@ pub struct Chart {
     pub series: Vec<Series>,
     /// Zero belongs to the vertical axis.
     pub from_zero: bool,
+    /// Places along that have a word instead of a number; where there are any, the axis has no numbers.
+    pub words: Vec<(f64, String)>,
 }
 
 /// Round steps that divide a range into four to nine parts.
@@ -80,12 +82,31 @@ fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     }
 }
 
+fn parts(low: f64, high: f64, step: f64) -> impl Iterator<Item = f64> {
+    (0..=((high - low) / step).round() as usize).map(move |i| low + i as f64 * step)
+}
+
+/// The horizontal axis: its ends, and places with what stands there.
+struct Along {
+    ends: (f64, f64),
+    marks: Vec<(f64, String)>,
+}
+
+fn along(chart: &Chart) -> Along {
+    if !chart.words.is_empty() {
+        let (low, high) = range(chart.words.iter().map(|(at, _)| *at));
+        // Half a place on both sides, so that the first and last word have room.
+        return Along { ends: (low - 0.5, high + 0.5), marks: chart.words.clone() };
+    }
+    let (low, high) = range(chart.series.iter().flat_map(|s| s.points.iter().map(|p| p.0)));
+    let (low, high, step) = steps(low, high);
+    Along { ends: (low, high), marks: parts(low, high, step).map(|x| (x, number(x, step))).collect() }
+}
+
 fn chart(out: &mut ViewMut<'_, u8>, origin: (f32, f32), chart: &Chart) {
     let points = || chart.series.iter().flat_map(|s| s.points.iter().copied());
-    let (x0, x1, x_step) = {
-        let (low, high) = range(points().map(|p| p.0));
-        steps(low, high)
-    };
+    let along = along(chart);
+    let (x0, x1) = along.ends;
     let (y0, y1, y_step) = {
         let (low, high) = range(points().map(|p| p.1));
         steps(if chart.from_zero { low.min(0.0) } else { low }, high)
@@ -97,12 +118,9 @@ fn chart(out: &mut ViewMut<'_, u8>, origin: (f32, f32), chart: &Chart) {
     let centred = |out: &mut ViewMut<'_, u8>, x: f32, y: f32, words: &str| {
         draw::text(out, x - draw::text_size(words, 1.2).0 / 2.0, y, words, 1.2, INK);
     };
-    let parts = |low: f64, high: f64, step: f64| {
-        (0..=((high - low) / step).round() as usize).map(move |i| low + i as f64 * step)
-    };
-    for x in parts(x0, x1, x_step) {
-        draw::line(out, (across(x), top), (across(x), bottom), 1.0, GRID);
-        centred(out, across(x), bottom + 7.0, &number(x, x_step));
+    for (x, words) in &along.marks {
+        draw::line(out, (across(*x), top), (across(*x), bottom), 1.0, GRID);
+        centred(out, across(*x), bottom + 7.0, words);
     }
     for y in parts(y0, y1, y_step) {
         draw::line(out, (left, up(y)), (right, up(y)), 1.0, GRID);
@@ -166,7 +184,17 @@ pub fn save(path: &Path, charts: &[Chart]) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::{number, steps};
+    use super::{Chart, Series, Style, along, number, steps};
+
+    #[test]
+    fn words_stand_where_numbers_would_and_no_number_between_them() {
+        let series = Series { name: String::new(), style: Style::Dots, color: 0, points: vec![(0.0, 3.0), (1.0, 4.0)] };
+        let words = vec![(0.0, "census".to_owned()), (1.0, "absolute".to_owned())];
+        let of_words = along(&Chart { series: vec![series.clone()], words: words.clone(), ..Chart::default() });
+        assert_eq!((of_words.ends, of_words.marks), ((-0.5, 1.5), words));
+        let of_numbers = along(&Chart { series: vec![series], ..Chart::default() });
+        assert!(of_numbers.marks.iter().any(|(_, words)| words == "0.4"), "{:?}", of_numbers.marks);
+    }
 
     #[test]
     fn axes_have_round_steps_around_the_data() {

@@ -261,6 +261,7 @@ fn charts(case: &str, name: &str, rows: &Table, peer: Option<&Table>) -> Vec<Cha
             y_label: label.to_owned(),
             series,
             from_zero: column == "align_px",
+            words: Vec::new(),
         });
     }
     all

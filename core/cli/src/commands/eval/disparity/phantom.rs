@@ -241,6 +241,7 @@ impl Ruler {
                     },
                 ],
                 from_zero: false,
+                words: Vec::new(),
             };
             let errors = all.iter().map(|m| (m.true_mm, m.found_mm - m.true_mm)).collect();
             let stated = |sign: f64| all.iter().map(|m| (m.true_mm, sign * m.stated_mm)).collect::<Vec<_>>();
@@ -258,6 +259,7 @@ impl Ruler {
                     Series { name: "true error".to_owned(), style: Style::Dots, color: 0, points: errors },
                 ],
                 from_zero: true,
+                words: Vec::new(),
             };
             [values, off]
         };

@@ -1,0 +1,233 @@
+//! Comparing packets by what they mean: tables cell by cell, clouds point by point.
+
+use std::mem::offset_of;
+
+use panoscope_abi as abi;
+
+/// Bytes of a cloud's point: x, y, z as f32, then colour.
+const POINT_BYTES: usize = 16;
+
+/// Whether two numbers are equal: both unknown, or apart by no more than `tolerance` of the larger one, of 1 at least.
+pub(super) fn is_equal(a: f64, b: f64, tolerance: f64) -> bool {
+    (a.is_nan() && b.is_nan()) || a == b || (a - b).abs() <= tolerance * a.abs().max(b.abs()).max(1.0)
+}
+
+/// A table packet.
+#[derive(Debug, PartialEq)]
+pub(super) struct Table<'a> {
+    columns: Vec<&'a str>,
+    rows: usize,
+    cells: &'a [u8],
+}
+
+impl<'a> Table<'a> {
+    /// Reads a packet that is a table from its first byte to its last; `None` for all others. Packets do not name their type, but nothing
+    /// else fills its length like that.
+    pub fn read(bytes: &'a [u8]) -> Option<Self> {
+        let count = |at: usize| {
+            let bytes: [u8; 4] = bytes.get(at..at + 4)?.try_into().ok()?;
+            usize::try_from(u32::from_le_bytes(bytes)).ok()
+        };
+        let rows = count(offset_of!(abi::TableHeader, rows))?;
+        let columns = count(offset_of!(abi::TableHeader, columns))?;
+        let names_len = count(offset_of!(abi::TableHeader, names_len))?;
+        let (_, rest) = bytes.split_at_checked(size_of::<abi::TableHeader>())?;
+        let (names, cells) = rest.split_at_checked(names_len)?;
+        let names = std::str::from_utf8(names).ok()?.trim_end_matches('\0');
+        let names: Vec<&str> = names.split('\n').collect();
+        let fits = rows.checked_mul(columns)?.checked_mul(8)? == cells.len();
+        (columns > 0 && names.len() == columns && fits).then_some(Self { columns: names, rows, cells })
+    }
+
+    fn cell(&self, row: usize, column: usize) -> f64 {
+        let at = (row * self.columns.len() + column) * 8;
+        self.cells.get(at..at + 8).and_then(|b| b.try_into().ok()).map_or(f64::NAN, f64::from_le_bytes)
+    }
+}
+
+/// What differs first in a table.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FirstCell {
+    /// A cell: row from 1, column, both values.
+    Value(usize, String, f64, f64),
+    /// A column that only one of them has, and whether that is the first one.
+    Column(String, bool),
+    /// Rows of both.
+    Rows(usize, usize),
+}
+
+/// How two packets of the same tick differ.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Apart {
+    /// Something differs by more than the tolerance.
+    pub differs: bool,
+    /// They cannot be laid over each other, or only in part.
+    pub other_shape: bool,
+    pub largest: f64,
+    pub sum: f64,
+    /// Values, or points, that were compared.
+    pub values: f64,
+    pub differing: f64,
+    pub first_cell: Option<FirstCell>,
+    /// Where the farthest two points of a cloud are: column, row.
+    pub farthest: Option<(usize, usize)>,
+    /// Points that only one of the clouds knows.
+    pub only_in_one: u64,
+    /// Points with another colour.
+    pub recoloured: u64,
+}
+
+/// Compares two tables; columns are matched by name.
+pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> Apart {
+    let mut apart = Apart::default();
+    let alone = |in_a: &Table<'_>, in_b: &Table<'_>, first: bool| {
+        let missing = in_a.columns.iter().find(|name| !in_b.columns.contains(name));
+        missing.map(|name| FirstCell::Column((*name).to_owned(), first))
+    };
+    let shared: Vec<(usize, usize)> = a
+        .columns
+        .iter()
+        .enumerate()
+        .filter_map(|(at, name)| Some((at, b.columns.iter().position(|other| other == name)?)))
+        .collect();
+    for row in 0..a.rows.min(b.rows) {
+        for &(left, right) in &shared {
+            let (x, y) = (a.cell(row, left), b.cell(row, right));
+            apart.values += 1.0;
+            let by = (x - y).abs();
+            if by.is_finite() {
+                apart.sum += by;
+                apart.largest = apart.largest.max(by);
+            }
+            if !is_equal(x, y, tolerance) {
+                apart.differing += 1.0;
+                apart.first_cell.get_or_insert_with(|| FirstCell::Value(row + 1, a.columns[left].to_owned(), x, y));
+            }
+        }
+    }
+    let column = alone(a, b, true).or_else(|| alone(b, a, false));
+    let rows = (a.rows != b.rows).then_some(FirstCell::Rows(a.rows, b.rows));
+    apart.other_shape = column.is_some() || rows.is_some();
+    apart.first_cell = apart.first_cell.or(column).or(rows);
+    apart.differs = apart.first_cell.is_some();
+    apart
+}
+
+/// A point of a cloud: x, y, z in mm, NaN where unknown, and its colour.
+fn point(bytes: &[u8]) -> ([f64; 3], &[u8]) {
+    let number = |at: usize| {
+        let four = bytes.get(at..at + 4).and_then(|b| b.try_into().ok());
+        four.map_or(f64::NAN, |b| f64::from(f32::from_le_bytes(b)))
+    };
+    ([number(0), number(4), number(8)], bytes.get(12..15).unwrap_or_default())
+}
+
+/// Compares two clouds of the same size, point by point; `strides` are the bytes from row to row. Distances and `tolerance` in mm.
+pub(super) fn clouds(size: (usize, usize), a: (&[u8], usize), b: (&[u8], usize), tolerance: f64) -> Apart {
+    let mut apart = Apart::default();
+    let (width, height) = size;
+    for y in 0..height {
+        for x in 0..width {
+            let of = |(bytes, stride): (&'_ [u8], usize)| {
+                let at = y * stride + x * POINT_BYTES;
+                bytes.get(at..at + POINT_BYTES).map(<[u8]>::to_vec).unwrap_or_default()
+            };
+            let (left, right) = (of(a), of(b));
+            let ((p, left_color), (q, right_color)) = (point(&left), point(&right));
+            apart.values += 1.0;
+            let known = |p: &[f64; 3]| p.iter().all(|v| v.is_finite());
+            let mut differs = false;
+            match (known(&p), known(&q)) {
+                (true, true) => {
+                    let distance = (0..3).map(|k| (p[k] - q[k]).powi(2)).sum::<f64>().sqrt();
+                    apart.sum += distance;
+                    if distance > apart.largest {
+                        (apart.largest, apart.farthest) = (distance, Some((x, y)));
+                    }
+                    differs = distance > tolerance;
+                    if left_color != right_color {
+                        apart.recoloured += 1;
+                        differs = true;
+                    }
+                }
+                (false, false) => {}
+                _ => {
+                    apart.only_in_one += 1;
+                    differs = true;
+                }
+            }
+            apart.differing += f64::from(u8::from(differs));
+        }
+    }
+    apart.differs = apart.differing > 0.0;
+    apart
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(columns: &[&str], rows: &[&[f64]]) -> Vec<u8> {
+        let mut names = columns.join("\n").into_bytes();
+        names.resize(names.len().next_multiple_of(8), 0);
+        let mut bytes = Vec::new();
+        for count in [rows.len() as u32, columns.len() as u32, names.len() as u32, 0] {
+            bytes.extend(count.to_le_bytes());
+        }
+        bytes.extend(names);
+        rows.iter().copied().flatten().for_each(|v| bytes.extend(v.to_le_bytes()));
+        bytes
+    }
+
+    fn compare(a: &[u8], b: &[u8], tolerance: f64) -> Apart {
+        tables(&Table::read(a).expect("a table"), &Table::read(b).expect("a table"), tolerance)
+    }
+
+    #[test]
+    fn tables_differ_by_cell_and_name_the_first() {
+        let a = table(&["x_mm", "y_mm"], &[&[1.0, 2.0], &[3.0, f64::NAN]]);
+        let near = table(&["x_mm", "y_mm"], &[&[1.0, 2.0], &[3.0 + 1e-9, f64::from_bits(0x7ff8_0000_0000_0001)]]);
+        assert!(compare(&a, &near, 0.0).differs, "exactly");
+        assert!(!compare(&a, &near, 1e-6).differs, "another kind of unknown is unknown all the same");
+        let far = table(&["x_mm", "y_mm"], &[&[1.0, 2.0], &[3.5, 9.0]]);
+        let apart = compare(&a, &far, 1e-6);
+        assert_eq!(apart.first_cell, Some(FirstCell::Value(2, "x_mm".to_owned(), 3.0, 3.5)));
+        assert_eq!((apart.largest, apart.differing, apart.values), (0.5, 2.0, 4.0));
+        // Columns are matched by name; what only one has is named.
+        let turned = table(&["y_mm", "x_mm"], &[&[2.0, 1.0], &[f64::NAN, 3.0]]);
+        assert!(!compare(&a, &turned, 0.0).differs);
+        let other = table(&["x_mm", "z_mm"], &[&[1.0, 2.0], &[3.0, 4.0]]);
+        assert_eq!(compare(&a, &other, 0.0).first_cell, Some(FirstCell::Column("y_mm".to_owned(), true)));
+        let longer = table(&["x_mm", "y_mm"], &[&[1.0, 2.0], &[3.0, f64::NAN], &[5.0, 6.0]]);
+        assert_eq!(compare(&a, &longer, 0.0).first_cell, Some(FirstCell::Rows(2, 3)));
+        assert!(compare(&a, &longer, 0.0).other_shape);
+        // What is no table is none, wherever it is cut.
+        (0..a.len()).for_each(|len| assert_eq!(Table::read(&a[..len]), None, "{len}"));
+    }
+
+    fn cloud(points: &[[f32; 3]]) -> Vec<u8> {
+        let bytes =
+            points.iter().map(|p| [p[0].to_le_bytes(), p[1].to_le_bytes(), p[2].to_le_bytes(), [1, 2, 3, 0]].concat());
+        bytes.collect::<Vec<_>>().concat()
+    }
+
+    #[test]
+    fn clouds_differ_by_distance_and_by_missing_points() {
+        let unknown = [f32::NAN; 3];
+        let a = cloud(&[[0.0, 0.0, 50.0], [1.0, 0.0, 50.0], unknown, [2.0, 0.0, 50.0]]);
+        let b = cloud(&[[0.0, 0.0, 50.25], [1.0, 3.0, 54.0], [9.0, 9.0, 9.0], unknown]);
+        let size = (2, 2);
+        let apart = clouds(size, (&a, 32), (&b, 32), 0.5);
+        assert_eq!((apart.largest, apart.farthest), (5.0, Some((1, 0))));
+        assert_eq!((apart.only_in_one, apart.differing, apart.recoloured), (2, 3.0, 0));
+        assert!(!clouds(size, (&a, 32), (&a, 32), 0.0).differs);
+        let mut recoloured = a.clone();
+        recoloured[12] = 9;
+        let apart = clouds(size, (&a, 32), (&recoloured, 32), 0.5);
+        assert_eq!((apart.recoloured, apart.differs, apart.largest), (1, true, 0.0));
+        // The fourth byte of a colour means nothing.
+        let mut padded = a.clone();
+        padded[15] = 9;
+        assert!(!clouds(size, (&a, 32), (&padded, 32), 0.0).differs);
+    }
+}
