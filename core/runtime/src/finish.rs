@@ -32,6 +32,7 @@ impl Cell {
             holds: &instance.holds,
             log: &around.log,
             failure: &mut failure,
+            has_failure: false,
             refused: None,
             random: None,
             tick: Tick::default(),
