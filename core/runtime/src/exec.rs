@@ -81,8 +81,8 @@ impl Instance {
         let host = abi::Host { save: Some(collect), ..*host };
         let mut bytes: Vec<u8> = Vec::new();
         let (raw, who) = (self.raw, self.kept.who());
-        // SAFETY: an open instance that no other thread uses; the sink outlives the call.
         let status = who::with(&who, Phase::SaveState, || {
+            // SAFETY: an open instance that no other thread uses; the sink outlives the call.
             self.kept.during(|| unsafe { save(raw, &raw const host, (&raw mut bytes).cast()) })
         });
         (status == abi::STATUS_OK && !bytes.is_empty()).then_some(bytes)
@@ -92,8 +92,8 @@ impl Instance {
     pub fn load_state(&mut self, bytes: &[u8]) -> bool {
         let Some(load) = self.node_type.load_state.filter(|_| self.open) else { return false };
         let (raw, who) = (self.raw, self.kept.who());
-        // SAFETY: an open instance that no other thread uses; the bytes are lent for the call.
         who::with(&who, Phase::LoadState, || {
+            // SAFETY: an open instance that no other thread uses; the bytes are lent for the call.
             self.kept.during(|| unsafe { load(raw, bytes.as_ptr(), bytes.len()) == abi::STATUS_OK })
         })
     }
