@@ -299,6 +299,8 @@ fn damaged_bytes_are_named_or_end_the_recording() {
     let file = scratch("damaged.mcap");
     std::fs::write(&file, &whole).expect("written");
     let all = Recording::open(&file).expect("whole");
+    // Now, before other bytes are written into the file that it reads.
+    assert!(all.verify().is_ok() && all.checked);
     let mut dice = 1u64;
     for _ in 0..400 {
         dice = dice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -314,7 +316,6 @@ fn damaged_bytes_are_named_or_end_the_recording() {
             }
         }
     }
-    assert!(all.verify().is_ok() && all.checked);
     let packet = all.ports["a.image"][3];
     let mut bytes = whole;
     bytes[packet.at as usize + 20] ^= 1;
