@@ -12,6 +12,8 @@ use panoscope_node::*;
 
 type TestResult = std::result::Result<(), HarnessError>;
 
+// Only the wiring of the ports is checked here.
+#[allow(dead_code)]
 #[derive(Ports)]
 struct In<'f> {
     /// Picture.
@@ -20,6 +22,7 @@ struct In<'f> {
     more: Option<List<'f, AnyImage<'f>>>,
 }
 
+#[allow(dead_code)]
 #[derive(Ports)]
 struct Out<'f> {
     /// Picture.
