@@ -339,12 +339,10 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
         .y_axis_label(&progress.measure)
         .allow_scroll(false)
         .x_axis_formatter(move |mark, _| {
-            if !has_words {
-                return short(mark.value);
-            }
+            let near = |(at, _): &&(f64, String)| (at - mark.value).abs() < 1e-9 && at.fract() == 0.0;
             // Between words there is nothing.
-            let near = |(at, _): &&(f64, String)| (at - mark.value).abs() < 1e-9;
-            words.iter().find(near).map_or_else(String::new, |(_, word)| word.clone())
+            let between = || if has_words { String::new() } else { short(mark.value) };
+            words.iter().find(near).map_or_else(between, |(_, word)| word.clone())
         })
         .show(ui, |plot| {
             for (at, s) in &known {

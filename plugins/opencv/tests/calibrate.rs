@@ -155,9 +155,11 @@ fn what_cannot_be_is_said() {
     }
     assert!(out.unwrap().is_empty("calibration").unwrap());
     assert!(node.logs().iter().any(|line| line.message.contains("disparities would be negative")), "{:?}", node.logs());
-    // Too few views.
-    let mut node = open("solve_at = 2");
-    for [left, right] in &views[..2] {
+    // Too few views: three of the five show no board.
+    let mut node = open("solve_at = 5");
+    let gray = vec![120; SIZE.0 * SIZE.1];
+    for index in 0..5 {
+        let [left, right] = if index < 2 { [&views[index][0], &views[index][1]] } else { [&gray, &gray] };
         assert!(show(&mut node, [left, right]).is_empty("calibration").unwrap());
     }
     assert!(node.logs().iter().any(|line| line.message.contains("2 views are in use, 5 are needed")));
@@ -165,7 +167,9 @@ fn what_cannot_be_is_said() {
     let small = vec![0; 64 * 48];
     node.input_image::<Gray8>("left", 64, 48, &small).input_image::<Gray8>("right", 64, 48, &small);
     let out = node.process().unwrap();
-    assert_eq!(states(&out)[2], ViewState::OtherSize);
+    assert_eq!(states(&out)[5], ViewState::OtherSize);
+    let early = Harness::<CalibrateStereo>::from_toml("params = { solve_at = 2 }").err().unwrap().to_string();
+    assert!(early.contains("before 5 views"), "{early}");
     let refused = Harness::<CalibrateStereo>::from_toml("params = { board = \"chess\" }").err().unwrap().to_string();
     assert!(refused.contains("names no board"), "{refused}");
 }
