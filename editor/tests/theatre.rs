@@ -533,7 +533,7 @@ fn a_lost_camera_is_named_and_the_other_one_goes_on() {
     if !has_plugin("flow") || !has_plugin("chaos") {
         return;
     }
-    let text = "plugins = [\"flow\", \"chaos\"]\n[nodes.camera]\ntype = \"frames\"\nparams = { width_px = 64, height_px = 48, rate_hz = 30.0 }\n[nodes.second]\ntype = \"chaos_source\"\nparams = { harm = \"nothing\", first = 40, ticks = 1000000000 }\n[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"camera.image\" }\n[nodes.other]\ntype = \"drain\"\ninputs = { image = \"second.image\" }\n[preset]\nviews = [\"camera.image\", \"second.image\"]\n";
+    let text = "plugins = [\"flow\", \"chaos\"]\n[nodes.camera]\ntype = \"frames\"\nparams = { width_px = 64, height_px = 48, rate_hz = 30.0 }\n[nodes.second]\ntype = \"chaos_source\"\nparams = { harm = \"nothing\", first = 600, ticks = 1000000000 }\n[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"camera.image\" }\n[nodes.other]\ntype = \"drain\"\ninputs = { image = \"second.image\" }\n[preset]\nviews = [\"camera.image\", \"second.image\"]\n";
     let mut window = Window::open("lost", text);
     window.until_told("Second image camera lost: no picture for ");
     assert!(window.told().iter().all(|w| !w.contains("Camera image")), "one of the two: {:?}", window.told());
