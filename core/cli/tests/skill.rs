@@ -1,7 +1,11 @@
 //! `panoscope eval skill`: reports of tracks as `write_table` writes them, and what it says of files that are none.
 
+mod common;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+
+use common::plugins;
 
 fn run(arguments: &[&str]) -> (i32, String, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_panoscope")).args(arguments).output().expect("the program starts");
@@ -146,20 +150,6 @@ fn without_a_track_the_measures_are_less_than_a_hundredth_off_closed_forms() {
     assert!(worst["value"].as_f64().is_some_and(|percent| percent < 1.0), "{worst}");
     assert!(figures.iter().any(|figure| figure["name"] == "ldlj/reaches" && figure["peer"] == "closed form"));
     std::fs::remove_dir_all(folder).expect("the folder goes");
-}
-
-/// Folder that holds these plugins, or words that they are not built.
-fn plugins(names: &[&str]) -> Option<PathBuf> {
-    let given = std::env::var_os("PANOSCOPE_PLUGIN_PATH").unwrap_or_default();
-    let beside = Path::new(env!("CARGO_BIN_EXE_panoscope")).parent().map(Path::to_owned);
-    let has = |folder: &PathBuf, name: &str| {
-        [format!("lib{name}.so"), format!("libpanoscope_{name}.so")].iter().any(|file| folder.join(file).is_file())
-    };
-    let found = std::env::split_paths(&given).chain(beside).find(|folder| names.iter().all(|name| has(folder, name)));
-    if found.is_none() {
-        println!("skipped: the plugins {} are not built together; `cargo xtask test` builds them", names.join(", "));
-    }
-    found
 }
 
 #[test]

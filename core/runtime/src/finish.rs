@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
-use panoscope_abi::{self as abi, Tick};
+use panoscope_abi as abi;
 use panoscope_graph::OnFault;
 
 use crate::cell::{Cell, Surroundings, lock};
@@ -20,24 +20,7 @@ impl Cell {
             return;
         };
         let mut failure = String::new();
-        let mut context = CallContext {
-            outputs: std::ptr::null_mut(),
-            shown: std::ptr::null_mut(),
-            outputs_len: 0,
-            inputs: std::ptr::null(),
-            inputs_len: 0,
-            lent: None,
-            first_formats: 0,
-            cell: self,
-            holds: &instance.holds,
-            log: &around.log,
-            failure: &mut failure,
-            has_failure: false,
-            refused: None,
-            random: None,
-            tick: Tick::default(),
-            wait_for_memory: around.unhurried(),
-        };
+        let mut context = CallContext::without_tick(self, around, &instance.holds, &mut failure);
         let (raw, host, call) = (instance.raw, &raw const around.host, (&raw mut context).cast());
         // SAFETY: the contract: an open instance that no other thread uses, since the caller owns it; table and handle outlive the call.
         let status =

@@ -5,7 +5,7 @@ use std::ffi::c_void;
 use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str};
 use panoscope_imaging::random::SplitMix64;
 
-use crate::cell::{Cell, Refused};
+use crate::cell::{Cell, Refused, Surroundings};
 use crate::claims::{self, Holds};
 use crate::fault::Cause;
 use crate::keep;
@@ -55,6 +55,30 @@ pub(crate) struct Lent {
 pub(crate) unsafe fn context<'a>(call: *mut c_void) -> Option<&'a mut CallContext<'a>> {
     // SAFETY: plugins pass back the handle of the running call (the contract).
     unsafe { call.cast::<CallContext<'a>>().as_mut() }
+}
+
+impl<'a> CallContext<'a> {
+    /// For a call that is no tick: it has no inputs and makes no outputs.
+    pub fn without_tick(cell: &'a Cell, around: &'a Surroundings, holds: &'a Holds, failure: &'a mut String) -> Self {
+        Self {
+            outputs: std::ptr::null_mut(),
+            shown: std::ptr::null_mut(),
+            outputs_len: 0,
+            inputs: std::ptr::null(),
+            inputs_len: 0,
+            lent: None,
+            first_formats: 0,
+            cell,
+            holds,
+            log: &around.log,
+            failure,
+            has_failure: false,
+            refused: None,
+            random: None,
+            tick: abi::Tick::default(),
+            wait_for_memory: around.unhurried(),
+        }
+    }
 }
 
 impl CallContext<'_> {

@@ -379,24 +379,7 @@ impl Cell {
         *instance.holds = Holds::new(&around.claims);
         instance.kept.belongs_to(&self.who);
         let mut failure = String::new();
-        let mut context = CallContext {
-            outputs: std::ptr::null_mut(),
-            shown: std::ptr::null_mut(),
-            outputs_len: 0,
-            inputs: std::ptr::null(),
-            inputs_len: 0,
-            lent: None,
-            first_formats: 0,
-            cell: self,
-            holds: &instance.holds,
-            log: &around.log,
-            failure: &mut failure,
-            has_failure: false,
-            refused: None,
-            random: None,
-            tick: Tick::default(),
-            wait_for_memory: around.unhurried(),
-        };
+        let mut context = CallContext::without_tick(self, around, &instance.holds, &mut failure);
         let mut call = abi::OpenCall {
             struct_size: size_of::<abi::OpenCall>() as u32,
             flags: if around.batch { abi::CALL_BATCH } else { 0 },
