@@ -1,7 +1,7 @@
 //! A node's own check of its parameters: through a graph's check, through `open`, and when it misbehaves itself.
 
+use std::cell::Cell;
 use std::path::Path;
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use panoscope_graph::from_abi::{node_types, whole};
 use panoscope_graph::{NodeSetup, NodeType, ParamProblem, ParamValue, Severity, Wiring};
@@ -39,7 +39,8 @@ struct Band {
     high: u32,
 }
 
-static OPENED: AtomicU32 = AtomicU32::new(0);
+// Per thread, so that the tests beside this one do not count.
+thread_local!(static OPENED: Cell<u32> = const { Cell::new(0) });
 
 struct Careful;
 
@@ -66,7 +67,7 @@ impl Node for Careful {
     }
 
     fn open(_: &Open<'_>, _: &Band) -> Result<Self> {
-        OPENED.fetch_add(1, Ordering::Relaxed);
+        OPENED.set(OPENED.get() + 1);
         Ok(Self)
     }
 
@@ -83,7 +84,7 @@ fn problems(params: &str, connected: &[&str]) -> Vec<(Severity, Option<usize>, S
 
 #[test]
 fn parameters_and_wiring_are_judged_without_opening() {
-    let before = OPENED.load(Ordering::Relaxed);
+    let before = OPENED.get();
     assert_eq!(problems("low = 5", &["image"]), []);
     let told = problems("low = 6", &["image"]);
     assert_eq!(told, [(Severity::Error, Some(0), "`low` is 6, above `high`, which is 5".to_owned())]);
@@ -92,7 +93,7 @@ fn parameters_and_wiring_are_judged_without_opening() {
     let told = problems("low = 6", &["more", "more", "more"]);
     let words: Vec<&str> = told.iter().map(|(_, _, words)| words.as_str()).collect();
     assert_eq!(words, ["`low` is 6, above `high`, which is 5", "`image` is not connected", "more than two"]);
-    assert_eq!(OPENED.load(Ordering::Relaxed), before);
+    assert_eq!(OPENED.get(), before);
 }
 
 #[test]
@@ -110,7 +111,9 @@ fn open_refuses_what_the_check_refuses() -> TestResult {
     let error = Harness::<Careful>::from_toml("params = { low = 6 }").err().expect("refused").to_string();
     assert!(error.contains("`low` is 6, above `high`, which is 5; swap them"), "{error}");
     // Wiring is not known then, and warnings hinder nothing.
+    let before = OPENED.get();
     Harness::<Careful>::from_toml("params = { high = 9 }")?;
+    assert_eq!(OPENED.get(), before + 1);
     Ok(())
 }
 
