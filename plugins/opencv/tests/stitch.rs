@@ -160,6 +160,34 @@ fn the_registration_finds_what_the_plain_program_finds() {
     }
 }
 
+/// Every other band of rows lies 16 px further to the right in the left view: no plane explains both.
+#[test]
+fn features_that_no_plane_explains_are_lost_and_said() {
+    let bands = |shift: i64| -> Vec<u8> {
+        let at = |index: usize| {
+            let (x, y) = ((index % SIZE.0) as i64, (index / SIZE.0) as i64);
+            let band = (y / 40 % 2) * 16;
+            let value = 60.0 + 180.0 * texture((x - shift - if shift == 0 { 0 } else { band }) as f64, y as f64, 5);
+            [value.round() as u8; 3]
+        };
+        (0..SIZE.0 * SIZE.1).flat_map(at).collect()
+    };
+    let views = [bands(100), bands(0)];
+    let params = |limit: &str| format!("ratio = 0.9, ransac_px = 20.0, max_rms_px = {limit}");
+    let found = registered(&views, &params("0.0"));
+    assert!(found.state == abi::STATE_FRESH && found.rms_px > 4.0, "{} {}", found.state, found.rms_px);
+    let mut node = Harness::<RegisterOpencv>::from_toml(&format!("params = {{ {} }}", params("4.0"))).unwrap();
+    node.input_image::<Gray8>("left", SIZE.0, SIZE.1, &gray(&views[0])).input_image::<Gray8>(
+        "right",
+        SIZE.0,
+        SIZE.1,
+        &gray(&views[1]),
+    );
+    let lost = node.process().unwrap().value::<Homography>("homography").unwrap();
+    assert_eq!((lost.state, lost.inliers), (abi::STATE_LOST, 0));
+    assert!(node.logs().iter().any(|line| line.message.contains("`max_rms_px` allows 4")), "{:?}", node.logs());
+}
+
 /// Mean difference between the node's picture and the program's where a view reaches, levels; and the same near the disc alone.
 fn difference(views: &[Vec<u8>; 2], plain: &Reference, params: &str) -> (f64, f64) {
     let mut node = Harness::<CompositeOpencv>::from_toml(&format!("params = {{ {params} }}")).unwrap();
