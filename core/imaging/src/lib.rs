@@ -15,6 +15,7 @@ pub use view::{View, ViewMut};
 pub mod draw;
 pub mod features;
 pub mod geometry;
+pub mod mosaic;
 pub mod random;
 pub mod stereo;
 pub mod stitch;

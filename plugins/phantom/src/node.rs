@@ -9,7 +9,7 @@ use panoscope_node::{
 use crate::render::lens::Lens;
 use crate::render::truth::MOST_WIDE_PX;
 use crate::render::{
-    self, BlackOut, BoardPrint, CameraModel, Canvas, Incident, IncidentKind, Phantom, Pose, Rig, SceneKind,
+    self, BlackOut, BoardPrint, CameraModel, CameraPath, Canvas, Incident, IncidentKind, Phantom, Pose, Rig, SceneKind,
     SceneParams, ToolKind, ToolMotion, ToolTruth, TruthMut,
 };
 
@@ -86,6 +86,15 @@ pub enum IncidentChoice {
     Covered,
 }
 
+/// How the scripted camera moves.
+#[derive(Choice, Clone, Copy, PartialEq)]
+pub enum PathChoice {
+    /// Seeded swings about the place where it rests.
+    Sway,
+    /// Along a circle parallel to the tissue, lap after lap, back where it began after each.
+    Ring,
+}
+
 /// How the leading instrument moves.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Motion {
@@ -137,6 +146,15 @@ pub struct PhantomParams {
     /// Pictures per second of media time.
     #[param(default = 30.0, range = 1.0..=240.0, step = 1.0, unit = "Hz", reopen)]
     rate_hz: f64,
+    /// Height of the tissue's relief; 0 is a plane. Without effect on `box` and `board`.
+    #[param(default = 1.0, range = 0.0..=1.0, step = 0.05, unit = "ratio", reopen)]
+    relief: f64,
+    /// How the scripted camera moves.
+    #[param(default = "sway", reopen)]
+    camera_path: PathChoice,
+    /// Diameter of the path `ring`.
+    #[param(default = 40.0, range = 1.0..=100.0, step = 1.0, unit = "mm", reopen)]
+    path_mm: f64,
     /// Top speed of the scripted camera; 0 stands still.
     #[param(default = 10.0, range = 0.0..=25.0, step = 0.5, unit = "mm/s", reopen)]
     speed_mm_s: f64,
@@ -418,6 +436,12 @@ impl Node for PhantomNode {
             seed: params.seed,
             distance_mm: params.distance_mm,
             fps: params.rate_hz,
+            relief: params.relief,
+            camera_path: match params.camera_path {
+                PathChoice::Sway => CameraPath::Sway,
+                PathChoice::Ring => CameraPath::Ring,
+            },
+            path_mm: params.path_mm,
             camera_speed_mm_s: params.speed_mm_s,
             breathing_mm: params.breathing_mm,
             specular: params.specular,

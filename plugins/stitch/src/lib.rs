@@ -2,17 +2,30 @@
 
 pub mod composite;
 mod cut_views;
+mod evaluate_mosaic;
 mod evaluate_stitch;
 mod features_surf;
+pub mod mosaic;
 mod register_grid;
 mod register_surf;
 mod registration;
 
 pub use composite::Composite;
 pub use cut_views::CutViews;
+pub use evaluate_mosaic::EvaluateMosaic;
 pub use evaluate_stitch::EvaluateStitch;
 pub use features_surf::FeaturesSurf;
+pub use mosaic::Mosaic;
 pub use register_grid::RegisterGridNode;
 pub use register_surf::RegisterSurf;
 
-panoscope_node::export_plugin![RegisterSurf, RegisterGridNode, Composite, FeaturesSurf, EvaluateStitch, CutViews];
+panoscope_node::export_plugin![
+    RegisterSurf,
+    RegisterGridNode,
+    Composite,
+    FeaturesSurf,
+    EvaluateStitch,
+    CutViews,
+    Mosaic,
+    EvaluateMosaic
+];

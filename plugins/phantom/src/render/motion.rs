@@ -2,10 +2,15 @@
 
 use super::boards;
 use super::math::{Pose, Stream, cos_turns, sin_turns};
-use super::params::{IncidentKind, SceneKind, SceneParams};
+use super::params::{CameraPath, IncidentKind, SceneKind, SceneParams};
 
 /// How far a jump goes: aside by a third of what a camera sees, and nearer.
 const JUMP_MM: [f64; 3] = [12.0, -7.0, 8.0];
+
+/// Height of a ring's two rises, for tissue 50 mm away or more.
+const RING_RISE_MM: f64 = 1.5;
+/// Turns along a ring about x, y and z: degrees, and times per lap.
+const RING_TURN: [(f64, f64); 3] = [(2.0, 1.0), (2.0, 2.0), (8.0, 1.0)];
 
 /// Sines of one axis: amplitude, frequency in Hz, phase in turns.
 #[derive(Clone, Copy, Debug)]
@@ -44,6 +49,8 @@ pub struct Script {
     fps: f64,
     /// Frame of the jump.
     jump: Option<u64>,
+    /// Radius and rise in mm and laps per second, of a camera on a ring.
+    ring: Option<[f64; 3]>,
     /// Of a scene with a board in ever new poses.
     board: Option<SceneParams>,
 }
@@ -58,9 +65,16 @@ impl Script {
         let place = [(0.80, 12.0), (0.52, 9.0), (0.28, 5.0 * near)]
             .map(|(share, limit)| Sway::new(&mut stream, speed * share, limit, 0.06, 0.25));
         let turn = [0.9, 0.9, 1.5].map(|share| Sway::new(&mut stream, speed / 10.0 * share, 3.0, 0.05, 0.2));
+        let ring = (params.camera_path == CameraPath::Ring).then(|| {
+            let (radius, rise) = (params.path_mm / 2.0, RING_RISE_MM * near);
+            // Two rises a lap: the speed along z is twice theirs.
+            let hz = speed / (std::f64::consts::TAU * (radius * radius + 4.0 * rise * rise).sqrt());
+            [radius, rise, hz]
+        });
         Self {
             place,
             turn,
+            ring,
             breath_hz: 1.0 / params.breathing_period_s,
             breath_mm: params.breathing_mm,
             fps: params.fps,
@@ -76,12 +90,19 @@ impl Script {
             return boards::shown_pose(params, (frames + 0.5).max(0.0) as u64);
         }
         let seconds = frames / self.fps;
-        let mut translation_mm = [0, 1, 2].map(|i| self.place[i].at(seconds));
+        let (mut translation_mm, turn_deg) = match self.ring {
+            Some([radius, rise, hz]) => {
+                let laps = hz * seconds;
+                let place = [radius * (1.0 - cos_turns(laps)), radius * sin_turns(laps), rise * sin_turns(2.0 * laps)];
+                (place, RING_TURN.map(|(degrees, times)| degrees * sin_turns(times * laps)))
+            }
+            None => ([0, 1, 2].map(|i| self.place[i].at(seconds)), [0, 1, 2].map(|i| self.turn[i].at(seconds))),
+        };
         if self.jump.is_some_and(|first| frames + 0.5 >= first as f64) {
             translation_mm.iter_mut().zip(JUMP_MM).for_each(|(place, jump)| *place += jump);
         }
         // Degrees to turns; small rotations about x, y and z one after the other.
-        let half = [0, 1, 2].map(|i| self.turn[i].at(seconds) / 720.0);
+        let half = turn_deg.map(|degrees| degrees / 720.0);
         let (s, c) = (half.map(sin_turns), half.map(cos_turns));
         let quaternion = [
             c[0] * c[1] * c[2] - s[0] * s[1] * s[2],

@@ -121,6 +121,12 @@ pub struct SceneParams {
     pub distance_mm: f64,
     /// Frames per second of the motion script, 1 to 1000.
     pub fps: f64,
+    /// Height of the tissue's relief, 0 (a plane) to 1; scenes `box` and `board` have none to change.
+    pub relief: f64,
+    /// How the scripted camera moves.
+    pub camera_path: CameraPath,
+    /// Diameter of [`CameraPath::Ring`], 1 to 100 mm.
+    pub path_mm: f64,
     /// Top speed of the scripted camera, 0 (still) to 25 mm/s.
     pub camera_speed_mm_s: f64,
     /// Amplitude of breathing, 0 to 5 mm.
@@ -151,6 +157,15 @@ pub struct SceneParams {
     pub black: Option<BlackOut>,
     /// Something that goes wrong for a while.
     pub incident: Option<Incident>,
+}
+
+/// How the scripted camera moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CameraPath {
+    /// Seeded swings about the place where it rests.
+    Sway,
+    /// Along a circle parallel to the tissue, again and again, with turns and changes of height that close with each lap.
+    Ring,
 }
 
 /// What can go wrong for a while.
@@ -202,6 +217,9 @@ impl Default for SceneParams {
             seed: 7,
             distance_mm: 50.0,
             fps: 30.0,
+            relief: 1.0,
+            camera_path: CameraPath::Sway,
+            path_mm: 40.0,
             camera_speed_mm_s: 10.0,
             breathing_mm: 1.0,
             breathing_period_s: 4.0,
@@ -230,6 +248,8 @@ impl SceneParams {
         let ranges = [
             ("distance_mm", self.distance_mm, 15.0, 150.0),
             ("fps", self.fps, 1.0, 1000.0),
+            ("relief", self.relief, 0.0, 1.0),
+            ("path_mm", self.path_mm, 1.0, 100.0),
             ("camera_speed_mm_s", self.camera_speed_mm_s, 0.0, 25.0),
             ("breathing_mm", self.breathing_mm, 0.0, 5.0),
             ("breathing_period_s", self.breathing_period_s, 0.5, 20.0),

@@ -147,7 +147,7 @@ impl Shape {
         Self {
             kind: params.scene,
             period_mm,
-            scale: (params.distance_mm as f32 / 50.0).min(1.0),
+            scale: (params.distance_mm as f32 / 50.0).min(1.0) * params.relief as f32,
             broad: layers(1, &[(32.0, 4.5), (16.0, 1.2)]),
             middle: layers(2, &[(16.0, 1.0), (8.0, 0.45)]),
             lumps: layers(3, &[(4.0, 0.7), (2.0, 0.25)]),

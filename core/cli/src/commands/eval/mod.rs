@@ -5,6 +5,7 @@ mod calibrate;
 mod detect;
 pub mod disparity;
 pub mod look;
+mod mosaic;
 pub mod plot;
 mod proximity;
 mod rewire;
@@ -27,6 +28,8 @@ pub enum Eval {
     Surf(surf::Arguments),
     /// The panorama of a graph beside the truth.
     Stitch(stitch::Arguments),
+    /// A mosaic from one moving camera beside the truth, with loop closure and without.
+    Mosaic(mosaic::Arguments),
     /// Disparity beside true disparities and surfaces, and left beside right.
     Disparity(disparity::Arguments),
     /// Calibration beside OpenCV's sample and beside the phantom's truth.
@@ -47,6 +50,7 @@ pub fn run(eval: &Eval) -> Result<End> {
     let (figures, json): (_, &Option<PathBuf>) = match eval {
         Eval::Surf(arguments) => (surf::judge(arguments)?, &arguments.json),
         Eval::Stitch(arguments) => (stitch::judge(arguments)?, &arguments.json),
+        Eval::Mosaic(arguments) => (mosaic::judge(arguments)?, &arguments.json),
         Eval::Disparity(arguments) => (disparity::judge(arguments)?, &arguments.json),
         Eval::Calibrate(arguments) => (calibrate::judge(arguments)?, &arguments.json),
         Eval::Detect(arguments) => (detect::judge(arguments)?, &arguments.json),

@@ -346,6 +346,45 @@ fn the_script_keeps_its_speed_limit_and_breath() {
 }
 
 #[test]
+fn a_ring_closes_with_every_lap_and_keeps_its_speed_limit() {
+    let limit = 20.0;
+    let params = SceneParams {
+        camera_path: CameraPath::Ring,
+        path_mm: 30.0,
+        camera_speed_mm_s: limit,
+        ..SceneParams::default()
+    };
+    let script = super::motion::Script::new(&params);
+    let away = |frames: f64| script.pose(frames).translation_mm.iter().map(|v| v * v).sum::<f64>().sqrt();
+    // Circumference over speed, a little more for the way up and down.
+    let lap = (0..400).map(|i| 130.0 + f64::from(i) * 0.05).min_by(|a, b| away(*a).total_cmp(&away(*b))).unwrap();
+    assert!((141.0..147.0).contains(&lap) && away(lap) < 0.05, "{lap} frames, {} mm", away(lap));
+    assert!((away(lap / 2.0) - 30.0).abs() < 0.1, "{}", away(lap / 2.0));
+    let (start, end) = (script.pose(0.0), script.pose(lap));
+    assert!(start.quaternion.iter().zip(end.quaternion).all(|(a, b)| (a - b).abs() < 1e-3), "{end:?}");
+    let mut top: f64 = 0.0;
+    for i in 0..300 {
+        let (a, b) = (script.pose(f64::from(i)), script.pose(f64::from(i) + 0.01));
+        let square: f64 = (0..3).map(|k| (b.translation_mm[k] - a.translation_mm[k]).powi(2)).sum();
+        top = top.max(square.sqrt() * 3000.0);
+    }
+    assert!(top <= limit + 0.001 && top > 0.95 * limit, "{top} mm/s");
+}
+
+#[test]
+fn tissue_without_relief_is_a_plane() {
+    let params = SceneParams { relief: 0.0, breathing_mm: 0.0, camera_speed_mm_s: 0.0, ..quiet(SceneKind::Bowel) };
+    let mut phantom = Phantom::new(params, even_rig(), &Serial).unwrap();
+    let mut depth = vec![0.0; WIDTH * HEIGHT];
+    let out = TruthMut { depth_mm: Some(ViewMut::new(&mut depth, WIDTH, HEIGHT, 1)), ..TruthMut::default() };
+    phantom.truth(0, None, &Serial, out).unwrap();
+    assert!(depth.iter().all(|z| (z - 50.0).abs() < 1e-3));
+    let views = draw(&mut phantom, 0, None, &Serial);
+    let (low, high) = views[0].iter().fold((255, 0), |(low, high), v| (low.min(*v), high.max(*v)));
+    assert!(high - low > 60, "it still has its skin: {low} to {high}");
+}
+
+#[test]
 fn mistakes_are_named() {
     let bad = SceneParams { distance_mm: f64::NAN, ..SceneParams::default() };
     let refused = Phantom::new(bad, even_rig(), &Serial).err();
