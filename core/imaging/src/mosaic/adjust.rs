@@ -12,8 +12,12 @@ use crate::geometry::Homography;
 
 /// Most parameters of a keyframe.
 const MOST_DEGREES: usize = 8;
-/// Distances above this pull less and less (Cauchy loss), in pixels: a wrong edge must not bend the mosaic.
-const LOSS_PX: f64 = 3.0;
+/// Distances above this pull less and less (Cauchy loss), in pixels: a wrong edge must not bend the mosaic, but one that closes a long loop has
+/// to pull until its error is spread.
+const LOSS_PX: f64 = 10.0;
+/// Weight of the perspective of each keyframe against the pairs of its edges: curved tissue looks like ever more perspective from
+/// keyframe to keyframe, which overlaps hardly contradict and which would bend the mosaic.
+const PERSPECTIVE: f64 = 0.3;
 /// Steps at most.
 const ITERATIONS: usize = 20;
 /// Holds keyframes that no edge connects to the oldest one.
@@ -78,6 +82,12 @@ impl Unit {
     }
 }
 
+/// How far the perspective of a place moves the middle of a frame's sides, in pixels.
+fn perspective_px(place: &Homography, unit: Unit) -> [f64; 2] {
+    let h = place.0;
+    [h[6] / h[8] * unit.scale, h[7] / h[8] * unit.scale]
+}
+
 fn cauchy(squared_px: f64) -> f64 {
     let c = LOSS_PX * LOSS_PX;
     c * (squared_px / c).ln_1p()
@@ -119,6 +129,7 @@ impl Adjust {
             self.first[high] = self.first[high].min(low.max(1));
         }
         let rows = (keyframes.len() - 1) * degrees;
+        let prior = if model == MosaicModel::Homography { PERSPECTIVE } else { 0.0 };
         let cost = |places: &[Homography]| -> Option<f64> {
             let mut sum = 0.0;
             for edge in graph.edges() {
@@ -127,6 +138,8 @@ impl Adjust {
                 let part: f64 = edge.pairs().iter().map(|(p, q)| cauchy(map.squared_error(*p, *q))).sum();
                 sum += part * edge.weight;
             }
+            sum += places[1..].iter().map(|place| perspective_px(place, unit).map(|v| v * v).iter().sum::<f64>()).sum::<f64>()
+                * prior;
             sum.is_finite().then_some(sum)
         };
         let mut best = cost(&self.places)?;
@@ -139,6 +152,16 @@ impl Adjust {
             for edge in graph.edges() {
                 if let Some(ends) = ends(edge) {
                     linearise(edge, ends, &self.places, unit, model, &mut self.normal, &mut self.gradient);
+                }
+            }
+            if prior > 0.0 {
+                for (index, place) in self.places[1..].iter().enumerate() {
+                    // The last two parameters of a place are its perspective.
+                    for (k, value) in perspective_px(place, unit).into_iter().enumerate() {
+                        let row = index * degrees + degrees - 2 + k;
+                        self.normal.add(row, row, prior * unit.scale * unit.scale);
+                        self.gradient[row] -= prior * unit.scale * value;
+                    }
                 }
             }
             let mut improved = false;
