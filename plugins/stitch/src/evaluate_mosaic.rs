@@ -5,8 +5,7 @@ use panoscope_node::abi::{self, Calibration, Homography, Pose};
 use panoscope_node::{Context, Depth, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value};
 
 /// Columns of the table.
-const COLUMNS: [&str; 8] =
-    ["tick", "state", "drift_px", "drift_mm", "drift_pct", "floor_px", "path_mm", "start_mm"];
+const COLUMNS: [&str; 8] = ["tick", "state", "drift_px", "drift_mm", "drift_pct", "floor_px", "path_mm", "start_mm"];
 /// State of a tick without a homography.
 const STATE_NONE: f64 = 3.0;
 /// Points per frame at least.
@@ -59,9 +58,8 @@ pub struct EvaluateMosaic {
 fn turned(q: [f64; 4], v: [f64; 3], back: bool) -> [f64; 3] {
     let sign = if back { -1.0 } else { 1.0 };
     let (w, u) = (q[0], [q[1] * sign, q[2] * sign, q[3] * sign]);
-    let cross = |a: [f64; 3], b: [f64; 3]| {
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    };
+    let cross =
+        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     let t = cross(u, v).map(|c| 2.0 * c);
     let s = cross(u, t);
     [0, 1, 2].map(|i| v[i] + w * t[i] + s[i])

@@ -200,13 +200,13 @@ fn state_of(report: &MosaicReport) -> u32 {
 
 impl Mosaic {
     /// Logs when the camera is lost and found, once each.
-    fn tell(&mut self, cx: &Context<'_>, report: &MosaicReport) {
+    fn log_state(&mut self, cx: &Context<'_>, report: &MosaicReport) {
         let is_lost = report.state == MosaicState::Lost;
         if is_lost && !self.was_lost && report.keyframes == 0 {
             cx.warn("the mosaic cannot begin: the picture has too few features; lower `hessian_threshold`, or look at the source");
         } else if is_lost && !self.was_lost {
             cx.warn(
-                "the camera is lost: the frame matches no keyframe, and nothing is added until one does; move the scope back to what the mosaic shows",
+                "the camera is lost: the frame matches no keyframe, and nothing is added until one does; move the scope back to what the mosaic shows, or change `restart` to begin a new one",
             );
         } else if !is_lost && self.was_lost {
             cx.info("the camera is found again");
@@ -255,7 +255,10 @@ impl Node for Mosaic {
         if u64::from(params.min_inliers) * 2 > u64::from(params.max_points) {
             check.error(
                 "min_inliers",
-                format!("{} inliers are asked for, but a frame has {} keypoints at most", params.min_inliers, params.max_points),
+                format!(
+                    "{} inliers are asked for, but a frame has {} keypoints at most",
+                    params.min_inliers, params.max_points
+                ),
                 "lower `min_inliers` to half of `max_points` or less",
             );
         }
@@ -285,8 +288,15 @@ impl Node for Mosaic {
             self.restart = params.restart;
             self.kernel.reset();
         }
-        let report = self.kernel.add(input.image.view(), cx.pool())?;
-        self.tell(cx, &report);
+        let report = match self.kernel.add(input.image.view(), cx.pool()) {
+            Ok(report) => report,
+            // An error would close the node, and the mosaic would be lost with it.
+            Err(error) => {
+                cx.fault(&error.to_string());
+                return Ok(());
+            }
+        };
+        self.log_state(cx, &report);
         if out.mosaic.is_read() {
             let mut picture = out.mosaic.alloc(params.width as usize, params.height as usize)?;
             self.kernel.draw(&mut picture, cx.pool())?;

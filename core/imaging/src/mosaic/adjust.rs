@@ -1,12 +1,12 @@
-//! Places of all keyframes at once: least squares over the pairs of points that they share.
+//! Poses of all keyframes at once: least squares over the pairs of points that they share.
 //!
 //! Errors are measured in the pixels of the keyframes, never in those of the mosaic: shrinking the mosaic would make the
 //! latter small without making them right, and the scale would drift. The oldest keyframe stays where it is.
 
 use super::graph::{Edge, Graph};
 use super::keyframe::{Keyframe, index_of};
+use super::outline::Outline;
 use super::params::MosaicModel;
-use super::place::Outline;
 use super::skyline::Skyline;
 use crate::geometry::Homography;
 
@@ -31,7 +31,7 @@ pub(super) struct Adjust {
     gradient: Vec<f64>,
     step: Vec<f64>,
     first: Vec<usize>,
-    places: Vec<Homography>,
+    poses: Vec<Homography>,
     trial: Vec<Homography>,
 }
 
@@ -82,9 +82,9 @@ impl Unit {
     }
 }
 
-/// How far the perspective of a place moves the middle of a frame's sides, in pixels.
-fn perspective_px(place: &Homography, unit: Unit) -> [f64; 2] {
-    let h = place.0;
+/// How far the perspective of a pose moves the middle of a frame's sides, in pixels.
+fn perspective_px(pose: &Homography, unit: Unit) -> [f64; 2] {
+    let h = pose.0;
     [h[6] / h[8] * unit.scale, h[7] / h[8] * unit.scale]
 }
 
@@ -99,7 +99,7 @@ impl Adjust {
         self.gradient.reserve(keyframes * MOST_DEGREES);
         self.step.reserve(keyframes * MOST_DEGREES);
         self.first.reserve(keyframes);
-        self.places.reserve(keyframes);
+        self.poses.reserve(keyframes);
         self.trial.reserve(keyframes);
     }
 
@@ -117,8 +117,8 @@ impl Adjust {
         }
         let unit = Unit::of(size);
         let (to_unit, from_unit) = (unit.matrix(), unit.inverse());
-        self.places.clear();
-        self.places.extend(keyframes.iter().map(|k| to_unit.compose(&k.mosaic_from_frame).compose(&from_unit)));
+        self.poses.clear();
+        self.poses.extend(keyframes.iter().map(|k| to_unit.compose(&k.mosaic_from_frame).compose(&from_unit)));
         let ends = |edge: &Edge| Some((index_of(keyframes, edge.from)?, index_of(keyframes, edge.to)?));
         let degrees = model.degrees();
         // Row 0 of the system belongs to keyframe 1: keyframe 0 stays.
@@ -130,19 +130,22 @@ impl Adjust {
         }
         let rows = (keyframes.len() - 1) * degrees;
         let prior = if model == MosaicModel::Homography { PERSPECTIVE } else { 0.0 };
-        let cost = |places: &[Homography]| -> Option<f64> {
+        let cost = |poses: &[Homography]| -> Option<f64> {
             let mut sum = 0.0;
             for edge in graph.edges() {
                 let Some((a, b)) = ends(edge) else { continue };
-                let map = from_unit.compose(&places[b].inverse()?).compose(&places[a]).compose(&to_unit);
+                let map = from_unit.compose(&poses[b].inverse()?).compose(&poses[a]).compose(&to_unit);
                 let part: f64 = edge.pairs().iter().map(|(p, q)| cauchy(map.squared_error(*p, *q))).sum();
                 sum += part * edge.weight;
             }
-            sum += places[1..].iter().map(|place| perspective_px(place, unit).map(|v| v * v).iter().sum::<f64>()).sum::<f64>()
+            sum += poses[1..]
+                .iter()
+                .map(|pose| perspective_px(pose, unit).map(|v| v * v).iter().sum::<f64>())
+                .sum::<f64>()
                 * prior;
             sum.is_finite().then_some(sum)
         };
-        let mut best = cost(&self.places)?;
+        let mut best = cost(&self.poses)?;
         let mut damping = 1e-4;
         for _ in 0..ITERATIONS {
             let first = &self.first;
@@ -151,13 +154,13 @@ impl Adjust {
             self.gradient.resize(rows, 0.0);
             for edge in graph.edges() {
                 if let Some(ends) = ends(edge) {
-                    linearise(edge, ends, &self.places, unit, model, &mut self.normal, &mut self.gradient);
+                    linearise(edge, ends, &self.poses, unit, model, &mut self.normal, &mut self.gradient);
                 }
             }
             if prior > 0.0 {
-                for (index, place) in self.places[1..].iter().enumerate() {
-                    // The last two parameters of a place are its perspective.
-                    for (k, value) in perspective_px(place, unit).into_iter().enumerate() {
+                for (index, pose) in self.poses[1..].iter().enumerate() {
+                    // The last two parameters of a pose are its perspective.
+                    for (k, value) in perspective_px(pose, unit).into_iter().enumerate() {
                         let row = index * degrees + degrees - 2 + k;
                         self.normal.add(row, row, prior * unit.scale * unit.scale);
                         self.gradient[row] -= prior * unit.scale * value;
@@ -175,19 +178,19 @@ impl Adjust {
                     damping *= 10.0;
                     continue;
                 }
-                self.trial.clone_from(&self.places);
-                for (place, step) in self.trial[1..].iter_mut().zip(self.step.chunks_exact(degrees)) {
+                self.trial.clone_from(&self.poses);
+                for (pose, step) in self.trial[1..].iter_mut().zip(self.step.chunks_exact(degrees)) {
                     let mut change = Homography::identity();
                     for (generator, value) in generators(model).iter().zip(step) {
                         generator.iter().for_each(|(row, column, factor)| change.0[row * 3 + column] += factor * value);
                     }
-                    *place = place.compose(&change);
+                    *pose = pose.compose(&change);
                 }
                 match cost(&self.trial) {
                     Some(value) if value < best => {
                         improved = best - value > best * 1e-5;
                         best = value;
-                        std::mem::swap(&mut self.places, &mut self.trial);
+                        std::mem::swap(&mut self.poses, &mut self.trial);
                         damping *= 0.1;
                         break;
                     }
@@ -201,12 +204,12 @@ impl Adjust {
         self.settle(keyframes, graph, unit, size)
     }
 
-    /// Hands the places back, unless a frame would be folded by them.
+    /// Hands the poses back, unless a frame would be folded by them.
     fn settle(&self, keyframes: &mut [Keyframe], graph: &Graph, unit: Unit, size: (usize, usize)) -> Option<f64> {
-        let back = |place: &Homography| unit.inverse().compose(place).compose(&unit.matrix());
-        if self.places.iter().all(|place| Outline::of(&back(place), size).is_some()) {
-            for (keyframe, place) in keyframes.iter_mut().zip(&self.places).skip(1) {
-                keyframe.mosaic_from_frame = back(place);
+        let back = |pose: &Homography| unit.inverse().compose(pose).compose(&unit.matrix());
+        if self.poses.iter().all(|pose| Outline::of(&back(pose), size).is_some()) {
+            for (keyframe, pose) in keyframes.iter_mut().zip(&self.poses).skip(1) {
+                keyframe.mosaic_from_frame = back(pose);
                 if let Some(outline) = Outline::of(&keyframe.mosaic_from_frame, size) {
                     keyframe.outline = outline;
                 }
@@ -224,18 +227,18 @@ impl Adjust {
     }
 }
 
-/// Adds an edge's pairs to the normal equations. Places change by a small map before them: `place (I + change)`.
+/// Adds an edge's pairs to the normal equations. Places change by a small map before them: `pose (I + change)`.
 fn linearise(
     edge: &Edge,
     (a, b): (usize, usize),
-    places: &[Homography],
+    poses: &[Homography],
     unit: Unit,
     model: MosaicModel,
     normal: &mut Skyline,
     gradient: &mut [f64],
 ) {
-    let Some(inverse) = places[b].inverse() else { return };
-    let map = inverse.compose(&places[a]).0;
+    let Some(inverse) = poses[b].inverse() else { return };
+    let map = inverse.compose(&poses[a]).0;
     let degrees = model.degrees();
     let normalise = |p: [f64; 2]| [(p[0] - unit.centre[0]) / unit.scale, (p[1] - unit.centre[1]) / unit.scale];
     for (p, q) in edge.pairs() {

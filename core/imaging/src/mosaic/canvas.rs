@@ -193,8 +193,9 @@ impl Canvas {
         let Some(back) = map.inverse() else { return [1.0; 3] };
         let (mut own, mut shown, mut count) = ([0.0; 3], [0.0; 3], 0);
         for i in 0..GAIN_SAMPLES * GAIN_SAMPLES {
-            let place = |index: usize, side: usize| (2 * index + 1) * side / (2 * GAIN_SAMPLES);
-            let (x, y) = (place(i % GAIN_SAMPLES, ready.view.width), place(i / GAIN_SAMPLES, ready.view.height));
+            let sample_at = |index: usize, side: usize| (2 * index + 1) * side / (2 * GAIN_SAMPLES);
+            let (x, y) =
+                (sample_at(i % GAIN_SAMPLES, ready.view.width), sample_at(i / GAIN_SAMPLES, ready.view.height));
             let [u, v] = back.map([x as f64, y as f64]).map(|value| value + 0.5);
             let inside = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;
             let at = if inside { v as usize * self.width + u as usize } else { continue };
@@ -207,7 +208,8 @@ impl Canvas {
                 continue;
             }
             let (a, b) = (&ready.view.row(y)[3 * x..3 * x + 3], &self.bgr[at * 3..at * 3 + 3]);
-            let is_useful = |p: &[u8]| p.iter().all(|&v| (f64::from(v) > GAIN_LEVELS.0) & (f64::from(v) < GAIN_LEVELS.1));
+            let is_useful =
+                |p: &[u8]| p.iter().all(|&v| (f64::from(v) > GAIN_LEVELS.0) & (f64::from(v) < GAIN_LEVELS.1));
             if is_useful(a) && is_useful(b) {
                 count += 1;
                 for c in 0..3 {

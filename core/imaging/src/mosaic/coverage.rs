@@ -1,7 +1,7 @@
 //! Area that the keyframes cover together.
 
 use super::keyframe::Keyframe;
-use super::place::distance;
+use super::outline::distance;
 
 /// Samples of a keyframe along its width and height.
 const SAMPLES: (usize, usize) = (32, 24);
@@ -15,12 +15,12 @@ pub(super) fn own_area(keyframes: &[Keyframe], index: usize, size: (usize, usize
     for row in 0..SAMPLES.1 {
         for column in 0..SAMPLES.0 {
             let point = [(column as f64 + 0.5) * step_x - 0.5, (row as f64 + 0.5) * step_y - 0.5];
-            let place = own.mosaic_from_frame.map(point);
+            let position = own.mosaic_from_frame.map(point);
             // The map's determinant is this over the cube of the weight, times the same number for all samples.
             let part = own.mosaic_from_frame.weight(point).abs().powi(-3);
             total += part;
             let taken = keyframes[..index].iter().any(|other| {
-                distance(other.outline.centre, own.outline.centre) < reach(other) && other.outline.contains(place)
+                distance(other.outline.centre, own.outline.centre) < reach(other) && other.outline.contains(position)
             });
             if !taken {
                 free += part;

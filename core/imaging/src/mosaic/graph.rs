@@ -1,7 +1,7 @@
 //! Overlaps between keyframes.
 
 use super::keyframe::{Keyframe, index_of};
-use super::place::distance;
+use super::outline::distance;
 use crate::geometry::Point;
 
 /// Point pairs of an edge at most.
@@ -44,8 +44,8 @@ impl Edge {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Route {
     pub hops: usize,
-    /// Length through the centres of the keyframes on the way, in pixels of the mosaic.
-    pub way_px: f64,
+    /// Length through the centres of the keyframes on the path, in pixels of the mosaic.
+    pub length_px: f64,
 }
 
 impl Route {
@@ -89,14 +89,14 @@ impl Graph {
         self.edges.retain(|e| e.from != id && e.to != id);
     }
 
-    /// The way with the fewest edges between two keyframes; `None` when there is none.
+    /// The path with the fewest edges between two keyframes; `None` when there is none.
     pub fn route(&mut self, keyframes: &[Keyframe], from: u64, to: u64) -> Option<Route> {
         let (start, goal) = (index_of(keyframes, from)?, index_of(keyframes, to)?);
         self.reached.clear();
         self.reached.resize(keyframes.len(), None);
         self.queue.clear();
         self.queue.push(start);
-        self.reached[start] = Some(Route { hops: 0, way_px: 0.0 });
+        self.reached[start] = Some(Route { hops: 0, length_px: 0.0 });
         let mut next = 0;
         while let Some(&at) = self.queue.get(next) {
             next += 1;
@@ -108,8 +108,8 @@ impl Graph {
             for edge in self.edges.iter().filter(|e| e.from == id || e.to == id) {
                 let other = if edge.from == id { edge.to } else { edge.from };
                 let Some(index) = index_of(keyframes, other).filter(|i| self.reached[*i].is_none()) else { continue };
-                let way_px = here.way_px + distance(centre, keyframes[index].outline.centre);
-                self.reached[index] = Some(Route { hops: here.hops + 1, way_px });
+                let length_px = here.length_px + distance(centre, keyframes[index].outline.centre);
+                self.reached[index] = Some(Route { hops: here.hops + 1, length_px });
                 self.queue.push(index);
             }
         }

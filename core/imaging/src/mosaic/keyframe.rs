@@ -1,7 +1,7 @@
 //! A frame that the mosaic keeps.
 
+use super::outline::Outline;
 use super::picture::Picture;
-use super::place::Outline;
 use crate::features::Features;
 use crate::geometry::Homography;
 

@@ -9,9 +9,9 @@ mod canvas;
 mod coverage;
 mod graph;
 mod keyframe;
+mod outline;
 mod params;
 mod picture;
-mod place;
 mod shown;
 mod skyline;
 #[cfg(test)]

@@ -66,7 +66,9 @@ fn halve(from: &Level, to: &mut Level, pool: &dyn Parallel) {
             let row = unsafe { target.part(y * width * 3, width * 3) };
             let top = &from.bgr[2 * y * from.width * 3..][..width * 6];
             let bottom = &from.bgr[(2 * y + 1) * from.width * 3..][..width * 6];
-            for ((out, a), b) in row.as_chunks_mut::<3>().0.iter_mut().zip(top.as_chunks::<6>().0).zip(bottom.as_chunks::<6>().0) {
+            for ((out, a), b) in
+                row.as_chunks_mut::<3>().0.iter_mut().zip(top.as_chunks::<6>().0).zip(bottom.as_chunks::<6>().0)
+            {
                 for c in 0..3 {
                     let sum = u16::from(a[c]) + u16::from(a[c + 3]) + u16::from(b[c]) + u16::from(b[c + 3]);
                     out[c] = ((sum + 2) / 4) as u8;

@@ -1,7 +1,7 @@
 //! Which part of the mosaic the picture shows.
 
+use super::outline::Outline;
 use super::params::{MosaicParams, MosaicView};
-use super::place::Outline;
 use crate::geometry::Homography;
 
 /// Smallest picture pixels per mosaic pixel; a mosaic that needs less is shown around the newest frame.
@@ -89,7 +89,8 @@ mod tests {
 
     #[test]
     fn follow_keeps_its_scale_and_the_newest_frame_in_sight() {
-        let params = MosaicParams { width: 640, height: 480, view: MosaicView::Follow, zoom: 0.8, ..MosaicParams::default() };
+        let params =
+            MosaicParams { width: 640, height: 480, view: MosaicView::Follow, zoom: 0.8, ..MosaicParams::default() };
         let mut now = None;
         for step in 0..100 {
             let newest = frame(f64::from(step) * 15.0, f64::from(step) * 9.0);

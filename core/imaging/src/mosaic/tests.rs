@@ -154,7 +154,7 @@ fn a_lost_camera_changes_nothing_and_is_found_again() {
     for step in 0..40 {
         good = add(&mut mosaic, &path(step), 0.0);
     }
-    let places: Vec<Homography> = mosaic.places().collect();
+    let poses: Vec<Homography> = mosaic.poses().collect();
     let gray = vec![128; SIZE.0 * SIZE.1 * 3];
     let mut lost = good;
     for _ in 0..6 {
@@ -166,7 +166,7 @@ fn a_lost_camera_changes_nothing_and_is_found_again() {
     // Elsewhere on the scene, where it never was: still lost, and nothing is pasted.
     let elsewhere = add(&mut mosaic, &Homography::translation(9000.0, 5000.0), 0.0);
     assert_eq!((elsewhere.state, elsewhere.keyframes), (MosaicState::Lost, good.keyframes));
-    assert!(mosaic.places().eq(places));
+    assert!(mosaic.poses().eq(poses));
     let (width, height) = (small().width, small().height);
     let mut marked = vec![0; width * height * 3];
     mosaic.draw(&mut ViewMut::new(&mut marked, width, height, 3), &Serial).unwrap();
@@ -226,7 +226,7 @@ fn the_oldest_keyframes_make_room_and_are_counted() {
     }
     assert!(report.dropped >= 5, "{report:?}");
     // The oldest went: what is left lies around the newest frame.
-    let oldest = mosaic.places().next().unwrap().map([0.0, 0.0])[0];
+    let oldest = mosaic.poses().next().unwrap().map([0.0, 0.0])[0];
     assert!(oldest > 500.0, "{oldest}");
     assert!(report.coverage_pct < 250.0, "{}", report.coverage_pct);
     // What was dropped is gone from the picture too: it shows no more than the keyframes and the newest frame.
@@ -249,7 +249,7 @@ fn fewer_keyframes_allowed_later_drop_the_oldest() {
     let report = add(&mut mosaic, &Homography::translation(540.0, 0.0), 0.0);
     assert!(report.keyframes == 2 && report.dropped >= 2, "{report:?}");
     mosaic.reset();
-    assert_eq!(mosaic.places().count(), 0);
+    assert_eq!(mosaic.poses().count(), 0);
 }
 
 #[test]

@@ -81,9 +81,9 @@ impl Tracker {
         self.matcher.match_features(keyframe, frame, &params.matching, gate.as_ref(), pool, &mut self.matches);
         self.from.clear();
         self.to.clear();
-        for found in &self.matches {
-            self.to.push(keyframe.keypoints.position(found.left as usize));
-            self.from.push(frame.keypoints.position(found.right as usize));
+        for pair in &self.matches {
+            self.to.push(keyframe.keypoints.position(pair.left as usize));
+            self.from.push(frame.keypoints.position(pair.right as usize));
         }
         let fit = self.ransac.estimate(&self.from, &self.to, &params.ransac, &mut self.mask).ok()?;
         let more = if test == Test::Strict { STRICT } else { 1.0 };
@@ -198,7 +198,9 @@ mod tests {
         let affine = Homography([1.1, 0.2, 5.0, -0.1, 0.9, -7.0, 0.0, 0.0, 1.0]);
         let similar = Homography([0.8, -0.3, 4.0, 0.3, 0.8, 9.0, 0.0, 0.0, 1.0]);
         let from: Vec<Point> = (0..30).map(|i| [f64::from(i * 37 % 101), f64::from(i * 53 % 89)]).collect();
-        for (map, model) in [(affine, MosaicModel::Affine), (similar, MosaicModel::Similarity), (similar, MosaicModel::Affine)] {
+        for (map, model) in
+            [(affine, MosaicModel::Affine), (similar, MosaicModel::Similarity), (similar, MosaicModel::Affine)]
+        {
             let mut to: Vec<Point> = from.iter().map(|p| map.map(*p)).collect();
             let mut mask = vec![true; from.len()];
             (to[3], mask[3]) = ([500.0, 500.0], false);

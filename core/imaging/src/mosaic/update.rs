@@ -5,9 +5,9 @@ use super::canvas::{Canvas, Source};
 use super::coverage::own_area;
 use super::graph::{Edge, Graph, MOST_PAIRS};
 use super::keyframe::{Keyframe, index_of};
+use super::outline::{Outline, distance, union};
 use super::params::*;
 use super::picture::Picture;
-use super::place::{Outline, distance, union};
 use super::shown;
 use super::track::{Link, Test, Tracker};
 use crate::features::{Features, Surf};
@@ -34,6 +34,11 @@ const NEWEST: usize = 2;
 const AREAS: (f64, f64) = (0.05, 20.0);
 /// Neighbours further off than this after a keyframe was added are adjusted, in pixels.
 const SETTLE_PX: f64 = 0.5;
+
+/// A frame with fewer inliers than this many times the least becomes a keyframe already when it shares less than the second: later, the camera might be
+/// lost before the overlap falls.
+const WEAK_INLIERS: usize = 3;
+const WEAK_OVERLAP: f64 = 0.9;
 
 const LIVE: draw::Color = [240, 240, 240];
 const RED: draw::Color = [40, 40, 230];
@@ -124,13 +129,13 @@ impl Mosaic {
         self.canvas.clear(whole);
         self.keyframes.clear();
         self.graph = Graph::default();
-        self.is_shown = false;
+        (self.is_shown, self.is_settled) = (false, true);
         self.outline = None;
         self.report = MosaicReport { drift_px: f64::NAN, drift_pct: f64::NAN, ..MosaicReport::default() };
     }
 
     /// Maps each keyframe's pixels to the mosaic, oldest first.
-    pub fn places(&self) -> impl Iterator<Item = Homography> + '_ {
+    pub fn poses(&self) -> impl Iterator<Item = Homography> + '_ {
         self.keyframes.iter().map(|keyframe| keyframe.mosaic_from_frame)
     }
 
@@ -156,8 +161,8 @@ impl Mosaic {
         self.live.fill(frame, pool);
         self.surf.detect_and_describe(frame, None, self.params.shrink, pool, &mut self.features);
         self.refused.1 = self.refused.1.saturating_sub(1);
-        let is_placed = if self.keyframes.is_empty() { self.begin(pool) } else { self.place(pool) };
-        if !is_placed {
+        let is_registered = if self.keyframes.is_empty() { self.begin(pool) } else { self.register_frame(pool) };
+        if !is_registered {
             self.report.state = MosaicState::Lost;
             (self.report.inliers, self.report.rms_px) = (0, 0.0);
             self.report.lost_frames += 1;
@@ -223,13 +228,13 @@ impl Mosaic {
     }
 
     /// Finds the frame's place, and makes it a keyframe where little of it is known.
-    fn place(&mut self, pool: &dyn Parallel) -> bool {
+    fn register_frame(&mut self, pool: &dyn Parallel) -> bool {
         let was_fresh = self.report.state == MosaicState::Fresh;
         let before = self.outline.map(|outline| outline.centre);
-        let Some((index, link)) = self.find(was_fresh, pool) else { return false };
-        let Some(outline) = self.stand(index, &link) else { return false };
+        let Some((index, link)) = self.find_keyframe(was_fresh, pool) else { return false };
+        let Some(outline) = self.locate(index, &link) else { return false };
         let link = self.hand_over(link, &outline, pool);
-        let Some(outline) = self.active_index().and_then(|index| self.stand(index, &link)) else { return false };
+        let Some(outline) = self.active_index().and_then(|index| self.locate(index, &link)) else { return false };
         self.report.state = MosaicState::Fresh;
         (self.report.inliers, self.report.rms_px) = (link.inliers, link.rms_px);
         self.outline = Some(outline);
@@ -244,7 +249,9 @@ impl Mosaic {
             self.live_gain = self.canvas.gain_of(&source);
         }
         let shared = |keyframe: &Keyframe| keyframe.outline.overlap(&outline);
-        if self.keyframes[self.eligible()..].iter().map(shared).fold(0.0, f64::max) < self.params.keyframe_overlap {
+        let most = self.keyframes[self.eligible()..].iter().map(shared).fold(0.0, f64::max);
+        let is_weak = link.inliers < WEAK_INLIERS * self.params.min_inliers && most < WEAK_OVERLAP;
+        if most < self.params.keyframe_overlap || is_weak {
             self.add_keyframe(&link, pool);
         }
         true
@@ -260,7 +267,7 @@ impl Mosaic {
     }
 
     /// A keyframe that holds the frame.
-    fn find(&mut self, was_fresh: bool, pool: &dyn Parallel) -> Option<(usize, Link)> {
+    fn find_keyframe(&mut self, was_fresh: bool, pool: &dyn Parallel) -> Option<(usize, Link)> {
         let first = self.eligible();
         let active = self.active_index()?;
         if was_fresh {
@@ -297,18 +304,24 @@ impl Mosaic {
         None
     }
 
-    fn register(&mut self, index: usize, expected: Option<Homography>, test: Test, pool: &dyn Parallel) -> Option<Link> {
+    fn register(
+        &mut self,
+        index: usize,
+        expected: Option<Homography>,
+        test: Test,
+        pool: &dyn Parallel,
+    ) -> Option<Link> {
         let keyframe = &self.keyframes[index].features;
         self.tracker.register(keyframe, &self.features, expected, test, self.size, &self.params, pool)
     }
 
     /// Where the frame lies in the mosaic; `None` when that cannot be.
-    fn stand(&mut self, index: usize, link: &Link) -> Option<Outline> {
-        let place = self.keyframes[index].mosaic_from_frame.compose(&link.keyframe_from_frame);
-        let outline = Outline::of(&place, self.size)?;
+    fn locate(&mut self, index: usize, link: &Link) -> Option<Outline> {
+        let pose = self.keyframes[index].mosaic_from_frame.compose(&link.keyframe_from_frame);
+        let outline = Outline::of(&pose, self.size)?;
         let frame = (self.size.0 * self.size.1) as f64;
         (AREAS.0..AREAS.1).contains(&(outline.area / frame)).then(|| {
-            self.report.mosaic_from_frame = place;
+            self.report.mosaic_from_frame = pose;
             outline
         })
     }
@@ -320,7 +333,9 @@ impl Mosaic {
         let first = self.eligible();
         let own = shared(&self.keyframes[active]);
         let others = self.keyframes[first..].iter().filter(|k| k.id != self.active);
-        let Some((most, best)) = others.map(|k| (shared(k), k.id)).max_by(|a, b| a.0.total_cmp(&b.0)) else { return link };
+        let Some((most, best)) = others.map(|k| (shared(k), k.id)).max_by(|a, b| a.0.total_cmp(&b.0)) else {
+            return link;
+        };
         if most < own + HANDOVER || self.refused == (best, self.refused.1.max(1)) {
             return link;
         }
@@ -360,7 +375,7 @@ impl Mosaic {
         let route = self.graph.route(&self.keyframes, edge.from, edge.to);
         let Some(error_px) = edge.error_px(&self.keyframes[from], &self.keyframes[to]) else { return false };
         let side = (self.size.0 * self.size.1) as f64;
-        let believed = BELIEVED.0 * side.sqrt() + BELIEVED.1 * route.map_or(0.0, |route| route.way_px);
+        let believed = BELIEVED.0 * side.sqrt() + BELIEVED.1 * route.map_or(0.0, |route| route.length_px);
         if error_px > believed && route.is_some() {
             return false;
         }
@@ -368,7 +383,7 @@ impl Mosaic {
         if let Some(route) = route.filter(|route| route.is_long()) {
             self.report.closures += 1;
             self.report.drift_px = error_px;
-            self.report.drift_pct = 100.0 * error_px / route.way_px.max(1.0);
+            self.report.drift_pct = 100.0 * error_px / route.length_px.max(1.0);
         }
         self.is_settled &= error_px <= SETTLE_PX;
         true
@@ -409,8 +424,8 @@ impl Mosaic {
             let Some(index) = index_of(&self.keyframes, id) else { continue };
             let route = self.graph.route(&self.keyframes, self.active, id);
             let is_near = route.is_some_and(|route| !route.is_long());
-            let way_px = route.map_or(0.0, |route| route.way_px);
-            let reach = SEARCH.0 * side + if is_near { 0.0 } else { SEARCH.1 * way_px };
+            let length_px = route.map_or(0.0, |route| route.length_px);
+            let reach = SEARCH.0 * side + if is_near { 0.0 } else { SEARCH.1 * length_px };
             let (taken, most) = if is_near { (&mut neighbours, NEIGHBOURS) } else { (&mut earlier, EARLIER) };
             if away > reach || *taken == most {
                 continue;
@@ -419,8 +434,8 @@ impl Mosaic {
             let back = self.keyframes[index].mosaic_from_frame.inverse();
             let expected = back.filter(|_| is_near).map(|back| back.compose(&self.report.mosaic_from_frame));
             let test = if is_near { Test::Usual } else { Test::Strict };
-            if let Some(found) = self.register(index, expected, test, pool) {
-                links[count] = Some((id, found));
+            if let Some(link) = self.register(index, expected, test, pool) {
+                links[count] = Some((id, link));
                 count += 1;
             }
         }
@@ -447,14 +462,14 @@ impl Mosaic {
     /// Stores the newest frame as a keyframe, in the place of the oldest when there are enough, and draws it.
     fn keep(&mut self, outline: Outline, pool: &dyn Parallel) -> u64 {
         let slot = if self.keyframes.len() >= self.params.max_keyframes.max(1) { self.drop_oldest(pool) } else { None };
-        let place = self.report.mosaic_from_frame;
+        let pose = self.report.mosaic_from_frame;
         let mut keyframe = slot.unwrap_or_else(|| Keyframe {
             id: 0,
             picture: Picture::default(),
             features: Features::default(),
-            mosaic_from_frame: place,
+            mosaic_from_frame: pose,
             outline,
-            drawn: place,
+            drawn: pose,
             gain: [1.0; 3],
             own_area: 0.0,
         });
@@ -462,7 +477,7 @@ impl Mosaic {
         self.next_id += 1;
         keyframe.picture.copy_from(&self.live);
         std::mem::swap(&mut keyframe.features, &mut self.features);
-        (keyframe.mosaic_from_frame, keyframe.drawn, keyframe.outline) = (place, place, outline);
+        (keyframe.mosaic_from_frame, keyframe.drawn, keyframe.outline) = (pose, pose, outline);
         keyframe.gain = self.live_gain;
         self.active = keyframe.id;
         self.keyframes.push(keyframe);

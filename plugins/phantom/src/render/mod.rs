@@ -31,7 +31,9 @@ mod vessels;
 pub use boards::BoardPrint;
 pub use marks::{BLOCKS_MM, BOARD_CENTRE_MM, LENGTHS_MM, RULERS_Y_MM, SQUARE_MM};
 pub use math::{Pose, chance};
-pub use params::{BlackOut, CameraModel, CameraPath, Incident, IncidentKind, PhantomError, Rig, SceneKind, SceneParams};
+pub use params::{
+    BlackOut, CameraModel, CameraPath, Incident, IncidentKind, PhantomError, Rig, SceneKind, SceneParams,
+};
 pub use phantom::Phantom;
 pub use scenario::ToolMotion;
 pub use tools::{ToolKind, ToolTruth};

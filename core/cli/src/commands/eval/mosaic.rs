@@ -1,5 +1,7 @@
-//! `panoscope eval mosaic`: a camera on a closed path over a plane and over curved tissue; where the mosaic puts its frames, beside the truth, with
-//! loop closure and without.
+//! `panoscope eval mosaic`: where a mosaic puts its frames, beside the truth, with loop closure and without.
+//!
+//! One camera of the phantom goes round a ring over a plane and over curved tissue. `end_drift`: where it is back at the start; `lap_drift`: root mean square
+//! over the last lap; `floor`: what the best homography of each frame leaves, 0 for a plane.
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
@@ -51,7 +53,7 @@ pub struct Arguments {
     /// Seed of the scenes.
     #[arg(long, default_value_t = 7)]
     seed: u64,
-    /// Folder for the mosaics, and the first frame's keyframe-free view of each scene.
+    /// Folder for the mosaics.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
     /// Draws drift over time, a chart per scene.
@@ -226,8 +228,8 @@ fn chart(scene: &str, closed: &Judged, open: &Judged) -> Result<Chart> {
         x_label: "time, s".to_owned(),
         y_label: "drift, px".to_owned(),
         series: vec![
-            series("without loop closure", 1, open.column("drift_px")?),
-            series("with", 0, closed.column("drift_px")?),
+            series("open chain", 1, open.column("drift_px")?),
+            series("closed loops", 0, closed.column("drift_px")?),
             series("best homography", 2, closed.column("floor_px")?),
         ],
         from_zero: true,

@@ -376,7 +376,8 @@ fn tissue_without_relief_is_a_plane() {
     let params = SceneParams { relief: 0.0, breathing_mm: 0.0, camera_speed_mm_s: 0.0, ..quiet(SceneKind::Bowel) };
     let mut phantom = Phantom::new(params, even_rig(), &Serial).unwrap();
     let mut depth = vec![0.0; WIDTH * HEIGHT];
-    let out = TruthMut { depth_mm: Some(ViewMut::new(&mut depth, WIDTH, HEIGHT, 1)), ..TruthMut::default() };
+    let out =
+        TruthMut { depth_mm: Some(ViewMut::new(&mut depth, WIDTH, HEIGHT, 1)), disparity_px: None, visible: None };
     phantom.truth(0, None, &Serial, out).unwrap();
     assert!(depth.iter().all(|z| (z - 50.0).abs() < 1e-3));
     let views = draw(&mut phantom, 0, None, &Serial);
