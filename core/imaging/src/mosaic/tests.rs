@@ -185,6 +185,21 @@ fn a_lost_camera_changes_nothing_and_is_found_again() {
 }
 
 #[test]
+fn a_frame_that_is_hardly_recognised_becomes_a_keyframe_before_the_camera_is_lost() {
+    // Upright features of a camera that turns: the overlap with the first frame stays large, the matches go.
+    let default = small();
+    let surf = crate::features::SurfParams { upright: true, ..default.surf };
+    let mut mosaic = Mosaic::new(MosaicParams { keyframe_overlap: 0.3, surf, ..default });
+    for step in 0..45 {
+        let pose = similarity(f64::from(step) * 0.035, 1.0, 160.0, 120.0, 0.0, 0.0);
+        let report = add(&mut mosaic, &pose, 0.0);
+        assert_eq!(report.state, MosaicState::Fresh, "step {step}: {report:?}");
+        let off = off_px(&report.mosaic_from_frame, &pose);
+        assert!(off < 2.0, "step {step}: {off} px");
+    }
+}
+
+#[test]
 fn frames_of_something_else_are_not_pasted() {
     let mut mosaic = Mosaic::new(small());
     add(&mut mosaic, &Homography::identity(), 0.0);
