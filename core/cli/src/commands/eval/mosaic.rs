@@ -12,6 +12,7 @@ use super::look::{self, Pace, Plan, Table};
 use super::plot::{self, Chart, Series, Style};
 use super::quoted;
 use crate::commands::bench::record::Figure;
+use crate::terminal::tell;
 
 /// Scenes: bowel without relief, and tissue as it is.
 const SCENES: [&str; 3] = ["plane", "bowel", "liver"];
@@ -165,6 +166,16 @@ fn run(scene: &str, is_closed: bool, arguments: &Arguments) -> Result<Judged> {
 
 /// Judges.
 pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
+    for (name, value, low, high) in [
+        ("--speed-mm-s", arguments.speed_mm_s, 1.0, 25.0),
+        ("--path-mm", arguments.path_mm, 1.0, 100.0),
+        ("--distance-mm", arguments.distance_mm, 15.0, 150.0),
+    ] {
+        if !(low..=high).contains(&value) {
+            tell!("error: {name} is {value}; give {low} to {high}");
+            return Ok(None);
+        }
+    }
     if let Some(folder) = &arguments.pictures {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
