@@ -266,6 +266,8 @@ pub struct Out<'f> {
     homography: Slot<'f, abi::Homography>,
     /// What one ideal camera at the left camera's place with a larger sensor would see.
     wide: Slot<'f, Bgr8>,
+    /// 255 in each pixel of `wide` whose tissue lies inside the picture of at least one camera.
+    footprint: Slot<'f, Mask>,
     /// True boxes of the instruments seen in the left view.
     detections: Slot<'f, LabeledDetections>,
     /// The same with true masks.
@@ -415,7 +417,8 @@ impl Node for PhantomNode {
             }
         }
         let canvas = params.canvas();
-        if check.is_read("wide") == Some(true) && canvas.width.max(canvas.height) > MOST_WIDE_PX {
+        let is_read = ["wide", "footprint"].map(|port| check.is_read(port) == Some(true));
+        if is_read.contains(&true) && canvas.width.max(canvas.height) > MOST_WIDE_PX {
             let message = format!(
                 "the `wide` picture would have {}x{} px, {MOST_WIDE_PX} are the most",
                 canvas.width, canvas.height
@@ -601,6 +604,11 @@ impl PhantomNode {
             let canvas = self.canvas;
             let mut view: ViewMut<'_, u8> = out.wide.alloc(canvas.width, canvas.height)?;
             self.phantom.wide(frame, pose, canvas, cx.pool(), &mut view)?;
+        }
+        if out.footprint.is_read() {
+            let canvas = self.canvas;
+            let mut plane: ViewMut<'_, u8> = out.footprint.alloc(canvas.width, canvas.height)?;
+            self.phantom.footprint(frame, pose, canvas, cx.pool(), &mut plane)?;
         }
         Ok(())
     }

@@ -25,6 +25,7 @@ fn every_truth_of_the_design_has_its_port() -> Result<(), HarnessError> {
         "pose",
         "homography",
         "wide",
+        "footprint",
         "detections",
         "instances",
         "tip",

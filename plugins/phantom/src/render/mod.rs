@@ -9,6 +9,7 @@ mod cast;
 mod clearance;
 mod effects;
 mod fit;
+mod footprint;
 mod lanes;
 pub(crate) mod lens;
 mod marks;

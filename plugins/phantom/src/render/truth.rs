@@ -60,13 +60,27 @@ pub struct Canvas {
     pub offset_y: f64,
 }
 
+impl Canvas {
+    /// Refuses sizes that cannot be drawn.
+    pub(super) fn check(&self) -> Result<(), PhantomError> {
+        for (name, value, low) in [("canvas width", self.width, 8.0), ("canvas height", self.height, 8.0)] {
+            let high = MOST_WIDE_PX as f64;
+            if !(low..=high).contains(&(value as f64)) {
+                return Err(PhantomError::OutOfRange { name, value: value as f64, low, high });
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Memory of the truth, kept between frames.
 #[derive(Default)]
 pub(super) struct TruthWork {
     eyes: Vec<Eye>,
     depth_mm: Vec<f32>,
     pairs: Vec<[f64; 4]>,
-    wide: Option<(Canvas, Eye)>,
+    pub(super) wide: Option<(Canvas, Eye)>,
+    pub(super) wide_depth_mm: Vec<f32>,
 }
 
 impl TruthWork {
@@ -134,9 +148,15 @@ impl Phantom {
             self.coarse(&eye.lens, station, coarse, pool);
         }
         let TruthWork { eyes, depth_mm, .. } = &mut work;
-        let lens = &eyes[0].lens;
+        self.depth_of(&eyes[0], pool, depth_mm);
+        Ok(work)
+    }
+
+    /// Depth of each pixel of an ideal camera whose coarse pass is done, mm; NaN where its ray meets nothing.
+    pub(super) fn depth_of(&self, eye: &Eye, pool: &dyn Parallel, depth_mm: &mut Vec<f32>) {
+        let lens = &eye.lens;
         depth_mm.resize(lens.width * lens.height, 0.0);
-        let (station, coarse) = &eyes[0].stations[0];
+        let (station, coarse) = &eye.stations[0];
         let (field, wide) = (self.field(), self.wide_lanes());
         let shared = SharedMut::new(depth_mm);
         pool.run(lens.height.div_ceil(CHUNK_ROWS), &|chunk| {
@@ -152,7 +172,6 @@ impl Phantom {
             let _ = wide;
             portable::depth(&field, lens, station, coarse, first, out);
         });
-        Ok(work)
     }
 
     /// Marks the points that the second camera sees too.
@@ -327,21 +346,32 @@ impl Phantom {
         pool: &dyn Parallel,
         view: &mut ViewMut<u8>,
     ) -> Result<(), PhantomError> {
-        for (name, value, low) in [("canvas width", canvas.width, 8.0), ("canvas height", canvas.height, 8.0)] {
-            let high = MOST_WIDE_PX as f64;
-            if !(low..=high).contains(&(value as f64)) {
-                return Err(PhantomError::OutOfRange { name, value: value as f64, low, high });
-            }
-        }
+        canvas.check()?;
         check_size(0, view, canvas.width, canvas.height, 3)?;
+        let eye = self.wide_eye(frame, pose, canvas, pool)?;
+        let gain = eye.model.white_balance.map(|w| w * eye.model.exposure);
+        let sensor = Sensor { gain, noise: 0.0, key: 0, smoke: &[], drops: &[] };
+        self.draw(&eye.lens, &eye.stations[..1], sensor, pool, view);
+        self.truth.wide = Some((canvas, eye));
+        Ok(())
+    }
+
+    /// The wide camera of `canvas`, in place and with its coarse pass done; the caller puts it back.
+    pub(super) fn wide_eye(
+        &mut self,
+        frame: u64,
+        pose: Option<Pose>,
+        canvas: Canvas,
+        pool: &dyn Parallel,
+    ) -> Result<Eye, PhantomError> {
         let pose = pose.unwrap_or_else(|| self.pose(frame));
         if !pose.is_finite() {
             return Err(PhantomError::BadPose);
         }
         self.breathe(frame, pool);
         let kept = self.truth.wide.take().filter(|(of, _)| *of == canvas);
-        let (_, mut eye) = match kept {
-            Some(kept) => kept,
+        let mut eye = match kept {
+            Some((_, eye)) => eye,
             None => {
                 let model = CameraModel {
                     width: canvas.width,
@@ -351,7 +381,7 @@ impl Phantom {
                     distortion: [0.0; 5],
                     ..self.eyes[0].model
                 };
-                (canvas, Eye::new(model, 0, 1)?)
+                Eye::new(model, 0, 1)?
             }
         };
         let period = f64::from(self.relief.period_mm);
@@ -360,11 +390,7 @@ impl Phantom {
         let seconds = frame as f64 / self.params.fps;
         equip(&self.tools, seconds, &pose, eye.model.offset_mm, self.rig.light_mm, &eye.lens, coarse);
         self.coarse(&eye.lens, station, coarse, pool);
-        let gain = eye.model.white_balance.map(|w| w * eye.model.exposure);
-        let sensor = Sensor { gain, noise: 0.0, key: 0, smoke: &[], drops: &[] };
-        self.draw(&eye.lens, &eye.stations[..1], sensor, pool, view);
-        self.truth.wide = Some((canvas, eye));
-        Ok(())
+        Ok(eye)
     }
 }
 

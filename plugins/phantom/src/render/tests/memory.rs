@@ -31,6 +31,7 @@ fn steady_frames_allocate_nothing() {
     let mut phantom = Phantom::new(params, Rig::stereo(320, 240, 15.0), &Serial).unwrap();
     let (mut left, mut right) = (vec![0; 320 * 240 * 3], vec![0; 320 * 240 * 3]);
     let (mut depth, mut visible, mut wide) = (vec![0.0; 320 * 240], vec![0; 320 * 240], vec![0; 400 * 300 * 3]);
+    let mut seen = vec![0; 400 * 300];
     let canvas = Canvas { width: 400, height: 300, offset_x: 20.0, offset_y: 20.0 };
     let mut before = 0;
     for frame in 0..3 {
@@ -47,6 +48,7 @@ fn steady_frames_allocate_nothing() {
         phantom.truth(frame, None, &Serial, out).unwrap();
         phantom.homography(0, None, &Serial).unwrap();
         phantom.wide(frame, None, canvas, &Serial, &mut ViewMut::new(&mut wide, 400, 300, 3)).unwrap();
+        phantom.footprint(frame, None, canvas, &Serial, &mut ViewMut::new(&mut seen, 400, 300, 1)).unwrap();
     }
     assert!(before > 0);
     assert_eq!(ALLOCATIONS.get() - before, 0, "allocations in two steady frames");

@@ -280,6 +280,31 @@ fn the_wide_view_holds_the_left_view() {
 }
 
 #[test]
+fn the_footprint_of_all_cameras_is_the_union_of_their_pictures() {
+    let canvas = Canvas { width: 1280, height: 900, offset_x: 60.0, offset_y: 40.0 };
+    let mut plane = vec![7u8; canvas.width * canvas.height];
+    let mut area = |rig: Rig, scene: SceneParams, pose: Pose| {
+        let mut phantom = Phantom::new(scene, rig, &Serial).unwrap();
+        let mut view = ViewMut::new(&mut plane, canvas.width, canvas.height, 1);
+        phantom.footprint(0, Some(pose), canvas, &Serial, &mut view).unwrap();
+        let row: Vec<usize> = (0..canvas.width).filter(|&u| view.as_view().row(300)[u] == 255).collect();
+        (plane.iter().filter(|&&v| v == 255).count(), row[0], row[row.len() - 1])
+    };
+    // A plane 50 mm away moves by 15 mm * 750 px / 50 mm.
+    let board = quiet(SceneKind::Board);
+    let near = |got: usize, want: usize| got.abs_diff(want) < want / 500;
+    let (pixels, first, last) = area(even_rig(), board.clone(), Pose::IDENTITY);
+    assert!(near(pixels, (WIDTH + 225) * HEIGHT), "{pixels}");
+    assert!(first == 60 && last.abs_diff(60 + 225 + WIDTH - 1) <= 1, "{first} to {last}");
+    let (pixels, ..) = area(Rig::quad(WIDTH, HEIGHT, 15.0), board.clone(), Pose::IDENTITY);
+    assert!(near(pixels, (WIDTH + 225) * (HEIGHT + 225)), "{pixels}");
+    // 20 mm away the pictures share 78 of 640 columns.
+    let closer = Pose { translation_mm: [0.0, 0.0, 30.0], ..Pose::IDENTITY };
+    let (pixels, ..) = area(even_rig(), board, closer);
+    assert!(near(pixels, (WIDTH + 562) * HEIGHT), "{pixels}");
+}
+
+#[test]
 fn a_plane_has_an_exact_homography() {
     let mut phantom = Phantom::new(quiet(SceneKind::Board), even_rig(), &Serial).unwrap();
     let tilt = Pose { quaternion: [0.99, 0.05, -0.08, 0.02], translation_mm: [1.0, 2.0, 3.0] };

@@ -1,0 +1,52 @@
+//! What all cameras together see, as the first one would with a larger sensor.
+
+use panoscope_imaging::{Parallel, ViewMut};
+
+use super::math::Pose;
+use super::params::PhantomError;
+use super::phantom::{Eye, Phantom, check_size};
+use super::truth::Canvas;
+
+impl Phantom {
+    /// Marks with 255 each pixel of the wide view whose tissue lies inside the picture of at least one camera; others are 0.
+    ///
+    /// The area of the mark over that of one view is the field of view that a panorama of all cameras can have, in pixels of the
+    /// first camera. Tissue that another fold hides from a camera counts as inside its picture: what is measured is how far
+    /// the pictures reach, not their holes. Cameras count without distortion. Allocates only when the canvas changes.
+    ///
+    /// # Errors
+    /// A canvas of more than 8192 px a side, a plane of another size, a pose that is not finite.
+    pub fn footprint(
+        &mut self,
+        frame: u64,
+        pose: Option<Pose>,
+        canvas: Canvas,
+        pool: &dyn Parallel,
+        plane: &mut ViewMut<u8>,
+    ) -> Result<(), PhantomError> {
+        canvas.check()?;
+        check_size(0, plane, canvas.width, canvas.height, 1)?;
+        let eye = self.wide_eye(frame, pose, canvas, pool)?;
+        let mut depth_mm = std::mem::take(&mut self.truth.wide_depth_mm);
+        self.depth_of(&eye, pool, &mut depth_mm);
+        for (v, depth) in depth_mm.chunks_exact(canvas.width).enumerate() {
+            let y = eye.lens.y[v];
+            for ((out, x), depth) in plane.row_mut(v).iter_mut().zip(&eye.lens.x).zip(depth) {
+                let point = [x * depth, y * depth, *depth].map(f64::from);
+                *out = if self.eyes.iter().any(|camera| is_inside(camera, point)) { 255 } else { 0 };
+            }
+        }
+        self.truth.wide_depth_mm = depth_mm;
+        self.truth.wide = Some((canvas, eye));
+        Ok(())
+    }
+}
+
+/// Whether a point of the first camera's frame lies inside the picture of `camera`; `false` for NaN.
+fn is_inside(camera: &Eye, point_mm: [f64; 3]) -> bool {
+    let model = &camera.model;
+    let [x, y, z]: [f64; 3] = std::array::from_fn(|i| point_mm[i] - model.offset_mm[i]);
+    let (u, v) = (x / z * model.fx + model.cx, y / z * model.fy + model.cy);
+    // The picture ends half a pixel beyond the last centre.
+    z > 0.0 && u > -0.5 && v > -0.5 && u < model.width as f64 - 0.5 && v < model.height as f64 - 0.5
+}
