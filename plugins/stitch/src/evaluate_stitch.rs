@@ -2,7 +2,7 @@
 
 use panoscope_imaging::geometry::{Homography as Map, Point, Ransac, RansacParams};
 use panoscope_imaging::stitch::correspond::{CorrespondParams, correspondences};
-use panoscope_imaging::stitch::evaluate::{Gray, Likeness, alignment, likeness, overlap, seam_band};
+use panoscope_imaging::stitch::evaluate::{Gray, Likeness, TruePairs, likeness, overlap, seam_band};
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
     Bgr8, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value,
@@ -10,7 +10,7 @@ use panoscope_node::{
 };
 
 /// Columns of the table.
-const COLUMNS: [&str; 15] = [
+const COLUMNS: [&str; 17] = [
     "tick",
     "state",
     "inliers",
@@ -26,6 +26,8 @@ const COLUMNS: [&str; 15] = [
     "cropped_pct",
     "canvas_width_px",
     "canvas_height_px",
+    "fov_truth_pct",
+    "fov_right_pct",
 ];
 /// Correspondences by correlation that lie further from every plane are mistakes, px.
 const CORRELATED_REACH_PX: f64 = 12.0;
@@ -53,6 +55,12 @@ pub struct EvaluateParams {
     /// Where nothing true is connected, judge the alignment by correspondences that are found by correlation alone, on the same ticks.
     #[param(default = false)]
     correlate: bool,
+    /// Columns by which the right view is displaced, in units of the true disparity.
+    #[param(default = 1.0, range = -8.0..=8.0, unit = "ratio")]
+    along_x: f64,
+    /// Rows by which it is displaced: 1 for a camera one baseline below the left one.
+    #[param(default = 0.0, range = -8.0..=8.0, unit = "ratio")]
+    along_y: f64,
 }
 
 /// Inputs of the evaluation.
@@ -78,6 +86,8 @@ pub struct In<'f> {
     truth: Option<Value<'f, Homography>>,
     /// What one wide camera at the left camera's place would see.
     wide: Option<Image<'f, Bgr8>>,
+    /// What all cameras together see, on the pixels of `wide`.
+    footprint: Option<Image<'f, Mask>>,
     /// Where the left view lies in `wide`; wins over the parameters.
     left_in_wide: Option<Value<'f, Roi>>,
 }
@@ -85,7 +95,8 @@ pub struct In<'f> {
 /// Outputs of the evaluation.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// A row for every tick so far; NaN where there is no truth. `state`: 0 fresh, 1 held, 2 lost, 3 none.
+    /// A row for every tick so far; NaN where there is no truth. `state`: 0 fresh, 1 held, 2 lost, 3 none. Areas over that of the left view:
+    /// `fov_pct` is covered by the panorama, `fov_truth_pct` lies in the footprint of all cameras, `fov_right_pct` in both.
     table: Slot<'f, TableData>,
 }
 
@@ -175,6 +186,37 @@ fn truth_on_canvas(wide: View<'_, u8>, offset: (i32, i32), canvas: &Roi, size: (
     (out, known)
 }
 
+/// Column and row of the wide truth at which the left view begins.
+fn left_in_wide(input: &In<'_>, wide: (usize, usize), params: &EvaluateParams) -> (i32, i32) {
+    let auto = |given: i32, wide: usize, left: usize| if given >= 0 { given } else { (wide as i32 - left as i32) / 8 };
+    match &input.left_in_wide {
+        Some(at) => (at.x, at.y),
+        None => (auto(params.wide_x, wide.0, input.left.width()), auto(params.wide_y, wide.1, input.left.height())),
+    }
+}
+
+/// Pixels that the panorama covers, that the footprint of all cameras has, and that both share.
+fn areas(shown: View<'_, u8>, footprint: Option<View<'_, u8>>, canvas: Roi, offset: (i32, i32)) -> [usize; 3] {
+    let covered = (0..shown.height).map(|y| shown.row(y).iter().filter(|v| **v != 0).count()).sum();
+    let Some(footprint) = footprint else { return [covered, 0, 0] };
+    let (mut truth, mut both) = (0, 0);
+    for v in 0..footprint.height {
+        let line = footprint.row(v);
+        truth += line.iter().filter(|seen| **seen != 0).count();
+        let y = v as i64 - i64::from(offset.1) + i64::from(canvas.y);
+        if y < 0 || y >= shown.height as i64 {
+            continue;
+        }
+        let shown_line = shown.row(y as usize);
+        for (u, _) in line.iter().enumerate().filter(|(_, seen)| **seen != 0) {
+            let x = u as i64 - i64::from(offset.0) + i64::from(canvas.x);
+            let shown = usize::try_from(x).ok().and_then(|x| shown_line.get(x));
+            both += usize::from(shown.is_some_and(|view| *view != 0));
+        }
+    }
+    [covered, truth, both]
+}
+
 impl EvaluateStitch {
     fn pictures(&self, input: &In<'_>, map: &Map, params: &EvaluateParams) -> [Option<Likeness>; 2] {
         let (Some(panorama), Some(canvas), Some(wide)) = (&input.panorama, &input.canvas, &input.wide) else {
@@ -182,13 +224,8 @@ impl EvaluateStitch {
         };
         let (panorama, wide) = (panorama.view(), wide.view());
         let size = (panorama.width, panorama.height);
-        let auto =
-            |given: i32, wide: usize, left: usize| if given >= 0 { given } else { (wide as i32 - left as i32) / 8 };
         let left = (input.left.width(), input.left.height());
-        let offset = match &input.left_in_wide {
-            Some(at) => (at.x, at.y),
-            None => (auto(params.wide_x, wide.width, left.0), auto(params.wide_y, wide.height, left.1)),
-        };
+        let offset = left_in_wide(input, (wide.width, wide.height), params);
         let (truth, known) = truth_on_canvas(wide, offset, canvas, size);
         let right = (input.right.width(), input.right.height());
         let mut region = overlap(size, (canvas.x, canvas.y), left, right, map);
@@ -235,11 +272,16 @@ impl Node for EvaluateStitch {
             row[2] = f64::from(given.inliers);
             let visible = input.visible.as_ref().map(Image::view);
             if let Some(disparity) = &input.disparity {
-                let rms = |map: &Map| alignment(map, disparity.view(), visible, params.step as usize);
-                if let Some((align, count)) = rms(map) {
+                let (along, step) = ([params.along_x, params.along_y], params.step as usize);
+                let pairs = TruePairs { disparity: disparity.view(), visible, along, step };
+                if let Some((align, count)) = pairs.alignment(map) {
                     (row[3], row[5]) = (align, count as f64);
                 }
-                row[4] = input.truth.as_ref().and_then(|t| rms(&Map(t.left_from_right))).map_or(NONE, |(rms, _)| rms);
+                let floor = match &input.truth {
+                    Some(truth) => pairs.alignment(&Map(truth.left_from_right)).map(|(rms, _)| rms),
+                    None => pairs.floor_px(),
+                };
+                row[4] = floor.unwrap_or(NONE);
             } else if let Some(truth) = &input.truth {
                 let left = (input.left.width(), input.left.height());
                 if let Some((align, count)) = between(map, &Map(truth.left_from_right), left, right, params.step) {
@@ -259,9 +301,16 @@ impl Node for EvaluateStitch {
             }
         }
         if let Some(shown) = &input.shown {
-            let view = shown.view();
-            let count: usize = (0..view.height).map(|y| view.row(y).iter().filter(|v| **v != 0).count()).sum();
-            row[11] = 100.0 * count as f64 / (input.left.width() * input.left.height()).max(1) as f64;
+            let canvas = input.canvas.as_deref().copied();
+            let footprint = input.footprint.as_ref().filter(|_| canvas.is_some()).map(Image::view);
+            let offset = footprint.map_or((0, 0), |wide| left_in_wide(&input, (wide.width, wide.height), params));
+            let areas = areas(shown.view(), footprint, canvas.unwrap_or_default(), offset);
+            let one = (input.left.width() * input.left.height()).max(1) as f64;
+            let [covered, truth, both] = areas.map(|pixels| 100.0 * pixels as f64 / one);
+            row[11] = covered;
+            if footprint.is_some() {
+                (row[15], row[16]) = (truth, both);
+            }
         }
         if let Some(panorama) = &input.panorama {
             (row[13], row[14]) = (panorama.width() as f64, panorama.height() as f64);

@@ -5,7 +5,7 @@
 //! composite settles on is its own choice.
 
 use crate::View;
-use crate::geometry::Homography;
+use crate::geometry::{Homography, Point};
 
 /// Side of a window of the structural similarity, px.
 const WINDOW: usize = 8;
@@ -149,27 +149,55 @@ pub fn overlap(
     region
 }
 
-/// Root mean square distance between mapped and true places of the points that both views see, px of the left view, and how
-/// many there are. `disparity` is the truth (the point lies at `(u - d, v)` in the right view), `visible` says where it holds.
-pub fn alignment(
-    left_from_right: &Homography,
-    disparity: View<'_, f32>,
-    visible: Option<View<'_, u8>>,
-    step: usize,
-) -> Option<(f64, usize)> {
-    let (mut squares, mut count) = (0.0, 0usize);
-    let step = step.max(1);
-    for y in (step / 2..disparity.height).step_by(step) {
-        for x in (step / 2..disparity.width).step_by(step) {
-            let d = f64::from(disparity.row(y)[x]);
-            let seen = visible.is_none_or(|v| v.row(y)[x] != 0) && d <= x as f64;
-            if seen && d.is_finite() {
-                squares += left_from_right.squared_error([x as f64 - d, y as f64], [x as f64, y as f64]);
-                count += 1;
-            }
-        }
+/// True correspondences of a view that stands beside the left one and looks the same way.
+#[derive(Clone, Copy, Debug)]
+pub struct TruePairs<'a> {
+    /// Disparity of the left view, px; NaN where it is unknown.
+    pub disparity: View<'a, f32>,
+    /// 255 where the other view sees the same point; without it all that lies in its frame counts.
+    pub visible: Option<View<'a, u8>>,
+    /// Where the other camera stands, in units of the baseline: the point at `(u, v)` lies at `(u, v) - disparity * along` there.
+    pub along: [f64; 2],
+    /// Every so many pixels are looked at.
+    pub step: usize,
+}
+
+impl TruePairs<'_> {
+    /// Position in the other view and in the left one of each point that both see.
+    fn iter(&self) -> impl Iterator<Item = (Point, Point)> + '_ {
+        let step = self.step.max(1);
+        let (width, height) = (self.disparity.width, self.disparity.height);
+        let rows = (step / 2..height).step_by(step);
+        rows.flat_map(move |y| (step / 2..width).step_by(step).map(move |x| (x, y))).filter_map(move |(x, y)| {
+            let d = f64::from(self.disparity.row(y)[x]);
+            let left = [x as f64, y as f64];
+            let other = [left[0] - d * self.along[0], left[1] - d * self.along[1]];
+            let inside =
+                other[0] >= 0.0 && other[1] >= 0.0 && other[0] <= width as f64 - 1.0 && other[1] <= height as f64 - 1.0;
+            // NaN is not inside.
+            let seen = self.visible.is_none_or(|v| v.row(y)[x] != 0) && inside;
+            seen.then_some((other, left))
+        })
     }
-    (count > 0).then(|| ((squares / count as f64).sqrt(), count))
+
+    /// Root mean square distance between mapped and true places of the points that both views see, px of the left view, and how
+    /// many there are; `None` when there are none.
+    pub fn alignment(&self, left_from_other: &Homography) -> Option<(f64, usize)> {
+        let (mut squares, mut count) = (0.0, 0usize);
+        for (other, left) in self.iter() {
+            squares += left_from_other.squared_error(other, left);
+            count += 1;
+        }
+        (count > 0).then(|| ((squares / count as f64).sqrt(), count))
+    }
+
+    /// What parallax leaves to any homography: the alignment of the one that fits the true pairs best. `None` for fewer than four
+    /// pairs in general position.
+    pub fn floor_px(&self) -> Option<f64> {
+        let (from, to): (Vec<Point>, Vec<Point>) = self.iter().unzip();
+        let best = Homography::fit(&from, &to, |_| true)?.refine(&from, &to, |_| true, 20);
+        self.alignment(&best).map(|(rms, _)| rms)
+    }
 }
 
 #[cfg(test)]
@@ -218,11 +246,27 @@ mod tests {
     #[test]
     fn alignment_is_zero_for_the_truth_of_a_plane() {
         let disparity = vec![40.0f32; 100 * 50];
-        let view = View::new(&disparity, 100, 50, 1);
-        let (rms, count) = alignment(&Homography::translation(40.0, 0.0), view, None, 5).unwrap();
+        let pairs =
+            TruePairs { disparity: View::new(&disparity, 100, 50, 1), visible: None, along: [1.0, 0.0], step: 5 };
+        let (rms, count) = pairs.alignment(&Homography::translation(40.0, 0.0)).unwrap();
         assert!(rms < 1e-9 && count == 120, "{rms} {count}");
-        let (rms, _) = alignment(&Homography::translation(43.0, 4.0), view, None, 5).unwrap();
+        let (rms, _) = pairs.alignment(&Homography::translation(43.0, 4.0)).unwrap();
         assert!((rms - 5.0).abs() < 1e-9);
+        assert!(pairs.floor_px().unwrap() < 1e-6);
+    }
+
+    #[test]
+    fn a_view_below_is_judged_along_its_own_direction() {
+        // Two planes: no homography fits both.
+        let disparity: Vec<f32> = (0..100 * 80).map(|i| if i % 100 < 50 { 40.0 } else { 44.0 }).collect();
+        let pairs =
+            TruePairs { disparity: View::new(&disparity, 100, 80, 1), visible: None, along: [0.5, 1.0], step: 4 };
+        let (rms, _) = pairs.alignment(&Homography::translation(21.0, 42.0)).unwrap();
+        assert!((rms - 5f64.sqrt()).abs() < 0.05, "{rms}");
+        let floor = pairs.floor_px().unwrap();
+        assert!(floor > 0.1 && floor < rms, "{floor}");
+        let nowhere = TruePairs { along: [0.0, 3.0], ..pairs };
+        assert_eq!((nowhere.alignment(&Homography::identity()), nowhere.floor_px()), (None, None));
     }
 
     #[test]

@@ -35,6 +35,8 @@ pub enum Judged {
     Pictures,
     /// What registration is judged by: comparing pictures takes longer than stitching.
     Registration,
+    /// Registration, and the area that the panorama covers.
+    Area,
 }
 
 /// A graph file, taken apart.
@@ -57,6 +59,16 @@ fn from(value: &Value) -> Option<&str> {
 
 fn node_of(reference: &str) -> &str {
     reference.split_once('.').map_or(reference, |(node, _)| node)
+}
+
+/// Number of the phantom's camera whose picture an output is: 1 to 3, row by row behind the first.
+fn camera_of(reference: &str) -> Option<u8> {
+    match reference.split_once('.')?.1 {
+        "right" | "view1" => Some(1),
+        "view2" => Some(2),
+        "view3" => Some(3),
+        _ => None,
+    }
 }
 
 fn is_type(node: &Value, wanted: &str) -> bool {
@@ -216,7 +228,7 @@ impl Wiring {
         let views = [("left", left.clone()), ("right", right.clone())];
         out.add("peer_register", "register_opencv", &views, with(&[]));
         let homography = "peer_register.homography".to_owned();
-        if judged == Judged::Pictures {
+        if judged != Judged::Registration {
             let inputs = [views[0].clone(), views[1].clone(), ("homography", homography.clone())];
             out.add("peer_wide", "composite_opencv", &inputs, with(&[("seam_megapixels", seam_megapixels.into())]));
         }
@@ -245,21 +257,30 @@ impl Wiring {
                 let mut wire = |names: &[(&'static str, &str)], node: &str| {
                     inputs.extend(names.iter().map(|(port, output)| (*port, format!("{node}.{output}"))));
                 };
-                if judged == Judged::Pictures {
+                if judged != Judged::Registration {
                     wire(&[("panorama", "panorama"), ("canvas", "canvas"), ("shown", "shown")], &composite.id);
                 }
-                // The phantom's disparity is that of its first two cameras.
+                // The phantom's disparity is that of its first two cameras; the others stand as many baselines away from the first.
+                let camera = camera_of(&composite.views[pair + 1]);
                 match () {
-                    () if is("phantom") && pair == 0 => {
+                    () if is("phantom") && camera == Some(1) => {
                         wire(&[("disparity", "disparity"), ("visible", "visible"), ("truth", "homography")], source);
+                    }
+                    () if is("phantom") && camera.is_some() => {
+                        wire(&[("disparity", "disparity")], source);
+                        let camera = camera.unwrap_or_default();
+                        params.insert("along_x".to_owned(), f64::from(camera % 2).into());
+                        params.insert("along_y".to_owned(), f64::from(camera / 2).into());
                     }
                     () if is("cut_views") => {
                         wire(&[("truth", "homography"), ("left_in_wide", "left_in_image")], source)
                     }
                     () => _ = params.insert("correlate".to_owned(), true.into()),
                 }
-                if judged == Judged::Pictures && is("phantom") {
-                    wire(&[("wide", "wide")], source);
+                match judged {
+                    Judged::Pictures if is("phantom") => wire(&[("wide", "wide")], source),
+                    Judged::Area if is("phantom") => wire(&[("footprint", "footprint")], source),
+                    _ => {}
                 }
                 if judged == Judged::Pictures && is("cut_views") {
                     let whole = self.node(source).map(references).unwrap_or_default();
@@ -336,7 +357,13 @@ inputs = { views = ["scope.view0", "scope.view1", "scope.view2", "scope.view3"],
         assert_eq!(table["nodes"]["judge_wide_1"]["inputs"]["disparity"].as_str(), Some("scope.disparity"));
         let third = &table["nodes"]["judge_wide_3"];
         assert_eq!(third["inputs"]["right"].as_str(), Some("scope.view3"));
-        assert_eq!((third["inputs"].get("disparity"), third["params"]["correlate"].as_bool()), (None, Some(true)));
+        assert_eq!(third["inputs"]["disparity"].as_str(), Some("scope.disparity"));
+        let along = ["along_x", "along_y"].map(|name| third["params"][name].as_float());
+        assert_eq!((along, third["inputs"].get("truth")), ([Some(1.0), Some(1.0)], None));
+        let table: toml::Table = wiring.judged(Judged::Area).text().parse().unwrap();
+        let second = &table["nodes"]["judge_wide_2"];
+        assert_eq!(second["inputs"]["footprint"].as_str(), Some("scope.footprint"));
+        assert_eq!((second["params"]["along_x"].as_float(), second["inputs"].get("wide")), (Some(0.0), None));
     }
 
     #[test]
