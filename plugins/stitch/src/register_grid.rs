@@ -1,6 +1,6 @@
 //! `register_grid`: a disparity map in, the homography between the two pictures out (thesis, chapter 4).
 
-use panoscope_imaging::geometry::{RansacParams, RmsWatch};
+use panoscope_imaging::geometry::{LostWatch, RansacParams, RmsWatch};
 use panoscope_imaging::stitch::{CellPoint, GridParams, RectifiedView, RegisterGrid};
 use panoscope_node::abi::{Calibration, Camera};
 use panoscope_node::{Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Ports, Result, Value};
@@ -91,6 +91,7 @@ pub struct In<'f> {
 pub struct RegisterGridNode {
     kernel: RegisterGrid,
     watch: RmsWatch,
+    lost: LostWatch,
 }
 
 /// One side of a calibration.
@@ -134,7 +135,7 @@ impl Node for RegisterGridNode {
     type Params = RegisterGridParams;
 
     fn open(_: &Open<'_>, params: &RegisterGridParams) -> Result<Self> {
-        Ok(Self { kernel: RegisterGrid::new(params.kernel()), watch: RmsWatch::default() })
+        Ok(Self { kernel: RegisterGrid::new(params.kernel()), watch: RmsWatch::default(), lost: LostWatch::default() })
     }
 
     fn process<'f>(
@@ -155,6 +156,7 @@ impl Node for RegisterGridNode {
         let found = self.kernel.register(input.disparity.view(), &left, &right);
         cx.metric("grid_points", found.points as f64);
         self.watch.look(cx, found.rms_px, found.refused_rms_px, params.max_rms_px);
+        self.lost.observe(cx, found.state, "move back, clean the lenses, or widen the search of the disparity");
         out.set(&Found {
             left_from_right: &found.left_from_right,
             rms_px: found.rms_px,

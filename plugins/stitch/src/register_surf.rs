@@ -1,8 +1,8 @@
 //! `register_surf`: two views in, the homography between them out (thesis, chapter 2, Algs 2.1 and 2.2).
 
 use panoscope_imaging::features::{self, MatchParams, RegisterParams, SurfParams};
-use panoscope_imaging::geometry::RmsWatch;
 use panoscope_imaging::geometry::ransac::RansacParams;
+use panoscope_imaging::geometry::{LostWatch, RmsWatch};
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result};
 
 use crate::registration::{Found, Out};
@@ -55,6 +55,9 @@ pub struct RegisterSurfParams {
     /// Failed frames in a row for which the homography before still counts as held.
     #[param(default = 5, range = 0..=1000, unit = "frames")]
     hold_frames: u32,
+    /// Find narrow overlaps too: when whole views give nothing, search a pair of facing sides at full size. Only with `roi`.
+    #[param(default = false)]
+    strips: bool,
 }
 
 /// Columns and rows of the grid on a search region.
@@ -82,6 +85,7 @@ impl RegisterSurfParams {
             calm: self.calm,
             max_rms_px: self.max_rms_px,
             hold_frames: self.hold_frames as usize,
+            strips: self.strips,
             ..default
         }
     }
@@ -100,6 +104,7 @@ pub struct In<'f> {
 pub struct RegisterSurf {
     kernel: features::RegisterSurf,
     watch: RmsWatch,
+    lost: LostWatch,
 }
 
 impl Node for RegisterSurf {
@@ -113,7 +118,11 @@ impl Node for RegisterSurf {
     type Params = RegisterSurfParams;
 
     fn open(_: &Open<'_>, params: &RegisterSurfParams) -> Result<Self> {
-        Ok(Self { kernel: features::RegisterSurf::new(params.kernel()), watch: RmsWatch::default() })
+        Ok(Self {
+            kernel: features::RegisterSurf::new(params.kernel()),
+            watch: RmsWatch::default(),
+            lost: LostWatch::default(),
+        })
     }
 
     fn process<'f>(
@@ -129,6 +138,7 @@ impl Node for RegisterSurf {
         }
         let found = self.kernel.register(input.left.view(), input.right.view(), cx.pool());
         self.watch.look(cx, found.rms_px, found.refused_rms_px, params.max_rms_px);
+        self.lost.observe(cx, found.state, "move back, clean the lenses, or set `strips = true`");
         out.set(&Found {
             left_from_right: &found.left_from_right,
             rms_px: found.rms_px,

@@ -44,6 +44,25 @@ pub struct Gate {
     pub left_from_right: Homography,
     /// Largest distance in the left frame, in pixels.
     pub radius_px: f32,
+    /// Weights of columns and rows in that distance; 0 does not restrict the direction.
+    pub weights: [f64; 2],
+}
+
+impl Gate {
+    /// A circle around each predicted position.
+    pub fn circle(left_from_right: Homography, radius_px: f32) -> Self {
+        Self { left_from_right, radius_px, weights: [1.0; 2] }
+    }
+
+    /// Maps of left and right keypoints to the plane in which the gate is a circle.
+    fn maps(&self) -> (Option<Homography>, Homography) {
+        let [x, y] = self.weights;
+        if self.weights == [1.0; 2] {
+            return (None, self.left_from_right);
+        }
+        let weigh = Homography([x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, 1.0]);
+        (Some(weigh), weigh.compose(&self.left_from_right))
+    }
 }
 
 /// A pair of keypoints.
@@ -217,8 +236,12 @@ impl Matcher {
     ) {
         out.clear();
         // Sorted by row, whole blocks fall outside a gate.
-        self.left.fill(left, params.same_sign, None, gate.is_some());
-        self.right.fill(right, params.same_sign, gate.map(|gate| &gate.left_from_right), gate.is_some());
+        let (left_map, right_map) = gate.map_or((None, None), |gate| {
+            let (left, right) = gate.maps();
+            (left, Some(right))
+        });
+        self.left.fill(left, params.same_sign, left_map.as_ref(), gate.is_some());
+        self.right.fill(right, params.same_sign, right_map.as_ref(), gate.is_some());
         if self.left.parts != self.right.parts {
             return;
         }

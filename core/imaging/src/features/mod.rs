@@ -11,6 +11,7 @@ mod orientation;
 mod pyramid;
 pub mod registration;
 pub mod simd;
+mod strips;
 pub mod surf;
 #[cfg(test)]
 pub(crate) mod testing;

@@ -1,15 +1,20 @@
 //! Registration of two views by SURF, on whole frames or on the overlap seen last (thesis, chapter 2, Alg. 2.2).
 
 use super::matching::{Gate, Match, MatchParams, Matcher};
+use super::strips::{Search, Sizes, Strips, narrow, narrow_surf};
 use super::surf::{Features, Surf, SurfParams};
-use crate::geometry::ransac::{Ransac, RansacParams};
+use crate::geometry::narrow::{ALONG, NarrowParams, fit_narrow};
+use crate::geometry::ransac::{Ransac, RansacFit, RansacParams};
 use crate::geometry::{
-    Homography, Plausibility, Point, Rect, RegistrationState, Stability, StabilityParams, overlap_rois, rms_of,
+    Homography, Plausibility, Point, Rect, RegistrationState, Stability, StabilityParams, Stabilized, overlap_rois,
+    rms_of,
 };
 use crate::{Parallel, Serial, SharedMut, View};
 
 /// Overlaps narrower than this cannot hold the larger filters; the next search covers whole frames.
 const LEAST_ROI_PX: usize = 48;
+/// Fewer matches than this agree by chance on a shift of a narrow overlap.
+const LEAST_NARROW_INLIERS: usize = 8;
 /// The homography before also stays while it explains the matches worse by no more than this share.
 const STILL_TOLERANCE: f64 = 0.1;
 
@@ -44,6 +49,9 @@ pub struct RegisterParams {
     pub hold_frames: usize,
     /// Widens both search regions, in pixels.
     pub roi_margin_px: usize,
+    /// Finds overlaps narrower than a quarter of a view too: when whole views give nothing, a pair of facing sides is searched in the same
+    /// frame, at full size; from then on the overlap alone, and an affine map near a shift stands for the homography. Only with `roi`.
+    pub strips: bool,
 }
 
 impl Default for RegisterParams {
@@ -62,6 +70,7 @@ impl Default for RegisterParams {
             max_rms_px: 0.0,
             hold_frames: 0,
             roi_margin_px: 8,
+            strips: false,
         }
     }
 }
@@ -89,6 +98,8 @@ pub struct Registration {
     pub roi_right: Rect,
     /// Whether the homography is the previous frame's, kept by the stability test.
     pub kept: bool,
+    /// Whether it comes from a narrow overlap.
+    pub is_narrow: bool,
 }
 
 /// Registers frame pairs one after the other and remembers overlap and homography.
@@ -103,6 +114,7 @@ pub struct RegisterSurf {
     to: Vec<Point>,
     mask: Vec<bool>,
     stability: Stability,
+    strips: Strips,
     memory: Option<Memory>,
     failures: usize,
     refused_rms_px: Option<f64>,
@@ -136,6 +148,7 @@ impl RegisterSurf {
             to: Vec::new(),
             mask: Vec::new(),
             stability: Stability::default(),
+            strips: Strips::default(),
             memory: None,
             failures: 0,
             refused_rms_px: None,
@@ -159,6 +172,7 @@ impl RegisterSurf {
     pub fn reset(&mut self) {
         self.memory = None;
         self.failures = 0;
+        self.strips.reset();
     }
 
     /// Keypoints and descriptors of the last frame pair, left and right.
@@ -179,26 +193,26 @@ impl RegisterSurf {
         let whole = [Rect::new(0, 0, left.width, left.height), Rect::new(0, 0, right.width, right.height)];
         let memory = self.memory.filter(|memory| memory.sizes == sizes);
         let trusted = memory.filter(|_| self.failures == 0).map(|memory| memory.left_from_right);
-        let search = match trusted {
-            Some(map) if self.params.roi => self.search_regions(&map, sizes).unwrap_or(whole),
-            _ => whole,
-        };
-        let shrink = if self.params.roi { self.params.shrink.max(1) } else { 1 };
-        detect(&mut self.sides, [left, right], search, shrink, pool);
-        let [left, right] = &self.sides;
-        let (left, right) = (&left.features, &right.features);
         let gate = trusted
             .filter(|_| self.params.gate_px > 0.0)
-            .map(|left_from_right| Gate { left_from_right, radius_px: self.params.gate_px });
-        self.matcher.match_features(left, right, &self.params.matching, gate.as_ref(), pool, &mut self.matches);
+            .map(|left_from_right| Gate::circle(left_from_right, self.params.gate_px));
+        let shrink = if self.params.roi { self.params.shrink.max(1) } else { 1 };
+        let overlap = trusted.filter(|_| self.params.roi).and_then(|map| self.overlap_search(&map, gate, sizes));
+        let first = overlap.unwrap_or(Search { regions: whole, shrink, gate, is_narrow: false });
+        let mut found = self.search(&first, [left, right], trusted, sizes, pool);
+        if overlap.is_none() && self.params.roi && self.params.strips {
+            let last = memory.map(|memory| memory.left_from_right);
+            found = self.search_narrow(found, last.as_ref(), [left, right], sizes, pool);
+        }
+        let [left, right] = &self.sides;
         let mut result = Registration {
-            points: (left.len(), right.len()),
+            points: (left.features.len(), right.features.len()),
             matches: self.matches.len(),
             roi_left: whole[0],
             roi_right: whole[1],
             ..Registration::default()
         };
-        match self.estimate(trusted, sizes) {
+        match found {
             Some(found) => {
                 self.failures = 0;
                 self.memory = Some(Memory { left_from_right: found.left_from_right, sizes });
@@ -209,6 +223,7 @@ impl RegisterSurf {
                     inliers: found.inliers,
                     rms_px: found.rms_px,
                     kept: found.kept,
+                    is_narrow: found.is_narrow,
                     roi_left,
                     roi_right,
                     ..result
@@ -230,21 +245,73 @@ impl RegisterSurf {
         result
     }
 
-    fn search_regions(&self, map: &Homography, sizes: [(usize, usize); 2]) -> Option<[Rect; 2]> {
+    /// The search of the overlap under `map`; `None` where it is too small for one.
+    fn overlap_search(&self, map: &Homography, gate: Option<Gate>, sizes: Sizes) -> Option<Search> {
+        if let Some(search) = narrow(map, sizes).filter(|_| self.params.strips) {
+            return Some(search);
+        }
         let (left, right) = overlap_rois(map, sizes[0], sizes[1]);
-        let least = LEAST_ROI_PX * self.params.shrink.max(1);
+        let shrink = self.params.shrink.max(1);
+        let least = LEAST_ROI_PX * shrink;
         let fits = |roi: &Rect| roi.width >= least && roi.height >= least;
         let margin = self.params.roi_margin_px;
-        (fits(&left) && fits(&right))
-            .then(|| [left.grown(margin, sizes[0].0, sizes[0].1), right.grown(margin, sizes[1].0, sizes[1].1)])
+        let regions = (fits(&left) && fits(&right))
+            .then(|| [left.grown(margin, sizes[0].0, sizes[0].1), right.grown(margin, sizes[1].0, sizes[1].1)])?;
+        Some(Search { regions, shrink, gate, is_narrow: false })
     }
 
-    fn estimate(&mut self, trusted: Option<Homography>, sizes: [(usize, usize); 2]) -> Option<Estimate> {
+    /// What a search of whole views found, unless it found nothing or a narrow overlap, about which it says little: then what a search at full size of
+    /// that overlap finds, or of a pair of strips.
+    fn search_narrow(
+        &mut self,
+        whole: Option<Estimate>,
+        last: Option<&Homography>,
+        views: [View<'_, u8>; 2],
+        sizes: Sizes,
+        pool: &dyn Parallel,
+    ) -> Option<Estimate> {
+        let mut found = whole;
+        if let Some(estimate) = &found {
+            let Some(overlap) = narrow(&estimate.left_from_right, sizes) else { return found };
+            found = self.search(&overlap, views, None, sizes, pool);
+        }
+        if found.is_some() {
+            return found;
+        }
+        let strips = self.strips.choose(last, sizes)?;
+        let first = self.search(&strips, views, None, sizes, pool)?;
+        // What was found among all keypoints of the strips must be found again in the overlap alone.
+        let overlap = narrow(&first.left_from_right, sizes)?;
+        self.search(&overlap, views, None, sizes, pool)
+    }
+
+    /// Finds, matches and fits within the regions of one search.
+    fn search(
+        &mut self,
+        search: &Search,
+        views: [View<'_, u8>; 2],
+        trusted: Option<Homography>,
+        sizes: Sizes,
+        pool: &dyn Parallel,
+    ) -> Option<Estimate> {
+        let surf = if search.is_narrow { narrow_surf(self.params.surf) } else { self.params.surf };
+        self.sides.iter_mut().for_each(|side| side.surf.set_params(surf));
+        detect(&mut self.sides, views, search.regions, search.shrink, pool);
+        let [left, right] = &self.sides;
+        let (left, right) = (&left.features, &right.features);
+        let matching = &self.params.matching;
+        self.matcher.match_features(left, right, matching, search.gate.as_ref(), pool, &mut self.matches);
+        self.estimate(trusted, sizes, search.is_narrow)
+    }
+
+    fn estimate(&mut self, trusted: Option<Homography>, sizes: Sizes, is_narrow: bool) -> Option<Estimate> {
         self.refused_rms_px = None;
         self.from.clear();
         self.to.clear();
         // No frame has more matches than keypoints: the lists grow once.
-        let most = self.params.surf.max_points.max(self.matches.len());
+        let points =
+            if self.params.strips { narrow_surf(self.params.surf).max_points } else { self.params.surf.max_points };
+        let most = points.max(self.matches.len());
         self.from.reserve(most);
         self.to.reserve(most);
         self.mask.reserve(most.saturating_sub(self.mask.len()));
@@ -256,16 +323,17 @@ impl RegisterSurf {
             self.to.push(left.features.keypoints.position(found.left as usize));
             self.from.push(right.features.keypoints.position(found.right as usize));
         }
+        let fit = self.fit(is_narrow)?;
         let params = &self.params;
-        let fit = self.ransac.estimate(&self.from, &self.to, &params.ransac, &mut self.mask).ok()?;
         if fit.inliers < params.min_inliers.max(4) || !params.plausibility.accepts(&fit.homography, sizes[1]) {
             return None;
         }
         let stable = StabilityParams {
             stability_px: params.stability_px,
             still_tolerance: STILL_TOLERANCE,
-            outlier_px: params.ransac.threshold_px,
-            calm: params.calm,
+            outlier_px: params.ransac.threshold_px * if is_narrow { ALONG } else { 1.0 },
+            // A narrow overlap leaves the far corners to the model alone, which holds them.
+            calm: if is_narrow { 0.0 } else { params.calm },
             max_rms_px: params.max_rms_px,
         };
         let chosen = self.stability.choose(&fit, trusted, sizes[1], (&self.from, &self.to, &self.mask), &stable);
@@ -275,7 +343,22 @@ impl RegisterSurf {
             self.refused_rms_px = Some(rms_px);
             return None;
         }
-        Some(Estimate { left_from_right: chosen.homography, inliers: fit.inliers, rms_px, kept: chosen.kept })
+        let Stabilized { homography: left_from_right, kept } = chosen;
+        Some(Estimate { left_from_right, inliers: fit.inliers, rms_px, kept, is_narrow })
+    }
+
+    /// The map that most matches agree on; `mask` becomes its inliers.
+    fn fit(&mut self, is_narrow: bool) -> Option<RansacFit> {
+        let RegisterParams { ransac, min_inliers, .. } = self.params;
+        if !is_narrow {
+            return self.ransac.estimate(&self.from, &self.to, &ransac, &mut self.mask).ok();
+        }
+        let narrow = NarrowParams {
+            threshold_px: ransac.threshold_px,
+            min_inliers: min_inliers.max(LEAST_NARROW_INLIERS),
+            seed: ransac.seed,
+        };
+        fit_narrow(&self.from, &self.to, &narrow, &mut self.mask)
     }
 }
 
@@ -296,4 +379,5 @@ struct Estimate {
     inliers: usize,
     rms_px: f64,
     kept: bool,
+    is_narrow: bool,
 }

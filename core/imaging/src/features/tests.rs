@@ -272,7 +272,8 @@ fn plain_search(left: &Features, right: &Features) {
     let map = Homography::translation(20.0, -10.0);
     let (n, m) = (left.len(), right.len());
     for same_sign in [false, true] {
-        for gate in [None, Some(Gate { left_from_right: map, radius_px: 80.0 })] {
+        for gate in [None, Some(Gate::circle(map, 80.0)), Some(Gate { weights: [0.0, 1.0], ..Gate::circle(map, 9.0) })]
+        {
             for mutual in [false, true] {
                 let params = MatchParams { ratio: 0.97, mutual, same_sign };
                 let run = |simd: Simd, pool: &dyn Parallel| {
@@ -287,7 +288,9 @@ fn plain_search(left: &Features, right: &Features) {
                     let [x, y] = left.keypoints.position(i);
                     let [u, v] = map.map(right.keypoints.position(j));
                     (!same_sign || left.keypoints.laplacian[i] == right.keypoints.laplacian[j])
-                        && (gate.is_none() || (x - u).hypot(y - v) < 80.0)
+                        && gate.is_none_or(|Gate { radius_px, weights: [wx, wy], .. }| {
+                            (wx * (x - u)).hypot(wy * (y - v)) < f64::from(radius_px)
+                        })
                 };
                 let distance = |i: usize, j: usize| {
                     let halves = [(&left.descriptors, &right.descriptors), (&left.extension, &right.extension)];
@@ -480,4 +483,66 @@ fn a_still_scene_keeps_its_homography() {
         assert_eq!(found.kept, frame > 0);
         assert_eq!(*first.get_or_insert(found.left_from_right), found.left_from_right);
     }
+}
+
+#[test]
+fn a_strip_of_a_tenth_is_registered_followed_and_found_again() {
+    let (width, height) = (640, 480);
+    let left = render(width, height, &Homography::identity());
+    let seen = |x: f64, y: f64| render(width, height, &Homography([1.0, 0.004, x, -0.003, 1.0, y, 0.0, 0.0, 1.0]));
+    let view = |data: &'_ [u8]| View::new(Vec::leak(data.to_vec()), width, height, 1);
+    let black = vec![0; width * height];
+    let (left, black) = (view(&left), view(&black));
+    for [x, y] in [[580.0, 6.0], [5.0, 430.0], [-570.0, -4.0], [380.0, 400.0]] {
+        let params = RegisterParams { hold_frames: 1, ..RegisterParams::default() };
+        let mut registration = RegisterSurf::new(RegisterParams { strips: true, ..params });
+        // One pair of sides is tried per frame.
+        let mut state = |right: View<'_, u8>| registration.register(left, right, &Threads(2));
+        let first = (0..SIDES_TRIED).find(|_| state(view(&seen(x, y))).state == RegistrationState::Fresh);
+        assert!(first.is_some(), "{x} {y} is not found in {SIDES_TRIED} frames");
+        for step in 1..4 {
+            let shift = f64::from(step) * 3.0;
+            let found = state(view(&seen(x - shift, y)));
+            assert!(found.state == RegistrationState::Fresh && found.is_narrow, "{x} {y} {step}: {found:?}");
+            let truth = Homography([1.0, 0.004, x - shift, -0.003, 1.0, y, 0.0, 0.0, 1.0]);
+            let error = corner_error(&found.left_from_right, &truth, width, height);
+            assert!(error < 8.0, "{x} {y} {step}: corners off by {error}");
+        }
+        let states = [(); 3].map(|()| state(black).state);
+        assert_eq!(states, [RegistrationState::Held, RegistrationState::Lost, RegistrationState::Lost]);
+        let again = [(); 2].map(|()| state(view(&seen(x - 9.0, y))).state);
+        assert!(
+            again.contains(&RegistrationState::Fresh),
+            "{x} {y}: the overlap seen last is searched first: {again:?}"
+        );
+    }
+}
+
+#[test]
+fn views_that_share_nothing_stay_lost() {
+    let (width, height) = (640, 480);
+    let left = render(width, height, &Homography::identity());
+    let mut registration =
+        RegisterSurf::new(RegisterParams { strips: true, min_inliers: 4, ..RegisterParams::default() });
+    for frame in 0..2 * SIDES_TRIED {
+        let right = render(width, height, &Homography::translation(5000.0 + 90.0 * frame as f64, 3000.0));
+        let found =
+            registration.register(View::new(&left, width, height, 1), View::new(&right, width, height, 1), &Threads(2));
+        assert_eq!(found.state, RegistrationState::Lost, "frame {frame}: {found:?}");
+    }
+}
+
+/// Frames after which each pair of sides has been searched.
+const SIDES_TRIED: usize = 12;
+
+#[test]
+fn wide_overlaps_are_registered_alike_with_strips_and_without() {
+    let map = Homography([1.0, 0.02, 180.0, -0.015, 1.01, 6.0, 2.0e-5, 0.0, 1.0]);
+    let (left, right) = (render(480, 360, &Homography::identity()), render(480, 360, &map));
+    let run = |strips: bool| {
+        let mut registration = RegisterSurf::new(RegisterParams { strips, ..RegisterParams::default() });
+        [(); 3].map(|()| registration.register(View::new(&left, 480, 360, 1), View::new(&right, 480, 360, 1), &Serial))
+    };
+    assert_eq!(run(true), run(false));
+    assert!(run(true).iter().all(|found| found.state == RegistrationState::Fresh && !found.is_narrow));
 }

@@ -2,6 +2,8 @@
 
 pub mod calm;
 pub mod homography;
+pub mod lost;
+pub mod narrow;
 pub mod plausible;
 pub mod ransac;
 pub mod rms;
@@ -13,6 +15,7 @@ mod tests;
 
 pub use calm::{Calm, shift_of};
 pub use homography::{Homography, Point};
+pub use lost::LostWatch;
 pub use plausible::Plausibility;
 pub use ransac::{Ransac, RansacError, RansacFit, RansacParams};
 pub use rms::{RmsWatch, rms_of};

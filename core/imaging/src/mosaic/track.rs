@@ -77,7 +77,7 @@ impl Tracker {
     ) -> Option<Link> {
         let gate = expected
             .filter(|_| params.gate_px > 0.0)
-            .map(|left_from_right| Gate { left_from_right, radius_px: params.gate_px });
+            .map(|left_from_right| Gate::circle(left_from_right, params.gate_px));
         self.matcher.match_features(keyframe, frame, &params.matching, gate.as_ref(), pool, &mut self.matches);
         self.from.clear();
         self.to.clear();
