@@ -1,5 +1,6 @@
 //! `panoscope eval stitch`: registration and panorama of a graph beside the truth and beside OpenCV's conventional pipeline.
 
+mod fov;
 mod incidents;
 mod sources;
 
@@ -50,6 +51,8 @@ pub struct Arguments {
     /// Leaves OpenCV's conventional pipeline out.
     #[arg(long)]
     no_peer: bool,
+    #[command(flatten)]
+    fov: fov::FovArguments,
 }
 
 /// Measures of one pair of views; NaN where there is no truth.
@@ -191,7 +194,8 @@ fn listed(m: &Marks) -> Vec<(String, &'static str, f64, bool)> {
         ("ssim_overlap", "1", m.ssim_overlap, true),
         ("seam_psnr", "dB", m.psnr_seam_db, true),
         ("seam_ssim", "1", m.ssim_seam, true),
-        ("fov_gain_pct", "%", m.fov_pct, true),
+        ("fov_total_pct", "%", m.fov_pct, true),
+        ("fov_gain_pct", "%", m.fov_pct - 100.0, true),
         ("cropped_pct", "%", m.cropped_pct, false),
         ("jitter_px", "px", m.jitter_px, false),
     ];
@@ -301,10 +305,9 @@ pub fn registration_of(text: &str, frames: u64) -> Result<Marks> {
     marks(run.tables.first().context("there is no judge")?)
 }
 
-fn wiring(arguments: &Arguments) -> Result<Option<Wiring>> {
-    let path = &arguments.graph;
+fn wiring(path: &Path, set: &[String]) -> Result<Option<Wiring>> {
     // All mistakes of the file as it stands, with their lines.
-    if let Err(diagnostics) = crate::graph_file::load(path, &arguments.set) {
+    if let Err(diagnostics) = crate::graph_file::load(path, set) {
         raw(&diagnostics.render(false));
         return Ok(None);
     }
@@ -317,7 +320,7 @@ fn wiring(arguments: &Arguments) -> Result<Option<Wiring>> {
             return Ok(None);
         }
     };
-    for setting in &arguments.set {
+    for setting in set {
         if let Some(((node, param), value)) = setting.split_once('=').and_then(|(k, v)| Some((k.split_once('.')?, v))) {
             let parsed = format!("v = {value}").parse::<toml::Table>().ok().and_then(|mut t| t.remove("v"));
             wiring.set(node.trim(), param.trim(), parsed.unwrap_or_else(|| value.trim().into()));
@@ -328,7 +331,10 @@ fn wiring(arguments: &Arguments) -> Result<Option<Wiring>> {
 
 /// Judges a graph; none when it cannot be judged.
 pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
-    let Some(graph) = wiring(arguments)? else { return Ok(None) };
+    if arguments.fov.fov {
+        return fov::judge(&arguments.graph, &arguments.set, arguments.frames, &arguments.fov);
+    }
+    let Some(graph) = wiring(&arguments.graph, &arguments.set)? else { return Ok(None) };
     let usual = ["../shared/data", "../shared/data/stereo", "/usr/share/doc/opencv-doc/examples/data"];
     let folders: Vec<PathBuf> = arguments.data.iter().cloned().chain(usual.map(PathBuf::from)).collect();
     let work = Work::new()?;
