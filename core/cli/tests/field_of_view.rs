@@ -76,7 +76,8 @@ fn a_graph_without_the_phantom_is_refused_with_the_reason() {
     let output = Command::new(env!("CARGO_BIN_EXE_panoscope"))
         .current_dir(root)
         .env("PANOSCOPE_PLUGIN_PATH", plugins)
-        .args(["eval", "stitch", "graphs/panorama_files.toml", "--fov", "--set", "scope.left=x.png"])
+        .args(["eval", "stitch", "graphs/panorama_files.toml", "--fov"])
+        .args(["--set", "scope.left=0", "--set", "scope.right=1"])
         .output()
         .expect("the program starts");
     let said = String::from_utf8_lossy(&output.stderr).into_owned() + &String::from_utf8_lossy(&output.stdout);
