@@ -360,7 +360,7 @@ impl Phantom {
         let seconds = frame as f64 / self.params.fps;
         equip(&self.tools, seconds, &pose, eye.model.offset_mm, self.rig.light_mm, &eye.lens, coarse);
         self.coarse(&eye.lens, station, coarse, pool);
-        let gain = eye.model.white_balance.map(|w| w * eye.model.exposure);
+        let gain = eye.model.white_balance.map(|w| w * eye.model.exposure * self.params.light);
         let sensor = Sensor { gain, noise: 0.0, key: 0, smoke: &[], drops: &[] };
         self.draw(&eye.lens, &eye.stations[..1], sensor, pool, view);
         self.truth.wide = Some((canvas, eye));
