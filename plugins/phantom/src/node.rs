@@ -93,6 +93,8 @@ pub enum PathChoice {
     Sway,
     /// Along a circle parallel to the tissue, lap after lap, back where it began after each.
     Ring,
+    /// On along the tissue, and nearer and away in turn, at `speed_mm_s` all the time.
+    Glide,
 }
 
 /// How the leading instrument moves.
@@ -156,7 +158,7 @@ pub struct PhantomParams {
     #[param(default = 40.0, range = 1.0..=100.0, step = 1.0, unit = "mm", reopen)]
     path_mm: f64,
     /// Top speed of the scripted camera; 0 stands still.
-    #[param(default = 10.0, range = 0.0..=25.0, step = 0.5, unit = "mm/s", reopen)]
+    #[param(default = 10.0, range = 0.0..=200.0, step = 0.5, unit = "mm/s", reopen)]
     speed_mm_s: f64,
     /// Amplitude of breathing.
     #[param(default = 1.0, range = 0.0..=5.0, step = 0.1, unit = "mm", reopen)]
@@ -164,6 +166,12 @@ pub struct PhantomParams {
     /// Strength of highlights.
     #[param(default = 1.0, range = 0.0..=4.0, step = 0.1, unit = "ratio", reopen)]
     specular: f32,
+    /// Strength of vessels, mottling, flecks and grain; 0 leaves smooth tissue of one colour.
+    #[param(default = 1.0, range = 0.0..=1.0, step = 0.05, unit = "ratio", reopen)]
+    texture: f32,
+    /// Light that reaches the sensors; less is darker and, with the same noise, noisier.
+    #[param(default = 1.0, range = 0.01..=4.0, step = 0.01, unit = "ratio", reopen)]
+    light: f32,
     /// Sensor noise; 1 is a good small sensor.
     #[param(default = 1.0, range = 0.0..=8.0, step = 0.1, unit = "ratio", reopen)]
     noise: f32,
@@ -176,6 +184,9 @@ pub struct PhantomParams {
     /// Sub-frames of motion blur; 1 is none.
     #[param(default = 1, range = 1..=16, unit = "frames", reopen)]
     motion_blur: u32,
+    /// Share of the frame time that the shutter is open; for `motion_blur` above 1.
+    #[param(default = 0.5, range = 0.0..=1.0, step = 0.05, unit = "ratio", reopen)]
+    shutter: f64,
     /// Exposure of the right camera relative to the left one.
     #[param(default = 0.93, range = 0.25..=4.0, step = 0.01, unit = "ratio", reopen)]
     right_exposure: f32,
@@ -443,15 +454,19 @@ impl Node for PhantomNode {
             camera_path: match params.camera_path {
                 PathChoice::Sway => CameraPath::Sway,
                 PathChoice::Ring => CameraPath::Ring,
+                PathChoice::Glide => CameraPath::Glide,
             },
             path_mm: params.path_mm,
             camera_speed_mm_s: params.speed_mm_s,
             breathing_mm: params.breathing_mm,
             specular: params.specular,
+            texture: params.texture,
+            light: params.light,
             noise: params.noise,
             smoke: params.smoke,
             blood_drops: params.blood_drops,
             motion_blur: params.motion_blur,
+            shutter: params.shutter,
             tools: params.tools,
             tool_kinds: tool_kinds(&params.tool_kinds)?,
             tool_motion: match params.tool_motion {

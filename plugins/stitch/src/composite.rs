@@ -66,8 +66,8 @@ pub struct CompositeNodeParams {
     /// How the line between two views is found.
     #[param(default = "graph_cut")]
     seam: Seam,
-    /// Shrink factor of the overlap in which the seam is found.
-    #[param(default = 10, range = 2..=64)]
+    /// Shrink factor of the overlap in which the seam is found; 1 finds it at full size.
+    #[param(default = 10, range = 1..=64)]
     seam_scale: u32,
     /// Frames after which the seam is found anew at the latest.
     #[param(default = 15, range = 1..=10000, unit = "frames")]
@@ -306,6 +306,7 @@ impl Node for Composite {
         let mut mask = if mask_is_read { Some(out.mask.alloc(canvas.width, canvas.height)?) } else { None };
         let report = self.kernel.compose(views, maps, scene.state, cx.pool(), &mut panorama, mask.as_mut())?;
         cx.metric("seam_cost_levels", f64::from(report.seam_cost));
+        cx.metric("seam_ms", report.seam_time.as_secs_f64() * 1e3);
         self.seams += u64::from(report.seam_found);
         cx.metric("seams_found", self.seams as f64);
         if out.shown.is_read() {

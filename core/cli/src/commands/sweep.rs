@@ -203,6 +203,7 @@ fn chart(arguments: &Arguments, sweep: &Sweep, points: &[Point]) -> Chart {
             series("mean", if has_words { Style::Dots } else { Style::Line }, 0, means),
         ],
         from_zero: false,
+        log: false,
         words: if has_words { points.iter().map(|p| (p.at, p.value.clone())).collect() } else { Vec::new() },
     }
 }

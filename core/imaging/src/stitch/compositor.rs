@@ -264,7 +264,9 @@ impl Compositor {
         }
         let views = &views[..p.active];
         let may_learn = p.state != GeometryState::Lost;
+        let begun = std::time::Instant::now();
         let (seam_found, seam_cost) = self.plan(views, may_learn, moved, p.canvas, pool, avx2);
+        let seam_time = begun.elapsed();
         self.paint(views, p.canvas, pool, out, avx2);
         if let Some(mask) = mask_out {
             self.paint_mask(mask, pool);
@@ -272,7 +274,15 @@ impl Compositor {
         mark::draw_marks(out, p.canvas, p.state, &self.params);
         let mut gains = [[1.0; 3]; MAX_VIEWS];
         gains[..p.active].copy_from_slice(&self.gains[..p.active]);
-        Ok(CompositeReport { state: p.state, fault: p.fault, canvas: p.canvas, seam_found, seam_cost, gains })
+        Ok(CompositeReport {
+            state: p.state,
+            fault: p.fault,
+            canvas: p.canvas,
+            seam_found,
+            seam_cost,
+            seam_time,
+            gains,
+        })
     }
 
     /// Writes which view each pixel of the picture drawn last shows: 0 none, 1 the first, 2 the second and so on.
@@ -354,6 +364,6 @@ impl Compositor {
     }
 
     pub(super) fn scale(&self) -> usize {
-        self.params.seam_scale.clamp(2, 64)
+        self.params.seam_scale.clamp(1, 64)
     }
 }

@@ -71,7 +71,7 @@ pub struct CompositeParams {
     pub seam: SeamMethod,
     /// What the seam pays.
     pub seam_cost: SeamCost,
-    /// Canvas pixels per seam cell, each way (thesis: 10 at 640x480). 2..=64.
+    /// Canvas pixels per seam cell, each way (thesis: 10 at 640x480, 1 in its conventional pipeline). 1..=64.
     pub seam_scale: usize,
     /// Frames after which the seam is found anew at the latest; 1 = every frame.
     pub seam_interval_frames: u32,
@@ -253,6 +253,8 @@ pub struct CompositeReport {
     pub seam_found: bool,
     /// Mean colour difference along the seam, levels.
     pub seam_cost: f32,
+    /// Time for the seam: sampling the overlap at its scale, comparing the views there and, when it is due, finding the seam anew.
+    pub seam_time: std::time::Duration,
     /// Gains applied per view, B, G, R.
     pub gains: [[f32; 3]; MAX_VIEWS],
 }

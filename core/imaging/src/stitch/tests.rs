@@ -171,8 +171,8 @@ fn all_methods() -> impl Iterator<Item = CompositeParams> {
 #[test]
 fn two_views_of_one_world_give_back_the_world() {
     let (left, right, h) = pair(1.0);
-    for params in all_methods() {
-        let name = format!("{:?} {:?}", params.seam, params.blend);
+    for params in all_methods().chain([CompositeParams { seam_scale: 1, ..CompositeParams::default() }]) {
+        let name = format!("{:?} {:?} {}", params.seam, params.blend, params.seam_scale);
         let mut c = Compositor::new(params);
         let p = compose(&mut c, &[&left, &right], &h, GeometryState::Fresh, &Serial);
         let psnr = p.psnr(|_, _| true);
@@ -375,7 +375,7 @@ fn odd_sizes_do_not_fault() {
         let a = shoot(&IDENTITY, w, h, 1.0);
         let shift = shifted(&IDENTITY, w as f64 * 0.4 + 0.3, 0.2);
         let b = shoot(&shift, w, h, 0.9);
-        for params in all_methods() {
+        for params in all_methods().flat_map(|p| [p.clone(), CompositeParams { seam_scale: 1, ..p }]) {
             let mut c = Compositor::new(params);
             let views = [View::new(&a, w, h, 3), View::new(&b, w, h, 3)];
             for _ in 0..2 {
@@ -391,7 +391,8 @@ fn odd_sizes_do_not_fault() {
 #[test]
 fn any_number_of_threads_gives_the_same_bytes() {
     let (left, right, h) = pair(0.8);
-    for params in all_methods() {
+    let at_full_size = CompositeParams { seam_scale: 1, ..CompositeParams::default() };
+    for params in all_methods().chain([at_full_size]) {
         let run = |pool: &dyn Parallel| {
             let mut c = Compositor::new(params.clone());
             let moved = [IDENTITY, shifted(&h[1], 0.7, -0.4)];
@@ -453,6 +454,32 @@ fn the_seam_avoids_what_differs_and_holds_still() {
         let changed = labels.iter().zip(&c.steps[1].labels).filter(|(a, b)| a != b).count();
         assert!(changed * 50 < labels.len(), "{seam:?}: {changed} of {} cells changed", labels.len());
     }
+}
+
+#[test]
+fn a_seam_at_full_size_finds_a_gap_that_a_shrunken_one_does_not() {
+    let left = shoot(&IDENTITY, SIZE.0, SIZE.1, 1.0);
+    let shift = shifted(&IDENTITY, 150.0, 0.0);
+    let clean = shoot(&shift, SIZE.0, SIZE.1, 1.0);
+    let at = |seam_scale| {
+        let params = CompositeParams { seam_scale, exposure: ExposureMethod::None, ..Default::default() };
+        let mut c = Compositor::new(params);
+        let views = [&left, &clean].map(|v| View::new(v, SIZE.0, SIZE.1, 3));
+        let canvas = c.canvas(&views, &[IDENTITY, shift], GeometryState::Fresh).unwrap();
+        // The views agree in four columns alone, which no pair of cells of 2 px has for itself.
+        let first = 80 + (canvas.left as usize + 150 + 80 + 1) % 2;
+        let mut right = clean.clone();
+        for (index, pixel) in right.chunks_exact_mut(3).enumerate() {
+            let x = index % SIZE.0;
+            if x < SIZE.0 - 150 && !(first..first + 4).contains(&x) {
+                pixel.copy_from_slice(&[250, 10, 10]);
+            }
+        }
+        compose(&mut c, &[&left, &right], &[IDENTITY, shift], GeometryState::Fresh, &Serial).report
+    };
+    let [full, half, tenth] = [1, 2, 10].map(|scale| at(scale).seam_cost);
+    assert!(full < 2.0, "{full} levels at full size");
+    assert!(half > 20.0 && tenth > 20.0, "{half} and {tenth} levels on shrunken overlaps");
 }
 
 #[test]

@@ -20,7 +20,7 @@ pub const SLOPE_LIMIT: f32 = 6.0;
 /// linear functions is linear, so that high and low bytes may be put together after interpolation.
 pub fn bake(params: &SceneParams, relief: &Relief, pool: &dyn Parallel) -> Vec<u64> {
     let texel_mm = relief.period_mm / TEXELS as f32;
-    let palette = Palette::of(params.scene);
+    let palette = Palette::of(params.scene).drawn(params.texture);
     let mut vessels = vec![0u8; TEXELS * TEXELS];
     let area = relief.period_mm * relief.period_mm / (128.0 * 128.0);
     for (i, growth) in palette.vessels.iter().enumerate() {
@@ -151,6 +151,27 @@ impl Palette {
                     membrane_share: 0.0,
                 }
             }
+        }
+    }
+}
+
+impl Palette {
+    /// The same with all that is drawn on the tissue made weaker by a share of 0 to 1.
+    fn drawn(self, share: f32) -> Self {
+        let tissue = |tissue: Tissue| Tissue {
+            grain_mm: tissue.grain_mm * share,
+            lobules_mm: tissue.lobules_mm * share,
+            mottle: tissue.mottle * share,
+            flecks: tissue.flecks * share,
+            ..tissue
+        };
+        Self {
+            first: tissue(self.first),
+            second: tissue(self.second),
+            vessel_share: self.vessel_share * share,
+            capillary_share: self.capillary_share * share,
+            membrane_share: self.membrane_share * share,
+            ..self
         }
     }
 }

@@ -12,6 +12,11 @@ const RING_RISE_MM: f64 = 1.5;
 /// Turns along a ring about x, y and z: degrees, and times per lap.
 const RING_TURN: [(f64, f64); 3] = [(2.0, 1.0), (2.0, 2.0), (8.0, 1.0)];
 
+/// Direction of a glide along the tissue, and how much of its speed leads nearer or away; the squares add up to 1.
+const GLIDE: [f64; 3] = [0.8, 0.48, 0.36];
+/// Way of a glide to either side of the first distance, mm at 50 mm.
+const GLIDE_DEPTH_MM: f64 = 4.0;
+
 /// Sines of one axis: amplitude, frequency in Hz, phase in turns.
 #[derive(Clone, Copy, Debug)]
 struct Sway([[f64; 3]; 2]);
@@ -39,11 +44,33 @@ impl Sway {
     }
 }
 
+/// A way at a steady speed. The scene repeats itself, so it has no end.
+#[derive(Clone, Copy, Debug)]
+struct Glide {
+    /// mm/s.
+    speed: f64,
+    /// To either side.
+    depth_mm: f64,
+}
+
+impl Glide {
+    /// Offset from the place at time 0.
+    fn at(&self, seconds: f64) -> [f64; 3] {
+        let way = self.speed * seconds;
+        // A triangle wave: nearer and away at one speed.
+        let turns = GLIDE[2] * way / (4.0 * self.depth_mm) + 0.25;
+        let saw = turns - turns.floor();
+        let triangle = if saw < 0.5 { 4.0 * saw - 1.0 } else { 3.0 - 4.0 * saw };
+        [GLIDE[0] * way, GLIDE[1] * way, self.depth_mm * triangle]
+    }
+}
+
 /// Smooth seeded motion of the first camera.
 #[derive(Clone, Debug)]
 pub struct Script {
     place: [Sway; 3],
     turn: [Sway; 3],
+    glide: Option<Glide>,
     breath_hz: f64,
     breath_mm: f64,
     fps: f64,
@@ -75,6 +102,8 @@ impl Script {
             place,
             turn,
             ring,
+            glide: (params.camera_path == CameraPath::Glide)
+                .then_some(Glide { speed, depth_mm: GLIDE_DEPTH_MM * near }),
             breath_hz: 1.0 / params.breathing_period_s,
             breath_mm: params.breathing_mm,
             fps: params.fps,
@@ -90,13 +119,14 @@ impl Script {
             return boards::shown_pose(params, (frames + 0.5).max(0.0) as u64);
         }
         let seconds = frames / self.fps;
-        let (mut translation_mm, turn_deg) = match self.ring {
-            Some([radius, rise, hz]) => {
+        let (mut translation_mm, turn_deg) = match (self.ring, self.glide) {
+            (Some([radius, rise, hz]), _) => {
                 let laps = hz * seconds;
                 let place = [radius * (1.0 - cos_turns(laps)), radius * sin_turns(laps), rise * sin_turns(2.0 * laps)];
                 (place, RING_TURN.map(|(degrees, times)| degrees * sin_turns(times * laps)))
             }
-            None => ([0, 1, 2].map(|i| self.place[i].at(seconds)), [0, 1, 2].map(|i| self.turn[i].at(seconds))),
+            (None, Some(glide)) => (glide.at(seconds), [0, 1, 2].map(|i| self.turn[i].at(seconds))),
+            (None, None) => ([0, 1, 2].map(|i| self.place[i].at(seconds)), [0, 1, 2].map(|i| self.turn[i].at(seconds))),
         };
         if self.jump.is_some_and(|first| frames + 0.5 >= first as f64) {
             translation_mm.iter_mut().zip(JUMP_MM).for_each(|(place, jump)| *place += jump);

@@ -127,7 +127,7 @@ pub struct SceneParams {
     pub camera_path: CameraPath,
     /// Diameter of [`CameraPath::Ring`], 1 to 100 mm.
     pub path_mm: f64,
-    /// Top speed of the scripted camera, 0 (still) to 25 mm/s.
+    /// Top speed of the scripted camera, 0 (still) to 200 mm/s.
     pub camera_speed_mm_s: f64,
     /// Amplitude of breathing, 0 to 5 mm.
     pub breathing_mm: f64,
@@ -135,6 +135,10 @@ pub struct SceneParams {
     pub breathing_period_s: f64,
     /// Strength of the highlights; 0 leaves a surface whose colour does not depend on the view.
     pub specular: f32,
+    /// Strength of the tissue's drawing: vessels, mottling, flecks and grain; 1 as it is, 0 a smooth surface of one colour per tissue.
+    pub texture: f32,
+    /// Light that reaches the sensors; 1 is a well-lit scene. Noise stays what it is, so a darker picture is a noisier one.
+    pub light: f32,
     /// Strength of shot and read noise; 1 is a good small sensor, 0 none.
     pub noise: f32,
     /// Density of smoke, 0 to 1.
@@ -166,6 +170,8 @@ pub enum CameraPath {
     Sway,
     /// Along a circle parallel to the tissue, again and again, with turns and changes of height that close with each lap.
     Ring,
+    /// On along the tissue, and nearer and away in turn, at the top speed all the time.
+    Glide,
 }
 
 /// What can go wrong for a while.
@@ -224,6 +230,8 @@ impl Default for SceneParams {
             breathing_mm: 1.0,
             breathing_period_s: 4.0,
             specular: 1.0,
+            texture: 1.0,
+            light: 1.0,
             noise: 1.0,
             smoke: 0.0,
             blood_drops: 0,
@@ -250,10 +258,12 @@ impl SceneParams {
             ("fps", self.fps, 1.0, 1000.0),
             ("relief", self.relief, 0.0, 1.0),
             ("path_mm", self.path_mm, 1.0, 100.0),
-            ("camera_speed_mm_s", self.camera_speed_mm_s, 0.0, 25.0),
+            ("camera_speed_mm_s", self.camera_speed_mm_s, 0.0, 200.0),
             ("breathing_mm", self.breathing_mm, 0.0, 5.0),
             ("breathing_period_s", self.breathing_period_s, 0.5, 20.0),
             ("specular", f64::from(self.specular), 0.0, 4.0),
+            ("texture", f64::from(self.texture), 0.0, 1.0),
+            ("light", f64::from(self.light), 0.01, 4.0),
             ("noise", f64::from(self.noise), 0.0, 8.0),
             ("smoke", f64::from(self.smoke), 0.0, 1.0),
             ("blood_drops", f64::from(self.blood_drops), 0.0, 32.0),

@@ -179,7 +179,7 @@ impl Phantom {
             }
             let words = [self.params.seed as u32, (self.params.seed >> 32) as u32, frame as u32, (frame >> 32) as u32];
             let sensor = Sensor {
-                gain: eye.model.white_balance.map(|w| w * eye.model.exposure),
+                gain: eye.model.white_balance.map(|w| w * eye.model.exposure * self.params.light),
                 noise: self.params.noise,
                 key: hash(&[words[0], words[1], words[2], words[3], camera as u32]),
                 smoke: if clear { &[] } else { &eye.smoke },

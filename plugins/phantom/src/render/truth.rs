@@ -349,7 +349,7 @@ impl Phantom {
         canvas.check()?;
         check_size(0, view, canvas.width, canvas.height, 3)?;
         let eye = self.wide_eye(frame, pose, canvas, pool)?;
-        let gain = eye.model.white_balance.map(|w| w * eye.model.exposure);
+        let gain = eye.model.white_balance.map(|w| w * eye.model.exposure * self.params.light);
         let sensor = Sensor { gain, noise: 0.0, key: 0, smoke: &[], drops: &[] };
         self.draw(&eye.lens, &eye.stations[..1], sensor, pool, view);
         self.truth.wide = Some((canvas, eye));

@@ -17,8 +17,10 @@
 //! - Features at 0.6 megapixel, gains and seam at 0.1, as OpenCV's own stitcher has it; and, as the thesis has it, all at full size.
 //! - Its fastest seam that looks at the picture is the shortest path (`DpSeamFinder`): measured as a third peer.
 
+mod curves;
+
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use panoscope_runtime::Report;
@@ -39,6 +41,9 @@ pub struct Arguments {
     /// Only pictures of this size; may be given again.
     #[arg(long, value_parser = ["640x480", "1280x720", "1920x1080"])]
     size: Vec<String>,
+    /// Draws the time of each frame at 640x480: registration, seam and the whole.
+    #[arg(long, value_name = "FILE.png")]
+    plot: Option<PathBuf>,
 }
 
 const SIZES: [(u32, u32); 3] = [(640, 480), (1280, 720), (1920, 1080)];
@@ -99,7 +104,7 @@ impl Way {
             Self::Conventional => format!(
                 "type = \"register_surf\"\ninputs = {{ {views} }}\nparams = {{ roi = false, spread = false, second_look = true, max_points = 2000, upright = false, stability_px = 0.0 }}"
             ),
-            Self::Grid => "type = \"register_grid\"\ninputs = { disparity = \"match.disparity\", calibration = \"files.calibration\" }".to_owned(),
+            Self::Grid => "type = \"register_grid\"\ninputs = { disparity = \"match.disparity\", calibration = \"files.calibration\" }\nparams = { ransac_px = 12.0 }".to_owned(),
             Self::OpencvFull | Self::OpencvFair | Self::OpencvPath => {
                 let work = if self == Self::OpencvFull { 0.0 } else { 0.6 };
                 format!(
@@ -109,7 +114,9 @@ impl Way {
         };
         let (kind, mut params) = match self {
             Self::Roi | Self::Grid => ("composite", format!("seam_scale = {scale_of_seam}")),
-            Self::Conventional => ("composite", "seam_scale = 2".to_owned()),
+            // What is left without the seam does not sample the overlap at full size either.
+            Self::Conventional if seam == Seam::Once => ("composite", "seam_scale = 10".to_owned()),
+            Self::Conventional => ("composite", "seam_scale = 1".to_owned()),
             Self::OpencvFull => ("composite_opencv", format!("threads = {threads}")),
             Self::OpencvFair | Self::OpencvPath => {
                 ("composite_opencv", format!("threads = {threads}, seam_megapixels = 0.1"))
@@ -236,15 +243,20 @@ fn run(text: &str, frames: u64, threads: usize, pace: Pace) -> Result<Report> {
     Ok(look::run(&plan)?.report)
 }
 
-/// Runs one way once. OpenCV brings its own threads: its nodes run on a pool of one.
-fn once(pairs: &Pairs, width: u32, way: Way, seam: Seam, threads: usize, quick: bool) -> Result<Stages> {
-    let pool = if way.is_opencv() { 1 } else { threads };
-    let text = format!(
+/// Graph of one way on rendered pairs.
+fn text_of(pairs: &Pairs, width: u32, way: Way, seam: Seam, threads: usize) -> String {
+    format!(
         "mode = \"batch\"\nplugins = [\"capture\", \"stereo\", \"stitch\", \"opencv\", \"flow\"]\n[nodes.files]\n{}{}\
          [nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"wide.panorama\" }}\n",
         pairs.node("off"),
         way.nodes(width, threads, seam)
-    );
+    )
+}
+
+/// Runs one way once. OpenCV brings its own threads: its nodes run on a pool of one.
+fn once(pairs: &Pairs, width: u32, way: Way, seam: Seam, threads: usize, quick: bool) -> Result<Stages> {
+    let pool = if way.is_opencv() { 1 } else { threads };
+    let text = text_of(pairs, width, way, seam, threads);
     Ok(Stages::of(&run(&text, way.frames(width, quick), pool, Pace::Alone)?))
 }
 
@@ -395,6 +407,9 @@ pub fn measure(arguments: &Arguments) -> Result<Vec<Figure>> {
                 "640x480 phantom, 2 threads",
             ));
         }
+    }
+    if let Some(path) = &arguments.plot {
+        curves::plot(&folder, quick, path)?;
     }
     let pairs = Pairs::of(&folder, "features", "", 1)?;
     for points in [500, 1000, 2000] {

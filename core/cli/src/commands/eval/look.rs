@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use panoscope_graph::GraphText;
 use panoscope_runtime::memory::FrameRef;
-use panoscope_runtime::{Engine, Options, Outcome, Preview, Report};
+use panoscope_runtime::{Engine, Listener, NumberListener, Options, Outcome, Preview, Report};
 
 use crate::{allocations, graph_file};
 
@@ -80,6 +80,11 @@ pub struct Seen {
 
 /// Runs the graph to its end; without a number of frames until each port has shown a packet.
 pub fn run(plan: &Plan<'_>) -> Result<Seen> {
+    run_and_listen(plan, Vec::new(), None)
+}
+
+/// As [`run`], with ports whose every packet is heard, and a node whose told numbers are.
+pub fn run_and_listen(plan: &Plan<'_>, listen: Vec<Listener>, numbers: Option<NumberListener>) -> Result<Seen> {
     let text = GraphText::parse(plan.path, plan.text);
     let ready = match graph_file::ready(&text) {
         Ok(ready) => ready,
@@ -90,6 +95,8 @@ pub fn run(plan: &Plan<'_>) -> Result<Seen> {
         frames: plan.frames,
         paced: plan.pace == Pace::Camera,
         ticks_at_once: (plan.pace == Pace::Alone).then_some(1),
+        listen,
+        numbers,
         graph_dir: plan.path.parent().unwrap_or(Path::new("")).to_owned(),
         process_allocations: allocations::process(),
         thread_allocations: allocations::thread(),

@@ -55,6 +55,8 @@ pub struct Chart {
     pub series: Vec<Series>,
     /// Zero belongs to the vertical axis.
     pub from_zero: bool,
+    /// The vertical axis is logarithmic; values of 0 and less are missing.
+    pub log: bool,
     /// Places along that have a word instead of a number; where there are any, the axis has no numbers.
     pub words: Vec<(f64, String)>,
 }
@@ -86,31 +88,53 @@ fn parts(low: f64, high: f64, step: f64) -> impl Iterator<Item = f64> {
     (0..=((high - low) / step).round() as usize).map(move |i| low + i as f64 * step)
 }
 
-/// The horizontal axis: its ends, and places with what stands there.
-struct Along {
+/// An axis: its ends, and places with what stands there.
+#[derive(Debug, PartialEq)]
+struct Axis {
     ends: (f64, f64),
     marks: Vec<(f64, String)>,
 }
 
-fn along(chart: &Chart) -> Along {
+/// The vertical axis; of a logarithmic one, places are powers of ten.
+fn upward(chart: &Chart) -> Axis {
+    let values = chart.series.iter().flat_map(|s| s.points.iter().map(|p| p.1));
+    if !chart.log {
+        let (low, high) = range(values);
+        let (low, high, step) = steps(if chart.from_zero { low.min(0.0) } else { low }, high);
+        return Axis { ends: (low, high), marks: parts(low, high, step).map(|y| (y, number(y, step))).collect() };
+    }
+    let (low, high) = range(values.filter(|v| *v > 0.0).map(f64::log10));
+    // 1, 2, 5 and so on, from the last one below all values to the first one above them.
+    let ladder =
+        |index: i32| f64::from(index.div_euclid(3)) + [0.0, 2f64.log10(), 5f64.log10()][index.rem_euclid(3) as usize];
+    let mut first = (3.0 * low).floor() as i32 - 3;
+    while ladder(first + 1) <= low + 1e-9 {
+        first += 1;
+    }
+    let mut last = first + 1;
+    while ladder(last) < high - 1e-9 {
+        last += 1;
+    }
+    let wanted = |index: &i32| last - first <= 8 || index.rem_euclid(3) == 0;
+    let words = |index: i32| number(10f64.powf(ladder(index)), 10f64.powi(index.div_euclid(3)));
+    let marks = (first..=last).filter(wanted).map(|index| (ladder(index), words(index))).collect();
+    Axis { ends: (ladder(first), ladder(last)), marks }
+}
+
+fn along(chart: &Chart) -> Axis {
     if !chart.words.is_empty() {
         let (low, high) = range(chart.words.iter().map(|(at, _)| *at));
         // Half a place on both sides, so that the first and last word have room.
-        return Along { ends: (low - 0.5, high + 0.5), marks: chart.words.clone() };
+        return Axis { ends: (low - 0.5, high + 0.5), marks: chart.words.clone() };
     }
     let (low, high) = range(chart.series.iter().flat_map(|s| s.points.iter().map(|p| p.0)));
     let (low, high, step) = steps(low, high);
-    Along { ends: (low, high), marks: parts(low, high, step).map(|x| (x, number(x, step))).collect() }
+    Axis { ends: (low, high), marks: parts(low, high, step).map(|x| (x, number(x, step))).collect() }
 }
 
 fn chart(out: &mut ViewMut<'_, u8>, origin: (f32, f32), chart: &Chart) {
-    let points = || chart.series.iter().flat_map(|s| s.points.iter().copied());
-    let along = along(chart);
-    let (x0, x1) = along.ends;
-    let (y0, y1, y_step) = {
-        let (low, high) = range(points().map(|p| p.1));
-        steps(if chart.from_zero { low.min(0.0) } else { low }, high)
-    };
+    let (along, upward) = (along(chart), upward(chart));
+    let ((x0, x1), (y0, y1)) = (along.ends, upward.ends);
     let (left, top) = (origin.0 + MARGIN[0], origin.1 + MARGIN[1]);
     let (right, bottom) = (origin.0 + SIZE.0 as f32 - MARGIN[2], origin.1 + SIZE.1 as f32 - MARGIN[3]);
     let across = |x: f64| left + ((x - x0) / (x1 - x0)) as f32 * (right - left);
@@ -122,11 +146,10 @@ fn chart(out: &mut ViewMut<'_, u8>, origin: (f32, f32), chart: &Chart) {
         draw::line(out, (across(*x), top), (across(*x), bottom), 1.0, GRID);
         centred(out, across(*x), bottom + 7.0, words);
     }
-    for y in parts(y0, y1, y_step) {
-        draw::line(out, (left, up(y)), (right, up(y)), 1.0, GRID);
-        let words = number(y, y_step);
-        let (width, height) = draw::text_size(&words, 1.2);
-        draw::text(out, left - 7.0 - width, up(y) - height / 2.0, &words, 1.2, INK);
+    for (y, words) in &upward.marks {
+        draw::line(out, (left, up(*y)), (right, up(*y)), 1.0, GRID);
+        let (width, height) = draw::text_size(words, 1.2);
+        draw::text(out, left - 7.0 - width, up(*y) - height / 2.0, words, 1.2, INK);
     }
     draw::rectangle(out, left, top, right - left, bottom - top, 1.0, INK);
     draw::text(out, origin.0 + 8.0, origin.1 + 7.0, &chart.title, 1.5, INK);
@@ -135,7 +158,10 @@ fn chart(out: &mut ViewMut<'_, u8>, origin: (f32, f32), chart: &Chart) {
     let mut legend = right - 6.0;
     for series in &chart.series {
         let color = COLORS[series.color % COLORS.len()];
-        let place = |p: &(f64, f64)| (p.0.is_finite() && p.1.is_finite()).then(|| (across(p.0), up(p.1)));
+        let place = |p: &(f64, f64)| {
+            let y = if chart.log { p.1.log10() } else { p.1 };
+            (p.0.is_finite() && y.is_finite()).then(|| (across(p.0), up(y)))
+        };
         match series.style {
             Style::Line => {
                 for pair in series.points.windows(2) {
@@ -184,7 +210,7 @@ pub fn save(path: &Path, charts: &[Chart]) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Chart, Series, Style, along, number, steps};
+    use super::{Chart, Series, Style, along, number, steps, upward};
 
     #[test]
     fn words_stand_where_numbers_would_and_no_number_between_them() {
@@ -194,6 +220,21 @@ mod tests {
         assert_eq!((of_words.ends, of_words.marks), ((-0.5, 1.5), words));
         let of_numbers = along(&Chart { series: vec![series], ..Chart::default() });
         assert!(of_numbers.marks.iter().any(|(_, words)| words == "0.4"), "{:?}", of_numbers.marks);
+    }
+
+    #[test]
+    fn a_logarithmic_axis_has_its_marks_at_ones_twos_and_fives_or_at_powers_of_ten() {
+        let chart = |values: &[f64]| {
+            let points = values.iter().map(|v| (0.0, *v)).collect();
+            let series = vec![Series { name: String::new(), style: Style::Line, color: 0, points }];
+            upward(&Chart { series, log: true, ..Chart::default() })
+        };
+        let words = |values: &[f64]| chart(values).marks.into_iter().map(|(_, words)| words).collect::<Vec<_>>();
+        assert_eq!(words(&[3.0, 70.0, f64::NAN, 0.0]), ["2", "5", "10", "20", "50", "100"]);
+        assert_eq!(words(&[0.3, 0.9]), ["0.2", "0.5", "1"]);
+        assert_eq!(words(&[0.9, 0.5, 900.0]), ["1", "10", "100", "1000"]);
+        let (low, high) = chart(&[0.9, 0.5, 900.0]).ends;
+        assert!((low - 0.5f64.log10()).abs() < 1e-9 && (high - 3.0).abs() < 1e-9);
     }
 
     #[test]

@@ -204,18 +204,43 @@ impl Wiring {
         }
     }
 
+    /// Names of the nodes that these outputs come from, up to the node `stop`, which is left out.
+    fn upstream(&self, outputs: &[&str], stop: Option<&str>) -> BTreeSet<String> {
+        let mut all = BTreeSet::new();
+        let mut next: Vec<String> = outputs.iter().map(|output| node_of(output).to_owned()).collect();
+        while let Some(id) = next.pop() {
+            if stop == Some(id.as_str()) {
+                continue;
+            }
+            let inputs = self.node(&id).map(references).unwrap_or_default();
+            next.extend(inputs.iter().map(|r| node_of(r).to_owned()).filter(|n| !all.contains(n)));
+            all.insert(id);
+        }
+        all
+    }
+
+    /// Name of the node that gives the first composite its first view.
+    pub fn source(&self) -> &str {
+        node_of(&self.composites[0].views[0])
+    }
+
+    /// The nodes that find the first composite's first homography from what its source gives, by name.
+    pub fn registration(&self) -> Vec<(String, Table)> {
+        let ids = self.upstream(&[&self.composites[0].homographies[0]], Some(self.source()));
+        ids.into_iter().filter_map(|id| Some((id.clone(), self.node(&id)?.as_table()?.clone()))).collect()
+    }
+
+    /// Whether the graph has a node of this name.
+    pub fn has(&self, node: &str) -> bool {
+        self.node(node).is_some()
+    }
+
     /// The same source with OpenCV's registration and composite in place of all that stitches; without a composite for
     /// [`Judged::Registration`]. None where there are more than two views, which OpenCV's node does not take.
     pub fn peer(&self, judged: Judged, seam_megapixels: f64, threads: i64) -> Option<Self> {
         let mut out = self.clone();
         let [left, right] = &self.composites[0].views[..] else { return None };
-        let mut keep = BTreeSet::new();
-        let mut next = vec![node_of(left).to_owned(), node_of(right).to_owned()];
-        while let Some(id) = next.pop() {
-            let inputs = self.node(&id).map(references).unwrap_or_default();
-            next.extend(inputs.iter().map(|r| node_of(r).to_owned()).filter(|n| !keep.contains(n)));
-            keep.insert(id);
-        }
+        let keep = self.upstream(&[left, right], None);
         if let Some(nodes) = out.nodes() {
             nodes.retain(|id, _| keep.contains(id));
         }

@@ -1,8 +1,13 @@
 //! `panoscope eval stitch`: registration and panorama of a graph beside the truth and beside OpenCV's conventional pipeline.
 
+mod beside;
+mod cases;
 mod fov;
 mod incidents;
 mod sources;
+mod speed_list;
+mod speeds;
+mod tally;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -15,6 +20,7 @@ use super::rewire::{Judged, Wiring};
 use crate::commands::bench::record::Figure;
 use crate::terminal::{raw, table, tell};
 use sources::{CASES, Case, Missing, Places};
+use speed_list::SpeedList;
 
 /// Ticks that a still scene's registration has to settle.
 const SETTLE: usize = 5;
@@ -25,7 +31,8 @@ const FRESH: f64 = 0.0;
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Graph with a composite of two or more views.
-    graph: PathBuf,
+    #[arg(required_unless_present_any = ["speeds", "cases"])]
+    graph: Option<PathBuf>,
     /// Which pictures: `own` are the graph's; `cut` real frames cut into two views; `hamlyn` real stereo pairs; `leuven` two
     /// photographs. May be given again; `own` without it.
     #[arg(long, value_parser = CASES)]
@@ -53,6 +60,27 @@ pub struct Arguments {
     no_peer: bool,
     #[command(flatten)]
     fov: fov::FovArguments,
+    #[command(flatten)]
+    sweeps: Sweeps,
+}
+
+/// Graphs side by side on the same pictures of the phantom; `--set scope.PARAM=VALUE` sets a parameter of the phantom.
+#[derive(clap::Args)]
+struct Sweeps {
+    /// Sweeps the speed of the cameras, cm/s, as `1,2.5,10` or `0.5..10` or `0.5..10:0.5`: share of stitched frames and alignment of each
+    /// graph; of our conventional, ROI and grid and the thesis's chapters 2 and 4 when no graph is given.
+    #[arg(long, value_name = "LIST", conflicts_with_all = ["case", "rows"])]
+    speeds: Option<SpeedList>,
+    /// Judges each graph on hard pictures (few features, smoke, blur, low light, real pairs): share of stitched frames, alignment, time,
+    /// jitter; the thesis's chapters 2 and 4 and our ROI and grid when no graph is given.
+    #[arg(long, conflicts_with_all = ["case", "rows", "speeds"])]
+    cases: bool,
+    /// With `--cases`: only this one. May be given again.
+    #[arg(long, value_name = "CASE", requires = "cases", value_parser = clap::builder::PossibleValuesParser::new(cases::known()))]
+    only: Vec<String>,
+    /// With `--fov`, `--speeds` or `--cases`: further graphs.
+    #[arg(value_name = "GRAPHS")]
+    more: Vec<PathBuf>,
 }
 
 /// Measures of one pair of views; NaN where there is no truth.
@@ -265,6 +293,7 @@ fn charts(case: &str, name: &str, rows: &Table, peer: Option<&Table>) -> Vec<Cha
             y_label: label.to_owned(),
             series,
             from_zero: column == "align_px",
+            log: false,
             words: Vec::new(),
         });
     }
@@ -320,24 +349,47 @@ fn wiring(path: &Path, set: &[String]) -> Result<Option<Wiring>> {
             return Ok(None);
         }
     };
-    for setting in set {
-        if let Some(((node, param), value)) = setting.split_once('=').and_then(|(k, v)| Some((k.split_once('.')?, v))) {
-            let parsed = format!("v = {value}").parse::<toml::Table>().ok().and_then(|mut t| t.remove("v"));
-            wiring.set(node.trim(), param.trim(), parsed.unwrap_or_else(|| value.trim().into()));
-        }
+    for (node, param, value) in set.iter().filter_map(|setting| beside::setting(setting)) {
+        wiring.set(node, param, value);
     }
     Ok(Some(wiring))
+}
+
+/// Several graphs side by side, when that is asked for.
+fn swept(arguments: &Arguments, folders: &[PathBuf], work: &Work) -> Option<Result<Option<Vec<Figure>>>> {
+    let Sweeps { speeds, cases, only, more } = &arguments.sweeps;
+    let graphs: Vec<&PathBuf> = arguments.graph.iter().chain(more).collect();
+    let (settings, frames, plot) = (&arguments.set[..], arguments.frames, arguments.plot.as_deref());
+    if let Some(speeds) = speeds {
+        let methods = beside::methods(&graphs, speeds::built_in(), settings);
+        return Some(methods.and_then(|methods| speeds::judge(speeds, methods, frames, settings, plot)));
+    }
+    if *cases {
+        let judge = |methods| {
+            let work = &work.0;
+            cases::judge(&cases::Plan { methods, only, frames, settings, folders, work, plot })
+        };
+        return Some(beside::methods(&graphs, cases::built_in(), settings).and_then(judge));
+    }
+    (!more.is_empty()).then(|| {
+        Err(anyhow::anyhow!("several graphs are judged with --fov, --speeds or --cases; give one graph without them"))
+    })
 }
 
 /// Judges a graph; none when it cannot be judged.
 pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
     if arguments.fov.fov {
-        return fov::judge(&arguments.graph, &arguments.set, arguments.frames, &arguments.fov);
+        let graphs: Vec<&Path> = arguments.graph.iter().chain(&arguments.sweeps.more).map(PathBuf::as_path).collect();
+        return fov::judge(&graphs, &arguments.set, arguments.frames, &arguments.fov);
     }
-    let Some(graph) = wiring(&arguments.graph, &arguments.set)? else { return Ok(None) };
     let usual = ["../shared/data", "../shared/data/stereo", "/usr/share/doc/opencv-doc/examples/data"];
     let folders: Vec<PathBuf> = arguments.data.iter().cloned().chain(usual.map(PathBuf::from)).collect();
     let work = Work::new()?;
+    if let Some(found) = swept(arguments, &folders, &work) {
+        return found;
+    }
+    let path = arguments.graph.as_deref().context("no graph is given")?;
+    let Some(graph) = wiring(path, &arguments.set)? else { return Ok(None) };
     let places = Places { folders: &folders, work: &work.0 };
     let wanted = |name: &str| {
         if arguments.case.is_empty() { name == CASES[0] } else { arguments.case.iter().any(|c| c == name) }
@@ -355,7 +407,6 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
                 continue;
             }
         };
-        let path = &arguments.graph;
         let Some((ours, main)) = judge_all(&case, path, arguments.frames, false)? else { continue };
         let peer = if arguments.no_peer { None } else { judge_all(&case, path, arguments.frames, true)? };
         let peer_marks = peer.as_ref().and_then(|(marks, _)| marks.first());

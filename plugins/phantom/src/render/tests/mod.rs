@@ -356,6 +356,32 @@ fn printed_lengths_measure_what_they_say() {
 }
 
 #[test]
+fn a_glide_keeps_its_speed_and_stays_near_its_distance() {
+    for (speed, distance_mm) in [(5.0, 50.0), (100.0, 50.0), (200.0, 20.0)] {
+        let params = SceneParams {
+            camera_speed_mm_s: speed,
+            camera_path: CameraPath::Glide,
+            distance_mm,
+            fps: 3000.0,
+            ..SceneParams::default()
+        };
+        let script = super::motion::Script::new(&params);
+        assert_eq!(script.pose(0.0).translation_mm, [0.0; 3]);
+        let mut turns = 0;
+        for i in 0..9000 {
+            let [a, b] = [i, i + 1].map(|k| script.pose(f64::from(k)).translation_mm);
+            let step = (0..3).map(|k| (b[k] - a[k]) * (b[k] - a[k])).sum::<f64>().sqrt() * 3000.0;
+            // Only the steps in which it turns from nearer to away are shorter.
+            if (step - speed).abs() > 1e-6 * speed {
+                turns += 1;
+            }
+            assert!(step <= speed * (1.0 + 1e-6) && a[2].abs() <= 4.0, "{step} mm/s at {a:?}");
+        }
+        assert!(turns <= 70, "{turns} steps of another speed than {speed} mm/s");
+    }
+}
+
+#[test]
 fn the_script_keeps_its_speed_limit_and_breath() {
     for seed in 0..40 {
         let params = SceneParams { seed, camera_speed_mm_s: 25.0, ..SceneParams::default() };

@@ -36,6 +36,16 @@ fn faults_of_the_sensor_show() {
     assert!(stained > 1.5 * noiseless, "drops change {stained} grey levels, noise {noiseless}");
     let blurred = difference(&plain(|p| (p.motion_blur, p.camera_speed_mm_s) = (4, 25.0)), 0);
     assert!(blurred > noiseless, "motion blur changes the picture");
+    let mean = |pictures: &[Vec<u8>]| pictures[0].iter().map(|b| f64::from(*b)).sum::<f64>() / pictures[0].len() as f64;
+    let dark = plain(|p| p.light = 0.25);
+    // The sensor's curve is a square root.
+    assert!((0.45..0.6).contains(&(mean(&dark) / mean(&clean))), "{} of {}", mean(&dark), mean(&clean));
+    let detail = |pictures: &[Vec<u8>]| {
+        let steps = pictures[0].windows(4).map(|w| f64::from(w[0].abs_diff(w[3])));
+        steps.sum::<f64>() / pictures[0].len() as f64
+    };
+    let (drawn, smooth) = (detail(&plain(|p| p.noise = 0.0)), detail(&plain(|p| (p.noise, p.texture) = (0.0, 0.0))));
+    assert!(smooth < 0.5 * drawn, "steps of {smooth} gray levels without texture, {drawn} with it");
     let black = plain(|p| p.black = Some(BlackOut { camera: 1, first: 10, end: 11 }));
     assert!(black[1].iter().all(|&b| b == 0) && black[0] == clean[0]);
     let later = plain(|p| p.black = Some(BlackOut { camera: 1, first: 11, end: 15 }));

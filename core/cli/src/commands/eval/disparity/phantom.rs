@@ -241,6 +241,7 @@ impl Ruler {
                     },
                 ],
                 from_zero: false,
+                log: false,
                 words: Vec::new(),
             };
             let errors = all.iter().map(|m| (m.true_mm, m.found_mm - m.true_mm)).collect();
@@ -259,6 +260,7 @@ impl Ruler {
                     Series { name: "true error".to_owned(), style: Style::Dots, color: 0, points: errors },
                 ],
                 from_zero: true,
+                log: false,
                 words: Vec::new(),
             };
             [values, off]

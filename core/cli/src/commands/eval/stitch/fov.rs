@@ -4,7 +4,7 @@
 //! what exceeds 100. A homography that is wrong can stretch a view over a large canvas, so a pixel counts only when the phantom's footprint of all cameras
 //! has it, and a frame counts as one view (100 %) when a registration is lost or lies further from the true correspondences than [`WRONG`] allows.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::Result;
 
@@ -27,12 +27,9 @@ const ONE_VIEW_PCT: f64 = 100.0;
 /// Arguments of `eval stitch --fov`.
 #[derive(clap::Args)]
 pub struct FovArguments {
-    /// More graphs, with `--fov` only.
-    #[arg(requires = "fov")]
-    more: Vec<PathBuf>,
     /// Field of view: the area of the panorama over that of one view, on the phantom's bowel and liver at each of `--distances`,
     /// beside the true union of what the cameras see.
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["speeds", "cases"])]
     pub fov: bool,
     /// Distances from the scope to the tissue, mm.
     #[arg(long, value_name = "MM", value_delimiter = ',', requires = "fov", default_values_t = [20.0, 30.0, 50.0, 70.0])]
@@ -183,9 +180,9 @@ const HEAD: [&str; 13] = [
 ];
 
 /// Judges all graphs; none when one of them cannot be judged.
-pub fn judge(graph: &Path, set: &[String], frames: u64, arguments: &FovArguments) -> Result<Option<Vec<Figure>>> {
+pub fn judge(graphs: &[&Path], set: &[String], frames: u64, arguments: &FovArguments) -> Result<Option<Vec<Figure>>> {
     let mut wirings = Vec::new();
-    for path in std::iter::once(graph).chain(arguments.more.iter().map(PathBuf::as_path)) {
+    for &path in graphs {
         let Some(wiring) = super::wiring(path, set)? else { return Ok(None) };
         let Some(phantom) = wiring.phantom() else {
             tell!(

@@ -8,6 +8,7 @@ use toml::{Table, Value};
 
 use super::super::disparity::find;
 use super::super::rewire::Wiring;
+use super::beside::Source;
 
 /// Names of all cases; the graph's own source first.
 pub const CASES: [&str; 4] = ["own", "cut", "hamlyn", "leuven"];
@@ -69,6 +70,19 @@ fn rectified((width, height): (u32, u32)) -> Calibration {
     }
 }
 
+/// Plays the Hamlyn pairs of a folder; their calibration is put into `work`.
+pub fn hamlyn(folder: &Path, work: &Path) -> Result<Source> {
+    let file = work.join("hamlyn.yml");
+    panoscope_calibration::write(&file, &rectified(HAMLYN))?;
+    let params = [
+        ("left", text(&folder.join("left"))),
+        ("right", text(&folder.join("right"))),
+        ("calibration", text(&file)),
+        ("loop", true.into()),
+    ];
+    Ok(Source { node: node("capture", &[], &params), plugin: "capture", has_truth: false })
+}
+
 /// Where pictures are sought, and where files that only this run needs are put.
 pub struct Places<'a> {
     /// Folders of data sets.
@@ -109,16 +123,8 @@ pub fn case(name: &'static str, graph: &Wiring, places: &Places<'_>) -> Result<R
             let Some(folder) = find(places.folders, "hamlyn_640x480") else {
                 return Ok(Err(Missing::Pictures("hamlyn_640x480")));
             };
-            let file = places.work.join("hamlyn.yml");
-            panoscope_calibration::write(&file, &rectified(HAMLYN))?;
-            let params = [
-                ("left", text(&folder.join("left"))),
-                ("right", text(&folder.join("right"))),
-                ("calibration", text(&file)),
-                ("loop", true.into()),
-            ];
-            let made =
-                graph.with_source(node("capture", &[], &params), &["left", "right", "calibration"], &[], &["capture"]);
+            let source = hamlyn(&folder, places.work)?;
+            let made = graph.with_source(source.node, &["left", "right", "calibration"], &[], &[source.plugin]);
             Ok(wired(made).map(|wiring| Case {
                 name: "hamlyn",
                 wiring,
