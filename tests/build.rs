@@ -3,7 +3,7 @@
 use std::path::Path;
 
 fn main() {
-    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/runtime/src");
+    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/engine/src");
     let out = std::env::var("OUT_DIR").expect("cargo names a folder");
     for (name, source) in [("memory", "memory"), ("params", "params"), ("region", "region"), ("busy", "exec")] {
         let file = sources.join(format!("{source}.rs"));

@@ -3,7 +3,7 @@
 use std::mem::offset_of;
 
 use panoscope_abi as abi;
-use panoscope_runtime::numbers;
+use panoscope_engine::numbers;
 
 /// Most entries of a list that are read.
 const MOST: usize = 256;

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use panoscope_runtime::loader::Stamp;
+use panoscope_loader::Stamp;
 
 /// Why the file was not saved; it holds what it held before.
 #[derive(Debug, thiserror::Error)]

@@ -11,7 +11,7 @@ use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{
     Catalog, Diagnostic, GraphText, NodeOutline, NodeType, PacketType, ParamKind, Port, Severity, check,
 };
-use panoscope_runtime::Loader;
+use panoscope_loader::Loader;
 
 use crate::canvas::Mark;
 use crate::history::{By, Change, History};

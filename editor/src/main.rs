@@ -62,10 +62,10 @@ fn size(text: &str) -> Result<(f32, f32), String> {
     parts.filter(|&(w, h)| w >= 480.0 && h >= 320.0).ok_or_else(|| "as in 1440x900, at least 480x320".to_owned())
 }
 
-panoscope_runtime::guard_exits!();
+panoscope_engine::guard_exits!();
 
 fn main() {
-    if let Err(error) = panoscope_runtime::ending::signals::install() {
+    if let Err(error) = panoscope_engine::ending::signals::install() {
         eprintln!("warning: signals end the program without finishing files: {error}");
     }
     let arguments = Arguments::parse();
@@ -74,7 +74,7 @@ fn main() {
     use std::io::Write;
     let _ = std::io::stdout().flush();
     let _ = std::io::stderr().flush();
-    panoscope_runtime::ending::leave(code)
+    panoscope_engine::ending::leave(code)
 }
 
 /// Whether a file could be made there.

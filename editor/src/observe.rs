@@ -9,9 +9,9 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use panoscope_runtime::fault::{Action, Fault};
-use panoscope_runtime::memory::FrameRef;
-use panoscope_runtime::{NodeWindow, Preview, Window};
+use panoscope_engine::fault::{Action, Fault};
+use panoscope_engine::memory::FrameRef;
+use panoscope_engine::{NodeWindow, Preview, Window};
 
 use crate::picture::{self, Look, Range};
 use crate::session::{Handle, lock};

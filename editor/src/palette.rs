@@ -7,7 +7,7 @@ use eframe::egui::{
     WidgetInfo, WidgetType, vec2,
 };
 use panoscope_graph::NodeType;
-use panoscope_runtime::Loader;
+use panoscope_loader::Loader;
 
 use crate::document::Document;
 use crate::observe::Output;

@@ -5,8 +5,8 @@ use std::mem::offset_of;
 use std::sync::Arc;
 
 use panoscope_abi as abi;
+use panoscope_engine::memory::FrameRef;
 use panoscope_imaging::draw::Colormap;
-use panoscope_runtime::memory::FrameRef;
 
 use crate::content::{self, Content};
 use crate::surface::{Cloud, Painted};
@@ -318,7 +318,7 @@ fn table(p: &Plain<'_>, out: &mut String) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use panoscope_runtime::memory::memory;
+    use panoscope_engine::memory::memory;
 
     fn frame(format: u32, width: u32, height: u32, stride: u32, bytes: &[u8]) -> FrameRef {
         let (buffer, data) = memory().allocate(bytes.len()).unwrap();

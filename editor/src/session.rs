@@ -8,9 +8,10 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use panoscope_engine::{ApplyError, Engine, Options, Outcome, StartError};
 use panoscope_graph::{GraphText, check};
-use panoscope_runtime::live::LiveError;
-use panoscope_runtime::{ApplyError, Engine, Live, Loader, Options, Outcome, StartError, loader};
+use panoscope_loader::live::LiveError;
+use panoscope_loader::{self as loader, Live, Loader};
 
 /// How long nodes may take to finish their files.
 const PATIENCE: Duration = Duration::from_secs(30);

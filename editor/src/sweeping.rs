@@ -5,9 +5,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
-use panoscope_runtime::Loader;
-use panoscope_runtime::record::Recording;
-use panoscope_runtime::sweep::{Point, Request, Sweep};
+use panoscope_eval::sweep::{Point, Request, Sweep};
+use panoscope_loader::Loader;
+use panoscope_record::Recording;
 
 use crate::session::lock;
 

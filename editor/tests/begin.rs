@@ -9,8 +9,9 @@ use common::{Folder, GRAPH, PATIENCE, Window, has_plugin};
 use eframe::egui::{Key, Modifiers, Rect};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::templates;
+use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_graph::{GraphText, check};
-use panoscope_runtime::{Engine, Loader, Options, Outcome, loader};
+use panoscope_loader::{self as loader, Loader};
 
 const NONE: Modifiers = Modifiers::NONE;
 const CTRL: Modifiers = Modifiers::COMMAND;

@@ -9,7 +9,7 @@ use panoscope_editor::canvas::Mark;
 use panoscope_editor::document::Document;
 use panoscope_editor::observe::Output;
 use panoscope_editor::ops::{self, Waiting};
-use panoscope_runtime::{Loader, loader};
+use panoscope_loader::{self as loader, Loader};
 
 fn document(text: &str) -> Option<Document> {
     let loader = Arc::new(Loader::search(&loader::search_path(&[])));

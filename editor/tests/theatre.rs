@@ -15,7 +15,7 @@ use panoscope_editor::app::Shot;
 use panoscope_editor::session::Phase;
 use panoscope_editor::theatre::{Layout, OpenError, Options, Ready, Refused, Theatre, Verified};
 use panoscope_graph::ParamValue;
-use panoscope_runtime::lock::{Lock, THEATRE_PLUGINS};
+use panoscope_loader::lock::{Lock, THEATRE_PLUGINS};
 
 /// A box whose points are known.
 const MEASURED: &str = r#"plugins = ["phantom", "stereo", "flow"]
@@ -331,7 +331,7 @@ fn a_camera_that_does_not_open_is_told_in_full_in_its_pane() {
 
 fn lock(path: &Path) {
     use panoscope_graph::{GraphText, check};
-    use panoscope_runtime::{Loader, loader};
+    use panoscope_loader::{self as loader, Loader};
     let loader = Loader::search(&loader::search_path(&[]));
     let text = GraphText::load(path).expect("it is there");
     let catalog = loader.catalog(&text.plugins());

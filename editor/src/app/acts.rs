@@ -1,7 +1,7 @@
 //! What is done when something is asked for: by key, button, canvas or panel.
 
 use eframe::egui::{Context, Event, Modifiers, Vec2, vec2};
-use panoscope_runtime::sweep::can_sweep;
+use panoscope_eval::sweep::can_sweep;
 
 use super::App;
 use crate::actions::{ARROWS, Action};

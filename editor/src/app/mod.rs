@@ -548,7 +548,7 @@ impl eframe::App for App {
     }
 
     fn on_exit(&mut self, _: Option<&eframe::glow::Context>) {
-        panoscope_runtime::ending::signals::notice();
+        panoscope_engine::ending::signals::notice();
         self.session.close();
     }
 

@@ -1,7 +1,7 @@
 //! Ctrl-C, SIGTERM and SIGHUP close the window as a click on its corner does, with all files finished.
 
 use eframe::egui::{Context, ViewportCommand};
-use panoscope_runtime::ending::signals;
+use panoscope_engine::ending::signals;
 
 /// Closes the window when a signal asks for it. Whoever closes the session says [`signals::notice`]; a window that does not is not waited for.
 pub fn close_on_signals(ctx: &Context) {

@@ -479,8 +479,8 @@ fn plain_node(rect: Rect, fill: Color32, edge: Stroke, bar: Color32) -> Mesh {
     mesh
 }
 
-fn fault_word(fault: &panoscope_runtime::fault::Fault) -> &'static str {
-    use panoscope_runtime::fault::Cause;
+fn fault_word(fault: &panoscope_engine::fault::Fault) -> &'static str {
+    use panoscope_engine::fault::Cause;
     match fault.cause {
         Cause::Panic => "panic",
         Cause::Hang => "hang",

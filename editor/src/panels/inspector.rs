@@ -4,7 +4,7 @@ use eframe::egui::{
     Align, Button, ComboBox, Grid, Image, Label, Layout, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2,
 };
 
-use panoscope_runtime::sweep::can_sweep;
+use panoscope_eval::sweep::can_sweep;
 
 use super::{Shown, params, time_words};
 use crate::actions::{self, Action};

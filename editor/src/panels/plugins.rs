@@ -3,7 +3,7 @@
 use eframe::egui::text::{LayoutJob, TextFormat};
 use eframe::egui::{CollapsingHeader, Context, FontId, Frame, Margin, Modal, RichText, ScrollArea};
 use panoscope_graph::Catalog;
-use panoscope_runtime::Loader;
+use panoscope_loader::Loader;
 
 use crate::theme;
 

@@ -8,10 +8,10 @@ use eframe::egui::{
     WidgetInfo, WidgetType, vec2,
 };
 use egui_plot::{Corner, Legend, Line, Plot, PlotPoints, Points};
+use panoscope_engine::numbers::tells_numbers;
+use panoscope_eval::sweep::{COUNTERS, MOST_STEPS, Point, Request, can_sweep, csv};
 use panoscope_graph::ParamKind;
-use panoscope_runtime::Loader;
-use panoscope_runtime::numbers::tells_numbers;
-use panoscope_runtime::sweep::{COUNTERS, MOST_STEPS, Point, Request, can_sweep, csv};
+use panoscope_loader::Loader;
 
 use super::Shown;
 use super::cutout::Cutout;
@@ -322,7 +322,7 @@ impl SweepPanel {
 }
 
 fn plot(ui: &mut Ui, progress: &Progress) -> Response {
-    let known = |points: &[Point]| -> Vec<(f64, panoscope_runtime::sweep::Summary)> {
+    let known = |points: &[Point]| -> Vec<(f64, panoscope_eval::sweep::Summary)> {
         points.iter().filter_map(|p| Some((p.at, *p.result.as_ref().ok()?))).collect()
     };
     let known = known(&progress.points);

@@ -425,7 +425,7 @@ impl eframe::App for Theatre {
     }
 
     fn on_exit(&mut self, _: Option<&eframe::glow::Context>) {
-        panoscope_runtime::ending::signals::notice();
+        panoscope_engine::ending::signals::notice();
         self.session.close();
     }
 

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
-use panoscope_runtime::fault::{Action, Cause, Fault};
+use panoscope_engine::fault::{Action, Cause, Fault};
 
 use crate::observe::Counters;
 use crate::session::Phase;
@@ -231,7 +231,7 @@ pub fn told(counters: &Counters, metric: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use panoscope_runtime::NodeWindow;
+    use panoscope_engine::NodeWindow;
 
     fn words(facts: &Facts) -> Vec<String> {
         notices(facts).into_iter().map(|n| n.words).collect()

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use panoscope_graph::{Diagnostics, GraphText, check};
-use panoscope_runtime::lock::{Difference, Lock, LockError, THEATRE_PLUGINS};
-use panoscope_runtime::{Loader, loader};
+use panoscope_loader::lock::{Difference, Lock, LockError, THEATRE_PLUGINS};
+use panoscope_loader::{self as loader, Loader};
 
 use super::Plan;
 use crate::app::Shot;

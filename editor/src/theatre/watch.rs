@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use eframe::egui::Context;
-use panoscope_runtime::clock;
+use panoscope_engine::clock;
 
 use super::measure::Measure;
 use super::notices::{Facts, STOPPED, told};

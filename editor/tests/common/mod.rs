@@ -13,7 +13,7 @@ use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::{App, Options};
 use panoscope_editor::session::Phase;
-use panoscope_runtime::{Loader, loader};
+use panoscope_loader::{self as loader, Loader};
 
 /// Longest that anything here may take.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -184,7 +184,7 @@ impl Window {
     }
 
     /// Closes the window: the run ends, files are finished.
-    pub fn close(mut self) -> panoscope_runtime::Report {
+    pub fn close(mut self) -> panoscope_engine::Report {
         self.until("some ticks have come through", |app| {
             let engine = app.session().handle().engine().expect("it runs");
             engine.report().nodes["kept"].count > 20
@@ -196,7 +196,7 @@ impl Window {
 }
 
 /// Asserts that the untouched path of [`GRAPH`] lost nothing: every tick is written down, none was dropped.
-pub fn nothing_lost(folder: &Folder, report: &panoscope_runtime::Report) {
+pub fn nothing_lost(folder: &Folder, report: &panoscope_engine::Report) {
     let text = std::fs::read_to_string(folder.0.join("kept.jsonl")).expect("the ledger was written");
     let seqs: Vec<u64> = text
         .lines()

@@ -1,0 +1,417 @@
+//! A node of a running graph: its instance, its inputs, its counters.
+
+mod call;
+mod lead;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
+
+use panoscope_abi::{self as abi, PortRange, Str, Tick};
+use panoscope_graph::{NodeKind, OnFault};
+
+use crate::claims::{Claims, Holds};
+use crate::clock;
+use crate::decide::Decider;
+use crate::ending::who::{self, Who};
+use crate::exec::{Busy, Exec, ExecPlace, Instance, Made};
+use crate::fault::{Action, CAUSES, Cause, Fault, FaultLog, unix_ms};
+use crate::host::CallContext;
+use crate::join::Join;
+use crate::log::{Level, Log};
+use crate::memory::FrameRef;
+use crate::observe::Observer;
+use crate::outputs::OutputRule;
+use crate::params::{InForce, Snapshot};
+use crate::preview::{HearNumberFn, Taps};
+use crate::stats::NodeStats;
+use crate::threads::{Leave, ingest_ring};
+
+/// Frames that a node may keep beyond its calls.
+pub(crate) const MOST_KEPT_FRAMES: usize = 128;
+/// Longest wait for whoever reads the log, and for the file of faults.
+const LONGEST_FLUSH: Duration = Duration::from_secs(1);
+/// Budgets are no longer: 100 days.
+pub(crate) const LONGEST_BUDGET_NS: u64 = 100 * 24 * 3600 * 1_000_000_000;
+/// Calls in a row without any output after which a node is called silent.
+const SILENT_CALLS: u32 = 30;
+/// Changes of size that are remembered: a reader may lag a few ticks behind.
+const REMEMBERED_SIZES: usize = 8;
+
+/// What every call of an engine shares.
+pub(crate) struct Surroundings {
+    pub host: abi::Host,
+    pub log: Log,
+    pub faults: FaultLog,
+    pub start_ns: u64,
+    pub graph_dir: String,
+    pub batch: bool,
+    /// Hears what happens.
+    pub observer: Option<Arc<dyn Observer>>,
+    /// Decides what otherwise depends on time.
+    pub decider: Option<Arc<dyn Decider>>,
+    /// Heap allocations of the calling thread so far.
+    pub thread_allocations: Option<fn() -> u64>,
+    /// Longest that a node may take to open, and to close or to save or take over a state.
+    pub open_limit: Duration,
+    pub close_limit: Duration,
+    /// Files that nodes of this run write.
+    pub claims: Arc<Claims>,
+    /// Nodes that lost something for good, with the reason.
+    pub stopped: Mutex<BTreeMap<String, String>>,
+}
+
+impl Surroundings {
+    /// The recording has a gap or ends: said at once, and the run goes on.
+    pub fn recording_trouble(&self, words: &str) {
+        self.log.say(Level::Warn, "record", words);
+        self.faults.put(Fault {
+            unix_ms: unix_ms(),
+            run_ms: clock::now_ns().saturating_sub(self.start_ns) as f64 / 1e6,
+            node: "record".to_owned(),
+            cause: Cause::Recording,
+            words: words.to_owned(),
+            done: Action::Note,
+            seq: None,
+            late_ms: None,
+            count: 1,
+        });
+    }
+
+    /// A source that is recorded makes all its outputs, if that is wanted.
+    pub fn widen(&self, cell: &Cell) {
+        if cell.source && self.observer.as_ref().is_some_and(|o| o.wants_all_source_outputs()) {
+            cell.outputs_read.store(u64::MAX, Ordering::Relaxed);
+        }
+    }
+
+    /// Has log lines and faults passed on that were put in so far; a reader that stands still is not waited for.
+    pub fn flush(&self) {
+        self.log.flush(LONGEST_FLUSH);
+        self.faults.flush(LONGEST_FLUSH);
+    }
+
+    /// Nobody watches the clock: a tick waits rather than being lost.
+    pub fn unhurried(&self) -> bool {
+        self.batch || self.decider.is_some()
+    }
+}
+
+/// How a call ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Ran {
+    Ok,
+    /// A source has nothing left.
+    End,
+    /// Not called: an input was empty, or the node is down.
+    Skipped,
+    /// It failed; the graph goes on.
+    Fault,
+    /// It failed and the graph is to stop.
+    Stop,
+    /// The watchdog gave this call up; the thread is to leave without touching anything.
+    Abandoned,
+}
+
+/// A node of a running graph. What every call touches stands in the first cache line.
+#[repr(C, align(64))]
+pub(crate) struct Cell {
+    pub exec: ExecPlace,
+    /// The running call.
+    pub busy: Busy,
+    /// Changes whenever parameters, instance or manners do: a call that finds it as before need look at none of them.
+    news: AtomicU64,
+    pub outputs_read: AtomicU64,
+    pub taps: Taps,
+    pub id: String,
+    pub node_type: &'static abi::NodeType,
+    pub kind: NodeKind,
+    pub source: bool,
+    pub exclusive: bool,
+    pub side_effects: bool,
+    on_fault: AtomicU8,
+    /// 0 for none.
+    pub budget_ns: AtomicU64,
+    /// 0 for none.
+    pub period_ns: AtomicI64,
+    pub cpu: Option<u32>,
+    pub rules: Box<[OutputRule]>,
+    /// Names of the outputs.
+    pub output_names: Arc<[String]>,
+    pub join: Mutex<Join>,
+    values: InForce,
+    /// Opened beside the running instance; taken over before the next tick.
+    replacement: Mutex<Option<(Instance, Option<Arc<Snapshot>>)>>,
+    replace: AtomicBool,
+    /// Failed instances, to be closed off the hot path.
+    pub broken: Mutex<Vec<Instance>>,
+    /// Where a failed source was: the instance that replaces it goes on from there.
+    pub position: Mutex<Option<Vec<u8>>>,
+    /// A failed node is to be opened again.
+    pub wants_mending: AtomicBool,
+    /// Its last error was one that opening it again would not mend.
+    pub gives_up: AtomicBool,
+    /// Increases whenever somebody sets out to mend; only the newest may hand over.
+    pub mending: AtomicU64,
+    pub failures: AtomicU32,
+    /// Calls of all kinds that were left behind and have not returned.
+    pub stuck: Arc<AtomicU32>,
+    pub stats: NodeStats,
+    pub metrics: Mutex<Vec<(String, f64)>>,
+    /// Hears each number that the node tells.
+    pub hear_number: OnceLock<Arc<HearNumberFn>>,
+    /// The node's own thread, if it has one.
+    pub thread: Mutex<Option<std::thread::Thread>>,
+    pub wake: AtomicBool,
+    /// Taken out of the graph: its thread closes the instance when it leaves.
+    pub retired: AtomicBool,
+    /// Whether its thread is to leave, see [`Leave`].
+    pub leave: Leave,
+    pub has_thread: AtomicBool,
+    /// What a tick of the inline chain that starts here took lately, the longest of about ten; `u64::MAX` before the first.
+    pub walk_ns: AtomicU64,
+    /// Newest capture time of a source, `i64::MIN` for none.
+    pub last_capture_ns: AtomicI64,
+    /// Ticks this node is done with, for its region.
+    pub done_ticks: AtomicU64,
+    /// Ticks a source has made.
+    pub made: AtomicU64,
+    /// Ingest times of a source's newest ticks.
+    pub ingest_ns: Box<[AtomicU64]>,
+    /// Which input slots belong to which port.
+    pub ranges: Mutex<Vec<PortRange>>,
+    /// The newest changes of outputs' sizes.
+    pub resized: Mutex<VecDeque<Resized>>,
+    pub fault_counts: [AtomicU64; CAUSES],
+    /// The node as a crash report names it.
+    pub who: Arc<Who>,
+    /// Outputs that made a packet so far, one bit each.
+    pub ports_made: AtomicU64,
+}
+
+// The last of what every call touches is the count of readers, with which `taps` begins.
+const _: () = assert!(std::mem::offset_of!(Cell, taps) + size_of::<usize>() <= 64);
+
+/// What the host refused a node.
+pub(crate) type Refused = Box<(Cause, String)>;
+
+/// Readers that run inline have one input.
+const ONE_INPUT: &[PortRange] = &[PortRange { first: 0, count: 1 }];
+
+/// What a call takes and where its outputs go.
+pub(crate) struct Ports<'w> {
+    pub inputs: &'w mut [FrameRef],
+    /// The node has one input port, with one connection.
+    pub lone: bool,
+    pub made: &'w mut Made,
+}
+
+/// An output changed its size.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Resized {
+    pub output: usize,
+    pub tick: Tick,
+    pub from: (u32, u32),
+    pub to: (u32, u32),
+}
+
+/// What a node says of itself when it is made.
+pub(crate) struct CellSpec {
+    pub id: String,
+    pub node_type: &'static abi::NodeType,
+    pub kind: NodeKind,
+    pub source: bool,
+    pub on_fault: OnFault,
+    pub budget_ms: Option<f64>,
+    pub max_rate_hz: Option<f64>,
+    pub cpu: Option<u32>,
+    pub ranges: Vec<PortRange>,
+    pub outputs_read: u64,
+}
+
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Cell {
+    /// A cell whose instance is not open yet.
+    pub fn new(spec: CellSpec, join: Join, snapshot: Arc<Snapshot>) -> Self {
+        let rules = OutputRule::of(spec.node_type);
+        let stats = NodeStats::default();
+        let time = Arc::clone(&stats.time);
+        let exec = Exec::new(spec.node_type, &rules, spec.ranges.clone(), Arc::clone(&snapshot), time);
+        let this = Self {
+            who: Who::of(&spec.id, spec.node_type),
+            ports_made: AtomicU64::new(0),
+            id: spec.id,
+            node_type: spec.node_type,
+            kind: spec.kind,
+            source: spec.source,
+            exclusive: spec.node_type.flags & abi::NODE_EXCLUSIVE != 0,
+            side_effects: spec.node_type.flags & abi::NODE_SIDE_EFFECTS != 0,
+            on_fault: AtomicU8::new(0),
+            budget_ns: AtomicU64::new(0),
+            period_ns: AtomicI64::new(0),
+            cpu: spec.cpu,
+            output_names: rules.iter().map(|rule| rule.name.clone()).collect(),
+            rules,
+            exec: ExecPlace::new(exec),
+            busy: Busy::default(),
+            join: Mutex::new(join),
+            // That of a new exec is 0.
+            news: AtomicU64::new(1),
+            values: InForce::new(snapshot),
+            replacement: Mutex::new(None),
+            replace: AtomicBool::new(false),
+            broken: Mutex::new(Vec::new()),
+            position: Mutex::new(None),
+            wants_mending: AtomicBool::new(false),
+            gives_up: AtomicBool::new(false),
+            mending: AtomicU64::new(0),
+            failures: AtomicU32::new(0),
+            stuck: Arc::default(),
+            stats,
+            metrics: Mutex::new(Vec::new()),
+            hear_number: OnceLock::new(),
+            outputs_read: AtomicU64::new(spec.outputs_read),
+            taps: Taps::new(spec.node_type.outputs_len),
+            thread: Mutex::new(None),
+            wake: AtomicBool::new(false),
+            retired: AtomicBool::new(false),
+            leave: Leave::default(),
+            has_thread: AtomicBool::new(false),
+            walk_ns: AtomicU64::new(u64::MAX),
+            last_capture_ns: AtomicI64::new(i64::MIN),
+            done_ticks: AtomicU64::new(0),
+            made: AtomicU64::new(0),
+            ingest_ns: ingest_ring(spec.source),
+            ranges: Mutex::new(spec.ranges),
+            resized: Mutex::default(),
+            fault_counts: [const { AtomicU64::new(0) }; CAUSES],
+        };
+        this.set_manners(spec.on_fault, spec.budget_ms, spec.max_rate_hz);
+        this
+    }
+
+    /// Sets what the host does with the node; in force from the next tick on.
+    pub fn set_manners(&self, on_fault: OnFault, budget_ms: Option<f64>, max_rate_hz: Option<f64>) {
+        self.on_fault.store(on_fault as u8, Ordering::Relaxed);
+        // Within what a clock may be asked to add up.
+        let budget_ns = budget_ms.map_or(0, |ms| ((ms * 1e6).max(1.0) as u64).min(LONGEST_BUDGET_NS));
+        self.budget_ns.store(budget_ns, Ordering::Relaxed);
+        self.period_ns.store(max_rate_hz.map_or(0, |hz| (1e9 / hz) as i64), Ordering::Relaxed);
+        self.news.fetch_add(1, Ordering::Release);
+    }
+
+    /// An exec without an instance, for after a call that was given up.
+    pub fn fresh_exec(&self) -> Box<Exec> {
+        let ranges = lock(&self.ranges).clone();
+        Exec::new(self.node_type, &self.rules, ranges, self.snapshot(), Arc::clone(&self.stats.time))
+    }
+
+    pub fn on_fault(&self) -> OnFault {
+        let number = self.on_fault.load(Ordering::Relaxed);
+        [OnFault::Restart, OnFault::Bypass, OnFault::Stop].into_iter().find(|o| *o as u8 == number).unwrap_or_default()
+    }
+
+    /// Whether the node runs on a thread of its own.
+    pub fn owns_thread(&self) -> bool {
+        self.source || self.kind != NodeKind::Compute
+    }
+
+    /// Takes down what a tick of the chain that starts here took.
+    pub fn note_walk(&self, ns: u64) {
+        let before = self.walk_ns.load(Ordering::Relaxed);
+        let faded = if before == u64::MAX { 0 } else { before - before / 8 };
+        self.walk_ns.store(ns.max(faded), Ordering::Relaxed);
+    }
+
+    /// Notes which outputs were made, where no call did.
+    pub fn note_made(&self, outputs: &[abi::Frame]) {
+        let made = outputs.iter().enumerate().filter(|(_, frame)| !frame.is_empty());
+        let bits = made.fold(0u64, |bits, (port, _)| bits | 1u64.checked_shl(port as u32).unwrap_or(0));
+        self.ports_made.fetch_or(bits, Ordering::Relaxed);
+    }
+
+    /// The values in force.
+    pub fn snapshot(&self) -> Arc<Snapshot> {
+        self.values.get()
+    }
+
+    /// Puts new values in force from the next tick on.
+    pub fn set_snapshot(&self, snapshot: Arc<Snapshot>) {
+        self.values.set(snapshot);
+        self.news.fetch_add(1, Ordering::Release);
+    }
+
+    /// Hands over an instance that was opened beside the running one, with the values it was opened with where they are new. Answers one
+    /// that was handed over before and is not wanted any more; the caller closes it.
+    #[must_use]
+    pub fn replace_instance(&self, instance: Instance, snapshot: Option<Arc<Snapshot>>) -> Option<Instance> {
+        let old = lock(&self.replacement).replace((instance, snapshot));
+        self.replace.store(true, Ordering::Relaxed);
+        self.news.fetch_add(1, Ordering::Release);
+        old.map(|(instance, _)| instance)
+    }
+
+    /// Takes all instances out, for the caller to close: files are finished then. `false` when somebody runs the node, whose instance stays.
+    #[must_use]
+    pub fn take_instances(&self) -> (Vec<Instance>, bool) {
+        let mut all = std::mem::take(&mut *lock(&self.broken));
+        all.extend(lock(&self.replacement).take().map(|(instance, _)| instance));
+        let Some(mut exec) = self.exec.take() else { return (all, false) };
+        all.push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
+        self.exec.put(exec);
+        (all, true)
+    }
+
+    /// Name of an input.
+    pub fn input_name(&self, port: usize) -> &str {
+        if port >= self.node_type.inputs_len {
+            return "?";
+        }
+        // SAFETY: a validated descriptor of a plugin that stays mapped.
+        unsafe { (*self.node_type.inputs.add(port)).name.text() }.unwrap_or("?")
+    }
+
+    /// Opens an instance with the given values.
+    pub fn open(&self, around: &Surroundings, snapshot: &Snapshot) -> Result<Instance, String> {
+        if around.decider.as_ref().is_some_and(|d| d.closes(self.source, self.side_effects)) {
+            return Ok(Instance::none(self.node_type));
+        }
+        let mut instance = Instance::none(self.node_type);
+        *instance.holds = Holds::new(&around.claims);
+        instance.kept.belongs_to(&self.who);
+        let mut failure = String::new();
+        let mut context = CallContext::without_tick(self, around, &instance.holds, &mut failure);
+        let mut call = abi::OpenCall {
+            struct_size: size_of::<abi::OpenCall>() as u32,
+            flags: if around.batch { abi::CALL_BATCH } else { 0 },
+            host: &raw const around.host,
+            call: (&raw mut context).cast(),
+            node_id: Str::borrow(&self.id),
+            params: snapshot.values().as_ptr(),
+            params_len: snapshot.values().len(),
+            graph_dir: Str::borrow(&around.graph_dir),
+            outputs_read: self.outputs_read.load(Ordering::Relaxed),
+        };
+        let mut raw = std::ptr::null_mut();
+        let status = match self.node_type.open {
+            Some(open) => {
+                // SAFETY: the contract; everything the call points to outlives it.
+                who::opening(&self.who, || instance.kept.during(|| unsafe { open(&raw mut call, &raw mut raw) }))
+            }
+            None => abi::STATUS_INVALID,
+        };
+        if status == abi::STATUS_OK {
+            (instance.raw, instance.open) = (raw, true);
+            return Ok(instance);
+        }
+        if failure.is_empty() {
+            failure = format!("it did not open (status {status})");
+        }
+        self.gives_up.store(status == abi::STATUS_STOPPED, Ordering::Release);
+        Err(failure)
+    }
+}

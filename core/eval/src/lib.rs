@@ -1,0 +1,3 @@
+//! Evaluation: what a change of a parameter, an algorithm or a machine does to the results.
+
+pub mod sweep;
