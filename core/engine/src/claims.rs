@@ -1,16 +1,13 @@
 //! Files that the nodes of a run write: each has one writer at a time, and what was written in a run is never cut off.
 
 use std::collections::HashMap;
-use std::ffi::c_void;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-use panoscope_abi::{self as abi, Status, Str};
+use panoscope_abi as abi;
 
-use crate::cell::lock;
-use crate::clock;
-use crate::host;
+use crate::sync::lock;
 
 /// The files of one run.
 #[derive(Debug, Default)]
@@ -37,10 +34,10 @@ struct File {
 /// What an instance holds, given back when it is closed.
 #[derive(Debug, Default)]
 pub(crate) struct Holds {
-    claims: Option<Arc<Claims>>,
-    token: u64,
+    pub claims: Option<Arc<Claims>>,
+    pub token: u64,
     /// The last answer, lent to the node until its call ends.
-    answer: Mutex<String>,
+    pub answer: Mutex<String>,
 }
 
 impl Holds {
@@ -91,7 +88,7 @@ impl Claims {
     }
 
     /// Answers the path to write, or the node that writes it.
-    fn claim(&self, token: u64, node: &str, path: &Path, action: u32) -> Result<PathBuf, String> {
+    pub fn claim(&self, token: u64, node: &str, path: &Path, action: u32) -> Result<PathBuf, String> {
         if is_special(path) {
             return Ok(path.to_owned());
         }
@@ -152,32 +149,6 @@ fn part_name(path: &Path, part: u32) -> PathBuf {
         Some(ending) => path.with_extension(format!("part{part}.{}", ending.to_string_lossy())),
         None => path.with_extension(format!("part{part}")),
     }
-}
-
-pub(crate) unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status {
-    // SAFETY: plugins pass back the handle of the running call and lend the text for the length of this function (the contract).
-    let (Some(context), Some(path)) = (unsafe { (host::context(call), path.text()) }) else {
-        return abi::STATUS_INVALID;
-    };
-    let holds = context.holds;
-    let Some(claims) = holds.claims.as_ref().filter(|_| action <= abi::CLAIM_BEGIN_NEW) else {
-        return abi::STATUS_INVALID;
-    };
-    let (status, text) = match claims.claim(holds.token, &context.cell.id, Path::new(path), action) {
-        Ok(path) => (abi::STATUS_OK, path.to_string_lossy().into_owned()),
-        Err(other) => (abi::STATUS_INVALID, other),
-    };
-    let mut answer = lock(&holds.answer);
-    *answer = text;
-    // SAFETY: null or a place for the answer; the text stays as it is until the next claim of this instance.
-    if let Some(file) = unsafe { file.as_mut() } {
-        *file = Str::borrow(&answer);
-    }
-    status
-}
-
-pub(crate) unsafe extern "C" fn clock_ns(_: *mut c_void) -> i64 {
-    i64::try_from(clock::now_ns()).unwrap_or(i64::MAX)
 }
 
 #[cfg(test)]

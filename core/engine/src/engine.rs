@@ -13,7 +13,6 @@ use panoscope_abi as abi;
 use panoscope_graph::{Catalog, Graph, Mode, NodeSetup, Param, ParamValue, Validator};
 
 use crate::apply::ChangeLock;
-use crate::cell::{Cell, LONGEST_BUDGET_NS, Surroundings, lock};
 use crate::clock;
 use crate::decide::Decider;
 use crate::ending;
@@ -21,6 +20,7 @@ use crate::fault::{Fault, FaultFn, FaultLog};
 use crate::guard::Limit;
 use crate::host;
 use crate::log::{Level, Log, LogFn};
+use crate::node::{LONGEST_BUDGET_NS, NodeRuntime, RunContext};
 use crate::observe::{Event, Observer};
 use crate::params::Snapshot;
 use crate::plan;
@@ -29,6 +29,7 @@ use crate::pool::{self, Pool, Task};
 use crate::preview::{Listener, NumberListener, Preview};
 use crate::report::{NodeWindow, Report, Window};
 use crate::schedule::{AllocationMeter, Ready, Shared};
+use crate::sync::lock;
 
 /// How a graph is run.
 pub struct Options {
@@ -229,7 +230,7 @@ impl Engine {
         let listening = listen(&graph, catalog, &plan.cells, &options.listen)?;
         let batch = graph.mode == Mode::Batch;
         let start_ns = clock::now_ns();
-        let around = Surroundings {
+        let around = RunContext {
             host: host::table(threads),
             log: Log::new(options.log),
             faults: FaultLog::new(options.faults),
@@ -333,10 +334,10 @@ impl Engine {
         let mut ready = Ready::default();
         for (node, cell) in plan.live().filter(|(_, c)| !c.source) {
             if lock(&cell.join).slots.is_empty() {
-                shared.poke(&plan, node, &mut ready);
+                shared.try_fire(&plan, node, &mut ready);
             }
         }
-        ready.settle(shared, &plan, 0);
+        ready.dispatch_ready(shared, &plan, 0);
         Ok(())
     }
 
@@ -387,7 +388,7 @@ impl Engine {
             let until = Instant::now() + patience.max(LEAST_PATIENCE);
             let change = self.change.lock_until(until);
             if change.is_none() {
-                log.say(Level::Error, "engine", "a change of the graph does not come to its end and is left behind");
+                log.write(Level::Error, "engine", "a change of the graph does not come to its end and is left behind");
             }
             self.wait(Some(until.saturating_duration_since(Instant::now()).min(patience)));
             self.watch_stop.store(true, Ordering::Relaxed);
@@ -456,7 +457,7 @@ impl Engine {
                 .shared
                 .open_guarded(&cell, &snapshot)
                 .map_err(|reason| SetError::Reopen { node: node.to_owned(), reason: reason.to_string() })?;
-            cell.mending.fetch_add(1, Ordering::AcqRel);
+            cell.restarting.fetch_add(1, Ordering::AcqRel);
             let unused = cell.replace_instance(instance, Some(snapshot));
             self.shared.close_guarded(&cell, unused.into_iter().collect());
         } else {
@@ -514,7 +515,7 @@ impl Engine {
         self.current.store(Arc::new(Current { graph, params, validators, outputs, slots }));
     }
 
-    fn cell(&self, current: &Current, node: &str) -> Option<(usize, Arc<Cell>)> {
+    fn cell(&self, current: &Current, node: &str) -> Option<(usize, Arc<NodeRuntime>)> {
         let index = current.graph.node(node)?;
         Some((index, Arc::clone(&self.shared.plan.load().cells[current.slots[index]])))
     }
@@ -530,7 +531,7 @@ impl Engine {
         let current = self.current.load();
         let (index, cell) = self.cell(&current, node)?;
         let port = current.outputs[index].iter().position(|name| name == output)?;
-        let preview = cell.taps.subscribe(port)?;
+        let preview = cell.subscribers.subscribe(port)?;
         if port < 64 {
             cell.outputs_read.fetch_or(1 << port, Ordering::Relaxed);
         }
@@ -543,7 +544,7 @@ impl Engine {
         let Some(_change) = self.change.lock_until(Instant::now()) else { return };
         let current = self.current.load();
         if let Some((index, cell)) = self.cell(&current, node) {
-            let read = plan::outputs_read(&current.graph, index) | cell.taps.bits();
+            let read = plan::outputs_read(&current.graph, index) | cell.subscribers.bits();
             cell.outputs_read.store(read, Ordering::Relaxed);
         }
     }
@@ -590,13 +591,13 @@ impl Drop for Engine {
 fn listen(
     graph: &Graph,
     catalog: &Catalog,
-    cells: &[Arc<Cell>],
+    cells: &[Arc<NodeRuntime>],
     wanted: &[Listener],
 ) -> Result<Vec<Preview>, StartError> {
     let one = |listener: &Listener| {
         let node = graph.node(&listener.node)?;
         let port = graph.nodes[node].node_type(catalog).output(&listener.output)?;
-        let preview = cells[node].taps.listen(port, Arc::clone(&listener.hear))?;
+        let preview = cells[node].subscribers.listen(port, Arc::clone(&listener.hear))?;
         cells[node].outputs_read.fetch_or(1u64.checked_shl(port as u32).unwrap_or(0), Ordering::Relaxed);
         Some(preview)
     };

@@ -6,30 +6,34 @@ use std::sync::atomic::Ordering;
 use panoscope_abi::{self as abi, Tick};
 use panoscope_graph::OnFault;
 
-use crate::cell::{Cell, Ran, Refused, Surroundings, lock};
+use crate::busy::{CallKind, LeftBehind};
 use crate::clock;
-use crate::exec::{Doing, Exec, Instance, LeftBehind, Made};
+use crate::exec::Exec;
 use crate::fault::{Action, Cause, Fault, unix_ms};
+use crate::instance::Instance;
 use crate::log::Level;
+use crate::node::{CallOutcome, NodeRuntime, Refused, RunContext};
 use crate::observe::Event;
 use crate::params::Snapshot;
+use crate::scratch::CallOutputs;
 use crate::stats::bump;
+use crate::sync::lock;
 
 /// Bad outputs in a row after which an instance is not trusted any more.
 const MOST_BAD_OUTPUTS: u32 = 10;
 
-impl Cell {
+impl NodeRuntime {
     /// A description or contents that do not pass: the packet is withheld; who goes on like that is opened again.
     #[cold]
     pub(crate) fn bad_output(
         &self,
         exec: &mut Exec,
-        made: &mut Made,
-        around: &Surroundings,
+        made: &mut CallOutputs,
+        around: &RunContext,
         tick: &Tick,
         (cause, words): (Cause, String),
         end_ns: u64,
-    ) -> Ran {
+    ) -> CallOutcome {
         exec.troubled = true;
         exec.bad_in_a_row += 1;
         if exec.bad_in_a_row >= MOST_BAD_OUTPUTS || (cause == Cause::BadOutput && self.on_fault() != OnFault::Restart) {
@@ -40,28 +44,28 @@ impl Cell {
         }
         bump(&self.stats.faults);
         if self.count(cause).is_power_of_two() {
-            around.log.say(Level::Error, &self.id, &words);
+            around.log.write(Level::Error, &self.id, &words);
         }
         self.note(around, cause, Action::Withhold, Some(tick.seq), || words);
-        Ran::Ok
+        CallOutcome::Ok
     }
 
     /// A call went well, or ended its source, and gave the words of a fault all the same.
     #[cold]
-    pub(crate) fn reported(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick, status: abi::Status) {
+    pub(crate) fn reported(&self, exec: &mut Exec, around: &RunContext, tick: &Tick, status: abi::Status) {
         let words = std::mem::take(&mut exec.failure);
         let done = if status == abi::STATUS_END { Action::End } else { Action::Note };
         bump(&self.stats.faults);
-        around.log.say(Level::Error, &self.id, &words);
+        around.log.write(Level::Error, &self.id, &words);
         self.tell(around, Cause::Error, done, Some(tick.seq), None, words);
     }
 
     /// A source that failed goes on where it was, not from its start: at its start the same fault would come again, for ever.
     #[cold]
-    fn keep_position(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> Result<(), LeftBehind> {
+    fn keep_position(&self, exec: &mut Exec, around: &RunContext, tick: &Tick) -> Result<(), LeftBehind> {
         if exec.source
             && exec.instance.saves_state()
-            && let Some(state) = self.aside(Doing::SaveState, tick, || exec.instance.save_state(&around.host))?
+            && let Some(state) = self.aside(CallKind::SaveState, tick, || exec.instance.save_state(&around.host))?
         {
             *lock(&self.position) = Some(state);
         }
@@ -75,7 +79,7 @@ impl Cell {
     }
 
     /// An instance goes on at a position, or did not understand it.
-    pub(crate) fn position_taken(&self, around: &Surroundings, state: Vec<u8>, understood: bool) {
+    pub(crate) fn position_taken(&self, around: &RunContext, state: Vec<u8>, understood: bool) {
         if understood {
             // Kept until the next fault: this instance may fail before it has a position of its own.
             lock(&self.position).get_or_insert(state);
@@ -85,21 +89,21 @@ impl Cell {
     }
 
     /// Says that the position of a source is lost.
-    pub(crate) fn position_lost(&self, around: &Surroundings) {
-        around.log.say(Level::Warn, &self.id, "it does not know its position any more and starts anew");
+    pub(crate) fn position_lost(&self, around: &RunContext) {
+        around.log.write(Level::Warn, &self.id, "it does not know its position any more and starts anew");
     }
 
     /// Opens a failed node again on the thread that runs it; a source goes on where it was.
     fn open_again(
         &self,
-        around: &Surroundings,
+        around: &RunContext,
         snapshot: &Snapshot,
         tick: &Tick,
     ) -> Result<Result<Instance, String>, LeftBehind> {
-        let opened = self.aside(Doing::Open, tick, || self.open(around, snapshot))?;
+        let opened = self.aside(CallKind::Open, tick, || self.open(around, snapshot))?;
         let Ok(mut instance) = opened else { return Ok(opened) };
         if let Some(state) = self.take_position(&instance) {
-            let understood = self.aside(Doing::LoadState, tick, || instance.load_state(&state))?;
+            let understood = self.aside(CallKind::LoadState, tick, || instance.load_state(&state))?;
             self.position_taken(around, state, understood);
         }
         Ok(Ok(instance))
@@ -107,12 +111,7 @@ impl Cell {
 
     /// In batch a failed node is opened again before a tick that does not depend on the clock.
     #[cold]
-    pub(crate) fn open_in_batch(
-        &self,
-        exec: &mut Exec,
-        around: &Surroundings,
-        tick: &Tick,
-    ) -> Result<bool, LeftBehind> {
+    pub(crate) fn open_in_batch(&self, exec: &mut Exec, around: &RunContext, tick: &Tick) -> Result<bool, LeftBehind> {
         if self.on_fault() != OnFault::Restart {
             return Ok(false);
         }
@@ -122,14 +121,14 @@ impl Cell {
         }
         let broken = std::mem::take(&mut *lock(&self.broken));
         if !broken.is_empty() {
-            self.aside(Doing::Close, tick, || broken.into_iter().for_each(|instance| self.end(around, instance)))?;
+            self.aside(CallKind::Close, tick, || broken.into_iter().for_each(|instance| self.end(around, instance)))?;
         }
         let snapshot = Arc::clone(exec.snapshot());
         let opened = self.open_again(around, &snapshot, tick)?;
         Ok(match opened {
             Ok(instance) => {
                 bump(&self.stats.restarts);
-                around.log.say(Level::Info, &self.id, "opened again");
+                around.log.write(Level::Info, &self.id, "opened again");
                 exec.instance = instance.begun();
                 self.opened(&snapshot, around, tick);
                 true
@@ -146,9 +145,9 @@ impl Cell {
     }
 
     /// Writes down that a node did not open again.
-    pub fn open_failed(&self, around: &Surroundings, words: &str, seq: Option<u64>) {
+    pub fn open_failed(&self, around: &RunContext, words: &str, seq: Option<u64>) {
         bump(&self.stats.faults);
-        around.log.say(Level::Error, &self.id, &format!("could not be opened again: {words}"));
+        around.log.write(Level::Error, &self.id, &format!("could not be opened again: {words}"));
         let gives_up = self.has_given_up();
         if gives_up {
             self.lost(around, words);
@@ -161,20 +160,20 @@ impl Cell {
     pub(crate) fn failed(
         &self,
         exec: &mut Exec,
-        around: &Surroundings,
+        around: &RunContext,
         status: abi::Status,
         refused: Option<Refused>,
         tick: &Tick,
         now_ns: u64,
-    ) -> Ran {
+    ) -> CallOutcome {
         if status == abi::STATUS_EXHAUSTED {
             bump(&self.stats.dropped);
             let words = "the tick was dropped: frame memory is used up";
             if (self.count(Cause::Exhausted) + 1).is_power_of_two() {
-                around.log.say(Level::Warn, &self.id, words);
+                around.log.write(Level::Warn, &self.id, words);
             }
             self.note(around, Cause::Exhausted, Action::Withhold, Some(tick.seq), || words.to_owned());
-            return Ran::Fault;
+            return CallOutcome::Fault;
         }
         bump(&self.stats.faults);
         let mut words = std::mem::take(&mut exec.failure);
@@ -188,7 +187,7 @@ impl Cell {
         if words.is_empty() {
             words = "it failed without a word".to_owned();
         }
-        around.log.say(Level::Error, &self.id, &words);
+        around.log.write(Level::Error, &self.id, &words);
         exec.troubled = true;
         exec.failures_in_a_row += 1;
         exec.skip_calls = skipped_calls(exec.failures_in_a_row);
@@ -202,20 +201,20 @@ impl Cell {
             self.lost(around, &words);
         }
         let (done, ran) = match self.on_fault() {
-            OnFault::Restart if gives_up => (Action::Bypass, Ran::Fault),
-            OnFault::Restart => (Action::Restart, Ran::Fault),
-            OnFault::Bypass => (Action::Bypass, Ran::Fault),
-            OnFault::Stop => (Action::Stop, Ran::Stop),
+            OnFault::Restart if gives_up => (Action::Bypass, CallOutcome::Fault),
+            OnFault::Restart => (Action::Restart, CallOutcome::Fault),
+            OnFault::Bypass => (Action::Bypass, CallOutcome::Fault),
+            OnFault::Stop => (Action::Stop, CallOutcome::Stop),
         };
         // Told first: the node may not return from what follows.
         self.tell(around, cause, done, Some(tick.seq), None, words);
         if self.keep_position(exec, around, tick).is_err() {
-            return Ran::Abandoned;
+            return CallOutcome::Abandoned;
         }
         // What the instance holds after a fault is not to be trusted. It may take long to close.
         lock(&self.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
         exec.bypassed = done == Action::Bypass;
-        self.wants_mending.store(true, Ordering::Release);
+        self.wants_restart.store(true, Ordering::Release);
         ran
     }
 
@@ -227,7 +226,7 @@ impl Cell {
     #[cold]
     pub fn note(
         &self,
-        around: &Surroundings,
+        around: &RunContext,
         cause: Cause,
         done: Action,
         seq: Option<u64>,
@@ -243,7 +242,7 @@ impl Cell {
     /// Writes down a fault.
     pub fn tell(
         &self,
-        around: &Surroundings,
+        around: &RunContext,
         cause: Cause,
         done: Action,
         seq: Option<u64>,

@@ -118,7 +118,7 @@ fn own_fault(words: String, count: u64) -> Fault {
 }
 
 /// What stands for faults that came faster than they were written.
-fn left_out(count: u64) -> Fault {
+fn skipped_tick(count: u64) -> Fault {
     own_fault(format!("{count} faults were left out: they came faster than they were written"), count)
 }
 
@@ -131,7 +131,7 @@ impl FaultLog {
                 let words = format!("thread `{NAME}` panicked on a fault, which is lost: {words}");
                 told.lock().unwrap_or_else(PoisonError::into_inner).push_back(own_fault(words, 1));
             };
-            Outbox::new(NAME, left_out, move |fault| sink(&fault), panicked)
+            Outbox::new(NAME, skipped_tick, move |fault| sink(&fault), panicked)
         });
         Self { out, recent }
     }

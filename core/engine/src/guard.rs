@@ -10,13 +10,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::cell::Cell;
-use crate::exec::{Doing, Instance};
+use crate::busy::CallKind;
+use crate::instance::Instance;
 use crate::log::Level;
+use crate::node::NodeRuntime;
 use crate::outbox::panic_words;
 use crate::params::Snapshot;
-use crate::pool;
 use crate::schedule::Shared;
+use crate::thread_id;
 
 /// How long calls may take once the engine is to stop: long enough for what goes well.
 const LONGEST_AT_STOP: Duration = Duration::from_secs(1);
@@ -27,8 +28,8 @@ const STACK_BYTES: usize = 8 << 20;
 
 /// A call to be made.
 pub(crate) struct Call<T> {
-    pub cell: Arc<Cell>,
-    pub doing: Doing,
+    pub cell: Arc<NodeRuntime>,
+    pub kind: CallKind,
     /// What it answers is dropped on its thread if nobody waits any more.
     pub run: Box<dyn FnOnce() -> T + Send>,
 }
@@ -37,10 +38,10 @@ pub(crate) struct Call<T> {
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum CallError {
     /// It took too long.
-    #[error("it did not return{} within {seconds:.1} s and was left behind with its thread", .doing.words())]
+    #[error("it did not return{} within {seconds:.1} s and was left behind with its thread", .kind.from_words())]
     NoReturn {
         /// What was called.
-        doing: Doing,
+        kind: CallKind,
         /// How long was waited.
         seconds: f64,
     },
@@ -81,8 +82,8 @@ impl Limit {
 struct State<T> {
     todo: VecDeque<Call<T>>,
     /// The call that runs, since when, and the thread that makes it.
-    running: Option<(Arc<Cell>, Doing, Instant)>,
-    done: VecDeque<(Arc<Cell>, Result<T, CallError>)>,
+    running: Option<(Arc<NodeRuntime>, CallKind, Instant)>,
+    done: VecDeque<(Arc<NodeRuntime>, Result<T, CallError>)>,
     /// Number of the thread that makes the calls; another one has been left behind. 0 for none.
     thread: u32,
 }
@@ -106,12 +107,12 @@ impl<T> Line<T> {
             if state.thread != number {
                 return;
             }
-            let Some(Call { cell, doing, run }) = state.todo.pop_front() else {
+            let Some(Call { cell, kind, run }) = state.todo.pop_front() else {
                 state.thread = 0;
                 self.changed.notify_all();
                 return;
             };
-            state.running = Some((Arc::clone(&cell), doing, Instant::now()));
+            state.running = Some((Arc::clone(&cell), kind, Instant::now()));
             drop(state);
             let answer = catch_unwind(AssertUnwindSafe(run));
             let answer = answer.map_err(|payload| CallError::Panic { words: panic_words(&*payload).to_owned() });
@@ -142,7 +143,7 @@ impl Shared {
         limit: Limit,
         goes_on: fn(&T) -> bool,
         calls: impl IntoIterator<Item = Call<T>>,
-        mut take: impl FnMut(&Arc<Cell>, Result<T, CallError>) -> ControlFlow<()>,
+        mut take: impl FnMut(&Arc<NodeRuntime>, Result<T, CallError>) -> ControlFlow<()>,
     ) {
         let todo: VecDeque<_> = calls.into_iter().collect();
         let state = State { todo, running: None, done: VecDeque::new(), thread: 0 };
@@ -163,7 +164,7 @@ impl Shared {
             if state.thread == 0 {
                 let Some(first) = state.todo.front() else { return };
                 let name = first.cell.id.chars().take(15).collect();
-                let number = pool::next_thread_number();
+                let number = thread_id::next();
                 state.thread = number;
                 drop(state);
                 let started = self.start_caller(&line, number, name);
@@ -179,14 +180,14 @@ impl Shared {
             if stop_since.is_none() && self.is_stopping() {
                 stop_since = Some(now);
             }
-            if let Some((cell, doing, since)) = &state.running {
+            if let Some((cell, kind, since)) = &state.running {
                 let spent = now.duration_since(*since);
                 let hurried = stop_since.is_some_and(|stop| now.duration_since(stop.max(*since)) >= limit.at_stop);
                 if spent >= limit.usual || hurried {
-                    let (cell, doing, number) = (Arc::clone(cell), *doing, state.thread);
+                    let (cell, kind, number) = (Arc::clone(cell), *kind, state.thread);
                     (state.running, state.thread) = (None, 0);
                     cell.stuck.fetch_add(1, Ordering::Relaxed);
-                    let error = CallError::NoReturn { doing, seconds: spent.as_secs_f64() };
+                    let error = CallError::NoReturn { kind, seconds: spent.as_secs_f64() };
                     state.done.push_back((cell, Err(error)));
                     drop(state);
                     // Workers that are stuck in its loops go with it.
@@ -210,7 +211,7 @@ impl Shared {
     ) -> std::io::Result<()> {
         let (me, line) = (Arc::clone(self), Arc::clone(line));
         let work = move || {
-            pool::set_thread_number(number);
+            thread_id::set(number);
             me.pool.enter();
             line.work(number);
             me.pool.left(number);
@@ -222,12 +223,12 @@ impl Shared {
     pub fn call_guarded<T: Send + 'static>(
         self: &Arc<Self>,
         limit: Limit,
-        cell: &Arc<Cell>,
-        doing: Doing,
+        cell: &Arc<NodeRuntime>,
+        kind: CallKind,
         run: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T, CallError> {
         let mut answer = None;
-        let call = Call { cell: Arc::clone(cell), doing, run: Box::new(run) };
+        let call = Call { cell: Arc::clone(cell), kind, run: Box::new(run) };
         self.guarded(
             limit,
             |_| true,
@@ -241,19 +242,27 @@ impl Shared {
     }
 
     /// The call that opens an instance with the given values.
-    pub fn opening(self: &Arc<Self>, cell: &Arc<Cell>, snapshot: &Arc<Snapshot>) -> Call<Result<Instance, String>> {
+    pub fn opening(
+        self: &Arc<Self>,
+        cell: &Arc<NodeRuntime>,
+        snapshot: &Arc<Snapshot>,
+    ) -> Call<Result<Instance, String>> {
         let (me, mine, values) = (Arc::clone(self), Arc::clone(cell), Arc::clone(snapshot));
         let run = move || mine.open(&me.around, &values);
-        Call { cell: Arc::clone(cell), doing: Doing::Open, run: Box::new(run) }
+        Call { cell: Arc::clone(cell), kind: CallKind::Open, run: Box::new(run) }
     }
 
     /// Opens an instance with the given values.
     ///
     /// # Errors
     /// What the node says, or that it did not return.
-    pub fn open_guarded(self: &Arc<Self>, cell: &Arc<Cell>, snapshot: &Arc<Snapshot>) -> Result<Instance, OpenError> {
+    pub fn open_guarded(
+        self: &Arc<Self>,
+        cell: &Arc<NodeRuntime>,
+        snapshot: &Arc<Snapshot>,
+    ) -> Result<Instance, OpenError> {
         let call = self.opening(cell, snapshot);
-        match self.call_guarded(Limit::until_stop(self.around.open_limit), cell, Doing::Open, call.run) {
+        match self.call_guarded(Limit::until_stop(self.around.open_limit), cell, CallKind::Open, call.run) {
             Ok(opened) => opened.map_err(OpenError::Refused),
             Err(error) => Err(OpenError::Call(error)),
         }
@@ -263,7 +272,11 @@ impl Shared {
     ///
     /// # Errors
     /// What the node says, or that it did not return.
-    pub fn open_again(self: &Arc<Self>, cell: &Arc<Cell>, snapshot: &Arc<Snapshot>) -> Result<Instance, OpenError> {
+    pub fn open_again(
+        self: &Arc<Self>,
+        cell: &Arc<NodeRuntime>,
+        snapshot: &Arc<Snapshot>,
+    ) -> Result<Instance, OpenError> {
         let instance = self.open_guarded(cell, snapshot)?;
         let Some(state) = cell.take_position(&instance) else { return Ok(instance) };
         match self.load_guarded(cell, instance, state.clone()) {
@@ -284,7 +297,7 @@ impl Shared {
     /// It did not return: the instance is lost.
     pub fn load_guarded(
         self: &Arc<Self>,
-        cell: &Arc<Cell>,
+        cell: &Arc<NodeRuntime>,
         mut instance: Instance,
         state: Vec<u8>,
     ) -> Result<(Instance, bool), CallError> {
@@ -292,16 +305,16 @@ impl Shared {
             let understood = instance.load_state(&state);
             (instance, understood)
         };
-        self.call_guarded(Limit::until_stop(self.around.close_limit), cell, Doing::LoadState, load)
+        self.call_guarded(Limit::until_stop(self.around.close_limit), cell, CallKind::LoadState, load)
     }
 
     /// Closes instances of a node; one that does not return is told of and left behind.
-    pub fn close_guarded(self: &Arc<Self>, cell: &Arc<Cell>, instances: Vec<Instance>) {
+    pub fn close_guarded(self: &Arc<Self>, cell: &Arc<NodeRuntime>, instances: Vec<Instance>) {
         let open = instances.into_iter().filter(Instance::is_open);
         let calls = open.map(|instance| {
             let (me, mine) = (Arc::clone(self), Arc::clone(cell));
             let run = Box::new(move || mine.end(&me.around, instance));
-            Call { cell: Arc::clone(cell), doing: Doing::Close, run }
+            Call { cell: Arc::clone(cell), kind: CallKind::Close, run }
         });
         self.guarded(
             Limit::always(self.around.close_limit),
@@ -318,12 +331,12 @@ impl Shared {
 
     /// Closes all instances of nodes, one after the other; beside one that takes long the next are closed already. What has not come to its
     /// end by then is left behind and named in the log.
-    pub fn close_all(self: &Arc<Self>, cells: Vec<Arc<Cell>>, until: Instant) {
+    pub fn close_all(self: &Arc<Self>, cells: Vec<Arc<NodeRuntime>>, until: Instant) {
         let mut open = Vec::new();
         let mut calls = Vec::new();
         for cell in cells {
             // Whoever opens the node again is too late.
-            cell.mending.fetch_add(1, Ordering::AcqRel);
+            cell.restarting.fetch_add(1, Ordering::AcqRel);
             let (instances, all) = cell.take_instances();
             let closed = Arc::new(AtomicBool::new(!all));
             open.push((Arc::clone(&cell), Arc::clone(&closed), all));
@@ -332,7 +345,7 @@ impl Shared {
                 instances.into_iter().for_each(|instance| mine.end(&me.around, instance));
                 closed.store(true, Ordering::Release);
             });
-            calls.push(Call { cell, doing: Doing::Close, run });
+            calls.push(Call { cell, kind: CallKind::Close, run });
         }
         let turn = until.saturating_duration_since(Instant::now()).min(LONGEST_TURN);
         self.guarded(Limit::always(turn), |()| true, calls, |_, _| ControlFlow::Continue(()));
@@ -342,7 +355,7 @@ impl Shared {
             }
             if !all || !closed.load(Ordering::Acquire) || cell.stuck.load(Ordering::Relaxed) > 0 {
                 let words = "it does not return and is left behind; its files may be incomplete";
-                self.around.log.say(Level::Error, &cell.id, words);
+                self.around.log.write(Level::Error, &cell.id, words);
                 cell.ceased(&self.around, words);
             }
         }

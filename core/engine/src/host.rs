@@ -1,19 +1,22 @@
 //! The functions that the host offers to plugins.
 
 use std::ffi::c_void;
+use std::path::Path;
 
 use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str};
 use panoscope_imaging::random::SplitMix64;
 
-use crate::cell::{Cell, Refused, Surroundings};
-use crate::claims::{self, Holds};
+use crate::claims::Holds;
+use crate::clock;
 use crate::fault::Cause;
-use crate::keep;
 use crate::log::{Level, Log};
 use crate::memory::{FrameRef, MemoryError, memory};
+use crate::node::{NodeRuntime, Refused, RunContext};
 use crate::outputs;
 use crate::pool;
+use crate::retained;
 use crate::stats::bump;
+use crate::sync::lock;
 
 /// What stands behind a `call` handle.
 pub(crate) struct CallContext<'a> {
@@ -28,7 +31,7 @@ pub(crate) struct CallContext<'a> {
     pub lent: Option<Lent>,
     /// What the first output may be.
     pub first_formats: u32,
-    pub cell: &'a Cell,
+    pub cell: &'a NodeRuntime,
     /// Files that the instance claims.
     pub holds: &'a Holds,
     pub log: &'a Log,
@@ -59,7 +62,12 @@ pub(crate) unsafe fn context<'a>(call: *mut c_void) -> Option<&'a mut CallContex
 
 impl<'a> CallContext<'a> {
     /// For a call that is no tick: it has no inputs and makes no outputs.
-    pub fn without_tick(cell: &'a Cell, around: &'a Surroundings, holds: &'a Holds, failure: &'a mut String) -> Self {
+    pub fn without_tick(
+        cell: &'a NodeRuntime,
+        around: &'a RunContext,
+        holds: &'a Holds,
+        failure: &'a mut String,
+    ) -> Self {
         Self {
             outputs: std::ptr::null_mut(),
             shown: std::ptr::null_mut(),
@@ -243,11 +251,11 @@ unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
 }
 
 unsafe extern "C" fn retain(ctx: *mut c_void, buffer: BufferId) {
-    keep::retain(ctx as keep::Plugin, buffer);
+    retained::retain(ctx as retained::Plugin, buffer);
 }
 
 unsafe extern "C" fn release(ctx: *mut c_void, buffer: BufferId) {
-    keep::release(ctx as keep::Plugin, buffer);
+    retained::release(ctx as retained::Plugin, buffer);
 }
 
 unsafe extern "C" fn resolve(_: *mut c_void, buffer: BufferId) -> *mut u8 {
@@ -274,7 +282,7 @@ unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
             _ => Level::Debug,
         };
         // SAFETY: as above.
-        context.log.say(level, &context.cell.id, &unsafe { words(message) });
+        context.log.write(level, &context.cell.id, &unsafe { words(message) });
     }
 }
 
@@ -325,6 +333,32 @@ unsafe extern "C" fn save(_: *mut c_void, _: *const u8, _: usize) {
     // Only the table passed to `save_state` has a sink.
 }
 
+unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status {
+    // SAFETY: plugins pass back the handle of the running call and lend the text for the length of this function (the contract).
+    let (Some(context), Some(path)) = (unsafe { (context(call), path.text()) }) else {
+        return abi::STATUS_INVALID;
+    };
+    let holds = context.holds;
+    let Some(claims) = holds.claims.as_ref().filter(|_| action <= abi::CLAIM_BEGIN_NEW) else {
+        return abi::STATUS_INVALID;
+    };
+    let (status, text) = match claims.claim(holds.token, &context.cell.id, Path::new(path), action) {
+        Ok(path) => (abi::STATUS_OK, path.to_string_lossy().into_owned()),
+        Err(other) => (abi::STATUS_INVALID, other),
+    };
+    let mut answer = lock(&holds.answer);
+    *answer = text;
+    // SAFETY: null or a place for the answer; the text stays as it is until the next claim of this instance.
+    if let Some(file) = unsafe { file.as_mut() } {
+        *file = Str::borrow(&answer);
+    }
+    status
+}
+
+unsafe extern "C" fn clock_ns(_: *mut c_void) -> i64 {
+    i64::try_from(clock::now_ns()).unwrap_or(i64::MAX)
+}
+
 /// A function table for an engine with `threads` threads.
 pub(crate) fn table(threads: usize) -> Host {
     Host {
@@ -345,14 +379,14 @@ pub(crate) fn table(threads: usize) -> Host {
         metric: Some(metric),
         random: Some(random),
         save: Some(save),
-        claim_file: Some(claims::claim_file),
-        clock_ns: Some(claims::clock_ns),
+        claim_file: Some(claim_file),
+        clock_ns: Some(clock_ns),
     }
 }
 
 /// The table given to a plugin when it is loaded; lives as long as the process. Its handle says which plugin calls, on whatever thread.
 pub(crate) fn plugin_table(descriptor: *const abi::Plugin) -> *const Host {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let ctx = keep::plugin_of(descriptor.cast()) as *mut c_void;
+    let ctx = retained::plugin_of(descriptor.cast()) as *mut c_void;
     Box::leak(Box::new(Host { ctx, ..table(threads) }))
 }

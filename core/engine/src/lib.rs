@@ -4,7 +4,7 @@
 //! from ([`Plugins`]), who writes the run down ([`observe::Observer`]) or what it follows besides the clock ([`decide::Decider`]).
 
 mod apply;
-mod cell;
+mod busy;
 mod claims;
 pub mod clock;
 mod convert;
@@ -17,15 +17,19 @@ pub mod fault;
 mod finish;
 mod guard;
 mod host;
+mod ingest;
+mod instance;
 mod join;
-mod keep;
+mod leave;
 pub mod loading;
 pub mod log;
 pub mod memory;
+mod node;
 pub mod numbers;
 pub mod observe;
 mod outbox;
 mod outputs;
+mod own_thread;
 pub mod params;
 mod plan;
 mod play;
@@ -34,8 +38,12 @@ pub mod pool;
 mod preview;
 mod region;
 mod report;
+mod retained;
 mod schedule;
+mod scratch;
 pub mod stats;
+mod sync;
+mod thread_id;
 mod threads;
 mod watch;
 

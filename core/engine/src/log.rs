@@ -72,7 +72,7 @@ impl Log {
     }
 
     /// Takes a line.
-    pub fn say(&self, level: Level, node: &str, message: &str) {
+    pub fn write(&self, level: Level, node: &str, message: &str) {
         let line = (level, node.to_owned(), message.to_owned());
         let mut lines = self.recent.lines();
         // Put in under the lock, so that both have the same order.
@@ -114,12 +114,12 @@ mod tests {
             let _ = seen.send((level, node.to_owned(), words.to_owned()));
         })));
         let total = 5_000;
-        (0..total).for_each(|n| log.say(Level::Info, "node", &n.to_string()));
+        (0..total).for_each(|n| log.write(Level::Info, "node", &n.to_string()));
         assert_eq!(log.recent().last().map(|l| l.2.clone()), Some((total - 1).to_string()), "remembered at once");
         drop(go);
         assert!(log.flush(Duration::from_secs(60)));
         let lines: Vec<Line> = lines.try_iter().collect();
-        let left_out = lines.iter().find(|l| l.1 == NAME).expect("it says how many lines were left out");
-        assert!(left_out.2.contains("lines were left out"), "{left_out:?}");
+        let skipped_tick = lines.iter().find(|l| l.1 == NAME).expect("it says how many lines were left out");
+        assert!(skipped_tick.2.contains("lines were left out"), "{skipped_tick:?}");
     }
 }

@@ -20,7 +20,7 @@ type Write<T> = Box<dyn FnMut(T) + Send>;
 
 struct State<T> {
     items: VecDeque<T>,
-    left_out: u64,
+    skipped_tick: u64,
     writing: bool,
     ended: bool,
 }
@@ -56,10 +56,10 @@ impl<T> Inner<T> {
                 state.writing = true;
                 return Some(item);
             }
-            if state.left_out > 0 {
+            if state.skipped_tick > 0 {
                 state.writing = true;
                 UNWRITTEN.fetch_add(1, Ordering::Relaxed);
-                return Some((self.note)(std::mem::take(&mut state.left_out)));
+                return Some((self.note)(std::mem::take(&mut state.skipped_tick)));
             }
             self.done.notify_all();
             if state.ended {
@@ -79,7 +79,7 @@ impl<T: Send + 'static> Outbox<T> {
         write: impl FnMut(T) + Send + 'static,
         panicked: impl Fn(&str) + Send + 'static,
     ) -> Self {
-        let state = State { items: VecDeque::new(), left_out: 0, writing: false, ended: false };
+        let state = State { items: VecDeque::new(), skipped_tick: 0, writing: false, ended: false };
         let inner = Arc::new(Inner { state: Mutex::new(state), wake: Condvar::new(), done: Condvar::new(), note });
         let mut write = write;
         let guarded: Write<T> = Box::new(move |item| {
@@ -112,12 +112,12 @@ impl<T: Send + 'static> Outbox<T> {
         }
         let mut state = self.inner.state();
         if state.items.len() >= MOST_WAITING {
-            state.left_out += 1;
+            state.skipped_tick += 1;
             return;
         }
         let mut more = 1;
-        if state.left_out > 0 {
-            let note = (self.inner.note)(std::mem::take(&mut state.left_out));
+        if state.skipped_tick > 0 {
+            let note = (self.inner.note)(std::mem::take(&mut state.skipped_tick));
             state.items.push_back(note);
             more = 2;
         }
@@ -131,7 +131,7 @@ impl<T: Send + 'static> Outbox<T> {
     pub fn flush(&self, limit: Duration) -> bool {
         let until = Instant::now() + limit;
         let mut state = self.inner.state();
-        while state.writing || !state.items.is_empty() || state.left_out > 0 {
+        while state.writing || !state.items.is_empty() || state.skipped_tick > 0 {
             let Some(left) = until.checked_duration_since(Instant::now()).filter(|d| !d.is_zero()) else {
                 return false;
             };

@@ -9,8 +9,8 @@ use std::sync::Arc;
 use panoscope_abi::{self as abi, PortRange};
 use panoscope_graph::{Align, Catalog, Edge, Graph, Mode, NodeKind};
 
-use crate::cell::{Cell, CellSpec};
 use crate::join::{Join, Rule, Slot};
+use crate::node::{NodeRuntime, NodeSpec};
 use crate::params::Snapshot;
 use crate::pool::Urgency;
 use crate::region::Region;
@@ -38,7 +38,7 @@ pub(crate) struct Inline {
 
 /// A node that runs inline after another, as the walk along a chain needs it.
 pub(crate) struct Link {
-    pub cell: Arc<Cell>,
+    pub cell: Arc<NodeRuntime>,
     pub node: u32,
     /// Output of the node before it.
     pub port: u32,
@@ -78,7 +78,7 @@ pub(crate) struct Extent {
 
 /// A graph laid out for the scheduler. All lists but the regions' are indexed by slot.
 pub(crate) struct Plan {
-    pub cells: Vec<Arc<Cell>>,
+    pub cells: Vec<Arc<NodeRuntime>>,
     /// Slots without a node keep the cell of the last one.
     pub alive: Vec<bool>,
     pub wiring: Vec<Wiring>,
@@ -100,7 +100,7 @@ pub(crate) struct Plan {
 
 impl Plan {
     /// All nodes with their slots.
-    pub fn live(&self) -> impl Iterator<Item = (usize, &Arc<Cell>)> {
+    pub fn live(&self) -> impl Iterator<Item = (usize, &Arc<NodeRuntime>)> {
         self.cells.iter().enumerate().filter(|(slot, _)| self.alive[*slot])
     }
 
@@ -190,12 +190,17 @@ pub(crate) fn outputs_read(graph: &Graph, node: usize) -> u64 {
 }
 
 /// A cell for a node of the graph; its instance is not open yet.
-pub(crate) fn cell(graph: &Graph, catalog: &Catalog, node: usize, node_type: &'static abi::NodeType) -> Arc<Cell> {
+pub(crate) fn cell(
+    graph: &Graph,
+    catalog: &Catalog,
+    node: usize,
+    node_type: &'static abi::NodeType,
+) -> Arc<NodeRuntime> {
     let (join, ranges) = inputs(graph, catalog, node);
     let outputs_read = outputs_read(graph, node);
     let description = graph.nodes[node].node_type(catalog);
     let node = &graph.nodes[node];
-    let spec = CellSpec {
+    let spec = NodeSpec {
         id: node.id.clone(),
         node_type,
         kind: description.kind,
@@ -207,14 +212,14 @@ pub(crate) fn cell(graph: &Graph, catalog: &Catalog, node: usize, node_type: &'s
         ranges,
         outputs_read,
     };
-    Arc::new(Cell::new(spec, join, Snapshot::new(node.params.clone())))
+    Arc::new(NodeRuntime::new(spec, join, Snapshot::new(node.params.clone())))
 }
 
 /// Lays out a graph whose nodes have cells already. `slots` says where each stands; regions of `old` whose head stays are used on.
 pub(crate) fn lay_out(
     graph: &Graph,
     catalog: &Catalog,
-    cells: Vec<Arc<Cell>>,
+    cells: Vec<Arc<NodeRuntime>>,
     slots: Vec<usize>,
     ticks_at_once: Option<u32>,
     old: Option<&Plan>,
@@ -250,7 +255,7 @@ fn outsiders(wiring: &[Wiring], region: usize, extent: &Extent) -> Vec<(usize, u
 }
 
 /// Writes the chains down in the order in which they are walked.
-fn link(cells: &[Arc<Cell>], alive: &[bool], wiring: &[Wiring]) -> (Vec<Link>, Vec<Range<u32>>) {
+fn link(cells: &[Arc<NodeRuntime>], alive: &[bool], wiring: &[Wiring]) -> (Vec<Link>, Vec<Range<u32>>) {
     let mut links = Vec::new();
     let mut following = vec![0..0; cells.len()];
     for head in (0..cells.len()).filter(|&slot| alive[slot] && wiring[slot].chain_head == slot) {
@@ -284,7 +289,7 @@ fn format_number(name: &str) -> Option<u32> {
 }
 
 /// A reader runs inline when it reads nothing else and nobody else reads its producer.
-fn inline_chains(graph: &Graph, catalog: &Catalog, cells: &[Arc<Cell>], slots: &[usize], wiring: &mut [Wiring]) {
+fn inline_chains(graph: &Graph, catalog: &Catalog, cells: &[Arc<NodeRuntime>], slots: &[usize], wiring: &mut [Wiring]) {
     let compute = |slot: usize| cells[slot].kind == NodeKind::Compute && !cells[slot].source;
     for &node in &graph.order {
         let slot = slots[node];

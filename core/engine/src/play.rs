@@ -6,20 +6,21 @@ use std::time::Duration;
 
 use panoscope_abi::{Frame, Tick};
 
-use crate::cell::Cell;
 use crate::clock;
 use crate::decide::Decider;
 use crate::fault::Action;
+use crate::ingest::INGEST_RING;
 use crate::log::Level;
 use crate::memory::FrameRef;
+use crate::node::NodeRuntime;
 use crate::observe::Event;
 use crate::schedule::{Ready, Shared};
 use crate::stats::bump;
-use crate::threads::{INGEST_RING, capture_fits, capture_words};
+use crate::threads::{capture_fits, capture_words};
 
 impl Shared {
     /// Plays a source's known ticks; returns whether the thread is to leave.
-    pub(crate) fn play(&self, decider: &dyn Decider, node: usize, cell: &Arc<Cell>) -> bool {
+    pub(crate) fn play(&self, decider: &dyn Decider, node: usize, cell: &Arc<NodeRuntime>) -> bool {
         if !decider.has_source(&cell.id) {
             return false;
         }
@@ -27,7 +28,7 @@ impl Shared {
             if self.is_stopping() || decider.has_failed() {
                 return false;
             }
-            if cell.leave.grant() {
+            if cell.leave.accept() {
                 return true;
             }
             let seq = known.seq;
@@ -58,7 +59,7 @@ impl Shared {
             };
             let raw: Vec<Frame> = outputs.iter().map(|f| *f.frame()).collect();
             cell.note_made(&raw);
-            cell.taps.show(&raw);
+            cell.subscribers.show(&raw);
             if let Some(observer) = &self.around.observer {
                 observer.source_tick(&cell.id, &cell.output_names, &tick, &raw);
             }
@@ -79,7 +80,7 @@ impl Shared {
                 let plan = self.plan.load();
                 let mut ready = Ready::default();
                 self.enter(&plan, node, outputs, &mut ready);
-                ready.settle(self, &plan, 0);
+                ready.dispatch_ready(self, &plan, 0);
             }
             // Only now may a change of the graph that comes next find the region at rest.
             decider.entered(&cell.id);
@@ -89,13 +90,13 @@ impl Shared {
 
     /// The packets of a played tick. One that the source may not put out here, such as one of a format that it does not declare any more, is
     /// withheld.
-    fn admit_frames(&self, cell: &Cell, tick: Tick, frames: Vec<Option<FrameRef>>) -> Vec<FrameRef> {
+    fn admit_frames(&self, cell: &NodeRuntime, tick: Tick, frames: Vec<Option<FrameRef>>) -> Vec<FrameRef> {
         let mut frames = frames.into_iter();
         let outputs = cell.rules.iter().map(|rule| {
             let Some(frame) = frames.next().flatten() else { return FrameRef::empty(tick) };
             if let Err((cause, words)) = rule.admit(frame.frame()) {
                 bump(&cell.stats.faults);
-                self.around.log.say(Level::Error, &cell.id, &words);
+                self.around.log.write(Level::Error, &cell.id, &words);
                 cell.note(&self.around, cause, Action::Withhold, Some(tick.seq), || words.clone());
                 return FrameRef::empty(tick);
             }

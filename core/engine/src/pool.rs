@@ -14,9 +14,10 @@ use panoscope_abi::ChunkFn;
 
 use crate::clock;
 use crate::ending::who::{self, Doing};
-use crate::exec::Walk;
-use crate::keep;
 use crate::outbox::panic_words;
+use crate::retained;
+use crate::scratch::Scratch;
+use crate::thread_id;
 
 /// Longest that a patient task waits behind urgent ones.
 const LONGEST_PATIENCE_NS: u64 = 100_000_000;
@@ -24,7 +25,7 @@ const LONGEST_PATIENCE_NS: u64 = 100_000_000;
 const LONGEST_STALL_NS: u64 = 100_000_000;
 
 /// Runs a node task; called on a worker.
-pub type Task = Arc<dyn Fn(u32, &mut Walk) + Send + Sync>;
+pub type Task = Arc<dyn Fn(u32, &mut Scratch) + Send + Sync>;
 
 /// A loop whose caller waits on the stack until all chunks are done.
 struct Loop {
@@ -41,7 +42,7 @@ struct Loop {
     /// The node that it belongs to.
     doing: Doing,
     /// Whose call it is part of.
-    scope: keep::Scope,
+    scope: retained::Scope,
     /// A helper kept a frame for it, or was refused something.
     attention: AtomicBool,
 }
@@ -156,7 +157,6 @@ pub struct Pool {
 thread_local! {
     /// The pool that loops of this thread run on.
     static CURRENT: RefCell<Option<Arc<Inner>>> = const { RefCell::new(None) };
-    static NUMBER: Cell<u32> = const { Cell::new(0) };
     static URGENCY: Cell<Urgency> = const { Cell::new(Urgency::Urgent) };
 }
 
@@ -164,12 +164,6 @@ thread_local! {
 #[inline]
 pub(crate) fn set_urgency(urgency: Urgency) {
     URGENCY.with(|u| u.set(urgency));
-}
-
-/// Number of the calling thread if it runs nodes, else 0.
-#[inline]
-pub(crate) fn thread_number() -> u32 {
-    NUMBER.with(Cell::get)
 }
 
 /// Ends what [`Pool::visit`] began, on the thread that began it.
@@ -182,17 +176,6 @@ impl Drop for Visit<'_> {
     fn drop(&mut self) {
         CURRENT.set(self.before.take());
     }
-}
-
-/// Gives the calling thread its number.
-pub(crate) fn set_thread_number(number: u32) {
-    NUMBER.with(|n| n.set(number));
-}
-
-/// A number no other thread has.
-pub(crate) fn next_thread_number() -> u32 {
-    static NEXT: AtomicU32 = AtomicU32::new(1);
-    NEXT.fetch_add(1, Ordering::Relaxed)
 }
 
 /// Has the calling thread allocate what reading a plan takes once per thread.
@@ -289,7 +272,7 @@ impl Pool {
             }
             state.live += 1;
             drop(state);
-            if let Err(error) = self.add_worker(task, next_thread_number(), false) {
+            if let Err(error) = self.add_worker(task, thread_id::next(), false) {
                 lock(&self.inner).live -= 1;
                 return Err(error);
             }
@@ -301,7 +284,7 @@ impl Pool {
         let (inner, task) = (Arc::clone(&self.inner), Arc::clone(task));
         let name = format!("pool-{number}");
         let started = std::thread::Builder::new().name(name.clone()).spawn(move || {
-            set_thread_number(number);
+            thread_id::set(number);
             while let Err(payload) = catch_unwind(AssertUnwindSafe(|| worker(&inner, &task, number, relief))) {
                 if let Some(tell) = inner.panicked.get() {
                     tell(&name, panic_words(&*payload));
@@ -361,7 +344,7 @@ impl Pool {
         if now_ns.saturating_sub(since_ns) < LONGEST_STALL_NS || state.reliefs.len() >= self.inner.threads {
             return Ok(false);
         }
-        let number = next_thread_number();
+        let number = thread_id::next();
         state.reliefs.push(number);
         state.stalled = (now_ns, turns);
         drop(state);
@@ -433,7 +416,7 @@ pub(crate) fn join_until<T>(thread: JoinHandle<T>, until: Instant) -> bool {
 fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
     CURRENT.set(Some(Arc::clone(inner)));
     warm_up();
-    let mut walk = Walk::default();
+    let mut walk = Scratch::default();
     let mut state = lock(inner);
     state.started += 1;
     inner.arrived.notify_all();
@@ -458,7 +441,7 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
             drop(state);
             set_urgency(this.urgency);
             // SAFETY: the call that the loop is part of does not end before its helpers are through.
-            if who::help(this.doing, || unsafe { keep::within(this.scope, || this.help(inner)) }) {
+            if who::help(this.doing, || unsafe { retained::within(this.scope, || this.help(inner)) }) {
                 this.attention.store(true, Ordering::Relaxed);
             }
             let caller = this.caller.clone();
@@ -512,10 +495,10 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
         next: AtomicUsize::new(0),
         helpers: AtomicU32::new(0),
         caller: std::thread::current(),
-        caller_number: thread_number(),
+        caller_number: thread_id::current(),
         urgency: URGENCY.with(Cell::get),
         doing: who::doing(),
-        scope: keep::scope(),
+        scope: retained::scope(),
         attention: AtomicBool::new(false),
     };
     let wanted = (inner.threads - 1).min(chunks - 1);
@@ -546,7 +529,7 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
         }
     }
     if this.attention.load(Ordering::Relaxed) {
-        keep::set_attention();
+        retained::set_attention();
     }
     true
 }

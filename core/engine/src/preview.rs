@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex, Weak};
 
 use panoscope_abi::Frame;
 
-use crate::cell::lock;
 use crate::memory::FrameRef;
+use crate::sync::lock;
 
 /// Hears each packet of a port, on the thread that made it: it must be quick.
 pub type HearFn = dyn Fn(&FrameRef) + Send + Sync;
@@ -55,12 +55,12 @@ impl Preview {
 
 /// Previews of one node's outputs. The count comes first: it is looked at with every call.
 #[repr(C)]
-pub(crate) struct Taps {
+pub(crate) struct Subscribers {
     active: AtomicUsize,
     ports: Mutex<Vec<Vec<Weak<Place>>>>,
 }
 
-impl Taps {
+impl Subscribers {
     pub fn new(outputs: usize) -> Self {
         Self { active: AtomicUsize::new(0), ports: Mutex::new(vec![Vec::new(); outputs]) }
     }
@@ -91,7 +91,7 @@ impl Taps {
     }
 
     /// Takes over the readers of a node's predecessor.
-    pub fn adopt(&self, old: &Taps) {
+    pub fn adopt(&self, old: &Subscribers) {
         let (mut to, mut from) = (lock(&self.ports), lock(&old.ports));
         let mut moved = 0;
         for (to, from) in to.iter_mut().zip(from.iter_mut()) {

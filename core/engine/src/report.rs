@@ -6,11 +6,12 @@ use std::sync::atomic::Ordering;
 use panoscope_graph::Graph;
 use serde::{Deserialize, Serialize};
 
-use crate::cell::{Cell, lock};
 use crate::clock;
+use crate::node::NodeRuntime;
 use crate::plan::Plan;
 use crate::schedule::Shared;
 use crate::stats::quantile_between_ns;
+use crate::sync::lock;
 
 /// Counters and times of a run.
 #[derive(Clone, Debug, Serialize)]
@@ -324,12 +325,12 @@ impl Window {
 
 /// Drops of a node's wires, in the order of ports and list positions.
 /// Whether a node is left out of this run by what decides over it.
-fn closes(shared: &Shared, cell: &Cell) -> bool {
+fn closes(shared: &Shared, cell: &NodeRuntime) -> bool {
     let decider = shared.around.decider.as_ref();
     !cell.source && decider.is_some_and(|decider| decider.closes(cell.source, cell.side_effects))
 }
 
-fn wire_drops(cell: &Cell) -> Vec<WireDrops> {
+fn wire_drops(cell: &NodeRuntime) -> Vec<WireDrops> {
     let ranges = lock(&cell.ranges).clone();
     let join = lock(&cell.join);
     let wires = ranges.iter().enumerate().flat_map(|(port, r)| (0..r.count as usize).map(move |index| (port, index)));
@@ -344,7 +345,7 @@ fn wire_drops(cell: &Cell) -> Vec<WireDrops> {
 }
 
 /// What waits at a node, in the order of ports and list places.
-fn queues(cell: &Cell) -> Vec<QueueWindow> {
+fn queues(cell: &NodeRuntime) -> Vec<QueueWindow> {
     let ranges = lock(&cell.ranges).clone();
     let mut join = lock(&cell.join);
     let places = ranges.iter().enumerate().flat_map(|(port, r)| (0..r.count as usize).map(move |index| (port, index)));

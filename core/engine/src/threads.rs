@@ -2,25 +2,24 @@
 
 use std::ops::Range;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
-use crate::cell::{Cell, Ports, Ran, lock};
 use crate::clock;
-use crate::exec::Walk;
 use crate::fault::{Action, Cause};
+use crate::ingest::INGEST_RING;
 use crate::memory::FrameRef;
+use crate::node::{CallOutcome, NodeRuntime, Ports};
 use crate::observe::Event;
-use crate::pool;
+use crate::own_thread::OwnThread;
 use crate::schedule::{Ready, Shared};
+use crate::scratch::Scratch;
 use crate::stats::bump;
-
-/// Ticks whose ingest time is remembered per source.
-pub(crate) const INGEST_RING: usize = 4096;
+use crate::sync::lock;
+use crate::thread_id;
 
 /// Ticks a batch reader of another region may lag behind before the producer's source waits.
 const MOST_BEHIND: usize = 64;
@@ -34,65 +33,11 @@ const REWIND_NS: i64 = 1_000_000_000;
 /// Capture times that are let in: 146 years to either side. The difference of any two of them is a number of nanoseconds, too.
 const CAPTURE_NS: Range<i64> = -(1 << 62)..1 << 62;
 
-/// Memory for the ingest times of one source.
-pub(crate) fn ingest_ring(source: bool) -> Box<[AtomicU64]> {
-    (0..if source { INGEST_RING } else { 0 }).map(|_| AtomicU64::new(0)).collect()
-}
-
 /// Longest that a source's thread works for others between two of its ticks, and the share of the time between them.
 const LONGEST_WALK_NS: u64 = 1_000_000;
 const WALK_SHARE: u64 = 8;
 /// The same for the thread of a node that may wait: about what it takes to wake another one.
 const SHORT_WALK_NS: u64 = 100_000;
-
-/// A thread that belongs to a node. It may run the nodes after it, too.
-pub(crate) struct OwnThread {
-    pub node: usize,
-    pub cell: Arc<Cell>,
-    handle: JoinHandle<()>,
-}
-
-impl OwnThread {
-    /// Waits until it has left, but no longer than until then.
-    pub fn join_until(self, until: Instant) {
-        pool::join_until(self.handle, until);
-    }
-}
-
-/// A wish that a thread leaves, which it answers before it does.
-#[derive(Default)]
-pub(crate) struct Leave(AtomicU8);
-
-impl Leave {
-    const WISHED: u8 = 1;
-    const GRANTED: u8 = 2;
-
-    pub fn wish(&self) {
-        let _ = self.0.compare_exchange(0, Self::WISHED, Ordering::AcqRel, Ordering::Relaxed);
-    }
-
-    pub fn is_wished(&self) -> bool {
-        self.0.load(Ordering::Relaxed) != 0
-    }
-
-    /// Called by the thread: whether it leaves now.
-    pub fn grant(&self) -> bool {
-        self.0.load(Ordering::Relaxed) != 0 && {
-            let _ = self.0.compare_exchange(Self::WISHED, Self::GRANTED, Ordering::AcqRel, Ordering::Relaxed);
-            self.0.load(Ordering::Acquire) == Self::GRANTED
-        }
-    }
-
-    /// Takes the wish back; `false` when the thread has set out to leave.
-    pub fn take_back(&self) -> bool {
-        self.0.compare_exchange(Self::WISHED, 0, Ordering::AcqRel, Ordering::Acquire) != Err(Self::GRANTED)
-    }
-
-    /// For the next thread.
-    pub fn reset(&self) {
-        self.0.store(0, Ordering::Release);
-    }
-}
 
 /// What a source's thread knows between two ticks.
 #[derive(Default)]
@@ -106,8 +51,8 @@ struct Pace {
 
 impl Shared {
     /// Starts the thread of a node.
-    pub fn start_thread(self: &Arc<Self>, node: usize, cell: &Arc<Cell>) -> std::io::Result<()> {
-        let number = pool::next_thread_number();
+    pub fn start_thread(self: &Arc<Self>, node: usize, cell: &Arc<NodeRuntime>) -> std::io::Result<()> {
+        let number = thread_id::next();
         let (shared, owner) = (Arc::clone(self), Arc::clone(cell));
         let cell = Arc::clone(cell);
         cell.has_thread.store(true, Ordering::Release);
@@ -116,7 +61,7 @@ impl Shared {
         let name = cell.id.clone();
         let work = Arc::clone(&shared).watched(name, move || {
             *lock(&cell.thread) = Some(std::thread::current());
-            pool::set_thread_number(number);
+            thread_id::set(number);
             shared.pool.enter();
             place_thread(cell.cpu, cell.kind == NodeKind::Realtime);
             let given_up =
@@ -138,7 +83,7 @@ impl Shared {
     }
 
     /// Waits on the node's own thread until it is woken or the time is over.
-    pub(crate) fn park(&self, cell: &Cell, most: Option<Duration>) {
+    pub(crate) fn park(&self, cell: &NodeRuntime, most: Option<Duration>) {
         if cell.wake.swap(false, Ordering::Acquire) {
             return;
         }
@@ -150,8 +95,8 @@ impl Shared {
     }
 
     /// Answers whether the watchdog gave this thread up.
-    fn blocking_thread(&self, node: usize, cell: &Cell) -> bool {
-        let mut walk = Walk::default();
+    fn blocking_thread(&self, node: usize, cell: &NodeRuntime) -> bool {
+        let mut walk = Scratch::default();
         // Real-time priority is for the node alone.
         let allowance_ns = if cell.kind == NodeKind::Realtime { 0 } else { SHORT_WALK_NS };
         loop {
@@ -162,7 +107,7 @@ impl Shared {
                 let join = lock(&cell.join);
                 (join.running, join.finished)
             };
-            if finished || cell.leave.grant() {
+            if finished || cell.leave.accept() {
                 return false;
             }
             if running && !self.run(node, &mut walk, allowance_ns) {
@@ -172,11 +117,11 @@ impl Shared {
     }
 
     /// Answers whether the watchdog gave this thread up.
-    fn source_thread(&self, node: usize, cell: &Arc<Cell>) -> bool {
+    fn source_thread(&self, node: usize, cell: &Arc<NodeRuntime>) -> bool {
         let last_ns = cell.last_capture_ns.load(Ordering::Relaxed);
-        let mut walk = Walk::default();
+        let mut walk = Scratch::default();
         let mut pace = Pace { last_capture_ns: (last_ns != i64::MIN).then_some(last_ns), ..Pace::default() };
-        let leaves = || cell.leave.grant();
+        let leaves = || cell.leave.accept();
         if let Some(decider) = self.around.decider.clone() {
             if self.play(&*decider, node, cell) {
                 return false;
@@ -201,11 +146,11 @@ impl Shared {
     }
 
     /// A source has made its last tick: answers `false` when all is said.
-    fn source_over(&self, node: usize, cell: &Cell) -> bool {
+    fn source_over(&self, node: usize, cell: &NodeRuntime) -> bool {
         let region = Arc::clone(self.plan.load().region_of(node));
         while region.has_pending() {
             self.park(cell, Some(Duration::from_millis(1)));
-            if cell.leave.grant() {
+            if cell.leave.accept() {
                 return false;
             }
         }
@@ -213,11 +158,11 @@ impl Shared {
         if !std::mem::replace(&mut lock(&cell.join).finished, true) {
             self.finish(node, &mut ready);
         }
-        ready.settle(self, &self.plan.load(), 0);
+        ready.dispatch_ready(self, &self.plan.load(), 0);
         false
     }
 
-    fn source_tick(&self, node: usize, cell: &Arc<Cell>, seq: u64, pace: &mut Pace, walk: &mut Walk) -> Step {
+    fn source_tick(&self, node: usize, cell: &Arc<NodeRuntime>, seq: u64, pace: &mut Pace, walk: &mut Scratch) -> Step {
         if self.around.batch || !self.paced {
             let has_room = self.plan.load().region_of(node).has_room();
             if !has_room || self.readers_lag(node) {
@@ -239,7 +184,7 @@ impl Shared {
         let start_ns = clock::now_ns();
         let mut ports = Ports { inputs: &mut walk.inputs, lone: false, made: &mut walk.made[0] };
         let (ran, mut now_ns) = cell.run(&mut exec, &self.around, &mut tick, true, start_ns, &mut ports);
-        if ran == Ran::Abandoned {
+        if ran == CallOutcome::Abandoned {
             Self::left_behind(cell, exec, walk);
             return Step::GivenUp;
         }
@@ -247,19 +192,19 @@ impl Shared {
         let bypassed = exec.bypassed;
         cell.exec.put(exec);
         let made = &mut walk.made[0];
-        if ran != Ran::Ok {
-            if ran == Ran::End {
+        if ran != CallOutcome::Ok {
+            if ran == CallOutcome::End {
                 return Step::End;
             }
             self.after(&self.plan.load(), node, false, ran, &tick, now_ns);
-            if ran == Ran::Stop || bypassed || cell.on_fault() == OnFault::Bypass {
+            if ran == CallOutcome::Stop || bypassed || cell.on_fault() == OnFault::Bypass {
                 return Step::End;
             }
-            if ran == Ran::Fault {
+            if ran == CallOutcome::Fault {
                 // The call was made: the next one is another tick.
                 cell.made.store(seq + 1, Ordering::Relaxed);
             } else if !self.around.batch {
-                // It is being mended; whoever does that wakes this thread.
+                // It is being restarted; whoever does that wakes this thread.
                 self.park(cell, Some(Duration::from_millis(100)));
             }
             return Step::Next;
@@ -281,7 +226,7 @@ impl Shared {
             }
         }
         cell.last_capture_ns.store(tick.capture_ns, Ordering::Relaxed);
-        cell.taps.show(&made.outputs);
+        cell.subscribers.show(&made.outputs);
         if let Some(observer) = &self.around.observer {
             observer.source_tick(&cell.id, &cell.output_names, &tick, &made.outputs);
         }
@@ -311,7 +256,7 @@ impl Shared {
             let plan = self.plan.load();
             let mut ready = Ready::default();
             self.enter(&plan, node, outputs, &mut ready);
-            if let Some(next) = ready.settle(self, &plan, allowance_ns)
+            if let Some(next) = ready.dispatch_ready(self, &plan, allowance_ns)
                 && !self.run(next, walk, allowance_ns)
             {
                 return Step::GivenUp;
@@ -321,12 +266,12 @@ impl Shared {
     }
 
     #[cold]
-    fn capture_fault(&self, cell: &Cell, tick: &Tick, last_ns: Option<i64>) {
+    fn capture_fault(&self, cell: &NodeRuntime, tick: &Tick, last_ns: Option<i64>) {
         bump(&cell.stats.faults);
         bump(&cell.stats.dropped);
         cell.note(&self.around, Cause::CaptureTime, Action::Withhold, Some(tick.seq), || {
             let words = capture_words(tick.capture_ns, last_ns);
-            self.around.log.say(crate::log::Level::Error, &cell.id, &words);
+            self.around.log.write(crate::log::Level::Error, &cell.id, &words);
             words
         });
     }
@@ -341,7 +286,7 @@ impl Shared {
         outsiders.iter().any(|&(reader, slot)| lock(&plan.cells[reader].join).waiting(slot) > MOST_BEHIND)
     }
 
-    fn wait_until_due(&self, cell: &Cell, capture_ns: i64, now_ns: u64, first: &mut Option<(i64, u64)>) -> u64 {
+    fn wait_until_due(&self, cell: &NodeRuntime, capture_ns: i64, now_ns: u64, first: &mut Option<(i64, u64)>) -> u64 {
         let &mut (first_capture, first_ns) = first.get_or_insert((capture_ns, now_ns));
         let due = first_ns.saturating_add_signed(capture_ns.saturating_sub(first_capture));
         // A jump in media time is not waited for.
@@ -350,7 +295,7 @@ impl Shared {
             return now_ns;
         }
         let mut now = now_ns;
-        while now < due && !self.is_stopping() && !cell.leave.is_wished() {
+        while now < due && !self.is_stopping() && !cell.leave.is_requested() {
             self.park(cell, Some(Duration::from_nanos(due - now)));
             now = clock::now_ns();
         }
@@ -384,7 +329,7 @@ enum Step {
     GivenUp,
 }
 
-/// Pins the calling thread and asks for real-time priority; both are wishes that a system may refuse.
+/// Pins the calling thread and asks for real-time priority; a system may refuse both.
 fn place_thread(cpu: Option<u32>, realtime: bool) {
     if let Some(cpu) = cpu.filter(|&c| (c as usize) < libc::CPU_SETSIZE as usize) {
         // SAFETY: plain system calls on a local set.

@@ -9,18 +9,19 @@ use std::time::Duration;
 
 use panoscope_graph::OnFault;
 
-use crate::cell::{Cell, lock};
+use crate::busy::{ABANDONED, CallKind};
 use crate::clock;
-use crate::exec::{ABANDONED, Doing};
 use crate::failures::backoff_ms;
 use crate::fault::{Action, Cause};
 use crate::guard::{CallError, OpenError};
-use crate::keep;
 use crate::log::Level;
+use crate::node::NodeRuntime;
 use crate::outbox::panic_words;
 use crate::plan::Plan;
+use crate::retained;
 use crate::schedule::{Ready, Shared};
 use crate::stats::bump;
+use crate::sync::lock;
 
 /// Calls of one node that may be stuck at a time; with one more the node is left out.
 const MOST_STUCK: u32 = 3;
@@ -34,7 +35,7 @@ impl Shared {
     /// Looks at the running calls until `stop` is set.
     pub fn watch(&self, stop: &AtomicBool) {
         let mut next_look_ns = 0;
-        let mut refused = keep::refused_outside();
+        let mut refused = retained::refused_outside();
         while !stop.load(Ordering::Relaxed) {
             let (nearest, budgets) = {
                 let plan = self.plan.load();
@@ -42,7 +43,7 @@ impl Shared {
             };
             let look_ms = if budgets && !self.around.batch { 4 } else { 20 };
             std::thread::park_timeout(Duration::from_millis(if nearest { 1 } else { look_ms }));
-            self.poke_nearest();
+            self.try_fire_nearest();
             let now_ns = clock::now_ns();
             if now_ns >= next_look_ns {
                 next_look_ns = now_ns + look_ms * 1_000_000;
@@ -53,18 +54,18 @@ impl Shared {
                 {
                     self.fail(format!("no thread could be started beside those that hang: {cause}"));
                 }
-                let before = std::mem::replace(&mut refused, keep::refused_outside());
+                let before = std::mem::replace(&mut refused, retained::refused_outside());
                 if refused != before {
                     let words =
                         "a plugin's thread gave back or kept a frame that the plugin does not hold; this was refused";
-                    self.around.log.say(Level::Error, "engine", words);
+                    self.around.log.write(Level::Error, "engine", words);
                 }
             }
         }
     }
 
     /// Wakes nodes whose wait for a `nearest` input is over.
-    fn poke_nearest(&self) {
+    fn try_fire_nearest(&self) {
         if self.waiting_nearest.swap(0, Ordering::Relaxed) == 0 {
             return;
         }
@@ -77,20 +78,22 @@ impl Shared {
                 continue;
             }
             if now_ns >= deadline {
-                self.poke(&plan, node, &mut ready);
+                self.try_fire(&plan, node, &mut ready);
             } else {
                 self.waiting_nearest.store(1, Ordering::Relaxed);
             }
         }
-        ready.settle(self, &plan, 0);
+        ready.dispatch_ready(self, &plan, 0);
     }
 
     /// Time from the start of a call to the end of its budget, and from there until it is called hung.
-    fn patience(&self, cell: &Cell) -> (u64, u64) {
-        match cell.busy.doing() {
-            Doing::Process => {}
-            Doing::Open => return (nanoseconds(self.around.open_limit), 0),
-            Doing::Close | Doing::SaveState | Doing::LoadState => return (nanoseconds(self.around.close_limit), 0),
+    fn patience(&self, cell: &NodeRuntime) -> (u64, u64) {
+        match cell.busy.kind() {
+            CallKind::Process => {}
+            CallKind::Check | CallKind::Open => return (nanoseconds(self.around.open_limit), 0),
+            CallKind::Finish | CallKind::Close | CallKind::SaveState | CallKind::LoadState => {
+                return (nanoseconds(self.around.close_limit), 0);
+            }
         }
         let budget_ns = cell.budget_ns.load(Ordering::Relaxed);
         match (budget_ns, self.around.unhurried()) {
@@ -117,9 +120,9 @@ impl Shared {
 
     /// Takes everything over from a call that does not return: its tick goes on with empty outputs, node and thread are replaced.
     #[cold]
-    fn abandon(&self, plan: &Plan, node: usize, cell: &Arc<Cell>, since_ns: u64, budget_ns: u64) {
+    fn abandon(&self, plan: &Plan, node: usize, cell: &Arc<NodeRuntime>, since_ns: u64, budget_ns: u64) {
         let busy = &cell.busy;
-        let (tick, thread, doing) = (busy.tick(), busy.thread.load(Ordering::Relaxed), busy.doing());
+        let (tick, thread, kind) = (busy.tick(), busy.thread.load(Ordering::Relaxed), busy.kind());
         if !busy.abandon(since_ns) {
             return;
         }
@@ -145,8 +148,8 @@ impl Shared {
         let late_ms = now_ns.saturating_sub(since_ns.saturating_add(budget_ns)) as f64 / 1e6;
         let spent_ms = now_ns.saturating_sub(since_ns) as f64 / 1e6;
         let words =
-            format!("it did not return{} for {spent_ms:.0} ms and was left behind with its thread", doing.words());
-        self.around.log.say(Level::Error, &cell.id, &words);
+            format!("it did not return{} for {spent_ms:.0} ms and was left behind with its thread", kind.from_words());
+        self.around.log.write(Level::Error, &cell.id, &words);
         cell.tell(&self.around, Cause::Hang, done, Some(tick.seq), Some(late_ms), words);
         // The rest of the tick first, so that nobody runs the node before.
         let mut ready = Ready::default();
@@ -155,7 +158,7 @@ impl Shared {
         if cell.source {
             cell.made.store(tick.seq + 1, Ordering::Relaxed);
         } else {
-            cell.left_out(&self.around, &tick, true);
+            cell.skipped_tick(&self.around, &tick, true);
             self.skip_from(plan, node, tick, &mut ready);
             again = self.take_next(plan, head, &mut ready);
         }
@@ -173,7 +176,7 @@ impl Shared {
         if again {
             self.dispatch(plan, head);
         }
-        ready.settle(self, plan, 0);
+        ready.dispatch_ready(self, plan, 0);
         match done {
             Action::Stop => {
                 self.fail(format!("node `{}` did not return and the graph says on_fault = \"stop\"", cell.id));
@@ -185,7 +188,7 @@ impl Shared {
 
     /// Writes down that a call off the hot path has no answer; answers what is done about it.
     #[cold]
-    pub fn tell_no_return(&self, cell: &Cell, error: &CallError) -> Action {
+    pub fn tell_no_return(&self, cell: &NodeRuntime, error: &CallError) -> Action {
         let stuck = cell.stuck.load(Ordering::Relaxed);
         let done = if stuck <= MOST_STUCK { Action::Abandon } else { Action::Bypass };
         bump(&cell.stats.faults);
@@ -193,7 +196,7 @@ impl Shared {
         if done == Action::Bypass {
             cell.ceased(&self.around, &words);
         }
-        self.around.log.say(Level::Error, &cell.id, &words);
+        self.around.log.write(Level::Error, &cell.id, &words);
         cell.tell(&self.around, Cause::Hang, done, None, None, words);
         done
     }
@@ -224,7 +227,7 @@ impl Shared {
     #[cold]
     pub fn thread_panicked(&self, name: &str, words: &str) {
         let words = format!("thread `{name}` of the engine panicked: {words}");
-        self.around.log.say(Level::Error, "engine", &words);
+        self.around.log.write(Level::Error, "engine", &words);
         self.fail(words);
         self.broken.store(true, Ordering::Release);
         let _guard = lock(&self.finished_lock);
@@ -232,23 +235,23 @@ impl Shared {
     }
 
     /// Closes what failed and, if the graph wants that, opens the node again. This happens on a thread of its own.
-    pub fn start_mending(&self, cell: &Arc<Cell>) {
+    pub fn start_mending(&self, cell: &Arc<NodeRuntime>) {
         if self.around.unhurried() && cell.on_fault() == OnFault::Restart && !cell.has_given_up() {
             // Closed and opened again before a tick that does not depend on the clock.
             return;
         }
         let Some(me) = self.me.upgrade() else { return };
-        let mine = cell.mending.fetch_add(1, Ordering::AcqRel) + 1;
+        let mine = cell.restarting.fetch_add(1, Ordering::AcqRel) + 1;
         let cell = Arc::clone(cell);
-        let name = format!("mend {}", cell.id);
-        let mender = Arc::clone(&me);
-        if let Err(cause) = me.start_host_thread(&name, move || mender.mend(&cell, mine)) {
+        let name = format!("restart {}", cell.id);
+        let restarter = Arc::clone(&me);
+        if let Err(cause) = me.start_host_thread(&name, move || restarter.restart(&cell, mine)) {
             self.fail(format!("no thread could be started to open a node again: {cause}"));
         }
     }
 
-    fn mend(self: &Arc<Self>, cell: &Arc<Cell>, mine: u64) {
-        let outdated = || cell.mending.load(Ordering::Acquire) != mine || cell.retired.load(Ordering::Relaxed);
+    fn restart(self: &Arc<Self>, cell: &Arc<NodeRuntime>, mine: u64) {
+        let outdated = || cell.restarting.load(Ordering::Acquire) != mine || cell.retired.load(Ordering::Relaxed);
         let broken = std::mem::take(&mut *lock(&cell.broken));
         self.close_guarded(cell, broken);
         if cell.on_fault() != OnFault::Restart || cell.has_given_up() {
@@ -275,7 +278,7 @@ impl Shared {
             match opened {
                 Ok(instance) => {
                     bump(&cell.stats.restarts);
-                    self.around.log.say(Level::Info, &cell.id, "opened again");
+                    self.around.log.write(Level::Info, &cell.id, "opened again");
                     let unused = cell.replace_instance(instance, None);
                     self.close_guarded(cell, unused.into_iter().collect());
                     if cell.source {

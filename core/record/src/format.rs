@@ -16,7 +16,7 @@ use panoscope_engine::Machine;
 use panoscope_engine::fault::Fault;
 use panoscope_engine::observe;
 
-use crate::head::hashes;
+use crate::file_hash::{FileHash, hashes};
 
 /// Topic of the events.
 pub const EVENTS: &str = "panoscope/events";
@@ -28,19 +28,6 @@ pub const FORMAT: u32 = 2;
 pub const OLDEST_FORMAT: u32 = 1;
 /// The first format whose messages carry checksums.
 pub(crate) const CHECKED_FORMAT: u32 = 2;
-
-/// A plugin's or model's file.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct FileHash {
-    /// Plugin, or `node.param` of a model.
-    pub name: String,
-    /// Where it lay.
-    pub file: String,
-    /// Its length.
-    pub bytes: u64,
-    /// XXH3 with 128 bits, as hexadecimal digits.
-    pub xxh3: String,
-}
 
 /// What a recording begins with.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -1,25 +1,15 @@
 //! What a recording says of the run it was made of.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use panoscope_graph::{Catalog, Graph, ParamKind, ParamValue};
 
-use crate::digest::file_hash;
-use crate::format::{FORMAT, FileHash, Head};
+use crate::file_hash::{FileHash, hash, hashes};
+use crate::format::{FORMAT, Head};
 use panoscope_engine::Machine;
 use panoscope_engine::Plugins;
 use panoscope_engine::fault::unix_ms;
 use panoscope_loader::Loader;
-
-fn hash(name: &str, file: &Path) -> FileHash {
-    let (xxh3, bytes) = file_hash(file).unwrap_or_default();
-    FileHash { name: name.to_owned(), file: file.display().to_string(), bytes, xxh3 }
-}
-
-/// Hashes of plugins' files, given by name.
-pub(crate) fn hashes(files: &[(String, PathBuf)]) -> Vec<FileHash> {
-    files.iter().map(|(name, file)| hash(name, file)).collect()
-}
 
 /// The files of a graph's plugins.
 pub(crate) fn plugin_hashes(graph: &Graph, loader: &Loader) -> Vec<FileHash> {

@@ -10,6 +10,7 @@ pub mod compare;
 mod content;
 pub mod digest;
 mod file;
+mod file_hash;
 pub mod format;
 mod head;
 mod recorder;
@@ -19,7 +20,8 @@ mod script;
 
 pub use digest::Digests;
 pub use file::Output;
-pub use format::{Event, FileHash, Head};
+pub use file_hash::FileHash;
+pub use format::{Event, Head};
 pub use head::head;
 pub use recorder::{RecordError, RecordOptions, Recorded, Recorder};
 pub use recording::{Cut, Packet, Recording, RecordingError, SourceTick};

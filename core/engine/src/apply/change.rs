@@ -5,9 +5,9 @@ use std::sync::Arc;
 use panoscope_graph::{Align, Catalog, Graph};
 
 use super::ApplyError;
-use crate::cell::Cell;
 use crate::claims::Claims;
 use crate::engine::{Current, type_name};
+use crate::node::NodeRuntime;
 use crate::plan::{self, Extent, Plan};
 use crate::region::Region;
 
@@ -125,7 +125,7 @@ impl Change {
                 fates[node].rewired = was != connections(graph, &slots, node);
             }
         }
-        let gives_device_back = |cell: &Cell| {
+        let gives_device_back = |cell: &NodeRuntime| {
             let freed =
                 removed.iter().copied().chain((0..slots.len()).filter(|&n| fates[n].replaced).map(|n| slots[n]));
             freed

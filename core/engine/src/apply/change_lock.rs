@@ -3,7 +3,7 @@
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Instant;
 
-use crate::cell::lock;
+use crate::sync::lock;
 
 /// Held by whoever changes the graph. Unlike a `Mutex` it can be waited for for a limited time.
 #[derive(Default)]

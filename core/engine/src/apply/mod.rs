@@ -19,16 +19,18 @@ use panoscope_graph::{Catalog, Graph, Mode};
 use self::change::{Change, Fate};
 pub(crate) use self::change_lock::ChangeLock;
 pub use self::outcome::{Applied, ApplyError};
-use crate::cell::{Cell, lock};
+use crate::busy::CallKind;
 use crate::engine::{Engine, type_name};
-use crate::exec::{Doing, Instance};
 use crate::guard::{CallError, Limit};
+use crate::instance::Instance;
 use crate::log::Level;
+use crate::node::NodeRuntime;
 use crate::params::Snapshot;
 use crate::plan::{Extent, Plan};
 use crate::plugins::Plugins;
 use crate::region::Region;
 use crate::schedule::Ready;
+use crate::sync::lock;
 
 /// Longest wait for the ticks inside a region.
 const LONGEST_DRAIN: Duration = Duration::from_secs(10);
@@ -254,7 +256,7 @@ impl Engine {
     ///
     /// # Errors
     /// It did not return: its instance is lost, and the node is opened again.
-    fn save(&self, cell: &Arc<Cell>, closes: bool) -> Result<Option<Vec<u8>>, ApplyError> {
+    fn save(&self, cell: &Arc<NodeRuntime>, closes: bool) -> Result<Option<Vec<u8>>, ApplyError> {
         let shared = &self.shared;
         let Some(mut exec) = cell.exec.take() else { return Ok(None) };
         let limit = Limit::until_stop(shared.around.close_limit);
@@ -272,12 +274,12 @@ impl Engine {
                 let state = instance.save_state(&me.around.host);
                 (instance, state)
             };
-            (instance, state) = shared.call_guarded(limit, cell, Doing::SaveState, save).map_err(lost)?;
+            (instance, state) = shared.call_guarded(limit, cell, CallKind::SaveState, save).map_err(lost)?;
         }
         if closes {
             let (me, mine) = (Arc::clone(shared), Arc::clone(cell));
             let end = move || mine.end(&me.around, instance);
-            shared.call_guarded(limit, cell, Doing::Close, end).map_err(lost)?;
+            shared.call_guarded(limit, cell, CallKind::Close, end).map_err(lost)?;
         } else if let Some(mut exec) = cell.exec.take() {
             exec.instance = instance;
             cell.exec.put(exec);
@@ -289,7 +291,12 @@ impl Engine {
     ///
     /// # Errors
     /// It did not return: the instance is lost.
-    fn load(&self, cell: &Arc<Cell>, instance: Instance, state: Option<&Vec<u8>>) -> Result<Instance, ApplyError> {
+    fn load(
+        &self,
+        cell: &Arc<NodeRuntime>,
+        instance: Instance,
+        state: Option<&Vec<u8>>,
+    ) -> Result<Instance, ApplyError> {
         let Some(state) = state.cloned() else { return Ok(instance) };
         match self.shared.load_guarded(cell, instance, state) {
             Ok((instance, understood)) => {
@@ -335,7 +342,7 @@ impl Engine {
     fn hold(&self, old: &Plan, change: &Change) -> Result<(), ApplyError> {
         let until = Instant::now() + LONGEST_DRAIN;
         for &slot in &change.quiet {
-            old.cells[slot].leave.wish();
+            old.cells[slot].leave.request();
             self.shared.wake(&old.cells[slot]);
         }
         let pause = |(region, extent): &(Arc<Region>, Extent)| {
@@ -426,8 +433,8 @@ impl Engine {
     fn let_go(&self, old: &Plan, change: &Change) {
         for &slot in &change.quiet {
             let cell = &old.cells[slot];
-            // A thread that has not seen the wish yet stays.
-            if cell.leave.take_back() {
+            // A thread that has not seen the request yet stays.
+            if cell.leave.withdraw() {
                 continue;
             }
             while cell.has_thread.load(Ordering::Acquire) {
@@ -441,10 +448,10 @@ impl Engine {
         for (region, extent) in change.held.iter().filter(|(region, _)| region.stop_waiting()) {
             self.resume(old, region, extent.head, &mut ready);
         }
-        ready.settle(&self.shared, old, 0);
+        ready.dispatch_ready(&self.shared, old, 0);
     }
 
-    fn start_thread(&self, slot: usize, cell: &Arc<Cell>) {
+    fn start_thread(&self, slot: usize, cell: &Arc<NodeRuntime>) {
         if let Err(cause) = self.shared.start_thread(slot, cell) {
             self.shared.fail(format!("no thread could be started for node `{}`: {cause}", cell.id));
         }
@@ -459,7 +466,7 @@ impl Engine {
             }
             waited = region.handed_over().into_iter().collect();
         }
-        self.shared.poke_head(plan, head, ready);
+        self.shared.try_fire_head(plan, head, ready);
     }
 
     /// Closes what is not part of the graph any more, so that its files are finished.
@@ -476,7 +483,7 @@ impl Engine {
             if stays() {
                 // It closes the node if it ever leaves. Nobody waits for it; workers that are stuck in its loops go with it.
                 let words = "it was removed and does not return; it is left behind, and its files may be incomplete";
-                self.shared.around.log.say(Level::Error, &cell.id, words);
+                self.shared.around.log.write(Level::Error, &cell.id, words);
                 let mut threads = lock(&self.shared.own_threads);
                 let number =
                     threads.iter().find(|(_, thread)| Arc::ptr_eq(&thread.cell, cell)).map(|(number, _)| *number);
@@ -499,11 +506,11 @@ fn no_answer(node: &str, error: &CallError) -> ApplyError {
 }
 
 /// Takes a node out of the graph; `true` when it was not finished.
-fn retire(cell: &Arc<Cell>) -> bool {
+fn retire(cell: &Arc<NodeRuntime>) -> bool {
     let finished = std::mem::replace(&mut lock(&cell.join).finished, true);
-    cell.mending.fetch_add(1, Ordering::AcqRel);
+    cell.restarting.fetch_add(1, Ordering::AcqRel);
     cell.retired.store(true, Ordering::Release);
-    cell.leave.wish();
+    cell.leave.request();
     cell.wake.store(true, Ordering::Release);
     if let Some(thread) = &*lock(&cell.thread) {
         thread.unpark();

@@ -8,14 +8,14 @@ use panoscope_graph::{Catalog, Graph};
 
 use super::change::{Change, Fate, connections, inherited};
 use super::{Applied, Opened, When, retire};
-use crate::cell::lock;
 use crate::engine::{Current, Engine, type_name};
-use crate::exec::Instance;
+use crate::instance::Instance;
 use crate::observe::Event;
 use crate::params::Snapshot;
 use crate::plan::{self, Plan};
 use crate::plugins::Plugins;
 use crate::schedule::Ready;
+use crate::sync::lock;
 
 impl Engine {
     /// The switch itself; nothing here fails.
@@ -64,8 +64,8 @@ impl Engine {
             if fate.tuned && shared.around.decider.is_none() {
                 cell.set_snapshot(Snapshot::new(graph.nodes[node].params.clone()));
             }
-            let manners = &graph.nodes[node];
-            cell.set_manners(manners.on_fault, manners.budget_ms, manners.max_rate_hz);
+            let policy = &graph.nodes[node];
+            cell.set_policy(policy.on_fault, policy.budget_ms, policy.max_rate_hz);
             let names = [
                 (fate.added, &mut applied.added),
                 (fate.replaced, &mut applied.replaced),
@@ -139,10 +139,10 @@ impl Engine {
         for (node, fate) in fates.iter().enumerate() {
             let slot = plan.slots[node];
             if (fate.added || fate.replaced || fate.rewired) && !plan.cells[slot].source {
-                shared.poke(&plan, slot, &mut ready);
+                shared.try_fire(&plan, slot, &mut ready);
             }
         }
-        ready.settle(shared, &plan, 0);
+        ready.dispatch_ready(shared, &plan, 0);
         shared.one_finished();
         for (slot, instance) in unused {
             shared.close_guarded(&plan.cells[slot], vec![instance]);
@@ -158,7 +158,7 @@ impl Engine {
         let slot = plan.slots[node];
         let (cell, fate) = (&plan.cells[slot], fates[node]);
         if fate.reopened && !fate.late {
-            cell.mending.fetch_add(1, Ordering::AcqRel);
+            cell.restarting.fetch_add(1, Ordering::AcqRel);
             return cell.replace_instance(instance, Some(snapshot)).map(|unused| (slot, unused));
         }
         if let Some(mut exec) = cell.exec.take() {
@@ -170,7 +170,7 @@ impl Engine {
         }
         cell.gives_up.store(false, Ordering::Release);
         if fate.reopened {
-            cell.mending.fetch_add(1, Ordering::AcqRel);
+            cell.restarting.fetch_add(1, Ordering::AcqRel);
             cell.set_snapshot(snapshot);
         }
         None
@@ -190,7 +190,7 @@ impl Engine {
     ) -> bool {
         let slot = plan.slots[node];
         let cell = &plan.cells[slot];
-        let tapped = if fate.replaced { old.cells[slot].taps.bits() } else { cell.taps.bits() };
+        let tapped = if fate.replaced { old.cells[slot].subscribers.bits() } else { cell.subscribers.bits() };
         cell.outputs_read.store(plan::outputs_read(graph, node) | tapped, Ordering::Relaxed);
         self.shared.around.widen(cell);
         if !(fate.added || fate.replaced || fate.rewired) {
@@ -222,7 +222,7 @@ impl Engine {
             drop(was);
             cell.made.store(before.made.load(Ordering::Relaxed), Ordering::Relaxed);
             if type_name(before.node_type) == type_name(cell.node_type) {
-                cell.taps.adopt(&before.taps);
+                cell.subscribers.adopt(&before.subscribers);
             }
             retire(before);
         } else if fate.rewired {

@@ -28,12 +28,6 @@ static PROCESS: AtomicI32 = AtomicI32::new(0);
 /// Thread that crashed first; 0 for none.
 static CRASHED: AtomicI32 = AtomicI32::new(0);
 
-/// The calling thread's number.
-pub(super) fn thread_id() -> i32 {
-    // SAFETY: a plain question to the system.
-    unsafe { libc::gettid() }
-}
-
 /// Whether this is the process that installed the handlers, not a forked child.
 pub(super) fn is_ours() -> bool {
     // SAFETY: a plain question to the system.
@@ -136,7 +130,7 @@ extern "C" fn handle(signal: c_int, info: *mut libc::siginfo_t, context: *mut c_
         restore(true);
         return again();
     }
-    let me = thread_id();
+    let me = who::thread_id();
     if let Err(first) = CRASHED.compare_exchange(0, me, Ordering::AcqRel, Ordering::Acquire) {
         if first == me {
             // A crash in here.
@@ -164,16 +158,12 @@ fn tell(signal: c_int, address: Option<usize>, overflow: bool) {
     let mut words = Words::new();
     words.text("error: ");
     match who::current() {
-        Some((who, phase, tick)) => {
+        Some((who, kind, tick)) => {
             if who.node.is_empty() {
                 words.text("plugin ").text(&who.file).text(" crashed while it was loaded");
             } else {
                 words.text("node `").text(&who.node).text("` (").text(&who.node_type).text(") crashed while it ");
-                words.text(match phase {
-                    who::Phase::Process => "",
-                    _ => "was ",
-                });
-                words.text(phase.words());
+                words.text(kind.while_words());
                 if let Some((source, seq)) = tick {
                     words.text(" tick ").number(seq).text(" of source ").number(u64::from(source));
                 }
@@ -186,7 +176,7 @@ fn tell(signal: c_int, address: Option<usize>, overflow: bool) {
             words.text("  help: take the node out of the graph or replace its plugin, and report this text to the plugin's author");
         }
         None => {
-            words.text("the program crashed outside of every node, in thread ").number(thread_id() as u64);
+            words.text("the program crashed outside of every node, in thread ").number(who::thread_id() as u64);
             say_signal(&mut words, signal, address, overflow);
             words.tell();
             words.text("  help: a library's own thread, or panoscope itself: report this text");

@@ -4,14 +4,15 @@ use std::sync::atomic::{AtomicBool, AtomicI32, AtomicPtr, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
 
-use super::crash::thread_id;
 use super::who::Who;
+use super::who::thread_id;
 use super::words::Words;
-use crate::cell::{Cell, lock};
 use crate::clock;
 use crate::fault::{Action, Cause, Fault, unix_ms};
 use crate::log;
+use crate::node::NodeRuntime;
 use crate::schedule::Shared;
+use crate::sync::lock;
 
 /// Longest that files are finished: what crashed may have left locks behind.
 pub(super) const LIMIT: Duration = Duration::from_secs(5);
@@ -151,7 +152,7 @@ fn last_line() -> String {
 }
 
 /// Completes a node's files and closes it once it is at rest; `false` when it crashed, does not come to rest, or could not complete them.
-fn close(shared: &Shared, cell: &Cell, victim: *const Who, until: Instant) -> bool {
+fn close(shared: &Shared, cell: &NodeRuntime, victim: *const Who, until: Instant) -> bool {
     if Arc::as_ptr(&cell.who) == victim {
         return false;
     }
@@ -173,7 +174,7 @@ fn close(shared: &Shared, cell: &Cell, victim: *const Who, until: Instant) -> bo
 }
 
 /// The crash stands among the faults, in the fault log and in the recording.
-fn write_down(shared: &Shared, cell: &Cell) {
+fn write_down(shared: &Shared, cell: &NodeRuntime) {
     let fault = Fault {
         unix_ms: unix_ms(),
         run_ms: clock::now_ns().saturating_sub(shared.start_ns) as f64 / 1e6,

@@ -5,10 +5,17 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, OnceLock};
 
-use panoscope_abi as abi;
+use panoscope_abi::{self as abi, Tick};
 use panoscope_graph::Validator;
 
-use crate::cell::{Cell, lock};
+use crate::busy::CallKind;
+use crate::sync::lock;
+
+/// The calling thread's number.
+pub(super) fn thread_id() -> i32 {
+    // SAFETY: a plain question to the system.
+    unsafe { libc::gettid() }
+}
 
 /// A node as a crash report names it. Plain strings: reading them in a signal handler touches no lock and no heap.
 #[derive(Debug, Default)]
@@ -29,58 +36,41 @@ impl Who {
     }
 }
 
-/// What a node is asked to do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Phase {
-    Process,
-    Check,
-    Open,
-    Finish,
-    Close,
-    SaveState,
-    LoadState,
-}
+/// A node whose `process` runs.
+pub(crate) trait Running {
+    /// Its name for a crash report.
+    fn who(&self) -> &Who;
 
-impl Phase {
-    pub fn words(self) -> &'static str {
-        match self {
-            Self::Process => "processed",
-            Self::Check => "checked",
-            Self::Open => "opened",
-            Self::Finish => "asked to complete its output",
-            Self::Close => "closed",
-            Self::SaveState => "asked for its state",
-            Self::LoadState => "given a state",
-        }
-    }
+    /// The tick that it processes.
+    fn tick(&self) -> Tick;
 }
 
 /// What the calling thread is doing for a node. Copied into threads that help it with a loop.
 #[derive(Clone, Copy)]
 pub(crate) struct Doing {
     /// The node whose `process` runs.
-    call: *const Cell,
+    call: Option<*const dyn Running>,
     /// Wins over `call`: rare calls.
     other: *const Who,
-    phase: Phase,
+    kind: CallKind,
 }
 
 thread_local! {
     // Constants without destructors: no lazy initialisation, so that a signal handler may read them.
-    static CALL: Slot<*const Cell> = const { Slot::new(std::ptr::null()) };
-    static OTHER: Slot<(*const Who, Phase)> = const { Slot::new((std::ptr::null(), Phase::Process)) };
+    static CALL: Slot<Option<*const (dyn Running + 'static)>> = const { Slot::new(None) };
+    static OTHER: Slot<(*const Who, CallKind)> = const { Slot::new((std::ptr::null(), CallKind::Process)) };
 }
 
-/// The calling thread runs `process` of `cell` until [`end_call`]. Costs one store: the cell's name is looked up only after a crash.
+/// The calling thread runs `process` of `node` until [`end_call`]. Costs two stores: the node's name is looked up only after a crash.
 #[inline]
-pub(crate) fn begin_call(cell: &Cell) {
-    CALL.with(|call| call.set(cell));
+pub(crate) fn begin_call(node: &(dyn Running + 'static)) {
+    CALL.with(|call| call.set(Some(node)));
 }
 
 /// See [`begin_call`].
 #[inline]
 pub(crate) fn end_call() {
-    CALL.with(|call| call.set(std::ptr::null()));
+    CALL.with(|call| call.set(None));
 }
 
 /// Source slot and number of a tick.
@@ -99,19 +89,19 @@ impl Drop for Guard {
 
 fn set(doing: Doing) {
     CALL.with(|call| call.set(doing.call));
-    OTHER.with(|other| other.set((doing.other, doing.phase)));
+    OTHER.with(|other| other.set((doing.other, doing.kind)));
 }
 
 /// What the calling thread does now.
 pub(crate) fn doing() -> Doing {
-    let (other, phase) = OTHER.with(Slot::get);
-    Doing { call: CALL.with(Slot::get), other, phase }
+    let (other, kind) = OTHER.with(Slot::get);
+    Doing { call: CALL.with(Slot::get), other, kind }
 }
 
 /// The calling thread does something rare for a node, for as long as `work` takes.
-pub(crate) fn with<T>(who: &Arc<Who>, phase: Phase, work: impl FnOnce() -> T) -> T {
+pub(crate) fn with<T>(who: &Arc<Who>, kind: CallKind, work: impl FnOnce() -> T) -> T {
     let before = doing();
-    set(Doing { other: Arc::as_ptr(who), phase, ..before });
+    set(Doing { other: Arc::as_ptr(who), kind, ..before });
     // `who` is borrowed until the guard is gone, also when `work` panics.
     let _guard = Guard { before };
     work()
@@ -128,16 +118,16 @@ pub(crate) fn help<T>(doing_there: Doing, work: impl FnOnce() -> T) -> T {
 /// The node that the calling thread works for, what it is asked to do, and in `process` the tick: source and number.
 ///
 /// Reads thread-locals and memory that the calls below on this thread keep alive: a signal handler may call this.
-pub(crate) fn current<'a>() -> Option<(&'a Who, Phase, Option<TickName>)> {
-    let Doing { call, other, phase } = doing();
+pub(crate) fn current<'a>() -> Option<(&'a Who, CallKind, Option<TickName>)> {
+    let Doing { call, other, kind } = doing();
     // SAFETY: set by `with` or `help`, which are under way below on this thread and keep it borrowed.
     if let Some(who) = unsafe { other.as_ref() } {
-        return Some((who, phase, None));
+        return Some((who, kind, None));
     }
     // SAFETY: set by `begin_call` or `help`: the call is under way below on this thread, or on one that waits for this one, and borrows it.
-    let cell = unsafe { call.as_ref() }?;
-    let tick = cell.busy.tick();
-    Some((&cell.who, Phase::Process, Some((tick.source, tick.seq))))
+    let node = unsafe { &*call? };
+    let tick = node.tick();
+    Some((node.who(), CallKind::Process, Some((tick.source, tick.seq))))
 }
 
 fn address(node_type: &'static abi::NodeType) -> usize {
@@ -160,7 +150,7 @@ pub(crate) fn loaded(entries: &[&'static abi::NodeType], file: &Path) {
 /// Runs the code of a plugin's file that belongs to no node yet: constructors, its description.
 pub(crate) fn loading<T>(file: &Path, work: impl FnOnce() -> T) -> T {
     let who = Arc::new(Who { node: String::new(), node_type: String::new(), file: file.display().to_string() });
-    with(&who, Phase::Open, work)
+    with(&who, CallKind::Open, work)
 }
 
 /// A plugin's validator whose node is named when it crashes.
@@ -168,7 +158,7 @@ pub(crate) fn checking(node_type: &str, file: &Path, validator: Validator) -> Va
     let (node_type, file) = (node_type.to_owned(), file.display().to_string());
     Validator::new(move |setup| {
         let who = Who { node: setup.node_id.to_owned(), node_type: node_type.clone(), file: file.clone() };
-        with(&Arc::new(who), Phase::Check, || validator.problems(setup))
+        with(&Arc::new(who), CallKind::Check, || validator.problems(setup))
     })
 }
 
@@ -188,7 +178,7 @@ pub(crate) fn opening<T>(who: &Arc<Who>, work: impl FnOnce() -> T) -> T {
     }
     lock(&OPENING).push(Arc::clone(who));
     let _listed = Listed(Arc::as_ptr(who));
-    with(who, Phase::Open, work)
+    with(who, CallKind::Open, work)
 }
 
 /// Nodes that are being opened now, by name and type.
@@ -205,15 +195,15 @@ mod tests {
     fn a_thread_knows_what_it_does_and_forgets_it_after_a_panic() {
         let who = Arc::new(Who { node: "a".to_owned(), node_type: "t".to_owned(), file: "f".to_owned() });
         assert!(current().is_none());
-        let there = with(&who, Phase::Close, || {
-            let (now, phase, tick) = current().expect("set");
-            assert_eq!((now.node.as_str(), phase, tick), ("a", Phase::Close, None));
+        let there = with(&who, CallKind::Close, || {
+            let (now, kind, tick) = current().expect("set");
+            assert_eq!((now.node.as_str(), kind, tick), ("a", CallKind::Close, None));
             doing()
         });
         assert!(current().is_none());
-        let seen = help(there, || current().map(|(who, phase, _)| (who.node.clone(), phase)));
-        assert_eq!(seen, Some(("a".to_owned(), Phase::Close)));
-        let caught = std::panic::catch_unwind(|| with(&who, Phase::Open, || panic!("told to")));
+        let seen = help(there, || current().map(|(who, kind, _)| (who.node.clone(), kind)));
+        assert_eq!(seen, Some(("a".to_owned(), CallKind::Close)));
+        let caught = std::panic::catch_unwind(|| with(&who, CallKind::Open, || panic!("told to")));
         assert!(caught.is_err() && current().is_none());
         assert_eq!(opening(&who, being_opened), ["`a` (t)"]);
         assert!(being_opened().is_empty());
@@ -227,14 +217,14 @@ mod tests {
             "t",
             Path::new("p.so"),
             Validator::new(move |_| {
-                let (who, phase, _) = current().expect("set");
-                *lock(&saw) = Some((who.node.clone(), who.node_type.clone(), who.file.clone(), phase));
+                let (who, kind, _) = current().expect("set");
+                *lock(&saw) = Some((who.node.clone(), who.node_type.clone(), who.file.clone(), kind));
                 Vec::new()
             }),
         );
         let setup = NodeSetup { node_id: "a", params: &[], graph_dir: Path::new(""), batch: true, wiring: None };
         assert!(validator.problems(&setup).is_empty() && current().is_none());
         let [node, node_type, file] = ["a", "t", "p.so"].map(str::to_owned);
-        assert_eq!(*lock(&seen), Some((node, node_type, file, Phase::Check)));
+        assert_eq!(*lock(&seen), Some((node, node_type, file, CallKind::Check)));
     }
 }

@@ -14,7 +14,7 @@ unsafe extern "C" fn add(data: *mut c_void, index: usize) {
 fn every_chunk_runs_once() {
     for threads in [1, 2, 8] {
         let pool = Pool::new(threads);
-        pool.start(&(Arc::new(|_: u32, _: &mut Walk| {}) as Task)).expect("threads");
+        pool.start(&(Arc::new(|_: u32, _: &mut Scratch| {}) as Task)).expect("threads");
         pool.enter();
         for chunks in [0usize, 1, 2, 7, 1000] {
             let sum = AtomicU64::new(0);
@@ -38,7 +38,7 @@ fn urgent_tasks_go_first_and_patient_ones_do_not_starve() {
     let (held, hold) = std::sync::mpsc::channel::<()>();
     let (done, seen) = std::sync::mpsc::channel();
     let hold = Mutex::new(hold);
-    let task: Task = Arc::new(move |task, _: &mut Walk| {
+    let task: Task = Arc::new(move |task, _: &mut Scratch| {
         if task == 0 {
             // The one worker is kept until all others wait.
             let _ = hold.lock().unwrap_or_else(PoisonError::into_inner).recv();
@@ -67,7 +67,7 @@ fn urgent_tasks_go_first_and_patient_ones_do_not_starve() {
 #[test]
 fn loops_nest() {
     let pool = Pool::new(3);
-    pool.start(&(Arc::new(|_: u32, _: &mut Walk| {}) as Task)).expect("threads");
+    pool.start(&(Arc::new(|_: u32, _: &mut Scratch| {}) as Task)).expect("threads");
     pool.enter();
     let sum = AtomicU64::new(0);
     // SAFETY: `nested` takes a counter.
@@ -120,9 +120,9 @@ fn stuck(
     let (done, seen) = mpsc::channel();
     let pool = Arc::new(Pool::new(threads));
     let theirs = Arc::clone(&gate);
-    let task: Task = Arc::new(move |task, _: &mut Walk| {
+    let task: Task = Arc::new(move |task, _: &mut Scratch| {
         if task == 0 {
-            let _ = done.send(thread_number());
+            let _ = done.send(thread_id::current());
             // SAFETY: the gate outlives the pool's threads.
             unsafe { parallel_for(16, Some(body), Arc::as_ptr(&theirs).cast_mut().cast()) };
         } else {
@@ -200,7 +200,7 @@ fn a_worker_that_panics_is_told_of_and_goes_on() {
         let _ = told.lock().expect("no panic").send(format!("{name}: {words}"));
     }));
     let (done, seen) = mpsc::channel();
-    let task: Task = Arc::new(move |task, _: &mut Walk| {
+    let task: Task = Arc::new(move |task, _: &mut Scratch| {
         assert!(task != 0, "no task {task}");
         let _ = done.send(task);
     });

@@ -12,26 +12,28 @@ use std::sync::{Condvar, Mutex, Weak};
 use arc_swap::ArcSwap;
 use panoscope_abi::{Frame, Tick};
 
-use crate::cell::{Cell, Ports, Ran, Resized, Surroundings, lock};
 use crate::clock;
 use crate::convert;
-use crate::exec::{Exec, Walk, clear, prefetch};
+use crate::exec::{Exec, prefetch};
 use crate::fault::{Action, Cause};
 use crate::log::Level;
 use crate::memory::FrameRef;
+use crate::node::{CallOutcome, NodeRuntime, Ports, Resized, RunContext};
 use crate::outputs::{format_name, format_names};
+use crate::own_thread::OwnThread;
 use crate::plan::{Link, Plan, Reader};
 use crate::pool::{self, Pool, Urgency};
 use crate::region::Freed;
+use crate::scratch::{Scratch, clear};
 use crate::stats::bump;
-use crate::threads::OwnThread;
+use crate::sync::lock;
 
 /// What the threads of an engine share.
 pub(crate) struct Shared {
     pub me: Weak<Shared>,
     pub plan: ArcSwap<Plan>,
     pub pool: Pool,
-    pub around: Surroundings,
+    pub around: RunContext,
     /// Wait between ticks of a source until their capture time has come.
     pub paced: bool,
     /// Ticks each source makes; `None` for no end.
@@ -89,7 +91,7 @@ impl Ready {
 
     /// Hands all to their threads but one whose chain takes no longer than `allowance_ns`, which the caller is to run: an urgent one, if there
     /// is one; a patient one only where nothing urgent waits.
-    pub fn settle(&mut self, shared: &Shared, plan: &Plan, allowance_ns: u64) -> Option<usize> {
+    pub fn dispatch_ready(&mut self, shared: &Shared, plan: &Plan, allowance_ns: u64) -> Option<usize> {
         let nodes = &self.nodes[..self.len];
         let fits = |node: &usize| {
             let cell = &plan.cells[*node];
@@ -126,7 +128,7 @@ impl Shared {
         }
     }
 
-    pub fn wake(&self, cell: &Cell) {
+    pub fn wake(&self, cell: &NodeRuntime) {
         cell.wake.store(true, Ordering::Release);
         if let Some(thread) = &*lock(&cell.thread) {
             thread.unpark();
@@ -135,7 +137,7 @@ impl Shared {
 
     /// Runs a node and what may follow it on this thread; `false` when the watchdog gave the thread up. A worker's allowance has no end
     /// (`u64::MAX`); a node's own thread goes on with others' chains only as long as these are known to take no more than its allowance.
-    pub fn run(&self, node: usize, walk: &mut Walk, mut allowance_ns: u64) -> bool {
+    pub fn run(&self, node: usize, walk: &mut Scratch, mut allowance_ns: u64) -> bool {
         let is_worker = allowance_ns == u64::MAX;
         let mut current = node;
         loop {
@@ -145,7 +147,7 @@ impl Shared {
             let Some(again) = self.run_tick(&plan, current, walk, &mut ready) else { return false };
             let is_owner = plan.cells[current].owns_thread();
             // A thread's own node comes first.
-            match (ready.settle(self, &plan, if is_owner && again { 0 } else { allowance_ns }), again) {
+            match (ready.dispatch_ready(self, &plan, if is_owner && again { 0 } else { allowance_ns }), again) {
                 (next, true) if !is_owner && (next.is_some() || !is_worker) => {
                     self.pool.push(current as u32, plan.wiring[current].urgency);
                     let Some(next) = next else { return true };
@@ -162,7 +164,7 @@ impl Shared {
     }
 
     /// One staged tick of a node and its inline chain; `true` when the next tick is staged already, `None` when the call was given up.
-    fn run_tick(&self, plan: &Plan, node: usize, walk: &mut Walk, ready: &mut Ready) -> Option<bool> {
+    fn run_tick(&self, plan: &Plan, node: usize, walk: &mut Scratch, ready: &mut Ready) -> Option<bool> {
         let cell = &plan.cells[node];
         let Some(mut exec) = cell.exec.take() else {
             // The engine closed it: nobody will run it again.
@@ -179,7 +181,7 @@ impl Shared {
             let start_ns = clock::now_ns();
             let mut ports = Ports { inputs: &mut walk.inputs, lone: false, made: &mut walk.made[0] };
             let (ran, now_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, start_ns, &mut ports);
-            if ran == Ran::Abandoned {
+            if ran == CallOutcome::Abandoned {
                 Self::left_behind(cell, exec, walk);
                 return None;
             }
@@ -195,7 +197,7 @@ impl Shared {
     }
 
     /// A call came back that the watchdog gave up: everything else has been done in its place.
-    pub fn left_behind(cell: &Cell, exec: Box<Exec>, walk: &mut Walk) {
+    pub fn left_behind(cell: &NodeRuntime, exec: Box<Exec>, walk: &mut Scratch) {
         drop(exec);
         walk.clear();
         cell.stuck.fetch_sub(1, Ordering::Relaxed);
@@ -203,8 +205,8 @@ impl Shared {
 
     /// Shows what a node made to whoever looks at it.
     #[inline]
-    fn show(&self, cell: &Cell, outputs: &[Frame]) {
-        cell.taps.show(outputs);
+    fn show(&self, cell: &NodeRuntime, outputs: &[Frame]) {
+        cell.subscribers.show(outputs);
         if let Some(observer) = &self.around.observer {
             observer.outputs(&cell.id, &cell.output_names, outputs);
         }
@@ -212,24 +214,24 @@ impl Shared {
 
     /// What follows from how a call ended.
     #[inline]
-    pub fn after(&self, plan: &Plan, node: usize, sink: bool, ran: Ran, tick: &Tick, now_ns: u64) {
-        if ran == Ran::Ok {
+    pub fn after(&self, plan: &Plan, node: usize, sink: bool, ran: CallOutcome, tick: &Tick, now_ns: u64) {
+        if ran == CallOutcome::Ok {
             if sink && let Some(ingest) = self.ingest(plan, tick) {
                 plan.cells[node].stats.age.record(now_ns.saturating_sub(ingest));
             }
-        } else if ran != Ran::Skipped {
+        } else if ran != CallOutcome::Skipped {
             self.after_failure(plan, node, ran, tick);
         }
     }
 
     #[cold]
-    fn after_failure(&self, plan: &Plan, node: usize, ran: Ran, tick: &Tick) {
+    fn after_failure(&self, plan: &Plan, node: usize, ran: CallOutcome, tick: &Tick) {
         let cell = &plan.cells[node];
         self.blame(plan, node, tick);
-        if ran == Ran::Stop {
+        if ran == CallOutcome::Stop {
             self.fail(format!("node `{}` failed and the graph says on_fault = \"stop\"", cell.id));
         }
-        if cell.wants_mending.swap(false, Ordering::Acquire) {
+        if cell.wants_restart.swap(false, Ordering::Acquire) {
             self.start_mending(cell);
         }
     }
@@ -245,7 +247,7 @@ impl Shared {
             let name = producer.rules.get(resized.output).map_or("?", |r| &r.name);
             let ((w0, h0), (w1, h1), reader) = (resized.from, resized.to, &plan.cells[node].id);
             let words = format!("output `{name}` is {w1}x{h1} after {w0}x{h0}, node `{reader}` failed on it");
-            self.around.log.say(Level::Error, &producer.id, &words);
+            self.around.log.write(Level::Error, &producer.id, &words);
             producer.tell(&self.around, Cause::Size, Action::Note, Some(tick.seq), None, words);
         }
     }
@@ -265,7 +267,7 @@ impl Shared {
         node: usize,
         mut tick: Tick,
         mut now_ns: u64,
-        walk: &mut Walk,
+        walk: &mut Scratch,
         ready: &mut Ready,
     ) -> Option<u64> {
         let mut last = node;
@@ -290,7 +292,7 @@ impl Shared {
                 return Some(now_ns);
             };
             let complete = link.optional || !frame.is_empty();
-            // Made outputs carry the tick already; writing it again would hold up who reads it next.
+            // CallOutputs outputs carry the tick already; writing it again would hold up who reads it next.
             if frame.tick != tick {
                 frame.tick = tick;
             }
@@ -298,13 +300,13 @@ impl Shared {
             let inputs = std::slice::from_mut(unsafe { FrameRef::adopt_in_place(frame) });
             let mut ports = Ports { inputs, lone: link.lone, made: next };
             let (ran, end_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, now_ns, &mut ports);
-            if ran == Ran::Abandoned {
+            if ran == CallOutcome::Abandoned {
                 Self::left_behind(cell, exec, walk);
                 return None;
             }
             made.clear();
             cell.exec.put(exec);
-            if link.sink || ran != Ran::Ok {
+            if link.sink || ran != CallOutcome::Ok {
                 self.after(plan, link.node as usize, link.sink, ran, &tick, end_ns);
             }
             now_ns = end_ns;
@@ -328,7 +330,7 @@ impl Shared {
         while let Some(inline) = plan.wiring[last].inline {
             last = inline.node;
             bump(&plan.cells[last].stats.skipped);
-            plan.cells[last].left_out(&self.around, &tick, false);
+            plan.cells[last].skipped_tick(&self.around, &tick, false);
         }
         for port in 0..plan.wiring[last].readers.len() {
             self.deliver_port(plan, last, port, FrameRef::empty(tick), ready);
@@ -346,13 +348,13 @@ impl Shared {
         let region = &plan.regions[wiring.region];
         match region.leaf_done(nth) {
             Freed::Nothing => {}
-            Freed::Head => self.poke_head(plan, region.head, ready),
+            Freed::Head => self.try_fire_head(plan, region.head, ready),
             Freed::Pending(outputs) => {
                 self.enter(plan, region.head, outputs, ready);
                 while let Some(outputs) = region.handed_over() {
                     self.enter(plan, region.head, outputs, ready);
                 }
-                self.poke_head(plan, region.head, ready);
+                self.try_fire_head(plan, region.head, ready);
             }
         }
     }
@@ -370,12 +372,12 @@ impl Shared {
     }
 
     /// The head of a region may admit another tick.
-    pub fn poke_head(&self, plan: &Plan, head: usize, ready: &mut Ready) {
+    pub fn try_fire_head(&self, plan: &Plan, head: usize, ready: &mut Ready) {
         let cell = &plan.cells[head];
         if cell.source {
             self.wake(cell);
         } else {
-            self.poke(plan, head, ready);
+            self.try_fire(plan, head, ready);
         }
     }
 
@@ -400,11 +402,11 @@ impl Shared {
         }
     }
 
-    fn to_gray(&self, cell: &Cell, frame: &FrameRef) -> FrameRef {
+    fn to_gray(&self, cell: &NodeRuntime, frame: &FrameRef) -> FrameRef {
         bump(&cell.stats.conversions);
         convert::to_gray8(frame).unwrap_or_else(|| {
             let words = "a gray copy was left out: frame memory is used up";
-            self.around.log.say(Level::Warn, &cell.id, words);
+            self.around.log.write(Level::Warn, &cell.id, words);
             cell.note(&self.around, Cause::Exhausted, Action::Withhold, Some(frame.tick().seq), || words.to_owned());
             FrameRef::empty(frame.tick())
         })
@@ -423,7 +425,7 @@ impl Shared {
                 plan.cells[reader].id,
                 format_names(accepts)
             );
-            self.around.log.say(Level::Error, &cell.id, &words);
+            self.around.log.write(Level::Error, &cell.id, &words);
             words
         });
     }
@@ -461,7 +463,7 @@ impl Shared {
 
     /// A wire on which packets wait to be picked by their time is full.
     #[cold]
-    fn tell_of_drops(&self, cell: &Cell, slot: usize, all: u64, new: u64, capacity: usize) {
+    fn tell_of_drops(&self, cell: &NodeRuntime, slot: usize, all: u64, new: u64, capacity: usize) {
         // With every power of two.
         if all.ilog2() == (all - new).checked_ilog2().unwrap_or(u32::MAX) {
             return;
@@ -472,7 +474,7 @@ impl Shared {
             "input `{name}`: {all} packets were dropped, because {capacity} wait already; what they are matched with comes too seldom \
              (`queue` says how many may wait)"
         );
-        self.around.log.say(Level::Warn, &cell.id, &words);
+        self.around.log.write(Level::Warn, &cell.id, &words);
     }
 
     /// No tick will come out of this node again.

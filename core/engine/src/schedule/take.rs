@@ -3,12 +3,12 @@
 use std::sync::atomic::Ordering;
 
 use super::{Next, Ready, Shared};
-use crate::cell::lock;
 use crate::clock;
 use crate::join::{Join, Take};
 use crate::observe::Event;
 use crate::plan::Plan;
 use crate::region::Region;
+use crate::sync::lock;
 
 impl Shared {
     fn gate<'p>(&self, plan: &'p Plan, node: usize, join: &Join) -> Option<&'p Region> {
@@ -69,7 +69,7 @@ impl Shared {
     }
 
     /// Tries to fire a node that nobody runs.
-    pub fn poke(&self, plan: &Plan, node: usize, ready: &mut Ready) {
+    pub fn try_fire(&self, plan: &Plan, node: usize, ready: &mut Ready) {
         let mut join = lock(&plan.cells[node].join);
         if join.running || join.finished {
             return;

@@ -6,19 +6,24 @@ use std::sync::atomic::Ordering;
 use panoscope_abi::{self as abi, PortRange, Tick};
 
 use super::{
-    Cell, MOST_KEPT_FRAMES, ONE_INPUT, Ports, REMEMBERED_SIZES, Ran, Refused, Resized, SILENT_CALLS, Surroundings, lock,
+    CallOutcome, MOST_KEPT_FRAMES, NodeRuntime, ONE_INPUT, Ports, REMEMBERED_SIZES, Refused, Resized, RunContext,
+    SILENT_CALLS,
 };
+use crate::busy::{CallKind, LeftBehind};
 use crate::clock;
 use crate::ending::who;
-use crate::exec::{Doing, Exec, Instance, LeftBehind, Made, Port, clear};
+use crate::exec::{Exec, Port};
 use crate::fault::{Action, Cause};
 use crate::host::CallContext;
-use crate::keep::attention;
+use crate::instance::Instance;
 use crate::log::Level;
 use crate::observe::Event;
 use crate::outputs::is_same;
 use crate::params::Snapshot;
+use crate::retained::attention;
+use crate::scratch::{CallOutputs, clear};
 use crate::stats::bump;
+use crate::sync::lock;
 
 /// Whether a node is called for a tick.
 enum May {
@@ -31,36 +36,36 @@ enum May {
     LeftBehind,
 }
 
-impl Cell {
+impl NodeRuntime {
     /// Calls the node for one tick; answers how it went and the time at its end. The inputs are the caller's to give back.
     pub fn run(
         &self,
         exec: &mut Exec,
-        around: &Surroundings,
+        around: &RunContext,
         tick: &mut Tick,
         complete: bool,
         start_ns: u64,
         ports: &mut Ports<'_>,
-    ) -> (Ran, u64) {
+    ) -> (CallOutcome, u64) {
         let mut start_ns = start_ns;
         let mut led = None;
         if let Some(decider) = &around.decider {
             match self.lead(&**decider, exec, around, tick) {
                 Ok(runs) => led = runs,
-                Err(LeftBehind) => return (Ran::Abandoned, start_ns),
+                Err(LeftBehind) => return (CallOutcome::Abandoned, start_ns),
             }
             start_ns = clock::now_ns();
         }
-        if self.news.load(Ordering::Acquire) != exec.news {
+        if self.config_epoch.load(Ordering::Acquire) != exec.config_epoch {
             if let Err(LeftBehind) = self.catch_up(exec, around, tick, led.is_some()) {
-                return (Ran::Abandoned, start_ns);
+                return (CallOutcome::Abandoned, start_ns);
             }
             start_ns = clock::now_ns();
         }
         ports.made.set_len(exec.outputs_len as usize);
         if !complete {
             bump(&self.stats.skipped);
-            return (Ran::Skipped, start_ns);
+            return (CallOutcome::Skipped, start_ns);
         }
         let may = match led {
             None => self.may_run(exec, around, tick, start_ns),
@@ -70,16 +75,16 @@ impl Cell {
         let start_ns = match may {
             May::Run { start_ns } => start_ns,
             May::Skip => {
-                self.left_out(around, tick, false);
-                return (Ran::Skipped, start_ns);
+                self.skipped_tick(around, tick, false);
+                return (CallOutcome::Skipped, start_ns);
             }
-            May::LeftBehind => return (Ran::Abandoned, start_ns),
+            May::LeftBehind => return (CallOutcome::Abandoned, start_ns),
         };
         let allocations = around.thread_allocations.map(|count| count());
         self.busy.begin(tick, start_ns);
         let (status, refused) = self.call(exec, around, tick, ports);
         if !self.busy.end(start_ns) {
-            return (Ran::Abandoned, start_ns);
+            return (CallOutcome::Abandoned, start_ns);
         }
         let end_ns = clock::now_ns();
         if let Some((count, before)) = around.thread_allocations.zip(allocations) {
@@ -102,27 +107,27 @@ impl Cell {
         } else {
             ports.made.clear();
             if status == abi::STATUS_END && exec.source {
-                Ran::End
+                CallOutcome::End
             } else {
                 self.failed(exec, around, status, refused, tick, end_ns)
             }
         };
-        if !matches!(ran, Ran::Ok | Ran::End | Ran::Abandoned) {
-            self.left_out(around, tick, !exec.instance.is_open());
+        if !matches!(ran, CallOutcome::Ok | CallOutcome::End | CallOutcome::Abandoned) {
+            self.skipped_tick(around, tick, !exec.instance.is_open());
         }
         (ran, end_ns)
     }
 
     /// Writes an event of this node into the recording, if there is one.
     #[inline]
-    pub fn write_down(&self, around: &Surroundings, event: impl FnOnce(String) -> Event) {
+    pub fn write_down(&self, around: &RunContext, event: impl FnOnce(String) -> Event) {
         if let Some(observer) = &around.observer {
             observer.event(event(self.id.clone()));
         }
     }
 
     #[cold]
-    fn over_budget(&self, around: &Surroundings, tick: &Tick, spent_ns: u64, budget_ns: u64) {
+    fn over_budget(&self, around: &RunContext, tick: &Tick, spent_ns: u64, budget_ns: u64) {
         bump(&self.stats.over_budget);
         let words = || format!("took {:.1} ms of {:.1} ms", spent_ns as f64 / 1e6, budget_ns as f64 / 1e6);
         self.note(around, Cause::Slow, Action::Note, Some(tick.seq), words);
@@ -130,8 +135,8 @@ impl Cell {
 
     /// Takes over what others changed since the last call. Where a recording leads, it says when a replacement takes its turn.
     #[cold]
-    fn catch_up(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick, led: bool) -> Result<(), LeftBehind> {
-        exec.news = self.news.load(Ordering::Acquire);
+    fn catch_up(&self, exec: &mut Exec, around: &RunContext, tick: &Tick, led: bool) -> Result<(), LeftBehind> {
+        exec.config_epoch = self.config_epoch.load(Ordering::Acquire);
         if !led && self.replace.load(Ordering::Relaxed) {
             self.take_replacement(exec, around, tick)?;
         }
@@ -150,32 +155,32 @@ impl Cell {
     ///
     /// # Errors
     /// The watchdog gave the call up: what it answered is dropped here, by the thread that was left behind.
-    pub fn aside<R>(&self, doing: Doing, tick: &Tick, call: impl FnOnce() -> R) -> Result<R, LeftBehind> {
+    pub fn aside<R>(&self, kind: CallKind, tick: &Tick, call: impl FnOnce() -> R) -> Result<R, LeftBehind> {
         let start_ns = clock::now_ns();
-        self.busy.begin_doing(doing, tick, start_ns);
+        self.busy.begin_kind(kind, tick, start_ns);
         let answer = call();
         if self.busy.end(start_ns) { Ok(answer) } else { Err(LeftBehind) }
     }
 
     /// The node made nothing of a tick although its inputs were there.
-    pub fn left_out(&self, around: &Surroundings, tick: &Tick, closed: bool) {
+    pub fn skipped_tick(&self, around: &RunContext, tick: &Tick, closed: bool) {
         self.write_down(around, |node| Event::Skipped { node, tick: *tick, closed });
     }
 
     /// The node goes on with an instance that was opened with these values.
-    pub fn opened(&self, snapshot: &Snapshot, around: &Surroundings, tick: &Tick) {
+    pub fn opened(&self, snapshot: &Snapshot, around: &RunContext, tick: &Tick) {
         let values = || snapshot.owned().to_vec();
         self.write_down(around, |node| Event::Opened { node, tick: *tick, values: values() });
     }
 
     #[cold]
-    fn take_replacement(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick) -> Result<(), LeftBehind> {
+    fn take_replacement(&self, exec: &mut Exec, around: &RunContext, tick: &Tick) -> Result<(), LeftBehind> {
         self.replace.store(false, Ordering::Relaxed);
         let Some((mut instance, snapshot)) = lock(&self.replacement).take() else { return Ok(()) };
         self.hand_over(exec, &mut instance, around, tick)?;
         let old = std::mem::replace(&mut exec.instance, instance.begun());
         if old.is_open() {
-            self.aside(Doing::Close, tick, || self.end(around, old))?;
+            self.aside(CallKind::Close, tick, || self.end(around, old))?;
         }
         if let Some(snapshot) = snapshot {
             self.set_snapshot(Arc::clone(&snapshot));
@@ -195,14 +200,14 @@ impl Cell {
         &self,
         exec: &mut Exec,
         successor: &mut Instance,
-        around: &Surroundings,
+        around: &RunContext,
         tick: &Tick,
     ) -> Result<(), LeftBehind> {
         if !exec.instance.saves_state() {
             return Ok(());
         }
-        if let Some(state) = self.aside(Doing::SaveState, tick, || exec.instance.save_state(&around.host))?
-            && !self.aside(Doing::LoadState, tick, || successor.load_state(&state))?
+        if let Some(state) = self.aside(CallKind::SaveState, tick, || exec.instance.save_state(&around.host))?
+            && !self.aside(CallKind::LoadState, tick, || successor.load_state(&state))?
         {
             self.starts_anew(around);
         }
@@ -210,12 +215,12 @@ impl Cell {
     }
 
     /// Says that a saved state is lost.
-    pub fn starts_anew(&self, around: &Surroundings) {
-        around.log.say(Level::Warn, &self.id, "the state of its predecessor was not understood: it starts anew");
+    pub fn starts_anew(&self, around: &RunContext) {
+        around.log.write(Level::Warn, &self.id, "the state of its predecessor was not understood: it starts anew");
     }
 
     #[inline]
-    fn may_run(&self, exec: &mut Exec, around: &Surroundings, tick: &Tick, start_ns: u64) -> May {
+    fn may_run(&self, exec: &mut Exec, around: &RunContext, tick: &Tick, start_ns: u64) -> May {
         let last = exec.last_fired_ns;
         // After a step back in capture time a node does not wait until the old time comes again.
         if exec.limited
@@ -248,7 +253,7 @@ impl Cell {
     fn call(
         &self,
         exec: &mut Exec,
-        around: &Surroundings,
+        around: &RunContext,
         tick: &mut Tick,
         ports: &mut Ports<'_>,
     ) -> (abi::Status, Option<Refused>) {
@@ -324,12 +329,12 @@ impl Cell {
     fn accept(
         &self,
         exec: &mut Exec,
-        around: &Surroundings,
+        around: &RunContext,
         tick: &Tick,
         mut refused: Option<Refused>,
         end_ns: u64,
-        made: &mut Made,
-    ) -> Ran {
+        made: &mut CallOutputs,
+    ) -> CallOutcome {
         let mut count = 0;
         for (index, (frame, shown)) in made.outputs.iter_mut().zip(&made.shown).enumerate() {
             if frame.is_empty() && shown.is_empty() {
@@ -360,7 +365,7 @@ impl Cell {
         if exec.troubled || silent || attention() {
             return self.accept_troubled(exec, around, tick, silent, end_ns, made);
         }
-        Ran::Ok
+        CallOutcome::Ok
     }
 
     /// The rest of [`Self::accept`] for a node of whom something is remembered, or that made nothing or kept a frame.
@@ -368,12 +373,12 @@ impl Cell {
     fn accept_troubled(
         &self,
         exec: &mut Exec,
-        around: &Surroundings,
+        around: &RunContext,
         tick: &Tick,
         silent: bool,
         end_ns: u64,
-        made: &mut Made,
-    ) -> Ran {
+        made: &mut CallOutputs,
+    ) -> CallOutcome {
         exec.bad_in_a_row = 0;
         self.blame_for_refused(exec, around, tick);
         if exec.instance.kept.count() > MOST_KEPT_FRAMES {
@@ -405,18 +410,18 @@ impl Cell {
             self.failures.store(0, Ordering::Relaxed);
         }
         exec.troubled = silent;
-        Ran::Ok
+        CallOutcome::Ok
     }
 
     /// A node that kept or gave back what it does not hold: nothing was done, so the node goes on.
-    fn blame_for_refused(&self, exec: &Exec, around: &Surroundings, tick: &Tick) {
+    fn blame_for_refused(&self, exec: &Exec, around: &RunContext, tick: &Tick) {
         if exec.instance.kept.take_refused() == 0 {
             return;
         }
         bump(&self.stats.faults);
         self.note(around, Cause::Release, Action::Note, Some(tick.seq), || {
             let words = "it gave back or kept a frame that it does not hold; this was refused".to_owned();
-            around.log.say(Level::Error, &self.id, &words);
+            around.log.write(Level::Error, &self.id, &words);
             words
         });
     }

@@ -2,31 +2,36 @@
 
 mod call;
 mod lead;
+mod open;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
-use panoscope_abi::{self as abi, PortRange, Str, Tick};
+use panoscope_abi::{self as abi, PortRange, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
-use crate::claims::{Claims, Holds};
+use crate::busy::Busy;
+use crate::claims::Claims;
 use crate::clock;
 use crate::decide::Decider;
-use crate::ending::who::{self, Who};
-use crate::exec::{Busy, Exec, ExecPlace, Instance, Made};
+use crate::ending::who::{Running, Who};
+use crate::exec::{Exec, ExecPlace};
 use crate::fault::{Action, CAUSES, Cause, Fault, FaultLog, unix_ms};
-use crate::host::CallContext;
+use crate::ingest::ingest_ring;
+use crate::instance::Instance;
 use crate::join::Join;
+use crate::leave::Leave;
 use crate::log::{Level, Log};
 use crate::memory::FrameRef;
 use crate::observe::Observer;
 use crate::outputs::OutputRule;
 use crate::params::{InForce, Snapshot};
-use crate::preview::{HearNumberFn, Taps};
+use crate::preview::{HearNumberFn, Subscribers};
+use crate::scratch::CallOutputs;
 use crate::stats::NodeStats;
-use crate::threads::{Leave, ingest_ring};
+use crate::sync::lock;
 
 /// Frames that a node may keep beyond its calls.
 pub(crate) const MOST_KEPT_FRAMES: usize = 128;
@@ -40,7 +45,7 @@ const SILENT_CALLS: u32 = 30;
 const REMEMBERED_SIZES: usize = 8;
 
 /// What every call of an engine shares.
-pub(crate) struct Surroundings {
+pub(crate) struct RunContext {
     pub host: abi::Host,
     pub log: Log,
     pub faults: FaultLog,
@@ -62,10 +67,10 @@ pub(crate) struct Surroundings {
     pub stopped: Mutex<BTreeMap<String, String>>,
 }
 
-impl Surroundings {
+impl RunContext {
     /// The recording has a gap or ends: said at once, and the run goes on.
     pub fn recording_trouble(&self, words: &str) {
-        self.log.say(Level::Warn, "record", words);
+        self.log.write(Level::Warn, "record", words);
         self.faults.put(Fault {
             unix_ms: unix_ms(),
             run_ms: clock::now_ns().saturating_sub(self.start_ns) as f64 / 1e6,
@@ -80,7 +85,7 @@ impl Surroundings {
     }
 
     /// A source that is recorded makes all its outputs, if that is wanted.
-    pub fn widen(&self, cell: &Cell) {
+    pub fn widen(&self, cell: &NodeRuntime) {
         if cell.source && self.observer.as_ref().is_some_and(|o| o.wants_all_source_outputs()) {
             cell.outputs_read.store(u64::MAX, Ordering::Relaxed);
         }
@@ -100,7 +105,7 @@ impl Surroundings {
 
 /// How a call ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Ran {
+pub(crate) enum CallOutcome {
     Ok,
     /// A source has nothing left.
     End,
@@ -116,14 +121,14 @@ pub(crate) enum Ran {
 
 /// A node of a running graph. What every call touches stands in the first cache line.
 #[repr(C, align(64))]
-pub(crate) struct Cell {
+pub(crate) struct NodeRuntime {
     pub exec: ExecPlace,
     /// The running call.
     pub busy: Busy,
-    /// Changes whenever parameters, instance or manners do: a call that finds it as before need look at none of them.
-    news: AtomicU64,
+    /// Changes whenever parameters, instance or policy do: a call that finds it as before need look at none of them.
+    config_epoch: AtomicU64,
     pub outputs_read: AtomicU64,
-    pub taps: Taps,
+    pub subscribers: Subscribers,
     pub id: String,
     pub node_type: &'static abi::NodeType,
     pub kind: NodeKind,
@@ -149,11 +154,11 @@ pub(crate) struct Cell {
     /// Where a failed source was: the instance that replaces it goes on from there.
     pub position: Mutex<Option<Vec<u8>>>,
     /// A failed node is to be opened again.
-    pub wants_mending: AtomicBool,
-    /// Its last error was one that opening it again would not mend.
+    pub wants_restart: AtomicBool,
+    /// Its last error was one that opening it again would not restart.
     pub gives_up: AtomicBool,
-    /// Increases whenever somebody sets out to mend; only the newest may hand over.
-    pub mending: AtomicU64,
+    /// Increases whenever somebody sets out to restart; only the newest may hand over.
+    pub restarting: AtomicU64,
     pub failures: AtomicU32,
     /// Calls of all kinds that were left behind and have not returned.
     pub stuck: Arc<AtomicU32>,
@@ -190,8 +195,8 @@ pub(crate) struct Cell {
     pub ports_made: AtomicU64,
 }
 
-// The last of what every call touches is the count of readers, with which `taps` begins.
-const _: () = assert!(std::mem::offset_of!(Cell, taps) + size_of::<usize>() <= 64);
+// The last of what every call touches is the count of readers, with which `subscribers` begins.
+const _: () = assert!(std::mem::offset_of!(NodeRuntime, subscribers) + size_of::<usize>() <= 64);
 
 /// What the host refused a node.
 pub(crate) type Refused = Box<(Cause, String)>;
@@ -204,7 +209,7 @@ pub(crate) struct Ports<'w> {
     pub inputs: &'w mut [FrameRef],
     /// The node has one input port, with one connection.
     pub lone: bool,
-    pub made: &'w mut Made,
+    pub made: &'w mut CallOutputs,
 }
 
 /// An output changed its size.
@@ -217,7 +222,7 @@ pub(crate) struct Resized {
 }
 
 /// What a node says of itself when it is made.
-pub(crate) struct CellSpec {
+pub(crate) struct NodeSpec {
     pub id: String,
     pub node_type: &'static abi::NodeType,
     pub kind: NodeKind,
@@ -230,13 +235,9 @@ pub(crate) struct CellSpec {
     pub outputs_read: u64,
 }
 
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-impl Cell {
+impl NodeRuntime {
     /// A cell whose instance is not open yet.
-    pub fn new(spec: CellSpec, join: Join, snapshot: Arc<Snapshot>) -> Self {
+    pub fn new(spec: NodeSpec, join: Join, snapshot: Arc<Snapshot>) -> Self {
         let rules = OutputRule::of(spec.node_type);
         let stats = NodeStats::default();
         let time = Arc::clone(&stats.time);
@@ -260,22 +261,22 @@ impl Cell {
             busy: Busy::default(),
             join: Mutex::new(join),
             // That of a new exec is 0.
-            news: AtomicU64::new(1),
+            config_epoch: AtomicU64::new(1),
             values: InForce::new(snapshot),
             replacement: Mutex::new(None),
             replace: AtomicBool::new(false),
             broken: Mutex::new(Vec::new()),
             position: Mutex::new(None),
-            wants_mending: AtomicBool::new(false),
+            wants_restart: AtomicBool::new(false),
             gives_up: AtomicBool::new(false),
-            mending: AtomicU64::new(0),
+            restarting: AtomicU64::new(0),
             failures: AtomicU32::new(0),
             stuck: Arc::default(),
             stats,
             metrics: Mutex::new(Vec::new()),
             hear_number: OnceLock::new(),
             outputs_read: AtomicU64::new(spec.outputs_read),
-            taps: Taps::new(spec.node_type.outputs_len),
+            subscribers: Subscribers::new(spec.node_type.outputs_len),
             thread: Mutex::new(None),
             wake: AtomicBool::new(false),
             retired: AtomicBool::new(false),
@@ -290,18 +291,18 @@ impl Cell {
             resized: Mutex::default(),
             fault_counts: [const { AtomicU64::new(0) }; CAUSES],
         };
-        this.set_manners(spec.on_fault, spec.budget_ms, spec.max_rate_hz);
+        this.set_policy(spec.on_fault, spec.budget_ms, spec.max_rate_hz);
         this
     }
 
     /// Sets what the host does with the node; in force from the next tick on.
-    pub fn set_manners(&self, on_fault: OnFault, budget_ms: Option<f64>, max_rate_hz: Option<f64>) {
+    pub fn set_policy(&self, on_fault: OnFault, budget_ms: Option<f64>, max_rate_hz: Option<f64>) {
         self.on_fault.store(on_fault as u8, Ordering::Relaxed);
         // Within what a clock may be asked to add up.
         let budget_ns = budget_ms.map_or(0, |ms| ((ms * 1e6).max(1.0) as u64).min(LONGEST_BUDGET_NS));
         self.budget_ns.store(budget_ns, Ordering::Relaxed);
         self.period_ns.store(max_rate_hz.map_or(0, |hz| (1e9 / hz) as i64), Ordering::Relaxed);
-        self.news.fetch_add(1, Ordering::Release);
+        self.config_epoch.fetch_add(1, Ordering::Release);
     }
 
     /// An exec without an instance, for after a call that was given up.
@@ -342,7 +343,7 @@ impl Cell {
     /// Puts new values in force from the next tick on.
     pub fn set_snapshot(&self, snapshot: Arc<Snapshot>) {
         self.values.set(snapshot);
-        self.news.fetch_add(1, Ordering::Release);
+        self.config_epoch.fetch_add(1, Ordering::Release);
     }
 
     /// Hands over an instance that was opened beside the running one, with the values it was opened with where they are new. Answers one
@@ -351,7 +352,7 @@ impl Cell {
     pub fn replace_instance(&self, instance: Instance, snapshot: Option<Arc<Snapshot>>) -> Option<Instance> {
         let old = lock(&self.replacement).replace((instance, snapshot));
         self.replace.store(true, Ordering::Relaxed);
-        self.news.fetch_add(1, Ordering::Release);
+        self.config_epoch.fetch_add(1, Ordering::Release);
         old.map(|(instance, _)| instance)
     }
 
@@ -374,44 +375,14 @@ impl Cell {
         // SAFETY: a validated descriptor of a plugin that stays mapped.
         unsafe { (*self.node_type.inputs.add(port)).name.text() }.unwrap_or("?")
     }
+}
 
-    /// Opens an instance with the given values.
-    pub fn open(&self, around: &Surroundings, snapshot: &Snapshot) -> Result<Instance, String> {
-        if around.decider.as_ref().is_some_and(|d| d.closes(self.source, self.side_effects)) {
-            return Ok(Instance::none(self.node_type));
-        }
-        let mut instance = Instance::none(self.node_type);
-        *instance.holds = Holds::new(&around.claims);
-        instance.kept.belongs_to(&self.who);
-        let mut failure = String::new();
-        let mut context = CallContext::without_tick(self, around, &instance.holds, &mut failure);
-        let mut call = abi::OpenCall {
-            struct_size: size_of::<abi::OpenCall>() as u32,
-            flags: if around.batch { abi::CALL_BATCH } else { 0 },
-            host: &raw const around.host,
-            call: (&raw mut context).cast(),
-            node_id: Str::borrow(&self.id),
-            params: snapshot.values().as_ptr(),
-            params_len: snapshot.values().len(),
-            graph_dir: Str::borrow(&around.graph_dir),
-            outputs_read: self.outputs_read.load(Ordering::Relaxed),
-        };
-        let mut raw = std::ptr::null_mut();
-        let status = match self.node_type.open {
-            Some(open) => {
-                // SAFETY: the contract; everything the call points to outlives it.
-                who::opening(&self.who, || instance.kept.during(|| unsafe { open(&raw mut call, &raw mut raw) }))
-            }
-            None => abi::STATUS_INVALID,
-        };
-        if status == abi::STATUS_OK {
-            (instance.raw, instance.open) = (raw, true);
-            return Ok(instance);
-        }
-        if failure.is_empty() {
-            failure = format!("it did not open (status {status})");
-        }
-        self.gives_up.store(status == abi::STATUS_STOPPED, Ordering::Release);
-        Err(failure)
+impl Running for NodeRuntime {
+    fn who(&self) -> &Who {
+        &self.who
+    }
+
+    fn tick(&self) -> Tick {
+        self.busy.tick()
     }
 }

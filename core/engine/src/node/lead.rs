@@ -5,14 +5,16 @@ use std::sync::Arc;
 use panoscope_abi::Tick;
 use panoscope_graph::ParamValue;
 
-use super::{Cell, Surroundings};
+use super::{NodeRuntime, RunContext};
+use crate::busy::{CallKind, LeftBehind};
 use crate::decide::{Decider, Turn};
-use crate::exec::{Doing, Exec, Instance, LeftBehind};
+use crate::exec::Exec;
+use crate::instance::Instance;
 use crate::log::Level;
 use crate::observe::Event;
 use crate::params::Snapshot;
 
-impl Cell {
+impl NodeRuntime {
     /// Brings the node to where it was before this tick; whether it is to run, if the decider knows.
     ///
     /// # Errors
@@ -22,7 +24,7 @@ impl Cell {
         &self,
         decider: &dyn Decider,
         exec: &mut Exec,
-        around: &Surroundings,
+        around: &RunContext,
         tick: &Tick,
     ) -> Result<Option<bool>, LeftBehind> {
         if decider.closes(self.source, self.side_effects) {
@@ -48,9 +50,9 @@ impl Cell {
                 Turn::Skipped { here, closed } => {
                     runs &= !here;
                     if closed {
-                        self.left_out(around, tick, true);
+                        self.skipped_tick(around, tick, true);
                         let old = std::mem::replace(&mut exec.instance, Instance::none(self.node_type));
-                        self.aside(Doing::Close, tick, || self.end(around, old))?;
+                        self.aside(CallKind::Close, tick, || self.end(around, old))?;
                     }
                 }
             }
@@ -62,19 +64,19 @@ impl Cell {
         &self,
         decider: &dyn Decider,
         exec: &mut Exec,
-        around: &Surroundings,
+        around: &RunContext,
         tick: &Tick,
         values: Vec<ParamValue>,
     ) -> Result<(), LeftBehind> {
         let snapshot = Snapshot::new(values);
         self.opened(&snapshot, around, tick);
-        match self.aside(Doing::Open, tick, || self.open(around, &snapshot))? {
+        match self.aside(CallKind::Open, tick, || self.open(around, &snapshot))? {
             Ok(mut instance) => {
                 if instance.is_open() {
                     self.hand_over(exec, &mut instance, around, tick)?;
                 }
                 let old = std::mem::replace(&mut exec.instance, instance.begun());
-                self.aside(Doing::Close, tick, || self.end(around, old))?;
+                self.aside(CallKind::Close, tick, || self.end(around, old))?;
                 self.set_snapshot(Arc::clone(&snapshot));
                 exec.set_snapshot(snapshot);
                 exec.bypassed = false;
@@ -82,7 +84,7 @@ impl Cell {
             }
             Err(words) => {
                 let words = format!("it opened when it was recorded, now it does not: {words}");
-                around.log.say(Level::Error, &self.id, &words);
+                around.log.write(Level::Error, &self.id, &words);
                 decider.fail(format!("node `{}`: {words}", self.id));
             }
         }
