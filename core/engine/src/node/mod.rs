@@ -155,7 +155,7 @@ pub(crate) struct NodeRuntime {
     pub position: Mutex<Option<Vec<u8>>>,
     /// A failed node is to be opened again.
     pub wants_restart: AtomicBool,
-    /// Its last error was one that opening it again would not restart.
+    /// Its last error was one that opening it again would not cure.
     pub gives_up: AtomicBool,
     /// Increases whenever somebody sets out to restart; only the newest may hand over.
     pub restarting: AtomicU64,

@@ -1,5 +1,8 @@
 //! Starting, steering and ending a graph.
 
+mod options;
+mod values;
+
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -10,159 +13,24 @@ use std::time::{Duration, Instant};
 
 use arc_swap::ArcSwap;
 use panoscope_abi as abi;
-use panoscope_graph::{Catalog, Graph, Mode, NodeSetup, Param, ParamValue, Validator};
+use panoscope_graph::{Catalog, Graph, Mode, Param, Validator};
 
+pub use self::options::{Options, Outcome, SetError, StartError};
 use crate::apply::ChangeLock;
 use crate::clock;
-use crate::decide::Decider;
 use crate::ending;
-use crate::fault::{Fault, FaultFn, FaultLog};
+use crate::fault::{Fault, FaultLog};
 use crate::guard::Limit;
 use crate::host;
-use crate::log::{Level, Log, LogFn};
+use crate::log::{Level, Log};
 use crate::node::{LONGEST_BUDGET_NS, NodeRuntime, RunContext};
-use crate::observe::{Event, Observer};
-use crate::params::Snapshot;
 use crate::plan;
 use crate::plugins::Plugins;
 use crate::pool::{self, Pool, Task};
-use crate::preview::{Listener, NumberListener, Preview};
+use crate::preview::{Listener, Preview};
 use crate::report::{NodeWindow, Report, Window};
 use crate::schedule::{AllocationMeter, Ready, Shared};
 use crate::sync::lock;
-
-/// How a graph is run.
-pub struct Options {
-    /// Threads of the pool; 0 takes as many as the machine has.
-    pub threads: usize,
-    /// Ticks each source makes; `None` until the sources end or the engine is stopped.
-    pub frames: Option<u64>,
-    /// In live mode, sources wait until the capture time of a tick has come. Without it they go as fast as the graph takes ticks.
-    pub paced: bool,
-    /// Ticks of a source that may be under way at once; `None` lets as many in as the mode and the queues of the graph say. With 1
-    /// each tick has the machine for itself, as whoever times nodes wants it.
-    pub ticks_at_once: Option<u32>,
-    /// Folder that relative paths start from, shown to nodes.
-    pub graph_dir: std::path::PathBuf,
-    /// Takes log lines as they come.
-    pub log: Option<Box<LogFn>>,
-    /// Takes faults as they happen; see [`crate::fault::json_lines`].
-    pub faults: Option<Box<FaultFn>>,
-    /// Hears what happens, for instance to write it down.
-    pub observer: Option<Arc<dyn Observer>>,
-    /// Decides what otherwise depends on time, for instance as an earlier run had it.
-    pub decider: Option<Arc<dyn Decider>>,
-    /// Ports whose every packet is heard.
-    pub listen: Vec<Listener>,
-    /// A node whose told numbers are heard, each as it is told.
-    pub numbers: Option<NumberListener>,
-    /// A call of a node without a budget that takes longer does not return, in live mode; in batch, 30 times that.
-    pub hang: Duration,
-    /// Longest that a node may take to open: at the start, in a change and after a fault.
-    pub open_limit: Duration,
-    /// Longest that a node may take to close, to save a state or to take one over while the graph runs.
-    pub close_limit: Duration,
-    /// Heap allocations of the process so far, where the program counts them.
-    pub process_allocations: Option<fn() -> u64>,
-    /// Heap allocations of the calling thread so far, where the program counts them.
-    pub thread_allocations: Option<fn() -> u64>,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            threads: 0,
-            frames: None,
-            paced: true,
-            ticks_at_once: None,
-            graph_dir: std::path::PathBuf::new(),
-            log: None,
-            faults: None,
-            observer: None,
-            decider: None,
-            listen: Vec::new(),
-            numbers: None,
-            hang: Duration::from_secs(2),
-            open_limit: Duration::from_secs(30),
-            close_limit: Duration::from_secs(10),
-            process_allocations: None,
-            thread_allocations: None,
-        }
-    }
-}
-
-/// Why a graph did not start.
-#[derive(Debug, thiserror::Error)]
-pub enum StartError {
-    /// A node did not open.
-    #[error("node `{node}` ({node_type}) did not open: {reason}")]
-    Open {
-        /// The node's name.
-        node: String,
-        /// Its type.
-        node_type: String,
-        /// What it said.
-        reason: String,
-    },
-    /// The graph does not fit the loaded plugins any more.
-    #[error("{reason}; check the graph again")]
-    Stale {
-        /// What changed.
-        reason: String,
-    },
-    /// The system gave no thread.
-    #[error("no thread could be started: {cause}")]
-    Thread {
-        /// What the system says.
-        cause: std::io::Error,
-    },
-}
-
-/// Why a parameter was not changed.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum SetError {
-    /// No such node.
-    #[error("there is no node `{node}`")]
-    NoNode {
-        /// As asked for.
-        node: String,
-    },
-    /// No such parameter.
-    #[error("node `{node}` has no parameter `{param}`")]
-    NoParam {
-        /// The node.
-        node: String,
-        /// As asked for.
-        param: String,
-    },
-    /// The value does not fit the declaration.
-    #[error("`{node}.{param}`: {reason}")]
-    BadValue {
-        /// The node.
-        node: String,
-        /// The parameter.
-        param: String,
-        /// What is wrong with the value.
-        reason: String,
-    },
-    /// The node did not open with the new value; the old one stays in force.
-    #[error("node `{node}` did not open with the new value, the old one stays: {reason}")]
-    Reopen {
-        /// The node.
-        node: String,
-        /// What it said.
-        reason: String,
-    },
-}
-
-/// How a run ended.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Outcome {
-    /// All sources ended, or the engine was asked to stop.
-    Done,
-    /// A node failed and the graph said to stop.
-    Failed(String),
-}
 
 /// What is known of the graph that runs.
 pub(crate) struct Current {
@@ -417,113 +285,6 @@ impl Engine {
             Some(reason) => Outcome::Failed(reason),
             None => Outcome::Done,
         }
-    }
-
-    /// Changes one parameter between two ticks. A `reopen` parameter opens a new instance beside the running one first.
-    pub fn set_param(&self, node: &str, param: &str, value: ParamValue) -> Result<(), SetError> {
-        let _change = self.change.lock();
-        let current = self.current.load_full();
-        let index = current.graph.node(node).ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
-        let declared = &current.params[index];
-        let position = declared
-            .iter()
-            .position(|p| p.name == param)
-            .ok_or_else(|| SetError::NoParam { node: node.to_owned(), param: param.to_owned() })?;
-        declared[position].kind.accepts(&value).map_err(|reason| SetError::BadValue {
-            node: node.to_owned(),
-            param: param.to_owned(),
-            reason,
-        })?;
-        let cell = Arc::clone(&self.shared.plan.load().cells[current.slots[index]]);
-        let old = cell.snapshot();
-        let mut values = old.owned().to_vec();
-        values[position] = value;
-        if let Some(validator) = &current.validators[index] {
-            let wiring = current.graph.wiring(index, cell.node_type.inputs_len);
-            let setup = NodeSetup {
-                node_id: node,
-                params: &values,
-                graph_dir: self.shared.around.graph_dir.as_ref(),
-                batch: self.shared.around.batch,
-                wiring: Some(&wiring),
-            };
-            if let Some(reason) = validator.refusal(&setup, old.owned()) {
-                return Err(SetError::BadValue { node: node.to_owned(), param: param.to_owned(), reason });
-            }
-        }
-        let snapshot = Snapshot::new(values.clone());
-        if declared[position].reopen {
-            let instance = self
-                .shared
-                .open_guarded(&cell, &snapshot)
-                .map_err(|reason| SetError::Reopen { node: node.to_owned(), reason: reason.to_string() })?;
-            cell.restarting.fetch_add(1, Ordering::AcqRel);
-            let unused = cell.replace_instance(instance, Some(snapshot));
-            self.shared.close_guarded(&cell, unused.into_iter().collect());
-        } else {
-            cell.set_snapshot(snapshot);
-        }
-        if let Some(observer) = &self.shared.around.observer {
-            observer.event(Event::Set { node: node.to_owned(), values: values.clone() });
-        }
-        self.know_values(&current, index, values);
-        Ok(())
-    }
-
-    /// Sets a bool parameter from the next tick on without waiting for a change of the graph that is being made: for an emergency stop. Such a
-    /// change may put the old value back where it replaces the node, so say it once more with [`Self::set_param`].
-    ///
-    /// # Errors
-    /// There is no such node or parameter, it is no bool, or it reopens its node.
-    pub fn set_bool_at_once(&self, node: &str, param: &str, on: bool) -> Result<(), SetError> {
-        let current = self.current.load_full();
-        let index = current.graph.node(node).ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
-        let position = current.params[index]
-            .iter()
-            .position(|p| p.name == param)
-            .ok_or_else(|| SetError::NoParam { node: node.to_owned(), param: param.to_owned() })?;
-        let bad = |reason: String| SetError::BadValue { node: node.to_owned(), param: param.to_owned(), reason };
-        let declared = &current.params[index][position];
-        declared.kind.accepts(&ParamValue::Bool(on)).map_err(bad)?;
-        if declared.reopen {
-            return Err(bad("it reopens its node, which takes time".to_owned()));
-        }
-        let plan = self.shared.plan.load();
-        let cell = plan.cells.get(current.slots[index]).filter(|c| c.id == node);
-        let cell = cell.ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
-        let mut values = cell.snapshot().owned().to_vec();
-        values[position] = ParamValue::Bool(on);
-        cell.set_snapshot(Snapshot::new(values));
-        Ok(())
-    }
-
-    /// A node's values as they were set in an earlier run; the decider puts them in force at their tick.
-    pub fn know(&self, node: &str, values: &[ParamValue]) {
-        let _change = self.change.lock();
-        let current = self.current.load_full();
-        if let Some(index) = current.graph.node(node) {
-            self.know_values(&current, index, values.to_vec());
-        }
-    }
-
-    /// Writes new values of a node into the graph that is known.
-    fn know_values(&self, current: &Current, index: usize, values: Vec<ParamValue>) {
-        let mut graph = current.graph.clone();
-        graph.nodes[index].params = values;
-        let (params, outputs) = (current.params.clone(), current.outputs.clone());
-        let (validators, slots) = (current.validators.clone(), current.slots.clone());
-        self.current.store(Arc::new(Current { graph, params, validators, outputs, slots }));
-    }
-
-    fn cell(&self, current: &Current, node: &str) -> Option<(usize, Arc<NodeRuntime>)> {
-        let index = current.graph.node(node)?;
-        Some((index, Arc::clone(&self.shared.plan.load().cells[current.slots[index]])))
-    }
-
-    /// The values of a node's parameters now, in declaration order.
-    pub fn param_values(&self, node: &str) -> Option<Vec<ParamValue>> {
-        let (_, cell) = self.cell(&self.current.load(), node)?;
-        Some(cell.snapshot().owned().to_vec())
     }
 
     /// Looks at an output without slowing the graph.
