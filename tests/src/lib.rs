@@ -1,5 +1,7 @@
 //! What the tests that cross crates share: where things are, and how a graph is run inside a test.
 
+#![forbid(unsafe_code)]
+
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::Duration;

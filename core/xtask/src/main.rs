@@ -1,5 +1,7 @@
 //! Set-up, demo, tests and generated files of Panoscope: `cargo xtask <command>`.
 
+#![forbid(unsafe_code)]
+
 mod build;
 mod data;
 mod demo;

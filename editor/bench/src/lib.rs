@@ -2,6 +2,8 @@
 //!
 //! What it knows of the graph stands in `panoscope-editor-model`; this crate draws and edits.
 
+#![forbid(unsafe_code)]
+
 pub mod actions;
 pub mod app;
 pub mod canvas;
