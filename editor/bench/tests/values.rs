@@ -236,8 +236,7 @@ fn a_file_is_picked_out_of_folders_by_keys() {
     let mut window = Window::open(&folder.write("g.toml", text));
     window.steps(3);
     window.select("scope");
-    window.harness.get_by_label("Browse left").click_accesskit();
-    window.until_shown("File first.png");
+    window.click_until_shown("Browse left", "File first.png");
     // Into the folder above and back, by keys alone.
     window.key(NONE, Key::Backspace);
     window.until_shown("Folder views");

@@ -109,6 +109,22 @@ impl Window {
         }
     }
 
+    /// Clicks a button until a widget of that name is there: a click in a frame in which the panel moves meets nothing.
+    pub fn click_until_shown(&mut self, button: &str, label: &str) {
+        let until = Instant::now() + PATIENCE;
+        while self.harness.query_by_label_contains(label).is_none() {
+            assert!(Instant::now() < until, "a click on `{button}` shows nothing that is called `{label}`");
+            self.harness.get_by_label(button).click_accesskit();
+            for _ in 0..50 {
+                self.harness.step();
+                if self.harness.query_by_label_contains(label).is_some() {
+                    return;
+                }
+                std::thread::sleep(Duration::from_millis(10));
+            }
+        }
+    }
+
     pub fn key(&mut self, modifiers: Modifiers, key: Key) {
         self.harness.key_press_modifiers(modifiers, key);
         self.steps(2);
