@@ -35,7 +35,7 @@ impl CallKind {
     ];
 
     /// After "it did not return".
-    pub fn from_words(self) -> &'static str {
+    pub fn return_words(self) -> &'static str {
         match self {
             CallKind::Process => "",
             CallKind::Check => " from checking its parameters",

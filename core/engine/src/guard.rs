@@ -38,7 +38,7 @@ pub(crate) struct Call<T> {
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum CallError {
     /// It took too long.
-    #[error("it did not return{} within {seconds:.1} s and was left behind with its thread", .kind.from_words())]
+    #[error("it did not return{} within {seconds:.1} s and was left behind with its thread", .kind.return_words())]
     NoReturn {
         /// What was called.
         kind: CallKind,

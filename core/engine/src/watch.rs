@@ -147,8 +147,10 @@ impl Shared {
 
         let late_ms = now_ns.saturating_sub(since_ns.saturating_add(budget_ns)) as f64 / 1e6;
         let spent_ms = now_ns.saturating_sub(since_ns) as f64 / 1e6;
-        let words =
-            format!("it did not return{} for {spent_ms:.0} ms and was left behind with its thread", kind.from_words());
+        let words = format!(
+            "it did not return{} for {spent_ms:.0} ms and was left behind with its thread",
+            kind.return_words()
+        );
         self.around.log.write(Level::Error, &cell.id, &words);
         cell.tell(&self.around, Cause::Hang, done, Some(tick.seq), Some(late_ms), words);
         // The rest of the tick first, so that nobody runs the node before.
