@@ -67,7 +67,7 @@ impl NodeRuntime {
             && exec.instance.saves_state()
             && let Some(state) = self.aside(CallKind::SaveState, tick, || exec.instance.save_state(&around.host))?
         {
-            *lock(&self.position) = Some(state);
+            *lock(&self.recovery.position) = Some(state);
         }
         Ok(())
     }
@@ -75,14 +75,14 @@ impl NodeRuntime {
     /// Where an instance that was opened again goes on, if it is a source that failed before. Back comes only what was understood: a position
     /// over which an instance hangs is not tried twice.
     pub(crate) fn take_position(&self, instance: &Instance) -> Option<Vec<u8>> {
-        if instance.is_open() { lock(&self.position).take() } else { None }
+        if instance.is_open() { lock(&self.recovery.position).take() } else { None }
     }
 
     /// An instance goes on at a position, or did not understand it.
     pub(crate) fn position_taken(&self, around: &RunContext, state: Vec<u8>, understood: bool) {
         if understood {
             // Kept until the next fault: this instance may fail before it has a position of its own.
-            lock(&self.position).get_or_insert(state);
+            lock(&self.recovery.position).get_or_insert(state);
         } else {
             self.position_lost(around);
         }
@@ -119,7 +119,7 @@ impl NodeRuntime {
             exec.skip_calls -= 1;
             return Ok(false);
         }
-        let broken = std::mem::take(&mut *lock(&self.broken));
+        let broken = std::mem::take(&mut *lock(&self.recovery.broken));
         if !broken.is_empty() {
             self.aside(CallKind::Close, tick, || broken.into_iter().for_each(|instance| self.end(around, instance)))?;
         }
@@ -194,9 +194,9 @@ impl NodeRuntime {
         exec.failed_at_ns = now_ns;
         exec.bad_in_a_row = 0;
         exec.silent_calls = 0;
-        self.failures.store(exec.failures_in_a_row, Ordering::Relaxed);
+        self.recovery.failures.store(exec.failures_in_a_row, Ordering::Relaxed);
         let gives_up = status == abi::STATUS_STOPPED;
-        self.gives_up.store(gives_up, Ordering::Release);
+        self.recovery.gives_up.store(gives_up, Ordering::Release);
         if gives_up {
             self.lost(around, &words);
         }
@@ -212,9 +212,9 @@ impl NodeRuntime {
             return CallOutcome::Abandoned;
         }
         // What the instance holds after a fault is not to be trusted. It may take long to close.
-        lock(&self.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
+        lock(&self.recovery.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
         exec.bypassed = done == Action::Bypass;
-        self.wants_restart.store(true, Ordering::Release);
+        self.recovery.wants_restart.store(true, Ordering::Release);
         ran
     }
 

@@ -62,6 +62,6 @@ impl NodeRuntime {
 
     /// Whether the last error of the node was one that opening it again would not restart.
     pub fn has_given_up(&self) -> bool {
-        self.gives_up.load(Ordering::Acquire)
+        self.recovery.gives_up.load(Ordering::Acquire)
     }
 }

@@ -121,7 +121,7 @@ impl<T> Line<T> {
                 drop(state);
                 // Nobody waits: what was opened is closed again, here.
                 drop(answer);
-                cell.stuck.fetch_sub(1, Ordering::Relaxed);
+                cell.recovery.stuck.fetch_sub(1, Ordering::Relaxed);
                 return;
             }
             state.running = None;
@@ -186,7 +186,7 @@ impl Shared {
                 if spent >= limit.usual || hurried {
                     let (cell, kind, number) = (Arc::clone(cell), *kind, state.thread);
                     (state.running, state.thread) = (None, 0);
-                    cell.stuck.fetch_add(1, Ordering::Relaxed);
+                    cell.recovery.stuck.fetch_add(1, Ordering::Relaxed);
                     let error = CallError::NoReturn { kind, seconds: spent.as_secs_f64() };
                     state.done.push_back((cell, Err(error)));
                     drop(state);
@@ -336,7 +336,7 @@ impl Shared {
         let mut calls = Vec::new();
         for cell in cells {
             // Whoever opens the node again is too late.
-            cell.restarting.fetch_add(1, Ordering::AcqRel);
+            cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
             let (instances, all) = cell.take_instances();
             let closed = Arc::new(AtomicBool::new(!all));
             open.push((Arc::clone(&cell), Arc::clone(&closed), all));
@@ -353,7 +353,7 @@ impl Shared {
             while !closed.load(Ordering::Acquire) && Instant::now() < until {
                 std::thread::sleep(Duration::from_millis(1));
             }
-            if !all || !closed.load(Ordering::Acquire) || cell.stuck.load(Ordering::Relaxed) > 0 {
+            if !all || !closed.load(Ordering::Acquire) || cell.recovery.stuck.load(Ordering::Relaxed) > 0 {
                 let words = "it does not return and is left behind; its files may be incomplete";
                 self.around.log.write(Level::Error, &cell.id, words);
                 cell.ceased(&self.around, words);

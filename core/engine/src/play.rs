@@ -28,7 +28,7 @@ impl Shared {
             if self.is_stopping() || decider.has_failed() {
                 return false;
             }
-            if cell.leave.accept() {
+            if cell.runner.leave.accept() {
                 return true;
             }
             let seq = known.seq;
@@ -63,9 +63,9 @@ impl Shared {
             if let Some(observer) = &self.around.observer {
                 observer.source_tick(&cell.id, &cell.output_names, &tick, &raw);
             }
-            cell.last_capture_ns.store(tick.capture_ns, Ordering::Relaxed);
-            cell.ingest_ns[seq as usize % INGEST_RING].store(clock::now_ns().max(1), Ordering::Relaxed);
-            cell.made.store(seq + 1, Ordering::Relaxed);
+            cell.ticks.last_capture_ns.store(tick.capture_ns, Ordering::Relaxed);
+            cell.ticks.ingest_ns[seq as usize % INGEST_RING].store(clock::now_ns().max(1), Ordering::Relaxed);
+            cell.ticks.made.store(seq + 1, Ordering::Relaxed);
             decider.source_done(&cell.id);
             if !known.admitted || known.gap {
                 if enters {

@@ -144,7 +144,7 @@ impl Report {
         };
         let seconds = end_ns.saturating_sub(shared.start_ns) as f64 / 1e9;
         let plan = shared.plan.load();
-        let frames = plan.live().map(|(_, c)| c.made.load(Ordering::Relaxed)).max().unwrap_or(0);
+        let frames = plan.live().map(|(_, c)| c.ticks.made.load(Ordering::Relaxed)).max().unwrap_or(0);
         let mut nodes = BTreeMap::new();
         let mut paths = BTreeMap::new();
         for (slot, cell) in plan.live() {
@@ -168,7 +168,7 @@ impl Report {
                     copies: load(&stats.copies),
                     conversions: load(&stats.conversions),
                     allocations: shared.around.thread_allocations.map(|_| load(&stats.allocations)),
-                    made: cell.source.then(|| load(&cell.made)),
+                    made: cell.source.then(|| load(&cell.ticks.made)),
                     never_got: Vec::new(),
                     muted: closes(shared, cell),
                     metrics: lock(&cell.metrics).iter().cloned().collect(),

@@ -55,12 +55,12 @@ impl Shared {
         let number = thread_id::next();
         let (shared, owner) = (Arc::clone(self), Arc::clone(cell));
         let cell = Arc::clone(cell);
-        cell.has_thread.store(true, Ordering::Release);
+        cell.runner.has_thread.store(true, Ordering::Release);
         let mut threads = lock(&self.own_threads);
         let builder = std::thread::Builder::new().name(cell.id.chars().take(15).collect());
         let name = cell.id.clone();
         let work = Arc::clone(&shared).watched(name, move || {
-            *lock(&cell.thread) = Some(std::thread::current());
+            *lock(&cell.runner.thread) = Some(std::thread::current());
             thread_id::set(number);
             shared.pool.enter();
             place_thread(cell.cpu, cell.kind == NodeKind::Realtime);
@@ -70,12 +70,12 @@ impl Shared {
                 shared.pool.left(number);
                 return;
             }
-            if cell.retired.load(Ordering::Acquire) {
+            if cell.runner.retired.load(Ordering::Acquire) {
                 for instance in cell.take_instances().0 {
                     cell.end(&shared.around, instance);
                 }
             }
-            cell.has_thread.store(false, Ordering::Release);
+            cell.runner.has_thread.store(false, Ordering::Release);
         });
         let handle = builder.spawn(work)?;
         threads.insert(number, OwnThread { node, cell: owner, handle });
@@ -84,14 +84,14 @@ impl Shared {
 
     /// Waits on the node's own thread until it is woken or the time is over.
     pub(crate) fn park(&self, cell: &NodeRuntime, most: Option<Duration>) {
-        if cell.wake.swap(false, Ordering::Acquire) {
+        if cell.runner.wake.swap(false, Ordering::Acquire) {
             return;
         }
         match most {
             Some(most) => std::thread::park_timeout(most),
             None => std::thread::park(),
         }
-        cell.wake.store(false, Ordering::Release);
+        cell.runner.wake.store(false, Ordering::Release);
     }
 
     /// Answers whether the watchdog gave this thread up.
@@ -100,14 +100,14 @@ impl Shared {
         // Real-time priority is for the node alone.
         let allowance_ns = if cell.kind == NodeKind::Realtime { 0 } else { SHORT_WALK_NS };
         loop {
-            while !cell.wake.swap(false, Ordering::Acquire) {
+            while !cell.runner.wake.swap(false, Ordering::Acquire) {
                 std::thread::park();
             }
             let (running, finished) = {
                 let join = lock(&cell.join);
                 (join.running, join.finished)
             };
-            if finished || cell.leave.accept() {
+            if finished || cell.runner.leave.accept() {
                 return false;
             }
             if running && !self.run(node, &mut walk, allowance_ns) {
@@ -118,10 +118,10 @@ impl Shared {
 
     /// Answers whether the watchdog gave this thread up.
     fn source_thread(&self, node: usize, cell: &Arc<NodeRuntime>) -> bool {
-        let last_ns = cell.last_capture_ns.load(Ordering::Relaxed);
+        let last_ns = cell.ticks.last_capture_ns.load(Ordering::Relaxed);
         let mut walk = Scratch::default();
         let mut pace = Pace { last_capture_ns: (last_ns != i64::MIN).then_some(last_ns), ..Pace::default() };
-        let leaves = || cell.leave.accept();
+        let leaves = || cell.runner.leave.accept();
         if let Some(decider) = self.around.decider.clone() {
             if self.play(&*decider, node, cell) {
                 return false;
@@ -132,7 +132,7 @@ impl Shared {
             if leaves() {
                 return false;
             }
-            let seq = cell.made.load(Ordering::Relaxed);
+            let seq = cell.ticks.made.load(Ordering::Relaxed);
             if self.frames.is_some_and(|most| seq >= most) {
                 break;
             }
@@ -150,7 +150,7 @@ impl Shared {
         let region = Arc::clone(self.plan.load().region_of(node));
         while region.has_pending() {
             self.park(cell, Some(Duration::from_millis(1)));
-            if cell.leave.accept() {
+            if cell.runner.leave.accept() {
                 return false;
             }
         }
@@ -202,7 +202,7 @@ impl Shared {
             }
             if ran == CallOutcome::Fault {
                 // The call was made: the next one is another tick.
-                cell.made.store(seq + 1, Ordering::Relaxed);
+                cell.ticks.made.store(seq + 1, Ordering::Relaxed);
             } else if !self.around.batch {
                 // It is being restarted; whoever does that wakes this thread.
                 self.park(cell, Some(Duration::from_millis(100)));
@@ -212,7 +212,7 @@ impl Shared {
         if !capture_fits(tick.capture_ns, pace.last_capture_ns) {
             made.clear();
             self.capture_fault(cell, &tick, pace.last_capture_ns);
-            cell.made.store(seq + 1, Ordering::Relaxed);
+            cell.ticks.made.store(seq + 1, Ordering::Relaxed);
             return Step::Next;
         }
         pace.again = false;
@@ -225,7 +225,7 @@ impl Shared {
                 allowance_ns = LONGEST_WALK_NS.min(period_ns / WALK_SHARE);
             }
         }
-        cell.last_capture_ns.store(tick.capture_ns, Ordering::Relaxed);
+        cell.ticks.last_capture_ns.store(tick.capture_ns, Ordering::Relaxed);
         cell.subscribers.show(&made.outputs);
         if let Some(observer) = &self.around.observer {
             observer.source_tick(&cell.id, &cell.output_names, &tick, &made.outputs);
@@ -240,8 +240,8 @@ impl Shared {
         if self.paced && !self.around.batch {
             now_ns = self.wait_until_due(cell, tick.capture_ns, now_ns, &mut pace.first);
         }
-        cell.ingest_ns[seq as usize % INGEST_RING].store(now_ns.max(1), Ordering::Relaxed);
-        cell.made.store(seq + 1, Ordering::Relaxed);
+        cell.ticks.ingest_ns[seq as usize % INGEST_RING].store(now_ns.max(1), Ordering::Relaxed);
+        cell.ticks.made.store(seq + 1, Ordering::Relaxed);
         self.meter_allocations(seq + 1);
         let (enter, dropped) = region.admit_or_keep(outputs);
         if let Some(old) = dropped {
@@ -295,7 +295,7 @@ impl Shared {
             return now_ns;
         }
         let mut now = now_ns;
-        while now < due && !self.is_stopping() && !cell.leave.is_requested() {
+        while now < due && !self.is_stopping() && !cell.runner.leave.is_requested() {
             self.park(cell, Some(Duration::from_nanos(due - now)));
             now = clock::now_ns();
         }

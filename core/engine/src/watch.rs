@@ -127,8 +127,8 @@ impl Shared {
             return;
         }
         let now_ns = clock::now_ns();
-        let stuck = cell.stuck.fetch_add(1, Ordering::Relaxed) + 1;
-        let failures = cell.failures.fetch_add(1, Ordering::Relaxed) + 1;
+        let stuck = cell.recovery.stuck.fetch_add(1, Ordering::Relaxed) + 1;
+        let failures = cell.recovery.failures.fetch_add(1, Ordering::Relaxed) + 1;
         bump(&cell.stats.faults);
         let mut exec = cell.fresh_exec();
         exec.failed_at_ns = now_ns;
@@ -158,7 +158,7 @@ impl Shared {
         let head = plan.wiring[node].chain_head;
         let mut again = false;
         if cell.source {
-            cell.made.store(tick.seq + 1, Ordering::Relaxed);
+            cell.ticks.made.store(tick.seq + 1, Ordering::Relaxed);
         } else {
             cell.skipped_tick(&self.around, &tick, true);
             self.skip_from(plan, node, tick, &mut ready);
@@ -191,7 +191,7 @@ impl Shared {
     /// Writes down that a call off the hot path has no answer; answers what is done about it.
     #[cold]
     pub fn tell_no_return(&self, cell: &NodeRuntime, error: &CallError) -> Action {
-        let stuck = cell.stuck.load(Ordering::Relaxed);
+        let stuck = cell.recovery.stuck.load(Ordering::Relaxed);
         let done = if stuck <= MOST_STUCK { Action::Abandon } else { Action::Bypass };
         bump(&cell.stats.faults);
         let words = error.to_string();
@@ -243,7 +243,7 @@ impl Shared {
             return;
         }
         let Some(me) = self.me.upgrade() else { return };
-        let mine = cell.restarting.fetch_add(1, Ordering::AcqRel) + 1;
+        let mine = cell.recovery.restarting.fetch_add(1, Ordering::AcqRel) + 1;
         let cell = Arc::clone(cell);
         let name = format!("restart {}", cell.id);
         let restarter = Arc::clone(&me);
@@ -253,14 +253,15 @@ impl Shared {
     }
 
     fn restart(self: &Arc<Self>, cell: &Arc<NodeRuntime>, mine: u64) {
-        let outdated = || cell.restarting.load(Ordering::Acquire) != mine || cell.retired.load(Ordering::Relaxed);
-        let broken = std::mem::take(&mut *lock(&cell.broken));
+        let outdated =
+            || cell.recovery.restarting.load(Ordering::Acquire) != mine || cell.runner.retired.load(Ordering::Relaxed);
+        let broken = std::mem::take(&mut *lock(&cell.recovery.broken));
         self.close_guarded(cell, broken);
         if cell.on_fault() != OnFault::Restart || cell.has_given_up() {
             return;
         }
         loop {
-            let mut rest_ms = backoff_ms(cell.failures.load(Ordering::Relaxed));
+            let mut rest_ms = backoff_ms(cell.recovery.failures.load(Ordering::Relaxed));
             while rest_ms > 0 && !outdated() && !self.is_stopping() {
                 let step = rest_ms.min(20);
                 std::thread::sleep(Duration::from_millis(step));
@@ -289,14 +290,14 @@ impl Shared {
                     return;
                 }
                 Err(OpenError::Refused(words)) => {
-                    cell.failures.fetch_add(1, Ordering::Relaxed);
+                    cell.recovery.failures.fetch_add(1, Ordering::Relaxed);
                     cell.open_failed(&self.around, &words, None);
                     if cell.has_given_up() {
                         return;
                     }
                 }
                 Err(OpenError::Call(error)) => {
-                    cell.failures.fetch_add(1, Ordering::Relaxed);
+                    cell.recovery.failures.fetch_add(1, Ordering::Relaxed);
                     if self.tell_no_return(cell, &error) == Action::Bypass {
                         return;
                     }

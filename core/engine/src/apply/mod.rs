@@ -160,7 +160,7 @@ impl Engine {
             for (source, seq) in *at {
                 let is = |(_, extent): &&(Arc<Region>, Extent)| old.cells[extent.head].id == *source;
                 let Some((region, extent)) = change.held.iter().find(is) else { continue };
-                let made = old.cells[extent.head].made.load(Ordering::Acquire);
+                let made = old.cells[extent.head].ticks.made.load(Ordering::Acquire);
                 let passed = |next| ApplyError::Passed { source_node: source.clone(), seq: *seq, next };
                 region.pause_before(*seq, made).map_err(passed)?;
                 named.push((region, extent.head));
@@ -342,7 +342,7 @@ impl Engine {
     fn hold(&self, old: &Plan, change: &Change) -> Result<(), ApplyError> {
         let until = Instant::now() + LONGEST_DRAIN;
         for &slot in &change.quiet {
-            old.cells[slot].leave.request();
+            old.cells[slot].runner.leave.request();
             self.shared.wake(&old.cells[slot]);
         }
         let pause = |(region, extent): &(Arc<Region>, Extent)| {
@@ -360,7 +360,7 @@ impl Engine {
             self.wait_for(until, || change.held.iter().find_map(|held| busy_member(old, held)))?;
         }
         self.wait_for(until, || {
-            let stays = |slot: &&usize| old.cells[**slot].has_thread.load(Ordering::Acquire);
+            let stays = |slot: &&usize| old.cells[**slot].runner.has_thread.load(Ordering::Acquire);
             change.quiet.iter().find(stays).map(|&slot| old.cells[slot].id.clone())
         })
     }
@@ -434,13 +434,13 @@ impl Engine {
         for &slot in &change.quiet {
             let cell = &old.cells[slot];
             // A thread that has not seen the request yet stays.
-            if cell.leave.withdraw() {
+            if cell.runner.leave.withdraw() {
                 continue;
             }
-            while cell.has_thread.load(Ordering::Acquire) {
+            while cell.runner.has_thread.load(Ordering::Acquire) {
                 std::thread::sleep(Duration::from_micros(50));
             }
-            cell.leave.reset();
+            cell.runner.leave.reset();
             self.start_thread(slot, cell);
         }
         let mut ready = Ready::default();
@@ -475,7 +475,7 @@ impl Engine {
         for &slot in slots {
             let cell = &old.cells[slot];
             // A node with a thread of its own closes there.
-            let stays = || cell.owns_thread() && cell.has_thread.load(Ordering::Acquire);
+            let stays = || cell.owns_thread() && cell.runner.has_thread.load(Ordering::Acquire);
             while stays() && Instant::now() < until {
                 self.shared.wake(cell);
                 std::thread::sleep(Duration::from_micros(200));
@@ -508,11 +508,11 @@ fn no_answer(node: &str, error: &CallError) -> ApplyError {
 /// Takes a node out of the graph; `true` when it was not finished.
 fn retire(cell: &Arc<NodeRuntime>) -> bool {
     let finished = std::mem::replace(&mut lock(&cell.join).finished, true);
-    cell.restarting.fetch_add(1, Ordering::AcqRel);
-    cell.retired.store(true, Ordering::Release);
-    cell.leave.request();
-    cell.wake.store(true, Ordering::Release);
-    if let Some(thread) = &*lock(&cell.thread) {
+    cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
+    cell.runner.retired.store(true, Ordering::Release);
+    cell.runner.leave.request();
+    cell.runner.wake.store(true, Ordering::Release);
+    if let Some(thread) = &*lock(&cell.runner.thread) {
         thread.unpark();
     }
     !finished

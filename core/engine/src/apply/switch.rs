@@ -99,7 +99,7 @@ impl Engine {
         for (region, extent) in held.iter().filter(|(region, _)| plan.regions.iter().any(|r| Arc::ptr_eq(r, region))) {
             let cell = &plan.cells[extent.head];
             if cell.source {
-                let first = region.first_pending().unwrap_or_else(|| cell.made.load(Ordering::Relaxed));
+                let first = region.first_pending().unwrap_or_else(|| cell.ticks.made.load(Ordering::Relaxed));
                 applied.switched_at.push((cell.id.clone(), first));
             }
         }
@@ -120,7 +120,7 @@ impl Engine {
         drop(order);
 
         for slot in threads {
-            plan.cells[slot].leave.reset();
+            plan.cells[slot].runner.leave.reset();
             self.start_thread(slot, &plan.cells[slot]);
         }
         let mut ready = Ready::default();
@@ -158,7 +158,7 @@ impl Engine {
         let slot = plan.slots[node];
         let (cell, fate) = (&plan.cells[slot], fates[node]);
         if fate.reopened && !fate.late {
-            cell.restarting.fetch_add(1, Ordering::AcqRel);
+            cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
             return cell.replace_instance(instance, Some(snapshot)).map(|unused| (slot, unused));
         }
         if let Some(mut exec) = cell.exec.take() {
@@ -168,9 +168,9 @@ impl Engine {
             exec.bad_in_a_row = 0;
             cell.exec.put(exec);
         }
-        cell.gives_up.store(false, Ordering::Release);
+        cell.recovery.gives_up.store(false, Ordering::Release);
         if fate.reopened {
-            cell.restarting.fetch_add(1, Ordering::AcqRel);
+            cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
             cell.set_snapshot(snapshot);
         }
         None
@@ -220,7 +220,7 @@ impl Engine {
             *lock(&cell.join) = is;
             was.finished = true;
             drop(was);
-            cell.made.store(before.made.load(Ordering::Relaxed), Ordering::Relaxed);
+            cell.ticks.made.store(before.ticks.made.load(Ordering::Relaxed), Ordering::Relaxed);
             if type_name(before.node_type) == type_name(cell.node_type) {
                 cell.subscribers.adopt(&before.subscribers);
             }

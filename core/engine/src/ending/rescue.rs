@@ -142,7 +142,7 @@ fn last_line() -> String {
     let (mut frames, mut dropped, mut faults) = (0, 0, 0);
     for shared in engines.unwrap_or_default() {
         let plan = shared.plan.load();
-        frames += plan.live().map(|(_, cell)| cell.made.load(Ordering::Relaxed)).max().unwrap_or(0);
+        frames += plan.live().map(|(_, cell)| cell.ticks.made.load(Ordering::Relaxed)).max().unwrap_or(0);
         for (_, cell) in plan.live() {
             dropped += cell.stats.dropped.load(Ordering::Relaxed);
             faults += cell.stats.faults.load(Ordering::Relaxed);

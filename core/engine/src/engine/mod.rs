@@ -328,7 +328,7 @@ impl Engine {
     /// Ticks that the busiest source has made.
     pub fn ticks(&self) -> u64 {
         let plan = self.shared.plan.load();
-        plan.live().map(|(_, cell)| cell.made.load(Ordering::Relaxed)).max().unwrap_or(0)
+        plan.live().map(|(_, cell)| cell.ticks.made.load(Ordering::Relaxed)).max().unwrap_or(0)
     }
 
     /// All counters and times so far.

@@ -49,7 +49,7 @@ impl Engine {
                 .shared
                 .open_guarded(&cell, &snapshot)
                 .map_err(|reason| SetError::Reopen { node: node.to_owned(), reason: reason.to_string() })?;
-            cell.restarting.fetch_add(1, Ordering::AcqRel);
+            cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
             let unused = cell.replace_instance(instance, Some(snapshot));
             self.shared.close_guarded(&cell, unused.into_iter().collect());
         } else {

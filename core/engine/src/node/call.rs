@@ -187,7 +187,7 @@ impl NodeRuntime {
             exec.set_snapshot(snapshot);
         }
         exec.bypassed = false;
-        self.gives_up.store(false, Ordering::Release);
+        self.recovery.gives_up.store(false, Ordering::Release);
         exec.bad_in_a_row = 0;
         if around.observer.is_some() {
             self.opened(&self.snapshot(), around, tick);
@@ -407,7 +407,7 @@ impl NodeRuntime {
         }
         if exec.failures_in_a_row != 0 {
             exec.failures_in_a_row = 0;
-            self.failures.store(0, Ordering::Relaxed);
+            self.recovery.failures.store(0, Ordering::Relaxed);
         }
         exec.troubled = silent;
         CallOutcome::Ok

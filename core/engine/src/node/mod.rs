@@ -3,15 +3,21 @@
 mod call;
 mod lead;
 mod open;
+mod recovery;
+mod runner;
+mod ticks;
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use panoscope_abi::{self as abi, PortRange, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
+use self::recovery::Recovery;
+use self::runner::Runner;
+use self::ticks::SourceTicks;
 use crate::busy::Busy;
 use crate::claims::Claims;
 use crate::clock;
@@ -19,10 +25,8 @@ use crate::decide::Decider;
 use crate::ending::who::{Running, Who};
 use crate::exec::{Exec, ExecPlace};
 use crate::fault::{Action, CAUSES, Cause, Fault, FaultLog, unix_ms};
-use crate::ingest::ingest_ring;
 use crate::instance::Instance;
 use crate::join::Join;
-use crate::leave::Leave;
 use crate::log::{Level, Log};
 use crate::memory::FrameRef;
 use crate::observe::Observer;
@@ -149,41 +153,18 @@ pub(crate) struct NodeRuntime {
     /// Opened beside the running instance; taken over before the next tick.
     replacement: Mutex<Option<(Instance, Option<Arc<Snapshot>>)>>,
     replace: AtomicBool,
-    /// Failed instances, to be closed off the hot path.
-    pub broken: Mutex<Vec<Instance>>,
-    /// Where a failed source was: the instance that replaces it goes on from there.
-    pub position: Mutex<Option<Vec<u8>>>,
-    /// A failed node is to be opened again.
-    pub wants_restart: AtomicBool,
-    /// Its last error was one that opening it again would not cure.
-    pub gives_up: AtomicBool,
-    /// Increases whenever somebody sets out to restart; only the newest may hand over.
-    pub restarting: AtomicU64,
-    pub failures: AtomicU32,
-    /// Calls of all kinds that were left behind and have not returned.
-    pub stuck: Arc<AtomicU32>,
+    /// Failures, and restarting after them.
+    pub recovery: Recovery,
+    /// The thread of a node that has one.
+    pub runner: Runner,
+    /// The ticks of a source.
+    pub ticks: SourceTicks,
     pub stats: NodeStats,
     pub metrics: Mutex<Vec<(String, f64)>>,
     /// Hears each number that the node tells.
     pub hear_number: OnceLock<Arc<HearNumberFn>>,
-    /// The node's own thread, if it has one.
-    pub thread: Mutex<Option<std::thread::Thread>>,
-    pub wake: AtomicBool,
-    /// Taken out of the graph: its thread closes the instance when it leaves.
-    pub retired: AtomicBool,
-    /// Whether its thread is to leave, see [`Leave`].
-    pub leave: Leave,
-    pub has_thread: AtomicBool,
-    /// What a tick of the inline chain that starts here took lately, the longest of about ten; `u64::MAX` before the first.
-    pub walk_ns: AtomicU64,
-    /// Newest capture time of a source, `i64::MIN` for none.
-    pub last_capture_ns: AtomicI64,
     /// Ticks this node is done with, for its region.
     pub done_ticks: AtomicU64,
-    /// Ticks a source has made.
-    pub made: AtomicU64,
-    /// Ingest times of a source's newest ticks.
-    pub ingest_ns: Box<[AtomicU64]>,
     /// Which input slots belong to which port.
     pub ranges: Mutex<Vec<PortRange>>,
     /// The newest changes of outputs' sizes.
@@ -265,28 +246,15 @@ impl NodeRuntime {
             values: InForce::new(snapshot),
             replacement: Mutex::new(None),
             replace: AtomicBool::new(false),
-            broken: Mutex::new(Vec::new()),
-            position: Mutex::new(None),
-            wants_restart: AtomicBool::new(false),
-            gives_up: AtomicBool::new(false),
-            restarting: AtomicU64::new(0),
-            failures: AtomicU32::new(0),
-            stuck: Arc::default(),
+            recovery: Recovery::default(),
+            runner: Runner::new(),
+            ticks: SourceTicks::new(spec.source),
             stats,
             metrics: Mutex::new(Vec::new()),
             hear_number: OnceLock::new(),
             outputs_read: AtomicU64::new(spec.outputs_read),
             subscribers: Subscribers::new(spec.node_type.outputs_len),
-            thread: Mutex::new(None),
-            wake: AtomicBool::new(false),
-            retired: AtomicBool::new(false),
-            leave: Leave::default(),
-            has_thread: AtomicBool::new(false),
-            walk_ns: AtomicU64::new(u64::MAX),
-            last_capture_ns: AtomicI64::new(i64::MIN),
             done_ticks: AtomicU64::new(0),
-            made: AtomicU64::new(0),
-            ingest_ns: ingest_ring(spec.source),
             ranges: Mutex::new(spec.ranges),
             resized: Mutex::default(),
             fault_counts: [const { AtomicU64::new(0) }; CAUSES],
@@ -323,9 +291,9 @@ impl NodeRuntime {
 
     /// Takes down what a tick of the chain that starts here took.
     pub fn note_walk(&self, ns: u64) {
-        let before = self.walk_ns.load(Ordering::Relaxed);
+        let before = self.runner.walk_ns.load(Ordering::Relaxed);
         let faded = if before == u64::MAX { 0 } else { before - before / 8 };
-        self.walk_ns.store(ns.max(faded), Ordering::Relaxed);
+        self.runner.walk_ns.store(ns.max(faded), Ordering::Relaxed);
     }
 
     /// Notes which outputs were made, where no call did.
@@ -359,7 +327,7 @@ impl NodeRuntime {
     /// Takes all instances out, for the caller to close: files are finished then. `false` when somebody runs the node, whose instance stays.
     #[must_use]
     pub fn take_instances(&self) -> (Vec<Instance>, bool) {
-        let mut all = std::mem::take(&mut *lock(&self.broken));
+        let mut all = std::mem::take(&mut *lock(&self.recovery.broken));
         all.extend(lock(&self.replacement).take().map(|(instance, _)| instance));
         let Some(mut exec) = self.exec.take() else { return (all, false) };
         all.push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));

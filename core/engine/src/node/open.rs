@@ -48,7 +48,7 @@ impl NodeRuntime {
         if failure.is_empty() {
             failure = format!("it did not open (status {status})");
         }
-        self.gives_up.store(status == abi::STATUS_STOPPED, Ordering::Release);
+        self.recovery.gives_up.store(status == abi::STATUS_STOPPED, Ordering::Release);
         Err(failure)
     }
 }

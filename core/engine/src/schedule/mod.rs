@@ -95,7 +95,7 @@ impl Ready {
         let nodes = &self.nodes[..self.len];
         let fits = |node: &usize| {
             let cell = &plan.cells[*node];
-            allowance_ns > 0 && !cell.owns_thread() && cell.walk_ns.load(Ordering::Relaxed) <= allowance_ns
+            allowance_ns > 0 && !cell.owns_thread() && cell.runner.walk_ns.load(Ordering::Relaxed) <= allowance_ns
         };
         let urgent = |node: &usize| plan.wiring[*node].urgency == Urgency::Urgent;
         let all = || nodes.iter().map(|node| *node as usize);
@@ -129,8 +129,8 @@ impl Shared {
     }
 
     pub fn wake(&self, cell: &NodeRuntime) {
-        cell.wake.store(true, Ordering::Release);
-        if let Some(thread) = &*lock(&cell.thread) {
+        cell.runner.wake.store(true, Ordering::Release);
+        if let Some(thread) = &*lock(&cell.runner.thread) {
             thread.unpark();
         }
     }
@@ -158,7 +158,7 @@ impl Shared {
                 (None, false) => return true,
             }
             if !is_worker {
-                allowance_ns = allowance_ns.saturating_sub(plan.cells[current].walk_ns.load(Ordering::Relaxed));
+                allowance_ns = allowance_ns.saturating_sub(plan.cells[current].runner.walk_ns.load(Ordering::Relaxed));
             }
         }
     }
@@ -200,7 +200,7 @@ impl Shared {
     pub fn left_behind(cell: &NodeRuntime, exec: Box<Exec>, walk: &mut Scratch) {
         drop(exec);
         walk.clear();
-        cell.stuck.fetch_sub(1, Ordering::Relaxed);
+        cell.recovery.stuck.fetch_sub(1, Ordering::Relaxed);
     }
 
     /// Shows what a node made to whoever looks at it.
@@ -231,7 +231,7 @@ impl Shared {
         if ran == CallOutcome::Stop {
             self.fail(format!("node `{}` failed and the graph says on_fault = \"stop\"", cell.id));
         }
-        if cell.wants_restart.swap(false, Ordering::Acquire) {
+        if cell.recovery.wants_restart.swap(false, Ordering::Acquire) {
             self.start_mending(cell);
         }
     }
@@ -254,7 +254,7 @@ impl Shared {
 
     /// When a tick came into the graph, in ns of the host's clock.
     pub fn ingest(&self, plan: &Plan, tick: &Tick) -> Option<u64> {
-        let ring = &plan.cells.get(tick.source as usize)?.ingest_ns;
+        let ring = &plan.cells.get(tick.source as usize)?.ticks.ingest_ns;
         let slot = ring.get(tick.seq as usize % ring.len().max(1))?;
         Some(slot.load(Ordering::Relaxed)).filter(|&ns| ns > 0)
     }
