@@ -1,25 +1,16 @@
-//! Lays sources of the runtime out for `tests/shuttle.rs`: the same text, with the locks and atomics of a scheduler that tries orders out.
+//! Lays sources of the engine out for `tests/shuttle.rs`: the same text, with the locks and atomics of a scheduler that tries orders out.
 
 use std::path::Path;
 
 fn main() {
-    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/runtime/src");
+    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/engine/src");
     let out = std::env::var("OUT_DIR").expect("cargo names a folder");
-    for (name, source) in [("memory", "memory"), ("params", "params"), ("region", "region"), ("busy", "exec")] {
-        let file = sources.join(format!("{source}.rs"));
+    for name in ["memory", "params", "region", "busy"] {
+        let file = sources.join(format!("{name}.rs"));
         println!("cargo::rerun-if-changed={}", file.display());
         let text = std::fs::read_to_string(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
-        // Their own tests run with the runtime; `include!` takes no module documentation.
+        // Their own tests run with the engine; `include!` takes no module documentation.
         let text = text.split("#[cfg(test)]").next().unwrap_or_default();
-        // Of the file that runs a node, the mark of its running call.
-        let text = match name {
-            "busy" => between(
-                text,
-                "/// A call was left behind by the watchdog.",
-                "/// An output as the checks after a call need it.",
-            ),
-            _ => text,
-        };
         let lines = text.lines().filter(|line| !line.starts_with("//!"));
         let text: String = lines.flat_map(|line| [line, "\n"]).collect();
         // A cell that is filled once at its first use; the model fills it before any thread starts.
@@ -31,10 +22,4 @@ fn main() {
             text.replace("std::sync::", "shuttle::sync::").replace("shuttle::sync::OnceLock", "std::sync::OnceLock");
         std::fs::write(Path::new(&out).join(format!("{name}.rs")), text).expect("the folder can be written");
     }
-}
-
-fn between<'t>(text: &'t str, from: &str, to: &str) -> &'t str {
-    let start = text.find(from).unwrap_or_else(|| panic!("`{from}` is gone"));
-    let end = text.find(to).unwrap_or_else(|| panic!("`{to}` is gone"));
-    &text[start..end]
 }

@@ -1,11 +1,14 @@
 //! What the tests that cross crates share: where things are, and how a graph is run inside a test.
 
+#![forbid(unsafe_code)]
+
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::Duration;
 
+use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_graph::{Graph, GraphText, check};
-use panoscope_runtime::{Engine, Loader, Options, Outcome, Report, loader};
+use panoscope_loader::{self as loader, Loader};
 
 /// Root of the repository.
 pub fn root() -> PathBuf {
@@ -59,7 +62,7 @@ pub fn run(path: &Path, text: &str, frames: u64, threads: usize) -> Run {
         paced: false,
         graph_dir: path.parent().unwrap_or(Path::new("")).to_owned(),
         log: Some(Box::new(move |level, node, words| {
-            if level <= panoscope_runtime::log::Level::Warn
+            if level <= panoscope_engine::log::Level::Warn
                 && let Ok(mut lines) = lines.lock()
             {
                 lines.push(format!("{level:?} {node}: {words}"));

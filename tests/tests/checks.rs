@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use panoscope_engine::{Engine, Options};
 use panoscope_graph::{Diagnostics, GraphText, ParamValue, Severity, check};
-use panoscope_runtime::{Engine, Loader, Options, loader};
+use panoscope_loader::{self as loader, Loader};
 
 /// The diagnostics of a graph text in `folder`.
 fn diagnostics(folder: &Path, text: &str) -> Diagnostics {

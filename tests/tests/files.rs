@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use panoscope_runtime::fault::Action;
-use panoscope_runtime::{Engine, Live, Options, SetError};
+use panoscope_engine::fault::Action;
+use panoscope_engine::{Engine, Options, SetError};
+use panoscope_loader::Live;
 use panoscope_tests::{load, scratch};
 
 const PATIENCE: Duration = Duration::from_secs(60);

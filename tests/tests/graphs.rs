@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
+use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_graph::GraphText;
 use panoscope_graph::check;
-use panoscope_runtime::{Engine, Loader, Options, Outcome, loader};
+use panoscope_loader::{self as loader, Loader};
 
 #[test]
 fn every_shipped_graph_checks() {

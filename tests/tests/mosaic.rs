@@ -4,8 +4,9 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::time::Duration;
 
+use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_graph::{GraphText, check};
-use panoscope_runtime::{Engine, Loader, Options, Outcome, loader};
+use panoscope_loader::{self as loader, Loader};
 use panoscope_tests::{run, scratch};
 
 /// Columns of a table as `write_table` writes it.

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use panoscope_runtime::{Loader, loader};
+use panoscope_loader::{self as loader, Loader};
 
 fn readme() -> String {
     std::fs::read_to_string(panoscope_tests::root().join("README.md")).expect("README.md")

@@ -6,10 +6,11 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use panoscope_engine::{Engine, Options};
 use panoscope_graph::edit::GraphEdit;
-use panoscope_runtime::record::compare::compare;
-use panoscope_runtime::record::{Digests, Event, RecordOptions, Recorder, Recording, Replay, ReplayOptions, head};
-use panoscope_runtime::{Engine, Live, Options};
+use panoscope_loader::Live;
+use panoscope_record::compare::compare;
+use panoscope_record::{Digests, Event, RecordOptions, Recorder, Recording, Replay, ReplayOptions, head};
 use panoscope_tests::{load, root, scratch};
 
 const PATIENCE: Duration = Duration::from_secs(600);
@@ -72,7 +73,7 @@ fn record(file: &Path, frames: u64, width: u64) -> Digests {
     };
     let head = head(&graph, &catalog, &loader, &path, &text, &[]);
     let recorder = Recorder::start(options, head).unwrap_or_else(|e| panic!("{e}"));
-    let options = Options { frames: Some(frames), record: Some(Arc::clone(&recorder)), ..Options::default() };
+    let options = Options { frames: Some(frames), observer: Some(Arc::clone(&recorder) as _), ..Options::default() };
     let engine = Engine::start(graph, &catalog, &loader, options).unwrap_or_else(|e| panic!("{e}"));
     let mut live = Live::new(&engine, &path, text, Vec::new(), loader);
     let begin = Instant::now();

@@ -31,19 +31,16 @@ mod region {
     include!(concat!(env!("OUT_DIR"), "/region.rs"));
 }
 mod busy {
-    use panoscope_abi::Tick;
-    use shuttle::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-
     include!(concat!(env!("OUT_DIR"), "/busy.rs"));
 }
-mod pool {
+mod thread_id {
     /// The model has one thread that runs nodes.
-    pub(crate) fn thread_number() -> u32 {
+    pub(crate) fn current() -> u32 {
         7
     }
 }
 
-use busy::{Busy, Doing};
+use busy::{Busy, CallKind};
 use memory::{FrameRef, Memory};
 use panoscope_abi::Tick;
 use panoscope_graph::ParamValue;
@@ -126,17 +123,18 @@ fn a_buffer_that_is_gone_cannot_be_kept() {
 
 #[test]
 fn a_call_ends_or_is_left_behind_and_the_watchdog_knows_what_it_was_for() {
-    const CALLS: [Doing; 5] = [Doing::Process, Doing::Open, Doing::Process, Doing::SaveState, Doing::Process];
+    const CALLS: [CallKind; 5] =
+        [CallKind::Process, CallKind::Open, CallKind::Process, CallKind::SaveState, CallKind::Process];
     shuttle::check_pct(
         || {
             let busy = Arc::new(Busy::default());
             let ended = Arc::new(Mutex::new(Vec::new()));
             let (mine, list) = (Arc::clone(&busy), Arc::clone(&ended));
             let runner = thread::spawn(move || {
-                for (n, doing) in CALLS.into_iter().enumerate() {
+                for (n, kind) in CALLS.into_iter().enumerate() {
                     // As `Cell::run` and `Cell::aside` do.
                     let since_ns = n as u64 + 1;
-                    mine.begin_doing(doing, &Tick { source: 3, flags: 0, seq: n as u64, capture_ns: 0 }, since_ns);
+                    mine.begin_kind(kind, &Tick { source: 3, flags: 0, seq: n as u64, capture_ns: 0 }, since_ns);
                     thread::yield_now();
                     if !mine.end(since_ns) {
                         // Left behind: it touches nothing any more.
@@ -149,10 +147,10 @@ fn a_call_ends_or_is_left_behind_and_the_watchdog_knows_what_it_was_for() {
             for _ in 0..6 {
                 // As the watchdog does.
                 let since_ns = busy.since_ns.load(Ordering::Acquire);
-                let (doing, tick, thread) = (busy.doing(), busy.tick(), busy.thread.load(Ordering::Relaxed));
+                let (kind, tick, thread) = (busy.kind(), busy.tick(), busy.thread.load(Ordering::Relaxed));
                 if since_ns != 0 && busy.abandon(since_ns) {
                     let call = since_ns as usize - 1;
-                    let seen = (doing, tick.source, tick.seq, thread);
+                    let seen = (kind, tick.source, tick.seq, thread);
                     assert_eq!(seen, (CALLS[call], 3, call as u64, 7), "it is another call's");
                     busy.clear();
                     left_behind = Some(call);

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use panoscope_runtime::Outcome;
+use panoscope_engine::Outcome;
 use panoscope_tests::{Run, run, scratch};
 
 const PICTURES: usize = 12;

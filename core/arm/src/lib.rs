@@ -4,6 +4,8 @@
 //! stands between any controller and any arm; [`dynamics`] is an arm to try all that on. Lengths in mm, angles in rad, times in ns on one
 //! clock that the caller owns. Source of the task: thesis, chapter 6 (figs 6.2, 6.3).
 
+#![forbid(unsafe_code)]
+
 pub mod campaign;
 pub mod chain;
 pub mod control;

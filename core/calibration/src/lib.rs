@@ -10,6 +10,8 @@
 //! - [`pictures`] finds the picture files that a pattern means, [`views`] puts those of several views together.
 //! - [`Board`] names a printed pattern, [`ViewState`] what became of one view of it.
 
+#![forbid(unsafe_code)]
+
 mod board;
 mod document;
 mod error;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, check};
-use panoscope_runtime::{Loader, loader};
+use panoscope_loader::{self as loader, Loader};
 
 /// A checked graph with what it was checked against.
 pub struct Ready {

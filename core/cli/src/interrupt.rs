@@ -1,6 +1,6 @@
-//! Signals that ask for an end, for commands that ask every now and then; see [`panoscope_runtime::ending::signals`].
+//! Signals that ask for an end, for commands that ask every now and then; see [`panoscope_engine::ending::signals`].
 
-use panoscope_runtime::ending::signals;
+use panoscope_engine::ending::signals;
 
 /// From now on a signal is answered by whoever calls [`asked`], until the command ends.
 pub fn listen() {

@@ -13,8 +13,8 @@
 
 use std::collections::BTreeSet;
 
-use panoscope_runtime::fault::{Action, Cause, Fault};
-use panoscope_runtime::{NodeReport, Outcome, Report};
+use panoscope_engine::fault::{Action, Cause, Fault};
+use panoscope_engine::{NodeReport, Outcome, Report};
 
 use crate::End;
 
@@ -212,7 +212,7 @@ fn idle(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdict) {
 mod tests {
     use std::collections::BTreeMap;
 
-    use panoscope_runtime::Machine;
+    use panoscope_engine::Machine;
 
     use super::*;
 

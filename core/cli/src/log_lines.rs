@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use panoscope_runtime::log::{Level, LogFn};
+use panoscope_engine::log::{Level, LogFn};
 
 /// The same words of the same node are shown once in this time.
 const QUIET: Duration = Duration::from_secs(1);

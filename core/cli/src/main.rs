@@ -13,9 +13,9 @@ mod summary;
 mod terminal;
 
 use clap::{Parser, Subcommand};
-use panoscope_runtime::ending::signals;
+use panoscope_engine::ending::signals;
 
-panoscope_runtime::guard_exits!();
+panoscope_engine::guard_exits!();
 
 /// Runs graphs of image-processing nodes on the live picture of two-camera endoscopes.
 #[derive(Parser)]

@@ -9,8 +9,8 @@ use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use panoscope_engine::{Engine, Options, StartError};
 use panoscope_graph::{Diagnostics, Graph, GraphText, ParamKind, ParamValue, Severity};
-use panoscope_runtime::{Engine, Options, StartError};
 use serde::{Deserialize, Serialize};
 
 use crate::graph_file::{self, Ready};

@@ -4,7 +4,7 @@ use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use panoscope_runtime::Report;
+use panoscope_engine::Report;
 
 use crate::terminal::tell;
 

@@ -1,7 +1,7 @@
 //! The table at the end of a run.
 
+use panoscope_engine::Report;
 use panoscope_graph::Graph;
-use panoscope_runtime::Report;
 
 use crate::terminal::table;
 

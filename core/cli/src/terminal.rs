@@ -48,7 +48,7 @@ pub fn stderr_color() -> bool {
 pub fn leave(code: i32) -> ! {
     let _ = std::io::stdout().flush();
     let _ = std::io::stderr().flush();
-    panoscope_runtime::ending::leave(code)
+    panoscope_engine::ending::leave(code)
 }
 
 /// Lays out rows in columns: the first column to the left, numbers to the right. The first row is the head.

@@ -15,9 +15,9 @@ use crate::workspace::{Plugin, Workspace};
 /// The package of the `panoscope` command.
 const PROGRAM_PACKAGE: &str = "panoscope-cli";
 const PROGRAM: &str = "panoscope";
-/// The window that `panoscope edit` starts.
-const EDITOR_PACKAGE: &str = "panoscope-editor";
+/// The windows that `panoscope edit` and `panoscope theatre` start; packages and programs have one name.
 const EDITOR: &str = "panoscope-editor";
+const THEATRE: &str = "panoscope-theatre";
 
 /// Cargo's profiles as far as they are used here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -48,23 +48,32 @@ pub fn library_name(plugin: &str) -> String {
     format!("{DLL_PREFIX}{plugin}{DLL_SUFFIX}")
 }
 
-/// Builds the editor, beside the program.
+/// The programs of the windows.
+#[derive(Debug)]
+pub struct Windows {
+    pub editor: PathBuf,
+    pub theatre: PathBuf,
+}
+
+/// Builds the windows, beside the program.
 ///
 /// # Errors
 /// The build fails; cargo has said why.
-pub fn build_editor(workspace: &Workspace, profile: Profile) -> Result<PathBuf> {
+pub fn build_windows(workspace: &Workspace, profile: Profile) -> Result<Windows> {
     let mut cargo = workspace.cargo();
-    cargo.args(["build", "--message-format=json-render-diagnostics", "--package", EDITOR_PACKAGE]);
+    cargo.args(["build", "--message-format=json-render-diagnostics", "--package", EDITOR, "--package", THEATRE]);
     if profile == Profile::Release {
         cargo.arg("--release");
     }
     let mut artifacts = Artifacts::default();
     let status = process::filter(&mut cargo, |line| !artifacts.read(line))?;
     process::check(&cargo, status)?;
-    artifacts.editor.with_context(|| format!("{EDITOR_PACKAGE} makes no program `{EDITOR}`"))
+    let editor = artifacts.editor.with_context(|| format!("{EDITOR} makes no program `{EDITOR}`"))?;
+    let theatre = artifacts.theatre.with_context(|| format!("{THEATRE} makes no program `{THEATRE}`"))?;
+    Ok(Windows { editor, theatre })
 }
 
-/// Builds the program and all plugins. Not the editor, which takes longest and which a demo without a screen and benches do not need.
+/// Builds the program and all plugins. Not the windows, which take longest and which a demo without a screen and benches do not need.
 ///
 /// # Errors
 /// The build fails (cargo has said why), or a plugin's crate makes no shared library.
@@ -94,6 +103,7 @@ pub fn build(workspace: &Workspace, profile: Profile) -> Result<Built> {
 struct Artifacts {
     program: Option<PathBuf>,
     editor: Option<PathBuf>,
+    theatre: Option<PathBuf>,
     /// Shared libraries by the folder of their crate.
     libraries: BTreeMap<PathBuf, PathBuf>,
 }
@@ -112,6 +122,9 @@ impl Artifacts {
         }
         if has_kind("bin") && target["name"] == EDITOR {
             self.editor = message["executable"].as_str().map(PathBuf::from);
+        }
+        if has_kind("bin") && target["name"] == THEATRE {
+            self.theatre = message["executable"].as_str().map(PathBuf::from);
         }
         if has_kind("cdylib") {
             let folder = message["manifest_path"].as_str().and_then(|path| Path::new(path).parent());
@@ -203,9 +216,9 @@ pub fn program_name() -> String {
     format!("{PROGRAM}{EXE_SUFFIX}")
 }
 
-/// Name of the editor's file.
-pub fn editor_name() -> String {
-    format!("{EDITOR}{EXE_SUFFIX}")
+/// Names of the files of the editor and the theatre.
+pub fn window_names() -> [String; 2] {
+    [EDITOR, THEATRE].map(|name| format!("{name}{EXE_SUFFIX}"))
 }
 
 #[cfg(test)]

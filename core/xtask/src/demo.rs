@@ -6,7 +6,7 @@ use std::time::SystemTime;
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::build::{Profile, build, build_editor};
+use crate::build::{Profile, build, build_windows};
 use crate::onnxruntime;
 use crate::packages::Purpose;
 use crate::process;
@@ -88,7 +88,7 @@ pub fn demo(workspace: &Workspace, args: &[String]) -> Result<()> {
     ensure!(summary.faults == 0, "{} faults of nodes, see above", summary.faults);
     if has_screen {
         println!("\nThe editor opens with the running graph; close its window to end the demo.");
-        build_editor(workspace, Profile::Dev)?;
+        build_windows(workspace, Profile::Dev)?;
         process::run(built.panoscope().arg("edit").arg(&graph))?;
     }
     Ok(())

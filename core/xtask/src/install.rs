@@ -6,8 +6,8 @@ use std::path::Path;
 use anyhow::{Context, Result};
 
 use crate::build::{
-    Built, Means, Profile, build, build_editor, editor_name, lay_out_models, library_name, place, place_files,
-    program_name,
+    Built, Means, Profile, Windows, build, build_windows, lay_out_models, library_name, place, place_files,
+    program_name, window_names,
 };
 use crate::onnxruntime;
 use crate::workspace::Workspace;
@@ -18,9 +18,9 @@ use crate::workspace::Workspace;
 /// The build fails, a file cannot be copied, or ONNX Runtime cannot be had; all but ONNX Runtime is in place then.
 pub fn install(workspace: &Workspace, dir: &Path) -> Result<()> {
     let built = build(workspace, Profile::Release)?;
-    let editor = build_editor(workspace, Profile::Release)?;
+    let windows = build_windows(workspace, Profile::Release)?;
     let runtime = onnxruntime::fetch(workspace);
-    let tree = Tree { built: &built, editor: Some(&editor), runtime: runtime.as_deref().ok() };
+    let tree = Tree { built: &built, windows: Some(&windows), runtime: runtime.as_deref().ok() };
     tree.put_into(workspace, dir, Means::Copy)?;
     println!("{}", dir.join(program_name()).display());
     runtime.map(drop).with_context(|| {
@@ -35,13 +35,13 @@ pub fn install(workspace: &Workspace, dir: &Path) -> Result<()> {
 /// What an installed folder is made of.
 struct Tree<'a> {
     built: &'a Built,
-    editor: Option<&'a Path>,
+    windows: Option<&'a Windows>,
     /// ONNX Runtime's shared library; its licence stands beside it.
     runtime: Option<&'a Path>,
 }
 
 impl Tree<'_> {
-    /// Puts the program, the editor, `plugins/` with their models, `onnxruntime/` and `graphs/` into `dir`.
+    /// Puts the program, the windows, `plugins/` with their models, `onnxruntime/` and `graphs/` into `dir`.
     fn put_into(&self, workspace: &Workspace, dir: &Path, means: Means) -> Result<()> {
         let plugin_dir = dir.join("plugins");
         fs::create_dir_all(&plugin_dir).with_context(|| format!("cannot make {}", plugin_dir.display()))?;
@@ -59,8 +59,10 @@ impl Tree<'_> {
             }
         }
         place_files(&workspace.root.join("graphs"), &dir.join("graphs"), &["toml"], means)?;
-        if let Some(editor) = self.editor {
-            place(editor, &dir.join(editor_name()), means)?;
+        if let Some(Windows { editor, theatre }) = self.windows {
+            for (program, name) in [editor, theatre].into_iter().zip(window_names()) {
+                place(program, &dir.join(name), means)?;
+            }
         }
         // Last, so that a program that starts finds everything it came with.
         place(&self.built.program, &dir.join(program_name()), means)
@@ -93,7 +95,7 @@ mod tests {
         // Not below the build's folder, where ONNX Runtime would be found anyway.
         let dir = std::env::temp_dir().join(format!("xtask_installed_{}", std::process::id()));
         let _ = fs::remove_dir_all(&dir);
-        let tree = Tree { built: &built, editor: None, runtime: Some(&runtime) };
+        let tree = Tree { built: &built, windows: None, runtime: Some(&runtime) };
         tree.put_into(&workspace, &dir, Means::Link).unwrap();
         let run = |dir: &Path| {
             let graph = dir.join("graphs/tools.toml");

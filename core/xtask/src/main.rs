@@ -1,5 +1,7 @@
 //! Set-up, demo, tests and generated files of Panoscope: `cargo xtask <command>`.
 
+#![forbid(unsafe_code)]
+
 mod build;
 mod data;
 mod demo;
@@ -82,8 +84,10 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             setup::ensure(&[Purpose::Build])?;
             let workspace = Workspace::locate()?;
             let built = build::build(&workspace, profile)?;
-            let editor = build::build_editor(&workspace, profile)?;
-            println!("{}\n{}\n{}", built.program.display(), editor.display(), built.plugin_dir.display());
+            let windows = build::build_windows(&workspace, profile)?;
+            for path in [&built.program, &windows.editor, &windows.theatre, &built.plugin_dir] {
+                println!("{}", path.display());
+            }
         }
         "bench" => {
             setup::ensure(&[Purpose::Build, Purpose::Bench])?;

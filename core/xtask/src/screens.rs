@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::build::{Profile, build, build_editor};
+use crate::build::{Profile, build, build_windows};
 use crate::packages::Purpose;
 use crate::process;
 use crate::setup;
@@ -89,15 +89,16 @@ pub fn screens(workspace: &Workspace, args: &[String]) -> Result<()> {
     let only = args.get(1..).unwrap_or_default();
     fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let built = build(workspace, Profile::Release)?;
-    let editor = build_editor(workspace, Profile::Release)?;
+    let windows = build_windows(workspace, Profile::Release)?;
     let screen = Screen::start()?;
     for (name, graph, actions, after) in SCREENS.iter().filter(|s| only.is_empty() || only.iter().any(|o| o == s.0)) {
         let file = folder.join(format!("{name}.png"));
         let _ = fs::remove_file(&file);
-        let mut command = Command::new(&editor);
+        let is_theatre = name.starts_with("theatre");
+        let mut command = Command::new(if is_theatre { &windows.theatre } else { &windows.editor });
         command.arg(workspace.root.join(graph)).arg("--screenshot").arg(&file).args(["--after", after]);
-        if name.starts_with("theatre") {
-            command.args(["--theatre", "--unlocked", "--windowed", "--into"]).arg(folder.join("kept"));
+        if is_theatre {
+            command.args(["--unlocked", "--windowed", "--into"]).arg(folder.join("kept"));
         }
         for action in *actions {
             command.args(["--do", action]);

@@ -35,7 +35,7 @@ static SUITES: &[Suite] = &[
         name: "faults",
         lints: false,
         tests: true,
-        only: &["-p", "panoscope-runtime", "--test", "campaign"],
+        only: &["-p", "panoscope-engine", "--test", "campaign"],
         env: &[],
     },
     // PANOSCOPE_HOSTILE_CASES and PANOSCOPE_HOSTILE_SEED, the same.
@@ -51,7 +51,7 @@ static SUITES: &[Suite] = &[
         name: "disk",
         lints: false,
         tests: true,
-        only: &["-p", "panoscope-sinks", "-p", "panoscope-runtime", "--test", "disk"],
+        only: &["-p", "panoscope-sinks", "-p", "panoscope-record", "--test", "disk"],
         env: &[("PANOSCOPE_DISK_TICKS", "12")],
     },
     // Killed while saving, keeping a still, recording a clip; graphs in which everything fails.

@@ -4,6 +4,8 @@
 //! Safety. The interlock ([`panoscope_arm_core::interlock`]) sits in the drivers, after the last wire of the graph: no controller, parameter or edit can
 //! get past it, and without a fresh tip at the driver's own input nothing moves.
 
+#![forbid(unsafe_code)]
+
 pub mod arm_pid;
 pub mod arm_sim;
 pub mod evaluate_arm;

@@ -3,6 +3,8 @@
 //! `overlay` draws what other nodes found onto their picture, `colorize` makes a picture of a map of numbers, `side_by_side`
 //! puts several pictures into one, `screen` one large picture and smaller ones, `turntable` shows a point cloud from all sides.
 
+#![forbid(unsafe_code)]
+
 pub mod colorize;
 pub mod fit;
 pub mod marks;

@@ -3,6 +3,8 @@
 //! Every writer is a node of one file; what the bytes of a format look like stands in [`formats`], and how a file comes
 //! to its name (folders, `{seq}`, part files, errors with their mend) in [`target`].
 
+#![forbid(unsafe_code)]
+
 pub mod formats;
 pub mod picture;
 pub mod preview;

@@ -1,5 +1,7 @@
 //! Registration and compositing of overlapping views (thesis, chapters 2 and 4).
 
+#![forbid(unsafe_code)]
+
 pub mod composite;
 mod cut_views;
 mod evaluate_mosaic;

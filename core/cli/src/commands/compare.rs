@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use panoscope_runtime::record::compare::{Content, FirstCell, PortDifference, compare, compare_recordings};
-use panoscope_runtime::record::{Digests, Recording};
+use panoscope_record::compare::{Content, FirstCell, PortDifference, compare, compare_recordings};
+use panoscope_record::{Digests, Recording};
 
 use crate::End;
 use crate::terminal::{raw, table, tell};
@@ -142,7 +142,7 @@ fn show(mut differences: Vec<PortDifference>) -> End {
     ];
     for difference in &differences {
         let (a, b) = difference.packets;
-        let amount = |number: fn(&panoscope_runtime::record::compare::Amount) -> String| {
+        let amount = |number: fn(&panoscope_record::compare::Amount) -> String| {
             difference.amount.as_ref().map_or_else(|| "-".to_owned(), number)
         };
         rows.push(vec![

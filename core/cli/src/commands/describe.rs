@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use panoscope_graph::{NodeKind, NodeType, Param, ParamKind, Port};
-use panoscope_runtime::Loader;
+use panoscope_loader::Loader;
 
 use crate::terminal::{say, tell};
 use crate::{End, graph_file};

@@ -5,7 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use panoscope_runtime::{Machine, loader};
+use panoscope_engine::Machine;
+use panoscope_loader as loader;
 
 use super::devices;
 use crate::terminal::{say, stdout_color};
@@ -78,7 +79,7 @@ impl Doctor {
         say!("plugins");
         let mut any = false;
         for folder in loader::search_path(&[]) {
-            let found = panoscope_runtime::Loader::search(std::slice::from_ref(&folder));
+            let found = panoscope_loader::Loader::search(std::slice::from_ref(&folder));
             let count = found.found().count();
             any |= count > 0;
             let about = match (folder.is_dir(), count) {

@@ -9,15 +9,16 @@ use anyhow::{Context, Result};
 use crate::End;
 use crate::terminal::tell;
 
-/// The editor's program.
+/// The programs of the windows, each beside this one.
 const EDITOR: &str = "panoscope-editor";
+const THEATRE: &str = "panoscope-theatre";
 
 /// Arguments of `edit` and `theatre`.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Graph file.
     graph: PathBuf,
-    /// Further arguments of the editor; `panoscope-editor --help` shows them.
+    /// Further arguments of the editor; `panoscope-editor --help` and `panoscope-theatre --help` show them.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     rest: Vec<String>,
 }
@@ -31,17 +32,14 @@ pub fn run(arguments: &Arguments, theatre: bool) -> Result<End> {
         return Ok(End::Wrong);
     }
     let this = std::env::current_exe().context("this program's own place is not known")?;
-    let beside = this.with_file_name(EDITOR);
+    let beside = this.with_file_name(if theatre { THEATRE } else { EDITOR });
     if !beside.is_file() {
         tell!(
-            "error: the editor is missing: {} does not exist\n  help: `cargo xtask build` builds it",
+            "error: the window's program is missing: {} does not exist\n  help: `cargo xtask build` builds it",
             beside.display()
         );
         return Ok(End::Failed);
     }
-    let error = {
-        let mode = theatre.then_some("--theatre");
-        Command::new(&beside).arg(&arguments.graph).args(mode).args(&arguments.rest).exec()
-    };
+    let error = Command::new(&beside).arg(&arguments.graph).args(&arguments.rest).exec();
     Err(error).with_context(|| format!("{} does not start", beside.display()))
 }

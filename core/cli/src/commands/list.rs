@@ -50,7 +50,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     }
     if !any {
         tell!("no plugins were found; folders searched:");
-        for folder in panoscope_runtime::loader::search_path(&[]) {
+        for folder in panoscope_loader::search_path(&[]) {
             tell!("    {}", folder.display());
         }
     }

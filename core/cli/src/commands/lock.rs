@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use panoscope_graph::GraphText;
-use panoscope_runtime::lock::{Lock, THEATRE_PLUGINS, lock_path};
+use panoscope_loader::lock::{Lock, THEATRE_PLUGINS, lock_path};
 
 use crate::terminal::{raw, say, stderr_color, tell};
 use crate::{End, graph_file};

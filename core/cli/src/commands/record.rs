@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use panoscope_runtime::record::{RecordOptions, Recorded};
+use panoscope_record::{RecordOptions, Recorded};
 
 use super::run::{self, Ran};
 use crate::End;

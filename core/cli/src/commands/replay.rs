@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Result;
-use panoscope_runtime::Options;
-use panoscope_runtime::ending::signals;
-use panoscope_runtime::record::{RecordOptions, Recording, Replay, ReplayError, ReplayOptions};
+use panoscope_engine::Options;
+use panoscope_engine::ending::signals;
+use panoscope_record::{RecordOptions, Recording, Replay, ReplayError, ReplayOptions};
 
 use super::record::{Ports, told, write_digests};
 use super::run;

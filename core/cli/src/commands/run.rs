@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use panoscope_engine::ending::signals;
+use panoscope_engine::fault::json_lines;
+use panoscope_engine::{Engine, Options, Report};
 use panoscope_graph::OnFault;
-use panoscope_runtime::ending::signals;
-use panoscope_runtime::fault::json_lines;
-use panoscope_runtime::live::FileWatch;
-use panoscope_runtime::record::{RecordOptions, Recorded, Recorder, head};
-use panoscope_runtime::{Engine, Live, Options, Report};
+use panoscope_loader::Live;
+use panoscope_loader::live::FileWatch;
+use panoscope_record::{RecordOptions, Recorded, Recorder, head};
 
 use crate::judge::{Facts, Verdict, Weight, judge};
 use crate::progress::Progress;
@@ -119,7 +120,7 @@ pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: 
         None => None,
     };
     let options = Options {
-        record: recorder.clone(),
+        observer: recorder.clone().map(|recorder| recorder as _),
         threads: arguments.threads.map_or(0, usize::from),
         frames: arguments.frames,
         paced: !arguments.unpaced,

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use panoscope_runtime::Engine;
-use panoscope_runtime::memory::memory;
+use panoscope_engine::Engine;
+use panoscope_engine::memory::memory;
 
 use super::run::{self, Ran};
 use crate::End;

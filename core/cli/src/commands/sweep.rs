@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
+use panoscope_eval::sweep::{Point, Request, Summary, Sweep, SweepError, csv};
 use panoscope_graph::GraphText;
-use panoscope_runtime::record::Recording;
-use panoscope_runtime::sweep::{Point, Request, Summary, Sweep, SweepError, csv};
-use panoscope_runtime::{Loader, loader};
+use panoscope_loader::{self as loader, Loader};
+use panoscope_record::Recording;
 use serde_json::{Value, json};
 
 use super::eval::plot::{self, Chart, Series, Style};

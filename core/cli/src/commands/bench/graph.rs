@@ -5,8 +5,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
+use panoscope_engine::{Engine, Options, Outcome, Report};
 use panoscope_graph::GraphText;
-use panoscope_runtime::{Engine, Options, Outcome, Report};
 
 use crate::{allocations, graph_file};
 

@@ -8,7 +8,7 @@ use std::ptr::null_mut;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
-use panoscope_runtime::clock;
+use panoscope_engine::clock;
 
 type Object = *mut c_void;
 type Probe = unsafe extern "C" fn(pad: Object, info: *mut c_void, times: *mut c_void) -> c_int;

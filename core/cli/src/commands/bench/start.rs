@@ -4,8 +4,8 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
+use panoscope_engine::{Engine, Options};
 use panoscope_graph::GraphText;
-use panoscope_runtime::{Engine, Options};
 
 use super::graph::{self, Pace};
 use super::record::Figure;

@@ -23,7 +23,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use panoscope_runtime::Report;
+use panoscope_engine::Report;
 
 use super::folder::Folder;
 use super::pairs::Pairs;

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use panoscope_runtime::Report;
+use panoscope_engine::Report;
 use toml::{Table, Value};
 
 use super::folder::Folder;
@@ -77,7 +77,7 @@ fn show(report: &Report) {
     ];
     let pictures = report.frames.max(1) as f64;
     let mut nodes: Vec<_> = report.nodes.iter().collect();
-    let work = |n: &panoscope_runtime::NodeReport| n.p50_ms * n.count as f64 / pictures;
+    let work = |n: &panoscope_engine::NodeReport| n.p50_ms * n.count as f64 / pictures;
     nodes.sort_by(|a, b| work(b.1).total_cmp(&work(a.1)));
     for (id, node) in nodes {
         rows.push(vec![

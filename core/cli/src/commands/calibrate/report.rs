@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use panoscope_abi::{Calibration, Camera};
 use panoscope_calibration::ViewState;
-use panoscope_runtime::memory::FrameRef;
+use panoscope_engine::memory::FrameRef;
 
 use super::plan::Source;
 use crate::commands::eval::look::Table;

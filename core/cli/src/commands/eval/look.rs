@@ -4,9 +4,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use panoscope_engine::memory::FrameRef;
+use panoscope_engine::{Engine, Listener, NumberListener, Options, Outcome, Preview, Report};
 use panoscope_graph::GraphText;
-use panoscope_runtime::memory::FrameRef;
-use panoscope_runtime::{Engine, Listener, NumberListener, Options, Outcome, Preview, Report};
 
 use crate::{allocations, graph_file};
 

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use anyhow::Result;
-use panoscope_runtime::{Listener, NumberListener};
+use panoscope_engine::{Listener, NumberListener};
 
 use super::super::folder::Folder;
 use super::super::pairs::Pairs;
@@ -79,7 +79,7 @@ fn run(pairs: &Pairs, way: Way, seam: Seam, frames: u64) -> Result<Heard> {
     let heard = Arc::new(Mutex::new(Heard { moments: vec![[None; 3]; count], seam: vec![f64::NAN; count] }));
     let listen = STAGES.iter().enumerate().map(|(stage, (node, output))| {
         let heard = Arc::clone(&heard);
-        let hear = Arc::new(move |packet: &panoscope_runtime::memory::FrameRef| {
+        let hear = Arc::new(move |packet: &panoscope_engine::memory::FrameRef| {
             let now = Instant::now();
             if let Some(tick) = lock(&heard).moments.get_mut(packet.tick().seq as usize) {
                 tick[stage] = Some(now);

@@ -6,9 +6,9 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use panoscope_engine::memory::FrameRef;
 use panoscope_imaging::View;
 use panoscope_imaging::stereo::{Rectification, RectifiedCamera, Roi, score_disparity, score_surface};
-use panoscope_runtime::memory::FrameRef;
 
 use super::super::look::{self, Pace, Plan};
 use super::data::Picture;

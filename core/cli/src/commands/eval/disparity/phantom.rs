@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use panoscope_runtime::memory::FrameRef;
+use panoscope_engine::memory::FrameRef;
 
 use super::super::look::{self, Pace, Plan, Table};
 use super::super::plot::{self, Chart, Series, Style};

@@ -169,7 +169,7 @@ pub fn judged(methods: &[Method], source: &Source, frames: u64) -> Result<Vec<lo
     let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &ports, pace: Pace::Free };
     let seen = look::run(&plan)?;
     let read = |packet: &Option<_>| -> Result<look::Table> {
-        let packet: &panoscope_runtime::memory::FrameRef = packet.as_ref().context("the judge saw nothing")?;
+        let packet: &panoscope_engine::memory::FrameRef = packet.as_ref().context("the judge saw nothing")?;
         look::Table::read(packet.bytes()).context("the judge's table could not be read")
     };
     seen.packets.iter().map(read).collect()

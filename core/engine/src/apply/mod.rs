@@ -1,0 +1,531 @@
+//! Changing a running graph: one transaction from the graph that runs to another checked one.
+//!
+//! New nodes are opened beside the running ones. The regions that the change touches stop admitting ticks; sources go on and
+//! their ticks are kept. When the ticks inside are through, the plan is switched and the kept ticks enter. Untouched regions do not
+//! notice. Whatever fails before the switch leaves everything as it was.
+
+mod change;
+mod change_lock;
+mod outcome;
+mod switch;
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use panoscope_graph::{Catalog, Graph, Mode};
+
+use self::change::{Change, Fate};
+pub(crate) use self::change_lock::ChangeLock;
+pub use self::outcome::{Applied, ApplyError};
+use crate::busy::CallKind;
+use crate::engine::{Engine, type_name};
+use crate::guard::{CallError, Limit};
+use crate::instance::Instance;
+use crate::log::Level;
+use crate::node::NodeRuntime;
+use crate::params::Snapshot;
+use crate::plan::{Extent, Plan};
+use crate::plugins::Plugins;
+use crate::region::Region;
+use crate::schedule::Ready;
+use crate::sync::lock;
+
+/// Longest wait for the ticks inside a region.
+const LONGEST_DRAIN: Duration = Duration::from_secs(10);
+
+/// Longest wait for the threads of nodes that were removed.
+const LONGEST_LEAVE: Duration = Duration::from_secs(2);
+
+/// When a change is to be made.
+enum When<'a> {
+    Now,
+    /// Before these ticks.
+    At(&'a [(String, u64)]),
+    /// Where the change of this number was made in the run that the decider knows.
+    Recorded(usize),
+}
+
+/// An instance opened for the change: the node of the new graph, and its values if they are new.
+struct Opened {
+    node: usize,
+    instance: Instance,
+    snapshot: Arc<Snapshot>,
+}
+
+impl Engine {
+    /// Changes the running graph into another one that was checked against `catalog`, as one transaction: all of it or nothing.
+    ///
+    /// Nodes of the same name and type go on with their instance, counters and inputs; no tick is lost on paths that are not touched.
+    ///
+    /// # Errors
+    /// Everything is as before then.
+    pub fn apply(&self, graph: Graph, catalog: &Catalog, plugins: &dyn Plugins) -> Result<Applied, ApplyError> {
+        self.apply_when(graph, catalog, plugins, &When::Now)
+    }
+
+    /// Like [`Self::apply`], switched between two named ticks: for each source of `at`, the tick of that number is the first that meets the
+    /// new graph. Blocks until these ticks have come.
+    ///
+    /// # Errors
+    /// As [`Self::apply`], and when such a tick has already entered the graph.
+    pub fn apply_at(
+        &self,
+        graph: Graph,
+        catalog: &Catalog,
+        plugins: &dyn Plugins,
+        at: &[(String, u64)],
+    ) -> Result<Applied, ApplyError> {
+        self.apply_when(graph, catalog, plugins, &When::At(at))
+    }
+
+    /// Makes the change of number `edit` of the run that the decider knows, at the tick at which it was made.
+    ///
+    /// # Errors
+    /// As [`Self::apply`].
+    pub fn apply_as_decided(
+        &self,
+        edit: usize,
+        graph: Graph,
+        catalog: &Catalog,
+        plugins: &dyn Plugins,
+    ) -> Result<Applied, ApplyError> {
+        self.apply_when(graph, catalog, plugins, &When::Recorded(edit))
+    }
+
+    fn apply_when(
+        &self,
+        graph: Graph,
+        catalog: &Catalog,
+        plugins: &dyn Plugins,
+        when: &When<'_>,
+    ) -> Result<Applied, ApplyError> {
+        let _change = self.change.lock();
+        let shared = &self.shared;
+        if shared.is_stopping() || self.is_finished() {
+            return Err(ApplyError::Ended);
+        }
+        if (graph.mode == Mode::Batch) != shared.around.batch {
+            return Err(ApplyError::Mode);
+        }
+        let (old, current) = (shared.plan.load_full(), self.current.load_full());
+        let entry = |plugin: &str, node_type: &str| plugins.entry(plugin, node_type);
+        let as_once = match (when, &shared.around.decider) {
+            (When::Recorded(edit), Some(decider)) => decider.replaced(*edit),
+            _ => &[],
+        };
+        let claims = &shared.around.claims;
+        let mut change = Change::between(&old, &current, &graph, catalog, &entry, as_once, claims)
+            .map_err(|reason| ApplyError::Stale { reason })?;
+        if let When::At(at) = when {
+            change.hold_also(&old, at)?;
+        }
+        // Nodes that the change ends write until the switch; those that it opens begin after it.
+        let leaving = shared.around.claims.leaving(change.leaving(&old, &graph));
+        let mut early = self.open_early(&change, &graph)?;
+
+        // From here until the switch whole parts of the graph stand still.
+        let start = Instant::now();
+        let still = self
+            .come_to(&old, &change, when)
+            .and_then(|()| self.hold(&old, &change))
+            .and_then(|()| self.hand_over_early(&old, &change, &mut early))
+            .and_then(|()| self.open_late(&old, &change, &graph));
+        let still = match still {
+            // Closing waits for the change only so long.
+            Ok(late) if shared.is_stopping() => Err((ApplyError::Ended, late)),
+            Ok(late) => Ok(late),
+            Err(error) => Err((error, Vec::new())),
+        };
+        let late = match still {
+            Ok(late) => late,
+            Err((error, late)) => {
+                self.let_go(&old, &change);
+                early.extend(late);
+                self.close_opened(&change, early);
+                return Err(error);
+            }
+        };
+        drop(leaving);
+        let applied = self.switch(&old, &current, change, graph, catalog, plugins, when, early, late, start);
+        Ok(applied)
+    }
+
+    /// Lets the ticks pass that come before the change.
+    fn come_to(&self, old: &Plan, change: &Change, when: &When<'_>) -> Result<(), ApplyError> {
+        let shared = &self.shared;
+        let mut named = Vec::new();
+        if let When::At(at) = when {
+            for (source, seq) in *at {
+                let is = |(_, extent): &&(Arc<Region>, Extent)| old.cells[extent.head].id == *source;
+                let Some((region, extent)) = change.held.iter().find(is) else { continue };
+                let made = old.cells[extent.head].ticks.made.load(Ordering::Acquire);
+                let passed = |next| ApplyError::Passed { source_node: source.clone(), seq: *seq, next };
+                region.pause_before(*seq, made).map_err(passed)?;
+                named.push((region, extent.head));
+            }
+        }
+        let waits = || match (when, &shared.around.decider) {
+            (When::Now, _) | (When::Recorded(_), None) => false,
+            (When::At(_), _) => {
+                let over = |head: usize| lock(&old.cells[head].join).finished;
+                named.iter().any(|(region, head)| !region.is_paused() && !over(*head))
+            }
+            (When::Recorded(edit), Some(decider)) => {
+                decider.waits_before(*edit) || change.held.iter().any(|h| busy_member(old, h).is_some())
+            }
+        };
+        while waits() {
+            if shared.is_stopping() || self.is_finished() {
+                return Err(ApplyError::Ended);
+            }
+            std::thread::sleep(Duration::from_micros(100));
+        }
+        Ok(())
+    }
+
+    /// Opens nodes of the new graph, one after the other, each within its limit. When one does not open, those before it are closed again.
+    fn open_each(&self, change: &Change, graph: &Graph, nodes: &[usize]) -> Result<Vec<Opened>, ApplyError> {
+        let shared = &self.shared;
+        let cell = |node: usize| &change.plan.cells[change.plan.slots[node]];
+        let snapshots: Vec<Arc<Snapshot>> = nodes
+            .iter()
+            .map(|&node| {
+                shared.around.widen(cell(node));
+                let reopened = change.fates[node].reopened;
+                if reopened { Snapshot::new(graph.nodes[node].params.clone()) } else { cell(node).snapshot() }
+            })
+            .collect();
+        let calls = nodes.iter().zip(&snapshots).map(|(&node, snapshot)| shared.opening(cell(node), snapshot));
+        let mut opened = Vec::with_capacity(nodes.len());
+        let mut failed = None;
+        let limit = Limit::until_stop(shared.around.open_limit);
+        shared.guarded(limit, Result::is_ok, calls.collect::<Vec<_>>(), |_, answer| {
+            let (node, snapshot) = (nodes[opened.len()], &snapshots[opened.len()]);
+            match answer {
+                Ok(Ok(instance)) => opened.push(Opened { node, instance, snapshot: Arc::clone(snapshot) }),
+                Ok(Err(reason)) => {
+                    let (id, node_type) = (graph.nodes[node].id.clone(), graph.nodes[node].type_name.clone());
+                    failed = Some(ApplyError::Open { node: id, node_type, reason });
+                }
+                Err(error) => failed = Some(no_answer(&graph.nodes[node].id, &error)),
+            }
+            if failed.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        match failed {
+            None => Ok(opened),
+            Some(error) => {
+                self.close_opened(change, opened);
+                Err(error)
+            }
+        }
+    }
+
+    /// Closes what was opened for a change that is not made.
+    fn close_opened(&self, change: &Change, opened: Vec<Opened>) {
+        for Opened { node, instance, .. } in opened {
+            self.shared.close_guarded(&change.plan.cells[change.plan.slots[node]], vec![instance]);
+        }
+    }
+
+    /// Opens what may be open beside the running nodes.
+    fn open_early(&self, change: &Change, graph: &Graph) -> Result<Vec<Opened>, ApplyError> {
+        // A decider says at which tick a node goes on with a new instance.
+        let scripted = self.shared.around.decider.is_some();
+        let wanted = |f: &Fate| (f.added || f.replaced || (f.reopened && !scripted)) && !f.late;
+        let nodes: Vec<usize> = (0..graph.nodes.len()).filter(|&n| wanted(&change.fates[n])).collect();
+        self.open_each(change, graph, &nodes)
+    }
+
+    /// Waits until nobody is busy, or the engine is to stop.
+    fn wait_for(&self, until: Instant, busy: impl Fn() -> Option<String>) -> Result<(), ApplyError> {
+        while let Some(node) = busy() {
+            if self.shared.is_stopping() {
+                return Err(ApplyError::Ended);
+            }
+            if Instant::now() >= until {
+                return Err(ApplyError::Busy { node, seconds: LONGEST_DRAIN.as_secs() });
+            }
+            std::thread::sleep(Duration::from_micros(50));
+        }
+        Ok(())
+    }
+
+    /// Takes the state of a node at rest, for a successor, and closes it if it is to be closed.
+    ///
+    /// # Errors
+    /// It did not return: its instance is lost, and the node is opened again.
+    fn save(&self, cell: &Arc<NodeRuntime>, closes: bool) -> Result<Option<Vec<u8>>, ApplyError> {
+        let shared = &self.shared;
+        let Some(mut exec) = cell.exec.take() else { return Ok(None) };
+        let limit = Limit::until_stop(shared.around.close_limit);
+        let mut instance = std::mem::replace(&mut exec.instance, Instance::none(cell.node_type));
+        cell.exec.put(exec);
+        let lost = |error: CallError| {
+            shared.tell_no_return(cell, &error);
+            shared.start_mending(cell);
+            no_answer(&cell.id, &error)
+        };
+        let mut state = None;
+        if instance.saves_state() {
+            let me = Arc::clone(shared);
+            let save = move || {
+                let state = instance.save_state(&me.around.host);
+                (instance, state)
+            };
+            (instance, state) = shared.call_guarded(limit, cell, CallKind::SaveState, save).map_err(lost)?;
+        }
+        if closes {
+            let (me, mine) = (Arc::clone(shared), Arc::clone(cell));
+            let end = move || mine.end(&me.around, instance);
+            shared.call_guarded(limit, cell, CallKind::Close, end).map_err(lost)?;
+        } else if let Some(mut exec) = cell.exec.take() {
+            exec.instance = instance;
+            cell.exec.put(exec);
+        }
+        Ok(state)
+    }
+
+    /// Gives a state to a new instance.
+    ///
+    /// # Errors
+    /// It did not return: the instance is lost.
+    fn load(
+        &self,
+        cell: &Arc<NodeRuntime>,
+        instance: Instance,
+        state: Option<&Vec<u8>>,
+    ) -> Result<Instance, ApplyError> {
+        let Some(state) = state.cloned() else { return Ok(instance) };
+        match self.shared.load_guarded(cell, instance, state) {
+            Ok((instance, understood)) => {
+                if !understood {
+                    cell.starts_anew(&self.shared.around);
+                }
+                Ok(instance)
+            }
+            Err(error) => Err(no_answer(&cell.id, &error)),
+        }
+    }
+
+    /// Gives the states of nodes that are replaced to their successors, which are open beside them. All are at rest.
+    fn hand_over_early(&self, old: &Plan, change: &Change, early: &mut Vec<Opened>) -> Result<(), ApplyError> {
+        let mut rest = std::mem::take(early).into_iter();
+        let mut failed = Ok(());
+        for Opened { node, instance, snapshot } in rest.by_ref() {
+            let slot = change.plan.slots[node];
+            let cell = &change.plan.cells[slot];
+            let heir = change.fates[node].replaced && type_name(old.cells[slot].node_type) == type_name(cell.node_type);
+            let state = if heir { self.save(&old.cells[slot], false) } else { Ok(None) };
+            let loaded = match state {
+                Ok(state) => self.load(cell, instance, state.as_ref()),
+                Err(error) => {
+                    early.push(Opened { node, instance, snapshot });
+                    failed = Err(error);
+                    break;
+                }
+            };
+            match loaded {
+                Ok(instance) => early.push(Opened { node, instance, snapshot }),
+                Err(error) => {
+                    failed = Err(error);
+                    break;
+                }
+            }
+        }
+        early.extend(rest);
+        failed
+    }
+
+    /// Brings the touched regions to rest.
+    fn hold(&self, old: &Plan, change: &Change) -> Result<(), ApplyError> {
+        let until = Instant::now() + LONGEST_DRAIN;
+        for &slot in &change.quiet {
+            old.cells[slot].runner.leave.request();
+            self.shared.wake(&old.cells[slot]);
+        }
+        let pause = |(region, extent): &(Arc<Region>, Extent)| {
+            lock(&old.cells[extent.head].join).pause();
+            region.pause();
+        };
+        if self.shared.around.batch {
+            // A region may wait for packets of those before it: the last ones come to rest first.
+            for held in change.held.iter().rev() {
+                pause(held);
+                self.wait_for(until, || busy_member(old, held))?;
+            }
+        } else {
+            change.held.iter().for_each(pause);
+            self.wait_for(until, || change.held.iter().find_map(|held| busy_member(old, held)))?;
+        }
+        self.wait_for(until, || {
+            let stays = |slot: &&usize| old.cells[**slot].runner.has_thread.load(Ordering::Acquire);
+            change.quiet.iter().find(stays).map(|&slot| old.cells[slot].id.clone())
+        })
+    }
+
+    /// Opens what cannot be open beside its predecessor, which is closed first. On failure all predecessors are open again.
+    fn open_late(&self, old: &Plan, change: &Change, graph: &Graph) -> Result<Vec<Opened>, ApplyError> {
+        let nodes: Vec<usize> = (0..graph.nodes.len()).filter(|&n| change.fates[n].late).collect();
+        if nodes.is_empty() {
+            return Ok(Vec::new());
+        }
+        let replaced = nodes.iter().filter(|&&n| !change.fates[n].added).map(|&n| change.plan.slots[n]);
+        let closing: Vec<usize> =
+            replaced.chain(change.removed.iter().copied().filter(|&s| old.cells[s].exclusive)).collect();
+        let mut states: Vec<(usize, Option<Vec<u8>>)> = Vec::new();
+        for &slot in &closing {
+            match self.save(&old.cells[slot], true) {
+                Ok(state) => states.push((slot, state)),
+                Err(error) => {
+                    self.reopen(old, &states);
+                    return Err(error);
+                }
+            }
+        }
+        let mut opened: Vec<Opened> = Vec::new();
+        for node in nodes {
+            let slot = change.plan.slots[node];
+            let state = states.iter().find(|(s, _)| *s == slot).and_then(|(_, state)| state.as_ref());
+            let new = self.open_each(change, graph, &[node]).and_then(|new| {
+                let loaded = new.into_iter().map(|Opened { node, instance, snapshot }| {
+                    let instance = self.load(&change.plan.cells[slot], instance, state)?;
+                    Ok(Opened { node, instance, snapshot })
+                });
+                loaded.collect::<Result<Vec<_>, ApplyError>>()
+            });
+            match new {
+                Ok(new) => opened.extend(new),
+                Err(error) => {
+                    self.close_opened(change, opened);
+                    self.reopen(old, &states);
+                    return Err(error);
+                }
+            }
+        }
+        Ok(opened)
+    }
+
+    /// Opens nodes again that were closed for a change that failed.
+    fn reopen(&self, old: &Plan, states: &[(usize, Option<Vec<u8>>)]) {
+        for (slot, state) in states {
+            let cell = &old.cells[*slot];
+            let opened = self.shared.open_guarded(cell, &cell.snapshot()).map_err(|error| error.to_string());
+            let loaded = opened
+                .and_then(|instance| self.load(cell, instance, state.as_ref()).map_err(|error| error.to_string()));
+            match loaded {
+                Ok(instance) => {
+                    if let Some(mut exec) = cell.exec.take() {
+                        exec.instance = instance.begun();
+                        cell.exec.put(exec);
+                    }
+                }
+                Err(words) => {
+                    cell.open_failed(&self.shared.around, &words, None);
+                    self.shared.start_mending(cell);
+                }
+            }
+        }
+    }
+
+    /// Ends a change that failed: all goes on as before.
+    fn let_go(&self, old: &Plan, change: &Change) {
+        for &slot in &change.quiet {
+            let cell = &old.cells[slot];
+            // A thread that has not seen the request yet stays.
+            if cell.runner.leave.withdraw() {
+                continue;
+            }
+            while cell.runner.has_thread.load(Ordering::Acquire) {
+                std::thread::sleep(Duration::from_micros(50));
+            }
+            cell.runner.leave.reset();
+            self.start_thread(slot, cell);
+        }
+        let mut ready = Ready::default();
+        // One that was never paused goes on by itself.
+        for (region, extent) in change.held.iter().filter(|(region, _)| region.stop_waiting()) {
+            self.resume(old, region, extent.head, &mut ready);
+        }
+        ready.dispatch_ready(&self.shared, old, 0);
+    }
+
+    fn start_thread(&self, slot: usize, cell: &Arc<NodeRuntime>) {
+        if let Err(cause) = self.shared.start_thread(slot, cell) {
+            self.shared.fail(format!("no thread could be started for node `{}`: {cause}", cell.id));
+        }
+    }
+
+    fn resume(&self, plan: &Plan, region: &Region, head: usize, ready: &mut Ready) {
+        lock(&plan.cells[head].join).resume();
+        let mut waited = region.resume();
+        while !waited.is_empty() {
+            for outputs in waited {
+                self.shared.enter(plan, head, outputs, ready);
+            }
+            waited = region.handed_over().into_iter().collect();
+        }
+        self.shared.try_fire_head(plan, head, ready);
+    }
+
+    /// Closes what is not part of the graph any more, so that its files are finished.
+    fn close_old(&self, old: &Plan, slots: &[usize]) {
+        let until = Instant::now() + LONGEST_LEAVE;
+        for &slot in slots {
+            let cell = &old.cells[slot];
+            // A node with a thread of its own closes there.
+            let stays = || cell.owns_thread() && cell.runner.has_thread.load(Ordering::Acquire);
+            while stays() && Instant::now() < until {
+                self.shared.wake(cell);
+                std::thread::sleep(Duration::from_micros(200));
+            }
+            if stays() {
+                // It closes the node if it ever leaves. Nobody waits for it; workers that are stuck in its loops go with it.
+                let words = "it was removed and does not return; it is left behind, and its files may be incomplete";
+                self.shared.around.log.write(Level::Error, &cell.id, words);
+                let mut threads = lock(&self.shared.own_threads);
+                let number =
+                    threads.iter().find(|(_, thread)| Arc::ptr_eq(&thread.cell, cell)).map(|(number, _)| *number);
+                number.map(|number| threads.remove(&number));
+                drop(threads);
+                if let Some(Err(cause)) = number.map(|number| self.shared.pool.give_up(number)) {
+                    self.shared.fail(format!("no thread could be started in place of one that hangs: {cause}"));
+                }
+                continue;
+            }
+            let (instances, _) = cell.take_instances();
+            self.shared.close_guarded(cell, instances);
+        }
+    }
+}
+
+/// A call of a node has no answer.
+fn no_answer(node: &str, error: &CallError) -> ApplyError {
+    ApplyError::NoReturn { node: node.to_owned(), reason: error.to_string() }
+}
+
+/// Takes a node out of the graph; `true` when it was not finished.
+fn retire(cell: &Arc<NodeRuntime>) -> bool {
+    let finished = std::mem::replace(&mut lock(&cell.join).finished, true);
+    cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
+    cell.runner.retired.store(true, Ordering::Release);
+    cell.runner.leave.request();
+    cell.runner.wake.store(true, Ordering::Release);
+    if let Some(thread) = &*lock(&cell.runner.thread) {
+        thread.unpark();
+    }
+    !finished
+}
+
+/// A node of a paused region that still works.
+fn busy_member(plan: &Plan, (region, extent): &(Arc<Region>, Extent)) -> Option<String> {
+    let works = |slot: usize| {
+        let cell = &plan.cells[slot];
+        // A source may go on: what it makes is kept.
+        !cell.source && (lock(&cell.join).running || !cell.exec.is_home())
+    };
+    let member = extent.members.iter().copied().find(|&slot| works(slot));
+    let inside = region.in_flight() > 0;
+    member.or(inside.then_some(extent.head)).map(|slot| plan.cells[slot].id.clone())
+}

@@ -1,0 +1,133 @@
+//! The mark of a node's running call.
+
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+
+use panoscope_abi::Tick;
+
+/// A call was left behind by the watchdog.
+pub(crate) const ABANDONED: u64 = u64::MAX;
+
+/// What a plugin is called for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum CallKind {
+    /// A tick.
+    #[default]
+    Process,
+    /// Its parameters are checked.
+    Check,
+    Open,
+    /// It completes its output.
+    Finish,
+    Close,
+    SaveState,
+    LoadState,
+}
+
+impl CallKind {
+    const ALL: [CallKind; 7] = [
+        CallKind::Process,
+        CallKind::Check,
+        CallKind::Open,
+        CallKind::Finish,
+        CallKind::Close,
+        CallKind::SaveState,
+        CallKind::LoadState,
+    ];
+
+    /// After "it did not return".
+    pub fn return_words(self) -> &'static str {
+        match self {
+            CallKind::Process => "",
+            CallKind::Check => " from checking its parameters",
+            CallKind::Open => " from opening",
+            CallKind::Finish => " from completing its output",
+            CallKind::Close => " from closing",
+            CallKind::SaveState => " from saving its state",
+            CallKind::LoadState => " from taking over a state",
+        }
+    }
+
+    /// After "while it".
+    pub fn while_words(self) -> &'static str {
+        match self {
+            CallKind::Process => "processed",
+            CallKind::Check => "was checked",
+            CallKind::Open => "was opened",
+            CallKind::Finish => "was asked to complete its output",
+            CallKind::Close => "was closed",
+            CallKind::SaveState => "was asked for its state",
+            CallKind::LoadState => "was given a state",
+        }
+    }
+}
+
+/// A call was given up: its thread leaves without touching anything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct LeftBehind;
+
+/// The running call as the watchdog sees it.
+#[derive(Default)]
+pub(crate) struct Busy {
+    /// Start of the call in ns of the host's clock; 0 when idle, [`ABANDONED`] once the watchdog gave it up.
+    pub since_ns: AtomicU64,
+    /// The tick's source, and from [`Self::KIND_BITS`] on a [`CallKind`].
+    source: AtomicU32,
+    /// Number of the thread, see [`crate::thread_id`].
+    pub thread: AtomicU32,
+    seq: AtomicU64,
+    capture_ns: AtomicU64,
+}
+
+impl Busy {
+    /// Sources have smaller numbers.
+    const KIND_BITS: u32 = 28;
+
+    /// Begins a call for a tick.
+    #[inline]
+    pub fn begin(&self, tick: &Tick, start_ns: u64) {
+        self.begin_kind(CallKind::Process, tick, start_ns);
+    }
+
+    /// Begins a call for something else, at a tick.
+    #[inline]
+    pub fn begin_kind(&self, kind: CallKind, tick: &Tick, start_ns: u64) {
+        self.source.store(tick.source | (kind as u32) << Self::KIND_BITS, Ordering::Relaxed);
+        self.seq.store(tick.seq, Ordering::Relaxed);
+        self.capture_ns.store(tick.capture_ns as u64, Ordering::Relaxed);
+        self.thread.store(crate::thread_id::current(), Ordering::Relaxed);
+        self.since_ns.store(start_ns.max(1), Ordering::Release);
+    }
+
+    /// What the call is for. As [`Self::tick`] and `thread` it belongs to the call whose start was read before, if [`Self::abandon`] finds that
+    /// one afterwards.
+    pub fn kind(&self) -> CallKind {
+        let number = (self.source.load(Ordering::Relaxed) >> Self::KIND_BITS) as usize;
+        CallKind::ALL.get(number).copied().unwrap_or_default()
+    }
+
+    /// Ends the call that began at `start_ns`; `false` when the watchdog has taken everything over: by now it may be another call's turn,
+    /// which began at another time.
+    #[inline]
+    pub fn end(&self, start_ns: u64) -> bool {
+        self.since_ns.compare_exchange(start_ns.max(1), 0, Ordering::AcqRel, Ordering::Relaxed).is_ok()
+    }
+
+    /// Makes room for calls after one that was given up.
+    pub fn clear(&self) {
+        self.since_ns.store(0, Ordering::Release);
+    }
+
+    /// Takes a call over that began at `since_ns`; `false` when it has ended.
+    pub fn abandon(&self, since_ns: u64) -> bool {
+        self.since_ns.compare_exchange(since_ns, ABANDONED, Ordering::AcqRel, Ordering::Relaxed).is_ok()
+    }
+
+    pub fn tick(&self) -> Tick {
+        Tick {
+            source: self.source.load(Ordering::Relaxed) & ((1 << Self::KIND_BITS) - 1),
+            flags: 0,
+            seq: self.seq.load(Ordering::Relaxed),
+            capture_ns: self.capture_ns.load(Ordering::Relaxed) as i64,
+        }
+    }
+}

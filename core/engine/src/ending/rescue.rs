@@ -1,0 +1,193 @@
+//! Finishes the files of running graphs when the thread that ends the process cannot: a thread of its own that waits for that.
+
+use std::sync::atomic::{AtomicBool, AtomicI32, AtomicPtr, Ordering};
+use std::sync::{Arc, Mutex, Weak};
+use std::time::{Duration, Instant};
+
+use super::who::Who;
+use super::who::thread_id;
+use super::words::Words;
+use crate::clock;
+use crate::fault::{Action, Cause, Fault, unix_ms};
+use crate::log;
+use crate::node::NodeRuntime;
+use crate::schedule::Shared;
+use crate::sync::lock;
+
+/// Longest that files are finished: what crashed may have left locks behind.
+pub(super) const LIMIT: Duration = Duration::from_secs(5);
+
+/// Longest that is waited for lines of the log and faults that are not passed on yet.
+pub(super) const LINES: Duration = Duration::from_millis(500);
+
+/// Where the rescue thread waits: a pipe, because a signal handler can write to one.
+static WAKE: AtomicI32 = AtomicI32::new(-1);
+static THREAD: AtomicI32 = AtomicI32::new(0);
+static DONE: AtomicBool = AtomicBool::new(false);
+/// The node that crashed, if it was one.
+static VICTIM: AtomicPtr<Who> = AtomicPtr::new(std::ptr::null_mut());
+
+/// Graphs that run.
+static ENGINES: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
+
+/// A graph runs from now on.
+pub(crate) fn register(shared: &Arc<Shared>) {
+    let mut engines = lock(&ENGINES);
+    engines.retain(|engine| engine.strong_count() > 0);
+    engines.push(Arc::downgrade(shared));
+}
+
+/// Whether a graph runs.
+pub(super) fn any_engine() -> bool {
+    ENGINES.try_lock().is_ok_and(|engines| engines.iter().any(|engine| engine.strong_count() > 0))
+}
+
+/// Starts the thread. Without it nothing is finished after a crash, but everything else works.
+pub(super) fn start() {
+    let mut ends = [-1; 2];
+    // SAFETY: a plain system call that fills the array.
+    if unsafe { libc::pipe2(ends.as_mut_ptr(), libc::O_CLOEXEC) } != 0 {
+        return;
+    }
+    let wait = move || {
+        THREAD.store(thread_id(), Ordering::Relaxed);
+        let mut byte = 0u8;
+        // SAFETY: reads one byte into a byte.
+        while unsafe { libc::read(ends[0], (&raw mut byte).cast(), 1) } < 1 {}
+        let victim = VICTIM.load(Ordering::Acquire);
+        let told = std::panic::catch_unwind(|| finish(victim, Instant::now() + LIMIT));
+        let mut words = Words::new();
+        words.text(told.as_deref().unwrap_or("  files: may be incomplete, finishing them failed")).tell();
+        words.text(&last_line()).tell();
+        DONE.store(true, Ordering::Release);
+    };
+    if std::thread::Builder::new().name("rescue".to_owned()).spawn(wait).is_ok() {
+        WAKE.store(ends[1], Ordering::Release);
+    }
+}
+
+/// Another thread crashed: if it is the rescue, nobody waits for it any more.
+pub(super) fn crashed(thread: i32) {
+    if thread == THREAD.load(Ordering::Relaxed) {
+        DONE.store(true, Ordering::Release);
+    }
+}
+
+/// Has the files of all other nodes finished and waits for that. Called by the thread that crashed, in its signal handler.
+pub(super) fn after_crash(victim: Option<&Who>) {
+    VICTIM.store(victim.map_or(std::ptr::null_mut(), |who| std::ptr::from_ref(who).cast_mut()), Ordering::Release);
+    let pipe = WAKE.load(Ordering::Acquire);
+    // SAFETY: writes one byte that is there; allowed in a signal handler.
+    if pipe < 0 || unsafe { libc::write(pipe, b"!".as_ptr().cast(), 1) } != 1 {
+        return;
+    }
+    let steps = LIMIT.as_millis() / STEP_MS + 100;
+    for _ in 0..steps {
+        if DONE.load(Ordering::Acquire) {
+            return;
+        }
+        // SAFETY: waits; allowed in a signal handler.
+        unsafe { libc::poll(std::ptr::null_mut(), 0, STEP_MS as i32) };
+    }
+    Words::new().text("  files: may be incomplete, finishing them took too long").tell();
+}
+
+const STEP_MS: u128 = 10;
+
+/// Finishes the files of all graphs on the calling thread; answers what it came to.
+pub(super) fn ask(limit: Duration) -> String {
+    finish(std::ptr::null_mut(), Instant::now() + limit)
+}
+
+/// Closes all nodes that write, but the victim, and ends the recordings.
+fn finish(victim: *const Who, until: Instant) -> String {
+    let engines: Vec<Arc<Shared>> = loop {
+        // The thread that crashed may hold it.
+        match ENGINES.try_lock() {
+            Ok(engines) => break engines.iter().filter_map(Weak::upgrade).collect(),
+            Err(_) if Instant::now() < until => std::thread::sleep(Duration::from_millis(1)),
+            Err(_) => return "  files: may be incomplete, finishing them took too long".to_owned(),
+        }
+    };
+    let (mut finished, mut torn) = (Vec::new(), Vec::new());
+    for shared in &engines {
+        shared.stop();
+        let plan = shared.plan.load_full();
+        if let Some((_, cell)) = plan.live().find(|(_, cell)| Arc::as_ptr(&cell.who) == victim) {
+            write_down(shared, cell);
+        }
+        for (_, cell) in plan.live().filter(|(_, cell)| cell.side_effects) {
+            let list = if close(shared, cell, victim, until) { &mut finished } else { &mut torn };
+            list.push(format!("`{}`", cell.id));
+        }
+        if let Some(observer) = &shared.around.observer {
+            let list = if observer.break_off(until) { &mut finished } else { &mut torn };
+            list.push("the recording".to_owned());
+        }
+    }
+    log::flush_all(LINES);
+    let list = |names: &[String]| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+    match (engines.is_empty(), torn.is_empty()) {
+        (true, _) => "  files: no graph was running".to_owned(),
+        (false, true) => format!("  files: finished are those of {}", list(&finished)),
+        (false, false) => {
+            format!("  files: finished are those of {}; may be incomplete: those of {}", list(&finished), list(&torn))
+        }
+    }
+}
+
+/// What the program came to, as the last line says it of a run.
+fn last_line() -> String {
+    let engines = ENGINES.try_lock().map(|engines| engines.iter().filter_map(Weak::upgrade).collect::<Vec<_>>());
+    let (mut frames, mut dropped, mut faults) = (0, 0, 0);
+    for shared in engines.unwrap_or_default() {
+        let plan = shared.plan.load();
+        frames += plan.live().map(|(_, cell)| cell.ticks.made.load(Ordering::Relaxed)).max().unwrap_or(0);
+        for (_, cell) in plan.live() {
+            dropped += cell.stats.dropped.load(Ordering::Relaxed);
+            faults += cell.stats.faults.load(Ordering::Relaxed);
+        }
+    }
+    format!("failed: the program was ended after {frames} frames, {dropped} dropped, {faults} faults")
+}
+
+/// Completes a node's files and closes it once it is at rest; `false` when it crashed, does not come to rest, or could not complete them.
+fn close(shared: &Shared, cell: &NodeRuntime, victim: *const Who, until: Instant) -> bool {
+    if Arc::as_ptr(&cell.who) == victim {
+        return false;
+    }
+    loop {
+        // What waits for it is written first, as long as there is time.
+        let idle = cell.join.try_lock().is_ok_and(|join| !join.running);
+        if idle && let Some(mut exec) = cell.exec.take() {
+            cell.finish(&shared.around, &mut exec.instance);
+            exec.instance.close();
+            // Not put back: nobody shall run the node again.
+            std::mem::forget(exec);
+            return !lock(&shared.around.stopped).contains_key(&cell.id);
+        }
+        if Instant::now() >= until {
+            return false;
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// The crash stands among the faults, in the fault log and in the recording.
+fn write_down(shared: &Shared, cell: &NodeRuntime) {
+    let fault = Fault {
+        unix_ms: unix_ms(),
+        run_ms: clock::now_ns().saturating_sub(shared.start_ns) as f64 / 1e6,
+        node: cell.id.clone(),
+        cause: Cause::Crash,
+        words: "its plugin ended the program".to_owned(),
+        done: Action::Stop,
+        seq: Some(cell.busy.tick().seq),
+        late_ms: None,
+        count: 1,
+    };
+    if let Some(observer) = &shared.around.observer {
+        observer.event(crate::observe::Event::Fault(fault.clone()));
+    }
+    shared.around.faults.put(fault);
+}

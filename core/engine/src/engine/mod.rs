@@ -1,0 +1,403 @@
+//! Starting, steering and ending a graph.
+
+mod options;
+mod values;
+
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Condvar, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use arc_swap::ArcSwap;
+use panoscope_abi as abi;
+use panoscope_graph::{Catalog, Graph, Mode, Param, Validator};
+
+pub use self::options::{Options, Outcome, SetError, StartError};
+use crate::apply::ChangeLock;
+use crate::clock;
+use crate::ending;
+use crate::fault::{Fault, FaultLog};
+use crate::guard::Limit;
+use crate::host;
+use crate::log::{Level, Log};
+use crate::node::{LONGEST_BUDGET_NS, NodeRuntime, RunContext};
+use crate::plan;
+use crate::plugins::Plugins;
+use crate::pool::{self, Pool, Task};
+use crate::preview::{Listener, Preview};
+use crate::report::{NodeWindow, Report, Window};
+use crate::schedule::{AllocationMeter, Ready, Shared};
+use crate::sync::lock;
+
+/// What is known of the graph that runs.
+pub(crate) struct Current {
+    pub graph: Graph,
+    /// Declared parameters of each node.
+    pub params: Vec<Vec<Param>>,
+    /// What each node checks about its values.
+    pub validators: Vec<Option<Validator>>,
+    /// Names of each node's outputs.
+    pub outputs: Vec<Vec<String>>,
+    /// Slot of each node.
+    pub slots: Vec<usize>,
+}
+
+impl Current {
+    pub fn new(graph: Graph, catalog: &Catalog, slots: Vec<usize>) -> Self {
+        let types = || graph.nodes.iter().map(|n| n.node_type(catalog));
+        Self {
+            params: types().map(|t| t.params.clone()).collect(),
+            validators: types().map(|t| t.validator.clone()).collect(),
+            outputs: types().map(|t| t.outputs.iter().map(|p| p.name.clone()).collect()).collect(),
+            graph,
+            slots,
+        }
+    }
+}
+
+/// The most patience that there is: more is as good as none.
+const LONGEST_PATIENCE: Duration = Duration::from_secs(100 * 24 * 3600);
+/// How long closing waits at least, whatever the caller's patience: for threads to leave and for nodes to finish their files.
+const LEAST_PATIENCE: Duration = Duration::from_secs(1);
+/// A running graph.
+pub struct Engine {
+    pub(crate) shared: Arc<Shared>,
+    pub(crate) current: ArcSwap<Current>,
+    /// Held while the graph is changed.
+    pub(crate) change: ChangeLock,
+    watch: Mutex<Option<JoinHandle<()>>>,
+    watch_stop: Arc<AtomicBool>,
+    closed: AtomicBool,
+    /// Keeps the listeners of [`Options::listen`].
+    _listening: Vec<Preview>,
+}
+
+impl Engine {
+    /// Opens all nodes of a checked graph and sets them going.
+    pub fn start(graph: Graph, catalog: &Catalog, plugins: &dyn Plugins, options: Options) -> Result<Self, StartError> {
+        let threads = match options.threads {
+            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            n => n,
+        };
+        let entry = |plugin: &str, node_type: &str| plugins.entry(plugin, node_type);
+        let mut cells = Vec::with_capacity(graph.nodes.len());
+        for node in 0..graph.nodes.len() {
+            let node_type = plan::entry_of(&graph, node, &entry).map_err(|reason| StartError::Stale { reason })?;
+            cells.push(plan::cell(&graph, catalog, node, node_type));
+        }
+        let slots: Vec<usize> = (0..cells.len()).collect();
+        let plan = plan::lay_out(&graph, catalog, cells, slots.clone(), options.ticks_at_once, None);
+        if let Some(numbers) = &options.numbers
+            && let Some(node) = graph.node(&numbers.node)
+        {
+            let _ = plan.cells[node].hear_number.set(Arc::clone(&numbers.hear));
+        }
+        let listening = listen(&graph, catalog, &plan.cells, &options.listen)?;
+        let batch = graph.mode == Mode::Batch;
+        let start_ns = clock::now_ns();
+        let around = RunContext {
+            host: host::table(threads),
+            log: Log::new(options.log),
+            faults: FaultLog::new(options.faults),
+            start_ns,
+            graph_dir: absolute(&options.graph_dir),
+            batch,
+            observer: options.observer,
+            decider: options.decider,
+            thread_allocations: options.thread_allocations,
+            open_limit: options.open_limit,
+            close_limit: options.close_limit,
+            claims: Arc::default(),
+            stopped: Mutex::default(),
+        };
+        let hurried = !around.unhurried();
+        let pool = Pool::new(threads);
+        let count = plan.cells.len();
+        let warm_up_ticks = options.frames.map_or(30, |n| (n / 4).min(30)).max(1);
+        let patience = u64::try_from(options.hang.as_nanos()).map_or(LONGEST_BUDGET_NS, |ns| ns.min(LONGEST_BUDGET_NS));
+        let shared = Arc::new_cyclic(|me| Shared {
+            me: me.clone(),
+            plan: ArcSwap::from_pointee(plan),
+            pool,
+            around,
+            paced: options.paced,
+            frames: options.frames,
+            stopping: AtomicBool::new(false),
+            failed: Mutex::new(None),
+            broken: AtomicBool::new(false),
+            unfinished: AtomicUsize::new(count),
+            finished: Condvar::new(),
+            finished_lock: Mutex::new(()),
+            finishing: Mutex::new(()),
+            start_ns,
+            end_ns: AtomicU64::new(0),
+            allocations: AllocationMeter { count: options.process_allocations, warm_up_ticks, ..Default::default() },
+            waiting_nearest: AtomicI64::new(0),
+            own_threads: Mutex::default(),
+            hang_ns: if hurried { patience } else { patience.saturating_mul(30) },
+            frame_ns: AtomicU64::new(33_333_333),
+        });
+        if let Err(error) = open_all(&shared) {
+            shared.around.flush();
+            return Err(error);
+        }
+        if let Some(observer) = &shared.around.observer {
+            let shared = Arc::downgrade(&shared);
+            observer.report_to(Box::new(move |words| {
+                if let Some(shared) = shared.upgrade() {
+                    shared.around.recording_trouble(words);
+                }
+            }));
+        }
+        let engine = Self {
+            shared,
+            current: ArcSwap::from_pointee(Current::new(graph, catalog, slots)),
+            change: ChangeLock::default(),
+            watch: Mutex::new(None),
+            watch_stop: Arc::new(AtomicBool::new(false)),
+            closed: AtomicBool::new(false),
+            _listening: listening,
+        };
+        ending::register(&engine.shared);
+        engine.start_threads().map_err(|cause| StartError::Thread { cause })?;
+        Ok(engine)
+    }
+
+    fn start_threads(&self) -> std::io::Result<()> {
+        let shared = &self.shared;
+        // The pool's task must not keep the engine alive.
+        let weak = Arc::downgrade(shared);
+        let task: Task = Arc::new(move |node, walk| {
+            if let Some(shared) = weak.upgrade() {
+                shared.run(node as usize, walk, u64::MAX);
+            }
+        });
+        let weak = Arc::downgrade(shared);
+        shared.pool.on_panic(Box::new(move |name, words| {
+            if let Some(shared) = weak.upgrade() {
+                shared.thread_panicked(name, words);
+            }
+        }));
+        shared.pool.start(&task)?;
+        let (watching, stop) = (Arc::clone(shared), Arc::clone(&self.watch_stop));
+        let (tell, told) = std::sync::mpsc::channel();
+        let watch = shared.start_host_thread("watch", move || {
+            pool::warm_up();
+            let _ = tell.send(());
+            watching.watch(&stop);
+        })?;
+        *lock(&self.watch) = Some(watch);
+        // It is there before the first tick, as the workers are.
+        let _ = told.recv();
+        let plan = shared.plan.load_full();
+        for sources in [false, true] {
+            for (node, cell) in plan.live().filter(|(_, c)| c.owns_thread() && c.source == sources) {
+                shared.start_thread(node, cell)?;
+            }
+        }
+        // A node that reads nothing never gets a tick: it is finished, and nobody waits for it when the engine is closed.
+        let mut ready = Ready::default();
+        for (node, cell) in plan.live().filter(|(_, c)| !c.source) {
+            if lock(&cell.join).slots.is_empty() {
+                shared.try_fire(&plan, node, &mut ready);
+            }
+        }
+        ready.dispatch_ready(shared, &plan, 0);
+        Ok(())
+    }
+
+    /// The graph that runs.
+    pub fn graph(&self) -> Graph {
+        self.current.load().graph.clone()
+    }
+
+    /// Asks the sources to end; what is under way is finished.
+    pub fn stop(&self) {
+        self.shared.stop();
+    }
+
+    /// Whether all nodes are finished, or never will be because a thread of the engine panicked.
+    pub fn is_finished(&self) -> bool {
+        self.all_finished() || self.shared.broken.load(Ordering::Acquire)
+    }
+
+    fn all_finished(&self) -> bool {
+        self.shared.unfinished.load(Ordering::Acquire) == 0
+    }
+
+    /// Waits until all nodes are finished, at most `most`; `false` when they are not by then.
+    pub fn wait(&self, most: Option<Duration>) -> bool {
+        let until = most.map(|m| Instant::now() + m);
+        let mut guard = lock(&self.shared.finished_lock);
+        while !self.is_finished() {
+            let step = match until {
+                Some(until) => match until.checked_duration_since(Instant::now()) {
+                    Some(left) => left.min(Duration::from_millis(100)),
+                    None => return false,
+                },
+                None => Duration::from_millis(100),
+            };
+            guard = self.shared.finished.wait_timeout(guard, step).unwrap_or_else(std::sync::PoisonError::into_inner).0;
+        }
+        true
+    }
+
+    /// Stops, waits and closes all nodes, so that files are finished. `patience` bounds the wait for nodes that do not return, and then that
+    /// for nodes that do not close (each is at least a second); those are left behind and named in the log. A change of the graph that is
+    /// being made is given up.
+    pub fn close(&self, patience: Duration) -> Outcome {
+        if !self.closed.swap(true, Ordering::AcqRel) {
+            self.stop();
+            let log = &self.shared.around.log;
+            let patience = patience.min(LONGEST_PATIENCE);
+            let until = Instant::now() + patience.max(LEAST_PATIENCE);
+            let change = self.change.lock_until(until);
+            if change.is_none() {
+                log.write(Level::Error, "engine", "a change of the graph does not come to its end and is left behind");
+            }
+            self.wait(Some(until.saturating_duration_since(Instant::now()).min(patience)));
+            self.watch_stop.store(true, Ordering::Relaxed);
+            let leave = Instant::now() + LEAST_PATIENCE;
+            if let Some(watch) = lock(&self.watch).take() {
+                watch.thread().unpark();
+                pool::join_until(watch, leave);
+            }
+            if self.all_finished() {
+                let threads = std::mem::take(&mut *lock(&self.shared.own_threads));
+                threads.into_values().for_each(|thread| thread.join_until(leave));
+                self.shared.pool.stop(leave);
+            }
+            let (plan, current) = (self.shared.plan.load(), self.current.load());
+            // Sources first, then along the graph: readers finish their files last.
+            let cells = current.graph.order.iter().map(|&node| Arc::clone(&plan.cells[current.slots[node]]));
+            self.shared.close_all(cells.collect(), Instant::now() + patience.max(LEAST_PATIENCE));
+            self.shared.around.flush();
+        }
+        self.outcome()
+    }
+
+    /// How the run stands.
+    pub fn outcome(&self) -> Outcome {
+        match lock(&self.shared.failed).clone() {
+            Some(reason) => Outcome::Failed(reason),
+            None => Outcome::Done,
+        }
+    }
+
+    /// Looks at an output without slowing the graph.
+    pub fn preview(&self, node: &str, output: &str) -> Option<Preview> {
+        let current = self.current.load();
+        let (index, cell) = self.cell(&current, node)?;
+        let port = current.outputs[index].iter().position(|name| name == output)?;
+        let preview = cell.subscribers.subscribe(port)?;
+        if port < 64 {
+            cell.outputs_read.fetch_or(1 << port, Ordering::Relaxed);
+        }
+        Some(preview)
+    }
+
+    /// After previews of a node were dropped: outputs that nobody reads any more are not made any more. While the graph is being changed
+    /// nothing happens, so that nobody waits here. Not to be called while another thread calls [`Self::preview`].
+    pub fn end_previews(&self, node: &str) {
+        let Some(_change) = self.change.lock_until(Instant::now()) else { return };
+        let current = self.current.load();
+        if let Some((index, cell)) = self.cell(&current, node) {
+            let read = plan::outputs_read(&current.graph, index) | cell.subscribers.bits();
+            cell.outputs_read.store(read, Ordering::Relaxed);
+        }
+    }
+
+    /// When a tick that is still about came into the graph, in ns of [`clock::now_ns`]. Wrong for ticks of more than some thousand ticks ago.
+    pub fn ingest_ns(&self, tick: &abi::Tick) -> Option<u64> {
+        self.shared.ingest(&self.shared.plan.load(), tick)
+    }
+
+    /// Newest log lines: level, node, words.
+    pub fn recent_log(&self) -> Vec<(Level, String, String)> {
+        self.shared.around.log.recent()
+    }
+
+    /// Newest faults, oldest first.
+    pub fn recent_faults(&self) -> Vec<Fault> {
+        self.shared.around.faults.recent()
+    }
+
+    /// Ticks that the busiest source has made.
+    pub fn ticks(&self) -> u64 {
+        let plan = self.shared.plan.load();
+        plan.live().map(|(_, cell)| cell.ticks.made.load(Ordering::Relaxed)).max().unwrap_or(0)
+    }
+
+    /// All counters and times so far.
+    pub fn report(&self) -> Report {
+        Report::of(&self.current.load().graph, &self.shared)
+    }
+
+    /// What each node did since the last call with this `window`. Cheaper than a report; for displays.
+    pub fn window(&self, window: &mut Window) -> BTreeMap<String, NodeWindow> {
+        window.step(&self.shared)
+    }
+}
+
+impl Drop for Engine {
+    fn drop(&mut self) {
+        self.close(Duration::from_secs(5));
+    }
+}
+
+/// Sets listeners on ports of nodes that are not open yet. Slots are positions in the graph then.
+fn listen(
+    graph: &Graph,
+    catalog: &Catalog,
+    cells: &[Arc<NodeRuntime>],
+    wanted: &[Listener],
+) -> Result<Vec<Preview>, StartError> {
+    let one = |listener: &Listener| {
+        let node = graph.node(&listener.node)?;
+        let port = graph.nodes[node].node_type(catalog).output(&listener.output)?;
+        let preview = cells[node].subscribers.listen(port, Arc::clone(&listener.hear))?;
+        cells[node].outputs_read.fetch_or(1u64.checked_shl(port as u32).unwrap_or(0), Ordering::Relaxed);
+        Some(preview)
+    };
+    let missing = |l: &Listener| StartError::Stale { reason: format!("there is no output `{}.{}`", l.node, l.output) };
+    wanted.iter().map(|listener| one(listener).ok_or_else(|| missing(listener))).collect()
+}
+
+/// Opens all nodes of an engine that does not run yet. When one does not open, the others are closed again.
+fn open_all(shared: &Arc<Shared>) -> Result<(), StartError> {
+    let plan = shared.plan.load_full();
+    let calls = plan.cells.iter().map(|cell| {
+        shared.around.widen(cell);
+        shared.opening(cell, &cell.snapshot())
+    });
+    let mut failed = None;
+    shared.guarded(Limit::until_stop(shared.around.open_limit), Result::is_ok, calls, |cell, answer| {
+        match answer.map_err(|error| error.to_string()).flatten() {
+            Ok(instance) => {
+                if let Some(mut exec) = cell.exec.take() {
+                    exec.instance = instance.begun();
+                    cell.exec.put(exec);
+                }
+            }
+            Err(reason) => {
+                failed = Some((cell.id.clone(), type_name(cell.node_type), reason));
+            }
+        }
+        if failed.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
+    let Some((node, node_type, reason)) = failed else { return Ok(()) };
+    shared.close_all(plan.cells.clone(), Instant::now() + shared.around.close_limit);
+    Err(StartError::Open { node, node_type, reason })
+}
+
+fn absolute(path: &Path) -> String {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned()).to_string_lossy().into_owned()
+}
+
+pub(crate) fn type_name(node_type: &abi::NodeType) -> String {
+    // SAFETY: a validated descriptor of a plugin that stays mapped.
+    unsafe { node_type.name.text() }.unwrap_or("?").to_owned()
+}

@@ -1,0 +1,120 @@
+//! Values of parameters: reading them, and setting them while the graph runs.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use panoscope_graph::{NodeSetup, ParamValue};
+
+use super::{Current, Engine, SetError};
+use crate::node::NodeRuntime;
+use crate::observe::Event;
+use crate::params::Snapshot;
+
+impl Engine {
+    /// Changes one parameter between two ticks. A `reopen` parameter opens a new instance beside the running one first.
+    pub fn set_param(&self, node: &str, param: &str, value: ParamValue) -> Result<(), SetError> {
+        let _change = self.change.lock();
+        let current = self.current.load_full();
+        let index = current.graph.node(node).ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
+        let declared = &current.params[index];
+        let position = declared
+            .iter()
+            .position(|p| p.name == param)
+            .ok_or_else(|| SetError::NoParam { node: node.to_owned(), param: param.to_owned() })?;
+        declared[position].kind.accepts(&value).map_err(|reason| SetError::BadValue {
+            node: node.to_owned(),
+            param: param.to_owned(),
+            reason,
+        })?;
+        let cell = Arc::clone(&self.shared.plan.load().cells[current.slots[index]]);
+        let old = cell.snapshot();
+        let mut values = old.owned().to_vec();
+        values[position] = value;
+        if let Some(validator) = &current.validators[index] {
+            let wiring = current.graph.wiring(index, cell.node_type.inputs_len);
+            let setup = NodeSetup {
+                node_id: node,
+                params: &values,
+                graph_dir: self.shared.around.graph_dir.as_ref(),
+                batch: self.shared.around.batch,
+                wiring: Some(&wiring),
+            };
+            if let Some(reason) = validator.refusal(&setup, old.owned()) {
+                return Err(SetError::BadValue { node: node.to_owned(), param: param.to_owned(), reason });
+            }
+        }
+        let snapshot = Snapshot::new(values.clone());
+        if declared[position].reopen {
+            let instance = self
+                .shared
+                .open_guarded(&cell, &snapshot)
+                .map_err(|reason| SetError::Reopen { node: node.to_owned(), reason: reason.to_string() })?;
+            cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
+            let unused = cell.replace_instance(instance, Some(snapshot));
+            self.shared.close_guarded(&cell, unused.into_iter().collect());
+        } else {
+            cell.set_snapshot(snapshot);
+        }
+        if let Some(observer) = &self.shared.around.observer {
+            observer.event(Event::Set { node: node.to_owned(), values: values.clone() });
+        }
+        self.know_values(&current, index, values);
+        Ok(())
+    }
+
+    /// Sets a bool parameter from the next tick on without waiting for a change of the graph that is being made: for an emergency stop. Such a
+    /// change may put the old value back where it replaces the node, so say it once more with [`Self::set_param`].
+    ///
+    /// # Errors
+    /// There is no such node or parameter, it is no bool, or it reopens its node.
+    pub fn set_bool_at_once(&self, node: &str, param: &str, on: bool) -> Result<(), SetError> {
+        let current = self.current.load_full();
+        let index = current.graph.node(node).ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
+        let position = current.params[index]
+            .iter()
+            .position(|p| p.name == param)
+            .ok_or_else(|| SetError::NoParam { node: node.to_owned(), param: param.to_owned() })?;
+        let bad = |reason: String| SetError::BadValue { node: node.to_owned(), param: param.to_owned(), reason };
+        let declared = &current.params[index][position];
+        declared.kind.accepts(&ParamValue::Bool(on)).map_err(bad)?;
+        if declared.reopen {
+            return Err(bad("it reopens its node, which takes time".to_owned()));
+        }
+        let plan = self.shared.plan.load();
+        let cell = plan.cells.get(current.slots[index]).filter(|c| c.id == node);
+        let cell = cell.ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
+        let mut values = cell.snapshot().owned().to_vec();
+        values[position] = ParamValue::Bool(on);
+        cell.set_snapshot(Snapshot::new(values));
+        Ok(())
+    }
+
+    /// A node's values as they were set in an earlier run; the decider puts them in force at their tick.
+    pub fn know(&self, node: &str, values: &[ParamValue]) {
+        let _change = self.change.lock();
+        let current = self.current.load_full();
+        if let Some(index) = current.graph.node(node) {
+            self.know_values(&current, index, values.to_vec());
+        }
+    }
+
+    /// Writes new values of a node into the graph that is known.
+    fn know_values(&self, current: &Current, index: usize, values: Vec<ParamValue>) {
+        let mut graph = current.graph.clone();
+        graph.nodes[index].params = values;
+        let (params, outputs) = (current.params.clone(), current.outputs.clone());
+        let (validators, slots) = (current.validators.clone(), current.slots.clone());
+        self.current.store(Arc::new(Current { graph, params, validators, outputs, slots }));
+    }
+
+    pub(super) fn cell(&self, current: &Current, node: &str) -> Option<(usize, Arc<NodeRuntime>)> {
+        let index = current.graph.node(node)?;
+        Some((index, Arc::clone(&self.shared.plan.load().cells[current.slots[index]])))
+    }
+
+    /// The values of a node's parameters now, in declaration order.
+    pub fn param_values(&self, node: &str) -> Option<Vec<ParamValue>> {
+        let (_, cell) = self.cell(&self.current.load(), node)?;
+        Some(cell.snapshot().owned().to_vec())
+    }
+}

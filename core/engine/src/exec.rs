@@ -1,0 +1,206 @@
+//! What runs a node: its instance and what a call needs, owned by one thread at a time.
+
+use std::ffi::c_void;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicPtr, Ordering};
+
+use panoscope_abi::{self as abi, PortRange};
+
+use crate::instance::Instance;
+use crate::outputs::OutputRule;
+use crate::params::Snapshot;
+use crate::stats::Histogram;
+
+/// An output as the checks after a call need it.
+#[derive(Clone, Copy)]
+pub(crate) struct Port {
+    pub formats: u32,
+    /// Size when it was last made, [`Port::NEVER`] before.
+    pub width: u32,
+    pub height: u32,
+    /// Formats whose contents are looked at, one bit each, see [`OutputRule::inspect`].
+    pub inspected: u32,
+}
+
+impl Port {
+    /// Width and height of an output that was not made yet.
+    pub const NEVER: (u32, u32) = (u32::MAX, u32::MAX);
+
+    fn new(formats: u32, inspected: u32) -> Self {
+        Self { formats, width: Self::NEVER.0, height: Self::NEVER.1, inspected }
+    }
+}
+
+/// The instance and what a call needs; owned by whoever runs the node. The order is that of use: what every call touches stands in
+/// the first two cache lines.
+#[repr(C, align(64))]
+pub(crate) struct Exec {
+    pub instance: Instance,
+    pub process: ProcessFn,
+    params: *const abi::ParamValue,
+    params_len: usize,
+    pub params_version: u64,
+    /// [`crate::node::NodeRuntime::config_epoch`] as of the last call: what is copied from there is in force.
+    pub config_epoch: u64,
+    /// Capture time of the last tick that was run, `i64::MIN` for none.
+    pub last_fired_ns: i64,
+    pub time: Arc<Histogram>,
+    pub longest_ns: u64,
+    first: Port,
+    pub outputs_len: u32,
+    pub source: bool,
+    pub bypassed: bool,
+    /// One of the counts of what went wrong is not 0.
+    pub troubled: bool,
+    /// There is a period or a budget.
+    pub limited: bool,
+    // Here ends what a call that goes well touches, if the node has one output and no limits.
+    more: Box<[Port]>,
+    pub period_ns: i64,
+    pub budget_ns: u64,
+    pub ranges: Vec<PortRange>,
+    pub failure: String,
+    snapshot: Arc<Snapshot>,
+    /// In batch: calls to leave out before the node is opened again.
+    pub skip_calls: u32,
+    pub failures_in_a_row: u32,
+    pub silent_calls: u32,
+    pub bad_in_a_row: u32,
+    /// When the last failure was, until a call goes well; 0 for none.
+    pub failed_at_ns: u64,
+}
+
+type ProcessFn = Option<unsafe extern "C" fn(instance: *mut c_void, call: *mut abi::Call) -> abi::Status>;
+
+const _: () = assert!(std::mem::offset_of!(Exec, more) <= 128);
+
+// SAFETY: `params` points into `snapshot`, which is immutable and shared between threads.
+unsafe impl Send for Exec {}
+
+impl Exec {
+    pub fn new(
+        node_type: &'static abi::NodeType,
+        rules: &[OutputRule],
+        ranges: Vec<PortRange>,
+        snapshot: Arc<Snapshot>,
+        time: Arc<Histogram>,
+    ) -> Box<Self> {
+        let port = |rule: &OutputRule| Port::new(rule.formats(), rule.inspected());
+        let first = Port::new(0, 0);
+        Box::new(Self {
+            instance: Instance::none(node_type),
+            process: node_type.process,
+            params: snapshot.values().as_ptr(),
+            params_len: snapshot.values().len(),
+            params_version: snapshot.version(),
+            config_epoch: 0,
+            last_fired_ns: i64::MIN,
+            time,
+            longest_ns: 0,
+            first: rules.first().map_or(first, port),
+            outputs_len: rules.len() as u32,
+            source: node_type.flags & abi::NODE_SOURCE != 0,
+            bypassed: false,
+            troubled: true,
+            limited: false,
+            more: rules.iter().skip(1).map(port).collect(),
+            period_ns: 0,
+            budget_ns: 0,
+            ranges,
+            failure: String::new(),
+            snapshot,
+            skip_calls: 0,
+            failures_in_a_row: 0,
+            silent_calls: 0,
+            bad_in_a_row: 0,
+            failed_at_ns: 0,
+        })
+    }
+
+    /// Output `index`, which the node has.
+    #[inline]
+    pub fn port(&mut self, index: usize) -> &mut Port {
+        if index == 0 { &mut self.first } else { &mut self.more[index - 1] }
+    }
+
+    /// Formats of the first output.
+    #[inline]
+    pub fn first_formats(&self) -> u32 {
+        self.first.formats
+    }
+
+    pub fn snapshot(&self) -> &Arc<Snapshot> {
+        &self.snapshot
+    }
+
+    /// Puts values in force.
+    pub fn set_snapshot(&mut self, snapshot: Arc<Snapshot>) {
+        self.params = snapshot.values().as_ptr();
+        self.params_len = snapshot.values().len();
+        self.params_version = snapshot.version();
+        self.snapshot = snapshot;
+    }
+
+    /// The values in force, in the contract's layout.
+    #[inline]
+    pub fn params(&self) -> (*const abi::ParamValue, usize) {
+        (self.params, self.params_len)
+    }
+
+    /// Asks the processor for the lines of a call that is soon to be made.
+    #[inline]
+    pub fn prefetch(this: *const Self) {
+        prefetch(this.cast());
+        prefetch(this.cast::<u8>().wrapping_add(64));
+    }
+}
+
+/// Asks the processor for a cache line; a hint only, any address will do.
+#[inline]
+pub(crate) fn prefetch(address: *const u8) {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: a prefetch never faults.
+    unsafe {
+        std::arch::x86_64::_mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T0 }>(address.cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = address;
+}
+
+/// Where an [`Exec`] rests while nobody runs the node. Taking it is one atomic swap.
+pub(crate) struct ExecPlace(AtomicPtr<Exec>);
+
+impl ExecPlace {
+    pub fn new(exec: Box<Exec>) -> Self {
+        Self(AtomicPtr::new(Box::into_raw(exec)))
+    }
+
+    /// The exec, unless somebody runs the node.
+    pub fn take(&self) -> Option<Box<Exec>> {
+        let raw = self.0.swap(std::ptr::null_mut(), Ordering::Acquire);
+        // SAFETY: only `new` and `put` store pointers, made by `into_raw`; the swap hands each to one caller.
+        (!raw.is_null()).then(|| unsafe { Box::from_raw(raw) })
+    }
+
+    /// Puts back what was taken, or what replaces it. The place is empty: only its taker, or the watchdog in its stead, may put.
+    pub fn put(&self, exec: Box<Exec>) {
+        self.0.store(Box::into_raw(exec), Ordering::Release);
+    }
+
+    /// Where it is, for [`Exec::prefetch`].
+    #[inline]
+    pub fn address(&self) -> *const Exec {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    /// Whether nobody runs the node.
+    pub fn is_home(&self) -> bool {
+        !self.0.load(Ordering::Acquire).is_null()
+    }
+}
+
+impl Drop for ExecPlace {
+    fn drop(&mut self) {
+        drop(self.take());
+    }
+}

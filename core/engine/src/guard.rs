@@ -1,0 +1,374 @@
+//! Calls into plugins off the hot path: opening, closing, saving and loading states. Each has a limit. They run on a thread of their own;
+//! when one does not return in time, thread and instance are left behind and another thread goes on with what is left to do.
+//!
+//! On the hot path the watchdog does the same: see [`crate::watch`].
+
+use std::collections::VecDeque;
+use std::ops::ControlFlow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::busy::CallKind;
+use crate::instance::Instance;
+use crate::log::Level;
+use crate::node::NodeRuntime;
+use crate::outbox::panic_words;
+use crate::params::Snapshot;
+use crate::schedule::Shared;
+use crate::thread_id;
+
+/// How long calls may take once the engine is to stop: long enough for what goes well.
+const LONGEST_AT_STOP: Duration = Duration::from_secs(1);
+/// After this time the nodes that follow are closed beside one that still closes.
+const LONGEST_TURN: Duration = Duration::from_secs(1);
+/// As much as the main thread has: some libraries count on it when they are opened.
+const STACK_BYTES: usize = 8 << 20;
+
+/// A call to be made.
+pub(crate) struct Call<T> {
+    pub cell: Arc<NodeRuntime>,
+    pub kind: CallKind,
+    /// What it answers is dropped on its thread if nobody waits any more.
+    pub run: Box<dyn FnOnce() -> T + Send>,
+}
+
+/// Why a call has no answer.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum CallError {
+    /// It took too long.
+    #[error("it did not return{} within {seconds:.1} s and was left behind with its thread", .kind.return_words())]
+    NoReturn {
+        /// What was called.
+        kind: CallKind,
+        /// How long was waited.
+        seconds: f64,
+    },
+    /// No thread to call it on.
+    #[error("no thread could be started for it: {cause}")]
+    Thread {
+        /// What the system says.
+        cause: std::io::Error,
+    },
+    /// The host's own code around the call panicked.
+    #[error("the host panicked around it: {words}")]
+    Panic {
+        /// What it said.
+        words: String,
+    },
+}
+
+/// How long calls may take.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Limit {
+    pub usual: Duration,
+    /// Once the engine is to stop.
+    pub at_stop: Duration,
+}
+
+impl Limit {
+    /// Shorter once the engine is to stop.
+    pub fn until_stop(usual: Duration) -> Self {
+        Self { usual, at_stop: usual.min(LONGEST_AT_STOP) }
+    }
+
+    /// The same whether the engine is to stop or not.
+    pub fn always(usual: Duration) -> Self {
+        Self { usual, at_stop: usual }
+    }
+}
+
+struct State<T> {
+    todo: VecDeque<Call<T>>,
+    /// The call that runs, since when, and the thread that makes it.
+    running: Option<(Arc<NodeRuntime>, CallKind, Instant)>,
+    done: VecDeque<(Arc<NodeRuntime>, Result<T, CallError>)>,
+    /// Number of the thread that makes the calls; another one has been left behind. 0 for none.
+    thread: u32,
+}
+
+struct Line<T> {
+    state: Mutex<State<T>>,
+    changed: Condvar,
+    /// Whether the next call is made after one with this answer.
+    goes_on: fn(&T) -> bool,
+}
+
+impl<T> Line<T> {
+    fn state(&self) -> MutexGuard<'_, State<T>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Makes calls until none is left or the thread was left behind.
+    fn work(&self, number: u32) {
+        loop {
+            let mut state = self.state();
+            if state.thread != number {
+                return;
+            }
+            let Some(Call { cell, kind, run }) = state.todo.pop_front() else {
+                state.thread = 0;
+                self.changed.notify_all();
+                return;
+            };
+            state.running = Some((Arc::clone(&cell), kind, Instant::now()));
+            drop(state);
+            let answer = catch_unwind(AssertUnwindSafe(run));
+            let answer = answer.map_err(|payload| CallError::Panic { words: panic_words(&*payload).to_owned() });
+            let mut state = self.state();
+            if state.thread != number {
+                drop(state);
+                // Nobody waits: what was opened is closed again, here.
+                drop(answer);
+                cell.recovery.stuck.fetch_sub(1, Ordering::Relaxed);
+                return;
+            }
+            state.running = None;
+            if answer.as_ref().is_ok_and(|answer| !(self.goes_on)(answer)) {
+                state.todo.clear();
+            }
+            state.done.push_back((cell, answer));
+            self.changed.notify_all();
+        }
+    }
+}
+
+impl Shared {
+    /// Makes calls one after the other, until `goes_on` says no to an answer, and hands each answer to `take`, on the calling thread. A call
+    /// that takes longer than `limit` is left behind with its thread: its cell counts it as stuck until it returns. After such a call
+    /// `take` says whether those that follow are made.
+    pub fn guarded<T: Send + 'static>(
+        self: &Arc<Self>,
+        limit: Limit,
+        goes_on: fn(&T) -> bool,
+        calls: impl IntoIterator<Item = Call<T>>,
+        mut take: impl FnMut(&Arc<NodeRuntime>, Result<T, CallError>) -> ControlFlow<()>,
+    ) {
+        let todo: VecDeque<_> = calls.into_iter().collect();
+        let state = State { todo, running: None, done: VecDeque::new(), thread: 0 };
+        let line = Arc::new(Line { state: Mutex::new(state), changed: Condvar::new(), goes_on });
+        let mut stop_since = None;
+        let mut state = line.state();
+        loop {
+            if let Some((cell, answer)) = state.done.pop_front() {
+                drop(state);
+                let unanswered = answer.is_err();
+                let flow = take(&cell, answer);
+                state = line.state();
+                if unanswered && flow.is_break() {
+                    state.todo.clear();
+                }
+                continue;
+            }
+            if state.thread == 0 {
+                let Some(first) = state.todo.front() else { return };
+                let name = first.cell.id.chars().take(15).collect();
+                let number = thread_id::next();
+                state.thread = number;
+                drop(state);
+                let started = self.start_caller(&line, number, name);
+                state = line.state();
+                if let Err(cause) = started {
+                    state.thread = 0;
+                    let Some(call) = state.todo.pop_front() else { return };
+                    state.done.push_back((call.cell, Err(CallError::Thread { cause })));
+                }
+                continue;
+            }
+            let now = Instant::now();
+            if stop_since.is_none() && self.is_stopping() {
+                stop_since = Some(now);
+            }
+            if let Some((cell, kind, since)) = &state.running {
+                let spent = now.duration_since(*since);
+                let hurried = stop_since.is_some_and(|stop| now.duration_since(stop.max(*since)) >= limit.at_stop);
+                if spent >= limit.usual || hurried {
+                    let (cell, kind, number) = (Arc::clone(cell), *kind, state.thread);
+                    (state.running, state.thread) = (None, 0);
+                    cell.recovery.stuck.fetch_add(1, Ordering::Relaxed);
+                    let error = CallError::NoReturn { kind, seconds: spent.as_secs_f64() };
+                    state.done.push_back((cell, Err(error)));
+                    drop(state);
+                    // Workers that are stuck in its loops go with it.
+                    if let Err(cause) = self.pool.give_up(number) {
+                        self.fail(format!("no thread could be started in place of one that hangs: {cause}"));
+                    }
+                    state = line.state();
+                    continue;
+                }
+            }
+            let step = limit.usual.min(Duration::from_millis(10)).max(Duration::from_millis(1));
+            state = line.changed.wait_timeout(state, step).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    fn start_caller<T: Send + 'static>(
+        self: &Arc<Self>,
+        line: &Arc<Line<T>>,
+        number: u32,
+        name: String,
+    ) -> std::io::Result<()> {
+        let (me, line) = (Arc::clone(self), Arc::clone(line));
+        let work = move || {
+            thread_id::set(number);
+            me.pool.enter();
+            line.work(number);
+            me.pool.left(number);
+        };
+        std::thread::Builder::new().name(name).stack_size(STACK_BYTES).spawn(work).map(drop)
+    }
+
+    /// One call.
+    pub fn call_guarded<T: Send + 'static>(
+        self: &Arc<Self>,
+        limit: Limit,
+        cell: &Arc<NodeRuntime>,
+        kind: CallKind,
+        run: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, CallError> {
+        let mut answer = None;
+        let call = Call { cell: Arc::clone(cell), kind, run: Box::new(run) };
+        self.guarded(
+            limit,
+            |_| true,
+            [call],
+            |_, result| {
+                answer = Some(result);
+                ControlFlow::Break(())
+            },
+        );
+        answer.unwrap_or_else(|| Err(CallError::Panic { words: "the call was not made".to_owned() }))
+    }
+
+    /// The call that opens an instance with the given values.
+    pub fn opening(
+        self: &Arc<Self>,
+        cell: &Arc<NodeRuntime>,
+        snapshot: &Arc<Snapshot>,
+    ) -> Call<Result<Instance, String>> {
+        let (me, mine, values) = (Arc::clone(self), Arc::clone(cell), Arc::clone(snapshot));
+        let run = move || mine.open(&me.around, &values);
+        Call { cell: Arc::clone(cell), kind: CallKind::Open, run: Box::new(run) }
+    }
+
+    /// Opens an instance with the given values.
+    ///
+    /// # Errors
+    /// What the node says, or that it did not return.
+    pub fn open_guarded(
+        self: &Arc<Self>,
+        cell: &Arc<NodeRuntime>,
+        snapshot: &Arc<Snapshot>,
+    ) -> Result<Instance, OpenError> {
+        let call = self.opening(cell, snapshot);
+        match self.call_guarded(Limit::until_stop(self.around.open_limit), cell, CallKind::Open, call.run) {
+            Ok(opened) => opened.map_err(OpenError::Refused),
+            Err(error) => Err(OpenError::Call(error)),
+        }
+    }
+
+    /// Opens a failed node again; a source goes on where it was.
+    ///
+    /// # Errors
+    /// What the node says, or that it did not return.
+    pub fn open_again(
+        self: &Arc<Self>,
+        cell: &Arc<NodeRuntime>,
+        snapshot: &Arc<Snapshot>,
+    ) -> Result<Instance, OpenError> {
+        let instance = self.open_guarded(cell, snapshot)?;
+        let Some(state) = cell.take_position(&instance) else { return Ok(instance) };
+        match self.load_guarded(cell, instance, state.clone()) {
+            Ok((instance, understood)) => {
+                cell.position_taken(&self.around, state, understood);
+                Ok(instance)
+            }
+            Err(error) => {
+                cell.position_lost(&self.around);
+                Err(OpenError::Call(error))
+            }
+        }
+    }
+
+    /// Gives a state to an instance; answers whether it was understood.
+    ///
+    /// # Errors
+    /// It did not return: the instance is lost.
+    pub fn load_guarded(
+        self: &Arc<Self>,
+        cell: &Arc<NodeRuntime>,
+        mut instance: Instance,
+        state: Vec<u8>,
+    ) -> Result<(Instance, bool), CallError> {
+        let load = move || {
+            let understood = instance.load_state(&state);
+            (instance, understood)
+        };
+        self.call_guarded(Limit::until_stop(self.around.close_limit), cell, CallKind::LoadState, load)
+    }
+
+    /// Closes instances of a node; one that does not return is told of and left behind.
+    pub fn close_guarded(self: &Arc<Self>, cell: &Arc<NodeRuntime>, instances: Vec<Instance>) {
+        let open = instances.into_iter().filter(Instance::is_open);
+        let calls = open.map(|instance| {
+            let (me, mine) = (Arc::clone(self), Arc::clone(cell));
+            let run = Box::new(move || mine.end(&me.around, instance));
+            Call { cell: Arc::clone(cell), kind: CallKind::Close, run }
+        });
+        self.guarded(
+            Limit::always(self.around.close_limit),
+            |()| true,
+            calls,
+            |cell, result| {
+                if let Err(error) = result {
+                    self.tell_no_return(cell, &error);
+                }
+                ControlFlow::Continue(())
+            },
+        );
+    }
+
+    /// Closes all instances of nodes, one after the other; beside one that takes long the next are closed already. What has not come to its
+    /// end by then is left behind and named in the log.
+    pub fn close_all(self: &Arc<Self>, cells: Vec<Arc<NodeRuntime>>, until: Instant) {
+        let mut open = Vec::new();
+        let mut calls = Vec::new();
+        for cell in cells {
+            // Whoever opens the node again is too late.
+            cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
+            let (instances, all) = cell.take_instances();
+            let closed = Arc::new(AtomicBool::new(!all));
+            open.push((Arc::clone(&cell), Arc::clone(&closed), all));
+            let (me, mine) = (Arc::clone(self), Arc::clone(&cell));
+            let run = Box::new(move || {
+                instances.into_iter().for_each(|instance| mine.end(&me.around, instance));
+                closed.store(true, Ordering::Release);
+            });
+            calls.push(Call { cell, kind: CallKind::Close, run });
+        }
+        let turn = until.saturating_duration_since(Instant::now()).min(LONGEST_TURN);
+        self.guarded(Limit::always(turn), |()| true, calls, |_, _| ControlFlow::Continue(()));
+        for (cell, closed, all) in open {
+            while !closed.load(Ordering::Acquire) && Instant::now() < until {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            if !all || !closed.load(Ordering::Acquire) || cell.recovery.stuck.load(Ordering::Relaxed) > 0 {
+                let words = "it does not return and is left behind; its files may be incomplete";
+                self.around.log.write(Level::Error, &cell.id, words);
+                cell.ceased(&self.around, words);
+            }
+        }
+    }
+}
+
+/// Why an instance could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum OpenError {
+    /// The node says so.
+    #[error("{0}")]
+    Refused(String),
+    /// It did not come to an answer.
+    #[error(transparent)]
+    Call(CallError),
+}

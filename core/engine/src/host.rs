@@ -1,0 +1,392 @@
+//! The functions that the host offers to plugins.
+
+use std::ffi::c_void;
+use std::path::Path;
+
+use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str};
+use panoscope_imaging::random::SplitMix64;
+
+use crate::claims::Holds;
+use crate::clock;
+use crate::fault::Cause;
+use crate::log::{Level, Log};
+use crate::memory::{FrameRef, MemoryError, memory};
+use crate::node::{NodeRuntime, Refused, RunContext};
+use crate::outputs;
+use crate::pool;
+use crate::retained;
+use crate::stats::bump;
+use crate::sync::lock;
+
+/// What stands behind a `call` handle.
+pub(crate) struct CallContext<'a> {
+    /// Output frames of the running call; each non-empty one holds a reference. The node sees a copy of them only.
+    pub outputs: *mut Frame,
+    /// The copy.
+    pub shown: *mut Frame,
+    pub outputs_len: usize,
+    pub inputs: *const Frame,
+    pub inputs_len: usize,
+    /// An output that was forwarded from an input whose one reference it takes over when the call ends. Until then it holds none.
+    pub lent: Option<Lent>,
+    /// What the first output may be.
+    pub first_formats: u32,
+    pub cell: &'a NodeRuntime,
+    /// Files that the instance claims.
+    pub holds: &'a Holds,
+    pub log: &'a Log,
+    /// What the node said when it failed; reused.
+    pub failure: &'a mut String,
+    /// Words of a fault were given during this call.
+    pub has_failure: bool,
+    /// What the host refused during this call, if anything.
+    pub refused: Option<Refused>,
+    /// State of the generator; `None` until the node asks for a number.
+    pub random: Option<SplitMix64>,
+    pub tick: abi::Tick,
+    /// In batch an exhausted memory is waited for, in live it drops the tick.
+    pub wait_for_memory: bool,
+}
+
+/// See [`CallContext::lent`].
+#[derive(Clone, Copy)]
+pub(crate) struct Lent {
+    pub output: u32,
+    pub input: u32,
+}
+
+pub(crate) unsafe fn context<'a>(call: *mut c_void) -> Option<&'a mut CallContext<'a>> {
+    // SAFETY: plugins pass back the handle of the running call (the contract).
+    unsafe { call.cast::<CallContext<'a>>().as_mut() }
+}
+
+impl<'a> CallContext<'a> {
+    /// For a call that is no tick: it has no inputs and makes no outputs.
+    pub fn without_tick(
+        cell: &'a NodeRuntime,
+        around: &'a RunContext,
+        holds: &'a Holds,
+        failure: &'a mut String,
+    ) -> Self {
+        Self {
+            outputs: std::ptr::null_mut(),
+            shown: std::ptr::null_mut(),
+            outputs_len: 0,
+            inputs: std::ptr::null(),
+            inputs_len: 0,
+            lent: None,
+            first_formats: 0,
+            cell,
+            holds,
+            log: &around.log,
+            failure,
+            has_failure: false,
+            refused: None,
+            random: None,
+            tick: abi::Tick::default(),
+            wait_for_memory: around.unhurried(),
+        }
+    }
+}
+
+impl CallContext<'_> {
+    fn output(&mut self, index: u32) -> Option<&mut Frame> {
+        // SAFETY: `outputs` holds `outputs_len` frames for the length of the call.
+        ((index as usize) < self.outputs_len).then(|| unsafe { &mut *self.outputs.add(index as usize) })
+    }
+
+    /// Makes a frame, with one reference, an output of this tick.
+    fn place(&mut self, index: u32, frame: &Frame) -> Status {
+        let held = self.lent.take_if(|lent| lent.output == index).is_none();
+        match self.output(index) {
+            Some(slot) => {
+                if held && !slot.is_empty() {
+                    // SAFETY: an output that is not lent holds a reference, which `write` below forgets.
+                    drop(unsafe { FrameRef::adopt(*slot) });
+                }
+                self.write(index, frame);
+                abi::STATUS_OK
+            }
+            None => {
+                // SAFETY: the caller hands over a reference.
+                drop(unsafe { FrameRef::adopt(*frame) });
+                abi::STATUS_INVALID
+            }
+        }
+    }
+
+    /// Writes the description of an output that exists.
+    #[inline]
+    fn write(&mut self, index: u32, frame: &Frame) {
+        // SAFETY: `shown` and `outputs` hold `outputs_len` frames each, more than `index` (the callers' promise).
+        let (slot, shown) = unsafe { (&mut *self.outputs.add(index as usize), &mut *self.shown.add(index as usize)) };
+        *slot = *frame;
+        slot.tick = self.tick;
+        *shown = *frame;
+        shown.tick = self.tick;
+    }
+
+    /// Whether output `index` may be a frame of this description.
+    #[inline]
+    fn accepts(&self, index: u32, frame: &Frame) -> bool {
+        let formats = if index == 0 { self.first_formats } else { self.cell.rules[index as usize].formats() };
+        outputs::fits(formats, frame)
+    }
+
+    #[cold]
+    fn object(&mut self, index: u32, frame: &Frame) -> Status {
+        let (cause, words) = self.cell.rules[index as usize].objection(frame);
+        self.refuse(cause, words)
+    }
+
+    #[cold]
+    fn refuse(&mut self, cause: Cause, words: String) -> Status {
+        self.refused.get_or_insert_with(|| Box::new((cause, words)));
+        abi::STATUS_INVALID
+    }
+
+    /// The input that a frame is, if it is one.
+    #[inline]
+    fn input(&self, frame: &Frame) -> Option<u32> {
+        (0..self.inputs_len).find_map(|index| {
+            // SAFETY: `inputs` holds `inputs_len` frames for the length of the call.
+            let input = unsafe { &*self.inputs.add(index) };
+            let same = input.buffer == frame.buffer && input.data == frame.data && frame.len <= input.len;
+            (same && !input.is_empty()).then_some(index as u32)
+        })
+    }
+
+    fn allocate(&self, len: usize) -> Result<(BufferId, *mut u8), Status> {
+        let mut patience_ms = if self.wait_for_memory { 5_000 } else { 0 };
+        loop {
+            match memory().allocate(len) {
+                Ok(buffer) => return Ok(buffer),
+                Err(MemoryError::Exhausted { .. }) if patience_ms > 0 => {
+                    patience_ms -= 1;
+                    std::thread::sleep(std::time::Duration::from_millis(1));
+                }
+                Err(MemoryError::Exhausted { .. }) => return Err(abi::STATUS_EXHAUSTED),
+                Err(MemoryError::TooLarge { .. }) => return Err(abi::STATUS_INVALID),
+            }
+        }
+    }
+}
+
+unsafe extern "C" fn alloc(
+    call: *mut c_void,
+    output: u32,
+    format: u32,
+    width: u32,
+    height: u32,
+    stride_bytes: u32,
+    len: usize,
+) -> Status {
+    // SAFETY: see `context`.
+    let Some(context) = (unsafe { context(call) }) else { return abi::STATUS_INVALID };
+    if output as usize >= context.outputs_len {
+        return abi::STATUS_INVALID;
+    }
+    let wanted = Frame { len, format, width, height, stride_bytes, ..Frame::EMPTY };
+    if !context.accepts(output, &wanted) {
+        return context.object(output, &wanted);
+    }
+    match context.allocate(len) {
+        Ok((buffer, data)) => context.place(output, &Frame { buffer, data, ..wanted }),
+        Err(status) => status,
+    }
+}
+
+unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame) -> Status {
+    // SAFETY: see `context`; the frame is read for the length of this function.
+    let (Some(context), Some(frame)) = (unsafe { (context(call), frame.as_ref()) }) else {
+        return abi::STATUS_INVALID;
+    };
+    let frame = *frame;
+    if output as usize >= context.outputs_len {
+        return abi::STATUS_INVALID;
+    }
+    if !context.accepts(output, &frame) {
+        return context.object(output, &frame);
+    }
+    if context.lent.is_none()
+        && let Some(input) = context.input(&frame)
+    {
+        match context.output(output) {
+            Some(slot) if slot.is_empty() => context.write(output, &frame),
+            _ => _ = context.place(output, &frame),
+        }
+        context.lent = Some(Lent { output, input });
+        return abi::STATUS_OK;
+    }
+    if !memory().retain_checked(&frame) {
+        let words = format!(
+            "output `{}` was forwarded from memory that is no frame of the host",
+            context.cell.rules[output as usize].name
+        );
+        return context.refuse(Cause::BadOutput, words);
+    }
+    context.place(output, &frame)
+}
+
+unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
+    // SAFETY: see `context`.
+    let Some(context) = (unsafe { context(call) }) else { return abi::STATUS_INVALID };
+    let Some(&mut frame) = context.output(output) else { return abi::STATUS_INVALID };
+    if frame.is_empty() {
+        return abi::STATUS_INVALID;
+    }
+    let lent = context.lent.is_some_and(|lent| lent.output == output);
+    if !lent && memory().references(frame.buffer) == 1 {
+        return abi::STATUS_OK;
+    }
+    match context.allocate(frame.len) {
+        Ok((buffer, data)) => {
+            // SAFETY: two live buffers of at least `len` bytes that do not overlap.
+            unsafe { std::ptr::copy_nonoverlapping(frame.data, data, frame.len) };
+            bump(&context.cell.stats.copies);
+            context.place(output, &Frame { buffer, data, ..frame })
+        }
+        Err(status) => status,
+    }
+}
+
+unsafe extern "C" fn retain(ctx: *mut c_void, buffer: BufferId) {
+    retained::retain(ctx as retained::Plugin, buffer);
+}
+
+unsafe extern "C" fn release(ctx: *mut c_void, buffer: BufferId) {
+    retained::release(ctx as retained::Plugin, buffer);
+}
+
+unsafe extern "C" fn resolve(_: *mut c_void, buffer: BufferId) -> *mut u8 {
+    memory().resolve(buffer)
+}
+
+unsafe extern "C" fn parallel_for(_: *mut c_void, chunks: usize, body: ChunkFn, data: *mut c_void) -> Status {
+    // SAFETY: the plugin's promise to `parallel_for`.
+    if unsafe { pool::parallel_for(chunks, body, data) } { abi::STATUS_OK } else { abi::STATUS_INVALID }
+}
+
+unsafe fn words<'a>(text: Str) -> std::borrow::Cow<'a, str> {
+    // SAFETY: the plugin lends the text for the length of the call.
+    String::from_utf8_lossy(unsafe { text.bytes() })
+}
+
+unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
+    // SAFETY: see `context` and `words`.
+    if let Some(context) = unsafe { context(call) } {
+        let level = match level {
+            abi::LOG_ERROR => Level::Error,
+            abi::LOG_WARN => Level::Warn,
+            abi::LOG_INFO => Level::Info,
+            _ => Level::Debug,
+        };
+        // SAFETY: as above.
+        context.log.write(level, &context.cell.id, &unsafe { words(message) });
+    }
+}
+
+unsafe extern "C" fn fail(call: *mut c_void, message: Str) {
+    // SAFETY: see `context` and `words`.
+    if let Some(context) = unsafe { context(call) } {
+        context.failure.clear();
+        // SAFETY: as above.
+        context.failure.push_str(&unsafe { words(message) });
+        context.has_failure = true;
+    }
+}
+
+unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
+    // SAFETY: see `context` and `words`.
+    if let Some(context) = unsafe { context(call) } {
+        // SAFETY: as above.
+        let name = unsafe { words(name) };
+        if let Some(hear) = context.cell.hear_number.get() {
+            hear(&context.tick, &name, value);
+        }
+        let mut metrics = context.cell.metrics.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        match metrics.iter_mut().find(|(known, _)| *known == name) {
+            Some((_, slot)) => *slot = value,
+            None => metrics.push((name.into_owned(), value)),
+        }
+    }
+}
+
+/// Where a node's random numbers begin for a tick: the same in every run.
+fn seed(id: &str, tick: abi::Tick) -> u64 {
+    let hash = abi::fnv1a(abi::FNV_START, id.as_bytes());
+    abi::fnv1a(abi::fnv1a(hash, &tick.seq.to_le_bytes()), &tick.source.to_le_bytes())
+}
+
+unsafe extern "C" fn random(call: *mut c_void) -> u64 {
+    // SAFETY: see `context`.
+    match unsafe { context(call) } {
+        Some(context) => {
+            let begin = || SplitMix64(seed(&context.cell.id, context.tick));
+            context.random.get_or_insert_with(begin).bits()
+        }
+        None => 0,
+    }
+}
+
+unsafe extern "C" fn save(_: *mut c_void, _: *const u8, _: usize) {
+    // Only the table passed to `save_state` has a sink.
+}
+
+unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status {
+    // SAFETY: plugins pass back the handle of the running call and lend the text for the length of this function (the contract).
+    let (Some(context), Some(path)) = (unsafe { (context(call), path.text()) }) else {
+        return abi::STATUS_INVALID;
+    };
+    let holds = context.holds;
+    let Some(claims) = holds.claims.as_ref().filter(|_| action <= abi::CLAIM_BEGIN_NEW) else {
+        return abi::STATUS_INVALID;
+    };
+    let (status, text) = match claims.claim(holds.token, &context.cell.id, Path::new(path), action) {
+        Ok(path) => (abi::STATUS_OK, path.to_string_lossy().into_owned()),
+        Err(other) => (abi::STATUS_INVALID, other),
+    };
+    let mut answer = lock(&holds.answer);
+    *answer = text;
+    // SAFETY: null or a place for the answer; the text stays as it is until the next claim of this instance.
+    if let Some(file) = unsafe { file.as_mut() } {
+        *file = Str::borrow(&answer);
+    }
+    status
+}
+
+unsafe extern "C" fn clock_ns(_: *mut c_void) -> i64 {
+    i64::try_from(clock::now_ns()).unwrap_or(i64::MAX)
+}
+
+/// A function table for an engine with `threads` threads.
+pub(crate) fn table(threads: usize) -> Host {
+    Host {
+        struct_size: size_of::<Host>() as u32,
+        abi_major: abi::ABI_MAJOR,
+        abi_minor: abi::ABI_MINOR,
+        threads: threads as u32,
+        ctx: std::ptr::null_mut(),
+        alloc: Some(alloc),
+        forward: Some(forward),
+        make_mut: Some(make_mut),
+        retain: Some(retain),
+        release: Some(release),
+        resolve: Some(resolve),
+        parallel_for: Some(parallel_for),
+        log: Some(log),
+        fail: Some(fail),
+        metric: Some(metric),
+        random: Some(random),
+        save: Some(save),
+        claim_file: Some(claim_file),
+        clock_ns: Some(clock_ns),
+    }
+}
+
+/// The table given to a plugin when it is loaded; lives as long as the process. Its handle says which plugin calls, on whatever thread.
+pub(crate) fn plugin_table(descriptor: *const abi::Plugin) -> *const Host {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let ctx = retained::plugin_of(descriptor.cast()) as *mut c_void;
+    Box::leak(Box::new(Host { ctx, ..table(threads) }))
+}

@@ -1,0 +1,600 @@
+//! A node's inputs: what waits for it, and when it may fire.
+
+use std::collections::VecDeque;
+use std::sync::{Mutex, PoisonError};
+
+use panoscope_abi::Tick;
+
+use crate::decide::Wanted;
+use crate::memory::FrameRef;
+use crate::region::Region;
+
+/// Most packets that a trigger slot keeps while its region is paused.
+const MOST_PAUSED: usize = 1 << 10;
+/// Most packets that wait in live mode to be the nearest, where the graph says nothing: a second of a camera.
+const MOST_NEAREST: usize = 32;
+/// Most packets of another region that wait in live mode to be that of the tick before, where the graph says nothing.
+const MOST_DELAYED: usize = 8;
+/// Packets that a slot has room for from its start at most.
+const MOST_RESERVED: usize = 256;
+
+/// How a slot is matched with the node's other slots.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Rule {
+    /// The same tick on all exact slots.
+    Exact,
+    /// The newest value; fires the node when it has no exact slot and this is a trigger.
+    Latest { trigger: bool },
+    /// The closest capture time within `tolerance_ns`.
+    Nearest { tolerance_ns: i64 },
+    /// The producer's value of this node's previous tick.
+    Delay,
+}
+
+/// One connection into a node.
+pub(crate) struct Slot {
+    pub rule: Rule,
+    /// The input may be empty or unconnected.
+    pub optional: bool,
+    /// Most packets that wait in live mode; older ones are dropped. It is not used for `exact` slots: no more wait there than ticks are in
+    /// the region.
+    pub capacity: usize,
+    queue: VecDeque<FrameRef>,
+    /// Newest non-empty value that was used (`latest`, `delay`).
+    held: Option<FrameRef>,
+    ended: bool,
+    /// Most packets that waited since somebody last asked.
+    most: usize,
+    /// Packets dropped on this wire because no more could wait.
+    dropped: u64,
+    /// A `delay` slot whose producer saw a tick of this node: its packet is waited for.
+    expects: bool,
+}
+
+impl Slot {
+    pub fn new(rule: Rule, optional: bool, capacity: usize) -> Self {
+        let queue = VecDeque::with_capacity(capacity.clamp(8, MOST_RESERVED));
+        let capacity = capacity.max(1);
+        Self { rule, optional, capacity, queue, held: None, ended: false, most: 0, dropped: 0, expects: false }
+    }
+
+    /// Most packets that wait where the graph says nothing.
+    pub fn usual_capacity(rule: Rule) -> usize {
+        match rule {
+            Rule::Exact | Rule::Latest { .. } => 1,
+            Rule::Nearest { .. } => MOST_NEAREST,
+            Rule::Delay => MOST_DELAYED,
+        }
+    }
+
+    /// Whether packets are picked by their time or their turn.
+    pub fn is_timed(&self) -> bool {
+        matches!(self.rule, Rule::Nearest { .. } | Rule::Delay)
+    }
+
+    /// Packets dropped so far because no more could wait.
+    pub fn dropped(&self) -> u64 {
+        self.dropped
+    }
+
+    fn waits_for_delayed(&self) -> bool {
+        self.rule == Rule::Delay && self.expects && self.queue.is_empty() && !self.ended
+    }
+
+    fn put(&mut self, frame: FrameRef) {
+        self.queue.push_back(frame);
+        self.most = self.most.max(self.queue.len());
+    }
+
+    /// Packets that wait, and the most that waited since the last call.
+    pub fn fill(&mut self) -> (usize, usize) {
+        let waiting = self.queue.len();
+        (waiting, std::mem::replace(&mut self.most, waiting))
+    }
+
+    /// Takes over what waits on a slot that this one replaces.
+    fn inherit(&mut self, old: &mut Self) {
+        std::mem::swap(&mut self.queue, &mut old.queue);
+        self.held = old.held.take();
+        self.ended = old.ended;
+        self.expects = old.expects;
+        self.dropped = old.dropped;
+    }
+}
+
+/// What became of an attempt to fire.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Take {
+    /// Something is still missing.
+    Wait,
+    /// Inputs were staged for this tick; `false` when a required one is empty.
+    Fire { tick: Tick, complete: bool },
+    /// Nothing will ever come again.
+    Finished,
+}
+
+/// All connections into a node.
+#[derive(Default)]
+pub(crate) struct Join {
+    pub slots: Vec<Slot>,
+    /// A runner holds the node.
+    pub running: bool,
+    pub finished: bool,
+    /// Inputs of the tick that is to run, one per slot.
+    pub staged: Vec<FrameRef>,
+    pub staged_take: Option<(Tick, bool)>,
+    exact: bool,
+    batch: bool,
+    /// Packets that trigger slots may hold beyond their capacity, after a pause.
+    spare: usize,
+    /// Wall time in ns after which a `nearest` slot is no longer waited for; 0 = not waiting.
+    pub nearest_deadline_ns: u64,
+}
+
+impl Join {
+    pub fn new(slots: Vec<Slot>, batch: bool) -> Self {
+        let exact = slots.iter().any(|s| s.rule == Rule::Exact);
+        let staged = Vec::with_capacity(slots.len());
+        Self { slots, exact, batch, staged, ..Self::default() }
+    }
+
+    /// Whether the node fires on arrivals because nothing gives it a tick.
+    pub fn heads_region(&self) -> bool {
+        !self.exact && self.slots.iter().any(|s| matches!(s.rule, Rule::Latest { .. } | Rule::Nearest { .. }))
+    }
+
+    /// Takes a packet; answers how many were dropped to make room.
+    pub fn push(&mut self, slot: usize, frame: FrameRef) -> u64 {
+        let (batch, heads) = (self.batch, !self.exact);
+        let slot = &mut self.slots[slot];
+        let mut dropped = 0;
+        match slot.rule {
+            Rule::Latest { trigger } if !batch => {
+                if frame.is_empty() {
+                    return 0; // An empty port leaves the newest value standing.
+                }
+                while slot.queue.len() >= slot.capacity + if trigger { self.spare } else { 0 } {
+                    slot.queue.pop_front();
+                    // A value that was only looked at is replaced, not lost: only ticks that would have fired count.
+                    dropped += u64::from(trigger && heads);
+                }
+                slot.dropped += dropped;
+            }
+            Rule::Nearest { .. } | Rule::Delay if !batch => {
+                while slot.queue.len() >= slot.capacity {
+                    slot.queue.pop_front();
+                    dropped += 1;
+                }
+                slot.dropped += dropped;
+            }
+            _ => {}
+        }
+        slot.put(frame);
+        dropped
+    }
+
+    /// Keeps what arrives during a pause instead of the newest only.
+    pub fn pause(&mut self) {
+        self.spare = MOST_PAUSED;
+    }
+
+    /// The pause is over: what waits is used up, then the newest wins again.
+    pub fn resume(&mut self) {
+        self.spare = 0;
+        for slot in &self.slots {
+            if slot.rule == (Rule::Latest { trigger: true }) {
+                self.spare = self.spare.max(slot.queue.len());
+            }
+        }
+    }
+
+    /// Sets how many packets wait at most, slot by slot.
+    pub fn set_capacities(&mut self, capacities: impl Iterator<Item = usize>) {
+        for (slot, capacity) in self.slots.iter_mut().zip(capacities) {
+            slot.capacity = capacity.max(1);
+        }
+    }
+
+    /// Becomes `new`, with what waits on the slots that stay: `from[i]` is the old place of new slot `i`.
+    pub fn rewire(&mut self, mut new: Join, from: &[Option<usize>]) {
+        for (slot, from) in new.slots.iter_mut().zip(from) {
+            if let Some(old) = from.and_then(|i| self.slots.get_mut(i)) {
+                slot.inherit(old);
+            }
+        }
+        let (running, finished, spare) = (self.running, self.finished, self.spare);
+        *self = Join { running, finished, spare, ..new };
+    }
+
+    /// No further packet comes on this slot.
+    pub fn end(&mut self, slot: usize) {
+        self.slots[slot].ended = true;
+    }
+
+    /// Fires if everything is there. `region` gates nodes that head one.
+    pub fn try_take(&mut self, region: Option<&Region>, now_ns: u64) -> Take {
+        if self.finished {
+            return Take::Finished;
+        }
+        if self.exact { self.take_exact(now_ns) } else { self.take_arrival(region) }
+    }
+
+    /// Whether what is taken may depend on who was faster.
+    pub fn is_timed(&self) -> bool {
+        self.slots.iter().any(|s| s.rule != Rule::Exact)
+    }
+
+    /// The ticks of the staged packets, `None` where there is none.
+    pub fn staged_ticks(&self) -> Vec<Option<(u32, u64)>> {
+        let staged = self.slots.iter().zip(&self.staged);
+        let known = |(slot, frame): (&Slot, &FrameRef)| {
+            (slot.rule == Rule::Exact || !frame.is_empty()).then(|| (frame.tick().source, frame.tick().seq))
+        };
+        staged.map(known).collect()
+    }
+
+    /// Takes a packet that waits until it is wanted.
+    pub fn push_for_decider(&mut self, slot: usize, frame: FrameRef) -> u64 {
+        let slot = &mut self.slots[slot];
+        if slot.rule == Rule::Exact || !frame.is_empty() {
+            slot.put(frame);
+        }
+        0
+    }
+
+    /// Fires with the packets that were taken once, when they are there. What comes before them was passed over then.
+    pub fn take_wanted(
+        &mut self,
+        region: Option<&Region>,
+        script: Option<&Mutex<VecDeque<Wanted>>>,
+        may_enter: bool,
+    ) -> Take {
+        if self.finished {
+            return Take::Finished;
+        }
+        let mut script = script.map(|s| s.lock().unwrap_or_else(PoisonError::into_inner));
+        let Some(wanted) = script.as_mut().and_then(|s| s.front()) else {
+            self.slots.iter_mut().filter(|s| s.rule != Rule::Exact).for_each(|s| s.queue.clear());
+            let fires = |s: &&Slot| match s.rule {
+                Rule::Exact => true,
+                Rule::Latest { trigger } => trigger && !self.exact,
+                Rule::Nearest { .. } | Rule::Delay => false,
+            };
+            return if self.slots.iter().filter(fires).all(|s| s.ended) { Take::Finished } else { Take::Wait };
+        };
+        let is = |frame: &FrameRef, tick: (u32, u64)| (frame.tick().source, frame.tick().seq) == tick;
+        let mut there = true;
+        for (slot, wanted) in self.slots.iter_mut().zip(&wanted.inputs) {
+            let Some(tick) = *wanted else { continue };
+            if slot.held.as_ref().is_some_and(|held| is(held, tick)) {
+                continue;
+            }
+            while slot.queue.front().is_some_and(|front| !is(front, tick)) {
+                slot.queue.pop_front();
+            }
+            match slot.queue.pop_front() {
+                Some(frame) => slot.held = Some(frame),
+                // Behind a gap of the recording it never comes.
+                None if slot.ended => slot.held = None,
+                None => there = false,
+            }
+        }
+        if !there || !may_enter || region.is_some_and(|r| !r.try_admit()) {
+            return Take::Wait;
+        }
+        let tick = wanted.tick;
+        let mut complete = true;
+        self.staged.clear();
+        for (slot, wanted) in self.slots.iter_mut().zip(wanted.inputs.iter().copied().chain(std::iter::repeat(None))) {
+            let frame = wanted.and_then(|_| slot.held.clone()).unwrap_or_else(|| FrameRef::empty(tick));
+            if slot.rule == Rule::Exact {
+                slot.held = None;
+            }
+            complete &= slot.optional || !frame.is_empty();
+            self.staged.push(frame);
+        }
+        if let Some(script) = &mut script {
+            script.pop_front();
+        }
+        self.staged_take = Some((tick, complete));
+        Take::Fire { tick, complete }
+    }
+
+    /// Packets that wait on a slot.
+    pub fn waiting(&self, slot: usize) -> usize {
+        self.slots[slot].queue.len()
+    }
+
+    /// Stages the delay and latest inputs of a source; `false` while the previous tick's value is still under way. `again` says that the
+    /// last staging led to no tick, so that no producer answered it.
+    pub fn take_source(&mut self, tick: Tick, again: bool) -> bool {
+        if again {
+            self.slots.iter_mut().for_each(|s| s.expects = false);
+        }
+        if self.slots.iter().any(Slot::waits_for_delayed) {
+            return false;
+        }
+        self.stage(tick, None);
+        self.staged_take = None;
+        true
+    }
+
+    fn take_exact(&mut self, now_ns: u64) -> Take {
+        let mut tick = None;
+        for slot in self.slots.iter().filter(|s| s.rule == Rule::Exact) {
+            match slot.queue.front() {
+                Some(front) => tick = tick.or(Some(front.tick())),
+                None if slot.ended => return Take::Finished,
+                None => return Take::Wait,
+            }
+        }
+        let Some(tick) = tick else { return Take::Wait };
+        if !self.others_ready(tick, now_ns) {
+            return Take::Wait;
+        }
+        self.stage(tick, None)
+    }
+
+    /// Delay, latest and nearest slots of a node that has its tick.
+    fn others_ready(&mut self, tick: Tick, now_ns: u64) -> bool {
+        for slot in &self.slots {
+            let newest = slot.queue.back().map(|f| f.tick().capture_ns);
+            let ready = match slot.rule {
+                Rule::Exact => true,
+                Rule::Delay => !slot.waits_for_delayed(),
+                Rule::Latest { .. } if self.batch => slot.ended || newest.is_some_and(|t| t >= tick.capture_ns),
+                Rule::Latest { .. } => true,
+                Rule::Nearest { tolerance_ns } => {
+                    let arrived = slot.ended || newest.is_some_and(|t| t >= tick.capture_ns);
+                    if !arrived && !self.batch && self.nearest_deadline_ns == 0 {
+                        self.nearest_deadline_ns = now_ns.saturating_add(tolerance_ns.max(1) as u64);
+                    }
+                    arrived || (!self.batch && now_ns >= self.nearest_deadline_ns)
+                }
+            };
+            if !ready {
+                return false;
+            }
+        }
+        true
+    }
+
+    fn take_arrival(&mut self, region: Option<&Region>) -> Take {
+        let fires = |s: &Slot| matches!(s.rule, Rule::Latest { trigger: true });
+        // In batch the merged order must not depend on who was faster: wait until every firing slot shows its next packet.
+        if self.batch && self.slots.iter().any(|s| fires(s) && s.queue.is_empty() && !s.ended) {
+            return Take::Wait;
+        }
+        let next = self
+            .slots
+            .iter()
+            .enumerate()
+            .filter(|(_, s)| fires(s))
+            .filter_map(|(i, s)| s.queue.front().map(|f| (f.tick().capture_ns, i)))
+            .min();
+        let Some((_, index)) = next else {
+            let over = self.slots.iter().filter(|s| fires(s)).all(|s| s.ended);
+            return if over { Take::Finished } else { Take::Wait };
+        };
+        let tick = self.slots[index].queue[0].tick();
+        if self.batch {
+            let behind = |s: &Slot| {
+                !fires(s) && !s.ended && s.queue.back().is_none_or(|f| f.tick().capture_ns < tick.capture_ns)
+            };
+            if self.slots.iter().any(|s| s.rule != Rule::Delay && behind(s)) {
+                return Take::Wait;
+            }
+        } else {
+            // A required value that never came: the node does not fire.
+            let missing = |(i, s): (usize, &Slot)| i != index && !s.optional && s.queue.is_empty() && s.held.is_none();
+            if self.slots.iter().enumerate().any(missing) {
+                return Take::Wait;
+            }
+        }
+        if self.slots.iter().any(Slot::waits_for_delayed) {
+            return Take::Wait;
+        }
+        if region.is_some_and(|r| !r.try_admit()) {
+            return Take::Wait;
+        }
+        self.stage(tick, Some(index))
+    }
+
+    fn stage(&mut self, tick: Tick, fired_by: Option<usize>) -> Take {
+        let mut complete = true;
+        self.nearest_deadline_ns = 0;
+        self.staged.clear();
+        for (index, slot) in self.slots.iter_mut().enumerate() {
+            let frame = match slot.rule {
+                Rule::Exact => slot.queue.pop_front(),
+                Rule::Delay => {
+                    // The producer's packet of the previous tick; an empty one leaves the last value standing.
+                    if std::mem::replace(&mut slot.expects, true)
+                        && let Some(frame) = slot.queue.pop_front()
+                        && !frame.is_empty()
+                    {
+                        slot.held = Some(frame);
+                    }
+                    slot.held.clone()
+                }
+                Rule::Latest { .. } => {
+                    if fired_by == Some(index) {
+                        slot.held = slot.queue.pop_front();
+                    } else {
+                        while let Some(front) = slot.queue.front()
+                            && (!self.batch || front.tick().capture_ns <= tick.capture_ns)
+                        {
+                            let frame = slot.queue.pop_front();
+                            if frame.as_ref().is_some_and(|f| !f.is_empty()) {
+                                slot.held = frame;
+                            }
+                        }
+                    }
+                    slot.held.clone()
+                }
+                Rule::Nearest { tolerance_ns } => {
+                    let distance = |f: &FrameRef| f.tick().capture_ns.abs_diff(tick.capture_ns);
+                    while slot.queue.len() > 1 && distance(&slot.queue[1]) <= distance(&slot.queue[0]) {
+                        slot.queue.pop_front();
+                    }
+                    slot.queue.front().filter(|f| distance(f) <= tolerance_ns.max(0) as u64).cloned()
+                }
+            };
+            let frame = frame.unwrap_or_else(|| FrameRef::empty(tick));
+            complete &= slot.optional || !frame.is_empty();
+            self.staged.push(frame);
+        }
+        if self.spare > 0 {
+            let waiting = self.slots.iter().map(|s| s.queue.len()).max().unwrap_or(0);
+            self.spare = if self.spare == MOST_PAUSED { self.spare } else { self.spare.min(waiting) };
+        }
+        self.staged_take = Some((tick, complete));
+        Take::Fire { tick, complete }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::memory::memory;
+    use panoscope_abi::Frame;
+
+    fn packet(seq: u64) -> FrameRef {
+        let (buffer, data) = memory().allocate(16).expect("memory");
+        let tick = Tick { source: 0, flags: 0, seq, capture_ns: seq as i64 * 10 };
+        // SAFETY: the one reference of a new buffer.
+        unsafe { FrameRef::adopt(Frame { buffer, data, len: 16, tick, ..Frame::EMPTY }) }
+    }
+
+    fn seq(frame: &FrameRef) -> Option<u64> {
+        (!frame.is_empty()).then(|| frame.tick().seq)
+    }
+
+    fn fired(take: Take) -> Option<(u64, bool)> {
+        match take {
+            Take::Fire { tick, complete } => Some((tick.seq, complete)),
+            _ => None,
+        }
+    }
+
+    #[test]
+    fn exact_slots_wait_for_each_other() {
+        let slots = vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Exact, false, 1)];
+        let mut join = Join::new(slots, false);
+        join.push(0, packet(0));
+        assert_eq!(join.try_take(None, 0), Take::Wait);
+        join.push(1, FrameRef::empty(Tick::default()));
+        assert_eq!(fired(join.try_take(None, 0)), Some((0, false)), "an empty required input skips the node");
+        join.end(0);
+        join.end(1);
+        assert_eq!(join.try_take(None, 0), Take::Finished);
+    }
+
+    #[test]
+    fn delay_gives_the_previous_tick() {
+        let slots = vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Delay, true, 1)];
+        let mut join = Join::new(slots, true);
+        join.push(0, packet(0));
+        join.push(0, packet(1));
+        join.push(0, packet(2));
+        assert_eq!(fired(join.try_take(None, 0)), Some((0, true)));
+        assert_eq!(seq(&join.staged[1]), None, "nothing on the first tick");
+        assert_eq!(join.try_take(None, 0), Take::Wait, "waits for the producer's tick 0");
+        join.push(1, packet(0));
+        assert_eq!(fired(join.try_take(None, 0)), Some((1, true)));
+        assert_eq!(seq(&join.staged[1]), Some(0));
+        join.push(1, FrameRef::empty(Tick { seq: 1, ..Tick::default() }));
+        assert_eq!(fired(join.try_take(None, 0)), Some((2, true)));
+        assert_eq!(seq(&join.staged[1]), Some(0), "an empty one leaves the last value");
+    }
+
+    #[test]
+    fn batch_latest_waits_for_the_newest_not_after_the_tick() {
+        let slots = vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Latest { trigger: false }, true, 1)];
+        let mut join = Join::new(slots, true);
+        join.push(0, packet(5));
+        join.push(1, packet(3));
+        assert_eq!(join.try_take(None, 0), Take::Wait, "a newer one may still come");
+        join.push(1, packet(4));
+        join.push(1, packet(6));
+        assert_eq!(fired(join.try_take(None, 0)), Some((5, true)));
+        assert_eq!(seq(&join.staged[1]), Some(4));
+    }
+
+    #[test]
+    fn live_latest_overwrites_and_counts() {
+        let mut join = Join::new(vec![Slot::new(Rule::Latest { trigger: true }, false, 1)], false);
+        assert_eq!(join.push(0, packet(0)), 0);
+        assert_eq!(join.push(0, packet(1)), 1);
+        assert_eq!(fired(join.try_take(None, 0)), Some((1, true)));
+        assert_eq!(join.try_take(None, 0), Take::Wait, "one arrival fires once");
+    }
+
+    #[test]
+    fn nearest_takes_the_closest_or_nothing() {
+        let nearest = Rule::Nearest { tolerance_ns: 12 };
+        let room = Slot::usual_capacity(nearest);
+        let mut join = Join::new(vec![Slot::new(Rule::Exact, false, 1), Slot::new(nearest, true, room)], false);
+        join.push(0, packet(5));
+        assert_eq!(join.try_take(None, 100), Take::Wait);
+        join.push(1, packet(4));
+        join.push(1, packet(7));
+        assert_eq!(fired(join.try_take(None, 101)), Some((5, true)));
+        assert_eq!(seq(&join.staged[1]), Some(4));
+        join.push(0, packet(20));
+        assert_eq!(join.try_take(None, 200), Take::Wait);
+        assert_eq!(fired(join.try_take(None, 212)), Some((20, true)), "the wait has an end");
+        assert_eq!(seq(&join.staged[1]), None);
+    }
+
+    #[test]
+    fn nearest_and_delay_take_no_more_than_fit_and_count_what_goes() {
+        for rule in [Rule::Nearest { tolerance_ns: 12 }, Rule::Delay] {
+            let mut join = Join::new(vec![Slot::new(Rule::Exact, false, 1), Slot::new(rule, true, 4)], false);
+            let dropped: u64 = (0..1_000).map(|seq| join.push(1, packet(seq))).sum();
+            assert_eq!((join.waiting(1), dropped, join.slots[1].dropped()), (4, 996, 996), "{rule:?}");
+            join.push(0, packet(997));
+            join.push(1, packet(1_000));
+            assert_eq!(fired(join.try_take(None, 0)), Some((997, true)));
+            if rule != Rule::Delay {
+                assert_eq!(seq(&join.staged[1]), Some(997), "the newest are kept");
+            }
+        }
+        // In batch nothing is lost.
+        let slots = vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Nearest { tolerance_ns: 12 }, true, 4)];
+        let mut join = Join::new(slots, true);
+        assert_eq!((0..100).map(|seq| join.push(1, packet(seq))).sum::<u64>(), 0);
+    }
+
+    #[test]
+    fn capture_times_at_the_ends_of_their_range_do_no_harm() {
+        let at = |capture_ns| {
+            let raw = packet(1).into_raw();
+            // SAFETY: the reference that was just taken out.
+            unsafe { FrameRef::adopt(Frame { tick: Tick { capture_ns, ..raw.tick }, ..raw }) }
+        };
+        let slots =
+            vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Nearest { tolerance_ns: i64::MAX }, true, 4)];
+        let mut join = Join::new(slots, false);
+        join.push(0, at(i64::MAX));
+        join.push(1, at(i64::MIN));
+        assert_eq!(join.try_take(None, u64::MAX - 1), Take::Wait);
+        join.push(1, at(i64::MIN + 1));
+        assert_eq!(fired(join.try_take(None, u64::MAX)), Some((1, true)));
+        assert_eq!(seq(&join.staged[1]), None, "too far away");
+    }
+
+    #[test]
+    fn batch_arrivals_merge_by_capture_time() {
+        let trigger = Rule::Latest { trigger: true };
+        let mut join = Join::new(vec![Slot::new(trigger, true, 1), Slot::new(trigger, true, 1)], true);
+        join.push(1, packet(2));
+        assert_eq!(join.try_take(None, 0), Take::Wait);
+        join.push(0, packet(1));
+        assert_eq!(fired(join.try_take(None, 0)).map(|f| f.0), Some(1));
+        join.end(0);
+        assert_eq!(fired(join.try_take(None, 0)).map(|f| f.0), Some(2));
+        join.end(1);
+        assert_eq!(join.try_take(None, 0), Take::Finished);
+    }
+}

@@ -1,0 +1,38 @@
+//! Asking a thread to leave.
+
+use std::sync::atomic::{AtomicU8, Ordering};
+
+/// A request to a thread to leave, which it accepts before it does.
+#[derive(Default)]
+pub(crate) struct Leave(AtomicU8);
+
+impl Leave {
+    const REQUESTED: u8 = 1;
+    const ACCEPTED: u8 = 2;
+
+    pub fn request(&self) {
+        let _ = self.0.compare_exchange(0, Self::REQUESTED, Ordering::AcqRel, Ordering::Relaxed);
+    }
+
+    pub fn is_requested(&self) -> bool {
+        self.0.load(Ordering::Relaxed) != 0
+    }
+
+    /// Called by the thread: whether it leaves now.
+    pub fn accept(&self) -> bool {
+        self.0.load(Ordering::Relaxed) != 0 && {
+            let _ = self.0.compare_exchange(Self::REQUESTED, Self::ACCEPTED, Ordering::AcqRel, Ordering::Relaxed);
+            self.0.load(Ordering::Acquire) == Self::ACCEPTED
+        }
+    }
+
+    /// Takes the request back; `false` when the thread has set out to leave.
+    pub fn withdraw(&self) -> bool {
+        self.0.compare_exchange(Self::REQUESTED, 0, Ordering::AcqRel, Ordering::Acquire) != Err(Self::ACCEPTED)
+    }
+
+    /// For the next thread.
+    pub fn reset(&self) {
+        self.0.store(0, Ordering::Release);
+    }
+}

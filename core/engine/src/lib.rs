@@ -1,0 +1,55 @@
+//! The Panoscope engine: it runs checked graphs and reports how they do.
+//!
+//! [`Engine`] opens the nodes of a checked graph and walks ticks through them. Nothing here knows what a node does, where its code comes
+//! from ([`Plugins`]), who writes the run down ([`observe::Observer`]) or what it follows besides the clock ([`decide::Decider`]).
+
+mod apply;
+mod busy;
+mod claims;
+pub mod clock;
+mod convert;
+pub mod decide;
+pub mod ending;
+mod engine;
+mod exec;
+mod failures;
+pub mod fault;
+mod finish;
+mod guard;
+mod host;
+mod ingest;
+mod instance;
+mod join;
+mod leave;
+pub mod loading;
+pub mod log;
+pub mod memory;
+mod node;
+pub mod numbers;
+pub mod observe;
+mod outbox;
+mod outputs;
+mod own_thread;
+pub mod params;
+mod plan;
+mod play;
+mod plugins;
+pub mod pool;
+mod preview;
+mod region;
+mod report;
+mod retained;
+mod schedule;
+mod scratch;
+pub mod stats;
+mod sync;
+mod thread_id;
+mod threads;
+mod watch;
+
+pub use apply::{Applied, ApplyError};
+pub use engine::{Engine, Options, Outcome, SetError, StartError};
+pub use outbox::panic_words;
+pub use plugins::Plugins;
+pub use preview::{HearFn, HearNumberFn, Listener, NumberListener, Preview};
+pub use report::{Machine, NodeReport, NodeWindow, PathReport, QueueWindow, Report, Window, WireDrops};

@@ -1,0 +1,31 @@
+//! What a loader of plugins needs of the process that the plugins run in: the host's table, and the names for a crash report.
+
+use std::path::Path;
+
+use panoscope_abi as abi;
+use panoscope_graph::Validator;
+
+use crate::ending::who;
+use crate::host;
+
+/// The table of host functions for a plugin; valid until the process ends.
+///
+/// `descriptor` is the plugin's own description. It tells plugins apart and is not read.
+pub fn plugin_table(descriptor: *const abi::Plugin) -> *const abi::Host {
+    host::plugin_table(descriptor)
+}
+
+/// Runs code of a plugin's file that belongs to no node yet: constructors, its description. A crash report names the file.
+pub fn run<T>(file: &Path, work: impl FnOnce() -> T) -> T {
+    who::loading(file, work)
+}
+
+/// A plugin was loaded: a crash report of a node of these types names this file.
+pub fn remember(entries: &[&'static abi::NodeType], file: &Path) {
+    who::loaded(entries, file);
+}
+
+/// The same check of parameters; a crash report names its node type and file.
+pub fn guard_check(node_type: &str, file: &Path, validator: Validator) -> Validator {
+    who::checking(node_type, file, validator)
+}

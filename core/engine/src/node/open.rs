@@ -1,0 +1,54 @@
+//! Opening an instance of a node.
+
+use std::sync::atomic::Ordering;
+
+use panoscope_abi::{self as abi, Str};
+
+use super::{NodeRuntime, RunContext};
+use crate::claims::Holds;
+use crate::ending::who;
+use crate::host::CallContext;
+use crate::instance::Instance;
+use crate::params::Snapshot;
+
+impl NodeRuntime {
+    /// Opens an instance with the given values.
+    pub fn open(&self, around: &RunContext, snapshot: &Snapshot) -> Result<Instance, String> {
+        if around.decider.as_ref().is_some_and(|d| d.closes(self.source, self.side_effects)) {
+            return Ok(Instance::none(self.node_type));
+        }
+        let mut instance = Instance::none(self.node_type);
+        *instance.holds = Holds::new(&around.claims);
+        instance.kept.belongs_to(&self.who);
+        let mut failure = String::new();
+        let mut context = CallContext::without_tick(self, around, &instance.holds, &mut failure);
+        let mut call = abi::OpenCall {
+            struct_size: size_of::<abi::OpenCall>() as u32,
+            flags: if around.batch { abi::CALL_BATCH } else { 0 },
+            host: &raw const around.host,
+            call: (&raw mut context).cast(),
+            node_id: Str::borrow(&self.id),
+            params: snapshot.values().as_ptr(),
+            params_len: snapshot.values().len(),
+            graph_dir: Str::borrow(&around.graph_dir),
+            outputs_read: self.outputs_read.load(Ordering::Relaxed),
+        };
+        let mut raw = std::ptr::null_mut();
+        let status = match self.node_type.open {
+            Some(open) => {
+                // SAFETY: the contract; everything the call points to outlives it.
+                who::opening(&self.who, || instance.kept.during(|| unsafe { open(&raw mut call, &raw mut raw) }))
+            }
+            None => abi::STATUS_INVALID,
+        };
+        if status == abi::STATUS_OK {
+            (instance.raw, instance.open) = (raw, true);
+            return Ok(instance);
+        }
+        if failure.is_empty() {
+            failure = format!("it did not open (status {status})");
+        }
+        self.recovery.gives_up.store(status == abi::STATUS_STOPPED, Ordering::Release);
+        Err(failure)
+    }
+}

@@ -1,0 +1,111 @@
+//! What an engine reports of its run to whoever writes it down.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use panoscope_abi::{Frame, Tick};
+use panoscope_graph::{Graph, ParamValue};
+
+use crate::apply::Applied;
+use crate::fault::Fault;
+
+/// What happened, in the order in which it happened to its node.
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// A live source's tick was dropped where it would have entered.
+    Dropped {
+        /// The source.
+        node: String,
+        /// The tick.
+        seq: u64,
+    },
+    /// Which packets a node took whose inputs do not all belong to one tick.
+    Took {
+        /// The node.
+        node: String,
+        /// The tick that fired it.
+        tick: Tick,
+        /// Source slot and number of each connection's packet, `None` where there was none.
+        inputs: Vec<Option<(u32, u64)>>,
+    },
+    /// From this tick on a node had these values, all its parameters in declaration order.
+    Values {
+        /// The node.
+        node: String,
+        /// The tick.
+        tick: Tick,
+        /// The values.
+        values: Vec<ParamValue>,
+    },
+    /// Before this tick a node was opened anew: after a fault, or with values that need it.
+    Opened {
+        /// The node.
+        node: String,
+        /// The tick.
+        tick: Tick,
+        /// All its parameters, in declaration order.
+        values: Vec<ParamValue>,
+    },
+    /// A node made nothing of a tick although its inputs were there: it was down, failed, or had been called just before.
+    Skipped {
+        /// The node.
+        node: String,
+        /// The tick.
+        tick: Tick,
+        /// Its instance was given up.
+        closed: bool,
+    },
+    /// A parameter was set; a [`Event::Values`] or [`Event::Opened`] says from which tick on.
+    Set {
+        /// The node.
+        node: String,
+        /// All its parameters, in declaration order.
+        values: Vec<ParamValue>,
+    },
+    /// The graph was changed.
+    Edit {
+        /// The graph from then on.
+        graph: Box<Graph>,
+        /// Ticks that the regions it touched had admitted, by head.
+        admitted: Vec<(String, u64)>,
+        /// What it did; `switched_at` names the first tick of each source that met the new graph.
+        applied: Box<Applied>,
+        /// Names and files of the graph's plugins, where they changed.
+        plugins: Vec<(String, PathBuf)>,
+    },
+    /// A fault.
+    Fault(Fault),
+}
+
+/// Takes words about trouble with what an observer does, such as a full disk.
+pub type ReportFn = dyn Fn(&str) + Send + Sync;
+
+/// Hears of everything that a replay needs: what came from outside, and what depended on time.
+///
+/// The engine's threads call these between two nodes, so that none may wait for a disk.
+pub trait Observer: Send + Sync {
+    /// Whether sources make all their outputs, also those that no node reads.
+    fn wants_all_source_outputs(&self) -> bool;
+
+    /// Something happened.
+    fn event(&self, event: Event);
+
+    /// The region of `head` admitted a tick.
+    fn admitted(&self, head: &str);
+
+    /// Ticks that the region of `head` has admitted.
+    fn admitted_by(&self, head: &str) -> u64;
+
+    /// A node that is no source made these outputs. The frames are borrowed for the call.
+    fn outputs(&self, node: &str, ports: &Arc<[String]>, outputs: &[Frame]);
+
+    /// A source made a tick. The frames are borrowed for the call.
+    fn source_tick(&self, node: &str, ports: &Arc<[String]>, tick: &Tick, outputs: &[Frame]);
+
+    /// Where trouble is reported from now on.
+    fn report_to(&self, report: Box<ReportFn>);
+
+    /// The process is about to end after a crash: completes the files by `until`. Returns whether that was done.
+    fn break_off(&self, until: Instant) -> bool;
+}

@@ -1,0 +1,213 @@
+//! A bounded queue in front of something that may be slow: a terminal that nobody reads, a full pipe, a disk. Whoever puts something in
+//! never waits; what finds no room is counted, and the count stands in the place of what was left out.
+
+use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Items that wait; more are left out.
+pub(crate) const MOST_WAITING: usize = 1024;
+/// How long the end of a queue waits for what is still to be written.
+const LONGEST_FLUSH: Duration = Duration::from_secs(1);
+
+/// Items of all queues of the process that are not written yet.
+static UNWRITTEN: AtomicUsize = AtomicUsize::new(0);
+
+/// Writes one item.
+type Write<T> = Box<dyn FnMut(T) + Send>;
+
+struct State<T> {
+    items: VecDeque<T>,
+    skipped_tick: u64,
+    writing: bool,
+    ended: bool,
+}
+
+struct Inner<T> {
+    state: Mutex<State<T>>,
+    /// Something waits, or the end has come.
+    wake: Condvar,
+    /// Nothing waits any more.
+    done: Condvar,
+    /// Makes the item that stands for so many that were left out.
+    note: fn(u64) -> T,
+}
+
+/// See the module.
+pub(crate) struct Outbox<T: Send + 'static> {
+    inner: Arc<Inner<T>>,
+    /// Without a thread whoever puts something in writes it.
+    direct: Option<Mutex<Write<T>>>,
+}
+
+impl<T> Inner<T> {
+    fn state(&self) -> MutexGuard<'_, State<T>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes what is to be written next; `None` at the end.
+    fn next(&self) -> Option<T> {
+        let mut state = self.state();
+        state.writing = false;
+        loop {
+            if let Some(item) = state.items.pop_front() {
+                state.writing = true;
+                return Some(item);
+            }
+            if state.skipped_tick > 0 {
+                state.writing = true;
+                UNWRITTEN.fetch_add(1, Ordering::Relaxed);
+                return Some((self.note)(std::mem::take(&mut state.skipped_tick)));
+            }
+            self.done.notify_all();
+            if state.ended {
+                return None;
+            }
+            state = self.wake.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}
+
+impl<T: Send + 'static> Outbox<T> {
+    /// A queue that a thread of this name hands to `write`, one item after the other. A panic of `write` loses one item, not the queue;
+    /// `panicked` hears what it says.
+    pub fn new(
+        name: &str,
+        note: fn(u64) -> T,
+        write: impl FnMut(T) + Send + 'static,
+        panicked: impl Fn(&str) + Send + 'static,
+    ) -> Self {
+        let state = State { items: VecDeque::new(), skipped_tick: 0, writing: false, ended: false };
+        let inner = Arc::new(Inner { state: Mutex::new(state), wake: Condvar::new(), done: Condvar::new(), note });
+        let mut write = write;
+        let guarded: Write<T> = Box::new(move |item| {
+            if let Err(payload) = catch_unwind(AssertUnwindSafe(|| write(item))) {
+                panicked(panic_words(&*payload));
+            }
+        });
+        // Handed over by a place of their own: where no thread can be had they are still here.
+        let place = Arc::new(Mutex::new(Some(guarded)));
+        let (mine, theirs) = (Arc::clone(&inner), Arc::clone(&place));
+        let started = std::thread::Builder::new().name(name.to_owned()).spawn(move || {
+            let write = theirs.lock().unwrap_or_else(PoisonError::into_inner).take();
+            let Some(mut write) = write else { return };
+            while let Some(item) = mine.next() {
+                write(item);
+                UNWRITTEN.fetch_sub(1, Ordering::Relaxed);
+            }
+        });
+        let direct = match started {
+            Ok(_) => None,
+            Err(_) => place.lock().unwrap_or_else(PoisonError::into_inner).take().map(Mutex::new),
+        };
+        Self { inner, direct }
+    }
+
+    /// Takes an item; never waits.
+    pub fn put(&self, item: T) {
+        if let Some(direct) = &self.direct {
+            return direct.lock().unwrap_or_else(PoisonError::into_inner)(item);
+        }
+        let mut state = self.inner.state();
+        if state.items.len() >= MOST_WAITING {
+            state.skipped_tick += 1;
+            return;
+        }
+        let mut more = 1;
+        if state.skipped_tick > 0 {
+            let note = (self.inner.note)(std::mem::take(&mut state.skipped_tick));
+            state.items.push_back(note);
+            more = 2;
+        }
+        UNWRITTEN.fetch_add(more, Ordering::Relaxed);
+        state.items.push_back(item);
+        drop(state);
+        self.inner.wake.notify_one();
+    }
+
+    /// Waits until all is written, at most `limit`; `false` when it is not by then.
+    pub fn flush(&self, limit: Duration) -> bool {
+        let until = Instant::now() + limit;
+        let mut state = self.inner.state();
+        while state.writing || !state.items.is_empty() || state.skipped_tick > 0 {
+            let Some(left) = until.checked_duration_since(Instant::now()).filter(|d| !d.is_zero()) else {
+                return false;
+            };
+            state = self.inner.done.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        true
+    }
+}
+
+impl<T: Send + 'static> Drop for Outbox<T> {
+    fn drop(&mut self) {
+        self.inner.state().ended = true;
+        self.inner.wake.notify_all();
+        // A thread that cannot write now is left to itself.
+        self.flush(LONGEST_FLUSH);
+    }
+}
+
+/// Waits until everything is written that was put into any queue of the process, at most `limit`. Takes no lock and uses no memory, so that it
+/// may be called while the program goes down.
+pub(crate) fn flush_all(limit: Duration) -> bool {
+    const STEP_MS: u64 = 2;
+    for _ in 0..limit.as_millis() as u64 / STEP_MS + 1 {
+        if UNWRITTEN.load(Ordering::Relaxed) == 0 {
+            return true;
+        }
+        std::thread::sleep(Duration::from_millis(STEP_MS));
+    }
+    false
+}
+
+/// What a panic said.
+pub fn panic_words(payload: &(dyn std::any::Any + Send)) -> &str {
+    let text = payload.downcast_ref::<&str>().copied();
+    text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("without a message")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::mpsc;
+
+    #[test]
+    fn whoever_puts_something_in_never_waits_and_what_is_left_out_is_counted() {
+        let (go, gate) = mpsc::channel::<()>();
+        let written = Arc::new(Mutex::new(Vec::new()));
+        let list = Arc::clone(&written);
+        let write = move |line: String| {
+            let _ = gate.recv();
+            list.lock().expect("no panic").push(line);
+        };
+        let outbox = Outbox::new("test", |n| format!("{n} left out"), write, |_| {});
+        let total = MOST_WAITING + 50;
+        (0..total).for_each(|n| outbox.put(n.to_string()));
+        assert!(!outbox.flush(Duration::from_millis(1)), "nobody reads");
+        drop(go);
+        assert!(outbox.flush(Duration::from_secs(60)), "it is read now");
+        let written = written.lock().expect("no panic");
+        let said: u64 = written.iter().filter_map(|l| l.strip_suffix(" left out")?.parse::<u64>().ok()).sum();
+        let lines: Vec<usize> = written.iter().filter_map(|l| l.parse().ok()).collect();
+        assert!(said > 0);
+        assert_eq!(lines.len() as u64 + said, total as u64, "each is written or counted");
+        assert!(lines.is_sorted(), "in order");
+    }
+
+    #[test]
+    fn a_panic_while_writing_is_told_and_the_next_item_is_written() {
+        let (told, words) = mpsc::channel();
+        let (done, seen) = mpsc::channel();
+        let write = move |n: u32| {
+            assert!(n != 1, "no room for {n}");
+            let _ = done.send(n);
+        };
+        let outbox = Outbox::new("test", |_| 0, write, move |words| drop(told.send(words.to_owned())));
+        (1..=3).for_each(|n| outbox.put(n));
+        assert_eq!(words.recv().expect("it is told"), "no room for 1");
+        assert_eq!([seen.recv(), seen.recv()], [Ok(2), Ok(3)]);
+    }
+}

@@ -1,0 +1,486 @@
+//! From a checked graph to what the scheduler walks: who reads what, which nodes run inline, which form a region.
+//!
+//! A node has a *slot*, a number that stays its own as long as a node of its name is in the graph, so that ticks and tasks under
+//! way mean the same before and after a change. Slots of removed nodes are used again.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use panoscope_abi::{self as abi, PortRange};
+use panoscope_graph::{Align, Catalog, Edge, Graph, Mode, NodeKind};
+
+use crate::join::{Join, Rule, Slot};
+use crate::node::{NodeRuntime, NodeSpec};
+use crate::params::Snapshot;
+use crate::pool::Urgency;
+use crate::region::Region;
+
+/// A reader of an output.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Reader {
+    pub node: usize,
+    pub slot: usize,
+    /// It wants gray8 where bgr8 may come.
+    pub convert: bool,
+    /// Formats that it takes; 0 for any.
+    pub accepts: u32,
+}
+
+/// The one reader of a node, when it runs inline after it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Inline {
+    pub port: usize,
+    pub node: usize,
+    /// It runs even if its input is empty.
+    pub optional: bool,
+    pub accepts: u32,
+}
+
+/// A node that runs inline after another, as the walk along a chain needs it.
+pub(crate) struct Link {
+    pub cell: Arc<NodeRuntime>,
+    pub node: u32,
+    /// Output of the node before it.
+    pub port: u32,
+    pub accepts: u32,
+    pub optional: bool,
+    /// Its one input port is this one, with this one connection.
+    pub lone: bool,
+    pub sink: bool,
+}
+
+/// What the scheduler needs to know of a node besides its cell.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Wiring {
+    /// Readers of each output.
+    pub readers: Vec<Vec<Reader>>,
+    pub inline: Option<Inline>,
+    /// First node of the inline chain that this one is part of.
+    pub chain_head: usize,
+    pub region: usize,
+    /// No exact reader: its tick ends here.
+    pub leaf: bool,
+    /// Nobody reads any output.
+    pub sink: bool,
+    /// Whether somebody's tick waits for what it makes.
+    pub urgency: Urgency,
+}
+
+/// What a region is made of.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Extent {
+    pub head: usize,
+    pub leaves: u32,
+    pub limit: u32,
+    /// Sorted.
+    pub members: Vec<usize>,
+}
+
+/// A graph laid out for the scheduler. All lists but the regions' are indexed by slot.
+pub(crate) struct Plan {
+    pub cells: Vec<Arc<NodeRuntime>>,
+    /// Slots without a node keep the cell of the last one.
+    pub alive: Vec<bool>,
+    pub wiring: Vec<Wiring>,
+    /// All chains, each in the order of its nodes, without its head.
+    links: Vec<Link>,
+    /// Where in `links` those stand that follow a node.
+    following: Vec<Range<u32>>,
+    pub regions: Vec<Arc<Region>>,
+    pub extents: Vec<Extent>,
+    /// For each region, who reads from it without being part of it: node and slot.
+    pub outsiders: Vec<Vec<(usize, usize)>>,
+    /// Slot of each node of the graph.
+    pub slots: Vec<usize>,
+    /// Some input waits for a nearby packet, so somebody must watch the time.
+    pub nearest: bool,
+    /// Ticks of a region that may be under way; see [`crate::Options::ticks_at_once`].
+    pub ticks_at_once: Option<u32>,
+}
+
+impl Plan {
+    /// All nodes with their slots.
+    pub fn live(&self) -> impl Iterator<Item = (usize, &Arc<NodeRuntime>)> {
+        self.cells.iter().enumerate().filter(|(slot, _)| self.alive[*slot])
+    }
+
+    /// The region that a node is part of.
+    pub fn region_of(&self, node: usize) -> &Arc<Region> {
+        &self.regions[self.wiring[node].region]
+    }
+
+    /// The nodes that run inline after a node, one after the other.
+    #[inline]
+    pub fn following(&self, node: usize) -> &[Link] {
+        let Range { start, end } = self.following[node];
+        &self.links[start as usize..end as usize]
+    }
+}
+
+fn rule(edge: &Edge, any_trigger: bool) -> Rule {
+    match edge.align {
+        _ if edge.delay > 0 => Rule::Delay,
+        Align::Exact => Rule::Exact,
+        Align::Latest => Rule::Latest { trigger: edge.trigger || !any_trigger },
+        Align::Nearest { tolerance_ms } => Rule::Nearest { tolerance_ns: (tolerance_ms * 1e6) as i64 },
+    }
+}
+
+fn is_exact(edge: &Edge) -> bool {
+    edge.delay == 0 && edge.align == Align::Exact
+}
+
+/// Finds the engine's entry of a node type: plugin, type.
+pub(crate) type Entry<'a> = &'a dyn Fn(&str, &str) -> Option<&'static abi::NodeType>;
+
+/// The entry of a node of the graph.
+pub(crate) fn entry_of(graph: &Graph, node: usize, entry: Entry<'_>) -> Result<&'static abi::NodeType, String> {
+    let node = &graph.nodes[node];
+    entry(&node.plugin, &node.type_name)
+        .ok_or_else(|| format!("plugin `{}` no longer offers `{}`", node.plugin, node.type_name))
+}
+
+/// The node through which ticks enter the region of `node`.
+fn head_of(graph: &Graph, mut node: usize) -> usize {
+    while let Some(edge) = graph.inputs_of(node).iter().find(|e| is_exact(e)) {
+        node = edge.from_node;
+    }
+    node
+}
+
+/// Most packets that wait on a wire in live mode, see [`Slot::capacity`].
+fn capacity(graph: &Graph, edge: &Edge, any_trigger: bool) -> usize {
+    let rule = rule(edge, any_trigger);
+    if rule == Rule::Delay && head_of(graph, edge.from_node) == head_of(graph, edge.to_node) {
+        // Each tick of the region wants its packet.
+        return usize::MAX;
+    }
+    edge.queue.map_or_else(|| Slot::usual_capacity(rule), |queue| queue as usize)
+}
+
+/// The same for all wires into a node, in the order of its slots.
+pub(crate) fn capacities(graph: &Graph, node: usize) -> impl Iterator<Item = usize> {
+    let edges = graph.inputs_of(node);
+    let any_trigger = edges.iter().any(|e| e.trigger);
+    edges.iter().map(move |edge| capacity(graph, edge, any_trigger))
+}
+
+/// Empty inputs of a node, and which slots belong to which port.
+pub(crate) fn inputs(graph: &Graph, catalog: &Catalog, node: usize) -> (Join, Vec<PortRange>) {
+    let description = graph.nodes[node].node_type(catalog);
+    let edges = graph.inputs_of(node);
+    let any_trigger = edges.iter().any(|e| e.trigger);
+    let mut ranges = Vec::with_capacity(description.inputs.len());
+    let mut slots = Vec::with_capacity(edges.len());
+    for (port, declared) in description.inputs.iter().enumerate() {
+        let first = slots.len() as u32;
+        for edge in edges.iter().filter(|e| e.to_port == port) {
+            // A list's entries may be empty one by one.
+            let optional = declared.optional || declared.list;
+            slots.push(Slot::new(rule(edge, any_trigger), optional, capacity(graph, edge, any_trigger)));
+        }
+        ranges.push(PortRange { first, count: slots.len() as u32 - first });
+    }
+    (Join::new(slots, graph.mode == Mode::Batch), ranges)
+}
+
+/// Which outputs of a node have a reader, one bit each.
+pub(crate) fn outputs_read(graph: &Graph, node: usize) -> u64 {
+    graph.outputs_of(node).fold(0u64, |bits, e| bits | 1u64.checked_shl(e.from_port as u32).unwrap_or(0))
+}
+
+/// A cell for a node of the graph; its instance is not open yet.
+pub(crate) fn cell(
+    graph: &Graph,
+    catalog: &Catalog,
+    node: usize,
+    node_type: &'static abi::NodeType,
+) -> Arc<NodeRuntime> {
+    let (join, ranges) = inputs(graph, catalog, node);
+    let outputs_read = outputs_read(graph, node);
+    let description = graph.nodes[node].node_type(catalog);
+    let node = &graph.nodes[node];
+    let spec = NodeSpec {
+        id: node.id.clone(),
+        node_type,
+        kind: description.kind,
+        source: description.source,
+        on_fault: node.on_fault,
+        budget_ms: node.budget_ms,
+        max_rate_hz: node.max_rate_hz,
+        cpu: node.cpu,
+        ranges,
+        outputs_read,
+    };
+    Arc::new(NodeRuntime::new(spec, join, Snapshot::new(node.params.clone())))
+}
+
+/// Lays out a graph whose nodes have cells already. `slots` says where each stands; regions of `old` whose head stays are used on.
+pub(crate) fn lay_out(
+    graph: &Graph,
+    catalog: &Catalog,
+    cells: Vec<Arc<NodeRuntime>>,
+    slots: Vec<usize>,
+    ticks_at_once: Option<u32>,
+    old: Option<&Plan>,
+) -> Plan {
+    let mut alive = vec![false; cells.len()];
+    let mut wiring = vec![Wiring::default(); cells.len()];
+    for (node, &slot) in slots.iter().enumerate() {
+        alive[slot] = true;
+        wiring[slot].readers = vec![Vec::new(); graph.nodes[node].node_type(catalog).outputs.len()];
+        wiring[slot].chain_head = slot;
+    }
+    for (node, &to) in slots.iter().enumerate() {
+        let description = graph.nodes[node].node_type(catalog);
+        // `inputs_of` is sorted by port and list position, like the slots.
+        for (slot, edge) in graph.inputs_of(node).iter().enumerate() {
+            let formats = &description.inputs[edge.to_port].packet.formats;
+            let accepts = formats.iter().filter_map(|f| format_number(f)).fold(0, |bits, f| bits | abi::format_bit(f));
+            let reader = Reader { node: to, slot, convert: edge.convert, accepts };
+            wiring[slots[edge.from_node]].readers[edge.from_port].push(reader);
+        }
+    }
+    inline_chains(graph, catalog, &cells, &slots, &mut wiring);
+    let (regions, extents) = find_regions(graph, &slots, &mut wiring, ticks_at_once, old);
+    let nearest = graph.edges.iter().any(|e| matches!(e.align, Align::Nearest { .. }));
+    let (links, following) = link(&cells, &alive, &wiring);
+    let outsiders = extents.iter().enumerate().map(|(region, extent)| outsiders(&wiring, region, extent)).collect();
+    Plan { cells, alive, wiring, links, following, regions, extents, outsiders, slots, nearest, ticks_at_once }
+}
+
+fn outsiders(wiring: &[Wiring], region: usize, extent: &Extent) -> Vec<(usize, usize)> {
+    let readers = extent.members.iter().flat_map(|&member| wiring[member].readers.iter().flatten());
+    readers.filter(|r| wiring[r.node].region != region).map(|r| (r.node, r.slot)).collect()
+}
+
+/// Writes the chains down in the order in which they are walked.
+fn link(cells: &[Arc<NodeRuntime>], alive: &[bool], wiring: &[Wiring]) -> (Vec<Link>, Vec<Range<u32>>) {
+    let mut links = Vec::new();
+    let mut following = vec![0..0; cells.len()];
+    for head in (0..cells.len()).filter(|&slot| alive[slot] && wiring[slot].chain_head == slot) {
+        let mut chain = vec![head];
+        let mut last = head;
+        while let Some(inline) = wiring[last].inline {
+            last = inline.node;
+            chain.push(last);
+            let cell = Arc::clone(&cells[last]);
+            links.push(Link {
+                node: last as u32,
+                port: inline.port as u32,
+                accepts: inline.accepts,
+                optional: inline.optional,
+                lone: cell.node_type.inputs_len == 1,
+                sink: wiring[last].sink,
+                cell,
+            });
+        }
+        let end = links.len() as u32;
+        for (index, node) in chain.iter().enumerate() {
+            following[*node] = end - (chain.len() - 1 - index) as u32..end;
+        }
+    }
+    (links, following)
+}
+
+fn format_number(name: &str) -> Option<u32> {
+    let known = [abi::FORMAT_GRAY8, abi::FORMAT_BGR8, abi::FORMAT_RGBA8, abi::FORMAT_GRAY16, abi::FORMAT_F32];
+    known.into_iter().find(|f| crate::outputs::format_name(*f) == name)
+}
+
+/// A reader runs inline when it reads nothing else and nobody else reads its producer.
+fn inline_chains(graph: &Graph, catalog: &Catalog, cells: &[Arc<NodeRuntime>], slots: &[usize], wiring: &mut [Wiring]) {
+    let compute = |slot: usize| cells[slot].kind == NodeKind::Compute && !cells[slot].source;
+    for &node in &graph.order {
+        let slot = slots[node];
+        let mut readers =
+            wiring[slot].readers.iter().enumerate().flat_map(|(port, r)| r.iter().map(move |r| (port, *r)));
+        let (Some((port, reader)), None) = (readers.next(), readers.next()) else { continue };
+        let Some(edge) = graph.outputs_of(node).next() else { continue };
+        let edges = graph.inputs_of(edge.to_node);
+        let alone = edges.len() == 1 && is_exact(edge) && edge.list_index == 0;
+        if alone && !reader.convert && compute(slot) && compute(reader.node) {
+            let declared = &graph.nodes[edge.to_node].node_type(catalog).inputs[edge.to_port];
+            let optional = declared.optional || declared.list;
+            wiring[slot].inline = Some(Inline { port, node: reader.node, optional, accepts: reader.accepts });
+            // Producers come first in `order`.
+            wiring[reader.node].chain_head = wiring[slot].chain_head;
+        }
+    }
+}
+
+/// Ticks inside a region in batch. Not the number of threads: how far ticks overlap must not depend on it where a delay closes a loop.
+const TICKS_IN_BATCH: u32 = 4;
+/// Ticks inside a region with cameras: one begins while the one before it ends.
+const TICKS_LIVE: u32 = 2;
+
+/// What somebody's tick waits for: what nobody reads (it writes, moves or shows something), what leads there by inputs that wait, and what
+/// closes a loop. What is only read as the newest there is may wait: the reader goes on without.
+fn urgencies(graph: &Graph) -> Vec<Urgency> {
+    let mut urgent = vec![false; graph.nodes.len()];
+    for &node in graph.order.iter().rev() {
+        let waits = |edge: &Edge| {
+            let inputs = || graph.inputs_of(edge.to_node).iter().filter(|e| e.delay == 0);
+            // A node without an input that waits fires on the newest of these.
+            let fires = || {
+                let any_trigger = inputs().any(|e| e.trigger);
+                inputs().all(|e| e.align == Align::Latest) && (edge.trigger || !any_trigger)
+            };
+            urgent[edge.to_node] && (edge.align != Align::Latest || fires())
+        };
+        let mut readers = graph.outputs_of(node).peekable();
+        urgent[node] = readers.peek().is_none() || readers.any(|edge| edge.delay > 0 || waits(edge));
+    }
+    urgent.into_iter().map(|urgent| if urgent { Urgency::Urgent } else { Urgency::Patient }).collect()
+}
+
+fn find_regions(
+    graph: &Graph,
+    slots: &[usize],
+    wiring: &mut [Wiring],
+    ticks_at_once: Option<u32>,
+    old: Option<&Plan>,
+) -> (Vec<Arc<Region>>, Vec<Extent>) {
+    let count = graph.nodes.len();
+    let batch = graph.mode == Mode::Batch;
+    let mut head = vec![usize::MAX; count];
+    for &node in &graph.order {
+        let upstream = graph.inputs_of(node).iter().find(|e| is_exact(e));
+        head[node] = upstream.map_or(node, |e| head[e.from_node]);
+    }
+    let mut exact_reader = vec![false; count];
+    for edge in graph.edges.iter().filter(|e| is_exact(e)) {
+        exact_reader[edge.from_node] = true;
+    }
+    let mut number = vec![usize::MAX; count];
+    let mut extents: Vec<Extent> = Vec::new();
+    for &node in &graph.order {
+        if head[node] == node {
+            number[node] = extents.len();
+            let limit = ticks_at_once.unwrap_or(if batch { TICKS_IN_BATCH } else { TICKS_LIVE });
+            extents.push(Extent { head: slots[node], leaves: 0, limit, members: Vec::new() });
+        }
+        let extent = &mut extents[number[head[node]]];
+        extent.members.push(slots[node]);
+        extent.leaves += u32::from(!exact_reader[node]);
+        for edge in graph.inputs_of(node).iter().filter(|e| is_exact(e)) {
+            if ticks_at_once.is_none() {
+                extent.limit = extent.limit.max(edge.queue.unwrap_or(1));
+            }
+        }
+    }
+    for node in 0..count {
+        let wiring = &mut wiring[slots[node]];
+        wiring.region = number[head[node]];
+        wiring.leaf = !exact_reader[node];
+        wiring.sink = wiring.readers.iter().all(Vec::is_empty);
+    }
+    for (node, urgency) in urgencies(graph).into_iter().enumerate() {
+        wiring[slots[node]].urgency = urgency;
+    }
+    let regions = extents
+        .iter_mut()
+        .map(|extent| {
+            extent.members.sort_unstable();
+            let known = old.and_then(|old| old.regions.iter().zip(&old.extents).find(|(_, e)| e.head == extent.head));
+            match known {
+                Some((region, _)) => Arc::clone(region),
+                None => Arc::new(Region::new(extent.head, extent.leaves, extent.limit)),
+            }
+        })
+        .collect();
+    (regions, extents)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use panoscope_graph::{Node, OnFault, Preset};
+
+    /// A graph of nodes by name; edges as `from > to`, `from ~ to` for the newest there is, `from . to` for that of the tick before.
+    fn graph(nodes: &[&str], edges: &[&str]) -> Graph {
+        let node = |id: &&str| Node {
+            id: (*id).to_owned(),
+            type_index: 0,
+            type_name: "pass".to_owned(),
+            plugin: "flow".to_owned(),
+            params: Vec::new(),
+            on_fault: OnFault::default(),
+            budget_ms: None,
+            max_rate_hz: None,
+            cpu: None,
+            span: 0..0,
+            line: 0,
+        };
+        let place = |id: &str| nodes.iter().position(|n| *n == id).expect("a node");
+        let mut edges: Vec<Edge> = edges
+            .iter()
+            .map(|edge| {
+                let [from, kind, to] = edge.split(' ').collect::<Vec<_>>()[..] else { panic!("{edge}") };
+                Edge {
+                    from_node: place(from),
+                    from_port: 0,
+                    to_node: place(to),
+                    to_port: 0,
+                    list_index: 0,
+                    align: if kind == "~" { Align::Latest } else { Align::Exact },
+                    queue: None,
+                    delay: u8::from(kind == "."),
+                    trigger: false,
+                    convert: false,
+                    span: 0..0,
+                }
+            })
+            .collect();
+        edges.sort_by_key(|e| e.to_node);
+        (1..).zip(&mut edges).for_each(|(port, edge)| edge.to_port = port);
+        Graph {
+            name: "test".to_owned(),
+            mode: Mode::Live,
+            plugins: Vec::new(),
+            nodes: nodes.iter().map(node).collect(),
+            edges,
+            order: (0..nodes.len()).collect(),
+            preset: Preset::default(),
+            editor: toml::Table::new(),
+        }
+    }
+
+    fn patient(nodes: &[&str], edges: &[&str]) -> Vec<String> {
+        let graph = graph(nodes, edges);
+        let patient = urgencies(&graph).into_iter().zip(&graph.nodes).filter(|(u, _)| *u == Urgency::Patient);
+        patient.map(|(_, node)| node.id.clone()).collect()
+    }
+
+    #[test]
+    fn what_leads_to_an_end_is_urgent() {
+        assert!(patient(&["camera", "smooth", "video"], &["camera > smooth", "smooth > video"]).is_empty());
+    }
+
+    #[test]
+    fn what_is_only_looked_at_waits_and_so_does_what_leads_there() {
+        let nodes = ["camera", "match", "find", "screen"];
+        let edges = ["camera > match", "match > find", "camera > screen", "find ~ screen"];
+        assert_eq!(patient(&nodes, &edges), ["match", "find"]);
+        // A second reader that waits makes it urgent.
+        let nodes = ["camera", "match", "find", "screen", "file"];
+        let edges = [&edges[..], &["find > file"]].concat();
+        assert!(patient(&nodes, &edges).is_empty());
+    }
+
+    #[test]
+    fn what_fires_its_reader_does_not_wait() {
+        let nodes = ["camera", "slow", "screen"];
+        assert!(patient(&nodes, &["camera ~ screen", "camera > slow", "slow ~ screen"]).is_empty());
+        // One of both fires it alone.
+        let mut graph = graph(&nodes, &["camera ~ screen", "camera > slow", "slow ~ screen"]);
+        graph.edges.iter_mut().filter(|e| e.from_node == 0).for_each(|e| e.trigger = true);
+        assert_eq!(urgencies(&graph), [Urgency::Urgent, Urgency::Patient, Urgency::Urgent]);
+    }
+
+    #[test]
+    fn what_closes_a_loop_is_urgent() {
+        let nodes = ["camera", "arm", "screen"];
+        assert!(patient(&nodes, &["camera > arm", "camera > screen", "arm . camera"]).is_empty());
+    }
+}

@@ -1,0 +1,25 @@
+//! Where the engine finds the code of node types.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use panoscope_abi as abi;
+
+/// Loaded plugins.
+pub trait Plugins {
+    /// The entry of a node type of a plugin.
+    fn entry(&self, plugin: &str, node_type: &str) -> Option<&'static abi::NodeType>;
+
+    /// Names and files of those of the given plugins that were found.
+    fn files(&self, plugins: &[String]) -> Vec<(String, PathBuf)>;
+}
+
+impl<P: Plugins + ?Sized> Plugins for Arc<P> {
+    fn entry(&self, plugin: &str, node_type: &str) -> Option<&'static abi::NodeType> {
+        (**self).entry(plugin, node_type)
+    }
+
+    fn files(&self, plugins: &[String]) -> Vec<(String, PathBuf)> {
+        (**self).files(plugins)
+    }
+}

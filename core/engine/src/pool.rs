@@ -1,0 +1,538 @@
+//! The one thread pool: node tasks, and loops of kernels inside nodes.
+
+use std::cell::{Cell, RefCell};
+use std::collections::VecDeque;
+use std::ffi::c_void;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
+use std::sync::{Arc, Condvar, LazyLock, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Instant;
+
+use arc_swap::ArcSwap;
+use panoscope_abi::ChunkFn;
+
+use crate::clock;
+use crate::ending::who::{self, Doing};
+use crate::outbox::panic_words;
+use crate::retained;
+use crate::scratch::Scratch;
+use crate::thread_id;
+
+/// Longest that a patient task waits behind urgent ones.
+const LONGEST_PATIENCE_NS: u64 = 100_000_000;
+/// Longest that urgent tasks wait while no worker comes back from what it does, until another worker is added.
+const LONGEST_STALL_NS: u64 = 100_000_000;
+
+/// Runs a node task; called on a worker.
+pub type Task = Arc<dyn Fn(u32, &mut Scratch) + Send + Sync>;
+
+/// A loop whose caller waits on the stack until all chunks are done.
+struct Loop {
+    body: unsafe extern "C" fn(*mut c_void, usize),
+    data: *mut c_void,
+    chunks: usize,
+    next: AtomicUsize,
+    /// Workers inside `help` of this loop.
+    helpers: AtomicU32,
+    caller: std::thread::Thread,
+    caller_number: u32,
+    /// Of the node that it belongs to.
+    urgency: Urgency,
+    /// The node that it belongs to.
+    doing: Doing,
+    /// Whose call it is part of.
+    scope: retained::Scope,
+    /// A helper kept a frame for it, or was refused something.
+    attention: AtomicBool,
+}
+
+/// What comes first where there are fewer threads than work.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Urgency {
+    /// Somebody's tick waits for it.
+    #[default]
+    Urgent,
+    /// Whoever reads it takes what there is: it may wait for what is urgent.
+    Patient,
+}
+
+impl Loop {
+    /// Runs chunks until none is left. A helper of a patient loop leaves it when something urgent waits; the loop's caller goes on.
+    fn help(&self, inner: &Inner) {
+        while self.urgency == Urgency::Urgent || inner.urgent_tasks.load(Ordering::Relaxed) == 0 {
+            if !self.run_chunk() {
+                return;
+            }
+        }
+    }
+
+    fn run_chunks(&self) {
+        while self.run_chunk() {}
+    }
+
+    /// Runs the next chunk; `false` when there is none.
+    fn run_chunk(&self) -> bool {
+        let index = self.next.fetch_add(1, Ordering::Relaxed);
+        if index >= self.chunks {
+            return false;
+        }
+        // SAFETY: the plugin's promise to `parallel_for`: callable from any thread for each index once.
+        unsafe { (self.body)(self.data, index) }
+        true
+    }
+}
+
+#[derive(Clone, Copy)]
+struct LoopPtr(*const Loop);
+// SAFETY: a loop is on the list only while its caller waits for it; workers enter under the pool's lock.
+unsafe impl Send for LoopPtr {}
+
+struct State {
+    urgent: VecDeque<u32>,
+    /// With the time since when they wait.
+    patient: VecDeque<(u32, u64)>,
+    loops: Vec<LoopPtr>,
+    idle: usize,
+    stop: bool,
+    /// Workers that have come to life.
+    started: usize,
+    /// Workers inside a chunk of somebody's loop, and that loop's caller.
+    helping: Vec<(u32, u32)>,
+    /// Threads that were given up: they leave when they come back, and nobody helps them.
+    given_up: Vec<u32>,
+    /// Workers that were started and not given up.
+    live: usize,
+    /// Workers beside these while all of them are stuck, see [`Pool::relieve`].
+    reliefs: Vec<u32>,
+    /// How often a worker came back for more.
+    turns: u64,
+    /// Since when urgent tasks wait while this number does not change; 0 when they do not.
+    stalled: (u64, u64),
+}
+
+impl State {
+    /// How long the oldest patient task has waited, in ns.
+    fn patient_for(&self, now_ns: u64) -> u64 {
+        self.patient.front().map_or(0, |(_, since_ns)| now_ns.saturating_sub(*since_ns))
+    }
+
+    /// A thread with all workers that are inside its loops, inside theirs, and so on.
+    fn stuck_with(&self, thread: u32) -> Vec<u32> {
+        let mut all = vec![thread];
+        let mut at = 0;
+        while let Some(&caller) = all.get(at) {
+            for &(worker, of) in &self.helping {
+                if of == caller && !all.contains(&worker) {
+                    all.push(worker);
+                }
+            }
+            at += 1;
+        }
+        all
+    }
+}
+
+/// Hears of a worker that panicked: its name and what it said.
+pub(crate) type PanicFn = Box<dyn Fn(&str, &str) + Send + Sync>;
+
+struct Inner {
+    state: Mutex<State>,
+    /// How many urgent tasks wait; told without the lock.
+    urgent_tasks: AtomicUsize,
+    wake: Condvar,
+    /// A worker has come to life.
+    arrived: Condvar,
+    threads: usize,
+    panicked: OnceLock<PanicFn>,
+}
+
+/// A pool of `threads` workers.
+pub struct Pool {
+    inner: Arc<Inner>,
+    workers: Mutex<Vec<(u32, JoinHandle<()>)>>,
+    task: Mutex<Option<Task>>,
+}
+
+thread_local! {
+    /// The pool that loops of this thread run on.
+    static CURRENT: RefCell<Option<Arc<Inner>>> = const { RefCell::new(None) };
+    static URGENCY: Cell<Urgency> = const { Cell::new(Urgency::Urgent) };
+}
+
+/// Says how urgent what the calling thread does is from now on.
+#[inline]
+pub(crate) fn set_urgency(urgency: Urgency) {
+    URGENCY.with(|u| u.set(urgency));
+}
+
+/// Ends what [`Pool::visit`] began, on the thread that began it.
+pub struct Visit<'p> {
+    before: Option<Arc<Inner>>,
+    pool: std::marker::PhantomData<(&'p Pool, *const ())>,
+}
+
+impl Drop for Visit<'_> {
+    fn drop(&mut self) {
+        CURRENT.set(self.before.take());
+    }
+}
+
+/// Has the calling thread allocate what reading a plan takes once per thread.
+pub(crate) fn warm_up() {
+    static ANY: LazyLock<ArcSwap<()>> = LazyLock::new(ArcSwap::default);
+    drop(ANY.load());
+}
+
+impl State {
+    /// A loop that has chunks left, of this urgency. Chunks go before tasks: somebody waits for them, and they finish what was begun.
+    fn next_loop(&self, urgency: Urgency) -> Option<LoopPtr> {
+        self.loops.iter().copied().find(|l| {
+            // SAFETY: on the list, so its caller has not returned.
+            let l = unsafe { &*l.0 };
+            l.urgency == urgency && l.next.load(Ordering::Relaxed) < l.chunks
+        })
+    }
+
+    /// A task of this urgency; a patient one that has waited too long counts as urgent.
+    fn next_task(&mut self, inner: &Inner, urgency: Urgency) -> Option<u32> {
+        if urgency == Urgency::Patient {
+            return self.patient.pop_front().map(|(task, _)| task);
+        }
+        // Where nothing is urgent, nothing is to be compared with, and the time is not read.
+        let compared = (!self.urgent.is_empty() || !self.reliefs.is_empty()) && !self.patient.is_empty();
+        if compared && self.patient_for(clock::now_ns()) > LONGEST_PATIENCE_NS {
+            return self.patient.pop_front().map(|(task, _)| task);
+        }
+        let task = self.urgent.pop_front();
+        inner.urgent_tasks.store(self.urgent.len(), Ordering::Relaxed);
+        task
+    }
+}
+
+fn lock(inner: &Inner) -> MutexGuard<'_, State> {
+    inner.state.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Pool {
+    /// A pool without workers; `start` brings them to life.
+    pub fn new(threads: usize) -> Self {
+        let state = State {
+            urgent: VecDeque::with_capacity(1024),
+            patient: VecDeque::with_capacity(1024),
+            loops: Vec::with_capacity(64),
+            idle: 0,
+            stop: false,
+            started: 0,
+            helping: Vec::with_capacity(64),
+            given_up: Vec::new(),
+            live: 0,
+            reliefs: Vec::new(),
+            turns: 0,
+            stalled: (0, 0),
+        };
+        let inner = Inner {
+            state: Mutex::new(state),
+            urgent_tasks: AtomicUsize::new(0),
+            wake: Condvar::new(),
+            arrived: Condvar::new(),
+            threads: threads.max(1),
+            panicked: OnceLock::new(),
+        };
+        Self { inner: Arc::new(inner), workers: Mutex::new(Vec::new()), task: Mutex::new(None) }
+    }
+
+    /// Threads that work.
+    pub fn threads(&self) -> usize {
+        self.inner.threads
+    }
+
+    /// Where panics of workers are told; a worker goes on after one.
+    pub(crate) fn on_panic(&self, tell: PanicFn) {
+        let _ = self.inner.panicked.set(tell);
+    }
+
+    /// Starts the workers and waits until they are there: what a thread allocates when it begins is not to happen among ticks.
+    pub fn start(&self, task: &Task) -> std::io::Result<()> {
+        *self.task.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(task));
+        self.fill(task)?;
+        let mut state = lock(&self.inner);
+        while state.started < self.inner.threads {
+            state = self.inner.arrived.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        Ok(())
+    }
+
+    /// Starts workers until there are as many as there should be.
+    fn fill(&self, task: &Task) -> std::io::Result<()> {
+        loop {
+            let mut state = lock(&self.inner);
+            if state.live >= self.inner.threads {
+                return Ok(());
+            }
+            state.live += 1;
+            drop(state);
+            if let Err(error) = self.add_worker(task, thread_id::next(), false) {
+                lock(&self.inner).live -= 1;
+                return Err(error);
+            }
+        }
+    }
+
+    /// Starts a worker that is counted already.
+    fn add_worker(&self, task: &Task, number: u32, relief: bool) -> std::io::Result<()> {
+        let (inner, task) = (Arc::clone(&self.inner), Arc::clone(task));
+        let name = format!("pool-{number}");
+        let started = std::thread::Builder::new().name(name.clone()).spawn(move || {
+            thread_id::set(number);
+            while let Err(payload) = catch_unwind(AssertUnwindSafe(|| worker(&inner, &task, number, relief))) {
+                if let Some(tell) = inner.panicked.get() {
+                    tell(&name, panic_words(&*payload));
+                }
+            }
+        });
+        let mut workers = self.workers.lock().unwrap_or_else(PoisonError::into_inner);
+        workers.retain(|(_, worker)| !worker.is_finished());
+        workers.push((number, started?));
+        Ok(())
+    }
+
+    /// Gives a thread up that does not return from a node, with all workers that are stuck in its loops, or in loops of theirs, and starts
+    /// new workers in their place. The thread itself may be no worker. They leave on their own should they ever return.
+    pub fn give_up(&self, thread: u32) -> std::io::Result<()> {
+        if thread == 0 {
+            return Ok(());
+        }
+        let mut workers = self.workers.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = lock(&self.inner);
+        let stuck = state.stuck_with(thread);
+        for number in &stuck {
+            if let Some(at) = workers.iter().position(|(n, _)| n == number) {
+                // Dropping the handle lets the thread go.
+                drop(workers.swap_remove(at));
+                match state.reliefs.iter().position(|n| n == number) {
+                    Some(at) => _ = state.reliefs.swap_remove(at),
+                    None => state.live -= 1,
+                }
+            }
+        }
+        // Nobody else shall enter what they are stuck in.
+        // SAFETY: on the list, so its caller has not returned.
+        state.loops.retain(|l| !stuck.contains(&unsafe { &*l.0 }.caller_number));
+        state.given_up.extend(&stuck);
+        drop(state);
+        drop(workers);
+        let task = self.task.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        task.map_or(Ok(()), |task| self.fill(&task))
+    }
+
+    /// A thread that was given up leaves; for threads that are no workers.
+    pub(crate) fn left(&self, thread: u32) {
+        lock(&self.inner).given_up.retain(|n| *n != thread);
+    }
+
+    /// To be called a few times per second: where urgent tasks wait and no worker comes back, because all are stuck in calls that may yet be
+    /// given up, another worker is added, so that what has nothing to do with these calls goes on. It leaves when nothing urgent waits.
+    pub(crate) fn relieve(&self, now_ns: u64) -> std::io::Result<bool> {
+        let mut state = lock(&self.inner);
+        let waiting = !state.urgent.is_empty() || state.patient_for(now_ns) > LONGEST_PATIENCE_NS;
+        let (since_ns, turns) = state.stalled;
+        if !waiting || state.idle > 0 || since_ns == 0 || turns != state.turns {
+            state.stalled = (if waiting { now_ns.max(1) } else { 0 }, state.turns);
+            return Ok(false);
+        }
+        if now_ns.saturating_sub(since_ns) < LONGEST_STALL_NS || state.reliefs.len() >= self.inner.threads {
+            return Ok(false);
+        }
+        let number = thread_id::next();
+        state.reliefs.push(number);
+        state.stalled = (now_ns, turns);
+        drop(state);
+        let task = self.task.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let started = task.map_or(Ok(false), |task| self.add_worker(&task, number, true).map(|()| true));
+        if !matches!(started, Ok(true)) {
+            lock(&self.inner).reliefs.retain(|n| *n != number);
+        }
+        started
+    }
+
+    /// Makes this pool the one that `parallel_for` uses on the calling thread.
+    pub fn enter(&self) {
+        CURRENT.set(Some(Arc::clone(&self.inner)));
+    }
+
+    /// Like [`Self::enter`], until the guard goes.
+    pub fn visit(&self) -> Visit<'_> {
+        Visit { before: CURRENT.replace(Some(Arc::clone(&self.inner))), pool: std::marker::PhantomData }
+    }
+
+    /// Queues a node task.
+    pub fn push(&self, task: u32, urgency: Urgency) {
+        let mut state = lock(&self.inner);
+        match urgency {
+            Urgency::Urgent => {
+                state.urgent.push_back(task);
+                self.inner.urgent_tasks.store(state.urgent.len(), Ordering::Relaxed);
+            }
+            Urgency::Patient => state.patient.push_back((task, clock::now_ns())),
+        }
+        let wake = state.idle > 0;
+        drop(state);
+        if wake {
+            self.inner.wake.notify_one();
+        }
+    }
+
+    /// Whether an urgent task waits for a worker.
+    #[inline]
+    pub fn is_pressed(&self) -> bool {
+        self.inner.urgent_tasks.load(Ordering::Relaxed) > 0
+    }
+
+    /// Lets the workers finish what is queued and joins them, as long as that takes no longer than `until`; a worker that still works then
+    /// is left to itself. Answers whether all were joined.
+    pub fn stop(&self, until: Instant) -> bool {
+        lock(&self.inner).stop = true;
+        self.inner.wake.notify_all();
+        let workers = std::mem::take(&mut *self.workers.lock().unwrap_or_else(PoisonError::into_inner));
+        workers.into_iter().fold(true, |all, (_, worker)| join_until(worker, until) && all)
+    }
+}
+
+/// Waits for the end of a thread until then; answers whether it has ended.
+pub(crate) fn join_until<T>(thread: JoinHandle<T>, until: Instant) -> bool {
+    while !thread.is_finished() {
+        if Instant::now() >= until {
+            return false;
+        }
+        std::thread::sleep(std::time::Duration::from_micros(200));
+    }
+    let _ = thread.join();
+    true
+}
+
+/// Works until the pool stops or the worker is given up. One that stands in for others takes urgent tasks only and leaves when there is none:
+/// it helps in no loop, which may be what the others are stuck in.
+fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
+    CURRENT.set(Some(Arc::clone(inner)));
+    warm_up();
+    let mut walk = Scratch::default();
+    let mut state = lock(inner);
+    state.started += 1;
+    inner.arrived.notify_all();
+    loop {
+        state.turns = state.turns.wrapping_add(1);
+        if let Some(at) = state.given_up.iter().position(|n| *n == number) {
+            state.given_up.swap_remove(at);
+            return;
+        }
+        let found = if relief { None } else { state.next_loop(Urgency::Urgent) };
+        let urgent = if found.is_none() { state.next_task(inner, Urgency::Urgent) } else { None };
+        if relief && urgent.is_none() {
+            state.reliefs.retain(|n| *n != number);
+            return;
+        }
+        let found = found.or_else(|| if urgent.is_none() { state.next_loop(Urgency::Patient) } else { None });
+        if let Some(found) = found {
+            // SAFETY: as above; counted as helper under the lock, so the caller waits for us.
+            let this = unsafe { &*found.0 };
+            this.helpers.fetch_add(1, Ordering::Relaxed);
+            state.helping.push((number, this.caller_number));
+            drop(state);
+            set_urgency(this.urgency);
+            // SAFETY: the call that the loop is part of does not end before its helpers are through.
+            if who::help(this.doing, || unsafe { retained::within(this.scope, || this.help(inner)) }) {
+                this.attention.store(true, Ordering::Relaxed);
+            }
+            let caller = this.caller.clone();
+            if this.helpers.fetch_sub(1, Ordering::Release) == 1 {
+                // `this` may be gone now; its caller's handle was copied.
+                caller.unpark();
+            }
+            state = lock(inner);
+            if let Some(at) = state.helping.iter().position(|(n, _)| *n == number) {
+                state.helping.swap_remove(at);
+            }
+            continue;
+        }
+        if let Some(next) = urgent.or_else(|| state.next_task(inner, Urgency::Patient)) {
+            drop(state);
+            task(next, &mut walk);
+            state = lock(inner);
+            continue;
+        }
+        if state.stop {
+            return;
+        }
+        state.idle += 1;
+        state = inner.wake.wait(state).unwrap_or_else(PoisonError::into_inner);
+        state.idle -= 1;
+    }
+}
+
+/// Runs `body(data, i)` for `i` in `0..chunks`; the caller takes part and, when out of chunks, waits for helpers of
+/// this loop only.
+///
+/// # Safety
+/// `body` may be called from any thread, once per index, with `data` until this returns.
+pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> bool {
+    let Some(body) = body else { return false };
+    let alone = || {
+        for index in 0..chunks {
+            // SAFETY: the caller's promise.
+            unsafe { body(data, index) }
+        }
+        true
+    };
+    // A copy: a chunk may enter another pool, and leave it.
+    let inner = CURRENT.try_with(|current| current.borrow().clone()).ok().flatten();
+    let Some(inner) = inner.filter(|i| i.threads > 1 && chunks > 1) else { return alone() };
+    let inner = &*inner;
+    let this = Loop {
+        body,
+        data,
+        chunks,
+        next: AtomicUsize::new(0),
+        helpers: AtomicU32::new(0),
+        caller: std::thread::current(),
+        caller_number: thread_id::current(),
+        urgency: URGENCY.with(Cell::get),
+        doing: who::doing(),
+        scope: retained::scope(),
+        attention: AtomicBool::new(false),
+    };
+    let wanted = (inner.threads - 1).min(chunks - 1);
+    let mut state = lock(inner);
+    if state.given_up.contains(&this.caller_number) {
+        // Nobody would notice a helper that gets stuck.
+        drop(state);
+        return alone();
+    }
+    state.loops.push(LoopPtr(&raw const this));
+    let wake = state.idle.min(wanted);
+    drop(state);
+    for _ in 0..wake {
+        inner.wake.notify_one();
+    }
+    this.run_chunks();
+    let mut state = lock(inner);
+    state.loops.retain(|l| !std::ptr::eq(l.0, &raw const this));
+    drop(state);
+    // No worker can enter any more. Helpers run at most one chunk each now: a short wait.
+    let mut spins = 0;
+    while this.helpers.load(Ordering::Acquire) != 0 {
+        if spins < 64 {
+            spins += 1;
+            std::hint::spin_loop();
+        } else {
+            std::thread::park_timeout(std::time::Duration::from_micros(200));
+        }
+    }
+    if this.attention.load(Ordering::Relaxed) {
+        retained::set_attention();
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests;

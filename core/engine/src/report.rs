@@ -1,0 +1,357 @@
+//! What a run did, as written by `--report` (a contract: see the README).
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::atomic::Ordering;
+
+use panoscope_graph::Graph;
+use serde::{Deserialize, Serialize};
+
+use crate::clock;
+use crate::node::NodeRuntime;
+use crate::plan::Plan;
+use crate::schedule::Shared;
+use crate::stats::quantile_between_ns;
+use crate::sync::lock;
+
+/// Counters and times of a run.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Name of the graph.
+    pub graph: String,
+    /// Ticks that the busiest source made.
+    pub frames: u64,
+    /// Wall time.
+    pub seconds: f64,
+    /// `frames / seconds`.
+    pub fps: f64,
+    /// Per node.
+    pub nodes: BTreeMap<String, NodeReport>,
+    /// Per sink: time from ingest to the end of its work.
+    pub paths: BTreeMap<String, PathReport>,
+    /// Nodes that lost something for good, with the reason: a full disk, a file that could not be completed. Such a run has failed.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub stopped: BTreeMap<String, String>,
+    /// Heap allocations per frame in steady state, null when not counted.
+    pub allocations_per_frame: Option<f64>,
+    /// Where it ran.
+    pub machine: Machine,
+}
+
+/// Counters and times of a node.
+#[derive(Clone, Debug, Serialize)]
+pub struct NodeReport {
+    /// Calls.
+    pub count: u64,
+    /// Median time of a call.
+    pub p50_ms: f64,
+    /// 99 % of the calls took no longer.
+    pub p99_ms: f64,
+    /// The longest call.
+    pub max_ms: f64,
+    /// Ticks and packets dropped where they would have entered here.
+    pub dropped: u64,
+    /// Packets dropped on each wire because no more could wait; wires without any are left out.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub dropped_on: Vec<WireDrops>,
+    /// Ticks not processed because a required input was empty.
+    pub skipped: u64,
+    /// Errors and panics.
+    pub faults: u64,
+    /// Times it was opened again.
+    pub restarts: u64,
+    /// Calls over the node's budget.
+    pub over_budget: u64,
+    /// Longest time from a fault to the end of the first call that went well again.
+    pub recovery_max_ms: f64,
+    /// Frames copied because a shared one was to be written.
+    pub copies: u64,
+    /// Frames converted for its readers.
+    pub conversions: u64,
+    /// Heap allocations on the calling thread, all calls together; null when not counted.
+    pub allocations: Option<u64>,
+    /// Of a source: ticks that it made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub made: Option<u64>,
+    /// Required inputs that never got a packet, as `node.port` of who should have made one.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub never_got: Vec<String>,
+    /// Left out of a replay because it acts on the world.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub muted: bool,
+    /// Numbers that the node told.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub metrics: BTreeMap<String, f64>,
+}
+
+/// Packets dropped on one wire.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct WireDrops {
+    /// The input's name.
+    pub input: String,
+    /// Position in a list input; 0 for others.
+    pub index: usize,
+    /// How many.
+    pub dropped: u64,
+}
+
+/// Age of what a sink took.
+#[derive(Clone, Debug, Serialize)]
+pub struct PathReport {
+    /// Median.
+    pub age_p50_ms: f64,
+    /// 99 % were no older.
+    pub age_p99_ms: f64,
+    /// The oldest.
+    pub age_max_ms: f64,
+}
+
+/// Where a run took place.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Machine {
+    /// Processor.
+    pub cpu: String,
+    /// Cores this process may use.
+    pub cores: usize,
+    /// Threads of the pool.
+    pub threads: usize,
+    /// Operating system.
+    pub os: String,
+}
+
+fn ms(ns: u64) -> f64 {
+    ns as f64 / 1e6
+}
+
+impl Machine {
+    /// This machine.
+    pub fn here(threads: usize) -> Self {
+        let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+        let cpu = info.lines().find_map(|l| l.strip_prefix("model name")?.split_once(':'));
+        Self {
+            cpu: cpu.map_or_else(|| std::env::consts::ARCH.to_owned(), |(_, name)| name.trim().to_owned()),
+            cores: std::thread::available_parallelism().map_or(1, usize::from),
+            threads,
+            os: std::env::consts::OS.to_owned(),
+        }
+    }
+}
+
+impl Report {
+    pub(crate) fn of(graph: &Graph, shared: &Shared) -> Self {
+        let end_ns = match shared.end_ns.load(Ordering::Relaxed) {
+            0 => clock::now_ns(),
+            ns => ns,
+        };
+        let seconds = end_ns.saturating_sub(shared.start_ns) as f64 / 1e9;
+        let plan = shared.plan.load();
+        let frames = plan.live().map(|(_, c)| c.ticks.made.load(Ordering::Relaxed)).max().unwrap_or(0);
+        let mut nodes = BTreeMap::new();
+        let mut paths = BTreeMap::new();
+        for (slot, cell) in plan.live() {
+            let wiring = &plan.wiring[slot];
+            let stats = &cell.stats;
+            let load = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed);
+            nodes.insert(
+                cell.id.clone(),
+                NodeReport {
+                    count: stats.time.count(),
+                    p50_ms: ms(stats.time.quantile_ns(0.5)),
+                    p99_ms: ms(stats.time.quantile_ns(0.99)),
+                    max_ms: ms(stats.time.max_ns()),
+                    dropped: load(&stats.dropped),
+                    dropped_on: wire_drops(cell),
+                    skipped: load(&stats.skipped),
+                    faults: load(&stats.faults),
+                    restarts: load(&stats.restarts),
+                    over_budget: load(&stats.over_budget),
+                    recovery_max_ms: ms(stats.recovery.max_ns()),
+                    copies: load(&stats.copies),
+                    conversions: load(&stats.conversions),
+                    allocations: shared.around.thread_allocations.map(|_| load(&stats.allocations)),
+                    made: cell.source.then(|| load(&cell.ticks.made)),
+                    never_got: Vec::new(),
+                    muted: closes(shared, cell),
+                    metrics: lock(&cell.metrics).iter().cloned().collect(),
+                },
+            );
+            if wiring.sink {
+                paths.insert(
+                    cell.id.clone(),
+                    PathReport {
+                        age_p50_ms: ms(stats.age.quantile_ns(0.5)),
+                        age_p99_ms: ms(stats.age.quantile_ns(0.99)),
+                        age_max_ms: ms(stats.age.max_ns()),
+                    },
+                );
+            }
+        }
+        for (reader, output) in starved(&plan) {
+            if let Some(node) = nodes.get_mut(&reader) {
+                node.never_got.push(output);
+            }
+        }
+        let (from, to) = (*lock(&shared.allocations.from), *lock(&shared.allocations.to));
+        let allocations_per_frame = match (from, to) {
+            (Some((count, seq)), Some((last, end))) if end > seq => Some((last - count) as f64 / (end - seq) as f64),
+            _ => None,
+        };
+        Self {
+            graph: graph.name.clone(),
+            frames,
+            seconds,
+            fps: if seconds > 0.0 { frames as f64 / seconds } else { 0.0 },
+            nodes,
+            paths,
+            stopped: lock(&shared.around.stopped).clone(),
+            allocations_per_frame,
+            machine: Machine::here(shared.pool.threads()),
+        }
+    }
+}
+
+/// Nodes with the outputs that they require and that were never made.
+fn starved(plan: &Plan) -> Vec<(String, String)> {
+    let mut found = Vec::new();
+    for (slot, cell) in plan.live() {
+        let made = cell.ports_made.load(Ordering::Relaxed);
+        let never = |port: usize| made & 1u64.checked_shl(port as u32).unwrap_or(0) == 0;
+        for (port, readers) in plan.wiring[slot].readers.iter().enumerate().filter(|(port, _)| never(*port)) {
+            let name = cell.rules.get(port).map_or("?", |rule| rule.name.as_str());
+            for reader in readers {
+                let cell_of_reader = &plan.cells[reader.node];
+                let required = lock(&cell_of_reader.join).slots.get(reader.slot).is_some_and(|s| !s.optional);
+                if required {
+                    found.push((cell_of_reader.id.clone(), format!("{}.{name}", cell.id)));
+                }
+            }
+        }
+    }
+    found
+}
+
+/// What each node did in a stretch of time, for displays; [`Engine::window`](crate::Engine::window) moves it on.
+#[derive(Default)]
+pub struct Window {
+    at_ns: u64,
+    seen: HashMap<String, Seen>,
+}
+
+/// What a node had done at the last look.
+#[derive(Default)]
+struct Seen {
+    times: Vec<u64>,
+    ages: Vec<u64>,
+    count: u64,
+}
+
+/// One node in a [`Window`]: times and rate within it, counts since the node began.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NodeWindow {
+    /// Calls per second.
+    pub fps: f64,
+    /// Median time of a call.
+    pub p50_ms: f64,
+    /// 99 % of the calls took no longer.
+    pub p99_ms: f64,
+    /// For sinks: median time from ingest to the end of the work.
+    pub age_p50_ms: Option<f64>,
+    /// For sinks: 99 % were no older.
+    pub age_p99_ms: Option<f64>,
+    /// All calls so far.
+    pub count: u64,
+    /// Ticks dropped where they would have entered here, so far.
+    pub dropped: u64,
+    /// Errors and panics so far.
+    pub faults: u64,
+    /// Times it was opened again.
+    pub restarts: u64,
+    /// Numbers that the node told.
+    pub metrics: Vec<(String, f64)>,
+    /// What waits at its inputs, wire by wire.
+    pub queues: Vec<QueueWindow>,
+}
+
+/// Packets that wait on one wire. Nodes that run inline after their producer have none that wait.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct QueueWindow {
+    /// Input, a position in the node type's inputs.
+    pub port: usize,
+    /// Position in a list input; 0 for others.
+    pub index: usize,
+    /// Packets that wait now.
+    pub waiting: usize,
+    /// The most that waited since the last look.
+    pub most: usize,
+    /// Dropped so far because no more could wait.
+    pub dropped: u64,
+}
+
+impl Window {
+    pub(crate) fn step(&mut self, shared: &Shared) -> BTreeMap<String, NodeWindow> {
+        let now_ns = clock::now_ns();
+        let since = if self.at_ns == 0 { shared.start_ns } else { self.at_ns };
+        let seconds = (now_ns.saturating_sub(since) as f64 / 1e9).max(1e-3);
+        self.at_ns = now_ns;
+        let plan = shared.plan.load();
+        let mut seen = HashMap::new();
+        let mut nodes = BTreeMap::new();
+        for (slot, cell) in plan.live() {
+            let stats = &cell.stats;
+            let (count, times) = (stats.time.count(), stats.time.counts());
+            // A replaced node counts from zero again.
+            let before = self.seen.remove(&cell.id).filter(|s| s.count <= count).unwrap_or_default();
+            let ages = if plan.wiring[slot].sink { stats.age.counts() } else { Vec::new() };
+            let age = |q| (!ages.is_empty()).then(|| ms(quantile_between_ns(&before.ages, &ages, q)));
+            let window = NodeWindow {
+                fps: (count - before.count) as f64 / seconds,
+                p50_ms: ms(quantile_between_ns(&before.times, &times, 0.5)),
+                p99_ms: ms(quantile_between_ns(&before.times, &times, 0.99)),
+                age_p50_ms: age(0.5),
+                age_p99_ms: age(0.99),
+                count,
+                dropped: stats.dropped.load(Ordering::Relaxed),
+                faults: stats.faults.load(Ordering::Relaxed),
+                restarts: stats.restarts.load(Ordering::Relaxed),
+                metrics: lock(&cell.metrics).clone(),
+                queues: queues(cell),
+            };
+            nodes.insert(cell.id.clone(), window);
+            seen.insert(cell.id.clone(), Seen { times, ages, count });
+        }
+        self.seen = seen;
+        nodes
+    }
+}
+
+/// Drops of a node's wires, in the order of ports and list positions.
+/// Whether a node is left out of this run by what decides over it.
+fn closes(shared: &Shared, cell: &NodeRuntime) -> bool {
+    let decider = shared.around.decider.as_ref();
+    !cell.source && decider.is_some_and(|decider| decider.closes(cell.source, cell.side_effects))
+}
+
+fn wire_drops(cell: &NodeRuntime) -> Vec<WireDrops> {
+    let ranges = lock(&cell.ranges).clone();
+    let join = lock(&cell.join);
+    let wires = ranges.iter().enumerate().flat_map(|(port, r)| (0..r.count as usize).map(move |index| (port, index)));
+    let drops = wires.zip(&join.slots).filter(|(_, slot)| slot.dropped() > 0);
+    drops
+        .map(|((port, index), slot)| WireDrops {
+            input: cell.input_name(port).to_owned(),
+            index,
+            dropped: slot.dropped(),
+        })
+        .collect()
+}
+
+/// What waits at a node, in the order of ports and list places.
+fn queues(cell: &NodeRuntime) -> Vec<QueueWindow> {
+    let ranges = lock(&cell.ranges).clone();
+    let mut join = lock(&cell.join);
+    let places = ranges.iter().enumerate().flat_map(|(port, r)| (0..r.count as usize).map(move |index| (port, index)));
+    let of = |((port, index), slot): ((usize, usize), &mut crate::join::Slot)| {
+        let (waiting, most) = slot.fill();
+        QueueWindow { port, index, waiting, most, dropped: slot.dropped() }
+    };
+    places.zip(join.slots.iter_mut()).map(of).collect()
+}

@@ -1,0 +1,557 @@
+//! The walk of ticks through the plan.
+//!
+//! Whoever runs a node holds its `running` mark and its exec. The plan is read anew for every node that is started: a node
+//! only starts when its region has admitted a tick, and a region with a tick inside is never changed.
+
+mod take;
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Condvar, Mutex, Weak};
+
+use arc_swap::ArcSwap;
+use panoscope_abi::{Frame, Tick};
+
+use crate::clock;
+use crate::convert;
+use crate::exec::{Exec, prefetch};
+use crate::fault::{Action, Cause};
+use crate::log::Level;
+use crate::memory::FrameRef;
+use crate::node::{CallOutcome, NodeRuntime, Ports, Resized, RunContext};
+use crate::outputs::{format_name, format_names};
+use crate::own_thread::OwnThread;
+use crate::plan::{Link, Plan, Reader};
+use crate::pool::{self, Pool, Urgency};
+use crate::region::Freed;
+use crate::scratch::{Scratch, clear};
+use crate::stats::bump;
+use crate::sync::lock;
+
+/// What the threads of an engine share.
+pub(crate) struct Shared {
+    pub me: Weak<Shared>,
+    pub plan: ArcSwap<Plan>,
+    pub pool: Pool,
+    pub around: RunContext,
+    /// Wait between ticks of a source until their capture time has come.
+    pub paced: bool,
+    /// Ticks each source makes; `None` for no end.
+    pub frames: Option<u64>,
+    pub stopping: AtomicBool,
+    pub failed: Mutex<Option<String>>,
+    /// A thread of the host panicked: nodes may never finish.
+    pub broken: AtomicBool,
+    /// Nodes that are not finished.
+    pub unfinished: AtomicUsize,
+    pub finished: Condvar,
+    pub finished_lock: Mutex<()>,
+    /// Held while nodes finish and while the plan is changed.
+    pub finishing: Mutex<()>,
+    pub start_ns: u64,
+    pub end_ns: AtomicU64,
+    pub allocations: AllocationMeter,
+    /// Nodes that wait for a `nearest` input with a deadline.
+    pub waiting_nearest: AtomicI64,
+    /// Threads that belong to one node, by thread number.
+    pub own_threads: Mutex<HashMap<u32, OwnThread>>,
+    /// A call without a budget that takes longer does not return, as far as the watchdog is concerned.
+    pub hang_ns: u64,
+    /// Media time between two ticks of the fastest source.
+    pub frame_ns: AtomicU64,
+}
+
+/// Counts heap allocations of the whole process in steady state.
+#[derive(Default)]
+pub(crate) struct AllocationMeter {
+    pub count: Option<fn() -> u64>,
+    /// Count and tick number after warm-up.
+    pub from: Mutex<Option<(u64, u64)>>,
+    /// Count and tick number at the end of the source.
+    pub to: Mutex<Option<(u64, u64)>>,
+    pub warm_up_ticks: u64,
+}
+
+/// Nodes that may run now.
+#[derive(Default)]
+pub(crate) struct Ready {
+    nodes: [u32; 16],
+    len: usize,
+}
+
+impl Ready {
+    fn push(&mut self, shared: &Shared, plan: &Plan, node: usize) {
+        if self.len == self.nodes.len() {
+            shared.dispatch(plan, node);
+            return;
+        }
+        self.nodes[self.len] = node as u32;
+        self.len += 1;
+    }
+
+    /// Hands all to their threads but one whose chain takes no longer than `allowance_ns`, which the caller is to run: an urgent one, if there
+    /// is one; a patient one only where nothing urgent waits.
+    pub fn dispatch_ready(&mut self, shared: &Shared, plan: &Plan, allowance_ns: u64) -> Option<usize> {
+        let nodes = &self.nodes[..self.len];
+        let fits = |node: &usize| {
+            let cell = &plan.cells[*node];
+            allowance_ns > 0 && !cell.owns_thread() && cell.runner.walk_ns.load(Ordering::Relaxed) <= allowance_ns
+        };
+        let urgent = |node: &usize| plan.wiring[*node].urgency == Urgency::Urgent;
+        let all = || nodes.iter().map(|node| *node as usize);
+        let next = all().find(|node| urgent(node) && fits(node));
+        let next = next.or_else(|| all().find(|node| fits(node) && !shared.pool.is_pressed()));
+        for node in all().filter(|node| Some(*node) != next) {
+            shared.dispatch(plan, node);
+        }
+        self.len = 0;
+        next
+    }
+}
+
+/// What becomes of a node after an attempt to take its next tick.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Next {
+    Run,
+    Idle,
+    Finish,
+}
+
+impl Shared {
+    /// Sends a node that was taken (`running`) to where it runs.
+    pub fn dispatch(&self, plan: &Plan, node: usize) {
+        let cell = &plan.cells[node];
+        if cell.owns_thread() {
+            self.wake(cell);
+        } else {
+            self.pool.push(node as u32, plan.wiring[node].urgency);
+        }
+    }
+
+    pub fn wake(&self, cell: &NodeRuntime) {
+        cell.runner.wake.store(true, Ordering::Release);
+        if let Some(thread) = &*lock(&cell.runner.thread) {
+            thread.unpark();
+        }
+    }
+
+    /// Runs a node and what may follow it on this thread; `false` when the watchdog gave the thread up. A worker's allowance has no end
+    /// (`u64::MAX`); a node's own thread goes on with others' chains only as long as these are known to take no more than its allowance.
+    pub fn run(&self, node: usize, walk: &mut Scratch, mut allowance_ns: u64) -> bool {
+        let is_worker = allowance_ns == u64::MAX;
+        let mut current = node;
+        loop {
+            let plan = self.plan.load();
+            let mut ready = Ready::default();
+            pool::set_urgency(plan.wiring[current].urgency);
+            let Some(again) = self.run_tick(&plan, current, walk, &mut ready) else { return false };
+            let is_owner = plan.cells[current].owns_thread();
+            // A thread's own node comes first.
+            match (ready.dispatch_ready(self, &plan, if is_owner && again { 0 } else { allowance_ns }), again) {
+                (next, true) if !is_owner && (next.is_some() || !is_worker) => {
+                    self.pool.push(current as u32, plan.wiring[current].urgency);
+                    let Some(next) = next else { return true };
+                    current = next;
+                }
+                (_, true) => continue,
+                (Some(next), false) => current = next,
+                (None, false) => return true,
+            }
+            if !is_worker {
+                allowance_ns = allowance_ns.saturating_sub(plan.cells[current].runner.walk_ns.load(Ordering::Relaxed));
+            }
+        }
+    }
+
+    /// One staged tick of a node and its inline chain; `true` when the next tick is staged already, `None` when the call was given up.
+    fn run_tick(&self, plan: &Plan, node: usize, walk: &mut Scratch, ready: &mut Ready) -> Option<bool> {
+        let cell = &plan.cells[node];
+        let Some(mut exec) = cell.exec.take() else {
+            // The engine closed it: nobody will run it again.
+            lock(&cell.join).running = false;
+            return Some(false);
+        };
+        let staged = {
+            let mut join = lock(&cell.join);
+            walk.inputs.append(&mut join.staged);
+            join.staged_take.take()
+        };
+        if let Some((mut tick, complete)) = staged {
+            look_ahead(plan.following(node), 0);
+            let start_ns = clock::now_ns();
+            let mut ports = Ports { inputs: &mut walk.inputs, lone: false, made: &mut walk.made[0] };
+            let (ran, now_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, start_ns, &mut ports);
+            if ran == CallOutcome::Abandoned {
+                Self::left_behind(cell, exec, walk);
+                return None;
+            }
+            walk.inputs.clear();
+            cell.exec.put(exec);
+            self.after(plan, node, plan.wiring[node].sink, ran, &tick, now_ns);
+            let end_ns = self.chain(plan, node, tick, now_ns, walk, ready)?;
+            cell.note_walk(end_ns.saturating_sub(start_ns));
+        } else {
+            cell.exec.put(exec);
+        }
+        Some(self.take_next(plan, node, ready))
+    }
+
+    /// A call came back that the watchdog gave up: everything else has been done in its place.
+    pub fn left_behind(cell: &NodeRuntime, exec: Box<Exec>, walk: &mut Scratch) {
+        drop(exec);
+        walk.clear();
+        cell.recovery.stuck.fetch_sub(1, Ordering::Relaxed);
+    }
+
+    /// Shows what a node made to whoever looks at it.
+    #[inline]
+    fn show(&self, cell: &NodeRuntime, outputs: &[Frame]) {
+        cell.subscribers.show(outputs);
+        if let Some(observer) = &self.around.observer {
+            observer.outputs(&cell.id, &cell.output_names, outputs);
+        }
+    }
+
+    /// What follows from how a call ended.
+    #[inline]
+    pub fn after(&self, plan: &Plan, node: usize, sink: bool, ran: CallOutcome, tick: &Tick, now_ns: u64) {
+        if ran == CallOutcome::Ok {
+            if sink && let Some(ingest) = self.ingest(plan, tick) {
+                plan.cells[node].stats.age.record(now_ns.saturating_sub(ingest));
+            }
+        } else if ran != CallOutcome::Skipped {
+            self.after_failure(plan, node, ran, tick);
+        }
+    }
+
+    #[cold]
+    fn after_failure(&self, plan: &Plan, node: usize, ran: CallOutcome, tick: &Tick) {
+        let cell = &plan.cells[node];
+        self.blame(plan, node, tick);
+        if ran == CallOutcome::Stop {
+            self.fail(format!("node `{}` failed and the graph says on_fault = \"stop\"", cell.id));
+        }
+        if cell.recovery.wants_restart.swap(false, Ordering::Acquire) {
+            self.start_mending(cell);
+        }
+    }
+
+    /// A node failed: who gave it a picture of another size than before shares the blame.
+    fn blame(&self, plan: &Plan, node: usize, tick: &Tick) {
+        for (from, producer) in plan.live() {
+            let readers = &plan.wiring[from].readers;
+            let fed = |r: &&Resized| readers.get(r.output).is_some_and(|r| r.iter().any(|r| r.node == node));
+            let at_tick = |r: &&Resized| (r.tick.source, r.tick.seq) == (tick.source, tick.seq);
+            let found = lock(&producer.resized).iter().filter(fed).find(at_tick).copied();
+            let Some(resized) = found else { continue };
+            let name = producer.rules.get(resized.output).map_or("?", |r| &r.name);
+            let ((w0, h0), (w1, h1), reader) = (resized.from, resized.to, &plan.cells[node].id);
+            let words = format!("output `{name}` is {w1}x{h1} after {w0}x{h0}, node `{reader}` failed on it");
+            self.around.log.write(Level::Error, &producer.id, &words);
+            producer.tell(&self.around, Cause::Size, Action::Note, Some(tick.seq), None, words);
+        }
+    }
+
+    /// When a tick came into the graph, in ns of the host's clock.
+    pub fn ingest(&self, plan: &Plan, tick: &Tick) -> Option<u64> {
+        let ring = &plan.cells.get(tick.source as usize)?.ticks.ingest_ns;
+        let slot = ring.get(tick.seq as usize % ring.len().max(1))?;
+        Some(slot.load(Ordering::Relaxed)).filter(|&ns| ns > 0)
+    }
+
+    /// Walks the inline readers of what stands in `walk.made[0]`, delivers what the last one made and tells the region; answers when
+    /// the last call ended, `None` when one was given up.
+    fn chain(
+        &self,
+        plan: &Plan,
+        node: usize,
+        mut tick: Tick,
+        mut now_ns: u64,
+        walk: &mut Scratch,
+        ready: &mut Ready,
+    ) -> Option<u64> {
+        let mut last = node;
+        let mut last_cell = &*plan.cells[node];
+        let [made, next] = &mut walk.made;
+        let (mut made, mut next) = (made, next);
+        let links = plan.following(node);
+        for (at, link) in links.iter().enumerate() {
+            look_ahead(links, at + 1);
+            self.show(last_cell, &made.outputs);
+            let frame = &mut made.outputs[link.port as usize];
+            if !takes(link.accepts, frame) {
+                self.refused(plan, last, link.port as usize, link.node as usize, link.accepts, frame);
+                // SAFETY: an output of a call that has ended holds its reference.
+                unsafe { clear(std::slice::from_mut(frame)) };
+            }
+            let cell = &*link.cell;
+            let Some(mut exec) = cell.exec.take() else {
+                // The engine closed it at the end of a run that was not waited for.
+                made.clear();
+                self.skip_from(plan, link.node as usize, tick, ready);
+                return Some(now_ns);
+            };
+            let complete = link.optional || !frame.is_empty();
+            // CallOutputs outputs carry the tick already; writing it again would hold up who reads it next.
+            if frame.tick != tick {
+                frame.tick = tick;
+            }
+            // SAFETY: an output of a call that has ended is empty or holds its reference, and `made` goes on holding it.
+            let inputs = std::slice::from_mut(unsafe { FrameRef::adopt_in_place(frame) });
+            let mut ports = Ports { inputs, lone: link.lone, made: next };
+            let (ran, end_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, now_ns, &mut ports);
+            if ran == CallOutcome::Abandoned {
+                Self::left_behind(cell, exec, walk);
+                return None;
+            }
+            made.clear();
+            cell.exec.put(exec);
+            if link.sink || ran != CallOutcome::Ok {
+                self.after(plan, link.node as usize, link.sink, ran, &tick, end_ns);
+            }
+            now_ns = end_ns;
+            (last, last_cell) = (link.node as usize, cell);
+            std::mem::swap(&mut made, &mut next);
+        }
+        self.show(last_cell, &made.outputs);
+        for (port, output) in made.outputs.iter_mut().enumerate() {
+            let raw = std::mem::replace(output, Frame::EMPTY);
+            // SAFETY: as above; `made` has just forgotten it.
+            let frame = unsafe { FrameRef::adopt(Frame { tick, ..raw }) };
+            self.deliver_port(plan, last, port, frame, ready);
+        }
+        self.leave(plan, last, ready);
+        Some(now_ns)
+    }
+
+    /// Finishes a tick from a node on whose call was given up: its outputs are empty, the rest of its chain is left out.
+    pub fn skip_from(&self, plan: &Plan, node: usize, tick: Tick, ready: &mut Ready) {
+        let mut last = node;
+        while let Some(inline) = plan.wiring[last].inline {
+            last = inline.node;
+            bump(&plan.cells[last].stats.skipped);
+            plan.cells[last].skipped_tick(&self.around, &tick, false);
+        }
+        for port in 0..plan.wiring[last].readers.len() {
+            self.deliver_port(plan, last, port, FrameRef::empty(tick), ready);
+        }
+        self.leave(plan, last, ready);
+    }
+
+    /// A node is done with a tick: if it is a leaf, its region may be.
+    fn leave(&self, plan: &Plan, node: usize, ready: &mut Ready) {
+        let wiring = &plan.wiring[node];
+        if !wiring.leaf {
+            return;
+        }
+        let nth = plan.cells[node].done_ticks.fetch_add(1, Ordering::Relaxed);
+        let region = &plan.regions[wiring.region];
+        match region.leaf_done(nth) {
+            Freed::Nothing => {}
+            Freed::Head => self.try_fire_head(plan, region.head, ready),
+            Freed::Pending(outputs) => {
+                self.enter(plan, region.head, outputs, ready);
+                while let Some(outputs) = region.handed_over() {
+                    self.enter(plan, region.head, outputs, ready);
+                }
+                self.try_fire_head(plan, region.head, ready);
+            }
+        }
+    }
+
+    /// Delivers a tick of a source that was admitted.
+    pub fn enter(&self, plan: &Plan, source: usize, mut outputs: Vec<FrameRef>, ready: &mut Ready) {
+        if let Some(observer) = &self.around.observer {
+            observer.admitted(&plan.cells[source].id);
+        }
+        for (port, frame) in outputs.drain(..).enumerate() {
+            self.deliver_port(plan, source, port, frame, ready);
+        }
+        plan.regions[plan.wiring[source].region].recycle(outputs);
+        self.leave(plan, source, ready);
+    }
+
+    /// The head of a region may admit another tick.
+    pub fn try_fire_head(&self, plan: &Plan, head: usize, ready: &mut Ready) {
+        let cell = &plan.cells[head];
+        if cell.source {
+            self.wake(cell);
+        } else {
+            self.try_fire(plan, head, ready);
+        }
+    }
+
+    fn deliver_port(&self, plan: &Plan, node: usize, port: usize, frame: FrameRef, ready: &mut Ready) {
+        let Some(readers) = plan.wiring[node].readers.get(port) else { return };
+        let mut gray: Option<FrameRef> = None;
+        for (index, reader) in readers.iter().enumerate() {
+            let converted = reader.convert && convert::wants(frame.frame());
+            if !converted && !takes(reader.accepts, frame.frame()) {
+                self.refused(plan, node, port, reader.node, reader.accepts, frame.frame());
+                self.arrive(plan, reader, FrameRef::empty(frame.tick()), ready);
+                continue;
+            }
+            let packet = if converted {
+                gray.get_or_insert_with(|| self.to_gray(&plan.cells[node], &frame)).clone()
+            } else if index + 1 == readers.len() {
+                return self.arrive(plan, reader, frame, ready);
+            } else {
+                frame.clone()
+            };
+            self.arrive(plan, reader, packet, ready);
+        }
+    }
+
+    fn to_gray(&self, cell: &NodeRuntime, frame: &FrameRef) -> FrameRef {
+        bump(&cell.stats.conversions);
+        convert::to_gray8(frame).unwrap_or_else(|| {
+            let words = "a gray copy was left out: frame memory is used up";
+            self.around.log.write(Level::Warn, &cell.id, words);
+            cell.note(&self.around, Cause::Exhausted, Action::Withhold, Some(frame.tick().seq), || words.to_owned());
+            FrameRef::empty(frame.tick())
+        })
+    }
+
+    /// An output is of a format that its reader does not take.
+    #[cold]
+    fn refused(&self, plan: &Plan, node: usize, port: usize, reader: usize, accepts: u32, frame: &Frame) {
+        let cell = &plan.cells[node];
+        bump(&cell.stats.faults);
+        cell.note(&self.around, Cause::Format, Action::Withhold, Some(frame.tick.seq), || {
+            let words = format!(
+                "output `{}` is {}, node `{}` takes {}",
+                cell.rules.get(port).map_or("?", |r| &r.name),
+                format_name(frame.format),
+                plan.cells[reader].id,
+                format_names(accepts)
+            );
+            self.around.log.write(Level::Error, &cell.id, &words);
+            words
+        });
+    }
+
+    fn arrive(&self, plan: &Plan, reader: &Reader, frame: FrameRef, ready: &mut Ready) {
+        let node = reader.node;
+        let cell = &plan.cells[node];
+        let mut join = lock(&cell.join);
+        let dropped = if self.around.decider.is_none() {
+            join.push(reader.slot, frame)
+        } else if cell.source {
+            // Its ticks come from a recording: it needs nothing.
+            return;
+        } else {
+            join.push_for_decider(reader.slot, frame)
+        };
+        if dropped > 0 {
+            cell.stats.dropped.fetch_add(dropped, Ordering::Relaxed);
+            let slot = &join.slots[reader.slot];
+            if slot.is_timed() {
+                self.tell_of_drops(cell, reader.slot, slot.dropped(), dropped, slot.capacity);
+            }
+        }
+        if join.running || join.finished {
+            return;
+        }
+        if cell.source {
+            drop(join);
+            return self.wake(cell);
+        }
+        let next = self.decide(plan, node, &mut join);
+        drop(join);
+        self.go_on(plan, node, next, ready);
+    }
+
+    /// A wire on which packets wait to be picked by their time is full.
+    #[cold]
+    fn tell_of_drops(&self, cell: &NodeRuntime, slot: usize, all: u64, new: u64, capacity: usize) {
+        // With every power of two.
+        if all.ilog2() == (all - new).checked_ilog2().unwrap_or(u32::MAX) {
+            return;
+        }
+        let port = lock(&cell.ranges).iter().position(|r| (r.first..r.first + r.count).contains(&(slot as u32)));
+        let name = port.map_or("?", |port| cell.input_name(port));
+        let words = format!(
+            "input `{name}`: {all} packets were dropped, because {capacity} wait already; what they are matched with comes too seldom \
+             (`queue` says how many may wait)"
+        );
+        self.around.log.write(Level::Warn, &cell.id, &words);
+    }
+
+    /// No tick will come out of this node again.
+    pub fn finish(&self, node: usize, ready: &mut Ready) {
+        let _order = lock(&self.finishing);
+        let plan = self.plan.load();
+        let mut list = vec![node];
+        while let Some(node) = list.pop() {
+            // Closing finishes files; nobody runs the node any more.
+            self.one_finished();
+            self.wake(&plan.cells[node]);
+            for reader in plan.wiring[node].readers.iter().flatten() {
+                let mut join = lock(&plan.cells[reader.node].join);
+                join.end(reader.slot);
+                if join.running || join.finished || plan.cells[reader.node].source {
+                    continue;
+                }
+                match self.decide(&plan, reader.node, &mut join) {
+                    Next::Run => ready.push(self, &plan, reader.node),
+                    Next::Idle => {}
+                    Next::Finish => list.push(reader.node),
+                }
+            }
+        }
+    }
+
+    /// Counts a node that is finished or gone.
+    pub fn one_finished(&self) {
+        if self.unfinished.fetch_sub(1, Ordering::AcqRel) == 1 {
+            self.end_ns.store(clock::now_ns(), Ordering::Relaxed);
+            let _guard = lock(&self.finished_lock);
+            self.finished.notify_all();
+        }
+    }
+
+    /// Ends the run with a reason.
+    pub fn fail(&self, reason: String) {
+        lock(&self.failed).get_or_insert(reason);
+        self.stop();
+    }
+
+    /// Asks the sources to end.
+    pub fn stop(&self) {
+        self.stopping.store(true, Ordering::Release);
+        for (_, cell) in self.plan.load().live().filter(|(_, c)| c.source) {
+            self.wake(cell);
+        }
+    }
+
+    pub fn is_stopping(&self) -> bool {
+        self.stopping.load(Ordering::Acquire)
+    }
+
+    pub fn meter_allocations(&self, seq: u64) {
+        let Some(count) = self.allocations.count else { return };
+        if seq == self.allocations.warm_up_ticks {
+            lock(&self.allocations.from).get_or_insert((count(), seq));
+        } else if seq > self.allocations.warm_up_ticks {
+            *lock(&self.allocations.to) = Some((count(), seq));
+        }
+    }
+}
+
+/// Asks for what the next nodes of a chain will touch, each step as early as the address is known: after a pause, or in a long
+/// chain, it is in no near cache.
+#[inline]
+fn look_ahead(links: &[Link], at: usize) {
+    if let Some(link) = links.get(at + 1) {
+        prefetch((&raw const *link.cell).cast());
+    }
+    if let Some(link) = links.get(at) {
+        Exec::prefetch(link.cell.exec.address());
+    }
+}
+
+/// Whether a reader takes a frame.
+#[inline]
+fn takes(accepts: u32, frame: &Frame) -> bool {
+    accepts == 0 || frame.is_empty() || (frame.format < 32 && accepts >> frame.format & 1 == 1)
+}

@@ -1,0 +1,91 @@
+//! How a node takes its next tick: by the clock, or as a decider has it.
+
+use std::sync::atomic::Ordering;
+
+use super::{Next, Ready, Shared};
+use crate::clock;
+use crate::join::{Join, Take};
+use crate::observe::Event;
+use crate::plan::Plan;
+use crate::region::Region;
+use crate::sync::lock;
+
+impl Shared {
+    fn gate<'p>(&self, plan: &'p Plan, node: usize, join: &Join) -> Option<&'p Region> {
+        plan.regions.get(plan.wiring[node].region).filter(|_| join.heads_region()).map(|r| &**r)
+    }
+
+    /// Tries to take the next tick of a node that nobody runs, and of one that was just run.
+    pub(super) fn decide(&self, plan: &Plan, node: usize, join: &mut Join) -> Next {
+        let take = if self.around.observer.is_none() && self.around.decider.is_none() {
+            join.try_take(self.gate(plan, node, join), clock::now_ns())
+        } else {
+            self.take_observed(plan, node, join)
+        };
+        if take == Take::Wait && join.nearest_deadline_ns != 0 {
+            self.waiting_nearest.store(1, Ordering::Relaxed);
+        }
+        join.running = matches!(take, Take::Fire { .. });
+        match take {
+            Take::Fire { .. } => Next::Run,
+            Take::Wait => Next::Idle,
+            Take::Finished if std::mem::replace(&mut join.finished, true) => Next::Idle,
+            Take::Finished => Next::Finish,
+        }
+    }
+
+    /// Like [`Join::try_take`], written down or looked up where it depends on time.
+    #[cold]
+    fn take_observed(&self, plan: &Plan, node: usize, join: &mut Join) -> Take {
+        let (cell, region) = (&plan.cells[node], self.gate(plan, node, join));
+        let decider = self.around.decider.as_ref().filter(|d| d.leads_nodes() && join.is_timed());
+        let take = match decider {
+            Some(decider) => {
+                let may_enter = region.is_none() || decider.may_enter(&cell.id);
+                let take = join.take_wanted(region, decider.took(&cell.id), may_enter);
+                if matches!(take, Take::Fire { .. }) && region.is_some() {
+                    decider.entered(&cell.id);
+                }
+                take
+            }
+            None => join.try_take(region, clock::now_ns()),
+        };
+        if let (Take::Fire { tick, .. }, Some(observer), true) = (take, &self.around.observer, join.is_timed()) {
+            if region.is_some() {
+                observer.admitted(&cell.id);
+            }
+            observer.event(Event::Took { node: cell.id.clone(), tick, inputs: join.staged_ticks() });
+        }
+        take
+    }
+
+    /// The runner of a node asks for its next tick; `true` when it is staged.
+    pub fn take_next(&self, plan: &Plan, node: usize, ready: &mut Ready) -> bool {
+        let next = self.decide(plan, node, &mut lock(&plan.cells[node].join));
+        if next == Next::Finish {
+            self.finish(node, ready);
+        }
+        next == Next::Run
+    }
+
+    /// Tries to fire a node that nobody runs.
+    pub fn try_fire(&self, plan: &Plan, node: usize, ready: &mut Ready) {
+        let mut join = lock(&plan.cells[node].join);
+        if join.running || join.finished {
+            return;
+        }
+        let next = self.decide(plan, node, &mut join);
+        drop(join);
+        self.go_on(plan, node, next, ready);
+    }
+
+    pub(super) fn go_on(&self, plan: &Plan, node: usize, next: Next, ready: &mut Ready) {
+        match next {
+            // Whoever sleeps is woken at once: that takes longer than what is left to do here.
+            Next::Run if plan.cells[node].owns_thread() => self.dispatch(plan, node),
+            Next::Run => ready.push(self, plan, node),
+            Next::Idle => {}
+            Next::Finish => self.finish(node, ready),
+        }
+    }
+}

@@ -1,0 +1,340 @@
+//! What is measured in a sweep.
+
+use std::fmt;
+
+use panoscope_graph::{Catalog, Graph};
+
+use super::{SweepError, part};
+use panoscope_engine::numbers::{self, tells_numbers};
+use panoscope_engine::{NodeReport, Report};
+
+/// Counters that every node has, to be measured as `node.p50_ms`.
+pub const COUNTERS: [&str; 7] = ["p50_ms", "p99_ms", "max_ms", "count", "dropped", "skipped", "faults"];
+
+fn counter(node: &NodeReport, name: &str) -> Option<f64> {
+    Some(match name {
+        "p50_ms" => node.p50_ms,
+        "p99_ms" => node.p99_ms,
+        "max_ms" => node.max_ms,
+        "count" => node.count as f64,
+        "dropped" => node.dropped as f64,
+        "skipped" => node.skipped as f64,
+        "faults" => node.faults as f64,
+        _ => return None,
+    })
+}
+
+/// Which rows of a table are measured: each may be a measure of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rows {
+    /// The only one; a table with more is refused.
+    Only,
+    /// This one, from 1.
+    Nth(usize),
+    /// All, as values of the same measure.
+    All,
+}
+
+/// What is measured.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Measure {
+    /// Each packet of an output: a scalar, or a column of a table.
+    Port {
+        /// The node.
+        node: String,
+        /// Its output.
+        port: String,
+        /// Type of its packets.
+        packet: String,
+        /// Of a table.
+        column: Option<String>,
+        /// Of a table.
+        rows: Rows,
+    },
+    /// A number that the node tells, tick by tick, or a counter, at the end of the run.
+    Told {
+        /// The node.
+        node: String,
+        /// The number's name.
+        name: String,
+    },
+}
+
+impl fmt::Display for Measure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Port { node, port, column: Some(column), rows, .. } => match rows {
+                Rows::Only => write!(f, "{node}.{port}.{column}"),
+                Rows::Nth(row) => write!(f, "{node}.{port}.{column}[{row}]"),
+                Rows::All => write!(f, "{node}.{port}.{column}[*]"),
+            },
+            Self::Port { node, port: name, .. } | Self::Told { node, name } => write!(f, "{node}.{name}"),
+        }
+    }
+}
+
+impl Measure {
+    /// Reads `node.port`, `node.port.column` or `node.name`; answers the node's position, too.
+    pub(super) fn of(text: &str, graph: &Graph, catalog: &Catalog) -> Result<(Self, usize), SweepError> {
+        let bad = |reason: String| SweepError::Measure { measure: text.to_owned(), reason };
+        let words = "write it as NODE.PORT, NODE.PORT.COLUMN or NODE.NUMBER";
+        let (id, rest) = text.split_once('.').ok_or_else(|| bad(words.to_owned()))?;
+        let node = graph.node(id).ok_or_else(|| bad(part::no_node(graph, id)))?;
+        let node_type = graph.nodes[node].node_type(catalog);
+        let (port, column, rows) = match rest.split_once('.') {
+            Some((port, column)) => {
+                let (column, rows) = rows_of(column).map_err(&bad)?;
+                (port, Some(column.to_owned()), rows)
+            }
+            None => (rest, None, Rows::Only),
+        };
+        let told: Vec<&str> =
+            node_type.outputs.iter().filter(|p| tells_numbers(&p.packet.name)).map(|p| p.name.as_str()).collect();
+        let Some(output) = node_type.output(port) else {
+            if column.is_some() {
+                let told = part::list(&told);
+                return Err(bad(format!("`{id}` has no output `{port}`; its outputs with numbers: {told}")));
+            }
+            return Ok((Self::Told { node: id.to_owned(), name: port.to_owned() }, node));
+        };
+        let packet = node_type.outputs[output].packet.name.clone();
+        match (packet.as_str(), &column) {
+            ("scalar", None) | ("table", Some(_)) => {}
+            ("scalar", Some(_)) => return Err(bad("a scalar has no columns".to_owned())),
+            ("table", None) => return Err(bad(format!("it is a table: name a column, {id}.{port}.COLUMN"))),
+            _ => {
+                let told = part::list(&told);
+                return Err(bad(format!("it carries {packet}, no numbers; outputs of `{id}` with numbers: {told}")));
+            }
+        }
+        Ok((Self::Port { node: id.to_owned(), port: port.to_owned(), packet, column, rows }, node))
+    }
+
+    /// Why what was heard shows that there is no such measure, for any value.
+    pub(super) fn wrong(&self, heard: &Heard) -> Option<String> {
+        let Self::Port { column: Some(column), rows, .. } = self else { return None };
+        if let Some(others) = &heard.others {
+            let others: Vec<&str> = others.iter().map(String::as_str).collect();
+            return Some(format!("there is no column `{column}`; columns are {}", part::list(&others)));
+        }
+        (*rows == Rows::Only && heard.most_rows > 1).then(|| {
+            format!(
+                "the table has {} rows, which may be different measures: name one, {self}[1] to {self}[{}], or take all as one with {self}[*]",
+                heard.most_rows, heard.most_rows
+            )
+        })
+    }
+
+    /// What a run came to.
+    pub(super) fn summary(&self, heard: &Heard, report: &Report) -> Result<Summary, NoSummary> {
+        if let Some(reason) = self.wrong(heard) {
+            return Err(NoSummary::Measure(reason));
+        }
+        match self {
+            Self::Port { rows, .. } => {
+                if let Rows::Nth(row) = rows
+                    && heard.most_rows > 0
+                    && *row > heard.most_rows
+                {
+                    let most = heard.most_rows;
+                    return Err(NoSummary::Run(format!("there is no row {row}: the table has up to {most}")));
+                }
+                if heard.values.is_empty() && heard.missing == 0 {
+                    return Err(NoSummary::Run("nothing came out of it".to_owned()));
+                }
+                Ok(Summary::of(&heard.values, heard.missing))
+            }
+            Self::Told { node, name } => {
+                let ran = |node: &str| NoSummary::Run(format!("`{node}` did not run"));
+                let found = report.nodes.get(node).ok_or_else(|| ran(node))?;
+                if !heard.told.is_empty() {
+                    let (finite, unknown): (Vec<f64>, Vec<f64>) =
+                        heard.told.iter().map(|(_, v)| *v).partition(|v| v.is_finite());
+                    return Ok(Summary::of(&finite, unknown.len() as u64));
+                }
+                if found.count == 0 && found.metrics.is_empty() && !COUNTERS.contains(&name.as_str()) {
+                    return Err(ran(node));
+                }
+                let value = counter(found, name).ok_or_else(|| {
+                    let names = found.metrics.keys().map(String::as_str);
+                    let names: Vec<&str> = names.chain(COUNTERS).collect();
+                    NoSummary::Measure(format!("`{node}` tells no number `{name}`; it tells {}", part::list(&names)))
+                })?;
+                Ok(Summary::of(&[value], 0))
+            }
+        }
+    }
+}
+
+/// Why a run came to nothing.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum NoSummary {
+    /// There is no such measure: other values would come to nothing, too.
+    Measure(String),
+    /// This run failed.
+    Run(String),
+}
+
+/// A column and which rows of it: `x_mm`, `x_mm[2]`, `x_mm[*]`.
+fn rows_of(column: &str) -> Result<(&str, Rows), String> {
+    let Some((name, index)) = column.strip_suffix(']').and_then(|c| c.rsplit_once('[')) else {
+        return Ok((column, Rows::Only));
+    };
+    match (index, index.parse::<usize>()) {
+        ("*", _) => Ok((name, Rows::All)),
+        (_, Ok(row)) if row > 0 => Ok((name, Rows::Nth(row))),
+        _ => Err(format!("`[{index}]` is no row: write {name}[1] for the first one, {name}[*] for all")),
+    }
+}
+
+/// Values of a port so far.
+#[derive(Debug, Default)]
+pub(super) struct Heard {
+    values: Vec<f64>,
+    missing: u64,
+    /// Columns of a table that does not have the wanted one.
+    others: Option<Vec<String>>,
+    /// The most rows that a table had.
+    most_rows: usize,
+    /// Numbers that were told: tick and value.
+    told: Vec<((u32, u64), f64)>,
+}
+
+impl Heard {
+    /// Takes a packet.
+    pub fn take(&mut self, bytes: &[u8], packet: &str, column: Option<&str>, rows: Rows) {
+        let Some(told) = numbers::read(bytes, packet) else { return };
+        let at = match column {
+            None => 0,
+            Some(wanted) => match told.names.iter().position(|name| name == wanted) {
+                Some(at) => at,
+                None => {
+                    self.others = Some(told.names);
+                    return;
+                }
+            },
+        };
+        let count = told.rows().count();
+        self.most_rows = self.most_rows.max(count);
+        let wanted = |index: usize| match rows {
+            Rows::Nth(row) => index + 1 == row,
+            Rows::Only | Rows::All => true,
+        };
+        let values = told.rows().enumerate().filter(|(index, _)| wanted(*index)).filter_map(|(_, row)| row.get(at));
+        for value in values {
+            if value.is_finite() { self.values.push(*value) } else { self.missing += 1 }
+        }
+        if matches!(rows, Rows::Nth(row) if row > count) {
+            self.missing += 1;
+        }
+    }
+
+    /// Takes a number that a node told; the last one of a tick counts.
+    pub fn tell(&mut self, tick: (u32, u64), value: f64) {
+        match self.told.last_mut() {
+            Some((last, slot)) if *last == tick => *slot = value,
+            _ => self.told.push((tick, value)),
+        }
+    }
+}
+
+/// What many values of a measure came to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Summary {
+    /// Finite values.
+    pub count: u64,
+    /// Values that were not finite: unknown.
+    pub missing: u64,
+    /// Mean of the finite ones; NaN when there are none, as are the following.
+    pub mean: f64,
+    /// Half of them are no larger.
+    pub median: f64,
+    /// The smallest.
+    pub min: f64,
+    /// The largest.
+    pub max: f64,
+    /// Standard deviation.
+    pub deviation: f64,
+}
+
+impl Summary {
+    fn of(values: &[f64], missing: u64) -> Self {
+        let count = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / count;
+        let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count;
+        let mut sorted = values.to_vec();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let median = match sorted.len() {
+            0 => f64::NAN,
+            n if n % 2 == 1 => sorted[n / 2],
+            n => f64::midpoint(sorted[n / 2 - 1], sorted[n / 2]),
+        };
+        Self {
+            count: values.len() as u64,
+            missing,
+            mean,
+            median,
+            min: sorted.first().copied().unwrap_or(f64::NAN),
+            max: sorted.last().copied().unwrap_or(f64::NAN),
+            deviation: variance.sqrt(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Heard, Measure, Rows, Summary, rows_of};
+
+    fn table(rows: &[[f64; 2]]) -> Vec<u8> {
+        let mut bytes: Vec<u8> = [rows.len() as u32, 2, 8, 0].iter().flat_map(|n| n.to_le_bytes()).collect();
+        bytes.extend(b"mm\nerr\0\0");
+        rows.iter().flatten().for_each(|v| bytes.extend(v.to_le_bytes()));
+        bytes
+    }
+
+    fn heard(rows: Rows, packets: &[&[[f64; 2]]]) -> Heard {
+        let mut heard = Heard::default();
+        packets.iter().for_each(|packet| heard.take(&table(packet), "table", Some("mm"), rows));
+        heard
+    }
+
+    #[test]
+    fn rows_of_several_measures_are_not_pooled() {
+        let of = |rows| Measure::Port {
+            node: "measure".to_owned(),
+            port: "table".to_owned(),
+            packet: "table".to_owned(),
+            column: Some("mm".to_owned()),
+            rows,
+        };
+        let two: [&[[f64; 2]]; 2] = [&[[10.0, 0.1], [70.0, 0.2]], &[[12.0, 0.1], [72.0, 0.2]]];
+        let wrong = of(Rows::Only).wrong(&heard(Rows::Only, &two)).expect("two measures are no one");
+        assert!(wrong.contains("measure.table.mm[1] to measure.table.mm[2]"), "{wrong}");
+        assert!(of(Rows::Only).wrong(&heard(Rows::Only, &[&[[10.0, 0.1]], &[]])).is_none());
+        assert_eq!(heard(Rows::Nth(2), &two).values, [70.0, 72.0]);
+        assert_eq!(heard(Rows::All, &two).values, [10.0, 70.0, 12.0, 72.0]);
+        let short = heard(Rows::Nth(2), &[&[[10.0, 0.1]], &[[1.0, 0.1], [2.0, 0.1]]]);
+        assert_eq!((short.values, short.missing), (vec![2.0], 1));
+        assert_eq!(rows_of("mm[3]"), Ok(("mm", Rows::Nth(3))));
+        assert_eq!(rows_of("mm[*]"), Ok(("mm", Rows::All)));
+        assert!(rows_of("mm[0]").is_err() && rows_of("mm[last]").is_err());
+        assert_eq!(of(Rows::All).to_string(), "measure.table.mm[*]");
+    }
+
+    #[test]
+    fn a_number_told_twice_in_a_tick_counts_once() {
+        let mut heard = Heard::default();
+        for (tick, value) in [((0, 1), 5.0), ((0, 1), 6.0), ((0, 2), 7.0)] {
+            heard.tell(tick, value);
+        }
+        assert_eq!(heard.told, [((0, 1), 6.0), ((0, 2), 7.0)]);
+    }
+
+    #[test]
+    fn a_summary_has_mean_median_and_ends() {
+        let s = Summary::of(&[4.0, 1.0, 3.0, 2.0], 1);
+        assert_eq!((s.count, s.missing, s.mean, s.median, s.min, s.max), (4, 1, 2.5, 2.5, 1.0, 4.0));
+        assert!((s.deviation - 1.25f64.sqrt()).abs() < 1e-12);
+        assert!(Summary::of(&[], 3).mean.is_nan());
+    }
+}

@@ -1,0 +1,221 @@
+//! Finds plugins by their notes, loads those that are needed and fills the catalogue.
+
+use std::collections::BTreeMap;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use panoscope_abi as abi;
+use panoscope_engine::Plugins;
+use panoscope_graph::{Catalog, Offer, PluginProblem};
+
+use crate::elf::ElfError;
+use crate::error::LoadError;
+use crate::map::{Found, Loaded, inspect, load};
+
+/// Environment variable with further plugin folders, separated by colons.
+pub const PLUGIN_PATH_VARIABLE: &str = "PANOSCOPE_PLUGIN_PATH";
+
+/// Tells one state of a file from another: time, length and inode; all zero when there is none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Stamp(u128, u64, u64);
+
+impl Stamp {
+    /// The file as it is now.
+    pub fn of(file: &Path) -> Self {
+        use std::os::unix::fs::MetadataExt;
+        let Ok(meta) = std::fs::metadata(file) else { return Self::default() };
+        let time = meta.modified().ok().and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok());
+        Self(time.map_or(0, |t| t.as_nanos()), meta.len(), meta.ino())
+    }
+}
+
+/// All plugins that can be seen from here.
+#[derive(Default)]
+pub struct Loader {
+    folders: Vec<PathBuf>,
+    stamps: BTreeMap<PathBuf, Stamp>,
+    found: BTreeMap<String, Found>,
+    problems: Vec<PluginProblem>,
+    loaded: Mutex<BTreeMap<String, Result<Loaded, PluginProblem>>>,
+}
+
+/// Folders that are searched: those given, `PANOSCOPE_PLUGIN_PATH`, `plugins` beside the program, the build's folder.
+pub fn search_path(extra: &[PathBuf]) -> Vec<PathBuf> {
+    let mut folders = extra.to_vec();
+    if let Some(list) = std::env::var_os(PLUGIN_PATH_VARIABLE) {
+        folders.extend(std::env::split_paths(&list).filter(|p| !p.as_os_str().is_empty()));
+    }
+    if let Ok(program) = std::env::current_exe()
+        && let Some(folder) = program.parent()
+    {
+        folders.push(folder.join("plugins"));
+        if folder.file_name() == Some(OsStr::new("deps"))
+            && let Some(up) = folder.parent()
+        {
+            folders.push(up.join("plugins"));
+        }
+    }
+    let mut unique: Vec<PathBuf> = Vec::new();
+    for folder in folders {
+        if !unique.contains(&folder) {
+            unique.push(folder);
+        }
+    }
+    unique
+}
+
+impl Loader {
+    /// Looks into the given folders, earlier ones first; reads notes, loads nothing.
+    pub fn search(folders: &[PathBuf]) -> Self {
+        let mut this = Self { folders: folders.to_vec(), ..Self::default() };
+        for folder in folders {
+            let Ok(entries) = std::fs::read_dir(folder) else { continue };
+            let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
+            files.sort();
+            for file in files.into_iter().filter(|f| f.extension() == Some(OsStr::new("so"))) {
+                // Read first: a file that changes now will differ from it.
+                this.stamps.insert(file.clone(), Stamp::of(&file));
+                match inspect(&file) {
+                    Ok(found) => {
+                        this.found.entry(found.note.name.clone()).or_insert(found);
+                    }
+                    // Any library may stand in such a folder; only what claims to be a plugin is worth a word.
+                    Err(LoadError::BadFile { cause: ElfError::NoNote, .. }) => {}
+                    Err(error) => this.problems.push(error.problem(&stem(&file))),
+                }
+            }
+        }
+        let found = &this.found;
+        this.problems.retain(|p| !found.contains_key(&p.plugin));
+        this
+    }
+
+    /// Looks into the same folders again. Plugins whose files are as they were go on as loaded; the others load anew when they are needed,
+    /// beside their predecessors.
+    pub fn rescan(&self) -> Self {
+        self.rescan_in(&self.folders)
+    }
+
+    /// Looks into other folders, otherwise like [`Self::rescan`].
+    pub fn rescan_in(&self, folders: &[PathBuf]) -> Self {
+        let mut new = Self::search(folders);
+        let loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
+        // A plugin whose file broke is not replaced by one of the same name from another folder: its predecessor runs on.
+        for (plugin, found) in self.found.iter().filter(|(plugin, _)| loaded.contains_key(*plugin)) {
+            if new.found.get(plugin).is_some_and(|n| n.file != found.file)
+                && new.stamps.contains_key(&found.file)
+                && let Err(error) = inspect(&found.file)
+            {
+                new.found.remove(plugin);
+                new.problems.push(error.problem(plugin));
+            }
+        }
+        let unchanged = |plugin: &str| {
+            let file = &new.found.get(plugin)?.file;
+            (self.found.get(plugin)?.file == *file && self.stamps.get(file) == new.stamps.get(file)).then_some(())
+        };
+        let kept = loaded.iter().filter(|(plugin, result)| result.is_ok() && unchanged(plugin).is_some());
+        let kept: BTreeMap<_, _> = kept.map(|(plugin, result)| (plugin.clone(), result.clone())).collect();
+        *new.loaded.lock().unwrap_or_else(PoisonError::into_inner) = kept;
+        new
+    }
+
+    /// The plugin files seen, as they were.
+    pub fn stamps(&self) -> &BTreeMap<PathBuf, Stamp> {
+        &self.stamps
+    }
+
+    /// Folders that were searched.
+    pub fn folders(&self) -> &[PathBuf] {
+        &self.folders
+    }
+
+    /// Plugins by name.
+    pub fn found(&self) -> impl Iterator<Item = &Found> {
+        self.found.values()
+    }
+
+    /// Files that look like plugins and cannot be used.
+    pub fn problems(&self) -> &[PluginProblem] {
+        &self.problems
+    }
+
+    /// The plugins that offer a node type, from their notes.
+    pub fn offering(&self, node_type: &str) -> Vec<&Found> {
+        self.found.values().filter(|f| f.note.node_types.iter().any(|n| n == node_type)).collect()
+    }
+
+    /// Loads a plugin, once.
+    pub fn load(&self, plugin: &str) -> Result<Loaded, PluginProblem> {
+        let mut loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(done) = loaded.get(plugin) {
+            return done.clone();
+        }
+        let result = match self.found.get(plugin) {
+            Some(found) => load(found).map_err(|e| e.problem(plugin)),
+            None => match self.problems.iter().find(|p| p.plugin == plugin) {
+                Some(problem) => Err(problem.clone()),
+                None => return Err(missing(plugin)),
+            },
+        };
+        loaded.insert(plugin.to_owned(), result.clone());
+        result
+    }
+
+    /// The catalogue for a graph: its listed plugins loaded, all others by name only.
+    pub fn catalog<S: AsRef<str>>(&self, plugins: &[S]) -> Catalog {
+        let mut catalog = Catalog { problems: self.problems.clone(), ..Catalog::default() };
+        for (plugin, found) in &self.found {
+            if !plugins.iter().any(|p| p.as_ref() == plugin) {
+                catalog.plugins.push(plugin.clone());
+                catalog.offers.push(Offer { plugin: plugin.clone(), node_types: found.note.node_types.clone() });
+            }
+        }
+        for plugin in plugins {
+            let plugin = plugin.as_ref();
+            match self.load(plugin) {
+                Ok(loaded) => {
+                    if !catalog.plugins.iter().any(|p| p == plugin) {
+                        catalog.plugins.push(plugin.to_owned());
+                        catalog.node_types.extend(loaded.node_types);
+                    }
+                }
+                Err(problem) if self.found.contains_key(plugin) => catalog.problems.push(problem),
+                Err(_) => {}
+            }
+        }
+        catalog.plugins.sort();
+        catalog
+    }
+}
+
+impl Plugins for Loader {
+    fn entry(&self, plugin: &str, node_type: &str) -> Option<&'static abi::NodeType> {
+        let loaded = self.load(plugin).ok()?;
+        let index = loaded.node_types.iter().position(|t| t.name == node_type)?;
+        loaded.entries.get(index).copied()
+    }
+
+    fn files(&self, plugins: &[String]) -> Vec<(String, PathBuf)> {
+        let used = self.found().filter(|found| plugins.contains(&found.note.name));
+        used.map(|found| (found.note.name.clone(), found.file.clone())).collect()
+    }
+}
+
+fn stem(file: &Path) -> String {
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    let stem = stem.strip_prefix("lib").unwrap_or(&stem);
+    stem.strip_prefix("panoscope_").unwrap_or(stem).to_owned()
+}
+
+fn missing(plugin: &str) -> PluginProblem {
+    PluginProblem {
+        plugin: plugin.to_owned(),
+        file: String::new(),
+        message: format!("no plugin `{plugin}` was found"),
+        help: format!(
+            "folders searched: the graph's plugin_paths, {PLUGIN_PATH_VARIABLE}, `plugins` beside the program"
+        ),
+    }
+}

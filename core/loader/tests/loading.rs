@@ -1,0 +1,165 @@
+//! What stands in a plugin folder is looked at before it is loaded, and refused with words.
+
+#[path = "../../engine/tests/common/mod.rs"]
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::{flow_plugin, scratch};
+use panoscope_abi as abi;
+use panoscope_graph::{GraphText, check};
+use panoscope_loader::Loader;
+use panoscope_loader::inspect;
+
+/// A fresh folder with one file in it.
+fn folder_with(name: &str, file: &str, bytes: &[u8]) -> PathBuf {
+    let folder = scratch(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).expect("a folder");
+    std::fs::write(folder.join(file), bytes).expect("a file");
+    folder
+}
+
+fn flow_bytes() -> Vec<u8> {
+    std::fs::read(flow_plugin()).expect("the flow plugin is readable")
+}
+
+/// Where the note's body begins.
+fn note_body(bytes: &[u8]) -> usize {
+    let owner = bytes.windows(abi::NOTE_OWNER.len()).position(|w| w == abi::NOTE_OWNER).expect("a note");
+    owner + abi::NOTE_OWNER.len()
+}
+
+/// The one problem of a folder.
+fn problem(folder: &Path) -> String {
+    let loader = Loader::search(&[folder.to_owned()]);
+    assert_eq!(loader.found().count(), 0);
+    let [problem] = loader.problems() else { panic!("{:?}", loader.problems()) };
+    assert!(!problem.help.is_empty());
+    problem.message.clone()
+}
+
+#[test]
+fn the_whole_file_is_found_and_loads() {
+    let folder = folder_with("whole", "libflow.so", &flow_bytes());
+    let loader = Loader::search(&[folder]);
+    assert!(loader.problems().is_empty(), "{:?}", loader.problems());
+    assert_eq!(loader.offering("pass").len(), 1);
+    let loaded = loader.load("flow").expect("it loads");
+    let from_code: Vec<&str> = loaded.node_types.iter().map(|t| t.name.as_str()).collect();
+    assert_eq!(from_code, loaded.found.note.node_types, "note and code agree");
+}
+
+#[test]
+fn a_cut_off_library_is_refused_before_it_is_mapped() {
+    let whole = flow_bytes();
+    for percent in (0..100).step_by(5) {
+        let cut = &whole[..whole.len() * percent / 100];
+        let folder = folder_with("cut", "libflow.so", cut);
+        let message = problem(&folder);
+        let expected = if percent == 0 { "the file is empty" } else { "it is cut off" };
+        assert!(message.contains(expected) && message.contains("libflow.so"), "{percent} %: {message}");
+    }
+    // By a single byte, too.
+    let folder = folder_with("cut", "libflow.so", &whole[..whole.len() - 1]);
+    assert!(problem(&folder).contains("it is cut off"));
+}
+
+#[test]
+fn another_abi_is_refused_with_both_numbers_and_the_mend() {
+    let mut bytes = flow_bytes();
+    let body = note_body(&bytes);
+    let other = abi::ABI_MAJOR + 41;
+    bytes[body..body + 4].copy_from_slice(&other.to_le_bytes());
+    let folder = folder_with("abi", "libflow.so", &bytes);
+    let message = problem(&folder);
+    assert!(
+        message.contains(&format!("ABI {other}")) && message.contains(&format!("speaks {}", abi::ABI_MAJOR)),
+        "{message}"
+    );
+    let loader = Loader::search(&[folder]);
+    assert!(loader.problems()[0].help.contains("rebuild"), "{:?}", loader.problems());
+
+    // A graph that lists it is told at that place.
+    let text = GraphText::parse("g.toml".as_ref(), "plugins = [\"flow\"]\n[nodes.a]\ntype = \"frames\"\n");
+    let diagnostics = check(&text, &loader.catalog(&text.plugins())).into_result().unwrap_err().render(false);
+    assert!(diagnostics.contains("g.toml:1:12") && diagnostics.contains("rebuild"), "{diagnostics}");
+}
+
+#[test]
+fn a_newer_minor_number_is_fine() {
+    let mut bytes = flow_bytes();
+    let body = note_body(&bytes);
+    bytes[body + 4..body + 8].copy_from_slice(&(abi::ABI_MINOR + 7).to_le_bytes());
+    let folder = folder_with("minor", "libflow.so", &bytes);
+    let loader = Loader::search(&[folder]);
+    assert_eq!(loader.found().count(), 1);
+    assert!(loader.load("flow").is_ok());
+}
+
+#[test]
+fn a_note_that_lies_about_the_name_is_refused() {
+    let mut bytes = flow_bytes();
+    let body = note_body(&bytes);
+    bytes[body + 8..body + 12].copy_from_slice(b"flaw");
+    let folder = folder_with("lie", "libflow.so", &bytes);
+    let error = Loader::search(&[folder]).load("flaw").err().expect("refused");
+    assert!(error.message.contains("its note says `flaw`, its code says `flow`"), "{}", error.message);
+}
+
+#[test]
+fn what_is_no_plugin_is_refused_or_passed_over() {
+    for (bytes, expected) in [
+        (&b""[..], "the file is empty"),
+        (b"hello", "it does not begin with ELF"),
+        (b"\x7fELF", "it is cut off"),
+        (&[0x7f; 5000], "it does not begin with ELF"),
+    ] {
+        let message = problem(&folder_with("garbage", "libodd.so", bytes));
+        assert!(message.contains(expected), "{message}");
+    }
+    // Other files in the folder are nobody's business.
+    let folder = folder_with("others", "notes.txt", b"hello");
+    let loader = Loader::search(&[folder, scratch("absent")]);
+    assert!(loader.problems().is_empty());
+}
+
+#[test]
+fn no_flipped_byte_crashes_the_reader() {
+    let whole = flow_bytes();
+    let section_table = u64::from_le_bytes(whole[40..48].try_into().expect("eight bytes")) as usize;
+    let note = note_body(&whole);
+    let places =
+        (0..64).chain(64..64 + 56 * 8).chain(note - 24..note + 110).chain((section_table..whole.len()).step_by(7));
+    for place in places {
+        for value in [0x00, 0xff, whole[place] ^ 0x80] {
+            let mut bytes = whole.clone();
+            bytes[place] = value;
+            // Any answer will do; it must come.
+            let _ = panoscope_loader::elf::read_note(&bytes[..]);
+        }
+    }
+}
+
+#[test]
+fn the_first_of_two_plugins_of_one_name_wins() {
+    let first = folder_with("first", "libflow.so", &flow_bytes());
+    let second = folder_with("second", "libflow.so", &flow_bytes());
+    let loader = Loader::search(&[first.clone(), second]);
+    assert_eq!(loader.found().count(), 1);
+    assert!(loader.found().all(|f| f.file.starts_with(&first)));
+}
+
+#[test]
+fn all_plugins_that_offer_a_type_are_named() {
+    // A second plugin with the same types: the same library under another name, in its note and in its code.
+    let mut bytes = flow_bytes();
+    let body = note_body(&bytes);
+    bytes[body + 8..body + 12].copy_from_slice(b"duct");
+    let folder = folder_with("two", "libflow.so", &flow_bytes());
+    std::fs::write(folder.join("libduct.so"), &bytes).expect("a file");
+    let loader = Loader::search(std::slice::from_ref(&folder));
+    let offering: Vec<&str> = loader.offering("pass").iter().map(|f| f.note.name.as_str()).collect();
+    assert_eq!(offering, ["duct", "flow"]);
+    assert!(inspect(&folder.join("libduct.so")).is_ok());
+}

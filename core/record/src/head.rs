@@ -1,0 +1,50 @@
+//! What a recording says of the run it was made of.
+
+use std::path::Path;
+
+use panoscope_graph::{Catalog, Graph, ParamKind, ParamValue};
+
+use crate::file_hash::{FileHash, hash, hashes};
+use crate::format::{FORMAT, Head};
+use panoscope_engine::Machine;
+use panoscope_engine::Plugins;
+use panoscope_engine::fault::unix_ms;
+use panoscope_loader::Loader;
+
+/// The files of a graph's plugins.
+pub(crate) fn plugin_hashes(graph: &Graph, loader: &Loader) -> Vec<FileHash> {
+    hashes(&loader.files(&graph.plugins))
+}
+
+/// Files that parameters name and that must exist.
+pub(crate) fn model_hashes(graph: &Graph, catalog: &Catalog) -> Vec<FileHash> {
+    let mut models = Vec::new();
+    for node in &graph.nodes {
+        for (param, value) in node.node_type(catalog).params.iter().zip(&node.params) {
+            if let (ParamKind::Path { must_exist: true, .. }, ParamValue::Path(file)) = (&param.kind, value)
+                && !file.as_os_str().is_empty()
+            {
+                models.push(hash(&format!("{}.{}", node.id, param.name), file));
+            }
+        }
+    }
+    models
+}
+
+/// The head of a recording of a graph that was read at `path` as `text` and checked with `settings`.
+pub fn head(graph: &Graph, catalog: &Catalog, loader: &Loader, path: &Path, text: &str, settings: &[String]) -> Head {
+    let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    Head {
+        format: FORMAT,
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        graph_path: whole.display().to_string(),
+        text: text.to_owned(),
+        settings: settings.to_vec(),
+        graph: graph.clone(),
+        plugins: plugin_hashes(graph, loader),
+        models: model_hashes(graph, catalog),
+        machine: Machine::here(std::thread::available_parallelism().map_or(1, usize::from)),
+        unix_ms: unix_ms(),
+        all_ports: false,
+    }
+}

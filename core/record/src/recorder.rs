@@ -1,0 +1,421 @@
+//! Takes what happens in an engine and writes it down, without ever holding the engine up.
+//!
+//! The engine's threads only queue; one thread hashes and writes. Events are never lost. Packets are frames that wait in frame memory: when
+//! too many wait, those of a tick are left out and a gap is written down in their place.
+
+use std::collections::{HashMap, VecDeque};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use panoscope_abi::{Frame, Tick};
+use panoscope_engine::observe::{self, Observer, ReportFn};
+use panoscope_engine::panic_words;
+
+use crate::digest::{Digests, PacketDigest, digest_of};
+use crate::file::{Output, RecordFile};
+use crate::format::{Event, Head};
+use panoscope_engine::memory::FrameRef;
+
+/// How a run is recorded.
+pub struct RecordOptions {
+    /// The recording; `None` for fingerprints only.
+    pub file: Option<PathBuf>,
+    /// Fingerprints of all ports are wanted.
+    pub digests: bool,
+    /// All ports of all nodes go into the recording, not only those of sources.
+    pub all_ports: bool,
+    /// Sources make all their outputs, also those that nobody reads, so that other graphs can be run on the recording.
+    pub all_source_ports: bool,
+    /// Most bytes of frames that may wait for the disk.
+    pub most_waiting_bytes: usize,
+}
+
+impl Default for RecordOptions {
+    fn default() -> Self {
+        Self { file: None, digests: false, all_ports: false, all_source_ports: true, most_waiting_bytes: 512 << 20 }
+    }
+}
+
+/// Why no recording was begun.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write {}: {cause}", .file.display())]
+pub struct RecordError {
+    /// The recording.
+    pub file: PathBuf,
+    /// What the system says.
+    pub cause: std::io::Error,
+}
+
+/// What a recording came to.
+#[derive(Clone, Debug, Default)]
+pub struct Recorded {
+    /// Bytes written.
+    pub bytes: u64,
+    /// Source ticks written.
+    pub ticks: u64,
+    /// Source ticks left out because the disk was too slow.
+    pub gaps: u64,
+    /// Why writing ended before the run, if it did.
+    pub failed: Option<String>,
+    /// Fingerprints, where wanted.
+    pub digests: Option<Digests>,
+}
+
+enum Item {
+    Event(Event),
+    /// Node, port, packet, whether it goes into the file; the fingerprint where there was no room to wait for it.
+    Packet(Arc<str>, u32, FrameRef, bool),
+    Digest(Arc<str>, u32, PacketDigest),
+}
+
+#[derive(Default)]
+struct Queue {
+    items: VecDeque<Item>,
+    bytes: usize,
+    ended: bool,
+}
+
+struct Inner {
+    queue: Mutex<Queue>,
+    wake: Condvar,
+    options: RecordOptions,
+    /// Ticks admitted, by head of region.
+    admitted: Mutex<HashMap<String, u64>>,
+    /// Names of the outputs, by node.
+    ports: Mutex<HashMap<String, Ports>>,
+    gaps: AtomicU64,
+    writes: AtomicBool,
+    tell: OnceLock<Box<ReportFn>>,
+    /// What there was to tell before anybody could hear it.
+    untold: Mutex<Vec<String>>,
+}
+
+/// A node's name and its outputs'.
+#[derive(Clone)]
+struct Ports {
+    node: Arc<str>,
+    names: Arc<[String]>,
+}
+
+/// Records an engine; given to it with [`panoscope_engine::Options::observer`].
+pub struct Recorder {
+    inner: Arc<Inner>,
+    thread: Mutex<Option<JoinHandle<Recorded>>>,
+}
+
+impl Recorder {
+    /// Begins a recording with its head.
+    pub fn start(options: RecordOptions, head: Head) -> Result<Arc<Self>, RecordError> {
+        let output: Option<Box<dyn Output>> = match &options.file {
+            Some(path) => Some(Box::new(create(path)?)),
+            None => None,
+        };
+        Self::start_on(output, options, head)
+    }
+
+    /// The same onto any output.
+    pub fn start_on(
+        output: Option<Box<dyn Output>>,
+        options: RecordOptions,
+        head: Head,
+    ) -> Result<Arc<Self>, RecordError> {
+        let error = |cause| RecordError { file: options.file.clone().unwrap_or_default(), cause };
+        let file = output.map(RecordFile::create).transpose().map_err(error)?;
+        let graph = head.graph.name.clone();
+        let inner = Arc::new(Inner {
+            queue: Mutex::default(),
+            wake: Condvar::new(),
+            admitted: Mutex::default(),
+            ports: Mutex::default(),
+            gaps: AtomicU64::new(0),
+            writes: AtomicBool::new(file.is_some()),
+            tell: OnceLock::new(),
+            untold: Mutex::default(),
+            options,
+        });
+        let mine = Arc::clone(&inner);
+        let work = move || {
+            let recorded = catch_unwind(AssertUnwindSafe(|| mine.work(file, graph)));
+            recorded.unwrap_or_else(|payload| {
+                // Nothing more is taken in: nobody would take it out.
+                mine.writes.store(false, Ordering::Relaxed);
+                let words = format!("thread `record` panicked, the recording ends here: {}", panic_words(&*payload));
+                mine.tell(&words);
+                while let Some(items) = mine.next() {
+                    drop(items);
+                    lock(&mine.queue).bytes = 0;
+                }
+                Recorded { failed: Some(words), ..Recorded::default() }
+            })
+        };
+        let thread = std::thread::Builder::new().name("record".to_owned()).spawn(work);
+        let thread =
+            thread.map_err(|cause| RecordError { file: inner.options.file.clone().unwrap_or_default(), cause })?;
+        let this = Arc::new(Self { inner, thread: Mutex::new(Some(thread)) });
+        this.say(Event::Head(Box::new(head)));
+        Ok(this)
+    }
+
+    /// Waits until all is written. The engine must have been closed.
+    pub fn finish(&self) -> Recorded {
+        self.say(Event::End { gaps: self.inner.gaps.load(Ordering::Relaxed) });
+        lock(&self.inner.queue).ended = true;
+        self.inner.wake.notify_all();
+        let thread = lock(&self.thread).take();
+        let broken = || Recorded { failed: Some("the recording broke off".to_owned()), ..Recorded::default() };
+        thread.map_or_else(Recorded::default, |t| t.join().unwrap_or_else(|_| broken()))
+    }
+
+    /// Writes an event down.
+    fn say(&self, event: Event) {
+        if self.inner.writes.load(Ordering::Relaxed) {
+            lock(&self.inner.queue).items.push_back(Item::Event(event));
+            self.inner.wake.notify_one();
+        }
+    }
+
+    fn ports(&self, node: &str, names: &Arc<[String]>) -> Ports {
+        let mut ports = lock(&self.inner.ports);
+        // A node of another type may have taken the name over.
+        if let Some(known) = ports.get(node).filter(|p| Arc::ptr_eq(&p.names, names)) {
+            return known.clone();
+        }
+        let new = Ports { node: node.into(), names: Arc::clone(names) };
+        ports.insert(node.to_owned(), new.clone());
+        new
+    }
+
+    fn queue(&self, name: &str, ports: &Arc<[String]>, outputs: &[Frame], stored: bool, tick: Option<&Tick>) {
+        let inner = &self.inner;
+        let Ports { node, names: _ } = self.ports(name, ports);
+        let full = |queue: &Queue| queue.bytes >= inner.options.most_waiting_bytes;
+        let gap = stored && full(&lock(&inner.queue));
+        let mut packets = 0;
+        let mut items = Vec::with_capacity(outputs.len() + 1);
+        for (port, frame) in outputs.iter().enumerate().filter(|(_, f)| !f.is_empty()) {
+            // The engine's own reference stays with it.
+            // SAFETY: the reference stays the engine's: this one is never dropped.
+            let borrowed = std::mem::ManuallyDrop::new(unsafe { FrameRef::adopt(*frame) });
+            packets += 1;
+            if gap {
+                if inner.options.digests {
+                    items.push(Item::Digest(Arc::clone(&node), port as u32, digest_of(&borrowed)));
+                }
+            } else {
+                items.push(Item::Packet(Arc::clone(&node), port as u32, FrameRef::clone(&borrowed), stored));
+            }
+        }
+        if let Some(tick) = tick {
+            let (seq, capture_ns) = (tick.seq, tick.capture_ns);
+            items.push(Item::Event(Event::Tick { node: name.to_owned(), seq, capture_ns, packets, gap }));
+            if gap && inner.gaps.fetch_add(1, Ordering::Relaxed).is_multiple_of(100) {
+                let words = format!("the disk is too slow: tick {seq} of `{name}` is not in the recording");
+                inner.tell(&words);
+            }
+        }
+        let mut queue = lock(&inner.queue);
+        for item in items {
+            if let Item::Packet(_, _, frame, _) = &item {
+                queue.bytes += frame.bytes().len();
+            }
+            queue.items.push_back(item);
+        }
+        drop(queue);
+        inner.wake.notify_one();
+    }
+}
+
+impl Observer for Recorder {
+    fn wants_all_source_outputs(&self) -> bool {
+        self.inner.options.all_source_ports && self.inner.options.file.is_some()
+    }
+
+    fn event(&self, event: observe::Event) {
+        // Hashing files is not for nothing.
+        if self.inner.writes.load(Ordering::Relaxed) {
+            self.say(event.into());
+        }
+    }
+
+    fn admitted(&self, head: &str) {
+        let mut admitted = lock(&self.inner.admitted);
+        match admitted.get_mut(head) {
+            Some(count) => *count += 1,
+            None => {
+                admitted.insert(head.to_owned(), 1);
+            }
+        }
+    }
+
+    fn admitted_by(&self, head: &str) -> u64 {
+        lock(&self.inner.admitted).get(head).copied().unwrap_or(0)
+    }
+
+    fn outputs(&self, node: &str, ports: &Arc<[String]>, outputs: &[Frame]) {
+        let options = &self.inner.options;
+        if options.digests || options.all_ports {
+            let stored = options.all_ports && self.inner.writes.load(Ordering::Relaxed);
+            self.queue(node, ports, outputs, stored, None);
+        }
+    }
+
+    fn source_tick(&self, node: &str, ports: &Arc<[String]>, tick: &Tick, outputs: &[Frame]) {
+        let stored = self.inner.writes.load(Ordering::Relaxed);
+        self.queue(node, ports, outputs, stored, Some(tick));
+    }
+
+    fn report_to(&self, report: Box<ReportFn>) {
+        let mut untold = lock(&self.inner.untold);
+        let _ = self.inner.tell.set(report);
+        let before = std::mem::take(&mut *untold);
+        drop(untold);
+        before.iter().for_each(|words| self.inner.tell(words));
+    }
+
+    /// All that was queued is written, without the mark of a good end.
+    fn break_off(&self, until: Instant) -> bool {
+        lock(&self.inner.queue).ended = true;
+        self.inner.wake.notify_all();
+        let done = || lock(&self.thread).as_ref().is_none_or(JoinHandle::is_finished);
+        while !done() {
+            if Instant::now() >= until {
+                return false;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        true
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        self.finish();
+    }
+}
+
+fn create(path: &Path) -> Result<std::fs::File, RecordError> {
+    let error = |cause| RecordError { file: path.to_owned(), cause };
+    if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
+        std::fs::create_dir_all(folder).map_err(error)?;
+    }
+    std::fs::File::create(path).map_err(error)
+}
+
+impl Inner {
+    fn tell(&self, words: &str) {
+        if self.tell.get().is_none() {
+            let mut untold = lock(&self.untold);
+            // Whoever sets it does so under this lock.
+            if self.tell.get().is_none() {
+                return untold.push(words.to_owned());
+            }
+        }
+        if let Some(tell) = self.tell.get() {
+            tell(words);
+        }
+    }
+
+    fn name(&self, node: &str, port: u32) -> String {
+        let ports = lock(&self.ports);
+        let name = ports.get(node).and_then(|p| p.names.get(port as usize)).map_or("?", |n| n.as_str());
+        format!("{node}.{name}")
+    }
+
+    fn next(&self) -> Option<VecDeque<Item>> {
+        let mut queue = lock(&self.queue);
+        loop {
+            if !queue.items.is_empty() {
+                return Some(std::mem::take(&mut queue.items));
+            }
+            if queue.ended {
+                return None;
+            }
+            queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    fn work(&self, mut file: Option<RecordFile>, graph: String) -> Recorded {
+        let mut recorded = Recorded::default();
+        let mut digests = self.options.digests.then(|| Digests { graph, ..Digests::default() });
+        let mut names: HashMap<(Arc<str>, u32), String> = HashMap::new();
+        while let Some(items) = self.next() {
+            for item in items {
+                let wrote = self.write(item, &mut file, &mut digests, &mut names);
+                if let Err(cause) = wrote {
+                    self.give_up(&mut file, &cause, &mut recorded);
+                }
+            }
+            if let Some(Err(cause)) = file.as_mut().map(RecordFile::flush) {
+                self.give_up(&mut file, &cause, &mut recorded);
+            }
+        }
+        if let Some(file) = file {
+            recorded.ticks = file.ticks();
+            match file.finish() {
+                Ok(bytes) => recorded.bytes = bytes,
+                Err(cause) => recorded.failed = Some(format!("the recording could not be finished: {cause}")),
+            }
+        }
+        recorded.gaps = self.gaps.load(Ordering::Relaxed);
+        if let Some(digests) = &mut digests {
+            digests.finish();
+        }
+        recorded.digests = digests;
+        recorded
+    }
+
+    /// The disk is full or broken: the run goes on without a recording.
+    fn give_up(&self, file: &mut Option<RecordFile>, cause: &std::io::Error, recorded: &mut Recorded) {
+        let Some(file) = file.take() else { return };
+        self.writes.store(false, Ordering::Relaxed);
+        (recorded.bytes, recorded.ticks) = file.give_up();
+        let words = format!("the recording ends here, the run goes on: {cause}");
+        self.tell(&words);
+        recorded.failed = Some(words);
+    }
+
+    fn write(
+        &self,
+        item: Item,
+        file: &mut Option<RecordFile>,
+        digests: &mut Option<Digests>,
+        names: &mut HashMap<(Arc<str>, u32), String>,
+    ) -> std::io::Result<()> {
+        match item {
+            Item::Event(event) => {
+                if let Some(file) = file {
+                    file.event(&event)?;
+                }
+            }
+            Item::Digest(node, port, digest) => {
+                if let Some(digests) = digests {
+                    digests.add(&self.name(&node, port), digest);
+                }
+            }
+            Item::Packet(node, port, frame, stored) => {
+                let digest = digest_of(&frame);
+                let name = names.entry((node, port)).or_insert_with_key(|(node, port)| self.name(node, *port));
+                if let Some(digests) = digests {
+                    digests.add(name, digest);
+                }
+                let wrote = match file.as_mut().filter(|_| stored) {
+                    Some(file) => file.packet(name, &frame, digest.hash),
+                    None => Ok(()),
+                };
+                let mut queue = lock(&self.queue);
+                queue.bytes = queue.bytes.saturating_sub(frame.bytes().len());
+                drop(queue);
+                wrote?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,556 @@
+//! A recording as it is read: looked through once, its packets fetched when they are wanted.
+//!
+//! A file that was cut off ends at its last whole message; what is damaged ends it too, and it is said where.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+use mcap::records::{Record, op};
+use panoscope_abi::Frame;
+
+use crate::check::{self, MESSAGE_HEAD_BYTES, Seal};
+use crate::digest::{Digests, PacketDigest, packet_hash, padded_hash};
+use crate::format::{
+    CHECKED_FORMAT, EVENTS, Event, FORMAT, Head, OLDEST_FORMAT, PACKET_ENCODING, PACKET_HEAD_BYTES, PLAIN_HEAD_BYTES,
+    PacketHead, SUMMED_HEAD_BYTES,
+};
+use panoscope_engine::memory::{FrameRef, memory};
+
+/// No index at the end of a recording is longer.
+const LONGEST_INDEX: u64 = 64 << 20;
+/// Bytes of MCAP's footer record.
+const FOOTER_BYTES: usize = 9 + 20;
+/// No event is longer.
+const LONGEST_EVENT: u64 = 256 << 20;
+/// No packet is longer.
+const LONGEST_PACKET: u64 = 1 << 30;
+
+/// Why a recording cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// The system does not give it out.
+    #[error("{} cannot be read: {cause}", .file.display())]
+    Unreadable {
+        /// The recording.
+        file: PathBuf,
+        /// What the system says.
+        cause: std::io::Error,
+    },
+    /// It is something else.
+    #[error("{} is no recording: it does not begin like an MCAP file; give a file that `panoscope record` wrote", .file.display())]
+    NoMcap {
+        /// The file.
+        file: PathBuf,
+    },
+    /// An MCAP file of another program.
+    #[error("{} is an MCAP file, but no recording of panoscope: {reason}", .file.display())]
+    Foreign {
+        /// The file.
+        file: PathBuf,
+        /// What is missing.
+        reason: String,
+    },
+    /// It was cut off before anything was in it.
+    #[error("{} was cut off after {bytes} bytes, before its first message: nothing can be had from it; record again", .file.display())]
+    Empty {
+        /// The file.
+        file: PathBuf,
+        /// Its length.
+        bytes: u64,
+    },
+    /// Written by another version.
+    #[error("{} is a recording of format {found}, this program reads formats {OLDEST_FORMAT} to {FORMAT}: use panoscope {version}", .file.display())]
+    OtherFormat {
+        /// The file.
+        file: PathBuf,
+        /// Its format.
+        found: u32,
+        /// Version that wrote it.
+        version: String,
+    },
+    /// A packet is not what was written.
+    #[error("{} is damaged at byte {at}: packet {seq} of `{port}` is not what was recorded", .file.display())]
+    Damaged {
+        /// The file.
+        file: PathBuf,
+        /// Where.
+        at: u64,
+        /// The port.
+        port: String,
+        /// The tick.
+        seq: u64,
+    },
+    /// Frame memory is used up.
+    #[error("packet {seq} of `{port}` does not fit into frame memory: {reason}")]
+    Memory {
+        /// The port.
+        port: String,
+        /// The tick.
+        seq: u64,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// A packet in the file.
+#[derive(Clone, Copy, Debug)]
+pub struct Packet {
+    /// What it is.
+    pub head: PacketHead,
+    /// Where its bytes begin.
+    pub at: u64,
+}
+
+/// A tick of a source.
+#[derive(Clone, Debug)]
+pub struct SourceTick {
+    /// Its number.
+    pub seq: u64,
+    /// Media time.
+    pub capture_ns: i64,
+    /// It entered the graph.
+    pub admitted: bool,
+    /// The disk was too slow for its packets.
+    pub gap: bool,
+    /// Port and packet; what is missing was empty.
+    pub packets: Vec<(String, Packet)>,
+}
+
+/// Where a recording ends that was not finished.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Cut {
+    /// Bytes that could be used.
+    pub at: u64,
+    /// What is there instead of a message.
+    pub reason: String,
+    /// It is damaged there, not cut off: what follows was recorded and is lost.
+    pub damaged: bool,
+}
+
+/// A recording that was looked through.
+#[derive(Debug)]
+pub struct Recording {
+    file: File,
+    path: PathBuf,
+    /// What it begins with.
+    pub head: Head,
+    /// All but the ticks and drops, which stand in `sources`.
+    pub events: Vec<Event>,
+    /// Ticks of each source, in order.
+    pub sources: BTreeMap<String, Vec<SourceTick>>,
+    /// Packets of each recorded port, by `node.port`.
+    pub ports: BTreeMap<String, Vec<Packet>>,
+    /// Where it was cut off or damaged.
+    pub cut: Option<Cut>,
+    /// Its messages carry checksums; those of format 1 do not.
+    pub checked: bool,
+}
+
+struct Scan {
+    /// The library that MCAP's header names.
+    library: String,
+
+    at: u64,
+    len: u64,
+    reader: BufReader<File>,
+    events: Vec<Event>,
+    head: Option<Head>,
+    /// Topic and whether it carries packets, by channel.
+    channels: HashMap<u16, (String, bool)>,
+    sources: BTreeMap<String, Vec<SourceTick>>,
+    ports: BTreeMap<String, Vec<Packet>>,
+    /// Packets of each node whose tick is still to come.
+    loose: HashMap<String, Vec<(String, Packet)>>,
+}
+
+/// Why looking through ends.
+enum Stop {
+    End,
+    Cut(String),
+    Damaged(String),
+    Io(std::io::Error),
+    Foreign(String),
+    OtherFormat(u32, String),
+}
+
+impl From<std::io::Error> for Stop {
+    fn from(error: std::io::Error) -> Self {
+        if error.kind() == std::io::ErrorKind::UnexpectedEof {
+            Self::Cut("it was cut off".to_owned())
+        } else {
+            Self::Io(error)
+        }
+    }
+}
+
+impl Recording {
+    /// Looks through a recording.
+    ///
+    /// # Errors
+    /// When it is none, or nothing of it can be used. One that was cut off or damaged is good up to there, see [`Self::cut`].
+    pub fn open(path: &Path) -> Result<Self, RecordingError> {
+        let unreadable = |cause| RecordingError::Unreadable { file: path.to_owned(), cause };
+        let file = File::open(path).map_err(unreadable)?;
+        let meta = file.metadata().map_err(unreadable)?;
+        if meta.is_dir() {
+            return Err(unreadable(std::io::Error::other("it is a folder")));
+        }
+        let len = meta.len();
+        let mut reader = BufReader::with_capacity(1 << 16, file.try_clone().map_err(unreadable)?);
+        let mut magic = Vec::new();
+        (&mut reader).take(mcap::MAGIC.len() as u64).read_to_end(&mut magic).map_err(unreadable)?;
+        if !mcap::MAGIC.starts_with(&magic) {
+            return Err(RecordingError::NoMcap { file: path.to_owned() });
+        }
+        let finished = ends_with_magic(&file, len).map_err(unreadable)?;
+        let mut scan = Scan {
+            library: String::new(),
+            at: magic.len() as u64,
+            len,
+            reader,
+            events: Vec::new(),
+            head: None,
+            channels: HashMap::new(),
+            sources: BTreeMap::new(),
+            ports: BTreeMap::new(),
+            loose: HashMap::new(),
+        };
+        let stop = loop {
+            if let Err(stop) = scan.record() {
+                break stop;
+            }
+        };
+        let cut = match stop {
+            Stop::End => None,
+            // What has its end was not cut off.
+            Stop::Cut(_) if finished => {
+                Some(Cut { at: scan.at, reason: "a length makes no sense".to_owned(), damaged: true })
+            }
+            Stop::Cut(reason) => Some(Cut { at: scan.at, reason, damaged: false }),
+            Stop::Damaged(reason) => Some(Cut { at: scan.at, reason, damaged: true }),
+            Stop::Io(cause) => return Err(unreadable(cause)),
+            Stop::Foreign(reason) => return Err(RecordingError::Foreign { file: path.to_owned(), reason }),
+            Stop::OtherFormat(found, version) => {
+                return Err(RecordingError::OtherFormat { file: path.to_owned(), found, version });
+            }
+        };
+        let Some(head) = scan.head else {
+            return Err(match cut {
+                Some(Cut { damaged: true, .. }) if !scan.is_ours() => {
+                    RecordingError::Foreign { file: path.to_owned(), reason: format!("it has no `{EVENTS}`") }
+                }
+                Some(Cut { damaged: true, at, .. }) => {
+                    let (port, seq) = (EVENTS.to_owned(), 0);
+                    RecordingError::Damaged { file: path.to_owned(), at, port, seq }
+                }
+                Some(_) => RecordingError::Empty { file: path.to_owned(), bytes: len },
+                None => RecordingError::Foreign { file: path.to_owned(), reason: format!("it has no `{EVENTS}`") },
+            });
+        };
+        let (events, sources, ports) = (scan.events, scan.sources, scan.ports);
+        let checked = head.format >= CHECKED_FORMAT;
+        Ok(Self { file, path: path.to_owned(), head, events, sources, ports, cut, checked })
+    }
+
+    /// Reads every packet: nothing of it is damaged.
+    ///
+    /// # Errors
+    /// [`RecordingError::Damaged`] with the first damage.
+    pub fn verify(&self) -> Result<(), RecordingError> {
+        if let Some(Cut { at, damaged: true, .. }) = self.cut {
+            let (file, port) = (self.path.clone(), EVENTS.to_owned());
+            return Err(RecordingError::Damaged { file, at, port, seq: self.events.len() as u64 });
+        }
+        let mut bytes = Vec::new();
+        for (port, packet) in self.ports.iter().flat_map(|(port, all)| all.iter().map(move |p| (port, p))) {
+            bytes.resize(packet.head.len as usize, 0);
+            self.read(port, packet, &mut bytes)?;
+        }
+        Ok(())
+    }
+
+    /// Where it lies.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Ticks of all sources.
+    pub fn ticks(&self) -> usize {
+        self.sources.values().map(Vec::len).sum()
+    }
+
+    /// The bytes of a packet, as they were recorded.
+    pub fn bytes(&self, port: &str, packet: &Packet) -> Result<Vec<u8>, RecordingError> {
+        let mut bytes = vec![0; packet.head.len as usize];
+        self.read(port, packet, &mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn read(&self, port: &str, packet: &Packet, bytes: &mut [u8]) -> Result<(), RecordingError> {
+        let PacketHead { format, width, height, stride_bytes, hash, padded, tick, .. } = packet.head;
+        let damaged =
+            || RecordingError::Damaged { file: self.path.clone(), at: packet.at, port: port.to_owned(), seq: tick.seq };
+        self.file.read_exact_at(bytes, packet.at).map_err(|_| damaged())?;
+        let frame = Frame { format, width, height, stride_bytes, ..Frame::EMPTY };
+        let whole = packet_hash(&frame, bytes) == hash && (!self.checked || padded_hash(&frame, bytes) == padded);
+        if whole { Ok(()) } else { Err(damaged()) }
+    }
+
+    /// A packet as a frame of the host.
+    pub fn frame(&self, port: &str, packet: &Packet) -> Result<FrameRef, RecordingError> {
+        let PacketHead { format, width, height, stride_bytes, tick, len, .. } = packet.head;
+        let wanted = len as usize;
+        let mut patience_ms = 5_000;
+        let (buffer, data) = loop {
+            match memory().allocate(wanted) {
+                Ok(got) => break got,
+                Err(panoscope_engine::memory::MemoryError::Exhausted { .. }) if patience_ms > 0 => {
+                    patience_ms -= 1;
+                    std::thread::sleep(std::time::Duration::from_millis(1));
+                }
+                Err(error) => {
+                    let reason = error.to_string();
+                    return Err(RecordingError::Memory { port: port.to_owned(), seq: tick.seq, reason });
+                }
+            }
+        };
+        let frame = Frame { buffer, data, len: wanted, format, width, height, stride_bytes, tick };
+        // SAFETY: the one reference of the buffer that was allocated for it above.
+        let frame = unsafe { FrameRef::adopt(frame) };
+        // SAFETY: a fresh buffer of at least `wanted` bytes that nobody else knows.
+        self.read(port, packet, unsafe { std::slice::from_raw_parts_mut(data, wanted) })?;
+        Ok(frame)
+    }
+
+    /// Fingerprints of all recorded ports.
+    pub fn digests(&self) -> Digests {
+        let mut digests = Digests { graph: self.head.graph.name.clone(), ..Digests::default() };
+        for (port, packets) in &self.ports {
+            for packet in packets {
+                let tick = packet.head.tick;
+                digests.add(port, PacketDigest { source: tick.source, seq: tick.seq, hash: packet.head.hash });
+            }
+        }
+        digests.finish();
+        digests
+    }
+}
+
+/// Whether a file has MCAP's end: a recording that was finished.
+fn ends_with_magic(file: &File, len: u64) -> std::io::Result<bool> {
+    let mut end = [0; mcap::MAGIC.len()];
+    // Its beginning looks the same.
+    let Some(at) = len.checked_sub(end.len() as u64).filter(|at| *at > 0) else { return Ok(false) };
+    file.read_exact_at(&mut end, at)?;
+    Ok(end == mcap::MAGIC)
+}
+
+impl Scan {
+    /// Whether MCAP's header names this program.
+    fn is_ours(&self) -> bool {
+        self.library.starts_with("panoscope ")
+    }
+
+    fn skip(&mut self, bytes: u64) -> Result<(), Stop> {
+        let step = i64::try_from(bytes).map_err(|_| Stop::Damaged("a length makes no sense".to_owned()))?;
+        self.reader.seek_relative(step)?;
+        Ok(())
+    }
+
+    fn body(&mut self, len: u64) -> Result<Vec<u8>, Stop> {
+        let mut body = vec![0; len as usize];
+        self.reader.read_exact(&mut body)?;
+        Ok(body)
+    }
+
+    /// One record; `at` moves behind it when it was whole.
+    fn record(&mut self) -> Result<(), Stop> {
+        if self.at == self.len {
+            return Err(Stop::Cut("it was not finished".to_owned()));
+        }
+        let mut head = [0; 9];
+        self.reader.read_exact(&mut head)?;
+        let len = head[1..].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));
+        let begin = self.at + 9;
+        if len > self.len.saturating_sub(begin) {
+            return Err(Stop::Cut("it was cut off, or is damaged".to_owned()));
+        }
+        let damaged = |what: &str| Stop::Damaged(what.to_owned());
+        match head[0] {
+            op::DATA_END => return Err(self.index(len)),
+            op::CHANNEL if len < 1 << 16 => {
+                let body = self.body(len)?;
+                let Ok(Record::Channel(channel)) = mcap::parse_record(op::CHANNEL, &body) else {
+                    return Err(damaged("a channel that cannot be read"));
+                };
+                let events = channel.topic == EVENTS;
+                if self.is_ours()
+                    && (channel.schema_id != 0
+                        || !channel.metadata.is_empty()
+                        || (events && channel.message_encoding != "json"))
+                {
+                    return Err(damaged("a channel that was not written like that"));
+                }
+                let packets = channel.message_encoding == PACKET_ENCODING;
+                if packets || channel.topic == EVENTS {
+                    self.channels.insert(channel.id, (channel.topic, packets));
+                }
+            }
+            op::MESSAGE if len >= MESSAGE_HEAD_BYTES as u64 => self.message(begin, len)?,
+            op::CHUNK if self.head.is_none() => return Err(Stop::Foreign("it has chunks".to_owned())),
+            op::HEADER if self.at == mcap::MAGIC.len() as u64 && len < 1 << 16 => {
+                let body = self.body(len)?;
+                let Ok(Record::Header(header)) = mcap::parse_record(op::HEADER, &body) else {
+                    return Err(damaged("a header that cannot be read"));
+                };
+                self.library = format!("{} {}", header.profile, header.library);
+            }
+            // Other programs' files: they have no head of ours.
+            op::SCHEMA | op::ATTACHMENT | op::METADATA if self.head.is_none() => self.skip(len)?,
+            other => return Err(damaged(&format!("no record is of kind {other}"))),
+        }
+        self.at = begin + len;
+        Ok(())
+    }
+
+    fn message(&mut self, begin: u64, len: u64) -> Result<(), Stop> {
+        let damaged = |what: &str| Stop::Damaged(what.to_owned());
+        let mut message = [0; MESSAGE_HEAD_BYTES];
+        self.reader.read_exact(&mut message)?;
+        let channel = u16::from_le_bytes([message[0], message[1]]);
+        let rest = len - MESSAGE_HEAD_BYTES as u64;
+        let Some((topic, packets)) = self.channels.get(&channel).cloned() else {
+            return if self.head.is_some() { Err(damaged("a message of no channel")) } else { self.skip(rest) };
+        };
+        if !packets {
+            if rest > LONGEST_EVENT {
+                return Err(damaged("an event that long is none"));
+            }
+            let mut body = self.body(rest)?;
+            let seal = check::unseal(&topic, &message, &mut body);
+            let checked = self.head.as_ref().is_some_and(|h| h.format >= CHECKED_FORMAT);
+            if seal == Seal::Broken || (seal == Seal::None && checked) {
+                return Err(damaged("an event is not what was recorded"));
+            }
+            let event = serde_json::from_slice(&body).map_err(|_| damaged("an event that cannot be read"));
+            return match event {
+                Ok(Event::Head(head)) if seal == Seal::None && head.format >= CHECKED_FORMAT => {
+                    Err(damaged("its head is not what was recorded"))
+                }
+                Ok(event) => self.event(event),
+                Err(stop) if self.head.is_some() => Err(stop),
+                Err(_) => Err(self.foreign_head(&body)),
+            };
+        }
+        let checked = self.head.as_ref().is_some_and(|h| h.format >= CHECKED_FORMAT);
+        let head_bytes = if checked { PACKET_HEAD_BYTES } else { PLAIN_HEAD_BYTES };
+        if rest < head_bytes as u64 {
+            return Err(damaged("a packet without a head"));
+        }
+        let mut packet_head = [0; PACKET_HEAD_BYTES];
+        self.reader.read_exact(&mut packet_head[..head_bytes])?;
+        let (plain, more) = packet_head.split_at(PLAIN_HEAD_BYTES);
+        let mut head = PacketHead::read(plain.try_into().map_err(|_| damaged("a packet without a head"))?);
+        if checked {
+            let eight = |at: usize| more[at..at + 8].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));
+            head.padded = eight(0);
+            if check::sum(&topic, &message, &packet_head[..SUMMED_HEAD_BYTES]) != eight(8) {
+                return Err(damaged("the description of a packet is not what was recorded"));
+            }
+        }
+        if head.len != rest - head_bytes as u64 || head.len > LONGEST_PACKET || self.head.is_none() {
+            return Err(damaged("a packet whose length is another"));
+        }
+        self.skip(head.len)?;
+        let packet = Packet { head, at: begin + (MESSAGE_HEAD_BYTES + head_bytes) as u64 };
+        let Some((node, port)) = topic.split_once('.') else { return Err(damaged("a port without a node")) };
+        self.loose.entry(node.to_owned()).or_default().push((port.to_owned(), packet));
+        self.ports.entry(topic).or_default().push(packet);
+        Ok(())
+    }
+
+    /// What stands behind the data: MCAP's index, with a sum of its own. How the recording ends.
+    fn index(&mut self, end_len: u64) -> Stop {
+        let read = |this: &mut Self, len: u64| if len > LONGEST_INDEX { Ok(Vec::new()) } else { this.body(len) };
+        let end = match read(self, end_len) {
+            Ok(end) => end,
+            Err(stop) => return stop,
+        };
+        let rest = match read(self, self.len.saturating_sub(self.at + 9 + end_len)) {
+            Ok(rest) => rest,
+            Err(stop) => return stop,
+        };
+        let Some(index) = rest.strip_suffix(mcap::MAGIC).filter(|index| index.len() >= FOOTER_BYTES) else {
+            // With a footer where a whole file has it, only the end mark is wrong.
+            let footer = rest.len().checked_sub(FOOTER_BYTES + mcap::MAGIC.len()).and_then(|at| rest.get(at..at + 9));
+            let whole = footer.is_some_and(|f| f[0] == op::FOOTER && f[1..] == 20u64.to_le_bytes());
+            let reason = "its end mark is missing".to_owned();
+            return if whole { Stop::Damaged(reason) } else { Stop::Cut(reason) };
+        };
+        let (summed, sum) = index.split_at(index.len() - 4);
+        let known = sum.iter().rev().fold(0u32, |n, b| n << 8 | u32::from(*b));
+        // The sum of the data itself is not written: every message has its own.
+        let whole = end == [0; 4] && (known == 0 || known == check::crc32(summed));
+        if whole { Stop::End } else { Stop::Damaged("its index is not what was recorded".to_owned()) }
+    }
+
+    /// A head that cannot be read may be one of another version.
+    fn foreign_head(&self, body: &[u8]) -> Stop {
+        let value: serde_json::Value = serde_json::from_slice(body).unwrap_or_default();
+        let format = value.get("format").and_then(serde_json::Value::as_u64);
+        let version = value.get("version").and_then(serde_json::Value::as_str).unwrap_or("?").to_owned();
+        match format.and_then(|f| u32::try_from(f).ok()).filter(|f| !(OLDEST_FORMAT..=FORMAT).contains(f)) {
+            Some(found) => Stop::OtherFormat(found, version),
+            None => Stop::Damaged("its head cannot be read".to_owned()),
+        }
+    }
+
+    fn event(&mut self, event: Event) -> Result<(), Stop> {
+        match event {
+            Event::Head(head) if self.head.is_none() => {
+                if !(OLDEST_FORMAT..=FORMAT).contains(&head.format) {
+                    return Err(Stop::OtherFormat(head.format, head.version));
+                }
+                if head.format >= CHECKED_FORMAT && self.library != format!("panoscope panoscope {}", head.version) {
+                    return Err(Stop::Damaged("its header is not what was recorded".to_owned()));
+                }
+                self.head = Some(*head);
+            }
+            _ if self.head.is_none() => return Err(Stop::Foreign("its first message is no head".to_owned())),
+            Event::Tick { node, seq, capture_ns, packets: count, gap } => {
+                let packets = self.loose.remove(&node).unwrap_or_default();
+                if !gap && packets.len() != count as usize {
+                    return Err(Stop::Damaged(format!("packets of tick {seq} of `{node}` are missing")));
+                }
+                let tick = SourceTick { seq, capture_ns, admitted: true, gap, packets };
+                self.sources.entry(node).or_default().push(tick);
+            }
+            Event::Dropped { node, seq } => {
+                let ticks = self.sources.get_mut(&node).into_iter().flatten().rev();
+                if let Some(tick) = ticks.into_iter().find(|t| t.seq == seq) {
+                    tick.admitted = false;
+                }
+            }
+            event => {
+                if let Event::Edit { applied, admitted, .. } = &event {
+                    for gone in &applied.removed {
+                        self.left_behind(gone, admitted);
+                    }
+                }
+                self.events.push(event);
+            }
+        }
+        Ok(())
+    }
+
+    /// Ticks of a removed source that had not entered by then never did.
+    fn left_behind(&mut self, source: &str, admitted: &[(String, u64)]) {
+        let Some((_, count)) = admitted.iter().find(|(head, _)| head == source) else { return };
+        let ticks = self.sources.get_mut(source).into_iter().flatten();
+        let entered = ticks.filter(|t| t.admitted);
+        entered.skip(*count as usize).for_each(|t| t.admitted = false);
+    }
+}

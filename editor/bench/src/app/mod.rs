@@ -1,0 +1,557 @@
+//! The window: what is shown where.
+
+mod acts;
+mod begin;
+mod conflict;
+mod picks;
+mod script;
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use eframe::egui::{self, CentralPanel, Context, Frame, Margin, Panel, RichText, Ui};
+use panoscope_abi::LINKS;
+use panoscope_graph::GraphText;
+
+use crate::actions;
+use crate::canvas::{Canvas, Scene};
+use crate::palette::{Palette, Types};
+use crate::panels::files::Files;
+use crate::panels::inspector::{self, Wish};
+use crate::panels::plots::{Export, Plots};
+use crate::panels::sweep::SweepPanel;
+use crate::panels::top::{self, Switches};
+use crate::panels::{below, history, overview, plugins};
+use crate::picker::Picker;
+use crate::space::Space;
+use crate::viewer::{Source, Viewer};
+use panoscope_editor_model::disk::{self, DiskWatch};
+use panoscope_editor_model::document::Document;
+use panoscope_editor_model::numbered::next_file;
+use panoscope_editor_model::observe::{Counters, LARGE_INTERVAL, Observer, Output, THUMBNAIL_INTERVAL, Wanted};
+use panoscope_editor_model::ops::Detour;
+use panoscope_editor_model::picture::is_pictorial;
+use panoscope_editor_model::session::{Phase, Session, Status};
+use panoscope_editor_widgets::Shown;
+use panoscope_editor_widgets::theme;
+
+pub use begin::{templates, with_source};
+use conflict::Conflict;
+use panoscope_editor_widgets::{Costs, Shot};
+
+/// Pixels across of a thumbnail; enough for a sharp one at zoom 1 and double density.
+const THUMBNAIL: usize = 416;
+/// Pixels across of the big picture.
+const LARGE: usize = 2048;
+/// How long a note stays.
+const NOTE: Duration = Duration::from_secs(6);
+
+/// How the window is opened.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// Most ticks of each source.
+    pub frames: Option<u64>,
+    /// Size of everything; 0 leaves it as it is.
+    pub scale: f32,
+    /// Pictures and costs of the window, for `cargo xtask screens` and `panoscope bench editor`.
+    pub shot: Shot,
+}
+
+/// Why the window did not open.
+#[derive(Debug, thiserror::Error)]
+#[error("no thread could be started: {0}")]
+pub struct OpenError(#[from] std::io::Error);
+
+/// The window.
+pub struct App {
+    pub(crate) session: Session,
+    pub(crate) observer: Observer,
+    pub(crate) document: Document,
+    pub(crate) canvas: Canvas,
+    pub(crate) shown: Shown,
+    pub(crate) viewer: Viewer,
+    plots: Plots,
+    sweep: SweepPanel,
+    picker: Option<Picker>,
+    files: Option<Files>,
+    palette: Option<Palette>,
+    types: Types,
+    help: bool,
+    plugins: bool,
+    pub(crate) switches: Switches,
+    pub(crate) detours: HashMap<String, Vec<Detour>>,
+    /// The line of the text that was asked for.
+    reading: below::Reading,
+    disk: DiskWatch,
+    conflict: Option<Conflict>,
+    /// The view moves with every frame, to be measured.
+    panning: bool,
+    note: Option<(String, bool, Instant)>,
+    asked: u64,
+    shot: Shot,
+    costs: Costs,
+}
+
+impl App {
+    /// Opens a graph file whose text was read, and sets it going if it is right.
+    ///
+    /// # Errors
+    /// The system gave no thread.
+    pub fn open(ctx: &Context, path: &Path, text: &str, options: Options) -> Result<Self, OpenError> {
+        theme::apply(ctx);
+        if options.scale > 0.0 {
+            ctx.set_zoom_factor(options.scale);
+        }
+        let paths = GraphText::parse(path, text).plugin_paths();
+        let session = Session::new(path, &paths, options.frames)?;
+        let for_wake = ctx.clone();
+        session.set_wake(Arc::new(move || for_wake.request_repaint()));
+        let observer = Observer::new(session.handle())?;
+        let document = Document::new(path, text, session.loader());
+        if document.view().right {
+            session.run(text);
+        }
+        Ok(Self {
+            observer,
+            document,
+            canvas: Canvas::default(),
+            shown: Shown::default(),
+            viewer: Viewer::default(),
+            plots: Plots::default(),
+            sweep: SweepPanel::default(),
+            picker: None,
+            files: None,
+            palette: None,
+            types: Types::default(),
+            help: false,
+            plugins: false,
+            switches: Switches::default(),
+            detours: HashMap::new(),
+            reading: below::Reading::default(),
+            disk: DiskWatch::new(path),
+            conflict: None,
+            panning: false,
+            note: None,
+            asked: 1,
+            shot: options.shot,
+            costs: Costs::default(),
+            session,
+        })
+    }
+
+    /// The document.
+    pub fn document(&self) -> &Document {
+        &self.document
+    }
+
+    /// The session.
+    pub fn session(&self) -> &Session {
+        &self.session
+    }
+
+    /// The canvas.
+    pub fn canvas(&self) -> &Canvas {
+        &self.canvas
+    }
+
+    /// The output that is shown large.
+    pub fn viewed(&self) -> Option<&Output> {
+        self.viewer.source().map(|v| &v.output)
+    }
+
+    /// The 3-D view.
+    pub fn space(&self) -> &Space {
+        self.viewer.space_now()
+    }
+
+    /// Whether a cloud is shown as a surface, seen from where the user looks at it now.
+    pub fn has_surface(&self) -> bool {
+        let painted = self.viewed().and_then(|output| self.shown.look(output)?.painted.as_ref());
+        painted.is_some_and(|painted| self.viewer.sight() == Some(painted.sight))
+    }
+
+    /// Place of the line between two outputs, as a part of the picture's width, while they are compared by wipe.
+    pub fn wipe(&self) -> Option<f32> {
+        self.viewer.wipe_line()
+    }
+
+    /// Wires in words, each with the most packets that waited on it since the window was opened, as far as is remembered.
+    pub fn queues(&self) -> Vec<(String, f64)> {
+        let (counters, view) = (self.observer.counters(), self.document.view());
+        let most = |points: &std::collections::VecDeque<[f64; 2]>| points.iter().map(|p| p[1]).fold(0.0, f64::max);
+        counters.queues.iter().map(|(end, points)| (view.wire_name(end), most(points))).collect()
+    }
+
+    /// Mean CPU time of the window's thread per frame in ms, and frames drawn so far.
+    pub fn cost(&self) -> (f64, u64) {
+        self.costs.mean()
+    }
+
+    /// Tells the user something for a while.
+    pub(crate) fn tell(&mut self, words: impl Into<String>, wrong: bool) {
+        self.note = Some((words.into(), wrong, Instant::now()));
+    }
+
+    pub(crate) fn try_edit<T, E: std::fmt::Display>(&mut self, result: Result<T, E>) -> Option<T> {
+        result.map_err(|e| self.tell(e.to_string(), true)).ok()
+    }
+
+    /// Asks the session to run a text that is new and right.
+    fn follow(&mut self) {
+        if self.asked != self.document.revision() {
+            self.asked = self.document.revision();
+            if self.document.view().right {
+                self.session.run(self.document.text());
+            }
+        }
+    }
+
+    /// Draws a frame.
+    pub fn ui(&mut self, ui: &mut Ui) {
+        self.costs.count_frame();
+        let ctx = ui.ctx().clone();
+        let status = self.session.status();
+        self.document.set_loader(self.session.loader());
+        if self.document.history().waits() && *status.running == **self.document.text() {
+            self.document.in_force(status.tick);
+        }
+        self.shown.update(&ctx, self.observer.take());
+        if let Some(text) = self.disk.look() {
+            self.changed_on_disk(text);
+        }
+        let typing = ctx.text_edit_focused();
+        // While something asks for an answer, keys are for that.
+        if self.picker.is_some() && !self.help {
+            for action in ctx.input_mut(actions::pressed_while_picking) {
+                self.act(action);
+            }
+        } else if self.palette.is_none() && self.files.is_none() && !self.help && !self.plugins {
+            for action in ctx.input_mut(|input| actions::pressed(input, typing)) {
+                self.act(action);
+            }
+            self.clipboard(&ctx, typing);
+            self.arrows(&ctx, typing);
+            if !typing {
+                ctx.input_mut(|input| self.viewer.recall_by_key(input));
+            }
+        }
+        if ctx.input(|i| i.pointer.any_released()) {
+            self.document.end_merge();
+        }
+        self.panels(ui, &status);
+        self.palettes(&ctx);
+        self.offer_templates(&ctx);
+        self.take_dropped(&ctx);
+        self.notes(&ctx);
+        self.follow();
+        self.want();
+        ctx.request_repaint_after(DiskWatch::INTERVAL);
+        self.play_script(&ctx);
+        self.shot.take(&ctx);
+        self.shot.measure(&ctx, &self.costs, &self.session);
+    }
+
+    fn panels(&mut self, ui: &mut Ui, status: &Status) {
+        let counters = self.observer.counters();
+        let bar = Frame::new().fill(theme::PANEL).inner_margin(Margin::symmetric(16, 8));
+        let asked = Panel::top("top")
+            .frame(bar)
+            .exact_size(44.0)
+            .show(ui, |ui| top::show(ui, &self.document, status, &counters, self.switches));
+        asked.inner.into_iter().for_each(|action| self.act(action));
+        self.conflict_bar(ui);
+        self.side(ui, &counters);
+        self.below(ui, status, &counters);
+        let view = self.document.view().clone();
+        let trouble = status.trouble.as_ref().and_then(|t| Some((t.node.as_deref()?, t.words.as_str())));
+        CentralPanel::no_frame().show(ui, |ui| {
+            let rect = ui.available_rect_before_wrap();
+            if self.viewer.source().is_some() {
+                ui.allocate_rect(rect, egui::Sense::hover());
+                let (others, ways) = (self.sources(), self.ways());
+                let ways: Vec<Output> = ways.into_iter().map(|(output, _)| output).collect();
+                let stands = self.viewer.show(ui, rect, &self.shown, &others, &ways);
+                self.pick_on(ui, stands);
+                return;
+            }
+            let scene = Scene {
+                view: &view,
+                counters: &counters,
+                shown: &self.shown,
+                heat: self.switches.heat,
+                running: status.phase == Phase::Running,
+                trouble,
+            };
+            let asks = self.canvas.show(ui, &scene, self.document.revision());
+            asks.into_iter().for_each(|ask| self.answer(ask));
+        });
+    }
+
+    /// The selected node, or the graph as a whole. Always there, so that a click moves nothing.
+    fn side(&mut self, ui: &mut Ui, counters: &Counters) {
+        let side = Frame::new().fill(theme::PANEL).inner_margin(Margin::same(16));
+        let panel = Panel::right("side").frame(side).default_size(320.0).size_range(260.0..=520.0);
+        let view = self.document.view().clone();
+        let Some(node) = self.selected().and_then(|id| view.node(&id)) else {
+            let count = self.canvas.selected.len();
+            let wishes = panel.show(ui, |ui| overview::show(ui, &self.document, counters, count));
+            for wish in wishes.inner {
+                match wish {
+                    overview::Wish::Go(id) => self.canvas.show_node(&view, &id),
+                    overview::Wish::Param(id, change) => self.grant(&id, Wish::Param(change)),
+                }
+            }
+            return;
+        };
+        let wishes =
+            panel.show(ui, |ui| inspector::show(ui, &self.document, counters, &self.shown, &self.canvas, node));
+        let id = view.nodes[node].id().to_owned();
+        wishes.inner.into_iter().for_each(|wish| self.grant(&id, wish));
+    }
+
+    /// Mistakes, curves and text, where they are switched on.
+    fn below(&mut self, ui: &mut Ui, status: &Status, counters: &Counters) {
+        let frame = Frame::new().fill(theme::PANEL).inner_margin(Margin::symmetric(16, 12));
+        let selected: Vec<String> = self.canvas.selected.iter().cloned().collect();
+        if self.switches.text {
+            let panel = Panel::left("text").frame(frame).default_size(430.0).size_range(200.0..=900.0);
+            panel.show(ui, |ui| below::text(ui, &self.document, &selected, &mut self.reading));
+        }
+        if self.switches.problems {
+            let panel = Panel::bottom("problems").frame(frame).default_size(180.0).size_range(80.0..=480.0);
+            let go = panel.show(ui, |ui| below::problems(ui, &self.document, status, counters)).inner;
+            if let Some(spot) = go {
+                if let Some(line) = spot.line {
+                    self.reading.go_to(line);
+                    // A mistake that is no node's is shown where it stands.
+                    self.switches.text |= spot.node.is_none();
+                }
+                if let Some(id) = spot.node {
+                    self.canvas.show_node(&self.document.view().clone(), &id);
+                }
+            }
+        }
+        if self.switches.history {
+            let panel = Panel::bottom("history").frame(frame).default_size(200.0).size_range(100.0..=480.0);
+            let go = panel.show(ui, |ui| history::show(ui, &self.document)).inner;
+            if let Some(at) = go {
+                self.step_to(at);
+            }
+        }
+        if self.switches.sweep {
+            let panel = Panel::bottom("sweep").frame(frame).default_size(270.0).size_range(160.0..=560.0);
+            let (selected, path) = (self.selected(), self.session.path().to_owned());
+            let wish = panel
+                .show(ui, |ui| self.sweep.show(ui, &self.document, counters, &self.shown, selected.as_deref(), &path));
+            wish.inner.into_iter().for_each(|wish| self.grant_sweep(wish));
+        }
+        if self.switches.plots {
+            let panel = Panel::bottom("plots").frame(frame).default_size(220.0).size_range(120.0..=520.0);
+            let export = panel.show(ui, |ui| self.plots.show(ui, self.document.view(), counters, &selected)).inner;
+            if let Some(export) = export {
+                self.export("plot", export);
+            }
+        }
+    }
+
+    /// Writes curves into `out/`, under the next number.
+    pub(super) fn export(&mut self, what: &str, export: Export) {
+        let ending = if matches!(export, Export::Csv(_)) { "csv" } else { "png" };
+        let written = next_file(Path::new("out"), what, ending).and_then(|file| {
+            match export {
+                Export::Csv(text) => disk::replace(&file, text.as_bytes(), None).map_err(|e| e.to_string())?,
+                Export::Picture(picture) => picture.save(&file).map_err(|e| e.to_string())?,
+            }
+            Ok(file)
+        });
+        match written {
+            Ok(file) => self.tell(format!("written: {}", file.display()), false),
+            Err(why) => self.tell(format!("the curves were not written: {why}"), true),
+        }
+    }
+
+    /// Outputs that can be compared in the viewer: those that are read, and those that nodes show.
+    fn sources(&self) -> Vec<Source> {
+        let view = self.document.view();
+        let mut found: Vec<Source> = Vec::new();
+        let read = view.wires.iter().map(|w| (w.from, w.output.clone()));
+        let shown = (0..view.nodes.len()).filter_map(|n| {
+            let (output, _) = self.canvas.shown_output(view, n)?;
+            Some((view.node(&output.node)?, output.port))
+        });
+        for (node, port) in read.chain(shown) {
+            let Some(packet) = view.packet(node, &port).map(|p| p.name.clone()) else { continue };
+            let source = Source { output: Output::new(view.nodes[node].id(), &port), packet };
+            if is_pictorial(&source.packet) && !found.contains(&source) {
+                found.push(source);
+            }
+        }
+        found
+    }
+
+    /// Outputs that the 3-D view shows as lines: tips, poses, the links of an arm.
+    fn ways(&self) -> Vec<(Output, String)> {
+        let mut found = self.outputs_of(&["tip", "pose", "table"]);
+        found.retain(|(output, packet)| packet != "table" || output.port == LINKS);
+        found
+    }
+
+    /// Outputs of some types of packets, with these.
+    fn outputs_of(&self, packets: &[&str]) -> Vec<(Output, String)> {
+        let nodes = self.document.view().nodes.iter();
+        let outputs = nodes.flat_map(|n| n.node_type.iter().flat_map(|t| &t.outputs).map(move |port| (n.id(), port)));
+        outputs
+            .filter(|(_, port)| packets.contains(&port.packet.name.as_str()))
+            .map(|(id, port)| (Output::new(id, &port.name), port.packet.name.clone()))
+            .collect()
+    }
+
+    fn palettes(&mut self, ctx: &Context) {
+        if let Some(palette) = &mut self.palette
+            && let Some(picked) = palette.show(ctx, &self.document, &self.types)
+        {
+            self.palette = None;
+            if let Some(picked) = picked {
+                self.pick(picked);
+            }
+        }
+        if let Some(files) = &mut self.files
+            && let Some(picked) = files.show(ctx)
+        {
+            self.take_file(picked);
+        }
+        if self.plugins {
+            match plugins::show(ctx, &self.session.loader(), self.document.catalog()) {
+                Some(plugins::Asked::Reload) => self.session.reload_plugins(),
+                Some(plugins::Asked::Close) => self.plugins = false,
+                None => {}
+            }
+        }
+        if self.help {
+            let modal = egui::Modal::new("help".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
+            let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
+            let shown = modal.frame(frame).show(ctx, |ui| {
+                ui.label(RichText::new("Keys").size(16.0));
+                ui.add_space(2.0 * theme::STEP);
+                let keys = actions::ALL.iter().map(|(action, .., words)| (actions::key_words(*action), *words));
+                let more = [
+                    ("Ctrl+C, X, V", "Copy, cut, paste nodes as text"),
+                    ("1 to 9", "Recall what was looked at"),
+                    ("Ctrl and +, -, 0", "Size of everything"),
+                    ("Arrows", "Move the view; large: turn a surface, move the wipe"),
+                    ("Shift and arrows", "Move the selected nodes"),
+                    ("Shift and drag", "Select with a frame"),
+                    ("Double click", "Add a node there"),
+                ];
+                let all: Vec<_> = keys.chain(more.map(|(key, words)| (key.to_owned(), words))).collect();
+                ui.horizontal_top(|ui| {
+                    for (side, part) in all.chunks(all.len().div_ceil(2)).enumerate() {
+                        egui::Grid::new(("keys", side)).num_columns(2).spacing([24.0, 6.0]).show(ui, |ui| {
+                            for (key, words) in part {
+                                ui.label(RichText::new(key).color(theme::ACCENT));
+                                ui.label(*words);
+                                ui.end_row();
+                            }
+                        });
+                        ui.add_space(6.0 * theme::STEP);
+                    }
+                });
+            });
+            self.help = !shown.should_close();
+        }
+    }
+
+    /// The selected node, when it is one.
+    pub fn selected(&self) -> Option<String> {
+        let mut selected = self.canvas.selected.iter();
+        selected.next().filter(|_| selected.next().is_none()).cloned()
+    }
+
+    /// What was told last, at the lower edge; never over a picture's middle.
+    fn notes(&mut self, ctx: &Context) {
+        let Some((words, wrong, since)) = &self.note else { return };
+        if since.elapsed() > NOTE {
+            self.note = None;
+            return;
+        }
+        ctx.request_repaint_after(NOTE.saturating_sub(since.elapsed()));
+        let color = if *wrong { theme::FAULT } else { theme::LINE };
+        egui::Area::new("note".into())
+            .anchor(egui::Align2::LEFT_BOTTOM, egui::vec2(16.0, -16.0))
+            .interactable(false)
+            .show(ctx, |ui| {
+                Frame::new()
+                    .fill(theme::PANEL)
+                    .stroke(egui::Stroke::new(1.0, color))
+                    .corner_radius(6.0)
+                    .inner_margin(Margin::symmetric(12, 8))
+                    .show(ui, |ui| {
+                        ui.add(egui::Label::new(RichText::new(words)).wrap_mode(egui::TextWrapMode::Extend))
+                    });
+            });
+    }
+
+    /// Tells the observer what can be seen.
+    fn want(&mut self) {
+        let mut wanted: HashMap<Output, Wanted> = HashMap::new();
+        let mut want = |output: &Output, packet: &str, most_width: usize| {
+            let entry = wanted
+                .entry(output.clone())
+                .or_insert_with(|| Wanted { packet: packet.to_owned(), ..Wanted::default() });
+            entry.most_width = entry.most_width.max(most_width);
+        };
+        if self.viewer.source().is_some() {
+            self.viewer.sources().for_each(|s| want(&s.output, &s.packet, LARGE));
+            if self.viewer.sight().is_some() {
+                self.ways().iter().for_each(|(output, packet)| want(output, packet, 1));
+            }
+        } else {
+            let width = self.canvas.thumbnail_width(THUMBNAIL);
+            self.canvas.visible().for_each(|(output, packet)| want(output, packet, width));
+        }
+        if let Some(node) = self.selected().and_then(|id| self.document.view().node(&id))
+            && let Some((output, packet)) = self.canvas.shown_output(self.document.view(), node)
+        {
+            want(&output, &packet, if is_pictorial(&packet) { THUMBNAIL } else { 1 });
+        }
+        let values = self.switches.plots && self.plots.wants_values();
+        if values || self.switches.sweep {
+            self.outputs_of(&["scalar", "table"]).iter().for_each(|(output, packet)| want(output, packet, 1));
+        }
+        if values {
+            let outputs = self.outputs_of(&["scalar", "table"]);
+            let outputs: Vec<Output> = outputs.into_iter().map(|(output, _)| output).collect();
+            self.plots.follow(&self.shown, &outputs);
+        }
+        if let (Some(sight), Some(source)) = (self.viewer.sight(), self.viewer.source())
+            && let Some(wanted) = wanted.get_mut(&source.output)
+        {
+            wanted.sight = Some(sight);
+        }
+        let view = self.document.view();
+        self.shown.keep(|output| wanted.contains_key(output) || view.node(&output.node).is_some());
+        let large = self.viewer.source().is_some();
+        self.observer.want(wanted, if large { LARGE_INTERVAL } else { THUMBNAIL_INTERVAL });
+    }
+}
+
+impl eframe::App for App {
+    fn ui(&mut self, ui: &mut Ui, _: &mut eframe::Frame) {
+        Self::ui(self, ui);
+    }
+
+    fn clear_color(&self, _: &egui::Visuals) -> [f32; 4] {
+        theme::GROUND.to_normalized_gamma_f32()
+    }
+
+    fn on_exit(&mut self, _: Option<&eframe::glow::Context>) {
+        panoscope_engine::ending::signals::notice();
+        self.session.close();
+    }
+
+    fn persist_egui_memory(&self) -> bool {
+        false
+    }
+}

@@ -1,0 +1,62 @@
+//! Steps that `--do` asks for: a script of what a user would do.
+
+use eframe::egui::{self, Context};
+
+use super::App;
+use crate::actions;
+use panoscope_editor_model::observe::Output;
+
+impl App {
+    /// Does what `--do` asks for, once the graph has had time to start.
+    pub(super) fn play_script(&mut self, ctx: &Context) {
+        while let Some(step) = self.shot.step() {
+            self.play(&step);
+        }
+        if self.panning {
+            let side = if (self.costs.frames / 60).is_multiple_of(2) { 4.0 } else { -4.0 };
+            self.canvas.pan_by(egui::vec2(side, side / 2.0));
+            ctx.request_repaint();
+        }
+    }
+
+    /// One step of a script: `select:NODE`, `view:NODE.PORT`, `set:NODE.PARAM=VALUE`, `pick:NODE.PARAM`, `browse:NODE.PARAM`,
+    /// `sweep:NODE.PARAM MEASURE`, `orbit:YAW,PITCH,ZOOM`, `heat`, ...
+    fn play(&mut self, step: &str) {
+        let (word, rest) = step.split_once(':').unwrap_or((step, ""));
+        match (word, rest.split_once('.')) {
+            ("pick", Some((node, param))) => return self.begin_picking(node, param),
+            ("browse", Some((node, param))) => return self.browse(node, param),
+            ("set", Some((node, rest))) => return self.set_from_script(node, rest),
+            ("sweep", Some(_)) => return self.sweep_from_script(rest),
+            _ => {}
+        }
+        match word {
+            "pan" => self.panning = true,
+            "zoom" => self.canvas.zoom_by(rest.parse().unwrap_or(0)),
+            "orbit" => match rest.split(',').map(|n| n.trim().parse()).collect::<Result<Vec<f32>, _>>().as_deref() {
+                Ok([yaw, pitch, zoom]) => self.viewer.space().look_from(*yaw, *pitch, *zoom),
+                _ => self.tell("orbit takes yaw and pitch in rad and the size: orbit:1.2,0.3,0.5", true),
+            },
+            "select" => self.canvas.select_only(rest),
+            "view" | "compare" if rest.contains('.') => {
+                if let Some((node, port)) = rest.split_once('.') {
+                    let output = Output::new(node, port);
+                    match word {
+                        "view" => self.look_at(output),
+                        _ => {
+                            let source = self.source(output);
+                            self.viewer.compare(Some(source));
+                        }
+                    }
+                }
+            }
+            _ => {
+                let named = actions::ALL.iter().find(|(a, ..)| format!("{a:?}").eq_ignore_ascii_case(word));
+                match named {
+                    Some((action, ..)) => self.act(*action),
+                    None => self.tell(format!("there is no action `{word}`"), true),
+                }
+            }
+        }
+    }
+}

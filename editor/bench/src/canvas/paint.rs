@@ -1,0 +1,564 @@
+//! How the graph looks.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use eframe::egui::emath::GuiRounding as _;
+use eframe::egui::epaint::CubicBezierShape;
+use eframe::egui::text::{LayoutJob, TextFormat};
+use eframe::egui::{
+    Align2, Color32, CornerRadius, FontFamily, FontId, Mesh, Painter, Pos2, Rect, Shape as Drawn, Stroke, StrokeKind,
+    Ui, pos2, vec2,
+};
+
+use super::shape::{HEADER, PAD, Pin};
+use super::touch::{Drag, may_wire};
+use super::{Canvas, Scene};
+use panoscope_editor_model::content::{Content, Found};
+use panoscope_editor_model::document::{View, Wire};
+use panoscope_editor_widgets::theme::{self, PinShape};
+use panoscope_editor_widgets::time_words;
+
+/// Below this zoom a node shows its name and picture only.
+pub const DETAIL: f32 = 0.38;
+/// Below this zoom it shows no picture either.
+pub const PICTURES: f32 = 0.2;
+/// Room between a wire that leads back and the nodes above it, points at zoom 1.
+const BELOW: f32 = 20.0;
+/// A fault is new for so long.
+const NEW_FAULT_MS: u64 = 3000;
+
+/// A point of a curve, `t` 0..=1.
+pub(super) fn on_curve(p: &[Pos2; 4], t: f32) -> Pos2 {
+    let s = 1.0 - t;
+    let weights = [s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t];
+    let mut at = Pos2::ZERO;
+    for (p, w) in p.iter().zip(weights) {
+        at += p.to_vec2() * w;
+    }
+    at
+}
+
+/// A curve as few straight pieces as eyes take for one: most wires of a large graph are one piece.
+fn flattened(p: &[Pos2; 4]) -> Vec<Pos2> {
+    const TOLERANCE: f32 = 0.25;
+    let chord = (p[3] - p[0]).normalized();
+    let aside = |q: Pos2| ((q - p[0]).x * chord.y - (q - p[0]).y * chord.x).abs();
+    if aside(p[1]).max(aside(p[2])) < TOLERANCE {
+        return vec![p[0], p[3]];
+    }
+    // Error of n equal steps: an eighth of the second derivative's largest value over n squared.
+    let bend = |a: Pos2, b: Pos2, c: Pos2| (a.to_vec2() - 2.0 * b.to_vec2() + c.to_vec2()).length();
+    let most = 6.0 * bend(p[0], p[1], p[2]).max(bend(p[1], p[2], p[3]));
+    let count = (most / (8.0 * TOLERANCE)).sqrt().ceil().clamp(2.0, 64.0) as usize;
+    (0..=count).map(|i| on_curve(p, i as f32 / count as f32)).collect()
+}
+
+fn bow(from: Pos2, to: Pos2, scale: f32) -> [Pos2; 4] {
+    let reach = ((to.x - from.x).abs() * 0.5).max(40.0 * scale).min(220.0 * scale);
+    [from, from + vec2(reach, 0.0), to - vec2(reach, 0.0), to]
+}
+
+/// Straight ways between corners, with round turns.
+fn rounded(corners: &[Pos2]) -> Vec<[Pos2; 4]> {
+    const RADIUS: f32 = 14.0;
+    let straight = |a: Pos2, b: Pos2| [a, a + (b - a) / 3.0, b - (b - a) / 3.0, b];
+    let (mut at, mut curves) = (corners[0], Vec::with_capacity(2 * corners.len()));
+    for three in corners.windows(3) {
+        let [a, b, c] = [three[0], three[1], three[2]];
+        let radius = RADIUS.min((b - a).length() / 2.0).min((c - b).length() / 2.0);
+        let (before, after) = (b - (b - a).normalized() * radius, b + (c - b).normalized() * radius);
+        curves.push(straight(at, before));
+        curves.push([before, before + (b - before) * 0.55, after + (b - after) * 0.55, after]);
+        at = after;
+    }
+    curves.push(straight(at, corners[corners.len() - 1]));
+    curves
+}
+
+impl Canvas {
+    fn font(&self, size: f32) -> FontId {
+        // Half points: fewer sizes for the font's texture.
+        FontId::new(((size * self.scale()) * 2.0).round() / 2.0, FontFamily::Proportional)
+    }
+
+    /// Points of the grid. What is behind them is what the window is cleared to: drivers without hardware pay for every pixel that is filled.
+    pub(super) fn paint_ground(&self, painter: &Painter) {
+        let step = 32.0 * self.scale();
+        if step < 14.0 {
+            return;
+        }
+        let origin = self.transform() * Pos2::ZERO;
+        let start = |o: f32, low: f32| low + (o - low).rem_euclid(step);
+        let color = theme::LINE.gamma_multiply(0.55);
+        let mut y = start(origin.y, self.rect.top());
+        while y < self.rect.bottom() {
+            let mut x = start(origin.x, self.rect.left());
+            while x < self.rect.right() {
+                painter.rect_filled(Rect::from_center_size(pos2(x, y), vec2(1.5, 1.5)), 0.0, color);
+                x += step;
+            }
+            y += step;
+        }
+    }
+
+    /// Where a pin is in the window.
+    fn pin_at(&self, view: &View, node: usize, port: &str, input: bool) -> Option<(Pos2, String)> {
+        let shape = self.shapes.get(node)?;
+        let place = self.places.get(view.nodes[node].id())?;
+        let (at, packet) = match shape.pin(port, input) {
+            Some(pin) => (pin.at, pin.packet.clone()),
+            // A port that its type does not have: at the header.
+            None => (pos2(if input { 0.0 } else { shape.size.x }, HEADER / 2.0), String::new()),
+        };
+        Some((self.transform() * (*place + at.to_vec2()), packet))
+    }
+
+    /// The parts of a wire, one after the other.
+    pub(super) fn curves(&self, view: &View, wire: &Wire) -> Vec<[Pos2; 4]> {
+        let ends = (self.pin_at(view, wire.from, &wire.output, false), self.pin_at(view, wire.to, &wire.input, true));
+        let (Some((from, _)), Some((to, _))) = ends else { return Vec::new() };
+        let Some(lane) = self.lanes.get(&(wire.from, wire.to)) else {
+            return if to.x > from.x { vec![bow(from, to, self.scale())] } else { self.around(view, wire, from, to) };
+        };
+        // Wires of one lane run beside each other.
+        let mut beside = view.wires.iter().filter(|w| w.from == wire.from && w.to == wire.to);
+        let shift = vec2(0.0, beside.position(|w| w == wire).unwrap_or(0) as f32 * 7.0 - 3.0);
+        let (transform, mut at, mut curves) = (self.transform(), from, Vec::new());
+        for [left, right] in lane {
+            let (left, right) = (transform * (*left + shift), transform * (*right + shift));
+            curves.push(bow(at, left, self.scale()));
+            let third = (right - left) / 3.0;
+            curves.push([left, left + third, right - third, right]);
+            at = right;
+        }
+        curves.push(bow(at, to, self.scale()));
+        curves
+    }
+
+    /// A wire that leads back: below the nodes between its ends, through none.
+    fn around(&self, view: &View, wire: &Wire, from: Pos2, to: Pos2) -> Vec<[Pos2; 4]> {
+        let transform = self.transform();
+        let (from, to) = (transform.inverse() * from, transform.inverse() * to);
+        let rects: Vec<Rect> = (view.nodes.iter().zip(&self.shapes))
+            .map(|(node, shape)| {
+                Rect::from_min_size(self.places.get(node.id()).copied().unwrap_or_default(), shape.size)
+            })
+            .collect();
+        let bottom = |n: usize| rects.get(n).map_or(f32::MIN, Rect::bottom);
+        // Wires that lead back run beside each other.
+        let beside = view.wires.iter().filter(|w| w.delayed).position(|w| w == wire).unwrap_or(0);
+        let room = BELOW + (beside % 4) as f32 * 7.0;
+        let mut low = bottom(wire.from).max(bottom(wire.to)) + room;
+        for _ in 0..rects.len() {
+            let between = rects.iter().filter(|r| r.right() > to.x - BELOW && r.left() < from.x + BELOW);
+            let met = between.filter(|r| r.top() - BELOW < low && low < r.bottom() + BELOW);
+            match met.map(Rect::bottom).reduce(f32::max) {
+                Some(bottom) => low = bottom + room,
+                None => break,
+            }
+        }
+        // Down and up between the columns.
+        let (right, left) = (from.x + room, to.x - room);
+        let corners = [from, pos2(right, from.y), pos2(right, low), pos2(left, low), pos2(left, to.y), to];
+        rounded(&corners).into_iter().map(|curve| curve.map(|at| transform * at)).collect()
+    }
+
+    pub(super) fn paint_wires(&self, painter: &Painter, scene: &Scene<'_>) {
+        let view = scene.view;
+        let pulled = match &self.drag {
+            Drag::Wire { moved: Some((input, index)), .. } => Some((input, *index)),
+            _ => None,
+        };
+        for wire in &view.wires {
+            let to = view.nodes[wire.to].id();
+            let is_pulled = pulled
+                .is_some_and(|(input, index)| input.node == to && input.port == wire.input && index == wire.index);
+            if is_pulled {
+                continue;
+            }
+            let curves = self.curves(view, wire);
+            let packet = view.packet(wire.from, &wire.output).map_or("", |p| p.name.as_str());
+            let selected =
+                self.selected_wire.as_ref().is_some_and(|w| w.0 == to && w.1 == wire.input && w.2 == wire.index);
+            let near = self.selected.contains(to) || self.selected.contains(view.nodes[wire.from].id());
+            let (color, width) = match (selected, near) {
+                (true, _) => (theme::ACCENT, 3.0),
+                (_, true) => (theme::packet(packet), 2.5),
+                _ if wire.delayed => (theme::packet(packet).gamma_multiply(0.45), 1.5),
+                _ => (theme::packet(packet).gamma_multiply(0.6), 2.0),
+            };
+            let stroke = Stroke::new((width * self.scale()).max(1.0), color);
+            for curve in curves.into_iter().filter(|c| Rect::from_points(c).expand(8.0).intersects(self.rect)) {
+                if wire.delayed {
+                    let points: Vec<Pos2> = (0..=32).map(|i| on_curve(&curve, i as f32 / 32.0)).collect();
+                    painter.extend(Drawn::dashed_line(&points, stroke, 8.0 * self.scale(), 5.0 * self.scale()));
+                } else {
+                    match &flattened(&curve)[..] {
+                        [from, to] => painter.line_segment([*from, *to], stroke),
+                        points => painter.line(points.to_vec(), stroke),
+                    };
+                }
+            }
+        }
+    }
+
+    pub(super) fn paint_node(&self, ui: &Ui, scene: &Scene<'_>, node: usize, rect: Rect, hovered: bool) {
+        let painter = ui.painter();
+        let this = &scene.view.nodes[node];
+        let (id, scale) = (this.id(), self.scale());
+        let counters = scene.counters.nodes.get(id);
+        let selected = self.selected.contains(id);
+        let family = theme::family(this.family());
+        let radius = CornerRadius::same((8.0 * scale).clamp(2.0, 12.0) as u8);
+        let share = counters.map_or(0.0, |c| (c.p50_ms * c.fps / 1e3) as f32);
+        let fill = if scene.heat { theme::heat(share) } else { theme::RAISED };
+        let wrong = !this.mistakes.is_empty() || scene.trouble.is_some_and(|(n, _)| n == id);
+        let stroke = match (wrong, selected, hovered) {
+            (true, ..) => Stroke::new(2.0, theme::FAULT),
+            (_, true, _) => Stroke::new(2.0, theme::ACCENT),
+            (_, _, true) => Stroke::new(1.0, theme::MUTED),
+            _ => Stroke::new(1.0, theme::LINE),
+        };
+        if scale < PICTURES {
+            painter.add(plain_node(rect.round_to_pixels(painter.pixels_per_point()), fill, stroke, family));
+            let name = elided(painter, id, FontId::proportional(9.0), theme::TEXT, rect.width() - 8.0 * scale);
+            painter.galley(pos2(rect.left() + 6.0 * scale, rect.top() + 4.0 * scale), name, theme::TEXT);
+            return;
+        }
+        painter.rect(rect, radius, fill, stroke, StrokeKind::Outside);
+        let bar = Rect::from_min_size(rect.min, vec2(4.0 * scale, HEADER * scale));
+        let left = CornerRadius { nw: radius.nw, ne: 0, sw: 0, se: 0 };
+        painter.rect_filled(bar, left, family);
+        let line = rect.top() + HEADER * scale / 2.0;
+        if scale < DETAIL {
+            // The name stays readable: above the box it has all the width there is.
+            let font = FontId::proportional(11.0);
+            let name = elided(painter, id, font, theme::TEXT, rect.width() + 48.0 * scale);
+            let at = pos2(rect.left(), rect.top() - name.size().y - 1.0);
+            painter.galley(at, name, theme::TEXT);
+            self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
+            // Without pins and numbers all the room is the picture's.
+            let room = rect.shrink(PAD * scale);
+            let room = Rect::from_min_max(pos2(room.left(), rect.top() + HEADER * scale), room.max);
+            self.paint_picture(painter, scene, node, room);
+            return;
+        }
+        let name = elided(painter, id, self.font(14.0), theme::TEXT, rect.width() - (28.0 + 16.0) * scale);
+        let name_width = name.size().x;
+        painter.galley(pos2(rect.left() + 14.0 * scale, line - name.size().y / 2.0), name, theme::TEXT);
+        self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
+        let room = rect.width() - name_width - 52.0 * scale;
+        if room > 30.0 * scale {
+            let words = elided(painter, &this.outline.type_name, self.font(11.0), theme::MUTED, room);
+            let at = pos2(rect.right() - 26.0 * scale - words.size().x, line - words.size().y / 2.0);
+            painter.galley(at, words, theme::MUTED);
+        }
+        let shape = &self.shapes[node];
+        if let Some(picture) = shape.picture {
+            let frame = Rect::from_min_size(rect.min + picture.min.to_vec2() * scale, picture.size() * scale);
+            self.paint_picture(painter, scene, node, frame);
+        }
+        let transform = self.transform();
+        let place = self.places.get(id).copied().unwrap_or_default();
+        for pin in &shape.pins {
+            let at = transform * (place + pin.at.to_vec2());
+            self.paint_pin(painter, pin, at);
+            let (align, shift) = if pin.input { (Align2::LEFT_CENTER, 10.0) } else { (Align2::RIGHT_CENTER, -10.0) };
+            let color = if pin.wanting { theme::FAULT } else { theme::MUTED };
+            painter.text(at + vec2(shift * scale, 0.0), align, &pin.name, self.font(11.5), color);
+        }
+        if let Some(fold) = shape.fold {
+            let rect = transform * fold.translate(place.to_vec2());
+            let words = if shape.folded > 0 { format!("{} more", shape.folded) } else { "fewer".to_owned() };
+            painter.text(
+                rect.right_center() - vec2(2.0 * scale, 0.0),
+                Align2::RIGHT_CENTER,
+                words,
+                self.font(11.0),
+                theme::ACCENT,
+            );
+        }
+        self.paint_footer(painter, scene, node, transform * shape.footer.translate(place.to_vec2()));
+    }
+
+    /// The fault light.
+    fn paint_light(&self, ui: &Ui, scene: &Scene<'_>, node: usize, at: Pos2) {
+        let id = scene.view.nodes[node].id();
+        let fault = scene.counters.faults.get(id);
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64);
+        let color = match fault {
+            Some(fault) if now.saturating_sub(fault.unix_ms) < NEW_FAULT_MS => theme::FAULT,
+            Some(_) => theme::WARN,
+            None if scene.running && scene.counters.nodes.get(id).is_some_and(|c| c.fps > 0.0) => {
+                theme::family("source")
+            }
+            None => theme::LINE,
+        };
+        let radius = (4.0 * self.scale()).max(2.5);
+        ui.painter().circle_filled(at, radius, color);
+        if fault.is_some() {
+            // Colour is not the only sign.
+            ui.painter().circle_stroke(at, radius + 2.5, Stroke::new(1.0, color));
+        }
+    }
+
+    /// What a node makes, inside `frame`: its picture, or words; where those are too small, how long it takes.
+    fn paint_picture(&self, painter: &Painter, scene: &Scene<'_>, node: usize, frame: Rect) {
+        let shape = &self.shapes[node];
+        let scale = self.scale();
+        let Some((output, packet)) = &shape.output else { return };
+        // Boxes stand on the picture that they were found in.
+        let below = shape.backdrop.as_ref().map_or(output, |(below, _)| below);
+        match scene.shown.texture(below) {
+            Some((texture, size)) => {
+                painter.rect_filled(frame, 4.0 * scale, theme::SUNK);
+                let fit = (frame.width() / size.x).min(frame.height() / size.y);
+                let inner = Rect::from_center_size(frame.center(), size * fit);
+                let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
+                let stale = scene.shown.stale(output);
+                painter.image(
+                    texture,
+                    inner,
+                    whole,
+                    if stale.is_some() { Color32::from_gray(96) } else { Color32::WHITE },
+                );
+                if let Some(Content::Boxes(found)) = scene.shown.look(output).map(|l| &l.content) {
+                    paint_boxes(painter, inner, found, (scale >= DETAIL).then(|| self.font(11.0)));
+                }
+                if let Some(age) = stale.filter(|_| scene.running && scale >= DETAIL) {
+                    let words = format!("{} s old", age.as_secs());
+                    painter.text(frame.center(), Align2::CENTER_CENTER, words, self.font(13.0), theme::WARN);
+                }
+            }
+            None if scale < DETAIL => {
+                let counters = scene.counters.nodes.get(scene.view.nodes[node].id());
+                if let Some(counters) = counters.filter(|c| c.fps > 0.0) {
+                    let words = time_words(counters.p50_ms);
+                    painter.text(
+                        frame.center(),
+                        Align2::CENTER_CENTER,
+                        words,
+                        FontId::proportional(10.0),
+                        theme::MUTED,
+                    );
+                }
+            }
+            None => {
+                painter.rect_filled(frame, 4.0 * scale, theme::SUNK);
+                let words = scene.shown.words(output).unwrap_or(packet);
+                let galley =
+                    painter.layout(words.to_owned(), self.font(11.0), theme::TEXT, frame.width() - 16.0 * scale);
+                let clipped = painter.with_clip_rect(frame.intersect(self.rect));
+                let at = frame.left_center() + vec2(8.0 * scale, -galley.size().y / 2.0);
+                clipped.galley(pos2(at.x, at.y.max(frame.top() + 4.0)), galley, theme::TEXT);
+            }
+        }
+    }
+
+    fn paint_pin(&self, painter: &Painter, pin: &Pin, at: Pos2) {
+        let r = 5.0 * self.scale();
+        let color = theme::packet(&pin.packet);
+        let (fill, stroke) = if pin.wanting {
+            (theme::RAISED, Stroke::new(1.5, theme::FAULT))
+        } else {
+            (color, Stroke::new(1.5, theme::GROUND))
+        };
+        match theme::pin_shape(&pin.packet) {
+            PinShape::Circle => {
+                painter.circle(at, r, fill, stroke);
+            }
+            PinShape::Square => {
+                painter.rect(Rect::from_center_size(at, vec2(r, r) * 1.8), 1.0, fill, stroke, StrokeKind::Middle);
+            }
+            PinShape::Diamond => {
+                let r = r * 1.25;
+                let points = vec![at - vec2(0.0, r), at + vec2(r, 0.0), at + vec2(0.0, r), at - vec2(r, 0.0)];
+                painter.add(Drawn::convex_polygon(points, fill, stroke));
+            }
+            PinShape::Triangle => {
+                let points = vec![at + vec2(-r, -r * 1.1), at + vec2(r * 1.2, 0.0), at + vec2(-r, r * 1.1)];
+                painter.add(Drawn::convex_polygon(points, fill, stroke));
+            }
+        }
+        if pin.list {
+            painter.circle_stroke(at, r + 2.5 * self.scale(), Stroke::new(1.0, color));
+        }
+    }
+
+    /// Times and rates, or what is wrong.
+    fn paint_footer(&self, painter: &Painter, scene: &Scene<'_>, node: usize, rect: Rect) {
+        let this = &scene.view.nodes[node];
+        let font = self.font(11.0);
+        let trouble = scene.trouble.filter(|(n, _)| *n == this.id()).map(|(_, words)| words.to_owned());
+        if let Some(words) = this.mistakes.first().cloned().or(trouble) {
+            let galley = elided(painter, &words, font, theme::FAULT, rect.width());
+            painter.galley(pos2(rect.left(), rect.center().y - galley.size().y / 2.0), galley, theme::FAULT);
+            return;
+        }
+        let Some(c) = scene.counters.nodes.get(this.id()) else { return };
+        let mut right = LayoutJob::default();
+        let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
+        if let Some(fault) = scene.counters.faults.get(this.id()) {
+            let (count, word) = (c.faults.max(1), fault_word(fault));
+            let plural = if count > 1 { "s" } else { "" };
+            right.append(&format!("{count} {word}{plural}  "), 0.0, plain(theme::WARN));
+        }
+        if c.dropped > 0 {
+            let plural = if c.dropped > 1 { "s" } else { "" };
+            right.append(&format!("{} drop{plural}  ", c.dropped), 0.0, plain(theme::WARN));
+        }
+        if let Some(age) = c.age_p50_ms.filter(|a| *a > 0.0) {
+            right.append(&format!("age {}  ", time_words(age)), 0.0, plain(theme::MUTED));
+        }
+        right.append(&format!("{:.0} fps", c.fps), 0.0, plain(theme::TEXT));
+        let right = painter.layout_job(right);
+        let middle = rect.center().y;
+        painter.galley(pos2(rect.right() - right.size().x, middle - right.size().y / 2.0), right.clone(), theme::TEXT);
+        // As much of the times as there is room for.
+        let p50 = time_words(c.p50_ms);
+        let lefts = match c.fps > 0.0 {
+            true => vec![format!("{p50} · p99 {}", time_words(c.p99_ms)), p50],
+            false => vec!["at rest".to_owned()],
+        };
+        let room = rect.width() - right.size().x - 8.0 * self.scale();
+        let galleys = lefts.into_iter().map(|words| painter.layout_no_wrap(words, font.clone(), theme::MUTED));
+        if let Some(left) = galleys.into_iter().find(|g| g.size().x <= room) {
+            painter.galley(pos2(rect.left(), middle - left.size().y / 2.0), left, theme::MUTED);
+        }
+    }
+
+    /// The wire or the frame that is being drawn.
+    pub(super) fn paint_drag(&self, ui: &Ui, scene: &Scene<'_>) {
+        let Some(pointer) = ui.input(|i| i.pointer.latest_pos()) else { return };
+        let painter = ui.painter();
+        match &self.drag {
+            Drag::Frame(from) => {
+                let frame = Rect::from_two_pos(self.transform() * *from, pointer);
+                let stroke = Stroke::new(1.0, theme::ACCENT);
+                painter.rect(frame, 2.0, theme::ACCENT.gamma_multiply(0.1), stroke, StrokeKind::Inside);
+            }
+            Drag::Wire { from, .. } => {
+                let Some(node) = scene.view.node(&from.node) else { return };
+                let Some((start, packet)) = self.pin_at(scene.view, node, &from.port, from.input) else { return };
+                let over = self.pin_near(scene.view, from, pointer);
+                let verdict = over.as_ref().map(|end| may_wire(scene.view, from, end));
+                let end = over.as_ref().and_then(|end| {
+                    Some(self.pin_at(scene.view, scene.view.node(&end.node)?, &end.port, end.input)?.0)
+                });
+                let color = match verdict {
+                    Some(Err(_)) => theme::FAULT,
+                    Some(Ok(())) => theme::ACCENT,
+                    None => theme::packet(&packet),
+                };
+                let to = end.unwrap_or(pointer);
+                let curve = if from.input { bow(to, start, self.scale()) } else { bow(start, to, self.scale()) };
+                let stroke = Stroke::new(2.5 * self.scale(), color);
+                painter.add(CubicBezierShape::from_points_stroke(curve, false, Color32::TRANSPARENT, stroke));
+                if let Some(end) = end {
+                    painter.circle_stroke(end, 9.0 * self.scale(), Stroke::new(2.0, color));
+                }
+                if let Some(Err(why)) = verdict {
+                    say(painter, pointer + vec2(16.0, 12.0), &why);
+                }
+            }
+            Drag::None | Drag::Nodes { .. } => {}
+        }
+    }
+}
+
+/// A small node as few rectangles: where hundreds are in view, round and soft edges are most of what there is to draw.
+fn plain_node(rect: Rect, fill: Color32, edge: Stroke, bar: Color32) -> Mesh {
+    let (mut mesh, w) = (Mesh::default(), edge.width);
+    let outer = rect.expand(w);
+    mesh.add_colored_rect(Rect::from_min_max(outer.min, pos2(outer.right(), rect.top())), edge.color);
+    mesh.add_colored_rect(Rect::from_min_max(pos2(outer.left(), rect.bottom()), outer.max), edge.color);
+    mesh.add_colored_rect(Rect::from_min_max(pos2(outer.left(), rect.top()), rect.left_bottom()), edge.color);
+    mesh.add_colored_rect(Rect::from_min_max(rect.right_top(), pos2(outer.right(), rect.bottom())), edge.color);
+    mesh.add_colored_rect(rect, fill);
+    mesh.add_colored_rect(Rect::from_min_size(rect.min, vec2(2.0, rect.height())), bar);
+    mesh
+}
+
+fn fault_word(fault: &panoscope_engine::fault::Fault) -> &'static str {
+    use panoscope_engine::fault::Cause;
+    match fault.cause {
+        Cause::Panic => "panic",
+        Cause::Hang => "hang",
+        Cause::Slow => "slow call",
+        Cause::Leak => "leak",
+        _ => "fault",
+    }
+}
+
+/// Boxes with their names; colours are those of the classes.
+pub(crate) fn paint_boxes(painter: &Painter, picture: Rect, found: &[Found], font: Option<FontId>) {
+    for thing in found {
+        let [x, y, w, h] = thing.share;
+        let at = picture.min + vec2(x * picture.width(), y * picture.height());
+        let rect = Rect::from_min_size(at, vec2(w * picture.width(), h * picture.height())).intersect(picture);
+        let color = theme::class(thing.class);
+        painter.rect_stroke(rect, 1.0, Stroke::new(1.5, color), StrokeKind::Inside);
+        if let Some(font) = font.clone() {
+            let galley = painter.layout_no_wrap(thing.words.clone(), font, theme::SUNK);
+            let at = pos2(rect.left(), (rect.top() - galley.size().y).max(picture.top()));
+            painter.rect_filled(Rect::from_min_size(at, galley.size() + vec2(6.0, 0.0)), 1.0, color);
+            painter.galley(at + vec2(3.0, 0.0), galley, theme::SUNK);
+        }
+    }
+}
+
+/// One line that ends in dots where the room does.
+fn elided(
+    painter: &Painter,
+    text: &str,
+    font: FontId,
+    color: Color32,
+    width: f32,
+) -> std::sync::Arc<eframe::egui::Galley> {
+    let mut job = LayoutJob::simple_singleline(text.to_owned(), font, color);
+    job.wrap.max_width = width.max(8.0);
+    job.wrap.max_rows = 1;
+    job.wrap.break_anywhere = true;
+    painter.layout_job(job)
+}
+
+/// A short note beside the pointer.
+fn say(painter: &Painter, at: Pos2, words: &str) {
+    let font = FontId::new(12.0, FontFamily::Proportional);
+    let galley = painter.layout(words.to_owned(), font, theme::TEXT, 280.0);
+    let rect = Rect::from_min_size(at, galley.size() + vec2(16.0, 12.0));
+    painter.rect(rect, 4.0, theme::PANEL, Stroke::new(1.0, theme::FAULT), StrokeKind::Inside);
+    painter.galley(rect.min + vec2(8.0, 6.0), galley, theme::TEXT);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wires_are_few_pieces_and_keep_to_their_curve() {
+        let straight = bow(pos2(0.0, 5.0), pos2(300.0, 5.0), 1.0);
+        assert_eq!(flattened(&straight).len(), 2);
+        let curve = bow(pos2(0.0, 0.0), pos2(120.0, 400.0), 1.0);
+        let points = flattened(&curve);
+        assert!((8..=64).contains(&points.len()), "{}", points.len());
+        let apart = |at: Pos2| {
+            let near = points.windows(2).map(|pair| {
+                let way = pair[1] - pair[0];
+                let along = ((at - pair[0]).dot(way) / way.length_sq()).clamp(0.0, 1.0);
+                at.distance(pair[0] + way * along)
+            });
+            near.fold(f32::MAX, f32::min)
+        };
+        let worst = (0..=500).map(|i| apart(on_curve(&curve, i as f32 / 500.0))).fold(0.0, f32::max);
+        assert!(worst < 0.3, "{worst}");
+    }
+
+    #[test]
+    fn ways_back_have_round_turns_and_no_gaps() {
+        let corners = [pos2(10.0, 0.0), pos2(40.0, 0.0), pos2(40.0, 90.0), pos2(-60.0, 90.0), pos2(-60.0, 20.0)];
+        let curves = rounded(&corners);
+        assert!(curves.windows(2).all(|pair| pair[0][3] == pair[1][0]), "{curves:?}");
+        assert_eq!((curves[0][0], curves[curves.len() - 1][3]), (corners[0], corners[4]));
+    }
+}

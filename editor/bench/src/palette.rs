@@ -1,0 +1,224 @@
+//! One field to type into and a list below it: add a node, connect the selected one, find one. All by keyboard.
+
+use std::sync::{Arc, Mutex};
+
+use eframe::egui::{
+    Align, Align2, Context, Frame, Id, Key, Label, Modal, Modifiers, RichText, ScrollArea, Sense, TextWrapMode, Ui,
+    WidgetInfo, WidgetType, vec2,
+};
+use panoscope_graph::NodeType;
+use panoscope_loader::Loader;
+
+use crate::panels::inspector::candidates;
+use crate::search;
+use panoscope_editor_model::document::Document;
+use panoscope_editor_model::observe::Output;
+use panoscope_editor_model::ops::{self, Waiting};
+use panoscope_editor_model::session::lock;
+use panoscope_editor_widgets::theme;
+
+/// What is looked for.
+#[derive(Clone, Debug)]
+pub enum Purpose {
+    /// A type for a new node at a place, with the wire that waits for it.
+    Add {
+        /// Where the node goes.
+        at: (f32, f32),
+        /// The wire's other end.
+        waiting: Option<Waiting>,
+    },
+    /// An output for an input of a node.
+    Connect {
+        /// The node.
+        node: String,
+    },
+    /// A node.
+    Find,
+}
+
+/// What was picked.
+#[derive(Clone, Debug)]
+pub enum Picked {
+    /// A type for a new node.
+    Add(Arc<NodeType>, (f32, f32), Option<Waiting>),
+    /// An input (node, input) and its output.
+    Connect(String, String, Output),
+    /// A node to go to.
+    Go(String),
+}
+
+/// All node types of this machine, gathered on a thread of their own: loading a plugin takes time.
+#[derive(Clone, Default)]
+pub struct Types(Arc<Mutex<Option<TypeList>>>);
+
+type TypeList = Arc<Vec<Arc<NodeType>>>;
+
+impl Types {
+    /// Gathers them and calls `done`.
+    pub fn gather(&self, loader: Arc<Loader>, done: impl Fn() + Send + 'static) {
+        let place = Arc::clone(&self.0);
+        let gather = move || {
+            let names: Vec<String> = loader.found().map(|f| f.note.name.clone()).collect();
+            let types = loader.catalog(&names).node_types.into_iter().map(Arc::new).collect();
+            *lock(&place) = Some(Arc::new(types));
+            done();
+        };
+        // Without a thread the list stays empty; the file can still be edited by hand.
+        let _ = std::thread::Builder::new().name("types".to_owned()).spawn(gather);
+    }
+
+    fn get(&self) -> Option<TypeList> {
+        lock(&self.0).clone()
+    }
+}
+
+struct Entry {
+    name: String,
+    side: String,
+    words: String,
+    color: eframe::egui::Color32,
+    picked: Picked,
+}
+
+/// The open palette.
+pub struct Palette {
+    purpose: Purpose,
+    typed: String,
+    chosen: usize,
+    fresh: bool,
+}
+
+impl Palette {
+    /// Opens it.
+    pub fn new(purpose: Purpose) -> Self {
+        Self { purpose, typed: String::new(), chosen: 0, fresh: true }
+    }
+
+    fn entries(&self, document: &Document, types: &Types) -> Vec<Entry> {
+        let view = document.view();
+        match &self.purpose {
+            Purpose::Add { at, waiting } => {
+                let types = types.get().unwrap_or_default();
+                let fits = |t: &&Arc<NodeType>| {
+                    waiting.as_ref().is_none_or(|waiting| ops::fitting_port(view, t, waiting).is_some())
+                };
+                let entry = |t: &Arc<NodeType>| Entry {
+                    name: t.name.clone(),
+                    side: format!("{} · {}", t.family, t.plugin),
+                    words: t.doc.lines().next().unwrap_or_default().to_owned(),
+                    color: theme::family(&t.family),
+                    picked: Picked::Add(Arc::clone(t), *at, waiting.clone()),
+                };
+                types.iter().filter(fits).map(entry).collect()
+            }
+            Purpose::Connect { node } => {
+                let Some(index) = view.node(node) else { return Vec::new() };
+                let inputs = view.nodes[index].node_type.iter().flat_map(|t| &t.inputs);
+                let pairs = inputs
+                    .flat_map(|port| candidates(document, index, &port.name).into_iter().map(move |from| (port, from)));
+                let entry = |(port, from): (&panoscope_graph::Port, Output)| Entry {
+                    name: format!("{} from {from}", port.name),
+                    side: port.packet.name.clone(),
+                    words: port.doc.lines().next().unwrap_or_default().to_owned(),
+                    color: theme::packet(&port.packet.name),
+                    picked: Picked::Connect(node.clone(), port.name.clone(), from),
+                };
+                pairs.map(entry).collect()
+            }
+            Purpose::Find => {
+                let entry = |n: &panoscope_editor_model::document::NodeView| Entry {
+                    name: n.id().to_owned(),
+                    side: n.outline.type_name.clone(),
+                    words: n.node_type.as_ref().and_then(|t| t.doc.lines().next()).unwrap_or_default().to_owned(),
+                    color: theme::family(n.family()),
+                    picked: Picked::Go(n.id().to_owned()),
+                };
+                view.nodes.iter().map(entry).collect()
+            }
+        }
+    }
+
+    fn hint(&self) -> &'static str {
+        match &self.purpose {
+            Purpose::Add { waiting: None, .. } => "Add a node: type, family or what it does",
+            Purpose::Add { .. } => "Add a node for this wire",
+            Purpose::Connect { .. } => "Connect: input, or where from",
+            Purpose::Find => "Find a node",
+        }
+    }
+
+    /// Shows it; answers `Some(None)` when it was left without picking.
+    pub fn show(&mut self, ctx: &Context, document: &Document, types: &Types) -> Option<Option<Picked>> {
+        let entries = self.entries(document, types);
+        let order = search::rank(&self.typed, entries.iter().map(|e| (e.name.as_str(), e.words.as_str())));
+        self.chosen = self.chosen.min(order.len().saturating_sub(1));
+        let take = |key| ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key));
+        if take(Key::ArrowDown) {
+            self.chosen = (self.chosen + 1).min(order.len().saturating_sub(1));
+        }
+        if take(Key::ArrowUp) {
+            self.chosen = self.chosen.saturating_sub(1);
+        }
+        let mut answer = None;
+        if take(Key::Enter) {
+            answer = order.get(self.chosen).map(|&index| Some(entries[index].picked.clone()));
+        }
+        let frame = Frame::popup(&ctx.global_style()).inner_margin(12.0);
+        let area = Modal::default_area(Id::new("palette")).anchor(Align2::CENTER_TOP, vec2(0.0, 96.0));
+        let shown = Modal::new(Id::new("palette"))
+            .area(area)
+            .frame(frame)
+            .backdrop_color(theme::SUNK.gamma_multiply(0.5))
+            .show(ctx, |ui| {
+                ui.set_width(520.0);
+                let hint = self.hint();
+                if search::field(ui, &mut self.typed, &mut self.fresh, hint, "Palette") {
+                    self.chosen = 0;
+                }
+                ui.add_space(theme::STEP);
+                ScrollArea::vertical().min_scrolled_height(400.0).max_height(400.0).auto_shrink([false, true]).show(
+                    ui,
+                    |ui| {
+                        ui.spacing_mut().item_spacing.y = 0.0;
+                        for (row, &index) in order.iter().enumerate() {
+                            if row_of(ui, &entries[index], row == self.chosen) {
+                                answer = Some(Some(entries[index].picked.clone()));
+                            }
+                        }
+                        if order.is_empty() {
+                            let reading = matches!(self.purpose, Purpose::Add { .. }) && types.get().is_none();
+                            let words = if reading { "reading the plugins" } else { "nothing fits" };
+                            ui.label(RichText::new(words).color(theme::MUTED));
+                        }
+                    },
+                );
+            });
+        if answer.is_none() && shown.should_close() { Some(None) } else { answer }
+    }
+}
+
+/// One row; answers whether it was clicked.
+fn row_of(ui: &mut Ui, entry: &Entry, chosen: bool) -> bool {
+    let (rect, row) = ui.allocate_exact_size(vec2(ui.available_width(), 44.0), Sense::click());
+    row.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, chosen, format!("Pick {}", entry.name)));
+    if !ui.is_rect_visible(rect) && !chosen {
+        return row.clicked();
+    }
+    search::mark_row(ui, rect, &row, chosen);
+    let bar = eframe::egui::Rect::from_min_size(rect.min + vec2(6.0, 8.0), vec2(3.0, 28.0));
+    ui.painter().rect_filled(bar, 1.5, entry.color);
+    let inside = rect.shrink2(vec2(16.0, 3.0));
+    ui.scope_builder(eframe::egui::UiBuilder::new().max_rect(inside), |ui| {
+        ui.spacing_mut().item_spacing.y = 1.0;
+        ui.horizontal(|ui| {
+            ui.spacing_mut().interact_size.y = 16.0;
+            ui.add(Label::new(RichText::new(&entry.name).strong()).selectable(false));
+            ui.with_layout(eframe::egui::Layout::right_to_left(Align::Center), |ui| {
+                ui.add(Label::new(RichText::new(&entry.side).size(11.0).color(theme::MUTED)).selectable(false));
+            });
+        });
+        let words = RichText::new(&entry.words).size(11.5).color(theme::MUTED);
+        ui.add(Label::new(words).wrap_mode(TextWrapMode::Truncate).selectable(false));
+    });
+    row.clicked()
+}

@@ -1,0 +1,212 @@
+//! A list of folders and files over the window, to pick one by typing, by keys or by click. No dialog of the system is asked for.
+
+use std::path::{Path, PathBuf};
+
+use eframe::egui::{
+    Align2, Context, Frame, Id, Key, Label, Modal, Modifiers, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType,
+    vec2,
+};
+
+use crate::search;
+use panoscope_editor_widgets::theme;
+
+/// Most entries of a folder that are read.
+const MOST: usize = 5000;
+
+/// What the file is for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// A parameter of a node.
+    Param {
+        /// The node.
+        node: String,
+        /// Its parameter.
+        param: String,
+    },
+    /// The recording that a sweep goes over.
+    Recording,
+}
+
+struct Entry {
+    name: String,
+    folder: bool,
+}
+
+/// The open list.
+pub struct Files {
+    /// What the file is for.
+    pub target: Target,
+    folder: PathBuf,
+    /// Folder that paths in the graph start from.
+    base: PathBuf,
+    entries: Vec<Entry>,
+    typed: String,
+    chosen: usize,
+    fresh: bool,
+    wrong: Option<String>,
+}
+
+impl Files {
+    /// Opens it where `now`, as the graph writes it, lies; `base` is the graph's folder.
+    pub fn new(target: Target, base: &Path, now: &str) -> Self {
+        let base = std::path::absolute(base).unwrap_or_else(|_| base.to_owned());
+        let folder = if now.is_empty() { base.clone() } else { base.join(now) };
+        let folder = if folder.is_dir() { folder } else { folder.parent().unwrap_or(&base).to_owned() };
+        let folder = if folder.is_dir() { folder } else { base.clone() };
+        let mut this = Self {
+            target,
+            folder,
+            base,
+            entries: Vec::new(),
+            typed: String::new(),
+            chosen: 0,
+            fresh: true,
+            wrong: None,
+        };
+        this.read();
+        this
+    }
+
+    fn read(&mut self) {
+        self.entries.clear();
+        (self.chosen, self.wrong) = (0, None);
+        self.typed.clear();
+        match std::fs::read_dir(&self.folder) {
+            Ok(list) => {
+                let entry = |e: std::fs::DirEntry| {
+                    let name = e.file_name().into_string().ok().filter(|n| !n.starts_with('.'))?;
+                    Some(Entry { name, folder: e.path().is_dir() })
+                };
+                self.entries.extend(list.flatten().filter_map(entry).take(MOST));
+                self.entries.sort_by(|a, b| (!a.folder, &a.name).cmp(&(!b.folder, &b.name)));
+            }
+            Err(error) => self.wrong = Some(format!("{} cannot be read: {error}", self.folder.display())),
+        }
+    }
+
+    fn enter(&mut self, folder: PathBuf) {
+        self.folder = folder;
+        self.read();
+    }
+
+    /// The folder above.
+    fn up(&mut self) {
+        if let Some(parent) = self.folder.parent().map(Path::to_owned) {
+            self.enter(parent);
+        }
+    }
+
+    /// A path as the graph writes it: from its own folder where it lies in there.
+    fn written(&self, path: &Path) -> String {
+        path.strip_prefix(&self.base).unwrap_or(path).to_string_lossy().into_owned()
+    }
+
+    /// Shows it; answers `Some(None)` when it was left without picking.
+    pub fn show(&mut self, ctx: &Context) -> Option<Option<String>> {
+        let order = match self.typed.is_empty() {
+            true => (0..self.entries.len()).collect(),
+            false => search::rank(&self.typed, self.entries.iter().map(|e| (e.name.as_str(), ""))),
+        };
+        self.chosen = self.chosen.min(order.len().saturating_sub(1));
+        let take = |key| ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key));
+        if take(Key::ArrowDown) {
+            self.chosen = (self.chosen + 1).min(order.len().saturating_sub(1));
+        }
+        if take(Key::ArrowUp) {
+            self.chosen = self.chosen.saturating_sub(1);
+        }
+        let above = self.typed.is_empty() && take(Key::Backspace);
+        let enter = take(Key::Enter);
+        let mut picked = order.get(self.chosen).copied().filter(|_| enter);
+        // A name that no entry has is that of a file to be made.
+        let new = enter && picked.is_none() && !self.typed.trim().is_empty();
+        let mut answer = new.then(|| Some(self.written(&self.folder.join(self.typed.trim()))));
+        let mut go_up = above;
+        let frame = Frame::popup(&ctx.global_style()).inner_margin(12.0);
+        let area = Modal::default_area(Id::new("files")).anchor(Align2::CENTER_TOP, vec2(0.0, 96.0));
+        let shown = Modal::new(Id::new("files"))
+            .area(area)
+            .frame(frame)
+            .backdrop_color(theme::SUNK.gamma_multiply(0.5))
+            .show(ctx, |ui| {
+                ui.set_width(560.0);
+                ui.horizontal(|ui| {
+                    go_up |= ui.button("Up").on_hover_text("The folder above (Backspace)").clicked();
+                    let words = RichText::new(self.folder.display().to_string()).size(12.0).color(theme::MUTED);
+                    ui.add(Label::new(words).truncate());
+                });
+                let hint = "Type a part of the name, or a new name";
+                if search::field(ui, &mut self.typed, &mut self.fresh, hint, "File name") {
+                    self.chosen = 0;
+                }
+                ui.add_space(theme::STEP);
+                ScrollArea::vertical().max_height(380.0).auto_shrink([false, true]).show(ui, |ui| {
+                    ui.spacing_mut().item_spacing.y = 0.0;
+                    for (row, &index) in order.iter().enumerate() {
+                        if row_of(ui, &self.entries[index], row == self.chosen) {
+                            picked = Some(index);
+                        }
+                    }
+                    let words = match (&self.wrong, order.is_empty(), self.typed.is_empty()) {
+                        (Some(why), ..) => why.clone(),
+                        (_, true, true) => "the folder is empty".to_owned(),
+                        (_, true, false) => "no file is called so; Enter takes it as the name of a new one".to_owned(),
+                        _ => String::new(),
+                    };
+                    if !words.is_empty() {
+                        ui.label(RichText::new(words).color(theme::MUTED));
+                    }
+                });
+            });
+        if let Some(entry) = picked.and_then(|index| self.entries.get(index)) {
+            let path = self.folder.join(&entry.name);
+            if entry.folder {
+                self.enter(path);
+                self.fresh = true;
+            } else {
+                answer = Some(Some(self.written(&path)));
+            }
+        } else if go_up {
+            self.up();
+            self.fresh = true;
+        }
+        if answer.is_none() && shown.should_close() { Some(None) } else { answer }
+    }
+}
+
+/// One row; answers whether it was clicked.
+fn row_of(ui: &mut Ui, entry: &Entry, chosen: bool) -> bool {
+    let (rect, row) = ui.allocate_exact_size(vec2(ui.available_width(), 26.0), Sense::click());
+    let kind = if entry.folder { "Folder" } else { "File" };
+    let words = format!("{kind} {}", entry.name);
+    row.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, chosen, words.clone()));
+    search::mark_row(ui, rect, &row, chosen);
+    let name = if entry.folder { format!("{}/", entry.name) } else { entry.name.clone() };
+    let color = if entry.folder { theme::ACCENT } else { theme::TEXT };
+    let font = eframe::egui::FontId::proportional(13.0);
+    ui.painter().text(rect.left_center() + vec2(8.0, 0.0), Align2::LEFT_CENTER, name, font, color);
+    row.clicked()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_come_first_and_paths_start_from_the_graph() {
+        let base = std::env::temp_dir().join(format!("panoscope_files_{}", std::process::id()));
+        std::fs::create_dir_all(base.join("videos")).unwrap();
+        for name in ["b.png", "a.png", ".hidden", "videos/left.mkv"] {
+            std::fs::write(base.join(name), "").unwrap();
+        }
+        let mut files = Files::new(Target::Recording, &base, "videos/left.mkv");
+        assert_eq!(files.folder, base.join("videos"));
+        assert_eq!(files.written(&files.folder.join("left.mkv")), "videos/left.mkv");
+        files.up();
+        let names: Vec<&str> = files.entries.iter().map(|e| e.name.as_str()).collect();
+        assert_eq!(names, ["videos", "a.png", "b.png"]);
+        assert_eq!(files.written(Path::new("/else/where.png")), "/else/where.png");
+        assert_eq!(Files::new(Target::Recording, &base, "not/there.mkv").folder, base);
+        std::fs::remove_dir_all(&base).unwrap();
+    }
+}

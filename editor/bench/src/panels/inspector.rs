@@ -1,0 +1,237 @@
+//! The selected node: what it shows, how it does, what feeds it, what can be set.
+
+use eframe::egui::{
+    Align, Button, ComboBox, Grid, Image, Label, Layout, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2,
+};
+
+use panoscope_eval::sweep::can_sweep;
+
+use super::params;
+use crate::actions::{self, Action};
+use crate::canvas::Canvas;
+use panoscope_editor_model::document::{Document, NodeView};
+use panoscope_editor_model::observe::{Counters, Output};
+use panoscope_editor_widgets::theme;
+use panoscope_editor_widgets::{Shown, time_words};
+
+/// What was asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Wish {
+    /// Something about a parameter.
+    Param(params::Asked),
+    /// Sweep one of its parameters.
+    Sweep,
+    /// Connect a place of an input to an output, or take the wire off.
+    Input {
+        /// The input.
+        input: String,
+        /// Place in a list.
+        index: usize,
+        /// The output.
+        from: Option<Output>,
+    },
+    /// Show an output large.
+    Look(Output),
+    /// Show another output on the node.
+    Thumbnail(String),
+    /// Give the node another name.
+    Rename(String),
+}
+
+/// Shows a node.
+pub fn show(
+    ui: &mut Ui,
+    document: &Document,
+    counters: &Counters,
+    shown: &Shown,
+    canvas: &Canvas,
+    node: usize,
+) -> Vec<Wish> {
+    let view = document.view();
+    let this = &view.nodes[node];
+    let mut wishes = Vec::new();
+    ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
+        title(ui, this, &mut wishes);
+        picture(ui, document, shown, canvas, node, &mut wishes);
+        for mistake in &this.mistakes {
+            ui.label(RichText::new(mistake).color(theme::FAULT));
+        }
+        numbers(ui, counters, this);
+        let node_type = this.node_type.as_ref();
+        if node_type.is_some_and(|t| !t.inputs.is_empty()) {
+            section(ui, "Inputs");
+            inputs(ui, document, node, &mut wishes);
+        }
+        if node_type.is_some_and(|t| !t.params.is_empty()) {
+            section(ui, "Parameters");
+            if node_type.is_some_and(|t| t.params.iter().any(|p| can_sweep(&p.kind))) {
+                let button = Button::new(RichText::new("sweep one over a range").size(11.0).color(theme::ACCENT));
+                let sweep = ui.add(button.frame(false)).on_hover_text(actions::hint(Action::Sweep));
+                sweep.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Sweep a parameter"));
+                if sweep.clicked() {
+                    wishes.push(Wish::Sweep);
+                }
+                ui.add_space(theme::STEP);
+            }
+            wishes.extend(params::show(ui, document, this).into_iter().map(Wish::Param));
+        }
+        ui.add_space(6.0 * theme::STEP);
+    });
+    wishes
+}
+
+/// A quiet heading.
+pub fn section(ui: &mut Ui, words: &str) {
+    ui.add_space(3.0 * theme::STEP);
+    ui.label(RichText::new(words.to_uppercase()).size(10.5).color(theme::MUTED).extra_letter_spacing(0.8));
+    ui.add_space(theme::STEP / 2.0);
+}
+
+fn title(ui: &mut Ui, this: &NodeView, wishes: &mut Vec<Wish>) {
+    ui.horizontal(|ui| {
+        let (rect, _) = ui.allocate_exact_size(vec2(4.0, 20.0), Sense::hover());
+        ui.painter().rect_filled(rect, 2.0, theme::family(this.family()));
+        let id = ui.make_persistent_id(("name", this.id()));
+        let mut name = ui.data(|d| d.get_temp::<String>(id)).unwrap_or_else(|| this.id().to_owned());
+        let field = eframe::egui::TextEdit::singleline(&mut name)
+            .font(eframe::egui::TextStyle::Heading)
+            .frame(eframe::egui::Frame::NONE)
+            .desired_width(f32::INFINITY);
+        let response = ui.add(field).on_hover_text("Name; Enter renames the node everywhere");
+        response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Name"));
+        if response.has_focus() {
+            ui.data_mut(|d| d.insert_temp(id, name));
+        } else {
+            ui.data_mut(|d| d.remove_temp::<String>(id));
+            if response.lost_focus() && name != this.id() {
+                wishes.push(Wish::Rename(name));
+            }
+        }
+    });
+    let words = match &this.node_type {
+        Some(t) => format!("{} · {}", t.name, t.plugin),
+        None => format!("{} · not known", this.outline.type_name),
+    };
+    ui.label(RichText::new(words).size(11.5).color(theme::MUTED));
+    if let Some(line) = this.node_type.as_ref().and_then(|t| t.doc.lines().next()) {
+        ui.label(RichText::new(line).size(12.0));
+    }
+    ui.add_space(theme::STEP);
+}
+
+fn picture(ui: &mut Ui, document: &Document, shown: &Shown, canvas: &Canvas, node: usize, wishes: &mut Vec<Wish>) {
+    let view = document.view();
+    let Some((output, _)) = canvas.shown_output(view, node) else { return };
+    let width = ui.available_width();
+    if let Some((texture, size)) = shown.texture(&output) {
+        let fit = (width / size.x).min(240.0 / size.y);
+        let image = Image::new((texture, size * fit)).corner_radius(4.0).sense(Sense::click());
+        let response = ui.add(image).on_hover_text("Click to see it large (V)");
+        let words = format!("Show {output} large");
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, words.clone()));
+        if response.clicked() {
+            wishes.push(Wish::Look(output.clone()));
+        }
+    }
+    if let Some(words) = shown.words(&output) {
+        ui.label(RichText::new(words).size(12.0).color(theme::MUTED));
+    }
+    let outputs = view.nodes[node].node_type.as_ref().map_or(&[][..], |t| &t.outputs);
+    if outputs.len() > 1 {
+        let combo = ComboBox::from_id_salt("shown").selected_text(&output.port).width(width - 8.0);
+        let response = combo.show_ui(ui, |ui| {
+            for port in outputs {
+                let words = format!("{} ({})", port.name, port.packet.name);
+                if ui.selectable_label(port.name == output.port, words).clicked() {
+                    wishes.push(Wish::Thumbnail(port.name.clone()));
+                }
+            }
+        });
+        let id = response.response.id;
+        ui.ctx().accesskit_node_builder(id, |node| node.set_label("Shown output"));
+    }
+}
+
+fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView) {
+    let Some(c) = counters.nodes.get(this.id()) else { return };
+    ui.add_space(theme::STEP);
+    let mut rows: Vec<(&str, String)> = vec![
+        ("rate", format!("{:.1} fps", c.fps)),
+        ("time", format!("{}  ·  p99 {}", time_words(c.p50_ms), time_words(c.p99_ms))),
+    ];
+    if let (Some(p50), Some(p99)) = (c.age_p50_ms, c.age_p99_ms) {
+        rows.push(("age", format!("{}  ·  p99 {}", time_words(p50), time_words(p99))));
+    }
+    rows.push(("ticks", format!("{}  ·  {} dropped", c.count, c.dropped)));
+    for (name, value) in c.metrics.iter().take(8) {
+        rows.push((name, panoscope_editor_model::picture::short(*value)));
+    }
+    Grid::new("numbers").num_columns(2).spacing([16.0, 4.0]).show(ui, |ui| {
+        for (name, value) in rows {
+            ui.label(RichText::new(name).size(12.0).color(theme::MUTED));
+            ui.label(RichText::new(value).size(12.0));
+            ui.end_row();
+        }
+    });
+    if let Some(fault) = counters.faults.get(this.id()) {
+        section(ui, "Last fault");
+        let done = format!("{:?}", fault.done).to_lowercase();
+        ui.label(RichText::new(&fault.words).size(12.0).color(theme::WARN));
+        let words = format!("{:?}, {} so far; then: {done}", fault.cause, c.faults.max(fault.count));
+        ui.label(RichText::new(words).size(11.5).color(theme::MUTED));
+    }
+}
+
+/// A row per place of each input, with what could stand there.
+fn inputs(ui: &mut Ui, document: &Document, node: usize, wishes: &mut Vec<Wish>) {
+    let view = document.view();
+    let this = &view.nodes[node];
+    let Some(node_type) = &this.node_type else { return };
+    for port in &node_type.inputs {
+        let wires: Vec<_> = view.wires_into(node, &port.name).collect();
+        let places = if port.list { wires.len() + 1 } else { 1 };
+        for index in 0..places {
+            let from = wires.get(index).map(|w| Output::new(view.nodes[w.from].id(), &w.output));
+            let name = if port.list { format!("{} {}", port.name, index + 1) } else { port.name.clone() };
+            ui.horizontal(|ui| {
+                let color = if from.is_none() && !port.optional { theme::FAULT } else { theme::MUTED };
+                let label = RichText::new(name.replace('_', " ")).size(12.0).color(color);
+                ui.allocate_ui_with_layout(vec2(88.0, 24.0), Layout::left_to_right(Align::Center), |ui| {
+                    ui.set_min_width(88.0);
+                    let label = ui.add(Label::new(label).truncate());
+                    label.on_hover_text(format!("{} ({})", port.doc, port.packet.name));
+                });
+                let now = from.as_ref().map_or_else(|| "not connected".to_owned(), Output::to_string);
+                let combo =
+                    ComboBox::from_id_salt((&port.name, index)).selected_text(now).width(ui.available_width() - 8.0);
+                let response = combo.show_ui(ui, |ui| {
+                    if from.is_some() && ui.selectable_label(false, "not connected").clicked() {
+                        wishes.push(Wish::Input { input: port.name.clone(), index, from: None });
+                    }
+                    for output in candidates(document, node, &port.name) {
+                        let same = from.as_ref() == Some(&output);
+                        if ui.selectable_label(same, output.to_string()).clicked() && !same {
+                            wishes.push(Wish::Input { input: port.name.clone(), index, from: Some(output) });
+                        }
+                    }
+                });
+                let id = response.response.id;
+                ui.ctx().accesskit_node_builder(id, |n| n.set_label(format!("Input {}.{name}", this.id())));
+            });
+        }
+    }
+}
+
+/// Outputs that fit an input.
+pub fn candidates(document: &Document, node: usize, input: &str) -> Vec<Output> {
+    let view = document.view();
+    let mut found = Vec::new();
+    for (from, other) in view.nodes.iter().enumerate().filter(|(n, _)| *n != node) {
+        for port in other.node_type.iter().flat_map(|t| &t.outputs) {
+            if view.may_wire(from, &port.name, node, input).is_ok() {
+                found.push(Output::new(other.id(), &port.name));
+            }
+        }
+    }
+    found
+}

@@ -1,0 +1,117 @@
+//! The graph as a whole, shown while no single node is selected.
+
+use eframe::egui::{Grid, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2};
+
+use super::inspector::section;
+use super::params;
+use panoscope_editor_model::document::{Document, NodeView};
+use panoscope_editor_model::observe::Counters;
+use panoscope_editor_widgets::theme;
+use panoscope_editor_widgets::time_words;
+
+/// What was asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Wish {
+    /// Go to a node.
+    Go(String),
+    /// Something about a parameter of a node.
+    Param(String, params::Asked),
+}
+
+/// What the file says of itself: the comment that it opens with.
+fn opening(text: &str) -> String {
+    let lines = text.lines().take_while(|line| line.starts_with('#'));
+    lines.map(|line| line.trim_start_matches('#').trim()).collect::<Vec<_>>().join(" ")
+}
+
+/// Settings that the preset pins, as (node, parameter, label).
+fn pinned(document: &Document) -> Vec<(String, String, String)> {
+    let Ok(table) = document.text().parse::<toml::Table>() else { return Vec::new() };
+    let pins = table.get("preset").and_then(|p| p.get("pinned")).and_then(toml::Value::as_array);
+    let pin = |pin: &toml::Value| {
+        let (node, param) = pin.get("param")?.as_str()?.split_once('.')?;
+        let label = pin.get("label").and_then(toml::Value::as_str).unwrap_or(param);
+        Some((node.to_owned(), param.to_owned(), label.to_owned()))
+    };
+    pins.into_iter().flatten().filter_map(pin).collect()
+}
+
+/// Shows it.
+pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usize) -> Vec<Wish> {
+    let view = document.view();
+    let mut wishes = Vec::new();
+    ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
+        if selected > 1 {
+            ui.label(RichText::new(format!("{selected} nodes selected")).size(15.0));
+        } else {
+            ui.label(RichText::new(&view.name).size(16.0));
+            ui.label(RichText::new(opening(document.text())).size(12.0).color(theme::MUTED));
+        }
+        let pinned = pinned(document);
+        if !pinned.is_empty() {
+            section(ui, "Preset");
+        }
+        for (node, param, label) in pinned {
+            let this = view.node(&node).map(|n| &view.nodes[n]);
+            let declared = this.and_then(|n| n.node_type.as_ref()?.params.iter().find(|p| p.name == param));
+            if let (Some(this), Some(declared)) = (this, declared) {
+                ui.push_id((&node, &param), |ui| {
+                    let change = params::one(ui, document, this, declared, &label);
+                    wishes.extend(change.map(|c| Wish::Param(node.clone(), c)));
+                });
+            }
+        }
+        section(ui, "Where time goes");
+        shares(ui, &view.nodes, counters, &mut wishes);
+    });
+    wishes
+}
+
+/// A bar per node: the share of one core that it takes.
+fn shares(ui: &mut Ui, nodes: &[NodeView], counters: &Counters, wishes: &mut Vec<Wish>) {
+    let mut rows: Vec<(&NodeView, f64, f64)> = nodes
+        .iter()
+        .filter_map(|n| counters.nodes.get(n.id()).map(|c| (n, c.p50_ms, c.p50_ms * c.fps / 1e3)))
+        .collect();
+    rows.sort_by(|a, b| b.2.total_cmp(&a.2));
+    if rows.is_empty() {
+        ui.label(RichText::new("nothing runs").color(theme::MUTED));
+        return;
+    }
+    let most = rows.first().map_or(1.0, |r| r.2.max(1e-6));
+    let width = ui.available_width();
+    Grid::new("shares").num_columns(1).spacing([0.0, 2.0]).show(ui, |ui| {
+        for (node, p50_ms, share) in rows.into_iter().take(24) {
+            let (rect, row) = ui.allocate_exact_size(vec2(width, 24.0), Sense::click());
+            row.widget_info(|| WidgetInfo::labeled(WidgetType::Link, true, format!("Go to {}", node.id())));
+            let painter = ui.painter();
+            if row.hovered() {
+                painter.rect_filled(rect, 4.0, theme::RAISED);
+            }
+            let bar = eframe::egui::Rect::from_min_size(
+                rect.left_bottom() - vec2(0.0, 3.0),
+                vec2(width * (share / most) as f32, 2.0),
+            );
+            painter.rect_filled(bar, 1.0, theme::family(node.family()));
+            let font = eframe::egui::FontId::proportional(12.0);
+            let middle = rect.center().y - 1.0;
+            let at = |x| eframe::egui::pos2(x, middle);
+            use eframe::egui::Align2;
+            painter.text(at(rect.left()), Align2::LEFT_CENTER, node.id(), font.clone(), theme::TEXT);
+            let words = format!("{}   {:.0} %", time_words(p50_ms), share * 100.0);
+            painter.text(at(rect.right()), Align2::RIGHT_CENTER, words, font, theme::MUTED);
+            if row.clicked() {
+                wishes.push(Wish::Go(node.id().to_owned()));
+            }
+            ui.end_row();
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_opening_comment_is_one_text() {
+        assert_eq!(super::opening("# Wide view\n# from two.\nname = \"x\"\n# not this"), "Wide view from two.");
+    }
+}

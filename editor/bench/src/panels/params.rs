@@ -1,0 +1,247 @@
+//! Widgets made from the one declaration of a parameter: unit, step, range, default.
+
+use eframe::egui::{
+    Align, Button, ComboBox, DragValue, Layout, Response, RichText, Sense, Slider, SliderClamping, TextEdit, Ui,
+    WidgetInfo, WidgetType, vec2,
+};
+use panoscope_graph::{Param, ParamKind, Pick};
+
+use panoscope_editor_model::document::{Document, NodeView, default_value};
+use panoscope_editor_widgets::theme;
+use panoscope_editor_widgets::unit_words;
+
+/// A change that was asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Change {
+    /// The parameter.
+    pub param: String,
+    /// Its new value; `None` takes it out of the file, so that the default holds.
+    pub value: Option<toml::Value>,
+}
+
+/// What was asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Asked {
+    /// Another value.
+    Change(Change),
+    /// Points or rectangles are to be picked on the picture.
+    Pick(String),
+    /// A file is to be picked.
+    Browse(String),
+}
+
+/// Shows all parameters of a node; answers what was asked for.
+pub fn show(ui: &mut Ui, document: &Document, node: &NodeView) -> Vec<Asked> {
+    let params = node.node_type.iter().flat_map(|t| &t.params);
+    let one = |p: &Param| ui.push_id(&p.name, |ui| one(ui, document, node, p, &title(p))).inner;
+    params.filter_map(one).collect()
+}
+
+/// A parameter's name in words, without the unit, which stands behind the value.
+fn title(param: &Param) -> String {
+    let unit = format!("_{}", param.unit.replace('/', "_"));
+    let bare = param.name.strip_suffix(&unit).filter(|_| !param.unit.is_empty());
+    bare.unwrap_or(&param.name).replace('_', " ")
+}
+
+/// Shows one parameter under `title`; answers what was asked for.
+pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, title: &str) -> Option<Asked> {
+    let given = node.outline.params.get(&param.name);
+    let value = given.cloned().unwrap_or_else(|| default_value(&param.kind));
+    let differs = document.differs_from_file(node, &param.name);
+    let (mut change, mut asked) = (None, None);
+    ui.spacing_mut().item_spacing.y = 2.0;
+    ui.horizontal(|ui| {
+        ui.spacing_mut().interact_size.y = 18.0;
+        let color = if differs { theme::ACCENT } else { theme::TEXT };
+        let reopens = if param.reopen { "\nA change opens the node anew." } else { "" };
+        ui.label(RichText::new(title).color(color).size(12.5)).on_hover_text(format!("{}{reopens}", param.doc));
+        if differs {
+            let (rect, dot) = ui.allocate_exact_size(vec2(8.0, 8.0), Sense::hover());
+            ui.painter().circle_filled(rect.center(), 3.0, theme::ACCENT);
+            let words = format!("{} differs from the file", param.name);
+            dot.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, words.clone()));
+            dot.on_hover_text("Differs from the file");
+        }
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            let mut new = None;
+            if let ParamKind::Bool { default } = &param.kind {
+                let mut on = value.as_bool().unwrap_or(*default);
+                let response = ui.checkbox(&mut on, "");
+                name(&response, &param.name);
+                new = response.changed().then(|| on.into());
+            }
+            if given.is_some() {
+                let reset = Button::new(RichText::new("reset").size(11.0).color(theme::MUTED)).frame(false);
+                let reset = ui.add(reset).on_hover_text("Takes it out of the file: the default holds");
+                let words = format!("Reset {}", param.name);
+                reset.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, words.clone()));
+                if reset.clicked() {
+                    change = Some(Change { param: param.name.clone(), value: None });
+                }
+            }
+            let (pick, words, hint) = match param.pick {
+                Pick::Points => ("Pick", "in picture", "On the picture: click to add, drag to move"),
+                Pick::Rectangles => ("Pick", "in picture", "On the picture: drag to draw, handles to change"),
+                Pick::File => ("Browse", "browse", "Files and folders"),
+                Pick::None => ("", "", ""),
+            };
+            if !words.is_empty() {
+                let button = Button::new(RichText::new(words).size(11.0).color(theme::ACCENT)).frame(false);
+                let button = ui.add(button).on_hover_text(hint);
+                let words = format!("{pick} {}", param.name);
+                button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, words.clone()));
+                if button.clicked() {
+                    let name = param.name.clone();
+                    asked = Some(if param.pick == Pick::File { Asked::Browse(name) } else { Asked::Pick(name) });
+                }
+            }
+            if new.is_some() {
+                change = Some(Change { param: param.name.clone(), value: new });
+            }
+        });
+    });
+    if let Some(value) = widget(ui, param, &value) {
+        change = Some(Change { param: param.name.clone(), value: Some(value) });
+    }
+    ui.add_space(2.0 * theme::STEP);
+    asked.or(change.map(Asked::Change))
+}
+
+/// The widget of one parameter; answers a new value.
+fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value> {
+    let unit = unit_words(&param.unit);
+    let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+    let label = param.name.clone();
+    ui.spacing_mut().slider_width = (ui.available_width() - 92.0).max(60.0);
+    let (response, new): (_, Option<toml::Value>) = match &param.kind {
+        // A box beside its name.
+        ParamKind::Bool { .. } => return None,
+        ParamKind::Int { default, min, max, step } => {
+            let mut number = value.as_integer().unwrap_or(*default);
+            let response = match (min, max) {
+                (Some(min), Some(max)) => {
+                    let step = step.unwrap_or(1).max(1);
+                    // Steps count from the minimum, which a slider's own steps do not.
+                    let mut steps = (number - min).div_euclid(step);
+                    let before = steps;
+                    ui.horizontal(|ui| {
+                        let slider = Slider::new(&mut steps, 0..=(max - min).div_euclid(step));
+                        let slider = ui.add(slider.show_value(false).clamping(SliderClamping::Edits));
+                        if steps != before {
+                            number = min + steps * step;
+                        }
+                        let typed = DragValue::new(&mut number).range(*min..=*max).clamp_existing_to_range(false);
+                        let typed = ui.add(typed.speed(step as f64 / 8.0).suffix(unit));
+                        if typed.changed() {
+                            number = min + ((number - min) as f64 / step as f64).round() as i64 * step;
+                        }
+                        beside(slider, typed, &label)
+                    })
+                    .inner
+                }
+                _ => {
+                    let range = min.unwrap_or(i64::MIN)..=max.unwrap_or(i64::MAX);
+                    let drag = DragValue::new(&mut number).range(range).clamp_existing_to_range(false).suffix(unit);
+                    let drag = ui.add(drag);
+                    name(&drag, &label);
+                    drag
+                }
+            };
+            let new = response.changed().then(|| number.into());
+            (response, new)
+        }
+        ParamKind::Float { default, min, max, step } => {
+            let mut number = value.as_float().or(value.as_integer().map(|i| i as f64)).unwrap_or(*default);
+            let response = match (min, max) {
+                (Some(min), Some(max)) => {
+                    let wide = *min > 0.0 && max / min >= 1000.0;
+                    ui.horizontal(|ui| {
+                        let slider = Slider::new(&mut number, *min..=*max).logarithmic(wide).show_value(false);
+                        let mut slider = slider.clamping(SliderClamping::Edits);
+                        if let Some(step) = step {
+                            slider = slider.step_by(*step);
+                        } else {
+                            slider = slider.max_decimals(3);
+                        }
+                        let slider = ui.add(slider);
+                        let speed = step.unwrap_or((max - min) / 500.0);
+                        let typed = DragValue::new(&mut number).range(*min..=*max).clamp_existing_to_range(false);
+                        let typed = ui.add(typed.speed(speed).max_decimals(3).suffix(unit));
+                        beside(slider, typed, &label)
+                    })
+                    .inner
+                }
+                _ => {
+                    let range = min.unwrap_or(f64::MIN)..=max.unwrap_or(f64::MAX);
+                    let speed = step.unwrap_or(0.1);
+                    let drag = DragValue::new(&mut number).range(range).clamp_existing_to_range(false);
+                    let drag = ui.add(drag.speed(speed).suffix(unit));
+                    name(&drag, &label);
+                    drag
+                }
+            };
+            let new = response.changed().then(|| number.into());
+            (response, new)
+        }
+        ParamKind::Choice { default, choices } => {
+            let now = value.as_str().unwrap_or(default).to_owned();
+            let mut picked = now.clone();
+            let combo = ComboBox::from_id_salt("choice").selected_text(&now).width(ui.available_width() - 8.0);
+            let response = combo.show_ui(ui, |ui| {
+                for choice in choices {
+                    ui.selectable_value(&mut picked, choice.clone(), choice);
+                }
+            });
+            let new = (picked != now).then(|| picked.into());
+            (response.response, new)
+        }
+        ParamKind::Text { default } | ParamKind::Path { default, .. } => {
+            let now = value.as_str().unwrap_or(default);
+            return text_field(ui, &label, now, |text| Some(text.into()));
+        }
+        ParamKind::Floats { default, .. } => {
+            let numbers = value.as_array().map_or_else(
+                || default.clone(),
+                |a| a.iter().filter_map(|v| v.as_float().or(v.as_integer().map(|i| i as f64))).collect(),
+            );
+            let now = numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
+            return text_field(ui, &label, &now, |text| {
+                let parts = text.split([',', ' ']).filter(|p| !p.is_empty());
+                let numbers: Option<Vec<f64>> = parts.map(|p| p.parse().ok()).collect();
+                Some(numbers?.into())
+            });
+        }
+    };
+    if !matches!(param.kind, ParamKind::Int { .. } | ParamKind::Float { .. }) {
+        name(&response, &label);
+    }
+    // What is shown rounded is not changed by being shown.
+    new.filter(|new| new != value)
+}
+
+/// A slider and the value beside it, to be typed: both have a name, and either counts.
+fn beside(slider: Response, typed: Response, label: &str) -> Response {
+    name(&typed, &format!("{label} value"));
+    name(&slider, label);
+    slider.union(typed)
+}
+
+/// Gives a widget its name for screen readers and tests.
+fn name(response: &Response, label: &str) {
+    response.ctx.accesskit_node_builder(response.id, |node| node.set_label(label.to_owned()));
+}
+
+/// A text that counts when Enter is pressed or the field is left.
+fn text_field(ui: &mut Ui, label: &str, now: &str, read: impl Fn(&str) -> Option<toml::Value>) -> Option<toml::Value> {
+    let id = ui.make_persistent_id(("typed", label));
+    let mut typed = ui.data(|d| d.get_temp::<String>(id)).unwrap_or_else(|| now.to_owned());
+    let response = ui.add(TextEdit::singleline(&mut typed).desired_width(f32::INFINITY));
+    name(&response, label);
+    if response.has_focus() {
+        ui.data_mut(|d| d.insert_temp(id, typed));
+        return None;
+    }
+    ui.data_mut(|d| d.remove_temp::<String>(id));
+    if response.lost_focus() && typed != now { read(&typed) } else { None }
+}

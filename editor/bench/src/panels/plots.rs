@@ -1,0 +1,251 @@
+//! Curves: times, rates and drops of nodes, and the numbers that scalar and table ports tell; as CSV and as pictures, too.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fmt::Write as _;
+
+use eframe::egui::{Align, Align2, Button, FontId, Layout, Ui, WidgetInfo, WidgetType};
+use egui_plot::{Corner, Legend, Line, Plot, PlotPoints};
+
+use super::cutout::Cutout;
+use panoscope_editor_model::content::Content;
+use panoscope_editor_model::document::View;
+use panoscope_editor_model::observe::{Counters, Output, Point};
+use panoscope_editor_widgets::Shown;
+use panoscope_editor_widgets::theme;
+
+/// Most curves at once.
+const MOST_CURVES: usize = 8;
+/// Points of a value's history.
+const HISTORY: usize = 1200;
+
+/// What the curves show.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Kind {
+    /// Median time of a call, ms.
+    #[default]
+    Times,
+    /// 99 % of the calls took no longer, ms.
+    Slowest,
+    /// Calls per second.
+    Rate,
+    /// Most packets that waited on a wire.
+    Queues,
+    /// Numbers that scalar and table ports tell.
+    Values,
+}
+
+impl Kind {
+    const ALL: [Self; 5] = [Self::Times, Self::Slowest, Self::Rate, Self::Queues, Self::Values];
+
+    fn words(self) -> &'static str {
+        match self {
+            Self::Times => "Median time",
+            Self::Slowest => "99 % time",
+            Self::Rate => "Rate",
+            Self::Queues => "Queues",
+            Self::Values => "Values",
+        }
+    }
+
+    fn axis(self) -> &'static str {
+        match self {
+            Self::Times | Self::Slowest => "ms per call",
+            Self::Rate => "calls per second",
+            Self::Queues => "packets waiting",
+            Self::Values => "value",
+        }
+    }
+
+    fn of(self, point: &Point) -> f64 {
+        match self {
+            Self::Slowest => point.p99_ms,
+            Self::Rate => point.fps,
+            _ => point.p50_ms,
+        }
+    }
+}
+
+/// A curve: its name, and its points with seconds that end at 0.
+type Curve = (String, Vec<[f64; 2]>);
+
+/// The panel's own state.
+#[derive(Default)]
+pub struct Plots {
+    kind: Kind,
+    values: BTreeMap<String, VecDeque<[f64; 2]>>,
+    seen: BTreeMap<Output, u64>,
+    cutout: Cutout,
+}
+
+/// What is to be written.
+pub enum Export {
+    /// A table of all curves.
+    Csv(String),
+    /// A picture of the plot.
+    Picture(image::RgbImage),
+}
+
+impl Plots {
+    /// Whether numbers of ports are shown, so that these are wanted.
+    pub fn wants_values(&self) -> bool {
+        self.kind == Kind::Values
+    }
+
+    /// Shows numbers of ports, or times again.
+    pub fn set_kind(&mut self, kind: Kind) {
+        self.kind = kind;
+    }
+
+    /// Takes what the ports tell; of each port every tick that was seen.
+    pub fn follow(&mut self, shown: &Shown, outputs: &[Output]) {
+        for output in outputs {
+            let Some(look) = shown.look(output) else { continue };
+            let Content::Numbers(numbers) = &look.content else { continue };
+            let last = self.seen.insert(output.clone(), look.seq);
+            if last == Some(look.seq) {
+                continue;
+            }
+            let begun_anew = last.is_some_and(|last| look.seq < last);
+            for (name, value) in numbers.iter().filter(|(_, value)| value.is_finite()) {
+                let curve = self.values.entry(format!("{output} {name}")).or_default();
+                if begun_anew {
+                    curve.clear();
+                }
+                if curve.len() >= HISTORY {
+                    curve.pop_front();
+                }
+                curve.push_back([look.capture_ms / 1e3, *value]);
+            }
+        }
+        self.values.retain(|name, _| outputs.iter().any(|o| name.starts_with(&format!("{o} "))));
+    }
+
+    fn curves(&self, view: &View, counters: &Counters, selected: &[String]) -> Vec<Curve> {
+        let chosen = |id: &str| selected.is_empty() || selected.iter().any(|s| s == id);
+        if self.kind == Kind::Queues {
+            // Wires that something ever waited on; the fullest first.
+            let most = |points: &VecDeque<[f64; 2]>| points.iter().map(|p| p[1]).fold(0.0, f64::max);
+            let end = counters.queues.values().filter_map(|q| q.back()).map(|p| p[0]).fold(0.0, f64::max);
+            let mut wires: Vec<_> =
+                counters.queues.iter().filter(|(wire, q)| chosen(&wire.node) && most(q) > 0.0).collect();
+            wires.sort_by(|a, b| most(b.1).total_cmp(&most(a.1)).then_with(|| a.0.cmp(b.0)));
+            let curve = |(wire, q): (&panoscope_editor_model::observe::WireEnd, &VecDeque<[f64; 2]>)| {
+                (view.wire_name(wire), q.iter().map(|p| [p[0] - end, p[1]]).collect())
+            };
+            return wires.into_iter().take(MOST_CURVES).map(curve).collect();
+        }
+        if self.kind == Kind::Values {
+            let of_node = |name: &str| name.split('.').next().is_some_and(chosen);
+            let curves = self.values.iter().filter(|(name, _)| of_node(name)).take(MOST_CURVES);
+            let end = self.values.values().filter_map(|c| c.back()).map(|p| p[0]).fold(0.0, f64::max);
+            return curves.map(|(name, c)| (name.clone(), c.iter().map(|p| [p[0] - end, p[1]]).collect())).collect();
+        }
+        let mut nodes: Vec<(&String, f64)> =
+            counters.nodes.iter().filter(|(id, _)| chosen(id)).map(|(id, n)| (id, n.p50_ms)).collect();
+        nodes.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let end = counters.history.values().filter_map(|h| h.back()).map(|p| p.at_s).fold(0.0, f64::max);
+        let curve = |(id, _): (&String, f64)| {
+            let history = counters.history.get(id)?;
+            Some((id.clone(), history.iter().map(|p| [p.at_s - end, self.kind.of(p)]).collect()))
+        };
+        nodes.into_iter().take(MOST_CURVES).filter_map(curve).collect()
+    }
+
+    /// Shows the panel; answers what is to be written.
+    pub fn show(&mut self, ui: &mut Ui, view: &View, counters: &Counters, selected: &[String]) -> Option<Export> {
+        let curves = self.curves(view, counters, selected);
+        let mut export = self.cutout.taken(ui.ctx()).map(Export::Picture);
+        let empty = curves.is_empty();
+        let mut asked = false;
+        ui.horizontal(|ui| {
+            for kind in Kind::ALL {
+                if ui.add(Button::new(kind.words()).selected(self.kind == kind)).clicked() {
+                    self.kind = kind;
+                }
+            }
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                asked = ui.button("PNG").on_hover_text("Writes a picture of the curves into out/").clicked();
+                if ui.button("CSV").on_hover_text("Writes all points of the curves into out/").clicked() {
+                    export = Some(Export::Csv(csv(self.kind, &curves)));
+                }
+            });
+        });
+        let mut plot = Plot::new("curves")
+            .legend(Legend::default().position(Corner::LeftTop))
+            .y_axis_label(self.kind.axis())
+            .include_x(-30.0)
+            .include_x(0.0)
+            .allow_scroll(false)
+            .x_axis_formatter(|mark, _| format!("{:.0} s", mark.value))
+            .show_grid(true);
+        if self.kind != Kind::Values {
+            plot = plot.include_y(0.0);
+        }
+        // The grid takes the text's colour.
+        ui.visuals_mut().override_text_color = Some(theme::MUTED.gamma_multiply(0.8));
+        let shown = plot.show(ui, |plot| {
+            for (k, (name, points)) in curves.into_iter().enumerate() {
+                let points: PlotPoints<'_> = points.into_iter().collect();
+                plot.line(Line::new(name, points).color(theme::class(k as u32)).width(1.8));
+            }
+        });
+        shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Times"));
+        if asked {
+            self.cutout.ask(ui.ctx(), shown.response.rect);
+        }
+        if empty {
+            let words = match self.kind {
+                Kind::Queues => "nothing waits on any wire: each node takes what comes at once",
+                Kind::Values => "no scalar or table has come yet",
+                _ => "nothing runs",
+            };
+            let font = FontId::proportional(13.0);
+            ui.painter().text(shown.response.rect.center(), Align2::CENTER_CENTER, words, font, theme::MUTED);
+        }
+        export
+    }
+}
+
+/// All points, one a line.
+fn csv(kind: Kind, curves: &[Curve]) -> String {
+    let mut out = format!("curve,time_s,{}\n", kind.axis().replace(' ', "_"));
+    for (name, points) in curves {
+        let quoted = name.replace('"', "\"\"");
+        for [x, y] in points {
+            let _ = writeln!(out, "\"{quoted}\",{x:.3},{y}");
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eframe::egui::Context;
+    use panoscope_editor_model::picture::Look;
+    use std::collections::HashMap;
+
+    #[test]
+    fn values_of_ports_become_curves_and_a_table() {
+        let (mut plots, output) = (Plots::default(), Output::new("pid", "errors"));
+        plots.set_kind(Kind::Values);
+        let mut shown = Shown::default();
+        for seq in 0..3u64 {
+            let content = Content::Numbers(vec![("x mm".to_owned(), seq as f64), ("y".to_owned(), f64::NAN)]);
+            let look = Look { seq, capture_ms: seq as f64 * 100.0, content, ..Look::default() };
+            shown.update(&Context::default(), HashMap::from([(output.clone(), look)]));
+            // Looked at twice it counts once.
+            plots.follow(&shown, std::slice::from_ref(&output));
+            plots.follow(&shown, std::slice::from_ref(&output));
+        }
+        let curves = plots.curves(&View::default(), &Counters::default(), &[]);
+        assert_eq!(curves, [("pid.errors x mm".to_owned(), vec![[-0.2, 0.0], [-0.1, 1.0], [0.0, 2.0]])]);
+        assert_eq!(csv(Kind::Values, &curves).lines().nth(3), Some("\"pid.errors x mm\",0.000,2"));
+        assert!(plots.curves(&View::default(), &Counters::default(), &["other".to_owned()]).is_empty());
+        plots.follow(&shown, &[]);
+        assert!(
+            plots.curves(&View::default(), &Counters::default(), &[]).is_empty(),
+            "a node that is gone has no curve"
+        );
+    }
+}

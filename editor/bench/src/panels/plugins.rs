@@ -1,0 +1,73 @@
+//! The plugins that can be seen from here: what they offer, where they came from.
+
+use eframe::egui::text::{LayoutJob, TextFormat};
+use eframe::egui::{CollapsingHeader, Context, FontId, Frame, Margin, Modal, RichText, ScrollArea};
+use panoscope_graph::Catalog;
+use panoscope_loader::Loader;
+
+use panoscope_editor_widgets::theme;
+
+/// Letters of the names of a plugin's nodes that have room beside its own name.
+const MOST_LETTERS: usize = 68;
+
+/// What was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Asked {
+    /// Swap rebuilt plugins in.
+    Reload,
+    /// Close the list.
+    Close,
+}
+
+/// Shows the list over the window; `catalog` holds the plugins that the graph uses.
+pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Asked> {
+    let modal = Modal::new("plugins".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
+    let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
+    let mut asked = None;
+    let shown = modal.frame(frame).show(ctx, |ui| {
+        ui.set_width(560.0);
+        ui.horizontal(|ui| {
+            ui.label(RichText::new("Plugins").size(16.0));
+            if ui.button("Reload").on_hover_text("Swaps rebuilt plugins into the running graph").clicked() {
+                asked = Some(Asked::Reload);
+            }
+        });
+        let height = ctx.content_rect().height();
+        ScrollArea::vertical().max_height(height * 0.7).min_scrolled_height(height * 0.5).show(ui, |ui| {
+            for found in loader.found() {
+                let (name, version) = (&found.note.name, &found.note.version);
+                let used = catalog.has_plugin(name);
+                let color = if used { theme::TEXT } else { theme::MUTED };
+                let mut title = LayoutJob::default();
+                title.append(
+                    name,
+                    0.0,
+                    TextFormat { font_id: FontId::proportional(14.0), color, ..Default::default() },
+                );
+                let small = FontId::proportional(12.0);
+                let rest = TextFormat { font_id: small, color: theme::MUTED, ..Default::default() };
+                let nodes = found.note.node_types.join(", ");
+                let shown: String = nodes.chars().take(MOST_LETTERS).collect();
+                let dots = if shown.len() < nodes.len() { "..." } else { "" };
+                title.append(&format!("   {shown}{dots}"), 0.0, rest);
+                CollapsingHeader::new(title).id_salt(("plugin", name)).show(ui, |ui| {
+                    let words = format!("{version}   {}", found.file.display());
+                    ui.label(RichText::new(words).size(11.0).color(theme::MUTED));
+                    let types = catalog.node_types.iter().filter(|t| t.plugin == *name);
+                    for node_type in types {
+                        ui.label(RichText::new(&node_type.name).color(theme::ACCENT));
+                        ui.label(RichText::new(&node_type.doc).size(12.0));
+                    }
+                    if !used {
+                        ui.label(RichText::new(format!("nodes: {}", found.note.node_types.join(", "))).size(12.0));
+                    }
+                });
+            }
+            for problem in loader.problems() {
+                ui.label(RichText::new(format!("{}: {}", problem.file, problem.message)).color(theme::FAULT));
+                ui.label(RichText::new(&problem.help).size(12.0).color(theme::MUTED));
+            }
+        });
+    });
+    asked.or(shown.should_close().then_some(Asked::Close))
+}

@@ -1,0 +1,425 @@
+//! A sweep of one parameter: what it does to a measure, while the graph in the window goes on.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use eframe::egui::{
+    Align, Button, ComboBox, DragValue, Id, Label, Layout, ProgressBar, Response, RichText, ScrollArea, TextEdit, Ui,
+    WidgetInfo, WidgetType, vec2,
+};
+use egui_plot::{Corner, Legend, Line, Plot, PlotPoints, Points};
+use panoscope_engine::numbers::tells_numbers;
+use panoscope_eval::sweep::{COUNTERS, MOST_STEPS, Point, Request, can_sweep, csv};
+use panoscope_graph::ParamKind;
+use panoscope_loader::Loader;
+
+use super::cutout::Cutout;
+use super::plots::Export;
+use panoscope_editor_model::content::Content;
+use panoscope_editor_model::document::Document;
+use panoscope_editor_model::observe::{Counters, Output};
+use panoscope_editor_model::picture::short;
+use panoscope_editor_model::sweeping::{Job, Progress};
+use panoscope_editor_widgets::Shown;
+use panoscope_editor_widgets::theme;
+use panoscope_editor_widgets::unit_words;
+
+/// Columns of the settings, in points.
+const SETTINGS_WIDTH: f32 = 320.0;
+/// Threads of a sweep: the graph in the window has the rest.
+const THREADS: usize = 1;
+
+/// What was asked for.
+pub enum Wish {
+    /// Begin.
+    Start(Request, PathBuf),
+    /// Write what was found.
+    Export(Export),
+    /// Pick a recording from the folders.
+    Browse,
+}
+
+/// The panel's own state.
+pub struct SweepPanel {
+    /// `node.param`.
+    param: String,
+    from: f64,
+    to: f64,
+    steps: usize,
+    frames: u64,
+    measure: String,
+    /// A recording's file; empty for the graph's own sources.
+    pub recording: String,
+    job: Option<Job>,
+    wrong: Option<String>,
+    cutout: Cutout,
+}
+
+impl Default for SweepPanel {
+    fn default() -> Self {
+        Self {
+            param: String::new(),
+            from: 0.0,
+            to: 1.0,
+            steps: 9,
+            frames: 100,
+            measure: String::new(),
+            recording: String::new(),
+            job: None,
+            wrong: None,
+            cutout: Cutout::default(),
+        }
+    }
+}
+
+impl SweepPanel {
+    /// How the sweep stands that was begun last.
+    pub fn progress(&self) -> Option<Progress> {
+        self.job.as_ref().map(Job::progress)
+    }
+
+    /// Begins a sweep; one that is under way ends.
+    pub fn start(
+        &mut self,
+        request: Request,
+        recording: PathBuf,
+        loader: Arc<Loader>,
+        wake: impl Fn() + Send + 'static,
+    ) {
+        self.job = None;
+        match Job::start(request, recording, loader, wake) {
+            Ok(job) => (self.job, self.wrong) = (Some(job), None),
+            Err(error) => self.wrong = Some(format!("no thread could be started: {error}")),
+        }
+    }
+
+    /// Sweeps a parameter next, from one end of its range to the other.
+    pub fn choose(&mut self, document: &Document, node: &str, param: &str) {
+        self.param = format!("{node}.{param}");
+        let view = document.view();
+        let kind = view.node(node).and_then(|n| {
+            let node_type = view.nodes[n].node_type.as_ref()?;
+            node_type.params.iter().find(|p| p.name == param).map(|p| p.kind.clone())
+        });
+        let ends = |default: f64, min: Option<f64>, max: Option<f64>| {
+            let reach = default.abs().max(1.0);
+            (min.unwrap_or(default - reach), max.unwrap_or(default + reach))
+        };
+        (self.from, self.to) = match kind {
+            Some(ParamKind::Int { default, min, max, .. }) => {
+                ends(default as f64, min.map(|m| m as f64), max.map(|m| m as f64))
+            }
+            Some(ParamKind::Float { default, min, max, .. }) => ends(default, min, max),
+            _ => (0.0, 1.0),
+        };
+    }
+
+    /// What a short sweep of the chosen parameter asks for.
+    pub fn quick(&mut self, document: &Document, path: &Path, measure: &str) -> Wish {
+        measure.clone_into(&mut self.measure);
+        self.frames = 6;
+        self.request(document, path)
+    }
+
+    /// Shows the panel.
+    pub fn show(
+        &mut self,
+        ui: &mut Ui,
+        document: &Document,
+        counters: &Counters,
+        shown: &Shown,
+        selected: Option<&str>,
+        path: &Path,
+    ) -> Option<Wish> {
+        let mut wish = self.cutout.taken(ui.ctx()).map(|picture| Wish::Export(Export::Picture(picture)));
+        let progress = self.progress();
+        if !sweepable(document).contains(&self.param) {
+            let all = sweepable(document);
+            let of_selected = selected.and_then(|id| all.iter().find(|p| p.split('.').next() == Some(id)));
+            match of_selected.or(all.first()).and_then(|p| p.split_once('.')) {
+                Some((node, param)) => self.choose(document, node, param),
+                None => self.param.clear(),
+            }
+        }
+        ui.horizontal_top(|ui| {
+            ui.allocate_ui_with_layout(
+                vec2(SETTINGS_WIDTH, ui.available_height()),
+                Layout::top_down(Align::Min),
+                |ui| {
+                    ui.set_width(SETTINGS_WIDTH);
+                    ScrollArea::vertical().id_salt("sweep settings").auto_shrink([false, false]).show(ui, |ui| {
+                        let asked = self.settings(ui, document, counters, shown, path, progress.as_ref());
+                        wish = asked.or(wish.take());
+                    });
+                },
+            );
+            ui.separator();
+            ui.vertical(|ui| {
+                let export = self.result(ui, progress.as_ref());
+                wish = export.map(Wish::Export).or(wish.take());
+            });
+        });
+        wish
+    }
+
+    fn settings(
+        &mut self,
+        ui: &mut Ui,
+        document: &Document,
+        counters: &Counters,
+        shown: &Shown,
+        path: &Path,
+        progress: Option<&Progress>,
+    ) -> Option<Wish> {
+        let mut wish = None;
+        let runs = progress.is_some_and(|p| !p.done);
+        ui.spacing_mut().item_spacing.y = theme::STEP;
+        row(ui, "parameter", |ui| {
+            let combo =
+                ComboBox::from_id_salt("sweep param").selected_text(&self.param).width(ui.available_width() - 8.0);
+            let response = combo.show_ui(ui, |ui| {
+                for param in sweepable(document) {
+                    if ui.selectable_label(param == self.param, &param).clicked()
+                        && let Some((node, name)) = param.split_once('.')
+                    {
+                        self.choose(document, node, name);
+                    }
+                }
+            });
+            name(ui, response.response.id, "Swept parameter");
+        });
+        let (numbers, unit, step) = kind_of(document, &self.param);
+        if numbers {
+            row(ui, "from, to", |ui| {
+                let speed = step.unwrap_or((self.to - self.from).abs() / 100.0).max(1e-6);
+                for (value, label) in [(&mut self.from, "Sweep from"), (&mut self.to, "Sweep to")] {
+                    let drag = ui.add(DragValue::new(value).speed(speed).max_decimals(4).suffix(&unit));
+                    name(ui, drag.id, label);
+                }
+                let steps = ui.add(DragValue::new(&mut self.steps).range(2..=MOST_STEPS).suffix(" steps"));
+                name(ui, steps.id, "Sweep steps");
+            });
+        }
+        row(ui, "measure", |ui| {
+            let width = ui.available_width() - 8.0;
+            let field =
+                ui.add(TextEdit::singleline(&mut self.measure).hint_text("node.port.column").desired_width(width));
+            name(ui, field.id, "Sweep measure");
+        });
+        row(ui, "", |ui| {
+            let combo =
+                ComboBox::from_id_salt("sweep measures").selected_text("choose").width(ui.available_width() - 8.0);
+            let response = combo.show_ui(ui, |ui| {
+                for measure in measures(document, counters, shown) {
+                    if ui.selectable_label(measure == self.measure, &measure).clicked() {
+                        self.measure = measure;
+                    }
+                }
+            });
+            name(ui, response.response.id, "Known measures");
+        });
+        row(ui, "pictures", |ui| {
+            let width = ui.available_width() - 72.0;
+            let hint = "the graph's own sources";
+            let field = ui.add(TextEdit::singleline(&mut self.recording).hint_text(hint).desired_width(width));
+            name(ui, field.id, "Recording to sweep over");
+            if ui.button("File").on_hover_text("A recording (.mcap) that gives the pictures").clicked() {
+                wish = Some(Wish::Browse);
+            }
+        });
+        row(ui, "of each", |ui| {
+            let frames = ui.add(DragValue::new(&mut self.frames).range(1..=1_000_000).suffix(" frames"));
+            name(ui, frames.id, "Frames per value");
+        });
+        row(ui, "", |ui| {
+            if runs {
+                if ui.button("Cancel").on_hover_text("What was found stays").clicked()
+                    && let Some(job) = &self.job
+                {
+                    job.cancel();
+                }
+            } else if ui
+                .add_enabled(!self.param.is_empty() && !self.measure.is_empty(), Button::new("Start the sweep"))
+                .on_hover_text("Runs beside the graph, in batch, without nodes that write or move")
+                .on_disabled_hover_text("Say what is measured first")
+                .clicked()
+            {
+                wish = Some(self.request(document, path));
+            }
+        });
+        let wrong = self.wrong.as_ref().or(progress.and_then(|p| p.failed.as_ref()));
+        if let Some(words) = wrong {
+            ui.add(Label::new(RichText::new(words).size(12.0).color(theme::FAULT)).wrap());
+        }
+        wish
+    }
+
+    fn request(&self, document: &Document, path: &Path) -> Wish {
+        let recording = self.recording.trim();
+        let recording = match recording.is_empty() {
+            true => PathBuf::new(),
+            false => path.parent().unwrap_or(Path::new("")).join(recording),
+        };
+        let request = Request {
+            path: path.to_owned(),
+            text: document.text().to_string(),
+            settings: Vec::new(),
+            param: self.param.clone(),
+            from: Some(self.from),
+            to: Some(self.to),
+            steps: self.steps,
+            measure: self.measure.trim().to_owned(),
+            frames: self.frames,
+            recording: None,
+            threads: THREADS,
+        };
+        Wish::Start(request, recording)
+    }
+
+    /// The plot, with how far it is.
+    fn result(&mut self, ui: &mut Ui, progress: Option<&Progress>) -> Option<Export> {
+        let Some(progress) = progress else {
+            let words = "One run per value, of the same pictures, while the graph here goes on.";
+            ui.label(RichText::new(words).color(theme::MUTED));
+            return None;
+        };
+        let mut export = None;
+        let mut asked = false;
+        ui.horizontal(|ui| {
+            ui.label(format!("{} over {}", progress.measure, progress.param));
+            let words = match (progress.total, progress.points.len()) {
+                _ if progress.failed.is_some() => "did not begin".to_owned(),
+                (0, _) => "being looked at".to_owned(),
+                (total, done) if progress.cancelled => format!("cancelled after {done} of {total}"),
+                (total, done) if progress.done => format!("{done} of {total} values"),
+                (total, done) => {
+                    ui.add(ProgressBar::new(done as f32 / total as f32).desired_width(120.0));
+                    format!("{done} of {total}")
+                }
+            };
+            ui.label(RichText::new(words).color(theme::MUTED));
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                let some = !progress.points.is_empty();
+                let png = ui.add_enabled(some, Button::new("PNG")).on_hover_text("Writes a picture of it into out/");
+                asked = png.clicked();
+                let table = ui.add_enabled(some, Button::new("CSV")).on_hover_text("Writes all values into out/");
+                if table.clicked() {
+                    export = Some(Export::Csv(csv(&progress.param, &progress.measure, &progress.points)));
+                }
+            });
+        });
+        let failed = progress.points.iter().find_map(|p| Some((&p.value, p.result.as_ref().err()?)));
+        if let Some((value, why)) = failed {
+            let words = format!("at {value}: {}", why.lines().next().unwrap_or_default());
+            ui.add(Label::new(RichText::new(words).size(12.0).color(theme::FAULT)).truncate());
+        }
+        let response = plot(ui, progress);
+        if asked {
+            self.cutout.ask(ui.ctx(), response.rect);
+        }
+        export
+    }
+}
+
+fn plot(ui: &mut Ui, progress: &Progress) -> Response {
+    let known = |points: &[Point]| -> Vec<(f64, panoscope_eval::sweep::Summary)> {
+        points.iter().filter_map(|p| Some((p.at, *p.result.as_ref().ok()?))).collect()
+    };
+    let known = known(&progress.points);
+    let words: Vec<(f64, String)> = progress.points.iter().map(|p| (p.at, p.value.clone())).collect();
+    let has_words = progress.words;
+    let axis = match progress.unit.is_empty() {
+        true => progress.param.clone(),
+        false => format!("{} [{}]", progress.param, progress.unit),
+    };
+    ui.visuals_mut().override_text_color = Some(theme::MUTED.gamma_multiply(0.8));
+    let shown = Plot::new("sweep")
+        .legend(Legend::default().position(Corner::LeftTop))
+        .x_axis_label(axis)
+        .y_axis_label(&progress.measure)
+        .allow_scroll(false)
+        .x_axis_formatter(move |mark, _| {
+            let near = |(at, _): &&(f64, String)| (at - mark.value).abs() < 1e-9 && at.fract() == 0.0;
+            // Between words there is nothing.
+            let between = || if has_words { String::new() } else { short(mark.value) };
+            words.iter().find(near).map_or_else(between, |(_, word)| word.clone())
+        })
+        .show(ui, |plot| {
+            for (at, s) in &known {
+                let ends: PlotPoints<'_> = vec![[*at, s.min], [*at, s.max]].into();
+                plot.line(Line::new("smallest to largest", ends).color(theme::class(1).gamma_multiply(0.7)).width(2.0));
+            }
+            let means: PlotPoints<'_> = known.iter().map(|(at, s)| [*at, s.mean]).collect();
+            if !has_words {
+                plot.line(Line::new("mean", means).color(theme::class(0)).width(1.8));
+            }
+            let dots: PlotPoints<'_> = known.iter().map(|(at, s)| [*at, s.mean]).collect();
+            plot.points(Points::new("mean", dots).color(theme::class(0)).radius(3.0));
+        });
+    let place = |at: f64| {
+        let word = progress.points.iter().find(|p| has_words && p.at == at);
+        word.map_or_else(|| short(at), |p| p.value.clone())
+    };
+    let told = known.iter().map(|(at, s)| format!("{}: {}", place(*at), short(s.mean))).collect::<Vec<_>>().join(", ");
+    shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Sweep: {told}")));
+    shown.response
+}
+
+fn row(ui: &mut Ui, label: &str, add: impl FnOnce(&mut Ui)) {
+    ui.horizontal(|ui| {
+        ui.allocate_ui_with_layout(vec2(72.0, 24.0), Layout::left_to_right(Align::Center), |ui| {
+            ui.set_min_width(72.0);
+            ui.label(RichText::new(label).size(12.0).color(theme::MUTED));
+        });
+        add(ui);
+    });
+}
+
+fn name(ui: &Ui, id: Id, label: &str) {
+    ui.ctx().accesskit_node_builder(id, |node| node.set_label(label.to_owned()));
+}
+
+/// All parameters that can be swept, as `node.param`.
+fn sweepable(document: &Document) -> Vec<String> {
+    let nodes = document.view().nodes.iter();
+    let params = nodes.flat_map(|n| n.node_type.iter().flat_map(|t| &t.params).map(move |p| (n.id(), p)));
+    params.filter(|(_, p)| can_sweep(&p.kind)).map(|(id, p)| format!("{id}.{}", p.name)).collect()
+}
+
+/// Whether a parameter is a number; its unit, to stand behind one; its step.
+fn kind_of(document: &Document, param: &str) -> (bool, String, Option<f64>) {
+    let view = document.view();
+    let declared = param.split_once('.').and_then(|(node, param)| {
+        let node_type = view.nodes[view.node(node)?].node_type.as_ref()?;
+        node_type.params.iter().find(|p| p.name == param)
+    });
+    let Some(declared) = declared else { return (false, String::new(), None) };
+    let unit = unit_words(&declared.unit);
+    let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+    match &declared.kind {
+        ParamKind::Int { step, .. } => (true, unit, Some(step.unwrap_or(1) as f64)),
+        ParamKind::Float { step, .. } => (true, unit, *step),
+        _ => (false, unit, None),
+    }
+}
+
+/// What could be measured: scalar ports, columns of tables that were seen, numbers that nodes told, times.
+fn measures(document: &Document, counters: &Counters, shown: &Shown) -> Vec<String> {
+    let mut found = Vec::new();
+    for node in &document.view().nodes {
+        let outputs = node.node_type.iter().flat_map(|t| &t.outputs).filter(|p| tells_numbers(&p.packet.name));
+        for port in outputs {
+            let output = Output::new(node.id(), &port.name);
+            if port.packet.name == "scalar" {
+                found.push(output.to_string());
+            } else if let Some(Content::Numbers(numbers)) = shown.look(&output).map(|l| &l.content) {
+                found.extend(numbers.iter().map(|(column, _)| format!("{output}.{column}")));
+            }
+        }
+    }
+    for (id, node) in &counters.nodes {
+        found.extend(node.metrics.iter().map(|(name, _)| format!("{id}.{name}")));
+    }
+    found.extend(counters.nodes.keys().map(|id| format!("{id}.{}", COUNTERS[0])));
+    found
+}

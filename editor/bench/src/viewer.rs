@@ -1,0 +1,390 @@
+//! The big picture: one output, or two by wipe, blink or difference. Number keys recall what was looked at.
+
+use eframe::egui::{
+    Align, Align2, Button, Color32, ComboBox, Context, FontId, Id, InputState, Key, Layout, Modifiers, Painter, Pos2,
+    Rect, RichText, Sense, Stroke, TextureHandle, TextureId, TextureOptions, Ui, UiBuilder, Vec2, WidgetInfo,
+    WidgetType, pos2, vec2,
+};
+
+use crate::space::Space;
+use panoscope_editor_model::observe::Output;
+use panoscope_editor_model::picture::Pixels;
+use panoscope_editor_model::surface::Sight;
+use panoscope_editor_widgets::theme;
+use panoscope_editor_widgets::{Shown, image_of};
+
+/// Most outputs that number keys recall.
+const RECENT: usize = 9;
+/// Part of the picture that an arrow key moves the wipe by.
+const WIPE_STEP: f32 = 0.02;
+/// Half a period of blinking, s.
+const BLINK_S: f64 = 0.6;
+
+/// How two outputs are compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Compare {
+    /// A line between the two follows the pointer.
+    #[default]
+    Wipe,
+    /// One after the other.
+    Blink,
+    /// Where they differ, and how much.
+    Difference,
+}
+
+/// An output with the type of its packets.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Source {
+    /// The output.
+    pub output: Output,
+    /// Type of its packets.
+    pub packet: String,
+}
+
+/// The viewer; closed while it has no source.
+#[derive(Default)]
+pub struct Viewer {
+    a: Option<Source>,
+    b: Option<Source>,
+    compare: Compare,
+    /// Place of the wipe's line, 0..=1.
+    wipe: f32,
+    recent: Vec<Source>,
+    space: Space,
+    /// Clouds are shown as the camera saw them, not as surfaces.
+    flat: bool,
+    /// Something is picked on the picture: it stands alone, as it was seen.
+    picking: bool,
+    difference: Option<((u64, u64), TextureHandle, f32)>,
+}
+
+impl Viewer {
+    /// Shows an output.
+    pub fn open(&mut self, source: Source) {
+        if !self.recent.contains(&source) {
+            if self.recent.len() == RECENT {
+                self.recent.remove(0);
+            }
+            self.recent.push(source.clone());
+        }
+        self.a = Some(source);
+    }
+
+    /// Compares with another output, or with none.
+    pub fn compare(&mut self, other: Option<Source>) {
+        self.b = other;
+        self.wipe = 0.5;
+    }
+
+    /// Closes it; answers whether it was open.
+    pub fn close(&mut self) -> bool {
+        self.b = None;
+        self.a.take().is_some()
+    }
+
+    /// Shows what the number key `digit`, from 1, recalls.
+    pub fn recall(&mut self, digit: usize) {
+        if let Some(source) = digit.checked_sub(1).and_then(|i| self.recent.get(i)) {
+            self.a = Some(source.clone());
+        }
+    }
+
+    /// What is shown.
+    pub fn source(&self) -> Option<&Source> {
+        self.a.as_ref()
+    }
+
+    /// Both outputs that are shown.
+    pub fn sources(&self) -> impl Iterator<Item = &Source> {
+        self.a.iter().chain(&self.b)
+    }
+
+    /// From where a cloud is to be painted, while one is shown as a surface.
+    pub fn sight(&self) -> Option<Sight> {
+        let cloud = self.a.as_ref().is_some_and(|a| a.packet == "cloud");
+        (cloud && self.b.is_none() && !self.flat && !self.picking).then(|| self.space.sight())
+    }
+
+    /// Place of the line between both outputs, 0..=1, while they are compared by wipe.
+    pub fn wipe_line(&self) -> Option<f32> {
+        (self.b.is_some() && self.compare == Compare::Wipe).then_some(self.wipe)
+    }
+
+    /// The 3-D view, to look at.
+    pub fn space_now(&self) -> &Space {
+        &self.space
+    }
+
+    /// The 3-D view.
+    pub fn space(&mut self) -> &mut Space {
+        &mut self.space
+    }
+
+    /// Something is picked on the picture from now on, or no more.
+    pub fn set_picking(&mut self, picking: bool) {
+        self.picking = picking;
+        if picking {
+            self.b = None;
+        }
+    }
+
+    /// Draws over the canvas; `others` are outputs to compare with, `ways` those of tips and poses. Answers where the picture stands,
+    /// and where there is room for buttons below it.
+    pub fn show(
+        &mut self,
+        ui: &mut Ui,
+        rect: Rect,
+        shown: &Shown,
+        others: &[Source],
+        ways: &[Output],
+    ) -> Option<(Rect, Rect)> {
+        let a = self.a.clone()?;
+        if self.sight().is_some() {
+            ui.painter_at(rect).rect_filled(rect, 0.0, theme::SURFACE);
+            let room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
+            self.space.show(ui, room, shown, &a.output, ways);
+            self.bar(ui, rect, shown, &a, others);
+            self.foot(ui, rect);
+            return None;
+        }
+        let ground = ui.interact(rect, Id::new("viewer"), Sense::click_and_drag());
+        ground.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Viewer of {}", a.output)));
+        let painter = ui.painter_at(rect);
+        painter.rect_filled(rect, 0.0, theme::SUNK);
+        let room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
+        let b = self.b.clone().filter(|b| shown.texture(&b.output).is_some());
+        let stands = shown.texture(&a.output).map(|(_, size)| fit(room, size));
+        match (shown.texture(&a.output), b) {
+            (None, _) => {
+                let words = shown.words(&a.output).unwrap_or("nothing yet").to_owned();
+                painter.text(room.center(), Align2::CENTER_CENTER, words, FontId::monospace(16.0), theme::TEXT);
+            }
+            (Some((texture, size)), None) => picture(&painter, texture, fit(room, size), Color32::WHITE),
+            (Some((texture, size)), Some(b)) => {
+                let inner = fit(room, size);
+                // A pointer that rests leaves the line to the keys.
+                let moves = self.compare == Compare::Wipe && ui.input(|i| i.pointer.delta() != Vec2::ZERO);
+                if let Some(pointer) = ground.hover_pos().filter(|_| moves) {
+                    self.wipe = ((pointer.x - inner.left()) / inner.width()).clamp(0.0, 1.0);
+                }
+                if self.compare == Compare::Wipe && ui.memory(|m| m.focused().is_none_or(|id| id == ground.id)) {
+                    let steps = [(Key::ArrowLeft, -WIPE_STEP), (Key::ArrowRight, WIPE_STEP)];
+                    let by = steps
+                        .map(|(key, by)| by * ui.input_mut(|i| i.count_and_consume_key(Modifiers::NONE, key)) as f32);
+                    self.wipe = (self.wipe + by[0] + by[1]).clamp(0.0, 1.0);
+                }
+                self.both(ui, &painter, inner, (&a, texture), &b, shown);
+            }
+        }
+        if let Some(age) = shown.stale(&a.output) {
+            let at = room.center_top() + vec2(0.0, 16.0);
+            let words = format!("nothing new for {} s", age.as_secs());
+            painter.text(at, Align2::CENTER_TOP, words, FontId::proportional(18.0), theme::WARN);
+        }
+        self.bar(ui, rect, shown, &a, others);
+        if !self.picking {
+            self.foot(ui, rect);
+        }
+        stands.map(|stands| (stands, foot_of(rect)))
+    }
+
+    /// Number keys show what was looked at, whether the viewer is open or not.
+    pub fn recall_by_key(&mut self, input: &mut InputState) {
+        const KEYS: [Key; RECENT] =
+            [Key::Num1, Key::Num2, Key::Num3, Key::Num4, Key::Num5, Key::Num6, Key::Num7, Key::Num8, Key::Num9];
+        for (n, key) in KEYS.into_iter().enumerate() {
+            if input.consume_key(Modifiers::NONE, key) {
+                self.recall(n + 1);
+            }
+        }
+    }
+
+    fn both(&mut self, ui: &Ui, painter: &Painter, inner: Rect, a: (&Source, TextureId), b: &Source, shown: &Shown) {
+        let Some((second, _)) = shown.texture(&b.output) else { return };
+        match self.compare {
+            Compare::Wipe => {
+                let x = inner.left() + inner.width() * self.wipe;
+                let left = Rect::from_min_max(inner.min, pos2(x, inner.bottom()));
+                let right = Rect::from_min_max(pos2(x, inner.top()), inner.max);
+                picture(&painter.with_clip_rect(left.intersect(painter.clip_rect())), a.1, inner, Color32::WHITE);
+                picture(&painter.with_clip_rect(right.intersect(painter.clip_rect())), second, inner, Color32::WHITE);
+                painter.vline(x, inner.y_range(), Stroke::new(1.5, theme::ACCENT));
+                let top = inner.top() + 8.0;
+                tag(painter, pos2(x - 8.0, top), Align2::RIGHT_TOP, a.0.output.to_string());
+                tag(painter, pos2(x + 8.0, top), Align2::LEFT_TOP, b.output.to_string());
+            }
+            Compare::Blink => {
+                let first = (ui.input(|i| i.time) / BLINK_S) as i64 % 2 == 0;
+                picture(painter, if first { a.1 } else { second }, inner, Color32::WHITE);
+                let name = if first { &a.0.output } else { &b.output };
+                tag(painter, inner.left_top() + vec2(8.0, 8.0), Align2::LEFT_TOP, name.to_string());
+                ui.ctx().request_repaint_after(std::time::Duration::from_secs_f64(BLINK_S / 2.0));
+            }
+            Compare::Difference => {
+                if let Some((texture, mean)) = self.difference(ui.ctx(), shown, &a.0.output, &b.output) {
+                    picture(painter, texture, inner, Color32::WHITE);
+                    let words = format!("mean difference {mean:.1} of 255, shown four times as strong");
+                    tag(painter, inner.left_top() + vec2(8.0, 8.0), Align2::LEFT_TOP, words);
+                }
+            }
+        }
+    }
+
+    /// The picture of the difference, made anew when one of the two is new.
+    fn difference(&mut self, ctx: &Context, shown: &Shown, a: &Output, b: &Output) -> Option<(TextureId, f32)> {
+        let of = (shown.look(a)?.seq, shown.look(b)?.seq);
+        if self.difference.as_ref().is_none_or(|(known, ..)| *known != of) {
+            let (pixels, mean) = difference_of(shown.pixels(a)?, shown.pixels(b)?);
+            let image = image_of(&pixels);
+            match &mut self.difference {
+                Some((known, texture, old)) if texture.size() == image.size => {
+                    texture.set_partial([0, 0], image, TextureOptions::LINEAR);
+                    (*known, *old) = (of, mean);
+                }
+                place => *place = Some((of, ctx.load_texture("difference", image, TextureOptions::LINEAR), mean)),
+            }
+        }
+        self.difference.as_ref().map(|(_, texture, mean)| (texture.id(), *mean))
+    }
+
+    fn bar(&mut self, ui: &mut Ui, rect: Rect, shown: &Shown, a: &Source, others: &[Source]) {
+        let bar = Rect::from_min_size(rect.min, vec2(rect.width(), 48.0)).shrink2(vec2(24.0, 10.0));
+        ui.scope_builder(UiBuilder::new().max_rect(bar), |ui| {
+            ui.horizontal(|ui| {
+                ui.label(RichText::new(a.output.to_string()).size(15.0).strong());
+                let mut about = a.packet.clone();
+                if let Some(size) = shown.size(&a.output).filter(|s| s.x > 0.0) {
+                    about += &format!("   {} x {} px", size.x, size.y);
+                }
+                if let Some(words) = shown.words(&a.output).filter(|_| shown.texture(&a.output).is_some()) {
+                    about += &format!("   {words}");
+                }
+                ui.label(RichText::new(about).color(theme::MUTED));
+                ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                    if ui.button("Close").on_hover_text("Escape").clicked() {
+                        self.close();
+                    }
+                    if a.packet == "cloud" && self.b.is_none() && !self.picking {
+                        let button = Button::new("Surface").selected(!self.flat);
+                        if ui.add(button).on_hover_text("To be turned, or as the camera saw it").clicked() {
+                            self.flat ^= true;
+                        }
+                    }
+                    if self.b.is_some() {
+                        for (mode, words) in
+                            [(Compare::Difference, "Difference"), (Compare::Blink, "Blink"), (Compare::Wipe, "Wipe")]
+                        {
+                            if ui.add(Button::new(words).selected(self.compare == mode)).clicked() {
+                                self.compare = mode;
+                            }
+                        }
+                    }
+                    let now = self.b.as_ref().map_or_else(|| "with nothing".to_owned(), |b| b.output.to_string());
+                    let combo = ComboBox::from_id_salt("compare").selected_text(now).width(180.0).show_ui(ui, |ui| {
+                        if ui.selectable_label(self.b.is_none(), "with nothing").clicked() {
+                            self.compare(None);
+                        }
+                        for other in others.iter().filter(|o| *o != a) {
+                            if ui.selectable_label(self.b.as_ref() == Some(other), other.output.to_string()).clicked() {
+                                self.compare(Some(other.clone()));
+                            }
+                        }
+                    });
+                    let id = combo.response.id;
+                    ui.ctx().accesskit_node_builder(id, |n| n.set_label("Compare with"));
+                    ui.label(RichText::new("compare").color(theme::MUTED));
+                });
+            });
+        });
+    }
+
+    /// What number keys recall.
+    fn foot(&mut self, ui: &mut Ui, rect: Rect) {
+        ui.scope_builder(UiBuilder::new().max_rect(foot_of(rect)), |ui| {
+            ui.horizontal(|ui| {
+                if self.sight().is_some() {
+                    self.space.controls(ui);
+                    ui.separator();
+                }
+                for (i, source) in self.recent.clone().into_iter().enumerate() {
+                    let words = RichText::new(format!("{}  {}", i + 1, source.output)).size(12.0);
+                    if ui.selectable_label(self.a.as_ref() == Some(&source), words).clicked() {
+                        self.a = Some(source);
+                    }
+                }
+            });
+        });
+    }
+}
+
+/// Room for buttons below the picture.
+fn foot_of(rect: Rect) -> Rect {
+    Rect::from_min_max(pos2(rect.left(), rect.bottom() - 40.0), rect.max).shrink2(vec2(24.0, 6.0))
+}
+
+fn fit(room: Rect, size: Vec2) -> Rect {
+    let scale = (room.width() / size.x).min(room.height() / size.y);
+    Rect::from_center_size(room.center(), size * scale)
+}
+
+fn picture(painter: &Painter, texture: TextureId, rect: Rect, tint: Color32) {
+    painter.image(texture, rect, Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0)), tint);
+}
+
+/// A name on a picture, readable on any.
+fn tag(painter: &Painter, at: Pos2, align: Align2, words: String) {
+    let galley = painter.layout_no_wrap(words, FontId::proportional(12.0), theme::TEXT);
+    let margin = vec2(6.0, 3.0);
+    let rect = align.anchor_size(at, galley.size() + 2.0 * margin);
+    painter.rect_filled(rect, 4.0, Color32::from_black_alpha(170));
+    painter.galley(rect.min + margin, galley, theme::TEXT);
+}
+
+/// Four times the absolute difference, at the first picture's size, and the mean difference of all channels.
+fn difference_of(a: &Pixels, b: &Pixels) -> (Pixels, f32) {
+    let mut rgba = Vec::with_capacity(a.rgba.len());
+    let mut sum = 0u64;
+    for y in 0..a.height {
+        let row = y * b.height / a.height.max(1) * b.width;
+        for x in 0..a.width {
+            let p = &a.rgba[(y * a.width + x) * 4..][..3];
+            let q = &b.rgba[(row + x * b.width / a.width.max(1)) * 4..][..3];
+            for k in 0..3 {
+                let d = p[k].abs_diff(q[k]);
+                sum += u64::from(d);
+                rgba.push(d.saturating_mul(4));
+            }
+            rgba.push(255);
+        }
+    }
+    let mean = sum as f32 / (a.width * a.height * 3).max(1) as f32;
+    (Pixels { width: a.width, height: a.height, rgba }, mean)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn differences_are_found_at_other_sizes_too() {
+        let a = Pixels { width: 2, height: 2, rgba: [10, 10, 10, 255].repeat(4) };
+        let b = Pixels { width: 4, height: 4, rgba: [13, 10, 10, 255].repeat(16) };
+        let (pixels, mean) = difference_of(&a, &b);
+        assert_eq!(&pixels.rgba[..4], [12, 0, 0, 255]);
+        assert!((mean - 1.0).abs() < 1e-6);
+        assert_eq!(difference_of(&a, &a).1, 0.0);
+    }
+
+    #[test]
+    fn numbers_recall_what_was_seen() {
+        let source = |port: &str| Source { output: Output::new("n", port), packet: String::new() };
+        let mut viewer = Viewer::default();
+        viewer.open(source("a"));
+        viewer.open(source("b"));
+        viewer.recall(1);
+        assert_eq!(viewer.source(), Some(&source("a")));
+        viewer.recall(9);
+        assert_eq!(viewer.source(), Some(&source("a")));
+        assert!(viewer.close() && !viewer.close());
+    }
+}

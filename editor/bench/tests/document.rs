@@ -1,0 +1,175 @@
+//! Edits of the text, without a window and without a run.
+
+mod common;
+
+use std::sync::Arc;
+
+use common::{GRAPH, has_plugin};
+use panoscope_editor_model::Mark;
+use panoscope_editor_model::document::Document;
+use panoscope_editor_model::observe::Output;
+use panoscope_editor_model::ops::{self, Waiting};
+use panoscope_loader::{self as loader, Loader};
+
+fn document(text: &str) -> Option<Document> {
+    let loader = Arc::new(Loader::search(&loader::search_path(&[])));
+    has_plugin("flow").then(|| Document::new("g.toml".as_ref(), text, loader))
+}
+
+/// The document is right, and undoing everything gives the first text back byte for byte.
+fn right_and_undone(mut doc: Document, first: &str) {
+    assert!(doc.view().right, "{:#?}\n{}", doc.view().diagnostics, doc.text());
+    while doc.undo().is_some() {}
+    assert_eq!(**doc.text(), *first);
+}
+
+#[test]
+fn changes_of_one_slider_are_one_step() {
+    let Some(mut doc) = document(GRAPH) else { return };
+    for value in [10, 20, 30] {
+        ops::set_param(&mut doc, "mean", "past_weight", Some(&value.into())).expect("set");
+    }
+    assert_eq!(doc.steps(), 1);
+    doc.end_merge();
+    ops::set_param(&mut doc, "mean", "past_weight", Some(&40.into())).expect("set");
+    assert_eq!(doc.steps(), 2);
+    doc.undo();
+    assert_eq!(**doc.text(), GRAPH.replace("past_weight = 100", "past_weight = 30"));
+    let view = doc.view().clone();
+    assert!(doc.differs_from_file(&view.nodes[view.node("mean").expect("a node")], "past_weight"));
+    right_and_undone(doc, GRAPH);
+}
+
+#[test]
+fn a_default_is_taken_out_of_the_file_again() {
+    let Some(mut doc) = document(GRAPH) else { return };
+    ops::set_param(&mut doc, "mean", "past_weight", None).expect("unset");
+    assert!(!doc.text().contains("past_weight"), "{}", doc.text());
+    right_and_undone(doc, GRAPH);
+}
+
+#[test]
+fn a_list_takes_one_wire_more_and_gives_one_back() {
+    let Some(mut doc) = document(GRAPH) else { return };
+    ops::wire(&mut doc, &Output::new("mean", "image"), ("kept", "images"), None, None).expect("wired");
+    assert!(doc.text().contains(r#"images = [{ from = "a.image", queue = 64 }, "mean.image"]"#), "{}", doc.text());
+    ops::unwire(&mut doc, "kept", "images", 0).expect("unwired");
+    assert!(doc.text().contains(r#"images = ["mean.image"]"#), "{}", doc.text());
+    right_and_undone(doc, GRAPH);
+}
+
+#[test]
+fn rewiring_keeps_what_else_is_said_of_an_input() {
+    let text = GRAPH.replace("\"mean.image\"", "{ from = \"mean.image\", queue = 8 }");
+    let Some(mut doc) = document(&text) else { return };
+    ops::wire(&mut doc, &Output::new("b", "image"), ("sink", "image"), None, None).expect("wired");
+    assert!(doc.text().contains(r#"{ from = "b.image", queue = 8 }"#), "{}", doc.text());
+    right_and_undone(doc, &text);
+}
+
+#[test]
+fn a_node_goes_into_a_wire() {
+    let Some(mut doc) = document(GRAPH) else { return };
+    let pass = doc.catalog().node_types.iter().find(|t| t.name == "pass").cloned().expect("a type");
+    let id = ops::add(&mut doc, &pass, (8.0, 16.0), None).expect("added");
+    assert!(!doc.view().right, "it waits for its wire");
+    ops::insert(&mut doc, &id, ("sink", "image", 0)).expect("inserted");
+    let view = doc.view().clone();
+    let (node, sink) = (view.node(&id).expect("a node"), view.node("sink").expect("a node"));
+    assert_eq!(view.nodes[view.wires_into(node, "image").next().expect("a wire").from].id(), "mean");
+    assert_eq!(view.wires_into(sink, "image").next().expect("a wire").from, node);
+    assert_eq!(view.nodes[node].position, Some((8.0, 16.0)));
+    right_and_undone(doc, GRAPH);
+}
+
+#[test]
+fn a_node_is_added_with_its_wire_in_one_step() {
+    let Some(mut doc) = document(GRAPH) else { return };
+    let types = doc.catalog().clone();
+    let drain = types.node_types.iter().find(|t| t.name == "drain").expect("a type");
+    let waiting = Waiting::Output(Output::new("mean", "image"));
+    let id = ops::add(&mut doc, drain, (0.0, 0.0), Some(&waiting)).expect("added");
+    assert_eq!((id.as_str(), doc.steps()), ("drain", 1));
+    let smooth = types.node_types.iter().find(|t| t.name == "smooth").expect("a type");
+    assert_eq!(
+        ops::fitting_port(doc.view(), smooth, &Waiting::Input("sink".into(), "image".into())).as_deref(),
+        Some("image")
+    );
+    right_and_undone(doc, GRAPH);
+}
+
+#[test]
+fn copies_are_wired_among_themselves() {
+    let Some(mut doc) = document(GRAPH) else { return };
+    let nodes = ["mean", "sink"].map(|id| (id.to_owned(), (0.0, 0.0)));
+    let copies = ops::duplicate(&mut doc, &nodes).expect("copied");
+    assert_eq!(copies, ["mean_2", "sink_2"]);
+    let again = ops::duplicate(&mut doc, &[("mean_2".to_owned(), (0.0, 0.0))]).expect("copied");
+    assert_eq!(again, ["mean_3"]);
+    let view = doc.view();
+    let from = |id: &str| {
+        view.nodes[view.wires_into(view.node(id).expect("it is there"), "image").next().expect("a wire").from].id()
+    };
+    assert_eq!((from("mean_2"), from("sink_2"), from("mean_3")), ("b", "mean_2", "b"));
+    assert!(doc.text().contains("past_weight = 100"), "{}", doc.text());
+    right_and_undone(doc, GRAPH);
+}
+
+#[test]
+fn what_goes_takes_its_wires_along_and_names_change_everywhere() {
+    let Some(mut doc) = document(GRAPH) else { return };
+    ops::rename(&mut doc, "mean", "average").expect("renamed");
+    assert!(doc.text().contains("inputs = { image = \"average.image\" }"), "{}", doc.text());
+    assert!(ops::rename(&mut doc, "average", "sink").is_err());
+    ops::remove(&mut doc, &["average".to_owned(), "sink".to_owned()]).expect("removed");
+    assert_eq!(doc.view().nodes.len(), 3);
+    right_and_undone(doc, GRAPH);
+}
+
+#[test]
+fn loops_and_wrong_types_are_refused_with_words() {
+    let Some(doc) =
+        document(&GRAPH.replace(
+            "[nodes.sink]",
+            "[nodes.more]\ntype = \"pass\"\ninputs = { image = \"mean.image\" }\n\n[nodes.sink]",
+        ))
+    else {
+        return;
+    };
+    let view = doc.view();
+    let at = |id: &str| view.node(id).expect("a node");
+    let why = view.may_wire(at("more"), "image", at("mean"), "image").expect_err("a loop");
+    assert!(why.contains("loop"), "{why}");
+    assert!(view.may_wire(at("a"), "image", at("mean"), "image").is_ok());
+    assert!(view.may_wire(at("a"), "nothing", at("mean"), "image").is_err());
+}
+
+#[test]
+fn nodes_are_copied_into_another_graph_as_text() {
+    let Some(doc) = document(GRAPH) else { return };
+    let text = ops::copy(&doc, &["b".to_owned(), "mean".to_owned()]).expect("copied");
+    assert!(text.starts_with("plugins = [\"flow\"]"), "{text}");
+    let Some(mut other) = document("# Empty.\n") else { return };
+    assert_eq!(ops::paste(&mut other, &text, (0.0, 0.0)).expect("pasted"), ["b", "mean"]);
+    assert_eq!(ops::paste(&mut other, &text, (0.0, 0.0)).expect("pasted"), ["b_2", "mean_2"]);
+    assert!(other.text().contains("inputs = { image = \"b_2.image\" }"), "{}", other.text());
+    right_and_undone(other, "# Empty.\n");
+    let Some(mut doc) = document(GRAPH) else { return };
+    assert!(ops::paste(&mut doc, "no graph at all", (0.0, 0.0)).is_err());
+    assert_eq!(**doc.text(), *GRAPH);
+}
+
+#[test]
+fn frames_and_notes_stand_in_the_file_and_comments_stay() {
+    let Some(mut doc) = document(GRAPH) else { return };
+    let marks = [
+        Mark { text: "Two \"paths\"".to_owned(), at: (8.0, -16.0), size: Some((400.0, 240.0)) },
+        Mark { text: "look\nhere".to_owned(), at: (0.0, 64.0), size: None },
+    ];
+    ops::set_marks(&mut doc, &marks, &[("a".to_owned(), (16.0, 24.0))]).expect("it can be edited");
+    assert_eq!(doc.view().marks, marks);
+    assert!(doc.text().starts_with(GRAPH.trim_end()), "{}", doc.text());
+    ops::set_marks(&mut doc, &marks[1..], &[]).expect("it can be edited");
+    assert_eq!(doc.view().marks, marks[1..]);
+    right_and_undone(doc, GRAPH);
+}

@@ -1,0 +1,112 @@
+//! How the bench looks, compared with pictures that are kept; and that everything to be touched has a name.
+
+mod common;
+
+use std::time::{Duration, Instant};
+
+use common::golden::{compare, paint};
+use common::{Folder, Window, hand, has_plugin};
+use eframe::egui::{Key, Modifiers, Rect, vec2};
+use egui_kittest::kittest::Queryable;
+use panoscope_editor::app::Options;
+use panoscope_editor_model::session::Phase;
+use panoscope_editor_widgets::theme::GROUND;
+
+const NONE: Modifiers = Modifiers::NONE;
+
+#[path = "../../theatre/tests/common/looks.rs"]
+mod graph;
+
+use graph::{GRAPH, TICKS};
+
+/// The window after the last tick of each source, once all is at rest.
+fn at_rest(folder: &Folder) -> Window {
+    let options = Options { frames: Some(TICKS), ..Options::default() };
+    let mut window = Window::open_with(&folder.write("looks.toml", GRAPH), options);
+    window.until("it has ended", |app| app.session().status().phase == Phase::Ended);
+    // Rates are those of the last half second, pictures count as old after two.
+    let until = Instant::now() + Duration::from_millis(3500);
+    while Instant::now() < until {
+        window.steps(1);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    window
+}
+
+fn looks(window: &mut Window, name: &str) {
+    window.harness.remove_cursor();
+    window.steps(3);
+    let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures, GROUND);
+    compare(name, picture, &[]);
+}
+
+#[test]
+fn the_bench_looks_as_it_did() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("looks");
+    let mut window = at_rest(&folder);
+    looks(&mut window, "bench");
+    window.select("level");
+    looks(&mut window, "bench_node");
+    window.harness.get_by_label("Sweep a parameter").click_accesskit();
+    window.steps(2);
+    for (label, text) in [("Sweep measure", "level.levels.mean"), ("Frames per value", "3")] {
+        hand::fill(&mut window.harness, label, text);
+    }
+    window.harness.get_by_label("Start the sweep").click_accesskit();
+    window.until("the sweep is done", |app| app.sweep().is_some_and(|p| p.done));
+    window.key(NONE, Key::Y);
+    looks(&mut window, "bench_sweep");
+    window.key(NONE, Key::Y);
+    window.key(NONE, Key::S);
+    window.harness.get_by_label("Pick spots").click_accesskit();
+    window.until_shown("Pick level.spots here");
+    // The picture may say that it is old, with its seconds.
+    let picture = window.harness.get_by_label("Pick level.spots here").rect();
+    window.harness.remove_cursor();
+    window.steps(3);
+    let now = paint(&window.harness.ctx, window.harness.output(), &window.textures, GROUND);
+    let age = Rect::from_min_size(picture.center_top(), vec2(0.0, 48.0)).expand2(vec2(160.0, 0.0));
+    compare("bench_picker", now, &[age]);
+}
+
+#[test]
+fn everything_to_be_touched_has_a_name() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("names");
+    let mut window = Window::run(&folder.write("looks.toml", GRAPH));
+    let check = |window: &mut Window, what: &str| {
+        window.steps(3);
+        hand::all_named(&window.harness, what, 6);
+    };
+    check(&mut window, "bench");
+    for node in ["camera", "calm", "level"] {
+        window.select(node);
+        check(&mut window, node);
+    }
+    for (key, what) in
+        [(Key::P, "curves"), (Key::S, "sweep"), (Key::Y, "history"), (Key::M, "problems"), (Key::T, "text")]
+    {
+        window.key(NONE, key);
+        check(&mut window, what);
+        window.key(NONE, key);
+    }
+    for (key, what) in [(Key::A, "palette"), (Key::U, "plugins"), (Key::F1, "keys")] {
+        window.key(NONE, key);
+        check(&mut window, what);
+        window.key(NONE, Key::Escape);
+        window.steps(3);
+    }
+    window.select("level");
+    window.key(NONE, Key::V);
+    check(&mut window, "viewer");
+    window.key(NONE, Key::Escape);
+    window.select("level");
+    window.harness.get_by_label("Pick window").click_accesskit();
+    window.until_shown("Pick level.window here");
+    check(&mut window, "picker");
+}

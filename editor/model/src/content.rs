@@ -1,0 +1,244 @@
+//! What a packet without a picture holds, as numbers: for curves, trails and boxes. Runs on the observer's thread.
+
+use std::mem::offset_of;
+
+use panoscope_abi as abi;
+use panoscope_engine::numbers;
+
+/// Most entries of a list that are read.
+const MOST: usize = 256;
+
+/// A box with what it holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Found {
+    /// Left, upper, width and height as parts of the searched picture's width and height.
+    pub share: [f32; 4],
+    /// What it is, with its score.
+    pub words: String,
+    /// Index of the class, for a colour.
+    pub class: u32,
+}
+
+/// Numbers of a packet.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Content {
+    /// None that is known.
+    #[default]
+    Nothing,
+    /// Places of things in a picture.
+    Boxes(Vec<Found>),
+    /// A tool's tip in the left camera's frame, mm.
+    Tip([f64; 3]),
+    /// Where frame `b` stands in frame `a`.
+    Pose {
+        /// Rotation as w, x, y, z.
+        wxyz: [f64; 4],
+        /// Place in mm.
+        mm: [f64; 3],
+        /// Names of both frames.
+        frames: (String, String),
+    },
+    /// Where the links of an arm join, in the frame that its pose is told in, mm.
+    Links(Vec<[f64; 3]>),
+    /// Named numbers: a scalar, the first row of a table.
+    Numbers(Vec<(String, f64)>),
+    /// Two cameras.
+    Rig(Rig),
+}
+
+/// What errors of distances follow from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rig {
+    /// Of the rectified views, px.
+    pub focal_px: f64,
+    /// Distance of both cameras, mm.
+    pub baseline_mm: f64,
+    /// Reprojection error, px; NaN where unknown.
+    pub rms_px: f64,
+}
+
+struct Plain<'b>(&'b [u8]);
+
+impl Plain<'_> {
+    fn array<const N: usize>(&self, at: usize) -> Option<[u8; N]> {
+        self.0.get(at..at.checked_add(N)?)?.try_into().ok()
+    }
+    fn f64(&self, at: usize) -> f64 {
+        self.array(at).map_or(f64::NAN, f64::from_le_bytes)
+    }
+    fn f32(&self, at: usize) -> f32 {
+        self.array(at).map_or(f32::NAN, f32::from_le_bytes)
+    }
+    fn u32(&self, at: usize) -> u32 {
+        self.array(at).map_or(0, u32::from_le_bytes)
+    }
+    fn text(&self, at: usize, len: usize) -> String {
+        let bytes = at.checked_add(len).and_then(|end| self.0.get(at..end)).unwrap_or_default();
+        String::from_utf8_lossy(bytes).trim_end_matches('\0').to_owned()
+    }
+}
+
+/// Reads a packet; what lies beyond its end reads as nothing.
+pub fn read(bytes: &[u8], packet: &str) -> Content {
+    let p = Plain(bytes);
+    match packet {
+        "detections" | "instances" => Content::Boxes(boxes(&p)),
+        "tip" if p.u32(offset_of!(abi::Tip, xyz_valid)) != 0 => {
+            let at = offset_of!(abi::Tip, xyz_mm);
+            Content::Tip([0, 8, 16].map(|k| p.f64(at + k)))
+        }
+        "pose" => {
+            let (turn, place) = (offset_of!(abi::Pose, a_from_b_wxyz), offset_of!(abi::Pose, a_from_b_mm));
+            Content::Pose {
+                wxyz: [0, 8, 16, 24].map(|k| p.f64(turn + k)),
+                mm: [0, 8, 16].map(|k| p.f64(place + k)),
+                frames: (p.text(offset_of!(abi::Pose, a), 16), p.text(offset_of!(abi::Pose, b), 16)),
+            }
+        }
+        "scalar" | "table" => match numbers::read(bytes, packet) {
+            Some(told) if told.names == abi::LINK_COLUMNS => {
+                Content::Links(told.rows().filter_map(|row| row.try_into().ok()).collect())
+            }
+            Some(told) => told.first_row().map_or(Content::Nothing, Content::Numbers),
+            None => Content::Nothing,
+        },
+        "calibration" => {
+            let number = |at: usize| p.f64(at);
+            let focal_px = number(offset_of!(abi::Calibration, left_projection));
+            // Without a projection the camera's own will do.
+            let left = offset_of!(abi::Calibration, left) + offset_of!(abi::Camera, fx);
+            let rig = Rig {
+                focal_px: if focal_px > 0.0 { focal_px } else { number(left) },
+                baseline_mm: number(offset_of!(abi::Calibration, baseline_mm)),
+                rms_px: number(offset_of!(abi::Calibration, rms_px)),
+            };
+            if rig.focal_px > 0.0 && rig.baseline_mm > 0.0 { Content::Rig(rig) } else { Content::Nothing }
+        }
+        _ => Content::Nothing,
+    }
+}
+
+fn boxes(p: &Plain<'_>) -> Vec<Found> {
+    use abi::{Detection, DetectionsHeader};
+    let count = p.u32(offset_of!(DetectionsHeader, count)) as usize;
+    let start = size_of::<DetectionsHeader>();
+    let labels_at = count.checked_mul(size_of::<Detection>()).and_then(|n| n.checked_add(start));
+    let labels_len = p.u32(offset_of!(DetectionsHeader, labels_len)) as usize;
+    let labels = labels_at.map(|at| p.text(at, labels_len)).unwrap_or_default();
+    let labels: Vec<&str> = labels.split('\n').collect();
+    let size = [offset_of!(DetectionsHeader, image_width), offset_of!(DetectionsHeader, image_height)];
+    let [width, height] = size.map(|at| p.u32(at).max(1) as f32);
+    let found = (0..count.min(MOST)).map(|k| {
+        let at = start + k * size_of::<Detection>();
+        let number = |field: usize| p.f32(at + field);
+        let class = p.u32(at + offset_of!(Detection, class_index));
+        let label = labels.get(class as usize).copied().unwrap_or("?");
+        Found {
+            share: [
+                number(offset_of!(Detection, x_px)) / width,
+                number(offset_of!(Detection, y_px)) / height,
+                number(offset_of!(Detection, width_px)) / width,
+                number(offset_of!(Detection, height_px)) / height,
+            ],
+            words: format!("{label} {:.0} %", number(offset_of!(Detection, score)) * 100.0),
+            class,
+        }
+    });
+    found.filter(|f| f.share.iter().all(|v| v.is_finite())).collect()
+}
+
+/// `place` of frame `b` as frame `a` sees it.
+pub fn moved(wxyz: [f64; 4], mm: [f64; 3], place: [f64; 3]) -> [f64; 3] {
+    let turned = turned(wxyz, place);
+    [turned[0] + mm[0], turned[1] + mm[1], turned[2] + mm[2]]
+}
+
+/// The other way round.
+pub fn moved_back(wxyz: [f64; 4], mm: [f64; 3], place: [f64; 3]) -> [f64; 3] {
+    let [w, x, y, z] = wxyz;
+    turned([w, -x, -y, -z], [place[0] - mm[0], place[1] - mm[1], place[2] - mm[2]])
+}
+
+/// A vector turned by a unit quaternion.
+fn turned([w, x, y, z]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
+    let cross =
+        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+    let axis = [x, y, z];
+    let t = cross(axis, v).map(|c| 2.0 * c);
+    let u = cross(axis, t);
+    [0, 1, 2].map(|k| v[k] + w * t[k] + u[k])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_have_their_places_and_names() {
+        let mut bytes = Vec::new();
+        for number in [1u32, 13, 200, 100] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(&0u64.to_le_bytes());
+        for number in [50f32, 20.0, 100.0, 50.0, 0.87] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(&1u32.to_le_bytes());
+        bytes.extend_from_slice(&(-1i64).to_le_bytes());
+        bytes.extend_from_slice(b"hook\nscissors");
+        let Content::Boxes(found) = read(&bytes, "detections") else { panic!("no boxes") };
+        assert_eq!(found[0].share, [0.25, 0.2, 0.5, 0.5]);
+        assert_eq!(found[0].words, "scissors 87 %");
+        // Cut off anywhere it is read without harm.
+        for end in 0..bytes.len() {
+            read(&bytes[..end], "detections");
+        }
+    }
+
+    #[test]
+    fn numbers_of_scalars_and_tables_have_names() {
+        let mut bytes = 7.5f64.to_le_bytes().to_vec();
+        bytes.extend_from_slice(b"error");
+        bytes.resize(8 + 32, 0);
+        bytes.extend_from_slice(b"mm");
+        bytes.resize(8 + 32 + 16, 0);
+        assert_eq!(read(&bytes, "scalar"), Content::Numbers(vec![("error mm".to_owned(), 7.5)]));
+        let mut bytes = Vec::new();
+        for number in [1u32, 2, 8, 0] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(b"x mm\ny\0\0");
+        for number in [1.0f64, -2.0] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        let expected = vec![("x mm".to_owned(), 1.0), ("y".to_owned(), -2.0)];
+        assert_eq!(read(&bytes, "table"), Content::Numbers(expected));
+        assert_eq!(read(&[], "table"), Content::Nothing);
+    }
+
+    #[test]
+    fn a_table_of_links_is_a_line_in_space() {
+        let names = abi::LINK_COLUMNS.join("\n");
+        let mut bytes = Vec::new();
+        for number in [2u32, 3, names.len().next_multiple_of(8) as u32, 0] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(names.as_bytes());
+        bytes.resize(16 + names.len().next_multiple_of(8), 0);
+        for number in 1..=6 {
+            bytes.extend_from_slice(&f64::from(number).to_le_bytes());
+        }
+        assert_eq!(read(&bytes, "table"), Content::Links(vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]));
+    }
+
+    #[test]
+    fn moving_there_and_back_is_nothing() {
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        // A quarter turn about z takes x to y.
+        let turn = [half, 0.0, 0.0, half];
+        let there = moved(turn, [1.0, 2.0, 3.0], [10.0, 0.0, 0.0]);
+        assert!((there[0] - 1.0).abs() < 1e-9 && (there[1] - 12.0).abs() < 1e-9, "{there:?}");
+        let back = moved_back(turn, [1.0, 2.0, 3.0], there);
+        assert!((back[0] - 10.0).abs() < 1e-9 && back[1].abs() < 1e-9, "{back:?}");
+    }
+}

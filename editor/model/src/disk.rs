@@ -1,0 +1,174 @@
+//! The file on disk: saved whole or not at all, with the text before it kept beside, and watched for changes by others.
+
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use panoscope_loader::Stamp;
+
+/// Why the file was not saved; it holds what it held before.
+#[derive(Debug, thiserror::Error)]
+#[error("{path} was not saved: {cause}", path = path.display())]
+pub struct SaveError {
+    /// The file.
+    pub path: PathBuf,
+    /// What the system says.
+    pub cause: std::io::Error,
+}
+
+/// Where the text before the last save is kept.
+pub fn backup_of(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".bak");
+    name.into()
+}
+
+/// Saves a text in one step: at any moment the file holds the old text or the new one, whole. The old one is kept as a backup.
+///
+/// # Errors
+/// What the system says, the file being as before.
+pub fn save(path: &Path, text: &str) -> Result<(), SaveError> {
+    let fail = |cause| SaveError { path: path.to_owned(), cause };
+    // Through a link the file it names is replaced, not the link.
+    let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    if let Ok(old) = fs::read(path) {
+        replace(&backup_of(path), &old, None).map_err(fail)?;
+    }
+    let mode = fs::metadata(path).ok().map(|m| m.permissions());
+    replace(path, text.as_bytes(), mode).map_err(fail)
+}
+
+/// Writes a file in one step: at any moment there is the old one or the new one, whole.
+///
+/// # Errors
+/// What the system says, the file being as before.
+pub fn replace(path: &Path, bytes: &[u8], mode: Option<fs::Permissions>) -> std::io::Result<()> {
+    let mut part = path.as_os_str().to_owned();
+    part.push(format!(".{}.part", std::process::id()));
+    let part = PathBuf::from(part);
+    let written = (|| {
+        let mut file = File::create(&part)?;
+        if let Some(mode) = mode {
+            file.set_permissions(mode)?;
+        }
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        fs::rename(&part, path)
+    })();
+    if written.is_err() {
+        let _ = fs::remove_file(&part);
+        return written;
+    }
+    // The new name must survive a power cut too; file systems that cannot sync a folder do it themselves.
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let _ = File::open(folder).and_then(|f| f.sync_all());
+    Ok(())
+}
+
+/// Looks whether someone else changed the file.
+pub struct DiskWatch {
+    path: PathBuf,
+    known: Stamp,
+    seen: Stamp,
+    next: Instant,
+}
+
+impl DiskWatch {
+    /// Time from one look to the next. A change counts once the file holds still for as long.
+    pub const INTERVAL: Duration = Duration::from_millis(500);
+
+    /// Starts from the file as it is.
+    pub fn new(path: &Path) -> Self {
+        let known = Stamp::of(path);
+        Self { path: path.to_owned(), known, seen: known, next: Instant::now() }
+    }
+
+    /// The file as it is now is known.
+    pub fn settle(&mut self) {
+        self.known = Stamp::of(&self.path);
+        self.seen = self.known;
+    }
+
+    /// The new text, once, when someone else changed the file.
+    pub fn look(&mut self) -> Option<String> {
+        if Instant::now() < self.next {
+            return None;
+        }
+        self.next = Instant::now() + Self::INTERVAL;
+        let now = Stamp::of(&self.path);
+        let still = now == self.seen;
+        self.seen = now;
+        if !still || now == self.known {
+            return None;
+        }
+        self.known = now;
+        fs::read_to_string(&self.path).ok()
+    }
+}
+
+/// Whether a node's words say that a disk takes nothing more.
+pub fn is_full(words: &str) -> bool {
+    words.contains("No space left") || words.contains("the disk is full")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn folder(name: &str) -> PathBuf {
+        let folder = std::env::temp_dir().join(format!("panoscope_disk_{name}_{}", std::process::id()));
+        let _ = fs::remove_dir_all(&folder);
+        fs::create_dir_all(&folder).unwrap();
+        folder
+    }
+
+    #[test]
+    fn a_save_keeps_the_old_text_and_leaves_nothing_else() {
+        let folder = folder("save");
+        let path = folder.join("g.toml");
+        fs::write(&path, "old").unwrap();
+        save(&path, "new").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "new");
+        assert_eq!(fs::read_to_string(backup_of(&path)).unwrap(), "old");
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 2);
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_link_stays_a_link() {
+        let folder = folder("link");
+        let (path, link) = (folder.join("g.toml"), folder.join("l.toml"));
+        fs::write(&path, "old").unwrap();
+        std::os::unix::fs::symlink(&path, &link).unwrap();
+        save(&link, "new").unwrap();
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(fs::read_to_string(&path).unwrap(), "new");
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_folder_that_is_gone_is_an_error() {
+        let folder = folder("gone");
+        fs::remove_dir_all(&folder).unwrap();
+        let error = save(&folder.join("g.toml"), "x").unwrap_err();
+        assert!(error.to_string().contains("g.toml"), "{error}");
+    }
+
+    #[test]
+    fn a_change_counts_once_it_holds_still() {
+        let folder = folder("watch");
+        let path = folder.join("g.toml");
+        fs::write(&path, "one").unwrap();
+        let mut watch = DiskWatch::new(&path);
+        assert_eq!(watch.look(), None);
+        fs::write(&path, "three").unwrap();
+        let mut found = None;
+        for _ in 0..4 {
+            watch.next = Instant::now();
+            found = found.or(watch.look());
+        }
+        assert_eq!(found.as_deref(), Some("three"));
+        fs::remove_dir_all(folder).unwrap();
+    }
+}

@@ -1,0 +1,371 @@
+//! What a packet looks like: pixels for pictures and maps, words for the rest. Runs on the observer's thread.
+
+use std::fmt::Write as _;
+use std::mem::offset_of;
+use std::sync::Arc;
+
+use panoscope_abi as abi;
+use panoscope_engine::memory::FrameRef;
+use panoscope_imaging::draw::Colormap;
+
+use crate::content::{self, Content};
+use crate::surface::{Cloud, Painted};
+
+/// Pixels to show: red, green, blue, 255.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Pixels {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Four bytes per pixel in row order.
+    pub rgba: Vec<u8>,
+}
+
+/// A packet made ready to be shown.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Look {
+    /// The picture, for packets that have one.
+    pub pixels: Option<Pixels>,
+    /// Columns and rows of the packet itself.
+    pub size: (usize, usize),
+    /// The range of colours, or the whole content for packets without a picture.
+    pub words: String,
+    /// Number of the tick.
+    pub seq: u64,
+    /// Media time of the capture in ms.
+    pub capture_ms: f64,
+    /// The tick.
+    pub tick: abi::Tick,
+    /// When the tick came into the graph, in ns of the host's clock.
+    pub ingest_ns: Option<u64>,
+    /// Numbers of a packet without a picture.
+    pub content: Content,
+    /// Of a surface: what a click on it means.
+    pub painted: Option<Arc<Painted>>,
+    /// Of a cloud, where they are wanted: its points.
+    pub cloud: Option<Arc<Cloud>>,
+}
+
+impl Look {
+    /// What every packet has.
+    pub fn of_tick(f: &abi::Frame) -> Self {
+        Self {
+            size: (f.width as usize, f.height as usize),
+            seq: f.tick.seq,
+            capture_ms: f.tick.capture_ns as f64 / 1e6,
+            tick: f.tick,
+            ..Self::default()
+        }
+    }
+}
+
+/// Range of a map's colours, which follows the values slowly so that the colours do not flicker.
+pub type Range = Option<(f32, f32)>;
+
+/// Makes a packet of type `packet` ready, at most `most_width` pixels wide.
+pub fn look(frame: &FrameRef, packet: &str, most_width: usize, range: &mut Range) -> Look {
+    let f = frame.frame();
+    let mut look = Look::of_tick(f);
+    let bytes = frame.bytes();
+    let sampled = Samples::new(f, bytes.len(), most_width);
+    match (f.format, sampled) {
+        (abi::FORMAT_GRAY8, Some(s)) => look.pixels = Some(s.averaged(bytes, 1, |p| [p[0], p[0], p[0]])),
+        (abi::FORMAT_BGR8, Some(s)) => look.pixels = Some(s.averaged(bytes, 3, |p| [p[2], p[1], p[0]])),
+        (abi::FORMAT_RGBA8, Some(s)) => look.pixels = Some(s.averaged(bytes, 4, |p| [p[0], p[1], p[2]])),
+        (abi::FORMAT_GRAY16, Some(s)) => look.pixels = Some(s.averaged(bytes, 2, |p| [p[1]; 3])),
+        (abi::FORMAT_CLOUD, Some(s)) => {
+            let at = offset_of!(abi::CloudPoint, bgr);
+            look.pixels = Some(s.averaged(bytes, 16, |p| [p[at + 2], p[at + 1], p[at]]));
+        }
+        (abi::FORMAT_F32, Some(s)) => {
+            let values = s.numbers(bytes);
+            let (low, high) = follow(&values, packet, range);
+            look.words = format!("{} to {} {}", short(low.into()), short(high.into()), unit_of(packet));
+            look.pixels = Some(s.coloured(&values, low, high));
+        }
+        _ => {
+            look.words = words(bytes, packet);
+            look.content = content::read(bytes, packet);
+        }
+    }
+    look
+}
+
+fn unit_of(packet: &str) -> &'static str {
+    match packet {
+        "disparity" => "px",
+        "depth" => "mm",
+        _ => "",
+    }
+}
+
+/// Which pixels of a frame are looked at.
+struct Samples {
+    width: usize,
+    height: usize,
+    /// Frame pixels per shown pixel.
+    step: usize,
+    stride: usize,
+    columns: usize,
+    rows: usize,
+}
+
+impl Samples {
+    /// `None` for what is no picture, or is described wrongly.
+    fn new(frame: &abi::Frame, len: usize, most_width: usize) -> Option<Self> {
+        let (columns, rows, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
+        let bytes = match frame.format {
+            abi::FORMAT_GRAY8 => 1,
+            abi::FORMAT_GRAY16 => 2,
+            abi::FORMAT_BGR8 => 3,
+            abi::FORMAT_RGBA8 | abi::FORMAT_F32 => 4,
+            abi::FORMAT_CLOUD => 16,
+            _ => return None,
+        };
+        let fits = columns > 0 && rows > 0 && stride >= columns * bytes && (rows - 1) * stride + columns * bytes <= len;
+        let step = columns.div_ceil(most_width.max(1)).max(1);
+        let (width, height) = (columns / step, (rows / step).max(1));
+        (fits && width > 0).then_some(Self { width, height, step, stride, columns, rows })
+    }
+
+    /// Averages up to four pixels of each block.
+    fn averaged(&self, bytes: &[u8], pixel: usize, rgb: impl Fn(&[u8]) -> [u8; 3]) -> Pixels {
+        let mut rgba = vec![255; self.width * self.height * 4];
+        let half = self.step / 2;
+        for y in 0..self.height {
+            for x in 0..self.width {
+                let (left, top) = (x * self.step, y * self.step);
+                let (right, bottom) = ((left + half).min(self.columns - 1), (top + half).min(self.rows - 1));
+                let at = |x: usize, y: usize| rgb(&bytes[y * self.stride + x * pixel..][..pixel]);
+                let out = &mut rgba[(y * self.width + x) * 4..][..3];
+                if self.step == 1 {
+                    out.copy_from_slice(&at(left, top));
+                } else {
+                    let four = [at(left, top), at(right, top), at(left, bottom), at(right, bottom)];
+                    for k in 0..3 {
+                        out[k] = (four.iter().map(|p| u32::from(p[k])).sum::<u32>() / 4) as u8;
+                    }
+                }
+            }
+        }
+        Pixels { width: self.width, height: self.height, rgba }
+    }
+
+    fn numbers(&self, bytes: &[u8]) -> Vec<f32> {
+        let mut values = Vec::with_capacity(self.width * self.height);
+        for y in 0..self.height {
+            for x in 0..self.width {
+                let at = y * self.step * self.stride + x * self.step * 4;
+                values.push(f32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]));
+            }
+        }
+        values
+    }
+
+    fn coloured(&self, values: &[f32], low: f32, high: f32) -> Pixels {
+        let table: Vec<[u8; 3]> = (0..=255).map(|i| Colormap::Viridian.at(i as f32 / 255.0)).collect();
+        let unknown = Colormap::Viridian.at(f32::NAN);
+        let scale = 255.0 / (high - low).max(1e-6);
+        let mut rgba = Vec::with_capacity(values.len() * 4);
+        for value in values {
+            let [b, g, r] =
+                if value.is_finite() { table[((value - low) * scale).clamp(0.0, 255.0) as usize] } else { unknown };
+            rgba.extend_from_slice(&[r, g, b, 255]);
+        }
+        Pixels { width: self.width, height: self.height, rgba }
+    }
+}
+
+/// The range between the 2nd and the 98th percentile, moved a little towards each new frame's.
+fn follow(values: &[f32], packet: &str, range: &mut Range) -> (f32, f32) {
+    if packet == "confidence" {
+        return (0.0, 1.0);
+    }
+    let mut known: Vec<f32> = values.iter().step_by(7).copied().filter(|v| v.is_finite()).collect();
+    if known.len() < 8 {
+        return range.unwrap_or((0.0, 1.0));
+    }
+    known.sort_by(f32::total_cmp);
+    let at = |share: f32| known[((known.len() - 1) as f32 * share) as usize];
+    let (low, high) = (at(0.02), at(0.98));
+    let new = match *range {
+        Some((l, h)) if (l - low).abs() < (h - l) && (h - high).abs() < (h - l) => {
+            (l + 0.1 * (low - l), h + 0.1 * (high - h))
+        }
+        _ => (low, high),
+    };
+    *range = Some(new);
+    new
+}
+
+/// A number with three digits that matter.
+pub fn short(value: f64) -> String {
+    let size = value.abs();
+    match size {
+        _ if !value.is_finite() => "unknown".to_owned(),
+        _ if size >= 100.0 || size == 0.0 => format!("{value:.0}"),
+        _ if size >= 10.0 => format!("{value:.1}"),
+        _ if size >= 0.1 => format!("{value:.2}"),
+        _ => format!("{value:.3}"),
+    }
+}
+
+/// Plain data read field by field; what lies beyond the end reads as zero.
+struct Plain<'b>(&'b [u8]);
+
+impl Plain<'_> {
+    fn array<const N: usize>(&self, at: usize) -> [u8; N] {
+        self.0.get(at..at + N).and_then(|b| b.try_into().ok()).unwrap_or([0; N])
+    }
+    fn f64(&self, at: usize) -> f64 {
+        f64::from_le_bytes(self.array(at))
+    }
+    fn u32(&self, at: usize) -> u32 {
+        u32::from_le_bytes(self.array(at))
+    }
+    fn i32(&self, at: usize) -> i32 {
+        i32::from_le_bytes(self.array(at))
+    }
+    fn text<const N: usize>(&self, at: usize) -> String {
+        let bytes: [u8; N] = self.array(at);
+        String::from_utf8_lossy(&bytes).trim_end_matches('\0').to_owned()
+    }
+}
+
+/// The contents of plain data in a few short lines.
+fn words(bytes: &[u8], packet: &str) -> String {
+    let p = Plain(bytes);
+    let mut out = String::new();
+    match packet {
+        "homography" => {
+            let state = match p.u32(offset_of!(abi::Homography, state)) {
+                abi::STATE_FRESH => "fresh",
+                abi::STATE_HELD => "held",
+                _ => "lost",
+            };
+            let inliers = p.u32(offset_of!(abi::Homography, inliers));
+            let _ = writeln!(out, "{state}, {inliers} inliers");
+            let _ = writeln!(out, "rms {} px", short(p.f64(offset_of!(abi::Homography, rms_px))));
+            let at = offset_of!(abi::Homography, left_from_right);
+            let _ = write!(out, "shift {}, {} px", short(p.f64(at + 16)), short(p.f64(at + 40)));
+        }
+        "roi" => {
+            let (x, y) = (p.i32(offset_of!(abi::Roi, x)), p.i32(offset_of!(abi::Roi, y)));
+            let (w, h) = (p.i32(offset_of!(abi::Roi, width)), p.i32(offset_of!(abi::Roi, height)));
+            let _ = write!(out, "{w} x {h} px at {x}, {y}");
+        }
+        "calibration" => {
+            let _ = writeln!(out, "baseline {} mm", short(p.f64(offset_of!(abi::Calibration, baseline_mm))));
+            let fx = offset_of!(abi::Calibration, left) + offset_of!(abi::Camera, fx);
+            let _ = write!(out, "left fx {} px", short(p.f64(fx)));
+        }
+        "detections" | "instances" => {
+            let _ = write!(out, "{} found", p.u32(offset_of!(abi::DetectionsHeader, count)));
+        }
+        "tip" => {
+            let (u, v) = (p.f64(offset_of!(abi::Tip, u_px)), p.f64(offset_of!(abi::Tip, v_px)));
+            let _ = writeln!(out, "at {}, {} px", short(u), short(v));
+            let at = offset_of!(abi::Tip, xyz_mm);
+            let xyz = [0, 8, 16].map(|k| short(p.f64(at + k)));
+            let _ = write!(out, "{} mm", xyz.join(", "));
+        }
+        "pose" => {
+            let names = (p.text::<16>(offset_of!(abi::Pose, a)), p.text::<16>(offset_of!(abi::Pose, b)));
+            let at = offset_of!(abi::Pose, a_from_b_mm);
+            let mm = [0, 8, 16].map(|k| short(p.f64(at + k)));
+            let _ = write!(out, "{} from {}\n{} mm", names.0, names.1, mm.join(", "));
+        }
+        "joints" => {
+            let count = (p.u32(offset_of!(abi::Joints, count)) as usize).min(abi::MAX_JOINTS);
+            let at = offset_of!(abi::Joints, position_rad);
+            let angles: Vec<String> = (0..count).map(|k| short(p.f64(at + 8 * k))).collect();
+            let _ = write!(out, "{} rad", angles.join(", "));
+        }
+        "scalar" => {
+            let (name, unit) =
+                (p.text::<32>(offset_of!(abi::Scalar, name)), p.text::<16>(offset_of!(abi::Scalar, unit)));
+            let _ = write!(out, "{name} {} {unit}", short(p.f64(offset_of!(abi::Scalar, value))));
+        }
+        "table" => table(&p, &mut out),
+        "text" => {
+            let text = String::from_utf8_lossy(bytes);
+            out.extend(text.trim_end_matches('\0').chars().take(400));
+        }
+        _ => {
+            let _ = write!(out, "{} bytes", bytes.len());
+        }
+    }
+    out
+}
+
+/// The first rows of a table.
+fn table(p: &Plain<'_>, out: &mut String) {
+    let (rows, columns) = (p.u32(0) as usize, p.u32(4) as usize);
+    let names_len = p.u32(8) as usize;
+    let start = size_of::<abi::TableHeader>();
+    let names = p.0.get(start..start.saturating_add(names_len)).unwrap_or_default();
+    let names = String::from_utf8_lossy(names);
+    let names: Vec<&str> = names.trim_end_matches('\0').split('\n').collect();
+    let _ = write!(out, "{rows} rows: {}", names.join(", "));
+    for row in 0..rows.min(8) {
+        let cells: Vec<String> =
+            (0..columns.min(12)).map(|column| short(p.f64(start + names_len + (row * columns + column) * 8))).collect();
+        let _ = write!(out, "\n{}", cells.join("  "));
+    }
+}
+
+/// Whether packets of this type have a picture.
+pub fn is_pictorial(packet: &str) -> bool {
+    matches!(packet, "image" | "mask" | "disparity" | "confidence" | "depth" | "cloud")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use panoscope_engine::memory::memory;
+
+    fn frame(format: u32, width: u32, height: u32, stride: u32, bytes: &[u8]) -> FrameRef {
+        let (buffer, data) = memory().allocate(bytes.len()).unwrap();
+        // SAFETY: the buffer is fresh and at least that long.
+        unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), data, bytes.len()) };
+        let (len, stride_bytes) = (bytes.len(), stride);
+        let raw = abi::Frame { buffer, data, len, format, width, height, stride_bytes, ..abi::Frame::EMPTY };
+        // SAFETY: the one reference of the new buffer.
+        unsafe { FrameRef::adopt(raw) }
+    }
+
+    #[test]
+    fn blue_stays_blue_and_sizes_are_kept() {
+        let bytes: Vec<u8> = [255, 10, 20].repeat(8 * 4);
+        let look = look(&frame(abi::FORMAT_BGR8, 8, 4, 24, &bytes), "image", 4, &mut None);
+        let pixels = look.pixels.unwrap();
+        assert_eq!((pixels.width, pixels.height, look.size), (4, 2, (8, 4)));
+        assert_eq!(&pixels.rgba[..4], [20, 10, 255, 255]);
+    }
+
+    #[test]
+    fn a_map_has_a_range_and_holes() {
+        let values: Vec<u8> =
+            (0..64 * 64).flat_map(|i| if i % 64 == 0 { f32::NAN } else { (i % 64) as f32 }.to_le_bytes()).collect();
+        let look = look(&frame(abi::FORMAT_F32, 64, 64, 256, &values), "depth", 64, &mut None);
+        assert!(look.words.ends_with(" mm"), "{}", look.words);
+        let pixels = look.pixels.unwrap();
+        assert_eq!(&pixels.rgba[..3], [48, 48, 48], "unknown");
+        assert_ne!(&pixels.rgba[4..7], &pixels.rgba[4 * 63..4 * 63 + 3]);
+    }
+
+    #[test]
+    fn wrong_descriptions_show_no_picture() {
+        assert_eq!(look(&frame(abi::FORMAT_BGR8, 8, 400, 24, &[0; 64]), "image", 4, &mut None).pixels, None);
+        assert_eq!(look(&frame(abi::FORMAT_BYTES, 0, 0, 0, &[0; 3]), "table", 4, &mut None).pixels, None);
+    }
+
+    #[test]
+    fn words_tell_the_contents() {
+        let mut bytes = vec![0; size_of::<abi::Roi>()];
+        bytes[8..12].copy_from_slice(&120i32.to_le_bytes());
+        assert_eq!(words(&bytes, "roi"), "120 x 0 px at 0, 0");
+        assert_eq!(words(b"hello\0\0", "text"), "hello");
+    }
+}

@@ -1,0 +1,342 @@
+//! What a graph offers the theatre: its views, the raw view that stays whatever fails, the settings that are pinned, what stops an arm.
+
+use panoscope_graph::edit::{EditError, GraphEdit};
+use panoscope_graph::{Catalog, Graph, Param, ParamKind, PresetView};
+use panoscope_imaging::stereo::length::Noise;
+
+use panoscope_editor_model::observe::Output;
+
+/// Parameter that every driver of an arm declares; true stops it.
+pub const EMERGENCY_STOP: &str = "emergency_stop";
+/// Number that a driver may declare, whose stop outlasts the parameter: another one than before lets it go.
+pub const RESET: &str = "reset";
+/// Most views that are chosen where the preset names none.
+const MOST_CHOSEN: usize = 4;
+
+/// One picture of the theatre.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// The output.
+    pub output: Output,
+    /// Type of its packets.
+    pub packet: String,
+    /// Text beside it.
+    pub label: String,
+}
+
+/// A setting that may be touched.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setting {
+    /// The node.
+    pub node: String,
+    /// Its parameter as declared.
+    pub param: Param,
+    /// Place of the parameter among its node's.
+    pub index: usize,
+    /// Text beside it.
+    pub label: String,
+    /// Lowest and highest value offered; `None` for parameters without numbers.
+    pub range: Option<(f64, f64)>,
+}
+
+/// A node that an emergency stop concerns.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Stop {
+    /// The node.
+    pub node: String,
+    /// Place of [`RESET`] among its parameters, where it has that.
+    pub reset: Option<usize>,
+}
+
+/// Where errors of distances come from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigPlace {
+    /// Output that carries the calibration behind the points.
+    pub calibration: Output,
+    /// What is not known exactly: as a node of the graph that measures says, else as usual.
+    pub noise: Noise,
+}
+
+/// What a graph offers.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Plan {
+    /// Name of the graph.
+    pub name: String,
+    /// Views, the most important one first; at least one where the graph has any picture.
+    pub views: Vec<Place>,
+    /// A camera's own picture.
+    pub raw: Option<Place>,
+    /// All pictures of cameras that the graph reads: one that stops is a lost camera.
+    pub cameras: Vec<Place>,
+    /// Points to measure in.
+    pub cloud: Option<Output>,
+    /// The cameras behind them.
+    pub rig: Option<RigPlace>,
+    /// Pinned settings.
+    pub settings: Vec<Setting>,
+    /// Nodes that an emergency stop concerns.
+    pub stops: Vec<Stop>,
+    /// Names of sources.
+    sources: Vec<String>,
+}
+
+/// A name as people write it: `left_view` becomes `Left view`.
+fn plain(name: &str) -> String {
+    let words = name.replace(['_', '-'], " ");
+    let mut letters = words.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// What a node of the graph that measures says of the rig; the usual, where there is none.
+fn noise_of(graph: &Graph, catalog: &Catalog) -> Noise {
+    let said = |n: &panoscope_graph::Node| {
+        let value = |name: &str| match n.params.get(n.node_type(catalog).param(name)?)? {
+            panoscope_graph::ParamValue::Float(value) => Some(*value),
+            _ => None,
+        };
+        Some(Noise {
+            disparity_px: value("disparity_noise_px")?,
+            offset_px: value("disparity_offset_px")?,
+            baseline_mm: value("baseline_error_mm")?,
+            focal_percent: value("focal_error_percent")?,
+        })
+    };
+    graph.nodes.iter().find_map(said).unwrap_or(Noise::USUAL)
+}
+
+impl Plan {
+    /// Of a checked graph.
+    pub fn of(graph: &Graph, catalog: &Catalog) -> Self {
+        let node_type = |n: usize| graph.nodes[n].node_type(catalog);
+        let place = |n: usize, port: usize, label: String| {
+            let declared = &node_type(n).outputs[port];
+            let output = Output::new(&graph.nodes[n].id, &declared.name);
+            Place { output, packet: declared.packet.name.clone(), label }
+        };
+        let read = |n: usize, port: usize| graph.outputs_of(n).any(|e| e.from_port == port);
+        let packet = |n: usize, port: usize| node_type(n).outputs[port].packet.name.as_str();
+        let sources: Vec<usize> = (0..graph.nodes.len()).filter(|&n| node_type(n).source).collect();
+        let cameras: Vec<Place> = sources
+            .iter()
+            .flat_map(|&n| (0..node_type(n).outputs.len()).map(move |port| (n, port)))
+            .filter(|&(n, port)| packet(n, port) == "image" && read(n, port))
+            .map(|(n, port)| place(n, port, node_type(n).outputs[port].name.clone()))
+            .collect();
+        let mut cameras = cameras;
+        // By their port, and where several sources have the same one by the source, too.
+        let labels: Vec<String> = cameras.iter().map(|c| c.label.clone()).collect();
+        for camera in &mut cameras {
+            let alone = labels.iter().filter(|l| **l == camera.label).count() == 1;
+            let name = if alone { camera.label.clone() } else { format!("{} {}", camera.output.node, camera.label) };
+            camera.label = format!("{} camera", plain(&name));
+        }
+        let raw = cameras.first().cloned().or_else(|| {
+            let image =
+                |&n: &usize| Some((n, (0..node_type(n).outputs.len()).find(|&port| packet(n, port) == "image")?));
+            sources.iter().find_map(image).map(|(n, port)| place(n, port, "Camera".to_owned()))
+        });
+        let mut views: Vec<Place> = graph.preset.views.iter().map(|v| place(v.node, v.port, plain(&v.label))).collect();
+        if views.is_empty() {
+            let all = || graph.edges.iter().map(|e| (e.from_node, e.from_port, e.to_node));
+            let made = all().filter(|&(from, port, to)| {
+                let wanted = packet(from, port) == "cloud" || node_type(to).side_effects;
+                wanted && !node_type(from).source && PresetView::PACKETS.contains(&packet(from, port))
+            });
+            for (from, port, _) in made {
+                let new = place(from, port, plain(&graph.nodes[from].id));
+                if !views.iter().any(|v| v.output == new.output) && views.len() + 1 < MOST_CHOSEN {
+                    views.push(new);
+                }
+            }
+            views.extend(raw.clone().filter(|raw| !views.iter().any(|v| v.output == raw.output)));
+        }
+        let shown_cloud = views.iter().find(|v| v.packet == "cloud").map(|v| v.output.clone());
+        let read_cloud = graph.edges.iter().find(|e| packet(e.from_node, e.from_port) == "cloud");
+        let cloud = shown_cloud.or_else(|| read_cloud.map(|e| place(e.from_node, e.from_port, String::new()).output));
+        let rig = cloud.as_ref().and_then(|cloud| {
+            let made_by = graph.node(&cloud.node)?;
+            let input = node_type(made_by).inputs.iter().position(|p| p.packet.name == "calibration")?;
+            let wire = graph.inputs_of(made_by).iter().find(|e| e.to_port == input)?;
+            let calibration = place(wire.from_node, wire.from_port, String::new()).output;
+            Some(RigPlace { calibration, noise: noise_of(graph, catalog) })
+        });
+        let settings = graph.preset.pinned.iter().map(|pin| Setting {
+            node: graph.nodes[pin.node].id.clone(),
+            param: node_type(pin.node).params[pin.param].clone(),
+            index: pin.param,
+            label: plain(&pin.label),
+            range: pin.range,
+        });
+        let stop = |n: usize| {
+            let params = &node_type(n).params;
+            let is_stop = |p: &Param| p.name == EMERGENCY_STOP && matches!(p.kind, ParamKind::Bool { .. });
+            let is_reset = |p: &Param| p.name == RESET && matches!(p.kind, ParamKind::Int { .. });
+            params
+                .iter()
+                .any(is_stop)
+                .then(|| Stop { node: graph.nodes[n].id.clone(), reset: params.iter().position(is_reset) })
+        };
+        let id = |n: usize| graph.nodes[n].id.clone();
+        Self {
+            name: graph.name.clone(),
+            views,
+            raw,
+            cameras,
+            cloud,
+            rig,
+            settings: settings.collect(),
+            stops: (0..graph.nodes.len()).filter_map(stop).collect(),
+            sources: sources.into_iter().map(id).collect(),
+        }
+    }
+
+    /// Whether a node is a source.
+    pub fn is_source(&self, node: &str) -> bool {
+        self.sources.iter().any(|s| s == node)
+    }
+
+    /// The graph without anything but its sources, so that a raw view stays when the rest cannot run.
+    ///
+    /// # Errors
+    /// The text is no graph.
+    pub fn raw_only(&self, text: &str) -> Result<String, EditError> {
+        let mut edit = GraphEdit::parse(text)?;
+        for node in edit.node_names() {
+            if !self.is_source(&node) {
+                edit.remove_node(&node)?;
+            }
+        }
+        Ok(edit.text())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use panoscope_graph::{GraphText, NodeType, PacketType, Pick, Port, check};
+
+    fn port(text: &str) -> Port {
+        let (name, packet) = text.split_once(':').unwrap();
+        Port {
+            name: name.to_owned(),
+            packet: PacketType { name: packet.to_owned(), ..PacketType::default() },
+            ..Port::default()
+        }
+    }
+
+    fn node(name: &str, inputs: &[&str], outputs: &[&str]) -> NodeType {
+        NodeType {
+            name: name.to_owned(),
+            plugin: "p".to_owned(),
+            source: inputs.is_empty(),
+            side_effects: outputs.is_empty(),
+            inputs: inputs.iter().map(|t| Port { optional: true, ..port(t) }).collect(),
+            outputs: outputs.iter().map(|t| port(t)).collect(),
+            ..NodeType::default()
+        }
+    }
+
+    fn catalog() -> Catalog {
+        let stop = Param {
+            name: EMERGENCY_STOP.to_owned(),
+            doc: String::new(),
+            unit: String::new(),
+            kind: ParamKind::Bool { default: false },
+            reopen: false,
+            pick: Pick::None,
+            writes: false,
+            shipped: false,
+        };
+        let reset = ParamKind::Int { default: 0, min: None, max: None, step: None };
+        let reset = Param { name: RESET.to_owned(), kind: reset, ..stop.clone() };
+        let arm =
+            NodeType { params: vec![stop, reset], side_effects: true, ..node("arm", &["pose:pose"], &["camera:pose"]) };
+        let node_types = vec![
+            node("cam", &[], &["left:image", "right:image", "pose:pose"]),
+            node("wide", &["l:image", "r:image"], &["panorama:image"]),
+            node("points", &["l:image"], &["cloud:cloud", "depth:depth"]),
+            node("turn", &["cloud:cloud"], &["image:image"]),
+            node("write", &["image:image"], &[]),
+            arm,
+        ];
+        Catalog { plugins: vec!["p".to_owned()], node_types, ..Catalog::default() }
+    }
+
+    const TEXT: &str = r#"plugins = ["p"]
+[nodes.scope]
+type = "cam"
+[nodes.wide_view]
+type = "wide"
+inputs = { l = "scope.left", r = "scope.right" }
+[nodes.points]
+type = "points"
+inputs = { l = "scope.left" }
+[nodes.turn]
+type = "turn"
+inputs = { cloud = "points.cloud" }
+[nodes.file]
+type = "write"
+inputs = { image = "wide_view.panorama" }
+[nodes.file_2]
+type = "write"
+inputs = { image = "turn.image" }
+[nodes.arm]
+type = "arm"
+inputs = { pose = "scope.pose" }
+"#;
+
+    fn plan(text: &str) -> Plan {
+        let catalog = catalog();
+        let (graph, _) = check(&GraphText::parse("g.toml".as_ref(), text), &catalog).into_result().unwrap();
+        Plan::of(&graph, &catalog)
+    }
+
+    fn names(places: &[Place]) -> Vec<(String, &str)> {
+        places.iter().map(|p| (p.output.to_string(), p.label.as_str())).collect()
+    }
+
+    #[test]
+    fn sensible_views_are_chosen_where_none_are_named() {
+        let plan = plan(TEXT);
+        let expected = [
+            ("points.cloud".to_owned(), "Points"),
+            ("wide_view.panorama".to_owned(), "Wide view"),
+            ("turn.image".to_owned(), "Turn"),
+            ("scope.left".to_owned(), "Left camera"),
+        ];
+        let mut found = names(&plan.views);
+        found.sort();
+        let mut sorted = expected.to_vec();
+        sorted.sort();
+        assert_eq!(found, sorted);
+        assert_eq!(plan.raw.as_ref().unwrap().output.to_string(), "scope.left");
+        assert_eq!(names(&plan.cameras).len(), 2);
+        assert_eq!(plan.cloud.as_ref().unwrap().to_string(), "points.cloud");
+        assert_eq!(plan.stops, [Stop { node: "arm".to_owned(), reset: Some(1) }]);
+    }
+
+    #[test]
+    fn cameras_of_several_sources_have_names_of_their_own() {
+        let two = TEXT.replace("[nodes.points]", "[nodes.second]\ntype = \"cam\"\n[nodes.points]");
+        let two = two.replace("inputs = { l = \"scope.left\" }", "inputs = { l = \"second.left\" }");
+        let labels: Vec<String> = plan(&two).cameras.into_iter().map(|c| c.label).collect();
+        assert_eq!(labels, ["Scope left camera", "Right camera", "Second left camera"]);
+    }
+
+    #[test]
+    fn named_views_are_taken_as_they_are() {
+        let plan =
+            plan(&format!("{TEXT}[preset]\nviews = [\"turn.image\", {{ from = \"scope.right\", label = \"Raw\" }}]\n"));
+        assert_eq!(names(&plan.views), [("turn.image".to_owned(), "Turn"), ("scope.right".to_owned(), "Raw")]);
+    }
+
+    #[test]
+    fn the_raw_graph_has_sources_only() {
+        let plan = plan(TEXT);
+        let text = plan.raw_only(TEXT).unwrap();
+        let left = GraphText::parse("g.toml".as_ref(), &text);
+        let nodes: Vec<String> = left.outline().into_iter().map(|n| n.id).collect();
+        assert_eq!(nodes, ["scope"]);
+        assert!(check(&left, &catalog()).graph.is_some());
+    }
+}

@@ -1,0 +1,299 @@
+//! The pictures: each with a line above it, and nothing on it but the live picture in a corner of a frozen one.
+
+use eframe::egui::text::LayoutJob;
+use eframe::egui::{
+    Align2, Color32, EventFilter, FontId, Id, Rect, Sense, Stroke, StrokeKind, TextureId, Ui, Vec2, WidgetInfo,
+    WidgetType, pos2, vec2,
+};
+
+use super::arrange::{GAP, TITLE, fit, inset, level};
+use super::notices::{Facts, NoPicture, OLD_MS};
+use super::{Layout, Place, Theatre};
+use panoscope_editor_widgets::surface;
+use panoscope_editor_widgets::theme;
+
+/// Share of the width for the live picture beside one that is measured.
+const LIVE_SHARE: f32 = 0.22;
+/// Most points across of a message in place of a picture.
+const NO_PICTURE_WIDTH: f32 = 820.0;
+/// How fast a drag turns a surface, radians per point.
+const TURN: f32 = 0.008;
+
+impl Theatre {
+    pub(super) fn stage(&mut self, ui: &mut Ui, room: Rect, facts: &Facts) {
+        if let Some((held, output)) = self.measure.picture() {
+            // Nothing may lie on what is measured: where no ground is free the picture makes room.
+            let size = held.texture(output).map_or(vec2(4.0, 3.0), |(_, size)| size);
+            let below_title = |room: Rect| Rect::from_min_max(room.min + vec2(0.0, TITLE), room.max);
+            let mut rect = room;
+            let mut side = inset(room, self.live_size(), &[with_title(fit(below_title(room), size))]);
+            if side.intersects(fit(below_title(room), size)) {
+                let width = (room.width() * LIVE_SHARE).round();
+                rect.max.x -= width + GAP;
+                let height = (TITLE + width * 0.75).min(room.height());
+                side = Rect::from_min_size(pos2(room.right() - width, room.top()), vec2(width, height));
+            }
+            self.measured(ui, rect);
+            return self.live_beside(ui, side, facts);
+        }
+        if self.raw_only.is_some() {
+            match self.plan.raw.clone() {
+                Some(raw) => {
+                    self.picture(ui, room, &raw, None, true, facts);
+                }
+                None => no_picture(ui, room, &facts.no_picture("", false)),
+            }
+            return;
+        }
+        let views = self.plan.views.clone();
+        let mut places = self.layout.places(views.len(), room);
+        if let [(first, a), (second, b)] = &mut places[..] {
+            let size = |n: usize| self.shown.texture(&views[n].output).map(|(_, size)| size);
+            if let (Some(one), Some(other)) = (size(*first), size(*second)) {
+                [*a, *b] = level([*a, *b], [one, other]);
+            }
+        }
+        // A frozen picture stays as it was; while it does, a live one stands in a corner.
+        let live = self.frozen.is_some().then(|| {
+            let stand = |(n, rect): &(usize, Rect)| {
+                let below_title = Rect::from_min_max(rect.min + vec2(0.0, TITLE), rect.max);
+                let size = self.shown.texture(&views[*n].output).map(|(_, size)| size);
+                with_title(size.map_or(below_title, |size| fit(below_title, size)))
+            };
+            inset(room, self.live_size(), &places.iter().map(stand).collect::<Vec<_>>())
+        });
+        for (n, rect) in places {
+            let place = &views[n];
+            let raw = self.plan.raw.clone().filter(|_| self.replaced(place, facts) && n == self.layout.main());
+            let clicked = match raw {
+                Some(raw) => {
+                    let title = format!("{} (in place of {})", raw.label, place.label);
+                    self.picture(ui, rect, &raw, Some(&title), true, facts)
+                }
+                None if place.packet == "cloud" => {
+                    let alone = views.len() == 1 || self.layout == Layout::One(n);
+                    self.turn(ui, rect, place, alone);
+                    self.picture(ui, rect, place, None, false, facts);
+                    false
+                }
+                None => self.picture(ui, rect, place, None, false, facts),
+            };
+            if clicked && views.len() > 1 {
+                self.layout = if self.layout == Layout::One(n) { Layout::All } else { Layout::One(n) };
+            }
+        }
+        if let Some(side) = live {
+            self.live_beside(ui, side, facts);
+        }
+    }
+
+    /// Size of the raw view's picture, or one of its usual proportions.
+    fn live_size(&self) -> Vec2 {
+        let texture = self.plan.raw.as_ref().and_then(|raw| self.live.texture(&raw.output));
+        texture.map_or(vec2(4.0, 3.0), |(_, size)| size)
+    }
+
+    /// While anything is held still, a live picture stays beside it.
+    fn live_beside(&mut self, ui: &mut Ui, side: Rect, facts: &Facts) {
+        if let Some(raw) = self.plan.raw.clone() {
+            // Its own ground and edge, so that it is not taken for a part of the picture that it may lie on.
+            ui.painter().rect_filled(side.expand(4.0), 6.0, theme::BLACK);
+            ui.painter().rect_stroke(side.expand(4.0), 6.0, Stroke::new(1.5, theme::LIVE), StrokeKind::Inside);
+            self.picture(ui, side, &raw, Some(&format!("Live: {}", raw.label)), true, facts);
+        }
+    }
+
+    /// A view with its title; answers whether it was tapped.
+    fn picture(
+        &mut self,
+        ui: &mut Ui,
+        rect: Rect,
+        place: &Place,
+        title: Option<&str>,
+        live: bool,
+        facts: &Facts,
+    ) -> bool {
+        let title = title.unwrap_or(&place.label);
+        // A tap leads from one layout to another; beside a frozen picture, or where there is one view, to nothing.
+        let idle = place.packet == "cloud" || self.plan.views.len() < 2 || live && self.frozen.is_some();
+        let tap = if idle { Sense::hover() } else { Sense::click() };
+        let shown = if live { &self.live } else { &self.shown };
+        let texture = shown.texture(&place.output);
+        let room = Rect::from_min_max(pos2(rect.left(), rect.top() + TITLE), rect.max);
+        let inner = texture.map_or(room, |(_, size)| fit(room, size));
+        // The line stands right above the picture, wherever in its room that is.
+        let rect = Rect::from_min_max(inner.min - vec2(0.0, TITLE), inner.max);
+        let response = ui.interact(rect, ui.id().with(("view", &place.output, live)), tap);
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("View {title}")));
+        if response.has_focus() {
+            focus_frame(ui, rect);
+        }
+        let stopped = !live && facts.stopped.contains(&place.label);
+        let painter = ui.painter_at(rect);
+        painter.text(
+            pos2(rect.left(), rect.top() + TITLE / 2.0),
+            Align2::LEFT_CENTER,
+            title,
+            FontId::proportional(16.0),
+            theme::TEXT.gamma_multiply(0.85),
+        );
+        let age = self.age_ms(&place.output).filter(|_| live || self.frozen.is_none());
+        let (words, color) = match age {
+            _ if stopped => ("no new picture".to_owned(), theme::FAULT),
+            Some(age) if age > 9_999.0 => ("no new picture".to_owned(), theme::FAULT),
+            Some(age) if age > OLD_MS => (format!("{:.1} s old", age / 1e3), theme::WARN),
+            // A calm number: it moves in steps.
+            Some(age) => (format!("{:.0} ms", (age / 10.0).ceil() * 10.0), theme::MUTED),
+            None => (String::new(), theme::MUTED),
+        };
+        painter.text(
+            pos2(rect.right(), rect.top() + TITLE / 2.0),
+            Align2::RIGHT_CENTER,
+            words,
+            FontId::proportional(14.0),
+            color,
+        );
+        match texture {
+            Some((texture, _)) => {
+                // What has stopped must not be taken for live.
+                let tint = if stopped { Color32::from_gray(90) } else { Color32::WHITE };
+                image(ui, texture, inner, tint);
+                if stopped {
+                    painter.rect_stroke(inner, 0.0, Stroke::new(3.0, theme::FAULT), StrokeKind::Inside);
+                }
+            }
+            None => {
+                no_picture(ui, room, &facts.no_picture(&place.output.node, stopped));
+            }
+        }
+        response.clicked()
+    }
+
+    /// Drags, the wheel and keys turn, move and enlarge a surface; keys do where it has the focus or stands `alone`.
+    fn turn(&mut self, ui: &Ui, rect: Rect, place: &Place, alone: bool) {
+        let response = ui.interact(rect, ui.id().with(("turn", &place.output)), Sense::click_and_drag());
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Turn {}", place.label)));
+        let sight = self.sights.entry(place.output.clone()).or_default();
+        surface::steer(ui, &response, sight, TURN);
+        if response.has_focus() {
+            keep_arrows(ui, response.id);
+            focus_frame(ui, rect);
+        }
+        if response.has_focus() || alone && ui.memory(|m| m.focused().is_none()) {
+            ui.input_mut(|i| surface::steer_by_key(i, sight));
+        }
+        let points = ui.ctx().pixels_per_point();
+        let size = [rect.width(), rect.height() - TITLE].map(|n| ((n * points) as usize / 16 * 16).clamp(160, 1280));
+        sight.size_px = size;
+    }
+
+    /// The picture that is measured in, and what was measured.
+    fn measured(&mut self, ui: &mut Ui, rect: Rect) {
+        let Some((held, output)) = self.measure.picture() else { return };
+        let Some((texture, size)) = held.texture(output) else { return };
+        let room = Rect::from_min_max(pos2(rect.left(), rect.top() + TITLE), rect.max);
+        let inner = fit(room, size);
+        let line = Rect::from_min_max(inner.min - vec2(0.0, TITLE), inner.right_top());
+        let painter = ui.painter_at(rect);
+        let hint = self.measure.hint();
+        painter.text(line.left_center(), Align2::LEFT_CENTER, hint, FontId::proportional(18.0), theme::ACCENT);
+        image(ui, texture, inner, Color32::WHITE);
+        let response = ui.interact(inner, ui.id().with("measure"), Sense::click());
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Measure here"));
+        if response.has_focus() {
+            keep_arrows(ui, response.id);
+            focus_frame(ui, line.union(inner));
+        }
+        if response.has_focus() || ui.memory(|m| m.focused().is_none()) {
+            ui.input_mut(|i| self.measure.tap_by_key(i));
+        }
+        if let Some(at) = response.interact_pointer_pos().filter(|_| response.clicked()) {
+            self.measure.tap((at.x - inner.left()) / inner.width(), (at.y - inner.top()) / inner.height());
+        }
+        let (width, height) = self.measure.size_px();
+        let on_screen = |(x, y): (f32, f32)| {
+            inner.min + vec2((x + 0.5) / width as f32 * inner.width(), (y + 0.5) / height as f32 * inner.height())
+        };
+        let points: Vec<_> = self.measure.points().iter().map(|p| (on_screen(p.at_px), p.place)).collect();
+        if let [(a, _), (b, _)] = points[..] {
+            painter.line_segment([a, b], Stroke::new(5.0, Color32::from_black_alpha(160)));
+            painter.line_segment([a, b], Stroke::new(2.5, theme::ACCENT));
+        }
+        for (at, place) in &points {
+            let color = if place.is_some() { theme::ACCENT } else { theme::FAULT };
+            painter.circle_stroke(*at, 9.0, Stroke::new(5.0, Color32::from_black_alpha(160)));
+            painter.circle_stroke(*at, 9.0, Stroke::new(2.5, color));
+            painter.circle_filled(*at, 2.0, color);
+        }
+        self.measure.crosshair().draw(&painter, inner);
+        let told = match (self.measure.distance(), self.measure.depth()) {
+            (Some(length), _) => Some(length.to_string()),
+            (None, Some(depth)) => Some(format!("{depth} deep")),
+            _ => None,
+        };
+        if let Some(words) = told {
+            // Beside the picture's title, where it covers nothing.
+            painter.text(line.right_center(), Align2::RIGHT_CENTER, words, FontId::proportional(26.0), theme::TEXT);
+        }
+    }
+}
+
+/// A picture's place with the line above it.
+fn with_title(picture: Rect) -> Rect {
+    Rect::from_min_max(picture.min - vec2(0.0, TITLE), picture.max)
+}
+
+/// In place of a picture: why there is none, in full, and what can be done.
+fn no_picture(ui: &mut Ui, room: Rect, why: &NoPicture) {
+    ui.painter().rect_filled(room, 4.0, theme::SUNK);
+    let (why, remedy) = match why {
+        NoPicture::Because { why, remedy } => (why.as_str(), *remedy),
+        NoPicture::Plain(words) => {
+            let font = FontId::proportional(20.0);
+            ui.painter().text(room.center(), Align2::CENTER_CENTER, *words, font, theme::MUTED);
+            return;
+        }
+    };
+    let width = (room.width() - 48.0).min(NO_PICTURE_WIDTH);
+    let inner = Rect::from_center_size(room.center(), vec2(width, room.height() - 32.0));
+    let text = |words: &str, size: f32, color: Color32| {
+        let job = LayoutJob::simple(words.to_owned(), FontId::proportional(size), color, width);
+        ui.painter().layout_job(job)
+    };
+    let parts =
+        [("No picture", 26.0, theme::FAULT, 12.0), (why, 18.0, theme::TEXT, 20.0), (remedy, 18.0, theme::ACCENT, 0.0)];
+    // Small panes take smaller letters rather than a cut message.
+    let (mut scale, mut laid) = (1.0, Vec::new());
+    while scale > 0.5 {
+        laid = parts.map(|(words, size, color, gap)| (text(words, size * scale, color), gap * scale, words)).to_vec();
+        let high: f32 = laid.iter().map(|(galley, gap, _)| galley.size().y + gap).sum();
+        if high <= inner.height() {
+            break;
+        }
+        scale -= 0.1;
+    }
+    let high: f32 = laid.iter().map(|(galley, gap, _)| galley.size().y + gap).sum();
+    let mut at = pos2(inner.left(), inner.center().y - (high / 2.0).min(inner.height() / 2.0));
+    for (galley, gap, words) in laid {
+        let place = Rect::from_min_size(at, galley.size());
+        let response = ui.interact(place, ui.id().with(("no picture", words)), Sense::hover());
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, words));
+        at.y += galley.size().y + gap;
+        ui.painter_at(room).galley(place.min, galley, theme::TEXT);
+    }
+}
+
+/// Arrow keys are for what has the focus, not for leaving it.
+pub(super) fn keep_arrows(ui: &Ui, id: Id) {
+    let filter = EventFilter { horizontal_arrows: true, vertical_arrows: true, ..EventFilter::default() };
+    ui.memory_mut(|m| m.set_focus_lock_filter(id, filter));
+}
+
+/// Around the picture that has the focus, not on it.
+pub(super) fn focus_frame(ui: &Ui, rect: Rect) {
+    ui.painter().rect_stroke(rect.expand(4.0), 6.0, Stroke::new(2.0, theme::ACCENT), StrokeKind::Inside);
+}
+
+fn image(ui: &Ui, texture: TextureId, rect: Rect, tint: Color32) {
+    ui.painter().image(texture, rect, Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0)), tint);
+}

@@ -1,0 +1,43 @@
+//! What tests of every window need.
+#![allow(dead_code, reason = "each test binary uses a part")]
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use panoscope_loader::{self as loader, Loader};
+
+/// Longest that anything here may take.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Whether a plugin can be loaded; a test that needs it is skipped otherwise.
+pub fn has_plugin(name: &str) -> bool {
+    let found = Loader::search(&loader::search_path(&[])).found().any(|f| f.note.name == name);
+    if !found {
+        println!("skipped: plugin `{name}` is not built; `cargo xtask build` builds it");
+    }
+    found
+}
+
+/// A folder that no other test uses, removed at the end.
+pub struct Folder(pub PathBuf);
+
+impl Folder {
+    pub fn new(name: &str) -> Self {
+        let folder = std::env::temp_dir().join(format!("panoscope_editor_{name}_{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&folder);
+        std::fs::create_dir_all(&folder).expect("temporary files can be written");
+        Self(folder)
+    }
+
+    pub fn write(&self, name: &str, text: &str) -> PathBuf {
+        let path = self.0.join(name);
+        std::fs::write(&path, text).expect("temporary files can be written");
+        path
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}

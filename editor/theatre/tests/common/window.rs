@@ -1,0 +1,128 @@
+//! The theatre over running graphs, without a screen.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use eframe::egui::{Key, Modifiers, Ui, vec2};
+use egui_kittest::Harness;
+use egui_kittest::kittest::Queryable;
+use panoscope_editor_model::session::Phase;
+use panoscope_theatre::{Options, Theatre};
+
+use super::golden::Textures;
+use super::{Folder, PATIENCE};
+
+/// A camera, two stages, a setting.
+pub const GRAPH: &str = r#"# Seen by a surgeon.
+name = "case"
+plugins = ["flow"]
+
+[nodes.camera]
+type = "frames"
+params = { width_px = 64, height_px = 48, rate_hz = 30.0 }
+
+[nodes.calm]
+type = "smooth"
+inputs = { image = "camera.image" }
+params = { past_weight = 100 }
+
+[nodes.sink]
+type = "drain"
+inputs = { image = "calm.image" }
+
+[preset]
+views = [{ from = "calm.image", label = "calm view" }, "camera.image"]
+pinned = [{ param = "calm.past_weight", range = [50, 150], label = "calmness" }]
+"#;
+
+/// The window.
+pub struct Window {
+    pub harness: Harness<'static, Option<Theatre>>,
+    pub folder: Folder,
+    pub textures: Textures,
+}
+
+/// Options that keep stills and clips in a folder of the test's own.
+pub fn options(folder: &Folder) -> Options {
+    Options { folder: folder.0.join("kept"), ..Options::default() }
+}
+
+impl Window {
+    /// Writes a graph, opens it and waits until it runs.
+    pub fn open(name: &str, text: &str) -> Self {
+        let folder = Folder::new(name);
+        let path = folder.write("g.toml", text);
+        let options = options(&folder);
+        let mut window = Self::open_with(folder, &path, options);
+        window.until("it runs", |t| t.session().status().phase == Phase::Running);
+        window
+    }
+
+    /// Opens a graph file with options.
+    pub fn open_with(folder: Folder, path: &Path, options: Options) -> Self {
+        let path: PathBuf = path.to_owned();
+        let draw = move |ui: &mut Ui, theatre: &mut Option<Theatre>| {
+            let text = std::fs::read_to_string(&path).unwrap_or_default();
+            let open = || Theatre::open(ui.ctx(), &path, &text, options.clone()).expect("it opens");
+            theatre.get_or_insert_with(open).ui(ui);
+        };
+        let textures = Textures::default();
+        let builder = Harness::builder().with_size(vec2(1440.0, 960.0)).renderer(textures.clone());
+        Self { harness: builder.build_ui_state(draw, None), folder, textures }
+    }
+
+    pub fn theatre(&self) -> &Theatre {
+        self.harness.state().as_ref().expect("it is open")
+    }
+
+    /// Draws frames until something holds.
+    pub fn until(&mut self, what: &str, holds: impl Fn(&Theatre) -> bool) {
+        let until = Instant::now() + PATIENCE;
+        self.harness.step();
+        while !holds(self.theatre()) {
+            let told = self.theatre().notices();
+            assert!(Instant::now() < until, "not in time: {what}; told is {told:?}");
+            std::thread::sleep(Duration::from_millis(15));
+            self.harness.step();
+        }
+    }
+
+    /// Draws frames until something of these words is told.
+    pub fn until_told(&mut self, words: &str) {
+        self.until(words, |t| t.notices().iter().any(|n| n.words.contains(words)));
+    }
+
+    /// Draws frames until a widget of that name is there.
+    pub fn until_shown(&mut self, label: &str) {
+        let until = Instant::now() + PATIENCE;
+        while self.harness.query_by_label_contains(label).is_none() {
+            assert!(Instant::now() < until, "nothing is called `{label}`");
+            std::thread::sleep(Duration::from_millis(15));
+            self.harness.step();
+        }
+    }
+
+    pub fn key(&mut self, key: Key) {
+        self.harness.key_press_modifiers(Modifiers::NONE, key);
+        self.harness.step();
+        self.harness.step();
+    }
+
+    pub fn click(&mut self, label: &str) {
+        self.harness.get_by_label(label).click();
+        self.harness.step();
+        self.harness.step();
+    }
+
+    /// Names of the files that are kept.
+    pub fn kept(&self) -> Vec<String> {
+        let files = std::fs::read_dir(self.folder.0.join("kept")).into_iter().flatten().flatten();
+        let mut names: Vec<String> = files.map(|f| f.file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
+    }
+
+    pub fn told(&self) -> Vec<String> {
+        self.theatre().notices().iter().map(|n| n.words.clone()).collect()
+    }
+}

@@ -1,0 +1,35 @@
+//! How the theatre looks, compared with a picture that is kept.
+
+mod common;
+#[path = "common/looks.rs"]
+mod graph;
+
+use std::time::{Duration, Instant};
+
+use common::golden::{compare, paint};
+use common::window::{Window, options};
+use common::{Folder, has_plugin};
+use eframe::egui::{Rect, pos2};
+use egui_kittest::kittest::Queryable;
+use graph::{GRAPH, TICKS};
+use panoscope_editor_widgets::theme::BLACK;
+use panoscope_theatre as theatre;
+
+#[test]
+fn the_theatre_looks_as_it_did() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("theatre_looks");
+    let path = folder.write("looks.toml", GRAPH);
+    let options = theatre::Options { frames: Some(TICKS), ..options(&folder) };
+    let mut window = Window::open_with(folder, &path, options);
+    let since = Instant::now();
+    window.until("it has ended", |t| t.notices().iter().any(|n| n.words == "The source has ended") && t.has_picture());
+    window.until("all is at rest", |_| since.elapsed() > Duration::from_secs(2));
+    // Ages grow: they stand above each picture, at its right.
+    let views = ["View Calm view", "View Gray"].map(|label| window.harness.get_by_label_contains(label).rect());
+    let ages = views.map(|v| Rect::from_min_max(pos2(v.right() - 180.0, v.top()), pos2(v.right(), v.top() + 32.0)));
+    let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures, BLACK);
+    compare("theatre", picture, &ages);
+}

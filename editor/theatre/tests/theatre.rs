@@ -1,0 +1,601 @@
+//! The theatre on running graphs, by keys, taps and names of widgets.
+
+mod common;
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use common::window::{GRAPH, Window, options};
+use common::{Folder, PATIENCE, hand, has_plugin};
+use eframe::egui::accesskit::Role;
+use eframe::egui::{Key, Rect, Ui, vec2};
+use egui_kittest::Harness;
+use egui_kittest::kittest::Queryable;
+use panoscope_editor_model::session::Phase;
+use panoscope_editor_widgets::Shot;
+use panoscope_graph::ParamValue;
+use panoscope_loader::lock::{Lock, THEATRE_PLUGINS};
+use panoscope_theatre::{Layout, OpenError, Options, Ready, Refused, Theatre, Verified};
+
+/// A box whose points are known.
+const MEASURED: &str = r#"plugins = ["phantom", "stereo", "flow"]
+[nodes.scope]
+type = "phantom"
+params = { scene = "box", width = 320, height = 240 }
+[nodes.points]
+type = "reproject"
+inputs = { image = "scope.left", disparity = "scope.disparity", calibration = "scope.calibration" }
+[nodes.sink]
+type = "drain"
+inputs = { image = "scope.left" }
+[preset]
+views = ["scope.left", "points.cloud"]
+"#;
+
+fn past_weight(window: &Window) -> Option<ParamValue> {
+    let engine = window.theatre().session().handle().engine()?;
+    engine.param_values("calm")?.first().cloned()
+}
+
+#[test]
+fn layouts_change_by_one_key_by_pedal_and_by_tap() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut window = Window::open("layouts", GRAPH);
+    window.until_shown("View Calm view");
+    assert_eq!(window.theatre().layout(), Layout::All);
+    window.key(Key::Space);
+    assert_eq!(window.theatre().layout(), Layout::One(0));
+    window.key(Key::F13);
+    assert_eq!(window.theatre().layout(), Layout::One(1));
+    assert!(window.harness.query_by_label_contains("View Calm view").is_none());
+    window.key(Key::Num1);
+    assert_eq!(window.theatre().layout(), Layout::One(0));
+    window.click("View Calm view");
+    assert_eq!(window.theatre().layout(), Layout::All);
+    window.click("Layout");
+    assert_eq!(window.theatre().layout(), Layout::One(0));
+}
+
+#[test]
+fn only_pinned_settings_can_be_touched_and_only_within_their_range() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut window = Window::open("settings", GRAPH);
+    window.until("the value is known", |t| t.session().handle().engine().is_some());
+    window.until_shown("Calmness");
+    let slider = window.harness.get_by_role_and_label(Role::Slider, "Calmness");
+    let rect = slider.rect();
+    let far = rect.right_center() + vec2(200.0, 0.0);
+    hand::drag(&mut window.harness, rect.center(), far);
+    let until = Instant::now() + PATIENCE;
+    while past_weight(&window) != Some(ParamValue::Int(150)) {
+        assert!(Instant::now() < until, "it is {:?}", past_weight(&window));
+        std::thread::sleep(Duration::from_millis(15));
+        window.harness.step();
+    }
+    let text = std::fs::read_to_string(window.folder.0.join("g.toml")).expect("it is there");
+    assert_eq!(text, GRAPH, "nothing is written");
+    // Keys that edit in the bench do nothing here.
+    for key in [Key::Delete, Key::A, Key::B, Key::W] {
+        window.key(key);
+    }
+    let engine = window.theatre().session().handle().engine().expect("it runs");
+    assert_eq!(engine.graph().nodes.len(), 3);
+}
+
+#[test]
+fn a_frozen_picture_says_so_and_a_live_one_stays_beside_it() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut window = Window::open("freeze", GRAPH);
+    window.until("the first pictures are there", |t| t.notices().is_empty() && t.has_picture());
+    for alone in [false, true] {
+        if alone {
+            window.key(Key::Num1);
+        }
+        window.until_shown("View Calm view");
+        let before = window.harness.get_by_label("View Calm view").rect();
+        window.key(Key::F);
+        assert!(window.theatre().is_frozen());
+        window.until_shown("View Live: Image camera");
+        let frozen = window.harness.get_by_label("View Calm view").rect();
+        assert_eq!(frozen, before, "a frozen picture keeps its size");
+        let live = window.harness.get_by_label("View Live: Image camera").rect();
+        let middle = Rect::from_center_size(frozen.center(), frozen.size() * 0.45);
+        assert!(!live.intersects(middle) && live.width() > 120.0, "{live:?} over {frozen:?}");
+        window.click("Go on");
+        assert!(!window.theatre().is_frozen());
+    }
+}
+
+#[test]
+fn stills_and_clips_are_kept_under_numbers() {
+    if !has_plugin("flow") || !has_plugin("sinks") {
+        return;
+    }
+    let mut window = Window::open("keep", GRAPH);
+    window.until("a picture is there", Theatre::has_picture);
+    window.key(Key::S);
+    window.until("the still is kept", |t| t.remark().is_some_and(|r| r.contains("still_0001.png is kept")));
+    window.key(Key::R);
+    let node = "theatre_clip";
+    window.until("the clip runs", |t| {
+        let engine = t.session().handle().engine().expect("it runs");
+        engine.report().nodes.get(node).is_some_and(|n| n.count > 10)
+    });
+    assert!(window.theatre().clip_file().is_some_and(|f| f.ends_with("clip_0002.mkv")));
+    let before = window.theatre().session().handle().engine().expect("it runs").report().nodes["calm"].dropped;
+    window.click("End clip");
+    window.until("the clip is over", |t| {
+        let engine = t.session().handle().engine().expect("it runs");
+        t.clip_file().is_none() && engine.graph().node(node).is_none()
+    });
+    let after = window.theatre().session().handle().engine().expect("it runs").report().nodes["calm"].dropped;
+    assert_eq!(before, after, "recording loses no frame");
+    assert_eq!(window.kept(), ["clip_0002.mkv", "still_0001.png"]);
+    let still = image::open(window.folder.0.join("kept/still_0001.png")).expect("a picture");
+    assert_eq!((still.width(), still.height()), (64, 48));
+    let clip = std::fs::read(window.folder.0.join("kept/clip_0002.mkv")).expect("it is there");
+    assert!(clip.starts_with(&[0x1A, 0x45, 0xDF, 0xA3]) && clip.len() > 1000);
+}
+
+#[test]
+fn a_stage_in_fault_is_named_and_the_raw_view_takes_its_place() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let text = GRAPH.replace(
+        "type = \"smooth\"\ninputs = { image = \"camera.image\" }\nparams = { past_weight = 100 }",
+        "type = \"failing\"\ninputs = { image = \"camera.image\" }\nparams = { how = \"panic\", first = 10, ticks = 1000000 }",
+    );
+    let text = text.lines().filter(|l| !l.starts_with("pinned")).collect::<Vec<_>>().join("\n");
+    let mut window = Window::open("fault", &text);
+    window.until("the stage is named", |t| t.notices().iter().any(|n| n.words.contains("Stage `calm`")));
+    window.until("the view has stopped", |t| t.notices().iter().any(|n| n.words == "Calm view has stopped"));
+    window.until_shown("View Image camera (in place of Calm view)");
+}
+
+#[test]
+fn where_the_graph_stops_its_camera_goes_on_alone_and_it_can_be_started_again() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let text = GRAPH.replace(
+        "type = \"smooth\"\ninputs = { image = \"camera.image\" }\nparams = { past_weight = 100 }",
+        "type = \"failing\"\non_fault = \"stop\"\ninputs = { image = \"camera.image\" }\nparams = { how = \"panic\", first = 10, ticks = 1 }",
+    );
+    let text = text.lines().filter(|l| !l.starts_with("pinned")).collect::<Vec<_>>().join("\n");
+    let mut window = Window::open("stops", &text);
+    window.until("only the camera runs", |t| t.notices().iter().any(|n| n.words.starts_with("Camera picture only")));
+    window.until("it runs again", |t| {
+        let engine = t.session().handle().engine().expect("it runs");
+        t.session().status().phase == Phase::Running && engine.graph().nodes.len() == 1
+    });
+    window.until_shown("View Image camera");
+    window.click("Start again");
+    window.until("the whole graph is there", |t| {
+        t.session().handle().engine().is_some_and(|e| e.graph().nodes.len() == 3)
+    });
+}
+
+#[test]
+fn a_camera_that_ends_is_told() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("ends");
+    let path = folder.write("g.toml", GRAPH);
+    let options = Options { frames: Some(20), ..options(&folder) };
+    let mut window = Window::open_with(folder, &path, options);
+    window.until_told("The source has ended");
+    window.until_shown("Start again");
+}
+
+#[test]
+fn escape_held_for_two_seconds_leaves_and_a_short_one_does_not() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut window = Window::open("leave", GRAPH);
+    window.key(Key::Escape);
+    for _ in 0..5 {
+        window.harness.step();
+    }
+    assert!(!window.theatre().has_left());
+    window.harness.key_down(Key::Escape);
+    let start = Instant::now();
+    window.until("it leaves", Theatre::has_left);
+    assert!(start.elapsed() >= Duration::from_secs(2), "{:?}", start.elapsed());
+}
+
+#[test]
+fn a_locked_preset_opens_only_as_it_was_locked_or_when_it_is_said() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("locked");
+    let path = folder.write("g.toml", GRAPH);
+    lock(&path);
+    let open = |unlocked, text: &str| {
+        let context = eframe::egui::Context::default();
+        Theatre::open(&context, &path, text, Options { unlocked, ..options(&folder) }).map(drop)
+    };
+    open(false, GRAPH).expect("as it was locked");
+    let other = GRAPH.replace("rate_hz = 30.0", "rate_hz = 25.0");
+    match open(false, &other) {
+        Err(OpenError::Locked(differences)) => {
+            let words: Vec<String> = differences.iter().map(ToString::to_string).collect();
+            assert_eq!(words, ["graph `g.toml` has changed since the graph was locked"]);
+        }
+        other => panic!("{other:?}"),
+    }
+    std::fs::write(&path, &other).expect("written");
+    let options = Options { unlocked: true, ..options(&folder) };
+    let mut window = Window::open_with(folder, &path, options);
+    window.until_told("Runs unlocked: graph `g.toml`");
+}
+
+#[test]
+fn a_graph_that_nobody_locked_says_so_for_as_long_as_it_runs() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let words = "Not locked: nobody verified this graph";
+    let mut window = Window::open("never_locked", GRAPH);
+    assert_eq!(*window.theatre().verified(), Verified::Never);
+    window.until("a picture is there", Theatre::has_picture);
+    let pictures = window.harness.get_by_label_contains("View Calm view").rect();
+    let chip = window.harness.get_by_label(words).rect();
+    assert!(chip.height() >= 34.0 && chip.bottom() <= pictures.top(), "{chip:?} above {pictures:?}");
+    // Whatever else is told, it stays.
+    for key in [Key::F, Key::S, Key::R, Key::Space] {
+        window.key(key);
+        assert!(window.harness.query_by_label(words).is_some(), "after {key:?}");
+    }
+    drop(window);
+    let folder = Folder::new("is_locked");
+    let path = folder.write("g.toml", GRAPH);
+    lock(&path);
+    let options = options(&folder);
+    let mut window = Window::open_with(folder, &path, options);
+    window.until("a picture is there", Theatre::has_picture);
+    assert_eq!(*window.theatre().verified(), Verified::AsLocked);
+    assert!(window.harness.query_by_label_contains("nobody verified").is_none());
+    assert!(window.harness.query_by_label_contains("ocked:").is_none());
+}
+
+#[test]
+fn a_refused_lock_is_told_in_the_window() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let folder = Folder::new("refused");
+    let path = folder.write("g.toml", GRAPH);
+    lock(&path);
+    let other = GRAPH.replace("rate_hz = 30.0", "rate_hz = 25.0");
+    let error = Ready::look(&path, &other, false).err().expect("it differs");
+    let draw = {
+        let path = path.clone();
+        move |ui: &mut Ui, refused: &mut Option<Refused>| {
+            refused.get_or_insert_with(|| Refused::new(ui.ctx(), &path, &error, Shot::default())).ui(ui);
+        }
+    };
+    let mut harness = Harness::builder().with_size(vec2(1440.0, 960.0)).build_ui_state(draw, None);
+    hand::steps(&mut harness, 3);
+    for words in [
+        "g.toml is not as it was locked",
+        "graph `g.toml` has changed since the graph was locked",
+        "Put back what has changed",
+        "panoscope lock ",
+        "--unlocked",
+    ] {
+        let place = harness.get_by_label_contains(words).rect();
+        assert!(harness.ctx.viewport_rect().contains_rect(place), "`{words}` at {place:?}");
+    }
+    assert!(!harness.state().as_ref().expect("it is shown").has_left());
+    harness.key_press_modifiers(eframe::egui::Modifiers::NONE, Key::Escape);
+    hand::steps(&mut harness, 2);
+    assert!(harness.state().as_ref().expect("it is shown").has_left());
+}
+
+#[test]
+fn a_camera_that_does_not_open_is_told_in_full_in_its_pane() {
+    if !has_plugin("flow") || !has_plugin("capture") {
+        return;
+    }
+    let folder = Folder::new("does_not_open");
+    for side in ["left.mp4", "right.mp4"] {
+        folder.write(side, "no video at all");
+    }
+    let text = "plugins = [\"capture\", \"flow\"]\n[nodes.scope]\ntype = \"capture\"\nparams = { left = \"left.mp4\", right = \"right.mp4\" }\n[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"scope.left\" }\n";
+    let path = folder.write("g.toml", text);
+    let options = options(&folder);
+    let mut window = Window::open_with(folder, &path, options);
+    window.until_told("No picture: ");
+    let told = window.told().into_iter().find(|w| w.starts_with("No picture: ")).expect("it is told");
+    let whole = told.trim_start_matches("No picture: ").to_owned();
+    assert!(whole.contains("left.mp4"), "{whole}");
+    window.until_shown("View Left camera");
+    let pane = window.harness.get_by_label("View Left camera").rect();
+    let why = window.harness.get_by_label(&whole).rect();
+    let remedy = window.harness.get_by_label_contains("press Enter to start again").rect();
+    assert!(pane.contains_rect(why) && pane.contains_rect(remedy), "{why:?} and {remedy:?} in {pane:?}");
+    assert!(why.bottom() <= remedy.top(), "the remedy stands below the reason");
+    assert!(why.height() > 30.0, "long words are wrapped: {why:?}");
+    window.until_shown("Start again");
+}
+
+fn lock(path: &Path) {
+    use panoscope_graph::{GraphText, check};
+    use panoscope_loader::{self as loader, Loader};
+    let loader = Loader::search(&loader::search_path(&[]));
+    let text = GraphText::load(path).expect("it is there");
+    let catalog = loader.catalog(&text.plugins());
+    let (graph, _) = check(&text, &catalog).into_result().expect("it is right");
+    let lock = Lock::of(&graph, &catalog, &loader, path, text.text(), &THEATRE_PLUGINS);
+    assert!(lock.files.iter().all(|f| !f.sha256.is_empty()), "{lock:?}");
+    lock.write(path).expect("it is written");
+}
+
+#[test]
+fn the_emergency_stop_is_there_where_there_is_an_arm_and_outlasts_changes() {
+    if !has_plugin("flow") || !has_plugin("sinks") {
+        return;
+    }
+    let mut window = Window::open("no_arm", GRAPH);
+    window.until_shown("Freeze");
+    assert!(window.harness.query_by_label_contains("Emergency stop of the arm").is_none());
+    drop(window);
+    let text = GRAPH.replace("type = \"drain\"", "type = \"device\"");
+    let mut window = Window::open("arm", &text);
+    window.until_shown("Emergency stop of the arm");
+    let stopped = |t: &Theatre| {
+        let values = t.session().handle().engine().and_then(|e| e.param_values("sink"));
+        values.is_some_and(|v| v[1] == ParamValue::Bool(true))
+    };
+    let centre = window.harness.get_by_label("Emergency stop of the arm").rect().center();
+    window.harness.hover_at(centre);
+    window.harness.step();
+    window.harness.drag_at(centre);
+    window.harness.step();
+    window.harness.step();
+    assert!(window.theatre().is_stopped() && stopped(window.theatre()), "on touch, at once");
+    window.harness.drop_at(centre);
+    window.until("it is told", |t| t.notices().first().is_some_and(|n| n.words.starts_with("Emergency stop")));
+    // A change of the graph does not let it go, nor does another press.
+    window.key(Key::R);
+    window.until("the clip runs", |t| {
+        t.session().handle().engine().is_some_and(|e| e.graph().node("theatre_clip").is_some())
+    });
+    window.key(Key::E);
+    assert!(window.theatre().is_stopped() && stopped(window.theatre()));
+    // Held for two seconds it does.
+    window.harness.key_down(Key::E);
+    window.until("it is released", |t| !t.is_stopped() && !stopped(t));
+    window.harness.key_up(Key::E);
+    window.harness.step();
+    window.key(Key::E);
+    assert!(window.theatre().is_stopped(), "by key, too");
+}
+
+#[test]
+fn distances_are_measured_by_two_taps() {
+    if !has_plugin("phantom") || !has_plugin("stereo") {
+        return;
+    }
+    let mut window = Window::open("measure", MEASURED);
+    window.key(Key::M);
+    window.until_shown("Measure here");
+    assert!(window.theatre().is_frozen());
+    let rect = window.harness.get_by_label("Measure here").rect();
+    for share in [0.4, 0.6] {
+        hand::tap(&mut window.harness, rect.min + rect.size() * share);
+    }
+    let length = window.theatre().distance().expect("both points are known");
+    assert!((1.0..100.0).contains(&length.mm), "{length}");
+    window.until("the error is known", |t| t.distance().is_some_and(|l| l.error_mm.is_some()));
+    let length = window.theatre().distance().expect("both points are known");
+    assert!(
+        length.error_mm.is_some_and(|e| e > 0.0 && e < length.mm) && length.to_string().contains(" ± "),
+        "{length}"
+    );
+    window.key(Key::S);
+    window.until("the still is kept", |t| t.remark().is_some_and(|r| r.contains("is kept")));
+    window.key(Key::M);
+    assert!(!window.theatre().is_frozen());
+    assert!(window.told().iter().all(|w| !w.contains("stopped")), "{:?}", window.told());
+    assert_eq!(window.theatre().distance(), None);
+}
+
+#[test]
+fn distances_are_measured_and_surfaces_turned_by_keys_alone() {
+    if !has_plugin("phantom") || !has_plugin("stereo") {
+        return;
+    }
+    let mut window = Window::open("measure_keys", MEASURED);
+    window.key(Key::M);
+    window.until_shown("Measure here");
+    // The first arrow shows the crosshair in the middle; Enter taps.
+    for key in [Key::ArrowLeft, Key::ArrowLeft, Key::ArrowLeft, Key::Enter] {
+        window.key(key);
+    }
+    (0..5).for_each(|_| window.key(Key::ArrowRight));
+    window.key(Key::Enter);
+    let length = window.theatre().distance().expect("both points are known");
+    assert!((0.5..100.0).contains(&length.mm), "{length}");
+    window.key(Key::M);
+    window.key(Key::Num2);
+    assert_eq!(window.theatre().layout(), Layout::One(1));
+    let before = window.theatre().sight("points.cloud").expect("it is shown");
+    window.key(Key::ArrowLeft);
+    window.key(Key::Plus);
+    let after = window.theatre().sight("points.cloud").expect("it is shown");
+    assert!(after.yaw > before.yaw && after.zoom > before.zoom, "{before:?} {after:?}");
+    window.key(Key::Home);
+    assert_eq!(window.theatre().sight("points.cloud"), Some(before));
+}
+
+/// Asserts that all that takes the focus has a name of its own, and that Tab leads to each of them.
+fn reached_by_tab(window: &mut Window, what: &str) {
+    hand::steps(&mut window.harness, 2);
+    hand::all_named(&window.harness, what, 4);
+    let mut all = hand::focusable(&window.harness);
+    let nameless: Vec<&String> =
+        all.iter().filter(|name| name.trim().is_empty() || name.starts_with("nameless")).collect();
+    assert!(nameless.is_empty(), "{what}: {nameless:?}");
+    let mut round = hand::round_by_tab(&mut window.harness);
+    all.sort();
+    round.sort();
+    assert_eq!(round, all, "{what}: by Tab, and all");
+    let doubled: Vec<&[String]> = all.windows(2).filter(|pair| pair[0] == pair[1]).collect();
+    assert!(doubled.is_empty(), "{what}: {doubled:?}");
+    window.key(Key::Escape);
+}
+
+#[test]
+fn everything_has_a_name_and_is_reached_by_tab() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut window = Window::open("names", &GRAPH.replace("type = \"drain\"", "type = \"device\""));
+    window.until("a picture is there", Theatre::has_picture);
+    window.until_shown("Calmness");
+    reached_by_tab(&mut window, "views");
+    window.key(Key::F);
+    window.until_shown("View Live: Image camera");
+    reached_by_tab(&mut window, "frozen");
+    window.key(Key::F);
+    window.key(Key::Num1);
+    reached_by_tab(&mut window, "one view");
+    window.key(Key::E);
+    window.until_shown("Release the arm");
+    reached_by_tab(&mut window, "arm stopped");
+    // What has the focus is pressed by Enter.
+    window.harness.get_by_label("Freeze").focus();
+    window.key(Key::Enter);
+    assert!(window.theatre().is_frozen());
+    drop(window);
+    if !has_plugin("phantom") || !has_plugin("stereo") {
+        return;
+    }
+    let mut window = Window::open("names_3d", MEASURED);
+    window.until("a picture is there", Theatre::has_picture);
+    reached_by_tab(&mut window, "surface");
+    window.key(Key::M);
+    window.until_shown("Measure here");
+    reached_by_tab(&mut window, "measuring");
+}
+
+#[test]
+fn settings_are_set_by_keys_and_none_is_out_of_reach() {
+    if !has_plugin("flow") {
+        return;
+    }
+    let mut text = GRAPH[..GRAPH.find("pinned").expect("it pins")].to_owned();
+    text += "pinned = [\n";
+    for k in 0..9 {
+        text += &format!("  {{ param = \"more{k}.past_weight\", range = [50, 150], label = \"weight {k}\" }},\n");
+    }
+    text += "]\n";
+    for k in 0..9 {
+        text += &format!(
+            "[nodes.more{k}]\ntype = \"smooth\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ past_weight = 100 }}\n[nodes.end{k}]\ntype = \"drain\"\ninputs = {{ image = \"more{k}.image\" }}\n"
+        );
+    }
+    let mut window = Window::open("pages", &text);
+    window.until_shown("Weight 0");
+    // The first key shows that an arrow changes the value and does not leave it.
+    window.harness.get_by_role_and_label(Role::Slider, "Weight 0").focus();
+    for _ in 0..3 {
+        window.key(Key::ArrowRight);
+    }
+    assert_eq!(hand::focused(&window.harness).as_deref(), Some("Weight 0"));
+    window.until("it is in force", |t| {
+        let values = t.session().handle().engine().and_then(|e| e.param_values("more0"));
+        values.is_some_and(|v| v[0] == ParamValue::Int(103))
+    });
+    window.key(Key::Escape);
+    let mut seen = std::collections::BTreeSet::new();
+    for _ in 0..9 {
+        seen.extend((0..9).filter(|k| window.harness.query_by_label(&format!("Weight {k}")).is_some()));
+        window.key(Key::T);
+    }
+    assert_eq!(seen.len(), 9, "{seen:?}");
+    window.harness.get_by_label("More settings");
+}
+
+#[test]
+fn a_lost_camera_is_named_and_the_other_one_goes_on() {
+    if !has_plugin("flow") || !has_plugin("chaos") {
+        return;
+    }
+    let text = "plugins = [\"flow\", \"chaos\"]\n[nodes.camera]\ntype = \"frames\"\nparams = { width_px = 64, height_px = 48, rate_hz = 30.0 }\n[nodes.second]\ntype = \"chaos_source\"\nparams = { harm = \"nothing\", first = 600, ticks = 1000000000 }\n[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"camera.image\" }\n[nodes.other]\ntype = \"drain\"\ninputs = { image = \"second.image\" }\n[preset]\nviews = [\"camera.image\", \"second.image\"]\n";
+    let mut window = Window::open("lost", text);
+    window.until_told("Second image camera lost: no picture for ");
+    assert!(window.told().iter().all(|w| !w.contains("Camera image")), "one of the two: {:?}", window.told());
+    window.until("the other one goes on", Theatre::has_picture);
+}
+
+#[test]
+fn a_full_disk_is_told_in_plain_words() {
+    if !has_plugin("flow") {
+        return;
+    }
+    // What is written there finds no room, as on a full disk.
+    let ledger = "\n[nodes.kept]\ntype = \"ledger\"\ninputs = { images = [\"camera.image\"] }\nparams = { path = \"/dev/full\" }\n";
+    let text = GRAPH.replace("rate_hz = 30.0", "rate_hz = 240.0") + ledger;
+    let mut window = Window::open("full", &text);
+    window.until_told("The disk is full: `kept` cannot write");
+    window.until("the picture goes on", |t| t.has_picture() && !t.is_frozen());
+}
+
+#[test]
+fn a_sink_without_room_stays_told_and_a_clip_without_room_ends() {
+    if !has_plugin("flow") || !has_plugin("sinks") {
+        return;
+    }
+    let folder = Folder::new("no_room_sink");
+    // What is written there finds no room.
+    let full = folder.0.join("full.mkv");
+    std::os::unix::fs::symlink("/dev/full", &full).expect("a link");
+    let sink = format!(
+        "\n[nodes.kept]\ntype = \"write_video\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ path = \"{}\" }}\n",
+        full.display()
+    );
+    let text = GRAPH.replace("plugins = [\"flow\"]", "plugins = [\"flow\", \"sinks\"]") + &sink;
+    let mut window = Window::open("no_room", &text);
+    window.until_told("The disk is full: `kept` cannot write");
+    let faults = |t: &Theatre| t.session().handle().engine().map(|e| e.report().nodes["kept"].faults);
+    let kept = window.folder.0.join("kept");
+    std::fs::create_dir_all(&kept).expect("a folder");
+    std::os::unix::fs::symlink("/dev/full", kept.join("clip_0001.mkv")).expect("a link");
+    window.key(Key::R);
+    window.until("the clip is ended", |t| {
+        t.remark().is_some_and(|r| r.contains("clip_0001.mkv ended early: the disk is full")) && t.clip_file().is_none()
+    });
+    assert_eq!(faults(window.theatre()), Some(1), "it was not opened again and again");
+    window.until_told("The disk is full: `kept` cannot write");
+}
+
+#[test]
+fn a_drifted_calibration_and_swapped_cameras_are_told() {
+    if !has_plugin("phantom") || !has_plugin("stereo") {
+        return;
+    }
+    let graph = |left: &str, right: &str, k1: f64| {
+        format!(
+            "plugins = [\"phantom\", \"stereo\", \"flow\"]\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ width = 320, height = 240, distortion_k1 = {k1:.1} }}\n[nodes.match]\ntype = \"stereo_bm\"\ninputs = {{ left = \"scope.{left}\", right = \"scope.{right}\" }}\nparams = {{ drift_px = 0.3 }}\n[nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"scope.left\" }}\n[preset]\nviews = [\"match.disparity\", \"scope.left\"]\n"
+        )
+    };
+    // A lens that nothing corrects bends the rows, as a calibration that does not fit any more.
+    let mut window = Window::open("drift", &graph("left", "right", 0.4));
+    window.until_told("The calibration has drifted");
+    drop(window);
+    let mut window = Window::open("swapped", &graph("right", "left", 0.0));
+    window.until_told("Left and right cameras are swapped");
+    assert!(window.told().iter().all(|w| !w.contains("drifted")), "{:?}", window.told());
+}

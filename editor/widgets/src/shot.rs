@@ -1,0 +1,147 @@
+//! A picture of the window for `--screenshot`, or its costs for `--measure`, after a script of actions.
+
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use eframe::egui::{self, Context};
+
+use panoscope_editor_model::session::Session;
+
+/// What is done by itself, and what is written after it.
+#[derive(Clone, Debug)]
+pub struct Shot {
+    /// File of a screenshot, and the seconds until it is taken.
+    screenshot: Option<(PathBuf, f64)>,
+    /// File for what the window costs, and the seconds until it is written.
+    measure: Option<(PathBuf, f64)>,
+    /// What is done before that, each with its second.
+    script: VecDeque<(f64, String)>,
+    start: Instant,
+}
+
+impl Default for Shot {
+    fn default() -> Self {
+        Self::new(None, None, &[])
+    }
+}
+
+impl Shot {
+    /// A screenshot or costs after so many seconds, and a script before: it begins once the graph has had time to start; a step `wait:2`
+    /// lets those behind it wait two seconds.
+    pub fn new(screenshot: Option<(PathBuf, f64)>, measure: Option<(PathBuf, f64)>, script: &[String]) -> Self {
+        let after = screenshot.as_ref().or(measure.as_ref()).map_or(0.0, |(_, after)| *after);
+        let mut due = (after * 0.4).min(4.0);
+        let mut steps = VecDeque::new();
+        for step in script {
+            match step.strip_prefix("wait:").and_then(|s| s.parse::<f64>().ok()) {
+                Some(seconds) => due += seconds,
+                None => steps.push_back((due, step.clone())),
+            }
+        }
+        Self { screenshot, measure, script: steps, start: Instant::now() }
+    }
+
+    /// The next step of the script that is due.
+    pub fn step(&mut self) -> Option<String> {
+        let due = self.script.front()?.0;
+        if self.start.elapsed().as_secs_f64() > due { self.script.pop_front().map(|(_, step)| step) } else { None }
+    }
+
+    /// Writes what the window cost, and how the graph did meanwhile, when it is due.
+    pub fn measure(&mut self, ctx: &Context, costs: &Costs, session: &Session) {
+        let Some((file, after)) = self.measure.clone() else { return };
+        let seconds = self.start.elapsed().as_secs_f64();
+        if seconds < after {
+            return ctx.request_repaint_after(Duration::from_secs_f64((after - seconds).max(0.01)));
+        }
+        let (ui_ms, frames) = costs.mean();
+        let measured = (seconds - Costs::WARM_UP.as_secs_f64()).max(1e-3);
+        let report = session.handle().engine().map(|engine| engine.report());
+        let json = serde_json::json!({
+            "ui_ms": ui_ms,
+            "ui_fps": frames as f64 / measured,
+            "ui_cpu_pct": ui_ms * frames as f64 / measured / 10.0,
+            "report": report,
+        });
+        if let Err(error) = std::fs::write(&file, format!("{json:#}\n")) {
+            eprintln!("error: {} was not written: {error}", file.display());
+        }
+        self.measure = None;
+        ctx.send_viewport_cmd(egui::ViewportCommand::Close);
+    }
+
+    /// Takes the screenshot, when it is due.
+    pub fn take(&mut self, ctx: &Context) {
+        let Some((file, after)) = self.screenshot.clone() else { return };
+        let elapsed = self.start.elapsed().as_secs_f64();
+        let taken = ctx.input(|i| {
+            i.events.iter().find_map(|e| match e {
+                egui::Event::Screenshot { image, .. } => Some(Arc::clone(image)),
+                _ => None,
+            })
+        });
+        if let Some(image) = taken {
+            let rgb: Vec<u8> = image.pixels.iter().flat_map(|p| [p.r(), p.g(), p.b()]).collect();
+            let [width, height] = image.size.map(|n| n as u32);
+            let saved = image::RgbImage::from_raw(width, height, rgb).map(|picture| picture.save(&file));
+            match saved {
+                Some(Ok(())) => println!("{}", file.display()),
+                Some(Err(error)) => eprintln!("error: {} was not written: {error}", file.display()),
+                None => eprintln!("error: the window gave no picture"),
+            }
+            self.screenshot = None;
+            ctx.send_viewport_cmd(egui::ViewportCommand::Close);
+        } else if elapsed > after {
+            ctx.send_viewport_cmd(egui::ViewportCommand::Screenshot(egui::UserData::default()));
+            ctx.request_repaint_after(Duration::from_millis(200));
+        } else {
+            ctx.request_repaint_after(Duration::from_millis(100));
+        }
+    }
+}
+
+/// CPU time of the window's thread: drawing by egui and by the graphics driver included.
+#[derive(Clone, Debug)]
+pub struct Costs {
+    start: Instant,
+    /// At the first frame that counts and at the last one, ms.
+    at_ms: (f64, f64),
+    /// Frames that count.
+    pub frames: u64,
+}
+
+impl Default for Costs {
+    fn default() -> Self {
+        Self { start: Instant::now(), at_ms: (0.0, 0.0), frames: 0 }
+    }
+}
+
+impl Costs {
+    /// Left out of what is measured: start-up, fonts, shaders, first textures.
+    const WARM_UP: Duration = Duration::from_secs(2);
+
+    /// To be called with every frame.
+    pub fn count_frame(&mut self) {
+        let now_ms = thread_cpu_ms();
+        if self.start.elapsed() < Self::WARM_UP {
+            (self.at_ms, self.frames) = ((now_ms, now_ms), 0);
+        } else {
+            (self.at_ms.1, self.frames) = (now_ms, self.frames + 1);
+        }
+    }
+
+    /// Mean per frame in ms, and frames so far.
+    pub fn mean(&self) -> (f64, u64) {
+        ((self.at_ms.1 - self.at_ms.0) / self.frames.max(1) as f64, self.frames)
+    }
+}
+
+/// CPU time of this thread in ms.
+fn thread_cpu_ms() -> f64 {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: fills the struct that it is given.
+    let answer = unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &raw mut time) };
+    if answer == 0 { time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6 } else { 0.0 }
+}
