@@ -116,6 +116,10 @@ pub struct Row {
     pub camera_mm_s: f64,
     /// The change of its velocity, mm/s^2.
     pub camera_mm_s2: f64,
+    /// Time since the tracker saw the tip, s: 0 in a tick in which it was seen, NaN while it is lost.
+    pub gap_s: f64,
+    /// How far the tracker's tip lies from the true one, mm; NaN while it is lost.
+    pub track_off_mm: f64,
 }
 
 struct Stroke {
@@ -281,6 +285,12 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
             following: lock.stopped().is_none(),
             camera_mm_s: velocity.norm(),
             camera_mm_s2: change.norm(),
+            gap_s: match known {
+                Known::Seen(_) => 0.0,
+                Known::Predicted(gap_s) => gap_s,
+                Known::Lost => f64::NAN,
+            },
+            track_off_mm: tip.map_or(f64::NAN, |tip| (tip.xyz_mm - p).norm()),
         });
         // What the next tick sees.
         camera = room.inverse() * stance.base_from_camera;
@@ -304,6 +314,10 @@ pub struct Measures {
     pub in_view_pct: f64,
     /// Share of those ticks in which something hid it, or it was not found, %.
     pub hidden_pct: f64,
+    /// Share of all those ticks in which the tracker saw the tip, instead of predicting it, %.
+    pub tip_seen_pct: f64,
+    /// Root mean square distance of the tracker's tip from the true one, mm; NaN where it never had one.
+    pub track_off_mm: f64,
     /// Largest miss of the trocar in the whole run, mm.
     pub pivot_mm: f64,
     /// Mean error in the picture over the last second, % of its width.
@@ -330,6 +344,7 @@ pub fn measure(rows: &[Row]) -> Measures {
     let rest: Vec<&Row> = rows.iter().filter(|row| row.at_s > end - 1.0 && row.error_mm.is_finite()).collect();
     let mean_of = |pick: &dyn Fn(&Row) -> f64| rest.iter().map(|r| pick(r)).sum::<f64>() / rest.len() as f64;
     let shakes = || judged.iter().map(|r| r.camera_mm_s2).filter(|a| a.is_finite());
+    let offs = || judged.iter().map(|r| r.track_off_mm).filter(|off| off.is_finite());
     let (settling_s, overshoot_pct) = settling(&judged);
     Measures {
         // Nothing known is no error of 0.
@@ -337,6 +352,12 @@ pub fn measure(rows: &[Row]) -> Measures {
         max_mm: known().fold(0.0, f64::max),
         deviation_mm: (square - mean * mean).max(0.0).sqrt(),
         in_view_pct: 100.0 * judged.iter().filter(|r| r.in_view).count() as f64 / judged.len().max(1) as f64,
+        tip_seen_pct: 100.0 * judged.iter().filter(|r| r.gap_s <= 0.0).count() as f64 / judged.len().max(1) as f64,
+        track_off_mm: if offs().next().is_some() {
+            (offs().map(|off| off * off).sum::<f64>() / offs().count() as f64).sqrt()
+        } else {
+            f64::NAN
+        },
         hidden_pct: 100.0 * judged.iter().filter(|r| r.is_hidden).count() as f64 / judged.len().max(1) as f64,
         pivot_mm: rows.iter().map(|r| r.pivot_mm).filter(|p| p.is_finite()).fold(0.0, f64::max),
         rest_pct: 100.0 * mean_of(&|r| r.error_px[0]).hypot(mean_of(&|r| r.error_px[1])) / WIDTH_PX,

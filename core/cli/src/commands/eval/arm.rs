@@ -3,6 +3,7 @@
 
 mod graph;
 mod plots;
+mod preset;
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -65,7 +66,7 @@ impl Arguments {
 
 /// Judges.
 pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
-    let known: Vec<&str> = Scenario::ALL.iter().map(|s| s.name()).chain(graph::SCENARIOS).collect();
+    let known: Vec<&str> = Scenario::ALL.iter().map(|s| s.name()).chain(graph::SCENARIOS).chain(preset::names()).collect();
     if let Some(wrong) = arguments.scenario.iter().find(|name| !known.contains(&name.as_str())) {
         let mut known = known;
         known.sort_unstable();
@@ -108,6 +109,19 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
             }
             stop_if_asked()?;
         }
+        for name in preset::names().filter(|name| arguments.wants_scenario(name)) {
+            let Some(file) = preset::file(name) else {
+                tell!("skipped: {name}: there is no graphs folder in this one, nor beside the program");
+                continue;
+            };
+            let run = graph::run_preset(name, arguments.seed, arguments.seconds, file)?;
+            let input = format!("as it ships, phantom {}x{}, {} s at 30 Hz", run.size.0, run.size.1, arguments.seconds);
+            listed(&format!("graph_{name}"), &measure(&run.rows), false, &input, &mut figures);
+            if let Some(folder) = &arguments.pictures {
+                plots::draw(&folder.join(format!("graph_{name}.png")), &format!("graph {name}"), &run.rows)?;
+            }
+            stop_if_asked()?;
+        }
     }
     if arguments.wants("age") {
         let seconds = arguments.seconds.min(20);
@@ -142,6 +156,10 @@ fn listed(name: &str, m: &Measures, rests: bool, input: &str, figures: &mut Vec<
     add("tip_error_mm", m.rms_mm, "mm");
     add("in_view_pct", m.in_view_pct, "%");
     add("hidden_pct", m.hidden_pct, "%");
+    add("tip_seen_pct", m.tip_seen_pct, "%");
+    if m.track_off_mm.is_finite() {
+        add("track_off_mm", m.track_off_mm, "mm");
+    }
     add("pivot_mm", m.pivot_mm, "mm");
     add("tip_error_max_mm", m.max_mm, "mm");
     add("shake_mm_s2", m.shake_mm_s2, "mm/s^2");
