@@ -53,11 +53,15 @@ pub struct ToolTipParams {
     /// their sum how sure it is that it is one.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
+    /// The same of the tool that led before, while boxes overlap: a weak box where a tool was sure to be is of that tool (after Zhang et al. 2022,
+    /// ByteTrack).
+    #[param(default = 0.1, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
+    keep_score: f32,
     /// Radius around the tip in which depth is looked for.
     #[param(default = 6, range = 1..=64, unit = "px")]
     radius_px: usize,
-    /// Oldest boxes in which a tool is looked for.
-    #[param(default = 150.0, range = 0.0..=1000.0, step = 10.0, unit = "ms")]
+    /// Oldest boxes in which a tool is looked for, and how long one is remembered where the detector finds none.
+    #[param(default = 300.0, range = 0.0..=1000.0, step = 10.0, unit = "ms")]
     max_age_ms: f64,
 }
 
@@ -68,6 +72,11 @@ pub struct ToolTip {
     finder: TipFinder,
     silhouette: Silhouette,
     second: SecondView,
+    kept: Option<Kept>,
+    /// How far both ends of open jaws lie from the middle between them, mm, and when that was seen.
+    half: Option<(f64, i64)>,
+    /// Place of the last tip from the camera, mm, and when it was there.
+    last: Option<([f64; 3], i64)>,
     /// Capture times and places of the last tips, px.
     sights: VecDeque<(i64, [f64; 2])>,
 }
@@ -84,6 +93,25 @@ struct Leading {
     missed: u32,
 }
 
+/// The box of the tool that led last.
+struct Kept {
+    item: Detection,
+    /// Capture time of the picture that it was found in.
+    found_ns: i64,
+    /// How sure the tool was, and when.
+    score: f32,
+    scored_ns: i64,
+}
+
+impl Kept {
+    /// How sure the tool still is.
+    fn score_at(&self, now_ns: i64) -> f32 {
+        self.score * 0.5_f32.powf(now_ns.saturating_sub(self.scored_ns).max(0) as f32 * 1e-9 / HALF_S)
+    }
+}
+
+/// Time in which a tool that is cut out of weak boxes is half as sure, s.
+const HALF_S: f32 = 0.5;
 /// Overlap from which on boxes of different classes are thought to be of one tool.
 const SAME_TOOL_IOU: f32 = 0.5;
 /// The same for a box and the one that led before.
@@ -146,6 +174,11 @@ const MOST_SIGHTS: usize = 16;
 const REACH_MM: (f64, f64) = (20.0, 250.0);
 /// Most that the depths of two jaws of one instrument differ, mm.
 const JAWS_MM: f64 = 10.0;
+/// How far the ends of open jaws may lie from their middle, mm, and for how long that is remembered while one jaw hides the other, ns.
+const MOST_HALF_MM: f64 = 12.0;
+const HALF_NS: i64 = 2_000_000_000;
+/// How old the last tip may be that tells which jaw is in view, ns.
+const LAST_NS: i64 = 200_000_000;
 /// How much nearer than a tip something has to stand to hide it, mm.
 const BEFORE_MM: f32 = 1.0;
 /// Share of the pixels around a tip that another instrument has to take, to be what hides it.
@@ -222,6 +255,25 @@ impl ToolTip {
         }
     }
 
+    /// Depth of the middle of open jaws of which one end is seen at `z_mm`: jaws that open along the line of sight hide each other, and the tip seems
+    /// to jump to the nearer one. Of both depths the one counts that is nearer to the last tip's; mm.
+    fn middle_mm(&self, z_mm: f64, now_ns: i64) -> f64 {
+        let is_recent = |at_ns: i64, longest_ns: i64| (0..=longest_ns).contains(&now_ns.saturating_sub(at_ns));
+        let half = self.half.filter(|(_, at_ns)| is_recent(*at_ns, HALF_NS));
+        let last = self.last.filter(|(_, at_ns)| is_recent(*at_ns, LAST_NS));
+        match (half, last) {
+            (Some((half, _)), Some((last, _))) if (z_mm + half - last[2]).abs() < (z_mm - last[2]).abs() => z_mm + half,
+            _ => z_mm,
+        }
+    }
+
+    /// The tip of the instrument in a box, if it can be told from what surrounds it.
+    fn cut_tip(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> Option<TipPixel> {
+        let is_cut = self.silhouette.cut(corners, cues);
+        let tip = is_cut.then(|| self.finder.of_mask(self.silhouette.mask())).flatten();
+        tip.map(|tip| self.silhouette.place(tip))
+    }
+
     /// Median depth of what lies around the tip on the tool: the nearer surface, since a tool stands before the tissue.
     fn depth_at(
         near: &mut Vec<f32>,
@@ -268,6 +320,9 @@ impl Node for ToolTip {
             finder: TipFinder::default(),
             silhouette: Silhouette::default(),
             second: SecondView::default(),
+            kept: None,
+            half: None,
+            last: None,
             sights: VecDeque::with_capacity(MOST_SIGHTS),
         })
     }
@@ -324,44 +379,63 @@ impl Node for ToolTip {
             let thin = STRIP_SHARE * width;
             (x1 - x0 < thin && (x0 < 2.0 || x1 > width - 2.0)) || (y1 - y0 < thin && (y0 < 2.0 || y1 > height - 2.0))
         };
+        let nearness = |x: usize, y: usize| space.nearness(x, y);
+        let has_depth = depth_size == Some(size);
+        let cues = Cues { size, picture, nearness: if has_depth { Some(&nearness) } else { None } };
         // A tool whose end lies at the picture's border has its tip elsewhere: boxes of shafts at the border are of this kind.
         let mut tried = [usize::MAX; MOST_TRIES];
         let (mut is_cut, mut best) = (false, None);
         for try_number in 0..MOST_TRIES {
             let wanted = items.iter().enumerate().filter(|(index, _)| !tried.contains(index));
-            let next =
-                wanted.filter(|(_, d)| is_wanted(d) && !is_strip(d) && score(d) >= params.min_score).max_by(order);
+            let least = |d: &Detection| if claim(d) > 0 { params.keep_score.min(params.min_score) } else { params.min_score };
+            let next = wanted.filter(|(_, d)| is_wanted(d) && !is_strip(d) && score(d) >= least(d)).max_by(order);
             let Some((index, item)) = next else { break };
             tried[try_number] = index;
             let corners = moved(corners_of(item), shift);
             let mut tip = mask_of(index).and_then(|mask| self.finder.of_mask(mask));
             is_cut = false;
             if tip.is_none() {
-                let nearness = |x: usize, y: usize| space.nearness(x, y);
-                let has_depth = depth_size == Some(size);
-                let cues = Cues { size, picture, nearness: if has_depth { Some(&nearness) } else { None } };
-                is_cut = self.silhouette.cut(corners, &cues);
-                if is_cut {
-                    tip = self.finder.of_mask(self.silhouette.mask()).map(|tip| self.silhouette.place(tip));
-                }
+                tip = self.cut_tip(corners, &cues);
+                is_cut = tip.is_some();
             }
             // An old box alone says where the tool was.
             let Some(tip) = tip.or_else(|| (age_ns == 0).then(|| tip_of_box(corners, size.0, size.1))) else { continue };
             if is_inside(&tip.tip) {
-                best = Some((index, item, tip));
+                best = Some((index, *item, tip));
                 break;
             }
         }
+        let kept = self.kept.take().filter(|kept| (0.0..=params.max_age_ms * 1e6).contains(&((now_ns - kept.found_ns) as f64)));
+        let is_found = best.is_some();
+        if let Some(kept) = kept.as_ref().filter(|_| !is_found && masks.is_none()) {
+            // The detector misses it; the picture may show it all the same.
+            let shift = self.shift(now_ns, now_ns - kept.found_ns);
+            best = self.cut_tip(moved(corners_of(&kept.item), shift), &cues).filter(|tip| is_inside(&tip.tip)).map(|tip| {
+                is_cut = true;
+                (usize::MAX, kept.item, tip)
+            });
+        }
         let Some((index, item, TipPixel { tip, jaws })) = best else {
             self.leading = leading.map(|leading| Leading { missed: leading.missed + 1, ..leading });
+            self.kept = kept;
             return Ok(());
         };
-        let called = leading.as_ref().filter(|leading| leading.claims(item) > 0).map_or(item.track_id, |l| l.called);
-        let corners = corners_of(item);
-        let mut others = [-1; 16];
-        let beside = items.iter().filter(|d| d.track_id >= 0 && iou(&corners_of(d), &corners) < STILL_IOU);
-        others.iter_mut().zip(beside).for_each(|(other, d)| *other = d.track_id);
-        self.leading = Some(Leading { called, number: item.track_id, corners, others, missed: 0 });
+        let is_same = leading.as_ref().is_some_and(|leading| leading.claims(&item) > 0);
+        let called = leading.as_ref().filter(|_| is_same).map_or(item.track_id, |l| l.called);
+        let box_score = if is_found { score(&item) } else { 0.0 };
+        let before = kept.as_ref().filter(|_| is_cut && (is_same || !is_found)).map_or(0.0, |kept| kept.score_at(now_ns));
+        let sure = box_score.max(before);
+        let found_ns = if is_found { found.tick().capture_ns } else { kept.map_or(now_ns, |kept| kept.found_ns) };
+        self.kept = Some(Kept { item, found_ns, score: sure, scored_ns: now_ns });
+        if is_found {
+            let corners = corners_of(&item);
+            let mut others = [-1; 16];
+            let beside = items.iter().filter(|d| d.track_id >= 0 && iou(&corners_of(d), &corners) < STILL_IOU);
+            others.iter_mut().zip(beside).for_each(|(other, d)| *other = d.track_id);
+            self.leading = Some(Leading { called, number: item.track_id, corners, others, missed: 0 });
+        } else {
+            self.leading = leading.map(|leading| Leading { missed: leading.missed + 1, ..leading });
+        }
         let (mut u_px, mut v_px) = (tip.u_px, tip.v_px);
         let mut xyz_mm = [f64::NAN; 3];
         let mut valid = false;
@@ -405,9 +479,18 @@ impl Node for ToolTip {
                     let mut radii = (1..=widest).map(|times| times * params.radius_px);
                     radii.find_map(|radius| Self::depth_at(near, inside, radius, depth_size, depth_of))
                 };
-                let z = within(&clear_depth).or_else(|| within(&own_depth)).map(f64::from);
+                // Where both views were looked at, no place is better than one that may be the tissue's.
+                let z = within(&clear_depth).or_else(|| if views.is_none() { within(&own_depth) } else { None });
+                let z = z.map(f64::from);
                 // A jaw stands near the other one, whose depth both views showed.
                 *depth = z.filter(|z| known_mm.is_none_or(|known| (z - known).abs() <= JAWS_MM));
+            }
+            if let [Some(one), Some(two)] = depths
+                && let [a, b] = ends
+            {
+                let at = |end: &End, z: f64| [(end.u_px - p[2]) / p[0] * z, (end.v_px - p[6]) / p[5] * z, z];
+                let apart = at(a, one).iter().zip(at(b, two)).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+                self.half = Some((apart / 2.0, now_ns)).filter(|(half, _)| *half <= MOST_HALF_MM);
             }
             let (mut sum, mut count, mut hidden) = ([0.0; 3], 0.0, 0.0);
             for (End { u_px, v_px, .. }, depth) in ends.iter().zip(depths) {
@@ -433,10 +516,13 @@ impl Node for ToolTip {
                 xyz_mm = sum.map(|v| v / count);
                 (u_px, v_px) = (p[0] * xyz_mm[0] / xyz_mm[2] + p[2], p[5] * xyz_mm[1] / xyz_mm[2] + p[6]);
             } else if count > 0.0 {
-                let z = sum[2];
+                let z = self.middle_mm(sum[2], now_ns);
                 xyz_mm = [(u_px - p[2]) / p[0] * z, (v_px - p[6]) / p[5] * z, z];
             }
             valid = xyz_mm.iter().all(|v| v.is_finite()) && u_px.is_finite() && v_px.is_finite();
+        }
+        if valid {
+            self.last = Some((xyz_mm, now_ns));
         }
         if self.sights.len() == MOST_SIGHTS {
             self.sights.pop_front();
@@ -446,7 +532,7 @@ impl Node for ToolTip {
             u_px,
             v_px,
             xyz_mm,
-            score: f64::from(score(item)),
+            score: f64::from(sure),
             class_index: item.class_index,
             xyz_valid: u32::from(valid),
             track_id: called,
