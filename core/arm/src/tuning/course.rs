@@ -63,12 +63,16 @@ pub enum Motion {
     Step(f64),
     /// Moves at so many mm/s for [`RAMP_S`], and rests.
     Ramp(f64),
+    /// Swings to and fro by so many mm, [`SWING_HZ`] times a second: what accelerates, as hands do.
+    Swing(f64),
 }
 
 /// Rest before a motion, s.
 pub const START_S: f64 = 1.0;
 /// Length of a ramp, s.
 pub const RAMP_S: f64 = 2.0;
+/// How often a swing comes and goes, Hz.
+pub const SWING_HZ: f64 = 0.5;
 /// What is watched after a motion begins, s.
 pub const WATCHED_S: f64 = 3.5;
 
@@ -78,6 +82,7 @@ impl Motion {
         match self {
             Self::Step(way_mm) => if t >= 0.0 { way_mm } else { 0.0 },
             Self::Ramp(speed_mm_s) => speed_mm_s * t.clamp(0.0, RAMP_S),
+            Self::Swing(way_mm) => way_mm * (std::f64::consts::TAU * SWING_HZ * t.max(0.0)).sin(),
         }
     }
 }
@@ -312,13 +317,14 @@ pub struct Response {
 }
 
 /// Band of settling, share of the way: above the dead zone of the controller.
-pub const BAND: f64 = 0.05;
+pub const BAND: f64 = 0.1;
 
-/// Measures a response to a step; of a ramp only `itae`, `steady_mm` and `shake_mm_s2` mean something.
+/// Measures a response to a step; of other motions only `itae`, `steady_mm` and `shake_mm_s2` mean something.
 pub fn measure(samples: &[Sample], motion: Motion) -> Response {
     let way_mm = match motion {
         Motion::Step(way_mm) => way_mm,
         Motion::Ramp(speed_mm_s) => speed_mm_s * RAMP_S,
+        Motion::Swing(way_mm) => way_mm,
     };
     let after: Vec<&Sample> = samples.iter().filter(|s| s.at_s >= -1e-9).collect();
     let step_s = after.windows(2).map(|two| two[1].at_s - two[0].at_s).next().unwrap_or(0.0);
@@ -343,5 +349,12 @@ pub fn measure(samples: &[Sample], motion: Motion) -> Response {
 pub fn ramp_error_mm(samples: &[Sample]) -> f64 {
     let part: Vec<f64> =
         samples.iter().filter(|s| (RAMP_S / 2.0..=RAMP_S).contains(&s.at_s)).map(|s| s.error_mm).collect();
+    (part.iter().map(|e| e * e).sum::<f64>() / part.len().max(1) as f64).sqrt()
+}
+
+/// Root mean square error of a swing from its second quarter on, mm.
+pub fn swing_error_mm(samples: &[Sample]) -> f64 {
+    let part: Vec<f64> =
+        samples.iter().filter(|s| s.at_s >= 0.25 / SWING_HZ).map(|s| s.error_mm).collect();
     (part.iter().map(|e| e * e).sum::<f64>() / part.len().max(1) as f64).sqrt()
 }

@@ -1,7 +1,7 @@
 //! Gains by a pattern search (Hooke and Jeeves 1961, "Direct search") over the responses of the simulated arm.
 
 use super::TuneError;
-use super::course::{Channel, Course, Motion, Response, measure, ramp_error_mm};
+use super::course::{Channel, Course, Motion, Response, measure, ramp_error_mm, swing_error_mm};
 use super::relay::{Parts, Rule, Tuned, Ultimate};
 use crate::control::Goals;
 use crate::dynamics::Quality;
@@ -11,6 +11,10 @@ use crate::pid::Gains;
 pub const STEP_MM: f64 = 3.0;
 /// See [`STEP_MM`].
 pub const RAMP_MM_S: f64 = 12.0;
+/// Amplitude of the swings, mm: 25 mm/s in the middle.
+pub const SWING_MM: f64 = 8.0;
+/// What an error of 1 mm while the tip swings costs, mm s^2.
+pub const SWING_COST: f64 = 2.0;
 /// An arm this much later than the one that is tuned counts as much: gains shall bear an arm that is not known well, ms.
 pub const LATER_MS: f64 = 30.0;
 /// Noise of the tips that gains are judged with, px.
@@ -37,6 +41,8 @@ pub struct Cost {
     pub total: f64,
     /// ITAE of a step and of a ramp, mean of both arms, mm s^2.
     pub itae: f64,
+    /// Error while the tip swings, mean of both arms, mm.
+    pub swing_mm: f64,
     /// Overshoot of the step, the larger of both arms, %.
     pub overshoot_pct: f64,
     /// Shaking of the camera, mean of both arms, mm/s^2.
@@ -54,7 +60,7 @@ pub fn with(goals: &Goals, channel: Channel, tuned: Tuned) -> Goals {
     goals
 }
 
-/// Judges gains: `itae(step) + itae(ramp) + SHAKE_COST * shake / 100 + OVERSHOOT_COST * (overshoot - limit)`, as the mean of the arm as it is and
+/// Judges gains: `itae(step) + itae(ramp) + SWING_COST * error(swing) + SHAKE_COST * shake / 100 + OVERSHOOT_COST * (overshoot - limit)`, as the mean of the arm as it is and
 /// one that is [`LATER_MS`] later. Errors are those of exact tips, shaking that of noisy ones.
 ///
 /// # Errors
@@ -67,7 +73,7 @@ pub fn cost(
     overshoot_limit_pct: f64,
 ) -> Result<Cost, TuneError> {
     let goals = with(goals, channel, tuned);
-    let (mut itae, mut overshoot_pct, mut shake) = (0.0, 0.0_f64, 0.0);
+    let (mut itae, mut swing_mm, mut overshoot_pct, mut shake) = (0.0, 0.0, 0.0_f64, 0.0);
     for later_ms in [0.0, LATER_MS] {
         let quality = Quality { latency_ms: course.quality.latency_ms + later_ms, ..course.quality };
         let exact = Course { quality, noise_px: 0.0, ..course.clone() };
@@ -76,14 +82,15 @@ pub fn cost(
         let step = measure(&exact.play(&goals, channel, step_motion)?, step_motion);
         let ramp = measure(&exact.play(&goals, channel, ramp_motion)?, ramp_motion);
         itae += (step.itae + ramp.itae) / 2.0;
+        swing_mm += swing_error_mm(&exact.play(&goals, channel, Motion::Swing(SWING_MM))?) / 2.0;
         overshoot_pct = overshoot_pct.max(step.overshoot_pct);
         for motion in [step_motion, ramp_motion] {
             shake += measure(&noisy.play(&goals, channel, motion)?, motion).shake_mm_s2 / 4.0;
         }
     }
     let beyond = (overshoot_pct - overshoot_limit_pct).max(0.0);
-    let total = itae + SHAKE_COST * shake / 100.0 + OVERSHOOT_COST * beyond;
-    Ok(Cost { total, itae, overshoot_pct, shake_mm_s2: shake })
+    let total = itae + SWING_COST * swing_mm + SHAKE_COST * shake / 100.0 + OVERSHOOT_COST * beyond;
+    Ok(Cost { total, itae, swing_mm, overshoot_pct, shake_mm_s2: shake })
 }
 
 /// Where a search begins: the gains of all rules, and those that were found for fewer parts, with a little of what they lack.

@@ -15,7 +15,7 @@ use panoscope_arm_core::rehearsal::{self, Measures, Scenario, measure};
 use panoscope_arm_core::{Chain, Interlock, JointVector, campaign};
 
 use crate::commands::bench::record::Figure;
-use crate::terminal::{raw, table, tell};
+use crate::terminal::tell;
 
 /// AutoCam on the dVRK (arXiv 2505.10398): error of the tool in the picture, and share of time that it was seen.
 const PEER: &str = "AutoCam on dVRK, published";
@@ -43,9 +43,6 @@ pub struct Arguments {
     /// Seed of strokes and campaign.
     #[arg(long, default_value_t = 7)]
     seed: u64,
-    /// Looks for gains on a grid instead of judging, and shows the best.
-    #[arg(long)]
-    tune: bool,
     /// Folder for the plots of each scenario.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
@@ -75,10 +72,6 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
         return Ok(None);
     }
     let chain = Chain::shipped()?;
-    if arguments.tune {
-        tune(&chain);
-        return Ok(Some(Vec::new()));
-    }
     if let Some(folder) = &arguments.pictures {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
@@ -234,29 +227,4 @@ fn time(chain: &Chain, figures: &mut Vec<Figure>) {
     let input = "controller and interlock, one tick of 33 ms while moving, 3000 ticks";
     figures.push(Figure::new("control_us", micros[micros.len() / 2], "us", input));
     figures.push(Figure::new("control_us/p99", micros[micros.len() * 99 / 100], "us", input));
-}
-
-/// Shows the best gains of the grid.
-fn tune(chain: &Chain) {
-    tell!("trying 135 sets of gains on strokes, clear and in smoke, two seeds of 30 s each");
-    let mut rows = vec![
-        ["P 1/s", "I 1/s^2", "acceleration mm/s^2", "latency s", "strokes mm", "smoke mm", "shake mm/s^2", "cost mm"]
-            .map(str::to_owned)
-            .to_vec(),
-    ];
-    for t in rehearsal::tune(chain, 30.0).iter().take(12) {
-        let values = [
-            t.proportional,
-            t.integral,
-            t.acceleration_mm_s2,
-            t.latency_s,
-            t.rms_mm,
-            t.smoke_mm,
-            t.shake_mm_s2,
-            t.cost,
-        ];
-        rows.push(values.map(|v| format!("{v:.3}")).to_vec());
-    }
-    raw(&table(&rows));
-    tell!("a picture that shakes by 100 mm/s^2 costs as much as an error of 1 mm, smoke half");
 }
