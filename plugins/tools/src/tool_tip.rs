@@ -177,6 +177,8 @@ const JAWS_MM: f64 = 10.0;
 /// How far the ends of open jaws may lie from their middle, mm, and for how long that is remembered while one jaw hides the other, ns.
 const MOST_HALF_MM: f64 = 12.0;
 const HALF_NS: i64 = 2_000_000_000;
+/// Time in which jaws that are seen nearer together are thought to have closed by half, ns.
+const HALF_FADES_NS: f64 = 0.7e9;
 /// How old the last tip may be that tells which jaw is in view, ns.
 const LAST_NS: i64 = 200_000_000;
 /// How much nearer than a tip something has to stand to hide it, mm.
@@ -490,7 +492,11 @@ impl Node for ToolTip {
             {
                 let at = |end: &End, z: f64| [(end.u_px - p[2]) / p[0] * z, (end.v_px - p[6]) / p[5] * z, z];
                 let apart = at(a, one).iter().zip(at(b, two)).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
-                self.half = Some((apart / 2.0, now_ns)).filter(|(half, _)| *half <= MOST_HALF_MM);
+                // Just before one jaw hides the other both ends are taken for the nearer one: what was seen before fades slowly.
+                let faded = self.half.map_or(0.0, |(half, at_ns)| {
+                    half * 0.5_f64.powf(now_ns.saturating_sub(at_ns).max(0) as f64 / HALF_FADES_NS)
+                });
+                self.half = Some(((apart / 2.0).max(faded), now_ns)).filter(|(half, _)| *half <= MOST_HALF_MM);
             }
             let (mut sum, mut count, mut hidden) = ([0.0; 3], 0.0, 0.0);
             for (End { u_px, v_px, .. }, depth) in ends.iter().zip(depths) {

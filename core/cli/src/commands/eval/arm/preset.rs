@@ -8,12 +8,12 @@ use toml::{Table, Value};
 /// Scenarios that are graphs, and their files.
 const PRESETS: [(&str, &str); 4] = [
     ("chapter6", "graphs/thesis_chapter6.toml"),
-    ("chapter6_strokes", "graphs/thesis_chapter6.toml"),
+    ("chapter6_sway", "graphs/thesis_chapter6.toml"),
     ("surgeon", "graphs/surgeon.toml"),
-    ("surgeon_strokes", "graphs/surgeon.toml"),
+    ("surgeon_sway", "graphs/surgeon.toml"),
 ];
-/// Ending of the scenarios in which the instrument moves as a surgeon does instead of swinging slowly.
-const STROKES: &str = "_strokes";
+/// Ending of the scenarios in which the instrument swings slowly and turns about its shaft: from time to time one of its jaws hides the other.
+const SWAY: &str = "_sway";
 
 /// A preset made fit for judging.
 pub struct Preset {
@@ -81,13 +81,13 @@ pub fn of(name: &str, seed: u64, text: &str, path: PathBuf) -> Result<Preset> {
         u32::try_from(value).with_context(|| format!("{}: `{name}` of `{phantom}` is {value}", path.display()))
     };
     let size = (side("width", 640)?, side("height", 480)?);
-    let strokes = name.ends_with(STROKES);
+    let sways = name.ends_with(SWAY);
     let set = |node: &mut Value| {
         let params = node.as_table_mut()?.entry("params").or_insert_with(|| Value::Table(Table::new()));
         let params = params.as_table_mut()?;
         params.insert("seed".to_owned(), Value::Integer(i64::try_from(seed).ok()?));
-        if strokes {
-            params.insert("tool_motion".to_owned(), "strokes".into());
+        if sways {
+            params.insert("tool_motion".to_owned(), "sway".into());
         }
         Some(())
     };
@@ -142,7 +142,7 @@ inputs = { table = "follow.table" }
 
     #[test]
     fn a_preset_keeps_all_but_its_files_and_gets_a_judge() {
-        let preset = of("chapter6_strokes", 9, GRAPH, PathBuf::from("graph.toml")).unwrap();
+        let preset = of("chapter6_sway", 9, GRAPH, PathBuf::from("graph.toml")).unwrap();
         assert_eq!(preset.size, (320, 240));
         let graph: Table = preset.text.parse().unwrap();
         assert_eq!(graph["mode"].as_str(), Some("batch"));
@@ -150,7 +150,7 @@ inputs = { table = "follow.table" }
         assert_eq!(graph["nodes"]["judge"]["inputs"]["tip"].as_str(), Some("scope.lead"));
         assert_eq!(graph["nodes"]["judge"]["inputs"]["track"].as_str(), Some("follow.table"));
         let scope = &graph["nodes"]["scope"]["params"];
-        assert_eq!((scope["seed"].as_integer(), scope["tool_motion"].as_str()), (Some(9), Some("strokes")));
+        assert_eq!((scope["seed"].as_integer(), scope["tool_motion"].as_str()), (Some(9), Some("sway")));
         let own = of("chapter6", 7, GRAPH, PathBuf::from("graph.toml")).unwrap().text;
         assert!(!own.contains("tool_motion"), "{own}");
     }
