@@ -116,7 +116,16 @@ impl Controller {
     pub fn new(chain: Chain) -> Self {
         let home = chain.stance(&JointVector::zeros());
         let up = home.base_from_camera * -Vector3::y();
-        Self { chain, up, pids: [Pid::default(); 3], tip: None, last_ns: None, asked: JointVector::zeros(), share: 1.0, set_point: None }
+        Self {
+            chain,
+            up,
+            pids: [Pid::default(); 3],
+            tip: None,
+            last_ns: None,
+            asked: JointVector::zeros(),
+            share: 1.0,
+            set_point: None,
+        }
     }
 
     /// The arm.

@@ -124,7 +124,8 @@ mod tests {
 
     #[test]
     fn a_new_goal_does_not_kick_the_derivative() {
-        let gains = Gains { proportional: 0.0, integral: 0.0, derivative: 0.5, filter_s: 0.0, dead_zone: 0.0, most: 1e6 };
+        let gains =
+            Gains { proportional: 0.0, integral: 0.0, derivative: 0.5, filter_s: 0.0, dead_zone: 0.0, most: 1e6 };
         let mut pid = Pid::default();
         let moving = |k: f64| 2.0 * 0.01 * k;
         // A measurement that rises by 2 a second, and a goal that jumps by 50 in the middle.
@@ -140,7 +141,8 @@ mod tests {
 
     #[test]
     fn the_derivative_is_filtered_by_its_time_constant() {
-        let gains = Gains { proportional: 0.0, integral: 0.0, derivative: 1.0, filter_s: 0.1, dead_zone: 0.0, most: 1e6 };
+        let gains =
+            Gains { proportional: 0.0, integral: 0.0, derivative: 1.0, filter_s: 0.1, dead_zone: 0.0, most: 1e6 };
         let mut pid = Pid::default();
         let rises = |pid: &mut Pid, k: i32| {
             let measured = f64::from(k) * 1e-3;
@@ -153,7 +155,8 @@ mod tests {
 
     #[test]
     fn what_is_not_carried_out_does_not_wind_up() {
-        let gains = Gains { proportional: 1.0, integral: 1.0, derivative: 0.0, filter_s: 0.0, dead_zone: 0.0, most: 100.0 };
+        let gains =
+            Gains { proportional: 1.0, integral: 1.0, derivative: 0.0, filter_s: 0.0, dead_zone: 0.0, most: 100.0 };
         let run = |is_limited: bool| {
             let mut pid = Pid::default();
             for _ in 0..500 {

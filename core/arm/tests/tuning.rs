@@ -27,7 +27,10 @@ fn the_relay_finds_the_dead_time_of_the_simulated_arm() {
             assert!((least..least + 0.15).contains(&dead_s), "{channel:?} {latency_ms} ms: {found:?}");
             // Later arms swing more slowly, by four times what they are later.
             if let Some(last) = last {
-                assert!((found.period_s - last - 0.2).abs() < 0.1, "{channel:?} {latency_ms} ms: {found:?} after {last}");
+                assert!(
+                    (found.period_s - last - 0.2).abs() < 0.1,
+                    "{channel:?} {latency_ms} ms: {found:?} after {last}"
+                );
             }
             last = Some(found.period_s);
             // Speed 1: gain and period belong together.
@@ -46,7 +49,9 @@ fn a_tuned_pid_beats_p_on_a_ramp_and_keeps_its_overshoot() {
         let found = |parts: Parts, fewer: Option<Tuned>| {
             let starts = search::starts(&ultimate, parts, fewer);
             let mut judge = |tuned: Tuned| search::cost(&course, &goals, channel, tuned, 10.0);
-            let (tuned, cost) = search::search(&starts, &search::ranges(&ultimate), parts, &mut judge, &mut |_, _| true).expect("the arm moves");
+            let (tuned, cost) =
+                search::search(&starts, &search::ranges(&ultimate), parts, &mut judge, &mut |_, _| true)
+                    .expect("the arm moves");
             (tuned, cost, search::report(&course, &goals, channel, tuned).expect("the arm moves"))
         };
         let (p, p_cost, p_report) = found(Parts::P, None);

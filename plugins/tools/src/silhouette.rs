@@ -451,7 +451,8 @@ impl Silhouette {
             let gray = cells().filter(|index| self.gray.get(*index).is_some_and(|gray| *gray > GRAY)).count();
             gray as f32 > MOST_OF * cells().count() as f32
         };
-        let large = self.others.iter().filter(|(part, cells)| *part != best && *cells as f32 > JAW_SHARE * best_cells as f32);
+        let large =
+            self.others.iter().filter(|(part, cells)| *part != best && *cells as f32 > JAW_SHARE * best_cells as f32);
         let Some((jaw, _)) = large.max_by_key(|(_, cells)| *cells).copied() else { return };
         if self.colour.len() != self.part.len() || !is_gray(jaw) || !is_gray(best) {
             return;

@@ -252,7 +252,9 @@ impl ToolTip {
         let seen_ns = now_ns.saturating_sub(age_ns);
         let then = self.sights.iter().min_by_key(|(sight_ns, _)| sight_ns.abs_diff(seen_ns));
         match (then, self.sights.back()) {
-            (Some((_, then)), Some((_, last))) if age_ns > 0 => [(last[0] - then[0]) as f32, (last[1] - then[1]) as f32],
+            (Some((_, then)), Some((_, last))) if age_ns > 0 => {
+                [(last[0] - then[0]) as f32, (last[1] - then[1]) as f32]
+            }
             _ => [0.0; 2],
         }
     }
@@ -384,12 +386,18 @@ impl Node for ToolTip {
         let nearness = |x: usize, y: usize| space.nearness(x, y);
         let has_depth = depth_size == Some(size);
         let cues = Cues { size, picture, nearness: if has_depth { Some(&nearness) } else { None } };
+        let kept = self
+            .kept
+            .take()
+            .filter(|kept| (0.0..=params.max_age_ms * 1e6).contains(&((now_ns - kept.found_ns) as f64)));
         // A tool whose end lies at the picture's border has its tip elsewhere: boxes of shafts at the border are of this kind.
         let mut tried = [usize::MAX; MOST_TRIES];
         let (mut is_cut, mut best) = (false, None);
         for try_number in 0..MOST_TRIES {
             let wanted = items.iter().enumerate().filter(|(index, _)| !tried.contains(index));
-            let least = |d: &Detection| if claim(d) > 0 { params.keep_score.min(params.min_score) } else { params.min_score };
+            let least = |d: &Detection| {
+                if claim(d) > 0 && kept.is_some() { params.keep_score.min(params.min_score) } else { params.min_score }
+            };
             let next = wanted.filter(|(_, d)| is_wanted(d) && !is_strip(d) && score(d) >= least(d)).max_by(order);
             let Some((index, item)) = next else { break };
             tried[try_number] = index;
@@ -401,21 +409,29 @@ impl Node for ToolTip {
                 is_cut = tip.is_some();
             }
             // An old box alone says where the tool was.
-            let Some(tip) = tip.or_else(|| (age_ns == 0).then(|| tip_of_box(corners, size.0, size.1))) else { continue };
+            let Some(tip) = tip.or_else(|| (age_ns == 0).then(|| tip_of_box(corners, size.0, size.1))) else {
+                continue;
+            };
             if is_inside(&tip.tip) {
                 best = Some((index, *item, tip));
                 break;
             }
         }
-        let kept = self.kept.take().filter(|kept| (0.0..=params.max_age_ms * 1e6).contains(&((now_ns - kept.found_ns) as f64)));
         let is_found = best.is_some();
-        if let Some(kept) = kept.as_ref().filter(|_| !is_found && masks.is_none()) {
+        // Where the detector sees another tool now, that is what the picture would show.
+        let is_taken = |kept: &Kept| {
+            let own = corners_of(&kept.item);
+            items.iter().any(|d| claim(d) == 0 && iou(&corners_of(d), &own) >= STILL_IOU)
+        };
+        if let Some(kept) = kept.as_ref().filter(|kept| !is_found && masks.is_none() && !is_taken(kept)) {
             // The detector misses it; the picture may show it all the same.
             let shift = self.shift(now_ns, now_ns - kept.found_ns);
-            best = self.cut_tip(moved(corners_of(&kept.item), shift), &cues).filter(|tip| is_inside(&tip.tip)).map(|tip| {
-                is_cut = true;
-                (usize::MAX, kept.item, tip)
-            });
+            best = self.cut_tip(moved(corners_of(&kept.item), shift), &cues).filter(|tip| is_inside(&tip.tip)).map(
+                |tip| {
+                    is_cut = true;
+                    (usize::MAX, kept.item, tip)
+                },
+            );
         }
         let Some((index, item, TipPixel { tip, jaws })) = best else {
             self.leading = leading.map(|leading| Leading { missed: leading.missed + 1, ..leading });
@@ -425,8 +441,9 @@ impl Node for ToolTip {
         let is_same = leading.as_ref().is_some_and(|leading| leading.claims(&item) > 0);
         let called = leading.as_ref().filter(|_| is_same).map_or(item.track_id, |l| l.called);
         let box_score = if is_found { score(&item) } else { 0.0 };
-        let before = kept.as_ref().filter(|_| is_cut && (is_same || !is_found)).map_or(0.0, |kept| kept.score_at(now_ns));
-        let sure = box_score.max(before);
+        let before =
+            kept.as_ref().filter(|_| is_cut && (is_same || !is_found)).map_or(0.0, |kept| kept.score_at(now_ns));
+        let sure = if box_score >= params.min_score { box_score } else { box_score.max(before) };
         let found_ns = if is_found { found.tick().capture_ns } else { kept.map_or(now_ns, |kept| kept.found_ns) };
         self.kept = Some(Kept { item, found_ns, score: sure, scored_ns: now_ns });
         if is_found {

@@ -80,7 +80,13 @@ impl Motion {
     fn offset_mm(self, at_s: f64) -> f64 {
         let t = at_s - START_S;
         match self {
-            Self::Step(way_mm) => if t >= 0.0 { way_mm } else { 0.0 },
+            Self::Step(way_mm) => {
+                if t >= 0.0 {
+                    way_mm
+                } else {
+                    0.0
+                }
+            }
             Self::Ramp(speed_mm_s) => speed_mm_s * t.clamp(0.0, RAMP_S),
             Self::Swing(way_mm) => way_mm * (std::f64::consts::TAU * SWING_HZ * t.max(0.0)).sin(),
         }
@@ -132,8 +138,7 @@ impl Course {
         let mut controller = Controller::new(self.chain.clone());
         let mut control = |tick: &Tick<'_>| {
             let tip = SeenTip { xyz_mm: tick.tip_mm, score: 1.0 };
-            let step =
-                controller.step(tick.now_ns, Some(tip), tick.joints, Some(tick.set_point), &self.eyes, goals);
+            let step = controller.step(tick.now_ns, Some(tip), tick.joints, Some(tick.set_point), &self.eyes, goals);
             step.map(|step| step.velocity)
         };
         let ticks = ((START_S + WATCHED_S) * self.rate_hz) as i64;
@@ -170,8 +175,14 @@ impl Course {
                     .try_inverse()
                     .map_or(Vector3::zeros(), |inverse| inverse * rates);
                 let stance = self.chain.stance(&loop_.encoders);
-                task::solve(&self.chain, &loop_.encoders, &stance, &up, &Wanted { point_mm: point, velocity_mm_s: wanted })
-                    .velocity
+                task::solve(
+                    &self.chain,
+                    &loop_.encoders,
+                    &stance,
+                    &up,
+                    &Wanted { point_mm: point, velocity_mm_s: wanted },
+                )
+                .velocity
             };
             if let Err(error) = loop_.move_on(Some(velocity)) {
                 stopped.get_or_insert(error);
@@ -354,7 +365,6 @@ pub fn ramp_error_mm(samples: &[Sample]) -> f64 {
 
 /// Root mean square error of a swing from its second quarter on, mm.
 pub fn swing_error_mm(samples: &[Sample]) -> f64 {
-    let part: Vec<f64> =
-        samples.iter().filter(|s| s.at_s >= 0.25 / SWING_HZ).map(|s| s.error_mm).collect();
+    let part: Vec<f64> = samples.iter().filter(|s| s.at_s >= 0.25 / SWING_HZ).map(|s| s.error_mm).collect();
     (part.iter().map(|e| e * e).sum::<f64>() / part.len().max(1) as f64).sqrt()
 }

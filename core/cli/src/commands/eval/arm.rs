@@ -63,7 +63,8 @@ impl Arguments {
 
 /// Judges.
 pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
-    let known: Vec<&str> = Scenario::ALL.iter().map(|s| s.name()).chain(graph::SCENARIOS).chain(preset::names()).collect();
+    let known: Vec<&str> =
+        Scenario::ALL.iter().map(|s| s.name()).chain(graph::SCENARIOS).chain(preset::names()).collect();
     if let Some(wrong) = arguments.scenario.iter().find(|name| !known.contains(&name.as_str())) {
         let mut known = known;
         known.sort_unstable();

@@ -144,9 +144,15 @@ fn via_projects_and_exports_of_both_versions_are_one() {
     let shapes = [
         region(square, "{\"class\":\"SpecimenBag\"}"),
         region(&square.replace("polygon", "polyline"), "{\"instrument\":{\"hook\":true,\"grasper\":false}}"),
-        region("{\"name\":\"rect\",\"x\":4,\"y\":2,\"width\":5,\"height\":3}", "{\"colour\":\"red\",\"label\":\"hook\"}"),
+        region(
+            "{\"name\":\"rect\",\"x\":4,\"y\":2,\"width\":5,\"height\":3}",
+            "{\"colour\":\"red\",\"label\":\"hook\"}",
+        ),
         region("{\"name\":\"circle\",\"cx\":10,\"cy\":5,\"r\":4}", "{\"class\":\"hook\"}"),
-        region("{\"name\":\"ellipse\",\"cx\":10,\"cy\":5,\"rx\":4,\"ry\":1,\"theta\":1.5707963}", "{\"class\":\"hook\"}"),
+        region(
+            "{\"name\":\"ellipse\",\"cx\":10,\"cy\":5,\"rx\":4,\"ry\":1,\"theta\":1.5707963}",
+            "{\"class\":\"hook\"}",
+        ),
         region("{\"name\":\"point\",\"cx\":10,\"cy\":5}", "{\"class\":\"hook\"}"),
     ];
     let list = format!("[{}]", shapes.join(","));
@@ -193,11 +199,17 @@ fn what_is_wrong_in_a_via_file_is_told_with_picture_and_region() {
         (region(&rect(",\"width\":5"), class), "no number `height`"),
         (region(&rect(",\"width\":-5,\"height\":2"), class), "`width` of its rect is -5"),
         (region("{\"name\":\"polygon\",\"all_points_x\":[1,2],\"all_points_y\":[1,2]}", class), "at least three"),
-        (region("{\"name\":\"polygon\",\"all_points_x\":[1,2,\"a\"],\"all_points_y\":[1,2,3]}", class), "`all_points_x`"),
+        (
+            region("{\"name\":\"polygon\",\"all_points_x\":[1,2,\"a\"],\"all_points_y\":[1,2,3]}", class),
+            "`all_points_x`",
+        ),
         (region("{\"name\":\"circle\",\"cx\":900,\"cy\":5,\"r\":2}", class), "no pixel of the 20x10"),
         (region(&rect(",\"width\":5,\"height\":2"), "{}"), "no `region_attributes`"),
         (region(&rect(",\"width\":5,\"height\":2"), "{\"class\":\"\"}"), "`class` is empty"),
-        (region(&rect(",\"width\":5,\"height\":2"), "{\"a\":\"x\",\"b\":\"y\"}"), "attributes a, b none is called class"),
+        (
+            region(&rect(",\"width\":5,\"height\":2"), "{\"a\":\"x\",\"b\":\"y\"}"),
+            "attributes a, b none is called class",
+        ),
         (region(&rect(",\"width\":5,\"height\":2"), "{\"tool\":{\"hook\":true,\"grasper\":true}}"), "2 are ticked"),
         ("7".to_owned(), "no `shape_attributes`"),
     ] {

@@ -75,7 +75,8 @@ pub fn read(path: &Path, pictures: &Map<String, Value>, folder: &Path) -> Result
 /// The name of a region's class.
 fn class_of(region: &Value) -> Result<String> {
     let attributes = region.get("region_attributes").and_then(Value::as_object);
-    let attributes = attributes.filter(|all| !all.is_empty()).context("it has no `region_attributes`: name its class")?;
+    let attributes =
+        attributes.filter(|all| !all.is_empty()).context("it has no `region_attributes`: name its class")?;
     let known = || CLASS.iter().find_map(|name| attributes.iter().find(|(key, _)| key.eq_ignore_ascii_case(name)));
     let (key, value) = match attributes.iter().next() {
         Some(only) if attributes.len() == 1 => only,
