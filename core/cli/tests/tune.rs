@@ -10,7 +10,10 @@ use serde_json::Value;
 
 fn run(arguments: &[&str]) -> (i32, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_panoscope"));
-    let output = command.arg("tune").args(arguments).env("PANOSCOPE_PLUGIN_PATH", plugins()).output();
+    if let Some(folder) = plugins(&["phantom", "arm"]) {
+        command.env("PANOSCOPE_PLUGIN_PATH", folder);
+    }
+    let output = command.arg("tune").args(arguments).output();
     let Output { status, stdout, stderr } = output.expect("the program starts");
     let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
     (status.code().unwrap_or(-1), text(stdout), text(stderr))
@@ -39,6 +42,9 @@ params = { latency_ms = 120.0 }
 
 #[test]
 fn a_graphs_own_arm_and_controller_are_tuned_and_the_fragment_is_read_back() {
+    if plugins(&["phantom", "arm"]).is_none() {
+        return;
+    }
     let home = folder("graph");
     let (graph, json, plot) = (home.join("graph.toml"), home.join("tune.json"), home.join("tune.png"));
     std::fs::write(&graph, GRAPH).expect("a file");
@@ -109,6 +115,9 @@ fn the_search_beats_the_plain_rule_on_the_shipped_arm() {
 
 #[test]
 fn graphs_without_a_controller_and_wrong_numbers_are_refused() {
+    if plugins(&["phantom", "arm"]).is_none() {
+        return;
+    }
     let home = folder("wrong");
     let graph = home.join("graph.toml");
     std::fs::write(&graph, GRAPH).expect("a file");

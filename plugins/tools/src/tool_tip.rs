@@ -506,6 +506,7 @@ impl Node for ToolTip {
             }
             if let [Some(one), Some(two)] = depths
                 && let [a, b] = ends
+                && views.is_some()
             {
                 let at = |end: &End, z: f64| [(end.u_px - p[2]) / p[0] * z, (end.v_px - p[6]) / p[5] * z, z];
                 let apart = at(a, one).iter().zip(at(b, two)).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
@@ -539,7 +540,7 @@ impl Node for ToolTip {
                 xyz_mm = sum.map(|v| v / count);
                 (u_px, v_px) = (p[0] * xyz_mm[0] / xyz_mm[2] + p[2], p[5] * xyz_mm[1] / xyz_mm[2] + p[6]);
             } else if count > 0.0 {
-                let z = self.middle_mm(sum[2], now_ns);
+                let z = if views.is_some() { self.middle_mm(sum[2], now_ns) } else { sum[2] };
                 xyz_mm = [(u_px - p[2]) / p[0] * z, (v_px - p[6]) / p[5] * z, z];
             }
             valid = xyz_mm.iter().all(|v| v.is_finite()) && u_px.is_finite() && v_px.is_finite();
