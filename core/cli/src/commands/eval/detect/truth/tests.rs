@@ -178,7 +178,8 @@ fn via_projects_and_exports_of_both_versions_are_one() {
             assert_eq!(objects.iter().map(|o| o.class).collect::<Vec<_>>(), [0, 1, 1, 1, 1], "a point is no object");
             let boxes: Vec<[f64; 4]> = objects.iter().map(|o| o.bbox).collect();
             assert_eq!(boxes[..3], [[1.0, 1.0, 2.0, 2.0], [1.0, 1.0, 2.0, 2.0], [4.0, 2.0, 5.0, 3.0]]);
-            assert_eq!((boxes[3], boxes[4]), ([6.0, 1.0, 8.0, 8.0], [9.0, 1.0, 2.0, 8.0]));
+            // Of its narrow ends no pixel's centre lies in the ellipse.
+            assert_eq!((boxes[3], boxes[4]), ([6.0, 1.0, 8.0, 8.0], [9.0, 2.0, 2.0, 6.0]));
             let area = |k: usize| objects[k].mask.as_ref().unwrap().area as f64;
             assert!((area(3) - 50.3).abs() < 3.0 && (area(4) - 12.6).abs() < 3.0, "{} {}", area(3), area(4));
             assert!(truth.pictures[1].objects.is_empty());
