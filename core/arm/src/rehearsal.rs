@@ -79,11 +79,11 @@ impl Scenario {
 /// derivative: more of it lowers the error by some percent, and the camera shakes by a third more.
 pub fn shipped_goals() -> Goals {
     let gains =
-        Gains { proportional: 6.0, integral: 0.2, derivative: 0.3, filter_s: 0.08, dead_zone: 2.0, most: 250.0 };
+        Gains { proportional: 6.0, integral: 0.2, derivative: 0.2, filter_s: 0.08, dead_zone: 2.0, most: 250.0 };
     Goals {
         distance_mm: 66.0,
         picture: gains,
-        distance: Gains { proportional: 7.0, dead_zone: 0.2, most: 20.0, ..gains },
+        distance: Gains { dead_zone: 0.2, most: 20.0, ..gains },
         feed_forward: 1.0,
         latency_s: 0.045,
         acceleration_mm_s2: 80.0,

@@ -48,16 +48,16 @@ pub struct PidParams {
     #[param(default = 0.2, range = 0.0..=10.0, step = 0.05)]
     picture_i: f64,
     /// Derivative gain of the tip's place in the picture, of the measured place: a new goal does not kick.
-    #[param(default = 0.3, range = 0.0..=1.0, step = 0.01)]
+    #[param(default = 0.2, range = 0.0..=1.0, step = 0.01)]
     picture_d: f64,
     /// Proportional gain, 1/s, of the distance.
-    #[param(default = 7.0, range = 0.0..=20.0, step = 0.1)]
+    #[param(default = 6.0, range = 0.0..=20.0, step = 0.1)]
     distance_p: f64,
     /// Integral gain, 1/s^2, of the distance.
     #[param(default = 0.2, range = 0.0..=10.0, step = 0.05)]
     distance_i: f64,
     /// Derivative gain of the distance, of the measured one.
-    #[param(default = 0.3, range = 0.0..=1.0, step = 0.01)]
+    #[param(default = 0.2, range = 0.0..=1.0, step = 0.01)]
     distance_d: f64,
     /// Time constant of the derivatives' filter, a first-order low-pass: what is faster counts as noise.
     #[param(default = 0.08, range = 0.0..=1.0, step = 0.01, unit = "s")]
