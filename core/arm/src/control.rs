@@ -11,7 +11,7 @@ use nalgebra::{Point3, Vector3};
 
 use crate::chain::{Chain, JointVector};
 use crate::kalman::{Kalman, Model, stereo_covariance};
-use crate::pid::{Gains, Pid};
+use crate::pid::{Gains, Pid, Sample};
 use crate::task::{self, Errors, Wanted};
 
 /// What the controller is to do.
@@ -76,6 +76,9 @@ const DISPARITY_PX: f64 = 0.5;
 /// The tip never stands nearer or farther than this, mm.
 const NEAREST_MM: f64 = 5.0;
 const FARTHEST_MM: f64 = 1000.0;
+/// Slower movements are not judged by whether they were carried out, rad/s; of others at least this share has to be.
+const LEAST_RAD_S: f64 = 0.01;
+const CARRIED: f64 = 0.5;
 /// No joint turns farther than this, rad.
 const FARTHEST_RAD: f64 = 100.0;
 
@@ -87,6 +90,9 @@ pub struct Controller {
     tip: Option<Kalman>,
     last_ns: Option<i64>,
     asked: JointVector,
+    /// Share of the last movement that the joint limits left, and the set-points when it was asked for.
+    share: f64,
+    set_point: Option<JointVector>,
 }
 
 /// Point in the left camera's frame where the tip should be, mm.
@@ -110,7 +116,16 @@ impl Controller {
     pub fn new(chain: Chain) -> Self {
         let home = chain.stance(&JointVector::zeros());
         let up = home.base_from_camera * -Vector3::y();
-        Self { chain, up, pids: [Pid::default(); 3], tip: None, last_ns: None, asked: JointVector::zeros() }
+        Self {
+            chain,
+            up,
+            pids: [Pid::default(); 3],
+            tip: None,
+            last_ns: None,
+            asked: JointVector::zeros(),
+            share: 1.0,
+            set_point: None,
+        }
     }
 
     /// The arm.
@@ -124,6 +139,16 @@ impl Controller {
         self.tip = None;
         self.last_ns = None;
         self.asked = JointVector::zeros();
+        self.share = 1.0;
+        self.set_point = None;
+    }
+
+    /// Whether the last movement was not carried out: joint limits left less of it, or the set-points have moved by less than half of it.
+    fn is_limited(&self, set_point: Option<&JointVector>, dt_s: f64) -> bool {
+        let went = set_point.zip(self.set_point).map(|(now, then)| (now - then) / dt_s.max(1e-6));
+        let speed = self.asked.norm();
+        let is_behind = went.is_some_and(|went| speed > LEAST_RAD_S && went.dot(&self.asked) < CARRIED * speed * speed);
+        self.share < 1.0 - 1e-9 || is_behind
     }
 
     /// One tick: the tip of a picture taken at `capture_ns`, the joints at that time, and the newest set-points if they are known. None
@@ -165,9 +190,13 @@ impl Controller {
         let plain = errors(&tip.xyz_mm, eyes, goals.distance_mm);
         let coming_errors = errors(&point, eyes, goals.distance_mm);
         let mut rates = Errors::zeros();
+        let is_limited = self.is_limited(set_point_rad, dt_s);
         for k in 0..3 {
             let gains = if k < 2 { &goals.picture } else { &goals.distance };
-            rates[k] = -self.pids[k].step(gains, coming_errors[k], plain[k], dt_s);
+            // The goal in the picture stands still; the distance that is asked for may change.
+            let measured = if k < 2 { coming_errors[k] } else { coming_errors[k] + goals.distance_mm };
+            let sample = Sample { error: coming_errors[k], slow_error: plain[k], measured, is_limited };
+            rates[k] = -self.pids[k].step(gains, &sample, dt_s);
         }
         let point = Vector3::new(point.x, point.y, point.z.max(NEAREST_MM));
         let own = stance.base_from_camera.inverse_transform_vector(&movement);
@@ -177,7 +206,7 @@ impl Controller {
             - own * goals.feed_forward;
         let solved =
             task::solve(&self.chain, &coming, &stance, &self.up, &Wanted { point_mm: point, velocity_mm_s: wanted });
-        self.asked = solved.velocity;
+        (self.asked, self.share, self.set_point) = (solved.velocity, solved.share, set_point_rad.copied());
         Some(Step {
             velocity: solved.velocity,
             errors: plain,

@@ -1,7 +1,7 @@
 //! A camera arm as plain mathematics, without any framework type.
 //!
 //! [`chain`] reads an arm from URDF; [`tracker`] follows a tip in space; [`control`] makes joint velocities of where the tip is; [`interlock`]
-//! stands between any controller and any arm; [`dynamics`] is an arm to try all that on. Lengths in mm, angles in rad, times in ns on one
+//! stands between any controller and any arm; [`dynamics`] is an arm to try all that on, and [`tuning`] finds gains on it. Lengths in mm, angles in rad, times in ns on one
 //! clock that the caller owns. Source of the task: thesis, chapter 6 (figs 6.2, 6.3).
 
 #![forbid(unsafe_code)]
@@ -18,6 +18,7 @@ pub mod pid;
 pub mod rehearsal;
 pub mod task;
 pub mod tracker;
+pub mod tuning;
 
 pub use chain::{Chain, JOINTS, JointVector, Stance};
 pub use error::ArmError;

@@ -43,6 +43,8 @@ enum Command {
     Compare(commands::compare::Arguments),
     /// Runs a graph once for each value of a parameter and shows what becomes of a measure.
     Sweep(commands::sweep::Arguments),
+    /// Finds gains of the arm's PID on the simulated arm: relay feedback, rules, a search; responses of P, PI and PID.
+    Tune(commands::tune::Arguments),
     /// Runs a graph for minutes and says whether its memory grows.
     Soak(commands::soak::Arguments),
     /// Checks graph files and shows every mistake.
@@ -99,6 +101,7 @@ fn main() {
         Command::Replay(arguments) => commands::replay::run(&arguments),
         Command::Compare(arguments) => commands::compare::run(&arguments),
         Command::Sweep(arguments) => commands::sweep::run(&arguments),
+        Command::Tune(arguments) => commands::tune::run(&arguments),
         Command::Soak(arguments) => commands::soak::run(&arguments),
         Command::Check(arguments) => commands::check::run(&arguments),
         Command::List(arguments) => commands::list::run(&arguments),

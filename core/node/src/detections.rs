@@ -27,6 +27,7 @@ pub struct Detections<'f> {
     items: &'f [Detection],
     labels: &'f str,
     masks: &'f [u8],
+    tick: abi::Tick,
 }
 
 /// Bytes of one instance's bit mask.
@@ -54,7 +55,7 @@ fn parse(frame: &abi::Frame, with_masks: bool) -> Result<Detections<'_>> {
     // SAFETY: inside the buffer (checked), aligned to 8 like the header.
     let items = unsafe { std::slice::from_raw_parts(all.as_ptr().add(items_at).cast(), header.count as usize) };
     let labels = std::str::from_utf8(&all[labels_at..masks_at])?;
-    Ok(Detections { header, items, labels, masks: &all[masks_at..masks_at + masks_len] })
+    Ok(Detections { header, items, labels, masks: &all[masks_at..masks_at + masks_len], tick: frame.tick })
 }
 
 impl<'f> FromFrame<'f> for Detections<'f> {
@@ -69,6 +70,11 @@ impl<'f> Detections<'f> {
     /// The boxes.
     pub fn items(&self) -> &'f [Detection] {
         self.items
+    }
+
+    /// The tick of the picture that was searched.
+    pub fn tick(&self) -> abi::Tick {
+        self.tick
     }
 
     /// Name of a class; empty when the table has none.

@@ -32,7 +32,7 @@ pub struct Out<'f> {
     table: Slot<'f, TableData>,
 }
 
-/// Parameters. The gains were found by `panoscope eval arm --tune`.
+/// Parameters. `panoscope tune` finds gains for an arm and writes them as these.
 #[derive(Params)]
 pub struct PidParams {
     /// The arm, a URDF file; empty takes the one that ships. The driver needs the same.
@@ -42,24 +42,24 @@ pub struct PidParams {
     #[param(default = 66.0, range = 30.0..=120.0, step = 1.0, unit = "mm")]
     distance_mm: f64,
     /// Proportional gain, 1/s, of the tip's place in the picture.
-    #[param(default = 4.0, range = 0.0..=20.0, step = 0.1)]
+    #[param(default = 6.0, range = 0.0..=20.0, step = 0.1)]
     picture_p: f64,
     /// Integral gain, 1/s^2, of the tip's place in the picture.
-    #[param(default = 0.5, range = 0.0..=10.0, step = 0.1)]
+    #[param(default = 0.2, range = 0.0..=10.0, step = 0.05)]
     picture_i: f64,
-    /// Derivative gain of the tip's place in the picture.
-    #[param(default = 0.0, range = 0.0..=1.0, step = 0.01)]
+    /// Derivative gain of the tip's place in the picture, of the measured place: a new goal does not kick.
+    #[param(default = 0.2, range = 0.0..=1.0, step = 0.01)]
     picture_d: f64,
     /// Proportional gain, 1/s, of the distance.
-    #[param(default = 4.0, range = 0.0..=20.0, step = 0.1)]
+    #[param(default = 6.0, range = 0.0..=20.0, step = 0.1)]
     distance_p: f64,
     /// Integral gain, 1/s^2, of the distance.
-    #[param(default = 0.5, range = 0.0..=10.0, step = 0.1)]
+    #[param(default = 0.2, range = 0.0..=10.0, step = 0.05)]
     distance_i: f64,
-    /// Derivative gain of the distance.
-    #[param(default = 0.0, range = 0.0..=1.0, step = 0.01)]
+    /// Derivative gain of the distance, of the measured one.
+    #[param(default = 0.2, range = 0.0..=1.0, step = 0.01)]
     distance_d: f64,
-    /// Time constant of the derivatives' filter.
+    /// Time constant of the derivatives' filter, a first-order low-pass: what is faster counts as noise.
     #[param(default = 0.08, range = 0.0..=1.0, step = 0.01, unit = "s")]
     filter_s: f64,
     /// Share of the tip's own movement that is fed forward.
@@ -90,9 +90,10 @@ pub struct PidParams {
 
 /// Focal length at 640 columns, which the dead zone is stated for, px.
 const THESIS_FOCAL_PX: f64 = 750.0;
-/// Fastest that an error is asked to go back, at 640 columns, px/s and mm/s; the interlock has the last word.
-const MOST_PX_S: f64 = 900.0;
-const MOST_MM_S: f64 = 60.0;
+/// Fastest that an error is asked to go back, at 640 columns, px/s and mm/s, beside what is fed forward: faster than this the joints' accelerations
+/// limit the movement, and the tube misses the trocar by more.
+const MOST_PX_S: f64 = 250.0;
+const MOST_MM_S: f64 = 20.0;
 
 /// Columns of the table.
 pub const COLUMNS: [&str; 10] = [

@@ -12,6 +12,8 @@ pub struct In<'f> {
     tip: Option<Value<'f, Tip>>,
     /// Table of the arm's driver.
     arm: Option<Table<'f>>,
+    /// Table of the `tip_track` that steers the arm: whether the tip was seen or only predicted, and how far off it was.
+    track: Option<Table<'f>>,
     /// Calibration of the rectified views.
     calibration: Value<'f, Calibration>,
 }
@@ -20,7 +22,8 @@ pub struct In<'f> {
 #[derive(Ports)]
 pub struct Out<'f> {
     /// One row per tick since the start; errors are NaN while the tip is not known. `in_view` says whether it lies in the left picture, `seen`
-    /// whether nothing hides it there.
+    /// whether nothing hides it there. `gap_ms` is the time since the tracker saw the tip, `track_off_mm` how far off the tracker's place is; both
+    /// NaN while it has none.
     table: Slot<'f, TableData>,
 }
 
@@ -36,7 +39,7 @@ pub struct JudgeParams {
 }
 
 /// Columns of the table; those from the arm's own table keep its names.
-pub const COLUMNS: [&str; 11] = [
+pub const COLUMNS: [&str; 13] = [
     "time_s",
     "error_mm",
     "error_u_px",
@@ -48,6 +51,8 @@ pub const COLUMNS: [&str; 11] = [
     "camera_mm_s",
     "camera_mm_s2",
     "seen",
+    "gap_ms",
+    "track_off_mm",
 ];
 
 /// Columns that are taken over.
@@ -95,6 +100,19 @@ impl Node for EvaluateArm {
                 if let Some(column) = OF_THE_ARM.into_iter().find(|column| COLUMNS[*column] == name) {
                     row[column] = *value;
                 }
+            }
+        }
+        if let Some(table) = &input.track
+            && let Some(values) = table.rows().next()
+        {
+            let value = |name: &str| {
+                let column = table.names().position(|n| n == name);
+                column.and_then(|column| values.get(column)).copied().unwrap_or(f64::NAN)
+            };
+            row[11] = value("gap_ms");
+            if let Some(tip) = tip {
+                let tracked = Vector3::new(value("x_mm"), value("y_mm"), value("z_mm"));
+                row[12] = (tracked - Vector3::from(tip.xyz_mm)).norm();
             }
         }
         self.rows.extend(row);

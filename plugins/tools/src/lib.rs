@@ -15,6 +15,7 @@ pub mod model;
 pub mod onnx_file;
 pub mod proximity;
 pub mod runtime_library;
+pub mod second_view;
 pub mod shaft;
 pub mod silhouette;
 pub mod skill;

@@ -36,6 +36,15 @@ const MOST_AGAINST: f32 = -2.0;
 const FIRST_GUESS: f32 = 3.0;
 /// How many deviations before the surface something certainly stands before it.
 const BEFORE: f32 = 2.0;
+/// Share of the largest part's cells from which on another one may be a jaw, and of its own cells that have to be gray then.
+const JAW_SHARE: f32 = 0.3;
+const MOST_OF: f32 = 0.7;
+/// From how many deviations less red than tissue on something is certainly gray.
+const GRAY: f32 = 1.5;
+/// What learned colours have to say of a cell beside the instrument that is added to it.
+const GROWS: f32 = 1.0;
+/// Brightness from which on a gray cell may be glare on wet tissue.
+const GLARE: f32 = 0.75;
 /// Least deviation of the surface's nearness, as a share of it, and of its redness: below is what matching and noise cost.
 const NEARNESS_FLOOR: f32 = 0.006;
 const REDNESS_FLOOR: f32 = 0.02;
@@ -105,10 +114,17 @@ pub struct Silhouette {
     /// What speaks for an instrument; before anything was learned.
     score: Vec<f32>,
     first: Vec<f32>,
+    /// What redness alone says, in deviations; what the learned colours say.
+    gray: Vec<f32>,
+    colour: Vec<f32>,
+    /// What each class of colours says; empty before any were learned.
+    said: Vec<f32>,
     /// Work memory.
     sorted: Vec<f32>,
     blurred: Vec<f32>,
     part: Vec<u32>,
+    /// Parts and their cells in the box.
+    others: Vec<(u32, usize)>,
     queue: Vec<u32>,
     bits: Vec<u8>,
 }
@@ -128,6 +144,19 @@ fn median(sorted: &mut Vec<f32>, values: impl Iterator<Item = f32>) -> Option<(f
     Some((centre, 1.4826 * *distance))
 }
 
+/// Class of a colour: see [`REDS`] and [`BRIGHTS`].
+fn class_of(redness: f32, bright: f32) -> usize {
+    let red = ((redness + 0.2) / 0.8 * REDS as f32).clamp(0.0, REDS as f32 - 1.0) as usize;
+    // Finer where it is dark.
+    let bright = (bright.max(0.0).sqrt() * BRIGHTS as f32).min(BRIGHTS as f32 - 1.0) as usize;
+    red * BRIGHTS + bright
+}
+
+/// How red (0 gray) and how bright (0..1) a colour is, of blue, green and red from 0 to 255.
+fn shade([b, g, r]: [f32; 3]) -> (f32, f32) {
+    ((r - b) / (r + g + b + DARK), (r + g + b) / (3.0 * 255.0))
+}
+
 impl Silhouette {
     /// Cuts the instrument of a box (left, top, right, bottom, px) out. Answers whether there is one to be told from what surrounds it.
     pub fn cut(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> bool {
@@ -144,6 +173,8 @@ impl Silhouette {
         if !told.contains(&true) {
             return false;
         }
+        self.colour.clear();
+        self.said.clear();
         self.first.clone_from(&self.score);
         for _ in 0..2 {
             if told[0] {
@@ -163,6 +194,23 @@ impl Silhouette {
     pub fn contains(&self, x: usize, y: usize) -> bool {
         let r = &self.region;
         x >= r.x_px && y >= r.y_px && self.mask().contains((x - r.x_px) / r.pitch, (y - r.y_px) / r.pitch)
+    }
+
+    /// Whether a pixel of the instrument is known to have the depth of the surface around it, as a thin end has in a matcher's map.
+    pub fn has_surface_depth(&self, x: usize, y: usize) -> bool {
+        let r = &self.region;
+        if x < r.x_px || y < r.y_px {
+            return false;
+        }
+        let (column, row) = ((x - r.x_px) / r.pitch, (y - r.y_px) / r.pitch);
+        column < r.width && row < r.height && self.near[row * r.width + column] < BEFORE
+    }
+
+    /// What the colours learned of the last instrument say of a pixel (blue, green, red), of either view: above 0 it is instrument, below 0
+    /// tissue. None where none were learned.
+    pub fn says(&self, pixel: [u8; 3]) -> Option<f32> {
+        let (redness, bright) = shade(pixel.map(f32::from));
+        self.said.get(class_of(redness, bright)).copied()
     }
 
     /// A tip of [`Silhouette::mask`] in px of the picture.
@@ -192,9 +240,8 @@ impl Silhouette {
                         sum.iter_mut().zip(pixel).for_each(|(s, v)| *s += u32::from(*v));
                     }
                 }
-                let [b, g, r] = sum.map(|s| s as f32 / (self.region.pitch * self.region.pitch) as f32);
-                self.redness[index] = (r - b) / (r + g + b + DARK);
-                self.bright[index] = (r + g + b) / (3.0 * 255.0);
+                let mean = sum.map(|s| s as f32 / (self.region.pitch * self.region.pitch) as f32);
+                (self.redness[index], self.bright[index]) = shade(mean);
             }
             if let Some(nearness) = cues.nearness {
                 let (mut sum, mut n) = (0.0, 0.0);
@@ -213,14 +260,17 @@ impl Silhouette {
 
     /// Adds what redness says: less than around the box speaks for an instrument.
     fn judge_redness(&mut self) -> bool {
-        let Self { region, redness, sorted, score, .. } = self;
+        let Self { region, redness, sorted, score, gray, .. } = self;
+        gray.clear();
+        gray.resize(redness.len(), f32::NAN);
         let outside = || (0..redness.len()).filter(|i| !region.is_in_box(*i)).map(|i| redness[i]);
         // A box as large as the picture has nothing around it: then most of it is tissue.
         let around = median(sorted, outside()).or_else(|| median(sorted, redness.iter().copied()));
         let Some((centre, deviation)) = around else { return false };
         let deviation = deviation.max(REDNESS_FLOOR);
-        for (score, redness) in score.iter_mut().zip(redness.iter()).filter(|(_, r)| r.is_finite()) {
-            *score += ((centre - redness) / deviation).clamp(MOST_AGAINST, MOST_FOR);
+        for ((score, gray), redness) in score.iter_mut().zip(gray).zip(redness.iter()).filter(|(_, r)| r.is_finite()) {
+            *gray = (centre - redness) / deviation;
+            *score += gray.clamp(MOST_AGAINST, MOST_FOR);
         }
         true
     }
@@ -281,23 +331,20 @@ impl Silhouette {
 
     /// Learns the colours of what is instrument by now and of what is not, and judges all cells anew.
     fn learn_colours(&mut self) {
-        let class = |redness: f32, bright: f32| {
-            let red = ((redness + 0.2) / 0.8 * REDS as f32).clamp(0.0, REDS as f32 - 1.0) as usize;
-            // Finer where it is dark.
-            let bright = (bright.max(0.0).sqrt() * BRIGHTS as f32).min(BRIGHTS as f32 - 1.0) as usize;
-            red * BRIGHTS + bright
-        };
         let (mut tool, mut tissue) = ([1.0_f32; REDS * BRIGHTS], [1.0_f32; REDS * BRIGHTS]);
         let (mut tools, mut tissues) = (tool.len() as f32, tissue.len() as f32);
         let known = || (0..self.score.len()).filter(|index| self.redness[*index].is_finite());
         let is_tool = |index: usize| self.score[index] > FIRST_GUESS && self.region.is_in_box(index);
-        // Pale tissue looks like steel: where some of what looks so stands before the surface, colours are learned from that.
-        let stands = |index: usize| is_tool(index) && self.near[index] > BEFORE;
-        let is_deep =
-            known().filter(|index| stands(*index)).count() * 4 > known().filter(|index| is_tool(*index)).count();
+        // Pale tissue looks like steel, and tissue that bulges stands before the surface: where some cells are both gray and near, colours are learned
+        // from those, else from gray ones, where there are any.
+        let is_gray = |index: usize| is_tool(index) && self.gray[index] > GRAY;
+        let stands = |index: usize| is_gray(index) && self.near[index] > BEFORE;
+        let count = |kind: &dyn Fn(usize) -> bool| known().filter(|index| kind(*index)).count();
+        let tool_cells = count(&is_tool);
+        let (is_deep, is_steel) = (count(&stands) * 4 > tool_cells, count(&is_gray) * 4 > tool_cells);
         for index in known() {
-            let of = class(self.redness[index], self.bright[index]);
-            if if is_deep { stands(index) } else { is_tool(index) } {
+            let of = class_of(self.redness[index], self.bright[index]);
+            if if is_deep { stands(index) } else { is_tool(index) && (!is_steel || is_gray(index)) } {
                 tool[of] += 1.0;
                 tools += 1.0;
             } else if self.score[index] < FIRST_GUESS / 2.0 {
@@ -305,12 +352,17 @@ impl Silhouette {
                 tissues += 1.0;
             }
         }
+        self.said.clear();
+        let ratio = |of: usize| ((tool[of] / tools) / (tissue[of] / tissues)).ln().clamp(-MOST_SAID, MOST_SAID);
+        self.said.extend((0..tool.len()).map(ratio));
+        self.colour.clear();
+        self.colour.resize(self.score.len(), f32::NAN);
         for index in 0..self.score.len() {
             let (redness, bright) = (self.redness[index], self.bright[index]);
             let mut said = 0.0;
             if redness.is_finite() {
-                let of = class(redness, bright);
-                said = ((tool[of] / tools) / (tissue[of] / tissues)).ln().clamp(-MOST_SAID, MOST_SAID);
+                said = self.said[class_of(redness, bright)];
+                self.colour[index] = said;
             }
             // Both cues together, before anything was learned, say where; the learned colours say how far.
             self.score[index] = said + (self.first[index] - FIRST_GUESS).clamp(-MOST_SAID, MOST_SAID) + FIRST_GUESS;
@@ -344,6 +396,7 @@ impl Silhouette {
         self.part.clear();
         self.part.resize(count, 0);
         let (mut parts, mut best, mut best_cells) = (0_u32, 0_u32, 0_usize);
+        self.others.clear();
         for start in 0..count {
             if self.part[start] != 0 || self.score[start] <= FIRST_GUESS {
                 continue;
@@ -370,6 +423,7 @@ impl Silhouette {
                     }
                 }
             }
+            self.others.push((parts, cells));
             if cells > best_cells {
                 (best, best_cells) = (parts, cells);
             }
@@ -381,11 +435,53 @@ impl Silhouette {
         }
         let row = width.div_ceil(8);
         self.bits.resize(row * height, 0);
+        self.grow(best);
+        self.join_jaw(best, best_cells);
         for (index, _) in self.part.iter().enumerate().filter(|(_, part)| **part == best) {
             let (x, y) = (index % width, index / width);
             self.bits[y * row + x / 8] |= 0x80 >> (x % 8);
         }
         true
+    }
+
+    /// Takes a second part for the other jaw, where the joint of both lies outside the picture or the box.
+    fn join_jaw(&mut self, best: u32, best_cells: usize) {
+        let is_gray = |part: u32| {
+            let cells = || (0..self.part.len()).filter(|index| self.part[*index] == part);
+            let gray = cells().filter(|index| self.gray.get(*index).is_some_and(|gray| *gray > GRAY)).count();
+            gray as f32 > MOST_OF * cells().count() as f32
+        };
+        let large =
+            self.others.iter().filter(|(part, cells)| *part != best && *cells as f32 > JAW_SHARE * best_cells as f32);
+        let Some((jaw, _)) = large.max_by_key(|(_, cells)| *cells).copied() else { return };
+        if self.colour.len() != self.part.len() || !is_gray(jaw) || !is_gray(best) {
+            return;
+        }
+        self.part.iter_mut().filter(|part| **part == jaw).for_each(|part| *part = best);
+        self.grow(best);
+    }
+
+    /// Adds what has the instrument's colours and hangs together with it: ends that are thinner than a matcher's window have the depth of the
+    /// tissue behind them, and smoothing takes them away.
+    fn grow(&mut self, best: u32) {
+        let (width, height) = (self.region.width, self.region.height);
+        if self.colour.len() != self.part.len() {
+            return;
+        }
+        self.queue.clear();
+        self.queue.extend((0..self.part.len() as u32).filter(|index| self.part[*index as usize] == best));
+        while let Some(index) = self.queue.pop() {
+            let (x, y) = (index as usize % width, index as usize / width);
+            for row in y.saturating_sub(1)..(y + 2).min(height) {
+                for next in row * width + x.saturating_sub(1)..row * width + (x + 2).min(width) {
+                    let is_glare = self.bright[next] > GLARE;
+                    if self.part[next] != best && self.colour[next] >= GROWS && self.gray[next] > GRAY && !is_glare {
+                        self.part[next] = best;
+                        self.queue.push(next as u32);
+                    }
+                }
+            }
+        }
     }
 }
 

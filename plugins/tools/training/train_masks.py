@@ -24,13 +24,13 @@ from instruments.batches import batches, blend, store
 from instruments.data import CLASSES
 from instruments.mask_rcnn import MaskRcnn, start_from
 from instruments.mask_score import mask_ap50
-from instruments.outlines import Mixed, read_boxed, read_coco
+from instruments.outlines import Mixed, read_coco, read_real
 
 
 def arguments():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--phantom", type=Path, help="folder of make_phantom_frames.py")
-    p.add_argument("--data", type=Path, help="real frames with boxes: VOC, COCO or YOLO")
+    p.add_argument("--data", type=Path, help="real frames with boxes (VOC, COCO, YOLO) or with outlines (VIA)")
     p.add_argument("--split", default="train")
     p.add_argument("--val-split", default="val")
     p.add_argument("--start", type=Path, help="a trained detector (weights.pt) or a YOLOX-nano ONNX file, for the backbone")
@@ -59,8 +59,8 @@ def main():
     a.out.mkdir(parents=True, exist_ok=True)
     phantom = read_coco(a.phantom, "train", a.width, a.height) if a.phantom else []
     phantom_val = read_coco(a.phantom, "val", a.width, a.height) if a.phantom else []
-    real = read_boxed(a.data, a.split, a.width, a.height, a.out) if a.data else []
-    real_val = read_boxed(a.data, a.val_split, a.width, a.height, a.out) if a.data else []
+    real = read_real(a.data, a.split, a.width, a.height, a.out) if a.data else []
+    real_val = read_real(a.data, a.val_split, a.width, a.height, a.out) if a.data else []
     if not (phantom or real):
         raise SystemExit("give --phantom or --data: there is nothing to learn from")
     phantom_val, real_val = phantom_val[::2], real_val[::4]

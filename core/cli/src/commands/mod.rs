@@ -20,3 +20,4 @@ mod scene;
 pub mod schema;
 pub mod soak;
 pub mod sweep;
+pub mod tune;

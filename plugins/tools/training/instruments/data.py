@@ -1,4 +1,4 @@
-"""Frames with boxes, read from VOC XML, COCO JSON or YOLO text, kept decoded and shrunk in memory."""
+"""Frames with boxes, read from VOC XML, COCO or VIA JSON or YOLO text, kept decoded and shrunk in memory."""
 
 import json
 import re
@@ -8,6 +8,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+
+from . import via
 
 CLASSES = ("grasper", "bipolar", "hook", "scissors", "clipper", "irrigator", "specimen_bag")
 
@@ -84,6 +86,31 @@ def read_coco(folder, split, classes):
     ]
 
 
+def via_picture(folder, name):
+    """The picture that a file of VIA names, in `folder` or in `images` in it."""
+    found = [p for p in (Path(folder) / name, Path(folder) / "images" / name) if p.is_file()]
+    if not found:
+        raise FileNotFoundError(f"{folder}: the picture `{name}` of a VIA file is not there")
+    return found[0]
+
+
+def read_via(folder, split, classes):
+    folder = Path(folder)
+    path = folder / f"{split}.json"
+    frames = []
+    for name, regions in via.read(path):
+        picture = via_picture(folder, name)
+        rows = []
+        for number, (kind, outline) in enumerate(regions, 1):
+            kind = normal_name(kind)
+            if kind not in classes:
+                raise ValueError(f"{path}: picture `{name}`, region {number}: class `{kind}` is not one of {', '.join(classes)}")
+            rows.append([classes.index(kind), *via.box(outline)])
+        h, w = cv2.imread(str(picture)).shape[:2]
+        frames.append(Frame(picture.stem, group_of(picture.stem), picture, (w, h), _rows(rows)))
+    return frames
+
+
 def read_yolo(folder, split, _classes):
     folder = Path(folder)
     frames = []
@@ -99,16 +126,18 @@ def read_yolo(folder, split, _classes):
 
 
 def read(folder, split, classes=CLASSES):
-    """Reads whichever of the three layouts `folder` holds."""
+    """Reads whichever of the layouts `folder` holds."""
     folder = Path(folder)
     if (folder / "ImageSets" / f"{split}.txt").exists():
         return read_voc(folder, split, classes)
+    if via.is_via(folder / f"{split}.json"):
+        return read_via(folder, split, classes)
     if (folder / f"{split}.json").exists():
         return read_coco(folder, split, classes)
     if (folder / "images" / split).is_dir():
         return read_yolo(folder, split, classes)
     raise FileNotFoundError(
-        f"{folder}: no ImageSets/{split}.txt (VOC), no {split}.json (COCO) and no images/{split}/ (YOLO) in it"
+        f"{folder}: no ImageSets/{split}.txt (VOC), no {split}.json (COCO, VIA) and no images/{split}/ (YOLO) in it"
     )
 
 

@@ -8,9 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from . import via
 from .augment import lab_statistics, light, photometric, transfer_colour
 from .box_masks import masks_of
-from .data import CLASSES, letterbox, normal_name, read
+from .data import CLASSES, letterbox, normal_name, read, via_picture
 
 DOUBT = 255
 
@@ -73,6 +74,34 @@ def read_coco(folder, split, width, height, real=False):
             ids[mask > 0] = len(kinds)
         frames.append(Outlined(i["file_name"], real, *fit(picture, ids, width, height), kinds))
     return frames
+
+
+def read_via(folder, split, width, height):
+    """Real frames with the outlines of `split`.json as VIA writes them."""
+    path = Path(folder) / f"{split}.json"
+    frames = []
+    for name, regions in via.read(path):
+        picture = cv2.imread(str(via_picture(folder, name)))
+        if picture is None:
+            raise ValueError(f"{path}: picture `{name}` cannot be read")
+        h, w = picture.shape[:2]
+        ids, kinds = np.zeros((h, w), np.uint8), []
+        for number, (kind, outline) in enumerate(regions, 1):
+            kind = normal_name(kind)
+            if kind not in CLASSES:
+                raise ValueError(f"{path}: picture `{name}`, region {number}: class `{kind}` is not one of {', '.join(CLASSES)}")
+            kinds.append(CLASSES.index(kind))
+            ids[polygons([outline], h, w) > 0] = len(kinds)
+        frames.append(Outlined(name, True, *fit(picture, ids, width, height), kinds))
+    print(f"{split}: {len(frames)} real frames with outlines", flush=True)
+    return frames
+
+
+def read_real(data, split, width, height, store):
+    """Real frames: with outlines where they are VIA's, else with boxes and guessed outlines."""
+    if via.is_via(Path(data) / f"{split}.json"):
+        return read_via(data, split, width, height)
+    return read_boxed(data, split, width, height, store)
 
 
 def read_boxed(data, split, width, height, store):

@@ -3,6 +3,7 @@
 
 mod graph;
 mod plots;
+mod preset;
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -14,7 +15,7 @@ use panoscope_arm_core::rehearsal::{self, Measures, Scenario, measure};
 use panoscope_arm_core::{Chain, Interlock, JointVector, campaign};
 
 use crate::commands::bench::record::Figure;
-use crate::terminal::{raw, table, tell};
+use crate::terminal::tell;
 
 /// AutoCam on the dVRK (arXiv 2505.10398): error of the tool in the picture, and share of time that it was seen.
 const PEER: &str = "AutoCam on dVRK, published";
@@ -42,9 +43,6 @@ pub struct Arguments {
     /// Seed of strokes and campaign.
     #[arg(long, default_value_t = 7)]
     seed: u64,
-    /// Looks for gains on a grid instead of judging, and shows the best.
-    #[arg(long)]
-    tune: bool,
     /// Folder for the plots of each scenario.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
@@ -65,7 +63,8 @@ impl Arguments {
 
 /// Judges.
 pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
-    let known: Vec<&str> = Scenario::ALL.iter().map(|s| s.name()).chain(graph::SCENARIOS).collect();
+    let known: Vec<&str> =
+        Scenario::ALL.iter().map(|s| s.name()).chain(graph::SCENARIOS).chain(preset::names()).collect();
     if let Some(wrong) = arguments.scenario.iter().find(|name| !known.contains(&name.as_str())) {
         let mut known = known;
         known.sort_unstable();
@@ -74,10 +73,6 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
         return Ok(None);
     }
     let chain = Chain::shipped()?;
-    if arguments.tune {
-        tune(&chain);
-        return Ok(Some(Vec::new()));
-    }
     if let Some(folder) = &arguments.pictures {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
@@ -103,6 +98,19 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
             let run = graph::run(name, arguments.seed, arguments.seconds, arguments.width)?;
             let input = format!("graph on the phantom {}x{}, {} s at 30 Hz", run.size.0, run.size.1, arguments.seconds);
             listed(&format!("graph_{name}"), &measure(&run.rows), name == "still", &input, &mut figures);
+            if let Some(folder) = &arguments.pictures {
+                plots::draw(&folder.join(format!("graph_{name}.png")), &format!("graph {name}"), &run.rows)?;
+            }
+            stop_if_asked()?;
+        }
+        for name in preset::names().filter(|name| arguments.wants_scenario(name)) {
+            let Some(file) = preset::file(name) else {
+                tell!("skipped: {name}: there is no graphs folder in this one, nor beside the program");
+                continue;
+            };
+            let run = graph::run_preset(name, arguments.seed, arguments.seconds, file)?;
+            let input = format!("as it ships, phantom {}x{}, {} s at 30 Hz", run.size.0, run.size.1, arguments.seconds);
+            listed(&format!("graph_{name}"), &measure(&run.rows), false, &input, &mut figures);
             if let Some(folder) = &arguments.pictures {
                 plots::draw(&folder.join(format!("graph_{name}.png")), &format!("graph {name}"), &run.rows)?;
             }
@@ -142,6 +150,10 @@ fn listed(name: &str, m: &Measures, rests: bool, input: &str, figures: &mut Vec<
     add("tip_error_mm", m.rms_mm, "mm");
     add("in_view_pct", m.in_view_pct, "%");
     add("hidden_pct", m.hidden_pct, "%");
+    add("tip_seen_pct", m.tip_seen_pct, "%");
+    if m.track_off_mm.is_finite() {
+        add("track_off_mm", m.track_off_mm, "mm");
+    }
     add("pivot_mm", m.pivot_mm, "mm");
     add("tip_error_max_mm", m.max_mm, "mm");
     add("shake_mm_s2", m.shake_mm_s2, "mm/s^2");
@@ -216,29 +228,4 @@ fn time(chain: &Chain, figures: &mut Vec<Figure>) {
     let input = "controller and interlock, one tick of 33 ms while moving, 3000 ticks";
     figures.push(Figure::new("control_us", micros[micros.len() / 2], "us", input));
     figures.push(Figure::new("control_us/p99", micros[micros.len() * 99 / 100], "us", input));
-}
-
-/// Shows the best gains of the grid.
-fn tune(chain: &Chain) {
-    tell!("trying 135 sets of gains on strokes, clear and in smoke, two seeds of 30 s each");
-    let mut rows = vec![
-        ["P 1/s", "I 1/s^2", "acceleration mm/s^2", "latency s", "strokes mm", "smoke mm", "shake mm/s^2", "cost mm"]
-            .map(str::to_owned)
-            .to_vec(),
-    ];
-    for t in rehearsal::tune(chain, 30.0).iter().take(12) {
-        let values = [
-            t.proportional,
-            t.integral,
-            t.acceleration_mm_s2,
-            t.latency_s,
-            t.rms_mm,
-            t.smoke_mm,
-            t.shake_mm_s2,
-            t.cost,
-        ];
-        rows.push(values.map(|v| format!("{v:.3}")).to_vec());
-    }
-    raw(&table(&rows));
-    tell!("a picture that shakes by 100 mm/s^2 costs as much as an error of 1 mm, smoke half");
 }

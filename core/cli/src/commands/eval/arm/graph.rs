@@ -1,10 +1,11 @@
 //! The closed loop as a graph: phantom, tip, tracker, controller, arm, and back.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use panoscope_arm_core::rehearsal::Row;
 
+use super::preset;
 use crate::commands::bench::folder::Folder;
 use crate::commands::eval::look::{self, Pace, Plan, Table};
 
@@ -119,17 +120,27 @@ inputs = {{ joints = "control.joints", tip = "track.tip" }}
 
 const JUDGE: &str = r#"[nodes.judge]
 type = "evaluate_arm"
-inputs = { tip = "scope.lead", arm = "arm.table", calibration = "scope.calibration" }
+inputs = { tip = "scope.lead", arm = "arm.table", track = "track.table", calibration = "scope.calibration" }
 "#;
 
 /// Runs a scenario and reads what the judge saw.
 pub fn run(name: &str, seed: u64, seconds: u32, width: u32) -> Result<Run> {
     let size = (width, width * 3 / 4);
     let text = text(name, seed, size, "batch", JUDGE);
-    let path = format!("eval_arm_{name}.toml");
+    judged(&text, Path::new(&format!("eval_arm_{name}.toml")), name, seconds, size)
+}
+
+/// The same for a graph that ships.
+pub fn run_preset(name: &str, seed: u64, seconds: u32, file: PathBuf) -> Result<Run> {
+    let text = std::fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
+    let preset = preset::of(name, seed, &text, file)?;
+    judged(&preset.text, &preset.path, name, seconds, preset.size)
+}
+
+fn judged(text: &str, path: &Path, name: &str, seconds: u32, size: (u32, u32)) -> Result<Run> {
     let plan = Plan {
-        text: &text,
-        path: Path::new(&path),
+        text,
+        path,
         frames: Some(u64::from(seconds) * 30),
         threads: 0,
         ports: &[("judge", "table")],
@@ -145,8 +156,9 @@ pub fn run(name: &str, seed: u64, seconds: u32, width: u32) -> Result<Run> {
         ["in_view", "seen", "pivot_mm", "following", "camera_mm_s", "camera_mm_s2"].map(column);
     let (time, error, u, v, distance) = (time?, error?, u?, v?, distance?);
     let (view, is_seen, pivot, following, speed, change) = (view?, is_seen?, pivot?, following?, speed?, change?);
+    let (gap, off) = (column("gap_ms")?, column("track_off_mm")?);
     // Pictures of all sizes are judged as if they had 640 columns.
-    let scale = 640.0 / f64::from(width);
+    let scale = 640.0 / f64::from(size.0);
     let rows = (0..time.len())
         .map(|k| Row {
             at_s: time[k],
@@ -160,6 +172,8 @@ pub fn run(name: &str, seed: u64, seconds: u32, width: u32) -> Result<Run> {
             following: following[k] > 0.5,
             camera_mm_s: speed[k],
             camera_mm_s2: change[k],
+            gap_s: gap[k] * 1e-3,
+            track_off_mm: off[k],
         })
         .collect();
     Ok(Run { rows, size })

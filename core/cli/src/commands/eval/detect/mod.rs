@@ -52,7 +52,7 @@ pub struct Arguments {
     /// Operations of the case `left_out`.
     #[arg(long, value_delimiter = ',', default_value = "v02,v08", value_name = "NAMES")]
     left_out: Vec<String>,
-    /// Own truth instead of the cases: a COCO file, or a folder of VOC, labelme or YOLO truth. Judges --model, and --masks where it is given.
+    /// Own truth instead of the cases: a COCO or VIA file, or a folder of VOC, labelme or YOLO truth. Judges --model, and --masks where it is given.
     #[arg(long, value_name = "PATH")]
     truth: Option<PathBuf>,
     /// Which split of --truth: a list of VOC's ImageSets, a COCO file, a YOLO folder.

@@ -102,7 +102,7 @@ pub fn read_found(path: &Path) -> Result<Found> {
 
 fn parse(path: &Path) -> Result<File> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    serde_json::from_str(&text).with_context(|| format!("{} is no COCO file", path.display()))
+    serde_json::from_str(&text).with_context(|| format!("{} is neither a COCO nor a VIA file", path.display()))
 }
 
 pub fn read(path: &Path, folder: &Path) -> Result<Truth> {

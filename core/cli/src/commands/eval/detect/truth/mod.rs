@@ -1,7 +1,8 @@
-//! True boxes and outlines from the forms that people keep them in: VOC XML, COCO JSON, labelme JSON, YOLO text.
+//! True boxes and outlines from the forms that people keep them in: VOC XML, COCO JSON, labelme JSON, VIA JSON, YOLO text.
 
 mod coco;
 mod labelme;
+mod via;
 mod voc;
 mod yolo_text;
 
@@ -128,21 +129,31 @@ fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     found
 }
 
+/// One file for all pictures: of VIA, or of COCO.
+fn one_file(path: &Path, folder: &Path) -> Result<Truth> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let value: Option<serde_json::Value> = serde_json::from_str(&text).ok();
+    match value.as_ref().and_then(via::pictures) {
+        Some(pictures) => via::read(path, pictures, folder),
+        None => coco::read(path, folder),
+    }
+}
+
 /// Reads whichever form `path` is or holds. `split` chooses a list of VOC, COCO or YOLO; nothing takes all.
 pub fn read(path: &Path, split: Option<&str>, images: Option<&Path>) -> Result<Truth> {
     if path.is_file() {
         let folder = images.or(path.parent()).unwrap_or(Path::new(""));
-        return coco::read(path, folder);
+        return one_file(path, folder);
     }
     if !path.is_dir() {
-        bail!("{} is not there: give a COCO file or a folder of VOC, labelme or YOLO truth", path.display());
+        bail!("{} is not there: give a COCO or VIA file, or a folder of VOC, labelme or YOLO truth", path.display());
     }
     let annotations = path.join("Annotations");
     if annotations.is_dir() {
         return voc::read(path, split);
     }
     if let Some(file) = split.map(|s| path.join(format!("{s}.json"))).filter(|f| f.is_file()) {
-        return coco::read(&file, images.unwrap_or(path));
+        return one_file(&file, images.unwrap_or(path));
     }
     if path.join("labels").is_dir() || path.join("images").is_dir() {
         return yolo_text::read(path, split);
@@ -152,7 +163,7 @@ pub fn read(path: &Path, split: Option<&str>, images: Option<&Path>) -> Result<T
         return labelme::read(&folder, images);
     }
     bail!(
-        "{}: no Annotations/ (VOC), no SPLIT.json (COCO), no labels/ (YOLO) and no labelme files in it",
+        "{}: no Annotations/ (VOC), no SPLIT.json (COCO, VIA), no labels/ (YOLO) and no labelme files in it",
         path.display()
     )
 }

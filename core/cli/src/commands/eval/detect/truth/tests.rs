@@ -131,3 +131,102 @@ fn what_is_no_truth_is_named() {
     assert!(read(&home.join("gone"), None, None).is_err());
     fs::remove_dir_all(home).unwrap();
 }
+
+/// A region of VIA.
+fn region(shape: &str, attributes: &str) -> String {
+    format!("{{\"shape_attributes\":{shape},\"region_attributes\":{attributes}}}")
+}
+
+#[test]
+fn via_projects_and_exports_of_both_versions_are_one() {
+    let home = folder("via", &["f.png", "images/g.png"]);
+    let square = "{\"name\":\"polygon\",\"all_points_x\":[1,3,3,1],\"all_points_y\":[1,1,3,3]}";
+    let shapes = [
+        region(square, "{\"class\":\"SpecimenBag\"}"),
+        region(&square.replace("polygon", "polyline"), "{\"instrument\":{\"hook\":true,\"grasper\":false}}"),
+        region(
+            "{\"name\":\"rect\",\"x\":4,\"y\":2,\"width\":5,\"height\":3}",
+            "{\"colour\":\"red\",\"label\":\"hook\"}",
+        ),
+        region("{\"name\":\"circle\",\"cx\":10,\"cy\":5,\"r\":4}", "{\"class\":\"hook\"}"),
+        region(
+            "{\"name\":\"ellipse\",\"cx\":10,\"cy\":5,\"rx\":4,\"ry\":1,\"theta\":1.5707963}",
+            "{\"class\":\"hook\"}",
+        ),
+        region("{\"name\":\"point\",\"cx\":10,\"cy\":5}", "{\"class\":\"hook\"}"),
+    ];
+    let list = format!("[{}]", shapes.join(","));
+    let numbered: Vec<String> = shapes.iter().enumerate().map(|(k, shape)| format!("\"{k}\":{shape}")).collect();
+    let map = format!("{{{}}}", numbered.join(","));
+    let entries = |regions: &str| {
+        format!(
+            "\"f.png12\":{{\"filename\":\"f.png\",\"size\":12,\"regions\":{regions},\"file_attributes\":{{}}}},\"g.png9\":{{\"filename\":\"g.png\",\"size\":9,\"regions\":[]}}"
+        )
+    };
+    let forms = [
+        format!("{{\"_via_settings\":{{}},\"_via_img_metadata\":{{{}}},\"_via_attributes\":{{}}}}", entries(&list)),
+        format!("{{{}}}", entries(&list)),
+        format!("{{{}}}", entries(&map)),
+    ];
+    for form in forms {
+        let file = home.join("train.json");
+        fs::write(&file, &form).unwrap();
+        for truth in [read(&file, None, None).unwrap(), read(&home, Some("train"), None).unwrap()] {
+            assert_eq!(truth.classes, ["specimen_bag", "hook"]);
+            assert_eq!(truth.pictures.iter().map(Picture::stem).collect::<Vec<_>>(), ["f", "g"]);
+            let objects = &truth.pictures[0].objects;
+            assert_eq!(objects.iter().map(|o| o.class).collect::<Vec<_>>(), [0, 1, 1, 1, 1], "a point is no object");
+            let boxes: Vec<[f64; 4]> = objects.iter().map(|o| o.bbox).collect();
+            assert_eq!(boxes[..3], [[1.0, 1.0, 2.0, 2.0], [1.0, 1.0, 2.0, 2.0], [4.0, 2.0, 5.0, 3.0]]);
+            // Of its narrow ends no pixel's centre lies in the ellipse.
+            assert_eq!((boxes[3], boxes[4]), ([6.0, 1.0, 8.0, 8.0], [9.0, 2.0, 2.0, 6.0]));
+            let area = |k: usize| objects[k].mask.as_ref().unwrap().area as f64;
+            assert!((area(3) - 50.3).abs() < 3.0 && (area(4) - 12.6).abs() < 3.0, "{} {}", area(3), area(4));
+            assert!(truth.pictures[1].objects.is_empty());
+        }
+    }
+    fs::remove_dir_all(home).unwrap();
+}
+
+#[test]
+fn what_is_wrong_in_a_via_file_is_told_with_picture_and_region() {
+    let home = folder("via_wrong", &["f.png"]);
+    let good = region("{\"name\":\"rect\",\"x\":4,\"y\":2,\"width\":5,\"height\":3}", "{\"class\":\"hook\"}");
+    let rect = |more: &str| format!("{{\"name\":\"rect\",\"x\":4,\"y\":2{more}}}");
+    let class = "{\"class\":\"hook\"}";
+    for (wrong, words) in [
+        (region("{\"name\":\"star\"}", class), "`star` is not known"),
+        (region("{}", class), "no `name`"),
+        (region(&rect(",\"width\":5"), class), "no number `height`"),
+        (region(&rect(",\"width\":-5,\"height\":2"), class), "`width` of its rect is -5"),
+        (region("{\"name\":\"polygon\",\"all_points_x\":[1,2],\"all_points_y\":[1,2]}", class), "at least three"),
+        (
+            region("{\"name\":\"polygon\",\"all_points_x\":[1,2,\"a\"],\"all_points_y\":[1,2,3]}", class),
+            "`all_points_x`",
+        ),
+        (region("{\"name\":\"circle\",\"cx\":900,\"cy\":5,\"r\":2}", class), "no pixel of the 20x10"),
+        (region(&rect(",\"width\":5,\"height\":2"), "{}"), "no `region_attributes`"),
+        (region(&rect(",\"width\":5,\"height\":2"), "{\"class\":\"\"}"), "`class` is empty"),
+        (
+            region(&rect(",\"width\":5,\"height\":2"), "{\"a\":\"x\",\"b\":\"y\"}"),
+            "attributes a, b none is called class",
+        ),
+        (region(&rect(",\"width\":5,\"height\":2"), "{\"tool\":{\"hook\":true,\"grasper\":true}}"), "2 are ticked"),
+        ("7".to_owned(), "no `shape_attributes`"),
+    ] {
+        let file = home.join("via.json");
+        fs::write(&file, format!("{{\"f\":{{\"filename\":\"f.png\",\"regions\":[{good},{wrong}]}}}}")).unwrap();
+        let error = format!("{:#}", read(&file, None, None).unwrap_err());
+        for part in ["via.json", "`f.png`", "region 2", words] {
+            assert!(error.contains(part), "{error} lacks {part}");
+        }
+    }
+    let file = home.join("via.json");
+    fs::write(&file, "{\"f\":{\"filename\":\"other.png\",\"regions\":[]}}").unwrap();
+    let error = format!("{:#}", read(&file, None, None).unwrap_err());
+    assert!(error.contains("`other.png`") && error.contains("--images"), "{error}");
+    fs::write(&file, "{\"something\": 1}").unwrap();
+    let error = format!("{:#}", read(&file, None, None).unwrap_err());
+    assert!(error.contains("neither a COCO nor a VIA file"), "{error}");
+    fs::remove_dir_all(home).unwrap();
+}

@@ -1,0 +1,52 @@
+//! Finds the gains of the controller on a simulated arm: by relay feedback and rules, and by a search that minimises a stated cost.
+
+pub mod course;
+pub mod relay;
+pub mod search;
+
+use thiserror::Error;
+
+/// Why gains were not found.
+#[derive(Debug, Error, PartialEq)]
+pub enum TuneError {
+    /// A relay that cannot work.
+    #[error("the relay's {what} is {value}: it has to be above 0")]
+    BadRelay {
+        /// Which of its numbers.
+        what: &'static str,
+        /// The number.
+        value: f64,
+    },
+    /// The loop does not swing.
+    #[error(
+        "the loop swung {periods} times in {seconds:.1} s, 12 are needed: give the relay a larger amplitude, or less hysteresis"
+    )]
+    NoSwing {
+        /// Whole periods that were seen.
+        periods: usize,
+        /// How long, s.
+        seconds: f64,
+    },
+    /// The loop does not swing steadily.
+    #[error("after {seconds:.1} s periods of the loop still differ by {:.0} %: no limit of stability can be told", share * 100.0)]
+    Uneven {
+        /// Largest difference, as a share of the mean period.
+        share: f64,
+        /// How long, s.
+        seconds: f64,
+    },
+    /// The loop answers no number.
+    #[error("the loop answered no number after {at_s:.2} s")]
+    NotFinite {
+        /// When, s.
+        at_s: f64,
+    },
+    /// The arm does not follow.
+    #[error("the simulated arm stopped after {at_s:.2} s: {cause}; it cannot be tuned with these parameters")]
+    Stopped {
+        /// When, s.
+        at_s: f64,
+        /// Why, in the interlock's words.
+        cause: String,
+    },
+}

@@ -1,0 +1,182 @@
+//! What was found, as tables, as a graph's text, as a picture and as JSON.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use panoscope_arm_core::control::Goals;
+use panoscope_arm_core::tuning::course::{BAND, Channel, Course, Motion};
+use panoscope_arm_core::tuning::relay::{Parts, Rule};
+use panoscope_arm_core::tuning::search::{
+    LATER_MS, MOST_OF_ULTIMATE, OVERSHOOT_COST, RAMP_MM_S, SHAKE_COST, STEP_MM, SWING_COST, SWING_MM, with,
+};
+use serde_json::{Value, json};
+
+use super::params::Taken;
+use super::{Found, Tuning};
+use crate::commands::eval::plot::{self, Chart, Series, Style};
+use crate::terminal::{raw, say, table, tell};
+
+fn number(value: f64, places: usize) -> String {
+    if value.is_finite() { format!("{value:.places$}") } else { "never".to_owned() }
+}
+
+fn row(name: &str, found: &Found) -> Vec<String> {
+    let (tuned, step, report) = (&found.tuned, &found.report.step, &found.report);
+    vec![
+        name.to_owned(),
+        number(tuned.proportional, 2),
+        number(tuned.integral, 2),
+        number(tuned.derivative, 3),
+        number(step.rise_s, 2),
+        number(step.overshoot_pct, 1),
+        number(step.settling_s, 2),
+        number(step.steady_mm, 3),
+        number(report.ramp_mm, 2),
+        number(report.ramp_alone_mm, 2),
+        number(found.cost.swing_mm, 2),
+        number(found.cost.shake_mm_s2, 0),
+        number(found.cost.total, 2),
+    ]
+}
+
+/// Limits of stability, rules, and what the gains do.
+pub fn tables(all: &[Tuning], searched: bool) {
+    for tuning in all {
+        let u = &tuning.ultimate;
+        say!(
+            "{}: by relay feedback it swings forever at a gain of {:.2} 1/s, with a period of {:.3} s",
+            tuning.channel.name(),
+            u.gain,
+            u.period_s
+        );
+        let mut rules = vec![["rule", "parts", "P 1/s", "I 1/s^2", "D"].map(str::to_owned).to_vec()];
+        for rule in Rule::ALL {
+            for parts in Parts::ALL {
+                if let Some(t) = rule.gains(u, parts) {
+                    let gains = [number(t.proportional, 2), number(t.integral, 2), number(t.derivative, 3)];
+                    rules.push([rule.name().to_owned(), parts.name().to_owned()].into_iter().chain(gains).collect());
+                }
+            }
+        }
+        raw(&table(&rules));
+        let names = [
+            "gains",
+            "P 1/s",
+            "I 1/s^2",
+            "D",
+            "rise s",
+            "overshoot %",
+            "settling s",
+            "steady mm",
+            "ramp mm",
+            "ramp, nothing fed forward mm",
+            "swing mm",
+            "shake mm/s^2",
+            "cost",
+        ];
+        let mut rows = vec![names.map(str::to_owned).to_vec()];
+        rows.extend(tuning.found.iter().map(|found| row(found.parts.name(), found)));
+        rows.push(row("as it is", &tuning.now));
+        raw(&table(&rows));
+        if searched {
+            tell!("{}: {} sets of gains tried", tuning.channel.name(), tuning.tries);
+        }
+    }
+    say!(
+        "steps of {STEP_MM} mm, ramps of {RAMP_MM_S} mm/s, swings of {SWING_MM} mm at 0.5 Hz, exact tips; rise from 10 to 90 %, settling to {:.0} %",
+        100.0 * BAND
+    );
+    say!(
+        "cost: ITAE of step and ramp in mm s^2 + {SWING_COST} per mm of error on the swing + {SHAKE_COST} per 100 mm/s^2 of shaking + {OVERSHOOT_COST} per % of overshoot beyond the limit, the mean of this arm and one {LATER_MS} ms later; P at most {MOST_OF_ULTIMATE} of the gain that swings"
+    );
+}
+
+/// The gains with the most parts, ready for a graph.
+pub fn fragment(all: &[Tuning], taken: &Taken) {
+    let mut params = Vec::new();
+    for tuning in all {
+        let Some(found) = tuning.found.last() else { continue };
+        let (name, t) = (tuning.channel.name(), found.tuned);
+        params.push(format!(
+            "{name}_p = {:.2}, {name}_i = {:.2}, {name}_d = {:.3}",
+            t.proportional, t.integral, t.derivative
+        ));
+    }
+    let filter_s = taken.goals.picture.filter_s;
+    say!("");
+    say!("[nodes.{}]", taken.node.as_deref().unwrap_or("steer"));
+    say!("type = \"arm_pid\"");
+    say!("params = {{ {}, filter_s = {filter_s:?} }}", params.join(", "));
+}
+
+/// Responses of all gains to a step and to ramps: one row of charts per channel.
+pub fn plot(path: &Path, all: &[Tuning], course: &Course, goals: &Goals) -> Result<()> {
+    let mut charts = Vec::new();
+    let alone = Goals { feed_forward: 0.0, ..*goals };
+    for tuning in all {
+        let channel = tuning.channel;
+        let name = match channel {
+            Channel::Picture => "place in the picture",
+            Channel::Distance => "distance",
+        };
+        let motions = [
+            (format!("{name}: step of {STEP_MM} mm"), Motion::Step(STEP_MM), goals),
+            (format!("{name}: ramp of {RAMP_MM_S} mm/s, nothing fed forward"), Motion::Ramp(RAMP_MM_S), &alone),
+        ];
+        for (title, motion, goals) in motions {
+            let mut series = Vec::new();
+            for (color, found) in tuning.found.iter().enumerate() {
+                let samples = course.play(&with(goals, channel, found.tuned), channel, motion)?;
+                let points = samples.iter().filter(|s| s.at_s >= -0.2).map(|s| (s.at_s, s.error_mm)).collect();
+                series.push(Series { name: found.parts.name().to_owned(), style: Style::Line, color, points });
+            }
+            charts.push(Chart {
+                title,
+                x_label: "time, s".to_owned(),
+                y_label: "error, mm".to_owned(),
+                series,
+                from_zero: true,
+                ..Chart::default()
+            });
+        }
+    }
+    plot::save(path, &charts)
+}
+
+fn entry(found: &Found) -> Value {
+    let (t, step) = (&found.tuned, &found.report.step);
+    json!({
+        "parts": found.parts.name(),
+        "proportional": t.proportional, "integral": t.integral, "derivative": t.derivative,
+        "rise_s": step.rise_s, "overshoot_pct": step.overshoot_pct, "settling_s": step.settling_s,
+        "steady_mm": step.steady_mm, "itae_mm_s2": step.itae,
+        "ramp_mm": found.report.ramp_mm, "ramp_alone_mm": found.report.ramp_alone_mm,
+        "swing_mm": found.cost.swing_mm, "cost": found.cost.total, "shake_mm_s2": found.cost.shake_mm_s2,
+    })
+}
+
+/// Writes all of it.
+pub fn json(path: &Path, all: &[Tuning]) -> Result<()> {
+    let channel = |tuning: &Tuning| {
+        let u = &tuning.ultimate;
+        let rules = Rule::ALL.iter().flat_map(|rule| {
+            Parts::ALL.iter().filter_map(|parts| {
+                let t = rule.gains(u, *parts)?;
+                Some(json!({
+                    "rule": rule.name(), "parts": parts.name(),
+                    "proportional": t.proportional, "integral": t.integral, "derivative": t.derivative,
+                }))
+            })
+        });
+        json!({
+            "channel": tuning.channel.name(),
+            "ultimate_gain": u.gain, "ultimate_period_s": u.period_s,
+            "rules": rules.collect::<Vec<Value>>(),
+            "found": tuning.found.iter().map(entry).collect::<Vec<Value>>(),
+            "now": entry(&tuning.now),
+        })
+    };
+    let value = json!({ "channels": all.iter().map(channel).collect::<Vec<Value>>() });
+    let text = serde_json::to_string_pretty(&value)?;
+    std::fs::write(path, text + "\n").with_context(|| format!("cannot write {}", path.display()))
+}
