@@ -44,6 +44,23 @@ fn graphs_that_the_readme_names_ship() {
 }
 
 #[test]
+fn the_list_of_graphs_names_each_that_ships_and_no_other() {
+    let folder = panoscope_tests::root().join("graphs");
+    let list = std::fs::read_to_string(folder.join("README.md")).expect("graphs/README.md");
+    let files = std::fs::read_dir(&folder).expect("graphs").flatten().map(|file| file.file_name());
+    let mut graphs: Vec<String> = files.map(|name| name.to_string_lossy().into_owned()).collect();
+    graphs.retain(|name| name.ends_with(".toml"));
+    // A row may name the first and the last of numbered graphs.
+    let is_between = |name: &str| name.starts_with("thesis_chapter");
+    for name in &graphs {
+        assert!(list.contains(&format!("`{name}`")) || is_between(name), "graphs/README.md does not name {name}");
+    }
+    for name in list.split('`').filter(|name| name.ends_with(".toml") && !name.contains([' ', '/'])) {
+        assert!(graphs.iter().any(|graph| graph == name), "graphs/README.md names {name}, which does not ship");
+    }
+}
+
+#[test]
 fn environment_variables_of_users_are_documented() {
     for name in [loader::PLUGIN_PATH_VARIABLE, "ORT_DYLIB_PATH"] {
         assert!(readme().contains(&format!("`{name}`")), "README.md does not say what {name} is for");
