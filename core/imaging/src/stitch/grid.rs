@@ -153,10 +153,16 @@ pub struct RegisterGrid {
     stability: Stability,
     memory: Option<Homography>,
     failures: usize,
+    /// The overlap is too narrow for a homography of eight parameters.
+    is_narrow: bool,
 }
 
 /// Pairs each way that carry a plane over to pictures that are not rectified.
 const PLANE_PAIRS: usize = 5;
+/// Samples further off a plane than this do not belong to it, whatever a homography is allowed.
+const MOST_PLANE_PX: f64 = 4.0;
+/// An overlap of less than this part of a side is narrow.
+const NARROW_PART: usize = 3;
 /// Columns looked at in a cell at least.
 const LEAST_CELL_STEPS: usize = 2;
 /// Share of the matched pixels, in per mille, that may lie beyond each side of the shared area: wrong matches.
@@ -225,8 +231,11 @@ impl RegisterGrid {
         let accepted = |fit: &RansacFit| {
             fit.inliers >= params.min_inliers.max(4) && params.plausibility.accepts(&fit.homography, right.size)
         };
-        let fit = self.ransac.estimate(&self.from, &self.to, &params.ransac, &mut self.mask).ok().filter(accepted);
-        let fit = fit.or_else(|| self.fit_plane(left, right).filter(accepted));
+        // A homography of a narrow overlap fits there and folds the rest of the view: a plane goes first.
+        let plane = if self.is_narrow { self.fit_plane(left, right).filter(accepted) } else { None };
+        let fit = plane
+            .or_else(|| self.ransac.estimate(&self.from, &self.to, &params.ransac, &mut self.mask).ok().filter(accepted));
+        let fit = if self.is_narrow { fit } else { fit.or_else(|| self.fit_plane(left, right).filter(accepted)) };
         let Some(fit) = fit else { return self.failed(result) };
         let previous = self.memory.filter(|_| self.failures == 0);
         let stable = StabilityParams {
@@ -271,6 +280,7 @@ impl RegisterGrid {
     /// The homography of a plane in space, for an overlap too narrow to determine more; `mask` becomes its inliers.
     fn fit_plane(&mut self, left: &RectifiedView, right: &RectifiedView) -> Option<RansacFit> {
         let RansacParams { threshold_px, seed, .. } = self.params.ransac;
+        let threshold_px = threshold_px.min(MOST_PLANE_PX);
         let plane = DisparityPlane::fit(&self.samples, threshold_px, self.params.min_inliers, seed)?;
         // Exact for pinhole cameras; lens distortion is averaged over the view.
         let (mut from, mut to) = ([[0.0; 2]; PLANE_PAIRS * PLANE_PAIRS], [[0.0; 2]; PLANE_PAIRS * PLANE_PAIRS]);
@@ -331,6 +341,7 @@ impl RegisterGrid {
             Some(map) => overlap_roi(&map, right.size.0, right.size.1, width, height),
             None => self.shared_area(disparity, step),
         };
+        self.is_narrow = area.width * NARROW_PART < width || area.height * NARROW_PART < height;
         let (rows, columns) = (self.params.rows.max(1), self.params.columns.max(1));
         self.samples.clear();
         self.samples.reserve(rows * columns);
