@@ -233,8 +233,9 @@ impl RegisterGrid {
         };
         // A homography of a narrow overlap fits there and folds the rest of the view: a plane goes first.
         let plane = if self.is_narrow { self.fit_plane(left, right).filter(accepted) } else { None };
-        let fit = plane
-            .or_else(|| self.ransac.estimate(&self.from, &self.to, &params.ransac, &mut self.mask).ok().filter(accepted));
+        let fit = plane.or_else(|| {
+            self.ransac.estimate(&self.from, &self.to, &params.ransac, &mut self.mask).ok().filter(accepted)
+        });
         let fit = if self.is_narrow { fit } else { fit.or_else(|| self.fit_plane(left, right).filter(accepted)) };
         let Some(fit) = fit else { return self.failed(result) };
         let previous = self.memory.filter(|_| self.failures == 0);
