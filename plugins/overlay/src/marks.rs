@@ -17,6 +17,8 @@ pub struct Pen {
     pub offset: (f32, f32),
     /// How much masks cover, 0 to 1.
     pub alpha: f32,
+    /// Boxes and masks with a lower score are not drawn.
+    pub min_score: f32,
 }
 
 /// A colour for class or track `index`; neighbours differ clearly.
@@ -59,7 +61,7 @@ impl Pen {
 
 /// Rectangles.
 pub fn boxes(out: &mut ViewMut<'_, u8>, detections: &Detections<'_>, pen: &Pen) {
-    for item in detections.items() {
+    for item in detections.items().iter().filter(|item| item.score >= pen.min_score) {
         let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
         let color = color_of(u64::from(item.class_index));
         draw::rectangle(out, x, y, item.width_px, item.height_px, pen.line_px, color);
@@ -74,7 +76,7 @@ pub fn box_labels(
     words: &mut String,
     labels: &mut Labels,
 ) {
-    for item in detections.items() {
+    for item in detections.items().iter().filter(|item| item.score >= pen.min_score) {
         words.clear();
         let label = detections.label(item.class_index);
         if label.is_empty() {
@@ -104,7 +106,8 @@ pub fn masks(out: &mut ViewMut<'_, u8>, instances: &Instances<'_>, pen: &Pen) {
     }
     let (dx, dy) = (pen.offset.0.round() as i64, pen.offset.1.round() as i64);
     let alpha = (pen.alpha.clamp(0.0, 1.0) * 256.0) as u32;
-    for (index, item) in detections.items().iter().enumerate() {
+    let sure = detections.items().iter().enumerate().filter(|(_, item)| item.score >= pen.min_score);
+    for (index, item) in sure {
         // Each instance has its own colour: touching tools of one class stay apart.
         let color = color_of(if item.track_id >= 0 { item.track_id as u64 } else { index as u64 });
         for (y, row) in instances.mask(index).chunks_exact(stride).take(height).enumerate() {

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use panoscope_imaging::draw::{self, Area, Colormap, Labels};
-use panoscope_node::abi::{Homography, Roi, Scalar, Tip};
+use panoscope_node::abi::{Detection, Homography, Roi, Scalar, Tip};
 use panoscope_node::{
     Bgr8, Choice, Context, Depth, Detections, Disparity, Image, Instances, Mask, Node, NodeError, NodeInfo, Open,
     Params, Ports, Result, Slot, Table, Text, Validation, Value, View, ViewMut,
@@ -92,6 +92,9 @@ pub struct Settings {
     /// Draws boxes with their labels.
     #[param(default = true)]
     pub show_boxes: bool,
+    /// Boxes and masks with a lower score are not drawn.
+    #[param(default = 0.0, range = 0.0..=1.0, step = 0.01)]
+    pub min_score: f32,
     /// Draws masks.
     #[param(default = true)]
     pub show_masks: bool,
@@ -241,10 +244,11 @@ impl Node for Overlay {
         let nearness = input.nearness.filter(|_| params.show_tip);
         let map = input.disparity.map(|p| p.view()).or(input.depth.map(|p| p.view())).filter(|_| params.show_inset);
         self.write_words(&input, params);
+        let is_sure = |item: &Detection| item.score >= params.min_score;
         let something = homography.is_some()
             || roi.is_some()
-            || boxes.is_some_and(|b| !b.items().is_empty())
-            || instances.is_some_and(|i| !i.detections().items().is_empty())
+            || boxes.is_some_and(|b| b.items().iter().any(is_sure))
+            || instances.is_some_and(|i| i.detections().items().iter().any(is_sure))
             || mask.is_some()
             || tip.is_some()
             || nearness.is_some()
@@ -254,7 +258,13 @@ impl Node for Overlay {
             return out.image.forward(input.image.frame());
         }
         let mut picture = out.image.alloc_copy(&input.image)?;
-        let pen = Pen { line_px: params.line_px, text_scale: params.text_scale, offset, alpha: params.mask_alpha };
+        let pen = Pen {
+            line_px: params.line_px,
+            text_scale: params.text_scale,
+            offset,
+            alpha: params.mask_alpha,
+            min_score: params.min_score,
+        };
         let words = self.words.trim_end();
         let size = draw::text_size(words, params.text_scale);
         let corner = params.label_corner.at(frame, size, 4.0 * params.text_scale);

@@ -86,6 +86,19 @@ fn a_box_has_its_label_above_or_inside() {
 }
 
 #[test]
+fn boxes_below_the_least_score_are_not_drawn() {
+    let unsure = Detection { score: 0.2, ..detection(100.0, 100.0) };
+    let sure = Detection { score: 0.6, ..detection(200.0, 150.0) };
+    let drawn = |params: &str, boxes: &[Detection]| {
+        let out = overlay(params).input_detections("detections", boxes, "a\ngrasper", SIZE).process().unwrap();
+        changed(&out.plane::<Bgr8>("image").unwrap())
+    };
+    assert!(drawn("min_score = 0.3", &[unsure]).is_none());
+    assert_eq!(drawn("min_score = 0.3", &[unsure, sure]), drawn("", &[sure]));
+    assert!(drawn("", &[unsure]).is_some());
+}
+
+#[test]
 fn labels_of_two_boxes_and_a_tip_do_not_cover_each_other() {
     let outer = Detection { x_px: 20.0, y_px: 100.0, width_px: 280.0, height_px: 100.0, ..detection(0.0, 0.0) };
     let inner =
