@@ -42,7 +42,7 @@ mod retained;
 mod schedule;
 mod scratch;
 pub mod stats;
-mod sync;
+pub mod sync;
 mod thread_id;
 mod threads;
 mod watch;

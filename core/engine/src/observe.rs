@@ -1,4 +1,4 @@
-//! What an engine reports of its run to whoever writes it down.
+//! What an engine reports of its run, for example to a recorder.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -78,10 +78,10 @@ pub enum Event {
     Fault(Fault),
 }
 
-/// Takes words about trouble with what an observer does, such as a full disk.
+/// Takes a report of a problem of the observer, such as a full disk.
 pub type ReportFn = dyn Fn(&str) + Send + Sync;
 
-/// Hears of everything that a replay needs: what came from outside, and what depended on time.
+/// Receives everything that a replay needs: what came from outside, and what depended on time.
 ///
 /// The engine's threads call these between two nodes, so that none may wait for a disk.
 pub trait Observer: Send + Sync {
@@ -103,7 +103,7 @@ pub trait Observer: Send + Sync {
     /// A source made a tick. The frames are borrowed for the call.
     fn source_tick(&self, node: &str, ports: &Arc<[String]>, tick: &Tick, outputs: &[Frame]);
 
-    /// Where trouble is reported from now on.
+    /// Where problems are reported from now on.
     fn report_to(&self, report: Box<ReportFn>);
 
     /// The process is about to end after a crash: completes the files by `until`. Returns whether that was done.

@@ -7,13 +7,14 @@ use std::collections::{HashMap, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use panoscope_abi::{Frame, Tick};
 use panoscope_engine::observe::{self, Observer, ReportFn};
 use panoscope_engine::panic_words;
+use panoscope_engine::sync::lock;
 
 use crate::digest::{Digests, PacketDigest, digest_of};
 use crate::file::{Output, RecordFile};
@@ -289,10 +290,6 @@ impl Observer for Recorder {
         }
         true
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Drop for Recorder {

@@ -5,12 +5,13 @@
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use panoscope_abi::Tick;
 use panoscope_engine::Applied;
 use panoscope_engine::decide::{self, Decider, Turn, Wanted};
 use panoscope_engine::memory::FrameRef;
+use panoscope_engine::sync::lock;
 use panoscope_graph::{Graph, ParamValue};
 
 use crate::format::Event;
@@ -263,8 +264,4 @@ impl Decider for Script {
     fn has_failed(&self) -> bool {
         self.failed.get().is_some()
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -14,8 +14,8 @@ use crate::search;
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::ops::{self, Waiting};
-use panoscope_editor_model::session::lock;
 use panoscope_editor_widgets::theme;
+use panoscope_engine::sync::lock;
 
 /// What is looked for.
 #[derive(Clone, Debug)]

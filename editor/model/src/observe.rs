@@ -14,8 +14,9 @@ use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{NodeWindow, Preview, Window};
 
 use crate::picture::{self, Look, Range};
-use crate::session::{Handle, lock};
+use crate::session::Handle;
 use crate::surface::{self, Painter, Sight};
+use panoscope_engine::sync::lock;
 
 /// Shortest time from one picture of an output to the next, while one is shown large.
 pub const LARGE_INTERVAL: Duration = Duration::from_millis(100);

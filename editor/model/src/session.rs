@@ -4,10 +4,11 @@
 //! transaction: what fails leaves the old graph running, with its reason in [`Status`].
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use panoscope_engine::sync::lock;
 use panoscope_engine::{ApplyError, Engine, Options, Outcome, StartError};
 use panoscope_graph::{GraphText, check};
 use panoscope_loader::live::LiveError;
@@ -15,11 +16,6 @@ use panoscope_loader::{self as loader, Live, Loader};
 
 /// How long nodes may take to finish their files.
 const PATIENCE: Duration = Duration::from_secs(30);
-
-/// Locks; what a holder left behind that panicked is as whole as any other state.
-pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// How the run stands.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

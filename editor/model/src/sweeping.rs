@@ -9,7 +9,7 @@ use panoscope_eval::sweep::{Point, Request, Sweep};
 use panoscope_loader::Loader;
 use panoscope_record::Recording;
 
-use crate::session::lock;
+use panoscope_engine::sync::lock;
 
 /// How much less than the graph in the window a sweep is to have of the processor.
 const NICENESS: libc::c_int = 10;

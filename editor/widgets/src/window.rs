@@ -1,19 +1,53 @@
 //! The window of a program: its size, how it is opened, how the program ends.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use eframe::egui::{ViewportBuilder, vec2};
 
-use crate::close_on_signals;
+use crate::{Shot, close_on_signals};
 
 /// Makes what is drawn in a window.
 pub type Made = Result<Box<dyn eframe::App>, Box<dyn std::error::Error + Send + Sync>>;
+
+/// Arguments that every window takes.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Size of everything in the window; Ctrl and + or - change it.
+    #[arg(long, default_value_t = 1.0, value_parser = scale)]
+    pub scale: f32,
+    /// Ticks that each source makes; without it, until the sources end or the window is closed.
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
+    pub frames: Option<u64>,
+    /// Width and height of the window in points.
+    #[arg(long, default_value = "1440x900", value_parser = size)]
+    pub size: (f32, f32),
+    /// Writes a picture of the window (PNG or JPEG) and ends.
+    #[arg(long, value_name = "FILE")]
+    screenshot: Option<PathBuf>,
+    /// Writes what the window and the graph cost (JSON) and ends.
+    #[arg(long, value_name = "FILE.json", conflicts_with = "screenshot")]
+    measure: Option<PathBuf>,
+    /// Seconds until the screenshot is taken, or the costs are written.
+    #[arg(long, default_value_t = 3.0)]
+    after: f64,
+    /// Does something before that: an action's name such as `heat`, `select:NODE`, `view:NODE.PORT`. May be given again.
+    #[arg(long = "do", value_name = "ACTION")]
+    actions: Vec<String>,
+}
+
+impl Arguments {
+    /// The picture, costs and script that were asked for.
+    pub fn shot(&self) -> Shot {
+        let after = |file: &Option<PathBuf>| file.clone().map(|file| (file, self.after));
+        Shot::new(after(&self.screenshot), after(&self.measure), &self.actions)
+    }
+}
 
 /// The scale of everything in a window, from a text such as `1.5`.
 ///
 /// # Errors
 /// In words, what is accepted.
-pub fn scale(text: &str) -> Result<f32, String> {
+fn scale(text: &str) -> Result<f32, String> {
     let scale = text.parse::<f32>().map_err(|e| e.to_string())?;
     if (0.5..=4.0).contains(&scale) { Ok(scale) } else { Err("from 0.5 to 4".to_owned()) }
 }
@@ -22,7 +56,7 @@ pub fn scale(text: &str) -> Result<f32, String> {
 ///
 /// # Errors
 /// In words, what is accepted.
-pub fn size(text: &str) -> Result<(f32, f32), String> {
+fn size(text: &str) -> Result<(f32, f32), String> {
     let parts = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
     parts.filter(|&(w, h)| w >= 480.0 && h >= 320.0).ok_or_else(|| "as in 1440x900, at least 480x320".to_owned())
 }

@@ -19,7 +19,7 @@ pub(crate) struct Recovery {
     pub wants_restart: AtomicBool,
     /// Its last error was one that opening it again would not cure.
     pub gives_up: AtomicBool,
-    /// Increases whenever somebody sets out to restart; only the newest may hand over.
+    /// Increases with every attempt to restart; only the newest may hand over.
     pub restarting: AtomicU64,
     pub failures: AtomicU32,
     /// Calls of all kinds that were left behind and have not returned.

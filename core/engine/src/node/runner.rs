@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 
 use crate::leave::Leave;
 
-/// The thread itself writes `thread`, `has_thread` and `walk_ns`; whoever wakes it writes `wake`; a change of the graph writes the rest.
+/// The thread itself writes `thread`, `has_thread` and `walk_ns`; a thread that wakes it writes `wake`; a change of the graph writes the rest.
 pub(crate) struct Runner {
     /// The node's own thread, if it has one.
     pub thread: Mutex<Option<std::thread::Thread>>,

@@ -9,9 +9,10 @@ mod part;
 mod values;
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use panoscope_engine::sync::lock;
 use panoscope_engine::{Engine, Listener, NumberListener, Options, Outcome};
 use panoscope_graph::{Diagnostics, GraphText, ParamKind, ParamValue, check};
 use panoscope_loader::Loader;
@@ -303,8 +304,4 @@ pub fn csv(param: &str, measure: &str, points: &[Point]) -> String {
         }
     }
     out
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
