@@ -63,7 +63,7 @@ impl CallKind {
 
 /// A call was given up: its thread leaves without touching anything.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct LeftBehind;
+pub(crate) struct Abandoned;
 
 /// The running call as the watchdog sees it.
 #[derive(Default)]

@@ -16,10 +16,10 @@ const NOTICE_NS: u64 = 50_000_000;
 const FIRST_INTERVAL_NS: u64 = 100_000_000;
 const LONGEST_INTERVAL_NS: u64 = 64_000_000_000;
 /// Most that the clock runs faster or slower than the counter says, to take an error back.
-const MOST_SLEW: f64 = 0.001;
+const MAX_SLEW: f64 = 0.001;
 /// A counter whose rate differs this much between two measurements, or a clock that is off this much, is not relied upon.
-const MOST_RATE_CHANGE: f64 = 0.01;
-const MOST_ERROR_NS: f64 = 50e6;
+const MAX_RATE_CHANGE: f64 = 0.01;
+const MAX_ERROR_NS: f64 = 50e6;
 
 /// A stretch of time over which the clock runs at one rate. Stretches are never freed: a reader may still hold one.
 struct Stretch {
@@ -39,7 +39,7 @@ struct Stretch {
 /// Half of the numbers: a counter before the begin of a stretch is past this end, too.
 const NO_END: u64 = 1 << 63;
 /// Counters of two processors differ by less.
-const MOST_COUNTERS_DIFFER: u64 = 1 << 20;
+const MAX_COUNTERS_DIFFER: u64 = 1 << 20;
 
 impl Stretch {
     const fn new(begin_ticks: u64, begin_ns: u64, ns_per_tick_q32: u64) -> Self {
@@ -123,10 +123,10 @@ enum Next {
 /// the longest time there is, `horizon_ns` the time over which the error is to go.
 fn decide(current: f64, measured: f64, off_ns: f64, horizon_ns: f64) -> Next {
     let changed = (measured / current - 1.0).abs();
-    if !measured.is_finite() || measured <= 0.0 || changed > MOST_RATE_CHANGE || off_ns.abs() > MOST_ERROR_NS {
+    if !measured.is_finite() || measured <= 0.0 || changed > MAX_RATE_CHANGE || off_ns.abs() > MAX_ERROR_NS {
         return Next::Os;
     }
-    let slew = (off_ns / horizon_ns).clamp(-MOST_SLEW, MOST_SLEW);
+    let slew = (off_ns / horizon_ns).clamp(-MAX_SLEW, MAX_SLEW);
     Next::Rate(measured * (1.0 - slew))
 }
 
@@ -170,7 +170,7 @@ impl Clock {
             let passed = ticks.wrapping_sub(stretch.begin_ticks);
             if passed >= NO_END {
                 // Another processor's counter may be a little behind. One that has begun anew says nothing.
-                let little = passed.wrapping_neg() < MOST_COUNTERS_DIFFER;
+                let little = passed.wrapping_neg() < MAX_COUNTERS_DIFFER;
                 return if little { stretch.begin_ns } else { self.os(stretch.begin_ns, os_ns()) };
             }
             let next = stretch.next.load(Ordering::Acquire);

@@ -28,7 +28,7 @@ const STACK_BYTES: usize = 8 << 20;
 
 /// A call to be made.
 pub(crate) struct Call<T> {
-    pub cell: Arc<NodeRuntime>,
+    pub runtime: Arc<NodeRuntime>,
     pub kind: CallKind,
     /// What it answers is dropped on its thread if nobody waits any more.
     pub run: Box<dyn FnOnce() -> T + Send>,
@@ -107,12 +107,12 @@ impl<T> Line<T> {
             if state.thread != number {
                 return;
             }
-            let Some(Call { cell, kind, run }) = state.todo.pop_front() else {
+            let Some(Call { runtime, kind, run }) = state.todo.pop_front() else {
                 state.thread = 0;
                 self.changed.notify_all();
                 return;
             };
-            state.running = Some((Arc::clone(&cell), kind, Instant::now()));
+            state.running = Some((Arc::clone(&runtime), kind, Instant::now()));
             drop(state);
             let answer = catch_unwind(AssertUnwindSafe(run));
             let answer = answer.map_err(|payload| CallError::Panic { words: panic_words(&*payload).to_owned() });
@@ -121,14 +121,14 @@ impl<T> Line<T> {
                 drop(state);
                 // Nobody waits: what was opened is closed again, here.
                 drop(answer);
-                cell.recovery.stuck.fetch_sub(1, Ordering::Relaxed);
+                runtime.recovery.remove_stuck();
                 return;
             }
             state.running = None;
             if answer.as_ref().is_ok_and(|answer| !(self.goes_on)(answer)) {
                 state.todo.clear();
             }
-            state.done.push_back((cell, answer));
+            state.done.push_back((runtime, answer));
             self.changed.notify_all();
         }
     }
@@ -136,7 +136,7 @@ impl<T> Line<T> {
 
 impl Shared {
     /// Makes calls one after the other, until `goes_on` says no to an answer, and hands each answer to `take`, on the calling thread. A call
-    /// that takes longer than `limit` is left behind with its thread: its cell counts it as stuck until it returns. After such a call
+    /// that takes longer than `limit` is left behind with its thread: its runtime counts it as stuck until it returns. After such a call
     /// `take` says whether those that follow are made.
     pub fn guarded<T: Send + 'static>(
         self: &Arc<Self>,
@@ -151,10 +151,10 @@ impl Shared {
         let mut stop_since = None;
         let mut state = line.state();
         loop {
-            if let Some((cell, answer)) = state.done.pop_front() {
+            if let Some((runtime, answer)) = state.done.pop_front() {
                 drop(state);
                 let unanswered = answer.is_err();
-                let flow = take(&cell, answer);
+                let flow = take(&runtime, answer);
                 state = line.state();
                 if unanswered && flow.is_break() {
                     state.todo.clear();
@@ -163,7 +163,7 @@ impl Shared {
             }
             if state.thread == 0 {
                 let Some(first) = state.todo.front() else { return };
-                let name = first.cell.id.chars().take(15).collect();
+                let name = first.runtime.id.chars().take(15).collect();
                 let number = thread_id::next();
                 state.thread = number;
                 drop(state);
@@ -172,7 +172,7 @@ impl Shared {
                 if let Err(cause) = started {
                     state.thread = 0;
                     let Some(call) = state.todo.pop_front() else { return };
-                    state.done.push_back((call.cell, Err(CallError::Thread { cause })));
+                    state.done.push_back((call.runtime, Err(CallError::Thread { cause })));
                 }
                 continue;
             }
@@ -180,15 +180,15 @@ impl Shared {
             if stop_since.is_none() && self.is_stopping() {
                 stop_since = Some(now);
             }
-            if let Some((cell, kind, since)) = &state.running {
+            if let Some((runtime, kind, since)) = &state.running {
                 let spent = now.duration_since(*since);
                 let hurried = stop_since.is_some_and(|stop| now.duration_since(stop.max(*since)) >= limit.at_stop);
                 if spent >= limit.usual || hurried {
-                    let (cell, kind, number) = (Arc::clone(cell), *kind, state.thread);
+                    let (runtime, kind, number) = (Arc::clone(runtime), *kind, state.thread);
                     (state.running, state.thread) = (None, 0);
-                    cell.recovery.stuck.fetch_add(1, Ordering::Relaxed);
+                    runtime.recovery.add_stuck();
                     let error = CallError::NoReturn { kind, seconds: spent.as_secs_f64() };
-                    state.done.push_back((cell, Err(error)));
+                    state.done.push_back((runtime, Err(error)));
                     drop(state);
                     // Workers that are stuck in its loops go with it.
                     if let Err(cause) = self.pool.give_up(number) {
@@ -223,12 +223,12 @@ impl Shared {
     pub fn call_guarded<T: Send + 'static>(
         self: &Arc<Self>,
         limit: Limit,
-        cell: &Arc<NodeRuntime>,
+        runtime: &Arc<NodeRuntime>,
         kind: CallKind,
         run: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T, CallError> {
         let mut answer = None;
-        let call = Call { cell: Arc::clone(cell), kind, run: Box::new(run) };
+        let call = Call { runtime: Arc::clone(runtime), kind, run: Box::new(run) };
         self.guarded(
             limit,
             |_| true,
@@ -244,12 +244,12 @@ impl Shared {
     /// The call that opens an instance with the given values.
     pub fn opening(
         self: &Arc<Self>,
-        cell: &Arc<NodeRuntime>,
+        runtime: &Arc<NodeRuntime>,
         snapshot: &Arc<Snapshot>,
     ) -> Call<Result<Instance, String>> {
-        let (me, mine, values) = (Arc::clone(self), Arc::clone(cell), Arc::clone(snapshot));
-        let run = move || mine.open(&me.around, &values);
-        Call { cell: Arc::clone(cell), kind: CallKind::Open, run: Box::new(run) }
+        let (me, mine, values) = (Arc::clone(self), Arc::clone(runtime), Arc::clone(snapshot));
+        let run = move || mine.open(&me.context, &values);
+        Call { runtime: Arc::clone(runtime), kind: CallKind::Open, run: Box::new(run) }
     }
 
     /// Opens an instance with the given values.
@@ -258,11 +258,11 @@ impl Shared {
     /// What the node says, or that it did not return.
     pub fn open_guarded(
         self: &Arc<Self>,
-        cell: &Arc<NodeRuntime>,
+        runtime: &Arc<NodeRuntime>,
         snapshot: &Arc<Snapshot>,
     ) -> Result<Instance, OpenError> {
-        let call = self.opening(cell, snapshot);
-        match self.call_guarded(Limit::until_stop(self.around.open_limit), cell, CallKind::Open, call.run) {
+        let call = self.opening(runtime, snapshot);
+        match self.call_guarded(Limit::until_stop(self.context.open_limit), runtime, CallKind::Open, call.run) {
             Ok(opened) => opened.map_err(OpenError::Refused),
             Err(error) => Err(OpenError::Call(error)),
         }
@@ -274,18 +274,18 @@ impl Shared {
     /// What the node says, or that it did not return.
     pub fn open_again(
         self: &Arc<Self>,
-        cell: &Arc<NodeRuntime>,
+        runtime: &Arc<NodeRuntime>,
         snapshot: &Arc<Snapshot>,
     ) -> Result<Instance, OpenError> {
-        let instance = self.open_guarded(cell, snapshot)?;
-        let Some(state) = cell.take_position(&instance) else { return Ok(instance) };
-        match self.load_guarded(cell, instance, state.clone()) {
+        let instance = self.open_guarded(runtime, snapshot)?;
+        let Some(state) = runtime.take_position(&instance) else { return Ok(instance) };
+        match self.load_guarded(runtime, instance, state.clone()) {
             Ok((instance, understood)) => {
-                cell.position_taken(&self.around, state, understood);
+                runtime.position_taken(&self.context, state, understood);
                 Ok(instance)
             }
             Err(error) => {
-                cell.position_lost(&self.around);
+                runtime.position_lost(&self.context);
                 Err(OpenError::Call(error))
             }
         }
@@ -297,7 +297,7 @@ impl Shared {
     /// It did not return: the instance is lost.
     pub fn load_guarded(
         self: &Arc<Self>,
-        cell: &Arc<NodeRuntime>,
+        runtime: &Arc<NodeRuntime>,
         mut instance: Instance,
         state: Vec<u8>,
     ) -> Result<(Instance, bool), CallError> {
@@ -305,24 +305,24 @@ impl Shared {
             let understood = instance.load_state(&state);
             (instance, understood)
         };
-        self.call_guarded(Limit::until_stop(self.around.close_limit), cell, CallKind::LoadState, load)
+        self.call_guarded(Limit::until_stop(self.context.close_limit), runtime, CallKind::LoadState, load)
     }
 
     /// Closes instances of a node; one that does not return is told of and left behind.
-    pub fn close_guarded(self: &Arc<Self>, cell: &Arc<NodeRuntime>, instances: Vec<Instance>) {
+    pub fn close_guarded(self: &Arc<Self>, runtime: &Arc<NodeRuntime>, instances: Vec<Instance>) {
         let open = instances.into_iter().filter(Instance::is_open);
         let calls = open.map(|instance| {
-            let (me, mine) = (Arc::clone(self), Arc::clone(cell));
-            let run = Box::new(move || mine.end(&me.around, instance));
-            Call { cell: Arc::clone(cell), kind: CallKind::Close, run }
+            let (me, mine) = (Arc::clone(self), Arc::clone(runtime));
+            let run = Box::new(move || mine.end(&me.context, instance));
+            Call { runtime: Arc::clone(runtime), kind: CallKind::Close, run }
         });
         self.guarded(
-            Limit::always(self.around.close_limit),
+            Limit::always(self.context.close_limit),
             |()| true,
             calls,
-            |cell, result| {
+            |runtime, result| {
                 if let Err(error) = result {
-                    self.tell_no_return(cell, &error);
+                    self.report_no_return(runtime, &error);
                 }
                 ControlFlow::Continue(())
             },
@@ -331,32 +331,32 @@ impl Shared {
 
     /// Closes all instances of nodes, one after the other; beside one that takes long the next are closed already. What has not come to its
     /// end by then is left behind and named in the log.
-    pub fn close_all(self: &Arc<Self>, cells: Vec<Arc<NodeRuntime>>, until: Instant) {
+    pub fn close_all(self: &Arc<Self>, runtimes: Vec<Arc<NodeRuntime>>, until: Instant) {
         let mut open = Vec::new();
         let mut calls = Vec::new();
-        for cell in cells {
+        for runtime in runtimes {
             // Whoever opens the node again is too late.
-            cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
-            let (instances, all) = cell.take_instances();
+            runtime.recovery.begin_restart();
+            let (instances, all) = runtime.take_instances();
             let closed = Arc::new(AtomicBool::new(!all));
-            open.push((Arc::clone(&cell), Arc::clone(&closed), all));
-            let (me, mine) = (Arc::clone(self), Arc::clone(&cell));
+            open.push((Arc::clone(&runtime), Arc::clone(&closed), all));
+            let (me, mine) = (Arc::clone(self), Arc::clone(&runtime));
             let run = Box::new(move || {
-                instances.into_iter().for_each(|instance| mine.end(&me.around, instance));
+                instances.into_iter().for_each(|instance| mine.end(&me.context, instance));
                 closed.store(true, Ordering::Release);
             });
-            calls.push(Call { cell, kind: CallKind::Close, run });
+            calls.push(Call { runtime, kind: CallKind::Close, run });
         }
         let turn = until.saturating_duration_since(Instant::now()).min(LONGEST_TURN);
         self.guarded(Limit::always(turn), |()| true, calls, |_, _| ControlFlow::Continue(()));
-        for (cell, closed, all) in open {
+        for (runtime, closed, all) in open {
             while !closed.load(Ordering::Acquire) && Instant::now() < until {
                 std::thread::sleep(Duration::from_millis(1));
             }
-            if !all || !closed.load(Ordering::Acquire) || cell.recovery.stuck.load(Ordering::Relaxed) > 0 {
+            if !all || !closed.load(Ordering::Acquire) || runtime.recovery.stuck() > 0 {
                 let words = "it does not return and is left behind; its files may be incomplete";
-                self.around.log.write(Level::Error, &cell.id, words);
-                cell.ceased(&self.around, words);
+                self.context.log.write(Level::Error, &runtime.id, words);
+                runtime.record_bypassed(&self.context, words);
             }
         }
     }

@@ -31,7 +31,7 @@ pub(crate) struct CallContext<'a> {
     pub lent: Option<Lent>,
     /// What the first output may be.
     pub first_formats: u32,
-    pub cell: &'a NodeRuntime,
+    pub runtime: &'a NodeRuntime,
     /// Files that the instance claims.
     pub holds: &'a Holds,
     pub log: &'a Log,
@@ -55,7 +55,7 @@ pub(crate) struct Lent {
     pub input: u32,
 }
 
-pub(crate) unsafe fn context<'a>(call: *mut c_void) -> Option<&'a mut CallContext<'a>> {
+pub(crate) unsafe fn call_context<'a>(call: *mut c_void) -> Option<&'a mut CallContext<'a>> {
     // SAFETY: plugins pass back the handle of the running call (the contract).
     unsafe { call.cast::<CallContext<'a>>().as_mut() }
 }
@@ -63,8 +63,8 @@ pub(crate) unsafe fn context<'a>(call: *mut c_void) -> Option<&'a mut CallContex
 impl<'a> CallContext<'a> {
     /// For a call that is no tick: it has no inputs and makes no outputs.
     pub fn without_tick(
-        cell: &'a NodeRuntime,
-        around: &'a RunContext,
+        runtime: &'a NodeRuntime,
+        context: &'a RunContext,
         holds: &'a Holds,
         failure: &'a mut String,
     ) -> Self {
@@ -76,15 +76,15 @@ impl<'a> CallContext<'a> {
             inputs_len: 0,
             lent: None,
             first_formats: 0,
-            cell,
+            runtime,
             holds,
-            log: &around.log,
+            log: &context.log,
             failure,
             has_failure: false,
             refused: None,
             random: None,
             tick: abi::Tick::default(),
-            wait_for_memory: around.unhurried(),
+            wait_for_memory: context.ignores_wall_clock(),
         }
     }
 }
@@ -129,13 +129,13 @@ impl CallContext<'_> {
     /// Whether output `index` may be a frame of this description.
     #[inline]
     fn accepts(&self, index: u32, frame: &Frame) -> bool {
-        let formats = if index == 0 { self.first_formats } else { self.cell.rules[index as usize].formats() };
+        let formats = if index == 0 { self.first_formats } else { self.runtime.rules[index as usize].formats() };
         outputs::fits(formats, frame)
     }
 
     #[cold]
     fn object(&mut self, index: u32, frame: &Frame) -> Status {
-        let (cause, words) = self.cell.rules[index as usize].objection(frame);
+        let (cause, words) = self.runtime.rules[index as usize].objection(frame);
         self.refuse(cause, words)
     }
 
@@ -181,70 +181,70 @@ unsafe extern "C" fn alloc(
     stride_bytes: u32,
     len: usize,
 ) -> Status {
-    // SAFETY: see `context`.
-    let Some(context) = (unsafe { context(call) }) else { return abi::STATUS_INVALID };
-    if output as usize >= context.outputs_len {
+    // SAFETY: see `call_context`.
+    let Some(call_context) = (unsafe { call_context(call) }) else { return abi::STATUS_INVALID };
+    if output as usize >= call_context.outputs_len {
         return abi::STATUS_INVALID;
     }
     let wanted = Frame { len, format, width, height, stride_bytes, ..Frame::EMPTY };
-    if !context.accepts(output, &wanted) {
-        return context.object(output, &wanted);
+    if !call_context.accepts(output, &wanted) {
+        return call_context.object(output, &wanted);
     }
-    match context.allocate(len) {
-        Ok((buffer, data)) => context.place(output, &Frame { buffer, data, ..wanted }),
+    match call_context.allocate(len) {
+        Ok((buffer, data)) => call_context.place(output, &Frame { buffer, data, ..wanted }),
         Err(status) => status,
     }
 }
 
 unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame) -> Status {
-    // SAFETY: see `context`; the frame is read for the length of this function.
-    let (Some(context), Some(frame)) = (unsafe { (context(call), frame.as_ref()) }) else {
+    // SAFETY: see `call_context`; the frame is read for the length of this function.
+    let (Some(call_context), Some(frame)) = (unsafe { (call_context(call), frame.as_ref()) }) else {
         return abi::STATUS_INVALID;
     };
     let frame = *frame;
-    if output as usize >= context.outputs_len {
+    if output as usize >= call_context.outputs_len {
         return abi::STATUS_INVALID;
     }
-    if !context.accepts(output, &frame) {
-        return context.object(output, &frame);
+    if !call_context.accepts(output, &frame) {
+        return call_context.object(output, &frame);
     }
-    if context.lent.is_none()
-        && let Some(input) = context.input(&frame)
+    if call_context.lent.is_none()
+        && let Some(input) = call_context.input(&frame)
     {
-        match context.output(output) {
-            Some(slot) if slot.is_empty() => context.write(output, &frame),
-            _ => _ = context.place(output, &frame),
+        match call_context.output(output) {
+            Some(slot) if slot.is_empty() => call_context.write(output, &frame),
+            _ => _ = call_context.place(output, &frame),
         }
-        context.lent = Some(Lent { output, input });
+        call_context.lent = Some(Lent { output, input });
         return abi::STATUS_OK;
     }
     if !memory().retain_checked(&frame) {
         let words = format!(
             "output `{}` was forwarded from memory that is no frame of the host",
-            context.cell.rules[output as usize].name
+            call_context.runtime.rules[output as usize].name
         );
-        return context.refuse(Cause::BadOutput, words);
+        return call_context.refuse(Cause::BadOutput, words);
     }
-    context.place(output, &frame)
+    call_context.place(output, &frame)
 }
 
 unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
-    // SAFETY: see `context`.
-    let Some(context) = (unsafe { context(call) }) else { return abi::STATUS_INVALID };
-    let Some(&mut frame) = context.output(output) else { return abi::STATUS_INVALID };
+    // SAFETY: see `call_context`.
+    let Some(call_context) = (unsafe { call_context(call) }) else { return abi::STATUS_INVALID };
+    let Some(&mut frame) = call_context.output(output) else { return abi::STATUS_INVALID };
     if frame.is_empty() {
         return abi::STATUS_INVALID;
     }
-    let lent = context.lent.is_some_and(|lent| lent.output == output);
+    let lent = call_context.lent.is_some_and(|lent| lent.output == output);
     if !lent && memory().references(frame.buffer) == 1 {
         return abi::STATUS_OK;
     }
-    match context.allocate(frame.len) {
+    match call_context.allocate(frame.len) {
         Ok((buffer, data)) => {
             // SAFETY: two live buffers of at least `len` bytes that do not overlap.
             unsafe { std::ptr::copy_nonoverlapping(frame.data, data, frame.len) };
-            bump(&context.cell.stats.copies);
-            context.place(output, &Frame { buffer, data, ..frame })
+            bump(&call_context.runtime.stats.copies);
+            call_context.place(output, &Frame { buffer, data, ..frame })
         }
         Err(status) => status,
     }
@@ -273,8 +273,8 @@ unsafe fn words<'a>(text: Str) -> std::borrow::Cow<'a, str> {
 }
 
 unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
-    // SAFETY: see `context` and `words`.
-    if let Some(context) = unsafe { context(call) } {
+    // SAFETY: see `call_context` and `words`.
+    if let Some(call_context) = unsafe { call_context(call) } {
         let level = match level {
             abi::LOG_ERROR => Level::Error,
             abi::LOG_WARN => Level::Warn,
@@ -282,33 +282,29 @@ unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
             _ => Level::Debug,
         };
         // SAFETY: as above.
-        context.log.write(level, &context.cell.id, &unsafe { words(message) });
+        call_context.log.write(level, &call_context.runtime.id, &unsafe { words(message) });
     }
 }
 
 unsafe extern "C" fn fail(call: *mut c_void, message: Str) {
-    // SAFETY: see `context` and `words`.
-    if let Some(context) = unsafe { context(call) } {
-        context.failure.clear();
+    // SAFETY: see `call_context` and `words`.
+    if let Some(call_context) = unsafe { call_context(call) } {
+        call_context.failure.clear();
         // SAFETY: as above.
-        context.failure.push_str(&unsafe { words(message) });
-        context.has_failure = true;
+        call_context.failure.push_str(&unsafe { words(message) });
+        call_context.has_failure = true;
     }
 }
 
 unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
-    // SAFETY: see `context` and `words`.
-    if let Some(context) = unsafe { context(call) } {
+    // SAFETY: see `call_context` and `words`.
+    if let Some(call_context) = unsafe { call_context(call) } {
         // SAFETY: as above.
         let name = unsafe { words(name) };
-        if let Some(hear) = context.cell.hear_number.get() {
-            hear(&context.tick, &name, value);
+        if let Some(hear) = call_context.runtime.hear_number.get() {
+            hear(&call_context.tick, &name, value);
         }
-        let mut metrics = context.cell.metrics.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        match metrics.iter_mut().find(|(known, _)| *known == name) {
-            Some((_, slot)) => *slot = value,
-            None => metrics.push((name.into_owned(), value)),
-        }
+        call_context.runtime.progress.set_metric(&name, value);
     }
 }
 
@@ -319,11 +315,11 @@ fn seed(id: &str, tick: abi::Tick) -> u64 {
 }
 
 unsafe extern "C" fn random(call: *mut c_void) -> u64 {
-    // SAFETY: see `context`.
-    match unsafe { context(call) } {
-        Some(context) => {
-            let begin = || SplitMix64(seed(&context.cell.id, context.tick));
-            context.random.get_or_insert_with(begin).bits()
+    // SAFETY: see `call_context`.
+    match unsafe { call_context(call) } {
+        Some(call_context) => {
+            let begin = || SplitMix64(seed(&call_context.runtime.id, call_context.tick));
+            call_context.random.get_or_insert_with(begin).bits()
         }
         None => 0,
     }
@@ -335,14 +331,14 @@ unsafe extern "C" fn save(_: *mut c_void, _: *const u8, _: usize) {
 
 unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status {
     // SAFETY: plugins pass back the handle of the running call and lend the text for the length of this function (the contract).
-    let (Some(context), Some(path)) = (unsafe { (context(call), path.text()) }) else {
+    let (Some(call_context), Some(path)) = (unsafe { (call_context(call), path.text()) }) else {
         return abi::STATUS_INVALID;
     };
-    let holds = context.holds;
+    let holds = call_context.holds;
     let Some(claims) = holds.claims.as_ref().filter(|_| action <= abi::CLAIM_BEGIN_NEW) else {
         return abi::STATUS_INVALID;
     };
-    let (status, text) = match claims.claim(holds.token, &context.cell.id, Path::new(path), action) {
+    let (status, text) = match claims.claim(holds.token, &call_context.runtime.id, Path::new(path), action) {
         Ok(path) => (abi::STATUS_OK, path.to_string_lossy().into_owned()),
         Err(other) => (abi::STATUS_INVALID, other),
     };

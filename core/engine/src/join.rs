@@ -10,13 +10,13 @@ use crate::memory::FrameRef;
 use crate::region::Region;
 
 /// Most packets that a trigger slot keeps while its region is paused.
-const MOST_PAUSED: usize = 1 << 10;
+const MAX_PAUSED: usize = 1 << 10;
 /// Most packets that wait in live mode to be the nearest, where the graph says nothing: a second of a camera.
-const MOST_NEAREST: usize = 32;
+const MAX_NEAREST: usize = 32;
 /// Most packets of another region that wait in live mode to be that of the tick before, where the graph says nothing.
-const MOST_DELAYED: usize = 8;
+const MAX_DELAYED: usize = 8;
 /// Packets that a slot has room for from its start at most.
-const MOST_RESERVED: usize = 256;
+const MAX_RESERVED: usize = 256;
 
 /// How a slot is matched with the node's other slots.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,7 +53,7 @@ pub(crate) struct Slot {
 
 impl Slot {
     pub fn new(rule: Rule, optional: bool, capacity: usize) -> Self {
-        let queue = VecDeque::with_capacity(capacity.clamp(8, MOST_RESERVED));
+        let queue = VecDeque::with_capacity(capacity.clamp(8, MAX_RESERVED));
         let capacity = capacity.max(1);
         Self { rule, optional, capacity, queue, held: None, ended: false, most: 0, dropped: 0, expects: false }
     }
@@ -62,8 +62,8 @@ impl Slot {
     pub fn usual_capacity(rule: Rule) -> usize {
         match rule {
             Rule::Exact | Rule::Latest { .. } => 1,
-            Rule::Nearest { .. } => MOST_NEAREST,
-            Rule::Delay => MOST_DELAYED,
+            Rule::Nearest { .. } => MAX_NEAREST,
+            Rule::Delay => MAX_DELAYED,
         }
     }
 
@@ -113,13 +113,25 @@ pub(crate) enum Take {
     Finished,
 }
 
+/// Whether a thread runs the node, and whether it will be fired again.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Turn {
+    /// May be fired.
+    #[default]
+    Idle,
+    /// A thread runs it.
+    Running,
+    /// A thread runs it for the last time: it was taken out of the graph meanwhile.
+    Finishing,
+    /// It is not fired again.
+    Finished,
+}
+
 /// All connections into a node.
 #[derive(Default)]
 pub(crate) struct Join {
     pub slots: Vec<Slot>,
-    /// A runner holds the node.
-    pub running: bool,
-    pub finished: bool,
+    turn: Turn,
     /// Inputs of the tick that is to run, one per slot.
     pub staged: Vec<FrameRef>,
     pub staged_take: Option<(Tick, bool)>,
@@ -136,6 +148,49 @@ impl Join {
         let exact = slots.iter().any(|s| s.rule == Rule::Exact);
         let staged = Vec::with_capacity(slots.len());
         Self { slots, exact, batch, staged, ..Self::default() }
+    }
+
+    /// Whether the node may be fired: no thread runs it, and it is not finished.
+    #[inline]
+    pub fn is_idle(&self) -> bool {
+        self.turn == Turn::Idle
+    }
+
+    /// Whether a thread runs the node.
+    #[inline]
+    pub fn is_running(&self) -> bool {
+        matches!(self.turn, Turn::Running | Turn::Finishing)
+    }
+
+    /// Whether the node is not fired again.
+    #[inline]
+    pub fn is_finished(&self) -> bool {
+        matches!(self.turn, Turn::Finishing | Turn::Finished)
+    }
+
+    /// Sets whether a thread runs the node.
+    #[inline]
+    pub fn set_running(&mut self, running: bool) {
+        self.turn = match (running, self.is_finished()) {
+            (true, false) => Turn::Running,
+            (true, true) => Turn::Finishing,
+            (false, false) => Turn::Idle,
+            (false, true) => Turn::Finished,
+        };
+    }
+
+    /// The node is not fired again. Returns whether that is new.
+    pub fn finish(&mut self) -> bool {
+        let is_new = !self.is_finished();
+        self.turn = if self.is_running() { Turn::Finishing } else { Turn::Finished };
+        is_new
+    }
+
+    /// The node may be fired again: a change gave it new inputs. Returns whether it was finished.
+    pub fn unfinish(&mut self) -> bool {
+        let was_finished = self.is_finished();
+        self.turn = if self.is_running() { Turn::Running } else { Turn::Idle };
+        was_finished
     }
 
     /// Whether the node fires on arrivals because nothing gives it a tick.
@@ -175,7 +230,7 @@ impl Join {
 
     /// Keeps what arrives during a pause instead of the newest only.
     pub fn pause(&mut self) {
-        self.spare = MOST_PAUSED;
+        self.spare = MAX_PAUSED;
     }
 
     /// The pause is over: what waits is used up, then the newest wins again.
@@ -202,8 +257,8 @@ impl Join {
                 slot.inherit(old);
             }
         }
-        let (running, finished, spare) = (self.running, self.finished, self.spare);
-        *self = Join { running, finished, spare, ..new };
+        let (turn, spare) = (self.turn, self.spare);
+        *self = Join { turn, spare, ..new };
     }
 
     /// No further packet comes on this slot.
@@ -213,7 +268,7 @@ impl Join {
 
     /// Fires if everything is there. `region` gates nodes that head one.
     pub fn try_take(&mut self, region: Option<&Region>, now_ns: u64) -> Take {
-        if self.finished {
+        if self.is_finished() {
             return Take::Finished;
         }
         if self.exact { self.take_exact(now_ns) } else { self.take_arrival(region) }
@@ -249,7 +304,7 @@ impl Join {
         script: Option<&Mutex<VecDeque<Wanted>>>,
         may_enter: bool,
     ) -> Take {
-        if self.finished {
+        if self.is_finished() {
             return Take::Finished;
         }
         let mut script = script.map(|s| s.lock().unwrap_or_else(PoisonError::into_inner));
@@ -446,7 +501,7 @@ impl Join {
         }
         if self.spare > 0 {
             let waiting = self.slots.iter().map(|s| s.queue.len()).max().unwrap_or(0);
-            self.spare = if self.spare == MOST_PAUSED { self.spare } else { self.spare.min(waiting) };
+            self.spare = if self.spare == MAX_PAUSED { self.spare } else { self.spare.min(waiting) };
         }
         self.staged_take = Some((tick, complete));
         Take::Fire { tick, complete }

@@ -11,7 +11,7 @@ use panoscope_abi::{BufferId, Frame};
 const SMALLEST_BITS: u32 = 8;
 const LARGEST_BITS: u32 = 30;
 const POOLS: usize = (LARGEST_BITS - SMALLEST_BITS + 1) as usize;
-const MOST_SLOTS: usize = 1 << 16;
+const MAX_SLOTS: usize = 1 << 16;
 const RESERVE_BYTES: usize = 4 << 30;
 
 struct Pool {
@@ -73,7 +73,7 @@ pub fn memory() -> &'static Memory {
 
 impl Pool {
     fn reserve(bits: u32) -> Option<Pool> {
-        let slots = (RESERVE_BYTES >> bits).clamp(2, MOST_SLOTS);
+        let slots = (RESERVE_BYTES >> bits).clamp(2, MAX_SLOTS);
         // SAFETY: a fresh anonymous mapping; nothing is touched until a slot is used.
         let base = unsafe {
             libc::mmap(

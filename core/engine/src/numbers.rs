@@ -68,8 +68,8 @@ pub fn read(bytes: &[u8], packet: &str) -> Option<Numbers> {
             let names = text(bytes, start, len);
             let names: Vec<String> = names.split('\n').take(columns.min(MOST)).map(str::to_owned).collect();
             let at = |row: usize, column: usize| start + len + (row * columns + column) * 8;
-            let cells = (0..rows).flat_map(|row| (0..names.len()).map(move |column| (row, column)));
-            let values = cells.map(|(row, column)| number(bytes, at(row, column))).collect();
+            let runtimes = (0..rows).flat_map(|row| (0..names.len()).map(move |column| (row, column)));
+            let values = runtimes.map(|(row, column)| number(bytes, at(row, column))).collect();
             Some(Numbers { names, values })
         }
         _ => None,

@@ -8,7 +8,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Items that wait; more are left out.
-pub(crate) const MOST_WAITING: usize = 1024;
+pub(crate) const MAX_WAITING: usize = 1024;
 /// How long the end of a queue waits for what is still to be written.
 const LONGEST_FLUSH: Duration = Duration::from_secs(1);
 
@@ -111,7 +111,7 @@ impl<T: Send + 'static> Outbox<T> {
             return direct.lock().unwrap_or_else(PoisonError::into_inner)(item);
         }
         let mut state = self.inner.state();
-        if state.items.len() >= MOST_WAITING {
+        if state.items.len() >= MAX_WAITING {
             state.skipped_tick += 1;
             return;
         }
@@ -184,7 +184,7 @@ mod tests {
             list.lock().expect("no panic").push(line);
         };
         let outbox = Outbox::new("test", |n| format!("{n} left out"), write, |_| {});
-        let total = MOST_WAITING + 50;
+        let total = MAX_WAITING + 50;
         (0..total).for_each(|n| outbox.put(n.to_string()));
         assert!(!outbox.flush(Duration::from_millis(1)), "nobody reads");
         drop(go);

@@ -10,7 +10,7 @@ use crate::pool;
 /// A thread that belongs to a node. It may run the nodes after it, too.
 pub(crate) struct OwnThread {
     pub node: usize,
-    pub cell: Arc<NodeRuntime>,
+    pub runtime: Arc<NodeRuntime>,
     pub handle: JoinHandle<()>,
 }
 

@@ -36,9 +36,9 @@ pub(crate) struct Inline {
     pub accepts: u32,
 }
 
-/// A node that runs inline after another, as the walk along a chain needs it.
+/// A node that runs inline after another, as the scratch along a chain needs it.
 pub(crate) struct Link {
-    pub cell: Arc<NodeRuntime>,
+    pub runtime: Arc<NodeRuntime>,
     pub node: u32,
     /// Output of the node before it.
     pub port: u32,
@@ -49,7 +49,7 @@ pub(crate) struct Link {
     pub sink: bool,
 }
 
-/// What the scheduler needs to know of a node besides its cell.
+/// What the scheduler needs to know of a node besides its runtime.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Wiring {
     /// Readers of each output.
@@ -78,8 +78,8 @@ pub(crate) struct Extent {
 
 /// A graph laid out for the scheduler. All lists but the regions' are indexed by slot.
 pub(crate) struct Plan {
-    pub cells: Vec<Arc<NodeRuntime>>,
-    /// Slots without a node keep the cell of the last one.
+    pub runtimes: Vec<Arc<NodeRuntime>>,
+    /// Slots without a node keep the runtime of the last one.
     pub alive: Vec<bool>,
     pub wiring: Vec<Wiring>,
     /// All chains, each in the order of its nodes, without its head.
@@ -101,7 +101,7 @@ pub(crate) struct Plan {
 impl Plan {
     /// All nodes with their slots.
     pub fn live(&self) -> impl Iterator<Item = (usize, &Arc<NodeRuntime>)> {
-        self.cells.iter().enumerate().filter(|(slot, _)| self.alive[*slot])
+        self.runtimes.iter().enumerate().filter(|(slot, _)| self.alive[*slot])
     }
 
     /// The region that a node is part of.
@@ -189,8 +189,8 @@ pub(crate) fn outputs_read(graph: &Graph, node: usize) -> u64 {
     graph.outputs_of(node).fold(0u64, |bits, e| bits | 1u64.checked_shl(e.from_port as u32).unwrap_or(0))
 }
 
-/// A cell for a node of the graph; its instance is not open yet.
-pub(crate) fn cell(
+/// A runtime for a node of the graph; its instance is not open yet.
+pub(crate) fn runtime(
     graph: &Graph,
     catalog: &Catalog,
     node: usize,
@@ -215,17 +215,17 @@ pub(crate) fn cell(
     Arc::new(NodeRuntime::new(spec, join, Snapshot::new(node.params.clone())))
 }
 
-/// Lays out a graph whose nodes have cells already. `slots` says where each stands; regions of `old` whose head stays are used on.
+/// Lays out a graph whose nodes have runtimes already. `slots` says where each stands; regions of `old` whose head stays are used on.
 pub(crate) fn lay_out(
     graph: &Graph,
     catalog: &Catalog,
-    cells: Vec<Arc<NodeRuntime>>,
+    runtimes: Vec<Arc<NodeRuntime>>,
     slots: Vec<usize>,
     ticks_at_once: Option<u32>,
     old: Option<&Plan>,
 ) -> Plan {
-    let mut alive = vec![false; cells.len()];
-    let mut wiring = vec![Wiring::default(); cells.len()];
+    let mut alive = vec![false; runtimes.len()];
+    let mut wiring = vec![Wiring::default(); runtimes.len()];
     for (node, &slot) in slots.iter().enumerate() {
         alive[slot] = true;
         wiring[slot].readers = vec![Vec::new(); graph.nodes[node].node_type(catalog).outputs.len()];
@@ -241,12 +241,12 @@ pub(crate) fn lay_out(
             wiring[slots[edge.from_node]].readers[edge.from_port].push(reader);
         }
     }
-    inline_chains(graph, catalog, &cells, &slots, &mut wiring);
+    inline_chains(graph, catalog, &runtimes, &slots, &mut wiring);
     let (regions, extents) = find_regions(graph, &slots, &mut wiring, ticks_at_once, old);
     let nearest = graph.edges.iter().any(|e| matches!(e.align, Align::Nearest { .. }));
-    let (links, following) = link(&cells, &alive, &wiring);
+    let (links, following) = link(&runtimes, &alive, &wiring);
     let outsiders = extents.iter().enumerate().map(|(region, extent)| outsiders(&wiring, region, extent)).collect();
-    Plan { cells, alive, wiring, links, following, regions, extents, outsiders, slots, nearest, ticks_at_once }
+    Plan { runtimes, alive, wiring, links, following, regions, extents, outsiders, slots, nearest, ticks_at_once }
 }
 
 fn outsiders(wiring: &[Wiring], region: usize, extent: &Extent) -> Vec<(usize, usize)> {
@@ -255,24 +255,24 @@ fn outsiders(wiring: &[Wiring], region: usize, extent: &Extent) -> Vec<(usize, u
 }
 
 /// Writes the chains down in the order in which they are walked.
-fn link(cells: &[Arc<NodeRuntime>], alive: &[bool], wiring: &[Wiring]) -> (Vec<Link>, Vec<Range<u32>>) {
+fn link(runtimes: &[Arc<NodeRuntime>], alive: &[bool], wiring: &[Wiring]) -> (Vec<Link>, Vec<Range<u32>>) {
     let mut links = Vec::new();
-    let mut following = vec![0..0; cells.len()];
-    for head in (0..cells.len()).filter(|&slot| alive[slot] && wiring[slot].chain_head == slot) {
+    let mut following = vec![0..0; runtimes.len()];
+    for head in (0..runtimes.len()).filter(|&slot| alive[slot] && wiring[slot].chain_head == slot) {
         let mut chain = vec![head];
         let mut last = head;
         while let Some(inline) = wiring[last].inline {
             last = inline.node;
             chain.push(last);
-            let cell = Arc::clone(&cells[last]);
+            let runtime = Arc::clone(&runtimes[last]);
             links.push(Link {
                 node: last as u32,
                 port: inline.port as u32,
                 accepts: inline.accepts,
                 optional: inline.optional,
-                lone: cell.node_type.inputs_len == 1,
+                lone: runtime.node_type.inputs_len == 1,
                 sink: wiring[last].sink,
-                cell,
+                runtime,
             });
         }
         let end = links.len() as u32;
@@ -289,8 +289,14 @@ fn format_number(name: &str) -> Option<u32> {
 }
 
 /// A reader runs inline when it reads nothing else and nobody else reads its producer.
-fn inline_chains(graph: &Graph, catalog: &Catalog, cells: &[Arc<NodeRuntime>], slots: &[usize], wiring: &mut [Wiring]) {
-    let compute = |slot: usize| cells[slot].kind == NodeKind::Compute && !cells[slot].source;
+fn inline_chains(
+    graph: &Graph,
+    catalog: &Catalog,
+    runtimes: &[Arc<NodeRuntime>],
+    slots: &[usize],
+    wiring: &mut [Wiring],
+) {
+    let compute = |slot: usize| runtimes[slot].kind == NodeKind::Compute && !runtimes[slot].source;
     for &node in &graph.order {
         let slot = slots[node];
         let mut readers =

@@ -416,7 +416,7 @@ pub(crate) fn join_until<T>(thread: JoinHandle<T>, until: Instant) -> bool {
 fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
     CURRENT.set(Some(Arc::clone(inner)));
     warm_up();
-    let mut walk = Scratch::default();
+    let mut scratch = Scratch::default();
     let mut state = lock(inner);
     state.started += 1;
     inner.arrived.notify_all();
@@ -457,7 +457,7 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
         }
         if let Some(next) = urgent.or_else(|| state.next_task(inner, Urgency::Patient)) {
             drop(state);
-            task(next, &mut walk);
+            task(next, &mut scratch);
             state = lock(inner);
             continue;
         }

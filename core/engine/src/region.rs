@@ -12,7 +12,7 @@ use crate::memory::FrameRef;
 
 const RING: usize = 256;
 /// Ticks kept during a pause; beyond that the oldest are dropped.
-const MOST_PAUSED: usize = 256;
+const MAX_PAUSED: usize = 256;
 
 struct State {
     in_flight: u32,
@@ -124,7 +124,7 @@ impl Region {
         }
         let mut dropped = None;
         if state.paused {
-            if state.pending.len() >= MOST_PAUSED {
+            if state.pending.len() >= MAX_PAUSED {
                 dropped = state.pending.pop_front();
             }
             state.pending.push_back(outputs);

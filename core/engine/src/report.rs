@@ -144,22 +144,22 @@ impl Report {
         };
         let seconds = end_ns.saturating_sub(shared.start_ns) as f64 / 1e9;
         let plan = shared.plan.load();
-        let frames = plan.live().map(|(_, c)| c.ticks.made.load(Ordering::Relaxed)).max().unwrap_or(0);
+        let frames = plan.live().map(|(_, c)| c.ticks.made()).max().unwrap_or(0);
         let mut nodes = BTreeMap::new();
         let mut paths = BTreeMap::new();
-        for (slot, cell) in plan.live() {
+        for (slot, runtime) in plan.live() {
             let wiring = &plan.wiring[slot];
-            let stats = &cell.stats;
+            let stats = &runtime.stats;
             let load = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed);
             nodes.insert(
-                cell.id.clone(),
+                runtime.id.clone(),
                 NodeReport {
                     count: stats.time.count(),
                     p50_ms: ms(stats.time.quantile_ns(0.5)),
                     p99_ms: ms(stats.time.quantile_ns(0.99)),
                     max_ms: ms(stats.time.max_ns()),
                     dropped: load(&stats.dropped),
-                    dropped_on: wire_drops(cell),
+                    dropped_on: wire_drops(runtime),
                     skipped: load(&stats.skipped),
                     faults: load(&stats.faults),
                     restarts: load(&stats.restarts),
@@ -167,16 +167,16 @@ impl Report {
                     recovery_max_ms: ms(stats.recovery.max_ns()),
                     copies: load(&stats.copies),
                     conversions: load(&stats.conversions),
-                    allocations: shared.around.thread_allocations.map(|_| load(&stats.allocations)),
-                    made: cell.source.then(|| load(&cell.ticks.made)),
+                    allocations: shared.context.thread_allocations.map(|_| load(&stats.allocations)),
+                    made: runtime.source.then(|| runtime.ticks.made()),
                     never_got: Vec::new(),
-                    muted: closes(shared, cell),
-                    metrics: lock(&cell.metrics).iter().cloned().collect(),
+                    muted: closes(shared, runtime),
+                    metrics: runtime.progress.metrics().into_iter().collect(),
                 },
             );
             if wiring.sink {
                 paths.insert(
-                    cell.id.clone(),
+                    runtime.id.clone(),
                     PathReport {
                         age_p50_ms: ms(stats.age.quantile_ns(0.5)),
                         age_p99_ms: ms(stats.age.quantile_ns(0.99)),
@@ -202,7 +202,7 @@ impl Report {
             fps: if seconds > 0.0 { frames as f64 / seconds } else { 0.0 },
             nodes,
             paths,
-            stopped: lock(&shared.around.stopped).clone(),
+            stopped: lock(&shared.context.stopped).clone(),
             allocations_per_frame,
             machine: Machine::here(shared.pool.threads()),
         }
@@ -212,16 +212,16 @@ impl Report {
 /// Nodes with the outputs that they require and that were never made.
 fn starved(plan: &Plan) -> Vec<(String, String)> {
     let mut found = Vec::new();
-    for (slot, cell) in plan.live() {
-        let made = cell.ports_made.load(Ordering::Relaxed);
+    for (slot, runtime) in plan.live() {
+        let made = runtime.progress.ports_made();
         let never = |port: usize| made & 1u64.checked_shl(port as u32).unwrap_or(0) == 0;
         for (port, readers) in plan.wiring[slot].readers.iter().enumerate().filter(|(port, _)| never(*port)) {
-            let name = cell.rules.get(port).map_or("?", |rule| rule.name.as_str());
+            let name = runtime.rules.get(port).map_or("?", |rule| rule.name.as_str());
             for reader in readers {
-                let cell_of_reader = &plan.cells[reader.node];
-                let required = lock(&cell_of_reader.join).slots.get(reader.slot).is_some_and(|s| !s.optional);
+                let reading = &plan.runtimes[reader.node];
+                let required = lock(&reading.join).slots.get(reader.slot).is_some_and(|s| !s.optional);
                 if required {
-                    found.push((cell_of_reader.id.clone(), format!("{}.{name}", cell.id)));
+                    found.push((reading.id.clone(), format!("{}.{name}", runtime.id)));
                 }
             }
         }
@@ -295,11 +295,11 @@ impl Window {
         let plan = shared.plan.load();
         let mut seen = HashMap::new();
         let mut nodes = BTreeMap::new();
-        for (slot, cell) in plan.live() {
-            let stats = &cell.stats;
+        for (slot, runtime) in plan.live() {
+            let stats = &runtime.stats;
             let (count, times) = (stats.time.count(), stats.time.counts());
             // A replaced node counts from zero again.
-            let before = self.seen.remove(&cell.id).filter(|s| s.count <= count).unwrap_or_default();
+            let before = self.seen.remove(&runtime.id).filter(|s| s.count <= count).unwrap_or_default();
             let ages = if plan.wiring[slot].sink { stats.age.counts() } else { Vec::new() };
             let age = |q| (!ages.is_empty()).then(|| ms(quantile_between_ns(&before.ages, &ages, q)));
             let window = NodeWindow {
@@ -312,11 +312,11 @@ impl Window {
                 dropped: stats.dropped.load(Ordering::Relaxed),
                 faults: stats.faults.load(Ordering::Relaxed),
                 restarts: stats.restarts.load(Ordering::Relaxed),
-                metrics: lock(&cell.metrics).clone(),
-                queues: queues(cell),
+                metrics: runtime.progress.metrics(),
+                queues: queues(runtime),
             };
-            nodes.insert(cell.id.clone(), window);
-            seen.insert(cell.id.clone(), Seen { times, ages, count });
+            nodes.insert(runtime.id.clone(), window);
+            seen.insert(runtime.id.clone(), Seen { times, ages, count });
         }
         self.seen = seen;
         nodes
@@ -325,19 +325,19 @@ impl Window {
 
 /// Drops of a node's wires, in the order of ports and list positions.
 /// Whether a node is left out of this run by what decides over it.
-fn closes(shared: &Shared, cell: &NodeRuntime) -> bool {
-    let decider = shared.around.decider.as_ref();
-    !cell.source && decider.is_some_and(|decider| decider.closes(cell.source, cell.side_effects))
+fn closes(shared: &Shared, runtime: &NodeRuntime) -> bool {
+    let decider = shared.context.decider.as_ref();
+    !runtime.source && decider.is_some_and(|decider| decider.closes(runtime.source, runtime.side_effects))
 }
 
-fn wire_drops(cell: &NodeRuntime) -> Vec<WireDrops> {
-    let ranges = lock(&cell.ranges).clone();
-    let join = lock(&cell.join);
+fn wire_drops(runtime: &NodeRuntime) -> Vec<WireDrops> {
+    let ranges = runtime.ranges();
+    let join = lock(&runtime.join);
     let wires = ranges.iter().enumerate().flat_map(|(port, r)| (0..r.count as usize).map(move |index| (port, index)));
     let drops = wires.zip(&join.slots).filter(|(_, slot)| slot.dropped() > 0);
     drops
         .map(|((port, index), slot)| WireDrops {
-            input: cell.input_name(port).to_owned(),
+            input: runtime.input_name(port).to_owned(),
             index,
             dropped: slot.dropped(),
         })
@@ -345,9 +345,9 @@ fn wire_drops(cell: &NodeRuntime) -> Vec<WireDrops> {
 }
 
 /// What waits at a node, in the order of ports and list places.
-fn queues(cell: &NodeRuntime) -> Vec<QueueWindow> {
-    let ranges = lock(&cell.ranges).clone();
-    let mut join = lock(&cell.join);
+fn queues(runtime: &NodeRuntime) -> Vec<QueueWindow> {
+    let ranges = runtime.ranges();
+    let mut join = lock(&runtime.join);
     let places = ranges.iter().enumerate().flat_map(|(port, r)| (0..r.count as usize).map(move |index| (port, index)));
     let of = |((port, index), slot): ((usize, usize), &mut crate::join::Slot)| {
         let (waiting, most) = slot.fill();

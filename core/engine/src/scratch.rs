@@ -39,7 +39,7 @@ impl Drop for CallOutputs {
     }
 }
 
-/// What a thread needs to walk ticks through nodes: the memory of the calls that it makes, one after the other.
+/// What a thread needs to scratch ticks through nodes: the memory of the calls that it makes, one after the other.
 pub struct Scratch {
     /// Inputs of a chain's first node.
     pub(crate) inputs: Vec<FrameRef>,

@@ -10,7 +10,6 @@ use panoscope_graph::{NodeKind, OnFault};
 
 use crate::clock;
 use crate::fault::{Action, Cause};
-use crate::ingest::INGEST_RING;
 use crate::memory::FrameRef;
 use crate::node::{CallOutcome, NodeRuntime, Ports};
 use crate::observe::Event;
@@ -22,7 +21,7 @@ use crate::sync::lock;
 use crate::thread_id;
 
 /// Ticks a batch reader of another region may lag behind before the producer's source waits.
-const MOST_BEHIND: usize = 64;
+const MAX_BEHIND: usize = 64;
 
 /// Capture time between ticks of a source that states none.
 const DEFAULT_FRAME_NS: i64 = 33_333_333;
@@ -51,168 +50,163 @@ struct Pace {
 
 impl Shared {
     /// Starts the thread of a node.
-    pub fn start_thread(self: &Arc<Self>, node: usize, cell: &Arc<NodeRuntime>) -> std::io::Result<()> {
+    pub fn start_thread(self: &Arc<Self>, node: usize, runtime: &Arc<NodeRuntime>) -> std::io::Result<()> {
         let number = thread_id::next();
-        let (shared, owner) = (Arc::clone(self), Arc::clone(cell));
-        let cell = Arc::clone(cell);
-        cell.runner.has_thread.store(true, Ordering::Release);
+        let (shared, owner) = (Arc::clone(self), Arc::clone(runtime));
+        let runtime = Arc::clone(runtime);
+        runtime.runner.thread_starts();
         let mut threads = lock(&self.own_threads);
-        let builder = std::thread::Builder::new().name(cell.id.chars().take(15).collect());
-        let name = cell.id.clone();
+        let builder = std::thread::Builder::new().name(runtime.id.chars().take(15).collect());
+        let name = runtime.id.clone();
         let work = Arc::clone(&shared).watched(name, move || {
-            *lock(&cell.runner.thread) = Some(std::thread::current());
+            runtime.runner.register_thread();
             thread_id::set(number);
             shared.pool.enter();
-            place_thread(cell.cpu, cell.kind == NodeKind::Realtime);
-            let given_up =
-                if cell.source { shared.source_thread(node, &cell) } else { shared.blocking_thread(node, &cell) };
+            place_thread(runtime.cpu, runtime.kind == NodeKind::Realtime);
+            let given_up = if runtime.source {
+                shared.source_thread(node, &runtime)
+            } else {
+                shared.blocking_thread(node, &runtime)
+            };
             if given_up {
                 shared.pool.left(number);
                 return;
             }
-            if cell.runner.retired.load(Ordering::Acquire) {
-                for instance in cell.take_instances().0 {
-                    cell.end(&shared.around, instance);
+            if runtime.runner.is_retired() {
+                for instance in runtime.take_instances().0 {
+                    runtime.end(&shared.context, instance);
                 }
             }
-            cell.runner.has_thread.store(false, Ordering::Release);
+            runtime.runner.thread_ended();
         });
         let handle = builder.spawn(work)?;
-        threads.insert(number, OwnThread { node, cell: owner, handle });
+        threads.insert(number, OwnThread { node, runtime: owner, handle });
         Ok(())
     }
 
-    /// Waits on the node's own thread until it is woken or the time is over.
-    pub(crate) fn park(&self, cell: &NodeRuntime, most: Option<Duration>) {
-        if cell.runner.wake.swap(false, Ordering::Acquire) {
-            return;
-        }
-        match most {
-            Some(most) => std::thread::park_timeout(most),
-            None => std::thread::park(),
-        }
-        cell.runner.wake.store(false, Ordering::Release);
-    }
-
     /// Answers whether the watchdog gave this thread up.
-    fn blocking_thread(&self, node: usize, cell: &NodeRuntime) -> bool {
-        let mut walk = Scratch::default();
+    fn blocking_thread(&self, node: usize, runtime: &NodeRuntime) -> bool {
+        let mut scratch = Scratch::default();
         // Real-time priority is for the node alone.
-        let allowance_ns = if cell.kind == NodeKind::Realtime { 0 } else { SHORT_WALK_NS };
+        let allowance_ns = if runtime.kind == NodeKind::Realtime { 0 } else { SHORT_WALK_NS };
         loop {
-            while !cell.runner.wake.swap(false, Ordering::Acquire) {
-                std::thread::park();
-            }
+            runtime.runner.park();
             let (running, finished) = {
-                let join = lock(&cell.join);
-                (join.running, join.finished)
+                let join = lock(&runtime.join);
+                (join.is_running(), join.is_finished())
             };
-            if finished || cell.runner.leave.accept() {
+            if finished || runtime.runner.leave.accept() {
                 return false;
             }
-            if running && !self.run(node, &mut walk, allowance_ns) {
+            if running && !self.run(node, &mut scratch, allowance_ns) {
                 return true;
             }
         }
     }
 
     /// Answers whether the watchdog gave this thread up.
-    fn source_thread(&self, node: usize, cell: &Arc<NodeRuntime>) -> bool {
-        let last_ns = cell.ticks.last_capture_ns.load(Ordering::Relaxed);
-        let mut walk = Scratch::default();
-        let mut pace = Pace { last_capture_ns: (last_ns != i64::MIN).then_some(last_ns), ..Pace::default() };
-        let leaves = || cell.runner.leave.accept();
-        if let Some(decider) = self.around.decider.clone() {
-            if self.play(&*decider, node, cell) {
+    fn source_thread(&self, node: usize, runtime: &Arc<NodeRuntime>) -> bool {
+        let mut scratch = Scratch::default();
+        let mut pace = Pace { last_capture_ns: runtime.ticks.last_capture_ns(), ..Pace::default() };
+        let leaves = || runtime.runner.leave.accept();
+        if let Some(decider) = self.context.decider.clone() {
+            if self.play(&*decider, node, runtime) {
                 return false;
             }
-            return self.source_over(node, cell);
+            return self.source_over(node, runtime);
         }
         while !self.is_stopping() {
             if leaves() {
                 return false;
             }
-            let seq = cell.ticks.made.load(Ordering::Relaxed);
+            let seq = runtime.ticks.made();
             if self.frames.is_some_and(|most| seq >= most) {
                 break;
             }
-            match self.source_tick(node, cell, seq, &mut pace, &mut walk) {
+            match self.source_tick(node, runtime, seq, &mut pace, &mut scratch) {
                 Step::Next => {}
                 Step::End => break,
                 Step::GivenUp => return true,
             }
         }
-        self.source_over(node, cell)
+        self.source_over(node, runtime)
     }
 
     /// A source has made its last tick: answers `false` when all is said.
-    fn source_over(&self, node: usize, cell: &NodeRuntime) -> bool {
+    fn source_over(&self, node: usize, runtime: &NodeRuntime) -> bool {
         let region = Arc::clone(self.plan.load().region_of(node));
         while region.has_pending() {
-            self.park(cell, Some(Duration::from_millis(1)));
-            if cell.runner.leave.accept() {
+            runtime.runner.park_at_most(Some(Duration::from_millis(1)));
+            if runtime.runner.leave.accept() {
                 return false;
             }
         }
         let mut ready = Ready::default();
-        if !std::mem::replace(&mut lock(&cell.join).finished, true) {
+        if lock(&runtime.join).finish() {
             self.finish(node, &mut ready);
         }
         ready.dispatch_ready(self, &self.plan.load(), 0);
         false
     }
 
-    fn source_tick(&self, node: usize, cell: &Arc<NodeRuntime>, seq: u64, pace: &mut Pace, walk: &mut Scratch) -> Step {
-        if self.around.batch || !self.paced {
+    fn source_tick(
+        &self,
+        node: usize,
+        runtime: &Arc<NodeRuntime>,
+        seq: u64,
+        pace: &mut Pace,
+        scratch: &mut Scratch,
+    ) -> Step {
+        if self.context.batch || !self.paced {
             let has_room = self.plan.load().region_of(node).has_room();
             if !has_room || self.readers_lag(node) {
                 // A reader of another region does not wake this thread when it catches up.
-                self.park(cell, Some(Duration::from_millis(if has_room { 1 } else { 100 })));
+                runtime.runner.park_at_most(Some(Duration::from_millis(if has_room { 1 } else { 100 })));
                 return Step::Next;
             }
         }
         let capture_ns = pace.last_capture_ns.map_or(0, |last| last.saturating_add(DEFAULT_FRAME_NS));
         let mut tick = Tick { source: node as u32, flags: 0, seq, capture_ns };
-        if !lock(&cell.join).take_source(tick, pace.again) {
+        if !lock(&runtime.join).take_source(tick, pace.again) {
             pace.again = false;
-            self.park(cell, Some(Duration::from_millis(100)));
+            runtime.runner.park_at_most(Some(Duration::from_millis(100)));
             return Step::Next;
         }
         pace.again = true;
-        let Some(mut exec) = cell.exec.take() else { return Step::End };
-        walk.inputs.append(&mut lock(&cell.join).staged);
+        let Some(mut exec) = runtime.exec.take() else { return Step::End };
+        scratch.inputs.append(&mut lock(&runtime.join).staged);
         let start_ns = clock::now_ns();
-        let mut ports = Ports { inputs: &mut walk.inputs, lone: false, made: &mut walk.made[0] };
-        let (ran, mut now_ns) = cell.run(&mut exec, &self.around, &mut tick, true, start_ns, &mut ports);
-        if ran == CallOutcome::Abandoned {
-            Self::left_behind(cell, exec, walk);
+        let mut ports = Ports { inputs: &mut scratch.inputs, lone: false, made: &mut scratch.made[0] };
+        let (outcome, mut now_ns) = runtime.run(&mut exec, &self.context, &mut tick, true, start_ns, &mut ports);
+        if outcome == CallOutcome::Abandoned {
+            Self::discard_abandoned(runtime, exec, scratch);
             return Step::GivenUp;
         }
-        walk.inputs.clear();
+        scratch.inputs.clear();
         let bypassed = exec.bypassed;
-        cell.exec.put(exec);
-        let made = &mut walk.made[0];
-        if ran != CallOutcome::Ok {
-            if ran == CallOutcome::End {
+        runtime.exec.put(exec);
+        let made = &mut scratch.made[0];
+        if outcome != CallOutcome::Ok {
+            if outcome == CallOutcome::End {
                 return Step::End;
             }
-            self.after(&self.plan.load(), node, false, ran, &tick, now_ns);
-            if ran == CallOutcome::Stop || bypassed || cell.on_fault() == OnFault::Bypass {
+            self.after(&self.plan.load(), node, false, outcome, &tick, now_ns);
+            if outcome == CallOutcome::Stop || bypassed || runtime.on_fault() == OnFault::Bypass {
                 return Step::End;
             }
-            if ran == CallOutcome::Fault {
+            if outcome == CallOutcome::Fault {
                 // The call was made: the next one is another tick.
-                cell.ticks.made.store(seq + 1, Ordering::Relaxed);
-            } else if !self.around.batch {
+                runtime.ticks.set_made(seq + 1);
+            } else if !self.context.batch {
                 // It is being restarted; whoever does that wakes this thread.
-                self.park(cell, Some(Duration::from_millis(100)));
+                runtime.runner.park_at_most(Some(Duration::from_millis(100)));
             }
             return Step::Next;
         }
         if !capture_fits(tick.capture_ns, pace.last_capture_ns) {
             made.clear();
-            self.capture_fault(cell, &tick, pace.last_capture_ns);
-            cell.ticks.made.store(seq + 1, Ordering::Relaxed);
+            self.capture_fault(runtime, &tick, pace.last_capture_ns);
+            runtime.ticks.set_made(seq + 1);
             return Step::Next;
         }
         pace.again = false;
@@ -221,14 +215,14 @@ impl Shared {
             let period_ns = tick.capture_ns.abs_diff(last);
             self.frame_ns.store(period_ns, Ordering::Relaxed);
             // Where nobody waits for the time of a tick, the next one is made meanwhile.
-            if self.paced && !self.around.batch {
+            if self.paced && !self.context.batch {
                 allowance_ns = LONGEST_WALK_NS.min(period_ns / WALK_SHARE);
             }
         }
-        cell.ticks.last_capture_ns.store(tick.capture_ns, Ordering::Relaxed);
-        cell.subscribers.show(&made.outputs);
-        if let Some(observer) = &self.around.observer {
-            observer.source_tick(&cell.id, &cell.output_names, &tick, &made.outputs);
+        runtime.ticks.set_last_capture_ns(tick.capture_ns);
+        runtime.subscribers.show(&made.outputs);
+        if let Some(observer) = &self.context.observer {
+            observer.source_tick(&runtime.id, &runtime.output_names, &tick, &made.outputs);
         }
         let region = Arc::clone(self.plan.load().region_of(node));
         let mut outputs = region.spare();
@@ -237,17 +231,16 @@ impl Shared {
             // SAFETY: outputs of a call that has ended are empty or hold a reference, which the list has just forgotten.
             outputs.push(unsafe { FrameRef::adopt(Frame { tick, ..raw }) });
         }
-        if self.paced && !self.around.batch {
-            now_ns = self.wait_until_due(cell, tick.capture_ns, now_ns, &mut pace.first);
+        if self.paced && !self.context.batch {
+            now_ns = self.wait_until_due(runtime, tick.capture_ns, now_ns, &mut pace.first);
         }
-        cell.ticks.ingest_ns[seq as usize % INGEST_RING].store(now_ns.max(1), Ordering::Relaxed);
-        cell.ticks.made.store(seq + 1, Ordering::Relaxed);
+        runtime.ticks.enter(seq, now_ns);
         self.meter_allocations(seq + 1);
         let (enter, dropped) = region.admit_or_keep(outputs);
         if let Some(old) = dropped {
-            bump(&cell.stats.dropped);
+            bump(&runtime.stats.dropped);
             if let Some(seq) = old.first().map(|f| f.tick().seq) {
-                cell.write_down(&self.around, |node| Event::Dropped { node, seq });
+                runtime.record_event(&self.context, |node| Event::Dropped { node, seq });
             }
             region.recycle(old);
         }
@@ -257,7 +250,7 @@ impl Shared {
             let mut ready = Ready::default();
             self.enter(&plan, node, outputs, &mut ready);
             if let Some(next) = ready.dispatch_ready(self, &plan, allowance_ns)
-                && !self.run(next, walk, allowance_ns)
+                && !self.run(next, scratch, allowance_ns)
             {
                 return Step::GivenUp;
             }
@@ -266,27 +259,33 @@ impl Shared {
     }
 
     #[cold]
-    fn capture_fault(&self, cell: &NodeRuntime, tick: &Tick, last_ns: Option<i64>) {
-        bump(&cell.stats.faults);
-        bump(&cell.stats.dropped);
-        cell.note(&self.around, Cause::CaptureTime, Action::Withhold, Some(tick.seq), || {
+    fn capture_fault(&self, runtime: &NodeRuntime, tick: &Tick, last_ns: Option<i64>) {
+        bump(&runtime.stats.faults);
+        bump(&runtime.stats.dropped);
+        runtime.report_repeated_fault(&self.context, Cause::CaptureTime, Action::Withhold, Some(tick.seq), || {
             let words = capture_words(tick.capture_ns, last_ns);
-            self.around.log.write(crate::log::Level::Error, &cell.id, &words);
+            self.context.log.write(crate::log::Level::Error, &runtime.id, &words);
             words
         });
     }
 
     /// Whether a batch reader of another region has much to catch up with.
     pub(crate) fn readers_lag(&self, node: usize) -> bool {
-        if !self.around.unhurried() {
+        if !self.context.ignores_wall_clock() {
             return false;
         }
         let plan = self.plan.load();
         let outsiders = &plan.outsiders[plan.wiring[node].region];
-        outsiders.iter().any(|&(reader, slot)| lock(&plan.cells[reader].join).waiting(slot) > MOST_BEHIND)
+        outsiders.iter().any(|&(reader, slot)| lock(&plan.runtimes[reader].join).waiting(slot) > MAX_BEHIND)
     }
 
-    fn wait_until_due(&self, cell: &NodeRuntime, capture_ns: i64, now_ns: u64, first: &mut Option<(i64, u64)>) -> u64 {
+    fn wait_until_due(
+        &self,
+        runtime: &NodeRuntime,
+        capture_ns: i64,
+        now_ns: u64,
+        first: &mut Option<(i64, u64)>,
+    ) -> u64 {
         let &mut (first_capture, first_ns) = first.get_or_insert((capture_ns, now_ns));
         let due = first_ns.saturating_add_signed(capture_ns.saturating_sub(first_capture));
         // A jump in media time is not waited for.
@@ -295,8 +294,8 @@ impl Shared {
             return now_ns;
         }
         let mut now = now_ns;
-        while now < due && !self.is_stopping() && !cell.runner.leave.is_requested() {
-            self.park(cell, Some(Duration::from_nanos(due - now)));
+        while now < due && !self.is_stopping() && !runtime.runner.leave.is_requested() {
+            runtime.runner.park_at_most(Some(Duration::from_nanos(due - now)));
             now = clock::now_ns();
         }
         now

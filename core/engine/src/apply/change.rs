@@ -11,24 +11,94 @@ use crate::node::NodeRuntime;
 use crate::plan::{self, Extent, Plan};
 use crate::region::Region;
 
-/// What becomes of a node of the new graph.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Fate {
-    /// There was none of this name.
-    pub added: bool,
-    /// It was of another type.
-    pub replaced: bool,
-    pub reopened: bool,
-    pub rewired: bool,
-    pub tuned: bool,
-    /// It cannot be open beside its predecessor, or had better not.
-    pub late: bool,
+/// When the new instance of a node opens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Opens {
+    /// Beside the running nodes.
+    Beside,
+    /// After its predecessor closed (exclusive device, or a node that acts on the world).
+    AfterClose,
 }
 
-/// A change laid out, with the cells of new nodes.
+/// How the values of a node change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Values {
+    Same,
+    /// They take effect on the running instance.
+    Live,
+    /// They need a new instance.
+    Reopen(Opens),
+}
+
+/// What a change does to a node of the new graph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum NodeChange {
+    /// There was no node of this name.
+    Added(Opens),
+    /// There was one of another type, or on another CPU.
+    Replaced(Opens),
+    /// The node continues.
+    Kept { values: Values, rewired: bool },
+}
+
+impl NodeChange {
+    pub fn is_added(self) -> bool {
+        matches!(self, Self::Added(_))
+    }
+
+    pub fn is_replaced(self) -> bool {
+        matches!(self, Self::Replaced(_))
+    }
+
+    /// The same node, with other inputs.
+    pub fn is_rewired(self) -> bool {
+        matches!(self, Self::Kept { rewired: true, .. })
+    }
+
+    /// The same node with a new instance, for its values.
+    pub fn is_reopened(self) -> bool {
+        matches!(self, Self::Kept { values: Values::Reopen(_), .. })
+    }
+
+    /// The same instance with new values.
+    pub fn is_tuned(self) -> bool {
+        matches!(self, Self::Kept { values: Values::Live, .. })
+    }
+
+    /// Whether the node gets its inputs anew.
+    pub fn gets_inputs(self) -> bool {
+        self.is_added() || self.is_replaced() || self.is_rewired()
+    }
+
+    /// When its new instance opens, if it gets one.
+    pub fn opens(self) -> Option<Opens> {
+        match self {
+            Self::Added(opens) | Self::Replaced(opens) | Self::Kept { values: Values::Reopen(opens), .. } => {
+                Some(opens)
+            }
+            Self::Kept { .. } => None,
+        }
+    }
+
+    /// Whether its new instance opens after the old one closed.
+    pub fn opens_after_close(self) -> bool {
+        self.opens() == Some(Opens::AfterClose)
+    }
+
+    fn set_opens(&mut self, new: Opens) {
+        match self {
+            Self::Added(opens) | Self::Replaced(opens) | Self::Kept { values: Values::Reopen(opens), .. } => {
+                *opens = new
+            }
+            Self::Kept { .. } => {}
+        }
+    }
+}
+
+/// A change laid out, with the runtimes of new nodes.
 pub(super) struct Change {
     pub plan: Plan,
-    pub fates: Vec<Fate>,
+    pub node_changes: Vec<NodeChange>,
     /// Slots that lose their node.
     pub removed: Vec<usize>,
     /// Old regions that must come to rest.
@@ -73,89 +143,100 @@ impl Change {
         as_once: &[String],
         claims: &Claims,
     ) -> Result<Self, String> {
-        let mut cells = old.cells.clone();
-        let mut free: Vec<usize> = (0..cells.len()).filter(|&s| !old.alive[s]).rev().collect();
+        let mut runtimes = old.runtimes.clone();
+        let mut free: Vec<usize> = (0..runtimes.len()).filter(|&s| !old.alive[s]).rev().collect();
         let mut slots = Vec::with_capacity(graph.nodes.len());
-        let mut fates = Vec::with_capacity(graph.nodes.len());
+        let mut node_changes = Vec::with_capacity(graph.nodes.len());
         for node in 0..graph.nodes.len() {
             let node_type = plan::entry_of(graph, node, entry)?;
             let description = graph.nodes[node].node_type(catalog);
             let before = current.graph.node(&graph.nodes[node].id);
-            let mut fate = Fate::default();
-            match before {
+            let change = match before {
                 Some(before) => {
                     let slot = current.slots[before];
-                    let cell = &old.cells[slot];
-                    let pinned_elsewhere = cell.owns_thread() && cell.cpu != graph.nodes[node].cpu;
-                    fate.replaced = !std::ptr::eq(cell.node_type, node_type)
+                    slots.push(slot);
+                    let runtime = &old.runtimes[slot];
+                    let pinned_elsewhere = runtime.owns_thread() && runtime.cpu != graph.nodes[node].cpu;
+                    let is_replaced = !std::ptr::eq(runtime.node_type, node_type)
                         || pinned_elsewhere
                         || as_once.contains(&graph.nodes[node].id);
-                    if !fate.replaced {
+                    if is_replaced {
+                        NodeChange::Replaced(Opens::Beside)
+                    } else {
                         let values = &current.graph.nodes[before].params;
                         let differs = |i: &usize| values.get(*i) != graph.nodes[node].params.get(*i);
                         let changed: Vec<usize> = (0..description.params.len()).filter(differs).collect();
-                        fate.reopened = changed.iter().any(|&i| description.params[i].reopen);
-                        fate.tuned = !changed.is_empty() && !fate.reopened;
+                        let values = if changed.iter().any(|&i| description.params[i].reopen) {
+                            Values::Reopen(Opens::Beside)
+                        } else if changed.is_empty() {
+                            Values::Same
+                        } else {
+                            Values::Live
+                        };
+                        NodeChange::Kept { values, rewired: false }
                     }
-                    slots.push(slot);
                 }
                 None => {
-                    fate.added = true;
-                    slots.push(free.pop().unwrap_or(cells.len() + fates.iter().filter(|f: &&Fate| f.added).count()));
+                    slots.push(free.pop().unwrap_or(runtimes.len()));
+                    NodeChange::Added(Opens::Beside)
                 }
-            }
-            if fate.added || fate.replaced {
+            };
+            if change.is_added() || change.is_replaced() {
                 let slot = slots[node];
-                let cell = plan::cell(graph, catalog, node, node_type);
-                if slot < cells.len() {
-                    cells[slot] = cell;
+                let runtime = plan::runtime(graph, catalog, node, node_type);
+                if slot < runtimes.len() {
+                    runtimes[slot] = runtime;
                 } else {
-                    // Appended slots are numbered one after the other.
-                    slots[node] = cells.len();
-                    cells.push(cell);
+                    runtimes.push(runtime);
                 }
             }
-            fates.push(fate);
+            node_changes.push(change);
         }
         let kept = |slot: usize| slots.contains(&slot);
         let removed: Vec<usize> = current.slots.iter().copied().filter(|&slot| !kept(slot)).collect();
         for node in 0..graph.nodes.len() {
-            if let (false, Some(before)) = (fates[node].added, current.graph.node(&graph.nodes[node].id)) {
+            let Some(before) = current.graph.node(&graph.nodes[node].id) else { continue };
+            if let NodeChange::Kept { rewired, .. } = &mut node_changes[node] {
                 let was = connections(&current.graph, &current.slots, before);
-                fates[node].rewired = was != connections(graph, &slots, node);
+                *rewired = was != connections(graph, &slots, node);
             }
         }
-        let gives_device_back = |cell: &NodeRuntime| {
-            let freed =
-                removed.iter().copied().chain((0..slots.len()).filter(|&n| fates[n].replaced).map(|n| slots[n]));
-            freed
-                .into_iter()
-                .any(|s| old.cells[s].exclusive && type_name(old.cells[s].node_type) == type_name(cell.node_type))
+        let gives_device_back = |runtime: &NodeRuntime| {
+            let freed = removed
+                .iter()
+                .copied()
+                .chain((0..slots.len()).filter(|&n| node_changes[n].is_replaced()).map(|n| slots[n]));
+            freed.into_iter().any(|s| {
+                old.runtimes[s].exclusive && type_name(old.runtimes[s].node_type) == type_name(runtime.node_type)
+            })
         };
-        let late: Vec<bool> = (0..slots.len())
+        let opens_after_close: Vec<bool> = (0..slots.len())
             .map(|node| {
-                let cell = &cells[slots[node]];
-                let fate = fates[node];
-                // What claims its files can write beside its predecessor, so that a refused change leaves that one as it is.
-                let acts = cell.side_effects && !claims.are_used_by(&cell.id);
-                ((fate.replaced || fate.reopened) && (cell.exclusive || acts))
-                    || (fate.added && cell.exclusive && gives_device_back(cell))
+                let runtime = &runtimes[slots[node]];
+                let change = node_changes[node];
+                // A node that claims its files can write beside its predecessor, so that a refused change leaves that one as it is.
+                let acts = runtime.side_effects && !claims.are_used_by(&runtime.id);
+                if change.is_added() {
+                    runtime.exclusive && gives_device_back(runtime)
+                } else {
+                    runtime.exclusive || acts
+                }
             })
             .collect();
-        for (fate, late) in fates.iter_mut().zip(late) {
-            fate.late = late;
+        for (change, _) in node_changes.iter_mut().zip(opens_after_close).filter(|(_, after)| *after) {
+            change.set_opens(Opens::AfterClose);
         }
-        let plan = plan::lay_out(graph, catalog, cells, slots, old.ticks_at_once, Some(old));
-        let mut change = Self { plan, fates, removed, held: Vec::new(), quiet: Vec::new() };
+        let plan = plan::lay_out(graph, catalog, runtimes, slots, old.ticks_at_once, Some(old));
+        let mut change = Self { plan, node_changes, removed, held: Vec::new(), quiet: Vec::new() };
         change.find_held(old);
         Ok(change)
     }
 
     /// Names of nodes whose instance of now ends with the change.
     pub(super) fn leaving(&self, old: &Plan, graph: &Graph) -> Vec<String> {
-        let removed = self.removed.iter().map(|&slot| old.cells[slot].id.clone());
-        let fates = self.fates.iter().zip(&graph.nodes);
-        let anew = fates.filter(|(f, _)| f.replaced || f.reopened).map(|(_, node)| node.id.clone());
+        let removed = self.removed.iter().map(|&slot| old.runtimes[slot].id.clone());
+        let nodes = self.node_changes.iter().zip(&graph.nodes);
+        let anew = nodes.filter(|(c, _)| c.is_replaced() || c.is_reopened()).map(|(_, node)| node.id.clone());
         removed.chain(anew).collect()
     }
 
@@ -174,15 +255,16 @@ impl Change {
 
     /// Finds the old regions that the change touches.
     fn find_held(&mut self, old: &Plan) {
-        let mut touched = vec![false; self.plan.cells.len()];
+        let mut touched = vec![false; self.plan.runtimes.len()];
         for &slot in &self.removed {
             touched[slot] = true;
         }
-        for (node, fate) in self.fates.iter().enumerate() {
+        for (node, change) in self.node_changes.iter().enumerate() {
             let slot = self.plan.slots[node];
-            touched[slot] |= fate.added || fate.replaced || fate.rewired || (fate.reopened && fate.late);
+            touched[slot] |= change.gets_inputs() || change.opens_after_close();
         }
-        self.quiet = (0..old.cells.len()).filter(|&s| old.alive[s] && touched[s] && old.cells[s].source).collect();
+        self.quiet =
+            (0..old.runtimes.len()).filter(|&s| old.alive[s] && touched[s] && old.runtimes[s].source).collect();
         for (slot, _) in old.live() {
             let (was, is) = (&old.wiring[slot], &self.plan.wiring[slot]);
             let same = was.readers == is.readers

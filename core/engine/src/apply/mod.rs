@@ -11,14 +11,14 @@ mod switch;
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use panoscope_graph::{Catalog, Graph, Mode};
 
-use self::change::{Change, Fate};
+use self::change::{Change, NodeChange, Opens};
 pub(crate) use self::change_lock::ChangeLock;
 pub use self::outcome::{Applied, ApplyError};
+use self::switch::Switch;
 use crate::busy::CallKind;
 use crate::engine::{Engine, type_name};
 use crate::guard::{CallError, Limit};
@@ -106,23 +106,23 @@ impl Engine {
         if shared.is_stopping() || self.is_finished() {
             return Err(ApplyError::Ended);
         }
-        if (graph.mode == Mode::Batch) != shared.around.batch {
+        if (graph.mode == Mode::Batch) != shared.context.batch {
             return Err(ApplyError::Mode);
         }
         let (old, current) = (shared.plan.load_full(), self.current.load_full());
         let entry = |plugin: &str, node_type: &str| plugins.entry(plugin, node_type);
-        let as_once = match (when, &shared.around.decider) {
+        let as_once = match (when, &shared.context.decider) {
             (When::Recorded(edit), Some(decider)) => decider.replaced(*edit),
             _ => &[],
         };
-        let claims = &shared.around.claims;
+        let claims = &shared.context.claims;
         let mut change = Change::between(&old, &current, &graph, catalog, &entry, as_once, claims)
             .map_err(|reason| ApplyError::Stale { reason })?;
         if let When::At(at) = when {
             change.hold_also(&old, at)?;
         }
         // Nodes that the change ends write until the switch; those that it opens begin after it.
-        let leaving = shared.around.claims.leaving(change.leaving(&old, &graph));
+        let leaving = shared.context.claims.leaving(change.leaving(&old, &graph));
         let mut early = self.open_early(&change, &graph)?;
 
         // From here until the switch whole parts of the graph stand still.
@@ -130,7 +130,7 @@ impl Engine {
         let still = self
             .come_to(&old, &change, when)
             .and_then(|()| self.hold(&old, &change))
-            .and_then(|()| self.hand_over_early(&old, &change, &mut early))
+            .and_then(|()| self.transfer_states(&old, &change, &mut early))
             .and_then(|()| self.open_late(&old, &change, &graph));
         let still = match still {
             // Closing waits for the change only so long.
@@ -148,8 +148,9 @@ impl Engine {
             }
         };
         drop(leaving);
-        let applied = self.switch(&old, &current, change, graph, catalog, plugins, when, early, late, start);
-        Ok(applied)
+        early.extend(late);
+        let switch = Switch { engine: self, old: &old, current: &current, catalog, plugins, when, start };
+        Ok(switch.run(change, graph, early))
     }
 
     /// Lets the ticks pass that come before the change.
@@ -158,18 +159,18 @@ impl Engine {
         let mut named = Vec::new();
         if let When::At(at) = when {
             for (source, seq) in *at {
-                let is = |(_, extent): &&(Arc<Region>, Extent)| old.cells[extent.head].id == *source;
+                let is = |(_, extent): &&(Arc<Region>, Extent)| old.runtimes[extent.head].id == *source;
                 let Some((region, extent)) = change.held.iter().find(is) else { continue };
-                let made = old.cells[extent.head].ticks.made.load(Ordering::Acquire);
+                let made = old.runtimes[extent.head].ticks.made();
                 let passed = |next| ApplyError::Passed { source_node: source.clone(), seq: *seq, next };
                 region.pause_before(*seq, made).map_err(passed)?;
                 named.push((region, extent.head));
             }
         }
-        let waits = || match (when, &shared.around.decider) {
+        let waits = || match (when, &shared.context.decider) {
             (When::Now, _) | (When::Recorded(_), None) => false,
             (When::At(_), _) => {
-                let over = |head: usize| lock(&old.cells[head].join).finished;
+                let over = |head: usize| lock(&old.runtimes[head].join).is_finished();
                 named.iter().any(|(region, head)| !region.is_paused() && !over(*head))
             }
             (When::Recorded(edit), Some(decider)) => {
@@ -188,19 +189,19 @@ impl Engine {
     /// Opens nodes of the new graph, one after the other, each within its limit. When one does not open, those before it are closed again.
     fn open_each(&self, change: &Change, graph: &Graph, nodes: &[usize]) -> Result<Vec<Opened>, ApplyError> {
         let shared = &self.shared;
-        let cell = |node: usize| &change.plan.cells[change.plan.slots[node]];
+        let runtime = |node: usize| &change.plan.runtimes[change.plan.slots[node]];
         let snapshots: Vec<Arc<Snapshot>> = nodes
             .iter()
             .map(|&node| {
-                shared.around.widen(cell(node));
-                let reopened = change.fates[node].reopened;
-                if reopened { Snapshot::new(graph.nodes[node].params.clone()) } else { cell(node).snapshot() }
+                shared.context.make_all_recorded_outputs(runtime(node));
+                let reopened = change.node_changes[node].is_reopened();
+                if reopened { Snapshot::new(graph.nodes[node].params.clone()) } else { runtime(node).snapshot() }
             })
             .collect();
-        let calls = nodes.iter().zip(&snapshots).map(|(&node, snapshot)| shared.opening(cell(node), snapshot));
+        let calls = nodes.iter().zip(&snapshots).map(|(&node, snapshot)| shared.opening(runtime(node), snapshot));
         let mut opened = Vec::with_capacity(nodes.len());
         let mut failed = None;
-        let limit = Limit::until_stop(shared.around.open_limit);
+        let limit = Limit::until_stop(shared.context.open_limit);
         shared.guarded(limit, Result::is_ok, calls.collect::<Vec<_>>(), |_, answer| {
             let (node, snapshot) = (nodes[opened.len()], &snapshots[opened.len()]);
             match answer {
@@ -225,16 +226,16 @@ impl Engine {
     /// Closes what was opened for a change that is not made.
     fn close_opened(&self, change: &Change, opened: Vec<Opened>) {
         for Opened { node, instance, .. } in opened {
-            self.shared.close_guarded(&change.plan.cells[change.plan.slots[node]], vec![instance]);
+            self.shared.close_guarded(&change.plan.runtimes[change.plan.slots[node]], vec![instance]);
         }
     }
 
     /// Opens what may be open beside the running nodes.
     fn open_early(&self, change: &Change, graph: &Graph) -> Result<Vec<Opened>, ApplyError> {
         // A decider says at which tick a node goes on with a new instance.
-        let scripted = self.shared.around.decider.is_some();
-        let wanted = |f: &Fate| (f.added || f.replaced || (f.reopened && !scripted)) && !f.late;
-        let nodes: Vec<usize> = (0..graph.nodes.len()).filter(|&n| wanted(&change.fates[n])).collect();
+        let scripted = self.shared.context.decider.is_some();
+        let wanted = |c: NodeChange| c.opens() == Some(Opens::Beside) && !(c.is_reopened() && scripted);
+        let nodes: Vec<usize> = (0..graph.nodes.len()).filter(|&n| wanted(change.node_changes[n])).collect();
         self.open_each(change, graph, &nodes)
     }
 
@@ -256,33 +257,33 @@ impl Engine {
     ///
     /// # Errors
     /// It did not return: its instance is lost, and the node is opened again.
-    fn save(&self, cell: &Arc<NodeRuntime>, closes: bool) -> Result<Option<Vec<u8>>, ApplyError> {
+    fn save(&self, runtime: &Arc<NodeRuntime>, closes: bool) -> Result<Option<Vec<u8>>, ApplyError> {
         let shared = &self.shared;
-        let Some(mut exec) = cell.exec.take() else { return Ok(None) };
-        let limit = Limit::until_stop(shared.around.close_limit);
-        let mut instance = std::mem::replace(&mut exec.instance, Instance::none(cell.node_type));
-        cell.exec.put(exec);
+        let Some(mut exec) = runtime.exec.take() else { return Ok(None) };
+        let limit = Limit::until_stop(shared.context.close_limit);
+        let mut instance = std::mem::replace(&mut exec.instance, Instance::none(runtime.node_type));
+        runtime.exec.put(exec);
         let lost = |error: CallError| {
-            shared.tell_no_return(cell, &error);
-            shared.start_mending(cell);
-            no_answer(&cell.id, &error)
+            shared.report_no_return(runtime, &error);
+            shared.start_restart(runtime);
+            no_answer(&runtime.id, &error)
         };
         let mut state = None;
         if instance.saves_state() {
             let me = Arc::clone(shared);
             let save = move || {
-                let state = instance.save_state(&me.around.host);
+                let state = instance.save_state(&me.context.host);
                 (instance, state)
             };
-            (instance, state) = shared.call_guarded(limit, cell, CallKind::SaveState, save).map_err(lost)?;
+            (instance, state) = shared.call_guarded(limit, runtime, CallKind::SaveState, save).map_err(lost)?;
         }
         if closes {
-            let (me, mine) = (Arc::clone(shared), Arc::clone(cell));
-            let end = move || mine.end(&me.around, instance);
-            shared.call_guarded(limit, cell, CallKind::Close, end).map_err(lost)?;
-        } else if let Some(mut exec) = cell.exec.take() {
+            let (me, mine) = (Arc::clone(shared), Arc::clone(runtime));
+            let end = move || mine.end(&me.context, instance);
+            shared.call_guarded(limit, runtime, CallKind::Close, end).map_err(lost)?;
+        } else if let Some(mut exec) = runtime.exec.take() {
             exec.instance = instance;
-            cell.exec.put(exec);
+            runtime.exec.put(exec);
         }
         Ok(state)
     }
@@ -293,33 +294,34 @@ impl Engine {
     /// It did not return: the instance is lost.
     fn load(
         &self,
-        cell: &Arc<NodeRuntime>,
+        runtime: &Arc<NodeRuntime>,
         instance: Instance,
         state: Option<&Vec<u8>>,
     ) -> Result<Instance, ApplyError> {
         let Some(state) = state.cloned() else { return Ok(instance) };
-        match self.shared.load_guarded(cell, instance, state) {
+        match self.shared.load_guarded(runtime, instance, state) {
             Ok((instance, understood)) => {
                 if !understood {
-                    cell.starts_anew(&self.shared.around);
+                    runtime.warn_state_lost(&self.shared.context);
                 }
                 Ok(instance)
             }
-            Err(error) => Err(no_answer(&cell.id, &error)),
+            Err(error) => Err(no_answer(&runtime.id, &error)),
         }
     }
 
     /// Gives the states of nodes that are replaced to their successors, which are open beside them. All are at rest.
-    fn hand_over_early(&self, old: &Plan, change: &Change, early: &mut Vec<Opened>) -> Result<(), ApplyError> {
+    fn transfer_states(&self, old: &Plan, change: &Change, early: &mut Vec<Opened>) -> Result<(), ApplyError> {
         let mut rest = std::mem::take(early).into_iter();
         let mut failed = Ok(());
         for Opened { node, instance, snapshot } in rest.by_ref() {
             let slot = change.plan.slots[node];
-            let cell = &change.plan.cells[slot];
-            let heir = change.fates[node].replaced && type_name(old.cells[slot].node_type) == type_name(cell.node_type);
-            let state = if heir { self.save(&old.cells[slot], false) } else { Ok(None) };
+            let runtime = &change.plan.runtimes[slot];
+            let heir = change.node_changes[node].is_replaced()
+                && type_name(old.runtimes[slot].node_type) == type_name(runtime.node_type);
+            let state = if heir { self.save(&old.runtimes[slot], false) } else { Ok(None) };
             let loaded = match state {
-                Ok(state) => self.load(cell, instance, state.as_ref()),
+                Ok(state) => self.load(runtime, instance, state.as_ref()),
                 Err(error) => {
                     early.push(Opened { node, instance, snapshot });
                     failed = Err(error);
@@ -342,14 +344,14 @@ impl Engine {
     fn hold(&self, old: &Plan, change: &Change) -> Result<(), ApplyError> {
         let until = Instant::now() + LONGEST_DRAIN;
         for &slot in &change.quiet {
-            old.cells[slot].runner.leave.request();
-            self.shared.wake(&old.cells[slot]);
+            old.runtimes[slot].runner.leave.request();
+            old.runtimes[slot].runner.wake();
         }
         let pause = |(region, extent): &(Arc<Region>, Extent)| {
-            lock(&old.cells[extent.head].join).pause();
+            lock(&old.runtimes[extent.head].join).pause();
             region.pause();
         };
-        if self.shared.around.batch {
+        if self.shared.context.batch {
             // A region may wait for packets of those before it: the last ones come to rest first.
             for held in change.held.iter().rev() {
                 pause(held);
@@ -360,23 +362,24 @@ impl Engine {
             self.wait_for(until, || change.held.iter().find_map(|held| busy_member(old, held)))?;
         }
         self.wait_for(until, || {
-            let stays = |slot: &&usize| old.cells[**slot].runner.has_thread.load(Ordering::Acquire);
-            change.quiet.iter().find(stays).map(|&slot| old.cells[slot].id.clone())
+            let stays = |slot: &&usize| old.runtimes[**slot].runner.has_thread();
+            change.quiet.iter().find(stays).map(|&slot| old.runtimes[slot].id.clone())
         })
     }
 
     /// Opens what cannot be open beside its predecessor, which is closed first. On failure all predecessors are open again.
     fn open_late(&self, old: &Plan, change: &Change, graph: &Graph) -> Result<Vec<Opened>, ApplyError> {
-        let nodes: Vec<usize> = (0..graph.nodes.len()).filter(|&n| change.fates[n].late).collect();
+        let nodes: Vec<usize> =
+            (0..graph.nodes.len()).filter(|&n| change.node_changes[n].opens_after_close()).collect();
         if nodes.is_empty() {
             return Ok(Vec::new());
         }
-        let replaced = nodes.iter().filter(|&&n| !change.fates[n].added).map(|&n| change.plan.slots[n]);
+        let replaced = nodes.iter().filter(|&&n| !change.node_changes[n].is_added()).map(|&n| change.plan.slots[n]);
         let closing: Vec<usize> =
-            replaced.chain(change.removed.iter().copied().filter(|&s| old.cells[s].exclusive)).collect();
+            replaced.chain(change.removed.iter().copied().filter(|&s| old.runtimes[s].exclusive)).collect();
         let mut states: Vec<(usize, Option<Vec<u8>>)> = Vec::new();
         for &slot in &closing {
-            match self.save(&old.cells[slot], true) {
+            match self.save(&old.runtimes[slot], true) {
                 Ok(state) => states.push((slot, state)),
                 Err(error) => {
                     self.reopen(old, &states);
@@ -390,7 +393,7 @@ impl Engine {
             let state = states.iter().find(|(s, _)| *s == slot).and_then(|(_, state)| state.as_ref());
             let new = self.open_each(change, graph, &[node]).and_then(|new| {
                 let loaded = new.into_iter().map(|Opened { node, instance, snapshot }| {
-                    let instance = self.load(&change.plan.cells[slot], instance, state)?;
+                    let instance = self.load(&change.plan.runtimes[slot], instance, state)?;
                     Ok(Opened { node, instance, snapshot })
                 });
                 loaded.collect::<Result<Vec<_>, ApplyError>>()
@@ -410,20 +413,20 @@ impl Engine {
     /// Opens nodes again that were closed for a change that failed.
     fn reopen(&self, old: &Plan, states: &[(usize, Option<Vec<u8>>)]) {
         for (slot, state) in states {
-            let cell = &old.cells[*slot];
-            let opened = self.shared.open_guarded(cell, &cell.snapshot()).map_err(|error| error.to_string());
+            let runtime = &old.runtimes[*slot];
+            let opened = self.shared.open_guarded(runtime, &runtime.snapshot()).map_err(|error| error.to_string());
             let loaded = opened
-                .and_then(|instance| self.load(cell, instance, state.as_ref()).map_err(|error| error.to_string()));
+                .and_then(|instance| self.load(runtime, instance, state.as_ref()).map_err(|error| error.to_string()));
             match loaded {
                 Ok(instance) => {
-                    if let Some(mut exec) = cell.exec.take() {
+                    if let Some(mut exec) = runtime.exec.take() {
                         exec.instance = instance.begun();
-                        cell.exec.put(exec);
+                        runtime.exec.put(exec);
                     }
                 }
                 Err(words) => {
-                    cell.open_failed(&self.shared.around, &words, None);
-                    self.shared.start_mending(cell);
+                    runtime.open_failed(&self.shared.context, &words, None);
+                    self.shared.start_restart(runtime);
                 }
             }
         }
@@ -432,16 +435,16 @@ impl Engine {
     /// Ends a change that failed: all goes on as before.
     fn let_go(&self, old: &Plan, change: &Change) {
         for &slot in &change.quiet {
-            let cell = &old.cells[slot];
+            let runtime = &old.runtimes[slot];
             // A thread that has not seen the request yet stays.
-            if cell.runner.leave.withdraw() {
+            if runtime.runner.leave.withdraw() {
                 continue;
             }
-            while cell.runner.has_thread.load(Ordering::Acquire) {
+            while runtime.runner.has_thread() {
                 std::thread::sleep(Duration::from_micros(50));
             }
-            cell.runner.leave.reset();
-            self.start_thread(slot, cell);
+            runtime.runner.leave.reset();
+            self.start_thread(slot, runtime);
         }
         let mut ready = Ready::default();
         // One that was never paused goes on by itself.
@@ -451,14 +454,14 @@ impl Engine {
         ready.dispatch_ready(&self.shared, old, 0);
     }
 
-    fn start_thread(&self, slot: usize, cell: &Arc<NodeRuntime>) {
-        if let Err(cause) = self.shared.start_thread(slot, cell) {
-            self.shared.fail(format!("no thread could be started for node `{}`: {cause}", cell.id));
+    fn start_thread(&self, slot: usize, runtime: &Arc<NodeRuntime>) {
+        if let Err(cause) = self.shared.start_thread(slot, runtime) {
+            self.shared.fail(format!("no thread could be started for node `{}`: {cause}", runtime.id));
         }
     }
 
     fn resume(&self, plan: &Plan, region: &Region, head: usize, ready: &mut Ready) {
-        lock(&plan.cells[head].join).resume();
+        lock(&plan.runtimes[head].join).resume();
         let mut waited = region.resume();
         while !waited.is_empty() {
             for outputs in waited {
@@ -473,20 +476,20 @@ impl Engine {
     fn close_old(&self, old: &Plan, slots: &[usize]) {
         let until = Instant::now() + LONGEST_LEAVE;
         for &slot in slots {
-            let cell = &old.cells[slot];
+            let runtime = &old.runtimes[slot];
             // A node with a thread of its own closes there.
-            let stays = || cell.owns_thread() && cell.runner.has_thread.load(Ordering::Acquire);
+            let stays = || runtime.owns_thread() && runtime.runner.has_thread();
             while stays() && Instant::now() < until {
-                self.shared.wake(cell);
+                runtime.runner.wake();
                 std::thread::sleep(Duration::from_micros(200));
             }
             if stays() {
                 // It closes the node if it ever leaves. Nobody waits for it; workers that are stuck in its loops go with it.
                 let words = "it was removed and does not return; it is left behind, and its files may be incomplete";
-                self.shared.around.log.write(Level::Error, &cell.id, words);
+                self.shared.context.log.write(Level::Error, &runtime.id, words);
                 let mut threads = lock(&self.shared.own_threads);
                 let number =
-                    threads.iter().find(|(_, thread)| Arc::ptr_eq(&thread.cell, cell)).map(|(number, _)| *number);
+                    threads.iter().find(|(_, thread)| Arc::ptr_eq(&thread.runtime, runtime)).map(|(number, _)| *number);
                 number.map(|number| threads.remove(&number));
                 drop(threads);
                 if let Some(Err(cause)) = number.map(|number| self.shared.pool.give_up(number)) {
@@ -494,8 +497,8 @@ impl Engine {
                 }
                 continue;
             }
-            let (instances, _) = cell.take_instances();
-            self.shared.close_guarded(cell, instances);
+            let (instances, _) = runtime.take_instances();
+            self.shared.close_guarded(runtime, instances);
         }
     }
 }
@@ -506,26 +509,21 @@ fn no_answer(node: &str, error: &CallError) -> ApplyError {
 }
 
 /// Takes a node out of the graph; `true` when it was not finished.
-fn retire(cell: &Arc<NodeRuntime>) -> bool {
-    let finished = std::mem::replace(&mut lock(&cell.join).finished, true);
-    cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
-    cell.runner.retired.store(true, Ordering::Release);
-    cell.runner.leave.request();
-    cell.runner.wake.store(true, Ordering::Release);
-    if let Some(thread) = &*lock(&cell.runner.thread) {
-        thread.unpark();
-    }
-    !finished
+fn retire(runtime: &Arc<NodeRuntime>) -> bool {
+    let unfinished = lock(&runtime.join).finish();
+    runtime.recovery.begin_restart();
+    runtime.runner.retire();
+    unfinished
 }
 
 /// A node of a paused region that still works.
 fn busy_member(plan: &Plan, (region, extent): &(Arc<Region>, Extent)) -> Option<String> {
     let works = |slot: usize| {
-        let cell = &plan.cells[slot];
+        let runtime = &plan.runtimes[slot];
         // A source may go on: what it makes is kept.
-        !cell.source && (lock(&cell.join).running || !cell.exec.is_home())
+        !runtime.source && (lock(&runtime.join).is_running() || !runtime.exec.is_home())
     };
     let member = extent.members.iter().copied().find(|&slot| works(slot));
     let inside = region.in_flight() > 0;
-    member.or(inside.then_some(extent.head)).map(|slot| plan.cells[slot].id.clone())
+    member.or(inside.then_some(extent.head)).map(|slot| plan.runtimes[slot].id.clone())
 }

@@ -1,4 +1,4 @@
-//! The switch of a plan: nothing here fails.
+//! The switch from one plan to the next: the part of a change that cannot fail.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -6,240 +6,255 @@ use std::time::Instant;
 
 use panoscope_graph::{Catalog, Graph};
 
-use super::change::{Change, Fate, connections, inherited};
+use super::change::{Change, NodeChange, Opens, connections, inherited};
 use super::{Applied, Opened, When, retire};
 use crate::engine::{Current, Engine, type_name};
 use crate::instance::Instance;
 use crate::observe::Event;
 use crate::params::Snapshot;
-use crate::plan::{self, Plan};
+use crate::plan::{self, Extent, Plan};
 use crate::plugins::Plugins;
+use crate::region::Region;
 use crate::schedule::Ready;
 use crate::sync::lock;
 
-impl Engine {
-    /// The switch itself; nothing here fails.
-    pub(super) fn switch(
-        &self,
-        old: &Arc<Plan>,
-        current: &Current,
-        change: Change,
-        graph: Graph,
-        catalog: &Catalog,
-        plugins: &dyn Plugins,
-        when: &When<'_>,
-        early: Vec<Opened>,
-        late: Vec<Opened>,
-        start: Instant,
-    ) -> Applied {
-        let shared = &self.shared;
+/// A switch of the plan while the touched regions are at rest.
+pub(super) struct Switch<'a> {
+    pub engine: &'a Engine,
+    pub old: &'a Arc<Plan>,
+    pub current: &'a Current,
+    pub catalog: &'a Catalog,
+    pub plugins: &'a dyn Plugins,
+    pub when: &'a When<'a>,
+    /// When the regions were asked to rest.
+    pub start: Instant,
+}
+
+impl Switch<'_> {
+    /// Switches to the plan of `change`, with these new instances.
+    pub(super) fn run(&self, change: Change, graph: Graph, opened: Vec<Opened>) -> Applied {
+        let shared = &self.engine.shared;
         let mut applied = Applied::default();
-        // The count must not touch zero on the way.
+        // Keeps the count of unfinished nodes above zero until the switch is complete.
         shared.unfinished.fetch_add(1, Ordering::AcqRel);
         let order = lock(&shared.finishing);
-        let Change { plan, fates, removed, held, quiet } = change;
-        let mut unused = Vec::new();
-        for opened in early.into_iter().chain(late) {
-            unused.extend(Self::install(&plan, &fates, opened));
-        }
-        let mut threads = Vec::new();
-        // Replaced nodes count as finished as soon as their successors took over.
-        let over: Vec<bool> = old.cells.iter().map(|c| lock(&c.join).finished).collect();
-        for (node, fate) in fates.iter().enumerate() {
-            let slot = plan.slots[node];
-            let cell = &plan.cells[slot];
-            let id = &graph.nodes[node].id;
-            let finished = self.rewire(old, &over, current, &plan, &graph, catalog, node, *fate);
-            if fate.added || ((fate.replaced || fate.rewired) && finished) {
-                shared.unfinished.fetch_add(1, Ordering::AcqRel);
-            }
-            if cell.owns_thread()
-                && (fate.added
-                    || fate.replaced
-                    || (fate.rewired && finished)
-                    || (quiet.contains(&slot) && !lock(&cell.join).finished))
-            {
-                threads.push(slot);
-            }
-            if fate.tuned && shared.around.decider.is_none() {
-                cell.set_snapshot(Snapshot::new(graph.nodes[node].params.clone()));
-            }
-            let policy = &graph.nodes[node];
-            cell.set_policy(policy.on_fault, policy.budget_ms, policy.max_rate_hz);
-            let names = [
-                (fate.added, &mut applied.added),
-                (fate.replaced, &mut applied.replaced),
-                (fate.reopened, &mut applied.reopened),
-                (fate.rewired && !fate.replaced, &mut applied.rewired),
-                (fate.tuned, &mut applied.tuned),
-            ];
-            for (_, list) in names.into_iter().filter(|(yes, _)| *yes) {
-                list.push(id.clone());
-            }
-        }
+        let Change { plan, node_changes, removed, held, quiet } = change;
+        let opened = opened.into_iter();
+        let unused: Vec<_> = opened.filter_map(|opened| Self::install(&plan, &node_changes, opened)).collect();
+        let threads = self.set_up_nodes(&plan, &graph, &node_changes, &quiet, &mut applied);
         for &slot in &removed {
-            applied.removed.push(old.cells[slot].id.clone());
-            if retire(&old.cells[slot]) {
+            applied.removed.push(self.old.runtimes[slot].id.clone());
+            if retire(&self.old.runtimes[slot]) {
                 shared.unfinished.fetch_sub(1, Ordering::AcqRel);
             }
         }
-        for (region, extent) in plan.regions.iter().zip(&plan.extents) {
-            let was_held = held.iter().any(|(h, _)| Arc::ptr_eq(h, region));
-            let known = old.regions.iter().any(|r| Arc::ptr_eq(r, region));
-            if was_held || !known {
-                region.reset(extent.leaves, extent.limit);
-                for &member in &extent.members {
-                    plan.cells[member].done_ticks.store(0, Ordering::Relaxed);
-                }
-            }
-        }
+        self.reset_regions(&plan, &held);
         let slots = plan.slots.clone();
         let plan = Arc::new(plan);
         shared.plan.store(Arc::clone(&plan));
-        for (region, extent) in held.iter().filter(|(region, _)| plan.regions.iter().any(|r| Arc::ptr_eq(r, region))) {
-            let cell = &plan.cells[extent.head];
-            if cell.source {
-                let first = region.first_pending().unwrap_or_else(|| cell.ticks.made.load(Ordering::Relaxed));
-                applied.switched_at.push((cell.id.clone(), first));
+        for (region, extent) in held.iter().filter(|(region, _)| has_region(&plan, region)) {
+            let runtime = &plan.runtimes[extent.head];
+            if runtime.source {
+                let first = region.first_pending().unwrap_or_else(|| runtime.ticks.made());
+                applied.switched_at.push((runtime.id.clone(), first));
             }
         }
         if !held.is_empty() {
-            applied.pause = start.elapsed();
+            applied.pause = self.start.elapsed();
         }
-        if let Some(observer) = &shared.around.observer {
-            let heads = held.iter().map(|(_, extent)| old.cells[extent.head].id.clone());
-            let admitted = heads.map(|head| (observer.admitted_by(&head), head)).map(|(n, head)| (head, n)).collect();
-            let plugins = if applied.replaced.is_empty() { Vec::new() } else { plugins.files(&graph.plugins) };
-            let (graph, applied) = (Box::new(graph.clone()), Box::new(applied.clone()));
-            observer.event(Event::Edit { graph, admitted, applied, plugins });
-        }
-        self.current.store(Arc::new(Current::new(graph, catalog, slots)));
-        if let (When::Recorded(edit), Some(decider)) = (when, &shared.around.decider) {
+        self.record(&graph, &held, &applied);
+        self.engine.current.store(Arc::new(Current::new(graph, self.catalog, slots)));
+        if let (When::Recorded(edit), Some(decider)) = (self.when, &shared.context.decider) {
             decider.edited(*edit);
         }
         drop(order);
 
         for slot in threads {
-            plan.cells[slot].runner.leave.reset();
-            self.start_thread(slot, &plan.cells[slot]);
+            plan.runtimes[slot].runner.leave.reset();
+            self.engine.start_thread(slot, &plan.runtimes[slot]);
         }
-        let mut ready = Ready::default();
-        for (region, extent) in &held {
-            let head = extent.head;
-            if plan.regions.iter().any(|r| Arc::ptr_eq(r, region)) {
-                self.resume(&plan, region, head, &mut ready);
-            } else if plan.alive[head] {
-                lock(&plan.cells[head].join).resume();
-            }
-        }
-        if !held.is_empty() {
-            applied.pause = start.elapsed();
-        }
-        // What hangs on a source that has ended finishes now; what waits may go on.
-        for (node, fate) in fates.iter().enumerate() {
-            let slot = plan.slots[node];
-            if (fate.added || fate.replaced || fate.rewired) && !plan.cells[slot].source {
-                shared.try_fire(&plan, slot, &mut ready);
-            }
-        }
-        ready.dispatch_ready(shared, &plan, 0);
+        self.resume(&plan, &node_changes, &held, &mut applied);
         shared.one_finished();
         for (slot, instance) in unused {
-            shared.close_guarded(&plan.cells[slot], vec![instance]);
+            shared.close_guarded(&plan.runtimes[slot], vec![instance]);
         }
-        let replaced = fates.iter().enumerate().filter(|(_, f)| f.replaced).map(|(n, _)| plan.slots[n]);
-        self.close_old(old, &removed.into_iter().chain(replaced).collect::<Vec<_>>());
+        let replaced = node_changes.iter().enumerate().filter(|(_, c)| c.is_replaced()).map(|(n, _)| plan.slots[n]);
+        self.engine.close_old(self.old, &removed.into_iter().chain(replaced).collect::<Vec<_>>());
         applied
     }
 
-    /// Puts an opened instance where it belongs; answers one that waited there and is not wanted any more, with its slot.
-    fn install(plan: &Plan, fates: &[Fate], opened: Opened) -> Option<(usize, Instance)> {
+    /// Gives all nodes their inputs, values and policy. Returns the slots of nodes whose thread is to start.
+    fn set_up_nodes(
+        &self,
+        plan: &Plan,
+        graph: &Graph,
+        node_changes: &[NodeChange],
+        quiet: &[usize],
+        applied: &mut Applied,
+    ) -> Vec<usize> {
+        let shared = &self.engine.shared;
+        let mut threads = Vec::new();
+        // A replaced node counts as finished as soon as its successor took over, so ask before.
+        let was_finished: Vec<bool> = self.old.runtimes.iter().map(|r| lock(&r.join).is_finished()).collect();
+        for (node, &change) in node_changes.iter().enumerate() {
+            let slot = plan.slots[node];
+            let runtime = &plan.runtimes[slot];
+            let settings = &graph.nodes[node];
+            let finished = self.rewire(plan, graph, &was_finished, node, change);
+            let restarts = (change.is_replaced() || change.is_rewired()) && finished;
+            if change.is_added() || restarts {
+                shared.unfinished.fetch_add(1, Ordering::AcqRel);
+            }
+            let had_to_leave = || quiet.contains(&slot) && !lock(&runtime.join).is_finished();
+            if runtime.owns_thread() && (change.is_added() || change.is_replaced() || restarts || had_to_leave()) {
+                threads.push(slot);
+            }
+            if change.is_tuned() && shared.context.decider.is_none() {
+                runtime.set_snapshot(Snapshot::new(settings.params.clone()));
+            }
+            runtime.set_policy(settings.on_fault, settings.budget_ms, settings.max_rate_hz);
+            let lists = [
+                (change.is_added(), &mut applied.added),
+                (change.is_replaced(), &mut applied.replaced),
+                (change.is_reopened(), &mut applied.reopened),
+                (change.is_rewired(), &mut applied.rewired),
+                (change.is_tuned(), &mut applied.tuned),
+            ];
+            for (_, list) in lists.into_iter().filter(|(belongs, _)| *belongs) {
+                list.push(settings.id.clone());
+            }
+        }
+        threads
+    }
+
+    /// Counts the ticks of new regions, and of those at rest, from zero.
+    fn reset_regions(&self, plan: &Plan, held: &[(Arc<Region>, Extent)]) {
+        for (region, extent) in plan.regions.iter().zip(&plan.extents) {
+            if held.iter().any(|(h, _)| Arc::ptr_eq(h, region)) || !has_region(self.old, region) {
+                region.reset(extent.leaves, extent.limit);
+                extent.members.iter().for_each(|&member| plan.runtimes[member].reset_done_ticks());
+            }
+        }
+    }
+
+    /// Passes the change to the observer.
+    fn record(&self, graph: &Graph, held: &[(Arc<Region>, Extent)], applied: &Applied) {
+        let Some(observer) = &self.engine.shared.context.observer else { return };
+        let heads = held.iter().map(|(_, extent)| self.old.runtimes[extent.head].id.clone());
+        let admitted = heads.map(|head| (observer.admitted_by(&head), head)).map(|(n, head)| (head, n)).collect();
+        let plugins = if applied.replaced.is_empty() { Vec::new() } else { self.plugins.files(&graph.plugins) };
+        let (graph, applied) = (Box::new(graph.clone()), Box::new(applied.clone()));
+        observer.event(Event::Edit { graph, admitted, applied, plugins });
+    }
+
+    /// Lets the regions go on, and fires nodes whose inputs are complete under the new plan.
+    fn resume(&self, plan: &Plan, node_changes: &[NodeChange], held: &[(Arc<Region>, Extent)], applied: &mut Applied) {
+        let shared = &self.engine.shared;
+        let mut ready = Ready::default();
+        for (region, extent) in held {
+            let head = extent.head;
+            if has_region(plan, region) {
+                self.engine.resume(plan, region, head, &mut ready);
+            } else if plan.alive[head] {
+                lock(&plan.runtimes[head].join).resume();
+            }
+        }
+        if !held.is_empty() {
+            applied.pause = self.start.elapsed();
+        }
+        // Completes pending ticks of an ended source and fires nodes that waited only for the change.
+        for (node, change) in node_changes.iter().enumerate() {
+            let slot = plan.slots[node];
+            if change.gets_inputs() && !plan.runtimes[slot].source {
+                shared.try_fire(plan, slot, &mut ready);
+            }
+        }
+        ready.dispatch_ready(shared, plan, 0);
+    }
+
+    /// Puts an opened instance into its node. Returns one that still waited there, with its slot; the caller closes it.
+    fn install(plan: &Plan, node_changes: &[NodeChange], opened: Opened) -> Option<(usize, Instance)> {
         let Opened { node, instance, snapshot } = opened;
         let slot = plan.slots[node];
-        let (cell, fate) = (&plan.cells[slot], fates[node]);
-        if fate.reopened && !fate.late {
-            cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
-            return cell.replace_instance(instance, Some(snapshot)).map(|unused| (slot, unused));
+        let (runtime, change) = (&plan.runtimes[slot], node_changes[node]);
+        if change.is_reopened() && change.opens() == Some(Opens::Beside) {
+            runtime.recovery.begin_restart();
+            return runtime.replace_instance(instance, Some(snapshot)).map(|unused| (slot, unused));
         }
-        if let Some(mut exec) = cell.exec.take() {
+        if let Some(mut exec) = runtime.exec.take() {
             exec.instance = instance.begun();
-            // A node that was left out after a fault has another chance.
+            // A node that was bypassed after a fault runs again.
             exec.bypassed = false;
             exec.bad_in_a_row = 0;
-            cell.exec.put(exec);
+            runtime.exec.put(exec);
         }
-        cell.recovery.gives_up.store(false, Ordering::Release);
-        if fate.reopened {
-            cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
-            cell.set_snapshot(snapshot);
+        runtime.recovery.set_permanent(false);
+        if change.is_reopened() {
+            runtime.recovery.begin_restart();
+            runtime.set_snapshot(snapshot);
         }
         None
     }
 
-    /// Gives a node its inputs; answers whether it, or its predecessor, was finished.
-    fn rewire(
-        &self,
-        old: &Plan,
-        over: &[bool],
-        current: &Current,
-        plan: &Plan,
-        graph: &Graph,
-        catalog: &Catalog,
-        node: usize,
-        fate: Fate,
-    ) -> bool {
+    /// Gives a node its inputs. Returns whether it, or its predecessor, was finished.
+    fn rewire(&self, plan: &Plan, graph: &Graph, was_finished: &[bool], node: usize, change: NodeChange) -> bool {
+        let (old, current) = (self.old, self.current);
         let slot = plan.slots[node];
-        let cell = &plan.cells[slot];
-        let tapped = if fate.replaced { old.cells[slot].subscribers.bits() } else { cell.subscribers.bits() };
-        cell.outputs_read.store(plan::outputs_read(graph, node) | tapped, Ordering::Relaxed);
-        self.shared.around.widen(cell);
-        if !(fate.added || fate.replaced || fate.rewired) {
-            // Where its producers are in other regions now, so may be what can wait.
-            lock(&cell.join).set_capacities(plan::capacities(graph, node));
+        let runtime = &plan.runtimes[slot];
+        let subscribed =
+            if change.is_replaced() { old.runtimes[slot].subscribers.bits() } else { runtime.subscribers.bits() };
+        runtime.set_outputs_read(plan::outputs_read(graph, node) | subscribed);
+        self.engine.shared.context.make_all_recorded_outputs(runtime);
+        if !change.gets_inputs() {
+            // Its producers may be in other regions now, which changes how many packets may wait.
+            lock(&runtime.join).set_capacities(plan::capacities(graph, node));
             return false;
         }
         let new = connections(graph, &plan.slots, node);
-        let before = current.graph.node(&graph.nodes[node].id).filter(|_| !fate.added);
+        let before = current.graph.node(&graph.nodes[node].id).filter(|_| !change.is_added());
         let from = match before {
             Some(before) => inherited(&connections(&current.graph, &current.slots, before), &new),
             None => vec![None; new.len()],
         };
         let ended: Vec<usize> = (0..new.len())
             .filter(|&i| from[i].is_none() && old.alive.get(new[i].0) == Some(&true))
-            .filter(|&i| over.get(new[i].0) == Some(&true))
+            .filter(|&i| was_finished.get(new[i].0) == Some(&true))
             .collect();
         let mut finished = false;
-        if fate.replaced {
-            let before = &old.cells[slot];
-            let mut was = lock(&before.join);
-            let fresh = std::mem::take(&mut *lock(&cell.join));
-            finished = was.finished;
-            was.rewire(fresh, &from);
-            let mut is = std::mem::take(&mut *was);
-            is.finished = false;
-            *lock(&cell.join) = is;
-            was.finished = true;
-            drop(was);
-            cell.ticks.made.store(before.ticks.made.load(Ordering::Relaxed), Ordering::Relaxed);
-            if type_name(before.node_type) == type_name(cell.node_type) {
-                cell.subscribers.adopt(&before.subscribers);
+        if change.is_replaced() {
+            let before = &old.runtimes[slot];
+            let mut old_join = lock(&before.join);
+            let fresh = std::mem::take(&mut *lock(&runtime.join));
+            old_join.rewire(fresh, &from);
+            let mut new_join = std::mem::take(&mut *old_join);
+            finished = new_join.unfinish();
+            *lock(&runtime.join) = new_join;
+            old_join.finish();
+            drop(old_join);
+            runtime.ticks.set_made(before.ticks.made());
+            if type_name(before.node_type) == type_name(runtime.node_type) {
+                runtime.subscribers.adopt(&before.subscribers);
             }
             retire(before);
-        } else if fate.rewired {
-            let (join, ranges) = plan::inputs(graph, catalog, node);
-            let mut inputs = lock(&cell.join);
+        } else if change.is_rewired() {
+            let (join, ranges) = plan::inputs(graph, self.catalog, node);
+            let mut inputs = lock(&runtime.join);
             inputs.rewire(join, &from);
-            finished = std::mem::replace(&mut inputs.finished, false);
+            finished = inputs.unfinish();
             drop(inputs);
-            *lock(&cell.ranges) = ranges.clone();
-            if let Some(mut exec) = cell.exec.take() {
+            runtime.set_ranges(ranges.clone());
+            if let Some(mut exec) = runtime.exec.take() {
                 exec.ranges = ranges;
-                cell.exec.put(exec);
+                runtime.exec.put(exec);
             }
         }
         for index in ended {
-            lock(&cell.join).end(index);
+            lock(&runtime.join).end(index);
         }
         finished
     }
+}
+
+fn has_region(plan: &Plan, region: &Arc<Region>) -> bool {
+    plan.regions.iter().any(|known| Arc::ptr_eq(known, region))
 }

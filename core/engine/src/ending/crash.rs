@@ -147,14 +147,14 @@ extern "C" fn handle(signal: c_int, info: *mut libc::siginfo_t, context: *mut c_
     let overflow = !sent && is_overflow(signal, address, context);
     // What was said before comes first.
     log::flush_all(rescue::LINES);
-    tell(signal, (!sent).then_some(address), overflow);
+    report(signal, (!sent).then_some(address), overflow);
     rescue::after_crash(who::current().map(|(who, _, _)| who));
     // An overflow was named: what Rust's own handler would say of it is left out. Everything else goes to who was there before.
     restore(overflow);
     again();
 }
 
-fn tell(signal: c_int, address: Option<usize>, overflow: bool) {
+fn report(signal: c_int, address: Option<usize>, overflow: bool) {
     let mut words = Words::new();
     words.text("error: ");
     match who::current() {
@@ -169,20 +169,20 @@ fn tell(signal: c_int, address: Option<usize>, overflow: bool) {
                 }
             }
             say_signal(&mut words, signal, address, overflow);
-            words.tell();
+            words.print();
             if !who.node.is_empty() && !who.file.is_empty() {
-                words.text("  plugin: ").text(&who.file).tell();
+                words.text("  plugin: ").text(&who.file).print();
             }
             words.text("  help: take the node out of the graph or replace its plugin, and report this text to the plugin's author");
         }
         None => {
             words.text("the program crashed outside of every node, in thread ").number(who::thread_id() as u64);
             say_signal(&mut words, signal, address, overflow);
-            words.tell();
+            words.print();
             words.text("  help: a library's own thread, or panoscope itself: report this text");
         }
     }
-    words.tell();
+    words.print();
 }
 
 fn say_signal(words: &mut Words, signal: c_int, address: Option<usize>, overflow: bool) {

@@ -46,16 +46,16 @@ pub fn called(code: c_int, call: ExitCall) -> ! {
                     words.text(" at tick ").number(seq).text(" of source ").number(u64::from(source));
                 }
             }
-            words.text(": it called exit(").number(u64::from(code.unsigned_abs())).text(")").tell();
+            words.text(": it called exit(").number(u64::from(code.unsigned_abs())).text(")").print();
             if !who.node.is_empty() && !who.file.is_empty() {
-                words.text("  plugin: ").text(&who.file).tell();
+                words.text("  plugin: ").text(&who.file).print();
             }
-            words.text("  help: a plugin must answer with an error instead; report this text to its author").tell();
+            words.text("  help: a plugin must answer with an error instead; report this text to its author").print();
             rescue::after_crash(Some(who));
             leave(1)
         }
         None if rescue::any_engine() => {
-            Words::new().text("error: a library ended the program while a graph ran: it called exit").tell();
+            Words::new().text("error: a library ended the program while a graph ran: it called exit").print();
             rescue::after_crash(None);
             leave(1)
         }

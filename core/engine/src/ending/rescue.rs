@@ -57,8 +57,8 @@ pub(super) fn start() {
         let victim = VICTIM.load(Ordering::Acquire);
         let told = std::panic::catch_unwind(|| finish(victim, Instant::now() + LIMIT));
         let mut words = Words::new();
-        words.text(told.as_deref().unwrap_or("  files: may be incomplete, finishing them failed")).tell();
-        words.text(&last_line()).tell();
+        words.text(told.as_deref().unwrap_or("  files: may be incomplete, finishing them failed")).print();
+        words.text(&last_line()).print();
         DONE.store(true, Ordering::Release);
     };
     if std::thread::Builder::new().name("rescue".to_owned()).spawn(wait).is_ok() {
@@ -89,7 +89,7 @@ pub(super) fn after_crash(victim: Option<&Who>) {
         // SAFETY: waits; allowed in a signal handler.
         unsafe { libc::poll(std::ptr::null_mut(), 0, STEP_MS as i32) };
     }
-    Words::new().text("  files: may be incomplete, finishing them took too long").tell();
+    Words::new().text("  files: may be incomplete, finishing them took too long").print();
 }
 
 const STEP_MS: u128 = 10;
@@ -113,14 +113,14 @@ fn finish(victim: *const Who, until: Instant) -> String {
     for shared in &engines {
         shared.stop();
         let plan = shared.plan.load_full();
-        if let Some((_, cell)) = plan.live().find(|(_, cell)| Arc::as_ptr(&cell.who) == victim) {
-            write_down(shared, cell);
+        if let Some((_, runtime)) = plan.live().find(|(_, runtime)| Arc::as_ptr(&runtime.who) == victim) {
+            record_crash(shared, runtime);
         }
-        for (_, cell) in plan.live().filter(|(_, cell)| cell.side_effects) {
-            let list = if close(shared, cell, victim, until) { &mut finished } else { &mut torn };
-            list.push(format!("`{}`", cell.id));
+        for (_, runtime) in plan.live().filter(|(_, runtime)| runtime.side_effects) {
+            let list = if close(shared, runtime, victim, until) { &mut finished } else { &mut torn };
+            list.push(format!("`{}`", runtime.id));
         }
-        if let Some(observer) = &shared.around.observer {
+        if let Some(observer) = &shared.context.observer {
             let list = if observer.break_off(until) { &mut finished } else { &mut torn };
             list.push("the recording".to_owned());
         }
@@ -142,29 +142,29 @@ fn last_line() -> String {
     let (mut frames, mut dropped, mut faults) = (0, 0, 0);
     for shared in engines.unwrap_or_default() {
         let plan = shared.plan.load();
-        frames += plan.live().map(|(_, cell)| cell.ticks.made.load(Ordering::Relaxed)).max().unwrap_or(0);
-        for (_, cell) in plan.live() {
-            dropped += cell.stats.dropped.load(Ordering::Relaxed);
-            faults += cell.stats.faults.load(Ordering::Relaxed);
+        frames += plan.live().map(|(_, runtime)| runtime.ticks.made()).max().unwrap_or(0);
+        for (_, runtime) in plan.live() {
+            dropped += runtime.stats.dropped.load(Ordering::Relaxed);
+            faults += runtime.stats.faults.load(Ordering::Relaxed);
         }
     }
     format!("failed: the program was ended after {frames} frames, {dropped} dropped, {faults} faults")
 }
 
 /// Completes a node's files and closes it once it is at rest; `false` when it crashed, does not come to rest, or could not complete them.
-fn close(shared: &Shared, cell: &NodeRuntime, victim: *const Who, until: Instant) -> bool {
-    if Arc::as_ptr(&cell.who) == victim {
+fn close(shared: &Shared, runtime: &NodeRuntime, victim: *const Who, until: Instant) -> bool {
+    if Arc::as_ptr(&runtime.who) == victim {
         return false;
     }
     loop {
         // What waits for it is written first, as long as there is time.
-        let idle = cell.join.try_lock().is_ok_and(|join| !join.running);
-        if idle && let Some(mut exec) = cell.exec.take() {
-            cell.finish(&shared.around, &mut exec.instance);
+        let idle = runtime.join.try_lock().is_ok_and(|join| !join.is_running());
+        if idle && let Some(mut exec) = runtime.exec.take() {
+            runtime.finish(&shared.context, &mut exec.instance);
             exec.instance.close();
             // Not put back: nobody shall run the node again.
             std::mem::forget(exec);
-            return !lock(&shared.around.stopped).contains_key(&cell.id);
+            return !lock(&shared.context.stopped).contains_key(&runtime.id);
         }
         if Instant::now() >= until {
             return false;
@@ -174,20 +174,20 @@ fn close(shared: &Shared, cell: &NodeRuntime, victim: *const Who, until: Instant
 }
 
 /// The crash stands among the faults, in the fault log and in the recording.
-fn write_down(shared: &Shared, cell: &NodeRuntime) {
+fn record_crash(shared: &Shared, runtime: &NodeRuntime) {
     let fault = Fault {
         unix_ms: unix_ms(),
         run_ms: clock::now_ns().saturating_sub(shared.start_ns) as f64 / 1e6,
-        node: cell.id.clone(),
+        node: runtime.id.clone(),
         cause: Cause::Crash,
         words: "its plugin ended the program".to_owned(),
         done: Action::Stop,
-        seq: Some(cell.busy.tick().seq),
+        seq: Some(runtime.busy.tick().seq),
         late_ms: None,
         count: 1,
     };
-    if let Some(observer) = &shared.around.observer {
+    if let Some(observer) = &shared.context.observer {
         observer.event(crate::observe::Event::Fault(fault.clone()));
     }
-    shared.around.faults.put(fault);
+    shared.context.faults.put(fault);
 }

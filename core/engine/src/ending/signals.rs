@@ -120,7 +120,7 @@ extern "C" fn handle(signal: c_int) {
         }
         Meaning::Same => {}
         Meaning::AtOnce => {
-            Words::new().text("stopped at once by a second signal: files may be incomplete").tell();
+            Words::new().text("stopped at once by a second signal: files may be incomplete").print();
             leave(128 + signal)
         }
     }
@@ -234,7 +234,7 @@ fn answer() {
         let wait = match &*now {
             Duty::Finishing => return,
             Duty::Leave => {
-                Words::new().text("stopped by ").text(signal.name()).tell();
+                Words::new().text("stopped by ").text(signal.name()).print();
                 leave(signal.status())
             }
             Duty::Opening => OPENING,
@@ -261,7 +261,7 @@ fn leave_opening(signal: Signal) -> ! {
     } else {
         format!("{} was still opening", nodes.join(", "))
     };
-    Words::new().text("stopped by ").text(signal.name()).text(" before the first frame: ").text(&what).tell();
+    Words::new().text("stopped by ").text(signal.name()).text(" before the first frame: ").text(&what).print();
     leave(signal.status())
 }
 
@@ -270,8 +270,8 @@ fn leave_unnoticed(signal: Signal) -> ! {
     let what = if nodes.is_empty() { String::new() } else { format!(", {} is still opening", nodes.join(", ")) };
     let files = finish_files();
     let mut words = Words::new();
-    words.text(&files).tell();
-    words.text("stopped by ").text(signal.name()).text(": the program was busy").text(&what).tell();
+    words.text(&files).print();
+    words.text("stopped by ").text(signal.name()).text(": the program was busy").text(&what).print();
     leave(signal.status())
 }
 

@@ -46,7 +46,7 @@ impl Words {
     }
 
     /// Writes the line to standard error and empties it.
-    pub fn tell(&mut self) {
+    pub fn print(&mut self) {
         self.text("\n");
         let mut rest = &self.bytes[..self.len];
         while !rest.is_empty() {

@@ -83,22 +83,22 @@ impl Engine {
             n => n,
         };
         let entry = |plugin: &str, node_type: &str| plugins.entry(plugin, node_type);
-        let mut cells = Vec::with_capacity(graph.nodes.len());
+        let mut runtimes = Vec::with_capacity(graph.nodes.len());
         for node in 0..graph.nodes.len() {
             let node_type = plan::entry_of(&graph, node, &entry).map_err(|reason| StartError::Stale { reason })?;
-            cells.push(plan::cell(&graph, catalog, node, node_type));
+            runtimes.push(plan::runtime(&graph, catalog, node, node_type));
         }
-        let slots: Vec<usize> = (0..cells.len()).collect();
-        let plan = plan::lay_out(&graph, catalog, cells, slots.clone(), options.ticks_at_once, None);
+        let slots: Vec<usize> = (0..runtimes.len()).collect();
+        let plan = plan::lay_out(&graph, catalog, runtimes, slots.clone(), options.ticks_at_once, None);
         if let Some(numbers) = &options.numbers
             && let Some(node) = graph.node(&numbers.node)
         {
-            let _ = plan.cells[node].hear_number.set(Arc::clone(&numbers.hear));
+            let _ = plan.runtimes[node].hear_number.set(Arc::clone(&numbers.hear));
         }
-        let listening = listen(&graph, catalog, &plan.cells, &options.listen)?;
+        let listening = listen(&graph, catalog, &plan.runtimes, &options.listen)?;
         let batch = graph.mode == Mode::Batch;
         let start_ns = clock::now_ns();
-        let around = RunContext {
+        let context = RunContext {
             host: host::table(threads),
             log: Log::new(options.log),
             faults: FaultLog::new(options.faults),
@@ -113,16 +113,16 @@ impl Engine {
             claims: Arc::default(),
             stopped: Mutex::default(),
         };
-        let hurried = !around.unhurried();
+        let hurried = !context.ignores_wall_clock();
         let pool = Pool::new(threads);
-        let count = plan.cells.len();
+        let count = plan.runtimes.len();
         let warm_up_ticks = options.frames.map_or(30, |n| (n / 4).min(30)).max(1);
         let patience = u64::try_from(options.hang.as_nanos()).map_or(LONGEST_BUDGET_NS, |ns| ns.min(LONGEST_BUDGET_NS));
         let shared = Arc::new_cyclic(|me| Shared {
             me: me.clone(),
             plan: ArcSwap::from_pointee(plan),
             pool,
-            around,
+            context,
             paced: options.paced,
             frames: options.frames,
             stopping: AtomicBool::new(false),
@@ -141,14 +141,14 @@ impl Engine {
             frame_ns: AtomicU64::new(33_333_333),
         });
         if let Err(error) = open_all(&shared) {
-            shared.around.flush();
+            shared.context.flush();
             return Err(error);
         }
-        if let Some(observer) = &shared.around.observer {
+        if let Some(observer) = &shared.context.observer {
             let shared = Arc::downgrade(&shared);
             observer.report_to(Box::new(move |words| {
                 if let Some(shared) = shared.upgrade() {
-                    shared.around.recording_trouble(words);
+                    shared.context.recording_trouble(words);
                 }
             }));
         }
@@ -170,9 +170,9 @@ impl Engine {
         let shared = &self.shared;
         // The pool's task must not keep the engine alive.
         let weak = Arc::downgrade(shared);
-        let task: Task = Arc::new(move |node, walk| {
+        let task: Task = Arc::new(move |node, scratch| {
             if let Some(shared) = weak.upgrade() {
-                shared.run(node as usize, walk, u64::MAX);
+                shared.run(node as usize, scratch, u64::MAX);
             }
         });
         let weak = Arc::downgrade(shared);
@@ -194,14 +194,14 @@ impl Engine {
         let _ = told.recv();
         let plan = shared.plan.load_full();
         for sources in [false, true] {
-            for (node, cell) in plan.live().filter(|(_, c)| c.owns_thread() && c.source == sources) {
-                shared.start_thread(node, cell)?;
+            for (node, runtime) in plan.live().filter(|(_, c)| c.owns_thread() && c.source == sources) {
+                shared.start_thread(node, runtime)?;
             }
         }
         // A node that reads nothing never gets a tick: it is finished, and nobody waits for it when the engine is closed.
         let mut ready = Ready::default();
-        for (node, cell) in plan.live().filter(|(_, c)| !c.source) {
-            if lock(&cell.join).slots.is_empty() {
+        for (node, runtime) in plan.live().filter(|(_, c)| !c.source) {
+            if lock(&runtime.join).slots.is_empty() {
                 shared.try_fire(&plan, node, &mut ready);
             }
         }
@@ -251,7 +251,7 @@ impl Engine {
     pub fn close(&self, patience: Duration) -> Outcome {
         if !self.closed.swap(true, Ordering::AcqRel) {
             self.stop();
-            let log = &self.shared.around.log;
+            let log = &self.shared.context.log;
             let patience = patience.min(LONGEST_PATIENCE);
             let until = Instant::now() + patience.max(LEAST_PATIENCE);
             let change = self.change.lock_until(until);
@@ -272,9 +272,9 @@ impl Engine {
             }
             let (plan, current) = (self.shared.plan.load(), self.current.load());
             // Sources first, then along the graph: readers finish their files last.
-            let cells = current.graph.order.iter().map(|&node| Arc::clone(&plan.cells[current.slots[node]]));
-            self.shared.close_all(cells.collect(), Instant::now() + patience.max(LEAST_PATIENCE));
-            self.shared.around.flush();
+            let runtimes = current.graph.order.iter().map(|&node| Arc::clone(&plan.runtimes[current.slots[node]]));
+            self.shared.close_all(runtimes.collect(), Instant::now() + patience.max(LEAST_PATIENCE));
+            self.shared.context.flush();
         }
         self.outcome()
     }
@@ -290,12 +290,10 @@ impl Engine {
     /// Looks at an output without slowing the graph.
     pub fn preview(&self, node: &str, output: &str) -> Option<Preview> {
         let current = self.current.load();
-        let (index, cell) = self.cell(&current, node)?;
+        let (index, runtime) = self.runtime(&current, node)?;
         let port = current.outputs[index].iter().position(|name| name == output)?;
-        let preview = cell.subscribers.subscribe(port)?;
-        if port < 64 {
-            cell.outputs_read.fetch_or(1 << port, Ordering::Relaxed);
-        }
+        let preview = runtime.subscribers.subscribe(port)?;
+        runtime.read_output(port);
         Some(preview)
     }
 
@@ -304,9 +302,9 @@ impl Engine {
     pub fn end_previews(&self, node: &str) {
         let Some(_change) = self.change.lock_until(Instant::now()) else { return };
         let current = self.current.load();
-        if let Some((index, cell)) = self.cell(&current, node) {
-            let read = plan::outputs_read(&current.graph, index) | cell.subscribers.bits();
-            cell.outputs_read.store(read, Ordering::Relaxed);
+        if let Some((index, runtime)) = self.runtime(&current, node) {
+            let read = plan::outputs_read(&current.graph, index) | runtime.subscribers.bits();
+            runtime.set_outputs_read(read);
         }
     }
 
@@ -317,18 +315,18 @@ impl Engine {
 
     /// Newest log lines: level, node, words.
     pub fn recent_log(&self) -> Vec<(Level, String, String)> {
-        self.shared.around.log.recent()
+        self.shared.context.log.recent()
     }
 
     /// Newest faults, oldest first.
     pub fn recent_faults(&self) -> Vec<Fault> {
-        self.shared.around.faults.recent()
+        self.shared.context.faults.recent()
     }
 
     /// Ticks that the busiest source has made.
     pub fn ticks(&self) -> u64 {
         let plan = self.shared.plan.load();
-        plan.live().map(|(_, cell)| cell.ticks.made.load(Ordering::Relaxed)).max().unwrap_or(0)
+        plan.live().map(|(_, runtime)| runtime.ticks.made()).max().unwrap_or(0)
     }
 
     /// All counters and times so far.
@@ -352,14 +350,14 @@ impl Drop for Engine {
 fn listen(
     graph: &Graph,
     catalog: &Catalog,
-    cells: &[Arc<NodeRuntime>],
+    runtimes: &[Arc<NodeRuntime>],
     wanted: &[Listener],
 ) -> Result<Vec<Preview>, StartError> {
     let one = |listener: &Listener| {
         let node = graph.node(&listener.node)?;
         let port = graph.nodes[node].node_type(catalog).output(&listener.output)?;
-        let preview = cells[node].subscribers.listen(port, Arc::clone(&listener.hear))?;
-        cells[node].outputs_read.fetch_or(1u64.checked_shl(port as u32).unwrap_or(0), Ordering::Relaxed);
+        let preview = runtimes[node].subscribers.listen(port, Arc::clone(&listener.hear))?;
+        runtimes[node].read_output(port);
         Some(preview)
     };
     let missing = |l: &Listener| StartError::Stale { reason: format!("there is no output `{}.{}`", l.node, l.output) };
@@ -369,27 +367,27 @@ fn listen(
 /// Opens all nodes of an engine that does not run yet. When one does not open, the others are closed again.
 fn open_all(shared: &Arc<Shared>) -> Result<(), StartError> {
     let plan = shared.plan.load_full();
-    let calls = plan.cells.iter().map(|cell| {
-        shared.around.widen(cell);
-        shared.opening(cell, &cell.snapshot())
+    let calls = plan.runtimes.iter().map(|runtime| {
+        shared.context.make_all_recorded_outputs(runtime);
+        shared.opening(runtime, &runtime.snapshot())
     });
     let mut failed = None;
-    shared.guarded(Limit::until_stop(shared.around.open_limit), Result::is_ok, calls, |cell, answer| {
+    shared.guarded(Limit::until_stop(shared.context.open_limit), Result::is_ok, calls, |runtime, answer| {
         match answer.map_err(|error| error.to_string()).flatten() {
             Ok(instance) => {
-                if let Some(mut exec) = cell.exec.take() {
+                if let Some(mut exec) = runtime.exec.take() {
                     exec.instance = instance.begun();
-                    cell.exec.put(exec);
+                    runtime.exec.put(exec);
                 }
             }
             Err(reason) => {
-                failed = Some((cell.id.clone(), type_name(cell.node_type), reason));
+                failed = Some((runtime.id.clone(), type_name(runtime.node_type), reason));
             }
         }
         if failed.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     let Some((node, node_type, reason)) = failed else { return Ok(()) };
-    shared.close_all(plan.cells.clone(), Instant::now() + shared.around.close_limit);
+    shared.close_all(plan.runtimes.clone(), Instant::now() + shared.context.close_limit);
     Err(StartError::Open { node, node_type, reason })
 }
 

@@ -1,7 +1,6 @@
 //! Values of parameters: reading them, and setting them while the graph runs.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use panoscope_graph::{NodeSetup, ParamValue};
 
@@ -26,17 +25,17 @@ impl Engine {
             param: param.to_owned(),
             reason,
         })?;
-        let cell = Arc::clone(&self.shared.plan.load().cells[current.slots[index]]);
-        let old = cell.snapshot();
+        let runtime = Arc::clone(&self.shared.plan.load().runtimes[current.slots[index]]);
+        let old = runtime.snapshot();
         let mut values = old.owned().to_vec();
         values[position] = value;
         if let Some(validator) = &current.validators[index] {
-            let wiring = current.graph.wiring(index, cell.node_type.inputs_len);
+            let wiring = current.graph.wiring(index, runtime.node_type.inputs_len);
             let setup = NodeSetup {
                 node_id: node,
                 params: &values,
-                graph_dir: self.shared.around.graph_dir.as_ref(),
-                batch: self.shared.around.batch,
+                graph_dir: self.shared.context.graph_dir.as_ref(),
+                batch: self.shared.context.batch,
                 wiring: Some(&wiring),
             };
             if let Some(reason) = validator.refusal(&setup, old.owned()) {
@@ -47,15 +46,15 @@ impl Engine {
         if declared[position].reopen {
             let instance = self
                 .shared
-                .open_guarded(&cell, &snapshot)
+                .open_guarded(&runtime, &snapshot)
                 .map_err(|reason| SetError::Reopen { node: node.to_owned(), reason: reason.to_string() })?;
-            cell.recovery.restarting.fetch_add(1, Ordering::AcqRel);
-            let unused = cell.replace_instance(instance, Some(snapshot));
-            self.shared.close_guarded(&cell, unused.into_iter().collect());
+            runtime.recovery.begin_restart();
+            let unused = runtime.replace_instance(instance, Some(snapshot));
+            self.shared.close_guarded(&runtime, unused.into_iter().collect());
         } else {
-            cell.set_snapshot(snapshot);
+            runtime.set_snapshot(snapshot);
         }
-        if let Some(observer) = &self.shared.around.observer {
+        if let Some(observer) = &self.shared.context.observer {
             observer.event(Event::Set { node: node.to_owned(), values: values.clone() });
         }
         self.know_values(&current, index, values);
@@ -81,11 +80,11 @@ impl Engine {
             return Err(bad("it reopens its node, which takes time".to_owned()));
         }
         let plan = self.shared.plan.load();
-        let cell = plan.cells.get(current.slots[index]).filter(|c| c.id == node);
-        let cell = cell.ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
-        let mut values = cell.snapshot().owned().to_vec();
+        let runtime = plan.runtimes.get(current.slots[index]).filter(|c| c.id == node);
+        let runtime = runtime.ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
+        let mut values = runtime.snapshot().owned().to_vec();
         values[position] = ParamValue::Bool(on);
-        cell.set_snapshot(Snapshot::new(values));
+        runtime.set_snapshot(Snapshot::new(values));
         Ok(())
     }
 
@@ -107,14 +106,14 @@ impl Engine {
         self.current.store(Arc::new(Current { graph, params, validators, outputs, slots }));
     }
 
-    pub(super) fn cell(&self, current: &Current, node: &str) -> Option<(usize, Arc<NodeRuntime>)> {
+    pub(super) fn runtime(&self, current: &Current, node: &str) -> Option<(usize, Arc<NodeRuntime>)> {
         let index = current.graph.node(node)?;
-        Some((index, Arc::clone(&self.shared.plan.load().cells[current.slots[index]])))
+        Some((index, Arc::clone(&self.shared.plan.load().runtimes[current.slots[index]])))
     }
 
     /// The values of a node's parameters now, in declaration order.
     pub fn param_values(&self, node: &str) -> Option<Vec<ParamValue>> {
-        let (_, cell) = self.cell(&self.current.load(), node)?;
-        Some(cell.snapshot().owned().to_vec())
+        let (_, runtime) = self.runtime(&self.current.load(), node)?;
+        Some(runtime.snapshot().owned().to_vec())
     }
 }

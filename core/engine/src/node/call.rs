@@ -6,10 +6,9 @@ use std::sync::atomic::Ordering;
 use panoscope_abi::{self as abi, PortRange, Tick};
 
 use super::{
-    CallOutcome, MOST_KEPT_FRAMES, NodeRuntime, ONE_INPUT, Ports, REMEMBERED_SIZES, Refused, Resized, RunContext,
-    SILENT_CALLS,
+    CallOutcome, MAX_RETAINED_FRAMES, NodeRuntime, ONE_INPUT, Ports, Refused, RunContext, SILENT_CALLS, SizeChange,
 };
-use crate::busy::{CallKind, LeftBehind};
+use crate::busy::{Abandoned, CallKind};
 use crate::clock;
 use crate::ending::who;
 use crate::exec::{Exec, Port};
@@ -23,17 +22,16 @@ use crate::params::Snapshot;
 use crate::retained::attention;
 use crate::scratch::{CallOutputs, clear};
 use crate::stats::bump;
-use crate::sync::lock;
 
 /// Whether a node is called for a tick.
-enum May {
+enum Due {
     /// From then on.
     Run {
         start_ns: u64,
     },
     Skip,
     /// It did not return from opening.
-    LeftBehind,
+    Abandoned,
 }
 
 impl NodeRuntime {
@@ -41,7 +39,7 @@ impl NodeRuntime {
     pub fn run(
         &self,
         exec: &mut Exec,
-        around: &RunContext,
+        context: &RunContext,
         tick: &mut Tick,
         complete: bool,
         start_ns: u64,
@@ -49,15 +47,15 @@ impl NodeRuntime {
     ) -> (CallOutcome, u64) {
         let mut start_ns = start_ns;
         let mut led = None;
-        if let Some(decider) = &around.decider {
-            match self.lead(&**decider, exec, around, tick) {
+        if let Some(decider) = &context.decider {
+            match self.follow_decider(&**decider, exec, context, tick) {
                 Ok(runs) => led = runs,
-                Err(LeftBehind) => return (CallOutcome::Abandoned, start_ns),
+                Err(Abandoned) => return (CallOutcome::Abandoned, start_ns),
             }
             start_ns = clock::now_ns();
         }
-        if self.config_epoch.load(Ordering::Acquire) != exec.config_epoch {
-            if let Err(LeftBehind) = self.catch_up(exec, around, tick, led.is_some()) {
+        if self.config_epoch.get() != exec.config_epoch {
+            if let Err(Abandoned) = self.catch_up(exec, context, tick, led.is_some()) {
                 return (CallOutcome::Abandoned, start_ns);
             }
             start_ns = clock::now_ns();
@@ -68,26 +66,26 @@ impl NodeRuntime {
             return (CallOutcome::Skipped, start_ns);
         }
         let may = match led {
-            None => self.may_run(exec, around, tick, start_ns),
-            Some(true) => May::Run { start_ns },
-            Some(false) => May::Skip,
+            None => self.is_due(exec, context, tick, start_ns),
+            Some(true) => Due::Run { start_ns },
+            Some(false) => Due::Skip,
         };
         let start_ns = match may {
-            May::Run { start_ns } => start_ns,
-            May::Skip => {
-                self.skipped_tick(around, tick, false);
+            Due::Run { start_ns } => start_ns,
+            Due::Skip => {
+                self.skipped_tick(context, tick, false);
                 return (CallOutcome::Skipped, start_ns);
             }
-            May::LeftBehind => return (CallOutcome::Abandoned, start_ns),
+            Due::Abandoned => return (CallOutcome::Abandoned, start_ns),
         };
-        let allocations = around.thread_allocations.map(|count| count());
+        let allocations = context.thread_allocations.map(|count| count());
         self.busy.begin(tick, start_ns);
-        let (status, refused) = self.call(exec, around, tick, ports);
+        let (status, refused) = self.call(exec, context, tick, ports);
         if !self.busy.end(start_ns) {
             return (CallOutcome::Abandoned, start_ns);
         }
         let end_ns = clock::now_ns();
-        if let Some((count, before)) = around.thread_allocations.zip(allocations) {
+        if let Some((count, before)) = context.thread_allocations.zip(allocations) {
             let more = count().wrapping_sub(before);
             if more != 0 {
                 self.stats.allocations.fetch_add(more, Ordering::Relaxed);
@@ -100,53 +98,53 @@ impl NodeRuntime {
             exec.time.raise(spent_ns);
         }
         if exec.limited && exec.budget_ns != 0 && spent_ns > exec.budget_ns {
-            self.over_budget(around, tick, spent_ns, exec.budget_ns);
+            self.over_budget(context, tick, spent_ns, exec.budget_ns);
         }
-        let ran = if status == abi::STATUS_OK {
-            self.accept(exec, around, tick, refused, end_ns, ports.made)
+        let outcome = if status == abi::STATUS_OK {
+            self.accept(exec, context, tick, refused, end_ns, ports.made)
         } else {
             ports.made.clear();
             if status == abi::STATUS_END && exec.source {
                 CallOutcome::End
             } else {
-                self.failed(exec, around, status, refused, tick, end_ns)
+                self.failed(exec, context, status, refused, tick, end_ns)
             }
         };
-        if !matches!(ran, CallOutcome::Ok | CallOutcome::End | CallOutcome::Abandoned) {
-            self.skipped_tick(around, tick, !exec.instance.is_open());
+        if !matches!(outcome, CallOutcome::Ok | CallOutcome::End | CallOutcome::Abandoned) {
+            self.skipped_tick(context, tick, !exec.instance.is_open());
         }
-        (ran, end_ns)
+        (outcome, end_ns)
     }
 
     /// Writes an event of this node into the recording, if there is one.
     #[inline]
-    pub fn write_down(&self, around: &RunContext, event: impl FnOnce(String) -> Event) {
-        if let Some(observer) = &around.observer {
+    pub fn record_event(&self, context: &RunContext, event: impl FnOnce(String) -> Event) {
+        if let Some(observer) = &context.observer {
             observer.event(event(self.id.clone()));
         }
     }
 
     #[cold]
-    fn over_budget(&self, around: &RunContext, tick: &Tick, spent_ns: u64, budget_ns: u64) {
+    fn over_budget(&self, context: &RunContext, tick: &Tick, spent_ns: u64, budget_ns: u64) {
         bump(&self.stats.over_budget);
         let words = || format!("took {:.1} ms of {:.1} ms", spent_ns as f64 / 1e6, budget_ns as f64 / 1e6);
-        self.note(around, Cause::Slow, Action::Note, Some(tick.seq), words);
+        self.report_repeated_fault(context, Cause::Slow, Action::Note, Some(tick.seq), words);
     }
 
     /// Takes over what others changed since the last call. Where a recording leads, it says when a replacement takes its turn.
     #[cold]
-    fn catch_up(&self, exec: &mut Exec, around: &RunContext, tick: &Tick, led: bool) -> Result<(), LeftBehind> {
-        exec.config_epoch = self.config_epoch.load(Ordering::Acquire);
-        if !led && self.replace.load(Ordering::Relaxed) {
-            self.take_replacement(exec, around, tick)?;
+    fn catch_up(&self, exec: &mut Exec, context: &RunContext, tick: &Tick, led: bool) -> Result<(), Abandoned> {
+        exec.config_epoch = self.config_epoch.get();
+        if !led && self.config.has_replacement() {
+            self.take_replacement(exec, context, tick)?;
         }
-        if let Some(snapshot) = self.values.newer(exec.snapshot()) {
+        if let Some(snapshot) = self.config.newer_values(exec.snapshot()) {
             let values = || snapshot.owned().to_vec();
-            self.write_down(around, |node| Event::Values { node, tick: *tick, values: values() });
+            self.record_event(context, |node| Event::Values { node, tick: *tick, values: values() });
             exec.set_snapshot(snapshot);
         }
-        exec.period_ns = self.period_ns.load(Ordering::Relaxed);
-        exec.budget_ns = self.budget_ns.load(Ordering::Relaxed);
+        exec.period_ns = self.config.period_ns();
+        exec.budget_ns = self.config.budget_ns();
         exec.limited = exec.period_ns > 0 || exec.budget_ns != 0;
         Ok(())
     }
@@ -155,72 +153,71 @@ impl NodeRuntime {
     ///
     /// # Errors
     /// The watchdog gave the call up: what it answered is dropped here, by the thread that was left behind.
-    pub fn aside<R>(&self, kind: CallKind, tick: &Tick, call: impl FnOnce() -> R) -> Result<R, LeftBehind> {
+    pub fn call_watched<R>(&self, kind: CallKind, tick: &Tick, call: impl FnOnce() -> R) -> Result<R, Abandoned> {
         let start_ns = clock::now_ns();
         self.busy.begin_kind(kind, tick, start_ns);
         let answer = call();
-        if self.busy.end(start_ns) { Ok(answer) } else { Err(LeftBehind) }
+        if self.busy.end(start_ns) { Ok(answer) } else { Err(Abandoned) }
     }
 
     /// The node made nothing of a tick although its inputs were there.
-    pub fn skipped_tick(&self, around: &RunContext, tick: &Tick, closed: bool) {
-        self.write_down(around, |node| Event::Skipped { node, tick: *tick, closed });
+    pub fn skipped_tick(&self, context: &RunContext, tick: &Tick, closed: bool) {
+        self.record_event(context, |node| Event::Skipped { node, tick: *tick, closed });
     }
 
     /// The node goes on with an instance that was opened with these values.
-    pub fn opened(&self, snapshot: &Snapshot, around: &RunContext, tick: &Tick) {
+    pub fn opened(&self, snapshot: &Snapshot, context: &RunContext, tick: &Tick) {
         let values = || snapshot.owned().to_vec();
-        self.write_down(around, |node| Event::Opened { node, tick: *tick, values: values() });
+        self.record_event(context, |node| Event::Opened { node, tick: *tick, values: values() });
     }
 
     #[cold]
-    fn take_replacement(&self, exec: &mut Exec, around: &RunContext, tick: &Tick) -> Result<(), LeftBehind> {
-        self.replace.store(false, Ordering::Relaxed);
-        let Some((mut instance, snapshot)) = lock(&self.replacement).take() else { return Ok(()) };
-        self.hand_over(exec, &mut instance, around, tick)?;
+    fn take_replacement(&self, exec: &mut Exec, context: &RunContext, tick: &Tick) -> Result<(), Abandoned> {
+        let Some((mut instance, snapshot)) = self.config.take_replacement() else { return Ok(()) };
+        self.transfer_state(exec, &mut instance, context, tick)?;
         let old = std::mem::replace(&mut exec.instance, instance.begun());
         if old.is_open() {
-            self.aside(CallKind::Close, tick, || self.end(around, old))?;
+            self.call_watched(CallKind::Close, tick, || self.end(context, old))?;
         }
         if let Some(snapshot) = snapshot {
             self.set_snapshot(Arc::clone(&snapshot));
             exec.set_snapshot(snapshot);
         }
         exec.bypassed = false;
-        self.recovery.gives_up.store(false, Ordering::Release);
+        self.recovery.set_permanent(false);
         exec.bad_in_a_row = 0;
-        if around.observer.is_some() {
-            self.opened(&self.snapshot(), around, tick);
+        if context.observer.is_some() {
+            self.opened(&self.snapshot(), context, tick);
         }
         Ok(())
     }
 
     /// Gives the state of the running instance to its successor, where both know how.
-    pub fn hand_over(
+    pub fn transfer_state(
         &self,
         exec: &mut Exec,
         successor: &mut Instance,
-        around: &RunContext,
+        context: &RunContext,
         tick: &Tick,
-    ) -> Result<(), LeftBehind> {
+    ) -> Result<(), Abandoned> {
         if !exec.instance.saves_state() {
             return Ok(());
         }
-        if let Some(state) = self.aside(CallKind::SaveState, tick, || exec.instance.save_state(&around.host))?
-            && !self.aside(CallKind::LoadState, tick, || successor.load_state(&state))?
+        if let Some(state) = self.call_watched(CallKind::SaveState, tick, || exec.instance.save_state(&context.host))?
+            && !self.call_watched(CallKind::LoadState, tick, || successor.load_state(&state))?
         {
-            self.starts_anew(around);
+            self.warn_state_lost(context);
         }
         Ok(())
     }
 
     /// Says that a saved state is lost.
-    pub fn starts_anew(&self, around: &RunContext) {
-        around.log.write(Level::Warn, &self.id, "the state of its predecessor was not understood: it starts anew");
+    pub fn warn_state_lost(&self, context: &RunContext) {
+        context.log.write(Level::Warn, &self.id, "the state of its predecessor was not understood: it starts anew");
     }
 
     #[inline]
-    fn may_run(&self, exec: &mut Exec, around: &RunContext, tick: &Tick, start_ns: u64) -> May {
+    fn is_due(&self, exec: &mut Exec, context: &RunContext, tick: &Tick, start_ns: u64) -> Due {
         let last = exec.last_fired_ns;
         // After a step back in capture time a node does not wait until the old time comes again.
         if exec.limited
@@ -228,32 +225,32 @@ impl NodeRuntime {
             && last != i64::MIN
             && (0..exec.period_ns).contains(&tick.capture_ns.saturating_sub(last))
         {
-            return May::Skip;
+            return Due::Skip;
         }
         if exec.bypassed {
-            return May::Skip;
+            return Due::Skip;
         }
         let mut start_ns = start_ns;
         if !exec.instance.is_open() {
-            if !around.batch {
-                return May::Skip;
+            if !context.batch {
+                return Due::Skip;
             }
-            match self.open_in_batch(exec, around, tick) {
+            match self.open_in_batch(exec, context, tick) {
                 Ok(true) => start_ns = clock::now_ns(),
-                Ok(false) => return May::Skip,
-                Err(LeftBehind) => return May::LeftBehind,
+                Ok(false) => return Due::Skip,
+                Err(Abandoned) => return Due::Abandoned,
             }
         }
         if !exec.source {
             exec.last_fired_ns = tick.capture_ns;
         }
-        May::Run { start_ns }
+        Due::Run { start_ns }
     }
 
     fn call(
         &self,
         exec: &mut Exec,
-        around: &RunContext,
+        context: &RunContext,
         tick: &mut Tick,
         ports: &mut Ports<'_>,
     ) -> (abi::Status, Option<Refused>) {
@@ -266,7 +263,7 @@ impl NodeRuntime {
         let (inputs, inputs_len) = (ports.inputs.as_ptr().cast::<abi::Frame>(), ports.inputs.len());
         let (params, params_len) = exec.params();
         let ranges: &[PortRange] = if ports.lone { ONE_INPUT } else { &exec.ranges };
-        let mut context = CallContext {
+        let mut call_context = CallContext {
             outputs: made.outputs.as_mut_ptr(),
             shown: made.shown.as_mut_ptr(),
             outputs_len: made.outputs.len(),
@@ -274,21 +271,21 @@ impl NodeRuntime {
             inputs_len,
             lent: None,
             first_formats: exec.first_formats(),
-            cell: self,
+            runtime: self,
             holds: &exec.instance.holds,
-            log: &around.log,
+            log: &context.log,
             failure: &mut exec.failure,
             has_failure: false,
             refused: None,
             random: None,
             tick: *tick,
-            wait_for_memory: around.unhurried(),
+            wait_for_memory: context.ignores_wall_clock(),
         };
         let mut call = abi::Call {
             struct_size: size_of::<abi::Call>() as u32,
-            flags: if around.batch { abi::CALL_BATCH } else { 0 },
-            host: &raw const around.host,
-            call: (&raw mut context).cast(),
+            flags: if context.batch { abi::CALL_BATCH } else { 0 },
+            host: &raw const context.host,
+            call: (&raw mut call_context).cast(),
             tick: *tick,
             inputs,
             inputs_len,
@@ -306,9 +303,9 @@ impl NodeRuntime {
         // SAFETY: the contract: an open instance that no other thread uses, and a call whose parts outlive it.
         let status = exec.instance.kept.during(|| unsafe { process(raw, &raw mut call) });
         who::end_call();
-        let refused = context.refused.take();
-        let reports = context.has_failure && status >= abi::STATUS_OK;
-        if let Some(lent) = context.lent {
+        let refused = call_context.refused.take();
+        let reports = call_context.has_failure && status >= abi::STATUS_OK;
+        if let Some(lent) = call_context.lent {
             // The output holds the input's reference from here on.
             ports.inputs[lent.input as usize].forget();
         }
@@ -319,7 +316,7 @@ impl NodeRuntime {
             }
         }
         if reports {
-            self.reported(exec, around, tick, status);
+            self.reported(exec, context, tick, status);
         }
         (status, refused)
     }
@@ -329,7 +326,7 @@ impl NodeRuntime {
     fn accept(
         &self,
         exec: &mut Exec,
-        around: &RunContext,
+        context: &RunContext,
         tick: &Tick,
         mut refused: Option<Refused>,
         end_ns: u64,
@@ -352,18 +349,18 @@ impl NodeRuntime {
                 let (from, to) = ((port.width, port.height), (frame.width, frame.height));
                 (port.width, port.height) = to;
                 if from == Port::NEVER {
-                    self.ports_made.fetch_or(1u64.checked_shl(index as u32).unwrap_or(0), Ordering::Relaxed);
+                    self.progress.record_port(exec, index);
                 } else if from != (0, 0) {
-                    self.resize(Resized { output: index, tick: *tick, from, to });
+                    self.progress.record_size_change(SizeChange { output: index, tick: *tick, from, to });
                 }
             }
         }
         if let Some(refused) = refused {
-            return self.bad_output(exec, made, around, tick, *refused, end_ns);
+            return self.bad_output(exec, made, context, tick, *refused, end_ns);
         }
         let silent = count == 0 && exec.outputs_len != 0;
         if exec.troubled || silent || attention() {
-            return self.accept_troubled(exec, around, tick, silent, end_ns, made);
+            return self.accept_troubled(exec, context, tick, silent, end_ns, made);
         }
         CallOutcome::Ok
     }
@@ -373,20 +370,20 @@ impl NodeRuntime {
     fn accept_troubled(
         &self,
         exec: &mut Exec,
-        around: &RunContext,
+        context: &RunContext,
         tick: &Tick,
         silent: bool,
         end_ns: u64,
         made: &mut CallOutputs,
     ) -> CallOutcome {
         exec.bad_in_a_row = 0;
-        self.blame_for_refused(exec, around, tick);
-        if exec.instance.kept.count() > MOST_KEPT_FRAMES {
+        self.report_refused_frames(exec, context, tick);
+        if exec.instance.kept.count() > MAX_RETAINED_FRAMES {
             made.clear();
             exec.failure.clear();
             exec.failure.push_str("it keeps more frames than any node may: a leak");
             let leak = Box::new((Cause::Leak, String::new()));
-            return self.failed(exec, around, abi::STATUS_ERROR, Some(leak), tick, end_ns);
+            return self.failed(exec, context, abi::STATUS_ERROR, Some(leak), tick, end_ns);
         }
         if silent {
             exec.silent_calls = exec.silent_calls.saturating_add(1);
@@ -396,7 +393,7 @@ impl NodeRuntime {
                 && self.outputs_read.load(Ordering::Relaxed) != 0
             {
                 let words = || format!("its inputs are complete, but it made nothing for {silent} ticks");
-                self.note(around, Cause::Silent, Action::Note, Some(tick.seq), words);
+                self.report_repeated_fault(context, Cause::Silent, Action::Note, Some(tick.seq), words);
             }
         } else {
             exec.silent_calls = 0;
@@ -406,32 +403,22 @@ impl NodeRuntime {
             exec.failed_at_ns = 0;
         }
         if exec.failures_in_a_row != 0 {
-            exec.failures_in_a_row = 0;
-            self.recovery.failures.store(0, Ordering::Relaxed);
+            self.recovery.report_success(exec);
         }
         exec.troubled = silent;
         CallOutcome::Ok
     }
 
     /// A node that kept or gave back what it does not hold: nothing was done, so the node goes on.
-    fn blame_for_refused(&self, exec: &Exec, around: &RunContext, tick: &Tick) {
+    fn report_refused_frames(&self, exec: &Exec, context: &RunContext, tick: &Tick) {
         if exec.instance.kept.take_refused() == 0 {
             return;
         }
         bump(&self.stats.faults);
-        self.note(around, Cause::Release, Action::Note, Some(tick.seq), || {
+        self.report_repeated_fault(context, Cause::Release, Action::Note, Some(tick.seq), || {
             let words = "it gave back or kept a frame that it does not hold; this was refused".to_owned();
-            around.log.write(Level::Error, &self.id, &words);
+            context.log.write(Level::Error, &self.id, &words);
             words
         });
-    }
-
-    #[cold]
-    fn resize(&self, resized: Resized) {
-        let mut newest = lock(&self.resized);
-        if newest.len() >= REMEMBERED_SIZES {
-            newest.pop_front();
-        }
-        newest.push_back(resized);
     }
 }

@@ -1,20 +1,29 @@
 //! A node of a running graph: its instance, its inputs, its counters.
 
 mod call;
-mod lead;
+mod config;
+mod decided;
+mod failures;
+mod finish;
 mod open;
+mod progress;
 mod recovery;
 mod runner;
 mod ticks;
 
-use std::collections::{BTreeMap, VecDeque};
-use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use panoscope_abi::{self as abi, PortRange, Tick};
 use panoscope_graph::{NodeKind, OnFault};
 
+pub(crate) use self::config::LONGEST_BUDGET_NS;
+use self::config::{Config, ConfigEpoch};
+pub(crate) use self::failures::backoff_ms;
+use self::progress::Progress;
+pub(crate) use self::progress::SizeChange;
 use self::recovery::Recovery;
 use self::runner::Runner;
 use self::ticks::SourceTicks;
@@ -24,29 +33,25 @@ use crate::clock;
 use crate::decide::Decider;
 use crate::ending::who::{Running, Who};
 use crate::exec::{Exec, ExecPlace};
-use crate::fault::{Action, CAUSES, Cause, Fault, FaultLog, unix_ms};
+use crate::fault::{Action, Cause, Fault, FaultLog, unix_ms};
 use crate::instance::Instance;
 use crate::join::Join;
 use crate::log::{Level, Log};
 use crate::memory::FrameRef;
 use crate::observe::Observer;
 use crate::outputs::OutputRule;
-use crate::params::{InForce, Snapshot};
+use crate::params::Snapshot;
 use crate::preview::{HearNumberFn, Subscribers};
 use crate::scratch::CallOutputs;
 use crate::stats::NodeStats;
 use crate::sync::lock;
 
 /// Frames that a node may keep beyond its calls.
-pub(crate) const MOST_KEPT_FRAMES: usize = 128;
+pub(crate) const MAX_RETAINED_FRAMES: usize = 128;
 /// Longest wait for whoever reads the log, and for the file of faults.
 const LONGEST_FLUSH: Duration = Duration::from_secs(1);
-/// Budgets are no longer: 100 days.
-pub(crate) const LONGEST_BUDGET_NS: u64 = 100 * 24 * 3600 * 1_000_000_000;
 /// Calls in a row without any output after which a node is called silent.
 const SILENT_CALLS: u32 = 30;
-/// Changes of size that are remembered: a reader may lag a few ticks behind.
-const REMEMBERED_SIZES: usize = 8;
 
 /// What every call of an engine shares.
 pub(crate) struct RunContext {
@@ -89,9 +94,9 @@ impl RunContext {
     }
 
     /// A source that is recorded makes all its outputs, if that is wanted.
-    pub fn widen(&self, cell: &NodeRuntime) {
-        if cell.source && self.observer.as_ref().is_some_and(|o| o.wants_all_source_outputs()) {
-            cell.outputs_read.store(u64::MAX, Ordering::Relaxed);
+    pub fn make_all_recorded_outputs(&self, runtime: &NodeRuntime) {
+        if runtime.source && self.observer.as_ref().is_some_and(|o| o.wants_all_source_outputs()) {
+            runtime.outputs_read.store(u64::MAX, Ordering::Relaxed);
         }
     }
 
@@ -102,7 +107,7 @@ impl RunContext {
     }
 
     /// Nobody watches the clock: a tick waits rather than being lost.
-    pub fn unhurried(&self) -> bool {
+    pub fn ignores_wall_clock(&self) -> bool {
         self.batch || self.decider.is_some()
     }
 }
@@ -129,9 +134,8 @@ pub(crate) struct NodeRuntime {
     pub exec: ExecPlace,
     /// The running call.
     pub busy: Busy,
-    /// Changes whenever parameters, instance or policy do: a call that finds it as before need look at none of them.
-    config_epoch: AtomicU64,
-    pub outputs_read: AtomicU64,
+    config_epoch: ConfigEpoch,
+    outputs_read: AtomicU64,
     pub subscribers: Subscribers,
     pub id: String,
     pub node_type: &'static abi::NodeType,
@@ -139,20 +143,12 @@ pub(crate) struct NodeRuntime {
     pub source: bool,
     pub exclusive: bool,
     pub side_effects: bool,
-    on_fault: AtomicU8,
-    /// 0 for none.
-    pub budget_ns: AtomicU64,
-    /// 0 for none.
-    pub period_ns: AtomicI64,
     pub cpu: Option<u32>,
     pub rules: Box<[OutputRule]>,
     /// Names of the outputs.
     pub output_names: Arc<[String]>,
     pub join: Mutex<Join>,
-    values: InForce,
-    /// Opened beside the running instance; taken over before the next tick.
-    replacement: Mutex<Option<(Instance, Option<Arc<Snapshot>>)>>,
-    replace: AtomicBool,
+    config: Config,
     /// Failures, and restarting after them.
     pub recovery: Recovery,
     /// The thread of a node that has one.
@@ -160,20 +156,15 @@ pub(crate) struct NodeRuntime {
     /// The ticks of a source.
     pub ticks: SourceTicks,
     pub stats: NodeStats,
-    pub metrics: Mutex<Vec<(String, f64)>>,
     /// Hears each number that the node tells.
     pub hear_number: OnceLock<Arc<HearNumberFn>>,
     /// Ticks this node is done with, for its region.
-    pub done_ticks: AtomicU64,
+    done_ticks: AtomicU64,
     /// Which input slots belong to which port.
-    pub ranges: Mutex<Vec<PortRange>>,
-    /// The newest changes of outputs' sizes.
-    pub resized: Mutex<VecDeque<Resized>>,
-    pub fault_counts: [AtomicU64; CAUSES],
+    ranges: Mutex<Vec<PortRange>>,
+    pub progress: Progress,
     /// The node as a crash report names it.
     pub who: Arc<Who>,
-    /// Outputs that made a packet so far, one bit each.
-    pub ports_made: AtomicU64,
 }
 
 // The last of what every call touches is the count of readers, with which `subscribers` begins.
@@ -193,15 +184,6 @@ pub(crate) struct Ports<'w> {
     pub made: &'w mut CallOutputs,
 }
 
-/// An output changed its size.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Resized {
-    pub output: usize,
-    pub tick: Tick,
-    pub from: (u32, u32),
-    pub to: (u32, u32),
-}
-
 /// What a node says of itself when it is made.
 pub(crate) struct NodeSpec {
     pub id: String,
@@ -217,7 +199,7 @@ pub(crate) struct NodeSpec {
 }
 
 impl NodeRuntime {
-    /// A cell whose instance is not open yet.
+    /// A runtime whose instance is not open yet.
     pub fn new(spec: NodeSpec, join: Join, snapshot: Arc<Snapshot>) -> Self {
         let rules = OutputRule::of(spec.node_type);
         let stats = NodeStats::default();
@@ -225,52 +207,78 @@ impl NodeRuntime {
         let exec = Exec::new(spec.node_type, &rules, spec.ranges.clone(), Arc::clone(&snapshot), time);
         let this = Self {
             who: Who::of(&spec.id, spec.node_type),
-            ports_made: AtomicU64::new(0),
             id: spec.id,
             node_type: spec.node_type,
             kind: spec.kind,
             source: spec.source,
             exclusive: spec.node_type.flags & abi::NODE_EXCLUSIVE != 0,
             side_effects: spec.node_type.flags & abi::NODE_SIDE_EFFECTS != 0,
-            on_fault: AtomicU8::new(0),
-            budget_ns: AtomicU64::new(0),
-            period_ns: AtomicI64::new(0),
             cpu: spec.cpu,
             output_names: rules.iter().map(|rule| rule.name.clone()).collect(),
             rules,
             exec: ExecPlace::new(exec),
             busy: Busy::default(),
             join: Mutex::new(join),
-            // That of a new exec is 0.
-            config_epoch: AtomicU64::new(1),
-            values: InForce::new(snapshot),
-            replacement: Mutex::new(None),
-            replace: AtomicBool::new(false),
+            config_epoch: ConfigEpoch::new(),
+            config: Config::new(snapshot),
             recovery: Recovery::default(),
             runner: Runner::new(),
             ticks: SourceTicks::new(spec.source),
             stats,
-            metrics: Mutex::new(Vec::new()),
             hear_number: OnceLock::new(),
             outputs_read: AtomicU64::new(spec.outputs_read),
             subscribers: Subscribers::new(spec.node_type.outputs_len),
             done_ticks: AtomicU64::new(0),
             ranges: Mutex::new(spec.ranges),
-            resized: Mutex::default(),
-            fault_counts: [const { AtomicU64::new(0) }; CAUSES],
+            progress: Progress::default(),
         };
         this.set_policy(spec.on_fault, spec.budget_ms, spec.max_rate_hz);
         this
     }
 
-    /// Sets what the host does with the node; in force from the next tick on.
+    /// Sets what the host does about faults, slow calls and frequent ticks; in force from the next tick on.
     pub fn set_policy(&self, on_fault: OnFault, budget_ms: Option<f64>, max_rate_hz: Option<f64>) {
-        self.on_fault.store(on_fault as u8, Ordering::Relaxed);
-        // Within what a clock may be asked to add up.
-        let budget_ns = budget_ms.map_or(0, |ms| ((ms * 1e6).max(1.0) as u64).min(LONGEST_BUDGET_NS));
-        self.budget_ns.store(budget_ns, Ordering::Relaxed);
-        self.period_ns.store(max_rate_hz.map_or(0, |hz| (1e9 / hz) as i64), Ordering::Relaxed);
-        self.config_epoch.fetch_add(1, Ordering::Release);
+        self.config.set_policy(&self.config_epoch, on_fault, budget_ms, max_rate_hz);
+    }
+
+    /// Longest time of a call in ns, 0 for none.
+    pub fn budget_ns(&self) -> u64 {
+        self.config.budget_ns()
+    }
+
+    /// Outputs that somebody reads, one bit each; all beyond the 64th are made.
+    pub fn set_outputs_read(&self, bits: u64) {
+        self.outputs_read.store(bits, Ordering::Relaxed);
+    }
+
+    /// Somebody reads an output from the next tick on.
+    pub fn read_output(&self, output: usize) {
+        self.outputs_read.fetch_or(1u64.checked_shl(output as u32).unwrap_or(0), Ordering::Relaxed);
+    }
+
+    /// Counts a tick that the node is done with; returns how many there were before.
+    pub fn count_done_tick(&self) -> u64 {
+        self.done_ticks.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// Counts ticks from zero again, while the node's region is at rest.
+    pub fn reset_done_ticks(&self) {
+        self.done_ticks.store(0, Ordering::Relaxed);
+    }
+
+    /// Which input slots belong to which port.
+    pub fn ranges(&self) -> Vec<PortRange> {
+        lock(&self.ranges).clone()
+    }
+
+    /// Sets which input slots belong to which port.
+    pub fn set_ranges(&self, ranges: Vec<PortRange>) {
+        *lock(&self.ranges) = ranges;
+    }
+
+    /// The input port that a slot belongs to.
+    pub fn port_of_slot(&self, slot: usize) -> Option<usize> {
+        lock(&self.ranges).iter().position(|r| (r.first..r.first + r.count).contains(&(slot as u32)))
     }
 
     /// An exec without an instance, for after a call that was given up.
@@ -279,9 +287,9 @@ impl NodeRuntime {
         Exec::new(self.node_type, &self.rules, ranges, self.snapshot(), Arc::clone(&self.stats.time))
     }
 
+    /// What the graph wants done after a fault.
     pub fn on_fault(&self) -> OnFault {
-        let number = self.on_fault.load(Ordering::Relaxed);
-        [OnFault::Restart, OnFault::Bypass, OnFault::Stop].into_iter().find(|o| *o as u8 == number).unwrap_or_default()
+        self.config.on_fault()
     }
 
     /// Whether the node runs on a thread of its own.
@@ -289,46 +297,28 @@ impl NodeRuntime {
         self.source || self.kind != NodeKind::Compute
     }
 
-    /// Takes down what a tick of the chain that starts here took.
-    pub fn note_walk(&self, ns: u64) {
-        let before = self.runner.walk_ns.load(Ordering::Relaxed);
-        let faded = if before == u64::MAX { 0 } else { before - before / 8 };
-        self.runner.walk_ns.store(ns.max(faded), Ordering::Relaxed);
-    }
-
-    /// Notes which outputs were made, where no call did.
-    pub fn note_made(&self, outputs: &[abi::Frame]) {
-        let made = outputs.iter().enumerate().filter(|(_, frame)| !frame.is_empty());
-        let bits = made.fold(0u64, |bits, (port, _)| bits | 1u64.checked_shl(port as u32).unwrap_or(0));
-        self.ports_made.fetch_or(bits, Ordering::Relaxed);
-    }
-
     /// The values in force.
     pub fn snapshot(&self) -> Arc<Snapshot> {
-        self.values.get()
+        self.config.values()
     }
 
     /// Puts new values in force from the next tick on.
     pub fn set_snapshot(&self, snapshot: Arc<Snapshot>) {
-        self.values.set(snapshot);
-        self.config_epoch.fetch_add(1, Ordering::Release);
+        self.config.set_values(&self.config_epoch, snapshot);
     }
 
-    /// Hands over an instance that was opened beside the running one, with the values it was opened with where they are new. Answers one
-    /// that was handed over before and is not wanted any more; the caller closes it.
+    /// Hands over an instance that was opened beside the running one, with the values it was opened with where they are new. Returns one
+    /// that was handed over before and still waited; the caller closes it.
     #[must_use]
     pub fn replace_instance(&self, instance: Instance, snapshot: Option<Arc<Snapshot>>) -> Option<Instance> {
-        let old = lock(&self.replacement).replace((instance, snapshot));
-        self.replace.store(true, Ordering::Relaxed);
-        self.config_epoch.fetch_add(1, Ordering::Release);
-        old.map(|(instance, _)| instance)
+        self.config.put_replacement(&self.config_epoch, (instance, snapshot))
     }
 
     /// Takes all instances out, for the caller to close: files are finished then. `false` when somebody runs the node, whose instance stays.
     #[must_use]
     pub fn take_instances(&self) -> (Vec<Instance>, bool) {
-        let mut all = std::mem::take(&mut *lock(&self.recovery.broken));
-        all.extend(lock(&self.replacement).take().map(|(instance, _)| instance));
+        let mut all = self.recovery.take_broken();
+        all.extend(self.config.take_replacement().map(|(instance, _)| instance));
         let Some(mut exec) = self.exec.take() else { return (all, false) };
         all.push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
         self.exec.put(exec);

@@ -13,24 +13,24 @@ use crate::params::Snapshot;
 
 impl NodeRuntime {
     /// Opens an instance with the given values.
-    pub fn open(&self, around: &RunContext, snapshot: &Snapshot) -> Result<Instance, String> {
-        if around.decider.as_ref().is_some_and(|d| d.closes(self.source, self.side_effects)) {
+    pub fn open(&self, context: &RunContext, snapshot: &Snapshot) -> Result<Instance, String> {
+        if context.decider.as_ref().is_some_and(|d| d.closes(self.source, self.side_effects)) {
             return Ok(Instance::none(self.node_type));
         }
         let mut instance = Instance::none(self.node_type);
-        *instance.holds = Holds::new(&around.claims);
+        *instance.holds = Holds::new(&context.claims);
         instance.kept.belongs_to(&self.who);
         let mut failure = String::new();
-        let mut context = CallContext::without_tick(self, around, &instance.holds, &mut failure);
+        let mut call_context = CallContext::without_tick(self, context, &instance.holds, &mut failure);
         let mut call = abi::OpenCall {
             struct_size: size_of::<abi::OpenCall>() as u32,
-            flags: if around.batch { abi::CALL_BATCH } else { 0 },
-            host: &raw const around.host,
-            call: (&raw mut context).cast(),
+            flags: if context.batch { abi::CALL_BATCH } else { 0 },
+            host: &raw const context.host,
+            call: (&raw mut call_context).cast(),
             node_id: Str::borrow(&self.id),
             params: snapshot.values().as_ptr(),
             params_len: snapshot.values().len(),
-            graph_dir: Str::borrow(&around.graph_dir),
+            graph_dir: Str::borrow(&context.graph_dir),
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
         let mut raw = std::ptr::null_mut();
@@ -48,7 +48,7 @@ impl NodeRuntime {
         if failure.is_empty() {
             failure = format!("it did not open (status {status})");
         }
-        self.recovery.gives_up.store(status == abi::STATUS_STOPPED, Ordering::Release);
+        self.recovery.set_permanent(status == abi::STATUS_STOPPED);
         Err(failure)
     }
 }

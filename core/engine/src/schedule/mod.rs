@@ -1,4 +1,4 @@
-//! The walk of ticks through the plan.
+//! The scratch of ticks through the plan.
 //!
 //! Whoever runs a node holds its `running` mark and its exec. The plan is read anew for every node that is started: a node
 //! only starts when its region has admitted a tick, and a region with a tick inside is never changed.
@@ -18,7 +18,7 @@ use crate::exec::{Exec, prefetch};
 use crate::fault::{Action, Cause};
 use crate::log::Level;
 use crate::memory::FrameRef;
-use crate::node::{CallOutcome, NodeRuntime, Ports, Resized, RunContext};
+use crate::node::{CallOutcome, NodeRuntime, Ports, RunContext, SizeChange};
 use crate::outputs::{format_name, format_names};
 use crate::own_thread::OwnThread;
 use crate::plan::{Link, Plan, Reader};
@@ -33,7 +33,7 @@ pub(crate) struct Shared {
     pub me: Weak<Shared>,
     pub plan: ArcSwap<Plan>,
     pub pool: Pool,
-    pub around: RunContext,
+    pub context: RunContext,
     /// Wait between ticks of a source until their capture time has come.
     pub paced: bool,
     /// Ticks each source makes; `None` for no end.
@@ -94,8 +94,8 @@ impl Ready {
     pub fn dispatch_ready(&mut self, shared: &Shared, plan: &Plan, allowance_ns: u64) -> Option<usize> {
         let nodes = &self.nodes[..self.len];
         let fits = |node: &usize| {
-            let cell = &plan.cells[*node];
-            allowance_ns > 0 && !cell.owns_thread() && cell.runner.walk_ns.load(Ordering::Relaxed) <= allowance_ns
+            let runtime = &plan.runtimes[*node];
+            allowance_ns > 0 && !runtime.owns_thread() && runtime.runner.chain_ns() <= allowance_ns
         };
         let urgent = |node: &usize| plan.wiring[*node].urgency == Urgency::Urgent;
         let all = || nodes.iter().map(|node| *node as usize);
@@ -120,32 +120,25 @@ enum Next {
 impl Shared {
     /// Sends a node that was taken (`running`) to where it runs.
     pub fn dispatch(&self, plan: &Plan, node: usize) {
-        let cell = &plan.cells[node];
-        if cell.owns_thread() {
-            self.wake(cell);
+        let runtime = &plan.runtimes[node];
+        if runtime.owns_thread() {
+            runtime.runner.wake();
         } else {
             self.pool.push(node as u32, plan.wiring[node].urgency);
         }
     }
 
-    pub fn wake(&self, cell: &NodeRuntime) {
-        cell.runner.wake.store(true, Ordering::Release);
-        if let Some(thread) = &*lock(&cell.runner.thread) {
-            thread.unpark();
-        }
-    }
-
     /// Runs a node and what may follow it on this thread; `false` when the watchdog gave the thread up. A worker's allowance has no end
     /// (`u64::MAX`); a node's own thread goes on with others' chains only as long as these are known to take no more than its allowance.
-    pub fn run(&self, node: usize, walk: &mut Scratch, mut allowance_ns: u64) -> bool {
+    pub fn run(&self, node: usize, scratch: &mut Scratch, mut allowance_ns: u64) -> bool {
         let is_worker = allowance_ns == u64::MAX;
         let mut current = node;
         loop {
             let plan = self.plan.load();
             let mut ready = Ready::default();
             pool::set_urgency(plan.wiring[current].urgency);
-            let Some(again) = self.run_tick(&plan, current, walk, &mut ready) else { return false };
-            let is_owner = plan.cells[current].owns_thread();
+            let Some(again) = self.run_tick(&plan, current, scratch, &mut ready) else { return false };
+            let is_owner = plan.runtimes[current].owns_thread();
             // A thread's own node comes first.
             match (ready.dispatch_ready(self, &plan, if is_owner && again { 0 } else { allowance_ns }), again) {
                 (next, true) if !is_owner && (next.is_some() || !is_worker) => {
@@ -158,108 +151,107 @@ impl Shared {
                 (None, false) => return true,
             }
             if !is_worker {
-                allowance_ns = allowance_ns.saturating_sub(plan.cells[current].runner.walk_ns.load(Ordering::Relaxed));
+                allowance_ns = allowance_ns.saturating_sub(plan.runtimes[current].runner.chain_ns());
             }
         }
     }
 
     /// One staged tick of a node and its inline chain; `true` when the next tick is staged already, `None` when the call was given up.
-    fn run_tick(&self, plan: &Plan, node: usize, walk: &mut Scratch, ready: &mut Ready) -> Option<bool> {
-        let cell = &plan.cells[node];
-        let Some(mut exec) = cell.exec.take() else {
+    fn run_tick(&self, plan: &Plan, node: usize, scratch: &mut Scratch, ready: &mut Ready) -> Option<bool> {
+        let runtime = &plan.runtimes[node];
+        let Some(mut exec) = runtime.exec.take() else {
             // The engine closed it: nobody will run it again.
-            lock(&cell.join).running = false;
+            lock(&runtime.join).set_running(false);
             return Some(false);
         };
         let staged = {
-            let mut join = lock(&cell.join);
-            walk.inputs.append(&mut join.staged);
+            let mut join = lock(&runtime.join);
+            scratch.inputs.append(&mut join.staged);
             join.staged_take.take()
         };
         if let Some((mut tick, complete)) = staged {
-            look_ahead(plan.following(node), 0);
+            prefetch_next(plan.following(node), 0);
             let start_ns = clock::now_ns();
-            let mut ports = Ports { inputs: &mut walk.inputs, lone: false, made: &mut walk.made[0] };
-            let (ran, now_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, start_ns, &mut ports);
-            if ran == CallOutcome::Abandoned {
-                Self::left_behind(cell, exec, walk);
+            let mut ports = Ports { inputs: &mut scratch.inputs, lone: false, made: &mut scratch.made[0] };
+            let (outcome, now_ns) = runtime.run(&mut exec, &self.context, &mut tick, complete, start_ns, &mut ports);
+            if outcome == CallOutcome::Abandoned {
+                Self::discard_abandoned(runtime, exec, scratch);
                 return None;
             }
-            walk.inputs.clear();
-            cell.exec.put(exec);
-            self.after(plan, node, plan.wiring[node].sink, ran, &tick, now_ns);
-            let end_ns = self.chain(plan, node, tick, now_ns, walk, ready)?;
-            cell.note_walk(end_ns.saturating_sub(start_ns));
+            scratch.inputs.clear();
+            runtime.exec.put(exec);
+            self.after(plan, node, plan.wiring[node].sink, outcome, &tick, now_ns);
+            let end_ns = self.chain(plan, node, tick, now_ns, scratch, ready)?;
+            runtime.runner.record_chain_time(end_ns.saturating_sub(start_ns));
         } else {
-            cell.exec.put(exec);
+            runtime.exec.put(exec);
         }
         Some(self.take_next(plan, node, ready))
     }
 
     /// A call came back that the watchdog gave up: everything else has been done in its place.
-    pub fn left_behind(cell: &NodeRuntime, exec: Box<Exec>, walk: &mut Scratch) {
+    pub fn discard_abandoned(runtime: &NodeRuntime, exec: Box<Exec>, scratch: &mut Scratch) {
         drop(exec);
-        walk.clear();
-        cell.recovery.stuck.fetch_sub(1, Ordering::Relaxed);
+        scratch.clear();
+        runtime.recovery.remove_stuck();
     }
 
     /// Shows what a node made to whoever looks at it.
     #[inline]
-    fn show(&self, cell: &NodeRuntime, outputs: &[Frame]) {
-        cell.subscribers.show(outputs);
-        if let Some(observer) = &self.around.observer {
-            observer.outputs(&cell.id, &cell.output_names, outputs);
+    fn show(&self, runtime: &NodeRuntime, outputs: &[Frame]) {
+        runtime.subscribers.show(outputs);
+        if let Some(observer) = &self.context.observer {
+            observer.outputs(&runtime.id, &runtime.output_names, outputs);
         }
     }
 
     /// What follows from how a call ended.
     #[inline]
-    pub fn after(&self, plan: &Plan, node: usize, sink: bool, ran: CallOutcome, tick: &Tick, now_ns: u64) {
-        if ran == CallOutcome::Ok {
+    pub fn after(&self, plan: &Plan, node: usize, sink: bool, outcome: CallOutcome, tick: &Tick, now_ns: u64) {
+        if outcome == CallOutcome::Ok {
             if sink && let Some(ingest) = self.ingest(plan, tick) {
-                plan.cells[node].stats.age.record(now_ns.saturating_sub(ingest));
+                plan.runtimes[node].stats.age.record(now_ns.saturating_sub(ingest));
             }
-        } else if ran != CallOutcome::Skipped {
-            self.after_failure(plan, node, ran, tick);
+        } else if outcome != CallOutcome::Skipped {
+            self.after_failure(plan, node, outcome, tick);
         }
     }
 
     #[cold]
-    fn after_failure(&self, plan: &Plan, node: usize, ran: CallOutcome, tick: &Tick) {
-        let cell = &plan.cells[node];
-        self.blame(plan, node, tick);
-        if ran == CallOutcome::Stop {
-            self.fail(format!("node `{}` failed and the graph says on_fault = \"stop\"", cell.id));
+    fn after_failure(&self, plan: &Plan, node: usize, outcome: CallOutcome, tick: &Tick) {
+        let runtime = &plan.runtimes[node];
+        self.report_size_change(plan, node, tick);
+        if outcome == CallOutcome::Stop {
+            self.fail(format!("node `{}` failed and the graph says on_fault = \"stop\"", runtime.id));
         }
-        if cell.recovery.wants_restart.swap(false, Ordering::Acquire) {
-            self.start_mending(cell);
+        if runtime.recovery.take_restart_request() {
+            self.start_restart(runtime);
         }
     }
 
     /// A node failed: who gave it a picture of another size than before shares the blame.
-    fn blame(&self, plan: &Plan, node: usize, tick: &Tick) {
+    fn report_size_change(&self, plan: &Plan, node: usize, tick: &Tick) {
         for (from, producer) in plan.live() {
             let readers = &plan.wiring[from].readers;
-            let fed = |r: &&Resized| readers.get(r.output).is_some_and(|r| r.iter().any(|r| r.node == node));
-            let at_tick = |r: &&Resized| (r.tick.source, r.tick.seq) == (tick.source, tick.seq);
-            let found = lock(&producer.resized).iter().filter(fed).find(at_tick).copied();
-            let Some(resized) = found else { continue };
+            let fed = |r: &&SizeChange| readers.get(r.output).is_some_and(|r| r.iter().any(|r| r.node == node));
+            let at_tick = |r: &&SizeChange| (r.tick.source, r.tick.seq) == (tick.source, tick.seq);
+            let Some(resized) = producer.progress.find_size_change(|change| fed(&change) && at_tick(&change)) else {
+                continue;
+            };
             let name = producer.rules.get(resized.output).map_or("?", |r| &r.name);
-            let ((w0, h0), (w1, h1), reader) = (resized.from, resized.to, &plan.cells[node].id);
+            let ((w0, h0), (w1, h1), reader) = (resized.from, resized.to, &plan.runtimes[node].id);
             let words = format!("output `{name}` is {w1}x{h1} after {w0}x{h0}, node `{reader}` failed on it");
-            self.around.log.write(Level::Error, &producer.id, &words);
-            producer.tell(&self.around, Cause::Size, Action::Note, Some(tick.seq), None, words);
+            self.context.log.write(Level::Error, &producer.id, &words);
+            producer.report_fault(&self.context, Cause::Size, Action::Note, Some(tick.seq), None, words);
         }
     }
 
     /// When a tick came into the graph, in ns of the host's clock.
     pub fn ingest(&self, plan: &Plan, tick: &Tick) -> Option<u64> {
-        let ring = &plan.cells.get(tick.source as usize)?.ticks.ingest_ns;
-        let slot = ring.get(tick.seq as usize % ring.len().max(1))?;
-        Some(slot.load(Ordering::Relaxed)).filter(|&ns| ns > 0)
+        plan.runtimes.get(tick.source as usize)?.ticks.ingest_ns(tick.seq)
     }
 
-    /// Walks the inline readers of what stands in `walk.made[0]`, delivers what the last one made and tells the region; answers when
+    /// Walks the inline readers of what stands in `scratch.made[0]`, delivers what the last one made and tells the region; answers when
     /// the last call ended, `None` when one was given up.
     fn chain(
         &self,
@@ -267,16 +259,16 @@ impl Shared {
         node: usize,
         mut tick: Tick,
         mut now_ns: u64,
-        walk: &mut Scratch,
+        scratch: &mut Scratch,
         ready: &mut Ready,
     ) -> Option<u64> {
         let mut last = node;
-        let mut last_cell = &*plan.cells[node];
-        let [made, next] = &mut walk.made;
+        let mut last_cell = &*plan.runtimes[node];
+        let [made, next] = &mut scratch.made;
         let (mut made, mut next) = (made, next);
         let links = plan.following(node);
         for (at, link) in links.iter().enumerate() {
-            look_ahead(links, at + 1);
+            prefetch_next(links, at + 1);
             self.show(last_cell, &made.outputs);
             let frame = &mut made.outputs[link.port as usize];
             if !takes(link.accepts, frame) {
@@ -284,8 +276,8 @@ impl Shared {
                 // SAFETY: an output of a call that has ended holds its reference.
                 unsafe { clear(std::slice::from_mut(frame)) };
             }
-            let cell = &*link.cell;
-            let Some(mut exec) = cell.exec.take() else {
+            let runtime = &*link.runtime;
+            let Some(mut exec) = runtime.exec.take() else {
                 // The engine closed it at the end of a run that was not waited for.
                 made.clear();
                 self.skip_from(plan, link.node as usize, tick, ready);
@@ -299,18 +291,18 @@ impl Shared {
             // SAFETY: an output of a call that has ended is empty or holds its reference, and `made` goes on holding it.
             let inputs = std::slice::from_mut(unsafe { FrameRef::adopt_in_place(frame) });
             let mut ports = Ports { inputs, lone: link.lone, made: next };
-            let (ran, end_ns) = cell.run(&mut exec, &self.around, &mut tick, complete, now_ns, &mut ports);
-            if ran == CallOutcome::Abandoned {
-                Self::left_behind(cell, exec, walk);
+            let (outcome, end_ns) = runtime.run(&mut exec, &self.context, &mut tick, complete, now_ns, &mut ports);
+            if outcome == CallOutcome::Abandoned {
+                Self::discard_abandoned(runtime, exec, scratch);
                 return None;
             }
             made.clear();
-            cell.exec.put(exec);
-            if link.sink || ran != CallOutcome::Ok {
-                self.after(plan, link.node as usize, link.sink, ran, &tick, end_ns);
+            runtime.exec.put(exec);
+            if link.sink || outcome != CallOutcome::Ok {
+                self.after(plan, link.node as usize, link.sink, outcome, &tick, end_ns);
             }
             now_ns = end_ns;
-            (last, last_cell) = (link.node as usize, cell);
+            (last, last_cell) = (link.node as usize, runtime);
             std::mem::swap(&mut made, &mut next);
         }
         self.show(last_cell, &made.outputs);
@@ -329,8 +321,8 @@ impl Shared {
         let mut last = node;
         while let Some(inline) = plan.wiring[last].inline {
             last = inline.node;
-            bump(&plan.cells[last].stats.skipped);
-            plan.cells[last].skipped_tick(&self.around, &tick, false);
+            bump(&plan.runtimes[last].stats.skipped);
+            plan.runtimes[last].skipped_tick(&self.context, &tick, false);
         }
         for port in 0..plan.wiring[last].readers.len() {
             self.deliver_port(plan, last, port, FrameRef::empty(tick), ready);
@@ -344,7 +336,7 @@ impl Shared {
         if !wiring.leaf {
             return;
         }
-        let nth = plan.cells[node].done_ticks.fetch_add(1, Ordering::Relaxed);
+        let nth = plan.runtimes[node].count_done_tick();
         let region = &plan.regions[wiring.region];
         match region.leaf_done(nth) {
             Freed::Nothing => {}
@@ -361,8 +353,8 @@ impl Shared {
 
     /// Delivers a tick of a source that was admitted.
     pub fn enter(&self, plan: &Plan, source: usize, mut outputs: Vec<FrameRef>, ready: &mut Ready) {
-        if let Some(observer) = &self.around.observer {
-            observer.admitted(&plan.cells[source].id);
+        if let Some(observer) = &self.context.observer {
+            observer.admitted(&plan.runtimes[source].id);
         }
         for (port, frame) in outputs.drain(..).enumerate() {
             self.deliver_port(plan, source, port, frame, ready);
@@ -373,9 +365,9 @@ impl Shared {
 
     /// The head of a region may admit another tick.
     pub fn try_fire_head(&self, plan: &Plan, head: usize, ready: &mut Ready) {
-        let cell = &plan.cells[head];
-        if cell.source {
-            self.wake(cell);
+        let runtime = &plan.runtimes[head];
+        if runtime.source {
+            runtime.runner.wake();
         } else {
             self.try_fire(plan, head, ready);
         }
@@ -392,7 +384,7 @@ impl Shared {
                 continue;
             }
             let packet = if converted {
-                gray.get_or_insert_with(|| self.to_gray(&plan.cells[node], &frame)).clone()
+                gray.get_or_insert_with(|| self.to_gray(&plan.runtimes[node], &frame)).clone()
             } else if index + 1 == readers.len() {
                 return self.arrive(plan, reader, frame, ready);
             } else {
@@ -402,12 +394,18 @@ impl Shared {
         }
     }
 
-    fn to_gray(&self, cell: &NodeRuntime, frame: &FrameRef) -> FrameRef {
-        bump(&cell.stats.conversions);
+    fn to_gray(&self, runtime: &NodeRuntime, frame: &FrameRef) -> FrameRef {
+        bump(&runtime.stats.conversions);
         convert::to_gray8(frame).unwrap_or_else(|| {
             let words = "a gray copy was left out: frame memory is used up";
-            self.around.log.write(Level::Warn, &cell.id, words);
-            cell.note(&self.around, Cause::Exhausted, Action::Withhold, Some(frame.tick().seq), || words.to_owned());
+            self.context.log.write(Level::Warn, &runtime.id, words);
+            runtime.report_repeated_fault(
+                &self.context,
+                Cause::Exhausted,
+                Action::Withhold,
+                Some(frame.tick().seq),
+                || words.to_owned(),
+            );
             FrameRef::empty(frame.tick())
         })
     }
@@ -415,46 +413,46 @@ impl Shared {
     /// An output is of a format that its reader does not take.
     #[cold]
     fn refused(&self, plan: &Plan, node: usize, port: usize, reader: usize, accepts: u32, frame: &Frame) {
-        let cell = &plan.cells[node];
-        bump(&cell.stats.faults);
-        cell.note(&self.around, Cause::Format, Action::Withhold, Some(frame.tick.seq), || {
+        let runtime = &plan.runtimes[node];
+        bump(&runtime.stats.faults);
+        runtime.report_repeated_fault(&self.context, Cause::Format, Action::Withhold, Some(frame.tick.seq), || {
             let words = format!(
                 "output `{}` is {}, node `{}` takes {}",
-                cell.rules.get(port).map_or("?", |r| &r.name),
+                runtime.rules.get(port).map_or("?", |r| &r.name),
                 format_name(frame.format),
-                plan.cells[reader].id,
+                plan.runtimes[reader].id,
                 format_names(accepts)
             );
-            self.around.log.write(Level::Error, &cell.id, &words);
+            self.context.log.write(Level::Error, &runtime.id, &words);
             words
         });
     }
 
     fn arrive(&self, plan: &Plan, reader: &Reader, frame: FrameRef, ready: &mut Ready) {
         let node = reader.node;
-        let cell = &plan.cells[node];
-        let mut join = lock(&cell.join);
-        let dropped = if self.around.decider.is_none() {
+        let runtime = &plan.runtimes[node];
+        let mut join = lock(&runtime.join);
+        let dropped = if self.context.decider.is_none() {
             join.push(reader.slot, frame)
-        } else if cell.source {
+        } else if runtime.source {
             // Its ticks come from a recording: it needs nothing.
             return;
         } else {
             join.push_for_decider(reader.slot, frame)
         };
         if dropped > 0 {
-            cell.stats.dropped.fetch_add(dropped, Ordering::Relaxed);
+            runtime.stats.dropped.fetch_add(dropped, Ordering::Relaxed);
             let slot = &join.slots[reader.slot];
             if slot.is_timed() {
-                self.tell_of_drops(cell, reader.slot, slot.dropped(), dropped, slot.capacity);
+                self.report_drops(runtime, reader.slot, slot.dropped(), dropped, slot.capacity);
             }
         }
-        if join.running || join.finished {
+        if !join.is_idle() {
             return;
         }
-        if cell.source {
+        if runtime.source {
             drop(join);
-            return self.wake(cell);
+            return runtime.runner.wake();
         }
         let next = self.decide(plan, node, &mut join);
         drop(join);
@@ -463,18 +461,18 @@ impl Shared {
 
     /// A wire on which packets wait to be picked by their time is full.
     #[cold]
-    fn tell_of_drops(&self, cell: &NodeRuntime, slot: usize, all: u64, new: u64, capacity: usize) {
+    fn report_drops(&self, runtime: &NodeRuntime, slot: usize, all: u64, new: u64, capacity: usize) {
         // With every power of two.
         if all.ilog2() == (all - new).checked_ilog2().unwrap_or(u32::MAX) {
             return;
         }
-        let port = lock(&cell.ranges).iter().position(|r| (r.first..r.first + r.count).contains(&(slot as u32)));
-        let name = port.map_or("?", |port| cell.input_name(port));
+        let port = runtime.port_of_slot(slot);
+        let name = port.map_or("?", |port| runtime.input_name(port));
         let words = format!(
             "input `{name}`: {all} packets were dropped, because {capacity} wait already; what they are matched with comes too seldom \
              (`queue` says how many may wait)"
         );
-        self.around.log.write(Level::Warn, &cell.id, &words);
+        self.context.log.write(Level::Warn, &runtime.id, &words);
     }
 
     /// No tick will come out of this node again.
@@ -485,11 +483,11 @@ impl Shared {
         while let Some(node) = list.pop() {
             // Closing finishes files; nobody runs the node any more.
             self.one_finished();
-            self.wake(&plan.cells[node]);
+            plan.runtimes[node].runner.wake();
             for reader in plan.wiring[node].readers.iter().flatten() {
-                let mut join = lock(&plan.cells[reader.node].join);
+                let mut join = lock(&plan.runtimes[reader.node].join);
                 join.end(reader.slot);
-                if join.running || join.finished || plan.cells[reader.node].source {
+                if !join.is_idle() || plan.runtimes[reader.node].source {
                     continue;
                 }
                 match self.decide(&plan, reader.node, &mut join) {
@@ -519,8 +517,8 @@ impl Shared {
     /// Asks the sources to end.
     pub fn stop(&self) {
         self.stopping.store(true, Ordering::Release);
-        for (_, cell) in self.plan.load().live().filter(|(_, c)| c.source) {
-            self.wake(cell);
+        for (_, runtime) in self.plan.load().live().filter(|(_, c)| c.source) {
+            runtime.runner.wake();
         }
     }
 
@@ -541,12 +539,12 @@ impl Shared {
 /// Asks for what the next nodes of a chain will touch, each step as early as the address is known: after a pause, or in a long
 /// chain, it is in no near cache.
 #[inline]
-fn look_ahead(links: &[Link], at: usize) {
+fn prefetch_next(links: &[Link], at: usize) {
     if let Some(link) = links.get(at + 1) {
-        prefetch((&raw const *link.cell).cast());
+        prefetch((&raw const *link.runtime).cast());
     }
     if let Some(link) = links.get(at) {
-        Exec::prefetch(link.cell.exec.address());
+        Exec::prefetch(link.runtime.exec.address());
     }
 }
 

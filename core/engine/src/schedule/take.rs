@@ -17,7 +17,7 @@ impl Shared {
 
     /// Tries to take the next tick of a node that nobody runs, and of one that was just run.
     pub(super) fn decide(&self, plan: &Plan, node: usize, join: &mut Join) -> Next {
-        let take = if self.around.observer.is_none() && self.around.decider.is_none() {
+        let take = if self.context.observer.is_none() && self.context.decider.is_none() {
             join.try_take(self.gate(plan, node, join), clock::now_ns())
         } else {
             self.take_observed(plan, node, join)
@@ -25,43 +25,43 @@ impl Shared {
         if take == Take::Wait && join.nearest_deadline_ns != 0 {
             self.waiting_nearest.store(1, Ordering::Relaxed);
         }
-        join.running = matches!(take, Take::Fire { .. });
+        join.set_running(matches!(take, Take::Fire { .. }));
         match take {
             Take::Fire { .. } => Next::Run,
             Take::Wait => Next::Idle,
-            Take::Finished if std::mem::replace(&mut join.finished, true) => Next::Idle,
-            Take::Finished => Next::Finish,
+            Take::Finished if join.finish() => Next::Finish,
+            Take::Finished => Next::Idle,
         }
     }
 
     /// Like [`Join::try_take`], written down or looked up where it depends on time.
     #[cold]
     fn take_observed(&self, plan: &Plan, node: usize, join: &mut Join) -> Take {
-        let (cell, region) = (&plan.cells[node], self.gate(plan, node, join));
-        let decider = self.around.decider.as_ref().filter(|d| d.leads_nodes() && join.is_timed());
+        let (runtime, region) = (&plan.runtimes[node], self.gate(plan, node, join));
+        let decider = self.context.decider.as_ref().filter(|d| d.leads_nodes() && join.is_timed());
         let take = match decider {
             Some(decider) => {
-                let may_enter = region.is_none() || decider.may_enter(&cell.id);
-                let take = join.take_wanted(region, decider.took(&cell.id), may_enter);
+                let may_enter = region.is_none() || decider.may_enter(&runtime.id);
+                let take = join.take_wanted(region, decider.took(&runtime.id), may_enter);
                 if matches!(take, Take::Fire { .. }) && region.is_some() {
-                    decider.entered(&cell.id);
+                    decider.entered(&runtime.id);
                 }
                 take
             }
             None => join.try_take(region, clock::now_ns()),
         };
-        if let (Take::Fire { tick, .. }, Some(observer), true) = (take, &self.around.observer, join.is_timed()) {
+        if let (Take::Fire { tick, .. }, Some(observer), true) = (take, &self.context.observer, join.is_timed()) {
             if region.is_some() {
-                observer.admitted(&cell.id);
+                observer.admitted(&runtime.id);
             }
-            observer.event(Event::Took { node: cell.id.clone(), tick, inputs: join.staged_ticks() });
+            observer.event(Event::Took { node: runtime.id.clone(), tick, inputs: join.staged_ticks() });
         }
         take
     }
 
     /// The runner of a node asks for its next tick; `true` when it is staged.
     pub fn take_next(&self, plan: &Plan, node: usize, ready: &mut Ready) -> bool {
-        let next = self.decide(plan, node, &mut lock(&plan.cells[node].join));
+        let next = self.decide(plan, node, &mut lock(&plan.runtimes[node].join));
         if next == Next::Finish {
             self.finish(node, ready);
         }
@@ -70,8 +70,8 @@ impl Shared {
 
     /// Tries to fire a node that nobody runs.
     pub fn try_fire(&self, plan: &Plan, node: usize, ready: &mut Ready) {
-        let mut join = lock(&plan.cells[node].join);
-        if join.running || join.finished {
+        let mut join = lock(&plan.runtimes[node].join);
+        if !join.is_idle() {
             return;
         }
         let next = self.decide(plan, node, &mut join);
@@ -82,7 +82,7 @@ impl Shared {
     pub(super) fn go_on(&self, plan: &Plan, node: usize, next: Next, ready: &mut Ready) {
         match next {
             // Whoever sleeps is woken at once: that takes longer than what is left to do here.
-            Next::Run if plan.cells[node].owns_thread() => self.dispatch(plan, node),
+            Next::Run if plan.runtimes[node].owns_thread() => self.dispatch(plan, node),
             Next::Run => ready.push(self, plan, node),
             Next::Idle => {}
             Next::Finish => self.finish(node, ready),

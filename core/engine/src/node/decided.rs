@@ -6,7 +6,7 @@ use panoscope_abi::Tick;
 use panoscope_graph::ParamValue;
 
 use super::{NodeRuntime, RunContext};
-use crate::busy::{CallKind, LeftBehind};
+use crate::busy::{Abandoned, CallKind};
 use crate::decide::{Decider, Turn};
 use crate::exec::Exec;
 use crate::instance::Instance;
@@ -20,13 +20,13 @@ impl NodeRuntime {
     /// # Errors
     /// The watchdog gave a call of the plugin up.
     #[cold]
-    pub fn lead(
+    pub fn follow_decider(
         &self,
         decider: &dyn Decider,
         exec: &mut Exec,
-        around: &RunContext,
+        context: &RunContext,
         tick: &Tick,
-    ) -> Result<Option<bool>, LeftBehind> {
+    ) -> Result<Option<bool>, Abandoned> {
         if decider.closes(self.source, self.side_effects) {
             return Ok(Some(false));
         }
@@ -38,7 +38,7 @@ impl NodeRuntime {
             match turn {
                 Turn::Values(values) => {
                     let snapshot = Snapshot::new(values);
-                    self.write_down(around, |node| Event::Values {
+                    self.record_event(context, |node| Event::Values {
                         node,
                         tick: *tick,
                         values: snapshot.owned().to_vec(),
@@ -46,13 +46,13 @@ impl NodeRuntime {
                     self.set_snapshot(Arc::clone(&snapshot));
                     exec.set_snapshot(snapshot);
                 }
-                Turn::Opened(values) => self.open_as_led(decider, exec, around, tick, values)?,
+                Turn::Opened(values) => self.open_as_led(decider, exec, context, tick, values)?,
                 Turn::Skipped { here, closed } => {
                     runs &= !here;
                     if closed {
-                        self.skipped_tick(around, tick, true);
+                        self.skipped_tick(context, tick, true);
                         let old = std::mem::replace(&mut exec.instance, Instance::none(self.node_type));
-                        self.aside(CallKind::Close, tick, || self.end(around, old))?;
+                        self.call_watched(CallKind::Close, tick, || self.end(context, old))?;
                     }
                 }
             }
@@ -64,19 +64,19 @@ impl NodeRuntime {
         &self,
         decider: &dyn Decider,
         exec: &mut Exec,
-        around: &RunContext,
+        context: &RunContext,
         tick: &Tick,
         values: Vec<ParamValue>,
-    ) -> Result<(), LeftBehind> {
+    ) -> Result<(), Abandoned> {
         let snapshot = Snapshot::new(values);
-        self.opened(&snapshot, around, tick);
-        match self.aside(CallKind::Open, tick, || self.open(around, &snapshot))? {
+        self.opened(&snapshot, context, tick);
+        match self.call_watched(CallKind::Open, tick, || self.open(context, &snapshot))? {
             Ok(mut instance) => {
                 if instance.is_open() {
-                    self.hand_over(exec, &mut instance, around, tick)?;
+                    self.transfer_state(exec, &mut instance, context, tick)?;
                 }
                 let old = std::mem::replace(&mut exec.instance, instance.begun());
-                self.aside(CallKind::Close, tick, || self.end(around, old))?;
+                self.call_watched(CallKind::Close, tick, || self.end(context, old))?;
                 self.set_snapshot(Arc::clone(&snapshot));
                 exec.set_snapshot(snapshot);
                 exec.bypassed = false;
@@ -84,7 +84,7 @@ impl NodeRuntime {
             }
             Err(words) => {
                 let words = format!("it opened when it was recorded, now it does not: {words}");
-                around.log.write(Level::Error, &self.id, &words);
+                context.log.write(Level::Error, &self.id, &words);
                 decider.fail(format!("node `{}`: {words}", self.id));
             }
         }

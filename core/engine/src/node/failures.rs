@@ -1,26 +1,24 @@
 //! What becomes of a node whose call failed, and what is written down about it.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use panoscope_abi::{self as abi, Tick};
 use panoscope_graph::OnFault;
 
-use crate::busy::{CallKind, LeftBehind};
+use super::{CallOutcome, NodeRuntime, Refused, RunContext};
+use crate::busy::{Abandoned, CallKind};
 use crate::clock;
 use crate::exec::Exec;
 use crate::fault::{Action, Cause, Fault, unix_ms};
 use crate::instance::Instance;
 use crate::log::Level;
-use crate::node::{CallOutcome, NodeRuntime, Refused, RunContext};
 use crate::observe::Event;
 use crate::params::Snapshot;
 use crate::scratch::CallOutputs;
 use crate::stats::bump;
-use crate::sync::lock;
 
 /// Bad outputs in a row after which an instance is not trusted any more.
-const MOST_BAD_OUTPUTS: u32 = 10;
+const MAX_BAD_OUTPUTS: u32 = 10;
 
 impl NodeRuntime {
     /// A description or contents that do not pass: the packet is withheld; who goes on like that is opened again.
@@ -29,45 +27,46 @@ impl NodeRuntime {
         &self,
         exec: &mut Exec,
         made: &mut CallOutputs,
-        around: &RunContext,
+        context: &RunContext,
         tick: &Tick,
         (cause, words): (Cause, String),
         end_ns: u64,
     ) -> CallOutcome {
         exec.troubled = true;
         exec.bad_in_a_row += 1;
-        if exec.bad_in_a_row >= MOST_BAD_OUTPUTS || (cause == Cause::BadOutput && self.on_fault() != OnFault::Restart) {
+        if exec.bad_in_a_row >= MAX_BAD_OUTPUTS || (cause == Cause::BadOutput && self.on_fault() != OnFault::Restart) {
             made.clear();
             exec.failure.clear();
             exec.failure.push_str(&words);
-            return self.failed(exec, around, abi::STATUS_ERROR, Some(Box::new((cause, words))), tick, end_ns);
+            return self.failed(exec, context, abi::STATUS_ERROR, Some(Box::new((cause, words))), tick, end_ns);
         }
         bump(&self.stats.faults);
         if self.count(cause).is_power_of_two() {
-            around.log.write(Level::Error, &self.id, &words);
+            context.log.write(Level::Error, &self.id, &words);
         }
-        self.note(around, cause, Action::Withhold, Some(tick.seq), || words);
+        self.report_repeated_fault(context, cause, Action::Withhold, Some(tick.seq), || words);
         CallOutcome::Ok
     }
 
     /// A call went well, or ended its source, and gave the words of a fault all the same.
     #[cold]
-    pub(crate) fn reported(&self, exec: &mut Exec, around: &RunContext, tick: &Tick, status: abi::Status) {
+    pub(crate) fn reported(&self, exec: &mut Exec, context: &RunContext, tick: &Tick, status: abi::Status) {
         let words = std::mem::take(&mut exec.failure);
         let done = if status == abi::STATUS_END { Action::End } else { Action::Note };
         bump(&self.stats.faults);
-        around.log.write(Level::Error, &self.id, &words);
-        self.tell(around, Cause::Error, done, Some(tick.seq), None, words);
+        context.log.write(Level::Error, &self.id, &words);
+        self.report_fault(context, Cause::Error, done, Some(tick.seq), None, words);
     }
 
     /// A source that failed goes on where it was, not from its start: at its start the same fault would come again, for ever.
     #[cold]
-    fn keep_position(&self, exec: &mut Exec, around: &RunContext, tick: &Tick) -> Result<(), LeftBehind> {
+    fn save_position(&self, exec: &mut Exec, context: &RunContext, tick: &Tick) -> Result<(), Abandoned> {
         if exec.source
             && exec.instance.saves_state()
-            && let Some(state) = self.aside(CallKind::SaveState, tick, || exec.instance.save_state(&around.host))?
+            && let Some(state) =
+                self.call_watched(CallKind::SaveState, tick, || exec.instance.save_state(&context.host))?
         {
-            *lock(&self.recovery.position) = Some(state);
+            self.recovery.save_position(exec, state);
         }
         Ok(())
     }
@@ -75,43 +74,43 @@ impl NodeRuntime {
     /// Where an instance that was opened again goes on, if it is a source that failed before. Back comes only what was understood: a position
     /// over which an instance hangs is not tried twice.
     pub(crate) fn take_position(&self, instance: &Instance) -> Option<Vec<u8>> {
-        if instance.is_open() { lock(&self.recovery.position).take() } else { None }
+        if instance.is_open() { self.recovery.take_position() } else { None }
     }
 
     /// An instance goes on at a position, or did not understand it.
-    pub(crate) fn position_taken(&self, around: &RunContext, state: Vec<u8>, understood: bool) {
+    pub(crate) fn position_taken(&self, context: &RunContext, state: Vec<u8>, understood: bool) {
         if understood {
             // Kept until the next fault: this instance may fail before it has a position of its own.
-            lock(&self.recovery.position).get_or_insert(state);
+            self.recovery.restore_position(state);
         } else {
-            self.position_lost(around);
+            self.position_lost(context);
         }
     }
 
     /// Says that the position of a source is lost.
-    pub(crate) fn position_lost(&self, around: &RunContext) {
-        around.log.write(Level::Warn, &self.id, "it does not know its position any more and starts anew");
+    pub(crate) fn position_lost(&self, context: &RunContext) {
+        context.log.write(Level::Warn, &self.id, "it does not know its position any more and starts anew");
     }
 
     /// Opens a failed node again on the thread that runs it; a source goes on where it was.
     fn open_again(
         &self,
-        around: &RunContext,
+        context: &RunContext,
         snapshot: &Snapshot,
         tick: &Tick,
-    ) -> Result<Result<Instance, String>, LeftBehind> {
-        let opened = self.aside(CallKind::Open, tick, || self.open(around, snapshot))?;
+    ) -> Result<Result<Instance, String>, Abandoned> {
+        let opened = self.call_watched(CallKind::Open, tick, || self.open(context, snapshot))?;
         let Ok(mut instance) = opened else { return Ok(opened) };
         if let Some(state) = self.take_position(&instance) {
-            let understood = self.aside(CallKind::LoadState, tick, || instance.load_state(&state))?;
-            self.position_taken(around, state, understood);
+            let understood = self.call_watched(CallKind::LoadState, tick, || instance.load_state(&state))?;
+            self.position_taken(context, state, understood);
         }
         Ok(Ok(instance))
     }
 
     /// In batch a failed node is opened again before a tick that does not depend on the clock.
     #[cold]
-    pub(crate) fn open_in_batch(&self, exec: &mut Exec, around: &RunContext, tick: &Tick) -> Result<bool, LeftBehind> {
+    pub(crate) fn open_in_batch(&self, exec: &mut Exec, context: &RunContext, tick: &Tick) -> Result<bool, Abandoned> {
         if self.on_fault() != OnFault::Restart {
             return Ok(false);
         }
@@ -119,18 +118,20 @@ impl NodeRuntime {
             exec.skip_calls -= 1;
             return Ok(false);
         }
-        let broken = std::mem::take(&mut *lock(&self.recovery.broken));
+        let broken = self.recovery.take_broken();
         if !broken.is_empty() {
-            self.aside(CallKind::Close, tick, || broken.into_iter().for_each(|instance| self.end(around, instance)))?;
+            self.call_watched(CallKind::Close, tick, || {
+                broken.into_iter().for_each(|instance| self.end(context, instance))
+            })?;
         }
         let snapshot = Arc::clone(exec.snapshot());
-        let opened = self.open_again(around, &snapshot, tick)?;
+        let opened = self.open_again(context, &snapshot, tick)?;
         Ok(match opened {
             Ok(instance) => {
                 bump(&self.stats.restarts);
-                around.log.write(Level::Info, &self.id, "opened again");
+                context.log.write(Level::Info, &self.id, "opened again");
                 exec.instance = instance.begun();
-                self.opened(&snapshot, around, tick);
+                self.opened(&snapshot, context, tick);
                 true
             }
             Err(words) => {
@@ -138,29 +139,29 @@ impl NodeRuntime {
                 exec.failures_in_a_row += 1;
                 exec.skip_calls = skipped_calls(exec.failures_in_a_row);
                 exec.bypassed = self.has_given_up();
-                self.open_failed(around, &words, Some(tick.seq));
+                self.open_failed(context, &words, Some(tick.seq));
                 false
             }
         })
     }
 
     /// Writes down that a node did not open again.
-    pub fn open_failed(&self, around: &RunContext, words: &str, seq: Option<u64>) {
+    pub fn open_failed(&self, context: &RunContext, words: &str, seq: Option<u64>) {
         bump(&self.stats.faults);
-        around.log.write(Level::Error, &self.id, &format!("could not be opened again: {words}"));
+        context.log.write(Level::Error, &self.id, &format!("could not be opened again: {words}"));
         let gives_up = self.has_given_up();
         if gives_up {
-            self.lost(around, words);
+            self.lost(context, words);
         }
         let done = if gives_up { Action::Bypass } else { Action::Restart };
-        self.tell(around, Cause::Open, done, seq, None, words.to_owned());
+        self.report_fault(context, Cause::Open, done, seq, None, words.to_owned());
     }
 
     #[cold]
     pub(crate) fn failed(
         &self,
         exec: &mut Exec,
-        around: &RunContext,
+        context: &RunContext,
         status: abi::Status,
         refused: Option<Refused>,
         tick: &Tick,
@@ -170,9 +171,11 @@ impl NodeRuntime {
             bump(&self.stats.dropped);
             let words = "the tick was dropped: frame memory is used up";
             if (self.count(Cause::Exhausted) + 1).is_power_of_two() {
-                around.log.write(Level::Warn, &self.id, words);
+                context.log.write(Level::Warn, &self.id, words);
             }
-            self.note(around, Cause::Exhausted, Action::Withhold, Some(tick.seq), || words.to_owned());
+            self.report_repeated_fault(context, Cause::Exhausted, Action::Withhold, Some(tick.seq), || {
+                words.to_owned()
+            });
             return CallOutcome::Fault;
         }
         bump(&self.stats.faults);
@@ -187,72 +190,71 @@ impl NodeRuntime {
         if words.is_empty() {
             words = "it failed without a word".to_owned();
         }
-        around.log.write(Level::Error, &self.id, &words);
+        context.log.write(Level::Error, &self.id, &words);
         exec.troubled = true;
-        exec.failures_in_a_row += 1;
+        self.recovery.count_failure(exec);
         exec.skip_calls = skipped_calls(exec.failures_in_a_row);
         exec.failed_at_ns = now_ns;
         exec.bad_in_a_row = 0;
         exec.silent_calls = 0;
-        self.recovery.failures.store(exec.failures_in_a_row, Ordering::Relaxed);
         let gives_up = status == abi::STATUS_STOPPED;
-        self.recovery.gives_up.store(gives_up, Ordering::Release);
+        self.recovery.set_permanent(gives_up);
         if gives_up {
-            self.lost(around, &words);
+            self.lost(context, &words);
         }
-        let (done, ran) = match self.on_fault() {
+        let (done, outcome) = match self.on_fault() {
             OnFault::Restart if gives_up => (Action::Bypass, CallOutcome::Fault),
             OnFault::Restart => (Action::Restart, CallOutcome::Fault),
             OnFault::Bypass => (Action::Bypass, CallOutcome::Fault),
             OnFault::Stop => (Action::Stop, CallOutcome::Stop),
         };
         // Told first: the node may not return from what follows.
-        self.tell(around, cause, done, Some(tick.seq), None, words);
-        if self.keep_position(exec, around, tick).is_err() {
+        self.report_fault(context, cause, done, Some(tick.seq), None, words);
+        if self.save_position(exec, context, tick).is_err() {
             return CallOutcome::Abandoned;
         }
         // What the instance holds after a fault is not to be trusted. It may take long to close.
-        lock(&self.recovery.broken).push(std::mem::replace(&mut exec.instance, Instance::none(self.node_type)));
+        let broken = std::mem::replace(&mut exec.instance, Instance::none(self.node_type));
+        self.recovery.request_restart(exec, broken);
         exec.bypassed = done == Action::Bypass;
-        self.recovery.wants_restart.store(true, Ordering::Release);
-        ran
+        outcome
     }
 
     fn count(&self, cause: Cause) -> u64 {
-        self.fault_counts[cause as usize].load(Ordering::Relaxed)
+        self.progress.faults(cause)
     }
 
     /// Writes down a fault that may come with every tick.
     #[cold]
-    pub fn note(
+    pub fn report_repeated_fault(
         &self,
-        around: &RunContext,
+        context: &RunContext,
         cause: Cause,
         done: Action,
         seq: Option<u64>,
         words: impl FnOnce() -> String,
     ) {
         if (self.count(cause) + 1).is_power_of_two() {
-            self.tell(around, cause, done, seq, None, words());
+            self.report_fault(context, cause, done, seq, None, words());
         } else {
-            bump(&self.fault_counts[cause as usize]);
+            self.progress.count_fault(cause);
         }
     }
 
     /// Writes down a fault.
-    pub fn tell(
+    pub fn report_fault(
         &self,
-        around: &RunContext,
+        context: &RunContext,
         cause: Cause,
         done: Action,
         seq: Option<u64>,
         late_ms: Option<f64>,
         words: String,
     ) {
-        let count = self.fault_counts[cause as usize].fetch_add(1, Ordering::Relaxed) + 1;
+        let count = self.progress.count_fault(cause);
         let fault = Fault {
             unix_ms: unix_ms(),
-            run_ms: clock::now_ns().saturating_sub(around.start_ns) as f64 / 1e6,
+            run_ms: clock::now_ns().saturating_sub(context.start_ns) as f64 / 1e6,
             node: self.id.clone(),
             cause,
             words,
@@ -261,10 +263,10 @@ impl NodeRuntime {
             late_ms,
             count,
         };
-        if let Some(observer) = &around.observer {
+        if let Some(observer) = &context.observer {
             observer.event(Event::Fault(fault.clone()));
         }
-        around.faults.put(fault);
+        context.faults.put(fault);
     }
 }
 

@@ -1,0 +1,121 @@
+//! What a change of the graph sets and the running call reads: policy, parameter values, a new instance.
+//!
+//! The fields are private: every writer advances the [`ConfigEpoch`] of the node, so that a running call cannot miss a change.
+
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+
+use panoscope_graph::OnFault;
+
+use crate::instance::Instance;
+use crate::params::{InForce, Snapshot};
+use crate::sync::lock;
+
+/// Longest budget: 100 days, which a clock in ns can add up.
+pub(crate) const LONGEST_BUDGET_NS: u64 = 100 * 24 * 3600 * 1_000_000_000;
+
+/// Incremented when parameters, instance or policy change. A call that sees the same epoch skips all three checks.
+pub(super) struct ConfigEpoch(AtomicU64);
+
+impl ConfigEpoch {
+    /// A new `Exec` has epoch 0, so its first call reads everything.
+    pub fn new() -> Self {
+        Self(AtomicU64::new(1))
+    }
+
+    #[inline]
+    pub fn get(&self) -> u64 {
+        self.0.load(Ordering::Acquire)
+    }
+
+    fn advance(&self) {
+        self.0.fetch_add(1, Ordering::Release);
+    }
+}
+
+/// An instance that waits for the next call, with the values it was opened with where they are new.
+type Replacement = (Instance, Option<Arc<Snapshot>>);
+
+/// See the module.
+pub(super) struct Config {
+    on_fault: AtomicU8,
+    /// 0 for none.
+    budget_ns: AtomicU64,
+    /// 0 for none.
+    period_ns: AtomicI64,
+    values: InForce,
+    replacement: Mutex<Option<Replacement>>,
+    has_replacement: AtomicBool,
+}
+
+impl Config {
+    pub fn new(snapshot: Arc<Snapshot>) -> Self {
+        Self {
+            on_fault: AtomicU8::new(0),
+            budget_ns: AtomicU64::new(0),
+            period_ns: AtomicI64::new(0),
+            values: InForce::new(snapshot),
+            replacement: Mutex::new(None),
+            has_replacement: AtomicBool::new(false),
+        }
+    }
+
+    /// Sets what the host does about faults, slow calls and frequent ticks; in force from the next tick on.
+    pub fn set_policy(&self, epoch: &ConfigEpoch, on_fault: OnFault, budget_ms: Option<f64>, max_rate_hz: Option<f64>) {
+        self.on_fault.store(on_fault as u8, Ordering::Relaxed);
+        let budget_ns = budget_ms.map_or(0, |ms| ((ms * 1e6).max(1.0) as u64).min(LONGEST_BUDGET_NS));
+        self.budget_ns.store(budget_ns, Ordering::Relaxed);
+        self.period_ns.store(max_rate_hz.map_or(0, |hz| (1e9 / hz) as i64), Ordering::Relaxed);
+        epoch.advance();
+    }
+
+    pub fn on_fault(&self) -> OnFault {
+        let number = self.on_fault.load(Ordering::Relaxed);
+        [OnFault::Restart, OnFault::Bypass, OnFault::Stop].into_iter().find(|o| *o as u8 == number).unwrap_or_default()
+    }
+
+    /// Longest time of a call in ns, 0 for none.
+    pub fn budget_ns(&self) -> u64 {
+        self.budget_ns.load(Ordering::Relaxed)
+    }
+
+    /// Shortest capture time between two calls in ns, 0 for none.
+    pub fn period_ns(&self) -> i64 {
+        self.period_ns.load(Ordering::Relaxed)
+    }
+
+    /// The values in force.
+    pub fn values(&self) -> Arc<Snapshot> {
+        self.values.get()
+    }
+
+    /// The values in force, if they are not `known`.
+    pub fn newer_values(&self, known: &Snapshot) -> Option<Arc<Snapshot>> {
+        self.values.newer(known)
+    }
+
+    /// Puts new values in force from the next tick on.
+    pub fn set_values(&self, epoch: &ConfigEpoch, snapshot: Arc<Snapshot>) {
+        self.values.set(snapshot);
+        epoch.advance();
+    }
+
+    /// Hands over an instance that was opened beside the running one. Returns one that still waited; the caller closes it.
+    pub fn put_replacement(&self, epoch: &ConfigEpoch, replacement: Replacement) -> Option<Instance> {
+        let old = lock(&self.replacement).replace(replacement);
+        self.has_replacement.store(true, Ordering::Relaxed);
+        epoch.advance();
+        old.map(|(instance, _)| instance)
+    }
+
+    /// Whether an instance waits. The epoch tells a call when to look.
+    pub fn has_replacement(&self) -> bool {
+        self.has_replacement.load(Ordering::Relaxed)
+    }
+
+    /// The instance that waits.
+    pub fn take_replacement(&self) -> Option<Replacement> {
+        self.has_replacement.store(false, Ordering::Relaxed);
+        lock(&self.replacement).take()
+    }
+}
