@@ -1,13 +1,13 @@
-//! The mark of a node's running call.
+//! The running call of a node, as the watchdog sees it.
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use panoscope_abi::Tick;
 
-/// A call was left behind by the watchdog.
+/// Start time of a call that the watchdog abandoned.
 pub(crate) const ABANDONED: u64 = u64::MAX;
 
-/// What a plugin is called for.
+/// Why the engine calls a plugin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum CallKind {
     /// A tick.
@@ -61,16 +61,16 @@ impl CallKind {
     }
 }
 
-/// A call was given up: its thread leaves without touching anything.
+/// The watchdog abandoned a call: its thread returns without touching anything.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Abandoned;
 
 /// The running call as the watchdog sees it.
 #[derive(Default)]
 pub(crate) struct Busy {
-    /// Start of the call in ns of the host's clock; 0 when idle, [`ABANDONED`] once the watchdog gave it up.
+    /// Start of the call in ns of the host's clock; 0 when idle, [`ABANDONED`] once the watchdog abandoned it.
     pub since_ns: AtomicU64,
-    /// The tick's source, and from [`Self::KIND_BITS`] on a [`CallKind`].
+    /// The tick's source; the bits from [`Self::KIND_BITS`] on hold a [`CallKind`].
     source: AtomicU32,
     /// Number of the thread, see [`crate::thread_id`].
     pub thread: AtomicU32,
@@ -79,7 +79,7 @@ pub(crate) struct Busy {
 }
 
 impl Busy {
-    /// Sources have smaller numbers.
+    /// Source numbers need fewer bits.
     const KIND_BITS: u32 = 28;
 
     /// Begins a call for a tick.
@@ -88,7 +88,7 @@ impl Busy {
         self.begin_kind(CallKind::Process, tick, start_ns);
     }
 
-    /// Begins a call for something else, at a tick.
+    /// Begins another kind of call, at a tick.
     #[inline]
     pub fn begin_kind(&self, kind: CallKind, tick: &Tick, start_ns: u64) {
         self.source.store(tick.source | (kind as u32) << Self::KIND_BITS, Ordering::Relaxed);
@@ -98,26 +98,26 @@ impl Busy {
         self.since_ns.store(start_ns.max(1), Ordering::Release);
     }
 
-    /// What the call is for. As [`Self::tick`] and `thread` it belongs to the call whose start was read before, if [`Self::abandon`] finds that
-    /// one afterwards.
+    /// The kind of the call. Like [`Self::tick`] and `thread`, it belongs to the call whose start was read before only if [`Self::abandon`]
+    /// succeeds with that start.
     pub fn kind(&self) -> CallKind {
         let number = (self.source.load(Ordering::Relaxed) >> Self::KIND_BITS) as usize;
         CallKind::ALL.get(number).copied().unwrap_or_default()
     }
 
-    /// Ends the call that began at `start_ns`; `false` when the watchdog has taken everything over: by now it may be another call's turn,
-    /// which began at another time.
+    /// Ends the call that began at `start_ns`. Returns `false` if the watchdog abandoned it; another call, with another start, may be
+    /// running by now.
     #[inline]
     pub fn end(&self, start_ns: u64) -> bool {
         self.since_ns.compare_exchange(start_ns.max(1), 0, Ordering::AcqRel, Ordering::Relaxed).is_ok()
     }
 
-    /// Makes room for calls after one that was given up.
+    /// Allows calls again after one that was abandoned.
     pub fn clear(&self) {
         self.since_ns.store(0, Ordering::Release);
     }
 
-    /// Takes a call over that began at `since_ns`; `false` when it has ended.
+    /// Abandons the call that began at `since_ns`; `false` if it has ended.
     pub fn abandon(&self, since_ns: u64) -> bool {
         self.since_ns.compare_exchange(since_ns, ABANDONED, Ordering::AcqRel, Ordering::Relaxed).is_ok()
     }

@@ -1,4 +1,4 @@
-//! Files that the nodes of a run write: each has one writer at a time, and what was written in a run is never cut off.
+//! Files that the nodes of a run write. Each has one writer at a time, and a run never truncates a file that it wrote.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -19,42 +19,42 @@ pub(crate) struct Claims {
 #[derive(Debug, Default)]
 struct State {
     files: HashMap<PathBuf, File>,
-    /// Nodes that a change under way closes: their files may be claimed.
+    /// Nodes that the current change closes: other nodes may claim their files.
     leaving: Vec<String>,
 }
 
 #[derive(Debug, Default)]
 struct File {
-    /// How often it was begun in this run.
+    /// How many parts of it this run began.
     begun: u32,
-    /// Open instances that write it: token and node.
+    /// Open instances that write it: claim number and node.
     holders: Vec<(u64, String)>,
 }
 
-/// What an instance holds, given back when it is closed.
+/// The claims of an instance, released when it closes.
 #[derive(Debug, Default)]
 pub(crate) struct Holds {
     pub claims: Option<Arc<Claims>>,
     pub token: u64,
-    /// The last answer, lent to the node until its call ends.
+    /// The path returned last, lent to the node until its call ends.
     pub answer: Mutex<String>,
 }
 
 impl Holds {
-    /// Of an instance that is to be opened.
+    /// For an instance that is about to open.
     pub fn new(claims: &Arc<Claims>) -> Self {
         let token = claims.next_token.fetch_add(1, Ordering::Relaxed);
         Self { claims: Some(Arc::clone(claims)), token, answer: Mutex::default() }
     }
 
-    /// Gives everything back.
+    /// Releases everything.
     pub fn release(&mut self) {
         if let Some(claims) = self.claims.take() {
             let mut state = lock(&claims.state);
             for file in state.files.values_mut() {
                 file.holders.retain(|(token, _)| *token != self.token);
             }
-            // What was begun stays known until the run ends.
+            // The number of parts stays known until the run ends.
             state.files.retain(|_, file| file.begun > 0 || !file.holders.is_empty());
         }
     }
@@ -66,7 +66,7 @@ impl Drop for Holds {
     }
 }
 
-/// Nodes whose files may be claimed by others until this is dropped.
+/// Until dropped, other nodes may claim the files of these nodes.
 pub(crate) struct Leaving<'a>(&'a Claims);
 
 impl Drop for Leaving<'_> {
@@ -76,18 +76,18 @@ impl Drop for Leaving<'_> {
 }
 
 impl Claims {
-    /// A change closes these nodes when it is made; those that it opens may take over their files.
+    /// A change is about to close these nodes; the nodes that it opens may claim their files.
     pub fn leaving(&self, nodes: Vec<String>) -> Leaving<'_> {
         lock(&self.state).leaving = nodes;
         Leaving(self)
     }
 
-    /// Whether an instance of this node claims its files: one that does may be opened beside its predecessor.
+    /// Whether an instance of this node claims its files. If so, its successor may open beside it.
     pub fn are_used_by(&self, node: &str) -> bool {
         lock(&self.state).files.values().any(|file| file.holders.iter().any(|(_, by)| by == node))
     }
 
-    /// Answers the path to write, or the node that writes it.
+    /// Returns the path to write, or the node that already writes it.
     pub fn claim(&self, token: u64, node: &str, path: &Path, action: u32) -> Result<PathBuf, String> {
         if is_special(path) {
             return Ok(path.to_owned());
@@ -110,7 +110,7 @@ impl Claims {
         let answer = loop {
             part += 1;
             let answer = part_name(path, part);
-            // A part may bear a name that some node claimed as such.
+            // A node may have claimed a file with the name of this part.
             let taken = part > 1 && files.contains_key(&self::key(&answer));
             if !taken && (action == abi::CLAIM_BEGIN || !answer.exists()) {
                 break answer;
@@ -124,12 +124,12 @@ impl Claims {
     }
 }
 
-/// Devices and pipes have no content that could be cut off, and may have any number of writers.
+/// Devices and pipes are never truncated and may have any number of writers.
 fn is_special(path: &Path) -> bool {
     path.metadata().is_ok_and(|found| !found.is_file())
 }
 
-/// The same for all ways to write a path, as far as the file system tells.
+/// One name for all spellings of a path, as far as the file system resolves them.
 fn key(path: &Path) -> PathBuf {
     if let Ok(whole) = path.canonicalize() {
         return whole;
@@ -201,7 +201,7 @@ mod tests {
         }
         first.release();
         assert!(claims.are_used_by("b"));
-        // A pipe or a device is nobody's.
+        // Pipes and devices are not claimed.
         for token in [1, 2] {
             let null = Path::new("/dev/null");
             assert_eq!(claims.claim(token, &token.to_string(), null, abi::CLAIM_BEGIN), Ok(null.to_owned()));

@@ -1,44 +1,44 @@
 //! The host's monotonic clock, cheap enough to be read at every node boundary.
 //!
 //! Where the processor has an invariant time-stamp counter it is read directly (about 10 ns instead of 25 ns). The counter's rate is
-//! measured over 3 ms at the start and again over ever longer times by [`keep`]; what the clock is off by then is taken back by running
-//! slightly faster or slower, never by a step. A counter that does not keep time is left for the clock of the operating system.
+//! measured over 3 ms at the start and again over longer and longer times by [`keep`]. The clock corrects its error by running
+//! slightly faster or slower, never by a step. If the counter does not keep time, the clock falls back to the operating system's.
 
 use std::sync::atomic::{AtomicPtr, AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How long the first measurement takes.
+/// Duration of the first measurement.
 const FIRST_MEASUREMENT: Duration = Duration::from_millis(3);
-/// From the publication of a stretch to its begin: every reader knows of it by then.
+/// Time between publishing a stretch and its start, so that every reader has seen it.
 const NOTICE_NS: u64 = 50_000_000;
-/// Time between two measurements: it doubles from the first to the second number.
+/// Time between two measurements; doubles from the first to the second value.
 const FIRST_INTERVAL_NS: u64 = 100_000_000;
 const LONGEST_INTERVAL_NS: u64 = 64_000_000_000;
-/// Most that the clock runs faster or slower than the counter says, to take an error back.
+/// Largest relative change of the rate to correct an error.
 const MAX_SLEW: f64 = 0.001;
-/// A counter whose rate differs this much between two measurements, or a clock that is off this much, is not relied upon.
+/// Beyond this difference of rates between two measurements, or this error, the counter is not used.
 const MAX_RATE_CHANGE: f64 = 0.01;
 const MAX_ERROR_NS: f64 = 50e6;
 
-/// A stretch of time over which the clock runs at one rate. Stretches are never freed: a reader may still hold one.
+/// A period in which the clock runs at one rate. Never freed, because a reader may still hold a reference.
 struct Stretch {
-    /// Counter at its begin.
+    /// Counter at its start.
     begin_ticks: u64,
-    /// Time at its begin.
+    /// Time at its start.
     begin_ns: u64,
     /// Nanoseconds per tick of the counter, times 2^32: one integer multiplication per reading. 0 where the operating system's clock is
     /// read instead.
     ns_per_tick_q32: u64,
-    /// Ticks until its end, [`NO_END`] while none is known; 0 where the counter is not used.
+    /// Counter ticks until its end, [`NO_END`] while it has none; 0 where the counter is not used.
     span_ticks: AtomicU64,
-    /// What follows it.
+    /// The next stretch.
     next: AtomicPtr<Stretch>,
 }
 
-/// Half of the numbers: a counter before the begin of a stretch is past this end, too.
+/// Half of the range, so that a counter before the start of a stretch also counts as past its end.
 const NO_END: u64 = 1 << 63;
-/// Counters of two processors differ by less.
+/// Largest difference between the counters of two processors.
 const MAX_COUNTERS_DIFFER: u64 = 1 << 20;
 
 impl Stretch {
@@ -93,12 +93,12 @@ fn counter() -> u64 {
 #[derive(Clone, Copy, Debug)]
 struct Pair {
     ticks: u64,
-    /// Since the keeper's start.
+    /// Time since the keeper started.
     os_ns: u64,
 }
 
 impl Pair {
-    /// Reads both, a few times: a thread that loses the processor between the two readings sees a wide gap, and the narrowest one counts.
+    /// Reads both several times and keeps the pair with the smallest gap, because the thread may be preempted between the two readings.
     fn read(start: Instant) -> Self {
         let one = || {
             let before = counter();
@@ -110,7 +110,7 @@ impl Pair {
     }
 }
 
-/// What the next stretch is to be.
+/// The kind of the next stretch.
 #[derive(Debug, PartialEq)]
 enum Next {
     /// The counter, at this rate.
@@ -119,8 +119,8 @@ enum Next {
     Os,
 }
 
-/// Decides how the clock goes on: `off_ns` is how far it is ahead of the operating system's clock, `measured` the counter's rate over
-/// the longest time there is, `horizon_ns` the time over which the error is to go.
+/// Chooses the next rate. `off_ns` is how far the clock is ahead of the operating system's, `measured` the counter's rate over
+/// the longest known time, `horizon_ns` the time in which to correct the error.
 fn decide(current: f64, measured: f64, off_ns: f64, horizon_ns: f64) -> Next {
     let changed = (measured / current - 1.0).abs();
     if !measured.is_finite() || measured <= 0.0 || changed > MAX_RATE_CHANGE || off_ns.abs() > MAX_ERROR_NS {
@@ -132,20 +132,20 @@ fn decide(current: f64, measured: f64, off_ns: f64, horizon_ns: f64) -> Next {
 
 /// The stretches of a clock.
 struct Clock {
-    /// The one that readers begin with; those after it are found by `next`.
+    /// The stretch that readers start with; `next` leads to later ones.
     newest: AtomicPtr<Stretch>,
     /// Newest reading of the operating system's clock.
     last_ns: AtomicU64,
 }
 
 impl Clock {
-    /// Where no counter is relied upon: never behind `least_ns`, never backwards.
+    /// Time without the counter: never before `least_ns`, never backwards.
     fn os(&self, least_ns: u64, os_ns: u64) -> u64 {
         let ns = os_ns.max(least_ns);
         self.last_ns.fetch_max(ns, Ordering::Relaxed).max(ns)
     }
 
-    /// The last stretch known.
+    /// The last published stretch.
     fn last(&self) -> &'static Stretch {
         let mut at = self.newest.load(Ordering::Acquire);
         loop {
@@ -159,17 +159,17 @@ impl Clock {
         }
     }
 
-    /// A reading that the stretch at hand does not hold: one past its end, one before its begin, or one without a counter.
+    /// Reads the time where `stretch` does not apply: after its end, before its start, or without a counter.
     fn read_otherwise(&self, mut at: *const Stretch, ticks: u64, os_ns: impl FnOnce() -> u64) -> u64 {
         loop {
-            // SAFETY: as in `last`: null is left out below.
+            // SAFETY: `next` holds a stretch that is never freed, or null, which `as_ref` turns into `None`.
             let stretch = unsafe { &*at };
             if stretch.ns_per_tick_q32 == 0 {
                 return self.os(stretch.begin_ns, os_ns());
             }
             let passed = ticks.wrapping_sub(stretch.begin_ticks);
             if passed >= NO_END {
-                // Another processor's counter may be a little behind. One that has begun anew says nothing.
+                // Another processor's counter may be slightly behind. A counter that restarted is not used.
                 let little = passed.wrapping_neg() < MAX_COUNTERS_DIFFER;
                 return if little { stretch.begin_ns } else { self.os(stretch.begin_ns, os_ns()) };
             }
@@ -177,13 +177,13 @@ impl Clock {
             if passed < stretch.span_ticks.load(Ordering::Acquire) || next.is_null() {
                 return stretch.at(ticks);
             }
-            // From here on everybody begins with the next one.
+            // From here on readers start with the next stretch.
             let _ = self.newest.compare_exchange(at.cast_mut(), next, Ordering::AcqRel, Ordering::Relaxed);
             at = next;
         }
     }
 
-    /// Adds a stretch that begins where the last one is at `begin_ticks`, which lies in the future.
+    /// Adds a stretch that starts at `begin_ticks`, which lies in the future, with the time of the last one there.
     fn go_on(&self, begin_ticks: u64, ns_per_tick_q32: u64) {
         let last = self.last();
         let next = Box::leak(Box::new(Stretch::new(begin_ticks, last.at(begin_ticks), ns_per_tick_q32)));
@@ -196,12 +196,12 @@ impl Clock {
 struct Keeper {
     start: Instant,
     first: Pair,
-    /// When it measures next, and the time until it does again.
+    /// Time of the next measurement, and the interval after it.
     due: Mutex<(u64, u64)>,
 }
 
 impl Keeper {
-    /// Answers where the next stretch of `clock` begins and its rate, where it is time for one.
+    /// Returns start and rate of the next stretch of `clock`, if one is due.
     fn next(&self, clock: &Clock, pair: Pair) -> Option<(u64, u64)> {
         let last = clock.last();
         let mut due = self.due.lock().unwrap_or_else(PoisonError::into_inner);
@@ -238,7 +238,7 @@ fn keeper() -> &'static Keeper {
     })
 }
 
-/// Measures the clock where it is time to; for a thread that comes by a few times per second.
+/// Measures the clock if a measurement is due. The watchdog calls this a few times per second.
 pub(crate) fn keep() {
     let keeper = keeper();
     let due_ns = keeper.due.lock().unwrap_or_else(PoisonError::into_inner).0;
@@ -247,7 +247,7 @@ pub(crate) fn keep() {
     }
     let pair = Pair::read(keeper.start);
     if let Some((begin_ticks, rate)) = keeper.next(&CLOCK, pair) {
-        // Who was held up until now would publish too late: it measures again next time.
+        // A thread that was preempted until now would publish too late, so it measures again next time.
         let held_up = counter().wrapping_sub(pair.ticks) > begin_ticks.wrapping_sub(pair.ticks) / 2;
         if !held_up {
             CLOCK.go_on(begin_ticks, rate);
@@ -296,7 +296,7 @@ mod tests {
         clock.read_otherwise(clock.newest.load(Ordering::Acquire), pair.ticks, || pair.os_ns)
     }
 
-    /// Lets 1,000 s pass in steps of 7 ms; answers the largest error in the last 500 s and the largest step back.
+    /// Simulates 1,000 s in steps of 7 ms. Returns the largest error in the last 500 s and the largest step back.
     fn pass(clock: &Clock, keeper: &Keeper, ns_per_tick: impl Fn(u64) -> f64) -> (f64, u64) {
         let (mut ticks, mut before, mut worst, mut back) = (FIRST.ticks as f64, 0u64, 0.0f64, 0u64);
         for step in 1..1_000_000_000_000u64 / 7_000_000 {

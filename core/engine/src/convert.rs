@@ -19,7 +19,7 @@ pub(crate) fn to_gray8(source: &FrameRef) -> Option<FrameRef> {
         return Some(FrameRef::empty(frame.tick));
     }
     let (buffer, data) = memory().allocate(width * height).ok()?;
-    // SAFETY: a fresh buffer of at least `width * height` initialised bytes that nobody else sees yet.
+    // SAFETY: a new buffer of at least `width * height` initialised bytes that only this function has.
     let out = unsafe { std::slice::from_raw_parts_mut(data, width * height) };
     if width * height > 0 {
         let from = View::with_stride(source.bytes(), width, height, 3, stride);
@@ -27,6 +27,6 @@ pub(crate) fn to_gray8(source: &FrameRef) -> Option<FrameRef> {
     }
     let len = width * height;
     let gray = Frame { buffer, data, len, format: abi::FORMAT_GRAY8, stride_bytes: width as u32, ..*frame };
-    // SAFETY: the one reference of the new buffer.
+    // SAFETY: `allocate` handed out the only reference to the new buffer.
     Some(unsafe { FrameRef::adopt(gray) })
 }

@@ -1,4 +1,4 @@
-//! What a run follows instead of the clock: the decisions of an earlier run.
+//! A decider repeats the decisions of an earlier run in place of the clock.
 
 use std::collections::VecDeque;
 use std::sync::Mutex;
@@ -8,20 +8,20 @@ use panoscope_graph::ParamValue;
 
 use crate::memory::FrameRef;
 
-/// A tick of a source as it was made once.
+/// A tick of a source in the earlier run.
 #[derive(Clone, Copy, Debug)]
 pub struct SourceTick {
     /// Its number.
     pub seq: u64,
     /// Media time.
     pub capture_ns: i64,
-    /// It went into the graph; else it was dropped.
+    /// Whether it entered the graph; otherwise it was dropped.
     pub admitted: bool,
-    /// Its packets are not known any more.
+    /// Whether its packets are missing in the recording.
     pub gap: bool,
 }
 
-/// The packets that a node takes next: the tick that fires it, and source slot and number of each connection's packet.
+/// The packets that a node takes next: the tick that fires it, and source slot and tick number of each connection's packet.
 #[derive(Clone, Debug)]
 pub struct Wanted {
     /// The tick that fires the node.
@@ -30,34 +30,34 @@ pub struct Wanted {
     pub inputs: Vec<Option<(u32, u64)>>,
 }
 
-/// What is due at a node before a tick.
+/// An event of a node before a tick.
 #[derive(Clone, Debug)]
 pub enum Turn {
-    /// These values come into force.
+    /// These values take effect.
     Values(Vec<ParamValue>),
-    /// The node is opened anew with these values.
+    /// The node reopens with these values.
     Opened(Vec<ParamValue>),
-    /// The node makes nothing of the tick.
+    /// The node skips the tick.
     Skipped {
-        /// It is this very tick, not one that is missing here.
+        /// Whether it is this tick, not one that is missing in this run.
         here: bool,
-        /// Its instance is given up.
+        /// Whether its instance is closed.
         closed: bool,
     },
 }
 
-/// Decides what otherwise depends on time. Positions of edits count from 0 in the order in which they were made.
+/// Makes the decisions that otherwise depend on time. Edits are numbered from 0 in the order in which they were made.
 pub trait Decider: Send + Sync {
-    /// Whether a node is never opened: its ticks are known, or it would act on the world.
+    /// Whether a node never opens: its ticks are known, or it would act on the world.
     fn closes(&self, is_source: bool, has_side_effects: bool) -> bool;
 
-    /// Whether nodes are decided for, not only sources.
+    /// Whether the decider decides for all nodes, not only for sources.
     fn leads_nodes(&self) -> bool;
 
     /// Whether the ticks of this source are known.
     fn has_source(&self, node: &str) -> bool;
 
-    /// The next tick of a source; the same again until [`Self::source_done`].
+    /// The next tick of a source; the same one until [`Self::source_done`] is called.
     fn source_next(&self, node: &str) -> Option<SourceTick>;
 
     /// The next tick of a source is made.
@@ -66,31 +66,31 @@ pub trait Decider: Send + Sync {
     /// The packets of the source's next tick by the names of `ports`; `None` where there was none.
     ///
     /// # Errors
-    /// In words, when they cannot be had.
+    /// Why the packets cannot be read.
     fn source_frames(&self, node: &str, ports: &[String]) -> Result<Vec<Option<FrameRef>>, String>;
 
     /// The packets that a node takes next.
     fn took(&self, node: &str) -> Option<&Mutex<VecDeque<Wanted>>>;
 
-    /// What is due at a node before `tick`, one after the other; `None` when nothing is left.
+    /// The next event of a node before `tick`; `None` when there is none left.
     fn next_turn(&self, node: &str, tick: &Tick) -> Option<Turn>;
 
-    /// Whether the head of a region may let another tick in before the next edit.
+    /// Whether the head of a region may admit another tick before the next edit.
     fn may_enter(&self, head: &str) -> bool;
 
-    /// The head of a region let a tick in.
+    /// The head of a region admitted a tick.
     fn entered(&self, head: &str);
 
-    /// Whether a head that an edit waits for has not let all ticks in which come before it.
+    /// Whether ticks that come before this edit have not entered yet.
     fn waits_before(&self, edit: usize) -> bool;
 
     /// Nodes that an edit replaced.
     fn replaced(&self, edit: usize) -> &[String];
 
-    /// An edit is made: what comes after it may enter.
+    /// An edit was made: the ticks after it may enter.
     fn edited(&self, edit: usize);
 
-    /// The run cannot go on like the earlier one.
+    /// The run can no longer repeat the earlier one.
     fn fail(&self, reason: String);
 
     /// Whether [`Self::fail`] was called.

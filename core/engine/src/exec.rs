@@ -1,4 +1,4 @@
-//! What runs a node: its instance and what a call needs, owned by one thread at a time.
+//! The instance of a node and the state of its calls, owned by one thread at a time.
 
 use std::ffi::c_void;
 use std::sync::Arc;
@@ -11,14 +11,14 @@ use crate::outputs::OutputRule;
 use crate::params::Snapshot;
 use crate::stats::Histogram;
 
-/// An output as the checks after a call need it.
+/// An output, for the checks after a call.
 #[derive(Clone, Copy)]
 pub(crate) struct Port {
     pub formats: u32,
     /// Size when it was last made, [`Port::NEVER`] before.
     pub width: u32,
     pub height: u32,
-    /// Formats whose contents are looked at, one bit each, see [`OutputRule::inspect`].
+    /// Formats whose contents are checked, one bit each, see [`OutputRule::inspect`].
     pub inspected: u32,
 }
 
@@ -31,8 +31,8 @@ impl Port {
     }
 }
 
-/// The instance and what a call needs; owned by whoever runs the node. The order is that of use: what every call touches stands in
-/// the first two cache lines.
+/// The instance and the state of its calls; owned by the thread that runs the node. Fields are in order of use: those that every call
+/// touches lie in the first two cache lines.
 #[repr(C, align(64))]
 pub(crate) struct Exec {
     pub instance: Instance,
@@ -40,7 +40,7 @@ pub(crate) struct Exec {
     params: *const abi::ParamValue,
     params_len: usize,
     pub params_version: u64,
-    /// [`crate::node::NodeRuntime::config_epoch`] as of the last call: what is copied from there is in force.
+    /// The node's configuration epoch that this copy of its settings belongs to.
     pub config_epoch: u64,
     /// Capture time of the last tick that was run, `i64::MIN` for none.
     pub last_fired_ns: i64,
@@ -50,23 +50,23 @@ pub(crate) struct Exec {
     pub outputs_len: u32,
     pub source: bool,
     pub bypassed: bool,
-    /// One of the counts of what went wrong is not 0.
+    /// Whether one of the counts of faults below is not 0.
     pub troubled: bool,
-    /// There is a period or a budget.
+    /// Whether there is a period or a budget.
     pub limited: bool,
-    // Here ends what a call that goes well touches, if the node has one output and no limits.
+    // A successful call of a node with one output and no limits touches nothing below.
     more: Box<[Port]>,
     pub period_ns: i64,
     pub budget_ns: u64,
     pub ranges: Vec<PortRange>,
     pub failure: String,
     snapshot: Arc<Snapshot>,
-    /// In batch: calls to leave out before the node is opened again.
+    /// In batch: calls to skip before the node reopens.
     pub skip_calls: u32,
     pub failures_in_a_row: u32,
     pub silent_calls: u32,
     pub bad_in_a_row: u32,
-    /// When the last failure was, until a call goes well; 0 for none.
+    /// Time of the last failure, until a call succeeds; 0 for none.
     pub failed_at_ns: u64,
 }
 
@@ -117,7 +117,7 @@ impl Exec {
         })
     }
 
-    /// Output `index`, which the node has.
+    /// Output `index`, which must exist.
     #[inline]
     pub fn port(&mut self, index: usize) -> &mut Port {
         if index == 0 { &mut self.first } else { &mut self.more[index - 1] }
@@ -133,7 +133,7 @@ impl Exec {
         &self.snapshot
     }
 
-    /// Puts values in force.
+    /// Applies new values.
     pub fn set_snapshot(&mut self, snapshot: Arc<Snapshot>) {
         self.params = snapshot.values().as_ptr();
         self.params_len = snapshot.values().len();
@@ -141,13 +141,13 @@ impl Exec {
         self.snapshot = snapshot;
     }
 
-    /// The values in force, in the contract's layout.
+    /// The current values, in the contract's layout.
     #[inline]
     pub fn params(&self) -> (*const abi::ParamValue, usize) {
         (self.params, self.params_len)
     }
 
-    /// Asks the processor for the lines of a call that is soon to be made.
+    /// Prefetches the cache lines of a call that follows soon.
     #[inline]
     pub fn prefetch(this: *const Self) {
         prefetch(this.cast());
@@ -155,7 +155,7 @@ impl Exec {
     }
 }
 
-/// Asks the processor for a cache line; a hint only, any address will do.
+/// Prefetches a cache line. Only a hint: any address is valid.
 #[inline]
 pub(crate) fn prefetch(address: *const u8) {
     #[cfg(target_arch = "x86_64")]
@@ -167,7 +167,7 @@ pub(crate) fn prefetch(address: *const u8) {
     let _ = address;
 }
 
-/// Where an [`Exec`] rests while nobody runs the node. Taking it is one atomic swap.
+/// Holds the [`Exec`] while no thread runs the node. Taking it is one atomic swap.
 pub(crate) struct ExecPlace(AtomicPtr<Exec>);
 
 impl ExecPlace {
@@ -175,25 +175,25 @@ impl ExecPlace {
         Self(AtomicPtr::new(Box::into_raw(exec)))
     }
 
-    /// The exec, unless somebody runs the node.
+    /// The `Exec`, unless a thread runs the node.
     pub fn take(&self) -> Option<Box<Exec>> {
         let raw = self.0.swap(std::ptr::null_mut(), Ordering::Acquire);
         // SAFETY: only `new` and `put` store pointers, made by `into_raw`; the swap hands each to one caller.
         (!raw.is_null()).then(|| unsafe { Box::from_raw(raw) })
     }
 
-    /// Puts back what was taken, or what replaces it. The place is empty: only its taker, or the watchdog in its stead, may put.
+    /// Puts back the `Exec` that was taken, or its replacement. Only the thread that took it, or the watchdog for it, may do so.
     pub fn put(&self, exec: Box<Exec>) {
         self.0.store(Box::into_raw(exec), Ordering::Release);
     }
 
-    /// Where it is, for [`Exec::prefetch`].
+    /// Its address, for [`Exec::prefetch`].
     #[inline]
     pub fn address(&self) -> *const Exec {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// Whether nobody runs the node.
+    /// Whether no thread runs the node.
     pub fn is_home(&self) -> bool {
         !self.0.load(Ordering::Acquire).is_null()
     }

@@ -1,4 +1,4 @@
-//! What went wrong while a graph ran: time, node, cause, what was done.
+//! Faults of a run: time, node, cause, action.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -11,44 +11,44 @@ use serde::{Deserialize, Serialize};
 
 use crate::outbox::Outbox;
 
-/// Takes a fault as it happens, on a thread of the log's own, one after the other.
+/// Receives faults, on the fault log's thread, one at a time.
 pub type FaultFn = dyn Fn(&Fault) + Send + Sync;
 
-/// What went wrong.
+/// The cause of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cause {
-    /// The node answered with an error.
+    /// The node returned an error.
     Error,
     /// The node panicked or threw.
     Panic,
     /// The node did not return.
     Hang,
-    /// The node did not open again.
+    /// The node did not reopen.
     Open,
     /// An output whose description does not fit its buffer, its declaration or the contract's sizes.
     BadOutput,
-    /// An output of a format that its reader does not take.
+    /// An output of a format that its reader does not accept.
     Format,
     /// An output of another size than before, on which a reader failed.
     Size,
-    /// An output that holds NaN or infinity where the contract wants numbers.
+    /// An output with NaN or infinity where the contract requires finite numbers.
     NotANumber,
     /// An output larger than any frame may be.
     TooMuch,
     /// Frame memory is used up.
     Exhausted,
-    /// Capture times of a source that stand still or run backwards.
+    /// Capture times of a source that repeat or run backwards.
     CaptureTime,
-    /// Complete inputs, no output, many times in a row.
+    /// No output in spite of complete inputs, many times in a row.
     Silent,
     /// A call took longer than the node's budget.
     Slow,
-    /// Frames kept and not given back.
+    /// Frames retained and never released.
     Leak,
     /// The recording of the run has a gap, or has ended.
     Recording,
-    /// A buffer given back that the node does not keep.
+    /// A buffer released that the node does not hold.
     Release,
     /// The node's plugin ended the program: it crashed or called `exit`.
     Crash,
@@ -57,23 +57,23 @@ pub enum Cause {
 /// How many causes there are.
 pub(crate) const CAUSES: usize = Cause::Crash as usize + 1;
 
-/// What was done about a fault.
+/// The engine's response to a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Action {
-    /// The node is opened again, its outputs are empty until then.
+    /// The node restarts; its outputs are empty until then.
     Restart,
-    /// The call was left behind with its thread, both were replaced and the node is opened again.
+    /// The call was abandoned with its thread; both were replaced and the node restarts.
     Abandon,
-    /// The node is left out from now on.
+    /// The node is bypassed from now on.
     Bypass,
     /// The run ends.
     Stop,
-    /// The source has ended, too early; the rest of the graph finishes.
+    /// The source ended early; the rest of the graph finishes.
     End,
-    /// The packet was not delivered; the node goes on.
+    /// The packet was not delivered; the node continues.
     Withhold,
-    /// Written down; the node goes on.
+    /// Only reported; the node continues.
     Note,
 }
 
@@ -86,30 +86,30 @@ pub struct Fault {
     pub run_ms: f64,
     /// The node.
     pub node: String,
-    /// What went wrong.
+    /// The cause of a fault.
     pub cause: Cause,
     /// Details for people.
     pub words: String,
-    /// What was done.
+    /// The engine's response.
     pub done: Action,
     /// Number of the tick, where there was one.
     pub seq: Option<u64>,
-    /// For a hang: time from the end of the node's budget until it was seen.
+    /// For a hang: time from the end of the node's budget until it was detected.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub late_ms: Option<f64>,
-    /// How often this node had this cause so far. Of causes that may come with every tick, powers of two are written.
+    /// Faults of this node with this cause so far. For causes that may come with every tick only powers of two are reported.
     pub count: u64,
 }
 
 const REMEMBERED: usize = 4096;
 
-/// Passes faults on, on a thread of its own, and remembers the newest.
+/// Passes faults on, on its own thread, and keeps the newest.
 pub(crate) struct FaultLog {
     out: Option<Outbox<Fault>>,
     recent: Arc<Mutex<VecDeque<Fault>>>,
 }
 
-/// In faults of the log itself, the name in the node's place.
+/// Name in place of a node's in faults of the log itself.
 const NAME: &str = "faults";
 
 fn own_fault(words: String, count: u64) -> Fault {
@@ -117,9 +117,9 @@ fn own_fault(words: String, count: u64) -> Fault {
     Fault { unix_ms: unix_ms(), run_ms: 0.0, node, cause, words, done: Action::Note, seq: None, late_ms: None, count }
 }
 
-/// What stands for faults that came faster than they were written.
+/// A fault that stands for those that came faster than they were written.
 fn skipped_tick(count: u64) -> Fault {
-    own_fault(format!("{count} faults were left out: they came faster than they were written"), count)
+    own_fault(format!("{count} faults were skipped: they came faster than they were written"), count)
 }
 
 impl FaultLog {
@@ -136,10 +136,10 @@ impl FaultLog {
         Self { out, recent }
     }
 
-    /// Takes one fault.
+    /// Adds a fault.
     pub fn put(&self, fault: Fault) {
         let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
-        // Put in under the lock, so that both have the same order.
+        // Under the lock, so that both have the same order.
         if let Some(out) = &self.out {
             out.put(fault.clone());
         }
@@ -149,7 +149,7 @@ impl FaultLog {
         recent.push_back(fault);
     }
 
-    /// Waits until all faults are passed on, at most `limit`; `false` when they are not by then.
+    /// Waits at most `limit` until all faults are passed on; `false` if they are not.
     pub fn flush(&self, limit: Duration) -> bool {
         self.out.as_ref().is_none_or(|out| out.flush(limit))
     }
@@ -168,12 +168,12 @@ pub fn unix_ms() -> u64 {
 /// A file of faults.
 struct FaultFile {
     file: File,
-    /// A line could not be written, and that was told.
+    /// Whether a failed write was reported.
     told: bool,
 }
 
 impl FaultFile {
-    /// Appends a line, whole or not at all. A full disk must not stop the picture; it is told once.
+    /// Appends a line, whole or not at all. A full disk does not stop the run and is reported once.
     fn append(&mut self, line: &[u8]) {
         let before = self.file.metadata().map(|found| found.len());
         if let Err(error) = self.file.write_all(line) {

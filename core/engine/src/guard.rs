@@ -1,5 +1,5 @@
-//! Calls into plugins off the hot path: opening, closing, saving and loading states. Each has a limit. They run on a thread of their own;
-//! when one does not return in time, thread and instance are left behind and another thread goes on with what is left to do.
+//! Calls into plugins off the hot path: open, close, save and load state. They run on a separate thread with a time limit;
+//! if one does not return in time, its thread and instance are abandoned and another thread makes the remaining calls.
 //!
 //! On the hot path the watchdog does the same: see [`crate::watch`].
 
@@ -19,22 +19,22 @@ use crate::params::Snapshot;
 use crate::schedule::Shared;
 use crate::thread_id;
 
-/// How long calls may take once the engine is to stop: long enough for what goes well.
+/// Time limit once the engine stops: long enough for nodes that work.
 const LONGEST_AT_STOP: Duration = Duration::from_secs(1);
-/// After this time the nodes that follow are closed beside one that still closes.
+/// After this time the next node closes beside one that is still closing.
 const LONGEST_TURN: Duration = Duration::from_secs(1);
-/// As much as the main thread has: some libraries count on it when they are opened.
+/// As much as the main thread has: some libraries need it when they are opened.
 const STACK_BYTES: usize = 8 << 20;
 
-/// A call to be made.
+/// A call to make.
 pub(crate) struct Call<T> {
     pub runtime: Arc<NodeRuntime>,
     pub kind: CallKind,
-    /// What it answers is dropped on its thread if nobody waits any more.
+    /// Its result is dropped on the calling thread if the wait is over.
     pub run: Box<dyn FnOnce() -> T + Send>,
 }
 
-/// Why a call has no answer.
+/// Why a call has no result.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum CallError {
     /// It took too long.
@@ -42,38 +42,38 @@ pub(crate) enum CallError {
     NoReturn {
         /// What was called.
         kind: CallKind,
-        /// How long was waited.
+        /// How long the engine waited.
         seconds: f64,
     },
-    /// No thread to call it on.
+    /// No thread could be started for the call.
     #[error("no thread could be started for it: {cause}")]
     Thread {
-        /// What the system says.
+        /// The system's error.
         cause: std::io::Error,
     },
     /// The host's own code around the call panicked.
     #[error("the host panicked around it: {words}")]
     Panic {
-        /// What it said.
+        /// The node's message.
         words: String,
     },
 }
 
-/// How long calls may take.
+/// Time limit of calls.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limit {
     pub usual: Duration,
-    /// Once the engine is to stop.
+    /// Once the engine stops.
     pub at_stop: Duration,
 }
 
 impl Limit {
-    /// Shorter once the engine is to stop.
+    /// A limit that is shorter once the engine stops.
     pub fn until_stop(usual: Duration) -> Self {
         Self { usual, at_stop: usual.min(LONGEST_AT_STOP) }
     }
 
-    /// The same whether the engine is to stop or not.
+    /// The same limit whether the engine stops or not.
     pub fn always(usual: Duration) -> Self {
         Self { usual, at_stop: usual }
     }
@@ -81,17 +81,17 @@ impl Limit {
 
 struct State<T> {
     todo: VecDeque<Call<T>>,
-    /// The call that runs, since when, and the thread that makes it.
+    /// The running call, its kind and its start.
     running: Option<(Arc<NodeRuntime>, CallKind, Instant)>,
     done: VecDeque<(Arc<NodeRuntime>, Result<T, CallError>)>,
-    /// Number of the thread that makes the calls; another one has been left behind. 0 for none.
+    /// Number of the thread that makes the calls; a thread with another number was abandoned. 0 for none.
     thread: u32,
 }
 
 struct Line<T> {
     state: Mutex<State<T>>,
     changed: Condvar,
-    /// Whether the next call is made after one with this answer.
+    /// Whether to make the next call after this result.
     goes_on: fn(&T) -> bool,
 }
 
@@ -100,7 +100,7 @@ impl<T> Line<T> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Makes calls until none is left or the thread was left behind.
+    /// Makes calls until none is left or the thread is abandoned.
     fn work(&self, number: u32) {
         loop {
             let mut state = self.state();
@@ -119,7 +119,7 @@ impl<T> Line<T> {
             let mut state = self.state();
             if state.thread != number {
                 drop(state);
-                // Nobody waits: what was opened is closed again, here.
+                // The wait is over: drop the result, which closes an instance that was opened.
                 drop(answer);
                 runtime.recovery.remove_stuck();
                 return;
@@ -135,9 +135,9 @@ impl<T> Line<T> {
 }
 
 impl Shared {
-    /// Makes calls one after the other, until `goes_on` says no to an answer, and hands each answer to `take`, on the calling thread. A call
-    /// that takes longer than `limit` is left behind with its thread: its runtime counts it as stuck until it returns. After such a call
-    /// `take` says whether those that follow are made.
+    /// Makes calls one after the other, until `goes_on` rejects a result, and passes each result to `take` on the calling thread. A call
+    /// that takes longer than `limit` is abandoned with its thread; its node counts it as stuck until it returns. After such a call
+    /// `take` decides whether the next calls are made.
     pub fn guarded<T: Send + 'static>(
         self: &Arc<Self>,
         limit: Limit,
@@ -190,7 +190,7 @@ impl Shared {
                     let error = CallError::NoReturn { kind, seconds: spent.as_secs_f64() };
                     state.done.push_back((runtime, Err(error)));
                     drop(state);
-                    // Workers that are stuck in its loops go with it.
+                    // Workers that are stuck in its loops are replaced too.
                     if let Err(cause) = self.pool.give_up(number) {
                         self.fail(format!("no thread could be started in place of one that hangs: {cause}"));
                     }
@@ -219,7 +219,7 @@ impl Shared {
         std::thread::Builder::new().name(name).stack_size(STACK_BYTES).spawn(work).map(drop)
     }
 
-    /// One call.
+    /// Makes one call.
     pub fn call_guarded<T: Send + 'static>(
         self: &Arc<Self>,
         limit: Limit,
@@ -241,7 +241,7 @@ impl Shared {
         answer.unwrap_or_else(|| Err(CallError::Panic { words: "the call was not made".to_owned() }))
     }
 
-    /// The call that opens an instance with the given values.
+    /// A call that opens an instance with the given values.
     pub fn opening(
         self: &Arc<Self>,
         runtime: &Arc<NodeRuntime>,
@@ -255,7 +255,7 @@ impl Shared {
     /// Opens an instance with the given values.
     ///
     /// # Errors
-    /// What the node says, or that it did not return.
+    /// The node's message, or that it did not return.
     pub fn open_guarded(
         self: &Arc<Self>,
         runtime: &Arc<NodeRuntime>,
@@ -268,10 +268,10 @@ impl Shared {
         }
     }
 
-    /// Opens a failed node again; a source goes on where it was.
+    /// Reopens a failed node; a source continues where it was.
     ///
     /// # Errors
-    /// What the node says, or that it did not return.
+    /// The node's message, or that it did not return.
     pub fn open_again(
         self: &Arc<Self>,
         runtime: &Arc<NodeRuntime>,
@@ -291,10 +291,10 @@ impl Shared {
         }
     }
 
-    /// Gives a state to an instance; answers whether it was understood.
+    /// Loads a state into an instance. Returns whether the instance understood it.
     ///
     /// # Errors
-    /// It did not return: the instance is lost.
+    /// The node did not return: the instance is lost.
     pub fn load_guarded(
         self: &Arc<Self>,
         runtime: &Arc<NodeRuntime>,
@@ -308,7 +308,7 @@ impl Shared {
         self.call_guarded(Limit::until_stop(self.context.close_limit), runtime, CallKind::LoadState, load)
     }
 
-    /// Closes instances of a node; one that does not return is told of and left behind.
+    /// Closes instances of a node; one that does not return is reported and abandoned.
     pub fn close_guarded(self: &Arc<Self>, runtime: &Arc<NodeRuntime>, instances: Vec<Instance>) {
         let open = instances.into_iter().filter(Instance::is_open);
         let calls = open.map(|instance| {
@@ -329,13 +329,13 @@ impl Shared {
         );
     }
 
-    /// Closes all instances of nodes, one after the other; beside one that takes long the next are closed already. What has not come to its
-    /// end by then is left behind and named in the log.
+    /// Closes all instances of nodes one after the other; while one takes long, the next ones close beside it. The log names those that are
+    /// not closed at the deadline.
     pub fn close_all(self: &Arc<Self>, runtimes: Vec<Arc<NodeRuntime>>, until: Instant) {
         let mut open = Vec::new();
         let mut calls = Vec::new();
         for runtime in runtimes {
-            // Whoever opens the node again is too late.
+            // Outdates any restart of the node.
             runtime.recovery.begin_restart();
             let (instances, all) = runtime.take_instances();
             let closed = Arc::new(AtomicBool::new(!all));
@@ -365,10 +365,10 @@ impl Shared {
 /// Why an instance could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum OpenError {
-    /// The node says so.
+    /// The node refused, with this message.
     #[error("{0}")]
     Refused(String),
-    /// It did not come to an answer.
+    /// The call did not return.
     #[error(transparent)]
     Call(CallError),
 }

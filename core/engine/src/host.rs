@@ -18,33 +18,33 @@ use crate::retained;
 use crate::stats::bump;
 use crate::sync::lock;
 
-/// What stands behind a `call` handle.
+/// The target of a `call` handle.
 pub(crate) struct CallContext<'a> {
-    /// Output frames of the running call; each non-empty one holds a reference. The node sees a copy of them only.
+    /// Output frames of the running call; each non-empty one holds a reference. The node sees only a copy.
     pub outputs: *mut Frame,
-    /// The copy.
+    /// The copy that the node sees.
     pub shown: *mut Frame,
     pub outputs_len: usize,
     pub inputs: *const Frame,
     pub inputs_len: usize,
-    /// An output that was forwarded from an input whose one reference it takes over when the call ends. Until then it holds none.
+    /// An output forwarded from an input whose reference it takes over when the call ends. Until then it holds none.
     pub lent: Option<Lent>,
-    /// What the first output may be.
+    /// Formats of the first output, one bit each.
     pub first_formats: u32,
     pub runtime: &'a NodeRuntime,
     /// Files that the instance claims.
     pub holds: &'a Holds,
     pub log: &'a Log,
-    /// What the node said when it failed; reused.
+    /// The node's error message; the buffer is reused.
     pub failure: &'a mut String,
-    /// Words of a fault were given during this call.
+    /// Whether the node reported a fault during this call.
     pub has_failure: bool,
-    /// What the host refused during this call, if anything.
+    /// A request that the host refused during this call, if any.
     pub refused: Option<Refused>,
     /// State of the generator; `None` until the node asks for a number.
     pub random: Option<SplitMix64>,
     pub tick: abi::Tick,
-    /// In batch an exhausted memory is waited for, in live it drops the tick.
+    /// Whether to wait for frame memory (batch) instead of dropping the tick (live).
     pub wait_for_memory: bool,
 }
 
@@ -61,7 +61,7 @@ pub(crate) unsafe fn call_context<'a>(call: *mut c_void) -> Option<&'a mut CallC
 }
 
 impl<'a> CallContext<'a> {
-    /// For a call that is no tick: it has no inputs and makes no outputs.
+    /// For a call other than `process`: no inputs, no outputs.
     pub fn without_tick(
         runtime: &'a NodeRuntime,
         context: &'a RunContext,
@@ -95,7 +95,7 @@ impl CallContext<'_> {
         ((index as usize) < self.outputs_len).then(|| unsafe { &mut *self.outputs.add(index as usize) })
     }
 
-    /// Makes a frame, with one reference, an output of this tick.
+    /// Makes a frame, whose one reference the caller gives away, an output of this tick.
     fn place(&mut self, index: u32, frame: &Frame) -> Status {
         let held = self.lent.take_if(|lent| lent.output == index).is_none();
         match self.output(index) {
@@ -145,7 +145,7 @@ impl CallContext<'_> {
         abi::STATUS_INVALID
     }
 
-    /// The input that a frame is, if it is one.
+    /// The index of a frame among the inputs, if it is one.
     #[inline]
     fn input(&self, frame: &Frame) -> Option<u32> {
         (0..self.inputs_len).find_map(|index| {
@@ -308,7 +308,7 @@ unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
     }
 }
 
-/// Where a node's random numbers begin for a tick: the same in every run.
+/// Seed of a node's random numbers for a tick; the same in every run.
 fn seed(id: &str, tick: abi::Tick) -> u64 {
     let hash = abi::fnv1a(abi::FNV_START, id.as_bytes());
     abi::fnv1a(abi::fnv1a(hash, &tick.seq.to_le_bytes()), &tick.source.to_le_bytes())
@@ -380,7 +380,7 @@ pub(crate) fn table(threads: usize) -> Host {
     }
 }
 
-/// The table given to a plugin when it is loaded; lives as long as the process. Its handle says which plugin calls, on whatever thread.
+/// The table given to a plugin when it is loaded; valid until the process ends. Its handle identifies the plugin on any thread.
 pub(crate) fn plugin_table(descriptor: *const abi::Plugin) -> *const Host {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let ctx = retained::plugin_of(descriptor.cast()) as *mut c_void;

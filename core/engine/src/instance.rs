@@ -15,9 +15,9 @@ pub(crate) struct Instance {
     pub raw: *mut c_void,
     pub node_type: &'static abi::NodeType,
     pub open: bool,
-    /// Whether it was handed to its node; one that never was has nothing to complete.
+    /// Whether the node used it; an unused instance has nothing to complete.
     pub begun: bool,
-    /// Frames that it holds beyond its calls.
+    /// Frames that it retains between calls.
     pub kept: Kept,
     /// Files that it claims.
     pub holds: Box<Holds>,
@@ -43,7 +43,7 @@ impl Instance {
         Self { raw: std::ptr::null_mut(), node_type, open: false, begun: false, kept, holds: Box::default() }
     }
 
-    /// The instance, handed to its node.
+    /// Marks the instance as used by its node.
     pub fn begun(mut self) -> Self {
         self.begun = true;
         self
@@ -53,7 +53,7 @@ impl Instance {
         self.open
     }
 
-    /// Closes now instead of at drop.
+    /// Closes now instead of on drop.
     pub fn close(&mut self) {
         let raw = std::mem::replace(&mut self.raw, std::ptr::null_mut());
         let was_open = std::mem::replace(&mut self.open, false);
@@ -65,12 +65,12 @@ impl Instance {
         self.holds.release();
     }
 
-    /// Whether there may be a state for a successor.
+    /// Whether it can save a state for a successor.
     pub fn saves_state(&self) -> bool {
         self.open && self.node_type.save_state.is_some()
     }
 
-    /// State for a successor; `None` when there is none.
+    /// Saves the state for a successor; `None` if there is none.
     pub fn save_state(&mut self, host: &abi::Host) -> Option<Vec<u8>> {
         let save = self.node_type.save_state.filter(|_| self.open)?;
         let host = abi::Host { save: Some(collect), ..*host };
@@ -83,7 +83,7 @@ impl Instance {
         (status == abi::STATUS_OK && !bytes.is_empty()).then_some(bytes)
     }
 
-    /// Takes over a predecessor's state; `false` when it was not understood.
+    /// Loads a predecessor's state; `false` if the node does not understand it.
     pub fn load_state(&mut self, bytes: &[u8]) -> bool {
         let Some(load) = self.node_type.load_state.filter(|_| self.open) else { return false };
         let (raw, who) = (self.raw, self.kept.who());

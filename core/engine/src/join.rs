@@ -1,4 +1,4 @@
-//! A node's inputs: what waits for it, and when it may fire.
+//! The inputs of a node: the packets that wait, and when the node may fire.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
@@ -9,13 +9,13 @@ use crate::decide::Wanted;
 use crate::memory::FrameRef;
 use crate::region::Region;
 
-/// Most packets that a trigger slot keeps while its region is paused.
+/// Most packets that a trigger slot queues while its region is paused.
 const MAX_PAUSED: usize = 1 << 10;
-/// Most packets that wait in live mode to be the nearest, where the graph says nothing: a second of a camera.
+/// Default queue length of `nearest` slots in live mode: about one second of a camera.
 const MAX_NEAREST: usize = 32;
-/// Most packets of another region that wait in live mode to be that of the tick before, where the graph says nothing.
+/// Default queue length of `delay` slots in live mode for packets of another region.
 const MAX_DELAYED: usize = 8;
-/// Packets that a slot has room for from its start at most.
+/// Largest queue capacity that is allocated at the start.
 const MAX_RESERVED: usize = 256;
 
 /// How a slot is matched with the node's other slots.
@@ -36,18 +36,18 @@ pub(crate) struct Slot {
     pub rule: Rule,
     /// The input may be empty or unconnected.
     pub optional: bool,
-    /// Most packets that wait in live mode; older ones are dropped. It is not used for `exact` slots: no more wait there than ticks are in
+    /// Queue length in live mode; older packets are dropped. Not used for `exact` slots, whose queues are limited by the ticks in
     /// the region.
     pub capacity: usize,
     queue: VecDeque<FrameRef>,
     /// Newest non-empty value that was used (`latest`, `delay`).
     held: Option<FrameRef>,
     ended: bool,
-    /// Most packets that waited since somebody last asked.
+    /// Longest queue since [`Slot::fill`] was called last.
     most: usize,
-    /// Packets dropped on this wire because no more could wait.
+    /// Packets dropped because the queue was full.
     dropped: u64,
-    /// A `delay` slot whose producer saw a tick of this node: its packet is waited for.
+    /// For a `delay` slot: a packet of the producer is expected.
     expects: bool,
 }
 
@@ -58,7 +58,7 @@ impl Slot {
         Self { rule, optional, capacity, queue, held: None, ended: false, most: 0, dropped: 0, expects: false }
     }
 
-    /// Most packets that wait where the graph says nothing.
+    /// Default queue length.
     pub fn usual_capacity(rule: Rule) -> usize {
         match rule {
             Rule::Exact | Rule::Latest { .. } => 1,
@@ -67,12 +67,12 @@ impl Slot {
         }
     }
 
-    /// Whether packets are picked by their time or their turn.
+    /// Whether packets are matched by time or by turn.
     pub fn is_timed(&self) -> bool {
         matches!(self.rule, Rule::Nearest { .. } | Rule::Delay)
     }
 
-    /// Packets dropped so far because no more could wait.
+    /// Packets dropped so far because the queue was full.
     pub fn dropped(&self) -> u64 {
         self.dropped
     }
@@ -86,13 +86,13 @@ impl Slot {
         self.most = self.most.max(self.queue.len());
     }
 
-    /// Packets that wait, and the most that waited since the last call.
+    /// Queue length now, and the longest since the last call.
     pub fn fill(&mut self) -> (usize, usize) {
         let waiting = self.queue.len();
         (waiting, std::mem::replace(&mut self.most, waiting))
     }
 
-    /// Takes over what waits on a slot that this one replaces.
+    /// Takes over the queue of the slot that this one replaces.
     fn inherit(&mut self, old: &mut Self) {
         std::mem::swap(&mut self.queue, &mut old.queue);
         self.held = old.held.take();
@@ -102,14 +102,14 @@ impl Slot {
     }
 }
 
-/// What became of an attempt to fire.
+/// Result of an attempt to fire.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Take {
-    /// Something is still missing.
+    /// An input is missing.
     Wait,
-    /// Inputs were staged for this tick; `false` when a required one is empty.
+    /// Inputs are staged for this tick; `complete` is false if a required one is empty.
     Fire { tick: Tick, complete: bool },
-    /// Nothing will ever come again.
+    /// No packet will come again.
     Finished,
 }
 
@@ -137,9 +137,9 @@ pub(crate) struct Join {
     pub staged_take: Option<(Tick, bool)>,
     exact: bool,
     batch: bool,
-    /// Packets that trigger slots may hold beyond their capacity, after a pause.
+    /// Packets beyond their capacity that trigger slots may queue after a pause.
     spare: usize,
-    /// Wall time in ns after which a `nearest` slot is no longer waited for; 0 = not waiting.
+    /// Time in ns of the host's clock after which the node stops waiting for a `nearest` slot; 0 when it does not wait.
     pub nearest_deadline_ns: u64,
 }
 
@@ -198,7 +198,7 @@ impl Join {
         !self.exact && self.slots.iter().any(|s| matches!(s.rule, Rule::Latest { .. } | Rule::Nearest { .. }))
     }
 
-    /// Takes a packet; answers how many were dropped to make room.
+    /// Queues a packet. Returns how many were dropped to make room.
     pub fn push(&mut self, slot: usize, frame: FrameRef) -> u64 {
         let (batch, heads) = (self.batch, !self.exact);
         let slot = &mut self.slots[slot];
@@ -206,11 +206,11 @@ impl Join {
         match slot.rule {
             Rule::Latest { trigger } if !batch => {
                 if frame.is_empty() {
-                    return 0; // An empty port leaves the newest value standing.
+                    return 0; // An empty packet keeps the newest value.
                 }
                 while slot.queue.len() >= slot.capacity + if trigger { self.spare } else { 0 } {
                     slot.queue.pop_front();
-                    // A value that was only looked at is replaced, not lost: only ticks that would have fired count.
+                    // Replacing a value that would not fire loses nothing, so only triggers count.
                     dropped += u64::from(trigger && heads);
                 }
                 slot.dropped += dropped;
@@ -228,12 +228,12 @@ impl Join {
         dropped
     }
 
-    /// Keeps what arrives during a pause instead of the newest only.
+    /// Queues everything that arrives during a pause, not only the newest.
     pub fn pause(&mut self) {
         self.spare = MAX_PAUSED;
     }
 
-    /// The pause is over: what waits is used up, then the newest wins again.
+    /// Ends the pause: the queue drains, then only the newest packet is kept again.
     pub fn resume(&mut self) {
         self.spare = 0;
         for slot in &self.slots {
@@ -250,7 +250,7 @@ impl Join {
         }
     }
 
-    /// Becomes `new`, with what waits on the slots that stay: `from[i]` is the old place of new slot `i`.
+    /// Becomes `new` and takes over the queues of slots that stay: `from[i]` is the old index of new slot `i`.
     pub fn rewire(&mut self, mut new: Join, from: &[Option<usize>]) {
         for (slot, from) in new.slots.iter_mut().zip(from) {
             if let Some(old) = from.and_then(|i| self.slots.get_mut(i)) {
@@ -261,12 +261,12 @@ impl Join {
         *self = Join { turn, spare, ..new };
     }
 
-    /// No further packet comes on this slot.
+    /// No further packet will come on this slot.
     pub fn end(&mut self, slot: usize) {
         self.slots[slot].ended = true;
     }
 
-    /// Fires if everything is there. `region` gates nodes that head one.
+    /// Fires if all inputs are there. `region` must admit the tick for a node that heads one.
     pub fn try_take(&mut self, region: Option<&Region>, now_ns: u64) -> Take {
         if self.is_finished() {
             return Take::Finished;
@@ -274,12 +274,12 @@ impl Join {
         if self.exact { self.take_exact(now_ns) } else { self.take_arrival(region) }
     }
 
-    /// Whether what is taken may depend on who was faster.
+    /// Whether the packets taken may depend on timing.
     pub fn is_timed(&self) -> bool {
         self.slots.iter().any(|s| s.rule != Rule::Exact)
     }
 
-    /// The ticks of the staged packets, `None` where there is none.
+    /// The ticks of the staged packets; `None` for an empty input.
     pub fn staged_ticks(&self) -> Vec<Option<(u32, u64)>> {
         let staged = self.slots.iter().zip(&self.staged);
         let known = |(slot, frame): (&Slot, &FrameRef)| {
@@ -288,7 +288,7 @@ impl Join {
         staged.map(known).collect()
     }
 
-    /// Takes a packet that waits until it is wanted.
+    /// Queues a packet for [`Self::take_wanted`].
     pub fn push_for_decider(&mut self, slot: usize, frame: FrameRef) -> u64 {
         let slot = &mut self.slots[slot];
         if slot.rule == Rule::Exact || !frame.is_empty() {
@@ -297,7 +297,7 @@ impl Join {
         0
     }
 
-    /// Fires with the packets that were taken once, when they are there. What comes before them was passed over then.
+    /// Fires with the packets that the earlier run took, once they are there. Skips the packets before them.
     pub fn take_wanted(
         &mut self,
         region: Option<&Region>,
@@ -329,7 +329,7 @@ impl Join {
             }
             match slot.queue.pop_front() {
                 Some(frame) => slot.held = Some(frame),
-                // Behind a gap of the recording it never comes.
+                // After a gap in the recording it never comes.
                 None if slot.ended => slot.held = None,
                 None => there = false,
             }
@@ -360,8 +360,8 @@ impl Join {
         self.slots[slot].queue.len()
     }
 
-    /// Stages the delay and latest inputs of a source; `false` while the previous tick's value is still under way. `again` says that the
-    /// last staging led to no tick, so that no producer answered it.
+    /// Stages the delay and latest inputs of a source; `false` while the previous tick's value is still being made. `again`: the
+    /// last staging led to no tick, so no producer made a value for it.
     pub fn take_source(&mut self, tick: Tick, again: bool) -> bool {
         if again {
             self.slots.iter_mut().for_each(|s| s.expects = false);
@@ -416,7 +416,7 @@ impl Join {
 
     fn take_arrival(&mut self, region: Option<&Region>) -> Take {
         let fires = |s: &Slot| matches!(s.rule, Rule::Latest { trigger: true });
-        // In batch the merged order must not depend on who was faster: wait until every firing slot shows its next packet.
+        // In batch the merged order must not depend on timing: wait until every firing slot has its next packet.
         if self.batch && self.slots.iter().any(|s| fires(s) && s.queue.is_empty() && !s.ended) {
             return Take::Wait;
         }
@@ -440,7 +440,7 @@ impl Join {
                 return Take::Wait;
             }
         } else {
-            // A required value that never came: the node does not fire.
+            // A required value never came: the node does not fire.
             let missing = |(i, s): (usize, &Slot)| i != index && !s.optional && s.queue.is_empty() && s.held.is_none();
             if self.slots.iter().enumerate().any(missing) {
                 return Take::Wait;
@@ -463,7 +463,7 @@ impl Join {
             let frame = match slot.rule {
                 Rule::Exact => slot.queue.pop_front(),
                 Rule::Delay => {
-                    // The producer's packet of the previous tick; an empty one leaves the last value standing.
+                    // The producer's packet of the previous tick; an empty one keeps the last value.
                     if std::mem::replace(&mut slot.expects, true)
                         && let Some(frame) = slot.queue.pop_front()
                         && !frame.is_empty()

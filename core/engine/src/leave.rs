@@ -1,8 +1,8 @@
-//! Asking a thread to leave.
+//! A request to a thread to leave.
 
 use std::sync::atomic::{AtomicU8, Ordering};
 
-/// A request to a thread to leave, which it accepts before it does.
+/// A request to leave; the thread acknowledges it before it returns.
 #[derive(Default)]
 pub(crate) struct Leave(AtomicU8);
 
@@ -18,7 +18,7 @@ impl Leave {
         self.0.load(Ordering::Relaxed) != 0
     }
 
-    /// Called by the thread: whether it leaves now.
+    /// Called by the thread: whether it has to leave now.
     pub fn accept(&self) -> bool {
         self.0.load(Ordering::Relaxed) != 0 && {
             let _ = self.0.compare_exchange(Self::REQUESTED, Self::ACCEPTED, Ordering::AcqRel, Ordering::Relaxed);
@@ -26,12 +26,12 @@ impl Leave {
         }
     }
 
-    /// Takes the request back; `false` when the thread has set out to leave.
+    /// Withdraws the request; `false` if the thread has acknowledged it.
     pub fn withdraw(&self) -> bool {
         self.0.compare_exchange(Self::REQUESTED, 0, Ordering::AcqRel, Ordering::Acquire) != Err(Self::ACCEPTED)
     }
 
-    /// For the next thread.
+    /// Resets the request for the next thread.
     pub fn reset(&self) {
         self.0.store(0, Ordering::Release);
     }

@@ -1,7 +1,7 @@
 //! The Panoscope engine: it runs checked graphs and reports how they do.
 //!
-//! [`Engine`] opens the nodes of a checked graph and walks ticks through them. Nothing here knows what a node does, where its code comes
-//! from ([`Plugins`]), who writes the run down ([`observe::Observer`]) or what it follows besides the clock ([`decide::Decider`]).
+//! [`Engine`] opens the nodes of a checked graph and runs ticks through them. It does not know what a node does, where its code comes
+//! from ([`Plugins`]), who records the run ([`observe::Observer`]) or who replaces the clock in a replay ([`decide::Decider`]).
 
 mod apply;
 mod busy;

@@ -1,4 +1,4 @@
-//! What a loader of plugins needs of the process that the plugins run in: the host's table, and the names for a crash report.
+//! What a plugin loader needs from the engine: the host's function table, and names for crash reports.
 
 use std::path::Path;
 
@@ -25,7 +25,7 @@ pub fn remember(entries: &[&'static abi::NodeType], file: &Path) {
     who::loaded(entries, file);
 }
 
-/// The same check of parameters; a crash report names its node type and file.
+/// Wraps a check of parameters so that a crash report names its node type and file.
 pub fn guard_check(node_type: &str, file: &Path, validator: Validator) -> Validator {
     who::checking(node_type, file, validator)
 }

@@ -1,4 +1,4 @@
-//! Where words of nodes and of the engine go.
+//! The log of nodes and of the engine.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use crate::outbox::{self, Outbox};
 
-/// How much a line matters.
+/// Severity of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Level {
     /// A node failed.
@@ -15,28 +15,28 @@ pub enum Level {
     Warn,
     /// Progress.
     Info,
-    /// For whoever debugs a node.
+    /// For debugging a node.
     Debug,
 }
 
-/// Takes a line: level, node, words. Called on a thread of the log's own, one line after the other.
+/// Receives a line: level, node, text. Called on the log's thread, one line at a time.
 pub type LogFn = dyn Fn(Level, &str, &str) + Send + Sync;
 
-/// Level, node, words.
+/// Level, node, text.
 type Line = (Level, String, String);
 
 /// The newest lines.
 #[derive(Default)]
 struct Recent(Mutex<VecDeque<Line>>);
 
-/// The engine's log: passes lines on and remembers the newest ones. Whoever says something never waits for whoever reads it.
+/// The engine's log: passes lines on and keeps the newest ones. Writers never wait for the reader.
 pub struct Log {
     out: Option<Outbox<Line>>,
     recent: Arc<Recent>,
 }
 
 const REMEMBERED: usize = 256;
-/// In lines of the log about itself, the name in the node's place.
+/// Name in place of a node's in lines about the log itself.
 const NAME: &str = "log";
 
 impl Recent {
@@ -59,7 +59,7 @@ impl Log {
         let told = Arc::clone(&recent);
         let out = sink.map(|sink| {
             let note = |n| {
-                (Level::Warn, NAME.to_owned(), format!("{n} lines were left out: they came faster than they were read"))
+                (Level::Warn, NAME.to_owned(), format!("{n} lines were skipped: they came faster than they were read"))
             };
             let write = move |(level, node, words): Line| sink(level, &node, &words);
             let panicked = move |words: &str| {
@@ -71,18 +71,18 @@ impl Log {
         Self { out, recent }
     }
 
-    /// Takes a line.
+    /// Adds a line.
     pub fn write(&self, level: Level, node: &str, message: &str) {
         let line = (level, node.to_owned(), message.to_owned());
         let mut lines = self.recent.lines();
-        // Put in under the lock, so that both have the same order.
+        // Under the lock, so that both have the same order.
         if let Some(out) = &self.out {
             out.put(line.clone());
         }
         Recent::push(&mut lines, line);
     }
 
-    /// Waits until all lines are passed on, at most `limit`; `false` when they are not by then.
+    /// Waits at most `limit` until all lines are passed on; `false` if they are not.
     pub fn flush(&self, limit: Duration) -> bool {
         self.out.as_ref().is_none_or(|out| out.flush(limit))
     }
@@ -93,8 +93,8 @@ impl Log {
     }
 }
 
-/// Waits until the lines and faults of all engines of the process are passed on, at most `limit`; `false` when they are not by then. For a
-/// program that goes down: it takes no lock and uses no memory.
+/// Waits at most `limit` until the lines and faults of all engines of the process are passed on; `false` if they are not. For a
+/// program that is crashing: takes no lock and allocates nothing.
 pub fn flush_all(limit: Duration) -> bool {
     outbox::flush_all(limit)
 }
@@ -119,7 +119,7 @@ mod tests {
         drop(go);
         assert!(log.flush(Duration::from_secs(60)));
         let lines: Vec<Line> = lines.try_iter().collect();
-        let skipped_tick = lines.iter().find(|l| l.1 == NAME).expect("it says how many lines were left out");
-        assert!(skipped_tick.2.contains("lines were left out"), "{skipped_tick:?}");
+        let skipped_tick = lines.iter().find(|l| l.1 == NAME).expect("the count of skipped lines");
+        assert!(skipped_tick.2.contains("lines were skipped"), "{skipped_tick:?}");
     }
 }

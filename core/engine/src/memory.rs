@@ -1,7 +1,7 @@
 //! Frame memory: reference-counted buffers named by (pool, offset).
 //!
 //! One pool per power of two. A pool reserves address space once and touches it slot by slot, so a buffer's address is its pool's base
-//! plus its offset, and never changes. Buffers come back to their pool's free list when the last reference goes.
+//! plus its offset, and never changes. A buffer returns to its pool's free list with its last reference.
 
 use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering, fence};
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -26,7 +26,7 @@ struct Free {
     untouched: u32,
 }
 
-// SAFETY: `base` is a mapping that is never undone; slots are handed out once at a time under `free` and `references`.
+// SAFETY: `base` is a mapping that is never removed; `free` and `references` hand out each slot to one owner at a time.
 unsafe impl Send for Pool {}
 // SAFETY: as above.
 unsafe impl Sync for Pool {}
@@ -39,7 +39,7 @@ pub struct Memory {
     allocations: AtomicU64,
 }
 
-/// Why a buffer could not be had.
+/// Why no buffer could be allocated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MemoryError {
     /// The limit is reached or the pool has no slot left.
@@ -126,7 +126,7 @@ impl Memory {
         self.pools.get((number as usize).checked_sub(1)?)?.get()?.as_ref()
     }
 
-    /// A buffer of at least `len` bytes with one reference; its contents are what was there before.
+    /// A buffer of at least `len` bytes with one reference; its contents are unspecified, but initialised.
     pub fn allocate(&self, len: usize) -> Result<(BufferId, *mut u8), MemoryError> {
         let bits = usize::BITS - len.max(1).saturating_sub(1).leading_zeros();
         let bits = bits.max(SMALLEST_BITS);
@@ -175,14 +175,14 @@ impl Memory {
         self.slot(id).map_or(0, |(pool, slot)| pool.references[slot].load(Ordering::Acquire))
     }
 
-    /// One reference more to a buffer that the caller holds one of.
+    /// Adds a reference to a buffer of which the caller holds one.
     pub(crate) fn retain(&self, id: BufferId) {
         if let Some((pool, slot)) = self.slot(id) {
             pool.references[slot].fetch_add(1, Ordering::Relaxed);
         }
     }
 
-    /// One reference more to a buffer that somebody holds; `false` when nobody does, or there is no such buffer.
+    /// Adds a reference to a buffer that is in use; `false` if it is not, or does not exist.
     pub(crate) fn retain_held(&self, id: BufferId) -> bool {
         let Some((pool, slot)) = self.slot(id) else { return false };
         let references = &pool.references[slot];
@@ -196,8 +196,8 @@ impl Memory {
         false
     }
 
-    /// One reference more to the buffer of a frame that came from a plugin; `false` when there is no such buffer in use, or its address or
-    /// length do not fit it.
+    /// Adds a reference to the buffer of a frame that came from a plugin; `false` if no such buffer is in use, or its address or
+    /// length do not match.
     pub(crate) fn retain_checked(&self, frame: &Frame) -> bool {
         let Some((pool, _)) = self.slot(frame.buffer) else { return false };
         // SAFETY: the slot lies inside the reserved mapping.
@@ -205,7 +205,7 @@ impl Memory {
         frame.data == address && frame.len <= 1 << pool.bits && self.retain_held(frame.buffer)
     }
 
-    /// One reference less; the last one gives the buffer back.
+    /// Removes a reference; the last one frees the buffer.
     pub(crate) fn release(&self, id: BufferId) {
         let Some((pool, slot)) = self.slot(id) else { return };
         let before = pool.references[slot].load(Ordering::Relaxed);
@@ -220,7 +220,7 @@ impl Memory {
     }
 }
 
-/// One reference to a frame's buffer, or to none for an empty port. Lies in memory like the contract's [`Frame`].
+/// One reference to a frame's buffer, or none for an empty port. Same layout as the contract's [`Frame`].
 #[derive(Debug)]
 #[repr(transparent)]
 pub struct FrameRef(Frame);
@@ -240,22 +240,22 @@ impl FrameRef {
         Self(frame)
     }
 
-    /// Becomes empty without giving its reference back; somebody else has it now.
+    /// Becomes empty without releasing its reference, which somebody else took over.
     #[inline]
     pub(crate) fn forget(&mut self) {
         self.0 = Frame::EMPTY;
     }
 
-    /// Looks at a frame in a list as the reference that it holds.
+    /// Views a frame in a list as the reference that it holds.
     ///
     /// # Safety
-    /// As for [`Self::adopt`], but the reference stays with the list: taking it out leaves an empty frame behind.
+    /// As for [`Self::adopt`], but the reference stays with the list: taking it leaves an empty frame behind.
     pub(crate) unsafe fn adopt_in_place(frame: &mut Frame) -> &mut Self {
         // SAFETY: `Self` is a transparent `Frame`.
         unsafe { &mut *(&raw mut *frame).cast() }
     }
 
-    /// Gives the reference to the caller.
+    /// Hands the reference to the caller.
     pub fn into_raw(self) -> Frame {
         let frame = self.0;
         std::mem::forget(self);
@@ -320,7 +320,7 @@ mod tests {
         memory.release(id);
         assert_eq!(memory.references(id), 0);
         memory.release(id);
-        assert_eq!(memory.references(id), 0, "one release too many does no harm");
+        assert_eq!(memory.references(id), 0, "one release too many is harmless");
     }
 
     #[test]

@@ -1,10 +1,10 @@
-//! Numbers that a packet tells: the value of a scalar, the rows of a table.
+//! Numbers of a packet: the value of a scalar, the rows of a table.
 
 use std::mem::offset_of;
 
 use panoscope_abi as abi;
 
-/// Most columns and rows that are read.
+/// Limit of columns and rows that are read.
 const MOST: usize = 4096;
 
 /// Named numbers, row by row.
@@ -29,7 +29,7 @@ impl Numbers {
     }
 }
 
-/// Whether packets of that type tell numbers.
+/// Whether packets of this type hold numbers.
 pub fn tells_numbers(packet: &str) -> bool {
     matches!(packet, "scalar" | "table")
 }
@@ -51,7 +51,7 @@ fn text(bytes: &[u8], at: usize, len: usize) -> String {
     String::from_utf8_lossy(bytes).trim_end_matches('\0').to_owned()
 }
 
-/// Reads a packet of type `packet`; `None` for types without numbers. What lies beyond its end reads as unknown.
+/// Reads a packet of type `packet`; `None` for types without numbers. Values beyond its end read as NaN.
 pub fn read(bytes: &[u8], packet: &str) -> Option<Numbers> {
     match packet {
         "scalar" => {
@@ -100,7 +100,7 @@ mod tests {
         let table = read(&bytes, "table").unwrap_or_default();
         assert_eq!(table.names, ["x mm", "y"]);
         assert_eq!(table.rows().collect::<Vec<_>>(), [[1.0, -2.0], [3.0, f64::INFINITY]]);
-        // Cut off anywhere it is read without harm.
+        // Truncated anywhere, it reads without harm.
         for end in 0..bytes.len() {
             read(&bytes[..end], "table");
         }

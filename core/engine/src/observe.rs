@@ -10,17 +10,17 @@ use panoscope_graph::{Graph, ParamValue};
 use crate::apply::Applied;
 use crate::fault::Fault;
 
-/// What happened, in the order in which it happened to its node.
+/// An event of a run, in the order in which it happened to its node.
 #[derive(Clone, Debug)]
 pub enum Event {
-    /// A live source's tick was dropped where it would have entered.
+    /// A live source's tick was dropped at the head of its region.
     Dropped {
         /// The source.
         node: String,
         /// The tick.
         seq: u64,
     },
-    /// Which packets a node took whose inputs do not all belong to one tick.
+    /// The packets that a node took whose inputs do not all belong to one tick.
     Took {
         /// The node.
         node: String,
@@ -29,7 +29,7 @@ pub enum Event {
         /// Source slot and number of each connection's packet, `None` where there was none.
         inputs: Vec<Option<(u32, u64)>>,
     },
-    /// From this tick on a node had these values, all its parameters in declaration order.
+    /// From this tick on a node had these values: all its parameters in declaration order.
     Values {
         /// The node.
         node: String,
@@ -38,7 +38,7 @@ pub enum Event {
         /// The values.
         values: Vec<ParamValue>,
     },
-    /// Before this tick a node was opened anew: after a fault, or with values that need it.
+    /// Before this tick a node reopened: after a fault, or for values that need it.
     Opened {
         /// The node.
         node: String,
@@ -47,16 +47,16 @@ pub enum Event {
         /// All its parameters, in declaration order.
         values: Vec<ParamValue>,
     },
-    /// A node made nothing of a tick although its inputs were there: it was down, failed, or had been called just before.
+    /// A node skipped a tick although its inputs were complete: it was down, failed, or over its rate limit.
     Skipped {
         /// The node.
         node: String,
         /// The tick.
         tick: Tick,
-        /// Its instance was given up.
+        /// Whether its instance was closed.
         closed: bool,
     },
-    /// A parameter was set; a [`Event::Values`] or [`Event::Opened`] says from which tick on.
+    /// A parameter was set; a later [`Event::Values`] or [`Event::Opened`] names the tick from which on.
     Set {
         /// The node.
         node: String,
@@ -69,7 +69,7 @@ pub enum Event {
         graph: Box<Graph>,
         /// Ticks that the regions it touched had admitted, by head.
         admitted: Vec<(String, u64)>,
-        /// What it did; `switched_at` names the first tick of each source that met the new graph.
+        /// Its effects; `switched_at` names the first tick of each source under the new graph.
         applied: Box<Applied>,
         /// Names and files of the graph's plugins, where they changed.
         plugins: Vec<(String, PathBuf)>,

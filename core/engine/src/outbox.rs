@@ -1,5 +1,5 @@
-//! A bounded queue in front of something that may be slow: a terminal that nobody reads, a full pipe, a disk. Whoever puts something in
-//! never waits; what finds no room is counted, and the count stands in the place of what was left out.
+//! A bounded queue in front of a slow reader: a terminal that nobody reads, a full pipe, a disk. Writers never wait. Items that find the
+//! queue full are counted, and the count takes their place.
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -7,9 +7,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Items that wait; more are left out.
+/// Length of the queue; more items are skipped.
 pub(crate) const MAX_WAITING: usize = 1024;
-/// How long the end of a queue waits for what is still to be written.
+/// How long dropping a queue waits for items that are not written yet.
 const LONGEST_FLUSH: Duration = Duration::from_secs(1);
 
 /// Items of all queues of the process that are not written yet.
@@ -27,18 +27,18 @@ struct State<T> {
 
 struct Inner<T> {
     state: Mutex<State<T>>,
-    /// Something waits, or the end has come.
+    /// An item waits, or the queue ends.
     wake: Condvar,
-    /// Nothing waits any more.
+    /// No item waits.
     done: Condvar,
-    /// Makes the item that stands for so many that were left out.
+    /// Makes the item that stands for this many skipped ones.
     note: fn(u64) -> T,
 }
 
 /// See the module.
 pub(crate) struct Outbox<T: Send + 'static> {
     inner: Arc<Inner<T>>,
-    /// Without a thread whoever puts something in writes it.
+    /// Without a thread the caller of `put` writes the item.
     direct: Option<Mutex<Write<T>>>,
 }
 
@@ -47,7 +47,7 @@ impl<T> Inner<T> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes what is to be written next; `None` at the end.
+    /// The next item to write; `None` at the end.
     fn next(&self) -> Option<T> {
         let mut state = self.state();
         state.writing = false;
@@ -71,8 +71,8 @@ impl<T> Inner<T> {
 }
 
 impl<T: Send + 'static> Outbox<T> {
-    /// A queue that a thread of this name hands to `write`, one item after the other. A panic of `write` loses one item, not the queue;
-    /// `panicked` hears what it says.
+    /// A queue whose thread, of this name, passes items to `write` one after the other. A panic of `write` loses one item, not the queue;
+    /// `panicked` receives the panic's message.
     pub fn new(
         name: &str,
         note: fn(u64) -> T,
@@ -87,7 +87,7 @@ impl<T: Send + 'static> Outbox<T> {
                 panicked(panic_words(&*payload));
             }
         });
-        // Handed over by a place of their own: where no thread can be had they are still here.
+        // Passed through a mutex, so that they are still here if no thread can be started.
         let place = Arc::new(Mutex::new(Some(guarded)));
         let (mine, theirs) = (Arc::clone(&inner), Arc::clone(&place));
         let started = std::thread::Builder::new().name(name.to_owned()).spawn(move || {
@@ -105,7 +105,7 @@ impl<T: Send + 'static> Outbox<T> {
         Self { inner, direct }
     }
 
-    /// Takes an item; never waits.
+    /// Adds an item; never waits.
     pub fn put(&self, item: T) {
         if let Some(direct) = &self.direct {
             return direct.lock().unwrap_or_else(PoisonError::into_inner)(item);
@@ -127,7 +127,7 @@ impl<T: Send + 'static> Outbox<T> {
         self.inner.wake.notify_one();
     }
 
-    /// Waits until all is written, at most `limit`; `false` when it is not by then.
+    /// Waits at most `limit` until all items are written; `false` if they are not.
     pub fn flush(&self, limit: Duration) -> bool {
         let until = Instant::now() + limit;
         let mut state = self.inner.state();
@@ -145,13 +145,13 @@ impl<T: Send + 'static> Drop for Outbox<T> {
     fn drop(&mut self) {
         self.inner.state().ended = true;
         self.inner.wake.notify_all();
-        // A thread that cannot write now is left to itself.
+        // A thread that cannot write now is detached.
         self.flush(LONGEST_FLUSH);
     }
 }
 
-/// Waits until everything is written that was put into any queue of the process, at most `limit`. Takes no lock and uses no memory, so that it
-/// may be called while the program goes down.
+/// Waits at most `limit` until all queues of the process are written. Takes no lock and allocates nothing, so that it
+/// may be called while the program crashes.
 pub(crate) fn flush_all(limit: Duration) -> bool {
     const STEP_MS: u64 = 2;
     for _ in 0..limit.as_millis() as u64 / STEP_MS + 1 {
@@ -163,7 +163,7 @@ pub(crate) fn flush_all(limit: Duration) -> bool {
     false
 }
 
-/// What a panic said.
+/// The message of a panic.
 pub fn panic_words(payload: &(dyn std::any::Any + Send)) -> &str {
     let text = payload.downcast_ref::<&str>().copied();
     text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("without a message")

@@ -1,10 +1,10 @@
-//! What an output may hold, checked where it is made, so that a bad frame is a fault of the node that made it.
+//! Checks of outputs where they are made, so that a bad frame is a fault of the node that made it.
 
 use panoscope_abi::{self as abi, Frame};
 
 use crate::fault::Cause;
 
-/// Largest output that a node may make.
+/// Largest output of a node.
 pub(crate) const LARGEST_OUTPUT_BYTES: usize = 256 << 20;
 
 /// Bytes per pixel of the image formats.
@@ -13,22 +13,22 @@ const BYTES_PER_PIXEL: [usize; 7] = [0, 1, 3, 4, 2, 4, 16];
 /// Names of the formats in graph files.
 const FORMAT_NAMES: [&str; 7] = ["bytes", "gray8", "bgr8", "rgba8", "gray16", "f32", "cloud"];
 
-/// Looks at the contents of an output after the call.
+/// How to check the contents of an output after a call.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Look {
     Nothing,
-    /// Plain data of this size whose first `finite` f64 must be numbers.
+    /// Plain data of this size whose first `finite` f64 must be finite.
     Plain {
         size: usize,
         finite: usize,
     },
-    /// A homography that is not lost must be made of numbers.
+    /// A homography, finite unless it is marked as lost.
     Homography,
     /// A plane of f32 without NaN.
     Plane,
 }
 
-/// What one output may hold.
+/// The declaration of one output as the checks need it.
 pub(crate) struct OutputRule {
     pub name: String,
     formats: u32,
@@ -77,7 +77,7 @@ impl OutputRule {
         self.formats
     }
 
-    /// Formats of which [`Self::inspect`] looks at the contents, one bit each.
+    /// Formats whose contents [`Self::inspect`] checks, one bit each.
     pub fn inspected(&self) -> u32 {
         match self.look {
             Look::Nothing => 0,
@@ -86,7 +86,7 @@ impl OutputRule {
         }
     }
 
-    /// What is wrong with a description that does not [`fit`].
+    /// Why a description does not [`fit`].
     #[cold]
     pub fn objection(&self, frame: &Frame) -> (Cause, String) {
         let allowed = is_allowed(self.formats, frame.format);
@@ -109,15 +109,15 @@ impl OutputRule {
         (Cause::BadOutput, words)
     }
 
-    /// Whether a packet that no call of the node made may be put out: what a recording holds is checked like what is made.
+    /// Checks a packet that comes from a recording in place of a call.
     pub fn admit(&self, frame: &Frame) -> Result<(), (Cause, String)> {
         if fits(self.formats, frame) { self.inspect(frame, frame) } else { Err(self.objection(frame)) }
     }
 
-    /// Looks at what the node made: `shown` is what it may have tampered with.
+    /// Checks what the node made. `shown` is the copy that the node could change.
     pub fn inspect(&self, frame: &Frame, shown: &Frame) -> Result<(), (Cause, String)> {
         if !is_same(frame, shown) {
-            let words = format!("output `{}` was changed by the node behind the host's back", self.name);
+            let words = format!("the node changed the description of output `{}`, which only the host may", self.name);
             return Err((Cause::BadOutput, words));
         }
         if self.look == Look::Nothing { Ok(()) } else { self.look_inside(frame) }
@@ -138,7 +138,7 @@ impl OutputRule {
         // SAFETY: the frame's buffer holds `size` bytes and is aligned to 64; no other thread writes it.
         let numbers = unsafe { std::slice::from_raw_parts(frame.data.cast::<f64>(), finite) };
         if let Look::Homography = self.look {
-            // SAFETY: size and alignment as above; plain data.
+            // SAFETY: `len == size` was checked and buffers are aligned to 64 bytes; any bytes are valid plain data.
             let lost = unsafe { (*frame.data.cast::<abi::Homography>()).state } == abi::STATE_LOST;
             if lost {
                 return Ok(());
@@ -150,7 +150,7 @@ impl OutputRule {
         }
     }
 
-    /// A few dozen places spread over the plane: a full scan would cost more than many nodes do.
+    /// Samples a few dozen pixels of the plane, because a full scan would cost more than many nodes do.
     fn look_at_plane(&self, frame: &Frame) -> Result<(), (Cause, String)> {
         const LOOKS: usize = 32;
         if frame.format != abi::FORMAT_F32 {
@@ -159,7 +159,7 @@ impl OutputRule {
         let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
         for look in 0..LOOKS {
             let (y, x) = (look * height / LOOKS, (look * 7919 + 13) % width);
-            // SAFETY: row and column lie inside the checked geometry; the read need not be aligned.
+            // SAFETY: row and column lie inside the geometry checked above; the read is unaligned.
             let value = unsafe { frame.data.add(y * stride + x * 4).cast::<f32>().read_unaligned() };
             if value.is_nan() {
                 let words = format!("output `{}` holds NaN at column {x}, row {y}", self.name);
@@ -170,7 +170,7 @@ impl OutputRule {
     }
 }
 
-/// Whether a description is one that an output of these formats may have.
+/// Whether an output of these formats may have this description.
 #[inline]
 pub(crate) fn fits(formats: u32, frame: &Frame) -> bool {
     is_allowed(formats, frame.format) && frame.len <= LARGEST_OUTPUT_BYTES && geometry_fits(frame)
@@ -181,7 +181,7 @@ fn is_allowed(formats: u32, format: u32) -> bool {
     if formats == 0 { format <= abi::FORMAT_CLOUD } else { format < 32 && formats >> format & 1 == 1 }
 }
 
-/// Whether a node left the description as the host made it.
+/// Whether the node's copy of the description still equals the host's.
 #[inline]
 pub(crate) fn is_same(frame: &Frame, shown: &Frame) -> bool {
     frame.buffer == shown.buffer
@@ -192,7 +192,7 @@ pub(crate) fn is_same(frame: &Frame, shown: &Frame) -> bool {
         && frame.stride_bytes == shown.stride_bytes
 }
 
-/// Whether the rows lie inside the buffer; 0 pixels are none.
+/// Whether the rows lie inside the buffer. An image without pixels does not fit.
 #[inline]
 fn geometry_fits(frame: &Frame) -> bool {
     if frame.format == abi::FORMAT_BYTES {

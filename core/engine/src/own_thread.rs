@@ -7,7 +7,7 @@ use std::time::Instant;
 use crate::node::NodeRuntime;
 use crate::pool;
 
-/// A thread that belongs to a node. It may run the nodes after it, too.
+/// A thread that belongs to a node. It may also run the nodes after it.
 pub(crate) struct OwnThread {
     pub node: usize,
     pub runtime: Arc<NodeRuntime>,
@@ -15,7 +15,7 @@ pub(crate) struct OwnThread {
 }
 
 impl OwnThread {
-    /// Waits until it has left, but no longer than until then.
+    /// Waits until the thread ends or the deadline passes.
     pub fn join_until(self, until: Instant) {
         pool::join_until(self.handle, until);
     }

@@ -15,7 +15,7 @@ pub struct Snapshot {
 }
 
 impl Snapshot {
-    /// Lays values out for the contract; every snapshot has a version of its own.
+    /// Converts values to the contract's layout. Every snapshot has its own version.
     pub fn new(owned: Vec<ParamValue>) -> Arc<Self> {
         static VERSION: AtomicU64 = AtomicU64::new(1);
         let laid_out = ParamSnapshot::new(&owned);
@@ -27,12 +27,12 @@ impl Snapshot {
         self.laid_out.values()
     }
 
-    /// As the graph crate states them.
+    /// As values of the graph crate.
     pub fn owned(&self) -> &[ParamValue] {
         &self.owned
     }
 
-    /// Differs from every other snapshot's.
+    /// Differs from the version of every other snapshot.
     pub fn version(&self) -> u64 {
         self.version
     }
@@ -56,7 +56,7 @@ impl InForce {
     /// In force from the next tick on.
     pub fn set(&self, snapshot: Arc<Snapshot>) {
         let mut place = self.snapshot.lock().unwrap_or_else(PoisonError::into_inner);
-        // Under the lock: of two writers the number must be the snapshot's that stays.
+        // Under the lock, so that the version belongs to the snapshot that stays when two threads write.
         self.version.store(snapshot.version(), Ordering::Release);
         *place = snapshot;
     }

@@ -1,7 +1,7 @@
-//! From a checked graph to what the scheduler walks: who reads what, which nodes run inline, which form a region.
+//! Lays out a checked graph for the scheduler: readers of each output, inline chains, regions.
 //!
-//! A node has a *slot*, a number that stays its own as long as a node of its name is in the graph, so that ticks and tasks under
-//! way mean the same before and after a change. Slots of removed nodes are used again.
+//! A node has a *slot*, a number that it keeps as long as a node of its name is in the graph, so that ticks and tasks in
+//! flight mean the same node before and after a change. Slots of removed nodes are reused.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -20,23 +20,23 @@ use crate::region::Region;
 pub(crate) struct Reader {
     pub node: usize,
     pub slot: usize,
-    /// It wants gray8 where bgr8 may come.
+    /// It reads gray8 and the producer may make bgr8.
     pub convert: bool,
-    /// Formats that it takes; 0 for any.
+    /// Formats that it accepts, one bit each; 0 for any.
     pub accepts: u32,
 }
 
-/// The one reader of a node, when it runs inline after it.
+/// The only reader of a node, if it runs inline after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Inline {
     pub port: usize,
     pub node: usize,
-    /// It runs even if its input is empty.
+    /// Whether it runs with an empty input.
     pub optional: bool,
     pub accepts: u32,
 }
 
-/// A node that runs inline after another, as the scratch along a chain needs it.
+/// A step of an inline chain.
 pub(crate) struct Link {
     pub runtime: Arc<NodeRuntime>,
     pub node: u32,
@@ -44,29 +44,29 @@ pub(crate) struct Link {
     pub port: u32,
     pub accepts: u32,
     pub optional: bool,
-    /// Its one input port is this one, with this one connection.
+    /// Whether the node has no other input.
     pub lone: bool,
     pub sink: bool,
 }
 
-/// What the scheduler needs to know of a node besides its runtime.
+/// The connections of a node as the scheduler needs them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Wiring {
     /// Readers of each output.
     pub readers: Vec<Vec<Reader>>,
     pub inline: Option<Inline>,
-    /// First node of the inline chain that this one is part of.
+    /// First node of the inline chain that contains this one.
     pub chain_head: usize,
     pub region: usize,
-    /// No exact reader: its tick ends here.
+    /// Whether its ticks end here: no reader by an exact input.
     pub leaf: bool,
-    /// Nobody reads any output.
+    /// Whether no output has a reader.
     pub sink: bool,
-    /// Whether somebody's tick waits for what it makes.
+    /// Whether a tick waits for its outputs.
     pub urgency: Urgency,
 }
 
-/// What a region is made of.
+/// The nodes of a region.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Extent {
     pub head: usize,
@@ -79,22 +79,22 @@ pub(crate) struct Extent {
 /// A graph laid out for the scheduler. All lists but the regions' are indexed by slot.
 pub(crate) struct Plan {
     pub runtimes: Vec<Arc<NodeRuntime>>,
-    /// Slots without a node keep the runtime of the last one.
+    /// Slots without a node keep the runtime of the node that was there.
     pub alive: Vec<bool>,
     pub wiring: Vec<Wiring>,
-    /// All chains, each in the order of its nodes, without its head.
+    /// All inline chains one after the other, each in node order without its head.
     links: Vec<Link>,
-    /// Where in `links` those stand that follow a node.
+    /// The range of `links` that follows each node.
     following: Vec<Range<u32>>,
     pub regions: Vec<Arc<Region>>,
     pub extents: Vec<Extent>,
-    /// For each region, who reads from it without being part of it: node and slot.
+    /// For each region, its readers in other regions: node and input slot.
     pub outsiders: Vec<Vec<(usize, usize)>>,
     /// Slot of each node of the graph.
     pub slots: Vec<usize>,
-    /// Some input waits for a nearby packet, so somebody must watch the time.
+    /// Whether an input waits for the nearest packet, so that the watchdog has to check its deadline.
     pub nearest: bool,
-    /// Ticks of a region that may be under way; see [`crate::Options::ticks_at_once`].
+    /// Ticks of a region that may be in flight; see [`crate::Options::ticks_at_once`].
     pub ticks_at_once: Option<u32>,
 }
 
@@ -104,7 +104,7 @@ impl Plan {
         self.runtimes.iter().enumerate().filter(|(slot, _)| self.alive[*slot])
     }
 
-    /// The region that a node is part of.
+    /// The region of a node.
     pub fn region_of(&self, node: usize) -> &Arc<Region> {
         &self.regions[self.wiring[node].region]
     }
@@ -148,24 +148,24 @@ fn head_of(graph: &Graph, mut node: usize) -> usize {
     node
 }
 
-/// Most packets that wait on a wire in live mode, see [`Slot::capacity`].
+/// Queue length of an edge in live mode, see [`Slot::capacity`].
 fn capacity(graph: &Graph, edge: &Edge, any_trigger: bool) -> usize {
     let rule = rule(edge, any_trigger);
     if rule == Rule::Delay && head_of(graph, edge.from_node) == head_of(graph, edge.to_node) {
-        // Each tick of the region wants its packet.
+        // Each tick of the region needs its packet.
         return usize::MAX;
     }
     edge.queue.map_or_else(|| Slot::usual_capacity(rule), |queue| queue as usize)
 }
 
-/// The same for all wires into a node, in the order of its slots.
+/// The same for all edges into a node, in the order of its slots.
 pub(crate) fn capacities(graph: &Graph, node: usize) -> impl Iterator<Item = usize> {
     let edges = graph.inputs_of(node);
     let any_trigger = edges.iter().any(|e| e.trigger);
     edges.iter().map(move |edge| capacity(graph, edge, any_trigger))
 }
 
-/// Empty inputs of a node, and which slots belong to which port.
+/// Empty inputs of a node, and the slots of each port.
 pub(crate) fn inputs(graph: &Graph, catalog: &Catalog, node: usize) -> (Join, Vec<PortRange>) {
     let description = graph.nodes[node].node_type(catalog);
     let edges = graph.inputs_of(node);
@@ -175,7 +175,7 @@ pub(crate) fn inputs(graph: &Graph, catalog: &Catalog, node: usize) -> (Join, Ve
     for (port, declared) in description.inputs.iter().enumerate() {
         let first = slots.len() as u32;
         for edge in edges.iter().filter(|e| e.to_port == port) {
-            // A list's entries may be empty one by one.
+            // Each entry of a list may be empty.
             let optional = declared.optional || declared.list;
             slots.push(Slot::new(rule(edge, any_trigger), optional, capacity(graph, edge, any_trigger)));
         }
@@ -189,7 +189,7 @@ pub(crate) fn outputs_read(graph: &Graph, node: usize) -> u64 {
     graph.outputs_of(node).fold(0u64, |bits, e| bits | 1u64.checked_shl(e.from_port as u32).unwrap_or(0))
 }
 
-/// A runtime for a node of the graph; its instance is not open yet.
+/// The runtime of a node of the graph, without an open instance.
 pub(crate) fn runtime(
     graph: &Graph,
     catalog: &Catalog,
@@ -215,7 +215,7 @@ pub(crate) fn runtime(
     Arc::new(NodeRuntime::new(spec, join, Snapshot::new(node.params.clone())))
 }
 
-/// Lays out a graph whose nodes have runtimes already. `slots` says where each stands; regions of `old` whose head stays are used on.
+/// Lays out a graph whose nodes have runtimes. `slots` is the slot of each node; regions of `old` whose head stays are kept.
 pub(crate) fn lay_out(
     graph: &Graph,
     catalog: &Catalog,
@@ -254,7 +254,7 @@ fn outsiders(wiring: &[Wiring], region: usize, extent: &Extent) -> Vec<(usize, u
     readers.filter(|r| wiring[r.node].region != region).map(|r| (r.node, r.slot)).collect()
 }
 
-/// Writes the chains down in the order in which they are walked.
+/// Lists the inline chains in the order in which they run.
 fn link(runtimes: &[Arc<NodeRuntime>], alive: &[bool], wiring: &[Wiring]) -> (Vec<Link>, Vec<Range<u32>>) {
     let mut links = Vec::new();
     let mut following = vec![0..0; runtimes.len()];
@@ -288,7 +288,7 @@ fn format_number(name: &str) -> Option<u32> {
     known.into_iter().find(|f| crate::outputs::format_name(*f) == name)
 }
 
-/// A reader runs inline when it reads nothing else and nobody else reads its producer.
+/// A reader runs inline if it reads nothing else and its producer has no other reader.
 fn inline_chains(
     graph: &Graph,
     catalog: &Catalog,
@@ -315,19 +315,19 @@ fn inline_chains(
     }
 }
 
-/// Ticks inside a region in batch. Not the number of threads: how far ticks overlap must not depend on it where a delay closes a loop.
+/// Ticks inside a region in batch. Independent of the number of threads, because results of a loop with a delay depend on the overlap.
 const TICKS_IN_BATCH: u32 = 4;
-/// Ticks inside a region with cameras: one begins while the one before it ends.
+/// Ticks inside a live region: one starts while the one before it ends.
 const TICKS_LIVE: u32 = 2;
 
-/// What somebody's tick waits for: what nobody reads (it writes, moves or shows something), what leads there by inputs that wait, and what
-/// closes a loop. What is only read as the newest there is may wait: the reader goes on without.
+/// Which nodes a tick waits for: nodes without readers (they write, move or show something), nodes that lead there by inputs that wait, and
+/// nodes that close a loop. A node read only by `latest` inputs may run late: its readers continue without it.
 fn urgencies(graph: &Graph) -> Vec<Urgency> {
     let mut urgent = vec![false; graph.nodes.len()];
     for &node in graph.order.iter().rev() {
         let waits = |edge: &Edge| {
             let inputs = || graph.inputs_of(edge.to_node).iter().filter(|e| e.delay == 0);
-            // A node without an input that waits fires on the newest of these.
+            // A node without an input that waits fires on its `latest` inputs.
             let fires = || {
                 let any_trigger = inputs().any(|e| e.trigger);
                 inputs().all(|e| e.align == Align::Latest) && (edge.trigger || !any_trigger)

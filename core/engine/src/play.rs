@@ -1,4 +1,4 @@
-//! Sources whose ticks are known: they are played instead of made.
+//! Replays sources whose ticks are known, in place of calling them.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -72,21 +72,21 @@ impl Shared {
                 runtime.record_event(&self.context, |node| Event::Dropped { node, seq });
                 continue;
             }
-            // Nobody else lets ticks into this region, and it had room.
+            // Only this thread admits ticks to this region, and it had room.
             if let (Some(outputs), _) = region.admit_or_keep(outputs) {
                 let plan = self.plan.load();
                 let mut ready = Ready::default();
                 self.enter(&plan, node, outputs, &mut ready);
                 ready.dispatch_ready(self, &plan, 0);
             }
-            // Only now may a change of the graph that comes next find the region at rest.
+            // Only now a following change of the graph may find the region at rest.
             decider.entered(&runtime.id);
         }
         false
     }
 
-    /// The packets of a played tick. One that the source may not put out here, such as one of a format that it does not declare any more, is
-    /// withheld.
+    /// The packets of a replayed tick. Withholds packets that the source may not make here, such as one of a format that it no longer
+    /// declares.
     fn admit_frames(&self, runtime: &NodeRuntime, tick: Tick, frames: Vec<Option<FrameRef>>) -> Vec<FrameRef> {
         let mut frames = frames.into_iter();
         let outputs = runtime.rules.iter().map(|rule| {
@@ -99,7 +99,7 @@ impl Shared {
             }
             let mut raw = frame.into_raw();
             raw.tick = tick;
-            // SAFETY: the reference that `into_raw` gave up; only the tick is another.
+            // SAFETY: the reference that `into_raw` released; only the tick changed.
             unsafe { FrameRef::adopt(raw) }
         });
         outputs.collect()

@@ -10,7 +10,7 @@ pub trait Plugins {
     /// The entry of a node type of a plugin.
     fn entry(&self, plugin: &str, node_type: &str) -> Option<&'static abi::NodeType>;
 
-    /// Names and files of those of the given plugins that were found.
+    /// Names and files of those given plugins that were found.
     fn files(&self, plugins: &[String]) -> Vec<(String, PathBuf)>;
 }
 

@@ -1,4 +1,4 @@
-//! The one thread pool: node tasks, and loops of kernels inside nodes.
+//! The thread pool: node tasks, and parallel loops inside nodes.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -19,15 +19,15 @@ use crate::retained;
 use crate::scratch::Scratch;
 use crate::thread_id;
 
-/// Longest that a patient task waits behind urgent ones.
+/// Longest wait of a patient task behind urgent ones.
 const LONGEST_PATIENCE_NS: u64 = 100_000_000;
-/// Longest that urgent tasks wait while no worker comes back from what it does, until another worker is added.
+/// Time that urgent tasks wait while no worker returns from its task, until another worker is added.
 const LONGEST_STALL_NS: u64 = 100_000_000;
 
 /// Runs a node task; called on a worker.
 pub type Task = Arc<dyn Fn(u32, &mut Scratch) + Send + Sync>;
 
-/// A loop whose caller waits on the stack until all chunks are done.
+/// A parallel loop. It lies on the stack of its caller, who waits until all chunks are done.
 struct Loop {
     body: unsafe extern "C" fn(*mut c_void, usize),
     data: *mut c_void,
@@ -37,28 +37,28 @@ struct Loop {
     helpers: AtomicU32,
     caller: std::thread::Thread,
     caller_number: u32,
-    /// Of the node that it belongs to.
+    /// Urgency of the node that it belongs to.
     urgency: Urgency,
     /// The node that it belongs to.
     doing: Doing,
-    /// Whose call it is part of.
+    /// The frames retained by the instance whose call it is part of.
     scope: retained::Scope,
-    /// A helper kept a frame for it, or was refused something.
+    /// Whether a helper retained a frame for it, or was refused one.
     attention: AtomicBool,
 }
 
-/// What comes first where there are fewer threads than work.
+/// Order of tasks when there are more tasks than threads.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Urgency {
-    /// Somebody's tick waits for it.
+    /// A tick waits for it.
     #[default]
     Urgent,
-    /// Whoever reads it takes what there is: it may wait for what is urgent.
+    /// Its readers take the newest value that exists, so it may wait for urgent tasks.
     Patient,
 }
 
 impl Loop {
-    /// Runs chunks until none is left. A helper of a patient loop leaves it when something urgent waits; the loop's caller goes on.
+    /// Runs chunks until none is left. A helper leaves a patient loop when an urgent task waits; the loop's caller continues.
     fn help(&self, inner: &Inner) {
         while self.urgency == Urgency::Urgent || inner.urgent_tasks.load(Ordering::Relaxed) == 0 {
             if !self.run_chunk() {
@@ -85,29 +85,29 @@ impl Loop {
 
 #[derive(Clone, Copy)]
 struct LoopPtr(*const Loop);
-// SAFETY: a loop is on the list only while its caller waits for it; workers enter under the pool's lock.
+// SAFETY: a loop is on the list only while its caller waits for it, and workers enter it under the pool's lock.
 unsafe impl Send for LoopPtr {}
 
 struct State {
     urgent: VecDeque<u32>,
-    /// With the time since when they wait.
+    /// Each with the time at which it was queued.
     patient: VecDeque<(u32, u64)>,
     loops: Vec<LoopPtr>,
     idle: usize,
     stop: bool,
-    /// Workers that have come to life.
+    /// Workers that are running.
     started: usize,
-    /// Workers inside a chunk of somebody's loop, and that loop's caller.
+    /// Workers inside a chunk of another thread's loop, and that thread.
     helping: Vec<(u32, u32)>,
-    /// Threads that were given up: they leave when they come back, and nobody helps them.
+    /// Abandoned threads: they end when they return, and no worker helps them.
     given_up: Vec<u32>,
-    /// Workers that were started and not given up.
+    /// Workers that were started and not abandoned.
     live: usize,
-    /// Workers beside these while all of them are stuck, see [`Pool::relieve`].
+    /// Extra workers while all others are stuck, see [`Pool::relieve`].
     reliefs: Vec<u32>,
-    /// How often a worker came back for more.
+    /// How often a worker returned for another task.
     turns: u64,
-    /// Since when urgent tasks wait while this number does not change; 0 when they do not.
+    /// Time since which urgent tasks wait while `returns` does not change; 0 if none waits.
     stalled: (u64, u64),
 }
 
@@ -133,15 +133,15 @@ impl State {
     }
 }
 
-/// Hears of a worker that panicked: its name and what it said.
+/// Receives the name of a worker that panicked and its message.
 pub(crate) type PanicFn = Box<dyn Fn(&str, &str) + Send + Sync>;
 
 struct Inner {
     state: Mutex<State>,
-    /// How many urgent tasks wait; told without the lock.
+    /// How many urgent tasks wait; read without the lock.
     urgent_tasks: AtomicUsize,
     wake: Condvar,
-    /// A worker has come to life.
+    /// A worker has started.
     arrived: Condvar,
     threads: usize,
     panicked: OnceLock<PanicFn>,
@@ -155,18 +155,18 @@ pub struct Pool {
 }
 
 thread_local! {
-    /// The pool that loops of this thread run on.
+    /// The pool that runs the loops of this thread.
     static CURRENT: RefCell<Option<Arc<Inner>>> = const { RefCell::new(None) };
     static URGENCY: Cell<Urgency> = const { Cell::new(Urgency::Urgent) };
 }
 
-/// Says how urgent what the calling thread does is from now on.
+/// Sets the urgency of the calling thread's work.
 #[inline]
 pub(crate) fn set_urgency(urgency: Urgency) {
     URGENCY.with(|u| u.set(urgency));
 }
 
-/// Ends what [`Pool::visit`] began, on the thread that began it.
+/// Ends [`Pool::visit`] on drop, on the same thread.
 pub struct Visit<'p> {
     before: Option<Arc<Inner>>,
     pool: std::marker::PhantomData<(&'p Pool, *const ())>,
@@ -178,17 +178,17 @@ impl Drop for Visit<'_> {
     }
 }
 
-/// Has the calling thread allocate what reading a plan takes once per thread.
+/// Makes the calling thread allocate what the first read of a plan needs.
 pub(crate) fn warm_up() {
     static ANY: LazyLock<ArcSwap<()>> = LazyLock::new(ArcSwap::default);
     drop(ANY.load());
 }
 
 impl State {
-    /// A loop that has chunks left, of this urgency. Chunks go before tasks: somebody waits for them, and they finish what was begun.
+    /// A loop of this urgency with chunks left. Chunks precede tasks, because a caller waits for them.
     fn next_loop(&self, urgency: Urgency) -> Option<LoopPtr> {
         self.loops.iter().copied().find(|l| {
-            // SAFETY: on the list, so its caller has not returned.
+            // SAFETY: the loop is on the list, so its caller has not returned.
             let l = unsafe { &*l.0 };
             l.urgency == urgency && l.next.load(Ordering::Relaxed) < l.chunks
         })
@@ -199,7 +199,7 @@ impl State {
         if urgency == Urgency::Patient {
             return self.patient.pop_front().map(|(task, _)| task);
         }
-        // Where nothing is urgent, nothing is to be compared with, and the time is not read.
+        // Without urgent tasks there is nothing to compare with, so skip reading the clock.
         let compared = (!self.urgent.is_empty() || !self.reliefs.is_empty()) && !self.patient.is_empty();
         if compared && self.patient_for(clock::now_ns()) > LONGEST_PATIENCE_NS {
             return self.patient.pop_front().map(|(task, _)| task);
@@ -215,7 +215,7 @@ fn lock(inner: &Inner) -> MutexGuard<'_, State> {
 }
 
 impl Pool {
-    /// A pool without workers; `start` brings them to life.
+    /// A pool without workers; `start` starts them.
     pub fn new(threads: usize) -> Self {
         let state = State {
             urgent: VecDeque::with_capacity(1024),
@@ -242,17 +242,17 @@ impl Pool {
         Self { inner: Arc::new(inner), workers: Mutex::new(Vec::new()), task: Mutex::new(None) }
     }
 
-    /// Threads that work.
+    /// Number of workers.
     pub fn threads(&self) -> usize {
         self.inner.threads
     }
 
-    /// Where panics of workers are told; a worker goes on after one.
+    /// Sets the receiver of panics of workers. A worker continues after a panic.
     pub(crate) fn on_panic(&self, tell: PanicFn) {
         let _ = self.inner.panicked.set(tell);
     }
 
-    /// Starts the workers and waits until they are there: what a thread allocates when it begins is not to happen among ticks.
+    /// Starts the workers and waits until they run, so that the allocations of a starting thread do not fall between ticks.
     pub fn start(&self, task: &Task) -> std::io::Result<()> {
         *self.task.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(task));
         self.fill(task)?;
@@ -279,7 +279,7 @@ impl Pool {
         }
     }
 
-    /// Starts a worker that is counted already.
+    /// Starts a worker that the caller has counted.
     fn add_worker(&self, task: &Task, number: u32, relief: bool) -> std::io::Result<()> {
         let (inner, task) = (Arc::clone(&self.inner), Arc::clone(task));
         let name = format!("pool-{number}");
@@ -297,8 +297,8 @@ impl Pool {
         Ok(())
     }
 
-    /// Gives a thread up that does not return from a node, with all workers that are stuck in its loops, or in loops of theirs, and starts
-    /// new workers in their place. The thread itself may be no worker. They leave on their own should they ever return.
+    /// Abandons a thread that does not return from a node, with all workers that are stuck in its loops or in theirs, and starts
+    /// new workers in their place. The thread may be no worker. Abandoned threads end when they return.
     pub fn give_up(&self, thread: u32) -> std::io::Result<()> {
         if thread == 0 {
             return Ok(());
@@ -308,7 +308,7 @@ impl Pool {
         let stuck = state.stuck_with(thread);
         for number in &stuck {
             if let Some(at) = workers.iter().position(|(n, _)| n == number) {
-                // Dropping the handle lets the thread go.
+                // Dropping the handle detaches the thread.
                 drop(workers.swap_remove(at));
                 match state.reliefs.iter().position(|n| n == number) {
                     Some(at) => _ = state.reliefs.swap_remove(at),
@@ -316,8 +316,8 @@ impl Pool {
                 }
             }
         }
-        // Nobody else shall enter what they are stuck in.
-        // SAFETY: on the list, so its caller has not returned.
+        // No other worker may enter the loops that they are stuck in.
+        // SAFETY: the loop is on the list, so its caller has not returned.
         state.loops.retain(|l| !stuck.contains(&unsafe { &*l.0 }.caller_number));
         state.given_up.extend(&stuck);
         drop(state);
@@ -326,13 +326,13 @@ impl Pool {
         task.map_or(Ok(()), |task| self.fill(&task))
     }
 
-    /// A thread that was given up leaves; for threads that are no workers.
+    /// An abandoned thread that is no worker has returned.
     pub(crate) fn left(&self, thread: u32) {
         lock(&self.inner).given_up.retain(|n| *n != thread);
     }
 
-    /// To be called a few times per second: where urgent tasks wait and no worker comes back, because all are stuck in calls that may yet be
-    /// given up, another worker is added, so that what has nothing to do with these calls goes on. It leaves when nothing urgent waits.
+    /// Call this a few times per second. If urgent tasks wait and no worker returns, because all are in calls that may be hung,
+    /// adds a worker so that unrelated nodes continue. That worker ends when no urgent task waits.
     pub(crate) fn relieve(&self, now_ns: u64) -> std::io::Result<bool> {
         let mut state = lock(&self.inner);
         let waiting = !state.urgent.is_empty() || state.patient_for(now_ns) > LONGEST_PATIENCE_NS;
@@ -389,8 +389,8 @@ impl Pool {
         self.inner.urgent_tasks.load(Ordering::Relaxed) > 0
     }
 
-    /// Lets the workers finish what is queued and joins them, as long as that takes no longer than `until`; a worker that still works then
-    /// is left to itself. Answers whether all were joined.
+    /// Lets the workers finish the queue and joins them until the deadline. A worker that is still busy then
+    /// is detached. Returns whether all were joined.
     pub fn stop(&self, until: Instant) -> bool {
         lock(&self.inner).stop = true;
         self.inner.wake.notify_all();
@@ -399,7 +399,7 @@ impl Pool {
     }
 }
 
-/// Waits for the end of a thread until then; answers whether it has ended.
+/// Waits for the end of a thread until the deadline. Returns whether it has ended.
 pub(crate) fn join_until<T>(thread: JoinHandle<T>, until: Instant) -> bool {
     while !thread.is_finished() {
         if Instant::now() >= until {
@@ -411,8 +411,8 @@ pub(crate) fn join_until<T>(thread: JoinHandle<T>, until: Instant) -> bool {
     true
 }
 
-/// Works until the pool stops or the worker is given up. One that stands in for others takes urgent tasks only and leaves when there is none:
-/// it helps in no loop, which may be what the others are stuck in.
+/// Runs tasks until the pool stops or the worker is abandoned. An extra worker takes only urgent tasks and ends when there is none;
+/// it helps in no loop, because the others may be stuck in one.
 fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
     CURRENT.set(Some(Arc::clone(inner)));
     warm_up();
@@ -434,13 +434,13 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
         }
         let found = found.or_else(|| if urgent.is_none() { state.next_loop(Urgency::Patient) } else { None });
         if let Some(found) = found {
-            // SAFETY: as above; counted as helper under the lock, so the caller waits for us.
+            // SAFETY: the loop was on the list and this worker was counted as its helper under the lock, so its caller waits.
             let this = unsafe { &*found.0 };
             this.helpers.fetch_add(1, Ordering::Relaxed);
             state.helping.push((number, this.caller_number));
             drop(state);
             set_urgency(this.urgency);
-            // SAFETY: the call that the loop is part of does not end before its helpers are through.
+            // SAFETY: the call that the loop is part of does not end before its helpers have left.
             if who::help(this.doing, || unsafe { retained::within(this.scope, || this.help(inner)) }) {
                 this.attention.store(true, Ordering::Relaxed);
             }
@@ -504,7 +504,7 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
     let wanted = (inner.threads - 1).min(chunks - 1);
     let mut state = lock(inner);
     if state.given_up.contains(&this.caller_number) {
-        // Nobody would notice a helper that gets stuck.
+        // A helper that gets stuck would go unnoticed.
         drop(state);
         return alone();
     }
@@ -518,7 +518,7 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
     let mut state = lock(inner);
     state.loops.retain(|l| !std::ptr::eq(l.0, &raw const this));
     drop(state);
-    // No worker can enter any more. Helpers run at most one chunk each now: a short wait.
+    // No worker can enter from here on, and each helper runs at most one more chunk: the wait is short.
     let mut spins = 0;
     while this.helpers.load(Ordering::Acquire) != 0 {
         if spins < 64 {

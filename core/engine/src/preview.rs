@@ -1,4 +1,4 @@
-//! Looking at a port of a running graph without slowing it.
+//! Subscriptions to ports of a running graph that do not slow it.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, Weak};
@@ -8,29 +8,29 @@ use panoscope_abi::Frame;
 use crate::memory::FrameRef;
 use crate::sync::lock;
 
-/// Hears each packet of a port, on the thread that made it: it must be quick.
+/// Receives each packet of a port, on the thread that made it, so it must be quick.
 pub type HearFn = dyn Fn(&FrameRef) + Send + Sync;
 
-/// A port that is listened to from the first tick on; see [`crate::Options::listen`].
+/// A listener on a port from the first tick on; see [`crate::Options::listen`].
 #[derive(Clone)]
 pub struct Listener {
     /// The node.
     pub node: String,
     /// Its output.
     pub output: String,
-    /// What is done with each packet that is not empty.
+    /// Receives each packet that is not empty.
     pub hear: Arc<HearFn>,
 }
 
-/// Hears each number that a node tells, on the thread that tells it: tick, name, value.
+/// Receives each metric that a node reports, on the node's thread: tick, name, value.
 pub type HearNumberFn = dyn Fn(&panoscope_abi::Tick, &str, f64) + Send + Sync;
 
-/// A node whose told numbers are heard from the first tick on; see [`crate::Options::numbers`].
+/// A listener on the metrics of a node from the first tick on; see [`crate::Options::numbers`].
 #[derive(Clone)]
 pub struct NumberListener {
     /// The node.
     pub node: String,
-    /// What is done with each number.
+    /// Receives each metric.
     pub hear: Arc<HearNumberFn>,
 }
 
@@ -40,8 +40,8 @@ struct Place {
     hear: Option<Arc<HearFn>>,
 }
 
-/// The newest packet of a port; older ones are forgotten. At most two frames are kept alive: the one here and the
-/// one its reader looks at.
+/// The newest packet of a port. Keeps at most two frames alive: the one here and the
+/// one that its reader holds.
 pub struct Preview {
     place: Arc<Place>,
 }
@@ -53,7 +53,7 @@ impl Preview {
     }
 }
 
-/// Previews of one node's outputs. The count comes first: it is looked at with every call.
+/// Previews of one node's outputs. The count comes first, because every call reads it.
 #[repr(C)]
 pub(crate) struct Subscribers {
     active: AtomicUsize,
@@ -70,7 +70,7 @@ impl Subscribers {
         self.add(port, None)
     }
 
-    /// Adds one that hears every packet of output `port` for as long as the answer is kept.
+    /// Adds a listener to output `port`, active until the returned preview is dropped.
     pub fn listen(&self, port: usize, hear: Arc<HearFn>) -> Option<Preview> {
         self.add(port, Some(hear))
     }
@@ -83,7 +83,7 @@ impl Subscribers {
         Some(Preview { place })
     }
 
-    /// Which outputs are looked at, one bit each.
+    /// Outputs with a subscriber, one bit each.
     pub fn bits(&self) -> u64 {
         let ports = lock(&self.ports);
         let looked_at = ports.iter().enumerate().filter(|(_, readers)| readers.iter().any(|r| r.strong_count() > 0));
@@ -102,7 +102,7 @@ impl Subscribers {
         self.active.fetch_add(moved, Ordering::Relaxed);
     }
 
-    /// Shows the outputs of a tick to the readers.
+    /// Passes the outputs of a tick to the subscribers.
     #[inline]
     pub fn show(&self, outputs: &[Frame]) {
         if self.active.load(Ordering::Relaxed) != 0 {
@@ -120,7 +120,7 @@ impl Subscribers {
                     return false;
                 };
                 if !frame.is_empty() {
-                    // SAFETY: the reference stays with the outputs: this one is never dropped.
+                    // SAFETY: the reference stays with the outputs; `ManuallyDrop` never releases this copy.
                     let borrowed = std::mem::ManuallyDrop::new(unsafe { FrameRef::adopt(*frame) });
                     match &place.hear {
                         Some(hear) => hear(&borrowed),

@@ -1,8 +1,8 @@
 //! Regions: nodes joined by `exact` edges, entered by whole ticks through one head.
 //!
 //! A tick is in flight from its admission until every leaf of the region is done with it. In live mode ticks are
-//! dropped only here, where they enter; inside, queues never drop. A region that is paused admits nothing and keeps what comes, so
-//! that the graph can be changed when the ticks inside are through.
+//! dropped only here, where they enter; inside, queues never drop. A paused region admits nothing and retains what comes, so
+//! that the graph can be changed when the ticks inside have finished.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -11,25 +11,25 @@ use std::sync::{Mutex, PoisonError};
 use crate::memory::FrameRef;
 
 const RING: usize = 256;
-/// Ticks kept during a pause; beyond that the oldest are dropped.
+/// Ticks retained during a pause; beyond that the oldest are dropped.
 const MAX_PAUSED: usize = 256;
 
 struct State {
     in_flight: u32,
     paused: bool,
-    /// Somebody delivers ticks that waited: until then nothing newer may overtake them.
+    /// A thread delivers ticks that waited; until it is done newer ticks have to wait.
     handing: bool,
     /// The region pauses before this tick of its source.
     pause_before: u64,
-    /// Ticks of a live source that wait to enter: those that came during a pause, then the newest.
+    /// Ticks of a live source that wait to enter: those of a pause, then the newest.
     pending: VecDeque<Vec<FrameRef>>,
-    /// How many of them came during a pause and are not to be overwritten.
+    /// How many of them came during a pause and must not be replaced.
     protected: usize,
-    /// Emptied lists, used again.
+    /// Empty lists for reuse.
     spare: Vec<Vec<FrameRef>>,
 }
 
-/// One region. It belongs to its head and stays the same while that node is the head.
+/// A region. It belongs to its head node.
 pub(crate) struct Region {
     /// Node that admits ticks.
     pub head: usize,
@@ -41,11 +41,11 @@ pub(crate) struct Region {
     full: AtomicBool,
 }
 
-/// What a finished tick makes possible.
+/// What may enter after a tick finished.
 pub(crate) enum Freed {
     /// Nothing waits.
     Nothing,
-    /// The head may go on.
+    /// The head may continue.
     Head,
     /// These outputs of the head are admitted now.
     Pending(Vec<FrameRef>),
@@ -89,7 +89,7 @@ impl Region {
         state.in_flight += 1;
     }
 
-    /// Lets one tick in if there is room.
+    /// Admits a tick if there is room.
     pub fn try_admit(&self) -> bool {
         let mut state = self.state();
         let open = self.open(&state);
@@ -101,7 +101,7 @@ impl Region {
         open
     }
 
-    /// Whether a tick could be let in.
+    /// Whether a tick could be admitted.
     pub fn has_room(&self) -> bool {
         let state = self.state();
         let room = self.open(&state) && state.pending.is_empty();
@@ -111,7 +111,7 @@ impl Region {
         room
     }
 
-    /// Lets a live source's tick in, or keeps it waiting in place of an older one. Answers the outputs to deliver now, or those of an older
+    /// Admits a live source's tick, or lets it wait in place of an older one. Returns the outputs to deliver now, and those of an older
     /// tick that was dropped.
     pub fn admit_or_keep(&self, outputs: Vec<FrameRef>) -> (Option<Vec<FrameRef>>, Option<Vec<FrameRef>>) {
         let mut state = self.state();
@@ -143,7 +143,7 @@ impl Region {
         self.state().spare.pop().unwrap_or_default()
     }
 
-    /// Takes a list back.
+    /// Takes a list for reuse.
     pub fn recycle(&self, mut list: Vec<FrameRef>) {
         list.clear();
         let mut state = self.state();
@@ -191,7 +191,7 @@ impl Region {
             state.handing = true;
             return Freed::Pending(outputs);
         }
-        // A full region calls its head when half of it is free, not for every tick: waking a thread costs more than many nodes do.
+        // A full region wakes its head when it is half empty, not for every tick, because waking a thread costs more than many nodes do.
         if state.in_flight <= self.limit.load(Ordering::Relaxed) / 2 && self.full.swap(false, Ordering::Relaxed) {
             Freed::Head
         } else {
@@ -199,7 +199,7 @@ impl Region {
         }
     }
 
-    /// The ticks that waited are delivered; answers the next one, to be delivered and reported like them.
+    /// The ticks that waited are delivered. Returns the next one that arrived meanwhile, if any.
     pub fn handed_over(&self) -> Option<Vec<FrameRef>> {
         let mut state = self.state();
         let next = self.next_pending(&mut state);
@@ -212,8 +212,8 @@ impl Region {
         self.state().paused = true;
     }
 
-    /// Admits nothing from tick `seq` of its source on. `made` is what the source makes next; answers the first tick that could still be kept
-    /// out where `seq` has passed.
+    /// Admits nothing from tick `seq` of its source on. `made` is the source's next tick. If `seq` has passed, returns the first tick that
+    /// could still be held back.
     pub fn pause_before(&self, seq: u64, made: u64) -> Result<(), u64> {
         let mut state = self.state();
         let next = state.pending.front().map_or(made, |p| first_seq(p));
@@ -224,14 +224,14 @@ impl Region {
         Ok(())
     }
 
-    /// No tick is waited for any more; answers whether it is paused.
+    /// Cancels [`Self::pause_before`]. Returns whether the region is paused.
     pub fn stop_waiting(&self) -> bool {
         let mut state = self.state();
         state.pause_before = u64::MAX;
         state.paused
     }
 
-    /// Whether it admits nothing now.
+    /// Whether the region is paused.
     pub fn is_paused(&self) -> bool {
         self.state().paused
     }
@@ -241,14 +241,14 @@ impl Region {
         self.state().pending.front().map(|p| first_seq(p))
     }
 
-    /// Admits again; the outputs of kept ticks are to be delivered in this order.
+    /// Admits ticks again. The caller delivers the returned outputs of retained ticks in this order.
     pub fn resume(&self) -> Vec<Vec<FrameRef>> {
         let mut state = self.state();
         state.paused = false;
         state.pause_before = u64::MAX;
         self.full.store(false, Ordering::Relaxed);
         if state.handing {
-            // Whoever delivers now goes on with them.
+            // The thread that delivers now continues with them.
             return Vec::new();
         }
         let waited: Vec<_> = std::iter::from_fn(|| self.next_pending(&mut state)).collect();
@@ -256,7 +256,7 @@ impl Region {
         waited
     }
 
-    /// New numbers for a region without a tick inside; its leaves count from 0 again.
+    /// Sets leaves and limit of a region without a tick inside; its leaves count from 0 again.
     pub fn reset(&self, leaves: u32, limit: u32) {
         let leaves = leaves.max(1);
         self.leaves.store(leaves, Ordering::Relaxed);
@@ -303,7 +303,7 @@ mod tests {
         region.reset(1, 2);
         assert_eq!(region.resume().iter().map(|l| seq(l)).collect::<Vec<_>>(), [1, 2]);
         assert!(region.handed_over().is_none(), "the region is full");
-        // What comes later may replace only what came later.
+        // A later tick may replace only ticks that came after the pause.
         assert!(region.admit_or_keep(tick(4)).1.is_none());
         assert_eq!(region.admit_or_keep(tick(5)).1.as_deref().map(seq), Some(4));
         assert!(matches!(region.leaf_done(0), Freed::Pending(list) if seq(&list) == 3));

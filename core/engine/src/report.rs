@@ -1,4 +1,4 @@
-//! What a run did, as written by `--report` (a contract: see the README).
+//! The report of a run, as written by `--report` (a contract: see the README).
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::Ordering;
@@ -28,7 +28,7 @@ pub struct Report {
     pub nodes: BTreeMap<String, NodeReport>,
     /// Per sink: time from ingest to the end of its work.
     pub paths: BTreeMap<String, PathReport>,
-    /// Nodes that lost something for good, with the reason: a full disk, a file that could not be completed. Such a run has failed.
+    /// Nodes that lost data for good, with the reason: a full disk, a file that could not be completed. Such a run has failed.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub stopped: BTreeMap<String, String>,
     /// Heap allocations per frame in steady state, null when not counted.
@@ -44,73 +44,73 @@ pub struct NodeReport {
     pub count: u64,
     /// Median time of a call.
     pub p50_ms: f64,
-    /// 99 % of the calls took no longer.
+    /// 99th percentile of the time of a call.
     pub p99_ms: f64,
     /// The longest call.
     pub max_ms: f64,
     /// Ticks and packets dropped where they would have entered here.
     pub dropped: u64,
-    /// Packets dropped on each wire because no more could wait; wires without any are left out.
+    /// Packets dropped per edge because its queue was full; edges without drops are not listed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub dropped_on: Vec<WireDrops>,
     /// Ticks not processed because a required input was empty.
     pub skipped: u64,
     /// Errors and panics.
     pub faults: u64,
-    /// Times it was opened again.
+    /// Restarts.
     pub restarts: u64,
     /// Calls over the node's budget.
     pub over_budget: u64,
-    /// Longest time from a fault to the end of the first call that went well again.
+    /// Longest time from a fault to the end of the next successful call.
     pub recovery_max_ms: f64,
-    /// Frames copied because a shared one was to be written.
+    /// Frames copied because the node wrote to a shared one.
     pub copies: u64,
     /// Frames converted for its readers.
     pub conversions: u64,
     /// Heap allocations on the calling thread, all calls together; null when not counted.
     pub allocations: Option<u64>,
-    /// Of a source: ticks that it made.
+    /// For a source: ticks that it made.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub made: Option<u64>,
-    /// Required inputs that never got a packet, as `node.port` of who should have made one.
+    /// Required inputs that never got a packet, as `node.port` of their producer.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub never_got: Vec<String>,
-    /// Left out of a replay because it acts on the world.
+    /// Whether a replay skips the node because it acts on the world.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub muted: bool,
-    /// Numbers that the node told.
+    /// Metrics of the node.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub metrics: BTreeMap<String, f64>,
 }
 
-/// Packets dropped on one wire.
+/// Packets dropped on one edge.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct WireDrops {
     /// The input's name.
     pub input: String,
     /// Position in a list input; 0 for others.
     pub index: usize,
-    /// How many.
+    /// Number of packets.
     pub dropped: u64,
 }
 
-/// Age of what a sink took.
+/// Age of the packets that reached a sink.
 #[derive(Clone, Debug, Serialize)]
 pub struct PathReport {
     /// Median.
     pub age_p50_ms: f64,
-    /// 99 % were no older.
+    /// 99th percentile.
     pub age_p99_ms: f64,
     /// The oldest.
     pub age_max_ms: f64,
 }
 
-/// Where a run took place.
+/// The machine of a run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Machine {
     /// Processor.
     pub cpu: String,
-    /// Cores this process may use.
+    /// Processor cores that this process may use.
     pub cores: usize,
     /// Threads of the pool.
     pub threads: usize,
@@ -209,7 +209,7 @@ impl Report {
     }
 }
 
-/// Nodes with the outputs that they require and that were never made.
+/// Nodes with required inputs whose packets were never made.
 fn starved(plan: &Plan) -> Vec<(String, String)> {
     let mut found = Vec::new();
     for (slot, runtime) in plan.live() {
@@ -236,7 +236,7 @@ pub struct Window {
     seen: HashMap<String, Seen>,
 }
 
-/// What a node had done at the last look.
+/// Counters of a node at the previous call.
 #[derive(Default)]
 struct Seen {
     times: Vec<u64>,
@@ -244,34 +244,34 @@ struct Seen {
     count: u64,
 }
 
-/// One node in a [`Window`]: times and rate within it, counts since the node began.
+/// One node in a [`Window`]: times and rate within it, counts since the node started.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NodeWindow {
     /// Calls per second.
     pub fps: f64,
     /// Median time of a call.
     pub p50_ms: f64,
-    /// 99 % of the calls took no longer.
+    /// 99th percentile of the time of a call.
     pub p99_ms: f64,
-    /// For sinks: median time from ingest to the end of the work.
+    /// For sinks: median time from ingest to the end of the node's work.
     pub age_p50_ms: Option<f64>,
-    /// For sinks: 99 % were no older.
+    /// For sinks: 99th percentile of that time.
     pub age_p99_ms: Option<f64>,
     /// All calls so far.
     pub count: u64,
-    /// Ticks dropped where they would have entered here, so far.
+    /// Ticks dropped at the node's inputs so far.
     pub dropped: u64,
     /// Errors and panics so far.
     pub faults: u64,
-    /// Times it was opened again.
+    /// Restarts.
     pub restarts: u64,
-    /// Numbers that the node told.
+    /// Metrics of the node.
     pub metrics: Vec<(String, f64)>,
-    /// What waits at its inputs, wire by wire.
+    /// The queues at its inputs, edge by edge.
     pub queues: Vec<QueueWindow>,
 }
 
-/// Packets that wait on one wire. Nodes that run inline after their producer have none that wait.
+/// The queue of one edge. Nodes that run inline after their producer have no queue.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct QueueWindow {
     /// Input, a position in the node type's inputs.
@@ -280,9 +280,9 @@ pub struct QueueWindow {
     pub index: usize,
     /// Packets that wait now.
     pub waiting: usize,
-    /// The most that waited since the last look.
+    /// Longest queue since the previous call.
     pub most: usize,
-    /// Dropped so far because no more could wait.
+    /// Packets dropped so far because the queue was full.
     pub dropped: u64,
 }
 
@@ -323,8 +323,8 @@ impl Window {
     }
 }
 
-/// Drops of a node's wires, in the order of ports and list positions.
-/// Whether a node is left out of this run by what decides over it.
+/// Drops of a node's edges, in the order of ports and list positions.
+/// Whether the decider keeps a node closed in this run.
 fn closes(shared: &Shared, runtime: &NodeRuntime) -> bool {
     let decider = shared.context.decider.as_ref();
     !runtime.source && decider.is_some_and(|decider| decider.closes(runtime.source, runtime.side_effects))
@@ -344,7 +344,7 @@ fn wire_drops(runtime: &NodeRuntime) -> Vec<WireDrops> {
         .collect()
 }
 
-/// What waits at a node, in the order of ports and list places.
+/// The queues of a node, in the order of ports and list positions.
 fn queues(runtime: &NodeRuntime) -> Vec<QueueWindow> {
     let ranges = runtime.ranges();
     let mut join = lock(&runtime.join);

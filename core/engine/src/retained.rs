@@ -1,5 +1,5 @@
-//! Frames that nodes keep beyond a call: counted per instance, so that a leak has a name and an end, and so that nobody gives back what
-//! it does not hold.
+//! Frames that nodes retain between calls. They are counted per instance, so that a leak is found and ended, and so that no node releases
+//! a frame that it does not hold.
 
 use std::cell::Cell;
 use std::ffi::c_void;
@@ -12,26 +12,26 @@ use crate::ending::who::Who;
 use crate::memory::memory;
 
 thread_local! {
-    /// A frame was kept, or a request refused, on this thread since [`attention`] was last asked.
+    /// Whether a frame was retained, or a request refused, on this thread since the last call of [`attention`].
     static ATTENTION: Cell<bool> = const { Cell::new(false) };
     static KEEPER: Cell<*const Inner> = const { Cell::new(std::ptr::null()) };
 }
 
-/// Every instance that ever kept a frame: where a buffer is given back outside the calls of its instance, its owner is looked for here.
+/// Every instance that ever retained a frame, to find the owner of a buffer that is released outside its instance's calls.
 static KEEPERS: Mutex<Vec<Weak<Inner>>> = Mutex::new(Vec::new());
-/// What plugins keep outside every call, for example on threads of their own.
+/// Buffers that plugins retain outside every call, for example on their own threads.
 static OUTSIDE: Mutex<Vec<(Plugin, BufferId)>> = Mutex::new(Vec::new());
 /// Requests refused outside every call.
 static REFUSED_OUTSIDE: AtomicU64 = AtomicU64::new(0);
 
-/// A plugin: the address where its file is mapped. 0 when it is not known.
+/// A plugin: the address where its file is mapped, 0 if unknown.
 pub(crate) type Plugin = usize;
 
 /// The plugin that an address lies in.
 pub(crate) fn plugin_of(address: *const c_void) -> Plugin {
     // SAFETY: plain data, filled by the call below.
     let mut info: libc::Dl_info = unsafe { std::mem::zeroed() };
-    // SAFETY: any address may be asked for.
+    // SAFETY: `dladdr` accepts any address.
     let known = unsafe { libc::dladdr(address, &raw mut info) } != 0;
     if known { info.dli_fbase as usize } else { 0 }
 }
@@ -44,9 +44,9 @@ struct Inner {
     who: OnceLock<Arc<Who>>,
     /// An address of the plugin.
     address: usize,
-    /// Buffers that it kept or gave back without holding them, since somebody last asked.
+    /// Refused requests since [`Kept::take_refused`] was called last.
     refused: AtomicU32,
-    /// It is among the [`KEEPERS`].
+    /// Whether it is in [`KEEPERS`].
     listed: AtomicBool,
 }
 
@@ -55,7 +55,7 @@ impl Inner {
         self.ids.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a buffer off the list; `false` when it is not there.
+    /// Removes a buffer from the list; `false` if it is not there.
     fn take(&self, id: BufferId) -> bool {
         let mut ids = self.ids();
         let Some(at) = ids.iter().rposition(|known| *known == id) else { return false };
@@ -69,14 +69,14 @@ impl Inner {
     }
 }
 
-/// What one instance keeps.
+/// The frames that one instance retains.
 pub(crate) struct Kept(Arc<Inner>);
 
-/// The instance whose call runs on a thread; for loops that are run by several threads.
+/// The instance whose call runs on a thread, for loops that several threads run.
 #[derive(Clone, Copy)]
 pub(crate) struct Scope(*const Inner);
 
-/// Ends what [`Kept::during`] began, even in an unwinding call.
+/// Ends [`Kept::during`] on drop, also when the call unwinds.
 struct Restore(*const Inner);
 
 impl Drop for Restore {
@@ -98,7 +98,7 @@ impl Kept {
         call()
     }
 
-    /// Says whose instance this is.
+    /// Sets the node that the instance belongs to.
     pub fn belongs_to(&self, who: &Arc<Who>) {
         let _ = self.0.who.set(Arc::clone(who));
     }
@@ -108,18 +108,18 @@ impl Kept {
         self.0.who.get().cloned().unwrap_or_default()
     }
 
-    /// Frames kept now.
+    /// Number of frames retained now.
     #[inline]
     pub fn count(&self) -> usize {
         self.0.count.load(Ordering::Relaxed)
     }
 
-    /// How often the instance kept or gave back what it did not hold, since the last call.
+    /// Requests refused since the last call.
     pub fn take_refused(&self) -> u32 {
         self.0.refused.swap(0, Ordering::Relaxed)
     }
 
-    /// Gives back what a closed instance left behind.
+    /// Releases the frames that a closed instance still retained.
     pub fn reclaim(&self) {
         let ids = std::mem::take(&mut *self.0.ids());
         self.0.count.store(0, Ordering::Relaxed);
@@ -134,7 +134,7 @@ pub(crate) fn scope() -> Scope {
     Scope(KEEPER.with(Cell::get))
 }
 
-/// Runs a part of a call of `scope` on another thread than its own; answers whether the call is to be looked at, see [`attention`].
+/// Runs a part of a call of `scope` on another thread. Returns whether to check the call, see [`attention`].
 ///
 /// # Safety
 /// The instance that `scope` stands for lives until this returns.
@@ -146,18 +146,18 @@ pub(crate) unsafe fn within(scope: Scope, part: impl FnOnce()) -> bool {
     ATTENTION.replace(before)
 }
 
-/// Whether a node kept a frame on this thread, or was refused something, since the last call: only then is there anything to look at.
+/// Whether a node retained a frame on this thread, or was refused one, since the last call. Only then is there anything to check.
 #[inline]
 pub(crate) fn attention() -> bool {
     ATTENTION.replace(false)
 }
 
-/// Has the call on this thread looked at when it ends.
+/// Requests a check of the call on this thread when it ends.
 pub(crate) fn set_attention() {
     ATTENTION.set(true);
 }
 
-/// How many requests were refused outside every call, since the process began.
+/// Requests refused outside every call since the process started.
 pub(crate) fn refused_outside() -> u64 {
     REFUSED_OUTSIDE.load(Ordering::Relaxed)
 }
@@ -191,7 +191,7 @@ fn list(inner: &Inner) {
     keepers.push(weak);
 }
 
-/// A node, or a thread of `plugin`, keeps a buffer. One that nobody holds is not kept: it may be somebody else's by the next call.
+/// A node, or a thread of `plugin`, retains a buffer. Refused if nobody holds the buffer, because it may belong to somebody else next.
 pub(crate) fn retain(plugin: Plugin, id: BufferId) {
     if !memory().retain_held(id) {
         return refuse();
@@ -207,8 +207,8 @@ pub(crate) fn retain(plugin: Plugin, id: BufferId) {
     set_attention();
 }
 
-/// A node, or a thread of `plugin`, gives a buffer back: its own, or one that another instance of the same plugin keeps. Any other is not
-/// touched.
+/// A node, or a thread of `plugin`, releases a buffer: its own, or one that another instance of the same plugin retains. Any other is
+/// refused.
 pub(crate) fn release(plugin: Plugin, id: BufferId) {
     let inner = keeper();
     if inner.is_some_and(|inner| inner.take(id)) || take_elsewhere(inner.map_or(plugin, Inner::plugin), id) {
@@ -218,8 +218,8 @@ pub(crate) fn release(plugin: Plugin, id: BufferId) {
     }
 }
 
-/// Takes a buffer off the list of an instance of a plugin, or of what the plugin keeps outside every call; `false` when it keeps none. A
-/// plugin that is not known may be any.
+/// Removes a buffer from the list of an instance of a plugin, or from what the plugin retains outside every call; `false` if it is in none.
+/// An unknown plugin matches all.
 #[cold]
 fn take_elsewhere(plugin: Plugin, id: BufferId) -> bool {
     let same = |other: Plugin| plugin == 0 || other == 0 || plugin == other;
@@ -240,7 +240,7 @@ mod tests {
     use crate::memory::FrameRef;
     use panoscope_abi::Frame;
 
-    /// Two plugins, as far as addresses go: this program and the C library.
+    /// Addresses of two "plugins": this program and the C library.
     fn plugins() -> [*const c_void; 2] {
         [plugins as *const c_void, libc::malloc as *const c_void]
     }
@@ -267,7 +267,11 @@ mod tests {
         assert_eq!((memory().references(id), ours.take_refused()), (1, 1), "once is enough");
         drop(held);
         ours.during(|| retain(0, id));
-        assert_eq!((memory().references(id), ours.take_refused()), (0, 1), "what nobody holds cannot be kept");
+        assert_eq!(
+            (memory().references(id), ours.take_refused()),
+            (0, 1),
+            "a buffer that nobody holds cannot be retained"
+        );
     }
 
     #[test]
@@ -285,12 +289,12 @@ mod tests {
         assert_eq!(memory().references(id), 2);
         assert!(refused_outside() > before);
         ours.reclaim();
-        assert_eq!(memory().references(id), 2, "it was given back already");
+        assert_eq!(memory().references(id), 2, "it was released already");
         theirs.reclaim();
-        assert_eq!(memory().references(id), 1, "what others leave behind is taken back as before");
+        assert_eq!(memory().references(id), 1, "frames of a closed instance are released");
         retain(plugin, id);
         release(plugin, id);
-        assert_eq!(memory().references(id), 1, "kept and given back by a thread of the plugin");
+        assert_eq!(memory().references(id), 1, "retained and released by a thread of the plugin");
         drop(held);
     }
 }

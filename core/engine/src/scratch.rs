@@ -4,12 +4,12 @@ use panoscope_abi::Frame;
 
 use crate::memory::FrameRef;
 
-/// What a call made. Outside a call all frames are empty.
+/// Outputs of a call. Outside a call all frames are empty.
 #[derive(Default)]
 pub struct CallOutputs {
-    /// As the host knows it.
+    /// The host's descriptions.
     pub(crate) outputs: Vec<Frame>,
-    /// The same as the node sees it; never believed.
+    /// The node's copies, which it may change.
     pub(crate) shown: Vec<Frame>,
 }
 
@@ -24,11 +24,11 @@ impl CallOutputs {
         }
     }
 
-    /// Gives everything back.
+    /// Releases everything.
     #[inline]
     pub(crate) fn clear(&mut self) {
-        // SAFETY: outside a call the outputs are empty or hold references: `CallContext` puts nothing else there, and a frame that was only
-        // lent has its input's reference when the call ends.
+        // SAFETY: outside a call the outputs are empty or hold references: `CallContext` puts nothing else there, and a forwarded frame
+        // has its input's reference when the call ends.
         unsafe { clear(&mut self.outputs) };
     }
 }
@@ -39,15 +39,15 @@ impl Drop for CallOutputs {
     }
 }
 
-/// What a thread needs to scratch ticks through nodes: the memory of the calls that it makes, one after the other.
+/// Memory for the calls that a thread makes one after the other.
 pub struct Scratch {
     /// Inputs of a chain's first node.
     pub(crate) inputs: Vec<FrameRef>,
-    /// Of a node and of the one before it, in turn.
+    /// Outputs of a node and of the one before it, in turn.
     pub(crate) made: [CallOutputs; 2],
 }
 
-/// Ports that a thread has room for from its start; more are made room for when they are met.
+/// Ports that a thread has room for from its start; grows when a node has more.
 const USUAL_PORTS: usize = 16;
 
 impl Default for Scratch {
@@ -58,20 +58,20 @@ impl Default for Scratch {
 }
 
 impl Scratch {
-    /// Gives everything back.
+    /// Releases everything.
     pub(crate) fn clear(&mut self) {
         self.inputs.clear();
         self.made.iter_mut().for_each(CallOutputs::clear);
     }
 }
 
-/// Gives back what stands in the outputs.
+/// Releases the frames of a list.
 ///
 /// # Safety
-/// Each frame that is not empty holds a reference, as [`FrameRef::adopt`] wants it.
+/// Each frame that is not empty holds a reference, as [`FrameRef::adopt`] requires.
 pub(crate) unsafe fn clear(outputs: &mut [Frame]) {
     for frame in outputs.iter_mut().filter(|f| !f.is_empty()) {
-        // SAFETY: the caller's promise; the list forgets the frame.
+        // SAFETY: the caller's promise; the list no longer has the frame after the `replace`.
         drop(unsafe { FrameRef::adopt(std::mem::replace(frame, Frame::EMPTY)) });
     }
 }

@@ -48,14 +48,14 @@ impl Histogram {
         self.raise(ns);
     }
 
-    /// [`Self::record`] for a caller that knows that there was a longer time.
+    /// Counts a time that is known not to be the longest.
     #[inline]
     pub(crate) fn count_one(&self, ns: u64) {
         let slot = &self.counts[bucket(ns)];
         slot.store(slot.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
     }
 
-    /// Takes a time for the longest, if it is.
+    /// Updates the maximum.
     #[inline]
     pub(crate) fn raise(&self, ns: u64) {
         if ns > self.max_ns.load(Ordering::Relaxed) {
@@ -63,7 +63,7 @@ impl Histogram {
         }
     }
 
-    /// How many times were counted.
+    /// Number of counted times.
     pub fn count(&self) -> u64 {
         self.counts.iter().map(|count| count.load(Ordering::Relaxed)).sum()
     }
@@ -73,7 +73,7 @@ impl Histogram {
         self.max_ns.load(Ordering::Relaxed)
     }
 
-    /// How many times fell into each bucket, to tell later what was counted since.
+    /// Counts per bucket, for [`quantile_ns`] of what was counted since.
     pub fn counts(&self) -> Vec<u64> {
         self.counts.iter().map(|c| c.load(Ordering::Relaxed)).collect()
     }
@@ -97,7 +97,7 @@ impl Histogram {
     }
 }
 
-/// A histogram that most nodes never use: it takes memory from the first time on.
+/// A histogram that most nodes never use: allocated with the first time.
 #[derive(Default)]
 pub struct RareHistogram(OnceLock<Box<Histogram>>);
 
@@ -123,7 +123,7 @@ impl RareHistogram {
     }
 }
 
-/// [`Histogram::quantile_ns`] of what was counted between two looks at [`Histogram::counts`].
+/// [`Histogram::quantile_ns`] of the times counted between two calls of [`Histogram::counts`].
 pub fn quantile_between_ns(before: &[u64], now: &[u64], q: f64) -> u64 {
     let added = |i: usize| now[i].saturating_sub(before.get(i).copied().unwrap_or(0));
     let total: u64 = (0..now.len()).map(added).sum();
@@ -148,17 +148,17 @@ pub struct NodeStats {
     pub time: Arc<Histogram>,
     /// From ingest of a tick to the end of this node's work on it; kept for sinks.
     pub age: RareHistogram,
-    /// From a failure to the end of the first call that went well again.
+    /// From a failure to the end of the next successful call.
     pub recovery: RareHistogram,
-    /// Ticks dropped where they would have entered here.
+    /// Ticks dropped at the node's inputs.
     pub dropped: AtomicU64,
     /// Ticks for which a required input was empty.
     pub skipped: AtomicU64,
     /// Errors and panics.
     pub faults: AtomicU64,
-    /// Times the node was opened again.
+    /// Restarts.
     pub restarts: AtomicU64,
-    /// Frames copied because a shared one was to be written.
+    /// Frames copied because the node wrote to a shared one.
     pub copies: AtomicU64,
     /// Frames converted for readers that want another format.
     pub conversions: AtomicU64,
@@ -168,7 +168,7 @@ pub struct NodeStats {
     pub allocations: AtomicU64,
 }
 
-/// One more; only the node's runner writes.
+/// Adds one. Only the thread that runs the node writes.
 pub(crate) fn bump(counter: &AtomicU64) {
     counter.fetch_add(1, Ordering::Relaxed);
 }

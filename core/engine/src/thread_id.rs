@@ -13,7 +13,7 @@ pub(crate) fn current() -> u32 {
     NUMBER.with(Cell::get)
 }
 
-/// Gives the calling thread its number.
+/// Sets the number of the calling thread.
 pub(crate) fn set(number: u32) {
     NUMBER.with(|n| n.set(number));
 }

@@ -1,4 +1,4 @@
-//! Threads that belong to one node: sources and nodes that may wait.
+//! Threads that belong to one node: sources, and nodes that may block.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -20,31 +20,31 @@ use crate::stats::bump;
 use crate::sync::lock;
 use crate::thread_id;
 
-/// Ticks a batch reader of another region may lag behind before the producer's source waits.
+/// Packets that may wait at a reader of another region in batch before the producer's source waits.
 const MAX_BEHIND: usize = 64;
 
-/// Capture time between ticks of a source that states none.
+/// Capture time between ticks of a source that sets none.
 const DEFAULT_FRAME_NS: i64 = 33_333_333;
 
-/// A step back in capture time of at least this length is a recording that starts again, not a fault.
+/// A step back in capture time of at least this length is a recording that restarts, not a fault.
 const REWIND_NS: i64 = 1_000_000_000;
 
-/// Capture times that are let in: 146 years to either side. The difference of any two of them is a number of nanoseconds, too.
+/// Accepted capture times: 146 years to either side, so that the difference of any two fits an `i64`.
 const CAPTURE_NS: Range<i64> = -(1 << 62)..1 << 62;
 
-/// Longest that a source's thread works for others between two of its ticks, and the share of the time between them.
+/// Longest time that a source's thread runs other nodes between two of its ticks, and the largest share of the time between them.
 const LONGEST_WALK_NS: u64 = 1_000_000;
 const WALK_SHARE: u64 = 8;
-/// The same for the thread of a node that may wait: about what it takes to wake another one.
+/// The same for the thread of a node that may block: about the time to wake another thread.
 const SHORT_WALK_NS: u64 = 100_000;
 
-/// What a source's thread knows between two ticks.
+/// State of a source's thread between two ticks.
 #[derive(Default)]
 struct Pace {
     /// Capture and wall time of the first tick.
     first: Option<(i64, u64)>,
     last_capture_ns: Option<i64>,
-    /// The last staging of inputs led to no tick.
+    /// Whether the last staging of inputs led to no tick.
     again: bool,
 }
 
@@ -84,10 +84,10 @@ impl Shared {
         Ok(())
     }
 
-    /// Answers whether the watchdog gave this thread up.
+    /// Runs until the node finishes or leaves. Returns whether the watchdog abandoned this thread.
     fn blocking_thread(&self, node: usize, runtime: &NodeRuntime) -> bool {
         let mut scratch = Scratch::default();
-        // Real-time priority is for the node alone.
+        // Real-time priority is only for this node.
         let allowance_ns = if runtime.kind == NodeKind::Realtime { 0 } else { SHORT_WALK_NS };
         loop {
             runtime.runner.park();
@@ -104,7 +104,7 @@ impl Shared {
         }
     }
 
-    /// Answers whether the watchdog gave this thread up.
+    /// Runs until the node finishes or leaves. Returns whether the watchdog abandoned this thread.
     fn source_thread(&self, node: usize, runtime: &Arc<NodeRuntime>) -> bool {
         let mut scratch = Scratch::default();
         let mut pace = Pace { last_capture_ns: runtime.ticks.last_capture_ns(), ..Pace::default() };
@@ -132,7 +132,7 @@ impl Shared {
         self.source_over(node, runtime)
     }
 
-    /// A source has made its last tick: answers `false` when all is said.
+    /// Finishes a source that has made its last tick. Always returns `false`: the thread was not abandoned.
     fn source_over(&self, node: usize, runtime: &NodeRuntime) -> bool {
         let region = Arc::clone(self.plan.load().region_of(node));
         while region.has_pending() {
@@ -195,10 +195,10 @@ impl Shared {
                 return Step::End;
             }
             if outcome == CallOutcome::Fault {
-                // The call was made: the next one is another tick.
+                // The call was made, so the next one is another tick.
                 runtime.ticks.set_made(seq + 1);
             } else if !self.context.batch {
-                // It is being restarted; whoever does that wakes this thread.
+                // The restart thread wakes this thread.
                 runtime.runner.park_at_most(Some(Duration::from_millis(100)));
             }
             return Step::Next;
@@ -214,7 +214,7 @@ impl Shared {
         if let Some(last) = pace.last_capture_ns.replace(tick.capture_ns).filter(|&last| tick.capture_ns > last) {
             let period_ns = tick.capture_ns.abs_diff(last);
             self.frame_ns.store(period_ns, Ordering::Relaxed);
-            // Where nobody waits for the time of a tick, the next one is made meanwhile.
+            // In batch the source makes its next tick at once instead.
             if self.paced && !self.context.batch {
                 allowance_ns = LONGEST_WALK_NS.min(period_ns / WALK_SHARE);
             }
@@ -228,7 +228,7 @@ impl Shared {
         let mut outputs = region.spare();
         for output in &mut made.outputs {
             let raw = std::mem::replace(output, Frame::EMPTY);
-            // SAFETY: outputs of a call that has ended are empty or hold a reference, which the list has just forgotten.
+            // SAFETY: outputs of a call that has ended are empty or hold a reference, which the list no longer has after the `replace`.
             outputs.push(unsafe { FrameRef::adopt(Frame { tick, ..raw }) });
         }
         if self.paced && !self.context.batch {
@@ -245,7 +245,7 @@ impl Shared {
             region.recycle(old);
         }
         if let Some(outputs) = enter {
-            // Admitted, so the region keeps its wiring: this is the plan to deliver by.
+            // The tick is admitted, so the wiring of its region does not change: deliver by this plan.
             let plan = self.plan.load();
             let mut ready = Ready::default();
             self.enter(&plan, node, outputs, &mut ready);
@@ -269,7 +269,7 @@ impl Shared {
         });
     }
 
-    /// Whether a batch reader of another region has much to catch up with.
+    /// Whether a reader of another region is too far behind in batch.
     pub(crate) fn readers_lag(&self, node: usize) -> bool {
         if !self.context.ignores_wall_clock() {
             return false;
@@ -288,7 +288,7 @@ impl Shared {
     ) -> u64 {
         let &mut (first_capture, first_ns) = first.get_or_insert((capture_ns, now_ns));
         let due = first_ns.saturating_add_signed(capture_ns.saturating_sub(first_capture));
-        // A jump in media time is not waited for.
+        // Do not wait for a jump in media time.
         if due > now_ns.saturating_add(2_000_000_000) || due.saturating_add(1_000_000_000) < now_ns {
             *first = Some((capture_ns, now_ns));
             return now_ns;
@@ -302,14 +302,14 @@ impl Shared {
     }
 }
 
-/// Whether a tick of this capture time is let in after one of another.
+/// Whether to admit a tick of this capture time after one of `last_ns`.
 #[inline]
 pub(crate) fn capture_fits(capture_ns: i64, last_ns: Option<i64>) -> bool {
     let back = |last: i64| capture_ns <= last && last.saturating_sub(capture_ns) < REWIND_NS;
     CAPTURE_NS.contains(&capture_ns) && !last_ns.is_some_and(back)
 }
 
-/// Why it is not.
+/// Why [`capture_fits`] is false.
 #[cold]
 pub(crate) fn capture_words(capture_ns: i64, last_ns: Option<i64>) -> String {
     let (range, ms) = (CAPTURE_NS, |ns: i64| ns as f64 / 1e6);
@@ -324,11 +324,11 @@ pub(crate) fn capture_words(capture_ns: i64, last_ns: Option<i64>) -> String {
 enum Step {
     Next,
     End,
-    /// Somebody else goes on in place of this thread.
+    /// The watchdog abandoned this thread; another one continues.
     GivenUp,
 }
 
-/// Pins the calling thread and asks for real-time priority; a system may refuse both.
+/// Pins the calling thread and requests real-time priority; the system may refuse both.
 fn place_thread(cpu: Option<u32>, realtime: bool) {
     if let Some(cpu) = cpu.filter(|&c| (c as usize) < libc::CPU_SETSIZE as usize) {
         // SAFETY: plain system calls on a local set.

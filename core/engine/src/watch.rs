@@ -1,4 +1,4 @@
-//! The watchdog: sees calls that do not return, leaves them behind with their thread and has failed nodes opened again. It calls no
+//! The watchdog: detects calls that do not return, abandons them with their thread, and starts restarts of failed nodes. It calls no
 //! plugin itself.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -23,16 +23,16 @@ use crate::schedule::{Ready, Shared};
 use crate::stats::bump;
 use crate::sync::lock;
 
-/// Calls of one node that may be stuck at a time; with one more the node is left out.
+/// Stuck calls of one node at a time; with one more the node is bypassed.
 const MAX_STUCK: u32 = 3;
-/// Between a node's budget and the moment it is called hung: two frames, within these limits.
+/// Grace time after a node's budget until it counts as hung: two frames, within these limits.
 const SHORTEST_GRACE_NS: u64 = 20_000_000;
 const LONGEST_GRACE_NS: u64 = 66_000_000;
-/// In batch time is no measure of a node: only what takes this many times its budget hangs.
+/// In batch a call counts as hung only after this many times its budget.
 const BATCH_BUDGETS: u64 = 20;
 
 impl Shared {
-    /// Looks at the running calls until `stop` is set.
+    /// Checks the running calls until `stop` is set.
     pub fn watch(&self, stop: &AtomicBool) {
         let mut next_look_ns = 0;
         let mut refused = retained::refused_outside();
@@ -56,15 +56,14 @@ impl Shared {
                 }
                 let before = std::mem::replace(&mut refused, retained::refused_outside());
                 if refused != before {
-                    let words =
-                        "a plugin's thread gave back or kept a frame that the plugin does not hold; this was refused";
+                    let words = "a plugin's thread released or retained a frame that the plugin does not hold; the host refused this";
                     self.context.log.write(Level::Error, "engine", words);
                 }
             }
         }
     }
 
-    /// Wakes nodes whose wait for a `nearest` input is over.
+    /// Fires nodes whose deadline for a `nearest` input has passed.
     fn try_fire_nearest(&self) {
         if self.waiting_nearest.swap(0, Ordering::Relaxed) == 0 {
             return;
@@ -86,7 +85,7 @@ impl Shared {
         ready.dispatch_ready(self, &plan, 0);
     }
 
-    /// Time from the start of a call to the end of its budget, and from there until it is called hung.
+    /// Time from the start of a call to the end of its budget, and from there until it counts as hung.
     fn time_limits(&self, runtime: &NodeRuntime) -> (u64, u64) {
         match runtime.busy.kind() {
             CallKind::Process => {}
@@ -118,7 +117,7 @@ impl Shared {
         }
     }
 
-    /// Takes everything over from a call that does not return: its tick goes on with empty outputs, node and thread are replaced.
+    /// Abandons a call that does not return: its tick continues with empty outputs, and instance and thread are replaced.
     #[cold]
     fn abandon(&self, plan: &Plan, node: usize, runtime: &Arc<NodeRuntime>, since_ns: u64, budget_ns: u64) {
         let busy = &runtime.busy;
@@ -153,7 +152,7 @@ impl Shared {
         );
         self.context.log.write(Level::Error, &runtime.id, &words);
         runtime.report_fault(&self.context, Cause::Hang, done, Some(tick.seq), Some(late_ms), words);
-        // The rest of the tick first, so that nobody runs the node before.
+        // Finish the tick first, so that no thread runs the node before that.
         let mut ready = Ready::default();
         let head = plan.wiring[node].chain_head;
         let mut again = false;
@@ -164,7 +163,7 @@ impl Shared {
             self.skip_from(plan, node, tick, &mut ready);
             again = self.take_next(plan, head, &mut ready);
         }
-        // Only the handle goes: the thread may never end. It need not be this node's own.
+        // Drops only the handle, because the thread may never end. It may belong to another node.
         let own = lock(&self.own_threads).remove(&thread);
         let mut replaced = self.pool.give_up(thread);
         if let Some(me) = self.me.upgrade()
@@ -188,7 +187,7 @@ impl Shared {
         }
     }
 
-    /// Writes down that a call off the hot path has no answer; answers what is done about it.
+    /// Reports that a call off the hot path did not return. Returns the engine's response.
     #[cold]
     pub fn report_no_return(&self, runtime: &NodeRuntime, error: &CallError) -> Action {
         let stuck = runtime.recovery.stuck();
@@ -206,7 +205,7 @@ impl Shared {
     /// Starts a thread of the host.
     ///
     /// # Errors
-    /// The system gives none.
+    /// The system gives no thread.
     pub fn start_host_thread(
         self: &Arc<Self>,
         name: &str,
@@ -216,7 +215,7 @@ impl Shared {
         std::thread::Builder::new().name(name.chars().take(15).collect()).spawn(work)
     }
 
-    /// Work of a thread of the host. A panic there is a mistake of the host: it is told with the thread's name and ends the run.
+    /// Wraps the work of a thread of the host. A panic there is a bug of the host: it is reported with the thread's name and ends the run.
     pub fn watched(self: Arc<Self>, name: String, work: impl FnOnce() + Send + 'static) -> impl FnOnce() + Send {
         move || {
             if let Err(payload) = catch_unwind(AssertUnwindSafe(work)) {
@@ -225,7 +224,7 @@ impl Shared {
         }
     }
 
-    /// A thread of the host panicked: what it was to do may never be done, so the run does not wait for it.
+    /// A thread of the host panicked. The run ends without waiting for work that this thread may have left undone.
     #[cold]
     pub fn thread_panicked(&self, name: &str, words: &str) {
         let words = format!("thread `{name}` of the engine panicked: {words}");
@@ -236,10 +235,10 @@ impl Shared {
         self.finished.notify_all();
     }
 
-    /// Closes what failed and, if the graph wants that, opens the node again. This happens on a thread of its own.
+    /// Closes failed instances and, if the graph says so, restarts the node, on a separate thread.
     pub fn start_restart(&self, runtime: &Arc<NodeRuntime>) {
         if self.context.ignores_wall_clock() && runtime.on_fault() == OnFault::Restart && !runtime.has_given_up() {
-            // Closed and opened again before a tick that does not depend on the clock.
+            // In batch and replay the node itself reopens before a tick that does not depend on the clock.
             return;
         }
         let Some(me) = self.me.upgrade() else { return };
@@ -271,7 +270,7 @@ impl Shared {
             }
             let opened = self.open_again(runtime, &runtime.snapshot());
             if outdated() {
-                // Somebody opened the node otherwise, or it is gone.
+                // A change reopened or removed the node meanwhile.
                 if let Ok(instance) = opened {
                     self.close_guarded(runtime, vec![instance]);
                 }

@@ -1,4 +1,4 @@
-//! A change laid out: what becomes of every node, and which regions must come to rest for it.
+//! A planned change: what it does to each node, and which regions it must hold.
 
 use std::sync::Arc;
 
@@ -95,19 +95,19 @@ impl NodeChange {
     }
 }
 
-/// A change laid out, with the runtimes of new nodes.
+/// A planned change, with the runtimes of new nodes.
 pub(super) struct Change {
     pub plan: Plan,
     pub node_changes: Vec<NodeChange>,
     /// Slots that lose their node.
     pub removed: Vec<usize>,
-    /// Old regions that must come to rest.
+    /// Old regions that the change holds.
     pub held: Vec<(Arc<Region>, Extent)>,
     /// Sources whose thread must leave for the switch.
     pub quiet: Vec<usize>,
 }
 
-/// What an input is connected to, as far as the scheduler is concerned.
+/// An input's connection as the scheduler sees it.
 pub(super) type Connection = (usize, usize, usize, usize, Align, Option<u32>, u8, bool, bool);
 
 pub(super) fn connections(graph: &Graph, slots: &[usize], node: usize) -> Vec<Connection> {
@@ -120,7 +120,7 @@ pub(super) fn connections(graph: &Graph, slots: &[usize], node: usize) -> Vec<Co
         .collect()
 }
 
-/// For each new connection, the old one that it goes on with.
+/// For each new connection, the old one that it continues.
 pub(super) fn inherited(old: &[Connection], new: &[Connection]) -> Vec<Option<usize>> {
     let mut taken = vec![false; old.len()];
     let same = |a: &Connection, b: &Connection| (a.0, a.1, a.2, a.4, a.6) == (b.0, b.1, b.2, b.4, b.6);
@@ -232,7 +232,7 @@ impl Change {
         Ok(change)
     }
 
-    /// Names of nodes whose instance of now ends with the change.
+    /// Names of nodes whose current instance the change closes.
     pub(super) fn leaving(&self, old: &Plan, graph: &Graph) -> Vec<String> {
         let removed = self.removed.iter().map(|&slot| old.runtimes[slot].id.clone());
         let nodes = self.node_changes.iter().zip(&graph.nodes);
@@ -240,7 +240,7 @@ impl Change {
         removed.chain(anew).collect()
     }
 
-    /// Brings the regions of these sources to rest too.
+    /// Also holds the regions of these sources.
     pub(super) fn hold_also(&mut self, old: &Plan, at: &[(String, u64)]) -> Result<(), ApplyError> {
         for (source, _) in at {
             let no_source = || ApplyError::NoSource { node: source.clone() };

@@ -1,11 +1,11 @@
-//! The lock of whoever changes the graph.
+//! The lock held during a change of the graph.
 
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Instant;
 
 use crate::sync::lock;
 
-/// Held by whoever changes the graph. Unlike a `Mutex` it can be waited for for a limited time.
+/// Held during a change of the graph. Unlike a `Mutex`, a caller can wait for it for a limited time.
 #[derive(Default)]
 pub(crate) struct ChangeLock {
     held: Mutex<bool>,
@@ -16,7 +16,7 @@ pub(crate) struct ChangeLock {
 pub(crate) struct ChangeGuard<'l>(&'l ChangeLock);
 
 impl ChangeLock {
-    /// Waits until nobody else holds it.
+    /// Waits until the lock is free.
     pub fn lock(&self) -> ChangeGuard<'_> {
         let mut held = lock(&self.held);
         while *held {
@@ -26,7 +26,7 @@ impl ChangeLock {
         ChangeGuard(self)
     }
 
-    /// The same until then; `None` when somebody still holds it.
+    /// Waits until a deadline; `None` if the lock is still held then.
     pub fn lock_until(&self, until: Instant) -> Option<ChangeGuard<'_>> {
         let mut held = lock(&self.held);
         while *held {

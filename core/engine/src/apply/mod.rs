@@ -1,8 +1,8 @@
 //! Changing a running graph: one transaction from the graph that runs to another checked one.
 //!
-//! New nodes are opened beside the running ones. The regions that the change touches stop admitting ticks; sources go on and
-//! their ticks are kept. When the ticks inside are through, the plan is switched and the kept ticks enter. Untouched regions do not
-//! notice. Whatever fails before the switch leaves everything as it was.
+//! New nodes open beside the running ones. The regions that the change touches stop admitting ticks; sources continue and
+//! their ticks are retained. When the ticks inside have finished, the engine switches the plan and the retained ticks enter. Other regions
+//! are not affected. A failure before the switch leaves everything as it was.
 
 mod change;
 mod change_lock;
@@ -43,11 +43,11 @@ enum When<'a> {
     Now,
     /// Before these ticks.
     At(&'a [(String, u64)]),
-    /// Where the change of this number was made in the run that the decider knows.
+    /// At the position that this change had in the run that the decider repeats.
     Recorded(usize),
 }
 
-/// An instance opened for the change: the node of the new graph, and its values if they are new.
+/// An instance opened for the change, with its node of the new graph and its values.
 struct Opened {
     node: usize,
     instance: Instance,
@@ -57,10 +57,10 @@ struct Opened {
 impl Engine {
     /// Changes the running graph into another one that was checked against `catalog`, as one transaction: all of it or nothing.
     ///
-    /// Nodes of the same name and type go on with their instance, counters and inputs; no tick is lost on paths that are not touched.
+    /// Nodes of the same name and type keep their instance, counters and inputs; untouched paths lose no tick.
     ///
     /// # Errors
-    /// Everything is as before then.
+    /// The running graph is unchanged.
     pub fn apply(&self, graph: Graph, catalog: &Catalog, plugins: &dyn Plugins) -> Result<Applied, ApplyError> {
         self.apply_when(graph, catalog, plugins, &When::Now)
     }
@@ -80,7 +80,7 @@ impl Engine {
         self.apply_when(graph, catalog, plugins, &When::At(at))
     }
 
-    /// Makes the change of number `edit` of the run that the decider knows, at the tick at which it was made.
+    /// Makes change number `edit` of the run that the decider repeats, at the same tick as in that run.
     ///
     /// # Errors
     /// As [`Self::apply`].
@@ -121,11 +121,11 @@ impl Engine {
         if let When::At(at) = when {
             change.hold_also(&old, at)?;
         }
-        // Nodes that the change ends write until the switch; those that it opens begin after it.
+        // Nodes that the change closes write until the switch; nodes that it opens start writing after it.
         let leaving = shared.context.claims.leaving(change.leaving(&old, &graph));
         let mut early = self.open_early(&change, &graph)?;
 
-        // From here until the switch whole parts of the graph stand still.
+        // From here until the switch the held regions process no tick.
         let start = Instant::now();
         let still = self
             .come_to(&old, &change, when)
@@ -133,7 +133,7 @@ impl Engine {
             .and_then(|()| self.transfer_states(&old, &change, &mut early))
             .and_then(|()| self.open_late(&old, &change, &graph));
         let still = match still {
-            // Closing waits for the change only so long.
+            // The engine is closing and waits for this change only for a limited time.
             Ok(late) if shared.is_stopping() => Err((ApplyError::Ended, late)),
             Ok(late) => Ok(late),
             Err(error) => Err((error, Vec::new())),
@@ -153,7 +153,7 @@ impl Engine {
         Ok(switch.run(change, graph, early))
     }
 
-    /// Lets the ticks pass that come before the change.
+    /// Waits for the ticks that come before the change.
     fn come_to(&self, old: &Plan, change: &Change, when: &When<'_>) -> Result<(), ApplyError> {
         let shared = &self.shared;
         let mut named = Vec::new();
@@ -186,7 +186,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Opens nodes of the new graph, one after the other, each within its limit. When one does not open, those before it are closed again.
+    /// Opens nodes of the new graph one after the other, each within its time limit. If one fails, closes those opened before it.
     fn open_each(&self, change: &Change, graph: &Graph, nodes: &[usize]) -> Result<Vec<Opened>, ApplyError> {
         let shared = &self.shared;
         let runtime = |node: usize| &change.plan.runtimes[change.plan.slots[node]];
@@ -223,23 +223,23 @@ impl Engine {
         }
     }
 
-    /// Closes what was opened for a change that is not made.
+    /// Closes instances that were opened for a change that failed.
     fn close_opened(&self, change: &Change, opened: Vec<Opened>) {
         for Opened { node, instance, .. } in opened {
             self.shared.close_guarded(&change.plan.runtimes[change.plan.slots[node]], vec![instance]);
         }
     }
 
-    /// Opens what may be open beside the running nodes.
+    /// Opens the instances that may be open beside the running nodes.
     fn open_early(&self, change: &Change, graph: &Graph) -> Result<Vec<Opened>, ApplyError> {
-        // A decider says at which tick a node goes on with a new instance.
+        // A decider sets the tick at which a node continues with a new instance.
         let scripted = self.shared.context.decider.is_some();
         let wanted = |c: NodeChange| c.opens() == Some(Opens::Beside) && !(c.is_reopened() && scripted);
         let nodes: Vec<usize> = (0..graph.nodes.len()).filter(|&n| wanted(change.node_changes[n])).collect();
         self.open_each(change, graph, &nodes)
     }
 
-    /// Waits until nobody is busy, or the engine is to stop.
+    /// Waits until no node is busy. Fails when the engine stops or the time is over.
     fn wait_for(&self, until: Instant, busy: impl Fn() -> Option<String>) -> Result<(), ApplyError> {
         while let Some(node) = busy() {
             if self.shared.is_stopping() {
@@ -253,10 +253,10 @@ impl Engine {
         Ok(())
     }
 
-    /// Takes the state of a node at rest, for a successor, and closes it if it is to be closed.
+    /// Saves the state of a node at rest for its successor, and closes it if `closes` is set.
     ///
     /// # Errors
-    /// It did not return: its instance is lost, and the node is opened again.
+    /// The node did not return: its instance is lost, and the node restarts.
     fn save(&self, runtime: &Arc<NodeRuntime>, closes: bool) -> Result<Option<Vec<u8>>, ApplyError> {
         let shared = &self.shared;
         let Some(mut exec) = runtime.exec.take() else { return Ok(None) };
@@ -288,10 +288,10 @@ impl Engine {
         Ok(state)
     }
 
-    /// Gives a state to a new instance.
+    /// Loads a state into a new instance.
     ///
     /// # Errors
-    /// It did not return: the instance is lost.
+    /// The node did not return: the instance is lost.
     fn load(
         &self,
         runtime: &Arc<NodeRuntime>,
@@ -310,7 +310,7 @@ impl Engine {
         }
     }
 
-    /// Gives the states of nodes that are replaced to their successors, which are open beside them. All are at rest.
+    /// Transfers the states of replaced nodes to their successors, which are open beside them. All are at rest.
     fn transfer_states(&self, old: &Plan, change: &Change, early: &mut Vec<Opened>) -> Result<(), ApplyError> {
         let mut rest = std::mem::take(early).into_iter();
         let mut failed = Ok(());
@@ -340,7 +340,7 @@ impl Engine {
         failed
     }
 
-    /// Brings the touched regions to rest.
+    /// Pauses the touched regions and waits until no tick is inside.
     fn hold(&self, old: &Plan, change: &Change) -> Result<(), ApplyError> {
         let until = Instant::now() + LONGEST_DRAIN;
         for &slot in &change.quiet {
@@ -352,7 +352,7 @@ impl Engine {
             region.pause();
         };
         if self.shared.context.batch {
-            // A region may wait for packets of those before it: the last ones come to rest first.
+            // A region may wait for packets of regions before it, so pause the last one first.
             for held in change.held.iter().rev() {
                 pause(held);
                 self.wait_for(until, || busy_member(old, held))?;
@@ -367,7 +367,7 @@ impl Engine {
         })
     }
 
-    /// Opens what cannot be open beside its predecessor, which is closed first. On failure all predecessors are open again.
+    /// Closes exclusive predecessors and opens their successors. On failure reopens all predecessors.
     fn open_late(&self, old: &Plan, change: &Change, graph: &Graph) -> Result<Vec<Opened>, ApplyError> {
         let nodes: Vec<usize> =
             (0..graph.nodes.len()).filter(|&n| change.node_changes[n].opens_after_close()).collect();
@@ -410,7 +410,7 @@ impl Engine {
         Ok(opened)
     }
 
-    /// Opens nodes again that were closed for a change that failed.
+    /// Reopens nodes that were closed for a change that failed.
     fn reopen(&self, old: &Plan, states: &[(usize, Option<Vec<u8>>)]) {
         for (slot, state) in states {
             let runtime = &old.runtimes[*slot];
@@ -432,11 +432,11 @@ impl Engine {
         }
     }
 
-    /// Ends a change that failed: all goes on as before.
+    /// Undoes the pause after a change that failed.
     fn let_go(&self, old: &Plan, change: &Change) {
         for &slot in &change.quiet {
             let runtime = &old.runtimes[slot];
-            // A thread that has not seen the request yet stays.
+            // A thread that has not seen the request yet continues.
             if runtime.runner.leave.withdraw() {
                 continue;
             }
@@ -447,7 +447,7 @@ impl Engine {
             self.start_thread(slot, runtime);
         }
         let mut ready = Ready::default();
-        // One that was never paused goes on by itself.
+        // A region that was never paused continues by itself.
         for (region, extent) in change.held.iter().filter(|(region, _)| region.stop_waiting()) {
             self.resume(old, region, extent.head, &mut ready);
         }
@@ -472,19 +472,19 @@ impl Engine {
         self.shared.try_fire_head(plan, head, ready);
     }
 
-    /// Closes what is not part of the graph any more, so that its files are finished.
+    /// Closes nodes that are no longer part of the graph, so that their files are finished.
     fn close_old(&self, old: &Plan, slots: &[usize]) {
         let until = Instant::now() + LONGEST_LEAVE;
         for &slot in slots {
             let runtime = &old.runtimes[slot];
-            // A node with a thread of its own closes there.
+            // A node with its own thread closes on that thread.
             let stays = || runtime.owns_thread() && runtime.runner.has_thread();
             while stays() && Instant::now() < until {
                 runtime.runner.wake();
                 std::thread::sleep(Duration::from_micros(200));
             }
             if stays() {
-                // It closes the node if it ever leaves. Nobody waits for it; workers that are stuck in its loops go with it.
+                // The thread closes the node if it ever returns. Workers that are stuck in its loops are replaced too.
                 let words = "it was removed and does not return; it is left behind, and its files may be incomplete";
                 self.shared.context.log.write(Level::Error, &runtime.id, words);
                 let mut threads = lock(&self.shared.own_threads);
@@ -503,7 +503,7 @@ impl Engine {
     }
 }
 
-/// A call of a node has no answer.
+/// The error of a call that did not return.
 fn no_answer(node: &str, error: &CallError) -> ApplyError {
     ApplyError::NoReturn { node: node.to_owned(), reason: error.to_string() }
 }
@@ -516,11 +516,11 @@ fn retire(runtime: &Arc<NodeRuntime>) -> bool {
     unfinished
 }
 
-/// A node of a paused region that still works.
+/// A node of a paused region that is still busy.
 fn busy_member(plan: &Plan, (region, extent): &(Arc<Region>, Extent)) -> Option<String> {
     let works = |slot: usize| {
         let runtime = &plan.runtimes[slot];
-        // A source may go on: what it makes is kept.
+        // A source may continue: its region retains what it makes.
         !runtime.source && (lock(&runtime.join).is_running() || !runtime.exec.is_home())
     };
     let member = extent.members.iter().copied().find(|&slot| works(slot));

@@ -1,27 +1,27 @@
-//! What a change did, and why it was not made.
+//! The result of a change of the graph, and its errors.
 
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-/// What a change did, by node name.
+/// The effects of a change, by node name.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Applied {
     /// New nodes.
     pub added: Vec<String>,
-    /// Nodes that are gone.
+    /// Removed nodes.
     pub removed: Vec<String>,
     /// Nodes of another type, or of a rebuilt plugin.
     pub replaced: Vec<String>,
-    /// Nodes opened anew with other values.
+    /// Nodes reopened for new values.
     pub reopened: Vec<String>,
     /// Nodes whose inputs changed.
     pub rewired: Vec<String>,
-    /// Nodes with other values that need no reopening.
+    /// Nodes whose new values took effect without reopening.
     pub tuned: Vec<String>,
-    /// Time during which no tick entered the parts that were changed; zero when none was held up.
+    /// Time during which no tick entered the changed regions; zero if none was held.
     pub pause: Duration,
-    /// For each source whose region was switched: its name and the number of its first tick after the switch at the latest.
+    /// For each source whose region was held: its name and the number of its first tick after the switch.
     pub switched_at: Vec<(String, u64)>,
 }
 
@@ -50,7 +50,7 @@ impl std::fmt::Display for Applied {
     }
 }
 
-/// Why a change was not made; everything is as before.
+/// Why a change failed. The running graph is unchanged.
 #[derive(Debug, thiserror::Error)]
 pub enum ApplyError {
     /// A node did not open.
@@ -60,18 +60,18 @@ pub enum ApplyError {
         node: String,
         /// Its type.
         node_type: String,
-        /// What it said.
+        /// The node's message.
         reason: String,
     },
-    /// A node did not come to an answer.
+    /// A node did not return from a call.
     #[error("node `{node}`, nothing was changed: {reason}")]
     NoReturn {
         /// The node's name.
         node: String,
-        /// What it did not return from, and after what time.
+        /// The call and how long the engine waited.
         reason: String,
     },
-    /// The graph does not fit the loaded plugins any more.
+    /// The graph no longer fits the loaded plugins.
     #[error("{reason}; check the graph again")]
     Stale {
         /// What changed.
@@ -80,33 +80,33 @@ pub enum ApplyError {
     /// `live` and `batch` do not mix.
     #[error("the mode cannot change while the graph runs")]
     Mode,
-    /// The graph has come to its end.
+    /// The graph has ended.
     #[error("the graph does not run any more")]
     Ended,
-    /// The tick to switch at has entered the graph.
+    /// The tick to switch at has already entered the graph.
     #[error(
         "tick {seq} of `{source_node}` has passed, nothing was changed: tick {next} is the first that can be kept out"
     )]
     Passed {
         /// The source.
         source_node: String,
-        /// As asked for.
+        /// As given by the caller.
         seq: u64,
-        /// The first tick that has not entered.
+        /// The first tick that can still be held back.
         next: u64,
     },
-    /// A tick was named of something that makes none.
+    /// A tick was given for a node that is no source.
     #[error("`{node}` is no source of the running graph, nothing was changed: ticks are named by their source")]
     NoSource {
-        /// As asked for.
+        /// As given by the caller.
         node: String,
     },
-    /// Ticks under way did not come to their end.
+    /// Ticks in flight did not finish in time.
     #[error("node `{node}` did not come to rest within {seconds} s, nothing was changed")]
     Busy {
-        /// A node that still works.
+        /// A node that is still busy.
         node: String,
-        /// How long was waited.
+        /// How long the engine waited.
         seconds: u64,
     },
 }

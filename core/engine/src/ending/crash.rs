@@ -1,7 +1,7 @@
-//! What happens when a plugin crashes: SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT.
+//! Handles crashes of plugins: SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT.
 //!
-//! The handler names the node, wakes the rescue thread (see [`super::rescue`]) and waits for it, because the crashed thread cannot go
-//! on. Then it restores what was in force before and returns: the fault happens again and ends the process with the signal's own status and
+//! The handler names the node, wakes the rescue thread (see [`super::rescue`]) and waits for it, because the crashed thread cannot
+//! continue. Then it restores the previous handlers and returns: the fault happens again and ends the process with the signal's status and
 //! core dump.
 
 use std::cell::UnsafeCell;
@@ -15,15 +15,15 @@ use crate::log;
 
 const SIGNALS: [c_int; 5] = [libc::SIGSEGV, libc::SIGBUS, libc::SIGFPE, libc::SIGILL, libc::SIGABRT];
 
-/// What was in force before, in the order of [`SIGNALS`]: Rust's own handler for the guard pages of stacks, a sanitizer's, or the default.
+/// The previous handlers in the order of [`SIGNALS`]: Rust's own for stack guard pages, a sanitizer's, or the default.
 struct Before(UnsafeCell<[MaybeUninit<libc::sigaction>; SIGNALS.len()]>);
 
-// SAFETY: written by `install` before the handlers are in force, only read afterwards.
+// SAFETY: `install` writes it before it sets the handlers; afterwards it is only read.
 unsafe impl Sync for Before {}
 
 static BEFORE: Before = Before(UnsafeCell::new([const { MaybeUninit::uninit() }; SIGNALS.len()]));
 static INSTALLED: AtomicBool = AtomicBool::new(false);
-/// Process that installed the handlers: a child that was forked and crashes before `exec` is none of ours.
+/// Process that installed the handlers. A forked child that crashes before `exec` is not handled.
 static PROCESS: AtomicI32 = AtomicI32::new(0);
 /// Thread that crashed first; 0 for none.
 static CRASHED: AtomicI32 = AtomicI32::new(0);
@@ -34,7 +34,7 @@ pub(super) fn is_ours() -> bool {
     PROCESS.load(Ordering::Relaxed) == unsafe { libc::getpid() }
 }
 
-/// Puts the handlers in force, once.
+/// Installs the handlers, once.
 pub(super) fn install() {
     if INSTALLED.swap(true, Ordering::AcqRel) {
         return;
@@ -50,14 +50,14 @@ pub(super) fn install() {
         for signal in SIGNALS {
             let mut action: libc::sigaction = std::mem::zeroed();
             action.sa_sigaction = handle as *const () as usize;
-            // On the alternate stack that Rust gives each of its threads: the ordinary one may have overflowed.
+            // On the alternate stack that Rust gives each thread, because the ordinary one may have overflowed.
             action.sa_flags = libc::SA_SIGINFO | libc::SA_ONSTACK;
             libc::sigaction(signal, &raw const action, std::ptr::null_mut());
         }
     }
 }
 
-/// Puts back what was in force before [`install`], or the default for all.
+/// Restores the handlers that were set before [`install`], or the defaults.
 fn restore(to_default: bool) {
     // SAFETY: plain system calls on structs that `install` filled.
     unsafe {
@@ -118,7 +118,7 @@ fn is_overflow(signal: c_int, address: usize, context: *mut c_void) -> bool {
 extern "C" fn handle(signal: c_int, info: *mut libc::siginfo_t, context: *mut c_void) {
     // SAFETY: the kernel passes a description to handlers that were installed with SA_SIGINFO.
     let (code, address) = unsafe { ((*info).si_code, (*info).si_addr() as usize) };
-    // Sent by a program, `abort` among them: returning does not bring it back.
+    // A signal sent by a program (`abort`) does not repeat on return, so send it again.
     let sent = code <= 0;
     let again = || {
         if sent {
@@ -133,11 +133,11 @@ extern "C" fn handle(signal: c_int, info: *mut libc::siginfo_t, context: *mut c_
     let me = who::thread_id();
     if let Err(first) = CRASHED.compare_exchange(0, me, Ordering::AcqRel, Ordering::Acquire) {
         if first == me {
-            // A crash in here.
+            // This handler itself crashed.
             restore(true);
             return again();
         }
-        // The thread that crashed first ends the process. If this is the rescue, there is nothing more to wait for.
+        // The thread that crashed first ends the process. If this is the rescue thread, that one stops waiting for it.
         rescue::crashed(me);
         loop {
             // SAFETY: allowed in a handler.
@@ -145,11 +145,11 @@ extern "C" fn handle(signal: c_int, info: *mut libc::siginfo_t, context: *mut c_
         }
     }
     let overflow = !sent && is_overflow(signal, address, context);
-    // What was said before comes first.
+    // Earlier log lines come first.
     log::flush_all(rescue::LINES);
     report(signal, (!sent).then_some(address), overflow);
     rescue::after_crash(who::current().map(|(who, _, _)| who));
-    // An overflow was named: what Rust's own handler would say of it is left out. Everything else goes to who was there before.
+    // Skip Rust's own handler for an overflow, which is reported already. Everything else goes to the previous handler.
     restore(overflow);
     again();
 }

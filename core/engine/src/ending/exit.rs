@@ -1,4 +1,4 @@
-//! A plugin that calls `exit` ends the run without a word, unless the program's own exit functions stand in front of C's.
+//! Catches plugins that call `exit`, which would end the run without an error message, by defining the exit functions in the program.
 //!
 //! [`guard_exits!`](crate::guard_exits) defines them in a program, whose build exports them (`--export-dynamic-symbol`), so that the dynamic
 //! linker binds the calls of all plugins and their libraries to them.
@@ -26,10 +26,10 @@ pub fn leave(code: i32) -> ! {
     }
 }
 
-/// What the guarded functions do: a call out of a node's code, or while a graph runs, is reported, files are finished and the exit status is 1.
-/// All other calls go on to C's own function.
+/// The guarded functions: a call from a node's code, or while a graph runs, is reported, files are finished and the exit status is 1.
+/// All other calls reach C's own function.
 pub fn called(code: c_int, call: ExitCall) -> ! {
-    // A forked child that could not start its program leaves like this, too.
+    // A forked child that could not start its program also ends like this.
     if !crash::is_ours() {
         go_on(code, call);
     }
@@ -50,7 +50,7 @@ pub fn called(code: c_int, call: ExitCall) -> ! {
             if !who.node.is_empty() && !who.file.is_empty() {
                 words.text("  plugin: ").text(&who.file).print();
             }
-            words.text("  help: a plugin must answer with an error instead; report this text to its author").print();
+            words.text("  help: a plugin must return an error instead; report this text to its author").print();
             rescue::after_crash(Some(who));
             leave(1)
         }
@@ -77,7 +77,7 @@ fn go_on(code: c_int, call: ExitCall) -> ! {
     leave(code)
 }
 
-/// Defines C's exit functions in a program, so that plugins cannot end it without a word. See [`ending::called`](crate::ending::called).
+/// Defines C's exit functions in a program, so that plugins cannot end it unnoticed. See [`ending::called`](crate::ending::called).
 #[macro_export]
 macro_rules! guard_exits {
     () => {

@@ -1,6 +1,6 @@
-//! How a process that runs graphs ends when it is told to, or when a plugin takes it down.
+//! How a process that runs graphs ends: on request, or because a plugin crashes it.
 //!
-//! - [`signals`]: SIGINT, SIGTERM and SIGHUP ask for an end; whoever runs a graph answers.
+//! - [`signals`]: SIGINT, SIGTERM and SIGHUP request an end; the code that runs a graph acknowledges it.
 //! - [`install`]: a plugin that crashes, aborts or calls `exit` is named, the files of the other nodes are finished, and the process
 //!   ends with the signal's own status (exit 1 for `exit`).
 //!
@@ -22,7 +22,7 @@ pub fn install() {
     crash::install();
 }
 
-/// Finishes the files of all graphs that run and says in words which, for an end that cannot wait for the graphs.
+/// Finishes the files of all running graphs and returns a text that lists them, for an end that cannot wait for the graphs.
 pub(crate) fn finish_files() -> String {
     rescue::ask(rescue::LIMIT)
 }

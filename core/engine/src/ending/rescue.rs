@@ -1,4 +1,4 @@
-//! Finishes the files of running graphs when the thread that ends the process cannot: a thread of its own that waits for that.
+//! A thread that finishes the files of running graphs when the thread that ends the process cannot.
 
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicPtr, Ordering};
 use std::sync::{Arc, Mutex, Weak};
@@ -14,23 +14,23 @@ use crate::node::NodeRuntime;
 use crate::schedule::Shared;
 use crate::sync::lock;
 
-/// Longest that files are finished: what crashed may have left locks behind.
+/// Time limit for finishing files, because the crashed code may hold locks.
 pub(super) const LIMIT: Duration = Duration::from_secs(5);
 
-/// Longest that is waited for lines of the log and faults that are not passed on yet.
+/// Time limit for passing on log lines and faults.
 pub(super) const LINES: Duration = Duration::from_millis(500);
 
 /// Where the rescue thread waits: a pipe, because a signal handler can write to one.
 static WAKE: AtomicI32 = AtomicI32::new(-1);
 static THREAD: AtomicI32 = AtomicI32::new(0);
 static DONE: AtomicBool = AtomicBool::new(false);
-/// The node that crashed, if it was one.
+/// The node that crashed, if any.
 static VICTIM: AtomicPtr<Who> = AtomicPtr::new(std::ptr::null_mut());
 
 /// Graphs that run.
 static ENGINES: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 
-/// A graph runs from now on.
+/// Registers a graph that runs from now on.
 pub(crate) fn register(shared: &Arc<Shared>) {
     let mut engines = lock(&ENGINES);
     engines.retain(|engine| engine.strong_count() > 0);
@@ -66,14 +66,14 @@ pub(super) fn start() {
     }
 }
 
-/// Another thread crashed: if it is the rescue, nobody waits for it any more.
+/// Another thread crashed. If it is the rescue thread, waiting for it ends.
 pub(super) fn crashed(thread: i32) {
     if thread == THREAD.load(Ordering::Relaxed) {
         DONE.store(true, Ordering::Release);
     }
 }
 
-/// Has the files of all other nodes finished and waits for that. Called by the thread that crashed, in its signal handler.
+/// Has the rescue thread finish the files of all other nodes and waits for it. Called in the signal handler of the thread that crashed.
 pub(super) fn after_crash(victim: Option<&Who>) {
     VICTIM.store(victim.map_or(std::ptr::null_mut(), |who| std::ptr::from_ref(who).cast_mut()), Ordering::Release);
     let pipe = WAKE.load(Ordering::Acquire);
@@ -94,12 +94,12 @@ pub(super) fn after_crash(victim: Option<&Who>) {
 
 const STEP_MS: u128 = 10;
 
-/// Finishes the files of all graphs on the calling thread; answers what it came to.
+/// Finishes the files of all graphs on the calling thread. Returns a text for the user.
 pub(super) fn ask(limit: Duration) -> String {
     finish(std::ptr::null_mut(), Instant::now() + limit)
 }
 
-/// Closes all nodes that write, but the victim, and ends the recordings.
+/// Closes all nodes that write, except the crashed one, and ends the recordings.
 fn finish(victim: *const Who, until: Instant) -> String {
     let engines: Vec<Arc<Shared>> = loop {
         // The thread that crashed may hold it.
@@ -136,7 +136,7 @@ fn finish(victim: *const Who, until: Instant) -> String {
     }
 }
 
-/// What the program came to, as the last line says it of a run.
+/// The last line of a run that was ended by force.
 fn last_line() -> String {
     let engines = ENGINES.try_lock().map(|engines| engines.iter().filter_map(Weak::upgrade).collect::<Vec<_>>());
     let (mut frames, mut dropped, mut faults) = (0, 0, 0);
@@ -151,18 +151,18 @@ fn last_line() -> String {
     format!("failed: the program was ended after {frames} frames, {dropped} dropped, {faults} faults")
 }
 
-/// Completes a node's files and closes it once it is at rest; `false` when it crashed, does not come to rest, or could not complete them.
+/// Completes a node's files and closes it once it is at rest; `false` if it crashed, does not come to rest, or fails.
 fn close(shared: &Shared, runtime: &NodeRuntime, victim: *const Who, until: Instant) -> bool {
     if Arc::as_ptr(&runtime.who) == victim {
         return false;
     }
     loop {
-        // What waits for it is written first, as long as there is time.
+        // Ticks that wait for it are written first, as long as there is time.
         let idle = runtime.join.try_lock().is_ok_and(|join| !join.is_running());
         if idle && let Some(mut exec) = runtime.exec.take() {
             runtime.finish(&shared.context, &mut exec.instance);
             exec.instance.close();
-            // Not put back: nobody shall run the node again.
+            // Not put back, so that no thread runs the node again.
             std::mem::forget(exec);
             return !lock(&shared.context.stopped).contains_key(&runtime.id);
         }
@@ -173,7 +173,7 @@ fn close(shared: &Shared, runtime: &NodeRuntime, victim: *const Who, until: Inst
     }
 }
 
-/// The crash stands among the faults, in the fault log and in the recording.
+/// Adds the crash to the faults, the fault log and the recording.
 fn record_crash(shared: &Shared, runtime: &NodeRuntime) {
     let fault = Fault {
         unix_ms: unix_ms(),

@@ -1,7 +1,7 @@
-//! SIGINT (Ctrl-C), SIGTERM and SIGHUP, all three alike: the first asks for an end with all files finished.
+//! SIGINT (Ctrl-C), SIGTERM and SIGHUP: the first one requests an end with all files finished.
 //!
-//! `timeout` and shells send a signal twice, to a process and to its group: what follows within a second counts as the same request. Later
-//! ones end the process at once. Who answers the first depends on what goes on, see [`Duty`]: it never goes unanswered.
+//! `timeout` and shells send a signal twice, to a process and to its group: signals within one second count as one request. Later
+//! ones end the process at once. [`Duty`] says which code acknowledges the first one; if none does in time, the process ends anyway.
 
 use std::ffi::c_int;
 use std::fmt;
@@ -17,29 +17,29 @@ const SIGNALS: [c_int; 3] = [libc::SIGINT, libc::SIGTERM, libc::SIGHUP];
 
 /// Signals that come within this time of the first are the same request.
 const ONE_REQUEST_MS: i64 = 1000;
-/// How long nodes may go on opening once an end was asked for.
+/// How long nodes may continue to open after a request to end.
 const OPENING: Duration = Duration::from_secs(1);
-/// How long whoever watches may take to take notice.
+/// How long the code that watches may take to notice.
 const NOTICE: Duration = Duration::from_secs(5);
 
-/// The signal that asked for an end; 0 for none.
+/// The signal that requested an end; 0 for none.
 static ASKED: AtomicI32 = AtomicI32::new(0);
 static ASKED_MS: AtomicI64 = AtomicI64::new(0);
 static NOTICED: AtomicBool = AtomicBool::new(false);
 static PIPE: AtomicI32 = AtomicI32::new(-1);
 static INSTALLED: AtomicBool = AtomicBool::new(false);
 
-/// Who answers when an end is asked for.
+/// Which code acknowledges a request to end.
 enum Duty {
-    /// Nobody: there is nothing to finish, the process leaves.
+    /// None: there is nothing to finish, the process exits.
     Leave,
-    /// Nodes are being opened: nothing was made yet. They have a second, then the process leaves.
+    /// Nodes are opening and have made nothing yet. They get one second, then the process exits.
     Opening,
-    /// Whoever calls [`asked`] finishes what goes on. If nobody takes notice, files are finished for them and the process leaves.
+    /// The code that calls [`asked`] ends the run. If it does not notice, the signal thread finishes the files and exits.
     Watched,
-    /// The same, told by a call instead of asked for.
+    /// The same, notified by a call instead of polling.
     Told(Box<dyn Fn() + Send>),
-    /// The end is being made already.
+    /// The run is ending already.
     Finishing,
 }
 
@@ -55,12 +55,12 @@ fn set(new: Duty) {
     CHANGED.notify_all();
 }
 
-/// A signal that asks for an end.
+/// A signal that requests an end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Signal(c_int);
 
 impl Signal {
-    /// Exit status of a process that the signal ended, as shells write it.
+    /// Exit status of a process ended by the signal, as in shells.
     pub fn status(self) -> i32 {
         128 + self.0
     }
@@ -88,11 +88,11 @@ fn now_ms() -> i64 {
     time.tv_sec * 1000 + time.tv_nsec / 1_000_000
 }
 
-/// What a signal means, given when an end was first asked for.
+/// The meaning of a signal after an earlier request.
 #[derive(Debug, PartialEq, Eq)]
 enum Meaning {
     First,
-    /// The first one, sent twice.
+    /// The same request, sent twice.
     Same,
     AtOnce,
 }
@@ -126,10 +126,10 @@ extern "C" fn handle(signal: c_int) {
     }
 }
 
-/// Listens from now on, once per process. SIGHUP stays ignored where it was, as with `nohup`.
+/// Installs the handlers, once per process. SIGHUP stays ignored if it was, as under `nohup`.
 ///
 /// # Errors
-/// The system gives no pipe or thread; signals keep their default meaning then.
+/// The system gives no pipe or thread; signals then keep their default effect.
 pub fn install() -> std::io::Result<()> {
     super::install();
     if INSTALLED.swap(true, Ordering::AcqRel) {
@@ -164,7 +164,7 @@ pub fn install() -> std::io::Result<()> {
     Ok(())
 }
 
-/// The signal that asked for an end, if one did. Whoever asks answers for the end.
+/// The signal that requested an end, if any. The caller has to end the run then.
 pub fn asked() -> Option<Signal> {
     let signal = ASKED.load(Ordering::Acquire);
     if signal == 0 {
@@ -174,42 +174,42 @@ pub fn asked() -> Option<Signal> {
     Some(Signal(signal))
 }
 
-/// The end that was asked for is being made.
+/// Acknowledges the request: the run is ending.
 pub fn notice() {
     NOTICED.store(true, Ordering::Release);
     CHANGED.notify_all();
 }
 
-/// Nodes are being opened, until the guard is dropped or turned into another duty.
+/// Nodes are opening, until the guard is dropped or turned into another duty.
 pub fn opening() -> OnDuty {
     set(Duty::Opening);
     OnDuty(())
 }
 
-/// Somebody asks [`asked`] every now and then, until the guard is dropped.
+/// The caller polls [`asked`] until the guard is dropped.
 pub fn watching() -> OnDuty {
     set(Duty::Watched);
     OnDuty(())
 }
 
-/// `tell` is called once when an end is asked for, from another thread; who is told calls [`notice`].
+/// `tell` is called once, from another thread, when an end is requested; its receiver calls [`notice`].
 pub fn telling(tell: impl Fn() + Send + 'static) -> OnDuty {
     set(Duty::Told(Box::new(tell)));
     OnDuty(())
 }
 
-/// Somebody answers signals until this is dropped; afterwards a signal ends the process.
+/// Some code acknowledges signals until this is dropped; afterwards a signal ends the process.
 #[must_use]
 pub struct OnDuty(());
 
 impl OnDuty {
-    /// Goes on as [`watching`], without a moment in between.
+    /// Continues as [`watching`] without a gap.
     pub fn watching(self) -> Self {
         std::mem::forget(self);
         watching()
     }
 
-    /// What was watched has ended and files are being finished: a signal changes nothing now, a second one leaves at once.
+    /// The run has ended and files are being finished: a first signal changes nothing, a second one exits at once.
     pub fn finishing(self) -> Self {
         set(Duty::Finishing);
         self
@@ -222,7 +222,7 @@ impl Drop for OnDuty {
     }
 }
 
-/// Answers the first signal, on a thread of its own.
+/// Handles the first signal, on its own thread.
 fn answer() {
     let signal = Signal(ASKED.load(Ordering::Acquire));
     let asked = Instant::now();

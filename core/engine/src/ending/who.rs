@@ -1,4 +1,4 @@
-//! Which thread runs which node, readable in a signal handler.
+//! Which node each thread runs, readable in a signal handler.
 
 use std::cell::Cell as Slot;
 use std::collections::HashMap;
@@ -17,7 +17,7 @@ pub(super) fn thread_id() -> i32 {
     unsafe { libc::gettid() }
 }
 
-/// A node as a crash report names it. Plain strings: reading them in a signal handler touches no lock and no heap.
+/// The names of a node for a crash report. Plain strings: reading them in a signal handler needs no lock and no heap.
 #[derive(Debug, Default)]
 pub(crate) struct Who {
     pub node: String,
@@ -45,12 +45,12 @@ pub(crate) trait Running {
     fn tick(&self) -> Tick;
 }
 
-/// What the calling thread is doing for a node. Copied into threads that help it with a loop.
+/// What the calling thread does for a node. Copied into threads that help it with a loop.
 #[derive(Clone, Copy)]
 pub(crate) struct Doing {
     /// The node whose `process` runs.
     call: Option<*const dyn Running>,
-    /// Wins over `call`: rare calls.
+    /// Another kind of call; takes precedence over `call`.
     other: *const Who,
     kind: CallKind,
 }
@@ -98,7 +98,7 @@ pub(crate) fn doing() -> Doing {
     Doing { call: CALL.with(Slot::get), other, kind }
 }
 
-/// The calling thread does something rare for a node, for as long as `work` takes.
+/// Runs `work`, which makes another kind of call for a node, on the calling thread.
 pub(crate) fn with<T>(who: &Arc<Who>, kind: CallKind, work: impl FnOnce() -> T) -> T {
     let before = doing();
     set(Doing { other: Arc::as_ptr(who), kind, ..before });
@@ -107,7 +107,7 @@ pub(crate) fn with<T>(who: &Arc<Who>, kind: CallKind, work: impl FnOnce() -> T) 
     work()
 }
 
-/// The calling thread helps another one with a loop of its node, for as long as `work` takes; that thread waits meanwhile.
+/// Runs `work`, which helps another thread with a loop of its node, while that thread waits.
 pub(crate) fn help<T>(doing_there: Doing, work: impl FnOnce() -> T) -> T {
     let before = doing();
     set(doing_there);
@@ -115,7 +115,7 @@ pub(crate) fn help<T>(doing_there: Doing, work: impl FnOnce() -> T) -> T {
     work()
 }
 
-/// The node that the calling thread works for, what it is asked to do, and in `process` the tick: source and number.
+/// The node that the calling thread works for, the kind of call, and in `process` the tick: source and number.
 ///
 /// Reads thread-locals and memory that the calls below on this thread keep alive: a signal handler may call this.
 pub(crate) fn current<'a>() -> Option<(&'a Who, CallKind, Option<TickName>)> {
@@ -147,13 +147,13 @@ pub(crate) fn loaded(entries: &[&'static abi::NodeType], file: &Path) {
     }
 }
 
-/// Runs the code of a plugin's file that belongs to no node yet: constructors, its description.
+/// Runs code of a plugin's file that belongs to no node yet: constructors, its description.
 pub(crate) fn loading<T>(file: &Path, work: impl FnOnce() -> T) -> T {
     let who = Arc::new(Who { node: String::new(), node_type: String::new(), file: file.display().to_string() });
     with(&who, CallKind::Open, work)
 }
 
-/// A plugin's validator whose node is named when it crashes.
+/// A plugin's validator for which a crash report names the node.
 pub(crate) fn checking(node_type: &str, file: &Path, validator: Validator) -> Validator {
     let (node_type, file) = (node_type.to_owned(), file.display().to_string());
     Validator::new(move |setup| {
@@ -162,7 +162,7 @@ pub(crate) fn checking(node_type: &str, file: &Path, validator: Validator) -> Va
     })
 }
 
-/// Nodes that are being opened now, for whoever waits for them.
+/// Nodes that are opening now.
 static OPENING: Mutex<Vec<Arc<Who>>> = Mutex::new(Vec::new());
 
 /// Runs a node's `open`.
@@ -181,7 +181,7 @@ pub(crate) fn opening<T>(who: &Arc<Who>, work: impl FnOnce() -> T) -> T {
     with(who, CallKind::Open, work)
 }
 
-/// Nodes that are being opened now, by name and type.
+/// Nodes that are opening now, by name and type.
 pub(crate) fn being_opened() -> Vec<String> {
     lock(&OPENING).iter().map(|who| format!("`{}` ({})", who.node, who.node_type)).collect()
 }

@@ -1,6 +1,6 @@
-//! Text put together without the heap, for signal handlers.
+//! Text for signal handlers, built without the heap.
 
-/// A line of fixed length; what does not fit is cut off.
+/// A line of limited length; longer text is truncated.
 pub(super) struct Words {
     bytes: [u8; Self::MOST],
     len: usize,

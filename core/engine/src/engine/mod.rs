@@ -1,4 +1,4 @@
-//! Starting, steering and ending a graph.
+//! Starts, controls and ends the run of a graph.
 
 mod options;
 mod values;
@@ -32,12 +32,12 @@ use crate::report::{NodeWindow, Report, Window};
 use crate::schedule::{AllocationMeter, Ready, Shared};
 use crate::sync::lock;
 
-/// What is known of the graph that runs.
+/// The running graph and what the engine looks up in it.
 pub(crate) struct Current {
     pub graph: Graph,
     /// Declared parameters of each node.
     pub params: Vec<Vec<Param>>,
-    /// What each node checks about its values.
+    /// Each node's own check of its values.
     pub validators: Vec<Option<Validator>>,
     /// Names of each node's outputs.
     pub outputs: Vec<Vec<String>>,
@@ -58,15 +58,15 @@ impl Current {
     }
 }
 
-/// The most patience that there is: more is as good as none.
+/// Longest wait: more is treated as no limit.
 const LONGEST_PATIENCE: Duration = Duration::from_secs(100 * 24 * 3600);
-/// How long closing waits at least, whatever the caller's patience: for threads to leave and for nodes to finish their files.
+/// Shortest wait when closing, whatever the caller asks for: threads have to end and nodes to finish their files.
 const LEAST_PATIENCE: Duration = Duration::from_secs(1);
 /// A running graph.
 pub struct Engine {
     pub(crate) shared: Arc<Shared>,
     pub(crate) current: ArcSwap<Current>,
-    /// Held while the graph is changed.
+    /// Held during a change of the graph.
     pub(crate) change: ChangeLock,
     watch: Mutex<Option<JoinHandle<()>>>,
     watch_stop: Arc<AtomicBool>,
@@ -76,7 +76,7 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// Opens all nodes of a checked graph and sets them going.
+    /// Opens all nodes of a checked graph and starts them.
     pub fn start(graph: Graph, catalog: &Catalog, plugins: &dyn Plugins, options: Options) -> Result<Self, StartError> {
         let threads = match options.threads {
             0 => std::thread::available_parallelism().map_or(1, usize::from),
@@ -190,7 +190,7 @@ impl Engine {
             watching.watch(&stop);
         })?;
         *lock(&self.watch) = Some(watch);
-        // It is there before the first tick, as the workers are.
+        // Runs before the first tick, like the workers.
         let _ = told.recv();
         let plan = shared.plan.load_full();
         for sources in [false, true] {
@@ -198,7 +198,7 @@ impl Engine {
                 shared.start_thread(node, runtime)?;
             }
         }
-        // A node that reads nothing never gets a tick: it is finished, and nobody waits for it when the engine is closed.
+        // A node without inputs that is no source never gets a tick: mark it finished, so that closing does not wait for it.
         let mut ready = Ready::default();
         for (node, runtime) in plan.live().filter(|(_, c)| !c.source) {
             if lock(&runtime.join).slots.is_empty() {
@@ -209,17 +209,17 @@ impl Engine {
         Ok(())
     }
 
-    /// The graph that runs.
+    /// The running graph.
     pub fn graph(&self) -> Graph {
         self.current.load().graph.clone()
     }
 
-    /// Asks the sources to end; what is under way is finished.
+    /// Asks the sources to end. Ticks in flight finish.
     pub fn stop(&self) {
         self.shared.stop();
     }
 
-    /// Whether all nodes are finished, or never will be because a thread of the engine panicked.
+    /// Whether all nodes are finished, or cannot finish because a thread of the engine panicked.
     pub fn is_finished(&self) -> bool {
         self.all_finished() || self.shared.broken.load(Ordering::Acquire)
     }
@@ -228,7 +228,7 @@ impl Engine {
         self.shared.unfinished.load(Ordering::Acquire) == 0
     }
 
-    /// Waits until all nodes are finished, at most `most`; `false` when they are not by then.
+    /// Waits at most `most` until all nodes are finished; `false` if they are not.
     pub fn wait(&self, most: Option<Duration>) -> bool {
         let until = most.map(|m| Instant::now() + m);
         let mut guard = lock(&self.shared.finished_lock);
@@ -245,9 +245,9 @@ impl Engine {
         true
     }
 
-    /// Stops, waits and closes all nodes, so that files are finished. `patience` bounds the wait for nodes that do not return, and then that
-    /// for nodes that do not close (each is at least a second); those are left behind and named in the log. A change of the graph that is
-    /// being made is given up.
+    /// Stops the sources, waits, and closes all nodes, so that files are finished. `patience` limits the wait for nodes that do not return,
+    /// and then for nodes that do not close (at least one second each); the log names those that it leaves behind. A change of the graph in
+    /// progress fails.
     pub fn close(&self, patience: Duration) -> Outcome {
         if !self.closed.swap(true, Ordering::AcqRel) {
             self.stop();
@@ -271,7 +271,7 @@ impl Engine {
                 self.shared.pool.stop(leave);
             }
             let (plan, current) = (self.shared.plan.load(), self.current.load());
-            // Sources first, then along the graph: readers finish their files last.
+            // In graph order, so that readers finish their files last.
             let runtimes = current.graph.order.iter().map(|&node| Arc::clone(&plan.runtimes[current.slots[node]]));
             self.shared.close_all(runtimes.collect(), Instant::now() + patience.max(LEAST_PATIENCE));
             self.shared.context.flush();
@@ -279,7 +279,7 @@ impl Engine {
         self.outcome()
     }
 
-    /// How the run stands.
+    /// The state of the run.
     pub fn outcome(&self) -> Outcome {
         match lock(&self.shared.failed).clone() {
             Some(reason) => Outcome::Failed(reason),
@@ -287,7 +287,7 @@ impl Engine {
         }
     }
 
-    /// Looks at an output without slowing the graph.
+    /// Subscribes to an output without slowing the graph.
     pub fn preview(&self, node: &str, output: &str) -> Option<Preview> {
         let current = self.current.load();
         let (index, runtime) = self.runtime(&current, node)?;
@@ -297,8 +297,8 @@ impl Engine {
         Some(preview)
     }
 
-    /// After previews of a node were dropped: outputs that nobody reads any more are not made any more. While the graph is being changed
-    /// nothing happens, so that nobody waits here. Not to be called while another thread calls [`Self::preview`].
+    /// Call after previews of a node were dropped: outputs without a reader are no longer made. Does nothing while the graph is being changed,
+    /// so that it never waits. Do not call it while another thread calls [`Self::preview`].
     pub fn end_previews(&self, node: &str) {
         let Some(_change) = self.change.lock_until(Instant::now()) else { return };
         let current = self.current.load();
@@ -308,12 +308,12 @@ impl Engine {
         }
     }
 
-    /// When a tick that is still about came into the graph, in ns of [`clock::now_ns`]. Wrong for ticks of more than some thousand ticks ago.
+    /// When a tick entered the graph, in ns of [`clock::now_ns`]. Valid for the newest few thousand ticks only.
     pub fn ingest_ns(&self, tick: &abi::Tick) -> Option<u64> {
         self.shared.ingest(&self.shared.plan.load(), tick)
     }
 
-    /// Newest log lines: level, node, words.
+    /// Newest log lines: level, node, text.
     pub fn recent_log(&self) -> Vec<(Level, String, String)> {
         self.shared.context.log.recent()
     }
@@ -334,7 +334,7 @@ impl Engine {
         Report::of(&self.current.load().graph, &self.shared)
     }
 
-    /// What each node did since the last call with this `window`. Cheaper than a report; for displays.
+    /// What each node did since the last call with this `window`. Cheaper than a report, for displays.
     pub fn window(&self, window: &mut Window) -> BTreeMap<String, NodeWindow> {
         window.step(&self.shared)
     }
@@ -346,7 +346,7 @@ impl Drop for Engine {
     }
 }
 
-/// Sets listeners on ports of nodes that are not open yet. Slots are positions in the graph then.
+/// Adds listeners to ports of nodes that are not open yet. At this time slots equal positions in the graph.
 fn listen(
     graph: &Graph,
     catalog: &Catalog,
@@ -364,7 +364,7 @@ fn listen(
     wanted.iter().map(|listener| one(listener).ok_or_else(|| missing(listener))).collect()
 }
 
-/// Opens all nodes of an engine that does not run yet. When one does not open, the others are closed again.
+/// Opens all nodes of an engine that does not run yet. If one fails, closes the others.
 fn open_all(shared: &Arc<Shared>) -> Result<(), StartError> {
     let plan = shared.plan.load_full();
     let calls = plan.runtimes.iter().map(|runtime| {

@@ -1,4 +1,4 @@
-//! How a graph is run, why it does not start, and how it ended.
+//! Options of a run, errors at its start, and its outcome.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,36 +9,36 @@ use crate::log::LogFn;
 use crate::observe::Observer;
 use crate::preview::{Listener, NumberListener};
 
-/// How a graph is run.
+/// Options of a run.
 pub struct Options {
     /// Threads of the pool; 0 takes as many as the machine has.
     pub threads: usize,
     /// Ticks each source makes; `None` until the sources end or the engine is stopped.
     pub frames: Option<u64>,
-    /// In live mode, sources wait until the capture time of a tick has come. Without it they go as fast as the graph takes ticks.
+    /// In live mode, sources wait until the capture time of a tick. Otherwise they run as fast as the graph takes ticks.
     pub paced: bool,
-    /// Ticks of a source that may be under way at once; `None` lets as many in as the mode and the queues of the graph say. With 1
-    /// each tick has the machine for itself, as whoever times nodes wants it.
+    /// Ticks of a source that may be in flight at once; `None` leaves it to the mode and queues of the graph. 1 runs
+    /// one tick at a time, so that node timings do not overlap.
     pub ticks_at_once: Option<u32>,
-    /// Folder that relative paths start from, shown to nodes.
+    /// Folder that nodes resolve relative paths against.
     pub graph_dir: std::path::PathBuf,
-    /// Takes log lines as they come.
+    /// Receives log lines.
     pub log: Option<Box<LogFn>>,
-    /// Takes faults as they happen; see [`crate::fault::json_lines`].
+    /// Receives faults; see [`crate::fault::json_lines`].
     pub faults: Option<Box<FaultFn>>,
-    /// Hears what happens, for instance to write it down.
+    /// Receives everything that happens, for example to record it.
     pub observer: Option<Arc<dyn Observer>>,
-    /// Decides what otherwise depends on time, for instance as an earlier run had it.
+    /// Makes the decisions that otherwise depend on time, for example to replay a run.
     pub decider: Option<Arc<dyn Decider>>,
-    /// Ports whose every packet is heard.
+    /// Ports whose packets a listener receives, all of them.
     pub listen: Vec<Listener>,
-    /// A node whose told numbers are heard, each as it is told.
+    /// A node whose metrics a listener receives, each when the node reports it.
     pub numbers: Option<NumberListener>,
-    /// A call of a node without a budget that takes longer does not return, in live mode; in batch, 30 times that.
+    /// A call without a budget that takes longer counts as hung in live mode; in batch, 30 times as long.
     pub hang: Duration,
-    /// Longest that a node may take to open: at the start, in a change and after a fault.
+    /// Time limit for opening a node: at the start, in a change and after a fault.
     pub open_limit: Duration,
-    /// Longest that a node may take to close, to save a state or to take one over while the graph runs.
+    /// Time limit for closing a node, and for saving or loading its state while the graph runs.
     pub close_limit: Duration,
     /// Heap allocations of the process so far, where the program counts them.
     pub process_allocations: Option<fn() -> u64>,
@@ -79,10 +79,10 @@ pub enum StartError {
         node: String,
         /// Its type.
         node_type: String,
-        /// What it said.
+        /// The node's message.
         reason: String,
     },
-    /// The graph does not fit the loaded plugins any more.
+    /// The graph no longer fits the loaded plugins.
     #[error("{reason}; check the graph again")]
     Stale {
         /// What changed.
@@ -91,7 +91,7 @@ pub enum StartError {
     /// The system gave no thread.
     #[error("no thread could be started: {cause}")]
     Thread {
-        /// What the system says.
+        /// The system's error.
         cause: std::io::Error,
     },
 }
@@ -102,7 +102,7 @@ pub enum SetError {
     /// No such node.
     #[error("there is no node `{node}`")]
     NoNode {
-        /// As asked for.
+        /// As given by the caller.
         node: String,
     },
     /// No such parameter.
@@ -110,7 +110,7 @@ pub enum SetError {
     NoParam {
         /// The node.
         node: String,
-        /// As asked for.
+        /// As given by the caller.
         param: String,
     },
     /// The value does not fit the declaration.
@@ -128,7 +128,7 @@ pub enum SetError {
     Reopen {
         /// The node.
         node: String,
-        /// What it said.
+        /// The node's message.
         reason: String,
     },
 }

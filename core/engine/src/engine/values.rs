@@ -61,11 +61,11 @@ impl Engine {
         Ok(())
     }
 
-    /// Sets a bool parameter from the next tick on without waiting for a change of the graph that is being made: for an emergency stop. Such a
-    /// change may put the old value back where it replaces the node, so say it once more with [`Self::set_param`].
+    /// Sets a bool parameter from the next tick on without waiting for a change of the graph in progress: for an emergency stop. Such a
+    /// change may restore the old value when it replaces the node, so call [`Self::set_param`] as well.
     ///
     /// # Errors
-    /// There is no such node or parameter, it is no bool, or it reopens its node.
+    /// The node or parameter does not exist, is no bool, or reopens its node.
     pub fn set_bool_at_once(&self, node: &str, param: &str, on: bool) -> Result<(), SetError> {
         let current = self.current.load_full();
         let index = current.graph.node(node).ok_or_else(|| SetError::NoNode { node: node.to_owned() })?;
@@ -88,7 +88,7 @@ impl Engine {
         Ok(())
     }
 
-    /// A node's values as they were set in an earlier run; the decider puts them in force at their tick.
+    /// Sets a node's values as known from an earlier run; the decider makes them take effect at their tick.
     pub fn know(&self, node: &str, values: &[ParamValue]) {
         let _change = self.change.lock();
         let current = self.current.load_full();
@@ -97,7 +97,7 @@ impl Engine {
         }
     }
 
-    /// Writes new values of a node into the graph that is known.
+    /// Writes new values of a node into the current graph.
     fn know_values(&self, current: &Current, index: usize, values: Vec<ParamValue>) {
         let mut graph = current.graph.clone();
         graph.nodes[index].params = values;

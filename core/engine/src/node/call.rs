@@ -1,4 +1,4 @@
-//! One call of a node: what it is given, what is taken from it, what is remembered of it.
+//! One call of a node: its inputs, its outputs, and what is recorded about it.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -23,19 +23,19 @@ use crate::retained::attention;
 use crate::scratch::{CallOutputs, clear};
 use crate::stats::bump;
 
-/// Whether a node is called for a tick.
+/// Whether to call a node for a tick.
 enum Due {
-    /// From then on.
+    /// Call it; the time counts from `start_ns`.
     Run {
         start_ns: u64,
     },
     Skip,
-    /// It did not return from opening.
+    /// The watchdog abandoned its `open`.
     Abandoned,
 }
 
 impl NodeRuntime {
-    /// Calls the node for one tick; answers how it went and the time at its end. The inputs are the caller's to give back.
+    /// Calls the node for one tick. Returns the outcome and the time at its end. The caller releases the inputs.
     pub fn run(
         &self,
         exec: &mut Exec,
@@ -116,7 +116,7 @@ impl NodeRuntime {
         (outcome, end_ns)
     }
 
-    /// Writes an event of this node into the recording, if there is one.
+    /// Passes an event of this node to the observer, if there is one.
     #[inline]
     pub fn record_event(&self, context: &RunContext, event: impl FnOnce(String) -> Event) {
         if let Some(observer) = &context.observer {
@@ -131,7 +131,7 @@ impl NodeRuntime {
         self.report_repeated_fault(context, Cause::Slow, Action::Note, Some(tick.seq), words);
     }
 
-    /// Takes over what others changed since the last call. Where a recording leads, it says when a replacement takes its turn.
+    /// Applies changes made since the last call. In a replay the decider sets when a replacement takes over.
     #[cold]
     fn catch_up(&self, exec: &mut Exec, context: &RunContext, tick: &Tick, led: bool) -> Result<(), Abandoned> {
         exec.config_epoch = self.config_epoch.get();
@@ -149,10 +149,10 @@ impl NodeRuntime {
         Ok(())
     }
 
-    /// Calls the plugin for something else than a tick, on the thread that runs the node and under the eyes of the watchdog.
+    /// Makes another kind of call than `process`, on the thread that runs the node, watched by the watchdog.
     ///
     /// # Errors
-    /// The watchdog gave the call up: what it answered is dropped here, by the thread that was left behind.
+    /// The watchdog abandoned the call; its result is dropped here, on the abandoned thread.
     pub fn call_watched<R>(&self, kind: CallKind, tick: &Tick, call: impl FnOnce() -> R) -> Result<R, Abandoned> {
         let start_ns = clock::now_ns();
         self.busy.begin_kind(kind, tick, start_ns);
@@ -160,12 +160,12 @@ impl NodeRuntime {
         if self.busy.end(start_ns) { Ok(answer) } else { Err(Abandoned) }
     }
 
-    /// The node made nothing of a tick although its inputs were there.
+    /// Records that the node skipped a tick although its inputs were complete.
     pub fn skipped_tick(&self, context: &RunContext, tick: &Tick, closed: bool) {
         self.record_event(context, |node| Event::Skipped { node, tick: *tick, closed });
     }
 
-    /// The node goes on with an instance that was opened with these values.
+    /// Records that the node continues with an instance that was opened with these values.
     pub fn opened(&self, snapshot: &Snapshot, context: &RunContext, tick: &Tick) {
         let values = || snapshot.owned().to_vec();
         self.record_event(context, |node| Event::Opened { node, tick: *tick, values: values() });
@@ -192,7 +192,7 @@ impl NodeRuntime {
         Ok(())
     }
 
-    /// Gives the state of the running instance to its successor, where both know how.
+    /// Transfers the state of the running instance to its successor, if both support it.
     pub fn transfer_state(
         &self,
         exec: &mut Exec,
@@ -211,15 +211,15 @@ impl NodeRuntime {
         Ok(())
     }
 
-    /// Says that a saved state is lost.
+    /// Logs that a saved state is lost.
     pub fn warn_state_lost(&self, context: &RunContext) {
-        context.log.write(Level::Warn, &self.id, "the state of its predecessor was not understood: it starts anew");
+        context.log.write(Level::Warn, &self.id, "it did not understand the state of its predecessor and starts anew");
     }
 
     #[inline]
     fn is_due(&self, exec: &mut Exec, context: &RunContext, tick: &Tick, start_ns: u64) -> Due {
         let last = exec.last_fired_ns;
-        // After a step back in capture time a node does not wait until the old time comes again.
+        // After a step back in capture time a node runs at once instead of waiting for the old time.
         if exec.limited
             && exec.period_ns > 0
             && last != i64::MIN
@@ -300,13 +300,13 @@ impl NodeRuntime {
         };
         let raw = exec.instance.raw;
         who::begin_call(self);
-        // SAFETY: the contract: an open instance that no other thread uses, and a call whose parts outlive it.
+        // SAFETY: the plugin contract: an open instance that no other thread uses, and a call whose parts outlive it.
         let status = exec.instance.kept.during(|| unsafe { process(raw, &raw mut call) });
         who::end_call();
         let refused = call_context.refused.take();
         let reports = call_context.has_failure && status >= abi::STATUS_OK;
         if let Some(lent) = call_context.lent {
-            // The output holds the input's reference from here on.
+            // From here on the output holds the input's reference.
             ports.inputs[lent.input as usize].forget();
         }
         if exec.source {
@@ -321,7 +321,7 @@ impl NodeRuntime {
         (status, refused)
     }
 
-    /// Looks at what a call made that says it went well.
+    /// Checks the outputs of a call that reported success.
     #[inline]
     fn accept(
         &self,
@@ -365,7 +365,7 @@ impl NodeRuntime {
         CallOutcome::Ok
     }
 
-    /// The rest of [`Self::accept`] for a node of whom something is remembered, or that made nothing or kept a frame.
+    /// The rest of [`Self::accept`] for a node with recent faults, without outputs, or with retained frames.
     #[cold]
     fn accept_troubled(
         &self,
@@ -381,7 +381,7 @@ impl NodeRuntime {
         if exec.instance.kept.count() > MAX_RETAINED_FRAMES {
             made.clear();
             exec.failure.clear();
-            exec.failure.push_str("it keeps more frames than any node may: a leak");
+            exec.failure.push_str("it retains more frames than a node may: a leak");
             let leak = Box::new((Cause::Leak, String::new()));
             return self.failed(exec, context, abi::STATUS_ERROR, Some(leak), tick, end_ns);
         }
@@ -409,14 +409,14 @@ impl NodeRuntime {
         CallOutcome::Ok
     }
 
-    /// A node that kept or gave back what it does not hold: nothing was done, so the node goes on.
+    /// Reports that the host refused to retain or release a frame which the node does not hold. The node continues.
     fn report_refused_frames(&self, exec: &Exec, context: &RunContext, tick: &Tick) {
         if exec.instance.kept.take_refused() == 0 {
             return;
         }
         bump(&self.stats.faults);
         self.report_repeated_fault(context, Cause::Release, Action::Note, Some(tick.seq), || {
-            let words = "it gave back or kept a frame that it does not hold; this was refused".to_owned();
+            let words = "it released or retained a frame that it does not hold; the host refused this".to_owned();
             context.log.write(Level::Error, &self.id, &words);
             words
         });

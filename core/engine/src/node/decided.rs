@@ -1,4 +1,4 @@
-//! A node that is led by a [`Decider`]: what is due before a tick is done, whether it is due or not by the clock.
+//! Replay of a node: applies the events that the [`Decider`] has for it before each tick.
 
 use std::sync::Arc;
 
@@ -15,10 +15,10 @@ use crate::observe::Event;
 use crate::params::Snapshot;
 
 impl NodeRuntime {
-    /// Brings the node to where it was before this tick; whether it is to run, if the decider knows.
+    /// Applies the events before this tick. Returns whether the node runs, if the decider knows.
     ///
     /// # Errors
-    /// The watchdog gave a call of the plugin up.
+    /// The watchdog abandoned a call of the plugin.
     #[cold]
     pub fn follow_decider(
         &self,
@@ -83,7 +83,7 @@ impl NodeRuntime {
                 exec.bad_in_a_row = 0;
             }
             Err(words) => {
-                let words = format!("it opened when it was recorded, now it does not: {words}");
+                let words = format!("it opened in the recorded run, but not now: {words}");
                 context.log.write(Level::Error, &self.id, &words);
                 decider.fail(format!("node `{}`: {words}", self.id));
             }

@@ -1,4 +1,4 @@
-//! What becomes of a node whose call failed, and what is written down about it.
+//! Failed calls of a node: how it recovers, and how faults are reported.
 
 use std::sync::Arc;
 
@@ -17,11 +17,11 @@ use crate::params::Snapshot;
 use crate::scratch::CallOutputs;
 use crate::stats::bump;
 
-/// Bad outputs in a row after which an instance is not trusted any more.
+/// Bad outputs in a row after which the node restarts.
 const MAX_BAD_OUTPUTS: u32 = 10;
 
 impl NodeRuntime {
-    /// A description or contents that do not pass: the packet is withheld; who goes on like that is opened again.
+    /// An output failed its check: withholds the packet, and fails the call after too many in a row.
     #[cold]
     pub(crate) fn bad_output(
         &self,
@@ -48,7 +48,7 @@ impl NodeRuntime {
         CallOutcome::Ok
     }
 
-    /// A call went well, or ended its source, and gave the words of a fault all the same.
+    /// Reports a fault that a call described although it returned success or the end of its source.
     #[cold]
     pub(crate) fn reported(&self, exec: &mut Exec, context: &RunContext, tick: &Tick, status: abi::Status) {
         let words = std::mem::take(&mut exec.failure);
@@ -58,7 +58,7 @@ impl NodeRuntime {
         self.report_fault(context, Cause::Error, done, Some(tick.seq), None, words);
     }
 
-    /// A source that failed goes on where it was, not from its start: at its start the same fault would come again, for ever.
+    /// Saves where a failed source is. From its start it would meet the same fault again, forever.
     #[cold]
     fn save_position(&self, exec: &mut Exec, context: &RunContext, tick: &Tick) -> Result<(), Abandoned> {
         if exec.source
@@ -71,28 +71,28 @@ impl NodeRuntime {
         Ok(())
     }
 
-    /// Where an instance that was opened again goes on, if it is a source that failed before. Back comes only what was understood: a position
-    /// over which an instance hangs is not tried twice.
+    /// The position at which a reopened source continues. The caller puts it back only if the instance understood it, so that a position
+    /// on which an instance hangs is not tried twice.
     pub(crate) fn take_position(&self, instance: &Instance) -> Option<Vec<u8>> {
         if instance.is_open() { self.recovery.take_position() } else { None }
     }
 
-    /// An instance goes on at a position, or did not understand it.
+    /// Records whether an instance continues at a position.
     pub(crate) fn position_taken(&self, context: &RunContext, state: Vec<u8>, understood: bool) {
         if understood {
-            // Kept until the next fault: this instance may fail before it has a position of its own.
+            // Kept for the next fault: this instance may fail before it has a position of its own.
             self.recovery.restore_position(state);
         } else {
             self.position_lost(context);
         }
     }
 
-    /// Says that the position of a source is lost.
+    /// Logs that the position of a source is lost.
     pub(crate) fn position_lost(&self, context: &RunContext) {
-        context.log.write(Level::Warn, &self.id, "it does not know its position any more and starts anew");
+        context.log.write(Level::Warn, &self.id, "it lost its position and starts from the beginning");
     }
 
-    /// Opens a failed node again on the thread that runs it; a source goes on where it was.
+    /// Reopens a failed node on the thread that runs it; a source continues where it was.
     fn open_again(
         &self,
         context: &RunContext,
@@ -108,7 +108,7 @@ impl NodeRuntime {
         Ok(Ok(instance))
     }
 
-    /// In batch a failed node is opened again before a tick that does not depend on the clock.
+    /// In batch, reopens a failed node before a tick that does not depend on the clock.
     #[cold]
     pub(crate) fn open_in_batch(&self, exec: &mut Exec, context: &RunContext, tick: &Tick) -> Result<bool, Abandoned> {
         if self.on_fault() != OnFault::Restart {
@@ -145,7 +145,7 @@ impl NodeRuntime {
         })
     }
 
-    /// Writes down that a node did not open again.
+    /// Reports that a node did not reopen.
     pub fn open_failed(&self, context: &RunContext, words: &str, seq: Option<u64>) {
         bump(&self.stats.faults);
         context.log.write(Level::Error, &self.id, &format!("could not be opened again: {words}"));
@@ -188,7 +188,7 @@ impl NodeRuntime {
             }
         }
         if words.is_empty() {
-            words = "it failed without a word".to_owned();
+            words = "it failed without an error message".to_owned();
         }
         context.log.write(Level::Error, &self.id, &words);
         exec.troubled = true;
@@ -208,12 +208,12 @@ impl NodeRuntime {
             OnFault::Bypass => (Action::Bypass, CallOutcome::Fault),
             OnFault::Stop => (Action::Stop, CallOutcome::Stop),
         };
-        // Told first: the node may not return from what follows.
+        // Report first: the node may not return from what follows.
         self.report_fault(context, cause, done, Some(tick.seq), None, words);
         if self.save_position(exec, context, tick).is_err() {
             return CallOutcome::Abandoned;
         }
-        // What the instance holds after a fault is not to be trusted. It may take long to close.
+        // After a fault the instance is not used again. Closing it may take long, so the restart thread does.
         let broken = std::mem::replace(&mut exec.instance, Instance::none(self.node_type));
         self.recovery.request_restart(exec, broken);
         exec.bypassed = done == Action::Bypass;
@@ -224,7 +224,7 @@ impl NodeRuntime {
         self.progress.faults(cause)
     }
 
-    /// Writes down a fault that may come with every tick.
+    /// Reports a fault that may come with every tick: only counts 1, 2, 4, 8 ... are written out.
     #[cold]
     pub fn report_repeated_fault(
         &self,
@@ -241,7 +241,7 @@ impl NodeRuntime {
         }
     }
 
-    /// Writes down a fault.
+    /// Counts a fault and passes it to the fault log and the observer.
     pub fn report_fault(
         &self,
         context: &RunContext,
@@ -270,7 +270,7 @@ impl NodeRuntime {
     }
 }
 
-/// How long a failed node rests before it is opened again: 0, 10, 20, 40 ... 2,000 ms.
+/// Pause before a restart: 0, 10, 20, 40 ... 2,000 ms.
 pub(crate) fn backoff_ms(failures: u32) -> u64 {
     if failures <= 1 { 0 } else { (10u64 << (failures - 2).min(8)).min(2000) }
 }

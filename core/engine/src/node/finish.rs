@@ -1,4 +1,4 @@
-//! Completing what nodes write before their instances are closed, and what the run is told when something is lost.
+//! Completes the files of nodes before their instances close, and records losses for the run's outcome.
 
 use panoscope_abi as abi;
 use panoscope_graph::OnFault;
@@ -14,7 +14,7 @@ use crate::stats::bump;
 use crate::sync::lock;
 
 impl NodeRuntime {
-    /// Has an instance complete its files; what it could not is a fault, and fails the run.
+    /// Has an instance complete its files. A failure is a fault and fails the run.
     pub fn finish(&self, context: &RunContext, instance: &mut Instance) {
         let Some(finish) = instance.node_type.finish_function().filter(|_| instance.is_open() && instance.begun) else {
             return;
@@ -22,7 +22,7 @@ impl NodeRuntime {
         let mut failure = String::new();
         let mut call_context = CallContext::without_tick(self, context, &instance.holds, &mut failure);
         let (raw, host, call) = (instance.raw, &raw const context.host, (&raw mut call_context).cast());
-        // SAFETY: the contract: an open instance that no other thread uses, since the caller owns it; table and handle outlive the call.
+        // SAFETY: the plugin contract: an open instance that no other thread uses, since the caller owns it; table and handle outlive the call.
         let status =
             who::with(&self.who, CallKind::Finish, || instance.kept.during(|| unsafe { finish(raw, host, call) }));
         if status == abi::STATUS_OK {
@@ -39,18 +39,18 @@ impl NodeRuntime {
         self.report_fault(context, cause, Action::Note, None, None, words);
     }
 
-    /// Closes an instance of the node; what it has written is completed first.
+    /// Completes the files of an instance and closes it.
     pub fn end(&self, context: &RunContext, mut instance: Instance) {
         self.finish(context, &mut instance);
     }
 
-    /// Notes that the node has lost something for good: the run has failed.
+    /// Records that the node lost data for good: the run has failed.
     #[cold]
     pub fn lost(&self, context: &RunContext, words: &str) {
         lock(&context.stopped).entry(self.id.clone()).or_insert_with(|| words.to_owned());
     }
 
-    /// Notes that the node does nothing any more: the run has failed, unless the graph says that the node may be left out.
+    /// Records that the node stays bypassed: the run has failed, unless the graph says `on_fault = "bypass"`.
     #[cold]
     pub fn record_bypassed(&self, context: &RunContext, words: &str) {
         if self.on_fault() != OnFault::Bypass {
@@ -58,7 +58,7 @@ impl NodeRuntime {
         }
     }
 
-    /// Whether the last error of the node was one that opening it again would not restart.
+    /// Whether a restart would not cure the last error of the node.
     pub fn has_given_up(&self) -> bool {
         self.recovery.is_permanent()
     }

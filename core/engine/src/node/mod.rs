@@ -46,14 +46,14 @@ use crate::scratch::CallOutputs;
 use crate::stats::NodeStats;
 use crate::sync::lock;
 
-/// Frames that a node may keep beyond its calls.
+/// Frames that a node may retain between calls.
 pub(crate) const MAX_RETAINED_FRAMES: usize = 128;
-/// Longest wait for whoever reads the log, and for the file of faults.
+/// Longest wait for the reader of the log, and for the fault log.
 const LONGEST_FLUSH: Duration = Duration::from_secs(1);
-/// Calls in a row without any output after which a node is called silent.
+/// Calls in a row without output after which a node counts as silent.
 const SILENT_CALLS: u32 = 30;
 
-/// What every call of an engine shares.
+/// What all calls of an engine share.
 pub(crate) struct RunContext {
     pub host: abi::Host,
     pub log: Log,
@@ -61,23 +61,23 @@ pub(crate) struct RunContext {
     pub start_ns: u64,
     pub graph_dir: String,
     pub batch: bool,
-    /// Hears what happens.
+    /// Receives everything that happens.
     pub observer: Option<Arc<dyn Observer>>,
-    /// Decides what otherwise depends on time.
+    /// Makes the decisions that otherwise depend on time.
     pub decider: Option<Arc<dyn Decider>>,
     /// Heap allocations of the calling thread so far.
     pub thread_allocations: Option<fn() -> u64>,
-    /// Longest that a node may take to open, and to close or to save or take over a state.
+    /// Time limits for opening a node, and for closing it, saving or loading its state.
     pub open_limit: Duration,
     pub close_limit: Duration,
     /// Files that nodes of this run write.
     pub claims: Arc<Claims>,
-    /// Nodes that lost something for good, with the reason.
+    /// Nodes that lost data for good, with the reason.
     pub stopped: Mutex<BTreeMap<String, String>>,
 }
 
 impl RunContext {
-    /// The recording has a gap or ends: said at once, and the run goes on.
+    /// Reports that the recording has a gap or ends; the run continues.
     pub fn recording_trouble(&self, words: &str) {
         self.log.write(Level::Warn, "record", words);
         self.faults.put(Fault {
@@ -93,20 +93,20 @@ impl RunContext {
         });
     }
 
-    /// A source that is recorded makes all its outputs, if that is wanted.
+    /// Makes a recorded source produce all its outputs, if the observer wants them.
     pub fn make_all_recorded_outputs(&self, runtime: &NodeRuntime) {
         if runtime.source && self.observer.as_ref().is_some_and(|o| o.wants_all_source_outputs()) {
             runtime.outputs_read.store(u64::MAX, Ordering::Relaxed);
         }
     }
 
-    /// Has log lines and faults passed on that were put in so far; a reader that stands still is not waited for.
+    /// Waits until log lines and faults are passed on, but no longer than [`LONGEST_FLUSH`] for a reader that does not read.
     pub fn flush(&self) {
         self.log.flush(LONGEST_FLUSH);
         self.faults.flush(LONGEST_FLUSH);
     }
 
-    /// Nobody watches the clock: a tick waits rather than being lost.
+    /// Whether results must not depend on the wall clock (batch, replay): a tick waits instead of being dropped.
     pub fn ignores_wall_clock(&self) -> bool {
         self.batch || self.decider.is_some()
     }
@@ -116,19 +116,19 @@ impl RunContext {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CallOutcome {
     Ok,
-    /// A source has nothing left.
+    /// A source has ended.
     End,
     /// Not called: an input was empty, or the node is down.
     Skipped,
-    /// It failed; the graph goes on.
+    /// It failed; the graph continues.
     Fault,
-    /// It failed and the graph is to stop.
+    /// It failed, and the graph has to stop.
     Stop,
-    /// The watchdog gave this call up; the thread is to leave without touching anything.
+    /// The watchdog abandoned this call; the thread must return without touching anything.
     Abandoned,
 }
 
-/// A node of a running graph. What every call touches stands in the first cache line.
+/// A node of a running graph. The fields that every call touches lie in the first cache line.
 #[repr(C, align(64))]
 pub(crate) struct NodeRuntime {
     pub exec: ExecPlace,
@@ -149,42 +149,42 @@ pub(crate) struct NodeRuntime {
     pub output_names: Arc<[String]>,
     pub join: Mutex<Join>,
     config: Config,
-    /// Failures, and restarting after them.
+    /// Failures and restarts.
     pub recovery: Recovery,
     /// The thread of a node that has one.
     pub runner: Runner,
     /// The ticks of a source.
     pub ticks: SourceTicks,
     pub stats: NodeStats,
-    /// Hears each number that the node tells.
+    /// Receives each metric that the node reports.
     pub hear_number: OnceLock<Arc<HearNumberFn>>,
     /// Ticks this node is done with, for its region.
     done_ticks: AtomicU64,
     /// Which input slots belong to which port.
     ranges: Mutex<Vec<PortRange>>,
     pub progress: Progress,
-    /// The node as a crash report names it.
+    /// The node's names for a crash report.
     pub who: Arc<Who>,
 }
 
-// The last of what every call touches is the count of readers, with which `subscribers` begins.
+// The last field that every call touches is the count of readers at the start of `subscribers`.
 const _: () = assert!(std::mem::offset_of!(NodeRuntime, subscribers) + size_of::<usize>() <= 64);
 
-/// What the host refused a node.
+/// A request of a node that the host refused.
 pub(crate) type Refused = Box<(Cause, String)>;
 
 /// Readers that run inline have one input.
 const ONE_INPUT: &[PortRange] = &[PortRange { first: 0, count: 1 }];
 
-/// What a call takes and where its outputs go.
+/// Inputs and outputs of a call.
 pub(crate) struct Ports<'w> {
     pub inputs: &'w mut [FrameRef],
-    /// The node has one input port, with one connection.
+    /// Whether the node has one input port with one connection.
     pub lone: bool,
     pub made: &'w mut CallOutputs,
 }
 
-/// What a node says of itself when it is made.
+/// The fixed settings of a node.
 pub(crate) struct NodeSpec {
     pub id: String,
     pub node_type: &'static abi::NodeType,
@@ -281,13 +281,13 @@ impl NodeRuntime {
         lock(&self.ranges).iter().position(|r| (r.first..r.first + r.count).contains(&(slot as u32)))
     }
 
-    /// An exec without an instance, for after a call that was given up.
+    /// An `Exec` without an instance, to replace that of an abandoned call.
     pub fn fresh_exec(&self) -> Box<Exec> {
         let ranges = lock(&self.ranges).clone();
         Exec::new(self.node_type, &self.rules, ranges, self.snapshot(), Arc::clone(&self.stats.time))
     }
 
-    /// What the graph wants done after a fault.
+    /// What to do after a fault.
     pub fn on_fault(&self) -> OnFault {
         self.config.on_fault()
     }
@@ -314,7 +314,7 @@ impl NodeRuntime {
         self.config.put_replacement(&self.config_epoch, (instance, snapshot))
     }
 
-    /// Takes all instances out, for the caller to close: files are finished then. `false` when somebody runs the node, whose instance stays.
+    /// Takes all instances, for the caller to close. Returns `false` if a thread runs the node, whose instance stays.
     #[must_use]
     pub fn take_instances(&self) -> (Vec<Instance>, bool) {
         let mut all = self.recovery.take_broken();

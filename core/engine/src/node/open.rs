@@ -36,7 +36,7 @@ impl NodeRuntime {
         let mut raw = std::ptr::null_mut();
         let status = match self.node_type.open {
             Some(open) => {
-                // SAFETY: the contract; everything the call points to outlives it.
+                // SAFETY: the plugin contract; everything the call points to outlives it.
                 who::opening(&self.who, || instance.kept.during(|| unsafe { open(&raw mut call, &raw mut raw) }))
             }
             None => abi::STATUS_INVALID,

@@ -1,7 +1,7 @@
-//! The scratch of ticks through the plan.
+//! Runs ticks through the plan.
 //!
-//! Whoever runs a node holds its `running` mark and its exec. The plan is read anew for every node that is started: a node
-//! only starts when its region has admitted a tick, and a region with a tick inside is never changed.
+//! The thread that runs a node has its join marked as running and owns its `Exec`. The plan is loaded for every node that starts: a node
+//! only starts after its region admitted a tick, and a region with a tick inside is never changed.
 
 mod take;
 
@@ -28,25 +28,25 @@ use crate::scratch::{Scratch, clear};
 use crate::stats::bump;
 use crate::sync::lock;
 
-/// What the threads of an engine share.
+/// State shared by the threads of an engine.
 pub(crate) struct Shared {
     pub me: Weak<Shared>,
     pub plan: ArcSwap<Plan>,
     pub pool: Pool,
     pub context: RunContext,
-    /// Wait between ticks of a source until their capture time has come.
+    /// Whether sources wait until the capture time of each tick.
     pub paced: bool,
     /// Ticks each source makes; `None` for no end.
     pub frames: Option<u64>,
     pub stopping: AtomicBool,
     pub failed: Mutex<Option<String>>,
-    /// A thread of the host panicked: nodes may never finish.
+    /// Whether a thread of the host panicked, so that nodes may never finish.
     pub broken: AtomicBool,
     /// Nodes that are not finished.
     pub unfinished: AtomicUsize,
     pub finished: Condvar,
     pub finished_lock: Mutex<()>,
-    /// Held while nodes finish and while the plan is changed.
+    /// Held while nodes finish and while the plan changes.
     pub finishing: Mutex<()>,
     pub start_ns: u64,
     pub end_ns: AtomicU64,
@@ -55,7 +55,7 @@ pub(crate) struct Shared {
     pub waiting_nearest: AtomicI64,
     /// Threads that belong to one node, by thread number.
     pub own_threads: Mutex<HashMap<u32, OwnThread>>,
-    /// A call without a budget that takes longer does not return, as far as the watchdog is concerned.
+    /// A call without a budget that takes longer counts as hung.
     pub hang_ns: u64,
     /// Media time between two ticks of the fastest source.
     pub frame_ns: AtomicU64,
@@ -72,7 +72,7 @@ pub(crate) struct AllocationMeter {
     pub warm_up_ticks: u64,
 }
 
-/// Nodes that may run now.
+/// Nodes that are ready to run.
 #[derive(Default)]
 pub(crate) struct Ready {
     nodes: [u32; 16],
@@ -89,8 +89,8 @@ impl Ready {
         self.len += 1;
     }
 
-    /// Hands all to their threads but one whose chain takes no longer than `allowance_ns`, which the caller is to run: an urgent one, if there
-    /// is one; a patient one only where nothing urgent waits.
+    /// Sends all nodes to their threads except one whose chain takes at most `allowance_ns`, which the caller runs itself: an urgent one, if there
+    /// is one, a patient one only if no urgent task waits.
     pub fn dispatch_ready(&mut self, shared: &Shared, plan: &Plan, allowance_ns: u64) -> Option<usize> {
         let nodes = &self.nodes[..self.len];
         let fits = |node: &usize| {
@@ -109,7 +109,7 @@ impl Ready {
     }
 }
 
-/// What becomes of a node after an attempt to take its next tick.
+/// What to do with a node after an attempt to take its next tick.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Next {
     Run,
@@ -118,7 +118,7 @@ enum Next {
 }
 
 impl Shared {
-    /// Sends a node that was taken (`running`) to where it runs.
+    /// Sends a node that took its tick to its own thread or to the pool.
     pub fn dispatch(&self, plan: &Plan, node: usize) {
         let runtime = &plan.runtimes[node];
         if runtime.owns_thread() {
@@ -128,8 +128,8 @@ impl Shared {
         }
     }
 
-    /// Runs a node and what may follow it on this thread; `false` when the watchdog gave the thread up. A worker's allowance has no end
-    /// (`u64::MAX`); a node's own thread goes on with others' chains only as long as these are known to take no more than its allowance.
+    /// Runs a node and its successors on this thread; `false` if the watchdog abandoned the thread. A worker has no time limit
+    /// (`u64::MAX`); a node's own thread runs other chains only as long as they are known to fit into its allowance.
     pub fn run(&self, node: usize, scratch: &mut Scratch, mut allowance_ns: u64) -> bool {
         let is_worker = allowance_ns == u64::MAX;
         let mut current = node;
@@ -156,11 +156,11 @@ impl Shared {
         }
     }
 
-    /// One staged tick of a node and its inline chain; `true` when the next tick is staged already, `None` when the call was given up.
+    /// Runs one staged tick of a node and its inline chain. Returns whether the next tick is staged, `None` if a call was abandoned.
     fn run_tick(&self, plan: &Plan, node: usize, scratch: &mut Scratch, ready: &mut Ready) -> Option<bool> {
         let runtime = &plan.runtimes[node];
         let Some(mut exec) = runtime.exec.take() else {
-            // The engine closed it: nobody will run it again.
+            // The engine closed it; it does not run again.
             lock(&runtime.join).set_running(false);
             return Some(false);
         };
@@ -189,14 +189,14 @@ impl Shared {
         Some(self.take_next(plan, node, ready))
     }
 
-    /// A call came back that the watchdog gave up: everything else has been done in its place.
+    /// An abandoned call returned. The watchdog has done everything else.
     pub fn discard_abandoned(runtime: &NodeRuntime, exec: Box<Exec>, scratch: &mut Scratch) {
         drop(exec);
         scratch.clear();
         runtime.recovery.remove_stuck();
     }
 
-    /// Shows what a node made to whoever looks at it.
+    /// Passes a node's outputs to its subscribers and to the observer.
     #[inline]
     fn show(&self, runtime: &NodeRuntime, outputs: &[Frame]) {
         runtime.subscribers.show(outputs);
@@ -205,7 +205,7 @@ impl Shared {
         }
     }
 
-    /// What follows from how a call ended.
+    /// Handles the outcome of a call.
     #[inline]
     pub fn after(&self, plan: &Plan, node: usize, sink: bool, outcome: CallOutcome, tick: &Tick, now_ns: u64) {
         if outcome == CallOutcome::Ok {
@@ -229,7 +229,7 @@ impl Shared {
         }
     }
 
-    /// A node failed: who gave it a picture of another size than before shares the blame.
+    /// After a failure: reports a producer that changed the size of its output at this tick.
     fn report_size_change(&self, plan: &Plan, node: usize, tick: &Tick) {
         for (from, producer) in plan.live() {
             let readers = &plan.wiring[from].readers;
@@ -246,13 +246,13 @@ impl Shared {
         }
     }
 
-    /// When a tick came into the graph, in ns of the host's clock.
+    /// When a tick entered the graph, in ns of the host's clock.
     pub fn ingest(&self, plan: &Plan, tick: &Tick) -> Option<u64> {
         plan.runtimes.get(tick.source as usize)?.ticks.ingest_ns(tick.seq)
     }
 
-    /// Walks the inline readers of what stands in `scratch.made[0]`, delivers what the last one made and tells the region; answers when
-    /// the last call ended, `None` when one was given up.
+    /// Runs the inline readers of the outputs in `scratch.made[0]`, delivers the outputs of the last one and notifies the region. Returns when
+    /// the last call ended, `None` if one was abandoned.
     fn chain(
         &self,
         plan: &Plan,
@@ -278,17 +278,17 @@ impl Shared {
             }
             let runtime = &*link.runtime;
             let Some(mut exec) = runtime.exec.take() else {
-                // The engine closed it at the end of a run that was not waited for.
+                // The engine closed it at the end of a run, after the time limit.
                 made.clear();
                 self.skip_from(plan, link.node as usize, tick, ready);
                 return Some(now_ns);
             };
             let complete = link.optional || !frame.is_empty();
-            // CallOutputs outputs carry the tick already; writing it again would hold up who reads it next.
+            // Outputs of a call carry the tick already; writing it again would delay the next reader.
             if frame.tick != tick {
                 frame.tick = tick;
             }
-            // SAFETY: an output of a call that has ended is empty or holds its reference, and `made` goes on holding it.
+            // SAFETY: an output of a call that has ended is empty or holds its reference, and `made` keeps holding it.
             let inputs = std::slice::from_mut(unsafe { FrameRef::adopt_in_place(frame) });
             let mut ports = Ports { inputs, lone: link.lone, made: next };
             let (outcome, end_ns) = runtime.run(&mut exec, &self.context, &mut tick, complete, now_ns, &mut ports);
@@ -308,7 +308,7 @@ impl Shared {
         self.show(last_cell, &made.outputs);
         for (port, output) in made.outputs.iter_mut().enumerate() {
             let raw = std::mem::replace(output, Frame::EMPTY);
-            // SAFETY: as above; `made` has just forgotten it.
+            // SAFETY: an output of a call that has ended is empty or holds its reference, which `made` no longer has after the `replace`.
             let frame = unsafe { FrameRef::adopt(Frame { tick, ..raw }) };
             self.deliver_port(plan, last, port, frame, ready);
         }
@@ -316,7 +316,7 @@ impl Shared {
         Some(now_ns)
     }
 
-    /// Finishes a tick from a node on whose call was given up: its outputs are empty, the rest of its chain is left out.
+    /// Finishes a tick from a node on whose call was abandoned: its outputs are empty, and the rest of its chain is skipped.
     pub fn skip_from(&self, plan: &Plan, node: usize, tick: Tick, ready: &mut Ready) {
         let mut last = node;
         while let Some(inline) = plan.wiring[last].inline {
@@ -330,7 +330,7 @@ impl Shared {
         self.leave(plan, last, ready);
     }
 
-    /// A node is done with a tick: if it is a leaf, its region may be.
+    /// A node is done with a tick. If it is a leaf, its region may admit another one.
     fn leave(&self, plan: &Plan, node: usize, ready: &mut Ready) {
         let wiring = &plan.wiring[node];
         if !wiring.leaf {
@@ -397,7 +397,7 @@ impl Shared {
     fn to_gray(&self, runtime: &NodeRuntime, frame: &FrameRef) -> FrameRef {
         bump(&runtime.stats.conversions);
         convert::to_gray8(frame).unwrap_or_else(|| {
-            let words = "a gray copy was left out: frame memory is used up";
+            let words = "a gray copy was skipped: frame memory is used up";
             self.context.log.write(Level::Warn, &runtime.id, words);
             runtime.report_repeated_fault(
                 &self.context,
@@ -410,7 +410,7 @@ impl Shared {
         })
     }
 
-    /// An output is of a format that its reader does not take.
+    /// Reports an output of a format that its reader does not accept.
     #[cold]
     fn refused(&self, plan: &Plan, node: usize, port: usize, reader: usize, accepts: u32, frame: &Frame) {
         let runtime = &plan.runtimes[node];
@@ -435,7 +435,7 @@ impl Shared {
         let dropped = if self.context.decider.is_none() {
             join.push(reader.slot, frame)
         } else if runtime.source {
-            // Its ticks come from a recording: it needs nothing.
+            // Its ticks come from a recording, so it needs no inputs.
             return;
         } else {
             join.push_for_decider(reader.slot, frame)
@@ -459,10 +459,10 @@ impl Shared {
         self.go_on(plan, node, next, ready);
     }
 
-    /// A wire on which packets wait to be picked by their time is full.
+    /// Reports a full queue of packets that are matched by time.
     #[cold]
     fn report_drops(&self, runtime: &NodeRuntime, slot: usize, all: u64, new: u64, capacity: usize) {
-        // With every power of two.
+        // Only when the count passes a power of two.
         if all.ilog2() == (all - new).checked_ilog2().unwrap_or(u32::MAX) {
             return;
         }
@@ -475,13 +475,13 @@ impl Shared {
         self.context.log.write(Level::Warn, &runtime.id, &words);
     }
 
-    /// No tick will come out of this node again.
+    /// Marks a node as finished: no tick will come out of it again. Its readers may finish, too.
     pub fn finish(&self, node: usize, ready: &mut Ready) {
         let _order = lock(&self.finishing);
         let plan = self.plan.load();
         let mut list = vec![node];
         while let Some(node) = list.pop() {
-            // Closing finishes files; nobody runs the node any more.
+            // No thread runs the node any more; closing it will finish its files.
             self.one_finished();
             plan.runtimes[node].runner.wake();
             for reader in plan.wiring[node].readers.iter().flatten() {
@@ -499,7 +499,7 @@ impl Shared {
         }
     }
 
-    /// Counts a node that is finished or gone.
+    /// Counts a node that is finished or removed.
     pub fn one_finished(&self) {
         if self.unfinished.fetch_sub(1, Ordering::AcqRel) == 1 {
             self.end_ns.store(clock::now_ns(), Ordering::Relaxed);
@@ -536,8 +536,8 @@ impl Shared {
     }
 }
 
-/// Asks for what the next nodes of a chain will touch, each step as early as the address is known: after a pause, or in a long
-/// chain, it is in no near cache.
+/// Prefetches what the next nodes of a chain will touch, each step as early as its address is known: after a pause, or in a long
+/// chain, it is in no fast cache.
 #[inline]
 fn prefetch_next(links: &[Link], at: usize) {
     if let Some(link) = links.get(at + 1) {
@@ -548,7 +548,7 @@ fn prefetch_next(links: &[Link], at: usize) {
     }
 }
 
-/// Whether a reader takes a frame.
+/// Whether a reader accepts a frame.
 #[inline]
 fn takes(accepts: u32, frame: &Frame) -> bool {
     accepts == 0 || frame.is_empty() || (frame.format < 32 && accepts >> frame.format & 1 == 1)

@@ -1,4 +1,4 @@
-//! How a node takes its next tick: by the clock, or as a decider has it.
+//! How a node takes its next tick: by the clock, or as the decider says.
 
 use std::sync::atomic::Ordering;
 
@@ -15,7 +15,7 @@ impl Shared {
         plan.regions.get(plan.wiring[node].region).filter(|_| join.heads_region()).map(|r| &**r)
     }
 
-    /// Tries to take the next tick of a node that nobody runs, and of one that was just run.
+    /// Tries to take the next tick of a node that no thread runs, or that this thread just ran.
     pub(super) fn decide(&self, plan: &Plan, node: usize, join: &mut Join) -> Next {
         let take = if self.context.observer.is_none() && self.context.decider.is_none() {
             join.try_take(self.gate(plan, node, join), clock::now_ns())
@@ -34,7 +34,7 @@ impl Shared {
         }
     }
 
-    /// Like [`Join::try_take`], written down or looked up where it depends on time.
+    /// Like [`Join::try_take`], with decisions that depend on time reported to the observer or made by the decider.
     #[cold]
     fn take_observed(&self, plan: &Plan, node: usize, join: &mut Join) -> Take {
         let (runtime, region) = (&plan.runtimes[node], self.gate(plan, node, join));
@@ -59,7 +59,7 @@ impl Shared {
         take
     }
 
-    /// The runner of a node asks for its next tick; `true` when it is staged.
+    /// Takes the next tick of the node that this thread runs. Returns whether it is staged.
     pub fn take_next(&self, plan: &Plan, node: usize, ready: &mut Ready) -> bool {
         let next = self.decide(plan, node, &mut lock(&plan.runtimes[node].join));
         if next == Next::Finish {
@@ -68,7 +68,7 @@ impl Shared {
         next == Next::Run
     }
 
-    /// Tries to fire a node that nobody runs.
+    /// Tries to fire a node that no thread runs.
     pub fn try_fire(&self, plan: &Plan, node: usize, ready: &mut Ready) {
         let mut join = lock(&plan.runtimes[node].join);
         if !join.is_idle() {
@@ -81,7 +81,7 @@ impl Shared {
 
     pub(super) fn go_on(&self, plan: &Plan, node: usize, next: Next, ready: &mut Ready) {
         match next {
-            // Whoever sleeps is woken at once: that takes longer than what is left to do here.
+            // Wakes a sleeping thread first, because waking takes longer than the rest of this function.
             Next::Run if plan.runtimes[node].owns_thread() => self.dispatch(plan, node),
             Next::Run => ready.push(self, plan, node),
             Next::Idle => {}
