@@ -6,8 +6,8 @@ use panoscope_abi as abi;
 
 use crate::busy::CallKind;
 use crate::claims::Holds;
-use crate::ending::who;
-use crate::retained::Kept;
+use crate::ending::current_node;
+use crate::retained::RetainedFrames;
 
 /// An open instance of a node type, closed when dropped.
 pub(crate) struct Instance {
@@ -18,7 +18,7 @@ pub(crate) struct Instance {
     /// Whether the node used it; an unused instance has nothing to complete.
     pub begun: bool,
     /// Frames that it retains between calls.
-    pub kept: Kept,
+    pub retained: RetainedFrames,
     /// Files that it claims.
     pub holds: Box<Holds>,
 }
@@ -39,8 +39,8 @@ unsafe extern "C" fn collect(sink: *mut c_void, bytes: *const u8, len: usize) {
 
 impl Instance {
     pub fn none(node_type: &'static abi::NodeType) -> Self {
-        let kept = Kept::new(std::ptr::from_ref(node_type).cast());
-        Self { raw: std::ptr::null_mut(), node_type, open: false, begun: false, kept, holds: Box::default() }
+        let retained = RetainedFrames::new(std::ptr::from_ref(node_type).cast());
+        Self { raw: std::ptr::null_mut(), node_type, open: false, begun: false, retained, holds: Box::default() }
     }
 
     /// Marks the instance as used by its node.
@@ -59,9 +59,11 @@ impl Instance {
         let was_open = std::mem::replace(&mut self.open, false);
         if let Some(close) = self.node_type.close.filter(|_| was_open) {
             // SAFETY: opened by `open` and closed once.
-            who::with(&self.kept.who(), CallKind::Close, || self.kept.during(|| unsafe { close(raw) }));
+            current_node::with(&self.retained.who(), CallKind::Close, || {
+                self.retained.during(|| unsafe { close(raw) })
+            });
         }
-        self.kept.reclaim();
+        self.retained.reclaim();
         self.holds.release();
     }
 
@@ -75,10 +77,10 @@ impl Instance {
         let save = self.node_type.save_state.filter(|_| self.open)?;
         let host = abi::Host { save: Some(collect), ..*host };
         let mut bytes: Vec<u8> = Vec::new();
-        let (raw, who) = (self.raw, self.kept.who());
-        let status = who::with(&who, CallKind::SaveState, || {
+        let (raw, who) = (self.raw, self.retained.who());
+        let status = current_node::with(&who, CallKind::SaveState, || {
             // SAFETY: an open instance that no other thread uses; the sink outlives the call.
-            self.kept.during(|| unsafe { save(raw, &raw const host, (&raw mut bytes).cast()) })
+            self.retained.during(|| unsafe { save(raw, &raw const host, (&raw mut bytes).cast()) })
         });
         (status == abi::STATUS_OK && !bytes.is_empty()).then_some(bytes)
     }
@@ -86,10 +88,10 @@ impl Instance {
     /// Loads a predecessor's state; `false` if the node does not understand it.
     pub fn load_state(&mut self, bytes: &[u8]) -> bool {
         let Some(load) = self.node_type.load_state.filter(|_| self.open) else { return false };
-        let (raw, who) = (self.raw, self.kept.who());
-        who::with(&who, CallKind::LoadState, || {
+        let (raw, who) = (self.raw, self.retained.who());
+        current_node::with(&who, CallKind::LoadState, || {
             // SAFETY: an open instance that no other thread uses; the bytes are lent for the call.
-            self.kept.during(|| unsafe { load(raw, bytes.as_ptr(), bytes.len()) == abi::STATUS_OK })
+            self.retained.during(|| unsafe { load(raw, bytes.as_ptr(), bytes.len()) == abi::STATUS_OK })
         })
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use panoscope_abi as abi;
 use panoscope_graph::Validator;
 
-use crate::ending::who;
+use crate::ending::current_node;
 use crate::host;
 
 /// The table of host functions for a plugin; valid until the process ends.
@@ -17,15 +17,15 @@ pub fn plugin_table(descriptor: *const abi::Plugin) -> *const abi::Host {
 
 /// Runs code of a plugin's file that belongs to no node yet: constructors, its description. A crash report names the file.
 pub fn run<T>(file: &Path, work: impl FnOnce() -> T) -> T {
-    who::loading(file, work)
+    current_node::loading(file, work)
 }
 
 /// A plugin was loaded: a crash report of a node of these types names this file.
 pub fn remember(entries: &[&'static abi::NodeType], file: &Path) {
-    who::loaded(entries, file);
+    current_node::loaded(entries, file);
 }
 
 /// Wraps a check of parameters so that a crash report names its node type and file.
 pub fn guard_check(node_type: &str, file: &Path, validator: Validator) -> Validator {
-    who::checking(node_type, file, validator)
+    current_node::checking(node_type, file, validator)
 }

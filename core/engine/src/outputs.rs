@@ -15,7 +15,7 @@ const FORMAT_NAMES: [&str; 7] = ["bytes", "gray8", "bgr8", "rgba8", "gray16", "f
 
 /// How to check the contents of an output after a call.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Look {
+enum ContentCheck {
     Nothing,
     /// Plain data of this size whose first `finite` f64 must be finite.
     Plain {
@@ -32,7 +32,7 @@ enum Look {
 pub(crate) struct OutputRule {
     pub name: String,
     formats: u32,
-    look: Look,
+    check: ContentCheck,
 }
 
 pub(crate) fn format_name(format: u32) -> &'static str {
@@ -55,19 +55,21 @@ impl OutputRule {
                     let port = &*node_type.outputs.add(index);
                     (port, port.name.text().unwrap_or("?"), port.packet.text().unwrap_or(""))
                 };
-                let plain = |size, finite| Look::Plain { size, finite };
-                let look = match packet {
-                    "homography" => Look::Homography,
+                let plain = |size, finite| ContentCheck::Plain { size, finite };
+                let check = match packet {
+                    "homography" => ContentCheck::Homography,
                     "roi" => plain(size_of::<abi::Roi>(), 0),
                     "calibration" => plain(size_of::<abi::Calibration>(), 0),
                     "tip" => plain(size_of::<abi::Tip>(), 2),
                     "pose" => plain(size_of::<abi::Pose>(), 7),
                     "joints" => plain(size_of::<abi::Joints>(), 2 * abi::MAX_JOINTS),
                     "scalar" => plain(size_of::<abi::Scalar>(), 0),
-                    "image" | "confidence" if port.formats & abi::format_bit(abi::FORMAT_F32) != 0 => Look::Plane,
-                    _ => Look::Nothing,
+                    "image" | "confidence" if port.formats & abi::format_bit(abi::FORMAT_F32) != 0 => {
+                        ContentCheck::Plane
+                    }
+                    _ => ContentCheck::Nothing,
                 };
-                Self { name: name.to_owned(), formats: port.formats, look }
+                Self { name: name.to_owned(), formats: port.formats, check }
             })
             .collect()
     }
@@ -79,10 +81,10 @@ impl OutputRule {
 
     /// Formats whose contents [`Self::inspect`] checks, one bit each.
     pub fn inspected(&self) -> u32 {
-        match self.look {
-            Look::Nothing => 0,
-            Look::Plane => abi::format_bit(abi::FORMAT_F32),
-            Look::Plain { .. } | Look::Homography => u32::MAX,
+        match self.check {
+            ContentCheck::Nothing => 0,
+            ContentCheck::Plane => abi::format_bit(abi::FORMAT_F32),
+            ContentCheck::Plain { .. } | ContentCheck::Homography => u32::MAX,
         }
     }
 
@@ -120,16 +122,16 @@ impl OutputRule {
             let words = format!("the node changed the description of output `{}`, which only the host may", self.name);
             return Err((Cause::BadOutput, words));
         }
-        if self.look == Look::Nothing { Ok(()) } else { self.look_inside(frame) }
+        if self.check == ContentCheck::Nothing { Ok(()) } else { self.look_inside(frame) }
     }
 
     fn look_inside(&self, frame: &Frame) -> Result<(), (Cause, String)> {
         let name = &self.name;
-        let (size, finite) = match self.look {
-            Look::Nothing => return Ok(()),
-            Look::Plane => return self.look_at_plane(frame),
-            Look::Plain { size, finite } => (size, finite),
-            Look::Homography => (size_of::<abi::Homography>(), 9),
+        let (size, finite) = match self.check {
+            ContentCheck::Nothing => return Ok(()),
+            ContentCheck::Plane => return self.look_at_plane(frame),
+            ContentCheck::Plain { size, finite } => (size, finite),
+            ContentCheck::Homography => (size_of::<abi::Homography>(), 9),
         };
         if frame.len != size {
             let words = format!("output `{name}` has {} bytes, its type has {size}", frame.len);
@@ -137,7 +139,7 @@ impl OutputRule {
         }
         // SAFETY: the frame's buffer holds `size` bytes and is aligned to 64; no other thread writes it.
         let numbers = unsafe { std::slice::from_raw_parts(frame.data.cast::<f64>(), finite) };
-        if let Look::Homography = self.look {
+        if let ContentCheck::Homography = self.check {
             // SAFETY: `len == size` was checked and buffers are aligned to 64 bytes; any bytes are valid plain data.
             let lost = unsafe { (*frame.data.cast::<abi::Homography>()).state } == abi::STATE_LOST;
             if lost {
@@ -157,8 +159,8 @@ impl OutputRule {
             return Ok(());
         }
         let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
-        for look in 0..LOOKS {
-            let (y, x) = (look * height / LOOKS, (look * 7919 + 13) % width);
+        for check in 0..LOOKS {
+            let (y, x) = (check * height / LOOKS, (check * 7919 + 13) % width);
             // SAFETY: row and column lie inside the geometry checked above; the read is unaligned.
             let value = unsafe { frame.data.add(y * stride + x * 4).cast::<f32>().read_unaligned() };
             if value.is_nan() {
@@ -208,7 +210,7 @@ mod tests {
     use super::*;
 
     fn rule(formats: u32) -> OutputRule {
-        OutputRule { name: "image".to_owned(), formats, look: Look::Nothing }
+        OutputRule { name: "image".to_owned(), formats, check: ContentCheck::Nothing }
     }
 
     #[test]

@@ -13,7 +13,7 @@ use arc_swap::ArcSwap;
 use panoscope_abi::ChunkFn;
 
 use crate::clock;
-use crate::ending::who::{self, Doing};
+use crate::ending::current_node::{self, CurrentWork};
 use crate::outbox::panic_words;
 use crate::retained;
 use crate::scratch::Scratch;
@@ -40,7 +40,7 @@ struct Loop {
     /// Urgency of the node that it belongs to.
     urgency: Urgency,
     /// The node that it belongs to.
-    doing: Doing,
+    doing: CurrentWork,
     /// The frames retained by the instance whose call it is part of.
     scope: retained::Scope,
     /// Whether a helper retained a frame for it, or was refused one.
@@ -441,7 +441,7 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
             drop(state);
             set_urgency(this.urgency);
             // SAFETY: the call that the loop is part of does not end before its helpers have left.
-            if who::help(this.doing, || unsafe { retained::within(this.scope, || this.help(inner)) }) {
+            if current_node::help(this.doing, || unsafe { retained::within(this.scope, || this.help(inner)) }) {
                 this.attention.store(true, Ordering::Relaxed);
             }
             let caller = this.caller.clone();
@@ -497,7 +497,7 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
         caller: std::thread::current(),
         caller_number: thread_id::current(),
         urgency: URGENCY.with(Cell::get),
-        doing: who::doing(),
+        doing: current_node::current_work(),
         scope: retained::scope(),
         attention: AtomicBool::new(false),
     };

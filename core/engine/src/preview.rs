@@ -35,7 +35,7 @@ pub struct NumberListener {
 }
 
 /// Where a port's packets go.
-struct Place {
+struct Subscription {
     newest: Mutex<Option<FrameRef>>,
     hear: Option<Arc<HearFn>>,
 }
@@ -43,13 +43,13 @@ struct Place {
 /// The newest packet of a port. Keeps at most two frames alive: the one here and the
 /// one that its reader holds.
 pub struct Preview {
-    place: Arc<Place>,
+    subscription: Arc<Subscription>,
 }
 
 impl Preview {
     /// The newest packet since the last call.
     pub fn take(&self) -> Option<FrameRef> {
-        lock(&self.place.newest).take()
+        lock(&self.subscription.newest).take()
     }
 }
 
@@ -57,7 +57,7 @@ impl Preview {
 #[repr(C)]
 pub(crate) struct Subscribers {
     active: AtomicUsize,
-    ports: Mutex<Vec<Vec<Weak<Place>>>>,
+    ports: Mutex<Vec<Vec<Weak<Subscription>>>>,
 }
 
 impl Subscribers {
@@ -76,11 +76,11 @@ impl Subscribers {
     }
 
     fn add(&self, port: usize, hear: Option<Arc<HearFn>>) -> Option<Preview> {
-        let place = Arc::new(Place { newest: Mutex::new(None), hear });
+        let subscription = Arc::new(Subscription { newest: Mutex::new(None), hear });
         let mut ports = lock(&self.ports);
-        ports.get_mut(port)?.push(Arc::downgrade(&place));
+        ports.get_mut(port)?.push(Arc::downgrade(&subscription));
         self.active.fetch_add(1, Ordering::Relaxed);
-        Some(Preview { place })
+        Some(Preview { subscription })
     }
 
     /// Outputs with a subscriber, one bit each.
@@ -115,16 +115,16 @@ impl Subscribers {
         let mut ports = lock(&self.ports);
         for (readers, frame) in ports.iter_mut().zip(outputs) {
             readers.retain(|reader| {
-                let Some(place) = reader.upgrade() else {
+                let Some(subscription) = reader.upgrade() else {
                     self.active.fetch_sub(1, Ordering::Relaxed);
                     return false;
                 };
                 if !frame.is_empty() {
                     // SAFETY: the reference stays with the outputs; `ManuallyDrop` never releases this copy.
                     let borrowed = std::mem::ManuallyDrop::new(unsafe { FrameRef::adopt(*frame) });
-                    match &place.hear {
+                    match &subscription.hear {
                         Some(hear) => hear(&borrowed),
-                        None => *lock(&place.newest) = Some(FrameRef::clone(&borrowed)),
+                        None => *lock(&subscription.newest) = Some(FrameRef::clone(&borrowed)),
                     }
                 }
                 true

@@ -233,12 +233,12 @@ fn starved(plan: &Plan) -> Vec<(String, String)> {
 #[derive(Default)]
 pub struct Window {
     at_ns: u64,
-    seen: HashMap<String, Seen>,
+    seen: HashMap<String, Previous>,
 }
 
 /// Counters of a node at the previous call.
 #[derive(Default)]
-struct Seen {
+struct Previous {
     times: Vec<u64>,
     ages: Vec<u64>,
     count: u64,
@@ -316,7 +316,7 @@ impl Window {
                 queues: queues(runtime),
             };
             nodes.insert(runtime.id.clone(), window);
-            seen.insert(runtime.id.clone(), Seen { times, ages, count });
+            seen.insert(runtime.id.clone(), Previous { times, ages, count });
         }
         self.seen = seen;
         nodes

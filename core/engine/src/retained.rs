@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 
 use panoscope_abi::BufferId;
 
-use crate::ending::who::Who;
+use crate::ending::current_node::NodeNames;
 use crate::memory::memory;
 
 thread_local! {
@@ -41,10 +41,10 @@ struct Inner {
     count: AtomicUsize,
     ids: Mutex<Vec<BufferId>>,
     /// The node that the instance belongs to.
-    who: OnceLock<Arc<Who>>,
+    who: OnceLock<Arc<NodeNames>>,
     /// An address of the plugin.
     address: usize,
-    /// Refused requests since [`Kept::take_refused`] was called last.
+    /// Refused requests since [`RetainedFrames::take_refused`] was called last.
     refused: AtomicU32,
     /// Whether it is in [`KEEPERS`].
     listed: AtomicBool,
@@ -70,13 +70,13 @@ impl Inner {
 }
 
 /// The frames that one instance retains.
-pub(crate) struct Kept(Arc<Inner>);
+pub(crate) struct RetainedFrames(Arc<Inner>);
 
 /// The instance whose call runs on a thread, for loops that several threads run.
 #[derive(Clone, Copy)]
 pub(crate) struct Scope(*const Inner);
 
-/// Ends [`Kept::during`] on drop, also when the call unwinds.
+/// Ends [`RetainedFrames::during`] on drop, also when the call unwinds.
 struct Restore(*const Inner);
 
 impl Drop for Restore {
@@ -85,7 +85,7 @@ impl Drop for Restore {
     }
 }
 
-impl Kept {
+impl RetainedFrames {
     /// For an instance of the plugin that `address` lies in.
     pub fn new(address: *const c_void) -> Self {
         Self(Arc::new(Inner { address: address as usize, ..Inner::default() }))
@@ -99,12 +99,12 @@ impl Kept {
     }
 
     /// Sets the node that the instance belongs to.
-    pub fn belongs_to(&self, who: &Arc<Who>) {
+    pub fn belongs_to(&self, who: &Arc<NodeNames>) {
         let _ = self.0.who.set(Arc::clone(who));
     }
 
     /// The node that the instance belongs to.
-    pub fn who(&self) -> Arc<Who> {
+    pub fn who(&self) -> Arc<NodeNames> {
         self.0.who.get().cloned().unwrap_or_default()
     }
 
@@ -180,7 +180,7 @@ fn refuse() {
 
 #[cold]
 fn list(inner: &Inner) {
-    // SAFETY: every `Inner` lives in the `Arc` of a `Kept`, made by `Kept::new`; the count is raised for the new `Arc`, of which only a
+    // SAFETY: every `Inner` lives in the `Arc` of a `RetainedFrames`, made by `RetainedFrames::new`; the count is raised for the new `Arc`, of which only a
     // `Weak` stays.
     let weak = unsafe {
         Arc::increment_strong_count(inner);
@@ -255,7 +255,7 @@ mod tests {
     #[test]
     fn what_was_never_kept_is_not_given_back() {
         let (held, id) = frame();
-        let [ours, theirs] = plugins().map(Kept::new);
+        let [ours, theirs] = plugins().map(RetainedFrames::new);
         ours.during(|| release(0, id));
         assert_eq!((memory().references(id), ours.take_refused()), (1, 1), "the host's own reference stays");
         assert!(attention(), "the call is looked at");
@@ -278,7 +278,7 @@ mod tests {
     fn a_release_outside_every_call_takes_nothing_twice() {
         let (held, id) = frame();
         let plugin = plugin_of(plugins()[0]);
-        let [ours, theirs] = plugins().map(Kept::new);
+        let [ours, theirs] = plugins().map(RetainedFrames::new);
         for kept in [&ours, &theirs] {
             kept.during(|| retain(0, id));
         }

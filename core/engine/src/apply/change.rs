@@ -38,7 +38,7 @@ pub(super) enum NodeChange {
     /// There was one of another type, or on another CPU.
     Replaced(Opens),
     /// The node continues.
-    Kept { values: Values, rewired: bool },
+    RetainedFrames { values: Values, rewired: bool },
 }
 
 impl NodeChange {
@@ -52,17 +52,17 @@ impl NodeChange {
 
     /// The same node, with other inputs.
     pub fn is_rewired(self) -> bool {
-        matches!(self, Self::Kept { rewired: true, .. })
+        matches!(self, Self::RetainedFrames { rewired: true, .. })
     }
 
     /// The same node with a new instance, for its values.
     pub fn is_reopened(self) -> bool {
-        matches!(self, Self::Kept { values: Values::Reopen(_), .. })
+        matches!(self, Self::RetainedFrames { values: Values::Reopen(_), .. })
     }
 
     /// The same instance with new values.
     pub fn is_tuned(self) -> bool {
-        matches!(self, Self::Kept { values: Values::Live, .. })
+        matches!(self, Self::RetainedFrames { values: Values::Live, .. })
     }
 
     /// Whether the node gets its inputs anew.
@@ -73,10 +73,10 @@ impl NodeChange {
     /// When its new instance opens, if it gets one.
     pub fn opens(self) -> Option<Opens> {
         match self {
-            Self::Added(opens) | Self::Replaced(opens) | Self::Kept { values: Values::Reopen(opens), .. } => {
+            Self::Added(opens) | Self::Replaced(opens) | Self::RetainedFrames { values: Values::Reopen(opens), .. } => {
                 Some(opens)
             }
-            Self::Kept { .. } => None,
+            Self::RetainedFrames { .. } => None,
         }
     }
 
@@ -87,10 +87,10 @@ impl NodeChange {
 
     fn set_opens(&mut self, new: Opens) {
         match self {
-            Self::Added(opens) | Self::Replaced(opens) | Self::Kept { values: Values::Reopen(opens), .. } => {
+            Self::Added(opens) | Self::Replaced(opens) | Self::RetainedFrames { values: Values::Reopen(opens), .. } => {
                 *opens = new
             }
-            Self::Kept { .. } => {}
+            Self::RetainedFrames { .. } => {}
         }
     }
 }
@@ -173,7 +173,7 @@ impl Change {
                         } else {
                             Values::Live
                         };
-                        NodeChange::Kept { values, rewired: false }
+                        NodeChange::RetainedFrames { values, rewired: false }
                     }
                 }
                 None => {
@@ -196,7 +196,7 @@ impl Change {
         let removed: Vec<usize> = current.slots.iter().copied().filter(|&slot| !kept(slot)).collect();
         for node in 0..graph.nodes.len() {
             let Some(before) = current.graph.node(&graph.nodes[node].id) else { continue };
-            if let NodeChange::Kept { rewired, .. } = &mut node_changes[node] {
+            if let NodeChange::RetainedFrames { rewired, .. } = &mut node_changes[node] {
                 let was = connections(&current.graph, &current.slots, before);
                 *rewired = was != connections(graph, &slots, node);
             }

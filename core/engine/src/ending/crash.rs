@@ -9,19 +9,19 @@ use std::ffi::{c_int, c_void};
 use std::mem::MaybeUninit;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 
-use super::words::Words;
-use super::{rescue, who};
+use super::line::Line;
+use super::{current_node, rescue};
 use crate::log;
 
 const SIGNALS: [c_int; 5] = [libc::SIGSEGV, libc::SIGBUS, libc::SIGFPE, libc::SIGILL, libc::SIGABRT];
 
 /// The previous handlers in the order of [`SIGNALS`]: Rust's own for stack guard pages, a sanitizer's, or the default.
-struct Before(UnsafeCell<[MaybeUninit<libc::sigaction>; SIGNALS.len()]>);
+struct PreviousActions(UnsafeCell<[MaybeUninit<libc::sigaction>; SIGNALS.len()]>);
 
 // SAFETY: `install` writes it before it sets the handlers; afterwards it is only read.
-unsafe impl Sync for Before {}
+unsafe impl Sync for PreviousActions {}
 
-static BEFORE: Before = Before(UnsafeCell::new([const { MaybeUninit::uninit() }; SIGNALS.len()]));
+static BEFORE: PreviousActions = PreviousActions(UnsafeCell::new([const { MaybeUninit::uninit() }; SIGNALS.len()]));
 static INSTALLED: AtomicBool = AtomicBool::new(false);
 /// Process that installed the handlers. A forked child that crashes before `exec` is not handled.
 static PROCESS: AtomicI32 = AtomicI32::new(0);
@@ -130,7 +130,7 @@ extern "C" fn handle(signal: c_int, info: *mut libc::siginfo_t, context: *mut c_
         restore(true);
         return again();
     }
-    let me = who::thread_id();
+    let me = current_node::thread_id();
     if let Err(first) = CRASHED.compare_exchange(0, me, Ordering::AcqRel, Ordering::Acquire) {
         if first == me {
             // This handler itself crashed.
@@ -148,16 +148,16 @@ extern "C" fn handle(signal: c_int, info: *mut libc::siginfo_t, context: *mut c_
     // Earlier log lines come first.
     log::flush_all(rescue::LINES);
     report(signal, (!sent).then_some(address), overflow);
-    rescue::after_crash(who::current().map(|(who, _, _)| who));
+    rescue::after_crash(current_node::current().map(|(who, _, _)| who));
     // Skip Rust's own handler for an overflow, which is reported already. Everything else goes to the previous handler.
     restore(overflow);
     again();
 }
 
 fn report(signal: c_int, address: Option<usize>, overflow: bool) {
-    let mut words = Words::new();
+    let mut words = Line::new();
     words.text("error: ");
-    match who::current() {
+    match current_node::current() {
         Some((who, kind, tick)) => {
             if who.node.is_empty() {
                 words.text("plugin ").text(&who.file).text(" crashed while it was loaded");
@@ -176,7 +176,9 @@ fn report(signal: c_int, address: Option<usize>, overflow: bool) {
             words.text("  help: take the node out of the graph or replace its plugin, and report this text to the plugin's author");
         }
         None => {
-            words.text("the program crashed outside of every node, in thread ").number(who::thread_id() as u64);
+            words
+                .text("the program crashed outside of every node, in thread ")
+                .number(current_node::thread_id() as u64);
             say_signal(&mut words, signal, address, overflow);
             words.print();
             words.text("  help: a library's own thread, or panoscope itself: report this text");
@@ -185,7 +187,7 @@ fn report(signal: c_int, address: Option<usize>, overflow: bool) {
     words.print();
 }
 
-fn say_signal(words: &mut Words, signal: c_int, address: Option<usize>, overflow: bool) {
+fn say_signal(words: &mut Line, signal: c_int, address: Option<usize>, overflow: bool) {
     words.text(": ").text(name(signal)).text(", ");
     words.text(if overflow { "its stack overflowed" } else { meaning(signal) });
     if let Some(address) = address {

@@ -5,8 +5,8 @@
 
 use std::ffi::c_int;
 
-use super::words::Words;
-use super::{crash, rescue, who};
+use super::line::Line;
+use super::{crash, current_node, rescue};
 use crate::log;
 
 /// Which of C's functions was called.
@@ -33,10 +33,10 @@ pub fn called(code: c_int, call: ExitCall) -> ! {
     if !crash::is_ours() {
         go_on(code, call);
     }
-    match who::current() {
+    match current_node::current() {
         Some((who, _, tick)) => {
             log::flush_all(rescue::LINES);
-            let mut words = Words::new();
+            let mut words = Line::new();
             words.text("error: ");
             if who.node.is_empty() {
                 words.text("plugin ").text(&who.file).text(" ended the program while it was loaded");
@@ -55,7 +55,7 @@ pub fn called(code: c_int, call: ExitCall) -> ! {
             leave(1)
         }
         None if rescue::any_engine() => {
-            Words::new().text("error: a library ended the program while a graph ran: it called exit").print();
+            Line::new().text("error: a library ended the program while a graph ran: it called exit").print();
             rescue::after_crash(None);
             leave(1)
         }

@@ -8,11 +8,11 @@
 //! [`guard_exits!`](crate::guard_exits).
 
 mod crash;
+pub(crate) mod current_node;
 mod exit;
+mod line;
 mod rescue;
 pub mod signals;
-pub(crate) mod who;
-mod words;
 
 pub use exit::{ExitCall, called, leave};
 

@@ -4,9 +4,9 @@ use std::sync::atomic::{AtomicBool, AtomicI32, AtomicPtr, Ordering};
 use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
 
-use super::who::Who;
-use super::who::thread_id;
-use super::words::Words;
+use super::current_node::NodeNames;
+use super::current_node::thread_id;
+use super::line::Line;
 use crate::clock;
 use crate::fault::{Action, Cause, Fault, unix_ms};
 use crate::log;
@@ -25,7 +25,7 @@ static WAKE: AtomicI32 = AtomicI32::new(-1);
 static THREAD: AtomicI32 = AtomicI32::new(0);
 static DONE: AtomicBool = AtomicBool::new(false);
 /// The node that crashed, if any.
-static VICTIM: AtomicPtr<Who> = AtomicPtr::new(std::ptr::null_mut());
+static VICTIM: AtomicPtr<NodeNames> = AtomicPtr::new(std::ptr::null_mut());
 
 /// Graphs that run.
 static ENGINES: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
@@ -56,7 +56,7 @@ pub(super) fn start() {
         while unsafe { libc::read(ends[0], (&raw mut byte).cast(), 1) } < 1 {}
         let victim = VICTIM.load(Ordering::Acquire);
         let told = std::panic::catch_unwind(|| finish(victim, Instant::now() + LIMIT));
-        let mut words = Words::new();
+        let mut words = Line::new();
         words.text(told.as_deref().unwrap_or("  files: may be incomplete, finishing them failed")).print();
         words.text(&last_line()).print();
         DONE.store(true, Ordering::Release);
@@ -74,7 +74,7 @@ pub(super) fn crashed(thread: i32) {
 }
 
 /// Has the rescue thread finish the files of all other nodes and waits for it. Called in the signal handler of the thread that crashed.
-pub(super) fn after_crash(victim: Option<&Who>) {
+pub(super) fn after_crash(victim: Option<&NodeNames>) {
     VICTIM.store(victim.map_or(std::ptr::null_mut(), |who| std::ptr::from_ref(who).cast_mut()), Ordering::Release);
     let pipe = WAKE.load(Ordering::Acquire);
     // SAFETY: writes one byte that is there; allowed in a signal handler.
@@ -89,7 +89,7 @@ pub(super) fn after_crash(victim: Option<&Who>) {
         // SAFETY: waits; allowed in a signal handler.
         unsafe { libc::poll(std::ptr::null_mut(), 0, STEP_MS as i32) };
     }
-    Words::new().text("  files: may be incomplete, finishing them took too long").print();
+    Line::new().text("  files: may be incomplete, finishing them took too long").print();
 }
 
 const STEP_MS: u128 = 10;
@@ -100,7 +100,7 @@ pub(super) fn ask(limit: Duration) -> String {
 }
 
 /// Closes all nodes that write, except the crashed one, and ends the recordings.
-fn finish(victim: *const Who, until: Instant) -> String {
+fn finish(victim: *const NodeNames, until: Instant) -> String {
     let engines: Vec<Arc<Shared>> = loop {
         // The thread that crashed may hold it.
         match ENGINES.try_lock() {
@@ -152,7 +152,7 @@ fn last_line() -> String {
 }
 
 /// Completes a node's files and closes it once it is at rest; `false` if it crashed, does not come to rest, or fails.
-fn close(shared: &Shared, runtime: &NodeRuntime, victim: *const Who, until: Instant) -> bool {
+fn close(shared: &Shared, runtime: &NodeRuntime, victim: *const NodeNames, until: Instant) -> bool {
     if Arc::as_ptr(&runtime.who) == victim {
         return false;
     }

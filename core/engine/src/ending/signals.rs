@@ -10,8 +10,8 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::exit::leave;
-use super::words::Words;
-use super::{crash, finish_files, who};
+use super::line::Line;
+use super::{crash, current_node, finish_files};
 
 const SIGNALS: [c_int; 3] = [libc::SIGINT, libc::SIGTERM, libc::SIGHUP];
 
@@ -120,7 +120,7 @@ extern "C" fn handle(signal: c_int) {
         }
         Meaning::Same => {}
         Meaning::AtOnce => {
-            Words::new().text("stopped at once by a second signal: files may be incomplete").print();
+            Line::new().text("stopped at once by a second signal: files may be incomplete").print();
             leave(128 + signal)
         }
     }
@@ -234,7 +234,7 @@ fn answer() {
         let wait = match &*now {
             Duty::Finishing => return,
             Duty::Leave => {
-                Words::new().text("stopped by ").text(signal.name()).print();
+                Line::new().text("stopped by ").text(signal.name()).print();
                 leave(signal.status())
             }
             Duty::Opening => OPENING,
@@ -255,21 +255,21 @@ fn answer() {
 }
 
 fn leave_opening(signal: Signal) -> ! {
-    let nodes = who::being_opened();
+    let nodes = current_node::being_opened();
     let what = if nodes.is_empty() {
         "the graph was being loaded".to_owned()
     } else {
         format!("{} was still opening", nodes.join(", "))
     };
-    Words::new().text("stopped by ").text(signal.name()).text(" before the first frame: ").text(&what).print();
+    Line::new().text("stopped by ").text(signal.name()).text(" before the first frame: ").text(&what).print();
     leave(signal.status())
 }
 
 fn leave_unnoticed(signal: Signal) -> ! {
-    let nodes = who::being_opened();
+    let nodes = current_node::being_opened();
     let what = if nodes.is_empty() { String::new() } else { format!(", {} is still opening", nodes.join(", ")) };
     let files = finish_files();
-    let mut words = Words::new();
+    let mut words = Line::new();
     words.text(&files).print();
     words.text("stopped by ").text(signal.name()).text(": the program was busy").text(&what).print();
     leave(signal.status())

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::busy::{Abandoned, CallKind};
 use crate::clock;
-use crate::ending::who;
+use crate::ending::current_node;
 use crate::exec::{Exec, Port};
 use crate::fault::{Action, Cause};
 use crate::host::CallContext;
@@ -299,10 +299,10 @@ impl NodeRuntime {
             outputs_read: self.outputs_read.load(Ordering::Relaxed),
         };
         let raw = exec.instance.raw;
-        who::begin_call(self);
+        current_node::begin_call(self);
         // SAFETY: the plugin contract: an open instance that no other thread uses, and a call whose parts outlive it.
-        let status = exec.instance.kept.during(|| unsafe { process(raw, &raw mut call) });
-        who::end_call();
+        let status = exec.instance.retained.during(|| unsafe { process(raw, &raw mut call) });
+        current_node::end_call();
         let refused = call_context.refused.take();
         let reports = call_context.has_failure && status >= abi::STATUS_OK;
         if let Some(lent) = call_context.lent {
@@ -378,7 +378,7 @@ impl NodeRuntime {
     ) -> CallOutcome {
         exec.bad_in_a_row = 0;
         self.report_refused_frames(exec, context, tick);
-        if exec.instance.kept.count() > MAX_RETAINED_FRAMES {
+        if exec.instance.retained.count() > MAX_RETAINED_FRAMES {
             made.clear();
             exec.failure.clear();
             exec.failure.push_str("it retains more frames than a node may: a leak");
@@ -411,7 +411,7 @@ impl NodeRuntime {
 
     /// Reports that the host refused to retain or release a frame which the node does not hold. The node continues.
     fn report_refused_frames(&self, exec: &Exec, context: &RunContext, tick: &Tick) {
-        if exec.instance.kept.take_refused() == 0 {
+        if exec.instance.retained.take_refused() == 0 {
             return;
         }
         bump(&self.stats.faults);

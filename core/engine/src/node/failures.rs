@@ -80,7 +80,7 @@ impl NodeRuntime {
     /// Records whether an instance continues at a position.
     pub(crate) fn position_taken(&self, context: &RunContext, state: Vec<u8>, understood: bool) {
         if understood {
-            // Kept for the next fault: this instance may fail before it has a position of its own.
+            // RetainedFrames for the next fault: this instance may fail before it has a position of its own.
             self.recovery.restore_position(state);
         } else {
             self.position_lost(context);

@@ -5,7 +5,7 @@ use panoscope_graph::OnFault;
 
 use super::{NodeRuntime, RunContext};
 use crate::busy::CallKind;
-use crate::ending::who;
+use crate::ending::current_node;
 use crate::fault::{Action, Cause};
 use crate::host::CallContext;
 use crate::instance::Instance;
@@ -23,8 +23,9 @@ impl NodeRuntime {
         let mut call_context = CallContext::without_tick(self, context, &instance.holds, &mut failure);
         let (raw, host, call) = (instance.raw, &raw const context.host, (&raw mut call_context).cast());
         // SAFETY: the plugin contract: an open instance that no other thread uses, since the caller owns it; table and handle outlive the call.
-        let status =
-            who::with(&self.who, CallKind::Finish, || instance.kept.during(|| unsafe { finish(raw, host, call) }));
+        let status = current_node::with(&self.who, CallKind::Finish, || {
+            instance.retained.during(|| unsafe { finish(raw, host, call) })
+        });
         if status == abi::STATUS_OK {
             return;
         }

@@ -31,7 +31,7 @@ use crate::busy::Busy;
 use crate::claims::Claims;
 use crate::clock;
 use crate::decide::Decider;
-use crate::ending::who::{Running, Who};
+use crate::ending::current_node::{NodeNames, Running};
 use crate::exec::{Exec, ExecPlace};
 use crate::fault::{Action, Cause, Fault, FaultLog, unix_ms};
 use crate::instance::Instance;
@@ -164,7 +164,7 @@ pub(crate) struct NodeRuntime {
     ranges: Mutex<Vec<PortRange>>,
     pub progress: Progress,
     /// The node's names for a crash report.
-    pub who: Arc<Who>,
+    pub who: Arc<NodeNames>,
 }
 
 // The last field that every call touches is the count of readers at the start of `subscribers`.
@@ -206,7 +206,7 @@ impl NodeRuntime {
         let time = Arc::clone(&stats.time);
         let exec = Exec::new(spec.node_type, &rules, spec.ranges.clone(), Arc::clone(&snapshot), time);
         let this = Self {
-            who: Who::of(&spec.id, spec.node_type),
+            who: NodeNames::of(&spec.id, spec.node_type),
             id: spec.id,
             node_type: spec.node_type,
             kind: spec.kind,
@@ -336,7 +336,7 @@ impl NodeRuntime {
 }
 
 impl Running for NodeRuntime {
-    fn who(&self) -> &Who {
+    fn who(&self) -> &NodeNames {
         &self.who
     }
 

@@ -6,7 +6,7 @@ use panoscope_abi::{self as abi, Str};
 
 use super::{NodeRuntime, RunContext};
 use crate::claims::Holds;
-use crate::ending::who;
+use crate::ending::current_node;
 use crate::host::CallContext;
 use crate::instance::Instance;
 use crate::params::Snapshot;
@@ -19,7 +19,7 @@ impl NodeRuntime {
         }
         let mut instance = Instance::none(self.node_type);
         *instance.holds = Holds::new(&context.claims);
-        instance.kept.belongs_to(&self.who);
+        instance.retained.belongs_to(&self.who);
         let mut failure = String::new();
         let mut call_context = CallContext::without_tick(self, context, &instance.holds, &mut failure);
         let mut call = abi::OpenCall {
@@ -37,7 +37,9 @@ impl NodeRuntime {
         let status = match self.node_type.open {
             Some(open) => {
                 // SAFETY: the plugin contract; everything the call points to outlives it.
-                who::opening(&self.who, || instance.kept.during(|| unsafe { open(&raw mut call, &raw mut raw) }))
+                current_node::opening(&self.who, || {
+                    instance.retained.during(|| unsafe { open(&raw mut call, &raw mut raw) })
+                })
             }
             None => abi::STATUS_INVALID,
         };

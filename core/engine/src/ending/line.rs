@@ -1,12 +1,12 @@
 //! Text for signal handlers, built without the heap.
 
 /// A line of limited length; longer text is truncated.
-pub(super) struct Words {
+pub(super) struct Line {
     bytes: [u8; Self::MOST],
     len: usize,
 }
 
-impl Words {
+impl Line {
     /// Small, because an alternate signal stack may have no more than 8 KiB.
     const MOST: usize = 700;
 
@@ -63,17 +63,17 @@ impl Words {
 
 #[cfg(test)]
 mod tests {
-    use super::Words;
+    use super::Line;
 
     #[test]
     fn words_and_numbers_are_put_together_and_cut_off_at_the_end() {
-        let mut words = Words::new();
+        let mut words = Line::new();
         words.text("tick ").number(0).text(" of ").number(1_234_567).text(" at ").address(0xbeef);
         assert_eq!(&words.bytes[..words.len], b"tick 0 of 1234567 at 0xbeef");
-        let mut words = Words::new();
+        let mut words = Line::new();
         for _ in 0..200 {
             words.text("a long text").number(u64::MAX);
         }
-        assert_eq!(words.len, Words::MOST);
+        assert_eq!(words.len, Line::MOST);
     }
 }

@@ -19,14 +19,14 @@ pub(super) fn thread_id() -> i32 {
 
 /// The names of a node for a crash report. Plain strings: reading them in a signal handler needs no lock and no heap.
 #[derive(Debug, Default)]
-pub(crate) struct Who {
+pub(crate) struct NodeNames {
     pub node: String,
     pub node_type: String,
     /// The plugin's file; empty when it is not known.
     pub file: String,
 }
 
-impl Who {
+impl NodeNames {
     /// The node `id` of this type.
     pub fn of(id: &str, node_type: &'static abi::NodeType) -> Arc<Self> {
         // SAFETY: a validated descriptor of a plugin that stays mapped.
@@ -39,7 +39,7 @@ impl Who {
 /// A node whose `process` runs.
 pub(crate) trait Running {
     /// Its name for a crash report.
-    fn who(&self) -> &Who;
+    fn who(&self) -> &NodeNames;
 
     /// The tick that it processes.
     fn tick(&self) -> Tick;
@@ -47,18 +47,18 @@ pub(crate) trait Running {
 
 /// What the calling thread does for a node. Copied into threads that help it with a loop.
 #[derive(Clone, Copy)]
-pub(crate) struct Doing {
+pub(crate) struct CurrentWork {
     /// The node whose `process` runs.
     call: Option<*const dyn Running>,
     /// Another kind of call; takes precedence over `call`.
-    other: *const Who,
+    other: *const NodeNames,
     kind: CallKind,
 }
 
 thread_local! {
     // Constants without destructors: no lazy initialisation, so that a signal handler may read them.
     static CALL: Slot<Option<*const (dyn Running + 'static)>> = const { Slot::new(None) };
-    static OTHER: Slot<(*const Who, CallKind)> = const { Slot::new((std::ptr::null(), CallKind::Process)) };
+    static OTHER: Slot<(*const NodeNames, CallKind)> = const { Slot::new((std::ptr::null(), CallKind::Process)) };
 }
 
 /// The calling thread runs `process` of `node` until [`end_call`]. Costs two stores: the node's name is looked up only after a crash.
@@ -78,7 +78,7 @@ pub(crate) type TickName = (u32, u64);
 
 /// Ends what [`with`] or [`help`] began.
 pub(crate) struct Guard {
-    before: Doing,
+    before: CurrentWork,
 }
 
 impl Drop for Guard {
@@ -87,29 +87,29 @@ impl Drop for Guard {
     }
 }
 
-fn set(doing: Doing) {
-    CALL.with(|call| call.set(doing.call));
-    OTHER.with(|other| other.set((doing.other, doing.kind)));
+fn set(work_now: CurrentWork) {
+    CALL.with(|call| call.set(work_now.call));
+    OTHER.with(|other| other.set((work_now.other, work_now.kind)));
 }
 
 /// What the calling thread does now.
-pub(crate) fn doing() -> Doing {
+pub(crate) fn current_work() -> CurrentWork {
     let (other, kind) = OTHER.with(Slot::get);
-    Doing { call: CALL.with(Slot::get), other, kind }
+    CurrentWork { call: CALL.with(Slot::get), other, kind }
 }
 
 /// Runs `work`, which makes another kind of call for a node, on the calling thread.
-pub(crate) fn with<T>(who: &Arc<Who>, kind: CallKind, work: impl FnOnce() -> T) -> T {
-    let before = doing();
-    set(Doing { other: Arc::as_ptr(who), kind, ..before });
+pub(crate) fn with<T>(who: &Arc<NodeNames>, kind: CallKind, work: impl FnOnce() -> T) -> T {
+    let before = current_work();
+    set(CurrentWork { other: Arc::as_ptr(who), kind, ..before });
     // `who` is borrowed until the guard is gone, also when `work` panics.
     let _guard = Guard { before };
     work()
 }
 
 /// Runs `work`, which helps another thread with a loop of its node, while that thread waits.
-pub(crate) fn help<T>(doing_there: Doing, work: impl FnOnce() -> T) -> T {
-    let before = doing();
+pub(crate) fn help<T>(doing_there: CurrentWork, work: impl FnOnce() -> T) -> T {
+    let before = current_work();
     set(doing_there);
     let _guard = Guard { before };
     work()
@@ -118,8 +118,8 @@ pub(crate) fn help<T>(doing_there: Doing, work: impl FnOnce() -> T) -> T {
 /// The node that the calling thread works for, the kind of call, and in `process` the tick: source and number.
 ///
 /// Reads thread-locals and memory that the calls below on this thread keep alive: a signal handler may call this.
-pub(crate) fn current<'a>() -> Option<(&'a Who, CallKind, Option<TickName>)> {
-    let Doing { call, other, kind } = doing();
+pub(crate) fn current<'a>() -> Option<(&'a NodeNames, CallKind, Option<TickName>)> {
+    let CurrentWork { call, other, kind } = current_work();
     // SAFETY: set by `with` or `help`, which are under way below on this thread and keep it borrowed.
     if let Some(who) = unsafe { other.as_ref() } {
         return Some((who, kind, None));
@@ -149,7 +149,7 @@ pub(crate) fn loaded(entries: &[&'static abi::NodeType], file: &Path) {
 
 /// Runs code of a plugin's file that belongs to no node yet: constructors, its description.
 pub(crate) fn loading<T>(file: &Path, work: impl FnOnce() -> T) -> T {
-    let who = Arc::new(Who { node: String::new(), node_type: String::new(), file: file.display().to_string() });
+    let who = Arc::new(NodeNames { node: String::new(), node_type: String::new(), file: file.display().to_string() });
     with(&who, CallKind::Open, work)
 }
 
@@ -157,17 +157,17 @@ pub(crate) fn loading<T>(file: &Path, work: impl FnOnce() -> T) -> T {
 pub(crate) fn checking(node_type: &str, file: &Path, validator: Validator) -> Validator {
     let (node_type, file) = (node_type.to_owned(), file.display().to_string());
     Validator::new(move |setup| {
-        let who = Who { node: setup.node_id.to_owned(), node_type: node_type.clone(), file: file.clone() };
+        let who = NodeNames { node: setup.node_id.to_owned(), node_type: node_type.clone(), file: file.clone() };
         with(&Arc::new(who), CallKind::Check, || validator.problems(setup))
     })
 }
 
 /// Nodes that are opening now.
-static OPENING: Mutex<Vec<Arc<Who>>> = Mutex::new(Vec::new());
+static OPENING: Mutex<Vec<Arc<NodeNames>>> = Mutex::new(Vec::new());
 
 /// Runs a node's `open`.
-pub(crate) fn opening<T>(who: &Arc<Who>, work: impl FnOnce() -> T) -> T {
-    struct Listed(*const Who);
+pub(crate) fn opening<T>(who: &Arc<NodeNames>, work: impl FnOnce() -> T) -> T {
+    struct Listed(*const NodeNames);
     impl Drop for Listed {
         fn drop(&mut self) {
             let mut list = lock(&OPENING);
@@ -193,12 +193,12 @@ mod tests {
 
     #[test]
     fn a_thread_knows_what_it_does_and_forgets_it_after_a_panic() {
-        let who = Arc::new(Who { node: "a".to_owned(), node_type: "t".to_owned(), file: "f".to_owned() });
+        let who = Arc::new(NodeNames { node: "a".to_owned(), node_type: "t".to_owned(), file: "f".to_owned() });
         assert!(current().is_none());
         let there = with(&who, CallKind::Close, || {
             let (now, kind, tick) = current().expect("set");
             assert_eq!((now.node.as_str(), kind, tick), ("a", CallKind::Close, None));
-            doing()
+            current_work()
         });
         assert!(current().is_none());
         let seen = help(there, || current().map(|(who, kind, _)| (who.node.clone(), kind)));

@@ -1,0 +1,141 @@
+use super::*;
+use crate::memory::memory;
+use panoscope_abi::Frame;
+
+fn packet(seq: u64) -> FrameRef {
+    let (buffer, data) = memory().allocate(16).expect("memory");
+    let tick = Tick { source: 0, flags: 0, seq, capture_ns: seq as i64 * 10 };
+    // SAFETY: the one reference of a new buffer.
+    unsafe { FrameRef::adopt(Frame { buffer, data, len: 16, tick, ..Frame::EMPTY }) }
+}
+
+fn seq(frame: &FrameRef) -> Option<u64> {
+    (!frame.is_empty()).then(|| frame.tick().seq)
+}
+
+fn fired(take: Take) -> Option<(u64, bool)> {
+    match take {
+        Take::Fire { tick, complete } => Some((tick.seq, complete)),
+        _ => None,
+    }
+}
+
+#[test]
+fn exact_slots_wait_for_each_other() {
+    let slots = vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Exact, false, 1)];
+    let mut join = Join::new(slots, false);
+    join.push(0, packet(0));
+    assert_eq!(join.try_take(None, 0), Take::Wait);
+    join.push(1, FrameRef::empty(Tick::default()));
+    assert_eq!(fired(join.try_take(None, 0)), Some((0, false)), "an empty required input skips the node");
+    join.end(0);
+    join.end(1);
+    assert_eq!(join.try_take(None, 0), Take::Finished);
+}
+
+#[test]
+fn delay_gives_the_previous_tick() {
+    let slots = vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Delay, true, 1)];
+    let mut join = Join::new(slots, true);
+    join.push(0, packet(0));
+    join.push(0, packet(1));
+    join.push(0, packet(2));
+    assert_eq!(fired(join.try_take(None, 0)), Some((0, true)));
+    assert_eq!(seq(&join.staged[1]), None, "nothing on the first tick");
+    assert_eq!(join.try_take(None, 0), Take::Wait, "waits for the producer's tick 0");
+    join.push(1, packet(0));
+    assert_eq!(fired(join.try_take(None, 0)), Some((1, true)));
+    assert_eq!(seq(&join.staged[1]), Some(0));
+    join.push(1, FrameRef::empty(Tick { seq: 1, ..Tick::default() }));
+    assert_eq!(fired(join.try_take(None, 0)), Some((2, true)));
+    assert_eq!(seq(&join.staged[1]), Some(0), "an empty one leaves the last value");
+}
+
+#[test]
+fn batch_latest_waits_for_the_newest_not_after_the_tick() {
+    let slots = vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Latest { trigger: false }, true, 1)];
+    let mut join = Join::new(slots, true);
+    join.push(0, packet(5));
+    join.push(1, packet(3));
+    assert_eq!(join.try_take(None, 0), Take::Wait, "a newer one may still come");
+    join.push(1, packet(4));
+    join.push(1, packet(6));
+    assert_eq!(fired(join.try_take(None, 0)), Some((5, true)));
+    assert_eq!(seq(&join.staged[1]), Some(4));
+}
+
+#[test]
+fn live_latest_overwrites_and_counts() {
+    let mut join = Join::new(vec![Slot::new(Rule::Latest { trigger: true }, false, 1)], false);
+    assert_eq!(join.push(0, packet(0)), 0);
+    assert_eq!(join.push(0, packet(1)), 1);
+    assert_eq!(fired(join.try_take(None, 0)), Some((1, true)));
+    assert_eq!(join.try_take(None, 0), Take::Wait, "one arrival fires once");
+}
+
+#[test]
+fn nearest_takes_the_closest_or_nothing() {
+    let nearest = Rule::Nearest { tolerance_ns: 12 };
+    let room = Slot::usual_capacity(nearest);
+    let mut join = Join::new(vec![Slot::new(Rule::Exact, false, 1), Slot::new(nearest, true, room)], false);
+    join.push(0, packet(5));
+    assert_eq!(join.try_take(None, 100), Take::Wait);
+    join.push(1, packet(4));
+    join.push(1, packet(7));
+    assert_eq!(fired(join.try_take(None, 101)), Some((5, true)));
+    assert_eq!(seq(&join.staged[1]), Some(4));
+    join.push(0, packet(20));
+    assert_eq!(join.try_take(None, 200), Take::Wait);
+    assert_eq!(fired(join.try_take(None, 212)), Some((20, true)), "the wait has an end");
+    assert_eq!(seq(&join.staged[1]), None);
+}
+
+#[test]
+fn nearest_and_delay_take_no_more_than_fit_and_count_what_goes() {
+    for rule in [Rule::Nearest { tolerance_ns: 12 }, Rule::Delay] {
+        let mut join = Join::new(vec![Slot::new(Rule::Exact, false, 1), Slot::new(rule, true, 4)], false);
+        let dropped: u64 = (0..1_000).map(|seq| join.push(1, packet(seq))).sum();
+        assert_eq!((join.waiting(1), dropped, join.slots[1].dropped()), (4, 996, 996), "{rule:?}");
+        join.push(0, packet(997));
+        join.push(1, packet(1_000));
+        assert_eq!(fired(join.try_take(None, 0)), Some((997, true)));
+        if rule != Rule::Delay {
+            assert_eq!(seq(&join.staged[1]), Some(997), "the newest are kept");
+        }
+    }
+    // In batch nothing is lost.
+    let slots = vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Nearest { tolerance_ns: 12 }, true, 4)];
+    let mut join = Join::new(slots, true);
+    assert_eq!((0..100).map(|seq| join.push(1, packet(seq))).sum::<u64>(), 0);
+}
+
+#[test]
+fn capture_times_at_the_ends_of_their_range_do_no_harm() {
+    let at = |capture_ns| {
+        let raw = packet(1).into_raw();
+        // SAFETY: the reference that was just taken out.
+        unsafe { FrameRef::adopt(Frame { tick: Tick { capture_ns, ..raw.tick }, ..raw }) }
+    };
+    let slots = vec![Slot::new(Rule::Exact, false, 1), Slot::new(Rule::Nearest { tolerance_ns: i64::MAX }, true, 4)];
+    let mut join = Join::new(slots, false);
+    join.push(0, at(i64::MAX));
+    join.push(1, at(i64::MIN));
+    assert_eq!(join.try_take(None, u64::MAX - 1), Take::Wait);
+    join.push(1, at(i64::MIN + 1));
+    assert_eq!(fired(join.try_take(None, u64::MAX)), Some((1, true)));
+    assert_eq!(seq(&join.staged[1]), None, "too far away");
+}
+
+#[test]
+fn batch_arrivals_merge_by_capture_time() {
+    let trigger = Rule::Latest { trigger: true };
+    let mut join = Join::new(vec![Slot::new(trigger, true, 1), Slot::new(trigger, true, 1)], true);
+    join.push(1, packet(2));
+    assert_eq!(join.try_take(None, 0), Take::Wait);
+    join.push(0, packet(1));
+    assert_eq!(fired(join.try_take(None, 0)).map(|f| f.0), Some(1));
+    join.end(0);
+    assert_eq!(fired(join.try_take(None, 0)).map(|f| f.0), Some(2));
+    join.end(1);
+    assert_eq!(join.try_take(None, 0), Take::Finished);
+}
