@@ -75,6 +75,14 @@ impl Drop for Leaving<'_> {
     }
 }
 
+/// Another node writes the file.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("node `{by}` writes this file")]
+pub(crate) struct Claimed {
+    /// The node that writes it.
+    pub by: String,
+}
+
 impl Claims {
     /// A change is about to close these nodes; the nodes that it opens may claim their files.
     pub fn leaving(&self, nodes: Vec<String>) -> Leaving<'_> {
@@ -88,7 +96,7 @@ impl Claims {
     }
 
     /// Returns the path to write, or the node that already writes it.
-    pub fn claim(&self, token: u64, node: &str, path: &Path, action: u32) -> Result<PathBuf, String> {
+    pub fn claim(&self, token: u64, node: &str, path: &Path, action: u32) -> Result<PathBuf, Claimed> {
         if is_special(path) {
             return Ok(path.to_owned());
         }
@@ -99,7 +107,7 @@ impl Claims {
         if !file.holders.iter().any(|(held, _)| *held == token) {
             let is_other = |(_, by): &&(u64, String)| by != node && !leaving.contains(by);
             if let Some((_, other)) = file.holders.iter().find(is_other) {
-                return Err(other.clone());
+                return Err(Claimed { by: other.clone() });
             }
             file.holders.push((token, node.to_owned()));
         }
@@ -193,7 +201,7 @@ mod tests {
         let mut first = Holds::new(&claims);
         claims.claim(first.token, "a", &path, abi::CLAIM_HOLD).unwrap();
         let same = folder.join("../").join(folder.file_name().unwrap()).join("t.csv");
-        assert_eq!(claims.claim(77, "b", &same, abi::CLAIM_HOLD), Err("a".to_owned()));
+        assert_eq!(claims.claim(77, "b", &same, abi::CLAIM_HOLD), Err(Claimed { by: "a".to_owned() }));
         assert_eq!(claims.claim(78, "a", &same, abi::CLAIM_HOLD), Ok(same.clone()), "its own successor may");
         {
             let _leaving = claims.leaving(vec!["a".to_owned()]);

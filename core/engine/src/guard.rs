@@ -14,6 +14,7 @@ use crate::busy::CallKind;
 use crate::instance::Instance;
 use crate::log::Level;
 use crate::node::NodeRuntime;
+use crate::node::open::NotOpened;
 use crate::outbox::panic_words;
 use crate::params::Snapshot;
 use crate::schedule::Shared;
@@ -246,7 +247,7 @@ impl Shared {
         self: &Arc<Self>,
         runtime: &Arc<NodeRuntime>,
         snapshot: &Arc<Snapshot>,
-    ) -> Call<Result<Instance, String>> {
+    ) -> Call<Result<Instance, NotOpened>> {
         let (me, mine, values) = (Arc::clone(self), Arc::clone(runtime), Arc::clone(snapshot));
         let run = move || mine.open(&me.context, &values);
         Call { runtime: Arc::clone(runtime), kind: CallKind::Open, run: Box::new(run) }
@@ -263,7 +264,7 @@ impl Shared {
     ) -> Result<Instance, OpenError> {
         let call = self.opening(runtime, snapshot);
         match self.call_guarded(Limit::until_stop(self.context.open_limit), runtime, CallKind::Open, call.run) {
-            Ok(opened) => opened.map_err(OpenError::Refused),
+            Ok(opened) => opened.map_err(OpenError::Node),
             Err(error) => Err(OpenError::Call(error)),
         }
     }
@@ -365,9 +366,9 @@ impl Shared {
 /// Why an instance could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum OpenError {
-    /// The node refused, with this message.
-    #[error("{0}")]
-    Refused(String),
+    /// The node refused.
+    #[error(transparent)]
+    Node(NotOpened),
     /// The call did not return.
     #[error(transparent)]
     Call(CallError),

@@ -6,7 +6,7 @@ use std::path::Path;
 use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str};
 use panoscope_imaging::random::SplitMix64;
 
-use crate::claims::Holds;
+use crate::claims::{Claimed, Holds};
 use crate::clock;
 use crate::fault::Cause;
 use crate::log::{Level, Log};
@@ -273,7 +273,7 @@ unsafe fn words<'a>(text: Str) -> std::borrow::Cow<'a, str> {
 }
 
 unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
-    // SAFETY: see `call_context` and `words`.
+    // SAFETY: plugins pass back the handle of the running call (the contract).
     if let Some(call_context) = unsafe { call_context(call) } {
         let level = match level {
             abi::LOG_ERROR => Level::Error,
@@ -281,25 +281,25 @@ unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
             abi::LOG_INFO => Level::Info,
             _ => Level::Debug,
         };
-        // SAFETY: as above.
+        // SAFETY: the plugin lends the text for the length of this call (the contract).
         call_context.log.write(level, &call_context.runtime.id, &unsafe { words(message) });
     }
 }
 
 unsafe extern "C" fn fail(call: *mut c_void, message: Str) {
-    // SAFETY: see `call_context` and `words`.
+    // SAFETY: plugins pass back the handle of the running call (the contract).
     if let Some(call_context) = unsafe { call_context(call) } {
         call_context.failure.clear();
-        // SAFETY: as above.
+        // SAFETY: the plugin lends the text for the length of this call (the contract).
         call_context.failure.push_str(&unsafe { words(message) });
         call_context.has_failure = true;
     }
 }
 
 unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
-    // SAFETY: see `call_context` and `words`.
+    // SAFETY: plugins pass back the handle of the running call (the contract).
     if let Some(call_context) = unsafe { call_context(call) } {
-        // SAFETY: as above.
+        // SAFETY: the plugin lends the text for the length of this call (the contract).
         let name = unsafe { words(name) };
         if let Some(hear) = call_context.runtime.hear_number.get() {
             hear(&call_context.tick, &name, value);
@@ -340,7 +340,7 @@ unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file:
     };
     let (status, text) = match claims.claim(holds.token, &call_context.runtime.id, Path::new(path), action) {
         Ok(path) => (abi::STATUS_OK, path.to_string_lossy().into_owned()),
-        Err(other) => (abi::STATUS_INVALID, other),
+        Err(Claimed { by }) => (abi::STATUS_INVALID, by),
     };
     let mut answer = lock(&holds.answer);
     *answer = text;

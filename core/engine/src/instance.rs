@@ -58,8 +58,8 @@ impl Instance {
         let raw = std::mem::replace(&mut self.raw, std::ptr::null_mut());
         let was_open = std::mem::replace(&mut self.open, false);
         if let Some(close) = self.node_type.close.filter(|_| was_open) {
-            // SAFETY: opened by `open` and closed once.
             current_node::with(&self.retained.who(), CallKind::Close, || {
+                // SAFETY: opened by `open` and closed once.
                 self.retained.during(|| unsafe { close(raw) })
             });
         }

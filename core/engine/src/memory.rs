@@ -28,7 +28,7 @@ struct Free {
 
 // SAFETY: `base` is a mapping that is never removed; `free` and `references` hand out each slot to one owner at a time.
 unsafe impl Send for Pool {}
-// SAFETY: as above.
+// SAFETY: `base` never moves and `free` and `references` are only touched under their own synchronisation.
 unsafe impl Sync for Pool {}
 
 /// The frame memory of the process.

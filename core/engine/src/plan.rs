@@ -133,11 +133,19 @@ fn is_exact(edge: &Edge) -> bool {
 /// Finds the engine's entry of a node type: plugin, type.
 pub(crate) type Entry<'a> = &'a dyn Fn(&str, &str) -> Option<&'static abi::NodeType>;
 
+/// A plugin was reloaded without a node type that the graph uses.
+#[derive(Debug, thiserror::Error)]
+#[error("plugin `{plugin}` no longer offers `{node_type}`")]
+pub(crate) struct NoNodeType {
+    plugin: String,
+    node_type: String,
+}
+
 /// The entry of a node of the graph.
-pub(crate) fn entry_of(graph: &Graph, node: usize, entry: Entry<'_>) -> Result<&'static abi::NodeType, String> {
+pub(crate) fn entry_of(graph: &Graph, node: usize, entry: Entry<'_>) -> Result<&'static abi::NodeType, NoNodeType> {
     let node = &graph.nodes[node];
     entry(&node.plugin, &node.type_name)
-        .ok_or_else(|| format!("plugin `{}` no longer offers `{}`", node.plugin, node.type_name))
+        .ok_or_else(|| NoNodeType { plugin: node.plugin.clone(), node_type: node.type_name.clone() })
 }
 
 /// The node through which ticks enter the region of `node`.

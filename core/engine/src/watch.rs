@@ -287,9 +287,9 @@ impl Shared {
                     }
                     return;
                 }
-                Err(OpenError::Refused(words)) => {
+                Err(OpenError::Node(refusal)) => {
                     runtime.recovery.add_failure();
-                    runtime.open_failed(&self.context, &words, None);
+                    runtime.open_failed(&self.context, &refusal.message, None);
                     if runtime.has_given_up() {
                         return;
                     }

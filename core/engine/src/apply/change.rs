@@ -142,7 +142,7 @@ impl Change {
         entry: plan::Entry<'_>,
         as_once: &[String],
         claims: &Claims,
-    ) -> Result<Self, String> {
+    ) -> Result<Self, plan::NoNodeType> {
         let mut runtimes = old.runtimes.clone();
         let mut free: Vec<usize> = (0..runtimes.len()).filter(|&s| !old.alive[s]).rev().collect();
         let mut slots = Vec::with_capacity(graph.nodes.len());

@@ -117,7 +117,7 @@ impl Engine {
         };
         let claims = &shared.context.claims;
         let mut change = Change::between(&old, &current, &graph, catalog, &entry, as_once, claims)
-            .map_err(|reason| ApplyError::Stale { reason })?;
+            .map_err(|error| ApplyError::Stale { reason: error.to_string() })?;
         if let When::At(at) = when {
             change.hold_also(&old, at)?;
         }
@@ -206,9 +206,9 @@ impl Engine {
             let (node, snapshot) = (nodes[opened.len()], &snapshots[opened.len()]);
             match answer {
                 Ok(Ok(instance)) => opened.push(Opened { node, instance, snapshot: Arc::clone(snapshot) }),
-                Ok(Err(reason)) => {
+                Ok(Err(refusal)) => {
                     let (id, node_type) = (graph.nodes[node].id.clone(), graph.nodes[node].type_name.clone());
-                    failed = Some(ApplyError::Open { node: id, node_type, reason });
+                    failed = Some(ApplyError::Open { node: id, node_type, reason: refusal.message });
                 }
                 Err(error) => failed = Some(no_answer(&graph.nodes[node].id, &error)),
             }

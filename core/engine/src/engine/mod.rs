@@ -85,7 +85,8 @@ impl Engine {
         let entry = |plugin: &str, node_type: &str| plugins.entry(plugin, node_type);
         let mut runtimes = Vec::with_capacity(graph.nodes.len());
         for node in 0..graph.nodes.len() {
-            let node_type = plan::entry_of(&graph, node, &entry).map_err(|reason| StartError::Stale { reason })?;
+            let node_type = plan::entry_of(&graph, node, &entry)
+                .map_err(|error| StartError::Stale { reason: error.to_string() })?;
             runtimes.push(plan::runtime(&graph, catalog, node, node_type));
         }
         let slots: Vec<usize> = (0..runtimes.len()).collect();
@@ -373,7 +374,7 @@ fn open_all(shared: &Arc<Shared>) -> Result<(), StartError> {
     });
     let mut failed = None;
     shared.guarded(Limit::until_stop(shared.context.open_limit), Result::is_ok, calls, |runtime, answer| {
-        match answer.map_err(|error| error.to_string()).flatten() {
+        match answer.map_err(|error| error.to_string()).and_then(|opened| opened.map_err(|refusal| refusal.message)) {
             Ok(instance) => {
                 if let Some(mut exec) = runtime.exec.take() {
                     exec.instance = instance.begun();

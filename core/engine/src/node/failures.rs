@@ -5,6 +5,7 @@ use std::sync::Arc;
 use panoscope_abi::{self as abi, Tick};
 use panoscope_graph::OnFault;
 
+use super::open::NotOpened;
 use super::{CallOutcome, NodeRuntime, Refused, RunContext};
 use crate::busy::{Abandoned, CallKind};
 use crate::clock;
@@ -98,7 +99,7 @@ impl NodeRuntime {
         context: &RunContext,
         snapshot: &Snapshot,
         tick: &Tick,
-    ) -> Result<Result<Instance, String>, Abandoned> {
+    ) -> Result<Result<Instance, NotOpened>, Abandoned> {
         let opened = self.call_watched(CallKind::Open, tick, || self.open(context, snapshot))?;
         let Ok(mut instance) = opened else { return Ok(opened) };
         if let Some(state) = self.take_position(&instance) {
@@ -134,12 +135,12 @@ impl NodeRuntime {
                 self.opened(&snapshot, context, tick);
                 true
             }
-            Err(words) => {
+            Err(NotOpened { message }) => {
                 exec.troubled = true;
                 exec.failures_in_a_row += 1;
                 exec.skip_calls = skipped_calls(exec.failures_in_a_row);
                 exec.bypassed = self.has_given_up();
-                self.open_failed(context, &words, Some(tick.seq));
+                self.open_failed(context, &message, Some(tick.seq));
                 false
             }
         })

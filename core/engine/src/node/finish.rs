@@ -22,8 +22,8 @@ impl NodeRuntime {
         let mut failure = String::new();
         let mut call_context = CallContext::without_tick(self, context, &instance.holds, &mut failure);
         let (raw, host, call) = (instance.raw, &raw const context.host, (&raw mut call_context).cast());
-        // SAFETY: the plugin contract: an open instance that no other thread uses, since the caller owns it; table and handle outlive the call.
         let status = current_node::with(&self.who, CallKind::Finish, || {
+            // SAFETY: the plugin contract: an open instance that no other thread uses, since the caller owns it; table and handle outlive the call.
             instance.retained.during(|| unsafe { finish(raw, host, call) })
         });
         if status == abi::STATUS_OK {

@@ -5,7 +5,7 @@ mod config;
 mod decided;
 mod failures;
 mod finish;
-mod open;
+pub(crate) mod open;
 mod progress;
 mod recovery;
 mod runner;

@@ -11,9 +11,17 @@ use crate::host::CallContext;
 use crate::instance::Instance;
 use crate::params::Snapshot;
 
+/// A node did not open.
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
+pub(crate) struct NotOpened {
+    /// The node's own message.
+    pub message: String,
+}
+
 impl NodeRuntime {
     /// Opens an instance with the given values.
-    pub fn open(&self, context: &RunContext, snapshot: &Snapshot) -> Result<Instance, String> {
+    pub fn open(&self, context: &RunContext, snapshot: &Snapshot) -> Result<Instance, NotOpened> {
         if context.decider.as_ref().is_some_and(|d| d.closes(self.source, self.side_effects)) {
             return Ok(Instance::none(self.node_type));
         }
@@ -36,8 +44,8 @@ impl NodeRuntime {
         let mut raw = std::ptr::null_mut();
         let status = match self.node_type.open {
             Some(open) => {
-                // SAFETY: the plugin contract; everything the call points to outlives it.
                 current_node::opening(&self.who, || {
+                    // SAFETY: the plugin contract; everything the call points to outlives it.
                     instance.retained.during(|| unsafe { open(&raw mut call, &raw mut raw) })
                 })
             }
@@ -51,6 +59,6 @@ impl NodeRuntime {
             failure = format!("it did not open (status {status})");
         }
         self.recovery.set_permanent(status == abi::STATUS_STOPPED);
-        Err(failure)
+        Err(NotOpened { message: failure })
     }
 }
