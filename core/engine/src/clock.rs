@@ -5,8 +5,10 @@
 //! slightly faster or slower, never by a step. If the counter does not keep time, the clock falls back to the operating system's.
 
 use std::sync::atomic::{AtomicPtr, AtomicU64, Ordering};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
+
+use crate::sync::lock;
 
 /// Duration of the first measurement.
 const FIRST_MEASUREMENT: Duration = Duration::from_millis(3);
@@ -204,7 +206,7 @@ impl Keeper {
     /// Returns start and rate of the next stretch of `clock`, if one is due.
     fn next(&self, clock: &Clock, pair: Pair) -> Option<(u64, u64)> {
         let last = clock.last();
-        let mut due = self.due.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut due = lock(&self.due);
         if last.ns_per_tick_q32 == 0 || pair.os_ns < due.0 {
             return None;
         }
@@ -241,7 +243,7 @@ fn keeper() -> &'static Keeper {
 /// Measures the clock if a measurement is due. The watchdog calls this a few times per second.
 pub(crate) fn keep() {
     let keeper = keeper();
-    let due_ns = keeper.due.lock().unwrap_or_else(PoisonError::into_inner).0;
+    let due_ns = lock(&keeper.due).0;
     if now_ns() < due_ns {
         return;
     }

@@ -4,12 +4,13 @@ use std::collections::VecDeque;
 use std::fs::File;
 use std::io::Write;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
 use crate::outbox::Outbox;
+use crate::sync::lock;
 
 /// Receives faults, on the fault log's thread, one at a time.
 pub type FaultFn = dyn Fn(&Fault) + Send + Sync;
@@ -129,7 +130,7 @@ impl FaultLog {
         let out = sink.map(|sink| {
             let panicked = move |words: &str| {
                 let words = format!("thread `{NAME}` panicked on a fault, which is lost: {words}");
-                told.lock().unwrap_or_else(PoisonError::into_inner).push_back(own_fault(words, 1));
+                lock(&told).push_back(own_fault(words, 1));
             };
             Outbox::new(NAME, skipped_tick, move |fault| sink(&fault), panicked)
         });
@@ -138,7 +139,7 @@ impl FaultLog {
 
     /// Adds a fault.
     pub fn put(&self, fault: Fault) {
-        let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut recent = lock(&self.recent);
         // Under the lock, so that both have the same order.
         if let Some(out) = &self.out {
             out.put(fault.clone());
@@ -156,7 +157,7 @@ impl FaultLog {
 
     /// The newest faults, oldest first.
     pub fn recent(&self) -> Vec<Fault> {
-        self.recent.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
+        lock(&self.recent).iter().cloned().collect()
     }
 }
 
@@ -196,7 +197,7 @@ pub fn json_lines(path: &Path) -> std::io::Result<Box<FaultFn>> {
     Ok(Box::new(move |fault| {
         if let Ok(mut line) = serde_json::to_vec(fault) {
             line.push(b'\n');
-            file.lock().unwrap_or_else(PoisonError::into_inner).append(&line);
+            lock(&file).append(&line);
         }
     }))
 }

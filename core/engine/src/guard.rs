@@ -18,6 +18,7 @@ use crate::node::open::NotOpened;
 use crate::outbox::panic_words;
 use crate::params::Snapshot;
 use crate::schedule::Shared;
+use crate::sync::lock;
 use crate::thread_id;
 
 /// Time limit once the engine stops: long enough for nodes that work.
@@ -98,7 +99,7 @@ struct Line<T> {
 
 impl<T> Line<T> {
     fn state(&self) -> MutexGuard<'_, State<T>> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 
     /// Makes calls until none is left or the thread is abandoned.

@@ -1,13 +1,14 @@
 //! The inputs of a node: the packets that wait, and when the node may fire.
 
 use std::collections::VecDeque;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use panoscope_abi::Tick;
 
 use crate::decide::Wanted;
 use crate::memory::FrameRef;
 use crate::region::Region;
+use crate::sync::lock;
 
 /// Most packets that a trigger slot queues while its region is paused.
 const MAX_PAUSED: usize = 1 << 10;
@@ -307,7 +308,7 @@ impl Join {
         if self.is_finished() {
             return Take::Finished;
         }
-        let mut script = script.map(|s| s.lock().unwrap_or_else(PoisonError::into_inner));
+        let mut script = script.map(|s| lock(&s));
         let Some(wanted) = script.as_mut().and_then(|s| s.front()) else {
             self.slots.iter_mut().filter(|s| s.rule != Rule::Exact).for_each(|s| s.queue.clear());
             let fires = |s: &&Slot| match s.rule {

@@ -4,9 +4,11 @@
 //! plus its offset, and never changes. A buffer returns to its pool's free list with its last reference.
 
 use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering, fence};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Mutex, OnceLock};
 
 use panoscope_abi::{BufferId, Frame};
+
+use crate::sync::lock;
 
 const SMALLEST_BITS: u32 = 8;
 const LARGEST_BITS: u32 = 30;
@@ -94,7 +96,7 @@ impl Pool {
     }
 
     fn take(&self) -> Option<u32> {
-        let mut free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut free = lock(&self.free);
         if let Some(slot) = free.slots.pop() {
             return Some(slot);
         }
@@ -215,7 +217,7 @@ impl Memory {
         if pool.references[slot].fetch_sub(1, Ordering::Release) == 1 {
             fence(Ordering::Acquire);
             self.in_use_bytes.fetch_sub(1 << pool.bits, Ordering::Relaxed);
-            pool.free.lock().unwrap_or_else(PoisonError::into_inner).slots.push(slot as u32);
+            lock(&pool.free).slots.push(slot as u32);
         }
     }
 }

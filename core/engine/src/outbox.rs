@@ -7,6 +7,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use crate::sync::lock;
+
 /// Length of the queue; more items are skipped.
 pub(crate) const MAX_WAITING: usize = 1024;
 /// How long dropping a queue waits for items that are not written yet.
@@ -44,7 +46,7 @@ pub(crate) struct Outbox<T: Send + 'static> {
 
 impl<T> Inner<T> {
     fn state(&self) -> MutexGuard<'_, State<T>> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 
     /// The next item to write; `None` at the end.
@@ -91,7 +93,7 @@ impl<T: Send + 'static> Outbox<T> {
         let place = Arc::new(Mutex::new(Some(guarded)));
         let (mine, theirs) = (Arc::clone(&inner), Arc::clone(&place));
         let started = std::thread::Builder::new().name(name.to_owned()).spawn(move || {
-            let write = theirs.lock().unwrap_or_else(PoisonError::into_inner).take();
+            let write = lock(&theirs).take();
             let Some(mut write) = write else { return };
             while let Some(item) = mine.next() {
                 write(item);
@@ -100,7 +102,7 @@ impl<T: Send + 'static> Outbox<T> {
         });
         let direct = match started {
             Ok(_) => None,
-            Err(_) => place.lock().unwrap_or_else(PoisonError::into_inner).take().map(Mutex::new),
+            Err(_) => lock(&place).take().map(Mutex::new),
         };
         Self { inner, direct }
     }
@@ -108,7 +110,7 @@ impl<T: Send + 'static> Outbox<T> {
     /// Adds an item; never waits.
     pub fn put(&self, item: T) {
         if let Some(direct) = &self.direct {
-            return direct.lock().unwrap_or_else(PoisonError::into_inner)(item);
+            return lock(&direct)(item);
         }
         let mut state = self.inner.state();
         if state.items.len() >= MAX_WAITING {

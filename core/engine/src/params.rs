@@ -1,11 +1,13 @@
 //! Snapshots of a node's parameters: immutable, swapped whole between two ticks.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use panoscope_abi as abi;
 use panoscope_graph::ParamValue;
 use panoscope_graph::from_abi::ParamSnapshot;
+
+use crate::sync::lock;
 
 /// Values of all parameters of a node at a point in time.
 pub struct Snapshot {
@@ -50,12 +52,12 @@ impl InForce {
     }
 
     pub fn get(&self) -> Arc<Snapshot> {
-        Arc::clone(&self.snapshot.lock().unwrap_or_else(PoisonError::into_inner))
+        Arc::clone(&lock(&self.snapshot))
     }
 
     /// In force from the next tick on.
     pub fn set(&self, snapshot: Arc<Snapshot>) {
-        let mut place = self.snapshot.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut place = lock(&self.snapshot);
         // Under the lock, so that the version belongs to the snapshot that stays when two threads write.
         self.version.store(snapshot.version(), Ordering::Release);
         *place = snapshot;

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use std::ffi::c_void;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, LazyLock, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Condvar, LazyLock, Mutex, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
@@ -17,6 +17,7 @@ use crate::ending::current_node::{self, CurrentWork};
 use crate::outbox::panic_words;
 use crate::retained;
 use crate::scratch::Scratch;
+use crate::sync::lock;
 use crate::thread_id;
 
 /// Longest wait of a patient task behind urgent ones.
@@ -210,10 +211,6 @@ impl State {
     }
 }
 
-fn lock(inner: &Inner) -> MutexGuard<'_, State> {
-    inner.state.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Pool {
     /// A pool without workers; `start` starts them.
     pub fn new(threads: usize) -> Self {
@@ -254,9 +251,9 @@ impl Pool {
 
     /// Starts the workers and waits until they run, so that the allocations of a starting thread do not fall between ticks.
     pub fn start(&self, task: &Task) -> std::io::Result<()> {
-        *self.task.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(task));
+        *lock(&self.task) = Some(Arc::clone(task));
         self.fill(task)?;
-        let mut state = lock(&self.inner);
+        let mut state = lock(&self.inner.state);
         while state.started < self.inner.threads {
             state = self.inner.arrived.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
@@ -266,14 +263,14 @@ impl Pool {
     /// Starts workers until there are as many as there should be.
     fn fill(&self, task: &Task) -> std::io::Result<()> {
         loop {
-            let mut state = lock(&self.inner);
+            let mut state = lock(&self.inner.state);
             if state.live >= self.inner.threads {
                 return Ok(());
             }
             state.live += 1;
             drop(state);
             if let Err(error) = self.add_worker(task, thread_id::next(), false) {
-                lock(&self.inner).live -= 1;
+                lock(&self.inner.state).live -= 1;
                 return Err(error);
             }
         }
@@ -291,7 +288,7 @@ impl Pool {
                 }
             }
         });
-        let mut workers = self.workers.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut workers = lock(&self.workers);
         workers.retain(|(_, worker)| !worker.is_finished());
         workers.push((number, started?));
         Ok(())
@@ -303,8 +300,8 @@ impl Pool {
         if thread == 0 {
             return Ok(());
         }
-        let mut workers = self.workers.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut state = lock(&self.inner);
+        let mut workers = lock(&self.workers);
+        let mut state = lock(&self.inner.state);
         let stuck = state.stuck_with(thread);
         for number in &stuck {
             if let Some(at) = workers.iter().position(|(n, _)| n == number) {
@@ -322,19 +319,19 @@ impl Pool {
         state.given_up.extend(&stuck);
         drop(state);
         drop(workers);
-        let task = self.task.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let task = lock(&self.task).clone();
         task.map_or(Ok(()), |task| self.fill(&task))
     }
 
     /// An abandoned thread that is no worker has returned.
     pub(crate) fn left(&self, thread: u32) {
-        lock(&self.inner).given_up.retain(|n| *n != thread);
+        lock(&self.inner.state).given_up.retain(|n| *n != thread);
     }
 
     /// Call this a few times per second. If urgent tasks wait and no worker returns, because all are in calls that may be hung,
     /// adds a worker so that unrelated nodes continue. That worker ends when no urgent task waits.
     pub(crate) fn relieve(&self, now_ns: u64) -> std::io::Result<bool> {
-        let mut state = lock(&self.inner);
+        let mut state = lock(&self.inner.state);
         let waiting = !state.urgent.is_empty() || state.patient_for(now_ns) > LONGEST_PATIENCE_NS;
         let (since_ns, turns) = state.stalled;
         if !waiting || state.idle > 0 || since_ns == 0 || turns != state.turns {
@@ -348,10 +345,10 @@ impl Pool {
         state.reliefs.push(number);
         state.stalled = (now_ns, turns);
         drop(state);
-        let task = self.task.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let task = lock(&self.task).clone();
         let started = task.map_or(Ok(false), |task| self.add_worker(&task, number, true).map(|()| true));
         if !matches!(started, Ok(true)) {
-            lock(&self.inner).reliefs.retain(|n| *n != number);
+            lock(&self.inner.state).reliefs.retain(|n| *n != number);
         }
         started
     }
@@ -368,7 +365,7 @@ impl Pool {
 
     /// Queues a node task.
     pub fn push(&self, task: u32, urgency: Urgency) {
-        let mut state = lock(&self.inner);
+        let mut state = lock(&self.inner.state);
         match urgency {
             Urgency::Urgent => {
                 state.urgent.push_back(task);
@@ -392,9 +389,9 @@ impl Pool {
     /// Lets the workers finish the queue and joins them until the deadline. A worker that is still busy then
     /// is detached. Returns whether all were joined.
     pub fn stop(&self, until: Instant) -> bool {
-        lock(&self.inner).stop = true;
+        lock(&self.inner.state).stop = true;
         self.inner.wake.notify_all();
-        let workers = std::mem::take(&mut *self.workers.lock().unwrap_or_else(PoisonError::into_inner));
+        let workers = std::mem::take(&mut *lock(&self.workers));
         workers.into_iter().fold(true, |all, (_, worker)| join_until(worker, until) && all)
     }
 }
@@ -417,7 +414,7 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
     CURRENT.set(Some(Arc::clone(inner)));
     warm_up();
     let mut scratch = Scratch::default();
-    let mut state = lock(inner);
+    let mut state = lock(&inner.state);
     state.started += 1;
     inner.arrived.notify_all();
     loop {
@@ -449,7 +446,7 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
                 // `this` may be gone now; its caller's handle was copied.
                 caller.unpark();
             }
-            state = lock(inner);
+            state = lock(&inner.state);
             if let Some(at) = state.helping.iter().position(|(n, _)| *n == number) {
                 state.helping.swap_remove(at);
             }
@@ -458,7 +455,7 @@ fn worker(inner: &Arc<Inner>, task: &Task, number: u32, relief: bool) {
         if let Some(next) = urgent.or_else(|| state.next_task(inner, Urgency::Patient)) {
             drop(state);
             task(next, &mut scratch);
-            state = lock(inner);
+            state = lock(&inner.state);
             continue;
         }
         if state.stop {
@@ -502,7 +499,7 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
         attention: AtomicBool::new(false),
     };
     let wanted = (inner.threads - 1).min(chunks - 1);
-    let mut state = lock(inner);
+    let mut state = lock(&inner.state);
     if state.given_up.contains(&this.caller_number) {
         // A helper that gets stuck would go unnoticed.
         drop(state);
@@ -515,7 +512,7 @@ pub unsafe fn parallel_for(chunks: usize, body: ChunkFn, data: *mut c_void) -> b
         inner.wake.notify_one();
     }
     this.run_chunks();
-    let mut state = lock(inner);
+    let mut state = lock(&inner.state);
     state.loops.retain(|l| !std::ptr::eq(l.0, &raw const this));
     drop(state);
     // No worker can enter from here on, and each helper runs at most one more chunk: the wait is short.

@@ -5,10 +5,11 @@
 //! that the graph can be changed when the ticks inside have finished.
 
 use std::collections::VecDeque;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 use crate::memory::FrameRef;
+use crate::sync::lock;
 
 const RING: usize = 256;
 /// Ticks retained during a pause; beyond that the oldest are dropped.
@@ -78,7 +79,7 @@ impl Region {
     }
 
     fn state(&self) -> std::sync::MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 
     fn open(&self, state: &State) -> bool {

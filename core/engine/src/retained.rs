@@ -4,12 +4,13 @@
 use std::cell::Cell;
 use std::ffi::c_void;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, Weak};
 
 use panoscope_abi::BufferId;
 
 use crate::ending::current_node::NodeNames;
 use crate::memory::memory;
+use crate::sync::lock;
 
 thread_local! {
     /// Whether a frame was retained, or a request refused, on this thread since the last call of [`attention`].
@@ -52,7 +53,7 @@ struct Inner {
 
 impl Inner {
     fn ids(&self) -> MutexGuard<'_, Vec<BufferId>> {
-        self.ids.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.ids)
     }
 
     /// Removes a buffer from the list; `false` if it is not there.
@@ -186,7 +187,7 @@ fn list(inner: &Inner) {
         Arc::increment_strong_count(inner);
         Arc::downgrade(&Arc::from_raw(inner))
     };
-    let mut keepers = KEEPERS.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut keepers = lock(&KEEPERS);
     keepers.retain(|k| k.strong_count() > 0);
     keepers.push(weak);
 }
@@ -197,7 +198,7 @@ pub(crate) fn retain(plugin: Plugin, id: BufferId) {
         return refuse();
     }
     let Some(inner) = keeper() else {
-        return OUTSIDE.lock().unwrap_or_else(PoisonError::into_inner).push((plugin, id));
+        return lock(&OUTSIDE).push((plugin, id));
     };
     if !inner.listed.swap(true, Ordering::Relaxed) {
         list(inner);
@@ -223,13 +224,13 @@ pub(crate) fn release(plugin: Plugin, id: BufferId) {
 #[cold]
 fn take_elsewhere(plugin: Plugin, id: BufferId) -> bool {
     let same = |other: Plugin| plugin == 0 || other == 0 || plugin == other;
-    let mut outside = OUTSIDE.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut outside = lock(&OUTSIDE);
     if let Some(at) = outside.iter().rposition(|(owner, known)| same(*owner) && *known == id) {
         outside.swap_remove(at);
         return true;
     }
     drop(outside);
-    let keepers = KEEPERS.lock().unwrap_or_else(PoisonError::into_inner);
+    let keepers = lock(&KEEPERS);
     let keepers: Vec<_> = keepers.iter().filter_map(Weak::upgrade).collect();
     keepers.iter().any(|keeper| same(keeper.plugin()) && keeper.take(id))
 }

@@ -13,6 +13,8 @@ use super::exit::leave;
 use super::line::Line;
 use super::{crash, current_node, finish_files};
 
+use crate::sync::lock;
+
 const SIGNALS: [c_int; 3] = [libc::SIGINT, libc::SIGTERM, libc::SIGHUP];
 
 /// Signals that come within this time of the first are the same request.
@@ -47,7 +49,7 @@ static DUTY: Mutex<Duty> = Mutex::new(Duty::Leave);
 static CHANGED: Condvar = Condvar::new();
 
 fn duty() -> MutexGuard<'static, Duty> {
-    DUTY.lock().unwrap_or_else(PoisonError::into_inner)
+    lock(&DUTY)
 }
 
 fn set(new: Duty) {

@@ -3,6 +3,8 @@ use std::sync::atomic::AtomicU64;
 use std::sync::mpsc;
 use std::time::Duration;
 
+use crate::sync::lock;
+
 const PATIENCE: Duration = Duration::from_secs(60);
 
 unsafe extern "C" fn add(data: *mut c_void, index: usize) {
@@ -41,7 +43,7 @@ fn urgent_tasks_go_first_and_patient_ones_do_not_starve() {
     let task: Task = Arc::new(move |task, _: &mut Scratch| {
         if task == 0 {
             // The one worker is kept until all others wait.
-            let _ = hold.lock().unwrap_or_else(PoisonError::into_inner).recv();
+            let _ = lock(&hold).recv();
         }
         let _ = done.send(task);
     });
@@ -138,7 +140,7 @@ fn stuck(
 #[test]
 fn helpers_of_helpers_are_stuck_too() {
     let pool = Pool::new(1);
-    let mut state = lock(&pool.inner);
+    let mut state = lock(&pool.inner.state);
     state.helping.extend([(4, 3), (3, 2), (2, 1), (6, 5)]);
     assert_eq!(state.stuck_with(1), [1, 2, 3, 4]);
     assert_eq!(state.stuck_with(5), [5, 6]);
@@ -159,11 +161,11 @@ fn all_who_are_stuck_in_nested_loops_are_given_up() {
         gate.open();
         // What a thread does that was given up is nobody else's.
         let until = Instant::now() + PATIENCE;
-        while !lock(&pool.inner).given_up.is_empty() {
+        while !lock(&pool.inner.state).given_up.is_empty() {
             assert!(Instant::now() < until, "they leave when they come back");
             std::thread::yield_now();
         }
-        assert_eq!(lock(&pool.inner).live, 4);
+        assert_eq!(lock(&pool.inner.state).live, 4);
         assert!(pool.stop(Instant::now() + PATIENCE));
     }
 }
@@ -179,7 +181,7 @@ fn tasks_go_on_while_all_workers_are_stuck() {
     assert!(pool.relieve(now_ns).expect("threads"));
     assert_eq!(seen.recv_timeout(PATIENCE), Ok(1));
     let until = Instant::now() + PATIENCE;
-    while !lock(&pool.inner).reliefs.is_empty() {
+    while !lock(&pool.inner.state).reliefs.is_empty() {
         assert!(Instant::now() < until, "it leaves when there is nothing to do");
         std::thread::yield_now();
     }
