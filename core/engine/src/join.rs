@@ -308,7 +308,7 @@ impl Join {
         if self.is_finished() {
             return Take::Finished;
         }
-        let mut script = script.map(|s| lock(&s));
+        let mut script = script.map(|s| lock(s));
         let Some(wanted) = script.as_mut().and_then(|s| s.front()) else {
             self.slots.iter_mut().filter(|s| s.rule != Rule::Exact).for_each(|s| s.queue.clear());
             let fires = |s: &&Slot| match s.rule {

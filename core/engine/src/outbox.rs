@@ -110,7 +110,7 @@ impl<T: Send + 'static> Outbox<T> {
     /// Adds an item; never waits.
     pub fn put(&self, item: T) {
         if let Some(direct) = &self.direct {
-            return lock(&direct)(item);
+            return lock(direct)(item);
         }
         let mut state = self.inner.state();
         if state.items.len() >= MAX_WAITING {
