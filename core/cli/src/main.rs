@@ -12,7 +12,7 @@ mod progress;
 mod summary;
 mod terminal;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use panoscope_engine::ending::signals;
 
 panoscope_engine::guard_exits!();
@@ -71,6 +71,9 @@ enum Command {
     Devices(commands::devices::Arguments),
     /// Shows what is installed, what is missing and how to get it.
     Doctor,
+    /// Writes manual pages and shell completions, for packages.
+    #[command(hide = true)]
+    Generate(commands::generate::Arguments),
     /// Opens one node of a graph, for `check`.
     #[command(name = probe::COMMAND, hide = true)]
     ProbeNode(probe::Arguments),
@@ -114,6 +117,7 @@ fn main() {
         Command::Eval(eval) => commands::eval::run(&eval),
         Command::Calibrate(arguments) => commands::calibrate::run(&arguments),
         Command::ProbeNode(arguments) => probe::run(&arguments),
+        Command::Generate(arguments) => commands::generate::run(&arguments, Arguments::command()),
         Command::Devices(arguments) => commands::devices::run(&arguments),
     };
     terminal::leave(match end {

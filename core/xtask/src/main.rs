@@ -9,6 +9,7 @@ mod generated;
 mod install;
 mod lint;
 mod onnxruntime;
+mod package;
 mod packages;
 mod process;
 mod report;
@@ -40,6 +41,7 @@ cargo xtask COMMAND
   build [--release]    builds the program, the editor and the plugins, laid out so that they also run outside cargo
   bench [args]         builds in release and runs `panoscope bench args`
   install DIR          puts a release build (program, editor, plugins with models, ONNX Runtime, graphs) into DIR
+  package [DIR]        makes a Debian package and a relocatable tar file of a release build in DIR (target/package)
   screens [DIR]        takes pictures of the editor at work, on a screen that nobody sees, into DIR (target/screens)
   data                 fetches the test data that comes from Python wheels into target/data
   onnxruntime          fetches ONNX Runtime's shared library into target/onnxruntime
@@ -98,6 +100,16 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             let [dir] = rest else { bail!("install takes one argument, the folder to install into") };
             setup::ensure(&[Purpose::Build])?;
             install::install(&Workspace::locate()?, dir.as_ref())?;
+        }
+        "package" => {
+            setup::ensure(&[Purpose::Build, Purpose::Package])?;
+            let workspace = Workspace::locate()?;
+            let dir = match rest {
+                [] => workspace.target.join("package"),
+                [dir] => dir.into(),
+                _ => bail!("package takes one argument, the folder to write into"),
+            };
+            package::package(&workspace, &dir)?;
         }
         "screens" => screens::screens(&Workspace::locate()?, rest)?,
         "data" => {

@@ -23,6 +23,8 @@ pub enum Purpose {
     Wheels,
     /// Pictures of the editor on a screen that nobody sees.
     Screens,
+    /// Making packages.
+    Package,
 }
 
 impl Purpose {
@@ -101,6 +103,13 @@ pub static PACKAGES: &[Package] = &[
             "/usr/local/include/opencv4/opencv2/ximgproc.hpp",
             "/opt/homebrew/include/opencv4/opencv2/ximgproc.hpp",
         ]),
+    ),
+    package(Purpose::Package, "dpkg-dev", [None, None, None], Evidence::Program("dpkg-shlibdeps")),
+    package(
+        Purpose::Package,
+        "binutils",
+        [Some("binutils"), Some("binutils"), Some("binutils")],
+        Evidence::Program("strip"),
     ),
     package(Purpose::Test, "opencv-doc", [None, None, None], Evidence::AnyFile(&[OPENCV_DOC_DATA])),
     package(
@@ -249,8 +258,12 @@ mod tests {
     fn every_needed_package_is_named_on_every_known_system() {
         for package in PACKAGES.iter().filter(|package| !package.purpose.is_optional()) {
             let all = [System::Debian, System::Fedora, System::Arch, System::MacOs];
-            // A screen that nobody sees is a thing of X11.
-            let systems = if package.purpose == Purpose::Screens { &all[..3] } else { &all[..] };
+            let systems = match package.purpose {
+                // A virtual screen needs X11, a Debian package needs Debian.
+                Purpose::Screens => &all[..3],
+                Purpose::Package => &all[..1],
+                _ => &all[..],
+            };
             for &system in systems {
                 assert!(package.name_on(system).is_some(), "{} has no name on {system:?}", package.debian);
             }

@@ -10,6 +10,7 @@ pub mod doctor;
 pub mod dot;
 pub mod edit;
 pub mod eval;
+pub mod generate;
 pub mod list;
 pub mod lock;
 pub mod new;
