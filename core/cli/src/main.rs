@@ -4,6 +4,7 @@
 mod allocations;
 mod commands;
 mod graph_file;
+mod installation;
 mod interrupt;
 mod judge;
 mod log_lines;

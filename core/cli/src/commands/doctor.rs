@@ -9,6 +9,7 @@ use panoscope_engine::Machine;
 use panoscope_loader as loader;
 
 use super::devices;
+use crate::installation::Installation;
 use crate::terminal::{say, stdout_color};
 use crate::{End, graph_file};
 
@@ -24,6 +25,7 @@ enum State {
 struct Doctor {
     color: bool,
     bad: usize,
+    installation: Installation,
 }
 
 impl Doctor {
@@ -36,6 +38,12 @@ impl Doctor {
         let word = if self.color { format!("{style}{word}\x1b[0m") } else { word.to_owned() };
         self.bad += usize::from(state == State::Bad);
         say!("  {word} {what}: {about}");
+    }
+
+    fn installation(&mut self) {
+        say!("installation");
+        let description = self.installation.description();
+        self.say(State::Fine, env!("CARGO_PKG_VERSION"), &description);
     }
 
     fn machine(&mut self) {
@@ -107,7 +115,8 @@ impl Doctor {
         }
         if !any {
             let how = format!(
-                "none found: build them with `cargo xtask demo`, or name their folder in {}",
+                "none found: {}, or name their folder in {}",
+                self.installation.repair(),
                 loader::PLUGIN_PATH_VARIABLE
             );
             self.say(State::Bad, "plugins", &how);
@@ -150,7 +159,10 @@ impl Doctor {
             Some(path) => self.say(
                 State::Bad,
                 "ONNX Runtime",
-                &format!("{} does not load; fetch it again with `cargo xtask demo`", path.display()),
+                &format!(
+                    "{} does not load: remove it and run `cargo xtask onnxruntime`, or reinstall Panoscope",
+                    path.display()
+                ),
             ),
             None if open_library("libonnxruntime.so").is_ok() => {
                 self.say(State::Fine, "ONNX Runtime", "libonnxruntime.so of the system")
@@ -188,7 +200,8 @@ impl Doctor {
 
 /// Shows what is installed, what is missing and how to get it.
 pub fn run() -> Result<End> {
-    let mut doctor = Doctor { color: stdout_color(), bad: 0 };
+    let mut doctor = Doctor { color: stdout_color(), bad: 0, installation: Installation::current() };
+    doctor.installation();
     doctor.machine();
     doctor.plugins();
     doctor.programs();
