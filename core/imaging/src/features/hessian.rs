@@ -5,8 +5,8 @@
 //! the sampling step doubles with every octave. Sizes shared by two octaves are computed once.
 
 use super::integral::Integral;
-use super::simd::{Simd, dispatch, grow};
-use crate::{Parallel, SharedMut};
+use crate::simd::{dispatch, grow};
+use crate::{Parallel, SharedMut, Simd};
 
 /// Grid rows per chunk; a multiple of every octave's step, so that shared rows have one writer.
 const BAND_ROWS: usize = 16;

@@ -4,9 +4,11 @@
 //! so the determinant of the Gaussian Hessian (Lindeberg 1998) can be afforded there: it is evaluated on 3 x 3 places
 //! half a scale apart; its maximum gives the place, its value the strength.
 
-use super::describe::{Grid, ROW, sample};
+use super::patch::{Grid, ROW};
 use super::pyramid::{Pyramid, VALUE_SCALE};
-use super::simd::{Simd, dispatch};
+use super::sampling::sample;
+use crate::Simd;
+use crate::simd::dispatch;
 
 /// Gaussian that answers to the same blobs as the box filter of SURF scale 1 (measured).
 const SIGMA_PER_SCALE: f32 = 1.25;

@@ -4,10 +4,9 @@
 //! distances come from integer dot products and are the same on every machine.
 
 use super::describe::{DESCRIPTOR_LEN, Descriptor};
-use super::simd::Simd;
 use super::surf::Features;
 use crate::geometry::Homography;
-use crate::{Parallel, SharedMut};
+use crate::{Parallel, SharedMut, Simd};
 
 /// Descriptor elements are stored as integers times this; dot products stay below 2^26.
 const QUANTUM: f32 = 8191.0;

@@ -2,9 +2,11 @@
 //!
 //! Bay et al. 2008, section 4.1: Haar responses of side 4 s within 6 s vote for the orientation.
 
-use super::describe::{Grid, PATCH, Patch, ROW, sample};
+use super::patch::{Grid, PATCH, Patch, ROW};
 use super::pyramid::Pyramid;
-use super::simd::{Simd, dispatch};
+use super::sampling::sample;
+use crate::Simd;
+use crate::simd::dispatch;
 
 /// Samples of an orientation patch along each side.
 const TURN_PATCH: usize = 16;

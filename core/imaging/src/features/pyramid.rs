@@ -4,8 +4,8 @@
 //! that large, read with bilinear interpolation, gives the same smoothed samples at any angle and
 //! sub-pixel place for two gathers per eight samples.
 
-use super::simd::{Simd, dispatch, grow};
-use crate::{Parallel, SharedMut, View};
+use crate::simd::{dispatch, grow};
+use crate::{Parallel, SharedMut, Simd, View};
 
 const BAND_ROWS: usize = 32;
 /// Levels: pixel sides of 1, 2, 4, 8 and 16 pixels.

@@ -3,11 +3,11 @@
 use super::matching::{Gate, Match, MatchParams, Matcher};
 use super::strips::{Search, Sizes, Strips, narrow, narrow_surf};
 use super::surf::{Features, Surf, SurfParams};
+use crate::Rect;
 use crate::geometry::narrow::{ALONG, NarrowParams, fit_narrow};
 use crate::geometry::ransac::{Ransac, RansacFit, RansacParams};
 use crate::geometry::{
-    Homography, Plausibility, Point, Rect, RegistrationState, Stability, StabilityParams, Stabilized, overlap_rois,
-    rms_of,
+    Homography, Plausibility, Point, RegistrationState, Stability, StabilityParams, Stabilized, overlap_rois, rms_of,
 };
 use crate::{Parallel, Serial, SharedMut, View};
 

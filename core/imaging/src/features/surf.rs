@@ -9,9 +9,9 @@ use super::integral::Integral;
 use super::isotropic::{Kernels, look};
 use super::orientation::{Room, TurnWeights, orientation};
 use super::pyramid::Pyramid;
-use super::simd::{Simd, grow};
-use crate::geometry::Rect;
-use crate::{Parallel, SharedMut, View};
+use crate::Rect;
+use crate::simd::grow;
+use crate::{Parallel, SharedMut, Simd, View};
 
 /// Keypoints per chunk when describing.
 const POINTS_PER_CHUNK: usize = 16;

@@ -1,33 +1,6 @@
-//! Scenes and pools for the tests of this folder.
+//! Scenes for the tests of this folder.
 
-use crate::Parallel;
 use crate::geometry::Homography;
-
-/// Runs chunks on scoped threads that take them in turn.
-pub(crate) struct Threads(pub usize);
-
-impl Parallel for Threads {
-    fn threads(&self) -> usize {
-        self.0
-    }
-
-    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
-        let next = std::sync::atomic::AtomicUsize::new(0);
-        std::thread::scope(|scope| {
-            for _ in 0..self.0 {
-                scope.spawn(|| {
-                    loop {
-                        let index = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-                        if index >= chunks {
-                            return;
-                        }
-                        body(index);
-                    }
-                });
-            }
-        });
-    }
-}
 
 pub(crate) fn hash(x: i64, y: i64, seed: u64) -> f64 {
     let mut z = (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f) ^ seed;

@@ -7,6 +7,12 @@ use super::solve::{jacobi_smallest, solve_symmetric};
 /// A point `[x, y]` in pixels.
 pub type Point = [f64; 2];
 
+/// A map is singular when its determinant is smaller than this part of the product of its rows' lengths.
+///
+/// That product bounds the determinant (Hadamard's inequality), so the rule does not depend on the scale of the matrix. Rounding of the
+/// nine products alone leaves about five times 2.2e-16 of it: a smaller determinant says nothing, not even its sign.
+pub const SINGULAR_DETERMINANT: f64 = 1e-15;
+
 /// A projective map of the plane, row-major, scaled so that the last element is 1 where that is possible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Homography(pub [f64; 9]);
@@ -19,7 +25,7 @@ impl Default for Homography {
 
 impl Homography {
     /// The map that changes nothing.
-    pub fn identity() -> Self {
+    pub const fn identity() -> Self {
         Self([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
     }
 
@@ -79,16 +85,49 @@ impl Homography {
         Homography(c).normalized()
     }
 
-    /// The map back, or `None` when there is none.
+    /// The matrix product `self * other`, at the scale that it has.
+    pub fn product(&self, other: &Homography) -> Homography {
+        let (a, b) = (&self.0, &other.0);
+        let mut c = [0.0; 9];
+        for (index, value) in c.iter_mut().enumerate() {
+            let (row, column) = (index / 3, index % 3);
+            *value = (0..3).map(|k| a[row * 3 + k] * b[k * 3 + column]).sum();
+        }
+        Homography(c)
+    }
+
+    /// The map back, or `None` when this one is singular (see [`SINGULAR_DETERMINANT`]).
     pub fn inverse(&self) -> Option<Homography> {
         let inverse = Homography(self.inverse_raw()?).normalized();
         inverse.is_finite().then_some(inverse)
     }
 
+    /// The map back, scaled so that its largest element is 1 or -1; points in front of the camera keep a positive weight.
+    /// `None` when this map is singular.
+    pub fn inverse_bounded(&self) -> Option<Homography> {
+        let scale = self.0.iter().fold(0.0f64, |largest, value| largest.max(value.abs()));
+        let scaled = Homography(self.0.map(|value| value / scale));
+        let (adjugate, determinant) = scaled.adjugate();
+        if scaled.is_singular(determinant) {
+            return None;
+        }
+        let size = adjugate.iter().fold(0.0f64, |largest, value| largest.max(value.abs()));
+        Some(Homography(adjugate.map(|value| value / size * determinant.signum())))
+    }
+
     /// The inverse matrix at its own scale.
     pub(crate) fn inverse_raw(&self) -> Option<[f64; 9]> {
+        let (adjugate, determinant) = self.adjugate();
+        if self.is_singular(determinant) {
+            return None;
+        }
+        Some(adjugate.map(|value| value / determinant))
+    }
+
+    /// The transposed cofactors, and the determinant.
+    fn adjugate(&self) -> ([f64; 9], f64) {
         let h = &self.0;
-        let adjoint = [
+        let adjugate = [
             h[4] * h[8] - h[5] * h[7],
             h[2] * h[7] - h[1] * h[8],
             h[1] * h[5] - h[2] * h[4],
@@ -99,11 +138,15 @@ impl Homography {
             h[1] * h[6] - h[0] * h[7],
             h[0] * h[4] - h[1] * h[3],
         ];
-        let det = h[0] * adjoint[0] + h[1] * adjoint[3] + h[2] * adjoint[6];
-        if !det.is_finite() || det.abs() < 1e-12 {
-            return None;
-        }
-        Some(adjoint.map(|value| value / det))
+        (adjugate, h[0] * adjugate[0] + h[1] * adjugate[3] + h[2] * adjugate[6])
+    }
+
+    fn is_singular(&self, determinant: f64) -> bool {
+        let [a, b, c, d, e, f, g, h, i] = self.0;
+        // Squares on both sides: three roots less for each sample of a RANSAC.
+        let bound = (a * a + b * b + c * c) * (d * d + e * e + f * f) * (g * g + h * h + i * i);
+        let is_regular = determinant * determinant >= SINGULAR_DETERMINANT * SINGULAR_DETERMINANT * bound;
+        !(is_regular && determinant != 0.0 && determinant.is_finite() && bound.is_finite())
     }
 
     /// Scaled so that the last element is 1, unless that is (nearly) zero.
@@ -161,7 +204,7 @@ impl Homography {
             }
         }
         let solution = jacobi_smallest(&mut normal)?;
-        let map = to.inverse().compose_raw(&Homography(solution)).compose_raw(&from.matrix()).normalized();
+        let map = to.inverse().product(&Homography(solution)).product(&from.matrix()).normalized();
         (map.is_finite() && map.inverse().is_some()).then_some(map)
     }
 
@@ -196,7 +239,7 @@ impl Homography {
             return *self;
         };
         // Work where coordinates are about 1, so that one damping suits all eight parameters.
-        let mut map = to.matrix().compose_raw(self).compose_raw(&from.inverse()).normalized();
+        let mut map = to.matrix().product(self).product(&from.inverse()).normalized();
         let pairs = || (0..count).filter(|&index| select(index));
         // Errors in units of the loss's scale; without one the loss is the square itself.
         let per_scale = 1.0 / (scale_px.max(1e-6) * to.scale).powi(2);
@@ -261,18 +304,8 @@ impl Homography {
                 break;
             }
         }
-        let refined = to.inverse().compose_raw(&map).compose_raw(&from.matrix()).normalized();
+        let refined = to.inverse().product(&map).product(&from.matrix()).normalized();
         if refined.is_finite() { refined } else { *self }
-    }
-
-    fn compose_raw(&self, other: &Homography) -> Homography {
-        let (a, b) = (&self.0, &other.0);
-        let mut c = [0.0; 9];
-        for (index, value) in c.iter_mut().enumerate() {
-            let (row, column) = (index / 3, index % 3);
-            *value = (0..3).map(|k| a[row * 3 + k] * b[k * 3 + column]).sum();
-        }
-        Homography(c)
     }
 }
 

@@ -14,10 +14,10 @@ pub mod stability;
 mod tests;
 
 pub use calm::{Calm, shift_of};
-pub use homography::{Homography, Point};
+pub use homography::{Homography, Point, SINGULAR_DETERMINANT};
 pub use lost::LostWatch;
 pub use plausible::Plausibility;
 pub use ransac::{Ransac, RansacError, RansacFit, RansacParams};
 pub use rms::{RmsWatch, rms_of};
-pub use roi::{Rect, overlap_roi, overlap_rois};
+pub use roi::{overlap_roi, overlap_rois};
 pub use stability::{RegistrationState, Stability, StabilityParams, Stabilized, explains_as_well, median_error};

@@ -8,7 +8,7 @@
 use super::homography::{Homography, Point};
 use super::ransac::RansacFit;
 use super::solve::solve_symmetric;
-use crate::random::SplitMix64;
+use panoscope_base::random::SplitMix64;
 
 /// Samples of two pairs drawn.
 const SAMPLES: usize = 512;

@@ -1,8 +1,9 @@
 //! Seeded RANSAC for homographies (Fischler and Bolles 1981; thesis, section 2.2).
 
 use super::homography::{Homography, Point};
-use crate::features::simd::{Simd, dispatch};
-use crate::random::SplitMix64;
+use crate::Simd;
+use crate::simd::dispatch;
+use panoscope_base::random::SplitMix64;
 
 /// How to estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]

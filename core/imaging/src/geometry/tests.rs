@@ -1,6 +1,7 @@
 //! Tests of homographies and their robust estimation.
 
 use super::*;
+use crate::Rect;
 use crate::features::testing::{corner_error, hash};
 
 fn truth() -> Homography {
@@ -223,4 +224,29 @@ fn a_map_whose_inliers_are_far_off_is_not_kept() {
     assert_eq!(choose(0.0), Stabilized { homography: Homography::identity(), kept: true });
     assert_eq!(super::rms_of(&Homography::identity(), &from, &to, &mask), 15.0);
     assert_eq!(choose(10.0), Stabilized { homography: fit.homography, kept: false });
+}
+
+#[test]
+fn one_rule_says_what_is_singular() {
+    // Rows (1, 0, 0), (cos, sin, 0), (0, 0, 1) of length 1: the determinant is the sine.
+    let with_determinant =
+        |sine: f64| Homography([1.0, 0.0, 0.0, (1.0 - sine * sine).sqrt(), sine, 0.0, 0.0, 0.0, 1.0]);
+    let scaled = |map: &Homography, by: f64| Homography(map.0.map(|value| value * by));
+    for by in [1e-20, 1e-3, 1.0, 1e3, 1e20] {
+        for (share, is_regular) in [(1.001, true), (0.999, false), (-1.001, true), (-0.999, false), (0.0, false)] {
+            let map = scaled(&with_determinant(share * SINGULAR_DETERMINANT), by);
+            assert_eq!(map.inverse_raw().is_some(), is_regular, "{share} of the threshold, scaled by {by}");
+            assert_eq!(map.inverse_bounded().is_some(), is_regular, "{share} of the threshold, scaled by {by}");
+        }
+    }
+    // Far shifts and strong reductions are maps like any other.
+    for map in [Homography::translation(1e6, -1e6), Homography::scaling(1e-5), Homography::scaling(1e5)] {
+        let back = map.inverse().expect("regular");
+        let [x, y] = back.map(map.map([3.0, 4.0]));
+        assert!((x - 3.0).abs() < 1e-6 && (y - 4.0).abs() < 1e-6, "{map:?}");
+    }
+    for broken in [[0.0; 9], [f64::NAN; 9], [f64::INFINITY; 9], [1e200; 9]] {
+        assert_eq!(Homography(broken).inverse(), None);
+        assert_eq!(Homography(broken).inverse_bounded(), None);
+    }
 }

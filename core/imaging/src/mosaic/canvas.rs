@@ -5,9 +5,10 @@
 //! rounding, so a keyframe is added, and a rectangle drawn anew, without regard to the rest.
 
 use super::picture::Picture;
-use crate::geometry::{Homography, Point, Rect};
+use crate::Rect;
+use crate::geometry::{Homography, Point};
 use crate::stitch::warp::{self, BLOCK, Block, Pixels, Span, UNIT_GAIN};
-use crate::{Parallel, SharedMut, ViewMut};
+use crate::{Parallel, SharedMut, Simd, ViewMut};
 
 /// Rows per chunk.
 const ROWS: usize = 16;
@@ -87,7 +88,7 @@ impl Canvas {
             sums: vec![0.0; width * height * LANES],
             bgr: vec![0; width * height * 3],
             spans: Vec::with_capacity(height),
-            avx2: warp::has_avx2(),
+            avx2: Simd::detect().avx2(),
         }
     }
 

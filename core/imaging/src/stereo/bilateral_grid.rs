@@ -3,8 +3,7 @@
 //! Only occupied vertices are kept, in the order row, column, luminance; the work of a frame then
 //! depends on the picture's content, not on the grid's volume.
 
-use crate::stereo::Roi;
-use crate::{Parallel, SharedMut, View};
+use crate::{Parallel, Rect, SharedMut, View};
 
 /// Largest side of a cell, px.
 pub(crate) const MOST_SIGMA_XY: usize = 128;
@@ -42,7 +41,7 @@ impl BilateralGrid {
     pub fn splat(
         &mut self,
         guide: View<'_, u8>,
-        roi: Roi,
+        roi: Rect,
         (sigma_xy, sigma_luma): (usize, usize),
         value: View<'_, f32>,
         (confidence, origin): (View<'_, f32>, (usize, usize)),

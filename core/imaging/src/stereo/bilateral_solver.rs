@@ -5,6 +5,7 @@
 //! preconditioned conjugate gradients, read back. The grid is over column, row and luminance. From one
 //! frame to the next the solution moves little, so the last frame's is where the solver starts.
 
+use crate::stereo::StereoError;
 use crate::stereo::bilateral_grid::{BilateralGrid, MOST_SIGMA_XY};
 use crate::stereo::block_matching::fill_nan;
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
@@ -13,8 +14,7 @@ use crate::stereo::grid_solver::GridSolver;
 use crate::stereo::rooms::Rooms;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::wls::FilterInput;
-use crate::stereo::{Roi, StereoError, simd};
-use crate::{Parallel, Serial, SharedMut, View, ViewMut};
+use crate::{Parallel, Rect, Serial, SharedMut, Simd, View, ViewMut};
 
 /// Size of the grid's cells and strength of the solver.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,7 +101,7 @@ pub struct BilateralSolver {
     last: Vec<f32>,
     /// Value, and 1 or 0 where it is known or not, of each dense cell.
     reach: Vec<[f32; 2]>,
-    last_shape: (Roi, [usize; 3]),
+    last_shape: (Rect, [usize; 3]),
     steps: usize,
     avx2: bool,
 }
@@ -124,7 +124,7 @@ impl BilateralSolver {
             reach: Vec::new(),
             last_shape: Default::default(),
             steps: 0,
-            avx2: simd::has_avx2(),
+            avx2: Simd::detect().avx2(),
         })
     }
 
@@ -183,7 +183,7 @@ impl BilateralSolver {
             check_channels("solved confidence", &[1], "1", map.channels)?;
         }
         let roi = input.roi.clamped(width, height);
-        if roi != Roi::full(width, height) {
+        if roi != Rect::whole(width, height) {
             fill_nan(&mut disparity, pool);
             if let Some(map) = &mut confidence {
                 (0..height).for_each(|y| map.row_mut(y).fill(0.0));
@@ -221,7 +221,7 @@ impl BilateralSolver {
     /// Gives each pixel its vertex's value and support, and keeps the values for the next frame.
     fn read_back(
         &mut self,
-        roi: Roi,
+        roi: Rect,
         pool: &dyn Parallel,
         disparity: ViewMut<'_, f32>,
         confidence: Option<ViewMut<'_, f32>>,

@@ -6,12 +6,12 @@
 //! Sub-pixel positions come from an equiangular fit (two lines of equal slope), the shape a sum of
 //! absolute differences has around its minimum.
 
+use crate::stereo::StereoError;
 use crate::stereo::block_matching_finish::{self as finish, Limits, Winners};
 use crate::stereo::block_matching_kernel::{MAX_LANES, Row, add_row, match_row};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::prefilter::{MAX_VALUE, PaddedPlane};
-use crate::stereo::{Roi, StereoError, simd};
-use crate::{Parallel, SharedMut, View, ViewMut};
+use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
 /// What block matching searches and what it rejects.
 #[derive(Clone, Debug, PartialEq)]
@@ -100,7 +100,7 @@ pub(crate) struct Span {
 
 impl Span {
     /// The left columns of `roi` that can see a right view of `width` columns at all.
-    pub(crate) fn new(roi: Roi, width: usize, min: i32, search_px: usize, radius: usize) -> Option<Self> {
+    pub(crate) fn new(roi: Rect, width: usize, min: i32, search_px: usize, radius: usize) -> Option<Self> {
         if roi.is_empty() {
             return None;
         }
@@ -137,7 +137,7 @@ impl BlockMatcher {
     pub fn new(params: BlockMatchingParams) -> Result<Self, StereoError> {
         params.validate()?;
         let (left, right) = (PaddedPlane::default(), PaddedPlane::default());
-        Ok(Self { params, left, right, outside: Vec::new(), bands: Vec::new(), avx2: simd::has_avx2() })
+        Ok(Self { params, left, right, outside: Vec::new(), bands: Vec::new(), avx2: Simd::detect().avx2() })
     }
 
     /// Takes the portable path even where AVX2 exists (tests compare the two).
@@ -172,7 +172,7 @@ impl BlockMatcher {
         &mut self,
         left: View<'_, u8>,
         right: View<'_, u8>,
-        roi: Roi,
+        roi: Rect,
         pool: &dyn Parallel,
         mut disparity: ViewMut<'_, f32>,
         mut disparity_right: Option<ViewMut<'_, f32>>,

@@ -8,14 +8,14 @@
 //! downward paths have settled where its output begins. Edges are sharper than block matching's: a filter
 //! that follows should judge scatter over 3 px, not 5.
 
+use crate::stereo::StereoError;
 use crate::stereo::block_matching::{Span, fill_nan};
 use crate::stereo::block_matching_finish::{self as finish, Limits, Winners};
 use crate::stereo::block_matching_kernel::{Row, add_row, pick_row};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::prefilter::PaddedPlane;
 use crate::stereo::semi_global_kernel::{CostRow, MAX_LANES, Paths, Penalties, RIM, aggregate, cost_row, slot_bytes};
-use crate::stereo::{Roi, StereoError, simd};
-use crate::{Parallel, SharedMut, View, ViewMut};
+use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
 /// What semi-global matching searches, what it charges, and what it rejects.
 #[derive(Clone, Debug, PartialEq)]
@@ -139,7 +139,7 @@ impl SemiGlobalMatcher {
     pub fn new(params: SemiGlobalParams) -> Result<Self, StereoError> {
         params.validate()?;
         let (left, right) = (PaddedPlane::default(), PaddedPlane::default());
-        Ok(Self { params, left, right, outside: Vec::new(), bands: Vec::new(), avx2: simd::has_avx2() })
+        Ok(Self { params, left, right, outside: Vec::new(), bands: Vec::new(), avx2: Simd::detect().avx2() })
     }
 
     /// Takes the portable path even where AVX2 exists (tests compare the two).
@@ -171,7 +171,7 @@ impl SemiGlobalMatcher {
         &mut self,
         left: View<'_, u8>,
         right: View<'_, u8>,
-        roi: Roi,
+        roi: Rect,
         pool: &dyn Parallel,
         mut disparity: ViewMut<'_, f32>,
         mut disparity_right: Option<ViewMut<'_, f32>>,

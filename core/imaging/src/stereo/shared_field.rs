@@ -5,8 +5,7 @@
 //! the best of what there is: false surface that is consistent with itself. The right view's first columns see the whole search,
 //! so their disparities tell where the shared field begins. The right view's right border is the same, mirrored.
 
-use crate::stereo::Roi;
-use crate::{View, ViewMut};
+use crate::{Rect, View, ViewMut};
 
 /// Columns at the other view's border that are asked.
 const COLUMNS: usize = 24;
@@ -29,7 +28,7 @@ impl SharedField {
     /// Clears the pixels of `disparity` (left view, px) inside `roi` that lie left of the shared field, and those of `right`, the
     /// right view's map of the same call, in the rows of `roi`, that lie right of it. Where the other view's border columns are matched
     /// nowhere, nothing is cleared.
-    pub fn keep(&mut self, disparity: &mut ViewMut<'_, f32>, right: &mut ViewMut<'_, f32>, roi: Roi) {
+    pub fn keep(&mut self, disparity: &mut ViewMut<'_, f32>, right: &mut ViewMut<'_, f32>, roi: Rect) {
         let roi = roi.clamped(disparity.width.min(right.width), disparity.height.min(right.height));
         if roi.is_empty() {
             return;
@@ -56,7 +55,7 @@ impl SharedField {
 }
 
 /// Median disparity of `map` in `columns`, for each block of the region's rows.
-fn ask(map: View<'_, f32>, columns: std::ops::Range<usize>, roi: Roi, known: &mut Vec<f32>, borders: &mut Vec<f32>) {
+fn ask(map: View<'_, f32>, columns: std::ops::Range<usize>, roi: Rect, known: &mut Vec<f32>, borders: &mut Vec<f32>) {
     let blocks = roi.height.div_ceil(BLOCK_ROWS);
     borders.clear();
     borders.reserve(blocks);
@@ -131,7 +130,7 @@ mod tests {
         let (map, map_right) = (left.clone(), right.clone());
         let mut field = SharedField::default();
         let left_view = &mut ViewMut::new(&mut left, SIZE.0, SIZE.1, 1);
-        field.keep(left_view, &mut ViewMut::new(&mut right, SIZE.0, SIZE.1, 1), Roi::full(SIZE.0, SIZE.1));
+        field.keep(left_view, &mut ViewMut::new(&mut right, SIZE.0, SIZE.1, 1), Rect::whole(SIZE.0, SIZE.1));
         for y in 0..SIZE.1 {
             let at = y * SIZE.0..(y + 1) * SIZE.0;
             let (row, before) = (&left[at.clone()], &map[at.clone()]);
@@ -155,7 +154,7 @@ mod tests {
             let [left, right] = &mut maps;
             let (left, right) =
                 (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-            SharedField::default().keep(left, right, Roi::full(SIZE.0, SIZE.1));
+            SharedField::default().keep(left, right, Rect::whole(SIZE.0, SIZE.1));
             assert!(maps[1 - unknown].iter().all(|d| *d == 5.0));
         }
     }
@@ -165,7 +164,7 @@ mod tests {
         let mut maps = [vec![9.0f32; SIZE.0 * SIZE.1], vec![9.0f32; SIZE.0 * SIZE.1]];
         let [left, right] = &mut maps;
         let (left, right) = (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-        SharedField::default().keep(left, right, Roi { x: 0, y: 20, width: SIZE.0, height: 30 });
+        SharedField::default().keep(left, right, Rect { x: 0, y: 20, width: SIZE.0, height: 30 });
         for map in &maps {
             for (y, row) in map.chunks_exact(SIZE.0).enumerate() {
                 let gone = row.iter().filter(|d| d.is_nan()).count();

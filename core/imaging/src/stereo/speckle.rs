@@ -1,8 +1,7 @@
 //! Speckles: small patches of disparity that hang together and belong to nothing around them. A wrong match is seldom alone,
 //! and seldom large.
 
-use crate::ViewMut;
-use crate::stereo::Roi;
+use crate::{Rect, ViewMut};
 
 /// Work memory, kept from call to call.
 #[derive(Debug, Default)]
@@ -16,7 +15,7 @@ pub struct SpeckleFilter {
 impl SpeckleFilter {
     /// Makes NaN of every patch of at most `area_px` pixels. Neighbours (left, right, above, below) belong to one patch
     /// when their disparities differ by at most `step_px`. Returns how many pixels went. `area_px` 0 leaves all.
-    pub fn remove(&mut self, disparity: &mut ViewMut<'_, f32>, roi: Roi, area_px: usize, step_px: f32) -> usize {
+    pub fn remove(&mut self, disparity: &mut ViewMut<'_, f32>, roi: Rect, area_px: usize, step_px: f32) -> usize {
         let roi = roi.clamped(disparity.width, disparity.height);
         if area_px == 0 || roi.is_empty() {
             return 0;
@@ -79,7 +78,7 @@ mod tests {
         map[5 * width + 12] = f32::NAN;
         let mut filter = SpeckleFilter::default();
         let mut run = |map: &mut [f32], area| {
-            filter.remove(&mut ViewMut::new(map, width, height, 1), Roi::full(width, height), area, 1.0)
+            filter.remove(&mut ViewMut::new(map, width, height, 1), Rect::whole(width, height), area, 1.0)
         };
         let mut kept = map.clone();
         assert_eq!(run(&mut kept, 0), 0);
@@ -96,7 +95,7 @@ mod tests {
     #[test]
     fn nothing_outside_the_roi_is_touched() {
         let mut map = vec![5.0f32; 100];
-        let roi = Roi { x: 2, y: 2, width: 3, height: 2 };
+        let roi = Rect { x: 2, y: 2, width: 3, height: 2 };
         let mut view = ViewMut::new(&mut map, 10, 10, 1);
         assert_eq!(SpeckleFilter::default().remove(&mut view, roi, 6, 1.0), 6);
         assert_eq!(map.iter().filter(|v| v.is_nan()).count(), 6);

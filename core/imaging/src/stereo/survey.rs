@@ -3,8 +3,8 @@
 //! The views are shrunk to about 160 columns and matched from 0 px to their full width, so that the region which both
 //! share is found wherever it lies; the cost is a small part of one full-size search.
 
-use super::{BlockMatcher, BlockMatchingParams, Roi, StereoError};
-use crate::{Parallel, View, ViewMut};
+use super::{BlockMatcher, BlockMatchingParams, StereoError};
+use crate::{Parallel, Rect, View, ViewMut};
 
 /// Columns of a shrunk view, about.
 pub const COARSE_WIDTH: usize = 160;
@@ -99,7 +99,7 @@ impl Survey {
         }
         let plane = |index: usize| View::new(&self.planes[index][..], width, height, 1);
         let out = ViewMut::new(&mut self.disparity, width, height, 1);
-        self.matcher.compute(plane(0), plane(1), Roi::full(width, height), pool, out, None)?;
+        self.matcher.compute(plane(0), plane(1), Rect::whole(width, height), pool, out, None)?;
         let mut matched = 0;
         for y in 0..height {
             for x in 0..width {

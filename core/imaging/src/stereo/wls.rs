@@ -12,8 +12,8 @@ use crate::stereo::guide_weights::weights_row;
 use crate::stereo::rooms::Rooms;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::tridiagonal::{Planes, horizontal, vertical};
-use crate::stereo::{Roi, StereoError, block_matching::fill_nan, simd};
-use crate::{Parallel, SharedMut, View, ViewMut};
+use crate::stereo::{StereoError, block_matching::fill_nan};
+use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
 /// Strength and sharpness of the filter.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,7 +74,7 @@ pub struct FilterInput<'a> {
     /// Confidence 0..=1 to use instead of judging it here.
     pub confidence: Option<View<'a, f32>>,
     /// Where to work.
-    pub roi: Roi,
+    pub roi: Rect,
 }
 
 impl FilterInput<'_> {
@@ -97,7 +97,7 @@ impl FilterInput<'_> {
         &self,
         work: &mut Confidence,
         params: &ConfidenceParams,
-        roi: Roi,
+        roi: Rect,
         avx2: bool,
         pool: &dyn Parallel,
         out: &mut [f32],
@@ -149,7 +149,7 @@ impl WlsFilter {
             product: Vec::new(),
             support: Vec::new(),
             rooms: Rooms::default(),
-            avx2: simd::has_avx2(),
+            avx2: Simd::detect().avx2(),
         })
     }
 
@@ -196,12 +196,12 @@ impl WlsFilter {
             check_channels("filtered confidence", &[1], "1", map.channels)?;
         }
         let roi = input.roi.clamped(width, height);
-        if roi != Roi::full(width, height) {
+        if roi != Rect::whole(width, height) {
             fill_nan(&mut disparity, pool);
         }
         let mut confidence = confidence;
         if let Some(map) = &mut confidence
-            && roi != Roi::full(width, height)
+            && roi != Rect::whole(width, height)
         {
             for y in 0..height {
                 map.row_mut(y).fill(0.0);
@@ -248,7 +248,7 @@ impl WlsFilter {
     }
 
     /// Guide weights, confidence, and disparity times confidence.
-    fn prepare(&mut self, input: &FilterInput<'_>, roi: Roi, pool: &dyn Parallel) {
+    fn prepare(&mut self, input: &FilterInput<'_>, roi: Rect, pool: &dyn Parallel) {
         let n = roi.width * roi.height;
         for plane in [&mut self.right, &mut self.down, &mut self.product, &mut self.support] {
             plane.resize(n, 0.0);

@@ -8,8 +8,8 @@ use std::fmt;
 
 use super::warp::{self, BLOCK, Block, Pixels};
 use crate::geometry::{Homography, Point};
-use crate::random::{SplitMix64, mix, unit};
-use crate::{Parallel, SharedMut, View, ViewMut};
+use crate::{Parallel, SharedMut, Simd, View, ViewMut};
+use panoscope_base::random::{SplitMix64, mix, unit};
 
 /// Rows per chunk.
 const ROWS: usize = 16;
@@ -150,7 +150,7 @@ pub fn draw(
             return Err(CutError::Picture { which, width, height });
         }
     }
-    let avx2 = warp::has_avx2();
+    let avx2 = Simd::detect().avx2();
     // A warmer tint, as the phantom's right camera has.
     let gain = [0.97, 1.0, 1.03].map(|tint| ((params.right_exposure * tint).clamp(0.0, 1.99) * 16384.0) as i16);
     let gain = [gain[0], gain[1], gain[2], 0];

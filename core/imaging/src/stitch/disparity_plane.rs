@@ -4,7 +4,7 @@
 //! determined on a strip some tens of pixels wide, where the other five of a homography do not, and extrapolate without folding.
 
 use crate::geometry::Point;
-use crate::random::SplitMix64;
+use panoscope_base::random::SplitMix64;
 
 /// Samples of three points drawn.
 const SAMPLES: usize = 256;

@@ -5,10 +5,11 @@
 //! finds the homography between them. Algorithm 2 of that chapter keeps it still.
 
 use super::disparity_plane::{DisparityPlane, Sample};
+use crate::Rect;
 use crate::View;
 use crate::geometry::ransac::{Ransac, RansacFit, RansacParams};
 use crate::geometry::{
-    Homography, Plausibility, Point, Rect, RegistrationState, Stability, StabilityParams, Stabilized, overlap_roi,
+    Homography, Plausibility, Point, RegistrationState, Stability, StabilityParams, Stabilized, overlap_roi,
     overlap_rois, rms_of,
 };
 

@@ -103,6 +103,13 @@ pub struct CompositeParams {
     pub mark_held: bool,
 }
 
+impl CompositeParams {
+    /// Pixels along a side of a cell of the coarse grid that seams and exposures work on.
+    pub(super) fn cell_px(&self) -> usize {
+        self.seam_scale.clamp(1, 64)
+    }
+}
+
 impl Default for CompositeParams {
     fn default() -> Self {
         Self {

@@ -40,18 +40,6 @@ impl Default for Pixels {
     }
 }
 
-/// True when the CPU has AVX2 (asked once per call site, cached by the standard library).
-pub fn has_avx2() -> bool {
-    #[cfg(target_arch = "x86_64")]
-    {
-        std::arch::is_x86_feature_detected!("avx2")
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    {
-        false
-    }
-}
-
 /// Fills `block` for the output pixels `(x .. x + count, y)`, count at most 64; `source_from_output` maps output pixels to
 /// those of a `width` x `height` BGR view with `stride`. Positions outside are clamped to the border.
 pub fn locate(
