@@ -43,7 +43,7 @@ pub enum Board {
     },
 }
 
-/// Why a text names no board.
+/// Why a text is not the name of a board.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error(
     "`{text}` names no board: {reason}. Known are chessboard:9x6:25mm (inner corners), circles:4x11:20mm (asymmetric), circle_grid:7x6:10mm and charuco:19x26:5mm:4mm:4x4_250 (squares, square, marker, dictionary)"
