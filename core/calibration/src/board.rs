@@ -11,28 +11,28 @@ use thiserror::Error;
 pub enum Board {
     /// Inner corners of a chessboard.
     Chessboard {
-        /// Inner corners.
+        /// Inner corners, columns x rows.
         corners: (u32, u32),
         /// Side of a square.
         square_mm: f64,
     },
     /// OpenCV's asymmetric grid: every other row is shifted by one spacing; columns lie two spacings apart.
     Circles {
-        /// Circles.
+        /// Circles, columns x rows.
         circles: (u32, u32),
         /// Half the distance of neighbours of one row, the distance of neighbouring rows.
         spacing_mm: f64,
     },
     /// A grid of circles in rows and columns.
     CircleGrid {
-        /// Circles.
+        /// Circles, columns x rows.
         circles: (u32, u32),
         /// Distance of neighbours.
         spacing_mm: f64,
     },
     /// A chessboard with ArUco markers in its white squares; parts of it are enough.
     Charuco {
-        /// Squares.
+        /// Squares, columns x rows.
         squares: (u32, u32),
         /// Side of a square.
         square_mm: f64,

@@ -61,7 +61,7 @@ impl Tables {
 }
 
 /// Gaussian over the window, in samples. Wider than the 3.3 s of Bay et al.: with overlapping sub-regions the
-/// outer ones tell more matches apart than they blur (measured on the Graffiti pair).
+/// outer ones distinguish more matches than they blur (measured on the Graffiti pair).
 const WINDOW_SIGMA: f64 = 6.0;
 /// Gaussian over one sub-region, and how far it reaches, in samples.
 const REGION_SIGMA: f64 = 2.0;
@@ -96,7 +96,7 @@ pub(crate) fn describe(
 
 /// Extended descriptor of 128 elements: one of a narrow window, one of a wide one, together of unit length.
 ///
-/// The narrow window tells details apart and bears changes of viewpoint, the wide one tells repeated details apart by what
+/// The narrow window distinguishes details and tolerates changes of viewpoint, the wide one distinguishes repeated details by what
 /// surrounds them. Where one window is flat, the other counts alone.
 pub(crate) fn describe_extended(
     simd: Simd,

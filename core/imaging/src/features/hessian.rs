@@ -24,7 +24,7 @@ pub(crate) struct Extremum {
     pub y: f32,
     /// Filter size, in pixels of the image searched.
     pub size: f32,
-    /// Determinant.
+    /// Determinant of the Hessian.
     pub response: f32,
     /// What keypoints are ranked by.
     pub rank: f32,

@@ -1,15 +1,16 @@
 //! Tests of colour conversion, integral image, SURF and matching.
 
 use super::color::{gray_from_with, shrink_gray_with};
-use super::testing::{blobs, corner_error, hash, render, similarity};
+use super::testing::{blobs, corner_error, render, similarity};
 use super::*;
 use crate::Rect;
 use crate::geometry::{Homography, Ransac, RansacParams, RegistrationState};
 use crate::{Parallel, Serial, Simd, View};
 use panoscope_base::Threads;
+use panoscope_base::random::lattice;
 
 fn bytes(len: usize, seed: u64) -> Vec<u8> {
-    (0..len).map(|i| (hash(i as i64, 3, seed) * 256.0) as u8).collect()
+    (0..len).map(|i| (lattice(i as i64, 3, seed) * 256.0) as u8).collect()
 }
 
 fn detect(image: View<'_, u8>, params: SurfParams) -> Features {
@@ -242,7 +243,7 @@ fn random_features(count: usize, extended: bool, seed: u64) -> Features {
         let used = &mut halves[..if extended { 2 } else { 1 }];
         let mut squares = 0.0;
         for (k, value) in used.iter_mut().flat_map(|half| &mut half.0).enumerate() {
-            *value = hash(i as i64, k as i64, seed) as f32 - 0.4;
+            *value = lattice(i as i64, k as i64, seed) as f32 - 0.4;
             squares += *value * *value;
         }
         used.iter_mut().flat_map(|half| &mut half.0).for_each(|value| *value /= squares.sqrt());
@@ -251,12 +252,12 @@ fn random_features(count: usize, extended: bool, seed: u64) -> Features {
             features.extension.push(halves[1]);
         }
         let keypoints = &mut features.keypoints;
-        keypoints.x_px.push(hash(i as i64, 100, seed) as f32 * 600.0);
-        keypoints.y_px.push(hash(i as i64, 101, seed) as f32 * 400.0);
+        keypoints.x_px.push(lattice(i as i64, 100, seed) as f32 * 600.0);
+        keypoints.y_px.push(lattice(i as i64, 101, seed) as f32 * 400.0);
         keypoints.size_px.push(9.0);
         keypoints.angle_rad.push(0.0);
         keypoints.response.push(1.0);
-        keypoints.laplacian.push(if hash(i as i64, 102, seed) < 0.5 { 1 } else { -1 });
+        keypoints.laplacian.push(if lattice(i as i64, 102, seed) < 0.5 { 1 } else { -1 });
     }
     features
 }
@@ -478,7 +479,7 @@ fn a_still_scene_keeps_its_homography() {
     for frame in 0..4 {
         let mut right = render(400, 300, &map);
         for (i, value) in right.iter_mut().enumerate() {
-            *value = value.saturating_add((hash(i as i64, frame, 11) * 6.0) as u8);
+            *value = value.saturating_add((lattice(i as i64, frame, 11) * 6.0) as u8);
         }
         let found = registration.register(View::new(&left, 400, 300, 1), View::new(&right, 400, 300, 1), &Serial);
         assert_eq!(found.state, RegistrationState::Fresh);

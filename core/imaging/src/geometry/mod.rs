@@ -1,6 +1,6 @@
 //! Projective geometry: homographies and robust estimation.
 
-pub mod calm;
+pub mod anchor_fit;
 pub mod homography;
 pub mod lost;
 pub mod narrow;
@@ -13,7 +13,7 @@ pub mod stability;
 #[cfg(test)]
 mod tests;
 
-pub use calm::{Calm, shift_of};
+pub use anchor_fit::{AnchorFit, shift_of};
 pub use homography::{Homography, Point, SINGULAR_DETERMINANT};
 pub use lost::LostWatch;
 pub use plausible::Plausibility;

@@ -5,14 +5,14 @@ use crate::Simd;
 use crate::simd::dispatch;
 use panoscope_base::random::SplitMix64;
 
-/// How to estimate.
+/// Threshold, confidence and seed of the estimation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RansacParams {
     /// Largest reprojection error of an inlier in the target frame, in pixels.
     pub threshold_px: f64,
     /// Wanted probability that one sample held inliers only.
     pub confidence: f64,
-    /// Samples at most.
+    /// Largest number of samples.
     pub max_iterations: usize,
     /// Seed of the sampling; the same seed and pairs give the same result.
     pub seed: u64,
@@ -24,16 +24,16 @@ impl Default for RansacParams {
     }
 }
 
-/// What RANSAC found.
+/// A homography with its support.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RansacFit {
     /// Maps source points to target points, refitted on all inliers.
     pub homography: Homography,
-    /// How many pairs agree.
+    /// Number of inliers.
     pub inliers: usize,
     /// Root mean square error of the inliers in the target frame, in pixels.
     pub rms_px: f64,
-    /// Samples drawn.
+    /// Number of samples that were drawn.
     pub iterations: usize,
 }
 
@@ -42,7 +42,7 @@ pub struct RansacFit {
 pub enum RansacError {
     /// A homography needs four pairs.
     TooFewMatches {
-        /// How many there were.
+        /// Pairs that were given.
         found: usize,
     },
     /// No four pairs without three on a line were in agreement.

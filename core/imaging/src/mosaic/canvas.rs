@@ -23,7 +23,7 @@ const GAIN_SAMPLES: usize = 32;
 const LEAST_SAMPLES: usize = 24;
 /// Weights of a frame and of what is shown are this near to each other, as a ratio, where exposures are compared.
 const GAIN_BAND: f32 = 4.0;
-/// Gray levels outside which a sample says nothing about exposure.
+/// Range of gray levels that are used to measure exposure.
 const GAIN_LEVELS: (f64, f64) = (12.0, 245.0);
 /// Largest gain; the smallest is its inverse.
 const MOST_GAIN: f64 = 1.6;
@@ -201,7 +201,7 @@ impl Canvas {
             let inside = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;
             let at = if inside { v as usize * self.width + u as usize } else { continue };
             // Light falls off towards the border of a frame: only where the frame and what is shown are about equally near to their middles, along
-            // the seam between them, do their levels tell exposures apart. Anything else would brighten a chain step by step.
+            // the seam between them, do their levels measure exposure. Anything else would brighten a chain step by step.
             let near = |at: usize, side: usize| 1.0 - (2.0 * at as f32 / (side as f32 - 1.0) - 1.0).abs();
             let own_weight = weight_of(near(x, ready.view.width) * near(y, ready.view.height));
             let ratio = self.sums[at * LANES + 3] / own_weight;

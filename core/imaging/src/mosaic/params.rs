@@ -122,7 +122,7 @@ impl Default for MosaicParams {
 /// Whether the newest frame has its place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MosaicState {
-    /// Registered.
+    /// The frame was registered to a keyframe.
     Fresh,
     /// Not registered: the mosaic is as it was before this frame.
     #[default]
@@ -142,11 +142,11 @@ pub struct MosaicReport {
     pub inliers: usize,
     /// Root mean square error of the inliers in the keyframe, in pixels; 0 when lost.
     pub rms_px: f64,
-    /// Keyframes held.
+    /// Keyframes in the mosaic.
     pub keyframes: usize,
     /// Keyframes dropped because no more than `max_keyframes` are held.
     pub dropped: u64,
-    /// Closed loops.
+    /// Loops that were closed so far.
     pub closures: u64,
     /// Times that the camera was lost and found again.
     pub relocalised: u64,

@@ -9,7 +9,7 @@ use crate::geometry::{Homography, Point, Ransac};
 /// Cells over a frame of which each gives one inlier to an edge.
 const CELLS: (usize, usize) = (6, 4);
 /// Least spread of the inliers across their narrow direction, as a share of the frame's larger side: an instrument that moves
-/// with the camera, or a gap in smoke, holds matches that agree with each other and say nothing of the rest.
+/// with the camera, or a gap in smoke, has matches that agree with each other but not with the scene.
 const LEAST_SPREAD: f64 = 0.035;
 /// How much more evidence a strict test asks for.
 const STRICT: f64 = 1.6;

@@ -11,7 +11,7 @@ use crate::stereo::block_matching::fill_nan;
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::grid_solver::GridSolver;
-use crate::stereo::rooms::Rooms;
+use crate::stereo::scratch::Scratch;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::wls::FilterInput;
 use crate::{Parallel, Rect, Serial, SharedMut, Simd, View, ViewMut};
@@ -95,7 +95,7 @@ pub struct BilateralSolver {
     judge: Confidence,
     grid: BilateralGrid,
     confidence: Vec<f32>,
-    rooms: Rooms,
+    scratch: Scratch,
     work: GridSolver,
     /// Solution of the last call, by dense cell; NaN where there was no vertex.
     last: Vec<f32>,
@@ -118,7 +118,7 @@ impl BilateralSolver {
             judge: Confidence::default(),
             grid: BilateralGrid::default(),
             confidence: Vec::new(),
-            rooms: Rooms::default(),
+            scratch: Scratch::default(),
             work: GridSolver::default(),
             last: Vec::new(),
             reach: Vec::new(),
@@ -248,13 +248,13 @@ impl BilateralSolver {
             }
         });
         let (reach, avx2) = (&self.reach, self.avx2);
-        let rooms = self.rooms.lend(Slice::room(grid, roi.width), pool);
+        let buffers = self.scratch.lend(Slice::scratch_len(grid, roi.width), pool);
         pool.run(grid.cells[1], &|grid_row| {
             for row in grid_row * grid.sigma_xy..((grid_row + 1) * grid.sigma_xy).min(roi.height) {
                 let y = roi.y + row;
                 // SAFETY: a row of pixels lies under one row of cells.
                 let out = unsafe { out.part(y * stride + roi.x, roi.width) };
-                rooms.with(|room| Slice { grid, reach, row, x0: roi.x, width }.write(room, avx2, out));
+                buffers.with(|work| Slice { grid, reach, row, x0: roi.x, width }.write(work, avx2, out));
                 if let Some(map) = &out_confidence {
                     // SAFETY: as above.
                     let out = unsafe { map.part(y * stride_confidence + roi.x, roi.width) };
@@ -281,30 +281,30 @@ struct Slice<'a> {
 }
 
 impl Slice<'_> {
-    /// Numbers that [`Self::write`] needs room for, `width` pixels of a row.
-    fn room(grid: &BilateralGrid, width: usize) -> usize {
+    /// Numbers of scratch memory that [`Self::write`] needs for `width` pixels of a row.
+    fn scratch_len(grid: &BilateralGrid, width: usize) -> usize {
         4 * grid.cells[0] * grid.cells[2] + 2 * width
     }
 
-    fn write(self, room: &mut [f32], avx2: bool, out: &mut [f32]) {
+    fn write(self, work: &mut [f32], avx2: bool, out: &mut [f32]) {
         #[cfg(target_arch = "x86_64")]
         if avx2 {
             // SAFETY: the caller found AVX2.
-            unsafe { self.write_avx2(room, out) };
+            unsafe { self.write_avx2(work, out) };
             return;
         }
         let _ = avx2;
-        self.write_body(room, out);
+        self.write_body(work, out);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn write_avx2(self, room: &mut [f32], out: &mut [f32]) {
-        self.write_body(room, out);
+    fn write_avx2(self, work: &mut [f32], out: &mut [f32]) {
+        self.write_body(work, out);
     }
 
     #[inline(always)]
-    fn write_body(self, room: &mut [f32], out: &mut [f32]) {
+    fn write_body(self, work: &mut [f32], out: &mut [f32]) {
         let Self { grid, reach, row, x0, width } = self;
         let [columns, rows, lumas] = grid.cells;
         let (side, n) = (grid.sigma_xy, out.len());
@@ -321,9 +321,9 @@ impl Slice<'_> {
         let down = down.abs();
         let here = &reach[grid_row * row_cells..(grid_row + 1) * row_cells];
         let there = &reach[other_row * row_cells..(other_row + 1) * row_cells];
-        let (room, value) = room.split_at_mut(4 * row_cells);
+        let (work, value) = work.split_at_mut(4 * row_cells);
         let (value, _) = value.split_at_mut(2 * n);
-        let (own, mixed) = room.as_chunks_mut::<2>().0.split_at_mut(row_cells);
+        let (own, mixed) = work.as_chunks_mut::<2>().0.split_at_mut(row_cells);
         // Both rows of cells are mixed once, for all pixels; a pixel whose own cell has no value stays unknown.
         for (((own, mixed), here), there) in own.iter_mut().zip(mixed.iter_mut()).zip(here).zip(there) {
             for i in 0..2 {

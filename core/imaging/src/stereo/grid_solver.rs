@@ -26,7 +26,7 @@ pub(crate) struct GridSolver {
     gathered: Vec<f32>,
     diagonal: Vec<f32>,
     inverse: Vec<f32>,
-    /// The solution.
+    /// Solution per vertex.
     pub x: Vec<f32>,
     residual: Vec<f32>,
     direction: Vec<f32>,

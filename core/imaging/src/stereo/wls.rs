@@ -9,7 +9,7 @@
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::guide_weights::weights_row;
-use crate::stereo::rooms::Rooms;
+use crate::stereo::scratch::Scratch;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::tridiagonal::{Planes, horizontal, vertical};
 use crate::stereo::{StereoError, block_matching::fill_nan};
@@ -130,7 +130,7 @@ pub struct WlsFilter {
     down: Vec<f32>,
     product: Vec<f32>,
     support: Vec<f32>,
-    rooms: Rooms,
+    scratch: Scratch,
     avx2: bool,
 }
 
@@ -148,7 +148,7 @@ impl WlsFilter {
             down: Vec::new(),
             product: Vec::new(),
             support: Vec::new(),
-            rooms: Rooms::default(),
+            scratch: Scratch::default(),
             avx2: Simd::detect().avx2(),
         })
     }
@@ -217,8 +217,8 @@ impl WlsFilter {
             Planes { width: roi.width, height: roi.height, first: &mut self.product, second: &mut self.support };
         for round in 0..rounds {
             let strength = self.params.lambda * 0.25f32.powi(round as i32);
-            horizontal(&mut planes, &self.right, strength, &mut self.rooms, self.avx2, pool);
-            vertical(&mut planes, &self.down, strength, &mut self.rooms, self.avx2, pool);
+            horizontal(&mut planes, &self.right, strength, &mut self.scratch, self.avx2, pool);
+            vertical(&mut planes, &self.down, strength, &mut self.scratch, self.avx2, pool);
         }
 
         let (stride, out) = (disparity.stride, SharedMut::new(disparity.data));

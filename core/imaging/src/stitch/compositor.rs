@@ -36,7 +36,7 @@ struct Prepared {
 }
 
 impl Compositor {
-    /// A compositor that has seen nothing yet.
+    /// A compositor without canvas, seam and geometry.
     pub fn new(params: CompositeParams) -> Self {
         let mut new = Self { params, ..Self::default() };
         new.layers.forget_gains();

@@ -59,9 +59,9 @@ pub enum CutError {
         /// What perspective and sway take from each side.
         margin_px: usize,
     },
-    /// A picture is not BGR, or an output not of the size told.
+    /// A picture is not BGR, or an output has the wrong size.
     Picture {
-        /// Which picture.
+        /// The picture, as the message names it.
         which: &'static str,
         /// Columns wanted.
         width: usize,
@@ -84,7 +84,7 @@ impl fmt::Display for CutError {
 
 impl std::error::Error for CutError {}
 
-/// Where the views of one frame lie.
+/// Positions of the views of one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutGeometry {
     /// Columns and rows of each view.

@@ -10,7 +10,7 @@ use panoscope_base::random::SplitMix64;
 const SAMPLES: usize = 256;
 /// Slopes beyond this are wrong matches: tissue that turns away so steeply is not seen by both cameras.
 const MOST_SLOPE: f64 = 0.5;
-/// Samples whose points span less area than this, in px^2, say nothing about the slopes.
+/// Samples whose points span less area than this, in px^2, do not determine the slopes.
 const LEAST_AREA_PX2: f64 = 50.0;
 /// How sure it is beforehand that the plane does not turn about the vertical axis: standard deviation of `x_slope`. The overlap of two
 /// views side by side is narrow in x, so that noise alone would tilt the plane.

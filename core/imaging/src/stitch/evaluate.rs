@@ -17,9 +17,9 @@ const STRIDE: usize = 4;
 pub struct Gray {
     /// Levels 0..=255.
     pub data: Vec<f32>,
-    /// Columns.
+    /// Columns, in pixels.
     pub width: usize,
-    /// Rows.
+    /// Rows, in pixels.
     pub height: usize,
 }
 
@@ -158,7 +158,7 @@ pub struct TruePairs<'a> {
     pub visible: Option<View<'a, u8>>,
     /// Where the other camera stands, in units of the baseline: the point at `(u, v)` lies at `(u, v) - disparity * along` there.
     pub along: [f64; 2],
-    /// Every so many pixels are looked at.
+    /// Spacing of the compared pixels.
     pub step: usize,
 }
 

@@ -75,7 +75,7 @@ pub struct GridParams {
     pub columns: usize,
     /// What each cell gives.
     pub point: CellPoint,
-    /// Every so many pixels of a cell are looked at.
+    /// Spacing of the pixels of a cell that are used.
     pub step_px: usize,
     /// Share of a cell's looked-at pixels that must have a disparity.
     pub least_valid: f32,
@@ -89,8 +89,8 @@ pub struct GridParams {
     pub stability_px: f64,
     /// It also stays while it explains the pairs worse by no more than this share.
     pub still_tolerance: f64,
-    /// Weight of the frame before beside that of all inliers: holds still what the overlap leaves open; 0 fits the inliers alone.
-    pub calm: f64,
+    /// Weight of the previous map relative to all inliers, which fixes what the overlap does not determine; 0 fits the inliers alone.
+    pub anchor_fit: f64,
     /// A homography whose inliers are further off than this (rms, px) is not believed; 0 believes all.
     pub max_rms_px: f64,
     /// Failed frames in a row for which the homography before still counts as held.
@@ -110,7 +110,7 @@ impl Default for GridParams {
             plausibility: Plausibility::default(),
             stability_px: 0.8,
             still_tolerance: 0.1,
-            calm: 1.0,
+            anchor_fit: 1.0,
             max_rms_px: 0.0,
             hold_frames: 5,
         }
@@ -140,7 +140,7 @@ pub struct GridRegistration {
     pub kept: bool,
 }
 
-/// Registers disparity maps one after the other. Allocates nothing once the largest grid has been seen.
+/// Registers disparity maps one after the other. Allocates only for a larger grid than before.
 #[derive(Clone, Debug, Default)]
 pub struct RegisterGrid {
     params: GridParams,
@@ -164,7 +164,7 @@ const PLANE_PAIRS: usize = 5;
 const MOST_PLANE_PX: f64 = 4.0;
 /// An overlap of less than this part of a side is narrow.
 const NARROW_PART: usize = 3;
-/// Columns looked at in a cell at least.
+/// Smallest number of columns used per cell.
 const LEAST_CELL_STEPS: usize = 2;
 /// Share of the matched pixels, in per mille, that may lie beyond each side of the shared area: wrong matches.
 const BEYOND_PER_MILLE: u64 = 10;
@@ -194,7 +194,7 @@ impl RegisterGrid {
         Self { params, ransac: Ransac::new(), ..Self::default() }
     }
 
-    /// The parameters.
+    /// The parameters that were last set.
     pub fn params(&self) -> &GridParams {
         &self.params
     }
@@ -244,7 +244,7 @@ impl RegisterGrid {
             stability_px: params.stability_px,
             still_tolerance: params.still_tolerance,
             outlier_px: params.ransac.threshold_px,
-            calm: params.calm,
+            anchor_fit: params.anchor_fit,
             max_rms_px: params.max_rms_px,
         };
         let mask = &self.mask;
@@ -351,7 +351,7 @@ impl RegisterGrid {
         self.to.reserve(rows * columns);
         self.mask.reserve((rows * columns).saturating_sub(self.mask.len()));
         self.ransac.reserve(rows * columns);
-        self.stability.reserve(rows * columns, self.params.calm);
+        self.stability.reserve(rows * columns, self.params.anchor_fit);
         // Cells of a narrow overlap still hold some pixels each.
         let columns = columns.min(area.width / (LEAST_CELL_STEPS * step));
         if columns == 0 || area.height < rows {
@@ -448,7 +448,8 @@ mod tests {
             }
         }
         let camera = camera();
-        let mut register = RegisterGrid::new(GridParams { stability_px: 0.0, calm: 0.0, ..GridParams::default() });
+        let mut register =
+            RegisterGrid::new(GridParams { stability_px: 0.0, anchor_fit: 0.0, ..GridParams::default() });
         let found = register.register(View::new(&map, 640, 480, 1), &camera, &camera);
         assert_eq!(found.state, RegistrationState::Fresh);
         for [x, y] in [[300.0, 50.0], [600.0, 400.0], [450.0, 240.0]] {
@@ -529,7 +530,7 @@ mod tests {
     #[test]
     fn small_changes_leave_the_homography_as_it_is() {
         let (map, camera) = (plane(), camera());
-        let mut register = RegisterGrid::new(GridParams { calm: 0.0, ..GridParams::default() });
+        let mut register = RegisterGrid::new(GridParams { anchor_fit: 0.0, ..GridParams::default() });
         let first = register.register(View::new(&map, 640, 480, 1), &camera, &camera);
         let noisy: Vec<f32> = map.iter().enumerate().map(|(i, d)| d + ((i * 7919) % 13) as f32 * 0.05 - 0.3).collect();
         let second = register.register(View::new(&noisy, 640, 480, 1), &camera, &camera);

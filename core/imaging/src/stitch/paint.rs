@@ -8,7 +8,7 @@ use super::seam::Seam;
 use super::segments::{BASE_ONLY, BASE_SHOWN, EMPTY, NEW_ONLY, NEW_SHOWN, Segment, Segments};
 use super::taps::{self, Joined, Taps};
 use super::warp::{self, BLOCK, Block, Pixels, Span};
-use crate::{Parallel, SharedMut, View, ViewMut};
+use crate::{Parallel, Rect, SharedMut, View, ViewMut};
 
 /// Canvas rows per chunk.
 const ROWS: usize = 16;
@@ -45,17 +45,9 @@ pub(super) struct Step {
     pub(super) seam: Seam,
     pub(super) segments: Segments,
     pub(super) labels: Vec<u8>,
-    pub(super) zone: Option<Zone>,
+    /// Canvas rectangle that is blended.
+    pub(super) zone: Option<Rect>,
     pub(super) ranges: Ranges,
-}
-
-/// Canvas rectangle that is blended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Zone {
-    pub(super) x: usize,
-    pub(super) y: usize,
-    pub(super) width: usize,
-    pub(super) height: usize,
 }
 
 impl Layers {
@@ -245,7 +237,7 @@ fn reach_of(levels: usize) -> usize {
 }
 
 /// Narrows the zone row by row to what lies near the seam.
-fn set_ranges(ranges: &mut Ranges, seam: &Seam, z: Zone, levels: usize, scale: usize) {
+fn set_ranges(ranges: &mut Ranges, seam: &Seam, z: Rect, levels: usize, scale: usize) {
     let reach = reach_of(levels);
     ranges.set(z.width, z.height, |first, end| {
         let cells = (z.y + first).saturating_sub(reach) / scale..(z.y + end + reach).div_ceil(scale);
@@ -256,7 +248,7 @@ fn set_ranges(ranges: &mut Ranges, seam: &Seam, z: Zone, levels: usize, scale: u
 }
 
 /// The rectangle around the seam within which weights can differ from zero and one.
-fn zone(step: &Step, params: &CompositeParams, canvas: Canvas, scale: usize) -> Option<Zone> {
+fn zone(step: &Step, params: &CompositeParams, canvas: Canvas, scale: usize) -> Option<Rect> {
     let levels = levels_of(params);
     if levels == 0 {
         return None;
@@ -266,7 +258,7 @@ fn zone(step: &Step, params: &CompositeParams, canvas: Canvas, scale: usize) -> 
     let x = (x0 * scale).saturating_sub(reach);
     let y = (y0 * scale).saturating_sub(reach);
     let (right, bottom) = ((x1 * scale + reach).min(canvas.width), (y1 * scale + reach).min(canvas.height));
-    (x < right && y < bottom).then_some(Zone { x, y, width: right - x, height: bottom - y })
+    (x < right && y < bottom).then_some(Rect { x, y, width: right - x, height: bottom - y })
 }
 
 /// One view, ready to be sampled on the canvas.
@@ -326,7 +318,7 @@ fn paint_first(source: &Source, span: Span, y: usize, row: &mut [u8], work: &mut
 
 /// One row of the blend zone. Columns of `active` and `needed` count from the zone's left.
 struct Blended<'a> {
-    zone: Zone,
+    zone: Rect,
     active: (usize, usize),
     needed: (usize, usize),
     out: &'a mut [i16],
@@ -423,7 +415,7 @@ fn extend_row(segments: &[Segment], (z0, z1): (usize, usize), out: &mut [i16]) {
 }
 
 /// Gives rows without overlap the differences of the nearest row that has one.
-fn fill_rows(blender: &mut Blender, step: &Step, z: Zone) {
+fn fill_rows(blender: &mut Blender, step: &Step, z: Rect) {
     let needed = |r: usize| step.ranges.needed(r);
     let has = |r: usize| {
         let (a, b) = needed(r);

@@ -43,7 +43,7 @@ pub enum SeamCost {
 /// How the views are joined along the seam.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BlendMethod {
-    /// Hard seam.
+    /// A hard seam without transition.
     None,
     /// Linear weights over `blend_px`.
     Feather,

@@ -164,7 +164,7 @@ pub fn sample(view: &View<u8>, block: &Block, count: usize, gain: &[i16; 4], out
     if avx2 && view.data.len() >= view.stride + 8 {
         let padded = count.div_ceil(8) * 8;
         // Along a line the source row rises or falls all the way, but for rounding by one, and a column is less than a stride: both ends
-        // tell how far the block reaches at most. Only blocks at the very bottom are looked at pixel by pixel.
+        // bound the block. Only blocks at the very bottom are checked pixel by pixel.
         let ends = block.offset[0].max(block.offset[padded.max(1) - 1]) as usize + 2 * view.stride;
         let fits = |far: usize| far + view.stride + 8 <= view.data.len();
         // Each neighbour pair is loaded as 8 bytes: the last two pixels of a view without padding go the slow way.
