@@ -6,7 +6,7 @@ use panoscope_abi as abi;
 use panoscope_base::packet;
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw::{Color, Orbit, Projection, SurfacePainter, SurfacePoints};
-use panoscope_imaging::stereo::Place;
+use panoscope_imaging::stereo::SurfacePoint;
 
 use crate::picture::Pixels;
 
@@ -51,9 +51,9 @@ pub struct Cloud {
 
 impl Cloud {
     /// The surface at a column and row, from the pixels up to `radius_px` away; `None` where too few are known.
-    pub fn place(&self, (u, v): (f32, f32), radius_px: usize) -> Option<Place> {
+    pub fn place(&self, (u, v): (f32, f32), radius_px: usize) -> Option<SurfacePoint> {
         let at = [f64::from(u).max(0.0), f64::from(v).max(0.0)];
-        Place::at((self.width, self.height), at, radius_px, &mut Vec::new(), |x, y| {
+        SurfacePoint::at((self.width, self.height), at, radius_px, &mut Vec::new(), |x, y| {
             let [x, y, z] = self.xyz_mm.get(y * self.width + x)?.map(f64::from);
             let known = z > 0.0 && [x, y, z].iter().all(|v| v.is_finite());
             known.then(|| [x / z, y / z, 1.0 / z])

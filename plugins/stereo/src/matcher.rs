@@ -135,7 +135,7 @@ impl Matcher {
                 let map_right = ViewMut { data: &mut *other.data, ..other };
                 engine.compute([left, right], roi, cx.pool(), map, Some(map_right))?;
                 let mut map = ViewMut { data: &mut *disparity.data, ..disparity };
-                self.field.keep(&mut map, &mut ViewMut { data: &mut *other.data, ..other }, roi);
+                self.field.clear_outside(&mut map, &mut ViewMut { data: &mut *other.data, ..other }, roi);
                 map
             }
             None => {

@@ -45,7 +45,7 @@ pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> 
         // As the nodes do.
         let (both, both_right) =
             (&mut ViewMut::new(&mut raw, width, height, 1), &mut ViewMut::new(&mut raw_right, width, height, 1));
-        SharedField::default().keep(both, both_right, roi);
+        SharedField::default().clear_outside(both, both_right, roi);
         let (mut smooth, mut trust, mut solved) = (plane(), plane(), plane());
         let confidence = ConfidenceParams { scatter_radius_px, ..Default::default() };
         let mut wls = WlsFilter::new(WlsParams { confidence, ..Default::default() })?;
