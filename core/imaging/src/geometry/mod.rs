@@ -1,9 +1,11 @@
 //! Projective geometry: homographies and robust estimation.
 
 pub mod anchor_fit;
+mod fit;
 pub mod homography;
 pub mod lost;
 pub mod narrow;
+mod normalizer;
 pub mod plausible;
 pub mod ransac;
 pub mod rms;

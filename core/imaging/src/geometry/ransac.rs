@@ -1,6 +1,7 @@
 //! Seeded RANSAC for homographies (Fischler and Bolles 1981; thesis, section 2.2).
 
 use super::homography::{Homography, Point};
+use super::normalizer::Normalizer;
 use crate::Simd;
 use crate::simd::dispatch;
 use panoscope_base::random::SplitMix64;
@@ -101,7 +102,8 @@ impl Ransac {
         if count < 4 {
             return Err(RansacError::TooFewMatches { found: count });
         }
-        let (source, target) = (Frame::of(&from[..count]), Frame::of(&to[..count]));
+        let (source, target) =
+            (Normalizer::of(&from[..count], |_| true, 1.0), Normalizer::of(&to[..count], |_| true, 1.0));
         let (Some(source), Some(target)) = (source, target) else {
             return Err(RansacError::Degenerate);
         };
@@ -127,7 +129,7 @@ impl Ransac {
             let Some(sample) = draw(&mut random, count) else {
                 break;
             };
-            let pick = |points: &[Point], frame: &Frame| sample.map(|index| frame.apply(points[index]));
+            let pick = |points: &[Point], frame: &Normalizer| sample.map(|index| frame.apply(points[index]));
             let Some(map) = from_four(&pick(from, &source), &pick(to, &target)) else {
                 continue;
             };
@@ -282,35 +284,4 @@ fn basis(points: &[Point; 4]) -> Option<([f64; 9], [f64; 3], f64)> {
     let k = parts.map(|part| part / whole);
     let matrix = [k[0] * a[0], k[1] * b[0], k[2] * c[0], k[0] * a[1], k[1] * b[1], k[2] * c[1], k[0], k[1], k[2]];
     Some((matrix, k, whole))
-}
-
-/// Centroid and spread of all points.
-struct Frame {
-    x: f64,
-    y: f64,
-    scale: f64,
-}
-
-impl Frame {
-    fn of(points: &[Point]) -> Option<Self> {
-        let count = points.len() as f64;
-        let (x, y) = points.iter().fold((0.0, 0.0), |(x, y), point| (x + point[0], y + point[1]));
-        let (x, y) = (x / count, y / count);
-        let mean = points.iter().map(|point| (point[0] - x).hypot(point[1] - y)).sum::<f64>() / count;
-        (mean.is_finite() && mean > 1e-9).then(|| Self { x, y, scale: 1.0 / mean })
-    }
-
-    fn apply(&self, point: Point) -> Point {
-        [(point[0] - self.x) * self.scale, (point[1] - self.y) * self.scale]
-    }
-
-    fn matrix(&self) -> Homography {
-        let s = self.scale;
-        Homography([s, 0.0, -s * self.x, 0.0, s, -s * self.y, 0.0, 0.0, 1.0])
-    }
-
-    fn inverse(&self) -> Homography {
-        let s = 1.0 / self.scale;
-        Homography([s, 0.0, self.x, 0.0, s, self.y, 0.0, 0.0, 1.0])
-    }
 }

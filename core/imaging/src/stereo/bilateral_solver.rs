@@ -7,10 +7,10 @@
 
 use crate::stereo::StereoError;
 use crate::stereo::bilateral_grid::{BilateralGrid, MOST_SIGMA_XY};
-use crate::stereo::block_matching::fill_nan;
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::grid_solver::GridSolver;
+use crate::stereo::matching::fill_nan;
 use crate::stereo::scratch::Scratch;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::wls::FilterInput;

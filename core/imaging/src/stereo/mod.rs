@@ -18,6 +18,7 @@ pub mod formats;
 mod grid_solver;
 mod guide_weights;
 pub mod length;
+mod matching;
 mod offset;
 mod prefilter;
 pub mod rectify;

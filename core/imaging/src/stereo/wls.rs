@@ -12,7 +12,7 @@ use crate::stereo::guide_weights::weights_row;
 use crate::stereo::scratch::Scratch;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::tridiagonal::{Planes, horizontal, vertical};
-use crate::stereo::{StereoError, block_matching::fill_nan};
+use crate::stereo::{StereoError, matching::fill_nan};
 use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
 /// Strength and sharpness of the filter.
