@@ -87,7 +87,7 @@ pub(crate) fn describe(
     sample(simd, level, grid, (PATCH as f32 - 1.0) / 2.0, PATCH, USED / 8, patch);
     #[cfg(target_arch = "x86_64")]
     if simd.avx2() {
-        // SAFETY: AVX2 is there.
+        // SAFETY: `Simd` allows AVX2 only where the processor has it.
         unsafe { summarise_avx2(tables, patch, out) };
         return;
     }

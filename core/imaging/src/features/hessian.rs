@@ -436,7 +436,7 @@ fn scan_row(simd: Simd, cross: &Cross<'_>, start: usize, end: usize, threshold: 
     let end = end.min(line.len().saturating_sub(1));
     #[cfg(target_arch = "x86_64")]
     if simd.avx2() {
-        // SAFETY: AVX2 is there.
+        // SAFETY: `Simd` allows AVX2 only where the processor has it.
         x = unsafe { scan_row_avx2(cross, x, end, threshold, &mut hit) };
     }
     #[cfg(not(target_arch = "x86_64"))]

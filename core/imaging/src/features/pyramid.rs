@@ -103,7 +103,7 @@ fn smooth_row(simd: Simd, above: &[u8], middle: &[u8], below: &[u8], out: &mut [
     out[count - 1] = column(count - 1) * 3 + column(count - 2);
     #[cfg(target_arch = "x86_64")]
     let first = if simd.avx2() {
-        // SAFETY: AVX2 is there.
+        // SAFETY: `Simd` allows AVX2 only where the processor has it.
         unsafe { smooth_row_avx2(above, middle, below, out) }
     } else {
         1

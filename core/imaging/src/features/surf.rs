@@ -337,7 +337,7 @@ impl Surf {
                     unsafe { (&mut angles.part(index, 1)[0], &mut descriptors.part(index, 1)[0]) };
                 *angle = if upright { 0.0 } else { orientation(simd, turns, pyramid, x, y, scale, scratch) };
                 if extended {
-                    // SAFETY: as above; the list is as long as the others.
+                    // SAFETY: `extension` is as long as `descriptors`, and `index` is used by this chunk alone.
                     let wide = unsafe { &mut extension.part(index, 1)[0] };
                     describe_extended(
                         simd,

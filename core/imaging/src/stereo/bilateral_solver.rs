@@ -1,9 +1,9 @@
 //! The fast bilateral solver (Barron and Poole, "The fast bilateral solver", 2016): the disparity map
-//! that is close to the given one where that is trusted and smooth wherever the picture is.
+//! that is close to the given one where that is reliable, and smooth where the picture is.
 //!
 //! The problem is solved on the vertices of a bilateral grid: splat, make the blur bistochastic, run
-//! preconditioned conjugate gradients, read back. The grid is over column, row and luminance. From one
-//! frame to the next the solution moves little, so the last frame's is where the solver starts.
+//! preconditioned conjugate gradients, read back. The grid is over column, row and luminance. The
+//! solution changes little between frames, so the solver starts from the last frame's.
 
 use crate::stereo::StereoError;
 use crate::stereo::bilateral_grid::{BilateralGrid, MOST_SIGMA_XY};
@@ -85,10 +85,10 @@ impl BilateralSolverParams {
     }
 }
 
-/// Grids with fewer vertices are solved on one thread: waking others would cost more.
+/// Grids with fewer vertices are solved on one thread, because waking others costs more.
 const SMALL: usize = 1 << 15;
 
-/// The solver with its work memory; nothing is allocated once a size and its vertices have been seen.
+/// The solver with its work memory. Allocates only for a larger size or more vertices than before.
 #[derive(Debug)]
 pub struct BilateralSolver {
     params: BilateralSolverParams,
@@ -252,11 +252,11 @@ impl BilateralSolver {
         pool.run(grid.cells[1], &|grid_row| {
             for row in grid_row * grid.sigma_xy..((grid_row + 1) * grid.sigma_xy).min(roi.height) {
                 let y = roi.y + row;
-                // SAFETY: a row of pixels lies under one row of cells.
+                // SAFETY: each row of pixels is under one row of cells, which belongs to this chunk alone.
                 let out = unsafe { out.part(y * stride + roi.x, roi.width) };
                 buffers.with(|work| Slice { grid, reach, row, x0: roi.x, width }.write(work, avx2, out));
                 if let Some(map) = &out_confidence {
-                    // SAFETY: as above.
+                    // SAFETY: row `y` of the confidence map belongs to this chunk alone, like that of the disparity map.
                     let out = unsafe { map.part(y * stride_confidence + roi.x, roi.width) };
                     let vertices = grid.grid_row(grid_row);
                     for (out, cell) in out.iter_mut().zip(grid.row_cells(row, roi.width)) {
@@ -274,8 +274,7 @@ struct Slice<'a> {
     grid: &'a BilateralGrid,
     reach: &'a [[f32; 2]],
     row: usize,
-    /// First column, and columns of the right view: what no right pixel can have seen is no measurement, however smooth the surface
-    /// beside it.
+    /// First column, and columns of the right view: a pixel outside the right view is not measured, however smooth the surface beside it.
     x0: usize,
     width: usize,
 }

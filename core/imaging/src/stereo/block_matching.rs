@@ -82,7 +82,7 @@ struct Band {
     texture_columns: Vec<u16>,
 }
 
-/// Block matcher with its work memory; nothing is allocated once the sizes have been seen.
+/// Block matcher with its work memory. Allocates only for larger views than before.
 #[derive(Debug)]
 pub struct BlockMatcher {
     params: BlockMatchingParams,

@@ -93,7 +93,7 @@ impl Confidence {
                 window.start(first);
             }
             for row in first..last {
-                // SAFETY: as above.
+                // SAFETY: the rows `first..last` of the map belong to this chunk alone.
                 let out = unsafe { out.part(row * roi.width, roi.width) };
                 let y = roi.y + row;
                 if params.scatter_radius_px > 0 {

@@ -26,7 +26,7 @@ impl Default for ReprojectParams {
     }
 }
 
-/// Inputs of [`reproject`]; views have one size.
+/// Inputs of [`reproject`]; all views have the same size.
 #[derive(Clone, Copy, Debug)]
 pub struct ReprojectInput<'a> {
     /// Px of the left rectified view, NaN where unknown.
@@ -41,7 +41,7 @@ pub struct ReprojectInput<'a> {
 /// Returns how many pixels are known.
 ///
 /// A pixel is dropped when its disparity or confidence is too small, its depth out of range, or too few
-/// of its neighbours lie on the same surface: that test takes away single pixels, thin shreds and the
+/// of its neighbours lie on the same surface: this test removes single pixels, thin shreds and the
 /// pixels that filters put between a near and a far surface.
 ///
 /// # Errors
@@ -100,7 +100,7 @@ pub fn reproject(
                 }
             }
         }
-        // A sum of whole numbers: the order does not show.
+        // A sum of integers does not depend on the order.
         known.fetch_add(count, std::sync::atomic::Ordering::Relaxed);
     });
     Ok(known.into_inner())

@@ -4,8 +4,8 @@
 //! they are summed along five paths (left, right, down, and the two downward diagonals) that charge
 //! a small penalty for a step of one disparity and a large one for a jump (Hirschmueller, "Stereo
 //! processing by semiglobal matching and mutual information", 2008). Everything happens row by row: no
-//! cost volume is ever stored. Bands of rows run in parallel; each begins a few rows early so that the
-//! downward paths have settled where its output begins. Edges are sharper than block matching's: a filter
+//! cost volume is ever stored. Bands of rows run in parallel; each starts a few rows early so that the
+//! downward paths have converged where its output starts. Edges are sharper than block matching's: a filter
 //! that follows should judge scatter over 3 px, not 5.
 
 use crate::stereo::StereoError;
@@ -92,7 +92,7 @@ impl SemiGlobalParams {
     }
 }
 
-/// Rows that a band runs before its output begins.
+/// Rows that a band processes before its output starts.
 const WARM_UP_ROWS: usize = 24;
 /// Least rows of a band: bands repeat their warm-up, so they must not be short.
 const BAND_ROWS: usize = 96;
@@ -110,7 +110,7 @@ struct Band {
     winners: WinnerRow,
 }
 
-/// Semi-global matcher with its work memory; nothing is allocated once the sizes have been seen.
+/// Semi-global matcher with its work memory. Allocates only for larger views than before.
 #[derive(Debug)]
 pub struct SemiGlobalMatcher {
     params: SemiGlobalParams,

@@ -1,20 +1,19 @@
-//! Speckles: small patches of disparity that hang together and belong to nothing around them. A wrong match is seldom alone,
-//! and seldom large.
+//! Removes speckles: small connected patches whose disparity differs from their surroundings. Wrong matches form such patches.
 
 use crate::{Rect, ViewMut};
 
-/// Work memory, kept from call to call.
+/// Finds and clears speckles. Reuses its memory.
 #[derive(Debug, Default)]
 pub struct SpeckleFilter {
-    /// 0 not seen, else the patch's number.
+    /// 0 for unvisited pixels, else the patch's number.
     label: Vec<u32>,
     /// Pixels of the patch that is being followed.
     patch: Vec<u32>,
 }
 
 impl SpeckleFilter {
-    /// Makes NaN of every patch of at most `area_px` pixels. Neighbours (left, right, above, below) belong to one patch
-    /// when their disparities differ by at most `step_px`. Returns how many pixels went. `area_px` 0 leaves all.
+    /// Sets every patch of at most `area_px` pixels to NaN. Neighbours (left, right, above, below) belong to one patch
+    /// when their disparities differ by at most `step_px`. Returns the number of cleared pixels. `area_px` 0 clears none.
     pub fn remove(&mut self, disparity: &mut ViewMut<'_, f32>, roi: Rect, area_px: usize, step_px: f32) -> usize {
         let roi = roi.clamped(disparity.width, disparity.height);
         if area_px == 0 || roi.is_empty() {

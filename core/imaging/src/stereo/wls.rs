@@ -121,7 +121,7 @@ impl FilterInput<'_> {
     }
 }
 
-/// The filter with its work memory; nothing is allocated once a size has been seen.
+/// The filter with its work memory. Allocates only for a larger size than before.
 #[derive(Debug)]
 pub struct WlsFilter {
     params: WlsParams,
@@ -235,12 +235,12 @@ impl WlsFilter {
             let (product, support) = (&self.product[at.clone()], &self.support[at]);
             for (x, ((out, product), support)) in out.iter_mut().zip(product).zip(support).enumerate() {
                 let value = product / support;
-                // What no right pixel can have seen is no measurement, however smooth the surface beside it.
+                // A pixel outside the right view is not measured, however smooth the surface beside it.
                 let known = (*support >= least) & is_seen_by_both(roi.x + x, value, width);
                 *out = if known { value } else { f32::NAN };
             }
             if let Some(map) = &out_confidence {
-                // SAFETY: as above.
+                // SAFETY: `row` belongs to this chunk alone, in the confidence map as in the disparity map.
                 unsafe { map.part(y * stride_confidence + roi.x, roi.width) }.copy_from_slice(support);
             }
         });

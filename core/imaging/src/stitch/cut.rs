@@ -14,7 +14,7 @@ use panoscope_base::random::{SplitMix64, mix, unit};
 /// Rows per chunk.
 const ROWS: usize = 16;
 
-/// How a picture is cut.
+/// Parameters of the cut.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutParams {
     /// Share of a view's width that the other view shows too, 0.1..=0.9.
@@ -50,7 +50,7 @@ impl Default for CutParams {
 /// Why a picture cannot be cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CutError {
-    /// Hardly anything would be left of it.
+    /// The picture is too small for the margins.
     TooSmall {
         /// Columns of the picture.
         width: usize,

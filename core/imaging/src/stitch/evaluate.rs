@@ -1,4 +1,4 @@
-//! How good a panorama is, beside the truth.
+//! Quality of a panorama by comparison with the truth.
 //!
 //! Structural similarity after Z. Wang, A. Bovik, H. Sheikh, E. Simoncelli, "Image quality assessment", IEEE TIP 13 (2004),
 //! with square windows. Panorama and truth may differ by one gain, which is taken out first: which view's exposure a
@@ -149,7 +149,7 @@ pub fn overlap(
     region
 }
 
-/// True correspondences of a view that stands beside the left one and looks the same way.
+/// True correspondences of a view beside the left one with a parallel axis.
 #[derive(Clone, Copy, Debug)]
 pub struct TruePairs<'a> {
     /// Disparity of the left view, px; NaN where it is unknown.

@@ -77,7 +77,7 @@ impl GridCut {
         self.flow = 0;
     }
 
-    /// Adds what `node` pays for being on the sink's side (`source`) and on the source's side (`sink`).
+    /// Adds the cost of `node` on the sink's side (`source`) and on the source's side (`sink`).
     pub fn add_terminal(&mut self, node: usize, source: i32, sink: i32) {
         let (source, sink) = (i64::from(source.max(0)), i64::from(sink.max(0)));
         let have = self.terminal[node];
@@ -93,7 +93,7 @@ impl GridCut {
         self.residual[back][other] += capacity.max(0);
     }
 
-    /// Finds the minimum cut and gives its cost.
+    /// Finds the minimum cut and returns its cost.
     pub fn solve(&mut self) -> i64 {
         for node in 0..self.terminal.len() {
             if self.terminal[node] != 0 {
@@ -239,7 +239,7 @@ impl GridCut {
         self.flow += push;
     }
 
-    /// Steps from `node` to its tree's terminal, or `None` when the way ends at an orphan.
+    /// Steps from `node` to its tree's terminal, or `None` when the path ends at an orphan.
     fn origin(&mut self, node: usize) -> Option<u32> {
         let mut at = node;
         let mut steps = 0;
@@ -259,7 +259,7 @@ impl GridCut {
                 p => at = self.neighbour(at, p as usize)?,
             }
         }
-        // Marks the way, so that the next search stops early.
+        // Marks the path, so that the next search stops early.
         let (mut mark, mut left) = (node, steps);
         while self.stamp[mark] != self.clock {
             self.stamp[mark] = self.clock;

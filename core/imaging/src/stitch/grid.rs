@@ -66,7 +66,7 @@ pub enum CellPoint {
     Median,
 }
 
-/// How to register.
+/// Parameters of [`RegisterGrid`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridParams {
     /// Rows of the grid (9 in chapter 4).
@@ -77,11 +77,11 @@ pub struct GridParams {
     pub point: CellPoint,
     /// Spacing of the pixels of a cell that are used.
     pub step_px: usize,
-    /// Share of a cell's looked-at pixels that must have a disparity.
+    /// Share of a cell's used pixels that must have a disparity.
     pub least_valid: f32,
     /// Robust estimation; the threshold is in pixels of the left picture.
     pub ransac: RansacParams,
-    /// Inliers below which a homography is not believed; at least 4.
+    /// Inliers below which a homography is rejected; at least 4.
     pub min_inliers: usize,
     /// What a warped frame may look like.
     pub plausibility: Plausibility,
@@ -91,7 +91,7 @@ pub struct GridParams {
     pub still_tolerance: f64,
     /// Weight of the previous map relative to all inliers, which fixes what the overlap does not determine; 0 fits the inliers alone.
     pub anchor_fit: f64,
-    /// A homography whose inliers are further off than this (rms, px) is not believed; 0 believes all.
+    /// Rms error of the inliers, px, above which a homography is rejected; 0 accepts all.
     pub max_rms_px: f64,
     /// Failed frames in a row for which the homography before still counts as held.
     pub hold_frames: usize,
@@ -130,7 +130,7 @@ pub struct GridRegistration {
     pub inliers: usize,
     /// Root mean square reprojection error of the inliers in the left picture, px; 0 unless fresh.
     pub rms_px: f64,
-    /// The error for which this map's homography was not believed, px.
+    /// The error for which this map's homography was rejected, px.
     pub refused_rms_px: Option<f64>,
     /// Overlap in the left picture; the whole picture unless fresh.
     pub roi_left: Rect,
@@ -189,7 +189,7 @@ fn bounds(counts: &[u32], total: u32, step: usize) -> (usize, usize) {
 }
 
 impl RegisterGrid {
-    /// A registration without a past.
+    /// A registration without history.
     pub fn new(params: GridParams) -> Self {
         Self { params, ransac: Ransac::new(), ..Self::default() }
     }
@@ -199,12 +199,12 @@ impl RegisterGrid {
         &self.params
     }
 
-    /// Changes the parameters and keeps what is known of the frame before.
+    /// Changes the parameters; the previous frame's result stays.
     pub fn set_params(&mut self, params: GridParams) {
         self.params = params;
     }
 
-    /// Forgets the frame before.
+    /// Forgets the previous frame.
     pub fn reset(&mut self) {
         self.memory = None;
         self.failures = 0;
@@ -212,7 +212,7 @@ impl RegisterGrid {
 
     /// Registers by one disparity map: px of the left rectified view at full size, NaN where unmatched.
     ///
-    /// A failure is a state, not an error: the next frame looks at the whole map and so resumes.
+    /// A failure is a state, not an error: the next frame searches the whole map.
     pub fn register(
         &mut self,
         disparity: View<'_, f32>,
@@ -270,7 +270,7 @@ impl RegisterGrid {
         }
     }
 
-    /// This map gave nothing: the homography before is held, for a while.
+    /// No homography from this map: the previous one is held, for some frames.
     fn failed(&mut self, mut result: GridRegistration) -> GridRegistration {
         self.failures += 1;
         if self.memory.is_some() && self.failures <= self.params.hold_frames {

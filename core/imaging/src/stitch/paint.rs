@@ -1,4 +1,4 @@
-//! The frame itself: exposure and seam on the coarse samples, then pixels.
+//! Draws a frame: exposure and seam on the coarse samples, then pixels.
 
 use super::blend::{self, Blender, Ranges};
 use super::graph_cut::GridCut;

@@ -169,7 +169,7 @@ pub fn sample(view: &View<u8>, block: &Block, count: usize, gain: &[i16; 4], out
         let fits = |far: usize| far + view.stride + 8 <= view.data.len();
         // Each neighbour pair is loaded as 8 bytes: the last two pixels of a view without padding go the slow way.
         if fits(ends) || fits(block.offset[..padded].iter().fold(0, |m, o| m.max(*o)) as usize) {
-            // SAFETY: AVX2 is present; every load lies inside the view as just checked.
+            // SAFETY: the caller found AVX2 on this CPU; every load is inside the view, as just checked.
             unsafe { sample_avx2(view.data.as_ptr(), view.stride, block, padded, gain, out) };
             return;
         }
@@ -249,7 +249,7 @@ pub fn pack_bgr(pixels: &Pixels, out: &mut [u8], avx2: bool) {
     let mut i = 0;
     #[cfg(target_arch = "x86_64")]
     if avx2 {
-        // SAFETY: AVX2 is present.
+        // SAFETY: the caller found AVX2 on this CPU.
         i = unsafe { pack_bgr_avx2(pixels, out) };
     }
     let _ = avx2;
