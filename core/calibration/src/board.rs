@@ -11,28 +11,28 @@ use thiserror::Error;
 pub enum Board {
     /// Inner corners of a chessboard.
     Chessboard {
-        /// Inner corners.
+        /// Inner corners, columns x rows.
         corners: (u32, u32),
         /// Side of a square.
         square_mm: f64,
     },
     /// OpenCV's asymmetric grid: every other row is shifted by one spacing; columns lie two spacings apart.
     Circles {
-        /// Circles.
+        /// Circles, columns x rows.
         circles: (u32, u32),
         /// Half the distance of neighbours of one row, the distance of neighbouring rows.
         spacing_mm: f64,
     },
     /// A grid of circles in rows and columns.
     CircleGrid {
-        /// Circles.
+        /// Circles, columns x rows.
         circles: (u32, u32),
         /// Distance of neighbours.
         spacing_mm: f64,
     },
     /// A chessboard with ArUco markers in its white squares; parts of it are enough.
     Charuco {
-        /// Squares.
+        /// Squares, columns x rows.
         squares: (u32, u32),
         /// Side of a square.
         square_mm: f64,
@@ -43,7 +43,7 @@ pub enum Board {
     },
 }
 
-/// Why a text names no board.
+/// Why a text is not the name of a board.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error(
     "`{text}` names no board: {reason}. Known are chessboard:9x6:25mm (inner corners), circles:4x11:20mm (asymmetric), circle_grid:7x6:10mm and charuco:19x26:5mm:4mm:4x4_250 (squares, square, marker, dictionary)"

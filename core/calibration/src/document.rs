@@ -1,4 +1,4 @@
-//! A YAML document as a tree whose parts know their place.
+//! A YAML document as a tree whose nodes know their line and column.
 
 use saphyr_parser::{Event, Parser};
 
@@ -7,7 +7,7 @@ use crate::error::Mistake;
 /// Deepest nesting accepted; real files need four levels.
 const MAX_DEPTH: usize = 16;
 
-/// A part of a document.
+/// A node of the tree.
 #[derive(Clone, Debug)]
 pub(crate) struct Node {
     pub line: usize,
@@ -23,7 +23,7 @@ pub(crate) enum Value {
 }
 
 impl Node {
-    /// The first document of a text; an empty one is an empty map.
+    /// Parses the first document of a text; an empty one is an empty map.
     pub fn parse(text: &str) -> Result<Self, Mistake> {
         // OpenCV's header `%YAML:1.0` is no directive of YAML; as a comment it keeps all lines where they are.
         let text = match text.strip_prefix("%YAML") {
@@ -84,7 +84,7 @@ impl Node {
         Mistake { line: self.line, column: self.column, what: what.into() }
     }
 
-    /// A value of a map.
+    /// The value of a key, if this is a map that has it.
     pub fn get(&self, key: &str) -> Option<&Self> {
         match &self.value {
             Value::Map(entries) => entries.iter().find(|(k, _)| k == key).map(|(_, node)| node),
@@ -92,7 +92,7 @@ impl Node {
         }
     }
 
-    /// The first of several names for one thing, with the name that was found.
+    /// The value of the first of several keys that exists, with that key.
     pub fn any<'k>(&self, keys: &[&'k str]) -> Option<(&'k str, &Self)> {
         keys.iter().find_map(|key| Some((*key, self.get(key)?)))
     }
@@ -104,7 +104,7 @@ impl Node {
         }
     }
 
-    /// A finite number, OpenCV's `1.` and `.5` too.
+    /// Reads a finite number; OpenCV's `1.` and `.5` are accepted.
     pub fn number(&self, name: &str) -> Result<f64, Mistake> {
         let Some(text) = self.text() else { return Err(self.mistake(format!("`{name}` is not a number"))) };
         match text.trim().parse::<f64>() {
@@ -117,7 +117,7 @@ impl Node {
         }
     }
 
-    /// A number of pixels.
+    /// Reads a whole number of pixels.
     pub fn pixels(&self, name: &str) -> Result<u32, Mistake> {
         let number = self.number(name)?;
         if number.fract() != 0.0 || !(2.0..=65536.0).contains(&number) {
@@ -126,7 +126,7 @@ impl Node {
         Ok(number as u32)
     }
 
-    /// All numbers of a list, of lists in a list, or of a map `rows`, `cols`, `data` as OpenCV and ROS write matrices.
+    /// Reads all numbers of a list, of nested lists, or of a map `rows`, `cols`, `data` as OpenCV and ROS write matrices.
     pub fn numbers(&self, name: &str) -> Result<Vec<f64>, Mistake> {
         match &self.value {
             Value::Scalar(_) => Ok(vec![self.number(name)?]),
@@ -154,7 +154,7 @@ impl Node {
         }
     }
 
-    /// Exactly so many numbers.
+    /// Reads exactly `N` numbers.
     pub fn exactly<const N: usize>(&self, name: &str) -> Result<[f64; N], Mistake> {
         let all = self.numbers(name)?;
         let found = all.len();

@@ -8,13 +8,13 @@ use thiserror::Error;
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{}: {what}", place(.file, *.line, *.column))]
 pub struct FileError {
-    /// The file.
+    /// File that the mistake is in.
     pub file: PathBuf,
     /// Line of the mistake.
     pub line: usize,
     /// Column of the mistake.
     pub column: usize,
-    /// What is wrong there, and the mend where there is one.
+    /// What is wrong there, and how to fix it where that is known.
     pub what: String,
 }
 
@@ -22,7 +22,7 @@ fn place(file: &Path, line: usize, column: usize) -> String {
     if line == 0 { file.display().to_string() } else { format!("{}:{line}:{column}", file.display()) }
 }
 
-/// A mistake before the file's name is known: line, column, words.
+/// A mistake before the name of its file is known.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Mistake {
     pub line: usize,

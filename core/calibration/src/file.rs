@@ -4,22 +4,24 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use panoscope_abi::Calibration;
+use panoscope_imaging::stereo::StereoError;
+use thiserror::Error;
 
 use crate::document::Node;
 use crate::error::{FileError, Mistake};
 use crate::{kalibr, opencv, packet, ros};
 
-/// Baselines that two places of a file state may differ by this part.
+/// Largest relative difference between two baselines that one file states.
 const BASELINE_PART: f64 = 0.01;
 
 /// Reads a calibration: one file, or the two halves of one (OpenCV's intrinsics and extrinsics, ROS's left and right).
 ///
-/// Lengths of OpenCV's files are taken for mm, those of ROS and Kalibr for metres. Width and height are 0 where the
-/// file tells none, as OpenCV's sample writes it: whoever knows the views fills them in.
+/// Lengths in OpenCV's files are in mm, those in ROS and Kalibr files in metres. Width and height are 0 when the file does
+/// not state them, as in the output of OpenCV's sample; the caller takes them from the views.
 ///
 /// # Errors
-/// [`FileError`] names file, line and column of what cannot be read, is missing, or cannot be: left and right swapped
-/// (the disparities would be negative), no rotation, no baseline.
+/// [`FileError`] names file, line and column of what is unreadable, missing or impossible: left and right swapped
+/// (the disparities would be negative), a matrix that is not a rotation, no baseline.
 pub fn read(paths: &[PathBuf]) -> Result<Calibration, FileError> {
     let mut texts = Vec::new();
     for path in paths {
@@ -32,10 +34,10 @@ pub fn read(paths: &[PathBuf]) -> Result<Calibration, FileError> {
     parse(&texts)
 }
 
-/// As [`read`], of texts with the names that errors give them.
+/// Reads a calibration from the texts of its files; errors use the given names.
 ///
 /// # Errors
-/// As [`read`].
+/// The same as those of [`read`], except for files that cannot be opened.
 pub fn parse(texts: &[(&Path, &str)]) -> Result<Calibration, FileError> {
     let Some((first, _)) = texts.first() else {
         return Err(Mistake::whole("no calibration file is given").in_file(Path::new("")));
@@ -61,37 +63,48 @@ pub fn parse(texts: &[(&Path, &str)]) -> Result<Calibration, FileError> {
             return Err(Mistake::whole(what).in_file(first));
         }
     };
-    check(&calibration).map_err(|what| Mistake::whole(what).in_file(first))?;
+    check(&calibration).map_err(|why| Mistake::whole(why.to_string()).in_file(first))?;
     Ok(calibration)
 }
 
-/// Refuses what no pair of cameras can have.
-fn check(calibration: &Calibration) -> Result<(), String> {
+/// Why the numbers of a file, each of them readable, describe no pair of cameras.
+#[derive(Debug, Error)]
+enum Contradiction {
+    /// A camera or the rectification is impossible.
+    #[error(transparent)]
+    Cameras(#[from] StereoError),
+    /// The extrinsics and the rectified projections state different baselines.
+    #[error(
+        "its parts do not belong together: the translation between the cameras is {translation_mm:.3} mm long, the projection says {projection_mm:.3} mm"
+    )]
+    Baseline { translation_mm: f64, projection_mm: f64 },
+}
+
+/// Refuses cameras that cannot exist, and parts of different calibrations.
+fn check(calibration: &Calibration) -> Result<(), Contradiction> {
     let mut known = *calibration;
     for camera in [&mut known.left, &mut known.right] {
         if camera.width == 0 {
-            // Any size will do: nothing that is checked here depends on it.
+            // Nothing that is checked here depends on the size.
             (camera.width, camera.height) = ((2.0 * camera.cx).max(2.0) as u32, (2.0 * camera.cy).max(2.0) as u32);
         }
-        packet::camera(camera).map_err(|error| error.to_string())?;
+        packet::camera(camera)?;
     }
     if calibration.left.width == 0 {
         (known.right.width, known.right.height) = (known.left.width, known.left.height);
     }
-    // What the cameras themselves say, whatever the file says of their rectification.
+    // The baseline from the extrinsics alone, without the rectification that the file states.
     let bare = Calibration { left_projection: [0.0; 12], right_projection: [0.0; 12], ..known };
-    let computed = packet::rectification(&bare).map_err(|error| error.to_string())?;
-    let stated = packet::rectification(&known).map_err(|error| error.to_string())?;
+    let computed = packet::rectification(&bare)?;
+    let stated = packet::rectification(&known)?;
     if (computed.baseline_mm - stated.baseline_mm).abs() > BASELINE_PART * computed.baseline_mm {
-        return Err(format!(
-            "its parts do not belong together: the translation between the cameras is {:.3} mm long, the projection says {:.3} mm",
-            computed.baseline_mm, stated.baseline_mm
-        ));
+        let (translation_mm, projection_mm) = (computed.baseline_mm, stated.baseline_mm);
+        return Err(Contradiction::Baseline { translation_mm, projection_mm });
     }
     Ok(())
 }
 
-/// Writes a calibration as OpenCV's `FileStorage` YAML, in one step, so that nobody reads half of it.
+/// Writes a calibration as OpenCV's `FileStorage` YAML. The file is renamed into place, so a reader never sees half of it.
 ///
 /// # Errors
 /// When the file cannot be written.

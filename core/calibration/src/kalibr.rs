@@ -8,7 +8,7 @@ use crate::error::Mistake;
 
 const MM_PER_M: f64 = 1000.0;
 
-/// Whether the document is one.
+/// Whether the document is a Kalibr camera chain.
 pub(crate) fn is(document: &Node) -> bool {
     document.get("cam0").is_some_and(|camera| camera.get("intrinsics").is_some())
 }
@@ -43,7 +43,7 @@ fn camera(chain: &Node, name: &str) -> Result<Camera, Mistake> {
     Ok(Camera { width: width as u32, height: height as u32, fx, fy, cx, cy, distortion })
 }
 
-/// The packet of a chain.
+/// Converts a camera chain to the packet.
 pub(crate) fn packet(chain: &Node) -> Result<Calibration, Mistake> {
     let (left, right) = (camera(chain, "cam0")?, camera(chain, "cam1")?);
     let pose = chain.get("cam1").and_then(|camera| camera.get("T_cn_cnm1"));

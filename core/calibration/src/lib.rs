@@ -1,14 +1,13 @@
-//! Stereo calibrations: the `calibration` packet as the kernels want it, the files it is read from and written to,
-//! and the boards it is made with.
+//! Stereo calibrations: the `calibration` packet, the files it is read from and written to, and the boards it is made with.
 //!
-//! The one place where calibration files are understood, shared by the plugins that read them, the nodes that make them
-//! and the command. It stands apart from `imaging`, which has no dependencies, because YAML is read by a crate of its own.
+//! The only parser of calibration files: plugins that read them, nodes that make them and the command share it. It is not part of
+//! `imaging` because it needs a YAML parser.
 //!
 //! - [`read`] understands OpenCV's `FileStorage` YAML, ROS `camera_info` and Kalibr camera chains; [`write`] writes
 //!   `FileStorage` YAML that OpenCV reads back bit by bit.
-//! - [`packet`] turns the packet into camera models and a rectification, and refuses what cannot be.
-//! - [`pictures`] finds the picture files that a pattern means, [`views`] puts those of several views together.
-//! - [`Board`] names a printed pattern, [`ViewState`] what became of one view of it.
+//! - [`packet`] turns the packet into camera models and a rectification, and refuses impossible ones.
+//! - [`pictures`] finds the picture files that a pattern matches, [`views`] groups those of several views by instant.
+//! - [`Board`] describes a printed pattern, [`ViewState`] says whether a view of it was used and if not, why.
 
 #![forbid(unsafe_code)]
 

@@ -17,22 +17,22 @@ const RIGHT_MATRIX: [&str; 6] =
 const LEFT_DISTORTION: [&str; 4] = ["D1", "distCoeffs1", "dist_coeffs_1", "distortion_coefficients_left"];
 const RIGHT_DISTORTION: [&str; 4] = ["D2", "distCoeffs2", "dist_coeffs_2", "distortion_coefficients_right"];
 
-/// Whether some of the documents speak of an OpenCV stereo pair.
+/// Whether one of the documents describes an OpenCV stereo pair.
 pub(crate) fn is(documents: &[Node]) -> bool {
     documents.iter().any(|d| d.any(&LEFT_MATRIX).or(d.any(&RIGHT_MATRIX)).or(d.any(&["R1", "P1", "Q"])).is_some())
 }
 
-/// Numbers and place of the first document that has one of the names. The document's index tells the file.
-struct Found<'a> {
+/// Numbers and position of the first document that has one of the names, with the index of that document.
+struct Located<'a> {
     name: &'a str,
     index: usize,
     node: &'a Node,
 }
 
-fn find<'a>(documents: &'a [Node], names: &[&'a str]) -> Option<Found<'a>> {
+fn find<'a>(documents: &'a [Node], names: &[&'a str]) -> Option<Located<'a>> {
     documents.iter().enumerate().find_map(|(index, document)| {
         let (name, node) = document.any(names)?;
-        Some(Found { name, index, node })
+        Some(Located { name, index, node })
     })
 }
 
@@ -69,7 +69,7 @@ fn distortion(documents: &[Node], names: &[&str]) -> Result<[f64; 14]> {
     Ok(out)
 }
 
-/// Width and height; zero when no document tells, as OpenCV's sample leaves them out.
+/// Width and height; zero when no document states them, as in the output of OpenCV's sample.
 fn size(documents: &[Node]) -> Result<(u32, u32)> {
     let pixels = |names: &[&str]| -> Result<Option<u32>> {
         let Some(found) = find(documents, names) else { return Ok(None) };
@@ -113,7 +113,7 @@ pub(crate) fn packet(documents: &[Node]) -> Result<Calibration> {
     let whole = (rectification, projection);
     let ([r1, r2], [p1, p2]) = match whole {
         ([Some(r1), Some(r2)], [Some(p1), Some(p2)]) => ([r1, r2], [p1, p2]),
-        // Computed from the cameras by whoever needs it.
+        // Callers compute it from the cameras.
         ([None, None], [None, None]) => ([EYE3; 2], [[0.0; 12]; 2]),
         _ => {
             let last = documents.len().saturating_sub(1);

@@ -1,9 +1,10 @@
-//! The `calibration` packet as the kernels want it.
+//! Camera models and a rectification from the `calibration` packet.
 
 use panoscope_abi::{Calibration, Camera};
+use panoscope_imaging::Rect;
 use panoscope_imaging::stereo::rotation::Matrix3;
 use panoscope_imaging::stereo::{
-    CameraModel, Rectification, RectifiedCamera, RectifyParams, Roi, StereoCameras, StereoError,
+    CameraModel, Rectification, RectifiedCamera, RectifyParams, StereoCameras, StereoError,
 };
 
 fn refuse<T>(reason: String) -> Result<T, StereoError> {
@@ -21,7 +22,7 @@ fn flat(rows: &Matrix3) -> [f64; 9] {
 /// One camera of the packet, checked.
 ///
 /// # Errors
-/// [`StereoError::Calibration`] when no camera can be so.
+/// [`StereoError::Calibration`] when no camera can have these parameters.
 pub fn camera(camera: &Camera) -> Result<CameraModel, StereoError> {
     let size = (camera.width as usize, camera.height as usize);
     CameraModel::new(size, (camera.fx, camera.fy), (camera.cx, camera.cy), &camera.distortion)
@@ -35,7 +36,7 @@ pub fn same(a: &Calibration, b: &Calibration) -> bool {
 /// How the packet rectifies its cameras: as it states, or, when its projections are empty, computed.
 ///
 /// # Errors
-/// [`StereoError::Calibration`] when the cameras or what is said of their rectification cannot be.
+/// [`StereoError::Calibration`] when the cameras or the stated rectification are impossible.
 pub fn rectification(packet: &Calibration) -> Result<Rectification, StereoError> {
     if packet.left_projection == [0.0; 12] && packet.right_projection == [0.0; 12] {
         let cameras = StereoCameras {
@@ -89,8 +90,8 @@ pub fn rectification(packet: &Calibration) -> Result<Rectification, StereoError>
         left: view(left),
         right: view(right),
         baseline_mm,
-        valid_left: Roi::full(width, height),
-        valid_right: Roi::full(width, height),
+        valid_left: Rect::whole(width, height),
+        valid_right: Rect::whole(width, height),
     })
 }
 

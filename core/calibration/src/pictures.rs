@@ -1,4 +1,4 @@
-//! Picture files by pattern, in the order of their numbers: the same for whoever reads pairs and whoever names them.
+//! Picture files that match a pattern, in the order of their numbers.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ pub fn is_image(path: &Path) -> bool {
     IMAGE_ENDINGS.contains(&ending.as_str())
 }
 
-/// The place of `%d` or `%04d` in a text: start, end, digits.
+/// Position of `%d` or `%04d` in a text: start, end, digits.
 fn counter(text: &str) -> Option<(usize, usize, usize)> {
     let start = text.find('%')?;
     let rest = &text[start + 1..];
@@ -64,7 +64,7 @@ pub fn is_pattern(text: &str) -> bool {
 /// is a pattern.
 ///
 /// # Errors
-/// When there is none, with what is there instead.
+/// When no file matches; the message lists what the folder holds instead.
 pub fn image_files(pattern: &Path) -> Result<Vec<PathBuf>, String> {
     let folder = pattern.parent().unwrap_or(Path::new("."));
     let Some(last) = pattern.file_name().and_then(|n| n.to_str()) else {

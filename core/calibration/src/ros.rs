@@ -7,7 +7,7 @@ use crate::error::Mistake;
 
 const MM_PER_M: f64 = 1000.0;
 
-/// Whether the document is one.
+/// Whether the document is a `camera_info`.
 pub(crate) fn is(document: &Node) -> bool {
     document.get("projection_matrix").is_some() && document.get("rectification_matrix").is_some()
 }
@@ -59,7 +59,7 @@ fn info(document: &Node) -> Result<Info, Mistake> {
     })
 }
 
-/// The packet of a left and a right file; a mistake comes with the index of its file.
+/// Converts a left and a right file to the packet; a mistake comes with the index of its file.
 pub(crate) fn packet(left: &Node, right: &Node) -> Result<Calibration, (usize, Mistake)> {
     let (left, right) = (info(left).map_err(|m| (0, m))?, info(right).map_err(|m| (1, m))?);
     let (r1, r2) = (&left.rectification, &right.rectification);

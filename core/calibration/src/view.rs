@@ -1,9 +1,9 @@
-//! What became of one view of a calibration.
+//! Whether a view of the board was used for a calibration.
 
-/// What became of a pair of views; its number stands in the column `state` of `calibrate_stereo`'s table.
+/// Whether a pair of views was used and if not, why. The column `state` of the table of `calibrate_stereo` holds its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ViewState {
-    /// It takes part.
+    /// The pair is used.
     Used,
     /// The left view shows no board.
     NoBoardLeft,
@@ -13,13 +13,13 @@ pub enum ViewState {
     NoBoard,
     /// The views share too few points of the board.
     FewPoints,
-    /// The board stands where another view has it already.
+    /// Another view already shows the board in this position.
     Alike,
-    /// Its points lie too far from where the solution puts them.
+    /// Its reprojection error is too large.
     LargeError,
     /// Its size differs from that of the views before.
     OtherSize,
-    /// Enough views are there.
+    /// Enough views have been collected.
     NotNeeded,
 }
 
@@ -36,17 +36,17 @@ impl ViewState {
         Self::NotNeeded,
     ];
 
-    /// The number in tables.
+    /// Its number in tables.
     pub fn code(self) -> f64 {
         Self::ALL.iter().position(|state| *state == self).unwrap_or(0) as f64
     }
 
-    /// The state of a number in a table.
+    /// The state that a number in a table stands for.
     pub fn of_code(code: f64) -> Option<Self> {
         Self::ALL.into_iter().find(|state| state.code() == code)
     }
 
-    /// As a reason in a report.
+    /// The reason as a report words it.
     pub fn words(self) -> &'static str {
         match self {
             Self::Used => "used",

@@ -23,7 +23,7 @@ fn numbers(path: &Path) -> Key {
     runs.map(|run| run.trim_start_matches('0').to_owned()).collect()
 }
 
-/// The numbers that tell the files of one view apart: a camera's number or a date is the same in all of them and is left out.
+/// The numbers in which the files of one view differ. A camera's number or a date is the same in all of them and is left out.
 fn keys(files: &[PathBuf]) -> Vec<Key> {
     let mut all: Vec<Key> = files.iter().map(|path| numbers(path)).collect();
     let count = all.first().map_or(0, Vec::len);
@@ -50,7 +50,7 @@ fn comparable(views: &[Vec<PathBuf>]) -> Option<Vec<Vec<Key>>> {
     all.iter().all(unique).then_some(all)
 }
 
-/// Puts the pictures together that carry the same number. Where numbers are missing, repeat or are never the same in all views, the order
+/// Groups the pictures that carry the same number. Where numbers are missing, repeat or are never the same in all views, the order
 /// of the lists decides.
 pub fn matched(views: &[Vec<PathBuf>]) -> Matched {
     let by_number = comparable(views).and_then(|keys| {

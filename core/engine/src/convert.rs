@@ -1,7 +1,9 @@
 //! Conversions that the host does for readers, once per output and tick.
 
 use panoscope_abi::{self as abi, Frame};
-use panoscope_imaging::{View, ViewMut};
+use panoscope_base::format::{image_bytes, pixel_bytes};
+use panoscope_base::gray::bgr_to_gray;
+use panoscope_base::{View, ViewMut};
 
 use crate::memory::{FrameRef, memory};
 
@@ -14,8 +16,7 @@ pub(crate) fn wants(frame: &Frame) -> bool {
 pub(crate) fn to_gray8(source: &FrameRef) -> Option<FrameRef> {
     let frame = source.frame();
     let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
-    let need = if height == 0 { 0 } else { (height - 1) * stride + width * 3 };
-    if need > frame.len || stride < width * 3 {
+    if image_bytes(width, height, stride, pixel_bytes(abi::FORMAT_BGR8)).is_none_or(|need| need > frame.len) {
         return Some(FrameRef::empty(frame.tick));
     }
     let (buffer, data) = memory().allocate(width * height).ok()?;
@@ -23,7 +24,7 @@ pub(crate) fn to_gray8(source: &FrameRef) -> Option<FrameRef> {
     let out = unsafe { std::slice::from_raw_parts_mut(data, width * height) };
     if width * height > 0 {
         let from = View::with_stride(source.bytes(), width, height, 3, stride);
-        panoscope_imaging::features::bgr_to_gray(&from, &mut ViewMut::new(out, width, height, 1));
+        bgr_to_gray(&from, &mut ViewMut::new(out, width, height, 1));
     }
     let len = width * height;
     let gray = Frame { buffer, data, len, format: abi::FORMAT_GRAY8, stride_bytes: width as u32, ..*frame };

@@ -4,7 +4,7 @@ use std::ffi::c_void;
 use std::path::Path;
 
 use panoscope_abi::{self as abi, BufferId, ChunkFn, Frame, Host, Status, Str};
-use panoscope_imaging::random::SplitMix64;
+use panoscope_base::random::SplitMix64;
 
 use crate::claims::{Claimed, Holds};
 use crate::clock;

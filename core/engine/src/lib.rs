@@ -22,7 +22,6 @@ pub mod loading;
 pub mod log;
 pub mod memory;
 mod node;
-pub mod numbers;
 pub mod observe;
 mod outbox;
 mod outputs;

@@ -1,17 +1,12 @@
 //! Checks of outputs where they are made, so that a bad frame is a fault of the node that made it.
 
 use panoscope_abi::{self as abi, Frame};
+use panoscope_base::format;
 
 use crate::fault::Cause;
 
 /// Largest output of a node.
 pub(crate) const LARGEST_OUTPUT_BYTES: usize = 256 << 20;
-
-/// Bytes per pixel of the image formats.
-const BYTES_PER_PIXEL: [usize; 7] = [0, 1, 3, 4, 2, 4, 16];
-
-/// Names of the formats in graph files.
-const FORMAT_NAMES: [&str; 7] = ["bytes", "gray8", "bgr8", "rgba8", "gray16", "f32", "cloud"];
 
 /// How to check the contents of an output after a call.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,16 +28,6 @@ pub(crate) struct OutputRule {
     pub name: String,
     formats: u32,
     check: ContentCheck,
-}
-
-pub(crate) fn format_name(format: u32) -> &'static str {
-    FORMAT_NAMES.get(format as usize).copied().unwrap_or("an unknown format")
-}
-
-/// Names of a set of formats.
-pub(crate) fn format_names(formats: u32) -> String {
-    let known = (0..FORMAT_NAMES.len() as u32).filter(|f| formats >> f & 1 == 1);
-    known.map(format_name).collect::<Vec<_>>().join(", ")
 }
 
 impl OutputRule {
@@ -95,7 +80,7 @@ impl OutputRule {
         let Frame { width, height, stride_bytes, len, .. } = *frame;
         let name = &self.name;
         if !allowed {
-            let (found, wanted) = (format_name(frame.format), format_names(self.formats));
+            let (found, wanted) = (format::name(frame.format), format::names(self.formats));
             return (Cause::Format, format!("output `{name}` is {found}, declared are {wanted}"));
         }
         if len > LARGEST_OUTPUT_BYTES {
@@ -201,8 +186,8 @@ fn geometry_fits(frame: &Frame) -> bool {
         return true;
     }
     let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
-    let row = width * BYTES_PER_PIXEL[frame.format as usize];
-    width > 0 && height > 0 && stride >= row && (height - 1).saturating_mul(stride).saturating_add(row) <= frame.len
+    let need = format::image_bytes(width, height, stride, format::pixel_bytes(frame.format));
+    width > 0 && height > 0 && need.is_some_and(|need| need <= frame.len)
 }
 
 #[cfg(test)]

@@ -292,8 +292,7 @@ fn link(runtimes: &[Arc<NodeRuntime>], alive: &[bool], wiring: &[Wiring]) -> (Ve
 }
 
 fn format_number(name: &str) -> Option<u32> {
-    let known = [abi::FORMAT_GRAY8, abi::FORMAT_BGR8, abi::FORMAT_RGBA8, abi::FORMAT_GRAY16, abi::FORMAT_F32];
-    known.into_iter().find(|f| crate::outputs::format_name(*f) == name)
+    panoscope_base::format::image_named(name).map(|format| format.id)
 }
 
 /// A reader runs inline if it reads nothing else and its producer has no other reader.

@@ -10,10 +10,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use common::folders;
+use panoscope_base::random::SplitMix64;
 use panoscope_engine::fault::{Action, Cause, Fault};
 use panoscope_engine::{Engine, Options, Outcome};
 use panoscope_graph::{GraphText, check};
-use panoscope_imaging::random::SplitMix64;
 use panoscope_loader::Loader;
 
 const PATIENCE: Duration = Duration::from_secs(60);

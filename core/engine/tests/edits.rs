@@ -5,9 +5,9 @@ mod common;
 use std::time::{Duration, Instant};
 
 use common::{PATIENCE, flow_plugin, loader, scratch};
+use panoscope_base::random::SplitMix64;
 use panoscope_engine::{Engine, Options};
 use panoscope_graph::{Graph, GraphText, check};
-use panoscope_imaging::random::SplitMix64;
 use panoscope_loader::live::{FileWatch, LiveError};
 use panoscope_loader::{Live, Loader};
 

@@ -10,6 +10,7 @@ mod validator;
 use std::collections::HashSet;
 
 use panoscope_abi as abi;
+use panoscope_base::format::{FORMATS, IMAGE_FORMATS};
 use thiserror::Error;
 
 pub use self::node_type::whole;
@@ -236,23 +237,16 @@ fn fixed_format(packet: &str) -> Option<u32> {
 }
 
 fn formats(place: &str, packet: &str, bits: u32) -> Result<Vec<String>> {
-    const WORDS: [(u32, &str); 5] = [
-        (abi::FORMAT_GRAY8, "gray8"),
-        (abi::FORMAT_BGR8, "bgr8"),
-        (abi::FORMAT_RGBA8, "rgba8"),
-        (abi::FORMAT_GRAY16, "gray16"),
-        (abi::FORMAT_F32, "f32"),
-    ];
     if packet != "image" {
         return Ok(Vec::new());
     }
-    known_bits(place, "formats", bits, WORDS.iter().fold(0, |all, (format, _)| all | abi::format_bit(*format)))?;
+    known_bits(place, "formats", bits, IMAGE_FORMATS)?;
     if bits == 0 {
         let problem = "an `image` port names its formats, such as PANOSCOPE_FORMAT_BIT(PANOSCOPE_FORMAT_GRAY8)";
         return Err(FromAbiError::Contradiction { place: place.to_owned(), problem: problem.to_owned() });
     }
-    let set = |format: &u32| bits & abi::format_bit(*format) != 0;
-    Ok(WORDS.iter().filter(|(format, _)| set(format)).map(|(_, word)| (*word).to_owned()).collect())
+    let declared = FORMATS.iter().filter(|format| bits & abi::format_bit(format.id) != 0);
+    Ok(declared.map(|format| format.name.to_owned()).collect())
 }
 
 unsafe fn params(node_place: &str, params: &[abi::Param]) -> Result<Vec<Param>> {

@@ -2,8 +2,8 @@
 
 mod common;
 
+use panoscope_base::random::SplitMix64;
 use panoscope_graph::{Catalog, GraphText, check, edit::GraphEdit};
-use panoscope_imaging::random::SplitMix64;
 use std::path::Path;
 
 fn pick<'a, T>(random: &mut SplitMix64, items: &'a [T]) -> &'a T {

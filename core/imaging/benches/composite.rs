@@ -1,94 +1,18 @@
 //! Time of the compositor per frame: two views, geometry held and moving, 1 and 2 threads. A word as argument picks the cases whose
 //! line holds it: `cargo bench --bench composite -- "640x480 held   1"`.
 
+use panoscope_base::Threads;
+use panoscope_imaging::geometry::Homography;
 use panoscope_imaging::stitch::*;
 use panoscope_imaging::{Parallel, View, ViewMut};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Barrier, Mutex};
 use std::time::Instant;
-
-type Body = &'static (dyn Fn(usize) + Sync);
-
-/// One helper thread that spins between loops, as a warm pool would.
-struct Pair {
-    job: Mutex<Option<(Body, usize)>>,
-    turn: AtomicUsize,
-    next: AtomicUsize,
-    done: AtomicUsize,
-    start: Barrier,
-}
-
-impl Pair {
-    fn leak() -> &'static Self {
-        let pool: &'static Self = Box::leak(Box::new(Self {
-            job: Mutex::new(None),
-            turn: AtomicUsize::new(0),
-            next: AtomicUsize::new(0),
-            done: AtomicUsize::new(0),
-            start: Barrier::new(2),
-        }));
-        std::thread::spawn(move || {
-            pool.start.wait();
-            let mut seen = 0;
-            loop {
-                let mut spins = 0u32;
-                while pool.turn.load(Ordering::Acquire) == seen {
-                    spins += 1;
-                    if spins > 20_000 {
-                        std::thread::yield_now();
-                    }
-                    std::hint::spin_loop();
-                }
-                seen += 1;
-                pool.work();
-                pool.done.fetch_add(1, Ordering::Release);
-            }
-        });
-        pool.start.wait();
-        pool
-    }
-
-    fn work(&self) {
-        let Some((body, chunks)) = *self.job.lock().unwrap_or_else(|e| e.into_inner()) else { return };
-        loop {
-            let i = self.next.fetch_add(1, Ordering::Relaxed);
-            if i >= chunks {
-                return;
-            }
-            body(i);
-        }
-    }
-}
-
-impl Parallel for Pair {
-    fn threads(&self) -> usize {
-        2
-    }
-
-    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
-        if chunks < 2 {
-            (0..chunks).for_each(body);
-            return;
-        }
-        // SAFETY: the helper has left the body before `run` returns (`done` below), so the borrow does not end early.
-        let body: Body = unsafe { std::mem::transmute(body) };
-        *self.job.lock().unwrap_or_else(|e| e.into_inner()) = Some((body, chunks));
-        self.next.store(0, Ordering::Relaxed);
-        self.done.store(0, Ordering::Relaxed);
-        self.turn.fetch_add(1, Ordering::Release);
-        self.work();
-        while self.done.load(Ordering::Acquire) == 0 {
-            std::hint::spin_loop();
-        }
-    }
-}
 
 /// Waves and blocks: edges at all scales, nothing that repeats within the overlap.
 fn picture(width: usize, height: usize, left_from_view: &[f64; 9], gain: f64) -> Vec<u8> {
     let mut data = Vec::with_capacity(width * height * 3);
     for y in 0..height {
         for x in 0..width {
-            let (u, v) = apply(left_from_view, x as f64, y as f64);
+            let [u, v] = Homography(*left_from_view).map([x as f64, y as f64]);
             let wave = 40.0 * (0.021 * u + 0.3 * (0.013 * v).sin()).sin() + 25.0 * (0.11 * v + 0.017 * u).sin();
             let block = ((u / 23.0) as i64 * 7919 + (v / 19.0) as i64 * 104_729) % 41;
             for c in [100.0, 90.0, 150.0] {
@@ -139,13 +63,13 @@ fn time(name: &str, params: &CompositeParams, size: (usize, usize), moving: bool
 }
 
 fn main() {
-    let pair = Pair::leak();
+    let pair = Threads::new(2);
     let default = CompositeParams::default();
     let every = CompositeParams { seam_interval_frames: 1, ..default.clone() };
     let path = CompositeParams { seam: SeamMethod::DynamicProgramming, seam_interval_frames: 1, ..default.clone() };
     let feather = CompositeParams { blend: BlendMethod::Feather, ..default.clone() };
     let hard = CompositeParams { blend: BlendMethod::None, ..default.clone() };
-    for pool in [&panoscope_imaging::Serial as &dyn Parallel, pair] {
+    for pool in [&panoscope_imaging::Serial as &dyn Parallel, &pair] {
         for moving in [false, true] {
             time("graph cut, multi-band", &default, (640, 480), moving, pool);
         }

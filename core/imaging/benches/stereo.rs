@@ -1,86 +1,17 @@
 //! Times of the stereo chain at 640x480 and 64 disparities on a synthetic pair, on one and two threads.
 
+use panoscope_base::Threads;
 use panoscope_imaging::stereo::{
     BilateralSolver, BilateralSolverParams, BlockMatcher, BlockMatchingParams, CameraModel, FilterInput, Rectification,
-    RectifyParams, RemapTable, ReprojectInput, ReprojectParams, Roi, SemiGlobalMatcher, SemiGlobalParams,
-    StereoCameras, WlsFilter, WlsParams, reproject,
+    RectifyParams, RemapTable, ReprojectInput, ReprojectParams, SemiGlobalMatcher, SemiGlobalParams, StereoCameras,
+    WlsFilter, WlsParams, reproject,
 };
-use panoscope_imaging::{Parallel, View, ViewMut};
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use panoscope_imaging::{Parallel, Rect, View, ViewMut};
 use std::time::Instant;
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
 const RUNS: usize = 40;
-
-/// One helper thread that polls between loops, so that waking it does not count.
-struct Pair<'a> {
-    shared: &'a Shared,
-}
-
-#[derive(Default)]
-struct Shared {
-    /// The loop's body, as the two halves of a fat pointer; 0 when there is none.
-    body: [AtomicUsize; 2],
-    chunks: AtomicUsize,
-    next: AtomicUsize,
-    round: AtomicU64,
-    done: AtomicU64,
-    stop: AtomicBool,
-}
-
-type Body<'a> = dyn Fn(usize) + Sync + 'a;
-
-impl Shared {
-    fn drain(&self, body: &Body<'_>) {
-        let chunks = self.chunks.load(Ordering::Relaxed);
-        loop {
-            let index = self.next.fetch_add(1, Ordering::Relaxed);
-            if index >= chunks {
-                break;
-            }
-            body(index);
-        }
-    }
-
-    fn help(&self) {
-        let mut seen = 0;
-        while !self.stop.load(Ordering::Relaxed) {
-            let round = self.round.load(Ordering::Acquire);
-            if round == seen {
-                std::thread::yield_now();
-                continue;
-            }
-            seen = round;
-            let halves = [self.body[0].load(Ordering::Relaxed), self.body[1].load(Ordering::Relaxed)];
-            // SAFETY: `run` stored the halves of a live reference and waits for `done` before it returns.
-            let body: &Body<'_> = unsafe { std::mem::transmute(halves) };
-            self.drain(body);
-            self.done.store(round, Ordering::Release);
-        }
-    }
-}
-
-impl Parallel for Pair<'_> {
-    fn threads(&self) -> usize {
-        2
-    }
-
-    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
-        // SAFETY: only the representation is kept, for as long as this call lasts.
-        let halves: [usize; 2] = unsafe { std::mem::transmute(body) };
-        self.shared.body[0].store(halves[0], Ordering::Relaxed);
-        self.shared.body[1].store(halves[1], Ordering::Relaxed);
-        self.shared.chunks.store(chunks, Ordering::Relaxed);
-        self.shared.next.store(0, Ordering::Relaxed);
-        let round = self.shared.round.load(Ordering::Relaxed) + 1;
-        self.shared.round.store(round, Ordering::Release);
-        self.shared.drain(body);
-        while self.shared.done.load(Ordering::Acquire) != round {
-            std::thread::yield_now();
-        }
-    }
-}
 
 fn texture(x: f64, y: f64) -> u8 {
     let waves = [(0.11, 0.07, 40.0), (0.31, -0.23, 30.0), (0.05, 0.41, 25.0), (0.83, 0.57, 18.0), (1.9, 1.3, 10.0)];
@@ -114,7 +45,7 @@ fn all(pool: &dyn Parallel) {
         })
         .collect();
     let bgr: Vec<u8> = left.iter().flat_map(|value| [value / 2, *value, value.saturating_add(20)]).collect();
-    let roi = Roi::full(WIDTH, HEIGHT);
+    let roi = Rect::whole(WIDTH, HEIGHT);
     let view = |data| View::<u8>::new(data, WIDTH, HEIGHT, 1);
     fn map_view(data: &[f32]) -> View<'_, f32> {
         View::new(data, WIDTH, HEIGHT, 1)
@@ -184,10 +115,5 @@ fn all(pool: &dyn Parallel) {
 
 fn main() {
     all(&panoscope_imaging::Serial);
-    let shared = Shared::default();
-    std::thread::scope(|scope| {
-        scope.spawn(|| shared.help());
-        all(&Pair { shared: &shared });
-        shared.stop.store(true, Ordering::Relaxed);
-    });
+    all(&Threads::new(2));
 }

@@ -4,126 +4,18 @@
 //! `SURF_IMAGE=file.gray,WIDTH,HEIGHT` replaces the texture by a raw 8-bit image. A word as argument picks the cases whose name holds
 //! it.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
+use panoscope_base::Threads;
+use panoscope_base::random::SplitMix64;
+use panoscope_imaging::Rect;
 use panoscope_imaging::features::{Features, Surf, SurfParams};
-use panoscope_imaging::geometry::Rect;
 use panoscope_imaging::{Parallel, Serial, View};
-
-/// The caller and one helper thread that spins between loops, as a pool's warm worker would.
-struct Pair {
-    shared: std::sync::Arc<Shared>,
-    helper: Option<std::thread::JoinHandle<()>>,
-}
-
-type Body = *const (dyn Fn(usize) + Sync);
-
-struct Shared {
-    epoch: AtomicUsize,
-    done: AtomicUsize,
-    next: AtomicUsize,
-    chunks: AtomicUsize,
-    body: std::sync::Mutex<Option<BodyPtr>>,
-}
-
-#[derive(Clone, Copy)]
-struct BodyPtr(Body);
-// SAFETY: the pointer is used only while `run` waits for the helper.
-unsafe impl Send for BodyPtr {}
-
-const STOP: usize = usize::MAX;
-
-impl Pair {
-    fn new() -> Self {
-        let shared = std::sync::Arc::new(Shared {
-            epoch: AtomicUsize::new(0),
-            done: AtomicUsize::new(0),
-            next: AtomicUsize::new(0),
-            chunks: AtomicUsize::new(0),
-            body: std::sync::Mutex::new(None),
-        });
-        let theirs = shared.clone();
-        let helper = std::thread::spawn(move || {
-            let (mut seen, mut idle) = (0, 0);
-            loop {
-                let epoch = theirs.epoch.load(Ordering::Acquire);
-                if epoch == STOP {
-                    return;
-                }
-                if epoch == seen {
-                    idle += 1;
-                    pause(idle);
-                    continue;
-                }
-                (seen, idle) = (epoch, 0);
-                let body = *theirs.body.lock().unwrap();
-                if let Some(body) = body {
-                    // SAFETY: `run` returns only after `done` says this thread has left the loop.
-                    work(&theirs, unsafe { &*body.0 });
-                }
-                theirs.done.store(epoch, Ordering::Release);
-            }
-        });
-        Self { shared, helper: Some(helper) }
-    }
-}
-
-fn work(shared: &Shared, body: &(dyn Fn(usize) + Sync)) {
-    loop {
-        let index = shared.next.fetch_add(1, Ordering::Relaxed);
-        if index >= shared.chunks.load(Ordering::Relaxed) {
-            return;
-        }
-        body(index);
-    }
-}
-
-/// Spins at first and then gives the core away, so that a busy machine is not stalled.
-fn pause(idle: usize) {
-    if idle < 2000 { std::hint::spin_loop() } else { std::thread::yield_now() }
-}
-
-impl Drop for Pair {
-    fn drop(&mut self) {
-        self.shared.epoch.store(STOP, Ordering::Release);
-        if let Some(helper) = self.helper.take() {
-            let _ = helper.join();
-        }
-    }
-}
-
-impl Parallel for Pair {
-    fn threads(&self) -> usize {
-        2
-    }
-
-    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
-        // SAFETY: only the lifetime is widened; the helper is waited for below.
-        let pointer: Body = unsafe { std::mem::transmute::<&(dyn Fn(usize) + Sync), Body>(body) };
-        *self.shared.body.lock().unwrap() = Some(BodyPtr(pointer));
-        self.shared.next.store(0, Ordering::Relaxed);
-        self.shared.chunks.store(chunks, Ordering::Relaxed);
-        let epoch = self.shared.epoch.load(Ordering::Relaxed) + 1;
-        self.shared.epoch.store(epoch, Ordering::Release);
-        work(&self.shared, body);
-        let mut idle = 0;
-        while self.shared.done.load(Ordering::Acquire) != epoch {
-            idle += 1;
-            pause(idle);
-        }
-    }
-}
 
 fn texture(width: usize, height: usize) -> Vec<u8> {
     // Sums of random bumps of many sizes: keypoints at every scale.
-    let mut state = 0x9e37_79b9_7f4a_7c15u64;
-    let mut random = move || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 40) as f32 / (1u64 << 24) as f32
-    };
+    let mut state = SplitMix64(1);
+    let mut random = move || (state.bits() >> 40) as f32 / (1u64 << 24) as f32;
     let mut image = vec![128.0f32; width * height];
     for _ in 0..9000 {
         let (x, y) = (random() * width as f32, random() * height as f32);
@@ -172,7 +64,7 @@ fn main() {
     let mut out = Features::default();
     for threads in ["1 thread", "2 threads"] {
         // The helper spins, so it lives only while it is measured.
-        let pair = (threads == "2 threads").then(Pair::new);
+        let pair = (threads == "2 threads").then(|| Threads::new(2));
         let pool: &dyn Parallel = pair.as_ref().map_or(&Serial, |pair| pair);
         for upright in [true, false] {
             let kind = if upright { "upright" } else { "oriented" };

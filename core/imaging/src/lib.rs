@@ -1,21 +1,19 @@
 //! Imaging algorithms of Panoscope as plain functions on slices.
 //!
-//! Nothing here knows a framework type. Functions take [`View`]s and a [`Parallel`]; whoever calls
+//! Nothing here knows a framework type. Functions take [`View`]s and a [`Parallel`]; the caller
 //! decides whose threads run the chunks. Work memory lives in structs that the caller keeps, so that
-//! nothing is allocated per frame. AVX2 paths are chosen at run time; a portable path always exists.
+//! nothing is allocated per frame. [`Simd`] chooses AVX2 paths at run time; a portable path always exists.
 
-pub mod parallel;
-pub mod report;
-pub mod view;
+pub mod shared_mut;
+mod simd;
 
-pub use parallel::{Parallel, Serial, SharedMut};
-pub use report::{Report, Silent};
-pub use view::{View, ViewMut};
+// The types that signatures of this crate are made of.
+pub use panoscope_base::{Parallel, Rect, Report, Serial, Silent, Simd, View, ViewMut};
+pub use shared_mut::SharedMut;
 
 pub mod draw;
 pub mod features;
 pub mod geometry;
 pub mod mosaic;
-pub mod random;
 pub mod stereo;
 pub mod stitch;

@@ -2,8 +2,10 @@
 
 mod stereo_common;
 
+use panoscope_base::Threads;
+use panoscope_imaging::Rect;
 use panoscope_imaging::stereo::{
-    BlockMatcher, BlockMatchingParams, FilterInput, Roi, WlsFilter, WlsParams, score_disparity,
+    BlockMatcher, BlockMatchingParams, FilterInput, WlsFilter, WlsParams, score_disparity,
 };
 use std::path::Path;
 use stereo_common::*;
@@ -24,7 +26,7 @@ fn bad_pixels_on_aloe_stay_below_what_opencv_leaves() {
     let (left, right) = (left.to_luma8().into_raw(), right.to_luma8().into_raw());
     let truth: Vec<f32> =
         truth.to_luma8().into_raw().into_iter().map(|d| if d == 0 { f32::NAN } else { f32::from(d) }).collect();
-    let roi = Roi::full(width, height);
+    let roi = Rect::whole(width, height);
     let mut raw = vec![0.0; width * height];
     let mut raw_right = vec![0.0; width * height];
     let mut matcher = BlockMatcher::new(BlockMatchingParams { search_px: 240, ..Default::default() }).unwrap();
@@ -33,7 +35,7 @@ fn bad_pixels_on_aloe_stay_below_what_opencv_leaves() {
             gray(&left, width, height),
             gray(&right, width, height),
             roi,
-            &Threads(2),
+            &Threads::new(2),
             plane_mut(&mut raw, width, height),
             Some(plane_mut(&mut raw_right, width, height)),
         )
@@ -47,7 +49,7 @@ fn bad_pixels_on_aloe_stay_below_what_opencv_leaves() {
         roi,
     };
     let mut filter = WlsFilter::new(WlsParams::default()).unwrap();
-    filter.compute(input, &Threads(2), plane_mut(&mut filtered, width, height), None).unwrap();
+    filter.compute(input, &Threads::new(2), plane_mut(&mut filtered, width, height), None).unwrap();
     // OpenCV 4.6 with the same block: 35.5 % raw, 34.6 % after its WLS filter, missing counted as bad.
     for (map, limit) in [(&raw, 0.30), (&filtered, 0.24)] {
         let score = score_disparity(plane(map, width, height), plane(&truth, width, height), None).unwrap();

@@ -2,10 +2,11 @@
 
 mod stereo_common;
 
+use panoscope_base::Threads;
 use panoscope_imaging::stereo::{
-    BilateralSolver, BilateralSolverParams, FilterInput, Roi, StereoError, WlsFilter, WlsParams,
+    BilateralSolver, BilateralSolverParams, FilterInput, StereoError, WlsFilter, WlsParams,
 };
-use panoscope_imaging::{Parallel, Serial, View};
+use panoscope_imaging::{Parallel, Rect, Serial, View};
 use stereo_common::*;
 
 #[allow(clippy::large_enum_variant)]
@@ -45,7 +46,7 @@ impl Filter {
 }
 
 fn input<'a>(guide: View<'a, u8>, disparity: View<'a, f32>) -> FilterInput<'a> {
-    let roi = Roi::full(disparity.width, disparity.height);
+    let roi = Rect::whole(disparity.width, disparity.height);
     FilterInput { guide, disparity, disparity_right: None, confidence: None, roi }
 }
 
@@ -167,7 +168,7 @@ fn portable_and_simd_and_any_number_of_threads_agree() {
                 }
             })
             .collect();
-        let roi = Roi { x: 0, y: 2, width: width - 1, height: height - 5 };
+        let roi = Rect { x: 0, y: 2, width: width - 1, height: height - 5 };
         let right = disparity.clone();
         let mut input = input(View::new(&guide, width, height, 3), plane(&disparity, width, height));
         input.roi = roi;
@@ -176,7 +177,7 @@ fn portable_and_simd_and_any_number_of_threads_agree() {
             for (mut slow, number) in filters().into_iter().map(Filter::portable).zip(0..) {
                 let wanted = slow.run(input, &Serial);
                 for threads in [1, 2, 8] {
-                    let found = filters().remove(number).run(input, &Threads(threads));
+                    let found = filters().remove(number).run(input, &Threads::new(threads));
                     assert!(same_bits(&found.0, &wanted.0), "{width}x{height}, filter {number}, {threads} threads");
                     assert!(same_bits(&found.1, &wanted.1), "{width}x{height}, filter {number}, {threads} threads");
                 }
@@ -213,12 +214,12 @@ fn odd_sizes_and_wild_numbers_do_no_harm() {
         let disparity: Vec<f32> = (0..width * height).map(|i| wild[hash(i as i64, 7) as usize % wild.len()]).collect();
         let mut input = input(View::new(&guide, width, height, 3), plane(&disparity, width, height));
         input.disparity_right = Some(plane(&disparity, width, height));
-        input.roi = Roi::full(width + 100, height + 100);
+        input.roi = Rect::whole(width + 100, height + 100);
         for mut filter in filters() {
-            filter.run(input, &Threads(2));
+            filter.run(input, &Threads::new(2));
             let mut given = input;
             given.confidence = Some(plane(&disparity, width, height));
-            filter.run(given, &Threads(2));
+            filter.run(given, &Threads::new(2));
         }
     }
 }

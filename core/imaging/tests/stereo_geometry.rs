@@ -2,11 +2,12 @@
 
 mod stereo_common;
 
+use panoscope_base::Threads;
 use panoscope_imaging::stereo::{
-    CameraModel, Rectification, RectifiedCamera, RectifyParams, RemapTable, ReprojectInput, ReprojectParams, Roi,
+    CameraModel, Rectification, RectifiedCamera, RectifyParams, RemapTable, ReprojectInput, ReprojectParams,
     StereoCameras, StereoError, reproject,
 };
-use panoscope_imaging::{Serial, View, ViewMut};
+use panoscope_imaging::{Rect, Serial, View, ViewMut};
 use stereo_common::*;
 
 /// A pair of cameras with everything a real one has: distortion, a turn, an uneven baseline.
@@ -66,7 +67,7 @@ fn rectification_is_that_of_opencv() {
 fn the_map_goes_where_opencv_goes() {
     let cameras = cameras();
     let rectification = Rectification::new(&cameras, RectifyParams::default()).unwrap();
-    let map = RemapTable::left(&cameras.left, &rectification, Roi::full(640, 480), &Serial).unwrap();
+    let map = RemapTable::left(&cameras.left, &rectification, Rect::whole(640, 480), &Serial).unwrap();
     let remapped = |image: &[u8]| {
         let mut out = vec![0; 640 * 480];
         map.remap(gray(image, 640, 480), ViewMut::new(&mut out, 640, 480, 1), &Serial).unwrap();
@@ -148,13 +149,13 @@ fn an_identity_map_copies_and_simd_agrees_with_portable() {
     let same = RectifiedCamera { focal_px: 90.0, cx: 41.0, cy: 20.0 };
     let identity = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let bgr: Vec<u8> = (0..size.0 * size.1 * 3).map(|i| hash(i as i64, 8) as u8).collect();
-    let map = RemapTable::new(&plain, &identity, same, size, Roi::full(size.0, size.1), &Serial).unwrap();
+    let map = RemapTable::new(&plain, &identity, same, size, Rect::whole(size.0, size.1), &Serial).unwrap();
     let mut out = vec![0; bgr.len()];
-    map.remap(View::new(&bgr, size.0, size.1, 3), ViewMut::new(&mut out, size.0, size.1, 3), &Threads(2)).unwrap();
+    map.remap(View::new(&bgr, size.0, size.1, 3), ViewMut::new(&mut out, size.0, size.1, 3), &Threads::new(2)).unwrap();
     assert_eq!(out, bgr);
 
     let bent = CameraModel::new(size, (70.0, 75.0), (40.3, 19.2), &[-0.3, 0.1, 0.001, 0.002]).unwrap();
-    let roi = Roi { x: 2, y: 3, width: 75, height: 33 };
+    let roi = Rect { x: 2, y: 3, width: 75, height: 33 };
     let target = RectifiedCamera { focal_px: 55.0, cx: 41.0, cy: 20.0 };
     let fast = RemapTable::new(&bent, &identity, target, size, roi, &Serial).unwrap();
     let mut slow = fast.clone();
@@ -163,7 +164,7 @@ fn an_identity_map_copies_and_simd_agrees_with_portable() {
         let source = View::new(&bgr[..size.0 * size.1 * channels], size.0, size.1, channels);
         let mut a = vec![1; size.0 * size.1 * channels];
         let mut b = vec![2; size.0 * size.1 * channels];
-        fast.remap(source, ViewMut::new(&mut a, size.0, size.1, channels), &Threads(8)).unwrap();
+        fast.remap(source, ViewMut::new(&mut a, size.0, size.1, channels), &Threads::new(8)).unwrap();
         slow.remap(source, ViewMut::new(&mut b, size.0, size.1, channels), &Serial).unwrap();
         assert_eq!(a, b);
         assert!(a.iter().any(|value| *value > 0));
@@ -182,8 +183,8 @@ fn a_plane_comes_out_at_its_depth_and_flying_pixels_go() {
         left: camera,
         right: camera,
         baseline_mm: 10.0,
-        valid_left: Roi::full(size.0, size.1),
-        valid_right: Roi::full(size.0, size.1),
+        valid_left: Rect::whole(size.0, size.1),
+        valid_right: Rect::whole(size.0, size.1),
     };
     let mut disparity = vec![100.0; size.0 * size.1];
     disparity[10 * size.0 + 10] = 150.0;
@@ -195,13 +196,13 @@ fn a_plane_comes_out_at_its_depth_and_flying_pixels_go() {
     let input = ReprojectInput {
         disparity: plane(&disparity, size.0, size.1),
         confidence: None,
-        roi: Roi::full(size.0, size.1),
+        roi: Rect::whole(size.0, size.1),
     };
     let known = reproject(
         input,
         &found,
         &ReprojectParams::default(),
-        &Threads(2),
+        &Threads::new(2),
         plane_mut(&mut depth, size.0, size.1),
         Some(ViewMut::new(&mut points, size.0, size.1, 3)),
     )

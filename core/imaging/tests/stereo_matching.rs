@@ -2,10 +2,9 @@
 
 mod stereo_common;
 
-use panoscope_imaging::stereo::{
-    BlockMatcher, BlockMatchingParams, Roi, SemiGlobalMatcher, SemiGlobalParams, StereoError,
-};
-use panoscope_imaging::{Parallel, Serial};
+use panoscope_base::Threads;
+use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, SemiGlobalMatcher, SemiGlobalParams, StereoError};
+use panoscope_imaging::{Parallel, Rect, Serial};
 use stereo_common::*;
 
 /// Either matcher, with the parameters that differ set alike.
@@ -34,7 +33,7 @@ impl Matcher {
         left: &[u8],
         right: &[u8],
         (width, height): (usize, usize),
-        roi: Roi,
+        roi: Rect,
         pool: &dyn Parallel,
     ) -> (Vec<f32>, Vec<f32>) {
         let mut map = vec![7.0; width * height];
@@ -78,7 +77,7 @@ fn whole_and_fractional_shifts_are_found_in_both_views() {
     for shift in [0.0, 5.0, 17.0, 30.5, 12.25] {
         let (left, right) = plane_pair(size.0, size.1, [shift, 0.0, 0.0]);
         for mut matcher in matchers(0, 64) {
-            let (map, map_right) = matcher.run(&left, &right, size, Roi::full(size.0, size.1), &Serial);
+            let (map, map_right) = matcher.run(&left, &right, size, Rect::whole(size.0, size.1), &Serial);
             let limit = if shift.fract() == 0.0 { 0.1 } else { 0.25 };
             let (density, error) = errors(&map, size, 70, 190, |_, _| shift);
             assert!(density > 0.97 && error < limit, "left {shift}: density {density}, error {error}");
@@ -94,7 +93,7 @@ fn a_slanted_plane_is_found_to_a_fraction_of_a_pixel() {
     let slant = [8.0, 0.05, 0.03];
     let (left, right) = plane_pair(size.0, size.1, slant);
     for mut matcher in matchers(0, 64) {
-        let (map, _) = matcher.run(&left, &right, size, Roi::full(size.0, size.1), &Serial);
+        let (map, _) = matcher.run(&left, &right, size, Rect::whole(size.0, size.1), &Serial);
         let (density, error) = errors(&map, size, 40, 230, |x, y| slant[0] + slant[1] * x + slant[2] * y);
         assert!(density > 0.9 && error < 0.2, "density {density}, error {error}");
     }
@@ -104,7 +103,7 @@ fn a_slanted_plane_is_found_to_a_fraction_of_a_pixel() {
 fn an_offset_finds_what_a_search_from_zero_cannot() {
     let size = (400, 60);
     let (left, right) = plane_pair(size.0, size.1, [213.0, 0.0, 0.0]);
-    let roi = Roi { x: 220, y: 5, width: 150, height: 50 };
+    let roi = Rect { x: 220, y: 5, width: 150, height: 50 };
     for (mut far, mut near) in matchers(200, 32).into_iter().zip(matchers(0, 64)) {
         let (map, _) = far.run(&left, &right, size, roi, &Serial);
         let (density, error) = errors(&map, size, 235, 360, |_, _| 213.0);
@@ -120,7 +119,7 @@ fn swapped_views_give_negative_disparities() {
     let size = (200, 60);
     let (left, right) = plane_pair(size.0, size.1, [9.0, 0.0, 0.0]);
     for mut matcher in matchers(-32, 32) {
-        let (map, _) = matcher.run(&right, &left, size, Roi::full(size.0, size.1), &Serial);
+        let (map, _) = matcher.run(&right, &left, size, Rect::whole(size.0, size.1), &Serial);
         let (density, error) = errors(&map, size, 15, 150, |_, _| -9.0);
         assert!(density > 0.97 && error < 0.1, "density {density}, error {error}");
     }
@@ -130,7 +129,7 @@ fn swapped_views_give_negative_disparities() {
 fn nothing_is_written_outside_the_roi_and_unmatched_is_nan() {
     let size = (120, 70);
     let (left, right) = plane_pair(size.0, size.1, [6.0, 0.0, 0.0]);
-    let roi = Roi { x: 30, y: 20, width: 40, height: 25 };
+    let roi = Rect { x: 30, y: 20, width: 40, height: 25 };
     for mut matcher in matchers(0, 32) {
         let (map, _) = matcher.run(&left, &right, size, roi, &Serial);
         let mut known = 0;
@@ -148,7 +147,7 @@ fn nothing_is_written_outside_the_roi_and_unmatched_is_nan() {
     let flat = vec![90; size.0 * size.1];
     let mut matcher = BlockMatcher::new(BlockMatchingParams::default()).unwrap();
     let mut map = vec![0.0; flat.len()];
-    let (view, full) = (gray(&flat, size.0, size.1), Roi::full(size.0, size.1));
+    let (view, full) = (gray(&flat, size.0, size.1), Rect::whole(size.0, size.1));
     matcher.compute(view, view, full, &Serial, plane_mut(&mut map, size.0, size.1), None).unwrap();
     assert!(map.iter().all(|value| value.is_nan()));
 }
@@ -161,14 +160,14 @@ fn portable_and_simd_and_any_number_of_threads_agree() {
         for (index, value) in right.iter_mut().enumerate() {
             *value = value.saturating_add((hash(index as i64, 3) % 9) as u8);
         }
-        let roi = Roi { x: 3, y: 1, width: 140, height: 226 };
+        let roi = Rect { x: 3, y: 1, width: 140, height: 226 };
         let fast = matchers(min, search).into_iter();
         let slow = matchers(min, search).into_iter().map(Matcher::portable);
         for (mut fast, mut slow) in fast.zip(slow) {
             let wanted = slow.run(&left, &right, size, roi, &Serial);
             assert!(wanted.0.iter().any(|value| value.is_finite()));
             for threads in [1, 2, 8] {
-                let found = fast.run(&left, &right, size, roi, &Threads(threads));
+                let found = fast.run(&left, &right, size, roi, &Threads::new(threads));
                 assert!(same_bits(&found.0, &wanted.0), "left, {min} {search}, {threads} threads");
                 assert!(same_bits(&found.1, &wanted.1), "right, {min} {search}, {threads} threads");
             }
@@ -182,7 +181,7 @@ fn sizes_without_room_do_no_harm() {
         let left: Vec<u8> = (0..size.0 * size.1).map(|i| hash(i as i64, 0) as u8).collect();
         for (min, search) in [(0, 32), (-200, 64), (500, 64), (2, 512)] {
             for mut matcher in matchers(min, search) {
-                matcher.run(&left, &left, size, Roi::full(9999, 9999), &Threads(2));
+                matcher.run(&left, &left, size, Rect::whole(9999, 9999), &Threads::new(2));
             }
         }
     }
@@ -196,7 +195,7 @@ fn wrong_inputs_are_named() {
     let refused = matcher.compute(
         gray(&data, 20, 20),
         gray(&data, 40, 10),
-        Roi::full(20, 20),
+        Rect::whole(20, 20),
         &Serial,
         plane_mut(&mut map, 20, 20),
         None,

@@ -170,7 +170,7 @@ impl<'f> Context<'f> {
     }
 }
 
-impl panoscope_imaging::Report for Context<'_> {
+impl panoscope_base::Report for Context<'_> {
     fn warn(&self, message: &str) {
         Context::warn(self, message);
     }

@@ -1,5 +1,8 @@
 //! Packets `detections` and `instances`: boxes with their label table, and bit masks.
 
+use panoscope_base::packet;
+pub use panoscope_base::packet::mask_len;
+
 use crate::abi::{self, Detection, DetectionsHeader};
 use crate::error::{NodeError, Result};
 use crate::input::{FromFrame, bytes};
@@ -16,53 +19,33 @@ pub enum LabeledInstances {}
 
 // SAFETY: repr(C), fields ordered by size without padding (sizes asserted).
 unsafe impl Plain for Detection {}
-// SAFETY: as above.
+// SAFETY: repr(C), four u32 and a u64, no padding (size asserted).
 unsafe impl Plain for DetectionsHeader {}
 const _: () = assert!(size_of::<Detection>() == 32 && size_of::<DetectionsHeader>() == 24);
 
 /// Boxes found in an image.
 #[derive(Clone, Copy)]
 pub struct Detections<'f> {
-    header: &'f DetectionsHeader,
+    list: packet::Detections<'f>,
     items: &'f [Detection],
-    labels: &'f str,
-    masks: &'f [u8],
     tick: abi::Tick,
 }
 
-/// Bytes of one instance's bit mask.
-pub fn mask_len(image_width: usize, image_height: usize) -> usize {
-    image_width.div_ceil(8) * image_height
-}
-
-fn parse(frame: &abi::Frame, with_masks: bool) -> Result<Detections<'_>> {
-    let all = bytes(frame);
-    let short = || NodeError::new(format!("a list of detections is cut off after {} bytes", all.len()));
-    if all.len() < size_of::<DetectionsHeader>() || !frame.data.addr().is_multiple_of(8) {
-        return Err(short());
+fn typed<'f>(frame: &'f abi::Frame, list: packet::Detections<'f>) -> Result<Detections<'f>> {
+    let entries = list.entries();
+    if !entries.as_ptr().addr().is_multiple_of(align_of::<Detection>()) {
+        return Err(NodeError::new("the entries of a list of detections are not aligned to 8 bytes"));
     }
-    // SAFETY: length and alignment checked; plain data.
-    let header = unsafe { &*all.as_ptr().cast::<DetectionsHeader>() };
-    let items_at = size_of::<DetectionsHeader>();
-    let labels_at = items_at + header.count as usize * size_of::<Detection>();
-    let masks_at = labels_at + header.labels_len as usize;
-    let one_mask = if with_masks { mask_len(header.image_width as usize, header.image_height as usize) } else { 0 };
-    // Sizes come from another plugin: the products may overflow.
-    let Some(masks_len) = one_mask.checked_mul(header.count as usize) else { return Err(short()) };
-    if all.len() < masks_at || all.len() - masks_at < masks_len {
-        return Err(short());
-    }
-    // SAFETY: inside the buffer (checked), aligned to 8 like the header.
-    let items = unsafe { std::slice::from_raw_parts(all.as_ptr().add(items_at).cast(), header.count as usize) };
-    let labels = std::str::from_utf8(&all[labels_at..masks_at])?;
-    Ok(Detections { header, items, labels, masks: &all[masks_at..masks_at + masks_len], tick: frame.tick })
+    // SAFETY: the entries are inside the frame and, as just checked, aligned; plain data has no invalid bit pattern.
+    let items = unsafe { std::slice::from_raw_parts(entries.as_ptr().cast(), list.len()) };
+    Ok(Detections { list, items, tick: frame.tick })
 }
 
 impl<'f> FromFrame<'f> for Detections<'f> {
     const PORT: abi::Port = nameless("detections", 0, 0, 0);
 
     fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
-        parse(frame, false)
+        typed(frame, packet::Detections::parse(bytes(frame))?)
     }
 }
 
@@ -79,17 +62,17 @@ impl<'f> Detections<'f> {
 
     /// Name of a class; empty when the table has none.
     pub fn label(&self, class_index: u32) -> &'f str {
-        self.labels.lines().nth(class_index as usize).unwrap_or("")
+        self.list.label(class_index).unwrap_or("")
     }
 
     /// All names of classes.
     pub fn labels(&self) -> impl Iterator<Item = &'f str> + use<'f> {
-        self.labels.lines()
+        self.list.labels()
     }
 
     /// Width and height in px of the image that was searched.
     pub fn image_size(&self) -> (usize, usize) {
-        (self.header.image_width as usize, self.header.image_height as usize)
+        self.list.image_size()
     }
 }
 
@@ -103,7 +86,8 @@ impl<'f> FromFrame<'f> for Instances<'f> {
     const PORT: abi::Port = nameless("instances", 0, 0, 0);
 
     fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
-        Ok(Self { detections: parse(frame, true)? })
+        let list = packet::Detections::parse_instances(bytes(frame))?;
+        Ok(Self { detections: typed(frame, list)? })
     }
 }
 
@@ -115,9 +99,7 @@ impl<'f> Instances<'f> {
 
     /// Bit mask of instance `index`: whole image, rows padded to whole bytes, most significant bit first.
     pub fn mask(&self, index: usize) -> &'f [u8] {
-        let (width, height) = self.detections.image_size();
-        let len = mask_len(width, height);
-        self.detections.masks.get(index * len..(index + 1) * len).unwrap_or(&[])
+        self.detections.list.mask(index)
     }
 }
 

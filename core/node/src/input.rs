@@ -3,11 +3,13 @@
 use std::marker::PhantomData;
 use std::ops::Deref;
 
+use panoscope_base::format;
+
 use crate::View;
 use crate::abi;
 use crate::error::{NodeError, Result};
 use crate::host;
-use crate::packet::{IMAGE_FORMATS, Packet, Plain, Plane};
+use crate::packet::{Packet, Plain, Plane};
 use crate::port::{PortField, RawCall, nameless};
 
 /// A type made from one frame.
@@ -129,12 +131,9 @@ impl<P> Copy for Image<'_, P> {}
 #[inline]
 fn checked_len(frame: &abi::Frame, channels: usize, size: usize) -> Result<usize> {
     let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
-    let row = width * channels * size;
-    // Sizes come from another plugin: the sum may overflow.
-    let need = if height == 0 { Some(0) } else { ((height - 1) * stride).checked_add(row) };
     let aligned = (stride | frame.data.addr()) & (size - 1) == 0;
-    match need {
-        Some(need) if stride >= row && aligned && need <= frame.len => Ok(need),
+    match format::image_bytes(width, height, stride, channels * size) {
+        Some(need) if aligned && need <= frame.len => Ok(need),
         _ => Err(misfit(frame)),
     }
 }
@@ -211,19 +210,14 @@ pub struct AnyImage<'f> {
 }
 
 impl<'f> FromFrame<'f> for AnyImage<'f> {
-    const PORT: abi::Port = nameless("image", 0, IMAGE_FORMATS, 0);
+    const PORT: abi::Port = nameless("image", 0, format::IMAGE_FORMATS, 0);
 
     #[inline]
     fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
-        let (channels, size) = match frame.format {
-            abi::FORMAT_GRAY8 => (1, 1),
-            abi::FORMAT_BGR8 => (3, 1),
-            abi::FORMAT_RGBA8 => (4, 1),
-            abi::FORMAT_GRAY16 => (1, 2),
-            abi::FORMAT_F32 => (1, 4),
-            other => return Err(no_image(other)),
+        match format::of(frame.format) {
+            Some(format) if format.is_image => checked_len(frame, format.channels, format.element_bytes)?,
+            _ => return Err(no_image(frame.format)),
         };
-        checked_len(frame, channels, size)?;
         Ok(Self { frame })
     }
 }

@@ -32,7 +32,7 @@ pub use packet::{
     PointCloud, Rgba8, TextPacket, name16, name32,
 };
 pub use panoscope_abi as abi;
-pub use panoscope_imaging::{Parallel, View, ViewMut, random};
+pub use panoscope_base::{Parallel, Rect, View, ViewMut, random};
 pub use panoscope_node_derive::{Choice, Packet, Params, Ports};
 pub use param::{Choice, ParamField, Params};
 pub use port::{NoPorts, PortField, Ports, RawCall};

@@ -1,11 +1,12 @@
 //! Typed outputs: buffers of the host, moved to it when the call returns. An output that is not made is empty.
 
+use panoscope_base::format::IMAGE_FORMATS;
 use std::marker::PhantomData;
 
 use crate::ViewMut;
 use crate::abi;
 use crate::error::{NodeError, Result};
-use crate::packet::{AnyFormat, IMAGE_FORMATS, Packet, Plain, Plane, PlaneFormat, PointCloud, TextPacket, bytes_of};
+use crate::packet::{AnyFormat, Packet, Plain, Plane, PlaneFormat, PointCloud, TextPacket, bytes_of};
 use crate::port::{PortField, RawCall, nameless};
 
 /// An output port.

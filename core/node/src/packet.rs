@@ -136,13 +136,6 @@ pub enum PointCloud {}
 #[derive(Clone, Copy, Debug)]
 pub enum TextPacket {}
 
-/// Formats of `image`, as a bit set.
-pub(crate) const IMAGE_FORMATS: u32 = abi::format_bit(abi::FORMAT_GRAY8)
-    | abi::format_bit(abi::FORMAT_BGR8)
-    | abi::format_bit(abi::FORMAT_RGBA8)
-    | abi::format_bit(abi::FORMAT_GRAY16)
-    | abi::format_bit(abi::FORMAT_F32);
-
 /// The bytes of plain data.
 pub(crate) fn bytes_of<T: Plain>(items: &[T]) -> &[u8] {
     // SAFETY: plain data has no padding, so every byte is initialised.

@@ -1,5 +1,7 @@
 //! Packet `table`: named columns of numbers.
 
+use panoscope_base::packet;
+
 use crate::abi::{self, TableHeader};
 use crate::error::{NodeError, Result};
 use crate::input::{FromFrame, bytes};
@@ -18,8 +20,7 @@ const _: () = assert!(size_of::<TableHeader>() == 16);
 /// Named columns of numbers.
 #[derive(Clone, Copy)]
 pub struct Table<'f> {
-    names: &'f str,
-    columns: usize,
+    table: packet::Table<'f>,
     values: &'f [f64],
 }
 
@@ -27,35 +28,26 @@ impl<'f> FromFrame<'f> for Table<'f> {
     const PORT: abi::Port = nameless("table", 0, 0, 0);
 
     fn from_frame(frame: &'f abi::Frame) -> Result<Self> {
-        let all = bytes(frame);
-        let short = || NodeError::new(format!("a table is cut off after {} bytes", all.len()));
-        if all.len() < size_of::<TableHeader>() || !frame.data.addr().is_multiple_of(8) {
-            return Err(short());
+        let table = packet::Table::parse(bytes(frame))?;
+        let cells = table.cells();
+        if !cells.as_ptr().addr().is_multiple_of(align_of::<f64>()) {
+            return Err(NodeError::new("the numbers of a table are not aligned to 8 bytes"));
         }
-        // SAFETY: length and alignment checked; plain data.
-        let header = unsafe { &*all.as_ptr().cast::<TableHeader>() };
-        let names_at = size_of::<TableHeader>();
-        let values_at = names_at + header.names_len as usize;
-        let count = header.rows as usize * header.columns as usize;
-        if !values_at.is_multiple_of(8) || all.len() < values_at || (all.len() - values_at) / 8 < count {
-            return Err(short());
-        }
-        let names = std::str::from_utf8(&all[names_at..values_at])?.trim_end_matches('\0');
-        // SAFETY: inside the buffer and a multiple of 8 from its aligned start.
-        let values = unsafe { std::slice::from_raw_parts(all.as_ptr().add(values_at).cast(), count) };
-        Ok(Self { names, columns: header.columns as usize, values })
+        // SAFETY: the cells are inside the frame and, as just checked, aligned; every bit pattern is a number.
+        let values = unsafe { std::slice::from_raw_parts(cells.as_ptr().cast(), cells.len() / size_of::<f64>()) };
+        Ok(Self { table, values })
     }
 }
 
 impl<'f> Table<'f> {
     /// Column names with their units, such as `distance_mm`.
     pub fn names(&self) -> impl Iterator<Item = &'f str> + use<'f> {
-        self.names.lines()
+        self.table.names()
     }
 
     /// Rows of `columns` numbers.
     pub fn rows(&self) -> impl Iterator<Item = &'f [f64]> + use<'f> {
-        self.values.chunks_exact(self.columns.max(1))
+        self.values.chunks_exact(self.table.columns().max(1))
     }
 }
 

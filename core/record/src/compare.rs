@@ -3,9 +3,10 @@
 use std::collections::{BTreeSet, HashMap};
 
 use panoscope_abi::{self as abi, Tick};
+use panoscope_base::packet::{Cloud, PacketError};
 
 pub use crate::content::FirstCell;
-use crate::content::{self, Apart, Table};
+use crate::content::{self, Apart};
 use crate::digest::{Digests, PacketDigest, PortDigest, row_bytes};
 use crate::format::PacketHead;
 use crate::recording::{Packet, Recording, RecordingError};
@@ -180,7 +181,7 @@ fn amount(
         let plain = packet.head.format == abi::FORMAT_BYTES;
         if plain && other.head.format == abi::FORMAT_BYTES {
             let (bytes, others) = (a.bytes(port, packet)?, b.bytes(port, other)?);
-            if let (Some(one), Some(two)) = (Table::read(&bytes), Table::read(&others)) {
+            if let (Some(one), Some(two)) = (content::table(&bytes), content::table(&others)) {
                 if sums.take(tick, &content::tables(&one, &two, tolerance)) {
                     differing.push(tick);
                 }
@@ -190,12 +191,12 @@ fn amount(
         let shape = |h: &PacketHead| (h.format, h.width, h.height);
         if packet.head.format == abi::FORMAT_CLOUD && shape(&packet.head) == shape(&other.head) {
             let (bytes, others) = (a.bytes(port, packet)?, b.bytes(port, other)?);
-            let size = (packet.head.width as usize, packet.head.height as usize);
-            let strides = (packet.head.stride_bytes as usize, other.head.stride_bytes as usize);
-            if sums.take(tick, &content::clouds(size, (&bytes, strides.0), (&others, strides.1), tolerance)) {
-                differing.push(tick);
+            if let (Ok(one), Ok(two)) = (cloud(&packet.head, &bytes), cloud(&other.head, &others)) {
+                if sums.take(tick, &content::clouds(&one, &two, tolerance)) {
+                    differing.push(tick);
+                }
+                continue;
             }
-            continue;
         }
         differing.push(tick);
         if shape(&packet.head) != shape(&other.head) || (plain && packet.head.len != other.head.len) {
@@ -213,6 +214,10 @@ fn amount(
         content: sums.content,
     };
     Ok((amount, differing))
+}
+
+fn cloud<'b>(head: &PacketHead, bytes: &'b [u8]) -> Result<Cloud<'b>, PacketError> {
+    Cloud::parse(bytes, head.width as usize, head.height as usize, head.stride_bytes as usize)
 }
 
 /// The numbers of a pixel or byte group.

@@ -1,48 +1,17 @@
 //! Comparing packets by what they mean: tables cell by cell, clouds point by point.
 
-use std::mem::offset_of;
-
-use panoscope_abi as abi;
-
-/// Bytes of a cloud's point: x, y, z as f32, then colour.
-const POINT_BYTES: usize = 16;
+use panoscope_abi::CloudPoint;
+use panoscope_base::packet::{Cloud, Table};
 
 /// Whether two numbers are equal: both unknown, or apart by no more than `tolerance` of the larger one, of 1 at least.
 pub(super) fn is_equal(a: f64, b: f64, tolerance: f64) -> bool {
     (a.is_nan() && b.is_nan()) || a == b || (a - b).abs() <= tolerance * a.abs().max(b.abs()).max(1.0)
 }
 
-/// A table packet.
-#[derive(Debug, PartialEq)]
-pub(super) struct Table<'a> {
-    columns: Vec<&'a str>,
-    rows: usize,
-    cells: &'a [u8],
-}
-
-impl<'a> Table<'a> {
-    /// Reads a packet that is a table from its first byte to its last; `None` for all others. Packets do not name their type, but nothing
-    /// else fills its length like that.
-    pub fn read(bytes: &'a [u8]) -> Option<Self> {
-        let count = |at: usize| {
-            let bytes: [u8; 4] = bytes.get(at..at + 4)?.try_into().ok()?;
-            usize::try_from(u32::from_le_bytes(bytes)).ok()
-        };
-        let rows = count(offset_of!(abi::TableHeader, rows))?;
-        let columns = count(offset_of!(abi::TableHeader, columns))?;
-        let names_len = count(offset_of!(abi::TableHeader, names_len))?;
-        let (_, rest) = bytes.split_at_checked(size_of::<abi::TableHeader>())?;
-        let (names, cells) = rest.split_at_checked(names_len)?;
-        let names = std::str::from_utf8(names).ok()?.trim_end_matches('\0');
-        let names: Vec<&str> = names.split('\n').collect();
-        let fits = rows.checked_mul(columns)?.checked_mul(8)? == cells.len();
-        (columns > 0 && names.len() == columns && fits).then_some(Self { columns: names, rows, cells })
-    }
-
-    fn cell(&self, row: usize, column: usize) -> f64 {
-        let at = (row * self.columns.len() + column) * 8;
-        self.cells.get(at..at + 8).and_then(|b| b.try_into().ok()).map_or(f64::NAN, f64::from_le_bytes)
-    }
+/// Reads a packet that is a table from its first byte to its last; `None` for all others. Packets do not name their type, but nothing
+/// else fills its length like that.
+pub(super) fn table(bytes: &[u8]) -> Option<Table<'_>> {
+    Table::parse(bytes).ok().filter(|table| table.columns() > 0 && table.byte_len() == bytes.len())
 }
 
 /// What differs first in a table.
@@ -81,18 +50,14 @@ pub(super) struct Apart {
 pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> Apart {
     let mut apart = Apart::default();
     let alone = |in_a: &Table<'_>, in_b: &Table<'_>, first: bool| {
-        let missing = in_a.columns.iter().find(|name| !in_b.columns.contains(name));
-        missing.map(|name| FirstCell::Column((*name).to_owned(), first))
+        let missing = in_a.names().find(|name| in_b.column(name).is_none());
+        missing.map(|name| FirstCell::Column(name.to_owned(), first))
     };
-    let shared: Vec<(usize, usize)> = a
-        .columns
-        .iter()
-        .enumerate()
-        .filter_map(|(at, name)| Some((at, b.columns.iter().position(|other| other == name)?)))
-        .collect();
-    for row in 0..a.rows.min(b.rows) {
-        for &(left, right) in &shared {
-            let (x, y) = (a.cell(row, left), b.cell(row, right));
+    let shared: Vec<(&str, usize, usize)> =
+        a.names().enumerate().filter_map(|(at, name)| Some((name, at, b.column(name)?))).collect();
+    for row in 0..a.rows().min(b.rows()) {
+        for &(name, left, right) in &shared {
+            let (Some(x), Some(y)) = (a.value(row, left), b.value(row, right)) else { continue };
             apart.values += 1.0;
             let by = (x - y).abs();
             if by.is_finite() {
@@ -101,39 +66,26 @@ pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> Apart {
             }
             if !is_equal(x, y, tolerance) {
                 apart.differing += 1.0;
-                apart.first_cell.get_or_insert_with(|| FirstCell::Value(row + 1, a.columns[left].to_owned(), x, y));
+                apart.first_cell.get_or_insert_with(|| FirstCell::Value(row + 1, name.to_owned(), x, y));
             }
         }
     }
     let column = alone(a, b, true).or_else(|| alone(b, a, false));
-    let rows = (a.rows != b.rows).then_some(FirstCell::Rows(a.rows, b.rows));
+    let rows = (a.rows() != b.rows()).then_some(FirstCell::Rows(a.rows(), b.rows()));
     apart.other_shape = column.is_some() || rows.is_some();
     apart.first_cell = apart.first_cell.or(column).or(rows);
     apart.differs = apart.first_cell.is_some();
     apart
 }
 
-/// A point of a cloud: x, y, z in mm, NaN where unknown, and its colour.
-fn point(bytes: &[u8]) -> ([f64; 3], &[u8]) {
-    let number = |at: usize| {
-        let four = bytes.get(at..at + 4).and_then(|b| b.try_into().ok());
-        four.map_or(f64::NAN, |b| f64::from(f32::from_le_bytes(b)))
-    };
-    ([number(0), number(4), number(8)], bytes.get(12..15).unwrap_or_default())
-}
-
-/// Compares two clouds of the same size, point by point; `strides` are the bytes from row to row. Distances and `tolerance` in mm.
-pub(super) fn clouds(size: (usize, usize), a: (&[u8], usize), b: (&[u8], usize), tolerance: f64) -> Apart {
+/// Compares two clouds of the same size, point by point; distances and `tolerance` in mm.
+pub(super) fn clouds(a: &Cloud<'_>, b: &Cloud<'_>, tolerance: f64) -> Apart {
     let mut apart = Apart::default();
-    let (width, height) = size;
-    for y in 0..height {
-        for x in 0..width {
-            let of = |(bytes, stride): (&'_ [u8], usize)| {
-                let at = y * stride + x * POINT_BYTES;
-                bytes.get(at..at + POINT_BYTES).map(<[u8]>::to_vec).unwrap_or_default()
-            };
-            let (left, right) = (of(a), of(b));
-            let ((p, left_color), (q, right_color)) = (point(&left), point(&right));
+    for y in 0..a.height() {
+        for x in 0..a.width() {
+            let (Some(left), Some(right)) = (a.point(x, y), b.point(x, y)) else { continue };
+            let place = |point: &CloudPoint| [point.x_mm, point.y_mm, point.z_mm].map(f64::from);
+            let (p, q) = (place(&left), place(&right));
             apart.values += 1.0;
             let known = |p: &[f64; 3]| p.iter().all(|v| v.is_finite());
             let mut differs = false;
@@ -145,7 +97,7 @@ pub(super) fn clouds(size: (usize, usize), a: (&[u8], usize), b: (&[u8], usize),
                         (apart.largest, apart.farthest) = (distance, Some((x, y)));
                     }
                     differs = distance > tolerance;
-                    if left_color != right_color {
+                    if left.bgr != right.bgr {
                         apart.recoloured += 1;
                         differs = true;
                     }
@@ -180,7 +132,7 @@ mod tests {
     }
 
     fn compare(a: &[u8], b: &[u8], tolerance: f64) -> Apart {
-        tables(&Table::read(a).expect("a table"), &Table::read(b).expect("a table"), tolerance)
+        tables(&super::table(a).expect("a table"), &super::table(b).expect("a table"), tolerance)
     }
 
     #[test]
@@ -202,7 +154,7 @@ mod tests {
         assert_eq!(compare(&a, &longer, 0.0).first_cell, Some(FirstCell::Rows(2, 3)));
         assert!(compare(&a, &longer, 0.0).other_shape);
         // What is no table is none, wherever it is cut.
-        (0..a.len()).for_each(|len| assert_eq!(Table::read(&a[..len]), None, "{len}"));
+        (0..a.len()).for_each(|len| assert_eq!(super::table(&a[..len]), None, "{len}"));
     }
 
     fn cloud(points: &[[f32; 3]]) -> Vec<u8> {
@@ -216,18 +168,21 @@ mod tests {
         let unknown = [f32::NAN; 3];
         let a = cloud(&[[0.0, 0.0, 50.0], [1.0, 0.0, 50.0], unknown, [2.0, 0.0, 50.0]]);
         let b = cloud(&[[0.0, 0.0, 50.25], [1.0, 3.0, 54.0], [9.0, 9.0, 9.0], unknown]);
-        let size = (2, 2);
-        let apart = clouds(size, (&a, 32), (&b, 32), 0.5);
+        let clouds = |a: &[u8], b: &[u8], tolerance: f64| {
+            let parsed = |bytes| Cloud::parse(bytes, 2, 2, 32).expect("a cloud");
+            super::clouds(&parsed(a), &parsed(b), tolerance)
+        };
+        let apart = clouds(&a, &b, 0.5);
         assert_eq!((apart.largest, apart.farthest), (5.0, Some((1, 0))));
         assert_eq!((apart.only_in_one, apart.differing, apart.recoloured), (2, 3.0, 0));
-        assert!(!clouds(size, (&a, 32), (&a, 32), 0.0).differs);
+        assert!(!clouds(&a, &a, 0.0).differs);
         let mut recoloured = a.clone();
         recoloured[12] = 9;
-        let apart = clouds(size, (&a, 32), (&recoloured, 32), 0.5);
+        let apart = clouds(&a, &recoloured, 0.5);
         assert_eq!((apart.recoloured, apart.differs, apart.largest), (1, true, 0.0));
         // The fourth byte of a colour means nothing.
         let mut padded = a.clone();
         padded[15] = 9;
-        assert!(!clouds(size, (&a, 32), (&padded, 32), 0.0).differs);
+        assert!(!clouds(&a, &padded, 0.0).differs);
     }
 }

@@ -5,7 +5,8 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
 use std::path::Path;
 
-use panoscope_abi::{self as abi, Frame};
+use panoscope_abi::Frame;
+use panoscope_base::format::pixel_bytes;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
@@ -13,15 +14,7 @@ use panoscope_engine::memory::FrameRef;
 
 /// Bytes of a row's pixels, without what pads it.
 pub(crate) fn row_bytes(format: u32, width: u32) -> usize {
-    let per_pixel = match format {
-        abi::FORMAT_GRAY8 => 1,
-        abi::FORMAT_BGR8 => 3,
-        abi::FORMAT_RGBA8 | abi::FORMAT_F32 => 4,
-        abi::FORMAT_GRAY16 => 2,
-        abi::FORMAT_CLOUD => 16,
-        _ => 0,
-    };
-    width as usize * per_pixel
+    width as usize * pixel_bytes(format)
 }
 
 /// XXH3 of a packet's description and pixels. What pads the rows is left out: nobody promises anything about it.

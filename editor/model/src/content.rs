@@ -1,9 +1,7 @@
 //! What a packet without a picture holds, as numbers: for curves, trails and boxes. Runs on the observer's thread.
 
-use std::mem::offset_of;
-
 use panoscope_abi as abi;
-use panoscope_engine::numbers;
+use panoscope_base::packet::{self, Detections, Numbers, PacketError, decode};
 
 /// Most entries of a list that are read.
 const MOST: usize = 256;
@@ -57,92 +55,53 @@ pub struct Rig {
     pub rms_px: f64,
 }
 
-struct Plain<'b>(&'b [u8]);
-
-impl Plain<'_> {
-    fn array<const N: usize>(&self, at: usize) -> Option<[u8; N]> {
-        self.0.get(at..at.checked_add(N)?)?.try_into().ok()
-    }
-    fn f64(&self, at: usize) -> f64 {
-        self.array(at).map_or(f64::NAN, f64::from_le_bytes)
-    }
-    fn f32(&self, at: usize) -> f32 {
-        self.array(at).map_or(f32::NAN, f32::from_le_bytes)
-    }
-    fn u32(&self, at: usize) -> u32 {
-        self.array(at).map_or(0, u32::from_le_bytes)
-    }
-    fn text(&self, at: usize, len: usize) -> String {
-        let bytes = at.checked_add(len).and_then(|end| self.0.get(at..end)).unwrap_or_default();
-        String::from_utf8_lossy(bytes).trim_end_matches('\0').to_owned()
-    }
+/// Reads a packet; [`Content::Nothing`] for what is not a whole packet of that type.
+pub fn read(bytes: &[u8], packet: &str) -> Content {
+    try_read(bytes, packet).unwrap_or_default()
 }
 
-/// Reads a packet; what lies beyond its end reads as nothing.
-pub fn read(bytes: &[u8], packet: &str) -> Content {
-    let p = Plain(bytes);
-    match packet {
-        "detections" | "instances" => Content::Boxes(boxes(&p)),
-        "tip" if p.u32(offset_of!(abi::Tip, xyz_valid)) != 0 => {
-            let at = offset_of!(abi::Tip, xyz_mm);
-            Content::Tip([0, 8, 16].map(|k| p.f64(at + k)))
+fn try_read(bytes: &[u8], kind: &str) -> Result<Content, PacketError> {
+    Ok(match kind {
+        "detections" | "instances" => Content::Boxes(boxes(&Detections::parse(bytes)?)),
+        "tip" => {
+            let tip: abi::Tip = decode(bytes)?;
+            if tip.xyz_valid == 0 { Content::Nothing } else { Content::Tip(tip.xyz_mm) }
         }
         "pose" => {
-            let (turn, place) = (offset_of!(abi::Pose, a_from_b_wxyz), offset_of!(abi::Pose, a_from_b_mm));
-            Content::Pose {
-                wxyz: [0, 8, 16, 24].map(|k| p.f64(turn + k)),
-                mm: [0, 8, 16].map(|k| p.f64(place + k)),
-                frames: (p.text(offset_of!(abi::Pose, a), 16), p.text(offset_of!(abi::Pose, b), 16)),
-            }
+            let pose: abi::Pose = decode(bytes)?;
+            let frames = (packet::name(&pose.a), packet::name(&pose.b));
+            Content::Pose { wxyz: pose.a_from_b_wxyz, mm: pose.a_from_b_mm, frames }
         }
-        "scalar" | "table" => match numbers::read(bytes, packet) {
-            Some(told) if told.names == abi::LINK_COLUMNS => {
-                Content::Links(told.rows().filter_map(|row| row.try_into().ok()).collect())
+        "scalar" | "table" => match Numbers::read(bytes, kind)? {
+            Some(numbers) if numbers.names == abi::LINK_COLUMNS => {
+                Content::Links(numbers.rows().filter_map(|row| row.try_into().ok()).collect())
             }
-            Some(told) => told.first_row().map_or(Content::Nothing, Content::Numbers),
+            Some(numbers) => numbers.first_row().map_or(Content::Nothing, Content::Numbers),
             None => Content::Nothing,
         },
         "calibration" => {
-            let number = |at: usize| p.f64(at);
-            let focal_px = number(offset_of!(abi::Calibration, left_projection));
-            // Without a projection the camera's own will do.
-            let left = offset_of!(abi::Calibration, left) + offset_of!(abi::Camera, fx);
+            let calibration: abi::Calibration = decode(bytes)?;
+            // Without a projection the camera's own focal length serves.
+            let [projected, ..] = calibration.left_projection;
             let rig = Rig {
-                focal_px: if focal_px > 0.0 { focal_px } else { number(left) },
-                baseline_mm: number(offset_of!(abi::Calibration, baseline_mm)),
-                rms_px: number(offset_of!(abi::Calibration, rms_px)),
+                focal_px: if projected > 0.0 { projected } else { calibration.left.fx },
+                baseline_mm: calibration.baseline_mm,
+                rms_px: calibration.rms_px,
             };
             if rig.focal_px > 0.0 && rig.baseline_mm > 0.0 { Content::Rig(rig) } else { Content::Nothing }
         }
         _ => Content::Nothing,
-    }
+    })
 }
 
-fn boxes(p: &Plain<'_>) -> Vec<Found> {
-    use abi::{Detection, DetectionsHeader};
-    let count = p.u32(offset_of!(DetectionsHeader, count)) as usize;
-    let start = size_of::<DetectionsHeader>();
-    let labels_at = count.checked_mul(size_of::<Detection>()).and_then(|n| n.checked_add(start));
-    let labels_len = p.u32(offset_of!(DetectionsHeader, labels_len)) as usize;
-    let labels = labels_at.map(|at| p.text(at, labels_len)).unwrap_or_default();
-    let labels: Vec<&str> = labels.split('\n').collect();
-    let size = [offset_of!(DetectionsHeader, image_width), offset_of!(DetectionsHeader, image_height)];
-    let [width, height] = size.map(|at| p.u32(at).max(1) as f32);
-    let found = (0..count.min(MOST)).map(|k| {
-        let at = start + k * size_of::<Detection>();
-        let number = |field: usize| p.f32(at + field);
-        let class = p.u32(at + offset_of!(Detection, class_index));
-        let label = labels.get(class as usize).copied().unwrap_or("?");
-        Found {
-            share: [
-                number(offset_of!(Detection, x_px)) / width,
-                number(offset_of!(Detection, y_px)) / height,
-                number(offset_of!(Detection, width_px)) / width,
-                number(offset_of!(Detection, height_px)) / height,
-            ],
-            words: format!("{label} {:.0} %", number(offset_of!(Detection, score)) * 100.0),
-            class,
-        }
+fn boxes(list: &Detections<'_>) -> Vec<Found> {
+    let labels: Vec<&str> = list.labels().collect();
+    let (width, height) = list.image_size();
+    let (width, height) = (width.max(1) as f32, height.max(1) as f32);
+    let found = list.items().take(MOST).map(|item| Found {
+        share: [item.x_px / width, item.y_px / height, item.width_px / width, item.height_px / height],
+        words: format!("{} {:.0} %", labels.get(item.class_index as usize).unwrap_or(&"?"), item.score * 100.0),
+        class: item.class_index,
     });
     found.filter(|f| f.share.iter().all(|v| v.is_finite())).collect()
 }

@@ -5,6 +5,8 @@ use std::mem::offset_of;
 use std::sync::Arc;
 
 use panoscope_abi as abi;
+use panoscope_base::format;
+use panoscope_base::packet::{self, Detections, PacketError, Table, decode};
 use panoscope_engine::memory::FrameRef;
 use panoscope_imaging::draw::Colormap;
 
@@ -115,15 +117,9 @@ impl Samples {
     /// `None` for what is no picture, or is described wrongly.
     fn new(frame: &abi::Frame, len: usize, most_width: usize) -> Option<Self> {
         let (columns, rows, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
-        let bytes = match frame.format {
-            abi::FORMAT_GRAY8 => 1,
-            abi::FORMAT_GRAY16 => 2,
-            abi::FORMAT_BGR8 => 3,
-            abi::FORMAT_RGBA8 | abi::FORMAT_F32 => 4,
-            abi::FORMAT_CLOUD => 16,
-            _ => return None,
-        };
-        let fits = columns > 0 && rows > 0 && stride >= columns * bytes && (rows - 1) * stride + columns * bytes <= len;
+        let pixel = format::pixel_bytes(frame.format);
+        let need = format::image_bytes(columns, rows, stride, pixel);
+        let fits = pixel > 0 && columns > 0 && rows > 0 && need.is_some_and(|need| need <= len);
         let step = columns.div_ceil(most_width.max(1)).max(1);
         let (width, height) = (columns / step, (rows / step).max(1));
         (fits && width > 0).then_some(Self { width, height, step, stride, columns, rows })
@@ -211,108 +207,67 @@ pub fn short(value: f64) -> String {
     }
 }
 
-/// Plain data read field by field; what lies beyond the end reads as zero.
-struct Plain<'b>(&'b [u8]);
-
-impl Plain<'_> {
-    fn array<const N: usize>(&self, at: usize) -> [u8; N] {
-        self.0.get(at..at + N).and_then(|b| b.try_into().ok()).unwrap_or([0; N])
-    }
-    fn f64(&self, at: usize) -> f64 {
-        f64::from_le_bytes(self.array(at))
-    }
-    fn u32(&self, at: usize) -> u32 {
-        u32::from_le_bytes(self.array(at))
-    }
-    fn i32(&self, at: usize) -> i32 {
-        i32::from_le_bytes(self.array(at))
-    }
-    fn text<const N: usize>(&self, at: usize) -> String {
-        let bytes: [u8; N] = self.array(at);
-        String::from_utf8_lossy(&bytes).trim_end_matches('\0').to_owned()
-    }
+/// The contents of a packet in a few short lines; the error for what is not a whole packet of that type.
+fn words(bytes: &[u8], packet: &str) -> String {
+    try_words(bytes, packet).unwrap_or_else(|error| error.to_string())
 }
 
-/// The contents of plain data in a few short lines.
-fn words(bytes: &[u8], packet: &str) -> String {
-    let p = Plain(bytes);
-    let mut out = String::new();
-    match packet {
+fn try_words(bytes: &[u8], kind: &str) -> Result<String, PacketError> {
+    let list = |values: &[f64]| values.iter().map(|value| short(*value)).collect::<Vec<_>>().join(", ");
+    Ok(match kind {
         "homography" => {
-            let state = match p.u32(offset_of!(abi::Homography, state)) {
+            let homography: abi::Homography = decode(bytes)?;
+            let state = match homography.state {
                 abi::STATE_FRESH => "fresh",
                 abi::STATE_HELD => "held",
                 _ => "lost",
             };
-            let inliers = p.u32(offset_of!(abi::Homography, inliers));
-            let _ = writeln!(out, "{state}, {inliers} inliers");
-            let _ = writeln!(out, "rms {} px", short(p.f64(offset_of!(abi::Homography, rms_px))));
-            let at = offset_of!(abi::Homography, left_from_right);
-            let _ = write!(out, "shift {}, {} px", short(p.f64(at + 16)), short(p.f64(at + 40)));
+            let [_, _, x, _, _, y, ..] = homography.left_from_right;
+            let rms = short(homography.rms_px);
+            format!("{state}, {} inliers\nrms {rms} px\nshift {}, {} px", homography.inliers, short(x), short(y))
         }
         "roi" => {
-            let (x, y) = (p.i32(offset_of!(abi::Roi, x)), p.i32(offset_of!(abi::Roi, y)));
-            let (w, h) = (p.i32(offset_of!(abi::Roi, width)), p.i32(offset_of!(abi::Roi, height)));
-            let _ = write!(out, "{w} x {h} px at {x}, {y}");
+            let roi: abi::Roi = decode(bytes)?;
+            format!("{} x {} px at {}, {}", roi.width, roi.height, roi.x, roi.y)
         }
         "calibration" => {
-            let _ = writeln!(out, "baseline {} mm", short(p.f64(offset_of!(abi::Calibration, baseline_mm))));
-            let fx = offset_of!(abi::Calibration, left) + offset_of!(abi::Camera, fx);
-            let _ = write!(out, "left fx {} px", short(p.f64(fx)));
+            let calibration: abi::Calibration = decode(bytes)?;
+            format!("baseline {} mm\nleft fx {} px", short(calibration.baseline_mm), short(calibration.left.fx))
         }
-        "detections" | "instances" => {
-            let _ = write!(out, "{} found", p.u32(offset_of!(abi::DetectionsHeader, count)));
-        }
+        "detections" | "instances" => format!("{} found", Detections::parse(bytes)?.len()),
         "tip" => {
-            let (u, v) = (p.f64(offset_of!(abi::Tip, u_px)), p.f64(offset_of!(abi::Tip, v_px)));
-            let _ = writeln!(out, "at {}, {} px", short(u), short(v));
-            let at = offset_of!(abi::Tip, xyz_mm);
-            let xyz = [0, 8, 16].map(|k| short(p.f64(at + k)));
-            let _ = write!(out, "{} mm", xyz.join(", "));
+            let tip: abi::Tip = decode(bytes)?;
+            format!("at {}, {} px\n{} mm", short(tip.u_px), short(tip.v_px), list(&tip.xyz_mm))
         }
         "pose" => {
-            let names = (p.text::<16>(offset_of!(abi::Pose, a)), p.text::<16>(offset_of!(abi::Pose, b)));
-            let at = offset_of!(abi::Pose, a_from_b_mm);
-            let mm = [0, 8, 16].map(|k| short(p.f64(at + k)));
-            let _ = write!(out, "{} from {}\n{} mm", names.0, names.1, mm.join(", "));
+            let pose: abi::Pose = decode(bytes)?;
+            let (a, b) = (packet::name(&pose.a), packet::name(&pose.b));
+            format!("{a} from {b}\n{} mm", list(&pose.a_from_b_mm))
         }
         "joints" => {
-            let count = (p.u32(offset_of!(abi::Joints, count)) as usize).min(abi::MAX_JOINTS);
-            let at = offset_of!(abi::Joints, position_rad);
-            let angles: Vec<String> = (0..count).map(|k| short(p.f64(at + 8 * k))).collect();
-            let _ = write!(out, "{} rad", angles.join(", "));
+            let joints: abi::Joints = decode(bytes)?;
+            let count = (joints.count as usize).min(abi::MAX_JOINTS);
+            format!("{} rad", list(&joints.position_rad[..count]))
         }
         "scalar" => {
-            let (name, unit) =
-                (p.text::<32>(offset_of!(abi::Scalar, name)), p.text::<16>(offset_of!(abi::Scalar, unit)));
-            let _ = write!(out, "{name} {} {unit}", short(p.f64(offset_of!(abi::Scalar, value))));
+            let scalar: abi::Scalar = decode(bytes)?;
+            let (name, unit) = (packet::name(&scalar.name), packet::name(&scalar.unit));
+            format!("{name} {} {unit}", short(scalar.value))
         }
-        "table" => table(&p, &mut out),
-        "text" => {
-            let text = String::from_utf8_lossy(bytes);
-            out.extend(text.trim_end_matches('\0').chars().take(400));
-        }
-        _ => {
-            let _ = write!(out, "{} bytes", bytes.len());
-        }
-    }
-    out
+        "table" => table(&Table::parse(bytes)?),
+        "text" => String::from_utf8_lossy(bytes).trim_end_matches('\0').chars().take(400).collect(),
+        _ => format!("{} bytes", bytes.len()),
+    })
 }
 
 /// The first rows of a table.
-fn table(p: &Plain<'_>, out: &mut String) {
-    let (rows, columns) = (p.u32(0) as usize, p.u32(4) as usize);
-    let names_len = p.u32(8) as usize;
-    let start = size_of::<abi::TableHeader>();
-    let names = p.0.get(start..start.saturating_add(names_len)).unwrap_or_default();
-    let names = String::from_utf8_lossy(names);
-    let names: Vec<&str> = names.trim_end_matches('\0').split('\n').collect();
-    let _ = write!(out, "{rows} rows: {}", names.join(", "));
-    for row in 0..rows.min(8) {
-        let cells: Vec<String> =
-            (0..columns.min(12)).map(|column| short(p.f64(start + names_len + (row * columns + column) * 8))).collect();
-        let _ = write!(out, "\n{}", cells.join("  "));
+fn table(table: &Table<'_>) -> String {
+    let mut out = format!("{} rows: {}", table.rows(), table.names().collect::<Vec<_>>().join(", "));
+    for row in 0..table.rows().min(8) {
+        let cells = (0..table.columns().min(12)).filter_map(|column| table.value(row, column));
+        let _ = write!(out, "\n{}", cells.map(short).collect::<Vec<_>>().join("  "));
     }
+    out
 }
 
 /// Whether packets of this type have a picture.
@@ -367,5 +322,6 @@ mod tests {
         bytes[8..12].copy_from_slice(&120i32.to_le_bytes());
         assert_eq!(words(&bytes, "roi"), "120 x 0 px at 0, 0");
         assert_eq!(words(b"hello\0\0", "text"), "hello");
+        assert_eq!(words(&[0; 7], "roi"), "packet `roi` is cut off: field `y` ends at byte 8, but 7 bytes arrived");
     }
 }

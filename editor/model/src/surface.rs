@@ -1,12 +1,12 @@
 //! A point cloud as a surface that can be turned, moved, cut and measured: painted off the window's thread, picked on it. No egui here.
 
-use std::mem::offset_of;
 use std::sync::Arc;
 
 use panoscope_abi as abi;
+use panoscope_base::packet;
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw::{Color, Orbit, Projection, SurfacePainter, SurfacePoints};
-use panoscope_imaging::stereo::Place;
+use panoscope_imaging::stereo::SurfacePoint;
 
 use crate::picture::Pixels;
 
@@ -51,9 +51,9 @@ pub struct Cloud {
 
 impl Cloud {
     /// The surface at a column and row, from the pixels up to `radius_px` away; `None` where too few are known.
-    pub fn place(&self, (u, v): (f32, f32), radius_px: usize) -> Option<Place> {
+    pub fn place(&self, (u, v): (f32, f32), radius_px: usize) -> Option<SurfacePoint> {
         let at = [f64::from(u).max(0.0), f64::from(v).max(0.0)];
-        Place::at((self.width, self.height), at, radius_px, &mut Vec::new(), |x, y| {
+        SurfacePoint::at((self.width, self.height), at, radius_px, &mut Vec::new(), |x, y| {
             let [x, y, z] = self.xyz_mm.get(y * self.width + x)?.map(f64::from);
             let known = z > 0.0 && [x, y, z].iter().all(|v| v.is_finite());
             known.then(|| [x / z, y / z, 1.0 / z])
@@ -96,63 +96,40 @@ impl Painted {
     }
 }
 
-/// Bytes of a cloud packet, read as they lie.
+/// A cloud packet as a surface.
 struct Packed<'b> {
-    bytes: &'b [u8],
-    width: usize,
-    height: usize,
-    stride: usize,
+    cloud: packet::Cloud<'b>,
     clip_mm: [f32; 2],
-}
-
-impl Packed<'_> {
-    fn point(&self, column: usize, row: usize) -> Option<&[u8]> {
-        let at = row * self.stride + column * size_of::<abi::CloudPoint>();
-        self.bytes.get(at..at + size_of::<abi::CloudPoint>())
-    }
-}
-
-fn number(bytes: &[u8], at: usize) -> f32 {
-    bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map_or(f32::NAN, f32::from_le_bytes)
-}
-
-fn place(point: &[u8]) -> [f32; 3] {
-    [offset_of!(abi::CloudPoint, x_mm), offset_of!(abi::CloudPoint, y_mm), offset_of!(abi::CloudPoint, z_mm)]
-        .map(|at| number(point, at))
 }
 
 impl SurfacePoints for Packed<'_> {
     fn size(&self) -> (usize, usize) {
-        (self.width, self.height)
+        (self.cloud.width(), self.cloud.height())
     }
 
     fn at(&self, column: usize, row: usize) -> Option<([f32; 3], Color)> {
-        let point = self.point(column, row)?;
-        let place = place(point);
+        let point = self.cloud.point(column, row)?;
+        let place = [point.x_mm, point.y_mm, point.z_mm];
         let [near, far] = self.clip_mm;
-        let at = offset_of!(abi::CloudPoint, bgr);
         let known = place.iter().all(|v| v.is_finite()) && (near..=far).contains(&place[2]);
-        known.then(|| (place, [point[at], point[at + 1], point[at + 2]]))
+        known.then_some((place, point.bgr))
     }
 }
 
-fn packed<'b>(frame: &abi::Frame, bytes: &'b [u8], clip_mm: [f32; 2]) -> Option<Packed<'b>> {
-    let (width, height, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
-    let row = width.checked_mul(size_of::<abi::CloudPoint>())?;
-    let fits = frame.format == abi::FORMAT_CLOUD
-        && width > 0
-        && height > 0
-        && stride >= row
-        && (height - 1).checked_mul(stride)?.checked_add(row)? <= bytes.len();
-    fits.then_some(Packed { bytes, width, height, stride, clip_mm })
+/// The points of a frame; `None` for what is not a cloud, is empty or does not fit its bytes.
+fn parse<'b>(frame: &abi::Frame, bytes: &'b [u8]) -> Option<packet::Cloud<'b>> {
+    if frame.format != abi::FORMAT_CLOUD || frame.width == 0 || frame.height == 0 {
+        return None;
+    }
+    packet::Cloud::parse(bytes, frame.width as usize, frame.height as usize, frame.stride_bytes as usize).ok()
 }
 
 /// The points of a cloud packet; `None` for what is none, or is described wrongly.
 pub fn cloud_of(frame: &abi::Frame, bytes: &[u8]) -> Option<Cloud> {
-    let packed = packed(frame, bytes, [0.0; 2])?;
-    let all = (0..packed.height).flat_map(|row| (0..packed.width).map(move |column| (column, row)));
-    let xyz_mm = all.map(|(x, y)| packed.point(x, y).map_or([f32::NAN; 3], place)).collect();
-    Some(Cloud { width: packed.width, height: packed.height, xyz_mm })
+    let cloud = parse(frame, bytes)?;
+    let all = (0..cloud.height()).flat_map(|row| (0..cloud.width()).map(move |column| (column, row)));
+    let xyz_mm = all.filter_map(|(x, y)| cloud.point(x, y)).map(|p| [p.x_mm, p.y_mm, p.z_mm]).collect();
+    Some(Cloud { width: cloud.width(), height: cloud.height(), xyz_mm })
 }
 
 /// Paints clouds; keeps its memory.
@@ -165,7 +142,7 @@ pub struct Painter {
 impl Painter {
     /// A picture of a cloud packet, and what a click on it means; no picture for what is no cloud.
     pub fn paint(&mut self, frame: &abi::Frame, bytes: &[u8], sight: &Sight) -> Option<(Pixels, Option<Arc<Painted>>)> {
-        let points = packed(frame, bytes, sight.clip_mm)?;
+        let points = Packed { cloud: parse(frame, bytes)?, clip_mm: sight.clip_mm };
         let [width, height] = sight.size_px.map(|n| n.clamp(16, 4096));
         self.bgr.clear();
         self.bgr.resize(width * height * 3, 0);
@@ -174,7 +151,7 @@ impl Painter {
             pitch: sight.pitch,
             zoom: sight.zoom,
             // More corners than pixels show nothing more.
-            step: (points.width / 320).max(1),
+            step: (points.cloud.width() / 320).max(1),
             shift: sight.shift,
             ..Orbit::default()
         };

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use eframe::egui::{Context, InputState};
 use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw;
-use panoscope_imaging::stereo::Place;
+use panoscope_imaging::stereo::SurfacePoint;
 use panoscope_imaging::stereo::length::{self, Errors, Noise};
 
 use panoscope_editor_model::content::Rig;
@@ -22,7 +22,7 @@ pub struct Tapped {
     /// Column and row of the picture.
     pub at_px: (f32, f32),
     /// Where it is, and how sure that is; `None` where the depth is unknown.
-    pub place: Option<Place>,
+    pub place: Option<SurfacePoint>,
 }
 
 /// A length with the error that 95 % of measurements stay within.
@@ -139,7 +139,7 @@ impl Measure {
     }
 
     /// What is measured of these points with its error, mm.
-    fn length(&self, points: &[Place], measure: fn(&[[f64; 3]]) -> f64) -> Length {
+    fn length(&self, points: &[SurfacePoint], measure: fn(&[[f64; 3]]) -> f64) -> Length {
         let errors = self.rig.map(|(rig, noise)| Errors::of(rig.focal_px, rig.baseline_mm, rig.rms_px, &noise));
         let (mm, error) = length::with_error(points, errors.as_ref(), measure);
         Length { mm, error_mm: Some(error).filter(|e| e.is_finite()) }

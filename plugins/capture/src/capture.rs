@@ -5,10 +5,11 @@ use std::time::{Duration, Instant};
 
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
-    Bgr8, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Parallel, Params, Ports, Result, Slot, Validation,
+    Bgr8, Choice, Context, NoPorts, Node, NodeError, NodeInfo, Open, Parallel, Params, Ports, Rect, Result, Slot,
+    Validation,
 };
 
-use crate::crop::{self, Halves, Rect};
+use crate::crop::{self, Halves};
 use crate::depth::Depth;
 use crate::position::{Position, ViewPosition};
 use crate::source::{CaptureError, Demands, Lock, SourceName, unknown_element};
@@ -207,7 +208,7 @@ impl Settings {
             let checked = match name.and_then(SourceName::picture_size) {
                 Some((width, height)) => {
                     let whole = Rect::whole(width, height);
-                    self.halves().map_or(whole, |halves| whole.half(halves, view)).part(crop).map(drop)
+                    crop::part(self.halves().map_or(whole, |halves| halves.of(whole, view)), crop).map(drop)
                 }
                 // The picture is not known yet: only what no picture holds is refused.
                 None => crop::whole_numbers(crop).map(drop),
@@ -422,10 +423,10 @@ impl Capture {
         let picture = &self.views.view(source).picture;
         let mut rect = Rect::whole(picture.width, picture.height);
         if let Some(halves) = self.halves {
-            rect = rect.half(halves, view);
+            rect = halves.of(rect, view);
         }
         if let Some(crop) = crop::of_view(crops, view, views).map_err(NodeError::new)? {
-            rect = rect.part(crop).map_err(|why| NodeError::new(format!("view {view}: {why}")))?;
+            rect = crop::part(rect, crop).map_err(|why| NodeError::new(format!("view {view}: {why}")))?;
         }
         if rect.width == 0 || rect.height == 0 {
             let name = &self.views.view(source).name;

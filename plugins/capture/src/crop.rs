@@ -1,17 +1,6 @@
 //! Parts of pictures: crops in px and the halves of a picture that holds both views.
 
-/// A rectangle in px inside a picture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Rect {
-    /// Left edge.
-    pub x: usize,
-    /// Upper edge.
-    pub y: usize,
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-}
+use panoscope_node::Rect;
 
 /// How one source holds two views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,36 +11,32 @@ pub enum Halves {
     TopBottom,
 }
 
-impl Rect {
-    /// A whole picture.
-    pub fn whole(width: usize, height: usize) -> Self {
-        Self { x: 0, y: 0, width, height }
-    }
-
+impl Halves {
     /// View 0 or 1 of a picture that holds both; an odd last row or column belongs to neither.
-    pub fn half(self, halves: Halves, view: usize) -> Self {
-        match halves {
-            Halves::SideBySide => Self { x: self.x + view * (self.width / 2), width: self.width / 2, ..self },
-            Halves::TopBottom => Self { y: self.y + view * (self.height / 2), height: self.height / 2, ..self },
+    pub fn of(self, picture: Rect, view: usize) -> Rect {
+        let Rect { x, y, width, height } = picture;
+        match self {
+            Self::SideBySide => Rect { x: x + view * (width / 2), width: width / 2, ..picture },
+            Self::TopBottom => Rect { y: y + view * (height / 2), height: height / 2, ..picture },
         }
     }
+}
 
-    /// The part `x, y, width, height` (px; width or height 0 reach to the edge) of this rectangle.
-    ///
-    /// # Errors
-    /// Says what does not fit.
-    pub fn part(self, crop: [f64; 4]) -> Result<Self, String> {
-        let [x, y, width, height] = whole_numbers(crop)?;
-        let width = if width == 0 { self.width.saturating_sub(x) } else { width };
-        let height = if height == 0 { self.height.saturating_sub(y) } else { height };
-        if width == 0 || height == 0 || x + width > self.width || y + height > self.height {
-            return Err(format!(
-                "the crop {width}x{height} at ({x}, {y}) leaves the picture of {}x{}",
-                self.width, self.height
-            ));
-        }
-        Ok(Self { x: self.x + x, y: self.y + y, width, height })
+/// The part `x, y, width, height` of `picture`, in px from its corner; width or height 0 reach to the edge.
+///
+/// # Errors
+/// When the numbers are not whole, or the part leaves the picture.
+pub fn part(picture: Rect, crop: [f64; 4]) -> Result<Rect, String> {
+    let [x, y, width, height] = whole_numbers(crop)?;
+    let width = if width == 0 { picture.width.saturating_sub(x) } else { width };
+    let height = if height == 0 { picture.height.saturating_sub(y) } else { height };
+    if width == 0 || height == 0 || x + width > picture.width || y + height > picture.height {
+        return Err(format!(
+            "the crop {width}x{height} at ({x}, {y}) leaves the picture of {}x{}",
+            picture.width, picture.height
+        ));
     }
+    Ok(Rect { x: picture.x + x, y: picture.y + y, width, height })
 }
 
 /// `x, y, width, height` as whole numbers.
@@ -87,20 +72,20 @@ mod tests {
     #[test]
     fn crops_stay_inside() {
         let whole = Rect::whole(640, 480);
-        assert_eq!(whole.part([220.0, 0.0, 420.0, 480.0]), Ok(Rect { x: 220, y: 0, width: 420, height: 480 }));
-        assert_eq!(whole.part([10.0, 20.0, 0.0, 0.0]), Ok(Rect { x: 10, y: 20, width: 630, height: 460 }));
-        assert!(whole.part([300.0, 0.0, 420.0, 480.0]).unwrap_err().contains("leaves the picture of 640x480"));
-        assert!(whole.part([0.5, 0.0, 1.0, 1.0]).is_err());
-        assert!(whole.part([-1.0, 0.0, 1.0, 1.0]).is_err());
-        assert!(whole.part([f64::NAN, 0.0, 1.0, 1.0]).is_err());
-        assert!(whole.part([640.0, 0.0, 0.0, 0.0]).is_err());
+        assert_eq!(part(whole, [220.0, 0.0, 420.0, 480.0]), Ok(Rect { x: 220, y: 0, width: 420, height: 480 }));
+        assert_eq!(part(whole, [10.0, 20.0, 0.0, 0.0]), Ok(Rect { x: 10, y: 20, width: 630, height: 460 }));
+        assert!(part(whole, [300.0, 0.0, 420.0, 480.0]).unwrap_err().contains("leaves the picture of 640x480"));
+        assert!(part(whole, [0.5, 0.0, 1.0, 1.0]).is_err());
+        assert!(part(whole, [-1.0, 0.0, 1.0, 1.0]).is_err());
+        assert!(part(whole, [f64::NAN, 0.0, 1.0, 1.0]).is_err());
+        assert!(part(whole, [640.0, 0.0, 0.0, 0.0]).is_err());
     }
 
     #[test]
     fn halves_are_equal() {
         let whole = Rect::whole(641, 480);
-        assert_eq!(whole.half(Halves::SideBySide, 1), Rect { x: 320, y: 0, width: 320, height: 480 });
-        assert_eq!(whole.half(Halves::TopBottom, 1), Rect { x: 0, y: 240, width: 641, height: 240 });
+        assert_eq!(Halves::SideBySide.of(whole, 1), Rect { x: 320, y: 0, width: 320, height: 480 });
+        assert_eq!(Halves::TopBottom.of(whole, 1), Rect { x: 0, y: 240, width: 641, height: 240 });
     }
 
     #[test]

@@ -3,90 +3,11 @@
 //!
 //! `cargo bench -p panoscope-phantom` or, for one scene, `... -- bowel`.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, Mutex};
 use std::time::Instant;
 
-use panoscope_imaging::{Parallel, Serial, ViewMut};
+use panoscope_base::Threads;
+use panoscope_imaging::{Serial, ViewMut};
 use panoscope_phantom::render::{Phantom, Rig, SceneKind, SceneParams, TruthMut};
-
-/// One helper thread that takes chunks beside the caller.
-struct Pair {
-    shared: Arc<Shared>,
-}
-
-#[derive(Default)]
-struct Shared {
-    job: Mutex<(u64, Option<Job>)>,
-    ready: Condvar,
-    next: AtomicUsize,
-    helpers: AtomicUsize,
-}
-
-#[derive(Clone, Copy)]
-struct Job {
-    chunks: usize,
-    body: *const (dyn Fn(usize) + Sync),
-}
-
-// SAFETY: the body outlives the loop: `run` returns only when the helper has left it.
-unsafe impl Send for Job {}
-
-fn work(shared: &Shared, job: Job) {
-    loop {
-        let chunk = shared.next.fetch_add(1, Ordering::AcqRel);
-        if chunk >= job.chunks {
-            return;
-        }
-        // SAFETY: see `Job`.
-        unsafe { (*job.body)(chunk) };
-    }
-}
-
-impl Pair {
-    fn new() -> Self {
-        let shared = Arc::<Shared>::default();
-        let mine = Arc::clone(&shared);
-        std::thread::spawn(move || {
-            let mut done = 0;
-            loop {
-                let mut job = mine.job.lock().unwrap();
-                while job.0 == done || job.1.is_none() {
-                    job = mine.ready.wait(job).unwrap();
-                }
-                done = job.0;
-                let Some(todo) = job.1 else { continue };
-                mine.helpers.fetch_add(1, Ordering::AcqRel);
-                drop(job);
-                work(&mine, todo);
-                mine.helpers.fetch_sub(1, Ordering::AcqRel);
-            }
-        });
-        Self { shared }
-    }
-}
-
-impl Parallel for Pair {
-    fn threads(&self) -> usize {
-        2
-    }
-    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
-        // SAFETY: only the lifetime is forgotten; see `Job`.
-        let body: *const (dyn Fn(usize) + Sync) = unsafe { std::mem::transmute(body) };
-        let job = Job { chunks, body };
-        self.shared.next.store(0, Ordering::Release);
-        {
-            let mut slot = self.shared.job.lock().unwrap();
-            *slot = (slot.0 + 1, Some(job));
-        }
-        self.shared.ready.notify_one();
-        work(&self.shared, job);
-        self.shared.job.lock().unwrap().1 = None;
-        while self.shared.helpers.load(Ordering::Acquire) != 0 {
-            std::hint::spin_loop();
-        }
-    }
-}
 
 /// Time this thread spent on a core so far, ns, where the system tells (Linux): says more than the clock on a
 /// busy machine.
@@ -118,7 +39,7 @@ fn least_ms(runs: u64, mut body: impl FnMut(u64)) -> f64 {
 
 fn main() {
     let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
-    let pair = Pair::new();
+    let pair = Threads::new(2);
     for (scene, tools) in SceneKind::ALL.map(|scene| (scene, 0)).into_iter().chain([(SceneKind::Liver, 2)]) {
         if !wanted.is_empty() && !wanted.iter().any(|w| w == scene.name()) {
             continue;

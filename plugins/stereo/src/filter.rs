@@ -1,7 +1,8 @@
 //! `disparity_wls` and `disparity_fbs`: smooth, edge-true disparity maps (thesis, fig. 3.7).
 
+use panoscope_imaging::Rect;
 use panoscope_imaging::stereo::{
-    BilateralSolver, BilateralSolverParams, ConfidenceParams, FilterInput, Roi, WlsFilter, WlsParams,
+    BilateralSolver, BilateralSolverParams, ConfidenceParams, FilterInput, WlsFilter, WlsParams,
 };
 use panoscope_node::{
     AnyImage, Bgr8, Confidence, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot,
@@ -41,7 +42,7 @@ fn any_known(part: &[f32]) -> bool {
 }
 
 /// The rectangle around all known disparities, widened to whole grains: nothing outside it can be told.
-fn known(disparity: View<'_, f32>) -> Roi {
+fn known(disparity: View<'_, f32>) -> Rect {
     let (mut x0, mut x1, mut y0, mut y1) = (disparity.width, 0, disparity.height, 0);
     for y in 0..disparity.height {
         let row = disparity.row(y);
@@ -51,10 +52,10 @@ fn known(disparity: View<'_, f32>) -> Roi {
         (y0, y1) = (y0.min(y), y + 1);
     }
     if x0 >= x1 {
-        return Roi::default();
+        return Rect::default();
     }
     let y = y0 / GRAIN_PX * GRAIN_PX;
-    Roi { x: x0, y, width: x1 - x0, height: y1.next_multiple_of(GRAIN_PX) - y }
+    Rect { x: x0, y, width: x1 - x0, height: y1.next_multiple_of(GRAIN_PX) - y }
         .clamped(disparity.width, disparity.height)
 }
 

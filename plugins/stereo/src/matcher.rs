@@ -1,6 +1,7 @@
 //! What `stereo_bm` and `stereo_sgbm` share: ports, the offset of the search, the warnings.
 
-use panoscope_imaging::stereo::{self, Roi, SearchParams, SharedField, SpeckleFilter, StereoError};
+use panoscope_imaging::Rect;
+use panoscope_imaging::stereo::{self, SearchParams, SharedField, SpeckleFilter, StereoError};
 use panoscope_node::abi;
 use panoscope_node::{
     Context, Disparity, Gray8, Image, Parallel, Ports, Result, Slot, Validation, Value, View, ViewMut, error,
@@ -32,7 +33,7 @@ pub trait Engine {
     fn compute(
         &mut self,
         views: [View<'_, u8>; 2],
-        roi: Roi,
+        roi: Rect,
         pool: &dyn Parallel,
         disparity: ViewMut<'_, f32>,
         disparity_right: Option<ViewMut<'_, f32>>,
@@ -72,14 +73,14 @@ pub fn check_kernel(check: &mut Validation<'_>, checked: Result<(), StereoError>
 }
 
 /// A rectangle of the packet inside a view.
-pub fn inside(roi: &abi::Roi, width: usize, height: usize) -> Roi {
+pub fn inside(roi: &abi::Roi, width: usize, height: usize) -> Rect {
     let span = |from: i32, size: i32, limit: usize| {
         let end = (i64::from(from) + i64::from(size)).clamp(0, limit as i64) as usize;
         let from = i64::from(from).clamp(0, limit as i64) as usize;
         (from, end.saturating_sub(from))
     };
     let ((x, width), (y, height)) = (span(roi.x, roi.width, width), span(roi.y, roi.height, height));
-    Roi { x, y, width, height }
+    Rect { x, y, width, height }
 }
 
 impl Matcher {
@@ -114,7 +115,7 @@ impl Matcher {
                 right.width, right.height
             ));
         }
-        let roi = input.roi.as_ref().map_or(Roi::full(width, height), |roi| inside(roi, width, height));
+        let roi = input.roi.as_ref().map_or(Rect::whole(width, height), |roi| inside(roi, width, height));
         let offset_px = self.search.begin(cx, [left, right], &search.place, cx.pool())?;
         prepare(engine, offset_px)?;
         let disparity = out.disparity.alloc(width, height)?;
@@ -134,7 +135,7 @@ impl Matcher {
                 let map_right = ViewMut { data: &mut *other.data, ..other };
                 engine.compute([left, right], roi, cx.pool(), map, Some(map_right))?;
                 let mut map = ViewMut { data: &mut *disparity.data, ..disparity };
-                self.field.keep(&mut map, &mut ViewMut { data: &mut *other.data, ..other }, roi);
+                self.field.clear_outside(&mut map, &mut ViewMut { data: &mut *other.data, ..other }, roi);
                 map
             }
             None => {

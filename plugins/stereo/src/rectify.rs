@@ -1,6 +1,7 @@
 //! `rectify`: turns both views so that a point lies on one row in both (thesis, fig. 3.5).
 
-use panoscope_imaging::stereo::{RemapTable, Roi};
+use panoscope_imaging::Rect;
+use panoscope_imaging::stereo::RemapTable;
 use panoscope_node::abi::Calibration;
 use panoscope_node::{
     Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, Validation, Value, error,
@@ -59,7 +60,7 @@ impl Maps {
         }
         let rectification = calibration::rectification(source)?;
         let (left, right) = (calibration::camera(&source.left)?, calibration::camera(&source.right)?);
-        let all = Roi::full(rectification.width, rectification.height);
+        let all = Rect::whole(rectification.width, rectification.height);
         let tables = [
             RemapTable::left(&left, &rectification, all, cx.pool())?,
             RemapTable::right(&right, &rectification, all, cx.pool())?,

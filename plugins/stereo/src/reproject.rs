@@ -1,7 +1,7 @@
 //! `reproject`: disparity to depth and coloured points in mm (thesis, fig. 3.9).
 
-use panoscope_imaging::SharedMut;
-use panoscope_imaging::stereo::{self, Rectification, ReprojectInput, ReprojectParams, Roi};
+use panoscope_imaging::stereo::{self, Rectification, ReprojectInput, ReprojectParams};
+use panoscope_imaging::{Rect, SharedMut};
 use panoscope_node::abi::{Calibration, CloudPoint};
 use panoscope_node::{
     AnyImage, Bgr8, Confidence, Context, Depth, Disparity, Gray8, Image, Node, NodeInfo, Open, Parallel, Params,
@@ -137,7 +137,7 @@ impl Node for Reproject {
         let given = ReprojectInput {
             disparity,
             confidence: input.confidence.as_ref().map(Image::view),
-            roi: Roi::full(width, height),
+            roi: Rect::whole(width, height),
         };
         let kernel = ReprojectParams {
             near_mm: params.near_mm,

@@ -4,8 +4,8 @@
 //! counts their pixels; each value stands for a block of pixels.
 
 use panoscope_imaging::features::{GrayBuffer, shrink_gray};
-use panoscope_imaging::stereo::{BlockMatcher, Roi, StereoError};
-use panoscope_imaging::{Parallel, SharedMut, View, ViewMut};
+use panoscope_imaging::stereo::{BlockMatcher, StereoError};
+use panoscope_imaging::{Parallel, Rect, SharedMut, View, ViewMut};
 
 use crate::matcher::Engine;
 
@@ -55,7 +55,7 @@ impl Engine for Shrunk {
     fn compute(
         &mut self,
         views: [View<'_, u8>; 2],
-        roi: Roi,
+        roi: Rect,
         pool: &dyn Parallel,
         disparity: ViewMut<'_, f32>,
         disparity_right: Option<ViewMut<'_, f32>>,
@@ -71,7 +71,7 @@ impl Engine for Shrunk {
         let (left, right) = (self.views[0].view(), self.views[1].view());
         let (x, y) = (roi.x / factor, roi.y / factor);
         let end = |start: usize, size: usize, limit: usize| ((start + size).div_ceil(factor)).min(limit);
-        let roi = Roi {
+        let roi = Rect {
             x,
             y,
             width: end(roi.x, roi.width, width).saturating_sub(x),
@@ -113,7 +113,7 @@ mod tests {
         shrunk.factor = 2;
         let mut map = vec![0.0; W * H];
         let views = [View::new(&left[..], W, H, 1), View::new(&right[..], W, H, 1)];
-        shrunk.compute(views, Roi::full(W, H), &Serial, ViewMut::new(&mut map, W, H, 1), None).expect("a match");
+        shrunk.compute(views, Rect::whole(W, H), &Serial, ViewMut::new(&mut map, W, H, 1), None).expect("a match");
         let known: Vec<f32> = map.iter().copied().filter(|d| d.is_finite()).collect();
         assert!(known.len() > W * H / 2, "{} of {}", known.len(), W * H);
         let good = known.iter().filter(|d| (**d - 40.0).abs() < 0.5).count();

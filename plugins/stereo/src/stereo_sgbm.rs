@@ -1,6 +1,7 @@
 //! `stereo_sgbm`: semi-global matching, a rectified pair in, disparity maps of both views out.
 
-use panoscope_imaging::stereo::{Roi, SearchParams, SemiGlobalMatcher, SemiGlobalParams, StereoError};
+use panoscope_imaging::Rect;
+use panoscope_imaging::stereo::{SearchParams, SemiGlobalMatcher, SemiGlobalParams, StereoError};
 use panoscope_node::{Context, Node, NodeInfo, Open, Parallel, Params, Result, Validation, View, ViewMut};
 
 use crate::matcher::{Engine, In, Matcher, Out, Search, check_kernel};
@@ -73,7 +74,7 @@ impl Engine for SemiGlobalMatcher {
     fn compute(
         &mut self,
         views: [View<'_, u8>; 2],
-        roi: Roi,
+        roi: Rect,
         pool: &dyn Parallel,
         disparity: ViewMut<'_, f32>,
         disparity_right: Option<ViewMut<'_, f32>>,

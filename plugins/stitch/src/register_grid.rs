@@ -69,7 +69,7 @@ impl RegisterGridParams {
             ransac: RansacParams { threshold_px: self.ransac_px, ..default.ransac },
             min_inliers: self.min_inliers as usize,
             stability_px: self.stability_px,
-            calm: self.calm,
+            anchor_fit: self.calm,
             max_rms_px: self.max_rms_px,
             hold_frames: self.hold_frames as usize,
             ..default

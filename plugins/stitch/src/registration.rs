@@ -1,6 +1,7 @@
 //! What every registration node gives out, whatever it looks at.
 
-use panoscope_imaging::geometry::{self, Rect, RegistrationState};
+use panoscope_imaging::Rect;
+use panoscope_imaging::geometry::{self, RegistrationState};
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{Ports, Result, Slot};
 

@@ -3,17 +3,11 @@
 use panoscope_node::Bgr8;
 use panoscope_node::abi::{Homography, STATE_FRESH, STATE_LOST};
 use panoscope_node::harness::{Harness, Setup};
+use panoscope_node::random::lattice;
 use panoscope_stitch::Mosaic;
 use panoscope_stitch::mosaic::COLUMNS;
 
 const SIZE: (usize, usize) = (320, 240);
-
-fn hash(x: i64, y: i64) -> f64 {
-    let mut z = (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f);
-    z = (z ^ (z >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-}
 
 /// Smooth noise of two sizes.
 fn scene(x: f64, y: f64) -> u8 {
@@ -22,7 +16,7 @@ fn scene(x: f64, y: f64) -> u8 {
         let (column, row) = (u.floor(), v.floor());
         let ease = |t: f64| t * t * (3.0 - 2.0 * t);
         let (fx, fy) = (ease(u - column), ease(v - row));
-        let at = |dx: i64, dy: i64| hash(column as i64 + dx + seed, row as i64 + dy - seed);
+        let at = |dx: i64, dy: i64| lattice(column as i64 + dx + seed, row as i64 + dy - seed, 0);
         let (top, bottom) = (at(0, 0) + (at(1, 0) - at(0, 0)) * fx, at(0, 1) + (at(1, 1) - at(0, 1)) * fx);
         top + (bottom - top) * fy
     };

@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use panoscope_imaging::random::SplitMix64;
 use panoscope_node::Bgr8;
 use panoscope_node::harness::Harness;
+use panoscope_node::random::SplitMix64;
 use panoscope_tools::mask_rcnn::MaskRcnn;
 use panoscope_tools::yolo::Yolo;
 use tiny_onnx::{Fixed, Message, TinyModel, folder, runtime_is_there, tensor, wrap};

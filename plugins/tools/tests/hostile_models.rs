@@ -6,6 +6,7 @@ use std::path::Path;
 
 use panoscope_node::Bgr8;
 use panoscope_node::harness::Harness;
+use panoscope_node::random::SplitMix64;
 use panoscope_tools::onnx_file::{self, OnnxFileError};
 use panoscope_tools::yolo::Yolo;
 use tiny_onnx::{Fixed, Message, TinyModel, folder, runtime_is_there, tensor, wrap};
@@ -52,12 +53,11 @@ fn a_model_with_flipped_bits_does_no_harm() {
     }
     let (whole, home) = (good().bytes(), folder("flip"));
     let path = home.join("m.onnx");
-    let mut state = 7u64;
+    let mut random = SplitMix64(7);
     for _ in 0..120 {
         let mut damaged = whole.clone();
         for _ in 0..4 {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            let bit = (state >> 20) as usize % (damaged.len() * 8);
+            let bit = random.below(damaged.len() * 8);
             damaged[bit / 8] ^= 1 << (bit % 8);
         }
         std::fs::write(&path, &damaged).expect("written");

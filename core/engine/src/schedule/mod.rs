@@ -11,6 +11,7 @@ use std::sync::{Condvar, Mutex, Weak};
 
 use arc_swap::ArcSwap;
 use panoscope_abi::{Frame, Tick};
+use panoscope_base::format;
 
 use crate::clock;
 use crate::convert;
@@ -19,7 +20,6 @@ use crate::fault::{Action, Cause};
 use crate::log::Level;
 use crate::memory::FrameRef;
 use crate::node::{CallOutcome, NodeRuntime, Ports, RunContext, SizeChange};
-use crate::outputs::{format_name, format_names};
 use crate::own_thread::OwnThread;
 use crate::plan::{Link, Plan, Reader};
 use crate::pool::{self, Pool, Urgency};
@@ -419,9 +419,9 @@ impl Shared {
             let words = format!(
                 "output `{}` is {}, node `{}` takes {}",
                 runtime.rules.get(port).map_or("?", |r| &r.name),
-                format_name(frame.format),
+                format::name(frame.format),
                 plan.runtimes[reader].id,
-                format_names(accepts)
+                format::names(accepts)
             );
             self.context.log.write(Level::Error, &runtime.id, &words);
             words

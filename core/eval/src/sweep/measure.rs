@@ -5,7 +5,7 @@ use std::fmt;
 use panoscope_graph::{Catalog, Graph};
 
 use super::{SweepError, part};
-use panoscope_engine::numbers::{self, tells_numbers};
+use panoscope_base::packet::{Numbers, has_numbers};
 use panoscope_engine::{NodeReport, Report};
 
 /// Counters that every node has, to be measured as `node.p50_ms`.
@@ -89,7 +89,7 @@ impl Measure {
             None => (rest, None, Rows::Only),
         };
         let told: Vec<&str> =
-            node_type.outputs.iter().filter(|p| tells_numbers(&p.packet.name)).map(|p| p.name.as_str()).collect();
+            node_type.outputs.iter().filter(|p| has_numbers(&p.packet.name)).map(|p| p.name.as_str()).collect();
         let Some(output) = node_type.output(port) else {
             if column.is_some() {
                 let told = part::list(&told);
@@ -203,7 +203,7 @@ pub(super) struct Heard {
 impl Heard {
     /// Takes a packet.
     pub fn take(&mut self, bytes: &[u8], packet: &str, column: Option<&str>, rows: Rows) {
-        let Some(told) = numbers::read(bytes, packet) else { return };
+        let Ok(Some(told)) = Numbers::read(bytes, packet) else { return };
         let at = match column {
             None => 0,
             Some(wanted) => match told.names.iter().position(|name| name == wanted) {

@@ -9,7 +9,7 @@ pub const UNKNOWN: Color = [48, 48, 48];
 /// A scale of colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Colormap {
-    /// Dark blue over green and yellow to dark red: many steps can be told apart.
+    /// Dark blue over green and yellow to dark red: many steps can be distinguished.
     #[default]
     Rainbow,
     /// Dark violet over teal to yellow: brightness grows evenly, safe for colour-blind eyes.

@@ -3,13 +3,13 @@
 /// An upright rectangle in pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Area {
-    /// Left edge.
+    /// Left edge, px.
     pub x: f32,
-    /// Upper edge.
+    /// Upper edge, px.
     pub y: f32,
-    /// Width.
+    /// Width, px.
     pub width: f32,
-    /// Height.
+    /// Height, px.
     pub height: f32,
 }
 

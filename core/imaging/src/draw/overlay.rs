@@ -38,7 +38,7 @@ pub struct ScaleBar<'a> {
     pub high: f32,
     /// Unit written after each number.
     pub unit: &'a str,
-    /// Colours.
+    /// Colours of the values.
     pub map: Colormap,
     /// Labels, two or more, evenly spaced.
     pub labels: usize,

@@ -13,14 +13,14 @@ pub trait SurfacePoints: Sync {
     fn at(&self, column: usize, row: usize) -> Option<([f32; 3], Color)>;
 }
 
-/// From where and how a surface is looked at.
+/// Viewpoint and zoom of a picture of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
     /// Turn about the vertical axis through the surface's middle, radians; 0 looks as the camera did.
     pub yaw: f32,
     /// Turn about the horizontal axis, radians.
     pub pitch: f32,
-    /// Size on the picture; 1 fills it when looked at from the front.
+    /// Size on the picture; 1 fills it in the view from the front.
     pub zoom: f32,
     /// Every so many points make a corner.
     pub step: usize,
@@ -130,7 +130,7 @@ impl SurfacePainter {
     }
 
     /// Draws the surface into `out` (BGR) with a ruler of its length in mm at the place of its middle. Nothing known leaves the background
-    /// and answers `None`.
+    /// and returns `None`.
     pub fn paint(
         &mut self,
         points: &dyn SurfacePoints,

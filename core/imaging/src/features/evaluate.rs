@@ -21,7 +21,7 @@ pub struct Repeatability {
 pub struct Precision {
     /// Matches within the tolerance of the truth.
     pub correct: usize,
-    /// All matches.
+    /// Number of matches that were judged.
     pub total: usize,
     /// `correct / total`, 0 when there are none.
     pub share: f64,

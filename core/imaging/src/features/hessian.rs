@@ -5,8 +5,8 @@
 //! the sampling step doubles with every octave. Sizes shared by two octaves are computed once.
 
 use super::integral::Integral;
-use super::simd::{Simd, dispatch, grow};
-use crate::{Parallel, SharedMut};
+use crate::simd::{dispatch, grow};
+use crate::{Parallel, SharedMut, Simd};
 
 /// Grid rows per chunk; a multiple of every octave's step, so that shared rows have one writer.
 const BAND_ROWS: usize = 16;
@@ -24,7 +24,7 @@ pub(crate) struct Extremum {
     pub y: f32,
     /// Filter size, in pixels of the image searched.
     pub size: f32,
-    /// Determinant.
+    /// Determinant of the Hessian.
     pub response: f32,
     /// What keypoints are ranked by.
     pub rank: f32,
@@ -436,7 +436,7 @@ fn scan_row(simd: Simd, cross: &Cross<'_>, start: usize, end: usize, threshold: 
     let end = end.min(line.len().saturating_sub(1));
     #[cfg(target_arch = "x86_64")]
     if simd.avx2() {
-        // SAFETY: AVX2 is there.
+        // SAFETY: `Simd` allows AVX2 only where the processor has it.
         x = unsafe { scan_row_avx2(cross, x, end, threshold, &mut hit) };
     }
     #[cfg(not(target_arch = "x86_64"))]

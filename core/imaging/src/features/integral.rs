@@ -1,7 +1,7 @@
 //! Integral images (summed-area tables; Viola and Jones 2001, used by SURF, Bay et al. 2008, section 3.1).
 
-use super::simd::{Simd, dispatch, grow};
-use crate::{Parallel, SharedMut, View};
+use crate::simd::{dispatch, grow};
+use crate::{Parallel, SharedMut, Simd, View};
 
 /// Rows per chunk.
 const BAND_ROWS: usize = 32;

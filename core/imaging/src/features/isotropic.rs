@@ -1,18 +1,20 @@
-//! Second look at a keypoint with Gaussian derivatives: place, strength and shape that do not turn with the image.
+//! Refines a keypoint with Gaussian derivatives, which makes position, strength and shape independent of the image's rotation.
 //!
-//! Box filters answer differently to a rotated pattern, which shifts keypoints and reorders them. Candidates are few,
+//! Box filters respond differently to a rotated pattern, which shifts keypoints and reorders them. Candidates are few,
 //! so the determinant of the Gaussian Hessian (Lindeberg 1998) can be afforded there: it is evaluated on 3 x 3 places
 //! half a scale apart; its maximum gives the place, its value the strength.
 
-use super::describe::{Grid, ROW, sample};
+use super::patch::{Grid, ROW};
 use super::pyramid::{Pyramid, VALUE_SCALE};
-use super::simd::{Simd, dispatch};
+use super::sampling::sample;
+use crate::Simd;
+use crate::simd::dispatch;
 
-/// Gaussian that answers to the same blobs as the box filter of SURF scale 1 (measured).
+/// Gaussian that responds to the same blobs as the box filter of SURF scale 1 (measured).
 const SIGMA_PER_SCALE: f32 = 1.25;
 /// Samples per sigma.
 const PER_SIGMA: f32 = 2.0;
-/// A place found further off than this is looked at again from there, in samples.
+/// A position refined by more than this, in samples, is refined again from there.
 const RECENTRE: f32 = 0.2;
 /// Samples of a derivative kernel.
 const TAPS: usize = 13;
@@ -27,9 +29,9 @@ pub(crate) struct Kernels {
     rows: [[[f32; SIDE]; 3]; 3],
 }
 
-/// What the Gaussian Hessian says about a candidate.
+/// Position and strength of a candidate by the Gaussian Hessian.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Look {
+pub(crate) struct Refined {
     pub x: f32,
     pub y: f32,
     /// Determinant, normalised by scale, in squared gray levels.
@@ -73,16 +75,16 @@ impl Kernels {
 }
 
 /// Looks at the candidate at `(x, y)` of scale `s`, in pixels of the pyramid's finest level.
-pub(crate) fn look(simd: Simd, kernels: &Kernels, pyramid: &Pyramid, x: f32, y: f32, scale: f32) -> Look {
+pub(crate) fn refine(simd: Simd, kernels: &Kernels, pyramid: &Pyramid, x: f32, y: f32, scale: f32) -> Refined {
     let sigma = scale * SIGMA_PER_SCALE;
     let step = sigma / PER_SIGMA;
     let (dx, dy, response) = place(simd, kernels, pyramid, x, y, sigma);
-    let first = Look { x: x + dx * step, y: y + dy * step, response };
+    let first = Refined { x: x + dx * step, y: y + dy * step, response };
     if dx.abs().max(dy.abs()) <= RECENTRE {
         return first;
     }
     let (dx, dy, response) = place(simd, kernels, pyramid, first.x, first.y, sigma);
-    Look { x: first.x + dx * step, y: first.y + dy * step, response }
+    Refined { x: first.x + dx * step, y: first.y + dy * step, response }
 }
 
 /// Offset of the maximum, in samples, and its value.

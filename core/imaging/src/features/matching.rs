@@ -4,10 +4,9 @@
 //! distances come from integer dot products and are the same on every machine.
 
 use super::describe::{DESCRIPTOR_LEN, Descriptor};
-use super::simd::Simd;
 use super::surf::Features;
 use crate::geometry::Homography;
-use crate::{Parallel, SharedMut};
+use crate::{Parallel, SharedMut, Simd};
 
 /// Descriptor elements are stored as integers times this; dot products stay below 2^26.
 const QUANTUM: f32 = 8191.0;
@@ -302,7 +301,7 @@ fn nearest<const PARTS: usize>(
             let out = unsafe { shared.part(start, QUERIES) };
             #[cfg(target_arch = "x86_64")]
             if simd.avx2() {
-                // SAFETY: AVX2 is there.
+                // SAFETY: `Simd` allows AVX2 only where the processor has it.
                 unsafe { group_avx2::<PARTS>(queries, start, targets, range, radius, out) };
                 continue;
             }
@@ -406,7 +405,7 @@ fn group_avx2<const PARTS: usize>(
     let mut chosen = [_mm256_setzero_si256(); QUERIES];
     // SAFETY: each array is eight elements of four bytes.
     let load = |lanes: &[i32; LANES]| unsafe { _mm256_loadu_si256(lanes.as_ptr().cast()) };
-    // SAFETY: as above.
+    // SAFETY: each array is eight floats of four bytes.
     let load_f32 = |lanes: &[f32; LANES]| unsafe { _mm256_loadu_ps(lanes.as_ptr()) };
     let all = _mm256_set1_epi32(-1);
     for block in range {

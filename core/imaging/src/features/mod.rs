@@ -8,9 +8,10 @@ pub mod integral;
 mod isotropic;
 pub mod matching;
 mod orientation;
+mod patch;
 mod pyramid;
 pub mod registration;
-pub mod simd;
+mod sampling;
 mod strips;
 pub mod surf;
 #[cfg(test)]
@@ -19,11 +20,10 @@ pub(crate) mod testing;
 mod tests;
 mod upright;
 
-pub use color::{GrayBuffer, bgr_to_gray, gray_from, shrink_gray};
+pub use color::{GrayBuffer, gray_from, shrink_gray};
 pub use describe::{DESCRIPTOR_LEN, Descriptor};
 pub use evaluate::{Precision, Repeatability, precision, repeatability};
 pub use integral::Integral;
 pub use matching::{Gate, Match, MatchParams, Matcher};
 pub use registration::{RegisterParams, RegisterSurf, Registration};
-pub use simd::Simd;
 pub use surf::{Features, Keypoints, Surf, SurfParams};

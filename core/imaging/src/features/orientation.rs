@@ -2,9 +2,11 @@
 //!
 //! Bay et al. 2008, section 4.1: Haar responses of side 4 s within 6 s vote for the orientation.
 
-use super::describe::{Grid, PATCH, Patch, ROW, sample};
+use super::patch::{Grid, PATCH, Patch, ROW};
 use super::pyramid::Pyramid;
-use super::simd::{Simd, dispatch};
+use super::sampling::sample;
+use crate::Simd;
+use crate::simd::dispatch;
 
 /// Samples of an orientation patch along each side.
 const TURN_PATCH: usize = 16;
@@ -43,13 +45,13 @@ impl TurnWeights {
 }
 
 /// Work memory of one keypoint after the other; every part is written before it is read.
-pub(crate) struct Room {
+pub(crate) struct Scratch {
     pub patch: Patch,
     votes: Votes,
     sectors: Sectors,
 }
 
-impl Room {
+impl Scratch {
     pub(crate) fn new() -> Self {
         let votes = Votes { all: [0.0; VOTES + 3], fall: [0.0; VOTES + 3], pair: [[0.0; 2]; VOTES], bin: [0; VOTES] };
         let sectors = Sectors {
@@ -89,11 +91,11 @@ pub(crate) fn orientation(
     x: f32,
     y: f32,
     scale: f32,
-    room: &mut Room,
+    scratch: &mut Scratch,
 ) -> f32 {
     let scale = scale * TURN_SCALE;
     let (level, grid) = Grid::on(pyramid, x, y, scale, scale, 0.0);
-    let Room { patch, votes, sectors } = room;
+    let Scratch { patch, votes, sectors } = scratch;
     sample(simd, level, grid, (TURN_PATCH as f32 - 1.0) / 2.0, TURN_PATCH, TURN_PATCH / 8, patch);
     let (patch, target) = (&*patch, &mut *votes);
     dispatch!(simd, vote(weights: &TurnWeights, patch: &Patch, target: &mut Votes));

@@ -4,8 +4,8 @@
 //! that large, read with bilinear interpolation, gives the same smoothed samples at any angle and
 //! sub-pixel place for two gathers per eight samples.
 
-use super::simd::{Simd, dispatch, grow};
-use crate::{Parallel, SharedMut, View};
+use crate::simd::{dispatch, grow};
+use crate::{Parallel, SharedMut, Simd, View};
 
 const BAND_ROWS: usize = 32;
 /// Levels: pixel sides of 1, 2, 4, 8 and 16 pixels.
@@ -103,7 +103,7 @@ fn smooth_row(simd: Simd, above: &[u8], middle: &[u8], below: &[u8], out: &mut [
     out[count - 1] = column(count - 1) * 3 + column(count - 2);
     #[cfg(target_arch = "x86_64")]
     let first = if simd.avx2() {
-        // SAFETY: AVX2 is there.
+        // SAFETY: `Simd` allows AVX2 only where the processor has it.
         unsafe { smooth_row_avx2(above, middle, below, out) }
     } else {
         1

@@ -3,11 +3,11 @@
 use super::matching::{Gate, Match, MatchParams, Matcher};
 use super::strips::{Search, Sizes, Strips, narrow, narrow_surf};
 use super::surf::{Features, Surf, SurfParams};
+use crate::Rect;
 use crate::geometry::narrow::{ALONG, NarrowParams, fit_narrow};
 use crate::geometry::ransac::{Ransac, RansacFit, RansacParams};
 use crate::geometry::{
-    Homography, Plausibility, Point, Rect, RegistrationState, Stability, StabilityParams, Stabilized, overlap_rois,
-    rms_of,
+    Homography, Plausibility, Point, RegistrationState, Stability, StabilityParams, Stabilized, overlap_rois, rms_of,
 };
 use crate::{Parallel, Serial, SharedMut, View};
 
@@ -42,7 +42,7 @@ pub struct RegisterParams {
     pub stability_px: f64,
     /// Weight of the frame before (of a plain shift in the first frame) beside that of all inliers, 0..=4: what the overlap leaves open, the far corners
     /// above all, then moves slowly instead of jumping with every change of inliers. 0: the inliers alone.
-    pub calm: f64,
+    pub anchor_fit: f64,
     /// A homography whose inliers are further off than this (rms, px) is not believed; 0 believes all.
     pub max_rms_px: f64,
     /// Failed frames in a row for which the homography before still counts as held rather than lost.
@@ -66,7 +66,7 @@ impl Default for RegisterParams {
             min_inliers: 8,
             plausibility: Plausibility::default(),
             stability_px: 0.0,
-            calm: 0.0,
+            anchor_fit: 0.0,
             max_rms_px: 0.0,
             hold_frames: 0,
             roi_margin_px: 8,
@@ -155,7 +155,7 @@ impl RegisterSurf {
         }
     }
 
-    /// The parameters.
+    /// The parameters that were last set.
     pub fn params(&self) -> &RegisterParams {
         &self.params
     }
@@ -185,7 +185,7 @@ impl RegisterSurf {
         (&self.matches, &self.mask)
     }
 
-    /// Registers one pair of views (gray or BGR). Nothing is allocated once the largest frames have been seen.
+    /// Registers one pair of views (gray or BGR). Allocates only for larger frames than before.
     ///
     /// A failure is a state, not an error: the next frame searches whole frames and so resumes.
     pub fn register(&mut self, left: View<'_, u8>, right: View<'_, u8>, pool: &dyn Parallel) -> Registration {
@@ -317,7 +317,7 @@ impl RegisterSurf {
         self.mask.reserve(most.saturating_sub(self.mask.len()));
         self.matches.reserve(most - self.matches.len());
         self.ransac.reserve(most);
-        self.stability.reserve(most, self.params.calm);
+        self.stability.reserve(most, self.params.anchor_fit);
         let [left, right] = &self.sides;
         for found in &self.matches {
             self.to.push(left.features.keypoints.position(found.left as usize));
@@ -333,11 +333,11 @@ impl RegisterSurf {
             still_tolerance: STILL_TOLERANCE,
             outlier_px: params.ransac.threshold_px * if is_narrow { ALONG } else { 1.0 },
             // A narrow overlap leaves the far corners to the model alone, which holds them.
-            calm: if is_narrow { 0.0 } else { params.calm },
+            anchor_fit: if is_narrow { 0.0 } else { params.anchor_fit },
             max_rms_px: params.max_rms_px,
         };
         let chosen = self.stability.choose(&fit, trusted, sizes[1], (&self.from, &self.to, &self.mask), &stable);
-        // That of the map which goes out, not of the fit: the map before may have been kept, and calming moves it.
+        // Error of the returned map, not of the fit: the returned one may be the previous map or anchored at it.
         let rms_px = rms_of(&chosen.homography, &self.from, &self.to, &self.mask);
         if params.max_rms_px > 0.0 && rms_px > params.max_rms_px {
             self.refused_rms_px = Some(rms_px);

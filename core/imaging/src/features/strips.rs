@@ -5,7 +5,8 @@
 
 use super::matching::Gate;
 use super::surf::SurfParams;
-use crate::geometry::{Homography, Rect, overlap_rois};
+use crate::Rect;
+use crate::geometry::{Homography, overlap_rois};
 
 /// Overlaps shorter than this share of a view's side are narrow: searched at full size and registered by a model of fewer parameters.
 const NARROW_SHARE: f64 = 0.34;

@@ -6,12 +6,12 @@ use super::color::{GrayBuffer, shrink_gray_with};
 use super::describe::{Descriptor, Tables, describe, describe_extended};
 use super::hessian::{Extremum, HessianDetector};
 use super::integral::Integral;
-use super::isotropic::{Kernels, look};
-use super::orientation::{Room, TurnWeights, orientation};
+use super::isotropic::{Kernels, refine};
+use super::orientation::{Scratch, TurnWeights, orientation};
 use super::pyramid::Pyramid;
-use super::simd::{Simd, grow};
-use crate::geometry::Rect;
-use crate::{Parallel, SharedMut, View};
+use crate::Rect;
+use crate::simd::grow;
+use crate::{Parallel, SharedMut, Simd, View};
 
 /// Keypoints per chunk when describing.
 const POINTS_PER_CHUNK: usize = 16;
@@ -47,7 +47,7 @@ pub struct SurfParams {
     /// Looks at the image doubled in size when nothing is shrunk (as Lowe 2004, section 3.3, does), so that the first
     /// octave holds finer keypoints; costs about four times as much.
     pub upsample: bool,
-    /// Size of orientation and descriptor windows over the usual one: larger ones tell fine keypoints apart better.
+    /// Size of orientation and descriptor windows over the usual one: larger ones distinguish fine keypoints better.
     pub window: f32,
     /// Descriptors of 128 elements ([`Features::extension`]): more right matches for about twice the time of description
     /// and matching.
@@ -103,7 +103,7 @@ pub struct Keypoints {
     pub size_px: Vec<f32>,
     /// Orientations in radians, x towards y (clockwise as seen); 0 when upright.
     pub angle_rad: Vec<f32>,
-    /// Determinants.
+    /// Determinants of the Hessian at the keypoints.
     pub response: Vec<f32>,
     /// Signs of the Laplacian: 1 dark on bright ground, -1 bright on dark ground.
     pub laplacian: Vec<i8>,
@@ -176,7 +176,7 @@ impl Features {
     }
 }
 
-/// SURF with its work memory; nothing is allocated once images of the largest size have been seen.
+/// SURF with its work memory. Allocates only for larger images than before.
 #[derive(Clone, Debug)]
 pub struct Surf {
     params: SurfParams,
@@ -223,7 +223,7 @@ impl Surf {
         }
     }
 
-    /// The parameters.
+    /// The parameters that were last set.
     pub fn params(&self) -> &SurfParams {
         &self.params
     }
@@ -235,7 +235,7 @@ impl Surf {
 
     /// Detects and describes keypoints of `image` (gray, or BGR that is converted on the way).
     ///
-    /// Only `roi` (clipped to the image; `None`: everything) is looked at, shrunk by `shrink` with area
+    /// Searches only `roi` (clipped to the image; `None`: everything), shrunk by `shrink` with area
     /// averages first (0 counts as 1). Keypoints come back in full-frame pixels, strongest first.
     pub fn detect_and_describe(
         &mut self,
@@ -271,7 +271,7 @@ impl Surf {
         };
         self.integral.compute_with(self.simd, gray, pool);
         self.found.clear();
-        // More maxima than any picture has, whatever part of it is looked at next: the lists do not grow again within a run.
+        // More maxima than any part of a picture of this size has, so that the lists do not grow again.
         let enlarged = if doubled { 4 } else { 1 };
         let most = enlarged * (image.width / shrink) * (image.height / shrink) / PIXELS_PER_MAXIMUM;
         self.found.reserve(most);
@@ -287,11 +287,11 @@ impl Surf {
         self.detector.detect(self.simd, &self.integral, octaves, layers, threshold, pool, &mut self.found);
         self.pyramid.build(self.simd, gray, pool);
         let (width, height) = (gray.width, gray.height);
-        // Ranked by box responses, more than wanted; then by what the second look says.
+        // Ranked by box responses, more than wanted; then by the refined strength.
         self.rank();
         if self.params.second_look {
             self.select(width, height, max_points + max_points / 2);
-            self.look_again(pool);
+            self.refine_candidates(pool);
             self.rank();
             self.drop_doubles(width, height);
         }
@@ -325,8 +325,8 @@ impl Surf {
         let descriptors = SharedMut::new(&mut out.descriptors);
         let extension = SharedMut::new(&mut out.extension);
         pool.run(count.div_ceil(POINTS_PER_CHUNK), &|chunk| {
-            let mut room = Room::new();
-            let room = &mut room;
+            let mut scratch = Scratch::new();
+            let scratch = &mut scratch;
             let first = chunk * POINTS_PER_CHUNK;
             for index in &order[first..(first + POINTS_PER_CHUNK).min(count)] {
                 let (index, point) = (*index as usize, &found[*index as usize]);
@@ -335,13 +335,23 @@ impl Surf {
                 // SAFETY: each keypoint stands in the order once, and chunks own disjoint parts of it.
                 let (angle, descriptor) =
                     unsafe { (&mut angles.part(index, 1)[0], &mut descriptors.part(index, 1)[0]) };
-                *angle = if upright { 0.0 } else { orientation(simd, turns, pyramid, x, y, scale, room) };
+                *angle = if upright { 0.0 } else { orientation(simd, turns, pyramid, x, y, scale, scratch) };
                 if extended {
-                    // SAFETY: as above; the list is as long as the others.
+                    // SAFETY: `extension` is as long as `descriptors`, and `index` is used by this chunk alone.
                     let wide = unsafe { &mut extension.part(index, 1)[0] };
-                    describe_extended(simd, tables, pyramid, x, y, scale, *angle, [descriptor, wide], &mut room.patch);
+                    describe_extended(
+                        simd,
+                        tables,
+                        pyramid,
+                        x,
+                        y,
+                        scale,
+                        *angle,
+                        [descriptor, wide],
+                        &mut scratch.patch,
+                    );
                 } else {
-                    describe(simd, tables, pyramid, x, y, scale, *angle, descriptor, &mut room.patch);
+                    describe(simd, tables, pyramid, x, y, scale, *angle, descriptor, &mut scratch.patch);
                 }
             }
         });
@@ -379,7 +389,7 @@ impl Surf {
     }
 
     /// Replaces place and strength of every candidate; those without a blob are dropped.
-    fn look_again(&mut self, pool: &dyn Parallel) {
+    fn refine_candidates(&mut self, pool: &dyn Parallel) {
         let (simd, kernels, pyramid) = (self.simd, &self.kernels, &self.pyramid);
         let count = self.found.len();
         let found = SharedMut::new(&mut self.found);
@@ -388,14 +398,14 @@ impl Surf {
             // SAFETY: chunks own disjoint candidates.
             let points = unsafe { found.part(first, POINTS_PER_CHUNK.min(count - first)) };
             for point in points {
-                let seen = look(simd, kernels, pyramid, point.x, point.y, point.size * SCALE_PER_SIZE);
-                (point.x, point.y, point.response) = (seen.x, seen.y, seen.response);
+                let refined = refine(simd, kernels, pyramid, point.x, point.y, point.size * SCALE_PER_SIZE);
+                (point.x, point.y, point.response) = (refined.x, refined.y, refined.response);
             }
         });
         self.found.retain(|point| point.response > 0.0);
     }
 
-    /// Drops candidates that the second look has brought to the place and size of a better one.
+    /// Drops candidates whose refined position and size are those of a stronger one.
     ///
     /// Neighbouring octaves find the same blob; two equal descriptors would fail every ratio test.
     fn drop_doubles(&mut self, width: usize, height: usize) {

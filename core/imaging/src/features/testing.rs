@@ -1,42 +1,9 @@
-//! Scenes and pools for the tests of this folder.
+//! Scenes for the tests of this folder.
 
-use crate::Parallel;
 use crate::geometry::Homography;
+use panoscope_base::random::lattice;
 
-/// Runs chunks on scoped threads that take them in turn.
-pub(crate) struct Threads(pub usize);
-
-impl Parallel for Threads {
-    fn threads(&self) -> usize {
-        self.0
-    }
-
-    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
-        let next = std::sync::atomic::AtomicUsize::new(0);
-        std::thread::scope(|scope| {
-            for _ in 0..self.0 {
-                scope.spawn(|| {
-                    loop {
-                        let index = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-                        if index >= chunks {
-                            return;
-                        }
-                        body(index);
-                    }
-                });
-            }
-        });
-    }
-}
-
-pub(crate) fn hash(x: i64, y: i64, seed: u64) -> f64 {
-    let mut z = (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f) ^ seed;
-    z = (z ^ (z >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-}
-
-/// Smooth noise of several periods, 0..=255: a scene that can be looked at from anywhere.
+/// Smooth noise of several periods, 0..=255: a scene without borders.
 pub(crate) fn noise(x: f64, y: f64) -> f64 {
     let mut sum = 128.0;
     for (seed, (period, height)) in [(7.0, 70.0), (15.0, 60.0), (40.0, 60.0)].into_iter().enumerate() {
@@ -44,7 +11,7 @@ pub(crate) fn noise(x: f64, y: f64) -> f64 {
         let (column, row) = (u.floor(), v.floor());
         let ease = |t: f64| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
         let (fx, fy) = (ease(u - column), ease(v - row));
-        let at = |dx: i64, dy: i64| hash(column as i64 + dx, row as i64 + dy, seed as u64) - 0.5;
+        let at = |dx: i64, dy: i64| lattice(column as i64 + dx, row as i64 + dy, seed as u64) - 0.5;
         let top = at(0, 0) + (at(1, 0) - at(0, 0)) * fx;
         let bottom = at(0, 1) + (at(1, 1) - at(0, 1)) * fx;
         sum += height * 1.5 * (top + (bottom - top) * fy);

@@ -1,13 +1,16 @@
 //! Tests of colour conversion, integral image, SURF and matching.
 
 use super::color::{gray_from_with, shrink_gray_with};
-use super::testing::{Threads, blobs, corner_error, hash, render, similarity};
+use super::testing::{blobs, corner_error, render, similarity};
 use super::*;
-use crate::geometry::{Homography, Ransac, RansacParams, Rect, RegistrationState};
-use crate::{Parallel, Serial, View};
+use crate::Rect;
+use crate::geometry::{Homography, Ransac, RansacParams, RegistrationState};
+use crate::{Parallel, Serial, Simd, View};
+use panoscope_base::Threads;
+use panoscope_base::random::lattice;
 
 fn bytes(len: usize, seed: u64) -> Vec<u8> {
-    (0..len).map(|i| (hash(i as i64, 3, seed) * 256.0) as u8).collect()
+    (0..len).map(|i| (lattice(i as i64, 3, seed) * 256.0) as u8).collect()
 }
 
 fn detect(image: View<'_, u8>, params: SurfParams) -> Features {
@@ -25,7 +28,7 @@ fn integral_image_equals_plain_sums() {
             let mut integral = Integral::new();
             // A larger image first: leftovers must not show.
             integral.compute_with(simd, View::new(&bytes(90 * 90, 2), 90, 90, 1), &Serial);
-            integral.compute_with(simd, image, &Threads(2));
+            integral.compute_with(simd, image, &Threads::new(2));
             for y in 0..=height {
                 for x in 0..=width {
                     let plain: u32 =
@@ -45,7 +48,7 @@ fn gray_and_shrinking_equal_their_definitions() {
         let image = View::with_stride(&data, width, height, 3, stride);
         let mut gray = GrayBuffer::new();
         for simd in [Simd::portable(), Simd::detect()] {
-            gray_from_with(simd, image, &mut gray, &Threads(2));
+            gray_from_with(simd, image, &mut gray, &Threads::new(2));
             for y in 0..height {
                 for (x, bgr) in image.row(y).chunks_exact(3).enumerate() {
                     let exact = 0.114 * f64::from(bgr[0]) + 0.587 * f64::from(bgr[1]) + 0.299 * f64::from(bgr[2]);
@@ -56,7 +59,7 @@ fn gray_and_shrinking_equal_their_definitions() {
             let full: Vec<u8> = (0..height).flat_map(|y| gray.view().row(y).to_vec()).collect();
             for factor in [2, 3, 5] {
                 let mut small = GrayBuffer::new();
-                shrink_gray_with(simd, image, factor, &mut small, &Threads(2));
+                shrink_gray_with(simd, image, factor, &mut small, &Threads::new(2));
                 let view = small.view();
                 assert_eq!((view.width, view.height), (width / factor, height / factor));
                 for y in 0..view.height {
@@ -143,8 +146,8 @@ fn instruction_sets_and_threads_agree_bit_for_bit() {
             assert!(reference.len() > 30, "{} points", reference.len());
             assert_eq!(reference.extension.len(), if extended { reference.len() } else { 0 });
             assert_eq!(run(Simd::detect(), &Serial), reference);
-            assert_eq!(run(Simd::detect(), &Threads(2)), reference);
-            assert_eq!(run(Simd::detect(), &Threads(8)), reference);
+            assert_eq!(run(Simd::detect(), &Threads::new(2)), reference);
+            assert_eq!(run(Simd::detect(), &Threads::new(8)), reference);
         }
     }
 }
@@ -240,7 +243,7 @@ fn random_features(count: usize, extended: bool, seed: u64) -> Features {
         let used = &mut halves[..if extended { 2 } else { 1 }];
         let mut squares = 0.0;
         for (k, value) in used.iter_mut().flat_map(|half| &mut half.0).enumerate() {
-            *value = hash(i as i64, k as i64, seed) as f32 - 0.4;
+            *value = lattice(i as i64, k as i64, seed) as f32 - 0.4;
             squares += *value * *value;
         }
         used.iter_mut().flat_map(|half| &mut half.0).for_each(|value| *value /= squares.sqrt());
@@ -249,12 +252,12 @@ fn random_features(count: usize, extended: bool, seed: u64) -> Features {
             features.extension.push(halves[1]);
         }
         let keypoints = &mut features.keypoints;
-        keypoints.x_px.push(hash(i as i64, 100, seed) as f32 * 600.0);
-        keypoints.y_px.push(hash(i as i64, 101, seed) as f32 * 400.0);
+        keypoints.x_px.push(lattice(i as i64, 100, seed) as f32 * 600.0);
+        keypoints.y_px.push(lattice(i as i64, 101, seed) as f32 * 400.0);
         keypoints.size_px.push(9.0);
         keypoints.angle_rad.push(0.0);
         keypoints.response.push(1.0);
-        keypoints.laplacian.push(if hash(i as i64, 102, seed) < 0.5 { 1 } else { -1 });
+        keypoints.laplacian.push(if lattice(i as i64, 102, seed) < 0.5 { 1 } else { -1 });
     }
     features
 }
@@ -283,7 +286,7 @@ fn plain_search(left: &Features, right: &Features) {
                 };
                 let found = run(Simd::portable(), &Serial);
                 assert_eq!(run(Simd::detect(), &Serial), found);
-                assert_eq!(run(Simd::detect(), &Threads(8)), found);
+                assert_eq!(run(Simd::detect(), &Threads::new(8)), found);
                 let allowed = |i: usize, j: usize| {
                     let [x, y] = left.keypoints.position(i);
                     let [u, v] = map.map(right.keypoints.position(j));
@@ -448,7 +451,7 @@ fn registration_follows_fails_and_resumes() {
         assert_eq!(registration.register(black, black, &Serial).state, RegistrationState::Lost);
         for shift in [0.0, 4.0, 9.0] {
             let right = view(leak(render(width, height, &truth(shift))));
-            let found = registration.register(left, right, &Threads(2));
+            let found = registration.register(left, right, &Threads::new(2));
             assert_eq!(found.state, RegistrationState::Fresh, "{found:?}");
             let error = corner_error(&found.left_from_right, &truth(shift), width, height);
             println!("roi {roi}, shift {shift}: corners off by {error:.3} px, {found:?}");
@@ -476,7 +479,7 @@ fn a_still_scene_keeps_its_homography() {
     for frame in 0..4 {
         let mut right = render(400, 300, &map);
         for (i, value) in right.iter_mut().enumerate() {
-            *value = value.saturating_add((hash(i as i64, frame, 11) * 6.0) as u8);
+            *value = value.saturating_add((lattice(i as i64, frame, 11) * 6.0) as u8);
         }
         let found = registration.register(View::new(&left, 400, 300, 1), View::new(&right, 400, 300, 1), &Serial);
         assert_eq!(found.state, RegistrationState::Fresh);
@@ -497,7 +500,7 @@ fn a_strip_of_a_tenth_is_registered_followed_and_found_again() {
         let params = RegisterParams { hold_frames: 1, ..RegisterParams::default() };
         let mut registration = RegisterSurf::new(RegisterParams { strips: true, ..params });
         // One pair of sides is tried per frame.
-        let mut state = |right: View<'_, u8>| registration.register(left, right, &Threads(2));
+        let mut state = |right: View<'_, u8>| registration.register(left, right, &Threads::new(2));
         let first = (0..SIDES_TRIED).find(|_| state(view(&seen(x, y))).state == RegistrationState::Fresh);
         assert!(first.is_some(), "{x} {y} is not found in {SIDES_TRIED} frames");
         for step in 1..4 {
@@ -526,8 +529,11 @@ fn views_that_share_nothing_stay_lost() {
         RegisterSurf::new(RegisterParams { strips: true, min_inliers: 4, ..RegisterParams::default() });
     for frame in 0..2 * SIDES_TRIED {
         let right = render(width, height, &Homography::translation(5000.0 + 90.0 * frame as f64, 3000.0));
-        let found =
-            registration.register(View::new(&left, width, height, 1), View::new(&right, width, height, 1), &Threads(2));
+        let found = registration.register(
+            View::new(&left, width, height, 1),
+            View::new(&right, width, height, 1),
+            &Threads::new(2),
+        );
         assert_eq!(found.state, RegistrationState::Lost, "frame {frame}: {found:?}");
     }
 }

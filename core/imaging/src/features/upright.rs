@@ -3,7 +3,7 @@
 //! Sixteen pixels of two image rows are first blended into one line; eight samples are then picked from it by permuting vectors. That
 //! needs no gather, which costs as much as a load for each element.
 
-use super::describe::{Grid, ROW, Start};
+use super::patch::{Grid, ROW, Start};
 use super::pyramid::Level;
 
 /// Largest step, in pixels: eight samples and their neighbours then lie within sixteen pixels.

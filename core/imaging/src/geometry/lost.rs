@@ -6,7 +6,7 @@ use crate::Report;
 /// Lost frames in a row before the warning: about a second.
 const LOST_FRAMES: u32 = 30;
 
-/// Warns once when no registration is found for many frames, and reports once when that is over.
+/// Warns once when many frames in a row have no registration, and reports once when they have one again.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LostWatch {
     has_warned: bool,
@@ -14,7 +14,7 @@ pub struct LostWatch {
 }
 
 impl LostWatch {
-    /// Takes the state of one frame; `help` ends the warning with what can be done.
+    /// Takes the state of one frame. `help` closes the warning: what the user can do.
     pub fn observe(&mut self, report: &dyn Report, state: RegistrationState, help: &str) {
         match state {
             RegistrationState::Lost => self.lost_frames = self.lost_frames.saturating_add(1),

@@ -1,9 +1,11 @@
 //! Projective geometry: homographies and robust estimation.
 
-pub mod calm;
+pub mod anchor_fit;
+mod fit;
 pub mod homography;
 pub mod lost;
 pub mod narrow;
+mod normalizer;
 pub mod plausible;
 pub mod ransac;
 pub mod rms;
@@ -13,11 +15,11 @@ pub mod stability;
 #[cfg(test)]
 mod tests;
 
-pub use calm::{Calm, shift_of};
-pub use homography::{Homography, Point};
+pub use anchor_fit::{AnchorFit, shift_of};
+pub use homography::{Homography, Point, SINGULAR_DETERMINANT};
 pub use lost::LostWatch;
 pub use plausible::Plausibility;
 pub use ransac::{Ransac, RansacError, RansacFit, RansacParams};
 pub use rms::{RmsWatch, rms_of};
-pub use roi::{Rect, overlap_roi, overlap_rois};
+pub use roi::{overlap_roi, overlap_rois};
 pub use stability::{RegistrationState, Stability, StabilityParams, Stabilized, explains_as_well, median_error};

@@ -1,31 +1,31 @@
 //! Robust estimation from an overlap too narrow to determine a homography.
 //!
-//! A strip some tens of pixels wide says nothing about five of a homography's eight parameters: fitted freely, the far side of the view folds
-//! over or grows without bound. Two cameras that look the same way move each point along one direction, the baseline, by an amount that depends on its depth;
-//! over a strip that amount is about linear in the place. So the displacement is modelled as an affine function that is
-//! held near a plain shift, and errors along the displacement, which are parallax, may be larger than those across it.
+//! A strip some tens of pixels wide leaves five of a homography's eight parameters undetermined: in a free fit the far side of the view folds
+//! over or grows without bound. Between two parallel cameras a point moves along the baseline, by an amount that depends on its depth;
+//! within a strip that amount is about linear in the position. The displacement is therefore modelled as an affine function with a prior
+//! on a plain translation, and errors along the displacement, which are parallax, may be larger than those across it.
 
 use super::homography::{Homography, Point};
 use super::ransac::RansacFit;
 use super::solve::solve_symmetric;
-use crate::random::SplitMix64;
+use panoscope_base::random::SplitMix64;
 
-/// Samples of two pairs drawn.
+/// Number of samples of two pairs.
 const SAMPLES: usize = 512;
-/// Error allowed along the displacement over that allowed across it: tissue is no plane.
+/// Error allowed along the displacement over that allowed across it: tissue is not a plane.
 pub const ALONG: f64 = 4.0;
 /// Slopes of the displacement beyond this are wrong matches: the far side of the view would be stretched or squeezed by a fifth.
 const MOST_SLOPE: f64 = 0.2;
-/// How sure it is beforehand that the displacement is the same everywhere: standard deviation of its slopes.
+/// Prior on a constant displacement: standard deviation of its slopes.
 const SLOPE_DEVIATION: f64 = 0.06;
-/// Pairs that err alike.
+/// Pairs whose errors are correlated.
 const ALIKE: f64 = 4.0;
-/// Samples whose points lie nearer than this say nothing about slopes, px.
+/// Smallest distance of a sample's points from which a slope is computed, px.
 const LEAST_SPAN_PX: f64 = 24.0;
 /// Rounds of the reweighted fit.
 const ROUNDS: usize = 5;
 
-/// How to estimate.
+/// Thresholds and seed of the estimation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NarrowParams {
     /// Largest error of an inlier across the displacement, px of the target frame.
@@ -45,7 +45,7 @@ struct Displacement {
 }
 
 impl Displacement {
-    /// The plain shift of one pair.
+    /// The translation of one pair.
     fn shift((from, to): (Point, Point)) -> Self {
         Self { offset: [to[0] - from[0], to[1] - from[1]], ..Self::default() }
     }
@@ -126,7 +126,7 @@ impl Displacement {
     }
 }
 
-/// The affine map near a plain shift that most pairs agree on; `mask` becomes one flag per pair. `None` when fewer than `min_inliers` agree.
+/// The affine map near a translation that most pairs agree on; `mask` becomes one flag per pair. `None` when fewer than `min_inliers` agree.
 pub fn fit_narrow(from: &[Point], to: &[Point], params: &NarrowParams, mask: &mut Vec<bool>) -> Option<RansacFit> {
     let count = from.len().min(to.len());
     mask.clear();

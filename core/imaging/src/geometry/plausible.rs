@@ -7,11 +7,11 @@ use super::homography::{Homography, Point};
 pub struct Plausibility {
     /// Least area of the warped frame over that of the frame.
     pub min_area_ratio: f64,
-    /// Largest area ratio.
+    /// Largest area of the warped frame over that of the frame.
     pub max_area_ratio: f64,
     /// Least length of each warped side over that of the frame's side.
     pub min_side_ratio: f64,
-    /// Largest side ratio.
+    /// Largest length of each warped side over that of the frame's side.
     pub max_side_ratio: f64,
 }
 

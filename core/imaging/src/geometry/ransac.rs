@@ -1,17 +1,19 @@
 //! Seeded RANSAC for homographies (Fischler and Bolles 1981; thesis, section 2.2).
 
 use super::homography::{Homography, Point};
-use crate::features::simd::{Simd, dispatch};
-use crate::random::SplitMix64;
+use super::normalizer::Normalizer;
+use crate::Simd;
+use crate::simd::dispatch;
+use panoscope_base::random::SplitMix64;
 
-/// How to estimate.
+/// Threshold, confidence and seed of the estimation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RansacParams {
     /// Largest reprojection error of an inlier in the target frame, in pixels.
     pub threshold_px: f64,
     /// Wanted probability that one sample held inliers only.
     pub confidence: f64,
-    /// Samples at most.
+    /// Largest number of samples.
     pub max_iterations: usize,
     /// Seed of the sampling; the same seed and pairs give the same result.
     pub seed: u64,
@@ -23,16 +25,16 @@ impl Default for RansacParams {
     }
 }
 
-/// What RANSAC found.
+/// A homography with its support.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RansacFit {
     /// Maps source points to target points, refitted on all inliers.
     pub homography: Homography,
-    /// How many pairs agree.
+    /// Number of inliers.
     pub inliers: usize,
     /// Root mean square error of the inliers in the target frame, in pixels.
     pub rms_px: f64,
-    /// Samples drawn.
+    /// Number of samples that were drawn.
     pub iterations: usize,
 }
 
@@ -41,7 +43,7 @@ pub struct RansacFit {
 pub enum RansacError {
     /// A homography needs four pairs.
     TooFewMatches {
-        /// How many there were.
+        /// Pairs that were given.
         found: usize,
     },
     /// No four pairs without three on a line were in agreement.
@@ -100,7 +102,8 @@ impl Ransac {
         if count < 4 {
             return Err(RansacError::TooFewMatches { found: count });
         }
-        let (source, target) = (Frame::of(&from[..count]), Frame::of(&to[..count]));
+        let (source, target) =
+            (Normalizer::of(&from[..count], |_| true, 1.0), Normalizer::of(&to[..count], |_| true, 1.0));
         let (Some(source), Some(target)) = (source, target) else {
             return Err(RansacError::Degenerate);
         };
@@ -126,7 +129,7 @@ impl Ransac {
             let Some(sample) = draw(&mut random, count) else {
                 break;
             };
-            let pick = |points: &[Point], frame: &Frame| sample.map(|index| frame.apply(points[index]));
+            let pick = |points: &[Point], frame: &Normalizer| sample.map(|index| frame.apply(points[index]));
             let Some(map) = from_four(&pick(from, &source), &pick(to, &target)) else {
                 continue;
             };
@@ -281,35 +284,4 @@ fn basis(points: &[Point; 4]) -> Option<([f64; 9], [f64; 3], f64)> {
     let k = parts.map(|part| part / whole);
     let matrix = [k[0] * a[0], k[1] * b[0], k[2] * c[0], k[0] * a[1], k[1] * b[1], k[2] * c[1], k[0], k[1], k[2]];
     Some((matrix, k, whole))
-}
-
-/// Centroid and spread of all points.
-struct Frame {
-    x: f64,
-    y: f64,
-    scale: f64,
-}
-
-impl Frame {
-    fn of(points: &[Point]) -> Option<Self> {
-        let count = points.len() as f64;
-        let (x, y) = points.iter().fold((0.0, 0.0), |(x, y), point| (x + point[0], y + point[1]));
-        let (x, y) = (x / count, y / count);
-        let mean = points.iter().map(|point| (point[0] - x).hypot(point[1] - y)).sum::<f64>() / count;
-        (mean.is_finite() && mean > 1e-9).then(|| Self { x, y, scale: 1.0 / mean })
-    }
-
-    fn apply(&self, point: Point) -> Point {
-        [(point[0] - self.x) * self.scale, (point[1] - self.y) * self.scale]
-    }
-
-    fn matrix(&self) -> Homography {
-        let s = self.scale;
-        Homography([s, 0.0, -s * self.x, 0.0, s, -s * self.y, 0.0, 0.0, 1.0])
-    }
-
-    fn inverse(&self) -> Homography {
-        let s = 1.0 / self.scale;
-        Homography([s, 0.0, self.x, 0.0, s, self.y, 0.0, 0.0, 1.0])
-    }
 }

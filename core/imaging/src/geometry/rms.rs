@@ -1,4 +1,4 @@
-//! How well a homography explains its inliers, and what is said when it does not.
+//! Reprojection error of a homography on its inliers, and the warning when it is too large.
 
 use super::{Homography, Point};
 use crate::Report;
@@ -13,10 +13,10 @@ pub fn rms_of(map: &Homography, from: &[Point], to: &[Point], selected: &[bool])
     if count == 0.0 { 0.0 } else { f64::sqrt(sum / count) }
 }
 
-/// Good frames in a row after which a warning counts as over: frames near the limit would be told of again and again.
+/// Good frames in a row that end the warning, so that an error near the limit is not reported again and again.
 const GOOD_FRAMES: u32 = 30;
 
-/// Says once when registrations are refused because of their error, and once when that is over.
+/// Warns once when registrations are refused because of their error, and reports once when they are accepted again.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RmsWatch {
     is_told: bool,

@@ -1,11 +1,11 @@
 //! A homography that does not jitter (thesis, chapter 4, Algorithm 2).
 
-use super::calm::{Calm, shift_of};
+use super::anchor_fit::{AnchorFit, shift_of};
 use super::homography::{Homography, Point};
 use super::ransac::RansacFit;
 use super::rms::rms_of;
 
-/// What a frame's homography is worth.
+/// How far a frame's homography can be relied on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RegistrationState {
     /// Measured in this frame (or confirmed by it).
@@ -17,12 +17,12 @@ pub enum RegistrationState {
     Lost,
 }
 
-/// The homography to use for this frame.
+/// The homography that a frame uses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stabilized {
-    /// The previous or the new map.
+    /// Maps the source frame to the target frame.
     pub homography: Homography,
-    /// Whether the previous one stayed.
+    /// Whether it is the previous frame's.
     pub kept: bool,
 }
 
@@ -67,46 +67,46 @@ pub fn explains_as_well(
     cost(previous) <= cost(fresh) * (1.0 + tolerance)
 }
 
-/// The same previous map may be doubted once while it costs no more than this times the cost of the fresh one.
+/// A previous map that fails the test is reused for one more frame while it costs no more than this share above the fresh one.
 const DOUBTED_TOLERANCE: f64 = 1.0;
 
-/// When the homography before stays.
+/// When the previous homography is reused.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StabilityParams {
-    /// It stays while its median error on the new inliers is below this, in pixels; 0: refit every frame.
+    /// It is reused while its median error on the new inliers is below this, in pixels; 0 refits every frame.
     pub stability_px: f64,
-    /// It also stays while it explains the pairs worse by no more than this share.
+    /// It is also reused while its cost on the pairs (see [`explains_as_well`]) is higher by no more than this share.
     pub still_tolerance: f64,
     /// Error of an outlier, in pixels: RANSAC's threshold.
     pub outlier_px: f64,
-    /// Weight of the frame before (of a plain shift in the first frame) beside that of all inliers; 0 fits the inliers alone.
-    pub calm: f64,
-    /// Neither the homography before nor a calmed one is taken whose error on the new inliers (rms) is above this, in pixels; 0: any.
+    /// Weight of the previous map (of a translation in the first frame) relative to all inliers, see [`AnchorFit`]; 0 fits the inliers alone.
+    pub anchor_fit: f64,
+    /// Largest rms error on the new inliers at which the previous or the anchored map is accepted, in pixels; 0 accepts any.
     pub max_rms_px: f64,
 }
 
-/// Chooses the homography of each frame; work memory and one doubt are kept between frames.
+/// Chooses the homography of each frame. Keeps work memory between frames, and whether the last test was failed.
 #[derive(Clone, Debug, Default)]
 pub struct Stability {
-    calm: Calm,
+    anchor_fit: AnchorFit,
     errors: Vec<f64>,
     doubted: bool,
 }
 
-/// A previous map whose median error on the new inliers is this many times the bound of an outlier is that of another scene.
+/// A previous map whose median error on the new inliers is this many times the outlier threshold belongs to another scene.
 const JUMP: f64 = 2.0;
 
 impl Stability {
-    /// Reserves memory for up to `count` inliers, held with a weight of up to `calm`.
-    pub fn reserve(&mut self, count: usize, calm: f64) {
-        self.calm.reserve(count, calm);
+    /// Reserves memory for up to `count` inliers and an anchor weight of up to `weight`.
+    pub fn reserve(&mut self, count: usize, weight: f64) {
+        self.anchor_fit.reserve(count, weight);
         self.errors.reserve(count.saturating_sub(self.errors.len()));
     }
 
-    /// The map `previous` where it still holds, else the new one, calmed by it (see [`Calm`]).
+    /// Returns `previous` where it still fits, else the new map, anchored at `previous` (see [`AnchorFit`]).
     ///
     /// `pairs` are source and target points and which of them are the inliers of `fit`; `size` is that of the source frame, in
-    /// pixels. A previous map that fails by little is given up in the second such frame only: noise fails one frame, motion all.
+    /// pixels. A previous map that fails narrowly is dropped only in the second such frame: noise fails one frame, motion all.
     pub fn choose(
         &mut self,
         fit: &RansacFit,
@@ -116,8 +116,8 @@ impl Stability {
         params: &StabilityParams,
     ) -> Stabilized {
         let (from, to, mask) = pairs;
-        // After a jump the frame before tells nothing: held by it, the far corners would stay wrong for many frames. A map of another
-        // plane of the same scene is off as far, but explains many pairs of its own.
+        // After a jump the previous map is no anchor: the far corners would stay wrong for many frames. A map of another plane of the
+        // same scene has errors as large, but still explains many pairs.
         let held = previous.filter(|before| {
             let median = median_error(before, from, to, |index| mask[index], &mut self.errors);
             let near = median.is_none_or(|median| median < JUMP * params.outlier_px);
@@ -126,11 +126,11 @@ impl Stability {
             near || 2 * explained >= fit.inliers
         });
         let fits = |map: &Homography| params.max_rms_px <= 0.0 || rms_of(map, from, to, mask) <= params.max_rms_px;
-        let mut fresh = if params.calm > 0.0 {
-            // A shift is a guess, the frame before is not.
-            let guess = || (shift_of(&fit.homography, from, mask), 0.1 * params.calm);
-            let (anchor, weight) = held.map_or_else(guess, |before| (before, params.calm));
-            self.calm.fit(fit, &anchor, weight, size, pairs)
+        let mut fresh = if params.anchor_fit > 0.0 {
+            // The translation is a guess, so it weighs less than a previous map.
+            let guess = || (shift_of(&fit.homography, from, mask), 0.1 * params.anchor_fit);
+            let (anchor, weight) = held.map_or_else(guess, |before| (before, params.anchor_fit));
+            self.anchor_fit.fit(fit, &anchor, weight, size, pairs)
         } else {
             fit.homography
         };

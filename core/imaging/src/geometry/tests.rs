@@ -1,14 +1,16 @@
 //! Tests of homographies and their robust estimation.
 
 use super::*;
-use crate::features::testing::{corner_error, hash};
+use crate::Rect;
+use crate::features::testing::corner_error;
+use panoscope_base::random::lattice;
 
 fn truth() -> Homography {
     Homography([0.93, 0.06, 120.0, -0.04, 1.03, -8.0, 1.2e-4, -5.0e-5, 1.0])
 }
 
 fn pairs(count: usize, noise_px: f64, outliers: f64) -> (Vec<Point>, Vec<Point>) {
-    let random = |i: usize, k: i64| hash(i as i64, k, 21);
+    let random = |i: usize, k: i64| lattice(i as i64, k, 21);
     let from: Vec<Point> = (0..count).map(|i| [random(i, 0) * 640.0, random(i, 1) * 480.0]).collect();
     let to = from.iter().enumerate().map(|(i, &point)| {
         if random(i, 2) < outliers {
@@ -142,7 +144,7 @@ fn a_good_previous_map_stays() {
     let mut near = truth();
     near.0[2] += 0.4;
     let params =
-        StabilityParams { stability_px: 1.0, still_tolerance: 0.1, outlier_px: 3.0, calm: 0.0, max_rms_px: 0.0 };
+        StabilityParams { stability_px: 1.0, still_tolerance: 0.1, outlier_px: 3.0, anchor_fit: 0.0, max_rms_px: 0.0 };
     let mask = vec![true; from.len()];
     let fit = RansacFit { homography: truth(), inliers: from.len(), rms_px: 0.0, iterations: 1 };
     let mut stability = Stability::default();
@@ -161,7 +163,7 @@ fn a_jump_lets_go_of_the_frame_before() {
     let mask = vec![true; from.len()];
     let fit = RansacFit { homography: truth(), inliers: from.len(), rms_px: 0.0, iterations: 1 };
     let params =
-        StabilityParams { stability_px: 1.0, still_tolerance: 0.1, outlier_px: 5.0, calm: 1.0, max_rms_px: 0.0 };
+        StabilityParams { stability_px: 1.0, still_tolerance: 0.1, outlier_px: 5.0, anchor_fit: 1.0, max_rms_px: 0.0 };
     let choose =
         |previous| Stability::default().choose(&fit, previous, (640, 480), (&from, &to, &mask), &params).homography;
     let moved = |px: f64| {
@@ -192,7 +194,7 @@ fn one_noisy_frame_does_not_move_the_picture_and_two_do() {
     let to: Vec<Point> =
         from.iter().enumerate().map(|(i, p)| [p[0] + if i % 2 == 0 { 1.5 } else { -1.5 }, p[1]]).collect();
     let params =
-        StabilityParams { stability_px: 0.3, still_tolerance: 0.1, outlier_px: 4.0, calm: 0.0, max_rms_px: 0.0 };
+        StabilityParams { stability_px: 0.3, still_tolerance: 0.1, outlier_px: 4.0, anchor_fit: 0.0, max_rms_px: 0.0 };
     let mask = vec![true; from.len()];
     let fit = RansacFit { homography: Homography::identity(), inliers: from.len(), rms_px: 1.5, iterations: 1 };
     let mut stability = Stability::default();
@@ -216,11 +218,36 @@ fn a_map_whose_inliers_are_far_off_is_not_kept() {
     let fit = RansacFit { homography: Homography::translation(15.0, 0.0), inliers: 32, rms_px: 0.0, iterations: 1 };
     let choose = |max_rms_px: f64| {
         let params =
-            StabilityParams { stability_px: 0.8, still_tolerance: 0.2, outlier_px: 5.0, calm: 0.0, max_rms_px };
+            StabilityParams { stability_px: 0.8, still_tolerance: 0.2, outlier_px: 5.0, anchor_fit: 0.0, max_rms_px };
         let before = Some(Homography::identity());
         Stability::default().choose(&fit, before, (640, 480), (&from, &to, &mask), &params)
     };
     assert_eq!(choose(0.0), Stabilized { homography: Homography::identity(), kept: true });
     assert_eq!(super::rms_of(&Homography::identity(), &from, &to, &mask), 15.0);
     assert_eq!(choose(10.0), Stabilized { homography: fit.homography, kept: false });
+}
+
+#[test]
+fn one_rule_says_what_is_singular() {
+    // Rows (1, 0, 0), (cos, sin, 0), (0, 0, 1) of length 1: the determinant is the sine.
+    let with_determinant =
+        |sine: f64| Homography([1.0, 0.0, 0.0, (1.0 - sine * sine).sqrt(), sine, 0.0, 0.0, 0.0, 1.0]);
+    let scaled = |map: &Homography, by: f64| Homography(map.0.map(|value| value * by));
+    for by in [1e-20, 1e-3, 1.0, 1e3, 1e20] {
+        for (share, is_regular) in [(1.001, true), (0.999, false), (-1.001, true), (-0.999, false), (0.0, false)] {
+            let map = scaled(&with_determinant(share * SINGULAR_DETERMINANT), by);
+            assert_eq!(map.inverse_raw().is_some(), is_regular, "{share} of the threshold, scaled by {by}");
+            assert_eq!(map.inverse_bounded().is_some(), is_regular, "{share} of the threshold, scaled by {by}");
+        }
+    }
+    // Far shifts and strong reductions are maps like any other.
+    for map in [Homography::translation(1e6, -1e6), Homography::scaling(1e-5), Homography::scaling(1e5)] {
+        let back = map.inverse().expect("regular");
+        let [x, y] = back.map(map.map([3.0, 4.0]));
+        assert!((x - 3.0).abs() < 1e-6 && (y - 4.0).abs() < 1e-6, "{map:?}");
+    }
+    for broken in [[0.0; 9], [f64::NAN; 9], [f64::INFINITY; 9], [1e200; 9]] {
+        assert_eq!(Homography(broken).inverse(), None);
+        assert_eq!(Homography(broken).inverse_bounded(), None);
+    }
 }

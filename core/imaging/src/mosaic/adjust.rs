@@ -10,7 +10,7 @@ use super::params::MosaicModel;
 use super::skyline::Skyline;
 use crate::geometry::Homography;
 
-/// Most parameters of a keyframe.
+/// Largest number of parameters of a keyframe.
 const MOST_DEGREES: usize = 8;
 /// Distances above this pull less and less (Cauchy loss), in pixels: a wrong edge must not bend the mosaic, but one that closes a long loop has
 /// to pull until its error is spread.
@@ -18,9 +18,9 @@ const LOSS_PX: f64 = 10.0;
 /// Weight of the perspective of each keyframe against the pairs of its edges: curved tissue looks like ever more perspective from
 /// keyframe to keyframe, which overlaps hardly contradict and which would bend the mosaic.
 const PERSPECTIVE: f64 = 0.3;
-/// Steps at most.
+/// Largest number of steps.
 const ITERATIONS: usize = 20;
-/// Holds keyframes that no edge connects to the oldest one.
+/// Weight that fixes keyframes without a path to the oldest one.
 const ANCHOR: f64 = 1e-9;
 
 /// The adjustment with its work memory.

@@ -2,12 +2,13 @@
 //!
 //! A pixel shows mostly the keyframe that sees it nearest to its middle, where light and lens are best; the steep weights
 //! turn into a short transition where two keyframes are equally near. Sums do not depend on the order of drawing but for
-//! rounding, so a keyframe is added, and a rectangle drawn anew, without regard to the rest.
+//! rounding, so a keyframe can be added, and a rectangle redrawn, independently of the rest.
 
 use super::picture::Picture;
-use crate::geometry::{Homography, Point, Rect};
+use crate::Rect;
+use crate::geometry::{Homography, Point};
 use crate::stitch::warp::{self, BLOCK, Block, Pixels, Span, UNIT_GAIN};
-use crate::{Parallel, SharedMut, ViewMut};
+use crate::{Parallel, SharedMut, Simd, ViewMut};
 
 /// Rows per chunk.
 const ROWS: usize = 16;
@@ -22,11 +23,11 @@ const GAIN_SAMPLES: usize = 32;
 const LEAST_SAMPLES: usize = 24;
 /// Weights of a frame and of what is shown are this near to each other, as a ratio, where exposures are compared.
 const GAIN_BAND: f32 = 4.0;
-/// Gray levels outside which a sample says nothing about exposure.
+/// Range of gray levels that are used to measure exposure.
 const GAIN_LEVELS: (f64, f64) = (12.0, 245.0);
 /// Largest gain; the smallest is its inverse.
 const MOST_GAIN: f64 = 1.6;
-/// How much of a measured difference is evened out: the rest is forgotten, so that gains do not drift along a chain.
+/// Share of a measured exposure difference that is compensated; less than 1, so that gains do not drift along a chain.
 const GAIN_SHARE: f64 = 0.9;
 
 /// The picture and its sums.
@@ -62,7 +63,7 @@ fn fixed(gain: [f32; 3]) -> [i16; 4] {
     std::array::from_fn(|c| gain.get(c).map_or(0, |g| (g * f32::from(UNIT_GAIN[0])).clamp(0.0, 32767.0) as i16))
 }
 
-/// How near to the frame's middle a position lies, 1 in the middle and 0 at the border, in both directions.
+/// Nearness of a position to the frame's middle, 1 in the middle and 0 at the border, in both directions.
 #[inline(always)]
 fn nearness(m: &[f32; 6], i: f32, over: [f32; 2]) -> (f32, f32) {
     let scale = 1.0 / (m[4] + m[5] * i);
@@ -87,7 +88,7 @@ impl Canvas {
             sums: vec![0.0; width * height * LANES],
             bgr: vec![0; width * height * 3],
             spans: Vec::with_capacity(height),
-            avx2: warp::has_avx2(),
+            avx2: Simd::detect().avx2(),
         }
     }
 
@@ -122,7 +123,7 @@ impl Canvas {
         let middle = [(source.size.0 as f64 - 1.0) / 2.0, (source.size.1 as f64 - 1.0) / 2.0];
         let (view, level_from_frame) = source.picture.level(scale_at(&picture_from_frame, middle));
         let map = level_from_frame.compose(&picture_from_frame.inverse()?);
-        // `coverage` wants a positive weight where the frame lies.
+        // `coverage` needs a positive weight inside the frame.
         let weight = map.weight(picture_from_frame.map(middle));
         let sign = if weight < 0.0 { -1.0 } else { 1.0 };
         Some(Ready { view, source_from_picture: map.0.map(|v| v * sign), gain: fixed(source.gain) })
@@ -200,7 +201,7 @@ impl Canvas {
             let inside = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;
             let at = if inside { v as usize * self.width + u as usize } else { continue };
             // Light falls off towards the border of a frame: only where the frame and what is shown are about equally near to their middles, along
-            // the seam between them, do their levels tell exposures apart. Anything else would brighten a chain step by step.
+            // the seam between them, do their levels measure exposure. Anything else would brighten a chain step by step.
             let near = |at: usize, side: usize| 1.0 - (2.0 * at as f32 / (side as f32 - 1.0) - 1.0).abs();
             let own_weight = weight_of(near(x, ready.view.width) * near(y, ready.view.height));
             let ratio = self.sums[at * LANES + 3] / own_weight;

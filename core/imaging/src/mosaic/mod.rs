@@ -1,8 +1,8 @@
-//! A mosaic from one moving camera (thesis, section 2.5): every frame is registered to a keyframe, keyframes are held
-//! together by a graph of overlaps, and closed loops spread their error over it.
+//! A mosaic from one moving camera (thesis, section 2.5): every frame is registered to a keyframe, a graph of overlaps connects
+//! the keyframes, and the error of a closed loop is distributed over it.
 //!
-//! [`Mosaic`] is the whole: frames in, a picture and a report out. A frame that cannot be registered changes nothing. Memory
-//! is bounded by the number of keyframes; the oldest one is dropped, and counted, when a new one needs its place.
+//! [`Mosaic`] takes frames and gives a picture and a report. A frame that cannot be registered changes nothing. Memory
+//! is bounded by the number of keyframes; the oldest one is dropped, and counted, for a new one.
 
 mod adjust;
 mod canvas;

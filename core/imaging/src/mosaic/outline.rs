@@ -1,4 +1,4 @@
-//! Where frames lie in the mosaic: outlines, their shared area, bounds.
+//! Outlines of frames in the mosaic, their shared area and bounds.
 
 use crate::geometry::{Homography, Point, plausible};
 
@@ -41,7 +41,7 @@ impl Outline {
         b
     }
 
-    /// Whether the point lies inside.
+    /// Whether the point is inside.
     pub fn contains(&self, [x, y]: Point) -> bool {
         (0..4).all(|i| {
             let (a, b) = (self.corners[i], self.corners[(i + 1) % 4]);

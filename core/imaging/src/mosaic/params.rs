@@ -1,4 +1,4 @@
-//! What a mosaic is made with, and what it reports.
+//! Parameters, states, errors and reports of the mosaic.
 
 use std::fmt;
 
@@ -41,7 +41,7 @@ pub enum MosaicView {
     Follow,
 }
 
-/// How to make a mosaic.
+/// Parameters of a [`Mosaic`](super::Mosaic).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MosaicParams {
     /// Features of each frame.
@@ -119,17 +119,17 @@ impl Default for MosaicParams {
     }
 }
 
-/// Whether the newest frame has its place.
+/// Whether the newest frame was registered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MosaicState {
-    /// Registered.
+    /// The frame was registered to a keyframe.
     Fresh,
     /// Not registered: the mosaic is as it was before this frame.
     #[default]
     Lost,
 }
 
-/// What is known after a frame.
+/// Result of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MosaicReport {
     /// Whether the newest frame has its place.
@@ -142,31 +142,31 @@ pub struct MosaicReport {
     pub inliers: usize,
     /// Root mean square error of the inliers in the keyframe, in pixels; 0 when lost.
     pub rms_px: f64,
-    /// Keyframes held.
+    /// Keyframes in the mosaic.
     pub keyframes: usize,
     /// Keyframes dropped because no more than `max_keyframes` are held.
     pub dropped: u64,
-    /// Closed loops.
+    /// Loops that were closed so far.
     pub closures: u64,
     /// Times that the camera was lost and found again.
     pub relocalised: u64,
-    /// Frames without a place.
+    /// Frames that were not registered.
     pub lost_frames: u64,
     /// Times that the whole picture was drawn anew.
     pub redraws: u64,
     /// Area of the keyframes together, in percent of one frame.
     pub coverage_pct: f64,
-    /// Way of the frame's centre in the mosaic since the start, in pixels.
+    /// Length of the path of the frame's centre since the start, in pixels of the mosaic.
     pub path_px: f64,
     /// How far off the last closed loop was before its error was spread, in pixels; NaN before any.
     pub drift_px: f64,
-    /// The same in percent of the way round that loop.
+    /// The same in percent of the length of that loop.
     pub drift_pct: f64,
     /// Root mean square distance of the keyframes' shared points after the last adjustment, in pixels.
     pub spread_px: f64,
 }
 
-/// Why a frame cannot be added, or the mosaic not be drawn.
+/// Why a frame cannot be added, or the mosaic cannot be drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MosaicError {
     /// Not three channels.

@@ -8,7 +8,7 @@ const LEVELS: usize = 3;
 /// Rows per chunk.
 const ROWS: usize = 32;
 
-/// One size.
+/// A frame at one of the sizes.
 #[derive(Clone, Debug, Default)]
 struct Level {
     bgr: Vec<u8>,
@@ -85,7 +85,7 @@ mod tests {
 
     #[test]
     fn smaller_sizes_show_the_same_places() {
-        // A ramp: the value tells the column of the full frame.
+        // A ramp: the value gives the column of the full frame.
         let ramp: Vec<u8> = (0..16 * 8 * 3).map(|i| (i / 3 % 16 * 8) as u8).collect();
         let mut picture = Picture::default();
         picture.fill(View::new(&ramp, 16, 8, 3), &Serial);

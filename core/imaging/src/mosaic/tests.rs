@@ -1,9 +1,10 @@
 //! The mosaic on scenes whose places are known.
 
 use super::*;
-use crate::features::testing::{Threads, noise, similarity};
+use crate::features::testing::{noise, similarity};
 use crate::geometry::{Homography, Point};
 use crate::{Serial, View, ViewMut};
+use panoscope_base::Threads;
 
 const SIZE: (usize, usize) = (320, 240);
 /// Barrel distortion of the test camera: what makes every chain of frames drift.
@@ -281,7 +282,7 @@ fn threads_do_not_change_the_mosaic() {
         mosaic.draw(&mut ViewMut::new(&mut bgr, width, height, 3), pool).unwrap();
         (reports, bgr)
     };
-    assert!(run(&Serial) == run(&Threads(3)));
+    assert!(run(&Serial) == run(&Threads::new(3)));
 }
 
 #[test]

@@ -9,17 +9,17 @@ use crate::geometry::{Homography, Point, Ransac};
 /// Cells over a frame of which each gives one inlier to an edge.
 const CELLS: (usize, usize) = (6, 4);
 /// Least spread of the inliers across their narrow direction, as a share of the frame's larger side: an instrument that moves
-/// with the camera, or a gap in smoke, holds matches that agree with each other and say nothing of the rest.
+/// with the camera, or a gap in smoke, has matches that agree with each other but not with the scene.
 const LEAST_SPREAD: f64 = 0.035;
-/// How much more evidence a strict test asks for.
+/// Factor on the evidence that a strict test needs.
 const STRICT: f64 = 1.6;
 
-/// How sure a registration must be.
+/// How much evidence a registration needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Test {
-    /// The place is about where it is expected.
+    /// The position is near the predicted one.
     Usual,
-    /// Nothing is known about the place, or a wrong answer would bend the whole mosaic.
+    /// There is no prediction, or a wrong result would bend the whole mosaic.
     Strict,
 }
 
@@ -62,7 +62,7 @@ impl Tracker {
         self.ransac.reserve(points);
     }
 
-    /// Where a frame lies in a keyframe; `None` when the evidence does not suffice.
+    /// Position of a frame in a keyframe; `None` when the evidence does not suffice.
     ///
     /// `expected` limits matching to the surroundings of a predicted place.
     pub fn register(

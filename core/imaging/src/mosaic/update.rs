@@ -14,7 +14,7 @@ use crate::features::{Features, Surf};
 use crate::geometry::Homography;
 use crate::{Parallel, View, ViewMut, draw};
 
-/// Other keyframes that a frame is compared with when the expected one does not hold it.
+/// Other keyframes that a frame is compared with when it does not match the expected one.
 const TRIES: usize = 3;
 /// How much more a keyframe must share with the frame than the one in use before it takes its place.
 const HANDOVER: f64 = 0.08;
@@ -103,7 +103,7 @@ impl Mosaic {
         }
     }
 
-    /// The parameters.
+    /// The parameters that were last set.
     pub fn params(&self) -> &MosaicParams {
         &self.params
     }

@@ -3,8 +3,7 @@
 //! Only occupied vertices are kept, in the order row, column, luminance; the work of a frame then
 //! depends on the picture's content, not on the grid's volume.
 
-use crate::stereo::Roi;
-use crate::{Parallel, SharedMut, View};
+use crate::{Parallel, Rect, SharedMut, View};
 
 /// Largest side of a cell, px.
 pub(crate) const MOST_SIGMA_XY: usize = 128;
@@ -42,7 +41,7 @@ impl BilateralGrid {
     pub fn splat(
         &mut self,
         guide: View<'_, u8>,
-        roi: Roi,
+        roi: Rect,
         (sigma_xy, sigma_luma): (usize, usize),
         value: View<'_, f32>,
         (confidence, origin): (View<'_, f32>, (usize, usize)),
@@ -70,7 +69,7 @@ impl BilateralGrid {
             dense.fill([0.0; 4]);
             for row in grid_row * sigma_xy..((grid_row + 1) * sigma_xy).min(roi.height) {
                 let at = row * roi.width..(row + 1) * roi.width;
-                // SAFETY: as above.
+                // SAFETY: pixel row `row` is under grid row `grid_row`, which belongs to this chunk alone.
                 let ids = unsafe { pixel_cell.part(at.start, roi.width) };
                 let channels = guide.channels;
                 let pixels = &guide.row(roi.y + row)[roi.x * channels..(roi.x + roi.width) * channels];
@@ -171,9 +170,9 @@ impl BilateralGrid {
     #[inline(always)]
     pub unsafe fn around(&self, values: &[f32], v: usize) -> f32 {
         debug_assert_eq!(values.len(), self.mass.len());
-        // SAFETY: `v` and `values` are as promised; `connect` writes vertex numbers only.
+        // SAFETY: the caller promises `v < len()`, and `neighbours` has one entry per vertex.
         let [a, b, c, d, e, f] = *unsafe { self.neighbours.get_unchecked(v) };
-        // SAFETY: as above.
+        // SAFETY: `connect` writes only vertex numbers into `neighbours`, and the caller promises a value per vertex.
         let at = |index: u32| unsafe { *values.get_unchecked(index as usize) };
         ((at(a) + at(b)) + (at(c) + at(d))) + (at(e) + at(f))
     }

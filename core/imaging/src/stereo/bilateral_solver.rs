@@ -1,20 +1,20 @@
 //! The fast bilateral solver (Barron and Poole, "The fast bilateral solver", 2016): the disparity map
-//! that is close to the given one where that is trusted and smooth wherever the picture is.
+//! that is close to the given one where that is reliable, and smooth where the picture is.
 //!
 //! The problem is solved on the vertices of a bilateral grid: splat, make the blur bistochastic, run
-//! preconditioned conjugate gradients, read back. The grid is over column, row and luminance. From one
-//! frame to the next the solution moves little, so the last frame's is where the solver starts.
+//! preconditioned conjugate gradients, read back. The grid is over column, row and luminance. The
+//! solution changes little between frames, so the solver starts from the last frame's.
 
+use crate::stereo::StereoError;
 use crate::stereo::bilateral_grid::{BilateralGrid, MOST_SIGMA_XY};
-use crate::stereo::block_matching::fill_nan;
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::grid_solver::GridSolver;
-use crate::stereo::rooms::Rooms;
+use crate::stereo::matching::fill_nan;
+use crate::stereo::scratch::Scratch;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::wls::FilterInput;
-use crate::stereo::{Roi, StereoError, simd};
-use crate::{Parallel, Serial, SharedMut, View, ViewMut};
+use crate::{Parallel, Rect, Serial, SharedMut, Simd, View, ViewMut};
 
 /// Size of the grid's cells and strength of the solver.
 #[derive(Clone, Debug, PartialEq)]
@@ -85,23 +85,23 @@ impl BilateralSolverParams {
     }
 }
 
-/// Grids with fewer vertices are solved on one thread: waking others would cost more.
+/// Grids with fewer vertices are solved on one thread, because waking others costs more.
 const SMALL: usize = 1 << 15;
 
-/// The solver with its work memory; nothing is allocated once a size and its vertices have been seen.
+/// The solver with its work memory. Allocates only for a larger size or more vertices than before.
 #[derive(Debug)]
 pub struct BilateralSolver {
     params: BilateralSolverParams,
     judge: Confidence,
     grid: BilateralGrid,
     confidence: Vec<f32>,
-    rooms: Rooms,
+    scratch: Scratch,
     work: GridSolver,
     /// Solution of the last call, by dense cell; NaN where there was no vertex.
     last: Vec<f32>,
     /// Value, and 1 or 0 where it is known or not, of each dense cell.
     reach: Vec<[f32; 2]>,
-    last_shape: (Roi, [usize; 3]),
+    last_shape: (Rect, [usize; 3]),
     steps: usize,
     avx2: bool,
 }
@@ -118,13 +118,13 @@ impl BilateralSolver {
             judge: Confidence::default(),
             grid: BilateralGrid::default(),
             confidence: Vec::new(),
-            rooms: Rooms::default(),
+            scratch: Scratch::default(),
             work: GridSolver::default(),
             last: Vec::new(),
             reach: Vec::new(),
             last_shape: Default::default(),
             steps: 0,
-            avx2: simd::has_avx2(),
+            avx2: Simd::detect().avx2(),
         })
     }
 
@@ -183,7 +183,7 @@ impl BilateralSolver {
             check_channels("solved confidence", &[1], "1", map.channels)?;
         }
         let roi = input.roi.clamped(width, height);
-        if roi != Roi::full(width, height) {
+        if roi != Rect::whole(width, height) {
             fill_nan(&mut disparity, pool);
             if let Some(map) = &mut confidence {
                 (0..height).for_each(|y| map.row_mut(y).fill(0.0));
@@ -221,7 +221,7 @@ impl BilateralSolver {
     /// Gives each pixel its vertex's value and support, and keeps the values for the next frame.
     fn read_back(
         &mut self,
-        roi: Roi,
+        roi: Rect,
         pool: &dyn Parallel,
         disparity: ViewMut<'_, f32>,
         confidence: Option<ViewMut<'_, f32>>,
@@ -248,15 +248,15 @@ impl BilateralSolver {
             }
         });
         let (reach, avx2) = (&self.reach, self.avx2);
-        let rooms = self.rooms.lend(Slice::room(grid, roi.width), pool);
+        let buffers = self.scratch.lend(Slice::scratch_len(grid, roi.width), pool);
         pool.run(grid.cells[1], &|grid_row| {
             for row in grid_row * grid.sigma_xy..((grid_row + 1) * grid.sigma_xy).min(roi.height) {
                 let y = roi.y + row;
-                // SAFETY: a row of pixels lies under one row of cells.
+                // SAFETY: each row of pixels is under one row of cells, which belongs to this chunk alone.
                 let out = unsafe { out.part(y * stride + roi.x, roi.width) };
-                rooms.with(|room| Slice { grid, reach, row, x0: roi.x, width }.write(room, avx2, out));
+                buffers.with(|work| Slice { grid, reach, row, x0: roi.x, width }.write(work, avx2, out));
                 if let Some(map) = &out_confidence {
-                    // SAFETY: as above.
+                    // SAFETY: row `y` of the confidence map belongs to this chunk alone, like that of the disparity map.
                     let out = unsafe { map.part(y * stride_confidence + roi.x, roi.width) };
                     let vertices = grid.grid_row(grid_row);
                     for (out, cell) in out.iter_mut().zip(grid.row_cells(row, roi.width)) {
@@ -274,37 +274,36 @@ struct Slice<'a> {
     grid: &'a BilateralGrid,
     reach: &'a [[f32; 2]],
     row: usize,
-    /// First column, and columns of the right view: what no right pixel can have seen is no measurement, however smooth the surface
-    /// beside it.
+    /// First column, and columns of the right view: a pixel outside the right view is not measured, however smooth the surface beside it.
     x0: usize,
     width: usize,
 }
 
 impl Slice<'_> {
-    /// Numbers that [`Self::write`] needs room for, `width` pixels of a row.
-    fn room(grid: &BilateralGrid, width: usize) -> usize {
+    /// Numbers of scratch memory that [`Self::write`] needs for `width` pixels of a row.
+    fn scratch_len(grid: &BilateralGrid, width: usize) -> usize {
         4 * grid.cells[0] * grid.cells[2] + 2 * width
     }
 
-    fn write(self, room: &mut [f32], avx2: bool, out: &mut [f32]) {
+    fn write(self, work: &mut [f32], avx2: bool, out: &mut [f32]) {
         #[cfg(target_arch = "x86_64")]
         if avx2 {
             // SAFETY: the caller found AVX2.
-            unsafe { self.write_avx2(room, out) };
+            unsafe { self.write_avx2(work, out) };
             return;
         }
         let _ = avx2;
-        self.write_body(room, out);
+        self.write_body(work, out);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn write_avx2(self, room: &mut [f32], out: &mut [f32]) {
-        self.write_body(room, out);
+    fn write_avx2(self, work: &mut [f32], out: &mut [f32]) {
+        self.write_body(work, out);
     }
 
     #[inline(always)]
-    fn write_body(self, room: &mut [f32], out: &mut [f32]) {
+    fn write_body(self, work: &mut [f32], out: &mut [f32]) {
         let Self { grid, reach, row, x0, width } = self;
         let [columns, rows, lumas] = grid.cells;
         let (side, n) = (grid.sigma_xy, out.len());
@@ -321,9 +320,9 @@ impl Slice<'_> {
         let down = down.abs();
         let here = &reach[grid_row * row_cells..(grid_row + 1) * row_cells];
         let there = &reach[other_row * row_cells..(other_row + 1) * row_cells];
-        let (room, value) = room.split_at_mut(4 * row_cells);
+        let (work, value) = work.split_at_mut(4 * row_cells);
         let (value, _) = value.split_at_mut(2 * n);
-        let (own, mixed) = room.as_chunks_mut::<2>().0.split_at_mut(row_cells);
+        let (own, mixed) = work.as_chunks_mut::<2>().0.split_at_mut(row_cells);
         // Both rows of cells are mixed once, for all pixels; a pixel whose own cell has no value stays unknown.
         for (((own, mixed), here), there) in own.iter_mut().zip(mixed.iter_mut()).zip(here).zip(there) {
             for i in 0..2 {

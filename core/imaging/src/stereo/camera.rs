@@ -47,7 +47,7 @@ impl CameraModel {
         Ok(camera)
     }
 
-    /// Refuses what no camera can have.
+    /// Refuses parameters that no camera can have.
     ///
     /// # Errors
     /// [`StereoError::Calibration`].
@@ -114,6 +114,6 @@ pub struct StereoCameras {
     pub right: CameraModel,
     /// Right camera's axes from the left one's.
     pub rotation: Matrix3,
-    /// Origin of the left camera seen from the right one, in mm (`x` is negative when right is right).
+    /// Origin of the left camera seen from the right one, in mm (`x` is negative unless the views are swapped).
     pub translation_mm: Vector3,
 }

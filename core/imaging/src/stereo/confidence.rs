@@ -1,7 +1,6 @@
 //! How far a matched disparity may be trusted, before any filter has seen it.
 
-use crate::stereo::Roi;
-use crate::{Parallel, SharedMut, View};
+use crate::{Parallel, Rect, SharedMut, View};
 
 /// What lowers the confidence of a disparity.
 #[derive(Clone, Debug, PartialEq)]
@@ -69,7 +68,7 @@ impl Confidence {
         guide: View<'_, u8>,
         disparity: View<'_, f32>,
         disparity_right: Option<View<'_, f32>>,
-        roi: Roi,
+        roi: Rect,
         avx2: bool,
         pool: &dyn Parallel,
         out: &mut [f32],
@@ -94,7 +93,7 @@ impl Confidence {
                 window.start(first);
             }
             for row in first..last {
-                // SAFETY: as above.
+                // SAFETY: the rows `first..last` of the map belong to this chunk alone.
                 let out = unsafe { out.part(row * roi.width, roi.width) };
                 let y = roi.y + row;
                 if params.scatter_radius_px > 0 {
@@ -171,7 +170,7 @@ fn check_row(most_px: f32, here: &[f32], right: Option<&[f32]>, x0: usize, avx2:
 /// Sums over a square window that slides down a band.
 struct Window<'a, 'b> {
     disparity: View<'a, f32>,
-    roi: Roi,
+    roi: Rect,
     radius: usize,
     band: &'b mut Band,
     avx2: bool,

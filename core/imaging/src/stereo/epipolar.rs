@@ -1,17 +1,17 @@
-//! How far matched points lie off each other's row: 0 for a rectified pair, more when the calibration has drifted.
+//! Vertical distance of matched points: 0 for a rectified pair, more when the calibration has drifted.
 
 use crate::View;
 
-/// Rows looked at above and below.
+/// Rows searched above and below.
 const REACH: usize = 6;
-/// Half the side of the compared window, in px.
+/// Half the side of the matching window, in px.
 const RADIUS: usize = 4;
-/// Distance of the points that are looked at, in px.
+/// Spacing of the measured points, in px.
 const STEP: usize = 24;
-/// Fewer points say nothing.
+/// Smallest number of points for a result.
 const LEAST_POINTS: usize = 24;
 
-/// Measures the vertical error of a matched pair; work memory is kept.
+/// Measures the vertical error of a matched pair. Reuses its memory.
 #[derive(Debug, Default)]
 pub struct Epipolar {
     errors: Vec<f32>,
@@ -46,7 +46,7 @@ impl Epipolar {
     }
 }
 
-/// Rows from the left point to the most alike right one, at sub-pixel level.
+/// Rows from the left point to the best matching right one, to a fraction of a row.
 fn vertical_error(left: View<'_, u8>, right: View<'_, u8>, (x, y): (usize, usize), to: usize) -> Option<f32> {
     const SIDE: usize = 2 * RADIUS + 1;
     let mean = |view: View<'_, u8>, x: usize, y: usize| -> i32 {
@@ -69,7 +69,7 @@ fn vertical_error(left: View<'_, u8>, right: View<'_, u8>, (x, y): (usize, usize
     }
     let (best, least) = costs.iter().enumerate().min_by_key(|(_, cost)| **cost)?;
     let most = costs.iter().max()?;
-    // Without vertical texture all rows look alike; at the rim the minimum may lie beyond.
+    // Without vertical texture all rows match equally; at the edge of the range the minimum may be outside.
     if *most < 2 * least + 2 * (SIDE * SIDE) as i32 || best == 0 || best == 2 * REACH {
         return None;
     }

@@ -16,16 +16,16 @@ pub enum StereoError {
     },
     /// An image has the wrong number of channels.
     Channels {
-        /// Which image.
+        /// The image, as the message names it.
         what: &'static str,
         /// Channels accepted, in words.
         expected: &'static str,
-        /// Channels found.
+        /// Channels of that image.
         found: usize,
     },
     /// A parameter lies outside its range.
     Parameter {
-        /// Its name.
+        /// The parameter, as nodes name it.
         name: &'static str,
         /// Its value, as text.
         value: String,
@@ -34,7 +34,7 @@ pub enum StereoError {
     },
     /// A file's bytes are not what they should be.
     Format {
-        /// Which format.
+        /// The file format.
         format: &'static str,
         /// What is wrong.
         reason: String,

@@ -75,7 +75,7 @@ pub fn score_disparity(
 /// Distances from measured points to a surface given as points.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SurfaceScore {
-    /// Measured points.
+    /// Number of points that were compared.
     pub points: usize,
     /// Median distance in mm.
     pub median_mm: f64,
@@ -86,7 +86,7 @@ pub struct SurfaceScore {
 }
 
 /// For each measured point, the distance to the nearest point of the true surface, at most `reach_mm`
-/// (farther points count as `reach_mm`). Points that hold NaN are left out.
+/// (farther points count as `reach_mm`). Points with a NaN are skipped.
 ///
 /// # Errors
 /// When `reach_mm` is not positive or the surface is empty.

@@ -5,9 +5,9 @@ use crate::stereo::StereoError;
 /// A plane of f32 values, row after row, top row first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FloatImage {
-    /// Columns.
+    /// Columns, in pixels.
     pub width: usize,
-    /// Rows.
+    /// Rows, in pixels.
     pub height: usize,
     /// `width * height` values.
     pub data: Vec<f32>,

@@ -26,7 +26,7 @@ pub(crate) struct GridSolver {
     gathered: Vec<f32>,
     diagonal: Vec<f32>,
     inverse: Vec<f32>,
-    /// The solution.
+    /// Solution per vertex.
     pub x: Vec<f32>,
     residual: Vec<f32>,
     direction: Vec<f32>,
@@ -101,7 +101,7 @@ impl GridSolver {
                 // SAFETY: chunks do not overlap; planes are as long as the grid.
                 let part = unsafe { next.part(range.start, range.len()) };
                 for (out, v) in part.iter_mut().zip(range) {
-                    // SAFETY: `v < len`, planes as above.
+                    // SAFETY: `v < len`, and `scale` is as long as the grid.
                     let blurred = SELF_WEIGHT * scale[v] + unsafe { grid.around(scale, v) };
                     *out = (scale[v] * mass[v] / blurred).sqrt();
                 }

@@ -1,6 +1,6 @@
 //! Distances, depths and angles of surface points, each with the error that is to be expected (thesis, figs 3.14 and 3.15).
 
-use super::Place;
+use super::SurfacePoint;
 
 /// What is not known exactly about a rig and its matching; standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -80,7 +80,7 @@ pub fn angle(points: &[[f64; 3]]) -> f64 {
 
 /// `measure` of the points and its stated error: every cause is tried alone, the changes add up as squares.
 /// The error is NaN when `errors` is `None`.
-pub fn with_error(points: &[Place], errors: Option<&Errors>, measure: fn(&[[f64; 3]]) -> f64) -> (f64, f64) {
+pub fn with_error(points: &[SurfacePoint], errors: Option<&Errors>, measure: fn(&[[f64; 3]]) -> f64) -> (f64, f64) {
     let count = points.len().min(MOST_POINTS);
     let mut places = [[0.0; 3]; MOST_POINTS];
     for (place, point) in places.iter_mut().zip(points) {

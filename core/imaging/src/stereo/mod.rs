@@ -1,7 +1,7 @@
 //! Stereo: rectification, matching, filtering, reprojection.
 //!
 //! Disparities are f32, in full-resolution pixels of the left rectified view, positive when
-//! `x_right = x_left - disparity`, NaN where nothing is known. Every stage takes a [`Roi`] and
+//! `x_right = x_left - disparity`, NaN where nothing is known. Every stage takes a [`Rect`] and
 //! computes nothing outside it.
 
 mod bilateral_grid;
@@ -18,20 +18,20 @@ pub mod formats;
 mod grid_solver;
 mod guide_weights;
 pub mod length;
+mod matching;
 mod offset;
-mod place;
 mod prefilter;
 pub mod rectify;
 pub mod remap;
 pub mod reproject;
-mod rooms;
 pub mod rotation;
+mod scratch;
 pub mod search;
 pub mod semi_global;
 mod semi_global_kernel;
 pub mod shared_field;
-mod simd;
 pub mod speckle;
+mod surface_point;
 mod survey;
 mod tridiagonal;
 mod watch;
@@ -44,7 +44,6 @@ pub use confidence::{Confidence, ConfidenceParams};
 pub use error::StereoError;
 pub use evaluate::{DisparityScore, SurfaceScore, score_disparity, score_surface};
 pub use formats::FloatImage;
-pub use place::{Place, Sample};
 pub use rectify::{Rectification, RectifiedCamera, RectifyParams};
 pub use remap::RemapTable;
 pub use reproject::{ReprojectInput, ReprojectParams, reproject};
@@ -52,36 +51,5 @@ pub use search::{Search, SearchParams};
 pub use semi_global::{SemiGlobalMatcher, SemiGlobalParams};
 pub use shared_field::SharedField;
 pub use speckle::SpeckleFilter;
+pub use surface_point::{Sample, SurfacePoint};
 pub use wls::{FilterInput, WlsFilter, WlsParams};
-
-/// Rectangle of the left view in which a stage works; outside it outputs are NaN.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Roi {
-    /// First column.
-    pub x: usize,
-    /// First row.
-    pub y: usize,
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-}
-
-impl Roi {
-    /// The whole of an image.
-    pub fn full(width: usize, height: usize) -> Self {
-        Self { x: 0, y: 0, width, height }
-    }
-
-    /// The part of this rectangle inside an image of `width` x `height`.
-    pub fn clamped(self, width: usize, height: usize) -> Self {
-        let x = self.x.min(width);
-        let y = self.y.min(height);
-        Self { x, y, width: self.width.min(width - x), height: self.height.min(height - y) }
-    }
-
-    /// Whether nothing is inside.
-    pub fn is_empty(self) -> bool {
-        self.width == 0 || self.height == 0
-    }
-}

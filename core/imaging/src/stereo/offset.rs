@@ -1,6 +1,6 @@
-//! Where the search for disparities begins: the window of the search's width that holds most of what a survey found.
+//! Smallest disparity to search: the window as wide as the search that covers most of the surveyed matches.
 
-/// Follows the surveys without flicker. Whole numbers only, so that every machine finds the same.
+/// Follows the surveys without flicker. Uses integers only, so that every machine gives the same result.
 #[derive(Debug, Default)]
 pub struct Offset {
     /// Decaying sums of the surveys' counts.
@@ -9,28 +9,28 @@ pub struct Offset {
     current_px: Option<i32>,
 }
 
-/// New offsets are multiples of this.
+/// Offsets are multiples of this, px.
 const STEP_PX: i32 = 8;
-/// Share of the best window's mass, in per mille, at which the window in use is good enough.
+/// Share of the best window's matches, in per mille, above which the present window stays.
 const KEEP_PER_MILLE: u64 = 985;
-/// Windows with this share of the best one's mass, in per mille, are equal. The nearest one of them is taken: below the
-/// farthest surface there is nothing to be found, and what comes into the picture (a tool) comes nearer.
+/// Windows with this share of the best one's matches, in per mille, count as equal. The one with the largest disparities is chosen: there is
+/// nothing behind the farthest surface, and what enters the picture (a tool) is nearer.
 const EQUAL_PER_MILLE: u64 = 997;
-/// Least share of matched coarse pixels that says anything, in per mille.
+/// Smallest share of matched coarse pixels, in per mille, at which a survey is used.
 const LEAST_PER_MILLE: usize = 5;
 
 impl Offset {
-    /// The offset in use; `None` before a survey has found anything.
+    /// The present offset; `None` before the first usable survey.
     pub fn current_px(&self) -> Option<i32> {
         self.current_px
     }
 
-    /// Whether a survey has matched too little to say anything.
+    /// Whether a survey has matched too few pixels to be used.
     pub fn says_nothing(&self, matched: usize, pixels: usize) -> bool {
         matched * 1000 < pixels * LEAST_PER_MILLE
     }
 
-    /// Takes a survey's `counts` (of `pixels` coarse pixels, in bins of `bin_px`) and returns the offset for a search over `search_px`.
+    /// Adds a survey's `counts` (of `pixels` coarse pixels, in bins of `bin_px`) and returns the offset for a search over `search_px`.
     pub fn update(&mut self, counts: &[u32], bin_px: usize, pixels: usize, search_px: usize) -> Option<i32> {
         if self.mass.len() != counts.len() || self.bin_px != bin_px {
             self.mass.clear();
@@ -40,7 +40,7 @@ impl Offset {
         }
         let matched: usize = counts.iter().map(|count| *count as usize).sum();
         if self.says_nothing(matched, pixels) {
-            // Dark or blurred pictures say nothing: what was known stays.
+            // Dark or blurred pictures give no estimate: the old one stays.
             return self.current_px;
         }
         let first = self.current_px.is_none();
@@ -86,7 +86,7 @@ mod tests {
         // 160 to 240 px, searched over 128 px: 24 px of room on both sides.
         let found = offset.update(&counts(40..60), 4, 160 * 120, 128);
         assert!(found.is_some_and(|px| (112..=160).contains(&px) && px + 128 >= 240), "{found:?}");
-        // A little motion moves nothing.
+        // A small motion does not move the offset.
         assert_eq!(offset.update(&counts(42..61), 4, 160 * 120, 128), found);
         // A cut to another depth is followed within a few surveys.
         let mut last = found;

@@ -1,7 +1,6 @@
 //! What the matchers compare: a horizontal Sobel response, clipped, or the gray value itself.
 
-use crate::stereo::simd::has_avx2;
-use crate::{Parallel, SharedMut, View};
+use crate::{Parallel, SharedMut, Simd, View};
 
 /// Largest value a filtered plane holds; keeps sums over a 31 x 31 window inside 16 bits.
 pub(crate) const MAX_VALUE: u8 = 63;
@@ -73,7 +72,7 @@ fn filter_row(gray: View<'_, u8>, y: usize, cap: u8, pad: usize, avx2: bool, out
         }
     } else {
         #[cfg(target_arch = "x86_64")]
-        if avx2 && has_avx2() {
+        if avx2 && Simd::detect().avx2() {
             // SAFETY: AVX2 was found.
             unsafe { sobel_row_avx2(above, current, below, cap, middle) };
         } else {
@@ -81,7 +80,7 @@ fn filter_row(gray: View<'_, u8>, y: usize, cap: u8, pad: usize, avx2: bool, out
         }
         #[cfg(not(target_arch = "x86_64"))]
         {
-            let _ = avx2 && has_avx2();
+            let _ = avx2 && Simd::detect().avx2();
             sobel_row(above, current, below, cap, middle);
         }
     }

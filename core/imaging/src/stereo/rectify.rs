@@ -4,9 +4,10 @@
 //! baseline horizontal (Bouguet's method), with a common focal length; the same choices as OpenCV's
 //! `stereoRectify`, so that calibrations are interchangeable.
 
+use crate::Rect;
+use crate::stereo::StereoError;
 use crate::stereo::camera::{CameraModel, StereoCameras};
 use crate::stereo::rotation::*;
-use crate::stereo::{Roi, StereoError};
 
 /// The pinhole camera of a rectified view.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,9 +38,9 @@ pub struct Rectification {
     /// Distance between the cameras in mm, positive.
     pub baseline_mm: f64,
     /// Part of the left view that the left camera covers.
-    pub valid_left: Roi,
+    pub valid_left: Rect,
     /// Part of the right view that the right camera covers.
-    pub valid_right: Roi,
+    pub valid_right: Rect,
 }
 
 /// Choices of [`Rectification::new`].
@@ -222,11 +223,11 @@ fn ratios(bounds: &Bounds, (cx, cy): (f64, f64), width: usize, height: usize) ->
     ]
 }
 
-fn valid_roi(inner: &Bounds, (cx, cy): (f64, f64), factor: f64, width: usize, height: usize) -> Roi {
+fn valid_roi(inner: &Bounds, (cx, cy): (f64, f64), factor: f64, width: usize, height: usize) -> Rect {
     let at = |value: f64, centre: f64| (value - centre) * factor + centre;
     let x0 = at(inner[0], cx).ceil().clamp(0.0, width as f64) as usize;
     let y0 = at(inner[1], cy).ceil().clamp(0.0, height as f64) as usize;
     let x1 = (at(inner[2], cx).floor() + 1.0).clamp(x0 as f64, width as f64) as usize;
     let y1 = (at(inner[3], cy).floor() + 1.0).clamp(y0 as f64, height as f64) as usize;
-    Roi { x: x0, y: y0, width: x1 - x0, height: y1 - y0 }
+    Rect { x: x0, y: y0, width: x1 - x0, height: y1 - y0 }
 }

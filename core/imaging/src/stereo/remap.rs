@@ -1,11 +1,11 @@
 //! Resampling a view through a map computed once, bilinear in fixed point.
 
+use crate::stereo::StereoError;
 use crate::stereo::camera::CameraModel;
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::rectify::{Rectification, RectifiedCamera};
 use crate::stereo::rotation::{Matrix3, apply, transposed};
-use crate::stereo::{Roi, StereoError, simd};
-use crate::{Parallel, SharedMut, View, ViewMut};
+use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
 /// Fractions of a pixel are kept in 1/32 px.
 const FRACTION_BITS: u32 = 5;
@@ -17,7 +17,7 @@ const OUTSIDE: u16 = u16::MAX;
 pub struct RemapTable {
     source_size: (usize, usize),
     size: (usize, usize),
-    roi: Roi,
+    roi: Rect,
     /// Upper left source pixel, `y << 16 | x`, row after row of the ROI.
     corner: Vec<u32>,
     /// Fractions in 1/32 px, `y << 8 | x`, or `OUTSIDE`.
@@ -33,7 +33,7 @@ impl RemapTable {
     pub fn left(
         camera: &CameraModel,
         rectification: &Rectification,
-        roi: Roi,
+        roi: Rect,
         pool: &dyn Parallel,
     ) -> Result<Self, StereoError> {
         let size = (rectification.width, rectification.height);
@@ -47,7 +47,7 @@ impl RemapTable {
     pub fn right(
         camera: &CameraModel,
         rectification: &Rectification,
-        roi: Roi,
+        roi: Rect,
         pool: &dyn Parallel,
     ) -> Result<Self, StereoError> {
         let size = (rectification.width, rectification.height);
@@ -63,7 +63,7 @@ impl RemapTable {
         rotation: &Matrix3,
         target: RectifiedCamera,
         size: (usize, usize),
-        roi: Roi,
+        roi: Rect,
         pool: &dyn Parallel,
     ) -> Result<Self, StereoError> {
         camera.validate()?;
@@ -94,7 +94,7 @@ impl RemapTable {
             }
         });
         let source_size = (camera.width, camera.height);
-        Ok(Self { source_size, size, roi, corner, fraction, avx2: simd::has_avx2() })
+        Ok(Self { source_size, size, roi, corner, fraction, avx2: Simd::detect().avx2() })
     }
 
     /// Takes the portable path even where AVX2 exists (tests compare the two).
@@ -103,7 +103,7 @@ impl RemapTable {
     }
 
     /// The rectangle this map fills.
-    pub fn roi(&self) -> Roi {
+    pub fn roi(&self) -> Rect {
         self.roi
     }
 

@@ -1,8 +1,8 @@
 //! From disparity to millimetres: depth and points in the left rectified camera's frame.
 
 use crate::stereo::error::{check_channels, check_size};
-use crate::stereo::{Rectification, Roi, StereoError};
-use crate::{Parallel, SharedMut, View, ViewMut};
+use crate::stereo::{Rectification, StereoError};
+use crate::{Parallel, Rect, SharedMut, View, ViewMut};
 
 /// Which disparities become points.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,7 +26,7 @@ impl Default for ReprojectParams {
     }
 }
 
-/// Inputs of [`reproject`]; views have one size.
+/// Inputs of [`reproject`]; all views have the same size.
 #[derive(Clone, Copy, Debug)]
 pub struct ReprojectInput<'a> {
     /// Px of the left rectified view, NaN where unknown.
@@ -34,14 +34,14 @@ pub struct ReprojectInput<'a> {
     /// 0..=1, optional.
     pub confidence: Option<View<'a, f32>>,
     /// Where to work.
-    pub roi: Roi,
+    pub roi: Rect,
 }
 
 /// Writes depth in mm and, when asked for, points `x y z` in mm (three channels), NaN where unknown.
 /// Returns how many pixels are known.
 ///
 /// A pixel is dropped when its disparity or confidence is too small, its depth out of range, or too few
-/// of its neighbours lie on the same surface: that test takes away single pixels, thin shreds and the
+/// of its neighbours lie on the same surface: this test removes single pixels, thin shreds and the
 /// pixels that filters put between a near and a far surface.
 ///
 /// # Errors
@@ -100,7 +100,7 @@ pub fn reproject(
                 }
             }
         }
-        // A sum of whole numbers: the order does not show.
+        // A sum of integers does not depend on the order.
         known.fetch_add(count, std::sync::atomic::Ordering::Relaxed);
     });
     Ok(known.into_inner())
@@ -110,7 +110,7 @@ pub fn reproject(
 fn depth_row(
     input: &ReprojectInput<'_>,
     params: &ReprojectParams,
-    roi: Roi,
+    roi: Rect,
     y: usize,
     (scale, shift): (f32, f32),
     depth: &mut [f32],
@@ -159,7 +159,7 @@ fn depth_row(
 }
 
 /// Whether enough neighbours lie on the pixel's surface, anywhere in the ROI.
-fn agrees(input: &ReprojectInput<'_>, params: &ReprojectParams, roi: Roi, (x, y): (usize, usize), d: f32) -> bool {
+fn agrees(input: &ReprojectInput<'_>, params: &ReprojectParams, roi: Rect, (x, y): (usize, usize), d: f32) -> bool {
     let (mut same, mut there) = (0, 0);
     for row in y.saturating_sub(1).max(roi.y)..(y + 2).min(roi.y + roi.height) {
         for column in x.saturating_sub(1).max(roi.x)..(x + 2).min(roi.x + roi.width) {

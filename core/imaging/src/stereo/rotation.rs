@@ -1,6 +1,6 @@
 //! 3 x 3 matrices and rotation vectors, as much as rectification needs.
 
-/// Three numbers.
+/// A column vector.
 pub type Vector3 = [f64; 3];
 /// Rows of a 3 x 3 matrix.
 pub type Matrix3 = [[f64; 3]; 3];

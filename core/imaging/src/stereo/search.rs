@@ -1,35 +1,35 @@
-//! Where any matcher searches, and what it tells its user: one mechanism for all engines, ours and others'.
+//! The disparity range that a matcher searches, and its warnings: one mechanism for all engines.
 
 use super::StereoError;
 use super::offset::Offset;
-use super::survey::{COARSE_WIDTH, FINE_WIDTH, Found, Survey};
+use super::survey::{COARSE_WIDTH, FINE_WIDTH, MatchCount, Survey};
 use super::watch::Watch;
 use crate::{Parallel, Report, View};
 
 /// Calls between two surveys.
 const SURVEY_CALLS: u64 = 4;
-/// A search that holds this share of what a survey matched, in percent, needs no other offset.
+/// Share of the surveyed matches, in percent, that the search must cover for the offset to stay.
 const ENOUGH_PERCENT: usize = 98;
-/// Calls between two measurements of the rows.
+/// Calls between two measurements of the vertical error.
 const ROWS_CALLS: u64 = 8;
 
-/// Where the search lies.
+/// The searched range of disparities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchParams {
-    /// Whether the offset is found from the pictures.
+    /// Whether the offset is estimated from the pictures.
     pub auto_offset: bool,
-    /// The offset otherwise, and until one is found, px.
+    /// The offset when it is not estimated, and until the first estimate, px.
     pub min_disparity_px: i32,
-    /// That offset stays, too, while the search from there holds nearly all that the views show: for engines that lose columns with
-    /// every pixel of offset.
+    /// Whether that offset is used while the search from there covers nearly all matches. For engines that lose a column for
+    /// each pixel of offset.
     pub keeps_asked: bool,
     /// Width of the search, px.
     pub search_px: usize,
-    /// Distance of matched points from their rows that is warned of, px; 0 warns of none.
+    /// Vertical error of matched points above which a warning is reported, px; 0 disables it.
     pub drift_px: f32,
 }
 
-/// Finds the offset of the search and watches what is matched; work memory is kept.
+/// Estimates the offset of the search and warns when matching fails. Reuses its memory.
 #[derive(Debug)]
 pub struct Search {
     survey: Survey,
@@ -41,19 +41,19 @@ pub struct Search {
 }
 
 impl Search {
-    /// Nothing seen yet.
+    /// A search without history.
     ///
     /// # Errors
-    /// As [`Survey::new`].
+    /// The same as those of [`Survey::new`].
     pub fn new() -> Result<Self, StereoError> {
         let (survey, offset, watch) = (Survey::new()?, Offset::default(), Watch::default());
         Ok(Self { survey, offset, watch, calls: 0, found_nothing: false, asked_is_enough: false })
     }
 
-    /// Before matching: where the search of this pair begins, in px. Both views have one size.
+    /// Call before matching. Returns the smallest disparity to search for this pair, in px. Both views have the same size.
     ///
     /// # Errors
-    /// As the kernel of the survey.
+    /// The same as those of the survey's kernel.
     pub fn begin(
         &mut self,
         report: &dyn Report,
@@ -94,17 +94,17 @@ impl Search {
         &mut self,
         report: &dyn Report,
         views: [View<'_, u8>; 2],
-        found: Found,
+        found: MatchCount,
         offset_px: i32,
         params: &SearchParams,
         pool: &dyn Parallel,
     ) -> Result<(), StereoError> {
-        // First, because looking at the views the other way round overwrites the survey's counts.
+        // First, because matching the swapped views overwrites the survey's counts.
         self.watch.beside(report, &self.survey, found, offset_px, params.search_px);
         self.watch.swapped(report, &mut self.survey, found, views, pool)
     }
 
-    /// After matching. `is_whole` says that all of the left view was matched, not a region of it.
+    /// Call after matching. `is_whole`: the whole left view was matched, not only a region.
     pub fn end(
         &mut self,
         report: &dyn Report,

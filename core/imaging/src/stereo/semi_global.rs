@@ -4,18 +4,16 @@
 //! they are summed along five paths (left, right, down, and the two downward diagonals) that charge
 //! a small penalty for a step of one disparity and a large one for a jump (Hirschmueller, "Stereo
 //! processing by semiglobal matching and mutual information", 2008). Everything happens row by row: no
-//! cost volume is ever stored. Bands of rows run in parallel; each begins a few rows early so that the
-//! downward paths have settled where its output begins. Edges are sharper than block matching's: a filter
+//! cost volume is ever stored. Bands of rows run in parallel; each starts a few rows early so that the
+//! downward paths have converged where its output starts. Edges are sharper than block matching's: a filter
 //! that follows should judge scatter over 3 px, not 5.
 
-use crate::stereo::block_matching::{Span, fill_nan};
-use crate::stereo::block_matching_finish::{self as finish, Limits, Winners};
-use crate::stereo::block_matching_kernel::{Row, add_row, pick_row};
-use crate::stereo::error::{check_channels, check_size};
-use crate::stereo::prefilter::PaddedPlane;
+use crate::stereo::StereoError;
+use crate::stereo::block_matching_finish::Limits;
+use crate::stereo::block_matching_kernel::pick_row;
+use crate::stereo::matching::{Maps, PaddedPair, Span, Target, WinnerRow, left_right_limit};
 use crate::stereo::semi_global_kernel::{CostRow, MAX_LANES, Paths, Penalties, RIM, aggregate, cost_row, slot_bytes};
-use crate::stereo::{Roi, StereoError, simd};
-use crate::{Parallel, SharedMut, View, ViewMut};
+use crate::{Parallel, Rect, Simd, View, ViewMut};
 
 /// What semi-global matching searches, what it charges, and what it rejects.
 #[derive(Clone, Debug, PartialEq)]
@@ -94,7 +92,7 @@ impl SemiGlobalParams {
     }
 }
 
-/// Rows that a band runs before its output begins.
+/// Rows that a band processes before its output starts.
 const WARM_UP_ROWS: usize = 24;
 /// Least rows of a band: bands repeat their warm-up, so they must not be short.
 const BAND_ROWS: usize = 96;
@@ -109,24 +107,14 @@ struct Band {
     least_before: Vec<u8>,
     least_after: Vec<u8>,
     sums: Vec<u16>,
-    best_lane: Vec<u16>,
-    best_cost: Vec<u16>,
-    ambiguous: Vec<u16>,
-    texture: Vec<u16>,
-    right_best: Vec<u16>,
-    right_cost: Vec<u16>,
-    less: Vec<u16>,
-    more: Vec<u16>,
-    back: Vec<u16>,
+    winners: WinnerRow,
 }
 
-/// Semi-global matcher with its work memory; nothing is allocated once the sizes have been seen.
+/// Semi-global matcher with its work memory. Allocates only for larger views than before.
 #[derive(Debug)]
 pub struct SemiGlobalMatcher {
     params: SemiGlobalParams,
-    left: PaddedPlane,
-    right: PaddedPlane,
-    outside: Vec<u8>,
+    pair: PaddedPair,
     bands: Vec<Band>,
     avx2: bool,
 }
@@ -138,8 +126,7 @@ impl SemiGlobalMatcher {
     /// [`StereoError::Parameter`] when one is out of range.
     pub fn new(params: SemiGlobalParams) -> Result<Self, StereoError> {
         params.validate()?;
-        let (left, right) = (PaddedPlane::default(), PaddedPlane::default());
-        Ok(Self { params, left, right, outside: Vec::new(), bands: Vec::new(), avx2: simd::has_avx2() })
+        Ok(Self { params, pair: PaddedPair::default(), bands: Vec::new(), avx2: Simd::detect().avx2() })
     }
 
     /// Takes the portable path even where AVX2 exists (tests compare the two).
@@ -171,83 +158,40 @@ impl SemiGlobalMatcher {
         &mut self,
         left: View<'_, u8>,
         right: View<'_, u8>,
-        roi: Roi,
+        roi: Rect,
         pool: &dyn Parallel,
-        mut disparity: ViewMut<'_, f32>,
-        mut disparity_right: Option<ViewMut<'_, f32>>,
+        disparity: ViewMut<'_, f32>,
+        disparity_right: Option<ViewMut<'_, f32>>,
     ) -> Result<(), StereoError> {
-        let size = (left.width, left.height);
-        check_channels("left view", &[1], "1 (gray)", left.channels)?;
-        check_channels("right view", &[1], "1 (gray)", right.channels)?;
-        check_channels("disparity", &[1], "1", disparity.channels)?;
-        check_size("right view", size, (right.width, right.height))?;
-        check_size("disparity", size, (disparity.width, disparity.height))?;
-        if let Some(map) = &disparity_right {
-            check_channels("right disparity", &[1], "1", map.channels)?;
-            check_size("right disparity", size, (map.width, map.height))?;
-        }
-        if left.width > 65_000 {
-            let (value, accepted) = (left.width.to_string(), "at most 65000 columns");
-            return Err(StereoError::Parameter { name: "width", value, accepted });
-        }
-        fill_nan(&mut disparity, pool);
-        if let Some(map) = &mut disparity_right {
-            fill_nan(map, pool);
-        }
+        let mut maps = Maps { left: disparity, right: disparity_right };
+        maps.check(left, right)?;
         let roi = roi.clamped(left.width, left.height);
         let params = &self.params;
         let Some(span) = Span::new(roi, left.width, params.min_disparity_px, params.search_px, params.block_px / 2)
         else {
+            maps.clear_outside(0..0);
             return Ok(());
         };
-        let pad = span.lanes + span.radius + 32;
+        // Rows of the region are written whole as they are matched.
+        maps.clear_outside(roi.y..roi.y + roi.height);
         let above = span.radius + WARM_UP_ROWS;
         let rows = roi.y.saturating_sub(above)..(roi.y + roi.height + span.radius).min(left.height);
-        self.left.fill(left, rows.clone(), params.prefilter_cap, pad, self.avx2, pool);
-        self.right.fill(right, rows, params.prefilter_cap, pad, self.avx2, pool);
-        self.outside.resize(left.width + 2 * pad, 0);
-        self.outside.fill(255);
-        self.outside[pad..pad + left.width].fill(0);
-
-        let band_rows = roi.height.div_ceil(8).max(BAND_ROWS);
-        let band_count = roi.height.div_ceil(band_rows);
-        if self.bands.len() < band_count {
-            self.bands.resize_with(band_count, Band::default);
-        }
-        let bands = SharedMut::new(&mut self.bands);
-        let (stride, stride_right) = (disparity.stride, disparity_right.as_ref().map_or(0, |map| map.stride));
-        let out = SharedMut::new(disparity.data);
-        let out_right = disparity_right.map(|map| SharedMut::new(map.data));
-        let job = Job {
-            params: &self.params,
-            left: &self.left,
-            right: &self.right,
-            outside: &self.outside,
-            offsets: if self.params.diagonals { &[0, -1, 1] } else { &[0] },
-            avx2: self.avx2,
-            width: left.width,
-            span,
-        };
-        pool.run(band_count, &|index| {
-            let first = roi.y + index * band_rows;
-            let last = (first + band_rows).min(roi.y + roi.height);
-            // SAFETY: each band's memory and rows are used by one chunk only.
-            let band = unsafe { &mut bands.part(index, 1)[0] };
-            let start = first.saturating_sub(WARM_UP_ROWS);
-            job.prepare(band, start);
-            for y in start..last {
+        self.pair.fill([left, right], &span, rows, params.prefilter_cap, self.avx2, pool);
+        let offsets: &[isize] = if params.diagonals { &[0, -1, 1] } else { &[0] };
+        let job = Job { params, pair: &self.pair, offsets, avx2: self.avx2, span };
+        maps.fill_bands(
+            &mut self.bands,
+            roi,
+            (BAND_ROWS, WARM_UP_ROWS),
+            pool,
+            |band, first| job.prepare(band, first),
+            |band, y, target| {
                 job.aggregate(band, y);
-                if y >= first {
-                    // SAFETY: as above; the image checks cover `width` elements of each row.
-                    let row = unsafe { out.part(y * stride, job.width) };
-                    let row_right = out_right.as_ref().map(|map| {
-                        // SAFETY: as above.
-                        unsafe { map.part(y * stride_right, job.width) }
-                    });
-                    job.finish(band, row, row_right);
+                if let Some(target) = target {
+                    job.finish(band, target);
                 }
-            }
-        });
+            },
+        );
         Ok(())
     }
 }
@@ -255,23 +199,13 @@ impl SemiGlobalMatcher {
 /// What every row of one call shares.
 struct Job<'a> {
     params: &'a SemiGlobalParams,
-    left: &'a PaddedPlane,
-    right: &'a PaddedPlane,
-    outside: &'a [u8],
+    pair: &'a PaddedPair,
     offsets: &'a [isize],
     avx2: bool,
-    width: usize,
     span: Span,
 }
 
 impl Job<'_> {
-    /// Start of column 0 in a padded left row, and of lane 0 of column 0 in a padded right row.
-    fn starts(&self) -> (usize, usize) {
-        let Span { x0, radius, lanes, min, .. } = self.span;
-        let left = self.left.pad + x0 - radius;
-        (left, (left as i64 - i64::from(min) - lanes as i64 + 1) as usize)
-    }
-
     fn prepare(&self, band: &mut Band, first: usize) {
         let Span { count, lanes, radius, .. } = self.span;
         band.columns.clear();
@@ -292,36 +226,25 @@ impl Job<'_> {
             plane.clear();
             plane.resize(slots, 0);
         }
-        for row in [&mut band.best_lane, &mut band.best_cost, &mut band.ambiguous, &mut band.texture] {
-            row.resize(count, 0);
-        }
-        for row in [&mut band.right_best, &mut band.right_cost, &mut band.less, &mut band.more, &mut band.back] {
-            row.resize(count + lanes, 0);
-        }
-        let (start_left, start_right) = self.starts();
-        for step in 0..2 * radius + 1 {
-            let y = first as isize - radius as isize - 1 + step as isize;
-            let (left, right) = (&self.left.row(y)[start_left..], &self.right.row(y)[start_right..]);
-            add_row(left, right, lanes, self.avx2, &mut band.columns);
-        }
+        band.winners.resize(&self.span);
+        self.pair.add_window_above(&self.span, first, self.avx2, &mut band.columns);
     }
 
     /// Costs of row `y` and their sums over paths.
     fn aggregate(&self, band: &mut Band, y: usize) {
         let Span { count, lanes, radius, .. } = self.span;
-        let (start_left, start_right) = self.starts();
-        let new = y as isize + radius as isize;
-        let old = y as isize - radius as isize - 1;
+        let (new_left, new_right) = self.pair.rows(&self.span, y as isize + radius as isize);
+        let (old_left, old_right) = self.pair.rows(&self.span, y as isize - radius as isize - 1);
         let row = CostRow {
             lanes,
             count,
             radius,
             shift: self.params.shift(),
-            new_left: &self.left.row(new)[start_left..],
-            new_right: &self.right.row(new)[start_right..],
-            old_left: &self.left.row(old)[start_left..],
-            old_right: &self.right.row(old)[start_right..],
-            outside: &self.outside[start_right + radius..],
+            new_left,
+            new_right,
+            old_left,
+            old_right,
+            outside: self.pair.outside(&self.span),
             columns: &mut band.columns,
             out: &mut band.cost,
         };
@@ -345,53 +268,10 @@ impl Job<'_> {
     }
 
     /// Winners of the row aggregated last.
-    fn finish(&self, band: &mut Band, out: &mut [f32], out_right: Option<&mut [f32]>) {
-        let Span { x0, count, lanes, radius, min, ref inside } = self.span;
-        let start_outside = self.starts().1 + radius;
-        let row = Row {
-            lanes,
-            count,
-            radius: 0,
-            new_left: &[],
-            new_right: &[],
-            old_left: &[],
-            old_right: &[],
-            outside: &self.outside[start_outside..],
-            inside: inside.clone(),
-            columns: &mut [],
-            cost: &mut band.sums,
-            best_lane: &mut band.best_lane,
-            best_cost: &mut band.best_cost,
-            less: &mut band.less,
-            more: &mut band.more,
-            ambiguous: &mut band.ambiguous,
-            right_best: &mut band.right_best,
-            right_cost: &mut band.right_cost,
-            uniqueness_percent: self.params.uniqueness_percent,
-        };
-        pick_row(row, self.avx2);
-        let mut winners = Winners {
-            lanes,
-            count,
-            interleaved: self.avx2,
-            cost: &band.sums,
-            best_lane: &band.best_lane,
-            best_cost: &band.best_cost,
-            ambiguous: &band.ambiguous,
-            texture: &band.texture,
-            right_best: &band.right_best,
-            right_cost: &band.right_cost,
-            less: &mut band.less,
-            more: &mut band.more,
-            back: &mut band.back,
-            inside: inside.clone(),
-            outside: &self.outside[start_outside..],
-        };
-        let left_right_at_most = self.params.left_right_px.map_or(u16::MAX, |px| px.min(u32::from(u16::MAX)) as u16);
-        let limits = Limits { texture_at_least: 0, left_right_at_most };
-        finish::left(&mut winners, &limits, min, self.avx2, &mut out[x0..x0 + count]);
-        if let Some(out_right) = out_right {
-            finish::right_within(&mut winners, x0, self.width, min, self.avx2, out_right);
-        }
+    fn finish(&self, band: &mut Band, target: Target<'_>) {
+        let outside = self.pair.outside(&self.span);
+        pick_row(band.winners.row(&self.span, outside, &mut band.sums, self.params.uniqueness_percent), self.avx2);
+        let limits = Limits { texture_at_least: 0, left_right_at_most: left_right_limit(self.params.left_right_px) };
+        band.winners.write(&self.span, outside, &band.sums, &limits, self.avx2, target);
     }
 }

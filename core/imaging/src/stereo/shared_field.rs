@@ -1,23 +1,21 @@
-//! What lies left of the field that both views share is seen by the left camera alone, what lies right of it by the right one
-//! alone: nothing can be known of it.
+//! Clears disparities outside the field that both views share. Only one camera sees those pixels, so they cannot be matched.
 //!
 //! Close to the left view's left border only the small disparities have a counterpart inside the right view, and a matcher takes
-//! the best of what there is: false surface that is consistent with itself. The right view's first columns see the whole search,
-//! so their disparities tell where the shared field begins. The right view's right border is the same, mirrored.
+//! the best of them: a false, consistent surface. The right view's first columns cover the whole search range, so their
+//! disparities show where the shared field begins. The right view's right border is treated the same way, mirrored.
 
-use crate::stereo::Roi;
-use crate::{View, ViewMut};
+use crate::{Rect, View, ViewMut};
 
-/// Columns at the other view's border that are asked.
+/// Columns at the other view's border whose disparities are used.
 const COLUMNS: usize = 24;
-/// Rows that answer together.
+/// Rows per measurement of the border.
 const BLOCK_ROWS: usize = 16;
-/// Part of a block's pixels that must be matched.
+/// A block needs one matched pixel in this many.
 const LEAST_SHARE: usize = 16;
-/// A pixel this near to the edge is still believed, px.
+/// Pixels this near to the edge are not cleared, px.
 const SLACK_PX: f32 = 2.0;
 
-/// Finds the field's edges and clears what lies beyond them; nothing is allocated once a size has been seen.
+/// Finds the edges of the field and clears what is outside. Allocates only for a larger size than before.
 #[derive(Clone, Debug, Default)]
 pub struct SharedField {
     known: Vec<f32>,
@@ -26,18 +24,23 @@ pub struct SharedField {
 }
 
 impl SharedField {
-    /// Clears the pixels of `disparity` (left view, px) inside `roi` that lie left of the shared field, and those of `right`, the
-    /// right view's map of the same call, in the rows of `roi`, that lie right of it. Where the other view's border columns are matched
-    /// nowhere, nothing is cleared.
-    pub fn keep(&mut self, disparity: &mut ViewMut<'_, f32>, right: &mut ViewMut<'_, f32>, roi: Roi) {
+    /// Sets pixels left of the shared field to NaN in `disparity` (left view, px, inside `roi`), and pixels right of it in `right`, the
+    /// right view's map of the same match, in the rows of `roi`. Rows where the other view's border is not matched stay unchanged.
+    pub fn clear_outside(&mut self, disparity: &mut ViewMut<'_, f32>, right: &mut ViewMut<'_, f32>, roi: Rect) {
         let roi = roi.clamped(disparity.width.min(right.width), disparity.height.min(right.height));
         if roi.is_empty() {
             return;
         }
         let end = roi.x + roi.width;
         let [first, last] = &mut self.borders;
-        ask(right.as_view(), 0..COLUMNS.min(right.width), roi, &mut self.known, first);
-        ask(disparity.as_view(), end.saturating_sub(COLUMNS).max(roi.x)..end, roi, &mut self.known, last);
+        border_disparities(right.as_view(), 0..COLUMNS.min(right.width), roi, &mut self.known, first);
+        border_disparities(
+            disparity.as_view(),
+            end.saturating_sub(COLUMNS).max(roi.x)..end,
+            roi,
+            &mut self.known,
+            last,
+        );
         for row in 0..roi.height {
             let y = roi.y + row;
             // What the right view's first column shows lies `d` columns from the left view's border, and the other way round.
@@ -56,7 +59,13 @@ impl SharedField {
 }
 
 /// Median disparity of `map` in `columns`, for each block of the region's rows.
-fn ask(map: View<'_, f32>, columns: std::ops::Range<usize>, roi: Roi, known: &mut Vec<f32>, borders: &mut Vec<f32>) {
+fn border_disparities(
+    map: View<'_, f32>,
+    columns: std::ops::Range<usize>,
+    roi: Rect,
+    known: &mut Vec<f32>,
+    borders: &mut Vec<f32>,
+) {
     let blocks = roi.height.div_ceil(BLOCK_ROWS);
     borders.clear();
     borders.reserve(blocks);
@@ -117,7 +126,7 @@ mod tests {
                 if x as f32 <= SIZE.0 as f32 - edge(y) {
                     right[at] = edge(y);
                 }
-                // Rows 16 to 31 are not matched at the views' borders: their neighbours answer for them.
+                // Rows 16 to 31 are not matched at the views' borders: their neighbours' value is used.
                 if (16..32).contains(&y) {
                     if x < COLUMNS {
                         right[at] = f32::NAN;
@@ -131,7 +140,7 @@ mod tests {
         let (map, map_right) = (left.clone(), right.clone());
         let mut field = SharedField::default();
         let left_view = &mut ViewMut::new(&mut left, SIZE.0, SIZE.1, 1);
-        field.keep(left_view, &mut ViewMut::new(&mut right, SIZE.0, SIZE.1, 1), Roi::full(SIZE.0, SIZE.1));
+        field.clear_outside(left_view, &mut ViewMut::new(&mut right, SIZE.0, SIZE.1, 1), Rect::whole(SIZE.0, SIZE.1));
         for y in 0..SIZE.1 {
             let at = y * SIZE.0..(y + 1) * SIZE.0;
             let (row, before) = (&left[at.clone()], &map[at.clone()]);
@@ -155,7 +164,7 @@ mod tests {
             let [left, right] = &mut maps;
             let (left, right) =
                 (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-            SharedField::default().keep(left, right, Roi::full(SIZE.0, SIZE.1));
+            SharedField::default().clear_outside(left, right, Rect::whole(SIZE.0, SIZE.1));
             assert!(maps[1 - unknown].iter().all(|d| *d == 5.0));
         }
     }
@@ -165,7 +174,7 @@ mod tests {
         let mut maps = [vec![9.0f32; SIZE.0 * SIZE.1], vec![9.0f32; SIZE.0 * SIZE.1]];
         let [left, right] = &mut maps;
         let (left, right) = (&mut ViewMut::new(left, SIZE.0, SIZE.1, 1), &mut ViewMut::new(right, SIZE.0, SIZE.1, 1));
-        SharedField::default().keep(left, right, Roi { x: 0, y: 20, width: SIZE.0, height: 30 });
+        SharedField::default().clear_outside(left, right, Rect { x: 0, y: 20, width: SIZE.0, height: 30 });
         for map in &maps {
             for (y, row) in map.chunks_exact(SIZE.0).enumerate() {
                 let gone = row.iter().filter(|d| d.is_nan()).count();

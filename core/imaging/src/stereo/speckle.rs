@@ -1,22 +1,20 @@
-//! Speckles: small patches of disparity that hang together and belong to nothing around them. A wrong match is seldom alone,
-//! and seldom large.
+//! Removes speckles: small connected patches whose disparity differs from their surroundings. Wrong matches form such patches.
 
-use crate::ViewMut;
-use crate::stereo::Roi;
+use crate::{Rect, ViewMut};
 
-/// Work memory, kept from call to call.
+/// Finds and clears speckles. Reuses its memory.
 #[derive(Debug, Default)]
 pub struct SpeckleFilter {
-    /// 0 not seen, else the patch's number.
+    /// 0 for unvisited pixels, else the patch's number.
     label: Vec<u32>,
     /// Pixels of the patch that is being followed.
     patch: Vec<u32>,
 }
 
 impl SpeckleFilter {
-    /// Makes NaN of every patch of at most `area_px` pixels. Neighbours (left, right, above, below) belong to one patch
-    /// when their disparities differ by at most `step_px`. Returns how many pixels went. `area_px` 0 leaves all.
-    pub fn remove(&mut self, disparity: &mut ViewMut<'_, f32>, roi: Roi, area_px: usize, step_px: f32) -> usize {
+    /// Sets every patch of at most `area_px` pixels to NaN. Neighbours (left, right, above, below) belong to one patch
+    /// when their disparities differ by at most `step_px`. Returns the number of cleared pixels. `area_px` 0 clears none.
+    pub fn remove(&mut self, disparity: &mut ViewMut<'_, f32>, roi: Rect, area_px: usize, step_px: f32) -> usize {
         let roi = roi.clamped(disparity.width, disparity.height);
         if area_px == 0 || roi.is_empty() {
             return 0;
@@ -79,7 +77,7 @@ mod tests {
         map[5 * width + 12] = f32::NAN;
         let mut filter = SpeckleFilter::default();
         let mut run = |map: &mut [f32], area| {
-            filter.remove(&mut ViewMut::new(map, width, height, 1), Roi::full(width, height), area, 1.0)
+            filter.remove(&mut ViewMut::new(map, width, height, 1), Rect::whole(width, height), area, 1.0)
         };
         let mut kept = map.clone();
         assert_eq!(run(&mut kept, 0), 0);
@@ -96,7 +94,7 @@ mod tests {
     #[test]
     fn nothing_outside_the_roi_is_touched() {
         let mut map = vec![5.0f32; 100];
-        let roi = Roi { x: 2, y: 2, width: 3, height: 2 };
+        let roi = Rect { x: 2, y: 2, width: 3, height: 2 };
         let mut view = ViewMut::new(&mut map, 10, 10, 1);
         assert_eq!(SpeckleFilter::default().remove(&mut view, roi, 6, 1.0), 6);
         assert_eq!(map.iter().filter(|v| v.is_nan()).count(), 6);

@@ -1,28 +1,28 @@
-//! A coarse look at the whole range of disparities: which of them the pair holds, and whether the views are swapped.
+//! A coarse match over the whole range of disparities. It shows which disparities occur and whether the views are swapped.
 //!
-//! The views are shrunk to about 160 columns and matched from 0 px to their full width, so that the region which both
-//! share is found wherever it lies; the cost is a small part of one full-size search.
+//! The views are shrunk to about 160 columns and matched from 0 px to their full width, so that
+//! the shared region is found wherever it is. The cost is a small part of one full-size search.
 
-use super::{BlockMatcher, BlockMatchingParams, Roi, StereoError};
-use crate::{Parallel, View, ViewMut};
+use super::{BlockMatcher, BlockMatchingParams, StereoError};
+use crate::{Parallel, Rect, View, ViewMut};
 
-/// Columns of a shrunk view, about.
+/// Approximate number of columns of a shrunk view.
 pub const COARSE_WIDTH: usize = 160;
-/// The same for a second, slower look where the first has found next to nothing: a narrow shared region shows then.
+/// Columns for a second, slower survey after one with hardly any match: it resolves a narrow shared region.
 pub const FINE_WIDTH: usize = 320;
-/// Side of the window compared, in coarse px.
+/// Side of the matching window, in coarse px.
 const WINDOW: usize = 9;
 
-/// What a survey found.
+/// How many pixels a survey matched.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Found {
-    /// Coarse pixels matched alike with their surroundings.
+pub struct MatchCount {
+    /// Coarse pixels whose disparity agrees with that of their neighbours.
     pub matched: usize,
-    /// Coarse pixels.
+    /// All coarse pixels.
     pub pixels: usize,
 }
 
-/// Surveys pairs; work memory is kept.
+/// Surveys pairs of views. Reuses its memory.
 #[derive(Debug)]
 pub struct Survey {
     matcher: BlockMatcher,
@@ -33,10 +33,10 @@ pub struct Survey {
 }
 
 impl Survey {
-    /// A survey.
+    /// A survey without data.
     ///
     /// # Errors
-    /// None with these constants; the kernel checks them all the same.
+    /// None with these constants, which the kernel checks.
     pub fn new() -> Result<Self, StereoError> {
         let matcher = BlockMatcher::new(params(COARSE_WIDTH))?;
         Ok(Self { matcher, planes: [Vec::new(), Vec::new()], disparity: Vec::new(), counts: Vec::new(), factor: 1 })
@@ -52,14 +52,14 @@ impl Survey {
         &self.counts
     }
 
-    /// Matched coarse pixels whose disparity lies in the `search_px` pixels from `offset_px` on.
+    /// Matched coarse pixels whose disparity is in `offset_px..offset_px + search_px`.
     pub fn within(&self, offset_px: i32, search_px: usize) -> usize {
         let (first, end) = (i64::from(offset_px), i64::from(offset_px) + search_px as i64);
         let lies_within = |bin: usize| (first..end).contains(&((bin * self.factor) as i64));
         self.counts.iter().enumerate().filter(|(bin, _)| lies_within(*bin)).map(|(_, count)| *count as usize).sum()
     }
 
-    /// Where the middle 80 % of the matched disparities lie, px; `None` when nothing matched.
+    /// Range of the middle 80 % of the matched disparities, px; `None` when nothing matched.
     pub fn range_px(&self) -> Option<(usize, usize)> {
         let all: u64 = self.counts.iter().map(|count| u64::from(*count)).sum();
         let below = |share: u64| {
@@ -72,22 +72,22 @@ impl Survey {
         Some((below(1)? * self.factor, below(9)? * self.factor))
     }
 
-    /// Matches the views shrunk to about `columns` columns. `left` and `right` have one size.
+    /// Matches the views shrunk to about `columns` columns. `left` and `right` have the same size.
     ///
     /// # Errors
-    /// As the kernel.
+    /// The same as those of the kernel.
     pub fn look(
         &mut self,
         [left, right]: [View<'_, u8>; 2],
         columns: usize,
         pool: &dyn Parallel,
-    ) -> Result<Found, StereoError> {
+    ) -> Result<MatchCount, StereoError> {
         self.factor = (left.width + columns / 2).div_euclid(columns).max(1);
         let (width, height) = (left.width / self.factor, left.height / self.factor);
         self.counts.clear();
         self.counts.resize(width, 0);
         if width < 16 || height < 16 {
-            return Ok(Found { matched: 0, pixels: width * height });
+            return Ok(MatchCount { matched: 0, pixels: width * height });
         }
         for (view, plane) in [left, right].into_iter().zip(&mut self.planes) {
             shrink(view, self.factor, width, height, plane);
@@ -99,7 +99,7 @@ impl Survey {
         }
         let plane = |index: usize| View::new(&self.planes[index][..], width, height, 1);
         let out = ViewMut::new(&mut self.disparity, width, height, 1);
-        self.matcher.compute(plane(0), plane(1), Roi::full(width, height), pool, out, None)?;
+        self.matcher.compute(plane(0), plane(1), Rect::whole(width, height), pool, out, None)?;
         let mut matched = 0;
         for y in 0..height {
             for x in 0..width {
@@ -108,12 +108,12 @@ impl Survey {
                 self.counts[((disparity + 0.5).max(0.0) as usize).min(width - 1)] += 1;
             }
         }
-        Ok(Found { matched, pixels: width * height })
+        Ok(MatchCount { matched, pixels: width * height })
     }
 }
 
-/// A pixel's disparity when two of four pixels a window away have nearly the same. Views that show different things
-/// match here and there by chance, never alike.
+/// A pixel's disparity if two of the four pixels one window away have nearly the same one. Views of different scenes match by
+/// chance in places, but not with equal disparities.
 fn supported(map: &[f32], width: usize, height: usize, x: usize, y: usize) -> Option<f32> {
     const NEAR_PX: f32 = 2.0;
     let own = map[y * width + x];

@@ -3,7 +3,7 @@
 //! `A` is the Laplacian of one line, weighted by the guide. Each line is a tridiagonal system, solved
 //! exactly by one sweep forward and one back; two right-hand sides share the factors.
 
-use crate::stereo::rooms::Rooms;
+use crate::stereo::scratch::Scratch;
 use crate::{Parallel, SharedMut};
 
 /// Columns that one chunk of the vertical pass owns: the strip's planes stay in the L2 cache between both sweeps.
@@ -24,17 +24,17 @@ pub(crate) fn vertical(
     planes: &mut Planes<'_>,
     down: &[f32],
     strength: f32,
-    rooms: &mut Rooms,
+    scratch: &mut Scratch,
     avx2: bool,
     pool: &dyn Parallel,
 ) {
     let (width, height) = (planes.width, planes.height);
     let first = SharedMut::new(planes.first);
     let second = SharedMut::new(planes.second);
-    let rooms = rooms.lend(STRIP * height, pool);
+    let buffers = scratch.lend(STRIP * height, pool);
     pool.run(width.div_ceil(STRIP), &|chunk| {
         let x = chunk * STRIP;
-        rooms.with(|factors| {
+        buffers.with(|factors| {
             let n = STRIP.min(width - x);
             #[cfg(target_arch = "x86_64")]
             if avx2 && n == STRIP {
@@ -148,12 +148,12 @@ pub(crate) fn horizontal(
     planes: &mut Planes<'_>,
     right: &[f32],
     strength: f32,
-    rooms: &mut Rooms,
+    scratch: &mut Scratch,
     avx2: bool,
     pool: &dyn Parallel,
 ) {
     let (width, height) = (planes.width, planes.height);
-    let rooms = rooms.lend(3 * ROWS * width, pool);
+    let buffers = scratch.lend(3 * ROWS * width, pool);
     let first = SharedMut::new(planes.first);
     let second = SharedMut::new(planes.second);
     pool.run(height.div_ceil(ROWS), &|chunk| {
@@ -162,17 +162,17 @@ pub(crate) fn horizontal(
         // SAFETY: each chunk owns its rows.
         let (f, s) = unsafe { (first.part(y * width, rows * width), second.part(y * width, rows * width)) };
         let weights = &right[y * width..(y + rows) * width];
-        rooms.with(|room| {
+        buffers.with(|work| {
             #[cfg(target_arch = "x86_64")]
             if avx2 && rows == ROWS && width >= 8 {
                 // SAFETY: the caller found AVX2; lengths are `ROWS * width`.
-                unsafe { avx2::rows(f, s, weights, strength, width, room) };
+                unsafe { avx2::rows(f, s, weights, strength, width, work) };
                 return;
             }
             let _ = avx2;
             for row in 0..rows {
                 let at = row * width..(row + 1) * width;
-                solve_row(&mut f[at.clone()], &mut s[at.clone()], &weights[at], strength, &mut room[..width]);
+                solve_row(&mut f[at.clone()], &mut s[at.clone()], &weights[at], strength, &mut work[..width]);
             }
         });
     });
@@ -330,7 +330,7 @@ mod avx2 {
     /// Solves sixteen rows: two groups of eight, side by side, so that one's division hides the other's.
     ///
     /// # Safety
-    /// Needs AVX2; `f`, `s`, `weights` hold `ROWS * width` values, `room` three times that; `width >= 8`.
+    /// Needs AVX2; `f`, `s`, `weights` hold `ROWS * width` values, `work` three times that; `width >= 8`.
     #[target_feature(enable = "avx2")]
     pub(super) unsafe fn rows(
         f: &mut [f32],
@@ -338,12 +338,12 @@ mod avx2 {
         weights: &[f32],
         strength: f32,
         width: usize,
-        room: &mut [f32],
+        work: &mut [f32],
     ) {
         assert!(width >= 8 && f.len() >= ROWS * width && s.len() >= ROWS * width);
-        assert!(weights.len() >= ROWS * width && room.len() >= 3 * ROWS * width);
+        assert!(weights.len() >= ROWS * width && work.len() >= 3 * ROWS * width);
         let (f, s, w) = (f.as_mut_ptr(), s.as_mut_ptr(), weights.as_ptr());
-        let room = room.as_mut_ptr();
+        let work = work.as_mut_ptr();
         let zero = _mm256_setzero_ps();
         let one = _mm256_set1_ps(1.0);
         let strength = _mm256_set1_ps(strength);
@@ -376,7 +376,7 @@ mod avx2 {
                     for half in 0..2 {
                         let next = _mm256_mul_ps(strength, loaded[half][2][column]);
                         let chain = chains[half].step(one, next, loaded[half][0][column], loaded[half][1][column]);
-                        let to = room.add((x0 + column) * 48 + half * 24);
+                        let to = work.add((x0 + column) * 48 + half * 24);
                         _mm256_storeu_ps(to, chain.c);
                         _mm256_storeu_ps(to.add(8), chain.f);
                         _mm256_storeu_ps(to.add(16), chain.s);
@@ -391,7 +391,7 @@ mod avx2 {
                 let mut solved = [[[zero; 8]; 2]; 2];
                 for column in (0..columns).rev() {
                     for half in 0..2 {
-                        let from = room.add((x0 + column) * 48 + half * 24);
+                        let from = work.add((x0 + column) * 48 + half * 24);
                         let c = _mm256_loadu_ps(from);
                         let value_f = _mm256_add_ps(_mm256_loadu_ps(from.add(8)), _mm256_mul_ps(c, later[half][0]));
                         let value_s = _mm256_add_ps(_mm256_loadu_ps(from.add(16)), _mm256_mul_ps(c, later[half][1]));

@@ -1,26 +1,26 @@
-//! What a matcher tells its user: swapped views, a drifted calibration, a search that can see nothing. Each is said
-//! once when it begins, and once when it is over.
+//! Warnings of a matcher: swapped views, a drifted calibration, a search range without matches. Each is reported once when it begins
+//! and once when it ends.
 
 use super::StereoError;
 use super::epipolar::Epipolar;
-use super::survey::{COARSE_WIDTH, Found, Survey};
+use super::survey::{COARSE_WIDTH, MatchCount, Survey};
 use crate::{Parallel, Report, View};
 
-/// Part of the limit below which a drifted calibration counts as mended.
-const MENDED: f32 = 0.7;
-/// Part of the way to a new measurement that the error shown moves.
+/// A drift warning ends when the error falls below this part of the limit.
+const RECOVERED: f32 = 0.7;
+/// Smoothing: share of the difference to a new measurement that the reported error moves.
 const DRIFT_STEP: f32 = 0.25;
-/// A search that holds less than this share of what a survey matched, in percent, lies beside the scene.
+/// Share of the surveyed matches, in percent, below which the search range misses the scene.
 const BESIDE_PERCENT: usize = 25;
-/// Share of matched coarse pixels, in percent, from which on their disparities say where the scene lies.
-const TELLING_PERCENT: usize = 2;
-/// Known share of a disparity map, in percent, below which hardly anything is matched. The least that the scope's geometry leaves is a
-/// shared region of 12 % of the picture.
+/// Share of matched coarse pixels, in percent, above which their disparities locate the scene.
+const USABLE_PERCENT: usize = 2;
+/// Known share of a disparity map, in percent, below which the match counts as poor. The scope's geometry leaves a shared region of
+/// 12 % of the picture or more.
 const POOR_PERCENT: f64 = 0.5;
-/// Surveys in a row that must find hardly anything: a short blur or a covered lens is no news.
+/// Poor surveys in a row before the warning: a short blur or a covered lens needs none.
 const POOR_SURVEYS: u32 = 3;
 
-/// State of the warnings.
+/// The state of the warnings of one matcher.
 #[derive(Debug, Default)]
 pub struct Watch {
     epipolar: Epipolar,
@@ -28,27 +28,27 @@ pub struct Watch {
     drifted: bool,
     swapped: bool,
     blind: bool,
-    /// The search lies beside what the views hold.
+    /// The search range misses the scene.
     beside: bool,
-    /// Surveys in a row that found hardly anything.
+    /// Poor surveys in a row.
     poor_surveys: u32,
     poor: bool,
 }
 
 impl Watch {
-    /// After a survey with few matches: looks whether the views match the other way round.
+    /// Checks after a survey with few matches whether the swapped views match.
     ///
     /// # Errors
-    /// As the kernel.
+    /// The same as those of the kernel.
     pub fn swapped(
         &mut self,
         cx: &dyn Report,
         survey: &mut Survey,
-        found: Found,
+        found: MatchCount,
         views: [View<'_, u8>; 2],
         pool: &dyn Parallel,
     ) -> Result<(), StereoError> {
-        // A pair in order matches a good part of what its views share.
+        // A pair in the right order matches most of its shared region.
         let few = found.matched * 4 < found.pixels;
         let swapped = few && {
             let other = survey.look([views[1], views[0]], COARSE_WIDTH, pool)?;
@@ -64,7 +64,7 @@ impl Watch {
         Ok(())
     }
 
-    /// Says so when a search that begins at `offset_px` can see nothing in views of `width` columns.
+    /// Warns when the search from `offset_px` on is outside views of `width` columns.
     pub fn blind(&mut self, cx: &dyn Report, offset_px: i32, search_px: usize, width: usize) {
         let (first, last) = (i64::from(offset_px), i64::from(offset_px) + search_px as i64);
         let blind = first >= width as i64 || last <= -(width as i64);
@@ -76,10 +76,10 @@ impl Watch {
         self.blind = blind;
     }
 
-    /// Says so when the search of `search_px` pixels from `offset_px` on holds hardly any of the disparities that a survey found.
-    pub fn beside(&mut self, cx: &dyn Report, survey: &Survey, found: Found, offset_px: i32, search_px: usize) {
+    /// Warns when the search of `search_px` pixels from `offset_px` on covers hardly any of the surveyed disparities.
+    pub fn beside(&mut self, cx: &dyn Report, survey: &Survey, found: MatchCount, offset_px: i32, search_px: usize) {
         cx.metric("found_pct", 100.0 * found.matched as f64 / found.pixels.max(1) as f64);
-        if found.matched * 100 < found.pixels * TELLING_PERCENT || self.swapped {
+        if found.matched * 100 < found.pixels * USABLE_PERCENT || self.swapped {
             return;
         }
         let within = survey.within(offset_px, search_px);
@@ -99,7 +99,7 @@ impl Watch {
         self.beside = beside;
     }
 
-    /// Says so when hardly anything is matched for a while. `known_percent` is the share of the map that is known.
+    /// Warns when hardly anything has been matched for some surveys. `known_percent` is the share of the map that is known.
     pub fn poor(&mut self, cx: &dyn Report, found_nothing: bool, known_percent: Option<f64>) {
         if let Some(percent) = known_percent {
             cx.metric("matched_pct", percent);
@@ -118,7 +118,7 @@ impl Watch {
         cx.metric("poor_match", f64::from(u8::from(self.poor)));
     }
 
-    /// Measures how far matched points lie off their rows, and warns when that grows beyond `limit_px`; 0 never warns.
+    /// Measures the vertical error of matched points and warns when it exceeds `limit_px`; 0 disables the warning.
     pub fn rows(&mut self, cx: &dyn Report, views: [View<'_, u8>; 2], disparity: View<'_, f32>, limit_px: f32) {
         let Some(measured) = self.epipolar.measure(views[0], views[1], disparity) else { return };
         let error = self.error_px.map_or(measured, |error| error + (measured - error) * DRIFT_STEP);
@@ -129,7 +129,7 @@ impl Watch {
             cx.warn(&format!(
                 "matched points lie {error:.1} px off their rows, {limit_px:.1} px are allowed: the calibration does not fit these views (drifted, or not rectified)"
             ));
-        } else if self.drifted && (error < MENDED * limit_px || limit_px <= 0.0) {
+        } else if self.drifted && (error < RECOVERED * limit_px || limit_px <= 0.0) {
             self.drifted = false;
             cx.info(&format!("matched points lie on their rows again ({error:.1} px)"));
         }

@@ -9,11 +9,11 @@
 use crate::stereo::confidence::{Confidence, ConfidenceParams};
 use crate::stereo::error::{check_channels, check_size};
 use crate::stereo::guide_weights::weights_row;
-use crate::stereo::rooms::Rooms;
+use crate::stereo::scratch::Scratch;
 use crate::stereo::shared_field::is_seen_by_both;
 use crate::stereo::tridiagonal::{Planes, horizontal, vertical};
-use crate::stereo::{Roi, StereoError, block_matching::fill_nan, simd};
-use crate::{Parallel, SharedMut, View, ViewMut};
+use crate::stereo::{StereoError, matching::fill_nan};
+use crate::{Parallel, Rect, SharedMut, Simd, View, ViewMut};
 
 /// Strength and sharpness of the filter.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,7 +74,7 @@ pub struct FilterInput<'a> {
     /// Confidence 0..=1 to use instead of judging it here.
     pub confidence: Option<View<'a, f32>>,
     /// Where to work.
-    pub roi: Roi,
+    pub roi: Rect,
 }
 
 impl FilterInput<'_> {
@@ -97,7 +97,7 @@ impl FilterInput<'_> {
         &self,
         work: &mut Confidence,
         params: &ConfidenceParams,
-        roi: Roi,
+        roi: Rect,
         avx2: bool,
         pool: &dyn Parallel,
         out: &mut [f32],
@@ -121,7 +121,7 @@ impl FilterInput<'_> {
     }
 }
 
-/// The filter with its work memory; nothing is allocated once a size has been seen.
+/// The filter with its work memory. Allocates only for a larger size than before.
 #[derive(Debug)]
 pub struct WlsFilter {
     params: WlsParams,
@@ -130,7 +130,7 @@ pub struct WlsFilter {
     down: Vec<f32>,
     product: Vec<f32>,
     support: Vec<f32>,
-    rooms: Rooms,
+    scratch: Scratch,
     avx2: bool,
 }
 
@@ -148,8 +148,8 @@ impl WlsFilter {
             down: Vec::new(),
             product: Vec::new(),
             support: Vec::new(),
-            rooms: Rooms::default(),
-            avx2: simd::has_avx2(),
+            scratch: Scratch::default(),
+            avx2: Simd::detect().avx2(),
         })
     }
 
@@ -196,12 +196,12 @@ impl WlsFilter {
             check_channels("filtered confidence", &[1], "1", map.channels)?;
         }
         let roi = input.roi.clamped(width, height);
-        if roi != Roi::full(width, height) {
+        if roi != Rect::whole(width, height) {
             fill_nan(&mut disparity, pool);
         }
         let mut confidence = confidence;
         if let Some(map) = &mut confidence
-            && roi != Roi::full(width, height)
+            && roi != Rect::whole(width, height)
         {
             for y in 0..height {
                 map.row_mut(y).fill(0.0);
@@ -217,8 +217,8 @@ impl WlsFilter {
             Planes { width: roi.width, height: roi.height, first: &mut self.product, second: &mut self.support };
         for round in 0..rounds {
             let strength = self.params.lambda * 0.25f32.powi(round as i32);
-            horizontal(&mut planes, &self.right, strength, &mut self.rooms, self.avx2, pool);
-            vertical(&mut planes, &self.down, strength, &mut self.rooms, self.avx2, pool);
+            horizontal(&mut planes, &self.right, strength, &mut self.scratch, self.avx2, pool);
+            vertical(&mut planes, &self.down, strength, &mut self.scratch, self.avx2, pool);
         }
 
         let (stride, out) = (disparity.stride, SharedMut::new(disparity.data));
@@ -235,12 +235,12 @@ impl WlsFilter {
             let (product, support) = (&self.product[at.clone()], &self.support[at]);
             for (x, ((out, product), support)) in out.iter_mut().zip(product).zip(support).enumerate() {
                 let value = product / support;
-                // What no right pixel can have seen is no measurement, however smooth the surface beside it.
+                // A pixel outside the right view is not measured, however smooth the surface beside it.
                 let known = (*support >= least) & is_seen_by_both(roi.x + x, value, width);
                 *out = if known { value } else { f32::NAN };
             }
             if let Some(map) = &out_confidence {
-                // SAFETY: as above.
+                // SAFETY: `row` belongs to this chunk alone, in the confidence map as in the disparity map.
                 unsafe { map.part(y * stride_confidence + roi.x, roi.width) }.copy_from_slice(support);
             }
         });
@@ -248,7 +248,7 @@ impl WlsFilter {
     }
 
     /// Guide weights, confidence, and disparity times confidence.
-    fn prepare(&mut self, input: &FilterInput<'_>, roi: Roi, pool: &dyn Parallel) {
+    fn prepare(&mut self, input: &FilterInput<'_>, roi: Rect, pool: &dyn Parallel) {
         let n = roi.width * roi.height;
         for plane in [&mut self.right, &mut self.down, &mut self.product, &mut self.support] {
             plane.resize(n, 0.0);

@@ -273,7 +273,7 @@ pub fn difference(base: &[u8], pixels: &Pixels, weight: i16, out: &mut [i16], av
     #[cfg(target_arch = "x86_64")]
     if avx2 {
         assert!(count * LANES <= out.len() && count * 4 <= pixels.0.len());
-        // SAFETY: AVX2 is present, lengths checked above.
+        // SAFETY: the caller found AVX2 on this CPU; the lengths were checked at the start of this function.
         i = unsafe { difference_avx2(base, pixels, weight, out) };
     }
     let _ = avx2;
@@ -317,7 +317,7 @@ pub fn apply(out: &mut [u8], blended: &[i16], differences: &[i16], subtract: boo
     let mut i = 0;
     #[cfg(target_arch = "x86_64")]
     if avx2 {
-        // SAFETY: AVX2 is present, lengths checked above.
+        // SAFETY: the caller found AVX2 on this CPU; the lengths were checked at the start of this function.
         i = unsafe { apply_avx2(out, blended, differences, subtract) };
     }
     let _ = avx2;

@@ -1,83 +1,46 @@
 //! The compositor: views and homographies in, panorama out.
 
-use super::blend::{Blender, Ranges};
 use super::canvas::{Bounds, CanvasHolder};
-use super::graph_cut::GridCut;
 use super::mark;
-use super::paint::levels_of;
+use super::paint::{Layers, Step, Warp, levels_of};
 use super::params::*;
 use super::projective::{self, IDENTITY};
-use super::seam::Seam;
-use super::segments::{self, Segments};
-use super::taps::{Joined, TAPS, Taps};
-use super::warp::{self, Span};
-use crate::{Parallel, View, ViewMut};
+use super::segments;
+use super::taps::{TAPS, Taps};
+use super::warp;
+use crate::geometry::Homography;
+use crate::{Parallel, Simd, View, ViewMut};
 
 /// Joins views into one panorama. Keeps everything that outlives a frame: canvas, seam, gains, last good geometry,
 /// work memory. In steady state nothing is allocated.
 #[derive(Debug, Default)]
 pub struct Compositor {
     pub(super) params: CompositeParams,
-    pub(super) holder: CanvasHolder,
-    pub(super) sizes: Vec<(usize, usize)>,
-    pub(super) good: Option<[[f64; 9]; MAX_VIEWS]>,
-    pub(super) prepared: Option<Prepared>,
-    pub(super) placed: Option<(Canvas, usize, [[f64; 9]; MAX_VIEWS])>,
-    pub(super) warps: Vec<Warp>,
-    pub(super) spans: Vec<Vec<Span>>,
-    pub(super) active: usize,
-    pub(super) steps: Vec<Step>,
-    pub(super) gains: [[f32; 3]; MAX_VIEWS],
-    pub(super) gains_known: [bool; MAX_VIEWS],
-    pub(super) joined: Joined,
-    pub(super) cut: GridCut,
-    pub(super) blender: Blender,
+    holder: CanvasHolder,
+    sizes: Vec<(usize, usize)>,
+    good: Option<[[f64; 9]; MAX_VIEWS]>,
+    prepared: Option<Prepared>,
+    placed: Option<(Canvas, usize, [[f64; 9]; MAX_VIEWS])>,
+    pub(super) layers: Layers,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Prepared {
-    pub(super) given: [[f64; 9]; MAX_VIEWS],
-    pub(super) given_state: GeometryState,
-    pub(super) canvas: Canvas,
-    pub(super) used: [[f64; 9]; MAX_VIEWS],
-    pub(super) active: usize,
-    pub(super) state: GeometryState,
-    pub(super) fault: Option<GeometryFault>,
-}
-
-/// Geometry of one view on the canvas.
-#[derive(Debug)]
-pub(super) struct Warp {
-    pub(super) source_from_canvas: [f64; 9],
-    pub(super) source_from_tap: [f64; 9],
-    /// Columns and rows to add to a canvas position, when the view is only shifted by whole pixels.
-    pub(super) shift: Option<(i64, i64)>,
-    pub(super) taps: Taps,
-}
-
-/// Work of joining one view to those before it.
-#[derive(Debug, Default)]
-pub(super) struct Step {
-    pub(super) seam: Seam,
-    pub(super) segments: Segments,
-    pub(super) labels: Vec<u8>,
-    pub(super) zone: Option<Zone>,
-    pub(super) ranges: Ranges,
-}
-
-/// Canvas rectangle that is blended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Zone {
-    pub(super) x: usize,
-    pub(super) y: usize,
-    pub(super) width: usize,
-    pub(super) height: usize,
+struct Prepared {
+    given: [[f64; 9]; MAX_VIEWS],
+    given_state: GeometryState,
+    canvas: Canvas,
+    used: [[f64; 9]; MAX_VIEWS],
+    active: usize,
+    state: GeometryState,
+    fault: Option<GeometryFault>,
 }
 
 impl Compositor {
-    /// A compositor that has seen nothing yet.
+    /// A compositor without canvas, seam and geometry.
     pub fn new(params: CompositeParams) -> Self {
-        Self { params, gains: [[1.0; 3]; MAX_VIEWS], ..Self::default() }
+        let mut new = Self { params, ..Self::default() };
+        new.layers.forget_gains();
+        new
     }
 
     /// The parameters in force.
@@ -91,13 +54,12 @@ impl Compositor {
             self.holder.reset();
         }
         if params.exposure != self.params.exposure {
-            self.gains = [[1.0; 3]; MAX_VIEWS];
-            self.gains_known = [false; MAX_VIEWS];
+            self.layers.forget_gains();
         }
         self.params = params;
         self.placed = None;
         self.prepared = None;
-        for step in &mut self.steps {
+        for step in &mut self.layers.steps {
             step.seam.forget();
         }
     }
@@ -108,11 +70,7 @@ impl Compositor {
         self.good = None;
         self.prepared = None;
         self.placed = None;
-        self.gains = [[1.0; 3]; MAX_VIEWS];
-        self.gains_known = [false; MAX_VIEWS];
-        for step in &mut self.steps {
-            step.seam.forget();
-        }
+        self.layers.forget();
     }
 
     /// The canvas that [`compose`](Self::compose) will draw on when called next with the same arguments.
@@ -255,7 +213,7 @@ impl Compositor {
             return Err(CompositeError::Output { width, height, channels: 1 });
         }
         self.prepared = None;
-        let avx2 = warp::has_avx2();
+        let avx2 = Simd::detect().avx2();
         let key = (p.canvas, p.active, p.used);
         let moved = self.placed != Some(key);
         if moved {
@@ -265,15 +223,15 @@ impl Compositor {
         let views = &views[..p.active];
         let may_learn = p.state != GeometryState::Lost;
         let begun = std::time::Instant::now();
-        let (seam_found, seam_cost) = self.plan(views, may_learn, moved, p.canvas, pool, avx2);
+        let (seam_found, seam_cost) = self.layers.plan(&self.params, views, may_learn, moved, p.canvas, pool, avx2);
         let seam_time = begun.elapsed();
-        self.paint(views, p.canvas, pool, out, avx2);
+        self.layers.paint(&self.params, views, p.canvas, pool, out, avx2);
         if let Some(mask) = mask_out {
-            self.paint_mask(mask, pool);
+            self.layers.paint_mask(mask, pool);
         }
         mark::draw_marks(out, p.canvas, p.state, &self.params);
         let mut gains = [[1.0; 3]; MAX_VIEWS];
-        gains[..p.active].copy_from_slice(&self.gains[..p.active]);
+        gains[..p.active].copy_from_slice(&self.layers.gains[..p.active]);
         Ok(CompositeReport {
             state: p.state,
             fault: p.fault,
@@ -299,12 +257,12 @@ impl Compositor {
         for y in 0..canvas.height {
             let row = out.row_mut(y);
             row.fill(0);
-            let first = self.spans[0][y];
+            let first = self.layers.spans[0][y];
             if !first.is_empty() {
                 row[first.start as usize..first.end as usize].fill(1);
             }
             for view in 1..active {
-                for run in self.steps[view].segments.row(y) {
+                for run in self.layers.steps[view].segments.row(y) {
                     if matches!(run.kind, segments::NEW_SHOWN | segments::NEW_ONLY) {
                         row[run.start as usize..run.end as usize].fill(view as u8 + 1);
                     }
@@ -316,54 +274,52 @@ impl Compositor {
 
     /// Brings the geometry of all views onto the canvas.
     fn place(&mut self, p: &Prepared) {
-        let scale = self.scale();
+        let scale = self.params.cell_px();
         let (columns, rows) = (p.canvas.width.div_ceil(scale), p.canvas.height.div_ceil(scale));
         let step = scale as f64 / TAPS as f64;
         let shift = [1.0, 0.0, -f64::from(p.canvas.left), 0.0, 1.0, -f64::from(p.canvas.top), 0.0, 0.0, 1.0];
         let tap = [step, 0.0, step / 2.0 - 0.5, 0.0, step, step / 2.0 - 0.5, 0.0, 0.0, 1.0];
-        while self.warps.len() < p.active {
-            self.warps.push(Warp {
+        while self.layers.warps.len() < p.active {
+            self.layers.warps.push(Warp {
                 source_from_canvas: IDENTITY,
                 source_from_tap: IDENTITY,
                 shift: None,
                 taps: Taps::default(),
             });
-            self.spans.push(Vec::new());
-            self.steps.push(Step::default());
+            self.layers.spans.push(Vec::new());
+            self.layers.steps.push(Step::default());
         }
         for view in 0..p.active {
             let (w, h) = self.sizes[view];
             // `accept` has refused matrices without an inverse.
-            let inverse = projective::invert(&p.used[view]).unwrap_or(IDENTITY);
-            let mut m = projective::multiply(&inverse, &shift);
-            let centre = projective::apply(&p.used[view], w as f64 / 2.0, h as f64 / 2.0);
-            let (x, y) = (centre.0 + f64::from(p.canvas.left), centre.1 + f64::from(p.canvas.top));
+            let used = Homography(p.used[view]);
+            let inverse = used.inverse_bounded().unwrap_or_default();
+            let Homography(mut m) = inverse.product(&Homography(shift));
+            let [x, y] = used.map([w as f64 / 2.0, h as f64 / 2.0]);
+            let (x, y) = (x + f64::from(p.canvas.left), y + f64::from(p.canvas.top));
             if m[6] * x + m[7] * y + m[8] < 0.0 {
                 m = m.map(|v| -v);
             }
-            let warp = &mut self.warps[view];
+            let warp = &mut self.layers.warps[view];
             warp.source_from_canvas = m;
-            warp.source_from_tap = projective::multiply(&m, &tap);
+            warp.source_from_tap = Homography(m).product(&Homography(tap)).0;
             let n = m.map(|v| v / m[8]);
             let whole = (0..9).all(|i| [2, 5].contains(&i) || (n[i] - IDENTITY[i]).abs() < 1e-12)
                 && (n[2] - n[2].round()).abs() < 1e-6
                 && (n[5] - n[5].round()).abs() < 1e-6;
             warp.shift = whole.then(|| (n[2].round() as i64, n[5].round() as i64));
-            warp::coverage(&m, (w, h), p.canvas.width, p.canvas.height, &mut self.spans[view]);
+            warp::coverage(&m, (w, h), p.canvas.width, p.canvas.height, &mut self.layers.spans[view]);
             warp.taps.place(columns * TAPS, rows * TAPS, &warp.source_from_tap, (w, h));
         }
-        self.active = p.active;
+        self.layers.active = p.active;
         if p.active > 1 {
-            self.blender.reserve(p.canvas.width, p.canvas.height, levels_of(&self.params));
-            for step in &mut self.steps[..p.active] {
+            self.layers.blender.reserve(p.canvas.width, p.canvas.height, levels_of(&self.params));
+            let Layers { steps, cut, .. } = &mut self.layers;
+            for step in &mut steps[..p.active] {
                 step.ranges.reserve(p.canvas.height);
                 step.segments.reserve(p.canvas.height, columns);
-                step.seam.reserve(columns, rows, &mut self.cut);
+                step.seam.reserve(columns, rows, cut);
             }
         }
-    }
-
-    pub(super) fn scale(&self) -> usize {
-        self.params.seam_scale.clamp(1, 64)
     }
 }

@@ -1,4 +1,4 @@
-//! Correspondences of two pictures by correlation alone, without features and without any idea of how the pictures lie: a judge of
+//! Correspondences of two pictures by correlation alone, without features and without a prior on the geometry: a judge of
 //! registrations that shares nothing with what it judges.
 //!
 //! Patches of the second picture are sought in all of the first one at a coarse scale by normalised cross-correlation, followed
@@ -18,7 +18,7 @@ const REACH: isize = 2;
 const COARSE: (f32, f32) = (0.75, 0.08);
 /// Places this near belong to the same top, px.
 const SAME_TOP: usize = 2;
-/// A patch whose gray levels spread less than this says nothing.
+/// Smallest spread of a patch's gray levels for a correlation.
 const LEAST_DEVIATION: f32 = 2.0;
 
 /// How correspondences are sought.
@@ -218,6 +218,7 @@ pub fn correspondences(
 mod tests {
     use super::*;
     use crate::Serial;
+    use panoscope_base::random::lattice;
 
     /// Blobs of several sizes: what tissue has, and what a repeated pattern lacks.
     fn scene(width: usize, height: usize, shift: [f64; 2], seed: u64) -> Gray {
@@ -225,10 +226,8 @@ mod tests {
             let mut sum = 128.0;
             for (index, cell) in [48.0, 20.0, 9.0].into_iter().enumerate() {
                 let corner = |i: i64, j: i64| {
-                    let mut z = seed ^ ((i as u64) << 32 ^ (j as u64) << 8 ^ index as u64);
-                    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-                    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-                    (z >> 40) as f64 / (1u64 << 24) as f64 - 0.5
+                    let seed = seed << 8 ^ index as u64;
+                    lattice(i, j, seed) - 0.5
                 };
                 let (u, v) = (x / cell, y / cell);
                 let (i, j) = (u.floor(), v.floor());

@@ -8,13 +8,13 @@ use std::fmt;
 
 use super::warp::{self, BLOCK, Block, Pixels};
 use crate::geometry::{Homography, Point};
-use crate::random::{SplitMix64, mix, unit};
-use crate::{Parallel, SharedMut, View, ViewMut};
+use crate::{Parallel, SharedMut, Simd, View, ViewMut};
+use panoscope_base::random::{SplitMix64, mix, unit};
 
 /// Rows per chunk.
 const ROWS: usize = 16;
 
-/// How a picture is cut.
+/// Parameters of the cut.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutParams {
     /// Share of a view's width that the other view shows too, 0.1..=0.9.
@@ -50,7 +50,7 @@ impl Default for CutParams {
 /// Why a picture cannot be cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CutError {
-    /// Hardly anything would be left of it.
+    /// The picture is too small for the margins.
     TooSmall {
         /// Columns of the picture.
         width: usize,
@@ -59,9 +59,9 @@ pub enum CutError {
         /// What perspective and sway take from each side.
         margin_px: usize,
     },
-    /// A picture is not BGR, or an output not of the size told.
+    /// A picture is not BGR, or an output has the wrong size.
     Picture {
-        /// Which picture.
+        /// The picture, as the message names it.
         which: &'static str,
         /// Columns wanted.
         width: usize,
@@ -84,7 +84,7 @@ impl fmt::Display for CutError {
 
 impl std::error::Error for CutError {}
 
-/// Where the views of one frame lie.
+/// Positions of the views of one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutGeometry {
     /// Columns and rows of each view.
@@ -150,7 +150,7 @@ pub fn draw(
             return Err(CutError::Picture { which, width, height });
         }
     }
-    let avx2 = warp::has_avx2();
+    let avx2 = Simd::detect().avx2();
     // A warmer tint, as the phantom's right camera has.
     let gain = [0.97, 1.0, 1.03].map(|tint| ((params.right_exposure * tint).clamp(0.0, 1.99) * 16384.0) as i16);
     let gain = [gain[0], gain[1], gain[2], 0];

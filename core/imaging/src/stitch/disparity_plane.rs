@@ -4,15 +4,15 @@
 //! determined on a strip some tens of pixels wide, where the other five of a homography do not, and extrapolate without folding.
 
 use crate::geometry::Point;
-use crate::random::SplitMix64;
+use panoscope_base::random::SplitMix64;
 
-/// Samples of three points drawn.
+/// Number of samples of three points.
 const SAMPLES: usize = 256;
 /// Slopes beyond this are wrong matches: tissue that turns away so steeply is not seen by both cameras.
 const MOST_SLOPE: f64 = 0.5;
-/// Samples whose points span less area than this, in px^2, say nothing about the slopes.
+/// Samples whose points span less area than this, in px^2, do not determine the slopes.
 const LEAST_AREA_PX2: f64 = 50.0;
-/// How sure it is beforehand that the plane does not turn about the vertical axis: standard deviation of `x_slope`. The overlap of two
+/// Prior on a plane that does not turn about the vertical axis: standard deviation of `x_slope`. The overlap of two
 /// views side by side is narrow in x, so that noise alone would tilt the plane.
 const X_SLOPE_DEVIATION: f64 = 0.1;
 /// Rounds of the reweighted fit.
@@ -44,7 +44,7 @@ impl DisparityPlane {
         self.x_slope * x + self.y_slope * y + self.offset_px
     }
 
-    /// Where the plane shows a position of the right rectified view in the left one.
+    /// Position in the left view of a position of the right rectified view, for a point of the plane.
     pub fn left_from_right(&self, [x, y]: Point) -> Point {
         // x_left = x + d(x_left, y).
         [(x + self.y_slope * y + self.offset_px) / (1.0 - self.x_slope), y]

@@ -1,4 +1,4 @@
-//! How good a panorama is, beside the truth.
+//! Quality of a panorama by comparison with the truth.
 //!
 //! Structural similarity after Z. Wang, A. Bovik, H. Sheikh, E. Simoncelli, "Image quality assessment", IEEE TIP 13 (2004),
 //! with square windows. Panorama and truth may differ by one gain, which is taken out first: which view's exposure a
@@ -17,9 +17,9 @@ const STRIDE: usize = 4;
 pub struct Gray {
     /// Levels 0..=255.
     pub data: Vec<f32>,
-    /// Columns.
+    /// Columns, in pixels.
     pub width: usize,
-    /// Rows.
+    /// Rows, in pixels.
     pub height: usize,
 }
 
@@ -149,7 +149,7 @@ pub fn overlap(
     region
 }
 
-/// True correspondences of a view that stands beside the left one and looks the same way.
+/// True correspondences of a view beside the left one with a parallel axis.
 #[derive(Clone, Copy, Debug)]
 pub struct TruePairs<'a> {
     /// Disparity of the left view, px; NaN where it is unknown.
@@ -158,7 +158,7 @@ pub struct TruePairs<'a> {
     pub visible: Option<View<'a, u8>>,
     /// Where the other camera stands, in units of the baseline: the point at `(u, v)` lies at `(u, v) - disparity * along` there.
     pub along: [f64; 2],
-    /// Every so many pixels are looked at.
+    /// Spacing of the compared pixels.
     pub step: usize,
 }
 

@@ -77,7 +77,7 @@ impl GridCut {
         self.flow = 0;
     }
 
-    /// Adds what `node` pays for being on the sink's side (`source`) and on the source's side (`sink`).
+    /// Adds the cost of `node` on the sink's side (`source`) and on the source's side (`sink`).
     pub fn add_terminal(&mut self, node: usize, source: i32, sink: i32) {
         let (source, sink) = (i64::from(source.max(0)), i64::from(sink.max(0)));
         let have = self.terminal[node];
@@ -93,7 +93,7 @@ impl GridCut {
         self.residual[back][other] += capacity.max(0);
     }
 
-    /// Finds the minimum cut and gives its cost.
+    /// Finds the minimum cut and returns its cost.
     pub fn solve(&mut self) -> i64 {
         for node in 0..self.terminal.len() {
             if self.terminal[node] != 0 {
@@ -239,7 +239,7 @@ impl GridCut {
         self.flow += push;
     }
 
-    /// Steps from `node` to its tree's terminal, or `None` when the way ends at an orphan.
+    /// Steps from `node` to its tree's terminal, or `None` when the path ends at an orphan.
     fn origin(&mut self, node: usize) -> Option<u32> {
         let mut at = node;
         let mut steps = 0;
@@ -259,7 +259,7 @@ impl GridCut {
                 p => at = self.neighbour(at, p as usize)?,
             }
         }
-        // Marks the way, so that the next search stops early.
+        // Marks the path, so that the next search stops early.
         let (mut mark, mut left) = (node, steps);
         while self.stamp[mark] != self.clock {
             self.stamp[mark] = self.clock;
@@ -312,11 +312,7 @@ impl GridCut {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn random(state: &mut u64) -> u32 {
-        *state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (*state >> 33) as u32
-    }
+    use panoscope_base::random::SplitMix64;
 
     /// Cost of the labelling in which bit i says that node i is on the sink's side.
     fn cost(bits: u32, w: usize, h: usize, terminals: &[(i32, i32)], right: &[i32], down: &[i32]) -> i64 {
@@ -336,22 +332,22 @@ mod tests {
 
     #[test]
     fn equals_brute_force_on_small_grids() {
-        let mut seed = 7;
+        let mut random = SplitMix64(7);
         let mut cut = GridCut::default();
         for round in 0..400 {
             let (w, h) = [(1, 1), (2, 2), (3, 3), (4, 3), (5, 2), (4, 4), (1, 6)][round % 7];
             let n = w * h;
             let top = [2, 6, 100][round % 3];
             let terminals: Vec<(i32, i32)> = (0..n)
-                .map(|_| match random(&mut seed) % 4 {
+                .map(|_| match random.below(4) {
                     0 => (0, 0),
-                    1 => ((random(&mut seed) % 300) as i32, 0),
-                    2 => (0, (random(&mut seed) % 300) as i32),
-                    _ => ((random(&mut seed) % 9) as i32, (random(&mut seed) % 9) as i32),
+                    1 => (random.below(300) as i32, 0),
+                    2 => (0, random.below(300) as i32),
+                    _ => (random.below(9) as i32, random.below(9) as i32),
                 })
                 .collect();
-            let right: Vec<i32> = (0..n).map(|_| (random(&mut seed) % top) as i32).collect();
-            let down: Vec<i32> = (0..n).map(|_| (random(&mut seed) % top) as i32).collect();
+            let right: Vec<i32> = (0..n).map(|_| random.below(top) as i32).collect();
+            let down: Vec<i32> = (0..n).map(|_| random.below(top) as i32).collect();
             cut.reset(w, h);
             for i in 0..n {
                 cut.add_terminal(i, terminals[i].0, terminals[i].1);

@@ -5,10 +5,11 @@
 //! finds the homography between them. Algorithm 2 of that chapter keeps it still.
 
 use super::disparity_plane::{DisparityPlane, Sample};
+use crate::Rect;
 use crate::View;
 use crate::geometry::ransac::{Ransac, RansacFit, RansacParams};
 use crate::geometry::{
-    Homography, Plausibility, Point, Rect, RegistrationState, Stability, StabilityParams, Stabilized, overlap_roi,
+    Homography, Plausibility, Point, RegistrationState, Stability, StabilityParams, Stabilized, overlap_roi,
     overlap_rois, rms_of,
 };
 
@@ -65,7 +66,7 @@ pub enum CellPoint {
     Median,
 }
 
-/// How to register.
+/// Parameters of [`RegisterGrid`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridParams {
     /// Rows of the grid (9 in chapter 4).
@@ -74,13 +75,13 @@ pub struct GridParams {
     pub columns: usize,
     /// What each cell gives.
     pub point: CellPoint,
-    /// Every so many pixels of a cell are looked at.
+    /// Spacing of the pixels of a cell that are used.
     pub step_px: usize,
-    /// Share of a cell's looked-at pixels that must have a disparity.
+    /// Share of a cell's used pixels that must have a disparity.
     pub least_valid: f32,
     /// Robust estimation; the threshold is in pixels of the left picture.
     pub ransac: RansacParams,
-    /// Inliers below which a homography is not believed; at least 4.
+    /// Inliers below which a homography is rejected; at least 4.
     pub min_inliers: usize,
     /// What a warped frame may look like.
     pub plausibility: Plausibility,
@@ -88,9 +89,9 @@ pub struct GridParams {
     pub stability_px: f64,
     /// It also stays while it explains the pairs worse by no more than this share.
     pub still_tolerance: f64,
-    /// Weight of the frame before beside that of all inliers: holds still what the overlap leaves open; 0 fits the inliers alone.
-    pub calm: f64,
-    /// A homography whose inliers are further off than this (rms, px) is not believed; 0 believes all.
+    /// Weight of the previous map relative to all inliers, which fixes what the overlap does not determine; 0 fits the inliers alone.
+    pub anchor_fit: f64,
+    /// Rms error of the inliers, px, above which a homography is rejected; 0 accepts all.
     pub max_rms_px: f64,
     /// Failed frames in a row for which the homography before still counts as held.
     pub hold_frames: usize,
@@ -109,7 +110,7 @@ impl Default for GridParams {
             plausibility: Plausibility::default(),
             stability_px: 0.8,
             still_tolerance: 0.1,
-            calm: 1.0,
+            anchor_fit: 1.0,
             max_rms_px: 0.0,
             hold_frames: 5,
         }
@@ -129,7 +130,7 @@ pub struct GridRegistration {
     pub inliers: usize,
     /// Root mean square reprojection error of the inliers in the left picture, px; 0 unless fresh.
     pub rms_px: f64,
-    /// The error for which this map's homography was not believed, px.
+    /// The error for which this map's homography was rejected, px.
     pub refused_rms_px: Option<f64>,
     /// Overlap in the left picture; the whole picture unless fresh.
     pub roi_left: Rect,
@@ -139,7 +140,7 @@ pub struct GridRegistration {
     pub kept: bool,
 }
 
-/// Registers disparity maps one after the other. Allocates nothing once the largest grid has been seen.
+/// Registers disparity maps one after the other. Allocates only for a larger grid than before.
 #[derive(Clone, Debug, Default)]
 pub struct RegisterGrid {
     params: GridParams,
@@ -163,7 +164,7 @@ const PLANE_PAIRS: usize = 5;
 const MOST_PLANE_PX: f64 = 4.0;
 /// An overlap of less than this part of a side is narrow.
 const NARROW_PART: usize = 3;
-/// Columns looked at in a cell at least.
+/// Smallest number of columns used per cell.
 const LEAST_CELL_STEPS: usize = 2;
 /// Share of the matched pixels, in per mille, that may lie beyond each side of the shared area: wrong matches.
 const BEYOND_PER_MILLE: u64 = 10;
@@ -188,22 +189,22 @@ fn bounds(counts: &[u32], total: u32, step: usize) -> (usize, usize) {
 }
 
 impl RegisterGrid {
-    /// A registration without a past.
+    /// A registration without history.
     pub fn new(params: GridParams) -> Self {
         Self { params, ransac: Ransac::new(), ..Self::default() }
     }
 
-    /// The parameters.
+    /// The parameters that were last set.
     pub fn params(&self) -> &GridParams {
         &self.params
     }
 
-    /// Changes the parameters and keeps what is known of the frame before.
+    /// Changes the parameters; the previous frame's result stays.
     pub fn set_params(&mut self, params: GridParams) {
         self.params = params;
     }
 
-    /// Forgets the frame before.
+    /// Forgets the previous frame.
     pub fn reset(&mut self) {
         self.memory = None;
         self.failures = 0;
@@ -211,7 +212,7 @@ impl RegisterGrid {
 
     /// Registers by one disparity map: px of the left rectified view at full size, NaN where unmatched.
     ///
-    /// A failure is a state, not an error: the next frame looks at the whole map and so resumes.
+    /// A failure is a state, not an error: the next frame searches the whole map.
     pub fn register(
         &mut self,
         disparity: View<'_, f32>,
@@ -243,7 +244,7 @@ impl RegisterGrid {
             stability_px: params.stability_px,
             still_tolerance: params.still_tolerance,
             outlier_px: params.ransac.threshold_px,
-            calm: params.calm,
+            anchor_fit: params.anchor_fit,
             max_rms_px: params.max_rms_px,
         };
         let mask = &self.mask;
@@ -269,7 +270,7 @@ impl RegisterGrid {
         }
     }
 
-    /// This map gave nothing: the homography before is held, for a while.
+    /// No homography from this map: the previous one is held, for some frames.
     fn failed(&mut self, mut result: GridRegistration) -> GridRegistration {
         self.failures += 1;
         if self.memory.is_some() && self.failures <= self.params.hold_frames {
@@ -350,7 +351,7 @@ impl RegisterGrid {
         self.to.reserve(rows * columns);
         self.mask.reserve((rows * columns).saturating_sub(self.mask.len()));
         self.ransac.reserve(rows * columns);
-        self.stability.reserve(rows * columns, self.params.calm);
+        self.stability.reserve(rows * columns, self.params.anchor_fit);
         // Cells of a narrow overlap still hold some pixels each.
         let columns = columns.min(area.width / (LEAST_CELL_STEPS * step));
         if columns == 0 || area.height < rows {
@@ -447,7 +448,8 @@ mod tests {
             }
         }
         let camera = camera();
-        let mut register = RegisterGrid::new(GridParams { stability_px: 0.0, calm: 0.0, ..GridParams::default() });
+        let mut register =
+            RegisterGrid::new(GridParams { stability_px: 0.0, anchor_fit: 0.0, ..GridParams::default() });
         let found = register.register(View::new(&map, 640, 480, 1), &camera, &camera);
         assert_eq!(found.state, RegistrationState::Fresh);
         for [x, y] in [[300.0, 50.0], [600.0, 400.0], [450.0, 240.0]] {
@@ -528,7 +530,7 @@ mod tests {
     #[test]
     fn small_changes_leave_the_homography_as_it_is() {
         let (map, camera) = (plane(), camera());
-        let mut register = RegisterGrid::new(GridParams { calm: 0.0, ..GridParams::default() });
+        let mut register = RegisterGrid::new(GridParams { anchor_fit: 0.0, ..GridParams::default() });
         let first = register.register(View::new(&map, 640, 480, 1), &camera, &camera);
         let noisy: Vec<f32> = map.iter().enumerate().map(|(i, d)| d + ((i * 7919) % 13) as f32 * 0.05 - 0.3).collect();
         let second = register.register(View::new(&noisy, 640, 480, 1), &camera, &camera);

@@ -32,4 +32,4 @@ pub use params::{
     BlendMethod, Canvas, CompositeError, CompositeParams, CompositeReport, ExposureMethod, GeometryFault,
     GeometryState, MAX_VIEWS, SeamCost, SeamMethod,
 };
-pub use projective::{IDENTITY, apply, invert, multiply, warped_corners};
+pub use projective::{IDENTITY, warped_corners};

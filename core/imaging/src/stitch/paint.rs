@@ -1,22 +1,74 @@
-//! The frame itself: exposure and seam on the coarse samples, then pixels.
+//! Draws a frame: exposure and seam on the coarse samples, then pixels.
 
 use super::blend::{self, Blender, Ranges};
-use super::compositor::{Compositor, Step, Warp, Zone};
+use super::graph_cut::GridCut;
 use super::params::*;
 use super::pyramid::{LANES, ONE};
 use super::seam::Seam;
-use super::segments::{BASE_ONLY, BASE_SHOWN, EMPTY, NEW_ONLY, NEW_SHOWN, Segment};
-use super::taps;
+use super::segments::{BASE_ONLY, BASE_SHOWN, EMPTY, NEW_ONLY, NEW_SHOWN, Segment, Segments};
+use super::taps::{self, Joined, Taps};
 use super::warp::{self, BLOCK, Block, Pixels, Span};
-use crate::{Parallel, SharedMut, View, ViewMut};
+use crate::{Parallel, Rect, SharedMut, View, ViewMut};
 
 /// Canvas rows per chunk.
 const ROWS: usize = 16;
 
-impl Compositor {
+/// All views on the canvas, and what joins them: geometry, seams, gains, work memory.
+#[derive(Debug, Default)]
+pub(super) struct Layers {
+    pub(super) warps: Vec<Warp>,
+    /// Columns that a view covers, by view and canvas row.
+    pub(super) spans: Vec<Vec<Span>>,
+    /// Views in use; the vectors keep the memory of more.
+    pub(super) active: usize,
+    pub(super) steps: Vec<Step>,
+    pub(super) gains: [[f32; 3]; MAX_VIEWS],
+    pub(super) gains_known: [bool; MAX_VIEWS],
+    pub(super) joined: Joined,
+    pub(super) cut: GridCut,
+    pub(super) blender: Blender,
+}
+
+/// Geometry of one view on the canvas.
+#[derive(Debug)]
+pub(super) struct Warp {
+    pub(super) source_from_canvas: [f64; 9],
+    pub(super) source_from_tap: [f64; 9],
+    /// Columns and rows to add to a canvas position, when the view is only shifted by whole pixels.
+    pub(super) shift: Option<(i64, i64)>,
+    pub(super) taps: Taps,
+}
+
+/// Work of joining one view to those before it.
+#[derive(Debug, Default)]
+pub(super) struct Step {
+    pub(super) seam: Seam,
+    pub(super) segments: Segments,
+    pub(super) labels: Vec<u8>,
+    /// Canvas rectangle that is blended.
+    pub(super) zone: Option<Rect>,
+    pub(super) ranges: Ranges,
+}
+
+impl Layers {
+    /// Forgets exposures and seams; memory and geometry stay.
+    pub(super) fn forget(&mut self) {
+        self.forget_gains();
+        for step in &mut self.steps {
+            step.seam.forget();
+        }
+    }
+
+    /// Takes all views as equally bright until measured again.
+    pub(super) fn forget_gains(&mut self) {
+        self.gains = [[1.0; 3]; MAX_VIEWS];
+        self.gains_known = [false; MAX_VIEWS];
+    }
+
     /// Samples the views, brings gains and seams up to date. Gives whether a seam was found anew, and the cost along it.
     pub(super) fn plan(
         &mut self,
+        params: &CompositeParams,
         views: &[View<u8>],
         may_learn: bool,
         moved: bool,
@@ -24,7 +76,7 @@ impl Compositor {
         pool: &dyn Parallel,
         avx2: bool,
     ) -> (bool, f32) {
-        let scale = self.scale();
+        let scale = params.cell_px();
         for (warp, view) in self.warps.iter_mut().zip(views) {
             let m = warp.source_from_tap;
             warp.taps.fill(view, &m, pool, avx2);
@@ -34,28 +86,28 @@ impl Compositor {
         self.joined.start(&self.warps[0].taps, &first);
         for k in 1..views.len() {
             let taps = &self.warps[k].taps;
-            if self.params.exposure != ExposureMethod::None
+            if params.exposure != ExposureMethod::None
                 && may_learn
-                && let Some(measured) = self.joined.gain_of(taps, self.params.exposure)
+                && let Some(measured) = self.joined.gain_of(taps, params.exposure)
             {
-                taps::smooth_gain(&mut self.gains[k], measured, !self.gains_known[k], &self.params);
+                taps::smooth_gain(&mut self.gains[k], measured, !self.gains_known[k], params);
                 self.gains_known[k] = true;
             }
             let gain = taps::fixed_gain(&self.gains[k]);
             let step = &mut self.steps[k];
             step.seam.resize(canvas.width.div_ceil(scale), canvas.height.div_ceil(scale));
             self.joined.measure(taps, &gain, &mut step.seam, pool);
-            let found = step.seam.update(&self.params, k == 1, may_learn, &mut self.cut);
+            let found = step.seam.update(params, k == 1, may_learn, &mut self.cut);
             found_any |= found;
             worst_cost = worst_cost.max(step.seam.cost_along());
             if moved || step.labels != step.seam.take {
                 step.labels.clone_from(&step.seam.take);
                 let (base, new) = self.spans.split_at(k);
                 step.segments.build((canvas.width, canvas.height), base, &new[0], &step.seam, scale);
-                step.zone = zone(step, &self.params, canvas, scale);
+                step.zone = zone(step, params, canvas, scale);
                 let Step { ranges, seam, zone, .. } = step;
                 if let Some(z) = zone {
-                    set_ranges(ranges, seam, *z, levels_of(&self.params), scale);
+                    set_ranges(ranges, seam, *z, levels_of(params), scale);
                 }
             }
             if k + 1 < views.len() {
@@ -68,6 +120,7 @@ impl Compositor {
     /// Draws all views.
     pub(super) fn paint(
         &mut self,
+        params: &CompositeParams,
         views: &[View<u8>],
         canvas: Canvas,
         pool: &dyn Parallel,
@@ -91,7 +144,7 @@ impl Compositor {
             });
             return;
         }
-        let levels = levels_of(&self.params);
+        let levels = levels_of(params);
         for k in 1..views.len() {
             let step = &self.steps[k];
             let source = Source::new(&views[k], &self.warps[k], &self.gains[k], avx2);
@@ -127,7 +180,7 @@ impl Compositor {
             }
             if let Some(z) = zone {
                 fill_rows(&mut self.blender, &self.steps[k], z);
-                let bands = self.params.blend == BlendMethod::MultiBand;
+                let bands = params.blend == BlendMethod::MultiBand;
                 let Step { segments, ranges, .. } = &self.steps[k];
                 self.blender.build(bands, ranges, pool, avx2);
                 let target = SharedMut::new(&mut *out.data);
@@ -184,7 +237,7 @@ fn reach_of(levels: usize) -> usize {
 }
 
 /// Narrows the zone row by row to what lies near the seam.
-fn set_ranges(ranges: &mut Ranges, seam: &Seam, z: Zone, levels: usize, scale: usize) {
+fn set_ranges(ranges: &mut Ranges, seam: &Seam, z: Rect, levels: usize, scale: usize) {
     let reach = reach_of(levels);
     ranges.set(z.width, z.height, |first, end| {
         let cells = (z.y + first).saturating_sub(reach) / scale..(z.y + end + reach).div_ceil(scale);
@@ -195,7 +248,7 @@ fn set_ranges(ranges: &mut Ranges, seam: &Seam, z: Zone, levels: usize, scale: u
 }
 
 /// The rectangle around the seam within which weights can differ from zero and one.
-fn zone(step: &Step, params: &CompositeParams, canvas: Canvas, scale: usize) -> Option<Zone> {
+fn zone(step: &Step, params: &CompositeParams, canvas: Canvas, scale: usize) -> Option<Rect> {
     let levels = levels_of(params);
     if levels == 0 {
         return None;
@@ -205,7 +258,7 @@ fn zone(step: &Step, params: &CompositeParams, canvas: Canvas, scale: usize) -> 
     let x = (x0 * scale).saturating_sub(reach);
     let y = (y0 * scale).saturating_sub(reach);
     let (right, bottom) = ((x1 * scale + reach).min(canvas.width), (y1 * scale + reach).min(canvas.height));
-    (x < right && y < bottom).then_some(Zone { x, y, width: right - x, height: bottom - y })
+    (x < right && y < bottom).then_some(Rect { x, y, width: right - x, height: bottom - y })
 }
 
 /// One view, ready to be sampled on the canvas.
@@ -265,7 +318,7 @@ fn paint_first(source: &Source, span: Span, y: usize, row: &mut [u8], work: &mut
 
 /// One row of the blend zone. Columns of `active` and `needed` count from the zone's left.
 struct Blended<'a> {
-    zone: Zone,
+    zone: Rect,
     active: (usize, usize),
     needed: (usize, usize),
     out: &'a mut [i16],
@@ -362,7 +415,7 @@ fn extend_row(segments: &[Segment], (z0, z1): (usize, usize), out: &mut [i16]) {
 }
 
 /// Gives rows without overlap the differences of the nearest row that has one.
-fn fill_rows(blender: &mut Blender, step: &Step, z: Zone) {
+fn fill_rows(blender: &mut Blender, step: &Step, z: Rect) {
     let needed = |r: usize| step.ranges.needed(r);
     let has = |r: usize| {
         let (a, b) = needed(r);

@@ -2,10 +2,10 @@
 
 use std::fmt;
 
-/// How many views one compositor takes at most.
+/// Largest number of views of one compositor.
 pub const MAX_VIEWS: usize = 8;
 
-/// How the geometry of this frame came about.
+/// Origin of the geometry of this frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GeometryState {
     /// Estimated from this frame.
@@ -30,7 +30,7 @@ pub enum SeamMethod {
     GraphCut,
 }
 
-/// What a seam pays for passing between two cells.
+/// Cost of a seam between two cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SeamCost {
     /// Euclidean colour difference of the two views (thesis 2.2).
@@ -43,7 +43,7 @@ pub enum SeamCost {
 /// How the views are joined along the seam.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BlendMethod {
-    /// Hard seam.
+    /// A hard seam without transition.
     None,
     /// Linear weights over `blend_px`.
     Feather,
@@ -69,7 +69,7 @@ pub enum ExposureMethod {
 pub struct CompositeParams {
     /// Where the seam runs.
     pub seam: SeamMethod,
-    /// What the seam pays.
+    /// Cost of the seam between two cells.
     pub seam_cost: SeamCost,
     /// Canvas pixels per seam cell, each way (thesis: 10 at 640x480, 1 in its conventional pipeline). 1..=64.
     pub seam_scale: usize,
@@ -77,7 +77,7 @@ pub struct CompositeParams {
     pub seam_interval_frames: u32,
     /// The seam is found anew when the cost along it grows by this factor.
     pub seam_cost_growth: f32,
-    /// What a cell pays, in colour levels, for leaving the view it showed before: holds the seam still.
+    /// Cost, in colour levels, of a cell that changes its view: keeps the seam from flickering.
     pub seam_hold_levels: f32,
     /// How the views are joined.
     pub blend: BlendMethod,
@@ -101,6 +101,13 @@ pub struct CompositeParams {
     pub mark_lost: bool,
     /// Marks frames whose geometry is held (small amber corner).
     pub mark_held: bool,
+}
+
+impl CompositeParams {
+    /// Pixels along a side of a cell of the coarse grid that seams and exposures work on.
+    pub(super) fn cell_px(&self) -> usize {
+        self.seam_scale.clamp(1, 64)
+    }
 }
 
 impl Default for CompositeParams {
@@ -184,7 +191,7 @@ impl fmt::Display for GeometryFault {
     }
 }
 
-/// A call that cannot be answered. Bad homographies are no error: see [`GeometryFault`].
+/// Why a call fails. Bad homographies are not an error: see [`GeometryFault`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CompositeError {
     /// No view, or more than [`MAX_VIEWS`].
@@ -240,7 +247,7 @@ impl fmt::Display for CompositeError {
 
 impl std::error::Error for CompositeError {}
 
-/// What [`compose`](super::Compositor::compose) did.
+/// Result of [`compose`](super::Compositor::compose).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CompositeReport {
     /// State of the geometry that was shown: `Lost` also when the given homographies were refused.

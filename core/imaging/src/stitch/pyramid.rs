@@ -287,7 +287,7 @@ mod tests {
                 add_band(&fine, &up, &mut band, avx2);
                 (down, up, band)
             };
-            assert_eq!(run(false), run(crate::stitch::warp::has_avx2()), "width {width}");
+            assert_eq!(run(false), run(crate::Simd::detect().avx2()), "width {width}");
         }
     }
 }

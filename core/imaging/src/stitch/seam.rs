@@ -17,7 +17,7 @@ const LENGTH_LEVELS: f32 = 1.0;
 /// A seam on the rim of the overlap pays this many times the price: there is no room to blend.
 const RIM: f32 = 3.0;
 
-/// Labels of one view against those before it.
+/// Which cells show the new view rather than those before it.
 #[derive(Debug, Default)]
 pub struct Seam {
     /// Cells per row.
@@ -44,7 +44,7 @@ pub struct Seam {
 }
 
 impl Seam {
-    /// Forgets the seam; the next frame finds a new one without looking back.
+    /// Forgets the seam; the next frame finds a new one.
     pub fn forget(&mut self) {
         self.known = false;
     }
@@ -97,7 +97,7 @@ impl Seam {
         if count == 0 { 0.0 } else { (sum / f64::from(count)) as f32 }
     }
 
-    /// Brings the labels up to date: found anew when it is time (and `may_find`), else carried over. True when found.
+    /// Updates the labels: finds a new seam when it is due (and `may_find`), else keeps the old one. Returns whether it found one.
     pub fn update(&mut self, params: &CompositeParams, strip: bool, may_find: bool, cut: &mut GridCut) -> bool {
         let found = self.label(params, strip, may_find, cut);
         self.find_changes();
@@ -141,7 +141,7 @@ impl Seam {
         true
     }
 
-    /// Price of parting two neighbouring cells, or `None` when either lies outside the overlap and none is at stake.
+    /// Cost of a seam between two neighbouring cells, or `None` when either lies outside the overlap and none is at stake.
     fn price(&self, p: usize, q: usize) -> Option<f32> {
         match (self.class[p], self.class[q]) {
             (BOTH, BOTH) => Some(self.weight[p] + self.weight[q] + LENGTH_LEVELS),
@@ -230,7 +230,7 @@ impl Seam {
             }
         }
         if centre[1][2] == 0.0 || centre[0][2] == 0.0 {
-            // One picture holds all of the other: nothing to win by a seam.
+            // One picture covers the other: a seam gains nothing.
             let inside = u8::from(centre[0][2] == 0.0);
             self.take.iter_mut().zip(&self.class).filter(|(_, c)| **c == BOTH).for_each(|(t, _)| *t = inside);
             return;
@@ -359,7 +359,7 @@ impl Seam {
 
     /// Columns at which canvas row `y` changes view, and whether it starts with the new one. Labels are interpolated
     /// between cell centres and cut at one half, so that the enlarged seam has no steps.
-    /// Only cells `first..end` are looked at: labels must not change elsewhere (see [`Seam::bounds`]).
+    /// Only cells `first..end` are examined: labels must not change elsewhere (see [`Seam::bounds`]).
     pub fn crossings(
         &self,
         y: usize,

@@ -77,7 +77,7 @@ impl Segments {
         self.starts.clear();
         self.starts.push(0);
         let width = width as u32;
-        // Where no label changes, one view holds the whole overlap: any covered cell tells which.
+        // Where no label changes, one view holds the whole overlap: any covered cell shows which.
         let cells = match seam.bounds() {
             Some((x0, _, x1, _)) => (x0.saturating_sub(2), (x1 + 2).min(seam.columns)),
             None => (0, seam.columns),

@@ -85,7 +85,7 @@ impl Joined {
     pub fn gain_of(&self, taps: &Taps, method: ExposureMethod) -> Option<[f32; 3]> {
         let (mut base, mut new, mut count) = ([0u64; 3], [0u64; 3], 0);
         let usable = |p: &[u8; 4]| p[..3].iter().all(|v| *v < 245) && p[..3].iter().any(|v| *v > 12);
-        // Two samples of a cell tell of its light as much as four.
+        // Two samples of a cell measure its brightness as well as four.
         for (y, span) in taps.spans.iter().enumerate().step_by(2) {
             for i in
                 y * taps.columns + span.start as usize..y * taps.columns + (span.end as usize).max(span.start as usize)

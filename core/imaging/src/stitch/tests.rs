@@ -1,33 +1,9 @@
 //! Tests of the whole compositor on synthetic pictures whose true panorama is known.
 
 use super::*;
-use crate::{Parallel, Serial, View, ViewMut};
-
-/// A pool of `0` threads more than the caller, chunks taken in any order.
-struct Threads(usize);
-
-impl Parallel for Threads {
-    fn threads(&self) -> usize {
-        self.0
-    }
-
-    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
-        let next = std::sync::atomic::AtomicUsize::new(0);
-        std::thread::scope(|scope| {
-            for _ in 0..self.0 {
-                scope.spawn(|| {
-                    loop {
-                        let i = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-                        if i >= chunks {
-                            break;
-                        }
-                        body(i);
-                    }
-                });
-            }
-        });
-    }
-}
+use crate::geometry::Homography;
+use crate::{Parallel, Serial, Simd, View, ViewMut};
+use panoscope_base::Threads;
 
 /// Smooth tissue-like texture: value noise of four octaves, at world position (x, y).
 fn world(x: f64, y: f64) -> [f64; 3] {
@@ -59,7 +35,7 @@ fn shoot(world_from_view: &[f64; 9], width: usize, height: usize, gain: f64) -> 
     let mut data = Vec::with_capacity(width * height * 3);
     for y in 0..height {
         for x in 0..width {
-            let (wx, wy) = apply(world_from_view, x as f64, y as f64);
+            let [wx, wy] = Homography(*world_from_view).map([x as f64, y as f64]);
             data.extend(world(wx, wy).map(|v| (v * gain + 0.5).clamp(0.0, 255.0) as u8));
         }
     }
@@ -74,7 +50,7 @@ fn tilted() -> [f64; 9] {
 }
 
 fn shifted(h: &[f64; 9], dx: f64, dy: f64) -> [f64; 9] {
-    multiply(&[1.0, 0.0, dx, 0.0, 1.0, dy, 0.0, 0.0, 1.0], h)
+    Homography::translation(dx, dy).product(&Homography(*h)).0
 }
 
 struct Panorama {
@@ -177,7 +153,7 @@ fn two_views_of_one_world_give_back_the_world() {
         let p = compose(&mut c, &[&left, &right], &h, GeometryState::Fresh, &Serial);
         let psnr = p.psnr(|_, _| true);
         assert!(psnr > 42.0, "{name}: {psnr:.1} dB");
-        if let Some(z) = c.steps[1].zone {
+        if let Some(z) = c.layers.steps[1].zone {
             let s = ssim(&p, |x, y| x >= z.x && x < z.x + z.width && y >= z.y && y < z.y + z.height);
             assert!(s > 0.99, "{name}: SSIM at the seam {s:.4}");
         }
@@ -195,7 +171,7 @@ fn the_reference_is_copied_and_outside_the_blend_zone_one_view_is_shown() {
     let a = compose(&mut c, &[&left, &right], &h, GeometryState::Fresh, &Serial);
     c.params.seam_cost_growth = 1e9;
     let b = compose(&mut c, &[&left, &ghost], &h, GeometryState::Fresh, &Serial);
-    let z = c.steps[1].zone.unwrap();
+    let z = c.layers.steps[1].zone.unwrap();
     let canvas = a.report.canvas;
     assert!(z.x > 20 && z.x + z.width < canvas.width - 20, "the zone fills the picture: {z:?}");
     for y in 0..canvas.height {
@@ -213,21 +189,21 @@ fn the_reference_is_copied_and_outside_the_blend_zone_one_view_is_shown() {
 #[test]
 fn warp_equals_a_slow_reference() {
     let (_, right, h) = pair(1.0);
-    let inverse = invert(&h[1]).unwrap();
+    let inverse = Homography(h[1]).inverse_bounded().unwrap();
     let view = View::new(&right, SIZE.0, SIZE.1, 3);
     let mut block = warp::Block::default();
     let mut worst = 0.0f64;
     for (x0, y) in [(160, 20), (200, 100), (300, 200), (390, 120)] {
         let mut results = Vec::new();
-        for avx2 in [false, warp::has_avx2()] {
-            warp::locate(&inverse, x0, y, SIZE.0, SIZE.1, SIZE.0 * 3, 64, &mut block, avx2);
+        for avx2 in [false, Simd::detect().avx2()] {
+            warp::locate(&inverse.0, x0, y, SIZE.0, SIZE.1, SIZE.0 * 3, 64, &mut block, avx2);
             let mut pixels = warp::Pixels::default();
             warp::sample(&view, &block, 64, &[16384, 12000, 20000, 0], &mut pixels, avx2);
             results.push(pixels.0);
         }
         assert_eq!(results[0], results[1], "portable and AVX2 differ");
         for i in 0..64 {
-            let (u, v) = apply(&inverse, (x0 + i) as f64, y as f64);
+            let [u, v] = inverse.map([(x0 + i) as f64, y as f64]);
             if u < 0.0 || v < 0.0 || u > 318.0 || v > 238.0 {
                 continue;
             }
@@ -262,7 +238,7 @@ fn an_exposure_difference_is_removed() {
     // Without exposure compensation the blend still spreads the step: no jump between neighbours at the seam.
     let jump = |p: &Panorama| {
         let w = p.report.canvas.width;
-        let z = c.steps[1].zone.unwrap();
+        let z = c.layers.steps[1].zone.unwrap();
         let rows = 40..200;
         let n = rows.len() as f64;
         (z.x..z.x + z.width)
@@ -400,7 +376,7 @@ fn any_number_of_threads_gives_the_same_bytes() {
             compose(&mut c, &[&left, &right], &moved, GeometryState::Fresh, pool).data
         };
         let one = run(&Serial);
-        assert!(one == run(&Threads(2)) && one == run(&Threads(8)), "{:?} {:?}", params.seam, params.blend);
+        assert!(one == run(&Threads::new(2)) && one == run(&Threads::new(8)), "{:?} {:?}", params.seam, params.blend);
     }
 }
 
@@ -415,7 +391,7 @@ fn four_views_two_by_two() {
     let gains = [1.0, 0.85, 1.1, 0.9];
     let pictures: Vec<Vec<u8>> = h.iter().zip(gains).map(|(h, g)| shoot(h, SIZE.0, SIZE.1, g)).collect();
     let views: Vec<&[u8]> = pictures.iter().map(|p| p.as_slice()).collect();
-    let p = compose(&mut Compositor::new(Default::default()), &views, &h, GeometryState::Fresh, &Threads(2));
+    let p = compose(&mut Compositor::new(Default::default()), &views, &h, GeometryState::Fresh, &Threads::new(2));
     let psnr = p.psnr(|_, _| true);
     assert!(psnr > 38.0, "{psnr:.1} dB");
     let covered = p.mask.iter().filter(|m| **m == 255).count() as f64 / (SIZE.0 * SIZE.1) as f64;
@@ -425,9 +401,9 @@ fn four_views_two_by_two() {
 #[test]
 fn the_seam_avoids_what_differs_and_holds_still() {
     let (left, mut right, h) = pair(1.0);
-    let inverse = invert(&h[1]).unwrap();
+    let inverse = Homography(h[1]).inverse_bounded().unwrap();
     // A foreign object in the right view only, in the middle of the overlap.
-    let (ox, oy) = apply(&inverse, 235.0, 120.0);
+    let [ox, oy] = inverse.map([235.0, 120.0]);
     for y in 0..SIZE.1 {
         for x in 0..SIZE.0 {
             if (x as f64 - ox).hypot(y as f64 - oy) < 30.0 {
@@ -439,7 +415,7 @@ fn the_seam_avoids_what_differs_and_holds_still() {
         let mut c = Compositor::new(CompositeParams { seam, seam_interval_frames: 1, ..Default::default() });
         let p = compose(&mut c, &[&left, &right], &h, GeometryState::Fresh, &Serial);
         assert!(p.report.seam_cost < 8.0, "{seam:?}: {}", p.report.seam_cost);
-        let labels = c.steps[1].labels.clone();
+        let labels = c.layers.steps[1].labels.clone();
         // Noise must not move it.
         let mut state = 1u32;
         for _ in 0..5 {
@@ -451,7 +427,7 @@ fn the_seam_avoids_what_differs_and_holds_still() {
                 (left.iter().map(&mut noise).collect(), right.iter().map(&mut noise).collect());
             compose(&mut c, &[&a, &b], &h, GeometryState::Fresh, &Serial);
         }
-        let changed = labels.iter().zip(&c.steps[1].labels).filter(|(a, b)| a != b).count();
+        let changed = labels.iter().zip(&c.layers.steps[1].labels).filter(|(a, b)| a != b).count();
         assert!(changed * 50 < labels.len(), "{seam:?}: {changed} of {} cells changed", labels.len());
     }
 }

@@ -40,18 +40,6 @@ impl Default for Pixels {
     }
 }
 
-/// True when the CPU has AVX2 (asked once per call site, cached by the standard library).
-pub fn has_avx2() -> bool {
-    #[cfg(target_arch = "x86_64")]
-    {
-        std::arch::is_x86_feature_detected!("avx2")
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    {
-        false
-    }
-}
-
 /// Fills `block` for the output pixels `(x .. x + count, y)`, count at most 64; `source_from_output` maps output pixels to
 /// those of a `width` x `height` BGR view with `stride`. Positions outside are clamped to the border.
 pub fn locate(
@@ -176,12 +164,12 @@ pub fn sample(view: &View<u8>, block: &Block, count: usize, gain: &[i16; 4], out
     if avx2 && view.data.len() >= view.stride + 8 {
         let padded = count.div_ceil(8) * 8;
         // Along a line the source row rises or falls all the way, but for rounding by one, and a column is less than a stride: both ends
-        // tell how far the block reaches at most. Only blocks at the very bottom are looked at pixel by pixel.
+        // bound the block. Only blocks at the very bottom are checked pixel by pixel.
         let ends = block.offset[0].max(block.offset[padded.max(1) - 1]) as usize + 2 * view.stride;
         let fits = |far: usize| far + view.stride + 8 <= view.data.len();
         // Each neighbour pair is loaded as 8 bytes: the last two pixels of a view without padding go the slow way.
         if fits(ends) || fits(block.offset[..padded].iter().fold(0, |m, o| m.max(*o)) as usize) {
-            // SAFETY: AVX2 is present; every load lies inside the view as just checked.
+            // SAFETY: the caller found AVX2 on this CPU; every load is inside the view, as just checked.
             unsafe { sample_avx2(view.data.as_ptr(), view.stride, block, padded, gain, out) };
             return;
         }
@@ -261,7 +249,7 @@ pub fn pack_bgr(pixels: &Pixels, out: &mut [u8], avx2: bool) {
     let mut i = 0;
     #[cfg(target_arch = "x86_64")]
     if avx2 {
-        // SAFETY: AVX2 is present.
+        // SAFETY: the caller found AVX2 on this CPU.
         i = unsafe { pack_bgr_avx2(pixels, out) };
     }
     let _ = avx2;

@@ -1,37 +1,8 @@
-//! Shared by the stereo tests: a thread pool, textures, and data that may be absent.
+//! Shared by the stereo tests: textures, and data that may be absent.
 #![allow(dead_code)]
 
-use panoscope_imaging::{Parallel, View, ViewMut};
+use panoscope_imaging::{View, ViewMut};
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicUsize, Ordering};
-
-/// As many threads as it says, started for each loop.
-pub struct Threads(pub usize);
-
-impl Parallel for Threads {
-    fn threads(&self) -> usize {
-        self.0
-    }
-
-    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
-        let next = AtomicUsize::new(0);
-        let work = || {
-            loop {
-                let index = next.fetch_add(1, Ordering::Relaxed);
-                if index >= chunks {
-                    break;
-                }
-                body(index);
-            }
-        };
-        std::thread::scope(|scope| {
-            for _ in 1..self.0 {
-                scope.spawn(work);
-            }
-            work();
-        });
-    }
-}
 
 /// A well-mixed number for each (x, y): the same at every call.
 pub fn hash(x: i64, y: i64) -> u64 {

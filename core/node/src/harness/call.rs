@@ -3,7 +3,7 @@
 use std::ffi::c_void;
 use std::sync::Mutex;
 
-use panoscope_imaging::random::SplitMix64;
+use panoscope_base::random::SplitMix64;
 
 use crate::abi::{self, Frame, PortRange, Str, Tick};
 use crate::output::Slot;

@@ -4,7 +4,8 @@ use std::ffi::c_void;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use panoscope_imaging::random::SplitMix64;
+use panoscope_base::format;
+use panoscope_base::random::SplitMix64;
 
 use crate::abi::{self, BufferId, Frame, Status, Str};
 
@@ -121,21 +122,16 @@ unsafe extern "C" fn alloc(
     if allowed != 0 && (format > 31 || allowed & abi::format_bit(format) == 0) {
         return state.blame(format!("output {output} was made with format {format}, which it does not declare"));
     }
-    let bytes_per_pixel = match format {
-        abi::FORMAT_BYTES => 0,
-        abi::FORMAT_GRAY8 => 1,
-        abi::FORMAT_BGR8 => 3,
-        abi::FORMAT_RGBA8 | abi::FORMAT_F32 => 4,
-        abi::FORMAT_GRAY16 => 2,
-        abi::FORMAT_CLOUD => size_of::<abi::CloudPoint>() as u64,
-        other => return state.blame(format!("format {other} does not exist")),
+    let Some(known) = format::of(format) else {
+        return state.blame(format!("format {format} does not exist"));
     };
     if format != abi::FORMAT_BYTES {
-        let row = u64::from(width) * bytes_per_pixel;
-        if width == 0 || height == 0 || u64::from(stride_bytes) < row {
+        let (columns, rows, stride) = (width as usize, height as usize, stride_bytes as usize);
+        let need = format::image_bytes(columns, rows, stride, known.pixel_bytes());
+        let Some(need) = need.filter(|_| width > 0 && height > 0) else {
             return state.blame(format!("output {output}: {width}x{height} with {stride_bytes} bytes a row"));
-        }
-        if (len as u64) < (u64::from(height) - 1) * u64::from(stride_bytes) + row {
+        };
+        if len < need {
             return state.blame(format!("output {output}: {len} bytes are too few for {width}x{height}"));
         }
     }

@@ -159,7 +159,7 @@ impl<N> Harness<N> {
             if port.layout_hash != 0 && layout_hash != 0 && port.layout_hash != layout_hash {
                 return Some(format!("input `{name}` takes `{packet}` of another layout"));
             }
-            let word = format_word(format);
+            let word = panoscope_base::format::name(format);
             (!port.formats.is_empty() && !port.formats.iter().any(|f| f == word))
                 .then(|| format!("input `{name}` takes {}, it was given {word}", port.formats.join(", ")))
         });
@@ -202,17 +202,5 @@ impl<N> Harness<N> {
                 frames.iter().filter(|f| !f.is_empty()).for_each(|f| memory::release(f.buffer));
             }
         }
-    }
-}
-
-fn format_word(format: u32) -> &'static str {
-    match format {
-        abi::FORMAT_GRAY8 => "gray8",
-        abi::FORMAT_BGR8 => "bgr8",
-        abi::FORMAT_RGBA8 => "rgba8",
-        abi::FORMAT_GRAY16 => "gray16",
-        abi::FORMAT_F32 => "f32",
-        abi::FORMAT_CLOUD => "cloud",
-        _ => "bytes",
     }
 }

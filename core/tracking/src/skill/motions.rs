@@ -33,14 +33,8 @@ impl Timing {
 
     /// Times of pictures over a length, s.
     pub fn times_s(self, length_s: f64) -> Vec<f64> {
-        let mut state = 0x9e37_79b9_7f4a_7c15_u64;
-        let mut chance = || {
-            // SplitMix64 (Steele, Lea, Flood 2014).
-            state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            let mut z = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            (z ^ (z >> 31)) as f64 / u64::MAX as f64
-        };
+        let mut random = panoscope_base::random::SplitMix64(0x9e37_79b9_7f4a_7c15);
+        let mut chance = || random.bits() as f64 / u64::MAX as f64;
         let count = (length_s * 30.0).round() as usize;
         let mut times = Vec::new();
         for k in 0..=count {

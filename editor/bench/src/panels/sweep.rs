@@ -8,7 +8,7 @@ use eframe::egui::{
     WidgetInfo, WidgetType, vec2,
 };
 use egui_plot::{Corner, Legend, Line, Plot, PlotPoints, Points};
-use panoscope_engine::numbers::tells_numbers;
+use panoscope_base::packet::has_numbers;
 use panoscope_eval::sweep::{COUNTERS, MOST_STEPS, Point, Request, can_sweep, csv};
 use panoscope_graph::ParamKind;
 use panoscope_loader::Loader;
@@ -407,7 +407,7 @@ fn kind_of(document: &Document, param: &str) -> (bool, String, Option<f64>) {
 fn measures(document: &Document, counters: &Counters, shown: &Shown) -> Vec<String> {
     let mut found = Vec::new();
     for node in &document.view().nodes {
-        let outputs = node.node_type.iter().flat_map(|t| &t.outputs).filter(|p| tells_numbers(&p.packet.name));
+        let outputs = node.node_type.iter().flat_map(|t| &t.outputs).filter(|p| has_numbers(&p.packet.name));
         for port in outputs {
             let output = Output::new(node.id(), &port.name);
             if port.packet.name == "scalar" {

@@ -2,8 +2,8 @@
 
 use panoscope_calibration::packet;
 use panoscope_imaging::draw::{Color, cross, fill_circle, fill_rectangle, line, text};
-use panoscope_imaging::stereo::{RemapTable, Roi, StereoError};
-use panoscope_imaging::{Parallel, View, ViewMut};
+use panoscope_imaging::stereo::{RemapTable, StereoError};
+use panoscope_imaging::{Parallel, Rect, View, ViewMut};
 use panoscope_node::abi::Calibration;
 
 use super::detect::Points;
@@ -105,7 +105,7 @@ pub fn epipolar(
     let rectification = packet::rectification(calibration)?;
     let cameras = [packet::camera(&calibration.left)?, packet::camera(&calibration.right)?];
     let (width, height) = (rectification.width, rectification.height);
-    let all = Roi::full(width, height);
+    let all = Rect::whole(width, height);
     let tables = [
         RemapTable::left(&cameras[0], &rectification, all, pool)?,
         RemapTable::right(&cameras[1], &rectification, all, pool)?,

@@ -127,10 +127,7 @@ impl Phantom {
     }
 
     pub(super) fn wide_lanes(&self) -> bool {
-        #[cfg(target_arch = "x86_64")]
-        return !self.portable && std::arch::is_x86_feature_detected!("avx2");
-        #[cfg(not(target_arch = "x86_64"))]
-        return false;
+        !self.portable && panoscope_base::Simd::detect().avx2()
     }
 
     /// Draws one frame: `views[i]` (BGR, any stride) receives camera `i`. `pose` (`scene_from_camera` of the first

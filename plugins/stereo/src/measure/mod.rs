@@ -3,7 +3,7 @@
 mod surface;
 
 use panoscope_imaging::stereo::length::{self, Errors, Noise};
-use panoscope_imaging::stereo::{Place, Rectification};
+use panoscope_imaging::stereo::{Rectification, SurfacePoint};
 use panoscope_node::abi::{Calibration, Tip};
 use panoscope_node::{
     Choice, Cloud, Context, Depth, Detections, Image, List, Node, NodeInfo, Open, Params, Ports, Result, Slot,
@@ -103,7 +103,7 @@ pub struct Measure {
     /// Points of the tick: u, v each.
     given: Vec<[f64; 2]>,
     samples: Vec<[f64; 5]>,
-    places: Vec<Option<Place>>,
+    places: Vec<Option<SurfacePoint>>,
     rows: Vec<f64>,
     leftover: bool,
 }
@@ -146,7 +146,7 @@ impl Measure {
                 .filter(|xyz| xyz[2] > 0.0 && xyz.iter().all(|v| v.is_finite()));
             places.push(told.map_or(seen, |[x, y, z]| {
                 let scatter = seen.map_or(0.0, |point| point.scatter);
-                Some(Place { ray: [x / z, y / z], inverse_depth: 1.0 / z, scatter })
+                Some(SurfacePoint { ray: [x / z, y / z], inverse_depth: 1.0 / z, scatter })
             }));
         }
         for found in input.detections.as_ref().map_or(&[][..], Detections::items) {
@@ -165,7 +165,8 @@ impl Measure {
         let starts = (0..self.places.len()).step_by(step).take_while(|start| start + size <= self.places.len());
         for start in starts {
             self.rows.extend(self.given[start..start + size].iter().flatten());
-            let mut points = [Place { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN }; length::MOST_POINTS];
+            let mut points =
+                [SurfacePoint { ray: [0.0; 2], inverse_depth: f64::NAN, scatter: f64::NAN }; length::MOST_POINTS];
             for (point, place) in points.iter_mut().zip(&self.places[start..start + size]) {
                 *point = place.unwrap_or(*point);
             }

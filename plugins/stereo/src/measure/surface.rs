@@ -1,6 +1,6 @@
 //! Where the measured surface comes from: a cloud, or depths with the camera that saw them.
 
-use panoscope_imaging::stereo::{Place, Rectification, Sample};
+use panoscope_imaging::stereo::{Rectification, Sample, SurfacePoint};
 use panoscope_node::{Cloud, View};
 
 /// Where depths come from.
@@ -21,18 +21,18 @@ impl Surface<'_> {
     }
 
     /// The surface at column `u`, row `v`, from the pixels up to `radius` px away; `None` where too few are known. `work` is reused.
-    pub fn at(&self, u: f64, v: f64, radius: usize, work: &mut Vec<Sample>) -> Option<Place> {
+    pub fn at(&self, u: f64, v: f64, radius: usize, work: &mut Vec<Sample>) -> Option<SurfacePoint> {
         match self {
             Self::Cloud(cloud) => {
                 let (points, width) = (cloud.points(), cloud.width());
-                Place::at(self.size(), [u, v], radius, work, |x, y| {
+                SurfacePoint::at(self.size(), [u, v], radius, work, |x, y| {
                     let point = points.get(y * width + x)?;
                     let z = f64::from(point.z_mm);
                     let known = z > 0.0 && z.is_finite() && point.x_mm.is_finite() && point.y_mm.is_finite();
                     known.then(|| [f64::from(point.x_mm) / z, f64::from(point.y_mm) / z, 1.0 / z])
                 })
             }
-            Self::Depth(depth, views) => Place::at(self.size(), [u, v], radius, work, |x, y| {
+            Self::Depth(depth, views) => SurfacePoint::at(self.size(), [u, v], radius, work, |x, y| {
                 let z = f64::from(depth.row(y)[x]);
                 let (u, v) = (x as f64 - views.left.cx, y as f64 - views.left.cy);
                 let focal = views.left.focal_px;

@@ -103,11 +103,7 @@ impl Views {
 
 /// The packet's bytes as the packet.
 pub fn calibration(bytes: &[u8]) -> Option<Calibration> {
-    if bytes.len() < size_of::<Calibration>() {
-        return None;
-    }
-    // SAFETY: plain numbers, as many bytes as needed; unaligned reads are allowed for.
-    Some(unsafe { bytes.as_ptr().cast::<Calibration>().read_unaligned() })
+    panoscope_base::packet::decode(bytes).ok()
 }
 
 fn camera(name: &str, camera: &Camera) {

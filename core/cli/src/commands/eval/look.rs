@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use panoscope_base::packet;
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{Engine, Listener, NumberListener, Options, Outcome, Preview, Report};
 use panoscope_graph::GraphText;
@@ -20,20 +21,12 @@ pub struct Table {
 }
 
 impl Table {
-    /// Reads a packet: rows, columns, length of the names, reserved (u32 each), the names, the numbers.
+    /// Reads a packet; `None` when it is no whole table.
     pub fn read(bytes: &[u8]) -> Option<Self> {
-        let word = |index: usize| {
-            let part = bytes.get(index * 4..index * 4 + 4)?;
-            Some(u32::from_ne_bytes(part.try_into().ok()?) as usize)
-        };
-        let (rows, columns, names_len) = (word(0)?, word(1)?, word(2)?);
-        let names = std::str::from_utf8(bytes.get(16..16 + names_len)?).ok()?.trim_end_matches('\0');
-        let numbers = bytes.get(16 + names_len..)?;
-        let numbers = numbers.get(..rows.checked_mul(columns)?.checked_mul(8)?)?;
-        let number = |part: &[u8]| part.try_into().map_or(f64::NAN, f64::from_ne_bytes);
-        let values: Vec<f64> = numbers.chunks_exact(8).map(number).collect();
-        let rows = values.chunks_exact(columns.max(1)).map(<[f64]>::to_vec).collect();
-        Some(Self { names: names.lines().map(str::to_owned).collect(), rows })
+        let table = packet::Table::parse(bytes).ok()?;
+        let values: Vec<f64> = table.values().collect();
+        let rows = values.chunks_exact(table.columns().max(1)).map(<[f64]>::to_vec).collect();
+        Some(Self { names: table.names().map(str::to_owned).collect(), rows })
     }
 
     /// All values of a column.

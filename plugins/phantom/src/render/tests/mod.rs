@@ -1,7 +1,6 @@
 //! Checks of the whole renderer: exactness against slow and simple yardsticks, equality of all paths.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-
+use panoscope_base::Threads;
 use panoscope_imaging::{Parallel, Serial, View, ViewMut};
 
 use super::cast::Field;
@@ -11,31 +10,6 @@ use super::*;
 mod memory;
 mod sensor;
 mod tools;
-
-/// Threads that share the chunks of a loop.
-struct Threads(usize);
-
-impl Parallel for Threads {
-    fn threads(&self) -> usize {
-        self.0
-    }
-    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
-        let next = AtomicUsize::new(0);
-        std::thread::scope(|scope| {
-            for _ in 0..self.0 {
-                scope.spawn(|| {
-                    loop {
-                        let chunk = next.fetch_add(1, Ordering::Relaxed);
-                        if chunk >= chunks {
-                            break;
-                        }
-                        body(chunk);
-                    }
-                });
-            }
-        });
-    }
-}
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
@@ -248,15 +222,16 @@ fn lanes_and_threads_give_the_same_bytes() {
     assert!(!phantom.wide_lanes());
     assert_eq!(first, draw(&mut phantom, 33, None, &Serial), "portable lanes differ");
     for threads in [2, 8] {
-        let mut phantom = Phantom::new(params.clone(), rig.clone(), &Threads(threads)).unwrap();
-        assert_eq!(first, draw(&mut phantom, 33, None, &Threads(threads)), "{threads} threads differ");
+        let mut phantom = Phantom::new(params.clone(), rig.clone(), &Threads::new(threads)).unwrap();
+        assert_eq!(first, draw(&mut phantom, 33, None, &Threads::new(threads)), "{threads} threads differ");
     }
 }
 
 #[test]
 fn the_same_seed_gives_the_same_bytes_on_every_machine() {
-    let mut phantom = Phantom::new(SceneParams::default(), Rig::stereo(WIDTH, HEIGHT, 15.0), &Threads(2)).unwrap();
-    let bytes: Vec<u8> = [0, 31].into_iter().flat_map(|f| draw(&mut phantom, f, None, &Threads(2)).concat()).collect();
+    let mut phantom = Phantom::new(SceneParams::default(), Rig::stereo(WIDTH, HEIGHT, 15.0), &Threads::new(2)).unwrap();
+    let bytes: Vec<u8> =
+        [0, 31].into_iter().flat_map(|f| draw(&mut phantom, f, None, &Threads::new(2)).concat()).collect();
     assert_eq!(format!("{:016x}", fnv(&bytes)), "f11f8bb13b00c1b3");
 }
 

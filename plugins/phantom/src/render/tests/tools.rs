@@ -50,7 +50,7 @@ fn instruments_are_where_the_truth_says() {
     }
     assert!(ToolKind::ALL.iter().all(|kind| kinds.contains(kind)) && tips_seen >= 3);
     phantom.force_portable(true);
-    let portable = draw(&mut phantom, 90, None, &Threads(2));
+    let portable = draw(&mut phantom, 90, None, &Threads::new(2));
     phantom.force_portable(false);
     assert_eq!(portable, draw(&mut phantom, 90, None, &Serial));
 }

@@ -2,10 +2,10 @@
 
 use anyhow::Result;
 use panoscope_imaging::stereo::{
-    BilateralSolver, BilateralSolverParams, BlockMatcher, BlockMatchingParams, ConfidenceParams, FilterInput, Roi,
+    BilateralSolver, BilateralSolverParams, BlockMatcher, BlockMatchingParams, ConfidenceParams, FilterInput,
     SemiGlobalMatcher, SemiGlobalParams, SharedField, WlsFilter, WlsParams,
 };
-use panoscope_imaging::{Serial, View, ViewMut};
+use panoscope_imaging::{Rect, Serial, View, ViewMut};
 
 use super::data::Picture;
 
@@ -20,7 +20,7 @@ pub struct Made {
 /// All chains with the nodes' own settings, over disparities `first_px..first_px + search_px`.
 pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> Result<Vec<Made>> {
     let (width, height) = (left.width, left.height);
-    let roi = Roi::full(width, height);
+    let roi = Rect::whole(width, height);
     let plane = || vec![f32::NAN; width * height];
     fn view(data: &[f32], width: usize, height: usize) -> View<'_, f32> {
         View::new(data, width, height, 1)
@@ -45,7 +45,7 @@ pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> 
         // As the nodes do.
         let (both, both_right) =
             (&mut ViewMut::new(&mut raw, width, height, 1), &mut ViewMut::new(&mut raw_right, width, height, 1));
-        SharedField::default().keep(both, both_right, roi);
+        SharedField::default().clear_outside(both, both_right, roi);
         let (mut smooth, mut trust, mut solved) = (plane(), plane(), plane());
         let confidence = ConfidenceParams { scatter_radius_px, ..Default::default() };
         let mut wls = WlsFilter::new(WlsParams { confidence, ..Default::default() })?;

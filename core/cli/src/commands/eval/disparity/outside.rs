@@ -7,8 +7,8 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use panoscope_engine::memory::FrameRef;
-use panoscope_imaging::View;
-use panoscope_imaging::stereo::{Rectification, RectifiedCamera, Roi, score_disparity, score_surface};
+use panoscope_imaging::stereo::{Rectification, RectifiedCamera, score_disparity, score_surface};
+use panoscope_imaging::{Rect, View};
 
 use super::super::look::{self, Pace, Plan};
 use super::data::Picture;
@@ -264,8 +264,8 @@ params = {{ auto_offset = false, search_px = 64 }}
             left: camera,
             right: camera,
             baseline_mm: BASELINE_MM,
-            valid_left: Roi::full(width, height),
-            valid_right: Roi::full(width, height),
+            valid_left: Rect::whole(width, height),
+            valid_right: Rect::whole(width, height),
         };
         let points = super::points(&geometry, found)?;
         let measured: Vec<[f32; 3]> =

@@ -1,40 +1,4 @@
-//! Which instruction set the kernels of this folder use.
-
-/// The instruction set a kernel runs with.
-///
-/// A value that allows AVX2 exists only on machines that have it, so kernels may rely on it.
-/// Both paths give bit-identical results: no fused multiply-add, the same order of operations.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Simd {
-    avx2: bool,
-}
-
-impl Simd {
-    /// The best instruction set of this machine.
-    pub fn detect() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        let avx2 = std::arch::is_x86_feature_detected!("avx2");
-        #[cfg(not(target_arch = "x86_64"))]
-        let avx2 = false;
-        Self { avx2 }
-    }
-
-    /// Plain Rust only, for comparisons.
-    pub fn portable() -> Self {
-        Self { avx2: false }
-    }
-
-    /// Whether AVX2 may be used.
-    pub fn avx2(self) -> bool {
-        self.avx2
-    }
-}
-
-impl Default for Simd {
-    fn default() -> Self {
-        Self::detect()
-    }
-}
+//! Kernels compiled twice: once for AVX2, once without.
 
 /// Calls `$body` compiled for AVX2 where `$simd` allows it, and compiled plainly elsewhere.
 ///

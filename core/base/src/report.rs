@@ -1,18 +1,18 @@
-//! How algorithms say what they notice, without knowing to whom.
+//! How algorithms report warnings and metrics without knowing the framework.
 
-/// Takes what an algorithm notices besides its result.
+/// Receives what an algorithm reports besides its result.
 pub trait Report {
     /// Something the user should know.
     fn warn(&self, message: &str);
 
-    /// Progress, or the end of what was warned of.
+    /// Progress, or that the cause of a warning is gone.
     fn info(&self, message: &str);
 
     /// A named number.
     fn metric(&self, name: &str, value: f64);
 }
 
-/// Takes nothing.
+/// Drops all reports.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;
 

@@ -1,11 +1,11 @@
-//! A point of the measured surface: where it is, and how sure that is.
+//! A point of the measured surface, with its uncertainty.
 //!
 //! The inverse depth of a plane is linear in the pixel's column and row, so a plane is fitted to the inverse depths
-//! around the point; pixels of another surface are left out. What remains beside the fit is the scatter of the match.
+//! around the point, without pixels of another surface. The residual of the fit is the scatter of the match.
 
 /// A surface point: `(ray[0], ray[1], 1) / inverse_depth` in mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct SurfacePoint {
     /// x / z and y / z.
     pub ray: [f64; 2],
     /// 1 / z in 1/mm.
@@ -14,7 +14,7 @@ pub struct Place {
     pub scatter: f64,
 }
 
-impl Place {
+impl SurfacePoint {
     /// x, y, z in mm, with the inverse depth changed by `change`.
     pub fn xyz_mm(&self, change: f64) -> [f64; 3] {
         let z = 1.0 / (self.inverse_depth + change);

@@ -1,7 +1,7 @@
-//! Numbers that look random and are the same on every machine: SplitMix64 (Steele, Lea, Flood, "Fast Splittable Pseudorandom Number
+//! Pseudo-random numbers that are the same on every machine: SplitMix64 (Steele, Lea, Flood, "Fast Splittable Pseudorandom Number
 //! Generators", OOPSLA 2014, figure 17).
 
-/// How far the state goes on with each number.
+/// Increment of the state per number.
 const GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// A generator whose state is one number, the seed to begin with.
@@ -41,7 +41,15 @@ pub fn unit(seed: u64) -> f64 {
     (mix(seed) >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Every bit of the state reaches every bit of the number.
+/// White noise on the integer plane: the number in `0.0..1.0` that belongs to `(x, y)`.
+pub fn lattice(x: i64, y: i64, seed: u64) -> f64 {
+    let mut z = (x as u64).wrapping_mul(GAMMA) ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f) ^ seed;
+    z = (z ^ (z >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// Mixes the state so that each of its bits affects every bit of the result.
 #[inline]
 fn finish(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -51,7 +59,7 @@ fn finish(mut z: u64) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{SplitMix64, mix, nth, unit};
+    use super::{SplitMix64, lattice, mix, nth, unit};
 
     #[test]
     fn it_gives_the_published_numbers() {
@@ -64,6 +72,18 @@ mod tests {
         }
         assert_eq!(mix(1_234_567), expected[0]);
         assert!((0.0..1.0).contains(&unit(1_234_567)));
+    }
+
+    #[test]
+    fn the_lattice_is_even_and_neighbours_differ() {
+        let values: Vec<f64> = (0..10_000).map(|i| lattice(i % 100 - 50, i / 100 - 50, 7)).collect();
+        assert!(values.iter().all(|value| (0.0..1.0).contains(value)));
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        assert!((mean - 0.5).abs() < 0.02, "{mean}");
+        let below = values.iter().filter(|value| **value < 0.25).count();
+        assert!((2300..2700).contains(&below), "{below}");
+        assert!(values.windows(2).all(|pair| pair[0] != pair[1]));
+        assert_ne!(lattice(1, 2, 0), lattice(1, 2, 1));
     }
 
     #[test]

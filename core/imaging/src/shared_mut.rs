@@ -1,32 +1,4 @@
-//! How kernels ask for more than one thread, without knowing whose threads they are.
-
-/// A pool that runs the chunks of a loop.
-///
-/// Chunk boundaries never depend on [`Parallel::threads`], and partial results are reduced in
-/// index order by the caller, so that the number of threads never changes a result.
-pub trait Parallel: Sync {
-    /// How many threads may take part, the caller included.
-    fn threads(&self) -> usize;
-
-    /// Calls `body(i)` once for every `i` in `0..chunks`, in any order, and returns when all are done.
-    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync));
-}
-
-/// Runs every chunk on the calling thread, in order.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Serial;
-
-impl Parallel for Serial {
-    fn threads(&self) -> usize {
-        1
-    }
-
-    fn run(&self, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
-        for index in 0..chunks {
-            body(index);
-        }
-    }
-}
+//! A slice that the chunks of one loop write in parts.
 
 /// A pointer that chunks of one loop may share while they write disjoint parts of a slice.
 ///
@@ -39,9 +11,10 @@ pub struct SharedMut<'a, T> {
     lifetime: std::marker::PhantomData<&'a mut [T]>,
 }
 
-// SAFETY: the pointer stands for a `&mut [T]`; each part handed out by `part` is used by one thread.
+// SAFETY: the pointer stands for a `&mut [T]`, which may move to another thread when `T` may.
 unsafe impl<T: Send> Send for SharedMut<'_, T> {}
-// SAFETY: as above; sharing the wrapper gives no access without the unsafe `part`.
+// SAFETY: a shared wrapper gives access to elements only through the unsafe `part`, whose callers promise that no two parts overlap; so
+// each element is used by one thread at a time, which `T: Send` allows.
 unsafe impl<T: Send> Sync for SharedMut<'_, T> {}
 
 impl<'a, T> SharedMut<'a, T> {
@@ -50,7 +23,7 @@ impl<'a, T> SharedMut<'a, T> {
         Self { base: slice.as_mut_ptr(), len: slice.len(), lifetime: std::marker::PhantomData }
     }
 
-    /// Where element `index` lies, for kernels that walk by pointer; what they touch must be theirs, as for [`Self::part`].
+    /// Address of element `index`, for kernels that advance a pointer. They may touch only elements that no other chunk touches.
     pub(crate) fn address(&self, index: usize) -> *mut T {
         self.base.wrapping_add(index)
     }

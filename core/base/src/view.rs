@@ -7,7 +7,7 @@ pub struct View<'a, T> {
     pub data: &'a [T],
     /// Columns, in pixels.
     pub width: usize,
-    /// Rows.
+    /// Rows, in pixels.
     pub height: usize,
     /// Elements from one row's start to the next one's.
     pub stride: usize,
@@ -22,7 +22,7 @@ pub struct ViewMut<'a, T> {
     pub data: &'a mut [T],
     /// Columns, in pixels.
     pub width: usize,
-    /// Rows.
+    /// Rows, in pixels.
     pub height: usize,
     /// Elements from one row's start to the next one's.
     pub stride: usize,
@@ -30,6 +30,7 @@ pub struct ViewMut<'a, T> {
     pub channels: usize,
 }
 
+#[inline]
 fn check(len: usize, width: usize, height: usize, stride: usize, channels: usize) {
     let row = width * channels;
     assert!(stride >= row, "stride {stride} is shorter than a row of {row} elements");
