@@ -1,10 +1,10 @@
 //! A graph that passed every check: names resolved to indices, defaults filled in, order known. The runtime builds from this.
 
 use crate::catalog::{Catalog, NodeType};
+use crate::param::ParamValue;
 use crate::validate::{Wiring, port_bit};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
-use std::path::PathBuf;
 
 /// What happens when work arrives faster than it is done.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -55,31 +55,6 @@ impl Align {
             Self::Nearest { .. } => "nearest",
         }
     }
-}
-
-/// Value of a parameter, already of the declared type and inside its limits.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum ParamValue {
-    /// true or false.
-    Bool(bool),
-    /// Whole number.
-    Int(i64),
-    /// Finite number.
-    Float(f64),
-    /// One of the declared words.
-    Choice {
-        /// Position in the declared list.
-        index: usize,
-        /// The word.
-        name: String,
-    },
-    /// Free text.
-    Text(String),
-    /// Path resolved against the folder of the graph file; empty when not set.
-    Path(PathBuf),
-    /// List of finite numbers.
-    Floats(Vec<f64>),
 }
 
 /// A checked graph. Positions in `nodes` are in file order and are what edges and `order` name.

@@ -1,6 +1,6 @@
-//! Mistakes and warnings with the place they stand at, rendered in the manner of rustc or as JSON.
+//! Errors and warnings with their locations, rendered like those of rustc or as JSON.
 
-use crate::source::Source;
+use crate::source::{COMMAND_LINE, Source, Sources};
 use serde::Serialize;
 use std::fmt::{self, Write as _};
 use std::ops::Range;
@@ -15,14 +15,17 @@ pub enum Severity {
     Warning,
 }
 
-/// A second place that explains a diagnostic, such as the first of two equal names.
+/// A second location that explains a diagnostic, such as the first of two equal names.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Note {
+    /// File, where it is not that of the diagnostic.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
     /// Line, from 1.
     pub line: usize,
     /// Column in characters, from 1.
     pub column: usize,
-    /// Bytes in the same text as the diagnostic's span.
+    /// Bytes of its file.
     pub span: Range<usize>,
     /// The whole line.
     pub line_text: String,
@@ -46,18 +49,21 @@ pub struct Diagnostic {
     pub line: usize,
     /// Column in characters, from 1; 0 when the file could not be read.
     pub column: usize,
-    /// Bytes of the underlined text.
+    /// Bytes of the underlined text in its file.
     pub span: Range<usize>,
     /// The line it stands on.
     pub line_text: String,
     /// Text beside the underline; may be empty.
     pub label: String,
-    /// Other places that belong to it.
+    /// Other locations that belong to it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<Note>,
     /// What to do; may be empty.
     pub help: String,
     width: usize,
+    /// The underlined text among all texts of the graph.
+    #[serde(skip)]
+    global: Range<usize>,
 }
 
 impl Diagnostic {
@@ -68,21 +74,44 @@ impl Diagnostic {
         span: &Range<usize>,
         message: String,
     ) -> Self {
-        let place = source.place(span);
+        let location = source.locate(span);
         Self {
             severity,
             code,
             message,
             file: source.name.clone(),
-            line: place.line,
-            column: place.column,
-            span: source.clamp(span.clone()),
-            line_text: place.line_text,
+            line: location.line,
+            column: location.column,
+            span: source.local(span),
+            line_text: location.line_text,
             label: String::new(),
             notes: Vec::new(),
             help: String::new(),
-            width: place.width,
+            width: location.width,
+            global: span.clone(),
         }
+    }
+
+    /// The underlined text among all texts of the graph.
+    pub(crate) fn global(&self) -> &Range<usize> {
+        &self.global
+    }
+
+    /// Moves the diagnostic to another location; its old one becomes a note.
+    pub(crate) fn move_to(&mut self, sources: &Sources, span: &Range<usize>, note: &str) {
+        let old = std::mem::replace(&mut self.global, span.clone());
+        let source = sources.of(span);
+        let location = source.locate(span);
+        // Notes name their file where it is not the diagnostic's.
+        for other in &mut self.notes {
+            let file = other.file.take().unwrap_or_else(|| self.file.clone());
+            other.file = (file != source.name).then_some(file);
+        }
+        self.file.clone_from(&source.name);
+        (self.line, self.column, self.width) = (location.line, location.column, location.width);
+        self.span = source.local(span);
+        self.line_text = location.line_text;
+        self.note(sources, &old, note);
     }
 
     /// A mistake about a file as a whole.
@@ -100,6 +129,7 @@ impl Diagnostic {
             notes: Vec::new(),
             help,
             width: 0,
+            global: 0..0,
         }
     }
 
@@ -113,20 +143,27 @@ impl Diagnostic {
         self
     }
 
-    pub(crate) fn note(&mut self, source: &Source, span: &Range<usize>, label: impl Into<String>) -> &mut Self {
-        let place = source.place(span);
+    /// Adds a second location. `sources` are all texts of the graph.
+    pub(crate) fn note(&mut self, sources: &Sources, span: &Range<usize>, label: impl Into<String>) -> &mut Self {
+        self.note_in(sources.of(span), span, label)
+    }
+
+    /// Adds a second location in a known text.
+    pub(crate) fn note_in(&mut self, source: &Source, span: &Range<usize>, label: impl Into<String>) -> &mut Self {
+        let location = source.locate(span);
         self.notes.push(Note {
-            line: place.line,
-            column: place.column,
-            span: source.clamp(span.clone()),
-            line_text: place.line_text,
+            file: (source.name != self.file).then(|| source.name.clone()),
+            line: location.line,
+            column: location.column,
+            span: source.local(span),
+            line_text: location.line_text,
             label: label.into(),
-            width: place.width,
+            width: location.width,
         });
         self
     }
 
-    /// The diagnostic as text: message, place, underlined line, help. Ends with a line end.
+    /// The diagnostic as text: message, location, underlined line, help. Ends with a line end.
     pub fn render(&self, color: bool) -> String {
         let paint = Paint { on: color };
         let (word, main) = match self.severity {
@@ -149,24 +186,17 @@ impl Diagnostic {
         let arrow = paint.with(Paint::BLUE, "-->");
         let _ = writeln!(out, "{pad}{arrow} {}:{}:{}", printable(&self.file), self.line, self.column);
         let _ = writeln!(out, "{pad} {bar}");
-        let mut snippets = vec![(self.line, self.column, self.width, &self.line_text, &self.label, true)];
-        snippets.extend(self.notes.iter().map(|n| (n.line, n.column, n.width, &n.line_text, &n.label, false)));
-        // Places in file order read naturally; the main one keeps its `^`.
-        snippets.sort_by_key(|s| (s.0, s.1));
-        let mut last_line = 0;
-        for (line, column, width, text, label, is_main) in snippets {
-            let cut = Cut::around(text, column, width);
-            if line != last_line {
-                if last_line != 0 && line > last_line + 1 {
-                    let _ = writeln!(out, "{pad}{}", paint.with(Paint::BLUE, "..."));
-                }
-                let number = paint.with(Paint::BLUE, &format!("{line:>digits$}"));
-                let _ = writeln!(out, "{}", format!("{number} {bar} {}", cut.text).trim_end());
-            }
-            last_line = line;
-            let (mark, color) = if is_main { ("^", main) } else { ("-", Paint::BLUE) };
-            let under = paint.with(color, format!("{} {}", mark.repeat(cut.width), printable(label)).trim_end());
-            let _ = writeln!(out, "{pad} {bar} {}{under}", " ".repeat(cut.before));
+        let mut snippets = vec![Snippet::main(self)];
+        snippets.extend(self.notes.iter().filter(|n| n.file.is_none()).map(Snippet::note));
+        snippets_of_a_file(&mut out, snippets, digits, paint, main);
+        let others: Vec<&str> = self.notes.iter().filter_map(|n| n.file.as_deref()).collect();
+        for (_, file) in others.iter().enumerate().filter(|(i, file)| !others[..*i].contains(file)) {
+            let notes: Vec<&Note> = self.notes.iter().filter(|n| n.file.as_deref() == Some(file)).collect();
+            let arrow = paint.with(Paint::BLUE, ":::");
+            let (line, column) = (notes[0].line, notes[0].column);
+            let _ = writeln!(out, "{pad}{arrow} {}:{line}:{column}", printable(file));
+            let _ = writeln!(out, "{pad} {bar}");
+            snippets_of_a_file(&mut out, notes.into_iter().map(Snippet::note).collect(), digits, paint, main);
         }
         if !self.help.is_empty() {
             let _ = writeln!(out, "{pad} {bar}");
@@ -175,6 +205,49 @@ impl Diagnostic {
             let _ = writeln!(out, "{pad} {} {}: {help}", paint.with(Paint::BLUE, "="), paint.with(Paint::BOLD, "help"));
         }
         out
+    }
+}
+
+/// An underlined text of one file.
+struct Snippet<'d> {
+    line: usize,
+    column: usize,
+    width: usize,
+    text: &'d str,
+    label: &'d str,
+    is_main: bool,
+}
+
+impl<'d> Snippet<'d> {
+    fn main(d: &'d Diagnostic) -> Self {
+        let Diagnostic { line, column, width, line_text, label, .. } = d;
+        Self { line: *line, column: *column, width: *width, text: line_text, label, is_main: true }
+    }
+
+    fn note(note: &'d Note) -> Self {
+        let Note { line, column, width, line_text, label, .. } = note;
+        Self { line: *line, column: *column, width: *width, text: line_text, label, is_main: false }
+    }
+}
+
+/// Writes lines of one file with what is underlined in them, in file order; the main one keeps its `^`.
+fn snippets_of_a_file(out: &mut String, mut snippets: Vec<Snippet<'_>>, digits: usize, paint: Paint, main: &str) {
+    let (bar, pad) = (paint.with(Paint::BLUE, "|"), " ".repeat(digits));
+    snippets.sort_by_key(|s| (s.line, s.column));
+    let mut last_line = 0;
+    for Snippet { line, column, width, text, label, is_main } in snippets {
+        let cut = Cut::around(text, column, width);
+        if line != last_line {
+            if last_line != 0 && line > last_line + 1 {
+                let _ = writeln!(out, "{pad}{}", paint.with(Paint::BLUE, "..."));
+            }
+            let number = paint.with(Paint::BLUE, &format!("{line:>digits$}"));
+            let _ = writeln!(out, "{}", format!("{number} {bar} {}", cut.text).trim_end());
+        }
+        last_line = line;
+        let (mark, color) = if is_main { ("^", main) } else { ("-", Paint::BLUE) };
+        let under = paint.with(color, format!("{} {}", mark.repeat(cut.width), printable(label)).trim_end());
+        let _ = writeln!(out, "{pad} {bar} {}{under}", " ".repeat(cut.before));
     }
 }
 
@@ -227,6 +300,7 @@ fn printable(text: &str) -> String {
     text.chars().map(|c| if c.is_control() && c != '\n' { char::REPLACEMENT_CHARACTER } else { c }).collect()
 }
 
+#[derive(Clone, Copy)]
 struct Paint {
     on: bool,
 }
@@ -256,6 +330,11 @@ impl Diagnostics {
         &mut self.list[last]
     }
 
+    /// For moves of single ones before they are shown.
+    pub(crate) fn iter_mut(&mut self) -> std::slice::IterMut<'_, Diagnostic> {
+        self.list.iter_mut()
+    }
+
     pub(crate) fn one(diagnostic: Diagnostic) -> Self {
         Self { list: vec![diagnostic] }
     }
@@ -265,13 +344,13 @@ impl Diagnostics {
         self.list.extend(other.list);
     }
 
-    /// Sorts by file, position and severity and removes repetitions. The graph file comes before `command line`.
+    /// Sorts by file, position and severity and removes repetitions. The graph file comes first, `command line` last.
     pub(crate) fn finish(&mut self, first_file: &str) {
-        self.list.sort_by(|a, b| {
-            let key =
-                |d: &Diagnostic| (d.file != first_file, d.span.start, d.span.end, d.severity == Severity::Warning);
-            key(a).cmp(&key(b))
-        });
+        fn key<'d>(d: &'d Diagnostic, first_file: &str) -> (u8, &'d str, usize, usize, bool) {
+            let rank = if d.file == first_file { 0 } else { 1 + u8::from(d.file == COMMAND_LINE) };
+            (rank, &d.file, d.span.start, d.span.end, d.severity == Severity::Warning)
+        }
+        self.list.sort_by(|a, b| key(a, first_file).cmp(&key(b, first_file)));
         self.list.dedup();
     }
 

@@ -15,8 +15,9 @@ use thiserror::Error;
 
 pub use self::node_type::whole;
 
-use crate::catalog::{NodeType, PacketType, Param, ParamKind, Pick, Port};
-use crate::checked::ParamValue;
+use crate::catalog::{NodeType, Port};
+use crate::packet::PacketType;
+use crate::param::{Param, ParamKind, ParamValue, Pick};
 
 /// Why a plugin's descriptor cannot be used.
 #[derive(Clone, Debug, PartialEq, Error)]

@@ -10,17 +10,19 @@
 //! assert!(mistakes.render(false).contains("wide.toml:1:12")); // no such plugin
 //! ```
 
-mod accept;
 pub mod catalog;
 mod check;
 pub mod checked;
 mod diagnostic;
 mod dot;
 pub mod edit;
+mod file;
 #[cfg(feature = "abi")]
 pub mod from_abi;
 mod nearest;
 mod outline;
+pub mod packet;
+pub mod param;
 mod parse;
 mod schema;
 mod shape;
@@ -29,12 +31,14 @@ mod text;
 pub mod validate;
 pub mod value;
 
-pub use catalog::{Catalog, NodeKind, NodeType, Offer, PacketType, Param, ParamKind, Pick, PluginProblem, Port};
+pub use catalog::{Catalog, NodeKind, NodeType, Offer, PluginProblem, Port};
 pub use check::{Checked, check};
-pub use checked::{Align, Edge, Graph, Mode, Node, OnFault, ParamValue, Pin, Preset, PresetView};
+pub use checked::{Align, Edge, Graph, Mode, Node, OnFault, Pin, Preset, PresetView};
 pub use diagnostic::{Diagnostic, Diagnostics, Note, Severity};
 pub use dot::to_dot;
 pub use outline::{InputOutline, NodeOutline, Reference};
+pub use packet::{PacketMismatch, PacketType};
+pub use param::{Param, ParamKind, ParamValue, Pick, ValueError};
 pub use schema::json_schema;
 pub use text::GraphText;
 pub use validate::{NodeSetup, ParamProblem, Validator, Wiring};

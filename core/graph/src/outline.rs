@@ -79,7 +79,7 @@ impl GraphText {
                 })
                 .collect(),
             params: plain_table(&node.params),
-            line: self.source.place(&node.id.span).line,
+            line: self.sources.line(&node.id.span),
         });
         nodes.collect()
     }

@@ -190,7 +190,7 @@ fn duplicate_key(source: &Source, diagnostics: &mut Diagnostics, root: &Table, s
     let mut first = None;
     find_before(root, key.trim_matches(['"', '\'']), span.start, &mut first);
     if let Some(first) = first {
-        diagnostic.note(source, &first, "first here");
+        diagnostic.note_in(source, &first, "first here");
     }
     diagnostics.push(diagnostic);
 }

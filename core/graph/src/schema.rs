@@ -1,6 +1,7 @@
 //! JSON Schema of graph files, so that editors complete and check them while they are typed.
 
-use crate::catalog::{Catalog, NodeType, Param, ParamKind, Pick, Port};
+use crate::catalog::{Catalog, NodeType, Port};
+use crate::param::{Param, ParamKind, Pick};
 use crate::shape::{HIGHEST_HZ, LONGEST_MS};
 use serde_json::{Map, Value, json};
 

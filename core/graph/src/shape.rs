@@ -3,7 +3,9 @@
 use crate::checked::{Align, Mode, OnFault};
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::nearest::{list, nearest};
-use crate::text::{GraphText, InputText, NodeText, PinText, RefText, ViewText};
+use crate::file::{FileText, InputText, NodeText, PinText, RefText, ViewText};
+use crate::parse::Parsed;
+use crate::source::Sources;
 use crate::value::{Kind, Spanned, Table, Value, plain_table};
 use std::collections::HashMap;
 use std::ops::Range;
@@ -18,23 +20,26 @@ const PRESET: [&str; 2] = ["pinned", "views"];
 const PIN: [&str; 3] = ["param", "range", "label"];
 const VIEW: [&str; 2] = ["from", "label"];
 
-/// Fills `graph` with what the tree of its file holds; mistakes go to its diagnostics.
-pub(crate) fn read(graph: GraphText, root: &Table) -> GraphText {
-    let mut reader = Reader { graph, ids: HashMap::new() };
-    reader.root(root);
-    reader.graph
+/// What the tree of a file says; mistakes go to its diagnostics, behind those of the parser. `sources` holds the file's text.
+pub(crate) fn read(sources: &Sources, parsed: Parsed) -> FileText {
+    let Parsed { root, diagnostics, incomplete } = parsed;
+    let file = FileText { diagnostics, incomplete, ..FileText::default() };
+    let mut reader = Reader { sources, file, ids: HashMap::new() };
+    reader.root(&root);
+    reader.file
 }
 
-struct Reader {
-    graph: GraphText,
+struct Reader<'s> {
+    sources: &'s Sources,
+    file: FileText,
     /// Where each node's name stands first.
     ids: HashMap<String, Range<usize>>,
 }
 
-impl Reader {
+impl Reader<'_> {
     fn error(&mut self, code: &'static str, span: &Range<usize>, message: String) -> &mut Diagnostic {
-        let d = Diagnostic::new(Severity::Error, code, &self.graph.source, span, message);
-        self.graph.diagnostics.push(d)
+        let d = Diagnostic::new(Severity::Error, code, self.sources.of(span), span, message);
+        self.file.diagnostics.push(d)
     }
 
     fn wrong_type(&mut self, what: &str, expected: &str, found: &Value) -> &mut Diagnostic {
@@ -133,18 +138,18 @@ impl Reader {
     fn root(&mut self, root: &Table) {
         for (key, value) in root {
             match self.key("a graph file", key, &TOP, root) {
-                "name" => self.graph.name = self.text("`name`", value),
+                "name" => self.file.name = self.text("`name`", value),
                 "mode" => {
                     let words = [("live", Mode::Live), ("batch", Mode::Batch)];
-                    self.graph.mode = self.word("mode", value, &words).unwrap_or_default();
+                    self.file.mode = self.word("mode", value, &words).unwrap_or_default();
                 }
-                "plugins" => self.graph.plugins = self.texts("plugins", "[\"phantom\", \"sinks\"]", value),
-                "plugin_paths" => self.graph.plugin_paths = self.texts("plugin_paths", "[\"../my_plugins\"]", value),
+                "plugins" => self.file.plugins = self.texts("plugins", "[\"phantom\", \"sinks\"]", value),
+                "plugin_paths" => self.file.plugin_paths = self.texts("plugin_paths", "[\"../my_plugins\"]", value),
                 "nodes" => self.nodes(value),
                 "preset" => self.preset(value),
                 "editor" => {
                     if let Some(table) = self.table("`editor`", "a table", value) {
-                        self.graph.editor = plain_table(table);
+                        self.file.editor = plain_table(table);
                     }
                 }
                 _ => {}
@@ -161,7 +166,7 @@ impl Reader {
                 self.wrong_type(&format!("`{what}`"), "a list of texts", value)
                     .help(format!("write {what} = {written}"));
                 // A single text leaves no doubt; with anything else, what seems missing may stand there.
-                self.graph.incomplete |= text.is_none();
+                self.file.incomplete |= text.is_none();
                 return text.map(|t| Spanned::new(t.to_owned(), value.span.clone())).into_iter().collect();
             }
         };
@@ -175,7 +180,7 @@ impl Reader {
             match self.table("a node", "a table such as [nodes.scope]", value) {
                 Some(table) => self.node(id, table),
                 // It stays known, so that references to it are no mistakes as well.
-                None => self.graph.nodes.push(NodeText { type_broken: true, ..NodeText::new(id) }),
+                None => self.file.nodes.push(NodeText { type_broken: true, ..NodeText::new(id) }),
             }
         }
     }
@@ -189,15 +194,15 @@ impl Reader {
             );
         }
         if let Some(first) = self.ids.get(&id.value).cloned() {
-            let line = self.graph.source.line(first.start);
+            let line = self.sources.line(&first);
             let message = format!("two nodes are called `{}`; the first is in line {line}", id.value);
-            let d = Diagnostic::new(Severity::Error, "duplicate-node", &self.graph.source, &id.span, message);
-            self.graph
+            let d = Diagnostic::new(Severity::Error, "duplicate-node", self.sources.of(&id.span), &id.span, message);
+            self.file
                 .diagnostics
                 .push(d)
                 .label("again here")
                 .help("give one of them another name, and change the references that mean it")
-                .note(&self.graph.source, &first, "first here");
+                .note(self.sources, &first, "first here");
         } else {
             self.ids.insert(id.value.clone(), id.span.clone());
         }
@@ -231,13 +236,13 @@ impl Reader {
                 _ => {}
             }
         }
-        if node.type_name.is_none() && !node.type_broken && !self.graph.incomplete {
+        if node.type_name.is_none() && !node.type_broken && !self.file.incomplete {
             let message = format!("node `{}` has no `type`", id.value);
             self.error("missing-type", &id.span, message)
                 .label("which node type?")
                 .help("add a line such as type = \"phantom\"; `panoscope list` shows all types");
         }
-        self.graph.nodes.push(node);
+        self.file.nodes.push(node);
     }
 
     fn input(&mut self, port: &Spanned<String>, value: &Value) -> InputText {
@@ -269,7 +274,7 @@ impl Reader {
     fn reference(&mut self, text: &str, span: &Range<usize>) -> Option<RefText> {
         // Inside the quotes, where the text has no escapes.
         let inside = span.start + 1..span.end.saturating_sub(1);
-        let span = if self.graph.source.text.get(inside.clone()) == Some(text) { inside } else { span.clone() };
+        let span = if self.sources.text(&inside) == text { inside } else { span.clone() };
         let parts: Vec<&str> = text.split('.').collect();
         if let [node, port] = parts[..]
             && !node.is_empty()
@@ -411,7 +416,7 @@ impl Reader {
         let table = match &item.value {
             Kind::Text(text) => {
                 let view = self.reference(text, &item.span).map(|from| ViewText { from, label: None });
-                self.graph.views.extend(view);
+                self.file.views.extend(view);
                 return;
             }
             Kind::Table(table) => table,
@@ -436,7 +441,7 @@ impl Reader {
                 .label("expected `from`")
                 .help("as in { from = \"points.cloud\", label = \"Surface\" }");
         }
-        self.graph.views.extend(from.map(|from| ViewText { from, label }));
+        self.file.views.extend(from.map(|from| ViewText { from, label }));
     }
 
     fn pin(&mut self, item: &Value, table: &Table) {
@@ -458,7 +463,7 @@ impl Reader {
                 .help("as in { param = \"wide.blend_px\" }");
         }
         if let Some(param) = param {
-            self.graph.pins.push(PinText { param, range, label });
+            self.file.pins.push(PinText { param, range, label });
         }
     }
 

@@ -1,20 +1,19 @@
 //! A graph file as read, before any name of it is looked up.
 
-use crate::checked::{Align, Mode, OnFault};
+use crate::checked::Mode;
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
+use crate::file::{NodeText, PinText, ViewText};
 use crate::nearest::nearest;
 use crate::parse;
 use crate::shape;
-use crate::source::Source;
-use crate::value::{Spanned, Table};
-use std::ops::Range;
+use crate::source::{COMMAND_LINE, Source, Sources, folder};
+use crate::value::Spanned;
 use std::path::{Path, PathBuf};
 
 /// A graph file as read: ready to be asked for its plugins, then to be checked against a catalog.
 #[derive(Clone, Debug)]
 pub struct GraphText {
-    pub(crate) source: Source,
-    pub(crate) dir: PathBuf,
+    pub(crate) sources: Sources,
     pub(crate) stem: String,
     pub(crate) name: Option<Spanned<String>>,
     pub(crate) mode: Mode,
@@ -30,77 +29,9 @@ pub struct GraphText {
     pub(crate) incomplete: bool,
 }
 
-#[derive(Clone, Debug)]
-pub(crate) struct NodeText {
-    pub(crate) id: Spanned<String>,
-    pub(crate) type_name: Option<Spanned<String>>,
-    /// `type` was given, though not as a text.
-    pub(crate) type_broken: bool,
-    pub(crate) inputs: Vec<InputText>,
-    pub(crate) params: Table,
-    pub(crate) on_fault: OnFault,
-    pub(crate) budget_ms: Option<f64>,
-    pub(crate) max_rate_hz: Option<f64>,
-    pub(crate) cpu: Option<u32>,
-}
-
-impl NodeText {
-    pub(crate) fn new(id: &Spanned<String>) -> Self {
-        Self {
-            id: id.clone(),
-            type_name: None,
-            type_broken: false,
-            inputs: Vec::new(),
-            params: Table::new(),
-            on_fault: OnFault::default(),
-            budget_ms: None,
-            max_rate_hz: None,
-            cpu: None,
-        }
-    }
-}
-
-#[derive(Clone, Debug)]
-pub(crate) struct InputText {
-    pub(crate) port: Spanned<String>,
-    pub(crate) refs: Vec<RefText>,
-    /// Bytes of the value, and whether it was written as a list.
-    pub(crate) span: Range<usize>,
-    pub(crate) is_list: bool,
-    /// Part of it could not be read.
-    pub(crate) broken: bool,
-}
-
-#[derive(Clone, Debug)]
-pub(crate) struct RefText {
-    pub(crate) node: String,
-    pub(crate) port: String,
-    /// Bytes inside the quotes.
-    pub(crate) span: Range<usize>,
-    pub(crate) align: Align,
-    pub(crate) queue: Option<u32>,
-    pub(crate) delay: u8,
-    pub(crate) trigger: Option<Range<usize>>,
-}
-
-#[derive(Clone, Debug)]
-pub(crate) struct PinText {
-    pub(crate) param: Spanned<String>,
-    pub(crate) range: Option<(Spanned<f64>, Spanned<f64>)>,
-    pub(crate) label: Option<String>,
-}
-
-/// An entry of `views`.
-#[derive(Clone, Debug)]
-pub(crate) struct ViewText {
-    pub(crate) from: RefText,
-    pub(crate) label: Option<String>,
-}
-
 /// `--set node.param=value`.
 #[derive(Clone, Debug)]
 pub(crate) struct Override {
-    pub(crate) source: Source,
     pub(crate) node: Spanned<String>,
     pub(crate) param: Spanned<String>,
     pub(crate) value: Spanned<String>,
@@ -142,38 +73,41 @@ impl GraphText {
     /// Reads the text of a graph file. `path` names it in messages and its folder is what paths in it are relative to.
     /// Mistakes are kept and come out of [`check`](crate::check), together with those found there.
     pub fn parse(path: &Path, text: &str) -> Self {
-        let source = Source::new(path.display().to_string(), text.to_owned());
+        let source = Source::new(path.display().to_string(), text.to_owned(), folder(path));
         let parsed = parse::parse(&source);
-        let graph = Self {
-            dir: path.parent().unwrap_or(Path::new("")).to_owned(),
+        let sources = Sources::new(source);
+        let file = shape::read(&sources, parsed);
+        Self {
             stem: path.file_stem().map_or_else(|| "graph".to_owned(), |s| s.to_string_lossy().into_owned()),
-            source,
-            name: None,
-            mode: Mode::Live,
-            plugins: Vec::new(),
-            plugin_paths: Vec::new(),
-            nodes: Vec::new(),
-            pins: Vec::new(),
-            views: Vec::new(),
-            editor: toml::Table::new(),
+            sources,
+            name: file.name,
+            mode: file.mode,
+            plugins: file.plugins,
+            plugin_paths: file.plugin_paths,
+            nodes: file.nodes,
+            pins: file.pins,
+            views: file.views,
+            editor: file.editor,
             overrides: Vec::new(),
-            diagnostics: parsed.diagnostics,
-            incomplete: parsed.incomplete,
-        };
-        shape::read(graph, &parsed.root)
+            diagnostics: file.diagnostics,
+            incomplete: file.incomplete,
+        }
     }
 
     /// Adds one `node.param=value` of the command line; it wins over the file. Checked like the file's own values.
     pub fn set(&mut self, assignment: &str) {
         const OPTION: &str = "--set ";
-        let source = Source::new("command line".to_owned(), format!("{OPTION}{assignment}"));
-        let at = OPTION.len();
+        // Relative paths start from the graph file, as if the value stood there.
+        let dir = self.sources.first().dir.clone();
+        let index = self.sources.add(Source::new(COMMAND_LINE.to_owned(), format!("{OPTION}{assignment}"), dir));
+        let source = &self.sources.list()[index];
+        let at = source.base() + OPTION.len();
         let parts = assignment.split_once('=').and_then(|(key, value)| Some((key.split_once('.')?, value)));
         let Some(((node, param), value)) = parts.filter(|((n, p), _)| !n.trim().is_empty() && !p.trim().is_empty())
         else {
             let message = "a setting is written node.param=value".to_owned();
-            let span = at..source.text.len();
-            let mut d = Diagnostic::new(Severity::Error, "set-malformed", &source, &span, message);
+            let span = at..source.base() + source.text.len();
+            let mut d = Diagnostic::new(Severity::Error, "set-malformed", source, &span, message);
             d.help("as in --set wide.blend_px=20");
             self.diagnostics.push(d);
             return;
@@ -185,7 +119,7 @@ impl GraphText {
             Spanned::new(trimmed.to_owned(), start..start + trimmed.len())
         };
         let (node, param, value) = (spanned(node), spanned(param), spanned(value));
-        self.overrides.push(Override { source, node, param, value });
+        self.overrides.push(Override { node, param, value });
     }
 
     /// Names of the plugins the file lists, in order, without repetitions.
@@ -201,7 +135,7 @@ impl GraphText {
 
     /// Extra folders to look for plugins, resolved against the folder of the graph file.
     pub fn plugin_paths(&self) -> Vec<PathBuf> {
-        self.plugin_paths.iter().map(|p| self.dir.join(&p.value)).collect()
+        self.plugin_paths.iter().map(|p| self.sources.of(&p.span).dir.join(&p.value)).collect()
     }
 
     /// Name of the graph: what the file says, else the stem of its name.
@@ -211,10 +145,10 @@ impl GraphText {
 
     /// The text as read.
     pub fn text(&self) -> &str {
-        &self.source.text
+        &self.sources.first().text
     }
 
-    /// A mistake or warning of the caller's own about a parameter of a node, at the parameter's value where the file gives one, else at the node's
+    /// An error or warning of the caller's own about a parameter of a node, at the parameter's value where a file gives one, else at the node's
     /// name. `help` may be empty.
     pub fn about_param(
         &self,
@@ -227,7 +161,8 @@ impl GraphText {
         let found = self.nodes.iter().find(|n| n.id.value == node);
         let value = found.and_then(|n| n.params.iter().find(|(key, _)| key.value == param));
         let span = value.map(|(_, value)| value.span.clone()).or_else(|| found.map(|n| n.id.span.clone()));
-        let mut diagnostic = Diagnostic::new(severity, code, &self.source, &span.unwrap_or(0..0), message);
+        let span = span.unwrap_or(0..0);
+        let mut diagnostic = Diagnostic::new(severity, code, self.sources.of(&span), &span, message);
         diagnostic.help(help);
         Diagnostics::one(diagnostic)
     }

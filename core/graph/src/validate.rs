@@ -7,7 +7,7 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::checked::ParamValue;
+use crate::param::ParamValue;
 use crate::diagnostic::Severity;
 
 /// One node of a graph as its [`Validator`] sees it.

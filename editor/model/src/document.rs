@@ -169,7 +169,7 @@ impl View {
         let missing = |node: &NodeView, what: &str| format!("`{}` has no {what}", node.id());
         let output = source.output(output).ok_or_else(|| missing(source, "such output"))?;
         let input = target.input(input).ok_or_else(|| missing(target, "such input"))?;
-        output.packet.fits(&input.packet)?;
+        output.packet.fits(&input.packet).map_err(|e| e.to_string())?;
         if self.closes_loop(from, to) {
             return Err("that would close a loop; a loop needs `delay = 1` in the file".to_owned());
         }

@@ -23,7 +23,7 @@ impl Engine {
         declared[position].kind.accepts(&value).map_err(|reason| SetError::BadValue {
             node: node.to_owned(),
             param: param.to_owned(),
-            reason,
+            reason: reason.to_string(),
         })?;
         let runtime = Arc::clone(&self.shared.plan.load().runtimes[current.slots[index]]);
         let old = runtime.snapshot();
@@ -75,7 +75,7 @@ impl Engine {
             .ok_or_else(|| SetError::NoParam { node: node.to_owned(), param: param.to_owned() })?;
         let bad = |reason: String| SetError::BadValue { node: node.to_owned(), param: param.to_owned(), reason };
         let declared = &current.params[index][position];
-        declared.kind.accepts(&ParamValue::Bool(on)).map_err(bad)?;
+        declared.kind.accepts(&ParamValue::Bool(on)).map_err(|e| bad(e.to_string()))?;
         if declared.reopen {
             return Err(bad("it reopens its node, which takes time".to_owned()));
         }

@@ -1,8 +1,7 @@
 //! Files that two nodes would write, and files that one node writes while another reads them.
 
 use super::Checker;
-use crate::catalog::{Param, Pick};
-use crate::checked::ParamValue;
+use crate::param::{Param, ParamValue, Pick};
 use crate::diagnostic::{Diagnostic, Severity};
 use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
@@ -90,7 +89,7 @@ impl<'a> Checker<'a> {
         path.strip_prefix(tidy(&self.resolve("."))).unwrap_or(path).display().to_string()
     }
 
-    /// A diagnostic at the value of the parameter, with a note at the other one where both stand in the same text.
+    /// A diagnostic at the value of the parameter, with a note at the other one.
     fn about_both(
         &self,
         severity: Severity,
@@ -99,15 +98,13 @@ impl<'a> Checker<'a> {
         other: (&File, &str),
         message: String,
     ) -> Diagnostic {
-        let place = |file: &File| {
+        let location = |file: &File| {
             let name = self.type_of(file.node).map_or("", |t| t.params[file.param].name.as_str());
-            self.given(file.node, name).unwrap_or((&self.text.source, &self.text.nodes[file.node].id.span))
+            self.given(file.node, name).unwrap_or(&self.text.nodes[file.node].id.span)
         };
-        let ((source, span), (other_source, other_span)) = (place(main), place(other.0));
-        let mut d = Diagnostic::new(severity, code, source, span, message);
-        if source.name == other_source.name && source.text == other_source.text {
-            d.note(other_source, other_span, other.1);
-        }
+        let (span, other_span) = (location(main), location(other.0));
+        let mut d = Diagnostic::new(severity, code, self.text.sources.of(span), span, message);
+        d.note(&self.text.sources, other_span, other.1);
         d
     }
 

@@ -95,7 +95,7 @@ impl<'a> Checker<'a> {
 
     /// A reference as it stands in the file, without quotes.
     fn written(&self, span: &Range<usize>) -> &'a str {
-        self.text.source.text[span.clone()].trim_matches(['"', '\''])
+        self.text.sources.text(span).trim_matches(['"', '\''])
     }
 
     fn report_cycle(&mut self, cycle: &[usize], back: usize) {
@@ -126,11 +126,11 @@ impl<'a> Checker<'a> {
             format!("these nodes wait for each other: {path}")
         };
         let notes: Vec<_> = cycle.iter().filter(|&&i| i != back).take(8).map(|&i| self.links[i].span).collect();
-        let source = &self.text.source;
+        let sources = &self.text.sources;
         let d = self.error("cycle", span, message);
         d.label("closes the cycle").help(help);
         for note in notes {
-            d.note(source, note, "");
+            d.note(sources, note, "");
         }
     }
 
@@ -237,11 +237,11 @@ impl<'a> Checker<'a> {
             "take the newest value with {{ from = \"{written}\", align = \"latest\"{delay} }}, or the closest in time with align = \"nearest\""
         );
         let first = reference.map(|r| self.links[r].span);
-        let source = &self.text.source;
+        let sources = &self.text.sources;
         let d = self.error("exact-join", span, message);
         d.label(format!("ticks of `{other_id}`")).help(help);
         if let Some(first) = first {
-            d.note(source, first, format!("ticks of `{own_id}`"));
+            d.note(sources, first, format!("ticks of `{own_id}`"));
         }
     }
 

@@ -1,10 +1,11 @@
 //! Connections: ports that exist, packets that fit, inputs that are needed.
 
-use super::{Checker, Fit, Link, fit};
-use crate::catalog::{NodeType, PacketType, Port};
+use super::{Checker, Link};
+use crate::catalog::{NodeType, Port};
+use crate::packet::{Fit, PacketType};
 use crate::checked::Align;
 use crate::nearest::{list, nearest};
-use crate::text::{InputText, NodeText, RefText};
+use crate::file::{InputText, NodeText, RefText};
 
 impl<'a> Checker<'a> {
     pub(super) fn inputs(&mut self) {
@@ -123,7 +124,7 @@ impl<'a> Checker<'a> {
     pub(super) fn unknown_output(&mut self, reference: &RefText, from_type: &NodeType, declared: Option<&Port>) {
         let (node, name) = (&reference.node, &reference.port);
         let names = || from_type.outputs.iter().map(|p| p.name.as_str());
-        let fits = |p: &&Port| declared.is_some_and(|d| matches!(fit(&p.packet, &d.packet), Fit::Yes | Fit::Convert));
+        let fits = |p: &&Port| declared.is_some_and(|d| matches!(p.packet.fit(&d.packet), Fit::Yes | Fit::Convert));
         let mut fitting = from_type.outputs.iter().filter(fits);
         let only = fitting.next().filter(|_| fitting.next().is_none()).map(|p| p.name.as_str());
         let label = match (nearest(name, names()), only) {
@@ -148,7 +149,7 @@ impl<'a> Checker<'a> {
         let (sent, taken) = (&output.packet, &input.packet);
         let from = format!("{}.{}", reference.node, reference.port);
         let to = format!("{}.{}", self.id(to_node), input.name);
-        match fit(sent, taken) {
+        match sent.fit(taken) {
             Fit::Yes => false,
             Fit::Convert => true,
             Fit::Type => {
@@ -157,7 +158,7 @@ impl<'a> Checker<'a> {
                     .type_of(from_node)
                     .into_iter()
                     .flat_map(|t| &t.outputs)
-                    .filter(|p| matches!(fit(&p.packet, taken), Fit::Yes | Fit::Convert))
+                    .filter(|p| matches!(p.packet.fit(taken), Fit::Yes | Fit::Convert))
                     .map(|p| format!("{}.{}", reference.node, p.name))
                     .collect();
                 let help = if fitting.is_empty() {
@@ -206,7 +207,7 @@ impl<'a> Checker<'a> {
         let mut names = Vec::new();
         for (index, node) in self.text.nodes.iter().enumerate().filter(|(i, _)| *i != not_of) {
             for output in self.type_of(index).into_iter().flat_map(|t| &t.outputs) {
-                if matches!(fit(&output.packet, &input.packet), Fit::Yes | Fit::Convert) {
+                if matches!(output.packet.fit(&input.packet), Fit::Yes | Fit::Convert) {
                     names.push(format!("{}.{}", node.id.value, output.name));
                 }
             }
@@ -216,7 +217,7 @@ impl<'a> Checker<'a> {
                 .catalog
                 .node_types
                 .iter()
-                .filter(|t| t.outputs.iter().any(|o| fit(&o.packet, &input.packet) == Fit::Yes))
+                .filter(|t| t.outputs.iter().any(|o| o.packet.fit(&input.packet) == Fit::Yes))
                 .map(|t| t.name.as_str())
                 .collect();
             types.sort_unstable();
@@ -280,13 +281,13 @@ impl<'a> Checker<'a> {
                 }
             }
         }
-        let source = &self.text.source;
+        let sources = &self.text.sources;
         for (trigger, first, other) in found {
             if let Some(first) = first {
                 self.error("several-triggers", trigger, format!("`{}` has more than one trigger", self.id(node)))
                     .label("again here")
                     .help("keep the one input whose packets make the node run")
-                    .note(source, first, "first here");
+                    .note(sources, first, "first here");
             } else if let Some((name, word, span)) = other {
                 let id = self.id(node);
                 let message = format!("a trigger has no meaning for `{id}`: its input `{name}` is `{word}`");
@@ -294,8 +295,8 @@ impl<'a> Checker<'a> {
                 let d = self.error("useless-trigger", trigger, message);
                 d.help("remove `trigger`, or make all inputs of the node align = \"latest\"");
                 // On a single line both are in view already.
-                if source.line(span.start) != source.line(trigger.start) {
-                    d.note(source, span, label);
+                if sources.line(span) != sources.line(trigger) {
+                    d.note(sources, span, label);
                 }
             }
         }

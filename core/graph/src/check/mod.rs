@@ -8,9 +8,10 @@ mod params;
 mod preset;
 mod types;
 
-use crate::catalog::{Catalog, NodeType, PacketType};
-use crate::checked::{Align, Edge, Graph, Node, ParamValue, Preset};
+use crate::catalog::{Catalog, NodeType};
+use crate::checked::{Align, Edge, Graph, Node, Preset};
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
+use crate::param::ParamValue;
 use crate::text::GraphText;
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
@@ -102,11 +103,11 @@ struct Checker<'a> {
 
 impl<'a> Checker<'a> {
     fn error(&mut self, code: &'static str, span: &Range<usize>, message: String) -> &mut Diagnostic {
-        self.diagnostics.push(Diagnostic::new(Severity::Error, code, &self.text.source, span, message))
+        self.diagnostics.push(Diagnostic::new(Severity::Error, code, self.text.sources.of(span), span, message))
     }
 
     fn warning(&mut self, code: &'static str, span: &Range<usize>, message: String) -> &mut Diagnostic {
-        self.diagnostics.push(Diagnostic::new(Severity::Warning, code, &self.text.source, span, message))
+        self.diagnostics.push(Diagnostic::new(Severity::Warning, code, self.text.sources.of(span), span, message))
     }
 
     /// Type of a node, if it is known.
@@ -126,7 +127,7 @@ impl<'a> Checker<'a> {
     }
 
     fn finish(mut self, params: Vec<Vec<ParamValue>>, order: Vec<usize>, pinned: Preset) -> Checked {
-        self.diagnostics.finish(&self.text.source.name);
+        self.diagnostics.finish(&self.text.sources.first().name);
         if self.diagnostics.has_errors() {
             return Checked { graph: None, diagnostics: self.diagnostics };
         }
@@ -145,8 +146,8 @@ impl<'a> Checker<'a> {
                 budget_ms: node.budget_ms,
                 max_rate_hz: node.max_rate_hz,
                 cpu: node.cpu,
-                span: node.id.span.clone(),
-                line: self.text.source.line(node.id.span.start),
+                span: self.text.sources.of(&node.id.span).local(&node.id.span),
+                line: self.text.sources.line(&node.id.span),
             });
         }
         let mut edges: Vec<Edge> = self.links.iter().filter_map(edge).collect();
@@ -179,37 +180,4 @@ fn edge(link: &Link<'_>) -> Option<Edge> {
         convert: link.convert,
         span: link.span.clone(),
     })
-}
-
-/// How an output fits an input.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Fit {
-    Yes,
-    /// The output may send bgr8, the input takes gray8.
-    Convert,
-    Type,
-    Format,
-    Layout,
-}
-
-pub(crate) fn fit(output: &PacketType, input: &PacketType) -> Fit {
-    if input.name == PacketType::ANY || output.name == PacketType::ANY {
-        return Fit::Yes;
-    }
-    if output.name != input.name {
-        return Fit::Type;
-    }
-    if output.layout_hash != 0 && input.layout_hash != 0 && output.layout_hash != input.layout_hash {
-        return Fit::Layout;
-    }
-    let (sent, taken) = (&output.formats, &input.formats);
-    let sends = |format: &str| sent.iter().any(|f| f == format);
-    let takes = |format: &str| taken.iter().any(|f| f == format);
-    if taken.is_empty() {
-        return Fit::Yes;
-    }
-    if takes("gray8") && !takes("bgr8") && (sent.is_empty() || sends("bgr8")) {
-        return Fit::Convert;
-    }
-    if sent.is_empty() || sent.iter().any(|f| takes(f)) { Fit::Yes } else { Fit::Format }
 }

@@ -2,16 +2,16 @@
 
 use super::Checker;
 use crate::catalog::NodeType;
-use crate::checked::{Mode, ParamValue};
+use crate::checked::Mode;
+use crate::param::ParamValue;
 use crate::diagnostic::Diagnostic;
-use crate::source::Source;
 use crate::validate::{NodeSetup, ParamProblem, Wiring, port_bit};
 use std::ops::Range;
 
 impl<'a> Checker<'a> {
     pub(super) fn plugin_paths(&mut self) {
         for path in &self.text.plugin_paths {
-            let folder = self.resolve(&path.value);
+            let folder = self.resolve_at(&path.span, &path.value);
             if folder.is_dir() {
                 continue;
             }
@@ -43,7 +43,7 @@ impl<'a> Checker<'a> {
             let setup = NodeSetup {
                 node_id: id,
                 params,
-                graph_dir: &self.text.dir,
+                graph_dir: &self.text.sources.first().dir,
                 batch: self.text.mode == Mode::Batch,
                 wiring: Some(&wiring),
             };
@@ -66,23 +66,23 @@ impl<'a> Checker<'a> {
     }
 
     /// Where the value of a parameter was given: the last setting of the command line, else the file; `None` when its default holds.
-    pub(super) fn given(&self, node: usize, param: &str) -> Option<(&'a Source, &'a Range<usize>)> {
+    pub(super) fn given(&self, node: usize, param: &str) -> Option<&'a Range<usize>> {
         let text = self.text;
         let id = self.id(node);
         let set = text.overrides.iter().rev().find(|o| o.node.value == id && o.param.value == param);
         if let Some(set) = set {
-            return Some((&set.source, &set.value.span));
+            return Some(&set.value.span);
         }
         let (_, value) = text.nodes[node].params.iter().find(|(key, _)| key.value == param)?;
-        Some((&text.source, &value.span))
+        Some(&value.span)
     }
 
     fn node_problem(&mut self, node: usize, node_type: &NodeType, problem: ParamProblem) {
         let name = problem.param.and_then(|p| node_type.params.get(p)).map(|p| p.name.as_str());
         let given = name.and_then(|name| self.given(node, name));
-        let (source, span) = given.unwrap_or((&self.text.source, &self.text.nodes[node].id.span));
+        let span = given.unwrap_or(&self.text.nodes[node].id.span);
         let code = if name.is_some() { "invalid-param" } else { "invalid-node" };
-        let mut d = Diagnostic::new(problem.severity, code, source, span, problem.message);
+        let mut d = Diagnostic::new(problem.severity, code, self.text.sources.of(span), span, problem.message);
         if let (Some(name), None) = (name, given) {
             d.label(format!("`{name}` has its default"));
         }

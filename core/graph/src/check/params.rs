@@ -1,13 +1,12 @@
 //! Parameters: names, types, limits; the file's own and those of `--set`.
 
 use super::Checker;
-use crate::catalog::{NodeType, Param, ParamKind};
-use crate::checked::ParamValue;
-use crate::diagnostic::{Diagnostic, Severity};
+use crate::catalog::NodeType;
+use crate::param::{Param, ParamKind, ParamValue};
 use crate::nearest::{list, nearest};
 use crate::parse::parse_value;
-use crate::source::Source;
-use crate::text::{NodeText, Override};
+use crate::file::NodeText;
+use crate::text::Override;
 use crate::value::{Kind, Value};
 use std::ops::Range;
 use std::path::PathBuf;
@@ -64,8 +63,7 @@ impl<'a> Checker<'a> {
                 Err(wrong) => {
                     // A default stands in, so that it is not reported as missing too.
                     given[position] = Some(self.default(node_type, param));
-                    let source = &self.text.source;
-                    self.wrong(source, wrong);
+                    self.wrong(wrong);
                 }
             }
         }
@@ -98,11 +96,6 @@ impl<'a> Checker<'a> {
     }
 
     pub(super) fn unknown_param(&mut self, span: &Range<usize>, node_type: &NodeType, name: &str) {
-        let source = &self.text.source;
-        self.unknown_param_in(source, span, node_type, name);
-    }
-
-    fn unknown_param_in(&mut self, source: &Source, span: &Range<usize>, node_type: &NodeType, name: &str) {
         let names = || node_type.params.iter().map(|p| p.name.as_str());
         let label = match nearest(name, names()) {
             Some(near) => format!("did you mean `{near}`?"),
@@ -115,15 +108,11 @@ impl<'a> Checker<'a> {
             format!("parameters: {}", list(names(), 20, "and"))
         };
         let message = format!("`{}` has no parameter `{name}`", node_type.name);
-        let mut d = Diagnostic::new(Severity::Error, "unknown-param", source, span, message);
-        d.label(label).help(help);
-        self.diagnostics.push(d);
+        self.error("unknown-param", span, message).label(label).help(help);
     }
 
-    fn wrong(&mut self, source: &Source, wrong: Wrong) {
-        let mut d = Diagnostic::new(Severity::Error, wrong.code, source, &wrong.span, wrong.message);
-        d.label(wrong.label).help(wrong.help);
-        self.diagnostics.push(d);
+    fn wrong(&mut self, wrong: Wrong) {
+        self.error(wrong.code, &wrong.span, wrong.message).label(wrong.label).help(wrong.help);
     }
 
     fn set(&mut self, over: &'a Override) -> Option<(usize, usize, ParamValue)> {
@@ -134,14 +123,13 @@ impl<'a> Checker<'a> {
             let ids = || self.text.nodes.iter().map(|n| n.id.value.as_str());
             let near = nearest(&over.node.value, ids()).map(|n| format!("did you mean `{n}`?"));
             let message = format!("there is no node `{}`", over.node.value);
-            let mut d = Diagnostic::new(Severity::Error, "unknown-node", &over.source, &over.node.span, message);
-            d.label(near.unwrap_or_default()).help(format!("nodes: {}", list(ids(), 12, "and")));
-            self.diagnostics.push(d);
+            let help = format!("nodes: {}", list(ids(), 12, "and"));
+            self.error("unknown-node", &over.node.span, message).label(near.unwrap_or_default()).help(help);
             return None;
         };
         let node_type = self.type_of(node)?;
         let Some(position) = node_type.param(&over.param.value) else {
-            self.unknown_param_in(&over.source, &over.param.span, node_type, &over.param.value);
+            self.unknown_param(&over.param.span, node_type, &over.param.value);
             return None;
         };
         let param = &node_type.params[position];
@@ -157,9 +145,9 @@ impl<'a> Checker<'a> {
         match self.value(param, &Value::new(kind, over.value.span.clone())) {
             Ok(value) => Some((node, position, value)),
             Err(mut wrong) => {
-                // Places inside a list are those of the value alone.
+                // Spans inside a list are those of the value alone.
                 wrong.span = over.value.span.clone();
-                self.wrong(&over.source, wrong);
+                self.wrong(wrong);
                 None
             }
         }
@@ -185,8 +173,14 @@ impl<'a> Checker<'a> {
         if param.shipped && !default.is_empty() { node_type.shipped_dir.join(default) } else { self.resolve(default) }
     }
 
+    /// A path that is relative to the graph file.
     pub(super) fn resolve(&self, path: &str) -> PathBuf {
-        if path.is_empty() { PathBuf::new() } else { self.text.dir.join(path) }
+        self.resolve_at(&(0..0), path)
+    }
+
+    /// A path that is relative to the file that a span lies in.
+    pub(super) fn resolve_at(&self, span: &Range<usize>, path: &str) -> PathBuf {
+        if path.is_empty() { PathBuf::new() } else { self.text.sources.of(span).dir.join(path) }
     }
 
     fn value(&self, param: &Param, value: &Value) -> Result<ParamValue, Wrong> {
@@ -229,7 +223,7 @@ impl<'a> Checker<'a> {
             },
             (ParamKind::Text { .. }, Kind::Text(text)) => Ok(ParamValue::Text(text.clone())),
             (ParamKind::Path { must_exist, .. }, Kind::Text(text)) => {
-                let path = self.resolve(text);
+                let path = self.resolve_at(&value.span, text);
                 if *must_exist && !text.is_empty() && !path.exists() {
                     return Err(self.missing_file(param, value, text));
                 }
@@ -255,7 +249,7 @@ impl<'a> Checker<'a> {
     }
 
     fn missing_file(&self, param: &Param, value: &Value, text: &str) -> Wrong {
-        let path = self.resolve(text);
+        let path = self.resolve_at(&value.span, text);
         // The longest part of the path that is there tells where to look.
         let there = path.ancestors().skip(1).find(|p| p.as_os_str().is_empty() || p.exists());
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();

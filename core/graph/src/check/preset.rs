@@ -2,10 +2,11 @@
 
 use super::Checker;
 use super::params::limits;
-use crate::catalog::{PacketType, ParamKind};
+use crate::packet::PacketType;
+use crate::param::ParamKind;
 use crate::checked::{Pin, Preset, PresetView};
 use crate::nearest::{list, nearest};
-use crate::text::{PinText, ViewText};
+use crate::file::{PinText, ViewText};
 use std::ops::Range;
 
 impl<'a> Checker<'a> {

@@ -2,7 +2,7 @@
 
 use super::Checker;
 use crate::nearest::{list, nearest};
-use crate::text::NodeText;
+use crate::file::NodeText;
 use crate::value::Spanned;
 use std::collections::HashMap;
 
@@ -18,10 +18,10 @@ impl<'a> Checker<'a> {
         for plugin in &self.text.plugins {
             let name = plugin.value.as_str();
             if let Some(first) = seen.get(name) {
-                let source = &self.text.source;
+                let sources = &self.text.sources;
                 self.warning("duplicate-plugin", &plugin.span, format!("plugin `{name}` is listed twice"))
                     .help("remove one of the two")
-                    .note(source, first, "first here");
+                    .note(sources, first, "first here");
                 continue;
             }
             seen.insert(name, &plugin.span);
