@@ -20,6 +20,21 @@ pub enum EditError {
         /// The name looked for.
         id: String,
     },
+    /// No argument of that name.
+    #[error("there is no argument `{name}`")]
+    NoArg {
+        /// The name looked for.
+        name: String,
+    },
+    /// The node belongs to a part and is changed in the part's file.
+    #[error("`{id}` belongs to a part: open the part's file to change more than its parameters")]
+    InPart {
+        /// The node.
+        id: String,
+    },
+    /// The value comes from the command line.
+    #[error(transparent)]
+    NoHome(#[from] NoHome),
     /// A node of that name exists already.
     #[error("there is already a node `{id}`")]
     NodeExists {
@@ -39,6 +54,22 @@ pub enum EditError {
         place: String,
         /// What it must be.
         expected: &'static str,
+    },
+}
+
+/// Why a parameter has no entry in a file.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum NoHome {
+    /// No node of that name.
+    #[error("there is no node `{0}`")]
+    NoNode(String),
+    /// The value comes from the command line.
+    #[error("`{param}` has the value of argument `{arg}`, which was given on the command line; change it there")]
+    CommandLine {
+        /// `node.param`.
+        param: String,
+        /// The argument.
+        arg: String,
     },
 }
 
@@ -80,6 +111,21 @@ impl GraphEdit {
     pub fn unset_param(&mut self, id: &str, param: &str) -> Result<(), EditError> {
         self.take(id, "params", param)?;
         self.drop_if_empty(id, "params")
+    }
+
+    /// Sets the default of an argument, or with `None` takes it out, so that the argument is required.
+    ///
+    /// # Errors
+    /// There is no such argument.
+    pub fn set_arg_default(&mut self, arg: &str, value: Option<&toml::Value>) -> Result<(), EditError> {
+        let none = || EditError::NoArg { name: arg.to_owned() };
+        let args = self.document.get_mut("args").and_then(Item::as_table_like_mut).ok_or_else(none)?;
+        let table = args.get_mut(arg).and_then(Item::as_table_like_mut).ok_or_else(none)?;
+        match value {
+            Some(value) => set(table, "default", edit_value(value)),
+            None => _ = table.remove("default"),
+        }
+        Ok(())
     }
 
     /// Connects an input: one reference as `"node.port"`, several as a list.
@@ -228,7 +274,10 @@ impl GraphEdit {
     pub fn remove_node(&mut self, id: &str) -> Result<(), EditError> {
         let nodes = self.nodes()?;
         if nodes.remove(id).is_none() {
-            return Err(EditError::NoNode { id: id.to_owned() });
+            return Err(match id.contains('/') {
+                true => EditError::InPart { id: id.to_owned() },
+                false => EditError::NoNode { id: id.to_owned() },
+            });
         }
         let pins = |value: &EditValue| {
             let param = value.as_inline_table().and_then(|t| t.get("param")).and_then(EditValue::as_str);
@@ -338,7 +387,11 @@ impl GraphEdit {
     }
 
     fn node(&mut self, id: &str) -> Result<&mut dyn TableLike, EditError> {
-        let node = self.nodes()?.get_mut(id).ok_or_else(|| EditError::NoNode { id: id.to_owned() })?;
+        let missing = || match id.contains('/') {
+            true => EditError::InPart { id: id.to_owned() },
+            false => EditError::NoNode { id: id.to_owned() },
+        };
+        let node = self.nodes()?.get_mut(id).ok_or_else(missing)?;
         node.as_table_like_mut().ok_or_else(|| EditError::Shape { place: format!("nodes.{id}"), expected: "a table" })
     }
 
@@ -462,7 +515,7 @@ fn set(table: &mut dyn TableLike, key: &str, mut value: EditValue) {
     }
 }
 
-fn edit_value(value: &toml::Value) -> EditValue {
+pub(crate) fn edit_value(value: &toml::Value) -> EditValue {
     match value {
         toml::Value::String(text) => text.as_str().into(),
         toml::Value::Integer(i) => (*i).into(),

@@ -16,14 +16,45 @@ pub(crate) struct FileText {
     pub(crate) pins: Vec<PinText>,
     pub(crate) views: Vec<ViewText>,
     pub(crate) editor: toml::Table,
+    /// The `[part]` table of a part.
+    pub(crate) part: Option<PartText>,
     pub(crate) diagnostics: Diagnostics,
     /// Parts of the file could not be read, so what seems missing may only be unreadable.
     pub(crate) incomplete: bool,
 }
 
+/// What a file is to the graph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Role {
+    Graph,
+    Part,
+    Overlay,
+}
+
+/// The `[part]` table: what a graph may connect and set. References are `node.port` or `node.param` of the part's own nodes.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct PartText {
+    pub(crate) inputs: Vec<Export>,
+    pub(crate) outputs: Vec<Export>,
+    pub(crate) params: Vec<Export>,
+}
+
+/// A name of a part and what it stands for.
+#[derive(Clone, Debug)]
+pub(crate) struct Export {
+    pub(crate) name: Spanned<String>,
+    /// Node and port or parameter; one for an output.
+    pub(crate) targets: Vec<(String, Spanned<String>)>,
+}
+
 #[derive(Clone, Debug)]
 pub(crate) struct NodeText {
+    /// Its name in the flattened graph: `depth/match` for node `match` of part `depth`.
     pub(crate) id: Spanned<String>,
+    /// Its name in its own file.
+    pub(crate) local: String,
+    /// The graph file that stands for a node that is a part.
+    pub(crate) part: Option<Spanned<String>>,
     pub(crate) type_name: Option<Spanned<String>>,
     /// `type` was given, though not as a text.
     pub(crate) type_broken: bool,
@@ -39,6 +70,8 @@ impl NodeText {
     pub(crate) fn new(id: &Spanned<String>) -> Self {
         Self {
             id: id.clone(),
+            local: id.value.clone(),
+            part: None,
             type_name: None,
             type_broken: false,
             inputs: Vec::new(),
@@ -60,6 +93,23 @@ pub(crate) struct InputText {
     pub(crate) is_list: bool,
     /// Part of it could not be read.
     pub(crate) broken: bool,
+    pub(crate) supply: Supply,
+}
+
+/// Where the connections of an input come from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Supply {
+    /// A file gives them.
+    Given,
+    /// The input belongs to a part, and the graph does not connect it.
+    Unconnected {
+        /// Bytes of the part's name in the graph.
+        span: Range<usize>,
+        part: String,
+        input: String,
+    },
+    /// The input belongs to a part that is checked alone: it counts as connected.
+    Open,
 }
 
 #[derive(Clone, Debug)]
@@ -72,6 +122,8 @@ pub(crate) struct RefText {
     pub(crate) queue: Option<u32>,
     pub(crate) delay: u8,
     pub(crate) trigger: Option<Range<usize>>,
+    /// The file names an output of a part; whether that exists is checked where the part names it.
+    pub(crate) through_part: bool,
 }
 
 #[derive(Clone, Debug)]

@@ -10,6 +10,7 @@
 //! assert!(mistakes.render(false).contains("wide.toml:1:12")); // no such plugin
 //! ```
 
+pub mod args;
 pub mod catalog;
 mod check;
 pub mod checked;
@@ -17,13 +18,16 @@ mod diagnostic;
 mod dot;
 pub mod edit;
 mod file;
+mod flatten;
 #[cfg(feature = "abi")]
 pub mod from_abi;
 mod nearest;
+mod options;
 mod outline;
 pub mod packet;
 pub mod param;
 mod parse;
+mod parts;
 mod schema;
 mod shape;
 mod source;
@@ -31,14 +35,17 @@ mod text;
 pub mod validate;
 pub mod value;
 
+pub use args::{Arg, ArgKind};
 pub use catalog::{Catalog, NodeKind, NodeType, Offer, PluginProblem, Port};
 pub use check::{Checked, check};
 pub use checked::{Align, Edge, Graph, Mode, Node, OnFault, Pin, Preset, PresetView};
 pub use diagnostic::{Diagnostic, Diagnostics, Note, Severity};
 pub use dot::to_dot;
+pub use flatten::{HomeEntry, ParamHome};
+pub use options::GraphOptions;
 pub use outline::{InputOutline, NodeOutline, Reference};
 pub use packet::{PacketMismatch, PacketType};
 pub use param::{Param, ParamKind, ParamValue, Pick, ValueError};
 pub use schema::json_schema;
-pub use text::GraphText;
+pub use text::{FileKind, GraphFile, GraphText};
 pub use validate::{NodeSetup, ParamProblem, Validator, Wiring};

@@ -1,5 +1,7 @@
 //! The nearest right name for a misspelt one.
 
+use std::path::{Path, PathBuf};
+
 /// Edit distance with insertions, deletions, substitutions and swaps of neighbours (optimal string alignment), ignoring case.
 fn distance(a: &str, b: &str) -> usize {
     let a: Vec<char> = a.chars().flat_map(char::to_lowercase).collect();
@@ -74,6 +76,19 @@ pub(crate) fn list<'a>(names: impl IntoIterator<Item = &'a str>, limit: usize, l
         Some(end) if quoted.is_empty() => end,
         Some(end) => format!("{} {last} {end}", quoted.join(", ")),
     }
+}
+
+/// A file of nearly that name in the same folder.
+pub(crate) fn sibling(path: &Path) -> Option<PathBuf> {
+    let name = path.file_name()?.to_str()?;
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut names: Vec<String> = std::fs::read_dir(folder)
+        .ok()?
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .filter(|n| n.ends_with(".toml"))
+        .collect();
+    names.sort();
+    nearest(name, names.iter().map(String::as_str)).map(|n| path.with_file_name(n))
 }
 
 #[cfg(test)]

@@ -57,7 +57,7 @@ pub struct Reference {
 impl GraphText {
     /// The nodes in file order.
     pub fn outline(&self) -> Vec<NodeOutline> {
-        let nodes = self.nodes.iter().map(|node| NodeOutline {
+        let nodes = self.flat.nodes.iter().map(|node| NodeOutline {
             id: node.id.value.clone(),
             type_name: node.type_name.as_ref().map(|t| t.value.clone()).unwrap_or_default(),
             inputs: node

@@ -1,17 +1,22 @@
 //! The shape of a graph file: which tables and keys it may have, and of what TOML type. Names are not looked up here.
 
 use crate::checked::{Align, Mode, OnFault};
-use crate::diagnostic::{Diagnostic, Severity};
+use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
 use crate::nearest::{list, nearest};
-use crate::file::{FileText, InputText, NodeText, PinText, RefText, ViewText};
+use crate::args::{ArgKind, ArgText};
+use crate::file::{Export, FileText, InputText, NodeText, PartText, PinText, RefText, Role, Supply, ViewText};
 use crate::parse::Parsed;
 use crate::source::Sources;
 use crate::value::{Kind, Spanned, Table, Value, plain_table};
 use std::collections::HashMap;
 use std::ops::Range;
 
-const TOP: [&str; 7] = ["name", "mode", "plugins", "plugin_paths", "nodes", "preset", "editor"];
-const NODE: [&str; 7] = ["type", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu"];
+const TOP: [&str; 8] = ["name", "mode", "plugins", "plugin_paths", "args", "nodes", "preset", "editor"];
+const TOP_OF_PART: [&str; 6] = ["name", "plugins", "plugin_paths", "part", "nodes", "editor"];
+const TOP_OF_OVERLAY: [&str; 4] = ["plugins", "plugin_paths", "args", "nodes"];
+const NODE: [&str; 8] = ["type", "graph", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu"];
+const ARG: [&str; 6] = ["type", "doc", "default", "range", "unit", "choices"];
+const PART: [&str; 3] = ["inputs", "outputs", "params"];
 /// Times and rates that a graph may ask for: a day, and a tick per nanosecond.
 pub(crate) const LONGEST_MS: f64 = 86_400_000.0;
 pub(crate) const HIGHEST_HZ: f64 = 1e9;
@@ -21,22 +26,36 @@ const PIN: [&str; 3] = ["param", "range", "label"];
 const VIEW: [&str; 2] = ["from", "label"];
 
 /// What the tree of a file says; mistakes go to its diagnostics, behind those of the parser. `sources` holds the file's text.
-pub(crate) fn read(sources: &Sources, parsed: Parsed) -> FileText {
+pub(crate) fn read(sources: &Sources, role: Role, parsed: Parsed) -> FileText {
     let Parsed { root, diagnostics, incomplete } = parsed;
-    let file = FileText { diagnostics, incomplete, ..FileText::default() };
-    let mut reader = Reader { sources, file, ids: HashMap::new() };
-    reader.root(&root);
+    let mut reader = Reader::new(sources);
+    (reader.file.diagnostics, reader.file.incomplete) = (diagnostics, incomplete);
+    reader.root(role, &root);
     reader.file
+}
+
+/// The arguments that the tree of a file declares. They are read before the rest, which uses them.
+pub(crate) fn read_args(sources: &Sources, role: Role, root: &Table) -> (Vec<ArgText>, Diagnostics) {
+    let mut reader = Reader::new(sources);
+    let args = root.iter().filter(|(key, _)| key.value == "args" && role != Role::Part);
+    let args = args.flat_map(|(_, value)| reader.args(value)).collect();
+    (args, reader.file.diagnostics)
 }
 
 struct Reader<'s> {
     sources: &'s Sources,
     file: FileText,
+    /// Takes what is said of a missing argument, which is reported elsewhere.
+    unheard: Option<Diagnostic>,
     /// Where each node's name stands first.
     ids: HashMap<String, Range<usize>>,
 }
 
-impl Reader<'_> {
+impl<'s> Reader<'s> {
+    fn new(sources: &'s Sources) -> Self {
+        Self { sources, file: FileText::default(), unheard: None, ids: HashMap::new() }
+    }
+
     fn error(&mut self, code: &'static str, span: &Range<usize>, message: String) -> &mut Diagnostic {
         let d = Diagnostic::new(Severity::Error, code, self.sources.of(span), span, message);
         self.file.diagnostics.push(d)
@@ -44,6 +63,10 @@ impl Reader<'_> {
 
     fn wrong_type(&mut self, what: &str, expected: &str, found: &Value) -> &mut Diagnostic {
         let message = format!("{what} must be {expected}, this is {}", found.value.found());
+        if found.value == Kind::Missing {
+            let d = Diagnostic::new(Severity::Error, "wrong-type", self.sources.of(&found.span), &found.span, message);
+            return self.unheard.insert(d);
+        }
         self.error("wrong-type", &found.span, message).label(format!("expected {expected}"))
     }
 
@@ -135,9 +158,17 @@ impl Reader<'_> {
         Some(number)
     }
 
-    fn root(&mut self, root: &Table) {
+    fn root(&mut self, role: Role, root: &Table) {
+        let is_part = root.iter().any(|(key, _)| key.value == "part");
+        let (what, known): (&str, &[&'static str]) = match role {
+            Role::Overlay => ("an overlay", &TOP_OF_OVERLAY),
+            Role::Part => ("a part", &TOP_OF_PART),
+            Role::Graph if is_part => ("a part", &TOP_OF_PART),
+            Role::Graph => ("a graph file", &TOP),
+        };
         for (key, value) in root {
-            match self.key("a graph file", key, &TOP, root) {
+            match self.key(what, key, known, root) {
+                "part" => self.file.part = self.part(value),
                 "name" => self.file.name = self.text("`name`", value),
                 "mode" => {
                     let words = [("live", Mode::Live), ("batch", Mode::Batch)];
@@ -155,6 +186,106 @@ impl Reader<'_> {
                 _ => {}
             }
         }
+    }
+
+    fn args(&mut self, value: &Value) -> Vec<ArgText> {
+        let Some(table) = self.table("`args`", "a table of arguments such as [args.left]", value) else {
+            return Vec::new();
+        };
+        table.iter().filter_map(|(name, value)| self.arg(name, value)).collect()
+    }
+
+    fn arg(&mut self, name: &Spanned<String>, value: &Value) -> Option<ArgText> {
+        let table = self.table("an argument", "a table such as { type = \"source\", doc = \"Left view\" }", value)?;
+        let mut arg = ArgText {
+            name: name.clone(),
+            kind: None,
+            kind_broken: false,
+            doc: None,
+            default: None,
+            range: None,
+            unit: String::new(),
+            choices: Vec::new(),
+        };
+        let (mut range_key, mut choices_key) = (None, None);
+        for (key, value) in table {
+            match self.key("an argument", key, &ARG, table) {
+                "type" => {
+                    arg.kind = self.word("type", value, &ArgKind::WORDS);
+                    arg.kind_broken = arg.kind.is_none();
+                }
+                "doc" => arg.doc = self.text("`doc`", value).map(|t| t.value),
+                "default" => arg.default = Some(value.clone()),
+                "range" => {
+                    range_key = Some(key.span.clone());
+                    arg.range = self.pin_range(value).map(|(low, high)| (low.value, high.value));
+                }
+                "unit" => arg.unit = self.text("`unit`", value).map(|t| t.value).unwrap_or_default(),
+                "choices" => {
+                    choices_key = Some(key.span.clone());
+                    arg.choices = self.texts("choices", "[\"left\", \"right\"]", value).into_iter().map(|t| t.value).collect();
+                }
+                _ => {}
+            }
+        }
+        let is_number = matches!(arg.kind, Some(ArgKind::Number | ArgKind::Whole));
+        if let Some(span) = range_key.filter(|_| arg.kind.is_some() && !is_number) {
+            let message = format!("argument `{}` is no number, so it has no range", name.value);
+            self.error("useless-range", &span, message).help("remove `range`");
+        }
+        match (arg.kind, choices_key) {
+            (Some(ArgKind::Choice), None) => {
+                let message = format!("argument `{}` has no `choices`", name.value);
+                self.error("missing-choices", &name.span, message).help("as in choices = [\"left\", \"right\"]");
+            }
+            (Some(kind), Some(span)) if kind != ArgKind::Choice => {
+                let message = format!("argument `{}` is of type {}, so it has no choices", name.value, kind.word());
+                self.error("useless-choices", &span, message).help("write type = \"choice\", or remove `choices`");
+            }
+            _ => {}
+        }
+        Some(arg)
+    }
+
+    fn part(&mut self, value: &Value) -> Option<PartText> {
+        let table = self.table("`part`", "a table of inputs, outputs and params", value)?;
+        let mut part = PartText::default();
+        for (key, value) in table {
+            match self.key("`part`", key, &PART, table) {
+                "inputs" => part.inputs = self.exports("inputs", "left = \"rectify.left\"", true, value),
+                "outputs" => part.outputs = self.exports("outputs", "disparity = \"match.disparity\"", false, value),
+                "params" => part.params = self.exports("params", "search_px = \"match.search_px\"", true, value),
+                _ => {}
+            }
+        }
+        Some(part)
+    }
+
+    fn exports(&mut self, what: &str, example: &str, several: bool, value: &Value) -> Vec<Export> {
+        let expected = format!("a table such as {{ {example} }}");
+        let Some(table) = self.table(&format!("`{what}`"), &expected, value) else { return Vec::new() };
+        let mut exports = Vec::new();
+        for (name, value) in table {
+            let items = match &value.value {
+                Kind::List(items) if several => items.as_slice(),
+                _ => std::slice::from_ref(value),
+            };
+            let mut targets = Vec::new();
+            for item in items {
+                let Some(text) = self.text(&format!("an entry of `{what}`"), item) else { continue };
+                let inside = text.span.start + 1..text.span.end.saturating_sub(1);
+                let span = if self.sources.text(&inside) == text.value { inside } else { text.span };
+                match text.value.split_once('.').filter(|(n, p)| !n.is_empty() && !p.is_empty() && !p.contains('.')) {
+                    Some((node, port)) => targets.push((node.to_owned(), Spanned::new(port.to_owned(), span))),
+                    None => {
+                        let message = format!("`{}` names nothing inside the part", text.value);
+                        self.error("bad-reference", &span, message).help(format!("as in {example}"));
+                    }
+                }
+            }
+            exports.push(Export { name: name.clone(), targets });
+        }
+        exports
     }
 
     fn texts(&mut self, what: &str, example: &str, value: &Value) -> Vec<Spanned<String>> {
@@ -186,9 +317,7 @@ impl Reader<'_> {
     }
 
     fn node_id(&mut self, id: &Spanned<String>) {
-        let mut chars = id.value.chars();
-        let start = chars.next().is_some_and(|c| c.is_ascii_alphabetic() || c == '_');
-        if !start || !chars.all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-') {
+        if !is_node_id(&id.value) {
             self.error("bad-node-id", &id.span, format!("`{}` cannot name a node", id.value)).help(
                 "a node's name starts with a letter or _ and goes on with letters, digits, _ and -, all of ASCII",
             );
@@ -210,9 +339,18 @@ impl Reader<'_> {
 
     fn node(&mut self, id: &Spanned<String>, table: &Table) {
         let mut node = NodeText::new(id);
+        let (mut type_key, mut policy_key) = (None, None);
         for (key, value) in table {
+            if ["on_fault", "budget_ms", "max_rate_hz", "cpu"].contains(&key.value.as_str()) {
+                policy_key.get_or_insert(key.clone());
+            }
             match self.key("a node", key, &NODE, table) {
+                "graph" => match self.text("`graph`", value) {
+                    Some(file) => node.part = Some(file),
+                    None => node.type_broken = true,
+                },
                 "type" => {
+                    type_key = Some(key.span.clone());
                     node.type_name = self.text("`type`", value);
                     node.type_broken = node.type_name.is_none();
                 }
@@ -236,7 +374,19 @@ impl Reader<'_> {
                 _ => {}
             }
         }
-        if node.type_name.is_none() && !node.type_broken && !self.file.incomplete {
+        if let (Some(part), Some(span)) = (&node.part, type_key) {
+            let file = part.span.clone();
+            let sources = self.sources;
+            let message = format!("node `{}` has a `type` and a `graph`", id.value);
+            let d = self.error("type-and-graph", &span, message);
+            d.help("keep `type` for a node of a plugin, `graph` for a part").note(sources, &file, "its graph");
+            (node.type_name, node.type_broken) = (None, false);
+        }
+        if let (Some(_), Some(key)) = (&node.part, policy_key) {
+            let message = format!("a part has no `{}`", key.value);
+            self.error("policy-of-part", &key.span, message).help("set it at a node inside the part's file");
+        }
+        if node.type_name.is_none() && node.part.is_none() && !node.type_broken && !self.file.incomplete {
             let message = format!("node `{}` has no `type`", id.value);
             self.error("missing-type", &id.span, message)
                 .label("which node type?")
@@ -257,6 +407,7 @@ impl Reader<'_> {
             refs,
             span: value.span.clone(),
             is_list: matches!(value.value, Kind::List(_)),
+            supply: Supply::Given,
         }
     }
 
@@ -289,6 +440,7 @@ impl Reader<'_> {
                 queue: None,
                 delay: 0,
                 trigger: None,
+                through_part: false,
             });
         }
         let help = match parts[..] {
@@ -477,6 +629,10 @@ impl Reader<'_> {
             _ => None,
         };
         let Some((low, high)) = numbers else {
+            let missing = |v: &Value| v.value == Kind::Missing;
+            if missing(value) || matches!(&value.value, Kind::List(items) if items.iter().any(missing)) {
+                return None;
+            }
             self.error("wrong-type", &value.span, "`range` must be a list of two numbers".to_owned())
                 .label("expected [lowest, highest]");
             return None;
@@ -488,4 +644,14 @@ impl Reader<'_> {
         }
         Some((low, high))
     }
+}
+
+/// A name of a node; `/` joins the names of parts, as in `depth/match`.
+pub(crate) fn is_node_id(id: &str) -> bool {
+    let is_name = |name: &str| {
+        let mut chars = name.chars();
+        let start = chars.next().is_some_and(|c| c.is_ascii_alphabetic() || c == '_');
+        start && chars.all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
+    };
+    id.split('/').all(is_name)
 }

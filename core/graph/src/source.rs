@@ -1,7 +1,7 @@
 //! The texts that diagnostics point into: a graph file, its parts and overlays, and arguments of the command line.
 
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 /// Name of the texts that come from the command line.
 pub(crate) const COMMAND_LINE: &str = "command line";
@@ -134,6 +134,20 @@ impl Sources {
 /// Folder of a file, for paths that are relative to it.
 pub(crate) fn folder(file: &Path) -> PathBuf {
     file.parent().unwrap_or(Path::new("")).to_owned()
+}
+
+/// `path` made absolute, without `.` and `..`. Links are not followed: the files need not exist.
+pub(crate) fn tidy(path: &Path) -> PathBuf {
+    let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let mut out = PathBuf::new();
+    for part in whole.components() {
+        match part {
+            Component::CurDir => {}
+            Component::ParentDir => _ = out.pop(),
+            part => out.push(part),
+        }
+    }
+    out
 }
 
 #[cfg(test)]

@@ -1,32 +1,67 @@
 //! A graph file as read, before any name of it is looked up.
 
+use crate::args::{Arg, ArgUse, Bindings};
 use crate::checked::Mode;
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
-use crate::file::{NodeText, PinText, ViewText};
-use crate::nearest::nearest;
+use crate::file::{PinText, Role, ViewText};
+use crate::nearest::{list, nearest, sibling};
+use crate::options::GraphOptions;
 use crate::parse;
+use crate::parts::{Flat, Flattener};
 use crate::shape;
-use crate::source::{COMMAND_LINE, Source, Sources, folder};
-use crate::value::Spanned;
+use crate::source::{COMMAND_LINE, Source, Sources, folder, tidy};
+use crate::value::{Spanned, shift};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// A graph file as read: ready to be asked for its plugins, then to be checked against a catalog.
+/// A graph file as read, with its parts and overlays: ready to be asked for its plugins, then to be checked against a catalog.
 #[derive(Clone, Debug)]
 pub struct GraphText {
     pub(crate) sources: Sources,
-    pub(crate) stem: String,
-    pub(crate) name: Option<Spanned<String>>,
+    path: PathBuf,
+    stem: String,
+    name: Option<Spanned<String>>,
     pub(crate) mode: Mode,
-    pub(crate) plugins: Vec<Spanned<String>>,
-    pub(crate) plugin_paths: Vec<Spanned<String>>,
-    pub(crate) nodes: Vec<NodeText>,
+    /// The nodes of all files.
+    pub(crate) flat: Flat,
     pub(crate) pins: Vec<PinText>,
     pub(crate) views: Vec<ViewText>,
     pub(crate) editor: toml::Table,
+    /// A part that is opened by itself.
+    is_part: bool,
+    args: Vec<Arg>,
+    /// Names of arguments without a value.
+    missing_args: Vec<String>,
+    /// Where arguments are used; no two uses begin at one byte.
+    pub(crate) arg_uses: HashMap<usize, ArgUse>,
+    /// Positions of the overlays among the sources.
+    pub(crate) overlays: Vec<usize>,
     pub(crate) overrides: Vec<Override>,
     pub(crate) diagnostics: Diagnostics,
-    /// Parts of the file could not be read, so what seems missing may only be unreadable.
+    /// Parts of the files could not be read, so what seems missing may only be unreadable.
     pub(crate) incomplete: bool,
+}
+
+/// What a file is to a graph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileKind {
+    /// The graph file itself.
+    Graph,
+    /// A part.
+    Part,
+    /// An overlay.
+    Overlay,
+}
+
+/// A file that a graph was read from.
+#[derive(Clone, Copy, Debug)]
+pub struct GraphFile<'t> {
+    /// What it is.
+    pub kind: FileKind,
+    /// Path as diagnostics show it.
+    pub path: &'t str,
+    /// What was read.
+    pub text: &'t str,
 }
 
 /// `--set node.param=value`.
@@ -38,60 +73,110 @@ pub(crate) struct Override {
 }
 
 impl GraphText {
-    /// Reads a graph file. Fails only when there is no text to look at: a missing or unreadable file, or one that is not UTF-8.
+    /// Reads a graph file with its parts.
+    ///
+    /// # Errors
+    /// There is no text to look at: a missing or unreadable file, or one that is not UTF-8.
     pub fn load(path: &Path) -> Result<Self, Diagnostics> {
-        let name = path.display().to_string();
-        let fail = |code, message: String, help: String| {
-            Err(Diagnostics::one(Diagnostic::file(code, name.clone(), message, help)))
-        };
-        let bytes = match std::fs::read(path) {
-            Ok(bytes) => bytes,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-                let help = match sibling(path) {
-                    Some(other) => format!("did you mean `{}`?", other.display()),
-                    None => "give the path of a graph file (.toml)".to_owned(),
-                };
-                return fail("graph-missing", "there is no such graph file".to_owned(), help);
-            }
-            Err(e) if e.kind() == std::io::ErrorKind::IsADirectory => {
-                let message = "this is a folder, not a graph file".to_owned();
-                return fail("graph-unreadable", message, "give the path of a graph file (.toml)".to_owned());
-            }
-            Err(e) => return fail("graph-unreadable", format!("the graph file cannot be read: {e}"), String::new()),
-        };
-        match String::from_utf8(bytes) {
-            Ok(text) => Ok(Self::parse(path, &text)),
-            Err(e) => {
-                let at = e.utf8_error().valid_up_to();
-                let line = e.as_bytes()[..at].iter().filter(|&&b| b == b'\n').count() + 1;
-                let message = format!("the file is not UTF-8 text (first wrong byte in line {line})");
-                fail("graph-not-utf8", message, "save it as UTF-8 in your editor".to_owned())
-            }
-        }
+        Self::load_with(path, &GraphOptions::default())
     }
 
-    /// Reads the text of a graph file. `path` names it in messages and its folder is what paths in it are relative to.
+    /// Reads a graph file with its parts, overlays and values of arguments.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn load_with(path: &Path, options: &GraphOptions) -> Result<Self, Diagnostics> {
+        Ok(Self::parse_with(path, &read_text(path, "graph")?, options))
+    }
+
+    /// Reads the text of a graph file, and its parts from disk. `path` names it in messages and its folder is what paths in it are relative to.
     /// Mistakes are kept and come out of [`check`](crate::check), together with those found there.
     pub fn parse(path: &Path, text: &str) -> Self {
+        Self::parse_with(path, text, &GraphOptions::default())
+    }
+
+    /// As [`Self::parse`], with overlays and values of arguments.
+    pub fn parse_with(path: &Path, text: &str, options: &GraphOptions) -> Self {
         let source = Source::new(path.display().to_string(), text.to_owned(), folder(path));
-        let parsed = parse::parse(&source);
-        let sources = Sources::new(source);
-        let file = shape::read(&sources, parsed);
-        Self {
-            stem: path.file_stem().map_or_else(|| "graph".to_owned(), |s| s.to_string_lossy().into_owned()),
-            sources,
-            name: file.name,
-            mode: file.mode,
-            plugins: file.plugins,
-            plugin_paths: file.plugin_paths,
-            nodes: file.nodes,
-            pins: file.pins,
-            views: file.views,
-            editor: file.editor,
-            overrides: Vec::new(),
-            diagnostics: file.diagnostics,
-            incomplete: file.incomplete,
+        let mut graph = parse::parse(&source);
+        let mut sources = Sources::new(source);
+        let (declared, mut diagnostics) = shape::read_args(&sources, Role::Graph, &graph.root);
+        let mut overlays = Vec::new();
+        let mut overlay_args = Vec::new();
+        for file in &options.with {
+            let text = match options.texts.get(&tidy(file)) {
+                Some(text) => Ok(text.clone()),
+                None => read_text(file, "overlay"),
+            };
+            let text = match text {
+                Ok(text) => text,
+                Err(wrong) => {
+                    diagnostics.extend(wrong);
+                    continue;
+                }
+            };
+            let source = Source::new(file.display().to_string(), text, folder(file));
+            let mut parsed = parse::parse(&source);
+            let index = sources.add(source);
+            shift(&mut parsed.root, sources.list()[index].base());
+            let (args, wrong) = shape::read_args(&sources, Role::Overlay, &parsed.root);
+            diagnostics.extend(wrong);
+            overlay_args.extend(args);
+            overlays.push((index, parsed));
         }
+        let missing_is_fine = options.allow_missing_args;
+        let mut bindings = Bindings::new(&mut sources, declared, overlay_args, &options.args, missing_is_fine);
+        bindings.substitute(&sources, &mut graph.root);
+        let incomplete = graph.incomplete || overlays.iter().any(|(_, parsed)| parsed.incomplete);
+        let root = shape::read(&sources, Role::Graph, graph);
+        let (mut nodes, mut plugins, mut plugin_paths) = (Vec::new(), Vec::new(), Vec::new());
+        let overlay_files: Vec<usize> = overlays.iter().map(|(index, _)| *index).collect();
+        for (index, mut parsed) in overlays {
+            bindings.substitute(&sources, &mut parsed.root);
+            let overlay = shape::read(&sources, Role::Overlay, parsed);
+            diagnostics.extend(overlay.diagnostics);
+            nodes.extend(overlay.nodes.into_iter().map(|node| (node, false)));
+            plugins.push((index, overlay.plugins));
+            plugin_paths.extend(overlay.plugin_paths);
+        }
+        diagnostics.extend(std::mem::take(&mut bindings.diagnostics));
+        let (name, mode, editor, is_part) = (root.name.clone(), root.mode, root.editor.clone(), root.part.is_some());
+        let flattener = Flattener { sources: &mut sources, texts: &options.texts, overlays: nodes, flat: Flat::default() };
+        let (mut flat, views, pins) = flattener.run(root, path);
+        flat.plugins.extend(plugins);
+        flat.plugin_paths.extend(plugin_paths);
+        diagnostics.extend(std::mem::take(&mut flat.diagnostics));
+        // A mistake may hide the use of an argument.
+        if !incomplete && !diagnostics.has_errors() {
+            bindings.unused(&sources, &mut diagnostics);
+        }
+        let mut this = Self {
+            path: path.to_owned(),
+            stem: path.file_stem().map_or_else(|| "graph".to_owned(), |s| s.to_string_lossy().into_owned()),
+            name,
+            mode,
+            incomplete: incomplete || flat.incomplete,
+            flat,
+            pins,
+            views,
+            editor,
+            is_part,
+            args: bindings.shown(),
+            missing_args: bindings.missing,
+            arg_uses: bindings.uses.into_iter().map(|u| (u.span.start, u)).collect(),
+            overlays: overlay_files,
+            overrides: Vec::new(),
+            diagnostics,
+            sources,
+        };
+        if is_part && !options.allow_missing_args {
+            let message = "this file is a part: it cannot run by itself".to_owned();
+            let help = "use it in a graph, as in [nodes.depth] graph = \"FILE\"; `panoscope check` checks it alone";
+            let d = Diagnostic::new(Severity::Error, "part-alone", this.sources.first(), &(0..0), message);
+            this.diagnostics.push(d).help(help);
+        }
+        options.set.iter().for_each(|setting| this.set(setting));
+        this
     }
 
     /// Adds one `node.param=value` of the command line; it wins over the file. Checked like the file's own values.
@@ -119,13 +204,34 @@ impl GraphText {
             Spanned::new(trimmed.to_owned(), start..start + trimmed.len())
         };
         let (node, param, value) = (spanned(node), spanned(param), spanned(value));
-        self.overrides.push(Override { node, param, value });
+        // A parameter of a part stands for one or more of its nodes.
+        match self.flat.param_targets(&node.value, &param.value) {
+            Some(targets) => self.overrides.extend(targets.into_iter().map(|target| Override {
+                node: Spanned::new(target.node, node.span.clone()),
+                param: Spanned::new(target.port.value, param.span.clone()),
+                value: value.clone(),
+            })),
+            None => match self.flat.part(&node.value).map(|part| part.interface.as_ref()) {
+                Some(Some(interface)) => {
+                    let message = format!("part `{}` has no parameter `{}`", node.value, param.value);
+                    let names = || interface.params.iter().map(|(name, _)| name.as_str());
+                    let near = nearest(&param.value, names()).map(|n| format!("did you mean `{n}`?"));
+                    let help = format!("parameters: {}; or name a node inside, as in {}/NODE.PARAM", list(names(), 20, "and"), node.value);
+                    let source = self.sources.of(&param.span);
+                    let d = Diagnostic::new(Severity::Error, "unknown-part-param", source, &param.span, message);
+                    self.diagnostics.push(d).label(near.unwrap_or_default()).help(help);
+                }
+                // The part's file could not be used, which is reported.
+                Some(None) => {}
+                None => self.overrides.push(Override { node, param, value }),
+            },
+        }
     }
 
-    /// Names of the plugins the file lists, in order, without repetitions.
+    /// Names of the plugins that the files list, in order, without repetitions.
     pub fn plugins(&self) -> Vec<String> {
         let mut names: Vec<String> = Vec::new();
-        for plugin in &self.plugins {
+        for plugin in self.flat.plugins.iter().flat_map(|(_, plugins)| plugins) {
             if !names.contains(&plugin.value) {
                 names.push(plugin.value.clone());
             }
@@ -133,9 +239,72 @@ impl GraphText {
         names
     }
 
-    /// Extra folders to look for plugins, resolved against the folder of the graph file.
+    /// Extra folders to look for plugins, each resolved against the folder of its file.
     pub fn plugin_paths(&self) -> Vec<PathBuf> {
-        self.plugin_paths.iter().map(|p| self.sources.of(&p.span).dir.join(&p.value)).collect()
+        self.flat.plugin_paths.iter().map(|p| self.sources.of(&p.span).dir.join(&p.value)).collect()
+    }
+
+    /// Path of the graph file as it was given.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The files it was read from: the graph file, then parts and overlays.
+    pub fn files(&self) -> Vec<GraphFile<'_>> {
+        let all = self.sources.list().iter().enumerate().filter(|(_, source)| source.name != COMMAND_LINE);
+        let kind = |index: usize| match index {
+            0 => FileKind::Graph,
+            _ if self.overlays.contains(&index) => FileKind::Overlay,
+            _ => FileKind::Part,
+        };
+        let mut files: Vec<GraphFile<'_>> = Vec::new();
+        for (index, source) in all {
+            // A part that is used twice was read twice.
+            if !files.iter().any(|f| f.path == source.name) {
+                files.push(GraphFile { kind: kind(index), path: &source.name, text: &source.text });
+            }
+        }
+        files
+    }
+
+    /// Whether the file is a part that was opened by itself.
+    pub fn is_part(&self) -> bool {
+        self.is_part
+    }
+
+    /// The arguments that it declares, in file order.
+    pub fn args(&self) -> &[Arg] {
+        &self.args
+    }
+
+    /// Names of required arguments that have no value.
+    pub fn missing_args(&self) -> &[String] {
+        &self.missing_args
+    }
+
+    /// Whether it consists of the graph file alone, without arguments, parts and overlays.
+    pub fn is_plain(&self) -> bool {
+        self.args.is_empty() && self.flat.parts.is_empty() && self.overlays.is_empty()
+    }
+
+    /// The parameter of a node that `node.param` stands for, where `node` may be a part.
+    pub fn resolve_param(&self, reference: &str) -> String {
+        let target = reference.split_once('.').and_then(|(node, param)| self.flat.param_targets(node, param));
+        target.and_then(|t| t.into_iter().next()).map_or_else(|| reference.to_owned(), |t| format!("{}.{}", t.node, t.port.value))
+    }
+
+    /// The output of a node that `node.output` (and what may follow, `.column`) stands for, where `node` may be a part.
+    pub fn resolve_output(&self, reference: &str) -> String {
+        let Some((node, rest)) = reference.split_once('.') else { return reference.to_owned() };
+        let (port, more) = rest.split_once('.').map_or((rest, String::new()), |(port, more)| (port, format!(".{more}")));
+        let target = self.flat.output_target(node, port);
+        target.map_or_else(|| reference.to_owned(), |t| format!("{}.{}{more}", t.node, t.port.value))
+    }
+
+    /// The settings of the command line with parameters of parts replaced by those of nodes.
+    pub fn settings(&self) -> Vec<String> {
+        let all = self.overrides.iter();
+        all.map(|o| format!("{}.{}={}", o.node.value, o.param.value, o.value.value)).collect()
     }
 
     /// Name of the graph: what the file says, else the stem of its name.
@@ -158,7 +327,7 @@ impl GraphText {
         message: String,
         help: &str,
     ) -> Diagnostics {
-        let found = self.nodes.iter().find(|n| n.id.value == node);
+        let found = self.flat.nodes.iter().find(|n| n.id.value == node);
         let value = found.and_then(|n| n.params.iter().find(|(key, _)| key.value == param));
         let span = value.map(|(_, value)| value.span.clone()).or_else(|| found.map(|n| n.id.span.clone()));
         let span = span.unwrap_or(0..0);
@@ -173,15 +342,38 @@ impl GraphText {
     }
 }
 
-/// A file of nearly that name in the same folder.
-fn sibling(path: &Path) -> Option<PathBuf> {
-    let name = path.file_name()?.to_str()?;
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut names: Vec<String> = std::fs::read_dir(folder)
-        .ok()?
-        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
-        .filter(|n| n.ends_with(".toml"))
-        .collect();
-    names.sort();
-    nearest(name, names.iter().map(String::as_str)).map(|n| path.with_file_name(n))
+/// Reads a file as text; `what` it is stands in the code and the message of an error.
+fn read_text(path: &Path, what: &str) -> Result<String, Diagnostics> {
+    let name = path.display().to_string();
+    let fail = |code, message: String, help: String| {
+        Err(Diagnostics::one(Diagnostic::file(code, name.clone(), message, help)))
+    };
+    let is_graph = what == "graph";
+    let (missing, unreadable, not_utf8) = match is_graph {
+        true => ("graph-missing", "graph-unreadable", "graph-not-utf8"),
+        false => ("overlay-missing", "overlay-unreadable", "overlay-not-utf8"),
+    };
+    let file = if is_graph { "graph file" } else { "overlay" };
+    let bytes = match std::fs::read(path) {
+        Ok(bytes) => bytes,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+            let help = match sibling(path) {
+                Some(other) => format!("did you mean `{}`?", other.display()),
+                None if is_graph => "give the path of a graph file (.toml)".to_owned(),
+                None => "give the path of an overlay (.toml) after --with".to_owned(),
+            };
+            return fail(missing, format!("there is no such {file}"), help);
+        }
+        Err(e) if e.kind() == std::io::ErrorKind::IsADirectory => {
+            let message = format!("this is a folder, not a {file}").replace("a overlay", "an overlay");
+            return fail(unreadable, message, format!("give the path of a {file} (.toml)").replace("a overlay", "an overlay"));
+        }
+        Err(e) => return fail(unreadable, format!("the {file} cannot be read: {e}"), String::new()),
+    };
+    String::from_utf8(bytes).or_else(|e| {
+        let at = e.utf8_error().valid_up_to();
+        let line = e.as_bytes()[..at].iter().filter(|&&b| b == b'\n').count() + 1;
+        let message = format!("the file is not UTF-8 text (first wrong byte in line {line})");
+        fail(not_utf8, message, "save it as UTF-8 in your editor".to_owned())
+    })
 }

@@ -45,6 +45,8 @@ pub enum Kind {
     List(Vec<Value>),
     /// `{ ... }`, `[table]` or dotted keys.
     Table(Table),
+    /// An argument of the graph that has no value, or a wrong one; that is reported elsewhere.
+    Missing,
 }
 
 impl Kind {
@@ -58,6 +60,7 @@ impl Kind {
             Self::Datetime(_) => "a date or time",
             Self::List(_) => "a list",
             Self::Table(_) => "a table",
+            Self::Missing => "missing",
         }
     }
 
@@ -88,7 +91,27 @@ impl Kind {
             Self::Datetime(d) => toml::Value::Datetime(*d),
             Self::List(list) => toml::Value::Array(list.iter().map(|v| v.value.plain()).collect()),
             Self::Table(table) => toml::Value::Table(plain_table(table)),
+            Self::Missing => "".into(),
         }
+    }
+}
+
+/// Moves all spans of a table by `base` bytes.
+pub(crate) fn shift(table: &mut Table, base: usize) {
+    fn shift_value(value: &mut Value, base: usize) {
+        move_by(&mut value.span, base);
+        match &mut value.value {
+            Kind::List(items) => items.iter_mut().for_each(|item| shift_value(item, base)),
+            Kind::Table(table) => shift(table, base),
+            _ => {}
+        }
+    }
+    fn move_by(span: &mut Range<usize>, base: usize) {
+        *span = span.start + base..span.end + base;
+    }
+    for (key, value) in table {
+        move_by(&mut key.span, base);
+        shift_value(value, base);
     }
 }
 

@@ -3,7 +3,7 @@
 
 mod common;
 
-use panoscope_graph::{GraphText, check};
+use panoscope_graph::{GraphOptions, GraphText, check};
 use std::path::{Path, PathBuf};
 
 fn folder() -> PathBuf {
@@ -20,16 +20,34 @@ fn bad_graphs() -> Vec<PathBuf> {
     files
 }
 
+/// The options of a graph whose first line is `# given: --with FILE --name value`.
+fn given(path: &Path) -> GraphOptions {
+    let mut options = GraphOptions::default();
+    let text = std::fs::read_to_string(path).unwrap_or_default();
+    let Some(words) = text.lines().next().and_then(|line| line.strip_prefix("# given: ")) else { return options };
+    let mut words = words.split(' ').peekable();
+    while let Some(option) = words.next() {
+        let value = words.next_if(|word| !word.starts_with("--")).unwrap_or_default().to_owned();
+        match option.trim_start_matches("--") {
+            "with" => options.with.push(folder().join(value)),
+            "set" => options.set.push(value),
+            name => options.args.push((name.to_owned(), value)),
+        }
+    }
+    options
+}
+
 /// The message, with the file named without its folder so that it does not depend on where the tests run.
 fn message(path: &Path) -> String {
     let catalog = common::catalog();
-    let diagnostics = match GraphText::load(path) {
+    let diagnostics = match GraphText::load_with(path, &given(path)) {
         Ok(text) => check(&text, &catalog).diagnostics,
         Err(diagnostics) => diagnostics,
     };
     let shown = path.display().to_string();
     let folder = format!("{}{}", folder().display(), std::path::MAIN_SEPARATOR);
-    diagnostics.render(false).replace(&shown, &shown[folder.len()..]).replace(&folder, "")
+    let here = std::env::current_dir().expect("a folder").display().to_string();
+    diagnostics.render(false).replace(&shown, &shown[folder.len()..]).replace(&folder, "").replace(&here, "HERE")
 }
 
 #[test]

@@ -3,8 +3,9 @@
 use super::Checker;
 use crate::param::{Param, ParamValue, Pick};
 use crate::diagnostic::{Diagnostic, Severity};
+use crate::source::tidy;
 use std::collections::HashMap;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 /// The place holder that becomes the name of an input.
 const PORT: &str = "{port}";
@@ -59,7 +60,7 @@ impl<'a> Checker<'a> {
     fn per_port(&self, node: usize, path: &Path) -> impl Iterator<Item = PathBuf> + use<'a> {
         let text = path.to_string_lossy().into_owned();
         let ports: Vec<&str> = match text.contains(PORT) {
-            true => self.text.nodes[node].inputs.iter().map(|i| i.port.value.as_str()).collect(),
+            true => self.text.flat.nodes[node].inputs.iter().map(|i| i.port.value.as_str()).collect(),
             false => vec![""],
         };
         ports.into_iter().map(move |port| PathBuf::from(text.replace(PORT, port)))
@@ -100,7 +101,7 @@ impl<'a> Checker<'a> {
     ) -> Diagnostic {
         let location = |file: &File| {
             let name = self.type_of(file.node).map_or("", |t| t.params[file.param].name.as_str());
-            self.given(file.node, name).unwrap_or(&self.text.nodes[file.node].id.span)
+            self.given(file.node, name).unwrap_or(&self.text.flat.nodes[file.node].id.span)
         };
         let (span, other_span) = (location(main), location(other.0));
         let mut d = Diagnostic::new(severity, code, self.text.sources.of(span), span, message);
@@ -145,20 +146,6 @@ fn holds(read: &Path, written: &Path) -> bool {
 /// Whether the path is neither a file nor a folder nor free: what is written to /dev/null is not lost by writing it twice.
 fn is_device(path: &Path) -> bool {
     path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir())
-}
-
-/// `path` made absolute, without `.` and `..`. Links are not followed: the files need not exist.
-fn tidy(path: &Path) -> PathBuf {
-    let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-    let mut out = PathBuf::new();
-    for part in whole.components() {
-        match part {
-            Component::CurDir => {}
-            Component::ParentDir => _ = out.pop(),
-            part => out.push(part),
-        }
-    }
-    out
 }
 
 #[cfg(test)]

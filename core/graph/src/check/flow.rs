@@ -44,7 +44,7 @@ impl<'a> Checker<'a> {
 
     /// One shortest cycle, as positions of links, of every strongly connected part of the links that `take` admits.
     fn cycles(&self, take: impl Fn(usize) -> bool) -> Vec<Vec<usize>> {
-        let count = self.text.nodes.len();
+        let count = self.text.flat.nodes.len();
         let mut graph: DiGraph<(), usize> = DiGraph::with_capacity(count, self.links.len());
         for _ in 0..count {
             graph.add_node(());
@@ -110,7 +110,7 @@ impl<'a> Checker<'a> {
         };
         let delayed = format!("{{ from = \"{reference}\"{align}, delay = 1 }}");
         let to = self.id(link.to_node);
-        let listed = self.text.nodes[link.to_node].inputs.iter().any(|i| i.port.value == name && i.is_list);
+        let listed = self.text.flat.nodes[link.to_node].inputs.iter().any(|i| i.port.value == name && i.is_list);
         let write = if listed { format!("write {delayed} in the list") } else { format!("write {name} = {delayed}") };
         let help = if cycle.iter().all(|&i| self.is_required(&self.links[i])) {
             // A delayed input is empty on the first tick.
@@ -154,7 +154,7 @@ impl<'a> Checker<'a> {
 
     /// Nodes so that direct links go forward, ties in file order.
     fn order(&self, direct: &[bool]) -> Vec<usize> {
-        let count = self.text.nodes.len();
+        let count = self.text.flat.nodes.len();
         let mut waiting = vec![0usize; count];
         let mut next: Vec<Vec<usize>> = vec![Vec::new(); count];
         for (link, _) in self.links.iter().zip(direct).filter(|(_, direct)| **direct) {
@@ -177,11 +177,11 @@ impl<'a> Checker<'a> {
 
     /// Exact inputs that work on the ticks of different sources never meet.
     fn joins(&mut self, order: &[usize], direct: &[bool]) {
-        let mut into: Vec<Vec<usize>> = vec![Vec::new(); self.text.nodes.len()];
+        let mut into: Vec<Vec<usize>> = vec![Vec::new(); self.text.flat.nodes.len()];
         for (i, link) in self.links.iter().enumerate() {
             into[link.to_node].push(i);
         }
-        let mut heads = vec![Head::Unknown; self.text.nodes.len()];
+        let mut heads = vec![Head::Unknown; self.text.flat.nodes.len()];
         for &node in order {
             let Some(node_type) = self.type_of(node) else { continue };
             if node_type.source {
@@ -248,7 +248,15 @@ impl<'a> Checker<'a> {
     /// Nodes that have no effect and feed none that has.
     fn unused(&mut self) {
         // An unread line or a wrong input may be the one that uses a node.
-        const WIRING: [&str; 9] = [
+        const WIRING: [&str; 17] = [
+            "part-missing",
+            "part-unreadable",
+            "part-recursion",
+            "not-a-part",
+            "too-many-nodes",
+            "unknown-part-input",
+            "unknown-part-output",
+            "part-input-taken",
             "missing-input",
             "never-runs",
             "unknown-node",
@@ -263,12 +271,16 @@ impl<'a> Checker<'a> {
         if self.text.incomplete || broken {
             return;
         }
-        let count = self.text.nodes.len();
+        let count = self.text.flat.nodes.len();
         let mut from: Vec<Vec<usize>> = vec![Vec::new(); count];
         for link in &self.links {
             from[link.to_node].push(link.from_node);
         }
-        let acts = |node: &usize| self.type_of(*node).is_none_or(|t| t.side_effects || t.outputs.is_empty());
+        let read_outside = &self.text.flat.read_outside;
+        let acts = |node: &usize| {
+            let type_acts = self.type_of(*node).is_none_or(|t| t.side_effects || t.outputs.is_empty());
+            type_acts || read_outside.iter().any(|id| id == self.id(*node))
+        };
         let mut used = vec![false; count];
         let mut queue: VecDeque<usize> = (0..count).filter(acts).collect();
         let no_effect = queue.is_empty();
@@ -283,7 +295,7 @@ impl<'a> Checker<'a> {
             }
         }
         if no_effect && count > 0 {
-            let span = &self.text.nodes[count - 1].id.span;
+            let span = &self.text.flat.nodes[count - 1].id.span;
             self.warning("no-effect", span, "nothing in this graph writes, shows or moves anything".to_owned())
                 .help("connect a sink such as `preview` or `write_video`");
             return;
@@ -291,7 +303,7 @@ impl<'a> Checker<'a> {
         for node in (0..count).filter(|&n| !used[n]) {
             let message =
                 format!("node `{}` is of no use: nothing that writes, shows or moves anything needs it", self.id(node));
-            self.warning("unused-node", &self.text.nodes[node].id.span, message)
+            self.warning("unused-node", &self.text.flat.nodes[node].id.span, message)
                 .help("connect one of its outputs, or remove it");
         }
     }

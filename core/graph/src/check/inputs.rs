@@ -5,12 +5,13 @@ use crate::catalog::{NodeType, Port};
 use crate::packet::{Fit, PacketType};
 use crate::checked::Align;
 use crate::nearest::{list, nearest};
-use crate::file::{InputText, NodeText, RefText};
+use crate::file::{InputText, NodeText, RefText, Supply};
+use std::ops::Range;
 
 impl<'a> Checker<'a> {
     pub(super) fn inputs(&mut self) {
         let text = self.text;
-        for (index, node) in text.nodes.iter().enumerate() {
+        for (index, node) in text.flat.nodes.iter().enumerate() {
             let errors = self.diagnostics.errors();
             let node_type = self.type_of(index);
             // Inputs that a misspelt name was probably meant for are not missing as well.
@@ -97,6 +98,7 @@ impl<'a> Checker<'a> {
         let from_port = from_type.and_then(|t| t.output(&reference.port));
         let mut convert = false;
         match (from_type, from_port) {
+            (Some(_), None) if reference.through_part => {}
             (Some(from_type), None) => self.unknown_output(reference, from_type, declared),
             (Some(from_type), Some(port)) => {
                 if let Some(declared) = declared {
@@ -122,7 +124,18 @@ impl<'a> Checker<'a> {
     }
 
     pub(super) fn unknown_output(&mut self, reference: &RefText, from_type: &NodeType, declared: Option<&Port>) {
-        let (node, name) = (&reference.node, &reference.port);
+        self.unknown_output_at(&reference.span, &reference.node, &reference.port, from_type, declared);
+    }
+
+    /// `span` is that of the whole reference.
+    pub(super) fn unknown_output_at(
+        &mut self,
+        span: &Range<usize>,
+        node: &str,
+        name: &str,
+        from_type: &NodeType,
+        declared: Option<&Port>,
+    ) {
         let names = || from_type.outputs.iter().map(|p| p.name.as_str());
         let fits = |p: &&Port| declared.is_some_and(|d| matches!(p.packet.fit(&d.packet), Fit::Yes | Fit::Convert));
         let mut fitting = from_type.outputs.iter().filter(fits);
@@ -138,10 +151,9 @@ impl<'a> Checker<'a> {
         } else {
             format!("outputs of `{node}`: {}", list(names(), 20, "and"))
         };
-        let start = reference.span.start;
-        let after_dot = (start + node.len() + 1).min(reference.span.end);
+        let dot = self.text.sources.text(span).rfind('.').map_or(0, |dot| dot + 1);
         let message = format!("`{node}` ({}) has no output `{name}`", from_type.name);
-        self.error("unknown-output", &(after_dot..reference.span.end), message).label(label).help(help);
+        self.error("unknown-output", &(span.start + dot..span.end), message).label(label).help(help);
     }
 
     /// Whether the packets fit; answers whether the host converts.
@@ -205,7 +217,7 @@ impl<'a> Checker<'a> {
     /// Outputs of the graph that an input could take.
     fn help_fitting(&self, input: &Port, not_of: usize) -> String {
         let mut names = Vec::new();
-        for (index, node) in self.text.nodes.iter().enumerate().filter(|(i, _)| *i != not_of) {
+        for (index, node) in self.text.flat.nodes.iter().enumerate().filter(|(i, _)| *i != not_of) {
             for output in self.type_of(index).into_iter().flat_map(|t| &t.outputs) {
                 if matches!(output.packet.fit(&input.packet), Fit::Yes | Fit::Convert) {
                     names.push(format!("{}.{}", node.id.value, output.name));
@@ -240,7 +252,17 @@ impl<'a> Checker<'a> {
         }
         let mut any_missing = false;
         for port in node_type.inputs.iter().filter(|p| !p.optional) {
-            let given = node.inputs.iter().any(|i| i.port.value == port.name);
+            let input = node.inputs.iter().find(|i| i.port.value == port.name);
+            if let Some(Supply::Unconnected { span, part, input }) = input.map(|i| &i.supply) {
+                any_missing = true;
+                let message = format!("input `{input}` of part `{part}` is not connected");
+                let help = self.help_fitting(port, index);
+                let sources = &self.text.sources;
+                let label = format!("`{}` inside needs {}", node.local, describe(port));
+                self.error("missing-input", span, message).label(label).help(help).note(sources, &node.id.span, "");
+                continue;
+            }
+            let given = input.is_some();
             if given || meant.contains(&port.name.as_str()) {
                 continue;
             }
@@ -251,7 +273,8 @@ impl<'a> Checker<'a> {
                 .label(format!("`{}` needs {}", node_type.name, describe(port)))
                 .help(help);
         }
-        if !any_missing && node.inputs.is_empty() && !node_type.source {
+        let unconnected = |i: &InputText| matches!(i.supply, Supply::Unconnected { .. });
+        if !any_missing && node.inputs.iter().all(unconnected) && !node_type.source {
             let message =
                 format!("nothing makes `{}` run: it is no source and none of its inputs is connected", node.id.value);
             let help = match node_type.inputs.first() {

@@ -44,22 +44,23 @@ pub fn check(text: &GraphText, catalog: &Catalog) -> Checked {
         diagnostics: text.diagnostics.clone(),
         ids: HashMap::new(),
         doubled: HashSet::new(),
-        sound: vec![true; text.nodes.len()],
-        listed: text.plugins.iter().map(|p| p.value.as_str()).collect(),
+        sound: vec![true; text.flat.nodes.len()],
+        listed: text.flat.plugins.iter().map(|(file, list)| (*file, list.iter().map(|p| p.value.as_str()).collect())).collect(),
         types: Vec::new(),
         links: Vec::new(),
     };
-    for (index, node) in text.nodes.iter().enumerate() {
+    for (index, node) in text.flat.nodes.iter().enumerate() {
         if *checker.ids.entry(node.id.value.as_str()).or_insert(index) != index {
             checker.doubled.insert(&node.id.value);
         }
     }
     checker.plugins();
     checker.plugin_paths();
-    checker.types = text.nodes.iter().map(|node| checker.node_type(node)).collect();
+    checker.types = text.flat.nodes.iter().map(|node| checker.node_type(node)).collect();
     checker.empty();
     let params = checker.params();
     checker.inputs();
+    checker.exports();
     let order = checker.flow();
     let pinned = checker.pins();
     checker.files(&params);
@@ -94,8 +95,8 @@ struct Checker<'a> {
     doubled: HashSet<&'a str>,
     /// Per node, whether its parameters and inputs are without errors so far.
     sound: Vec<bool>,
-    /// Plugins the file lists.
-    listed: HashSet<&'a str>,
+    /// Plugins that each file lists, by its position among the sources.
+    listed: HashMap<usize, HashSet<&'a str>>,
     /// Per node, its type's position in the catalog.
     types: Vec<Option<usize>>,
     links: Vec<Link<'a>>,
@@ -116,23 +117,52 @@ impl<'a> Checker<'a> {
     }
 
     fn id(&self, node: usize) -> &'a str {
-        &self.text.nodes[node].id.value
+        &self.text.flat.nodes[node].id.value
     }
 
     fn empty(&mut self) {
-        if self.text.nodes.is_empty() && !self.text.incomplete && !self.diagnostics.has_errors() {
+        if self.text.flat.nodes.is_empty() && self.text.flat.parts.is_empty() && !self.text.incomplete && !self.diagnostics.has_errors() {
             self.error("empty-graph", &(0..0), "this graph has no nodes".to_owned())
                 .help("add one, as in\n[nodes.scope]\ntype = \"phantom\"");
         }
     }
 
+    /// Outputs and parameters that parts name and that their nodes do not have.
+    fn exports(&mut self) {
+        let flat = &self.text.flat;
+        for target in &flat.outputs {
+            let Some(node_type) = self.ids.get(target.node.as_str()).and_then(|&n| self.type_of(n)) else { continue };
+            if node_type.output(&target.port.value).is_none() {
+                self.unknown_output_at(&target.port.span, &target.node, &target.port.value, node_type, None);
+            }
+        }
+        for target in &flat.params {
+            let Some(node_type) = self.ids.get(target.node.as_str()).and_then(|&n| self.type_of(n)) else { continue };
+            if node_type.param(&target.port.value).is_none() {
+                self.unknown_param(&target.port.span, node_type, &target.port.value);
+            }
+        }
+    }
+
+    /// What is said of the value of an argument belongs where the value was given.
+    fn move_to_arguments(&mut self) {
+        let text = self.text;
+        for d in self.diagnostics.iter_mut() {
+            let use_ = text.arg_uses.get(&d.global().start).filter(|u| u.span == *d.global());
+            if let Some(origin) = use_.and_then(|u| u.origin.as_ref()) {
+                d.move_to(&text.sources, origin, "used here");
+            }
+        }
+    }
+
     fn finish(mut self, params: Vec<Vec<ParamValue>>, order: Vec<usize>, pinned: Preset) -> Checked {
+        self.move_to_arguments();
         self.diagnostics.finish(&self.text.sources.first().name);
         if self.diagnostics.has_errors() {
             return Checked { graph: None, diagnostics: self.diagnostics };
         }
-        let mut nodes = Vec::with_capacity(self.text.nodes.len());
-        for ((node, type_index), params) in self.text.nodes.iter().zip(&self.types).zip(params) {
+        let mut nodes = Vec::with_capacity(self.text.flat.nodes.len());
+        for ((node, type_index), params) in self.text.flat.nodes.iter().zip(&self.types).zip(params) {
             // Without errors every type is known.
             let Some(type_index) = *type_index else { continue };
             let node_type = &self.catalog.node_types[type_index];

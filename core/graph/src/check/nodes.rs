@@ -2,6 +2,7 @@
 
 use super::Checker;
 use crate::catalog::NodeType;
+use crate::file::Supply;
 use crate::checked::Mode;
 use crate::param::ParamValue;
 use crate::diagnostic::Diagnostic;
@@ -10,7 +11,7 @@ use std::ops::Range;
 
 impl<'a> Checker<'a> {
     pub(super) fn plugin_paths(&mut self) {
-        for path in &self.text.plugin_paths {
+        for path in &self.text.flat.plugin_paths {
             let folder = self.resolve_at(&path.span, &path.value);
             if folder.is_dir() {
                 continue;
@@ -55,10 +56,11 @@ impl<'a> Checker<'a> {
 
     fn wiring(&self, node: usize, node_type: &NodeType) -> Wiring {
         let mut connections = vec![0; node_type.inputs.len()];
-        for input in &self.text.nodes[node].inputs {
+        for input in &self.text.flat.nodes[node].inputs {
             if let Some(port) = node_type.input(&input.port.value) {
                 // A reference that does not resolve is meant to be a connection all the same.
-                connections[port] = u32::try_from(input.refs.len()).unwrap_or(u32::MAX);
+                let open = usize::from(input.supply == Supply::Open);
+                connections[port] = u32::try_from(input.refs.len() + open).unwrap_or(u32::MAX);
             }
         }
         let read = self.links.iter().filter(|l| l.from_node == node).filter_map(|l| l.from_port);
@@ -73,14 +75,14 @@ impl<'a> Checker<'a> {
         if let Some(set) = set {
             return Some(&set.value.span);
         }
-        let (_, value) = text.nodes[node].params.iter().find(|(key, _)| key.value == param)?;
+        let (_, value) = text.flat.nodes[node].params.iter().find(|(key, _)| key.value == param)?;
         Some(&value.span)
     }
 
     fn node_problem(&mut self, node: usize, node_type: &NodeType, problem: ParamProblem) {
         let name = problem.param.and_then(|p| node_type.params.get(p)).map(|p| p.name.as_str());
         let given = name.and_then(|name| self.given(node, name));
-        let span = given.unwrap_or(&self.text.nodes[node].id.span);
+        let span = given.unwrap_or(&self.text.flat.nodes[node].id.span);
         let code = if name.is_some() { "invalid-param" } else { "invalid-node" };
         let mut d = Diagnostic::new(problem.severity, code, self.text.sources.of(span), span, problem.message);
         if let (Some(name), None) = (name, given) {

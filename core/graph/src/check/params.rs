@@ -2,7 +2,8 @@
 
 use super::Checker;
 use crate::catalog::NodeType;
-use crate::param::{Param, ParamKind, ParamValue};
+use crate::args::absolute_files;
+use crate::param::{Param, ParamKind, ParamValue, Pick};
 use crate::nearest::{list, nearest};
 use crate::parse::parse_value;
 use crate::file::NodeText;
@@ -23,8 +24,8 @@ struct Wrong {
 impl<'a> Checker<'a> {
     /// Values of all nodes, each in its type's declaration order; a mistake leaves the default.
     pub(super) fn params(&mut self) -> Vec<Vec<ParamValue>> {
-        let mut all = Vec::with_capacity(self.text.nodes.len());
-        for (index, node) in self.text.nodes.iter().enumerate() {
+        let mut all = Vec::with_capacity(self.text.flat.nodes.len());
+        for (index, node) in self.text.flat.nodes.iter().enumerate() {
             let Some(node_type) = self.type_of(index) else {
                 all.push(Vec::new());
                 continue;
@@ -58,6 +59,12 @@ impl<'a> Checker<'a> {
                 continue;
             };
             let param = &node_type.params[position];
+            if value.value == Kind::Missing {
+                // The argument has no value; that is said once, at the argument.
+                given[position] = Some(self.default(node_type, param));
+                self.sound[index] = false;
+                continue;
+            }
             match self.value(param, value) {
                 Ok(value) => given[position] = Some(value),
                 Err(wrong) => {
@@ -120,7 +127,7 @@ impl<'a> Checker<'a> {
             return None;
         }
         let Some(&node) = self.ids.get(over.node.value.as_str()) else {
-            let ids = || self.text.nodes.iter().map(|n| n.id.value.as_str());
+            let ids = || self.text.flat.nodes.iter().map(|n| n.id.value.as_str());
             let near = nearest(&over.node.value, ids()).map(|n| format!("did you mean `{n}`?"));
             let message = format!("there is no node `{}`", over.node.value);
             let help = format!("nodes: {}", list(ids(), 12, "and"));
@@ -221,7 +228,12 @@ impl<'a> Checker<'a> {
                     })
                 }
             },
-            (ParamKind::Text { .. }, Kind::Text(text)) => Ok(ParamValue::Text(text.clone())),
+            (ParamKind::Text { .. }, Kind::Text(text)) => {
+                let dir = &self.text.sources.of(&value.span).dir;
+                // Nodes look for files from the folder of the graph file.
+                let elsewhere = param.pick == Pick::File && *dir != self.text.sources.first().dir;
+                Ok(ParamValue::Text(if elsewhere { absolute_files(text, dir) } else { text.clone() }))
+            }
             (ParamKind::Path { must_exist, .. }, Kind::Text(text)) => {
                 let path = self.resolve_at(&value.span, text);
                 if *must_exist && !text.is_empty() && !path.exists() {

@@ -28,7 +28,9 @@ impl<'a> Checker<'a> {
         };
         let node_type = self.type_of(node)?;
         let Some(port) = node_type.output(&reference.port) else {
-            self.unknown_output(reference, node_type, None);
+            if !reference.through_part {
+                self.unknown_output(reference, node_type, None);
+            }
             return None;
         };
         let packet = &node_type.outputs[port].packet.name;
@@ -92,9 +94,9 @@ impl<'a> Checker<'a> {
         if self.text.incomplete {
             return;
         }
-        let near = nearest(id, self.text.nodes.iter().map(|n| n.id.value.as_str()));
+        let near = nearest(id, self.text.flat.nodes.iter().map(|n| n.id.value.as_str()));
         let label = near.map(|n| format!("did you mean `{n}`?")).unwrap_or_default();
-        let ids = list(self.text.nodes.iter().map(|n| n.id.value.as_str()), 12, "and");
+        let ids = list(self.text.flat.nodes.iter().map(|n| n.id.value.as_str()), 12, "and");
         let span = span.start..(span.start + id.len()).min(span.end);
         self.error("unknown-node", &span, format!("there is no node `{id}`"))
             .label(label)
