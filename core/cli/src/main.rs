@@ -13,8 +13,10 @@ mod progress;
 mod summary;
 mod terminal;
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::error::ErrorKind;
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use panoscope_engine::ending::signals;
+use panoscope_graph::command_line::{self, CommandLine};
 
 panoscope_engine::guard_exits!();
 
@@ -91,11 +93,37 @@ pub enum End {
     Wrong,
 }
 
+/// Parses the command line. Options that the graph declares are known to it, and its help shows them.
+fn parse(words: Vec<std::ffi::OsString>) -> Arguments {
+    let CommandLine { words, help, problem } = command_line::rewrite(words);
+    if let Some(problem) = problem {
+        terminal::tell!("error: {problem}");
+        terminal::leave(2);
+    }
+    let mut command = Arguments::command();
+    if !help.is_empty() {
+        let names: Vec<String> = command.get_subcommands().map(|c| c.get_name().to_owned()).collect();
+        for name in names {
+            command = command.mut_subcommand(name, |c| c.after_help(help.clone()));
+        }
+    }
+    let parsed = command.try_get_matches_from(words).and_then(|matches| Arguments::from_arg_matches(&matches));
+    parsed.unwrap_or_else(|error| {
+        let unknown = error.kind() == ErrorKind::UnknownArgument;
+        // Not `exit`: the code of a help is 0, of an error 2.
+        let _ = error.print();
+        if unknown && !help.is_empty() {
+            terminal::tell!("\n{}", help.trim_end());
+        }
+        terminal::leave(error.exit_code())
+    })
+}
+
 fn main() {
     if let Err(error) = signals::install() {
         terminal::tell!("warning: signals end the program without finishing files: {error}");
     }
-    let arguments = Arguments::parse();
+    let arguments = parse(std::env::args_os().collect());
     let end = match arguments.command {
         Command::Run(arguments) => commands::run::run(&arguments),
         Command::Edit(arguments) => commands::edit::run(&arguments, false),
@@ -130,4 +158,24 @@ fn main() {
             1
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use panoscope_graph::args::RESERVED_ARGS;
+
+    #[test]
+    fn no_argument_of_a_graph_can_hide_an_option() {
+        let command = Arguments::command();
+        let opens_graphs = |c: &&clap::Command| c.get_arguments().any(|a| a.get_long() == Some("graph-arg"));
+        let commands: Vec<_> = command.get_subcommands().filter(opens_graphs).collect();
+        assert!(commands.len() >= 7, "only {} commands open graphs", commands.len());
+        for command in commands {
+            for long in command.get_arguments().filter_map(clap::Arg::get_long) {
+                let name = long.replace('-', "_");
+                assert!(RESERVED_ARGS.contains(&name.as_str()), "--{long} of {} is not reserved", command.get_name());
+            }
+        }
+    }
 }

@@ -10,10 +10,10 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use panoscope_engine::{Engine, Options, StartError};
-use panoscope_graph::{Diagnostics, Graph, GraphText, ParamKind, ParamValue, Severity};
+use panoscope_graph::{Diagnostics, Graph, GraphOptions, GraphText, ParamKind, ParamValue, Severity};
 use serde::{Deserialize, Serialize};
 
-use crate::graph_file::{self, Ready};
+use crate::graph_file::{self, Given, Ready};
 use crate::{End, terminal};
 
 /// Name of the hidden command.
@@ -30,6 +30,8 @@ pub struct Arguments {
     graph: PathBuf,
     /// Node to open.
     node: String,
+    #[command(flatten)]
+    given: Given,
 }
 
 /// What the child answers, as one line of JSON.
@@ -53,7 +55,8 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     limit(libc::RLIMIT_AS, MEMORY_BYTES);
     limit(libc::RLIMIT_CPU, 2 * PATIENCE.as_secs());
     limit(libc::RLIMIT_CORE, 0);
-    let Ok(Ready { graph, catalog, loader, .. }) = graph_file::load(&arguments.graph, &[]) else {
+    let options = GraphOptions { allow_missing_args: true, ..arguments.given.options(&[]) };
+    let Ok(Ready { graph, catalog, loader, .. }) = graph_file::open(&arguments.graph, &options) else {
         return Ok(End::Wrong);
     };
     let position = graph.node(&arguments.node).context("no such node")?;
@@ -93,12 +96,13 @@ fn died(status: ExitStatus) -> String {
 }
 
 /// Why the node cannot be opened, if it cannot.
-fn ask(graph: &Path, node: &str) -> Result<Option<String>> {
+fn ask(graph: &Path, node: &str, given: &Given) -> Result<Option<String>> {
     let program = std::env::current_exe().context("this program's own file")?;
     let mut child = Command::new(program)
         .arg(COMMAND)
         .arg(graph)
         .arg(node)
+        .args(given.words())
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
@@ -129,7 +133,7 @@ fn ask(graph: &Path, node: &str) -> Result<Option<String>> {
 }
 
 /// Opens, each in a child process, the nodes of a checked graph that read a network from a file.
-pub fn models(path: &Path, text: &GraphText, ready: &Ready) -> Diagnostics {
+pub fn models(path: &Path, text: &GraphText, ready: &Ready, given: &Given) -> Diagnostics {
     let mut all = Diagnostics::default();
     for node in &ready.graph.nodes {
         let node_type = node.node_type(&ready.catalog);
@@ -140,7 +144,7 @@ pub fn models(path: &Path, text: &GraphText, ready: &Ready) -> Diagnostics {
             .zip(&node.params)
             .find(|(p, value)| matches!(p.kind, ParamKind::Path { .. }) && is_model(value));
         let Some((param, _)) = named else { continue };
-        let (severity, code, reason) = match ask(path, &node.id) {
+        let (severity, code, reason) = match ask(path, &node.id, given) {
             Ok(None) => continue,
             // The graph may be right where the library is.
             Ok(Some(reason)) if reason.starts_with("ONNX Runtime's shared library") => {

@@ -12,13 +12,16 @@ use std::path::{Path, PathBuf};
 /// Long options of the commands that open graphs, `-` written as `_`: no argument may have such a name. A test of the command keeps it complete.
 pub const RESERVED_ARGS: &[&str] = &[
     "act",
+    "after",
     "all_ports",
     "csv",
     "digests",
+    "do",
     "fault_log",
     "frames",
     "from",
     "graph",
+    "graph_arg",
     "headless",
     "help",
     "into",

@@ -14,6 +14,7 @@ pub mod args;
 pub mod catalog;
 mod check;
 pub mod checked;
+pub mod command_line;
 mod diagnostic;
 mod dot;
 pub mod edit;

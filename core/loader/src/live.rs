@@ -56,16 +56,18 @@ impl<E: Deref<Target = Engine>> Live<E> {
         &self.loader
     }
 
-    fn apply_with(&mut self, text: &str, loader: Option<Loader>) -> Result<Applied, LiveError> {
+    fn parse(&self, text: &str) -> GraphText {
         let mut parsed = GraphText::parse(&self.path, text);
-        for setting in &self.settings {
-            parsed.set(setting);
-        }
+        self.settings.iter().for_each(|setting| parsed.set(setting));
+        parsed
+    }
+
+    fn apply_with(&mut self, parsed: &GraphText, loader: Option<Loader>) -> Result<Applied, LiveError> {
         let used: &Loader = loader.as_ref().unwrap_or(&self.loader);
         let catalog = used.catalog(&parsed.plugins());
-        let (graph, _) = check(&parsed, &catalog).into_result().map_err(LiveError::Check)?;
+        let (graph, _) = check(parsed, &catalog).into_result().map_err(LiveError::Check)?;
         let applied = self.engine.apply(graph, &catalog, used)?;
-        text.clone_into(&mut self.text);
+        self.text = parsed.flattened(&catalog).into_owned();
         if let Some(loader) = loader {
             self.loader = Arc::new(loader);
         }
@@ -73,28 +75,39 @@ impl<E: Deref<Target = Engine>> Live<E> {
     }
 
     /// Makes the running graph the one that `text` describes.
+    ///
+    /// # Errors
+    /// The text has mistakes, or the change did not succeed; the old graph runs on.
     pub fn apply_text(&mut self, text: &str) -> Result<Applied, LiveError> {
-        let folders = search::search_path(&GraphText::parse(&self.path, text).plugin_paths());
+        self.apply(&self.parse(text))
+    }
+
+    /// Makes the running graph another one, read with its own parts, overlays and settings.
+    ///
+    /// # Errors
+    /// As [`Self::apply_text`].
+    pub fn apply(&mut self, parsed: &GraphText) -> Result<Applied, LiveError> {
+        let folders = search::search_path(&parsed.plugin_paths());
         let elsewhere = folders != self.loader.folders() && folders.iter().any(|f| !self.loader.folders().contains(f));
         let loader = elsewhere.then(|| {
             let mut all = folders;
             all.extend(self.loader.folders().iter().filter(|f| !all.contains(f)).cloned().collect::<Vec<_>>());
             self.loader.rescan_in(&all)
         });
-        self.apply_with(text, loader)
+        self.apply_with(parsed, loader)
     }
 
     /// Looks for rebuilt plugins and swaps them in. One that is broken leaves its predecessor running.
     pub fn reload_plugins(&mut self) -> Result<Applied, LiveError> {
-        let (text, loader) = (self.text.clone(), self.loader.rescan());
-        self.apply_with(&text, Some(loader))
+        let (parsed, loader) = (self.parse(&self.text), self.loader.rescan());
+        self.apply_with(&parsed, Some(loader))
     }
 
     /// Edits the text and applies the result, all edits of `edit` as one transaction.
     pub fn edit(&mut self, edit: impl FnOnce(&mut GraphEdit) -> Result<(), EditError>) -> Result<Applied, LiveError> {
         let mut document = GraphEdit::parse(&self.text)?;
         edit(&mut document)?;
-        self.apply_with(&document.text(), None)
+        self.apply_with(&self.parse(&document.text()), None)
     }
 
     /// Adds a node with its inputs: `("image", &["source.image"])`.
@@ -129,7 +142,7 @@ impl<E: Deref<Target = Engine>> Live<E> {
 /// What changed on disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Changed {
-    /// The graph file.
+    /// The graph file, a part or an overlay.
     pub graph: bool,
     /// A plugin's file.
     pub plugins: bool,
@@ -139,25 +152,45 @@ pub struct Changed {
 /// file is taken.
 pub struct FileWatch {
     path: PathBuf,
+    /// Parts and overlays.
+    files: Vec<PathBuf>,
     folders: Vec<PathBuf>,
     known: State,
     seen: State,
 }
 
-type State = (Stamp, BTreeMap<PathBuf, Stamp>);
+type State = (Vec<Stamp>, BTreeMap<PathBuf, Stamp>);
 
-fn state(path: &Path, folders: &[PathBuf]) -> State {
+fn stamps(path: &Path, files: &[PathBuf]) -> Vec<Stamp> {
+    std::iter::once(path).chain(files.iter().map(PathBuf::as_path)).map(Stamp::of).collect()
+}
+
+fn state(path: &Path, graph_files: &[PathBuf], folders: &[PathBuf]) -> State {
     let entries = folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).flatten().flatten();
     let files = entries.map(|e| e.path()).filter(|f| f.extension() == Some(OsStr::new("so")));
-    (Stamp::of(path), files.map(|file| (file.clone(), Stamp::of(&file))).collect())
+    (stamps(path, graph_files), files.map(|file| (file.clone(), Stamp::of(&file))).collect())
 }
 
 impl FileWatch {
     /// Starts from what `loader` saw and from the graph file as it is now.
     pub fn new(path: &Path, loader: &Loader) -> Self {
         let folders = loader.folders().to_vec();
-        let known = (Stamp::of(path), loader.stamps().clone());
-        Self { path: path.to_owned(), seen: known.clone(), folders, known }
+        let known = (stamps(path, &[]), loader.stamps().clone());
+        Self { path: path.to_owned(), files: Vec::new(), seen: known.clone(), folders, known }
+    }
+
+    /// Watches further files of the graph: parts and overlays.
+    #[must_use]
+    pub fn with_files(mut self, files: impl Iterator<Item = PathBuf>) -> Self {
+        self.files = files.collect();
+        self.known.0 = stamps(&self.path, &self.files);
+        self.seen.0.clone_from(&self.known.0);
+        self
+    }
+
+    /// The graph file.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// The graph file's text now.
@@ -167,7 +200,7 @@ impl FileWatch {
 
     /// What changed since the last call that answered a change. To be called every 200 ms or so.
     pub fn look(&mut self) -> Changed {
-        let now = state(&self.path, &self.folders);
+        let now = state(&self.path, &self.files, &self.folders);
         let still = now == self.seen;
         self.seen = now;
         if !still || self.seen == self.known {

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-use panoscope_graph::{Catalog, Graph, ParamKind, ParamValue};
+use panoscope_graph::{Catalog, FileKind, Graph, GraphFile, GraphText, ParamKind, ParamValue};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -44,6 +44,10 @@ pub enum LockError {
 pub enum Kind {
     /// The graph file itself.
     Graph,
+    /// A part of the graph.
+    Part,
+    /// An overlay.
+    Overlay,
     /// A plugin.
     Plugin,
     /// A file that a parameter names and that must exist, such as a network.
@@ -56,6 +60,8 @@ impl fmt::Display for Kind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
             Self::Graph => "graph",
+            Self::Part => "part",
+            Self::Overlay => "overlay",
             Self::Plugin => "plugin",
             Self::Model => "model",
             Self::Calibration => "calibration",
@@ -156,15 +162,24 @@ fn calibration_files<'t>(text: &'t str, folder: &'t Path) -> impl Iterator<Item 
 }
 
 impl Lock {
-    /// Fingerprints of a graph that was read at `path` as `text`, as all is now. `more` are plugins that are used besides those that it lists.
-    pub fn of(graph: &Graph, catalog: &Catalog, loader: &Loader, path: &Path, text: &str, more: &[&str]) -> Self {
-        let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        let sha256 = hex(&Sha256::digest(text.as_bytes()));
-        let mut files = vec![LockedFile { kind: Kind::Graph, name, bytes: text.len() as u64, sha256 }];
+    /// Fingerprints of a graph that was read as `text`, as all is now. `more` are plugins that are used besides those that it lists.
+    pub fn of(graph: &Graph, catalog: &Catalog, loader: &Loader, text: &GraphText, more: &[&str]) -> Self {
+        let folder = text.path().parent().unwrap_or(Path::new(""));
+        let graph_file = |file: GraphFile<'_>| {
+            let kind = match file.kind {
+                FileKind::Graph => Kind::Graph,
+                FileKind::Part => Kind::Part,
+                FileKind::Overlay => Kind::Overlay,
+            };
+            let path = Path::new(file.path);
+            let name = path.strip_prefix(folder).unwrap_or(path).display().to_string();
+            let sha256 = hex(&Sha256::digest(file.text.as_bytes()));
+            LockedFile { kind, name, bytes: file.text.len() as u64, sha256 }
+        };
+        let mut files: Vec<LockedFile> = text.files().into_iter().map(graph_file).collect();
         let used = |name: &String| graph.plugins.contains(name) || more.contains(&name.as_str());
         let plugins = loader.found().filter(|found| used(&found.note.name));
         files.extend(plugins.map(|found| locked(Kind::Plugin, found.note.name.clone(), &found.file)));
-        let folder = path.parent().unwrap_or(Path::new(""));
         for node in &graph.nodes {
             for (param, value) in node.node_type(catalog).params.iter().zip(&node.params) {
                 let name = format!("{}.{}", node.id, param.name);

@@ -336,7 +336,7 @@ fn lock(path: &Path) {
     let text = GraphText::load(path).expect("it is there");
     let catalog = loader.catalog(&text.plugins());
     let (graph, _) = check(&text, &catalog).into_result().expect("it is right");
-    let lock = Lock::of(&graph, &catalog, &loader, path, text.text(), &THEATRE_PLUGINS);
+    let lock = Lock::of(&graph, &catalog, &loader, &text, &THEATRE_PLUGINS);
     assert!(lock.files.iter().all(|f| !f.sha256.is_empty()), "{lock:?}");
     lock.write(path).expect("it is written");
 }

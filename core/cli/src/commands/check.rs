@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use panoscope_graph::GraphText;
+use panoscope_graph::{Arg, GraphOptions, GraphText};
 use serde_json::json;
 
+use crate::graph_file::{Given, Ready};
 use crate::terminal::{raw, say, stdout_color};
 use crate::{End, graph_file, probe};
 
@@ -15,9 +16,30 @@ pub struct Arguments {
     /// Graph files.
     #[arg(required = true, value_name = "GRAPH")]
     graphs: Vec<PathBuf>,
+    #[command(flatten)]
+    given: Given,
     /// One JSON object per file: its name, whether it is fine, and all diagnostics.
     #[arg(long)]
     json: bool,
+}
+
+/// What is told of a right graph.
+struct Facts {
+    nodes: usize,
+    edges: usize,
+    /// Options of arguments without a value; nodes that depend on them were not asked.
+    missing: Vec<String>,
+}
+
+impl Facts {
+    fn of(ready: &Ready) -> Self {
+        let missing = |arg: &&Arg| ready.text.missing_args().contains(&arg.name);
+        Self {
+            nodes: ready.graph.nodes.len(),
+            edges: ready.graph.edges.len(),
+            missing: ready.text.args().iter().filter(missing).map(Arg::option).collect(),
+        }
+    }
 }
 
 /// Checks every file, however many are wrong.
@@ -25,27 +47,34 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let mut end = End::Done;
     for path in &arguments.graphs {
         let name = path.display();
-        let checked = GraphText::load(path).and_then(|text| {
+        let options = GraphOptions { allow_missing_args: true, ..arguments.given.options(&[]) };
+        let checked = GraphText::load_with(path, &options).and_then(|text| {
             let ready = graph_file::ready(&text)?;
             // A model can only be judged by opening it.
             let mut diagnostics = ready.warnings.clone();
-            diagnostics.extend(probe::models(path, &text, &ready));
+            diagnostics.extend(probe::models(path, &text, &ready, &arguments.given));
             if diagnostics.has_errors() { Err(diagnostics) } else { Ok((ready, diagnostics)) }
         });
         let (facts, diagnostics) = match checked {
-            Ok((ready, warnings)) => (Some((ready.graph.nodes.len(), ready.graph.edges.len())), warnings),
+            Ok((ready, warnings)) => (Some(Facts::of(&ready)), warnings),
             Err(diagnostics) => (None, diagnostics),
         };
         if facts.is_none() {
             end = End::Wrong;
         }
         if arguments.json {
-            say!("{}", json!({ "file": name.to_string(), "ok": facts.is_some(), "diagnostics": diagnostics }));
+            let ok = facts.is_some();
+            let missing = facts.map(|f| f.missing).unwrap_or_default();
+            say!("{}", json!({ "file": name.to_string(), "ok": ok, "missing_args": missing, "diagnostics": diagnostics }));
             continue;
         }
         raw(&diagnostics.render(stdout_color()));
-        if let Some((nodes, edges)) = facts {
-            say!("{name}: ok ({nodes} nodes, {edges} connections)");
+        if let Some(Facts { nodes, edges, missing }) = facts {
+            let missing = match missing.is_empty() {
+                true => String::new(),
+                false => format!("; to run it needs {}", missing.join(", ")),
+            };
+            say!("{name}: ok ({nodes} nodes, {edges} connections{missing})");
         }
     }
     Ok(end)

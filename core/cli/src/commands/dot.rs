@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
+use panoscope_graph::GraphOptions;
 
+use crate::graph_file::Given;
 use crate::terminal::{raw, stderr_color};
 use crate::{End, graph_file};
 
@@ -12,11 +14,14 @@ use crate::{End, graph_file};
 pub struct Arguments {
     /// Graph file.
     graph: PathBuf,
+    #[command(flatten)]
+    given: Given,
 }
 
 /// Writes a graph for Graphviz: `panoscope dot graph.toml | dot -Tsvg > graph.svg`.
 pub fn run(arguments: &Arguments) -> Result<End> {
-    match graph_file::load(&arguments.graph, &[]) {
+    let options = GraphOptions { allow_missing_args: true, ..arguments.given.options(&[]) };
+    match graph_file::open(&arguments.graph, &options) {
         Ok(ready) => {
             raw(&panoscope_graph::to_dot(&ready.graph, &ready.catalog));
             Ok(End::Done)

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use panoscope_graph::GraphText;
 use panoscope_loader::lock::{Lock, THEATRE_PLUGINS, lock_path};
 
+use crate::graph_file::Given;
 use crate::terminal::{raw, say, stderr_color, tell};
 use crate::{End, graph_file};
 
@@ -14,6 +14,8 @@ use crate::{End, graph_file};
 pub struct Arguments {
     /// Graph file.
     graph: PathBuf,
+    #[command(flatten)]
+    given: Given,
     /// Compares with the lock that is there, and writes nothing.
     #[arg(long)]
     verify: bool,
@@ -22,15 +24,14 @@ pub struct Arguments {
 /// Writes or compares.
 pub fn run(arguments: &Arguments) -> Result<End> {
     let path = &arguments.graph;
-    let loaded = GraphText::load(path).and_then(|text| Ok((graph_file::ready(&text)?, text)));
-    let (ready, text) = match loaded {
-        Ok(loaded) => loaded,
+    let ready = match graph_file::open(path, &arguments.given.options(&[])) {
+        Ok(ready) => ready,
         Err(diagnostics) => {
             tell!("{}", diagnostics.render(stderr_color()).trim_end());
             return Ok(End::Wrong);
         }
     };
-    let now = Lock::of(&ready.graph, &ready.catalog, &ready.loader, path, text.text(), &THEATRE_PLUGINS);
+    let now = Lock::of(&ready.graph, &ready.catalog, &ready.loader, &ready.text, &THEATRE_PLUGINS);
     if arguments.verify {
         return verify(path, &now);
     }

@@ -11,6 +11,7 @@ use panoscope_record::{RecordOptions, Recording, Replay, ReplayError, ReplayOpti
 use super::record::{Ports, told, write_digests};
 use super::run;
 use crate::End;
+use crate::graph_file::{self, Given};
 use crate::judge::Weight;
 use crate::progress::Progress;
 use crate::terminal::{say, stderr_color, tell};
@@ -23,6 +24,8 @@ pub struct Arguments {
     /// Runs this graph on the recorded pictures instead of the recorded one. No tick is dropped then.
     #[arg(long, value_name = "GRAPH")]
     graph: Option<PathBuf>,
+    #[command(flatten)]
+    given: Given,
     /// Sets a parameter; wins over the graph and over recorded changes. May be given again.
     #[arg(long, value_name = "NODE.PARAM=VALUE")]
     set: Vec<String>,
@@ -70,15 +73,23 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             return Ok(End::Wrong);
         }
     };
+    let mut settings = arguments.set.clone();
     let graph = match &arguments.graph {
-        Some(path) => match std::fs::read_to_string(path) {
-            Ok(text) => Some((path.clone(), text)),
-            Err(cause) => {
-                tell!("error: {}: {cause}", path.display());
+        Some(path) => match graph_file::open(path, &arguments.given.options(&arguments.set)) {
+            Ok(ready) => {
+                settings = ready.text.settings();
+                Some((path.clone(), ready.text.flattened(&ready.catalog).into_owned()))
+            }
+            Err(diagnostics) => {
+                tell!("{}", diagnostics.render(stderr_color()).trim_end());
                 return Ok(End::Wrong);
             }
         },
-        None => None,
+        None if arguments.given.words().is_empty() => None,
+        None => {
+            tell!("error: --with and arguments belong to a graph: name one with --graph, or change the recorded one with --set");
+            return Ok(End::Wrong);
+        }
     };
     let longest = recording.sources.values().map(Vec::len).max().unwrap_or(0) as u64;
     let wanted = arguments.frames.map_or(longest, |n| n.min(longest));
@@ -86,7 +97,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let mut progress = Progress::new(&name, Some(wanted), !arguments.headless);
     let options = ReplayOptions {
         graph,
-        settings: arguments.set.clone(),
+        settings,
         act: arguments.act,
         loader: None,
         record: (arguments.output.is_some() || arguments.ports.digests.is_some()).then(|| RecordOptions {

@@ -4,15 +4,16 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use panoscope_engine::ending::signals;
 use panoscope_engine::fault::json_lines;
 use panoscope_engine::{Engine, Options, Report};
-use panoscope_graph::OnFault;
+use panoscope_graph::{GraphOptions, GraphText, OnFault};
 use panoscope_loader::Live;
 use panoscope_loader::live::FileWatch;
 use panoscope_record::{RecordOptions, Recorded, Recorder, head};
 
+use crate::graph_file::Given;
 use crate::judge::{Facts, Verdict, Weight, judge};
 use crate::progress::Progress;
 use crate::terminal::{raw, say, stderr_color, tell};
@@ -29,12 +30,8 @@ pub struct Arguments {
     /// Sets a parameter; wins over the file. May be given again.
     #[arg(long, value_name = "NODE.PARAM=VALUE")]
     set: Vec<String>,
-    /// Left video, picture, pattern of pictures, camera number or GStreamer pipeline for every node of type `capture`.
-    #[arg(long, value_name = "FILE")]
-    left: Option<PathBuf>,
-    /// The same for the right view.
-    #[arg(long, value_name = "FILE")]
-    right: Option<PathBuf>,
+    #[command(flatten)]
+    given: Given,
     /// Ticks that each source makes; without it, until the sources end or Ctrl-C.
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
     frames: Option<u64>,
@@ -85,15 +82,8 @@ pub enum Ran {
 /// Runs a graph to its end, recorded where wanted, with a look at the engine ten times a second.
 pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: impl FnMut(&Engine)) -> Result<Ran> {
     let on_duty = signals::opening();
-    let mut settings = match capture_settings(arguments) {
-        Ok(settings) => settings,
-        Err(error) => {
-            tell!("error: {error:#}");
-            return Ok(Ran::Not(End::Wrong));
-        }
-    };
-    settings.extend(arguments.set.iter().cloned());
-    let ready = match graph_file::load(&arguments.graph, &settings) {
+    let given = arguments.given.options(&arguments.set);
+    let ready = match graph_file::open(&arguments.graph, &given) {
         Ok(ready) => ready,
         Err(diagnostics) => {
             tell!("{}", diagnostics.render(stderr_color()).trim_end());
@@ -109,7 +99,8 @@ pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: 
         Some(path) => Some(json_lines(path).with_context(|| format!("cannot write {}", path.display()))?),
         None => None,
     };
-    let text = fs::read_to_string(&arguments.graph).unwrap_or_default();
+    // One text that holds all parts, arguments and overlays, so that a recording needs no other file.
+    let (text, settings) = (ready.text.flattened(&ready.catalog).into_owned(), ready.text.settings());
     let recorder = match record {
         Some(options) => {
             let (catalog, loader) = (&ready.catalog, &ready.loader);
@@ -143,13 +134,14 @@ pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: 
     let on_duty = on_duty.watching();
     allocations::leave_this_thread_out();
     let mut changes = arguments.watch.then(|| {
-        let files = FileWatch::new(&arguments.graph, &ready.loader);
+        let files = ready.text.files().into_iter().skip(1).map(|f| PathBuf::from(f.path));
+        let files = FileWatch::new(&arguments.graph, &ready.loader).with_files(files);
         (files, Live::new(&engine, &arguments.graph, text, settings, ready.loader))
     });
     watch(&engine, &mut progress, || {
         look(&engine);
         if let Some((files, live)) = &mut changes {
-            apply_changes(files, live);
+            apply_changes(files, live, &given);
         }
     });
     drop(changes);
@@ -206,16 +198,16 @@ pub fn watch(engine: &Engine, progress: &mut Progress, mut look: impl FnMut()) {
 }
 
 /// Makes the running graph what the files say now, or says why not.
-fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>) {
+fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>, given: &GraphOptions) {
     let changed = files.look();
     let mut results = Vec::new();
     if changed.plugins {
         results.push(live.reload_plugins());
     }
     if changed.graph {
-        match files.text() {
-            Ok(text) => results.push(live.apply_text(&text)),
-            Err(error) => tell!("error: {error}; the old graph runs on"),
+        match GraphText::load_with(files.path(), given) {
+            Ok(text) => results.push(live.apply(&text)),
+            Err(diagnostics) => tell!("{}\nthe old graph runs on", diagnostics.render(stderr_color()).trim_end()),
         }
     }
     for result in results {
@@ -244,43 +236,4 @@ fn write_report(path: &Path, report: &Report) -> Result<()> {
     part.push(".part");
     fs::write(&part, text).with_context(|| format!("cannot write {}", path.display()))?;
     fs::rename(&part, path).with_context(|| format!("cannot write {}", path.display()))
-}
-
-/// On the command line paths start from here, in a graph from its file. Camera numbers, addresses and GStreamer pipelines stay.
-fn from_here(view: &Path) -> Result<String> {
-    let text = view.display().to_string();
-    if text.bytes().all(|b| b.is_ascii_digit()) || text.contains("://") || text.contains(" ! ") {
-        return Ok(text);
-    }
-    Ok(std::path::absolute(view).with_context(|| text)?.display().to_string())
-}
-
-/// `--left` and `--right` as settings of every node of type `capture`.
-fn capture_settings(arguments: &Arguments) -> Result<Vec<String>> {
-    let sides = [("left", &arguments.left), ("right", &arguments.right)];
-    if sides.iter().all(|(_, path)| path.is_none()) {
-        return Ok(Vec::new());
-    }
-    let mut settings = Vec::new();
-    // A file that cannot be read or parsed is reported with all else that is wrong with it.
-    let text = fs::read_to_string(&arguments.graph).unwrap_or_default();
-    let Ok(file) = text.parse::<toml::Table>() else { return Ok(settings) };
-    let nodes = file.get("nodes").and_then(toml::Value::as_table);
-    let is_capture = |node: &toml::Value| {
-        node.get("type").and_then(toml::Value::as_str).is_some_and(|t| t == "capture" || t == "capture/capture")
-    };
-    for (id, _) in nodes.into_iter().flatten().filter(|(_, node)| is_capture(node)) {
-        for (side, path) in sides {
-            if let Some(path) = path {
-                settings.push(format!("{id}.{side}={}", from_here(path)?));
-            }
-        }
-    }
-    if settings.is_empty() && nodes.is_some() {
-        bail!(
-            "--left and --right are for graphs with a node of type `capture`; {} has none",
-            arguments.graph.display()
-        );
-    }
-    Ok(settings)
 }

@@ -5,11 +5,12 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use panoscope_eval::sweep::{Point, Request, Summary, Sweep, SweepError, csv};
-use panoscope_graph::GraphText;
+use panoscope_graph::{Diagnostics, GraphText, check};
 use panoscope_loader::{self as loader, Loader};
 use panoscope_record::Recording;
 use serde_json::{Value, json};
 
+use crate::graph_file::Given;
 use super::eval::plot::{self, Chart, Series, Style};
 use crate::terminal::{raw, say, stderr_color, table, tell};
 use crate::{End, interrupt};
@@ -44,6 +45,8 @@ pub struct Arguments {
     /// Sets another parameter in all runs. May be given again.
     #[arg(long, value_name = "NODE.PARAM=VALUE")]
     set: Vec<String>,
+    #[command(flatten)]
+    given: Given,
     /// Threads of the pool; without it, one per core.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -112,25 +115,31 @@ fn prepare(arguments: &Arguments) -> Result<Sweep, String> {
         SweepError::Check(diagnostics) => diagnostics.render(stderr_color()).trim_end().to_owned(),
         other => format!("error: {other}"),
     };
-    let text = GraphText::load(&arguments.graph).map_err(|d| d.render(stderr_color()).trim_end().to_owned())?;
+    let shown = |d: Diagnostics| d.render(stderr_color()).trim_end().to_owned();
+    let text = GraphText::load_with(&arguments.graph, &arguments.given.options(&arguments.set)).map_err(shown)?;
     let recording = match &arguments.recording {
         Some(file) => Some(Arc::new(Recording::open(file).map_err(|error| format!("error: {error}"))?)),
         None => None,
     };
+    let loader = Arc::new(Loader::search(&loader::search_path(&text.plugin_paths())));
+    let catalog = loader.catalog(&text.plugins());
+    if !text.is_plain() {
+        // What is wrong is shown in the files it stands in.
+        check(&text, &catalog).into_result().map_err(shown)?;
+    }
     let request = Request {
         path: arguments.graph.clone(),
-        text: text.text().to_owned(),
-        settings: arguments.set.clone(),
-        param: arguments.param.clone(),
+        text: text.flattened(&catalog).into_owned(),
+        settings: text.settings(),
+        param: text.resolve_param(&arguments.param),
         from: arguments.from,
         to: arguments.to,
         steps: arguments.steps,
-        measure: arguments.measure.clone(),
+        measure: text.resolve_output(&arguments.measure),
         frames: arguments.frames,
         recording,
         threads: arguments.threads.map_or(0, usize::from),
     };
-    let loader = Arc::new(Loader::search(&loader::search_path(&text.plugin_paths())));
     Sweep::new(request, loader).map_err(colored)
 }
 
