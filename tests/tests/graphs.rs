@@ -1,33 +1,56 @@
 //! Every graph that ships is right, and says what it shows.
 
+use std::path::Path;
 use std::time::Duration;
 
 use panoscope_engine::{Engine, Options, Outcome};
-use panoscope_graph::GraphText;
-use panoscope_graph::check;
+use panoscope_graph::{GraphOptions, GraphText, check};
 use panoscope_loader::{self as loader, Loader};
 
 #[test]
 fn every_shipped_graph_checks() {
-    let folder = panoscope_tests::root().join("graphs");
+    let graphs = panoscope_tests::root().join("graphs");
     let mut count = 0;
-    for entry in std::fs::read_dir(folder).expect("graphs").flatten() {
-        let path = entry.path();
-        if path.extension().is_none_or(|e| e != "toml") {
-            continue;
+    for folder in [graphs.clone(), graphs.join("parts")] {
+        for entry in std::fs::read_dir(folder).expect("graphs").flatten() {
+            let path = entry.path();
+            if path.extension().is_none_or(|e| e != "toml") {
+                continue;
+            }
+            // Graphs on files or cameras of the user's have arguments without values.
+            let text = checked(&path, &GraphOptions { allow_missing_args: true, ..GraphOptions::default() });
+            assert!(text.text().starts_with("# "), "{} does not open with what it shows", path.display());
+            count += 1;
         }
-        let text = GraphText::load(&path).unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)));
-        assert!(text.text().starts_with("# "), "{} does not open with what it shows", path.display());
-        let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
-        let catalog = loader.catalog(&text.plugins());
-        let checked = check(&text, &catalog);
-        // A graph on files or cameras of the user's names none itself.
-        let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let needs_files = name.ends_with("_files.toml") || name.ends_with("_cameras.toml");
-        assert!(checked.graph.is_some() || needs_files, "{}", checked.diagnostics.render(false));
-        count += 1;
     }
     assert!(count >= 2, "only {count} graphs were found");
+}
+
+/// Checks a graph with the plugins of this machine.
+fn checked(path: &Path, options: &GraphOptions) -> GraphText {
+    let text = GraphText::load_with(path, options).unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)));
+    let loader = Loader::search(&loader::search_path(&text.plugin_paths()));
+    let checked = check(&text, &loader.catalog(&text.plugins()));
+    assert!(checked.graph.is_some(), "{}", checked.diagnostics.render(false));
+    text
+}
+
+#[test]
+fn the_depth_graph_takes_every_source() {
+    let graphs = panoscope_tests::root().join("graphs");
+    let options = |source: &str| GraphOptions {
+        with: vec![graphs.join("sources").join(source)],
+        allow_missing_args: true,
+        ..GraphOptions::default()
+    };
+    for (source, missing) in [
+        ("phantom.toml", vec![]),
+        ("files.toml", vec!["left", "right", "calibration"]),
+        ("cameras.toml", vec!["calibration"]),
+    ] {
+        let text = checked(&graphs.join("depth.toml"), &options(source));
+        assert_eq!(text.missing_args(), missing, "{source}");
+    }
 }
 
 /// A rendered pair in files, as cameras would give it.

@@ -194,8 +194,8 @@ struct Bound {
 pub(crate) struct Bindings {
     declared: Vec<ArgText>,
     bound: HashMap<String, Bound>,
-    /// Names without a value.
-    pub(crate) missing: Vec<String>,
+    /// Names without a value, each with what is said of it when the graph is to run.
+    pub(crate) missing: Vec<(String, Diagnostic)>,
     pub(crate) uses: Vec<ArgUse>,
     pub(crate) diagnostics: Diagnostics,
 }
@@ -211,7 +211,6 @@ impl Bindings {
         graph: Vec<ArgText>,
         overlays: Vec<ArgText>,
         given: &[(String, String)],
-        allow_missing: bool,
     ) -> Self {
         let mut this = Self {
             declared: graph,
@@ -229,7 +228,8 @@ impl Bindings {
             if arg.kind.is_none() && !arg.kind_broken {
                 let message = format!("argument `{}` has no `type`", arg.name.value);
                 let types = list(ArgKind::WORDS.iter().map(|(word, _)| *word), 10, "and");
-                error(d, "missing-type", sources, &arg.name.span, message).help(format!("as in type = \"source\"; types are {types}"));
+                error(d, "missing-type", sources, &arg.name.span, message)
+                    .help(format!("as in type = \"source\"; types are {types}"));
             }
         }
         for (name, text) in given {
@@ -260,14 +260,13 @@ impl Bindings {
                     }
                 }
                 None => {
-                    this.missing.push(name.clone());
-                    if !allow_missing && arg.kind.is_some() {
-                        let arg_shown = shown(arg);
-                        let value = arg_shown.as_ref().map(|a| format!("{} {}", a.option(), a.value_name()));
+                    if let Some(shown) = shown(arg) {
                         let message = format!("argument `{name}` is not given");
-                        let d = error(&mut this.diagnostics, "missing-arg", sources, &arg.name.span, message);
-                        d.label(arg.doc.clone().unwrap_or_default());
-                        d.help(format!("give it on the command line: {}", value.unwrap_or_default()));
+                        let (source, span) = (sources.of(&arg.name.span), &arg.name.span);
+                        let mut d = Diagnostic::new(Severity::Error, "missing-arg", source, span, message);
+                        d.label(shown.doc.clone());
+                        d.help(format!("give it on the command line: {} {}", shown.option(), shown.value_name()));
+                        this.missing.push((name.clone(), d));
                     }
                     (Kind::Missing, None)
                 }
@@ -288,7 +287,8 @@ impl Bindings {
             None if over.kind.is_none() && !over.kind_broken => {
                 let names = || self.declared.iter().map(|a| a.name.value.as_str());
                 let near = nearest(&over.name.value, names()).map(|n| format!("did you mean `{n}`?"));
-                let message = format!("the graph has no argument `{}` whose default could be replaced", over.name.value);
+                let message =
+                    format!("the graph has no argument `{}` whose default could be replaced", over.name.value);
                 let help = format!("add a `type` to declare a new one; arguments: {}", list(names(), 12, "and"));
                 let d = error(&mut self.diagnostics, "unknown-arg", sources, &over.name.span, message);
                 d.label(near.unwrap_or_default()).help(help);
@@ -362,7 +362,13 @@ impl Bindings {
         for arg in &self.declared {
             if self.bound.get(&arg.name.value).is_some_and(|b| !b.used) {
                 let message = format!("argument `{}` is not used", arg.name.value);
-                let d = Diagnostic::new(Severity::Warning, "unused-arg", sources.of(&arg.name.span), &arg.name.span, message);
+                let d = Diagnostic::new(
+                    Severity::Warning,
+                    "unused-arg",
+                    sources.of(&arg.name.span),
+                    &arg.name.span,
+                    message,
+                );
                 let help = format!("write {{ arg = \"{}\" }} where its value belongs, or remove it", arg.name.value);
                 diagnostics.push(d).help(help);
             }

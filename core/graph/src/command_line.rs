@@ -128,7 +128,10 @@ mod tests {
         };
         let plain = |words: &str| rewritten(words).0;
         assert_eq!(plain("p run --left -1 g --frames 3"), "p run --graph-arg=left=-1 g --frames 3");
-        assert_eq!(plain("p run g --left=a=b --left-again"), "p run g --graph-arg=left=a=b --graph-arg=left_again=true");
+        assert_eq!(
+            plain("p run g --left=a=b --left-again"),
+            "p run g --graph-arg=left=a=b --graph-arg=left_again=true"
+        );
         assert_eq!(plain("p run g --left_again=false --lefft x"), "p run g --graph-arg=left_again=false --lefft x");
         assert_eq!(plain("p run g -- --left x"), "p run g -- --left x");
         let problem = rewritten("p run g --left").1;

@@ -11,34 +11,8 @@ pub fn to_dot(graph: &Graph, catalog: &Catalog) -> String {
     let _ = writeln!(out, "digraph {} {{", quoted(&graph.name));
     out.push_str("    rankdir = LR;\n    node [shape = record, fontname = \"sans-serif\", fontsize = 10];\n");
     out.push_str("    edge [fontname = \"sans-serif\", fontsize = 8];\n");
-    for (index, node) in graph.nodes.iter().enumerate() {
-        let node_type = node.node_type(catalog);
-        let used = |port: usize| graph.inputs_of(index).iter().any(|e| e.to_port == port);
-        let inputs: Vec<String> = (0..node_type.inputs.len())
-            .filter(|&p| used(p))
-            .map(|p| format!("<i{p}> {}", escaped(&node_type.inputs[p].name)))
-            .collect();
-        let read = |port: usize| graph.outputs_of(index).any(|e| e.from_port == port);
-        let outputs: Vec<String> = (0..node_type.outputs.len())
-            .filter(|&p| read(p))
-            .map(|p| format!("<o{p}> {}", escaped(&node_type.outputs[p].name)))
-            .collect();
-        let mut columns = Vec::new();
-        if !inputs.is_empty() {
-            columns.push(format!("{{{}}}", inputs.join("|")));
-        }
-        columns.push(format!("{}\\n{}/{}", escaped(&node.id), escaped(&node.plugin), escaped(&node.type_name)));
-        if !outputs.is_empty() {
-            columns.push(format!("{{{}}}", outputs.join("|")));
-        }
-        let style = match (node_type.source, node_type.side_effects || node_type.outputs.is_empty(), node_type.kind) {
-            (true, _, _) => ", style = filled, fillcolor = \"#d8ecd8\"",
-            (_, true, _) => ", style = filled, fillcolor = \"#f4e0cc\"",
-            (_, _, NodeKind::Compute) => "",
-            _ => ", style = filled, fillcolor = \"#dce4f4\"",
-        };
-        let _ = writeln!(out, "    n{index} [label = \"{}\"{style}];", columns.join("|"));
-    }
+    let all: Vec<usize> = (0..graph.nodes.len()).collect();
+    cluster(&mut out, graph, catalog, &all, "");
     for edge in &graph.edges {
         let _ = writeln!(
             out,
@@ -52,6 +26,59 @@ pub fn to_dot(graph: &Graph, catalog: &Catalog) -> String {
     }
     out.push_str("}\n");
     out
+}
+
+/// Writes nodes whose names begin with `prefix`; those of parts inside stand in clusters of their own.
+fn cluster(out: &mut String, graph: &Graph, catalog: &Catalog, nodes: &[usize], prefix: &str) {
+    let indent = "    ".repeat(1 + prefix.matches('/').count());
+    let mut parts: Vec<&str> = Vec::new();
+    for &index in nodes {
+        let local = &graph.nodes[index].id[prefix.len()..];
+        match local.split_once('/') {
+            None => write_node(out, graph, catalog, index, local, &indent),
+            Some((part, _)) if parts.contains(&part) => {}
+            Some((part, _)) => {
+                parts.push(part);
+                let inner = format!("{prefix}{part}/");
+                let inside: Vec<usize> =
+                    nodes.iter().copied().filter(|&n| graph.nodes[n].id.starts_with(&inner)).collect();
+                let name = quoted(&format!("cluster_{prefix}{part}"));
+                let _ = writeln!(out, "{indent}subgraph {name} {{\n{indent}    label = {};", quoted(part));
+                cluster(out, graph, catalog, &inside, &inner);
+                let _ = writeln!(out, "{indent}}}");
+            }
+        }
+    }
+}
+
+fn write_node(out: &mut String, graph: &Graph, catalog: &Catalog, index: usize, name: &str, indent: &str) {
+    let node = &graph.nodes[index];
+    let node_type = node.node_type(catalog);
+    let used = |port: usize| graph.inputs_of(index).iter().any(|e| e.to_port == port);
+    let inputs: Vec<String> = (0..node_type.inputs.len())
+        .filter(|&p| used(p))
+        .map(|p| format!("<i{p}> {}", escaped(&node_type.inputs[p].name)))
+        .collect();
+    let read = |port: usize| graph.outputs_of(index).any(|e| e.from_port == port);
+    let outputs: Vec<String> = (0..node_type.outputs.len())
+        .filter(|&p| read(p))
+        .map(|p| format!("<o{p}> {}", escaped(&node_type.outputs[p].name)))
+        .collect();
+    let mut columns = Vec::new();
+    if !inputs.is_empty() {
+        columns.push(format!("{{{}}}", inputs.join("|")));
+    }
+    columns.push(format!("{}\\n{}/{}", escaped(name), escaped(&node.plugin), escaped(&node.type_name)));
+    if !outputs.is_empty() {
+        columns.push(format!("{{{}}}", outputs.join("|")));
+    }
+    let style = match (node_type.source, node_type.side_effects || node_type.outputs.is_empty(), node_type.kind) {
+        (true, _, _) => ", style = filled, fillcolor = \"#d8ecd8\"",
+        (_, true, _) => ", style = filled, fillcolor = \"#f4e0cc\"",
+        (_, _, NodeKind::Compute) => "",
+        _ => ", style = filled, fillcolor = \"#dce4f4\"",
+    };
+    let _ = writeln!(out, "{indent}n{index} [label = \"{}\"{style}];", columns.join("|"));
 }
 
 fn attributes(edge: &Edge) -> String {

@@ -142,7 +142,8 @@ impl GraphText {
         }
         if !self.pins.is_empty() {
             let pin = |pin: &crate::file::PinText| {
-                let range = pin.range.as_ref().map(|(low, high)| format!(", range = [{:?}, {:?}]", low.value, high.value));
+                let range =
+                    pin.range.as_ref().map(|(low, high)| format!(", range = [{:?}, {:?}]", low.value, high.value));
                 let label = pin.label.as_ref().map(|label| format!(", label = {}", text(label)));
                 let (range, label) = (range.unwrap_or_default(), label.unwrap_or_default());
                 format!("{{ param = {}{range}{label} }}", text(&pin.param.value))
@@ -178,7 +179,9 @@ impl GraphText {
         let params = node.params.iter().filter(|(_, value)| value.value != Kind::Missing).map(|(key, value)| {
             let kind = node_type.and_then(|t| t.params.get(t.param(&key.value)?));
             let value = match (&value.value, kind.map(|p| (&p.kind, p.pick))) {
-                (Kind::Text(path), Some((ParamKind::Path { .. }, _))) if !path.is_empty() && self.is_elsewhere(value) => {
+                (Kind::Text(path), Some((ParamKind::Path { .. }, _)))
+                    if !path.is_empty() && self.is_elsewhere(value) =>
+                {
                     toml::Value::from(absolute(&self.dir_of(value).join(path)))
                 }
                 (Kind::Text(files), Some((_, Pick::File))) if self.is_elsewhere(value) => {

@@ -116,7 +116,14 @@ impl Flattener<'_> {
         if alone {
             for (name, targets) in interface.inputs {
                 let port = Spanned::new(name, 0..0);
-                let open = InputText { port, refs: Vec::new(), span: 0..0, is_list: false, broken: false, supply: Supply::Open };
+                let open = InputText {
+                    port,
+                    refs: Vec::new(),
+                    span: 0..0,
+                    is_list: false,
+                    broken: false,
+                    supply: Supply::Open,
+                };
                 targets.iter().for_each(|target| self.connect(target, &open));
             }
             self.flat.read_outside =
@@ -219,7 +226,8 @@ impl Flattener<'_> {
         if let Some(at) = chain.iter().position(|(known, _)| *known == key) {
             let names: Vec<&str> = chain[at..].iter().map(|(_, name)| name.as_str()).chain([shown.as_str()]).collect();
             let message = format!("this part would contain itself: {}", names.join(" -> "));
-            self.error("part-recursion", &file.span, message).help("a part cannot use itself, nor a file that leads back to it");
+            self.error("part-recursion", &file.span, message)
+                .help("a part cannot use itself, nor a file that leads back to it");
             return None;
         }
         let text = match self.texts.get(&key) {
@@ -263,7 +271,11 @@ impl Flattener<'_> {
             let start = base..base + text_length.min(1);
             let sources = &*self.sources;
             let d = Diagnostic::new(Severity::Error, "not-a-part", sources.of(&file.span), &file.span, message);
-            self.flat.diagnostics.push(d).note(sources, &start, "expected [part] with inputs, outputs and params in this file");
+            self.flat.diagnostics.push(d).note(
+                sources,
+                &start,
+                "expected [part] with inputs, outputs and params in this file",
+            );
             return None;
         }
         if self.flat.nodes.len() + part.nodes.len() > MOST_NODES {
@@ -283,7 +295,14 @@ impl Flattener<'_> {
         for input in &node.inputs {
             match Interface::find(&interface.inputs, &input.port.value) {
                 Some(targets) => targets.iter().for_each(|target| self.connect(target, input)),
-                None => self.unknown("unknown-part-input", &node.id.value, "input", &input.port, &interface.inputs, &interface.file),
+                None => self.unknown(
+                    "unknown-part-input",
+                    &node.id.value,
+                    "input",
+                    &input.port,
+                    &interface.inputs,
+                    &interface.file,
+                ),
             }
         }
         for (name, targets) in &interface.inputs {
@@ -299,7 +318,14 @@ impl Flattener<'_> {
         for (key, value) in &node.params {
             match Interface::find(&interface.params, &key.value) {
                 Some(targets) => targets.iter().for_each(|target| self.set(target, value)),
-                None => self.unknown("unknown-part-param", &node.id.value, "parameter", key, &interface.params, &interface.file),
+                None => self.unknown(
+                    "unknown-part-param",
+                    &node.id.value,
+                    "parameter",
+                    key,
+                    &interface.params,
+                    &interface.file,
+                ),
             }
         }
     }
@@ -344,7 +370,13 @@ impl Flattener<'_> {
                 let (taken, name) = (old.port.span.clone(), node.local.clone());
                 let message = format!("`{}` of `{name}` is connected inside the part already", target.port.value);
                 let sources = &*self.sources;
-                let d = Diagnostic::new(Severity::Error, "part-input-taken", sources.of(&target.port.span), &target.port.span, message);
+                let d = Diagnostic::new(
+                    Severity::Error,
+                    "part-input-taken",
+                    sources.of(&target.port.span),
+                    &target.port.span,
+                    message,
+                );
                 self.flat.diagnostics.push(d).note(sources, &taken, "connected here").help("remove one of the two");
             }
             Some(old) => *old = new,

@@ -1,12 +1,13 @@
 //! JSON Schema of graph files, so that editors complete and check them while they are typed.
 
+use crate::args::ArgKind;
 use crate::catalog::{Catalog, NodeType, Port};
 use crate::param::{Param, ParamKind, Pick};
 use crate::shape::{HIGHEST_HZ, LONGEST_MS};
 use serde_json::{Map, Value, json};
 
-const NODE_ID: &str = "^[A-Za-z_][A-Za-z0-9_-]*$";
-const REFERENCE: &str = "^[A-Za-z_][A-Za-z0-9_-]*\\.[^.]+$";
+const NODE_ID: &str = "^[A-Za-z_][A-Za-z0-9_-]*(/[A-Za-z_][A-Za-z0-9_-]*)*$";
+const REFERENCE: &str = "^[A-Za-z_][A-Za-z0-9_/-]*\\.[^.]+$";
 
 /// Schema (draft 2020-12) of a graph made of the catalog's node types. Names of ports and parameters are closed lists;
 /// what a schema cannot say (references, packets, cycles) is left to [`check`](crate::check).
@@ -15,15 +16,20 @@ pub fn json_schema(catalog: &Catalog) -> Value {
     plugins.extend(catalog.node_types.iter().map(|t| t.plugin.as_str()));
     plugins.sort_unstable();
     plugins.dedup();
-    let nodes: Vec<Value> = catalog.node_types.iter().map(|t| node_schema(catalog, t)).collect();
-    let node = if nodes.is_empty() { json!({ "type": "object" }) } else { json!({ "oneOf": nodes }) };
+    let mut nodes: Vec<Value> = catalog.node_types.iter().map(|t| node_schema(catalog, t)).collect();
+    nodes.push(part_schema());
+    let node = if catalog.node_types.is_empty() { json!({ "type": "object" }) } else { json!({ "oneOf": nodes }) };
     json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Panoscope graph",
         "description": "Nodes of plugins and how they are wired.",
         "type": "object",
         "additionalProperties": false,
-        "required": ["nodes"],
+        "anyOf": [{ "required": ["nodes"] }, { "required": ["args"] }],
+        // Inputs inside a part are connected by its users.
+        "if": { "required": ["part"] },
+        "then": { "properties": { "nodes": { "additionalProperties": { "type": "object" } } } },
+        "else": { "properties": { "nodes": { "additionalProperties": { "$ref": "#/$defs/node" } } } },
         "properties": {
             "name": { "type": "string", "description": "Name of the graph; the file's name when absent." },
             "mode": {
@@ -38,14 +44,28 @@ pub fn json_schema(catalog: &Catalog) -> Value {
             },
             "plugin_paths": {
                 "type": "array",
-                "items": { "type": "string" },
+                "items": { "anyOf": [{ "type": "string" }, { "$ref": "#/$defs/argument" }] },
                 "description": "Further folders to look for plugins, relative to this file."
             },
             "nodes": {
                 "type": "object",
                 "propertyNames": { "pattern": NODE_ID },
-                "additionalProperties": { "$ref": "#/$defs/node" },
                 "minProperties": 1
+            },
+            "args": {
+                "type": "object",
+                "additionalProperties": { "$ref": "#/$defs/arg" },
+                "description": "Arguments: given on the command line (--left X), used as { arg = \"left\" }."
+            },
+            "part": {
+                "type": "object",
+                "additionalProperties": false,
+                "description": "Makes the file a part: what a graph may connect and set, as node.port or node.param of the part.",
+                "properties": {
+                    "inputs": { "type": "object", "additionalProperties": { "$ref": "#/$defs/targets" } },
+                    "outputs": { "type": "object", "additionalProperties": { "$ref": "#/$defs/reference" } },
+                    "params": { "type": "object", "additionalProperties": { "$ref": "#/$defs/targets" } }
+                }
             },
             "preset": {
                 "type": "object",
@@ -64,6 +84,30 @@ pub fn json_schema(catalog: &Catalog) -> Value {
         },
         "$defs": {
             "node": node,
+            "argument": {
+                "type": "object",
+                "additionalProperties": false,
+                "required": ["arg"],
+                "properties": { "arg": { "type": "string", "description": "Name of an argument of the graph." } }
+            },
+            "arg": {
+                "type": "object",
+                "additionalProperties": false,
+                "properties": {
+                    "type": { "enum": ArgKind::WORDS.map(|(word, _)| word) },
+                    "doc": { "type": "string", "description": "Shown by --help." },
+                    "default": { "description": "Value when none is given; without it the argument is required." },
+                    "range": { "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2 },
+                    "unit": { "type": "string" },
+                    "choices": { "type": "array", "items": { "type": "string" } }
+                }
+            },
+            "targets": {
+                "anyOf": [
+                    { "$ref": "#/$defs/reference" },
+                    { "type": "array", "items": { "$ref": "#/$defs/reference" } }
+                ]
+            },
             "reference": { "type": "string", "pattern": REFERENCE, "description": "An output: node.port" },
             "connection": { "anyOf": [{ "$ref": "#/$defs/reference" }, { "$ref": "#/$defs/aligned" }] },
             "aligned": aligned_schema(),
@@ -118,6 +162,22 @@ fn aligned_schema() -> Value {
             "queue": { "type": "integer", "minimum": 1, "maximum": 1024, "description": "Packets that may wait." },
             "delay": { "enum": [0, 1], "default": 0, "description": "1: the value of this node's previous tick." },
             "trigger": { "type": "boolean", "default": false, "description": "The node runs on this input only." }
+        }
+    })
+}
+
+/// A node that is a graph file.
+fn part_schema() -> Value {
+    json!({
+        "type": "object",
+        "title": "part",
+        "description": "A graph file with [part] whose nodes stand here.",
+        "additionalProperties": false,
+        "required": ["graph"],
+        "properties": {
+            "graph": { "type": "string", "description": "The part's file, relative to this file." },
+            "inputs": { "type": "object", "additionalProperties": { "$ref": "#/$defs/connections" } },
+            "params": { "type": "object" }
         }
     })
 }
@@ -228,6 +288,7 @@ fn param_schema(param: &Param) -> Value {
         Pick::Points | Pick::Rectangles => format!(" As {}", param.pick.words()),
         Pick::None | Pick::File => String::new(),
     };
-    put("description", json!(format!("{}{unit}{pick}{reopen}", param.doc)));
-    Value::Object(schema)
+    let description = format!("{}{unit}{pick}{reopen}", param.doc);
+    let default = schema.remove("default");
+    json!({ "description": description, "default": default, "anyOf": [schema, { "$ref": "#/$defs/argument" }] })
 }

@@ -1,10 +1,10 @@
 //! The shape of a graph file: which tables and keys it may have, and of what TOML type. Names are not looked up here.
 
+use crate::args::{ArgKind, ArgText};
 use crate::checked::{Align, Mode, OnFault};
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
-use crate::nearest::{list, nearest};
-use crate::args::{ArgKind, ArgText};
 use crate::file::{Export, FileText, InputText, NodeText, PartText, PinText, RefText, Role, Supply, ViewText};
+use crate::nearest::{list, nearest};
 use crate::parse::Parsed;
 use crate::source::Sources;
 use crate::value::{Kind, Spanned, Table, Value, plain_table};
@@ -223,7 +223,8 @@ impl<'s> Reader<'s> {
                 "unit" => arg.unit = self.text("`unit`", value).map(|t| t.value).unwrap_or_default(),
                 "choices" => {
                     choices_key = Some(key.span.clone());
-                    arg.choices = self.texts("choices", "[\"left\", \"right\"]", value).into_iter().map(|t| t.value).collect();
+                    arg.choices =
+                        self.texts("choices", "[\"left\", \"right\"]", value).into_iter().map(|t| t.value).collect();
                 }
                 _ => {}
             }

@@ -14,6 +14,13 @@ use crate::value::{Spanned, shift};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+impl GraphFile<'_> {
+    /// Its absolute path, as [`GraphOptions::texts`] names it.
+    pub fn key(&self) -> PathBuf {
+        tidy(Path::new(self.path))
+    }
+}
+
 /// A graph file as read, with its parts and overlays: ready to be asked for its plugins, then to be checked against a catalog.
 #[derive(Clone, Debug)]
 pub struct GraphText {
@@ -30,8 +37,9 @@ pub struct GraphText {
     /// A part that is opened by itself.
     is_part: bool,
     args: Vec<Arg>,
-    /// Names of arguments without a value.
-    missing_args: Vec<String>,
+    /// Arguments without a value, each with what is said of it when the graph is to run.
+    missing_args: Vec<(String, Diagnostic)>,
+    allow_missing_args: bool,
     /// Where arguments are used; no two uses begin at one byte.
     pub(crate) arg_uses: HashMap<usize, ArgUse>,
     /// Positions of the overlays among the sources.
@@ -124,8 +132,7 @@ impl GraphText {
             overlay_args.extend(args);
             overlays.push((index, parsed));
         }
-        let missing_is_fine = options.allow_missing_args;
-        let mut bindings = Bindings::new(&mut sources, declared, overlay_args, &options.args, missing_is_fine);
+        let mut bindings = Bindings::new(&mut sources, declared, overlay_args, &options.args);
         bindings.substitute(&sources, &mut graph.root);
         let incomplete = graph.incomplete || overlays.iter().any(|(_, parsed)| parsed.incomplete);
         let root = shape::read(&sources, Role::Graph, graph);
@@ -141,7 +148,8 @@ impl GraphText {
         }
         diagnostics.extend(std::mem::take(&mut bindings.diagnostics));
         let (name, mode, editor, is_part) = (root.name.clone(), root.mode, root.editor.clone(), root.part.is_some());
-        let flattener = Flattener { sources: &mut sources, texts: &options.texts, overlays: nodes, flat: Flat::default() };
+        let flattener =
+            Flattener { sources: &mut sources, texts: &options.texts, overlays: nodes, flat: Flat::default() };
         let (mut flat, views, pins) = flattener.run(root, path);
         flat.plugins.extend(plugins);
         flat.plugin_paths.extend(plugin_paths);
@@ -163,6 +171,7 @@ impl GraphText {
             is_part,
             args: bindings.shown(),
             missing_args: bindings.missing,
+            allow_missing_args: options.allow_missing_args,
             arg_uses: bindings.uses.into_iter().map(|u| (u.span.start, u)).collect(),
             overlays: overlay_files,
             overrides: Vec::new(),
@@ -216,7 +225,11 @@ impl GraphText {
                     let message = format!("part `{}` has no parameter `{}`", node.value, param.value);
                     let names = || interface.params.iter().map(|(name, _)| name.as_str());
                     let near = nearest(&param.value, names()).map(|n| format!("did you mean `{n}`?"));
-                    let help = format!("parameters: {}; or name a node inside, as in {}/NODE.PARAM", list(names(), 20, "and"), node.value);
+                    let help = format!(
+                        "parameters: {}; or name a node inside, as in {}/NODE.PARAM",
+                        list(names(), 20, "and"),
+                        node.value
+                    );
                     let source = self.sources.of(&param.span);
                     let d = Diagnostic::new(Severity::Error, "unknown-part-param", source, &param.span, message);
                     self.diagnostics.push(d).label(near.unwrap_or_default()).help(help);
@@ -277,9 +290,30 @@ impl GraphText {
         &self.args
     }
 
-    /// Names of required arguments that have no value.
-    pub fn missing_args(&self) -> &[String] {
-        &self.missing_args
+    /// Names of required arguments that have no value, and whose parameters no setting gives either.
+    pub fn missing_args(&self) -> Vec<&str> {
+        self.missing().map(|(name, _)| name.as_str()).collect()
+    }
+
+    /// What is said of the missing arguments, when the graph is to run.
+    pub(crate) fn missing_diagnostics(&self) -> impl Iterator<Item = &Diagnostic> {
+        self.missing().filter(|_| !self.allow_missing_args).map(|(_, diagnostic)| diagnostic)
+    }
+
+    fn missing(&self) -> impl Iterator<Item = &(String, Diagnostic)> {
+        self.missing_args.iter().filter(|(name, _)| {
+            let mut uses = self.arg_uses.values().filter(|u| u.name.replace('-', "_") == name.replace('-', "_"));
+            uses.any(|u| !self.is_set(u))
+        })
+    }
+
+    /// Whether settings replace the value that an argument would give: all parameters that it gives.
+    fn is_set(&self, use_: &ArgUse) -> bool {
+        let params = self.flat.nodes.iter().flat_map(|node| node.params.iter().map(move |param| (node, param)));
+        let mut params = params.filter(|(_, (_, value))| value.span == use_.span).peekable();
+        let set =
+            |node: &str, param: &str| self.overrides.iter().any(|o| o.node.value == node && o.param.value == param);
+        params.peek().is_some() && params.all(|(node, (key, _))| set(&node.id.value, &key.value))
     }
 
     /// Whether it consists of the graph file alone, without arguments, parts and overlays.
@@ -290,13 +324,16 @@ impl GraphText {
     /// The parameter of a node that `node.param` stands for, where `node` may be a part.
     pub fn resolve_param(&self, reference: &str) -> String {
         let target = reference.split_once('.').and_then(|(node, param)| self.flat.param_targets(node, param));
-        target.and_then(|t| t.into_iter().next()).map_or_else(|| reference.to_owned(), |t| format!("{}.{}", t.node, t.port.value))
+        target
+            .and_then(|t| t.into_iter().next())
+            .map_or_else(|| reference.to_owned(), |t| format!("{}.{}", t.node, t.port.value))
     }
 
     /// The output of a node that `node.output` (and what may follow, `.column`) stands for, where `node` may be a part.
     pub fn resolve_output(&self, reference: &str) -> String {
         let Some((node, rest)) = reference.split_once('.') else { return reference.to_owned() };
-        let (port, more) = rest.split_once('.').map_or((rest, String::new()), |(port, more)| (port, format!(".{more}")));
+        let (port, more) =
+            rest.split_once('.').map_or((rest, String::new()), |(port, more)| (port, format!(".{more}")));
         let target = self.flat.output_target(node, port);
         target.map_or_else(|| reference.to_owned(), |t| format!("{}.{}{more}", t.node, t.port.value))
     }
@@ -366,7 +403,11 @@ fn read_text(path: &Path, what: &str) -> Result<String, Diagnostics> {
         }
         Err(e) if e.kind() == std::io::ErrorKind::IsADirectory => {
             let message = format!("this is a folder, not a {file}").replace("a overlay", "an overlay");
-            return fail(unreadable, message, format!("give the path of a {file} (.toml)").replace("a overlay", "an overlay"));
+            return fail(
+                unreadable,
+                message,
+                format!("give the path of a {file} (.toml)").replace("a overlay", "an overlay"),
+            );
         }
         Err(e) => return fail(unreadable, format!("the {file} cannot be read: {e}"), String::new()),
     };

@@ -7,8 +7,8 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::param::ParamValue;
 use crate::diagnostic::Severity;
+use crate::param::ParamValue;
 
 /// One node of a graph as its [`Validator`] sees it.
 #[derive(Clone, Copy, Debug)]

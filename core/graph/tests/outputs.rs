@@ -42,7 +42,8 @@ fn the_schema_knows_every_type_port_and_limit() {
     let schema = json_schema(&catalog);
     assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
     let nodes = schema["$defs"]["node"]["oneOf"].as_array().expect("a list");
-    assert_eq!(nodes.len(), catalog.node_types.len());
+    assert_eq!(nodes.len(), catalog.node_types.len() + 1);
+    assert_eq!(nodes.last().map(|n| &n["title"]), Some(&"part".into()));
     for (node, node_type) in nodes.iter().zip(&catalog.node_types) {
         let properties = &node["properties"];
         for port in &node_type.inputs {
@@ -60,13 +61,13 @@ fn the_schema_knows_every_type_port_and_limit() {
         }
     }
     let find = |name: &str| nodes.iter().find(|n| n["title"] == name).expect("a node type");
-    let search = &find("stereo_bm")["properties"]["params"]["properties"]["search_px"];
+    let search = &find("stereo_bm")["properties"]["params"]["properties"]["search_px"]["anyOf"][0];
     assert_eq!(
         (search["minimum"].as_i64(), search["maximum"].as_i64(), search["multipleOf"].as_i64()),
         (Some(16), Some(256), Some(16))
     );
     // Odd numbers from 5 are no multiples of anything.
-    assert!(find("stereo_bm")["properties"]["params"]["properties"]["block_px"]["multipleOf"].is_null());
+    assert!(find("stereo_bm")["properties"]["params"]["properties"]["block_px"]["anyOf"][0]["multipleOf"].is_null());
     assert_eq!(find("register_surf")["properties"]["inputs"]["required"], serde_json::json!(["left", "right"]));
     // Offered by two plugins: only the full names are right, else `oneOf` would match both.
     let edges: Vec<_> =
@@ -108,6 +109,24 @@ fn dot_names_nodes_ports_and_special_edges() {
     let run = std::process::Command::new("dot").arg("-Tsvg").arg(&path).output().expect("Graphviz runs");
     std::fs::remove_file(&path).expect("a file to remove");
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
+#[test]
+fn dot_draws_parts_as_clusters() {
+    let text = "plugins = [\"phantom\", \"stereo\", \"sinks\"]\n[nodes.scope]\ntype = \"phantom\"\n[nodes.\"depth/rectify\"]\n\
+                type = \"rectify\"\ninputs = { left = \"scope.left\", right = \"scope.right\", calibration = \"scope.calibration\" }\n\
+                [nodes.\"depth/in/match\"]\ntype = \"stereo_bm\"\ninputs = { left = \"depth/rectify.left\", right = \"depth/rectify.right\" }\n\
+                [nodes.show]\ntype = \"preview\"\ninputs = { packet = \"depth/in/match.disparity\" }\n";
+    let catalog = common::catalog();
+    let (graph, _) =
+        check(&GraphText::parse(Path::new("g.toml"), text), &catalog).into_result().unwrap_or_else(|d| panic!("{d}"));
+    let dot = to_dot(&graph, &catalog);
+    let at = |part: &str| dot.find(part).unwrap_or_else(|| panic!("no {part} in\n{dot}"));
+    let order =
+        ["subgraph \"cluster_depth\" {", "label = \"depth\";", "n1 [", "subgraph \"cluster_depth/in\" {", "n2 ["];
+    assert!(order.windows(2).all(|w| at(w[0]) < at(w[1])), "{dot}");
+    assert!(dot.contains("}|match\\nstereo/stereo_bm|"), "{dot}");
+    assert_eq!(dot.matches('{').count(), dot.matches('}').count());
 }
 
 #[test]

@@ -37,7 +37,8 @@ impl Drop for Folder {
 }
 
 fn checked(text: &GraphText) -> Graph {
-    let (graph, warnings) = check(text, &common::catalog()).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
+    let (graph, warnings) =
+        check(text, &common::catalog()).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
     assert!(warnings.is_empty(), "{}", warnings.render(false));
     graph
 }
@@ -172,7 +173,12 @@ fn the_flattened_text_means_the_same() {
 fn values_of_arguments_come_from_the_command_line_then_overlays_then_the_graph() {
     let folder = Folder::new(
         "args",
-        &[("graph.toml", GRAPH), ("parts/depth.toml", DEPTH), ("parts/eyes.toml", EYES), ("over.toml", "[args.seed]\ndefault = 6\n")],
+        &[
+            ("graph.toml", GRAPH),
+            ("parts/depth.toml", DEPTH),
+            ("parts/eyes.toml", EYES),
+            ("over.toml", "[args.seed]\ndefault = 6\n"),
+        ],
     );
     let seed = |options: &GraphOptions| checked(&folder.open(options)).nodes[0].params[0].clone();
     assert_eq!(seed(&GraphOptions::default()), ParamValue::Int(5));
@@ -227,7 +233,14 @@ views = [{ from = "wide.panorama", label = { arg = "title" } }]
 "#;
     let folder = Folder::new("types", &[("sub/graph.toml", graph), ("sub/more/x", ""), ("net.onnx", "")]);
     let model = folder.at("net.onnx").display().to_string();
-    let args = [("left", "4"), ("model", &model), ("film", "made/film.mkv"), ("rate", "24.5"), ("again", ""), ("blend-width", "30")];
+    let args = [
+        ("left", "4"),
+        ("model", &model),
+        ("film", "made/film.mkv"),
+        ("rate", "24.5"),
+        ("again", ""),
+        ("blend-width", "30"),
+    ];
     let args = args.iter().map(|(n, v)| ((*n).to_owned(), (*v).to_owned())).collect();
     let path = folder.at("sub/graph.toml");
     let text = GraphText::load_with(&path, &GraphOptions { args, ..GraphOptions::default() }).expect("there");
@@ -246,7 +259,10 @@ views = [{ from = "wide.panorama", label = { arg = "title" } }]
     let left = &text.args()[0];
     assert_eq!((left.name.as_str(), left.help().as_str()), ("left", "Left view [required]"));
     let rate = text.args().iter().find(|a| a.name == "rate").expect("declared");
-    assert_eq!((rate.option(), rate.value_name(), rate.help()), ("--rate".into(), "NUMBER".into(), "[1 to 60 Hz, required]".into()));
+    assert_eq!(
+        (rate.option(), rate.value_name(), rate.help()),
+        ("--rate".into(), "NUMBER".into(), "[1 to 60 Hz, required]".into())
+    );
 }
 
 #[test]
@@ -262,6 +278,12 @@ fn without_values_everything_else_is_checked() {
     let lenient = GraphOptions { allow_missing_args: true, ..GraphOptions::default() };
     assert_eq!(codes(&lenient), ["param-range"]);
     assert_eq!(folder.open(&lenient).missing_args(), ["left"]);
+    // A setting gives what the argument would give.
+    let set =
+        GraphOptions { set: vec!["scope.source=3".into(), "scope.rate_hz=30.0".into()], ..GraphOptions::default() };
+    let text = GraphText::parse_with(&folder.at("graph.toml"), &graph.replace("999.0", "25.0"), &set);
+    assert!(text.missing_args().is_empty());
+    assert_eq!(checked(&text).nodes[0].params[0], ParamValue::Text("3".into()));
 }
 
 #[test]

@@ -13,6 +13,8 @@ struct Arguments {
     /// Graph file.
     graph: PathBuf,
     #[command(flatten)]
+    given: window::Given,
+    #[command(flatten)]
     window: window::Arguments,
 }
 
@@ -20,7 +22,7 @@ panoscope_engine::guard_exits!();
 
 fn main() {
     window::listen_to_signals();
-    let code = run(&Arguments::parse());
+    let code = run(&window::parse());
     window::leave(code)
 }
 
@@ -43,6 +45,11 @@ fn run(arguments: &Arguments) -> i32 {
     let shot = arguments.window.shot();
     let viewport = window::viewport(&arguments.graph, "panoscope-editor", arguments.window.size);
     let path = arguments.graph.clone();
-    let options = Options { frames: arguments.window.frames, scale: arguments.window.scale, shot };
+    let options = Options {
+        frames: arguments.window.frames,
+        scale: arguments.window.scale,
+        shot,
+        given: arguments.given.options(),
+    };
     window::open(viewport, move |cc| Ok(Box::new(App::open(&cc.egui_ctx, &path, &text, options)?)))
 }

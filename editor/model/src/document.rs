@@ -3,13 +3,13 @@
 //! Every edit gives a new text, which is checked whole. A text without mistakes is what the session is asked to run; one with mistakes is
 //! shown with them while the last good one runs on. Undo and redo step through texts.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use panoscope_graph::edit::{EditError, GraphEdit};
+use panoscope_graph::edit::{EditError, GraphEdit, NoHome};
 use panoscope_graph::{
-    Catalog, Diagnostic, GraphText, NodeOutline, NodeType, PacketType, ParamKind, Port, Severity, check,
+    Catalog, Diagnostic, GraphOptions, GraphText, NodeOutline, NodeType, PacketType, ParamKind, Port, Severity, check,
 };
 use panoscope_loader::Loader;
 
@@ -84,6 +84,8 @@ pub struct View {
     pub right: bool,
     /// Name of the graph.
     pub name: String,
+    /// The graph file, as diagnostics name it; others are of parts and overlays.
+    pub file: String,
     /// Frames and notes.
     pub marks: Vec<Mark>,
 }
@@ -119,6 +121,9 @@ impl View {
 
     /// The node of that name a diagnostic is about.
     pub fn node_of(&self, diagnostic: &Diagnostic, text: &str) -> Option<String> {
+        if self.file != diagnostic.file {
+            return None;
+        }
         let lines: Vec<&str> = text.lines().take(diagnostic.line).collect();
         let header = lines.iter().rev().find(|line| line.starts_with('['))?;
         let inside = header.trim_start_matches('[').split(']').next()?;
@@ -177,9 +182,14 @@ impl View {
     }
 }
 
+/// Texts of part and overlay files, by absolute path.
+type Texts = BTreeMap<PathBuf, Arc<str>>;
+
 #[derive(Clone, Debug)]
 struct Step {
     text: Arc<str>,
+    /// Of those other files that were ever changed.
+    others: Texts,
     /// What led away from this text.
     label: String,
 }
@@ -189,6 +199,13 @@ pub struct Document {
     path: PathBuf,
     text: Arc<str>,
     saved: Arc<str>,
+    /// Part and overlay files that were changed here, as they are now and as the disk holds them.
+    others: Texts,
+    saved_others: Texts,
+    /// Overlays and values of arguments.
+    given: GraphOptions,
+    /// One text of all files, for the session; the text itself for a graph of one file.
+    runnable: Arc<str>,
     undo: Vec<Step>,
     redo: Vec<Step>,
     merge: Option<String>,
@@ -205,15 +222,24 @@ pub struct Document {
 impl Document {
     /// A document of the text read at `path`.
     pub fn new(path: &Path, text: &str, loader: Arc<Loader>) -> Self {
+        Self::with_options(path, text, loader, GraphOptions::default())
+    }
+
+    /// As [`Self::new`], with overlays and values of arguments.
+    pub fn with_options(path: &Path, text: &str, loader: Arc<Loader>, given: GraphOptions) -> Self {
         let mut document = Self {
             path: path.to_owned(),
             text: text.into(),
             saved: text.into(),
+            others: Texts::new(),
+            saved_others: Texts::new(),
+            runnable: text.into(),
             undo: Vec::new(),
             redo: Vec::new(),
             merge: None,
             view: Arc::default(),
-            saved_params: params_of(path, text),
+            saved_params: params_of(&GraphText::parse_with(path, text, &given)),
+            given,
             loader,
             catalog: Arc::default(),
             plugins: vec![String::new()],
@@ -242,7 +268,26 @@ impl Document {
 
     /// Whether the text differs from the file.
     pub fn is_changed(&self) -> bool {
-        self.text != self.saved
+        self.text != self.saved || self.others != self.saved_others
+    }
+
+    /// One text of the graph file with its parts, overlays and arguments: what the session runs.
+    pub fn runnable(&self) -> &Arc<str> {
+        &self.runnable
+    }
+
+    /// Part and overlay files whose texts differ from the disk's: path, text now, text as it was read or saved.
+    pub fn changed_files(&self) -> Vec<(&Path, &Arc<str>, &Arc<str>)> {
+        let pairs =
+            self.others.iter().filter_map(|(path, text)| Some((path.as_path(), text, self.saved_others.get(path)?)));
+        pairs.filter(|(_, text, saved)| text != saved).collect()
+    }
+
+    /// The disk holds the text of a part or overlay now.
+    pub fn file_now_saved(&mut self, path: &Path) {
+        if let Some(text) = self.others.get(path) {
+            self.saved_others.insert(path.to_owned(), Arc::clone(text));
+        }
     }
 
     /// What is drawn.
@@ -317,12 +362,18 @@ impl Document {
 
     /// As [`Self::set_text`], by somebody.
     pub fn set_text_by(&mut self, by: By, text: &str, label: &str, merge: Option<&str>) {
-        if *text == *self.text {
+        let others = self.others.clone();
+        self.set_texts_by(by, text, others, label, merge);
+    }
+
+    fn set_texts_by(&mut self, by: By, text: &str, others: Texts, label: &str, merge: Option<&str>) {
+        if *text == *self.text && others == self.others {
             return;
         }
         let goes_on = merge.is_some() && merge == self.merge.as_deref() && !self.undo.is_empty();
         if !goes_on {
-            self.undo.push(Step { text: Arc::clone(&self.text), label: label.to_owned() });
+            let (text, others) = (Arc::clone(&self.text), self.others.clone());
+            self.undo.push(Step { text, others, label: label.to_owned() });
             if self.undo.len() > MOST_STEPS {
                 self.undo.remove(0);
             }
@@ -330,7 +381,68 @@ impl Document {
         self.merge = merge.map(str::to_owned);
         self.redo.clear();
         self.text = text.into();
+        self.others = others;
         self.derive_by(by, goes_on);
+    }
+
+    /// Sets parameters, or with `None` takes them out, as one step. Each change goes into the file that the value came from: the graph, a part, an
+    /// overlay, or the default of an argument.
+    ///
+    /// # Errors
+    /// A text cannot be edited like that, or a value comes from the command line; all texts are as before.
+    pub fn edit_params(
+        &mut self,
+        by: By,
+        label: &str,
+        merge: Option<&str>,
+        changes: &[(&str, &str, Option<&toml::Value>)],
+    ) -> Result<(), EditError> {
+        let mut root = GraphEdit::parse(&self.text)?;
+        let parsed = self.parse();
+        let mut edits: BTreeMap<PathBuf, (Arc<str>, GraphEdit)> = BTreeMap::new();
+        for (node, param, value) in changes {
+            let home = match parsed.param_home(node, param) {
+                Ok(home) => home,
+                // The edit of the text says what is wrong.
+                Err(NoHome::NoNode(_)) => {
+                    match value {
+                        Some(value) => root.set_param(node, param, value)?,
+                        None => root.unset_param(node, param)?,
+                    }
+                    continue;
+                }
+                Err(error) => return Err(error.into()),
+            };
+            let files = parsed.files();
+            match files.iter().skip(1).find(|f| Path::new(f.path) == home.file) {
+                Some(file) => {
+                    let key = file.key();
+                    if !edits.contains_key(&key) {
+                        edits.insert(key.clone(), (file.text.into(), GraphEdit::parse(file.text)?));
+                    }
+                    let Some((_, edit)) = edits.get_mut(&key) else { continue };
+                    home.entry.set(edit, *value)?;
+                }
+                None => home.entry.set(&mut root, *value)?,
+            }
+        }
+        let mut others = self.others.clone();
+        for (key, (before, edit)) in edits {
+            // Steps before the first change of a file hold it as it was.
+            let steps = self.undo.iter_mut().chain(&mut self.redo).map(|step| &mut step.others);
+            for texts in steps.chain([&mut self.saved_others, &mut self.others]) {
+                texts.entry(key.clone()).or_insert_with(|| Arc::clone(&before));
+            }
+            others.insert(key, edit.text().into());
+        }
+        self.set_texts_by(by, &root.text(), others, label, merge);
+        Ok(())
+    }
+
+    /// The texts as read.
+    fn parse(&self) -> GraphText {
+        let texts = self.others.iter().map(|(path, text)| (path.clone(), text.to_string())).collect();
+        GraphText::parse_with(&self.path, &self.text, &GraphOptions { texts, ..self.given.clone() })
     }
 
     /// Draws anew, and writes down which values are others than before.
@@ -408,7 +520,8 @@ impl Document {
     /// Takes the last step back; answers what it was.
     pub fn undo(&mut self) -> Option<String> {
         let step = self.undo.pop()?;
-        self.redo.push(Step { text: std::mem::replace(&mut self.text, step.text), label: step.label.clone() });
+        let now = self.swap(&step);
+        self.redo.push(now);
         self.merge = None;
         self.derive_by(By::Undo, false);
         Some(step.label)
@@ -417,22 +530,30 @@ impl Document {
     /// Does what was undone again; answers what it was.
     pub fn redo(&mut self) -> Option<String> {
         let step = self.redo.pop()?;
-        self.undo.push(Step { text: std::mem::replace(&mut self.text, step.text), label: step.label.clone() });
+        let now = self.swap(&step);
+        self.undo.push(now);
         self.merge = None;
         self.derive_by(By::Redo, false);
         Some(step.label)
     }
 
+    /// Takes the texts of a step; returns those of now under its label.
+    fn swap(&mut self, step: &Step) -> Step {
+        let text = std::mem::replace(&mut self.text, Arc::clone(&step.text));
+        let others = std::mem::replace(&mut self.others, step.others.clone());
+        Step { text, others, label: step.label.clone() }
+    }
+
     /// The file holds `text` now.
     pub fn now_saved(&mut self, text: &str) {
         self.saved = text.into();
-        self.saved_params = params_of(&self.path, text);
+        self.saved_params = params_of(&GraphText::parse_with(&self.path, text, &self.given));
         self.merge = None;
     }
 
     fn derive(&mut self) {
         self.revision += 1;
-        let parsed = GraphText::parse(&self.path, &self.text);
+        let parsed = self.parse();
         let plugins = parsed.plugins();
         if plugins != self.plugins {
             self.catalog = Arc::new(self.loader.catalog(&plugins));
@@ -469,7 +590,12 @@ impl Document {
         // A graph without nodes is not begun yet; nothing in it is wrong.
         let diagnostics: Vec<Diagnostic> =
             checked.diagnostics.iter().filter(|d| d.code != EMPTY_GRAPH).cloned().collect();
+        self.runnable = match &checked.graph {
+            Some(_) if !parsed.is_plain() => parsed.flattened(catalog).into_owned().into(),
+            _ => Arc::clone(&self.text),
+        };
         let view = View {
+            file: self.path.display().to_string(),
             right: checked.graph.is_some(),
             name: parsed.name().to_owned(),
             marks: marks_of(editor),
@@ -493,8 +619,8 @@ impl Document {
     }
 }
 
-fn params_of(path: &Path, text: &str) -> HashMap<String, toml::Table> {
-    GraphText::parse(path, text).outline().into_iter().map(|n| (n.id, n.params)).collect()
+fn params_of(text: &GraphText) -> HashMap<String, toml::Table> {
+    text.outline().into_iter().map(|n| (n.id, n.params)).collect()
 }
 
 /// The default of a parameter as a file would write it.

@@ -12,10 +12,7 @@ use crate::observe::Output;
 pub fn set_param(doc: &mut Document, node: &str, param: &str, value: Option<&toml::Value>) -> Result<(), EditError> {
     let label = format!("{node}.{param}");
     let merge = value.map(|_| label.clone());
-    doc.edit(&label, merge.as_deref(), |edit| match value {
-        Some(value) => edit.set_param(node, param, value),
-        None => edit.unset_param(node, param),
-    })
+    doc.edit_params(By::Hand, &label, merge.as_deref(), &[(node, param, value)])
 }
 
 /// Makes exactly the first `at` changes of the history be in force, as one edit; answers how many values that set.
@@ -26,12 +23,9 @@ pub fn step_to(doc: &mut Document, at: usize) -> Result<usize, EditError> {
     let values = doc.history().values_at(at);
     let here = |node: &str| doc.view().node(node).is_some();
     let values: Vec<_> = values.into_iter().filter(|(node, ..)| here(node)).collect();
-    doc.edit_by(By::History, "step through the history", None, |edit| {
-        values.iter().try_for_each(|(node, param, value)| match value {
-            Some(value) => edit.set_param(node, param, value),
-            None => edit.unset_param(node, param),
-        })
-    })?;
+    let changes: Vec<_> =
+        values.iter().map(|(node, param, value)| (node.as_str(), param.as_str(), value.as_ref())).collect();
+    doc.edit_params(By::History, "step through the history", None, &changes)?;
     doc.stepped_to(at);
     Ok(values.len())
 }

@@ -26,8 +26,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eframe::egui::{self, Context, Key, Rect, Ui, pos2, vec2};
+use panoscope_graph::ParamValue;
 use panoscope_graph::edit::GraphEdit;
-use panoscope_graph::{GraphText, ParamValue};
 
 use panoscope_editor_model::content::Rig;
 use panoscope_editor_model::observe::{Observer, Output};
@@ -109,27 +109,26 @@ impl Theatre {
     /// See [`OpenError`]; nothing runs then.
     pub fn open(ctx: &Context, path: &Path, text: &str, options: Options) -> Result<Self, OpenError> {
         let ready = Ready::look(path, text, options.unlocked)?;
-        Self::of(ctx, path, text, options, ready)
+        Self::of(ctx, path, options, ready)
     }
 
     /// As [`Self::open`], of what was looked at already.
     ///
     /// # Errors
     /// The system gave no thread.
-    pub fn of(ctx: &Context, path: &Path, text: &str, options: Options, ready: Ready) -> Result<Self, OpenError> {
+    pub fn of(ctx: &Context, path: &Path, options: Options, ready: Ready) -> Result<Self, OpenError> {
         theme::apply(ctx);
         theme::apply_theatre(ctx);
-        let paths = GraphText::parse(path, text).plugin_paths();
-        let session = Session::new(path, &paths, options.frames)?;
+        let session = Session::new(path, &ready.plugin_paths, options.frames)?;
         let for_wake = ctx.clone();
         session.set_wake(Arc::new(move || for_wake.request_repaint()));
         let observer = Observer::new(session.handle())?;
-        session.run(text);
+        session.run(&ready.text);
         Ok(Self {
             plan: ready.plan,
             observer,
             session,
-            text: text.to_owned(),
+            text: ready.text,
             raw_only: None,
             shown: Shown::default(),
             live: Shown::default(),

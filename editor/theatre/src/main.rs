@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use panoscope_editor_widgets::window;
+use panoscope_graph::GraphText;
 use panoscope_theatre::{Options, Ready, Refused, Theatre};
 
 /// The surgeon's window: pictures full screen, and only the settings that the preset offers.
@@ -13,6 +14,8 @@ use panoscope_theatre::{Options, Ready, Refused, Theatre};
 struct Arguments {
     /// Graph file.
     graph: PathBuf,
+    #[command(flatten)]
+    given: window::Given,
     /// Opens although the graph, a plugin, a model or the calibration differs from its lock.
     #[arg(long)]
     unlocked: bool,
@@ -33,15 +36,15 @@ panoscope_engine::guard_exits!();
 
 fn main() {
     window::listen_to_signals();
-    let code = run(&Arguments::parse());
+    let code = run(&window::parse());
     window::leave(code)
 }
 
 fn run(arguments: &Arguments) -> i32 {
-    let text = match std::fs::read_to_string(&arguments.graph) {
+    let text = match GraphText::load_with(&arguments.graph, &arguments.given.options()) {
         Ok(text) => text,
-        Err(error) => {
-            eprintln!("error: {} cannot be read: {error}", arguments.graph.display());
+        Err(diagnostics) => {
+            eprintln!("{}", diagnostics.render(false).trim_end());
             return 2;
         }
     };
@@ -50,7 +53,7 @@ fn run(arguments: &Arguments) -> i32 {
         .with_fullscreen(!arguments.windowed)
         .with_decorations(arguments.windowed);
     let path = arguments.graph.clone();
-    let ready = match Ready::look(&path, &text, arguments.unlocked) {
+    let ready = match Ready::of(&text, arguments.unlocked) {
         Ok(ready) => ready,
         Err(error) => {
             // On the terminal, and in a window where there is a screen.
@@ -67,5 +70,5 @@ fn run(arguments: &Arguments) -> i32 {
         scale: arguments.window.scale,
         shot,
     };
-    window::open(viewport, move |cc| Ok(Box::new(Theatre::of(&cc.egui_ctx, &path, &text, options, ready)?)))
+    window::open(viewport, move |cc| Ok(Box::new(Theatre::of(&cc.egui_ctx, &path, options, ready)?)))
 }

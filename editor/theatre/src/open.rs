@@ -101,6 +101,9 @@ fn compare(path: &Path, now: &Lock) -> Result<Option<Vec<Difference>>, LockError
 pub struct Ready {
     pub(super) plan: Plan,
     pub(super) verified: Verified,
+    /// One text of the graph file with its parts, overlays and arguments: what runs.
+    pub(super) text: String,
+    pub(super) plugin_paths: Vec<PathBuf>,
 }
 
 impl Ready {
@@ -109,11 +112,19 @@ impl Ready {
     /// # Errors
     /// See [`OpenError`].
     pub fn look(path: &Path, text: &str, unlocked: bool) -> Result<Self, OpenError> {
-        let parsed = GraphText::parse(path, text);
+        Self::of(&GraphText::parse(path, text), unlocked)
+    }
+
+    /// As [`Self::look`], of a graph that was read with its parts, overlays and arguments.
+    ///
+    /// # Errors
+    /// See [`OpenError`].
+    pub fn of(parsed: &GraphText, unlocked: bool) -> Result<Self, OpenError> {
+        let path = parsed.path();
         let loader = Loader::search(&loader::search_path(&parsed.plugin_paths()));
         let catalog = loader.catalog(&parsed.plugins());
-        let (graph, _) = check(&parsed, &catalog).into_result().map_err(OpenError::Graph)?;
-        let now = Lock::of(&graph, &catalog, &loader, path, text, &THEATRE_PLUGINS);
+        let (graph, _) = check(parsed, &catalog).into_result().map_err(OpenError::Graph)?;
+        let now = Lock::of(&graph, &catalog, &loader, parsed, &THEATRE_PLUGINS);
         let verified = match compare(path, &now) {
             Ok(None) => Verified::Never,
             Ok(Some(differences)) => match differences.first() {
@@ -128,6 +139,7 @@ impl Ready {
         if plan.views.is_empty() {
             return Err(OpenError::NoPicture);
         }
-        Ok(Self { plan, verified })
+        let text = parsed.flattened(&catalog).into_owned();
+        Ok(Self { plan, verified, text, plugin_paths: parsed.plugin_paths() })
     }
 }

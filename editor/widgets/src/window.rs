@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use eframe::egui::{ViewportBuilder, vec2};
+use panoscope_graph::GraphOptions;
+use panoscope_graph::command_line::{self, CommandLine};
 
 use crate::{Shot, close_on_signals};
 
@@ -41,6 +43,39 @@ impl Arguments {
         let after = |file: &Option<PathBuf>| file.clone().map(|file| (file, self.after));
         Shot::new(after(&self.screenshot), after(&self.measure), &self.actions)
     }
+}
+
+/// What a command line gives to a graph. Arguments that the graph declares are among them, see [`parse`].
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct Given {
+    /// Overlay file: replaces nodes of the same name and defaults of arguments. May be given again.
+    #[arg(long, value_name = "OVERLAY")]
+    with: Vec<PathBuf>,
+    #[arg(long = "graph-arg", value_name = "NAME=VALUE", hide = true)]
+    graph_args: Vec<String>,
+}
+
+impl Given {
+    /// As options to open the graph.
+    pub fn options(&self) -> GraphOptions {
+        let args = self.graph_args.iter().map(|text| command_line::split(text)).collect();
+        GraphOptions { with: self.with.clone(), args, ..GraphOptions::default() }
+    }
+}
+
+/// Parses the command line of a program that opens a graph. Options that the graph declares are known to it, and its help shows them.
+pub fn parse<T: clap::Parser>() -> T {
+    let CommandLine { words, help, problem } = command_line::rewrite(std::env::args_os().collect());
+    if let Some(problem) = problem {
+        eprintln!("error: {problem}");
+        leave(2);
+    }
+    let command = if help.is_empty() { T::command() } else { T::command().after_help(help) };
+    let parsed = command.try_get_matches_from(words).and_then(|matches| T::from_arg_matches(&matches));
+    parsed.unwrap_or_else(|error| {
+        let _ = error.print();
+        leave(error.exit_code())
+    })
 }
 
 /// The scale of everything in a window, from a text such as `1.5`.

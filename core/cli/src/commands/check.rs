@@ -33,7 +33,7 @@ struct Facts {
 
 impl Facts {
     fn of(ready: &Ready) -> Self {
-        let missing = |arg: &&Arg| ready.text.missing_args().contains(&arg.name);
+        let missing = |arg: &&Arg| ready.text.missing_args().contains(&arg.name.as_str());
         Self {
             nodes: ready.graph.nodes.len(),
             edges: ready.graph.edges.len(),
@@ -65,7 +65,10 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         if arguments.json {
             let ok = facts.is_some();
             let missing = facts.map(|f| f.missing).unwrap_or_default();
-            say!("{}", json!({ "file": name.to_string(), "ok": ok, "missing_args": missing, "diagnostics": diagnostics }));
+            say!(
+                "{}",
+                json!({ "file": name.to_string(), "ok": ok, "missing_args": missing, "diagnostics": diagnostics })
+            );
             continue;
         }
         raw(&diagnostics.render(stdout_color()));

@@ -87,7 +87,9 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         },
         None if arguments.given.words().is_empty() => None,
         None => {
-            tell!("error: --with and arguments belong to a graph: name one with --graph, or change the recorded one with --set");
+            tell!(
+                "error: --with and arguments belong to a graph: name one with --graph, or change the recorded one with --set"
+            );
             return Ok(End::Wrong);
         }
     };

@@ -10,8 +10,8 @@ use panoscope_loader::{self as loader, Loader};
 use panoscope_record::Recording;
 use serde_json::{Value, json};
 
-use crate::graph_file::Given;
 use super::eval::plot::{self, Chart, Series, Style};
+use crate::graph_file::Given;
 use crate::terminal::{raw, say, stderr_color, table, tell};
 use crate::{End, interrupt};
 

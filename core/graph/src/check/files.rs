@@ -1,8 +1,8 @@
 //! Files that two nodes would write, and files that one node writes while another reads them.
 
 use super::Checker;
-use crate::param::{Param, ParamValue, Pick};
 use crate::diagnostic::{Diagnostic, Severity};
+use crate::param::{Param, ParamValue, Pick};
 use crate::source::tidy;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};

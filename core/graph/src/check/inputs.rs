@@ -2,10 +2,10 @@
 
 use super::{Checker, Link};
 use crate::catalog::{NodeType, Port};
-use crate::packet::{Fit, PacketType};
 use crate::checked::Align;
-use crate::nearest::{list, nearest};
 use crate::file::{InputText, NodeText, RefText, Supply};
+use crate::nearest::{list, nearest};
+use crate::packet::{Fit, PacketType};
 use std::ops::Range;
 
 impl<'a> Checker<'a> {

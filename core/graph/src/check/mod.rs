@@ -45,10 +45,16 @@ pub fn check(text: &GraphText, catalog: &Catalog) -> Checked {
         ids: HashMap::new(),
         doubled: HashSet::new(),
         sound: vec![true; text.flat.nodes.len()],
-        listed: text.flat.plugins.iter().map(|(file, list)| (*file, list.iter().map(|p| p.value.as_str()).collect())).collect(),
+        listed: text
+            .flat
+            .plugins
+            .iter()
+            .map(|(file, list)| (*file, list.iter().map(|p| p.value.as_str()).collect()))
+            .collect(),
         types: Vec::new(),
         links: Vec::new(),
     };
+    text.missing_diagnostics().for_each(|d| _ = checker.diagnostics.push(d.clone()));
     for (index, node) in text.flat.nodes.iter().enumerate() {
         if *checker.ids.entry(node.id.value.as_str()).or_insert(index) != index {
             checker.doubled.insert(&node.id.value);
@@ -121,7 +127,11 @@ impl<'a> Checker<'a> {
     }
 
     fn empty(&mut self) {
-        if self.text.flat.nodes.is_empty() && self.text.flat.parts.is_empty() && !self.text.incomplete && !self.diagnostics.has_errors() {
+        if self.text.flat.nodes.is_empty()
+            && self.text.flat.parts.is_empty()
+            && !self.text.incomplete
+            && !self.diagnostics.has_errors()
+        {
             self.error("empty-graph", &(0..0), "this graph has no nodes".to_owned())
                 .help("add one, as in\n[nodes.scope]\ntype = \"phantom\"");
         }

@@ -2,10 +2,10 @@
 
 use super::Checker;
 use crate::catalog::NodeType;
-use crate::file::Supply;
 use crate::checked::Mode;
-use crate::param::ParamValue;
 use crate::diagnostic::Diagnostic;
+use crate::file::Supply;
+use crate::param::ParamValue;
 use crate::validate::{NodeSetup, ParamProblem, Wiring, port_bit};
 use std::ops::Range;
 

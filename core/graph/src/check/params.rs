@@ -1,12 +1,12 @@
 //! Parameters: names, types, limits; the file's own and those of `--set`.
 
 use super::Checker;
-use crate::catalog::NodeType;
 use crate::args::absolute_files;
-use crate::param::{Param, ParamKind, ParamValue, Pick};
-use crate::nearest::{list, nearest};
-use crate::parse::parse_value;
+use crate::catalog::NodeType;
 use crate::file::NodeText;
+use crate::nearest::{list, nearest};
+use crate::param::{Param, ParamKind, ParamValue, Pick};
+use crate::parse::parse_value;
 use crate::text::Override;
 use crate::value::{Kind, Value};
 use std::ops::Range;
@@ -62,7 +62,8 @@ impl<'a> Checker<'a> {
             if value.value == Kind::Missing {
                 // The argument has no value; that is said once, at the argument.
                 given[position] = Some(self.default(node_type, param));
-                self.sound[index] = false;
+                let is_set = |o: &Override| o.node.value == node.id.value && o.param.value == key.value;
+                self.sound[index] &= self.text.overrides.iter().any(is_set);
                 continue;
             }
             match self.value(param, value) {

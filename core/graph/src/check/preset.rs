@@ -2,11 +2,11 @@
 
 use super::Checker;
 use super::params::limits;
+use crate::checked::{Pin, Preset, PresetView};
+use crate::file::{PinText, ViewText};
+use crate::nearest::{list, nearest};
 use crate::packet::PacketType;
 use crate::param::ParamKind;
-use crate::checked::{Pin, Preset, PresetView};
-use crate::nearest::{list, nearest};
-use crate::file::{PinText, ViewText};
 use std::ops::Range;
 
 impl<'a> Checker<'a> {

@@ -1,8 +1,8 @@
 //! Plugins and node types.
 
 use super::Checker;
-use crate::nearest::{list, nearest};
 use crate::file::NodeText;
+use crate::nearest::{list, nearest};
 use crate::value::Spanned;
 use std::collections::{HashMap, HashSet};
 
@@ -119,7 +119,9 @@ impl<'a> Checker<'a> {
                 None
             }
             // The list of plugins could not be read.
-            ([], some) if self.text.incomplete && self.listed.get(&file).is_none_or(HashSet::is_empty) => (some.len() == 1).then(|| some[0]),
+            ([], some) if self.text.incomplete && self.listed.get(&file).is_none_or(HashSet::is_empty) => {
+                (some.len() == 1).then(|| some[0])
+            }
             ([], some) => {
                 let plugins: Vec<&str> = some.iter().map(plugin_of).collect();
                 self.not_listed(file, name, &plugins);
@@ -207,13 +209,8 @@ impl<'a> Checker<'a> {
     }
 
     fn type_help(&self, file: usize) -> String {
-        let names: Vec<&str> = self
-            .catalog
-            .node_types
-            .iter()
-            .filter(|t| self.lists(file, &t.plugin))
-            .map(|t| t.name.as_str())
-            .collect();
+        let names: Vec<&str> =
+            self.catalog.node_types.iter().filter(|t| self.lists(file, &t.plugin)).map(|t| t.name.as_str()).collect();
         if names.is_empty() {
             "`plugins` lists no plugin that offers node types; `panoscope list` shows all".to_owned()
         } else {

@@ -164,7 +164,7 @@ impl App {
             Action::Forward => self.step_to(self.document.history().at() + 1),
             Action::Sweep => self.switches.sweep ^= true,
             Action::Problems => self.switches.problems ^= true,
-            Action::Restart => self.session.restart(self.document.text()),
+            Action::Restart => self.session.restart(self.document.runnable()),
             Action::Plugins => self.plugins = true,
             Action::Reload => self.session.reload_plugins(),
             Action::Escape if self.picker.is_some() => self.end_picking(),

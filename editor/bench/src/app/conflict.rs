@@ -69,6 +69,29 @@ impl App {
         });
     }
 
+    /// Saves parts and overlays that were changed here; `false` when one of them was not saved.
+    fn save_files(&mut self) -> bool {
+        let changed = self.document.changed_files().into_iter();
+        let changed: Vec<_> =
+            changed.map(|(path, text, saved)| (path.to_owned(), Arc::clone(text), Arc::clone(saved))).collect();
+        for (path, text, saved) in changed {
+            if std::fs::read_to_string(&path).is_ok_and(|disk| disk != *saved && disk != *text) {
+                let words = format!(
+                    "not saved: {} was changed on disk, too; undo the changes here, or put the file back",
+                    path.display()
+                );
+                self.tell(words, true);
+                return false;
+            }
+            let result = disk::save(&path, &text);
+            if self.try_edit(result).is_none() {
+                return false;
+            }
+            self.document.file_now_saved(&path);
+        }
+        true
+    }
+
     /// Saves the text, unless that would lose what somebody else wrote.
     pub(super) fn save(&mut self) {
         // Someone else's text is not overwritten unseen.
@@ -81,6 +104,9 @@ impl App {
             return;
         }
         self.conflict = None;
+        if !self.save_files() {
+            return;
+        }
         let text = Arc::clone(self.document.text());
         let result = disk::save(self.document.path(), &text);
         if self.try_edit(result).is_some() {

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use eframe::egui::{self, CentralPanel, Context, Frame, Margin, Panel, RichText, Ui};
 use panoscope_abi::LINKS;
-use panoscope_graph::GraphText;
+use panoscope_graph::{GraphOptions, GraphText};
 
 use crate::actions;
 use crate::canvas::{Canvas, Scene};
@@ -57,6 +57,8 @@ pub struct Options {
     pub scale: f32,
     /// Pictures and costs of the window, for `cargo xtask screens` and `panoscope bench editor`.
     pub shot: Shot,
+    /// Overlays and values of the graph's arguments.
+    pub given: GraphOptions,
 }
 
 /// Why the window did not open.
@@ -104,14 +106,14 @@ impl App {
         if options.scale > 0.0 {
             ctx.set_zoom_factor(options.scale);
         }
-        let paths = GraphText::parse(path, text).plugin_paths();
+        let paths = GraphText::parse_with(path, text, &options.given).plugin_paths();
         let session = Session::new(path, &paths, options.frames)?;
         let for_wake = ctx.clone();
         session.set_wake(Arc::new(move || for_wake.request_repaint()));
         let observer = Observer::new(session.handle())?;
-        let document = Document::new(path, text, session.loader());
+        let document = Document::with_options(path, text, session.loader(), options.given);
         if document.view().right {
-            session.run(text);
+            session.run(document.runnable());
         }
         Ok(Self {
             observer,
@@ -203,7 +205,7 @@ impl App {
         if self.asked != self.document.revision() {
             self.asked = self.document.revision();
             if self.document.view().right {
-                self.session.run(self.document.text());
+                self.session.run(self.document.runnable());
             }
         }
     }
@@ -214,7 +216,7 @@ impl App {
         let ctx = ui.ctx().clone();
         let status = self.session.status();
         self.document.set_loader(self.session.loader());
-        if self.document.history().waits() && *status.running == **self.document.text() {
+        if self.document.history().waits() && *status.running == **self.document.runnable() {
             self.document.in_force(status.tick);
         }
         self.shown.update(&ctx, self.observer.take());

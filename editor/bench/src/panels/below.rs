@@ -36,7 +36,10 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
         for d in &view.diagnostics {
             let node = view.node_of(d, document.text());
             let color = if d.severity == Severity::Error { theme::FAULT } else { theme::WARN };
-            let place = format!("line {}", d.line);
+            let place = match d.file == view.file {
+                true => format!("line {}", d.line),
+                false => format!("{}, line {}", d.file, d.line),
+            };
             let mut words = d.message.clone();
             for more in [&d.label, &d.help] {
                 if !more.is_empty() {
@@ -44,7 +47,7 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
                 }
             }
             if row(ui, color, &place, &words) {
-                go = Some(Spot { node, line: Some(d.line) });
+                go = Some(Spot { node, line: (d.file == view.file).then_some(d.line) });
             }
         }
         if view.diagnostics.is_empty() && status.trouble.is_none() {
@@ -94,7 +97,8 @@ impl Reading {
 pub fn text(ui: &mut Ui, document: &Document, marked: &[String], reading: &mut Reading) {
     let font = FontId::monospace(12.0);
     let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
-    let wrong: Vec<usize> = document.view().diagnostics.iter().map(|d| d.line).collect();
+    let of_file = document.view().diagnostics.iter().filter(|d| d.file == document.view().file);
+    let wrong: Vec<usize> = of_file.map(|d| d.line).collect();
     ScrollArea::both().auto_shrink([false, false]).show(ui, |ui| {
         let mut inside = false;
         let mut job = LayoutJob::default();

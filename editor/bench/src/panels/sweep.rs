@@ -262,7 +262,7 @@ impl SweepPanel {
         };
         let request = Request {
             path: path.to_owned(),
-            text: document.text().to_string(),
+            text: document.runnable().to_string(),
             settings: Vec::new(),
             param: self.param.clone(),
             from: Some(self.from),

@@ -72,7 +72,7 @@ pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counte
 }
 
 fn state(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters) {
-    let behind = *status.running != **document.text();
+    let behind = *status.running != **document.runnable();
     let off = counters.switched_off().map(|fault| match is_full(&fault.words) {
         true => format!("the disk is full: `{}` writes nothing more", fault.node),
         false => format!("`{}` is switched off after a fault", fault.node),
