@@ -173,3 +173,39 @@ fn frames_and_notes_stand_in_the_file_and_comments_stay() {
     assert_eq!(doc.view().marks, marks[1..]);
     right_and_undone(doc, GRAPH);
 }
+
+#[test]
+fn a_parameter_of_a_part_is_written_into_the_parts_file() {
+    let folder = std::env::temp_dir().join(format!("panoscope-document-part-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let part = "[part]\nparams = { outer = \"b.outer\" }\n[nodes.b]\ntype = \"x\"\nparams = { inner = 1, outer = 1 }\n";
+    std::fs::write(folder.join("part.toml"), part).expect("written");
+    let root = "[args.depth]\ntype = \"whole\"\ndefault = 4\n[nodes.a]\ngraph = \"part.toml\"\nparams = { outer = 2 }\n\
+                [nodes.c]\ntype = \"y\"\nparams = { depth = { arg = \"depth\" } }\n";
+    let mut doc = Document::new(&folder.join("g.toml"), root, Arc::new(Loader::default()));
+    let ids: Vec<&str> = doc.view().nodes.iter().map(|n| n.id()).collect();
+    assert_eq!(ids, ["a/b", "c"]);
+    ops::set_param(&mut doc, "a/b", "inner", Some(&7.into())).expect("set");
+    assert!(doc.is_changed() && **doc.text() == *root);
+    let changed: Vec<_> =
+        doc.changed_files().into_iter().map(|(path, text, _)| (path.to_owned(), text.to_string())).collect();
+    assert_eq!(changed, [(folder.join("part.toml"), part.replace("inner = 1", "inner = 7"))]);
+    assert_eq!(
+        doc.view().nodes[0].outline.params["inner"].as_integer(),
+        Some(7),
+        "the window shows what is not saved yet"
+    );
+    ops::set_param(&mut doc, "a/b", "outer", Some(&9.into())).expect("set");
+    ops::set_param(&mut doc, "c", "depth", Some(&5.into())).expect("set");
+    assert_eq!(**doc.text(), root.replace("outer = 2", "outer = 9").replace("default = 4", "default = 5"));
+    for _ in 0..3 {
+        doc.undo();
+    }
+    assert!(!doc.is_changed() && doc.changed_files().is_empty() && **doc.text() == *root);
+    doc.redo();
+    doc.file_now_saved(&folder.join("part.toml"));
+    assert!(!doc.is_changed(), "the only change is saved");
+    doc.undo();
+    assert!(doc.is_changed(), "undo after a save brings the old text back");
+    std::fs::remove_dir_all(folder).expect("removed");
+}
