@@ -24,7 +24,7 @@ pub enum OnFault {
     /// Open it again, with back-off.
     #[default]
     Restart,
-    /// Leave it out: its outputs are empty.
+    /// Skip it: its outputs are empty.
     Bypass,
     /// End the run.
     Stop,

@@ -174,8 +174,8 @@ impl GraphText {
             let _ = writeln!(out, "inputs = {{ {} }}", inputs.join(", "));
         }
         let plugins = self.plugins();
-        let of_type = catalog.find(type_name).into_iter().map(|i| &catalog.node_types[i]);
-        let node_type = of_type.filter(|t| plugins.contains(&t.plugin)).next();
+        let mut of_type = catalog.find(type_name).into_iter().map(|i| &catalog.node_types[i]);
+        let node_type = of_type.find(|t| plugins.contains(&t.plugin));
         let params = node.params.iter().filter(|(_, value)| value.value != Kind::Missing).map(|(key, value)| {
             let kind = node_type.and_then(|t| t.params.get(t.param(&key.value)?));
             let value = match (&value.value, kind.map(|p| (&p.kind, p.pick))) {

@@ -2,7 +2,7 @@
 //! looked at, checked values become the snapshot that a call carries. Only with the feature `abi`.
 //!
 //! A descriptor may come from C, so nothing in it is trusted: pointers, lengths, texts, names and limits are checked and a
-//! mistake is named with its place, for the plugin's author. What cannot be checked is whether a non-null pointer is valid.
+//! error names its location, for the plugin's author. What cannot be checked is whether a non-null pointer is valid.
 
 mod node_type;
 mod validator;

@@ -1,4 +1,4 @@
-//! What a graph file says, right or wrong: for whoever draws it while it is being written.
+//! The content of a graph file, right or wrong, for programs that draw it while it is edited.
 
 use crate::catalog::Catalog;
 use crate::checked::Align;

@@ -1,5 +1,5 @@
-//! TOML text to a tree, going on after mistakes: broken lines are named and left out, so that the rest of the file can
-//! still be checked.
+//! TOML text to a tree, with recovery: broken lines are reported and skipped, so that the rest of the file can still be
+//! checked.
 
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
 use crate::source::Source;
@@ -15,10 +15,10 @@ pub(crate) struct Parsed {
     pub(crate) incomplete: bool,
 }
 
-/// Rounds of leaving out broken lines before the rest of the file is given up.
+/// Most rounds of skipping broken lines before the rest of the file is given up.
 const ROUNDS: usize = 50;
 
-/// Bytes parsed over all rounds: a file that is long and broken everywhere is no graph, and nobody shall wait for it.
+/// Bytes parsed over all rounds: a long file that is broken everywhere is not a graph, and parsing it must not take long.
 const MOST_BYTES: usize = 5_000_000;
 
 pub(crate) fn parse(source: &Source) -> Parsed {

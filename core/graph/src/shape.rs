@@ -1,9 +1,11 @@
 //! The shape of a graph file: which tables and keys it may have, and of what TOML type. Names are not looked up here.
 
-use crate::args::{ArgKind, ArgText};
+mod declarations;
+
+use crate::args::ArgText;
 use crate::checked::{Align, Mode, OnFault};
 use crate::diagnostic::{Diagnostic, Diagnostics, Severity};
-use crate::file::{Export, FileText, InputText, NodeText, PartText, PinText, RefText, Role, Supply, ViewText};
+use crate::file::{FileText, InputText, NodeText, PinText, RefText, Role, Supply, ViewText};
 use crate::nearest::{list, nearest};
 use crate::parse::Parsed;
 use crate::source::Sources;
@@ -15,8 +17,6 @@ const TOP: [&str; 8] = ["name", "mode", "plugins", "plugin_paths", "args", "node
 const TOP_OF_PART: [&str; 6] = ["name", "plugins", "plugin_paths", "part", "nodes", "editor"];
 const TOP_OF_OVERLAY: [&str; 4] = ["plugins", "plugin_paths", "args", "nodes"];
 const NODE: [&str; 8] = ["type", "graph", "inputs", "params", "on_fault", "budget_ms", "max_rate_hz", "cpu"];
-const ARG: [&str; 6] = ["type", "doc", "default", "range", "unit", "choices"];
-const PART: [&str; 3] = ["inputs", "outputs", "params"];
 /// Times and rates that a graph may ask for: a day, and a tick per nanosecond.
 pub(crate) const LONGEST_MS: f64 = 86_400_000.0;
 pub(crate) const HIGHEST_HZ: f64 = 1e9;
@@ -70,8 +70,8 @@ impl<'s> Reader<'s> {
         self.error("wrong-type", &found.span, message).label(format!("expected {expected}"))
     }
 
-    /// The key as it was meant: itself when known, else it is reported, and answered is the nearest one that the table
-    /// does not have, so that a slip of the pen hides nothing below it.
+    /// The intended key: itself when known; otherwise reports it and returns the nearest one that the table
+    /// does not have, so that a misspelt key does not hide the mistakes below it.
     fn key<'k>(&mut self, what: &str, key: &'k Spanned<String>, known: &[&'static str], table: &'k Table) -> &'k str {
         if known.contains(&key.value.as_str()) {
             return &key.value;
@@ -188,107 +188,6 @@ impl<'s> Reader<'s> {
         }
     }
 
-    fn args(&mut self, value: &Value) -> Vec<ArgText> {
-        let Some(table) = self.table("`args`", "a table of arguments such as [args.left]", value) else {
-            return Vec::new();
-        };
-        table.iter().filter_map(|(name, value)| self.arg(name, value)).collect()
-    }
-
-    fn arg(&mut self, name: &Spanned<String>, value: &Value) -> Option<ArgText> {
-        let table = self.table("an argument", "a table such as { type = \"source\", doc = \"Left view\" }", value)?;
-        let mut arg = ArgText {
-            name: name.clone(),
-            kind: None,
-            kind_broken: false,
-            doc: None,
-            default: None,
-            range: None,
-            unit: String::new(),
-            choices: Vec::new(),
-        };
-        let (mut range_key, mut choices_key) = (None, None);
-        for (key, value) in table {
-            match self.key("an argument", key, &ARG, table) {
-                "type" => {
-                    arg.kind = self.word("type", value, &ArgKind::WORDS);
-                    arg.kind_broken = arg.kind.is_none();
-                }
-                "doc" => arg.doc = self.text("`doc`", value).map(|t| t.value),
-                "default" => arg.default = Some(value.clone()),
-                "range" => {
-                    range_key = Some(key.span.clone());
-                    arg.range = self.pin_range(value).map(|(low, high)| (low.value, high.value));
-                }
-                "unit" => arg.unit = self.text("`unit`", value).map(|t| t.value).unwrap_or_default(),
-                "choices" => {
-                    choices_key = Some(key.span.clone());
-                    arg.choices =
-                        self.texts("choices", "[\"left\", \"right\"]", value).into_iter().map(|t| t.value).collect();
-                }
-                _ => {}
-            }
-        }
-        let is_number = matches!(arg.kind, Some(ArgKind::Number | ArgKind::Whole));
-        if let Some(span) = range_key.filter(|_| arg.kind.is_some() && !is_number) {
-            let message = format!("argument `{}` is no number, so it has no range", name.value);
-            self.error("useless-range", &span, message).help("remove `range`");
-        }
-        match (arg.kind, choices_key) {
-            (Some(ArgKind::Choice), None) => {
-                let message = format!("argument `{}` has no `choices`", name.value);
-                self.error("missing-choices", &name.span, message).help("as in choices = [\"left\", \"right\"]");
-            }
-            (Some(kind), Some(span)) if kind != ArgKind::Choice => {
-                let message = format!("argument `{}` is of type {}, so it has no choices", name.value, kind.word());
-                self.error("useless-choices", &span, message).help("write type = \"choice\", or remove `choices`");
-            }
-            _ => {}
-        }
-        Some(arg)
-    }
-
-    fn part(&mut self, value: &Value) -> Option<PartText> {
-        let table = self.table("`part`", "a table of inputs, outputs and params", value)?;
-        let mut part = PartText::default();
-        for (key, value) in table {
-            match self.key("`part`", key, &PART, table) {
-                "inputs" => part.inputs = self.exports("inputs", "left = \"rectify.left\"", true, value),
-                "outputs" => part.outputs = self.exports("outputs", "disparity = \"match.disparity\"", false, value),
-                "params" => part.params = self.exports("params", "search_px = \"match.search_px\"", true, value),
-                _ => {}
-            }
-        }
-        Some(part)
-    }
-
-    fn exports(&mut self, what: &str, example: &str, several: bool, value: &Value) -> Vec<Export> {
-        let expected = format!("a table such as {{ {example} }}");
-        let Some(table) = self.table(&format!("`{what}`"), &expected, value) else { return Vec::new() };
-        let mut exports = Vec::new();
-        for (name, value) in table {
-            let items = match &value.value {
-                Kind::List(items) if several => items.as_slice(),
-                _ => std::slice::from_ref(value),
-            };
-            let mut targets = Vec::new();
-            for item in items {
-                let Some(text) = self.text(&format!("an entry of `{what}`"), item) else { continue };
-                let inside = text.span.start + 1..text.span.end.saturating_sub(1);
-                let span = if self.sources.text(&inside) == text.value { inside } else { text.span };
-                match text.value.split_once('.').filter(|(n, p)| !n.is_empty() && !p.is_empty() && !p.contains('.')) {
-                    Some((node, port)) => targets.push((node.to_owned(), Spanned::new(port.to_owned(), span))),
-                    None => {
-                        let message = format!("`{}` names nothing inside the part", text.value);
-                        self.error("bad-reference", &span, message).help(format!("as in {example}"));
-                    }
-                }
-            }
-            exports.push(Export { name: name.clone(), targets });
-        }
-        exports
-    }
-
     fn texts(&mut self, what: &str, example: &str, value: &Value) -> Vec<Spanned<String>> {
         let items = match &value.value {
             Kind::List(items) => items.as_slice(),
@@ -297,7 +196,7 @@ impl<'s> Reader<'s> {
                 let written = text.map_or_else(|| example.to_owned(), |t| format!("[\"{t}\"]"));
                 self.wrong_type(&format!("`{what}`"), "a list of texts", value)
                     .help(format!("write {what} = {written}"));
-                // A single text leaves no doubt; with anything else, what seems missing may stand there.
+                // A single text is unambiguous; with anything else, what seems missing may stand there.
                 self.file.incomplete |= text.is_none();
                 return text.map(|t| Spanned::new(t.to_owned(), value.span.clone())).into_iter().collect();
             }

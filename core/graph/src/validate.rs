@@ -1,6 +1,6 @@
 //! What a node itself checks about its parameters and wiring, before it is opened.
 //!
-//! This crate knows no plugin: whoever fills a [`Catalog`](crate::Catalog) attaches a [`Validator`] to a node type, and
+//! This crate knows no plugin: the code that fills a [`Catalog`](crate::Catalog) attaches a [`Validator`] to a node type, and
 //! [`check`](crate::check) calls it with the values that the graph gives.
 
 use std::fmt;

@@ -1,11 +1,11 @@
-//! A TOML value with the bytes it stands at, in file order. Own type: numbers that do not fit and repeated tables survive
-//! to be named, where a plain deserializer would stop.
+//! A TOML value with its byte span, in file order. A type of our own, because numbers that do not fit and repeated tables must survive to be
+//! reported; a plain deserializer stops at them.
 
 use std::ops::Range;
 use toml::de::{DeTable, DeValue};
 use toml::value::Datetime;
 
-/// Something read from the text and where it stands.
+/// Something read from the text, with its span.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spanned<T> {
     /// What was read.
@@ -23,7 +23,7 @@ impl<T> Spanned<T> {
 /// Entries in file order.
 pub type Table = Vec<(Spanned<String>, Value)>;
 
-/// A value with its place.
+/// A value with its location.
 pub type Value = Spanned<Kind>;
 
 /// What a value is.

@@ -58,7 +58,9 @@ impl Tree<'_> {
                 place(&file, &folder.join(file.file_name().unwrap_or_default()), means)?;
             }
         }
-        place_files(&workspace.root.join("graphs"), &dir.join("graphs"), &["toml"], means)?;
+        for folder in ["graphs", "graphs/parts", "graphs/sources"] {
+            place_files(&workspace.root.join(folder), &dir.join(folder), &["toml"], means)?;
+        }
         if let Some(Windows { editor, theatre }) = self.windows {
             for (program, name) in [editor, theatre].into_iter().zip(window_names()) {
                 place(program, &dir.join(name), means)?;

@@ -91,8 +91,8 @@ impl<'a> Checker<'a> {
         self.text.flat.plugins.iter().flat_map(|(_, plugins)| plugins).any(|p| !usable(&p.value))
     }
 
-    /// Position of a node's type in the catalog. Where the mistake leaves no doubt about what was meant, the checks go on
-    /// with that.
+    /// Position of a node's type in the catalog. Where a mistake has only one plausible correction, the
+    /// checks go on with that.
     pub(super) fn node_type(&mut self, node: &'a NodeText) -> Option<usize> {
         let name = node.type_name.as_ref()?;
         let (catalog, file) = (self.catalog, self.file_of(node));

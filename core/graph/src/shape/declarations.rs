@@ -1,0 +1,112 @@
+//! What a file declares for its users: arguments of a graph, the names that a part offers.
+
+use super::Reader;
+use crate::args::{ArgKind, ArgText};
+use crate::file::{Export, PartText};
+use crate::value::{Kind, Spanned, Value};
+
+const ARG: [&str; 6] = ["type", "doc", "default", "range", "unit", "choices"];
+const PART: [&str; 3] = ["inputs", "outputs", "params"];
+
+impl Reader<'_> {
+    pub(super) fn args(&mut self, value: &Value) -> Vec<ArgText> {
+        let Some(table) = self.table("`args`", "a table of arguments such as [args.left]", value) else {
+            return Vec::new();
+        };
+        table.iter().filter_map(|(name, value)| self.arg(name, value)).collect()
+    }
+
+    fn arg(&mut self, name: &Spanned<String>, value: &Value) -> Option<ArgText> {
+        let table = self.table("an argument", "a table such as { type = \"source\", doc = \"Left view\" }", value)?;
+        let mut arg = ArgText {
+            name: name.clone(),
+            kind: None,
+            kind_broken: false,
+            doc: None,
+            default: None,
+            range: None,
+            unit: String::new(),
+            choices: Vec::new(),
+        };
+        let (mut range_key, mut choices_key) = (None, None);
+        for (key, value) in table {
+            match self.key("an argument", key, &ARG, table) {
+                "type" => {
+                    arg.kind = self.word("type", value, &ArgKind::WORDS);
+                    arg.kind_broken = arg.kind.is_none();
+                }
+                "doc" => arg.doc = self.text("`doc`", value).map(|t| t.value),
+                "default" => arg.default = Some(value.clone()),
+                "range" => {
+                    range_key = Some(key.span.clone());
+                    arg.range = self.pin_range(value).map(|(low, high)| (low.value, high.value));
+                }
+                "unit" => arg.unit = self.text("`unit`", value).map(|t| t.value).unwrap_or_default(),
+                "choices" => {
+                    choices_key = Some(key.span.clone());
+                    arg.choices =
+                        self.texts("choices", "[\"left\", \"right\"]", value).into_iter().map(|t| t.value).collect();
+                }
+                _ => {}
+            }
+        }
+        let is_number = matches!(arg.kind, Some(ArgKind::Number | ArgKind::Whole));
+        if let Some(span) = range_key.filter(|_| arg.kind.is_some() && !is_number) {
+            let message = format!("argument `{}` is no number, so it has no range", name.value);
+            self.error("useless-range", &span, message).help("remove `range`");
+        }
+        match (arg.kind, choices_key) {
+            (Some(ArgKind::Choice), None) => {
+                let message = format!("argument `{}` has no `choices`", name.value);
+                self.error("missing-choices", &name.span, message).help("as in choices = [\"left\", \"right\"]");
+            }
+            (Some(kind), Some(span)) if kind != ArgKind::Choice => {
+                let message = format!("argument `{}` is of type {}, so it has no choices", name.value, kind.word());
+                self.error("useless-choices", &span, message).help("write type = \"choice\", or remove `choices`");
+            }
+            _ => {}
+        }
+        Some(arg)
+    }
+
+    pub(super) fn part(&mut self, value: &Value) -> Option<PartText> {
+        let table = self.table("`part`", "a table of inputs, outputs and params", value)?;
+        let mut part = PartText::default();
+        for (key, value) in table {
+            match self.key("`part`", key, &PART, table) {
+                "inputs" => part.inputs = self.exports("inputs", "left = \"rectify.left\"", true, value),
+                "outputs" => part.outputs = self.exports("outputs", "disparity = \"match.disparity\"", false, value),
+                "params" => part.params = self.exports("params", "search_px = \"match.search_px\"", true, value),
+                _ => {}
+            }
+        }
+        Some(part)
+    }
+
+    fn exports(&mut self, what: &str, example: &str, several: bool, value: &Value) -> Vec<Export> {
+        let expected = format!("a table such as {{ {example} }}");
+        let Some(table) = self.table(&format!("`{what}`"), &expected, value) else { return Vec::new() };
+        let mut exports = Vec::new();
+        for (name, value) in table {
+            let items = match &value.value {
+                Kind::List(items) if several => items.as_slice(),
+                _ => std::slice::from_ref(value),
+            };
+            let mut targets = Vec::new();
+            for item in items {
+                let Some(text) = self.text(&format!("an entry of `{what}`"), item) else { continue };
+                let inside = text.span.start + 1..text.span.end.saturating_sub(1);
+                let span = if self.sources.text(&inside) == text.value { inside } else { text.span };
+                match text.value.split_once('.').filter(|(n, p)| !n.is_empty() && !p.is_empty() && !p.contains('.')) {
+                    Some((node, port)) => targets.push((node.to_owned(), Spanned::new(port.to_owned(), span))),
+                    None => {
+                        let message = format!("`{}` names nothing inside the part", text.value);
+                        self.error("bad-reference", &span, message).help(format!("as in {example}"));
+                    }
+                }
+            }
+            exports.push(Export { name: name.clone(), targets });
+        }
+        exports
+    }
+}
