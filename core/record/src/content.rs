@@ -11,7 +11,9 @@ pub(super) fn is_equal(a: f64, b: f64, tolerance: f64) -> bool {
 /// Reads a packet that is a table from its first byte to its last; `None` for all others. Packets do not name their type, but nothing
 /// else fills its length like that.
 pub(super) fn table(bytes: &[u8]) -> Option<Table<'_>> {
-    Table::parse(bytes).ok().filter(|table| table.columns() > 0 && table.byte_len() == bytes.len())
+    Table::parse(bytes).ok().filter(|table| {
+        table.columns() > 0 && table.names().count() == table.columns() && table.byte_len() == bytes.len()
+    })
 }
 
 /// What differs first in a table.
