@@ -1,9 +1,9 @@
-//! Comparing packets by what they mean: tables cell by cell, clouds point by point.
+//! Compares packets by their content: tables cell by cell, clouds point by point.
 
 use panoscope_abi::CloudPoint;
 use panoscope_base::packet::{Cloud, Table};
 
-/// Whether two numbers are equal: both unknown, or apart by no more than `tolerance` of the larger one, of 1 at least.
+/// Whether two numbers are equal: both NaN, or different by at most `tolerance` times the larger one (at least 1).
 pub(super) fn is_equal(a: f64, b: f64, tolerance: f64) -> bool {
     (a.is_nan() && b.is_nan()) || a == b || (a - b).abs() <= tolerance * a.abs().max(b.abs()).max(1.0)
 }
@@ -14,41 +14,41 @@ pub(super) fn table(bytes: &[u8]) -> Option<Table<'_>> {
     Table::parse(bytes).ok().filter(|table| table.columns() > 0 && table.byte_len() == bytes.len())
 }
 
-/// What differs first in a table.
+/// The first difference between two tables.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FirstCell {
     /// A cell: row from 1, column, both values.
     Value(usize, String, f64, f64),
     /// A column that only one of them has, and whether that is the first one.
     Column(String, bool),
-    /// Rows of both.
+    /// The numbers of rows of both.
     Rows(usize, usize),
 }
 
-/// How two packets of the same tick differ.
+/// The difference between two packets of the same tick.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Apart {
+pub(super) struct PacketDifference {
     /// Something differs by more than the tolerance.
     pub differs: bool,
-    /// They cannot be laid over each other, or only in part.
+    /// They have different rows or columns, so they are compared only in part.
     pub other_shape: bool,
     pub largest: f64,
     pub sum: f64,
-    /// Values, or points, that were compared.
+    /// Number of values, or points, that were compared.
     pub values: f64,
     pub differing: f64,
     pub first_cell: Option<FirstCell>,
-    /// Where the farthest two points of a cloud are: column, row.
+    /// Position of the two points of a cloud with the largest distance: column, row.
     pub farthest: Option<(usize, usize)>,
-    /// Points that only one of the clouds knows.
+    /// Number of points that only one of the clouds has.
     pub only_in_one: u64,
-    /// Points with another colour.
+    /// Number of points whose colour differs.
     pub recoloured: u64,
 }
 
 /// Compares two tables; columns are matched by name.
-pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> Apart {
-    let mut apart = Apart::default();
+pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> PacketDifference {
+    let mut apart = PacketDifference::default();
     let alone = |in_a: &Table<'_>, in_b: &Table<'_>, first: bool| {
         let missing = in_a.names().find(|name| in_b.column(name).is_none());
         missing.map(|name| FirstCell::Column(name.to_owned(), first))
@@ -79,13 +79,13 @@ pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> Apart {
 }
 
 /// Compares two clouds of the same size, point by point; distances and `tolerance` in mm.
-pub(super) fn clouds(a: &Cloud<'_>, b: &Cloud<'_>, tolerance: f64) -> Apart {
-    let mut apart = Apart::default();
+pub(super) fn clouds(a: &Cloud<'_>, b: &Cloud<'_>, tolerance: f64) -> PacketDifference {
+    let mut apart = PacketDifference::default();
     for y in 0..a.height() {
         for x in 0..a.width() {
             let (Some(left), Some(right)) = (a.point(x, y), b.point(x, y)) else { continue };
-            let place = |point: &CloudPoint| [point.x_mm, point.y_mm, point.z_mm].map(f64::from);
-            let (p, q) = (place(&left), place(&right));
+            let position = |point: &CloudPoint| [point.x_mm, point.y_mm, point.z_mm].map(f64::from);
+            let (p, q) = (position(&left), position(&right));
             apart.values += 1.0;
             let known = |p: &[f64; 3]| p.iter().all(|v| v.is_finite());
             let mut differs = false;
@@ -131,7 +131,7 @@ mod tests {
         bytes
     }
 
-    fn compare(a: &[u8], b: &[u8], tolerance: f64) -> Apart {
+    fn compare(a: &[u8], b: &[u8], tolerance: f64) -> PacketDifference {
         tables(&super::table(a).expect("a table"), &super::table(b).expect("a table"), tolerance)
     }
 
