@@ -176,7 +176,8 @@ pub fn read_note(file: &(impl Parts + ?Sized)) -> Result<Note, ElfError> {
         return Err(ElfError::NotElf { what: "not a shared library".to_owned() });
     }
     let unreadable = |what| ElfError::BadNote { what: format!("{what} cannot be read") };
-    let (programs, sections) = (reader.u64(32).ok_or(unreadable("header"))?, reader.u64(40).ok_or(unreadable("header"))?);
+    let (programs, sections) =
+        (reader.u64(32).ok_or(unreadable("header"))?, reader.u64(40).ok_or(unreadable("header"))?);
     let program_size = reader.u16(54).ok_or(unreadable("header"))?;
     let program_count = reader.u16(56).ok_or(unreadable("header"))?;
     let section_size = reader.u16(58).ok_or(unreadable("header"))?;
@@ -188,7 +189,8 @@ pub fn read_note(file: &(impl Parts + ?Sized)) -> Result<Note, ElfError> {
     let reader = Reader(&table);
     for at in (0..program_count).map(|index| index * program_size) {
         let kind = reader.u32(at).ok_or(unreadable("segment"))?;
-        let (offset, size) = (reader.u64(at + 8).ok_or(unreadable("segment"))?, reader.u64(at + 32).ok_or(unreadable("segment"))?);
+        let (offset, size) =
+            (reader.u64(at + 8).ok_or(unreadable("segment"))?, reader.u64(at + 32).ok_or(unreadable("segment"))?);
         if kind == PT_LOAD {
             inside("a segment", offset, size)?;
         }
@@ -197,7 +199,8 @@ pub fn read_note(file: &(impl Parts + ?Sized)) -> Result<Note, ElfError> {
     let reader = Reader(&table);
     for at in (0..section_count).map(|index| index * section_size) {
         let kind = reader.u32(at + 4).ok_or(unreadable("section"))?;
-        let (offset, size) = (reader.u64(at + 24).ok_or(unreadable("section"))?, reader.u64(at + 32).ok_or(unreadable("section"))?);
+        let (offset, size) =
+            (reader.u64(at + 24).ok_or(unreadable("section"))?, reader.u64(at + 32).ok_or(unreadable("section"))?);
         if kind != SHT_NOBITS {
             inside("a section", offset, size)?;
         }

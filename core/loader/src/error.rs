@@ -14,7 +14,7 @@ pub enum LoadError {
     Unreadable {
         /// The plugin's file.
         file: PathBuf,
-         /// The operating system's error.
+        /// The operating system's error.
         cause: std::io::Error,
     },
     /// The file is damaged or is not a plugin.

@@ -12,5 +12,5 @@ mod search;
 
 pub use error::LoadError;
 pub use live::Live;
-pub use map::{PluginFile, Loaded, inspect, load};
+pub use map::{Loaded, PluginFile, inspect, load};
 pub use search::{Loader, PLUGIN_PATH_VARIABLE, Stamp, search_path};

@@ -11,7 +11,7 @@ use panoscope_graph::{Catalog, Offer, PluginProblem};
 
 use crate::elf::ElfError;
 use crate::error::LoadError;
-use crate::map::{PluginFile, Loaded, inspect, load};
+use crate::map::{Loaded, PluginFile, inspect, load};
 
 /// Environment variable with additional plugin folders, separated by colons.
 pub const PLUGIN_PATH_VARIABLE: &str = "PANOSCOPE_PLUGIN_PATH";

@@ -150,7 +150,7 @@ fn step() -> Vec<u8> {
 fn the_plugin_in_c() -> Result<(), HarnessError> {
     let Some(path) = &*C_PLUGIN else { return Ok(()) };
     file_is_right(path, "edge_c");
-     // SAFETY: `load` returns the descriptor of a library that stays mapped; the plugin obeys the ABI.
+    // SAFETY: `load` returns the descriptor of a library that stays mapped; the plugin obeys the ABI.
     let mut node = unsafe { Harness::<Foreign>::of_plugin(load(path), "edge_c", Setup::default())? };
     let out = node.input_image::<Gray8>("image", 6, 4, &step()).process()?;
     // 4 * 100 across, times the gain of 0.25.
@@ -176,7 +176,7 @@ fn the_plugin_in_c() -> Result<(), HarnessError> {
 fn the_plugin_in_cpp() -> Result<(), HarnessError> {
     let Some(path) = &*CPP_PLUGIN else { return Ok(()) };
     file_is_right(path, "edge_cpp");
-     // SAFETY: `load` returns the descriptor of a library that stays mapped; the plugin obeys the ABI.
+    // SAFETY: `load` returns the descriptor of a library that stays mapped; the plugin obeys the ABI.
     let mut node = unsafe { Harness::<Foreign>::of_plugin(load(path), "edge_cpp", Setup::default())? };
     for kernel in ["sobel", "scharr", "prewitt"] {
         node.set_params(&format!("params.kernel = \"{kernel}\""))?;
@@ -190,7 +190,7 @@ fn the_plugin_in_cpp() -> Result<(), HarnessError> {
 fn what_cpp_throws_stays_in_the_plugin() -> Result<(), HarnessError> {
     let Some(path) = &*CPP_PLUGIN else { return Ok(()) };
     let setup = Setup::new("params.throws = \"exception\"");
-     // SAFETY: `load` returns the descriptor of a library that stays mapped; the plugin obeys the ABI.
+    // SAFETY: `load` returns the descriptor of a library that stays mapped; the plugin obeys the ABI.
     let mut node = unsafe { Harness::<Foreign>::of_plugin(load(path), "edge_cpp", setup)? };
     let mut fails = |toml| {
         node.set_params(toml)?;

@@ -103,7 +103,8 @@ fn pairs(a: &PortDigest, b: &PortDigest) -> (Vec<(usize, usize)>, usize, Option<
     for (l, r) in &pairs {
         (left_missing[*l], right_missing[*r]) = (false, false);
     }
-    let missing = left.iter().zip(&left_missing).chain(right.iter().zip(&right_missing)).filter(|(_, missing)| **missing);
+    let missing =
+        left.iter().zip(&left_missing).chain(right.iter().zip(&right_missing)).filter(|(_, missing)| **missing);
     let missing: Vec<(u32, u64)> = missing.map(|((tick, _), _)| *tick).collect();
     let first = missing.iter().copied().min_by_key(|(source, seq)| (*seq, *source));
     (pairs, missing.len(), first)

@@ -164,9 +164,15 @@ impl From<observe::Event> for Event {
             Observed::Took { node, tick: Tick { source, seq, capture_ns, .. }, inputs } => {
                 Self::Took { node, source, seq, capture_ns, inputs }
             }
-            Observed::Values { node, tick, values } => Self::Values { node, source: tick.source, seq: tick.seq, values },
-            Observed::Opened { node, tick, values } => Self::Opened { node, source: tick.source, seq: tick.seq, values },
-            Observed::Skipped { node, tick, closed } => Self::Skipped { node, source: tick.source, seq: tick.seq, closed },
+            Observed::Values { node, tick, values } => {
+                Self::Values { node, source: tick.source, seq: tick.seq, values }
+            }
+            Observed::Opened { node, tick, values } => {
+                Self::Opened { node, source: tick.source, seq: tick.seq, values }
+            }
+            Observed::Skipped { node, tick, closed } => {
+                Self::Skipped { node, source: tick.source, seq: tick.seq, closed }
+            }
             Observed::Set { node, values } => Self::Set { node, values },
             Observed::Edit { graph, admitted, applied, plugins } => {
                 Self::Edit { graph, admitted, applied, plugins: hashes(&plugins) }

@@ -145,8 +145,7 @@ impl Recorder {
             recorded.unwrap_or_else(|payload| {
                 // From here on nothing is queued, because nothing would empty the queue.
                 mine.writes.store(false, Ordering::Relaxed);
-                let message =
-                    format!("thread `record` panicked, the recording ends here: {}", panic_words(&*payload));
+                let message = format!("thread `record` panicked, the recording ends here: {}", panic_words(&*payload));
                 mine.report(&message);
                 while let Some(items) = mine.next() {
                     drop(items);

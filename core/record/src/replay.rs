@@ -342,7 +342,8 @@ fn differences(recording: &Recording, graph: &Graph, catalog: &Catalog, loader: 
         let gaps = ticks.iter().filter(|t| t.gap).count();
         if gaps > 0 {
             let first = ticks.iter().find(|t| t.gap).map_or(0, |t| t.seq);
-            warnings.push(format!("{gaps} ticks of `{source}` are missing, the first is {first}: the disk was too slow"));
+            warnings
+                .push(format!("{gaps} ticks of `{source}` are missing, the first is {first}: the disk was too slow"));
         }
     }
     if other {
@@ -353,9 +354,7 @@ fn differences(recording: &Recording, graph: &Graph, catalog: &Catalog, loader: 
     for recorded in recording.head.plugins.iter().chain(&recording.head.models) {
         match now.iter().find(|n| n.name == recorded.name) {
             Some(file) if file.xxh3 == recorded.xxh3 => {}
-            _ => {
-                warnings.push(format!("`{}` is not the recorded build or file: bytes may differ", recorded.name))
-            }
+            _ => warnings.push(format!("`{}` is not the recorded build or file: bytes may differ", recorded.name)),
         }
     }
     warnings

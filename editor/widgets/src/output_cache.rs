@@ -1,4 +1,4 @@
-//! Outputs as they were seen last: pictures for the graphics card, and words.
+//! The last preview of each output: textures for the graphics card, and texts.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
@@ -6,10 +6,11 @@ use std::time::{Duration, Instant};
 use eframe::egui::{Color32, ColorImage, Context, TextureHandle, TextureId, TextureOptions, Vec2, vec2};
 
 use panoscope_editor_model::observe::Output;
-use panoscope_editor_model::picture::{Look, Pixels};
+use panoscope_editor_model::picture::RenderedPacket;
+use panoscope_editor_model::pixels::Pixels;
 
-/// A time in words, with three digits that matter.
-pub fn time_words(ms: f64) -> String {
+/// A time in ms, formatted with its unit and three significant digits.
+pub fn format_time(ms: f64) -> String {
     match ms {
         _ if ms >= 1000.0 => format!("{:.1} s", ms / 1e3),
         _ if ms >= 100.0 => format!("{ms:.0} ms"),
@@ -18,92 +19,92 @@ pub fn time_words(ms: f64) -> String {
     }
 }
 
-/// A unit as it stands behind a number; parts of one have none.
-pub fn unit_words(unit: &str) -> &str {
+/// The unit to show after a number; empty for ratios.
+pub fn unit_suffix(unit: &str) -> &str {
     if unit == "ratio" { "" } else { unit }
 }
 
-/// What is older is not live.
+/// Age from which a preview is not live.
 const STALE: Duration = Duration::from_secs(2);
 
-/// An output as it was seen last.
-struct Seen {
+/// The last preview of an output.
+struct CachedOutput {
     texture: Option<TextureHandle>,
-    look: Look,
+    packet: RenderedPacket,
     pixels: Option<Pixels>,
     at: Instant,
 }
 
-/// Pictures and words of the outputs that are looked at.
+/// The last previews of the outputs that a window shows.
 #[derive(Default)]
-pub struct Shown {
-    seen: HashMap<Output, Seen>,
+pub struct OutputCache {
+    outputs: HashMap<Output, CachedOutput>,
 }
 
-/// For the graphics card.
+/// Converts pixels to egui's image type, for textures.
 pub fn image_of(pixels: &Pixels) -> ColorImage {
     let colors = pixels.rgba.chunks_exact(4).map(|p| Color32::from_rgb(p[0], p[1], p[2])).collect();
     ColorImage::new([pixels.width, pixels.height], colors)
 }
 
-impl Shown {
-    /// Takes new looks over; textures of the same size are written in place.
-    pub fn update(&mut self, ctx: &Context, looks: HashMap<Output, Look>) {
-        for (output, mut look) in looks {
-            let seen = self.seen.entry(output).or_insert_with(|| Seen {
+impl OutputCache {
+    /// Stores new previews; a texture of the same size is updated in place.
+    pub fn update(&mut self, ctx: &Context, looks: HashMap<Output, RenderedPacket>) {
+        for (output, mut packet) in looks {
+            let outputs = self.outputs.entry(output).or_insert_with(|| CachedOutput {
                 texture: None,
-                look: Look::default(),
+                packet: RenderedPacket::default(),
                 pixels: None,
                 at: Instant::now(),
             });
-            if let Some(pixels) = look.pixels.take() {
+            if let Some(pixels) = packet.pixels.take() {
                 let image = image_of(&pixels);
-                seen.pixels = Some(pixels);
-                match &mut seen.texture {
+                outputs.pixels = Some(pixels);
+                match &mut outputs.texture {
                     Some(texture) if texture.size() == image.size => {
                         texture.set_partial([0, 0], image, TextureOptions::LINEAR);
                     }
                     texture => *texture = Some(ctx.load_texture("output", image, TextureOptions::LINEAR)),
                 }
             }
-            seen.look = look;
-            seen.at = Instant::now();
+            outputs.packet = packet;
+            outputs.at = Instant::now();
         }
     }
 
-    /// Forgets outputs that are gone.
-    pub fn keep(&mut self, wanted: impl Fn(&Output) -> bool) {
-        self.seen.retain(|output, _| wanted(output));
+    /// Drops the outputs for which `wanted` is false.
+    pub fn retain(&mut self, wanted: impl Fn(&Output) -> bool) {
+        self.outputs.retain(|output, _| wanted(output));
     }
 
-    /// The texture of an output, and its size in pixels.
+    /// The texture of an output, and its size in px.
     pub fn texture(&self, output: &Output) -> Option<(TextureId, Vec2)> {
-        let texture = self.seen.get(output)?.texture.as_ref()?;
+        let texture = self.outputs.get(output)?.texture.as_ref()?;
         Some((texture.id(), texture.size_vec2()))
     }
 
-    /// For how long nothing new has come, once that is too long to take what is shown for live.
+    /// Age of the last preview, if it is too old to count as live.
     pub fn stale(&self, output: &Output) -> Option<Duration> {
-        self.seen.get(output).map(|seen| seen.at.elapsed()).filter(|age| *age > STALE)
+        self.outputs.get(output).map(|outputs| outputs.at.elapsed()).filter(|age| *age > STALE)
     }
 
     /// The pixels of an output.
     pub fn pixels(&self, output: &Output) -> Option<&Pixels> {
-        self.seen.get(output)?.pixels.as_ref()
+        self.outputs.get(output)?.pixels.as_ref()
     }
 
-    /// What is known of an output besides its picture.
-    pub fn look(&self, output: &Output) -> Option<&Look> {
-        Some(&self.seen.get(output)?.look)
+    /// The last preview of an output, without its pixels.
+    pub fn packet(&self, output: &Output) -> Option<&RenderedPacket> {
+        Some(&self.outputs.get(output)?.packet)
     }
 
-    /// Range or contents in words.
-    pub fn words(&self, output: &Output) -> Option<&str> {
-        self.look(output).map(|l| l.words.as_str()).filter(|w| !w.is_empty())
+    /// The text of the last preview: range of colours or contents; `None` when it is empty.
+    pub fn text(&self, output: &Output) -> Option<&str> {
+        self.packet(output).map(|l| l.text.as_str()).filter(|w| !w.is_empty())
     }
 
-    /// Size of the packet itself, in pixels.
+    /// Size of the packet itself in px.
     pub fn size(&self, output: &Output) -> Option<Vec2> {
-        self.look(output).map(|l| vec2(l.size.0 as f32, l.size.1 as f32))
+        self.packet(output).map(|l| vec2(l.size.0 as f32, l.size.1 as f32))
     }
 }

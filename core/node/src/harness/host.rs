@@ -158,7 +158,7 @@ unsafe extern "C" fn alloc(
     stride_bytes: u32,
     len: usize,
 ) -> Status {
-     // SAFETY: the ABI requires the node to pass the handle of its running call.
+    // SAFETY: the ABI requires the node to pass the handle of its running call.
     let Some(state) = (unsafe { CallState::of(call) }) else { return abi::STATUS_INVALID };
     let Some(slot) = state.output(output) else {
         return state.violation(format!("it made output {output}, there are {}", state.outputs_len));
@@ -187,7 +187,7 @@ unsafe extern "C" fn alloc(
 }
 
 unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame) -> Status {
-     // SAFETY: the ABI requires the node to pass the handle of its running call.
+    // SAFETY: the ABI requires the node to pass the handle of its running call.
     let Some(state) = (unsafe { CallState::of(call) }) else { return abi::STATUS_INVALID };
     // SAFETY: the ABI requires null or a pointer to a readable frame.
     let Some(frame) = (unsafe { frame.as_ref() }) else {
@@ -209,7 +209,7 @@ unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame
 }
 
 unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
-     // SAFETY: the ABI requires the node to pass the handle of its running call.
+    // SAFETY: the ABI requires the node to pass the handle of its running call.
     let Some(state) = (unsafe { CallState::of(call) }) else { return abi::STATUS_INVALID };
     let Some(slot) = state.output(output) else {
         return state.violation(format!("it asked to write output {output}, there are {}", state.outputs_len));
@@ -282,7 +282,7 @@ unsafe fn text_of(text: Str) -> String {
 }
 
 unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
-     // SAFETY: the ABI requires the handle of the running call and a text that is readable until this function returns.
+    // SAFETY: the ABI requires the handle of the running call and a text that is readable until this function returns.
     unsafe {
         let Some(state) = CallState::of(call) else { return };
         let level = match level {
@@ -300,7 +300,7 @@ unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
 }
 
 unsafe extern "C" fn fail(call: *mut c_void, message: Str) {
-     // SAFETY: the ABI requires the handle of the running call and a text that is readable until this function returns.
+    // SAFETY: the ABI requires the handle of the running call and a text that is readable until this function returns.
     unsafe {
         if let Some(state) = CallState::of(call) {
             state.reported().failure = Some(text_of(message));
@@ -309,7 +309,7 @@ unsafe extern "C" fn fail(call: *mut c_void, message: Str) {
 }
 
 unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
-     // SAFETY: the ABI requires the handle of the running call and a text that is readable until this function returns.
+    // SAFETY: the ABI requires the handle of the running call and a text that is readable until this function returns.
     unsafe {
         if let Some(state) = CallState::of(call) {
             state.reported().metrics.push(Metric { name: text_of(name), value });
@@ -318,7 +318,7 @@ unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
 }
 
 unsafe extern "C" fn random(call: *mut c_void) -> u64 {
-     // SAFETY: the ABI requires the node to pass the handle of its running call.
+    // SAFETY: the ABI requires the node to pass the handle of its running call.
     let Some(state) = (unsafe { CallState::of(call) }) else { return 0 };
     state.random.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).bits()
 }

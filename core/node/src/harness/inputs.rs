@@ -9,7 +9,7 @@ use crate::port::{PortField, RawCall};
 use super::error::HarnessError;
 use super::host::{CallState, bare_call};
 use super::outputs::copy_rows;
-use super::{Harness, memory, available};
+use super::{Harness, available, memory};
 
 /// What an input port holds for the next call.
 pub(super) enum Pending {
@@ -134,7 +134,8 @@ impl<N> Harness<N> {
     /// Gives an input a point cloud: `width * height` points, row after row.
     pub fn input_cloud(&mut self, name: &str, width: usize, height: usize, points: &[abi::CloudPoint]) -> &mut Self {
         if points.len() != width * height {
-            return self.refuse(format!("input `{name}`: {width}x{height} points were expected, {} given", points.len()));
+            return self
+                .refuse(format!("input `{name}`: {width}x{height} points were expected, {} given", points.len()));
         }
         self.fill::<PointCloud>(name, "cloud", 0, |slot| {
             copy_rows(View::new(points, width, height, 1), slot.alloc_cloud(width, height)?);

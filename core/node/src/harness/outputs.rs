@@ -7,8 +7,8 @@ use crate::packet::{Packet, Plane};
 use crate::table::Table;
 use crate::{View, ViewMut};
 
-use super::error::HarnessError;
 use super::available;
+use super::error::HarnessError;
 
 /// One output, copied out of the host's memory.
 struct Output {
