@@ -159,9 +159,9 @@ impl Palette {
         if take(Key::ArrowUp) {
             self.chosen = self.chosen.saturating_sub(1);
         }
-        let mut answer = None;
+        let mut result = None;
         if take(Key::Enter) {
-            answer = order.get(self.chosen).map(|&index| Some(entries[index].picked.clone()));
+            result = order.get(self.chosen).map(|&index| Some(entries[index].picked.clone()));
         }
         let frame = Frame::popup(&ctx.global_style()).inner_margin(12.0);
         let area = Modal::default_area(Id::new("palette")).anchor(Align2::CENTER_TOP, vec2(0.0, 96.0));
@@ -182,7 +182,7 @@ impl Palette {
                         ui.spacing_mut().item_spacing.y = 0.0;
                         for (row, &index) in order.iter().enumerate() {
                             if row_of(ui, &entries[index], row == self.chosen) {
-                                answer = Some(Some(entries[index].picked.clone()));
+                                result = Some(Some(entries[index].picked.clone()));
                             }
                         }
                         if order.is_empty() {
@@ -193,7 +193,7 @@ impl Palette {
                     },
                 );
             });
-        if answer.is_none() && shown.should_close() { Some(None) } else { answer }
+        if result.is_none() && shown.should_close() { Some(None) } else { result }
     }
 }
 

@@ -153,7 +153,7 @@ impl Viewer {
         painter.rect_filled(rect, 0.0, theme::SUNK);
         let room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
         let b = self.b.clone().filter(|b| shown.texture(&b.output).is_some());
-        let stands = shown.texture(&a.output).map(|(_, size)| fit(room, size));
+        let image_rect = shown.texture(&a.output).map(|(_, size)| fit(room, size));
         match (shown.texture(&a.output), b) {
             (None, _) => {
                 let caption = shown.text(&a.output).unwrap_or("nothing yet").to_owned();
@@ -185,7 +185,7 @@ impl Viewer {
         if !self.picking {
             self.foot(ui, rect);
         }
-        stands.map(|stands| (stands, foot_of(rect)))
+        image_rect.map(|image_rect| (image_rect, foot_of(rect)))
     }
 
     /// Handles the number keys, which show recently viewed outputs.

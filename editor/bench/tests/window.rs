@@ -111,7 +111,7 @@ fn rebuilt_plugins_are_loaded_by_a_key_and_damaged_ones_are_refused() {
     window.key(CTRL, Key::R);
     window.until("the truncated plugin is refused", |app| app.session().status().problem.is_some());
     window.key(NONE, Key::M);
-    window.until_shown("change failed");
+    window.until_shown("change not applied");
     window.key(NONE, Key::M);
     assert_eq!(window.app().session().status().generation, old);
 

@@ -381,8 +381,8 @@ impl Document {
             // Adding or removing a node is not a change of its values.
             let Some(then) = before.node(now.id()).map(|n| &before.nodes[n]) else { continue };
             let (then, now_params) = (&then.outline.params, &now.outline.params);
-            let gone = then.keys().filter(|param| !now_params.contains_key(*param));
-            for param in now_params.keys().chain(gone) {
+            let removed = then.keys().filter(|param| !now_params.contains_key(*param));
+            for param in now_params.keys().chain(removed) {
                 let (from, to) = (then.get(param).cloned(), now_params.get(param).cloned());
                 if from != to {
                     let (node, param) = (now.id().to_owned(), param.clone());

@@ -262,8 +262,8 @@ impl Worker {
             self.generation = generation;
             self.outputs.clear();
         }
-        let gone: Vec<Output> = self.outputs.keys().filter(|o| !requests.contains_key(*o)).cloned().collect();
-        for output in gone {
+        let removed: Vec<Output> = self.outputs.keys().filter(|o| !requests.contains_key(*o)).cloned().collect();
+        for output in removed {
             self.outputs.remove(&output);
             engine.end_previews(&output.node);
         }

@@ -62,11 +62,11 @@ impl Theatre {
             right = unverified(ui, pos2(right, middle), heading, line).left() - 10.0;
         }
         let room = Rect::from_min_max(inner.min, pos2(right - 10.0, inner.bottom()));
-        self.message(ui, room);
+        self.show_message(ui, room);
     }
 
     /// Draws the most urgent notice with the others below it; without notices, the remark or the graph's name.
-    fn message(&self, ui: &mut Ui, room: Rect) {
+    fn show_message(&self, ui: &mut Ui, room: Rect) {
         let painter = ui.painter_at(room.expand(2.0));
         if let Some(since) = self.leaving.filter(|since| since.elapsed() > HOLD / 8) {
             let share = (since.elapsed().as_secs_f32() / HOLD.as_secs_f32()).min(1.0);
@@ -150,13 +150,13 @@ impl Theatre {
             (Action::Measure, "Measure", self.measure.is_on(), whole && self.plan.cloud.is_some()),
             (Action::Again, "Start again", true, over),
         ];
-        for (action, message, on, there) in buttons {
+        for (action, caption, on, there) in buttons {
             if !there {
                 continue;
             }
-            let width = if message.len() > 8 { 132.0 } else { 108.0 };
+            let width = if caption.len() > 8 { 132.0 } else { 108.0 };
             let rect = Rect::from_min_size(pos2(left, inner.top()), vec2(width, inner.height()));
-            if button(ui, rect, message, key_name(action), on) {
+            if button(ui, rect, caption, key_name(action), on) {
                 self.perform(action);
             }
             left = rect.right() + 10.0;
@@ -177,8 +177,8 @@ impl Theatre {
             fit = across(room.width());
             let pages = settings.len().div_ceil(fit);
             self.page %= pages;
-            let message = format!("{} of {pages}", self.page + 1);
-            if button_named(ui, rect, "More settings", &message, key_name(Action::More), false) {
+            let caption = format!("{} of {pages}", self.page + 1);
+            if button_named(ui, rect, "More settings", &caption, key_name(Action::More), false) {
                 self.perform(Action::More);
             }
         } else {
@@ -211,18 +211,18 @@ fn unverified(ui: &mut Ui, right: Pos2, heading: &str, line: &str) -> Rect {
     painter.galley(at, heading_text, theme::WARN);
     painter.galley(below, line_text, theme::TEXT);
     let response = ui.interact(rect, ui.id().with("verified"), Sense::hover());
-    let message = format!("{}: {line}", heading[..1].to_owned() + &heading[1..].to_lowercase());
-    response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, message.clone()));
+    let caption = format!("{}: {line}", heading[..1].to_owned() + &heading[1..].to_lowercase());
+    response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, caption.clone()));
     rect
 }
 
 /// Draws a large button with its key below its caption; returns whether it was clicked.
-fn button(ui: &mut Ui, rect: Rect, message: &str, key: &str, on: bool) -> bool {
-    button_named(ui, rect, message, message, key, on)
+fn button(ui: &mut Ui, rect: Rect, caption: &str, key: &str, on: bool) -> bool {
+    button_named(ui, rect, caption, caption, key, on)
 }
 
 /// As [`button`], with an accessible name that differs from the caption.
-fn button_named(ui: &mut Ui, rect: Rect, name: &str, message: &str, key: &str, on: bool) -> bool {
+fn button_named(ui: &mut Ui, rect: Rect, name: &str, caption: &str, key: &str, on: bool) -> bool {
     let response = ui.interact(rect, ui.id().with(("button", key)), Sense::click());
     response.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, on, name.to_owned()));
     let fill = match () {
@@ -235,7 +235,7 @@ fn button_named(ui: &mut Ui, rect: Rect, name: &str, message: &str, key: &str, o
     let painter = ui.painter();
     painter.rect(rect, 12.0, fill, Stroke::new(2.0, edge), StrokeKind::Inside);
     let c = rect.center();
-    painter.text(c - vec2(0.0, 9.0), Align2::CENTER_CENTER, message, FontId::proportional(20.0), theme::TEXT);
+    painter.text(c - vec2(0.0, 9.0), Align2::CENTER_CENTER, caption, FontId::proportional(20.0), theme::TEXT);
     painter.text(c + vec2(0.0, 17.0), Align2::CENTER_CENTER, key, FontId::proportional(13.0), theme::MUTED);
     response.clicked()
 }

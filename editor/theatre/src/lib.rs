@@ -99,7 +99,7 @@ pub struct Theatre {
     releasing: Option<Instant>,
     verified: Verified,
     scale: f32,
-    left: bool,
+    closing: bool,
     shot: Shot,
     costs: Costs,
 }
@@ -154,7 +154,7 @@ impl Theatre {
             releasing: None,
             verified: ready.verified,
             scale: options.scale,
-            left: false,
+            closing: false,
             shot: options.shot,
             costs: Costs::default(),
         })
@@ -206,8 +206,8 @@ impl Theatre {
     }
 
     /// Whether the window was asked to close.
-    pub fn has_left(&self) -> bool {
-        self.left
+    pub fn is_closing(&self) -> bool {
+        self.closing
     }
 
     /// The last remark.
@@ -394,8 +394,8 @@ impl Theatre {
         }
         let since = *self.leaving.get_or_insert_with(Instant::now);
         ctx.request_repaint();
-        if since.elapsed() >= HOLD && !self.left {
-            self.left = true;
+        if since.elapsed() >= HOLD && !self.closing {
+            self.closing = true;
             ctx.send_viewport_cmd(egui::ViewportCommand::Close);
         }
     }

@@ -250,8 +250,8 @@ mod tests {
             unlocked: Some("plugin `stitch` has changed".to_owned()),
             ..Facts::default()
         };
-        let told = notices(&facts);
-        assert!(told.is_sorted_by_key(|n| std::cmp::Reverse(n.urgency)));
+        let all = notices(&facts);
+        assert!(all.is_sorted_by_key(|n| std::cmp::Reverse(n.urgency)));
         let message = message(&facts);
         for part in ["Emergency stop", "Left camera lost: no image for 3 s", "Image is 0.4 s old", "disk is full"] {
             assert!(message.iter().any(|w| w.contains(part)), "{part}: {message:?}");
@@ -268,8 +268,8 @@ mod tests {
         let dark = Facts { why_dark: Some(why.clone()), problem: Some(why.clone()), ..Facts::default() };
         assert_eq!(message(&dark), [format!("No image: {why}")], "one notice");
         match dark.no_picture("scope", false) {
-            NoPicture::Because { why: told, remedy } => {
-                assert_eq!(told, why);
+            NoPicture::Because { why: shown, remedy } => {
+                assert_eq!(shown, why);
                 assert!(remedy.contains("Enter") && remedy.contains("cable"), "{remedy}");
             }
             other => panic!("{other:?}"),

@@ -21,7 +21,7 @@ pub struct OpenFailed {
     causes: Vec<String>,
     /// The remedies, the best one first, each with the command for it.
     remedies: Vec<(&'static str, Option<String>)>,
-    left: bool,
+    closing: bool,
     shot: Shot,
 }
 
@@ -63,12 +63,12 @@ impl OpenFailed {
                 vec![("Close other programs, then open it again.", None)],
             ),
         };
-        Self { heading, causes, remedies, left: false, shot }
+        Self { heading, causes, remedies, closing: false, shot }
     }
 
     /// Whether the window was asked to close.
-    pub fn has_left(&self) -> bool {
-        self.left
+    pub fn is_closing(&self) -> bool {
+        self.closing
     }
 
     /// Draws a frame.
@@ -114,8 +114,8 @@ impl OpenFailed {
             let button = Button::new(RichText::new("Close (Esc)").size(18.0)).corner_radius(12.0);
             close |= ui.add_sized(vec2(180.0, 52.0), button).clicked();
         });
-        if close && !self.left {
-            self.left = true;
+        if close && !self.closing {
+            self.closing = true;
             ctx.send_viewport_cmd(egui::ViewportCommand::Close);
         }
         self.shot.take(&ctx);

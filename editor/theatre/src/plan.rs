@@ -82,14 +82,14 @@ pub struct Plan {
 
 /// A name as a title: `left_view` becomes `Left view`.
 fn title(name: &str) -> String {
-    let message = name.replace(['_', '-'], " ");
-    let mut letters = message.chars();
+    let spaced = name.replace(['_', '-'], " ");
+    let mut letters = spaced.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 /// The uncertainty of the stereo geometry from the parameters of a measuring node; the usual values without one.
 fn noise_of(graph: &Graph, catalog: &Catalog) -> Noise {
-    let said = |n: &panoscope_graph::Node| {
+    let noise = |n: &panoscope_graph::Node| {
         let value = |name: &str| match n.params.get(n.node_type(catalog).param(name)?)? {
             panoscope_graph::ParamValue::Float(value) => Some(*value),
             _ => None,
@@ -101,7 +101,7 @@ fn noise_of(graph: &Graph, catalog: &Catalog) -> Noise {
             focal_percent: value("focal_error_percent")?,
         })
     };
-    graph.nodes.iter().find_map(said).unwrap_or(Noise::USUAL)
+    graph.nodes.iter().find_map(noise).unwrap_or(Noise::USUAL)
 }
 
 impl Plan {

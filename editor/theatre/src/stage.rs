@@ -226,12 +226,12 @@ impl Theatre {
             painter.circle_filled(*at, 2.0, color);
         }
         self.measure.crosshair().draw(&painter, inner);
-        let told = match (self.measure.distance(), self.measure.depth()) {
+        let result = match (self.measure.distance(), self.measure.depth()) {
             (Some(length), _) => Some(length.to_string()),
             (None, Some(depth)) => Some(format!("{depth} deep")),
             _ => None,
         };
-        if let Some(message) = told {
+        if let Some(message) = result {
             // Beside the title, where it covers nothing.
             painter.text(line.right_center(), Align2::RIGHT_CENTER, message, FontId::proportional(26.0), theme::TEXT);
         }

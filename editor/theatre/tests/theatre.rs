@@ -205,10 +205,10 @@ fn escape_held_for_two_seconds_leaves_and_a_short_one_does_not() {
     for _ in 0..5 {
         window.harness.step();
     }
-    assert!(!window.theatre().has_left());
+    assert!(!window.theatre().is_closing());
     window.harness.key_down(Key::Escape);
     let start = Instant::now();
-    window.until("it leaves", Theatre::has_left);
+    window.until("it leaves", Theatre::is_closing);
     assert!(start.elapsed() >= Duration::from_secs(2), "{:?}", start.elapsed());
 }
 
@@ -296,10 +296,10 @@ fn a_difference_from_the_lock_is_shown_in_the_window() {
         let place = harness.get_by_label_contains(message).rect();
         assert!(harness.ctx.viewport_rect().contains_rect(place), "`{message}` at {place:?}");
     }
-    assert!(!harness.state().as_ref().expect("it is shown").has_left());
+    assert!(!harness.state().as_ref().expect("it is shown").is_closing());
     harness.key_press_modifiers(eframe::egui::Modifiers::NONE, Key::Escape);
     input::steps(&mut harness, 2);
-    assert!(harness.state().as_ref().expect("it is shown").has_left());
+    assert!(harness.state().as_ref().expect("it is shown").is_closing());
 }
 
 #[test]

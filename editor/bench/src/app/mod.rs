@@ -285,8 +285,8 @@ impl App {
                 ui.allocate_rect(rect, egui::Sense::hover());
                 let (others, trajectories) = (self.sources(), self.trajectories());
                 let trajectories: Vec<Output> = trajectories.into_iter().map(|(output, _)| output).collect();
-                let stands = self.viewer.show(ui, rect, &self.shown, &others, &trajectories);
-                self.pick_on(ui, stands);
+                let image_rects = self.viewer.show(ui, rect, &self.shown, &others, &trajectories);
+                self.pick_on(ui, image_rects);
                 return;
             }
             let scene = Scene {
@@ -451,7 +451,8 @@ impl App {
             let shown = modal.frame(frame).show(ctx, |ui| {
                 ui.label(RichText::new("Keys").size(16.0));
                 ui.add_space(2.0 * theme::STEP);
-                let keys = actions::ALL.iter().map(|(action, .., caption)| (actions::key_name(*action), *caption));
+                let keys =
+                    actions::ALL.iter().map(|(action, .., description)| (actions::key_name(*action), *description));
                 let more = [
                     ("Ctrl+C, X, V", "Copy, cut, paste nodes as text"),
                     ("1 to 9", "Show a recently viewed output"),
@@ -461,13 +462,13 @@ impl App {
                     ("Shift and drag", "Select with a frame"),
                     ("Double click", "Add a node there"),
                 ];
-                let all: Vec<_> = keys.chain(more.map(|(key, caption)| (key.to_owned(), caption))).collect();
+                let all: Vec<_> = keys.chain(more.map(|(key, description)| (key.to_owned(), description))).collect();
                 ui.horizontal_top(|ui| {
                     for (side, part) in all.chunks(all.len().div_ceil(2)).enumerate() {
                         egui::Grid::new(("keys", side)).num_columns(2).spacing([24.0, 6.0]).show(ui, |ui| {
-                            for (key, caption) in part {
+                            for (key, description) in part {
                                 ui.label(RichText::new(key).color(theme::ACCENT));
-                                ui.label(*caption);
+                                ui.label(*description);
                                 ui.end_row();
                             }
                         });

@@ -64,14 +64,14 @@ impl App {
             let name = self.document.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
             ui.label(RichText::new(format!("{name} is written when you save")).color(theme::MUTED));
             ui.add_space(2.0 * theme::STEP);
-            for (name, caption, text) in TEMPLATES {
+            for (name, description, text) in TEMPLATES {
                 let button = egui::Button::new(RichText::new(name).size(14.0)).min_size(vec2(420.0, 34.0));
-                let response = ui.add(button).on_hover_text(caption);
+                let response = ui.add(button).on_hover_text(description);
                 response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("Template {name}")));
                 if response.clicked() {
                     chosen = Some((name, text));
                 }
-                ui.label(RichText::new(caption).size(12.0).color(theme::MUTED));
+                ui.label(RichText::new(description).size(12.0).color(theme::MUTED));
                 ui.add_space(theme::STEP);
             }
         });

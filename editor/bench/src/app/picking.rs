@@ -33,7 +33,7 @@ impl App {
     }
 
     /// Shows the picker's handles on the image in the viewer.
-    pub(super) fn pick_on(&mut self, ui: &mut Ui, stands: Option<(Rect, Rect)>) {
+    pub(super) fn pick_on(&mut self, ui: &mut Ui, image_rects: Option<(Rect, Rect)>) {
         let Some(mut picker) = self.picker.take() else { return };
         let output = self.viewed().cloned();
         let (values, output) = match (picker.values(&self.document), output) {
@@ -41,7 +41,7 @@ impl App {
             // The node was removed, or the viewer was closed.
             _ => return self.viewer.set_picking(false),
         };
-        let asked = stands
+        let asked = image_rects
             .zip(self.shown.size(&output))
             .and_then(|((inner, bar), size)| picker.show(ui, inner, bar, size, &values));
         match asked {

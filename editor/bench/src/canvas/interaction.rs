@@ -161,9 +161,9 @@ impl Canvas {
             return;
         }
         let body = ui.interact(rect, Id::new(("node", id)), Sense::click_and_drag());
-        let caption = format!("Node {id}");
+        let label = format!("Node {id}");
         body.widget_info(|| {
-            WidgetInfo::selected(WidgetType::SelectableLabel, true, self.selected.contains(id), caption.clone())
+            WidgetInfo::selected(WidgetType::SelectableLabel, true, self.selected.contains(id), label.clone())
         });
         self.paint_node(ui, scene, node, rect, body.hovered());
         let modifiers = ui.input(|i| i.modifiers);
@@ -275,8 +275,8 @@ impl Canvas {
             } else {
                 scene.view.nodes[node].output(&pin.name)
             };
-            let caption = port.map_or_else(String::new, |p| format!("{} ({})\n{}", p.name, p.packet.name, p.doc));
-            response.clone().on_hover_text(caption);
+            let hint = port.map_or_else(String::new, |p| format!("{} ({})\n{}", p.name, p.packet.name, p.doc));
+            response.clone().on_hover_text(hint);
         }
         if response.drag_started() {
             // Dragging from a connected input moves the end of its wire.

@@ -28,7 +28,7 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
     let mut go = None;
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         if let Some(problem) = &status.problem {
-            let place = problem.node.clone().unwrap_or_else(|| "change failed".to_owned());
+            let place = problem.node.clone().unwrap_or_else(|| "change not applied".to_owned());
             if row(ui, theme::FAULT, &place, &problem.message) {
                 go = Some(Spot { node: problem.node.clone(), line: None });
             }
@@ -37,13 +37,13 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
             let node = view.node_of(d, document.text());
             let color = if d.severity == Severity::Error { theme::FAULT } else { theme::WARN };
             let place = format!("line {}", d.line);
-            let mut caption = d.message.clone();
+            let mut message = d.message.clone();
             for more in [&d.label, &d.help] {
                 if !more.is_empty() {
-                    caption += &format!(" · {more}");
+                    message += &format!(" · {more}");
                 }
             }
-            if row(ui, color, &place, &caption) {
+            if row(ui, color, &place, &message) {
                 go = Some(Spot { node, line: Some(d.line) });
             }
         }
@@ -55,8 +55,8 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
         }
         for fault in counters.fault_list.iter().rev().take(100) {
             let place = format!("{:.1} s  {}", fault.run_ms / 1e3, fault.node);
-            let caption = format!("{} ({})", fault.words, format!("{:?}", fault.done).to_lowercase());
-            if row(ui, theme::WARN, &place, &caption) {
+            let message = format!("{} ({})", fault.words, format!("{:?}", fault.done).to_lowercase());
+            if row(ui, theme::WARN, &place, &message) {
                 go = Some(Spot { node: Some(fault.node.clone()), line: None });
             }
         }
@@ -64,13 +64,13 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
     go
 }
 
-fn row(ui: &mut Ui, color: Color32, place: &str, caption: &str) -> bool {
+fn row(ui: &mut Ui, color: Color32, place: &str, message: &str) -> bool {
     let mut job = LayoutJob::default();
     let format = |color, size| TextFormat { font_id: FontId::proportional(size), color, ..TextFormat::default() };
     job.append(&format!("{place}   "), 0.0, format(color, 12.0));
-    job.append(caption, 0.0, format(theme::TEXT, 12.0));
+    job.append(message, 0.0, format(theme::TEXT, 12.0));
     let label = ui.add(Label::new(job).sense(Sense::click()).selectable(false));
-    let name = format!("{place}: {caption}");
+    let name = format!("{place}: {message}");
     label.widget_info(|| WidgetInfo::labeled(WidgetType::Link, true, name.clone()));
     label.on_hover_cursor(eframe::egui::CursorIcon::PointingHand).clicked()
 }
@@ -107,14 +107,14 @@ pub fn text(ui: &mut Ui, document: &Document, marked: &[String], reading: &mut R
             }
             let mark = if wrong.contains(&(number + 1)) { theme::FAULT } else { theme::MUTED.gamma_multiply(0.6) };
             job.append(&format!("{:>4}  ", number + 1), 0.0, plain(mark));
-            for (caption, color) in coloured(line) {
+            for (part, color) in coloured(line) {
                 let mut format = plain(color);
                 if reading.line == Some(number + 1) {
                     format.background = theme::FAULT.gamma_multiply(0.25);
                 } else if inside {
                     format.background = theme::ACCENT.gamma_multiply(0.12);
                 }
-                job.append(caption, 0.0, format);
+                job.append(part, 0.0, format);
             }
             job.append("\n", 0.0, plain(theme::TEXT));
         }

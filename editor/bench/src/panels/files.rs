@@ -120,7 +120,7 @@ impl Files {
         let mut picked = order.get(self.chosen).copied().filter(|_| enter);
         // A name that no entry has is the name of a new file.
         let new = enter && picked.is_none() && !self.typed.trim().is_empty();
-        let mut answer = new.then(|| Some(self.written(&self.folder.join(self.typed.trim()))));
+        let mut result = new.then(|| Some(self.written(&self.folder.join(self.typed.trim()))));
         let mut go_up = above;
         let frame = Frame::popup(&ctx.global_style()).inner_margin(12.0);
         let area = Modal::default_area(Id::new("files")).anchor(Align2::CENTER_TOP, vec2(0.0, 96.0));
@@ -164,13 +164,13 @@ impl Files {
                 self.enter(path);
                 self.fresh = true;
             } else {
-                answer = Some(Some(self.written(&path)));
+                result = Some(Some(self.written(&path)));
             }
         } else if go_up {
             self.up();
             self.fresh = true;
         }
-        if answer.is_none() && shown.should_close() { Some(None) } else { answer }
+        if result.is_none() && shown.should_close() { Some(None) } else { result }
     }
 }
 

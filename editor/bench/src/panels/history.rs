@@ -63,8 +63,8 @@ pub fn show(ui: &mut Ui, document: &Document) -> Option<usize> {
                 let button = Button::new(RichText::new(&name).size(12.5).color(color)).selected(last);
                 let row =
                     ui.add(button.frame_when_inactive(last)).on_hover_text("Restores the values after this change");
-                let told = format!("Change {}: {name} from {from} to {to}", number + 1);
-                row.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, last, told.clone()));
+                let description = format!("Change {}: {name} from {from} to {to}", number + 1);
+                row.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, last, description.clone()));
                 if row.clicked() {
                     go = Some(number + 1);
                 }

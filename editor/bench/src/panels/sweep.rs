@@ -248,8 +248,8 @@ impl SweepPanel {
             }
         });
         let wrong = self.wrong.as_ref().or(progress.and_then(|p| p.failed.as_ref()));
-        if let Some(caption) = wrong {
-            ui.add(Label::new(RichText::new(caption).size(12.0).color(theme::FAULT)).wrap());
+        if let Some(error) = wrong {
+            ui.add(Label::new(RichText::new(error).size(12.0).color(theme::FAULT)).wrap());
         }
         request
     }
@@ -326,7 +326,7 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
         points.iter().filter_map(|p| Some((p.at, *p.result.as_ref().ok()?))).collect()
     };
     let known = known(&progress.points);
-    let caption: Vec<(f64, String)> = progress.points.iter().map(|p| (p.at, p.value.clone())).collect();
+    let labels: Vec<(f64, String)> = progress.points.iter().map(|p| (p.at, p.value.clone())).collect();
     let is_text = progress.is_text;
     let axis = match progress.unit.is_empty() {
         true => progress.param.clone(),
@@ -342,7 +342,7 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
             let near = |(at, _): &&(f64, String)| (at - mark.value).abs() < 1e-9 && at.fract() == 0.0;
             // Words have no labels between them.
             let between = || if is_text { String::new() } else { short(mark.value) };
-            caption.iter().find(near).map_or_else(between, |(_, word)| word.clone())
+            labels.iter().find(near).map_or_else(between, |(_, word)| word.clone())
         })
         .show(ui, |plot| {
             for (at, s) in &known {
@@ -360,8 +360,9 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
         let word = progress.points.iter().find(|p| is_text && p.at == at);
         word.map_or_else(|| short(at), |p| p.value.clone())
     };
-    let told = known.iter().map(|(at, s)| format!("{}: {}", place(*at), short(s.mean))).collect::<Vec<_>>().join(", ");
-    shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Sweep: {told}")));
+    let description =
+        known.iter().map(|(at, s)| format!("{}: {}", place(*at), short(s.mean))).collect::<Vec<_>>().join(", ");
+    shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Sweep: {description}")));
     shown.response
 }
 
