@@ -18,9 +18,9 @@ thread_local! {
 }
 
 unsafe extern "C" fn open(call: *mut abi::OpenCall, _: *mut *mut c_void) -> abi::Status {
-    // SAFETY: the harness's call.
+    // SAFETY: the harness passes a call and a host table that live until this function returns.
     let (call, host) = unsafe { (&*call, &*(*call).host) };
-    // SAFETY: the harness's functions take the handle of this call.
+    // SAFETY: the host function takes the handle of the call being served.
     unsafe { host.alloc.expect("alloc")(call.call, 0, abi::FORMAT_BYTES, 0, 0, 0, 1) }
 }
 
@@ -29,7 +29,7 @@ unsafe extern "C" fn open_well(_: *mut abi::OpenCall, _: *mut *mut c_void) -> ab
 }
 
 unsafe extern "C" fn process(_: *mut c_void, call: *mut abi::Call) -> abi::Status {
-    // SAFETY: the harness's call.
+    // SAFETY: the harness passes a call and a host table that live until this function returns.
     let (call, host) = unsafe { (&mut *call, &*(*call).host) };
     SCRIPT.get()(call, host)
 }
@@ -281,14 +281,14 @@ fn a_file_is_claimed_and_begun_in_parts() {
         let path = std::env::temp_dir().join(format!("panoscope_claimed_{}.csv", std::process::id()));
         for action in [abi::CLAIM_HOLD, abi::CLAIM_BEGIN, abi::CLAIM_BEGIN, abi::CLAIM_BEGIN_NEW] {
             let mut answer = Str::EMPTY;
-            // SAFETY: a function of this call; its answer is read before the next one.
+            // SAFETY: the host function takes the handle of the call being served; the returned text is read before the next host call.
             let (status, text) = unsafe {
                 let path = Str::borrow(path.to_str().expect("UTF-8"));
                 (claim(call.call, path, action, &raw mut answer), answer.text().unwrap_or("?").to_owned())
             };
             ANSWERS.with_borrow_mut(|all| all.push((status, text)));
         }
-        // SAFETY: a function of this call.
+        // SAFETY: the host function takes the handle of the call being served.
         assert!(unsafe { host.clock_ns.expect("clock_ns")(call.call) } >= 0);
         abi::STATUS_OK
     });
@@ -312,7 +312,7 @@ fn a_file_is_claimed_and_begun_in_parts() {
 fn logs_metrics_and_failures_reach_the_host() {
     SCRIPT.set(|call, host| {
         let (log, metric) = (host.log.expect("log"), host.metric.expect("metric"));
-        // SAFETY: functions of this call.
+        // SAFETY: the host functions take the handle of the call being served.
         unsafe {
             for (level, words) in [(1, "a"), (2, "b"), (3, "c"), (4, "d")] {
                 log(call.call, level, Str::borrow(words));
@@ -334,7 +334,7 @@ fn logs_metrics_and_failures_reach_the_host() {
     let mute = run(|_, _| abi::STATUS_PANIC);
     assert_eq!(mute, Err("process returned STATUS_PANIC: the node failed without an error message".to_owned()));
     let odd = run(|call, host| {
-        // SAFETY: a function of this call.
+        // SAFETY: the host function takes the handle of the call being served.
         unsafe { host.log.expect("log")(call.call, 17, Str::EMPTY) };
         abi::STATUS_OK
     });
@@ -345,7 +345,7 @@ fn logs_metrics_and_failures_reach_the_host() {
 fn random_numbers_depend_on_node_and_tick_only() {
     SCRIPT.set(|call, host| {
         for _ in 0..3 {
-            // SAFETY: functions of this call.
+            // SAFETY: the host functions take the handle of the call being served.
             unsafe {
                 let number = host.random.expect("random")(call.call);
                 host.metric.expect("metric")(call.call, Str::new("random"), (number >> 12) as f64);
