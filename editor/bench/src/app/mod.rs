@@ -269,11 +269,11 @@ impl App {
     fn panels(&mut self, ui: &mut Ui, status: &Status) {
         let counters = self.observer.counters();
         let bar = Frame::new().fill(theme::PANEL).inner_margin(Margin::symmetric(16, 8));
-        let asked = Panel::top("top")
+        let actions = Panel::top("top")
             .frame(bar)
             .exact_size(44.0)
             .show(ui, |ui| top::show(ui, &self.document, status, &counters, self.switches));
-        asked.inner.into_iter().for_each(|action| self.perform(action));
+        actions.inner.into_iter().for_each(|action| self.perform(action));
         self.conflict_bar(ui);
         self.side(ui, &counters);
         self.below(ui, status, &counters);

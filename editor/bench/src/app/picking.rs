@@ -41,10 +41,10 @@ impl App {
             // The node was removed, or the viewer was closed.
             _ => return self.viewer.set_picking(false),
         };
-        let asked = image_rects
+        let requested = image_rects
             .zip(self.shown.size(&output))
             .and_then(|((inner, bar), size)| picker.show(ui, inner, bar, size, &values));
-        match asked {
+        match requested {
             Some(picker::PickerRequest::Set(new)) => {
                 let result =
                     ops::set_param(&mut self.document, &picker.node, &picker.param, Some(&picker::to_toml(&new)));

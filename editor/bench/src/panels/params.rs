@@ -49,7 +49,7 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
     let given = node.outline.params.get(&param.name);
     let value = given.cloned().unwrap_or_else(|| default_value(&param.kind));
     let differs = document.differs_from_file(node, &param.name);
-    let (mut change, mut asked) = (None, None);
+    let (mut change, mut request) = (None, None);
     ui.spacing_mut().item_spacing.y = 2.0;
     ui.horizontal(|ui| {
         ui.spacing_mut().interact_size.y = 18.0;
@@ -93,7 +93,7 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
                 button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, caption.clone()));
                 if button.clicked() {
                     let name = param.name.clone();
-                    asked = Some(if param.pick == Pick::File {
+                    request = Some(if param.pick == Pick::File {
                         ParamRequest::Browse(name)
                     } else {
                         ParamRequest::Pick(name)
@@ -109,7 +109,7 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
         change = Some(Change { param: param.name.clone(), value: Some(value) });
     }
     ui.add_space(2.0 * theme::STEP);
-    asked.or(change.map(ParamRequest::Change))
+    request.or(change.map(ParamRequest::Change))
 }
 
 /// Shows the widget of one parameter; returns a new value.

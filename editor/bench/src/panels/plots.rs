@@ -156,7 +156,7 @@ impl Plots {
         let curves = self.curves(view, counters, selected);
         let mut export = self.cutout.taken(ui.ctx()).map(Export::Picture);
         let empty = curves.is_empty();
-        let mut asked = false;
+        let mut requested = false;
         ui.horizontal(|ui| {
             for kind in Kind::ALL {
                 if ui.add(Button::new(kind.label()).selected(self.kind == kind)).clicked() {
@@ -164,7 +164,7 @@ impl Plots {
                 }
             }
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                asked = ui.button("PNG").on_hover_text("Writes an image of the plot to out/").clicked();
+                requested = ui.button("PNG").on_hover_text("Writes an image of the plot to out/").clicked();
                 if ui.button("CSV").on_hover_text("Writes all points of the curves to out/").clicked() {
                     export = Some(Export::Csv(csv(self.kind, &curves)));
                 }
@@ -190,7 +190,7 @@ impl Plots {
             }
         });
         shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Times"));
-        if asked {
+        if requested {
             self.cutout.request(ui.ctx(), shown.response.rect);
         }
         if empty {

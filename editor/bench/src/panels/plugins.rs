@@ -23,13 +23,13 @@ pub enum PluginsRequest {
 pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<PluginsRequest> {
     let modal = Modal::new("plugins".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
     let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
-    let mut asked = None;
+    let mut request = None;
     let shown = modal.frame(frame).show(ctx, |ui| {
         ui.set_width(560.0);
         ui.horizontal(|ui| {
             ui.label(RichText::new("Plugins").size(16.0));
             if ui.button("Reload").on_hover_text("Swaps rebuilt plugins into the running graph").clicked() {
-                asked = Some(PluginsRequest::Reload);
+                request = Some(PluginsRequest::Reload);
             }
         });
         let height = ctx.content_rect().height();
@@ -69,5 +69,5 @@ pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Plugins
             }
         });
     });
-    asked.or(shown.should_close().then_some(PluginsRequest::Close))
+    request.or(shown.should_close().then_some(PluginsRequest::Close))
 }

@@ -148,8 +148,8 @@ impl SweepPanel {
                 |ui| {
                     ui.set_width(SETTINGS_WIDTH);
                     ScrollArea::vertical().id_salt("sweep settings").auto_shrink([false, false]).show(ui, |ui| {
-                        let asked = self.settings(ui, document, counters, shown, path, progress.as_ref());
-                        request = asked.or(request.take());
+                        let requested = self.settings(ui, document, counters, shown, path, progress.as_ref());
+                        request = requested.or(request.take());
                     });
                 },
             );
@@ -284,7 +284,7 @@ impl SweepPanel {
             return None;
         };
         let mut export = None;
-        let mut asked = false;
+        let mut requested = false;
         ui.horizontal(|ui| {
             ui.label(format!("{} over {}", progress.measure, progress.param));
             let caption = match (progress.total, progress.points.len()) {
@@ -301,7 +301,7 @@ impl SweepPanel {
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                 let some = !progress.points.is_empty();
                 let png = ui.add_enabled(some, Button::new("PNG")).on_hover_text("Writes an image of the plot to out/");
-                asked = png.clicked();
+                requested = png.clicked();
                 let table = ui.add_enabled(some, Button::new("CSV")).on_hover_text("Writes all values to out/");
                 if table.clicked() {
                     export = Some(Export::Csv(csv(&progress.param, &progress.measure, &progress.points)));
@@ -314,7 +314,7 @@ impl SweepPanel {
             ui.add(Label::new(RichText::new(caption).size(12.0).color(theme::FAULT)).truncate());
         }
         let response = plot(ui, progress);
-        if asked {
+        if requested {
             self.cutout.request(ui.ctx(), response.rect);
         }
         export

@@ -29,7 +29,7 @@ pub struct Switches {
 
 /// Shows the bar; returns the actions that the user requests.
 pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters, on: Switches) -> Vec<Action> {
-    let mut asked = Vec::new();
+    let mut actions = Vec::new();
     ui.horizontal_centered(|ui| {
         ui.spacing_mut().item_spacing.x = theme::STEP * 1.5;
         ui.label(RichText::new(&document.view().name).size(15.0).strong());
@@ -43,7 +43,7 @@ pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counte
             let mut button = |ui: &mut Ui, action, caption: &str, selected: bool, enabled: bool| {
                 let button = Button::new(caption).selected(selected).frame_when_inactive(selected);
                 if ui.add_enabled(enabled, button).on_hover_text(actions::hint(action)).clicked() {
-                    asked.push(action);
+                    actions.push(action);
                 }
             };
             button(ui, Action::Help, "Keys", false, true);
@@ -68,7 +68,7 @@ pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counte
             }
         });
     });
-    asked
+    actions
 }
 
 fn state(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters) {
