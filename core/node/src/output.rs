@@ -7,8 +7,8 @@ use crate::ViewMut;
 use crate::abi;
 use crate::error::{NodeError, Result};
 use crate::packet::{
-    AnyFormat, LabeledDetections, LabeledInstances, Packet, Plain, Plane, PlaneFormat, PointCloud, TableData, TextPacket,
-    bytes_of,
+    AnyFormat, LabeledDetections, LabeledInstances, Packet, Plain, Plane, PlaneFormat, PointCloud, TableData,
+    TextPacket, bytes_of,
 };
 use crate::port::{PortField, RawCall, nameless};
 

@@ -48,7 +48,7 @@ pub(super) struct PacketDifference {
 
 /// Compares two tables; columns are matched by name.
 pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> PacketDifference {
-    let mut apart = PacketDifference::default();
+    let mut difference = PacketDifference::default();
     let alone = |in_a: &Table<'_>, in_b: &Table<'_>, first: bool| {
         let missing = in_a.names().find(|name| in_b.column(name).is_none());
         missing.map(|name| FirstCell::Column(name.to_owned(), first))
@@ -58,61 +58,61 @@ pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> PacketDiff
     for row in 0..a.rows().min(b.rows()) {
         for &(name, left, right) in &shared {
             let (Some(x), Some(y)) = (a.value(row, left), b.value(row, right)) else { continue };
-            apart.values += 1.0;
+            difference.values += 1.0;
             let by = (x - y).abs();
             if by.is_finite() {
-                apart.sum += by;
-                apart.largest = apart.largest.max(by);
+                difference.sum += by;
+                difference.largest = difference.largest.max(by);
             }
             if !is_equal(x, y, tolerance) {
-                apart.differing += 1.0;
-                apart.first_cell.get_or_insert_with(|| FirstCell::Value(row + 1, name.to_owned(), x, y));
+                difference.differing += 1.0;
+                difference.first_cell.get_or_insert_with(|| FirstCell::Value(row + 1, name.to_owned(), x, y));
             }
         }
     }
     let column = alone(a, b, true).or_else(|| alone(b, a, false));
     let rows = (a.rows() != b.rows()).then_some(FirstCell::Rows(a.rows(), b.rows()));
-    apart.other_shape = column.is_some() || rows.is_some();
-    apart.first_cell = apart.first_cell.or(column).or(rows);
-    apart.differs = apart.first_cell.is_some();
-    apart
+    difference.other_shape = column.is_some() || rows.is_some();
+    difference.first_cell = difference.first_cell.or(column).or(rows);
+    difference.differs = difference.first_cell.is_some();
+    difference
 }
 
 /// Compares two clouds of the same size, point by point; distances and `tolerance` in mm.
 pub(super) fn clouds(a: &Cloud<'_>, b: &Cloud<'_>, tolerance: f64) -> PacketDifference {
-    let mut apart = PacketDifference::default();
+    let mut difference = PacketDifference::default();
     for y in 0..a.height() {
         for x in 0..a.width() {
             let (Some(left), Some(right)) = (a.point(x, y), b.point(x, y)) else { continue };
             let position = |point: &CloudPoint| [point.x_mm, point.y_mm, point.z_mm].map(f64::from);
             let (p, q) = (position(&left), position(&right));
-            apart.values += 1.0;
+            difference.values += 1.0;
             let known = |p: &[f64; 3]| p.iter().all(|v| v.is_finite());
             let mut differs = false;
             match (known(&p), known(&q)) {
                 (true, true) => {
                     let distance = (0..3).map(|k| (p[k] - q[k]).powi(2)).sum::<f64>().sqrt();
-                    apart.sum += distance;
-                    if distance > apart.largest {
-                        (apart.largest, apart.farthest) = (distance, Some((x, y)));
+                    difference.sum += distance;
+                    if distance > difference.largest {
+                        (difference.largest, difference.farthest) = (distance, Some((x, y)));
                     }
                     differs = distance > tolerance;
                     if left.bgr != right.bgr {
-                        apart.recoloured += 1;
+                        difference.recoloured += 1;
                         differs = true;
                     }
                 }
                 (false, false) => {}
                 _ => {
-                    apart.only_in_one += 1;
+                    difference.only_in_one += 1;
                     differs = true;
                 }
             }
-            apart.differing += f64::from(u8::from(differs));
+            difference.differing += f64::from(u8::from(differs));
         }
     }
-    apart.differs = apart.differing > 0.0;
-    apart
+    difference.differs = difference.differing > 0.0;
+    difference
 }
 
 #[cfg(test)]
@@ -142,9 +142,9 @@ mod tests {
         assert!(compare(&a, &near, 0.0).differs, "exactly");
         assert!(!compare(&a, &near, 1e-6).differs, "another kind of unknown is unknown all the same");
         let far = table(&["x_mm", "y_mm"], &[&[1.0, 2.0], &[3.5, 9.0]]);
-        let apart = compare(&a, &far, 1e-6);
-        assert_eq!(apart.first_cell, Some(FirstCell::Value(2, "x_mm".to_owned(), 3.0, 3.5)));
-        assert_eq!((apart.largest, apart.differing, apart.values), (0.5, 2.0, 4.0));
+        let difference = compare(&a, &far, 1e-6);
+        assert_eq!(difference.first_cell, Some(FirstCell::Value(2, "x_mm".to_owned(), 3.0, 3.5)));
+        assert_eq!((difference.largest, difference.differing, difference.values), (0.5, 2.0, 4.0));
         // Columns are matched by name; what only one has is named.
         let turned = table(&["y_mm", "x_mm"], &[&[2.0, 1.0], &[f64::NAN, 3.0]]);
         assert!(!compare(&a, &turned, 0.0).differs);
@@ -172,14 +172,14 @@ mod tests {
             let parsed = |bytes| Cloud::parse(bytes, 2, 2, 32).expect("a cloud");
             super::clouds(&parsed(a), &parsed(b), tolerance)
         };
-        let apart = clouds(&a, &b, 0.5);
-        assert_eq!((apart.largest, apart.farthest), (5.0, Some((1, 0))));
-        assert_eq!((apart.only_in_one, apart.differing, apart.recoloured), (2, 3.0, 0));
+        let difference = clouds(&a, &b, 0.5);
+        assert_eq!((difference.largest, difference.farthest), (5.0, Some((1, 0))));
+        assert_eq!((difference.only_in_one, difference.differing, difference.recoloured), (2, 3.0, 0));
         assert!(!clouds(&a, &a, 0.0).differs);
         let mut recoloured = a.clone();
         recoloured[12] = 9;
-        let apart = clouds(&a, &recoloured, 0.5);
-        assert_eq!((apart.recoloured, apart.differs, apart.largest), (1, true, 0.0));
+        let difference = clouds(&a, &recoloured, 0.5);
+        assert_eq!((difference.recoloured, difference.differs, difference.largest), (1, true, 0.0));
         // The fourth byte of a colour means nothing.
         let mut padded = a.clone();
         padded[15] = 9;

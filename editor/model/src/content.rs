@@ -8,11 +8,11 @@ const MAX_ENTRIES: usize = 256;
 
 /// A detected object and its box.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Found {
+pub struct DetectedBox {
     /// Left, top, width and height, as fractions of the searched image's width and height.
     pub share: [f32; 4],
     /// Name of the class and score, such as `hook 87 %`.
-    pub words: String,
+    pub label: String,
     /// Index of the class; determines the colour.
     pub class: u32,
 }
@@ -24,7 +24,7 @@ pub enum Content {
     #[default]
     Nothing,
     /// Boxes of detected objects.
-    Boxes(Vec<Found>),
+    Boxes(Vec<DetectedBox>),
     /// A tool's tip in the left camera's frame, mm.
     Tip([f64; 3]),
     /// Pose of coordinate frame `b` in frame `a`.
@@ -94,28 +94,28 @@ fn try_read(bytes: &[u8], kind: &str) -> Result<Content, PacketError> {
     })
 }
 
-fn boxes(list: &Detections<'_>) -> Vec<Found> {
+fn boxes(list: &Detections<'_>) -> Vec<DetectedBox> {
     let labels: Vec<&str> = list.labels().collect();
     let (width, height) = list.image_size();
     let (width, height) = (width.max(1) as f32, height.max(1) as f32);
-    let found = list.items().take(MAX_ENTRIES).map(|item| Found {
+    let boxes = list.items().take(MAX_ENTRIES).map(|item| DetectedBox {
         share: [item.x_px / width, item.y_px / height, item.width_px / width, item.height_px / height],
-        words: format!("{} {:.0} %", labels.get(item.class_index as usize).unwrap_or(&"?"), item.score * 100.0),
+        label: format!("{} {:.0} %", labels.get(item.class_index as usize).unwrap_or(&"?"), item.score * 100.0),
         class: item.class_index,
     });
-    found.filter(|f| f.share.iter().all(|v| v.is_finite())).collect()
+    boxes.filter(|detected| detected.share.iter().all(|v| v.is_finite())).collect()
 }
 
 /// Transforms a position from frame `b` to frame `a`: rotates it by `wxyz` and moves it by `mm`.
-pub fn moved(wxyz: [f64; 4], mm: [f64; 3], place: [f64; 3]) -> [f64; 3] {
-    let turned = turned(wxyz, place);
+pub fn moved(wxyz: [f64; 4], mm: [f64; 3], position: [f64; 3]) -> [f64; 3] {
+    let turned = turned(wxyz, position);
     [turned[0] + mm[0], turned[1] + mm[1], turned[2] + mm[2]]
 }
 
 /// The inverse of [`moved`]: transforms a position from frame `a` to frame `b`.
-pub fn moved_back(wxyz: [f64; 4], mm: [f64; 3], place: [f64; 3]) -> [f64; 3] {
+pub fn moved_back(wxyz: [f64; 4], mm: [f64; 3], position: [f64; 3]) -> [f64; 3] {
     let [w, x, y, z] = wxyz;
-    turned([w, -x, -y, -z], [place[0] - mm[0], place[1] - mm[1], place[2] - mm[2]])
+    turned([w, -x, -y, -z], [position[0] - mm[0], position[1] - mm[1], position[2] - mm[2]])
 }
 
 /// Rotates a vector by a unit quaternion w, x, y, z.
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn boxes_have_their_places_and_names() {
+    fn boxes_have_positions_and_labels() {
         let mut bytes = Vec::new();
         for number in [1u32, 13, 200, 100] {
             bytes.extend_from_slice(&number.to_le_bytes());
@@ -147,7 +147,7 @@ mod tests {
         bytes.extend_from_slice(b"hook\nscissors");
         let Content::Boxes(found) = read(&bytes, "detections") else { panic!("no boxes") };
         assert_eq!(found[0].share, [0.25, 0.2, 0.5, 0.5]);
-        assert_eq!(found[0].words, "scissors 87 %");
+        assert_eq!(found[0].label, "scissors 87 %");
         // Cut off anywhere it is read without harm.
         for end in 0..bytes.len() {
             read(&bytes[..end], "detections");

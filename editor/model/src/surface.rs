@@ -51,7 +51,7 @@ pub struct Cloud {
 
 impl Cloud {
     /// The surface point at a column and row, estimated from the pixels within `radius_px`; `None` when too few are known.
-    pub fn place(&self, (u, v): (f32, f32), radius_px: usize) -> Option<SurfacePoint> {
+    pub fn surface_point(&self, (u, v): (f32, f32), radius_px: usize) -> Option<SurfacePoint> {
         let at = [f64::from(u).max(0.0), f64::from(v).max(0.0)];
         SurfacePoint::at((self.width, self.height), at, radius_px, &mut Vec::new(), |x, y| {
             let [x, y, z] = self.xyz_mm.get(y * self.width + x)?.map(f64::from);
@@ -221,14 +221,14 @@ mod tests {
     }
 
     #[test]
-    fn a_place_comes_from_the_points_around_it() {
+    fn a_surface_point_comes_from_the_points_around_it() {
         let (frame, bytes) = plane(40, 30);
         let mut cloud = cloud_of(&frame, &bytes).unwrap();
         cloud.xyz_mm[10 * 40 + 20] = [f32::NAN; 3];
-        let depth = cloud.place((20.0, 10.0), 4).map(|p| p.xyz_mm(0.0)[2]);
+        let depth = cloud.surface_point((20.0, 10.0), 4).map(|p| p.xyz_mm(0.0)[2]);
         assert!(depth.is_some_and(|z| (z - 50.0).abs() < 1e-6), "{depth:?}");
         cloud.xyz_mm.fill([f32::NAN; 3]);
-        assert_eq!(cloud.place((20.0, 10.0), 4), None);
+        assert_eq!(cloud.surface_point((20.0, 10.0), 4), None);
         assert_eq!(cloud_of(&abi::Frame { height: 4000, ..frame }, &bytes), None, "described wrongly");
     }
 }

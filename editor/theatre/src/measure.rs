@@ -112,7 +112,7 @@ impl Measure {
             on.points.clear();
         }
         let at_px = (x * on.cloud.width as f32 - 0.5, y * on.cloud.height as f32 - 0.5);
-        on.points.push(Tapped { at_px, position: on.cloud.place(at_px, RADIUS_PX) });
+        on.points.push(Tapped { at_px, position: on.cloud.surface_point(at_px, RADIUS_PX) });
     }
 
     /// Handles keys: arrows move a crosshair, Enter adds a point there.

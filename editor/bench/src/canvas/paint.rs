@@ -14,7 +14,7 @@ use super::curve::{bow, flattened, on_curve, rounded};
 use super::interaction::{Drag, check_wire};
 use super::shape::{DETAIL, HEADER, PAD, PICTURES, Pin};
 use super::{Canvas, Scene};
-use panoscope_editor_model::content::{Content, Found};
+use panoscope_editor_model::content::{Content, DetectedBox};
 use panoscope_editor_model::document::{GraphView, Wire};
 use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme::{self, PinShape};
@@ -440,15 +440,15 @@ fn fault_name(fault: &panoscope_engine::fault::Fault) -> &'static str {
 }
 
 /// Draws boxes with their labels in the colours of their classes.
-fn paint_boxes(painter: &Painter, picture: Rect, found: &[Found], font: Option<FontId>) {
-    for thing in found {
-        let [x, y, w, h] = thing.share;
+fn paint_boxes(painter: &Painter, picture: Rect, boxes: &[DetectedBox], font: Option<FontId>) {
+    for detected in boxes {
+        let [x, y, w, h] = detected.share;
         let at = picture.min + vec2(x * picture.width(), y * picture.height());
         let rect = Rect::from_min_size(at, vec2(w * picture.width(), h * picture.height())).intersect(picture);
-        let color = theme::class(thing.class);
+        let color = theme::class(detected.class);
         painter.rect_stroke(rect, 1.0, Stroke::new(1.5, color), StrokeKind::Inside);
         if let Some(font) = font.clone() {
-            let galley = painter.layout_no_wrap(thing.words.clone(), font, theme::SUNK);
+            let galley = painter.layout_no_wrap(detected.label.clone(), font, theme::SUNK);
             let at = pos2(rect.left(), (rect.top() - galley.size().y).max(picture.top()));
             painter.rect_filled(Rect::from_min_size(at, galley.size() + vec2(6.0, 0.0)), 1.0, color);
             painter.galley(at + vec2(3.0, 0.0), galley, theme::SUNK);
