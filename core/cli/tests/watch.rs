@@ -112,7 +112,7 @@ inputs = { image = "a.image" }
     run.says(&["changed:", "added", "extra"]);
 
     put(&graph, more.replace("\"pass\"", "\"pas\"").as_bytes());
-    run.says(&["the old one runs on"]);
+    run.says(&["the old one keeps running"]);
     run.says(&["unknown-type"]);
     put(&graph, more.as_bytes());
 

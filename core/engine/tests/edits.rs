@@ -243,7 +243,7 @@ fn state_and_previews_survive_a_rebuilt_plugin_and_broken_ones_are_refused() {
     rebuilt[at..at + new.len()].copy_from_slice(new);
     let mut watch = FileWatch::new("test.toml".as_ref(), live.loader());
     std::fs::write(&file, &rebuilt).expect("written");
-    until("the change is seen", || watch.look().plugins);
+    until("the change is seen", || watch.poll().plugins);
     let applied = live.reload_plugins().expect("a good plugin");
     assert_eq!(applied.replaced.len(), 3, "{applied:?}");
     let catalog = live.loader().catalog(&["flow"]);

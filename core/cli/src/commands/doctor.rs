@@ -101,7 +101,8 @@ impl Doctor {
         for name in names {
             match loader.load(&name) {
                 Ok(loaded) => {
-                    let about = format!("{}, loads, {} node types", loaded.found.note.version, loaded.node_types.len());
+                    let about =
+                        format!("{}, loads, {} node types", loaded.plugin.note.version, loaded.node_types.len());
                     self.say(State::Fine, &name, &about);
                 }
                 Err(problem) => {

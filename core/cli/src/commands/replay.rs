@@ -95,7 +95,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             all_ports: arguments.ports.all_ports,
             all_source_ports: false,
             // The replay waits for nobody: no packet may be missing.
-            most_waiting_bytes: usize::MAX,
+            max_queued_bytes: usize::MAX,
         }),
         engine: Options {
             threads: arguments.threads.map_or(0, usize::from),

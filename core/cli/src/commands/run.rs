@@ -207,7 +207,7 @@ pub fn watch(engine: &Engine, progress: &mut Progress, mut look: impl FnMut()) {
 
 /// Makes the running graph what the files say now, or says why not.
 fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>) {
-    let changed = files.look();
+    let changed = files.poll();
     let mut results = Vec::new();
     if changed.plugins {
         results.push(live.reload_plugins());

@@ -1,4 +1,4 @@
-//! What tests of every window need.
+//! Helpers for tests of both windows.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 use std::path::PathBuf;
@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use panoscope_loader::{self as loader, Loader};
 
-/// Longest that anything here may take.
+/// Maximum time to wait for a condition.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Whether a plugin can be loaded; a test that needs it is skipped otherwise.
@@ -18,7 +18,7 @@ pub fn has_plugin(name: &str) -> bool {
     found
 }
 
-/// A folder that no other test uses, removed at the end.
+/// A temporary folder of one test, removed at the end.
 pub struct Folder(pub PathBuf);
 
 impl Folder {

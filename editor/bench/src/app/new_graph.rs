@@ -1,4 +1,4 @@
-//! Beginning: templates for a file that is not there yet, and files that are dropped on the window.
+//! Starts a graph: templates for a new file, and files dropped on the window.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -9,24 +9,20 @@ use panoscope_graph::edit::{EditError, GraphEdit};
 use super::App;
 use panoscope_editor_widgets::theme;
 
-/// Name, what it is for, text.
+/// Name, description and text of each template.
 const TEMPLATES: [(&str, &str, &str); 4] = [
-    (
-        "Two cameras",
-        "Cameras, videos or pictures beside each other: the beginning of anything.",
-        include_str!("../../templates/two_cameras.toml"),
-    ),
+    ("Two cameras", "Two cameras, videos or images side by side.", include_str!("../../templates/two_cameras.toml")),
     ("Panorama", "Two rendered views become one wide picture.", include_str!("../../templates/panorama.toml")),
     ("Depth", "Two rendered views become a surface in mm.", include_str!("../../templates/depth.toml")),
-    ("Empty", "Nothing yet: the key A adds nodes.", include_str!("../../templates/empty.toml")),
+    ("Empty", "An empty graph; press A to add nodes.", include_str!("../../templates/empty.toml")),
 ];
 
-/// Texts of the templates.
+/// Names and texts of the templates.
 pub fn templates() -> impl Iterator<Item = (&'static str, &'static str)> {
     TEMPLATES.iter().map(|(name, _, text)| (*name, *text))
 }
 
-/// Whether a file holds moving or still pictures.
+/// Whether a file is an image or a video, by its extension.
 fn is_picture(file: &Path) -> bool {
     let ending = file.extension().and_then(OsStr::to_str).unwrap_or_default().to_ascii_lowercase();
     matches!(
@@ -35,10 +31,10 @@ fn is_picture(file: &Path) -> bool {
     )
 }
 
-/// Adds a source of one or two files to a graph's text; answers the text and the node's name.
+/// Adds a source of one or two files to a graph's text; returns the text and the node's name.
 ///
 /// # Errors
-/// The text cannot be edited like that.
+/// The edit does not fit the text.
 pub fn with_source(text: &str, files: &[PathBuf]) -> Result<(String, String), EditError> {
     let mut edit = GraphEdit::parse(text)?;
     let taken = edit.node_names();
@@ -54,7 +50,7 @@ pub fn with_source(text: &str, files: &[PathBuf]) -> Result<(String, String), Ed
 }
 
 impl App {
-    /// Offers templates while the graph has neither file nor text.
+    /// Offers templates while the file does not exist and the text is empty.
     pub(super) fn offer_templates(&mut self, ctx: &Context) {
         if !self.document.text().trim().is_empty() || self.document.path().is_file() {
             return;
@@ -68,14 +64,14 @@ impl App {
             let name = self.document.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
             ui.label(RichText::new(format!("{name} is written when you save")).color(theme::MUTED));
             ui.add_space(2.0 * theme::STEP);
-            for (name, words, text) in TEMPLATES {
+            for (name, description, text) in TEMPLATES {
                 let button = egui::Button::new(RichText::new(name).size(14.0)).min_size(vec2(420.0, 34.0));
-                let response = ui.add(button).on_hover_text(words);
+                let response = ui.add(button).on_hover_text(description);
                 response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("Template {name}")));
                 if response.clicked() {
                     chosen = Some((name, text));
                 }
-                ui.label(RichText::new(words).size(12.0).color(theme::MUTED));
+                ui.label(RichText::new(description).size(12.0).color(theme::MUTED));
                 ui.add_space(theme::STEP);
             }
         });
@@ -84,13 +80,13 @@ impl App {
         }
     }
 
-    /// Takes files that are dropped: pictures and videos become a source, a graph opens in a window of its own.
+    /// Handles dropped files: images and videos become a source, a graph opens in a new window.
     pub(super) fn take_dropped(&mut self, ctx: &Context) {
         let dropped: Vec<PathBuf> = ctx.input(|i| i.raw.dropped_files.iter().map(|f| f.path().to_owned()).collect());
         self.dropped(dropped);
     }
 
-    /// As if these files were dropped on the window.
+    /// Handles files as if they were dropped on the window.
     pub fn dropped(&mut self, files: Vec<PathBuf>) {
         if files.is_empty() {
             return;
@@ -101,8 +97,8 @@ impl App {
         for graph in graphs {
             let opened = std::env::current_exe().and_then(|this| std::process::Command::new(this).arg(&graph).spawn());
             match opened {
-                Ok(_) => self.tell(format!("{} opens in its own window", graph.display()), false),
-                Err(error) => self.tell(format!("{} does not open: {error}", graph.display()), true),
+                Ok(_) => self.notify(format!("{} opens in its own window", graph.display()), false),
+                Err(error) => self.notify(format!("{} could not be opened: {error}", graph.display()), true),
             }
         }
         pictures.sort();
@@ -114,10 +110,10 @@ impl App {
                 self.canvas.select_only(&id);
             }
         } else if pictures.len() > 2 {
-            self.tell("drop one file, or one for each side", true);
+            self.notify("drop one file, or one for each of the two sides", true);
         }
         if let Some(file) = unknown.first() {
-            self.tell(format!("{} is neither a graph nor a picture or video", file.display()), true);
+            self.notify(format!("{} is not a graph, image or video", file.display()), true);
         }
     }
 }

@@ -1,16 +1,16 @@
-//! What a pointer and keys do to any window.
+//! Pointer and key input for tests of both windows.
 
 use eframe::egui::accesskit::{Action, Role};
 use eframe::egui::{Key, Modifiers, Pos2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::{NodeT, Queryable};
 
-/// Presses and lets go.
+/// Presses and releases the pointer at one position.
 pub fn tap<S>(harness: &mut Harness<'_, S>, at: Pos2) {
     drag(harness, at, at);
 }
 
-/// Presses at one place and lets go at another.
+/// Presses the pointer at one position and releases it at another.
 pub fn drag<S>(harness: &mut Harness<'_, S>, from: Pos2, to: Pos2) {
     harness.hover_at(from);
     harness.step();
@@ -27,7 +27,7 @@ pub fn drag<S>(harness: &mut Harness<'_, S>, from: Pos2, to: Pos2) {
     harness.step();
 }
 
-/// Types into a named field and leaves it.
+/// Types into a named field and moves the focus away.
 pub fn fill<S>(harness: &mut Harness<'_, S>, label: &str, text: &str) {
     harness.get_by_label(label).focus();
     steps(harness, 2);
@@ -41,7 +41,7 @@ pub fn steps<S>(harness: &mut Harness<'_, S>, count: usize) {
     (0..count).for_each(|_| harness.step());
 }
 
-/// Roles of what can be touched.
+/// Roles of interactive widgets.
 const TOUCHED: [Role; 13] = [
     Role::Button,
     Role::CheckBox,
@@ -58,7 +58,7 @@ const TOUCHED: [Role; 13] = [
     Role::Switch,
 ];
 
-/// Asserts that everything that can be touched has a name, and that this is more than a few things.
+/// Asserts that every interactive widget has a name, and that there are at least `at_least` of them.
 pub fn all_named<S>(harness: &Harness<'_, S>, what: &str, at_least: usize) {
     let all = harness.root().children_recursive();
     let touched: Vec<_> = all.filter(|node| TOUCHED.contains(&node.accesskit_node().role())).collect();
@@ -71,10 +71,10 @@ pub fn all_named<S>(harness: &Harness<'_, S>, what: &str, at_least: usize) {
         nameless.map(|node| format!("{:?} at {:?}", node.accesskit_node().role(), node.rect())).collect();
     assert!(nameless.is_empty(), "{what}: {nameless:#?}");
     let count = touched.len();
-    assert!(count >= at_least, "{what}: only {count} things can be touched");
+    assert!(count >= at_least, "{what}: only {count} interactive widgets");
 }
 
-/// Names of everything that takes the focus, also what has none of the usual roles; a nameless one has its place instead.
+/// Names of all widgets that can have the focus, of any role; a nameless one is listed by its position.
 pub fn focusable<S>(harness: &Harness<'_, S>) -> Vec<String> {
     let all = harness.root().children_recursive();
     let takes = all.filter(|node| {
@@ -86,13 +86,13 @@ pub fn focusable<S>(harness: &Harness<'_, S>) -> Vec<String> {
         .collect()
 }
 
-/// Name of what has the focus.
+/// Name of the focused widget.
 pub fn focused<S>(harness: &Harness<'_, S>) -> Option<String> {
     let mut all = harness.root().children_recursive();
     all.find(|node| node.accesskit_node().is_focused()).and_then(|node| node.accesskit_node().label())
 }
 
-/// Names of what Tab leads to, one round.
+/// Names of the widgets that Tab reaches in one round.
 pub fn round_by_tab<S>(harness: &mut Harness<'_, S>) -> Vec<String> {
     let mut round: Vec<String> = Vec::new();
     for _ in 0..200 {

@@ -1,72 +1,73 @@
-//! What is done when something is asked for: by key, button, canvas or panel.
+//! Performs what the user asks for: by key, button, canvas or panel.
 
 use eframe::egui::{Context, Event, Modifiers, Vec2, vec2};
 use panoscope_eval::sweep::can_sweep;
 
 use super::App;
 use crate::actions::Action;
-use crate::canvas::Ask;
+use crate::canvas::CanvasRequest;
 use crate::palette::{Palette, Picked, Purpose};
-use crate::panels::inspector::Wish;
-use crate::panels::params::Asked;
+use crate::panels::inspector::InspectorRequest;
+use crate::panels::params::ParamRequest;
 use crate::viewer::Source;
 use panoscope_editor_model::observe::Output;
-use panoscope_editor_model::ops::{self, Waiting};
+use panoscope_editor_model::ops::{self, PendingWire};
 use panoscope_editor_widgets::ARROWS;
 
-/// Points that an arrow key moves the view by, and points of the graph that it moves nodes by with Shift: two steps of the grid.
+/// Distance that an arrow key moves the view, in points.
 const PAN: f32 = 64.0;
+/// Distance that Shift and an arrow key move nodes, in points of the graph: two grid steps.
 const NUDGE: f32 = 16.0;
 
 impl App {
-    /// Does what the canvas asks for.
-    pub(super) fn answer(&mut self, ask: Ask) {
+    /// Performs a request of the canvas.
+    pub(super) fn handle_canvas(&mut self, request: CanvasRequest) {
         let doc = &mut self.document;
-        match ask {
-            Ask::Wire { output, input, moved } => {
+        match request {
+            CanvasRequest::Wire { output, input, moved } => {
                 let from = Output::new(&output.node, &output.port);
                 let moved = moved.as_ref().map(|(end, index)| (end.node.as_str(), end.port.as_str(), *index));
                 let result = ops::wire(doc, &from, (&input.node, &input.port), None, moved);
                 self.try_edit(result);
             }
-            Ask::Unwire { input, index } => {
+            CanvasRequest::Unwire { input, index } => {
                 let result = ops::unwire(doc, &input.node, &input.port, index);
                 self.try_edit(result);
             }
-            Ask::Move(places) => {
+            CanvasRequest::Move(places) => {
                 let places: Vec<_> = places.into_iter().map(|(id, at)| (id, (at.x, at.y))).collect();
                 let result = ops::move_nodes(doc, &places);
                 self.try_edit(result);
             }
-            Ask::Marks { marks, moved } => {
+            CanvasRequest::Marks { marks, moved } => {
                 let moved: Vec<_> = moved.into_iter().map(|(id, at)| (id, (at.x, at.y))).collect();
                 let result = ops::set_marks(doc, &marks, &moved);
                 self.try_edit(result);
             }
-            Ask::Insert { node, wire } => {
+            CanvasRequest::Insert { node, wire } => {
                 let result = ops::insert(doc, &node, (&wire.0, &wire.1, wire.2));
                 self.try_edit(result);
             }
-            Ask::Look(output) => self.look_at(output),
-            Ask::Add { at, end } => {
-                let waiting = end.map(|end| {
+            CanvasRequest::ViewLarge(output) => self.view_large(output),
+            CanvasRequest::Add { at, end } => {
+                let pending = end.map(|end| {
                     if end.input {
-                        Waiting::Input(end.node, end.port)
+                        PendingWire::Input(end.node, end.port)
                     } else {
-                        Waiting::Output(Output::new(&end.node, &end.port))
+                        PendingWire::Output(Output::new(&end.node, &end.port))
                     }
                 });
-                self.open_palette(Purpose::Add { at: (at.x, at.y), waiting });
+                self.open_palette(Purpose::Add { at: (at.x, at.y), pending });
             }
-            Ask::Tell(words) => self.tell(words, true),
+            CanvasRequest::Report(error) => self.notify(error.to_string(), true),
         }
     }
 
-    /// Does what the inspector asks for.
-    pub(super) fn grant(&mut self, node: &str, wish: Wish) {
+    /// Performs a request of the inspector about a node.
+    pub(super) fn handle_inspector(&mut self, node: &str, request: InspectorRequest) {
         let doc = &mut self.document;
-        match wish {
-            Wish::Sweep => {
+        match request {
+            InspectorRequest::Sweep => {
                 self.canvas.select_only(node);
                 self.switches.sweep = true;
                 let swept = doc.view().node(node).and_then(|n| {
@@ -77,25 +78,25 @@ impl App {
                     self.sweep.choose(&self.document, node, &param);
                 }
             }
-            Wish::Param(Asked::Pick(param)) => self.begin_picking(node, &param),
-            Wish::Param(Asked::Browse(param)) => self.browse(node, &param),
-            Wish::Param(Asked::Change(change)) => {
+            InspectorRequest::Param(ParamRequest::Pick(param)) => self.begin_picking(node, &param),
+            InspectorRequest::Param(ParamRequest::Browse(param)) => self.browse(node, &param),
+            InspectorRequest::Param(ParamRequest::Change(change)) => {
                 let result = ops::set_param(doc, node, &change.param, change.value.as_ref());
                 self.try_edit(result);
             }
-            Wish::Input { input, index, from: Some(from) } => {
-                // Behind the last place of a list a new one begins.
+            InspectorRequest::Input { input, index, from: Some(from) } => {
+                // An index behind the end of a list adds an entry.
                 let index = Some(index).filter(|i| *i != usize::MAX);
                 let result = ops::wire(doc, &from, (node, &input), index, None);
                 self.try_edit(result);
             }
-            Wish::Input { input, index, from: None } => {
+            InspectorRequest::Input { input, index, from: None } => {
                 let result = ops::unwire(doc, node, &input, index);
                 self.try_edit(result);
             }
-            Wish::Look(output) => self.look_at(output),
-            Wish::Thumbnail(port) => self.canvas.choose_output(node, &port),
-            Wish::Rename(name) => {
+            InspectorRequest::ViewLarge(output) => self.view_large(output),
+            InspectorRequest::Thumbnail(port) => self.canvas.choose_output(node, &port),
+            InspectorRequest::Rename(name) => {
                 let result = ops::rename(doc, node, &name);
                 if self.try_edit(result).is_some() {
                     self.canvas.select_only(&name);
@@ -104,8 +105,8 @@ impl App {
         }
     }
 
-    /// Shows an output large.
-    pub(super) fn look_at(&mut self, output: Output) {
+    /// Shows an output in the viewer.
+    pub(super) fn view_large(&mut self, output: Output) {
         if self.picker.take().is_some() {
             self.viewer.set_picking(false);
         }
@@ -113,23 +114,23 @@ impl App {
         self.viewer.open(source);
     }
 
-    /// Does an action.
-    pub fn act(&mut self, action: Action) {
+    /// Performs an action.
+    pub fn perform(&mut self, action: Action) {
         match action {
             Action::Undo => {
                 if let Some(label) = self.document.undo() {
-                    self.tell(format!("undone: {label}"), false);
+                    self.notify(format!("undone: {label}"), false);
                 }
             }
             Action::Redo => {
                 if let Some(label) = self.document.redo() {
-                    self.tell(format!("done again: {label}"), false);
+                    self.notify(format!("done again: {label}"), false);
                 }
             }
             Action::Save => self.save(),
             Action::Fit => self.canvas.fit(),
-            Action::ZoomIn if self.viewer.sight().is_some() => self.viewer.space().zoom_by(1.0),
-            Action::ZoomOut if self.viewer.sight().is_some() => self.viewer.space().zoom_by(-1.0),
+            Action::ZoomIn if self.viewer.viewpoint().is_some() => self.viewer.view3d().zoom_by(1.0),
+            Action::ZoomOut if self.viewer.viewpoint().is_some() => self.viewer.view3d().zoom_by(-1.0),
             Action::ZoomIn => self.canvas.zoom_by(2),
             Action::ZoomOut => self.canvas.zoom_by(-2),
             Action::Delete => self.delete(),
@@ -138,8 +139,8 @@ impl App {
             Action::SelectAll => {
                 self.canvas.selected = self.document.view().nodes.iter().map(|n| n.id().to_owned()).collect();
             }
-            Action::Next => self.next(false),
-            Action::NextToo => self.next(true),
+            Action::Next => self.select_next(false),
+            Action::NextToo => self.select_next(true),
             Action::Frame | Action::Note => {
                 let frame = action == Action::Frame;
                 let marks = if frame { self.canvas.frame_selection() } else { self.canvas.add_note() };
@@ -152,7 +153,7 @@ impl App {
                     let result = ops::move_nodes(&mut self.document, &places);
                     self.try_edit(result);
                 } else {
-                    self.tell("select the nodes to put in line", true);
+                    self.notify("select at least two nodes to align", true);
                 }
             }
             Action::View => self.view(),
@@ -176,11 +177,11 @@ impl App {
             }
             Action::Add => {
                 let at = self.canvas.place_for_new();
-                self.open_palette(Purpose::Add { at: (at.x, at.y), waiting: None });
+                self.open_palette(Purpose::Add { at: (at.x, at.y), pending: None });
             }
             Action::Connect => match self.selected() {
                 Some(node) => self.open_palette(Purpose::Connect { node }),
-                None => self.tell("select one node to connect", true),
+                None => self.notify("select one node to connect", true),
             },
             Action::Find => self.open_palette(Purpose::Find),
             Action::Help => self.help = true,
@@ -188,14 +189,14 @@ impl App {
         }
     }
 
-    /// An output with its type.
+    /// An output with its packet type.
     pub(super) fn source(&self, output: Output) -> Source {
         let view = self.document.view();
         let packet = view.node(&output.node).and_then(|n| view.packet(n, &output.port)).map(|p| p.name.clone());
         Source { output, packet: packet.unwrap_or_default() }
     }
 
-    /// Compares what is shown large with the next output, and after the last one with none.
+    /// Compares the output in the viewer with the next one, and after the last one with none.
     fn compare(&mut self) {
         let Some(shown) = self.viewer.source().cloned() else { return };
         let others: Vec<Source> = self.sources().into_iter().filter(|s| *s != shown).collect();
@@ -212,11 +213,11 @@ impl App {
         self.palette = Some(Palette::new(purpose));
     }
 
-    /// Does what was picked in the palette.
+    /// Performs what was picked in the palette.
     pub(super) fn pick(&mut self, picked: Picked) {
         match picked {
-            Picked::Add(node_type, at, waiting) => {
-                let result = ops::add(&mut self.document, &node_type, at, waiting.as_ref());
+            Picked::Add(node_type, at, pending) => {
+                let result = ops::add(&mut self.document, &node_type, at, pending.as_ref());
                 if let Some(id) = self.try_edit(result) {
                     self.make_room(std::slice::from_ref(&id));
                     self.canvas.select_only(&id);
@@ -224,16 +225,16 @@ impl App {
                 }
             }
             Picked::Connect(node, input, from) => {
-                self.grant(&node, Wish::Input { input, index: usize::MAX, from: Some(from) })
+                self.handle_inspector(&node, InspectorRequest::Input { input, index: usize::MAX, from: Some(from) })
             }
             Picked::Go(id) => self.canvas.show_node(&self.document.view().clone(), &id),
         }
     }
 
-    /// Moves nodes that were just added off those that were there, as a part of the same step.
+    /// Moves added nodes so that they do not overlap others, as part of the same undo step.
     fn make_room(&mut self, added: &[String]) {
         let view = self.document.view().clone();
-        let by = self.canvas.way_to_free_ground(&view, self.document.revision(), added);
+        let by = self.canvas.offset_to_free_space(&view, self.document.revision(), added);
         if by == Vec2::ZERO {
             return;
         }
@@ -279,19 +280,19 @@ impl App {
         }
     }
 
-    /// Arrow keys move the view, with Shift the selected nodes; in the viewer they are for what is shown there.
+    /// Arrow keys move the view, with Shift the selected nodes. While the viewer is open, it gets the arrow keys.
     pub(super) fn arrows(&mut self, ctx: &Context, typing: bool) {
         if typing || self.viewer.source().is_some() || ctx.memory(|m| m.focused().is_some()) {
             return;
         }
         for (key, [x, y]) in ARROWS {
-            let way = vec2(x, y);
+            let direction = vec2(x, y);
             if ctx.input_mut(|i| i.consume_key(Modifiers::SHIFT, key)) {
-                let places = self.canvas.nudged(way * NUDGE);
+                let places = self.canvas.nudged(direction * NUDGE);
                 let result = ops::nudge_nodes(&mut self.document, &places);
                 self.try_edit(result);
             } else if ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key)) {
-                self.canvas.pan_by(way * -PAN);
+                self.canvas.pan_by(direction * -PAN);
             }
         }
     }
@@ -307,17 +308,17 @@ impl App {
             Some(self.canvas.shown_output(&view, node)?.0)
         };
         if let Some(output) = self.canvas.under_pointer.clone().or_else(of_selected) {
-            self.look_at(output);
+            self.view_large(output);
         }
     }
 
-    /// Selects the node after the last selected one, beside those that are selected already or in place of them.
-    fn next(&mut self, too: bool) {
+    /// Selects the node after the last selected one; `extend` keeps the current selection.
+    fn select_next(&mut self, extend: bool) {
         let view = self.document.view().clone();
         let now = self.canvas.selected.iter().filter_map(|id| view.node(id)).max();
         let next = now.map_or(0, |n| (n + 1) % view.nodes.len().max(1));
         match view.nodes.get(next) {
-            Some(node) if too => drop(self.canvas.selected.insert(node.id().to_owned())),
+            Some(node) if extend => drop(self.canvas.selected.insert(node.id().to_owned())),
             Some(node) => self.canvas.select_only(node.id()),
             None => {}
         }
@@ -344,7 +345,7 @@ impl App {
     fn duplicate(&mut self) {
         let canvas = &self.canvas;
         let nodes: Vec<(String, (f32, f32))> =
-            canvas.selected.iter().filter_map(|id| canvas.place(id).map(|at| (id.clone(), (at.x, at.y)))).collect();
+            canvas.selected.iter().filter_map(|id| canvas.position(id).map(|at| (id.clone(), (at.x, at.y)))).collect();
         if nodes.is_empty() {
             return;
         }
@@ -359,14 +360,14 @@ impl App {
         for id in self.canvas.selected.clone() {
             if let Some(detours) = self.detours.remove(&id) {
                 let result = ops::end_bypass(&mut self.document, &id, &detours);
-                // A bypass that was undone already is begun anew.
+                // The bypass was undone already, so it is started again.
                 if self.try_edit(result) != Some(false) {
                     continue;
                 }
             }
             let result = ops::bypass(&mut self.document, &id);
             if let Some(detours) = self.try_edit(result) {
-                self.tell(format!("{id} is bypassed"), false);
+                self.notify(format!("{id} is bypassed"), false);
                 self.detours.insert(id, detours);
             }
         }

@@ -1,13 +1,14 @@
-//! What the pointer does on the canvas.
+//! Handles pointer input on the canvas.
 
 use eframe::egui::{Id, Modifiers, Pos2, Rect, Response, Sense, Ui, Vec2, WidgetInfo, WidgetType, pos2, vec2};
 
-use super::paint::DETAIL;
+use super::curve::on_curve;
+use super::shape::DETAIL;
 use super::{Canvas, Mark, Scene};
-use panoscope_editor_model::document::View;
+use panoscope_editor_model::document::{GraphView, WireError};
 use panoscope_editor_model::observe::Output;
 
-/// Farthest from a pin at which a wire snaps to it, in points of the window.
+/// Distance within which a dragged wire snaps to a pin, in points of the window.
 const SNAP: f32 = 18.0;
 
 /// One end of a wire.
@@ -17,72 +18,78 @@ pub struct End {
     pub node: String,
     /// The port.
     pub port: String,
-    /// An input.
+    /// Whether it is an input.
     pub input: bool,
 }
 
-/// What the user asks for.
+/// A change that the user requests on the canvas.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Ask {
-    /// Wire an output to an input, in place of the wire that was there; `moved` is taken off first.
+pub enum CanvasRequest {
+    /// Connect an output to an input, replacing its wire; `moved` is removed first.
     Wire {
         /// Producer.
         output: End,
         /// Consumer.
         input: End,
-        /// The connection that the wire was pulled off.
+        /// The connection that the wire was dragged from: input and index.
         moved: Option<(End, usize)>,
     },
-    /// Take a wire off.
+    /// Remove a wire.
     Unwire {
         /// Consumer.
         input: End,
-        /// Place in a list.
+        /// Index in a list.
         index: usize,
     },
-    /// Nodes were moved; new places.
+    /// Set new positions of nodes.
     Move(Vec<(String, Pos2)>),
     /// Show an output large.
-    Look(Output),
-    /// Add a node at a place, for a wire if there is one.
+    ViewLarge(Output),
+    /// Add a node, connected to the end of a wire if there is one.
     Add {
-        /// Where.
+        /// Position of the node.
         at: Pos2,
-        /// The end that waits for the other one.
+        /// The existing end of the wire.
         end: Option<End>,
     },
-    /// Put a node into a wire: consumer, input, place in the list.
+    /// Insert a node into a wire.
     Insert {
         /// The node.
         node: String,
-        /// The wire.
+        /// The wire: consumer, input, index in the list.
         wire: (String, String, usize),
     },
-    /// Frames and notes are these now, and nodes were moved with them.
+    /// Replace all frames and notes, and move nodes with them.
     Marks {
-        /// All of them.
+        /// All frames and notes.
         marks: Vec<Mark>,
-        /// New places.
+        /// New positions of nodes.
         moved: Vec<(String, Pos2)>,
     },
-    /// A mistake to tell.
-    Tell(String),
+    /// Show why a wire is not possible.
+    Report(WireError),
 }
 
 #[derive(Clone, Debug, Default)]
 pub(super) enum Drag {
     #[default]
     None,
-    /// Selected nodes.
+    /// Selected nodes are moved.
     Nodes { moved: bool },
-    /// A wire from a pin; `moved` when it was pulled off an input.
+    /// A wire is dragged from a pin; `moved` when it was connected to an input before.
     Wire { from: End, moved: Option<(End, usize)> },
-    /// A frame around nodes, from a point of the graph.
+    /// A selection frame, from this point of the graph.
     Frame(Pos2),
 }
 
 impl Canvas {
-    pub(super) fn touch_ground(&mut self, ui: &Ui, ground: &Response, scene: &Scene<'_>, asks: &mut Vec<Ask>) {
+    pub(super) fn touch_ground(
+        &mut self,
+        ui: &Ui,
+        ground: &Response,
+        scene: &Scene<'_>,
+        requests: &mut Vec<CanvasRequest>,
+    ) {
         let modifiers = ui.input(|i| i.modifiers);
         let to_graph = self.transform().inverse();
         if ground.hovered() {
@@ -124,33 +131,39 @@ impl Canvas {
         if ground.double_clicked()
             && let Some(at) = ground.interact_pointer_pos()
         {
-            asks.push(Ask::Add { at: to_graph * at, end: None });
+            requests.push(CanvasRequest::Add { at: to_graph * at, end: None });
         }
     }
 
-    fn nodes_in<'a>(&'a self, view: &'a View, frame: Rect) -> impl Iterator<Item = String> + 'a {
+    fn nodes_in<'a>(&'a self, view: &'a GraphView, frame: Rect) -> impl Iterator<Item = String> + 'a {
         let touched = move |&n: &usize| {
-            let place = self.places.get(view.nodes[n].id()).copied().unwrap_or_default();
-            frame.intersects(Rect::from_min_size(place, self.shapes[n].size))
+            let position = self.positions.get(view.nodes[n].id()).copied().unwrap_or_default();
+            frame.intersects(Rect::from_min_size(position, self.shapes[n].size))
         };
         (0..view.nodes.len()).filter(touched).map(|n| view.nodes[n].id().to_owned())
     }
 
-    /// Draws a node and lets it be touched.
-    pub(super) fn show_node_at(&mut self, ui: &mut Ui, scene: &Scene<'_>, node: usize, asks: &mut Vec<Ask>) {
+    /// Draws a node and handles input on it.
+    pub(super) fn show_node_at(
+        &mut self,
+        ui: &mut Ui,
+        scene: &Scene<'_>,
+        node: usize,
+        requests: &mut Vec<CanvasRequest>,
+    ) {
         let this = &scene.view.nodes[node];
         let id = this.id();
-        let place = self.places.get(id).copied().unwrap_or_default();
+        let position = self.positions.get(id).copied().unwrap_or_default();
         let transform = self.transform();
         let shape = self.shapes[node].clone();
-        let rect = transform * Rect::from_min_size(place, shape.size);
+        let rect = transform * Rect::from_min_size(position, shape.size);
         if !rect.expand(20.0).intersects(self.rect) {
             return;
         }
         let body = ui.interact(rect, Id::new(("node", id)), Sense::click_and_drag());
-        let words = format!("Node {id}");
+        let label = format!("Node {id}");
         body.widget_info(|| {
-            WidgetInfo::selected(WidgetType::SelectableLabel, true, self.selected.contains(id), words.clone())
+            WidgetInfo::selected(WidgetType::SelectableLabel, true, self.selected.contains(id), label.clone())
         });
         self.paint_node(ui, scene, node, rect, body.hovered());
         let modifiers = ui.input(|i| i.modifiers);
@@ -167,20 +180,20 @@ impl Canvas {
             *moved |= by != Vec2::ZERO;
             self.fit = false;
             for selected in &self.selected {
-                if let Some(place) = self.places.get_mut(selected) {
-                    *place += by;
+                if let Some(position) = self.positions.get_mut(selected) {
+                    *position += by;
                 }
             }
         }
         if body.drag_stopped() && matches!(self.drag, Drag::Nodes { moved: true }) {
-            self.end_of_move(scene.view, id, asks);
+            self.finish_move(scene.view, id, requests);
         }
         if body.drag_stopped() {
             self.drag = Drag::None;
         }
         if transform.scaling >= DETAIL {
             if let (Some(picture), Some((output, _))) = (shape.picture, &shape.output) {
-                let rect = transform * picture.translate(place.to_vec2());
+                let rect = transform * picture.translate(position.to_vec2());
                 if ui.rect_contains_pointer(rect.intersect(self.rect)) {
                     self.under_pointer = Some(output.clone());
                 }
@@ -188,11 +201,11 @@ impl Canvas {
                     && !modifiers.any()
                     && body.interact_pointer_pos().is_some_and(|at| rect.contains(at));
                 if clicked_picture || body.double_clicked() {
-                    asks.push(Ask::Look(output.clone()));
+                    requests.push(CanvasRequest::ViewLarge(output.clone()));
                 }
             }
             if let Some(fold) = shape.fold {
-                let rect = transform * fold.translate(place.to_vec2());
+                let rect = transform * fold.translate(position.to_vec2());
                 let button = ui.interact(rect, Id::new(("fold", id)), Sense::click());
                 button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, format!("All ports of {id}")));
                 if button.clicked() {
@@ -203,8 +216,8 @@ impl Canvas {
                 }
             }
             for pin in &shape.pins {
-                let at = transform * (place + pin.at.to_vec2());
-                self.touch_pin(ui, scene, node, pin, at, asks);
+                let at = transform * (position + pin.at.to_vec2());
+                self.touch_pin(ui, scene, node, pin, at, requests);
             }
         }
     }
@@ -220,24 +233,32 @@ impl Canvas {
         self.selected_wire = None;
     }
 
-    /// A lone node dropped on a wire goes into it; others stay where they were put.
-    fn end_of_move(&mut self, view: &View, id: &str, asks: &mut Vec<Ask>) {
+    /// Ends a move: requests the new positions. A single unconnected node that is dropped on a wire is inserted into it.
+    fn finish_move(&mut self, view: &GraphView, id: &str, requests: &mut Vec<CanvasRequest>) {
         for selected in &self.selected {
-            if let Some(place) = self.places.get_mut(selected) {
-                *place = pos2((place.x / 8.0).round() * 8.0, (place.y / 8.0).round() * 8.0);
+            if let Some(position) = self.positions.get_mut(selected) {
+                *position = pos2((position.x / 8.0).round() * 8.0, (position.y / 8.0).round() * 8.0);
             }
         }
-        let places = self.selected.iter().filter_map(|s| Some((s.clone(), *self.places.get(s)?)));
-        asks.push(Ask::Move(places.collect()));
+        let positions = self.selected.iter().filter_map(|s| Some((s.clone(), *self.positions.get(s)?)));
+        requests.push(CanvasRequest::Move(positions.collect()));
         let Some(node) = view.node(id).filter(|_| self.selected.len() == 1) else { return };
         let free = !view.wires.iter().any(|w| w.to == node || w.from == node);
-        let middle = self.places.get(id).copied().unwrap_or_default() + self.shapes[node].size / 2.0;
+        let middle = self.positions.get(id).copied().unwrap_or_default() + self.shapes[node].size / 2.0;
         if free && let Some(wire) = self.wire_at(view, self.transform() * middle) {
-            asks.push(Ask::Insert { node: id.to_owned(), wire });
+            requests.push(CanvasRequest::Insert { node: id.to_owned(), wire });
         }
     }
 
-    fn touch_pin(&mut self, ui: &Ui, scene: &Scene<'_>, node: usize, pin: &super::Pin, at: Pos2, asks: &mut Vec<Ask>) {
+    fn touch_pin(
+        &mut self,
+        ui: &Ui,
+        scene: &Scene<'_>,
+        node: usize,
+        pin: &super::Pin,
+        at: Pos2,
+        requests: &mut Vec<CanvasRequest>,
+    ) {
         let id = scene.view.nodes[node].id();
         let side = if pin.input { "Input" } else { "Output" };
         let reach = vec2(18.0, 16.0) * self.scale().clamp(0.6, 1.2);
@@ -254,11 +275,11 @@ impl Canvas {
             } else {
                 scene.view.nodes[node].output(&pin.name)
             };
-            let words = port.map_or_else(String::new, |p| format!("{} ({})\n{}", p.name, p.packet.name, p.doc));
-            response.clone().on_hover_text(words);
+            let hint = port.map_or_else(String::new, |p| format!("{} ({})\n{}", p.name, p.packet.name, p.doc));
+            response.clone().on_hover_text(hint);
         }
         if response.drag_started() {
-            // The end of a wire is pulled off the input it goes to.
+            // Dragging from a connected input moves the end of its wire.
             let last = scene.view.wires_into(node, &pin.name).last().filter(|_| pin.input);
             self.drag = match last {
                 Some(wire) => {
@@ -275,18 +296,18 @@ impl Canvas {
             && let Drag::Wire { from, moved } = std::mem::take(&mut self.drag)
             && let Some(pointer) = ui.input(|i| i.pointer.latest_pos())
         {
-            asks.extend(self.drop_wire(scene.view, from, moved, pointer));
+            requests.extend(self.drop_wire(scene.view, from, moved, pointer));
         }
     }
 
-    /// The pin nearest to a point of the window that could be the other end of a wire from `from`.
-    pub(super) fn pin_near(&self, view: &View, from: &End, pointer: Pos2) -> Option<End> {
+    /// The pin near a point of the window that could be the other end of a wire from `from`.
+    pub(super) fn pin_near(&self, view: &GraphView, from: &End, pointer: Pos2) -> Option<End> {
         let transform = self.transform();
         let mut best: Option<(f32, End)> = None;
         for (node, shape) in view.nodes.iter().zip(&self.shapes) {
-            let place = self.places.get(node.id()).copied().unwrap_or_default();
+            let position = self.positions.get(node.id()).copied().unwrap_or_default();
             for pin in shape.pins.iter().filter(|p| p.input != from.input) {
-                let distance = (transform * (place + pin.at.to_vec2())).distance(pointer);
+                let distance = (transform * (position + pin.at.to_vec2())).distance(pointer);
                 if distance < SNAP && best.as_ref().is_none_or(|(d, _)| distance < *d) {
                     best =
                         Some((distance, End { node: node.id().to_owned(), port: pin.name.clone(), input: pin.input }));
@@ -299,12 +320,12 @@ impl Canvas {
         best.map(|(_, end)| end)
     }
 
-    /// On a node's body, the first pin that fits.
-    fn pin_of_body(&self, view: &View, from: &End, pointer: Pos2) -> Option<End> {
+    /// The first fitting pin of the node under a point of the window.
+    fn pin_of_body(&self, view: &GraphView, from: &End, pointer: Pos2) -> Option<End> {
         let at = self.transform().inverse() * pointer;
         let over = |&n: &usize| {
-            let place = self.places.get(view.nodes[n].id()).copied().unwrap_or_default();
-            Rect::from_min_size(place, self.shapes[n].size).contains(at) && view.nodes[n].id() != from.node
+            let position = self.positions.get(view.nodes[n].id()).copied().unwrap_or_default();
+            Rect::from_min_size(position, self.shapes[n].size).contains(at) && view.nodes[n].id() != from.node
         };
         let node = (0..view.nodes.len()).rev().find(over)?;
         let id = view.nodes[node].id();
@@ -313,28 +334,34 @@ impl Canvas {
             port: p.name.clone(),
             input: p.input,
         });
-        let mut fitting: Vec<End> = ends.filter(|end| may_wire(view, from, end).is_ok()).collect();
-        // One that waits for a wire comes first.
+        let mut fitting: Vec<End> = ends.filter(|end| check_wire(view, from, end).is_ok()).collect();
+        // Unconnected inputs first.
         fitting.sort_by_key(|end| end.input && view.wires_into(node, &end.port).next().is_some());
         fitting.into_iter().next()
     }
 
-    fn drop_wire(&self, view: &View, from: End, moved: Option<(End, usize)>, pointer: Pos2) -> Option<Ask> {
+    fn drop_wire(
+        &self,
+        view: &GraphView,
+        from: End,
+        moved: Option<(End, usize)>,
+        pointer: Pos2,
+    ) -> Option<CanvasRequest> {
         match self.pin_near(view, &from, pointer) {
             Some(end) => {
                 if moved.as_ref().is_some_and(|(input, _)| *input == end) {
                     return None;
                 }
-                if let Err(why) = may_wire(view, &from, &end) {
-                    return Some(Ask::Tell(why));
+                if let Err(why) = check_wire(view, &from, &end) {
+                    return Some(CanvasRequest::Report(why));
                 }
                 let (output, input) = if from.input { (end, from) } else { (from, end) };
-                Some(Ask::Wire { output, input, moved })
+                Some(CanvasRequest::Wire { output, input, moved })
             }
             None => match moved {
-                Some((input, index)) => Some(Ask::Unwire { input, index }),
+                Some((input, index)) => Some(CanvasRequest::Unwire { input, index }),
                 None if self.rect.contains(pointer) => {
-                    Some(Ask::Add { at: self.transform().inverse() * pointer, end: Some(from) })
+                    Some(CanvasRequest::Add { at: self.transform().inverse() * pointer, end: Some(from) })
                 }
                 None => None,
             },
@@ -342,10 +369,10 @@ impl Canvas {
     }
 
     /// The wire at a point of the window.
-    pub(super) fn wire_at(&self, view: &View, at: Pos2) -> Option<(String, String, usize)> {
+    pub(super) fn wire_at(&self, view: &GraphView, at: Pos2) -> Option<(String, String, usize)> {
         let near = view.wires.iter().filter_map(|wire| {
             let curves = self.curves(view, wire);
-            let points = curves.iter().flat_map(|c| (0..=24).map(|i| super::paint::on_curve(c, i as f32 / 24.0)));
+            let points = curves.iter().flat_map(|c| (0..=24).map(|i| on_curve(c, i as f32 / 24.0)));
             let distance = points.map(|p| p.distance(at)).fold(f32::MAX, f32::min);
             (distance < 10.0).then_some((distance, wire))
         });
@@ -354,9 +381,12 @@ impl Canvas {
     }
 }
 
-/// Whether two ends may be joined; if not, why.
-pub(super) fn may_wire(view: &View, a: &End, b: &End) -> Result<(), String> {
+/// Checks whether two ends may be connected.
+///
+/// # Errors
+/// Why they may not.
+pub(super) fn check_wire(view: &GraphView, a: &End, b: &End) -> Result<(), WireError> {
     let (output, input) = if a.input { (b, a) } else { (a, b) };
-    let index = |end: &End| view.node(&end.node).ok_or_else(|| format!("there is no node `{}`", end.node));
-    view.may_wire(index(output)?, &output.port, index(input)?, &input.port)
+    let index = |end: &End| view.node(&end.node).ok_or_else(|| WireError::NoNode { node: end.node.clone() });
+    view.check_wire(index(output)?, &output.port, index(input)?, &input.port)
 }

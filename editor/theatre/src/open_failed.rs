@@ -1,4 +1,4 @@
-//! In place of the theatre: why it did not open, and what can be done. Who stands before the screen sees no terminal.
+//! The window shown instead of the theatre when it cannot open: why, and what to do.
 
 use std::path::Path;
 
@@ -11,22 +11,22 @@ use panoscope_editor_widgets::theme;
 /// Width of the text in points.
 const WIDTH: f32 = 860.0;
 
-/// The last remedy where a lock refuses.
-const UNVERIFIED: &str = "Or open it unverified, which stays told on the screen:";
+/// The last remedy for a difference from the lock.
+const UNVERIFIED: &str = "Or open it unverified; a mark on the screen will show this:";
 
-/// The window of a theatre that did not open.
-pub struct Refused {
+/// The window of a theatre that could not open.
+pub struct OpenFailed {
     heading: String,
-    /// What is wrong, one line or text each.
+    /// The causes, each a line or a listing.
     causes: Vec<String>,
-    /// What can be done, the best first, each with the command that does it.
+    /// The remedies, the best one first, each with the command for it.
     remedies: Vec<(&'static str, Option<String>)>,
-    left: bool,
+    closing: bool,
     shot: Shot,
 }
 
-impl Refused {
-    /// Of the graph file at `path`, for this reason.
+impl OpenFailed {
+    /// The window for the graph file at `path` and the error of opening it.
     pub fn new(ctx: &Context, path: &Path, error: &OpenError, shot: Shot) -> Self {
         theme::apply(ctx);
         theme::apply_theatre(ctx);
@@ -34,18 +34,18 @@ impl Refused {
         let (lock, unlocked) = (format!("panoscope lock {file}"), format!("panoscope theatre {file} --unlocked"));
         let (heading, causes, remedies) = match error {
             OpenError::Locked(differences) => (
-                format!("{name} is not as it was locked"),
+                format!("{name} differs from its lock"),
                 differences.iter().map(ToString::to_string).collect(),
                 vec![
-                    ("Put back what has changed.", None),
-                    ("Or verify the graph as it is now, and lock it anew:", Some(lock)),
+                    ("Restore the changed files.", None),
+                    ("Or verify the graph as it is now, and lock it again:", Some(lock)),
                     (UNVERIFIED, Some(unlocked)),
                 ],
             ),
             OpenError::Lock(error) => (
                 format!("The lock of {name} cannot be read"),
                 vec![error.to_string()],
-                vec![("Verify the graph, and lock it anew:", Some(lock)), (UNVERIFIED, Some(unlocked))],
+                vec![("Verify the graph, and lock it again:", Some(lock)), (UNVERIFIED, Some(unlocked))],
             ),
             OpenError::Graph(diagnostics) => (
                 format!("{name} has mistakes"),
@@ -53,22 +53,22 @@ impl Refused {
                 vec![("Correct them in the editor:", Some(format!("panoscope edit {file}")))],
             ),
             OpenError::NoPicture => (
-                format!("{name} makes no picture"),
+                format!("{name} has no image"),
                 vec![error.to_string()],
-                vec![("Name outputs with pictures in `views` of `[preset]`.", None)],
+                vec![("Name outputs with images in `views` of `[preset]`.", None)],
             ),
             OpenError::Thread(_) => (
-                format!("{name} does not start"),
+                format!("{name} could not be started"),
                 vec![error.to_string()],
                 vec![("Close other programs, then open it again.", None)],
             ),
         };
-        Self { heading, causes, remedies, left: false, shot }
+        Self { heading, causes, remedies, closing: false, shot }
     }
 
     /// Whether the window was asked to close.
-    pub fn has_left(&self) -> bool {
-        self.left
+    pub fn is_closing(&self) -> bool {
+        self.closing
     }
 
     /// Draws a frame.
@@ -79,11 +79,12 @@ impl Refused {
         let room = egui::Rect::from_center_size(whole.center(), vec2(width, whole.height() - 4.0 * EDGE));
         let mut close = ctx.input_mut(|i| i.consume_key(egui::Modifiers::NONE, Key::Escape));
         ui.scope_builder(egui::UiBuilder::new().max_rect(room).layout(Layout::top_down(Align::Min)), |ui| {
-            let text =
-                |words: &str, size: f32, color| egui::Label::new(RichText::new(words).size(size).color(color)).wrap();
+            let text = |message: &str, size: f32, color| {
+                egui::Label::new(RichText::new(message).size(size).color(color)).wrap()
+            };
             ui.spacing_mut().item_spacing.y = 10.0;
             ui.add_space(room.height() * 0.12);
-            ui.add(text("The theatre was not opened", 18.0, theme::MUTED));
+            ui.add(text("The theatre could not be opened", 18.0, theme::MUTED));
             ui.add(text(&self.heading, 34.0, theme::FAULT));
             ui.add_space(14.0);
             let most = (ui.available_height() - 340.0).max(120.0);
@@ -92,10 +93,10 @@ impl Refused {
                 ui.set_width(ui.available_width());
                 ScrollArea::vertical().max_height(most).auto_shrink([false, true]).show(ui, |ui| {
                     for cause in &self.causes {
-                        // A listing keeps its columns.
-                        let words = RichText::new(cause).size(17.0).color(theme::TEXT);
-                        let words = if cause.contains('\n') { words.monospace().size(14.0) } else { words };
-                        ui.add(egui::Label::new(words).wrap());
+                        // A listing needs a monospaced font.
+                        let message = RichText::new(cause).size(17.0).color(theme::TEXT);
+                        let message = if cause.contains('\n') { message.monospace().size(14.0) } else { message };
+                        ui.add(egui::Label::new(message).wrap());
                     }
                 });
             });
@@ -104,8 +105,8 @@ impl Refused {
             for (remedy, command) in &self.remedies {
                 ui.add(text(remedy, 17.0, theme::TEXT));
                 if let Some(command) = command {
-                    let words = RichText::new(command).monospace().size(16.0).color(theme::ACCENT);
-                    ui.add(egui::Label::new(words).wrap());
+                    let message = RichText::new(command).monospace().size(16.0).color(theme::ACCENT);
+                    ui.add(egui::Label::new(message).wrap());
                     ui.add_space(4.0);
                 }
             }
@@ -113,15 +114,15 @@ impl Refused {
             let button = Button::new(RichText::new("Close (Esc)").size(18.0)).corner_radius(12.0);
             close |= ui.add_sized(vec2(180.0, 52.0), button).clicked();
         });
-        if close && !self.left {
-            self.left = true;
+        if close && !self.closing {
+            self.closing = true;
             ctx.send_viewport_cmd(egui::ViewportCommand::Close);
         }
         self.shot.take(&ctx);
     }
 }
 
-impl eframe::App for Refused {
+impl eframe::App for OpenFailed {
     fn ui(&mut self, ui: &mut Ui, _: &mut eframe::Frame) {
         Self::ui(self, ui);
     }
