@@ -358,7 +358,7 @@ fn a_run_refuses_with_the_same_words() {
     )
     .expect("a graph");
     let Some(program) = std::env::var_os("PANOSCOPE_BIN") else {
-        println!("skipped: PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
+        panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
         return;
     };
     for command in ["check", "run"] {

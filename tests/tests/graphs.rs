@@ -115,7 +115,7 @@ fn the_system_for_cameras_is_right_and_runs_on_a_pair_with_its_calibration() {
     let engine = match Engine::start(graph, &catalog, &loader, options) {
         Ok(engine) => engine,
         Err(error) if error.to_string().contains("ONNX Runtime's shared library is not there") => {
-            return println!("skipped: {error}");
+            return panoscope_testing::skipped!("{error}");
         }
         Err(error) => panic!("{error}"),
     };

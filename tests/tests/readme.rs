@@ -72,7 +72,7 @@ fn help_of(script: &Path) -> Option<String> {
     let output = match Command::new("python3").arg("-B").arg(script).arg("--help").output() {
         Ok(output) => output,
         Err(error) => {
-            println!("skipped: no python3: {error}");
+            panoscope_testing::skipped!("no python3: {error}");
             return None;
         }
     };

@@ -11,7 +11,7 @@ use panoscope_graph::{Graph, GraphText, check};
 use panoscope_loader::live::{FileWatch, LiveError};
 use panoscope_loader::{Live, Loader};
 
-const HEAD: &str = "mode = \"live\"\nplugins = [\"flow\"]\n";
+const HEAD: &str = "mode = \"live\"\nplugins = [\"flow\", \"fixtures\"]\n";
 
 fn source(id: &str, rate_hz: f64) -> String {
     format!(

@@ -85,9 +85,17 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             let profile = if flag(rest, "--release")? { Profile::Release } else { Profile::Dev };
             setup::ensure(&[Purpose::Build])?;
             let workspace = Workspace::locate()?;
-            let built = build::build(&workspace, profile)?;
+            // Only a development build is tested.
+            let (built, test_plugin_dir) = match profile {
+                Profile::Release => (build::build(&workspace, profile)?, None),
+                Profile::Dev => {
+                    let tests = build::build_for_tests(&workspace, profile)?;
+                    (tests.built, Some(tests.test_plugin_dir))
+                }
+            };
             let windows = build::build_windows(&workspace, profile)?;
-            for path in [&built.program, &windows.editor, &windows.theatre, &built.plugin_dir] {
+            let made = [&built.program, &windows.editor, &windows.theatre, &built.plugin_dir];
+            for path in made.into_iter().chain(&test_plugin_dir) {
                 println!("{}", path.display());
             }
         }

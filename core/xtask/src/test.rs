@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 
-use crate::build::{Profile, build};
+use crate::build::{Profile, build_for_tests};
 use crate::generated::test_environment;
 use crate::lint;
 use crate::onnxruntime;
@@ -125,9 +125,9 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
         timed("clippy", || lint::clippy(workspace))?;
     }
     if request.suite.tests {
-        let built = timed("build", || build(workspace, Profile::Dev))?;
+        let built = timed("build", || build_for_tests(workspace, Profile::Dev))?;
         let mut cargo = workspace.cargo();
-        test_environment(&mut cargo, workspace, &built);
+        test_environment(&mut cargo, workspace, &built)?;
         for (name, value) in request.suite.env.iter().filter(|(name, _)| std::env::var_os(name).is_none()) {
             cargo.env(name, value);
         }

@@ -15,7 +15,7 @@ const NONE: Modifiers = Modifiers::NONE;
 
 /// A path whose level is told, and one that nobody touches.
 const GRAPH: &str = r#"# Levels.
-plugins = ["flow"]
+plugins = ["flow", "fixtures"]
 
 [nodes.a]
 type = "frames"

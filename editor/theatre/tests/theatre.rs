@@ -566,7 +566,7 @@ fn a_sink_without_room_stays_told_and_a_clip_without_room_ends() {
         "\n[nodes.kept]\ntype = \"write_video\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ path = \"{}\" }}\n",
         full.display()
     );
-    let text = GRAPH.replace("plugins = [\"flow\"]", "plugins = [\"flow\", \"sinks\"]") + &sink;
+    let text = GRAPH.replace("\"fixtures\"]", "\"fixtures\", \"sinks\"]") + &sink;
     let mut window = Window::open("no_room", &text);
     window.until_told("The disk is full: `kept` cannot write");
     let faults = |t: &Theatre| t.session().handle().engine().map(|e| e.report().nodes["kept"].faults);
