@@ -379,8 +379,8 @@ fn two_real_sinks_with_one_path_are_refused() {
          [nodes.b]\ntype = \"write_video\"\ninputs = {{ image = \"scope.right\" }}\nparams = {{ path = \"./out/video.mkv\" }}\n"
     );
     let found = diagnostics(&folder, &text);
-    let told: Vec<_> = found.iter().filter(|d| d.severity == ERROR).map(|d| d.code).collect();
-    assert_eq!(told, ["written-twice"], "{}", found.render(false));
+    let codes: Vec<_> = found.iter().filter(|d| d.severity == ERROR).map(|d| d.code).collect();
+    assert_eq!(codes, ["written-twice"], "{}", found.render(false));
     std::fs::remove_dir_all(folder).expect("removed");
 }
 

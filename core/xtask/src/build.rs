@@ -68,7 +68,7 @@ pub struct Windows {
 /// Builds the windows, beside the program.
 ///
 /// # Errors
-/// The build fails; cargo has said why.
+/// The build fails; cargo prints why.
 pub fn build_windows(workspace: &Workspace, profile: Profile) -> Result<Windows> {
     let mut cargo = workspace.cargo();
     cargo.args(["build", "--message-format=json-render-diagnostics", "--package", EDITOR, "--package", THEATRE]);
@@ -228,7 +228,7 @@ pub enum Means {
     Copy,
 }
 
-/// Puts `from` at `to` in one step, so that nobody ever opens half a file.
+/// Puts `from` at `to` in one step, so that no reader ever opens half a file.
 pub fn place(from: &Path, to: &Path, means: Means) -> Result<()> {
     let mut part = to.as_os_str().to_owned();
     part.push(format!(".{}.part", std::process::id()));

@@ -1,4 +1,4 @@
-//! Files that tests compare with and can write anew: the C header and the expected outputs.
+//! Files that tests compare with and can update: the C header and the expected outputs.
 
 use std::process::Command;
 
@@ -13,7 +13,7 @@ use crate::workspace::Workspace;
 /// With this variable set, tests write what they would compare with.
 const BLESS: &str = "PANOSCOPE_BLESS";
 
-/// Writes core/abi/panoscope.h anew.
+/// Updates core/abi/panoscope.h.
 pub fn header(workspace: &Workspace) -> Result<()> {
     process::run(workspace.cargo().args(["test", "--quiet", "--package", "panoscope-abi"]).env(BLESS, "1"))?;
     let header = workspace.root.join("core/abi/panoscope.h");
@@ -21,7 +21,7 @@ pub fn header(workspace: &Workspace) -> Result<()> {
     show_changes(workspace, "core/abi")
 }
 
-/// Writes all expected outputs anew. They are to be read before they are committed.
+/// Updates all expected outputs. Read the difference before you commit it.
 pub fn bless(workspace: &Workspace) -> Result<()> {
     setup::ensure(&[Purpose::Build, Purpose::Test])?;
     let built = build_for_tests(workspace, Profile::Dev)?;

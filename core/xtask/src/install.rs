@@ -36,7 +36,7 @@ pub fn install(workspace: &Workspace, dir: &Path) -> Result<()> {
 struct Tree<'a> {
     built: &'a Built,
     windows: Option<&'a Windows>,
-    /// ONNX Runtime's shared library; its licence stands beside it.
+    /// ONNX Runtime's shared library; its licence is beside it.
     runtime: Option<&'a Path>,
 }
 

@@ -33,7 +33,7 @@ pub struct Workspace {
 impl Workspace {
     /// Asks cargo, so that CARGO_TARGET_DIR and configuration files are respected.
     pub fn locate() -> Result<Self> {
-        // Set anew by `cargo run`, so a repository that was moved is still found.
+        // `cargo run` sets it each time, so a repository that was moved is still found.
         let crate_dir =
             std::env::var_os("CARGO_MANIFEST_DIR").map_or(PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
         let root = crate_dir.ancestors().nth(2).context("core/xtask has no workspace above it")?;
