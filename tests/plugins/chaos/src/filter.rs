@@ -65,8 +65,7 @@ impl Node for Chaos {
 pub struct ChaosBlocking;
 
 impl Node for ChaosBlocking {
-    const INFO: NodeInfo =
-        NodeInfo::blocking("chaos_blocking", "flow", "Misbehaves on its own thread on request.");
+    const INFO: NodeInfo = NodeInfo::blocking("chaos_blocking", "flow", "Misbehaves on its own thread on request.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Plan;
