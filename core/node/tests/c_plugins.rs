@@ -37,7 +37,7 @@ fn build(compiler: &str, source: &str, extra: &[&str]) -> Option<PathBuf> {
             Some(target)
         }
         Err(error) => {
-            println!("skipped: {compiler} cannot be run ({error})");
+            panoscope_testing::skipped!("{compiler} cannot be run ({error})");
             None
         }
     }

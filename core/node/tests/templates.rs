@@ -84,7 +84,7 @@ fn the_rust_template() {
 fn the_c_template() {
     if Command::new("make").arg("--version").output().is_err() || Command::new("cc").arg("--version").output().is_err()
     {
-        println!("skipped: make or cc cannot be run");
+        panoscope_testing::skipped!("make or cc cannot be run");
         return;
     }
     let folder = fill("c");

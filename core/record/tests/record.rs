@@ -91,7 +91,7 @@ fn assert_same(what: &str, a: &Digests, b: &Digests) {
     assert!(a.packets() > 0 && a == b, "{what}");
 }
 
-const HEAD: &str = "mode = \"live\"\nplugins = [\"flow\"]\n";
+const HEAD: &str = "mode = \"live\"\nplugins = [\"flow\", \"fixtures\"]\n";
 
 fn source(id: &str, rate_hz: f64) -> String {
     format!(

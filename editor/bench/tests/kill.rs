@@ -157,7 +157,7 @@ fn a_graph_in_which_everything_fails_takes_no_window_down() {
     if !has_plugin("flow") {
         return;
     }
-    let mut text = "plugins = [\"flow\"]\n[nodes.camera]\ntype = \"frames\"\nparams = { width_px = 32, height_px = 24, rate_hz = 50.0 }\n".to_owned();
+    let mut text = "plugins = [\"flow\", \"fixtures\"]\n[nodes.camera]\ntype = \"frames\"\nparams = { width_px = 32, height_px = 24, rate_hz = 50.0 }\n".to_owned();
     for (k, how) in ["panic", "error"].iter().enumerate() {
         text += &format!(
             "[nodes.f{k}]\ntype = \"failing\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ how = \"{how}\", first = 2, ticks = 1000000 }}\n"

@@ -15,7 +15,7 @@ const NONE: Modifiers = Modifiers::NONE;
 
 /// A path with measured levels, and one that no test changes.
 const GRAPH: &str = r#"# Levels.
-plugins = ["flow"]
+plugins = ["flow", "fixtures"]
 
 [nodes.a]
 type = "frames"

@@ -567,7 +567,7 @@ fn a_sink_on_a_full_disk_keeps_its_notice_and_a_clip_ends() {
         "\n[nodes.kept]\ntype = \"write_video\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ path = \"{}\" }}\n",
         full.display()
     );
-    let text = GRAPH.replace("plugins = [\"flow\"]", "plugins = [\"flow\", \"sinks\"]") + &sink;
+    let text = GRAPH.replace("\"fixtures\"]", "\"fixtures\", \"sinks\"]") + &sink;
     let mut window = Window::open("no_room", &text);
     window.until_notice("The disk is full: `kept` cannot write");
     let faults = |t: &Theatre| t.session().handle().engine().map(|e| e.report().nodes["kept"].faults);

@@ -11,6 +11,7 @@ pub type AppResult = Result<Box<dyn eframe::App>, Box<dyn std::error::Error + Se
 
 /// Command-line arguments of both windows.
 #[derive(clap::Args)]
+#[group(id = "window")]
 pub struct Arguments {
     /// Size of everything in the window; Ctrl and + or - change it.
     #[arg(long, default_value_t = 1.0, value_parser = scale)]

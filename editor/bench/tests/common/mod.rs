@@ -23,7 +23,7 @@ pub use shared::{Folder, PATIENCE, has_plugin};
 pub const GRAPH: &str = r#"# Two paths.
 name = "two"
 mode = "live"
-plugins = ["flow"]   # small nodes
+plugins = ["flow", "fixtures"]   # small nodes
 
 [nodes.a]            # the path that nobody touches
 type = "frames"

@@ -15,7 +15,7 @@ use super::{Folder, PATIENCE};
 /// A camera, two stages, a setting.
 pub const GRAPH: &str = r#"# Seen by a surgeon.
 name = "case"
-plugins = ["flow"]
+plugins = ["flow", "fixtures"]
 
 [nodes.camera]
 type = "frames"

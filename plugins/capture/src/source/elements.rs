@@ -111,7 +111,7 @@ mod tests {
     #[test]
     fn a_misspelt_element_is_found_without_a_pipeline() {
         if Registry::get().is_none() {
-            println!("skipped: this OpenCV has no GStreamer");
+            panoscope_testing::skipped!("this OpenCV has no GStreamer");
             return;
         }
         assert_eq!(unknown_element("videotestsorce num-buffers=2 ! appsink"), Some("videotestsorce"));

@@ -23,7 +23,7 @@ pub struct Out<'f> {
 pub struct ChaosPose;
 
 impl Node for ChaosPose {
-    const INFO: NodeInfo = NodeInfo::compute("chaos_pose", "flow", "Makes poses and misbehaves when it is told to.");
+    const INFO: NodeInfo = NodeInfo::compute("chaos_pose", "flow", "Makes poses and misbehaves on request.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Plan;

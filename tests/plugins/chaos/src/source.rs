@@ -1,4 +1,4 @@
-//! `chaos_source`: a source of test frames that misbehaves when it is told to.
+//! `chaos_source`: a source of test frames that misbehaves on request.
 
 use panoscope_node::{AnyFormat, Context, Gray8, NoPorts, Node, NodeInfo, Open, Ports, Result, Slot};
 
@@ -21,7 +21,7 @@ pub struct ChaosSource;
 
 impl Node for ChaosSource {
     const INFO: NodeInfo =
-        NodeInfo::compute("chaos_source", "source", "Makes test frames and misbehaves when it is told to.").source();
+        NodeInfo::compute("chaos_source", "source", "Makes test frames and misbehaves on request.").source();
     type In<'f> = NoPorts;
     type Out<'f> = Out<'f>;
     type Params = Plan;

@@ -1,4 +1,4 @@
-//! `chaos` and `chaos_blocking`: hand pictures on, until told otherwise.
+//! `chaos` and `chaos_blocking`: forward pictures, and misbehave on request.
 
 use panoscope_node::{AnyFormat, Context, Gray8, Image, Node, NodeInfo, Open, Ports, Result, Slot};
 
@@ -46,7 +46,7 @@ fn process<'f>(cx: &Context<'f>, input: &In<'f>, out: &mut Out<'f>, plan: &Plan)
 pub struct Chaos;
 
 impl Node for Chaos {
-    const INFO: NodeInfo = NodeInfo::compute("chaos", "flow", "Hands pictures on and misbehaves when it is told to.");
+    const INFO: NodeInfo = NodeInfo::compute("chaos", "flow", "Forwards pictures and misbehaves on request.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Plan;
@@ -65,8 +65,7 @@ impl Node for Chaos {
 pub struct ChaosBlocking;
 
 impl Node for ChaosBlocking {
-    const INFO: NodeInfo =
-        NodeInfo::blocking("chaos_blocking", "flow", "Misbehaves on its own thread when it is told to.");
+    const INFO: NodeInfo = NodeInfo::blocking("chaos_blocking", "flow", "Misbehaves on its own thread on request.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Plan;

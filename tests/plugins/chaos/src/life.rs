@@ -130,7 +130,7 @@ pub struct ChaosLife(Instance);
 
 impl Node for ChaosLife {
     const INFO: NodeInfo =
-        NodeInfo::compute("chaos_life", "flow", "Does not return from opening or closing when told to.");
+        NodeInfo::compute("chaos_life", "flow", "Does not return from opening or closing, on request.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Life;
