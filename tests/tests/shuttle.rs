@@ -33,6 +33,9 @@ mod region {
 mod busy {
     include!(concat!(env!("OUT_DIR"), "/busy.rs"));
 }
+mod sync {
+    include!(concat!(env!("OUT_DIR"), "/sync.rs"));
+}
 mod thread_id {
     /// The model has one thread that runs nodes.
     pub(crate) fn current() -> u32 {
