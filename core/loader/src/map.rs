@@ -79,7 +79,7 @@ pub fn load(found: &Found) -> Result<Loaded, LoadError> {
     }
     // SAFETY: validated by `node_types`.
     let descriptor = unsafe { &*plugin };
-    // SAFETY: as above.
+    // SAFETY: the texts of the descriptor are statics of the plugin, which stays mapped.
     let name = unsafe { descriptor.name.text() }.unwrap_or("");
     if name != found.note.name {
         return Err(bad(format!("its note says `{}`, its code says `{name}`", found.note.name)));

@@ -21,7 +21,7 @@ fn its_descriptor_runs() -> Result<(), HarnessError> {
     assert_eq!(out.plane::<Gray8>("image")?.data, [255, 254, 0]);
     assert_eq!(node.node_type().plugin, "node", "named after the package, without its `panoscope-`");
     assert_eq!(node.node_type().inputs[0].doc, "Any picture.");
-    // SAFETY: as above.
+    // SAFETY: the descriptor is a static of this program.
     let wrong = unsafe { Harness::<Foreign>::of_plugin(plugin::panoscope_plugin(), "negativ", Setup::new("")) };
     let wrong = wrong.err().map(|e| e.to_string());
     assert_eq!(wrong.as_deref(), Some("the plugin has no node type `negativ`; there are: negative"));

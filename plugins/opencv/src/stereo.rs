@@ -322,7 +322,7 @@ impl DisparityWlsOpencv {
     }
 }
 
-// SAFETY: as for `StereoOpencv`.
+// SAFETY: OpenCV's filter holds no thread's state; one thread at a time uses a node.
 unsafe impl Send for DisparityWlsOpencv {}
 
 fn one_size(sizes: &[(usize, usize)]) -> Result<()> {

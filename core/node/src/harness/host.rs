@@ -204,7 +204,7 @@ unsafe extern "C" fn resolve(_: *mut c_void, buffer: BufferId) -> *mut u8 {
 struct Data(*mut c_void);
 // SAFETY: the contract lets chunks run on any thread.
 unsafe impl Send for Data {}
-// SAFETY: as above.
+// SAFETY: the pointer is only copied; chunks may run on any thread by the contract, and the node shares what it points to.
 unsafe impl Sync for Data {}
 
 unsafe extern "C" fn parallel_for(ctx: *mut c_void, chunks: usize, body: abi::ChunkFn, data: *mut c_void) -> Status {
