@@ -8,9 +8,9 @@
 //! set-points on their way (a predictor after Smith, 1957, with the arm's kinematics as its model); the integral sees the plain errors.
 
 use nalgebra::{Point3, Vector3};
+use panoscope_tracking::kalman::{Kalman, Model, stereo_covariance};
 
 use crate::chain::{Chain, JointVector};
-use crate::kalman::{Kalman, Model, stereo_covariance};
 use crate::pid::{Gains, Pid, Sample};
 use crate::task::{self, Errors, Wanted};
 

@@ -4,15 +4,15 @@
 //! well as stereo knows it. Used to find gains and to judge them quickly; the graph is judged beside it.
 
 use nalgebra::{Point3, Vector3};
+use panoscope_tracking::kalman::Model;
+use panoscope_tracking::tracker::{Known, Report, Rules, Tracker};
 
 use crate::campaign::Dice;
 use crate::chain::{Chain, JointVector};
 use crate::control::{Controller, Eyes, Goals, SeenTip, goal_mm};
 use crate::dynamics::{Quality, SimArm};
 use crate::interlock::{Evidence, Interlock, Place};
-use crate::kalman::Model;
 use crate::pid::Gains;
-use crate::tracker::{Known, Report, Rules, Tracker};
 
 /// Left picture of the thesis's scope, px.
 const WIDTH_PX: f64 = 640.0;

@@ -3,10 +3,10 @@
 use std::collections::VecDeque;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use panoscope_arm_core::kalman::Model;
-use panoscope_arm_core::tracker::{Known, Report, Rules, Tracker};
 use panoscope_node::abi::{Calibration, Pose, Tip};
 use panoscope_node::{Context, List, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, error};
+use panoscope_tracking::kalman::Model;
+use panoscope_tracking::tracker::{Known, Report, Rules, Tracker};
 
 /// Inputs.
 #[derive(Ports)]
