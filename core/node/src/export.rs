@@ -93,7 +93,7 @@ unsafe fn guarded(
 unsafe extern "C" fn open<N: Node>(open: *mut abi::OpenCall, instance: *mut *mut c_void) -> abi::Status {
     // SAFETY: the host's call is valid for its length.
     let (host, call) = unsafe { ((*open).host, (*open).call) };
-    // SAFETY: as above.
+    // SAFETY: the host's call, its handle and `instance` are valid for the length of this call, which the host makes once per instance.
     unsafe {
         guarded(host, call, || {
             let params = N::Params::read(values((*open).params, (*open).params_len))?;
@@ -163,8 +163,8 @@ unsafe extern "C" fn process<N: Node>(instance: *mut c_void, call: *mut abi::Cal
                 this.params_version = (*call).params_version;
             }
             let raw = RawCall::new(call);
-            let input = <N::In<'_> as Ports<'_>>::bind(raw)?;
-            let out = <N::Out<'_> as Ports<'_>>::bind(raw)?;
+            let input = <N::In<'_> as Ports<'_>>::bind(raw, 0)?;
+            let out = <N::Out<'_> as Ports<'_>>::bind(raw, 0)?;
             let context = Context::new(raw);
             this.node.process(&context, input, out, &this.params)?;
             Ok(if context.ended() { abi::STATUS_END } else { abi::STATUS_OK })

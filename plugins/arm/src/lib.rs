@@ -8,6 +8,7 @@
 
 pub mod arm_pid;
 pub mod arm_sim;
+pub mod declared;
 pub mod evaluate_arm;
 pub mod guard;
 pub mod joints;
