@@ -1,8 +1,9 @@
 //! The scripted camera and the patient's breath.
 
 use super::boards;
+use super::kinds::SceneKind;
 use super::math::{Pose, Stream, cos_turns, sin_turns};
-use super::params::{CameraPath, IncidentKind, SceneKind, SceneParams};
+use super::params::{CameraPath, IncidentKind, SceneParams};
 
 /// How far a jump goes: aside by a third of what a camera sees, and nearer.
 const JUMP_MM: [f64; 3] = [12.0, -7.0, 8.0];
