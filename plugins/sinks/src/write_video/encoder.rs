@@ -9,16 +9,16 @@ use opencv::videoio::{CAP_FFMPEG, VideoCapture, VideoWriter};
 use opencv::{core, imgcodecs, imgproc};
 use panoscope_node::{NodeError, Result as NodeResult};
 
-use super::Codec;
+use super::codec::Codec;
 use super::timeline::{Pacing, Timeline};
 use crate::formats::mkv::Muxer;
 use crate::target::{SinkError, sync};
 
-/// Frame rate of a video whose pictures do not tell one.
+/// Frame rate of a video of one picture.
 const FALLBACK_FPS: f64 = 30.0;
 
 enum State {
-    /// Nothing has arrived.
+    /// No picture has arrived.
     New,
     /// The first picture waits for the second one, whose time gives the frame rate.
     First {
@@ -40,8 +40,8 @@ enum State {
 
 /// Writes one video file.
 pub struct Encoder {
-    asked: PathBuf,
-    /// Where the newest part is.
+    requested: PathBuf,
+    /// Path of the newest part.
     path: PathBuf,
     codec: Codec,
     own: bool,
@@ -57,9 +57,9 @@ pub struct Picture<'a> {
     pub bgr: &'a [u8],
     /// Width and height in px, the same for all pictures of a file.
     pub size: (usize, usize),
-    /// When it was taken, in ns.
+    /// Its time, ns.
     pub at_ns: i64,
-    /// Of JPEG, in %.
+    /// Quality of JPEG, %.
     pub quality: i32,
 }
 
@@ -99,7 +99,7 @@ impl Encoder {
     pub fn new(path: &Path, ending: &str, codec: Codec, fps: f64) -> Self {
         let own = codec == Codec::Mjpg && ending == "mkv";
         Self {
-            asked: path.to_owned(),
+            requested: path.to_owned(),
             path: path.to_owned(),
             codec,
             own,
@@ -120,7 +120,7 @@ impl Encoder {
         begin: impl FnOnce(&Path) -> NodeResult<PathBuf>,
     ) -> Result<(), NodeError> {
         if matches!(self.state, State::New) {
-            self.path = begin(&self.asked)?;
+            self.path = begin(&self.requested)?;
         }
         let pushed = self.append(picture);
         if pushed.is_err() {
