@@ -279,7 +279,7 @@ impl Node for MaskRcnn {
         let path = network.model.path().to_owned();
         let (family, classes) = network.model.run(&gray, |outputs| -> Result<_> {
             let segments = matches!(outputs, [boxes, _] if boxes.shape.len() == 3);
-            count_bad(&path, outputs, rows_of(segments)).map_err(|e| error!("{e}"))?;
+            count_bad(&path, outputs, rows_of(segments))?;
             if let [boxes, prototypes] = outputs
                 && let ([1, len, _], [1, masks, _, _]) = (&boxes.shape[..], &prototypes.shape[..])
                 && matches!(params.family, Family::Auto | Family::YoloSeg)
@@ -327,7 +327,7 @@ impl Node for MaskRcnn {
         let family = self.family;
         let Self { network: Network { model, letterbox, damage, .. }, path, candidates, maps, map_size, .. } = self;
         let covers = model.run(&letterbox.input, |outputs| -> Result<Covers> {
-            let bad = count_bad(path, outputs, rows_of(family == Family::YoloSeg)).map_err(|e| error!("{e}"))?;
+            let bad = count_bad(path, outputs, rows_of(family == Family::YoloSeg))?;
             damage.tell(cx, path, bad);
             maps.clear();
             candidates.clear();
@@ -338,8 +338,7 @@ impl Node for MaskRcnn {
                 };
                 let kind = ExportKind::YoloV8 { masks };
                 Decoder { kind, input: net, placement, picture: size, min_score: params.min_score, out: candidates }
-                    .decode(outputs)
-                    .map_err(|e| error!("{e}"))?;
+                    .decode(outputs)?;
                 suppress(candidates, params.max_overlap, false, params.max_instances);
                 let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
                     return Err(error!("boxes and prototypes are f32"));

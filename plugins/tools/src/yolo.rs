@@ -215,18 +215,17 @@ impl Node for Yolo {
     fn open(open: &Open<'_>, params: &YoloParams) -> Result<Self> {
         let size = (params.input_width, params.input_height);
         let mut network = Network::open(open, &params.model, params.threads, size)?;
-        // One run on gray shows the shapes of the answer, and warms everything up.
+        // One run on a gray picture gives the shapes of the outputs and warms the network up.
         let (w, h) = network.model.input_size();
         let gray = vec![0.5f32; 3 * w * h];
         let path = network.model.path().to_owned();
         let end_to_end = network.model.metadata("end2end").is_some_and(|v| v.eq_ignore_ascii_case("true"));
-        let told = params.layout.kind();
-        let answer = network.model.run(&gray, |outputs| {
-            let kind = told.map_or_else(|| recognise(&path, (w, h), end_to_end, outputs), Ok)?;
+        let chosen = params.layout.kind();
+        let (kind, classes) = network.model.run(&gray, |outputs| -> Result<_> {
+            let kind = chosen.map_or_else(|| recognise(&path, (w, h), end_to_end, outputs), Ok)?;
             count_bad(&path, outputs, kind.rows())?;
-            Ok::<_, String>((kind, kind.classes(outputs)))
-        })?;
-        let (kind, classes) = answer.map_err(|e| error!("{e}"))?;
+            Ok((kind, kind.classes(outputs)))
+        })??;
         network.name_classes(&params.labels, classes)?;
         Ok(Self { network, kind, candidates: Vec::new(), items: Vec::new(), tracker: Tracker::default() })
     }
@@ -246,11 +245,12 @@ impl Node for Yolo {
         };
         let Network { model, letterbox, labels, path, damage } = &mut self.network;
         let rows = self.kind.rows();
-        let bad = model.run(&letterbox.input, |outputs| {
+        let bad = model.run(&letterbox.input, |outputs| -> Result<usize> {
             let bad = count_bad(path, outputs, rows)?;
-            decoder.decode(outputs).map(|()| bad)
-        })?;
-        damage.tell(cx, path, bad.map_err(|e| error!("{e}"))?);
+            decoder.decode(outputs)?;
+            Ok(bad)
+        })??;
+        damage.tell(cx, path, bad);
         suppress(&mut self.candidates, params.max_overlap, params.class_agnostic, params.max_boxes);
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));
