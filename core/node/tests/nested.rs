@@ -133,7 +133,7 @@ fn flattened_ports_stand_in_the_place_of_their_field() {
 
 #[test]
 fn values_and_frames_reach_the_fields_of_flattened_structs() -> std::result::Result<(), HarnessError> {
-    let toml = "[params]\nfront = 4\nis_on = false\ndeepest_px = 7\nword = \"b\"\nmiddle = 0\nlast = 0.25";
+    let toml = "params.front = 4\nparams.is_on = false\nparams.deepest_px = 7\nparams.word = \"b\"\nparams.middle = 0\nparams.last = 0.25";
     let mut node = Harness::<Nested>::from_toml(toml)?;
     node.input_image::<Gray8>("left", 2, 1, &[1, 2]);
     node.input_image::<Gray8>("right", 3, 1, &[3, 4, 5]);
