@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use nalgebra::Vector3;
 use panoscope_arm_core::dynamics::{Quality, SimArm};
-use panoscope_arm_core::interlock::{Cause, Place};
+use panoscope_arm_core::interlock::{Cause, TubePose};
 use panoscope_arm_core::{Chain, Interlock, JOINTS, JointVector};
 use panoscope_node::{
     Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation, error,
@@ -131,7 +131,7 @@ impl Node for ArmSim {
         guard::log_events(cx, lock);
 
         let stance = lock.chain().stance(arm.links());
-        let place = Place::of(lock.chain(), &stance, &self.down);
+        let tube = TubePose::of(lock.chain(), &stance, &self.down);
         let pose = self.home.inverse() * stance.base_from_camera;
         let at = pose.translation.vector;
         let (velocity, acceleration) = match self.last {
@@ -146,7 +146,7 @@ impl Node for ArmSim {
         let (encoders, point) = (arm.encoders(|| cx.random()), lock.set_point());
         out.motion.set(&stance, &self.home, (&encoders, arm.velocities()), (&point.position, &point.velocity))?;
         let stop = lock.stopped();
-        cx.metric("pivot_mm", place.pivot_mm);
+        cx.metric("pivot_mm", tube.pivot_mm);
         cx.metric("stops", lock.stops() as f64);
         if out.text.is_read() {
             guard::words(stop, lock.latched().is_some(), &mut self.words);
@@ -158,9 +158,9 @@ impl Node for ArmSim {
             lock.stops() as f64,
             arm.velocities().amax(),
             velocity.norm(),
-            place.pivot_mm,
-            place.depth_mm,
-            place.tilt_rad.to_degrees(),
+            tube.pivot_mm,
+            tube.depth_mm,
+            tube.tilt_rad.to_degrees(),
             acceleration.norm(),
         ];
         out.table.set_table(&COLUMNS, &row)

@@ -59,7 +59,7 @@ pub struct CompositeOpencvParams {
     /// Width of the blend in percent of the panorama's side, as OpenCV's sample counts it.
     #[param(default = 5.0, range = 0.0..=100.0, step = 1.0, unit = "%")]
     blend_strength: f64,
-    /// Room kept free around the first good registration, so that the canvas can hold still.
+    /// Margin around the first good registration, so that the canvas need not move.
     #[param(default = 16, range = 0..=512, unit = "px")]
     canvas_margin: u32,
     /// OpenCV's threads, for the whole process while this node is open.
@@ -81,11 +81,11 @@ pub struct In<'f> {
 /// Outputs of the composite; empty while the registration is lost.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The wide picture; black where no view reaches.
+    /// The panorama; black outside all views.
     panorama: Slot<'f, Bgr8>,
-    /// 255 where a view reaches.
+    /// 255 inside the views, 0 elsewhere.
     mask: Slot<'f, Mask>,
-    /// Where the left view lies in the panorama.
+    /// Rectangle of the left view in the panorama, px.
     canvas: Slot<'f, Roi>,
     /// Which view each pixel shows: 0 none, 1 the left one, 2 the right one.
     shown: Slot<'f, Gray8>,

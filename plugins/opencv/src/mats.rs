@@ -7,7 +7,7 @@ use opencv::core::{self, CV_8UC1, CV_8UC3, Mat, UMat};
 use opencv::prelude::*;
 use panoscope_node::{NodeError, Result, View, ViewMut};
 
-/// What OpenCV says, as a node's error.
+/// An OpenCV error as a node's error.
 pub fn failed(error: opencv::Error) -> NodeError {
     NodeError::new(format!("OpenCV: {}", error.message))
 }

@@ -8,7 +8,7 @@ use panoscope_imaging::geometry::{Homography as Map, Plausibility, RmsWatch};
 use panoscope_node::abi::{self, Homography};
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, View};
 
-use crate::detector::{Detector, Found};
+use crate::detector::{Detector, FoundFeatures};
 use crate::mats::{Threads, borrowed, failed};
 
 /// Parameters of the registration.
@@ -35,7 +35,7 @@ pub struct RegisterParams {
     /// Largest reprojection error of an inlier.
     #[param(default = 3.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
     ransac_px: f64,
-    /// Fewer inliers than this are no registration.
+    /// Smallest number of inliers of a registration.
     #[param(default = 8, range = 4..=1000, unit = "points")]
     min_inliers: u32,
     /// A homography whose inliers are further off than this (root mean square) is not used: the state is lost. 0 uses all.
@@ -75,7 +75,7 @@ pub fn shrink(megapixels: f64, pixels: usize) -> f64 {
 }
 
 /// Finds features of a view shrunk to `work_megapixels`, and gives their places in pixels of the whole view.
-fn find(view: View<'_, u8>, params: &RegisterParams) -> opencv::Result<(Found, Vec<[f64; 2]>)> {
+fn find(view: View<'_, u8>, params: &RegisterParams) -> opencv::Result<(FoundFeatures, Vec<[f64; 2]>)> {
     let whole = borrowed(view)?;
     let scale = shrink(params.work_megapixels, view.width * view.height);
     let (count, threshold) = (params.max_points as usize, params.threshold);

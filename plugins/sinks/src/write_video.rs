@@ -138,7 +138,7 @@ impl Node for WriteVideo {
         if !self.behind_warned && self.encoder.behind_ms() > WARN_BEHIND_MS {
             self.behind_warned = true;
             cx.warn(&format!(
-                "pictures come faster than the first two said: {} plays too slowly; give `fps`, or write mjpg into .mkv",
+                "pictures come faster than the first two: {} plays too slowly; give `fps`, or write mjpg into .mkv",
                 self.encoder.path().display()
             ));
         }

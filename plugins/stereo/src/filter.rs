@@ -145,10 +145,10 @@ pub struct DisparityWlsParams {
     /// Colour distance over which the coupling of two pixels falls to 1/e.
     #[param(default = 1.5, range = 0.1..=100.0, step = 0.1)]
     sigma_color: f32,
-    /// Rounds of row and column solves.
+    /// Number of iterations over rows and columns.
     #[param(default = 3, range = 1..=8)]
     iterations: usize,
-    /// Support below which a pixel stays unknown; 0 fills all that is reached.
+    /// Support below which a pixel stays unknown; 0 fills all pixels that the filter reaches.
     #[param(default = 0.05, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_support: f32,
     #[param(flatten)]
@@ -220,7 +220,7 @@ pub struct DisparityFbsParams {
     /// Weight of smoothness against closeness to the given map.
     #[param(default = 0.5, range = 0.0..=10000.0, step = 0.05)]
     lambda: f32,
-    /// Most steps of conjugate gradients.
+    /// Largest number of conjugate gradient steps.
     #[param(default = 25, range = 1..=200)]
     iterations: usize,
     /// Residual at which the solver stops.
@@ -229,7 +229,7 @@ pub struct DisparityFbsParams {
     /// Support below which a pixel stays unknown.
     #[param(default = 0.05, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_support: f32,
-    /// Start from the solution of the frame before.
+    /// Starts from the solution of the previous frame.
     #[param(default = true)]
     warm_start: bool,
     #[param(flatten)]

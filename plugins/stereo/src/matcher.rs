@@ -14,16 +14,16 @@ pub struct In<'f> {
     left: Image<'f, Gray8>,
     /// Rectified right view of the same instant, same size.
     right: Image<'f, Gray8>,
-    /// Part of the left view that is matched; all of it when unconnected.
+    /// Part of the left view that is matched; the whole view when unconnected.
     roi: Option<Value<'f, abi::Roi>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Pixels of the left rectified view, positive; NaN where unmatched.
+    /// Disparity of the left rectified view, px, positive; NaN where unmatched.
     disparity: Slot<'f, Disparity>,
-    /// The same from the right view's pixels: `x_left = x_right + disparity`.
+    /// Disparity of the right rectified view, px: `x_left = x_right + disparity`; NaN where unmatched.
     disparity_right: Slot<'f, Disparity>,
 }
 

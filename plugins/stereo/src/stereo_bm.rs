@@ -11,22 +11,22 @@ use crate::shrunk::Shrunk;
 pub struct StereoBmParams {
     #[param(flatten)]
     search: SearchWindow,
-    /// Side of the square window that is compared.
+    /// Side of the square window in which views are compared.
     #[param(default = 15, range = 3..=31, step = 2, unit = "px")]
     block_px: usize,
-    /// Clip of the horizontal edge response that is compared; 0 compares gray values.
+    /// Limit of the horizontal edge response that is compared; 0 compares gray values.
     #[param(default = 31, range = 0..=31)]
     prefilter_cap: u8,
-    /// Windows with less edge response than this are not matched; 0 keeps all.
+    /// Smallest edge response of a window that is matched; 0 matches all.
     #[param(default = 10, range = 0..=20000)]
     texture: u32,
-    /// A pixel is dropped when another disparity costs at most so much more than the best; 0 keeps all.
+    /// Drops a pixel when another disparity costs at most this much more than the best one; 0 keeps all.
     #[param(default = 15, range = 0..=100, unit = "%")]
     uniqueness: u32,
     /// Largest difference between the disparities of both views; -1 does not check.
     #[param(default = 1, range = -1..=64, unit = "px")]
     left_right_px: i32,
-    /// Matches views shrunk by this factor: a coarser map, much faster.
+    /// Factor by which views are shrunk before they are matched: a coarser map, much faster.
     #[param(default = 1, range = 1..=8)]
     scale: usize,
 }

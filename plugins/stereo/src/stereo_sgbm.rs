@@ -11,22 +11,22 @@ use crate::matcher::{Engine, In, Matcher, Out, SearchWindow, check_kernel};
 pub struct StereoSgbmParams {
     #[param(flatten)]
     search: SearchWindow,
-    /// Side of the square window that is compared.
+    /// Side of the square window in which views are compared.
     #[param(default = 5, range = 3..=7, step = 2, unit = "px")]
     block_px: usize,
-    /// Clip of the horizontal edge response that is compared; 0 compares gray values.
+    /// Limit of the horizontal edge response that is compared; 0 compares gray values.
     #[param(default = 31, range = 0..=31)]
     prefilter_cap: u8,
-    /// Charge for a change of disparity by one; must be below `large_penalty`.
+    /// Penalty of a change of disparity by 1 px; must be below `large_penalty`.
     #[param(default = 10, range = 1..=100)]
     small_penalty: u8,
-    /// Charge for a larger change.
+    /// Penalty of a larger change of disparity.
     #[param(default = 100, range = 2..=120)]
     large_penalty: u8,
-    /// Follow diagonal paths too: smoother, slower.
+    /// Aggregates along diagonal paths too: smoother, slower.
     #[param(default = true)]
     diagonals: bool,
-    /// A pixel is dropped when another disparity costs at most so much more than the best; 0 keeps all.
+    /// Drops a pixel when another disparity costs at most this much more than the best one; 0 keeps all.
     #[param(default = 5, range = 0..=100, unit = "%")]
     uniqueness: u32,
     /// Largest difference between the disparities of both views; -1 does not check.

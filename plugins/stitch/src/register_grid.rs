@@ -5,9 +5,9 @@ use panoscope_imaging::stitch::{CellPoint, GridParams, RectifiedView, RegisterGr
 use panoscope_node::abi::{Calibration, Camera};
 use panoscope_node::{Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Ports, Result, Value};
 
-use crate::registration::{Found, KeepParams, Out, Reporter};
+use crate::registration::{KeepParams, Out, Registered, Reporter};
 
-/// Which disparity a grid cell gives.
+/// Point that a grid cell contributes.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Point {
     /// The middle of the cell with the median of its disparities.
@@ -25,10 +25,10 @@ pub struct RegisterGridParams {
     /// Columns of the grid on the overlap.
     #[param(default = 24, range = 2..=200)]
     columns: u32,
-    /// What each cell gives.
+    /// Point that each cell contributes.
     #[param(default = "median")]
     point: Point,
-    /// Every so many pixels of a cell are looked at.
+    /// Spacing of the pixels that are read in a cell.
     #[param(default = 3, range = 1..=16, unit = "px")]
     scale: u32,
     /// Share of a cell's pixels that must have a disparity.
@@ -37,7 +37,7 @@ pub struct RegisterGridParams {
     /// Largest reprojection error of an inlier.
     #[param(default = 4.0, range = 0.2..=40.0, step = 0.1, unit = "px")]
     ransac_px: f64,
-    /// Fewer inliers than this are no registration.
+    /// Smallest number of inliers of a registration.
     #[param(default = 12, range = 4..=1000, unit = "points")]
     min_inliers: u32,
     #[param(flatten)]
@@ -72,8 +72,8 @@ impl RegisterGridParams {
 pub struct In<'f> {
     /// Disparity of the left rectified view, full size.
     disparity: Image<'f, Disparity>,
-    /// Calibration of the pictures that are to be stitched: the homography is between them, not between the rectified views, unless
-    /// it says that they are rectified already.
+    /// Calibration of the pictures to stitch. The homography is between these pictures, not between the rectified views, unless the calibration says
+    /// that they are rectified.
     calibration: Value<'f, Calibration>,
 }
 
@@ -144,7 +144,7 @@ impl Node for RegisterGridNode {
         let right = view(&c.right, &c.rectified_from_right, &c.right_projection, rectified);
         let found = self.kernel.register(input.disparity.view(), &left, &right);
         cx.metric("grid_points", found.points as f64);
-        let found = Found {
+        let found = Registered {
             left_from_right: &found.left_from_right,
             rms_px: found.rms_px,
             refused_rms_px: found.refused_rms_px,

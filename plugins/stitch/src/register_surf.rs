@@ -4,33 +4,33 @@ use panoscope_imaging::features::{self, MatchParams, RegisterParams, SurfParams}
 use panoscope_imaging::geometry::ransac::RansacParams;
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result};
 
-use crate::registration::{Found, KeepParams, Out, Reporter};
+use crate::registration::{KeepParams, Out, Registered, Reporter};
 
 /// Parameters of the registration.
 #[derive(Params, Clone, PartialEq)]
 pub struct RegisterSurfParams {
-    /// Search only the overlap of the frame before, shrunk by `scale`; otherwise whole frames at full size.
+    /// Searches only the overlap of the previous frame, shrunk by `scale`. Off: searches whole frames at full size.
     #[param(default = true)]
     roi: bool,
-    /// Shrink factor of the search regions when `roi` is on.
+    /// Factor by which the search regions are shrunk when `roi` is on.
     #[param(default = 2, range = 1..=8)]
     scale: u32,
     /// Least determinant of the Hessian of a keypoint.
     #[param(default = 50.0, range = 1.0..=20000.0, step = 1.0)]
     hessian_threshold: f32,
-    /// Keypoints per view at most, strongest first.
+    /// Largest number of keypoints per view, strongest first.
     #[param(default = 400, range = 16..=10000, unit = "points")]
     max_points: u32,
-    /// Spread the keypoints over the search region: each cell of a 6 x 4 grid has its share before the strongest fill up.
+    /// Spreads the keypoints over the search region: each cell of a 6 x 4 grid takes its share before the strongest fill the rest.
     #[param(default = true)]
     spread: bool,
-    /// Look again at each candidate with Gaussian derivatives: places it more exactly, and takes as long as all the rest.
+    /// Locates each keypoint more exactly with Gaussian derivatives; doubles the time.
     #[param(default = false)]
     second_look: bool,
     /// Octaves of the scale space.
     #[param(default = 4, range = 1..=4)]
     octaves: u32,
-    /// Leave out the orientation: for cameras that are hardly rotated against each other.
+    /// Ignores the orientation of keypoints: for cameras that are hardly rotated against each other.
     #[param(default = true)]
     upright: bool,
     /// Largest ratio of the best to the second-best distance of a match.
@@ -39,12 +39,12 @@ pub struct RegisterSurfParams {
     /// Largest reprojection error of an inlier.
     #[param(default = 5.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
     ransac_px: f64,
-    /// Fewer inliers than this are no registration.
+    /// Smallest number of inliers of a registration.
     #[param(default = 8, range = 4..=1000, unit = "points")]
     min_inliers: u32,
     #[param(flatten)]
     keep: KeepParams,
-    /// Find narrow overlaps too: when whole views give nothing, search a pair of facing sides at full size. Only with `roi`.
+    /// Finds narrow overlaps too: when whole views do not match, searches facing sides at full size. Only with `roi`.
     #[param(default = false)]
     strips: bool,
 }
@@ -121,7 +121,7 @@ impl Node for RegisterSurf {
             self.kernel.set_params(wanted);
         }
         let found = self.kernel.register(input.left.view(), input.right.view(), cx.pool());
-        let found = Found {
+        let found = Registered {
             left_from_right: &found.left_from_right,
             rms_px: found.rms_px,
             refused_rms_px: found.refused_rms_px,

@@ -50,7 +50,7 @@ impl Reporter {
         &mut self,
         cx: &Context<'_>,
         out: &mut Out<'_>,
-        found: &Found<'_>,
+        found: &Registered<'_>,
         max_rms_px: f64,
         help: &str,
     ) -> Result<()> {
@@ -61,7 +61,7 @@ impl Reporter {
 }
 
 /// Result of a registration kernel.
-pub struct Found<'a> {
+pub struct Registered<'a> {
     /// Maps right-view pixels to left-view pixels.
     pub left_from_right: &'a geometry::Homography,
     /// Root mean square distance of the inliers in px.
@@ -93,7 +93,7 @@ fn roi(rect: &Rect) -> Roi {
 
 impl Out<'_> {
     /// Makes all outputs.
-    fn set(&mut self, found: &Found<'_>) -> Result<()> {
+    fn set(&mut self, found: &Registered<'_>) -> Result<()> {
         self.homography.set(Homography {
             left_from_right: found.left_from_right.0,
             rms_px: found.rms_px,

@@ -122,8 +122,8 @@ impl Driver {
             latched: lock.latched().is_some(),
             stops: 0,
             answer_age_ms: 0.0,
-            pivot_mm: lock.place().pivot_mm,
-            depth_mm: lock.place().depth_mm,
+            pivot_mm: lock.tube().pivot_mm,
+            depth_mm: lock.tube().depth_mm,
             events: VecDeque::with_capacity(64),
         };
         let shared = Arc::new(Shared {
@@ -362,7 +362,7 @@ impl Work {
     }
 
     fn report(&mut self, point: panoscope_arm_core::SetPoint) {
-        let place = self.lock.place();
+        let tube = self.lock.tube();
         let mut outbox = locked(&self.shared.outbox);
         if let Some(line) = &self.line {
             outbox.encoders = line.encoders;
@@ -372,7 +372,7 @@ impl Work {
         outbox.stop = self.lock.stopped();
         outbox.latched = self.lock.latched().is_some();
         outbox.stops = self.lock.stops();
-        (outbox.pivot_mm, outbox.depth_mm) = (place.pivot_mm, place.depth_mm);
+        (outbox.pivot_mm, outbox.depth_mm) = (tube.pivot_mm, tube.depth_mm);
         while let Some(event) = self.lock.take_event() {
             if outbox.events.len() == 64 {
                 outbox.events.pop_front();

@@ -20,7 +20,7 @@ use detect::{Detector, Points, same_order};
 use neighbours::keep_fitting;
 use solve::{Model, Pair, Procedure, Solution, solve};
 
-/// Fewer common points say too little about a view.
+/// Fewest common points of a usable view.
 const LEAST_POINTS: usize = 8;
 /// A view stands out when its error is this many times the median of all views.
 const STANDS_OUT: f64 = 3.0;
@@ -81,7 +81,7 @@ pub struct CalibrateParams {
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Left view as its camera took it.
+    /// Left view, not rectified.
     left: Image<'f, Gray8>,
     /// Right view of the same instant, same size.
     right: Image<'f, Gray8>,
@@ -104,7 +104,7 @@ pub struct Out<'f> {
 }
 
 /// One pair of views that came.
-struct Seen {
+struct BoardView {
     state: ViewState,
     pair: Pair,
     /// Share of each picture that the board's box fills.
@@ -117,7 +117,7 @@ pub struct CalibrateStereo {
     places_mm: Vec<[f64; 2]>,
     detector: Detector,
     procedure: Procedure,
-    seen: Vec<Seen>,
+    seen: Vec<BoardView>,
     size: Option<(usize, usize)>,
     /// Index and pictures of the view that fills most.
     largest: Option<(usize, [Vec<u8>; 2])>,
@@ -204,7 +204,7 @@ impl Node for CalibrateStereo {
 }
 
 impl CalibrateStereo {
-    /// Finds the board in both views and keeps what is common.
+    /// Finds the board in both views; keeps the common points.
     fn look(&mut self, cx: &Context<'_>, views: [View<'_, u8>; 2], params: &CalibrateParams) -> Result<[Points; 2]> {
         let size = (views[0].width, views[0].height);
         let is_other_size = (views[1].width, views[1].height) != size || self.size.is_some_and(|known| known != size);
@@ -255,7 +255,7 @@ impl CalibrateStereo {
             cx.warn(&format!("view {index} is left out: {}", state.words()));
         }
         cx.metric("views_used", (used + usize::from(state == ViewState::Used)) as f64);
-        self.seen.push(Seen { state, pair, area });
+        self.seen.push(BoardView { state, pair, area });
         Ok(found)
     }
 
@@ -291,8 +291,8 @@ impl CalibrateStereo {
         }
         let mut used: Vec<usize> =
             (0..self.seen.len()).filter(|index| self.seen[*index].state == ViewState::Used).collect();
-        let most_left_out = used.len() / 3;
-        let mut left_out = 0;
+        let most_skipped = used.len() / 3;
+        let mut skipped = 0;
         loop {
             if used.len() < params.min_views {
                 if params.solve_at > 0 {
@@ -309,7 +309,7 @@ impl CalibrateStereo {
                 }
             };
             let worst = standing_out(&solution.errors_px)
-                .filter(|_| params.reject && self.procedure != Procedure::Sample && left_out < most_left_out);
+                .filter(|_| params.reject && self.procedure != Procedure::Sample && skipped < most_skipped);
             let Some(worst) = worst else {
                 cx.metric("reproj_px", solution.calibration.rms_px);
                 self.solution = Some((used, solution));
@@ -319,7 +319,7 @@ impl CalibrateStereo {
             let [a, b] = solution.errors_px[worst];
             self.seen[index].state = ViewState::LargeError;
             cx.warn(&format!("view {index} is left out: its error of {:.2} px stands out", a.max(b)));
-            left_out += 1;
+            skipped += 1;
         }
     }
 
@@ -393,7 +393,7 @@ fn area(points: &[[f32; 2]], size: (usize, usize)) -> f64 {
     if points.is_empty() { 0.0 } else { range(0) * range(1) / (size.0 * size.1) as f64 }
 }
 
-/// Whether all points lie in one row or column of the board, from which no camera can be told.
+/// Whether all points are in one row or column of the board, which does not determine a camera.
 fn is_one_line(board_mm: &[[f64; 2]]) -> bool {
     (0..2).any(|axis| board_mm.iter().all(|p| p[axis] == board_mm[0][axis]))
 }

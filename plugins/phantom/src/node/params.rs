@@ -22,7 +22,7 @@ pub enum Scene {
     Board,
 }
 
-/// What the board shows.
+/// Pattern of the board.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Board {
     /// `chessboard:9x6:3mm`.
@@ -33,7 +33,7 @@ pub enum Board {
     Charuco,
 }
 
-/// Which views a dropped tick leaves out.
+/// Views that are missing in a dropped tick.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum DropViews {
     /// All outputs.
@@ -44,7 +44,7 @@ pub enum DropViews {
     Right,
 }
 
-/// How the cameras stand.
+/// Arrangement of the cameras.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Layout {
     /// Left and right.
@@ -53,7 +53,7 @@ pub enum Layout {
     Quad,
 }
 
-/// Which camera goes black.
+/// Camera whose picture goes black.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum BlackCamera {
     /// None.
@@ -64,16 +64,16 @@ pub enum BlackCamera {
     Right,
 }
 
-/// What goes wrong for a while.
+/// Kind of incident.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum IncidentChoice {
     /// Nothing.
     None,
     /// Dense smoke before both cameras.
     Smoke,
-    /// The scope is shaken, and every picture drawn out by some 40 px.
+    /// The scope shakes: each picture is blurred over about 40 px.
     Blur,
-    /// The scope jumps to another place, and stays there.
+    /// The scope jumps to another position and stays there.
     Jump,
     /// Tissue lies on the lens of the last camera.
     Covered,
@@ -82,32 +82,32 @@ pub enum IncidentChoice {
 /// How the scripted camera moves.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum PathChoice {
-    /// Seeded swings about the place where it rests.
+    /// Seeded swings about its resting position.
     Sway,
-    /// Along a circle parallel to the tissue, lap after lap, back where it began after each.
+    /// Laps on a circle parallel to the tissue; each ends where it began.
     Ring,
-    /// On along the tissue, and nearer and away in turn, at `speed_mm_s` all the time.
+    /// Along the tissue, alternately nearer and farther, always at `speed_mm_s`.
     Glide,
 }
 
-/// How the leading instrument moves.
+/// Movement of the first instrument.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Motion {
-    /// Slow swings about a home of the seed's choice, as all others.
+    /// Slow swings about a seeded position, like all other instruments.
     Sway,
-    /// Not at all, before the middle of the shared picture.
+    /// At rest in front of the centre of the picture that both cameras share.
     Still,
-    /// 12 mm aside and back at up to 25 mm/s, every 4 s.
+    /// Steps of 12 mm to the side and back at up to 25 mm/s, every 4 s.
     Step,
     /// To and fro over 36 mm at 12 mm/s.
     Ramp,
     /// A circle of 12 mm radius in 5 s.
     Circle,
-    /// Strokes of a surgeon at up to 25 mm/s.
+    /// Strokes like a surgeon's at up to 25 mm/s.
     Strokes,
-    /// Is drawn out of the picture at up to 150 mm/s and comes back at 40 mm/s, every 12 s.
+    /// Leaves the picture at up to 150 mm/s and returns at 40 mm/s, every 12 s.
     Leave,
-    /// Rests while the second instrument passes before it.
+    /// Rests while the second instrument passes in front of it.
     Cross,
 }
 
@@ -117,13 +117,13 @@ pub struct PhantomParams {
     /// Scene that is rendered.
     #[param(default = "bowel", reopen)]
     pub scene: Scene,
-    /// What the board of the scene `board` shows.
+    /// Pattern of the board in the scene `board`.
     #[param(default = "chessboard", reopen)]
     pub board: Board,
-    /// Seed of everything random: the same seed gives the same pictures on every machine.
+    /// Seed of all random numbers: the same seed gives the same pictures on every machine.
     #[param(default = 7, range = 0..=1_000_000_000, reopen)]
     pub seed: u64,
-    /// How the cameras stand.
+    /// Arrangement of the cameras.
     #[param(default = "stereo", reopen)]
     pub layout: Layout,
     /// Picture width of each camera.
@@ -141,7 +141,7 @@ pub struct PhantomParams {
     /// Pictures per second of media time.
     #[param(default = 30.0, range = 1.0..=240.0, step = 1.0, unit = "Hz", reopen)]
     pub rate_hz: f64,
-    /// Height of the tissue's relief; 0 is a plane. Without effect on `box` and `board`.
+    /// Height of the tissue's relief; 0 is a plane. No effect on `box` and `board`.
     #[param(default = 1.0, range = 0.0..=1.0, step = 0.05, unit = "ratio", reopen)]
     pub relief: f64,
     /// How the scripted camera moves.
@@ -159,10 +159,10 @@ pub struct PhantomParams {
     /// Strength of highlights.
     #[param(default = 1.0, range = 0.0..=4.0, step = 0.1, unit = "ratio", reopen)]
     pub specular: f32,
-    /// Strength of vessels, mottling, flecks and grain; 0 leaves smooth tissue of one colour.
+    /// Strength of vessels, mottling, flecks and grain; 0 is smooth tissue of one colour.
     #[param(default = 1.0, range = 0.0..=1.0, step = 0.05, unit = "ratio", reopen)]
     pub texture: f32,
-    /// Light that reaches the sensors; less is darker and, with the same noise, noisier.
+    /// Light that reaches the sensors. Less light gives a darker and, with the same noise, noisier picture.
     #[param(default = 1.0, range = 0.01..=4.0, step = 0.01, unit = "ratio", reopen)]
     pub light: f32,
     /// Sensor noise; 1 is a good small sensor.
@@ -171,7 +171,7 @@ pub struct PhantomParams {
     /// Density of smoke.
     #[param(default = 0.0, range = 0.0..=1.0, step = 0.05, unit = "ratio", reopen)]
     pub smoke: f32,
-    /// Blood drops on each lens.
+    /// Number of blood drops on each lens.
     #[param(default = 0, range = 0..=32, reopen)]
     pub blood_drops: u32,
     /// Sub-frames of motion blur; 1 is none.
@@ -198,38 +198,39 @@ pub struct PhantomParams {
     /// Number of black pictures.
     #[param(default = 10, range = 0..=1_000_000_000, unit = "frames", reopen)]
     pub black_count: u64,
-    /// What goes wrong from `incident_first` on.
+    /// Incident that begins at `incident_first`.
     #[param(default = "none", reopen)]
     pub incident: IncidentChoice,
-    /// First picture that suffers.
+    /// First picture of the incident.
     #[param(default = 20, range = 0..=1_000_000_000, unit = "frames", reopen)]
     pub incident_first: u64,
-    /// Number of pictures that suffer.
+    /// Number of pictures of the incident.
     #[param(default = 10, range = 1..=1_000_000_000, unit = "frames", reopen)]
     pub incident_count: u64,
-    /// Instruments in the scene.
+    /// Number of instruments in the scene.
     #[param(default = 0, range = 0..=7, reopen)]
     pub tools: u32,
-    /// Their kinds in turn, separated by commas: grasper, bipolar, hook, scissors, clipper, irrigator, specimen_bag; when empty,
-    /// the seed's own order of all.
+    /// Kinds of the instruments in order, separated by commas: grasper, bipolar, hook, scissors, clipper, irrigator, specimen_bag. Empty: all kinds
+    /// in a seeded order.
     #[param(default = "", reopen)]
     pub tool_kinds: String,
-    /// How the first of them moves; all but `sway` start before the middle of the shared picture, at 0.78 of `distance_mm`.
+    /// Movement of the first instrument. All but `sway` start in front of the centre of the picture that both cameras share, at 0.78 of
+    /// `distance_mm`.
     #[param(default = "sway", reopen)]
     pub tool_motion: Motion,
     /// Share of ticks that are dropped, chosen by the seed.
     #[param(default = 0.0, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     pub drop_share: f64,
-    /// What a dropped tick leaves out.
+    /// Views that are missing in a dropped tick.
     #[param(default = "all")]
     pub drop_views: DropViews,
     /// Share of ticks that are delivered late, chosen by the seed; in live mode only.
     #[param(default = 0.0, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     pub late_share: f64,
-    /// By how much they are late; their capture time stays what it is.
+    /// Delay of late ticks. Their capture time does not change.
     #[param(default = 20.0, range = 0.0..=1000.0, step = 1.0, unit = "ms")]
     pub late_ms: f64,
-    /// How much wider than one picture the `wide` view is.
+    /// Width of the `wide` view relative to one picture.
     #[param(default = 2.0, range = 1.0..=4.0, step = 0.1, unit = "ratio", reopen)]
     pub wide_factor: f64,
 }

@@ -28,9 +28,9 @@ pub struct Out<'f> {
     pub view3: Slot<'f, Bgr8>,
     /// True calibration of cameras 0 and 1.
     pub calibration: Slot<'f, abi::Calibration>,
-    /// True disparity of the left view.
+    /// True disparity of the left view, px.
     pub disparity: Slot<'f, Disparity>,
-    /// True depth of the left view.
+    /// True depth of the left view, mm.
     pub depth: Slot<'f, Depth>,
     /// 255 where the right camera sees the same point as the left one.
     pub visible: Slot<'f, Mask>,
@@ -38,21 +38,21 @@ pub struct Out<'f> {
     pub pose: Slot<'f, abi::Pose>,
     /// Plane homography that fits the true correspondences best.
     pub homography: Slot<'f, abi::Homography>,
-    /// What one ideal camera at the left camera's place with a larger sensor would see.
+    /// Picture of one ideal camera with a larger sensor at the left camera's position.
     pub wide: Slot<'f, Bgr8>,
     /// 255 in each pixel of `wide` whose tissue lies inside the picture of at least one camera.
     pub footprint: Slot<'f, Mask>,
     /// True boxes of the instruments seen in the left view.
     pub detections: Slot<'f, LabeledDetections>,
-    /// The same with true masks.
+    /// True boxes and masks of the instruments seen in the left view.
     pub instances: Slot<'f, LabeledInstances>,
-    /// True tip of the instrument whose tip is seen, the largest first; empty when none is.
+    /// True tip of the largest instrument whose tip is seen; empty when none is.
     pub tip: Slot<'f, abi::Tip>,
-    /// True tip of the first instrument, wherever it is: score 1 while it is seen, 0 while it is hidden or outside the left view. Empty behind the
-    /// camera and without instruments.
+    /// True tip of the first instrument, also while it is not seen: score 1 while it is seen, 0 while it is hidden or outside the left view. Empty
+    /// behind the camera and without instruments.
     pub lead: Slot<'f, abi::Tip>,
-    /// The same of the second instrument.
+    /// True tip of the second instrument, as `lead`.
     pub second: Slot<'f, abi::Tip>,
-    /// One row per instrument: where its tip is, whether it is seen, and how far it is from the tissue and from the nearest other tip.
+    /// One row per instrument: position of its tip (mm), whether it is seen, and its distances to the tissue and to the nearest other tip (mm).
     pub clearance: Slot<'f, TableData>,
 }

@@ -45,7 +45,7 @@ impl Sway {
     }
 }
 
-/// A way at a steady speed. The scene repeats itself, so it has no end.
+/// Movement at a constant speed. The scene repeats itself, so it never ends.
 #[derive(Clone, Copy, Debug)]
 struct Glide {
     /// mm/s.
@@ -57,12 +57,12 @@ struct Glide {
 impl Glide {
     /// Offset from the place at time 0.
     fn at(&self, seconds: f64) -> [f64; 3] {
-        let way = self.speed * seconds;
+        let distance_mm = self.speed * seconds;
         // A triangle wave: nearer and away at one speed.
-        let turns = GLIDE[2] * way / (4.0 * self.depth_mm) + 0.25;
+        let turns = GLIDE[2] * distance_mm / (4.0 * self.depth_mm) + 0.25;
         let saw = turns - turns.floor();
         let triangle = if saw < 0.5 { 4.0 * saw - 1.0 } else { 3.0 - 4.0 * saw };
-        [GLIDE[0] * way, GLIDE[1] * way, self.depth_mm * triangle]
+        [GLIDE[0] * distance_mm, GLIDE[1] * distance_mm, self.depth_mm * triangle]
     }
 }
 

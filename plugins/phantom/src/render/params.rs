@@ -147,7 +147,7 @@ pub enum CameraPath {
 pub enum IncidentKind {
     /// Dense smoke before both cameras.
     Smoke,
-    /// The scope is shaken: every picture is drawn out by some 40 px.
+    /// The scope shakes: each picture is blurred over about 40 px.
     Blur,
     /// The scope jumps to another place at the first frame and stays there.
     Jump,

@@ -194,7 +194,7 @@ impl Phantom {
                 let part = share * params.shutter * if count > 1 { 1.0 } else { 0.0 };
                 let mut pose = pose.unwrap_or_else(|| script.pose(frame as f64 + part));
                 if shaken {
-                    pose.translation_mm.iter_mut().zip(SHAKEN_MM).for_each(|(place, way)| *place += share * way);
+                    pose.translation_mm.iter_mut().zip(SHAKEN_MM).for_each(|(place, shift)| *place += share * shift);
                 }
                 *station = station_at(&pose, eye.model.offset_mm, rig.light_mm, period);
                 let seconds = (frame as f64 + part) / params.fps;

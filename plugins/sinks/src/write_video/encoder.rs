@@ -110,7 +110,7 @@ impl Encoder {
         }
     }
 
-    /// Appends a picture. `begin` is asked before a file is created, and answers the path to create.
+    /// Appends a picture. Calls `begin` before it creates a file, which returns the path to create.
     ///
     /// # Errors
     /// Of the encoder and of the file, which is complete then and ends with the picture before; the next picture begins another one.
@@ -124,7 +124,7 @@ impl Encoder {
         }
         let pushed = self.append(picture);
         if pushed.is_err() {
-            // The first error is the one to tell.
+            // The first error is the one to report.
             let _ = self.finish();
         }
         Ok(pushed?)
@@ -220,7 +220,7 @@ impl Encoder {
             Codec::Ffv1 => b"FFV1",
         };
         let refuse = |reason: String| SinkError::Encode { path: self.path.clone(), reason };
-        // A file that cannot be made is told apart from a codec that is missing.
+        // Distinguishes a file that cannot be created from a missing codec.
         File::create(&self.path).map_err(|error| SinkError::io(&self.path, error))?;
         let (width, height) = self.even_size();
         let size = Size::new(width as i32, height as i32);
@@ -280,7 +280,7 @@ impl Encoder {
         };
         writer.release().map_err(|error| failed(&self.path, error))?;
         File::open(&self.path).and_then(|file| sync(&file)).map_err(|error| SinkError::io(&self.path, error))?;
-        // FFmpeg does not say when a write fails.
+        // FFmpeg does not report failed writes.
         let plays = self.path.to_str().is_some_and(|path| {
             VideoCapture::from_file(path, CAP_FFMPEG).and_then(|video| video.is_opened()).unwrap_or(false)
         });
