@@ -18,7 +18,7 @@ pub enum Detector {
 
 /// Keypoints of a view and their descriptors, strongest first, one descriptor per row.
 pub struct FoundFeatures {
-    /// Where and how large.
+    /// Positions and sizes.
     pub points: Vec<KeyPoint>,
     /// One row per point.
     pub descriptors: Mat,
@@ -52,7 +52,7 @@ fn rows_of(all: &Mat, order: &[usize]) -> opencv::Result<Mat> {
 }
 
 impl Detector {
-    /// Detects and describes at most `max_points` (0: as many as OpenCV's defaults give). `threshold` 0 is OpenCV's own.
+    /// Detects and describes at most `max_points` (0: OpenCV's default). `threshold` 0 is OpenCV's default.
     ///
     /// # Errors
     /// OpenCV's.

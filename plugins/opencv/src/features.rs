@@ -9,13 +9,13 @@ use crate::mats::{Threads, borrowed, failed};
 /// Parameters of the features.
 #[derive(Params, Clone, PartialEq)]
 pub struct FeaturesParams {
-    /// Which features.
+    /// Kind of features.
     #[param(default = "sift")]
     detector: Detector,
-    /// Keypoints per view at most, strongest first; 0 takes what OpenCV's defaults give.
+    /// Largest number of keypoints per view, strongest first; 0 uses OpenCV's default.
     #[param(default = 0, range = 0..=100_000, unit = "points")]
     max_points: u32,
-    /// The detector's threshold; 0 takes OpenCV's default (0.04, 0.001, 20).
+    /// Threshold of the detector; 0 uses OpenCV's default (0.04, 0.001, 20).
     #[param(default = 0.0, range = 0.0..=1000.0)]
     threshold: f64,
     /// Largest ratio of the best to the second-best distance of a match.
@@ -24,7 +24,7 @@ pub struct FeaturesParams {
     /// Keeps a match only when each point is the other's best.
     #[param(default = true)]
     mutual: bool,
-    /// OpenCV's threads, for the whole process while this node is open.
+    /// Number of OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }

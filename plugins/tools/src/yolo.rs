@@ -145,7 +145,7 @@ impl Network {
         let mut names = if file.as_os_str().is_empty() {
             self.model.metadata("names").and_then(labels::from_metadata).unwrap_or_default()
         } else {
-            labels::from_file(file).map_err(|e| error!("{e}"))?
+            labels::from_file(file)?
         };
         if classes > 0 && !names.is_empty() && names.len() != classes {
             return Err(error!(
@@ -160,12 +160,12 @@ impl Network {
     }
 }
 
-/// Reports a file of labels that does not serve.
+/// Reports a file of labels that cannot be used.
 pub(crate) fn check_labels(check: &mut Validation<'_>, file: &std::path::Path) {
     if !file.as_os_str().is_empty()
-        && let Err(why) = labels::from_file(file)
+        && let Err(error) = labels::from_file(file)
     {
-        check.error("labels", why, "");
+        check.error("labels", error.to_string(), "");
     }
 }
 
