@@ -163,8 +163,8 @@ unsafe extern "C" fn process<N: Node>(instance: *mut c_void, call: *mut abi::Cal
                 this.params_version = (*call).params_version;
             }
             let raw = RawCall::new(call);
-            let input = <N::In<'_> as Ports<'_>>::bind(raw)?;
-            let out = <N::Out<'_> as Ports<'_>>::bind(raw)?;
+            let input = <N::In<'_> as Ports<'_>>::bind(raw, 0)?;
+            let out = <N::Out<'_> as Ports<'_>>::bind(raw, 0)?;
             let context = Context::new(raw);
             this.node.process(&context, input, out, &this.params)?;
             Ok(if context.ended() { abi::STATUS_END } else { abi::STATUS_OK })

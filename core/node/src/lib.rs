@@ -15,6 +15,7 @@ mod guard;
 pub mod harness;
 pub mod host;
 pub mod input;
+mod nest;
 pub mod output;
 pub mod packet;
 pub mod param;
@@ -178,6 +179,7 @@ impl NodeInfo {
 
 #[doc(hidden)]
 pub mod __private {
+    pub use crate::nest::{params, ports};
     pub use crate::packet::{plain_size, sum};
     pub use crate::param::{
         Declared, DefaultValue, has_word, is_flag, is_floats, is_number, is_path, is_text, on_step, param,

@@ -6,6 +6,11 @@ use crate::abi;
 use crate::error::{NodeError, Result};
 
 /// A struct of parameters, made by `#[derive(Params)]`.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no struct of parameters",
+    label = "not a struct of parameters",
+    note = "write `#[derive(Params)]` above it; `#[param(flatten)]` takes such a struct, not a parameter"
+)]
 pub trait Params: Sized + Send + 'static {
     /// The declarations, in order.
     const PARAMS: &'static [abi::Param];
@@ -215,7 +220,7 @@ pub struct Declared {
     pub pick: u32,
 }
 
-const fn same(a: &[u8], b: &[u8]) -> bool {
+pub(crate) const fn same(a: &[u8], b: &[u8]) -> bool {
     if a.len() != b.len() {
         return false;
     }

@@ -54,12 +54,20 @@ impl<'f> RawCall<'f> {
 }
 
 /// A struct of ports; implemented by `#[derive(Ports)]`.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no struct of ports",
+    label = "not a struct of ports",
+    note = "write `#[derive(Ports)]` above it; `#[ports(flatten)]` takes such a struct, not a port"
+)]
 pub trait Ports<'f>: Sized {
     /// The declarations, in order.
     const PORTS: &'static [abi::Port];
 
-    /// Binds every field to its frames.
-    fn bind(call: RawCall<'f>) -> Result<Self>;
+    /// Finds every field's frames. `first` is the index of the struct's first port: above 0 where it is flattened into another.
+    ///
+    /// # Errors
+    /// A frame that does not fit its port, or none where one is required.
+    fn bind(call: RawCall<'f>, first: usize) -> Result<Self>;
 }
 
 /// For nodes without inputs or without outputs.
@@ -69,7 +77,7 @@ pub struct NoPorts;
 impl<'f> Ports<'f> for NoPorts {
     const PORTS: &'static [abi::Port] = &[];
 
-    fn bind(_: RawCall<'f>) -> Result<Self> {
+    fn bind(_: RawCall<'f>, _: usize) -> Result<Self> {
         Ok(Self)
     }
 }

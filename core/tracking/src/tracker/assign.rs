@@ -1,31 +1,31 @@
-//! Who is who: the cheapest one-to-one assignment (Kuhn 1955, "The Hungarian method"; by shortest augmenting paths after Jonker and Volgenant
+//! The cheapest one-to-one assignment (Kuhn 1955, "The Hungarian method"; by shortest augmenting paths after Jonker and Volgenant
 //! 1987), in fixed memory.
 
 /// Most rows.
 pub const ROWS: usize = 8;
 /// Most columns.
 pub const COLUMNS: usize = 16;
-/// Columns of the square that is solved: each row has one of its own for "nobody".
+/// Columns of the problem that is solved: each row has one more, which leaves it unassigned.
 const ALL: usize = COLUMNS + ROWS;
-/// What "nobody" costs: more than any pair, so that as many rows as can be are served, and then as cheaply as can be.
-const NOBODY: f64 = 1e6;
-/// What must not be.
-const NEVER: f64 = 1e12;
+/// Cost of leaving a row unassigned: more than any pair, so that as many rows as possible are assigned, and these as cheaply as possible.
+const UNASSIGNED: f64 = 1e6;
+/// Cost of a forbidden pair.
+const FORBIDDEN: f64 = 1e12;
 
-/// Costs of pairs; a pair that must not be is infinite.
+/// Cost of each pair; infinite where a pair is forbidden.
 pub type Costs = [[f64; COLUMNS]; ROWS];
 
-/// The column of each of the first `rows` rows, of the first `columns` columns; none where nothing fits.
+/// Assigns the first `rows` rows to the first `columns` columns. Returns the column of each row, none where no pair is allowed.
 pub fn assign(costs: &Costs, rows: usize, columns: usize) -> [Option<usize>; ROWS] {
     let (rows, columns) = (rows.min(ROWS), columns.min(COLUMNS));
     let cost = |row: usize, column: usize| {
         if column < columns {
             let cost = costs[row][column];
-            if cost.is_finite() { cost.clamp(-NOBODY / 2.0, NOBODY / 2.0) } else { NEVER }
+            if cost.is_finite() { cost.clamp(-UNASSIGNED / 2.0, UNASSIGNED / 2.0) } else { FORBIDDEN }
         } else if column - columns == row {
-            NOBODY
+            UNASSIGNED
         } else {
-            NEVER
+            FORBIDDEN
         }
     };
     // Potentials of rows and columns; index 0 stands for none, as rows and columns count from 1 here.
@@ -36,7 +36,7 @@ pub fn assign(costs: &Costs, rows: usize, columns: usize) -> [Option<usize>; ROW
         row_at[0] = row;
         let mut at = 0;
         let (mut least, mut done, mut came_from) = ([f64::INFINITY; ALL + 1], [false; ALL + 1], [0_usize; ALL + 1]);
-        // The shortest way to a free column.
+        // The shortest path to a free column.
         while row_at[at] != 0 {
             done[at] = true;
             let here = row_at[at];
@@ -63,7 +63,7 @@ pub fn assign(costs: &Costs, rows: usize, columns: usize) -> [Option<usize>; ROW
             }
             at = next;
         }
-        // Along it everybody moves by one.
+        // Along it each row moves on to the next column.
         while at != 0 {
             let before = came_from[at];
             row_at[at] = row_at[before];
@@ -83,18 +83,18 @@ pub fn assign(costs: &Costs, rows: usize, columns: usize) -> [Option<usize>; ROW
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::campaign::Dice;
+    use panoscope_base::random::SplitMix64;
 
-    /// All ways, tried one after the other: pairs made, then cost.
-    fn slow(costs: &Costs, row: usize, rows: usize, columns: usize, taken: u32) -> (usize, f64) {
+    /// Tries all assignments: returns the number of pairs, then their cost.
+    fn exhaustive(costs: &Costs, row: usize, rows: usize, columns: usize, taken: u32) -> (usize, f64) {
         if row == rows {
             return (0, 0.0);
         }
-        let mut best = slow(costs, row + 1, rows, columns, taken);
+        let mut best = exhaustive(costs, row + 1, rows, columns, taken);
         for column in (0..columns).filter(|column| taken & (1 << column) == 0) {
             let cost = costs[row][column];
             if cost.is_finite() {
-                let (pairs, rest) = slow(costs, row + 1, rows, columns, taken | 1 << column);
+                let (pairs, rest) = exhaustive(costs, row + 1, rows, columns, taken | 1 << column);
                 if pairs + 1 > best.0 || (pairs + 1 == best.0 && rest + cost < best.1) {
                     best = (pairs + 1, rest + cost);
                 }
@@ -105,14 +105,14 @@ mod tests {
 
     #[test]
     fn no_other_assignment_is_better() {
-        let mut dice = Dice::new(3);
+        let mut random = SplitMix64(3);
         for _ in 0..400 {
-            let (rows, columns) = (dice.of(6) as usize, dice.of(7) as usize);
+            let (rows, columns) = (random.below(6), random.below(7));
             let mut costs = [[f64::INFINITY; COLUMNS]; ROWS];
             for line in costs.iter_mut().take(rows) {
                 for cost in line.iter_mut().take(columns) {
-                    if dice.of(4) > 0 {
-                        *cost = 40.0 * dice.unit() - 10.0;
+                    if random.below(4) > 0 {
+                        *cost = 40.0 * panoscope_base::random::unit(random.bits()) - 10.0;
                     }
                 }
             }
@@ -123,14 +123,14 @@ mod tests {
             used.dedup();
             assert_eq!(used.len(), pairs.len(), "each column once");
             let cost: f64 = pairs.iter().map(|(row, column)| costs[*row][*column]).sum();
-            let (most, least) = slow(&costs, 0, rows, columns, 0);
+            let (most, least) = exhaustive(&costs, 0, rows, columns, 0);
             assert_eq!(pairs.len(), most);
             assert!((cost - least).abs() < 1e-6, "{cost} where {least} can be had");
         }
     }
 
     #[test]
-    fn nothing_and_nonsense_are_assigned_to_nobody() {
+    fn empty_and_invalid_costs_assign_nothing() {
         let mut costs = [[f64::INFINITY; COLUMNS]; ROWS];
         assert_eq!(assign(&costs, 0, 0), [None; ROWS]);
         assert_eq!(assign(&costs, ROWS, COLUMNS), [None; ROWS]);

@@ -1,5 +1,6 @@
 use super::*;
-use crate::campaign::Dice;
+use crate::kalman::Model;
+use panoscope_base::random::{SplitMix64, unit};
 
 const RULES: Rules = Rules {
     model: Model { acceleration_mm_s2: 150.0, gate: 16.3 },
@@ -64,7 +65,7 @@ fn another_tool_leads_only_when_the_first_is_long_gone() {
 }
 
 #[test]
-fn nonsense_is_no_tip() {
+fn invalid_reports_are_ignored() {
     let mut tracker = Tracker::default();
     step(&mut tracker, 0, &[report(0.0, 1)]);
     let bad = [
@@ -80,25 +81,25 @@ fn nonsense_is_no_tip() {
     assert_eq!(step(&mut tracker, 0, &[]), Known::Lost);
 }
 
-/// Two tools without numbers or classes whose ways cross: the share of ticks in which the tracker says where the first one is, and the largest
-/// error. Noise as stereo has it; whoever stands behind is hidden while the tips lie within `hides_mm` across.
-fn cross(ways: [&dyn Fn(f64) -> Vector3<f64>; 2], hides_mm: f64, classes: [u32; 2], seed: u64) -> (f64, f64) {
-    let (mut tracker, mut dice) = (Tracker::default(), Dice::new(seed));
+/// Two tools without numbers whose trajectories cross. Returns the share of ticks in which the tracker knows the first one, and its largest error in
+/// mm. Noise as stereo has it; the tip farther from the camera is hidden while both lie within `hides_mm` across.
+fn cross(trajectories: [&dyn Fn(f64) -> Vector3<f64>; 2], hides_mm: f64, classes: [u32; 2], seed: u64) -> (f64, f64) {
+    let (mut tracker, mut random) = (Tracker::default(), SplitMix64(seed));
     let (mut known, mut worst) = (0, 0.0_f64);
     for tick in 0..240_i64 {
         let t = tick as f64 / 30.0;
-        let [one, two] = ways.map(|way| way(t));
+        let [one, two] = trajectories.map(|trajectory| trajectory(t));
         let hidden = (one - two).xy().norm() < hides_mm;
         let mut reports = Vec::new();
         for (place, other, class_index) in [(one, two, classes[0]), (two, one, classes[1])] {
-            let mut noise = |deviation: f64| (0..12).map(|_| dice.unit() - 0.5).sum::<f64>() * deviation;
+            let mut noise = |deviation: f64| (0..12).map(|_| unit(random.bits()) - 0.5).sum::<f64>() * deviation;
             let xyz_mm = place + Vector3::new(noise(0.1), noise(0.1), noise(0.25));
             if !(hidden && place.z > other.z) {
                 reports.push(Report { xyz_mm, score: 0.9, track_id: -1, class_index, age_s: 0.0 });
             }
         }
         // Reports come in any order.
-        if dice.of(2) == 0 {
+        if random.below(2) == 0 {
             reports.reverse();
         }
         let _ = step(&mut tracker, tick, &reports);
@@ -135,8 +136,8 @@ fn tools_that_cross_while_both_move_keep_their_names() {
 }
 
 #[test]
-fn classes_tell_tools_apart_where_places_do_not() {
-    // They meet, stay together for a second, and each goes back where it came from: only the class tells who is who.
+fn classes_distinguish_tools_where_positions_do_not() {
+    // They meet, stay together for a second, and each goes back where it came from: only the class distinguishes them.
     let one = |t: f64| Vector3::new(7.5 - 12.0 * ((t - 4.0).abs() - 0.5).clamp(0.0, 1.5), 0.0, 66.0);
     let two = |t: f64| Vector3::new(11.0 + 12.0 * ((t - 4.0).abs() - 0.5).clamp(0.0, 1.6), 0.0, 66.0);
     for seed in 1..6 {
@@ -146,7 +147,7 @@ fn classes_tell_tools_apart_where_places_do_not() {
 }
 
 #[test]
-fn two_words_for_one_tip_are_one_tip() {
+fn two_reports_of_one_tip_are_one_tip() {
     let mut tracker = Tracker::default();
     for tick in 0..60 {
         let other = Report { xyz_mm: Vector3::new(1.0, 0.5, 65.5), ..report(0.0, -1) };
@@ -155,22 +156,36 @@ fn two_words_for_one_tip_are_one_tip() {
     }
 }
 
+/// A number that breaks careless arithmetic.
+fn hostile(random: &mut SplitMix64) -> f64 {
+    match random.below(8) {
+        0 => f64::NAN,
+        1 => f64::INFINITY,
+        2 => f64::NEG_INFINITY,
+        3 => f64::MAX,
+        4 => f64::MIN_POSITIVE,
+        5 => -0.0,
+        6 => f64::from_bits(random.bits()),
+        _ => (unit(random.bits()) - 0.5) * 1e6,
+    }
+}
+
 #[test]
-fn any_number_of_tips_is_borne() {
-    let (mut tracker, mut dice) = (Tracker::default(), Dice::new(9));
+fn any_number_of_tips_is_accepted() {
+    let (mut tracker, mut random) = (Tracker::default(), SplitMix64(9));
     for tick in 0..400 {
-        let any = |dice: &mut Dice| (dice.unit() - 0.5) * 200.0;
-        let reports: Vec<Report> = (0..dice.of(40))
+        let any = |random: &mut SplitMix64| (unit(random.bits()) - 0.5) * 200.0;
+        let reports: Vec<Report> = (0..random.below(40))
             .map(|_| Report {
-                xyz_mm: if dice.of(9) == 0 {
-                    Vector3::new(dice.hostile(), dice.hostile(), dice.hostile())
+                xyz_mm: if random.below(9) == 0 {
+                    Vector3::from_fn(|_, _| hostile(&mut random))
                 } else {
-                    Vector3::new(any(&mut dice), any(&mut dice), 60.0 + any(&mut dice))
+                    Vector3::new(any(&mut random), any(&mut random), 60.0 + any(&mut random))
                 },
-                score: if dice.of(9) == 0 { dice.hostile() } else { 0.9 },
-                track_id: dice.of(12) as i64 - 4,
-                class_index: dice.of(3) as u32,
-                age_s: if dice.of(5) == 0 { dice.hostile() } else { 0.0 },
+                score: if random.below(9) == 0 { hostile(&mut random) } else { 0.9 },
+                track_id: random.below(12) as i64 - 4,
+                class_index: random.below(3) as u32,
+                age_s: if random.below(5) == 0 { hostile(&mut random) } else { 0.0 },
             })
             .collect();
         step(&mut tracker, tick, &reports);
@@ -180,18 +195,18 @@ fn any_number_of_tips_is_borne() {
 }
 
 #[test]
-fn late_words_are_put_where_the_tip_has_got_to_since() {
+fn late_reports_are_moved_to_where_the_tip_is_now() {
     let mut tracker = Tracker::default();
-    let way = |seconds: f64| 20.0 * seconds;
+    let trajectory = |seconds: f64| 20.0 * seconds;
     let mut worst: f64 = 0.0;
     for tick in 0..90_i64 {
         let now_s = tick as f64 / 30.0;
-        // A detector at 15 Hz whose words are 0.1 s old, as if seen by a camera that did not move.
-        let late = Report { age_s: 0.1, ..report(way(now_s - 0.1), -1) };
+        // A detector at 15 Hz whose reports are 0.1 s old, as if seen by a camera that did not move.
+        let late = Report { age_s: 0.1, ..report(trajectory(now_s - 0.1), -1) };
         let reports = if tick % 2 == 0 { vec![late] } else { vec![] };
         step(&mut tracker, tick, &reports);
         if tick > 60 {
-            worst = worst.max((tracker.state().expect("followed").0.x - way(now_s)).abs());
+            worst = worst.max((tracker.state().expect("followed").0.x - trajectory(now_s)).abs());
         }
     }
     assert!(worst < 0.6, "{worst} mm; it moved 2 mm in 0.1 s");

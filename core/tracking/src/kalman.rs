@@ -6,10 +6,10 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 type State = SVector<f64, 6>;
 type Covariance = SMatrix<f64, 6, 6>;
 
-/// How the point moves and how well it is seen.
+/// How the point moves, and which measurements belong to it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Model {
-    /// Standard deviation of the accelerations that are not known, mm/s^2.
+    /// Standard deviation of the unknown acceleration, mm/s^2.
     pub acceleration_mm_s2: f64,
     /// Squared Mahalanobis distance beyond which a measurement is another point; 16.3 keeps 99.9 % of the true ones.
     pub gate: f64,
@@ -21,12 +21,12 @@ impl Default for Model {
     }
 }
 
-/// Standard deviation of the speed of a point that was seen once, mm/s.
+/// Standard deviation of the speed after one measurement, mm/s.
 const FIRST_SPEED_MM_S: f64 = 25.0;
-/// Longest time that is predicted over, s.
+/// Longest time of one prediction, s.
 const LONGEST_S: f64 = 10.0;
 
-/// The filter.
+/// State and covariance of position and velocity.
 #[derive(Clone, Copy, Debug)]
 pub struct Kalman {
     state: State,
@@ -50,7 +50,7 @@ pub fn stereo_covariance(
 }
 
 impl Kalman {
-    /// A point seen for the first time; none when a number is not finite.
+    /// Starts at a first measurement; none when a number is not finite.
     pub fn begin(at_mm: &Vector3<f64>, covariance_mm2: &Matrix3<f64>) -> Option<Self> {
         if !at_mm.iter().chain(covariance_mm2.iter()).all(|v| v.is_finite()) {
             return None;
@@ -63,22 +63,22 @@ impl Kalman {
         Some(filter)
     }
 
-    /// Where the point is, mm.
+    /// Position, mm.
     pub fn position_mm(&self) -> Vector3<f64> {
         self.state.fixed_rows::<3>(0).into_owned()
     }
 
-    /// How it moves, mm/s.
+    /// Velocity, mm/s.
     pub fn velocity_mm_s(&self) -> Vector3<f64> {
         self.state.fixed_rows::<3>(3).into_owned()
     }
 
-    /// Standard deviation of the place, mm.
+    /// Standard deviation of the position, mm.
     pub fn deviation_mm(&self) -> f64 {
         self.covariance.fixed_view::<3, 3>(0, 0).trace().max(0.0).sqrt()
     }
 
-    /// Lets time pass; time that does not pass, or is no number, changes nothing.
+    /// Advances the state by `dt_s`. A time that is not above 0 changes nothing.
     pub fn predict(&mut self, model: &Model, dt_s: f64) {
         if dt_s.is_nan() || dt_s <= 0.0 {
             return;
@@ -98,9 +98,9 @@ impl Kalman {
         }
     }
 
-    /// How unlikely a measurement is: its squared Mahalanobis distance, and that plus the logarithm of the determinant of its covariance (in mm^6),
-    /// by which filters that are not equally sure compare. None when no number comes of it.
-    pub fn surprise(&self, at_mm: &Vector3<f64>, covariance_mm2: &Matrix3<f64>) -> Option<(f64, f64)> {
+    /// How unlikely a measurement is: its squared Mahalanobis distance, and that plus the logarithm of the determinant of the covariance (mm^6), which
+    /// compares filters of unequal certainty. None when the result is not finite.
+    pub fn unlikelihood(&self, at_mm: &Vector3<f64>, covariance_mm2: &Matrix3<f64>) -> Option<(f64, f64)> {
         let off = at_mm - self.position_mm();
         let seen: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(0, 0) + covariance_mm2;
         let distance = off.dot(&(seen.try_inverse()? * off));
@@ -108,25 +108,25 @@ impl Kalman {
         unlikely.is_finite().then_some((distance, unlikely))
     }
 
-    /// Takes a measurement in, if it lies within the gate; answers whether.
+    /// Updates the state with a measurement if it lies within the gate. Returns whether it did.
     pub fn update(&mut self, model: &Model, at_mm: &Vector3<f64>, covariance_mm2: &Matrix3<f64>) -> bool {
-        let surprise = at_mm - self.position_mm();
+        let innovation = at_mm - self.position_mm();
         let seen: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(0, 0) + covariance_mm2;
         let Some(inverse) = seen.try_inverse() else { return false };
-        let distance = surprise.dot(&(inverse * surprise));
+        let distance = innovation.dot(&(inverse * innovation));
         if distance.is_nan() || distance > model.gate {
             return false;
         }
         let gain: SMatrix<f64, 6, 3> = self.covariance.fixed_view::<6, 3>(0, 0) * inverse;
-        self.state += gain * surprise;
-        let mut keep = Covariance::identity();
+        self.state += gain * innovation;
+        let mut retained = Covariance::identity();
         for row in 0..6 {
             for column in 0..3 {
-                keep[(row, column)] -= gain[(row, column)];
+                retained[(row, column)] -= gain[(row, column)];
             }
         }
         // Joseph's form stays symmetric and positive.
-        self.covariance = keep * self.covariance * keep.transpose() + gain * covariance_mm2 * gain.transpose();
+        self.covariance = retained * self.covariance * retained.transpose() + gain * covariance_mm2 * gain.transpose();
         true
     }
 }
