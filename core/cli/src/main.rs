@@ -3,13 +3,14 @@
 
 mod allocations;
 mod commands;
-mod graph_file;
 mod installation;
 mod interrupt;
 mod judge;
 mod log_lines;
+mod numbers;
 mod probe;
 mod progress;
+mod session;
 mod summary;
 mod terminal;
 

@@ -13,8 +13,8 @@ use panoscope_engine::{Engine, Options, StartError};
 use panoscope_graph::{Diagnostics, Graph, GraphText, ParamKind, ParamValue, Severity};
 use serde::{Deserialize, Serialize};
 
-use crate::graph_file::{self, Ready};
 use crate::{End, terminal};
+use panoscope_eval::graph_file::{self, Ready};
 
 /// Name of the hidden command.
 pub const COMMAND: &str = "probe-node";

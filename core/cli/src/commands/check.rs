@@ -7,7 +7,8 @@ use panoscope_graph::GraphText;
 use serde_json::json;
 
 use crate::terminal::{raw, say, stdout_color};
-use crate::{End, graph_file, probe};
+use crate::{End, probe};
+use panoscope_eval::graph_file;
 
 /// Arguments of `check`.
 #[derive(clap::Args)]

@@ -4,8 +4,9 @@ use anyhow::Result;
 use panoscope_graph::{NodeKind, NodeType, Param, ParamKind, Port};
 use panoscope_loader::Loader;
 
+use crate::End;
 use crate::terminal::{say, tell};
-use crate::{End, graph_file};
+use panoscope_eval::graph_file;
 
 /// Arguments of `describe`.
 #[derive(clap::Args)]

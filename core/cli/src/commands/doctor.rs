@@ -9,9 +9,10 @@ use panoscope_engine::Machine;
 use panoscope_loader as loader;
 
 use super::devices;
+use crate::End;
 use crate::installation::Installation;
 use crate::terminal::{say, stdout_color};
-use crate::{End, graph_file};
+use panoscope_eval::graph_file;
 
 /// How a thing stands.
 #[derive(Clone, Copy, PartialEq, Eq)]

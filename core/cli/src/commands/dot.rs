@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 
+use crate::End;
 use crate::terminal::{raw, stderr_color};
-use crate::{End, graph_file};
+use panoscope_eval::graph_file;
 
 /// Arguments of `dot`.
 #[derive(clap::Args)]

@@ -3,8 +3,9 @@
 use anyhow::Result;
 use serde_json::json;
 
+use crate::End;
 use crate::terminal::{say, tell};
-use crate::{End, graph_file};
+use panoscope_eval::graph_file;
 
 /// Arguments of `list`.
 #[derive(clap::Args)]

@@ -6,8 +6,9 @@ use anyhow::Result;
 use panoscope_graph::GraphText;
 use panoscope_loader::lock::{Lock, THEATRE_PLUGINS, lock_path};
 
+use crate::End;
 use crate::terminal::{raw, say, stderr_color, tell};
-use crate::{End, graph_file};
+use panoscope_eval::graph_file;
 
 /// Arguments of `lock`.
 #[derive(clap::Args)]

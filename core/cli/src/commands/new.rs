@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
+use crate::End;
 use crate::terminal::{say, tell};
-use crate::{End, graph_file};
+use panoscope_eval::graph_file;
 
 /// Arguments of `new`.
 #[derive(clap::Args)]

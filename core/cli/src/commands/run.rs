@@ -16,7 +16,8 @@ use panoscope_record::{RecordOptions, Recorded, Recorder, head};
 use crate::judge::{Facts, Verdict, Weight, judge};
 use crate::progress::Progress;
 use crate::terminal::{raw, say, stderr_color, tell};
-use crate::{End, allocations, graph_file, interrupt, summary};
+use crate::{End, allocations, interrupt, summary};
+use panoscope_eval::graph_file;
 
 /// How long nodes may take to finish after the end of a run was asked for.
 pub const PATIENCE: Duration = Duration::from_secs(30);
@@ -141,7 +142,7 @@ pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: 
         }
     };
     let on_duty = on_duty.watching();
-    allocations::leave_this_thread_out();
+    allocations::exclude_this_thread();
     let mut changes = arguments.watch.then(|| {
         let files = FileWatch::new(&arguments.graph, &ready.loader);
         (files, Live::new(&engine, &arguments.graph, text, settings, ready.loader))

@@ -2,8 +2,9 @@
 
 use anyhow::Result;
 
+use crate::End;
 use crate::terminal::{say, tell};
-use crate::{End, graph_file};
+use panoscope_eval::graph_file;
 
 /// Writes the JSON Schema of graph files for all plugins of this machine.
 pub fn run() -> Result<End> {

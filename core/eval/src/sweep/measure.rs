@@ -4,8 +4,9 @@ use std::fmt;
 
 use panoscope_graph::{Catalog, Graph};
 
-use super::{SweepError, part};
-use panoscope_base::packet::{Numbers, has_numbers};
+use super::error::SweepError;
+use super::part;
+use panoscope_engine::numbers::{self, tells_numbers};
 use panoscope_engine::{NodeReport, Report};
 
 /// Counters that every node has, to be measured as `node.p50_ms`.

@@ -310,7 +310,7 @@ impl SweepPanel {
         });
         let failed = progress.points.iter().find_map(|p| Some((&p.value, p.result.as_ref().err()?)));
         if let Some((value, why)) = failed {
-            let caption = format!("at {value}: {}", why.lines().next().unwrap_or_default());
+            let caption = format!("at {value}: {}", why.reason.lines().next().unwrap_or_default());
             ui.add(Label::new(RichText::new(caption).size(12.0).color(theme::FAULT)).truncate());
         }
         let response = plot(ui, progress);
