@@ -94,7 +94,7 @@ pub enum End {
 
 fn main() {
     if let Err(error) = signals::install() {
-        terminal::tell!("warning: signals end the program without finishing files: {error}");
+        terminal::log!("warning: signals end the program without finishing files: {error}");
     }
     let arguments = Arguments::parse();
     let end = match arguments.command {
@@ -127,7 +127,7 @@ fn main() {
         Ok(End::Failed) => 1,
         Ok(End::Wrong) => 2,
         Err(error) => {
-            terminal::tell!("error: {error:#}");
+            terminal::log!("error: {error:#}");
             1
         }
     })

@@ -75,7 +75,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         Err(StartError::Open { reason, .. }) => Some(reason),
         Err(other) => Some(other.to_string()),
     };
-    terminal::say!("{}", serde_json::to_string(&Answer { reason })?);
+    terminal::out!("{}", serde_json::to_string(&Answer { reason })?);
     Ok(End::Done)
 }
 

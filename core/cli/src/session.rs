@@ -2,7 +2,7 @@
 
 use panoscope_eval::{AllocationCounters, Session};
 
-use crate::terminal::{raw, tell};
+use crate::terminal::{log, raw};
 use crate::{allocations, interrupt};
 
 /// Progress goes to standard error, tables to standard output; a signal cancels.
@@ -10,7 +10,7 @@ pub struct Terminal;
 
 impl Session for Terminal {
     fn note(&self, line: &str) {
-        tell!("{line}");
+        log!("{line}");
     }
 
     fn table(&self, text: &str) {

@@ -59,8 +59,8 @@ fn proximity_is_judged_on_the_phantom_and_repeats() {
         return;
     }
     let options = eval::proximity::Options {
-        chain: vec!["exact".to_owned()],
-        scene: vec!["bowel".to_owned()],
+        chains: vec!["exact".to_owned()],
+        scenes: vec!["bowel".to_owned()],
         seconds: 2,
         width: 160,
         ..eval::proximity::Options::default()
@@ -109,8 +109,7 @@ fn wrong_options_are_refused_with_a_reason_before_anything_runs() {
     let options = eval::mosaic::Options { speed_mm_s: 99.0, ..eval::mosaic::Options::default() };
     let error = eval::mosaic::judge(&Silent, &options).expect_err("it is too fast");
     assert!(matches!(&error, EvalError::Options { reason } if reason.contains("--speed-mm-s is 99")), "{error}");
-    let options =
-        eval::arm::Options { scenario: vec!["nobody".to_owned()], ..eval::arm::Options::default() };
+    let options = eval::arm::Options { scenarios: vec!["nobody".to_owned()], ..eval::arm::Options::default() };
     let error = eval::arm::judge(&Silent, &options).expect_err("there is no such scenario");
     assert!(matches!(&error, EvalError::Options { reason } if reason.contains("`nobody`")), "{error}");
 }

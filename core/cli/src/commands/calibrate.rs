@@ -9,7 +9,7 @@ use panoscope_eval::chain;
 
 use crate::End;
 use crate::session::Terminal;
-use crate::terminal::{raw, say, tell};
+use crate::terminal::{log, out, raw};
 
 /// Arguments of `calibrate`.
 #[derive(clap::Args)]
@@ -70,15 +70,15 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let source = match Source::of(&Terminal, &options) {
         Ok(source) => source,
         Err(error) => {
-            tell!("error: {}", chain(&error));
+            log!("error: {}", chain(&error));
             return Ok(End::Wrong);
         }
     };
     let calibrated = calibration::calibrate(&Terminal, &options, &source)?;
     let views = &calibrated.views;
-    views.skipped().iter().for_each(|line| tell!("{line}"));
+    views.skipped().iter().for_each(|line| log!("{line}"));
     let Some(calibration) = &calibrated.calibration else {
-        tell!("error: {} of {} views could be used: that gives no calibration", views.used(), views.len());
+        log!("error: {} of {} views could be used: that gives no calibration", views.used(), views.len());
         return Ok(End::Failed);
     };
     if let Some(folder) = &arguments.pictures {
@@ -86,10 +86,10 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     }
     panoscope_calibration::write(&arguments.out, calibration)?;
     raw(&views.table());
-    say!("");
+    out!("");
     raw(&calibration::summary(calibration, views));
     let rectified = packet::rectification(calibration)?;
-    say!("rectified  {:.2} px focal length, baseline {:.3} mm", rectified.left.focal_px, rectified.baseline_mm);
-    say!("written    {}", arguments.out.display());
+    out!("rectified  {:.2} px focal length, baseline {:.3} mm", rectified.left.focal_px, rectified.baseline_mm);
+    out!("written    {}", arguments.out.display());
     Ok(End::Done)
 }

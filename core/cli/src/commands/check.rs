@@ -6,7 +6,7 @@ use anyhow::Result;
 use panoscope_graph::GraphText;
 use serde_json::json;
 
-use crate::terminal::{raw, say, stdout_color};
+use crate::terminal::{out, raw, stdout_color};
 use crate::{End, probe};
 use panoscope_eval::graph_file;
 
@@ -41,12 +41,12 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             end = End::Wrong;
         }
         if arguments.json {
-            say!("{}", json!({ "file": name.to_string(), "ok": facts.is_some(), "diagnostics": diagnostics }));
+            out!("{}", json!({ "file": name.to_string(), "ok": facts.is_some(), "diagnostics": diagnostics }));
             continue;
         }
         raw(&diagnostics.render(stdout_color()));
         if let Some((nodes, edges)) = facts {
-            say!("{name}: ok ({nodes} nodes, {edges} connections)");
+            out!("{name}: ok ({nodes} nodes, {edges} connections)");
         }
     }
     Ok(end)

@@ -9,7 +9,7 @@ use panoscope_record::{Digests, Recording, RecordingError};
 
 use crate::End;
 use crate::numbers::{NumberError, number_in};
-use crate::terminal::{raw, tell};
+use crate::terminal::{log, raw};
 
 /// Arguments of `compare`.
 #[derive(clap::Args)]
@@ -67,7 +67,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         (Ok(a), Ok(b)) => (a, b),
         (a, b) => {
             for error in [a.err(), b.err()].into_iter().flatten() {
-                tell!("error: {error}");
+                log!("error: {error}");
             }
             return Ok(End::Wrong);
         }
@@ -76,14 +76,14 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         (Run::Recording(a), Run::Recording(b)) => match compare_recordings(a, b, arguments.tolerance) {
             Ok(differences) => differences,
             Err(error) => {
-                tell!("error: {error}");
+                log!("error: {error}");
                 return Ok(End::Failed);
             }
         },
         _ => compare(&a.digests(), &b.digests()),
     };
     if differences.iter().all(|d| d.packets.0 == 0 || d.packets.1 == 0) {
-        tell!(
+        log!(
             "error: {} and {} have no port in common; record both with --all-ports, or of one graph",
             arguments.a.display(),
             arguments.b.display()

@@ -23,7 +23,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             Ok(End::Done)
         }
         Err(diagnostics) => {
-            crate::terminal::tell!("{}", diagnostics.render(stderr_color()).trim_end());
+            crate::terminal::log!("{}", diagnostics.render(stderr_color()).trim_end());
             Ok(End::Wrong)
         }
     }

@@ -13,7 +13,7 @@ use super::run;
 use crate::End;
 use crate::judge::Weight;
 use crate::progress::Progress;
-use crate::terminal::{say, stderr_color, tell};
+use crate::terminal::{log, out, stderr_color};
 
 /// Arguments of `replay`.
 #[derive(clap::Args)]
@@ -54,19 +54,19 @@ pub struct Arguments {
 /// Plays a recording.
 pub fn run(arguments: &Arguments) -> Result<End> {
     if arguments.ports.all_ports && arguments.output.is_none() {
-        tell!("error: --all-ports says what the recording of the replay holds: name one with -o FILE.mcap");
+        log!("error: --all-ports says what the recording of the replay holds: name one with -o FILE.mcap");
         return Ok(End::Wrong);
     }
     let same = |a: &PathBuf, b: &PathBuf| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
     if arguments.output.as_ref().is_some_and(|out| same(out, &arguments.recording)) {
-        tell!("error: -o {} is the recording that is played; name another file", arguments.recording.display());
+        log!("error: -o {} is the recording that is played; name another file", arguments.recording.display());
         return Ok(End::Wrong);
     }
     let on_duty = signals::opening();
     let recording = match Recording::open(&arguments.recording) {
         Ok(recording) => Arc::new(recording),
         Err(error) => {
-            tell!("error: {error}");
+            log!("error: {error}");
             return Ok(End::Wrong);
         }
     };
@@ -74,7 +74,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         Some(path) => match std::fs::read_to_string(path) {
             Ok(text) => Some((path.clone(), text)),
             Err(cause) => {
-                tell!("error: {}: {cause}", path.display());
+                log!("error: {}: {cause}", path.display());
                 return Ok(End::Wrong);
             }
         },
@@ -108,22 +108,22 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         Ok(replay) => replay,
         Err(ReplayError::Check(diagnostics)) => {
             progress.finish();
-            tell!("{}", diagnostics.render(stderr_color()).trim_end());
+            log!("{}", diagnostics.render(stderr_color()).trim_end());
             return Ok(End::Wrong);
         }
         Err(error) => {
             progress.finish();
-            tell!("error: {error}");
+            log!("error: {error}");
             if !matches!(error, ReplayError::Start(_)) {
                 return Ok(End::Wrong);
             }
-            say!("failed: the graph did not start");
+            out!("failed: the graph did not start");
             return Ok(End::Failed);
         }
     };
     let on_duty = on_duty.watching();
     for warning in &replay.warnings {
-        tell!("note: {warning}");
+        log!("note: {warning}");
     }
     let engine = replay.engine();
     let followed = std::thread::scope(|scope| {

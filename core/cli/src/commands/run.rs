@@ -15,7 +15,7 @@ use panoscope_record::{RecordOptions, Recorded, Recorder, head};
 
 use crate::judge::{Facts, Verdict, Weight, judge};
 use crate::progress::Progress;
-use crate::terminal::{raw, say, stderr_color, tell};
+use crate::terminal::{log, out, raw, stderr_color};
 use crate::{End, allocations, interrupt, summary};
 use panoscope_eval::graph_file;
 
@@ -65,13 +65,13 @@ pub struct Arguments {
 /// Runs a graph to its end.
 pub fn run(arguments: &Arguments) -> Result<End> {
     Ok(match run_with(arguments, None, |_| {})? {
-        Ran::Not(end) => end,
-        Ran::Over { verdict, .. } => conclude(&verdict),
+        RunEnd::Not(end) => end,
+        RunEnd::Over { verdict, .. } => conclude(&verdict),
     })
 }
 
 /// What became of a run.
-pub enum Ran {
+pub enum RunEnd {
     /// It did not begin; why has been said.
     Not(End),
     /// It is over; the verdict is still to be told, with [`conclude`].
@@ -84,25 +84,25 @@ pub enum Ran {
 }
 
 /// Runs a graph to its end, recorded where wanted, with a look at the engine ten times a second.
-pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: impl FnMut(&Engine)) -> Result<Ran> {
+pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: impl FnMut(&Engine)) -> Result<RunEnd> {
     let on_duty = signals::opening();
     let mut settings = match capture_settings(arguments) {
         Ok(settings) => settings,
         Err(error) => {
-            tell!("error: {error:#}");
-            return Ok(Ran::Not(End::Wrong));
+            log!("error: {error:#}");
+            return Ok(RunEnd::Not(End::Wrong));
         }
     };
     settings.extend(arguments.set.iter().cloned());
     let ready = match graph_file::load(&arguments.graph, &settings) {
         Ok(ready) => ready,
         Err(diagnostics) => {
-            tell!("{}", diagnostics.render(stderr_color()).trim_end());
-            return Ok(Ran::Not(End::Wrong));
+            log!("{}", diagnostics.render(stderr_color()).trim_end());
+            return Ok(RunEnd::Not(End::Wrong));
         }
     };
     if !ready.warnings.is_empty() {
-        tell!("{}", ready.warnings.render(stderr_color()).trim_end());
+        log!("{}", ready.warnings.render(stderr_color()).trim_end());
     }
     let graph = ready.graph.clone();
     let mut progress = Progress::new(&graph.name, arguments.frames, !arguments.headless);
@@ -136,9 +136,9 @@ pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: 
         Ok(engine) => engine,
         Err(error) => {
             progress.finish();
-            tell!("error: {error}");
-            say!("failed: the graph did not start");
-            return Ok(Ran::Not(End::Failed));
+            log!("error: {error}");
+            out!("failed: the graph did not start");
+            return Ok(RunEnd::Not(End::Failed));
         }
     };
     let on_duty = on_duty.watching();
@@ -158,7 +158,7 @@ pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: 
     if let Some(path) = &arguments.report {
         report_into(path, &engine.report(), &mut verdict);
     }
-    Ok(Ran::Over { verdict, recorded: recorder.map(|r| Box::new(r.finish())) })
+    Ok(RunEnd::Over { verdict, recorded: recorder.map(|r| Box::new(r.finish())) })
 }
 
 /// Closes a run that is over or to end, shows its summary and judges it.
@@ -179,11 +179,11 @@ pub fn close(engine: &Engine, on_duty: signals::OnDuty, frames: Option<u64>, pro
 pub fn conclude(verdict: &Verdict) -> End {
     for finding in &verdict.findings {
         match finding.weight {
-            Weight::Error => tell!("error: {}", finding.words),
-            Weight::Warning => tell!("warning: {}", finding.words),
+            Weight::Error => log!("error: {}", finding.words),
+            Weight::Warning => log!("warning: {}", finding.words),
         }
     }
-    say!("{}", verdict.last_line());
+    out!("{}", verdict.last_line());
     verdict.end()
 }
 
@@ -216,14 +216,14 @@ fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>) {
     if changed.graph {
         match files.text() {
             Ok(text) => results.push(live.apply_text(&text)),
-            Err(error) => tell!("error: {error}; the old graph runs on"),
+            Err(error) => log!("error: {error}; the old graph runs on"),
         }
     }
     for result in results {
         match result {
             Ok(applied) if applied.is_nothing() => {}
-            Ok(applied) => tell!("changed: {applied}"),
-            Err(error) => tell!("error: {error}"),
+            Ok(applied) => log!("changed: {applied}"),
+            Err(error) => log!("error: {error}"),
         }
     }
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use panoscope_eval::soak::Soak;
 
-use super::run::{self, Ran};
+use super::run::{self, RunEnd};
 use crate::End;
 use crate::judge::Weight;
 use crate::numbers::{NumberError, number_in};
@@ -38,8 +38,8 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         }
     })?;
     let mut verdict = match ran {
-        Ran::Not(end) => return Ok(end),
-        Ran::Over { verdict, .. } => verdict,
+        RunEnd::Not(end) => return Ok(end),
+        RunEnd::Over { verdict, .. } => verdict,
     };
     if soak.samples().is_empty() {
         return Ok(run::conclude(&verdict));

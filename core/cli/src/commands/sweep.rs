@@ -10,7 +10,7 @@ use panoscope_graph::{Diagnostics, GraphText};
 use panoscope_loader::{self as loader, Loader};
 use panoscope_record::{Recording, RecordingError};
 
-use crate::terminal::{raw, say, stderr_color, tell};
+use crate::terminal::{log, out, raw, stderr_color};
 use crate::{End, interrupt};
 
 /// Arguments of `sweep`.
@@ -62,18 +62,18 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let sweep = match prepare(arguments) {
         Ok(sweep) => sweep,
         Err(refusal) => {
-            tell!("{refusal}");
+            log!("{refusal}");
             return Ok(End::Wrong);
         }
     };
     interrupt::listen();
     let mut points: Vec<Point> = Vec::new();
     let ran = sweep.run(&interrupt::asked, |point| {
-        tell!("{} of {}: {}", points.len() + 1, sweep.len(), sweep::line(&sweep, &point));
+        log!("{} of {}: {}", points.len() + 1, sweep.len(), sweep::line(&sweep, &point));
         points.push(point);
     });
     if let Err(error) = ran {
-        tell!("error: {error}");
+        log!("error: {error}");
         return Ok(End::Wrong);
     }
     raw(&sweep::table(&sweep, &points));
@@ -100,7 +100,7 @@ fn conclude(points: &[Point], wanted: usize) -> End {
         (m, p) if m == p => ("stopped", End::Done),
         _ => ("failed", End::Failed),
     };
-    say!("{how}: {measured} of {wanted} values measured");
+    out!("{how}: {measured} of {wanted} values measured");
     end
 }
 

@@ -7,7 +7,7 @@ use panoscope_arm_core::tuning::relay::Rule;
 use panoscope_eval::{EvalError, tune};
 
 use crate::session::Terminal;
-use crate::terminal::{raw, say, stderr_color, tell};
+use crate::terminal::{log, out, raw, stderr_color};
 use crate::{End, interrupt};
 
 /// Arguments of `tune`.
@@ -84,18 +84,18 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let tunings = match tune::tune(&Terminal, &options) {
         Ok(tunings) => tunings,
         Err(EvalError::Options { reason }) => {
-            tell!("error: {reason}");
+            log!("error: {reason}");
             return Ok(End::Wrong);
         }
         Err(EvalError::Check { diagnostics }) => {
-            tell!("{}", diagnostics.render(stderr_color()).trim_end());
+            log!("{}", diagnostics.render(stderr_color()).trim_end());
             return Ok(End::Wrong);
         }
         Err(error) => return Err(error.into()),
     };
     raw(&tunings.tables());
-    tunings.effort().iter().for_each(|line| tell!("{line}"));
-    say!("");
+    tunings.effort().iter().for_each(|line| log!("{line}"));
+    out!("");
     raw(&tunings.fragment());
     if let Some(path) = &arguments.plot {
         tunings.plot(path)?;

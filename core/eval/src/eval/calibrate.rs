@@ -33,15 +33,15 @@ pub const CASES: [&str; 3] = ["chessboard", "laparoscope", "phantom"];
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Only these cases; may be given again. Without it all.
-    pub case: Vec<String>,
+    pub cases: Vec<String>,
     /// Folder of data sets, searched before the usual ones. May be given again.
     pub data: Vec<PathBuf>,
     /// Folder for the pictures of each case.
     pub pictures: Option<PathBuf>,
 }
 
-/// What a calibration came to.
-struct Made {
+/// Calibration and views of one run.
+struct Calibrated {
     calibration: Calibration,
     views: Views,
 }
@@ -51,13 +51,13 @@ fn made(
     options: &calibration::Options,
     source: &Source,
     pictures: Option<&Path>,
-) -> Result<Made> {
+) -> Result<Calibrated> {
     let calibrated = calibration::calibrate(session, options, source)?;
     let calibration = calibrated.calibration.context("too few views could be used")?;
     if let Some(folder) = pictures {
         calibrated.write_pictures(folder)?;
     }
-    Ok(Made { calibration, views: calibrated.views })
+    Ok(Calibrated { calibration, views: calibrated.views })
 }
 
 /// Judges.
@@ -65,7 +65,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let usual = ["../shared/data", "/usr/share/doc/opencv-doc/examples/data"];
     let folders: Vec<PathBuf> = options.data.iter().cloned().chain(usual.map(PathBuf::from)).collect();
     let find = |name: &str| folders.iter().map(|folder| folder.join(name)).find(|path| path.exists());
-    let wanted = |case: &str| options.case.is_empty() || options.case.iter().any(|c| c == case);
+    let wanted = |case: &str| options.cases.is_empty() || options.cases.iter().any(|c| c == case);
     let pictures = |case: &str| options.pictures.as_ref().map(|folder| folder.join(case));
     let mut figures = Vec::new();
     if wanted("chessboard") {
@@ -110,7 +110,7 @@ fn chessboard(session: &dyn Session, first: &Path, pictures: Option<&Path>, figu
     options.method = "sample".into();
     let sample = made(session, &options, &source, None)?;
     let input = format!("{} pairs 640x480 of opencv-doc", own.views.len());
-    let mut add = |name: &str, made: &Made, unit, of: &dyn Fn(&Made) -> f64| {
+    let mut add = |name: &str, made: &Calibrated, unit, of: &dyn Fn(&Calibrated) -> f64| {
         figures.push(Figure::new(name, of(made), unit, &input).beside(PEER, Some(of(&sample))));
     };
     add("reproj_px/chessboard", &own, "px", &|made| made.calibration.rms_px);

@@ -31,7 +31,7 @@ const RISE_MM: f64 = 1.5;
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Only these scenes; may be given again. Without it all.
-    pub scene: Vec<String>,
+    pub scenes: Vec<String>,
     /// Maps between keyframes.
     pub model: String,
     /// Laps of the path; drift is taken over the last one.
@@ -55,7 +55,7 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self {
-            scene: Vec::new(),
+            scenes: Vec::new(),
             model: "homography".to_owned(),
             laps: 2,
             path_mm: 40.0,
@@ -187,7 +187,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     }
     let mut figures = Vec::new();
     let mut charts = Vec::new();
-    let wanted = |scene: &&str| options.scene.is_empty() || options.scene.iter().any(|s| s == scene);
+    let wanted = |scene: &&str| options.scenes.is_empty() || options.scenes.iter().any(|s| s == scene);
     for scene in SCENES.into_iter().filter(wanted) {
         check_cancelled(session)?;
         let closed = run(session, scene, true, options)?;

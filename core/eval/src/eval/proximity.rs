@@ -8,7 +8,7 @@ use crate::packets::Table;
 use crate::run::{self, Pace, Plan};
 use crate::session::{Session, check_cancelled};
 
-/// Ways to know where tips, tissue and instruments are.
+/// Sources of the places of tips, tissue and instruments.
 ///
 /// `exact`: exact tips, depth and masks, so that only what instruments hide is guessed. `matched`: depth from block matching instead. `found`: tips
 /// found in masks too. `boxes`: the same with boxes instead of masks, as a detector gives them.
@@ -18,9 +18,9 @@ pub const CHAINS: [&str; 4] = ["exact", "matched", "found", "boxes"];
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Only these ways to know depth and instruments; may be given again. Without it all.
-    pub chain: Vec<String>,
+    pub chains: Vec<String>,
     /// Only these scenes; may be given again. Without it both.
-    pub scene: Vec<String>,
+    pub scenes: Vec<String>,
     /// Length of each run, s of media time.
     pub seconds: u32,
     /// Width of the phantom's pictures, px.
@@ -33,7 +33,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { chain: Vec::new(), scene: Vec::new(), seconds: 20, width: 640, distance_mm: 60.0, seed: 7 }
+        Self { chains: Vec::new(), scenes: Vec::new(), seconds: 20, width: 640, distance_mm: 60.0, seed: 7 }
     }
 }
 
@@ -68,9 +68,9 @@ inputs = { image = "scope.left", disparity = "match.disparity", calibration = "s
             "[nodes.{class}]\ntype = \"tool_tip\"\ninputs = {{ {found} = \"scope.{found}\"{image}, {tip_depth}, calibration = \"scope.calibration\" }}\nparams = {{ class = \"{class}\" }}\n"
         )
     };
-    let is_told = matches!(chain, "exact" | "matched");
-    let finders = if is_told { String::new() } else { tip("grasper") + &tip("hook") };
-    let tips = if is_told { "\"scope.lead\", \"scope.second\"" } else { "\"grasper.tip\", \"hook.tip\"" };
+    let is_exact = matches!(chain, "exact" | "matched");
+    let finders = if is_exact { String::new() } else { tip("grasper") + &tip("hook") };
+    let tips = if is_exact { "\"scope.lead\", \"scope.second\"" } else { "\"grasper.tip\", \"hook.tip\"" };
     format!(
         r#"# Warnings that `panoscope eval proximity` judges.
 mode = "batch"
@@ -97,8 +97,8 @@ inputs = {{ table = "near.table", truth = "scope.clearance" }}
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let wants = |list: &[String], name: &str| list.is_empty() || list.iter().any(|n| n == name);
     let mut figures = Vec::new();
-    for scene in SCENES.into_iter().filter(|scene| wants(&options.scene, scene)) {
-        for chain in CHAINS.into_iter().filter(|chain| wants(&options.chain, chain)) {
+    for scene in SCENES.into_iter().filter(|scene| wants(&options.scenes, scene)) {
+        for chain in CHAINS.into_iter().filter(|chain| wants(&options.chains, chain)) {
             check_cancelled(session)?;
             let text = text(chain, scene, options);
             let path = format!("eval_proximity_{chain}.toml");

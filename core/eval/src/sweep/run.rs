@@ -11,7 +11,7 @@ use panoscope_loader::Loader;
 use panoscope_record::{Recording, Replay, ReplayOptions};
 
 use super::error::{PointError, SweepError};
-use super::measure::{Heard, Measure, NoSummary, Summary};
+use super::measure::{Measure, NoSummary, Received, Summary};
 use super::values::shown;
 use super::{part, values};
 
@@ -29,7 +29,7 @@ pub struct Request {
     pub settings: Vec<String>,
     /// `node.param`.
     pub param: String,
-    /// First value; the parameter's smallest without it. Of no meaning for switches and choices, of which all values are taken.
+    /// First value; the parameter's smallest without it. Ignored for switches and choices, of which all values are taken.
     pub from: Option<f64>,
     /// Last value; the parameter's largest without it.
     pub to: Option<f64>,
@@ -40,13 +40,13 @@ pub struct Request {
     pub measure: String,
     /// Most ticks of each source per value.
     pub frames: u64,
-    /// Gives the sources' pictures in their stead.
+    /// Replaces the graph's sources.
     pub recording: Option<Arc<Recording>>,
     /// Threads of each run; 0 takes as many as the machine has.
     pub threads: usize,
 }
 
-/// What the measure came to at one value.
+/// Result of one value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
     /// The value as a graph file writes it.
@@ -57,7 +57,7 @@ pub struct Point {
     pub result: Result<Summary, PointError>,
 }
 
-/// A sweep that was looked at and can be run.
+/// A sweep that was checked and can be run.
 pub struct Sweep {
     request: Request,
     loader: Arc<Loader>,
@@ -72,7 +72,7 @@ pub struct Sweep {
 }
 
 impl Sweep {
-    /// Looks at graph, parameter and measure.
+    /// Checks graph, parameter and measure.
     ///
     /// # Errors
     /// See [`SweepError`]; nothing has run then.
@@ -175,7 +175,7 @@ impl Sweep {
 
     /// One run to its end.
     fn one(&self, value: &str, cancelled: &dyn Fn() -> bool) -> Result<Summary, NoSummary> {
-        let heard = Arc::new(Mutex::new(Heard::default()));
+        let received = Arc::new(Mutex::new(Received::default()));
         let mut settings = self.request.settings.clone();
         settings.push(format!("{}={value}", self.request.param));
         let options = Options {
@@ -183,13 +183,13 @@ impl Sweep {
             frames: Some(self.request.frames),
             paced: false,
             graph_dir: self.request.path.parent().unwrap_or(Path::new("")).to_owned(),
-            listen: self.listener(&heard).into_iter().collect(),
-            numbers: self.number_listener(&heard),
+            listen: self.listener(&received).into_iter().collect(),
+            numbers: self.number_listener(&received),
             ..Options::default()
         };
         let wait = |engine: &Engine| {
             while !engine.wait(Some(Duration::from_millis(50))) {
-                if cancelled() || self.measure.wrong(&lock(&heard)).is_some() {
+                if cancelled() || self.measure.wrong(&lock(&received)).is_some() {
                     engine.stop();
                 }
             }
@@ -224,28 +224,28 @@ impl Sweep {
         if let Outcome::Failed(reason) = outcome {
             return Err(NoSummary::Run(reason));
         }
-        let heard = lock(&heard);
-        self.measure.summary(&heard, &report)
+        let received = lock(&received);
+        self.measure.summary(&received, &report)
     }
 
-    fn listener(&self, heard: &Arc<Mutex<Heard>>) -> Option<Listener> {
+    fn listener(&self, received: &Arc<Mutex<Received>>) -> Option<Listener> {
         let Measure::Port { node, port, packet, column, rows } = &self.measure else { return None };
-        let (heard, packet, column, rows) = (Arc::clone(heard), packet.clone(), column.clone(), *rows);
+        let (received, packet, column, rows) = (Arc::clone(received), packet.clone(), column.clone(), *rows);
         Some(Listener {
             node: node.clone(),
             output: port.clone(),
-            hear: Arc::new(move |frame| lock(&heard).take(frame.bytes(), &packet, column.as_deref(), rows)),
+            hear: Arc::new(move |frame| lock(&received).take(frame.bytes(), &packet, column.as_deref(), rows)),
         })
     }
 }
 
 impl Sweep {
-    fn number_listener(&self, heard: &Arc<Mutex<Heard>>) -> Option<NumberListener> {
-        let Measure::Told { node, name } = &self.measure else { return None };
-        let (heard, name) = (Arc::clone(heard), name.clone());
-        let hear = move |tick: &panoscope_abi::Tick, told: &str, value: f64| {
-            if told == name {
-                lock(&heard).tell((tick.source, tick.seq), value);
+    fn number_listener(&self, received: &Arc<Mutex<Received>>) -> Option<NumberListener> {
+        let Measure::Number { node, name } = &self.measure else { return None };
+        let (received, name) = (Arc::clone(received), name.clone());
+        let hear = move |tick: &panoscope_abi::Tick, reported: &str, value: f64| {
+            if reported == name {
+                lock(&received).take_number((tick.source, tick.seq), value);
             }
         };
         Some(NumberListener { node: node.clone(), hear: Arc::new(hear) })

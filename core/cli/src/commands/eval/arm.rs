@@ -20,7 +20,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = arm::Options::default().width, value_parser = clap::value_parser!(u32).range(64..=1920))]
     width: u32,
     /// Inputs of the campaign against the limits.
-    #[arg(long, default_value_t = arm::Options::default().cases)]
+    #[arg(long, default_value_t = arm::Options::default().hostile_inputs)]
     cases: u64,
     /// Seed of strokes and campaign.
     #[arg(long, default_value_t = arm::Options::default().seed)]
@@ -38,11 +38,11 @@ impl Arguments {
     pub fn options(&self) -> Options {
         let Self { part, scenario, seconds, width, cases, seed, pictures, .. } = self;
         Options {
-            part: part.clone(),
-            scenario: scenario.clone(),
+            parts: part.clone(),
+            scenarios: scenario.clone(),
             seconds: seconds.clone(),
             width: width.clone(),
-            cases: cases.clone(),
+            hostile_inputs: cases.clone(),
             seed: seed.clone(),
             pictures: pictures.clone(),
         }

@@ -25,6 +25,6 @@ impl Arguments {
     /// What the library judges.
     pub fn options(&self) -> Options {
         let Self { case, data, pictures, .. } = self;
-        Options { case: case.clone(), data: data.clone(), pictures: pictures.clone() }
+        Options { cases: case.clone(), data: data.clone(), pictures: pictures.clone() }
     }
 }

@@ -70,16 +70,16 @@ pub struct Arguments {
 impl Arguments {
     fn options(&self) -> Options {
         Options {
-            case: self.case.clone(),
+            cases: self.case.clone(),
             model: self.model.clone(),
             masks: self.masks.clone(),
-            left_out_model: self.left_out_model.clone(),
-            left_out: self.left_out.clone(),
+            held_out_model: self.left_out_model.clone(),
+            held_out: self.left_out.clone(),
             truth: self.truth.clone(),
             split: self.split.clone(),
             images: self.images.clone(),
             data: self.data.clone(),
-            set: self.set.clone(),
+            settings: self.set.clone(),
             python: self.python.clone(),
             pictures: self.pictures.clone(),
             selfcheck: self.selfcheck.map(|SelfCheck::Pycocotools| detect::SelfCheck::Pycocotools),

@@ -17,7 +17,7 @@ use panoscope_eval::{EvalError, eval, figures};
 
 use crate::End;
 use crate::session::Terminal;
-use crate::terminal::{raw, tell};
+use crate::terminal::{log, raw};
 
 /// What is judged.
 #[derive(clap::Subcommand)]
@@ -86,7 +86,7 @@ fn judge(eval: &Eval) -> Result<(Option<Vec<figures::Figure>>, &Option<PathBuf>)
 fn refused(error: anyhow::Error) -> Result<End> {
     match error.downcast_ref::<EvalError>() {
         Some(EvalError::Check { diagnostics }) => raw(&diagnostics.render(false)),
-        Some(EvalError::Options { reason }) => tell!("error: {reason}"),
+        Some(EvalError::Options { reason }) => log!("error: {reason}"),
         _ => return Err(error),
     }
     Ok(End::Wrong)

@@ -47,7 +47,7 @@ impl Arguments {
     pub fn options(&self) -> Options {
         let Self { scene, model, laps, path_mm, speed_mm_s, distance_mm, width, seed, pictures, plot, .. } = self;
         Options {
-            scene: scene.clone(),
+            scenes: scene.clone(),
             model: model.clone(),
             laps: laps.clone(),
             path_mm: path_mm.clone(),

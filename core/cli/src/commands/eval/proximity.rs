@@ -35,8 +35,8 @@ impl Arguments {
     pub fn options(&self) -> Options {
         let Self { chain, scene, seconds, width, distance_mm, seed, .. } = self;
         Options {
-            chain: chain.clone(),
-            scene: scene.clone(),
+            chains: chain.clone(),
+            scenes: scene.clone(),
             seconds: seconds.clone(),
             width: width.clone(),
             distance_mm: distance_mm.clone(),

@@ -8,7 +8,7 @@ use panoscope_eval::eval::skill::{self, Options, Study};
 use panoscope_eval::figures::Figure;
 
 use crate::End;
-use crate::terminal::{raw, tell};
+use crate::terminal::{log, raw};
 
 /// Arguments of `eval skill`.
 #[derive(clap::Args)]
@@ -57,9 +57,7 @@ impl Arguments {
 /// Judges the measures beside known motions; `None` if the arguments need a track.
 pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
     if arguments.html.is_some() || arguments.phases.is_some() {
-        tell!(
-            "error: `--html` and `--phases` need a track: `panoscope eval skill out/skill_tip.csv --html skill.html`"
-        );
+        log!("error: `--html` and `--phases` need a track: `panoscope eval skill out/skill_tip.csv --html skill.html`");
         return Ok(None);
     }
     Ok(Some(skill::judge(&arguments.options())?))
@@ -70,7 +68,7 @@ pub fn report(session: &dyn Session, arguments: &Arguments) -> Result<End> {
     let study = Study::read(session, &arguments.options())?;
     raw(&study.table());
     if study.refused_tips() > 0 {
-        tell!("warning: {} tips belong to more than 16 tools and are not measured", study.refused_tips());
+        log!("warning: {} tips belong to more than 16 tools and are not measured", study.refused_tips());
     }
     let write = |path: &Path, text: String| {
         std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))

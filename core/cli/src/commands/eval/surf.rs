@@ -22,6 +22,6 @@ impl Arguments {
     /// What the library judges.
     pub fn options(&self) -> Options {
         let Self { data, set, .. } = self;
-        Options { data: data.clone(), set: set.clone() }
+        Options { data: data.clone(), settings: set.clone() }
     }
 }

@@ -11,9 +11,9 @@ use crate::packets::Table;
 use crate::run::{self, Pace, Plan};
 use crate::session::Session;
 
-/// Movements of the phantom's leading tool, and ways to know its tip.
+/// Movements of the phantom's leading tool, and sources of its tip.
 ///
-/// Up to `leave` the tip is told while it is seen. `cross` and `occlusion` find it in true masks and depth, among other tools that pass before it;
+/// Up to `leave` the exact tip is given while it is in view. `cross` and `occlusion` find it in true masks and depth, among other tools that pass before it;
 /// `masks` so too, alone; `smoke` in true masks and the depth that stereo finds in smoke; `detector` in boxes of the detector that ships and the
 /// depth that stereo finds.
 pub const SCENARIOS: [&str; 11] =
@@ -55,7 +55,7 @@ fn scene(name: &str) -> Scene {
     let model = crate::inputs::shipped_model("instruments.onnx").unwrap_or_default();
     let (masks, true_depth) = ("instances = \"scope.instances\"", "depth = \"scope.depth\"");
     let stereo_depth = "disparity = \"match.disparity\"";
-    let told = |phantom| Scene { phantom, nodes: String::new(), tips: "\"scope.tip\"" };
+    let exact = |phantom| Scene { phantom, nodes: String::new(), tips: "\"scope.tip\"" };
     let found = |phantom, nodes| Scene { phantom, nodes, tips: "\"found.tip\"" };
     let alone = "tools = 1, tool_kinds = \"grasper\"";
     match name {
@@ -80,7 +80,7 @@ fn scene(name: &str) -> Scene {
                 )
                 + &finder("found", "detections = \"find.detections\", image = \"scope.left\"", stereo_depth, ""),
         ),
-        _ => told(alone),
+        _ => exact(alone),
     }
 }
 

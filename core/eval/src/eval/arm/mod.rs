@@ -26,15 +26,15 @@ const PEER_VIEW_PCT: f64 = 99.84;
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Only these parts; may be given again. Without it all.
-    pub part: Vec<String>,
+    pub parts: Vec<String>,
     /// Only these scenarios; may be given again. Without it all.
-    pub scenario: Vec<String>,
+    pub scenarios: Vec<String>,
     /// Length of each run, s of media time.
     pub seconds: u32,
     /// Width of the phantom's pictures in the graph's runs, px.
     pub width: u32,
     /// Inputs of the campaign against the limits.
-    pub cases: u64,
+    pub hostile_inputs: u64,
     /// Seed of strokes and campaign.
     pub seed: u64,
     /// Folder for the plots of each scenario.
@@ -47,11 +47,11 @@ pub const PARTS: [&str; 5] = ["rehearsal", "graph", "age", "limits", "time"];
 impl Default for Options {
     fn default() -> Self {
         Self {
-            part: Vec::new(),
-            scenario: Vec::new(),
+            parts: Vec::new(),
+            scenarios: Vec::new(),
             seconds: 60,
             width: 320,
-            cases: 1_000_000,
+            hostile_inputs: 1_000_000,
             seed: 7,
             pictures: None,
         }
@@ -60,11 +60,11 @@ impl Default for Options {
 
 impl Options {
     fn wants(&self, part: &str) -> bool {
-        self.part.is_empty() || self.part.iter().any(|p| p == part)
+        self.parts.is_empty() || self.parts.iter().any(|p| p == part)
     }
 
     fn wants_scenario(&self, name: &str) -> bool {
-        self.scenario.is_empty() || self.scenario.iter().any(|s| s == name)
+        self.scenarios.is_empty() || self.scenarios.iter().any(|s| s == name)
     }
 }
 
@@ -72,7 +72,7 @@ impl Options {
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let known: Vec<&str> =
         Scenario::ALL.iter().map(|s| s.name()).chain(graph::SCENARIOS).chain(preset::names()).collect();
-    if let Some(wrong) = options.scenario.iter().find(|name| !known.contains(&name.as_str())) {
+    if let Some(wrong) = options.scenarios.iter().find(|name| !known.contains(&name.as_str())) {
         let mut known = known;
         known.sort_unstable();
         known.dedup();
@@ -185,8 +185,8 @@ fn listed(session: &dyn Session, name: &str, m: &Measures, rests: bool, input: &
 fn limits(session: &dyn Session, chain: &Chain, options: &Options, figures: &mut Vec<Figure>) -> Result<()> {
     let mut out = campaign::Outcome::default();
     let mut part = 0;
-    while out.cases < options.cases {
-        let cases = (options.cases - out.cases).min(20_000);
+    while out.cases < options.hostile_inputs {
+        let cases = (options.hostile_inputs - out.cases).min(20_000);
         out.add(campaign::run(chain, options.seed.wrapping_mul(1_000_003).wrapping_add(part), cases));
         part += 1;
         check_cancelled(session)?;

@@ -36,8 +36,8 @@ impl Node {
     }
 }
 
-/// Finds of all pictures and the time that they took.
-pub struct Found {
+/// Detections of all pictures and the time that they took.
+pub struct Detections {
     /// Picture by picture; class numbers are those of the truth.
     pub finds: Vec<Vec<Find>>,
     /// Median time of the node, ms.
@@ -59,7 +59,7 @@ fn node_params(node: Node, model: &Path, settings: &[String]) -> String {
 }
 
 /// Runs `model` in `node` over the pictures of `truth`. With `settings` (`param = value`) the node's parameters change.
-pub fn run(session: &dyn Session, node: Node, model: &Path, truth: &Truth, settings: &[String]) -> Result<Found> {
+pub fn run(session: &dyn Session, node: Node, model: &Path, truth: &Truth, settings: &[String]) -> Result<Detections> {
     let scratch = Folder::new("panoscope-eval")?;
     let out = scratch.path().join("found.json");
     let params = node_params(node, model, settings);
@@ -108,5 +108,5 @@ pub fn run(session: &dyn Session, node: Node, model: &Path, truth: &Truth, setti
         let names: Vec<String> = strangers.iter().map(|(n, c)| format!("{c} of `{n}`")).collect();
         note!(session, "left out, since the truth knows no such class: {}", names.join(", "));
     }
-    Ok(Found { finds, ms: report.p50_ms })
+    Ok(Detections { finds, ms: report.p50_ms })
 }

@@ -37,15 +37,15 @@ pub enum SelfCheck {
 pub struct Options {
     /// Only these cases; may be given again. Without it all: `test` (official test split), `left_out` (whole operations that the
     /// model never saw), `polygons` (real frames with outlines), `phantom` (held-out scenes), `tips` (tips on the phantom).
-    pub case: Vec<String>,
+    pub cases: Vec<String>,
     /// Detector; else the one that ships.
     pub model: Option<PathBuf>,
     /// Segmenter; else the one that ships.
     pub masks: Option<PathBuf>,
     /// Detector trained without the operations of --left-out, for the case `left_out`.
-    pub left_out_model: Option<PathBuf>,
+    pub held_out_model: Option<PathBuf>,
     /// Operations of the case `left_out`.
-    pub left_out: Vec<String>,
+    pub held_out: Vec<String>,
     /// Own truth instead of the cases: a COCO or VIA file, or a folder of VOC, labelme or YOLO truth. Judges --model, and --masks where it is given.
     pub truth: Option<PathBuf>,
     /// Which split of --truth: a list of VOC's ImageSets, a COCO file, a YOLO folder.
@@ -55,7 +55,7 @@ pub struct Options {
     /// Folder of data sets, searched before the usual ones. May be given again.
     pub data: Vec<PathBuf>,
     /// Sets a parameter of the node, as in a graph file. May be given again.
-    pub set: Vec<String>,
+    pub settings: Vec<String>,
     /// Judges the same finds with another program, and fails where figures differ in the fourth decimal.
     pub selfcheck: Option<SelfCheck>,
     /// Python of --selfcheck.
@@ -108,7 +108,7 @@ impl Judge<'_> {
 
     /// Runs, scores, draws, compares; adds figures.
     fn one(&mut self, case: &str, node: Node, model: &Path, truth: Truth) -> Result<()> {
-        let found = find::run(self.session, node, model, &truth, &self.options.set)?;
+        let found = find::run(self.session, node, model, &truth, &self.options.settings)?;
         let objects: Vec<_> = truth.pictures.iter().map(|p| p.objects.clone()).collect();
         let classes = truth.classes.len();
         let boxes = score(&objects, &found.finds, classes, Shape::Box);
@@ -208,17 +208,17 @@ impl Judge<'_> {
         self.one("test", Node::Yolo, &model, truth)
     }
 
-    fn left_out(&mut self) -> Result<()> {
+    fn held_out(&mut self) -> Result<()> {
         let Some(folder) = self.data("left_out", "m2cai16-tool-locations") else { return Ok(()) };
-        let model = self.options.left_out_model.clone();
+        let model = self.options.held_out_model.clone();
         let Some(model) = self.model("left_out", model, "--left-out-model (trained with --without)") else {
             return Ok(());
         };
-        let mut truth = truth::read(self.session, &folder, Some("trainval"), None)?.only(&self.options.left_out);
-        let more = truth::read(self.session, &folder, Some("test"), None)?.only(&self.options.left_out);
+        let mut truth = truth::read(self.session, &folder, Some("trainval"), None)?.only(&self.options.held_out);
+        let more = truth::read(self.session, &folder, Some("test"), None)?.only(&self.options.held_out);
         truth.pictures.extend(more.ordered(&truth.classes).pictures);
         if truth.pictures.is_empty() {
-            bail!("no frame is of the operations {}", self.options.left_out.join(", "));
+            bail!("no frame is of the operations {}", self.options.held_out.join(", "));
         }
         self.one("left_out", Node::Yolo, &model, truth)
     }
@@ -308,7 +308,7 @@ impl Judgement {
 /// # Errors
 /// A model is not there, a file has the wrong content, a run fails, a self-check disagrees, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Judgement> {
-    for model in [&options.model, &options.masks, &options.left_out_model].into_iter().flatten() {
+    for model in [&options.model, &options.masks, &options.held_out_model].into_iter().flatten() {
         if !model.is_file() {
             return Err(EvalError::Options { reason: format!("there is no model {}", model.display()) });
         }
@@ -322,10 +322,10 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Judgement> {
     if let Some(path) = &options.truth {
         judge.given(path)?;
     } else {
-        for case in CASES.iter().filter(|c| options.case.is_empty() || options.case.iter().any(|a| a == *c)) {
+        for case in CASES.iter().filter(|c| options.cases.is_empty() || options.cases.iter().any(|a| a == *c)) {
             match *case {
                 "test" => judge.test()?,
-                "left_out" => judge.left_out()?,
+                "left_out" => judge.held_out()?,
                 "polygons" => judge.polygons()?,
                 "phantom" => judge.phantom()?,
                 _ => judge.tips()?,

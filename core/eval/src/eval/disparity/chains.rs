@@ -9,8 +9,8 @@ use panoscope_imaging::{Rect, Serial, View, ViewMut};
 use super::data::Picture;
 use crate::error::{Result, ensure};
 
-/// A disparity map and what made it.
-pub struct Made {
+/// A disparity map and the name of its chain.
+pub struct ChainOutput {
     /// Name of the chain.
     pub chain: &'static str,
     /// Px of the left view, NaN where unknown.
@@ -18,7 +18,7 @@ pub struct Made {
 }
 
 /// All chains with the nodes' own settings, over disparities `first_px..first_px + search_px`.
-pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> Result<Vec<Made>> {
+pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> Result<Vec<ChainOutput>> {
     let (width, height) = (left.width, left.height);
     let roi = Rect::whole(width, height);
     let plane = || vec![f32::NAN; width * height];
@@ -29,7 +29,7 @@ pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> 
     let (a, b) = (View::new(&left.gray[..], width, height, 1), View::new(&right.gray[..], width, height, 1));
     let guide = View::new(&left.bgr[..], width, height, 3);
 
-    let mut made = Vec::new();
+    let mut outputs = Vec::new();
     for semi_global in [false, true] {
         let (mut raw, mut raw_right) = (plane(), plane());
         let (to, to_right) = (ViewMut::new(&mut raw, width, height, 1), ViewMut::new(&mut raw_right, width, height, 1));
@@ -70,11 +70,11 @@ pub fn run(left: &Picture, right: &Picture, first_px: i32, search_px: usize) -> 
             solver.compute(input, &Serial, ViewMut::new(&mut solved, width, height, 1), None)?;
         }
         let names: [&'static str; 2] = if semi_global { ["sgbm", "sgbm_wls"] } else { ["bm", "bm_wls"] };
-        made.push(Made { chain: names[0], disparity: raw });
-        made.push(Made { chain: names[1], disparity: smooth });
+        outputs.push(ChainOutput { chain: names[0], disparity: raw });
+        outputs.push(ChainOutput { chain: names[1], disparity: smooth });
         if !semi_global {
-            made.push(Made { chain: "bm_wls_fbs", disparity: solved });
+            outputs.push(ChainOutput { chain: "bm_wls_fbs", disparity: solved });
         }
     }
-    Ok(made)
+    Ok(outputs)
 }

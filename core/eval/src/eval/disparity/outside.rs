@@ -189,7 +189,7 @@ impl Judge<'_> {
     pub fn range(&mut self) -> Result<()> {
         for distance_mm in RANGE_MM {
             // What the geometry says of the farthest tissue.
-            let told_px = (FOCAL_PX * BASELINE_MM / (1.25 * distance_mm)) as i32;
+            let expected_px = (FOCAL_PX * BASELINE_MM / (1.25 * distance_mm)) as i32;
             let scene = format!("scene = \"bowel\", distance_mm = {distance_mm:?}");
             let text = rectified_phantom("batch", &[], &scene)
                 + &format!(
@@ -201,7 +201,7 @@ params = {{ search_px = 256 }}
 [nodes.told]
 type = "stereo_bm"
 inputs = {{ left = "rectify.left", right = "rectify.right" }}
-params = {{ auto_offset = false, search_px = 256, min_disparity_px = {told_px} }}
+params = {{ auto_offset = false, search_px = 256, min_disparity_px = {expected_px} }}
 [nodes.plain]
 type = "stereo_bm"
 inputs = {{ left = "rectify.left", right = "rectify.right" }}
@@ -229,12 +229,12 @@ params = {{ auto_offset = false, search_px = 64 }}
                 let packet = seen.packets[index].as_ref().context("a node gave nothing")?;
                 floats(packet).context("a map is cut off")
             };
-            let (found, plain, truth, depth, told) = (map(0)?, map(1)?, map(2)?, map(4)?, map(5)?);
+            let (found, plain, truth, depth, expected_map) = (map(0)?, map(1)?, map(2)?, map(4)?, map(5)?);
             let visible = seen.packets[3].as_ref().context("the phantom gave nothing")?.bytes().to_vec();
             let plane = |data| View::new(data, SIZE.0, SIZE.1, 1);
             let mask = || Some(View::new(&visible[..], SIZE.0, SIZE.1, 1));
             let own = score_disparity(plane(&found), plane(&truth), mask())?;
-            let told = score_disparity(plane(&told), plane(&truth), mask())?;
+            let expected = score_disparity(plane(&expected_map), plane(&truth), mask())?;
             let other = score_disparity(plane(&plain), plane(&truth), mask())?;
             let right = |score: &panoscope_imaging::stereo::DisparityScore| 100.0 * (1.0 - score.bad[1]);
             let input = format!("phantom bowel 640x480 at {distance_mm} mm, pixels that both cameras see, within 2 px");
@@ -244,9 +244,9 @@ params = {{ auto_offset = false, search_px = 64 }}
             self.figures.push(figure);
             self.add(
                 format!("range_right_told/{distance_mm:.0}mm"),
-                right(&told),
+                right(&expected),
                 "%",
-                &format!("{input}, search from {told_px} px"),
+                &format!("{input}, search from {expected_px} px"),
             );
             self.surface(distance_mm, &found, &depth, &visible)?;
         }

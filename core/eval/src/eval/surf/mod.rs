@@ -44,7 +44,7 @@ pub struct Options {
     /// Folder with graf1.png, graf3.png and H1to3p.xml, when Debian's opencv-doc is not installed.
     pub data: Option<PathBuf>,
     /// Sets a parameter of `features_surf`, to see what it does. May be given again.
-    pub set: Vec<String>,
+    pub settings: Vec<String>,
 }
 
 /// The pictures and the truth.
@@ -210,8 +210,8 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
         for wanted in [0, 500, 1000, 2000] {
             let theirs = measure(session, &data, &plane, &peer(detector, wanted))?;
             let equal = if wanted == 0 { (theirs.points.0 + theirs.points.1).div_ceil(2) } else { wanted };
-            let ours = measure(session, &data, &plane, &surf(equal, false, &options.set))?;
-            let extended = measure(session, &data, &plane, &surf(equal, true, &options.set))?;
+            let ours = measure(session, &data, &plane, &surf(equal, false, &options.settings))?;
+            let extended = measure(session, &data, &plane, &surf(equal, true, &options.settings))?;
             if ours.points.0 == 0 || theirs.points.0 == 0 {
                 bail!("no keypoints were found in {}", data.first.display());
             }

@@ -83,7 +83,7 @@ impl Segmentation {
 }
 
 /// What a file of found boxes holds: per picture id its annotations, and the class names by id.
-pub struct Found {
+pub struct FoundFile {
     /// By picture.
     pub by_image: BTreeMap<u64, Vec<Annotation>>,
     /// By class.
@@ -91,13 +91,13 @@ pub struct Found {
 }
 
 /// Reads a file that `write_table` wrote.
-pub fn read_found(path: &Path) -> Result<Found> {
+pub fn read_found(path: &Path) -> Result<FoundFile> {
     let file = parse(path)?;
     let mut by_image: BTreeMap<u64, Vec<Annotation>> = file.images.iter().map(|i| (i.id, Vec::new())).collect();
     for a in file.annotations {
         by_image.entry(a.image_id).or_default().push(a);
     }
-    Ok(Found { by_image, names: file.categories.into_iter().map(|c| (c.id, c.name)).collect() })
+    Ok(FoundFile { by_image, names: file.categories.into_iter().map(|c| (c.id, c.name)).collect() })
 }
 
 fn parse(path: &Path) -> Result<File> {

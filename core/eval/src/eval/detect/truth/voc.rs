@@ -63,11 +63,11 @@ fn one(truth: &mut Truth, text: &str, path: std::path::PathBuf) -> Result<Pictur
         text.parse().ok().filter(|v: &f64| v.is_finite()).with_context(|| format!("<{name}> is {text:?}"))
     };
     let (width, height) = size_of(&path)?;
-    // Boxes are told in px of the size that the file names, which need not be the picture's any more.
-    let told = tree.root_element().children().find(|c| c.has_tag_name("size"));
+    // Boxes are in px of the size that the file names, which need not be the picture's any more.
+    let declared = tree.root_element().children().find(|c| c.has_tag_name("size"));
     let scale = |name: &str, real: usize| {
-        let told = told.and_then(|node| number(node, name).ok()).filter(|v| *v > 0.0);
-        told.map_or(1.0, |told| real as f64 / told)
+        let declared = declared.and_then(|node| number(node, name).ok()).filter(|v| *v > 0.0);
+        declared.map_or(1.0, |declared| real as f64 / declared)
     };
     let (sx, sy) = (scale("width", width), scale("height", height));
     let mut objects = Vec::new();
