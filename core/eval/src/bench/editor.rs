@@ -1,4 +1,4 @@
-//! `panoscope bench editor`: what the window costs. The graph runs without and with it, turn about, its source at 10 fps.
+//! What the window costs. The graph runs without and with it, turn about, its source at 10 fps.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};

@@ -1,4 +1,4 @@
-//! `panoscope bench hop`: what a frame's way from node to node costs.
+//! What a frame's way from node to node costs.
 
 use super::graph::{self, INPUT, Pace};
 use super::gstreamer::GStreamer;

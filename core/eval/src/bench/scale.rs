@@ -1,4 +1,4 @@
-//! `panoscope bench scale`: cost of a tick against the number of nodes.
+//! Cost of a tick against the number of nodes.
 
 use super::graph::{self, Pace};
 use crate::error::Result;

@@ -1,4 +1,4 @@
-//! `panoscope bench start`: checking and starting a large graph.
+//! Checking and starting a large graph.
 
 use std::path::Path;
 use std::time::{Duration, Instant};

@@ -1,4 +1,4 @@
-//! `panoscope bench stereo`: the thesis's chain step by step, beside OpenCV's four steps (thesis, table 3.2), and lengths and depths
+//! The thesis's chain step by step, beside OpenCV's four steps (thesis, table 3.2), and lengths and depths
 //! on the phantom beside their truth (figs 3.14 and 3.15).
 //!
 //! Both chains are graphs of real nodes on the same pictures of the phantom, rendered beforehand and run turn about, one pair after
@@ -16,12 +16,12 @@ use crate::run::{self, Pace, Plan};
 use crate::session::{Session, note};
 use crate::text_table::table;
 
-/// Options of `bench stereo`.
+/// Options of [`measure`].
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Fewer frames and rounds: a quick look instead of a measurement.
     pub quick: bool,
-    /// Draws measured lengths and depths beside the true ones.
+    /// PNG file for measured lengths and depths beside the true ones.
     pub plot: Option<PathBuf>,
 }
 

@@ -1,4 +1,4 @@
-//! `panoscope bench system`: a whole graph (graphs/surgeon.toml) on views rendered beforehand, so that nothing but the system is at
+//! A whole graph (graphs/surgeon.toml) on views rendered beforehand, so that nothing but the system is at
 //! work: how many pictures a second it makes when nothing holds it back, and how old they are at 30 a second.
 
 use std::path::{Path, PathBuf};
@@ -93,7 +93,7 @@ fn show(session: &dyn Session, report: &Report) {
     session.table(&table(&rows));
 }
 
-/// Options of this bench.
+/// Options of [`measure`].
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Fewer frames and rounds: a quick look instead of a measurement.

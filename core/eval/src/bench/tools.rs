@@ -1,4 +1,4 @@
-//! `panoscope bench tools`: the detector and the segmenter on one 640x480 picture, beside plain ONNX Runtime in Python on the same models.
+//! The detector and the segmenter on one 640x480 picture, beside plain ONNX Runtime in Python on the same models.
 //!
 //! Ours is the node's own time as the engine counts it: fitting, network, decoding, suppression. Python does the same with NumPy and OpenCV in
 //! the same run, turn about, with as many threads.
@@ -15,7 +15,7 @@ use crate::inputs::{Folder, quoted, shipped_model};
 use crate::run::{self, Pace, Plan};
 use crate::session::{Session, note};
 
-/// Options of `bench tools`.
+/// Options of [`measure`].
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Fewer frames and rounds: a quick look instead of a measurement.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use panoscope_calibration::Board;
 
-/// Options of `calibrate`.
+/// Options of [`calibrate`](super::calibrate).
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Left views: images (a folder, dir/*.png, img_%04d.png, in quotes), a video, a camera or a GStreamer pipeline; with

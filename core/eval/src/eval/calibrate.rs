@@ -29,12 +29,12 @@ const PHANTOM_BOARDS: [(&str, &str); 3] = [
 /// Names of the cases.
 pub const CASES: [&str; 3] = ["chessboard", "laparoscope", "phantom"];
 
-/// Options of `eval calibrate`.
+/// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Only these cases; may be given again. Without it all.
+    /// The cases that are judged; if empty, all.
     pub cases: Vec<String>,
-    /// Folder of data sets, searched before the usual ones. May be given again.
+    /// Folders of data sets, searched before the usual ones.
     pub data: Vec<PathBuf>,
     /// Folder for the pictures of each case.
     pub pictures: Option<PathBuf>,
@@ -60,7 +60,10 @@ fn made(
     Ok(Calibrated { calibration, views: calibrated.views })
 }
 
-/// Judges.
+/// Errors of the calibration in each wanted case whose data is there.
+///
+/// # Errors
+/// A run fails, a file cannot be read or written, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let usual = ["../shared/data", "/usr/share/doc/opencv-doc/examples/data"];
     let folders: Vec<PathBuf> = options.data.iter().cloned().chain(usual.map(PathBuf::from)).collect();

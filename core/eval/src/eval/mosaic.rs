@@ -1,4 +1,4 @@
-//! `panoscope eval mosaic`: where a mosaic puts its frames, beside the truth, with loop closure and without.
+//! Where a mosaic puts its frames, beside the truth, with loop closure and without.
 //!
 //! One camera of the phantom goes round a ring over a plane and over curved tissue. `end_drift`: where it is back at the start; `lap_drift`: root mean square
 //! over the last lap; `floor`: what the best homography of each frame leaves, 0 for a plane.
@@ -27,10 +27,10 @@ const KEYFRAMES: u32 = 200;
 /// Height of the phantom's ring, for its length.
 const RISE_MM: f64 = 1.5;
 
-/// Options of `eval mosaic`.
+/// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Only these scenes; may be given again. Without it all.
+    /// The scenes that are judged; if empty, all.
     pub scenes: Vec<String>,
     /// Maps between keyframes.
     pub model: String,
@@ -48,7 +48,7 @@ pub struct Options {
     pub seed: u64,
     /// Folder for the mosaics.
     pub pictures: Option<PathBuf>,
-    /// Draws drift over time, a chart per scene.
+    /// PNG file for drift over time, a chart per scene.
     pub plot: Option<PathBuf>,
 }
 
@@ -171,7 +171,10 @@ fn run(session: &dyn Session, scene: &str, is_closed: bool, options: &Options) -
     Ok(Judged { rows: table(0)?, own: table(1)?, p50_ms: node.p50_ms, p99_ms: node.p99_ms, max_ms: node.max_ms })
 }
 
-/// Judges.
+/// Drift of the mosaic on each scene, with loop closure beside without.
+///
+/// # Errors
+/// An option is out of range, a run fails, a file cannot be written, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     for (name, value, low, high) in [
         ("--speed-mm-s", options.speed_mm_s, 1.0, 25.0),

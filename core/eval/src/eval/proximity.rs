@@ -1,4 +1,4 @@
-//! `panoscope eval proximity`: false and missed warnings near tissue and other tips, beside the phantom's exact distances.
+//! False and missed warnings near tissue and other tips, beside the phantom's exact distances.
 
 use std::path::Path;
 
@@ -14,12 +14,12 @@ use crate::session::{Session, check_cancelled};
 /// found in masks too. `boxes`: the same with boxes instead of masks, as a detector gives them.
 pub const CHAINS: [&str; 4] = ["exact", "matched", "found", "boxes"];
 
-/// Options of `eval proximity`.
+/// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Only these ways to know depth and instruments; may be given again. Without it all.
     pub chains: Vec<String>,
-    /// Only these scenes; may be given again. Without it both.
+    /// The scenes that are judged; if empty, all.
     pub scenes: Vec<String>,
     /// Length of each run, s of media time.
     pub seconds: u32,
@@ -93,7 +93,10 @@ inputs = {{ table = "near.table", truth = "scope.clearance" }}
     )
 }
 
-/// Judges.
+/// Approaches, false and missed warnings of each chain on each scene.
+///
+/// # Errors
+/// A run fails, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let wants = |list: &[String], name: &str| list.is_empty() || list.iter().any(|n| n == name);
     let mut figures = Vec::new();

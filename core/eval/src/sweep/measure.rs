@@ -4,7 +4,7 @@ use std::fmt;
 
 use panoscope_graph::{Catalog, Graph};
 
-use super::error::SweepError;
+use super::error::{RowError, SweepError};
 use super::part;
 use panoscope_engine::numbers::{self, tells_numbers};
 use panoscope_engine::{NodeReport, Report};
@@ -84,7 +84,7 @@ impl Measure {
         let node_type = graph.nodes[node].node_type(catalog);
         let (port, column, rows) = match rest.split_once('.') {
             Some((port, column)) => {
-                let (column, rows) = rows_of(column).map_err(&bad)?;
+                let (column, rows) = rows_of(column).map_err(|error| bad(error.to_string()))?;
                 (port, Some(column.to_owned()), rows)
             }
             None => (rest, None, Rows::Only),
@@ -177,14 +177,14 @@ pub(super) enum NoSummary {
 }
 
 /// A column and which rows of it: `x_mm`, `x_mm[2]`, `x_mm[*]`.
-fn rows_of(column: &str) -> Result<(&str, Rows), String> {
+fn rows_of(column: &str) -> Result<(&str, Rows), RowError> {
     let Some((name, index)) = column.strip_suffix(']').and_then(|c| c.rsplit_once('[')) else {
         return Ok((column, Rows::Only));
     };
     match (index, index.parse::<usize>()) {
         ("*", _) => Ok((name, Rows::All)),
         (_, Ok(row)) if row > 0 => Ok((name, Rows::Nth(row))),
-        _ => Err(format!("`[{index}]` is no row: write {name}[1] for the first one, {name}[*] for all")),
+        _ => Err(RowError { column: name.to_owned(), index: index.to_owned() }),
     }
 }
 

@@ -11,8 +11,8 @@ mod report;
 mod run;
 mod values;
 
-pub use error::{PointError, SweepError};
+pub use error::{MOST_STEPS, PointError, SweepError};
 pub use measure::{COUNTERS, Measure, Rows, Summary};
 pub use report::{chart, csv, json, line, table};
 pub use run::{Point, Request, Sweep, can_sweep};
-pub use values::{MOST_STEPS, shown};
+pub use values::shown;

@@ -95,7 +95,8 @@ impl Sweep {
         if request.recording.is_some() && node_type.source {
             return Err(bad_param(format!("the recording stands in for source `{id}`: sweep another node")));
         }
-        let values = values::of(&declared.kind, request.from, request.to, request.steps).map_err(bad_param)?;
+        let values = values::of(&declared.kind, request.from, request.to, request.steps)
+            .map_err(|error| bad_param(error.to_string()))?;
         let (measure, at) = Measure::of(&request.measure, &graph, &catalog)?;
         let kept = part::needed(&graph, at);
         if !kept[node] {
@@ -106,7 +107,7 @@ impl Sweep {
             let (measure, node) = (request.measure.clone(), graph.nodes[acting].id.clone());
             return Err(SweepError::Acts { measure, node });
         }
-        let text = part::text(&request.text, &graph, &kept).map_err(bad_param)?;
+        let text = part::text(&request.text, &graph, &kept).map_err(|error| bad_param(error.to_string()))?;
         let of_kept = |setting: &String| {
             let node = setting.split_once('.').and_then(|(node, _)| graph.node(node.trim()));
             node.is_some_and(|n| kept[n])

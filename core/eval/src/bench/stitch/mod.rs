@@ -1,4 +1,4 @@
-//! `panoscope bench stitch`: the thesis's Tables 2.1 to 2.3 and 4.1 to 4.3 (registration, seam and blend, whole frame), beside
+//! The thesis's Tables 2.1 to 2.3 and 4.1 to 4.3 (registration, seam and blend, whole frame), beside
 //! OpenCV's classes in the same run, turn about.
 //!
 //! The pictures are rendered once and then played from memory, one pair after the other, so that nothing but the stitching is at work.
@@ -36,14 +36,14 @@ use crate::text_table::table;
 use times::{Stages, Times};
 use way::{PICTURES, Seam, Way, text_of};
 
-/// Options of `bench stitch`.
+/// Options of [`measure`].
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Fewer frames and rounds: a quick look instead of a measurement.
     pub quick: bool,
-    /// Only pictures of this size; may be given again.
+    /// Sizes of the pictures, of [`SIZE_NAMES`]; if empty, the usual ones.
     pub sizes: Vec<String>,
-    /// Draws the time of each frame at 640x480: registration, seam and the whole.
+    /// PNG file for the time of each frame at 640x480: registration, seam and the whole.
     pub plot: Option<PathBuf>,
 }
 

@@ -1,4 +1,4 @@
-//! `panoscope eval arm`: how well the arm keeps the tip, in the real graph and without pictures; whether anything gets past its limits; how long
+//! How well the arm keeps the tip, in the real graph and without pictures; whether anything gets past its limits; how long
 //! the control takes.
 
 mod graph;
@@ -22,12 +22,12 @@ const PEER: &str = "AutoCam on dVRK, published";
 const PEER_ERROR_MM: f64 = 1.95;
 const PEER_VIEW_PCT: f64 = 99.84;
 
-/// Options of `eval arm`.
+/// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Only these parts; may be given again. Without it all.
+    /// The parts that are judged; if empty, all.
     pub parts: Vec<String>,
-    /// Only these scenarios; may be given again. Without it all.
+    /// The scenarios that are judged; if empty, all.
     pub scenarios: Vec<String>,
     /// Length of each run, s of media time.
     pub seconds: u32,
@@ -68,7 +68,10 @@ impl Options {
     }
 }
 
-/// Judges.
+/// Error of the tip, share of time in view, limits and time of the control, for the wanted parts and scenarios.
+///
+/// # Errors
+/// A scenario is not known, a run fails, a file cannot be written, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let known: Vec<&str> =
         Scenario::ALL.iter().map(|s| s.name()).chain(graph::SCENARIOS).chain(preset::names()).collect();

@@ -1,4 +1,4 @@
-//! `panoscope eval detect`: detectors and segmenters beside true boxes, outlines and tips (thesis, chapter 5).
+//! Detectors and segmenters beside true boxes, outlines and tips (thesis, chapter 5).
 //!
 //! Pictures go through the real nodes, run by the engine; what they find is judged by COCO's and VOC's rules ([`score`]).
 
@@ -32,10 +32,10 @@ pub enum SelfCheck {
     Pycocotools,
 }
 
-/// Options of `eval detect`.
+/// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Only these cases; may be given again. Without it all: `test` (official test split), `left_out` (whole operations that the
+    /// The cases that are judged; if empty, all: `test` (official test split), `left_out` (whole operations that the
     /// model never saw), `polygons` (real frames with outlines), `phantom` (held-out scenes), `tips` (tips on the phantom).
     pub cases: Vec<String>,
     /// Detector; else the one that ships.
@@ -52,9 +52,9 @@ pub struct Options {
     pub split: Option<String>,
     /// Folder of the pictures of --truth, where they are not beside it.
     pub images: Option<PathBuf>,
-    /// Folder of data sets, searched before the usual ones. May be given again.
+    /// Folders of data sets, searched before the usual ones.
     pub data: Vec<PathBuf>,
-    /// Sets a parameter of the node, as in a graph file. May be given again.
+    /// Sets a parameter of the node, as in a graph file.
     pub settings: Vec<String>,
     /// Judges the same finds with another program, and fails where figures differ in the fourth decimal.
     pub selfcheck: Option<SelfCheck>,

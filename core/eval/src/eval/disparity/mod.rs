@@ -21,12 +21,12 @@ use judge::Judge;
 
 pub use given::Pair;
 
-/// Options of `eval disparity`.
+/// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Only these cases; may be given again. Without it all.
+    /// The cases that are judged; if empty, all.
     pub cases: Vec<String>,
-    /// Folder of data sets, searched before the usual ones. May be given again.
+    /// Folders of data sets, searched before the usual ones.
     pub data: Vec<PathBuf>,
     /// A pair of the user's instead of the cases.
     pub pair: Option<Pair>,

@@ -7,7 +7,7 @@ use panoscope_tracking::skill::Settings;
 /// Words in the name of a tool that can grasp.
 pub const GRASPING: &str = "grasper,bipolar,clipper,forceps,needle";
 
-/// Options of `eval skill`.
+/// Options of [`judge`](super::judge) and [`Study::read`](super::Study::read).
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Tracks of tips, best one per hand: tables of `tip_track` (or `proximity`, which tells of touches too), or tips, as `write_table` writes them

@@ -1,4 +1,4 @@
-//! `panoscope eval stitch --fov`: how much more than one view a panorama shows, by scene and distance, beside the phantom's truth.
+//! How much more than one view a panorama shows, by scene and distance, beside the phantom's truth.
 //!
 //! `fov_total_pct` is the area of tissue that the panorama shows over the area of one view, in pixels of the reference view; `fov_gain_pct` is
 //! what exceeds 100. A homography that is wrong can stretch a view over a large canvas, so a pixel counts only when the phantom's footprint of all cameras

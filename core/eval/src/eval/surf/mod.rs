@@ -1,4 +1,4 @@
-//! `panoscope eval surf`: repeatability and matching precision of SURF beside OpenCV's SIFT and AKAZE.
+//! Repeatability and matching precision of SURF beside OpenCV's SIFT and AKAZE.
 //!
 //! The pictures are graf1 and graf3 of the Oxford affine data set as Debian's opencv-doc brings them, with their true
 //! homography. Every engine runs as a node of a graph, and each comparison gives both the same number of points.
@@ -38,12 +38,12 @@ const AKAZE_THRESHOLD: f64 = 1e-5;
 /// doubled then, with a wider window to tell the small ones apart.
 const MANY_POINTS: usize = 1500;
 
-/// Options of `eval surf`.
+/// Options of [`judge`].
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Folder with graf1.png, graf3.png and H1to3p.xml, when Debian's opencv-doc is not installed.
     pub data: Option<PathBuf>,
-    /// Sets a parameter of `features_surf`, to see what it does. May be given again.
+    /// Sets a parameter of `features_surf`, to see what it does.
     pub settings: Vec<String>,
 }
 
@@ -158,7 +158,10 @@ fn peer(detector: &str, points: usize) -> String {
     )
 }
 
-/// Judges SURF; none when the pictures are not there.
+/// Repeatability and precision of SURF at four numbers of points, beside each of OpenCV's detectors.
+///
+/// # Errors
+/// The pictures are not there, a run fails, no keypoint was found, or the session is cancelled.
 pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let Some(data) = find(options.data.as_deref()) else {
         let given = options.data.as_ref().map_or_else(String::new, |folder| format!(" in {} or", folder.display()));
