@@ -1,6 +1,7 @@
 //! Reading packets that nodes put out.
 
-use panoscope_abi::{Calibration, Camera};
+use panoscope_abi::Calibration;
+use panoscope_base::packet;
 use panoscope_engine::memory::FrameRef;
 
 /// A packet of type `table`.
@@ -13,20 +14,12 @@ pub struct Table {
 }
 
 impl Table {
-    /// Reads a packet: rows, columns, length of the names, reserved (u32 each), the names, the numbers.
+    /// Reads a packet; `None` if it is no whole table.
     pub fn read(bytes: &[u8]) -> Option<Self> {
-        let word = |index: usize| {
-            let part = bytes.get(index * 4..index * 4 + 4)?;
-            Some(u32::from_ne_bytes(part.try_into().ok()?) as usize)
-        };
-        let (rows, columns, names_len) = (word(0)?, word(1)?, word(2)?);
-        let names = std::str::from_utf8(bytes.get(16..16 + names_len)?).ok()?.trim_end_matches('\0');
-        let numbers = bytes.get(16 + names_len..)?;
-        let numbers = numbers.get(..rows.checked_mul(columns)?.checked_mul(8)?)?;
-        let number = |part: &[u8]| part.try_into().map_or(f64::NAN, f64::from_ne_bytes);
-        let values: Vec<f64> = numbers.chunks_exact(8).map(number).collect();
-        let rows = values.chunks_exact(columns.max(1)).map(<[f64]>::to_vec).collect();
-        Some(Self { names: names.lines().map(str::to_owned).collect(), rows })
+        let table = packet::Table::parse(bytes).ok()?;
+        let values: Vec<f64> = table.values().collect();
+        let rows = values.chunks_exact(table.columns().max(1)).map(<[f64]>::to_vec).collect();
+        Some(Self { names: table.names().map(str::to_owned).collect(), rows })
     }
 
     /// All values of a column.
@@ -51,61 +44,7 @@ pub fn floats(frame: &FrameRef) -> Option<Vec<f32>> {
 
 /// Reads a packet of type `calibration`. `None` if it is cut off.
 pub fn calibration(bytes: &[u8]) -> Option<Calibration> {
-    let mut fields = Fields(bytes);
-    let calibration = Calibration {
-        left: fields.camera()?,
-        right: fields.camera()?,
-        right_from_left_rotation: fields.numbers()?,
-        right_from_left_mm: fields.numbers()?,
-        rectified_from_left: fields.numbers()?,
-        rectified_from_right: fields.numbers()?,
-        left_projection: fields.numbers()?,
-        right_projection: fields.numbers()?,
-        baseline_mm: fields.number()?,
-        rms_px: fields.number()?,
-        is_rectified: fields.word()?,
-        reserved: fields.word()?,
-    };
-    Some(calibration)
-}
-
-/// The fields of a packet in order, of which none needs padding.
-struct Fields<'a>(&'a [u8]);
-
-impl Fields<'_> {
-    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (first, rest) = self.0.split_first_chunk::<N>()?;
-        self.0 = rest;
-        Some(*first)
-    }
-
-    fn word(&mut self) -> Option<u32> {
-        self.take().map(u32::from_ne_bytes)
-    }
-
-    fn number(&mut self) -> Option<f64> {
-        self.take().map(f64::from_ne_bytes)
-    }
-
-    fn numbers<const N: usize>(&mut self) -> Option<[f64; N]> {
-        let mut numbers = [0.0; N];
-        for number in &mut numbers {
-            *number = self.number()?;
-        }
-        Some(numbers)
-    }
-
-    fn camera(&mut self) -> Option<Camera> {
-        Some(Camera {
-            width: self.word()?,
-            height: self.word()?,
-            fx: self.number()?,
-            fy: self.number()?,
-            cx: self.number()?,
-            cy: self.number()?,
-            distortion: self.numbers()?,
-        })
-    }
+    packet::decode(bytes).ok()
 }
 
 #[cfg(test)]

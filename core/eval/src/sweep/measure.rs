@@ -6,7 +6,7 @@ use panoscope_graph::{Catalog, Graph};
 
 use super::error::{RowError, SweepError};
 use super::part;
-use panoscope_engine::numbers::{self, tells_numbers};
+use panoscope_base::packet::{Numbers, has_numbers};
 use panoscope_engine::{NodeReport, Report};
 
 /// Counters that every node has, to be measured as `node.p50_ms`.
@@ -90,7 +90,7 @@ impl Measure {
             None => (rest, None, Rows::Only),
         };
         let outputs: Vec<&str> =
-            node_type.outputs.iter().filter(|p| tells_numbers(&p.packet.name)).map(|p| p.name.as_str()).collect();
+            node_type.outputs.iter().filter(|p| has_numbers(&p.packet.name)).map(|p| p.name.as_str()).collect();
         let Some(output) = node_type.output(port) else {
             if column.is_some() {
                 let outputs = part::list(&outputs);
@@ -204,7 +204,7 @@ pub(super) struct Received {
 impl Received {
     /// Takes a packet.
     pub fn take(&mut self, bytes: &[u8], packet: &str, column: Option<&str>, rows: Rows) {
-        let Some(numbers) = numbers::read(bytes, packet) else { return };
+        let Ok(Some(numbers)) = Numbers::read(bytes, packet) else { return };
         let at = match column {
             None => 0,
             Some(wanted) => match numbers.names.iter().position(|name| name == wanted) {

@@ -1,9 +1,9 @@
 //! A pair after rectification, and points from its disparity.
 
 use panoscope_imaging::stereo::{
-    Rectification, RectifyParams, RemapTable, ReprojectInput, ReprojectParams, Roi, StereoCameras, reproject,
+    Rectification, RectifyParams, RemapTable, ReprojectInput, ReprojectParams, StereoCameras, reproject,
 };
-use panoscope_imaging::{Serial, View, ViewMut};
+use panoscope_imaging::{Rect, Serial, View, ViewMut};
 
 use super::data::Picture;
 use crate::error::{Result, ensure};
@@ -21,7 +21,7 @@ impl Rectified {
     pub fn new(cameras: &StereoCameras, views: [Picture; 2]) -> Result<Self> {
         let geometry = Rectification::new(cameras, RectifyParams::default())?;
         let (width, height) = (geometry.width, geometry.height);
-        let all = Roi::full(width, height);
+        let all = Rect::whole(width, height);
         let table = RemapTable::left(&cameras.left, &geometry, all, &Serial)?;
         let right = RemapTable::right(&cameras.right, &geometry, all, &Serial)?;
         let turn = |table: &RemapTable, view: &Picture| -> Result<Picture> {
@@ -55,7 +55,7 @@ pub fn points(geometry: &Rectification, disparity: &[f32]) -> Result<Vec<[f32; 3
     let input = ReprojectInput {
         disparity: View::new(disparity, width, height, 1),
         confidence: None,
-        roi: Roi::full(width, height),
+        roi: Rect::whole(width, height),
     };
     let (to, to_points) = (ViewMut::new(&mut depth, width, height, 1), ViewMut::new(&mut points, width, height, 3));
     reproject(input, geometry, &ReprojectParams::default(), &Serial, to, Some(to_points))?;
