@@ -235,7 +235,8 @@ macro_rules! bail {
 /// Returns with an error about an input file unless a condition holds.
 macro_rules! ensure {
     ($condition:expr, $($argument:tt)*) => {
-        if !$condition {
+        if $condition {
+        } else {
             $crate::error::bail!($($argument)*);
         }
     };

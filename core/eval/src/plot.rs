@@ -205,7 +205,7 @@ pub fn save(path: &Path, charts: &[Chart]) -> Result<()> {
     }
     bgr.chunks_exact_mut(3).for_each(|p| p.swap(0, 2));
     let image = image::RgbImage::from_raw(width as u32, height as u32, bgr).context("a picture of another size")?;
-    image.save(path).on_file(FileAction::Write, &path)
+    image.save(path).on_file(FileAction::Write, path)
 }
 
 #[cfg(test)]

@@ -54,7 +54,7 @@ impl Arguments {
             left: self.left.clone(),
             right: self.right.clone(),
             graph: self.graph.clone(),
-            board: self.board.clone(),
+            board: self.board,
             model: self.model.clone(),
             frames: self.frames,
             keep_all: self.keep_all,

@@ -105,7 +105,7 @@ pub struct Options {
 /// Measures the graph: unpaced for `system_fps`, at 30 pictures a second for the ages.
 pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let (path, quick) = (options.graph.as_path(), options.quick);
-    let text = std::fs::read_to_string(path).on_file(FileAction::Read, &path)?;
+    let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
     let mut graph: Table = text.parse().with_context(|| format!("{} is no graph", path.display()))?;
     let (name, phantom) = source(&mut graph)?;
     let folder = Folder::new("panoscope-bench-system")?;

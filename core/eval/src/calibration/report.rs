@@ -149,6 +149,5 @@ pub fn save(frame: &FrameRef, path: &Path) -> Result<()> {
         let row = bytes.get(y * stride..y * stride + 3 * width).context("a picture is cut off")?;
         rgb.extend(row.chunks_exact(3).flat_map(|p| [p[2], p[1], p[0]]));
     }
-    image::save_buffer(path, &rgb, width as u32, height as u32, image::ColorType::Rgb8)
-        .on_file(FileAction::Write, &path)
+    image::save_buffer(path, &rgb, width as u32, height as u32, image::ColorType::Rgb8).on_file(FileAction::Write, path)
 }

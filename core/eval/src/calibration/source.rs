@@ -63,7 +63,7 @@ impl Source {
             for port in [&options.left, &options.right] {
                 ensure!(port.contains('.'), "with --graph, `{port}` must be a port such as scope.left");
             }
-            let text = std::fs::read_to_string(graph).on_file(FileAction::Read, &graph)?;
+            let text = std::fs::read_to_string(graph).on_file(FileAction::Read, graph)?;
             return Ok(Self::Graph(graph.clone(), text));
         }
         match (images(&options.left)?, images(&options.right)?) {

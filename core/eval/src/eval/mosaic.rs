@@ -186,7 +186,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
         }
     }
     if let Some(folder) = &options.pictures {
-        std::fs::create_dir_all(folder).on_file(FileAction::Create, &folder)?;
+        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
     }
     let mut figures = Vec::new();
     let mut charts = Vec::new();

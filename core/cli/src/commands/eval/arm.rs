@@ -40,10 +40,10 @@ impl Arguments {
         Options {
             parts: part.clone(),
             scenarios: scenario.clone(),
-            seconds: seconds.clone(),
-            width: width.clone(),
-            hostile_inputs: cases.clone(),
-            seed: seed.clone(),
+            seconds: *seconds,
+            width: *width,
+            hostile_inputs: *cases,
+            seed: *seed,
             pictures: pictures.clone(),
         }
     }

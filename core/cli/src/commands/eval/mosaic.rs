@@ -49,12 +49,12 @@ impl Arguments {
         Options {
             scenes: scene.clone(),
             model: model.clone(),
-            laps: laps.clone(),
-            path_mm: path_mm.clone(),
-            speed_mm_s: speed_mm_s.clone(),
-            distance_mm: distance_mm.clone(),
-            width: width.clone(),
-            seed: seed.clone(),
+            laps: *laps,
+            path_mm: *path_mm,
+            speed_mm_s: *speed_mm_s,
+            distance_mm: *distance_mm,
+            width: *width,
+            seed: *seed,
             pictures: pictures.clone(),
             plot: plot.clone(),
         }

@@ -37,10 +37,10 @@ impl Arguments {
         Options {
             chains: chain.clone(),
             scenes: scene.clone(),
-            seconds: seconds.clone(),
-            width: width.clone(),
-            distance_mm: distance_mm.clone(),
-            seed: seed.clone(),
+            seconds: *seconds,
+            width: *width,
+            distance_mm: *distance_mm,
+            seed: *seed,
         }
     }
 }

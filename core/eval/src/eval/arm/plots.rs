@@ -88,5 +88,5 @@ pub fn draw(path: &Path, title: &str, rows: &[Row]) -> Result<()> {
     }
     bgr.chunks_exact_mut(3).for_each(|p| p.swap(0, 2));
     let image = image::RgbImage::from_raw(WIDTH as u32, height as u32, bgr).context("a plot of another size")?;
-    image.save(path).on_file(FileAction::Write, &path)
+    image.save(path).on_file(FileAction::Write, path)
 }

@@ -316,7 +316,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Judgement> {
     let usual = ["target/data", "../shared/data", "../shared/data/instances"];
     let folders = options.data.iter().cloned().chain(usual.map(PathBuf::from)).collect();
     if let Some(folder) = &options.pictures {
-        std::fs::create_dir_all(folder).on_file(FileAction::Create, &folder)?;
+        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
     }
     let mut judge = Judge { session, options, folders, judged: Vec::new(), figures: Vec::new() };
     if let Some(path) = &options.truth {

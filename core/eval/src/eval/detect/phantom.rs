@@ -79,7 +79,7 @@ pub enum From<'a> {
 }
 
 fn lines(path: &Path) -> Result<Vec<Value>> {
-    let text = std::fs::read_to_string(path).on_file(FileAction::Read, &path)?;
+    let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
     text.lines().map(|l| serde_json::from_str(l).with_context(|| format!("{} is damaged", path.display()))).collect()
 }
 

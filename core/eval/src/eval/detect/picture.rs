@@ -52,7 +52,7 @@ impl Canvas {
         self.bgr.chunks_exact_mut(3).for_each(|p| p.swap(0, 2));
         let image = image::RgbImage::from_raw(self.width as u32, self.height as u32, self.bgr);
         let image = image.context("a picture of another size")?;
-        image.save(path).on_file(FileAction::Write, &path)
+        image.save(path).on_file(FileAction::Write, path)
     }
 }
 
@@ -190,7 +190,7 @@ fn mistakes(truth: &Truth, finds: &[Vec<Find>], shape: Shape) -> Vec<Mistake> {
 
 /// A picture file, shrunk to fit, with its scale.
 fn thumbnail(path: &Path, width: usize, height: usize) -> Result<(Canvas, f32)> {
-    let image = image::open(path).on_file(FileAction::Read, &path)?;
+    let image = image::open(path).on_file(FileAction::Read, path)?;
     let small = image.resize(width as u32, height as u32, image::imageops::FilterType::Triangle).to_rgb8();
     let scale = small.width() as f32 / image.width() as f32;
     let bgr = small.pixels().flat_map(|p| [p[2], p[1], p[0]]).collect();

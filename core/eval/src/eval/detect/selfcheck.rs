@@ -112,7 +112,7 @@ pub fn compare(
     let scratch = Folder::new("panoscope-selfcheck")?;
     let (truth_file, found_file) = (scratch.path().join("truth.json"), scratch.path().join("found.json"));
     for (path, value) in [(&truth_file, truth_json(truth, shape)), (&found_file, finds_json(finds, shape))] {
-        std::fs::write(path, value.to_string()).on_file(FileAction::Write, &path)?;
+        std::fs::write(path, value.to_string()).on_file(FileAction::Write, path)?;
     }
     let script = SCRIPT.replacen("with contextlib", &format!("{}with contextlib", PACK.trim_start()), 1);
     let mut child = Command::new(python)

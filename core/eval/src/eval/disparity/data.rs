@@ -30,7 +30,7 @@ impl Picture {
 
     /// Reads a file.
     pub fn read(path: &Path) -> Result<Self> {
-        let image = image::open(path).on_file(FileAction::Read, &path)?.to_rgb8();
+        let image = image::open(path).on_file(FileAction::Read, path)?.to_rgb8();
         let (width, height) = (image.width() as usize, image.height() as usize);
         let bgr = image.pixels().flat_map(|p| [p[2], p[1], p[0]]).collect();
         Ok(Self::new(width, height, bgr))
@@ -39,12 +39,12 @@ impl Picture {
 
 /// An 8-bit map such as a mask or a coarse disparity.
 pub fn gray(path: &Path) -> Result<Vec<u8>> {
-    Ok(image::open(path).on_file(FileAction::Read, &path)?.to_luma8().into_raw())
+    Ok(image::open(path).on_file(FileAction::Read, path)?.to_luma8().into_raw())
 }
 
 /// True disparity of the Motorcycle pair: the only member of a compressed NumPy archive.
 pub fn npz(path: &Path) -> Result<FloatImage> {
-    let bytes = fs::read(path).on_file(FileAction::Read, &path)?;
+    let bytes = fs::read(path).on_file(FileAction::Read, path)?;
     let word = |at: usize, len: usize| -> Option<usize> {
         let part = bytes.get(at..at + len)?;
         Some(part.iter().rev().fold(0, |sum, byte| sum << 8 | usize::from(*byte)))
@@ -72,7 +72,7 @@ pub fn npz(path: &Path) -> Result<FloatImage> {
 
 /// All numbers of a text file.
 fn numbers(path: &Path) -> Result<Vec<f64>> {
-    let text = fs::read_to_string(path).on_file(FileAction::Read, &path)?;
+    let text = fs::read_to_string(path).on_file(FileAction::Read, path)?;
     text.split_whitespace().map(|word| word.parse().with_context(|| format!("{}: `{word}`", path.display()))).collect()
 }
 
@@ -115,7 +115,7 @@ pub fn cameras(folder: &Path, size: (usize, usize)) -> Result<StereoCameras> {
 
 /// Points on the triangles of a binary little-endian PLY, about `step_mm` apart.
 pub fn surface(path: &Path, step_mm: f32) -> Result<Vec<[f32; 3]>> {
-    let bytes = fs::read(path).on_file(FileAction::Read, &path)?;
+    let bytes = fs::read(path).on_file(FileAction::Read, path)?;
     let cut_off =
         || EvalError::Input { reason: format!("{} is no binary PLY of triangles, or cut off", path.display()) };
     const END: &[u8] = b"end_header\n";

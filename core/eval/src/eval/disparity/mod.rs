@@ -46,7 +46,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
     let usual = ["target/data", "../shared/data/stereo", "/usr/share/doc/opencv-doc/examples/data"];
     let folders = options.data.iter().cloned().chain(usual.map(PathBuf::from)).collect();
     if let Some(folder) = &options.pictures {
-        std::fs::create_dir_all(folder).on_file(FileAction::Create, &folder)?;
+        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
     }
     let mut judge = Judge { session, folders, pictures: options.pictures.as_deref(), figures: Vec::new() };
     if let Some(pair) = &options.pair {

@@ -9,7 +9,7 @@ use panoscope_imaging::{View, ViewMut};
 fn save(path: &Path, size: (usize, usize), mut bgr: Vec<u8>) -> Result<()> {
     bgr.chunks_exact_mut(3).for_each(|p| p.swap(0, 2));
     let image = image::RgbImage::from_raw(size.0 as u32, size.1 as u32, bgr).context("a picture of another size")?;
-    image.save(path).on_file(FileAction::Write, &path)
+    image.save(path).on_file(FileAction::Write, path)
 }
 
 /// A map in colours from its 2nd to its 98th percentile, unknown places dark gray.

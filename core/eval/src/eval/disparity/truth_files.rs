@@ -16,7 +16,7 @@ pub enum Loaded {
 /// Reads PFM, NPY, f32 TIFF, 8- and 16-bit PNG (divided by `png_scale`, 0 is unknown), XYZ and PLY.
 pub fn read(path: &Path, png_scale: f32) -> Result<Loaded> {
     let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
-    let bytes = std::fs::read(path).on_file(FileAction::Read, &path)?;
+    let bytes = std::fs::read(path).on_file(FileAction::Read, path)?;
     let named = || format!("{}", path.display());
     let plane = match ending.as_str() {
         "pfm" => formats::read_pfm(&bytes).with_context(named)?,
@@ -33,7 +33,7 @@ pub fn read(path: &Path, png_scale: f32) -> Result<Loaded> {
 
 fn png(path: &Path, scale: f32) -> Result<FloatImage> {
     ensure!(scale > 0.0, "--truth-scale must be positive");
-    let image = image::open(path).on_file(FileAction::Read, &path)?;
+    let image = image::open(path).on_file(FileAction::Read, path)?;
     let (width, height) = (image.width() as usize, image.height() as usize);
     let data = image.to_luma16().into_raw();
     // An 8-bit value is spread over 16 bits by the reader: 257 steps each.

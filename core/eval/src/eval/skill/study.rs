@@ -31,7 +31,7 @@ pub struct Study {
 
 /// Reads phases: begin in s and name.
 fn read_phases(path: &Path) -> Result<Vec<(f64, String)>> {
-    let text = std::fs::read_to_string(path).on_file(FileAction::Read, &path)?;
+    let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
     let mut phases: Vec<(f64, String)> = Vec::new();
     for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let place = || format!("{}, line {}", path.display(), index + 1);

@@ -187,9 +187,8 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
             percent(o.precision_on_plane()),
         ]);
     };
-    let gray = |path: &Path| -> Result<image::GrayImage> {
-        Ok(image::open(path).on_file(FileAction::Read, &path)?.to_luma8())
-    };
+    let gray =
+        |path: &Path| -> Result<image::GrayImage> { Ok(image::open(path).on_file(FileAction::Read, path)?.to_luma8()) };
     let (first, second) = (gray(&data.first)?, gray(&data.second)?);
     let view = |image| -> View<'_, u8> {
         let image: &image::GrayImage = image;

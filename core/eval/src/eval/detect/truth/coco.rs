@@ -101,7 +101,7 @@ pub fn read_found(path: &Path) -> Result<FoundFile> {
 }
 
 fn parse(path: &Path) -> Result<File> {
-    let text = std::fs::read_to_string(path).on_file(FileAction::Read, &path)?;
+    let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
     serde_json::from_str(&text).with_context(|| format!("{} is neither a COCO nor a VIA file", path.display()))
 }
 

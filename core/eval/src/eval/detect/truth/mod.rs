@@ -108,7 +108,7 @@ impl Truth {
 
 /// Width and height of a picture file.
 fn size_of(path: &Path) -> Result<(usize, usize)> {
-    let (w, h) = image::image_dimensions(path).on_file(FileAction::Read, &path)?;
+    let (w, h) = image::image_dimensions(path).on_file(FileAction::Read, path)?;
     Ok((w as usize, h as usize))
 }
 
@@ -131,7 +131,7 @@ fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
 
 /// One file for all pictures: of VIA, or of COCO.
 fn one_file(path: &Path, folder: &Path) -> Result<Truth> {
-    let text = std::fs::read_to_string(path).on_file(FileAction::Read, &path)?;
+    let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
     let value: Option<serde_json::Value> = serde_json::from_str(&text).ok();
     match value.as_ref().and_then(via::pictures) {
         Some(pictures) => via::read(path, pictures, folder),
