@@ -64,13 +64,9 @@ fn blocks(text: &str) -> Result<Vec<Block>, String> {
                 if language.is_empty() {
                     return Err(at("a block has no language; commands are `sh`, output is `text`".to_owned()));
                 }
-                if shell != matches!(mark, Mark::Run | Mark::NotRun) && !(mark == Mark::None && !shell) {
-                    let is_file = matches!(mark, Mark::File(_));
-                    if shell || !is_file {
-                        return Err(at(
-                            "`sh` blocks need `<!-- run -->` or `<!-- not run: REASON -->`, others neither".to_owned(),
-                        ));
-                    }
+                if shell != matches!(mark, Mark::Run | Mark::NotRun) {
+                    let why = "`sh` blocks need `<!-- run -->` or `<!-- not run: REASON -->`, others neither";
+                    return Err(at(why.to_owned()));
                 }
                 open = Some(Block { language, mark, text: String::new(), line });
             }
@@ -162,7 +158,7 @@ impl Help {
     /// What is wrong with a command line, as far as commands and options go.
     fn mistake(&mut self, command: &str) -> Option<String> {
         let words: Vec<&str> = command.split_whitespace().skip(1).collect();
-        let Some(first) = words.first().filter(|w| !w.starts_with('-')) else { return None };
+        let first = words.first().filter(|w| !w.starts_with('-'))?;
         let nested = ["bench", "eval", "new"].contains(first) && words.get(1).is_some_and(|w| is_word(w));
         let path = &words[..1 + usize::from(nested)];
         let is_window = matches!(path, ["edit"] | ["theatre"]);

@@ -9,6 +9,9 @@ use shuttle::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use shuttle::sync::{Arc, Mutex};
 use shuttle::thread;
 
+mod sync {
+    include!(concat!(env!("OUT_DIR"), "/sync.rs"));
+}
 mod memory {
     include!(concat!(env!("OUT_DIR"), "/memory.rs"));
 
@@ -32,9 +35,6 @@ mod region {
 }
 mod busy {
     include!(concat!(env!("OUT_DIR"), "/busy.rs"));
-}
-mod sync {
-    include!(concat!(env!("OUT_DIR"), "/sync.rs"));
 }
 mod thread_id {
     /// The model has one thread that runs nodes.
