@@ -5,7 +5,7 @@ use std::path::Path;
 fn main() {
     let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/engine/src");
     let out = std::env::var("OUT_DIR").expect("cargo names a folder");
-    for name in ["memory", "params", "region", "busy"] {
+    for name in ["memory", "params", "region", "busy", "sync"] {
         let file = sources.join(format!("{name}.rs"));
         println!("cargo::rerun-if-changed={}", file.display());
         let text = std::fs::read_to_string(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
@@ -14,10 +14,7 @@ fn main() {
         let lines = text.lines().filter(|line| !line.starts_with("//!"));
         let text: String = lines.flat_map(|line| [line, "\n"]).collect();
         // A cell that is filled once at its first use; the model fills it before any thread starts.
-        let text = text.replace(
-            "use std::sync::{Mutex, OnceLock, PoisonError};",
-            "use std::sync::OnceLock;\nuse std::sync::{Mutex, PoisonError};",
-        );
+        let text = text.replace("use std::sync::{Mutex, OnceLock};", "use std::sync::OnceLock;\nuse std::sync::Mutex;");
         let text =
             text.replace("std::sync::", "shuttle::sync::").replace("shuttle::sync::OnceLock", "std::sync::OnceLock");
         std::fs::write(Path::new(&out).join(format!("{name}.rs")), text).expect("the folder can be written");

@@ -47,7 +47,7 @@ __attribute__((visibility("default"))) void disk_arm(const char *where, int how,
     atomic_store(&mode, how);
 }
 
-/* A program that knows nothing of this library is told by the environment: "MODE NUMBER FOLDER". */
+/* A program that does not know this library is configured by the environment: "MODE NUMBER FOLDER". */
 __attribute__((constructor)) static void arm_by_environment(void) {
     const char *wanted = getenv("PANOSCOPE_DISK_FAULT");
     int how = 0, number = 0, length = 0;

@@ -16,6 +16,25 @@ pub fn root() -> PathBuf {
     here.parent().unwrap_or(here).to_owned()
 }
 
+/// The documents for users and contributors, relative to the root.
+pub const DOCUMENTS: [&str; 7] = [
+    "README.md",
+    "core/README.md",
+    "core/cli/README.md",
+    "editor/README.md",
+    "graphs/README.md",
+    "plugins/README.md",
+    "tests/README.md",
+];
+
+/// The text of a document.
+///
+/// # Panics
+/// When it cannot be read.
+pub fn document(name: &str) -> String {
+    std::fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+}
+
 /// A fresh folder for the files of one test.
 ///
 /// # Panics

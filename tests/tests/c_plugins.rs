@@ -22,7 +22,7 @@ fn build(compiler: &str, source: &str, flags: &[&str], folder: &Path) -> bool {
             true
         }
         Err(error) => {
-            println!("skipped: {compiler} cannot be run ({error})");
+            panoscope_testing::skipped!("{compiler} cannot be run ({error})");
             false
         }
     }

@@ -358,7 +358,7 @@ fn a_run_refuses_with_the_same_words() {
     )
     .expect("a graph");
     let Some(program) = std::env::var_os("PANOSCOPE_BIN") else {
-        println!("skipped: PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
+        panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
         return;
     };
     for command in ["check", "run"] {
@@ -379,8 +379,8 @@ fn two_real_sinks_with_one_path_are_refused() {
          [nodes.b]\ntype = \"write_video\"\ninputs = {{ image = \"scope.right\" }}\nparams = {{ path = \"./out/video.mkv\" }}\n"
     );
     let found = diagnostics(&folder, &text);
-    let told: Vec<_> = found.iter().filter(|d| d.severity == ERROR).map(|d| d.code).collect();
-    assert_eq!(told, ["written-twice"], "{}", found.render(false));
+    let codes: Vec<_> = found.iter().filter(|d| d.severity == ERROR).map(|d| d.code).collect();
+    assert_eq!(codes, ["written-twice"], "{}", found.render(false));
     std::fs::remove_dir_all(folder).expect("removed");
 }
 

@@ -1,4 +1,4 @@
-//! What sinks write in a running graph survives edits, refused edits, faults and a second writer; what is lost is told.
+//! What sinks write in a running graph survives edits, refused edits, faults and a second writer; losses are reported.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -203,7 +203,7 @@ fn a_full_disk_stops_the_sink_once_and_fails_the_run() {
     let faults = live.engine().recent_faults();
     assert_eq!(faults.len(), 1, "{faults:?}");
     assert_eq!((faults[0].node.as_str(), faults[0].done), ("out", Action::Bypass));
-    // Somebody gives it another place: it goes on, and the run has failed nevertheless.
+    // With another path it goes on; the run has failed nevertheless.
     let other: PathBuf = folder.join("room.mkv");
     live.set_param("out", "path", &other.to_string_lossy().into_owned().into()).expect("a good change");
     until("it writes again", || std::fs::metadata(&other).is_ok_and(|m| m.len() > 10_000));

@@ -116,7 +116,7 @@ fn the_system_for_cameras_is_right_and_runs_on_a_pair_with_its_calibration() {
 
     let path = panoscope_tests::root().join("graphs/surgeon_cameras.toml");
     let mut text = GraphText::load(&path).unwrap_or_else(|mistakes| panic!("{}", mistakes.render(false)));
-    assert!(!text.text().contains("scope.tip"), "no camera tells where a tip is");
+    assert!(!text.text().contains("scope.tip"), "no camera gives a tip");
     // As `--left`, `--right` and `--set` of the README's command.
     for (param, file) in [
         ("scope.left", "left_*.png"),
@@ -138,7 +138,7 @@ fn the_system_for_cameras_is_right_and_runs_on_a_pair_with_its_calibration() {
     let engine = match Engine::start(graph, &catalog, &loader, options) {
         Ok(engine) => engine,
         Err(error) if error.to_string().contains("ONNX Runtime's shared library is not there") => {
-            return println!("skipped: {error}");
+            return panoscope_testing::skipped!("{error}");
         }
         Err(error) => panic!("{error}"),
     };

@@ -1,92 +1,106 @@
-//! What the README names is there: plugins, graphs, environment variables, training scripts with their arguments.
+//! What the documents name exists: plugins, graphs, environment variables, training scripts with their arguments.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::Command;
 
 use panoscope_loader::{self as loader, Loader};
-
-fn readme() -> String {
-    std::fs::read_to_string(panoscope_tests::root().join("README.md")).expect("README.md")
-}
+use panoscope_tests::{DOCUMENTS, document, root};
 
 #[test]
-fn readme_lists_every_plugin_and_node() {
-    let readme = readme();
+fn the_table_of_plugins_has_every_plugin_and_node_that_ships() {
+    let text = document("plugins/README.md");
     let loader = Loader::search(&loader::search_path(&[]));
     let mut count = 0;
     for found in loader.found() {
         let plugin = &found.note.name;
-        let folder = panoscope_tests::root().join("plugins").join(plugin);
+        let folder = root().join("plugins").join(plugin);
         if !folder.is_dir() {
-            continue; // Somebody's own plugin lies in the same folder.
+            continue; // A test plugin, or one of the user's own in the same folder.
         }
-        let row = readme.lines().find(|line| line.starts_with(&format!("| `{plugin}` |")));
-        let row = row.unwrap_or_else(|| panic!("README.md has no row for the plugin `{plugin}`"));
-        for node in &found.note.node_types {
-            assert!(row.contains(&format!("`{node}`")), "the row of `{plugin}` does not name its node `{node}`");
-        }
+        let row = text.lines().find(|line| line.starts_with(&format!("| `{plugin}` |")));
+        let row = row.unwrap_or_else(|| panic!("plugins/README.md has no row for the plugin `{plugin}`"));
+        let cell = row.split('|').nth(2).expect("a row has cells");
+        let named: BTreeSet<&str> = cell.split('`').skip(1).step_by(2).collect();
+        let has: BTreeSet<&str> = found.note.node_types.iter().map(String::as_str).collect();
+        assert_eq!(named, has, "the row of `{plugin}` and its nodes");
         count += 1;
     }
-    let folders = std::fs::read_dir(panoscope_tests::root().join("plugins")).expect("plugins").flatten().count();
-    assert_eq!(count, folders, "plugins built and folders in plugins/ differ");
+    let folders = std::fs::read_dir(root().join("plugins")).expect("plugins").flatten().filter(|f| f.path().is_dir());
+    assert_eq!(count, folders.count(), "plugins built and folders in plugins/ differ");
 }
 
 #[test]
-fn graphs_that_the_readme_names_ship() {
-    let readme = readme();
-    let names = readme.split(|c: char| !(c.is_alphanumeric() || "_./".contains(c)));
+fn graphs_that_the_documents_name_ship() {
     let mut count = 0;
-    for name in names.filter(|n| n.starts_with("graphs/") && n.ends_with(".toml")) {
-        assert!(panoscope_tests::root().join(name).is_file(), "README.md names {name}, which does not ship");
-        count += 1;
+    for document in DOCUMENTS {
+        let text = panoscope_tests::document(document);
+        let names = text.split(|c: char| !(c.is_alphanumeric() || "_./".contains(c)));
+        for name in names.filter(|n| n.starts_with("graphs/") && n.ends_with(".toml") && !n.contains("NAME")) {
+            assert!(root().join(name).is_file(), "{document} names {name}, which does not ship");
+            count += 1;
+        }
     }
-    assert!(count > 10, "only {count} graphs are named");
+    assert!(count > 30, "only {count} graphs are named");
 }
 
 #[test]
-fn the_list_of_graphs_names_each_that_ships_and_no_other() {
-    let folder = panoscope_tests::root().join("graphs");
-    let list = std::fs::read_to_string(folder.join("README.md")).expect("graphs/README.md");
+fn the_gallery_shows_each_graph_that_ships_and_no_other() {
+    let folder = root().join("graphs");
+    let text = document("graphs/README.md");
+    let gallery = text.split("\n## ").find(|section| section.starts_with("Gallery")).expect("a gallery");
     let files = std::fs::read_dir(&folder).expect("graphs").flatten().map(|file| file.file_name());
-    let mut graphs: Vec<String> = files.map(|name| name.to_string_lossy().into_owned()).collect();
-    graphs.retain(|name| name.ends_with(".toml"));
-    // A row may name the first and the last of numbered graphs.
-    let is_between = |name: &str| name.starts_with("thesis_chapter");
-    for name in &graphs {
-        assert!(list.contains(&format!("`{name}`")) || is_between(name), "graphs/README.md does not name {name}");
+    let graphs: BTreeSet<String> =
+        files.filter_map(|name| name.to_string_lossy().strip_suffix(".toml").map(str::to_owned)).collect();
+    assert!(graphs.len() > 20, "{graphs:?}");
+    for graph in &graphs {
+        let picture = format!("pictures/gallery/{graph}.jpg");
+        let row = gallery.lines().find(|line| line.starts_with(&format!("| `{graph}.toml` |")));
+        let row = row.unwrap_or_else(|| panic!("the gallery has no row for {graph}.toml"));
+        assert!(row.contains(&format!("]({picture})")), "the row of {graph}.toml shows no {picture}");
+        let bytes = std::fs::metadata(folder.join(&picture)).unwrap_or_else(|e| panic!("{picture}: {e}")).len();
+        assert!((1_000..=30_000).contains(&bytes), "{picture} has {bytes} bytes");
+        let (width, height) = image::image_dimensions(folder.join(&picture)).expect("a picture");
+        assert!(width <= 320 && height <= 180, "{picture} is {width}x{height}");
     }
-    for name in list.split('`').filter(|name| name.ends_with(".toml") && !name.contains([' ', '/'])) {
-        assert!(graphs.iter().any(|graph| graph == name), "graphs/README.md names {name}, which does not ship");
+    for name in text.split('`').filter(|name| name.ends_with(".toml") && !name.contains([' ', '/', '*'])) {
+        let is_named = graphs.contains(name.trim_end_matches(".toml"));
+        // The tutorial's own files are written by the reader.
+        let is_written = text.contains(&format!("<!-- file: {name} -->"));
+        assert!(is_named || is_written, "graphs/README.md names {name}, which does not ship");
     }
+    let pictures = std::fs::read_dir(folder.join("pictures/gallery")).expect("pictures").flatten().count();
+    assert_eq!(pictures, graphs.len(), "the gallery has pictures of no graph");
 }
 
 #[test]
 fn environment_variables_of_users_are_documented() {
     for name in [loader::PLUGIN_PATH_VARIABLE, "ORT_DYLIB_PATH"] {
-        assert!(readme().contains(&format!("`{name}`")), "README.md does not say what {name} is for");
+        let text = document("core/cli/README.md");
+        assert!(text.contains(&format!("`{name}`")), "core/cli/README.md does not explain {name}");
     }
 }
 
-/// A training script's own words about its arguments; needs no more than Python.
+/// The `--help` of a training script; needs no more than Python.
 fn help_of(script: &Path) -> Option<String> {
     let output = match Command::new("python3").arg("-B").arg(script).arg("--help").output() {
         Ok(output) => output,
         Err(error) => {
-            println!("skipped: no python3: {error}");
+            panoscope_testing::skipped!("no python3: {error}");
             return None;
         }
     };
     let why = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{} does not tell its arguments: {why}", script.display());
+    assert!(output.status.success(), "{} has no --help: {why}", script.display());
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     Some(said)
 }
 
 #[test]
-fn training_commands_of_the_readme_have_scripts_and_arguments() {
-    let readme = readme();
-    let folder = panoscope_tests::root().join("plugins/tools/training");
-    let commands: Vec<&str> = readme.lines().filter_map(|l| l.strip_prefix("python3 ")).collect();
+fn training_commands_of_the_documents_have_scripts_and_arguments() {
+    let text = document("plugins/README.md");
+    let folder = root().join("plugins/tools/training");
+    let commands: Vec<&str> = text.lines().filter_map(|l| l.strip_prefix("python3 ")).collect();
     assert!(commands.len() >= 5, "{commands:?}");
     for command in commands {
         let words: Vec<&str> = command.split('#').next().unwrap_or_default().split_whitespace().collect();
@@ -101,7 +115,7 @@ fn training_commands_of_the_readme_have_scripts_and_arguments() {
 
 #[test]
 fn training_starts_from_weights_that_ship() {
-    let folder = panoscope_tests::root().join("plugins/tools/training");
+    let folder = root().join("plugins/tools/training");
     let script = folder.join("train_detector.py");
     let Some(help) = help_of(&script) else { return };
     // Where the line is broken depends on the terminal.
@@ -116,7 +130,7 @@ fn training_starts_from_weights_that_ship() {
         let output = output.expect("it ran before");
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
-    // The README's command on a folder that is not there: said before PyTorch is looked for.
+    // The document's command on a folder that is not there: refused before PyTorch is imported.
     let (code, said) = run(&["--data", "my/frames", "--out", "detector"]);
     assert!(code == Some(2) && said.contains("--data: there is no my/frames"), "{said}");
     std::fs::create_dir_all(scratch.join("my/frames")).expect("a folder");

@@ -81,7 +81,7 @@ fn record(file: &Path, frames: u64, width: u64) -> Digests {
         // Spread over the first nine tenths of the run.
         let at = number * frames * 9 / 10 / CHANGES;
         while engine.report().nodes["scope"].count < at {
-            assert!(begin.elapsed() < PATIENCE, "the source stands still");
+            assert!(begin.elapsed() < PATIENCE, "the source makes no progress");
             std::thread::sleep(Duration::from_millis(1));
         }
         change(&mut live, number);

@@ -107,13 +107,13 @@ fn check(incident: &str, seen: bool, at_once: bool) {
     let ran = play(incident);
     let end = if at_once { FIRST } else { FIRST + COUNT };
     let right = |i: usize| ran.states[i] == "fresh" && ran.off_px[i] < RIGHT_PX;
-    let told: Vec<String> = (0..TICKS).map(|i| format!("{i} {} {:.1}", ran.states[i], ran.off_px[i])).collect();
-    assert!((0..FIRST).all(right), "{incident}: wrong before anything happened: {told:?}");
-    assert!((end..end + RECOVERY).any(right), "{incident}: not back within {RECOVERY} good pictures: {told:?}");
-    assert!((end + RECOVERY..TICKS).all(right), "{incident}: did not stay: {told:?}");
+    let states: Vec<String> = (0..TICKS).map(|i| format!("{i} {} {:.1}", ran.states[i], ran.off_px[i])).collect();
+    assert!((0..FIRST).all(right), "{incident}: wrong before anything happened: {states:?}");
+    assert!((end..end + RECOVERY).any(right), "{incident}: not back within {RECOVERY} good pictures: {states:?}");
+    assert!((end + RECOVERY..TICKS).all(right), "{incident}: did not stay: {states:?}");
     for i in FIRST..if at_once { FIRST } else { end } {
-        assert!(seen || ran.states[i] != "fresh", "{incident}: a registration on nothing is called fresh: {told:?}");
-        assert!(ran.states[i] != "fresh" || right(i), "{incident}: a wrong registration is called fresh: {told:?}");
+        assert!(seen || ran.states[i] != "fresh", "{incident}: a registration on nothing is called fresh: {states:?}");
+        assert!(ran.states[i] != "fresh" || right(i), "{incident}: a wrong registration is called fresh: {states:?}");
     }
     let size = ran.pictures[0].dimensions();
     for (i, picture) in ran.pictures.iter().enumerate() {
@@ -127,7 +127,7 @@ fn check(incident: &str, seen: bool, at_once: bool) {
     }
     if !seen {
         // The first bad pictures are held, then lost; the left view goes on living in its place.
-        assert_eq!(ran.states[FIRST..FIRST + HOLD + 1], ["held", "held", "lost"], "{told:?}");
+        assert_eq!(ran.states[FIRST..FIRST + HOLD + 1], ["held", "held", "lost"], "{states:?}");
         let column = |i: usize| (20..60).map(|x| i32::from(ran.pictures[i].get_pixel(x, 120).0[1])).sum::<i32>();
         assert!((column(FIRST + HOLD) - column(FIRST - 1)).abs() < 40 * 24, "the left view is where it was");
     }

@@ -9,6 +9,9 @@ use shuttle::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use shuttle::sync::{Arc, Mutex};
 use shuttle::thread;
 
+mod sync {
+    include!(concat!(env!("OUT_DIR"), "/sync.rs"));
+}
 mod memory {
     include!(concat!(env!("OUT_DIR"), "/memory.rs"));
 

@@ -24,7 +24,7 @@ pub struct ParamValue {
 
 // SAFETY: a value is immutable while a snapshot that holds it lives.
 unsafe impl Send for ParamValue {}
-// SAFETY: as above.
+// SAFETY: a value is immutable while a snapshot that holds it lives; the host keeps it.
 unsafe impl Sync for ParamValue {}
 
 /// Set in [`Call::flags`] in `batch` mode.
@@ -207,5 +207,5 @@ pub const CLAIM_BEGIN_NEW: u32 = 2;
 
 // SAFETY: the table is immutable and its functions may be called from any thread.
 unsafe impl Send for Host {}
-// SAFETY: as above.
+// SAFETY: the table is immutable; the host promises that its functions may be called from any thread.
 unsafe impl Sync for Host {}

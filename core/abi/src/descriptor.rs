@@ -203,19 +203,19 @@ pub struct Plugin {
 
 // SAFETY: descriptors are immutable statics of the plugin, which stays mapped.
 unsafe impl Send for Plugin {}
-// SAFETY: as above.
+// SAFETY: descriptors are immutable statics of the plugin, which the host never unmaps.
 unsafe impl Sync for Plugin {}
-// SAFETY: as above.
+// SAFETY: descriptors are immutable statics of the plugin, which the host never unmaps.
 unsafe impl Send for NodeType {}
-// SAFETY: as above.
+// SAFETY: descriptors are immutable statics of the plugin, which the host never unmaps.
 unsafe impl Sync for NodeType {}
-// SAFETY: as above.
+// SAFETY: descriptors are immutable statics of the plugin, which the host never unmaps.
 unsafe impl Send for Port {}
-// SAFETY: as above.
+// SAFETY: descriptors are immutable statics of the plugin, which the host never unmaps.
 unsafe impl Sync for Port {}
-// SAFETY: as above.
+// SAFETY: descriptors are immutable statics of the plugin, which the host never unmaps.
 unsafe impl Send for Param {}
-// SAFETY: as above.
+// SAFETY: descriptors are immutable statics of the plugin, which the host never unmaps.
 unsafe impl Sync for Param {}
 
 /// Type of [`crate::ENTRY_SYMBOL`].

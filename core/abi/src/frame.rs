@@ -86,7 +86,7 @@ impl Frame {
 
 // SAFETY: a `Frame` is a description; the buffer behind it is shared under the host's reference count.
 unsafe impl Send for Frame {}
-// SAFETY: as above.
+// SAFETY: a `Frame` is a description; the buffer behind it is shared under the host's reference count, and no reader writes it.
 unsafe impl Sync for Frame {}
 
 /// Which of the flattened [`crate::Call::inputs`] belong to one input port.

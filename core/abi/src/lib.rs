@@ -42,7 +42,7 @@ pub struct Str {
 
 // SAFETY: a `Str` is a borrowed, immutable range of bytes.
 unsafe impl Send for Str {}
-// SAFETY: as above.
+// SAFETY: a `Str` gives no access without the unsafe `bytes` and `text`, whose caller promises that the bytes live and do not change.
 unsafe impl Sync for Str {}
 
 impl Str {

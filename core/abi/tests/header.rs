@@ -214,7 +214,7 @@ fn compiles(compiler: &str, language: &str, standard: &str) {
         .output();
     match output {
         Ok(output) => assert!(output.status.success(), "{compiler}: {}", String::from_utf8_lossy(&output.stderr)),
-        Err(error) => println!("skipped: {compiler} cannot be run ({error})"),
+        Err(error) => panoscope_testing::skipped!("{compiler} cannot be run ({error})"),
     }
 }
 

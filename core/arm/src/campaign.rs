@@ -1,10 +1,10 @@
-//! Random and hostile inputs for the interlock, judged by a checker that knows only the set-points and the limits.
+//! Random and hostile inputs for the interlock, and a checker that knows only the set-points and the limits.
 
 use nalgebra::Vector3;
 
 use crate::chain::{Chain, JOINTS, JointVector};
 use crate::interlock::caps::{self, Caps, STEP_S, share};
-use crate::interlock::{Cause, Evidence, Interlock, Place, SetPoint, Settings};
+use crate::interlock::{Cause, Evidence, Interlock, SetPoint, Settings, TubePose};
 
 /// A small generator (xorshift64*): the same seed gives the same campaign everywhere.
 pub struct Dice(u64);
@@ -23,17 +23,17 @@ impl Dice {
         self.0.wrapping_mul(0x2545_f491_4f6c_dd1d)
     }
 
-    /// In 0..1.
+    /// A number from 0 to 1.
     pub fn unit(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / 9_007_199_254_740_992.0
     }
 
-    /// One of `n`.
+    /// A number below `n`.
     pub fn of(&mut self, n: u64) -> u64 {
         self.bits() % n.max(1)
     }
 
-    /// A number that nobody expects.
+    /// A number that breaks careless arithmetic: NaN, infinite, huge, tiny.
     pub fn hostile(&mut self) -> f64 {
         match self.of(10) {
             0 => f64::NAN,
@@ -49,27 +49,27 @@ impl Dice {
     }
 }
 
-/// What a campaign came to.
+/// Result of a campaign.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
-    /// Inputs given.
+    /// Number of inputs.
     pub cases: u64,
-    /// Set-points checked.
+    /// Number of set-points checked.
     pub set_points: u64,
-    /// Set-points beyond a limit.
+    /// Number of set-points beyond a limit.
     pub escapes: u64,
     /// The first of them, in words.
     pub first: Option<String>,
     /// Largest share of each limit used: angles (of the half range), speed, acceleration, jerk, camera speed, pivot, tilt.
     pub most: [f64; 7],
-    /// How often each cause stood, by [`Cause::number`].
+    /// Number of inputs under each cause, by [`Cause::number`].
     pub causes: [u64; Cause::ALL.len() + 1],
-    /// Cases in which the arm moved.
+    /// Number of inputs with which the arm moved.
     pub moving: u64,
 }
 
 impl Outcome {
-    /// Puts another outcome to this one.
+    /// Adds another outcome to this one.
     pub fn add(&mut self, other: Self) {
         self.cases += other.cases;
         self.set_points += other.set_points;
@@ -81,7 +81,7 @@ impl Outcome {
     }
 }
 
-/// Looks at set-points alone: speed, acceleration and jerk are differences of positions.
+/// Checks set-points alone: speed, acceleration and jerk are differences of positions.
 struct Checker {
     caps: Caps,
     chain: Chain,
@@ -104,7 +104,7 @@ impl Checker {
         let jerk = (p - p1 * 3.0 + p2 * 3.0 - p3) / (STEP_S * STEP_S * STEP_S);
         self.last = [p, p1, p2];
         let stance = self.chain.stance(&p);
-        let place = Place::of(&self.chain, &stance, &self.home);
+        let tube = TubePose::of(&self.chain, &stance, &self.home);
         let middle = (self.caps.upper_rad + self.caps.lower_rad) / 2.0;
         let half = (self.caps.upper_rad - self.caps.lower_rad) / 2.0;
         let shares = [
@@ -113,18 +113,18 @@ impl Checker {
             share(&acceleration, &self.caps.acceleration),
             share(&jerk, &self.caps.jerk),
             stance.camera_velocity(&velocity).norm() / caps::CAMERA_MM_S,
-            place.pivot_mm / caps::PIVOT_MM,
-            place.tilt_rad / caps::TILT_RAD,
+            tube.pivot_mm / caps::PIVOT_MM,
+            tube.tilt_rad / caps::TILT_RAD,
         ];
         out.set_points += 1;
         self.count += 1;
         // Differences of numbers near 1 leave 1e-16 / h^3 of nothing.
         let within =
-            shares.iter().all(|s| *s <= 1.0 + 1e-4) && place.is_allowed(false) && p.iter().all(|v| v.is_finite());
+            shares.iter().all(|s| *s <= 1.0 + 1e-4) && tube.is_allowed(false) && p.iter().all(|v| v.is_finite());
         if !within {
             out.escapes += 1;
             if out.first.is_none() {
-                out.first = Some(format!("set-point {}: shares {shares:?}, {place:?}", self.count));
+                out.first = Some(format!("set-point {}: shares {shares:?}, {tube:?}", self.count));
             }
         }
         for (most, share) in out.most.iter_mut().zip(shares) {
@@ -203,7 +203,7 @@ fn one_run(chain: &Chain, dice: &mut Dice, cases: u64, out: &mut Outcome) {
     }
 }
 
-/// A demand that turns about the trocar, as fast as it can: the only kind that gets anywhere.
+/// A demand that turns about the trocar as fast as it can: the only kind that moves the arm far.
 fn about_trocar(chain: &Chain, at: &SetPoint, dice: &mut Dice) -> JointVector {
     let stance = chain.stance(&at.position);
     let mut any = || (dice.unit() - 0.5) * 400.0;

@@ -8,28 +8,28 @@ use urdf_rs::{JointType, Robot};
 
 use crate::error::ArmError;
 
-/// Joints of an arm.
+/// Number of joints of an arm.
 pub const JOINTS: usize = 6;
-/// One number per joint.
+/// One number per joint, from the base.
 pub type JointVector = SVector<f64, JOINTS>;
 /// Velocity of a frame per joint velocity: three rows of mm/s, three of rad/s.
 pub type Jacobian = SMatrix<f64, 6, JOINTS>;
 
-/// The arm that ships.
+/// The arm that comes with Panoscope.
 pub const SHIPPED_URDF: &str = include_str!("../description/panoscope_arm6.urdf");
 
 const CAMERA: &str = "left_camera";
 const TIP: &str = "scope_tip";
 const TROCAR: &str = "trocar";
-/// How far the trocar may lie off the tube's axis at home, mm.
+/// Largest distance of the trocar from the tube's axis at home, mm.
 const TROCAR_OFF_AXIS_MM: f64 = 0.5;
 
-/// One turning joint.
+/// One revolute joint.
 #[derive(Clone, Debug)]
 pub struct Joint {
-    /// Name.
+    /// Name in the URDF file.
     pub name: String,
-    /// From the joint before (or the base), at angle 0.
+    /// Pose relative to the previous joint (or the base) at angle 0.
     parent_from_joint: Isometry3<f64>,
     axis: Unit<Vector3<f64>>,
     /// Smallest angle in rad.
@@ -40,7 +40,7 @@ pub struct Joint {
     pub speed_rad_s: f64,
 }
 
-/// Six turning joints, the scope on the last, and the trocar.
+/// Six revolute joints, the scope on the last, and the trocar.
 #[derive(Clone, Debug)]
 pub struct Chain {
     joints: [Joint; JOINTS],
@@ -49,22 +49,22 @@ pub struct Chain {
     trocar_mm: Point3<f64>,
 }
 
-/// Points of [`Stance::links`].
+/// Number of points of [`Stance::links`].
 pub const LINK_POINTS: usize = JOINTS + 3;
 
-/// Where the arm's frames stand at some angles, seen from the base.
+/// Poses of the arm's frames at some joint angles, in the base's frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Stance {
     origins: [Point3<f64>; JOINTS],
     axes: [Vector3<f64>; JOINTS],
-    /// End of the tube.
+    /// Pose of the end of the tube.
     pub base_from_tip: Isometry3<f64>,
-    /// Left camera.
+    /// Pose of the left camera.
     pub base_from_camera: Isometry3<f64>,
 }
 
 impl Chain {
-    /// The arm that ships.
+    /// The arm that comes with Panoscope.
     ///
     /// # Errors
     /// None: a test reads the same text.
@@ -146,7 +146,7 @@ impl Chain {
         self.trocar_mm
     }
 
-    /// The frames at some angles.
+    /// The frames' poses at joint angles, rad.
     pub fn stance(&self, angles_rad: &JointVector) -> Stance {
         let mut at = Isometry3::identity();
         let (mut origins, mut axes) = ([Point3::origin(); JOINTS], [Vector3::zeros(); JOINTS]);
@@ -162,7 +162,7 @@ impl Chain {
 }
 
 impl Stance {
-    /// The line along the links, seen from the base: its foot, the joints, the end of the tube, the left camera.
+    /// Points along the links in the base's frame, mm: the foot, the joints, the end of the tube, the left camera.
     pub fn links(&self) -> [Point3<f64>; LINK_POINTS] {
         let [tip, camera] = [self.base_from_tip, self.base_from_camera].map(|at| Point3::from(at.translation.vector));
         let mut out = [Point3::origin(); LINK_POINTS];
@@ -171,7 +171,7 @@ impl Stance {
         out
     }
 
-    /// Velocity of a point fixed to the last link, and the link's rate of turn, per joint velocity; seen from the base.
+    /// Velocity of a point fixed to the last link, and the link's angular velocity, per joint velocity, in the base's frame.
     pub fn jacobian(&self, point_mm: &Point3<f64>) -> Jacobian {
         let mut out = Jacobian::zeros();
         for k in 0..JOINTS {
@@ -182,13 +182,13 @@ impl Stance {
         out
     }
 
-    /// The camera's velocity in mm/s at some joint velocity, seen from the base.
+    /// The camera's velocity at a joint velocity, mm/s, in the base's frame.
     pub fn camera_velocity(&self, joint_rad_s: &JointVector) -> Vector3<f64> {
         let at = Point3::from(self.base_from_camera.translation.vector);
         (0..JOINTS).map(|k| self.axes[k].cross(&(at - self.origins[k])) * joint_rad_s[k]).sum()
     }
 
-    /// The trocar seen from the end of the tube, mm: x and y are how far the tube misses it, -z is how deep the tube stands in.
+    /// The trocar in the frame of the tube's end, mm: x and y are the tube's distance from it, -z is the tube's depth.
     pub fn trocar_in_tip(&self, trocar_mm: &Point3<f64>) -> Vector3<f64> {
         self.base_from_tip.inverse_transform_point(trocar_mm).coords
     }

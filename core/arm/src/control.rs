@@ -1,39 +1,40 @@
-//! From where the tip is to joint velocities (thesis, chapter 6, fig. 6.3).
+//! Computes joint velocities from the tip's position (thesis, chapter 6, fig. 6.3).
 //!
 //! Goal: the tip at the centre of the picture that both cameras share (between the cameras, so `baseline / 2` beside the left one) and at a set
 //! distance from the left camera. Errors in px, px and mm go through one PID each; the interaction matrix makes a movement of the point of
 //! them; the tip's own movement is fed forward; [`task::solve`] makes joint velocities that turn about the trocar.
 //!
-//! The picture is old when the arm hears of it. So errors are taken where the tip will be (constant velocity) and where the arm will be by the
-//! set-points on their way (a predictor after Smith, 1957, with the arm's kinematics as its model); the integral sees the plain errors.
+//! The picture is old when the arm receives a command. Errors are therefore predicted: the tip moves at constant velocity, the arm follows the
+//! set-points that it has received (a predictor after Smith, 1957, with the arm's kinematics as its model). The integral sums the errors without
+//! prediction.
 
 use nalgebra::{Point3, Vector3};
+use panoscope_tracking::kalman::{Kalman, Model, stereo_covariance};
 
 use crate::chain::{Chain, JointVector};
-use crate::kalman::{Kalman, Model, stereo_covariance};
 use crate::pid::{Gains, Pid, Sample};
 use crate::task::{self, Errors, Wanted};
 
-/// What the controller is to do.
+/// Set-points and gains of the controller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Goals {
     /// Distance of the tip from the left camera, mm.
     pub distance_mm: f64,
-    /// Gains of the place in the picture; the unit E is px.
+    /// Gains of the position in the picture; the unit E is px.
     pub picture: Gains,
     /// Gains of the distance; the unit E is mm.
     pub distance: Gains,
     /// Share of the tip's own movement that is fed forward.
     pub feed_forward: f64,
-    /// Time from the picture to the arm's movement that the set-points do not tell, s.
+    /// Time from the picture to the arm's movement that the set-points do not contain, s.
     pub latency_s: f64,
-    /// Accelerations of the tip that are not known, mm/s^2.
+    /// Standard deviation of the tip's unknown acceleration, mm/s^2.
     pub acceleration_mm_s2: f64,
     /// Lowest score of a tip that is followed.
     pub min_score: f64,
 }
 
-/// The cameras, as far as they matter here.
+/// The cameras' parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Eyes {
     /// Focal lengths of the rectified left view, px.
@@ -42,44 +43,44 @@ pub struct Eyes {
     pub baseline_mm: f64,
 }
 
-/// A tip as it is seen from the left camera.
+/// A tip in the left camera's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SeenTip {
-    /// mm.
+    /// Position, mm.
     pub xyz_mm: Vector3<f64>,
-    /// 0..1.
+    /// Score, 0 to 1.
     pub score: f64,
 }
 
-/// What one tick came to.
+/// Result of one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Step {
-    /// Joint velocities to ask for, rad/s.
+    /// Requested joint velocities, rad/s.
     pub velocity: JointVector,
-    /// Plain errors: px, px, mm.
+    /// Errors without prediction: px, px, mm.
     pub errors: Errors,
-    /// Distance of the tip from the point where it should be, mm.
+    /// Distance of the tip from its set-point, mm.
     pub error_mm: f64,
-    /// How the tip moves in the room, mm/s.
+    /// Velocity of the tip in the base's frame, mm/s.
     pub tip_mm_s: Vector3<f64>,
     /// Smallest singular value, see [`task::Solution`].
     pub singular: f64,
-    /// Share that joint limits left.
+    /// Share of the movement that joint limits allow.
     pub share: f64,
 }
 
-/// Ticks farther apart than this start anew, s.
+/// A longer time between ticks resets the controller, s.
 const LONGEST_TICK_S: f64 = 0.25;
-/// How well a tip is seen, px.
+/// Standard deviation of a tip in the picture and of its disparity, px.
 const LATERAL_PX: f64 = 1.0;
 const DISPARITY_PX: f64 = 0.5;
-/// The tip never stands nearer or farther than this, mm.
+/// Range of accepted depths of the tip, mm.
 const NEAREST_MM: f64 = 5.0;
 const FARTHEST_MM: f64 = 1000.0;
-/// Slower movements are not judged by whether they were carried out, rad/s; of others at least this share has to be.
+/// A movement counts as limited when less than this share of it was carried out; slower movements (rad/s) are not checked.
 const LEAST_RAD_S: f64 = 0.01;
 const CARRIED: f64 = 0.5;
-/// No joint turns farther than this, rad.
+/// Largest joint angle accepted, rad.
 const FARTHEST_RAD: f64 = 100.0;
 
 /// The controller of one arm.
@@ -90,12 +91,12 @@ pub struct Controller {
     tip: Option<Kalman>,
     last_ns: Option<i64>,
     asked: JointVector,
-    /// Share of the last movement that the joint limits left, and the set-points when it was asked for.
+    /// Share of the last movement that the joint limits allowed, and the set-points when it was requested.
     share: f64,
     set_point: Option<JointVector>,
 }
 
-/// Point in the left camera's frame where the tip should be, mm.
+/// Set-point of the tip in the left camera's frame, mm.
 pub fn goal_mm(distance_mm: f64, baseline_mm: f64) -> Vector3<f64> {
     let x = baseline_mm / 2.0;
     Vector3::new(x, 0.0, (distance_mm * distance_mm - x * x).max(0.0).sqrt())
@@ -112,7 +113,7 @@ pub fn errors(point_mm: &Vector3<f64>, eyes: &Eyes, distance_mm: f64) -> Errors 
 }
 
 impl Controller {
-    /// For an arm; its picture stays as upright as it is at home.
+    /// A controller of an arm. The picture stays as upright as it is at home.
     pub fn new(chain: Chain) -> Self {
         let home = chain.stance(&JointVector::zeros());
         let up = home.base_from_camera * -Vector3::y();
@@ -133,7 +134,7 @@ impl Controller {
         &self.chain
     }
 
-    /// Forgets what was; the next tick is a first one.
+    /// Resets the controller: the next tick is a first one.
     pub fn reset(&mut self) {
         self.pids.iter_mut().for_each(Pid::reset);
         self.tip = None;
@@ -143,7 +144,7 @@ impl Controller {
         self.set_point = None;
     }
 
-    /// Whether the last movement was not carried out: joint limits left less of it, or the set-points have moved by less than half of it.
+    /// Whether the last movement was not carried out: joint limits reduced it, or the set-points moved by less than half of it.
     fn is_limited(&self, set_point: Option<&JointVector>, dt_s: f64) -> bool {
         let went = set_point.zip(self.set_point).map(|(now, then)| (now - then) / dt_s.max(1e-6));
         let speed = self.asked.norm();
@@ -151,8 +152,8 @@ impl Controller {
         self.share < 1.0 - 1e-9 || is_behind
     }
 
-    /// One tick: the tip of a picture taken at `capture_ns`, the joints at that time, and the newest set-points if they are known. None
-    /// while there is no tip that can be followed.
+    /// Processes one tick: the tip of a picture taken at `capture_ns`, the joint angles at that time, and the newest set-points if they are known.
+    /// None while no tip can be followed.
     pub fn step(
         &mut self,
         capture_ns: i64,
@@ -182,7 +183,7 @@ impl Controller {
         let in_room = measured.base_from_camera * Point3::from(tip.xyz_mm);
         let (place, movement) = self.follow(&tip, &in_room.coords, &measured, dt_s, eyes, goals);
 
-        // Where the arm will be when this demand comes into force.
+        // The arm's angles when this demand takes effect.
         let coming = set_point_rad.map_or(*joints_rad, |set| set + self.asked * dt_s);
         let stance = self.chain.stance(&coming);
         let ahead = Point3::from(place + movement * (goals.latency_s + dt_s));
@@ -193,7 +194,7 @@ impl Controller {
         let is_limited = self.is_limited(set_point_rad, dt_s);
         for k in 0..3 {
             let gains = if k < 2 { &goals.picture } else { &goals.distance };
-            // The goal in the picture stands still; the distance that is asked for may change.
+            // The set-point in the picture is constant; the requested distance may change.
             let measured = if k < 2 { coming_errors[k] } else { coming_errors[k] + goals.distance_mm };
             let sample = Sample { error: coming_errors[k], slow_error: plain[k], measured, is_limited };
             rates[k] = -self.pids[k].step(gains, &sample, dt_s);
@@ -217,7 +218,7 @@ impl Controller {
         })
     }
 
-    /// The tip's place and movement in the room.
+    /// Position and velocity of the tip in the base's frame.
     fn follow(
         &mut self,
         tip: &SeenTip,

@@ -1,19 +1,19 @@
-//! A simulated arm in virtual time: set-points arrive late, motors lag, gears have play, encoders are noisy.
+//! A simulated arm in virtual time: set-points arrive late, motors lag, gears have backlash, encoders are noisy.
 
 use crate::chain::{JOINTS, JointVector};
 use crate::interlock::SetPoint;
 use crate::interlock::caps::STEP_S;
 
-/// How good the arm is.
+/// Imperfections of the arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quality {
-    /// Time from a set-point to the motors hearing of it, ms.
+    /// Time from a set-point until the motors receive it, ms.
     pub latency_ms: f64,
     /// Time constant of the motors' position loop, ms.
     pub lag_ms: f64,
-    /// Play of each gear, rad.
+    /// Backlash of each gear, full width, rad.
     pub backlash_rad: f64,
-    /// Standard deviation of each encoder, rad.
+    /// Standard deviation of each encoder's noise, rad.
     pub encoder_noise_rad: f64,
 }
 
@@ -23,15 +23,15 @@ impl Default for Quality {
     }
 }
 
-/// Longest latency, in steps.
+/// Longest latency, in steps of 1 ms.
 pub const MOST_LATENCY_STEPS: usize = 500;
 
 /// Six joints that follow set-points.
 #[derive(Clone)]
 pub struct SimArm {
     quality: Quality,
-    /// Set-points on their way; a ring.
-    way: Vec<(JointVector, JointVector)>,
+    /// Set-points that the motors have not received yet; a ring.
+    in_flight: Vec<(JointVector, JointVector)>,
     next: usize,
     motor: JointVector,
     motor_velocity: JointVector,
@@ -39,30 +39,30 @@ pub struct SimArm {
 }
 
 impl SimArm {
-    /// An arm at rest.
+    /// An arm at rest at these angles.
     pub fn new(quality: Quality, angles_rad: JointVector) -> Self {
         let steps = ((quality.latency_ms / (1e3 * STEP_S)).round() as usize).clamp(1, MOST_LATENCY_STEPS);
-        let way = vec![(angles_rad, JointVector::zeros()); steps];
-        Self { quality, way, next: 0, motor: angles_rad, motor_velocity: JointVector::zeros(), link: angles_rad }
+        let in_flight = vec![(angles_rad, JointVector::zeros()); steps];
+        Self { quality, in_flight, next: 0, motor: angles_rad, motor_velocity: JointVector::zeros(), link: angles_rad }
     }
 
-    /// One step of 1 ms.
+    /// Advances by 1 ms.
     pub fn step(&mut self, set_point: &SetPoint) {
         let (position, velocity) =
-            std::mem::replace(&mut self.way[self.next], (set_point.position, set_point.velocity));
-        self.next = (self.next + 1) % self.way.len();
-        // The motors' loop feeds the speed forward: what is left is a lag in getting there.
+            std::mem::replace(&mut self.in_flight[self.next], (set_point.position, set_point.velocity));
+        self.next = (self.next + 1) % self.in_flight.len();
+        // The motors' loop feeds the speed forward: only a lag of the position remains.
         let rate = 1.0 / (self.quality.lag_ms.max(1.0) * 1e-3);
         self.motor_velocity = velocity + (position - self.motor) * rate;
         self.motor += self.motor_velocity * STEP_S;
         let half = self.quality.backlash_rad / 2.0;
         for k in 0..JOINTS {
-            // Within its play the link stays where it is.
+            // Within the backlash the link does not move.
             self.link[k] = self.link[k].clamp(self.motor[k] - half, self.motor[k] + half);
         }
     }
 
-    /// Where the links really are, rad.
+    /// True angles of the links, rad.
     pub fn links(&self) -> &JointVector {
         &self.link
     }
@@ -72,10 +72,10 @@ impl SimArm {
         &self.motor_velocity
     }
 
-    /// What the encoders (on the motors) read, rad; `random` gives 64 random bits per call.
+    /// Angles that the encoders (on the motors) read, rad; `random` returns 64 random bits per call.
     pub fn encoders(&self, mut random: impl FnMut() -> u64) -> JointVector {
         let mut noise = || {
-            // The sum of 12 uniform numbers is near enough to a bell.
+            // The sum of 12 uniform numbers approximates a normal distribution.
             let unit = |bits: u64| (bits >> 48) as f64 / 65536.0;
             let mut sum = 0.0;
             for _ in 0..3 {

@@ -1,4 +1,4 @@
-//! What can be wrong with the description of an arm.
+//! Errors in the description of an arm.
 
 use thiserror::Error;
 
@@ -8,18 +8,18 @@ pub enum ArmError {
     /// The text is no URDF.
     #[error("the arm's description is no URDF: {reason}")]
     NoUrdf {
-        /// What the reader said.
+        /// The parser's message.
         reason: String,
     },
-    /// A link that is needed.
+    /// A required link is missing.
     #[error("the arm's description has no link `{link}`: name {what} so")]
     NoLink {
-        /// Its name.
+        /// Name of the link.
         link: &'static str,
-        /// What it stands for.
+        /// What it names.
         what: &'static str,
     },
-    /// Links that hang on themselves.
+    /// Links that form a cycle.
     #[error("the links of the arm's description go round in a circle at `{link}`")]
     Circle {
         /// One of them.
@@ -31,32 +31,32 @@ pub enum ArmError {
         /// Axes found.
         count: usize,
     },
-    /// A joint that does not turn.
+    /// A joint that is not revolute.
     #[error("joint `{joint}` is {kind}: between the base and `left_camera` all joints are `revolute` or `fixed`")]
     WrongKind {
-        /// Its name.
+        /// Name of the joint.
         joint: String,
         /// Its type.
         kind: String,
     },
-    /// A link that stands elsewhere than it has to.
+    /// A link at the wrong place in the chain.
     #[error("link `{link}` does not hang where it has to: {rule}")]
     Misplaced {
-        /// Its name.
+        /// Name of the link.
         link: &'static str,
-        /// Where it has to be.
+        /// The rule for its place.
         rule: String,
     },
-    /// A number that makes no sense.
+    /// An invalid number.
     #[error("joint `{joint}`: {what} is {value}; {rule}")]
     BadNumber {
-        /// Its name.
+        /// Name of the joint.
         joint: String,
         /// What the number is.
         what: &'static str,
         /// The number.
         value: f64,
-        /// What it has to be.
+        /// The rule for it.
         rule: &'static str,
     },
 }

@@ -1,6 +1,6 @@
 //! A camera arm as plain mathematics, without any framework type.
 //!
-//! [`chain`] reads an arm from URDF; [`tracker`] follows a tip in space; [`control`] makes joint velocities of where the tip is; [`interlock`]
+//! [`chain`] reads an arm from URDF; [`control`] makes joint velocities of where the tip is; [`interlock`]
 //! stands between any controller and any arm; [`dynamics`] is an arm to try all that on, and [`tuning`] finds gains on it. Lengths in mm, angles in rad, times in ns on one
 //! clock that the caller owns. Source of the task: thesis, chapter 6 (figs 6.2, 6.3).
 
@@ -12,12 +12,10 @@ pub mod control;
 pub mod dynamics;
 mod error;
 pub mod interlock;
-pub mod kalman;
 pub mod line;
 pub mod pid;
 pub mod rehearsal;
 pub mod task;
-pub mod tracker;
 pub mod tuning;
 
 pub use chain::{Chain, JOINTS, JointVector, Stance};

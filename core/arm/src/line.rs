@@ -15,9 +15,9 @@
 
 use crate::chain::{JOINTS, JointVector};
 
-/// Longest line, bytes; more without a line feed is garbage.
+/// Longest line, bytes; more bytes without a line feed are garbage.
 pub const LONGEST: usize = 256;
-/// Numbers of lines begin anew here.
+/// Numbers of lines start again at 0 here.
 pub const SEQ_END: u32 = 1_000_000;
 
 /// One line of the protocol.
@@ -32,9 +32,9 @@ pub enum Line {
     Set {
         /// Number of the line.
         seq: u32,
-        /// rad.
+        /// Joint angles, rad.
         position: JointVector,
-        /// rad/s.
+        /// Joint velocities, rad/s.
         velocity: JointVector,
     },
     /// `C`.
@@ -44,11 +44,11 @@ pub enum Line {
     },
     /// `A`.
     Answer {
-        /// Number of the line that is answered.
+        /// Number of the line that this one answers.
         seq: u32,
         /// Whether the arm follows set-points.
         ready: bool,
-        /// rad.
+        /// Joint angles, rad.
         position: JointVector,
     },
 }
@@ -57,7 +57,7 @@ fn sum(bytes: &[u8]) -> u8 {
     bytes.iter().fold(0, |sum, byte| sum ^ byte)
 }
 
-/// A number in whole millionths; what does not fit becomes the largest that does.
+/// A number in whole millionths, clamped to the type's range.
 fn micro(value: f64) -> i64 {
     (value * 1e6).round().clamp(-9e9, 9e9) as i64
 }
@@ -131,7 +131,7 @@ impl Line {
     }
 }
 
-/// Takes lines out of a stream of bytes.
+/// Splits a stream of bytes into lines.
 #[derive(Debug, Default)]
 pub struct Reader {
     held: Vec<u8>,
@@ -139,7 +139,7 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Takes bytes in and tells each line: none for one that makes no sense.
+    /// Takes bytes and calls `each` with every line, none for an invalid one.
     pub fn take(&mut self, bytes: &[u8], mut each: impl FnMut(Option<Line>)) {
         for &byte in bytes {
             if byte == b'\n' {
@@ -150,7 +150,7 @@ impl Reader {
             } else if self.held.len() < LONGEST {
                 self.held.push(byte);
             } else if !self.overflown {
-                // Told once, when it is clear that this is no line.
+                // Reported once, as soon as this cannot be a line.
                 self.overflown = true;
                 each(None);
             }

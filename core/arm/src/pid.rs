@@ -1,5 +1,5 @@
-//! A discrete PID (after Astrom and Hagglund, "Advanced PID Control", 2006): the derivative is taken of the measurement, so that a new goal does not
-//! kick, and filtered; the integral stops where its output is not carried out; small errors are left alone.
+//! A discrete PID (after Astrom and Hagglund, "Advanced PID Control", 2006). The derivative is that of the filtered measurement, so that a new
+//! set-point causes no kick; the integral stops while the output is not carried out (anti-windup); small errors are ignored (dead zone).
 
 /// Gains of one channel whose error is in some unit E and whose output is in E/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,21 +19,21 @@ pub struct Gains {
     pub most: f64,
 }
 
-/// What one step sees.
+/// Inputs of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// What the proportional part acts on, E.
+    /// Error of the proportional part, E.
     pub error: f64,
-    /// What the integral sums, E: the same, or an error that holds no prediction.
+    /// Error that the integral sums, E: the same, or the error without prediction.
     pub slow_error: f64,
-    /// What the derivative is taken of, E: it rises with the error, but does not jump when the goal does.
+    /// Measurement of the derivative part, E: rises with the error, but does not jump with the set-point.
     pub measured: f64,
-    /// Whether something behind this channel did not carry out what it asked for last.
+    /// Whether the last output was not carried out.
     pub is_limited: bool,
 }
 
 impl Sample {
-    /// One error for all parts, of a goal that stands still.
+    /// One error for all parts, for a constant set-point.
     pub fn of(error: f64) -> Self {
         Self { error, slow_error: error, measured: error, is_limited: false }
     }
@@ -44,25 +44,25 @@ impl Sample {
 pub struct Pid {
     integral: f64,
     slope: f64,
-    /// The measurement before.
+    /// The previous measurement.
     last: Option<f64>,
 }
 
-/// Takes the dead zone off an error; the result grows from 0 at its border.
+/// Subtracts the dead zone from an error; the result is 0 at its border.
 pub fn beyond(error: f64, dead_zone: f64) -> f64 {
     error.signum() * (error.abs() - dead_zone).max(0.0)
 }
 
 impl Pid {
-    /// Forgets everything.
+    /// Resets the state.
     pub fn reset(&mut self) {
         *self = Self::default();
     }
 
-    /// One step of `dt_s`; answers the output, E/s. A step without time, or a sample that holds no number, gives 0 and changes nothing.
+    /// Advances by `dt_s` and returns the output, E/s. A step of no time, or a sample that is not finite, returns 0 and changes nothing.
     ///
-    /// At its own limit, and while `is_limited` says that its output was not carried out, the integral only goes back. Within the dead zone the
-    /// derivative fades to nothing, so that noise does not move what rests.
+    /// At its own limit, and while `is_limited`, the integral only decreases in size. Within the dead zone the derivative fades to 0, so that noise
+    /// does not move an arm at rest.
     pub fn step(&mut self, gains: &Gains, sample: &Sample, dt_s: f64) -> f64 {
         let Sample { error, slow_error, measured, is_limited } = *sample;
         if !((error + slow_error + measured).is_finite() && dt_s > 0.0 && dt_s.is_finite()) {

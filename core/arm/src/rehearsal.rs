@@ -1,18 +1,18 @@
-//! The closed loop without pictures: tracker, controller, interlock and simulated arm as the nodes use them, on tips that move by a script.
+//! The closed loop without pictures: tracker, controller, interlock and simulated arm as the nodes use them, with scripted tips.
 //!
-//! What the graph has and this has too: the cameras stand where the arm was a tick ago, the tip is known only while it lies in the left picture, and as
-//! well as stereo knows it. Used to find gains and to judge them quickly; the graph is judged beside it.
+//! As in the graph, the cameras are where the arm was one tick ago, and the tip is known only while it is in the left picture, with the noise of
+//! stereo. Used to find and evaluate gains quickly; the graph is evaluated too.
 
 use nalgebra::{Point3, Vector3};
+use panoscope_tracking::kalman::Model;
+use panoscope_tracking::tracker::{Known, Report, Rules, Tracker};
 
 use crate::campaign::Dice;
 use crate::chain::{Chain, JointVector};
 use crate::control::{Controller, Eyes, Goals, SeenTip, goal_mm};
 use crate::dynamics::{Quality, SimArm};
-use crate::interlock::{Evidence, Interlock, Place};
-use crate::kalman::Model;
+use crate::interlock::{Evidence, Interlock, TubePose};
 use crate::pid::Gains;
-use crate::tracker::{Known, Report, Rules, Tracker};
 
 /// Left picture of the thesis's scope, px.
 const WIDTH_PX: f64 = 640.0;
@@ -22,31 +22,31 @@ const BASELINE_MM: f64 = 15.0;
 /// Rest before anything moves, s.
 pub const START_S: f64 = 2.0;
 
-/// How the tip moves, and what is wrong with seeing it.
+/// Movement of the tip, and faults of its detection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scenario {
-    /// The tip rests where the arm does not look yet.
+    /// The tip rests away from the centre.
     Rest,
-    /// 12 mm aside and back at up to 25 mm/s.
+    /// Steps of 12 mm to the side and back at up to 25 mm/s.
     Step,
     /// 36 mm to and fro at 12 mm/s.
     Ramp,
     /// A circle of 12 mm radius in 5 s.
     Circle,
-    /// A surgeon's strokes at up to 25 mm/s.
+    /// Strokes like a surgeon's at up to 25 mm/s.
     Strokes,
-    /// The tool leaves and comes back.
+    /// The tool leaves the picture and returns.
     Leave,
-    /// Another tool passes by; detectors give no numbers.
+    /// Another tool passes in front; detections have no numbers.
     Cross,
     /// Strokes; the tip is hidden for 0.2 s every 2 s.
     Occlusion,
-    /// Strokes; tips are noisy, doubtful, and missing every fifth time.
+    /// Strokes; detections are noisy, have low scores, and miss every fifth tip.
     Smoke,
 }
 
 impl Scenario {
-    /// All of them.
+    /// All scenarios.
     pub const ALL: [Self; 9] = [
         Self::Rest,
         Self::Step,
@@ -59,7 +59,7 @@ impl Scenario {
         Self::Smoke,
     ];
 
-    /// Its name.
+    /// Name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Rest => "rest",
@@ -75,8 +75,8 @@ impl Scenario {
     }
 }
 
-/// The controller's goals as they ship: the defaults of `arm_pid` (a test there compares them). Near what `panoscope tune` finds, with less
-/// derivative: more of it lowers the error by some percent, and the camera shakes by a third more.
+/// Default set-points and gains: those of `arm_pid` (a test there compares them). Near the result of `panoscope tune`, with less derivative: more of
+/// it lowers the error by a few percent, but the camera shakes by a third more.
 pub fn shipped_goals() -> Goals {
     let gains =
         Gains { proportional: 6.0, integral: 0.2, derivative: 0.2, filter_s: 0.08, dead_zone: 2.0, most: 250.0 };
@@ -94,31 +94,31 @@ pub fn shipped_goals() -> Goals {
 /// One tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
-    /// s.
+    /// Time, s.
     pub at_s: f64,
-    /// The true tip's distance from where it should be, mm.
+    /// Distance of the true tip from its set-point, mm.
     pub error_mm: f64,
-    /// Its place in the picture, from where it should be, px.
+    /// Error of the true tip in the picture, px.
     pub error_px: [f64; 2],
-    /// Its distance from the left camera less the one asked for, mm.
+    /// Error of its distance from the left camera, mm.
     pub distance_error_mm: f64,
-    /// Whether it lies in the left picture.
+    /// Whether it is in the left picture.
     pub in_view: bool,
     /// Whether something hides it there.
     pub is_hidden: bool,
-    /// Whether the scenario has it hidden or away.
+    /// Whether the scenario hides or removes it.
     pub is_away: bool,
-    /// How far the true tube misses the trocar, mm.
+    /// Distance of the true tube from the trocar, mm.
     pub pivot_mm: f64,
     /// Whether the arm follows.
     pub following: bool,
     /// The camera's speed, mm/s.
     pub camera_mm_s: f64,
-    /// The change of its velocity, mm/s^2.
+    /// The camera's acceleration, mm/s^2.
     pub camera_mm_s2: f64,
-    /// Time since the tracker saw the tip, s: 0 in a tick in which it was seen, NaN while it is lost.
+    /// Time since the tip was last seen, s: 0 in a tick in which it is seen, NaN while it is lost.
     pub gap_s: f64,
-    /// How far the tracker's tip lies from the true one, mm; NaN while it is lost.
+    /// Distance of the tracker's tip from the true one, mm; NaN while it is lost.
     pub track_off_mm: f64,
 }
 
@@ -129,7 +129,7 @@ struct Stroke {
     length_s: f64,
 }
 
-/// Rises from 0 to 1 without jerk at its ends; its top speed is 15/8.
+/// Minimum-jerk rise from 0 to 1; its top speed is 15/8.
 fn bell(t: f64) -> f64 {
     let t = t.clamp(0.0, 1.0);
     t * t * t * (10.0 - t * (15.0 - 6.0 * t))
@@ -176,19 +176,19 @@ fn offset(scenario: Scenario, script: &[Stroke], seconds: f64) -> Vector3<f64> {
         }
         Scenario::Leave => {
             let phase = t % 12.0;
-            // Out faster than the arm may follow, 80 mm at up to 150 mm/s; back at 40 mm/s.
+            // Leaves faster than the arm can follow, 80 mm at up to 150 mm/s; returns at 40 mm/s.
             Vector3::new(69.0, 16.0, -37.0) * (bell(phase) - bell((phase - 6.0) / 3.75))
         }
     }
 }
 
-/// Plays a scenario for some seconds at `rate_hz`.
+/// Plays a scenario for `seconds` at `rate_hz`.
 pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz: f64, goals: &Goals) -> Vec<Row> {
     let mut dice = Dice::new(seed);
     let script = strokes(&mut dice, seconds);
     let quality = Quality::default();
     let home = chain.stance(&JointVector::zeros());
-    let (room, down) = (home.base_from_camera, home.base_from_tip * Vector3::z());
+    let (base_from_home, down) = (home.base_from_camera, home.base_from_tip * Vector3::z());
     let mut lock = Interlock::new(chain.clone(), JointVector::zeros(), 0);
     let mut arm = SimArm::new(quality, JointVector::zeros());
     let (mut tracker, mut controller) = (Tracker::default(), Controller::new(chain.clone()));
@@ -205,7 +205,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
     };
     let smoky = scenario == Scenario::Smoke;
     let (mut encoders, mut set_point) = (JointVector::zeros(), JointVector::zeros());
-    let mut camera = room.inverse() * home.base_from_camera;
+    let mut camera = base_from_home.inverse() * home.base_from_camera;
     let mut rows = Vec::new();
     let mut last = (camera.translation.vector, Vector3::zeros());
     for tick in 0..(seconds * rate_hz) as i64 {
@@ -243,7 +243,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
             if other_seen {
                 report(other, &mut dice);
             }
-            // The other one hides the leading tip while it stands before it.
+            // The other tool hides the leading tip while it is in front of it.
             if in_view && aside.abs() > 2.5 {
                 report(p, &mut dice);
             }
@@ -281,7 +281,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
             in_view,
             is_hidden: in_view && reports.iter().all(|r| (r.xyz_mm - p).norm() > 4.0),
             is_away: scenario == Scenario::Leave && (0.0..11.5).contains(&((at_s - START_S).max(0.0) % 12.0)),
-            pivot_mm: Place::of(chain, &stance, &down).pivot_mm,
+            pivot_mm: TubePose::of(chain, &stance, &down).pivot_mm,
             following: lock.stopped().is_none(),
             camera_mm_s: velocity.norm(),
             camera_mm_s2: change.norm(),
@@ -292,8 +292,8 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
             },
             track_off_mm: tip.map_or(f64::NAN, |tip| (tip.xyz_mm - p).norm()),
         });
-        // What the next tick sees.
-        camera = room.inverse() * stance.base_from_camera;
+        // State for the next tick.
+        camera = base_from_home.inverse() * stance.base_from_camera;
         encoders = arm.encoders(|| dice.bits());
         set_point = lock.set_point().position;
     }
@@ -306,30 +306,30 @@ pub struct Measures {
     /// Root mean square and largest error, mm.
     /// NaN where no tick with a known tip was judged.
     pub rms_mm: f64,
-    /// See `rms_mm`.
+    /// Largest error, mm; NaN without a tick with a known tip.
     pub max_mm: f64,
     /// Standard deviation of the error, mm.
     pub deviation_mm: f64,
-    /// Share of ticks in which the tip lay in the picture, of those in which the scenario has it there, %.
+    /// Share of ticks with the tip in the picture, of those in which the scenario has it there, %.
     pub in_view_pct: f64,
-    /// Share of those ticks in which something hid it, or it was not found, %.
+    /// Share of those ticks in which the tip was hidden or not found, %.
     pub hidden_pct: f64,
-    /// Share of all those ticks in which the tracker saw the tip, instead of predicting it, %.
+    /// Share of those ticks in which the tracker saw the tip instead of predicting it, %.
     pub tip_seen_pct: f64,
-    /// Root mean square distance of the tracker's tip from the true one, mm; NaN where it never had one.
+    /// Root mean square distance of the tracker's tip from the true one, mm; NaN if it never had one.
     pub track_off_mm: f64,
-    /// Largest miss of the trocar in the whole run, mm.
+    /// Largest distance of the tube from the trocar in the whole run, mm.
     pub pivot_mm: f64,
     /// Mean error in the picture over the last second, % of its width.
     pub rest_pct: f64,
     /// Mean error of the distance over the last second, mm.
     pub rest_mm: f64,
-    /// Root mean square change of the camera's velocity per second, mm/s^2: how calm the picture is.
+    /// Root mean square acceleration of the camera, mm/s^2: how steady the picture is.
     pub shake_mm_s2: f64,
-    /// From the end of the tip's first movement until the error stays below 2 mm, s; NaN where the error never leaves that, or never comes
-    /// back for a second.
+    /// Settling time: from the end of the tip's first movement until the error stays below 2 mm for a second, s; NaN if the error never exceeds 2 mm
+    /// or never settles.
     pub settling_s: f64,
-    /// How far the tip passed the middle on its other side, % of the way of `step`; NaN likewise.
+    /// Overshoot in percent of the step; NaN likewise.
     pub overshoot_pct: f64,
 }
 
@@ -385,8 +385,9 @@ fn settling(rows: &[&Row]) -> (f64, f64) {
         return nothing;
     }
     let Some(peak) = part.iter().max_by(|a, b| a.error_mm.total_cmp(&b.error_mm)) else { return nothing };
-    let way = peak.error_px;
-    let size = way[0].hypot(way[1]).max(1e-9);
-    let behind = part.iter().map(|r| -(r.error_px[0] * way[0] + r.error_px[1] * way[1]) / size).fold(0.0, f64::max);
+    let step_px = peak.error_px;
+    let size = step_px[0].hypot(step_px[1]).max(1e-9);
+    let behind =
+        part.iter().map(|r| -(r.error_px[0] * step_px[0] + r.error_px[1] * step_px[1]) / size).fold(0.0, f64::max);
     ((part[last].at_s - start_s - MOVEMENT_S).max(0.0), 100.0 * behind / WAY_PX)
 }

@@ -1,4 +1,4 @@
-//! Joint velocities that do several things at once: the trocar first, then the tip and the horizon.
+//! Joint velocities for several tasks with priorities: first the trocar, then the tip and the horizon.
 //!
 //! Two ranks of tasks: the second works in the null space of the first (Siciliano and Slotine 1991), by damped least squares whose
 //! damping grows near singular poses (Nakamura and Hanafusa 1986). Joints that near a limit slow the whole movement, so that it keeps its shape.
@@ -13,48 +13,48 @@ const SINGULAR_BELOW: f64 = 0.25;
 const MOST_DAMPING: f64 = 0.25;
 /// Rows in mm become numbers near 1.
 const ROW_SCALE_MM: f64 = 100.0;
-/// How fast a joint may near its limit: this times the way left, 1/s.
+/// Largest speed towards a joint limit per distance left, 1/s.
 const LIMIT_RATE: f64 = 3.0;
-/// Where the movement keeps off the limits, rad.
+/// Margin before joint limits, rad.
 const LIMIT_ROOM_RAD: f64 = 0.03;
-/// How fast an offset from the trocar goes back, 1/s.
+/// Rate at which an offset from the trocar decays, 1/s.
 const PIVOT_RATE: f64 = 8.0;
-/// How fast the horizon goes back, 1/s.
+/// Rate at which a tilt of the horizon decays, 1/s.
 const ROLL_RATE: f64 = 2.0;
 
-/// A movement of the picture that is asked for.
+/// A requested movement of the picture.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted {
-    /// The point that is looked at, seen from the left camera, mm.
+    /// The observed point in the left camera's frame, mm.
     pub point_mm: Vector3<f64>,
-    /// How it shall move in the camera's frame by the camera's doing, mm/s.
+    /// Velocity of the point in the camera's frame that the camera's movement shall cause, mm/s.
     pub velocity_mm_s: Vector3<f64>,
 }
 
-/// Joint velocities and how they were come by.
+/// Joint velocities, and how well the tasks can be met.
 #[derive(Clone, Copy, Debug)]
 pub struct Solution {
-    /// rad/s.
+    /// Joint velocities, rad/s.
     pub velocity: JointVector,
     /// Smallest singular value of the second rank; 0 is a singular pose.
     pub singular: f64,
-    /// Share of the movement that the joint limits left.
+    /// Share of the movement that the joint limits allow.
     pub share: f64,
 }
 
-/// Turn of the picture about the tube's axis from where `up` (seen from the base) is up, rad.
+/// Rotation of the picture about the tube's axis, relative to the direction `up` (in the base's frame), rad.
 pub fn roll_rad(stance: &Stance, up: &Vector3<f64>) -> f64 {
     let seen = stance.base_from_camera.inverse_transform_vector(up);
     seen.x.atan2(-seen.y)
 }
 
-/// Solves for joint velocities; all zero where the numbers make no sense.
+/// Solves for joint velocities; all zero when the inputs are not finite.
 pub fn solve(chain: &Chain, angles_rad: &JointVector, stance: &Stance, up: &Vector3<f64>, wanted: &Wanted) -> Solution {
     let nothing = Solution { velocity: JointVector::zeros(), singular: 0.0, share: 0.0 };
     if !wanted.point_mm.iter().chain(wanted.velocity_mm_s.iter()).all(|v| v.is_finite()) {
         return nothing;
     }
-    // First rank: the point of the tube at the trocar moves along the tube only.
+    // First priority: the point of the tube at the trocar moves along the tube only.
     let trocar = chain.trocar_mm();
     let tip_turn = stance.base_from_tip.rotation.to_rotation_matrix();
     let at_trocar = stance.jacobian(&trocar);
@@ -68,7 +68,7 @@ pub fn solve(chain: &Chain, angles_rad: &JointVector, stance: &Stance, up: &Vect
     let base = first_inverse * back;
     let free: SMatrix<f64, JOINTS, JOINTS> = SMatrix::identity() - first_inverse * first;
 
-    // Second rank: three rows for the point, one for the horizon.
+    // Second priority: three rows for the point, one for the horizon.
     let camera_turn = stance.base_from_camera.rotation.to_rotation_matrix();
     let point = stance.base_from_camera * nalgebra::Point3::from(wanted.point_mm);
     let at_point = stance.jacobian(&point);
@@ -100,7 +100,7 @@ pub fn solve(chain: &Chain, angles_rad: &JointVector, stance: &Stance, up: &Vect
     Solution { velocity: velocity * share, singular, share }
 }
 
-/// Part of a movement that lets every joint stop before its limit.
+/// Share of a movement with which every joint can stop before its limit.
 fn limit_share(chain: &Chain, angles_rad: &JointVector, velocity: &JointVector) -> f64 {
     let mut share: f64 = 1.0;
     for (k, joint) in chain.joints().iter().enumerate() {

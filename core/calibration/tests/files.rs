@@ -79,7 +79,7 @@ fn halves_of_opencvs_sample_belong_together() {
         let message = read_one(doc).unwrap_err();
         assert!(message.contains("(`R`) is missing"), "{message}");
     } else {
-        println!("skipped: Debian's opencv-doc is not installed");
+        panoscope_testing::skipped!("Debian's opencv-doc is not installed");
     }
 }
 

@@ -22,13 +22,13 @@ mod counted {
     thread_local! {
         // Constants without destructors: reading them allocates nothing.
         static THREAD: Cell<u64> = const { Cell::new(0) };
-        static LEFT_OUT: Cell<bool> = const { Cell::new(false) };
+        static EXCLUDED: Cell<bool> = const { Cell::new(false) };
     }
 
     #[inline]
     fn count() {
         THREAD.with(|count| count.set(count.get().wrapping_add(1)));
-        if !LEFT_OUT.with(Cell::get) {
+        if !EXCLUDED.with(Cell::get) {
             PROCESS.fetch_add(1, Ordering::Relaxed);
         }
     }
@@ -41,8 +41,8 @@ mod counted {
         THREAD.with(Cell::get)
     }
 
-    pub fn leave_this_thread_out() {
-        LEFT_OUT.with(|left_out| left_out.set(true));
+    pub fn exclude_this_thread() {
+        EXCLUDED.with(|excluded| excluded.set(true));
     }
 
     /// # Safety
@@ -110,7 +110,7 @@ mod counted {
     }
 }
 
-/// Heap allocations of the process so far without those of threads left out; `None` where they are not counted.
+/// Heap allocations of the process so far without those of excluded threads; `None` where they are not counted.
 pub fn process() -> Option<fn() -> u64> {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     return Some(counted::process);
@@ -126,8 +126,8 @@ pub fn thread() -> Option<fn() -> u64> {
     None
 }
 
-/// What the calling thread allocates from now on is not the graph's doing: it draws the progress bar.
-pub fn leave_this_thread_out() {
+/// Excludes the calling thread from the counter of the process from now on: it draws the progress bar.
+pub fn exclude_this_thread() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    counted::leave_this_thread_out();
+    counted::exclude_this_thread();
 }

@@ -3,13 +3,15 @@
 
 mod allocations;
 mod commands;
-mod graph_file;
+mod given;
 mod installation;
 mod interrupt;
 mod judge;
 mod log_lines;
+mod numbers;
 mod probe;
 mod progress;
+mod session;
 mod summary;
 mod terminal;
 
@@ -97,7 +99,7 @@ pub enum End {
 fn parse(words: Vec<std::ffi::OsString>) -> Arguments {
     let CommandLine { words, help, problem } = command_line::rewrite(words);
     if let Some(problem) = problem {
-        terminal::tell!("error: {problem}");
+        terminal::log!("error: {problem}");
         terminal::leave(2);
     }
     let mut command = Arguments::command();
@@ -113,7 +115,7 @@ fn parse(words: Vec<std::ffi::OsString>) -> Arguments {
         // Not `exit`: the code of a help is 0, of an error 2.
         let _ = error.print();
         if unknown && !help.is_empty() {
-            terminal::tell!("\n{}", help.trim_end());
+            terminal::log!("\n{}", help.trim_end());
         }
         terminal::leave(error.exit_code())
     })
@@ -121,7 +123,7 @@ fn parse(words: Vec<std::ffi::OsString>) -> Arguments {
 
 fn main() {
     if let Err(error) = signals::install() {
-        terminal::tell!("warning: signals end the program without finishing files: {error}");
+        terminal::log!("warning: signals end the program without finishing files: {error}");
     }
     let arguments = parse(std::env::args_os().collect());
     let end = match arguments.command {
@@ -154,7 +156,7 @@ fn main() {
         Ok(End::Failed) => 1,
         Ok(End::Wrong) => 2,
         Err(error) => {
-            terminal::tell!("error: {error:#}");
+            terminal::log!("error: {error:#}");
             1
         }
     })

@@ -13,8 +13,9 @@ use panoscope_engine::{Engine, Options, StartError};
 use panoscope_graph::{Diagnostics, Graph, GraphOptions, GraphText, ParamKind, ParamValue, Severity};
 use serde::{Deserialize, Serialize};
 
-use crate::graph_file::{self, Given, Ready};
+use crate::given::Given;
 use crate::{End, terminal};
+use panoscope_eval::graph_file::{self, Ready};
 
 /// Name of the hidden command.
 pub const COMMAND: &str = "probe-node";
@@ -78,7 +79,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         Err(StartError::Open { reason, .. }) => Some(reason),
         Err(other) => Some(other.to_string()),
     };
-    terminal::say!("{}", serde_json::to_string(&Answer { reason })?);
+    terminal::out!("{}", serde_json::to_string(&Answer { reason })?);
     Ok(End::Done)
 }
 

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use panoscope_engine::Report;
 
-use crate::terminal::tell;
+use crate::terminal::log;
 
 const PLAIN_EVERY: Duration = Duration::from_secs(2);
 
@@ -64,8 +64,8 @@ impl Progress {
     pub fn line_writer(&self) -> impl Fn(&str) + Send + Sync + 'static + use<> {
         let bar = self.bar.clone();
         move |line| match &bar {
-            Some(bar) => bar.suspend(|| tell!("{line}")),
-            None => tell!("{line}"),
+            Some(bar) => bar.suspend(|| log!("{line}")),
+            None => log!("{line}"),
         }
     }
 
@@ -88,7 +88,7 @@ impl Progress {
             None if now.duration_since(self.plain.last) >= PLAIN_EVERY => {
                 self.plain.last = now;
                 let of = self.wanted.map_or_else(String::new, |n| format!("/{n}"));
-                tell!("{}{of} frames, {words}", report.frames);
+                log!("{}{of} frames, {words}", report.frames);
             }
             None => {}
         }

@@ -3,7 +3,7 @@
 use panoscope_engine::Report;
 use panoscope_graph::Graph;
 
-use crate::terminal::table;
+use panoscope_eval::text_table::table;
 
 fn cells<const N: usize>(row: [&str; N]) -> Vec<String> {
     row.iter().map(|cell| (*cell).to_owned()).collect()

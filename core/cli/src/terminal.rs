@@ -4,16 +4,16 @@ use std::fmt::Arguments;
 use std::io::{IsTerminal, Write};
 
 /// Writes a line to standard output.
-macro_rules! say {
+macro_rules! out {
     ($($argument:tt)*) => { $crate::terminal::line(format_args!($($argument)*)) };
 }
 
 /// Writes a line to standard error.
-macro_rules! tell {
+macro_rules! log {
     ($($argument:tt)*) => { $crate::terminal::error_line(format_args!($($argument)*)) };
 }
 
-pub(crate) use {say, tell};
+pub(crate) use {log, out};
 
 /// Writes a line to standard output.
 pub fn line(text: Arguments<'_>) {
@@ -49,31 +49,4 @@ pub fn leave(code: i32) -> ! {
     let _ = std::io::stdout().flush();
     let _ = std::io::stderr().flush();
     panoscope_engine::ending::leave(code)
-}
-
-/// Lays out rows in columns: the first column to the left, numbers to the right. The first row is the head.
-pub fn table(rows: &[Vec<String>]) -> String {
-    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
-    let width = |column: usize| rows.iter().filter_map(|r| r.get(column)).map(|c| c.chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..columns).map(width).collect();
-    let mut out = String::new();
-    for row in rows {
-        let mut line = String::from(" ");
-        for (column, cell) in row.iter().enumerate() {
-            let pad = " ".repeat(widths[column] - cell.chars().count());
-            line.push_str(&if column == 0 { format!(" {cell}{pad}") } else { format!("  {pad}{cell}") });
-        }
-        out.push_str(line.trim_end());
-        out.push('\n');
-    }
-    out
-}
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn columns_stand_below_each_other() {
-        let rows = [vec!["node".to_owned(), "count".to_owned()], vec!["a".to_owned(), "7".to_owned()]];
-        assert_eq!(super::table(&rows), "  node  count\n  a         7\n");
-    }
 }

@@ -1,5 +1,8 @@
 //! The command from outside: words, exit codes, files.
 
+mod common;
+
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
@@ -7,32 +10,15 @@ use std::time::{Duration, Instant};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_panoscope");
 
-/// Folder of the built `flow` plugin: out of `PANOSCOPE_PLUGIN_PATH`, else built now.
-fn plugin_folder() -> &'static Path {
-    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
-    FOLDER.get_or_init(|| {
-        let names = ["libflow.so", "libpanoscope_flow.so"];
-        let given = std::env::var_os("PANOSCOPE_PLUGIN_PATH").unwrap_or_default();
-        if let Some(folder) = std::env::split_paths(&given).find(|f| names.iter().any(|name| f.join(name).is_file())) {
-            return folder;
-        }
-        let profile_dir = Path::new(PROGRAM).parent().expect("a folder");
-        let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
-        cargo.args(["build", "--quiet", "--package", "panoscope-flow", "--package", "panoscope-sinks"]);
-        cargo.arg("--manifest-path");
-        cargo.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../Cargo.toml"));
-        cargo.arg("--target-dir").arg(profile_dir.parent().expect("a target folder"));
-        if profile_dir.ends_with("release") {
-            cargo.arg("--release");
-        }
-        assert!(cargo.status().expect("cargo runs").success(), "panoscope-flow does not build");
-        profile_dir.to_owned()
-    })
+/// Search path with the plugins that most tests here use.
+fn plugin_path() -> &'static OsStr {
+    static PATH: OnceLock<OsString> = OnceLock::new();
+    PATH.get_or_init(|| common::built_plugins(&["flow", "fixtures", "sinks"]))
 }
 
 fn panoscope() -> Command {
     let mut command = Command::new(PROGRAM);
-    command.env("PANOSCOPE_PLUGIN_PATH", plugin_folder());
+    command.env("PANOSCOPE_PLUGIN_PATH", plugin_path());
     command
 }
 
@@ -56,7 +42,7 @@ fn graph(mode: &str, middle: &str, more: &str) -> String {
     format!(
         r#"
 mode = "{mode}"
-plugins = ["flow"]
+plugins = ["flow", "fixtures"]
 [nodes.source]
 type = "frames"
 params = {{ width_px = 64, height_px = 48, rate_hz = 200.0 }}
@@ -97,7 +83,7 @@ fn a_run_writes_its_report() {
 #[test]
 fn allocations_of_a_plugin_are_counted() {
     if !cfg!(all(target_os = "linux", target_env = "gnu")) {
-        println!("skipped: allocations are counted on Linux with glibc only");
+        panoscope_testing::skipped!("allocations are counted on Linux with glibc only");
         return;
     }
     let graph = file("allocate.toml", &graph("batch", "allocate", "params = { count = 3 }"));
@@ -176,7 +162,7 @@ fn a_disk_that_fills_up_fails_the_run_and_keeps_what_was_written() {
         "[nodes.out]\ntype = \"write_video\"\ninputs = {{ image = \"source.image\" }}\nparams = {{ path = \"{}\" }}",
         video.display()
     );
-    let text = graph("batch", "pass", &sink).replace("[\"flow\"]", "[\"flow\", \"sinks\"]");
+    let text = graph("batch", "pass", &sink).replace("\"fixtures\"]", "\"fixtures\", \"sinks\"]");
     let graph = file("fills_up.toml", &text);
     let full_from = |operation: u32| {
         let _ = std::fs::remove_dir_all(&disk);
@@ -280,12 +266,11 @@ fn calibrate_names_what_is_wrong_with_its_arguments() {
 fn calibrate_solves_opencvs_pairs_and_writes_what_capture_reads() {
     let data = Path::new("/usr/share/doc/opencv-doc/examples/data");
     if !data.join("left01.jpg").exists() {
-        println!("skipped: Debian's opencv-doc is not installed");
+        panoscope_testing::skipped!("Debian's opencv-doc is not installed");
         return;
     }
-    let folder = plugin_folder();
-    if !["opencv", "capture"].iter().all(|name| folder.join(format!("lib{name}.so")).is_file()) {
-        println!("skipped: the plugins opencv and capture are not built beside flow");
+    if !common::has_plugins(plugin_path(), &["opencv", "capture"]) {
+        panoscope_testing::skipped!("the plugins opencv and capture are not built beside flow");
         return;
     }
     let out = file("scope.yml", "");

@@ -1,5 +1,8 @@
 //! How a run ends: exit code and last line, signals at any moment, plugins that take the program down.
 
+mod common;
+
+use std::ffi::{OsStr, OsString};
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -10,28 +13,10 @@ use std::time::{Duration, Instant};
 const PROGRAM: &str = env!("CARGO_BIN_EXE_panoscope");
 const PATIENCE: Duration = Duration::from_secs(90);
 
-/// Folder of the built plugins `flow` and `chaos`: out of `PANOSCOPE_PLUGIN_PATH`, else built now.
-fn plugin_folder() -> &'static Path {
-    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
-    FOLDER.get_or_init(|| {
-        let has = |folder: &PathBuf, name: &str| {
-            [format!("lib{name}.so"), format!("libpanoscope_{name}.so")].iter().any(|file| folder.join(file).is_file())
-        };
-        let given = std::env::var_os("PANOSCOPE_PLUGIN_PATH").unwrap_or_default();
-        if let Some(folder) = std::env::split_paths(&given).find(|f| has(f, "flow") && has(f, "chaos")) {
-            return folder;
-        }
-        let profile_dir = Path::new(PROGRAM).parent().expect("a folder");
-        let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
-        cargo.args(["build", "--quiet", "-p", "panoscope-flow", "-p", "panoscope-chaos", "--manifest-path"]);
-        cargo.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../Cargo.toml"));
-        cargo.arg("--target-dir").arg(profile_dir.parent().expect("a target folder"));
-        if profile_dir.ends_with("release") {
-            cargo.arg("--release");
-        }
-        assert!(cargo.status().expect("cargo runs").success(), "the plugins do not build");
-        profile_dir.to_owned()
-    })
+/// Search path with the plugins of the graphs here.
+fn plugin_path() -> &'static OsStr {
+    static PATH: OnceLock<OsString> = OnceLock::new();
+    PATH.get_or_init(|| common::built_plugins(&["flow", "fixtures", "chaos"]))
 }
 
 /// A folder of this test process.
@@ -52,7 +37,7 @@ fn graph_in(mode: &str, folder: &Path, bad: &str) -> PathBuf {
     let _ = std::fs::remove_file(&ledger);
     let text = format!(
         r#"mode = "{mode}"
-plugins = ["flow", "chaos"]
+plugins = ["flow", "fixtures", "chaos"]
 [nodes.source]
 type = "frames"
 params = {{ width_px = 64, height_px = 48, rate_hz = 200.0 }}
@@ -103,7 +88,7 @@ impl Ended {
 
 fn command(arguments: &[&str]) -> Command {
     let mut command = Command::new(PROGRAM);
-    command.env("PANOSCOPE_PLUGIN_PATH", plugin_folder()).args(arguments);
+    command.env("PANOSCOPE_PLUGIN_PATH", plugin_path()).args(arguments);
     command
 }
 
@@ -317,7 +302,7 @@ fn the_first_signal_works_while_a_node_opens() {
 fn a_second_signal_a_while_later_ends_at_once() {
     let folder = folder("twice");
     // The source does not return, and the first signal waits for it.
-    let text = "mode = \"batch\"\nplugins = [\"flow\", \"chaos\"]\n[nodes.camera]\ntype = \"chaos_source\"\n\
+    let text = "mode = \"batch\"\nplugins = [\"flow\", \"fixtures\", \"chaos\"]\n[nodes.camera]\ntype = \"chaos_source\"\n\
                 params = { harm = \"hang\", first = 5, hang_ms = 600000.0 }\n[nodes.end]\ntype = \"drain\"\ninputs = { image = \"camera.image\" }\n";
     let graph = folder.join("hang.toml");
     std::fs::write(&graph, text).expect("written");

@@ -30,7 +30,7 @@ fn a_model_that_is_none_is_refused_at_its_place() {
     std::fs::create_dir_all(&folder).expect("a folder");
     let (code, words, _) = check(&folder, &plugins, b"this is no model");
     if words.contains("model-unchecked") {
-        println!("skipped: {}", words.lines().next().unwrap_or("ONNX Runtime is not there"));
+        panoscope_testing::skipped!("{}", words.lines().next().unwrap_or("ONNX Runtime is not there"));
         return;
     }
     assert_eq!(code, 2, "{words}");
@@ -47,7 +47,7 @@ fn a_model_of_another_kind_is_refused_with_both_shapes() {
     // One input `images` 1x3x64x64, one constant output `weird` 1x7x11.
     let (code, words, _) = check(&folder, &plugins, &weird());
     if words.contains("model-unchecked") {
-        println!("skipped: {}", words.lines().next().unwrap_or("ONNX Runtime is not there"));
+        panoscope_testing::skipped!("{}", words.lines().next().unwrap_or("ONNX Runtime is not there"));
         return;
     }
     assert_eq!(code, 2, "{words}");
@@ -63,7 +63,7 @@ fn a_good_model_passes() {
     // As YOLO's with 80 classes: a row per box and class.
     let (code, words, seconds) = check(&folder, &plugins, &constant("output0", [1, 84, 84]));
     if words.contains("model-unchecked") {
-        println!("skipped: {}", words.lines().next().unwrap_or("ONNX Runtime is not there"));
+        panoscope_testing::skipped!("{}", words.lines().next().unwrap_or("ONNX Runtime is not there"));
         return;
     }
     assert_eq!(code, 0, "{words}");

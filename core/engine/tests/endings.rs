@@ -13,7 +13,7 @@ fn a_node_that_reads_nothing_is_finished_at_once_and_closing_waits_for_nobody() 
     // As `check` opens a single model: nothing gives it a tick, so nothing would ever end it.
     let file = common::scratch("alone.jsonl");
     let text = format!(
-        "mode = \"live\"\nplugins = [\"flow\"]\n[nodes.source]\ntype = \"frames\"\n[nodes.alone]\ntype = \"ledger\"\n\
+        "mode = \"live\"\nplugins = [\"flow\", \"fixtures\"]\n[nodes.source]\ntype = \"frames\"\n[nodes.alone]\ntype = \"ledger\"\n\
          inputs = {{ images = [\"source.image\"] }}\nparams = {{ path = \"{}\" }}\n",
         file.display()
     );

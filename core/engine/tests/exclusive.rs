@@ -11,7 +11,7 @@ use panoscope_loader::Live;
 
 const TEXT: &str = r#"
 mode = "live"
-plugins = ["flow"]
+plugins = ["flow", "fixtures"]
 [nodes.a]
 type = "frames"
 params = { width_px = 16, height_px = 8, format = "gray8", rate_hz = 200.0 }

@@ -22,7 +22,7 @@ fn graph(bad: &str, params: &str) -> String {
     format!(
         r#"
 mode = "live"
-plugins = ["flow", "chaos"]
+plugins = ["flow", "fixtures", "chaos"]
 [nodes.a]
 type = "frames"
 params = {{ width_px = 16, height_px = 8, format = "gray8", rate_hz = 200.0 }}

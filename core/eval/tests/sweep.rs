@@ -17,7 +17,7 @@ fn graph() -> String {
     let ledger = scratch("swept.jsonl");
     format!(
         r#"mode = "live"
-plugins = ["flow"]
+plugins = ["flow", "fixtures"]
 [nodes.source]
 type = "frames"
 params = {{ width_px = 16, height_px = 8, pattern = "ramp", format = "gray8", rate_hz = 30.0 }}

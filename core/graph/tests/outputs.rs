@@ -101,7 +101,7 @@ fn dot_names_nodes_ports_and_special_edges() {
     // Where Graphviz is installed, it must agree.
     let run = std::process::Command::new("dot").arg("-V").output();
     if run.is_err() {
-        println!("skipped: Graphviz is not installed");
+        panoscope_testing::skipped!("Graphviz is not installed");
         return;
     }
     let path = std::env::temp_dir().join(format!("panoscope_graph_{}.dot", std::process::id()));

@@ -16,7 +16,7 @@ const FOLDER: &str = "/usr/share/doc/opencv-doc/examples/data";
 fn bad_pixels_on_aloe_stay_below_what_opencv_leaves() {
     let open = |name: &str| {
         let path = Path::new(FOLDER).join(name);
-        image::open(&path).map_err(|error| println!("skipped: {}: {error}", path.display())).ok()
+        image::open(&path).map_err(|error| panoscope_testing::skipped!("{}: {error}", path.display())).ok()
     };
     let (Some(left), Some(right), Some(truth)) = (open("aloeL.jpg"), open("aloeR.jpg"), open("aloeGT.png")) else {
         return;

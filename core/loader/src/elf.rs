@@ -1,7 +1,7 @@
-//! A look into a plugin's file before it is loaded: is it whole, and what does its note say?
+//! Checks a plugin's ELF file before it is loaded, and reads its Panoscope note.
 //!
-//! A cut-off shared object dies of SIGBUS when it is mapped, and its constructors run before any handshake, so both are settled by
-//! reading the file. Only 64-bit ELF is read.
+//! Mapping a truncated shared object ends in SIGBUS, and constructors run as soon as it is loaded. Completeness and ABI version are
+//! therefore checked by reading the file. Only 64-bit ELF is supported.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -9,38 +9,38 @@ use std::os::unix::fs::FileExt;
 
 use panoscope_abi as abi;
 
-/// What the note says.
+/// The contents of a plugin's note.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Note {
     /// ABI major number that the plugin was built with.
     pub abi_major: u32,
     /// ABI minor number that the plugin was built with.
     pub abi_minor: u32,
-    /// Plugin name.
+    /// Name of the plugin in graph files.
     pub name: String,
-    /// Plugin version.
+    /// Version of the plugin's package.
     pub version: String,
     /// Names of its node types.
     pub node_types: Vec<String>,
 }
 
-/// Why a file is no usable plugin.
+/// Why a file cannot be used as a plugin.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ElfError {
     /// Not an ELF shared object of this machine.
-    #[error("it is no shared library for this machine ({what})")]
+    #[error("it is not a shared library for this machine ({what})")]
     NotElf {
-        /// What was seen instead.
+        /// What the file is instead.
         what: String,
     },
-    /// Shorter than its own tables say.
-    #[error("it is cut off: {what} ends at byte {end}, the file has {len}")]
+    /// Shorter than its tables require.
+    #[error("it is truncated: {what} ends at byte {end}, the file has {len}")]
     CutOff {
-        /// Part that is missing.
+        /// The missing part.
         what: &'static str,
-        /// Where the part would end.
+        /// Where that part would end.
         end: u64,
-        /// Length of the file.
+        /// Length of the file in bytes.
         len: u64,
     },
     /// A part of it could not be read.
@@ -48,18 +48,18 @@ pub enum ElfError {
     Unreadable {
         /// First byte.
         at: u64,
-        /// Behind the last byte.
+        /// One past the last byte.
         end: u64,
-        /// What the system says.
+        /// The operating system's message.
         reason: String,
     },
     /// A shared library without the note.
-    #[error("it carries no Panoscope note, so it is no Panoscope plugin")]
+    #[error("it has no Panoscope note, so it is not a Panoscope plugin")]
     NoNote,
-    /// The note does not parse.
+    /// The note cannot be parsed.
     #[error("its Panoscope note is damaged: {what}")]
     BadNote {
-        /// What is wrong with it.
+        /// What is wrong with the note.
         what: String,
     },
 }
@@ -67,15 +67,15 @@ pub enum ElfError {
 const PT_LOAD: u32 = 1;
 const SHT_NOBITS: u32 = 8;
 
-/// A file whose parts are read where they are needed: plugins are large, what is looked at before they are loaded is little.
+/// A file that is read in parts: plugins are large, and only a small part is needed before loading.
 pub trait Parts {
-    /// Length of the file.
+    /// Length of the file in bytes.
     fn size(&self) -> u64;
 
-    /// `len` bytes from `at` on, which lie inside the file.
+    /// `len` bytes from offset `at` on; the caller makes sure that they lie inside the file.
     ///
     /// # Errors
-    /// The system cannot read them.
+    /// The bytes cannot be read.
     fn part(&self, at: u64, len: u64) -> Result<Cow<'_, [u8]>, ElfError>;
 }
 
@@ -91,7 +91,7 @@ impl Parts for [u8] {
     }
 }
 
-/// A file on disk, and how long it was when it was opened.
+/// A file on disk, with its length when it was opened.
 pub struct OnDisk {
     file: File,
     len: u64,
@@ -101,15 +101,15 @@ impl OnDisk {
     /// Opens a file.
     ///
     /// # Errors
-    /// It cannot be opened.
+    /// The file cannot be opened.
     pub fn open(path: &std::path::Path) -> std::io::Result<Self> {
         Self::over(File::open(path)?)
     }
 
-    /// An open file.
+    /// Wraps an open file.
     ///
     /// # Errors
-    /// Its length cannot be told.
+    /// The length of the file cannot be read.
     pub fn over(file: File) -> std::io::Result<Self> {
         let len = file.metadata()?.len();
         Ok(Self { file, len })
@@ -150,7 +150,7 @@ impl Reader<'_> {
     }
 }
 
-/// Checks that every segment and section lies inside the file and reads the note.
+/// Checks that every segment and section lies inside the file, and reads the note.
 pub fn read_note(file: &(impl Parts + ?Sized)) -> Result<Note, ElfError> {
     let file_len = file.size();
     let inside = |what: &'static str, start: u64, len: u64| {
@@ -175,20 +175,22 @@ pub fn read_note(file: &(impl Parts + ?Sized)) -> Result<Note, ElfError> {
     if reader.u16(16) != Some(3) {
         return Err(ElfError::NotElf { what: "not a shared library".to_owned() });
     }
-    let lost = |what| ElfError::BadNote { what: format!("{what} cannot be read") };
-    let (programs, sections) = (reader.u64(32).ok_or(lost("header"))?, reader.u64(40).ok_or(lost("header"))?);
-    let program_size = reader.u16(54).ok_or(lost("header"))?;
-    let program_count = reader.u16(56).ok_or(lost("header"))?;
-    let section_size = reader.u16(58).ok_or(lost("header"))?;
-    let section_count = reader.u16(60).ok_or(lost("header"))?;
+    let unreadable = |what| ElfError::BadNote { what: format!("{what} cannot be read") };
+    let (programs, sections) =
+        (reader.u64(32).ok_or(unreadable("header"))?, reader.u64(40).ok_or(unreadable("header"))?);
+    let program_size = reader.u16(54).ok_or(unreadable("header"))?;
+    let program_count = reader.u16(56).ok_or(unreadable("header"))?;
+    let section_size = reader.u16(58).ok_or(unreadable("header"))?;
+    let section_count = reader.u16(60).ok_or(unreadable("header"))?;
     inside("the table of segments", programs, program_size * program_count)?;
     inside("the table of sections", sections, section_size * section_count)?;
     let mut notes = Vec::new();
     let table = file.part(programs, program_size * program_count)?;
     let reader = Reader(&table);
     for at in (0..program_count).map(|index| index * program_size) {
-        let kind = reader.u32(at).ok_or(lost("segment"))?;
-        let (offset, size) = (reader.u64(at + 8).ok_or(lost("segment"))?, reader.u64(at + 32).ok_or(lost("segment"))?);
+        let kind = reader.u32(at).ok_or(unreadable("segment"))?;
+        let (offset, size) =
+            (reader.u64(at + 8).ok_or(unreadable("segment"))?, reader.u64(at + 32).ok_or(unreadable("segment"))?);
         if kind == PT_LOAD {
             inside("a segment", offset, size)?;
         }
@@ -196,8 +198,9 @@ pub fn read_note(file: &(impl Parts + ?Sized)) -> Result<Note, ElfError> {
     let table = file.part(sections, section_size * section_count)?;
     let reader = Reader(&table);
     for at in (0..section_count).map(|index| index * section_size) {
-        let kind = reader.u32(at + 4).ok_or(lost("section"))?;
-        let (offset, size) = (reader.u64(at + 24).ok_or(lost("section"))?, reader.u64(at + 32).ok_or(lost("section"))?);
+        let kind = reader.u32(at + 4).ok_or(unreadable("section"))?;
+        let (offset, size) =
+            (reader.u64(at + 24).ok_or(unreadable("section"))?, reader.u64(at + 32).ok_or(unreadable("section"))?);
         if kind != SHT_NOBITS {
             inside("a section", offset, size)?;
         }
@@ -223,7 +226,7 @@ fn find_note(section: &[u8]) -> Result<Option<Note>, ElfError> {
         if owner == abi::NOTE_OWNER && kind == abi::NOTE_TYPE {
             let end = body_at + u64::from(body_len);
             let Some(body) = section.get(body_at as usize..end as usize) else {
-                return Err(ElfError::BadNote { what: "it is cut off".to_owned() });
+                return Err(ElfError::BadNote { what: "it is truncated".to_owned() });
             };
             return parse_body(body).map(Some);
         }
@@ -238,7 +241,7 @@ fn parse_body(body: &[u8]) -> Result<Note, ElfError> {
     let (Some(abi_major), Some(abi_minor)) = (reader.u32(0), reader.u32(4)) else {
         return Err(ElfError::BadNote { what: format!("{} bytes instead of at least {need}", body.len()) });
     };
-    // A note of another major version may have another shape after its first two numbers.
+    // A note of another major version may have another layout after its first two numbers.
     let text = |start: usize, len: usize| -> Result<String, ElfError> {
         let bytes = body.get(start..(start + len).min(body.len())).unwrap_or(&[]);
         let end = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
@@ -251,7 +254,7 @@ fn parse_body(body: &[u8]) -> Result<Note, ElfError> {
     let version = text(8 + abi::NOTE_NAME_LEN, abi::NOTE_VERSION_LEN)?;
     let nodes = text(need, abi::NOTE_NODES_LEN)?;
     if abi_major == abi::ABI_MAJOR && (name.is_empty() || body.len() < size_of::<abi::NoteBody>()) {
-        return Err(ElfError::BadNote { what: "it is too short or names no plugin".to_owned() });
+        return Err(ElfError::BadNote { what: "it is too short or has no plugin name".to_owned() });
     }
     let node_types = nodes.split(',').filter(|n| !n.is_empty()).map(str::to_owned).collect();
     Ok(Note { abi_major, abi_minor, name, version, node_types })

@@ -1,4 +1,4 @@
-//! Why a plugin could not be used.
+//! The error of loading a plugin.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use panoscope_graph::PluginProblem;
 
 use crate::elf::ElfError;
 
-/// Why a plugin could not be used.
+/// Why a plugin was not loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
     /// The file cannot be read.
@@ -14,10 +14,10 @@ pub enum LoadError {
     Unreadable {
         /// The plugin's file.
         file: PathBuf,
-        /// What the system says.
+        /// The operating system's error.
         cause: std::io::Error,
     },
-    /// The file is no whole plugin.
+    /// The file is damaged or is not a plugin.
     #[error("{file} is not used: {cause}", file = file.display())]
     BadFile {
         /// The plugin's file.
@@ -25,8 +25,8 @@ pub enum LoadError {
         /// What is wrong with it.
         cause: ElfError,
     },
-    /// Built for another host.
-    #[error("{file} was built for plugin ABI {found}, this host speaks {expected}", file = file.display())]
+    /// Built for another ABI.
+    #[error("{file} was built for plugin ABI {found}, this host has ABI {expected}", file = file.display())]
     AbiMismatch {
         /// The plugin's file.
         file: PathBuf,
@@ -35,20 +35,20 @@ pub enum LoadError {
         /// Major number of this host.
         expected: u32,
     },
-    /// The dynamic linker refused it.
-    #[error("{file} does not load: {cause}", file = file.display())]
+    /// The dynamic linker cannot load it.
+    #[error("{file} cannot be loaded: {cause}", file = file.display())]
     Link {
         /// The plugin's file.
         file: PathBuf,
-        /// What the dynamic linker says.
+        /// The dynamic linker's message.
         cause: String,
     },
-    /// It loaded, but what it says of itself makes no sense.
-    #[error("{file} describes itself wrongly: {cause}", file = file.display())]
+    /// It was loaded, but its descriptor is invalid.
+    #[error("the descriptor of {file} is invalid: {cause}", file = file.display())]
     BadDescriptor {
         /// The plugin's file.
         file: PathBuf,
-        /// What is wrong.
+        /// What is wrong with the descriptor.
         cause: String,
     },
 }
@@ -68,12 +68,12 @@ impl LoadError {
         match self {
             Self::AbiMismatch { .. } => "rebuild the plugin against this version of panoscope".to_owned(),
             Self::BadFile { .. } | Self::BadDescriptor { .. } => "build or copy the plugin again".to_owned(),
-            Self::Link { .. } => "install the library that is named, or rebuild the plugin".to_owned(),
+            Self::Link { .. } => "install the library named above, or rebuild the plugin".to_owned(),
             Self::Unreadable { .. } => "check the path and its permissions".to_owned(),
         }
     }
 
-    /// For the graph checker.
+    /// The problem of `plugin` as the graph checker reports it, with help.
     pub fn problem(&self, plugin: &str) -> PluginProblem {
         PluginProblem {
             plugin: plugin.to_owned(),

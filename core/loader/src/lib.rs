@@ -1,7 +1,7 @@
 //! Finds, verifies and maps plugins.
 //!
-//! [`Loader`] reads the notes of the plugins in some folders and fills the graph crate's catalogue; it maps those that a graph lists.
-//! [`Live`] changes a running graph by its text, with plugins that were built again. [`lock`] compares files with fingerprints.
+//! [`Loader`] reads the notes of the plugins in some folders, fills the graph crate's catalogue and maps the plugins that a graph lists.
+//! [`Live`] changes a running graph by editing its text, and swaps rebuilt plugins. [`lock`] compares files with recorded fingerprints.
 
 pub mod elf;
 mod error;
@@ -12,5 +12,5 @@ mod search;
 
 pub use error::LoadError;
 pub use live::Live;
-pub use map::{Found, Loaded, inspect, load};
+pub use map::{Loaded, PluginFile, inspect, load};
 pub use search::{Loader, PLUGIN_PATH_VARIABLE, Stamp, search_path};

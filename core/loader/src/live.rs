@@ -1,4 +1,4 @@
-//! Editing a running graph by its text: every edit is checked as a whole file and applied as one transaction.
+//! Edits a running graph by editing its text. Every edit is checked as a whole file and applied as one transaction.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -12,21 +12,21 @@ use panoscope_graph::{Diagnostics, GraphText, check};
 
 use crate::search::{self, Loader, Stamp};
 
-/// Why an edit was not made; text and graph are as before.
+/// Why an edit failed; text and graph are unchanged.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
-    /// The text cannot be edited like that.
+    /// The edit does not fit the text.
     #[error(transparent)]
     Edit(#[from] EditError),
     /// The new text has mistakes.
-    #[error("the new graph has mistakes, the old one runs on:\n{}", .0.render(false))]
+    #[error("the new graph has mistakes, the old one keeps running:\n{}", .0.render(false))]
     Check(Diagnostics),
-    /// The change did not succeed.
+    /// The engine could not apply the new graph.
     #[error(transparent)]
     Apply(#[from] ApplyError),
 }
 
-/// A running graph and its text. `E` is whatever holds the engine: a reference, an `Arc`.
+/// A running graph and its text. `E` points to the engine: a reference or an `Arc`.
 pub struct Live<E> {
     engine: E,
     path: PathBuf,
@@ -36,7 +36,7 @@ pub struct Live<E> {
 }
 
 impl<E: Deref<Target = Engine>> Live<E> {
-    /// Takes over a graph that was started from `text`, read at `path`, with `settings` (`node.param=value`) that win over it.
+    /// Takes over a graph that was started from `text`, read at `path`. `settings` (`node.param=value`) override the text.
     pub fn new(engine: E, path: &Path, text: String, settings: Vec<String>, loader: impl Into<Arc<Loader>>) -> Self {
         Self { engine, path: path.to_owned(), text, settings, loader: loader.into() }
     }
@@ -46,12 +46,12 @@ impl<E: Deref<Target = Engine>> Live<E> {
         &self.engine
     }
 
-    /// The text of the graph that runs.
+    /// The text of the running graph.
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// Where its plugins came from.
+    /// The loader of its plugins.
     pub fn loader(&self) -> &Arc<Loader> {
         &self.loader
     }
@@ -74,7 +74,7 @@ impl<E: Deref<Target = Engine>> Live<E> {
         Ok(applied)
     }
 
-    /// Makes the running graph the one that `text` describes.
+    /// Changes the running graph to the one that `text` describes.
     ///
     /// # Errors
     /// The text has mistakes, or the change did not succeed; the old graph runs on.
@@ -97,20 +97,20 @@ impl<E: Deref<Target = Engine>> Live<E> {
         self.apply_with(parsed, loader)
     }
 
-    /// Looks for rebuilt plugins and swaps them in. One that is broken leaves its predecessor running.
+    /// Finds rebuilt plugins and swaps them in. When one cannot be loaded, its predecessor keeps running.
     pub fn reload_plugins(&mut self) -> Result<Applied, LiveError> {
         let (parsed, loader) = (self.parse(&self.text), self.loader.rescan());
         self.apply_with(&parsed, Some(loader))
     }
 
-    /// Edits the text and applies the result, all edits of `edit` as one transaction.
+    /// Edits the text and applies the result as one transaction.
     pub fn edit(&mut self, edit: impl FnOnce(&mut GraphEdit) -> Result<(), EditError>) -> Result<Applied, LiveError> {
         let mut document = GraphEdit::parse(&self.text)?;
         edit(&mut document)?;
         self.apply_with(&self.parse(&document.text()), None)
     }
 
-    /// Adds a node with its inputs: `("image", &["source.image"])`.
+    /// Adds a node with its inputs, such as `("image", &["source.image"])`.
     pub fn add_node(&mut self, id: &str, node_type: &str, inputs: &[(&str, &[&str])]) -> Result<Applied, LiveError> {
         self.edit(|document| {
             document.add_node(id, node_type)?;
@@ -118,12 +118,12 @@ impl<E: Deref<Target = Engine>> Live<E> {
         })
     }
 
-    /// Removes a node and what refers to it.
+    /// Removes a node and all references to it.
     pub fn remove_node(&mut self, id: &str) -> Result<Applied, LiveError> {
         self.edit(|document| document.remove_node(id))
     }
 
-    /// Connects an input to one output or, for a list, several.
+    /// Connects an input to one output, or a list input to several.
     pub fn connect(&mut self, id: &str, input: &str, from: &[&str]) -> Result<Applied, LiveError> {
         self.edit(|document| document.set_input(id, input, from))
     }
@@ -133,58 +133,61 @@ impl<E: Deref<Target = Engine>> Live<E> {
         self.edit(|document| document.remove_input(id, input))
     }
 
-    /// Sets a parameter, in the graph and in its text.
+    /// Sets a parameter in the graph and in its text.
     pub fn set_param(&mut self, id: &str, param: &str, value: &toml::Value) -> Result<Applied, LiveError> {
         self.edit(|document| document.set_param(id, param, value))
     }
 }
 
-/// What changed on disk.
+/// Which files changed on disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Changed {
     /// The graph file, a part or an overlay.
     pub graph: bool,
-    /// A plugin's file.
+    /// At least one plugin file changed.
     pub plugins: bool,
 }
 
-/// Watches a graph file and the plugins' folders. A change counts once the files hold still from one look to the next, so that no half-written
-/// file is taken.
+/// Polls a graph file and the plugin folders for changes. A change is reported once the files are the same in two polls in a row, so that no
+/// half-written file is used.
 pub struct FileWatch {
     path: PathBuf,
     /// Parts and overlays.
     files: Vec<PathBuf>,
     folders: Vec<PathBuf>,
-    known: State,
-    seen: State,
+    /// As last reported.
+    reported: Stamps,
+    /// As in the last poll.
+    polled: Stamps,
 }
 
-type State = (Vec<Stamp>, BTreeMap<PathBuf, Stamp>);
+/// Stamps of the files of the graph and of the plugin files.
+type Stamps = (Vec<Stamp>, BTreeMap<PathBuf, Stamp>);
 
-fn stamps(path: &Path, files: &[PathBuf]) -> Vec<Stamp> {
+fn stamps_of(path: &Path, files: &[PathBuf]) -> Vec<Stamp> {
     std::iter::once(path).chain(files.iter().map(PathBuf::as_path)).map(Stamp::of).collect()
 }
 
-fn state(path: &Path, graph_files: &[PathBuf], folders: &[PathBuf]) -> State {
+fn stamps(path: &Path, graph_files: &[PathBuf], folders: &[PathBuf]) -> Stamps {
     let entries = folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).flatten().flatten();
     let files = entries.map(|e| e.path()).filter(|f| f.extension() == Some(OsStr::new("so")));
-    (stamps(path, graph_files), files.map(|file| (file.clone(), Stamp::of(&file))).collect())
+    (stamps_of(path, graph_files), files.map(|file| (file.clone(), Stamp::of(&file))).collect())
 }
 
 impl FileWatch {
-    /// Starts from what `loader` saw and from the graph file as it is now.
+    /// Starts from the plugin files that `loader` found and from the graph file as it is now.
     pub fn new(path: &Path, loader: &Loader) -> Self {
         let folders = loader.folders().to_vec();
-        let known = (stamps(path, &[]), loader.stamps().clone());
-        Self { path: path.to_owned(), files: Vec::new(), seen: known.clone(), folders, known }
+        let reported = (stamps_of(path, &[]), loader.stamps().clone());
+        Self { path: path.to_owned(), files: Vec::new(), polled: reported.clone(), folders, reported }
     }
 
     /// Watches further files of the graph: parts and overlays.
     #[must_use]
     pub fn with_files(mut self, files: impl Iterator<Item = PathBuf>) -> Self {
         self.files = files.collect();
-        self.known.0 = stamps(&self.path, &self.files);
-        self.seen.0.clone_from(&self.known.0);
+        self.reported.0 = stamps_of(&self.path, &self.files);
+        self.polled.0.clone_from(&self.reported.0);
         self
     }
 
@@ -193,21 +196,21 @@ impl FileWatch {
         &self.path
     }
 
-    /// The graph file's text now.
+    /// Reads the graph file.
     pub fn text(&self) -> std::io::Result<String> {
         std::fs::read_to_string(&self.path)
     }
 
-    /// What changed since the last call that answered a change. To be called every 200 ms or so.
-    pub fn look(&mut self) -> Changed {
-        let now = state(&self.path, &self.files, &self.folders);
-        let still = now == self.seen;
-        self.seen = now;
-        if !still || self.seen == self.known {
+    /// What changed since the last call that returned a change. Call it about every 200 ms.
+    pub fn poll(&mut self) -> Changed {
+        let now = stamps(&self.path, &self.files, &self.folders);
+        let stable = now == self.polled;
+        self.polled = now;
+        if !stable || self.polled == self.reported {
             return Changed::default();
         }
-        let changed = Changed { graph: self.seen.0 != self.known.0, plugins: self.seen.1 != self.known.1 };
-        self.known = self.seen.clone();
+        let changed = Changed { graph: self.polled.0 != self.reported.0, plugins: self.polled.1 != self.reported.1 };
+        self.reported = self.polled.clone();
         changed
     }
 }

@@ -1,4 +1,4 @@
-//! Locking a graph: fingerprints (SHA-256) of all that its run depends on, written beside it and compared before it starts.
+//! Locks a graph: writes SHA-256 fingerprints of all files that its run depends on, and compares them before it starts.
 
 use std::fmt;
 use std::fs::File;
@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 
 use crate::search::Loader;
 
-/// Plugins that the theatre uses by itself, to write clips.
+/// Plugins that the theatre uses besides those of the graph, to write clips.
 pub const THEATRE_PLUGINS: [&str; 1] = ["sinks"];
 
 /// Version of the lock file's layout.
@@ -25,11 +25,11 @@ pub enum LockError {
     File {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The operating system's error.
         cause: std::io::Error,
     },
     /// The lock file is damaged.
-    #[error("{file} is no lock of a graph ({reason}); write it anew with `panoscope lock`", file = file.display())]
+    #[error("{file} is not a valid lock file ({reason}); write it again with `panoscope lock`", file = file.display())]
     Damaged {
         /// The lock file.
         file: PathBuf,
@@ -38,7 +38,7 @@ pub enum LockError {
     },
 }
 
-/// What a file is to a graph.
+/// The role of a file in a graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
@@ -50,9 +50,9 @@ pub enum Kind {
     Overlay,
     /// A plugin.
     Plugin,
-    /// A file that a parameter names and that must exist, such as a network.
+    /// A file that a parameter names and that must exist, such as a neural network.
     Model,
-    /// A file of a camera's calibration.
+    /// A calibration file of a camera.
     Calibration,
 }
 
@@ -69,65 +69,65 @@ impl fmt::Display for Kind {
     }
 }
 
-/// One file with its fingerprint.
+/// A file's name and fingerprint.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LockedFile {
-    /// What it is.
+    /// Its role.
     pub kind: Kind,
-    /// Name of the plugin, `node.param` of a model or calibration, name of the graph's file.
+    /// Name of the plugin or of the graph file; `node.param` for a model or calibration.
     pub name: String,
     /// Length in bytes.
     pub bytes: u64,
-    /// SHA-256 as hexadecimal digits; empty when there is no such file.
+    /// SHA-256 as hexadecimal digits; empty when the file cannot be read.
     pub sha256: String,
 }
 
-/// Fingerprints of all that a graph's run depends on.
+/// Fingerprints of all files that a graph's run depends on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Lock {
     /// Version of the file's layout.
     version: u32,
     /// Version of the program that wrote it.
     pub program: String,
-    /// The files.
+    /// The files: the graph first, then plugins, then models and calibrations in the order of the nodes.
     #[serde(rename = "file")]
     pub files: Vec<LockedFile>,
 }
 
-/// One difference between a lock and what is there now.
+/// One difference between a lock and the files now.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Difference {
-    /// What the file is.
+    /// Role of the file.
     pub kind: Kind,
-    /// Its name, as in [`LockedFile::name`].
+    /// Name of the file, as in [`LockedFile::name`].
     pub name: String,
-    /// How it differs.
-    pub how: How,
+    /// What changed.
+    pub change: Change,
 }
 
-/// How a file differs from what was locked.
+/// How a file differs from the lock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum How {
-    /// Its content is another one.
+pub enum Change {
+    /// Its contents differ.
     Changed,
-    /// It was locked and is not used, or not there, any more.
-    Gone,
+    /// It was locked and is no longer used or no longer exists.
+    Missing,
     /// It is used and was not locked.
-    New,
+    Added,
 }
 
 impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let how = match self.how {
-            How::Changed => "has changed since the graph was locked",
-            How::Gone => "was locked and is gone",
-            How::New => "is used now and was not locked",
+        let change = match self.change {
+            Change::Changed => "has changed since the graph was locked",
+            Change::Missing => "was locked and is missing now",
+            Change::Added => "is used now and was not locked",
         };
-        write!(f, "{} `{}` {how}", self.kind, self.name)
+        write!(f, "{} `{}` {change}", self.kind, self.name)
     }
 }
 
-/// The lock file of a graph file: its whole name with `.lock` behind it.
+/// The lock file of a graph file: its name with `.lock` appended.
 pub fn lock_path(graph: &Path) -> PathBuf {
     let mut name = graph.as_os_str().to_owned();
     name.push(".lock");
@@ -156,14 +156,14 @@ fn locked(kind: Kind, name: String, file: &Path) -> LockedFile {
     LockedFile { kind, name, bytes, sha256 }
 }
 
-/// Calibration files that a text names: several are separated by semicolons.
+/// The calibration files that a text names, separated by semicolons.
 fn calibration_files<'t>(text: &'t str, folder: &'t Path) -> impl Iterator<Item = PathBuf> + 't {
     text.split(';').map(str::trim).filter(|part| !part.is_empty()).map(move |part| folder.join(part))
 }
 
 impl Lock {
-    /// Fingerprints of a graph that was read as `text`, as all is now. `more` are plugins that are used besides those that it lists.
-    pub fn of(graph: &Graph, catalog: &Catalog, loader: &Loader, text: &GraphText, more: &[&str]) -> Self {
+    /// Fingerprints of a graph that was read as `text`, as all is now. `extra_plugins` are used besides those that the graph lists.
+    pub fn of(graph: &Graph, catalog: &Catalog, loader: &Loader, text: &GraphText, extra_plugins: &[&str]) -> Self {
         let folder = text.path().parent().unwrap_or(Path::new(""));
         let graph_file = |file: GraphFile<'_>| {
             let kind = match file.kind {
@@ -177,7 +177,7 @@ impl Lock {
             LockedFile { kind, name, bytes: file.text.len() as u64, sha256 }
         };
         let mut files: Vec<LockedFile> = text.files().into_iter().map(graph_file).collect();
-        let used = |name: &String| graph.plugins.contains(name) || more.contains(&name.as_str());
+        let used = |name: &String| graph.plugins.contains(name) || extra_plugins.contains(&name.as_str());
         let plugins = loader.found().filter(|found| used(&found.note.name));
         files.extend(plugins.map(|found| locked(Kind::Plugin, found.note.name.clone(), &found.file)));
         for node in &graph.nodes {
@@ -224,16 +224,16 @@ impl Lock {
         Ok(Some(lock))
     }
 
-    /// Writes it beside the graph file, whole or not at all; answers where.
+    /// Writes the lock beside the graph file, completely or not at all, and returns its path.
     ///
     /// # Errors
-    /// The file cannot be written; an older one is as it was.
+    /// The file cannot be written; an older one is unchanged.
     pub fn write(&self, graph: &Path) -> Result<PathBuf, LockError> {
         let file = lock_path(graph);
         let fail = |cause| LockError::File { file: file.clone(), cause };
         let text = toml::to_string(self).map_err(|e| fail(std::io::Error::other(e)))?;
         let name = graph.file_name().unwrap_or_default().to_string_lossy();
-        let text = format!("# Written by `panoscope lock {name}`; the theatre compares before it starts.\n{text}");
+        let text = format!("# Written by `panoscope lock {name}`; the theatre compares it before it starts.\n{text}");
         let part = file.with_extension(format!("lock.{}.part", std::process::id()));
         let written = (|| {
             let mut out = File::create(&part)?;
@@ -248,23 +248,23 @@ impl Lock {
         Ok(file)
     }
 
-    /// What is another in `now` than in this lock.
+    /// The differences between this lock and `now`.
     pub fn differences(&self, now: &Self) -> Vec<Difference> {
         let find = |list: &'_ [LockedFile], file: &LockedFile| {
             list.iter().find(|f| (f.kind, &f.name) == (file.kind, &file.name)).cloned()
         };
         let mut found = Vec::new();
         for file in &self.files {
-            let how = match find(&now.files, file) {
-                None => How::Gone,
+            let change = match find(&now.files, file) {
+                None => Change::Missing,
                 Some(other) if other == *file => continue,
-                Some(other) if other.sha256.is_empty() => How::Gone,
-                Some(_) => How::Changed,
+                Some(other) if other.sha256.is_empty() => Change::Missing,
+                Some(_) => Change::Changed,
             };
-            found.push(Difference { kind: file.kind, name: file.name.clone(), how });
+            found.push(Difference { kind: file.kind, name: file.name.clone(), change });
         }
         let new = now.files.iter().filter(|file| find(&self.files, file).is_none());
-        found.extend(new.map(|file| Difference { kind: file.kind, name: file.name.clone(), how: How::New }));
+        found.extend(new.map(|file| Difference { kind: file.kind, name: file.name.clone(), change: Change::Added }));
         found
     }
 }
@@ -289,12 +289,12 @@ mod tests {
         let was = lock(&[(Graph, "g.toml", "a"), (Plugin, "stitch", "b"), (Model, "net.model", "c")]);
         let now =
             lock(&[(Graph, "g.toml", "x"), (Plugin, "stitch", "b"), (Model, "net.model", ""), (Plugin, "new", "d")]);
-        let words: Vec<String> = was.differences(&now).iter().map(ToString::to_string).collect();
+        let messages: Vec<String> = was.differences(&now).iter().map(ToString::to_string).collect();
         assert_eq!(
-            words,
+            messages,
             [
                 "graph `g.toml` has changed since the graph was locked",
-                "model `net.model` was locked and is gone",
+                "model `net.model` was locked and is missing now",
                 "plugin `new` is used now and was not locked"
             ]
         );
@@ -302,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lock_comes_back_from_its_file_and_a_damaged_one_is_named() {
+    fn a_lock_is_read_back_and_a_damaged_one_is_an_error() {
         let folder = std::env::temp_dir().join(format!("panoscope_lock_{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let graph = folder.join("g.toml");

@@ -1,4 +1,4 @@
-//! Finds plugins by their notes, loads those that are needed and fills the catalogue.
+//! Finds plugins by their notes, loads those that a graph needs and fills the catalogue.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -11,17 +11,17 @@ use panoscope_graph::{Catalog, Offer, PluginProblem};
 
 use crate::elf::ElfError;
 use crate::error::LoadError;
-use crate::map::{Found, Loaded, inspect, load};
+use crate::map::{Loaded, PluginFile, inspect, load};
 
-/// Environment variable with further plugin folders, separated by colons.
+/// Environment variable with additional plugin folders, separated by colons.
 pub const PLUGIN_PATH_VARIABLE: &str = "PANOSCOPE_PLUGIN_PATH";
 
-/// Tells one state of a file from another: time, length and inode; all zero when there is none.
+/// Identifies a version of a file by modification time, length and inode; all zero when the file does not exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamp(u128, u64, u64);
 
 impl Stamp {
-    /// The file as it is now.
+    /// The stamp of the file as it is now.
     pub fn of(file: &Path) -> Self {
         use std::os::unix::fs::MetadataExt;
         let Ok(meta) = std::fs::metadata(file) else { return Self::default() };
@@ -30,17 +30,17 @@ impl Stamp {
     }
 }
 
-/// All plugins that can be seen from here.
+/// The plugins in a list of folders; loads each one when it is first needed.
 #[derive(Default)]
 pub struct Loader {
     folders: Vec<PathBuf>,
     stamps: BTreeMap<PathBuf, Stamp>,
-    found: BTreeMap<String, Found>,
+    found: BTreeMap<String, PluginFile>,
     problems: Vec<PluginProblem>,
     loaded: Mutex<BTreeMap<String, Result<Loaded, PluginProblem>>>,
 }
 
-/// Folders that are searched: those given, `PANOSCOPE_PLUGIN_PATH`, `plugins` beside the program, the build's folder.
+/// The folders to search, in order: `extra`, `PANOSCOPE_PLUGIN_PATH`, `plugins` beside the program, and the build's folder for tests.
 pub fn search_path(extra: &[PathBuf]) -> Vec<PathBuf> {
     let mut folders = extra.to_vec();
     if let Some(list) = std::env::var_os(PLUGIN_PATH_VARIABLE) {
@@ -66,7 +66,7 @@ pub fn search_path(extra: &[PathBuf]) -> Vec<PathBuf> {
 }
 
 impl Loader {
-    /// Looks into the given folders, earlier ones first; reads notes, loads nothing.
+    /// Searches the given folders; of two plugins with the same name the earlier folder's counts. Reads the notes but loads nothing.
     pub fn search(folders: &[PathBuf]) -> Self {
         let mut this = Self { folders: folders.to_vec(), ..Self::default() };
         for folder in folders {
@@ -74,13 +74,13 @@ impl Loader {
             let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
             files.sort();
             for file in files.into_iter().filter(|f| f.extension() == Some(OsStr::new("so"))) {
-                // Read first: a file that changes now will differ from it.
+                // Taken before the file is read: if the file changes meanwhile, its stamp will differ.
                 this.stamps.insert(file.clone(), Stamp::of(&file));
                 match inspect(&file) {
                     Ok(found) => {
                         this.found.entry(found.note.name.clone()).or_insert(found);
                     }
-                    // Any library may stand in such a folder; only what claims to be a plugin is worth a word.
+                    // The folder may contain other libraries; only files with a damaged note are reported.
                     Err(LoadError::BadFile { cause: ElfError::NoNote, .. }) => {}
                     Err(error) => this.problems.push(error.problem(&stem(&file))),
                 }
@@ -91,17 +91,17 @@ impl Loader {
         this
     }
 
-    /// Looks into the same folders again. Plugins whose files are as they were go on as loaded; the others load anew when they are needed,
+    /// Searches the same folders again. Plugins whose files are unchanged stay loaded; the others are loaded again when they are needed,
     /// beside their predecessors.
     pub fn rescan(&self) -> Self {
         self.rescan_in(&self.folders)
     }
 
-    /// Looks into other folders, otherwise like [`Self::rescan`].
+    /// Searches other folders, otherwise as [`Self::rescan`].
     pub fn rescan_in(&self, folders: &[PathBuf]) -> Self {
         let mut new = Self::search(folders);
         let loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
-        // A plugin whose file broke is not replaced by one of the same name from another folder: its predecessor runs on.
+        // A plugin whose file is now damaged is not replaced by one of the same name from another folder: the loaded one keeps running.
         for (plugin, found) in self.found.iter().filter(|(plugin, _)| loaded.contains_key(*plugin)) {
             if new.found.get(plugin).is_some_and(|n| n.file != found.file)
                 && new.stamps.contains_key(&found.file)
@@ -115,38 +115,38 @@ impl Loader {
             let file = &new.found.get(plugin)?.file;
             (self.found.get(plugin)?.file == *file && self.stamps.get(file) == new.stamps.get(file)).then_some(())
         };
-        let kept = loaded.iter().filter(|(plugin, result)| result.is_ok() && unchanged(plugin).is_some());
-        let kept: BTreeMap<_, _> = kept.map(|(plugin, result)| (plugin.clone(), result.clone())).collect();
-        *new.loaded.lock().unwrap_or_else(PoisonError::into_inner) = kept;
+        let retained = loaded.iter().filter(|(plugin, result)| result.is_ok() && unchanged(plugin).is_some());
+        let retained: BTreeMap<_, _> = retained.map(|(plugin, result)| (plugin.clone(), result.clone())).collect();
+        *new.loaded.lock().unwrap_or_else(PoisonError::into_inner) = retained;
         new
     }
 
-    /// The plugin files seen, as they were.
+    /// The stamps of all plugin files at the time of the search.
     pub fn stamps(&self) -> &BTreeMap<PathBuf, Stamp> {
         &self.stamps
     }
 
-    /// Folders that were searched.
+    /// The folders that were searched.
     pub fn folders(&self) -> &[PathBuf] {
         &self.folders
     }
 
-    /// Plugins by name.
-    pub fn found(&self) -> impl Iterator<Item = &Found> {
+    /// The plugins that were found, in the order of their names.
+    pub fn found(&self) -> impl Iterator<Item = &PluginFile> {
         self.found.values()
     }
 
-    /// Files that look like plugins and cannot be used.
+    /// Files that are plugins but cannot be used.
     pub fn problems(&self) -> &[PluginProblem] {
         &self.problems
     }
 
     /// The plugins that offer a node type, from their notes.
-    pub fn offering(&self, node_type: &str) -> Vec<&Found> {
+    pub fn offering(&self, node_type: &str) -> Vec<&PluginFile> {
         self.found.values().filter(|f| f.note.node_types.iter().any(|n| n == node_type)).collect()
     }
 
-    /// Loads a plugin, once.
+    /// Loads a plugin; a second call returns the result of the first.
     pub fn load(&self, plugin: &str) -> Result<Loaded, PluginProblem> {
         let mut loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(done) = loaded.get(plugin) {
@@ -163,7 +163,7 @@ impl Loader {
         result
     }
 
-    /// The catalogue for a graph: its listed plugins loaded, all others by name only.
+    /// The catalogue for a graph: the plugins that it lists are loaded, all others are entered by name only.
     pub fn catalog<S: AsRef<str>>(&self, plugins: &[S]) -> Catalog {
         let mut catalog = Catalog { problems: self.problems.clone(), ..Catalog::default() };
         for (plugin, found) in &self.found {
@@ -215,7 +215,7 @@ fn missing(plugin: &str) -> PluginProblem {
         file: String::new(),
         message: format!("no plugin `{plugin}` was found"),
         help: format!(
-            "folders searched: the graph's plugin_paths, {PLUGIN_PATH_VARIABLE}, `plugins` beside the program"
+            "it was searched for in the graph's plugin_paths, {PLUGIN_PATH_VARIABLE} and `plugins` beside the program"
         ),
     }
 }

@@ -1,4 +1,4 @@
-//! What stands in a plugin folder is looked at before it is loaded, and refused with words.
+//! Files in a plugin folder are checked before they are loaded; unusable ones are reported.
 
 #[path = "../../engine/tests/common/mod.rs"]
 mod common;
@@ -24,13 +24,13 @@ fn flow_bytes() -> Vec<u8> {
     std::fs::read(flow_plugin()).expect("the flow plugin is readable")
 }
 
-/// Where the note's body begins.
+/// Offset of the note's body.
 fn note_body(bytes: &[u8]) -> usize {
     let owner = bytes.windows(abi::NOTE_OWNER.len()).position(|w| w == abi::NOTE_OWNER).expect("a note");
     owner + abi::NOTE_OWNER.len()
 }
 
-/// The one problem of a folder.
+/// The message of the only problem of a folder.
 fn problem(folder: &Path) -> String {
     let loader = Loader::search(&[folder.to_owned()]);
     assert_eq!(loader.found().count(), 0);
@@ -47,26 +47,26 @@ fn the_whole_file_is_found_and_loads() {
     assert_eq!(loader.offering("pass").len(), 1);
     let loaded = loader.load("flow").expect("it loads");
     let from_code: Vec<&str> = loaded.node_types.iter().map(|t| t.name.as_str()).collect();
-    assert_eq!(from_code, loaded.found.note.node_types, "note and code agree");
+    assert_eq!(from_code, loaded.plugin.note.node_types, "note and code agree");
 }
 
 #[test]
-fn a_cut_off_library_is_refused_before_it_is_mapped() {
+fn a_truncated_library_is_refused_before_it_is_mapped() {
     let whole = flow_bytes();
     for percent in (0..100).step_by(5) {
         let cut = &whole[..whole.len() * percent / 100];
         let folder = folder_with("cut", "libflow.so", cut);
         let message = problem(&folder);
-        let expected = if percent == 0 { "the file is empty" } else { "it is cut off" };
+        let expected = if percent == 0 { "the file is empty" } else { "it is truncated" };
         assert!(message.contains(expected) && message.contains("libflow.so"), "{percent} %: {message}");
     }
-    // By a single byte, too.
+    // The same when only the last byte is missing.
     let folder = folder_with("cut", "libflow.so", &whole[..whole.len() - 1]);
-    assert!(problem(&folder).contains("it is cut off"));
+    assert!(problem(&folder).contains("it is truncated"));
 }
 
 #[test]
-fn another_abi_is_refused_with_both_numbers_and_the_mend() {
+fn another_abi_is_refused_with_both_numbers_and_help() {
     let mut bytes = flow_bytes();
     let body = note_body(&bytes);
     let other = abi::ABI_MAJOR + 41;
@@ -74,13 +74,13 @@ fn another_abi_is_refused_with_both_numbers_and_the_mend() {
     let folder = folder_with("abi", "libflow.so", &bytes);
     let message = problem(&folder);
     assert!(
-        message.contains(&format!("ABI {other}")) && message.contains(&format!("speaks {}", abi::ABI_MAJOR)),
+        message.contains(&format!("ABI {other}")) && message.contains(&format!("has ABI {}", abi::ABI_MAJOR)),
         "{message}"
     );
     let loader = Loader::search(&[folder]);
     assert!(loader.problems()[0].help.contains("rebuild"), "{:?}", loader.problems());
 
-    // A graph that lists it is told at that place.
+    // A graph that lists the plugin gets the message at that position.
     let text = GraphText::parse("g.toml".as_ref(), "plugins = [\"flow\"]\n[nodes.a]\ntype = \"frames\"\n");
     let diagnostics = check(&text, &loader.catalog(&text.plugins())).into_result().unwrap_err().render(false);
     assert!(diagnostics.contains("g.toml:1:12") && diagnostics.contains("rebuild"), "{diagnostics}");
@@ -98,27 +98,27 @@ fn a_newer_minor_number_is_fine() {
 }
 
 #[test]
-fn a_note_that_lies_about_the_name_is_refused() {
+fn a_note_with_another_name_than_the_code_is_refused() {
     let mut bytes = flow_bytes();
     let body = note_body(&bytes);
     bytes[body + 8..body + 12].copy_from_slice(b"flaw");
-    let folder = folder_with("lie", "libflow.so", &bytes);
+    let folder = folder_with("other_name", "libflow.so", &bytes);
     let error = Loader::search(&[folder]).load("flaw").err().expect("refused");
     assert!(error.message.contains("its note says `flaw`, its code says `flow`"), "{}", error.message);
 }
 
 #[test]
-fn what_is_no_plugin_is_refused_or_passed_over() {
+fn files_that_are_not_plugins_are_reported_or_ignored() {
     for (bytes, expected) in [
         (&b""[..], "the file is empty"),
         (b"hello", "it does not begin with ELF"),
-        (b"\x7fELF", "it is cut off"),
+        (b"\x7fELF", "it is truncated"),
         (&[0x7f; 5000], "it does not begin with ELF"),
     ] {
         let message = problem(&folder_with("garbage", "libodd.so", bytes));
         assert!(message.contains(expected), "{message}");
     }
-    // Other files in the folder are nobody's business.
+    // Files without the ending `.so` are ignored.
     let folder = folder_with("others", "notes.txt", b"hello");
     let loader = Loader::search(&[folder, scratch("absent")]);
     assert!(loader.problems().is_empty());
@@ -129,13 +129,13 @@ fn no_flipped_byte_crashes_the_reader() {
     let whole = flow_bytes();
     let section_table = u64::from_le_bytes(whole[40..48].try_into().expect("eight bytes")) as usize;
     let note = note_body(&whole);
-    let places =
+    let offsets =
         (0..64).chain(64..64 + 56 * 8).chain(note - 24..note + 110).chain((section_table..whole.len()).step_by(7));
-    for place in places {
-        for value in [0x00, 0xff, whole[place] ^ 0x80] {
+    for offset in offsets {
+        for value in [0x00, 0xff, whole[offset] ^ 0x80] {
             let mut bytes = whole.clone();
-            bytes[place] = value;
-            // Any answer will do; it must come.
+            bytes[offset] = value;
+            // Any result is fine, as long as the reader returns.
             let _ = panoscope_loader::elf::read_note(&bytes[..]);
         }
     }

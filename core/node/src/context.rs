@@ -1,4 +1,4 @@
-//! What a node may ask of the host besides its frames.
+//! The host's services to a node besides its frames: threads, log, files, clock, random numbers.
 
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ impl Parallel for Pool<'_> {
     }
 }
 
-/// The running call.
+/// The host's services during one call of `process`.
 pub struct Context<'f> {
     raw: RawCall<'f>,
     pool: Pool<'f>,
@@ -48,21 +48,21 @@ fn has(host: &abi::Host, end: usize) -> bool {
     host.struct_size as usize >= end
 }
 
-/// See [`abi::Host::claim_file`]; a host of an earlier version claims nothing.
+/// See [`abi::Host::claim_file`]. A host of an earlier version has no such function; the path is then returned as it is.
 fn claim(host: &abi::Host, call: *mut std::ffi::c_void, path: &Path, action: u32) -> Result<PathBuf, NodeError> {
     let end = std::mem::offset_of!(abi::Host, claim_file) + size_of::<usize>();
     let (Some(claim), Some(text)) = (host.claim_file.filter(|_| has(host, end)), path.to_str()) else {
         return Ok(path.to_owned());
     };
-    let mut answer = abi::Str::EMPTY;
+    let mut returned = abi::Str::EMPTY;
     // SAFETY: `call` is the handle of the running call; the text is borrowed for the length of the function.
-    let status = unsafe { claim(call, abi::Str::borrow(text), action, &raw mut answer) };
-    // SAFETY: the host's answer is valid until the call ends.
-    let answer = unsafe { answer.text() }.unwrap_or("");
+    let status = unsafe { claim(call, abi::Str::borrow(text), action, &raw mut returned) };
+    // SAFETY: the host keeps the text that it returned valid until the call ends.
+    let returned = unsafe { returned.text() }.unwrap_or("");
     match status {
-        abi::STATUS_OK if answer.is_empty() => Ok(path.to_owned()),
-        abi::STATUS_OK => Ok(PathBuf::from(answer)),
-        _ => Err(NodeError::new(format!("{text} is written by node `{answer}`: give this node a file of its own"))),
+        abi::STATUS_OK if returned.is_empty() => Ok(path.to_owned()),
+        abi::STATUS_OK => Ok(PathBuf::from(returned)),
+        _ => Err(NodeError::new(format!("node `{returned}` already writes {text}: give this node another file"))),
     }
 }
 
@@ -74,11 +74,11 @@ impl<'f> Context<'f> {
     }
 
     fn call(&self) -> &abi::Call {
-        // SAFETY: the host's call is valid for `'f`; fields that change are copied out at once.
+        // SAFETY: the host's call is valid for `'f`; callers copy fields out, so no reference lives while one of them changes.
         unsafe { &*self.raw.raw() }
     }
 
-    /// The host's threads, for kernels.
+    /// The host's thread pool, for algorithms that take a [`Parallel`].
     pub fn pool(&self) -> &Pool<'f> {
         &self.pool
     }
@@ -93,13 +93,13 @@ impl<'f> Context<'f> {
         self.call().flags & abi::CALL_BATCH != 0
     }
 
-    /// For sources: the media time of what was captured.
+    /// For sources: sets the tick's capture time, in ns of media time.
     pub fn set_capture_ns(&self, capture_ns: i64) {
-        // SAFETY: the host reads the field after the call; nobody else holds a reference to it now.
+        // SAFETY: the host reads the field after the call, and this crate holds no reference to it between calls of this type.
         unsafe { (*self.raw.raw()).tick.capture_ns = capture_ns }
     }
 
-    /// For sources: nothing comes after this call, whose outputs are dropped.
+    /// For sources: ends the source. The outputs of this call are dropped.
     pub fn end(&self) {
         self.ended.set(true);
     }
@@ -108,37 +108,37 @@ impl<'f> Context<'f> {
         self.ended.get()
     }
 
-    /// Begins to write a file that was claimed with [`Open::claim_file`]; answers the path to create. That is `path` itself the first time in a
-    /// run; later, when the node was opened again, `name.part2.ending` and so on, so that nothing written before is cut off. With
-    /// `may_replace` the file of an earlier run is replaced, else a path is answered where nothing exists.
+    /// Begins a file that was claimed with [`Open::claim_file`] and returns the path to create. That is `path` itself the first time in a
+    /// run, then, when the node is opened again, `name.part2.ending` and so on, so that written data is never truncated. With
+    /// `may_replace` the file of an earlier run is replaced, otherwise the returned path does not exist yet.
     ///
     /// # Errors
-    /// Another node writes it.
+    /// Another node writes this file.
     pub fn begin_file(&self, path: &Path, may_replace: bool) -> Result<PathBuf, NodeError> {
         let action = if may_replace { abi::CLAIM_BEGIN } else { abi::CLAIM_BEGIN_NEW };
         claim(self.pool.host, self.call().call, path, action)
     }
 
-    /// The host's monotonic clock in ns, for nodes that note when something happened; `None` where the host has none. What a node makes must
-    /// not depend on it.
+    /// The host's monotonic clock in ns, for nodes that record when something happened; `None` where the host has none. A node's outputs
+    /// must not depend on it.
     pub fn clock_ns(&self) -> Option<i64> {
         let host = self.pool.host;
         let end = std::mem::offset_of!(abi::Host, clock_ns) + size_of::<usize>();
-        // SAFETY: the handle of the running call.
+        // SAFETY: the host keeps the handle of the running call valid for `'f`.
         host.clock_ns.filter(|_| has(host, end)).map(|clock| unsafe { clock(self.call().call) })
     }
 
-    /// The next number of a generator seeded by node and tick: the same in every run.
+    /// The next number of a generator that is seeded by node and tick: the same in every run.
     pub fn random(&self) -> u64 {
         match self.pool.host.random {
-            // SAFETY: the handle of the running call.
+            // SAFETY: the host keeps the handle of the running call valid for `'f`.
             Some(random) => unsafe { random(self.call().call) },
             None => 0,
         }
     }
 
-    /// Reports a fault after which the node goes on: a device that is gone and waited for. It is counted and written down like a
-    /// failed call, but the instance stays. One fault per call; the last one counts.
+    /// Reports a fault after which the node goes on, such as a lost device that it waits for. The host counts and records it like a
+    /// failed call, but keeps the instance. One fault per call: a later one replaces it.
     pub fn fault(&self, message: &str) {
         if let Some(fail) = self.pool.host.fail {
             // SAFETY: the handle of the running call; the text is borrowed for the length of the function.
@@ -146,7 +146,7 @@ impl<'f> Context<'f> {
         }
     }
 
-    /// A named number, shown beside the node's timing.
+    /// Reports a named number, shown beside the node's timing.
     pub fn metric(&self, name: &str, value: f64) {
         if let Some(metric) = self.pool.host.metric {
             // SAFETY: the handle of the running call; the text is borrowed for the length of the function.
@@ -154,17 +154,17 @@ impl<'f> Context<'f> {
         }
     }
 
-    /// Something the user should know.
+    /// Logs a message that the user should see.
     pub fn warn(&self, message: &str) {
         log(self.pool.host, self.call().call, abi::LOG_WARN, message);
     }
 
-    /// Progress.
+    /// Logs progress.
     pub fn info(&self, message: &str) {
         log(self.pool.host, self.call().call, abi::LOG_INFO, message);
     }
 
-    /// For whoever debugs the node.
+    /// Logs a message for debugging the node.
     pub fn debug(&self, message: &str) {
         log(self.pool.host, self.call().call, abi::LOG_DEBUG, message);
     }
@@ -197,13 +197,13 @@ impl<'a> Open<'a> {
     /// # Safety
     /// `call` and everything it points to is valid for `'a`.
     pub(crate) unsafe fn new(call: *mut abi::OpenCall) -> Self {
-        // SAFETY: the caller's promise.
+        // SAFETY: the caller guarantees that `call` and its host table are valid for `'a`.
         let host = unsafe { &*(*call).host };
         Self { call, pool: Pool { host }, lifetime: PhantomData }
     }
 
     fn call(&self) -> &'a abi::OpenCall {
-        // SAFETY: valid for `'a` (promised to `new`).
+        // SAFETY: the caller of `new` guarantees that it is valid for `'a`.
         unsafe { &*self.call }
     }
 
@@ -222,7 +222,7 @@ impl<'a> Open<'a> {
     /// Claims a file, or a pattern of files, for this node for as long as it is open. Nothing is created.
     ///
     /// # Errors
-    /// Another node of the graph writes it.
+    /// Another node of the graph writes this file.
     pub fn claim_file(&self, path: &Path) -> Result<(), NodeError> {
         claim(self.pool.host, self.call().call, path, abi::CLAIM_HOLD).map(drop)
     }
@@ -237,17 +237,17 @@ impl<'a> Open<'a> {
         self.call().flags & abi::CALL_BATCH != 0
     }
 
-    /// The host's threads, for tables that take long to build.
+    /// The host's thread pool, for tables that take long to build.
     pub fn pool(&self) -> &Pool<'a> {
         &self.pool
     }
 
-    /// Something the user should know.
+    /// Logs a message that the user should see.
     pub fn warn(&self, message: &str) {
         log(self.pool.host, self.call().call, abi::LOG_WARN, message);
     }
 
-    /// Progress.
+    /// Logs progress.
     pub fn info(&self, message: &str) {
         log(self.pool.host, self.call().call, abi::LOG_INFO, message);
     }
@@ -268,7 +268,7 @@ impl<'a> Finish<'a> {
         Self { host, call }
     }
 
-    /// Something the user should know.
+    /// Logs a message that the user should see.
     pub fn warn(&self, message: &str) {
         log(self.host, self.call, abi::LOG_WARN, message);
     }
@@ -276,7 +276,7 @@ impl<'a> Finish<'a> {
     /// Begins to write a file, as [`Context::begin_file`].
     ///
     /// # Errors
-    /// Another node writes it.
+    /// Another node writes this file.
     pub fn begin_file(&self, path: &Path, may_replace: bool) -> Result<PathBuf, NodeError> {
         let action = if may_replace { abi::CLAIM_BEGIN } else { abi::CLAIM_BEGIN_NEW };
         claim(self.host, self.call, path, action)

@@ -7,15 +7,8 @@ use crate::abi::{self, Detection, DetectionsHeader};
 use crate::error::{NodeError, Result};
 use crate::input::{FromFrame, bytes};
 use crate::output::Slot;
-use crate::packet::{Plain, bytes_of};
+use crate::packet::{LabeledDetections, LabeledInstances, Plain, bytes_of};
 use crate::port::nameless;
-
-/// Marks an output of type `detections`.
-#[derive(Clone, Copy, Debug)]
-pub enum LabeledDetections {}
-/// Marks an output of type `instances`.
-#[derive(Clone, Copy, Debug)]
-pub enum LabeledInstances {}
 
 // SAFETY: repr(C), fields ordered by size without padding (sizes asserted).
 unsafe impl Plain for Detection {}
@@ -55,7 +48,7 @@ impl<'f> Detections<'f> {
         self.items
     }
 
-    /// The tick of the picture that was searched.
+    /// The tick of the searched image.
     pub fn tick(&self) -> abi::Tick {
         self.tick
     }
@@ -65,12 +58,12 @@ impl<'f> Detections<'f> {
         self.list.label(class_index).unwrap_or("")
     }
 
-    /// All names of classes.
+    /// The names of all classes, in the order of their indices.
     pub fn labels(&self) -> impl Iterator<Item = &'f str> + use<'f> {
         self.list.labels()
     }
 
-    /// Width and height in px of the image that was searched.
+    /// Width and height of the searched image in px.
     pub fn image_size(&self) -> (usize, usize) {
         self.list.image_size()
     }
@@ -92,7 +85,7 @@ impl<'f> FromFrame<'f> for Instances<'f> {
 }
 
 impl<'f> Instances<'f> {
-    /// The boxes.
+    /// The boxes without their masks.
     pub fn detections(&self) -> Detections<'f> {
         self.detections
     }

@@ -1,8 +1,8 @@
-//! What a node answers when it cannot do its work.
+//! The error that a node's calls return.
 
 use std::fmt;
 
-/// Why a node failed, in words for the person who runs the graph.
+/// Why a node failed, as a message for the person who runs the graph.
 pub struct NodeError {
     message: String,
     status: crate::abi::Status,
@@ -12,37 +12,37 @@ pub struct NodeError {
 pub type Result<T, E = NodeError> = std::result::Result<T, E>;
 
 impl NodeError {
-    /// An error with the words to show.
+    /// An error with the message to show. The host may open the node again.
     pub fn new(message: impl Into<String>) -> Self {
         Self { message: message.into(), status: crate::abi::STATUS_ERROR }
     }
 
-    /// An error that opening the node again would not mend, such as a full disk: the host stops the node, says so and goes on without it.
+    /// An error that a restart of the node would not fix, such as a full disk: the host stops the node, reports it and goes on without it.
     pub fn lasting(message: impl Into<String>) -> Self {
         Self::with_status(message, crate::abi::STATUS_STOPPED)
     }
 
-    /// Whether the node is to stay closed, see [`NodeError::lasting`].
+    /// Whether the node must stay closed, see [`NodeError::lasting`].
     pub fn is_lasting(&self) -> bool {
         self.status == crate::abi::STATUS_STOPPED
     }
 
-    /// For sources: nothing comes after this call, and something is missing. A fault is counted and the source is not opened again.
+    /// For sources: the source has ended before its data was complete. The host counts a fault and does not open the source again.
     pub fn ended_early(message: impl Into<String>) -> Self {
         Self::with_status(message, crate::abi::STATUS_END)
     }
 
-    /// An error that stands for a status of the contract.
+    /// An error with a status of the ABI.
     pub(crate) fn with_status(message: impl Into<String>, status: crate::abi::Status) -> Self {
         Self { message: message.into(), status }
     }
 
-    /// The words.
+    /// The message, without the status.
     pub fn message(&self) -> &str {
         &self.message
     }
 
-    /// The contract's status.
+    /// The status that the call returns to the host.
     pub(crate) fn status(&self) -> crate::abi::Status {
         self.status
     }
@@ -60,7 +60,7 @@ impl fmt::Debug for NodeError {
     }
 }
 
-/// Whether a device takes nothing more until somebody does something about it.
+/// Whether no more can be written until somebody frees or unlocks the disk.
 fn is_full(error: &(dyn std::error::Error + 'static)) -> bool {
     use std::io::ErrorKind::{FileTooLarge, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
     let kind = error.downcast_ref::<std::io::Error>().map(std::io::Error::kind);

@@ -1,4 +1,4 @@
-//! From [`Node`] to the contract's function table.
+//! Turns a [`Node`] into the ABI's descriptor and functions.
 
 use std::ffi::c_void;
 use std::marker::PhantomData;
@@ -19,11 +19,11 @@ struct Instance<N: Node> {
     params_version: u64,
 }
 
-/// The contract's view of a node type.
+/// Holder of the ABI descriptor of node type `N`.
 pub struct NodeTypeOf<N>(PhantomData<N>);
 
 impl<N: Node> NodeTypeOf<N> {
-    /// The descriptor.
+    /// The descriptor, with functions that call `N` and stop its panics.
     pub const NODE_TYPE: abi::NodeType = abi::NodeType {
         struct_size: size_of::<abi::NodeType>() as u32,
         kind: match N::INFO.kind {
@@ -55,7 +55,7 @@ impl<N: Node> NodeTypeOf<N> {
 }
 
 unsafe fn values<'a>(params: *const abi::ParamValue, len: usize) -> &'a [abi::ParamValue] {
-    // SAFETY: the host describes the snapshot for the length of the call.
+    // SAFETY: the host keeps `len` values readable at `params` for the length of the call.
     if len == 0 { &[] } else { unsafe { std::slice::from_raw_parts(params, len) } }
 }
 
@@ -68,7 +68,7 @@ unsafe fn fail(host: *const abi::Host, call: *mut c_void, message: &str) {
     }
 }
 
-/// Runs a call of the contract; errors and panics become words and a status.
+/// Runs the body of an ABI function; an error or a panic becomes a message to the host and a status.
 unsafe fn guarded(
     host: *const abi::Host,
     call: *mut c_void,
@@ -77,12 +77,12 @@ unsafe fn guarded(
     match guard::catch(body) {
         Ok(Ok(status)) => status,
         Ok(Err(error)) => {
-            // SAFETY: the caller's host and handle.
+            // SAFETY: the caller passes the host's table and handle of the running call, both valid until it returns.
             unsafe { fail(host, call, error.message()) };
             error.status()
         }
         Err(caught) => {
-            // SAFETY: the caller's host and handle.
+            // SAFETY: the caller passes the host's table and handle of the running call, both valid until it returns.
             unsafe { fail(host, call, &caught.text()) };
             caught.discard();
             abi::STATUS_PANIC
@@ -91,9 +91,9 @@ unsafe fn guarded(
 }
 
 unsafe extern "C" fn open<N: Node>(open: *mut abi::OpenCall, instance: *mut *mut c_void) -> abi::Status {
-    // SAFETY: the host's call is valid for its length.
+    // SAFETY: the host keeps the call valid until this function returns.
     let (host, call) = unsafe { ((*open).host, (*open).call) };
-    // SAFETY: as above.
+    // SAFETY: the host keeps the call, its values and its texts valid until this function returns, and `instance` is writable.
     unsafe {
         guarded(host, call, || {
             let params = N::Params::read(values((*open).params, (*open).params_len))?;
@@ -108,7 +108,7 @@ unsafe extern "C" fn open<N: Node>(open: *mut abi::OpenCall, instance: *mut *mut
 }
 
 unsafe extern "C" fn validate<N: Node>(call: *mut abi::ValidateCall) -> abi::Status {
-    // SAFETY: the host's call is valid for its length, and nothing writes to it meanwhile.
+    // SAFETY: the host keeps the call valid until this function returns and does not write to it meanwhile.
     let call = unsafe { &*call };
     let report = |severity: u32, param: u32, message: &str, help: &str| {
         if let Some(invalid) = call.invalid {
@@ -125,7 +125,7 @@ unsafe extern "C" fn validate<N: Node>(call: *mut abi::ValidateCall) -> abi::Sta
                 values(call.params, call.params_len),
             )
         };
-        let mut take = |p: Problem<'_>| report(p.severity, p.param, p.message, p.help);
+        let mut forward = |p: Problem<'_>| report(p.severity, p.param, p.message, p.help);
         let counts = match call.connections_len {
             0 => &[],
             // SAFETY: the host's counts are readable for the length of the call.
@@ -133,7 +133,7 @@ unsafe extern "C" fn validate<N: Node>(call: *mut abi::ValidateCall) -> abi::Sta
         };
         let wiring = (call.flags & abi::CALL_WIRED != 0).then_some((counts, call.outputs_read));
         let params = N::Params::read(values)?;
-        let mut check = Validation::new::<N>(node_id, graph_dir.as_ref(), call.flags, wiring, &mut take);
+        let mut check = Validation::new::<N>(node_id, graph_dir.as_ref(), call.flags, wiring, &mut forward);
         N::validate(&params, &mut check);
         Ok::<(), NodeError>(())
     });
@@ -144,8 +144,8 @@ unsafe extern "C" fn validate<N: Node>(call: *mut abi::ValidateCall) -> abi::Sta
             error.status()
         }
         Err(caught) => {
-            let message = format!("its check of the parameters {}", caught.text());
-            report(abi::PROBLEM_ERROR, abi::NO_PARAM, &message, "this is a mistake in the plugin");
+            let message = format!("its parameter check {}", caught.text());
+            report(abi::PROBLEM_ERROR, abi::NO_PARAM, &message, "this is a bug in the plugin");
             caught.discard();
             abi::STATUS_PANIC
         }
@@ -153,7 +153,7 @@ unsafe extern "C" fn validate<N: Node>(call: *mut abi::ValidateCall) -> abi::Sta
 }
 
 unsafe extern "C" fn process<N: Node>(instance: *mut c_void, call: *mut abi::Call) -> abi::Status {
-    // SAFETY: the host's call is valid for its length; the instance came from `open` and is used by one thread at a time.
+    // SAFETY: the host keeps the call valid until this function returns, and passes an instance from `open` to one thread at a time.
     unsafe {
         let (host, handle) = ((*call).host, (*call).call);
         let this = &mut *instance.cast::<Instance<N>>();
@@ -163,8 +163,8 @@ unsafe extern "C" fn process<N: Node>(instance: *mut c_void, call: *mut abi::Cal
                 this.params_version = (*call).params_version;
             }
             let raw = RawCall::new(call);
-            let input = <N::In<'_> as Ports<'_>>::bind(raw)?;
-            let out = <N::Out<'_> as Ports<'_>>::bind(raw)?;
+            let input = <N::In<'_> as Ports<'_>>::bind(raw, 0)?;
+            let out = <N::Out<'_> as Ports<'_>>::bind(raw, 0)?;
             let context = Context::new(raw);
             this.node.process(&context, input, out, &this.params)?;
             Ok(if context.ended() { abi::STATUS_END } else { abi::STATUS_OK })
@@ -173,7 +173,7 @@ unsafe extern "C" fn process<N: Node>(instance: *mut c_void, call: *mut abi::Cal
 }
 
 unsafe extern "C" fn finish<N: Node>(instance: *mut c_void, host: *const abi::Host, call: *mut c_void) -> abi::Status {
-    // SAFETY: an open instance that no other thread uses; the host's table and handle are valid for the length of the call.
+    // SAFETY: the host passes an instance from `open` to one thread at a time, and keeps its table and handle valid for the call.
     unsafe {
         let this = &mut *instance.cast::<Instance<N>>();
         guarded(host, call, || {
@@ -184,7 +184,7 @@ unsafe extern "C" fn finish<N: Node>(instance: *mut c_void, host: *const abi::Ho
 }
 
 unsafe extern "C" fn close<N: Node>(instance: *mut c_void) {
-    // SAFETY: the host closes what `open` made, once.
+    // SAFETY: the host passes an instance that `open` boxed, once, and does not use it afterwards.
     let boxed = unsafe { Box::from_raw(instance.cast::<Instance<N>>()) };
     if let Err(caught) = guard::catch(move || drop(boxed)) {
         caught.discard();
@@ -196,7 +196,7 @@ unsafe extern "C" fn save_state<N: Node>(
     host: *const abi::Host,
     sink: *mut c_void,
 ) -> abi::Status {
-    // SAFETY: an open instance that no other thread uses, and the host's table.
+    // SAFETY: the host passes an instance from `open` to one thread at a time, and keeps its table valid.
     unsafe {
         let this = &*instance.cast::<Instance<N>>();
         match guard::catch(|| this.node.save_state()) {
@@ -216,7 +216,7 @@ unsafe extern "C" fn save_state<N: Node>(
 }
 
 unsafe extern "C" fn load_state<N: Node>(instance: *mut c_void, bytes: *const u8, len: usize) -> abi::Status {
-    // SAFETY: an open instance that no other thread uses, and `len` readable bytes.
+    // SAFETY: the host passes an instance from `open` to one thread at a time, and `len` readable bytes.
     unsafe {
         let this = &mut *instance.cast::<Instance<N>>();
         let bytes = if len == 0 { &[] } else { std::slice::from_raw_parts(bytes, len) };
@@ -231,21 +231,21 @@ unsafe extern "C" fn load_state<N: Node>(instance: *mut c_void, bytes: *const u8
     }
 }
 
-/// Called by the host once after loading.
+/// Stores the host's function table and installs the panic hook. The host calls it once after loading the plugin.
 ///
 /// # Safety
-/// `host` is the host's function table and outlives the process.
+/// `host` is the host's function table and stays valid until the process ends.
 pub unsafe extern "C" fn attach(host: *const abi::Host) -> abi::Status {
-    // SAFETY: the caller's promise.
+    // SAFETY: the caller guarantees that the table stays valid until the process ends.
     unsafe { crate::host::attach(host) };
     install_panic_hook();
     abi::STATUS_OK
 }
 
-/// Makes this crate a plugin with the given nodes. Once per cdylib.
+/// Makes this crate a plugin with the given nodes. Use it once per cdylib.
 ///
-/// The plugin is named after its crate without a leading `panoscope-`, or as said: `export_plugin!["my_name"; A, B]`. The symbol is
-/// left out without the crate's default feature `plugin`, so that tests can link several plugins into one binary.
+/// The plugin is named after its crate without a leading `panoscope-`, or explicitly: `export_plugin!["my_name"; A, B]`. Without the
+/// crate's default feature `plugin` the entry symbol is not exported, so that tests can link several plugins into one binary.
 #[macro_export]
 macro_rules! export_plugin {
     ($($node:ty),+ $(,)?) => {
@@ -279,7 +279,7 @@ macro_rules! export_plugin {
             }
         };
 
-        /// Answers the plugin's descriptor.
+        /// Returns the plugin's descriptor.
         #[cfg(feature = "plugin")]
         #[unsafe(no_mangle)]
         pub extern "C" fn panoscope_plugin() -> *const $crate::abi::Plugin {
@@ -288,10 +288,10 @@ macro_rules! export_plugin {
     };
 }
 
-/// Pointers to the descriptors of a plugin.
+/// Pointers to the descriptors of a plugin's `N` node types.
 pub struct NodeTypes<const N: usize>(pub [&'static abi::NodeType; N]);
 
-/// `panoscope-stitch` -> `stitch`.
+/// The plugin name of a package: `panoscope-stitch` becomes `stitch`.
 pub const fn plugin_name(package: &'static str) -> &'static str {
     let prefix = b"panoscope-";
     let bytes = package.as_bytes();

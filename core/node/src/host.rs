@@ -1,4 +1,4 @@
-//! The host's functions that need no running call.
+//! Host functions that can be used outside a call: reference counts and the parallel loop.
 
 use std::ffi::c_void;
 use std::sync::atomic::{AtomicPtr, Ordering};
@@ -6,10 +6,10 @@ use std::sync::atomic::{AtomicPtr, Ordering};
 use crate::abi;
 use crate::guard::{self, Caught};
 
-/// Every cdylib has its own copy of this static; `attach` fills it before any node opens.
+/// Every cdylib has its own copy of this static; `attach` sets it before any node opens.
 static HOST: AtomicPtr<abi::Host> = AtomicPtr::new(std::ptr::null_mut());
 
-/// Remembers the host's function table.
+/// Stores the host's function table.
 ///
 /// # Safety
 /// `host` stays valid until the process ends.
@@ -18,7 +18,7 @@ pub unsafe fn attach(host: *const abi::Host) {
 }
 
 fn host() -> Option<&'static abi::Host> {
-    // SAFETY: null, or a table that outlives the process (promised to `attach`).
+    // SAFETY: null, or the table that the caller of `attach` keeps valid until the process ends.
     unsafe { HOST.load(Ordering::Acquire).as_ref() }
 }
 
@@ -26,7 +26,7 @@ pub(crate) fn retain(buffer: abi::BufferId) {
     if let Some(host) = host()
         && let Some(retain) = host.retain
     {
-        // SAFETY: the buffer is lent to the running call, so it is alive.
+        // SAFETY: the host lends the buffer to the running call, so it is alive.
         unsafe { retain(host.ctx, buffer) }
     }
 }
@@ -35,19 +35,19 @@ pub(crate) fn release(buffer: abi::BufferId) {
     if let Some(host) = host()
         && let Some(release) = host.release
     {
-        // SAFETY: balances one earlier `retain`.
+        // SAFETY: `Kept` calls this once per `retain`, so the buffer still has this reference.
         unsafe { release(host.ctx, buffer) }
     }
 }
 
-/// Runs `body` on the host's pool.
+/// Runs `body` once for each index below `chunks` on the host's pool; continues a panic of `body` on this thread.
 pub(crate) fn parallel_for(host: &abi::Host, chunks: usize, body: &(dyn Fn(usize) + Sync)) {
     unsafe extern "C" fn chunk(data: *mut c_void, index: usize) {
         // SAFETY: `data` is the `Loop` below, alive until the host's `parallel_for` returns.
         let this = unsafe { &*data.cast::<Loop<'_>>() };
         if let Err(caught) = guard::catch(|| (this.body)(index)) {
             let mut panic = this.panic.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-            // The lowest index wins, so that a node fails with the same words whatever the number of threads.
+            // The panic of the lowest index wins, so that the message does not depend on the number of threads.
             match &*panic {
                 Some((first, _)) if *first < index => caught.discard(),
                 _ => {

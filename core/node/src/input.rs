@@ -12,12 +12,12 @@ use crate::host;
 use crate::packet::{Packet, Plain, Plane};
 use crate::port::{PortField, RawCall, nameless};
 
-/// A type made from one frame.
+/// A type that wraps one frame.
 pub trait FromFrame<'f>: Sized {
-    /// Declaration without name and doc.
+    /// Port declaration without name and doc.
     const PORT: abi::Port;
 
-    /// Checks the frame and wraps it.
+    /// Checks the frame against the type and wraps it.
     fn from_frame(frame: &'f abi::Frame) -> Result<Self>;
 }
 
@@ -58,7 +58,7 @@ fn missing(name: &str) -> NodeError {
     NodeError::new(format!("input `{name}` is required but empty"))
 }
 
-/// A port that takes any number of frames, in the order of the graph file.
+/// An input with any number of connections, in the order of the graph file.
 #[derive(Clone, Copy)]
 pub struct List<'f, T> {
     frames: &'f [abi::Frame],
@@ -79,7 +79,7 @@ impl<'f, T: FromFrame<'f>> PortField<'f> for List<'f, T> {
     }
 }
 
-/// A list that may stay unconnected.
+/// A list that need not be connected.
 impl<'f, T: FromFrame<'f>> PortField<'f> for Option<List<'f, T>> {
     const PORT: abi::Port = abi::Port { flags: abi::PORT_LIST | abi::PORT_OPTIONAL, ..T::PORT };
 
@@ -90,12 +90,12 @@ impl<'f, T: FromFrame<'f>> PortField<'f> for Option<List<'f, T>> {
 }
 
 impl<'f, T: FromFrame<'f>> List<'f, T> {
-    /// How many frames are connected.
+    /// Number of connections, with those that are empty for this tick.
     pub fn len(&self) -> usize {
         self.frames.len()
     }
 
-    /// Whether none is connected.
+    /// Whether the input has no connection.
     pub fn is_empty(&self) -> bool {
         self.frames.is_empty()
     }
@@ -126,7 +126,7 @@ impl<P> Clone for Image<'_, P> {
 }
 impl<P> Copy for Image<'_, P> {}
 
-/// Bytes from the first pixel of a frame to the end of the last, after checking that they lie inside the buffer and are aligned to
+/// Bytes from the first pixel of a frame to the end of the last. Checks that they lie inside the buffer and are aligned to
 /// elements of `size` bytes, a power of two.
 #[inline]
 fn checked_len(frame: &abi::Frame, channels: usize, size: usize) -> Result<usize> {
@@ -144,7 +144,7 @@ fn misfit(frame: &abi::Frame) -> NodeError {
     NodeError::new(format!("a {width}x{height} frame with {stride_bytes} bytes a row does not fit its {len} bytes"))
 }
 
-/// The elements of a frame, after checking that they lie inside the buffer.
+/// The elements of a frame and its stride in elements. Checks that they lie inside the buffer.
 fn elements<T: Plain>(frame: &abi::Frame, channels: usize) -> Result<(&[T], usize)> {
     const { assert!(size_of::<T>().is_power_of_two() && align_of::<T>() <= size_of::<T>()) }
     let size = size_of::<T>();
@@ -153,7 +153,7 @@ fn elements<T: Plain>(frame: &abi::Frame, channels: usize) -> Result<(&[T], usiz
     if need == 0 {
         return Ok((&[], stride));
     }
-    // SAFETY: the host lends `len` bytes at `data` for the call; size and alignment were checked.
+    // SAFETY: the host lends `len` bytes at `data` for the call; `checked_len` checked size and alignment.
     Ok((unsafe { std::slice::from_raw_parts(frame.data.cast(), need / size) }, stride))
 }
 
@@ -186,24 +186,24 @@ impl<'f, P: Plane> Image<'f, P> {
         View::with_stride(data, self.width(), self.height(), P::CHANNELS, stride)
     }
 
-    /// When the picture was taken, media time.
+    /// Capture time of the frame, in ns of media time.
     pub fn capture_ns(&self) -> i64 {
         self.frame.tick.capture_ns
     }
 
-    /// The host's description.
+    /// The frame as the host describes it.
     pub fn frame(&self) -> &'f abi::Frame {
         self.frame
     }
 
-    /// Keeps the buffer beyond this call.
+    /// Retains the buffer beyond this call; the result releases it when dropped.
     pub fn keep(&self) -> Kept<P> {
         host::retain(self.frame.buffer);
         Kept { frame: *self.frame, plane: PhantomData }
     }
 }
 
-/// An image of a format known only when it arrives.
+/// An image whose format is known only when it arrives.
 #[derive(Clone, Copy)]
 pub struct AnyImage<'f> {
     frame: &'f abi::Frame,
@@ -224,16 +224,16 @@ impl<'f> FromFrame<'f> for AnyImage<'f> {
 
 #[cold]
 fn no_image(format: u32) -> NodeError {
-    NodeError::new(format!("format {format} is no image"))
+    NodeError::new(format!("format {format} is not an image format"))
 }
 
 impl<'f> AnyImage<'f> {
-    /// As a plane, when it has that format.
+    /// The image as a plane of format `P`; `None` when it has another format.
     pub fn as_plane<P: crate::PlaneFormat>(&self) -> Option<Image<'f, P>> {
         Image::from_frame(self.frame).ok()
     }
 
-    /// One of the contract's `FORMAT_` constants.
+    /// One of the ABI's `FORMAT_` constants.
     pub fn format(&self) -> u32 {
         self.frame.format
     }
@@ -248,13 +248,13 @@ impl<'f> AnyImage<'f> {
         self.frame.height as usize
     }
 
-    /// The host's description.
+    /// The frame as the host describes it.
     pub fn frame(&self) -> &'f abi::Frame {
         self.frame
     }
 }
 
-/// A frame kept beyond the call that lent it.
+/// A retained frame: valid beyond the call that lent it, released when dropped.
 pub struct Kept<P> {
     frame: abi::Frame,
     plane: PhantomData<P>,
@@ -268,7 +268,7 @@ impl<P: Plane> Kept<P> {
         View::with_stride(data, image.width(), image.height(), P::CHANNELS, stride)
     }
 
-    /// The host's description.
+    /// The frame as the host describes it.
     pub fn frame(&self) -> &abi::Frame {
         &self.frame
     }
@@ -280,7 +280,7 @@ impl<P> Drop for Kept<P> {
     }
 }
 
-/// Plain data: a homography, a calibration, an own packet.
+/// Plain data: a homography, a calibration, a packet of the plugin's own.
 #[derive(Clone, Copy)]
 pub struct Value<'f, T> {
     value: &'f T,
@@ -288,7 +288,7 @@ pub struct Value<'f, T> {
 }
 
 impl<T> Value<'_, T> {
-    /// The tick that this value belongs to.
+    /// The tick of the frame that holds this value.
     pub fn tick(&self) -> abi::Tick {
         self.frame.tick
     }
@@ -301,7 +301,7 @@ impl<'f, T: Packet> FromFrame<'f> for Value<'f, T> {
         if frame.len < size_of::<T>() || !frame.data.addr().is_multiple_of(align_of::<T>()) {
             return Err(NodeError::new(format!("`{}` is {} bytes, {} arrived", T::NAME, size_of::<T>(), frame.len)));
         }
-        // SAFETY: size and alignment checked; plain data has no invalid bit pattern.
+        // SAFETY: size and alignment are checked above; `Packet` guarantees that every bit pattern is valid.
         Ok(Self { value: unsafe { &*frame.data.cast::<T>() }, frame })
     }
 }
@@ -347,7 +347,7 @@ impl<'f> Cloud<'f> {
         self.frame.height as usize
     }
 
-    /// The tick that this cloud belongs to.
+    /// The tick of the frame that holds this cloud.
     pub fn tick(&self) -> abi::Tick {
         self.frame.tick
     }
@@ -358,12 +358,12 @@ impl<'f> Cloud<'f> {
         if count == 0 {
             return &[];
         }
-        // SAFETY: size and alignment checked in `from_frame`.
+        // SAFETY: `from_frame` checked size and alignment, and the host lends the bytes for `'f`.
         unsafe { std::slice::from_raw_parts(self.frame.data.cast(), count) }
     }
 }
 
-/// A line or more of UTF-8.
+/// One or more lines of UTF-8 text.
 #[derive(Clone, Copy)]
 pub struct Text<'f> {
     text: &'f str,
@@ -378,7 +378,7 @@ impl<'f> FromFrame<'f> for Text<'f> {
 }
 
 impl<'f> Text<'f> {
-    /// The text, for as long as the frame is lent.
+    /// The text, valid as long as the frame is lent.
     pub fn as_str(&self) -> &'f str {
         self.text
     }

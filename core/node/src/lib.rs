@@ -1,8 +1,8 @@
 //! What the author of a Panoscope node uses.
 //!
-//! A node is a type that implements [`Node`]: it names its ports and parameters as plain structs and processes one
+//! A node is a type that implements [`Node`]: it declares its ports and parameters as plain structs and processes one
 //! tick per call. [`export_plugin!`] makes a plugin of one or more nodes. The rest is typed access to what
-//! the host lends: [`Image`], [`Value`], [`List`] for inputs, [`Slot`] for outputs, [`Context`] for everything else.
+//! the host lends: [`Image`], [`Value`] and [`List`] for inputs, [`Slot`] for outputs, [`Context`] for everything else.
 
 extern crate self as panoscope_node;
 
@@ -15,6 +15,7 @@ mod guard;
 pub mod harness;
 pub mod host;
 pub mod input;
+mod nest;
 pub mod output;
 pub mod packet;
 pub mod param;
@@ -23,26 +24,26 @@ pub mod table;
 pub mod validation;
 
 pub use context::{Context, Finish, Open, Pool};
-pub use detections::{Detections, Instances, LabeledDetections, LabeledInstances};
+pub use detections::{Detections, Instances};
 pub use error::{NodeError, Result};
 pub use input::{AnyImage, Cloud, Image, Kept, List, Text, Value};
 pub use output::Slot;
 pub use packet::{
-    AnyFormat, Bgr8, Confidence, Depth, Disparity, Gray8, Gray16, GrayF32, Mask, Packet, Plain, Plane, PlaneFormat,
-    PointCloud, Rgba8, TextPacket, name16, name32,
+    AnyFormat, Bgr8, Confidence, Depth, Disparity, Gray8, Gray16, GrayF32, LabeledDetections, LabeledInstances, Mask,
+    Packet, Plain, Plane, PlaneFormat, PointCloud, Rgba8, TableData, TextPacket, name16, name32,
 };
 pub use panoscope_abi as abi;
 pub use panoscope_base::{Parallel, Rect, View, ViewMut, random};
 pub use panoscope_node_derive::{Choice, Packet, Params, Ports};
 pub use param::{Choice, ParamField, Params};
 pub use port::{NoPorts, PortField, Ports, RawCall};
-pub use table::{Table, TableData};
+pub use table::Table;
 pub use validation::Validation;
 
 /// One processing node.
 ///
-/// An instance is used by one thread at a time, but not always the same one. `process` sees no clock and no random
-/// number except the host's, allocates nothing in steady state, and leaves an output empty by not making it.
+/// The host calls an instance from one thread at a time, but not always the same one. `process` uses no clock and no random
+/// number except the host's, and allocates nothing in steady state. An output that it does not make is empty.
 pub trait Node: Sized + Send + 'static {
     /// Name, family and kind.
     const INFO: NodeInfo;
@@ -53,12 +54,12 @@ pub trait Node: Sized + Send + 'static {
     /// Parameters, see [`macro@Params`].
     type Params: Params;
 
-    /// Reports what `open` or a first tick would refuse about parameters and wiring, so that `panoscope check` finds it. Opens no device and
-    /// writes nothing; may look whether files are there. Called again before `open`, which therefore need not repeat it.
+    /// Reports parameters and wiring with which `open` or the first tick would fail, so that `panoscope check` finds them. Must not open a
+    /// device or write anything; may test whether files exist. The host calls it again before `open`, which therefore need not repeat it.
     fn validate(_params: &Self::Params, _check: &mut Validation<'_>) {}
 
-    /// Makes an instance: loads models, opens devices, builds tables. May take long. Not called for parameters that
-    /// [`Self::validate`] refuses.
+    /// Creates an instance: loads models, opens devices, builds tables. May take long. Not called with parameters that
+    /// [`Self::validate`] rejects.
     fn open(open: &Open<'_>, params: &Self::Params) -> Result<Self>;
 
     /// Processes one tick.
@@ -70,18 +71,18 @@ pub trait Node: Sized + Send + 'static {
         params: &Self::Params,
     ) -> Result<()>;
 
-    /// Completes what the node writes, before it is closed: nothing comes after this call. An error is told and fails the run. Not called for an
-    /// instance that was never used, nor when the host has no time left: `drop` does what can be done then.
+    /// Completes the node's files before it is closed; no other call follows. An error is reported and fails the run. Not called for an
+    /// instance that was never used, nor when the host has no time left: then `drop` does what it can.
     fn finish(&mut self, _cx: &Finish<'_>) -> Result<()> {
         Ok(())
     }
 
-    /// State worth handing to a replacement of this node while the graph runs.
+    /// State for the instance that replaces this one while the graph runs; `None` when there is none.
     fn save_state(&self) -> Option<Vec<u8>> {
         None
     }
 
-    /// Takes over what an earlier instance saved.
+    /// Restores the state that an earlier instance saved.
     fn load_state(&mut self, _state: &[u8]) -> Result<()> {
         Ok(())
     }
@@ -90,30 +91,30 @@ pub trait Node: Sized + Send + 'static {
 /// When and where the host may run a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Short calculation on the shared pool.
+    /// A short calculation; runs on the shared pool.
     Compute,
-    /// May wait: owns a thread.
+    /// May wait for a device or a file; has a thread of its own.
     Blocking,
-    /// Control loop: owns a thread of high priority.
+    /// A control loop; has a thread of its own with high priority.
     Realtime,
 }
 
-/// What a node type says of itself.
+/// A node type's name, family and scheduling needs.
 #[derive(Clone, Copy, Debug)]
 pub struct NodeInfo {
     /// Name in graph files, `snake_case`.
     pub name: &'static str,
     /// Family: source, stereo, stitch, tools, arm, overlay, sink, filter.
     pub family: &'static str,
-    /// What the node does.
+    /// What the node does, in one sentence; shown by `describe` and the editor.
     pub doc: &'static str,
-    /// Where it runs.
+    /// When and where the host may run it.
     pub kind: Kind,
-    /// Makes ticks without any input.
+    /// Starts ticks; has no required input.
     pub source: bool,
-    /// Owns a device.
+    /// Owns a device that no second instance can open at the same time.
     pub exclusive: bool,
-    /// Acts on the world outside the graph.
+    /// Has an effect outside the graph: writes files, moves an arm.
     pub side_effects: bool,
 }
 
@@ -157,7 +158,7 @@ impl NodeInfo {
         Self::new(Kind::Realtime, name, family, doc)
     }
 
-    /// Marks a node that makes ticks.
+    /// Marks a node that starts ticks.
     pub const fn source(mut self) -> Self {
         self.source = true;
         self
@@ -169,7 +170,7 @@ impl NodeInfo {
         self
     }
 
-    /// Marks a node that acts on the world outside the graph.
+    /// Marks a node that has an effect outside the graph.
     pub const fn side_effects(mut self) -> Self {
         self.side_effects = true;
         self
@@ -178,6 +179,7 @@ impl NodeInfo {
 
 #[doc(hidden)]
 pub mod __private {
+    pub use crate::nest::{params, ports};
     pub use crate::packet::{plain_size, sum};
     pub use crate::param::{
         Declared, DefaultValue, has_word, is_flag, is_floats, is_number, is_path, is_text, on_step, param,

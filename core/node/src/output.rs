@@ -1,4 +1,4 @@
-//! Typed outputs: buffers of the host, moved to it when the call returns. An output that is not made is empty.
+//! Typed outputs: buffers of the host, handed to it when the call returns. An output that the node does not make is empty.
 
 use panoscope_base::format::IMAGE_FORMATS;
 use std::marker::PhantomData;
@@ -6,7 +6,10 @@ use std::marker::PhantomData;
 use crate::ViewMut;
 use crate::abi;
 use crate::error::{NodeError, Result};
-use crate::packet::{AnyFormat, Packet, Plain, Plane, PlaneFormat, PointCloud, TextPacket, bytes_of};
+use crate::packet::{
+    AnyFormat, LabeledDetections, LabeledInstances, Packet, Plain, Plane, PlaneFormat, PointCloud, TableData,
+    TextPacket, bytes_of,
+};
 use crate::port::{PortField, RawCall, nameless};
 
 /// An output port.
@@ -16,9 +19,9 @@ pub struct Slot<'f, T> {
     packet: PhantomData<T>,
 }
 
-/// What an output port may carry.
+/// A packet type that an output port may carry.
 pub trait SlotPacket {
-    /// Declaration without name and doc.
+    /// Port declaration without name and doc.
     const PORT: abi::Port;
 }
 
@@ -26,7 +29,7 @@ impl<P: Plane> SlotPacket for PlaneOf<P> {
     const PORT: abi::Port = nameless(P::PACKET, 0, abi::format_bit(P::FORMAT), 0);
 }
 
-/// Keeps the two families of packets apart for the compiler.
+/// Lets [`SlotPacket`] be implemented for planes without overlapping the implementation for [`Packet`].
 pub struct PlaneOf<P>(PhantomData<P>);
 
 macro_rules! slot_ports {
@@ -53,9 +56,9 @@ slot_ports! {
     AnyFormat => nameless("image", 0, IMAGE_FORMATS, 0),
     PointCloud => nameless("cloud", 0, abi::format_bit(abi::FORMAT_CLOUD), 0),
     TextPacket => nameless("text", 0, 0, 0),
-    crate::table::TableData => nameless("table", 0, 0, 0),
-    crate::detections::LabeledDetections => nameless("detections", 0, 0, 0),
-    crate::detections::LabeledInstances => nameless("instances", 0, 0, 0),
+    TableData => nameless("table", 0, 0, 0),
+    LabeledDetections => nameless("detections", 0, 0, 0),
+    LabeledInstances => nameless("instances", 0, 0, 0),
 }
 
 impl<'f, T: Packet> PortField<'f> for Slot<'f, T> {
@@ -71,14 +74,14 @@ impl<'f, T> Slot<'f, T> {
         Self { call, index: index as u32, packet: PhantomData }
     }
 
-    /// Whether anyone reads this output: work for nobody can be left out.
+    /// Whether this output has a reader. Without one, the node need not compute it.
     pub fn is_read(&self) -> bool {
         // SAFETY: the host's call is valid for `'f`.
         let read = unsafe { (*self.call.raw()).outputs_read };
         self.index >= 64 || read >> self.index & 1 == 1
     }
 
-    /// Makes this output the very buffer of an input; nothing is copied.
+    /// Hands on the buffer of an input as this output, without copying it.
     pub fn forward(&mut self, frame: &abi::Frame) -> Result<()> {
         // SAFETY: the host's call is valid for `'f`, and so is its function table.
         let status = unsafe {
@@ -91,7 +94,7 @@ impl<'f, T> Slot<'f, T> {
         outcome(status, 0)
     }
 
-    /// Makes this output the buffer of an input, then a copy of its own.
+    /// Hands on the buffer of an input, then replaces it by a private copy if anybody else holds it.
     fn copy_of(&mut self, frame: &abi::Frame) -> Result<()> {
         self.forward(frame)?;
         // SAFETY: the host's call is valid for `'f`, and so is its function table.
@@ -104,8 +107,8 @@ impl<'f, T> Slot<'f, T> {
         };
         outcome(status, frame.len)?;
         if self.call.output(self.index).data == frame.data {
-            // The input is lent for the whole call, so its buffer cannot be this call's alone.
-            return Err(NodeError::new("the host gave a frame to be written that others read"));
+            // The input is lent for the whole call, so its buffer must not be writable here.
+            return Err(NodeError::new("the host returned a writable frame that other nodes read"));
         }
         Ok(())
     }
@@ -128,7 +131,7 @@ impl<'f, T> Slot<'f, T> {
         Ok(ViewMut::with_stride(data, width, height, channels, stride / size))
     }
 
-    /// Makes this output the very buffer that another output of this call holds; nothing is copied.
+    /// Hands on the buffer of another output of this call as this output, without copying it.
     pub fn forward_from(&mut self, other: &Slot<'_, T>) -> Result<()> {
         let frame = other.call.output(other.index);
         self.forward(&frame)
@@ -191,7 +194,7 @@ fn outcome(status: abi::Status, len: usize) -> Result<()> {
 fn refusal(status: abi::Status, len: usize) -> NodeError {
     match status {
         abi::STATUS_EXHAUSTED => NodeError::with_status(
-            format!("the host's frame memory is used up ({len} bytes wanted)"),
+            format!("the host's frame memory is exhausted ({len} bytes requested)"),
             abi::STATUS_EXHAUSTED,
         ),
         other => NodeError::new(format!("the host refused an output ({other})")),
@@ -199,14 +202,14 @@ fn refusal(status: abi::Status, len: usize) -> NodeError {
 }
 
 impl<P: Plane> Slot<'_, P> {
-    /// Makes the output: `width` x `height` pixels, rows without padding, contents unspecified.
+    /// Allocates the output: `width` x `height` pixels, rows without padding, contents unspecified.
     pub fn alloc(&mut self, width: usize, height: usize) -> Result<ViewMut<'_, P::Element>> {
         self.allocate_plane(P::FORMAT, P::CHANNELS, width, height)
     }
 }
 
 impl<P: Plane> Slot<'_, P> {
-    /// Makes the output `image`, to be drawn on. The host copies it, and counts the copy, while anybody else holds the frame.
+    /// Makes the output equal to `image` and writable, for drawing. The host copies the frame, and counts the copy, if anybody else holds it.
     pub fn alloc_copy(&mut self, image: &crate::Image<'_, P>) -> Result<ViewMut<'_, P::Element>> {
         self.copy_of(image.frame())?;
         let frame = self.call.output(self.index);
@@ -222,14 +225,14 @@ impl Slot<'_, AnyFormat> {
         self.writable(&frame, P::CHANNELS)
     }
 
-    /// Makes the output with format `P`.
+    /// Allocates the output with format `P`: `width` x `height` pixels, rows without padding, contents unspecified.
     pub fn alloc_as<P: PlaneFormat>(&mut self, width: usize, height: usize) -> Result<ViewMut<'_, P::Element>> {
         self.allocate_plane(P::FORMAT, P::CHANNELS, width, height)
     }
 }
 
 impl<T: Packet> Slot<'_, T> {
-    /// Makes the output.
+    /// Copies `value` into the output.
     pub fn set(&mut self, value: T) -> Result<()> {
         let bytes = self.allocate_bytes(size_of::<T>())?;
         bytes.copy_from_slice(bytes_of(std::slice::from_ref(&value)));
@@ -238,7 +241,7 @@ impl<T: Packet> Slot<'_, T> {
 }
 
 impl Slot<'_, TextPacket> {
-    /// Makes the output.
+    /// Copies `text` into the output.
     pub fn set_text(&mut self, text: &str) -> Result<()> {
         self.allocate_bytes(text.len())?.copy_from_slice(text.as_bytes());
         Ok(())
@@ -249,7 +252,7 @@ impl Slot<'_, TextPacket> {
 unsafe impl Plain for abi::CloudPoint {}
 
 impl Slot<'_, PointCloud> {
-    /// Makes the output: `width` x `height` points, contents unspecified.
+    /// Allocates the output: `width` x `height` points, contents unspecified.
     pub fn alloc_cloud(&mut self, width: usize, height: usize) -> Result<ViewMut<'_, abi::CloudPoint>> {
         self.allocate_plane(abi::FORMAT_CLOUD, 1, width, height)
     }

@@ -1,4 +1,4 @@
-//! What may flow: planes of pixels, plain data, clouds, texts.
+//! Packet types: planes of pixels, plain data, point clouds, texts.
 
 use crate::abi;
 
@@ -7,7 +7,7 @@ use crate::abi;
 /// # Safety
 /// The type is `repr(C)` or a primitive, has no padding and no invalid bit pattern.
 #[diagnostic::on_unimplemented(
-    message = "`{Self}` is no plain data",
+    message = "`{Self}` is not plain data",
     label = "not plain data",
     note = "packets hold numbers, arrays of numbers and structs with `#[derive(Packet)]`: no `bool`, reference, `String` or `Vec`"
 )]
@@ -15,7 +15,7 @@ pub unsafe trait Plain: Copy + Send + Sync + 'static {}
 
 macro_rules! plain {
     ($($ty:ty),*) => {$(
-        // SAFETY: a number.
+        // SAFETY: a primitive number has no padding, and every bit pattern is valid.
         unsafe impl Plain for $ty {}
     )*};
 }
@@ -23,11 +23,11 @@ plain!(u8, u16, u32, u64, i8, i16, i32, i64, f32, f64);
 // SAFETY: an array of plain data has no padding of its own.
 unsafe impl<T: Plain, const N: usize> Plain for [T; N] {}
 
-/// A packet of plain data with a name of its own.
+/// A packet of plain data with its own name.
 pub trait Packet: Plain {
     /// Name in graph files.
     const NAME: &'static str;
-    /// Changes whenever the layout changes.
+    /// Hash of the layout: ports with different hashes cannot be connected.
     const LAYOUT_HASH: u64;
 }
 
@@ -72,7 +72,7 @@ fn padded<const N: usize>(text: &str) -> [u8; N] {
     out
 }
 
-/// A two-dimensional array of pixels with a fixed element type.
+/// A 2D array of pixels with a fixed element type.
 pub trait Plane: 'static {
     /// One channel of one pixel.
     type Element: Plain;
@@ -84,7 +84,7 @@ pub trait Plane: 'static {
     const FORMAT: u32;
 }
 
-/// The pixel formats of `image`.
+/// A pixel format of the packet type `image`.
 pub trait PlaneFormat: Plane {}
 
 macro_rules! plane {
@@ -115,7 +115,7 @@ plane! {
     Mask: "mask", u8, 1, FORMAT_GRAY8;
     /// `disparity`: full-resolution px of the left rectified view, positive, NaN = unmatched.
     Disparity: "disparity", f32, 1, FORMAT_F32;
-    /// `confidence`: 0..1.
+    /// `confidence`: 0 (unreliable) to 1.
     Confidence: "confidence", f32, 1, FORMAT_F32;
     /// `depth`: mm along the left rectified camera's axis, NaN = unknown.
     Depth: "depth", f32, 1, FORMAT_F32;
@@ -135,6 +135,15 @@ pub enum PointCloud {}
 /// Marks an output of type `text`.
 #[derive(Clone, Copy, Debug)]
 pub enum TextPacket {}
+/// Marks an output of type `table`.
+#[derive(Clone, Copy, Debug)]
+pub enum TableData {}
+/// Marks an output of type `detections`.
+#[derive(Clone, Copy, Debug)]
+pub enum LabeledDetections {}
+/// Marks an output of type `instances`.
+#[derive(Clone, Copy, Debug)]
+pub enum LabeledInstances {}
 
 /// The bytes of plain data.
 pub(crate) fn bytes_of<T: Plain>(items: &[T]) -> &[u8] {

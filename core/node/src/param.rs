@@ -1,4 +1,4 @@
-//! Parameters: one declaration feeds the parser, `describe` and the editor.
+//! Parameters: one declaration serves the parser, `describe` and the editor.
 
 use std::path::PathBuf;
 
@@ -6,6 +6,11 @@ use crate::abi;
 use crate::error::{NodeError, Result};
 
 /// A struct of parameters, made by `#[derive(Params)]`.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no struct of parameters",
+    label = "not a struct of parameters",
+    note = "write `#[derive(Params)]` above it; `#[param(flatten)]` takes such a struct, not a parameter"
+)]
 pub trait Params: Sized + Send + 'static {
     /// The declarations, in order.
     const PARAMS: &'static [abi::Param];
@@ -24,21 +29,21 @@ impl Params for () {
 
 /// A type that a parameter may have.
 #[diagnostic::on_unimplemented(
-    message = "`{Self}` is no type for a parameter",
+    message = "`{Self}` is not a parameter type",
     label = "not a parameter",
     note = "parameters are `bool`, whole numbers up to 64 bits, `f32`, `f64`, `String`, `PathBuf`, `Vec<f64>` and enums with `#[derive(Choice)]`"
 )]
 pub trait ParamField: Sized {
     /// One of the `PARAM_` kinds.
     const KIND: u32;
-    /// What the type itself can hold.
+    /// Smallest and largest value that the type can hold.
     const LIMITS: (f64, f64);
-    /// Words of a choice.
+    /// Names of a choice's variants; empty for other types.
     const CHOICES: &'static [abi::Str] = &[];
-    /// What the compiler says when the default is none of the choices.
+    /// The compiler's message when the default is not one of the choices.
     const CHOICES_TEXT: &'static str = "";
 
-    /// Reads the value.
+    /// Converts the host's value. Fails when its kind differs or it does not fit the type.
     fn read(value: &abi::ParamValue) -> Result<Self>;
 }
 
@@ -46,14 +51,14 @@ pub trait ParamField: Sized {
 pub trait Choice: Sized {
     /// Names in graph files.
     const WORDS: &'static [abi::Str];
-    /// What the compiler says when a default is none of the words.
+    /// The compiler's message when a default is not one of the words.
     const WORDS_TEXT: &'static str;
 
-    /// The variant of that index in `WORDS`.
+    /// The variant at `index` in `WORDS`.
     fn from_index(index: u32) -> Option<Self>;
 }
 
-/// Largest whole number a parameter may hold: numbers cross as f64.
+/// Largest whole number that a parameter may hold, because the ABI passes numbers as f64.
 const MAX_INT: f64 = 9_007_199_254_740_992.0;
 
 macro_rules! int_field {
@@ -100,7 +105,7 @@ impl ParamField for bool {
 }
 
 fn text(value: &abi::ParamValue) -> Result<&str> {
-    // SAFETY: the host keeps the snapshot's texts alive for the length of the call.
+    // SAFETY: the host keeps the snapshot's texts valid for the length of the call.
     unsafe { value.text.text() }.ok_or_else(|| NodeError::new("a text parameter is not UTF-8"))
 }
 
@@ -133,12 +138,12 @@ impl ParamField for Vec<f64> {
         if value.floats_len == 0 {
             return Ok(Vec::new());
         }
-        // SAFETY: the host keeps the snapshot's numbers alive for the length of the call.
+        // SAFETY: the host keeps the snapshot's numbers valid for the length of the call.
         Ok(unsafe { std::slice::from_raw_parts(value.floats, value.floats_len) }.to_vec())
     }
 }
 
-/// Makes a [`Choice`] a [`ParamField`]; called by the derive.
+/// Implements [`ParamField`] for a [`Choice`]; used by the derive.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! choice_param_field {
@@ -151,7 +156,7 @@ macro_rules! choice_param_field {
 
             fn read(value: &$crate::abi::ParamValue) -> $crate::Result<Self> {
                 <$ty as $crate::Choice>::from_index(value.index)
-                    .ok_or_else(|| $crate::NodeError::new("the host chose an entry that does not exist"))
+                    .ok_or_else(|| $crate::NodeError::new("the host passed a choice that does not exist"))
             }
         }
     };
@@ -164,7 +169,7 @@ fn expect_kind(value: &abi::ParamValue, kind: u32) -> Result<()> {
     Err(NodeError::new(format!("a parameter of kind {kind} was given a value of kind {}", value.kind)))
 }
 
-/// The host passed another number of values than were declared.
+/// The error for a host that passed another number of values than declared.
 pub fn wrong_param_count(expected: usize, found: usize) -> NodeError {
     NodeError::new(format!("{expected} parameters are declared, the host passed {found}"))
 }
@@ -181,11 +186,11 @@ pub enum DefaultValue {
     Floats(&'static [f64]),
 }
 
-/// What the derive knows of a parameter.
+/// A parameter's declaration as the derive reads it.
 pub struct Declared {
     /// Name in graph files.
     pub name: &'static str,
-    /// Tooltip.
+    /// The field's doc comment; shown as a tooltip.
     pub doc: &'static str,
     /// Unit or empty.
     pub unit: &'static str,
@@ -193,15 +198,15 @@ pub struct Declared {
     pub kind: u32,
     /// What the field's type can hold.
     pub limits: (f64, f64),
-    /// Words of a choice.
+    /// Names of a choice's variants; empty for other types.
     pub choices: &'static [abi::Str],
-    /// Default.
+    /// Value when the graph does not set the parameter.
     pub default: DefaultValue,
     /// Low end of the range.
     pub min: Option<f64>,
     /// High end of the range.
     pub max: Option<f64>,
-    /// Step or 0.
+    /// Distance between allowed numbers, from the low end on; 0 when every number is allowed.
     pub step: f64,
     /// A change reopens the node.
     pub reopen: bool,
@@ -211,11 +216,11 @@ pub struct Declared {
     pub writes: bool,
     /// The default comes with the plugin.
     pub shipped: bool,
-    /// `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE` or 0: how a person picks the value.
+    /// How the editor lets a user pick the value: `PARAM_POINTS`, `PARAM_RECTANGLES`, `PARAM_FILE`, or 0 for none of them.
     pub pick: u32,
 }
 
-const fn same(a: &[u8], b: &[u8]) -> bool {
+pub(crate) const fn same(a: &[u8], b: &[u8]) -> bool {
     if a.len() != b.len() {
         return false;
     }
@@ -259,12 +264,12 @@ pub const fn on_step<T: ParamField>(number: f64, min: f64, step: f64) -> bool {
     T::KIND != abi::PARAM_INT || (step >= 1.0 && (number - min) % step == 0.0)
 }
 
-/// Whether a word is one of the type's choices, or the type is no choice; called by the derive.
+/// Whether a word is one of the type's choices, or the type is not a choice; called by the derive.
 pub const fn has_word<T: ParamField>(word: &str) -> bool {
     T::KIND != abi::PARAM_CHOICE || index_of(T::CHOICES, word) < T::CHOICES.len()
 }
 
-/// Place of a word; the list's length when it is not there.
+/// Index of a word; the list's length when it is not in the list.
 const fn index_of(words: &[abi::Str], word: &str) -> usize {
     let mut index = 0;
     // SAFETY: choices are static texts made by the derive.
@@ -274,7 +279,7 @@ const fn index_of(words: &[abi::Str], word: &str) -> usize {
     index
 }
 
-/// Lays a declaration out for the contract. The derive has checked it, with messages that point at the text.
+/// Converts a declaration to the ABI's form. The derive has checked it, with messages that point at the source text.
 pub const fn param(d: Declared) -> abi::Param {
     let mut out = abi::Param {
         name: abi::Str::new(d.name),

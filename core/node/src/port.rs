@@ -1,4 +1,4 @@
-//! Ports: how the fields of a node's `In` and `Out` find their frames.
+//! Ports: how the fields of a node's `In` and `Out` are bound to frames.
 
 use std::marker::PhantomData;
 
@@ -29,7 +29,7 @@ impl<'f> RawCall<'f> {
     /// The frames of input port `index`; empty when the host knows fewer ports.
     #[inline]
     pub(crate) fn input(self, index: usize) -> &'f [abi::Frame] {
-        // SAFETY: the host describes `inputs` and `input_ranges` for the length of the call.
+        // SAFETY: the host keeps `inputs` and `input_ranges` valid for the length of the call; the range is checked against their lengths.
         unsafe {
             let call = &*self.call;
             if index >= call.input_ranges_len {
@@ -43,9 +43,9 @@ impl<'f> RawCall<'f> {
         }
     }
 
-    /// A copy of output `index`'s frame.
+    /// A copy of the frame of output `index`; empty when the host knows fewer ports.
     pub(crate) fn output(self, index: u32) -> abi::Frame {
-        // SAFETY: the host describes `outputs` for the length of the call; a copy is read, no reference made.
+        // SAFETY: the host keeps `outputs` valid for the length of the call; the frame is copied without making a reference.
         unsafe {
             let call = self.call;
             if index as usize >= (*call).outputs_len { abi::Frame::EMPTY } else { *(*call).outputs.add(index as usize) }
@@ -53,13 +53,21 @@ impl<'f> RawCall<'f> {
     }
 }
 
-/// A struct of ports, made by `#[derive(Ports)]`.
+/// A struct of ports; implemented by `#[derive(Ports)]`.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no struct of ports",
+    label = "not a struct of ports",
+    note = "write `#[derive(Ports)]` above it; `#[ports(flatten)]` takes such a struct, not a port"
+)]
 pub trait Ports<'f>: Sized {
     /// The declarations, in order.
     const PORTS: &'static [abi::Port];
 
-    /// Finds every field's frames.
-    fn bind(call: RawCall<'f>) -> Result<Self>;
+    /// Finds every field's frames. `first` is the index of the struct's first port: above 0 where it is flattened into another.
+    ///
+    /// # Errors
+    /// A frame that does not fit its port, or none where one is required.
+    fn bind(call: RawCall<'f>, first: usize) -> Result<Self>;
 }
 
 /// For nodes without inputs or without outputs.
@@ -69,26 +77,26 @@ pub struct NoPorts;
 impl<'f> Ports<'f> for NoPorts {
     const PORTS: &'static [abi::Port] = &[];
 
-    fn bind(_: RawCall<'f>) -> Result<Self> {
+    fn bind(_: RawCall<'f>, _: usize) -> Result<Self> {
         Ok(Self)
     }
 }
 
 /// A type that a port's field may have.
 #[diagnostic::on_unimplemented(
-    message = "`{Self}` is no port",
+    message = "`{Self}` is not a port type",
     label = "not a port",
     note = "inputs are `Image<'f, Gray8>`, `AnyImage<'f>`, `Value<'f, T>`, `Text<'f>`, `Table<'f>`, `Cloud<'f>`, `Detections<'f>`, `Instances<'f>`, in `Option<...>` or `List<'f, ...>` if wanted; outputs are `Slot<'f, T>`"
 )]
 pub trait PortField<'f>: Sized {
-    /// Declaration without name and doc.
+    /// Port declaration without name and doc.
     const PORT: abi::Port;
 
-    /// Finds the frames of port `index`.
+    /// Binds the frames of port `index`; `name` is for error messages.
     fn bind(call: RawCall<'f>, index: usize, name: &'static str) -> Result<Self>;
 }
 
-/// A declaration without name and doc.
+/// A port declaration without name and doc.
 pub(crate) const fn nameless(packet: &'static str, layout_hash: u64, formats: u32, flags: u32) -> abi::Port {
     abi::Port {
         name: abi::Str::EMPTY,

@@ -6,12 +6,8 @@ use crate::abi::{self, TableHeader};
 use crate::error::{NodeError, Result};
 use crate::input::{FromFrame, bytes};
 use crate::output::Slot;
-use crate::packet::{Plain, bytes_of};
+use crate::packet::{Plain, TableData, bytes_of};
 use crate::port::nameless;
-
-/// Marks an output of type `table`.
-#[derive(Clone, Copy, Debug)]
-pub enum TableData {}
 
 // SAFETY: repr(C), four u32.
 unsafe impl Plain for TableHeader {}

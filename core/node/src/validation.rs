@@ -1,4 +1,4 @@
-//! What a node reports about its parameters before it is opened.
+//! A node's own check of its parameters and wiring, before it is opened.
 
 use std::path::Path;
 
@@ -6,9 +6,9 @@ use crate::abi;
 use crate::error::NodeError;
 use crate::{Node, Params, Ports};
 
-/// The check of one node's parameters and wiring: takes the problems, and tells what the parameters alone do not.
+/// The context of one check: takes the problems that the node reports, and gives what the parameters do not, such as the wiring.
 ///
-/// The same check runs when a graph is checked and when the node is opened; only the first one knows the wiring.
+/// The check runs when a graph is checked and again when the node is opened; the wiring is known only the first time.
 pub struct Validation<'a> {
     node_id: &'a str,
     graph_dir: &'a Path,
@@ -20,7 +20,7 @@ pub struct Validation<'a> {
     report: &'a mut dyn FnMut(Problem<'_>),
 }
 
-/// Declared names, to find positions by.
+/// The declarations of the node type, in which names are looked up.
 #[derive(Clone, Copy)]
 struct Names {
     params: &'static [abi::Param],
@@ -28,7 +28,7 @@ struct Names {
     outputs: &'static [abi::Port],
 }
 
-/// One problem, as it is handed to the host.
+/// One problem, as it is reported to the host.
 pub(crate) struct Problem<'a> {
     pub severity: u32,
     pub param: u32,
@@ -37,7 +37,7 @@ pub(crate) struct Problem<'a> {
 }
 
 impl<'a> Validation<'a> {
-    /// A check of node type `N`. `wiring`: connections of each input and bits of the outputs that are read, where known.
+    /// A check of node type `N`. `wiring`: number of connections of each input, and a bit set of the outputs that are read, where known.
     pub(crate) fn new<N: Node>(
         node_id: &'a str,
         graph_dir: &'a Path,
@@ -98,39 +98,40 @@ impl<'a> Validation<'a> {
         self.connections.map(|_| index >= 64 || self.outputs_read >> index & 1 == 1)
     }
 
-    /// The node cannot open, or no tick of it can succeed, because of parameter `param`: what is wrong in one sentence, and what to do.
+    /// Reports that the node cannot open, or no tick can succeed, because of parameter `param`. `message` says what is wrong in one
+    /// sentence, `help` what to do.
     ///
     /// # Panics
     /// The node has no such parameter.
     #[track_caller]
     pub fn error(&mut self, param: &str, message: impl AsRef<str>, help: impl AsRef<str>) {
         let param = self.position(param);
-        self.tell(abi::PROBLEM_ERROR, param, message.as_ref(), help.as_ref());
+        self.send(abi::PROBLEM_ERROR, param, message.as_ref(), help.as_ref());
     }
 
-    /// The node works, but probably not as meant, because of parameter `param`.
+    /// Reports that the node works, but probably not as intended, because of parameter `param`.
     ///
     /// # Panics
     /// The node has no such parameter.
     #[track_caller]
     pub fn warning(&mut self, param: &str, message: impl AsRef<str>, help: impl AsRef<str>) {
         let param = self.position(param);
-        self.tell(abi::PROBLEM_WARNING, param, message.as_ref(), help.as_ref());
+        self.send(abi::PROBLEM_WARNING, param, message.as_ref(), help.as_ref());
     }
 
-    /// The node cannot work as it is wired, whatever a single parameter says.
+    /// Reports that the node cannot work with this wiring, whatever its parameters are.
     pub fn node_error(&mut self, message: impl AsRef<str>, help: impl AsRef<str>) {
-        self.tell(abi::PROBLEM_ERROR, abi::NO_PARAM, message.as_ref(), help.as_ref());
+        self.send(abi::PROBLEM_ERROR, abi::NO_PARAM, message.as_ref(), help.as_ref());
     }
 
-    /// The node works as it is wired, but probably not as meant.
+    /// Reports that the node works with this wiring, but probably not as intended.
     pub fn node_warning(&mut self, message: impl AsRef<str>, help: impl AsRef<str>) {
-        self.tell(abi::PROBLEM_WARNING, abi::NO_PARAM, message.as_ref(), help.as_ref());
+        self.send(abi::PROBLEM_WARNING, abi::NO_PARAM, message.as_ref(), help.as_ref());
     }
 
     /// Whether the node has a parameter of that name.
     pub fn has_param(&self, name: &str) -> bool {
-        // SAFETY: names of parameters are static texts made by the derive.
+        // SAFETY: the derive makes parameter names from static texts.
         self.names.params.iter().any(|p| unsafe { p.name.bytes() } == name.as_bytes())
     }
 
@@ -139,19 +140,19 @@ impl<'a> Validation<'a> {
         position(self.names.params.iter().map(|p| p.name), "parameter", param) as u32
     }
 
-    fn tell(&mut self, severity: u32, param: u32, message: &str, help: &str) {
+    fn send(&mut self, severity: u32, param: u32, message: &str, help: &str) {
         (self.report)(Problem { severity, param, message, help });
     }
 }
 
 #[track_caller]
 fn position(mut declared: impl Iterator<Item = abi::Str>, what: &str, name: &str) -> usize {
-    // SAFETY: names of ports and parameters are static texts made by the derives.
+    // SAFETY: the derives make the names of ports and parameters from static texts.
     let found = declared.position(|declared| unsafe { declared.bytes() } == name.as_bytes());
     found.unwrap_or_else(|| panic!("there is no {what} `{name}`"))
 }
 
-/// Runs the node's own check as `open` does, and refuses what it calls an error.
+/// Runs the node's own check before `open`; its errors become one error.
 pub(crate) fn refuse_invalid<N: Node>(
     node_id: &str,
     graph_dir: &Path,

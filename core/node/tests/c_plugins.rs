@@ -1,4 +1,4 @@
-//! The example plugins in C and C++ under tests/c: built against the generated header, looked at as files, then run.
+//! The example plugins in C and C++ under tests/c: built against the generated header, inspected as ELF files, then run.
 
 use std::ffi::{CString, c_char, c_int, c_void};
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// Builds `tests/c/<source>`; `None`, with the reason printed, where there is no compiler.
+/// Builds `tests/c/<source>`. Prints the reason and returns `None` where there is no compiler.
 fn build(compiler: &str, source: &str, extra: &[&str]) -> Option<PathBuf> {
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("lib{}.so", source.replace('.', "_")));
     let output = Command::new(compiler)
@@ -37,18 +37,18 @@ fn build(compiler: &str, source: &str, extra: &[&str]) -> Option<PathBuf> {
             Some(target)
         }
         Err(error) => {
-            println!("skipped: {compiler} cannot be run ({error})");
+            panoscope_testing::skipped!("{compiler} cannot be run ({error})");
             None
         }
     }
 }
 
-// Once each: a library must not be written again while another test runs it.
+// Each library is built once: it must not be written while another test runs it.
 static C_PLUGIN: LazyLock<Option<PathBuf>> = LazyLock::new(|| build("cc", "edge_c.c", &["-std=c11"]));
 static CPP_PLUGIN: LazyLock<Option<PathBuf>> =
     LazyLock::new(|| build("c++", "edge_cpp.cpp", &["-std=c++17", "-fno-gnu-unique"]));
 
-/// A 64-bit little-endian ELF file, as far as these tests need it.
+/// A 64-bit little-endian ELF file; reads only what these tests need.
 struct Elf(Vec<u8>);
 
 struct Section {
@@ -77,7 +77,7 @@ impl Elf {
             .map(|index| {
                 let (head, bytes) = range(index);
                 let kind = self.number::<4>(head + 4) as u32;
-                // Sections without contents in the file may name any size.
+                // Sections without contents in the file may have any size.
                 let bytes = if kind == 8 { Vec::new() } else { self.0[bytes].to_vec() };
                 let link = self.number::<4>(head + 40) as usize;
                 Section {
@@ -91,7 +91,7 @@ impl Elf {
             .collect()
     }
 
-    /// Defined dynamic symbols: name, binding.
+    /// Name and binding of the defined dynamic symbols.
     fn exported(&self) -> Vec<(String, u8)> {
         let sections = self.sections();
         let symbols = sections.iter().find(|s| s.kind == 11).expect("dynamic symbols");
@@ -115,7 +115,7 @@ fn file_is_right(path: &Path, name: &str) {
     assert!(exported.iter().any(|(symbol, _)| symbol == abi::ENTRY_SYMBOL), "{exported:?}");
     const UNIQUE: u8 = 10;
     assert!(exported.iter().all(|(_, binding)| *binding != UNIQUE), "a unique symbol pins the library: {exported:?}");
-    // The C++ library's own templates may be exported; nothing of the plugin's is.
+    // Templates of the C++ library may be exported, but no symbol of the plugin.
     let own: Vec<_> = exported.iter().filter(|(s, _)| !s.starts_with("_ZN") && !s.starts_with("_ZZN")).collect();
     assert_eq!(own.len(), 1, "{own:?}");
     let sections = elf.sections();
@@ -131,7 +131,7 @@ fn file_is_right(path: &Path, name: &str) {
 
 fn load(path: &Path) -> *const abi::Plugin {
     let path = CString::new(path.to_str().expect("a UTF-8 path")).expect("no zero byte");
-    // SAFETY: the library was built from sources of this repository; it stays mapped.
+    // SAFETY: the library is built from this repository's sources, is never unmapped, and its entry function has this type.
     unsafe {
         let library = dlopen(path.as_ptr(), RTLD_NOW);
         assert!(!library.is_null());
@@ -150,7 +150,7 @@ fn step() -> Vec<u8> {
 fn the_plugin_in_c() -> Result<(), HarnessError> {
     let Some(path) = &*C_PLUGIN else { return Ok(()) };
     file_is_right(path, "edge_c");
-    // SAFETY: a plugin that keeps the contract.
+    // SAFETY: `load` returns the descriptor of a library that stays mapped; the plugin obeys the ABI.
     let mut node = unsafe { Harness::<Foreign>::of_plugin(load(path), "edge_c", Setup::default())? };
     let out = node.input_image::<Gray8>("image", 6, 4, &step()).process()?;
     // 4 * 100 across, times the gain of 0.25.
@@ -164,7 +164,7 @@ fn the_plugin_in_c() -> Result<(), HarnessError> {
     let out = node.input_image_with_stride::<Gray8>("image", 6, 4, 8, &padded).process()?;
     assert_eq!(out.plane::<Gray8>("edges")?.data[8..10], [255, 255]);
     let error = node.input_image::<Gray8>("image", 2, 2, &[0; 4]).process().err().map(|e| e.to_string());
-    assert_eq!(error.as_deref(), Some("process answered STATUS_ERROR: the image is smaller than 3x3 pixels"));
+    assert_eq!(error.as_deref(), Some("process returned STATUS_ERROR: the image is smaller than 3x3 pixels"));
     let wrong = node.set_params("params = { gian = 1 }").err().map(|e| e.to_string()).unwrap_or_default();
     assert!(wrong.contains("did you mean `gain`?"), "{wrong}");
     let exhausted = node.limit_buffers(1).input_image::<Gray8>("image", 3, 3, &[0; 9]).process().err();
@@ -176,7 +176,7 @@ fn the_plugin_in_c() -> Result<(), HarnessError> {
 fn the_plugin_in_cpp() -> Result<(), HarnessError> {
     let Some(path) = &*CPP_PLUGIN else { return Ok(()) };
     file_is_right(path, "edge_cpp");
-    // SAFETY: a plugin that keeps the contract.
+    // SAFETY: `load` returns the descriptor of a library that stays mapped; the plugin obeys the ABI.
     let mut node = unsafe { Harness::<Foreign>::of_plugin(load(path), "edge_cpp", Setup::default())? };
     for kernel in ["sobel", "scharr", "prewitt"] {
         node.set_params(&format!("params.kernel = \"{kernel}\""))?;
@@ -190,14 +190,14 @@ fn the_plugin_in_cpp() -> Result<(), HarnessError> {
 fn what_cpp_throws_stays_in_the_plugin() -> Result<(), HarnessError> {
     let Some(path) = &*CPP_PLUGIN else { return Ok(()) };
     let setup = Setup::new("params.throws = \"exception\"");
-    // SAFETY: a plugin that keeps the contract.
+    // SAFETY: `load` returns the descriptor of a library that stays mapped; the plugin obeys the ABI.
     let mut node = unsafe { Harness::<Foreign>::of_plugin(load(path), "edge_cpp", setup)? };
     let mut fails = |toml| {
         node.set_params(toml)?;
         let error = node.input_image::<Gray8>("image", 6, 4, &step()).process().err();
         Ok::<_, HarnessError>(error.map(|e| (e.status(), e.to_string())))
     };
-    let panic = |words: &str| Some((Some(abi::STATUS_PANIC), format!("process answered STATUS_PANIC: {words}")));
+    let panic = |words: &str| Some((Some(abi::STATUS_PANIC), format!("process returned STATUS_PANIC: {words}")));
     assert_eq!(fails("params.throws = \"exception\"")?, panic("thrown in tick 0"));
     assert_eq!(fails("params.throws = \"number\"")?, panic("something was thrown that is no std::exception"));
     assert_eq!(fails("")?, None, "the node goes on");

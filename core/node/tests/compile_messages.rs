@@ -17,6 +17,8 @@ fn mistakes_are_named() {
         Command::new(rustc).arg("--version").output().map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
     match version {
         Ok(version) if version.starts_with(RECORDED_WITH) => cases.compile_fail("tests/compile_fail_rustc/*.rs"),
-        other => println!("skipped: compile_fail_rustc was recorded with {RECORDED_WITH}x, this is {other:?}"),
+        other => {
+            panoscope_testing::skipped!("compile_fail_rustc was recorded with {RECORDED_WITH}x, this is {other:?}")
+        }
     }
 }

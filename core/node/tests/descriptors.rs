@@ -1,4 +1,4 @@
-//! Descriptors as a careless C author might write them: each mistake is named with its place.
+//! Descriptors as a careless C author might write them: each error names the mistake and its location.
 
 use std::ffi::c_void;
 use std::ptr;
@@ -41,14 +41,14 @@ const PARAM: abi::Param = abi::Param {
     default_floats_len: 0,
 };
 
-/// A plugin of one node type that a test may spoil.
+/// A plugin of one node type that a test modifies.
 struct Parts {
     inputs: Vec<abi::Port>,
     outputs: Vec<abi::Port>,
     params: Vec<abi::Param>,
     node: abi::NodeType,
     plugin: abi::Plugin,
-    /// The type is listed so many times.
+    /// How many times the type is listed.
     times: usize,
 }
 
@@ -99,7 +99,7 @@ fn parts() -> Parts {
 
 fn read(spoil: impl FnOnce(&mut Parts)) -> Result<Vec<NodeType>, FromAbiError> {
     let mut parts = parts();
-    // A test that points somewhere itself says so with a pointer that is not null.
+    // A test that sets a pointer itself leaves one that is not null.
     spoil(&mut parts);
     let (node, plugin) = (&mut parts.node, &mut parts.plugin);
     if node.inputs_len == 1 {

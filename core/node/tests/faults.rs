@@ -1,4 +1,4 @@
-//! Errors, panics, kept frames and state: what a node does when things are not plain.
+//! Errors, panics, retained frames and saved state of a node.
 
 use panoscope_node::abi;
 use panoscope_node::harness::{Harness, HarnessError, Level, Setup};
@@ -6,7 +6,7 @@ use panoscope_node::*;
 
 type TestResult = std::result::Result<(), HarnessError>;
 
-/// What shall go wrong.
+/// What goes wrong.
 #[derive(Choice, Clone, Copy, PartialEq)]
 enum Trouble {
     /// Nothing.
@@ -23,7 +23,7 @@ enum Trouble {
     Open,
     /// `open` panics.
     OpenPanic,
-    /// More outputs than there is memory for.
+    /// More outputs than the memory holds.
     Memory,
     /// `close` panics.
     Close,
@@ -36,14 +36,14 @@ struct TroubleParams {
     /// What goes wrong.
     #[param(default = "none")]
     trouble: Trouble,
-    /// Something to open with.
+    /// What goes wrong in `open` or `close`.
     #[param(default = "none", reopen)]
     at_open: Trouble,
 }
 
 #[derive(Ports)]
 struct Out<'f> {
-    /// Chunk numbers, each at its place.
+    /// Chunk numbers, each at its index.
     chunks: Slot<'f, Gray16>,
 }
 
@@ -94,7 +94,7 @@ impl Node for Troubled {
             _ => {
                 let mut made = out.chunks.alloc(100, 1)?;
                 let (row, pool) = (std::sync::Mutex::new(made.row_mut(0)), *cx.pool());
-                // Loops may be nested.
+                // A nested loop.
                 pool.run(10, &|tens| {
                     pool.run(10, &|ones| {
                         let chunk = tens * 10 + ones;
@@ -126,19 +126,19 @@ fn fails(toml: &str) -> (Option<abi::Status>, String) {
 }
 
 #[test]
-fn errors_carry_their_words() {
+fn errors_carry_their_message() {
     let (status, words) = fails("params.trouble = \"error\"");
     assert_eq!(status, Some(abi::STATUS_ERROR));
     assert_eq!(
         words,
-        "process answered STATUS_ERROR: the serial line answered nonsense: invalid digit found in string"
+        "process returned STATUS_ERROR: the serial line answered nonsense: invalid digit found in string"
     );
     let (status, words) = fails("params.at_open = \"open\"");
-    assert_eq!((status, &*words), (Some(abi::STATUS_ERROR), "open answered STATUS_ERROR: no device at /dev/video7"));
+    assert_eq!((status, &*words), (Some(abi::STATUS_ERROR), "open returned STATUS_ERROR: no device at /dev/video7"));
 }
 
 #[test]
-fn panics_carry_words_and_place() {
+fn panics_carry_message_and_location() {
     for (trouble, words) in [
         ("trouble = \"panic\"", "index out of bounds: the len is 3 but the index is 3"),
         ("trouble = \"chunk_panic\"", "chunk 20 is bad"),
@@ -164,13 +164,13 @@ fn a_node_that_failed_can_go_on() -> TestResult {
 }
 
 #[test]
-fn used_up_memory_is_said_as_such() -> TestResult {
+fn exhausted_memory_has_its_own_status() -> TestResult {
     let mut node = Harness::<Troubled>::from_toml("params.trouble = \"memory\"")?;
     assert!(node.process().is_ok(), "a second alloc replaces the first");
     let error = node.limit_buffers(1).process().err();
     assert_eq!(error.as_ref().and_then(HarnessError::status), Some(abi::STATUS_EXHAUSTED));
     let words = error.map(|e| e.to_string()).unwrap_or_default();
-    assert_eq!(words, "process answered STATUS_EXHAUSTED: the host's frame memory is used up (128 bytes wanted)");
+    assert_eq!(words, "process returned STATUS_EXHAUSTED: the host's frame memory is exhausted (128 bytes requested)");
     Ok(())
 }
 
@@ -223,7 +223,7 @@ struct KeepOut<'f> {
 
 #[derive(Params)]
 struct KeepParams {
-    /// Whether the kept frame is forgotten instead of given back.
+    /// Whether the retained frame is leaked instead of released.
     #[param(default = false)]
     forget: bool,
 }
@@ -256,7 +256,7 @@ impl Node for Keep {
 }
 
 #[test]
-fn a_frame_can_be_kept_beyond_the_call() -> TestResult {
+fn a_frame_can_be_retained_beyond_the_call() -> TestResult {
     let mut node = Harness::<Keep>::from_toml("")?;
     assert!(node.input_image::<Gray8>("image", 1, 1, &[10]).process()?.is_empty("before")?);
     assert_eq!(node.kept_buffers(), 1);
@@ -271,7 +271,7 @@ fn a_frame_can_be_kept_beyond_the_call() -> TestResult {
 
 #[test]
 #[should_panic(expected = "still holds 1 frames: every `retain` needs a `release`")]
-fn a_forgotten_frame_fails_the_test() {
+fn a_leaked_frame_fails_the_test() {
     let mut node = Harness::<Keep>::from_toml("params.forget = true").expect("opens");
     for gray in 0..2 {
         node.input_image::<Gray8>("image", 1, 1, &[gray]).process().expect("runs");

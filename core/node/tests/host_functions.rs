@@ -1,4 +1,4 @@
-//! Every function of the harness's host, called as a C plugin would, rightly and wrongly.
+//! Every function of the harness's host, called as a C plugin would, correctly and incorrectly.
 
 use std::cell::Cell;
 use std::ffi::c_void;
@@ -18,9 +18,9 @@ thread_local! {
 }
 
 unsafe extern "C" fn open(call: *mut abi::OpenCall, _: *mut *mut c_void) -> abi::Status {
-    // SAFETY: the harness's call.
+    // SAFETY: the harness passes a call and a host table that live until this function returns.
     let (call, host) = unsafe { (&*call, &*(*call).host) };
-    // SAFETY: the functions belong to this call.
+    // SAFETY: the host function takes the handle of the call being served.
     unsafe { host.alloc.expect("alloc")(call.call, 0, abi::FORMAT_BYTES, 0, 0, 0, 1) }
 }
 
@@ -29,7 +29,7 @@ unsafe extern "C" fn open_well(_: *mut abi::OpenCall, _: *mut *mut c_void) -> ab
 }
 
 unsafe extern "C" fn process(_: *mut c_void, call: *mut abi::Call) -> abi::Status {
-    // SAFETY: the harness's call.
+    // SAFETY: the harness passes a call and a host table that live until this function returns.
     let (call, host) = unsafe { (&mut *call, &*(*call).host) };
     SCRIPT.get()(call, host)
 }
@@ -127,9 +127,9 @@ fn alloc_gives_aligned_fresh_memory() {
 }
 
 #[test]
-fn alloc_refuses_what_makes_no_sense() {
+fn alloc_rejects_invalid_arguments() {
     let refused = |script: Script| run(script).expect_err("the contract was broken");
-    let broke = "the node broke the contract: ";
+    let broke = "the node violated the ABI: ";
     assert_eq!(refused(|c, _| alloc(c, 2, 1, (1, 1), 1, 1)), format!("{broke}it made output 2, there are 2"));
     assert_eq!(
         refused(|c, _| alloc(c, 0, abi::FORMAT_F32, (1, 1), 4, 4)),
@@ -147,7 +147,7 @@ fn alloc_refuses_what_makes_no_sense() {
 #[test]
 fn forward_and_make_mut() {
     let script: Script = |call, host| {
-        // SAFETY: one input and two outputs are there; functions belong to this call.
+        // SAFETY: the call has one input and two outputs; the functions take the handle of this call.
         unsafe {
             let (input, out) = (*call.inputs, call.outputs);
             let (forward, make_mut) = (host.forward.expect("forward"), host.make_mut.expect("make_mut"));
@@ -157,7 +157,7 @@ fn forward_and_make_mut() {
             let copy = *out.add(1);
             assert_ne!(copy.data, input.data);
             assert_eq!(std::slice::from_raw_parts(copy.data, copy.len), [1, 2, 3, 4, 5, 6]);
-            // Held by this output alone: no second copy.
+            // Only this output holds the buffer, so there is no second copy.
             assert_eq!(make_mut(call.call, 1), abi::STATUS_OK);
             assert_eq!((*out.add(1)).data, copy.data);
             assert_eq!(forward(call.call, 1, &Frame::EMPTY), abi::STATUS_OK);
@@ -197,7 +197,7 @@ fn forward_and_make_mut() {
 #[test]
 fn retain_and_release_are_counted() {
     let keep: Script = |call, host| {
-        // SAFETY: one input is there.
+        // SAFETY: the call has one input.
         unsafe {
             KEPT.set(Some(*call.inputs));
             host.retain.expect("retain")(host.ctx, (*call.inputs).buffer);
@@ -224,13 +224,13 @@ fn retain_and_release_are_counted() {
     node.input_image::<Bgr8>("image", 1, 1, &[8; 3]).process().expect("runs");
     assert_eq!(node.kept_buffers(), 0);
     let nowhere = run(|call, host| {
-        // SAFETY: the harness notes a buffer that is not there.
+        // SAFETY: the harness checks the buffer and records one that does not exist.
         unsafe { host.release.expect("")(host.ctx, abi::BufferId { offset: 1 << 40, ..(*call.inputs).buffer }) };
         abi::STATUS_OK
     });
     assert!(nowhere.expect_err("broken").ends_with("it released a buffer that nobody holds"));
     let gone = run(|call, host| {
-        // SAFETY: as above.
+        // SAFETY: the harness checks the buffer and records one that does not exist.
         unsafe { host.retain.expect("")(host.ctx, abi::BufferId { offset: 1 << 40, ..(*call.inputs).buffer }) };
         abi::STATUS_OK
     });
@@ -245,7 +245,7 @@ unsafe extern "C" fn add(data: *mut c_void, chunk: usize) {
     SUM.fetch_add(chunk, Ordering::Relaxed);
     if ENTERED.load(Ordering::Relaxed) < 3 {
         ENTERED.fetch_add(1, Ordering::Relaxed);
-        // Three threads meet here, or this would never end.
+        // Waits until three threads are here.
         while ENTERED.load(Ordering::Relaxed) < 3 {
             std::thread::yield_now();
         }
@@ -281,14 +281,14 @@ fn a_file_is_claimed_and_begun_in_parts() {
         let path = std::env::temp_dir().join(format!("panoscope_claimed_{}.csv", std::process::id()));
         for action in [abi::CLAIM_HOLD, abi::CLAIM_BEGIN, abi::CLAIM_BEGIN, abi::CLAIM_BEGIN_NEW] {
             let mut answer = Str::EMPTY;
-            // SAFETY: a function of this call; its answer is read before the next one.
+            // SAFETY: the host function takes the handle of the call being served; the returned text is read before the next host call.
             let (status, text) = unsafe {
                 let path = Str::borrow(path.to_str().expect("UTF-8"));
                 (claim(call.call, path, action, &raw mut answer), answer.text().unwrap_or("?").to_owned())
             };
             ANSWERS.with_borrow_mut(|all| all.push((status, text)));
         }
-        // SAFETY: a function of this call.
+        // SAFETY: the host function takes the handle of the call being served.
         assert!(unsafe { host.clock_ns.expect("clock_ns")(call.call) } >= 0);
         abi::STATUS_OK
     });
@@ -309,10 +309,10 @@ fn a_file_is_claimed_and_begun_in_parts() {
 }
 
 #[test]
-fn words_and_numbers_reach_the_host() {
+fn logs_metrics_and_failures_reach_the_host() {
     SCRIPT.set(|call, host| {
         let (log, metric) = (host.log.expect("log"), host.metric.expect("metric"));
-        // SAFETY: functions of this call.
+        // SAFETY: the host functions take the handle of the call being served.
         unsafe {
             for (level, words) in [(1, "a"), (2, "b"), (3, "c"), (4, "d")] {
                 log(call.call, level, Str::borrow(words));
@@ -327,14 +327,14 @@ fn words_and_numbers_reach_the_host() {
     let mut node = node(Setup::default());
     let error = node.process().err();
     assert_eq!(error.as_ref().and_then(HarnessError::status), Some(abi::STATUS_ERROR));
-    assert_eq!(error.map(|e| e.to_string()).as_deref(), Some("process answered STATUS_ERROR: last w\u{fffd}rds"));
+    assert_eq!(error.map(|e| e.to_string()).as_deref(), Some("process returned STATUS_ERROR: last w\u{fffd}rds"));
     let levels: Vec<Level> = node.logs().iter().map(|l| l.level).collect();
     assert_eq!(levels, [Level::Error, Level::Warn, Level::Info, Level::Debug]);
     assert_eq!((node.metric("inliers"), node.metrics().len()), (Some(13.0), 2));
     let mute = run(|_, _| abi::STATUS_PANIC);
-    assert_eq!(mute, Err("process answered STATUS_PANIC: the node gave no words".to_owned()));
+    assert_eq!(mute, Err("process returned STATUS_PANIC: the node failed without an error message".to_owned()));
     let odd = run(|call, host| {
-        // SAFETY: a function of this call.
+        // SAFETY: the host function takes the handle of the call being served.
         unsafe { host.log.expect("log")(call.call, 17, Str::EMPTY) };
         abi::STATUS_OK
     });
@@ -345,7 +345,7 @@ fn words_and_numbers_reach_the_host() {
 fn random_numbers_depend_on_node_and_tick_only() {
     SCRIPT.set(|call, host| {
         for _ in 0..3 {
-            // SAFETY: functions of this call.
+            // SAFETY: the host functions take the handle of the call being served.
             unsafe {
                 let number = host.random.expect("random")(call.call);
                 host.metric.expect("metric")(call.call, Str::new("random"), (number >> 12) as f64);

@@ -1,4 +1,4 @@
-//! Small nodes through the harness: what an author writes, and what a graph would see of it.
+//! Small nodes through the harness: what an author writes, and what a graph sees of it.
 
 use std::path::PathBuf;
 
@@ -108,7 +108,7 @@ fn strides_are_kept_apart_from_pixels() -> TestResult {
 }
 
 #[test]
-fn work_for_nobody_is_left_out() -> TestResult {
+fn an_output_without_reader_is_not_computed() -> TestResult {
     let mut node = Harness::<Negative>::open(Setup::new("").read_only(&["marked"]))?;
     let out = node.input_image::<Gray8>("image", 1, 1, &[7]).process()?;
     assert!(out.is_empty("image")?);
@@ -126,7 +126,7 @@ fn mistakes_in_a_test_are_named() -> TestResult {
         give(&mut node);
         node.process().err().map(|e| e.to_string()).unwrap_or_default()
     };
-    assert_eq!(fails(&|_| ()), "input `image` is required: hand it a frame or say `input_empty`");
+    assert_eq!(fails(&|_| ()), "input `image` is required: give it a frame or call `input_empty`");
     assert_eq!(
         fails(&|n| {
             n.input_image::<Gray8>("left", 1, 1, &[0]);
@@ -154,8 +154,8 @@ fn mistakes_in_a_test_are_named() -> TestResult {
     let twice = |n: &mut Harness<Negative>| {
         n.input_image::<Gray8>("image", 1, 1, &[0]).input_image::<Gray8>("image", 1, 1, &[0]);
     };
-    assert_eq!(fails(&twice), "input `image` was given twice; it is no list");
-    // After a mistake the next call starts anew.
+    assert_eq!(fails(&twice), "input `image` was given twice; it is not a list");
+    // A mistake does not affect the next call.
     assert!(node.input_image::<Gray8>("image", 1, 1, &[0]).process().is_ok());
     Ok(())
 }
@@ -175,7 +175,7 @@ struct MixedIn<'f> {
     views: List<'f, Image<'f, Gray8>>,
     /// Where to look.
     roi: Option<Value<'f, Roi>>,
-    /// More views, or none at all.
+    /// More views; need not be connected.
     extra: Option<List<'f, Image<'f, Gray8>>>,
 }
 
@@ -183,14 +183,14 @@ struct MixedIn<'f> {
 struct MixedOut<'f> {
     /// What arrived.
     summary: Slot<'f, TextPacket>,
-    /// Mean of each view that is there.
+    /// Mean of each view that is not empty.
     means: Slot<'f, TableData>,
 }
 
 struct Mixed;
 
 impl Node for Mixed {
-    const INFO: NodeInfo = NodeInfo::compute("mixed", "filter", "Tells what arrived.");
+    const INFO: NodeInfo = NodeInfo::compute("mixed", "filter", "Reports what arrived.");
     type In<'f> = MixedIn<'f>;
     type Out<'f> = MixedOut<'f>;
     type Params = ();

@@ -1,4 +1,4 @@
-//! Frames whose description does not fit their bytes, as a faulty plugin might make them: errors, never a read outside the buffer.
+//! Frames whose description does not fit their bytes, as a faulty plugin might make them, give errors and no read outside the buffer.
 
 use panoscope_node::abi::{self, DetectionsHeader, Frame, Roi, TableHeader};
 use panoscope_node::input::FromFrame;
@@ -17,7 +17,7 @@ fn frame(bytes: &mut Bytes, spoil: impl FnOnce(&mut Frame)) -> Frame {
 
 fn put<T>(bytes: &mut Bytes, header: T) {
     assert!(size_of::<T>() <= 64 && align_of::<T>() <= 16);
-    // SAFETY: room and alignment were checked.
+    // SAFETY: size and alignment are asserted above.
     unsafe { bytes.0.as_mut_ptr().cast::<T>().write(header) };
 }
 

@@ -1,4 +1,4 @@
-//! The smallest plugin takes 30 lines or fewer, and what `export_plugin!` makes of it is whole.
+//! The smallest plugin takes at most 30 lines, and `export_plugin!` makes a complete plugin of it.
 
 use panoscope_node::abi;
 use panoscope_node::harness::{Foreign, Harness, HarnessError, Setup};
@@ -15,13 +15,13 @@ fn it_is_small() {
 
 #[test]
 fn its_descriptor_runs() -> Result<(), HarnessError> {
-    // SAFETY: the plugin of this very program.
+    // SAFETY: the descriptor is a static of this program, and the plugin obeys the ABI.
     let mut node = unsafe { Harness::<Foreign>::of_plugin(plugin::panoscope_plugin(), "negative", Setup::new(""))? };
     let out = node.input_image::<Gray8>("image", 3, 1, &[0, 1, 255]).process()?;
     assert_eq!(out.plane::<Gray8>("image")?.data, [255, 254, 0]);
     assert_eq!(node.node_type().plugin, "node", "named after the package, without its `panoscope-`");
     assert_eq!(node.node_type().inputs[0].doc, "Any picture.");
-    // SAFETY: as above.
+    // SAFETY: the descriptor is a static of this program, and the plugin obeys the ABI.
     let wrong = unsafe { Harness::<Foreign>::of_plugin(plugin::panoscope_plugin(), "negativ", Setup::new("")) };
     let wrong = wrong.err().map(|e| e.to_string());
     assert_eq!(wrong.as_deref(), Some("the plugin has no node type `negativ`; there are: negative"));

@@ -1,4 +1,4 @@
-//! What `panoscope new plugin` writes builds and passes its own test.
+//! The plugins that `panoscope new plugin` writes build and pass their own tests.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,7 +11,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// Fills a template into a fresh folder, as its README says.
+/// Copies a template to a fresh folder with its placeholders replaced, as `panoscope new plugin` does.
 fn fill(template: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("new_{template}"));
     let _ = std::fs::remove_dir_all(&folder);
@@ -63,7 +63,7 @@ fn graph_parses(folder: &Path) {
 fn the_rust_template() {
     let folder = fill("rust");
     graph_parses(&folder);
-    // The versions that this workspace was tested with.
+    // Uses the dependency versions of this workspace.
     std::fs::copy(root().join("Cargo.lock"), folder.join("Cargo.lock")).expect("a lock file");
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("new_target");
@@ -84,7 +84,7 @@ fn the_rust_template() {
 fn the_c_template() {
     if Command::new("make").arg("--version").output().is_err() || Command::new("cc").arg("--version").output().is_err()
     {
-        println!("skipped: make or cc cannot be run");
+        panoscope_testing::skipped!("make or cc cannot be run");
         return;
     }
     let folder = fill("c");

@@ -1,4 +1,4 @@
-//! A node's own check of its parameters: through a graph's check, through `open`, and when it misbehaves itself.
+//! A node's own check of its parameters: in a graph's check, in `open`, and when the check itself misbehaves.
 
 use std::cell::Cell;
 use std::path::Path;
@@ -12,7 +12,7 @@ use panoscope_node::*;
 
 type TestResult = std::result::Result<(), HarnessError>;
 
-// Only the wiring of the ports is checked here.
+// The test checks only the wiring of these ports.
 #[allow(dead_code)]
 #[derive(Ports)]
 struct In<'f> {
@@ -39,7 +39,7 @@ struct Band {
     high: u32,
 }
 
-// Per thread, so that the tests beside this one do not count.
+// Per thread, so that other tests do not change the count.
 thread_local!(static OPENED: Cell<u32> = const { Cell::new(0) });
 
 struct Careful;
@@ -86,20 +86,20 @@ fn problems(params: &str, connected: &[&str]) -> Vec<(Severity, Option<usize>, S
 fn parameters_and_wiring_are_judged_without_opening() {
     let before = OPENED.get();
     assert_eq!(problems("low = 5", &["image"]), []);
-    let told = problems("low = 6", &["image"]);
-    assert_eq!(told, [(Severity::Error, Some(0), "`low` is 6, above `high`, which is 5".to_owned())]);
-    let told = problems("high = 9", &["image", "more", "more"]);
-    assert_eq!(told, [(Severity::Warning, Some(1), "band of Some(\"films\") is high".to_owned())]);
-    let told = problems("low = 6", &["more", "more", "more"]);
-    let words: Vec<&str> = told.iter().map(|(_, _, words)| words.as_str()).collect();
+    let found = problems("low = 6", &["image"]);
+    assert_eq!(found, [(Severity::Error, Some(0), "`low` is 6, above `high`, which is 5".to_owned())]);
+    let found = problems("high = 9", &["image", "more", "more"]);
+    assert_eq!(found, [(Severity::Warning, Some(1), "band of Some(\"films\") is high".to_owned())]);
+    let found = problems("low = 6", &["more", "more", "more"]);
+    let words: Vec<&str> = found.iter().map(|(_, _, words)| words.as_str()).collect();
     assert_eq!(words, ["`low` is 6, above `high`, which is 5", "`image` is not connected", "more than two"]);
     assert_eq!(OPENED.get(), before);
 }
 
 #[test]
 fn a_check_that_panics_is_a_problem_and_no_crash() {
-    let told = problems("high = 10", &["image"]);
-    let [(Severity::Error, None, words)] = &told[..] else { panic!("{told:?}") };
+    let found = problems("high = 10", &["image"]);
+    let [(Severity::Error, None, words)] = &found[..] else { panic!("{found:?}") };
     assert!(
         words.contains("panicked at core/node/tests/validation.rs:") && words.ends_with("ten is too much"),
         "{words}"
@@ -110,7 +110,7 @@ fn a_check_that_panics_is_a_problem_and_no_crash() {
 fn open_refuses_what_the_check_refuses() -> TestResult {
     let error = Harness::<Careful>::from_toml("params = { low = 6 }").err().expect("refused").to_string();
     assert!(error.contains("`low` is 6, above `high`, which is 5; swap them"), "{error}");
-    // Wiring is not known then, and warnings hinder nothing.
+    // `open` does not know the wiring, and a warning does not fail it.
     let before = OPENED.get();
     Harness::<Careful>::from_toml("params = { high = 9 }")?;
     assert_eq!(OPENED.get(), before + 1);
@@ -133,7 +133,7 @@ fn described(node: *const abi::NodeType) -> NodeType {
         note: std::ptr::null(),
         attach: None,
     };
-    // SAFETY: descriptors made by this crate's macros, as long as they say.
+    // SAFETY: the descriptors are made by this crate's macros; their lengths are correct.
     unsafe { node_types(&plugin) }.expect("a good descriptor").remove(0)
 }
 
@@ -147,7 +147,7 @@ fn ask(node_type: &NodeType) -> Option<Vec<ParamProblem>> {
 
 #[test]
 fn a_node_of_an_older_plugin_has_no_check() {
-    // As long as the struct was before `validate`, at the end of its memory.
+    // The size of the struct before `validate` was appended; the block ends right behind it.
     let size = std::mem::offset_of!(abi::NodeType, validate);
     let layout = std::alloc::Layout::from_size_align(size, align_of::<abi::NodeType>()).expect("a layout");
     let full = NodeTypeOf::<Careful>::NODE_TYPE;
@@ -166,7 +166,7 @@ fn a_node_of_an_older_plugin_has_no_check() {
     assert!(whole.validate.is_none() && whole.open.is_some() && whole.params_len == 2);
 }
 
-/// A check as one in C may be: it reports what makes no sense, and too often.
+/// A check as a C plugin may have it: it reports invalid problems, and too many.
 unsafe extern "C" fn wild(call: *mut abi::ValidateCall) -> abi::Status {
     // SAFETY: the host's call is valid for its length.
     unsafe {
@@ -191,13 +191,13 @@ fn a_wild_check_is_kept_within_bounds() {
         let node = abi::NodeType { validate: Some(validate), ..NodeTypeOf::<Careful>::NODE_TYPE };
         ask(&described(&node)).expect("a check")
     };
-    let told = with(wild);
-    assert_eq!(told.len(), 64);
-    assert_eq!((told[0].severity, told[0].param, told[0].message.as_str()), (Severity::Error, None, "\u{fffd}!"));
-    assert_eq!((told[1].severity, told[1].param, told[1].help.as_str()), (Severity::Warning, Some(1), "stop"));
-    let told = with(mute);
-    assert_eq!(told.len(), 1);
-    assert_eq!(told[0].message, "the node refused its parameters without a message (status -4)");
+    let found = with(wild);
+    assert_eq!(found.len(), 64);
+    assert_eq!((found[0].severity, found[0].param, found[0].message.as_str()), (Severity::Error, None, "\u{fffd}!"));
+    assert_eq!((found[1].severity, found[1].param, found[1].help.as_str()), (Severity::Warning, Some(1), "stop"));
+    let found = with(mute);
+    assert_eq!(found.len(), 1);
+    assert_eq!(found[0].message, "the node refused its parameters without a message (status -4)");
 }
 
 #[test]

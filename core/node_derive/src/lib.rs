@@ -2,8 +2,11 @@
 //!
 //! They describe; they never call anything. What they generate names only items of `panoscope_node`.
 
+#![forbid(unsafe_code)]
+
 mod choice;
 mod docs;
+mod nest;
 mod packet;
 mod params;
 mod ports;
@@ -11,16 +14,17 @@ mod ports;
 use proc_macro::TokenStream;
 use syn::{DeriveInput, parse_macro_input};
 
-fn answer(result: syn::Result<proc_macro2::TokenStream>) -> TokenStream {
+fn expanded(result: syn::Result<proc_macro2::TokenStream>) -> TokenStream {
     result.unwrap_or_else(|error| error.to_compile_error()).into()
 }
 
 /// Makes a struct whose fields are ports usable as a node's `In` or `Out`.
 ///
-/// Every field needs a doc comment: it is the port's tooltip.
-#[proc_macro_derive(Ports)]
+/// Every field needs a doc comment: it is the port's tooltip. A field with `#[ports(flatten)]` is itself a struct of ports; its ports stand in
+/// the place of the field.
+#[proc_macro_derive(Ports, attributes(ports))]
 pub fn derive_ports(input: TokenStream) -> TokenStream {
-    answer(ports::expand(&parse_macro_input!(input as DeriveInput)))
+    expanded(ports::expand(&parse_macro_input!(input as DeriveInput)))
 }
 
 /// Makes a struct usable as a node's parameters.
@@ -28,20 +32,21 @@ pub fn derive_ports(input: TokenStream) -> TokenStream {
 /// Every field needs a doc comment and `#[param(default = ...)]`; numbers need `range = low..=high`.
 /// Further: `step = ...`, `unit = "px"` (which must agree with a name such as `window_px`), `reopen`; for lists `points`, `rectangles`; for texts
 /// `file`; for paths `must_exist`, `writes` (the node writes that file) and `shipped` (the default comes with the plugin, in the folder of the
-/// plugin's name beside its library).
+/// plugin's name beside its library). A field with `#[param(flatten)]` is itself a struct of parameters; its parameters stand in the place of the
+/// field.
 #[proc_macro_derive(Params, attributes(param))]
 pub fn derive_params(input: TokenStream) -> TokenStream {
-    answer(params::expand(&parse_macro_input!(input as DeriveInput)))
+    expanded(params::expand(&parse_macro_input!(input as DeriveInput)))
 }
 
 /// Makes an enum without fields usable as a parameter; variants are named in `snake_case` in graph files.
 #[proc_macro_derive(Choice)]
 pub fn derive_choice(input: TokenStream) -> TokenStream {
-    answer(choice::expand(&parse_macro_input!(input as DeriveInput)))
+    expanded(choice::expand(&parse_macro_input!(input as DeriveInput)))
 }
 
 /// Makes a `#[repr(C)]`, `Copy` struct of plain data a packet type of its own: `#[packet(name = "my_type")]`.
 #[proc_macro_derive(Packet, attributes(packet))]
 pub fn derive_packet(input: TokenStream) -> TokenStream {
-    answer(packet::expand(&parse_macro_input!(input as DeriveInput)))
+    expanded(packet::expand(&parse_macro_input!(input as DeriveInput)))
 }

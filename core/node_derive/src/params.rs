@@ -10,6 +10,7 @@ use syn::{
 };
 
 use crate::docs;
+use crate::nest::Declarations;
 
 /// Units that graph files, tooltips and plots share.
 const UNITS: &[&str] = &[
@@ -54,6 +55,7 @@ struct Attribute {
     writes: Option<Ident>,
     shipped: Option<Ident>,
     pick: Option<Ident>,
+    flatten: Option<Ident>,
 }
 
 /// Endings of parameter names that state a unit, longest first: whoever reads `window_px` in a graph file takes it for pixels.
@@ -117,6 +119,7 @@ impl Parse for Attribute {
             }
             match key.to_string().as_str() {
                 "reopen" => out.reopen = true,
+                "flatten" => out.flatten = Some(key),
                 "must_exist" => out.must_exist = Some(key),
                 "writes" => out.writes = Some(key),
                 "shipped" => out.shipped = Some(key),
@@ -144,7 +147,7 @@ impl Parse for Attribute {
                     return Err(Error::new(
                         key.span(),
                         format!(
-                            "`{other}` is none of: default, range, step, unit, reopen, must_exist, writes, shipped, points, rectangles, file"
+                            "`{other}` is none of: default, range, step, unit, reopen, must_exist, writes, shipped, points, rectangles, file, flatten"
                         ),
                     ));
                 }
@@ -153,7 +156,27 @@ impl Parse for Attribute {
                 input.parse::<Token![,]>()?;
             }
         }
+        if let (Some(flatten), Some(other)) = (&out.flatten, out.other_than_flatten()) {
+            let message = format!("a flattened struct declares its parameters itself: remove `{other}`");
+            return Err(Error::new_spanned(flatten, message));
+        }
         Ok(out)
+    }
+}
+
+impl Attribute {
+    /// A key that says something about a parameter, if there is one.
+    fn other_than_flatten(&self) -> Option<String> {
+        let flags = [&self.must_exist, &self.writes, &self.shipped, &self.pick];
+        let flag = flags.into_iter().flatten().next().map(Ident::to_string);
+        let given = [
+            (self.default.is_some(), "default"),
+            (self.range.is_some(), "range"),
+            (self.step.is_some(), "step"),
+            (self.unit.is_some(), "unit"),
+            (self.reopen, "reopen"),
+        ];
+        given.iter().find(|(is_given, _)| *is_given).map(|(_, key)| (*key).to_owned()).or(flag)
     }
 }
 
@@ -326,11 +349,26 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
             return Err(Error::new_spanned(name, "parameters need names: use a struct with named fields"));
         }
     };
-    let mut params = Vec::new();
+    let mut declared = Declarations::of_params();
     let mut reads = Vec::new();
     let mut asserts = Vec::new();
-    for (index, field) in fields.iter().enumerate() {
+    for field in fields {
         let ident = field.ident.as_ref().expect("named fields have names");
+        let attribute = field.attrs.iter().find(|a| a.path().is_ident("param"));
+        let attribute = attribute.map(|attribute| attribute.parse_args::<Attribute>()).transpose()?;
+        let ty = &field.ty;
+        let index = declared.next_index();
+        if let Some(Attribute { flatten: Some(_), .. }) = &attribute {
+            let nested = quote_spanned!(ty.span()=> <#ty as ::panoscope_node::Params>);
+            reads.push(quote! {
+                #ident: {
+                    let first = #index;
+                    #nested::read(&values[first..first + #nested::PARAMS.len()])?
+                }
+            });
+            declared.nested(ty);
+            continue;
+        }
         let doc = docs::text(&field.attrs);
         if doc.is_empty() {
             return Err(Error::new_spanned(
@@ -338,11 +376,9 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
                 format!("parameter `{ident}` needs a doc comment: it is the tooltip that users read"),
             ));
         }
-        let Some(attribute) = field.attrs.iter().find(|a| a.path().is_ident("param")) else {
+        let Some(attribute) = attribute else {
             return Err(Error::new_spanned(ident, format!("parameter `{ident}` needs `#[param(default = ...)]`")));
         };
-        let attribute: Attribute = attribute.parse_args()?;
-        let ty = &field.ty;
         let param_name = ident.to_string();
         let param_name = param_name.trim_start_matches("r#");
         let Some(default) = &attribute.default else {
@@ -388,7 +424,7 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
             }
             None => quote!(0),
         };
-        params.push(quote! {
+        let declaration = quote! {
             ::panoscope_node::__private::param(::panoscope_node::__private::Declared {
                 name: #param_name,
                 doc: #doc,
@@ -406,17 +442,20 @@ pub fn expand(input: &DeriveInput) -> Result<TokenStream> {
                 shipped: #shipped,
                 pick: #pick,
             })
-        });
+        };
+        declared.own(param_name, ident, declaration);
         reads.push(quote! { #ident: <#ty as ::panoscope_node::ParamField>::read(&values[#index])? });
     }
-    let count = fields.len();
+    let (unique, list) = declared.finish();
     Ok(quote! {
         #(#asserts)*
+        #unique
         impl ::panoscope_node::Params for #name {
-            const PARAMS: &'static [::panoscope_node::abi::Param] = &[#(#params),*];
+            const PARAMS: &'static [::panoscope_node::abi::Param] = #list;
             fn read(values: &[::panoscope_node::abi::ParamValue]) -> ::panoscope_node::Result<Self> {
-                if values.len() != #count {
-                    return Err(::panoscope_node::__private::wrong_param_count(#count, values.len()));
+                let expected = <Self as ::panoscope_node::Params>::PARAMS.len();
+                if values.len() != expected {
+                    return Err(::panoscope_node::__private::wrong_param_count(expected, values.len()));
                 }
                 Ok(Self { #(#reads),* })
             }

@@ -1,4 +1,4 @@
-//! Checksums of a recording's messages: a flipped bit is damage with a place, never other data.
+//! Checksums of a recording's messages: a flipped bit is reported with its position and never read as other data.
 
 use mcap::records::MessageHeader;
 use xxhash_rust::xxh3::Xxh3;
@@ -6,12 +6,12 @@ use xxhash_rust::xxh3::Xxh3;
 /// Bytes of a message's own header.
 pub(crate) const MESSAGE_HEAD_BYTES: usize = 22;
 
-/// What stands at the end of an event's JSON: `,"xxh3":"0123456789abcdef"}`.
+/// The checksum at the end of an event's JSON: `,"xxh3":"0123456789abcdef"}`.
 const MARK: &[u8] = b",\"xxh3\":\"";
 const DIGITS: usize = 16;
 const CLOSE: &[u8] = b"\"}";
 
-/// A message's header as it lies in the file.
+/// A message's header as it is stored in the file.
 pub(crate) fn head_bytes(header: &MessageHeader) -> [u8; MESSAGE_HEAD_BYTES] {
     let mut bytes = [0; MESSAGE_HEAD_BYTES];
     bytes[..2].copy_from_slice(&header.channel_id.to_le_bytes());
@@ -21,7 +21,7 @@ pub(crate) fn head_bytes(header: &MessageHeader) -> [u8; MESSAGE_HEAD_BYTES] {
     bytes
 }
 
-/// XXH3 of a message: the topic of its channel, its header, and its body up to where the sum stands.
+/// XXH3 of a message: the topic of its channel, its header, and its body up to the checksum.
 pub(crate) fn sum(topic: &str, head: &[u8; MESSAGE_HEAD_BYTES], body: &[u8]) -> u64 {
     let mut hash = Xxh3::new();
     hash.update(topic.as_bytes());
@@ -30,9 +30,9 @@ pub(crate) fn sum(topic: &str, head: &[u8; MESSAGE_HEAD_BYTES], body: &[u8]) -> 
     hash.digest()
 }
 
-/// Writes the sum of an event into the end of its JSON object.
+/// Appends the checksum of an event to its JSON object.
 pub(crate) fn seal(topic: &str, head: &[u8; MESSAGE_HEAD_BYTES], json: &mut Vec<u8>) {
-    // The closing brace comes last.
+    // Removes the closing brace; `CLOSE` adds it again.
     json.pop();
     let sum = sum(topic, head, json);
     json.extend_from_slice(MARK);
@@ -40,18 +40,18 @@ pub(crate) fn seal(topic: &str, head: &[u8; MESSAGE_HEAD_BYTES], json: &mut Vec<
     json.extend_from_slice(CLOSE);
 }
 
-/// What an event's seal says.
+/// The result of checking an event's checksum.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Seal {
-    /// It has none.
+    /// The event has no checksum.
     None,
-    /// The event is another one than was written.
+    /// The event is not what was written.
     Broken,
-    /// The event as it was written.
+    /// The event is what was written.
     Whole,
 }
 
-/// Checks an event and takes its sum out of the JSON.
+/// Checks an event and removes the checksum from its JSON.
 pub(crate) fn unseal(topic: &str, head: &[u8; MESSAGE_HEAD_BYTES], json: &mut Vec<u8>) -> Seal {
     let Some(len) = json.len().checked_sub(MARK.len() + DIGITS + CLOSE.len()) else { return Seal::None };
     let (body, tail) = json.split_at(len);
@@ -64,7 +64,7 @@ pub(crate) fn unseal(topic: &str, head: &[u8; MESSAGE_HEAD_BYTES], json: &mut Ve
     Seal::Whole
 }
 
-/// CRC-32 as MCAP's footer has it (ISO-HDLC).
+/// CRC-32 (ISO-HDLC) as used in MCAP's footer.
 pub(crate) fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(!0u32, |crc, byte| {
         (0..8).fold(crc ^ u32::from(*byte), |crc, _| (crc >> 1) ^ (0xEDB8_8320 & 0u32.wrapping_sub(crc & 1)))

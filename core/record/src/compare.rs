@@ -1,4 +1,4 @@
-//! Where two runs differ.
+//! Compares two runs, port by port.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -6,66 +6,66 @@ use panoscope_abi::{self as abi, Tick};
 use panoscope_base::packet::{Cloud, PacketError};
 
 pub use crate::content::FirstCell;
-use crate::content::{self, Apart};
+use crate::content::{self, PacketDifference};
 use crate::digest::{Digests, PacketDigest, PortDigest, row_bytes};
 use crate::format::PacketHead;
 use crate::recording::{Packet, Recording, RecordingError};
 
-/// How far a port is from its other self.
+/// How the packets of one port differ between two runs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PortDifference {
     /// `node.port`.
     pub port: String,
-    /// Packets in the first and second run.
+    /// Number of packets in the first and second run.
     pub packets: (usize, usize),
-    /// Packets of ticks that both have and that differ.
+    /// Number of ticks that both runs have and whose packets differ.
     pub differing: usize,
-    /// Ticks that only one of them has.
+    /// Number of ticks that only one run has.
     pub missing: usize,
-    /// First tick that differs: source slot and number.
+    /// First tick that differs or is missing in one run: source slot and number.
     pub first: Option<(u32, u64)>,
-    /// How far apart the differing packets are, where both recordings hold them.
+    /// By how much the differing packets differ, where both recordings contain them.
     pub amount: Option<Amount>,
-    /// First tick that only one of them has.
-    lonely: Option<(u32, u64)>,
+    /// First tick that only one run has.
+    first_missing: Option<(u32, u64)>,
 }
 
-/// How far apart pictures or bytes are.
+/// By how much images, tables, clouds or bytes differ.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Amount {
-    /// Largest absolute difference of two values; distance of two points in mm; of bytes where the packet's type is not known.
+    /// Largest absolute difference of two values; for clouds the largest distance of two points in mm. Unknown packet types are compared by bytes.
     pub largest: f64,
     /// Mean absolute difference over all values of the differing packets.
     pub mean: f64,
-    /// Share of pixels (cells, points, bytes) that differ in them.
+    /// Share of pixels (cells, points, bytes) that differ in the differing packets, 0 to 1.
     pub share: f64,
-    /// Packets of another size or format, which cannot be laid over each other.
+    /// Number of packets whose size or format differs, so that they cannot be compared value by value.
     pub other_shape: usize,
-    /// What the numbers above are of.
+    /// The kind of content that the numbers above describe.
     pub content: Content,
 }
 
-/// What packets hold, and what differs in them.
+/// The kind of content of the packets, and where it differs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Content {
-    /// Pictures, or bytes of a type that is not known here.
+    /// Images, or bytes of an unknown packet type.
     #[default]
     Pixels,
-    /// Tables: number of the tick that differs first, and what differs there first.
+    /// Tables: number of the first tick that differs, and the first difference in it.
     Table(u64, FirstCell),
-    /// Clouds, in mm.
+    /// Point clouds, in mm.
     Cloud {
-        /// Where the farthest two points are: number of the tick, column, row.
+        /// The position with the largest distance: number of the tick, column, row.
         farthest: Option<(u64, usize, usize)>,
-        /// Points that only one recording knows, all packets together.
+        /// Number of points that only one recording has, over all packets.
         only_in_one: u64,
-        /// Points with another colour.
+        /// Number of points whose colour differs.
         recoloured: u64,
     },
 }
 
 impl PortDifference {
-    /// Whether both are the same.
+    /// Whether the port is the same in both runs.
     pub fn is_nothing(&self) -> bool {
         self.differing == 0 && self.missing == 0
     }
@@ -78,72 +78,74 @@ fn key(packet: &PacketDigest) -> Key {
     (packet.source, packet.seq)
 }
 
-/// Ticks with how often each came before: a node that is rewired may meet one again.
+/// Numbers the occurrences of each tick from 1, because a rewired node may process a tick a second time.
 fn numbered(ticks: impl Iterator<Item = (u32, u64)>) -> Vec<((u32, u64), u32)> {
-    let mut seen: HashMap<(u32, u64), u32> = HashMap::new();
+    let mut counts: HashMap<(u32, u64), u32> = HashMap::new();
     let number = |tick| {
-        let count = seen.entry(tick).or_default();
+        let count = counts.entry(tick).or_default();
         *count += 1;
         (tick, *count)
     };
     ticks.map(number).collect()
 }
 
-/// Places of the same tick in two lists.
-fn places(a: &[((u32, u64), u32)], b: &[((u32, u64), u32)]) -> Vec<(usize, usize)> {
-    let known: HashMap<_, usize> = b.iter().enumerate().map(|(at, key)| (*key, at)).collect();
-    a.iter().enumerate().filter_map(|(at, key)| Some((at, *known.get(key)?))).collect()
+/// Index pairs of the same tick in two lists.
+fn matches(a: &[((u32, u64), u32)], b: &[((u32, u64), u32)]) -> Vec<(usize, usize)> {
+    let index_in_b: HashMap<_, usize> = b.iter().enumerate().map(|(at, key)| (*key, at)).collect();
+    a.iter().enumerate().filter_map(|(at, key)| Some((at, *index_in_b.get(key)?))).collect()
 }
 
-/// Pairs of the same tick in two lists, how many have no partner, and the first without one.
+/// Index pairs of the same tick in two lists, the number of unmatched ticks, and the first unmatched one.
 fn pairs(a: &PortDigest, b: &PortDigest) -> (Vec<(usize, usize)>, usize, Option<Key>) {
     let (left, right) = (numbered(a.packets.iter().map(key)), numbered(b.packets.iter().map(key)));
-    let pairs = places(&left, &right);
-    let (mut alone_left, mut alone_right) = (vec![true; left.len()], vec![true; right.len()]);
+    let pairs = matches(&left, &right);
+    let (mut left_missing, mut right_missing) = (vec![true; left.len()], vec![true; right.len()]);
     for (l, r) in &pairs {
-        (alone_left[*l], alone_right[*r]) = (false, false);
+        (left_missing[*l], right_missing[*r]) = (false, false);
     }
-    let lonely = left.iter().zip(&alone_left).chain(right.iter().zip(&alone_right)).filter(|(_, alone)| **alone);
-    let lonely: Vec<(u32, u64)> = lonely.map(|((tick, _), _)| *tick).collect();
-    let first = lonely.iter().copied().min_by_key(|(source, seq)| (*seq, *source));
-    (pairs, lonely.len(), first)
+    let missing =
+        left.iter().zip(&left_missing).chain(right.iter().zip(&right_missing)).filter(|(_, missing)| **missing);
+    let missing: Vec<(u32, u64)> = missing.map(|((tick, _), _)| *tick).collect();
+    let first = missing.iter().copied().min_by_key(|(source, seq)| (*seq, *source));
+    (pairs, missing.len(), first)
 }
 
-/// Compares the fingerprints of two runs, port by port; ports that are the same are in the answer too.
+/// Compares the fingerprints of two runs. The result contains every port, also those that are the same.
 pub fn compare(a: &Digests, b: &Digests) -> Vec<PortDifference> {
     let empty = PortDigest::default();
     let ports: BTreeSet<&String> = a.ports.keys().chain(b.ports.keys()).collect();
     let one = |port: &String| {
         let (left, right) = (a.ports.get(port).unwrap_or(&empty), b.ports.get(port).unwrap_or(&empty));
         let packets = (left.packets.len(), right.packets.len());
-        let (pairs, missing, lonely) = pairs(left, right);
+        let (pairs, missing, first_missing) = pairs(left, right);
         let differing: Vec<(u32, u64)> = pairs
             .iter()
             .filter(|(l, r)| left.packets[*l].hash != right.packets[*r].hash)
             .map(|(l, _)| key(&left.packets[*l]))
             .collect();
-        let first = differing.iter().copied().chain(lonely).min_by_key(|(source, seq)| (*seq, *source));
-        PortDifference { port: port.clone(), packets, differing: differing.len(), missing, first, amount: None, lonely }
+        let first = differing.iter().copied().chain(first_missing).min_by_key(|(source, seq)| (*seq, *source));
+        let differing = differing.len();
+        PortDifference { port: port.clone(), packets, differing, missing, first, amount: None, first_missing }
     };
     ports.into_iter().map(one).collect()
 }
 
-/// Compares two recordings; where both hold a port's packets, it is also said by how much they differ. Numbers of tables count as equal
-/// up to `tolerance` of the larger one (of 1 at least), points of clouds up to `tolerance` mm.
+/// Compares two recordings. Where both contain a port's packets, the result also says by how much they differ. Numbers of tables count as
+/// equal up to `tolerance` times the larger one (at least 1), points of clouds up to `tolerance` mm.
 ///
 /// # Errors
 /// One of them is damaged.
 pub fn compare_recordings(a: &Recording, b: &Recording, tolerance: f64) -> Result<Vec<PortDifference>, RecordingError> {
-    // Fingerprints alone would call a damaged packet equal.
+    // A damaged packet may still have the fingerprint of the undamaged one.
     a.verify()?;
     b.verify()?;
     let mut all = compare(&a.digests(), &b.digests());
     for port in all.iter_mut().filter(|p| p.differing > 0) {
         let (Some(left), Some(right)) = (a.ports.get(&port.port), b.ports.get(&port.port)) else { continue };
         let (amount, ticks) = amount(a, b, &port.port, left, right, tolerance)?;
-        // What differs in bytes only does not differ; ticks that only one has stay.
+        // Packets that differ within the tolerance do not count; ticks that only one recording has still do.
         let ticks: Vec<Key> = ticks.iter().map(|tick| (tick.source, tick.seq)).collect();
-        port.first = ticks.iter().copied().chain(port.lonely).min_by_key(|(source, seq)| (*seq, *source));
+        port.first = ticks.iter().copied().chain(port.first_missing).min_by_key(|(source, seq)| (*seq, *source));
         port.differing = ticks.len();
         port.amount = (port.differing > 0).then_some(amount);
     }
@@ -172,7 +174,7 @@ fn amount(
     let mut differing = Vec::new();
     let mut sums = Sums::default();
     let ticks = |list: &[Packet]| numbered(list.iter().map(|p| (p.head.tick.source, p.head.tick.seq)));
-    for (one, two) in places(&ticks(left), &ticks(right)) {
+    for (one, two) in matches(&ticks(left), &ticks(right)) {
         let (packet, other) = (&left[one], &right[two]);
         if other.head.hash == packet.head.hash {
             continue;
@@ -220,7 +222,7 @@ fn cloud<'b>(head: &PacketHead, bytes: &'b [u8]) -> Result<Cloud<'b>, PacketErro
     Cloud::parse(bytes, head.width as usize, head.height as usize, head.stride_bytes as usize)
 }
 
-/// The numbers of a pixel or byte group.
+/// Converts the bytes of a row to numbers.
 fn values(format: u32, bytes: &[u8], out: &mut Vec<f64>) {
     out.clear();
     match format {
@@ -233,19 +235,19 @@ fn values(format: u32, bytes: &[u8], out: &mut Vec<f64>) {
 }
 
 impl Sums {
-    /// Takes how two packets differ; answers whether they do.
-    fn take(&mut self, tick: Tick, apart: &Apart) -> bool {
-        if !apart.differs {
+    /// Adds the difference of two packets; returns whether they differ.
+    fn take(&mut self, tick: Tick, difference: &PacketDifference) -> bool {
+        if !difference.differs {
             return false;
         }
-        let farther = apart.largest > self.largest;
-        self.largest = self.largest.max(apart.largest);
-        self.sum += apart.sum;
-        self.values += apart.values;
-        self.pixels += apart.values;
-        self.differing += apart.differing;
-        self.other_shape += usize::from(apart.other_shape);
-        if let Some(first) = &apart.first_cell {
+        let farther = difference.largest > self.largest;
+        self.largest = self.largest.max(difference.largest);
+        self.sum += difference.sum;
+        self.values += difference.values;
+        self.pixels += difference.values;
+        self.differing += difference.differing;
+        self.other_shape += usize::from(difference.other_shape);
+        if let Some(first) = &difference.first_cell {
             if self.content == Content::Pixels {
                 self.content = Content::Table(tick.seq, first.clone());
             }
@@ -255,10 +257,10 @@ impl Sums {
             self.content = Content::Cloud { farthest: None, only_in_one: 0, recoloured: 0 };
         }
         if let Content::Cloud { farthest, only_in_one, recoloured } = &mut self.content {
-            *only_in_one += apart.only_in_one;
-            *recoloured += apart.recoloured;
+            *only_in_one += difference.only_in_one;
+            *recoloured += difference.recoloured;
             if farther {
-                *farthest = apart.farthest.map(|(x, y)| (tick.seq, x, y));
+                *farthest = difference.farthest.map(|(x, y)| (tick.seq, x, y));
             }
         }
         true
@@ -289,12 +291,12 @@ impl Sums {
             for (one, two) in one.chunks(per_pixel).zip(two.chunks(per_pixel)) {
                 let mut differs = false;
                 for (x, y) in one.iter().zip(two) {
-                    // Two unknowns are the same; a known and an unknown differ, by nothing that can be told.
-                    let apart = (x - y).abs();
+                    // Two NaN are the same. A number and a NaN differ, but not by a finite amount.
+                    let distance = (x - y).abs();
                     differs |= x.to_bits() != y.to_bits();
-                    if apart.is_finite() {
-                        self.largest = self.largest.max(apart);
-                        self.sum += apart;
+                    if distance.is_finite() {
+                        self.largest = self.largest.max(distance);
+                        self.sum += distance;
                     }
                     self.values += 1.0;
                 }

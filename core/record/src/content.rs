@@ -1,9 +1,9 @@
-//! Comparing packets by what they mean: tables cell by cell, clouds point by point.
+//! Compares packets by their content: tables cell by cell, clouds point by point.
 
 use panoscope_abi::CloudPoint;
 use panoscope_base::packet::{Cloud, Table};
 
-/// Whether two numbers are equal: both unknown, or apart by no more than `tolerance` of the larger one, of 1 at least.
+/// Whether two numbers are equal: both NaN, or different by at most `tolerance` times the larger one (at least 1).
 pub(super) fn is_equal(a: f64, b: f64, tolerance: f64) -> bool {
     (a.is_nan() && b.is_nan()) || a == b || (a - b).abs() <= tolerance * a.abs().max(b.abs()).max(1.0)
 }
@@ -11,44 +11,46 @@ pub(super) fn is_equal(a: f64, b: f64, tolerance: f64) -> bool {
 /// Reads a packet that is a table from its first byte to its last; `None` for all others. Packets do not name their type, but nothing
 /// else fills its length like that.
 pub(super) fn table(bytes: &[u8]) -> Option<Table<'_>> {
-    Table::parse(bytes).ok().filter(|table| table.columns() > 0 && table.byte_len() == bytes.len())
+    Table::parse(bytes).ok().filter(|table| {
+        table.columns() > 0 && table.names().count() == table.columns() && table.byte_len() == bytes.len()
+    })
 }
 
-/// What differs first in a table.
+/// The first difference between two tables.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FirstCell {
     /// A cell: row from 1, column, both values.
     Value(usize, String, f64, f64),
     /// A column that only one of them has, and whether that is the first one.
     Column(String, bool),
-    /// Rows of both.
+    /// The numbers of rows of both.
     Rows(usize, usize),
 }
 
-/// How two packets of the same tick differ.
+/// The difference between two packets of the same tick.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Apart {
+pub(super) struct PacketDifference {
     /// Something differs by more than the tolerance.
     pub differs: bool,
-    /// They cannot be laid over each other, or only in part.
+    /// They have different rows or columns, so they are compared only in part.
     pub other_shape: bool,
     pub largest: f64,
     pub sum: f64,
-    /// Values, or points, that were compared.
+    /// Number of values, or points, that were compared.
     pub values: f64,
     pub differing: f64,
     pub first_cell: Option<FirstCell>,
-    /// Where the farthest two points of a cloud are: column, row.
+    /// Position of the two points of a cloud with the largest distance: column, row.
     pub farthest: Option<(usize, usize)>,
-    /// Points that only one of the clouds knows.
+    /// Number of points that only one of the clouds has.
     pub only_in_one: u64,
-    /// Points with another colour.
+    /// Number of points whose colour differs.
     pub recoloured: u64,
 }
 
 /// Compares two tables; columns are matched by name.
-pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> Apart {
-    let mut apart = Apart::default();
+pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> PacketDifference {
+    let mut difference = PacketDifference::default();
     let alone = |in_a: &Table<'_>, in_b: &Table<'_>, first: bool| {
         let missing = in_a.names().find(|name| in_b.column(name).is_none());
         missing.map(|name| FirstCell::Column(name.to_owned(), first))
@@ -58,61 +60,61 @@ pub(super) fn tables(a: &Table<'_>, b: &Table<'_>, tolerance: f64) -> Apart {
     for row in 0..a.rows().min(b.rows()) {
         for &(name, left, right) in &shared {
             let (Some(x), Some(y)) = (a.value(row, left), b.value(row, right)) else { continue };
-            apart.values += 1.0;
+            difference.values += 1.0;
             let by = (x - y).abs();
             if by.is_finite() {
-                apart.sum += by;
-                apart.largest = apart.largest.max(by);
+                difference.sum += by;
+                difference.largest = difference.largest.max(by);
             }
             if !is_equal(x, y, tolerance) {
-                apart.differing += 1.0;
-                apart.first_cell.get_or_insert_with(|| FirstCell::Value(row + 1, name.to_owned(), x, y));
+                difference.differing += 1.0;
+                difference.first_cell.get_or_insert_with(|| FirstCell::Value(row + 1, name.to_owned(), x, y));
             }
         }
     }
     let column = alone(a, b, true).or_else(|| alone(b, a, false));
     let rows = (a.rows() != b.rows()).then_some(FirstCell::Rows(a.rows(), b.rows()));
-    apart.other_shape = column.is_some() || rows.is_some();
-    apart.first_cell = apart.first_cell.or(column).or(rows);
-    apart.differs = apart.first_cell.is_some();
-    apart
+    difference.other_shape = column.is_some() || rows.is_some();
+    difference.first_cell = difference.first_cell.or(column).or(rows);
+    difference.differs = difference.first_cell.is_some();
+    difference
 }
 
 /// Compares two clouds of the same size, point by point; distances and `tolerance` in mm.
-pub(super) fn clouds(a: &Cloud<'_>, b: &Cloud<'_>, tolerance: f64) -> Apart {
-    let mut apart = Apart::default();
+pub(super) fn clouds(a: &Cloud<'_>, b: &Cloud<'_>, tolerance: f64) -> PacketDifference {
+    let mut difference = PacketDifference::default();
     for y in 0..a.height() {
         for x in 0..a.width() {
             let (Some(left), Some(right)) = (a.point(x, y), b.point(x, y)) else { continue };
-            let place = |point: &CloudPoint| [point.x_mm, point.y_mm, point.z_mm].map(f64::from);
-            let (p, q) = (place(&left), place(&right));
-            apart.values += 1.0;
+            let position = |point: &CloudPoint| [point.x_mm, point.y_mm, point.z_mm].map(f64::from);
+            let (p, q) = (position(&left), position(&right));
+            difference.values += 1.0;
             let known = |p: &[f64; 3]| p.iter().all(|v| v.is_finite());
             let mut differs = false;
             match (known(&p), known(&q)) {
                 (true, true) => {
                     let distance = (0..3).map(|k| (p[k] - q[k]).powi(2)).sum::<f64>().sqrt();
-                    apart.sum += distance;
-                    if distance > apart.largest {
-                        (apart.largest, apart.farthest) = (distance, Some((x, y)));
+                    difference.sum += distance;
+                    if distance > difference.largest {
+                        (difference.largest, difference.farthest) = (distance, Some((x, y)));
                     }
                     differs = distance > tolerance;
                     if left.bgr != right.bgr {
-                        apart.recoloured += 1;
+                        difference.recoloured += 1;
                         differs = true;
                     }
                 }
                 (false, false) => {}
                 _ => {
-                    apart.only_in_one += 1;
+                    difference.only_in_one += 1;
                     differs = true;
                 }
             }
-            apart.differing += f64::from(u8::from(differs));
+            difference.differing += f64::from(u8::from(differs));
         }
     }
-    apart.differs = apart.differing > 0.0;
-    apart
+    difference.differs = difference.differing > 0.0;
+    difference
 }
 
 #[cfg(test)]
@@ -131,7 +133,7 @@ mod tests {
         bytes
     }
 
-    fn compare(a: &[u8], b: &[u8], tolerance: f64) -> Apart {
+    fn compare(a: &[u8], b: &[u8], tolerance: f64) -> PacketDifference {
         tables(&super::table(a).expect("a table"), &super::table(b).expect("a table"), tolerance)
     }
 
@@ -142,9 +144,9 @@ mod tests {
         assert!(compare(&a, &near, 0.0).differs, "exactly");
         assert!(!compare(&a, &near, 1e-6).differs, "another kind of unknown is unknown all the same");
         let far = table(&["x_mm", "y_mm"], &[&[1.0, 2.0], &[3.5, 9.0]]);
-        let apart = compare(&a, &far, 1e-6);
-        assert_eq!(apart.first_cell, Some(FirstCell::Value(2, "x_mm".to_owned(), 3.0, 3.5)));
-        assert_eq!((apart.largest, apart.differing, apart.values), (0.5, 2.0, 4.0));
+        let difference = compare(&a, &far, 1e-6);
+        assert_eq!(difference.first_cell, Some(FirstCell::Value(2, "x_mm".to_owned(), 3.0, 3.5)));
+        assert_eq!((difference.largest, difference.differing, difference.values), (0.5, 2.0, 4.0));
         // Columns are matched by name; what only one has is named.
         let turned = table(&["y_mm", "x_mm"], &[&[2.0, 1.0], &[f64::NAN, 3.0]]);
         assert!(!compare(&a, &turned, 0.0).differs);
@@ -172,14 +174,14 @@ mod tests {
             let parsed = |bytes| Cloud::parse(bytes, 2, 2, 32).expect("a cloud");
             super::clouds(&parsed(a), &parsed(b), tolerance)
         };
-        let apart = clouds(&a, &b, 0.5);
-        assert_eq!((apart.largest, apart.farthest), (5.0, Some((1, 0))));
-        assert_eq!((apart.only_in_one, apart.differing, apart.recoloured), (2, 3.0, 0));
+        let difference = clouds(&a, &b, 0.5);
+        assert_eq!((difference.largest, difference.farthest), (5.0, Some((1, 0))));
+        assert_eq!((difference.only_in_one, difference.differing, difference.recoloured), (2, 3.0, 0));
         assert!(!clouds(&a, &a, 0.0).differs);
         let mut recoloured = a.clone();
         recoloured[12] = 9;
-        let apart = clouds(&a, &recoloured, 0.5);
-        assert_eq!((apart.recoloured, apart.differs, apart.largest), (1, true, 0.0));
+        let difference = clouds(&a, &recoloured, 0.5);
+        assert_eq!((difference.recoloured, difference.differs, difference.largest), (1, true, 0.0));
         // The fourth byte of a colour means nothing.
         let mut padded = a.clone();
         padded[15] = 9;

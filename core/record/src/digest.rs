@@ -1,4 +1,4 @@
-//! Fingerprints of what flowed: one per packet, one per port.
+//! Fingerprints of a run's packets: one per packet and one per port.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -12,12 +12,12 @@ use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
 use panoscope_engine::memory::FrameRef;
 
-/// Bytes of a row's pixels, without what pads it.
+/// Bytes of a row's pixels without padding; 0 for formats without rows.
 pub(crate) fn row_bytes(format: u32, width: u32) -> usize {
     width as usize * pixel_bytes(format)
 }
 
-/// XXH3 of a packet's description and pixels. What pads the rows is left out: nobody promises anything about it.
+/// XXH3 of a packet's description and pixels. Row padding is not hashed, because its contents are unspecified.
 pub fn packet_hash(frame: &Frame, bytes: &[u8]) -> u64 {
     let mut hash = Xxh3::new();
     hash.update(&[frame.format.to_le_bytes(), frame.width.to_le_bytes(), frame.height.to_le_bytes()].concat());
@@ -33,7 +33,7 @@ pub fn packet_hash(frame: &Frame, bytes: &[u8]) -> u64 {
     hash.digest()
 }
 
-/// XXH3 of all bytes of a packet whose rows are padded, 0 for others: [`packet_hash`] sees all of those.
+/// XXH3 of all bytes of a packet whose rows are padded; 0 for others, whose bytes [`packet_hash`] covers completely.
 pub(crate) fn padded_hash(frame: &Frame, bytes: &[u8]) -> u64 {
     let row = row_bytes(frame.format, frame.width);
     if row == 0 || frame.stride_bytes as usize <= row { 0 } else { xxh3_64(bytes) }
@@ -61,9 +61,9 @@ pub fn file_hash(path: &Path) -> std::io::Result<(String, u64)> {
 pub struct PacketDigest {
     /// Slot of the source.
     pub source: u32,
-    /// The tick.
+    /// Number of the tick.
     pub seq: u64,
-    /// See [`packet_hash`].
+    /// The fingerprint, see [`packet_hash`].
     pub hash: u64,
 }
 
@@ -85,7 +85,7 @@ impl<'de> Deserialize<'de> for PacketDigest {
 /// The packets of one port, in order.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PortDigest {
-    /// Fingerprint of all packets and their ticks.
+    /// Fingerprint of all packets and their ticks, as hexadecimal digits.
     pub digest: String,
     /// Source slot, tick and fingerprint of each packet.
     pub packets: Vec<PacketDigest>,
@@ -96,12 +96,12 @@ pub struct PortDigest {
 pub struct Digests {
     /// Name of the graph.
     pub graph: String,
-    /// By `node.port`.
+    /// The ports, by `node.port`.
     pub ports: BTreeMap<String, PortDigest>,
 }
 
 impl Digests {
-    /// Takes a packet.
+    /// Appends a packet to a port.
     pub(crate) fn add(&mut self, port: &str, packet: PacketDigest) {
         if !self.ports.contains_key(port) {
             self.ports.insert(port.to_owned(), PortDigest::default());
@@ -124,12 +124,12 @@ impl Digests {
         }
     }
 
-    /// Packets of all ports.
+    /// Number of packets of all ports.
     pub fn packets(&self) -> usize {
         self.ports.values().map(|p| p.packets.len()).sum()
     }
 
-    /// Writes them as JSON.
+    /// Writes the fingerprints as JSON.
     pub fn write(&self, path: &Path) -> std::io::Result<()> {
         let mut file = BufWriter::new(File::create(path)?);
         serde_json::to_writer(&mut file, self)?;
@@ -137,7 +137,7 @@ impl Digests {
         file.flush()
     }
 
-    /// Reads what [`Self::write`] wrote.
+    /// Reads a file that [`Self::write`] wrote.
     pub fn read(path: &Path) -> std::io::Result<Self> {
         Ok(serde_json::from_reader(BufReader::new(File::open(path)?))?)
     }

@@ -1,4 +1,4 @@
-//! The file of a recording as it is written.
+//! Writes the file of a recording.
 
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
@@ -15,12 +15,12 @@ use crate::digest::padded_hash;
 use crate::format::{EVENTS, Event, PACKET_ENCODING, PacketHead};
 use panoscope_engine::memory::FrameRef;
 
-/// Where a recording goes.
+/// The destination of a recording.
 pub trait Output: Write + Seek + Send {
-    /// Cuts the output off.
+    /// Truncates the output to `len` bytes.
     fn cut(&mut self, len: u64) -> io::Result<()>;
 
-    /// Hands everything to the disk, where there is one.
+    /// Flushes everything to the disk, if the output is on one.
     fn sync(&mut self) -> io::Result<()> {
         Ok(())
     }
@@ -33,7 +33,7 @@ impl Output for File {
 
     fn sync(&mut self) -> io::Result<()> {
         match self.sync_all() {
-            // Pipes and devices have nothing to hand over.
+            // Pipes and devices cannot be synced.
             Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
             done => done,
         }
@@ -47,7 +47,7 @@ impl Output for io::Cursor<Vec<u8>> {
     }
 }
 
-/// Counts what has been written, for whoever cannot ask the MCAP writer.
+/// Counts the bytes written, because the MCAP writer does not expose its position.
 struct Counted {
     output: BufWriter<Box<dyn Output>>,
     written: Arc<AtomicU64>,
@@ -71,7 +71,7 @@ impl Seek for Counted {
     }
 }
 
-/// A recording under way.
+/// A recording that is being written.
 pub(crate) struct RecordFile {
     writer: Writer<Counted>,
     written: Arc<AtomicU64>,
@@ -79,10 +79,11 @@ pub(crate) struct RecordFile {
     channels: HashMap<String, (u16, u32)>,
     event_count: u32,
     buffer: Vec<u8>,
-    /// Length up to the last whole message.
-    whole: u64,
-    /// Source ticks that have left for the system, and where each of the later ones ends.
+    /// Length up to the end of the last complete message.
+    complete_len: u64,
+    /// Number of source ticks handed to the operating system.
     ticks: u64,
+    /// Where each of the later source ticks ends.
     pending_ticks: VecDeque<u64>,
 }
 
@@ -113,7 +114,7 @@ impl RecordFile {
             channels: HashMap::new(),
             event_count: 0,
             buffer: Vec::new(),
-            whole: 0,
+            complete_len: 0,
             ticks: 0,
             pending_ticks: VecDeque::new(),
         };
@@ -123,7 +124,7 @@ impl RecordFile {
 
     fn message(&mut self, header: &MessageHeader) -> io::Result<()> {
         self.writer.write_to_known_channel(header, &self.buffer).map_err(io_error)?;
-        self.whole = self.written.load(Ordering::Relaxed);
+        self.complete_len = self.written.load(Ordering::Relaxed);
         Ok(())
     }
 
@@ -137,7 +138,7 @@ impl RecordFile {
         check::seal(EVENTS, &check::head_bytes(&header), &mut self.buffer);
         self.message(&header)?;
         if matches!(event, Event::Tick { gap: false, .. }) {
-            self.pending_ticks.push_back(self.whole);
+            self.pending_ticks.push_back(self.complete_len);
         }
         Ok(())
     }
@@ -171,12 +172,12 @@ impl RecordFile {
         Ok(())
     }
 
-    /// Source ticks that have left for the system.
+    /// Number of source ticks handed to the operating system.
     pub fn ticks(&self) -> u64 {
         self.ticks
     }
 
-    /// Writes the summary and hands the file to the disk; answers its length.
+    /// Writes the summary and syncs the file; returns its length.
     pub fn finish(mut self) -> io::Result<u64> {
         self.writer.finish().map_err(io_error)?;
         let mut output = self.writer.into_inner().output;
@@ -185,15 +186,15 @@ impl RecordFile {
         Ok(self.written.load(Ordering::Relaxed))
     }
 
-    /// After an error nothing more is written; what is torn is cut off. Answers how long the file is, and the source ticks in it.
+    /// Ends the file after an error: removes an incomplete message. Returns the length of the file and the number of source ticks in it.
     pub fn give_up(self) -> (u64, u64) {
         let (mut output, _) = self.writer.into_inner().output.into_parts();
         let len = match output.seek(SeekFrom::End(0)) {
-            Ok(len) if len > self.whole => output.cut(self.whole).map_or(len, |()| self.whole),
+            Ok(len) if len > self.complete_len => output.cut(self.complete_len).map_or(len, |()| self.complete_len),
             Ok(len) => len,
             Err(_) => 0,
         };
-        // The first error is the one to tell.
+        // The caller reports the first error; a second one is ignored.
         let _ = output.sync();
         let more = self.pending_ticks.iter().filter(|end| **end <= len).count() as u64;
         (len, self.ticks + more)

@@ -1,4 +1,4 @@
-//! Fingerprints of the files that a run depends on.
+//! Hashes of the files that a run depends on.
 
 use std::path::{Path, PathBuf};
 
@@ -6,20 +6,20 @@ use serde::{Deserialize, Serialize};
 
 use crate::digest::file_hash;
 
-/// A plugin's or model's file.
+/// The hash of a plugin's or model's file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FileHash {
-    /// Plugin, or `node.param` of a model.
+    /// Name of the plugin, or `node.param` of a model.
     pub name: String,
-    /// Where it lay.
+    /// Path when the run was recorded.
     pub file: String,
-    /// Its length.
+    /// Length of the file.
     pub bytes: u64,
     /// XXH3 with 128 bits, as hexadecimal digits.
     pub xxh3: String,
 }
 
-/// The fingerprint of a file; an unreadable file has an empty one.
+/// The hash of a file; empty when the file cannot be read.
 pub(crate) fn hash(name: &str, file: &Path) -> FileHash {
     let (xxh3, bytes) = file_hash(file).unwrap_or_default();
     FileHash { name: name.to_owned(), file: file.display().to_string(), bytes, xxh3 }

@@ -1,11 +1,10 @@
-//! What stands in a recording: an MCAP file (<https://mcap.dev/spec>) without chunks, so that every record is whole or absent.
+//! The format of a recording: an MCAP file (<https://mcap.dev/spec>) without chunks, so that every record is complete or absent.
 //!
-//! The channel [`EVENTS`] carries [`Event`]s as JSON. Every recorded port has a channel of its own, named `node.port`, whose messages are a
-//! [`PacketHead`] followed by the frame's bytes as they lay in memory. All messages are in the order in which things happened to
-//! their node.
+//! The channel [`EVENTS`] carries [`Event`]s as JSON. Every recorded port has a channel named `node.port`, whose messages are a
+//! [`PacketHead`] followed by the frame's bytes as they were in memory. The messages of a node are in the order in which they happened.
 //!
 //! Since format 2 every message carries a checksum: an event as the last field of its JSON object (`xxh3`), a packet in its head. It covers
-//! the topic of the channel, MCAP's header of the message, and the event or the packet's head. The head holds the sums of the packet's bytes.
+//! the topic of the channel, MCAP's header of the message, and the event or the packet's head. The head contains the hashes of the packet's bytes.
 
 use panoscope_abi::{Frame, Tick};
 use panoscope_graph::{Graph, ParamValue};
@@ -22,68 +21,68 @@ use crate::file_hash::{FileHash, hashes};
 pub const EVENTS: &str = "panoscope/events";
 /// Message encoding of packets.
 pub(crate) const PACKET_ENCODING: &str = "panoscope.packet";
-/// Number of the format that is written.
+/// Version of the format that is written.
 pub const FORMAT: u32 = 2;
-/// The oldest format that is read: its messages carry no checksums.
+/// The oldest version that is read: its messages have no checksums.
 pub const OLDEST_FORMAT: u32 = 1;
-/// The first format whose messages carry checksums.
+/// The first version whose messages have checksums.
 pub(crate) const CHECKED_FORMAT: u32 = 2;
 
-/// What a recording begins with.
+/// The first event of a recording: the graph and the machine.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Head {
-    /// [`FORMAT`].
+    /// Version of the format, see [`FORMAT`].
     pub format: u32,
     /// Version of panoscope.
     pub version: String,
-    /// Where the graph file lay; relative paths in it start from its folder.
+    /// Path of the graph file; relative paths in the graph start from its folder.
     pub graph_path: String,
-    /// The graph file.
+    /// Text of the graph file.
     pub text: String,
-    /// `node.param=value` of the command line, which win over the file.
+    /// `node.param=value` settings of the command line, which override the file.
     pub settings: Vec<String>,
     /// The checked graph.
     pub graph: Graph,
-    /// The plugins it lists.
+    /// The plugins that the graph lists.
     pub plugins: Vec<FileHash>,
     /// Files that its parameters name and that must exist, such as models.
     pub models: Vec<FileHash>,
-    /// Where it was recorded.
+    /// The machine that recorded it.
     pub machine: Machine,
-    /// When, in ms since 1970.
+    /// Start of the recording, in ms since 1970.
     pub unix_ms: u64,
     /// Whether all ports of all nodes are in the recording, not only those of sources.
     pub all_ports: bool,
 }
 
-/// What happened, in the order in which it happened to its node.
+/// An event of a run. The events of a node are in the order in which they happened.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
     /// The first message.
     Head(Box<Head>),
-    /// A source made a tick; its packets stand before this.
+    /// A source made a tick; its packets come before this event.
     Tick {
         /// The source.
         node: String,
         /// Number of the tick.
         seq: u64,
-        /// Media time.
+        /// Capture time of the tick, media time.
         capture_ns: i64,
-        /// Packets that belong to it.
+        /// Number of packets that belong to it.
         packets: u32,
         /// The disk was too slow: the packets are not in the recording.
         #[serde(default)]
         gap: bool,
     },
-    /// A live source's tick was dropped where it would have entered.
+    /// A live source's tick was dropped before it entered its region.
     Dropped {
         /// The source.
         node: String,
         /// The tick.
         seq: u64,
     },
-    /// Which packets a node took whose inputs do not all belong to one tick.
+    /// The packets that a node took whose inputs do not all belong to one tick.
     Took {
         /// The node.
         node: String,
@@ -96,7 +95,7 @@ pub enum Event {
         /// The tick of each connection's packet, `None` where there was none.
         inputs: Vec<Option<(u32, u64)>>,
     },
-    /// From this tick on a node had these values.
+    /// A node had these values from this tick on.
     Values {
         /// The node.
         node: String,
@@ -107,7 +106,7 @@ pub enum Event {
         /// All its parameters, in declaration order.
         values: Vec<ParamValue>,
     },
-    /// Before this tick a node was opened anew: after a fault, or with values that need it.
+    /// A node was opened again before this tick: after a fault, or for values that require it.
     Opened {
         /// The node.
         node: String,
@@ -118,18 +117,19 @@ pub enum Event {
         /// All its parameters, in declaration order.
         values: Vec<ParamValue>,
     },
-    /// A node made nothing of a tick although its inputs were there: it was down, failed, or had been called just before.
-    LeftOut {
+    /// A node skipped a tick although its inputs were there: it was down, failed, or was called too shortly before.
+    #[serde(rename = "left_out")]
+    Skipped {
         /// The node.
         node: String,
         /// Slot of the tick's source.
         source: u32,
         /// The tick.
         seq: u64,
-        /// Its instance was given up.
+        /// Its instance was closed.
         closed: bool,
     },
-    /// A parameter was set; a [`Event::Values`] or [`Event::Opened`] says from which tick on.
+    /// A parameter was set; an [`Event::Values`] or [`Event::Opened`] has the first tick with it.
     Set {
         /// The node.
         node: String,
@@ -138,18 +138,18 @@ pub enum Event {
     },
     /// The graph was changed.
     Edit {
-        /// The graph from then on.
+        /// The new graph.
         graph: Box<Graph>,
-        /// Ticks that the regions it touched had admitted, by head.
+        /// Number of ticks that each changed region had admitted, by the region's head.
         admitted: Vec<(String, u64)>,
-        /// What it did; `switched_at` names the first tick of each source that met the new graph.
+        /// The effect of the change; `switched_at` has the first tick of each source in the new graph.
         applied: Box<Applied>,
         /// The plugins' files, where they changed.
         plugins: Vec<FileHash>,
     },
-    /// A fault.
+    /// A node failed.
     Fault(Fault),
-    /// The run ended in good order.
+    /// The run ended normally.
     End {
         /// Source ticks that are missing because the disk was too slow.
         gaps: u64,
@@ -158,29 +158,35 @@ pub enum Event {
 
 impl From<observe::Event> for Event {
     fn from(event: observe::Event) -> Self {
-        use observe::Event as Seen;
+        use observe::Event as Observed;
         match event {
-            Seen::Dropped { node, seq } => Self::Dropped { node, seq },
-            Seen::Took { node, tick: Tick { source, seq, capture_ns, .. }, inputs } => {
+            Observed::Dropped { node, seq } => Self::Dropped { node, seq },
+            Observed::Took { node, tick: Tick { source, seq, capture_ns, .. }, inputs } => {
                 Self::Took { node, source, seq, capture_ns, inputs }
             }
-            Seen::Values { node, tick, values } => Self::Values { node, source: tick.source, seq: tick.seq, values },
-            Seen::Opened { node, tick, values } => Self::Opened { node, source: tick.source, seq: tick.seq, values },
-            Seen::Skipped { node, tick, closed } => Self::LeftOut { node, source: tick.source, seq: tick.seq, closed },
-            Seen::Set { node, values } => Self::Set { node, values },
-            Seen::Edit { graph, admitted, applied, plugins } => {
+            Observed::Values { node, tick, values } => {
+                Self::Values { node, source: tick.source, seq: tick.seq, values }
+            }
+            Observed::Opened { node, tick, values } => {
+                Self::Opened { node, source: tick.source, seq: tick.seq, values }
+            }
+            Observed::Skipped { node, tick, closed } => {
+                Self::Skipped { node, source: tick.source, seq: tick.seq, closed }
+            }
+            Observed::Set { node, values } => Self::Set { node, values },
+            Observed::Edit { graph, admitted, applied, plugins } => {
                 Self::Edit { graph, admitted, applied, plugins: hashes(&plugins) }
             }
-            Seen::Fault(fault) => Self::Fault(fault),
+            Observed::Fault(fault) => Self::Fault(fault),
         }
     }
 }
 
 /// Bytes of a [`PacketHead`] in format 1.
 pub(crate) const PLAIN_HEAD_BYTES: usize = 56;
-/// Bytes of a [`PacketHead`] since format 2: with the sum of padded rows, and the message's own behind all.
+/// Bytes of a [`PacketHead`] since format 2: followed by the hash of padded rows and the checksum of the message.
 pub(crate) const PACKET_HEAD_BYTES: usize = 72;
-/// Of these, the ones that the message's sum covers.
+/// The bytes of it that the message's checksum covers.
 pub(crate) const SUMMED_HEAD_BYTES: usize = 64;
 
 /// Description of a packet, before its bytes.
@@ -188,19 +194,19 @@ pub(crate) const SUMMED_HEAD_BYTES: usize = 64;
 pub struct PacketHead {
     /// The packet's tick.
     pub tick: Tick,
-    /// One of the contract's `FORMAT_` numbers.
+    /// One of the ABI's `FORMAT_` constants.
     pub format: u32,
-    /// Columns.
+    /// Width in px or points; 0 for packets without rows.
     pub width: u32,
-    /// Rows.
+    /// Height in px or points.
     pub height: u32,
-    /// Bytes from row to row.
+    /// Bytes from one row to the next.
     pub stride_bytes: u32,
-    /// Bytes that follow.
+    /// Number of bytes that follow.
     pub len: u64,
-    /// See [`super::digest::packet_hash`].
+    /// Fingerprint, see [`super::digest::packet_hash`].
     pub hash: u64,
-    /// XXH3 of all bytes where rows are padded, else 0: `hash` leaves the padding out.
+    /// XXH3 of all bytes when rows are padded, else 0; `hash` does not cover the padding.
     pub padded: u64,
 }
 
@@ -221,7 +227,7 @@ impl PacketHead {
         out.extend(self.padded.to_le_bytes());
     }
 
-    /// Reads a head of format 1, or the beginning of a newer one.
+    /// Reads a head of format 1, or the first part of a newer one.
     pub(crate) fn read(bytes: &[u8; PLAIN_HEAD_BYTES]) -> Self {
         let four = |at: usize| bytes[at..at + 4].iter().rev().fold(0u32, |n, b| n << 8 | u32::from(*b));
         let eight = |at: usize| bytes[at..at + 8].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));

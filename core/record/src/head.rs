@@ -1,4 +1,4 @@
-//! What a recording says of the run it was made of.
+//! Makes the head of a recording: the graph, its files and the machine.
 
 use std::path::Path;
 
@@ -11,12 +11,12 @@ use panoscope_engine::Plugins;
 use panoscope_engine::fault::unix_ms;
 use panoscope_loader::Loader;
 
-/// The files of a graph's plugins.
+/// Hashes of the files of a graph's plugins.
 pub(crate) fn plugin_hashes(graph: &Graph, loader: &Loader) -> Vec<FileHash> {
     hashes(&loader.files(&graph.plugins))
 }
 
-/// Files that parameters name and that must exist.
+/// Hashes of the files that parameters name and that must exist.
 pub(crate) fn model_hashes(graph: &Graph, catalog: &Catalog) -> Vec<FileHash> {
     let mut models = Vec::new();
     for node in &graph.nodes {
@@ -31,7 +31,7 @@ pub(crate) fn model_hashes(graph: &Graph, catalog: &Catalog) -> Vec<FileHash> {
     models
 }
 
-/// The head of a recording of a graph that was read at `path` as `text` and checked with `settings`.
+/// Makes the head of a recording of a graph that was read at `path` as `text` and checked with `settings`.
 pub fn head(graph: &Graph, catalog: &Catalog, loader: &Loader, path: &Path, text: &str, settings: &[String]) -> Head {
     let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     Head {

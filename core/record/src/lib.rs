@@ -1,9 +1,9 @@
-//! Recording a run and playing it again, to the byte.
+//! Records a run and replays it to the byte.
 //!
-//! A [`Recorder`] writes down what came from outside (the sources' packets, changes of the graph and of values) and what depended on time
-//! (which ticks were dropped, which packets met at inputs that are not `exact`, at which tick a value or a new instance came into
-//! force, which ticks a failed node missed). A [`Replay`] follows that; all else follows from the ticks, because nodes see neither clock nor
-//! thread.
+//! A [`Recorder`] records what came from outside (the sources' packets, changes of the graph and of values) and what depended on time
+//! (which ticks were dropped, which packets met at inputs that are not `exact`, from which tick on a value or a new instance was used,
+//! which ticks a failed node skipped). A [`Replay`] repeats these. Everything else depends on the ticks only, because nodes see neither
+//! clock nor thread.
 
 mod check;
 pub mod compare;
@@ -25,5 +25,5 @@ pub use format::{Event, Head};
 pub use head::head;
 pub use recorder::{RecordError, RecordOptions, Recorded, Recorder};
 pub use recording::{Cut, Packet, Recording, RecordingError, SourceTick};
-pub use replay::{Replay, ReplayError, ReplayOptions};
+pub use replay::{Replay, ReplayError, ReplayOptions, StaleError};
 pub use script::Script;

@@ -1,7 +1,7 @@
-//! Takes what happens in an engine and writes it down, without ever holding the engine up.
+//! Records the events and packets of an engine without blocking it.
 //!
-//! The engine's threads only queue; one thread hashes and writes. Events are never lost. Packets are frames that wait in frame memory: when
-//! too many wait, those of a tick are left out and a gap is written down in their place.
+//! The engine's threads only append to a queue; one thread hashes and writes. Events are never lost. Queued packets occupy frame memory:
+//! when the queue is full, the packets of a tick are skipped and a gap is recorded in their place.
 
 use std::collections::{HashMap, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -25,51 +25,52 @@ use panoscope_engine::memory::FrameRef;
 pub struct RecordOptions {
     /// The recording; `None` for fingerprints only.
     pub file: Option<PathBuf>,
-    /// Fingerprints of all ports are wanted.
+    /// Whether to compute fingerprints of all ports.
     pub digests: bool,
-    /// All ports of all nodes go into the recording, not only those of sources.
+    /// Whether to record all ports of all nodes, not only those of sources.
     pub all_ports: bool,
-    /// Sources make all their outputs, also those that nobody reads, so that other graphs can be run on the recording.
+    /// Whether sources make all their outputs, also those without a reader, so that other graphs can be replayed on the recording.
     pub all_source_ports: bool,
-    /// Most bytes of frames that may wait for the disk.
-    pub most_waiting_bytes: usize,
+    /// Maximum number of bytes of frames in the queue to the disk.
+    pub max_queued_bytes: usize,
 }
 
 impl Default for RecordOptions {
     fn default() -> Self {
-        Self { file: None, digests: false, all_ports: false, all_source_ports: true, most_waiting_bytes: 512 << 20 }
+        Self { file: None, digests: false, all_ports: false, all_source_ports: true, max_queued_bytes: 512 << 20 }
     }
 }
 
-/// Why no recording was begun.
+/// Why a recording could not be started.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write {}: {cause}", .file.display())]
 pub struct RecordError {
     /// The recording.
     pub file: PathBuf,
-    /// What the system says.
+    /// The operating system's error.
     pub cause: std::io::Error,
 }
 
-/// What a recording came to.
+/// The result of a recording.
 #[derive(Clone, Debug, Default)]
 pub struct Recorded {
-    /// Bytes written.
+    /// Number of bytes written.
     pub bytes: u64,
-    /// Source ticks written.
+    /// Number of source ticks written.
     pub ticks: u64,
-    /// Source ticks left out because the disk was too slow.
+    /// Number of source ticks skipped because the disk was too slow.
     pub gaps: u64,
-    /// Why writing ended before the run, if it did.
+    /// Why writing stopped before the end of the run; `None` when it did not.
     pub failed: Option<String>,
-    /// Fingerprints, where wanted.
+    /// Fingerprints, if the options ask for them.
     pub digests: Option<Digests>,
 }
 
 enum Item {
     Event(Event),
-    /// Node, port, packet, whether it goes into the file; the fingerprint where there was no room to wait for it.
+    /// Node, port, packet, and whether the packet is written to the file.
     Packet(Arc<str>, u32, FrameRef, bool),
+    /// Node, port and fingerprint of a packet that did not fit into the queue.
     Digest(Arc<str>, u32, PacketDigest),
 }
 
@@ -84,32 +85,32 @@ struct Inner {
     queue: Mutex<Queue>,
     wake: Condvar,
     options: RecordOptions,
-    /// Ticks admitted, by head of region.
+    /// Number of admitted ticks, by head of region.
     admitted: Mutex<HashMap<String, u64>>,
     /// Names of the outputs, by node.
     ports: Mutex<HashMap<String, Ports>>,
     gaps: AtomicU64,
     writes: AtomicBool,
-    tell: OnceLock<Box<ReportFn>>,
-    /// What there was to tell before anybody could hear it.
-    untold: Mutex<Vec<String>>,
+    report: OnceLock<Box<ReportFn>>,
+    /// Messages from before `report` was set.
+    unreported: Mutex<Vec<String>>,
 }
 
-/// A node's name and its outputs'.
+/// The names of a node and of its outputs.
 #[derive(Clone)]
 struct Ports {
     node: Arc<str>,
     names: Arc<[String]>,
 }
 
-/// Records an engine; given to it with [`panoscope_engine::Options::observer`].
+/// Records a run of an engine; pass it as [`panoscope_engine::Options::observer`].
 pub struct Recorder {
     inner: Arc<Inner>,
     thread: Mutex<Option<JoinHandle<Recorded>>>,
 }
 
 impl Recorder {
-    /// Begins a recording with its head.
+    /// Starts a recording with its head.
     pub fn start(options: RecordOptions, head: Head) -> Result<Arc<Self>, RecordError> {
         let output: Option<Box<dyn Output>> = match &options.file {
             Some(path) => Some(Box::new(create(path)?)),
@@ -118,7 +119,7 @@ impl Recorder {
         Self::start_on(output, options, head)
     }
 
-    /// The same onto any output.
+    /// As [`Self::start`], writing to any output.
     pub fn start_on(
         output: Option<Box<dyn Output>>,
         options: RecordOptions,
@@ -134,45 +135,45 @@ impl Recorder {
             ports: Mutex::default(),
             gaps: AtomicU64::new(0),
             writes: AtomicBool::new(file.is_some()),
-            tell: OnceLock::new(),
-            untold: Mutex::default(),
+            report: OnceLock::new(),
+            unreported: Mutex::default(),
             options,
         });
         let mine = Arc::clone(&inner);
         let work = move || {
             let recorded = catch_unwind(AssertUnwindSafe(|| mine.work(file, graph)));
             recorded.unwrap_or_else(|payload| {
-                // Nothing more is taken in: nobody would take it out.
+                // From here on nothing is queued, because nothing would empty the queue.
                 mine.writes.store(false, Ordering::Relaxed);
-                let words = format!("thread `record` panicked, the recording ends here: {}", panic_words(&*payload));
-                mine.tell(&words);
+                let message = format!("thread `record` panicked, the recording ends here: {}", panic_words(&*payload));
+                mine.report(&message);
                 while let Some(items) = mine.next() {
                     drop(items);
                     lock(&mine.queue).bytes = 0;
                 }
-                Recorded { failed: Some(words), ..Recorded::default() }
+                Recorded { failed: Some(message), ..Recorded::default() }
             })
         };
         let thread = std::thread::Builder::new().name("record".to_owned()).spawn(work);
         let thread =
             thread.map_err(|cause| RecordError { file: inner.options.file.clone().unwrap_or_default(), cause })?;
         let this = Arc::new(Self { inner, thread: Mutex::new(Some(thread)) });
-        this.say(Event::Head(Box::new(head)));
+        this.push(Event::Head(Box::new(head)));
         Ok(this)
     }
 
-    /// Waits until all is written. The engine must have been closed.
+    /// Waits until everything is written. The engine must be closed before.
     pub fn finish(&self) -> Recorded {
-        self.say(Event::End { gaps: self.inner.gaps.load(Ordering::Relaxed) });
+        self.push(Event::End { gaps: self.inner.gaps.load(Ordering::Relaxed) });
         lock(&self.inner.queue).ended = true;
         self.inner.wake.notify_all();
         let thread = lock(&self.thread).take();
-        let broken = || Recorded { failed: Some("the recording broke off".to_owned()), ..Recorded::default() };
-        thread.map_or_else(Recorded::default, |t| t.join().unwrap_or_else(|_| broken()))
+        let failed = || Recorded { failed: Some("the recording thread failed".to_owned()), ..Recorded::default() };
+        thread.map_or_else(Recorded::default, |t| t.join().unwrap_or_else(|_| failed()))
     }
 
-    /// Writes an event down.
-    fn say(&self, event: Event) {
+    /// Queues an event.
+    fn push(&self, event: Event) {
         if self.inner.writes.load(Ordering::Relaxed) {
             lock(&self.inner.queue).items.push_back(Item::Event(event));
             self.inner.wake.notify_one();
@@ -181,7 +182,7 @@ impl Recorder {
 
     fn ports(&self, node: &str, names: &Arc<[String]>) -> Ports {
         let mut ports = lock(&self.inner.ports);
-        // A node of another type may have taken the name over.
+        // A node of another type may have the same name now.
         if let Some(known) = ports.get(node).filter(|p| Arc::ptr_eq(&p.names, names)) {
             return known.clone();
         }
@@ -193,13 +194,12 @@ impl Recorder {
     fn queue(&self, name: &str, ports: &Arc<[String]>, outputs: &[Frame], stored: bool, tick: Option<&Tick>) {
         let inner = &self.inner;
         let Ports { node, names: _ } = self.ports(name, ports);
-        let full = |queue: &Queue| queue.bytes >= inner.options.most_waiting_bytes;
+        let full = |queue: &Queue| queue.bytes >= inner.options.max_queued_bytes;
         let gap = stored && full(&lock(&inner.queue));
         let mut packets = 0;
         let mut items = Vec::with_capacity(outputs.len() + 1);
         for (port, frame) in outputs.iter().enumerate().filter(|(_, f)| !f.is_empty()) {
-            // The engine's own reference stays with it.
-            // SAFETY: the reference stays the engine's: this one is never dropped.
+            // SAFETY: the engine holds a reference to the frame during this call; `ManuallyDrop` never releases it.
             let borrowed = std::mem::ManuallyDrop::new(unsafe { FrameRef::adopt(*frame) });
             packets += 1;
             if gap {
@@ -214,8 +214,7 @@ impl Recorder {
             let (seq, capture_ns) = (tick.seq, tick.capture_ns);
             items.push(Item::Event(Event::Tick { node: name.to_owned(), seq, capture_ns, packets, gap }));
             if gap && inner.gaps.fetch_add(1, Ordering::Relaxed).is_multiple_of(100) {
-                let words = format!("the disk is too slow: tick {seq} of `{name}` is not in the recording");
-                inner.tell(&words);
+                inner.report(&format!("the disk is too slow: tick {seq} of `{name}` is not in the recording"));
             }
         }
         let mut queue = lock(&inner.queue);
@@ -236,9 +235,9 @@ impl Observer for Recorder {
     }
 
     fn event(&self, event: observe::Event) {
-        // Hashing files is not for nothing.
+        // The conversion hashes plugin files, so it is skipped when nothing is written.
         if self.inner.writes.load(Ordering::Relaxed) {
-            self.say(event.into());
+            self.push(event.into());
         }
     }
 
@@ -270,14 +269,14 @@ impl Observer for Recorder {
     }
 
     fn report_to(&self, report: Box<ReportFn>) {
-        let mut untold = lock(&self.inner.untold);
-        let _ = self.inner.tell.set(report);
-        let before = std::mem::take(&mut *untold);
-        drop(untold);
-        before.iter().for_each(|words| self.inner.tell(words));
+        let mut unreported = lock(&self.inner.unreported);
+        let _ = self.inner.report.set(report);
+        let earlier = std::mem::take(&mut *unreported);
+        drop(unreported);
+        earlier.iter().for_each(|message| self.inner.report(message));
     }
 
-    /// All that was queued is written, without the mark of a good end.
+    /// Writes everything in the queue, but no [`Event::End`].
     fn break_off(&self, until: Instant) -> bool {
         lock(&self.inner.queue).ended = true;
         self.inner.wake.notify_all();
@@ -307,16 +306,17 @@ fn create(path: &Path) -> Result<std::fs::File, RecordError> {
 }
 
 impl Inner {
-    fn tell(&self, words: &str) {
-        if self.tell.get().is_none() {
-            let mut untold = lock(&self.untold);
-            // Whoever sets it does so under this lock.
-            if self.tell.get().is_none() {
-                return untold.push(words.to_owned());
+    /// Reports a message to the engine; stores it until the engine has set `report`.
+    fn report(&self, message: &str) {
+        if self.report.get().is_none() {
+            let mut unreported = lock(&self.unreported);
+            // Checked again, because `report_to` sets it under this lock.
+            if self.report.get().is_none() {
+                return unreported.push(message.to_owned());
             }
         }
-        if let Some(tell) = self.tell.get() {
-            tell(words);
+        if let Some(report) = self.report.get() {
+            report(message);
         }
     }
 
@@ -369,14 +369,14 @@ impl Inner {
         recorded
     }
 
-    /// The disk is full or broken: the run goes on without a recording.
+    /// Ends the recording after an error of the disk; the run goes on without it.
     fn give_up(&self, file: &mut Option<RecordFile>, cause: &std::io::Error, recorded: &mut Recorded) {
         let Some(file) = file.take() else { return };
         self.writes.store(false, Ordering::Relaxed);
         (recorded.bytes, recorded.ticks) = file.give_up();
-        let words = format!("the recording ends here, the run goes on: {cause}");
-        self.tell(&words);
-        recorded.failed = Some(words);
+        let message = format!("the recording ends here, the run goes on: {cause}");
+        self.report(&message);
+        recorded.failed = Some(message);
     }
 
     fn write(

@@ -1,6 +1,6 @@
-//! A recording as it is read: looked through once, its packets fetched when they are wanted.
+//! Reads a recording: scans it once, and loads packets when they are needed.
 //!
-//! A file that was cut off ends at its last whole message; what is damaged ends it too, and it is said where.
+//! A truncated file ends at its last complete message. Damage ends it too, and its position is reported.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -19,42 +19,42 @@ use crate::format::{
 };
 use panoscope_engine::memory::{FrameRef, memory};
 
-/// No index at the end of a recording is longer.
+/// Maximum length of the index at the end of a recording.
 const LONGEST_INDEX: u64 = 64 << 20;
 /// Bytes of MCAP's footer record.
 const FOOTER_BYTES: usize = 9 + 20;
-/// No event is longer.
+/// Maximum length of an event.
 const LONGEST_EVENT: u64 = 256 << 20;
-/// No packet is longer.
+/// Maximum length of a packet.
 const LONGEST_PACKET: u64 = 1 << 30;
 
 /// Why a recording cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
-    /// The system does not give it out.
+    /// The file cannot be read.
     #[error("{} cannot be read: {cause}", .file.display())]
     Unreadable {
         /// The recording.
         file: PathBuf,
-        /// What the system says.
+        /// The operating system's error.
         cause: std::io::Error,
     },
-    /// It is something else.
-    #[error("{} is no recording: it does not begin like an MCAP file; give a file that `panoscope record` wrote", .file.display())]
+    /// The file is not an MCAP file.
+    #[error("{} is not a recording: it does not begin like an MCAP file; give a file that `panoscope record` wrote", .file.display())]
     NoMcap {
         /// The file.
         file: PathBuf,
     },
     /// An MCAP file of another program.
-    #[error("{} is an MCAP file, but no recording of panoscope: {reason}", .file.display())]
+    #[error("{} is an MCAP file, but not a recording of panoscope: {reason}", .file.display())]
     Foreign {
         /// The file.
         file: PathBuf,
         /// What is missing.
         reason: String,
     },
-    /// It was cut off before anything was in it.
-    #[error("{} was cut off after {bytes} bytes, before its first message: nothing can be had from it; record again", .file.display())]
+    /// The file ends before its first message.
+    #[error("{} ends after {bytes} bytes, before its first message, so it contains no data: record again", .file.display())]
     Empty {
         /// The file.
         file: PathBuf,
@@ -76,14 +76,14 @@ pub enum RecordingError {
     Damaged {
         /// The file.
         file: PathBuf,
-        /// Where.
+        /// Offset of the damage.
         at: u64,
         /// The port.
         port: String,
         /// The tick.
         seq: u64,
     },
-    /// Frame memory is used up.
+    /// Frame memory is exhausted.
     #[error("packet {seq} of `{port}` does not fit into frame memory: {reason}")]
     Memory {
         /// The port.
@@ -95,57 +95,57 @@ pub enum RecordingError {
     },
 }
 
-/// A packet in the file.
+/// A packet and its position in the file.
 #[derive(Clone, Copy, Debug)]
 pub struct Packet {
-    /// What it is.
+    /// The packet's description.
     pub head: PacketHead,
-    /// Where its bytes begin.
+    /// Offset of its bytes in the file.
     pub at: u64,
 }
 
-/// A tick of a source.
+/// A recorded tick of a source.
 #[derive(Clone, Debug)]
 pub struct SourceTick {
-    /// Its number.
+    /// Number of the tick.
     pub seq: u64,
-    /// Media time.
+    /// Capture time, media time.
     pub capture_ns: i64,
-    /// It entered the graph.
+    /// Whether it entered the graph.
     pub admitted: bool,
-    /// The disk was too slow for its packets.
+    /// Whether its packets are missing because the disk was too slow.
     pub gap: bool,
-    /// Port and packet; what is missing was empty.
+    /// Port and packet; outputs that are not listed were empty.
     pub packets: Vec<(String, Packet)>,
 }
 
-/// Where a recording ends that was not finished.
+/// Where and why a recording ends early.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cut {
-    /// Bytes that could be used.
+    /// Length of the usable part in bytes.
     pub at: u64,
-    /// What is there instead of a message.
+    /// What was found there instead of a message.
     pub reason: String,
-    /// It is damaged there, not cut off: what follows was recorded and is lost.
+    /// Whether it is damaged there, not truncated: then recorded data after this point is lost.
     pub damaged: bool,
 }
 
-/// A recording that was looked through.
+/// A recording that was scanned.
 #[derive(Debug)]
 pub struct Recording {
     file: File,
     path: PathBuf,
-    /// What it begins with.
+    /// The first event: graph and machine.
     pub head: Head,
-    /// All but the ticks and drops, which stand in `sources`.
+    /// All events except ticks and drops, which are in `sources`.
     pub events: Vec<Event>,
     /// Ticks of each source, in order.
     pub sources: BTreeMap<String, Vec<SourceTick>>,
     /// Packets of each recorded port, by `node.port`.
     pub ports: BTreeMap<String, Vec<Packet>>,
-    /// Where it was cut off or damaged.
+    /// Where it was truncated or damaged; `None` when it is complete.
     pub cut: Option<Cut>,
-    /// Its messages carry checksums; those of format 1 do not.
+    /// Whether its messages have checksums; those of format 1 do not.
     pub checked: bool,
 }
 
@@ -158,15 +158,15 @@ struct Scan {
     reader: BufReader<File>,
     events: Vec<Event>,
     head: Option<Head>,
-    /// Topic and whether it carries packets, by channel.
+    /// Topic, and whether it carries packets, by channel.
     channels: HashMap<u16, (String, bool)>,
     sources: BTreeMap<String, Vec<SourceTick>>,
     ports: BTreeMap<String, Vec<Packet>>,
-    /// Packets of each node whose tick is still to come.
-    loose: HashMap<String, Vec<(String, Packet)>>,
+    /// Packets of each node whose tick event has not been read yet.
+    pending: HashMap<String, Vec<(String, Packet)>>,
 }
 
-/// Why looking through ends.
+/// Why the scan ends.
 enum Stop {
     End,
     Cut(String),
@@ -179,7 +179,7 @@ enum Stop {
 impl From<std::io::Error> for Stop {
     fn from(error: std::io::Error) -> Self {
         if error.kind() == std::io::ErrorKind::UnexpectedEof {
-            Self::Cut("it was cut off".to_owned())
+            Self::Cut("it was truncated".to_owned())
         } else {
             Self::Io(error)
         }
@@ -187,10 +187,11 @@ impl From<std::io::Error> for Stop {
 }
 
 impl Recording {
-    /// Looks through a recording.
+    /// Opens and scans a recording.
     ///
     /// # Errors
-    /// When it is none, or nothing of it can be used. One that was cut off or damaged is good up to there, see [`Self::cut`].
+    /// The file is not a recording, or no part of it can be used. A truncated or damaged recording can be used up to that point, see
+    /// [`Self::cut`].
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let unreadable = |cause| RecordingError::Unreadable { file: path.to_owned(), cause };
         let file = File::open(path).map_err(unreadable)?;
@@ -216,7 +217,7 @@ impl Recording {
             channels: HashMap::new(),
             sources: BTreeMap::new(),
             ports: BTreeMap::new(),
-            loose: HashMap::new(),
+            pending: HashMap::new(),
         };
         let stop = loop {
             if let Err(stop) = scan.record() {
@@ -225,9 +226,9 @@ impl Recording {
         };
         let cut = match stop {
             Stop::End => None,
-            // What has its end was not cut off.
+            // A file with the end mark was not truncated, so a length is wrong.
             Stop::Cut(_) if finished => {
-                Some(Cut { at: scan.at, reason: "a length makes no sense".to_owned(), damaged: true })
+                Some(Cut { at: scan.at, reason: "a length is invalid".to_owned(), damaged: true })
             }
             Stop::Cut(reason) => Some(Cut { at: scan.at, reason, damaged: false }),
             Stop::Damaged(reason) => Some(Cut { at: scan.at, reason, damaged: true }),
@@ -255,7 +256,7 @@ impl Recording {
         Ok(Self { file, path: path.to_owned(), head, events, sources, ports, cut, checked })
     }
 
-    /// Reads every packet: nothing of it is damaged.
+    /// Reads and checks every packet.
     ///
     /// # Errors
     /// [`RecordingError::Damaged`] with the first damage.
@@ -272,17 +273,17 @@ impl Recording {
         Ok(())
     }
 
-    /// Where it lies.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Ticks of all sources.
+    /// Number of ticks of all sources.
     pub fn ticks(&self) -> usize {
         self.sources.values().map(Vec::len).sum()
     }
 
-    /// The bytes of a packet, as they were recorded.
+    /// Reads the bytes of a packet and checks them.
     pub fn bytes(&self, port: &str, packet: &Packet) -> Result<Vec<u8>, RecordingError> {
         let mut bytes = vec![0; packet.head.len as usize];
         self.read(port, packet, &mut bytes)?;
@@ -299,16 +300,16 @@ impl Recording {
         if whole { Ok(()) } else { Err(damaged()) }
     }
 
-    /// A packet as a frame of the host.
+    /// Reads a packet into a frame of the host. Waits up to 5 s for free frame memory.
     pub fn frame(&self, port: &str, packet: &Packet) -> Result<FrameRef, RecordingError> {
         let PacketHead { format, width, height, stride_bytes, tick, len, .. } = packet.head;
         let wanted = len as usize;
-        let mut patience_ms = 5_000;
+        let mut remaining_ms = 5_000;
         let (buffer, data) = loop {
             match memory().allocate(wanted) {
                 Ok(got) => break got,
-                Err(panoscope_engine::memory::MemoryError::Exhausted { .. }) if patience_ms > 0 => {
-                    patience_ms -= 1;
+                Err(panoscope_engine::memory::MemoryError::Exhausted { .. }) if remaining_ms > 0 => {
+                    remaining_ms -= 1;
                     std::thread::sleep(std::time::Duration::from_millis(1));
                 }
                 Err(error) => {
@@ -318,9 +319,9 @@ impl Recording {
             }
         };
         let frame = Frame { buffer, data, len: wanted, format, width, height, stride_bytes, tick };
-        // SAFETY: the one reference of the buffer that was allocated for it above.
+        // SAFETY: `allocate` returned the buffer with one reference, which this frame takes over.
         let frame = unsafe { FrameRef::adopt(frame) };
-        // SAFETY: a fresh buffer of at least `wanted` bytes that nobody else knows.
+        // SAFETY: `allocate` returned at least `wanted` bytes that nothing else refers to yet.
         self.read(port, packet, unsafe { std::slice::from_raw_parts_mut(data, wanted) })?;
         Ok(frame)
     }
@@ -339,10 +340,10 @@ impl Recording {
     }
 }
 
-/// Whether a file has MCAP's end: a recording that was finished.
+/// Whether a file ends with MCAP's end mark, as a finished recording does.
 fn ends_with_magic(file: &File, len: u64) -> std::io::Result<bool> {
     let mut end = [0; mcap::MAGIC.len()];
-    // Its beginning looks the same.
+    // A file of only the mark has no end: its beginning is the same.
     let Some(at) = len.checked_sub(end.len() as u64).filter(|at| *at > 0) else { return Ok(false) };
     file.read_exact_at(&mut end, at)?;
     Ok(end == mcap::MAGIC)
@@ -355,7 +356,7 @@ impl Scan {
     }
 
     fn skip(&mut self, bytes: u64) -> Result<(), Stop> {
-        let step = i64::try_from(bytes).map_err(|_| Stop::Damaged("a length makes no sense".to_owned()))?;
+        let step = i64::try_from(bytes).map_err(|_| Stop::Damaged("a length is invalid".to_owned()))?;
         self.reader.seek_relative(step)?;
         Ok(())
     }
@@ -366,7 +367,7 @@ impl Scan {
         Ok(body)
     }
 
-    /// One record; `at` moves behind it when it was whole.
+    /// Reads one record and moves `at` behind it if it is complete.
     fn record(&mut self) -> Result<(), Stop> {
         if self.at == self.len {
             return Err(Stop::Cut("it was not finished".to_owned()));
@@ -376,7 +377,7 @@ impl Scan {
         let len = head[1..].iter().rev().fold(0u64, |n, b| n << 8 | u64::from(*b));
         let begin = self.at + 9;
         if len > self.len.saturating_sub(begin) {
-            return Err(Stop::Cut("it was cut off, or is damaged".to_owned()));
+            return Err(Stop::Cut("it was truncated or is damaged".to_owned()));
         }
         let damaged = |what: &str| Stop::Damaged(what.to_owned());
         match head[0] {
@@ -392,7 +393,7 @@ impl Scan {
                         || !channel.metadata.is_empty()
                         || (events && channel.message_encoding != "json"))
                 {
-                    return Err(damaged("a channel that was not written like that"));
+                    return Err(damaged("a channel with an unexpected description"));
                 }
                 let packets = channel.message_encoding == PACKET_ENCODING;
                 if packets || channel.topic == EVENTS {
@@ -408,9 +409,9 @@ impl Scan {
                 };
                 self.library = format!("{} {}", header.profile, header.library);
             }
-            // Other programs' files: they have no head of ours.
+            // Only files of other programs have these records before the first event.
             op::SCHEMA | op::ATTACHMENT | op::METADATA if self.head.is_none() => self.skip(len)?,
-            other => return Err(damaged(&format!("no record is of kind {other}"))),
+            other => return Err(damaged(&format!("there is no record of kind {other}"))),
         }
         self.at = begin + len;
         Ok(())
@@ -423,11 +424,11 @@ impl Scan {
         let channel = u16::from_le_bytes([message[0], message[1]]);
         let rest = len - MESSAGE_HEAD_BYTES as u64;
         let Some((topic, packets)) = self.channels.get(&channel).cloned() else {
-            return if self.head.is_some() { Err(damaged("a message of no channel")) } else { self.skip(rest) };
+            return if self.head.is_some() { Err(damaged("a message without a channel")) } else { self.skip(rest) };
         };
         if !packets {
             if rest > LONGEST_EVENT {
-                return Err(damaged("an event that long is none"));
+                return Err(damaged("an event is too long"));
             }
             let mut body = self.body(rest)?;
             let seal = check::unseal(&topic, &message, &mut body);
@@ -462,17 +463,17 @@ impl Scan {
             }
         }
         if head.len != rest - head_bytes as u64 || head.len > LONGEST_PACKET || self.head.is_none() {
-            return Err(damaged("a packet whose length is another"));
+            return Err(damaged("a packet has a wrong length"));
         }
         self.skip(head.len)?;
         let packet = Packet { head, at: begin + (MESSAGE_HEAD_BYTES + head_bytes) as u64 };
         let Some((node, port)) = topic.split_once('.') else { return Err(damaged("a port without a node")) };
-        self.loose.entry(node.to_owned()).or_default().push((port.to_owned(), packet));
+        self.pending.entry(node.to_owned()).or_default().push((port.to_owned(), packet));
         self.ports.entry(topic).or_default().push(packet);
         Ok(())
     }
 
-    /// What stands behind the data: MCAP's index, with a sum of its own. How the recording ends.
+    /// Checks MCAP's index behind the data, which has its own checksum. Returns how the recording ends.
     fn index(&mut self, end_len: u64) -> Stop {
         let read = |this: &mut Self, len: u64| if len > LONGEST_INDEX { Ok(Vec::new()) } else { this.body(len) };
         let end = match read(self, end_len) {
@@ -484,7 +485,7 @@ impl Scan {
             Err(stop) => return stop,
         };
         let Some(index) = rest.strip_suffix(mcap::MAGIC).filter(|index| index.len() >= FOOTER_BYTES) else {
-            // With a footer where a whole file has it, only the end mark is wrong.
+            // If the footer is where a complete file has it, only the end mark is wrong.
             let footer = rest.len().checked_sub(FOOTER_BYTES + mcap::MAGIC.len()).and_then(|at| rest.get(at..at + 9));
             let whole = footer.is_some_and(|f| f[0] == op::FOOTER && f[1..] == 20u64.to_le_bytes());
             let reason = "its end mark is missing".to_owned();
@@ -492,12 +493,12 @@ impl Scan {
         };
         let (summed, sum) = index.split_at(index.len() - 4);
         let known = sum.iter().rev().fold(0u32, |n, b| n << 8 | u32::from(*b));
-        // The sum of the data itself is not written: every message has its own.
+        // The recorder writes no checksum of the data section, because every message has its own.
         let whole = end == [0; 4] && (known == 0 || known == check::crc32(summed));
         if whole { Stop::End } else { Stop::Damaged("its index is not what was recorded".to_owned()) }
     }
 
-    /// A head that cannot be read may be one of another version.
+    /// The reason when a head cannot be read: it may be of another version.
     fn foreign_head(&self, body: &[u8]) -> Stop {
         let value: serde_json::Value = serde_json::from_slice(body).unwrap_or_default();
         let format = value.get("format").and_then(serde_json::Value::as_u64);
@@ -519,9 +520,9 @@ impl Scan {
                 }
                 self.head = Some(*head);
             }
-            _ if self.head.is_none() => return Err(Stop::Foreign("its first message is no head".to_owned())),
+            _ if self.head.is_none() => return Err(Stop::Foreign("its first message is not a head".to_owned())),
             Event::Tick { node, seq, capture_ns, packets: count, gap } => {
-                let packets = self.loose.remove(&node).unwrap_or_default();
+                let packets = self.pending.remove(&node).unwrap_or_default();
                 if !gap && packets.len() != count as usize {
                     return Err(Stop::Damaged(format!("packets of tick {seq} of `{node}` are missing")));
                 }
@@ -536,8 +537,8 @@ impl Scan {
             }
             event => {
                 if let Event::Edit { applied, admitted, .. } = &event {
-                    for gone in &applied.removed {
-                        self.left_behind(gone, admitted);
+                    for removed in &applied.removed {
+                        self.drop_unadmitted(removed, admitted);
                     }
                 }
                 self.events.push(event);
@@ -546,8 +547,8 @@ impl Scan {
         Ok(())
     }
 
-    /// Ticks of a removed source that had not entered by then never did.
-    fn left_behind(&mut self, source: &str, admitted: &[(String, u64)]) {
+    /// Marks the ticks of a removed source that had not entered before the change as not admitted.
+    fn drop_unadmitted(&mut self, source: &str, admitted: &[(String, u64)]) {
         let Some((_, count)) = admitted.iter().find(|(head, _)| head == source) else { return };
         let ticks = self.sources.get_mut(source).into_iter().flatten();
         let entered = ticks.filter(|t| t.admitted);

@@ -1,4 +1,4 @@
-//! Playing a recording: its own graph to the byte, or another graph on its pictures.
+//! Replays a recording: its own graph to the byte, or another graph on its source packets.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,36 +9,36 @@ use panoscope_graph::{Catalog, Diagnostics, Graph, GraphText, Mode, check};
 use crate::head::{head, model_hashes, plugin_hashes};
 use crate::recorder::{RecordError, RecordOptions, Recorder};
 use crate::recording::Recording;
-use crate::script::{Script, Step};
+use crate::script::{RecordedChange, Script};
 use panoscope_engine::ApplyError;
 use panoscope_engine::decide::Decider;
 use panoscope_engine::{Engine, Options, StartError};
 use panoscope_loader::{self as loader, Loader};
 
-/// How a recording is played.
+/// How a recording is replayed.
 #[derive(Default)]
 pub struct ReplayOptions {
-    /// Another graph: where it lies, and its text.
+    /// Path and text of another graph; `None` for the recorded one.
     pub graph: Option<(PathBuf, String)>,
-    /// `node.param=value`; wins over what was recorded.
+    /// `node.param=value` settings; override the recorded values.
     pub settings: Vec<String>,
-    /// Nodes with side effects act: files are written, things are moved. Without it they are left out.
+    /// Whether nodes with side effects run, which write files or move an arm. Otherwise they are skipped.
     pub act: bool,
-    /// Recording of the replay itself, and fingerprints of its ports.
+    /// How to record the replay itself; `None` to not record it.
     pub record: Option<RecordOptions>,
-    /// Where plugins come from; without it they are searched for.
+    /// The loader of plugins; `None` to search for them.
     pub loader: Option<Arc<Loader>>,
-    /// Threads, log and the like.
+    /// Options of the engine, such as threads and log.
     pub engine: Options,
 }
 
-/// Why a recording was not played, or not to its end.
+/// Why a recording was not replayed, or not to its end.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
-    /// The graph has mistakes, here and now.
+    /// The graph has mistakes with the plugins and files of this machine.
     #[error("the graph does not fit this machine's plugins and files:\n{}", .0.render(false))]
     Check(Diagnostics),
-    /// It did not start.
+    /// The engine did not start.
     #[error(transparent)]
     Start(#[from] StartError),
     /// The recording of the replay could not be written.
@@ -46,59 +46,91 @@ pub enum ReplayError {
     Record(#[from] RecordError),
     /// A source of the graph has no ticks in the recording.
     #[error(
-        "the graph reads source `{node}`, the recording has {recorded}; rename the node in the graph, or record with it"
+        "the graph has the source `{node}`, the recording has {recorded}; rename the node in the graph, or record with it"
     )]
     NoSource {
         /// The source.
         node: String,
-        /// What there is.
+        /// The sources that the recording has.
         recorded: String,
     },
     /// An output of a source is not in the recording.
-    #[error("`{reader}` reads `{port}`, which the recording does not hold; it holds {recorded}")]
+    #[error("`{reader}` reads `{port}`, which the recording does not contain; it contains {recorded}")]
     NoPort {
         /// The reader.
         reader: String,
         /// The output.
         port: String,
-        /// What there is.
+        /// The ports of that source that the recording has.
         recorded: String,
     },
     /// A recorded change does not fit the plugins of this machine.
-    #[error("change {number} of the recording does not fit: {reason}; replay with the plugins of the recording")]
+    #[error("change {number} of the recording does not fit: {cause}; replay with the plugins of the recording")]
     Stale {
-        /// From 1.
+        /// Number of the change, from 1.
         number: usize,
-        /// What is missing.
-        reason: String,
+        /// What does not fit.
+        cause: StaleError,
     },
-    /// A recorded change could not be made again.
-    #[error("change {number} of the recording could not be made again: {cause}")]
+    /// A recorded change could not be applied.
+    #[error("change {number} of the recording could not be applied: {cause}")]
     Edit {
-        /// From 1.
+        /// Number of the change, from 1.
         number: usize,
-        /// Why.
+        /// Why it could not be applied.
         cause: ApplyError,
     },
-    /// Something in the recording could not be played.
-    #[error("{0}")]
-    Broken(String),
+    /// A part of the recording could not be replayed.
+    #[error("{reason}")]
+    Incomplete {
+        /// Which part, and why.
+        reason: String,
+    },
 }
 
-/// A recording being played.
+/// Why a recorded graph does not fit the plugins of this machine.
+#[derive(Debug, thiserror::Error)]
+pub enum StaleError {
+    /// No plugin has the node type.
+    #[error("node `{node}` is of type `{node_type}`, which no plugin here has")]
+    UnknownType {
+        /// The node.
+        node: String,
+        /// `plugin/type`.
+        node_type: String,
+    },
+    /// The node type has other parameters than recorded.
+    #[error("type `{node_type}` of node `{node}` has other parameters here")]
+    OtherParams {
+        /// The node.
+        node: String,
+        /// `plugin/type`.
+        node_type: String,
+    },
+    /// A node type at one end of a recorded edge has other ports than recorded.
+    #[error("type `{from}` or `{to}` has other ports here")]
+    OtherPorts {
+        /// Type of the node that the edge comes from.
+        from: String,
+        /// Type of the node that the edge goes to.
+        to: String,
+    },
+}
+
+/// A running replay.
 pub struct Replay {
     engine: Engine,
     script: Arc<Script>,
     loader: Arc<Loader>,
     recorder: Option<Arc<Recorder>>,
-    /// Where the recording is damaged: what follows was not played.
+    /// Message about damage in the recording; the part after it is not replayed.
     damage: Option<String>,
-    /// What differs from the machine and files of the recording, in words.
+    /// What differs from the machine and files of the recording.
     pub warnings: Vec<String>,
 }
 
 impl Replay {
-    /// Starts to play. Changes of the graph are made by [`Self::follow`].
+    /// Starts a replay. Call [`Self::follow`] to apply the recorded changes of the graph.
     pub fn start(recording: &Arc<Recording>, options: ReplayOptions) -> Result<Self, ReplayError> {
         let head_of = &recording.head;
         let other = options.graph.is_some();
@@ -117,7 +149,7 @@ impl Replay {
         let catalog = loader.catalog(&parsed.plugins());
         let (mut graph, _) = check(&parsed, &catalog).into_result().map_err(ReplayError::Check)?;
         if other {
-            // What `latest` meets must not depend on how fast the pictures are read.
+            // In live mode the packets at `latest` inputs would depend on how fast the recording is read.
             graph.mode = Mode::Batch;
         }
         let names = sources(&graph, &catalog, recording, other)?;
@@ -125,14 +157,14 @@ impl Replay {
         let mut script = Script::new(Arc::clone(recording), &names, other, !options.act, overrides);
         for (index, edit) in script.edits.iter_mut().enumerate() {
             let catalog = loader.catalog(&edit.graph.plugins);
-            resolve(&mut edit.graph, &catalog).map_err(|reason| ReplayError::Stale { number: index + 1, reason })?;
+            resolve(&mut edit.graph, &catalog).map_err(|cause| ReplayError::Stale { number: index + 1, cause })?;
         }
         let mut warnings = differences(recording, &graph, &catalog, &loader, other);
         if !options.act {
-            let quiet = |n: &&panoscope_graph::Node| n.node_type(&catalog).side_effects;
-            let quiet: Vec<&str> = graph.nodes.iter().filter(quiet).map(|n| n.id.as_str()).collect();
-            if !quiet.is_empty() {
-                warnings.push(format!("nodes that act on the world are left out: {}", quiet.join(", ")));
+            let skipped = |n: &&panoscope_graph::Node| n.node_type(&catalog).side_effects;
+            let skipped: Vec<&str> = graph.nodes.iter().filter(skipped).map(|n| n.id.as_str()).collect();
+            if !skipped.is_empty() {
+                warnings.push(format!("nodes with side effects are skipped: {}", skipped.join(", ")));
             }
         }
         let script = Arc::new(script);
@@ -153,7 +185,7 @@ impl Replay {
         let engine = Engine::start(graph, &catalog, &loader, engine_options)?;
         let damage = recording.cut.as_ref().filter(|cut| cut.damaged).map(|cut| {
             let (file, at, reason) = (recording.path().display(), cut.at, &cut.reason);
-            format!("{file} is damaged at byte {at}: {reason}; only what is before it was played")
+            format!("{file} is damaged at byte {at}: {reason}; only the part before it was replayed")
         });
         Ok(Self { engine, script, loader, recorder, damage, warnings })
     }
@@ -163,22 +195,22 @@ impl Replay {
         &self.engine
     }
 
-    /// The recording of the replay itself.
+    /// The recorder of the replay itself.
     pub fn recorder(&self) -> Option<&Arc<Recorder>> {
         self.recorder.as_ref()
     }
 
-    /// Makes the recorded changes at their ticks; returns when all are made or the replay has ended.
+    /// Applies the recorded changes at their ticks; returns when all are applied or the replay has ended.
     pub fn follow(&self) -> Result<(), ReplayError> {
-        for step in &self.script.steps {
-            match step {
-                Step::Set(node, values) => self.engine.know(node, values),
-                Step::Edit(number) => {
+        for change in &self.script.changes {
+            match change {
+                RecordedChange::Set(node, values) => self.engine.know(node, values),
+                RecordedChange::Edit(number) => {
                     let graph = self.script.edits[*number].graph.clone();
                     let catalog = self.loader.catalog(&graph.plugins);
                     match self.engine.apply_as_decided(*number, graph, &catalog, &self.loader) {
                         Ok(_) => {}
-                        // Stopped by its user, or the recording is over.
+                        // The user stopped the replay, or the recording has ended.
                         Err(ApplyError::Ended) => return self.verdict(),
                         Err(cause) => {
                             let error = ReplayError::Edit { number: number + 1, cause };
@@ -193,19 +225,19 @@ impl Replay {
         Ok(())
     }
 
-    /// Whether all was played.
+    /// Whether the whole recording was replayed.
     pub fn verdict(&self) -> Result<(), ReplayError> {
         match self.script.failure() {
-            Some(reason) => Err(ReplayError::Broken(reason.to_owned())),
+            Some(reason) => Err(ReplayError::Incomplete { reason: reason.to_owned() }),
             None => match &self.damage {
-                Some(words) => Err(ReplayError::Broken(words.clone())),
+                Some(reason) => Err(ReplayError::Incomplete { reason: reason.clone() }),
                 None => Ok(()),
             },
         }
     }
 }
 
-/// The recorded source of each source of the graph, and for the recording's own graph of all that came later.
+/// Maps each source of the graph to a recorded source; for the recording's own graph also sources that were added later.
 fn sources(
     graph: &Graph,
     catalog: &Catalog,
@@ -222,17 +254,17 @@ fn sources(
         let id = &graph.nodes[node].id;
         let found = match (recording.sources.contains_key(id), own.as_slice(), recorded.as_slice()) {
             (true, _, _) => id.clone(),
-            // One source here and one there: the name does not matter.
+            // With one source each, the name does not matter.
             (false, [_], [only]) => (*only).clone(),
             _ => {
                 let recorded = list(&recorded);
                 return Err(ReplayError::NoSource { node: id.clone(), recorded });
             }
         };
-        let held = |port: &str| recording.ports.contains_key(&format!("{found}.{port}"));
+        let has = |port: &str| recording.ports.contains_key(&format!("{found}.{port}"));
         for edge in graph.outputs_of(node) {
             let port = &graph.nodes[node].node_type(catalog).outputs[edge.from_port].name;
-            if !held(port) {
+            if !has(port) {
                 let prefix = format!("{found}.");
                 let recorded: Vec<&String> = recording.ports.keys().filter(|p| p.starts_with(&prefix)).collect();
                 return Err(ReplayError::NoPort {
@@ -254,7 +286,7 @@ fn list(names: &[&String]) -> String {
     names.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ")
 }
 
-/// The checked values of `node.param=value` settings.
+/// The checked values of `node.param=value` settings: node, position of the parameter, value.
 fn overrides(
     graph: &Graph,
     catalog: &Catalog,
@@ -270,61 +302,60 @@ fn overrides(
 }
 
 /// Finds the types of a recorded graph in this machine's catalogue.
-fn resolve(graph: &mut Graph, catalog: &Catalog) -> Result<(), String> {
+fn resolve(graph: &mut Graph, catalog: &Catalog) -> Result<(), StaleError> {
     for node in &mut graph.nodes {
-        let name = format!("{}/{}", node.plugin, node.type_name);
-        let [index] = catalog.find(&name)[..] else {
-            return Err(format!("node `{}` is of type `{name}`, which no plugin here offers", node.id));
+        let node_type = format!("{}/{}", node.plugin, node.type_name);
+        let [index] = catalog.find(&node_type)[..] else {
+            return Err(StaleError::UnknownType { node: node.id.clone(), node_type });
         };
         node.type_index = index;
         let declared = &catalog.node_types[index].params;
         let fits = declared.len() == node.params.len()
             && declared.iter().zip(&node.params).all(|(p, v)| p.kind.accepts(v).is_ok());
         if !fits {
-            return Err(format!("type `{name}` of node `{}` has other parameters here", node.id));
+            return Err(StaleError::OtherParams { node: node.id.clone(), node_type });
         }
     }
     for edge in &graph.edges {
         let (from, to) = (graph.nodes[edge.from_node].node_type(catalog), graph.nodes[edge.to_node].node_type(catalog));
         if edge.from_port >= from.outputs.len() || edge.to_port >= to.inputs.len() {
-            return Err(format!("type `{}` or `{}` has other ports here", from.name, to.name));
+            return Err(StaleError::OtherPorts { from: from.name.clone(), to: to.name.clone() });
         }
     }
     Ok(())
 }
 
-/// Why the bytes of a replay may be others than the recorded run's.
+/// Warnings about why the bytes of a replay may differ from the recorded run.
 fn differences(recording: &Recording, graph: &Graph, catalog: &Catalog, loader: &Loader, other: bool) -> Vec<String> {
-    let mut words = Vec::new();
+    let mut warnings = Vec::new();
     if !recording.checked {
         let version = &recording.head.version;
-        words.push(format!(
-            "the recording is of format {}, by panoscope {version}: its events carry no checksums, damage to them cannot be seen",
+        warnings.push(format!(
+            "the recording has format {}, by panoscope {version}: its events carry no checksums, so damage to them is not noticed",
             recording.head.format
         ));
     }
     if let Some(cut) = recording.cut.as_ref().filter(|cut| !cut.damaged) {
-        words.push(format!("the recording ends at byte {}: {}; what is before it is played", cut.at, cut.reason));
+        warnings.push(format!("the recording ends at byte {}: {}; the part before it is replayed", cut.at, cut.reason));
     }
     for (source, ticks) in &recording.sources {
         let gaps = ticks.iter().filter(|t| t.gap).count();
         if gaps > 0 {
             let first = ticks.iter().find(|t| t.gap).map_or(0, |t| t.seq);
-            words.push(format!("{gaps} ticks of `{source}` are missing, the first is {first}: the disk was too slow"));
+            warnings
+                .push(format!("{gaps} ticks of `{source}` are missing, the first is {first}: the disk was too slow"));
         }
     }
     if other {
-        return words;
+        return warnings;
     }
     let mut now = plugin_hashes(graph, loader);
     now.extend(model_hashes(graph, catalog));
-    for then in recording.head.plugins.iter().chain(&recording.head.models) {
-        match now.iter().find(|n| n.name == then.name) {
-            Some(file) if file.xxh3 == then.xxh3 => {}
-            _ => {
-                words.push(format!("`{}` is another build or file than the recorded one: bytes may differ", then.name))
-            }
+    for recorded in recording.head.plugins.iter().chain(&recording.head.models) {
+        match now.iter().find(|n| n.name == recorded.name) {
+            Some(file) if file.xxh3 == recorded.xxh3 => {}
+            _ => warnings.push(format!("`{}` is not the recorded build or file: bytes may differ", recorded.name)),
         }
     }
-    words
+    warnings
 }

@@ -1,7 +1,7 @@
-//! What a replaying engine follows: which ticks enter, which packets meet, with which values and instances nodes run.
+//! The decisions that a replay repeats: which ticks enter, which packets meet, with which values and instances nodes run.
 //!
-//! Everything in a run that depends on time was written down where it was decided; here it is looked up instead of decided again. What is
-//! not in the script follows from the ticks.
+//! The recording contains every decision of the run that depended on time. The script looks them up instead of deciding again.
+//! Everything else depends on the ticks only.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -30,15 +30,15 @@ pub(crate) struct ScriptEdit {
     admitted: Vec<(String, u64)>,
 }
 
-/// One step of what steered the graph.
-pub(crate) enum Step {
-    /// Position in [`Script::edits`].
+/// A recorded change of the graph or of values.
+pub(crate) enum RecordedChange {
+    /// A change of the graph: index in [`Script::edits`].
     Edit(usize),
-    /// The values that a node was set to, for the graph as it is known.
+    /// New values of a node.
     Set(String, Vec<ParamValue>),
 }
 
-/// A source's ticks and how far they have been played.
+/// A source's ticks and the position of the next one.
 #[derive(Default)]
 pub(crate) struct SourceScript {
     ticks: Vec<SourceTick>,
@@ -46,7 +46,7 @@ pub(crate) struct SourceScript {
 }
 
 impl SourceScript {
-    /// The next tick; the same again until [`Self::done`].
+    /// The next tick; the same one until [`Self::done`] is called.
     pub fn next(&self) -> Option<&SourceTick> {
         self.ticks.get(self.next.load(Ordering::Relaxed))
     }
@@ -59,11 +59,11 @@ impl SourceScript {
 #[derive(Default)]
 struct HeadScript {
     admitted: AtomicU64,
-    /// Ticks admitted before an edit, and its number.
+    /// Number of ticks admitted before an edit, and the edit's index.
     edits: Vec<(u64, usize)>,
 }
 
-/// See the module.
+/// The decisions of a recording, by node.
 pub struct Script {
     recording: Arc<Recording>,
     sources: HashMap<String, SourceScript>,
@@ -71,13 +71,13 @@ pub struct Script {
     took: HashMap<String, Mutex<VecDeque<Wanted>>>,
     heads: HashMap<String, HeadScript>,
     pub(crate) edits: Vec<ScriptEdit>,
-    pub(crate) steps: Vec<Step>,
+    pub(crate) changes: Vec<RecordedChange>,
     applied: AtomicUsize,
-    /// The graph is another one: only the sources are played.
+    /// Whether only the sources are replayed, because the graph is another one.
     sources_only: bool,
-    /// Nodes that act on the world are left out.
+    /// Whether nodes with side effects are skipped.
     muted: bool,
-    /// Values that win over the recorded ones: node, position, value.
+    /// Values that override the recorded ones: node, position of the parameter, value.
     overrides: Vec<(String, usize, ParamValue)>,
     failed: OnceLock<String>,
 }
@@ -97,7 +97,7 @@ impl Script {
             took: HashMap::new(),
             heads: HashMap::new(),
             edits: Vec::new(),
-            steps: Vec::new(),
+            changes: Vec::new(),
             applied: AtomicUsize::new(0),
             sources_only,
             muted,
@@ -108,7 +108,7 @@ impl Script {
         for (node, recorded) in names {
             let mut ticks = recording.sources.get(recorded).cloned().unwrap_or_default();
             if sources_only {
-                // What one graph had no time for another one may have.
+                // Another graph may have time for ticks that the recorded one dropped.
                 ticks.iter_mut().for_each(|t| t.admitted = true);
             }
             this.sources.insert(node.clone(), SourceScript { ticks, ..SourceScript::default() });
@@ -128,7 +128,7 @@ impl Script {
             Event::Opened { node, source, seq, values } => {
                 (node, turn(*source, *seq, Turn::Opened(self.overridden(node, values))))
             }
-            Event::LeftOut { node, source, seq, closed } => {
+            Event::Skipped { node, source, seq, closed } => {
                 (node, turn(*source, *seq, Turn::Skipped { here: false, closed: *closed }))
             }
             Event::Took { node, source, seq, capture_ns, inputs } => {
@@ -139,7 +139,7 @@ impl Script {
                 return;
             }
             Event::Set { node, values } => {
-                self.steps.push(Step::Set(node.clone(), self.overridden(node, values)));
+                self.changes.push(RecordedChange::Set(node.clone(), self.overridden(node, values)));
                 return;
             }
             Event::Edit { graph, admitted, applied, .. } => {
@@ -153,7 +153,7 @@ impl Script {
                 }
                 let (applied, admitted) = (Applied::clone(applied), admitted.clone());
                 self.edits.push(ScriptEdit { graph, applied, admitted });
-                self.steps.push(Step::Edit(number));
+                self.changes.push(RecordedChange::Edit(number));
                 return;
             }
             Event::Head(_) | Event::Tick { .. } | Event::Dropped { .. } | Event::Fault(_) | Event::End { .. } => return,
@@ -172,7 +172,7 @@ impl Script {
         values
     }
 
-    /// Why the replay did not come to its end.
+    /// Why the replay ended early, if it did.
     pub fn failure(&self) -> Option<&str> {
         self.failed.get().map(String::as_str)
     }
@@ -217,7 +217,7 @@ impl Decider for Script {
 
     fn next_turn(&self, node: &str, tick: &Tick) -> Option<Turn> {
         let mut turns = lock(self.turns.get(node)?);
-        // A tick that is missing here, behind a gap: what it brought still holds.
+        // The decision's tick may be missing because of a gap; the decision still applies to the next tick.
         let due = turns.front().is_some_and(|t| t.source == tick.source && t.seq <= tick.seq);
         let NodeTurn { seq, turn, .. } = if due { turns.pop_front()? } else { return None };
         Some(match turn {
@@ -239,14 +239,14 @@ impl Decider for Script {
     }
 
     fn waits_before(&self, edit: usize) -> bool {
-        let behind = |(head, count): &(String, u64)| {
-            let over = match self.sources.get(head) {
+        let pending = |(head, count): &(String, u64)| {
+            let ended = match self.sources.get(head) {
                 Some(source) => source.next().is_none(),
                 None => self.took.get(head).is_none_or(|took| lock(took).is_empty()),
             };
-            !over && self.heads.get(head).is_some_and(|h| h.admitted.load(Ordering::Acquire) < *count)
+            !ended && self.heads.get(head).is_some_and(|h| h.admitted.load(Ordering::Acquire) < *count)
         };
-        self.edits.get(edit).is_some_and(|edit| edit.admitted.iter().any(behind))
+        self.edits.get(edit).is_some_and(|edit| edit.admitted.iter().any(pending))
     }
 
     fn replaced(&self, edit: usize) -> &[String] {

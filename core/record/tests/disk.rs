@@ -1,4 +1,4 @@
-//! Every operation on the file of a recording fails in turn: what was told to be recorded is readable after.
+//! Every operation on the file of a recording fails in turn; all ticks that were reported as recorded must be readable afterwards.
 //!
 //! The faults come from `tests/c/disk_faults.c`, preloaded into child processes of this test, each of which runs one case.
 //! `PANOSCOPE_DISK_TICKS` sets how many ticks are recorded (5 without it).
@@ -17,8 +17,8 @@ use panoscope_graph::{GraphText, check};
 use panoscope_record::{RecordOptions, Recorder, Recording, RecordingError, head};
 
 const CHILD: &str = "PANOSCOPE_TEST_RECORD_CHILD";
-const NAME: &str = "what_was_recorded_is_readable_after_a_fault_at_any_operation";
-/// As in `disk_faults.c`, and whether the process goes on.
+const NAME: &str = "reported_ticks_are_readable_after_a_fault_at_any_operation";
+/// Fault number as in `disk_faults.c`, name, and whether the process survives.
 const FAULTS: [(i32, &str, bool); 6] = [
     (1, "disk full", true),
     (2, "I/O error once", true),
@@ -28,9 +28,9 @@ const FAULTS: [(i32, &str, bool); 6] = [
     (6, "kill in a write", false),
 ];
 
-/// Records a run while operation `number` on files of the folder fails; prints what was told.
+/// Records a run while operation `number` on files of the folder fails; prints the recorder's report.
 fn record(folder: &Path, fault: i32, number: i32, ticks: u64) {
-    // SAFETY: a look-up, and functions of `disk_faults.c` with these signatures.
+    // SAFETY: `dlsym` gets zero-terminated names; `disk_faults.c` defines the functions with these signatures.
     let (arm, disarm) = unsafe {
         let arm = libc::dlsym(libc::RTLD_DEFAULT, c"disk_arm".as_ptr());
         let disarm = libc::dlsym(libc::RTLD_DEFAULT, c"disk_disarm".as_ptr());
@@ -55,7 +55,7 @@ fn record(folder: &Path, fault: i32, number: i32, ticks: u64) {
     let recorder = match Recorder::start(record, head) {
         Ok(recorder) => recorder,
         Err(error) => {
-            println!("told: 0 ticks, fault {}, failed true: {error}", disarm());
+            println!("reported: 0 ticks, fault {}, failed true: {error}", disarm());
             return;
         }
     };
@@ -65,7 +65,7 @@ fn record(folder: &Path, fault: i32, number: i32, ticks: u64) {
     engine.close(PATIENCE);
     let recorded = recorder.finish();
     let (fired, failed) = (disarm(), recorded.failed.is_some());
-    println!("told: {} ticks, fault {fired}, failed {failed}: {:?}", recorded.ticks, recorded.failed);
+    println!("reported: {} ticks, fault {fired}, failed {failed}: {:?}", recorded.ticks, recorded.failed);
 }
 
 fn library() -> PathBuf {
@@ -78,7 +78,7 @@ fn library() -> PathBuf {
 }
 
 #[test]
-fn what_was_recorded_is_readable_after_a_fault_at_any_operation() {
+fn reported_ticks_are_readable_after_a_fault_at_any_operation() {
     let ticks = std::env::var("PANOSCOPE_DISK_TICKS").ok().and_then(|n| n.parse().ok()).unwrap_or(5);
     if let Ok(case) = std::env::var(CHILD) {
         let mut parts = case.splitn(3, ' ');
@@ -100,10 +100,10 @@ fn what_was_recorded_is_readable_after_a_fault_at_any_operation() {
                 .env("LD_PRELOAD", &library)
                 .output()
                 .expect("it starts");
-            let said = String::from_utf8_lossy(&stdout).into_owned() + &String::from_utf8_lossy(&stderr);
+            let output = String::from_utf8_lossy(&stdout).into_owned() + &String::from_utf8_lossy(&stderr);
             cases += 1;
-            let line = said.lines().find_map(|line| line.split("told: ").nth(1)).unwrap_or_default().to_owned();
-            assert!(status.success() && !line.is_empty() || !goes_on, "{case}: {said}");
+            let line = output.lines().find_map(|line| line.split("reported: ").nth(1)).unwrap_or_default().to_owned();
+            assert!(status.success() && !line.is_empty() || !goes_on, "{case}: {output}");
             let found = match Recording::open(&folder.join("r.mcap")) {
                 Ok(recording) => {
                     for packet in recording.ports.values().flatten() {
@@ -113,23 +113,23 @@ fn what_was_recorded_is_readable_after_a_fault_at_any_operation() {
                     assert!((0..).zip(ticks).all(|(seq, tick)| tick.seq == seq), "{case}: a tick is missing inside");
                     ticks.len() as u64
                 }
-                // It was not begun: nothing may have been told then.
+                // The recording was not started, so no tick may have been reported.
                 Err(
                     RecordingError::Empty { .. } | RecordingError::Unreadable { .. } | RecordingError::Foreign { .. },
                 ) => 0,
                 Err(error) => panic!("{case}: {error}"),
             };
             if line.is_empty() {
-                // Killed: how much the system had is not known; what it had is read.
+                // The process was killed, so it reported nothing; the file was read above.
                 continue;
             }
-            let told: u64 = line.split(' ').next().and_then(|n| n.parse().ok()).expect("a number");
-            assert!(found >= told, "{case}: {told} ticks were told, {found} are found");
+            let reported: u64 = line.split(' ').next().and_then(|n| n.parse().ok()).expect("a number");
+            assert!(found >= reported, "{case}: {reported} ticks were reported, {found} are in the file");
             if line.contains("fault 0") {
-                assert!(line.contains("failed false") && told == ticks, "{case}: {line}");
+                assert!(line.contains("failed false") && reported == ticks, "{case}: {line}");
                 break;
             }
-            assert!(line.contains("failed true"), "{case}: lost in silence: {line}");
+            assert!(line.contains("failed true"), "{case}: the loss was not reported: {line}");
         }
     }
     println!("{cases} cases");

@@ -1,4 +1,4 @@
-//! A run is written down and played again: the same bytes on every port, whatever happened to the graph meanwhile.
+//! A run is recorded and replayed: every port has the same bytes, whatever happened to the graph meanwhile.
 
 #[path = "../../engine/tests/common/mod.rs"]
 mod common;
@@ -17,7 +17,7 @@ use panoscope_record::{
     head,
 };
 
-/// A run under way that is recorded.
+/// A running graph that is recorded.
 struct Run {
     live: Live<Box<Engine>>,
     recorder: Arc<Recorder>,
@@ -91,7 +91,7 @@ fn assert_same(what: &str, a: &Digests, b: &Digests) {
     assert!(a.packets() > 0 && a == b, "{what}");
 }
 
-const HEAD: &str = "mode = \"live\"\nplugins = [\"flow\"]\n";
+const HEAD: &str = "mode = \"live\"\nplugins = [\"flow\", \"fixtures\"]\n";
 
 fn source(id: &str, rate_hz: f64) -> String {
     format!(
@@ -103,7 +103,7 @@ fn node(id: &str, kind: &str, from: &str) -> String {
     format!("[nodes.{id}]\ntype = \"{kind}\"\ninputs = {{ image = \"{from}\" }}\n")
 }
 
-/// Two sources, a loop, a slow reader that drops ticks, inputs that take whatever is newest.
+/// Two sources, a loop, a slow reader that drops ticks, and inputs that take the newest packet.
 fn lively() -> String {
     let color = |id: &str, rate: f64| {
         source(id, rate).replace("gray8", "bgr8").replace("format", "pattern = \"noise\", format")
@@ -289,7 +289,7 @@ fn a_recording_cut_off_anywhere_opens_up_to_its_last_whole_frame() {
         }
     }
     assert!(opened > 100);
-    // One of them is also played.
+    // One of them is also replayed.
     std::fs::write(&file, &whole[..ends[ticks / 2] as usize + 400]).expect("written");
     let played = replay(&file, 2).unwrap_or_else(|e| panic!("{e}"));
     assert!(played.ports["a.image"].packets.len() >= ticks / 2);
@@ -301,7 +301,7 @@ fn damaged_bytes_are_named_or_end_the_recording() {
     let file = scratch("damaged.mcap");
     std::fs::write(&file, &whole).expect("written");
     let all = Recording::open(&file).expect("whole");
-    // Now, before other bytes are written into the file that it reads.
+    // Read now, before other bytes are written to the file.
     assert!(all.verify().is_ok() && all.checked);
     let mut dice = 1u64;
     for _ in 0..400 {
@@ -326,8 +326,8 @@ fn damaged_bytes_are_named_or_end_the_recording() {
     assert!(error.to_string().contains("is damaged at byte") && error.to_string().contains("a.image"), "{error}");
 }
 
-/// Every way in which damage is told: at opening, where the recording ends, or at the packet.
-fn is_told(file: &Path) -> Option<String> {
+/// The report of damage: an error of `open`, an early end, or an error at a packet. `None` when nothing was reported.
+fn reported_damage(file: &Path) -> Option<String> {
     match Recording::open(file) {
         Err(error) => Some(error.to_string()),
         Ok(recording) => match recording.verify() {
@@ -338,11 +338,11 @@ fn is_told(file: &Path) -> Option<String> {
 }
 
 #[test]
-fn a_flipped_bit_anywhere_is_told_and_never_other_data() {
+fn a_flipped_bit_anywhere_is_reported_and_never_read_as_other_data() {
     let whole = short();
     let file = scratch("flipped.mcap");
     std::fs::write(&file, &whole).expect("written");
-    assert_eq!(is_told(&file), None);
+    assert_eq!(reported_damage(&file), None);
     let all = Recording::open(&file).expect("whole");
     // All of the beginning (header, channel, head, first ticks) and of the end; a sample of what repeats between them.
     let first = all.ports["a.image"][2].at as usize + 8;
@@ -353,7 +353,7 @@ fn a_flipped_bit_anywhere_is_told_and_never_other_data() {
         step += 1;
         bytes[at] ^= 1 << (step % 8);
         std::fs::write(&file, &bytes).expect("written");
-        assert!(is_told(&file).is_some(), "bit {} of byte {at} of {}: nobody notices", step % 8, whole.len());
+        assert!(reported_damage(&file).is_some(), "bit {} of byte {at} of {}: not reported", step % 8, whole.len());
         flipped += 1;
         at += if at < first || at + 800 > whole.len() { 1 } else { 13 };
     }
@@ -361,7 +361,7 @@ fn a_flipped_bit_anywhere_is_told_and_never_other_data() {
 }
 
 #[test]
-fn what_is_damaged_fails_a_replay_and_is_not_called_equal() {
+fn a_damaged_recording_fails_a_replay_and_a_comparison() {
     let whole = short();
     let [good, bad] = ["good.mcap", "bad.mcap"].map(scratch);
     std::fs::write(&good, &whole).expect("written");
@@ -384,7 +384,7 @@ fn what_is_damaged_fails_a_replay_and_is_not_called_equal() {
     assert!(error.contains("is damaged at byte") && error.contains("packet 10 of `a.image`"), "{error}");
 }
 
-/// A recording as format 1 had it: without checksums.
+/// The recording in format 1, without checksums.
 fn without_checksums(recording: &Path) -> Vec<u8> {
     let whole = std::fs::read(recording).expect("it was written");
     let mut out = Vec::from(mcap::MAGIC);
@@ -416,7 +416,7 @@ fn without_checksums(recording: &Path) -> Vec<u8> {
 }
 
 #[test]
-fn recordings_of_format_1_still_play_and_say_that_they_carry_no_checksums() {
+fn recordings_of_format_1_replay_with_a_warning_about_missing_checksums() {
     let text = [HEAD, &source("a", 400.0), &node("end", "drain", "a.image")].concat();
     let file = scratch("new_format.mcap");
     let run = start(&text, Some(file.clone()), Options { threads: 2, ..Options::default() }, false);
@@ -463,7 +463,7 @@ fn a_recorded_packet_that_its_source_may_not_put_out_is_withheld() {
 }
 
 #[test]
-fn what_is_no_recording_is_named() {
+fn files_that_are_not_recordings_are_errors() {
     let file = scratch("text.mcap");
     std::fs::write(&file, "name = \"panorama\"\n").expect("written");
     assert!(matches!(Recording::open(&file), Err(RecordingError::NoMcap { .. })));
@@ -477,7 +477,7 @@ fn what_is_no_recording_is_named() {
     assert!(matches!(error, RecordingError::Foreign { .. }), "{error}");
 }
 
-/// A disk with little room.
+/// A disk that becomes full.
 struct Small {
     bytes: Arc<std::sync::Mutex<Vec<u8>>>,
     room: usize,
@@ -512,7 +512,7 @@ impl panoscope_record::Output for Small {
 }
 
 #[test]
-fn a_full_disk_is_said_at_once_and_the_picture_goes_on() {
+fn a_full_disk_is_reported_at_once_and_the_run_goes_on() {
     let text = [HEAD, &source("a", 400.0), &node("end", "drain", "a.image")].concat();
     let parsed = GraphText::parse("full.toml".as_ref(), &text);
     let loader = loader();
@@ -526,7 +526,7 @@ fn a_full_disk_is_said_at_once_and_the_picture_goes_on() {
     let engine = Engine::start(graph, &catalog, &loader, options).expect("it starts");
     let end = Instant::now() + PATIENCE;
     while !engine.recent_faults().iter().any(|f| f.node == "record") {
-        assert!(Instant::now() < end, "nobody says that the disk is full");
+        assert!(Instant::now() < end, "the full disk is not reported");
         std::thread::sleep(Duration::from_millis(1));
     }
     assert!(engine.recent_log().iter().any(|(_, node, words)| node == "record" && words.contains("the run goes on")));
@@ -544,11 +544,11 @@ fn a_full_disk_is_said_at_once_and_the_picture_goes_on() {
     std::fs::write(&file, &*bytes.lock().expect("no panic")).expect("written");
     let recording = Recording::open(&file).expect("readable up to there");
     assert!(recording.cut.is_some() && recording.sources["a"].len() > 3, "{:?}", recording.cut);
-    assert_eq!(bytes.lock().expect("no panic").len() as u64, recorded.bytes, "what was torn is cut off");
+    assert_eq!(bytes.lock().expect("no panic").len() as u64, recorded.bytes, "an incomplete message is removed");
 }
 
 #[test]
-fn a_slow_disk_leaves_gaps_that_are_counted_and_never_holds_the_picture_up() {
+fn a_slow_disk_leaves_counted_gaps_and_never_blocks_the_run() {
     let text = [HEAD, &source("a", 400.0), &node("end", "drain", "a.image")].concat();
     let parsed = GraphText::parse("gaps.toml".as_ref(), &text);
     let loader = loader();
@@ -556,8 +556,8 @@ fn a_slow_disk_leaves_gaps_that_are_counted_and_never_holds_the_picture_up() {
     let (graph, _) = check(&parsed, &catalog).into_result().unwrap_or_else(|d| panic!("{}", d.render(false)));
     let head = head(&graph, &catalog, &loader, "gaps.toml".as_ref(), &text, &[]);
     let file = scratch("gaps.mcap");
-    // No room to wait at all: every tick is a gap.
-    let record = RecordOptions { file: Some(file.clone()), most_waiting_bytes: 0, ..RecordOptions::default() };
+    // The queue holds nothing, so every tick is a gap.
+    let record = RecordOptions { file: Some(file.clone()), max_queued_bytes: 0, ..RecordOptions::default() };
     let recorder = Recorder::start(record, head).expect("it begins");
     let options =
         Options { observer: Some(Arc::clone(&recorder) as _), threads: 2, frames: Some(50), ..Options::default() };
@@ -574,7 +574,7 @@ fn a_slow_disk_leaves_gaps_that_are_counted_and_never_holds_the_picture_up() {
 
 #[test]
 fn a_change_switches_at_the_named_tick() {
-    // Room enough that a busy machine drops nothing.
+    // The queues are long enough that a busy machine drops nothing.
     let roomy = |id: &str, kind: &str, from: &str| {
         node(id, kind, "FROM").replace("\"FROM\"", &format!("{{ from = \"{from}\", queue = 200 }}"))
     };

@@ -1,10 +1,13 @@
-//! What the movement of instrument tips tells, as plain mathematics without any framework type.
+//! Instrument tips over time, as plain mathematics without any framework type.
 //!
-//! [`skill`] measures how skilfully instruments are moved; [`proximity`] measures how near tips are to tissue and to each other, and when to warn.
+//! [`tracker`] follows tips in space with the filter of [`kalman`]; [`skill`] measures how skilfully instruments are moved; [`proximity`] measures how
+//! near tips are to tissue and to each other, and when to warn.
 //! Lengths in mm, times in s on one clock that the caller owns.
 
 #![forbid(unsafe_code)]
 
+pub mod kalman;
 pub mod proximity;
 pub mod skill;
+pub mod tracker;
 mod vector;

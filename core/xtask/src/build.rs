@@ -18,6 +18,8 @@ const PROGRAM: &str = "panoscope";
 /// The windows that `panoscope edit` and `panoscope theatre` start; packages and programs have one name.
 const EDITOR: &str = "panoscope-editor";
 const THEATRE: &str = "panoscope-theatre";
+/// Folder beside the program for plugins that only tests use.
+const TEST_PLUGIN_DIR: &str = "test_plugins";
 
 /// Cargo's profiles as far as they are used here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,12 +32,20 @@ pub enum Profile {
 #[derive(Debug)]
 pub struct Built {
     pub program: PathBuf,
-    /// Beside the program; holds one shared library per plugin, and a folder with the files that come with it.
+    /// Beside the program; holds one shared library per plugin that ships, and a folder with the files that come with it.
     pub plugin_dir: PathBuf,
 }
 
+/// A build with the plugins that only tests use.
+#[derive(Debug)]
+pub struct BuiltForTests {
+    pub built: Built,
+    /// Beside the program; one shared library per plugin of `tests/plugins`. The program does not search this folder by itself.
+    pub test_plugin_dir: PathBuf,
+}
+
 impl Built {
-    /// The program, told where this build's plugins are.
+    /// The program, with this build's plugins on its search path.
     pub fn panoscope(&self) -> Command {
         let mut command = Command::new(&self.program);
         command.env("PANOSCOPE_PLUGIN_PATH", &self.plugin_dir);
@@ -58,7 +68,7 @@ pub struct Windows {
 /// Builds the windows, beside the program.
 ///
 /// # Errors
-/// The build fails; cargo has said why.
+/// The build fails; cargo prints why.
 pub fn build_windows(workspace: &Workspace, profile: Profile) -> Result<Windows> {
     let mut cargo = workspace.cargo();
     cargo.args(["build", "--message-format=json-render-diagnostics", "--package", EDITOR, "--package", THEATRE]);
@@ -73,15 +83,35 @@ pub fn build_windows(workspace: &Workspace, profile: Profile) -> Result<Windows>
     Ok(Windows { editor, theatre })
 }
 
-/// Builds the program and all plugins. Not the windows, which take longest and which a demo without a screen and benches do not need.
+/// Builds the program and the plugins that ship. Leaves out the windows, which take longest to build; a demo without a
+/// screen and the benches do not need them.
 ///
 /// # Errors
-/// The build fails (cargo has said why), or a plugin's crate makes no shared library.
+/// The build fails (cargo prints why), or a plugin's crate makes no shared library.
 pub fn build(workspace: &Workspace, profile: Profile) -> Result<Built> {
+    let plugins: Vec<&Plugin> = workspace.plugins.iter().collect();
+    let artifacts = compile(workspace, profile, &plugins)?;
+    artifacts.lay_out_product(workspace)
+}
+
+/// The same with the plugins that only tests use, in a folder of their own.
+///
+/// # Errors
+/// See [`build`].
+pub fn build_for_tests(workspace: &Workspace, profile: Profile) -> Result<BuiltForTests> {
+    let plugins: Vec<&Plugin> = workspace.plugins.iter().chain(&workspace.test_plugins).collect();
+    let artifacts = compile(workspace, profile, &plugins)?;
+    let built = artifacts.lay_out_product(workspace)?;
+    let test_plugin_dir = built.program.with_file_name(TEST_PLUGIN_DIR);
+    lay_out(&workspace.test_plugins, &artifacts.libraries, &test_plugin_dir)?;
+    Ok(BuiltForTests { built, test_plugin_dir })
+}
+
+/// Compiles the program and the given plugins.
+fn compile(workspace: &Workspace, profile: Profile, plugins: &[&Plugin]) -> Result<Artifacts> {
     let mut cargo = workspace.cargo();
     cargo.args(["build", "--message-format=json-render-diagnostics", "--package", PROGRAM_PACKAGE]);
-
-    for plugin in &workspace.plugins {
+    for plugin in plugins {
         cargo.args(["--package", &plugin.package]);
     }
     if profile == Profile::Release {
@@ -90,12 +120,7 @@ pub fn build(workspace: &Workspace, profile: Profile) -> Result<Built> {
     let mut artifacts = Artifacts::default();
     let status = process::filter(&mut cargo, |line| !artifacts.read(line))?;
     process::check(&cargo, status)?;
-
-    let program = artifacts.program.with_context(|| format!("{PROGRAM_PACKAGE} makes no program `{PROGRAM}`"))?;
-    let plugin_dir = program.with_file_name("plugins");
-    lay_out(&workspace.plugins, &artifacts.libraries, &plugin_dir)?;
-    lay_out_models(workspace, &plugin_dir, Means::Link)?;
-    Ok(Built { program, plugin_dir })
+    Ok(artifacts)
 }
 
 /// What cargo reported to have made (or found fresh).
@@ -109,6 +134,16 @@ struct Artifacts {
 }
 
 impl Artifacts {
+    /// Puts the plugins that ship, and their models, beside the program.
+    fn lay_out_product(&self, workspace: &Workspace) -> Result<Built> {
+        let program =
+            self.program.clone().with_context(|| format!("{PROGRAM_PACKAGE} makes no program `{PROGRAM}`"))?;
+        let plugin_dir = program.with_file_name("plugins");
+        lay_out(&workspace.plugins, &self.libraries, &plugin_dir)?;
+        lay_out_models(workspace, &plugin_dir, Means::Link)?;
+        Ok(Built { program, plugin_dir })
+    }
+
     /// Takes one line of cargo's output; false when it is none of cargo's messages.
     fn read(&mut self, line: &str) -> bool {
         let Ok(message) = serde_json::from_str::<Value>(line) else { return false };
@@ -140,15 +175,12 @@ impl Artifacts {
 /// Makes `plugin_dir` hold the plugins' libraries and nothing else.
 fn lay_out(plugins: &[Plugin], libraries: &BTreeMap<PathBuf, PathBuf>, plugin_dir: &Path) -> Result<()> {
     fs::create_dir_all(plugin_dir).with_context(|| format!("cannot make {}", plugin_dir.display()))?;
-    let by_name = |plugin: &Plugin| {
-        libraries.iter().find(|(folder, _)| folder.file_name().is_some_and(|name| name == plugin.name.as_str()))
-    };
     let mut kept = Vec::new();
     for plugin in plugins {
-        let Some((_, library)) = by_name(plugin) else {
+        let Some(library) = libraries.get(&plugin.folder) else {
             bail!(
-                "plugins/{} makes no shared library: its Cargo.toml needs crate-type = [\"cdylib\", \"rlib\"]",
-                plugin.name
+                "{} makes no shared library: its Cargo.toml needs crate-type = [\"cdylib\", \"rlib\"]",
+                plugin.folder.display()
             );
         };
         let name = library_name(&plugin.name);
@@ -168,7 +200,7 @@ fn lay_out(plugins: &[Plugin], libraries: &BTreeMap<PathBuf, PathBuf>, plugin_di
 /// Puts the models that come with plugins where the program looks for them: `NAME/models` beside the library of plugin NAME.
 pub fn lay_out_models(workspace: &Workspace, plugin_dir: &Path, means: Means) -> Result<()> {
     for plugin in &workspace.plugins {
-        let models = workspace.root.join("plugins").join(&plugin.name).join("models");
+        let models = plugin.folder.join("models");
         if models.is_dir() {
             place_files(&models, &plugin_dir.join(&plugin.name).join("models"), &["onnx", "md", "txt"], means)?;
         }
@@ -196,7 +228,7 @@ pub enum Means {
     Copy,
 }
 
-/// Puts `from` at `to` in one step, so that nobody ever opens half a file.
+/// Puts `from` at `to` in one step, so that no reader ever opens half a file.
 pub fn place(from: &Path, to: &Path, means: Means) -> Result<()> {
     let mut part = to.as_os_str().to_owned();
     part.push(format!(".{}.part", std::process::id()));
@@ -232,8 +264,12 @@ mod tests {
         folder
     }
 
+    fn stitch() -> Plugin {
+        Plugin { name: "stitch".into(), folder: "/r/plugins/stitch".into(), package: "panoscope-stitch".into() }
+    }
+
     #[test]
-    fn cargo_messages_tell_the_program_and_the_libraries() {
+    fn cargo_messages_name_the_program_and_the_libraries() {
         let mut artifacts = Artifacts::default();
         let library = format!("/t/debug/libpanoscope_stitch{DLL_SUFFIX}");
         let lines = [
@@ -259,8 +295,8 @@ mod tests {
         let plugin_dir = folder.join("plugins");
         fs::create_dir_all(&plugin_dir).unwrap();
         fs::write(plugin_dir.join(library_name("gone")), "old").unwrap();
-        let plugins = [Plugin { name: "stitch".into(), package: "panoscope-stitch".into() }];
-        let libraries = BTreeMap::from([(folder.join("stitch"), made.clone())]);
+        let plugins = [stitch()];
+        let libraries = BTreeMap::from([(stitch().folder, made.clone())]);
         for content in ["new", "newer"] {
             fs::remove_file(&made).unwrap();
             fs::write(&made, content).unwrap();
@@ -277,9 +313,10 @@ mod tests {
     #[test]
     fn a_plugin_without_a_library_is_named() {
         let folder = scratch("no_library");
-        let plugins = [Plugin { name: "stitch".into(), package: "panoscope-stitch".into() }];
-        let error = lay_out(&plugins, &BTreeMap::new(), &folder).unwrap_err();
-        assert!(error.to_string().contains("plugins/stitch makes no shared library"), "{error}");
+        // Another folder of the same name is not its crate.
+        let libraries = BTreeMap::from([(PathBuf::from("/r/tests/plugins/stitch"), PathBuf::from("/t/other.so"))]);
+        let error = lay_out(&[stitch()], &libraries, &folder).unwrap_err();
+        assert!(error.to_string().contains("/r/plugins/stitch makes no shared library"), "{error}");
         fs::remove_dir_all(&folder).unwrap();
     }
 }

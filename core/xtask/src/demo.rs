@@ -17,10 +17,10 @@ use crate::workspace::Workspace;
 /// Ten seconds of the phantom's 30 fps.
 const FRAMES: &str = "300";
 
-/// Parameters by which sinks are told where to write.
+/// Parameters of sinks that name where they write.
 const PATH_PARAMS: [&str; 3] = ["path", "folder", "pattern"];
 
-/// Builds, runs the graph for a bounded number of frames, tells what came out. On a screen the editor then shows the graph running.
+/// Builds, runs the graph for a bounded number of frames, and prints what it wrote. With a screen the editor then shows the graph running.
 ///
 /// # Errors
 /// The build or the run fails, a node had a fault, or an output is missing, empty or older than this run.
@@ -125,7 +125,7 @@ fn outputs(text: &str, graph: &Path, args: &[String]) -> Result<Vec<Output>> {
         let in_file = |param: &str| node.get("params")?.get(param)?.as_str();
         let path = PATH_PARAMS.iter().find_map(|param| set_value(args, id, param).or_else(|| in_file(param)));
         let Some(path) = path else {
-            bail!("{}: node `{id}` does not say where it writes", graph.display());
+            bail!("{}: node `{id}` has no parameter that names a file", graph.display());
         };
         outputs.push(Output { node: id.clone(), what: what.to_owned(), path: folder.join(path) });
     }
@@ -144,7 +144,7 @@ fn values_of<'a>(args: &'a [String], name: &str) -> impl Iterator<Item = &'a str
     })
 }
 
-/// What `--set node.param=value` says about a parameter.
+/// The value that `--set node.param=value` gives a parameter.
 fn set_value<'a>(args: &'a [String], node: &str, param: &str) -> Option<&'a str> {
     let value = values_of(args, "--set")
         .filter_map(|set| set.split_once('='))

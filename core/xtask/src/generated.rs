@@ -1,10 +1,10 @@
-//! Files that tests compare with and can write anew: the C header and the expected outputs.
+//! Files that tests compare with and can update: the C header and the expected outputs.
 
 use std::process::Command;
 
 use anyhow::{Result, ensure};
 
-use crate::build::{Built, Profile, build};
+use crate::build::{BuiltForTests, Profile, build_for_tests};
 use crate::packages::Purpose;
 use crate::process;
 use crate::setup;
@@ -13,7 +13,7 @@ use crate::workspace::Workspace;
 /// With this variable set, tests write what they would compare with.
 const BLESS: &str = "PANOSCOPE_BLESS";
 
-/// Writes core/abi/panoscope.h anew.
+/// Updates core/abi/panoscope.h.
 pub fn header(workspace: &Workspace) -> Result<()> {
     process::run(workspace.cargo().args(["test", "--quiet", "--package", "panoscope-abi"]).env(BLESS, "1"))?;
     let header = workspace.root.join("core/abi/panoscope.h");
@@ -21,22 +21,27 @@ pub fn header(workspace: &Workspace) -> Result<()> {
     show_changes(workspace, "core/abi")
 }
 
-/// Writes all expected outputs anew. They are to be read before they are committed.
+/// Updates all expected outputs. Read the difference before you commit it.
 pub fn bless(workspace: &Workspace) -> Result<()> {
     setup::ensure(&[Purpose::Build, Purpose::Test])?;
-    let built = build(workspace, Profile::Dev)?;
+    let built = build_for_tests(workspace, Profile::Dev)?;
     let mut cargo = workspace.cargo();
-    test_environment(&mut cargo, workspace, &built);
+    test_environment(&mut cargo, workspace, &built)?;
     process::run(cargo.args(["test", "--quiet", "--workspace", "--no-fail-fast"]).env(BLESS, "1"))?;
     show_changes(workspace, ".")
 }
 
-/// What tests are told about the build.
-pub fn test_environment(cargo: &mut Command, workspace: &Workspace, built: &Built) {
+/// Environment variables by which tests find the build.
+///
+/// # Errors
+/// The path of a plugin folder contains a colon.
+pub fn test_environment(cargo: &mut Command, workspace: &Workspace, tests: &BuiltForTests) -> Result<()> {
+    let plugin_path = std::env::join_paths([&tests.built.plugin_dir, &tests.test_plugin_dir])?;
     cargo
-        .env("PANOSCOPE_PLUGIN_PATH", &built.plugin_dir)
-        .env("PANOSCOPE_BIN", &built.program)
+        .env("PANOSCOPE_PLUGIN_PATH", plugin_path)
+        .env("PANOSCOPE_BIN", &tests.built.program)
         .env("PANOSCOPE_DATA", workspace.data_dir());
+    Ok(())
 }
 
 fn show_changes(workspace: &Workspace, path: &str) -> Result<()> {

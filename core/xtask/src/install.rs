@@ -36,7 +36,7 @@ pub fn install(workspace: &Workspace, dir: &Path) -> Result<()> {
 struct Tree<'a> {
     built: &'a Built,
     windows: Option<&'a Windows>,
-    /// ONNX Runtime's shared library; its licence stands beside it.
+    /// ONNX Runtime's shared library; its licence is beside it.
     runtime: Option<&'a Path>,
 }
 
@@ -77,7 +77,7 @@ mod tests {
 
     use super::*;
 
-    /// The build that the tests run with, as `cargo xtask test` says it.
+    /// The build that the tests run with, as `cargo xtask test` names it.
     fn built() -> Option<Built> {
         let program = PathBuf::from(std::env::var_os("PANOSCOPE_BIN")?);
         let plugin_dir = program.with_file_name("plugins");
@@ -88,17 +88,23 @@ mod tests {
     fn an_installed_tree_finds_instruments_without_any_environment() {
         let workspace = Workspace::locate().unwrap();
         let Some(built) = built() else {
-            return println!("skipped: PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
+            return panoscope_testing::skipped!("PANOSCOPE_BIN names no program; `cargo xtask test` sets it");
         };
         let runtime = match onnxruntime::fetch(&workspace) {
             Ok(library) => library,
-            Err(error) => return println!("skipped: no ONNX Runtime: {error:#}"),
+            Err(error) => return panoscope_testing::skipped!("no ONNX Runtime: {error:#}"),
         };
         // Not below the build's folder, where ONNX Runtime would be found anyway.
         let dir = std::env::temp_dir().join(format!("xtask_installed_{}", std::process::id()));
         let _ = fs::remove_dir_all(&dir);
         let tree = Tree { built: &built, windows: None, runtime: Some(&runtime) };
         tree.put_into(&workspace, &dir, Means::Link).unwrap();
+        let mut list = std::process::Command::new(dir.join(program_name()));
+        let listed = list.env_clear().arg("list").output().unwrap();
+        let listed = String::from_utf8_lossy(&listed.stdout).into_owned();
+        let names_plugin = |plugin: &crate::workspace::Plugin| listed.contains(&plugin.name);
+        assert!(workspace.plugins.iter().all(names_plugin), "{listed}");
+        assert!(!workspace.test_plugins.iter().any(names_plugin), "plugins of tests were installed: {listed}");
         let run = |dir: &Path| {
             let graph = dir.join("graphs/tools.toml");
             let mut command = std::process::Command::new(dir.join(program_name()));

@@ -33,20 +33,20 @@ const USAGE: &str = "\
 cargo xtask COMMAND
 
   demo [GRAPH.toml] [--headless] [args of `panoscope run`]
-                       installs what is missing, builds, runs graphs/panorama.toml and says what came out
+                       installs what is missing, builds, runs graphs/panorama.toml and prints what it wrote
   test [SUITE] [-- args of `cargo test`]
                        installs what is missing, builds, checks format and lints, runs all tests; suites: all, lint, code, faults,
-                       hostile-models
+                       hostile-models, disk, kill
   setup [--bench]      installs the system packages that are missing (--bench: the peers of `bench` too)
   build [--release]    builds the program, the editor and the plugins, laid out so that they also run outside cargo
   bench [args]         builds in release and runs `panoscope bench args`
   install DIR          puts a release build (program, editor, plugins with models, ONNX Runtime, graphs) into DIR
   package [DIR]        makes a Debian package and a relocatable tar file of a release build in DIR (target/package)
-  screens [DIR]        takes pictures of the editor at work, on a screen that nobody sees, into DIR (target/screens)
+  screens [DIR]        takes pictures of both windows on a virtual screen into DIR (target/screens)
   data                 fetches the test data that comes from Python wheels into target/data
   onnxruntime          fetches ONNX Runtime's shared library into target/onnxruntime
-  header               writes core/abi/panoscope.h anew from the ABI
-  bless                writes all expected outputs of the tests anew";
+  header               updates core/abi/panoscope.h from the sources of the ABI
+  bless                updates all expected outputs of the tests";
 
 fn main() -> ExitCode {
     match arguments().and_then(|args| dispatch(&args)) {
@@ -85,9 +85,17 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             let profile = if flag(rest, "--release")? { Profile::Release } else { Profile::Dev };
             setup::ensure(&[Purpose::Build])?;
             let workspace = Workspace::locate()?;
-            let built = build::build(&workspace, profile)?;
+            // Only a development build is tested.
+            let (built, test_plugin_dir) = match profile {
+                Profile::Release => (build::build(&workspace, profile)?, None),
+                Profile::Dev => {
+                    let tests = build::build_for_tests(&workspace, profile)?;
+                    (tests.built, Some(tests.test_plugin_dir))
+                }
+            };
             let windows = build::build_windows(&workspace, profile)?;
-            for path in [&built.program, &windows.editor, &windows.theatre, &built.plugin_dir] {
+            let made = [&built.program, &windows.editor, &windows.theatre, &built.plugin_dir];
+            for path in made.into_iter().chain(&test_plugin_dir) {
                 println!("{}", path.display());
             }
         }
@@ -131,7 +139,7 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Whether `name` stands in `args`; anything else there is a mistake of the caller.
+/// Whether `args` contains `name`; any other argument is an error.
 fn flag(args: &[String], name: &str) -> Result<bool> {
     match args.iter().find(|arg| *arg != name) {
         Some(other) => bail!("unexpected argument `{other}`"),

@@ -28,7 +28,7 @@ static AARCH64: Wheel = Wheel {
     ..X86_64
 };
 
-/// Fetches the library for this machine; returns where it stands. Does nothing when it is there.
+/// Fetches the library for this machine; returns its path. Does nothing if it is there already.
 pub fn fetch(workspace: &Workspace) -> Result<PathBuf> {
     let wheel = match (std::env::consts::OS, std::env::consts::ARCH) {
         ("linux", "x86_64") => &X86_64,

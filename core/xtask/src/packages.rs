@@ -21,7 +21,7 @@ pub enum Purpose {
     Bench,
     /// Fetching files from Python wheels.
     Wheels,
-    /// Pictures of the editor on a screen that nobody sees.
+    /// Pictures of the windows on a virtual screen.
     Screens,
     /// Making packages.
     Package,
@@ -203,7 +203,7 @@ fn installed_names(dpkg_query: &str) -> BTreeSet<String> {
         .collect()
 }
 
-/// Whether dpkg is told to leave documentation out, as container images often do: then an installed opencv-doc
+/// Whether dpkg is configured to leave documentation out, as container images often do: then an installed opencv-doc
 /// may be empty.
 fn documentation_is_excluded() -> bool {
     let Ok(folder) = std::fs::read_dir("/etc/dpkg/dpkg.cfg.d") else { return false };

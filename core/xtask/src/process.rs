@@ -1,4 +1,4 @@
-//! Running other programs: what is shown of them, and how a failure is told.
+//! Runs other programs, shows their output and reports their failures.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -31,7 +31,7 @@ pub fn run(command: &mut Command) -> Result<()> {
     check(command, status)
 }
 
-/// Runs a command silently and returns its standard output; a failure carries the end of what it said.
+/// Runs a command silently and returns its standard output; a failure carries the end of its output.
 pub fn capture(command: &mut Command) -> Result<String> {
     let output = command.stdin(Stdio::null()).output().with_context(|| format!("cannot start `{}`", shown(command)))?;
     let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -42,7 +42,7 @@ pub fn capture(command: &mut Command) -> Result<String> {
     Ok(stdout)
 }
 
-/// Runs a command and hands every line of its standard output to `on_line`, which says whether to show it.
+/// Runs a command and hands every line of its standard output to `on_line`, which returns whether to show it.
 /// Standard error goes straight to the terminal.
 pub fn filter(command: &mut Command, mut on_line: impl FnMut(&str) -> bool) -> Result<ExitStatus> {
     let mut child =
@@ -75,7 +75,7 @@ pub fn tail(text: &str, lines: usize) -> String {
     all[all.len().saturating_sub(lines)..].join("\n")
 }
 
-/// Where a program stands in PATH.
+/// Path of a program in PATH.
 pub fn find_program(name: &str) -> Option<PathBuf> {
     let path = std::env::var_os("PATH")?;
     std::env::split_paths(&path).map(|dir| dir.join(name)).find(|file| file.is_file())

@@ -20,9 +20,9 @@ impl Summary {
     pub fn from_json(text: &str) -> Result<Self> {
         let report: Value = serde_json::from_str(text).context("the report is no JSON")?;
         let number =
-            |value: &Value, key: &str| value[key].as_f64().with_context(|| format!("the report tells no {key}"));
-        let frames = report["frames"].as_u64().context("the report tells no frames")?;
-        let nodes = report["nodes"].as_object().context("the report tells no nodes")?;
+            |value: &Value, key: &str| value[key].as_f64().with_context(|| format!("the report has no `{key}`"));
+        let frames = report["frames"].as_u64().context("the report has no `frames`")?;
+        let nodes = report["nodes"].as_object().context("the report has no `nodes`")?;
         let (seconds, fps) = (number(&report, "seconds")?, number(&report, "fps")?);
 
         let mut text = String::new();

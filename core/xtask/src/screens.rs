@@ -1,4 +1,4 @@
-//! `cargo xtask screens`: pictures of the editor at work with the phantom, taken on a screen that nobody sees.
+//! `cargo xtask screens`: pictures of both windows over running graphs, taken on a virtual screen.
 
 use std::fs;
 use std::path::PathBuf;
@@ -79,7 +79,7 @@ impl Drop for Screen {
     }
 }
 
-/// Takes all pictures, or those whose names stand in `args` behind the folder.
+/// Takes all pictures, or those that `args` names after the folder.
 ///
 /// # Errors
 /// Something is missing, the build fails, or a picture was not taken.

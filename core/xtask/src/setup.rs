@@ -1,4 +1,4 @@
-//! Installs the system packages that are missing, or says how to get them.
+//! Installs the system packages that are missing, or prints how to get them.
 
 use std::process::Command;
 
@@ -13,7 +13,7 @@ use crate::system::System;
 pub enum Outcome {
     NothingMissing,
     Installed,
-    /// Only packages that can be done without are still missing; a line said which.
+    /// Only packages that can be done without are still missing; a line named them.
     GoesWithout,
 }
 
@@ -60,7 +60,7 @@ fn install(root: &Root, packages: &[&Package]) -> Result<()> {
     }
 }
 
-/// Ends with an error when something needed is missing, else says what is left out.
+/// Ends with an error when something needed is missing, else prints what is left out.
 fn without(system: System, absent: &[&Package], why: Option<String>) -> Result<Outcome> {
     let (optional, needed): (Vec<&Package>, Vec<&Package>) =
         absent.iter().copied().partition(|package| package.purpose.is_optional());

@@ -42,7 +42,7 @@ impl System {
             .unwrap_or(Self::Other)
     }
 
-    /// The words before package names on a command line, where known.
+    /// The command that installs packages, up to the names of the packages, where known.
     pub fn install_command(self) -> Option<&'static str> {
         match self {
             Self::Debian => Some("apt-get install --no-install-recommends"),

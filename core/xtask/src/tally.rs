@@ -86,11 +86,11 @@ impl Tally {
 
     /// `N passed, N failed, N skipped`.
     pub fn summary(&self) -> String {
-        // A test that failed after it said "skipped" is a failure only.
-        let said: usize =
+        // A test that failed after it reported a skip is only a failure.
+        let reported: usize =
             self.skips.keys().filter(|(_, test)| !test.is_empty() && !self.failures.contains(test)).count();
-        let said = said.min(self.passed);
-        format!("{} passed, {} failed, {} skipped", self.passed - said, self.failed, self.ignored + said)
+        let reported = reported.min(self.passed);
+        format!("{} passed, {} failed, {} skipped", self.passed - reported, self.failed, self.ignored + reported)
     }
 }
 

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 
-use crate::build::{Profile, build};
+use crate::build::{Profile, build_for_tests};
 use crate::generated::test_environment;
 use crate::lint;
 use crate::onnxruntime;
@@ -74,7 +74,7 @@ impl<'a> Request<'a> {
         let name = match suite {
             [] => "all",
             [name] => name.as_str(),
-            [_, other, ..] => bail!("unexpected argument `{other}`; arguments of `cargo test` stand after `--`"),
+            [_, other, ..] => bail!("unexpected argument `{other}`; put arguments of `cargo test` after `--`"),
         };
         let suite = SUITES.iter().find(|suite| suite.name == name).with_context(|| {
             let known: Vec<&str> = SUITES.iter().map(|suite| suite.name).collect();
@@ -125,9 +125,9 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
         timed("clippy", || lint::clippy(workspace))?;
     }
     if request.suite.tests {
-        let built = timed("build", || build(workspace, Profile::Dev))?;
+        let built = timed("build", || build_for_tests(workspace, Profile::Dev))?;
         let mut cargo = workspace.cargo();
-        test_environment(&mut cargo, workspace, &built);
+        test_environment(&mut cargo, workspace, &built)?;
         for (name, value) in request.suite.env.iter().filter(|(name, _)| std::env::var_os(name).is_none()) {
             cargo.env(name, value);
         }
@@ -136,7 +136,7 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
         if !request.names_packages() && request.suite.only.is_empty() {
             cargo.arg("--workspace");
         }
-        // Without it libtest swallows what passing tests say, the reasons of skips among it.
+        // Without it libtest hides the output of passing tests, which has the reasons of skips.
         cargo.args(request.cargo_args).args(["--", "--show-output"]).args(request.test_args);
         timed("tests", || {
             let status = process::filter(&mut cargo, |line| tally.read(line))?;
@@ -146,7 +146,7 @@ fn steps(workspace: &Workspace, request: &Request, tally: &mut Tally) -> Result<
     Ok(())
 }
 
-/// Runs a step, tells how long it took and puts its name before its error.
+/// Runs a step, prints how long it took and puts its name before its error.
 fn timed<T>(step: &'static str, run: impl FnOnce() -> Result<T>) -> Result<T> {
     let start = Instant::now();
     let outcome = run();

@@ -22,7 +22,7 @@ with zipfile.ZipFile(wheel) as archive:
         os.replace(target + '.part', target)
 ";
 
-/// Name of the file that says which wheel a folder was filled from.
+/// Name of the file that records which wheel a folder was filled from.
 const STAMP: &str = ".wheel";
 
 /// One wheel and what is wanted of it. Python's version and the platform are part of the pin, so that every machine
@@ -94,7 +94,7 @@ impl Wheel {
     }
 }
 
-/// A Python whose pip answers; installs pip where that is possible.
+/// A Python with a working pip; installs pip where that is possible.
 fn python_with_pip() -> Result<&'static str> {
     let find = || {
         let has_pip = |python: &&str| process::capture(Command::new(python).args(["-m", "pip", "--version"])).is_ok();
@@ -106,7 +106,7 @@ fn python_with_pip() -> Result<&'static str> {
     setup::ensure(&[Purpose::Wheels])?;
     match find() {
         Some(python) => Ok(python),
-        None => bail!("`python3 -m pip` does not answer: install pip for Python 3"),
+        None => bail!("`python3 -m pip` does not work: install pip for Python 3"),
     }
 }
 

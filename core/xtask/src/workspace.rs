@@ -8,11 +8,13 @@ use serde_json::Value;
 
 use crate::process;
 
-/// A plugin crate: a folder under `plugins/`.
+/// A plugin crate: a folder under `plugins/`, or under `tests/plugins/` if only tests use it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Plugin {
     /// The folder's name, which is the plugin's name in a graph.
     pub name: String,
+    /// The folder of its `Cargo.toml`.
+    pub folder: PathBuf,
     /// The cargo package in it.
     pub package: String,
 }
@@ -22,14 +24,16 @@ pub struct Plugin {
 pub struct Workspace {
     pub root: PathBuf,
     pub target: PathBuf,
-    /// In the order of their names.
+    /// The plugins that ship, sorted by name.
     pub plugins: Vec<Plugin>,
+    /// The plugins that only tests use, sorted by name. No command but `build`, `test` and `bless` builds them.
+    pub test_plugins: Vec<Plugin>,
 }
 
 impl Workspace {
     /// Asks cargo, so that CARGO_TARGET_DIR and configuration files are respected.
     pub fn locate() -> Result<Self> {
-        // Set anew by `cargo run`, so a repository that was moved is still found.
+        // `cargo run` sets it each time, so a repository that was moved is still found.
         let crate_dir =
             std::env::var_os("CARGO_MANIFEST_DIR").map_or(PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
         let root = crate_dir.ancestors().nth(2).context("core/xtask has no workspace above it")?;
@@ -40,25 +44,28 @@ impl Workspace {
     fn from_metadata(text: &str) -> Result<Self> {
         let metadata: Value = serde_json::from_str(text).context("`cargo metadata` wrote no JSON")?;
         let path = |key: &str| {
-            metadata[key].as_str().map(PathBuf::from).with_context(|| format!("`cargo metadata` tells no {key}"))
+            metadata[key].as_str().map(PathBuf::from).with_context(|| format!("`cargo metadata` reports no {key}"))
         };
         let root = path("workspace_root")?;
-        let plugin_root = root.join("plugins");
-        let mut plugins: Vec<Plugin> = metadata["packages"]
-            .as_array()
-            .context("`cargo metadata` tells no packages")?
-            .iter()
-            .filter_map(|package| {
-                let folder = Path::new(package["manifest_path"].as_str()?).parent()?;
-                (folder.parent()? == plugin_root).then_some(())?;
-                Some(Plugin {
-                    name: folder.file_name()?.to_str()?.to_owned(),
-                    package: package["name"].as_str()?.to_owned(),
+        let packages = metadata["packages"].as_array().context("`cargo metadata` lists no packages")?;
+        let plugins_in = |plugin_root: PathBuf| {
+            let mut plugins: Vec<Plugin> = packages
+                .iter()
+                .filter_map(|package| {
+                    let folder = Path::new(package["manifest_path"].as_str()?).parent()?;
+                    (folder.parent()? == plugin_root).then_some(())?;
+                    Some(Plugin {
+                        name: folder.file_name()?.to_str()?.to_owned(),
+                        folder: folder.to_owned(),
+                        package: package["name"].as_str()?.to_owned(),
+                    })
                 })
-            })
-            .collect();
-        plugins.sort_by(|a, b| a.name.cmp(&b.name));
-        Ok(Self { target: path("target_directory")?, root, plugins })
+                .collect();
+            plugins.sort_by(|a, b| a.name.cmp(&b.name));
+            plugins
+        };
+        let (plugins, test_plugins) = (plugins_in(root.join("plugins")), plugins_in(root.join("tests/plugins")));
+        Ok(Self { target: path("target_directory")?, root, plugins, test_plugins })
     }
 
     /// Cargo in the workspace's root.
@@ -96,10 +103,15 @@ mod tests {
             {"name": "panoscope-stitch", "manifest_path": "/r/plugins/stitch/Cargo.toml"},
             {"name": "panoscope-capture", "manifest_path": "/r/plugins/capture/Cargo.toml"},
             {"name": "panoscope-cli", "manifest_path": "/r/core/cli/Cargo.toml"},
+            {"name": "panoscope-chaos", "manifest_path": "/r/tests/plugins/chaos/Cargo.toml"},
             {"name": "helper", "manifest_path": "/r/plugins/stitch/helper/Cargo.toml"}]}"#;
         let workspace = Workspace::from_metadata(text).unwrap();
-        let names: Vec<_> = workspace.plugins.iter().map(|p| (p.name.as_str(), p.package.as_str())).collect();
-        assert_eq!(names, [("capture", "panoscope-capture"), ("stitch", "panoscope-stitch")]);
+        let names =
+            |plugins: &[Plugin]| -> Vec<_> { plugins.iter().map(|p| (p.name.clone(), p.package.clone())).collect() };
+        let named = |name: &str| (name.to_owned(), format!("panoscope-{name}"));
+        assert_eq!(names(&workspace.plugins), [named("capture"), named("stitch")]);
+        assert_eq!(names(&workspace.test_plugins), [named("chaos")]);
+        assert_eq!(workspace.test_plugins[0].folder, Path::new("/r/tests/plugins/chaos"));
         assert_eq!(workspace.target, Path::new("/t"));
     }
 
@@ -114,5 +126,6 @@ mod tests {
         let workspace = Workspace::locate().unwrap();
         assert!(workspace.root.join("core/xtask/Cargo.toml").is_file());
         assert!(workspace.plugins.iter().any(|plugin| plugin.name == "phantom"));
+        assert!(workspace.test_plugins.iter().any(|plugin| plugin.name == "chaos"));
     }
 }

@@ -1,19 +1,19 @@
-//! Everything that can be done, with its key. Buttons and keys ask for the same actions.
+//! All actions of the editor and their keys. Buttons and keys trigger the same actions.
 
 use eframe::egui::{InputState, Key, KeyboardShortcut, Modifiers};
 
-/// What can be asked for.
+/// An action of the editor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Action {
-    /// Add a node by typing.
+    /// Open the palette to add a node.
     Add,
-    /// Connect the selected node by typing.
+    /// Open the palette to connect the selected node.
     Connect,
-    /// Find a node by typing.
+    /// Open the palette to find a node.
     Find,
-    /// Take the last edit back.
+    /// Undo the last edit.
     Undo,
-    /// Do it again.
+    /// Redo the last undone edit.
     Redo,
     /// Save the file.
     Save,
@@ -23,45 +23,45 @@ pub enum Action {
     ZoomIn,
     /// Zoom out.
     ZoomOut,
-    /// Remove what is selected.
+    /// Delete the selection.
     Delete,
     /// Copy the selected nodes beside themselves.
     Duplicate,
-    /// Lead the readers of the selected nodes around them.
+    /// Bypass the selected nodes, or end the bypass.
     Bypass,
     /// Select all nodes.
     SelectAll,
     /// Select the next node.
     Next,
-    /// Select the next node, too.
+    /// Add the next node to the selection.
     NextToo,
-    /// Show the output under the pointer, or of the selected node, large.
+    /// Show the output under the pointer, or of the selected node, in the viewer.
     View,
-    /// Compare what is shown large with another output.
+    /// Compare the output in the viewer with another one.
     Compare,
-    /// Put a titled frame around the selected nodes.
+    /// Add a titled frame around the selected nodes.
     Frame,
     /// Add a note.
     Note,
-    /// Put the selected nodes in line.
+    /// Align the selected nodes.
     Align,
-    /// Colour nodes by where time goes.
+    /// Colour nodes by the time that they take.
     Heat,
     /// Show the file's text.
     Text,
-    /// Show curves of times.
+    /// Show plots of times and values.
     Plots,
-    /// Show what became of the parameters.
+    /// Show the history of parameter changes.
     History,
-    /// Step back to the value before.
+    /// Step back in the history.
     Back,
-    /// Step forward again.
+    /// Step forward in the history.
     Forward,
     /// Sweep a parameter.
     Sweep,
     /// Show mistakes and faults.
     Problems,
-    /// Start the graph anew.
+    /// Restart the graph.
     Restart,
     /// Show the plugins.
     Plugins,
@@ -69,11 +69,11 @@ pub enum Action {
     Reload,
     /// Show the keys.
     Help,
-    /// Leave what is open.
+    /// Close what is open, or clear the selection.
     Escape,
 }
 
-/// Every action with its key and its words, in the order of the help.
+/// Every action with its key and description, in the order of the help.
 pub const ALL: &[(Action, Modifiers, Key, &str)] = {
     use Action::*;
     const NONE: Modifiers = Modifiers::NONE;
@@ -85,7 +85,7 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (Find, CTRL, Key::F, "Find a node"),
         (Delete, NONE, Key::Delete, "Delete the selection"),
         (Duplicate, CTRL, Key::D, "Duplicate the selection"),
-        (Bypass, NONE, Key::B, "Bypass the selected nodes, or end it"),
+        (Bypass, NONE, Key::B, "Bypass the selected nodes, or end the bypass"),
         (Undo, CTRL, Key::Z, "Undo"),
         (Redo, SHIFT, Key::Z, "Redo"),
         (Save, CTRL, Key::S, "Save the file"),
@@ -96,30 +96,30 @@ pub const ALL: &[(Action, Modifiers, Key, &str)] = {
         (ZoomOut, NONE, Key::Minus, "Zoom out"),
         (SelectAll, CTRL, Key::A, "Select all nodes"),
         (Next, NONE, Key::N, "Select the next node"),
-        (NextToo, Modifiers::SHIFT, Key::N, "Select the next node, too"),
+        (NextToo, Modifiers::SHIFT, Key::N, "Add the next node to the selection"),
         (Frame, NONE, Key::G, "Frame the selected nodes"),
         (Note, NONE, Key::O, "Add a note"),
-        (Align, NONE, Key::L, "Put the selected nodes in line"),
+        (Align, NONE, Key::L, "Align the selected nodes"),
         (Heat, NONE, Key::H, "Heat map: where time goes"),
         (Text, NONE, Key::T, "The file's text"),
-        (Plots, NONE, Key::P, "Curves of times"),
+        (Plots, NONE, Key::P, "Plots of times and values"),
         (History, NONE, Key::Y, "History of the parameters"),
-        (Back, NONE, Key::OpenBracket, "One value back in the history"),
-        (Forward, NONE, Key::CloseBracket, "One value forward in the history"),
+        (Back, NONE, Key::OpenBracket, "One step back in the history"),
+        (Forward, NONE, Key::CloseBracket, "One step forward in the history"),
         (Sweep, NONE, Key::S, "Sweep a parameter"),
         (Problems, NONE, Key::M, "Mistakes and faults"),
         (Plugins, NONE, Key::U, "Plugins and what they offer"),
         (Reload, CTRL, Key::R, "Swap rebuilt plugins in"),
-        (Restart, SHIFT, Key::R, "Start the graph anew"),
+        (Restart, SHIFT, Key::R, "Restart the graph"),
         (Help, NONE, Key::F1, "These keys"),
         (Escape, NONE, Key::Escape, "Close what is open"),
     ]
 };
 
-/// Actions whose keys count while something is picked on a picture; the other keys are for that.
+/// Actions whose keys work while picking on an image; the picker gets the other keys.
 const PICKING: [Action; 5] = [Action::Undo, Action::Redo, Action::Save, Action::Help, Action::Escape];
 
-/// As [`pressed`], while something is picked on a picture.
+/// As [`pressed`], while picking on an image.
 pub fn pressed_while_picking(input: &mut InputState) -> Vec<Action> {
     let mut all: Vec<_> = ALL.iter().filter(|(action, ..)| PICKING.contains(action)).collect();
     all.sort_by_key(|(_, m, ..)| std::cmp::Reverse(u8::from(m.command) + u8::from(m.shift)));
@@ -127,10 +127,10 @@ pub fn pressed_while_picking(input: &mut InputState) -> Vec<Action> {
     all.into_iter().map(|(action, ..)| *action).collect()
 }
 
-/// Takes the actions whose keys were pressed out of the input. While a text is being typed only keys with Ctrl count, and Escape.
+/// Consumes the keys of actions and returns the actions. While a text is edited, only Escape and keys with Ctrl count.
 pub fn pressed(input: &mut InputState, typing: bool) -> Vec<Action> {
     let mut found = Vec::new();
-    // Keys with more modifiers first: Ctrl+Shift+Z is no Ctrl+Z.
+    // Keys with more modifiers first, so that Ctrl+Shift+Z does not count as Ctrl+Z.
     let mut all: Vec<_> = ALL.iter().collect();
     all.sort_by_key(|(_, m, ..)| std::cmp::Reverse(u8::from(m.command) + u8::from(m.shift)));
     for (action, modifiers, key, _) in all {
@@ -148,25 +148,25 @@ pub fn pressed(input: &mut InputState, typing: bool) -> Vec<Action> {
     found
 }
 
-/// The key of an action in words.
-pub fn key_words(action: Action) -> String {
+/// The name of an action's key.
+pub fn key_name(action: Action) -> String {
     let found = ALL.iter().find(|(a, ..)| *a == action);
     found.map_or_else(String::new, |(_, modifiers, key, _)| {
-        let words = KeyboardShortcut::new(*modifiers, *key).format(&eframe::egui::ModifierNames::NAMES, false);
-        // As it stands on the key.
+        let name = KeyboardShortcut::new(*modifiers, *key).format(&eframe::egui::ModifierNames::NAMES, false);
+        // Shown as printed on the key.
         let sign = match key {
             Key::Plus => "+",
             Key::Minus => "-",
             Key::OpenBracket => "[",
             Key::CloseBracket => "]",
-            _ => return words,
+            _ => return name,
         };
-        words.replace(key.name(), sign)
+        name.replace(key.name(), sign)
     })
 }
 
-/// What an action does, with its key.
+/// The description of an action with its key, for tooltips.
 pub fn hint(action: Action) -> String {
-    let words = ALL.iter().find(|(a, ..)| *a == action).map_or("", |(.., words)| words);
-    format!("{words} ({})", key_words(action))
+    let description = ALL.iter().find(|(a, ..)| *a == action).map_or("", |(.., description)| description);
+    format!("{description} ({})", key_name(action))
 }

@@ -1,6 +1,6 @@
-//! The editor: a window over a running graph.
+//! The editor: a window that shows a running graph and edits it.
 //!
-//! What it knows of the graph stands in `panoscope-editor-model`; this crate draws and edits.
+//! The model of the graph is in `panoscope-editor-model`; this crate draws it and handles input.
 
 #![forbid(unsafe_code)]
 
@@ -11,5 +11,5 @@ pub mod palette;
 pub mod panels;
 pub mod picker;
 mod search;
-pub mod space;
+pub mod view3d;
 pub mod viewer;

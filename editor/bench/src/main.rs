@@ -1,4 +1,5 @@
-//! `panoscope-editor GRAPH`, started by `panoscope edit GRAPH`. Exit codes: 0 done, 1 no window or a failed run, 2 no such file.
+//! `panoscope-editor GRAPH`, started by `panoscope edit GRAPH`. Exit codes: 0 success, 1 the window could not be opened, 2 the file cannot be
+//! read.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +7,7 @@ use clap::Parser;
 use panoscope_editor::app::{App, Options};
 use panoscope_editor_widgets::window;
 
-/// Shows a graph while it runs, to change it and to set its parameters.
+/// Shows a running graph and edits it.
 #[derive(Parser)]
 #[command(name = "panoscope-editor", version)]
 struct Arguments {
@@ -26,7 +27,7 @@ fn main() {
     window::leave(code)
 }
 
-/// Whether a file could be made there.
+/// Whether a graph file can be created at this path.
 fn in_a_folder(file: &Path) -> bool {
     let folder = file.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     folder.is_dir() && file.extension().is_some_and(|e| e == "toml")
@@ -35,7 +36,7 @@ fn in_a_folder(file: &Path) -> bool {
 fn run(arguments: &Arguments) -> i32 {
     let text = match std::fs::read_to_string(&arguments.graph) {
         Ok(text) => text,
-        // A file that is to be: templates are offered.
+        // A new file: the window offers templates.
         Err(error) if error.kind() == std::io::ErrorKind::NotFound && in_a_folder(&arguments.graph) => String::new(),
         Err(error) => {
             eprintln!("error: {} cannot be read: {error}", arguments.graph.display());

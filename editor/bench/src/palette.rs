@@ -1,4 +1,4 @@
-//! One field to type into and a list below it: add a node, connect the selected one, find one. All by keyboard.
+//! The palette: a search field with a list, to add a node, connect the selected one or find one by keyboard.
 
 use std::sync::{Arc, Mutex};
 
@@ -13,48 +13,48 @@ use crate::panels::inspector::candidates;
 use crate::search;
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::observe::Output;
-use panoscope_editor_model::ops::{self, Waiting};
+use panoscope_editor_model::ops::{self, PendingWire};
 use panoscope_editor_widgets::theme;
 use panoscope_engine::sync::lock;
 
-/// What is looked for.
+/// What the palette is open for.
 #[derive(Clone, Debug)]
 pub enum Purpose {
-    /// A type for a new node at a place, with the wire that waits for it.
+    /// Adding a node at a position, for the end of a wire if there is one.
     Add {
-        /// Where the node goes.
+        /// Position of the new node.
         at: (f32, f32),
-        /// The wire's other end.
-        waiting: Option<Waiting>,
+        /// The existing end of the wire.
+        pending: Option<PendingWire>,
     },
-    /// An output for an input of a node.
+    /// Choosing an output for an input of a node.
     Connect {
         /// The node.
         node: String,
     },
-    /// A node.
+    /// Finding a node.
     Find,
 }
 
-/// What was picked.
+/// What the user picked.
 #[derive(Clone, Debug)]
 pub enum Picked {
-    /// A type for a new node.
-    Add(Arc<NodeType>, (f32, f32), Option<Waiting>),
+    /// A type for a new node, its position and the end of its wire.
+    Add(Arc<NodeType>, (f32, f32), Option<PendingWire>),
     /// An input (node, input) and its output.
     Connect(String, String, Output),
     /// A node to go to.
     Go(String),
 }
 
-/// All node types of this machine, gathered on a thread of their own: loading a plugin takes time.
+/// All node types of this machine. They are loaded on a thread of their own, because loading plugins takes time.
 #[derive(Clone, Default)]
 pub struct Types(Arc<Mutex<Option<TypeList>>>);
 
 type TypeList = Arc<Vec<Arc<NodeType>>>;
 
 impl Types {
-    /// Gathers them and calls `done`.
+    /// Loads them and then calls `done`.
     pub fn gather(&self, loader: Arc<Loader>, done: impl Fn() + Send + 'static) {
         let place = Arc::clone(&self.0);
         let gather = move || {
@@ -63,7 +63,7 @@ impl Types {
             *lock(&place) = Some(Arc::new(types));
             done();
         };
-        // Without a thread the list stays empty; the file can still be edited by hand.
+        // If the thread cannot be started, the list stays empty; the file can still be edited as text.
         let _ = std::thread::Builder::new().name("types".to_owned()).spawn(gather);
     }
 
@@ -75,7 +75,7 @@ impl Types {
 struct Entry {
     name: String,
     side: String,
-    words: String,
+    doc: String,
     color: eframe::egui::Color32,
     picked: Picked,
 }
@@ -89,7 +89,7 @@ pub struct Palette {
 }
 
 impl Palette {
-    /// Opens it.
+    /// Opens the palette.
     pub fn new(purpose: Purpose) -> Self {
         Self { purpose, typed: String::new(), chosen: 0, fresh: true }
     }
@@ -97,17 +97,17 @@ impl Palette {
     fn entries(&self, document: &Document, types: &Types) -> Vec<Entry> {
         let view = document.view();
         match &self.purpose {
-            Purpose::Add { at, waiting } => {
+            Purpose::Add { at, pending } => {
                 let types = types.get().unwrap_or_default();
                 let fits = |t: &&Arc<NodeType>| {
-                    waiting.as_ref().is_none_or(|waiting| ops::fitting_port(view, t, waiting).is_some())
+                    pending.as_ref().is_none_or(|pending| ops::fitting_port(view, t, pending).is_some())
                 };
                 let entry = |t: &Arc<NodeType>| Entry {
                     name: t.name.clone(),
                     side: format!("{} · {}", t.family, t.plugin),
-                    words: t.doc.lines().next().unwrap_or_default().to_owned(),
+                    doc: t.doc.lines().next().unwrap_or_default().to_owned(),
                     color: theme::family(&t.family),
-                    picked: Picked::Add(Arc::clone(t), *at, waiting.clone()),
+                    picked: Picked::Add(Arc::clone(t), *at, pending.clone()),
                 };
                 types.iter().filter(fits).map(entry).collect()
             }
@@ -119,7 +119,7 @@ impl Palette {
                 let entry = |(port, from): (&panoscope_graph::Port, Output)| Entry {
                     name: format!("{} from {from}", port.name),
                     side: port.packet.name.clone(),
-                    words: port.doc.lines().next().unwrap_or_default().to_owned(),
+                    doc: port.doc.lines().next().unwrap_or_default().to_owned(),
                     color: theme::packet(&port.packet.name),
                     picked: Picked::Connect(node.clone(), port.name.clone(), from),
                 };
@@ -129,7 +129,7 @@ impl Palette {
                 let entry = |n: &panoscope_editor_model::document::NodeView| Entry {
                     name: n.id().to_owned(),
                     side: n.outline.type_name.clone(),
-                    words: n.node_type.as_ref().and_then(|t| t.doc.lines().next()).unwrap_or_default().to_owned(),
+                    doc: n.node_type.as_ref().and_then(|t| t.doc.lines().next()).unwrap_or_default().to_owned(),
                     color: theme::family(n.family()),
                     picked: Picked::Go(n.id().to_owned()),
                 };
@@ -140,17 +140,17 @@ impl Palette {
 
     fn hint(&self) -> &'static str {
         match &self.purpose {
-            Purpose::Add { waiting: None, .. } => "Add a node: type, family or what it does",
+            Purpose::Add { pending: None, .. } => "Add a node: type, family or what it does",
             Purpose::Add { .. } => "Add a node for this wire",
-            Purpose::Connect { .. } => "Connect: input, or where from",
+            Purpose::Connect { .. } => "Connect: name of an input or output",
             Purpose::Find => "Find a node",
         }
     }
 
-    /// Shows it; answers `Some(None)` when it was left without picking.
+    /// Shows the palette; returns what was picked, or `Some(None)` when it was closed without picking.
     pub fn show(&mut self, ctx: &Context, document: &Document, types: &Types) -> Option<Option<Picked>> {
         let entries = self.entries(document, types);
-        let order = search::rank(&self.typed, entries.iter().map(|e| (e.name.as_str(), e.words.as_str())));
+        let order = search::rank(&self.typed, entries.iter().map(|e| (e.name.as_str(), e.doc.as_str())));
         self.chosen = self.chosen.min(order.len().saturating_sub(1));
         let take = |key| ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key));
         if take(Key::ArrowDown) {
@@ -159,9 +159,9 @@ impl Palette {
         if take(Key::ArrowUp) {
             self.chosen = self.chosen.saturating_sub(1);
         }
-        let mut answer = None;
+        let mut result = None;
         if take(Key::Enter) {
-            answer = order.get(self.chosen).map(|&index| Some(entries[index].picked.clone()));
+            result = order.get(self.chosen).map(|&index| Some(entries[index].picked.clone()));
         }
         let frame = Frame::popup(&ctx.global_style()).inner_margin(12.0);
         let area = Modal::default_area(Id::new("palette")).anchor(Align2::CENTER_TOP, vec2(0.0, 96.0));
@@ -182,22 +182,22 @@ impl Palette {
                         ui.spacing_mut().item_spacing.y = 0.0;
                         for (row, &index) in order.iter().enumerate() {
                             if row_of(ui, &entries[index], row == self.chosen) {
-                                answer = Some(Some(entries[index].picked.clone()));
+                                result = Some(Some(entries[index].picked.clone()));
                             }
                         }
                         if order.is_empty() {
                             let reading = matches!(self.purpose, Purpose::Add { .. }) && types.get().is_none();
-                            let words = if reading { "reading the plugins" } else { "nothing fits" };
-                            ui.label(RichText::new(words).color(theme::MUTED));
+                            let message = if reading { "loading the plugins" } else { "no match" };
+                            ui.label(RichText::new(message).color(theme::MUTED));
                         }
                     },
                 );
             });
-        if answer.is_none() && shown.should_close() { Some(None) } else { answer }
+        if result.is_none() && shown.should_close() { Some(None) } else { result }
     }
 }
 
-/// One row; answers whether it was clicked.
+/// Draws one row; returns whether it was clicked.
 fn row_of(ui: &mut Ui, entry: &Entry, chosen: bool) -> bool {
     let (rect, row) = ui.allocate_exact_size(vec2(ui.available_width(), 44.0), Sense::click());
     row.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, chosen, format!("Pick {}", entry.name)));
@@ -217,8 +217,8 @@ fn row_of(ui: &mut Ui, entry: &Entry, chosen: bool) -> bool {
                 ui.add(Label::new(RichText::new(&entry.side).size(11.0).color(theme::MUTED)).selectable(false));
             });
         });
-        let words = RichText::new(&entry.words).size(11.5).color(theme::MUTED);
-        ui.add(Label::new(words).wrap_mode(TextWrapMode::Truncate).selectable(false));
+        let doc = RichText::new(&entry.doc).size(11.5).color(theme::MUTED);
+        ui.add(Label::new(doc).wrap_mode(TextWrapMode::Truncate).selectable(false));
     });
     row.clicked()
 }

@@ -1,4 +1,4 @@
-//! Points and rectangles of a picture, picked on it: a click adds one, a drag moves it, arrow keys move what has the focus.
+//! Picks points and rectangles on an image: a click or drag adds one, a drag moves it, arrow keys move the focused one.
 
 use eframe::egui::{
     Align2, Button, Color32, EventFilter, FontId, Id, Key, Modifiers, Pos2, Rect, RichText, Sense, Stroke, StrokeKind,
@@ -6,18 +6,18 @@ use eframe::egui::{
 };
 use panoscope_graph::Pick;
 
-use panoscope_editor_model::document::{Document, View};
+use panoscope_editor_model::document::{Document, GraphView};
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::picture::is_pictorial;
 use panoscope_editor_widgets::ARROWS;
 use panoscope_editor_widgets::theme;
 
-/// How near the pointer must come to a handle, points.
+/// Half the size of a handle's clickable area, points.
 const REACH: f32 = 14.0;
-/// A drag shorter than this is no rectangle, px.
-const LEAST_PX: f64 = 2.0;
+/// Minimum size of a drawn rectangle, px.
+const MIN_DRAG_PX: f64 = 2.0;
 
-/// A parameter being picked.
+/// The state of picking one parameter.
 #[derive(Clone, Debug)]
 pub struct Picker {
     /// The node.
@@ -25,29 +25,30 @@ pub struct Picker {
     /// Its parameter.
     pub param: String,
     kind: Pick,
-    /// Most numbers of the list.
-    most: usize,
-    /// The picture is what the node itself makes of the first rectangle: it is cut already.
+    /// Maximum length of the list of numbers.
+    max_len: usize,
+    /// Whether the image is the node's own output, cropped to the first rectangle.
     cut: bool,
-    /// Where a new rectangle was begun, in px.
+    /// First corner of a rectangle being drawn, in px.
     begun: Option<[f64; 2]>,
-    /// Point or rectangle that was touched last.
+    /// Index of the point or rectangle that was touched last.
     touched: usize,
-    /// The handle that was added is to have the focus.
+    /// Index of an added handle that should get the focus.
     focus: Option<usize>,
 }
 
-/// What was asked for.
+/// A request of the picker.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Wish {
-    /// New values.
+pub enum PickerRequest {
+    /// Set new values.
     Set(Vec<f64>),
-    /// No more picking.
+    /// End picking.
     Done,
 }
 
-/// The picture that a node's points lie in: the first one it reads; of a source, the first one it makes. Answers whether it is the node's own.
-pub fn picture_of(view: &View, node: usize) -> Option<(Output, String, bool)> {
+/// The image that a node's points refer to: the first image that it reads; for a source, the first image that it makes. Returns the output,
+/// its packet type and whether it is the node's own.
+pub fn picture_of(view: &GraphView, node: usize) -> Option<(Output, String, bool)> {
     let node_type = view.nodes[node].node_type.as_ref()?;
     let read = node_type.inputs.iter().filter(|p| is_pictorial(&p.packet.name)).find_map(|p| {
         let wire = view.wires_into(node, &p.name).next()?;
@@ -61,7 +62,7 @@ pub fn picture_of(view: &View, node: usize) -> Option<(Output, String, bool)> {
     read.or_else(|| made().filter(|_| node_type.source))
 }
 
-/// A list of numbers as the file writes it: whole ones without a point.
+/// A list of numbers as a TOML value; integers have no decimal point.
 pub fn to_toml(values: &[f64]) -> toml::Value {
     let number = |v: &f64| match v.fract() == 0.0 && v.abs() < 1e15 {
         true => toml::Value::Integer(*v as i64),
@@ -71,7 +72,8 @@ pub fn to_toml(values: &[f64]) -> toml::Value {
 }
 
 impl Picker {
-    /// Picks a parameter; `None` where it holds neither points nor rectangles, or its node sees no picture. Answers the picture, too.
+    /// Starts picking a parameter; also returns the output of the image. `None` when the parameter has no points or rectangles, or the node has
+    /// no image.
     pub fn of(document: &Document, node: &str, param: &str) -> Option<(Self, Output)> {
         let view = document.view();
         let at = view.node(node)?;
@@ -80,7 +82,7 @@ impl Picker {
         if declared.pick.stride() == 0 {
             return None;
         }
-        let most = match &declared.kind {
+        let max_len = match &declared.kind {
             panoscope_graph::ParamKind::Floats { max_len, .. } => max_len.unwrap_or(usize::MAX),
             _ => return None,
         };
@@ -89,7 +91,7 @@ impl Picker {
             node: node.to_owned(),
             param: param.to_owned(),
             kind: declared.pick,
-            most,
+            max_len,
             cut: own && declared.pick == Pick::Rectangles,
             begun: None,
             touched: 0,
@@ -98,7 +100,7 @@ impl Picker {
         Some((picker, output))
     }
 
-    /// The values as the text has them, or the default's.
+    /// The parameter's values in the text, or its default.
     pub fn values(&self, document: &Document) -> Option<Vec<f64>> {
         let view = document.view();
         let node = &view.nodes[view.node(&self.node)?];
@@ -117,52 +119,59 @@ impl Picker {
     }
 
     fn may_add(&self, values: &[f64]) -> bool {
-        values.len() / self.kind.stride() < self.most / self.kind.stride()
+        values.len() / self.kind.stride() < self.max_len / self.kind.stride()
     }
 
-    /// Draws the handles over the picture, which shows `size_px` in `inner`, and the bar in `bar`; answers what was asked for.
-    pub fn show(&mut self, ui: &mut Ui, inner: Rect, bar: Rect, size_px: Vec2, values: &[f64]) -> Option<Wish> {
+    /// Draws the handles on the image of `size_px` in `inner`, and the buttons in `bar`; returns the user's request.
+    pub fn show(
+        &mut self,
+        ui: &mut Ui,
+        inner: Rect,
+        bar: Rect,
+        size_px: Vec2,
+        values: &[f64],
+    ) -> Option<PickerRequest> {
         let stride = self.kind.stride();
         let whole = values.len() / stride * stride;
         let mut new = values[..whole].to_vec();
-        // What a cut picture shows begins where the rectangle does.
+        // A cropped image begins at the rectangle's corner.
         let origin = match (self.cut, values) {
             (true, [x, y, ..]) => [*x, *y],
             _ => [0.0; 2],
         };
         let scale = inner.width() / size_px.x.max(1.0);
-        let place = Place { inner, scale, origin, size_px };
+        let map = PixelMap { inner, scale, origin, size_px };
         let ground = ui.interact(inner, Id::new("pick"), Sense::click_and_drag());
-        let words = format!("Pick {}.{} here", self.node, self.param);
-        ground.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, words.clone()));
+        let label = format!("Pick {}.{} here", self.node, self.param);
+        ground.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, label.clone()));
         if self.kind == Pick::Points {
             if ground.clicked()
                 && let Some(at) = ground.interact_pointer_pos()
                 && self.may_add(&new)
             {
-                new.extend(place.px(at));
+                new.extend(map.px(at));
                 self.touched = new.len() / 2 - 1;
             }
         } else {
-            self.draw_rectangle(ui, &ground, &place, &mut new);
+            self.draw_rectangle(ui, &ground, &map, &mut new);
         }
         for index in 0..new.len() / stride {
             if self.cut && index > 0 {
                 break;
             }
             match self.kind {
-                Pick::Points => self.point(ui, &place, &mut new, index),
-                _ => self.rectangle(ui, &place, &mut new, index),
+                Pick::Points => self.point(ui, &map, &mut new, index),
+                _ => self.rectangle(ui, &map, &mut new, index),
             }
         }
-        let done = self.bar(ui, bar, &place, &mut new);
+        let done = self.bar(ui, bar, &map, &mut new);
         if !ui.ctx().text_edit_focused() && ui.input_mut(|i| i.consume_key(Modifiers::NONE, Key::Delete)) {
             self.remove(&mut new);
         }
         if done {
-            return Some(Wish::Done);
+            return Some(PickerRequest::Done);
         }
-        (new != values).then_some(Wish::Set(new))
+        (new != values).then_some(PickerRequest::Set(new))
     }
 
     fn remove(&mut self, values: &mut Vec<f64>) {
@@ -174,23 +183,23 @@ impl Picker {
         }
     }
 
-    /// A drag over free ground makes a rectangle.
-    fn draw_rectangle(&mut self, ui: &Ui, ground: &eframe::egui::Response, place: &Place, values: &mut Vec<f64>) {
+    /// A drag over the image draws a rectangle.
+    fn draw_rectangle(&mut self, ui: &Ui, ground: &eframe::egui::Response, map: &PixelMap, values: &mut Vec<f64>) {
         let pointer = ground.interact_pointer_pos();
         if ground.drag_started() {
-            self.begun = ui.input(|i| i.pointer.press_origin()).map(|at| place.px(at));
+            self.begun = ui.input(|i| i.pointer.press_origin()).map(|at| map.px(at));
         }
         let Some([x0, y0]) = self.begun else { return };
-        let Some([x1, y1]) = pointer.map(|at| place.px(at)) else { return };
+        let Some([x1, y1]) = pointer.map(|at| map.px(at)) else { return };
         let new = [x0.min(x1), y0.min(y1), (x1 - x0).abs(), (y1 - y0).abs()];
         if ground.dragged() {
-            let rect = Rect::from_two_pos(place.at([x0, y0]), place.at([x1, y1]));
+            let rect = Rect::from_two_pos(map.at([x0, y0]), map.at([x1, y1]));
             let stroke = Stroke::new(1.5, theme::ACCENT);
             ui.painter().rect(rect, 0.0, theme::ACCENT.gamma_multiply(0.12), stroke, StrokeKind::Inside);
         }
         if ground.drag_stopped() {
             self.begun = None;
-            if new[2] < LEAST_PX || new[3] < LEAST_PX {
+            if new[2] < MIN_DRAG_PX || new[3] < MIN_DRAG_PX {
                 return;
             }
             if self.cut && values.len() >= 4 {
@@ -204,13 +213,13 @@ impl Picker {
         }
     }
 
-    /// One handle at a place; answers by how many px it was moved.
-    fn handle(&mut self, ui: &mut Ui, place: &Place, at: Pos2, index: usize, part: &str) -> [f64; 2] {
+    /// One handle at a position in the window; returns by how many px it was moved.
+    fn handle(&mut self, ui: &mut Ui, map: &PixelMap, at: Pos2, index: usize, part: &str) -> [f64; 2] {
         let id = Id::new(("pick", index, part.to_owned()));
         let grip = ui.interact(Rect::from_center_size(at, Vec2::splat(2.0 * REACH)), id, Sense::click_and_drag());
         let thing = if self.kind == Pick::Points { "Point" } else { "Rectangle" };
-        let words = format!("{thing} {}{part} of {}.{}", index + 1, self.node, self.param);
-        grip.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, words.clone()));
+        let label = format!("{thing} {}{part} of {}.{}", index + 1, self.node, self.param);
+        grip.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, label.clone()));
         if self.focus == Some(index) {
             self.focus = None;
             grip.request_focus();
@@ -222,15 +231,15 @@ impl Picker {
         if grip.dragged()
             && let Some(pointer) = grip.interact_pointer_pos()
         {
-            let ([x0, y0], [x1, y1]) = (place.px(at), place.px(pointer));
+            let ([x0, y0], [x1, y1]) = (map.px(at), map.px(pointer));
             by = [x1 - x0, y1 - y0];
         }
         if grip.has_focus() {
             self.touched = index;
             let arrows = EventFilter { horizontal_arrows: true, vertical_arrows: true, ..EventFilter::default() };
             ui.memory_mut(|m| m.set_focus_lock_filter(id, arrows));
-            for (key, way) in ARROWS {
-                let [dx, dy] = way.map(f64::from);
+            for (key, direction) in ARROWS {
+                let [dx, dy] = direction.map(f64::from);
                 for (modifiers, step) in [(Modifiers::SHIFT, 10.0), (Modifiers::NONE, 1.0)] {
                     let count = ui.input_mut(|i| i.count_and_consume_key(modifiers, key)) as f64;
                     by = [by[0] + dx * step * count, by[1] + dy * step * count];
@@ -245,36 +254,36 @@ impl Picker {
         by
     }
 
-    fn point(&mut self, ui: &mut Ui, place: &Place, values: &mut [f64], index: usize) {
+    fn point(&mut self, ui: &mut Ui, map: &PixelMap, values: &mut [f64], index: usize) {
         let value = [values[2 * index], values[2 * index + 1]];
-        let at = place.at(value);
-        let by = self.handle(ui, place, at, index, "");
-        let moved = place.inside([value[0] + by[0], value[1] + by[1]]);
+        let at = map.at(value);
+        let by = self.handle(ui, map, at, index, "");
+        let moved = map.inside([value[0] + by[0], value[1] + by[1]]);
         if by != [0.0; 2] {
             values[2 * index..2 * index + 2].copy_from_slice(&moved);
         }
         let font = FontId::proportional(13.0);
-        let words = format!("{}", index + 1);
-        ui.painter().text(at + vec2(11.0, -9.0), Align2::LEFT_BOTTOM, &words, font.clone(), Color32::BLACK);
-        ui.painter().text(at + vec2(10.0, -10.0), Align2::LEFT_BOTTOM, &words, font, Color32::WHITE);
+        let label = format!("{}", index + 1);
+        ui.painter().text(at + vec2(11.0, -9.0), Align2::LEFT_BOTTOM, &label, font.clone(), Color32::BLACK);
+        ui.painter().text(at + vec2(10.0, -10.0), Align2::LEFT_BOTTOM, &label, font, Color32::WHITE);
     }
 
-    fn rectangle(&mut self, ui: &mut Ui, place: &Place, values: &mut [f64], index: usize) {
+    fn rectangle(&mut self, ui: &mut Ui, map: &PixelMap, values: &mut [f64], index: usize) {
         let [x, y, mut w, mut h] = [0, 1, 2, 3].map(|k| values[4 * index + k]);
-        // 0 reaches to the edge.
-        let end = [place.origin[0] + f64::from(place.size_px.x), place.origin[1] + f64::from(place.size_px.y)];
+        // A width or height of 0 extends to the edge.
+        let end = [map.origin[0] + f64::from(map.size_px.x), map.origin[1] + f64::from(map.size_px.y)];
         if w <= 0.0 {
             w = end[0] - x;
         }
         if h <= 0.0 {
             h = end[1] - y;
         }
-        let rect = Rect::from_two_pos(place.at([x, y]), place.at([x + w, y + h]));
+        let rect = Rect::from_two_pos(map.at([x, y]), map.at([x + w, y + h]));
         ui.painter().rect_stroke(rect, 0.0, Stroke::new(3.5, Color32::from_black_alpha(150)), StrokeKind::Middle);
         ui.painter().rect_stroke(rect, 0.0, Stroke::new(1.5, theme::ACCENT), StrokeKind::Middle);
-        let first = self.handle(ui, place, rect.min, index, " corner 1");
-        let second = self.handle(ui, place, rect.max, index, " corner 2");
-        let middle = self.handle(ui, place, rect.center(), index, "");
+        let first = self.handle(ui, map, rect.min, index, " corner 1");
+        let second = self.handle(ui, map, rect.max, index, " corner 2");
+        let middle = self.handle(ui, map, rect.center(), index, "");
         if [first, second, middle].iter().all(|by| *by == [0.0; 2]) {
             return;
         }
@@ -283,15 +292,15 @@ impl Picker {
             from[axis] += first[axis] + middle[axis];
             to[axis] += second[axis] + middle[axis];
         }
-        let (from, to) = (place.inside(from), place.inside_end(to));
+        let (from, to) = (map.inside(from), map.inside_end(to));
         let new = [from[0].min(to[0]), from[1].min(to[1]), (to[0] - from[0]).abs(), (to[1] - from[1]).abs()];
         if new[2] >= 1.0 && new[3] >= 1.0 {
             values[4 * index..4 * index + 4].copy_from_slice(&new);
         }
     }
 
-    /// What can be done, in words and by buttons; answers whether it is over.
-    fn bar(&mut self, ui: &mut Ui, bar: Rect, place: &Place, values: &mut Vec<f64>) -> bool {
+    /// The buttons; returns whether picking is done.
+    fn bar(&mut self, ui: &mut Ui, bar: Rect, map: &PixelMap, values: &mut Vec<f64>) -> bool {
         let mut done = false;
         ui.scope_builder(UiBuilder::new().max_rect(bar), |ui| {
             ui.horizontal(|ui| {
@@ -299,9 +308,12 @@ impl Picker {
                 ui.label(RichText::new(format!("{}.{}", self.node, self.param)).color(theme::ACCENT));
                 let thing = if points { "point" } else { "rectangle" };
                 let add = ui.add_enabled(self.may_add(values), Button::new(format!("Add a {thing}")));
-                if add.on_hover_text("In the middle of the picture; arrow keys move it, with Shift by ten").clicked() {
-                    let [x, y] = place.px(place.inner.center());
-                    let (w, h) = (f64::from(place.size_px.x), f64::from(place.size_px.y));
+                if add
+                    .on_hover_text("In the middle of the image; arrow keys move it by 1 px, with Shift by 10 px")
+                    .clicked()
+                {
+                    let [x, y] = map.px(map.inner.center());
+                    let (w, h) = (f64::from(map.size_px.x), f64::from(map.size_px.y));
                     match points {
                         true => values.extend([x, y]),
                         false => values.extend([
@@ -316,7 +328,7 @@ impl Picker {
                 }
                 if ui
                     .add_enabled(!values.is_empty(), Button::new("Remove"))
-                    .on_hover_text("The one touched last (Delete)")
+                    .on_hover_text("The last one touched (Delete)")
                     .clicked()
                 {
                     self.remove(values);
@@ -333,23 +345,23 @@ impl Picker {
     }
 }
 
-/// Where pixels of the picture stand in the window.
-struct Place {
+/// Maps the image's pixels to the window.
+struct PixelMap {
     inner: Rect,
-    /// Points per px.
+    /// Points of the window per px.
     scale: f32,
-    /// Pixel at the upper left, in the parameter's own numbers.
+    /// Coordinates of the image's upper left pixel.
     origin: [f64; 2],
     size_px: Vec2,
 }
 
-impl Place {
+impl PixelMap {
     fn at(&self, [x, y]: [f64; 2]) -> Pos2 {
         let [ox, oy] = self.origin;
         self.inner.min + vec2((x - ox) as f32, (y - oy) as f32) * self.scale
     }
 
-    /// The whole px under a place, inside the picture.
+    /// The pixel at a position in the window, inside the image.
     fn px(&self, at: Pos2) -> [f64; 2] {
         let by = (at - self.inner.min) / self.scale.max(1e-6);
         self.inside([f64::from(by.x) + self.origin[0], f64::from(by.y) + self.origin[1]])
@@ -360,7 +372,7 @@ impl Place {
         [within(x, self.origin[0], self.size_px.x), within(y, self.origin[1], self.size_px.y)]
     }
 
-    /// As [`Self::inside`], for an end that may lie on the far edge.
+    /// As [`Self::inside`], for a corner that may lie on the right or lower edge.
     fn inside_end(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let within = |v: f64, from: f64, len: f32| v.round().clamp(from, from + f64::from(len));
         [within(x, self.origin[0], self.size_px.x), within(y, self.origin[1], self.size_px.y)]
@@ -375,11 +387,11 @@ mod tests {
     #[test]
     fn pixels_and_places_are_the_same_there_and_back() {
         let inner = Rect::from_min_size(pos2(100.0, 50.0), vec2(640.0, 480.0));
-        let place = Place { inner, scale: 2.0, origin: [10.0, 20.0], size_px: vec2(320.0, 240.0) };
+        let map = PixelMap { inner, scale: 2.0, origin: [10.0, 20.0], size_px: vec2(320.0, 240.0) };
         for px in [[10.0, 20.0], [15.0, 100.0], [329.0, 259.0]] {
-            assert_eq!(place.px(place.at(px)), px);
+            assert_eq!(map.px(map.at(px)), px);
         }
-        assert_eq!(place.px(pos2(0.0, 9999.0)), [10.0, 259.0], "outside it is the edge");
+        assert_eq!(map.px(pos2(0.0, 9999.0)), [10.0, 259.0], "outside it is the edge");
     }
 
     #[test]

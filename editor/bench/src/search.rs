@@ -1,10 +1,10 @@
-//! Finding things by a few typed letters: what fits, the field for the letters, the row that is chosen.
+//! Fuzzy search: the search field, the ranking of candidates, the chosen row.
 
 use eframe::egui::{Rect, Response, TextEdit, Ui, vec2};
 
 use panoscope_editor_widgets::theme;
 
-/// The field for the letters, called `name` by readers of the screen; takes the keyboard the first time. Whether the letters changed.
+/// Shows the search field, labelled `name` for screen readers; requests the focus while `fresh`. Returns whether the text changed.
 pub fn field(ui: &mut Ui, typed: &mut String, fresh: &mut bool, hint: &str, name: &str) -> bool {
     let field = TextEdit::singleline(typed).hint_text(hint).desired_width(f32::INFINITY);
     let field = ui.add(field.margin(vec2(8.0, 6.0)));
@@ -15,7 +15,7 @@ pub fn field(ui: &mut Ui, typed: &mut String, fresh: &mut bool, hint: &str, name
     field.changed()
 }
 
-/// Shows which row of a list is chosen, and which one is pointed at; the chosen one is brought into sight.
+/// Highlights a row that is chosen or under the pointer, and scrolls to the chosen one.
 pub fn mark_row(ui: &Ui, rect: Rect, row: &Response, chosen: bool) {
     if chosen {
         row.scroll_to_me(None);
@@ -25,14 +25,14 @@ pub fn mark_row(ui: &Ui, rect: Rect, row: &Response, chosen: bool) {
     }
 }
 
-/// How well `typed` fits `text`, higher is better; `None` when its letters do not occur in order. Starts of words count most, runs of letters
-/// next.
+/// How well `typed` matches `text`, higher is better; `None` when its letters do not occur in this order. Starts of words count most, then
+/// consecutive letters.
 pub fn score(typed: &str, text: &str) -> Option<i32> {
     let text: Vec<char> = text.to_lowercase().chars().collect();
     let (mut at, mut score, mut run) = (0, 0, 0);
     for letter in typed.to_lowercase().chars().filter(|c| !c.is_whitespace()) {
         let found = (at..text.len()).find(|&i| text[i] == letter)?;
-        // A later start of a word may be meant rather than the first such letter.
+        // Prefers a later start of a word to the first occurrence of the letter.
         let starts = |i: usize| i == 0 || !text[i - 1].is_alphanumeric();
         let better = (found..text.len()).find(|&i| text[i] == letter && starts(i));
         let place = if found == at && run > 0 { found } else { better.unwrap_or(found) };
@@ -43,13 +43,13 @@ pub fn score(typed: &str, text: &str) -> Option<i32> {
     Some(score - (text.len() as i32) / 16)
 }
 
-/// Positions of the candidates that fit, best first. A candidate has a name, which counts more, and further words.
+/// Indices of the matching candidates, best first. A candidate has a name, which counts more, and a description.
 pub fn rank<'t>(typed: &str, candidates: impl Iterator<Item = (&'t str, &'t str)>) -> Vec<usize> {
     let mut found: Vec<(i32, usize)> = Vec::new();
-    for (index, (name, words)) in candidates.enumerate() {
+    for (index, (name, description)) in candidates.enumerate() {
         let by_name = score(typed, name).map(|s| s + 20);
-        // In longer texts letters that lie apart mean nothing: whole words only.
-        let low = words.to_lowercase();
+        // In descriptions only whole words count.
+        let low = description.to_lowercase();
         let all = typed.split_whitespace().all(|word| low.contains(&word.to_lowercase()));
         let by_words = (all && !typed.trim().is_empty()).then_some(4);
         if let Some(best) = by_name.max(by_words) {
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_left_out() {
+    fn candidates_without_match_are_skipped() {
         assert_eq!(score("xyz", "rectify"), None);
         assert_eq!(rank("", [("a", ""), ("b", "")].into_iter()), [0, 1]);
         assert!(rank("q", [("a", "none"), ("b", "")].into_iter()).is_empty());

@@ -1,4 +1,4 @@
-//! The big picture: one output, or two by wipe, blink or difference. Number keys recall what was looked at.
+//! The viewer: shows one output large, or compares two by wipe, blink or difference. Number keys show recently viewed outputs.
 
 use eframe::egui::{
     Align, Align2, Button, Color32, ComboBox, Context, FontId, Id, InputState, Key, Layout, Modifiers, Painter, Pos2,
@@ -6,16 +6,16 @@ use eframe::egui::{
     WidgetType, pos2, vec2,
 };
 
-use crate::space::Space;
+use crate::view3d::View3d;
 use panoscope_editor_model::observe::Output;
-use panoscope_editor_model::picture::Pixels;
-use panoscope_editor_model::surface::Sight;
+use panoscope_editor_model::pixels::Pixels;
+use panoscope_editor_model::surface::Viewpoint;
 use panoscope_editor_widgets::theme;
-use panoscope_editor_widgets::{Shown, image_of};
+use panoscope_editor_widgets::{OutputCache, image_of};
 
-/// Most outputs that number keys recall.
+/// Maximum number of recently viewed outputs.
 const RECENT: usize = 9;
-/// Part of the picture that an arrow key moves the wipe by.
+/// Distance that an arrow key moves the wipe, as a fraction of the image's width.
 const WIPE_STEP: f32 = 0.02;
 /// Half a period of blinking, s.
 const BLINK_S: f64 = 0.6;
@@ -23,16 +23,16 @@ const BLINK_S: f64 = 0.6;
 /// How two outputs are compared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Compare {
-    /// A line between the two follows the pointer.
+    /// Side by side with a movable line between them.
     #[default]
     Wipe,
-    /// One after the other.
+    /// Alternating.
     Blink,
-    /// Where they differ, and how much.
+    /// The amplified absolute difference.
     Difference,
 }
 
-/// An output with the type of its packets.
+/// An output with its packet type.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Source {
     /// The output.
@@ -41,19 +41,19 @@ pub struct Source {
     pub packet: String,
 }
 
-/// The viewer; closed while it has no source.
+/// The state of the viewer; it is closed while it has no source.
 #[derive(Default)]
 pub struct Viewer {
     a: Option<Source>,
     b: Option<Source>,
     compare: Compare,
-    /// Place of the wipe's line, 0..=1.
+    /// Position of the wipe's line, 0..=1.
     wipe: f32,
     recent: Vec<Source>,
-    space: Space,
-    /// Clouds are shown as the camera saw them, not as surfaces.
+    view3d: View3d,
+    /// Whether clouds are shown as the camera saw them instead of as surfaces.
     flat: bool,
-    /// Something is picked on the picture: it stands alone, as it was seen.
+    /// Whether a value is picked on the image; it is then shown flat and without comparison.
     picking: bool,
     difference: Option<((u64, u64), TextureHandle, f32)>,
 }
@@ -70,57 +70,57 @@ impl Viewer {
         self.a = Some(source);
     }
 
-    /// Compares with another output, or with none.
+    /// Sets the output to compare with; `None` ends the comparison.
     pub fn compare(&mut self, other: Option<Source>) {
         self.b = other;
         self.wipe = 0.5;
     }
 
-    /// Closes it; answers whether it was open.
+    /// Closes the viewer; returns whether it was open.
     pub fn close(&mut self) -> bool {
         self.b = None;
         self.a.take().is_some()
     }
 
-    /// Shows what the number key `digit`, from 1, recalls.
+    /// Shows the recently viewed output number `digit`, from 1.
     pub fn recall(&mut self, digit: usize) {
         if let Some(source) = digit.checked_sub(1).and_then(|i| self.recent.get(i)) {
             self.a = Some(source.clone());
         }
     }
 
-    /// What is shown.
+    /// The output that is shown.
     pub fn source(&self) -> Option<&Source> {
         self.a.as_ref()
     }
 
-    /// Both outputs that are shown.
+    /// The outputs that are shown: one, or two during a comparison.
     pub fn sources(&self) -> impl Iterator<Item = &Source> {
         self.a.iter().chain(&self.b)
     }
 
-    /// From where a cloud is to be painted, while one is shown as a surface.
-    pub fn sight(&self) -> Option<Sight> {
+    /// The viewpoint of the 3D view; `None` while no cloud is shown as a surface.
+    pub fn viewpoint(&self) -> Option<Viewpoint> {
         let cloud = self.a.as_ref().is_some_and(|a| a.packet == "cloud");
-        (cloud && self.b.is_none() && !self.flat && !self.picking).then(|| self.space.sight())
+        (cloud && self.b.is_none() && !self.flat && !self.picking).then(|| self.view3d.viewpoint())
     }
 
-    /// Place of the line between both outputs, 0..=1, while they are compared by wipe.
+    /// Position of the line between both outputs, 0..=1, while they are compared by wipe.
     pub fn wipe_line(&self) -> Option<f32> {
         (self.b.is_some() && self.compare == Compare::Wipe).then_some(self.wipe)
     }
 
-    /// The 3-D view, to look at.
-    pub fn space_now(&self) -> &Space {
-        &self.space
+    /// The state of the 3D view.
+    pub fn view3d_state(&self) -> &View3d {
+        &self.view3d
     }
 
-    /// The 3-D view.
-    pub fn space(&mut self) -> &mut Space {
-        &mut self.space
+    /// The 3D view.
+    pub fn view3d(&mut self) -> &mut View3d {
+        &mut self.view3d
     }
 
-    /// Something is picked on the picture from now on, or no more.
+    /// Starts or ends picking a value on the image.
     pub fn set_picking(&mut self, picking: bool) {
         self.picking = picking;
         if picking {
@@ -128,21 +128,21 @@ impl Viewer {
         }
     }
 
-    /// Draws over the canvas; `others` are outputs to compare with, `ways` those of tips and poses. Answers where the picture stands,
-    /// and where there is room for buttons below it.
+    /// Draws the viewer over the canvas. `others` are outputs to compare with, `trajectories` those of tips, poses and arm links. Returns the
+    /// rectangle of the image and that of the buttons below it; `None` while no image is shown.
     pub fn show(
         &mut self,
         ui: &mut Ui,
         rect: Rect,
-        shown: &Shown,
+        shown: &OutputCache,
         others: &[Source],
-        ways: &[Output],
+        trajectories: &[Output],
     ) -> Option<(Rect, Rect)> {
         let a = self.a.clone()?;
-        if self.sight().is_some() {
+        if self.viewpoint().is_some() {
             ui.painter_at(rect).rect_filled(rect, 0.0, theme::SURFACE);
             let room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
-            self.space.show(ui, room, shown, &a.output, ways);
+            self.view3d.show(ui, room, shown, &a.output, trajectories);
             self.bar(ui, rect, shown, &a, others);
             self.foot(ui, rect);
             return None;
@@ -153,16 +153,16 @@ impl Viewer {
         painter.rect_filled(rect, 0.0, theme::SUNK);
         let room = Rect::from_min_max(rect.min + vec2(24.0, 56.0), rect.max - vec2(24.0, 48.0));
         let b = self.b.clone().filter(|b| shown.texture(&b.output).is_some());
-        let stands = shown.texture(&a.output).map(|(_, size)| fit(room, size));
+        let image_rect = shown.texture(&a.output).map(|(_, size)| fit(room, size));
         match (shown.texture(&a.output), b) {
             (None, _) => {
-                let words = shown.words(&a.output).unwrap_or("nothing yet").to_owned();
-                painter.text(room.center(), Align2::CENTER_CENTER, words, FontId::monospace(16.0), theme::TEXT);
+                let caption = shown.text(&a.output).unwrap_or("nothing yet").to_owned();
+                painter.text(room.center(), Align2::CENTER_CENTER, caption, FontId::monospace(16.0), theme::TEXT);
             }
             (Some((texture, size)), None) => picture(&painter, texture, fit(room, size), Color32::WHITE),
             (Some((texture, size)), Some(b)) => {
                 let inner = fit(room, size);
-                // A pointer that rests leaves the line to the keys.
+                // While the pointer does not move, the keys move the line.
                 let moves = self.compare == Compare::Wipe && ui.input(|i| i.pointer.delta() != Vec2::ZERO);
                 if let Some(pointer) = ground.hover_pos().filter(|_| moves) {
                     self.wipe = ((pointer.x - inner.left()) / inner.width()).clamp(0.0, 1.0);
@@ -178,17 +178,17 @@ impl Viewer {
         }
         if let Some(age) = shown.stale(&a.output) {
             let at = room.center_top() + vec2(0.0, 16.0);
-            let words = format!("nothing new for {} s", age.as_secs());
-            painter.text(at, Align2::CENTER_TOP, words, FontId::proportional(18.0), theme::WARN);
+            let caption = format!("no new packet for {} s", age.as_secs());
+            painter.text(at, Align2::CENTER_TOP, caption, FontId::proportional(18.0), theme::WARN);
         }
         self.bar(ui, rect, shown, &a, others);
         if !self.picking {
             self.foot(ui, rect);
         }
-        stands.map(|stands| (stands, foot_of(rect)))
+        image_rect.map(|image_rect| (image_rect, foot_of(rect)))
     }
 
-    /// Number keys show what was looked at, whether the viewer is open or not.
+    /// Handles the number keys, which show recently viewed outputs.
     pub fn recall_by_key(&mut self, input: &mut InputState) {
         const KEYS: [Key; RECENT] =
             [Key::Num1, Key::Num2, Key::Num3, Key::Num4, Key::Num5, Key::Num6, Key::Num7, Key::Num8, Key::Num9];
@@ -199,7 +199,15 @@ impl Viewer {
         }
     }
 
-    fn both(&mut self, ui: &Ui, painter: &Painter, inner: Rect, a: (&Source, TextureId), b: &Source, shown: &Shown) {
+    fn both(
+        &mut self,
+        ui: &Ui,
+        painter: &Painter,
+        inner: Rect,
+        a: (&Source, TextureId),
+        b: &Source,
+        shown: &OutputCache,
+    ) {
         let Some((second, _)) = shown.texture(&b.output) else { return };
         match self.compare {
             Compare::Wipe => {
@@ -223,16 +231,16 @@ impl Viewer {
             Compare::Difference => {
                 if let Some((texture, mean)) = self.difference(ui.ctx(), shown, &a.0.output, &b.output) {
                     picture(painter, texture, inner, Color32::WHITE);
-                    let words = format!("mean difference {mean:.1} of 255, shown four times as strong");
-                    tag(painter, inner.left_top() + vec2(8.0, 8.0), Align2::LEFT_TOP, words);
+                    let caption = format!("mean difference {mean:.1} of 255, amplified four times");
+                    tag(painter, inner.left_top() + vec2(8.0, 8.0), Align2::LEFT_TOP, caption);
                 }
             }
         }
     }
 
-    /// The picture of the difference, made anew when one of the two is new.
-    fn difference(&mut self, ctx: &Context, shown: &Shown, a: &Output, b: &Output) -> Option<(TextureId, f32)> {
-        let of = (shown.look(a)?.seq, shown.look(b)?.seq);
+    /// The image of the difference, computed again when one of the two outputs has a new packet.
+    fn difference(&mut self, ctx: &Context, shown: &OutputCache, a: &Output, b: &Output) -> Option<(TextureId, f32)> {
+        let of = (shown.packet(a)?.seq, shown.packet(b)?.seq);
         if self.difference.as_ref().is_none_or(|(known, ..)| *known != of) {
             let (pixels, mean) = difference_of(shown.pixels(a)?, shown.pixels(b)?);
             let image = image_of(&pixels);
@@ -247,7 +255,7 @@ impl Viewer {
         self.difference.as_ref().map(|(_, texture, mean)| (texture.id(), *mean))
     }
 
-    fn bar(&mut self, ui: &mut Ui, rect: Rect, shown: &Shown, a: &Source, others: &[Source]) {
+    fn bar(&mut self, ui: &mut Ui, rect: Rect, shown: &OutputCache, a: &Source, others: &[Source]) {
         let bar = Rect::from_min_size(rect.min, vec2(rect.width(), 48.0)).shrink2(vec2(24.0, 10.0));
         ui.scope_builder(UiBuilder::new().max_rect(bar), |ui| {
             ui.horizontal(|ui| {
@@ -256,8 +264,8 @@ impl Viewer {
                 if let Some(size) = shown.size(&a.output).filter(|s| s.x > 0.0) {
                     about += &format!("   {} x {} px", size.x, size.y);
                 }
-                if let Some(words) = shown.words(&a.output).filter(|_| shown.texture(&a.output).is_some()) {
-                    about += &format!("   {words}");
+                if let Some(caption) = shown.text(&a.output).filter(|_| shown.texture(&a.output).is_some()) {
+                    about += &format!("   {caption}");
                 }
                 ui.label(RichText::new(about).color(theme::MUTED));
                 ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
@@ -266,15 +274,15 @@ impl Viewer {
                     }
                     if a.packet == "cloud" && self.b.is_none() && !self.picking {
                         let button = Button::new("Surface").selected(!self.flat);
-                        if ui.add(button).on_hover_text("To be turned, or as the camera saw it").clicked() {
+                        if ui.add(button).on_hover_text("Switches between a surface and the camera's view").clicked() {
                             self.flat ^= true;
                         }
                     }
                     if self.b.is_some() {
-                        for (mode, words) in
+                        for (mode, caption) in
                             [(Compare::Difference, "Difference"), (Compare::Blink, "Blink"), (Compare::Wipe, "Wipe")]
                         {
-                            if ui.add(Button::new(words).selected(self.compare == mode)).clicked() {
+                            if ui.add(Button::new(caption).selected(self.compare == mode)).clicked() {
                                 self.compare = mode;
                             }
                         }
@@ -298,17 +306,17 @@ impl Viewer {
         });
     }
 
-    /// What number keys recall.
+    /// The recently viewed outputs with their number keys.
     fn foot(&mut self, ui: &mut Ui, rect: Rect) {
         ui.scope_builder(UiBuilder::new().max_rect(foot_of(rect)), |ui| {
             ui.horizontal(|ui| {
-                if self.sight().is_some() {
-                    self.space.controls(ui);
+                if self.viewpoint().is_some() {
+                    self.view3d.controls(ui);
                     ui.separator();
                 }
                 for (i, source) in self.recent.clone().into_iter().enumerate() {
-                    let words = RichText::new(format!("{}  {}", i + 1, source.output)).size(12.0);
-                    if ui.selectable_label(self.a.as_ref() == Some(&source), words).clicked() {
+                    let caption = RichText::new(format!("{}  {}", i + 1, source.output)).size(12.0);
+                    if ui.selectable_label(self.a.as_ref() == Some(&source), caption).clicked() {
                         self.a = Some(source);
                     }
                 }
@@ -317,7 +325,7 @@ impl Viewer {
     }
 }
 
-/// Room for buttons below the picture.
+/// The rectangle of the buttons below the image.
 fn foot_of(rect: Rect) -> Rect {
     Rect::from_min_max(pos2(rect.left(), rect.bottom() - 40.0), rect.max).shrink2(vec2(24.0, 6.0))
 }
@@ -331,16 +339,16 @@ fn picture(painter: &Painter, texture: TextureId, rect: Rect, tint: Color32) {
     painter.image(texture, rect, Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0)), tint);
 }
 
-/// A name on a picture, readable on any.
-fn tag(painter: &Painter, at: Pos2, align: Align2, words: String) {
-    let galley = painter.layout_no_wrap(words, FontId::proportional(12.0), theme::TEXT);
+/// A label on an image, readable on any background.
+fn tag(painter: &Painter, at: Pos2, align: Align2, caption: String) {
+    let galley = painter.layout_no_wrap(caption, FontId::proportional(12.0), theme::TEXT);
     let margin = vec2(6.0, 3.0);
     let rect = align.anchor_size(at, galley.size() + 2.0 * margin);
     painter.rect_filled(rect, 4.0, Color32::from_black_alpha(170));
     painter.galley(rect.min + margin, galley, theme::TEXT);
 }
 
-/// Four times the absolute difference, at the first picture's size, and the mean difference of all channels.
+/// Four times the absolute difference, at the first image's size, and the mean difference over all channels.
 fn difference_of(a: &Pixels, b: &Pixels) -> (Pixels, f32) {
     let mut rgba = Vec::with_capacity(a.rgba.len());
     let mut sum = 0u64;
@@ -376,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_recall_what_was_seen() {
+    fn numbers_show_recently_viewed_outputs() {
         let source = |port: &str| Source { output: Output::new("n", port), packet: String::new() };
         let mut viewer = Viewer::default();
         viewer.open(source("a"));

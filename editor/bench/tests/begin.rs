@@ -1,4 +1,4 @@
-//! The first minutes of a new user: templates, nodes that are added, a save that would lose somebody else's text.
+//! The first minutes of a new user: templates, added nodes, a save that would lose another program's text.
 
 mod common;
 
@@ -40,7 +40,7 @@ fn runs(name: &str, path: &Path, text: &str, frames: u64) {
 }
 
 #[test]
-fn every_template_is_right_and_runs() {
+fn every_template_is_valid_and_runs() {
     for plugin in ["phantom", "stitch", "stereo", "overlay", "sinks", "capture"] {
         if !has_plugin(plugin) {
             return;
@@ -54,7 +54,7 @@ fn every_template_is_right_and_runs() {
         let path = folder.0.join("g.toml");
         match name {
             "Empty" => {
-                // Nothing to run yet, and nothing wrong.
+                // There is nothing to run and no mistake.
                 let mut window = Window::open(&folder.write("empty.toml", text));
                 window.steps(3);
                 let view = window.app().document().view().clone();
@@ -62,7 +62,7 @@ fn every_template_is_right_and_runs() {
                 window.until_shown("State: no nodes yet");
                 assert!(window.harness.query_by_label("Problems").is_some(), "no problem is counted");
             }
-            // Pictures in place of cameras.
+            // Images in place of cameras.
             "Two cameras" => {
                 let mut files = text.to_owned();
                 for (side, device) in [("left", "0"), ("right", "2")] {
@@ -84,7 +84,7 @@ fn every_template_is_right_and_runs() {
     assert_eq!(count, 4);
 }
 
-/// The text as it is offered is right.
+/// Checks that the template's text has no mistakes.
 fn check_only(name: &str, path: &Path, text: &str) {
     let parsed = GraphText::parse(path, text);
     let catalog = Loader::search(&loader::search_path(&[])).catalog(&parsed.plugins());
@@ -109,12 +109,12 @@ fn none_overlaps(window: &Window, what: &str) {
 }
 
 #[test]
-fn nodes_that_are_added_by_key_lie_on_no_other() {
+fn nodes_added_by_key_overlap_no_other() {
     if !has_plugin("flow") {
         return;
     }
     let folder = Folder::new("add");
-    // One file without places, and one where some nodes have them.
+    // One file without positions, and one where some nodes have them.
     let partly = format!("{GRAPH}\n[editor]\na = {{ x = 0, y = 0 }}\nsink = {{ x = 240, y = 8 }}\n");
     for (name, text) in [("free.toml", GRAPH.to_owned()), ("partly.toml", partly)] {
         let mut window = Window::open(&folder.write(name, &text));
@@ -136,7 +136,7 @@ fn nodes_that_are_added_by_key_lie_on_no_other() {
             none_overlaps(&window, &format!("{name}, node {k}"));
         }
         assert_eq!(rects(&window).len(), before + 10);
-        // One undo takes one node back, place and all.
+        // One undo removes a node with its position.
         window.key(CTRL, Key::Z);
         assert_eq!(window.app().document().view().nodes.len(), before + 9);
         (0..9).for_each(|_| window.key(CTRL, Key::Z));
@@ -145,7 +145,7 @@ fn nodes_that_are_added_by_key_lie_on_no_other() {
 }
 
 #[test]
-fn copies_lie_on_nothing_either() {
+fn copies_overlap_no_other_node() {
     if !has_plugin("flow") {
         return;
     }
@@ -173,7 +173,7 @@ fn a_save_during_a_conflict_says_what_to_do() {
     window.settled();
     let theirs = GRAPH.replace("Two paths", "Theirs");
     std::fs::write(&path, &theirs).expect("written");
-    // At once, before the change was noticed, and again after it.
+    // Before the change was noticed, and again after it.
     for _ in 0..2 {
         window.key(CTRL, Key::S);
         window.steps(2);

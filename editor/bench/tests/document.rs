@@ -8,7 +8,7 @@ use common::{GRAPH, has_plugin};
 use panoscope_editor_model::Mark;
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::observe::Output;
-use panoscope_editor_model::ops::{self, Waiting};
+use panoscope_editor_model::ops::{self, PendingWire};
 use panoscope_loader::{self as loader, Loader};
 
 fn document(text: &str) -> Option<Document> {
@@ -16,9 +16,9 @@ fn document(text: &str) -> Option<Document> {
     has_plugin("flow").then(|| Document::new("g.toml".as_ref(), text, loader))
 }
 
-/// The document is right, and undoing everything gives the first text back byte for byte.
-fn right_and_undone(mut doc: Document, first: &str) {
-    assert!(doc.view().right, "{:#?}\n{}", doc.view().diagnostics, doc.text());
+/// Asserts that the document is valid and that undoing everything restores the first text byte for byte.
+fn valid_and_undone(mut doc: Document, first: &str) {
+    assert!(doc.view().valid, "{:#?}\n{}", doc.view().diagnostics, doc.text());
     while doc.undo().is_some() {}
     assert_eq!(**doc.text(), *first);
 }
@@ -37,49 +37,49 @@ fn changes_of_one_slider_are_one_step() {
     assert_eq!(**doc.text(), GRAPH.replace("past_weight = 100", "past_weight = 30"));
     let view = doc.view().clone();
     assert!(doc.differs_from_file(&view.nodes[view.node("mean").expect("a node")], "past_weight"));
-    right_and_undone(doc, GRAPH);
+    valid_and_undone(doc, GRAPH);
 }
 
 #[test]
-fn a_default_is_taken_out_of_the_file_again() {
+fn resetting_a_parameter_removes_it_from_the_file() {
     let Some(mut doc) = document(GRAPH) else { return };
     ops::set_param(&mut doc, "mean", "past_weight", None).expect("unset");
     assert!(!doc.text().contains("past_weight"), "{}", doc.text());
-    right_and_undone(doc, GRAPH);
+    valid_and_undone(doc, GRAPH);
 }
 
 #[test]
-fn a_list_takes_one_wire_more_and_gives_one_back() {
+fn a_list_gets_another_wire_and_loses_one() {
     let Some(mut doc) = document(GRAPH) else { return };
     ops::wire(&mut doc, &Output::new("mean", "image"), ("kept", "images"), None, None).expect("wired");
     assert!(doc.text().contains(r#"images = [{ from = "a.image", queue = 64 }, "mean.image"]"#), "{}", doc.text());
     ops::unwire(&mut doc, "kept", "images", 0).expect("unwired");
     assert!(doc.text().contains(r#"images = ["mean.image"]"#), "{}", doc.text());
-    right_and_undone(doc, GRAPH);
+    valid_and_undone(doc, GRAPH);
 }
 
 #[test]
-fn rewiring_keeps_what_else_is_said_of_an_input() {
+fn rewiring_keeps_the_other_keys_of_an_input() {
     let text = GRAPH.replace("\"mean.image\"", "{ from = \"mean.image\", queue = 8 }");
     let Some(mut doc) = document(&text) else { return };
     ops::wire(&mut doc, &Output::new("b", "image"), ("sink", "image"), None, None).expect("wired");
     assert!(doc.text().contains(r#"{ from = "b.image", queue = 8 }"#), "{}", doc.text());
-    right_and_undone(doc, &text);
+    valid_and_undone(doc, &text);
 }
 
 #[test]
-fn a_node_goes_into_a_wire() {
+fn a_node_is_inserted_into_a_wire() {
     let Some(mut doc) = document(GRAPH) else { return };
     let pass = doc.catalog().node_types.iter().find(|t| t.name == "pass").cloned().expect("a type");
     let id = ops::add(&mut doc, &pass, (8.0, 16.0), None).expect("added");
-    assert!(!doc.view().right, "it waits for its wire");
+    assert!(!doc.view().valid, "it waits for its wire");
     ops::insert(&mut doc, &id, ("sink", "image", 0)).expect("inserted");
     let view = doc.view().clone();
     let (node, sink) = (view.node(&id).expect("a node"), view.node("sink").expect("a node"));
     assert_eq!(view.nodes[view.wires_into(node, "image").next().expect("a wire").from].id(), "mean");
     assert_eq!(view.wires_into(sink, "image").next().expect("a wire").from, node);
     assert_eq!(view.nodes[node].position, Some((8.0, 16.0)));
-    right_and_undone(doc, GRAPH);
+    valid_and_undone(doc, GRAPH);
 }
 
 #[test]
@@ -87,15 +87,15 @@ fn a_node_is_added_with_its_wire_in_one_step() {
     let Some(mut doc) = document(GRAPH) else { return };
     let types = doc.catalog().clone();
     let drain = types.node_types.iter().find(|t| t.name == "drain").expect("a type");
-    let waiting = Waiting::Output(Output::new("mean", "image"));
-    let id = ops::add(&mut doc, drain, (0.0, 0.0), Some(&waiting)).expect("added");
+    let pending = PendingWire::Output(Output::new("mean", "image"));
+    let id = ops::add(&mut doc, drain, (0.0, 0.0), Some(&pending)).expect("added");
     assert_eq!((id.as_str(), doc.steps()), ("drain", 1));
     let smooth = types.node_types.iter().find(|t| t.name == "smooth").expect("a type");
     assert_eq!(
-        ops::fitting_port(doc.view(), smooth, &Waiting::Input("sink".into(), "image".into())).as_deref(),
+        ops::fitting_port(doc.view(), smooth, &PendingWire::Input("sink".into(), "image".into())).as_deref(),
         Some("image")
     );
-    right_and_undone(doc, GRAPH);
+    valid_and_undone(doc, GRAPH);
 }
 
 #[test]
@@ -112,22 +112,22 @@ fn copies_are_wired_among_themselves() {
     };
     assert_eq!((from("mean_2"), from("sink_2"), from("mean_3")), ("b", "mean_2", "b"));
     assert!(doc.text().contains("past_weight = 100"), "{}", doc.text());
-    right_and_undone(doc, GRAPH);
+    valid_and_undone(doc, GRAPH);
 }
 
 #[test]
-fn what_goes_takes_its_wires_along_and_names_change_everywhere() {
+fn removal_includes_wires_and_renaming_applies_everywhere() {
     let Some(mut doc) = document(GRAPH) else { return };
     ops::rename(&mut doc, "mean", "average").expect("renamed");
     assert!(doc.text().contains("inputs = { image = \"average.image\" }"), "{}", doc.text());
     assert!(ops::rename(&mut doc, "average", "sink").is_err());
     ops::remove(&mut doc, &["average".to_owned(), "sink".to_owned()]).expect("removed");
     assert_eq!(doc.view().nodes.len(), 3);
-    right_and_undone(doc, GRAPH);
+    valid_and_undone(doc, GRAPH);
 }
 
 #[test]
-fn loops_and_wrong_types_are_refused_with_words() {
+fn loops_and_wrong_types_are_refused_with_a_reason() {
     let Some(doc) =
         document(&GRAPH.replace(
             "[nodes.sink]",
@@ -138,10 +138,10 @@ fn loops_and_wrong_types_are_refused_with_words() {
     };
     let view = doc.view();
     let at = |id: &str| view.node(id).expect("a node");
-    let why = view.may_wire(at("more"), "image", at("mean"), "image").expect_err("a loop");
-    assert!(why.contains("loop"), "{why}");
-    assert!(view.may_wire(at("a"), "image", at("mean"), "image").is_ok());
-    assert!(view.may_wire(at("a"), "nothing", at("mean"), "image").is_err());
+    let why = view.check_wire(at("more"), "image", at("mean"), "image").expect_err("a loop");
+    assert!(why.to_string().contains("loop"), "{why}");
+    assert!(view.check_wire(at("a"), "image", at("mean"), "image").is_ok());
+    assert!(view.check_wire(at("a"), "nothing", at("mean"), "image").is_err());
 }
 
 #[test]
@@ -153,14 +153,14 @@ fn nodes_are_copied_into_another_graph_as_text() {
     assert_eq!(ops::paste(&mut other, &text, (0.0, 0.0)).expect("pasted"), ["b", "mean"]);
     assert_eq!(ops::paste(&mut other, &text, (0.0, 0.0)).expect("pasted"), ["b_2", "mean_2"]);
     assert!(other.text().contains("inputs = { image = \"b_2.image\" }"), "{}", other.text());
-    right_and_undone(other, "# Empty.\n");
+    valid_and_undone(other, "# Empty.\n");
     let Some(mut doc) = document(GRAPH) else { return };
     assert!(ops::paste(&mut doc, "no graph at all", (0.0, 0.0)).is_err());
     assert_eq!(**doc.text(), *GRAPH);
 }
 
 #[test]
-fn frames_and_notes_stand_in_the_file_and_comments_stay() {
+fn frames_and_notes_are_stored_in_the_file_and_comments_stay() {
     let Some(mut doc) = document(GRAPH) else { return };
     let marks = [
         Mark { text: "Two \"paths\"".to_owned(), at: (8.0, -16.0), size: Some((400.0, 240.0)) },
@@ -171,7 +171,7 @@ fn frames_and_notes_stand_in_the_file_and_comments_stay() {
     assert!(doc.text().starts_with(GRAPH.trim_end()), "{}", doc.text());
     ops::set_marks(&mut doc, &marks[1..], &[]).expect("it can be edited");
     assert_eq!(doc.view().marks, marks[1..]);
-    right_and_undone(doc, GRAPH);
+    valid_and_undone(doc, GRAPH);
 }
 
 #[test]

@@ -1,5 +1,5 @@
-//! Killed at any moment while saving, keeping a still or recording a clip, no file is half-written; a graph in which everything fails takes no
-//! window down.
+//! A kill at any moment while saving, writing a still or recording a clip leaves no partial file; a graph in which everything fails does not
+//! take the window down.
 
 mod common;
 
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use common::{Folder, Window, has_plugin};
 use eframe::egui::{Key, Modifiers};
 use panoscope_editor_model::disk;
-use panoscope_editor_model::picture::Pixels;
+use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::session::Session;
 use panoscope_theatre::{with_clip, write_still};
 
@@ -42,7 +42,7 @@ fn a_kill_while_saving_leaves_a_whole_file() {
             .spawn()
             .expect("it starts");
         let before = std::fs::metadata(&path).and_then(|m| m.modified()).ok();
-        // Times that lie apart evenly fall on all parts of a save.
+        // Evenly spaced times hit all parts of a save.
         std::thread::sleep(Duration::from_micros(40_000 + kills * 1_370));
         child.kill().expect("it is killed");
         child.wait().expect("it ended");
@@ -157,7 +157,7 @@ fn a_graph_in_which_everything_fails_takes_no_window_down() {
     if !has_plugin("flow") {
         return;
     }
-    let mut text = "plugins = [\"flow\"]\n[nodes.camera]\ntype = \"frames\"\nparams = { width_px = 32, height_px = 24, rate_hz = 50.0 }\n".to_owned();
+    let mut text = "plugins = [\"flow\", \"fixtures\"]\n[nodes.camera]\ntype = \"frames\"\nparams = { width_px = 32, height_px = 24, rate_hz = 50.0 }\n".to_owned();
     for (k, how) in ["panic", "error"].iter().enumerate() {
         text += &format!(
             "[nodes.f{k}]\ntype = \"failing\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ how = \"{how}\", first = 2, ticks = 1000000 }}\n"

@@ -1,11 +1,11 @@
-//! How the bench looks, compared with pictures that are kept; and that everything to be touched has a name.
+//! Compares screenshots of the editor with golden images, and checks that every widget has a name.
 
 mod common;
 
 use std::time::{Duration, Instant};
 
 use common::golden::{compare, paint};
-use common::{Folder, Window, hand, has_plugin};
+use common::{Folder, Window, has_plugin, input};
 use eframe::egui::{Key, Modifiers, Rect, vec2};
 use egui_kittest::kittest::Queryable;
 use panoscope_editor::app::Options;
@@ -19,12 +19,12 @@ mod graph;
 
 use graph::{GRAPH, TICKS};
 
-/// The window after the last tick of each source, once all is at rest.
+/// The window after the last tick of each source, when nothing changes any more.
 fn at_rest(folder: &Folder) -> Window {
     let options = Options { frames: Some(TICKS), ..Options::default() };
     let mut window = Window::open_with(&folder.write("looks.toml", GRAPH), options);
     window.until("it has ended", |app| app.session().status().phase == Phase::Ended);
-    // Rates are those of the last half second, pictures count as old after two.
+    // Rates cover the last half second; previews count as old after two seconds.
     let until = Instant::now() + Duration::from_millis(3500);
     while Instant::now() < until {
         window.steps(1);
@@ -41,7 +41,7 @@ fn looks(window: &mut Window, name: &str) {
 }
 
 #[test]
-fn the_bench_looks_as_it_did() {
+fn the_editor_matches_the_golden_images() {
     if !has_plugin("flow") {
         return;
     }
@@ -53,7 +53,7 @@ fn the_bench_looks_as_it_did() {
     window.harness.get_by_label("Sweep a parameter").click_accesskit();
     window.steps(2);
     for (label, text) in [("Sweep measure", "level.levels.mean"), ("Frames per value", "3")] {
-        hand::fill(&mut window.harness, label, text);
+        input::fill(&mut window.harness, label, text);
     }
     window.harness.get_by_label("Start the sweep").click_accesskit();
     window.until("the sweep is done", |app| app.sweep().is_some_and(|p| p.done));
@@ -63,7 +63,7 @@ fn the_bench_looks_as_it_did() {
     window.key(NONE, Key::S);
     window.harness.get_by_label("Pick spots").click_accesskit();
     window.until_shown("Pick level.spots here");
-    // The picture may say that it is old, with its seconds.
+    // The age of the image, in seconds, may be shown on it.
     let picture = window.harness.get_by_label("Pick level.spots here").rect();
     window.harness.remove_cursor();
     window.steps(3);
@@ -73,7 +73,7 @@ fn the_bench_looks_as_it_did() {
 }
 
 #[test]
-fn everything_to_be_touched_has_a_name() {
+fn every_widget_has_a_name() {
     if !has_plugin("flow") {
         return;
     }
@@ -81,7 +81,7 @@ fn everything_to_be_touched_has_a_name() {
     let mut window = Window::run(&folder.write("looks.toml", GRAPH));
     let check = |window: &mut Window, what: &str| {
         window.steps(3);
-        hand::all_named(&window.harness, what, 6);
+        input::all_named(&window.harness, what, 6);
     };
     check(&mut window, "bench");
     for node in ["camera", "calm", "level"] {

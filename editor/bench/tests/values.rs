@@ -1,21 +1,21 @@
-//! Values in the window: swept, remembered, picked on a picture and out of folders, and what waits on wires.
+//! Values in the window: sweeps, history, picking on images and from files, queues of wires.
 
 mod common;
 
 use std::time::Instant;
 
-use common::{Folder, PATIENCE, Window, hand, has_plugin};
+use common::{Folder, PATIENCE, Window, has_plugin, input};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;
-use panoscope_editor_model::history::By;
+use panoscope_editor_model::history::Origin;
 use panoscope_graph::ParamValue;
 
 const NONE: Modifiers = Modifiers::NONE;
 
-/// A path whose level is told, and one that nobody touches.
+/// A path with measured levels, and one that no test changes.
 const GRAPH: &str = r#"# Levels.
-plugins = ["flow"]
+plugins = ["flow", "fixtures"]
 
 [nodes.a]
 type = "frames"
@@ -60,7 +60,7 @@ fn a_sweep_runs_beside_the_graph_and_its_points_are_drawn() {
     window.select("level");
     window.harness.get_by_label("Sweep a parameter").click();
     window.steps(3);
-    hand::fill(&mut window.harness, "Sweep measure", "level.levels.mean");
+    input::fill(&mut window.harness, "Sweep measure", "level.levels.mean");
     window.harness.get_by_label("Start the sweep").click();
     window.until("the sweep is done", |app| app.sweep().is_some_and(|p| p.done));
     let progress = window.app().sweep().expect("a sweep");
@@ -73,20 +73,20 @@ fn a_sweep_runs_beside_the_graph_and_its_points_are_drawn() {
     window.until_shown("Sweep: 0: 0, 1.00: ");
     assert_eq!(value(&window, 0), Some(ParamValue::Float(1.0)), "the graph here is as it was");
     assert!(!window.app().document().is_changed());
-    // A measure that is not there is named, not taken for nothing.
-    hand::fill(&mut window.harness, "Sweep measure", "level.levels.middle");
+    // An unknown measure is an error.
+    input::fill(&mut window.harness, "Sweep measure", "level.levels.middle");
     window.harness.get_by_label("Start the sweep").click();
     window.until_shown("columns are mean, min, max, spots");
     window.until("it is over", |app| app.sweep().is_some_and(|p| p.done));
     window.steps(2);
-    hand::fill(&mut window.harness, "Sweep measure", "levl.levels.mean");
+    input::fill(&mut window.harness, "Sweep measure", "levl.levels.mean");
     window.harness.get_by_label("Start the sweep").click();
     window.until_shown("there is no node `levl`");
     window.until("it is over", |app| app.sweep().is_some_and(|p| p.done));
     window.steps(2);
-    // One that would never end can be cancelled.
-    hand::fill(&mut window.harness, "Sweep measure", "level.level");
-    hand::fill(&mut window.harness, "Frames per value", "1000000");
+    // A very long sweep can be cancelled.
+    input::fill(&mut window.harness, "Sweep measure", "level.level");
+    input::fill(&mut window.harness, "Frames per value", "1000000");
     window.harness.get_by_label("Start the sweep").click();
     window.until_shown("Cancel");
     window.harness.get_by_label("Cancel").click();
@@ -113,22 +113,22 @@ fn the_history_is_stepped_through_by_key_and_by_click() {
     let after = value(&window, 0).expect("it runs");
     window.harness.get_by_role_and_label(Role::Slider, "gain").focus();
     window.key(NONE, Key::Escape);
-    // Someone else writes the file.
+    // Another program writes the file.
     std::fs::write(&path, GRAPH.replace("gain = 1.0", "gain = 4.0")).expect("written");
     window.until_shown("Take the file's");
     window.harness.get_by_label("Take the file's").click();
     until_value(&mut window, 0, &ParamValue::Float(4.0));
     window.settled();
-    window.until("all changes have a tick", |app| !app.document().history().waits());
+    window.until("all changes have a tick", |app| !app.document().history().has_pending());
     let ticks: Vec<Option<u64>> = window.app().document().history().changes().map(|c| c.tick).collect();
     assert!(ticks.iter().all(|t| t.is_some_and(|t| t > 0)) && ticks.is_sorted(), "{ticks:?}");
-    let by: Vec<By> = window.app().document().history().changes().map(|c| c.by).collect();
-    assert_eq!(by.last(), Some(&By::File), "{by:?}");
+    let by: Vec<Origin> = window.app().document().history().changes().map(|c| c.by).collect();
+    assert_eq!(by.last(), Some(&Origin::File), "{by:?}");
     let count = by.len();
     window.key(NONE, Key::Y);
     window.until_shown(&format!("{count} change"));
     window.until_shown("Change 1: level.gain from");
-    // Back by key, all the way by click, forth again.
+    // Back by key, to the beginning by click, and forward again.
     window.key(NONE, Key::OpenBracket);
     until_value(&mut window, 0, &after);
     assert_eq!(window.app().document().history().at(), count - 1);
@@ -142,11 +142,11 @@ fn the_history_is_stepped_through_by_key_and_by_click() {
     window.harness.get_by_label_contains(&format!("Change {count}: level.gain")).click();
     until_value(&mut window, 0, &ParamValue::Float(4.0));
     assert_eq!(window.app().document().history().changes().len(), count, "steps are no changes");
-    // A step is an edit: it can be undone, and that is written down.
+    // A step is an edit: it can be undone, and the undo is recorded.
     window.key(Modifiers::COMMAND, Key::Z);
     until_value(&mut window, 0, &ParamValue::Float(1.0));
     let last = window.app().document().history().changes().last().map(|c| c.by);
-    assert_eq!(last, Some(By::Undo));
+    assert_eq!(last, Some(Origin::Undo));
     let report = window.close();
     common::nothing_lost(&folder, &report);
 }
@@ -168,14 +168,14 @@ fn points_are_picked_by_click_drag_and_keys() {
         Some(ParamValue::Floats(list)) => list,
         other => panic!("{other:?}"),
     };
-    // A click adds one.
-    hand::tap(&mut window.harness, at(16.0, 12.0));
+    // A click adds a point.
+    input::tap(&mut window.harness, at(16.0, 12.0));
     until_value(&mut window, 2, &ParamValue::Floats(vec![16.0, 12.0]));
     assert!(window.app().document().text().contains("spots = [16, 12]"), "{}", window.app().document().text());
     // A drag moves it.
-    hand::drag(&mut window.harness, at(16.0, 12.0), at(32.0, 12.0));
+    input::drag(&mut window.harness, at(16.0, 12.0), at(32.0, 12.0));
     until_value(&mut window, 2, &ParamValue::Floats(vec![32.0, 12.0]));
-    // By keys alone: add one in the middle, move it, take the first away.
+    // By keys alone: add a point in the middle, move it, remove the first one.
     window.harness.get_by_label("Add a point").click_accesskit();
     window.steps(3);
     window.key(NONE, Key::ArrowRight);
@@ -206,7 +206,7 @@ fn rectangles_are_drawn_and_changed_by_their_handles() {
     let rect = window.harness.get_by_label("Pick level.window here").rect();
     let at = |x: f32, y: f32| rect.min + eframe::egui::vec2(x / 64.0 * rect.width(), y / 48.0 * rect.height());
     let drag = |window: &mut Window, from: (f32, f32), to: (f32, f32)| {
-        hand::drag(&mut window.harness, at(from.0, from.1), at(to.0, to.1));
+        input::drag(&mut window.harness, at(from.0, from.1), at(to.0, to.1));
     };
     drag(&mut window, (8.0, 6.0), (40.0, 30.0));
     until_value(&mut window, 1, &ParamValue::Floats(vec![8.0, 6.0, 32.0, 24.0]));
@@ -237,7 +237,7 @@ fn a_file_is_picked_out_of_folders_by_keys() {
     window.steps(3);
     window.select("scope");
     window.click_until_shown("Browse left", "File first.png");
-    // Into the folder above and back, by keys alone.
+    // To the parent folder and back, by keys alone.
     window.key(NONE, Key::Backspace);
     window.until_shown("Folder views");
     window.key(NONE, Key::Enter);
@@ -247,7 +247,7 @@ fn a_file_is_picked_out_of_folders_by_keys() {
     window.steps(3);
     let now = window.app().document().text().to_string();
     assert!(now.contains("left = \"views/other.png\""), "{now}");
-    // A name that is not there yet is taken as it is; Escape takes nothing.
+    // A new name is accepted; Escape picks nothing.
     window.harness.get_by_label("Browse calibration").click_accesskit();
     window.until_shown("File name");
     window.harness.get_by_label("File name").type_text("new.yml");
@@ -265,7 +265,7 @@ fn a_file_is_picked_out_of_folders_by_keys() {
 }
 
 #[test]
-fn what_waits_on_wires_is_drawn() {
+fn queues_of_wires_are_drawn() {
     if !has_plugin("flow") {
         return;
     }
@@ -277,7 +277,7 @@ fn what_waits_on_wires_is_drawn() {
     window.until("something is counted", |app| {
         app.queues().iter().any(|(wire, most)| wire == "a.image to kept.images" && *most >= 1.0)
     });
-    // The node that runs inline after its producer has nothing that waits.
+    // A node that runs inline after its producer has an empty queue.
     let queues = window.app().queues();
     assert!(queues.iter().any(|(wire, _)| wire == "b.image to level.image"), "{queues:?}");
     let report = window.close();

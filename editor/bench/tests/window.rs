@@ -1,8 +1,8 @@
-//! The window on running graphs, by keys, pointer and names of widgets.
+//! Tests of the window on running graphs, by keys, pointer and names of widgets.
 
 mod common;
 
-use common::{Folder, GRAPH, Window, hand, has_plugin, nothing_lost};
+use common::{Folder, GRAPH, Window, has_plugin, input, nothing_lost};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Event, Key, Modifiers, OutputCommand, vec2};
 use egui_kittest::kittest::Queryable;
@@ -31,7 +31,7 @@ fn a_slider_tunes_the_running_graph_and_undo_takes_it_back() {
     window.harness.get_by_role_and_label(Role::Slider, "past_weight").focus();
     window.steps(2);
     window.key(NONE, Key::ArrowRight);
-    window.until("the value is in force", |app| {
+    window.until("the value is applied", |app| {
         let engine = app.session().handle().engine().expect("it runs");
         engine.param_values("mean").is_some_and(|v| v[0] == ParamValue::Int(101))
     });
@@ -86,13 +86,13 @@ fn a_click_on_a_mistake_leads_to_its_line() {
     window.harness.get_by_label_contains("line 203: \"lively\"").click_accesskit();
     window.steps(40);
     let shown = window.harness.get_by_label("Text of the file").rect();
-    // The line, as far down the text as its number says, stands in the window's height.
+    // The line is visible, at the height in the text that follows from its number.
     let line = shown.top() + shown.height() * 203.0 / (text.lines().count() + 1) as f32;
     assert!(shown.top() < -1000.0 && (60.0..880.0).contains(&line), "{shown:?} {line}");
 }
 
 #[test]
-fn rebuilt_plugins_come_in_by_a_key_and_broken_ones_stay_out() {
+fn rebuilt_plugins_are_loaded_by_a_key_and_damaged_ones_are_refused() {
     if !has_plugin("flow") {
         return;
     }
@@ -109,9 +109,9 @@ fn rebuilt_plugins_come_in_by_a_key_and_broken_ones_stay_out() {
 
     std::fs::write(&file, &whole[..whole.len() / 2]).expect("written");
     window.key(CTRL, Key::R);
-    window.until("the half is refused", |app| app.session().status().trouble.is_some());
+    window.until("the truncated plugin is refused", |app| app.session().status().problem.is_some());
     window.key(NONE, Key::M);
-    window.until_shown("change refused");
+    window.until_shown("change not applied");
     window.key(NONE, Key::M);
     assert_eq!(window.app().session().status().generation, old);
 
@@ -122,8 +122,8 @@ fn rebuilt_plugins_come_in_by_a_key_and_broken_ones_stay_out() {
     std::fs::write(&file, &rebuilt).expect("written");
     window.key(CTRL, Key::R);
     window.until("the new one is in", |app| app.session().status().generation > old);
-    assert!(window.app().session().status().trouble.is_none());
-    // What nodes say about themselves is the new text's.
+    assert!(window.app().session().status().problem.is_none());
+    // The descriptions of nodes come from the new plugin.
     window.key(NONE, Key::A);
     window.type_text("newly compiled");
     window.until_shown("Pick pass");
@@ -140,15 +140,15 @@ fn add_wire_tune_undo_save_and_reload_while_it_runs() {
     let folder = Folder::new("edit");
     let path = folder.write("g.toml", GRAPH);
     let mut window = Window::run(&path);
-    // Add a node: it waits for its wire, and the old graph runs on.
+    // Add a node: it has no wire yet, and the old graph keeps running.
     window.key(NONE, Key::A);
     window.until_shown("Pick every_nth");
     window.type_text("every");
     window.key(NONE, Key::Enter);
     assert_eq!(window.app().selected().as_deref(), Some("every_nth"));
-    assert!(!window.app().document().view().right);
+    assert!(!window.app().document().view().valid);
     assert!(!window.running().contains(&"every_nth".to_owned()));
-    // Wire it by keyboard: now the change is made.
+    // Connect it by keyboard: now the change is applied.
     window.key(NONE, Key::W);
     window.until_shown("Pick image from mean.image");
     window.type_text("mean");
@@ -180,7 +180,7 @@ fn add_wire_tune_undo_save_and_reload_while_it_runs() {
     (0..steps).for_each(|_| window.key(Modifiers::COMMAND | Modifiers::SHIFT, Key::Z));
     window.settled();
     assert_eq!(**window.app().document().text(), *text);
-    // Someone else writes the file.
+    // Another program writes the file.
     std::fs::write(&path, text.replace("past_weight = 100", "past_weight = 7")).expect("written");
     window.until("the file is read again", |app| app.document().text().contains("past_weight = 7"));
     window.settled();
@@ -204,7 +204,7 @@ fn a_conflict_is_shown_and_nothing_is_lost() {
     std::fs::write(&path, &theirs).expect("written");
     window.until_shown("Take the file's");
     assert_eq!(**window.app().document().text(), *ours);
-    // Saving does not write over what was not seen.
+    // Saving does not overwrite a text that the user has not seen.
     window.key(CTRL, Key::S);
     assert_eq!(std::fs::read_to_string(&path).expect("read"), theirs);
     window.harness.get_by_label("Take the file's").click();
@@ -253,9 +253,9 @@ inputs = { left = "scope.left", right = "scope.right", homography = "scope.homog
     window.drag("Output scope.left", "Input wide.homography");
     assert_eq!(**window.app().document().text(), *text);
     let view = window.app().document().view().clone();
-    let why = view.may_wire(0, "left", 1, "homography").expect_err("another type");
-    assert_eq!(why, "this input takes homography, that is image");
-    assert!(view.may_wire(1, "panorama", 0, "camera_pose").is_err());
+    let why = view.check_wire(0, "left", 1, "homography").expect_err("another type");
+    assert_eq!(why.to_string(), "this input takes homography, that is image");
+    assert!(view.check_wire(1, "panorama", 0, "camera_pose").is_err());
 }
 
 #[test]
@@ -280,7 +280,7 @@ fn faults_show_and_the_window_stays() {
 }
 
 #[test]
-fn a_file_with_mistakes_opens_with_them_and_runs_once_they_are_mended() {
+fn a_file_with_mistakes_opens_with_them_and_runs_once_they_are_fixed() {
     if !has_plugin("flow") {
         return;
     }
@@ -361,17 +361,17 @@ fn nodes_are_chosen_moved_aligned_and_copied_by_keys() {
     window.key(shift, Key::N);
     let selected = |window: &Window| window.app().canvas().selected.iter().cloned().collect::<Vec<_>>();
     assert_eq!(selected(&window), ["b", "mean"]);
-    let place = |window: &Window, id: &str| window.app().canvas().place(id).expect("it is drawn");
-    let before = ["b", "mean"].map(|id| place(&window, id));
+    let position = |window: &Window, id: &str| window.app().canvas().position(id).expect("it is drawn");
+    let before = ["b", "mean"].map(|id| position(&window, id));
     for key in [Key::ArrowDown, Key::ArrowDown, Key::ArrowRight] {
         window.key(shift, key);
     }
     window.steps(2);
-    let after = ["b", "mean"].map(|id| place(&window, id));
+    let after = ["b", "mean"].map(|id| position(&window, id));
     assert_eq!([after[0] - before[0], after[1] - before[1]], [vec2(16.0, 32.0); 2]);
     window.key(NONE, Key::L);
     window.steps(2);
-    assert_eq!(place(&window, "b").y, place(&window, "mean").y, "one lies beside the other");
+    assert_eq!(position(&window, "b").y, position(&window, "mean").y, "one lies beside the other");
     window.key(CTRL, Key::Z);
     window.key(CTRL, Key::Z);
     assert_eq!(**window.app().document().text(), *GRAPH, "all moves are one step");
@@ -411,27 +411,27 @@ fn a_box_selects_a_node_dropped_on_a_wire_goes_into_it_and_a_pin_offers_what_fit
     let lone = "\n[nodes.lone]\ntype = \"pass\"\n\n[editor]\na = { x = 0, y = 0 }\nkept = { x = 320, y = 0 }\nb = { x = 0, y = 320 }\nmean = { x = 560, y = 320 }\nsink = { x = 860, y = 320 }\nlone = { x = 280, y = 620 }\n";
     let mut window = Window::open(&folder.write("g.toml", &format!("{GRAPH}{lone}")));
     window.steps(3);
-    // A frame around the upper two.
+    // A selection frame around the upper two nodes.
     let at = |window: &Window, label: &str| window.harness.get_by_label(label).rect();
     let (a, kept) = (at(&window, "Node a"), at(&window, "Node kept"));
     window.harness.event(Event::ModifiersChanged(Modifiers::SHIFT));
-    hand::drag(&mut window.harness, a.min - vec2(12.0, 12.0), kept.max - vec2(20.0, 20.0));
+    input::drag(&mut window.harness, a.min - vec2(12.0, 12.0), kept.max - vec2(20.0, 20.0));
     window.harness.event(Event::ModifiersChanged(NONE));
     window.steps(2);
     assert_eq!(window.app().canvas().selected.iter().collect::<Vec<_>>(), ["a", "kept"]);
-    // The lone node is dragged by its head until its middle lies on the wire from b to mean.
+    // The unconnected node is dragged by its header until its centre is on the wire from b to mean.
     let head = at(&window, "Node lone").center_top() + vec2(0.0, 8.0);
     let wire =
         (at(&window, "Output b.image").center().to_vec2() + at(&window, "Input mean.image").center().to_vec2()) / 2.0;
     let by = wire.to_pos2() - at(&window, "Node lone").center();
-    hand::drag(&mut window.harness, head, head + by);
+    input::drag(&mut window.harness, head, head + by);
     window.settled();
     let text = window.app().document().text().to_string();
     assert!(text.contains("inputs = { image = \"lone.image\" }"), "{text}");
     assert!(window.running().contains(&"lone".to_owned()));
-    // A wire that is let go over nothing asks what is to be there; only what fits is offered.
+    // A wire dropped on the background opens the palette with the node types that fit.
     let from = at(&window, "Output mean.image").center();
-    hand::drag(&mut window.harness, from, from + vec2(40.0, 200.0));
+    input::drag(&mut window.harness, from, from + vec2(40.0, 200.0));
     window.until_shown("Pick every_nth");
     window.type_text("reg");
     window.until_shown("Pick register_surf");
@@ -453,7 +453,7 @@ fn outputs_are_recalled_by_number_and_compared_by_keys() {
         window.until_shown("64 x 48 px");
         window.key(NONE, Key::Escape);
     }
-    // From the graph as well as from another picture.
+    // From the graph as well as from another output.
     window.key(NONE, Key::Num1);
     assert_eq!(viewed(&window).as_deref(), Some("b.image"));
     window.key(NONE, Key::Num2);
@@ -462,7 +462,7 @@ fn outputs_are_recalled_by_number_and_compared_by_keys() {
     assert_eq!(viewed(&window).as_deref(), Some("mean.image"), "nothing has that number");
     window.key(NONE, Key::C);
     let place = window.app().canvas().rect;
-    // The line moves once both pictures are there.
+    // The line moves once both images are there.
     let until = std::time::Instant::now() + common::PATIENCE;
     while window.app().wipe().is_some_and(|line| line > 0.4) {
         assert!(std::time::Instant::now() < until, "{:?}", window.app().wipe());
@@ -505,20 +505,20 @@ inputs = { cloud = "points.cloud" }
     window.key(NONE, Key::V);
     window.until_shown("Surface of points.cloud");
     window.until("it is painted", App::has_surface);
-    let before = window.app().space().sight();
+    let before = window.app().view3d().viewpoint();
     window.key(NONE, Key::ArrowLeft);
     window.key(NONE, Key::Plus);
-    let after = window.app().space().sight();
+    let after = window.app().view3d().viewpoint();
     assert!(after.yaw > before.yaw && after.zoom > before.zoom, "{before:?} {after:?}");
     window.key(NONE, Key::Home);
     window.until("it is painted as at first", App::has_surface);
-    // Two points by crosshair: the first arrow shows it in the middle.
+    // Two points by crosshair: the first arrow key shows it in the centre.
     window.harness.get_by_label("Measure").click_accesskit();
     window.steps(3);
     window.until_shown("Measuring");
     for key in [Key::ArrowLeft, Key::Enter, Key::ArrowRight, Key::ArrowRight, Key::ArrowRight, Key::Enter] {
         window.key(NONE, key);
     }
-    let mm = window.app().space().distance_mm().expect("both points are known");
+    let mm = window.app().view3d().distance_mm().expect("both points are known");
     assert!((0.1..100.0).contains(&mm), "{mm}");
 }

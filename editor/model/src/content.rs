@@ -1,61 +1,61 @@
-//! What a packet without a picture holds, as numbers: for curves, trails and boxes. Runs on the observer's thread.
+//! The numbers in a packet that is not an image: for curves, trajectories and boxes. Read on the observer's thread.
 
 use panoscope_abi as abi;
 use panoscope_base::packet::{self, Detections, Numbers, PacketError, decode};
 
-/// Most entries of a list that are read.
-const MOST: usize = 256;
+/// Maximum number of list entries that are read.
+const MAX_ENTRIES: usize = 256;
 
-/// A box with what it holds.
+/// A detected object and its box.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Found {
-    /// Left, upper, width and height as parts of the searched picture's width and height.
+pub struct DetectedBox {
+    /// Left, top, width and height, as fractions of the searched image's width and height.
     pub share: [f32; 4],
-    /// What it is, with its score.
-    pub words: String,
-    /// Index of the class, for a colour.
+    /// Name of the class and score, such as `hook 87 %`.
+    pub label: String,
+    /// Index of the class; determines the colour.
     pub class: u32,
 }
 
-/// Numbers of a packet.
+/// The numbers of a packet.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Content {
-    /// None that is known.
+    /// No numbers, or an unknown packet type.
     #[default]
     Nothing,
-    /// Places of things in a picture.
-    Boxes(Vec<Found>),
+    /// Boxes of detected objects.
+    Boxes(Vec<DetectedBox>),
     /// A tool's tip in the left camera's frame, mm.
     Tip([f64; 3]),
-    /// Where frame `b` stands in frame `a`.
+    /// Pose of coordinate frame `b` in frame `a`.
     Pose {
         /// Rotation as w, x, y, z.
         wxyz: [f64; 4],
-        /// Place in mm.
+        /// Position in mm.
         mm: [f64; 3],
-        /// Names of both frames.
+        /// Names of frames `a` and `b`.
         frames: (String, String),
     },
-    /// Where the links of an arm join, in the frame that its pose is told in, mm.
+    /// Positions of an arm's joints, in the frame `a` of the arm's pose, mm.
     Links(Vec<[f64; 3]>),
-    /// Named numbers: a scalar, the first row of a table.
+    /// Named numbers: a scalar, or the first row of a table.
     Numbers(Vec<(String, f64)>),
-    /// Two cameras.
+    /// The geometry of a stereo camera.
     Rig(Rig),
 }
 
-/// What errors of distances follow from.
+/// The quantities of a stereo calibration that determine the error of distances.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rig {
-    /// Of the rectified views, px.
+    /// Focal length of the rectified views, px.
     pub focal_px: f64,
-    /// Distance of both cameras, mm.
+    /// Distance between the cameras, mm.
     pub baseline_mm: f64,
-    /// Reprojection error, px; NaN where unknown.
+    /// Reprojection error, px; NaN when unknown.
     pub rms_px: f64,
 }
 
-/// Reads a packet; [`Content::Nothing`] for what is not a whole packet of that type.
+/// Reads a packet; [`Content::Nothing`] when the bytes do not fit the packet type.
 pub fn read(bytes: &[u8], packet: &str) -> Content {
     try_read(bytes, packet).unwrap_or_default()
 }
@@ -81,7 +81,7 @@ fn try_read(bytes: &[u8], kind: &str) -> Result<Content, PacketError> {
         },
         "calibration" => {
             let calibration: abi::Calibration = decode(bytes)?;
-            // Without a projection the camera's own focal length serves.
+            // An unrectified calibration has no projection; the camera matrix then gives the focal length.
             let [projected, ..] = calibration.left_projection;
             let rig = Rig {
                 focal_px: if projected > 0.0 { projected } else { calibration.left.fx },
@@ -94,31 +94,31 @@ fn try_read(bytes: &[u8], kind: &str) -> Result<Content, PacketError> {
     })
 }
 
-fn boxes(list: &Detections<'_>) -> Vec<Found> {
+fn boxes(list: &Detections<'_>) -> Vec<DetectedBox> {
     let labels: Vec<&str> = list.labels().collect();
     let (width, height) = list.image_size();
     let (width, height) = (width.max(1) as f32, height.max(1) as f32);
-    let found = list.items().take(MOST).map(|item| Found {
+    let boxes = list.items().take(MAX_ENTRIES).map(|item| DetectedBox {
         share: [item.x_px / width, item.y_px / height, item.width_px / width, item.height_px / height],
-        words: format!("{} {:.0} %", labels.get(item.class_index as usize).unwrap_or(&"?"), item.score * 100.0),
+        label: format!("{} {:.0} %", labels.get(item.class_index as usize).unwrap_or(&"?"), item.score * 100.0),
         class: item.class_index,
     });
-    found.filter(|f| f.share.iter().all(|v| v.is_finite())).collect()
+    boxes.filter(|detected| detected.share.iter().all(|v| v.is_finite())).collect()
 }
 
-/// `place` of frame `b` as frame `a` sees it.
-pub fn moved(wxyz: [f64; 4], mm: [f64; 3], place: [f64; 3]) -> [f64; 3] {
-    let turned = turned(wxyz, place);
+/// Transforms a position from frame `b` to frame `a`: rotates it by `wxyz` and moves it by `mm`.
+pub fn moved(wxyz: [f64; 4], mm: [f64; 3], position: [f64; 3]) -> [f64; 3] {
+    let turned = turned(wxyz, position);
     [turned[0] + mm[0], turned[1] + mm[1], turned[2] + mm[2]]
 }
 
-/// The other way round.
-pub fn moved_back(wxyz: [f64; 4], mm: [f64; 3], place: [f64; 3]) -> [f64; 3] {
+/// The inverse of [`moved`]: transforms a position from frame `a` to frame `b`.
+pub fn moved_back(wxyz: [f64; 4], mm: [f64; 3], position: [f64; 3]) -> [f64; 3] {
     let [w, x, y, z] = wxyz;
-    turned([w, -x, -y, -z], [place[0] - mm[0], place[1] - mm[1], place[2] - mm[2]])
+    turned([w, -x, -y, -z], [position[0] - mm[0], position[1] - mm[1], position[2] - mm[2]])
 }
 
-/// A vector turned by a unit quaternion.
+/// Rotates a vector by a unit quaternion w, x, y, z.
 fn turned([w, x, y, z]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
     let cross =
         |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn boxes_have_their_places_and_names() {
+    fn boxes_have_positions_and_labels() {
         let mut bytes = Vec::new();
         for number in [1u32, 13, 200, 100] {
             bytes.extend_from_slice(&number.to_le_bytes());
@@ -147,7 +147,7 @@ mod tests {
         bytes.extend_from_slice(b"hook\nscissors");
         let Content::Boxes(found) = read(&bytes, "detections") else { panic!("no boxes") };
         assert_eq!(found[0].share, [0.25, 0.2, 0.5, 0.5]);
-        assert_eq!(found[0].words, "scissors 87 %");
+        assert_eq!(found[0].label, "scissors 87 %");
         // Cut off anywhere it is read without harm.
         for end in 0..bytes.len() {
             read(&bytes[..end], "detections");

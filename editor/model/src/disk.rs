@@ -1,4 +1,4 @@
-//! The file on disk: saved whole or not at all, with the text before it kept beside, and watched for changes by others.
+//! The graph file on disk: saves it atomically with a backup, and watches it for changes by other programs.
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -7,30 +7,30 @@ use std::time::{Duration, Instant};
 
 use panoscope_loader::Stamp;
 
-/// Why the file was not saved; it holds what it held before.
+/// Why the file was not saved; it is unchanged.
 #[derive(Debug, thiserror::Error)]
 #[error("{path} was not saved: {cause}", path = path.display())]
 pub struct SaveError {
     /// The file.
     pub path: PathBuf,
-    /// What the system says.
+    /// The operating system's error.
     pub cause: std::io::Error,
 }
 
-/// Where the text before the last save is kept.
+/// The backup file of `path`, with the text before the last save.
 pub fn backup_of(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".bak");
     name.into()
 }
 
-/// Saves a text in one step: at any moment the file holds the old text or the new one, whole. The old one is kept as a backup.
+/// Saves a text atomically: at any moment the file contains the complete old or the complete new text. The old text is kept as a backup.
 ///
 /// # Errors
-/// What the system says, the file being as before.
+/// The file or its backup cannot be written; the file is unchanged.
 pub fn save(path: &Path, text: &str) -> Result<(), SaveError> {
     let fail = |cause| SaveError { path: path.to_owned(), cause };
-    // Through a link the file it names is replaced, not the link.
+    // For a symbolic link, its target is replaced and not the link.
     let path = &fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     if let Ok(old) = fs::read(path) {
         replace(&backup_of(path), &old, None).map_err(fail)?;
@@ -39,10 +39,10 @@ pub fn save(path: &Path, text: &str) -> Result<(), SaveError> {
     replace(path, text.as_bytes(), mode).map_err(fail)
 }
 
-/// Writes a file in one step: at any moment there is the old one or the new one, whole.
+/// Writes a file atomically: at any moment the complete old or the complete new file exists.
 ///
 /// # Errors
-/// What the system says, the file being as before.
+/// The file or its backup cannot be written; the file is unchanged.
 pub fn replace(path: &Path, bytes: &[u8], mode: Option<fs::Permissions>) -> std::io::Result<()> {
     let mut part = path.as_os_str().to_owned();
     part.push(format!(".{}.part", std::process::id()));
@@ -60,54 +60,54 @@ pub fn replace(path: &Path, bytes: &[u8], mode: Option<fs::Permissions>) -> std:
         let _ = fs::remove_file(&part);
         return written;
     }
-    // The new name must survive a power cut too; file systems that cannot sync a folder do it themselves.
+    // Makes the rename survive a power failure. File systems that cannot sync a folder ensure this themselves.
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let _ = File::open(folder).and_then(|f| f.sync_all());
     Ok(())
 }
 
-/// Looks whether someone else changed the file.
+/// Polls whether another program changed the file.
 pub struct DiskWatch {
     path: PathBuf,
-    known: Stamp,
-    seen: Stamp,
+    reported: Stamp,
+    polled: Stamp,
     next: Instant,
 }
 
 impl DiskWatch {
-    /// Time from one look to the next. A change counts once the file holds still for as long.
+    /// Time between two polls. A change is reported once the file stays the same for this time.
     pub const INTERVAL: Duration = Duration::from_millis(500);
 
-    /// Starts from the file as it is.
+    /// Starts from the file as it is now.
     pub fn new(path: &Path) -> Self {
-        let known = Stamp::of(path);
-        Self { path: path.to_owned(), known, seen: known, next: Instant::now() }
+        let reported = Stamp::of(path);
+        Self { path: path.to_owned(), reported, polled: reported, next: Instant::now() }
     }
 
-    /// The file as it is now is known.
-    pub fn settle(&mut self) {
-        self.known = Stamp::of(&self.path);
-        self.seen = self.known;
+    /// Ignores changes of the file up to now.
+    pub fn mark_known(&mut self) {
+        self.reported = Stamp::of(&self.path);
+        self.polled = self.reported;
     }
 
-    /// The new text, once, when someone else changed the file.
-    pub fn look(&mut self) -> Option<String> {
+    /// The new text, once, after another program changed the file.
+    pub fn poll(&mut self) -> Option<String> {
         if Instant::now() < self.next {
             return None;
         }
         self.next = Instant::now() + Self::INTERVAL;
         let now = Stamp::of(&self.path);
-        let still = now == self.seen;
-        self.seen = now;
-        if !still || now == self.known {
+        let still = now == self.polled;
+        self.polled = now;
+        if !still || now == self.reported {
             return None;
         }
-        self.known = now;
+        self.reported = now;
         fs::read_to_string(&self.path).ok()
     }
 }
 
-/// Whether a node's words say that a disk takes nothing more.
+/// Whether a node's error message means that the disk is full.
 pub fn is_full(words: &str) -> bool {
     words.contains("No space left") || words.contains("the disk is full")
 }
@@ -156,17 +156,17 @@ mod tests {
     }
 
     #[test]
-    fn a_change_counts_once_it_holds_still() {
+    fn a_change_is_reported_once_the_file_is_stable() {
         let folder = folder("watch");
         let path = folder.join("g.toml");
         fs::write(&path, "one").unwrap();
         let mut watch = DiskWatch::new(&path);
-        assert_eq!(watch.look(), None);
+        assert_eq!(watch.poll(), None);
         fs::write(&path, "three").unwrap();
         let mut found = None;
         for _ in 0..4 {
             watch.next = Instant::now();
-            found = found.or(watch.look());
+            found = found.or(watch.poll());
         }
         assert_eq!(found.as_deref(), Some("three"));
         fs::remove_dir_all(folder).unwrap();

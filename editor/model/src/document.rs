@@ -1,7 +1,7 @@
-//! The graph file under edit: its text is the truth, everything that is drawn is derived from it. No egui here.
+//! The graph file being edited. Its text is the only state; everything that is drawn is derived from it.
 //!
-//! Every edit gives a new text, which is checked whole. A text without mistakes is what the session is asked to run; one with mistakes is
-//! shown with them while the last good one runs on. Undo and redo step through texts.
+//! Every edit gives a new text, which is checked as a whole. A valid text is passed to the session to run. A text with mistakes is
+//! shown with them while the last valid one keeps running. Undo and redo step through texts.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -13,32 +13,32 @@ use panoscope_graph::{
 };
 use panoscope_loader::Loader;
 
-use crate::history::{By, Change, History};
+use crate::history::{Change, History, Origin};
 use crate::mark::Mark;
 
-/// Most texts that can be undone.
-const MOST_STEPS: usize = 500;
+/// Maximum number of undo steps.
+const MAX_UNDO_STEPS: usize = 500;
 
 /// A node as it is drawn.
 #[derive(Clone, Debug)]
 pub struct NodeView {
-    /// What the file says of it.
+    /// The node's entry in the file.
     pub outline: NodeOutline,
-    /// Its type, when it is known.
+    /// Its type; `None` when no plugin of the graph has it.
     pub node_type: Option<Arc<NodeType>>,
-    /// Where `[editor]` puts it.
+    /// Its position in the file's `[editor]` table.
     pub position: Option<(f32, f32)>,
-    /// What is wrong with it.
+    /// Messages of the errors in this node.
     pub mistakes: Vec<String>,
 }
 
 impl NodeView {
-    /// Its name.
+    /// Its name in the graph.
     pub fn id(&self) -> &str {
         &self.outline.id
     }
 
-    /// Its family, or `unknown`.
+    /// Its family; `unknown` when its type is not known.
     pub fn family(&self) -> &str {
         self.node_type.as_ref().map_or("unknown", |t| &t.family)
     }
@@ -57,31 +57,31 @@ impl NodeView {
 /// A connection as it is drawn.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Wire {
-    /// Producing node, a position in [`View::nodes`].
+    /// Producing node: index in [`GraphView::nodes`].
     pub from: usize,
     /// Its output.
     pub output: String,
-    /// Consuming node.
+    /// Consuming node: index in [`GraphView::nodes`].
     pub to: usize,
     /// Its input.
     pub input: String,
-    /// Place in a list input.
+    /// Index in a list input.
     pub index: usize,
-    /// Reads the value of the tick before.
+    /// Whether it carries the value of the previous tick.
     pub delayed: bool,
 }
 
-/// What is drawn of a text.
+/// The graph as it is drawn, derived from a text.
 #[derive(Clone, Debug, Default)]
-pub struct View {
+pub struct GraphView {
     /// Nodes in file order.
     pub nodes: Vec<NodeView>,
-    /// Connections between nodes that exist.
+    /// Connections whose nodes both exist.
     pub wires: Vec<Wire>,
-    /// Mistakes and warnings.
+    /// Errors and warnings.
     pub diagnostics: Vec<Diagnostic>,
-    /// Whether the text can run.
-    pub right: bool,
+    /// Whether the text has no errors and can run.
+    pub valid: bool,
     /// Name of the graph.
     pub name: String,
     /// The graph file, as diagnostics name it; others are of parts and overlays.
@@ -90,14 +90,14 @@ pub struct View {
     pub marks: Vec<Mark>,
 }
 
-/// What the checker says of a graph without nodes.
+/// The checker's code for a graph without nodes.
 const EMPTY_GRAPH: &str = "empty-graph";
 
-/// Keys of `[editor]` that no node can have.
+/// Keys in `[editor]` for frames and notes; no node can have these names.
 pub(crate) const FRAMES: &str = ":frames";
 pub(crate) const NOTES: &str = ":notes";
 
-/// Frames and notes of an `[editor]` table; what is no such thing is left out.
+/// Frames and notes of an `[editor]` table; invalid entries are skipped.
 fn marks_of(editor: &toml::Table) -> Vec<Mark> {
     let list = |key: &str| editor.get(key).and_then(toml::Value::as_array).cloned().unwrap_or_default();
     let mark = |value: &toml::Value, frame: bool| {
@@ -113,13 +113,49 @@ fn marks_of(editor: &toml::Table) -> Vec<Mark> {
     frames.into_iter().chain(list(NOTES).into_iter().filter_map(|v| mark(&v, false))).collect()
 }
 
-impl View {
-    /// Position of the node called `id`.
+/// Why an output may not be connected to an input.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum WireError {
+    /// A node does not exist.
+    #[error("there is no node `{node}`")]
+    NoNode {
+        /// The node.
+        node: String,
+    },
+    /// The producer has no such output.
+    #[error("`{node}` has no output `{output}`")]
+    NoOutput {
+        /// The producer.
+        node: String,
+        /// The output.
+        output: String,
+    },
+    /// The consumer has no such input.
+    #[error("`{node}` has no input `{input}`")]
+    NoInput {
+        /// The consumer.
+        node: String,
+        /// The input.
+        input: String,
+    },
+    /// The packets of the output do not fit the input.
+    #[error("{reason}")]
+    Packets {
+        /// The checker's message.
+        reason: String,
+    },
+    /// The wire would close a loop without delay.
+    #[error("the wire would close a loop; a loop needs `delay = 1` in the file")]
+    Loop,
+}
+
+impl GraphView {
+    /// Index of the node called `id`.
     pub fn node(&self, id: &str) -> Option<usize> {
         self.nodes.iter().position(|n| n.id() == id)
     }
 
-    /// The node of that name a diagnostic is about.
+    /// The name of the node that a diagnostic refers to.
     pub fn node_of(&self, diagnostic: &Diagnostic, text: &str) -> Option<String> {
         if self.file != diagnostic.file {
             return None;
@@ -136,7 +172,7 @@ impl View {
         self.wires.iter().filter(move |w| w.to == node && w.input == input)
     }
 
-    /// A wire in words, by where it ends.
+    /// A wire's description, such as `a.image to b.image`, from its end.
     pub fn wire_name(&self, end: &crate::observe::WireEnd) -> String {
         let Some(node) = self.node(&end.node) else { return end.node.clone() };
         let port = self.nodes[node].node_type.as_ref().and_then(|t| t.inputs.get(end.port));
@@ -146,12 +182,12 @@ impl View {
         format!("{from} to {}.{}", end.node, port.name)
     }
 
-    /// Packet type of an output, when it is known.
+    /// Packet type of an output; `None` when it is not known.
     pub fn packet(&self, node: usize, output: &str) -> Option<&PacketType> {
         Some(&self.nodes[node].output(output)?.packet)
     }
 
-    /// Whether wiring an output to an input would close a loop that has no delay.
+    /// Whether a wire from node `from` to node `to` would close a loop without delay.
     pub fn closes_loop(&self, from: usize, to: usize) -> bool {
         let (mut open, mut seen) = (vec![to], vec![false; self.nodes.len()]);
         while let Some(node) = open.pop() {
@@ -165,18 +201,19 @@ impl View {
         false
     }
 
-    /// Whether an output may be wired to an input; if not, why.
+    /// Checks whether an output may be connected to an input.
     ///
     /// # Errors
-    /// A sentence for people.
-    pub fn may_wire(&self, from: usize, output: &str, to: usize, input: &str) -> Result<(), String> {
+    /// Why it may not.
+    pub fn check_wire(&self, from: usize, output: &str, to: usize, input: &str) -> Result<(), WireError> {
         let (source, target) = (&self.nodes[from], &self.nodes[to]);
-        let missing = |node: &NodeView, what: &str| format!("`{}` has no {what}", node.id());
-        let output = source.output(output).ok_or_else(|| missing(source, "such output"))?;
-        let input = target.input(input).ok_or_else(|| missing(target, "such input"))?;
-        output.packet.fits(&input.packet).map_err(|e| e.to_string())?;
+        let no_output = || WireError::NoOutput { node: source.id().to_owned(), output: output.to_owned() };
+        let no_input = || WireError::NoInput { node: target.id().to_owned(), input: input.to_owned() };
+        let output = source.output(output).ok_or_else(no_output)?;
+        let input = target.input(input).ok_or_else(no_input)?;
+        output.packet.fits(&input.packet).map_err(|reason| WireError::Packets { reason: reason.to_string() })?;
         if self.closes_loop(from, to) {
-            return Err("that would close a loop; a loop needs `delay = 1` in the file".to_owned());
+            return Err(WireError::Loop);
         }
         Ok(())
     }
@@ -186,15 +223,15 @@ impl View {
 type Texts = BTreeMap<PathBuf, Arc<str>>;
 
 #[derive(Clone, Debug)]
-struct Step {
+struct UndoStep {
     text: Arc<str>,
     /// Of those other files that were ever changed.
     others: Texts,
-    /// What led away from this text.
+    /// Label of the edit that replaced this text.
     label: String,
 }
 
-/// The file, its history and what is drawn of it.
+/// The graph file's text with its undo history and the graph derived from it.
 pub struct Document {
     path: PathBuf,
     text: Arc<str>,
@@ -206,10 +243,10 @@ pub struct Document {
     given: GraphOptions,
     /// One text of all files, for the session; the text itself for a graph of one file.
     runnable: Arc<str>,
-    undo: Vec<Step>,
-    redo: Vec<Step>,
+    undo: Vec<UndoStep>,
+    redo: Vec<UndoStep>,
     merge: Option<String>,
-    view: Arc<View>,
+    view: Arc<GraphView>,
     saved_params: HashMap<String, toml::Table>,
     loader: Arc<Loader>,
     catalog: Arc<Catalog>,
@@ -220,7 +257,7 @@ pub struct Document {
 }
 
 impl Document {
-    /// A document of the text read at `path`.
+    /// A document of `text`, which was read from `path`.
     pub fn new(path: &Path, text: &str, loader: Arc<Loader>) -> Self {
         Self::with_options(path, text, loader, GraphOptions::default())
     }
@@ -251,17 +288,17 @@ impl Document {
         document
     }
 
-    /// The text now.
+    /// The current text.
     pub fn text(&self) -> &Arc<str> {
         &self.text
     }
 
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The text as the file holds it.
+    /// The text in the file.
     pub fn saved(&self) -> &Arc<str> {
         &self.saved
     }
@@ -290,8 +327,8 @@ impl Document {
         }
     }
 
-    /// What is drawn.
-    pub fn view(&self) -> &Arc<View> {
+    /// The graph derived from the text.
+    pub fn view(&self) -> &Arc<GraphView> {
         &self.view
     }
 
@@ -305,33 +342,33 @@ impl Document {
         &self.plugins
     }
 
-    /// Counts texts.
+    /// Incremented with every new text.
     pub fn revision(&self) -> u64 {
         self.revision
     }
 
-    /// What undo would take back.
+    /// Label of the edit that [`Self::undo`] would take back.
     pub fn undo_label(&self) -> Option<&str> {
         self.undo.last().map(|s| s.label.as_str())
     }
 
-    /// What redo would do again.
+    /// Label of the edit that [`Self::redo`] would repeat.
     pub fn redo_label(&self) -> Option<&str> {
         self.redo.last().map(|s| s.label.as_str())
     }
 
-    /// Steps that can be undone.
+    /// Number of undo steps.
     pub fn steps(&self) -> usize {
         self.undo.len()
     }
 
-    /// Whether a node's parameter differs from the file's.
+    /// Whether a node's parameter differs from its value in the file.
     pub fn differs_from_file(&self, node: &NodeView, param: &str) -> bool {
         let saved = self.saved_params.get(node.id()).and_then(|p| p.get(param));
         saved != node.outline.params.get(param)
     }
 
-    /// Looks names up with another loader from now on.
+    /// Replaces the loader and derives the graph again if it is another one.
     pub fn set_loader(&mut self, loader: Arc<Loader>) {
         if !Arc::ptr_eq(&loader, &self.loader) {
             self.loader = loader;
@@ -340,41 +377,41 @@ impl Document {
         }
     }
 
-    /// What became of the parameters.
+    /// The history of parameter changes.
     pub fn history(&self) -> &History {
         &self.history
     }
 
-    /// What is known to be in force is in force since this tick.
-    pub fn in_force(&mut self, tick: u64) {
-        self.history.in_force(tick);
+    /// Records `tick` as the first one with the current values.
+    pub fn set_tick(&mut self, tick: u64) {
+        self.history.set_tick(tick);
     }
 
-    /// The history stands there now, see [`crate::ops::step_to`].
-    pub(crate) fn stepped_to(&mut self, at: usize) {
-        self.history.stepped_to(at);
+    /// Sets the position in the history, see [`crate::ops::step_to`].
+    pub(crate) fn set_position(&mut self, at: usize) {
+        self.history.set_position(at);
     }
 
-    /// Makes `text` the text, as one step of history. Steps with the same `merge` that follow one another count as one.
+    /// Replaces the text as one undo step. Consecutive steps with the same `merge` are one step.
     pub fn set_text(&mut self, text: &str, label: &str, merge: Option<&str>) {
-        self.set_text_by(By::Hand, text, label, merge);
+        self.set_text_by(Origin::Hand, text, label, merge);
     }
 
     /// As [`Self::set_text`], by somebody.
-    pub fn set_text_by(&mut self, by: By, text: &str, label: &str, merge: Option<&str>) {
+    pub fn set_text_by(&mut self, by: Origin, text: &str, label: &str, merge: Option<&str>) {
         let others = self.others.clone();
         self.set_texts_by(by, text, others, label, merge);
     }
 
-    fn set_texts_by(&mut self, by: By, text: &str, others: Texts, label: &str, merge: Option<&str>) {
+    fn set_texts_by(&mut self, by: Origin, text: &str, others: Texts, label: &str, merge: Option<&str>) {
         if *text == *self.text && others == self.others {
             return;
         }
-        let goes_on = merge.is_some() && merge == self.merge.as_deref() && !self.undo.is_empty();
-        if !goes_on {
+        let extends_last = merge.is_some() && merge == self.merge.as_deref() && !self.undo.is_empty();
+        if !extends_last {
             let (text, others) = (Arc::clone(&self.text), self.others.clone());
-            self.undo.push(Step { text, others, label: label.to_owned() });
-            if self.undo.len() > MOST_STEPS {
+            self.undo.push(UndoStep { text, others, label: label.to_owned() });
+            if self.undo.len() > MAX_UNDO_STEPS {
                 self.undo.remove(0);
             }
         }
@@ -382,7 +419,7 @@ impl Document {
         self.redo.clear();
         self.text = text.into();
         self.others = others;
-        self.derive_by(by, goes_on);
+        self.derive_by(by, extends_last);
     }
 
     /// Sets parameters, or with `None` takes them out, as one step. Each change goes into the file that the value came from: the graph, a part, an
@@ -392,7 +429,7 @@ impl Document {
     /// A text cannot be edited like that, or a value comes from the command line; all texts are as before.
     pub fn edit_params(
         &mut self,
-        by: By,
+        by: Origin,
         label: &str,
         merge: Option<&str>,
         changes: &[(&str, &str, Option<&toml::Value>)],
@@ -446,52 +483,52 @@ impl Document {
     }
 
     /// Draws anew, and writes down which values are others than before.
-    fn derive_by(&mut self, by: By, goes_on: bool) {
+    fn derive_by(&mut self, by: Origin, extends_last: bool) {
         let before = Arc::clone(&self.view);
         self.derive();
-        if by == By::History {
+        if by == Origin::History {
             return;
         }
         for now in &self.view.nodes {
-            // A node that comes or goes changes no value.
+            // Adding or removing a node is not a change of its values.
             let Some(then) = before.node(now.id()).map(|n| &before.nodes[n]) else { continue };
             let (then, now_params) = (&then.outline.params, &now.outline.params);
-            let gone = then.keys().filter(|param| !now_params.contains_key(*param));
-            for param in now_params.keys().chain(gone) {
+            let removed = then.keys().filter(|param| !now_params.contains_key(*param));
+            for param in now_params.keys().chain(removed) {
                 let (from, to) = (then.get(param).cloned(), now_params.get(param).cloned());
                 if from != to {
                     let (node, param) = (now.id().to_owned(), param.clone());
-                    self.history.take(Change { node, param, from, to, by, tick: None }, goes_on);
+                    self.history.record(Change { node, param, from, to, by, tick: None }, extends_last);
                 }
             }
         }
     }
 
-    /// Ends a merged step, so that the next one counts anew.
+    /// Ends a merged step, so that the next edit is a step of its own.
     pub fn end_merge(&mut self) {
         self.merge = None;
     }
 
-    /// Edits the text as one step.
+    /// Edits the text as one undo step.
     ///
     /// # Errors
-    /// The text cannot be edited like that; it is as before.
+    /// The edit does not fit the text, which is unchanged.
     pub fn edit(
         &mut self,
         label: &str,
         merge: Option<&str>,
         edit: impl FnOnce(&mut GraphEdit) -> Result<(), EditError>,
     ) -> Result<(), EditError> {
-        self.edit_by(By::Hand, label, merge, edit)
+        self.edit_by(Origin::Hand, label, merge, edit)
     }
 
-    /// As [`Self::edit`], by somebody.
+    /// As [`Self::edit`], with the origin of the change.
     ///
     /// # Errors
-    /// As there.
+    /// The edit does not fit the text, which is unchanged.
     pub fn edit_by(
         &mut self,
-        by: By,
+        by: Origin,
         label: &str,
         merge: Option<&str>,
         edit: impl FnOnce(&mut GraphEdit) -> Result<(), EditError>,
@@ -502,50 +539,50 @@ impl Document {
         Ok(())
     }
 
-    /// Edits the text as a part of the step before: one undo takes both back.
+    /// Edits the text as part of the previous undo step.
     ///
     /// # Errors
-    /// The text cannot be edited like that; it is as before.
+    /// The edit does not fit the text, which is unchanged.
     pub fn amend(&mut self, edit: impl FnOnce(&mut GraphEdit) -> Result<(), EditError>) -> Result<(), EditError> {
         let mut document = GraphEdit::parse(&self.text)?;
         edit(&mut document)?;
         let text = document.text();
         if *text != *self.text {
             self.text = text.into();
-            self.derive_by(By::Hand, true);
+            self.derive_by(Origin::Hand, true);
         }
         Ok(())
     }
 
-    /// Takes the last step back; answers what it was.
+    /// Undoes the last step and returns its label.
     pub fn undo(&mut self) -> Option<String> {
         let step = self.undo.pop()?;
         let now = self.swap(&step);
         self.redo.push(now);
         self.merge = None;
-        self.derive_by(By::Undo, false);
+        self.derive_by(Origin::Undo, false);
         Some(step.label)
     }
 
-    /// Does what was undone again; answers what it was.
+    /// Repeats the last undone step and returns its label.
     pub fn redo(&mut self) -> Option<String> {
         let step = self.redo.pop()?;
         let now = self.swap(&step);
         self.undo.push(now);
         self.merge = None;
-        self.derive_by(By::Redo, false);
+        self.derive_by(Origin::Redo, false);
         Some(step.label)
     }
 
     /// Takes the texts of a step; returns those of now under its label.
-    fn swap(&mut self, step: &Step) -> Step {
+    fn swap(&mut self, step: &UndoStep) -> UndoStep {
         let text = std::mem::replace(&mut self.text, Arc::clone(&step.text));
         let others = std::mem::replace(&mut self.others, step.others.clone());
-        Step { text, others, label: step.label.clone() }
+        UndoStep { text, others, label: step.label.clone() }
     }
 
     /// The file holds `text` now.
-    pub fn now_saved(&mut self, text: &str) {
+    pub fn set_saved(&mut self, text: &str) {
         self.saved = text.into();
         self.saved_params = params_of(&GraphText::parse_with(&self.path, text, &self.given));
         self.merge = None;
@@ -587,16 +624,16 @@ impl Document {
             }
         }
         let checked = check(&parsed, catalog);
-        // A graph without nodes is not begun yet; nothing in it is wrong.
+        // An empty graph is not reported as a mistake: it is a new graph.
         let diagnostics: Vec<Diagnostic> =
             checked.diagnostics.iter().filter(|d| d.code != EMPTY_GRAPH).cloned().collect();
         self.runnable = match &checked.graph {
             Some(_) if !parsed.is_plain() => parsed.flattened(catalog).into_owned().into(),
             _ => Arc::clone(&self.text),
         };
-        let view = View {
+        let view = GraphView {
             file: self.path.display().to_string(),
-            right: checked.graph.is_some(),
+            valid: checked.graph.is_some(),
             name: parsed.name().to_owned(),
             marks: marks_of(editor),
             nodes: std::mem::take(&mut nodes),
@@ -623,7 +660,7 @@ fn params_of(text: &GraphText) -> HashMap<String, toml::Table> {
     text.outline().into_iter().map(|n| (n.id, n.params)).collect()
 }
 
-/// The default of a parameter as a file would write it.
+/// The default of a parameter as a TOML value.
 pub fn default_value(kind: &ParamKind) -> toml::Value {
     match kind {
         ParamKind::Bool { default } => (*default).into(),

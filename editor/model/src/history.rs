@@ -1,32 +1,32 @@
-//! What became of the parameters: who changed which, from what to what, from which tick on. It can be stepped through. No egui here.
+//! The history of parameter changes: which parameter, from which value to which, from which tick on, and where the change came from.
 //!
-//! The document feeds it with every text that differs in a value, whatever led to that text. It is no list of edits: wires and places are left
-//! out, and going back to a value is an edit of its own that can be undone.
+//! The document records every changed value, whatever changed the text. The history is not the undo list: it has no wires or positions, and
+//! stepping back to a value is an edit that can be undone.
 
 use std::collections::VecDeque;
 
 use toml::Value;
 
-/// Most changes that are remembered.
-const MOST: usize = 1000;
+/// Maximum number of changes in the history.
+const MAX_ENTRIES: usize = 1000;
 
-/// Who changed a value.
+/// Where a change of a value came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum By {
-    /// Somebody at this window.
+pub enum Origin {
+    /// The user of this window.
     Hand,
-    /// An edit was undone.
+    /// Undo of an edit.
     Undo,
-    /// It was done again.
+    /// Redo of an edit.
     Redo,
-    /// The file was changed on disk.
+    /// A change of the file on disk.
     File,
     /// A step through the history.
     History,
 }
 
-impl By {
-    /// In one word.
+impl Origin {
+    /// The word that the history panel shows.
     pub fn word(self) -> &'static str {
         match self {
             Self::Hand => "hand",
@@ -38,31 +38,31 @@ impl By {
     }
 }
 
-/// A parameter that got another value.
+/// A change of a parameter's value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Change {
     /// The node.
     pub node: String,
     /// Its parameter.
     pub param: String,
-    /// Value before; `None` where the file gave none, so that the default held.
+    /// Value before; `None` when the file had none, so that the default applied.
     pub from: Option<Value>,
-    /// Value after.
+    /// Value after; `None` when the default applies.
     pub to: Option<Value>,
-    /// Who changed it.
-    pub by: By,
-    /// Tick of the busiest source at which it was in force; `None` while it is not.
+    /// Where the change came from.
+    pub by: Origin,
+    /// First tick of the busiest source with the new value; `None` until it is applied.
     pub tick: Option<u64>,
 }
 
-/// A value that a parameter is to have.
-pub type Wanted = (String, String, Option<Value>);
+/// Node, parameter and the value to set; `None` for the default.
+pub type TargetValue = (String, String, Option<Value>);
 
-/// All changes, oldest first, and where in them the graph stands.
+/// All changes, oldest first, and the current position among them.
 #[derive(Clone, Debug, Default)]
 pub struct History {
     changes: VecDeque<Change>,
-    /// Changes that are in force: those before this place.
+    /// Number of changes that are applied; later ones were stepped back from.
     at: usize,
 }
 
@@ -72,58 +72,58 @@ impl History {
         self.changes.iter()
     }
 
-    /// How many of them are in force; the others were stepped back from.
+    /// Number of changes that are applied; later ones were stepped back from.
     pub fn at(&self) -> usize {
         self.at
     }
 
-    /// Takes a change in. One that `goes_on` (a slider still being dragged) moves the end of the last one.
-    pub fn take(&mut self, change: Change, goes_on: bool) {
+    /// Records a change. If it `extends_last` (a slider still being dragged), it extends the last change.
+    pub fn record(&mut self, change: Change, extends_last: bool) {
         if self.at == self.changes.len()
-            && goes_on
+            && extends_last
             && let Some(last) = self.changes.back_mut()
             && (&last.node, &last.param, last.by) == (&change.node, &change.param, change.by)
         {
             (last.to, last.tick) = (change.to, None);
             return;
         }
-        // What was stepped back from came about, too: it is written down, so that the list tells what happened.
+        // Stepping back was a change too, so it is recorded before the new one.
         let back: Vec<Change> = self.changes.range(self.at..).rev().cloned().collect();
         for c in back {
-            self.changes.push_back(Change { from: c.to, to: c.from, by: By::History, tick: None, ..c });
+            self.changes.push_back(Change { from: c.to, to: c.from, by: Origin::History, tick: None, ..c });
         }
         self.changes.push_back(change);
-        while self.changes.len() > MOST {
+        while self.changes.len() > MAX_ENTRIES {
             self.changes.pop_front();
         }
         self.at = self.changes.len();
     }
 
-    /// Changes that had no tick are in force since this one.
-    pub fn in_force(&mut self, tick: u64) {
+    /// Sets the tick of all changes that have none yet.
+    pub fn set_tick(&mut self, tick: u64) {
         self.changes.iter_mut().rev().filter(|c| c.tick.is_none()).for_each(|c| c.tick = Some(tick));
     }
 
-    /// Whether some change has no tick yet.
-    pub fn waits(&self) -> bool {
+    /// Whether a change has no tick yet.
+    pub fn has_pending(&self) -> bool {
         self.changes.iter().rev().any(|c| c.tick.is_none())
     }
 
-    /// What is to be set so that exactly the first `at` changes are in force.
-    pub fn values_at(&self, at: usize) -> Vec<Wanted> {
+    /// The values to set so that exactly the first `at` changes are applied.
+    pub fn values_at(&self, at: usize) -> Vec<TargetValue> {
         let at = at.min(self.changes.len());
-        let mut wanted: Vec<Wanted> = Vec::new();
+        let mut targets: Vec<TargetValue> = Vec::new();
         let mut want = |c: &Change, value: &Option<Value>| {
-            wanted.retain(|(node, param, _)| (node, param) != (&c.node, &c.param));
-            wanted.push((c.node.clone(), c.param.clone(), value.clone()));
+            targets.retain(|(node, param, _)| (node, param) != (&c.node, &c.param));
+            targets.push((c.node.clone(), c.param.clone(), value.clone()));
         };
         self.changes.iter().enumerate().take(self.at).skip(at).rev().for_each(|(_, c)| want(c, &c.from));
         self.changes.iter().take(at).skip(self.at).for_each(|c| want(c, &c.to));
-        wanted
+        targets
     }
 
-    /// The graph stands there now.
-    pub fn stepped_to(&mut self, at: usize) {
+    /// Sets the position: the first `at` changes are applied.
+    pub fn set_position(&mut self, at: usize) {
         self.at = at.min(self.changes.len());
     }
 }
@@ -134,7 +134,7 @@ mod tests {
 
     fn change(from: i64, to: i64) -> Change {
         let (node, param) = ("n".to_owned(), "p".to_owned());
-        Change { node, param, from: Some(from.into()), to: Some(to.into()), by: By::Hand, tick: None }
+        Change { node, param, from: Some(from.into()), to: Some(to.into()), by: Origin::Hand, tick: None }
     }
 
     fn value(history: &History, at: usize) -> Option<i64> {
@@ -144,17 +144,17 @@ mod tests {
     #[test]
     fn steps_lead_back_and_forth() {
         let mut history = History::default();
-        history.take(change(1, 2), false);
-        history.take(change(2, 3), true);
+        history.record(change(1, 2), false);
+        history.record(change(2, 3), true);
         assert_eq!(history.changes().len(), 1, "a drag is one change");
-        history.take(change(3, 4), false);
-        history.in_force(17);
-        assert!(!history.waits() && history.changes().all(|c| c.tick == Some(17)));
+        history.record(change(3, 4), false);
+        history.set_tick(17);
+        assert!(!history.has_pending() && history.changes().all(|c| c.tick == Some(17)));
         assert_eq!((value(&history, 1), value(&history, 0)), (Some(3), Some(1)));
-        history.stepped_to(0);
+        history.set_position(0);
         assert_eq!((value(&history, 1), value(&history, 2)), (Some(3), Some(4)));
-        // A change from there: what was stepped back from is written down first.
-        history.take(change(1, 9), false);
+        // A change from an earlier position: the step back is recorded first.
+        history.record(change(1, 9), false);
         let ends: Vec<_> = history.changes().map(|c| c.to.as_ref().and_then(Value::as_integer)).collect();
         assert_eq!(ends, [3, 4, 3, 1, 9].map(Some));
         assert_eq!(value(&history, 2), Some(4));

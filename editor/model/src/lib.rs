@@ -1,7 +1,8 @@
-//! What the editor and the theatre know of a graph: its text, the running graph, what is seen of it. Nothing here draws.
+//! The model of a graph behind the editor and the theatre: its text, the running graph, previews of its outputs. It draws nothing and does
+//! not depend on egui.
 //!
-//! The graph file's text is the truth ([`document`]); a session ([`session`]) makes the running graph what the text says, one transaction
-//! after the other. An observer ([`observe`]) takes pictures and counters off the window's thread.
+//! The graph file's text is the only state ([`document`]). A session ([`session`]) changes the running graph to match the text, one
+//! transaction after the other. An observer ([`observe`]) renders previews and reads counters on a thread of its own.
 
 pub mod content;
 pub mod disk;
@@ -13,6 +14,7 @@ pub mod numbered;
 pub mod observe;
 pub mod ops;
 pub mod picture;
+pub mod pixels;
 pub mod session;
 pub mod surface;
 pub mod sweeping;

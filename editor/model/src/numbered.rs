@@ -1,23 +1,41 @@
-//! Files that are named by a number that goes on.
+//! Files named with consecutive numbers.
 
 use std::path::{Path, PathBuf};
 
-/// The number of a file that was written here before.
+/// The number in a file name such as `plot_0003.csv`.
 pub fn number_of(name: &str) -> Option<u32> {
     let stem = name.split('.').next()?;
     stem.rsplit('_').next()?.parse().ok()
 }
 
-/// The next file of a kind in a folder, such as `plot_0003.csv`; the folder is there.
+/// Why a folder for files could not be created.
+#[derive(Debug, thiserror::Error)]
+#[error("{} cannot be created: {cause}", .folder.display())]
+pub struct FolderError {
+    /// The folder.
+    pub folder: PathBuf,
+    /// The operating system's error.
+    pub cause: std::io::Error,
+}
+
+/// Creates a folder for files, with its parents.
 ///
 /// # Errors
-/// In words, when the folder cannot be made.
-pub fn next_file(folder: &Path, kind: &str, ending: &str) -> Result<PathBuf, String> {
-    std::fs::create_dir_all(folder).map_err(|e| format!("{} cannot be made: {e}", folder.display()))?;
+/// The folder cannot be created.
+pub fn create_folder(folder: &Path) -> Result<(), FolderError> {
+    std::fs::create_dir_all(folder).map_err(|cause| FolderError { folder: folder.to_owned(), cause })
+}
+
+/// The path of the next file of a kind in a folder, such as `plot_0003.csv`. Creates the folder.
+///
+/// # Errors
+/// The folder cannot be created.
+pub fn next_file(folder: &Path, kind: &str, ending: &str) -> Result<PathBuf, FolderError> {
+    create_folder(folder)?;
     Ok(folder.join(format!("{kind}_{:04}.{ending}", newest(folder) + 1)))
 }
 
-/// The highest number of a file in a folder.
+/// The highest number of a file in a folder; 0 when there is none.
 pub fn newest(folder: &Path) -> u32 {
     let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
     files.filter_map(|f| number_of(&f.file_name().to_string_lossy())).max().unwrap_or(0)

@@ -1,7 +1,7 @@
-//! Looks at the running graph for the window: pictures five to ten times a second at most, counters twice. Runs on a thread of its own, so that the
-//! window only ever takes what is ready.
+//! Renders previews of the running graph for the window, at most five to ten times per second, and reads its counters twice per second. It
+//! runs on a thread of its own, so that the window's thread never waits.
 //!
-//! Of each output that is looked at, two frames at most are kept alive: the newest one, and the one that is being made ready.
+//! For each previewed output at most two frames are retained: the newest one, and the one being rendered.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,17 +13,17 @@ use panoscope_engine::fault::{Action, Fault};
 use panoscope_engine::memory::FrameRef;
 use panoscope_engine::{NodeWindow, Preview, Window};
 
-use crate::picture::{self, Look, Range};
+use crate::picture::{self, Range, RenderedPacket};
 use crate::session::Handle;
-use crate::surface::{self, Painter, Sight};
+use crate::surface::{self, Painter, Viewpoint};
 use panoscope_engine::sync::lock;
 
-/// Shortest time from one picture of an output to the next, while one is shown large.
+/// Minimum time between two previews of an output while one is shown large.
 pub const LARGE_INTERVAL: Duration = Duration::from_millis(100);
-/// The same for thumbnails: drawing the window costs more than making them.
+/// Minimum time between two thumbnails: drawing the window costs more than rendering them.
 pub const THUMBNAIL_INTERVAL: Duration = Duration::from_millis(200);
 const COUNTERS_INTERVAL: Duration = Duration::from_millis(500);
-/// Points of history per node: two minutes.
+/// Number of points in a node's history: two minutes.
 const HISTORY: usize = 240;
 
 /// An output: node and port.
@@ -36,7 +36,7 @@ pub struct Output {
 }
 
 impl Output {
-    /// From its parts.
+    /// Output `port` of node `node`.
     pub fn new(node: &str, port: &str) -> Self {
         Self { node: node.to_owned(), port: port.to_owned() }
     }
@@ -48,47 +48,47 @@ impl std::fmt::Display for Output {
     }
 }
 
-/// Where a wire ends: a place of an input.
+/// The consuming end of a wire.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct WireEnd {
     /// The node.
     pub node: String,
-    /// Its input, a position among its type's.
+    /// Its input: index in the node type.
     pub port: usize,
-    /// Place in a list input.
+    /// Index in a list input.
     pub index: usize,
 }
 
-/// An output that someone wants to see.
+/// How an output is to be previewed.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Wanted {
+pub struct PreviewRequest {
     /// Type of its packets.
     pub packet: String,
-    /// Most pixels across.
-    pub most_width: usize,
-    /// Of a cloud: from where it is looked at as a surface; without it, it is shown as the camera saw it.
-    pub sight: Option<Sight>,
-    /// Of a cloud: its points are wanted, too.
+    /// Maximum width of the preview in px.
+    pub max_width: usize,
+    /// For a cloud: the viewpoint to render it from as a surface; `None` to show it as the camera saw it.
+    pub viewpoint: Option<Viewpoint>,
+    /// For a cloud: whether its points are needed too.
     pub points: bool,
 }
 
-/// Counters of all nodes at one time.
+/// Counters and histories of all nodes.
 #[derive(Clone, Debug, Default)]
 pub struct Counters {
-    /// By node.
+    /// Counters of the last window of time, by node.
     pub nodes: BTreeMap<String, NodeWindow>,
-    /// Time of p50 and p99 in ms over the last two minutes, by node; oldest first, seconds since the window was opened.
+    /// Times and rates over the last two minutes, by node; oldest first.
     pub history: HashMap<String, VecDeque<Point>>,
-    /// Most packets that waited on each wire between one look and the next, with seconds since the window was opened; oldest first.
+    /// Maximum queue length of each wire per reading, as [seconds since the window was opened, packets]; oldest first.
     pub queues: BTreeMap<WireEnd, VecDeque<[f64; 2]>>,
     /// Newest fault of each node.
     pub faults: HashMap<String, Fault>,
-    /// All faults that are remembered, oldest first.
+    /// All recent faults, oldest first.
     pub fault_list: Vec<Fault>,
 }
 
 impl Counters {
-    /// Last faults of nodes that are left out since then, until an edit brings them back.
+    /// The last faults of nodes that are bypassed since then; an edit opens such a node again.
     pub fn switched_off(&self) -> impl Iterator<Item = &Fault> {
         let rests = |fault: &&Fault| self.nodes.get(&fault.node).is_some_and(|node| node.fps == 0.0);
         self.faults.values().filter(|fault| fault.done == Action::Bypass).filter(rests)
@@ -102,67 +102,67 @@ pub struct Point {
     pub at_s: f64,
     /// Median time of a call, ms.
     pub p50_ms: f64,
-    /// 99 % took no longer, ms.
+    /// 99th percentile of the time of a call, ms.
     pub p99_ms: f64,
     /// Calls per second.
     pub fps: f64,
 }
 
 #[derive(Default)]
-struct Board {
-    wanted: HashMap<Output, Wanted>,
+struct Mailbox {
+    requests: HashMap<Output, PreviewRequest>,
     interval: Option<Duration>,
-    /// Newest looks that were not taken yet.
-    looks: HashMap<Output, Look>,
+    /// The newest previews that the window has not taken yet.
+    previews: HashMap<Output, RenderedPacket>,
     counters: Arc<Counters>,
 }
 
-/// The observer's thread and what it saw.
+/// The observer's thread and its results.
 pub struct Observer {
-    board: Arc<Mutex<Board>>,
+    mailbox: Arc<Mutex<Mailbox>>,
     quit: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Observer {
-    /// Starts looking.
+    /// Starts the observer's thread.
     ///
     /// # Errors
-    /// The system gave no thread.
+    /// The thread cannot be started.
     pub fn new(handle: Handle) -> std::io::Result<Self> {
-        let (board, quit) = (Arc::<Mutex<Board>>::default(), Arc::new(AtomicBool::new(false)));
-        let eye = Eye {
+        let (mailbox, quit) = (Arc::<Mutex<Mailbox>>::default(), Arc::new(AtomicBool::new(false)));
+        let worker = Worker {
             handle,
-            board: Arc::clone(&board),
+            mailbox: Arc::clone(&mailbox),
             quit: Arc::clone(&quit),
-            views: HashMap::new(),
+            outputs: HashMap::new(),
             generation: 0,
             window: Window::default(),
             start: Instant::now(),
             faults_seen: 0,
         };
-        let thread = std::thread::Builder::new().name("observer".to_owned()).spawn(move || eye.run())?;
-        Ok(Self { board, quit, thread: Some(thread) })
+        let thread = std::thread::Builder::new().name("observer".to_owned()).spawn(move || worker.run())?;
+        Ok(Self { mailbox, quit, thread: Some(thread) })
     }
 
-    /// Says which outputs are to be seen from now on, and how often.
-    pub fn want(&self, wanted: HashMap<Output, Wanted>, interval: Duration) {
-        let mut board = lock(&self.board);
-        board.interval = Some(interval);
-        if board.wanted != wanted {
-            board.looks.retain(|output, _| wanted.contains_key(output));
-            board.wanted = wanted;
+    /// Sets which outputs are previewed, and the minimum time between two previews.
+    pub fn set_requests(&self, requests: HashMap<Output, PreviewRequest>, interval: Duration) {
+        let mut mailbox = lock(&self.mailbox);
+        mailbox.interval = Some(interval);
+        if mailbox.requests != requests {
+            mailbox.previews.retain(|output, _| requests.contains_key(output));
+            mailbox.requests = requests;
         }
     }
 
-    /// What came since the last call.
-    pub fn take(&self) -> HashMap<Output, Look> {
-        std::mem::take(&mut lock(&self.board).looks)
+    /// Takes the previews rendered since the last call.
+    pub fn take(&self) -> HashMap<Output, RenderedPacket> {
+        std::mem::take(&mut lock(&self.mailbox).previews)
     }
 
     /// The newest counters.
     pub fn counters(&self) -> Arc<Counters> {
-        Arc::clone(&lock(&self.board).counters)
+        Arc::clone(&lock(&self.mailbox).counters)
     }
 }
 
@@ -176,32 +176,32 @@ impl Drop for Observer {
     }
 }
 
-struct View {
+struct OutputPreview {
     preview: Preview,
     range: Range,
-    /// Of a surface: what was painted last, to be painted again when it is turned.
+    /// For a surface: the last frame, rendered again when the viewpoint changes.
     surface: Option<Surface>,
 }
 
-impl View {
-    /// The newest packet made ready, if there is one, or if it is to be looked at from elsewhere.
-    fn look(&mut self, want: &Wanted) -> Option<Look> {
+impl OutputPreview {
+    /// Renders the newest packet; `None` when there is no new packet and the viewpoint is unchanged.
+    fn render(&mut self, request: &PreviewRequest) -> Option<RenderedPacket> {
         let frame = self.preview.take();
-        let Some(sight) = &want.sight else {
+        let Some(viewpoint) = &request.viewpoint else {
             self.surface = None;
             let frame = frame?;
-            let mut look = picture::look(&frame, &want.packet, want.most_width, &mut self.range);
-            if want.points {
-                look.cloud = surface::cloud_of(frame.frame(), frame.bytes()).map(Arc::new);
+            let mut render = picture::render(&frame, &request.packet, request.max_width, &mut self.range);
+            if request.points {
+                render.cloud = surface::cloud_of(frame.frame(), frame.bytes()).map(Arc::new);
             }
-            return Some(look);
+            return Some(render);
         };
         let next = match (frame, self.surface.take()) {
             (Some(frame), old) => {
                 let painter = old.map(|s| s.painter).unwrap_or_default();
-                Surface { sight: *sight, frame, painter }
+                Surface { viewpoint: *viewpoint, frame, painter }
             }
-            (None, Some(old)) if old.sight != *sight => Surface { sight: *sight, ..old },
+            (None, Some(old)) if old.viewpoint != *viewpoint => Surface { viewpoint: *viewpoint, ..old },
             (None, old) => {
                 self.surface = old;
                 return None;
@@ -209,91 +209,91 @@ impl View {
         };
         let surface = self.surface.insert(next);
         let (frame, bytes) = (surface.frame.frame(), surface.frame.bytes());
-        let mut look = Look::of_tick(frame);
-        if let Some((pixels, painted)) = surface.painter.paint(frame, bytes, sight) {
-            (look.pixels, look.painted) = (Some(pixels), painted);
+        let mut render = RenderedPacket::of_tick(frame);
+        if let Some((pixels, depth_buffer)) = surface.painter.paint(frame, bytes, viewpoint) {
+            (render.pixels, render.depth_buffer) = (Some(pixels), depth_buffer);
         }
-        Some(look)
+        Some(render)
     }
 }
 
 struct Surface {
-    sight: Sight,
+    viewpoint: Viewpoint,
     frame: FrameRef,
     painter: Painter,
 }
 
-struct Eye {
+struct Worker {
     handle: Handle,
-    board: Arc<Mutex<Board>>,
+    mailbox: Arc<Mutex<Mailbox>>,
     quit: Arc<AtomicBool>,
-    views: HashMap<Output, View>,
+    outputs: HashMap<Output, OutputPreview>,
     generation: u64,
     window: Window,
     start: Instant,
     faults_seen: u64,
 }
 
-impl Eye {
+impl Worker {
     fn run(mut self) {
         let mut count_at = Instant::now();
         while !self.quit.load(Ordering::Acquire) {
             let began = Instant::now();
-            let mut news = self.pictures();
+            let mut changed = self.pictures();
             if began >= count_at {
                 count_at = began + COUNTERS_INTERVAL;
-                news |= self.counters();
+                changed |= self.counters();
             }
-            if news {
+            if changed {
                 self.handle.wake();
             }
-            let interval = lock(&self.board).interval.unwrap_or(THUMBNAIL_INTERVAL);
+            let interval = lock(&self.mailbox).interval.unwrap_or(THUMBNAIL_INTERVAL);
             std::thread::park_timeout(interval.saturating_sub(began.elapsed()));
         }
     }
 
-    /// Takes the newest frame of each wanted output; answers whether there was one.
+    /// Renders the newest packet of each requested output; returns whether there was one.
     fn pictures(&mut self) -> bool {
         let Some(engine) = self.handle.engine() else { return false };
         let generation = self.handle.status().generation;
-        let wanted = lock(&self.board).wanted.clone();
-        // A node that was removed and added again is another one.
+        let requests = lock(&self.mailbox).requests.clone();
+        // A node that was removed and added again needs a new subscription.
         if generation != self.generation {
             self.generation = generation;
-            self.views.clear();
+            self.outputs.clear();
         }
-        let gone: Vec<Output> = self.views.keys().filter(|o| !wanted.contains_key(*o)).cloned().collect();
-        for output in gone {
-            self.views.remove(&output);
+        let removed: Vec<Output> = self.outputs.keys().filter(|o| !requests.contains_key(*o)).cloned().collect();
+        for output in removed {
+            self.outputs.remove(&output);
             engine.end_previews(&output.node);
         }
-        let mut news = false;
-        for (output, want) in wanted {
-            if !self.views.contains_key(&output) {
+        let mut changed = false;
+        for (output, request) in requests {
+            if !self.outputs.contains_key(&output) {
                 let Some(preview) = engine.preview(&output.node, &output.port) else { continue };
-                self.views.insert(output.clone(), View { preview, range: None, surface: None });
+                self.outputs.insert(output.clone(), OutputPreview { preview, range: None, surface: None });
             }
-            let Some(view) = self.views.get_mut(&output) else { continue };
-            if let Some(look) = view.look(&want) {
-                let ingest_ns = engine.ingest_ns(&look.tick);
-                lock(&self.board).looks.insert(output, Look { ingest_ns, ..look });
-                news = true;
+            let Some(view) = self.outputs.get_mut(&output) else { continue };
+            if let Some(render) = view.render(&request) {
+                let ingest_ns = engine.ingest_ns(&render.tick);
+                lock(&self.mailbox).previews.insert(output, RenderedPacket { ingest_ns, ..render });
+                changed = true;
             }
         }
-        news
+        changed
     }
 
-    /// Reads the counters; answers whether they moved.
+    /// Reads the counters; returns whether they changed.
     fn counters(&mut self) -> bool {
         let Some(engine) = self.handle.engine() else { return false };
         let nodes = engine.window(&mut self.window);
-        let old = Arc::clone(&lock(&self.board).counters);
+        let old = Arc::clone(&lock(&self.mailbox).counters);
         if old.nodes == nodes {
             return false;
         }
         let faults: u64 = nodes.values().map(|n| n.faults + n.restarts).sum();
         let mut new = Counters { nodes, ..Counters::clone(&old) };
-        // A withheld packet is a fault that no counter shows, so look now and then without a reason as well.
+        // A withheld packet is a fault that no counter shows, so faults are also read every fourth time.
         if faults != self.faults_seen || new.history.values().next().is_none_or(|h| h.len() % 4 == 0) {
             self.faults_seen = faults;
             new.fault_list = engine.recent_faults();
@@ -319,7 +319,7 @@ impl Eye {
                 history.push_back([at_s, queue.most as f64]);
             }
         }
-        lock(&self.board).counters = Arc::new(new);
+        lock(&self.mailbox).counters = Arc::new(new);
         true
     }
 }

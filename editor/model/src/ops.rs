@@ -1,41 +1,41 @@
-//! What a user does to a graph, as edits of its text. No egui here. Each is one step of history.
+//! The user's operations on a graph, as edits of its text. Each is one undo step.
 
 use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{GraphText, NodeType};
 
-use crate::document::{Document, FRAMES, NOTES, View, Wire};
-use crate::history::By;
+use crate::document::{Document, FRAMES, GraphView, NOTES, Wire};
+use crate::history::Origin;
 use crate::mark::Mark;
 use crate::observe::Output;
 
-/// Sets a parameter, or with `None` takes it out of the file. Changes of one parameter in a row are one step.
+/// Sets a parameter; `None` removes it from the file, so that the default applies. Consecutive changes of one parameter are one undo step.
 pub fn set_param(doc: &mut Document, node: &str, param: &str, value: Option<&toml::Value>) -> Result<(), EditError> {
     let label = format!("{node}.{param}");
     let merge = value.map(|_| label.clone());
-    doc.edit_params(By::Hand, &label, merge.as_deref(), &[(node, param, value)])
+    doc.edit_params(Origin::Hand, &label, merge.as_deref(), &[(node, param, value)])
 }
 
-/// Makes exactly the first `at` changes of the history be in force, as one edit; answers how many values that set.
+/// Sets values so that exactly the first `at` changes of the history are applied, as one edit. Returns the number of values set.
 ///
 /// # Errors
-/// A node or parameter of it is gone from the text; nothing is changed then.
+/// A node or parameter of the history no longer exists; nothing is changed.
 pub fn step_to(doc: &mut Document, at: usize) -> Result<usize, EditError> {
     let values = doc.history().values_at(at);
     let here = |node: &str| doc.view().node(node).is_some();
     let values: Vec<_> = values.into_iter().filter(|(node, ..)| here(node)).collect();
     let changes: Vec<_> =
         values.iter().map(|(node, param, value)| (node.as_str(), param.as_str(), value.as_ref())).collect();
-    doc.edit_params(By::History, "step through the history", None, &changes)?;
-    doc.stepped_to(at);
+    doc.edit_params(Origin::History, "step through the history", None, &changes)?;
+    doc.set_position(at);
     Ok(values.len())
 }
 
-fn is_list(view: &View, node: &str, input: &str) -> bool {
+fn is_list(view: &GraphView, node: &str, input: &str) -> bool {
     view.node(node).and_then(|n| view.nodes[n].input(input)).is_some_and(|p| p.list)
 }
 
-/// Wires an output to an input. A list takes it as one more place, or at `index`; another input gives up the wire it had. `moved` is the
-/// connection that the wire was pulled off.
+/// Connects an output to an input. A list input gets a new entry, or replaces the one at `index`; any other input replaces its wire. `moved`
+/// is the connection that the wire was dragged from, which is removed.
 pub fn wire(
     doc: &mut Document,
     from: &Output,
@@ -54,7 +54,7 @@ pub fn wire(
     })
 }
 
-/// Takes a wire off.
+/// Removes a wire.
 pub fn unwire(doc: &mut Document, node: &str, input: &str, index: usize) -> Result<(), EditError> {
     doc.edit(&format!("unwire {node}.{input}"), None, |edit| edit.disconnect(node, input, index))
 }
@@ -65,19 +65,19 @@ pub fn remove(doc: &mut Document, nodes: &[String]) -> Result<(), EditError> {
     doc.edit(&label, None, |edit| nodes.iter().try_for_each(|id| edit.remove_node(id)))
 }
 
-/// A name that no node has yet: `base`, `base_2`, ...
-pub fn free_name(view: &View, base: &str) -> String {
+/// A name that no node has: `base`, `base_2`, ...
+pub fn free_name(view: &GraphView, base: &str) -> String {
     let mut names = std::iter::once(base.to_owned()).chain((2..).map(|k| format!("{base}_{k}")));
     names.find(|name| view.node(name).is_none()).unwrap_or_default()
 }
 
-/// A name without the number at its end.
+/// A name without a number at its end.
 fn stem(name: &str) -> &str {
     let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
     if stem.len() < name.len() && stem.ends_with('_') { stem.trim_end_matches('_') } else { name }
 }
 
-/// Copies nodes beside themselves; answers the copies' names. Wires among them join the copies; others go where they went.
+/// Copies nodes beside themselves and returns the names of the copies. Wires between the nodes connect their copies; other wires are copied.
 pub fn duplicate(doc: &mut Document, nodes: &[(String, (f32, f32))]) -> Result<Vec<String>, EditError> {
     let view = doc.view().clone();
     let mut copies: Vec<(String, String)> = Vec::new();
@@ -104,7 +104,7 @@ pub fn duplicate(doc: &mut Document, nodes: &[(String, (f32, f32))]) -> Result<V
     Ok(copies.into_iter().map(|(_, copy)| copy).collect())
 }
 
-/// Nodes as text that can be pasted into this graph or another one.
+/// The text of nodes, to be pasted into this graph or another one.
 pub fn copy(doc: &Document, nodes: &[String]) -> Result<String, EditError> {
     let whole = GraphEdit::parse(doc.text())?;
     let mut part = GraphEdit::parse("")?;
@@ -117,7 +117,7 @@ pub fn copy(doc: &Document, nodes: &[String]) -> Result<String, EditError> {
     Ok(part.text())
 }
 
-/// Adds nodes that were copied as text, around a place; answers their names.
+/// Adds nodes from copied text beside each other from `at` on; returns their names.
 pub fn paste(doc: &mut Document, text: &str, at: (f32, f32)) -> Result<Vec<String>, EditError> {
     let view = doc.view().clone();
     let part = GraphEdit::parse(text)?;
@@ -140,8 +140,8 @@ pub fn paste(doc: &mut Document, text: &str, at: (f32, f32)) -> Result<Vec<Strin
     Ok(names.into_iter().map(|(_, new)| new).collect())
 }
 
-/// The input of a node that may take the place of its output: same packets, connected.
-fn stand_in<'v>(view: &'v View, node: usize, output: &str) -> Option<&'v Wire> {
+/// The wire into a node that can replace its output in a bypass: same packet type, connected, not delayed.
+fn stand_in<'v>(view: &'v GraphView, node: usize, output: &str) -> Option<&'v Wire> {
     let packet = &view.nodes[node].output(output)?.packet;
     let inputs = &view.nodes[node].node_type.as_ref()?.inputs;
     let fits = inputs.iter().filter(|p| p.packet.name == packet.name || packet.fits(&p.packet).is_ok());
@@ -149,28 +149,56 @@ fn stand_in<'v>(view: &'v View, node: usize, output: &str) -> Option<&'v Wire> {
         .find(|w| view.packet(w.from, &w.output).is_some_and(|p| p.name == packet.name))
 }
 
-/// A wire that a bypass led around a node: consumer, input, place, what it read before and what it reads now.
+/// A wire that a bypass redirected around a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Detour {
-    /// Consumer, its input, place in a list.
+    /// Consumer, its input, index in a list.
     pub to: (String, String, usize),
-    /// What it read.
+    /// The output that it read before.
     pub was: Output,
-    /// What it reads instead.
+    /// The output that it reads during the bypass.
     pub now: Output,
 }
 
-/// Leads the readers of a node's outputs around it, to what feeds it. The node stays in the file.
+/// Why a node cannot be bypassed.
+#[derive(Debug, thiserror::Error)]
+pub enum BypassError {
+    /// The node does not exist.
+    #[error("there is no node `{node}`")]
+    NoNode {
+        /// The node.
+        node: String,
+    },
+    /// An output that is read has no input of the same packet type.
+    #[error("`{node}` cannot be bypassed: it has no connected input that can replace its output `{output}`")]
+    NoReplacement {
+        /// The node.
+        node: String,
+        /// The output.
+        output: String,
+    },
+    /// No output of the node is read.
+    #[error("`{node}` cannot be bypassed: no node reads its outputs")]
+    NoReader {
+        /// The node.
+        node: String,
+    },
+    /// The edit does not fit the text.
+    #[error(transparent)]
+    Edit(#[from] EditError),
+}
+
+/// Redirects the readers of a node's outputs to the outputs that the node reads. The node stays in the file.
 ///
 /// # Errors
-/// In words, when an output that is read has no input of its kind.
-pub fn bypass(doc: &mut Document, id: &str) -> Result<Vec<Detour>, String> {
+/// See [`BypassError`]; nothing is changed.
+pub fn bypass(doc: &mut Document, id: &str) -> Result<Vec<Detour>, BypassError> {
     let view = doc.view().clone();
-    let node = view.node(id).ok_or_else(|| format!("there is no node `{id}`"))?;
+    let node = view.node(id).ok_or_else(|| BypassError::NoNode { node: id.to_owned() })?;
     let mut detours = Vec::new();
     for wire in view.wires.iter().filter(|w| w.from == node && w.to != node) {
         let Some(instead) = stand_in(&view, node, &wire.output) else {
-            return Err(format!("`{id}` cannot be bypassed: no input could stand in for `{}`", wire.output));
+            return Err(BypassError::NoReplacement { node: id.to_owned(), output: wire.output.clone() });
         };
         detours.push(Detour {
             to: (view.nodes[wire.to].id().to_owned(), wire.input.clone(), wire.index),
@@ -179,13 +207,13 @@ pub fn bypass(doc: &mut Document, id: &str) -> Result<Vec<Detour>, String> {
         });
     }
     if detours.is_empty() {
-        return Err(format!("nothing reads `{id}`"));
+        return Err(BypassError::NoReader { node: id.to_owned() });
     }
-    lead(doc, &format!("bypass {id}"), detours.iter().map(|d| (&d.to, &d.now))).map_err(|e| e.to_string())?;
+    rewire(doc, &format!("bypass {id}"), detours.iter().map(|d| (&d.to, &d.now)))?;
     Ok(detours)
 }
 
-/// Takes a bypass back, where its wires are as it left them; answers whether any was.
+/// Ends a bypass: restores the wires that are still as the bypass left them. Returns whether there were any.
 pub fn end_bypass(doc: &mut Document, id: &str, detours: &[Detour]) -> Result<bool, EditError> {
     let view = doc.view().clone();
     let still = |d: &&Detour| {
@@ -196,11 +224,12 @@ pub fn end_bypass(doc: &mut Document, id: &str, detours: &[Detour]) -> Result<bo
         })
     };
     let back: Vec<&Detour> = detours.iter().filter(still).collect();
-    lead(doc, &format!("end bypass of {id}"), back.iter().map(|d| (&d.to, &d.was)))?;
+    rewire(doc, &format!("end bypass of {id}"), back.iter().map(|d| (&d.to, &d.was)))?;
     Ok(!back.is_empty())
 }
 
-fn lead<'d>(
+/// Connects each input to its output, as one undo step.
+fn rewire<'d>(
     doc: &mut Document,
     label: &str,
     wires: impl Iterator<Item = (&'d (String, String, usize), &'d Output)>,
@@ -214,23 +243,23 @@ fn lead<'d>(
     })
 }
 
-/// One end of a wire that waits for the node that is added.
+/// The existing end of a wire whose other end will be a new node.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Waiting {
-    /// An output that the new node shall read.
+pub enum PendingWire {
+    /// An output that the new node will read.
     Output(Output),
-    /// An input (node, port) that shall read the new node.
+    /// An input (node, port) that will read the new node.
     Input(String, String),
 }
 
-/// The first port of a type that fits a waiting end.
-pub fn fitting_port(view: &View, node_type: &NodeType, waiting: &Waiting) -> Option<String> {
-    let port = match waiting {
-        Waiting::Output(output) => {
+/// The first port of a node type that fits the end of a wire.
+pub fn fitting_port(view: &GraphView, node_type: &NodeType, pending: &PendingWire) -> Option<String> {
+    let port = match pending {
+        PendingWire::Output(output) => {
             let packet = view.packet(view.node(&output.node)?, &output.port)?;
             node_type.inputs.iter().find(|p| packet.fits(&p.packet).is_ok())
         }
-        Waiting::Input(node, input) => {
+        PendingWire::Input(node, input) => {
             let wants = &view.nodes[view.node(node)?].input(input)?.packet;
             node_type.outputs.iter().find(|p| p.packet.fits(wants).is_ok())
         }
@@ -238,30 +267,30 @@ pub fn fitting_port(view: &View, node_type: &NodeType, waiting: &Waiting) -> Opt
     port.map(|p| p.name.clone())
 }
 
-/// Adds a node with its wire; answers its name.
+/// Adds a node, connects it to the end of a wire if there is one, and returns its name.
 pub fn add(
     doc: &mut Document,
     node_type: &NodeType,
     at: (f32, f32),
-    waiting: Option<&Waiting>,
+    pending: Option<&PendingWire>,
 ) -> Result<String, EditError> {
     let view = doc.view().clone();
     let id = free_name(&view, &node_type.name);
-    // Two plugins may offer the same name.
+    // Two plugins may have node types of the same name.
     let twins = doc.catalog().node_types.iter().filter(|t| t.name == node_type.name && t.plugin != node_type.plugin);
     let type_name =
         if twins.count() == 0 { node_type.name.clone() } else { format!("{}/{}", node_type.plugin, node_type.name) };
-    let port = waiting.and_then(|w| Some((w, fitting_port(&view, node_type, w)?)));
+    let port = pending.and_then(|w| Some((w, fitting_port(&view, node_type, w)?)));
     doc.edit(&format!("add {id}"), None, |edit| {
         edit.add_plugin(&node_type.plugin)?;
         edit.add_node(&id, &type_name)?;
         edit.set_position(&id, f64::from(at.0), f64::from(at.1));
         match port {
-            Some((Waiting::Output(output), port)) => {
+            Some((PendingWire::Output(output), port)) => {
                 let list = node_type.inputs.iter().any(|p| p.name == port && p.list);
                 edit.connect(&id, &port, list, 0, &output.to_string())
             }
-            Some((Waiting::Input(node, input), port)) => {
+            Some((PendingWire::Input(node, input), port)) => {
                 let list = is_list(&view, node, input);
                 let end = view.node(node).map_or(0, |n| view.wires_into(n, input).count());
                 edit.connect(node, input, list, if list { end } else { 0 }, &format!("{id}.{port}"))
@@ -272,38 +301,76 @@ pub fn add(
     Ok(id)
 }
 
-/// Puts a node into a wire: it reads what the wire read, and the wire's end reads it.
+/// Why a node cannot be inserted into a wire.
+#[derive(Debug, thiserror::Error)]
+pub enum InsertError {
+    /// A node does not exist.
+    #[error("there is no node `{node}`")]
+    NoNode {
+        /// The node.
+        node: String,
+    },
+    /// The wire no longer exists.
+    #[error("the wire into `{node}.{input}` does not exist any more")]
+    NoWire {
+        /// The consumer.
+        node: String,
+        /// Its input.
+        input: String,
+    },
+    /// The type of the node, or of a node at an end of the wire, is not known.
+    #[error("the type of `{node}` is not known")]
+    UnknownType {
+        /// The node.
+        node: String,
+    },
+    /// The node has no input or no output of the wire's packet type.
+    #[error("`{node}` does not fit into a wire of {packet}")]
+    NoFit {
+        /// The node.
+        node: String,
+        /// Packet type of the wire.
+        packet: String,
+    },
+    /// The edit does not fit the text.
+    #[error(transparent)]
+    Edit(#[from] EditError),
+}
+
+/// Inserts a node into a wire: it reads the wire's output, and the wire's input reads it.
 ///
 /// # Errors
-/// In words, when no input or output of the node fits.
-pub fn insert(doc: &mut Document, id: &str, to: (&str, &str, usize)) -> Result<(), String> {
+/// See [`InsertError`]; nothing is changed.
+pub fn insert(doc: &mut Document, id: &str, to: (&str, &str, usize)) -> Result<(), InsertError> {
     let view = doc.view().clone();
     let (consumer, input, index) = to;
-    let node = view.node(id).ok_or_else(|| format!("there is no node `{id}`"))?;
-    let end = view.node(consumer).ok_or_else(|| format!("there is no node `{consumer}`"))?;
-    let wire = view.wires_into(end, input).find(|w| w.index == index).ok_or("the wire is gone")?;
-    let packet = view.packet(wire.from, &wire.output).ok_or("the wire's type is not known")?;
-    let wants = view.nodes[end].input(input).ok_or("the wire's end is not known")?;
-    let node_type = view.nodes[node].node_type.as_ref().ok_or_else(|| format!("the type of `{id}` is not known"))?;
+    let find = |id: &str| view.node(id).ok_or_else(|| InsertError::NoNode { node: id.to_owned() });
+    let unknown = |node: usize| InsertError::UnknownType { node: view.nodes[node].id().to_owned() };
+    let (node, end) = (find(id)?, find(consumer)?);
+    let no_wire = || InsertError::NoWire { node: consumer.to_owned(), input: input.to_owned() };
+    let wire = view.wires_into(end, input).find(|w| w.index == index).ok_or_else(no_wire)?;
+    let packet = view.packet(wire.from, &wire.output).ok_or_else(|| unknown(wire.from))?;
+    let wants = view.nodes[end].input(input).ok_or_else(|| unknown(end))?;
+    let node_type = view.nodes[node].node_type.as_ref().ok_or_else(|| unknown(node))?;
     let takes = node_type.inputs.iter().find(|p| packet.fits(&p.packet).is_ok());
     let gives = node_type.outputs.iter().find(|p| p.packet.fits(&wants.packet).is_ok());
     let (Some(takes), Some(gives)) = (takes, gives) else {
-        return Err(format!("`{id}` does not fit into a wire of {}", packet.name));
+        return Err(InsertError::NoFit { node: id.to_owned(), packet: packet.name.clone() });
     };
     let from = format!("{}.{}", view.nodes[wire.from].id(), wire.output);
     doc.edit(&format!("insert {id}"), None, |edit| {
         edit.connect(id, &takes.name, takes.list, 0, &from)?;
         edit.connect(consumer, input, wants.list, index, &format!("{id}.{}", gives.name))
-    })
-    .map_err(|e| e.to_string())
+    })?;
+    Ok(())
 }
 
-/// Writes places of nodes into the file.
+/// Sets the positions of nodes in the file.
 pub fn move_nodes(doc: &mut Document, places: &[(String, (f32, f32))]) -> Result<(), EditError> {
     put_nodes(doc, places, None)
 }
 
-/// As [`move_nodes`]; moves of the same nodes that follow one another are one step of undo.
+/// As [`move_nodes`]; consecutive moves of the same nodes are one undo step.
 pub fn nudge_nodes(doc: &mut Document, places: &[(String, (f32, f32))]) -> Result<(), EditError> {
     let names: Vec<&str> = places.iter().map(|(id, _)| id.as_str()).collect();
     put_nodes(doc, places, Some(&format!("nudge {}", names.join(" "))))
@@ -318,12 +385,12 @@ fn put_nodes(doc: &mut Document, places: &[(String, (f32, f32))], merge: Option<
     })
 }
 
-/// Gives a node another name everywhere.
+/// Renames a node everywhere in the file.
 pub fn rename(doc: &mut Document, old: &str, new: &str) -> Result<(), EditError> {
     doc.edit(&format!("rename {old} to {new}"), None, |edit| edit.rename_node(old, new))
 }
 
-/// Puts frames and notes in place of those that are there, and moves nodes with them.
+/// Replaces all frames and notes, and moves nodes with them.
 pub fn set_marks(doc: &mut Document, marks: &[Mark], moved: &[(String, (f32, f32))]) -> Result<(), EditError> {
     let table = |mark: &Mark| {
         let mut table = toml::Table::new();

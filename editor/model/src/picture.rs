@@ -1,4 +1,4 @@
-//! What a packet looks like: pixels for pictures and maps, words for the rest. Runs on the observer's thread.
+//! Renders packets for display: pixels for images and maps, a text for other packets. Runs on the observer's thread.
 
 use std::fmt::Write as _;
 use std::mem::offset_of;
@@ -11,46 +11,36 @@ use panoscope_engine::memory::FrameRef;
 use panoscope_imaging::draw::Colormap;
 
 use crate::content::{self, Content};
-use crate::surface::{Cloud, Painted};
+use crate::pixels::Pixels;
+use crate::surface::{Cloud, DepthBuffer};
 
-/// Pixels to show: red, green, blue, 255.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Pixels {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Four bytes per pixel in row order.
-    pub rgba: Vec<u8>,
-}
-
-/// A packet made ready to be shown.
+/// A packet rendered for display.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Look {
-    /// The picture, for packets that have one.
+pub struct RenderedPacket {
+    /// The image, for packets that have one.
     pub pixels: Option<Pixels>,
-    /// Columns and rows of the packet itself.
+    /// Width and height of the packet itself in px.
     pub size: (usize, usize),
-    /// The range of colours, or the whole content for packets without a picture.
-    pub words: String,
+    /// The range of the colours; for packets without an image, their contents.
+    pub text: String,
     /// Number of the tick.
     pub seq: u64,
-    /// Media time of the capture in ms.
+    /// Capture time in ms of media time.
     pub capture_ms: f64,
     /// The tick.
     pub tick: abi::Tick,
-    /// When the tick came into the graph, in ns of the host's clock.
+    /// When the tick entered the graph, in ns of the host's clock.
     pub ingest_ns: Option<u64>,
-    /// Numbers of a packet without a picture.
+    /// The numbers of a packet without an image.
     pub content: Content,
-    /// Of a surface: what a click on it means.
-    pub painted: Option<Arc<Painted>>,
-    /// Of a cloud, where they are wanted: its points.
+    /// For a surface: finds the point under a click.
+    pub depth_buffer: Option<Arc<DepthBuffer>>,
+    /// For a cloud: its points, if requested.
     pub cloud: Option<Arc<Cloud>>,
 }
 
-impl Look {
-    /// What every packet has.
+impl RenderedPacket {
+    /// The fields that every packet has; the others are empty.
     pub fn of_tick(f: &abi::Frame) -> Self {
         Self {
             size: (f.width as usize, f.height as usize),
@@ -62,36 +52,36 @@ impl Look {
     }
 }
 
-/// Range of a map's colours, which follows the values slowly so that the colours do not flicker.
+/// Range of a map's colours. It follows the values slowly, so that the colours do not flicker.
 pub type Range = Option<(f32, f32)>;
 
-/// Makes a packet of type `packet` ready, at most `most_width` pixels wide.
-pub fn look(frame: &FrameRef, packet: &str, most_width: usize, range: &mut Range) -> Look {
+/// Renders a packet of type `packet`, at most `max_width` pixels wide.
+pub fn render(frame: &FrameRef, packet: &str, max_width: usize, range: &mut Range) -> RenderedPacket {
     let f = frame.frame();
-    let mut look = Look::of_tick(f);
+    let mut rendered = RenderedPacket::of_tick(f);
     let bytes = frame.bytes();
-    let sampled = Samples::new(f, bytes.len(), most_width);
+    let sampled = Samples::new(f, bytes.len(), max_width);
     match (f.format, sampled) {
-        (abi::FORMAT_GRAY8, Some(s)) => look.pixels = Some(s.averaged(bytes, 1, |p| [p[0], p[0], p[0]])),
-        (abi::FORMAT_BGR8, Some(s)) => look.pixels = Some(s.averaged(bytes, 3, |p| [p[2], p[1], p[0]])),
-        (abi::FORMAT_RGBA8, Some(s)) => look.pixels = Some(s.averaged(bytes, 4, |p| [p[0], p[1], p[2]])),
-        (abi::FORMAT_GRAY16, Some(s)) => look.pixels = Some(s.averaged(bytes, 2, |p| [p[1]; 3])),
+        (abi::FORMAT_GRAY8, Some(s)) => rendered.pixels = Some(s.averaged(bytes, 1, |p| [p[0], p[0], p[0]])),
+        (abi::FORMAT_BGR8, Some(s)) => rendered.pixels = Some(s.averaged(bytes, 3, |p| [p[2], p[1], p[0]])),
+        (abi::FORMAT_RGBA8, Some(s)) => rendered.pixels = Some(s.averaged(bytes, 4, |p| [p[0], p[1], p[2]])),
+        (abi::FORMAT_GRAY16, Some(s)) => rendered.pixels = Some(s.averaged(bytes, 2, |p| [p[1]; 3])),
         (abi::FORMAT_CLOUD, Some(s)) => {
             let at = offset_of!(abi::CloudPoint, bgr);
-            look.pixels = Some(s.averaged(bytes, 16, |p| [p[at + 2], p[at + 1], p[at]]));
+            rendered.pixels = Some(s.averaged(bytes, 16, |p| [p[at + 2], p[at + 1], p[at]]));
         }
         (abi::FORMAT_F32, Some(s)) => {
             let values = s.numbers(bytes);
             let (low, high) = follow(&values, packet, range);
-            look.words = format!("{} to {} {}", short(low.into()), short(high.into()), unit_of(packet));
-            look.pixels = Some(s.coloured(&values, low, high));
+            rendered.text = format!("{} to {} {}", short(low.into()), short(high.into()), unit_of(packet));
+            rendered.pixels = Some(s.coloured(&values, low, high));
         }
         _ => {
-            look.words = words(bytes, packet);
-            look.content = content::read(bytes, packet);
+            rendered.text = describe(bytes, packet);
+            rendered.content = content::read(bytes, packet);
         }
     }
-    look
+    rendered
 }
 
 fn unit_of(packet: &str) -> &'static str {
@@ -102,7 +92,7 @@ fn unit_of(packet: &str) -> &'static str {
     }
 }
 
-/// Which pixels of a frame are looked at.
+/// The pixels of a frame that are sampled.
 struct Samples {
     width: usize,
     height: usize,
@@ -114,13 +104,13 @@ struct Samples {
 }
 
 impl Samples {
-    /// `None` for what is no picture, or is described wrongly.
-    fn new(frame: &abi::Frame, len: usize, most_width: usize) -> Option<Self> {
+    /// `None` when the frame is not an image or its description does not fit its bytes.
+    fn new(frame: &abi::Frame, len: usize, max_width: usize) -> Option<Self> {
         let (columns, rows, stride) = (frame.width as usize, frame.height as usize, frame.stride_bytes as usize);
         let pixel = format::pixel_bytes(frame.format);
         let need = format::image_bytes(columns, rows, stride, pixel);
         let fits = pixel > 0 && columns > 0 && rows > 0 && need.is_some_and(|need| need <= len);
-        let step = columns.div_ceil(most_width.max(1)).max(1);
+        let step = columns.div_ceil(max_width.max(1)).max(1);
         let (width, height) = (columns / step, (rows / step).max(1));
         (fits && width > 0).then_some(Self { width, height, step, stride, columns, rows })
     }
@@ -173,7 +163,7 @@ impl Samples {
     }
 }
 
-/// The range between the 2nd and the 98th percentile, moved a little towards each new frame's.
+/// The range between the 2nd and the 98th percentile, smoothed over frames.
 fn follow(values: &[f32], packet: &str, range: &mut Range) -> (f32, f32) {
     if packet == "confidence" {
         return (0.0, 1.0);
@@ -195,7 +185,7 @@ fn follow(values: &[f32], packet: &str, range: &mut Range) -> (f32, f32) {
     new
 }
 
-/// A number with three digits that matter.
+/// A number with three significant digits.
 pub fn short(value: f64) -> String {
     let size = value.abs();
     match size {
@@ -207,12 +197,12 @@ pub fn short(value: f64) -> String {
     }
 }
 
-/// The contents of a packet in a few short lines; the error for what is not a whole packet of that type.
-fn words(bytes: &[u8], packet: &str) -> String {
-    try_words(bytes, packet).unwrap_or_else(|error| error.to_string())
+/// A description of a packet in a few short lines; the error's text when the packet does not fit its type.
+fn describe(bytes: &[u8], packet: &str) -> String {
+    try_describe(bytes, packet).unwrap_or_else(|error| error.to_string())
 }
 
-fn try_words(bytes: &[u8], kind: &str) -> Result<String, PacketError> {
+fn try_describe(bytes: &[u8], kind: &str) -> Result<String, PacketError> {
     let list = |values: &[f64]| values.iter().map(|value| short(*value)).collect::<Vec<_>>().join(", ");
     Ok(match kind {
         "homography" => {
@@ -270,7 +260,7 @@ fn table(table: &Table<'_>) -> String {
     out
 }
 
-/// Whether packets of this type have a picture.
+/// Whether packets of this type can be shown as an image.
 pub fn is_pictorial(packet: &str) -> bool {
     matches!(packet, "image" | "mask" | "disparity" | "confidence" | "depth" | "cloud")
 }
@@ -282,20 +272,20 @@ mod tests {
 
     fn frame(format: u32, width: u32, height: u32, stride: u32, bytes: &[u8]) -> FrameRef {
         let (buffer, data) = memory().allocate(bytes.len()).unwrap();
-        // SAFETY: the buffer is fresh and at least that long.
+        // SAFETY: `allocate` returned at least that many bytes, which nothing else refers to yet.
         unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), data, bytes.len()) };
         let (len, stride_bytes) = (bytes.len(), stride);
         let raw = abi::Frame { buffer, data, len, format, width, height, stride_bytes, ..abi::Frame::EMPTY };
-        // SAFETY: the one reference of the new buffer.
+        // SAFETY: `allocate` returned the buffer with one reference, which this frame takes over.
         unsafe { FrameRef::adopt(raw) }
     }
 
     #[test]
     fn blue_stays_blue_and_sizes_are_kept() {
         let bytes: Vec<u8> = [255, 10, 20].repeat(8 * 4);
-        let look = look(&frame(abi::FORMAT_BGR8, 8, 4, 24, &bytes), "image", 4, &mut None);
-        let pixels = look.pixels.unwrap();
-        assert_eq!((pixels.width, pixels.height, look.size), (4, 2, (8, 4)));
+        let rendered = render(&frame(abi::FORMAT_BGR8, 8, 4, 24, &bytes), "image", 4, &mut None);
+        let pixels = rendered.pixels.unwrap();
+        assert_eq!((pixels.width, pixels.height, rendered.size), (4, 2, (8, 4)));
         assert_eq!(&pixels.rgba[..4], [20, 10, 255, 255]);
     }
 
@@ -303,25 +293,25 @@ mod tests {
     fn a_map_has_a_range_and_holes() {
         let values: Vec<u8> =
             (0..64 * 64).flat_map(|i| if i % 64 == 0 { f32::NAN } else { (i % 64) as f32 }.to_le_bytes()).collect();
-        let look = look(&frame(abi::FORMAT_F32, 64, 64, 256, &values), "depth", 64, &mut None);
-        assert!(look.words.ends_with(" mm"), "{}", look.words);
-        let pixels = look.pixels.unwrap();
+        let rendered = render(&frame(abi::FORMAT_F32, 64, 64, 256, &values), "depth", 64, &mut None);
+        assert!(rendered.text.ends_with(" mm"), "{}", rendered.text);
+        let pixels = rendered.pixels.unwrap();
         assert_eq!(&pixels.rgba[..3], [48, 48, 48], "unknown");
         assert_ne!(&pixels.rgba[4..7], &pixels.rgba[4 * 63..4 * 63 + 3]);
     }
 
     #[test]
     fn wrong_descriptions_show_no_picture() {
-        assert_eq!(look(&frame(abi::FORMAT_BGR8, 8, 400, 24, &[0; 64]), "image", 4, &mut None).pixels, None);
-        assert_eq!(look(&frame(abi::FORMAT_BYTES, 0, 0, 0, &[0; 3]), "table", 4, &mut None).pixels, None);
+        assert_eq!(render(&frame(abi::FORMAT_BGR8, 8, 400, 24, &[0; 64]), "image", 4, &mut None).pixels, None);
+        assert_eq!(render(&frame(abi::FORMAT_BYTES, 0, 0, 0, &[0; 3]), "table", 4, &mut None).pixels, None);
     }
 
     #[test]
-    fn words_tell_the_contents() {
+    fn descriptions_show_the_contents() {
         let mut bytes = vec![0; size_of::<abi::Roi>()];
         bytes[8..12].copy_from_slice(&120i32.to_le_bytes());
-        assert_eq!(words(&bytes, "roi"), "120 x 0 px at 0, 0");
-        assert_eq!(words(b"hello\0\0", "text"), "hello");
-        assert_eq!(words(&[0; 7], "roi"), "packet `roi` is cut off: field `y` ends at byte 8, but 7 bytes arrived");
+        assert_eq!(describe(&bytes, "roi"), "120 x 0 px at 0, 0");
+        assert_eq!(describe(b"hello\0\0", "text"), "hello");
+        assert_eq!(describe(&[0; 7], "roi"), "packet `roi` is cut off: field `y` ends at byte 8, but 7 bytes arrived");
     }
 }

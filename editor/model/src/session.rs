@@ -1,7 +1,7 @@
-//! The running graph behind the window: an engine, its live changes, and a thread that makes them. No egui here.
+//! The running graph behind the window: an engine and a thread that applies changes to it.
 //!
-//! The window says what text is to run; the newest one wins. Changes are made one after the other, off the window's thread, each as one
-//! transaction: what fails leaves the old graph running, with its reason in [`Status`].
+//! The window requests a text to run; a newer request replaces an older one. Changes are applied one after the other, off the window's
+//! thread, each as one transaction. When a change fails, the old graph keeps running and [`Status`] has the reason.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -14,55 +14,55 @@ use panoscope_graph::{GraphText, check};
 use panoscope_loader::live::LiveError;
 use panoscope_loader::{self as loader, Live, Loader};
 
-/// How long nodes may take to finish their files.
-const PATIENCE: Duration = Duration::from_secs(30);
+/// Maximum time for nodes to finish their files.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// How the run stands.
+/// The phase of a run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Phase {
-    /// Nothing ran yet.
+    /// Nothing was started yet.
     #[default]
     Idle,
     /// Nodes are being opened.
     Starting,
-    /// Frames flow.
+    /// The graph runs.
     Running,
     /// All sources have ended; files are finished.
     Ended,
-    /// A node failed and the graph said to stop.
+    /// A node failed and the graph's policy stopped the run; with the reason.
     Failed(String),
 }
 
 /// Why the newest text does not run.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Trouble {
-    /// The node it is about, where there is one.
+pub struct RunProblem {
+    /// The node that caused it, if there is one.
     pub node: Option<String>,
-    /// For people.
-    pub words: String,
+    /// Message for the user.
+    pub message: String,
 }
 
-/// What the window shows of the session.
+/// The state of the session, for the window.
 #[derive(Clone, Debug, Default)]
 pub struct Status {
-    /// How the run stands.
+    /// Phase of the run.
     pub phase: Phase,
-    /// The text that runs.
+    /// The text of the running graph.
     pub running: Arc<str>,
-    /// Why the newest text does not.
-    pub trouble: Option<Trouble>,
-    /// A change is being made.
+    /// Why the newest text does not run.
+    pub problem: Option<RunProblem>,
+    /// Whether a change is being applied or waits.
     pub busy: bool,
-    /// What the last change did, and how long ticks were held up.
+    /// Description of the last change, with the time that ticks were held.
     pub last: String,
-    /// Ticks that the busiest source had made when `running` was put in force.
+    /// Number of ticks of the busiest source when `running` was applied.
     pub tick: u64,
-    /// Counts changes; previews are subscribed anew when it does.
+    /// Incremented with every change; previews then subscribe again.
     pub generation: u64,
 }
 
 #[derive(Default)]
-struct Wishes {
+struct Requests {
     text: Option<String>,
     restart: bool,
     reload: bool,
@@ -70,20 +70,20 @@ struct Wishes {
     quit: bool,
 }
 
-impl Wishes {
+impl Requests {
     fn any(&self) -> bool {
         self.text.is_some() || self.restart || self.reload || self.stop || self.quit
     }
 }
 
-/// Called when there is something new to show.
+/// Called when the window should draw again.
 pub type Wake = dyn Fn() + Send + Sync;
 
 struct Shared {
     path: PathBuf,
     frames: Option<u64>,
-    wishes: Mutex<Wishes>,
-    wished: Condvar,
+    requests: Mutex<Requests>,
+    requested: Condvar,
     status: Mutex<Status>,
     changed: Condvar,
     engine: Mutex<Option<Arc<Engine>>>,
@@ -91,28 +91,28 @@ struct Shared {
     wake: Mutex<Option<Arc<Wake>>>,
 }
 
-/// The running graph. Dropping it ends the run with all files finished.
+/// The running graph. Dropping it ends the run and finishes all files.
 pub struct Session {
     shared: Arc<Shared>,
     worker: Option<JoinHandle<()>>,
 }
 
-/// Lets other threads look at the engine that runs.
+/// Access to the running engine from other threads.
 #[derive(Clone)]
 pub struct Handle(Arc<Shared>);
 
 impl Handle {
-    /// The engine, if one was started.
+    /// The engine; `None` before the first start.
     pub fn engine(&self) -> Option<Arc<Engine>> {
         lock(&self.0.engine).clone()
     }
 
-    /// How it stands.
+    /// The state of the session.
     pub fn status(&self) -> Status {
         lock(&self.0.status).clone()
     }
 
-    /// Asks the window to look again.
+    /// Asks the window to draw again.
     pub fn wake(&self) {
         self.0.wake();
     }
@@ -124,17 +124,17 @@ impl Handle {
 }
 
 impl Session {
-    /// A session for the graph file at `path`; nothing runs until [`Self::run`]. `plugin_paths` are those of the graph, `frames` the most ticks each
-    /// source makes.
+    /// A session for the graph file at `path`; nothing runs until [`Self::run`]. `plugin_paths` are those of the graph, `frames` is the maximum
+    /// number of ticks of each source.
     ///
     /// # Errors
-    /// The system gave no thread.
+    /// The thread cannot be started.
     pub fn new(path: &Path, plugin_paths: &[PathBuf], frames: Option<u64>) -> std::io::Result<Self> {
         let shared = Arc::new(Shared {
             path: path.to_owned(),
             frames,
-            wishes: Mutex::default(),
-            wished: Condvar::new(),
+            requests: Mutex::default(),
+            requested: Condvar::new(),
             status: Mutex::default(),
             changed: Condvar::new(),
             engine: Mutex::default(),
@@ -148,62 +148,62 @@ impl Session {
         Ok(Self { shared, worker: Some(worker) })
     }
 
-    /// Sets what is called when there is something new to show.
+    /// Sets the function that is called when the window should draw again.
     pub fn set_wake(&self, wake: Arc<Wake>) {
         *lock(&self.shared.wake) = Some(wake);
     }
 
-    /// For other threads.
+    /// A handle for other threads.
     pub fn handle(&self) -> Handle {
         Handle(Arc::clone(&self.shared))
     }
 
-    /// Where plugins come from.
+    /// The loader of the plugins.
     pub fn loader(&self) -> Arc<Loader> {
         lock(&self.shared.loader).clone()
     }
 
-    /// The graph file.
+    /// Path of the graph file.
     pub fn path(&self) -> &Path {
         &self.shared.path
     }
 
-    /// How it stands.
+    /// The state of the session.
     pub fn status(&self) -> Status {
         lock(&self.shared.status).clone()
     }
 
-    fn wish(&self, wish: impl FnOnce(&mut Wishes)) {
-        wish(&mut lock(&self.shared.wishes));
+    fn request(&self, request: impl FnOnce(&mut Requests)) {
+        request(&mut lock(&self.shared.requests));
         lock(&self.shared.status).busy = true;
-        self.shared.wished.notify_all();
+        self.shared.requested.notify_all();
     }
 
-    /// Makes `text` what runs. Texts that were wished for in between are left out.
+    /// Requests that `text` runs. Replaces earlier requests that were not applied yet.
     pub fn run(&self, text: &str) {
-        self.wish(|w| w.text = Some(text.to_owned()));
+        self.request(|w| w.text = Some(text.to_owned()));
     }
 
-    /// Ends the run, if any, and starts `text` anew.
+    /// Ends the run, if any, and starts `text`.
     pub fn restart(&self, text: &str) {
-        self.wish(|w| {
+        self.request(|w| {
             w.text = Some(text.to_owned());
             w.restart = true;
         });
     }
 
-    /// Ends the run; files are finished.
+    /// Ends the run and finishes its files.
     pub fn stop(&self) {
-        self.wish(|w| w.stop = true);
+        self.request(|w| w.stop = true);
     }
 
-    /// Swaps rebuilt plugins in.
+    /// Swaps rebuilt plugins into the running graph.
     pub fn reload_plugins(&self) {
-        self.wish(|w| w.reload = true);
+        self.request(|w| w.reload = true);
     }
 
-    /// Waits until all that was wished for is done; `false` when it is not by then.
-    pub fn settle(&self, most: Duration) -> bool {
+    /// Waits until all requests are done; returns `false` after the time `most`.
+    pub fn wait_idle(&self, most: Duration) -> bool {
         let until = Instant::now() + most;
         let mut status = lock(&self.shared.status);
         while status.busy {
@@ -215,7 +215,7 @@ impl Session {
 
     /// Ends the run and waits until all files are finished.
     pub fn close(&mut self) {
-        self.wish(|w| w.quit = true);
+        self.request(|w| w.quit = true);
         if let Some(worker) = self.worker.take() {
             let _ = worker.join();
         }
@@ -246,58 +246,58 @@ impl Shared {
 struct Worker {
     shared: Arc<Shared>,
     live: Option<Live<Arc<Engine>>>,
-    /// The engine, if any, is closed.
+    /// Whether the engine, if any, is closed.
     done: bool,
 }
 
 impl Worker {
     fn run(mut self) {
         loop {
-            let wishes = self.next();
-            let quit = wishes.quit;
-            if wishes.stop || quit || wishes.restart {
+            let requests = self.next();
+            let quit = requests.quit;
+            if requests.stop || quit || requests.restart {
                 self.end();
             }
             if quit {
                 self.shared.update(|s| s.busy = false);
                 return;
             }
-            if wishes.reload {
+            if requests.reload {
                 self.reload();
             }
-            if let Some(text) = wishes.text {
-                self.make(&text, wishes.restart);
+            if let Some(text) = requests.text {
+                self.apply(&text, requests.restart);
             }
             if !self.done && self.live.as_ref().is_some_and(|l| l.engine().is_finished()) {
                 self.end();
             }
-            let more = lock(&self.shared.wishes).any();
+            let more = lock(&self.shared.requests).any();
             self.shared.update(|s| s.busy = more);
         }
     }
 
-    /// Waits for a wish, or for the end of the run.
-    fn next(&mut self) -> Wishes {
-        let mut wishes = lock(&self.shared.wishes);
+    /// Waits for a request, or for the end of the run.
+    fn next(&mut self) -> Requests {
+        let mut requests = lock(&self.shared.requests);
         loop {
-            if wishes.any() {
-                return std::mem::take(&mut *wishes);
+            if requests.any() {
+                return std::mem::take(&mut *requests);
             }
             if !self.done && self.live.as_ref().is_some_and(|l| l.engine().is_finished()) {
-                return Wishes::default();
+                return Requests::default();
             }
             let wait = Duration::from_millis(if self.done { 10_000 } else { 100 });
-            wishes = self.shared.wished.wait_timeout(wishes, wait).unwrap_or_else(PoisonError::into_inner).0;
+            requests = self.shared.requested.wait_timeout(requests, wait).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 
-    /// Ends the run with all files finished.
+    /// Ends the run and finishes its files.
     fn end(&mut self) {
         let Some(live) = &self.live else { return };
         if self.done {
             return;
         }
-        let outcome = live.engine().close(PATIENCE);
+        let outcome = live.engine().close(CLOSE_TIMEOUT);
         self.done = true;
         self.shared.update(|s| {
             s.phase = match outcome {
@@ -307,15 +307,15 @@ impl Worker {
         });
     }
 
-    fn make(&mut self, text: &str, restart: bool) {
+    fn apply(&mut self, text: &str, restart: bool) {
         if !self.done
             && let Some(live) = &mut self.live
         {
             let result = live.apply_text(text);
             *lock(&self.shared.loader) = Arc::clone(live.loader());
-            return self.tell(result.map(|applied| applied.to_string()).map_err(|e| trouble(&e)), text);
+            return self.report(result.map(|applied| applied.to_string()).map_err(|e| problem(&e)), text);
         }
-        // A run that has ended stays so until it is started anew.
+        // A run that has ended is not changed; it must be started again.
         if self.live.is_none() || restart {
             self.start(text);
         }
@@ -324,20 +324,20 @@ impl Worker {
     fn start(&mut self, text: &str) {
         self.shared.update(|s| s.phase = Phase::Starting);
         let result = self.open(text);
-        let words = result.map(|live| {
+        let message = result.map(|live| {
             *lock(&self.shared.engine) = Some(Arc::clone(&live.0));
             self.live = Some(live.1);
             self.done = false;
             self.shared.update(|s| s.phase = Phase::Running);
             "started".to_owned()
         });
-        if words.is_err() {
+        if message.is_err() {
             self.shared.update(|s| s.phase = if self.live.is_some() { Phase::Ended } else { Phase::Idle });
         }
-        self.tell(words, text);
+        self.report(message, text);
     }
 
-    fn open(&self, text: &str) -> Result<(Arc<Engine>, Live<Arc<Engine>>), Trouble> {
+    fn open(&self, text: &str) -> Result<(Arc<Engine>, Live<Arc<Engine>>), RunProblem> {
         let path = &self.shared.path;
         let parsed = GraphText::parse(path, text);
         let folders = loader::search_path(&parsed.plugin_paths());
@@ -347,7 +347,7 @@ impl Worker {
             *lock(&self.shared.loader) = Arc::clone(&loader);
         }
         let catalog = loader.catalog(&parsed.plugins());
-        let plain = |words: String| Trouble { node: None, words };
+        let plain = |message: String| RunProblem { node: None, message };
         let (graph, _) = check(&parsed, &catalog).into_result().map_err(|d| plain(d.render(false)))?;
         let options = Options {
             frames: self.shared.frames,
@@ -355,7 +355,7 @@ impl Worker {
             ..Options::default()
         };
         let engine = Engine::start(graph, &catalog, &loader, options).map_err(|error| match &error {
-            StartError::Open { node, .. } => Trouble { node: Some(node.clone()), words: error.to_string() },
+            StartError::Open { node, .. } => RunProblem { node: Some(node.clone()), message: error.to_string() },
             _ => plain(error.to_string()),
         })?;
         let engine = Arc::new(engine);
@@ -370,31 +370,31 @@ impl Worker {
             let text = live.text().to_owned();
             let result = live.reload_plugins();
             *lock(&self.shared.loader) = Arc::clone(live.loader());
-            self.tell(result.map(|applied| applied.to_string()).map_err(|e| trouble(&e)), &text);
+            self.report(result.map(|applied| applied.to_string()).map_err(|e| problem(&e)), &text);
         }
     }
 
-    fn tell(&self, result: Result<String, Trouble>, text: &str) {
+    fn report(&self, result: Result<String, RunProblem>, text: &str) {
         let tick = self.live.as_ref().map_or(0, |live| live.engine().ticks());
         self.shared.update(|s| match result {
-            Ok(words) => {
+            Ok(message) => {
                 s.running = text.into();
                 s.tick = tick;
-                s.trouble = None;
-                s.last = words;
+                s.problem = None;
+                s.last = message;
                 s.generation += 1;
             }
-            Err(trouble) => s.trouble = Some(trouble),
+            Err(problem) => s.problem = Some(problem),
         });
     }
 }
 
-fn trouble(error: &LiveError) -> Trouble {
+fn problem(error: &LiveError) -> RunProblem {
     let node = match error {
         LiveError::Apply(
             ApplyError::Open { node, .. } | ApplyError::NoReturn { node, .. } | ApplyError::Busy { node, .. },
         ) => Some(node.clone()),
         _ => None,
     };
-    Trouble { node, words: error.to_string() }
+    RunProblem { node, message: error.to_string() }
 }

@@ -1,4 +1,4 @@
-//! A point cloud as a surface that can be turned, moved, cut and measured: painted off the window's thread, picked on it. No egui here.
+//! Renders a point cloud as a surface from a viewpoint, and finds points on the rendered surface. Rendering runs on the observer's thread.
 
 use std::sync::Arc;
 
@@ -8,50 +8,50 @@ use panoscope_imaging::ViewMut;
 use panoscope_imaging::draw::{Color, Orbit, Projection, SurfacePainter, SurfacePoints};
 use panoscope_imaging::stereo::SurfacePoint;
 
-use crate::picture::Pixels;
+use crate::pixels::Pixels;
 
-/// From where a surface is looked at, and how much of it.
+/// The viewpoint on a surface, and the depth range that is shown.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sight {
-    /// Turn about the vertical axis, radians.
+pub struct Viewpoint {
+    /// Rotation about the vertical axis, radians.
     pub yaw: f32,
-    /// Turn about the horizontal axis, radians; above 0 looks from above.
+    /// Rotation about the horizontal axis, radians; positive values look from above.
     pub pitch: f32,
-    /// 1 fills the picture seen from the front.
+    /// Magnification; at 1 the surface fills the image when seen from the front.
     pub zoom: f32,
-    /// Place of the middle, as a part of the picture's width: right, down.
+    /// Offset of the centre, right and down, as a fraction of the image's width.
     pub shift: [f32; 2],
-    /// What lies nearer or farther, in mm from the camera, is left out.
+    /// Nearest and farthest depth shown, in mm from the camera.
     pub clip_mm: [f32; 2],
-    /// Columns and rows of the picture.
+    /// Width and height of the image.
     pub size_px: [usize; 2],
 }
 
-impl Sight {
-    /// Farthest clipping.
+impl Viewpoint {
+    /// Largest depth that can be set.
     pub const FAR_MM: f32 = 1000.0;
 }
 
-impl Default for Sight {
+impl Default for Viewpoint {
     fn default() -> Self {
         Self { yaw: 0.35, pitch: 0.25, zoom: 0.9, shift: [0.0; 2], clip_mm: [0.0, Self::FAR_MM], size_px: [960, 720] }
     }
 }
 
-/// Points of one instant, row by row as the left rectified camera sees them.
+/// The points of one tick, row by row as the left rectified camera sees them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloud {
-    /// Columns.
+    /// Points per row.
     pub width: usize,
-    /// Rows.
+    /// Number of rows.
     pub height: usize,
-    /// x, y, z in mm; NaN where unknown.
+    /// x, y, z in mm in the camera's frame; NaN where unknown.
     pub xyz_mm: Vec<[f32; 3]>,
 }
 
 impl Cloud {
-    /// The surface at a column and row, from the pixels up to `radius_px` away; `None` where too few are known.
-    pub fn place(&self, (u, v): (f32, f32), radius_px: usize) -> Option<SurfacePoint> {
+    /// The surface point at a column and row, estimated from the pixels within `radius_px`; `None` when too few are known.
+    pub fn surface_point(&self, (u, v): (f32, f32), radius_px: usize) -> Option<SurfacePoint> {
         let at = [f64::from(u).max(0.0), f64::from(v).max(0.0)];
         SurfacePoint::at((self.width, self.height), at, radius_px, &mut Vec::new(), |x, y| {
             let [x, y, z] = self.xyz_mm.get(y * self.width + x)?.map(f64::from);
@@ -61,30 +61,30 @@ impl Cloud {
     }
 }
 
-/// Distance of two places, mm.
+/// Distance of two points, mm.
 pub fn distance_mm(a: [f32; 3], b: [f32; 3]) -> f32 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt()
 }
 
-/// What was painted, so that a click finds its place.
+/// The depth buffer of a rendered surface: finds the point under a click.
 #[derive(Clone, Debug)]
-pub struct Painted {
-    /// From where.
-    pub sight: Sight,
-    /// Where places stand.
+pub struct DepthBuffer {
+    /// The viewpoint of the rendering.
+    pub viewpoint: Viewpoint,
+    /// The projection of the rendering.
     pub projection: Projection,
     depth_mm: Vec<f32>,
     size_px: [usize; 2],
 }
 
-impl PartialEq for Painted {
+impl PartialEq for DepthBuffer {
     fn eq(&self, other: &Self) -> bool {
-        self.sight == other.sight && self.projection == other.projection
+        self.viewpoint == other.viewpoint && self.projection == other.projection
     }
 }
 
-impl Painted {
-    /// The place under a pixel of the picture, mm.
+impl DepthBuffer {
+    /// The point under a pixel of the image, mm; `None` where nothing is drawn.
     pub fn pick(&self, x: f32, y: f32) -> Option<[f32; 3]> {
         let [width, height] = self.size_px;
         let (column, row) = (x.round(), y.round());
@@ -96,7 +96,7 @@ impl Painted {
     }
 }
 
-/// A cloud packet as a surface.
+/// The points of a cloud packet within a depth range, as a surface.
 struct Packed<'b> {
     cloud: packet::Cloud<'b>,
     clip_mm: [f32; 2],
@@ -109,14 +109,14 @@ impl SurfacePoints for Packed<'_> {
 
     fn at(&self, column: usize, row: usize) -> Option<([f32; 3], Color)> {
         let point = self.cloud.point(column, row)?;
-        let place = [point.x_mm, point.y_mm, point.z_mm];
+        let position = [point.x_mm, point.y_mm, point.z_mm];
         let [near, far] = self.clip_mm;
-        let known = place.iter().all(|v| v.is_finite()) && (near..=far).contains(&place[2]);
-        known.then_some((place, point.bgr))
+        let known = position.iter().all(|v| v.is_finite()) && (near..=far).contains(&position[2]);
+        known.then_some((position, point.bgr))
     }
 }
 
-/// The points of a frame; `None` for what is not a cloud, is empty or does not fit its bytes.
+/// The points of a frame; `None` when the frame is not a cloud, is empty or does not fit its bytes.
 fn parse<'b>(frame: &abi::Frame, bytes: &'b [u8]) -> Option<packet::Cloud<'b>> {
     if frame.format != abi::FORMAT_CLOUD || frame.width == 0 || frame.height == 0 {
         return None;
@@ -124,7 +124,7 @@ fn parse<'b>(frame: &abi::Frame, bytes: &'b [u8]) -> Option<packet::Cloud<'b>> {
     packet::Cloud::parse(bytes, frame.width as usize, frame.height as usize, frame.stride_bytes as usize).ok()
 }
 
-/// The points of a cloud packet; `None` for what is none, or is described wrongly.
+/// The points of a cloud packet; `None` when the frame is not a cloud or its description does not fit its bytes.
 pub fn cloud_of(frame: &abi::Frame, bytes: &[u8]) -> Option<Cloud> {
     let cloud = parse(frame, bytes)?;
     let all = (0..cloud.height()).flat_map(|row| (0..cloud.width()).map(move |column| (column, row)));
@@ -132,7 +132,7 @@ pub fn cloud_of(frame: &abi::Frame, bytes: &[u8]) -> Option<Cloud> {
     Some(Cloud { width: cloud.width(), height: cloud.height(), xyz_mm })
 }
 
-/// Paints clouds; keeps its memory.
+/// Renders clouds; reuses its buffers.
 #[derive(Default)]
 pub struct Painter {
     painter: SurfacePainter,
@@ -140,28 +140,33 @@ pub struct Painter {
 }
 
 impl Painter {
-    /// A picture of a cloud packet, and what a click on it means; no picture for what is no cloud.
-    pub fn paint(&mut self, frame: &abi::Frame, bytes: &[u8], sight: &Sight) -> Option<(Pixels, Option<Arc<Painted>>)> {
-        let points = Packed { cloud: parse(frame, bytes)?, clip_mm: sight.clip_mm };
-        let [width, height] = sight.size_px.map(|n| n.clamp(16, 4096));
+    /// Renders a cloud packet; returns the image and its depth buffer. `None` when the frame is not a cloud.
+    pub fn paint(
+        &mut self,
+        frame: &abi::Frame,
+        bytes: &[u8],
+        viewpoint: &Viewpoint,
+    ) -> Option<(Pixels, Option<Arc<DepthBuffer>>)> {
+        let points = Packed { cloud: parse(frame, bytes)?, clip_mm: viewpoint.clip_mm };
+        let [width, height] = viewpoint.size_px.map(|n| n.clamp(16, 4096));
         self.bgr.clear();
         self.bgr.resize(width * height * 3, 0);
         let orbit = Orbit {
-            yaw: sight.yaw,
-            pitch: sight.pitch,
-            zoom: sight.zoom,
-            // More corners than pixels show nothing more.
+            yaw: viewpoint.yaw,
+            pitch: viewpoint.pitch,
+            zoom: viewpoint.zoom,
+            // More vertices than pixels would not be visible.
             step: (points.cloud.width() / 320).max(1),
-            shift: sight.shift,
+            shift: viewpoint.shift,
             ..Orbit::default()
         };
         let projection = self.painter.paint(&points, &orbit, &mut ViewMut::new(&mut self.bgr, width, height, 3));
         let rgba = self.bgr.chunks_exact(3).flat_map(|p| [p[2], p[1], p[0], 255]).collect();
-        let painted = projection.map(|projection| {
+        let depth_buffer = projection.map(|projection| {
             let depth_mm = self.painter.depth_mm().to_vec();
-            Arc::new(Painted { sight: *sight, projection, depth_mm, size_px: [width, height] })
+            Arc::new(DepthBuffer { viewpoint: *viewpoint, projection, depth_mm, size_px: [width, height] })
         });
-        Some((Pixels { width, height, rgba }, painted))
+        Some((Pixels { width, height, rgba }, depth_buffer))
     }
 }
 
@@ -169,7 +174,7 @@ impl Painter {
 mod tests {
     use super::*;
 
-    /// A plane at 50 mm, one mm per point, bytes as a packet has them.
+    /// The packet of a plane at 50 mm depth with 1 mm between points.
     fn plane(width: usize, height: usize) -> (abi::Frame, Vec<u8>) {
         let mut bytes = Vec::new();
         for y in 0..height {
@@ -194,36 +199,36 @@ mod tests {
     #[test]
     fn clicks_on_a_turned_plane_measure_its_length() {
         let (frame, bytes) = plane(40, 30);
-        let sight = Sight { size_px: [320, 240], zoom: 0.6, ..Sight::default() };
-        let (pixels, painted) = Painter::default().paint(&frame, &bytes, &sight).unwrap();
+        let viewpoint = Viewpoint { size_px: [320, 240], zoom: 0.6, ..Viewpoint::default() };
+        let (pixels, depth_buffer) = Painter::default().paint(&frame, &bytes, &viewpoint).unwrap();
         assert_eq!((pixels.width, pixels.height), (320, 240));
-        let painted = painted.unwrap();
+        let depth_buffer = depth_buffer.unwrap();
         let [a, b] = [[-10.0, 0.0, 50.0], [10.0, 5.0, 50.0]].map(|p| {
-            let [x, y, _] = painted.projection.project(p);
-            painted.pick(x, y).unwrap()
+            let [x, y, _] = depth_buffer.projection.project(p);
+            depth_buffer.pick(x, y).unwrap()
         });
         let length = distance_mm(a, b);
         assert!((length - 425f32.sqrt()).abs() < 0.6, "{length}");
-        assert_eq!(painted.pick(1.0, 1.0), None, "nothing is there");
+        assert_eq!(depth_buffer.pick(1.0, 1.0), None, "nothing is there");
     }
 
     #[test]
     fn what_is_clipped_is_not_there() {
         let (frame, bytes) = plane(40, 30);
-        let sight = Sight { size_px: [64, 48], clip_mm: [60.0, 100.0], ..Sight::default() };
-        let (_, painted) = Painter::default().paint(&frame, &bytes, &sight).unwrap();
-        assert_eq!(painted, None);
+        let viewpoint = Viewpoint { size_px: [64, 48], clip_mm: [60.0, 100.0], ..Viewpoint::default() };
+        let (_, depth_buffer) = Painter::default().paint(&frame, &bytes, &viewpoint).unwrap();
+        assert_eq!(depth_buffer, None);
     }
 
     #[test]
-    fn a_place_comes_from_the_points_around_it() {
+    fn a_surface_point_comes_from_the_points_around_it() {
         let (frame, bytes) = plane(40, 30);
         let mut cloud = cloud_of(&frame, &bytes).unwrap();
         cloud.xyz_mm[10 * 40 + 20] = [f32::NAN; 3];
-        let depth = cloud.place((20.0, 10.0), 4).map(|p| p.xyz_mm(0.0)[2]);
+        let depth = cloud.surface_point((20.0, 10.0), 4).map(|p| p.xyz_mm(0.0)[2]);
         assert!(depth.is_some_and(|z| (z - 50.0).abs() < 1e-6), "{depth:?}");
         cloud.xyz_mm.fill([f32::NAN; 3]);
-        assert_eq!(cloud.place((20.0, 10.0), 4), None);
+        assert_eq!(cloud.surface_point((20.0, 10.0), 4), None);
         assert_eq!(cloud_of(&abi::Frame { height: 4000, ..frame }, &bytes), None, "described wrongly");
     }
 }

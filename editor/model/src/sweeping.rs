@@ -1,43 +1,43 @@
-//! A sweep under way: on a thread of its own with engines of its own, so that the graph in the window goes on. No egui here.
+//! Runs a parameter sweep on a thread of its own with engines of its own, while the graph in the window keeps running.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
-use panoscope_eval::sweep::{Point, Request, Sweep};
+use panoscope_eval::sweep::{Point, Request, Sweep, SweepError};
 use panoscope_loader::Loader;
-use panoscope_record::Recording;
+use panoscope_record::{Recording, RecordingError};
 
 use panoscope_engine::sync::lock;
 
-/// How much less than the graph in the window a sweep is to have of the processor.
+/// Niceness of the sweep's threads, so that the graph in the window has priority.
 const NICENESS: libc::c_int = 10;
 
-/// How a sweep stands.
+/// The progress of a sweep.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Progress {
-    /// The parameter, with its unit.
+    /// The parameter, as `node.param`.
     pub param: String,
     /// Unit of the parameter.
     pub unit: String,
-    /// The values are words, whose numbers are positions only.
-    pub words: bool,
-    /// What is measured.
+    /// Whether the values are words; the numbers of the points are then positions in the list of words.
+    pub is_text: bool,
+    /// The measure, as `node.port.column`.
     pub measure: String,
-    /// Points so far.
+    /// The points measured so far.
     pub points: Vec<Point>,
-    /// How many there are to be; 0 while the sweep is being looked at.
+    /// Total number of points; 0 while the sweep is being prepared.
     pub total: usize,
-    /// It is over.
+    /// Whether it has ended.
     pub done: bool,
-    /// It was cancelled.
+    /// Whether it was cancelled.
     pub cancelled: bool,
-    /// Why it did not begin.
+    /// Why it did not start.
     pub failed: Option<String>,
 }
 
-/// A sweep under way. Dropping it ends it.
+/// A running sweep. Dropping it ends it.
 pub struct Job {
     progress: Arc<Mutex<Progress>>,
     cancel: Arc<AtomicBool>,
@@ -45,10 +45,10 @@ pub struct Job {
 }
 
 impl Job {
-    /// Begins. `recording` gives the pictures where it is not empty; `wake` is called with every point.
+    /// Starts a sweep. `recording` replaces the graph's sources unless it is empty; `wake` is called after every point.
     ///
     /// # Errors
-    /// The system gave no thread.
+    /// The thread cannot be started.
     pub fn start(
         request: Request,
         recording: PathBuf,
@@ -61,11 +61,11 @@ impl Job {
         let cancel = Arc::new(AtomicBool::new(false));
         let (place, stop) = (Arc::clone(&progress), Arc::clone(&cancel));
         let work = move || {
-            // SAFETY: sets the niceness of this thread; those that it starts take it over.
+            // SAFETY: `setpriority` takes no pointers; it sets the niceness of this thread, which threads that it starts inherit.
             unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICENESS) };
             let result = sweep(request, &recording, loader, &place, &stop, &wake);
             let mut progress = lock(&place);
-            progress.failed = result.err();
+            progress.failed = result.err().map(|error| error.to_string());
             progress.cancelled = stop.load(Ordering::Relaxed);
             progress.done = true;
             drop(progress);
@@ -75,12 +75,12 @@ impl Job {
         Ok(Self { progress, cancel, thread: Some(thread) })
     }
 
-    /// How it stands.
+    /// The progress so far.
     pub fn progress(&self) -> Progress {
         lock(&self.progress).clone()
     }
 
-    /// Ends it soon; what it found stays.
+    /// Requests the end of the sweep; the measured points stay.
     pub fn cancel(&self) {
         self.cancel.store(true, Ordering::Relaxed);
     }
@@ -95,6 +95,15 @@ impl Drop for Job {
     }
 }
 
+/// Why a sweep failed as a whole.
+#[derive(Debug, thiserror::Error)]
+enum RunError {
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    #[error(transparent)]
+    Sweep(#[from] SweepError),
+}
+
 fn sweep(
     mut request: Request,
     recording: &Path,
@@ -102,20 +111,20 @@ fn sweep(
     place: &Mutex<Progress>,
     stop: &AtomicBool,
     wake: &dyn Fn(),
-) -> Result<(), String> {
+) -> Result<(), RunError> {
     if !recording.as_os_str().is_empty() {
-        request.recording = Some(Arc::new(Recording::open(recording).map_err(|e| e.to_string())?));
+        request.recording = Some(Arc::new(Recording::open(recording)?));
     }
-    let sweep = Sweep::new(request, loader).map_err(|e| e.to_string())?;
+    let sweep = Sweep::new(request, loader)?;
     {
         let mut progress = lock(place);
         progress.total = sweep.len();
         sweep.unit().clone_into(&mut progress.unit);
-        progress.words = sweep.has_words();
+        progress.is_text = sweep.has_words();
     }
     let each = |point| {
         lock(place).points.push(point);
         wake();
     };
-    sweep.run(&|| stop.load(Ordering::Relaxed), each).map_err(|e| e.to_string())
+    Ok(sweep.run(&|| stop.load(Ordering::Relaxed), each)?)
 }

@@ -1,4 +1,4 @@
-//! Where the graph has an arm: stopped by one touch, let go only by holding.
+//! The emergency stop of a robot arm in the graph: one tap stops it, holding releases it.
 
 use std::time::Instant;
 
@@ -10,12 +10,12 @@ use panoscope_graph::ParamValue;
 use panoscope_graph::edit::GraphEdit;
 
 use super::stage::focus_frame;
-use super::{Act, HOLD, Theatre, acts, key_words, plan};
+use super::{Action, HOLD, Theatre, actions, key_name, plan};
 
 pub(super) const STOP_RED: Color32 = Color32::from_rgb(0xD6, 0x2F, 0x1F);
 
 impl Theatre {
-    /// Stops the arm at once, or lets it go again.
+    /// Stops the arm at once, or releases it.
     pub fn emergency_stop(&mut self, on: bool) {
         if self.plan.stops.is_empty() {
             return;
@@ -25,7 +25,7 @@ impl Theatre {
         let mut failed = Vec::new();
         let mut resets = Vec::new();
         for stop in &self.plan.stops {
-            // Now, even while the graph is being changed.
+            // Takes effect at once, even while a change of the graph is being applied.
             let set = engine.as_ref().map(|e| e.set_bool_at_once(&stop.node, plan::EMERGENCY_STOP, on));
             if !matches!(set, Some(Ok(()))) && self.raw_only.is_none() {
                 failed.push(stop.node.clone());
@@ -44,18 +44,18 @@ impl Theatre {
             Ok(edit.text())
         });
         match text {
-            // And once more as part of the graph, so that it outlasts every change.
+            // Also set in the graph's text, so that later changes of the graph keep it.
             Ok(text) => self.run(text),
-            Err(error) => self.say(error.to_string(), true),
+            Err(error) => self.notify(error.to_string(), true),
         }
         if !failed.is_empty() {
-            self.say(format!("{} did not take the stop: switch the arm off", failed.join(", ")), true);
+            self.notify(format!("{} did not accept the stop: switch the arm off", failed.join(", ")), true);
         }
     }
 
-    /// Lets the arm go once the button, or the key, was held long enough.
+    /// Releases the arm once the button or the key was held long enough.
     fn release(&mut self, ctx: &Context, held: bool) {
-        let keys = acts::KEYS.iter().find(|(act, _)| *act == Act::Stop).map_or(&[][..], |(_, keys)| keys);
+        let keys = actions::KEYS.iter().find(|(action, _)| *action == Action::Stop).map_or(&[][..], |(_, keys)| keys);
         let held = held || ctx.input(|i| keys.iter().any(|key| i.key_down(*key)));
         match self.releasing {
             Some(_) if !held => self.releasing = None,
@@ -68,12 +68,12 @@ impl Theatre {
         }
     }
 
-    /// Whether the arm was stopped from here.
+    /// Whether the arm was stopped from this window.
     pub fn is_stopped(&self) -> bool {
         self.emergency
     }
 
-    /// Always there while the graph has an arm. One tap stops it; it is let go only by holding.
+    /// The stop button, always visible while the graph has an arm. One tap stops the arm; holding releases it.
     pub(super) fn stop_button(&mut self, ui: &mut Ui, rect: Rect) {
         let response = ui.interact(rect, ui.id().with("stop"), Sense::click_and_drag());
         let label = if self.emergency { "Release the arm: hold 2 s" } else { "Emergency stop of the arm" };
@@ -86,13 +86,13 @@ impl Theatre {
         let fill = if self.emergency { Color32::from_rgb(0x4A, 0x17, 0x12) } else { STOP_RED };
         painter.rect(rect, 12.0, fill, Stroke::new(3.0, Color32::WHITE), StrokeKind::Inside);
         if !self.emergency {
-            // On touch, not on release: nothing is to be waited for.
+            // On press, not on release, so that nothing delays the stop.
             if held || response.clicked() {
                 self.emergency_stop(true);
                 self.releasing = None;
             }
         } else {
-            // Held by touch, or by the key that presses what has the focus.
+            // Held by touch, or by the keys that press the focused button.
             let by_key = response.has_focus() && ui.input(|i| i.key_down(Key::Space) || i.key_down(Key::Enter));
             if held && ui.input(|i| i.pointer.any_pressed()) || by_key && response.clicked() {
                 self.releasing = Some(Instant::now());
@@ -102,22 +102,22 @@ impl Theatre {
             let done = Rect::from_min_size(rect.min, vec2(rect.width() * share.min(1.0), rect.height())).shrink(6.0);
             painter.rect_filled(done, 8.0, STOP_RED.gamma_multiply(0.6));
         }
-        let (words, below) = if self.emergency {
+        let (message, below) = if self.emergency {
             ("ARM STOPPED", "hold 2 s to release".to_owned())
         } else {
-            ("STOP ARM", format!("key {}", key_words(Act::Stop)))
+            ("STOP ARM", format!("key {}", key_name(Action::Stop)))
         };
         let sign_at = pos2(rect.left() + 38.0, rect.center().y);
         octagon(painter, sign_at, 20.0);
         let left = rect.left() + 70.0;
         let y = rect.center().y;
-        painter.text(pos2(left, y - 9.0), Align2::LEFT_CENTER, words, FontId::proportional(22.0), Color32::WHITE);
+        painter.text(pos2(left, y - 9.0), Align2::LEFT_CENTER, message, FontId::proportional(22.0), Color32::WHITE);
         let pale = Color32::from_white_alpha(210);
         painter.text(pos2(left, y + 15.0), Align2::LEFT_CENTER, below, FontId::proportional(14.0), pale);
     }
 }
 
-/// The sign that says stop everywhere.
+/// Draws a stop sign.
 fn octagon(painter: &Painter, at: Pos2, size: f32) {
     let corner = |k: usize| {
         let angle = (k as f32 + 0.5) * std::f32::consts::FRAC_PI_4;

@@ -1,16 +1,16 @@
-//! Where pictures stand. No state: rectangles from a choice and a size.
+//! Computes the rectangles of the images from the layout and the available space.
 
 use eframe::egui::{Rect, Vec2, pos2, vec2};
 
-/// Distance between pictures, points.
+/// Distance between images, points.
 pub const GAP: f32 = 12.0;
-/// Height of the line above each picture, points.
+/// Height of the title above each image, points.
 pub const TITLE: f32 = 30.0;
 
-/// Share of the width that the first of two views takes.
+/// Share of the width for the first of two views.
 const FIRST_OF_TWO: f32 = 0.62;
 
-/// What is shown of several views.
+/// Which views are shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Layout {
     /// The first view large, the others beside it.
@@ -21,7 +21,7 @@ pub enum Layout {
 }
 
 impl Layout {
-    /// The next one of `count` views: all, then each alone, then all again.
+    /// The next layout of `count` views: all, then each alone, then all again.
     pub fn next(self, count: usize) -> Self {
         match self {
             Self::All if count > 0 => Self::One(0),
@@ -30,7 +30,7 @@ impl Layout {
         }
     }
 
-    /// The one before.
+    /// The previous layout of `count` views.
     pub fn previous(self, count: usize) -> Self {
         match self {
             Self::All if count > 0 => Self::One(count - 1),
@@ -39,7 +39,7 @@ impl Layout {
         }
     }
 
-    /// The view that stills and clips are made of.
+    /// Index of the view that stills and clips are made of.
     pub fn main(self) -> usize {
         match self {
             Self::All => 0,
@@ -47,8 +47,8 @@ impl Layout {
         }
     }
 
-    /// Views with their places inside `room`.
-    pub fn places(self, count: usize, room: Rect) -> Vec<(usize, Rect)> {
+    /// Index and rectangle of each visible view inside `room`.
+    pub fn rects(self, count: usize, room: Rect) -> Vec<(usize, Rect)> {
         match (self, count) {
             (_, 0) => Vec::new(),
             (Self::One(n), _) => vec![(n.min(count - 1), room)],
@@ -73,7 +73,7 @@ impl Layout {
     }
 }
 
-/// Rooms of two views with pictures of these sizes, so that both pictures begin as high as the higher one did.
+/// Adjusts the rectangles of two views with images of these sizes so that the tops of both images are at the higher one's height.
 pub fn level(rooms: [Rect; 2], sizes: [Vec2; 2]) -> [Rect; 2] {
     let below_title = |room: Rect| Rect::from_min_max(room.min + vec2(0.0, TITLE), room.max);
     let pictures = [0, 1].map(|k| fit(below_title(rooms[k]), sizes[k]));
@@ -84,24 +84,24 @@ pub fn level(rooms: [Rect; 2], sizes: [Vec2; 2]) -> [Rect; 2] {
     })
 }
 
-/// Widths of an inset as parts of the room's, the first one that covers nothing is taken.
+/// Widths of an inset as fractions of the room's; the first one that covers nothing is used.
 const INSET_SHARES: [f32; 5] = [0.24, 0.21, 0.18, 0.15, 0.125];
-/// Part of a picture's width and height, about its centre, that no inset reaches into.
+/// Fraction of an image's width and height, around its centre, that an inset must not cover.
 const MIDDLE: f32 = 0.5;
 
-/// The part of a picture that nothing may cover.
+/// The part of an image that an inset must not cover.
 pub fn middle(picture: Rect) -> Rect {
     Rect::from_center_size(picture.center(), picture.size() * MIDDLE)
 }
 
-/// Room for a small picture of `size`'s proportions, with its title, in a corner of `room`, in which `pictures` stand.
+/// The rectangle of a small image with the proportions of `size` and its title, in a corner of `room`, in which `pictures` are drawn.
 ///
-/// On free ground if there is any; else over the corner of a picture, so small that it stays out of every picture's [`middle`].
+/// It is in free space if there is any; else over the corner of an image, so small that it does not cover any image's [`middle`].
 pub fn inset(room: Rect, size: Vec2, pictures: &[Rect]) -> Rect {
     let high = |width: f32| TITLE + width * size.y.max(1.0) / size.x.max(1.0);
     let corners = |bounds: Rect, width: f32| {
         let size = vec2(width, high(width));
-        // The lower right first: the lower left is where menus and tools most often come in.
+        // The lower right first, because tools and menus are most often at the lower left.
         [(true, true), (true, false), (false, true), (false, false)].map(|(right, bottom)| {
             let x = if right { bounds.right() - size.x } else { bounds.left() };
             let y = if bottom { bounds.bottom() - size.y } else { bounds.top() };
@@ -110,26 +110,26 @@ pub fn inset(room: Rect, size: Vec2, pictures: &[Rect]) -> Rect {
     };
     let apart = |a: Rect, b: Rect| !a.shrink(0.5).intersects(b.shrink(0.5));
     for share in INSET_SHARES {
-        let free = |place: &Rect| room.expand(0.5).contains_rect(*place) && pictures.iter().all(|p| apart(*place, *p));
-        if let Some(place) = corners(room, room.width() * share).into_iter().find(free) {
-            return place;
+        let free = |rect: &Rect| room.expand(0.5).contains_rect(*rect) && pictures.iter().all(|p| apart(*rect, *p));
+        if let Some(rect) = corners(room, room.width() * share).into_iter().find(free) {
+            return rect;
         }
     }
-    // A corner of the room or of the largest picture, as large as the pictures' middles let it be, where it covers least.
+    // The corner of the room or of the largest image where it covers least, as large as the middles of the images allow.
     let area = |r: &Rect| r.width() * r.height();
     let largest = pictures.iter().copied().max_by(|a, b| area(a).total_cmp(&area(b))).unwrap_or(room);
     let most = (largest.width() * (1.0 - MIDDLE) / 2.0).min(room.width() * INSET_SHARES[0]);
-    let allowed = |place: &Rect| pictures.iter().all(|p| apart(*place, middle(*p)));
-    // In whole points: rounding must not choose between corners that are alike.
-    let covered = |place: &Rect| {
-        let shared = pictures.iter().map(|p| place.intersect(*p)).filter(Rect::is_positive);
+    let allowed = |rect: &Rect| pictures.iter().all(|p| apart(*rect, middle(*p)));
+    // In whole points, so that rounding does not decide between equal corners.
+    let covered = |rect: &Rect| {
+        let shared = pictures.iter().map(|p| rect.intersect(*p)).filter(Rect::is_positive);
         shared.map(|r| area(&r)).sum::<f32>().round()
     };
     let mut width = most;
     loop {
-        let places = corners(room, width).into_iter().chain(corners(largest, width)).filter(allowed);
-        if let Some(place) = places.min_by(|a, b| covered(a).total_cmp(&covered(b))) {
-            return place;
+        let rects = corners(room, width).into_iter().chain(corners(largest, width)).filter(allowed);
+        if let Some(rect) = rects.min_by(|a, b| covered(a).total_cmp(&covered(b))) {
+            return rect;
         }
         width *= 0.9;
         if width < 1.0 {
@@ -138,7 +138,7 @@ pub fn inset(room: Rect, size: Vec2, pictures: &[Rect]) -> Rect {
     }
 }
 
-/// The largest rectangle of `size`'s proportions in the middle of `room`.
+/// The largest rectangle with the proportions of `size`, centred in `room`.
 pub fn fit(room: Rect, size: Vec2) -> Rect {
     let scale = (room.width() / size.x.max(1.0)).min(room.height() / size.y.max(1.0)).max(0.0);
     Rect::from_center_size(room.center(), size * scale)
@@ -165,11 +165,11 @@ mod tests {
     fn pictures_lie_inside_and_apart() {
         let room = Rect::from_min_size(pos2(16.0, 80.0), vec2(1400.0, 700.0));
         for count in 1..6 {
-            let places = Layout::All.places(count, room);
-            assert_eq!(places.len(), count);
-            for (k, (n, a)) in places.iter().enumerate() {
+            let rects = Layout::All.rects(count, room);
+            assert_eq!(rects.len(), count);
+            for (k, (n, a)) in rects.iter().enumerate() {
                 assert!(*n == k && room.expand(0.5).contains_rect(*a), "{a:?}");
-                assert!(places[..k].iter().all(|(_, b)| !a.shrink(0.5).intersects(b.shrink(0.5))));
+                assert!(rects[..k].iter().all(|(_, b)| !a.shrink(0.5).intersects(b.shrink(0.5))));
             }
         }
         assert_eq!(fit(room, vec2(100.0, 100.0)).size(), vec2(700.0, 700.0));
@@ -179,33 +179,33 @@ mod tests {
     fn an_inset_takes_free_ground_and_else_a_corner() {
         let room = Rect::from_min_size(pos2(20.0, 68.0), vec2(1400.0, 780.0));
         let camera = vec2(640.0, 480.0);
-        // Beside one picture of 4 to 3 there is room; above a wide one, too.
+        // There is free space beside a 4:3 image and above a wide one.
         for picture in [vec2(640.0, 480.0), vec2(2000.0, 500.0)] {
             let picture = fit(room, picture);
-            let place = inset(room, camera, &[picture]);
-            assert!(room.expand(0.5).contains_rect(place), "{place:?}");
-            assert!(!place.shrink(0.5).intersects(picture), "{place:?} covers {picture:?}");
-            assert!(place.width() >= 0.12 * room.width());
+            let rect = inset(room, camera, &[picture]);
+            assert!(room.expand(0.5).contains_rect(rect), "{rect:?}");
+            assert!(!rect.shrink(0.5).intersects(picture), "{rect:?} covers {picture:?}");
+            assert!(rect.width() >= 0.12 * room.width());
         }
-        // A picture that fills the room, as a panorama does: its corner, not its middle.
+        // An image that fills the room, such as a panorama: in its corner.
         for picture in [room, Rect::from_center_size(room.center(), vec2(1400.0, 700.0))] {
-            let place = inset(room, camera, &[picture]);
-            assert!(room.expand(0.5).contains_rect(place), "{place:?}");
-            assert!(!place.intersects(middle(picture)), "{place:?} reaches into the middle");
-            assert!(place.width() >= 0.15 * room.width(), "{place:?}");
+            let rect = inset(room, camera, &[picture]);
+            assert!(room.expand(0.5).contains_rect(rect), "{rect:?}");
+            assert!(!rect.intersects(middle(picture)), "{rect:?} reaches into the middle");
+            assert!(rect.width() >= 0.15 * room.width(), "{rect:?}");
         }
-        // Several pictures, none without a middle that is seen.
+        // Several images: no middle is covered.
         for count in 1..6 {
-            let pictures: Vec<Rect> = Layout::All.places(count, room).into_iter().map(|(_, r)| r).collect();
-            let place = inset(room, camera, &pictures);
-            assert!(pictures.iter().all(|p| !place.shrink(0.5).intersects(middle(*p))), "{count}: {place:?}");
+            let pictures: Vec<Rect> = Layout::All.rects(count, room).into_iter().map(|(_, r)| r).collect();
+            let rect = inset(room, camera, &pictures);
+            assert!(pictures.iter().all(|p| !rect.shrink(0.5).intersects(middle(*p))), "{count}: {rect:?}");
         }
     }
 
     #[test]
     fn two_pictures_begin_at_one_height() {
         let room = Rect::from_min_size(pos2(16.0, 80.0), vec2(1400.0, 700.0));
-        let rooms = [0, 1].map(|n| Layout::All.places(2, room)[n].1);
+        let rooms = [0, 1].map(|n| Layout::All.rects(2, room)[n].1);
         let sizes = [vec2(900.0, 560.0), vec2(640.0, 480.0)];
         let levelled = level(rooms, sizes);
         assert_eq!(levelled[0].top(), levelled[1].top());

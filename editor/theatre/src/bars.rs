@@ -1,4 +1,4 @@
-//! Above the pictures what must be known, below them what can be done.
+//! The top bar with state and notices, and the bottom bar with buttons and settings.
 
 use std::time::Instant;
 
@@ -8,17 +8,19 @@ use eframe::egui::{
 };
 
 use super::arm::STOP_RED;
-use super::notices::{Facts, OLD_MS, Urgency, bytes_words};
-use super::{Act, EDGE, HOLD, REMARK, Theatre, key_words, settings};
+use super::notices::{Facts, OLD_MS, Urgency, format_bytes};
+use super::{Action, EDGE, HOLD, REMARK, Theatre, key_name, settings};
 use panoscope_editor_model::session::{Phase, Status};
 use panoscope_editor_widgets::theme;
 
-/// Width of a setting, between two of them, and of the button that leads to more.
+/// Width of a setting.
 const SETTING: f32 = 216.0;
+/// Distance between two settings.
 const SETTING_GAP: f32 = 24.0;
+/// Width of the button for the next page of settings.
 const MORE: f32 = 84.0;
 
-fn clock_words(since: Instant) -> String {
+fn format_clock(since: Instant) -> String {
     let seconds = since.elapsed().as_secs();
     format!("{}:{:02}", seconds / 60, seconds % 60)
 }
@@ -29,70 +31,70 @@ impl Theatre {
         let painter = ui.painter().clone();
         let mut right = inner.right();
         let middle = inner.center().y;
-        let mut chip = |words: &str, fill: Color32, color: Color32| {
-            let text = painter.layout_no_wrap(words.to_owned(), FontId::proportional(18.0), color);
+        let mut chip = |message: &str, fill: Color32, color: Color32| {
+            let text = painter.layout_no_wrap(message.to_owned(), FontId::proportional(18.0), color);
             let size = text.size() + vec2(28.0, 14.0);
-            let place = Rect::from_min_size(pos2(right - size.x, middle - size.y / 2.0), size);
-            painter.rect_filled(place, CornerRadius::same(8), fill);
-            painter.galley(place.min + vec2(14.0, 7.0), text, color);
-            right = place.left() - 10.0;
+            let rect = Rect::from_min_size(pos2(right - size.x, middle - size.y / 2.0), size);
+            painter.rect_filled(rect, CornerRadius::same(8), fill);
+            painter.galley(rect.min + vec2(14.0, 7.0), text, color);
+            right = rect.left() - 10.0;
         };
-        let (words, fill, color) = match (&status.phase, self.frozen) {
+        let (message, fill, color) = match (&status.phase, self.frozen) {
             _ if facts.why_dark.is_some() => ("NO PICTURE".to_owned(), theme::FAULT, theme::BLACK),
             (Phase::Starting | Phase::Idle, _) => ("STARTING".to_owned(), theme::RAISED, theme::MUTED),
             (Phase::Ended | Phase::Failed(_), _) => ("STOPPED".to_owned(), theme::FAULT, theme::BLACK),
-            (_, Some(since)) => (format!("FROZEN  {}", clock_words(since)), theme::ACCENT, theme::BLACK),
-            // What is late must not be called live.
+            (_, Some(since)) => (format!("FROZEN  {}", format_clock(since)), theme::ACCENT, theme::BLACK),
+            // Delayed images must not be called live.
             _ if !facts.stopped.is_empty() || facts.age_ms.is_some_and(|age| age > OLD_MS) => {
                 ("DELAYED".to_owned(), theme::WARN, theme::BLACK)
             }
             _ => ("LIVE".to_owned(), theme::RAISED, theme::LIVE),
         };
-        chip(&words, fill, color);
+        chip(&message, fill, color);
         if let Some(clip) = &self.clip {
-            chip(&format!("REC  {}", clock_words(clip.since)), STOP_RED, Color32::WHITE);
-            let free = facts.free_bytes.map(|b| format!("{} free", bytes_words(b))).unwrap_or_default();
+            chip(&format!("REC  {}", format_clock(clip.since)), STOP_RED, Color32::WHITE);
+            let free = facts.free_bytes.map(|b| format!("{} free", format_bytes(b))).unwrap_or_default();
             let font = FontId::proportional(14.0);
-            let place = painter.text(pos2(right, middle), Align2::RIGHT_CENTER, free, font, theme::MUTED);
-            right = place.left() - 16.0;
+            let rect = painter.text(pos2(right, middle), Align2::RIGHT_CENTER, free, font, theme::MUTED);
+            right = rect.left() - 16.0;
         }
-        if let Some((heading, line)) = self.verified.words() {
+        if let Some((heading, line)) = self.verified.mark() {
             right = unverified(ui, pos2(right, middle), heading, line).left() - 10.0;
         }
         let room = Rect::from_min_max(inner.min, pos2(right - 10.0, inner.bottom()));
-        self.message(ui, room);
+        self.show_message(ui, room);
     }
 
-    /// The most urgent thing to know, with the rest behind it; else the graph's name.
-    fn message(&self, ui: &mut Ui, room: Rect) {
+    /// Draws the most urgent notice with the others below it; without notices, the remark or the graph's name.
+    fn show_message(&self, ui: &mut Ui, room: Rect) {
         let painter = ui.painter_at(room.expand(2.0));
         if let Some(since) = self.leaving.filter(|since| since.elapsed() > HOLD / 8) {
             let share = (since.elapsed().as_secs_f32() / HOLD.as_secs_f32()).min(1.0);
             let text = FontId::proportional(22.0);
-            let words = "Keep holding Esc to leave";
-            let place = painter.text(room.left_center(), Align2::LEFT_CENTER, words, text, theme::TEXT);
-            let rail = Rect::from_min_size(pos2(place.right() + 20.0, place.center().y - 3.0), vec2(160.0, 6.0));
+            let message = "Keep holding Esc to leave";
+            let rect = painter.text(room.left_center(), Align2::LEFT_CENTER, message, text, theme::TEXT);
+            let rail = Rect::from_min_size(pos2(rect.right() + 20.0, rect.center().y - 3.0), vec2(160.0, 6.0));
             painter.rect_filled(rail, 3.0, theme::RAISED);
             let done = Rect::from_min_size(rail.min, vec2(rail.width() * share, rail.height()));
             painter.rect_filled(done, 3.0, theme::ACCENT);
             return;
         }
-        let told = |words: &str| WidgetInfo::labeled(WidgetType::Label, true, words.to_owned());
-        for (k, notice) in self.told.iter().enumerate() {
+        let label = |message: &str| WidgetInfo::labeled(WidgetType::Label, true, message.to_owned());
+        for (k, notice) in self.notices.iter().enumerate() {
             let response = ui.interact(room, ui.id().with(("notice", k)), Sense::hover());
-            response.widget_info(|| told(&format!("Notice: {}", notice.words)));
+            response.widget_info(|| label(&format!("Notice: {}", notice.message)));
         }
         let remark = self.remark.as_ref().filter(|(.., at)| at.elapsed() < REMARK);
-        if let Some((words, ..)) = remark {
+        if let Some((message, ..)) = remark {
             let response = ui.interact(room, ui.id().with("remark"), Sense::hover());
-            response.widget_info(|| told(&format!("Remark: {words}")));
+            response.widget_info(|| label(&format!("Remark: {message}")));
         }
-        let Some(first) = self.told.first() else {
-            let (words, color) = match remark {
-                Some((words, wrong, _)) => (words.clone(), if *wrong { theme::WARN } else { theme::TEXT }),
+        let Some(first) = self.notices.first() else {
+            let (message, color) = match remark {
+                Some((message, wrong, _)) => (message.clone(), if *wrong { theme::WARN } else { theme::TEXT }),
                 None => (self.plan.name.clone(), theme::MUTED),
             };
-            painter.text(room.left_center(), Align2::LEFT_CENTER, words, FontId::proportional(20.0), color);
+            painter.text(room.left_center(), Align2::LEFT_CENTER, message, FontId::proportional(20.0), color);
             return;
         };
         let color = match first.urgency {
@@ -100,26 +102,26 @@ impl Theatre {
             Urgency::Warning => theme::WARN,
             Urgency::Note => theme::MUTED,
         };
-        // Shape and weight say it, too, not colour alone.
+        // A sign and the font size show the urgency without relying on colour.
         let at = pos2(room.left() + 14.0, room.center().y);
         if first.urgency >= Urgency::Warning {
             sign(&painter, at, 14.0, color);
         }
-        let rest: Vec<&str> = self.told.iter().skip(1).map(|n| n.words.as_str()).collect();
-        let rest = remark.iter().map(|(words, ..)| words.as_str()).chain(rest).collect::<Vec<_>>().join("   ·   ");
+        let rest: Vec<&str> = self.notices.iter().skip(1).map(|n| n.message.as_str()).collect();
+        let rest = remark.iter().map(|(message, ..)| message.as_str()).chain(rest).collect::<Vec<_>>().join("   ·   ");
         let left = room.left() + if first.urgency >= Urgency::Warning { 44.0 } else { 0.0 };
         let (y, size) = if rest.is_empty() { (room.center().y, 24.0) } else { (room.center().y - 10.0, 22.0) };
         let size = if first.urgency == Urgency::Note { 18.0 } else { size };
-        let fitted = |words: &str, size: f32, color: Color32| {
+        let fitted = |message: &str, size: f32, color: Color32| {
             let mut job = eframe::egui::text::LayoutJob::simple_singleline(
-                words.lines().next().unwrap_or_default().to_owned(),
+                message.lines().next().unwrap_or_default().to_owned(),
                 FontId::proportional(size),
                 color,
             );
             job.wrap = eframe::egui::text::TextWrapping::truncate_at_width((room.right() - left).max(40.0));
             painter.layout_job(job)
         };
-        let galley = fitted(&first.words, size, color);
+        let galley = fitted(&first.message, size, color);
         painter.galley(pos2(left, y - galley.size().y / 2.0), galley, color);
         if !rest.is_empty() {
             let galley = fitted(&rest, 15.0, theme::TEXT.gamma_multiply(0.8));
@@ -133,51 +135,51 @@ impl Theatre {
         let mut right = inner.right();
         if !self.plan.stops.is_empty() {
             let width = 230.0;
-            let place = Rect::from_min_max(pos2(right - width, inner.top()), inner.max);
-            self.stop_button(ui, place);
-            right = place.left() - 24.0;
+            let rect = Rect::from_min_max(pos2(right - width, inner.top()), inner.max);
+            self.stop_button(ui, rect);
+            right = rect.left() - 24.0;
         }
         let over = self.raw_only.is_some() || matches!(self.session.status().phase, Phase::Ended | Phase::Failed(_));
         let frozen = self.frozen.is_some() && !self.measure.is_on();
         let whole = self.raw_only.is_none();
         let buttons = [
-            (Act::Next, "Layout", false, whole && self.plan.views.len() > 1),
-            (Act::Freeze, if frozen { "Go on" } else { "Freeze" }, frozen, whole),
-            (Act::Still, "Still", false, true),
-            (Act::Record, if self.clip.is_some() { "End clip" } else { "Record" }, self.clip.is_some(), whole),
-            (Act::Measure, "Measure", self.measure.is_on(), whole && self.plan.cloud.is_some()),
-            (Act::Again, "Start again", true, over),
+            (Action::Next, "Layout", false, whole && self.plan.views.len() > 1),
+            (Action::Freeze, if frozen { "Continue" } else { "Freeze" }, frozen, whole),
+            (Action::Still, "Still", false, true),
+            (Action::Record, if self.clip.is_some() { "End clip" } else { "Record" }, self.clip.is_some(), whole),
+            (Action::Measure, "Measure", self.measure.is_on(), whole && self.plan.cloud.is_some()),
+            (Action::Again, "Start again", true, over),
         ];
-        for (act, words, on, there) in buttons {
+        for (action, caption, on, there) in buttons {
             if !there {
                 continue;
             }
-            let width = if words.len() > 8 { 132.0 } else { 108.0 };
-            let place = Rect::from_min_size(pos2(left, inner.top()), vec2(width, inner.height()));
-            if button(ui, place, words, key_words(act), on) {
-                self.act(act);
+            let width = if caption.len() > 8 { 132.0 } else { 108.0 };
+            let rect = Rect::from_min_size(pos2(left, inner.top()), vec2(width, inner.height()));
+            if button(ui, rect, caption, key_name(action), on) {
+                self.perform(action);
             }
-            left = place.right() + 10.0;
+            left = rect.right() + 10.0;
         }
         self.settings(ui, Rect::from_min_max(pos2(left + 14.0, inner.top()), pos2(right, inner.bottom())));
     }
 
-    /// The pinned settings; where there is no room for all, a button leads to the others.
+    /// Draws the pinned settings; when there is no room for all, with a button for the next page.
     fn settings(&mut self, ui: &mut Ui, room: Rect) {
-        // Where only the sources run there is nothing to set.
+        // While only the sources run, there is nothing to set.
         let settings = if self.raw_only.is_some() { Vec::new() } else { self.plan.settings.clone() };
         let across = |width: f32| (((width + SETTING_GAP) / (SETTING + SETTING_GAP)).max(0.0) as usize).max(1);
         let mut room = room;
         let mut fit = across(room.width());
         if settings.len() > fit {
-            let place = Rect::from_min_max(pos2(room.right() - MORE, room.top()), room.max);
-            room.max.x = place.left() - SETTING_GAP;
+            let rect = Rect::from_min_max(pos2(room.right() - MORE, room.top()), room.max);
+            room.max.x = rect.left() - SETTING_GAP;
             fit = across(room.width());
             let pages = settings.len().div_ceil(fit);
             self.page %= pages;
-            let words = format!("{} of {pages}", self.page + 1);
-            if button_named(ui, place, "More settings", &words, key_words(Act::More), false) {
-                self.act(Act::More);
+            let caption = format!("{} of {pages}", self.page + 1);
+            if button_named(ui, rect, "More settings", &caption, key_name(Action::More), false) {
+                self.perform(Action::More);
             }
         } else {
             self.page = 0;
@@ -185,43 +187,42 @@ impl Theatre {
         let shown = settings.iter().skip(self.page * fit).take(fit);
         let mut at = room.right() - shown.len() as f32 * (SETTING + SETTING_GAP) + SETTING_GAP;
         for setting in shown {
-            let place = Rect::from_min_size(pos2(at, room.top() + 4.0), vec2(SETTING, room.height() - 8.0));
+            let rect = Rect::from_min_size(pos2(at, room.top() + 4.0), vec2(SETTING, room.height() - 8.0));
             let value = self.value(setting);
-            if let Some(new) = settings::show(ui, place, setting, value.as_ref()) {
+            if let Some(new) = settings::show(ui, rect, setting, value.as_ref()) {
                 self.choose(&setting.node, &setting.param.name, new);
             }
-            at = place.right() + SETTING_GAP;
+            at = rect.right() + SETTING_GAP;
         }
     }
 }
 
-/// Says that nobody verified what runs, as long as it runs: an outline, so that it neither blinks for attention nor is overlooked.
-/// Ends at `right`; answers its place.
+/// Draws the mark of an unverified graph, which is visible as long as it runs. `right` is the middle of its right edge; returns its rectangle.
 fn unverified(ui: &mut Ui, right: Pos2, heading: &str, line: &str) -> Rect {
     let painter = ui.painter();
     let heading_text = painter.layout_no_wrap(heading.to_owned(), FontId::proportional(15.0), theme::WARN);
     let line_text = painter.layout_no_wrap(line.to_owned(), FontId::proportional(13.0), theme::TEXT);
     let text = vec2(heading_text.size().x.max(line_text.size().x), heading_text.size().y + line_text.size().y);
     let size = text + vec2(28.0, 8.0);
-    let place = Rect::from_min_size(pos2(right.x - size.x, right.y - size.y / 2.0), size);
-    painter.rect_stroke(place, CornerRadius::same(8), Stroke::new(1.5, theme::WARN), StrokeKind::Inside);
-    let at = place.min + vec2(14.0, 4.0);
+    let rect = Rect::from_min_size(pos2(right.x - size.x, right.y - size.y / 2.0), size);
+    painter.rect_stroke(rect, CornerRadius::same(8), Stroke::new(1.5, theme::WARN), StrokeKind::Inside);
+    let at = rect.min + vec2(14.0, 4.0);
     let below = at + vec2(0.0, heading_text.size().y);
     painter.galley(at, heading_text, theme::WARN);
     painter.galley(below, line_text, theme::TEXT);
-    let response = ui.interact(place, ui.id().with("verified"), Sense::hover());
-    let words = format!("{}: {line}", heading[..1].to_owned() + &heading[1..].to_lowercase());
-    response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, words.clone()));
-    place
+    let response = ui.interact(rect, ui.id().with("verified"), Sense::hover());
+    let caption = format!("{}: {line}", heading[..1].to_owned() + &heading[1..].to_lowercase());
+    response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, caption.clone()));
+    rect
 }
 
-/// A large button with its key below its words.
-fn button(ui: &mut Ui, rect: Rect, words: &str, key: &str, on: bool) -> bool {
-    button_named(ui, rect, words, words, key, on)
+/// Draws a large button with its key below its caption; returns whether it was clicked.
+fn button(ui: &mut Ui, rect: Rect, caption: &str, key: &str, on: bool) -> bool {
+    button_named(ui, rect, caption, caption, key, on)
 }
 
-/// As [`button`], with a name that is not what stands on it.
-fn button_named(ui: &mut Ui, rect: Rect, name: &str, words: &str, key: &str, on: bool) -> bool {
+/// As [`button`], with an accessible name that differs from the caption.
+fn button_named(ui: &mut Ui, rect: Rect, name: &str, caption: &str, key: &str, on: bool) -> bool {
     let response = ui.interact(rect, ui.id().with(("button", key)), Sense::click());
     response.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, on, name.to_owned()));
     let fill = match () {
@@ -234,12 +235,12 @@ fn button_named(ui: &mut Ui, rect: Rect, name: &str, words: &str, key: &str, on:
     let painter = ui.painter();
     painter.rect(rect, 12.0, fill, Stroke::new(2.0, edge), StrokeKind::Inside);
     let c = rect.center();
-    painter.text(c - vec2(0.0, 9.0), Align2::CENTER_CENTER, words, FontId::proportional(20.0), theme::TEXT);
+    painter.text(c - vec2(0.0, 9.0), Align2::CENTER_CENTER, caption, FontId::proportional(20.0), theme::TEXT);
     painter.text(c + vec2(0.0, 17.0), Align2::CENTER_CENTER, key, FontId::proportional(13.0), theme::MUTED);
     response.clicked()
 }
 
-/// A triangle with a bar: look here.
+/// Draws a warning sign.
 fn sign(painter: &eframe::egui::Painter, at: eframe::egui::Pos2, size: f32, color: Color32) {
     let corners = vec![at + vec2(0.0, -size), at + vec2(size, size * 0.8), at + vec2(-size, size * 0.8)];
     painter.add(Shape::convex_polygon(corners, color, Stroke::NONE));

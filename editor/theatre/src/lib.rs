@@ -1,24 +1,24 @@
-//! The theatre: a surgeon's window over a running graph. Full screen, dark, large type; pictures and what must be known, and only the settings that
-//! the preset offers. Nothing ever covers a picture's middle: what is told stands above, what can be done below, and the live picture beside a frozen
-//! one in a corner.
+//! The theatre: a surgeon's window on a running graph. Full screen, dark, with large type; it shows images, notices and only the settings that
+//! the preset offers. Nothing covers the middle of an image: notices are above, buttons below, and the live image beside a frozen one is in
+//! a corner.
 //!
-//! Whatever fails, a camera's own picture stays: where a view stops it takes its place, and where the graph as a whole cannot run its sources are
-//! started alone.
+//! The camera's own image stays visible whatever fails: it replaces a view that stops, and if the graph cannot run, its sources are started
+//! alone.
 
-mod acts;
+mod actions;
 mod arm;
 mod arrange;
 mod bars;
-mod keep;
 mod measure;
 mod notices;
 mod open;
+mod open_failed;
 mod plan;
-mod records;
-mod refused;
+mod previews;
+mod recording;
 mod settings;
 mod stage;
-mod watch;
+mod storage;
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -32,90 +32,92 @@ use panoscope_graph::edit::GraphEdit;
 use panoscope_editor_model::content::Rig;
 use panoscope_editor_model::observe::{Observer, Output};
 use panoscope_editor_model::session::{Phase, Session};
-use panoscope_editor_model::surface::Sight;
-use panoscope_editor_widgets::Shown;
+use panoscope_editor_model::surface::Viewpoint;
+use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::{Costs, Shot};
 
-pub use acts::{Act, key_words};
+pub use actions::{Action, key_name};
 pub use arrange::Layout;
-pub use keep::{free_bytes, with_clip, without_clip, write_still};
 pub use measure::Length;
 pub use notices::{Notice, Urgency};
 pub use open::{OpenError, Options, Ready, Verified};
-pub use plan::{Place, Plan, Setting};
-pub use refused::Refused;
+pub use open_failed::OpenFailed;
+pub use plan::{Pane, Plan, Setting};
+pub use storage::{free_bytes, with_clip, without_clip, write_still};
 
-use keep::{Clip, Keeper};
 use measure::Measure;
 use notices::{Facts, Stages};
-use watch::Seen;
+use previews::LastPacket;
+use storage::{Clip, Storage};
 
-/// How long Esc is held to leave, and the stop to be released.
+/// How long Esc must be held to close the window, and the stop to release the arm.
 const HOLD: Duration = Duration::from_secs(2);
-/// How long a remark stays.
+/// How long a remark is shown.
 const REMARK: Duration = Duration::from_secs(5);
 const TOP: f32 = 68.0;
 const BOTTOM: f32 = 104.0;
 const EDGE: f32 = 20.0;
-/// Height of the window in points that sizes are made for, and the least width that all buttons have room in.
-const USUAL_HEIGHT: f32 = 960.0;
-const LEAST_WIDTH: f32 = 1180.0;
+/// Height of the window in points that the sizes are designed for.
+const REFERENCE_HEIGHT_PT: f32 = 960.0;
+/// Minimum width in points that all buttons need.
+const MIN_WIDTH_PT: f32 = 1180.0;
 
 /// The window.
 pub struct Theatre {
     plan: Plan,
     session: Session,
     observer: Observer,
-    /// The whole graph as it is to run: the file's, with the settings and the clip of now.
+    /// Text of the whole graph: the file's, with the current settings and clip.
     text: String,
-    /// Only the sources run, for this reason.
+    /// The reason why only the sources run; `None` while the whole graph runs.
     raw_only: Option<String>,
-    shown: Shown,
-    /// The raw view, which goes on while the rest is frozen.
-    live: Shown,
-    seen: HashMap<Output, Seen>,
+    shown: OutputCache,
+    /// Previews of the raw view, which continues while the other views are frozen.
+    live: OutputCache,
+    last_packets: HashMap<Output, LastPacket>,
     running_since: Option<Instant>,
     layout: Layout,
     frozen: Option<Instant>,
     measure: Measure,
-    /// Cameras behind the points to measure in.
+    /// Stereo geometry of the points that are measured.
     rig: Option<Rig>,
-    sights: HashMap<Output, Sight>,
-    keeper: Keeper,
+    viewpoints: HashMap<Output, Viewpoint>,
+    storage: Storage,
     clip: Option<Clip>,
     emergency: bool,
-    /// Settings that were changed here, by node and parameter.
+    /// Settings that were changed in this window, by node and parameter.
     chosen: HashMap<(String, String), ParamValue>,
-    /// Which of the settings are shown, where there is no room for all.
+    /// Visible page of the settings.
     page: usize,
     stages: Stages,
-    told: Vec<Notice>,
+    notices: Vec<Notice>,
     remark: Option<(String, bool, Instant)>,
-    /// Since when Esc, and the released stop, are held.
+    /// Since when Esc is held.
     leaving: Option<Instant>,
+    /// Since when the stop is held to release the arm.
     releasing: Option<Instant>,
     verified: Verified,
     scale: f32,
-    left: bool,
+    closing: bool,
     shot: Shot,
     costs: Costs,
 }
 
 impl Theatre {
-    /// Opens a graph file whose text was read, compares it with its lock and sets it going.
+    /// Opens a window on the graph file at `path` with its text: compares it with its lock and starts it.
     ///
     /// # Errors
-    /// See [`OpenError`]; nothing runs then.
+    /// See [`OpenError`]; nothing is started.
     pub fn open(ctx: &Context, path: &Path, text: &str, options: Options) -> Result<Self, OpenError> {
-        let ready = Ready::look(path, text, options.unlocked)?;
+        let ready = Ready::check(path, text, options.unlocked)?;
         Self::of(ctx, path, options, ready)
     }
 
-    /// As [`Self::open`], of what was looked at already.
+    /// As [`Self::open`], for a graph that was checked already.
     ///
     /// # Errors
-    /// The system gave no thread.
+    /// A thread cannot be started.
     pub fn of(ctx: &Context, path: &Path, options: Options, ready: Ready) -> Result<Self, OpenError> {
         theme::apply(ctx);
         theme::apply_theatre(ctx);
@@ -130,90 +132,91 @@ impl Theatre {
             session,
             text: ready.text,
             raw_only: None,
-            shown: Shown::default(),
-            live: Shown::default(),
-            seen: HashMap::new(),
+            shown: OutputCache::default(),
+            live: OutputCache::default(),
+            last_packets: HashMap::new(),
             running_since: None,
             layout: Layout::All,
             frozen: None,
             measure: Measure::default(),
             rig: None,
-            sights: HashMap::new(),
-            keeper: Keeper::new(&options.folder, options.label.as_deref())?,
+            viewpoints: HashMap::new(),
+            storage: Storage::new(&options.folder, options.label.as_deref())?,
             clip: None,
             emergency: false,
             chosen: HashMap::new(),
             page: 0,
             stages: Stages::default(),
-            told: Vec::new(),
+            notices: Vec::new(),
             remark: None,
             leaving: None,
             releasing: None,
             verified: ready.verified,
             scale: options.scale,
-            left: false,
+            closing: false,
             shot: options.shot,
             costs: Costs::default(),
         })
     }
 
-    /// What the graph offers.
+    /// Views and settings of the graph.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
 
-    /// Whether somebody has verified what runs.
+    /// Whether the running graph is as it was locked.
     pub fn verified(&self) -> &Verified {
         &self.verified
     }
 
-    /// The session.
+    /// The session that runs the graph.
     pub fn session(&self) -> &Session {
         &self.session
     }
 
-    /// What is told now, the most urgent first.
+    /// The current notices, the most urgent first.
     pub fn notices(&self) -> &[Notice] {
-        &self.told
+        &self.notices
     }
 
-    /// What is shown of the views.
+    /// Which views are shown.
     pub fn layout(&self) -> Layout {
         self.layout
     }
 
-    /// Whether the picture is held still.
+    /// Whether the images are frozen.
     pub fn is_frozen(&self) -> bool {
         self.frozen.is_some()
     }
 
-    /// The clip under way.
+    /// File of the clip being recorded.
     pub fn clip_file(&self) -> Option<&Path> {
         self.clip.as_ref().map(|c| c.file.as_path())
     }
 
-    /// Distance between the two points that were tapped last.
+    /// Distance between the last two tapped points.
     pub fn distance(&self) -> Option<Length> {
         self.measure.distance()
     }
 
-    /// From where the surface of an output, such as `points.cloud`, is looked at; `None` for one that was not shown yet.
-    pub fn sight(&self, output: &str) -> Option<Sight> {
-        self.sights.iter().find(|(known, _)| known.to_string() == output).map(|(_, sight)| *sight)
+    /// The viewpoint on the surface of an output such as `points.cloud`; `None` for one that was not shown yet.
+    pub fn viewpoint(&self, output: &str) -> Option<Viewpoint> {
+        self.viewpoints.iter().find(|(known, _)| known.to_string() == output).map(|(_, viewpoint)| *viewpoint)
     }
 
     /// Whether the window was asked to close.
-    pub fn has_left(&self) -> bool {
-        self.left
+    pub fn is_closing(&self) -> bool {
+        self.closing
     }
 
-    /// What was remarked last.
+    /// The last remark.
     pub fn remark(&self) -> Option<&str> {
-        self.remark.as_ref().map(|(words, ..)| words.as_str())
+        self.remark.as_ref().map(|(message, ..)| message.as_str())
     }
 
-    pub(crate) fn say(&mut self, words: impl Into<String>, wrong: bool) {
-        self.remark = Some((words.into(), wrong, Instant::now()));
+    /// Shows a remark for some seconds; `wrong` marks it as an error.
+    pub(crate) fn notify(&mut self, message: impl Into<String>, wrong: bool) {
+        self.remark = Some((message.into(), wrong, Instant::now()));
     }
 
     /// Draws a frame.
@@ -221,20 +224,20 @@ impl Theatre {
         self.costs.count_frame();
         let ctx = ui.ctx().clone();
         let counters = self.observer.counters();
-        self.look(&ctx);
+        self.take_previews(&ctx);
         self.fall_back(&self.session.status());
         let status = self.session.status();
         let facts = self.facts(&status, &counters);
-        self.told = notices::notices(&facts);
-        self.keep_up(&status, &counters);
-        // These press what has the focus, and tap while points are chosen by keys.
-        let left: &[Key] = match ctx.memory(|m| m.focused().is_some()) {
+        self.notices = notices::notices(&facts);
+        self.update_recordings(&status, &counters);
+        // These keys press the focused button, or choose a point while measuring.
+        let reserved: &[Key] = match ctx.memory(|m| m.focused().is_some()) {
             true => &[Key::Space, Key::Enter],
             false if self.measure.is_on() => &[Key::Enter],
             false => &[],
         };
-        for act in ctx.input_mut(|input| acts::pressed(input, left)) {
-            self.act(act);
+        for action in ctx.input_mut(|input| actions::pressed(input, reserved)) {
+            self.perform(action);
         }
         self.leave(&ctx);
         self.follow_screen(&ctx);
@@ -247,82 +250,84 @@ impl Theatre {
         self.top_bar(ui, top, &status, &facts);
         self.stage(ui, stage, &facts);
         self.bottom_bar(ui, bottom);
-        self.want();
-        // Ages grow without anything new to show.
+        self.request_previews();
+        // Ages must be redrawn even when nothing new arrives.
         ctx.request_repaint_after(Duration::from_millis(100));
         self.play_script(&ctx);
         self.shot.take(&ctx);
         self.shot.measure(&ctx, &self.costs, &self.session);
     }
 
-    /// Sizes follow the screen's height, so that type is as large on any, as far as its width has room for the buttons.
+    /// Scales the window with the screen's height, limited by the width that the buttons need.
     fn follow_screen(&self, ctx: &Context) {
         let now = ctx.zoom_factor();
         let size_px = ctx.viewport_rect().size() * now;
-        let zoom = (size_px.y / USUAL_HEIGHT * self.scale).min(size_px.x / LEAST_WIDTH).clamp(0.5, 4.0);
-        // In steps, so that no window manager's rounding makes it swing.
+        let zoom = (size_px.y / REFERENCE_HEIGHT_PT * self.scale).min(size_px.x / MIN_WIDTH_PT).clamp(0.5, 4.0);
+        // In steps, so that the window manager's rounding does not make it oscillate.
         let zoom = (zoom * 20.0).round() / 20.0;
         if (zoom - now).abs() > 0.01 {
             ctx.set_zoom_factor(zoom);
         }
     }
 
-    /// Views that the layout shows.
-    fn displayed(&self) -> Vec<&Place> {
+    /// The views that the layout shows.
+    fn displayed(&self) -> Vec<&Pane> {
         match self.layout {
             Layout::All => self.plan.views.iter().collect(),
             Layout::One(n) => self.plan.views.get(n).into_iter().collect(),
         }
     }
 
-    /// Whether the place of a view is taken by the raw one, because it has stopped.
-    fn replaced(&self, place: &Place, facts: &Facts) -> bool {
-        self.raw_only.is_some() || facts.stopped.contains(&place.label)
+    /// Whether the raw view replaces a view, because it has stopped.
+    fn replaced(&self, pane: &Pane, facts: &Facts) -> bool {
+        self.raw_only.is_some() || facts.stopped.contains(&pane.label)
     }
 
-    /// Does what is asked for.
-    pub fn act(&mut self, act: Act) {
+    /// Performs an action.
+    pub fn perform(&mut self, action: Action) {
         let count = self.plan.views.len();
-        match act {
-            Act::Next => self.layout = self.layout.next(count),
-            Act::Previous => self.layout = self.layout.previous(count),
-            Act::One(n) if n < count => {
+        match action {
+            Action::Next => self.layout = self.layout.next(count),
+            Action::Previous => self.layout = self.layout.previous(count),
+            Action::One(n) if n < count => {
                 self.layout = if self.layout == Layout::One(n) { Layout::All } else { Layout::One(n) };
             }
-            Act::One(_) => {}
-            Act::Freeze if self.raw_only.is_some() => self.say("the camera's own picture is never held still", false),
-            Act::Freeze if self.frozen.is_none() && !self.has_picture() => self.say("there is no picture yet", true),
-            Act::Freeze => {
+            Action::One(_) => {}
+            Action::Freeze if self.raw_only.is_some() => self.notify("the camera's own image is never frozen", false),
+            Action::Freeze if self.frozen.is_none() && !self.has_picture() => {
+                self.notify("there is no image yet", true)
+            }
+            Action::Freeze => {
                 self.frozen = if self.frozen.is_some() { None } else { Some(Instant::now()) };
                 self.measure = Measure::default();
             }
-            Act::Still => self.still(),
-            Act::Record => self.record(),
-            Act::Measure => self.measure_or_end(),
-            // Stopped already: holding lets it go.
-            Act::Stop if self.emergency => self.releasing = Some(Instant::now()),
-            Act::Stop => self.emergency_stop(true),
-            Act::Again => self.again(),
-            Act::More => self.page += 1,
+            Action::Still => self.still(),
+            Action::Record => self.record(),
+            Action::Measure => self.toggle_measuring(),
+            // Stopped already: holding releases the arm.
+            Action::Stop if self.emergency => self.releasing = Some(Instant::now()),
+            Action::Stop => self.emergency_stop(true),
+            Action::Again => self.again(),
+            Action::More => self.page += 1,
         }
-        if matches!(act, Act::Next | Act::Previous | Act::One(_)) && self.measure.is_on() {
+        if matches!(action, Action::Next | Action::Previous | Action::One(_)) && self.measure.is_on() {
             self.measure = Measure::default();
             self.frozen = None;
         }
     }
 
-    /// Whether the main view has shown anything.
+    /// Whether the main view has an image.
     pub fn has_picture(&self) -> bool {
         let main = self.plan.views.get(self.layout.main());
         main.is_some_and(|m| self.shown.texture(&m.output).is_some())
     }
 
-    fn measure_or_end(&mut self) {
+    fn toggle_measuring(&mut self) {
         if self.measure.is_on() {
             self.measure = Measure::default();
             self.frozen = None;
         } else if self.plan.cloud.is_none() || self.raw_only.is_some() {
-            self.say("this graph has no points to measure in", true);
+            self.notify("this graph has no point cloud to measure in", true);
         } else {
             self.frozen = None;
             self.measure = Measure::begin();
@@ -333,12 +338,12 @@ impl Theatre {
     fn again(&mut self) {
         let ended = matches!(self.session.status().phase, Phase::Ended | Phase::Failed(_));
         if self.raw_only.take().is_some() || ended {
-            self.seen.clear();
+            self.last_packets.clear();
             self.session.restart(&self.text);
         }
     }
 
-    /// The whole graph's text from now on.
+    /// Sets the text of the whole graph and runs it.
     fn run(&mut self, text: String) {
         self.text = text;
         if self.raw_only.is_none() {
@@ -346,7 +351,7 @@ impl Theatre {
         }
     }
 
-    /// Value of a setting now: what was chosen here, else what is in force.
+    /// Current value of a setting: the one chosen in this window, else the running node's.
     fn value(&self, setting: &Setting) -> Option<ParamValue> {
         if let Some(chosen) = self.chosen.get(&(setting.node.clone(), setting.param.name.clone())) {
             return Some(chosen.clone());
@@ -355,7 +360,7 @@ impl Theatre {
         engine.param_values(&setting.node)?.into_iter().nth(setting.index)
     }
 
-    /// Puts a value of a setting in force; it is never written to the file.
+    /// Sets the value of a setting in the running graph; the file is not changed.
     pub fn choose(&mut self, node: &str, param: &str, value: ParamValue) {
         let toml: toml::Value = match &value {
             ParamValue::Bool(on) => (*on).into(),
@@ -373,23 +378,23 @@ impl Theatre {
                 self.chosen.insert((node.to_owned(), param.to_owned()), value);
                 self.run(text);
             }
-            Err(error) => self.say(error.to_string(), true),
+            Err(error) => self.notify(error.to_string(), true),
         }
     }
 
-    /// Esc for a moment ends what is begun; held for two seconds it leaves.
+    /// Handles Esc: a short press ends measuring, holding it for two seconds closes the window.
     fn leave(&mut self, ctx: &Context) {
         let down = ctx.input(|i| i.key_down(Key::Escape));
         if !down {
             if self.leaving.take().is_some_and(|since| since.elapsed() < HOLD / 4) && self.measure.is_on() {
-                self.measure_or_end();
+                self.toggle_measuring();
             }
             return;
         }
         let since = *self.leaving.get_or_insert_with(Instant::now);
         ctx.request_repaint();
-        if since.elapsed() >= HOLD && !self.left {
-            self.left = true;
+        if since.elapsed() >= HOLD && !self.closing {
+            self.closing = true;
             ctx.send_viewport_cmd(egui::ViewportCommand::Close);
         }
     }
@@ -397,17 +402,17 @@ impl Theatre {
     fn play_script(&mut self, ctx: &Context) {
         while let Some(step) = self.shot.step() {
             let (word, rest) = step.split_once(':').unwrap_or((&step, ""));
-            let named = acts::KEYS.iter().find(|(act, _)| format!("{act:?}").eq_ignore_ascii_case(word));
+            let named = actions::KEYS.iter().find(|(action, _)| format!("{action:?}").eq_ignore_ascii_case(word));
             match (word, named) {
-                (_, Some((act, _))) => self.act(*act),
-                ("view", _) => self.act(Act::One(rest.parse::<usize>().unwrap_or(1).saturating_sub(1))),
+                (_, Some((action, _))) => self.perform(*action),
+                ("view", _) => self.perform(Action::One(rest.parse::<usize>().unwrap_or(1).saturating_sub(1))),
                 ("tap", _) => {
                     let at = rest.split_once(',').and_then(|(x, y)| Some((x.parse().ok()?, y.parse().ok()?)));
                     if let Some((x, y)) = at {
                         self.measure.tap(x, y);
                     }
                 }
-                _ => self.say(format!("there is no action `{step}`"), true),
+                _ => self.notify(format!("there is no action `{step}`"), true),
             }
             ctx.request_repaint();
         }

@@ -1,14 +1,14 @@
-//! `panoscope-theatre GRAPH`, started by `panoscope theatre GRAPH`. Exit codes: 0 done, 1 no window or a failed run, 2 no such file, or one that
-//! is not taken.
+//! `panoscope-theatre GRAPH`, started by `panoscope theatre GRAPH`. Exit codes: 0 success, 1 the window could not be opened, 2 the file cannot
+//! be read or was refused.
 
 use std::path::PathBuf;
 
 use clap::Parser;
 use panoscope_editor_widgets::window;
 use panoscope_graph::GraphText;
-use panoscope_theatre::{Options, Ready, Refused, Theatre};
+use panoscope_theatre::{OpenFailed, Options, Ready, Theatre};
 
-/// The surgeon's window: pictures full screen, and only the settings that the preset offers.
+/// The surgeon's window: full-screen images, and only the settings that the preset offers.
 #[derive(Parser)]
 #[command(name = "panoscope-theatre", version)]
 struct Arguments {
@@ -16,16 +16,16 @@ struct Arguments {
     graph: PathBuf,
     #[command(flatten)]
     given: window::Given,
-    /// Opens although the graph, a plugin, a model or the calibration differs from its lock.
+    /// Opens the graph even if it, a plugin, a model or the calibration differs from its lock.
     #[arg(long)]
     unlocked: bool,
     /// Folder for stills and clips.
     #[arg(long, value_name = "DIR", default_value = "out")]
     into: PathBuf,
-    /// Begins the names of stills and clips, which are numbers only otherwise.
+    /// Prefix for the names of stills and clips, which otherwise have numbers only.
     #[arg(long, value_name = "TEXT")]
     label: Option<String>,
-    /// In a window instead of the whole screen.
+    /// Opens a window instead of the full screen.
     #[arg(long)]
     windowed: bool,
     #[command(flatten)]
@@ -56,9 +56,9 @@ fn run(arguments: &Arguments) -> i32 {
     let ready = match Ready::of(&text, arguments.unlocked) {
         Ok(ready) => ready,
         Err(error) => {
-            // On the terminal, and in a window where there is a screen.
-            eprintln!("{}", error.told());
-            let _ = window::show(viewport, move |cc| Ok(Box::new(Refused::new(&cc.egui_ctx, &path, &error, shot))));
+            // Reported on the terminal, and in a window if there is a screen.
+            eprintln!("{}", error.terminal_text());
+            let _ = window::show(viewport, move |cc| Ok(Box::new(OpenFailed::new(&cc.egui_ctx, &path, &error, shot))));
             return 2;
         }
     };

@@ -1,4 +1,4 @@
-//! Distances by two taps: on the picture of one instant whose points are known.
+//! Measures distances by two taps on a frozen image whose points in space are known.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -11,26 +11,27 @@ use panoscope_imaging::stereo::length::{self, Errors, Noise};
 
 use panoscope_editor_model::content::Rig;
 use panoscope_editor_model::observe::Output;
-use panoscope_editor_model::picture::{Look, Pixels};
+use panoscope_editor_model::picture::RenderedPacket;
+use panoscope_editor_model::pixels::Pixels;
 use panoscope_editor_model::surface::Cloud;
-use panoscope_editor_widgets::Shown;
+use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::crosshair::Crosshair;
 
 /// A point that was tapped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tapped {
-    /// Column and row of the picture.
+    /// Column and row in the image.
     pub at_px: (f32, f32),
-    /// Where it is, and how sure that is; `None` where the depth is unknown.
-    pub place: Option<SurfacePoint>,
+    /// Its position in space with its uncertainty; `None` where the depth is unknown.
+    pub position: Option<SurfacePoint>,
 }
 
-/// A length with the error that 95 % of measurements stay within.
+/// A length with its 95 % error bound.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Length {
     /// The length, mm.
     pub mm: f64,
-    /// Its error, mm; `None` where no calibration tells it.
+    /// Its 95 % error bound, mm; `None` without a calibration.
     pub error_mm: Option<f64>,
 }
 
@@ -43,78 +44,78 @@ impl std::fmt::Display for Length {
     }
 }
 
-/// Radius of the neighbourhood that stands for a point, px.
+/// Radius of the neighbourhood that a point is estimated from, px.
 const RADIUS_PX: usize = 4;
 
-/// Measuring: off, waiting for a picture, or on with up to two points.
+/// The state of measuring: off, waiting for an image, or on with up to two points.
 #[derive(Default)]
 pub struct Measure {
-    waits: bool,
-    on: Option<On>,
-    /// What errors follow from.
+    is_waiting: bool,
+    on: Option<Active>,
+    /// The quantities that determine the error.
     rig: Option<(Rig, Noise)>,
 }
 
-struct On {
-    /// For taps by keys.
+struct Active {
+    /// For choosing points by keys.
     crosshair: Crosshair,
     cloud: Arc<Cloud>,
     output: Output,
-    held: Shown,
+    frozen: OutputCache,
     points: Vec<Tapped>,
 }
 
 impl Measure {
-    /// Waits for the next picture with points.
+    /// Starts measuring: waits for the next image with points.
     pub fn begin() -> Self {
-        Self { waits: true, ..Self::default() }
+        Self { is_waiting: true, ..Self::default() }
     }
 
-    /// The cameras that the points come from, and what is not known exactly about them.
-    pub fn know(&mut self, rig: Rig, noise: Noise) {
+    /// Sets the stereo geometry of the points and its uncertainty.
+    pub fn set_rig(&mut self, rig: Rig, noise: Noise) {
         self.rig = Some((rig, noise));
     }
 
-    /// Whether it is begun.
+    /// Whether measuring was started.
     pub fn is_on(&self) -> bool {
-        self.waits || self.on.is_some()
+        self.is_waiting || self.on.is_some()
     }
 
-    /// Whether it waits for a picture.
-    pub fn waits(&self) -> bool {
-        self.waits
+    /// Whether it waits for an image with points.
+    pub fn is_waiting(&self) -> bool {
+        self.is_waiting
     }
 
-    /// Takes the picture to measure in.
-    pub fn take(&mut self, ctx: &Context, output: &Output, look: Look) {
-        let Some(cloud) = look.cloud.clone() else { return };
-        let mut held = Shown::default();
-        held.update(ctx, HashMap::from([(output.clone(), look)]));
-        let on = On { crosshair: Crosshair::default(), cloud, output: output.clone(), held, points: Vec::new() };
-        *self = Self { waits: false, on: Some(on), rig: self.rig };
+    /// Sets the image to measure in.
+    pub fn take(&mut self, ctx: &Context, output: &Output, packet: RenderedPacket) {
+        let Some(cloud) = packet.cloud.clone() else { return };
+        let mut frozen = OutputCache::default();
+        frozen.update(ctx, HashMap::from([(output.clone(), packet)]));
+        let on = Active { crosshair: Crosshair::default(), cloud, output: output.clone(), frozen, points: Vec::new() };
+        *self = Self { is_waiting: false, on: Some(on), rig: self.rig };
     }
 
-    /// The picture, where it is shown and which output it is of.
-    pub fn picture(&self) -> Option<(&Shown, &Output)> {
-        self.on.as_ref().map(|on| (&on.held, &on.output))
+    /// The image to measure in, and its output.
+    pub fn picture(&self) -> Option<(&OutputCache, &Output)> {
+        self.on.as_ref().map(|on| (&on.frozen, &on.output))
     }
 
-    /// A tap at parts of the picture's width and height. The third point begins anew.
+    /// Adds a point at fractions of the image's width and height. A third point starts a new measurement.
     pub fn tap(&mut self, x: f32, y: f32) {
         let Some(on) = &mut self.on else { return };
         if !((0.0..=1.0).contains(&x) && (0.0..=1.0).contains(&y)) {
             return;
         }
-        // A point without depth cannot be measured from: the next tap takes its place.
-        on.points.retain(|p| p.place.is_some());
+        // The next tap replaces a point without depth.
+        on.points.retain(|p| p.position.is_some());
         if on.points.len() >= 2 {
             on.points.clear();
         }
         let at_px = (x * on.cloud.width as f32 - 0.5, y * on.cloud.height as f32 - 0.5);
-        on.points.push(Tapped { at_px, place: on.cloud.place(at_px, RADIUS_PX) });
+        on.points.push(Tapped { at_px, position: on.cloud.surface_point(at_px, RADIUS_PX) });
     }
 
-    /// Taps by keys: arrows move a crosshair, Enter taps there.
+    /// Handles keys: arrows move a crosshair, Enter adds a point there.
     pub fn tap_by_key(&mut self, input: &mut InputState) {
         let (width, height) = self.size_px();
         let tapped = self.on.as_mut().and_then(|on| on.crosshair.steer(input, width as f32 / height as f32));
@@ -123,60 +124,60 @@ impl Measure {
         }
     }
 
-    /// Where the next tap by key goes.
+    /// The crosshair for choosing points by keys.
     pub fn crosshair(&self) -> Crosshair {
         self.on.as_ref().map(|on| on.crosshair).unwrap_or_default()
     }
 
-    /// Points so far.
+    /// The points so far.
     pub fn points(&self) -> &[Tapped] {
         self.on.as_ref().map_or(&[], |on| &on.points)
     }
 
-    /// Size of the picture in pixels.
+    /// Width and height of the image in px.
     pub fn size_px(&self) -> (usize, usize) {
         self.on.as_ref().map_or((1, 1), |on| (on.cloud.width.max(1), on.cloud.height.max(1)))
     }
 
-    /// What is measured of these points with its error, mm.
+    /// A length computed from points by `measure`, with its error bound.
     fn length(&self, points: &[SurfacePoint], measure: fn(&[[f64; 3]]) -> f64) -> Length {
         let errors = self.rig.map(|(rig, noise)| Errors::of(rig.focal_px, rig.baseline_mm, rig.rms_px, &noise));
         let (mm, error) = length::with_error(points, errors.as_ref(), measure);
         Length { mm, error_mm: Some(error).filter(|e| e.is_finite()) }
     }
 
-    /// Distance between both points.
+    /// The distance between the two points.
     pub fn distance(&self) -> Option<Length> {
         match self.points() {
-            [Tapped { place: Some(a), .. }, Tapped { place: Some(b), .. }] => {
+            [Tapped { position: Some(a), .. }, Tapped { position: Some(b), .. }] => {
                 Some(self.length(&[*a, *b], length::distance))
             }
             _ => None,
         }
     }
 
-    /// Depth of the last point.
+    /// The depth of the last point.
     pub fn depth(&self) -> Option<Length> {
-        self.points().last()?.place.map(|place| self.length(&[place], length::depth))
+        self.points().last()?.position.map(|position| self.length(&[position], length::depth))
     }
 
-    /// What to do next, in words.
+    /// What the user should do next.
     pub fn hint(&self) -> &'static str {
         match self.points() {
-            _ if self.waits => "Waiting for a picture with depth",
-            [.., Tapped { place: None, .. }] => "No depth there: tap beside it",
+            _ if self.is_waiting => "Waiting for an image with depth",
+            [.., Tapped { position: None, .. }] => "No depth at this point: tap beside it",
             [] => "Tap the first point",
             [_] => "Tap the second point",
             _ => "Tap to measure again",
         }
     }
 
-    /// The picture with what was measured drawn in.
+    /// The image with the measurement drawn on it, for a still.
     pub fn pixels(&self) -> Option<Pixels> {
         let on = self.on.as_ref()?;
-        let mut pixels = on.held.pixels(&on.output)?.clone();
+        let mut pixels = on.frozen.pixels(&on.output)?.clone();
         let (width, height) = (pixels.width, pixels.height);
-        // Drawing is for three channels.
+        // The drawing functions need three channels.
         let mut rgb: Vec<u8> = pixels.rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
         let mut out = ViewMut::new(&mut rgb, width, height, 3);
         let color = [0x56, 0xB4, 0xE9];
@@ -184,7 +185,7 @@ impl Measure {
             draw::line(&mut out, a.at_px, b.at_px, 2.0, color);
             if let Some(length) = self.distance() {
                 let (x, y) = ((a.at_px.0 + b.at_px.0) / 2.0 + 8.0, (a.at_px.1 + b.at_px.1) / 2.0 + 8.0);
-                draw::text(&mut out, x, y, &still_words(&length), height as f32 / 240.0, color);
+                draw::text(&mut out, x, y, &ascii_text(&length), height as f32 / 240.0, color);
             }
         }
         for point in &on.points {
@@ -195,8 +196,8 @@ impl Measure {
     }
 }
 
-/// For a picture: its letters are plain ones.
-fn still_words(length: &Length) -> String {
+/// The length as drawn on a still, whose font has ASCII only.
+fn ascii_text(length: &Length) -> String {
     length.to_string().replace('±', "+-")
 }
 
@@ -213,13 +214,13 @@ mod tests {
         let cloud = Cloud { width: 30, height: 20, xyz_mm: (0..600).map(point).collect() };
         let pixels = Pixels { width: 30, height: 20, rgba: vec![7; 30 * 20 * 4] };
         let mut measure = Measure::begin();
-        let look = Look { cloud: Some(Arc::new(cloud)), pixels: Some(pixels), ..Look::default() };
-        measure.take(&Context::default(), &Output::new("p", "cloud"), look);
+        let packet = RenderedPacket { cloud: Some(Arc::new(cloud)), pixels: Some(pixels), ..RenderedPacket::default() };
+        measure.take(&Context::default(), &Output::new("p", "cloud"), packet);
         measure
     }
 
     #[test]
-    fn two_taps_measure_and_the_third_begins_anew() {
+    fn two_taps_measure_and_the_third_starts_again() {
         let mut measure = on();
         assert_eq!(measure.hint(), "Tap the first point");
         measure.tap(5.5 / 30.0, 5.5 / 20.0);
@@ -229,7 +230,7 @@ mod tests {
         let length = measure.distance().expect("both points are known");
         assert!((length.mm - 10.0).abs() < 1e-6 && length.error_mm.is_none(), "{length:?}");
         assert_eq!(length.to_string(), "10.0 mm, error unknown");
-        measure.know(Rig { focal_px: 750.0, baseline_mm: 15.0, rms_px: f64::NAN }, Noise::USUAL);
+        measure.set_rig(Rig { focal_px: 750.0, baseline_mm: 15.0, rms_px: f64::NAN }, Noise::USUAL);
         let error = measure.distance().and_then(|l| l.error_mm).expect("the rig is known");
         assert!((0.01..1.0).contains(&error), "{error} mm");
         assert!(measure.pixels().is_some_and(|p| p.rgba.contains(&0xE9)), "the line is drawn");
@@ -238,10 +239,10 @@ mod tests {
     }
 
     #[test]
-    fn a_point_without_depth_is_told_and_replaced() {
+    fn a_point_without_depth_is_reported_and_replaced() {
         let mut measure = on();
         measure.tap(0.95, 0.5);
-        assert_eq!(measure.hint(), "No depth there: tap beside it");
+        assert_eq!(measure.hint(), "No depth at this point: tap beside it");
         measure.tap(0.1, 0.5);
         assert_eq!((measure.points().len(), measure.hint()), (1, "Tap the second point"));
         measure.tap(2.0, 0.5);

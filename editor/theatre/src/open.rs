@@ -1,4 +1,4 @@
-//! Opening the theatre: what is asked for, and whether the graph is fit for it and as it was locked.
+//! Opens the theatre: checks the graph and compares it with its lock.
 
 use std::path::{Path, PathBuf};
 
@@ -9,20 +9,20 @@ use panoscope_loader::{self as loader, Loader};
 use super::Plan;
 use panoscope_editor_widgets::Shot;
 
-/// How the theatre is opened.
+/// Options of the theatre.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Where stills and clips go.
+    /// Folder for stills and clips.
     pub folder: PathBuf,
-    /// Begins the names of files, if it is asked for.
+    /// Prefix of the names of stills and clips.
     pub label: Option<String>,
-    /// Opens although the graph differs from its lock.
+    /// Whether to open the graph even if it differs from its lock.
     pub unlocked: bool,
-    /// Most ticks of each source.
+    /// Maximum number of ticks of each source.
     pub frames: Option<u64>,
-    /// Size of everything beside the one that follows the screen.
+    /// Scale in addition to the one that follows the screen.
     pub scale: f32,
-    /// Pictures of the window, for `cargo xtask screens`.
+    /// Screenshots of the window, for `cargo xtask screens`.
     pub shot: Shot,
 }
 
@@ -39,30 +39,30 @@ impl Default for Options {
     }
 }
 
-/// Why the theatre did not open.
+/// Why the theatre could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// The graph is wrong.
+    /// The graph has mistakes.
     #[error("{}", .0.render(false).trim_end())]
     Graph(Diagnostics),
     /// The graph differs from its lock.
-    #[error("this preset is not as it was locked:\n{}\n  help: put it back, lock it anew with `panoscope lock`, or open it with --unlocked",
+    #[error("the graph differs from its lock:\n{}\n  help: restore the files, lock the graph again with `panoscope lock`, or open it with --unlocked",
         .0.iter().map(|d| format!("  {d}")).collect::<Vec<_>>().join("\n"))]
     Locked(Vec<Difference>),
     /// The lock cannot be read.
     #[error("{0}\n  help: or open it with --unlocked")]
     Lock(#[from] LockError),
-    /// Nothing of the graph can be shown.
-    #[error("this graph makes no picture that the theatre could show")]
+    /// The graph has no image.
+    #[error("the graph has no image that the theatre can show")]
     NoPicture,
-    /// The system gave no thread.
-    #[error("no thread could be started: {0}")]
+    /// A thread cannot be started.
+    #[error("a thread could not be started: {0}")]
     Thread(#[from] std::io::Error),
 }
 
 impl OpenError {
-    /// As it is shown on a terminal.
-    pub fn told(&self) -> String {
+    /// The error as shown on a terminal.
+    pub fn terminal_text(&self) -> String {
         match self {
             Self::Graph(diagnostics) => diagnostics.render(false).trim_end().to_owned(),
             other => format!("error: {other}"),
@@ -70,34 +70,34 @@ impl OpenError {
     }
 }
 
-/// Whether somebody has verified what runs.
+/// Whether the running graph was verified.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verified {
-    /// All is as it was locked.
+    /// All files are as they were locked.
     AsLocked,
     /// The graph was never locked.
     Never,
-    /// It differs from its lock in this, and was opened all the same.
+    /// It was opened although it differs from its lock; with the first difference.
     Differs(String),
 }
 
 impl Verified {
-    /// What must be said on the screen for as long as it runs: a heading and a line; nothing where all is as it was locked.
-    pub fn words(&self) -> Option<(&'static str, &'static str)> {
+    /// The mark that is shown as long as an unverified graph runs: heading and line. `None` when the graph is as locked.
+    pub fn mark(&self) -> Option<(&'static str, &'static str)> {
         match self {
             Self::AsLocked => None,
-            Self::Never => Some(("NOT LOCKED", "nobody verified this graph")),
-            Self::Differs(_) => Some(("UNLOCKED", "not as it was verified")),
+            Self::Never => Some(("NOT LOCKED", "this graph was not verified")),
+            Self::Differs(_) => Some(("UNLOCKED", "changed since it was verified")),
         }
     }
 }
 
-/// What is wrong between a lock and now; `None` when the graph was never locked.
+/// The differences between the lock and the current files; `None` when the graph was never locked.
 fn compare(path: &Path, now: &Lock) -> Result<Option<Vec<Difference>>, LockError> {
     Ok(Lock::read(path)?.map(|was| was.differences(now)))
 }
 
-/// A graph that was looked at and found to be fit for the theatre.
+/// A graph that was checked and can be opened in the theatre.
 pub struct Ready {
     pub(super) plan: Plan,
     pub(super) verified: Verified,
@@ -107,15 +107,15 @@ pub struct Ready {
 }
 
 impl Ready {
-    /// Checks a graph file's text and compares it, its plugins, models and calibration with its lock.
+    /// Checks a graph's text, and compares it with its lock, with its plugins, models and calibration.
     ///
     /// # Errors
     /// See [`OpenError`].
-    pub fn look(path: &Path, text: &str, unlocked: bool) -> Result<Self, OpenError> {
+    pub fn check(path: &Path, text: &str, unlocked: bool) -> Result<Self, OpenError> {
         Self::of(&GraphText::parse(path, text), unlocked)
     }
 
-    /// As [`Self::look`], of a graph that was read with its parts, overlays and arguments.
+    /// As [`Self::check`], of a graph that was read with its parts, overlays and arguments.
     ///
     /// # Errors
     /// See [`OpenError`].

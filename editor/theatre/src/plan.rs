@@ -1,4 +1,4 @@
-//! What a graph offers the theatre: its views, the raw view that stays whatever fails, the settings that are pinned, what stops an arm.
+//! What the theatre shows of a graph: its views, the raw view for failures, the pinned settings, the nodes that stop an arm.
 
 use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{Catalog, Graph, Param, ParamKind, PresetView};
@@ -6,90 +6,90 @@ use panoscope_imaging::stereo::length::Noise;
 
 use panoscope_editor_model::observe::Output;
 
-/// Parameter that every driver of an arm declares; true stops it.
+/// Parameter of every arm driver; true stops the arm.
 pub const EMERGENCY_STOP: &str = "emergency_stop";
-/// Number that a driver may declare, whose stop outlasts the parameter: another one than before lets it go.
+/// Parameter of drivers that stay stopped until it changes: a new number releases the arm.
 pub const RESET: &str = "reset";
-/// Most views that are chosen where the preset names none.
-const MOST_CHOSEN: usize = 4;
+/// Maximum number of views when the preset names none.
+const MAX_DEFAULT_VIEWS: usize = 4;
 
-/// One picture of the theatre.
+/// A view of the theatre.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct Pane {
     /// The output.
     pub output: Output,
     /// Type of its packets.
     pub packet: String,
-    /// Text beside it.
+    /// Its title.
     pub label: String,
 }
 
-/// A setting that may be touched.
+/// A setting that the preset pins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setting {
     /// The node.
     pub node: String,
-    /// Its parameter as declared.
+    /// The declaration of its parameter.
     pub param: Param,
-    /// Place of the parameter among its node's.
+    /// Index of the parameter in its node.
     pub index: usize,
-    /// Text beside it.
+    /// Its title.
     pub label: String,
-    /// Lowest and highest value offered; `None` for parameters without numbers.
+    /// Lowest and highest value offered; `None` for parameters that are not numbers.
     pub range: Option<(f64, f64)>,
 }
 
-/// A node that an emergency stop concerns.
+/// A node that the emergency stop stops.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Stop {
     /// The node.
     pub node: String,
-    /// Place of [`RESET`] among its parameters, where it has that.
+    /// Index of [`RESET`] among its parameters; `None` when it has none.
     pub reset: Option<usize>,
 }
 
-/// Where errors of distances come from.
+/// The source of the stereo geometry, for the errors of distances.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RigPlace {
-    /// Output that carries the calibration behind the points.
+pub struct RigSource {
+    /// The output with the calibration of the points.
     pub calibration: Output,
-    /// What is not known exactly: as a node of the graph that measures says, else as usual.
+    /// The uncertainty of the geometry: from a measuring node of the graph, else the usual values.
     pub noise: Noise,
 }
 
-/// What a graph offers.
+/// What the theatre shows of a graph.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plan {
     /// Name of the graph.
     pub name: String,
-    /// Views, the most important one first; at least one where the graph has any picture.
-    pub views: Vec<Place>,
-    /// A camera's own picture.
-    pub raw: Option<Place>,
-    /// All pictures of cameras that the graph reads: one that stops is a lost camera.
-    pub cameras: Vec<Place>,
-    /// Points to measure in.
+    /// Views, the most important one first; at least one if the graph has an image.
+    pub views: Vec<Pane>,
+    /// The raw image of a camera.
+    pub raw: Option<Pane>,
+    /// The images of all cameras that the graph reads, to detect lost cameras.
+    pub cameras: Vec<Pane>,
+    /// The point cloud to measure in.
     pub cloud: Option<Output>,
-    /// The cameras behind them.
-    pub rig: Option<RigPlace>,
+    /// The stereo geometry of the cloud.
+    pub rig: Option<RigSource>,
     /// Pinned settings.
     pub settings: Vec<Setting>,
-    /// Nodes that an emergency stop concerns.
+    /// Nodes that the emergency stop stops.
     pub stops: Vec<Stop>,
     /// Names of sources.
     sources: Vec<String>,
 }
 
-/// A name as people write it: `left_view` becomes `Left view`.
-fn plain(name: &str) -> String {
-    let words = name.replace(['_', '-'], " ");
-    let mut letters = words.chars();
+/// A name as a title: `left_view` becomes `Left view`.
+fn title(name: &str) -> String {
+    let spaced = name.replace(['_', '-'], " ");
+    let mut letters = spaced.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// What a node of the graph that measures says of the rig; the usual, where there is none.
+/// The uncertainty of the stereo geometry from the parameters of a measuring node; the usual values without one.
 fn noise_of(graph: &Graph, catalog: &Catalog) -> Noise {
-    let said = |n: &panoscope_graph::Node| {
+    let noise = |n: &panoscope_graph::Node| {
         let value = |name: &str| match n.params.get(n.node_type(catalog).param(name)?)? {
             panoscope_graph::ParamValue::Float(value) => Some(*value),
             _ => None,
@@ -101,41 +101,41 @@ fn noise_of(graph: &Graph, catalog: &Catalog) -> Noise {
             focal_percent: value("focal_error_percent")?,
         })
     };
-    graph.nodes.iter().find_map(said).unwrap_or(Noise::USUAL)
+    graph.nodes.iter().find_map(noise).unwrap_or(Noise::USUAL)
 }
 
 impl Plan {
-    /// Of a checked graph.
+    /// The plan for a checked graph.
     pub fn of(graph: &Graph, catalog: &Catalog) -> Self {
         let node_type = |n: usize| graph.nodes[n].node_type(catalog);
-        let place = |n: usize, port: usize, label: String| {
+        let pane = |n: usize, port: usize, label: String| {
             let declared = &node_type(n).outputs[port];
             let output = Output::new(&graph.nodes[n].id, &declared.name);
-            Place { output, packet: declared.packet.name.clone(), label }
+            Pane { output, packet: declared.packet.name.clone(), label }
         };
         let read = |n: usize, port: usize| graph.outputs_of(n).any(|e| e.from_port == port);
         let packet = |n: usize, port: usize| node_type(n).outputs[port].packet.name.as_str();
         let sources: Vec<usize> = (0..graph.nodes.len()).filter(|&n| node_type(n).source).collect();
-        let cameras: Vec<Place> = sources
+        let cameras: Vec<Pane> = sources
             .iter()
             .flat_map(|&n| (0..node_type(n).outputs.len()).map(move |port| (n, port)))
             .filter(|&(n, port)| packet(n, port) == "image" && read(n, port))
-            .map(|(n, port)| place(n, port, node_type(n).outputs[port].name.clone()))
+            .map(|(n, port)| pane(n, port, node_type(n).outputs[port].name.clone()))
             .collect();
         let mut cameras = cameras;
-        // By their port, and where several sources have the same one by the source, too.
+        // Named after the port; if several sources have the same one, with the source.
         let labels: Vec<String> = cameras.iter().map(|c| c.label.clone()).collect();
         for camera in &mut cameras {
             let alone = labels.iter().filter(|l| **l == camera.label).count() == 1;
             let name = if alone { camera.label.clone() } else { format!("{} {}", camera.output.node, camera.label) };
-            camera.label = format!("{} camera", plain(&name));
+            camera.label = format!("{} camera", title(&name));
         }
         let raw = cameras.first().cloned().or_else(|| {
             let image =
                 |&n: &usize| Some((n, (0..node_type(n).outputs.len()).find(|&port| packet(n, port) == "image")?));
-            sources.iter().find_map(image).map(|(n, port)| place(n, port, "Camera".to_owned()))
+            sources.iter().find_map(image).map(|(n, port)| pane(n, port, "Camera".to_owned()))
         });
-        let mut views: Vec<Place> = graph.preset.views.iter().map(|v| place(v.node, v.port, plain(&v.label))).collect();
+        let mut views: Vec<Pane> = graph.preset.views.iter().map(|v| pane(v.node, v.port, title(&v.label))).collect();
         if views.is_empty() {
             let all = || graph.edges.iter().map(|e| (e.from_node, e.from_port, e.to_node));
             let made = all().filter(|&(from, port, to)| {
@@ -143,8 +143,8 @@ impl Plan {
                 wanted && !node_type(from).source && PresetView::PACKETS.contains(&packet(from, port))
             });
             for (from, port, _) in made {
-                let new = place(from, port, plain(&graph.nodes[from].id));
-                if !views.iter().any(|v| v.output == new.output) && views.len() + 1 < MOST_CHOSEN {
+                let new = pane(from, port, title(&graph.nodes[from].id));
+                if !views.iter().any(|v| v.output == new.output) && views.len() + 1 < MAX_DEFAULT_VIEWS {
                     views.push(new);
                 }
             }
@@ -152,19 +152,19 @@ impl Plan {
         }
         let shown_cloud = views.iter().find(|v| v.packet == "cloud").map(|v| v.output.clone());
         let read_cloud = graph.edges.iter().find(|e| packet(e.from_node, e.from_port) == "cloud");
-        let cloud = shown_cloud.or_else(|| read_cloud.map(|e| place(e.from_node, e.from_port, String::new()).output));
+        let cloud = shown_cloud.or_else(|| read_cloud.map(|e| pane(e.from_node, e.from_port, String::new()).output));
         let rig = cloud.as_ref().and_then(|cloud| {
             let made_by = graph.node(&cloud.node)?;
             let input = node_type(made_by).inputs.iter().position(|p| p.packet.name == "calibration")?;
             let wire = graph.inputs_of(made_by).iter().find(|e| e.to_port == input)?;
-            let calibration = place(wire.from_node, wire.from_port, String::new()).output;
-            Some(RigPlace { calibration, noise: noise_of(graph, catalog) })
+            let calibration = pane(wire.from_node, wire.from_port, String::new()).output;
+            Some(RigSource { calibration, noise: noise_of(graph, catalog) })
         });
         let settings = graph.preset.pinned.iter().map(|pin| Setting {
             node: graph.nodes[pin.node].id.clone(),
             param: node_type(pin.node).params[pin.param].clone(),
             index: pin.param,
-            label: plain(&pin.label),
+            label: title(&pin.label),
             range: pin.range,
         });
         let stop = |n: usize| {
@@ -195,10 +195,10 @@ impl Plan {
         self.sources.iter().any(|s| s == node)
     }
 
-    /// The graph without anything but its sources, so that a raw view stays when the rest cannot run.
+    /// The graph with only its sources, for a raw view when the whole graph cannot run.
     ///
     /// # Errors
-    /// The text is no graph.
+    /// The text is not a graph.
     pub fn raw_only(&self, text: &str) -> Result<String, EditError> {
         let mut edit = GraphEdit::parse(text)?;
         for node in edit.node_names() {
@@ -291,7 +291,7 @@ inputs = { pose = "scope.pose" }
         Plan::of(&graph, &catalog)
     }
 
-    fn names(places: &[Place]) -> Vec<(String, &str)> {
+    fn names(places: &[Pane]) -> Vec<(String, &str)> {
         places.iter().map(|p| (p.output.to_string(), p.label.as_str())).collect()
     }
 

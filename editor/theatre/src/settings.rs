@@ -1,4 +1,4 @@
-//! The preset's settings as large sliders and switches, within the ranges that it gives.
+//! Draws the preset's settings as large sliders and switches, within the preset's ranges.
 
 use eframe::egui::{
     Align2, Color32, CornerRadius, FontId, Key, Modifiers, Rect, Response, Sense, Stroke, StrokeKind, Ui, WidgetInfo,
@@ -7,15 +7,15 @@ use eframe::egui::{
 use panoscope_graph::{ParamKind, ParamValue};
 
 use super::Setting;
-use super::stage::keep_arrows;
+use super::stage::capture_arrows;
 use panoscope_editor_model::picture::short;
 use panoscope_editor_widgets::theme;
-use panoscope_editor_widgets::{time_words, unit_words};
+use panoscope_editor_widgets::{format_time, unit_suffix};
 
-/// Steps of a slider without a step of its own.
+/// Number of steps of a slider whose parameter has no step.
 const STEPS: f64 = 100.0;
 
-/// What a slider may be set to.
+/// The values of a slider.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Span {
     low: f64,
@@ -24,7 +24,7 @@ struct Span {
     whole: bool,
 }
 
-/// The range of a setting: the preset's, else the declared one.
+/// The range and step of a setting: the preset's range, else the declared one. `None` without a range.
 fn span(setting: &Setting) -> Option<Span> {
     let (declared, step, whole) = match &setting.param.kind {
         ParamKind::Int { min, max, step, .. } => {
@@ -39,7 +39,7 @@ fn span(setting: &Setting) -> Option<Span> {
 }
 
 impl Span {
-    /// The nearest value that is allowed: steps count from the declared minimum, so from a value that is allowed.
+    /// The nearest allowed value. Steps count from `origin`, the declared minimum.
     fn snap(self, value: f64, origin: f64) -> f64 {
         let stepped = origin + ((value - origin) / self.step).round() * self.step;
         let inside = if stepped < self.low {
@@ -57,7 +57,7 @@ impl Span {
     }
 }
 
-/// From where steps count.
+/// The value that steps count from.
 fn origin(setting: &Setting) -> f64 {
     match &setting.param.kind {
         ParamKind::Int { min, .. } => min.unwrap_or(0) as f64,
@@ -66,33 +66,33 @@ fn origin(setting: &Setting) -> f64 {
     }
 }
 
-fn words(value: &ParamValue, unit: &str) -> String {
+fn message(value: &ParamValue, unit: &str) -> String {
     let with_unit = |text: String| if unit.is_empty() { text } else { format!("{text} {unit}") };
     match value {
         ParamValue::Bool(on) => if *on { "on" } else { "off" }.to_owned(),
         ParamValue::Int(number) => with_unit(number.to_string()),
-        ParamValue::Float(number) if unit == "ms" => time_words(*number),
+        ParamValue::Float(number) if unit == "ms" => format_time(*number),
         ParamValue::Float(number) => with_unit(short(*number)),
         ParamValue::Choice { name, .. } => name.replace('_', " "),
         _ => String::new(),
     }
 }
 
-/// Shows a setting with its value inside `rect`; answers a new value.
+/// Draws a setting with its value in `rect`; returns a new value when the user changes it.
 pub fn show(ui: &mut Ui, rect: Rect, setting: &Setting, value: Option<&ParamValue>) -> Option<ParamValue> {
     let id = ui.id().with(("setting", &setting.node, &setting.param.name));
     let response = ui.interact(rect, id, Sense::click_and_drag());
     let painter = ui.painter().clone();
     let color = if response.has_focus() { theme::ACCENT } else { theme::MUTED };
     painter.text(rect.left_top(), Align2::LEFT_TOP, &setting.label, FontId::proportional(16.0), color);
-    let shown = value.map_or_else(|| "-".to_owned(), |v| words(v, unit_words(&setting.param.unit)));
+    let shown = value.map_or_else(|| "-".to_owned(), |v| message(v, unit_suffix(&setting.param.unit)));
     painter.text(rect.right_top(), Align2::RIGHT_TOP, &shown, FontId::proportional(18.0), theme::TEXT);
     let Some(value) = value else {
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, false, setting.label.clone()));
         return None;
     };
     if response.has_focus() {
-        keep_arrows(ui, response.id);
+        capture_arrows(ui, response.id);
     }
     match (span(setting), value) {
         (Some(span), ParamValue::Int(_) | ParamValue::Float(_)) => {
@@ -143,7 +143,7 @@ fn slider(ui: &Ui, rect: Rect, response: &Response, setting: &Setting, span: Spa
         span.low + share * (span.high - span.low)
     });
     let by_key = |key| response.has_focus() && ui.ctx().input_mut(|i| i.consume_key(Modifiers::NONE, key));
-    // At least one step of a hundred, so that a key does something one can see.
+    // At least a hundredth of the range, so that a key press has a visible effect.
     let stride = ((span.high - span.low) / STEPS / span.step).round().max(1.0) * span.step;
     let stepped = match () {
         () if by_key(Key::ArrowRight) => Some(now + stride),
@@ -155,12 +155,12 @@ fn slider(ui: &Ui, rect: Rect, response: &Response, setting: &Setting, span: Spa
 }
 
 fn switch(ui: &Ui, rect: Rect, on: bool) {
-    let place = Rect::from_min_size(pos2(rect.left(), rect.bottom() - 30.0), vec2(60.0, 28.0));
+    let track = Rect::from_min_size(pos2(rect.left(), rect.bottom() - 30.0), vec2(60.0, 28.0));
     let fill = if on { theme::ACCENT.gamma_multiply(0.7) } else { theme::RAISED };
     let painter = ui.painter();
-    painter.rect(place, 14.0, fill, Stroke::new(1.0, theme::LINE), StrokeKind::Inside);
-    let x = if on { place.right() - 14.0 } else { place.left() + 14.0 };
-    painter.circle_filled(pos2(x, place.center().y), 10.0, Color32::from_rgb(0xE8, 0xED, 0xF2));
+    painter.rect(track, 14.0, fill, Stroke::new(1.0, theme::LINE), StrokeKind::Inside);
+    let x = if on { track.right() - 14.0 } else { track.left() + 14.0 };
+    painter.circle_filled(pos2(x, track.center().y), 10.0, Color32::from_rgb(0xE8, 0xED, 0xF2));
 }
 
 #[cfg(test)]
@@ -198,6 +198,6 @@ mod tests {
         let open = ParamKind::Float { default: 0.0, min: Some(0.0), max: None, step: None };
         assert_eq!(span(&setting(open.clone(), None)), None);
         assert!(span(&setting(open, Some((0.0, 1.0)))).is_some_and(|s| !s.whole));
-        assert_eq!(words(&ParamValue::Float(3.25), "mm"), "3.25 mm");
+        assert_eq!(message(&ParamValue::Float(3.25), "mm"), "3.25 mm");
     }
 }

@@ -1,4 +1,4 @@
-//! The pictures: each with a line above it, and nothing on it but the live picture in a corner of a frozen one.
+//! Draws the images, each with a title above it; nothing is drawn on an image except the live image in a corner of a frozen one.
 
 use eframe::egui::text::LayoutJob;
 use eframe::egui::{
@@ -8,21 +8,21 @@ use eframe::egui::{
 
 use super::arrange::{GAP, TITLE, fit, inset, level};
 use super::notices::{Facts, NoPicture, OLD_MS};
-use super::{Layout, Place, Theatre};
+use super::{Layout, Pane, Theatre};
 use panoscope_editor_widgets::surface;
 use panoscope_editor_widgets::theme;
 
-/// Share of the width for the live picture beside one that is measured.
+/// Share of the width for the live image beside the one being measured.
 const LIVE_SHARE: f32 = 0.22;
-/// Most points across of a message in place of a picture.
+/// Maximum width of a message in place of an image, points.
 const NO_PICTURE_WIDTH: f32 = 820.0;
-/// How fast a drag turns a surface, radians per point.
+/// Rotation of a surface per point of a drag, radians.
 const TURN: f32 = 0.008;
 
 impl Theatre {
     pub(super) fn stage(&mut self, ui: &mut Ui, room: Rect, facts: &Facts) {
         if let Some((held, output)) = self.measure.picture() {
-            // Nothing may lie on what is measured: where no ground is free the picture makes room.
+            // Nothing may cover the measured image: without free space it is made narrower.
             let size = held.texture(output).map_or(vec2(4.0, 3.0), |(_, size)| size);
             let below_title = |room: Rect| Rect::from_min_max(room.min + vec2(0.0, TITLE), room.max);
             let mut rect = room;
@@ -46,37 +46,37 @@ impl Theatre {
             return;
         }
         let views = self.plan.views.clone();
-        let mut places = self.layout.places(views.len(), room);
-        if let [(first, a), (second, b)] = &mut places[..] {
+        let mut rects = self.layout.rects(views.len(), room);
+        if let [(first, a), (second, b)] = &mut rects[..] {
             let size = |n: usize| self.shown.texture(&views[n].output).map(|(_, size)| size);
             if let (Some(one), Some(other)) = (size(*first), size(*second)) {
                 [*a, *b] = level([*a, *b], [one, other]);
             }
         }
-        // A frozen picture stays as it was; while it does, a live one stands in a corner.
+        // While the images are frozen, a live image is shown in a corner.
         let live = self.frozen.is_some().then(|| {
-            let stand = |(n, rect): &(usize, Rect)| {
+            let occupied = |(n, rect): &(usize, Rect)| {
                 let below_title = Rect::from_min_max(rect.min + vec2(0.0, TITLE), rect.max);
                 let size = self.shown.texture(&views[*n].output).map(|(_, size)| size);
                 with_title(size.map_or(below_title, |size| fit(below_title, size)))
             };
-            inset(room, self.live_size(), &places.iter().map(stand).collect::<Vec<_>>())
+            inset(room, self.live_size(), &rects.iter().map(occupied).collect::<Vec<_>>())
         });
-        for (n, rect) in places {
-            let place = &views[n];
-            let raw = self.plan.raw.clone().filter(|_| self.replaced(place, facts) && n == self.layout.main());
+        for (n, rect) in rects {
+            let pane = &views[n];
+            let raw = self.plan.raw.clone().filter(|_| self.replaced(pane, facts) && n == self.layout.main());
             let clicked = match raw {
                 Some(raw) => {
-                    let title = format!("{} (in place of {})", raw.label, place.label);
+                    let title = format!("{} (in place of {})", raw.label, pane.label);
                     self.picture(ui, rect, &raw, Some(&title), true, facts)
                 }
-                None if place.packet == "cloud" => {
+                None if pane.packet == "cloud" => {
                     let alone = views.len() == 1 || self.layout == Layout::One(n);
-                    self.turn(ui, rect, place, alone);
-                    self.picture(ui, rect, place, None, false, facts);
+                    self.turn(ui, rect, pane, alone);
+                    self.picture(ui, rect, pane, None, false, facts);
                     false
                 }
-                None => self.picture(ui, rect, place, None, false, facts),
+                None => self.picture(ui, rect, pane, None, false, facts),
             };
             if clicked && views.len() > 1 {
                 self.layout = if self.layout == Layout::One(n) { Layout::All } else { Layout::One(n) };
@@ -87,48 +87,48 @@ impl Theatre {
         }
     }
 
-    /// Size of the raw view's picture, or one of its usual proportions.
+    /// Size of the raw view's image; 4:3 before the first one.
     fn live_size(&self) -> Vec2 {
         let texture = self.plan.raw.as_ref().and_then(|raw| self.live.texture(&raw.output));
         texture.map_or(vec2(4.0, 3.0), |(_, size)| size)
     }
 
-    /// While anything is held still, a live picture stays beside it.
+    /// Draws the live image beside a frozen one.
     fn live_beside(&mut self, ui: &mut Ui, side: Rect, facts: &Facts) {
         if let Some(raw) = self.plan.raw.clone() {
-            // Its own ground and edge, so that it is not taken for a part of the picture that it may lie on.
+            // A background and border distinguish it from an image that it may cover.
             ui.painter().rect_filled(side.expand(4.0), 6.0, theme::BLACK);
             ui.painter().rect_stroke(side.expand(4.0), 6.0, Stroke::new(1.5, theme::LIVE), StrokeKind::Inside);
             self.picture(ui, side, &raw, Some(&format!("Live: {}", raw.label)), true, facts);
         }
     }
 
-    /// A view with its title; answers whether it was tapped.
+    /// Draws a view with its title; returns whether it was tapped.
     fn picture(
         &mut self,
         ui: &mut Ui,
         rect: Rect,
-        place: &Place,
+        pane: &Pane,
         title: Option<&str>,
         live: bool,
         facts: &Facts,
     ) -> bool {
-        let title = title.unwrap_or(&place.label);
-        // A tap leads from one layout to another; beside a frozen picture, or where there is one view, to nothing.
-        let idle = place.packet == "cloud" || self.plan.views.len() < 2 || live && self.frozen.is_some();
+        let title = title.unwrap_or(&pane.label);
+        // A tap changes the layout, except on a live inset or when there is only one view.
+        let idle = pane.packet == "cloud" || self.plan.views.len() < 2 || live && self.frozen.is_some();
         let tap = if idle { Sense::hover() } else { Sense::click() };
         let shown = if live { &self.live } else { &self.shown };
-        let texture = shown.texture(&place.output);
+        let texture = shown.texture(&pane.output);
         let room = Rect::from_min_max(pos2(rect.left(), rect.top() + TITLE), rect.max);
         let inner = texture.map_or(room, |(_, size)| fit(room, size));
-        // The line stands right above the picture, wherever in its room that is.
+        // The title is directly above the image.
         let rect = Rect::from_min_max(inner.min - vec2(0.0, TITLE), inner.max);
-        let response = ui.interact(rect, ui.id().with(("view", &place.output, live)), tap);
+        let response = ui.interact(rect, ui.id().with(("view", &pane.output, live)), tap);
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("View {title}")));
         if response.has_focus() {
             focus_frame(ui, rect);
         }
-        let stopped = !live && facts.stopped.contains(&place.label);
+        let stopped = !live && facts.stopped.contains(&pane.label);
         let painter = ui.painter_at(rect);
         painter.text(
             pos2(rect.left(), rect.top() + TITLE / 2.0),
@@ -137,25 +137,25 @@ impl Theatre {
             FontId::proportional(16.0),
             theme::TEXT.gamma_multiply(0.85),
         );
-        let age = self.age_ms(&place.output).filter(|_| live || self.frozen.is_none());
-        let (words, color) = match age {
-            _ if stopped => ("no new picture".to_owned(), theme::FAULT),
-            Some(age) if age > 9_999.0 => ("no new picture".to_owned(), theme::FAULT),
+        let age = self.age_ms(&pane.output).filter(|_| live || self.frozen.is_none());
+        let (message, color) = match age {
+            _ if stopped => ("no new image".to_owned(), theme::FAULT),
+            Some(age) if age > 9_999.0 => ("no new image".to_owned(), theme::FAULT),
             Some(age) if age > OLD_MS => (format!("{:.1} s old", age / 1e3), theme::WARN),
-            // A calm number: it moves in steps.
+            // In steps of 10 ms, so that the number does not flicker.
             Some(age) => (format!("{:.0} ms", (age / 10.0).ceil() * 10.0), theme::MUTED),
             None => (String::new(), theme::MUTED),
         };
         painter.text(
             pos2(rect.right(), rect.top() + TITLE / 2.0),
             Align2::RIGHT_CENTER,
-            words,
+            message,
             FontId::proportional(14.0),
             color,
         );
         match texture {
             Some((texture, _)) => {
-                // What has stopped must not be taken for live.
+                // A stopped view is darkened so that it is not mistaken for live.
                 let tint = if stopped { Color32::from_gray(90) } else { Color32::WHITE };
                 image(ui, texture, inner, tint);
                 if stopped {
@@ -163,31 +163,31 @@ impl Theatre {
                 }
             }
             None => {
-                no_picture(ui, room, &facts.no_picture(&place.output.node, stopped));
+                no_picture(ui, room, &facts.no_picture(&pane.output.node, stopped));
             }
         }
         response.clicked()
     }
 
-    /// Drags, the wheel and keys turn, move and enlarge a surface; keys do where it has the focus or stands `alone`.
-    fn turn(&mut self, ui: &Ui, rect: Rect, place: &Place, alone: bool) {
-        let response = ui.interact(rect, ui.id().with(("turn", &place.output)), Sense::click_and_drag());
-        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Turn {}", place.label)));
-        let sight = self.sights.entry(place.output.clone()).or_default();
-        surface::steer(ui, &response, sight, TURN);
+    /// Handles drags, the wheel and keys on a surface; keys work if it has the focus or is `alone`.
+    fn turn(&mut self, ui: &Ui, rect: Rect, pane: &Pane, alone: bool) {
+        let response = ui.interact(rect, ui.id().with(("turn", &pane.output)), Sense::click_and_drag());
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Turn {}", pane.label)));
+        let viewpoint = self.viewpoints.entry(pane.output.clone()).or_default();
+        surface::steer(ui, &response, viewpoint, TURN);
         if response.has_focus() {
-            keep_arrows(ui, response.id);
+            capture_arrows(ui, response.id);
             focus_frame(ui, rect);
         }
         if response.has_focus() || alone && ui.memory(|m| m.focused().is_none()) {
-            ui.input_mut(|i| surface::steer_by_key(i, sight));
+            ui.input_mut(|i| surface::steer_by_key(i, viewpoint));
         }
         let points = ui.ctx().pixels_per_point();
         let size = [rect.width(), rect.height() - TITLE].map(|n| ((n * points) as usize / 16 * 16).clamp(160, 1280));
-        sight.size_px = size;
+        viewpoint.size_px = size;
     }
 
-    /// The picture that is measured in, and what was measured.
+    /// Draws the image being measured, and the measurement.
     fn measured(&mut self, ui: &mut Ui, rect: Rect) {
         let Some((held, output)) = self.measure.picture() else { return };
         let Some((texture, size)) = held.texture(output) else { return };
@@ -201,7 +201,7 @@ impl Theatre {
         let response = ui.interact(inner, ui.id().with("measure"), Sense::click());
         response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Measure here"));
         if response.has_focus() {
-            keep_arrows(ui, response.id);
+            capture_arrows(ui, response.id);
             focus_frame(ui, line.union(inner));
         }
         if response.has_focus() || ui.memory(|m| m.focused().is_none()) {
@@ -214,58 +214,60 @@ impl Theatre {
         let on_screen = |(x, y): (f32, f32)| {
             inner.min + vec2((x + 0.5) / width as f32 * inner.width(), (y + 0.5) / height as f32 * inner.height())
         };
-        let points: Vec<_> = self.measure.points().iter().map(|p| (on_screen(p.at_px), p.place)).collect();
+        let points: Vec<_> = self.measure.points().iter().map(|p| (on_screen(p.at_px), p.position)).collect();
         if let [(a, _), (b, _)] = points[..] {
             painter.line_segment([a, b], Stroke::new(5.0, Color32::from_black_alpha(160)));
             painter.line_segment([a, b], Stroke::new(2.5, theme::ACCENT));
         }
-        for (at, place) in &points {
-            let color = if place.is_some() { theme::ACCENT } else { theme::FAULT };
+        for (at, position) in &points {
+            let color = if position.is_some() { theme::ACCENT } else { theme::FAULT };
             painter.circle_stroke(*at, 9.0, Stroke::new(5.0, Color32::from_black_alpha(160)));
             painter.circle_stroke(*at, 9.0, Stroke::new(2.5, color));
             painter.circle_filled(*at, 2.0, color);
         }
         self.measure.crosshair().draw(&painter, inner);
-        let told = match (self.measure.distance(), self.measure.depth()) {
+        let result = match (self.measure.distance(), self.measure.depth()) {
             (Some(length), _) => Some(length.to_string()),
             (None, Some(depth)) => Some(format!("{depth} deep")),
             _ => None,
         };
-        if let Some(words) = told {
-            // Beside the picture's title, where it covers nothing.
-            painter.text(line.right_center(), Align2::RIGHT_CENTER, words, FontId::proportional(26.0), theme::TEXT);
+        if let Some(message) = result {
+            // Beside the title, where it covers nothing.
+            painter.text(line.right_center(), Align2::RIGHT_CENTER, message, FontId::proportional(26.0), theme::TEXT);
         }
     }
 }
 
-/// A picture's place with the line above it.
+/// An image's rectangle with its title.
 fn with_title(picture: Rect) -> Rect {
     Rect::from_min_max(picture.min - vec2(0.0, TITLE), picture.max)
 }
 
-/// In place of a picture: why there is none, in full, and what can be done.
+/// Draws the full reason for a missing image and what to do.
 fn no_picture(ui: &mut Ui, room: Rect, why: &NoPicture) {
     ui.painter().rect_filled(room, 4.0, theme::SUNK);
     let (why, remedy) = match why {
         NoPicture::Because { why, remedy } => (why.as_str(), *remedy),
-        NoPicture::Plain(words) => {
+        NoPicture::Plain(message) => {
             let font = FontId::proportional(20.0);
-            ui.painter().text(room.center(), Align2::CENTER_CENTER, *words, font, theme::MUTED);
+            ui.painter().text(room.center(), Align2::CENTER_CENTER, *message, font, theme::MUTED);
             return;
         }
     };
     let width = (room.width() - 48.0).min(NO_PICTURE_WIDTH);
     let inner = Rect::from_center_size(room.center(), vec2(width, room.height() - 32.0));
-    let text = |words: &str, size: f32, color: Color32| {
-        let job = LayoutJob::simple(words.to_owned(), FontId::proportional(size), color, width);
+    let text = |message: &str, size: f32, color: Color32| {
+        let job = LayoutJob::simple(message.to_owned(), FontId::proportional(size), color, width);
         ui.painter().layout_job(job)
     };
     let parts =
-        [("No picture", 26.0, theme::FAULT, 12.0), (why, 18.0, theme::TEXT, 20.0), (remedy, 18.0, theme::ACCENT, 0.0)];
-    // Small panes take smaller letters rather than a cut message.
+        [("No image", 26.0, theme::FAULT, 12.0), (why, 18.0, theme::TEXT, 20.0), (remedy, 18.0, theme::ACCENT, 0.0)];
+    // In a small rectangle the text is made smaller instead of cut off.
     let (mut scale, mut laid) = (1.0, Vec::new());
     while scale > 0.5 {
-        laid = parts.map(|(words, size, color, gap)| (text(words, size * scale, color), gap * scale, words)).to_vec();
+        laid = parts
+            .map(|(message, size, color, gap)| (text(message, size * scale, color), gap * scale, message))
+            .to_vec();
         let high: f32 = laid.iter().map(|(galley, gap, _)| galley.size().y + gap).sum();
         if high <= inner.height() {
             break;
@@ -274,22 +276,22 @@ fn no_picture(ui: &mut Ui, room: Rect, why: &NoPicture) {
     }
     let high: f32 = laid.iter().map(|(galley, gap, _)| galley.size().y + gap).sum();
     let mut at = pos2(inner.left(), inner.center().y - (high / 2.0).min(inner.height() / 2.0));
-    for (galley, gap, words) in laid {
-        let place = Rect::from_min_size(at, galley.size());
-        let response = ui.interact(place, ui.id().with(("no picture", words)), Sense::hover());
-        response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, words));
+    for (galley, gap, message) in laid {
+        let pane = Rect::from_min_size(at, galley.size());
+        let response = ui.interact(pane, ui.id().with(("no image", message)), Sense::hover());
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, message));
         at.y += galley.size().y + gap;
-        ui.painter_at(room).galley(place.min, galley, theme::TEXT);
+        ui.painter_at(room).galley(pane.min, galley, theme::TEXT);
     }
 }
 
-/// Arrow keys are for what has the focus, not for leaving it.
-pub(super) fn keep_arrows(ui: &Ui, id: Id) {
+/// Gives the arrow keys to the focused widget instead of moving the focus.
+pub(super) fn capture_arrows(ui: &Ui, id: Id) {
     let filter = EventFilter { horizontal_arrows: true, vertical_arrows: true, ..EventFilter::default() };
     ui.memory_mut(|m| m.set_focus_lock_filter(id, filter));
 }
 
-/// Around the picture that has the focus, not on it.
+/// Draws a frame around the focused image, outside of it.
 pub(super) fn focus_frame(ui: &Ui, rect: Rect) {
     ui.painter().rect_stroke(rect.expand(4.0), 6.0, Stroke::new(2.0, theme::ACCENT), StrokeKind::Inside);
 }

@@ -1,4 +1,4 @@
-//! How the theatre looks, compared with a picture that is kept.
+//! Compares a screenshot of the theatre with a golden image.
 
 mod common;
 #[path = "common/looks.rs"]
@@ -16,7 +16,7 @@ use panoscope_editor_widgets::theme::BLACK;
 use panoscope_theatre as theatre;
 
 #[test]
-fn the_theatre_looks_as_it_did() {
+fn the_theatre_matches_the_golden_image() {
     if !has_plugin("flow") {
         return;
     }
@@ -25,9 +25,10 @@ fn the_theatre_looks_as_it_did() {
     let options = theatre::Options { frames: Some(TICKS), ..options(&folder) };
     let mut window = Window::open_with(folder, &path, options);
     let since = Instant::now();
-    window.until("it has ended", |t| t.notices().iter().any(|n| n.words == "The source has ended") && t.has_picture());
+    window
+        .until("it has ended", |t| t.notices().iter().any(|n| n.message == "The source has ended") && t.has_picture());
     window.until("all is at rest", |_| since.elapsed() > Duration::from_secs(2));
-    // Ages grow: they stand above each picture, at its right.
+    // The ages above the images grow, so they are masked.
     let views = ["View Calm view", "View Gray"].map(|label| window.harness.get_by_label_contains(label).rect());
     let ages = views.map(|v| Rect::from_min_max(pos2(v.right() - 180.0, v.top()), pos2(v.right(), v.top() + 32.0)));
     let picture = paint(&window.harness.ctx, window.harness.output(), &window.textures, BLACK);

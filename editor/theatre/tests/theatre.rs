@@ -1,4 +1,4 @@
-//! The theatre on running graphs, by keys, taps and names of widgets.
+//! Tests of the theatre on running graphs, by keys, taps and names of widgets.
 
 mod common;
 
@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use common::window::{GRAPH, Window, options};
-use common::{Folder, PATIENCE, hand, has_plugin};
+use common::{Folder, PATIENCE, has_plugin, input};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Key, Rect, Ui, vec2};
 use egui_kittest::Harness;
@@ -15,7 +15,7 @@ use panoscope_editor_model::session::Phase;
 use panoscope_editor_widgets::Shot;
 use panoscope_graph::ParamValue;
 use panoscope_loader::lock::{Lock, THEATRE_PLUGINS};
-use panoscope_theatre::{Layout, OpenError, Options, Ready, Refused, Theatre, Verified};
+use panoscope_theatre::{Layout, OpenError, OpenFailed, Options, Ready, Theatre, Verified};
 
 /// A box whose points are known.
 const MEASURED: &str = r#"plugins = ["phantom", "stereo", "flow"]
@@ -69,7 +69,7 @@ fn only_pinned_settings_can_be_touched_and_only_within_their_range() {
     let slider = window.harness.get_by_role_and_label(Role::Slider, "Calmness");
     let rect = slider.rect();
     let far = rect.right_center() + vec2(200.0, 0.0);
-    hand::drag(&mut window.harness, rect.center(), far);
+    input::drag(&mut window.harness, rect.center(), far);
     let until = Instant::now() + PATIENCE;
     while past_weight(&window) != Some(ParamValue::Int(150)) {
         assert!(Instant::now() < until, "it is {:?}", past_weight(&window));
@@ -107,7 +107,7 @@ fn a_frozen_picture_says_so_and_a_live_one_stays_beside_it() {
         let live = window.harness.get_by_label("View Live: Image camera").rect();
         let middle = Rect::from_center_size(frozen.center(), frozen.size() * 0.45);
         assert!(!live.intersects(middle) && live.width() > 120.0, "{live:?} over {frozen:?}");
-        window.click("Go on");
+        window.click("Continue");
         assert!(!window.theatre().is_frozen());
     }
 }
@@ -120,7 +120,7 @@ fn stills_and_clips_are_kept_under_numbers() {
     let mut window = Window::open("keep", GRAPH);
     window.until("a picture is there", Theatre::has_picture);
     window.key(Key::S);
-    window.until("the still is kept", |t| t.remark().is_some_and(|r| r.contains("still_0001.png is kept")));
+    window.until("the still is saved", |t| t.remark().is_some_and(|r| r.contains("still_0001.png is saved")));
     window.key(Key::R);
     let node = "theatre_clip";
     window.until("the clip runs", |t| {
@@ -154,8 +154,8 @@ fn a_stage_in_fault_is_named_and_the_raw_view_takes_its_place() {
     );
     let text = text.lines().filter(|l| !l.starts_with("pinned")).collect::<Vec<_>>().join("\n");
     let mut window = Window::open("fault", &text);
-    window.until("the stage is named", |t| t.notices().iter().any(|n| n.words.contains("Stage `calm`")));
-    window.until("the view has stopped", |t| t.notices().iter().any(|n| n.words == "Calm view has stopped"));
+    window.until("the stage is named", |t| t.notices().iter().any(|n| n.message.contains("Stage `calm`")));
+    window.until("the view has stopped", |t| t.notices().iter().any(|n| n.message == "Calm view has stopped"));
     window.until_shown("View Image camera (in place of Calm view)");
 }
 
@@ -170,7 +170,7 @@ fn where_the_graph_stops_its_camera_goes_on_alone_and_it_can_be_started_again() 
     );
     let text = text.lines().filter(|l| !l.starts_with("pinned")).collect::<Vec<_>>().join("\n");
     let mut window = Window::open("stops", &text);
-    window.until("only the camera runs", |t| t.notices().iter().any(|n| n.words.starts_with("Camera picture only")));
+    window.until("only the camera runs", |t| t.notices().iter().any(|n| n.message.starts_with("Camera image only")));
     window.until("it runs again", |t| {
         let engine = t.session().handle().engine().expect("it runs");
         t.session().status().phase == Phase::Running && engine.graph().nodes.len() == 1
@@ -183,7 +183,7 @@ fn where_the_graph_stops_its_camera_goes_on_alone_and_it_can_be_started_again() 
 }
 
 #[test]
-fn a_camera_that_ends_is_told() {
+fn a_camera_that_ends_has_a_notice() {
     if !has_plugin("flow") {
         return;
     }
@@ -191,7 +191,7 @@ fn a_camera_that_ends_is_told() {
     let path = folder.write("g.toml", GRAPH);
     let options = Options { frames: Some(20), ..options(&folder) };
     let mut window = Window::open_with(folder, &path, options);
-    window.until_told("The source has ended");
+    window.until_notice("The source has ended");
     window.until_shown("Start again");
 }
 
@@ -205,15 +205,15 @@ fn escape_held_for_two_seconds_leaves_and_a_short_one_does_not() {
     for _ in 0..5 {
         window.harness.step();
     }
-    assert!(!window.theatre().has_left());
+    assert!(!window.theatre().is_closing());
     window.harness.key_down(Key::Escape);
     let start = Instant::now();
-    window.until("it leaves", Theatre::has_left);
+    window.until("it leaves", Theatre::is_closing);
     assert!(start.elapsed() >= Duration::from_secs(2), "{:?}", start.elapsed());
 }
 
 #[test]
-fn a_locked_preset_opens_only_as_it_was_locked_or_when_it_is_said() {
+fn a_locked_graph_opens_only_unchanged_or_with_unlocked() {
     if !has_plugin("flow") {
         return;
     }
@@ -228,33 +228,33 @@ fn a_locked_preset_opens_only_as_it_was_locked_or_when_it_is_said() {
     let other = GRAPH.replace("rate_hz = 30.0", "rate_hz = 25.0");
     match open(false, &other) {
         Err(OpenError::Locked(differences)) => {
-            let words: Vec<String> = differences.iter().map(ToString::to_string).collect();
-            assert_eq!(words, ["graph `g.toml` has changed since the graph was locked"]);
+            let message: Vec<String> = differences.iter().map(ToString::to_string).collect();
+            assert_eq!(message, ["graph `g.toml` has changed since the graph was locked"]);
         }
         other => panic!("{other:?}"),
     }
     std::fs::write(&path, &other).expect("written");
     let options = Options { unlocked: true, ..options(&folder) };
     let mut window = Window::open_with(folder, &path, options);
-    window.until_told("Runs unlocked: graph `g.toml`");
+    window.until_notice("Runs although it differs from its lock: graph `g.toml`");
 }
 
 #[test]
-fn a_graph_that_nobody_locked_says_so_for_as_long_as_it_runs() {
+fn a_graph_without_lock_is_marked_for_as_long_as_it_runs() {
     if !has_plugin("flow") {
         return;
     }
-    let words = "Not locked: nobody verified this graph";
+    let message = "Not locked: this graph was not verified";
     let mut window = Window::open("never_locked", GRAPH);
     assert_eq!(*window.theatre().verified(), Verified::Never);
     window.until("a picture is there", Theatre::has_picture);
     let pictures = window.harness.get_by_label_contains("View Calm view").rect();
-    let chip = window.harness.get_by_label(words).rect();
+    let chip = window.harness.get_by_label(message).rect();
     assert!(chip.height() >= 34.0 && chip.bottom() <= pictures.top(), "{chip:?} above {pictures:?}");
-    // Whatever else is told, it stays.
+    // It stays whatever else is shown.
     for key in [Key::F, Key::S, Key::R, Key::Space] {
         window.key(key);
-        assert!(window.harness.query_by_label(words).is_some(), "after {key:?}");
+        assert!(window.harness.query_by_label(message).is_some(), "after {key:?}");
     }
     drop(window);
     let folder = Folder::new("is_locked");
@@ -264,12 +264,12 @@ fn a_graph_that_nobody_locked_says_so_for_as_long_as_it_runs() {
     let mut window = Window::open_with(folder, &path, options);
     window.until("a picture is there", Theatre::has_picture);
     assert_eq!(*window.theatre().verified(), Verified::AsLocked);
-    assert!(window.harness.query_by_label_contains("nobody verified").is_none());
+    assert!(window.harness.query_by_label_contains("not verified").is_none());
     assert!(window.harness.query_by_label_contains("ocked:").is_none());
 }
 
 #[test]
-fn a_refused_lock_is_told_in_the_window() {
+fn a_difference_from_the_lock_is_shown_in_the_window() {
     if !has_plugin("flow") {
         return;
     }
@@ -277,33 +277,33 @@ fn a_refused_lock_is_told_in_the_window() {
     let path = folder.write("g.toml", GRAPH);
     lock(&path);
     let other = GRAPH.replace("rate_hz = 30.0", "rate_hz = 25.0");
-    let error = Ready::look(&path, &other, false).err().expect("it differs");
+    let error = Ready::check(&path, &other, false).err().expect("it differs");
     let draw = {
         let path = path.clone();
-        move |ui: &mut Ui, refused: &mut Option<Refused>| {
-            refused.get_or_insert_with(|| Refused::new(ui.ctx(), &path, &error, Shot::default())).ui(ui);
+        move |ui: &mut Ui, refused: &mut Option<OpenFailed>| {
+            refused.get_or_insert_with(|| OpenFailed::new(ui.ctx(), &path, &error, Shot::default())).ui(ui);
         }
     };
     let mut harness = Harness::builder().with_size(vec2(1440.0, 960.0)).build_ui_state(draw, None);
-    hand::steps(&mut harness, 3);
-    for words in [
-        "g.toml is not as it was locked",
+    input::steps(&mut harness, 3);
+    for message in [
+        "g.toml differs from its lock",
         "graph `g.toml` has changed since the graph was locked",
-        "Put back what has changed",
+        "Restore the changed files",
         "panoscope lock ",
         "--unlocked",
     ] {
-        let place = harness.get_by_label_contains(words).rect();
-        assert!(harness.ctx.viewport_rect().contains_rect(place), "`{words}` at {place:?}");
+        let place = harness.get_by_label_contains(message).rect();
+        assert!(harness.ctx.viewport_rect().contains_rect(place), "`{message}` at {place:?}");
     }
-    assert!(!harness.state().as_ref().expect("it is shown").has_left());
+    assert!(!harness.state().as_ref().expect("it is shown").is_closing());
     harness.key_press_modifiers(eframe::egui::Modifiers::NONE, Key::Escape);
-    hand::steps(&mut harness, 2);
-    assert!(harness.state().as_ref().expect("it is shown").has_left());
+    input::steps(&mut harness, 2);
+    assert!(harness.state().as_ref().expect("it is shown").is_closing());
 }
 
 #[test]
-fn a_camera_that_does_not_open_is_told_in_full_in_its_pane() {
+fn a_camera_that_does_not_open_shows_the_full_error_in_its_view() {
     if !has_plugin("flow") || !has_plugin("capture") {
         return;
     }
@@ -315,17 +315,17 @@ fn a_camera_that_does_not_open_is_told_in_full_in_its_pane() {
     let path = folder.write("g.toml", text);
     let options = options(&folder);
     let mut window = Window::open_with(folder, &path, options);
-    window.until_told("No picture: ");
-    let told = window.told().into_iter().find(|w| w.starts_with("No picture: ")).expect("it is told");
-    let whole = told.trim_start_matches("No picture: ").to_owned();
+    window.until_notice("No image: ");
+    let notice = window.notices().into_iter().find(|w| w.starts_with("No image: ")).expect("it is shown");
+    let whole = notice.trim_start_matches("No image: ").to_owned();
     assert!(whole.contains("left.mp4"), "{whole}");
     window.until_shown("View Left camera");
     let pane = window.harness.get_by_label("View Left camera").rect();
     let why = window.harness.get_by_label(&whole).rect();
     let remedy = window.harness.get_by_label_contains("press Enter to start again").rect();
     assert!(pane.contains_rect(why) && pane.contains_rect(remedy), "{why:?} and {remedy:?} in {pane:?}");
-    assert!(why.bottom() <= remedy.top(), "the remedy stands below the reason");
-    assert!(why.height() > 30.0, "long words are wrapped: {why:?}");
+    assert!(why.bottom() <= remedy.top(), "the remedy is below the reason");
+    assert!(why.height() > 30.0, "a long message is wrapped: {why:?}");
     window.until_shown("Start again");
 }
 
@@ -342,7 +342,7 @@ fn lock(path: &Path) {
 }
 
 #[test]
-fn the_emergency_stop_is_there_where_there_is_an_arm_and_outlasts_changes() {
+fn the_emergency_stop_is_shown_for_an_arm_and_outlasts_changes() {
     if !has_plugin("flow") || !has_plugin("sinks") {
         return;
     }
@@ -365,15 +365,16 @@ fn the_emergency_stop_is_there_where_there_is_an_arm_and_outlasts_changes() {
     window.harness.step();
     assert!(window.theatre().is_stopped() && stopped(window.theatre()), "on touch, at once");
     window.harness.drop_at(centre);
-    window.until("it is told", |t| t.notices().first().is_some_and(|n| n.words.starts_with("Emergency stop")));
-    // A change of the graph does not let it go, nor does another press.
+    window
+        .until("the notice is shown", |t| t.notices().first().is_some_and(|n| n.message.starts_with("Emergency stop")));
+    // Neither a change of the graph nor another press releases it.
     window.key(Key::R);
     window.until("the clip runs", |t| {
         t.session().handle().engine().is_some_and(|e| e.graph().node("theatre_clip").is_some())
     });
     window.key(Key::E);
     assert!(window.theatre().is_stopped() && stopped(window.theatre()));
-    // Held for two seconds it does.
+    // Holding for two seconds releases it.
     window.harness.key_down(Key::E);
     window.until("it is released", |t| !t.is_stopped() && !stopped(t));
     window.harness.key_up(Key::E);
@@ -393,7 +394,7 @@ fn distances_are_measured_by_two_taps() {
     assert!(window.theatre().is_frozen());
     let rect = window.harness.get_by_label("Measure here").rect();
     for share in [0.4, 0.6] {
-        hand::tap(&mut window.harness, rect.min + rect.size() * share);
+        input::tap(&mut window.harness, rect.min + rect.size() * share);
     }
     let length = window.theatre().distance().expect("both points are known");
     assert!((1.0..100.0).contains(&length.mm), "{length}");
@@ -404,10 +405,10 @@ fn distances_are_measured_by_two_taps() {
         "{length}"
     );
     window.key(Key::S);
-    window.until("the still is kept", |t| t.remark().is_some_and(|r| r.contains("is kept")));
+    window.until("the still is saved", |t| t.remark().is_some_and(|r| r.contains("is saved")));
     window.key(Key::M);
     assert!(!window.theatre().is_frozen());
-    assert!(window.told().iter().all(|w| !w.contains("stopped")), "{:?}", window.told());
+    assert!(window.notices().iter().all(|w| !w.contains("stopped")), "{:?}", window.notices());
     assert_eq!(window.theatre().distance(), None);
 }
 
@@ -419,7 +420,7 @@ fn distances_are_measured_and_surfaces_turned_by_keys_alone() {
     let mut window = Window::open("measure_keys", MEASURED);
     window.key(Key::M);
     window.until_shown("Measure here");
-    // The first arrow shows the crosshair in the middle; Enter taps.
+    // The first arrow key shows the crosshair in the centre; Enter taps.
     for key in [Key::ArrowLeft, Key::ArrowLeft, Key::ArrowLeft, Key::Enter] {
         window.key(key);
     }
@@ -430,24 +431,24 @@ fn distances_are_measured_and_surfaces_turned_by_keys_alone() {
     window.key(Key::M);
     window.key(Key::Num2);
     assert_eq!(window.theatre().layout(), Layout::One(1));
-    let before = window.theatre().sight("points.cloud").expect("it is shown");
+    let before = window.theatre().viewpoint("points.cloud").expect("it is shown");
     window.key(Key::ArrowLeft);
     window.key(Key::Plus);
-    let after = window.theatre().sight("points.cloud").expect("it is shown");
+    let after = window.theatre().viewpoint("points.cloud").expect("it is shown");
     assert!(after.yaw > before.yaw && after.zoom > before.zoom, "{before:?} {after:?}");
     window.key(Key::Home);
-    assert_eq!(window.theatre().sight("points.cloud"), Some(before));
+    assert_eq!(window.theatre().viewpoint("points.cloud"), Some(before));
 }
 
-/// Asserts that all that takes the focus has a name of its own, and that Tab leads to each of them.
+/// Asserts that every widget that can have the focus has a name of its own and is reached by Tab.
 fn reached_by_tab(window: &mut Window, what: &str) {
-    hand::steps(&mut window.harness, 2);
-    hand::all_named(&window.harness, what, 4);
-    let mut all = hand::focusable(&window.harness);
+    input::steps(&mut window.harness, 2);
+    input::all_named(&window.harness, what, 4);
+    let mut all = input::focusable(&window.harness);
     let nameless: Vec<&String> =
         all.iter().filter(|name| name.trim().is_empty() || name.starts_with("nameless")).collect();
     assert!(nameless.is_empty(), "{what}: {nameless:?}");
-    let mut round = hand::round_by_tab(&mut window.harness);
+    let mut round = input::round_by_tab(&mut window.harness);
     all.sort();
     round.sort();
     assert_eq!(round, all, "{what}: by Tab, and all");
@@ -474,7 +475,7 @@ fn everything_has_a_name_and_is_reached_by_tab() {
     window.key(Key::E);
     window.until_shown("Release the arm");
     reached_by_tab(&mut window, "arm stopped");
-    // What has the focus is pressed by Enter.
+    // Enter presses the focused button.
     window.harness.get_by_label("Freeze").focus();
     window.key(Key::Enter);
     assert!(window.theatre().is_frozen());
@@ -491,7 +492,7 @@ fn everything_has_a_name_and_is_reached_by_tab() {
 }
 
 #[test]
-fn settings_are_set_by_keys_and_none_is_out_of_reach() {
+fn settings_are_set_by_keys_and_all_can_be_reached() {
     if !has_plugin("flow") {
         return;
     }
@@ -508,13 +509,13 @@ fn settings_are_set_by_keys_and_none_is_out_of_reach() {
     }
     let mut window = Window::open("pages", &text);
     window.until_shown("Weight 0");
-    // The first key shows that an arrow changes the value and does not leave it.
+    // An arrow key changes the value and does not move the focus.
     window.harness.get_by_role_and_label(Role::Slider, "Weight 0").focus();
     for _ in 0..3 {
         window.key(Key::ArrowRight);
     }
-    assert_eq!(hand::focused(&window.harness).as_deref(), Some("Weight 0"));
-    window.until("it is in force", |t| {
+    assert_eq!(input::focused(&window.harness).as_deref(), Some("Weight 0"));
+    window.until("the value is applied", |t| {
         let values = t.session().handle().engine().and_then(|e| e.param_values("more0"));
         values.is_some_and(|v| v[0] == ParamValue::Int(103))
     });
@@ -535,40 +536,40 @@ fn a_lost_camera_is_named_and_the_other_one_goes_on() {
     }
     let text = "plugins = [\"flow\", \"chaos\"]\n[nodes.camera]\ntype = \"frames\"\nparams = { width_px = 64, height_px = 48, rate_hz = 30.0 }\n[nodes.second]\ntype = \"chaos_source\"\nparams = { harm = \"nothing\", first = 600, ticks = 1000000000 }\n[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"camera.image\" }\n[nodes.other]\ntype = \"drain\"\ninputs = { image = \"second.image\" }\n[preset]\nviews = [\"camera.image\", \"second.image\"]\n";
     let mut window = Window::open("lost", text);
-    window.until_told("Second image camera lost: no picture for ");
-    assert!(window.told().iter().all(|w| !w.contains("Camera image")), "one of the two: {:?}", window.told());
+    window.until_notice("Second image camera lost: no image for ");
+    assert!(window.notices().iter().all(|w| !w.contains("Camera image")), "one of the two: {:?}", window.notices());
     window.until("the other one goes on", Theatre::has_picture);
 }
 
 #[test]
-fn a_full_disk_is_told_in_plain_words() {
+fn a_full_disk_has_a_plain_notice() {
     if !has_plugin("flow") {
         return;
     }
-    // What is written there finds no room, as on a full disk.
+    // Writing to this file fails as on a full disk.
     let ledger = "\n[nodes.kept]\ntype = \"ledger\"\ninputs = { images = [\"camera.image\"] }\nparams = { path = \"/dev/full\" }\n";
     let text = GRAPH.replace("rate_hz = 30.0", "rate_hz = 240.0") + ledger;
     let mut window = Window::open("full", &text);
-    window.until_told("The disk is full: `kept` cannot write");
+    window.until_notice("The disk is full: `kept` cannot write");
     window.until("the picture goes on", |t| t.has_picture() && !t.is_frozen());
 }
 
 #[test]
-fn a_sink_without_room_stays_told_and_a_clip_without_room_ends() {
+fn a_sink_on_a_full_disk_keeps_its_notice_and_a_clip_ends() {
     if !has_plugin("flow") || !has_plugin("sinks") {
         return;
     }
     let folder = Folder::new("no_room_sink");
-    // What is written there finds no room.
+    // Writing to this file fails as on a full disk.
     let full = folder.0.join("full.mkv");
     std::os::unix::fs::symlink("/dev/full", &full).expect("a link");
     let sink = format!(
         "\n[nodes.kept]\ntype = \"write_video\"\ninputs = {{ image = \"camera.image\" }}\nparams = {{ path = \"{}\" }}\n",
         full.display()
     );
-    let text = GRAPH.replace("plugins = [\"flow\"]", "plugins = [\"flow\", \"sinks\"]") + &sink;
+    let text = GRAPH.replace("\"fixtures\"]", "\"fixtures\", \"sinks\"]") + &sink;
     let mut window = Window::open("no_room", &text);
-    window.until_told("The disk is full: `kept` cannot write");
+    window.until_notice("The disk is full: `kept` cannot write");
     let faults = |t: &Theatre| t.session().handle().engine().map(|e| e.report().nodes["kept"].faults);
     let kept = window.folder.0.join("kept");
     std::fs::create_dir_all(&kept).expect("a folder");
@@ -578,11 +579,11 @@ fn a_sink_without_room_stays_told_and_a_clip_without_room_ends() {
         t.remark().is_some_and(|r| r.contains("clip_0001.mkv ended early: the disk is full")) && t.clip_file().is_none()
     });
     assert_eq!(faults(window.theatre()), Some(1), "it was not opened again and again");
-    window.until_told("The disk is full: `kept` cannot write");
+    window.until_notice("The disk is full: `kept` cannot write");
 }
 
 #[test]
-fn a_drifted_calibration_and_swapped_cameras_are_told() {
+fn a_drifted_calibration_and_swapped_cameras_have_notices() {
     if !has_plugin("phantom") || !has_plugin("stereo") {
         return;
     }
@@ -591,11 +592,11 @@ fn a_drifted_calibration_and_swapped_cameras_are_told() {
             "plugins = [\"phantom\", \"stereo\", \"flow\"]\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ width = 320, height = 240, distortion_k1 = {k1:.1} }}\n[nodes.match]\ntype = \"stereo_bm\"\ninputs = {{ left = \"scope.{left}\", right = \"scope.{right}\" }}\nparams = {{ drift_px = 0.3 }}\n[nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"scope.left\" }}\n[preset]\nviews = [\"match.disparity\", \"scope.left\"]\n"
         )
     };
-    // A lens that nothing corrects bends the rows, as a calibration that does not fit any more.
+    // An uncorrected lens distortion bends the rows, as with a calibration that does not fit any more.
     let mut window = Window::open("drift", &graph("left", "right", 0.4));
-    window.until_told("The calibration has drifted");
+    window.until_notice("The calibration does not fit any more");
     drop(window);
     let mut window = Window::open("swapped", &graph("right", "left", 0.0));
-    window.until_told("Left and right cameras are swapped");
-    assert!(window.told().iter().all(|w| !w.contains("drifted")), "{:?}", window.told());
+    window.until_notice("The left and right cameras are swapped");
+    assert!(window.notices().iter().all(|w| !w.contains("does not fit")), "{:?}", window.notices());
 }

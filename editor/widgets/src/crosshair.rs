@@ -1,23 +1,23 @@
-//! A place on a picture chosen by keys, for hands that hold no pointer.
+//! A crosshair for choosing a point on an image by keys, without a pointer.
 
 use eframe::egui::{Color32, InputState, Key, Modifiers, Painter, Rect, Stroke, pos2, vec2};
 
 use crate::ARROWS;
 use crate::theme;
 
-/// Part of the picture's width that an arrow key moves it by; with Shift a tenth of that.
+/// Distance that an arrow key moves it, as a fraction of the image's width; a tenth of that with Shift.
 const STRIDE: f32 = 0.02;
-/// Half the length of its lines, points, and the gap in their middle.
+/// Outer and inner end of its lines, in points from the centre.
 const REACH: (f32, f32) = (18.0, 5.0);
 
-/// A place as parts of a picture's width and height; nowhere until a key moves it.
+/// A position as fractions of an image's width and height; hidden until a key moves it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Crosshair {
     at: Option<[f32; 2]>,
 }
 
 impl Crosshair {
-    /// Arrow keys move it, the first one shows it in the middle, Enter chooses: answers the place that was chosen. `aspect` is the picture's
+    /// Moves it by the arrow keys; the first one shows it in the centre. Returns its position when Enter is pressed. `aspect` is the image's
     /// width divided by its height.
     pub fn steer(&mut self, input: &mut InputState, aspect: f32) -> Option<[f32; 2]> {
         for (key, [x, y]) in ARROWS {
@@ -36,14 +36,14 @@ impl Crosshair {
         self.at.filter(|_| input.consume_key(Modifiers::NONE, Key::Enter))
     }
 
-    /// Draws it on a picture that stands at `rect`.
+    /// Draws it on an image that is drawn at `rect`.
     pub fn draw(&self, painter: &Painter, rect: Rect) {
         let Some([x, y]) = self.at else { return };
         let at = pos2(rect.left() + x * rect.width(), rect.top() + y * rect.height());
         let (far, near) = REACH;
         for stroke in [Stroke::new(5.0, Color32::from_black_alpha(160)), Stroke::new(2.0, theme::ACCENT)] {
-            for way in [vec2(1.0, 0.0), vec2(-1.0, 0.0), vec2(0.0, 1.0), vec2(0.0, -1.0)] {
-                painter.line_segment([at + way * near, at + way * far], stroke);
+            for direction in [vec2(1.0, 0.0), vec2(-1.0, 0.0), vec2(0.0, 1.0), vec2(0.0, -1.0)] {
+                painter.line_segment([at + direction * near, at + direction * far], stroke);
             }
         }
     }

@@ -1,8 +1,8 @@
-//! Keys that mean the same in every window.
+//! Keys with the same meaning in both windows.
 
 use eframe::egui::Key;
 
-/// The arrow keys and where they point, right and down being positive.
+/// The arrow keys and their directions; right and down are positive.
 pub const ARROWS: [(Key, [f32; 2]); 4] = [
     (Key::ArrowLeft, [-1.0, 0.0]),
     (Key::ArrowRight, [1.0, 0.0]),

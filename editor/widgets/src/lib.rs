@@ -1,15 +1,15 @@
-//! What the editor and the theatre draw alike.
+//! What the editor and the theatre share: colours, previews of outputs, keys, and opening a window.
 
 pub mod crosshair;
 mod keys;
+mod output_cache;
 mod shot;
-mod shown;
 mod signals;
 pub mod surface;
 pub mod theme;
 pub mod window;
 
 pub use keys::ARROWS;
+pub use output_cache::{OutputCache, format_time, image_of, unit_suffix};
 pub use shot::{Costs, Shot};
-pub use shown::{Shown, image_of, time_words, unit_words};
 pub use signals::close_on_signals;

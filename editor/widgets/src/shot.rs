@@ -1,4 +1,4 @@
-//! A picture of the window for `--screenshot`, or its costs for `--measure`, after a script of actions.
+//! Takes a screenshot of the window (`--screenshot`) or measures its costs (`--measure`), after a script of actions.
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -9,14 +9,14 @@ use eframe::egui::{self, Context};
 
 use panoscope_editor_model::session::Session;
 
-/// What is done by itself, and what is written after it.
+/// A script of actions, and what is written at its end.
 #[derive(Clone, Debug)]
 pub struct Shot {
     /// File of a screenshot, and the seconds until it is taken.
     screenshot: Option<(PathBuf, f64)>,
-    /// File for what the window costs, and the seconds until it is written.
+    /// File for the window's costs, and the seconds until it is written.
     measure: Option<(PathBuf, f64)>,
-    /// What is done before that, each with its second.
+    /// Steps with the second at which each is due.
     script: VecDeque<(f64, String)>,
     start: Instant,
 }
@@ -28,8 +28,8 @@ impl Default for Shot {
 }
 
 impl Shot {
-    /// A screenshot or costs after so many seconds, and a script before: it begins once the graph has had time to start; a step `wait:2`
-    /// lets those behind it wait two seconds.
+    /// A screenshot or costs after a number of seconds, and a script before that. The script begins once the graph has had time to start. A
+    /// step `wait:2` delays the following steps by two seconds.
     pub fn new(screenshot: Option<(PathBuf, f64)>, measure: Option<(PathBuf, f64)>, script: &[String]) -> Self {
         let after = screenshot.as_ref().or(measure.as_ref()).map_or(0.0, |(_, after)| *after);
         let mut due = (after * 0.4).min(4.0);
@@ -43,13 +43,13 @@ impl Shot {
         Self { screenshot, measure, script: steps, start: Instant::now() }
     }
 
-    /// The next step of the script that is due.
+    /// The next step of the script, if one is due.
     pub fn step(&mut self) -> Option<String> {
         let due = self.script.front()?.0;
         if self.start.elapsed().as_secs_f64() > due { self.script.pop_front().map(|(_, step)| step) } else { None }
     }
 
-    /// Writes what the window cost, and how the graph did meanwhile, when it is due.
+    /// Writes the window's costs and the graph's report, when they are due.
     pub fn measure(&mut self, ctx: &Context, costs: &Costs, session: &Session) {
         let Some((file, after)) = self.measure.clone() else { return };
         let seconds = self.start.elapsed().as_secs_f64();
@@ -89,7 +89,7 @@ impl Shot {
             match saved {
                 Some(Ok(())) => println!("{}", file.display()),
                 Some(Err(error)) => eprintln!("error: {} was not written: {error}", file.display()),
-                None => eprintln!("error: the window gave no picture"),
+                None => eprintln!("error: the window returned no screenshot"),
             }
             self.screenshot = None;
             ctx.send_viewport_cmd(egui::ViewportCommand::Close);
@@ -102,13 +102,13 @@ impl Shot {
     }
 }
 
-/// CPU time of the window's thread: drawing by egui and by the graphics driver included.
+/// CPU time of the window's thread, which includes drawing by egui and the graphics driver.
 #[derive(Clone, Debug)]
 pub struct Costs {
     start: Instant,
-    /// At the first frame that counts and at the last one, ms.
+    /// CPU time at the first measured frame and at the last one, ms.
     at_ms: (f64, f64),
-    /// Frames that count.
+    /// Number of measured frames.
     pub frames: u64,
 }
 
@@ -119,10 +119,10 @@ impl Default for Costs {
 }
 
 impl Costs {
-    /// Left out of what is measured: start-up, fonts, shaders, first textures.
+    /// Time before the measurement: start-up, fonts, shaders, first textures.
     const WARM_UP: Duration = Duration::from_secs(2);
 
-    /// To be called with every frame.
+    /// Counts a frame; call it once per frame.
     pub fn count_frame(&mut self) {
         let now_ms = thread_cpu_ms();
         if self.start.elapsed() < Self::WARM_UP {
@@ -132,7 +132,7 @@ impl Costs {
         }
     }
 
-    /// Mean per frame in ms, and frames so far.
+    /// Mean CPU time per frame in ms, and the number of measured frames.
     pub fn mean(&self) -> (f64, u64) {
         ((self.at_ms.1 - self.at_ms.0) / self.frames.max(1) as f64, self.frames)
     }
@@ -141,7 +141,7 @@ impl Costs {
 /// CPU time of this thread in ms.
 fn thread_cpu_ms() -> f64 {
     let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: fills the struct that it is given.
-    let answer = unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &raw mut time) };
-    if answer == 0 { time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6 } else { 0.0 }
+    // SAFETY: `time` is a valid `timespec` for the call to write to.
+    let status = unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &raw mut time) };
+    if status == 0 { time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6 } else { 0.0 }
 }

@@ -1,15 +1,16 @@
-//! Ctrl-C, SIGTERM and SIGHUP close the window as a click on its corner does, with all files finished.
+//! Makes Ctrl-C, SIGTERM and SIGHUP close the window normally, so that all files are finished.
 
 use eframe::egui::{Context, ViewportCommand};
 use panoscope_engine::ending::signals;
 
-/// Closes the window when a signal asks for it. Whoever closes the session says [`signals::notice`]; a window that does not is not waited for.
+/// Closes the window when a signal arrives. The window calls [`signals::notice`] before it closes its session; the process does not wait for
+/// a window that does not.
 pub fn close_on_signals(ctx: &Context) {
     let ctx = ctx.clone();
-    let tell = move || {
+    let close = move || {
         ctx.send_viewport_cmd(ViewportCommand::Close);
         ctx.request_repaint();
     };
-    // Until the process leaves.
-    std::mem::forget(signals::telling(tell));
+    // Stays registered until the process exits.
+    std::mem::forget(signals::telling(close));
 }

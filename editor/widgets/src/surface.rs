@@ -1,67 +1,68 @@
-//! Surfaces under the hand: turned, moved, enlarged.
+//! Pointer and key control of the viewpoint on a surface: rotate, move, zoom.
 
 use eframe::egui::{InputState, Key, Modifiers, PointerButton, Response, Ui};
 
 use crate::ARROWS;
-use panoscope_editor_model::surface::Sight;
+use panoscope_editor_model::surface::Viewpoint;
 
-/// Smallest and largest size.
+/// Smallest and largest magnification.
 const ZOOM: std::ops::RangeInclusive<f32> = 0.05..=12.0;
-/// Farthest turn from above or below, radians.
+/// Maximum rotation upwards and downwards, radians.
 const PITCH: f32 = 1.5;
 
-/// A drag turns a surface, one with the right or middle button or with Shift moves it, the wheel and two fingers enlarge it, a double click puts
-/// it back. `turn` is in radians per point.
-pub fn steer(ui: &Ui, response: &Response, sight: &mut Sight, turn: f32) {
+/// A drag rotates a surface; a drag with Shift or with another button moves it; the wheel and two fingers zoom; a double click resets the
+/// viewpoint. `turn` is in radians per point.
+pub fn steer(ui: &Ui, response: &Response, viewpoint: &mut Viewpoint, turn: f32) {
     let drag = response.drag_delta();
     let shift = ui.input(|i| i.modifiers.shift);
     if response.dragged_by(PointerButton::Primary) && !shift {
-        sight.yaw -= drag.x * turn;
-        sight.pitch = (sight.pitch + drag.y * turn).clamp(-PITCH, PITCH);
+        viewpoint.yaw -= drag.x * turn;
+        viewpoint.pitch = (viewpoint.pitch + drag.y * turn).clamp(-PITCH, PITCH);
     } else if response.dragged() {
         let width = response.rect.width().max(1.0);
-        sight.shift = [sight.shift[0] + drag.x / width, sight.shift[1] + drag.y / width];
+        viewpoint.shift = [viewpoint.shift[0] + drag.x / width, viewpoint.shift[1] + drag.y / width];
     }
     if response.hovered() {
         let (scroll, pinch) = ui.input(|i| (i.smooth_scroll_delta().y, i.zoom_delta()));
-        sight.zoom = (sight.zoom * pinch * (scroll * 0.002).exp()).clamp(*ZOOM.start(), *ZOOM.end());
+        viewpoint.zoom = (viewpoint.zoom * pinch * (scroll * 0.002).exp()).clamp(*ZOOM.start(), *ZOOM.end());
     }
     if response.double_clicked() {
-        put_back(sight);
+        reset(viewpoint);
     }
 }
 
-/// Radians of one press of an arrow key, and part of the picture's width that it moves with Shift.
+/// Rotation by one press of an arrow key, radians.
 const KEY_TURN: f32 = 0.06;
+/// Movement by one press of Shift and an arrow key, as a fraction of the image's width.
 const KEY_SHIFT: f32 = 0.02;
-/// Steps of enlarging in an octave.
+/// Number of zoom steps that double the size.
 const KEY_ZOOM: f32 = 6.0;
 
-/// Enlarges by steps, or makes smaller.
-pub fn zoom_by(sight: &mut Sight, steps: f32) {
-    sight.zoom = (sight.zoom * (steps / KEY_ZOOM).exp2()).clamp(*ZOOM.start(), *ZOOM.end());
+/// Zooms in by a number of steps, or out when it is negative.
+pub fn zoom_by(viewpoint: &mut Viewpoint, steps: f32) {
+    viewpoint.zoom = (viewpoint.zoom * (steps / KEY_ZOOM).exp2()).clamp(*ZOOM.start(), *ZOOM.end());
 }
 
-/// The same by keys: arrows turn, with Shift they move, + and - enlarge, Home puts back.
-pub fn steer_by_key(input: &mut InputState, sight: &mut Sight) {
+/// Key control: arrows rotate, Shift and arrows move, + and - zoom, Home resets the viewpoint.
+pub fn steer_by_key(input: &mut InputState, viewpoint: &mut Viewpoint) {
     for (key, [x, y]) in ARROWS {
         let moved = input.count_and_consume_key(Modifiers::SHIFT, key) as f32 * KEY_SHIFT;
-        sight.shift = [sight.shift[0] + x * moved, sight.shift[1] + y * moved];
+        viewpoint.shift = [viewpoint.shift[0] + x * moved, viewpoint.shift[1] + y * moved];
         let turned = input.count_and_consume_key(Modifiers::NONE, key) as f32 * KEY_TURN;
-        sight.yaw -= x * turned;
-        sight.pitch = (sight.pitch + y * turned).clamp(-PITCH, PITCH);
+        viewpoint.yaw -= x * turned;
+        viewpoint.pitch = (viewpoint.pitch + y * turned).clamp(-PITCH, PITCH);
     }
     for (key, steps) in [(Key::Plus, 1.0), (Key::Equals, 1.0), (Key::Minus, -1.0)] {
-        zoom_by(sight, steps * input.count_and_consume_key(Modifiers::NONE, key) as f32);
+        zoom_by(viewpoint, steps * input.count_and_consume_key(Modifiers::NONE, key) as f32);
     }
     if input.consume_key(Modifiers::NONE, Key::Home) {
-        put_back(sight);
+        reset(viewpoint);
     }
 }
 
-/// As it is seen at first, with the same cuts.
-fn put_back(sight: &mut Sight) {
-    *sight = Sight { size_px: sight.size_px, clip_mm: sight.clip_mm, ..Sight::default() };
+/// Resets the viewpoint but keeps the depth range.
+fn reset(viewpoint: &mut Viewpoint) {
+    *viewpoint = Viewpoint { size_px: viewpoint.size_px, clip_mm: viewpoint.clip_mm, ..Viewpoint::default() };
 }
 
 #[cfg(test)]
@@ -72,14 +73,14 @@ mod tests {
     #[test]
     fn keys_turn_move_enlarge_and_put_back() {
         let clip_mm = [20.0, 90.0];
-        let mut sight = Sight { clip_mm, ..Sight::default() };
-        let start = sight;
+        let mut viewpoint = Viewpoint { clip_mm, ..Viewpoint::default() };
+        let start = viewpoint;
         let mut press = |modifiers, key| {
             let event = Event::Key { key, physical_key: None, pressed: true, repeat: false, modifiers };
             let mut input = InputState::default();
             input.events.push(event);
-            steer_by_key(&mut input, &mut sight);
-            sight
+            steer_by_key(&mut input, &mut viewpoint);
+            viewpoint
         };
         assert!(press(Modifiers::NONE, Key::ArrowLeft).yaw > start.yaw);
         let moved = press(Modifiers::SHIFT, Key::ArrowDown);

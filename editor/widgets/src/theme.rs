@@ -1,5 +1,5 @@
-//! Colours, sizes and distances. Dark and calm: one accent; hues after Okabe and Ito ("Color Universal Design"), moved until eyes of every kind tell
-//! them apart: see the test below.
+//! Colours, sizes and distances of both windows. The hues follow Okabe and Ito ("Color Universal Design"), adjusted so that people with any
+//! kind of colour vision can distinguish them; see the test below.
 
 use eframe::egui::{
     Color32, Context, CornerRadius, FontFamily, FontId, Margin, Shadow, Stroke, TextStyle, Theme, Vec2,
@@ -10,35 +10,35 @@ const fn rgb(hex: u32) -> Color32 {
     Color32::from_rgb((hex >> 16) as u8, (hex >> 8) as u8, hex as u8)
 }
 
-/// Behind everything.
+/// Background of the window.
 pub const GROUND: Color32 = rgb(0x12151A);
-/// Panels.
+/// Background of panels.
 pub const PANEL: Color32 = rgb(0x181C22);
-/// Nodes and raised things.
+/// Background of nodes and buttons.
 pub const RAISED: Color32 = rgb(0x20262E);
-/// Fields and pictures without a picture.
+/// Background of fields and of empty previews.
 pub const SUNK: Color32 = rgb(0x0D1014);
-/// Around surfaces, which are painted on this.
+/// Background of rendered surfaces.
 pub const SURFACE: Color32 = Color32::from_gray(18);
-/// Thin lines.
+/// Borders and grid points.
 pub const LINE: Color32 = rgb(0x2E3640);
-/// Text.
+/// Normal text.
 pub const TEXT: Color32 = rgb(0xDCE2EA);
-/// Text that can wait.
+/// Less important text.
 pub const MUTED: Color32 = rgb(0x8D98A7);
 /// The accent: selection, focus, values that differ from the file.
 pub const ACCENT: Color32 = rgb(0x56B4E9);
-/// Something is wrong now.
+/// A current fault.
 pub const FAULT: Color32 = rgb(0xEE7733);
-/// Something was wrong, or may be.
+/// A past or possible fault.
 pub const WARN: Color32 = rgb(0xE6C229);
 
-/// Behind pictures in the theatre.
+/// Background of the theatre.
 pub const BLACK: Color32 = rgb(0x06080A);
-/// All is well and goes on.
+/// Normal, live operation.
 pub const LIVE: Color32 = rgb(0x43C6A0);
 
-/// One step of the grid that all distances are multiples of, in points.
+/// Unit of all distances, in points.
 pub const STEP: f32 = 4.0;
 
 /// Colour of a family of nodes.
@@ -56,7 +56,7 @@ pub fn family(name: &str) -> Color32 {
     }
 }
 
-/// Colour of a class of things that are found, or of a curve: eight that colour-blind eyes tell apart, then the same again.
+/// Colour of a detection class or of a curve: eight colours that colour-blind people can distinguish, then the same again.
 pub fn class(index: u32) -> Color32 {
     const COLORS: [Color32; 8] = [
         rgb(0x56B4E9),
@@ -71,7 +71,7 @@ pub fn class(index: u32) -> Color32 {
     COLORS[index as usize % COLORS.len()]
 }
 
-/// Colour of what flows through a pin.
+/// Colour of a packet type's pins and wires.
 pub fn packet(name: &str) -> Color32 {
     match name {
         "image" | "mask" => rgb(0x6CC8F5),
@@ -83,16 +83,16 @@ pub fn packet(name: &str) -> Color32 {
     }
 }
 
-/// Shape of a pin, so that colour is not the only sign.
+/// Shape of a pin; makes packet types distinguishable without colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PinShape {
-    /// Pictures.
+    /// Images and other packets.
     Circle,
     /// Maps of numbers.
     Square,
     /// Geometry.
     Diamond,
-    /// Things found, and clouds.
+    /// Detections and clouds.
     Triangle,
 }
 
@@ -106,7 +106,7 @@ pub fn pin_shape(name: &str) -> PinShape {
     }
 }
 
-/// From calm to hot, for the heat map; `share` 0..=1.
+/// Colour of the heat map for a load `share` of 0 to 1.
 pub fn heat(share: f32) -> Color32 {
     let stops = [rgb(0x20262E), rgb(0x413A2C), rgb(0x6B4A22), rgb(0x9A4A1C)];
     let x = share.clamp(0.0, 1.0) * (stops.len() - 1) as f32;
@@ -182,7 +182,7 @@ pub fn apply(ctx: &Context) {
     });
 }
 
-/// What the theatre has larger and darker.
+/// Changes the style for the theatre: darker, no tooltips, no animations.
 pub fn apply_theatre(ctx: &Context) {
     ctx.style_mut_of(Theme::Dark, |style| {
         style.visuals.panel_fill = BLACK;
@@ -195,8 +195,8 @@ pub fn apply_theatre(ctx: &Context) {
 mod tests {
     use super::*;
 
-    /// What eyes without one kind of cones make of linear red, green and blue: Machado, Oliveira and Fernandes, "A Physiologically-based Model for
-    /// Simulation of Color Vision Deficiency", 2009, severity 1; first the usual eye.
+    /// Transforms of linear RGB that simulate colour vision deficiencies: Machado, Oliveira and Fernandes, "A Physiologically-based Model for
+    /// Simulation of Color Vision Deficiency", 2009, severity 1. The first one is normal vision.
     const EYES: [(&str, [[f32; 3]; 3]); 4] = [
         ("usual", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
         (
@@ -234,7 +234,7 @@ mod tests {
         lab(eye.map(|row| row.iter().zip(light).map(|(a, b)| a * b).sum::<f32>().clamp(0.0, 1.0)))
     }
 
-    /// Least difference of two colours of a set for any eye; about 2.3 can just be seen side by side.
+    /// Smallest difference of two colours of a set over all kinds of vision; about 2.3 is just noticeable.
     fn least(colors: &[Color32]) -> f32 {
         let mut least = f32::MAX;
         for (_, eye) in &EYES {
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn every_eye_tells_the_colours_apart() {
+    fn colours_are_distinguishable_with_any_colour_vision() {
         let families = ["source", "stitch", "stereo", "tools", "arm", "filter", "sink", "unknown", "other"].map(family);
         let classes: Vec<Color32> = (0..8).map(class).collect();
         let packets = ["image", "depth", "cloud", "pose", "tip", "text"].map(packet);
@@ -266,12 +266,12 @@ mod tests {
         {
             assert!(least(colors) > apart, "{name}: {}", least(colors));
         }
-        // What is well, what was wrong, what is wrong: the same eyes, more apart.
+        // Normal, past fault and current fault must differ more.
         assert!(least(&[LIVE, WARN, FAULT]) > 18.0, "{}", least(&[LIVE, WARN, FAULT]));
     }
 
     #[test]
-    fn words_and_marks_stand_out_from_what_is_behind_them() {
+    fn texts_and_marks_have_enough_contrast() {
         for ground in [GROUND, PANEL, RAISED, BLACK, SUNK] {
             for text in [TEXT, MUTED, ACCENT, FAULT, WARN] {
                 assert!(contrast(text, ground) > 4.5, "{text:?} on {ground:?}: {}", contrast(text, ground));

@@ -13,77 +13,79 @@ use crate::joints::{angles, arm_of, check_arm, packet};
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The tip to follow, in the left rectified camera's frame. Empty: nothing is asked for.
+    /// The tip to follow, in the left rectified camera's frame, mm. Empty: no velocities are requested.
     tip: Option<Value<'f, Tip>>,
-    /// Angles of the arm when the picture was taken: the driver's `joints`, with `delay = 1`.
+    /// Joint angles when the picture was taken: the driver's `joints`, wired with `delay = 1`.
     joints: Option<Value<'f, Joints>>,
-    /// The driver's newest set-points, with `delay = 1`: what is on its way is then taken into account.
+    /// The driver's newest set-points, wired with `delay = 1`. With them the controller takes set-points into account that the arm has not reached
+    /// yet.
     setpoint: Option<Value<'f, Joints>>,
-    /// Calibration of the rectified views; without it `focal_px` and `baseline_mm` hold.
+    /// Calibration of the rectified views; without it `focal_px` and `baseline_mm` are used.
     calibration: Option<Value<'f, Calibration>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Joint velocities to ask for; angles are where the arm is now. Empty without a tip.
+    /// Requested joint velocities (rad/s), with the present joint angles (rad). Empty without a tip.
     joints: Slot<'f, Joints>,
-    /// One row per tick with a tip: errors, the tip's movement in the room, how near to a singular pose.
+    /// One row per tick with a tip: errors in px, mm and percent, speed of the tip (mm/s), largest requested velocity (rad/s), distance from a
+    /// singular pose, share of the limits used, score.
     table: Slot<'f, TableData>,
 }
 
 /// Parameters. `panoscope tune` finds gains for an arm and writes them as these.
 #[derive(Params)]
 pub struct PidParams {
-    /// The arm, a URDF file; empty takes the one that ships. The driver needs the same.
+    /// URDF file of the arm; empty takes the arm that comes with the plugin. The driver must use the same.
     #[param(default = "", reopen)]
     arm: PathBuf,
     /// Distance of the tip from the left camera.
     #[param(default = 66.0, range = 30.0..=120.0, step = 1.0, unit = "mm")]
     distance_mm: f64,
-    /// Proportional gain, 1/s, of the tip's place in the picture.
+    /// Proportional gain of the tip's position in the picture, 1/s.
     #[param(default = 6.0, range = 0.0..=20.0, step = 0.1)]
     picture_p: f64,
-    /// Integral gain, 1/s^2, of the tip's place in the picture.
+    /// Integral gain of the tip's position in the picture, 1/s^2.
     #[param(default = 0.2, range = 0.0..=10.0, step = 0.05)]
     picture_i: f64,
-    /// Derivative gain of the tip's place in the picture, of the measured place: a new goal does not kick.
+    /// Derivative gain of the tip's measured position in the picture: a new goal causes no kick.
     #[param(default = 0.2, range = 0.0..=1.0, step = 0.01)]
     picture_d: f64,
-    /// Proportional gain, 1/s, of the distance.
+    /// Proportional gain of the distance, 1/s.
     #[param(default = 6.0, range = 0.0..=20.0, step = 0.1)]
     distance_p: f64,
-    /// Integral gain, 1/s^2, of the distance.
+    /// Integral gain of the distance, 1/s^2.
     #[param(default = 0.2, range = 0.0..=10.0, step = 0.05)]
     distance_i: f64,
-    /// Derivative gain of the distance, of the measured one.
+    /// Derivative gain of the measured distance.
     #[param(default = 0.2, range = 0.0..=1.0, step = 0.01)]
     distance_d: f64,
-    /// Time constant of the derivatives' filter, a first-order low-pass: what is faster counts as noise.
+    /// Time constant of the low-pass filter of the derivatives.
     #[param(default = 0.08, range = 0.0..=1.0, step = 0.01, unit = "s")]
     filter_s: f64,
-    /// Share of the tip's own movement that is fed forward.
+    /// Share of the tip's own velocity that is fed forward.
     #[param(default = 1.0, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
     feed_forward: f64,
-    /// Errors in the picture that are left alone, at 640 columns.
+    /// Dead zone of the error in the picture, for 640 columns.
     #[param(default = 2.0, range = 0.0..=50.0, step = 0.5, unit = "px")]
     dead_zone_px: f64,
-    /// Errors of the distance that are left alone.
+    /// Dead zone of the error of the distance.
     #[param(default = 0.2, range = 0.0..=10.0, step = 0.1, unit = "mm")]
     dead_zone_mm: f64,
-    /// Time from set-point to movement.
+    /// Time from a set-point to the movement.
     #[param(default = 0.045, range = 0.0..=0.5, step = 0.005, unit = "s")]
     latency_s: f64,
-    /// How hard tools are thought to accelerate: higher follows faster and is less smooth; mm/s^2.
+    /// Standard deviation of the tip's unknown acceleration, mm/s^2. Higher values follow faster and are less smooth.
     #[param(default = 80.0, range = 1.0..=5000.0, step = 1.0)]
     tip_acceleration: f64,
     /// Lowest score of a tip that is followed.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f64,
-    /// Focal length where no calibration is connected.
+    /// Focal length when no calibration is connected.
     #[param(default = 750.0, range = 10.0..=20000.0, step = 1.0, unit = "px")]
     focal_px: f64,
-    /// Distance of the cameras where no calibration is connected.
+    /// Distance of the cameras when no calibration is connected.
     #[param(default = 15.0, range = 1.0..=100.0, step = 0.5, unit = "mm")]
     baseline_mm: f64,
 }
@@ -149,7 +151,7 @@ impl Node for ArmPid {
     const INFO: NodeInfo = NodeInfo::compute(
         "arm_pid",
         "arm",
-        "Asks for joint velocities that bring the tip to the centre of the shared picture and to its distance, about the trocar.",
+        "Requests joint velocities about the trocar that bring the tip to the centre of the shared picture and to its distance.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;

@@ -4,70 +4,46 @@ use std::path::PathBuf;
 
 use nalgebra::Vector3;
 use panoscope_arm_core::dynamics::{Quality, SimArm};
-use panoscope_arm_core::interlock::{Cause, Place};
+use panoscope_arm_core::interlock::{Cause, TubePose};
 use panoscope_arm_core::{Chain, Interlock, JOINTS, JointVector};
-use panoscope_node::abi::{Joints, Pose, Tip};
 use panoscope_node::{
-    Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation, Value, error,
+    Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation, error,
 };
 
+use crate::declared::{In, MotionOut, StopParams};
 use crate::guard::{self, Switches};
-use crate::joints::{arm_of, asked, camera_pose, check_arm, packet, tell_links};
-
-/// Inputs.
-#[derive(Ports)]
-pub struct In<'f> {
-    /// Joint velocities that are asked for.
-    joints: Option<Value<'f, Joints>>,
-    /// The tip that they follow, straight from the tracker: without a fresh one nothing moves.
-    tip: Option<Value<'f, Tip>>,
-}
+use crate::joints::{arm_of, check_arm, requested};
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// What the encoders read.
-    joints: Slot<'f, Joints>,
-    /// The newest set-points: what the interlock let through.
-    setpoint: Slot<'f, Joints>,
-    /// Where the left camera really is, in the frame `scene`: where it is at home.
-    camera_pose: Slot<'f, Pose>,
-    /// Where the links join, one row per joint from the base to the camera, in the frame of `camera_pose`.
-    links: Slot<'f, TableData>,
-    /// One row per tick: state, cause of a stop, speeds, how the tube stands in the trocar.
+    #[ports(flatten)]
+    motion: MotionOut<'f>,
+    /// One row per tick: whether the arm follows, number of the stop's cause (0 for none), stops so far, largest joint speed, speed and acceleration
+    /// of the camera, distance of the tube from the trocar, its depth and its tilt.
     table: Slot<'f, TableData>,
-    /// The state in words.
+    /// State of the arm in words.
     text: Slot<'f, TextPacket>,
 }
 
 /// Parameters.
 #[derive(Params)]
 pub struct SimParams {
-    /// The arm, a URDF file; empty takes the one that ships.
+    /// URDF file of the arm; empty takes the arm that comes with the plugin.
     #[param(default = "", reopen)]
     arm: PathBuf,
-    /// Stops the arm; it stays stopped when this is let go, until `reset` changes.
-    #[param(default = false)]
-    emergency_stop: bool,
-    /// Another number than before lets a latched stop go.
-    #[param(default = 0, range = 0..=1_000_000_000)]
-    reset: u64,
-    /// Oldest tip that is followed.
-    #[param(default = 150.0, range = 10.0..=300.0, step = 10.0, unit = "ms")]
-    max_age_ms: f64,
-    /// Lowest score of a tip that is followed; a tip that is only predicted loses score with time.
-    #[param(default = 0.3, range = 0.01..=1.0, step = 0.01, unit = "ratio")]
-    min_score: f64,
-    /// Time from a set-point to the motors hearing of it.
+    #[param(flatten)]
+    stop: StopParams,
+    /// Time from a set-point until the motors receive it.
     #[param(default = 50.0, range = 1.0..=500.0, step = 1.0, unit = "ms", reopen)]
     latency_ms: f64,
     /// Time constant of the motors.
     #[param(default = 15.0, range = 1.0..=500.0, step = 1.0, unit = "ms", reopen)]
     lag_ms: f64,
-    /// Play of each gear.
+    /// Backlash of each gear, full width.
     #[param(default = 0.0115, range = 0.0..=1.0, step = 0.0005, unit = "deg", reopen)]
     backlash_deg: f64,
-    /// Standard deviation of each encoder.
+    /// Standard deviation of each encoder's noise.
     #[param(default = 0.0012, range = 0.0..=0.1, step = 0.0001, unit = "deg", reopen)]
     encoder_noise_deg: f64,
 }
@@ -85,7 +61,7 @@ pub struct ArmSim {
     down: Vector3<f64>,
     switches: Switches,
     started: bool,
-    /// Pose of the tick before: its place, its velocity, and when.
+    /// The camera at the previous tick: position (mm), velocity (mm/s), time (ns).
     last: Option<(Vector3<f64>, Vector3<f64>, i64)>,
     words: String,
 }
@@ -122,7 +98,7 @@ impl Node for ArmSim {
     const INFO: NodeInfo = NodeInfo::compute(
         "arm_sim",
         "arm",
-        "A simulated six-axis arm behind the interlock: latency, lag, play of the gears, noise of the encoders.",
+        "A simulated six-axis arm behind the interlock, with latency, motor lag, gear backlash and encoder noise.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
@@ -142,20 +118,20 @@ impl Node for ArmSim {
             self.started = true;
             self.lock.start_clock(now_ns);
         }
-        self.lock.set(guard::settings(params.max_age_ms, params.min_score));
-        self.switches.obey(&mut self.lock, params.emergency_stop, params.reset);
+        self.lock.set(params.stop.settings());
+        self.switches.obey(&mut self.lock, params.stop.emergency_stop, params.stop.reset);
         let (lock, arm) = (&mut self.lock, &mut self.arm);
         lock.advance(now_ns, &mut |point| arm.step(point));
         if let Some(tip) = &input.tip {
             lock.tip(tip.tick().capture_ns, guard::evidence(tip));
         }
         if let Some(joints) = &input.joints {
-            lock.demand(now_ns, asked(joints));
+            lock.demand(now_ns, requested(joints));
         }
-        guard::tell(cx, lock);
+        guard::log_events(cx, lock);
 
         let stance = lock.chain().stance(arm.links());
-        let place = Place::of(lock.chain(), &stance, &self.down);
+        let tube = TubePose::of(lock.chain(), &stance, &self.down);
         let pose = self.home.inverse() * stance.base_from_camera;
         let at = pose.translation.vector;
         let (velocity, acceleration) = match self.last {
@@ -167,14 +143,10 @@ impl Node for ArmSim {
             _ => (Vector3::zeros(), Vector3::zeros()),
         };
         self.last = Some((at, velocity, now_ns));
-        out.camera_pose.set(camera_pose(&pose))?;
-        if out.links.is_read() {
-            tell_links(&mut out.links, &stance, &self.home)?;
-        }
-        out.joints.set(packet(&arm.encoders(|| cx.random()), arm.velocities()))?;
-        out.setpoint.set(packet(&lock.set_point().position, &lock.set_point().velocity))?;
+        let (encoders, point) = (arm.encoders(|| cx.random()), lock.set_point());
+        out.motion.set(&stance, &self.home, (&encoders, arm.velocities()), (&point.position, &point.velocity))?;
         let stop = lock.stopped();
-        cx.metric("pivot_mm", place.pivot_mm);
+        cx.metric("pivot_mm", tube.pivot_mm);
         cx.metric("stops", lock.stops() as f64);
         if out.text.is_read() {
             guard::words(stop, lock.latched().is_some(), &mut self.words);
@@ -186,15 +158,15 @@ impl Node for ArmSim {
             lock.stops() as f64,
             arm.velocities().amax(),
             velocity.norm(),
-            place.pivot_mm,
-            place.depth_mm,
-            place.tilt_rad.to_degrees(),
+            tube.pivot_mm,
+            tube.depth_mm,
+            tube.tilt_rad.to_degrees(),
             acceleration.norm(),
         ];
         out.table.set_table(&COLUMNS, &row)
     }
 
-    /// Angles, and the cause of a latched stop: a replacement must not let go what a person stopped.
+    /// Angles, and the cause of a latched stop: a replacement must not release a stop that a person latched.
     fn save_state(&self) -> Option<Vec<u8>> {
         let latched = self.lock.latched().map_or(0, |cause| cause.number() as u64);
         let words = self.lock.set_point().position.iter().map(|v| v.to_bits()).chain([latched]);

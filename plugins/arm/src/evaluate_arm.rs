@@ -1,4 +1,4 @@
-//! `evaluate_arm`: how well an arm keeps a tip that is known exactly: one row per tick since the start.
+//! `evaluate_arm`: errors of an arm that follows an exactly known tip, one row per tick since the start.
 
 use nalgebra::Vector3;
 use panoscope_arm_core::control::{Eyes, errors, goal_mm};
@@ -8,11 +8,11 @@ use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot,
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The true tip, wherever it is; score 0 while it is hidden or outside the picture (`lead` of the phantom).
+    /// The true tip (`lead` of the phantom), mm; score 0 while it is hidden or outside the picture.
     tip: Option<Value<'f, Tip>>,
     /// Table of the arm's driver.
     arm: Option<Table<'f>>,
-    /// Table of the `tip_track` that steers the arm: whether the tip was seen or only predicted, and how far off it was.
+    /// Table of the `tip_track` that controls the arm, for the time since the tip was seen and the tracker's error.
     track: Option<Table<'f>>,
     /// Calibration of the rectified views.
     calibration: Value<'f, Calibration>,
@@ -30,10 +30,10 @@ pub struct Out<'f> {
 /// Parameters.
 #[derive(Params)]
 pub struct JudgeParams {
-    /// Distance of the tip from the left camera that is asked for.
+    /// Requested distance of the tip from the left camera.
     #[param(default = 66.0, range = 30.0..=120.0, step = 1.0, unit = "mm")]
     distance_mm: f64,
-    /// Tool that is followed; tips of others are not judged. -1 judges all.
+    /// Number of the tool that is followed; tips of other tools are not evaluated. -1 evaluates all.
     #[param(default = -1, range = -1..=1_000_000_000)]
     track_id: i64,
 }
@@ -55,7 +55,7 @@ pub const COLUMNS: [&str; 13] = [
     "track_off_mm",
 ];
 
-/// Columns that are taken over.
+/// Columns that are copied from the arm's table.
 const OF_THE_ARM: std::ops::Range<usize> = 6..10;
 
 /// See the module.
@@ -66,7 +66,7 @@ pub struct EvaluateArm {
 
 impl Node for EvaluateArm {
     const INFO: NodeInfo =
-        NodeInfo::compute("evaluate_arm", "arm", "Judges how well an arm keeps a tip that is known exactly.");
+        NodeInfo::compute("evaluate_arm", "arm", "Evaluates how well an arm follows an exactly known tip.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = JudgeParams;

@@ -1,18 +1,18 @@
-//! What both drivers do with the interlock: tell it what arrived, let latched stops go, say why it stopped.
+//! What both drivers do with the interlock: hand it tips, latch and release stops, report why it stopped.
 
 use panoscope_arm_core::Interlock;
-use panoscope_arm_core::interlock::{Cause, Evidence, Settings};
+use panoscope_arm_core::interlock::{Cause, Evidence};
 use panoscope_node::Context;
 use panoscope_node::abi::Tip;
 
-/// Switches of a driver that latch and let go.
+/// Latches and releases stops as a driver's parameters ask.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Switches {
     reset: Option<u64>,
 }
 
 impl Switches {
-    /// Obeys `emergency_stop`, and `reset` when its number changes while nothing is pressed.
+    /// Latches while `emergency_stop` is on; releases when `reset` changes while it is off.
     pub fn obey(&mut self, lock: &mut Interlock, emergency_stop: bool, reset: u64) {
         let is_new = self.reset.replace(reset).is_some_and(|old| old != reset);
         if emergency_stop {
@@ -23,17 +23,12 @@ impl Switches {
     }
 }
 
-/// Settings from a driver's parameters.
-pub fn settings(max_age_ms: f64, min_score: f64) -> Settings {
-    Settings { max_age_ms, min_score }
-}
-
-/// What a tip proves.
+/// What the interlock needs to know of a tip.
 pub fn evidence(tip: &Tip) -> Evidence {
     Evidence { score: tip.score, in_space: tip.xyz_valid == 1 && tip.xyz_mm.iter().all(|v| v.is_finite()) }
 }
 
-/// The state in words, for pictures and files, written over what stood in `text`.
+/// Writes the state in words to `text`, in place of its contents.
 pub fn words(stop: Option<Cause>, latched: bool, text: &mut String) {
     text.clear();
     text.push_str(match stop {
@@ -45,7 +40,7 @@ pub fn words(stop: Option<Cause>, latched: bool, text: &mut String) {
 }
 
 /// Writes events to the host's log: stops as warnings.
-pub fn tell(cx: &Context<'_>, lock: &mut Interlock) {
+pub fn log_events(cx: &Context<'_>, lock: &mut Interlock) {
     while let Some(event) = lock.take_event() {
         if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) }
     }

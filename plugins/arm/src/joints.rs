@@ -1,4 +1,4 @@
-//! Between packets and the mathematics.
+//! Packets of joints and poses to and from the types of `panoscope_arm_core`.
 
 use std::path::Path;
 
@@ -8,10 +8,10 @@ use panoscope_arm_core::{Chain, JOINTS, JointVector};
 use panoscope_node::abi::{Joints, LINK_COLUMNS, MAX_JOINTS, Pose};
 use panoscope_node::{Result, Slot, TableData, Validation, error, name16};
 
-/// The arm of a file, or the one that ships where none is named.
+/// The arm that a URDF file describes, or the arm that comes with the plugin when `file` is empty.
 ///
 /// # Errors
-/// A file that cannot be read, or holds no arm of six axes.
+/// The file cannot be read, or holds no arm of six axes.
 pub fn arm_of(file: &Path) -> Result<Chain> {
     if file.as_os_str().is_empty() {
         return Ok(Chain::shipped()?);
@@ -23,14 +23,18 @@ pub fn arm_of(file: &Path) -> Result<Chain> {
 /// Reports an arm that [`arm_of`] refuses.
 pub fn check_arm(check: &mut Validation<'_>, file: &Path) {
     if let Err(error) = arm_of(file) {
-        check.error("arm", error.message(), "name a URDF file of six axes, or leave it empty for the arm that ships");
+        check.error(
+            "arm",
+            error.message(),
+            "name a URDF file of six axes, or leave it empty for the arm that comes with the plugin",
+        );
     }
 }
 
 /// Angles of a packet, in rad.
 ///
 /// # Errors
-/// A packet of another number of joints.
+/// The packet has another number of joints.
 pub fn angles(packet: &Joints) -> Result<JointVector> {
     if packet.count as usize != JOINTS {
         return Err(error!("joints of {} axes arrived, the arm has {JOINTS}", packet.count));
@@ -51,7 +55,7 @@ pub fn packet(position_rad: &JointVector, velocity_rad_s: &JointVector) -> Joint
     out
 }
 
-/// Where the left camera stands in the frame `scene`, that of the camera at home.
+/// Pose of the left camera in the frame `scene`, the camera's pose at joint angles of 0.
 pub fn camera_pose(scene_from_camera: &Isometry3<f64>) -> Pose {
     let (q, at) = (scene_from_camera.rotation, scene_from_camera.translation.vector);
     Pose {
@@ -62,11 +66,11 @@ pub fn camera_pose(scene_from_camera: &Isometry3<f64>) -> Pose {
     }
 }
 
-/// Tells where the links join, in the frame of [`camera_pose`].
+/// Sets the positions of the joints, mm, in the frame of [`camera_pose`].
 ///
 /// # Errors
-/// The host gave no memory.
-pub fn tell_links(slot: &mut Slot<'_, TableData>, stance: &Stance, base_from_scene: &Isometry3<f64>) -> Result<()> {
+/// The host has no memory.
+pub fn set_links(slot: &mut Slot<'_, TableData>, stance: &Stance, base_from_scene: &Isometry3<f64>) -> Result<()> {
     let mut values = [0.0; LINK_POINTS * LINK_COLUMNS.len()];
     for (row, place) in values.chunks_exact_mut(LINK_COLUMNS.len()).zip(stance.links()) {
         row.copy_from_slice(base_from_scene.inverse_transform_point(&place).coords.as_slice());
@@ -74,7 +78,7 @@ pub fn tell_links(slot: &mut Slot<'_, TableData>, stance: &Stance, base_from_sce
     slot.set_table(&LINK_COLUMNS, &values)
 }
 
-/// The speeds of a packet as far as it says it has any: a packet that lies about its length asks for nothing sensible, and is refused later.
-pub fn asked(packet: &Joints) -> &[f64] {
+/// The requested velocities of a packet, rad/s, as many as it states. A packet with a wrong count is refused by the interlock.
+pub fn requested(packet: &Joints) -> &[f64] {
     &packet.velocity_rad_s[..(packet.count as usize).min(MAX_JOINTS)]
 }

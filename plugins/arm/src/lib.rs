@@ -1,4 +1,4 @@
-//! The arm that holds the scope: `arm_pid` asks for joint velocities that keep the leading tool's tip at the centre and at its distance
+//! The arm that holds the scope: `arm_pid` requests joint velocities that keep the leading tool's tip at the centre and at its distance
 //! (thesis, chapter 6), `arm_sim` is a simulated arm behind the interlock, `arm_serial` a real one on a serial line.
 //!
 //! Safety. The interlock ([`panoscope_arm_core::interlock`]) sits in the drivers, after the last wire of the graph: no controller, parameter or edit can
@@ -8,6 +8,7 @@
 
 pub mod arm_pid;
 pub mod arm_sim;
+pub mod declared;
 pub mod evaluate_arm;
 pub mod guard;
 pub mod joints;

@@ -134,10 +134,10 @@ fn doubtful_and_vanished_tips_stop_the_arm_and_say_so() -> Result<(), HarnessErr
             last = (pair.tick(then)?.0, last.0);
         }
         assert!(last.0.iter().zip(last.1).all(|(a, b)| (a - b).abs() < 1e-9), "{last:?}");
-        let told: Vec<&str> =
+        let lines: Vec<&str> =
             pair.arm.logs().iter().filter(|l| l.level == Level::Warn).map(|l| l.message.as_str()).collect();
         // The controller is silent first: that is the cause that is found first where the tip is gone.
-        assert!(told.len() == 1 && (told[0].contains(words) || told[0].contains("control loop")), "{told:?}");
+        assert!(lines.len() == 1 && (lines[0].contains(words) || lines[0].contains("control loop")), "{lines:?}");
     }
     Ok(())
 }

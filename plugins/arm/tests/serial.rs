@@ -80,8 +80,8 @@ fn serve(mut line: File, mode: &AtomicU8, seen: &Mutex<Seen>) {
         // Nobody has opened the other end yet, or nothing was sent.
         let count = line.read(&mut buffer).unwrap_or(0);
         let mut answers = Vec::new();
-        reader.take(&buffer[..count], |told| {
-            let seq = match told {
+        reader.take(&buffer[..count], |line| {
+            let seq = match line {
                 Some(Line::Hello { seq }) => seq,
                 Some(Line::Clear { seq }) => {
                     (ready, moving) = (true, false);
@@ -173,7 +173,7 @@ fn moving(device: &Device, node: &mut Harness<ArmSerial>, reset: &mut u64) -> Re
     panic!("the arm never moved: {:?}", node.logs());
 }
 
-fn told(node: &Harness<ArmSerial>, words: &str) -> bool {
+fn is_logged(node: &Harness<ArmSerial>, words: &str) -> bool {
     node.logs().iter().any(|line| line.level == Level::Warn && line.message.contains(words))
 }
 
@@ -190,7 +190,7 @@ fn set_points_come_and_end_when_the_graph_stalls() -> Result<(), HarnessError> {
     assert_eq!(device.seen.lock().expect("whole").set_points.len(), count, "no set-point any more");
     drive(&mut node, false, 1.0, |_| true)?;
     let causes = [Cause::LoopStalled, Cause::OldTip, Cause::Stalled];
-    assert!(causes.iter().any(|cause| told(&node, cause.words())), "{:?}", node.logs());
+    assert!(causes.iter().any(|cause| is_logged(&node, cause.words())), "{:?}", node.logs());
     assert!(at[5] > 0.01 && at.iter().enumerate().all(|(k, v)| k == 5 || v.abs() < 1e-9), "{at}");
     // No step of the set-points was larger than the speed allows.
     let seen = device.seen.lock().expect("whole");
@@ -220,7 +220,7 @@ fn every_fault_of_the_line_stops_the_arm_and_is_said() -> Result<(), HarnessErro
             let still = drive(&mut node, true, 0.5, |words| !words.contains("STOPPED"))?;
             // Latched: asking on does not help.
             assert!(!still, "{cause:?} does not latch");
-            said = told(&node, cause.words());
+            said = is_logged(&node, cause.words());
             if said {
                 break;
             }

@@ -2,6 +2,41 @@
 
 use panoscope_node::Rect;
 
+/// Why a picture cannot be cropped.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum CropError {
+    /// The crop reaches beyond the picture.
+    #[error("the crop {width}x{height} at ({x}, {y}) leaves the picture of {picture_width}x{picture_height}")]
+    Leaves {
+        /// Left edge of the crop, px.
+        x: usize,
+        /// Upper edge of the crop, px.
+        y: usize,
+        /// Columns of the crop, px.
+        width: usize,
+        /// Rows of the crop, px.
+        height: usize,
+        /// Columns of the picture, px.
+        picture_width: usize,
+        /// Rows of the picture, px.
+        picture_height: usize,
+    },
+    /// A number is negative, no whole number, or too large for any picture.
+    #[error("the crop {crop:?} must be whole numbers of px from 0 on: x, y, width, height")]
+    NotWhole {
+        /// As given.
+        crop: [f64; 4],
+    },
+    /// The list has neither four numbers nor four for each view.
+    #[error("`crop` has {count} numbers: give x, y, width, height once for all views or once for each of the {views}")]
+    Count {
+        /// Numbers given.
+        count: usize,
+        /// Views of the node.
+        views: usize,
+    },
+}
+
 /// How one source holds two views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Halves {
@@ -26,15 +61,13 @@ impl Halves {
 ///
 /// # Errors
 /// When the numbers are not whole, or the part leaves the picture.
-pub fn part(picture: Rect, crop: [f64; 4]) -> Result<Rect, String> {
+pub fn part(picture: Rect, crop: [f64; 4]) -> Result<Rect, CropError> {
     let [x, y, width, height] = whole_numbers(crop)?;
     let width = if width == 0 { picture.width.saturating_sub(x) } else { width };
     let height = if height == 0 { picture.height.saturating_sub(y) } else { height };
     if width == 0 || height == 0 || x + width > picture.width || y + height > picture.height {
-        return Err(format!(
-            "the crop {width}x{height} at ({x}, {y}) leaves the picture of {}x{}",
-            picture.width, picture.height
-        ));
+        let (picture_width, picture_height) = (picture.width, picture.height);
+        return Err(CropError::Leaves { x, y, width, height, picture_width, picture_height });
     }
     Ok(Rect { x: picture.x + x, y: picture.y + y, width, height })
 }
@@ -43,24 +76,21 @@ pub fn part(picture: Rect, crop: [f64; 4]) -> Result<Rect, String> {
 ///
 /// # Errors
 /// When one is negative, no whole number, or too large for any picture.
-pub fn whole_numbers(crop: [f64; 4]) -> Result<[usize; 4], String> {
+pub fn whole_numbers(crop: [f64; 4]) -> Result<[usize; 4], CropError> {
     if crop.iter().all(|value| *value >= 0.0 && value.fract() == 0.0 && *value < 1e6) {
         return Ok(crop.map(|value| value as usize));
     }
-    Err(format!("the crop {crop:?} must be whole numbers of px from 0 on: x, y, width, height"))
+    Err(CropError::NotWhole { crop })
 }
 
 /// The crop of view `view` out of a flat list: nothing, one rectangle for all views, or one for each.
 ///
 /// # Errors
 /// When the list has another length.
-pub fn of_view(list: &[f64], view: usize, views: usize) -> Result<Option<[f64; 4]>, String> {
+pub fn of_view(list: &[f64], view: usize, views: usize) -> Result<Option<[f64; 4]>, CropError> {
     let (rectangles, rest) = list.as_chunks::<4>();
     if !rest.is_empty() || !(rectangles.is_empty() || rectangles.len() == 1 || rectangles.len() == views) {
-        return Err(format!(
-            "`crop` has {} numbers: give x, y, width, height once for all views or once for each of the {views}",
-            list.len()
-        ));
+        return Err(CropError::Count { count: list.len(), views });
     }
     Ok(rectangles.get(view).or(rectangles.first()).copied())
 }
@@ -74,7 +104,9 @@ mod tests {
         let whole = Rect::whole(640, 480);
         assert_eq!(part(whole, [220.0, 0.0, 420.0, 480.0]), Ok(Rect { x: 220, y: 0, width: 420, height: 480 }));
         assert_eq!(part(whole, [10.0, 20.0, 0.0, 0.0]), Ok(Rect { x: 10, y: 20, width: 630, height: 460 }));
-        assert!(part(whole, [300.0, 0.0, 420.0, 480.0]).unwrap_err().contains("leaves the picture of 640x480"));
+        assert!(
+            part(whole, [300.0, 0.0, 420.0, 480.0]).unwrap_err().to_string().contains("leaves the picture of 640x480")
+        );
         assert!(part(whole, [0.5, 0.0, 1.0, 1.0]).is_err());
         assert!(part(whole, [-1.0, 0.0, 1.0, 1.0]).is_err());
         assert!(part(whole, [f64::NAN, 0.0, 1.0, 1.0]).is_err());

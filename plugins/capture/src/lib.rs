@@ -5,7 +5,9 @@ pub mod crop;
 mod depth;
 pub mod devices;
 mod position;
+pub mod settings;
 pub mod source;
+mod timing;
 mod views;
 
 use panoscope_node::export_plugin;

@@ -6,32 +6,32 @@ use std::sync::{Mutex, PoisonError};
 use panoscope_calibration::views::matched;
 use panoscope_node::Context;
 
-use crate::source::{CaptureError, Demands, Grab, Picture, Source, SourceName};
+use crate::source::{CaptureError, Clock, Demands, Grab, Picture, Source, SourceName};
 
 /// Rates that differ by no more than this share are meant to be one.
 const SAME_RATE: f64 = 0.01;
 /// Names of files that a message lists.
 const LISTED: usize = 6;
 
-/// One source with what it gave last.
+/// One source and its newest picture.
 pub struct View {
-    /// Where pictures come from.
+    /// The camera, file or pipeline.
     pub source: Source,
-    /// The last one.
+    /// The newest picture.
     pub picture: Picture,
-    /// How decoding it went.
-    pub result: Result<(), String>,
+    /// Result of decoding it.
+    pub result: Result<(), CaptureError>,
     /// The source's name for messages.
     pub name: String,
-    /// What the parameters say.
+    /// The source as the parameters name it.
     pub text: String,
     /// A picture was grabbed that belongs to no tick, because another view ended.
     is_ahead: bool,
 }
 
-/// What came of taking one picture of every view.
+/// Result of grabbing one picture of every view.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Taken {
+pub enum Grabbed {
     /// All are there.
     Ready,
     /// A view has no more pictures.
@@ -70,8 +70,7 @@ fn listed(files: &[PathBuf]) -> String {
     text
 }
 
-/// Puts the pictures of folders and patterns together by their numbers; lists of files are in the order that was asked for. Answers what the
-/// user should know.
+/// Pairs the pictures of folders and patterns by the numbers in their names; lists of files keep their order. Returns remarks for the user.
 pub fn pair_by_numbers(names: &mut [SourceName], texts: &[String]) -> Vec<String> {
     let mut remarks = Vec::new();
     let is_pattern = |index: usize| !texts[index].trim().contains('\n');
@@ -88,7 +87,7 @@ pub fn pair_by_numbers(names: &mut [SourceName], texts: &[String]) -> Vec<String
     for (&index, lonely) in series.iter().zip(&found.lonely) {
         if !lonely.is_empty() {
             remarks.push(format!(
-                "{} of `{}` without a partner in every other view are left out: {}",
+                "{} of `{}` without a partner in every other view are skipped: {}",
                 if lonely.len() == 1 { "1 picture".to_owned() } else { format!("{} pictures", lonely.len()) },
                 texts[index],
                 listed(lonely)
@@ -105,7 +104,7 @@ pub fn pair_by_numbers(names: &mut [SourceName], texts: &[String]) -> Vec<String
 }
 
 impl Views {
-    /// Opens all sources; `rate_hz` 0 takes the first rate that a source tells, else `default_hz`.
+    /// Opens all sources; `rate_hz` 0 takes the first rate that a source has, else `default_hz`.
     ///
     /// # Errors
     /// As [`Source::open`].
@@ -113,12 +112,12 @@ impl Views {
         names: &[SourceName],
         texts: Vec<String>,
         demands: Demands,
-        keep: bool,
+        is_repeated: bool,
         (rate_hz, default_hz): (f64, f64),
     ) -> Result<Self, CaptureError> {
         let mut list = Vec::new();
         for (name, text) in names.iter().zip(texts) {
-            let source = Source::open(name, demands, keep)?;
+            let source = Source::open(name, demands, is_repeated)?;
             list.push(View {
                 source,
                 picture: Picture::default(),
@@ -150,22 +149,22 @@ impl Views {
         })
     }
 
-    /// How many sources.
+    /// Number of sources.
     pub fn len(&self) -> usize {
         self.list.len()
     }
 
-    /// All of them, to be locked by whoever decodes.
+    /// All views; decoding threads lock one each.
     pub fn locked(&self) -> &[Mutex<View>] {
         &self.list
     }
 
-    /// One of them.
+    /// View `index`, from 0.
     pub fn view(&mut self, index: usize) -> &mut View {
         self.list[index].get_mut().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// All of them.
+    /// All views in order.
     pub fn iter(&mut self) -> impl Iterator<Item = &mut View> {
         self.list.iter_mut().map(|view| view.get_mut().unwrap_or_else(PoisonError::into_inner))
     }
@@ -180,12 +179,12 @@ impl Views {
         self.skew_ms
     }
 
-    /// Pictures that found no partner although all views have one rate.
+    /// Number of pictures without a partner although all views have one rate.
     pub fn unpaired(&self) -> u64 {
         self.unpaired
     }
 
-    /// What the user should know of the views' rates.
+    /// A warning where the views' rates differ.
     pub fn rates_in_words(&mut self) -> Option<String> {
         if self.is_one_rate {
             return None;
@@ -197,7 +196,7 @@ impl Views {
             .map(|view| format!("{} has {:.3} per second", view.name, view.source.native_fps().unwrap_or(rate_hz)))
             .collect();
         Some(format!(
-            "the views have different rates ({}): pictures are paired by time, those between are left out",
+            "the views have different rates ({}): pictures are paired by time, those between are skipped",
             rates.join(", ")
         ))
     }
@@ -218,17 +217,17 @@ impl Views {
         self.iter().find_map(|view| view.source.media_s(rate_hz, is_forced)).map(|time| round_s + time)
     }
 
-    /// Grabs one picture of every view, then goes on where a view is behind the others in time.
-    pub fn grab(&mut self, cx: &Context<'_>) -> Taken {
+    /// Grabs one picture of every view, then more of those that are behind the others in time.
+    pub fn grab(&mut self, cx: &Context<'_>, clock: Clock<'_>) -> Grabbed {
         let all: Vec<usize> = (0..self.len()).collect();
         self.iter().for_each(|view| view.is_ahead = false);
         let mut times = Vec::with_capacity(self.len());
-        match self.grab_some(&all, &mut times) {
-            Taken::Ready => {}
+        match self.grab_some(&all, &mut times, clock) {
+            Grabbed::Ready => {}
             other => return other,
         }
         if let (Some(first), Some(last)) = (times.iter().min(), times.iter().max()) {
-            self.skew_ms = last.duration_since(*first).as_secs_f64() * 1e3;
+            self.skew_ms = last.saturating_sub(*first) as f64 * 1e-6;
         }
         let (rate_hz, is_forced, tolerance_s) = (self.rate_hz, self.is_forced, self.tolerance_s);
         loop {
@@ -237,7 +236,7 @@ impl Views {
                 .enumerate()
                 .filter_map(|(index, view)| Some((index, view.source.media_s(rate_hz, is_forced)?)))
                 .collect();
-            let Some(newest) = timed.iter().map(|(_, time)| *time).reduce(f64::max) else { return Taken::Ready };
+            let Some(newest) = timed.iter().map(|(_, time)| *time).reduce(f64::max) else { return Grabbed::Ready };
             let oldest = timed.iter().fold(newest, |oldest, (_, time)| oldest.min(*time));
             let behind: Vec<usize> =
                 timed.iter().filter(|(_, time)| *time < newest - tolerance_s).map(|(index, _)| *index).collect();
@@ -245,48 +244,48 @@ impl Views {
                 if timed.len() > 1 {
                     self.skew_ms = (newest - oldest) * 1e3;
                 }
-                return Taken::Ready;
+                return Grabbed::Ready;
             }
             if self.is_one_rate {
                 if self.unpaired == 0 {
                     let name = self.view(behind[0]).name.clone();
                     cx.warn(&format!(
-                        "the picture of {name} at {oldest:.3} s has no partner within {:.1} ms in every other view and is left out",
+                        "the picture of {name} at {oldest:.3} s has no partner within {:.1} ms in every other view and is skipped",
                         tolerance_s * 1e3
                     ));
                 }
                 self.unpaired += behind.len() as u64;
             }
-            match self.grab_some(&behind, &mut times) {
-                Taken::Ready => {}
+            match self.grab_some(&behind, &mut times, clock) {
+                Grabbed::Ready => {}
                 other => return other,
             }
         }
     }
 
-    fn grab_some(&mut self, which: &[usize], times: &mut Vec<std::time::Instant>) -> Taken {
-        let mut taken = Taken::Ready;
+    fn grab_some(&mut self, which: &[usize], times: &mut Vec<i64>, clock: Clock<'_>) -> Grabbed {
+        let mut result = Grabbed::Ready;
         for &index in which {
             let view = self.view(index);
-            let next = match view.source.grab() {
+            let next = match view.source.grab(clock) {
                 Grab::Ready(time) => {
                     times.push(time);
                     view.is_ahead = true;
                     continue;
                 }
-                Grab::Failed(words) => Taken::Failed(words),
-                Grab::Lost => Taken::Lost(format!("{} is gone after {} frames", view.name, view.source.grabbed())),
-                Grab::End => Taken::End,
+                Grab::Failed(words) => Grabbed::Failed(words),
+                Grab::Lost => Grabbed::Lost(format!("{} is gone after {} frames", view.name, view.source.grabbed())),
+                Grab::End => Grabbed::End,
             };
-            // What is missing matters more than an end.
-            if taken == Taken::Ready || taken == Taken::End {
-                taken = next;
+            // A failure matters more than an end.
+            if result == Grabbed::Ready || result == Grabbed::End {
+                result = next;
             }
         }
-        taken
+        result
     }
 
-    /// Pictures that are left in some views when another one has ended, in words.
+    /// A warning about pictures left in some views when another one has ended.
     pub fn left_over(&mut self) -> Option<String> {
         let more = |view: &View| match view.source.is_still() || view.source.is_device() {
             true => 0,
@@ -299,7 +298,7 @@ impl Views {
         Some(format!("{ended} has ended; {}, without a partner", left.join(", ")))
     }
 
-    /// Starts all views anew, one picture behind the end.
+    /// Starts all views again, one period after the end.
     ///
     /// # Errors
     /// As [`Source::rewind`].

@@ -203,8 +203,9 @@ fn twelve_bits_in_sixteen_are_scaled_by_what_is_there() {
     assert_eq!(row(&all[0], "left"), [0, 32, 64, 128]);
     assert_eq!(row(&all[0], "right"), [0, 4, 8, 16]);
     assert_eq!(row(&all[1], "left"), [0, 64, 191, 255]);
-    let told = node.logs().iter().filter(|line| line.message.contains("4095") && line.message.contains("bit_depth"));
-    assert_eq!(told.count(), 1, "{:?}", node.logs());
+    let warnings =
+        node.logs().iter().filter(|line| line.message.contains("4095") && line.message.contains("bit_depth"));
+    assert_eq!(warnings.count(), 1, "{:?}", node.logs());
     let mut node = folder.open(r#"left = "l*.png", bit_depth = 10"#);
     let all = drain(&mut node);
     assert_eq!(row(&all[0], "left"), [0, 128, 255, 255]);

@@ -48,7 +48,7 @@ fn an_element_that_does_not_exist_is_named() {
     let message =
         folder.refused(r#"left = "videotestsrk num-buffers=3 ! video/x-raw,width=32 ! appsink", open_limit_s = 20.0"#);
     if message.contains("no GStreamer") {
-        println!("skipped: {message}");
+        panoscope_testing::skipped!("{message}");
         return;
     }
     assert!(message.contains("`videotestsrk`") && message.contains("gst-inspect-1.0"), "{message}");

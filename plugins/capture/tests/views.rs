@@ -193,7 +193,7 @@ fn a_pipeline_gives_pictures() {
             assert_eq!((left.width, left.height), (32, 24));
             assert!(value(&all[4], "left") > 230);
         }
-        Err(error) => println!("skipped: {error}"),
+        Err(error) => panoscope_testing::skipped!("{error}"),
     }
 }
 
@@ -201,24 +201,28 @@ fn a_pipeline_gives_pictures() {
 fn real_pairs() {
     let doc = Path::new("/usr/share/doc/opencv-doc/examples/data");
     let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/stereo/hamlyn_640x480");
+    let mut checked = 0;
     if doc.join("leuvenA.jpg").exists() {
+        checked += 1;
         let setup = Setup::new(r#"params = { left = "leuvenA.jpg", right = "leuvenB.jpg", frames = 2 }"#);
         let all = drain(&mut Harness::<Capture>::open(setup.graph_dir(doc)).unwrap());
         assert_eq!(all.len(), 2);
         let (left, right) = (all[1].plane::<Bgr8>("left").unwrap(), all[1].plane::<Bgr8>("right").unwrap());
         assert!(left.width > 500 && right.width > 500 && left.data != right.data);
     } else {
-        println!("skipped: Debian's opencv-doc is not installed");
+        panoscope_testing::skipped!("Debian's opencv-doc is not installed");
     }
     if shared.is_dir() {
+        checked += 1;
         let toml = r#"params = { left = "left", right = "right", crop = [0, 0, 420, 480, 220, 0, 420, 480] }"#;
         let all = drain(&mut Harness::<Capture>::open(Setup::new(toml).graph_dir(shared).batch()).unwrap());
         assert_eq!(all.len(), 25);
         let left = all[24].plane::<Bgr8>("left").unwrap();
         assert_eq!((left.width, left.height), (420, 480));
     } else {
-        println!("skipped: ../shared/data/stereo/hamlyn_640x480 is not there");
+        panoscope_testing::skipped!("../shared/data/stereo/hamlyn_640x480 is not there");
     }
+    assert!(checked > 0, "no pair was read: install Debian's opencv-doc (`cargo xtask setup` does)");
 }
 
 const CALIBRATION: &str = "%YAML:1.0

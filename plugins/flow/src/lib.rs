@@ -1,14 +1,10 @@
-//! Small nodes that need no library: test frames, pass-through, gates, sinks that count, and nodes that misbehave on
-//! demand. They are meant to be read: each is a whole node in one short file.
+//! Small nodes that need no library: test frames, pass-through, gates, averages, and sinks that count. Each is a complete
+//! node in one short file and a good first example to read.
 
-pub mod allocate;
-pub mod device;
 pub mod drain;
 pub mod every_nth;
-pub mod failing;
 pub mod frames;
 pub mod gate;
-pub mod ledger;
 pub mod level;
 pub mod pass;
 pub mod ports;
@@ -24,10 +20,6 @@ export_plugin![
     drain::DrainBlocking,
     gate::Gate,
     every_nth::EveryNth,
-    ledger::Ledger,
     level::Level,
-    failing::Failing,
-    allocate::Allocate,
     smooth::Smooth,
-    device::Device,
 ];

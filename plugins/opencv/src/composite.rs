@@ -32,10 +32,10 @@ pub enum SeamFinder {
     None,
 }
 
-/// What a seam avoids.
+/// Cost that the seam avoids.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SeamCost {
-    /// Differences of colour, as OpenCV's stitcher and its sample `stitching_detailed` take them.
+    /// Differences of colour, as in OpenCV's stitcher and its sample `stitching_detailed`.
     Color,
     /// Differences of colour over gradients: the cut takes two to three times as long.
     ColorGrad,
@@ -44,25 +44,25 @@ pub enum SeamCost {
 /// Parameters of the composite.
 #[derive(Params, Clone, PartialEq)]
 pub struct CompositeOpencvParams {
-    /// Size to which each view is shrunk for gains and seam, in million pixels; 0 takes full resolution. OpenCV's stitcher takes 0.1.
+    /// Size to which each view is shrunk for gains and seam, in million pixels; 0 uses full resolution. OpenCV's stitcher uses 0.1.
     #[param(default = 0.0, range = 0.0..=10.0, step = 0.05)]
     seam_megapixels: f64,
-    /// How the line between the views is found.
+    /// Method that finds the seam between the views.
     #[param(default = "graph_cut")]
     seam: SeamFinder,
-    /// What the line avoids.
+    /// Cost that the seam avoids.
     #[param(default = "color")]
     seam_cost: SeamCost,
-    /// Even out the exposure with one gain per view.
+    /// Equalises the exposure with one gain per view.
     #[param(default = true)]
     gain: bool,
-    /// Width of the blend in percent of the panorama's side, as OpenCV's sample counts it.
+    /// Width of the blend in percent of the panorama's side, as in OpenCV's sample.
     #[param(default = 5.0, range = 0.0..=100.0, step = 1.0, unit = "%")]
     blend_strength: f64,
-    /// Room kept free around the first good registration, so that the canvas can hold still.
+    /// Margin around the first good registration, so that the canvas need not move.
     #[param(default = 16, range = 0..=512, unit = "px")]
     canvas_margin: u32,
-    /// OpenCV's threads, for the whole process while this node is open.
+    /// Number of OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
@@ -81,13 +81,13 @@ pub struct In<'f> {
 /// Outputs of the composite; empty while the registration is lost.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The wide picture; black where no view reaches.
+    /// The panorama; black outside all views.
     panorama: Slot<'f, Bgr8>,
-    /// 255 where a view reaches.
+    /// 255 inside the views, 0 elsewhere.
     mask: Slot<'f, Mask>,
-    /// Where the left view lies in the panorama.
+    /// Rectangle of the left view in the panorama, px.
     canvas: Slot<'f, Roi>,
-    /// Which view each pixel shows: 0 none, 1 the left one, 2 the right one.
+    /// View that each pixel shows: 0 none, 1 the left one, 2 the right one.
     shown: Slot<'f, Gray8>,
 }
 
@@ -261,7 +261,7 @@ fn compose(
     Ok(joined)
 }
 
-/// What a frame becomes.
+/// Result of one frame.
 struct Joined {
     picture: Mat,
     covered: Mat,

@@ -17,8 +17,8 @@ pub enum Detector {
 }
 
 /// Keypoints of a view and their descriptors, strongest first, one descriptor per row.
-pub struct Found {
-    /// Where and how large.
+pub struct FoundFeatures {
+    /// Positions and sizes.
     pub points: Vec<KeyPoint>,
     /// One row per point.
     pub descriptors: Mat,
@@ -52,11 +52,11 @@ fn rows_of(all: &Mat, order: &[usize]) -> opencv::Result<Mat> {
 }
 
 impl Detector {
-    /// Detects and describes at most `max_points` (0: as many as OpenCV's defaults give). `threshold` 0 is OpenCV's own.
+    /// Detects and describes at most `max_points` (0: OpenCV's default). `threshold` 0 is OpenCV's default.
     ///
     /// # Errors
     /// OpenCV's.
-    pub fn find(self, image: &impl ToInputArray, max_points: usize, threshold: f64) -> opencv::Result<Found> {
+    pub fn find(self, image: &impl ToInputArray, max_points: usize, threshold: f64) -> opencv::Result<FoundFeatures> {
         let (mut points, mut descriptors) = (Vector::<KeyPoint>::new(), Mat::default());
         let count = i32::try_from(max_points).unwrap_or(i32::MAX);
         let or = |default: f64| if threshold > 0.0 { threshold } else { default };
@@ -92,14 +92,20 @@ impl Detector {
             order.truncate(max_points);
         }
         let strongest = order.iter().map(|&index| points[index].clone()).collect();
-        Ok(Found { points: strongest, descriptors: rows_of(&descriptors, &order)? })
+        Ok(FoundFeatures { points: strongest, descriptors: rows_of(&descriptors, &order)? })
     }
 
     /// Ratio test, and each the other's best when `mutual`.
     ///
     /// # Errors
     /// OpenCV's.
-    pub fn pairs(self, left: &Found, right: &Found, ratio: f32, mutual: bool) -> opencv::Result<Vec<Pair>> {
+    pub fn pairs(
+        self,
+        left: &FoundFeatures,
+        right: &FoundFeatures,
+        ratio: f32,
+        mutual: bool,
+    ) -> opencv::Result<Vec<Pair>> {
         if left.points.is_empty() || right.points.is_empty() {
             return Ok(Vec::new());
         }

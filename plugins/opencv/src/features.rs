@@ -3,28 +3,28 @@
 use opencv::prelude::*;
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData};
 
-use crate::detector::{Detector, Found};
+use crate::detector::{Detector, FoundFeatures};
 use crate::mats::{Threads, borrowed, failed};
 
 /// Parameters of the features.
 #[derive(Params, Clone, PartialEq)]
 pub struct FeaturesParams {
-    /// Which features.
+    /// Kind of features.
     #[param(default = "sift")]
     detector: Detector,
-    /// Keypoints per view at most, strongest first; 0 takes what OpenCV's defaults give.
+    /// Largest number of keypoints per view, strongest first; 0 uses OpenCV's default.
     #[param(default = 0, range = 0..=100_000, unit = "points")]
     max_points: u32,
-    /// The detector's threshold; 0 takes OpenCV's default (0.04, 0.001, 20).
+    /// Threshold of the detector; 0 uses OpenCV's default (0.04, 0.001, 20).
     #[param(default = 0.0, range = 0.0..=1000.0)]
     threshold: f64,
     /// Largest ratio of the best to the second-best distance of a match.
     #[param(default = 0.8, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
     ratio: f32,
-    /// Keep a match only when each point is the other's best.
+    /// Keeps a match only when each point is the other's best.
     #[param(default = true)]
     mutual: bool,
-    /// OpenCV's threads, for the whole process while this node is open.
+    /// Number of OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
@@ -34,7 +34,7 @@ pub struct FeaturesParams {
 pub struct In<'f> {
     /// Left view, or the only one.
     left: Image<'f, Gray8>,
-    /// Right view; may have another size. Without it nothing is matched.
+    /// Right view, of any size. Without it no matches are made.
     right: Option<Image<'f, Gray8>>,
 }
 
@@ -45,7 +45,7 @@ pub struct Out<'f> {
     left_points: Slot<'f, TableData>,
     /// Keypoints of the right view.
     right_points: Slot<'f, TableData>,
-    /// Matches: row numbers of both tables.
+    /// Matches: row numbers in both tables.
     matches: Slot<'f, TableData>,
 }
 
@@ -54,7 +54,7 @@ pub struct FeaturesOpencv {
     threads: Threads,
 }
 
-fn rows(found: &Found) -> Vec<f64> {
+fn rows(found: &FoundFeatures) -> Vec<f64> {
     let row = |p: &opencv::core::KeyPoint| [p.pt().x, p.pt().y, p.size(), p.angle(), p.response()].map(f64::from);
     found.points.iter().flat_map(row).collect()
 }

@@ -7,7 +7,7 @@ use opencv::core::{self, CV_8UC1, CV_8UC3, Mat, UMat};
 use opencv::prelude::*;
 use panoscope_node::{NodeError, Result, View, ViewMut};
 
-/// What OpenCV says, as a node's error.
+/// An OpenCV error as a node's error.
 pub fn failed(error: opencv::Error) -> NodeError {
     NodeError::new(format!("OpenCV: {}", error.message))
 }
@@ -36,14 +36,14 @@ pub fn write(mat: &Mat, out: &mut ViewMut<'_, u8>) -> Result<()> {
     Ok(())
 }
 
-/// The matrix where OpenCV's stitching classes want it.
+/// The matrix as a UMat, which OpenCV's stitching classes take.
 pub fn umat(mat: &Mat) -> opencv::Result<UMat> {
     let mut out = UMat::new_def();
     mat.copy_to(&mut out)?;
     Ok(out)
 }
 
-/// Back from there.
+/// A UMat's contents as a matrix.
 pub fn from_umat(umat: &UMat) -> opencv::Result<Mat> {
     let mut out = Mat::default();
     umat.copy_to(&mut out)?;
@@ -52,15 +52,15 @@ pub fn from_umat(umat: &UMat) -> opencv::Result<Mat> {
 
 /// OpenCV's number of threads, which holds for the whole process.
 ///
-/// Setting it ends OpenCV's threads; the next loop starts them anew, too late to get a fair share of it. So the number stays as it is
-/// from frame to frame, and is put back when the last node that holds one of these is dropped.
+/// Setting it ends OpenCV's threads, and the next loop starts new ones, too late to take a fair share of it. The number is therefore constant from
+/// frame to frame, and restored when the last holder is dropped.
 pub struct Threads(());
 
 struct Held {
     holders: usize,
     /// The number before the first holder.
     before: i32,
-    /// What was set last; none when nothing was.
+    /// The number set last, if any.
     set: Option<u32>,
 }
 
@@ -72,7 +72,7 @@ fn held() -> MutexGuard<'static, Held> {
 }
 
 impl Threads {
-    /// A share in OpenCV's number of threads; nothing changes yet.
+    /// Registers a holder; the number does not change yet.
     pub fn hold() -> Result<Self> {
         let mut held = held();
         if held.holders == 0 {
@@ -83,7 +83,7 @@ impl Threads {
         Ok(Self(()))
     }
 
-    /// `threads` from now on, until another holder sets another number.
+    /// Sets the number of threads, until another holder sets another one.
     pub fn set(&self, threads: u32) -> Result<()> {
         let mut held = held();
         if held.set != Some(threads) {

@@ -8,19 +8,19 @@ use panoscope_imaging::geometry::{Homography as Map, Plausibility, RmsWatch};
 use panoscope_node::abi::{self, Homography};
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, View};
 
-use crate::detector::{Detector, Found};
+use crate::detector::{Detector, FoundFeatures};
 use crate::mats::{Threads, borrowed, failed};
 
 /// Parameters of the registration.
 #[derive(Params, Clone, PartialEq)]
 pub struct RegisterParams {
-    /// Which features.
+    /// Kind of features.
     #[param(default = "sift")]
     detector: Detector,
-    /// Keypoints per view at most, strongest first; 0 takes what OpenCV's defaults give.
+    /// Largest number of keypoints per view, strongest first; 0 uses OpenCV's default.
     #[param(default = 0, range = 0..=100_000, unit = "points")]
     max_points: u32,
-    /// The detector's threshold; 0 takes OpenCV's default (0.04, 0.001, 20).
+    /// Threshold of the detector; 0 uses OpenCV's default (0.04, 0.001, 20).
     #[param(default = 0.0, range = 0.0..=1000.0)]
     threshold: f64,
     /// Size to which larger views are shrunk for the search, in million pixels; 0 searches at full resolution. OpenCV's stitcher takes 0.6.
@@ -29,19 +29,19 @@ pub struct RegisterParams {
     /// Largest ratio of the best to the second-best distance of a match.
     #[param(default = 0.75, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
     ratio: f32,
-    /// Keep a match only when each point is the other's best; matches both ways, which takes twice as long.
+    /// Keeps a match only when each point is the other's best; matches in both directions, which takes twice as long.
     #[param(default = true)]
     mutual: bool,
     /// Largest reprojection error of an inlier.
     #[param(default = 3.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
     ransac_px: f64,
-    /// Fewer inliers than this are no registration.
+    /// Smallest number of inliers of a registration.
     #[param(default = 8, range = 4..=1000, unit = "points")]
     min_inliers: u32,
     /// A homography whose inliers are further off than this (root mean square) is not used: the state is lost. 0 uses all.
     #[param(default = 18.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
     max_rms_px: f64,
-    /// OpenCV's threads, for the whole process while this node is open.
+    /// Number of OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
@@ -75,7 +75,7 @@ pub fn shrink(megapixels: f64, pixels: usize) -> f64 {
 }
 
 /// Finds features of a view shrunk to `work_megapixels`, and gives their places in pixels of the whole view.
-fn find(view: View<'_, u8>, params: &RegisterParams) -> opencv::Result<(Found, Vec<[f64; 2]>)> {
+fn find(view: View<'_, u8>, params: &RegisterParams) -> opencv::Result<(FoundFeatures, Vec<[f64; 2]>)> {
     let whole = borrowed(view)?;
     let scale = shrink(params.work_megapixels, view.width * view.height);
     let (count, threshold) = (params.max_points as usize, params.threshold);

@@ -131,11 +131,11 @@ pub struct StereoParams {
     /// Side of the window: at least 5 for block matching.
     #[param(default = 15, range = 3..=31, step = 2, unit = "px")]
     block_px: i32,
-    /// Block matching's tests of texture and uniqueness. OpenCV's sample `disparity_filtering` switches them off in front of
-    /// `disparity_wls_opencv`, which judges the matches itself.
+    /// Block matching's tests of texture and uniqueness. OpenCV's sample `disparity_filtering` switches them off in front of `disparity_wls_opencv`,
+    /// which evaluates the matches itself.
     #[param(default = true)]
     own_checks: bool,
-    /// OpenCV's threads, for the whole process while this node is open.
+    /// Number of OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }
@@ -255,7 +255,7 @@ pub struct WlsIn<'f> {
 /// Outputs of both filters.
 #[derive(Ports)]
 pub struct FilterOut<'f> {
-    /// The smooth map.
+    /// The smoothed map, px.
     disparity: Slot<'f, Disparity>,
     /// Confidence, 0 to 1; not made by `disparity_fbs_opencv`.
     confidence: Slot<'f, Confidence>,
@@ -264,25 +264,25 @@ pub struct FilterOut<'f> {
 /// Parameters of the weighted-least-squares filter: of the matcher in front, and its own.
 #[derive(Params, Clone, PartialEq)]
 pub struct WlsParams {
-    /// Matcher in front.
+    /// Matcher in front of this filter.
     #[param(default = "bm", reopen)]
     method: Method,
-    /// Smallest disparity searched by the matcher in front.
+    /// Smallest disparity that the matcher in front searches.
     #[param(default = 0, range = -1024..=1500, unit = "px", reopen)]
     min_disparity_px: i32,
-    /// Width of the search of the matcher in front.
+    /// Number of disparities that the matcher in front searches.
     #[param(default = 64, range = 16..=512, step = 16, unit = "px", reopen)]
     search_px: i32,
-    /// Window of the matcher in front.
+    /// Side of the window of the matcher in front.
     #[param(default = 15, range = 3..=31, step = 2, unit = "px", reopen)]
     block_px: i32,
     /// Strength of the smoothing.
     #[param(default = 8000.0, range = 0.0..=1000000.0)]
     lambda: f64,
-    /// Sensitivity to the picture's edges.
+    /// Sensitivity to edges of the picture.
     #[param(default = 1.5, range = 0.1..=100.0)]
     sigma_color: f64,
-    /// OpenCV's threads, for the whole process while this node is open; the filter splits its rows among as many when it is made.
+    /// Number of OpenCV's threads, for the whole process while this node is open. The filter divides its rows among this number when it is created.
     #[param(default = 1, range = 1..=64, reopen)]
     threads: u32,
 }
@@ -322,7 +322,7 @@ impl DisparityWlsOpencv {
     }
 }
 
-// SAFETY: as for `StereoOpencv`.
+// SAFETY: OpenCV's filter holds no thread's state; one thread at a time uses a node.
 unsafe impl Send for DisparityWlsOpencv {}
 
 fn one_size(sizes: &[(usize, usize)]) -> Result<()> {
@@ -414,7 +414,7 @@ pub struct FbsIn<'f> {
 /// Outputs of the fast bilateral solver.
 #[derive(Ports)]
 pub struct FbsOut<'f> {
-    /// The smooth map.
+    /// The smoothed map, px.
     disparity: Slot<'f, Disparity>,
 }
 
@@ -430,10 +430,10 @@ pub struct FbsParams {
     /// Height of a grid cell in colour.
     #[param(default = 8.0, range = 1.0..=128.0)]
     sigma_chroma: f64,
-    /// Weight of smoothness.
+    /// Weight of smoothness against closeness to the given map.
     #[param(default = 128.0, range = 0.0..=100000.0)]
     lambda: f64,
-    /// OpenCV's threads, for the whole process while this node is open.
+    /// Number of OpenCV's threads, for the whole process while this node is open.
     #[param(default = 1, range = 1..=64)]
     threads: u32,
 }

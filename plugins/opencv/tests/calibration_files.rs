@@ -125,7 +125,7 @@ fn what_opencv_writes_is_read_bit_by_bit() {
 fn both_read_the_same_sample() {
     let path = Path::new("/usr/share/doc/opencv-doc/examples/data/intrinsics.yml");
     if !path.exists() {
-        println!("skipped: Debian's opencv-doc is not installed");
+        panoscope_testing::skipped!("Debian's opencv-doc is not installed");
         return;
     }
     let storage = FileStorage::new(path.to_str().unwrap(), FileStorage_READ, "").unwrap();

@@ -8,7 +8,7 @@ use panoscope_node::{
 
 use crate::fit::usual_range;
 
-/// Colours of the numbers.
+/// Colours of the values.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Colors {
     /// Dark blue over green and yellow to dark red.
@@ -29,7 +29,7 @@ impl From<Colors> for Colormap {
     }
 }
 
-/// Inputs: one of them.
+/// Inputs: connect one of them.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Disparity in px.
@@ -43,23 +43,23 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The coloured map; unknown places are dark gray.
+    /// The coloured map; unknown pixels are dark gray.
     pub image: Slot<'f, Bgr8>,
 }
 
 /// Parameters.
 #[derive(Params)]
 pub struct Settings {
-    /// Number of the first colour. With `high` not above it the range follows the picture.
+    /// Value of the first colour. When `high` is not above it, the range follows the picture.
     #[param(default = 0.0, range = -100000.0..=100000.0)]
     pub low: f32,
-    /// Number of the last colour.
+    /// Value of the last colour.
     #[param(default = 0.0, range = -100000.0..=100000.0)]
     pub high: f32,
     /// Colours.
     #[param(default = "rainbow")]
     pub colors: Colors,
-    /// Draws the scale with its numbers.
+    /// Draws the colour scale with its values.
     #[param(default = true)]
     pub scale_bar: bool,
 }

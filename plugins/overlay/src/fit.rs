@@ -23,7 +23,7 @@ pub fn bytes<'f>(image: &AnyImage<'f>) -> Option<View<'f, u8>> {
     image.as_plane::<Rgba8>().map(|plane| plane.view())
 }
 
-/// Scales pictures into others; keeps its work memory.
+/// Scales pictures into others; reuses its buffers.
 #[derive(Default)]
 pub struct Fit {
     /// First byte of the first and of the last source pixel under each column.
@@ -183,8 +183,8 @@ fn place(out: &mut ViewMut<'_, u8>, picture: &View<'_, u8>, x: usize, y: usize, 
     }
 }
 
-/// Numbers at 2 % and 98 % of the finite ones in `plane`, of which every `step`-th in both directions is looked at.
-/// `work` is reused. `None` when there are none.
+/// The 2 % and 98 % quantiles of the finite values of `plane`, from every `step`-th value in both directions. `work` is reused. `None` when no value
+/// is finite.
 pub fn usual_range(plane: &View<'_, f32>, step: usize, work: &mut Vec<f32>) -> Option<(f32, f32)> {
     work.clear();
     for y in (0..plane.height).step_by(step.max(1)) {

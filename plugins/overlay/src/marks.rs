@@ -11,17 +11,17 @@ use panoscope_node::{Detections, Instances, ViewMut};
 pub struct Pen {
     /// Width of lines in px.
     pub line_px: f32,
-    /// Capitals are six times as many px high.
+    /// Size of text: capital letters are six times as many px high.
     pub text_scale: f32,
     /// Added to every coordinate in px.
     pub offset: (f32, f32),
-    /// How much masks cover, 0 to 1.
+    /// Opacity of masks, 0 to 1.
     pub alpha: f32,
-    /// Boxes and masks with a lower score are not drawn.
+    /// Lowest score of boxes and masks that are drawn.
     pub min_score: f32,
 }
 
-/// A colour for class or track `index`; neighbours differ clearly.
+/// Colour of class or track `index`; neighbours differ clearly.
 pub fn color_of(index: u64) -> Color {
     const COLORS: [Color; 8] = [
         [80, 200, 60],
@@ -37,7 +37,7 @@ pub fn color_of(index: u64) -> Color {
 }
 
 impl Pen {
-    /// Distance between letters and the edge of their room, px: their dark outline lies in it.
+    /// Distance between letters and the edge of their area, px; contains their dark outline.
     pub fn margin_px(&self) -> f32 {
         1.0 + 2.0 * self.text_scale
     }
@@ -47,13 +47,13 @@ impl Pen {
         6.0 * self.line_px + 6.0
     }
 
-    /// Width and height of the room that words take, outline included.
-    fn room(&self, words: &str) -> (f32, f32) {
+    /// Width and height of a text, px, outline included.
+    fn text_size(&self, words: &str) -> (f32, f32) {
         let (width, height) = draw::text_size(words, self.text_scale);
         (width + 2.0 * self.margin_px(), height + 2.0 * self.margin_px())
     }
 
-    /// Writes words into the room that begins at `at`.
+    /// Writes a text with its upper left corner at `at`.
     fn write(&self, out: &mut ViewMut<'_, u8>, at: (f32, f32), words: &str, color: Color) {
         draw::text(out, at.0 + self.margin_px(), at.1 + self.margin_px(), words, self.text_scale, color);
     }
@@ -68,7 +68,7 @@ pub fn boxes(out: &mut ViewMut<'_, u8>, detections: &Detections<'_>, pen: &Pen) 
     }
 }
 
-/// Class, score and track number of each rectangle, where `labels` has room; a label without room is left out.
+/// Class, score and track number of each rectangle, where `labels` has space; a label without space is skipped.
 pub fn box_labels(
     out: &mut ViewMut<'_, u8>,
     detections: &Detections<'_>,
@@ -90,13 +90,13 @@ pub fn box_labels(
         }
         let (x, y) = (item.x_px + pen.offset.0, item.y_px + pen.offset.1);
         let anchor = Area { x, y, width: item.width_px, height: item.height_px };
-        if let Some(at) = labels.place(anchor, pen.room(words)) {
+        if let Some(at) = labels.place(anchor, pen.text_size(words)) {
             pen.write(out, at, words, color_of(u64::from(item.class_index)));
         }
     }
 }
 
-/// Coloured masks. Mask bits outside the picture are left out.
+/// Coloured masks. Mask bits outside the picture are ignored.
 pub fn masks(out: &mut ViewMut<'_, u8>, instances: &Instances<'_>, pen: &Pen) {
     let detections = instances.detections();
     let (width, height) = detections.image_size();
@@ -133,7 +133,7 @@ pub fn masks(out: &mut ViewMut<'_, u8>, instances: &Instances<'_>, pen: &Pen) {
     }
 }
 
-/// Where a tip stands in the picture; `None` when that is not known.
+/// Position of a tip in the picture, px; `None` when it is unknown.
 fn tip_px(tip: &Tip, pen: &Pen) -> Option<(f32, f32)> {
     let (x, y) = (tip.u_px as f32 + pen.offset.0, tip.v_px as f32 + pen.offset.1);
     (x.is_finite() && y.is_finite()).then_some((x, y))
@@ -146,7 +146,7 @@ pub fn tip_area(tip: &Tip, pen: &Pen) -> Option<Area> {
     Some(Area { x: x - reach, y: y - reach, width: 2.0 * reach, height: 2.0 * reach })
 }
 
-/// A cross and its place in mm, beside it where `labels` has room.
+/// A cross, and its position in mm beside it where `labels` has space.
 pub fn tip(out: &mut ViewMut<'_, u8>, tip: &Tip, pen: &Pen, words: &mut String, labels: &mut Labels) {
     let Some((x, y)) = tip_px(tip, pen) else { return };
     let color = [60, 220, 255];
@@ -160,15 +160,16 @@ pub fn tip(out: &mut ViewMut<'_, u8>, tip: &Tip, pen: &Pen, words: &mut String, 
         let reach = pen.reach_px() + pen.line_px;
         let anchor = Area { x: x + reach, y, width: 0.0, height: 0.0 };
         let around = tip_area(tip, pen).unwrap_or(anchor);
-        let place =
-            labels.place_at((anchor.x, anchor.y), pen.room(words)).or_else(|| labels.place(around, pen.room(words)));
+        let place = labels
+            .place_at((anchor.x, anchor.y), pen.text_size(words))
+            .or_else(|| labels.place(around, pen.text_size(words)));
         if let Some(at) = place {
             pen.write(out, at, words, color);
         }
     }
 }
 
-/// A rectangle.
+/// A rectangle, px.
 pub fn roi(out: &mut ViewMut<'_, u8>, roi: &Roi, pen: &Pen) {
     let (x, y) = (roi.x as f32 + pen.offset.0, roi.y as f32 + pen.offset.1);
     draw::rectangle(out, x, y, roi.width as f32, roi.height as f32, pen.line_px, [255, 200, 0]);
@@ -196,7 +197,7 @@ pub fn registration(out: &mut ViewMut<'_, u8>, value: &Homography, size: (f32, f
     draw::polygon(out, &corners, pen.line_px, color);
 }
 
-/// The registration in words.
+/// The state of the registration as text.
 pub fn registration_words(value: &Homography, words: &mut String) {
     let state = match value.state {
         abi::STATE_FRESH => "registered",

@@ -36,7 +36,7 @@ pub fn draw(out: &mut ViewMut<'_, u8>, table: &Table<'_>, pen: &Pen, words: &mut
             s if s > 0.5 => NEAR,
             _ => CLEAR,
         };
-        // What warns is thicker too: colour is not all that tells.
+        // Warnings are thicker too, not only coloured.
         let line_px = if state > 0.5 { 1.6 * pen.line_px } else { pen.line_px };
         let radius = 5.0 * pen.line_px + 4.0;
         let to = at(tissue_u, tissue_v);

@@ -14,7 +14,7 @@ use crate::fit::{Fit, fitted_size};
 use crate::marks::{self, Pen};
 use crate::nearness;
 
-/// Where words or an inset stand.
+/// Corner of the picture.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Corner {
     /// Upper left.
@@ -47,36 +47,36 @@ impl Corner {
 pub struct In<'f> {
     /// The picture to draw on.
     pub image: Image<'f, Bgr8>,
-    /// Registration: the outline of the right view, and its state in words.
+    /// Registration: draws the outline of the right view and writes the state.
     pub homography: Option<Value<'f, Homography>>,
-    /// A rectangle.
+    /// A rectangle, px.
     pub roi: Option<Value<'f, Roi>>,
     /// Boxes with labels.
     pub detections: Option<Detections<'f>>,
     /// Boxes with masks.
     pub instances: Option<Instances<'f>>,
-    /// A tool's tip.
+    /// Tip of a tool.
     pub tip: Option<Value<'f, Tip>>,
-    /// Table of `proximity`: a ring around each tip, a line to the tissue nearest to it, and the distance.
+    /// Table of `proximity`: draws a ring around each tip, a line to the nearest tissue, and the distance.
     pub nearness: Option<Table<'f>>,
-    /// Numbers: the first row is shown.
+    /// A table, of which the first row is written.
     pub table: Option<Table<'f>>,
     /// A number.
     pub scalar: Option<Value<'f, Scalar>>,
-    /// Words.
+    /// A text.
     pub text: Option<Text<'f>>,
     /// A mask of the picture's size.
     pub mask: Option<Image<'f, Mask>>,
-    /// Disparity map, shown small in a corner.
+    /// Disparity map, px, shown as an inset.
     pub disparity: Option<Image<'f, Disparity>>,
-    /// Depth map, shown small in a corner.
+    /// Depth map, mm, shown as an inset.
     pub depth: Option<Image<'f, Depth>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The picture with everything drawn; the input's own buffer when there is nothing to draw.
+    /// The picture with everything drawn on it. The input's own buffer when there is nothing to draw.
     pub image: Slot<'f, Bgr8>,
 }
 
@@ -92,50 +92,50 @@ pub struct Settings {
     /// Draws boxes with their labels.
     #[param(default = true)]
     pub show_boxes: bool,
-    /// Boxes and masks with a lower score are not drawn.
+    /// Lowest score of boxes and masks that are drawn.
     #[param(default = 0.0, range = 0.0..=1.0, step = 0.01)]
     pub min_score: f32,
     /// Draws masks.
     #[param(default = true)]
     pub show_masks: bool,
-    /// Draws the tip, and how near tips are.
+    /// Draws the tip, and the distances of `proximity`.
     #[param(default = true)]
     pub show_tip: bool,
     /// Writes table, scalar and text.
     #[param(default = true)]
     pub show_numbers: bool,
-    /// Columns of the table that are written, separated by commas; empty writes all. Their names are written as words: `distance_mm` as
+    /// Columns of the table that are written, separated by commas; empty writes all. The unit follows the number: `distance_mm` is written as
     /// `distance 12.34 mm`.
     #[param(default = "")]
     pub columns: String,
-    /// Shows the disparity or depth map small.
+    /// Shows the disparity or depth map as an inset.
     #[param(default = true)]
     pub show_inset: bool,
-    /// Words that always stand in the corner.
+    /// Text that is always written in the corner.
     #[param(default = "")]
     pub label: String,
-    /// Corner of all words.
+    /// Corner of all text.
     #[param(default = "top_left")]
     pub label_corner: Corner,
-    /// Corner of the map.
+    /// Corner of the inset.
     #[param(default = "bottom_right")]
     pub inset_corner: Corner,
-    /// Part of the picture's width that the map takes.
+    /// Width of the inset, as a share of the picture's width.
     #[param(default = 0.3, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
     pub inset_share: f32,
-    /// Colours of the map.
+    /// Colours of the inset.
     #[param(default = "rainbow")]
     pub colors: Colors,
-    /// Capitals are six times as many px high.
+    /// Size of text: capital letters are six times as many px high.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5)]
     pub text_scale: f32,
     /// Width of lines.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5, unit = "px")]
     pub line_px: f32,
-    /// How much masks cover.
+    /// Opacity of masks.
     #[param(default = 0.4, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
     pub mask_alpha: f32,
-    /// Added to all coordinates, x and y: where the left view's corner stands in the picture.
+    /// Offset added to all coordinates, x and y in px: the position of the left view's corner in the picture.
     #[param(default = [], range = 0..=2, unit = "px", points)]
     pub offset_px: Vec<f64>,
 }

@@ -12,7 +12,7 @@ use crate::fit::{Fit, bytes, fitted_size};
 pub struct In<'f> {
     /// The large picture: bgr8, gray8 or rgba8.
     pub main: AnyImage<'f>,
-    /// Smaller pictures, one under the other.
+    /// Smaller pictures, shown one below the other.
     pub side: Option<List<'f, AnyImage<'f>>>,
 }
 
@@ -32,16 +32,16 @@ pub struct Settings {
     /// Height of the screen.
     #[param(default = 720, range = 64..=4320, unit = "px")]
     pub height: usize,
-    /// Part of the width that the smaller pictures take.
+    /// Width of the smaller pictures, as a share of the screen's width.
     #[param(default = 0.28, range = 0.1..=0.5, step = 0.01, unit = "ratio")]
     pub side_share: f32,
-    /// Space around pictures.
+    /// Margin around pictures.
     #[param(default = 8, range = 0..=64, unit = "px")]
     pub gap_px: usize,
-    /// Titles, the large picture's first, separated by semicolons.
+    /// Titles separated by semicolons, the large picture's first.
     #[param(default = "")]
     pub titles: String,
-    /// Size of the titles: capitals are six times as many px high.
+    /// Size of the titles: capital letters are six times as many px high.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5)]
     pub text_scale: f32,
 }
@@ -80,13 +80,13 @@ impl Settings {
 
 const BACKGROUND: u8 = 16;
 
-/// Composes the screen. A smaller picture that has not come yet leaves its place dark.
+/// Composes the screen. A smaller picture that has not arrived leaves its cell dark.
 #[derive(Default)]
 pub struct Screen {
     fit: Fit,
 }
 
-/// Shows a picture in the middle of its cell; answers the place that it takes.
+/// Draws a picture in the middle of its cell; returns the rectangle that it covers.
 fn show(
     fit: &mut Fit,
     screen: &mut ViewMut<'_, u8>,

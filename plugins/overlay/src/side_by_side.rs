@@ -31,18 +31,18 @@ pub struct Settings {
     /// Height of a cell; 0 takes the first picture's.
     #[param(default = 0, range = 0..=8192, unit = "px")]
     pub cell_height: usize,
-    /// Gap between cells.
+    /// Gap between pictures.
     #[param(default = 4, range = 0..=256, unit = "px")]
     pub gap_px: usize,
     /// Titles in the order of the pictures, separated by semicolons.
     #[param(default = "")]
     pub titles: String,
-    /// Size of the titles: capitals are six times as many px high.
+    /// Size of the titles: capital letters are six times as many px high.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5)]
     pub text_scale: f32,
 }
 
-/// Composes pictures in a grid. A picture that is missing for a tick leaves its cell dark.
+/// Composes pictures in a grid. A picture that is missing in a tick leaves its cell dark.
 #[derive(Default)]
 pub struct SideBySide {
     cell: Option<(usize, usize)>,

@@ -1,4 +1,4 @@
-//! `trajectory`: the way of a tool's tip in space, on the picture and as a small box seen from aside (thesis, fig. 6.5).
+//! `trajectory`: the trajectory of a tool's tip in space, on the picture and in a small box (thesis, fig. 6.5).
 
 use std::collections::VecDeque;
 use std::fmt::Write;
@@ -12,54 +12,54 @@ use panoscope_node::{Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, 
 pub struct In<'f> {
     /// The left rectified view.
     image: Image<'f, Bgr8>,
-    /// The tip, in the left rectified camera's frame.
+    /// The tip in the left rectified camera's frame, mm.
     tip: Option<Value<'f, Tip>>,
-    /// Where the left camera stood, in a frame that rests; without it the way is drawn as the camera saw it.
+    /// Pose of the left camera in the scene. Without it the trajectory is drawn relative to the camera.
     camera_pose: Option<Value<'f, Pose>>,
-    /// Calibration of the rectified views: which pixel a place in space is.
+    /// Calibration of the rectified views, to project positions to pixels.
     calibration: Option<Value<'f, Calibration>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The picture with the way drawn.
+    /// The picture with the trajectory drawn.
     image: Slot<'f, Bgr8>,
 }
 
 /// Parameters.
 #[derive(Params)]
 pub struct Settings {
-    /// Ticks that are remembered.
+    /// Length of the trajectory.
     #[param(default = 240, range = 2..=3000, unit = "frames", reopen)]
     length: usize,
-    /// Marks the centre of the shared picture at this distance from the left camera; 0 draws no mark.
+    /// Marks the centre of the picture that both cameras share, at this distance from the left camera; 0 draws no mark.
     #[param(default = 66.0, range = 0.0..=200.0, step = 1.0, unit = "mm")]
     goal_mm: f64,
-    /// Draws the box.
+    /// Draws the trajectory in a box too, seen in perspective.
     #[param(default = true)]
     show_box: bool,
-    /// Part of the picture's width that the box takes.
+    /// Width of the box, as a share of the picture's width.
     #[param(default = 0.3, range = 0.1..=1.0, step = 0.05, unit = "ratio")]
     box_share: f32,
     /// Width of lines.
     #[param(default = 2.0, range = 0.5..=20.0, step = 0.5, unit = "px")]
     line_px: f32,
-    /// Capitals are six times as many px high.
+    /// Size of text: capital letters are six times as many px high.
     #[param(default = 1.5, range = 0.5..=20.0, step = 0.5)]
     text_scale: f32,
 }
 
 type Point = [f64; 3];
 
-/// Draws the way of a tip.
+/// Draws the trajectory of a tip.
 pub struct Trajectory {
-    /// Places in the resting frame, oldest first; none where the tip was lost.
-    way: VecDeque<Option<Point>>,
+    /// Positions in the scene, mm, oldest first; none where the tip was lost.
+    positions: VecDeque<Option<Point>>,
     words: String,
 }
 
-/// A pose as rows of a rotation and a place.
+/// A pose as rows of a rotation, and a translation, mm.
 struct Frame {
     rows: [Point; 3],
     at: Point,
@@ -92,13 +92,13 @@ impl Frame {
     }
 }
 
-/// From blue, long ago, to yellow, now.
+/// Colours from blue (oldest) to yellow (newest).
 fn color(age: f32) -> Color {
     let new = 1.0 - age.clamp(0.0, 1.0);
     [(230.0 * (1.0 - new)) as u8 + 20, (90.0 + 140.0 * new) as u8, (40.0 + 210.0 * new) as u8]
 }
 
-/// Where a place in the camera's frame lies in the picture, px; none behind the camera.
+/// Projects a position in the camera's frame to the picture, px; none behind the camera.
 fn pixel(projection: &[f64; 12], p: Point) -> Option<(f32, f32)> {
     (p[2] > 1.0).then(|| {
         let (u, v) = (projection[0] * p[0] / p[2] + projection[2], projection[5] * p[1] / p[2] + projection[6]);
@@ -108,15 +108,15 @@ fn pixel(projection: &[f64; 12], p: Point) -> Option<(f32, f32)> {
 
 impl Trajectory {
     fn steps(&self) -> impl Iterator<Item = (Point, Point, f32)> + '_ {
-        let count = self.way.len().max(2) as f32;
-        let two = self.way.iter().zip(self.way.iter().skip(1)).enumerate();
+        let count = self.positions.len().max(2) as f32;
+        let two = self.positions.iter().zip(self.positions.iter().skip(1)).enumerate();
         two.filter_map(move |(index, (a, b))| Some(((*a)?, (*b)?, 1.0 - (index + 1) as f32 / (count - 1.0))))
     }
 
-    /// The way in a box of whole centimetres, seen from above and aside, with its shadow on the floor.
+    /// The trajectory in a box of whole centimetres, seen from above and from the side, with its shadow on the floor.
     fn draw_box(&mut self, out: &mut ViewMut<'_, u8>, settings: &Settings) {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-        for p in self.way.iter().flatten() {
+        for p in self.positions.iter().flatten() {
             (0..3).for_each(|k| (low[k], high[k]) = (low[k].min(p[k]), high[k].max(p[k])));
         }
         if !low.iter().chain(&high).all(|v| v.is_finite()) {
@@ -159,13 +159,13 @@ impl Trajectory {
 
 impl Node for Trajectory {
     const INFO: NodeInfo =
-        NodeInfo::compute("trajectory", "overlay", "Draws the way of a tool's tip on the picture and in a box.");
+        NodeInfo::compute("trajectory", "overlay", "Draws the trajectory of a tool's tip on the picture and in a box.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Settings;
 
     fn open(_: &Open<'_>, settings: &Settings) -> Result<Self> {
-        Ok(Self { way: VecDeque::with_capacity(settings.length), words: String::with_capacity(64) })
+        Ok(Self { positions: VecDeque::with_capacity(settings.length), words: String::with_capacity(64) })
     }
 
     fn process<'f>(&mut self, _: &Context<'f>, input: In<'f>, mut out: Out<'f>, settings: &Settings) -> Result<()> {
@@ -174,10 +174,10 @@ impl Node for Trajectory {
             None => Frame::NONE,
         };
         let tip = input.tip.filter(|tip| tip.xyz_valid == 1 && tip.xyz_mm.iter().all(|v| v.is_finite()));
-        if self.way.len() == settings.length {
-            self.way.pop_front();
+        if self.positions.len() == settings.length {
+            self.positions.pop_front();
         }
-        self.way.push_back(tip.map(|tip| frame.outward(tip.xyz_mm)));
+        self.positions.push_back(tip.map(|tip| frame.outward(tip.xyz_mm)));
         let mut picture = out.image.alloc_copy(&input.image)?;
         if let Some(calibration) = &input.calibration {
             let projection = &calibration.left_projection;

@@ -8,7 +8,7 @@ use panoscope_node::{Bgr8, Cloud, Context, Node, NodeInfo, Open, Params, Ports, 
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Points row by row as `reproject` makes them, mm.
+    /// Points of `reproject`, mm.
     pub cloud: Cloud<'f>,
 }
 
@@ -28,28 +28,28 @@ pub struct Settings {
     /// Height of the picture.
     #[param(default = 480, range = 16..=4096, unit = "px")]
     pub height: usize,
-    /// Middle of the turn about the vertical axis; 0 looks as the camera does.
+    /// Middle angle of the turn about the vertical axis; 0 is the camera's own direction.
     #[param(default = 0.0, range = -180.0..=180.0, step = 5.0, unit = "deg")]
     pub yaw_deg: f32,
-    /// Turn about the horizontal axis; above 0 looks from above.
+    /// Angle about the horizontal axis; above 0 looks from above.
     #[param(default = 20.0, range = -89.0..=89.0, step = 5.0, unit = "deg")]
     pub pitch_deg: f32,
-    /// How far it turns to each side; 180 goes all the way round.
+    /// Angle by which it turns to each side; 180 is a full turn.
     #[param(default = 40.0, range = 0.0..=180.0, step = 5.0, unit = "deg")]
     pub swing_deg: f32,
-    /// Pictures for one turn there and back.
+    /// Number of pictures for one turn to and fro.
     #[param(default = 240, range = 2..=100000, unit = "frames")]
     pub period: u64,
-    /// Size; 1 fills the picture seen from the front.
+    /// Magnification; 1 fills the picture when seen from the front.
     #[param(default = 0.9, range = 0.1..=20.0, step = 0.1, unit = "ratio")]
     pub zoom: f32,
-    /// Every so many points make a corner of the surface.
+    /// Spacing of the points that form the surface.
     #[param(default = 2, range = 1..=16, unit = "px")]
     pub step: usize,
-    /// Neighbours that rise more steeply than this are no surface.
+    /// Largest slope between neighbours of one surface; steeper ones are not connected.
     #[param(default = 6.0, range = 0.5..=100.0, step = 0.5, unit = "ratio")]
     pub max_slope: f32,
-    /// How much darker what is turned away gets.
+    /// Strength of the shading of parts that face away.
     #[param(default = 0.6, range = 0.0..=1.0, step = 0.05, unit = "ratio")]
     pub shading: f32,
 }

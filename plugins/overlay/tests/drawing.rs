@@ -250,7 +250,7 @@ fn a_full_picture() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../shared/data/m2cai16-tool-locations/JPEGImages/v08_012900.jpg");
     let Ok(photo) = image::open(&file) else {
-        println!("skipped: ../shared/data/m2cai16-tool-locations is not there");
+        panoscope_testing::skipped!("../shared/data/m2cai16-tool-locations is not there");
         return;
     };
     let photo = photo.into_rgb8();

@@ -1,7 +1,7 @@
 //! Writers of images, videos, tables and raw data.
 //!
 //! Every writer is a node of one file; what the bytes of a format look like stands in [`formats`], and how a file comes
-//! to its name (folders, `{seq}`, part files, errors with their mend) in [`target`].
+//! to its name (folders, `{seq}`, part files, errors with their help) in [`target`].
 
 #![forbid(unsafe_code)]
 

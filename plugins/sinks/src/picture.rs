@@ -55,7 +55,7 @@ impl<'a> Pixels<'a> {
         }
     }
 
-    /// Writes the pixels as BGR rows without padding; `out` is reused. 16-bit and float pixels answer `false`.
+    /// Writes the pixels as BGR rows without padding; `out` is reused. Returns `false` for 16-bit and float pixels.
     pub fn to_bgr(&self, out: &mut Vec<u8>) -> bool {
         let (width, height) = self.size();
         out.clear();

@@ -7,7 +7,7 @@ use panoscope_node::{
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The picture to look at.
+    /// The picture to show.
     pub image: AnyImage<'f>,
 }
 

@@ -1,4 +1,4 @@
-//! From a path parameter to a finished file: names, folders, part files and errors that say what helps.
+//! From a path parameter to a finished file: names, folders, part files, and errors with help.
 
 use std::collections::VecDeque;
 use std::fs::{self, File, OpenOptions};
@@ -14,11 +14,11 @@ pub const PART: &str = ".tmp-part";
 #[derive(Debug, thiserror::Error)]
 pub enum SinkError {
     /// The operating system refused.
-    #[error("cannot write {path}: {reason}; {mend}", path = path.display(), mend = mend(source))]
+    #[error("cannot write {path}: {reason}; {help}", path = path.display(), help = help(source))]
     Io {
         /// The file that was asked for.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         reason: String,
         /// The system's error.
         source: io::Error,
@@ -42,14 +42,14 @@ pub enum SinkError {
         known: &'static str,
     },
     /// The format cannot hold these pixels.
-    #[error("{path}: {what} cannot be stored in this format; {mend}", path = path.display())]
+    #[error("{path}: {what} cannot be stored in this format; {help}", path = path.display())]
     Unfit {
         /// The file that was asked for.
         path: PathBuf,
         /// What was to be stored.
         what: String,
         /// What would work.
-        mend: &'static str,
+        help: &'static str,
     },
     /// An encoder failed.
     #[error("{path}: the encoder failed: {reason}", path = path.display())]
@@ -68,7 +68,7 @@ impl SinkError {
     }
 }
 
-fn mend(error: &io::Error) -> &'static str {
+fn help(error: &io::Error) -> &'static str {
     match error.kind() {
         ErrorKind::NotFound => "the folder is not there and could not be made",
         ErrorKind::PermissionDenied => {
@@ -92,7 +92,7 @@ pub fn ending(path: &Path) -> String {
 /// Makes the folder of `path` where it is missing.
 ///
 /// # Errors
-/// What the system says, for `path`.
+/// A system error about `path`.
 pub fn make_folder(path: &Path) -> Result<(), SinkError> {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => {
@@ -136,7 +136,7 @@ pub fn check_path(
 /// Claims the file of a node that is being opened and makes sure that it can be written: folders are made, what the file holds stays as it is.
 ///
 /// # Errors
-/// Another node writes it; what the system says.
+/// Another node writes the file, or the system refuses it.
 pub fn claim(open: &Open<'_>, path: &Path) -> NodeResult<()> {
     make_folder(path)?;
     open.claim_file(path)?;
@@ -299,7 +299,7 @@ impl Wholes {
     /// Those of the system, also of writes that it has put off.
     pub fn finish(&mut self) -> Result<(), SinkError> {
         for path in self.recent.drain(..) {
-            // Taken away or replaced by somebody else meanwhile: no longer this node's.
+            // Removed or replaced by another program meanwhile: no longer this node's.
             let Ok(file) = File::open(&path) else { continue };
             sync(&file).map_err(|error| SinkError::io(&path, error))?;
         }
@@ -307,7 +307,7 @@ impl Wholes {
     }
 }
 
-/// Writes a whole file beside its place and then renames it, so that nobody ever sees half of it.
+/// Writes a whole file under another name and then renames it, so that no reader sees half of it.
 ///
 /// # Errors
 /// Errors of `body` and of the system; the part file is removed.
@@ -327,7 +327,7 @@ pub fn write_whole(
         fs::rename(&part, path).map_err(io)
     })();
     if written.is_err() {
-        // Nothing can be said beyond the first error.
+        // Only the first error is reported.
         let _ = fs::remove_file(&part);
     }
     written
@@ -384,7 +384,7 @@ impl Pattern {
         PathBuf::from(out)
     }
 
-    /// Counts a call and says whether it is the turn of this one, of every `every`-th.
+    /// Counts a call; returns true for every `every`-th.
     pub fn is_due(&mut self, every: u64) -> bool {
         if every != self.every {
             (self.every, self.seen) = (every, 0);

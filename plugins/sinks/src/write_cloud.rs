@@ -10,23 +10,23 @@ use crate::target::{Pattern, SinkError, Wholes, check_name, check_path, make_fol
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Points in mm with colour; those without a place are left out.
+    /// Points in mm with colours; unknown points are skipped.
     pub cloud: Cloud<'f>,
 }
 
 /// Parameters.
 #[derive(Params)]
 pub struct Settings {
-    /// File to write, ending in .ply. `{seq}` becomes the tick's number; without it every cloud replaces the one before.
+    /// File to write, ending in .ply. `{seq}` becomes the tick's number; without it each cloud replaces the previous one.
     #[param(default = "out/cloud.ply", reopen, writes)]
     pub path: PathBuf,
-    /// Writes only every so many clouds.
+    /// Number of clouds per written one.
     #[param(default = 1, range = 1..=100000, unit = "frames")]
     pub every: u64,
-    /// Writes the surface between neighbouring points as triangles too.
+    /// Writes the surface between neighbouring points as triangles, too.
     #[param(default = false)]
     pub mesh: bool,
-    /// Neighbours that rise more steeply than this are no surface.
+    /// Largest slope between neighbours of one surface; steeper ones are not connected.
     #[param(default = 6.0, range = 0.5..=100.0, step = 0.5, unit = "ratio")]
     pub max_slope: f32,
 }

@@ -33,7 +33,7 @@ pub struct Settings {
     /// Stops writing after so many files; 0 never.
     #[param(default = 0, range = 0..=1000000000, unit = "frames")]
     pub limit: u64,
-    /// Writes only the last bgr8 picture, when the graph ends; `every` then says how often it is noted.
+    /// Writes only the last bgr8 picture, when the graph ends; `every` then is the number of ticks between the pictures considered.
     #[param(default = false)]
     pub at_end: bool,
     /// Quality of JPEG files.
@@ -54,7 +54,7 @@ pub struct WriteImages {
 impl WriteImages {
     fn write(&mut self, pixels: &Pixels<'_>, seq: u64, port: &str, both: bool, quality: u8) -> Result<(), SinkError> {
         let path = self.pattern.file(seq, port, both);
-        let unfit = |mend| SinkError::Unfit { path: path.clone(), what: format!("a {} image", pixels.name()), mend };
+        let unfit = |help| SinkError::Unfit { path: path.clone(), what: format!("a {} image", pixels.name()), help };
         match pixels {
             Pixels::F32(_) => return Err(unfit("put a `colorize` node in front, or use `write_raw` for the numbers")),
             Pixels::Gray16(_) if self.ending != "png" => return Err(unfit("use .png, which holds 16 bits")),

@@ -33,15 +33,15 @@ pub struct Settings {
     /// the tick's number, `{port}` the input's name; with several inputs the name is added where `{port}` is missing.
     #[param(default = "out/plane.pfm", reopen, writes)]
     pub path: PathBuf,
-    /// Writes only every so many ticks.
+    /// Number of ticks per written one.
     #[param(default = 1, range = 1..=100000, unit = "frames")]
     pub every: u64,
-    /// Stops after so many ticks; 0 never.
+    /// Number of ticks after which writing stops; 0 never stops.
     #[param(default = 0, range = 0..=1000000000, unit = "frames")]
     pub limit: u64,
 }
 
-/// Writes planes for other programs to calculate with.
+/// Writes planes for use by other programs.
 pub struct WriteRaw {
     pattern: Pattern,
     files: Wholes,
@@ -86,9 +86,9 @@ impl Node for WriteRaw {
         for (port, pixels) in planes {
             let Some(pixels) = pixels else { continue };
             let path = self.pattern.file(cx.tick().seq, port, count > 1);
-            if let Some(mend) = self.format.refuses(&pixels) {
+            if let Some(help) = self.format.refuses(&pixels) {
                 let what = format!("{} pixels of input `{port}`", pixels.name());
-                return Err(SinkError::Unfit { path, what, mend }.into());
+                return Err(SinkError::Unfit { path, what, help }.into());
             }
             make_folder(&path)?;
             self.files.write(&path, |file| {

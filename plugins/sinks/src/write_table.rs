@@ -24,19 +24,19 @@ const NOT_IN_COCO: [&str; 8] = ["table", "scalar", "homography", "roi", "tip", "
 pub struct In<'f> {
     /// Named columns of numbers.
     pub table: Option<Table<'f>>,
-    /// One number.
+    /// A number.
     pub scalar: Option<Value<'f, Scalar>>,
     /// Registration of the views.
     pub homography: Option<Value<'f, Homography>>,
-    /// A rectangle.
+    /// A rectangle, px.
     pub roi: Option<Value<'f, Roi>>,
-    /// A tool's tip.
+    /// Tip of a tool.
     pub tip: Option<Value<'f, Tip>>,
     /// Where one frame stands in another.
     pub pose: Option<Value<'f, Pose>>,
     /// Angles and speeds of the arm.
     pub joints: Option<Value<'f, Joints>>,
-    /// Words.
+    /// A text.
     pub text: Option<Text<'f>>,
     /// Boxes.
     pub detections: Option<Detections<'f>>,

@@ -1,5 +1,6 @@
 //! `write_video`: pictures as a video file.
 
+mod codec;
 mod encoder;
 mod timeline;
 
@@ -11,37 +12,23 @@ use panoscope_node::{
 
 use crate::picture::Pixels;
 use crate::target::{check_name, check_path, claim};
+pub use codec::Codec;
 use encoder::{Encoder, Picture};
 
 const EXAMPLE: &str = "video.mkv";
 const ENDINGS: &str = "mkv, avi, mp4, mov, webm";
 
-/// How a video is compressed.
-#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Codec {
-    /// Every frame is a JPEG: fast, keeps every frame's own time, and a crash loses no frame (.mkv).
-    Mjpg,
-    /// H.264: small files; needs an encoder in the system's FFmpeg.
-    H264,
-    /// MPEG-4 part 2.
-    Mpeg4,
-    /// VP8.
-    Vp8,
-    /// FFV1: lossless, large files.
-    Ffv1,
-}
-
-/// Which time a video shows.
+/// Which time the frames of a video have.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Time {
-    /// That of the pictures' capture: a recording that is replayed, or a slow machine, gives the same video.
+    /// Capture time of the pictures. A replayed recording, or a slow machine, gives the same video.
     Capture,
-    /// That which passed while the graph ran: what somebody saw live, at the speed at which they saw it.
+    /// Time at which the node received them: the video plays at the speed of the live run.
     Passed,
 }
 
-/// A video of a constant rate that falls behind by so much is told of.
-const TOLD_BEHIND_MS: f64 = 500.0;
+/// Lag of a video of constant rate behind its pictures that gives a warning, ms.
+const WARN_BEHIND_MS: f64 = 500.0;
 
 /// Inputs.
 #[derive(Ports)]
@@ -53,21 +40,21 @@ pub struct In<'f> {
 /// Parameters.
 #[derive(Params)]
 pub struct Settings {
-    /// File to write. .mkv plays even when the program died while writing it; .avi and .mp4 do not. A node that is opened again in the same run
-    /// goes on in .part2.mkv and so on.
+    /// File to write. A .mkv file survives a crash; .avi and .mp4 do not. A node that is opened again in the same run continues in .part2.mkv and so
+    /// on.
     #[param(default = "out/video.mkv", reopen, writes)]
     pub path: PathBuf,
     /// How the pictures are compressed.
     #[param(default = "mjpg", reopen)]
     pub codec: Codec,
-    /// Frames per second, however far the pictures lie apart; 0 gives each picture its own time (`mjpg` in .mkv exactly; else the first two pictures
-    /// set the rate of the file, and later ones are repeated where they lie farther apart).
+    /// Frames per second, whatever the times of the pictures. 0 gives each picture its own time: exactly for `mjpg` in .mkv; for others the first two
+    /// pictures set the rate, and later ones are repeated where they lie farther apart.
     #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
     pub fps: f64,
-    /// Which time of the pictures counts.
+    /// Time that the frames have.
     #[param(default = "capture", reopen)]
     pub time: Time,
-    /// Replaces the file of an earlier run; else the video goes into the next .part file that does not exist.
+    /// Replaces the file of an earlier run; otherwise the video is written to the next .part file that does not exist.
     #[param(default = true, reopen)]
     pub replace: bool,
     /// Quality of `mjpg` in .mkv.
@@ -75,13 +62,13 @@ pub struct Settings {
     pub quality: i32,
 }
 
-/// Writes a video. Its size is that of the first picture; later ones of another size are fitted onto it with black borders.
+/// Writes a video of the first picture's size; pictures of other sizes are fitted into it with black borders.
 pub struct WriteVideo {
     encoder: Encoder,
     bgr: Vec<u8>,
     size: Option<(usize, usize)>,
-    told: bool,
-    behind_told: bool,
+    size_warned: bool,
+    behind_warned: bool,
     frames: u64,
 }
 
@@ -111,7 +98,7 @@ impl Node for WriteVideo {
         }
         claim(open, &params.path)?;
         let encoder = Encoder::new(&params.path, &ending, params.codec, params.fps);
-        Ok(Self { encoder, bgr: Vec::new(), size: None, told: false, behind_told: false, frames: 0 })
+        Ok(Self { encoder, bgr: Vec::new(), size: None, size_warned: false, behind_warned: false, frames: 0 })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Settings) -> Result<()> {
@@ -127,8 +114,8 @@ impl Node for WriteVideo {
         let size = pixels.size();
         let first = *self.size.get_or_insert(size);
         if size != first {
-            if !self.told {
-                self.told = true;
+            if !self.size_warned {
+                self.size_warned = true;
                 cx.warn(&format!(
                     "pictures changed from {}x{} to {}x{}: fitted onto the first size with black borders",
                     first.0, first.1, size.0, size.1
@@ -144,14 +131,14 @@ impl Node for WriteVideo {
         self.encoder.push(&picture, |path| {
             let file = cx.begin_file(path, params.replace)?;
             if file != path {
-                cx.info(&format!("goes on in {}", file.display()));
+                cx.info(&format!("continues in {}", file.display()));
             }
             Ok(file)
         })?;
-        if !self.behind_told && self.encoder.behind_ms() > TOLD_BEHIND_MS {
-            self.behind_told = true;
+        if !self.behind_warned && self.encoder.behind_ms() > WARN_BEHIND_MS {
+            self.behind_warned = true;
             cx.warn(&format!(
-                "pictures come faster than the first two said: {} plays too slowly; give `fps`, or write mjpg into .mkv",
+                "pictures come faster than the first two: {} plays too slowly; give `fps`, or write mjpg into .mkv",
                 self.encoder.path().display()
             ));
         }
@@ -168,7 +155,7 @@ impl Node for WriteVideo {
 impl Drop for WriteVideo {
     fn drop(&mut self) {
         if let Err(error) = self.encoder.finish() {
-            // `finish` was not called, and no call is running that could carry the words.
+            // `finish` was not called, and no running call can report the error.
             eprintln!("panoscope: write_video: {error}");
         }
     }

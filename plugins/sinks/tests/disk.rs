@@ -79,14 +79,14 @@ impl Disk {
 /// One sink, and how what it wrote is read by others.
 struct Sink {
     name: &'static str,
-    run: fn(&Path, u64, &mut dyn FnMut(u64)) -> Told,
+    run: fn(&Path, u64, &mut dyn FnMut(u64)) -> Reported,
     /// Ticks that are found whole.
     read: fn(&Path) -> BTreeSet<u64>,
 }
 
-/// What a run told of its failures.
+/// What a run reported of its failures.
 #[derive(Default, Debug)]
-struct Told {
+struct Reported {
     errors: Vec<String>,
     stopped: bool,
 }
@@ -122,21 +122,21 @@ fn run<N: Node>(
     ticks: u64,
     acknowledge: &mut dyn FnMut(u64),
     give: fn(&mut Harness<N>, u64),
-) -> Told {
-    let mut told = Told::default();
+) -> Reported {
+    let mut reported = Reported::default();
     let setup = Setup::new(&format!("params = {{ {params} }}")).graph_dir(folder);
     let mut node = match Harness::<N>::open(setup) {
         Ok(node) => node,
         Err(error) => {
-            told.errors.push(error.to_string());
-            return told;
+            reported.errors.push(error.to_string());
+            return reported;
         }
     };
     let mut open = true;
     for tick in 0..ticks {
         if !open {
-            open = node.reopen().map_err(|error| told.tell(&error)).is_ok();
-            if told.stopped {
+            open = node.reopen().map_err(|error| reported.note(&error)).is_ok();
+            if reported.stopped {
                 break;
             }
         }
@@ -148,25 +148,25 @@ fn run<N: Node>(
         match node.process() {
             Ok(_) => acknowledge(tick),
             Err(error) => {
-                told.tell(&error);
+                reported.note(&error);
                 open = false;
                 if let Err(error) = node.finish() {
-                    told.tell(&error);
+                    reported.note(&error);
                 }
-                if told.stopped {
+                if reported.stopped {
                     break;
                 }
             }
         }
     }
     if open && let Err(error) = node.finish() {
-        told.tell(&error);
+        reported.note(&error);
     }
-    told
+    reported
 }
 
-impl Told {
-    fn tell(&mut self, error: &HarnessError) {
+impl Reported {
+    fn note(&mut self, error: &HarnessError) {
         self.stopped |= error.status() == Some(STATUS_STOPPED);
         self.errors.push(error.to_string());
     }
@@ -356,7 +356,7 @@ fn case(disk: &Disk, board: &Board, folder: &Path, sink: &Sink, fault: Fault, nu
     fs::create_dir_all(folder).unwrap();
     board.clear();
     let is_kill = matches!(fault, Fault::Kill | Fault::KillTorn);
-    let mut told = Told::default();
+    let mut reported = Reported::default();
     let came = if is_kill {
         // SAFETY: the child goes on alone with this thread; other threads of this process rest.
         let child = unsafe { libc::fork() };
@@ -375,24 +375,28 @@ fn case(disk: &Disk, board: &Board, folder: &Path, sink: &Sink, fault: Fault, nu
         killed
     } else {
         disk.arm(folder, fault, number);
-        told = (sink.run)(folder, ticks, &mut |tick| board.set(tick));
+        reported = (sink.run)(folder, ticks, &mut |tick| board.set(tick));
         disk.disarm()
     };
     let (acknowledged, found) = (board.ticks(), (sink.read)(folder));
     let lost: Vec<&u64> = acknowledged.difference(&found).collect();
-    assert!(lost.is_empty(), "acknowledged, but not to be found: {lost:?}; found {found:?}; told {:?}", told.errors);
+    assert!(
+        lost.is_empty(),
+        "acknowledged, but not to be found: {lost:?}; found {found:?}; reported {:?}",
+        reported.errors
+    );
     if !came {
-        assert!(told.errors.is_empty(), "{:?}", told.errors);
+        assert!(reported.errors.is_empty(), "{:?}", reported.errors);
         assert!(sink.name == "last" || acknowledged.len() as u64 == ticks, "{acknowledged:?}");
     } else if !is_kill {
         // An error while a torn end is taken off, or a journal removed, loses nothing.
         let all = sink.name != "last" && acknowledged.len() as u64 == ticks;
-        assert!(all || !told.errors.is_empty(), "lost in silence: {acknowledged:?} of {ticks}");
+        assert!(all || !reported.errors.is_empty(), "lost in silence: {acknowledged:?} of {ticks}");
     }
     if came && fault == Fault::Full {
-        assert!(told.stopped || !told.errors.is_empty(), "the full disk was not told");
-        assert!(told.errors.len() <= 2, "told once in a call, and perhaps at the end: {:?}", told.errors);
-        assert!(told.errors.iter().all(|e| e.contains("the disk is full")), "{:?}", told.errors);
+        assert!(reported.stopped || !reported.errors.is_empty(), "the full disk was not reported");
+        assert!(reported.errors.len() <= 2, "reported once in a call, and perhaps at the end: {:?}", reported.errors);
+        assert!(reported.errors.iter().all(|e| e.contains("the disk is full")), "{:?}", reported.errors);
         let parts = fs::read_dir(folder)
             .unwrap()
             .filter(|f| f.as_ref().unwrap().file_name().to_string_lossy().ends_with("tmp-part"));

@@ -100,7 +100,7 @@ fn the_last_picture_is_written_at_the_end() {
 }
 
 #[test]
-fn errors_name_the_file_and_the_mend() {
+fn errors_name_the_file_and_the_help() {
     let folder = Folder::new("errors");
     let refused = |params: &str| {
         let setup = Setup::new(&format!("params = {{ {params} }}")).graph_dir(&folder.0);
@@ -412,7 +412,7 @@ fn one_file_has_one_writer() {
 }
 
 #[test]
-fn a_full_disk_is_an_error_that_opening_again_would_not_mend() {
+fn a_full_disk_is_an_error_that_reopening_does_not_repair() {
     let folder = Folder::new("full");
     for name in ["t.jsonl", "t.csv", "v.mkv"] {
         std::os::unix::fs::symlink("/dev/full", folder.0.join(name)).unwrap();
@@ -474,7 +474,7 @@ fn other_codecs_write_what_opencv_reads() {
         if let Some(error) = refused {
             let message = error.to_string();
             assert!(message.contains("mjpg") && codec != "ffv1", "{codec}: {message}");
-            println!("skipped: {codec}: {message}");
+            panoscope_testing::skipped!("{codec}: {message}");
             continue;
         }
         drop(node);

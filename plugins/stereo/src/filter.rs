@@ -6,7 +6,7 @@ use panoscope_imaging::stereo::{
 };
 use panoscope_node::{
     AnyImage, Bgr8, Confidence, Context, Disparity, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot,
-    Validation, View, error,
+    Validation, View, ViewMut, error,
 };
 
 use crate::matcher::check_kernel;
@@ -14,34 +14,34 @@ use crate::matcher::check_kernel;
 /// Inputs of both filters.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Rectified left view, gray8 or bgr8: its edges stay.
+    /// Rectified left view, gray8 or bgr8. Its edges are kept in the map.
     image: AnyImage<'f>,
-    /// Disparity of the left view.
+    /// Disparity of the left view, px.
     disparity: Image<'f, Disparity>,
-    /// Disparity of the right view: where both disagree, confidence is 0.
+    /// Disparity of the right view, px. Confidence is 0 where both views disagree.
     disparity_right: Option<Image<'f, Disparity>>,
-    /// Confidence to use instead of judging it here.
+    /// Confidence to use; without it the filter computes its own.
     confidence: Option<Image<'f, Confidence>>,
 }
 
 /// Outputs of both filters.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The smooth map; NaN where too little supports it.
+    /// The smoothed map, px; NaN where too few trusted pixels are near.
     disparity: Slot<'f, Disparity>,
-    /// Support of each pixel, 0 to 1.
+    /// Confidence of each pixel, 0 to 1.
     confidence: Slot<'f, Confidence>,
 }
 
-/// Sides of the worked rectangle are multiples of this, so that it seldom moves.
+/// Sides of the filtered rectangle are multiples of this, so that it rarely changes.
 const GRAIN_PX: usize = 32;
 
-/// Whether a value of `part` is known; all are looked at, several at a time.
+/// Whether a value of `part` is known. Visits all, so that the compiler can vectorise the loop.
 fn any_known(part: &[f32]) -> bool {
     part.iter().fold(false, |any, value| any | value.is_finite())
 }
 
-/// The rectangle around all known disparities, widened to whole grains: nothing outside it can be told.
+/// The rectangle around all known disparities, widened to whole grains. No filter reaches beyond it.
 fn known(disparity: View<'_, f32>) -> Rect {
     let (mut x0, mut x1, mut y0, mut y1) = (disparity.width, 0, disparity.height, 0);
     for y in 0..disparity.height {
@@ -89,15 +89,51 @@ fn filter_input<'f>(input: &In<'f>) -> Result<FilterInput<'f>> {
     })
 }
 
-/// `level` as the kernel's optional one; 256 and -1 stand for none.
-fn judge(left_right_px: f32, scatter_radius_px: usize, highlight_level: u32, dark_level: i32) -> ConfidenceParams {
-    ConfidenceParams {
-        left_right_px,
-        scatter_radius_px,
-        highlight_level: u8::try_from(highlight_level).ok(),
-        dark_level: u8::try_from(dark_level).ok(),
-        ..ConfidenceParams::default()
+/// Parameters of both filters: which disparities they trust.
+#[derive(Params)]
+struct TrustParams {
+    /// Largest difference to the right view's disparity that is trusted.
+    #[param(default = 1.5, range = 0.0..=16.0, step = 0.1, unit = "px")]
+    left_right_px: f32,
+    /// Radius of the neighbourhood whose scatter lowers confidence: 5 after `stereo_bm`, 3 after `stereo_sgbm`, 0 for none.
+    #[param(default = 5, range = 0..=15, unit = "px")]
+    scatter_radius_px: usize,
+    /// Gray level from which a pixel is a highlight and not trusted; 256 trusts all.
+    #[param(default = 250, range = 1..=256)]
+    highlight_level: u32,
+    /// Gray level up to which a pixel lies outside the scope's picture and is not trusted; -1 trusts all.
+    #[param(default = 4, range = -1..=255)]
+    dark_level: i32,
+}
+
+impl TrustParams {
+    /// Levels of 256 and -1 become none.
+    fn kernel(&self) -> ConfidenceParams {
+        ConfidenceParams {
+            left_right_px: self.left_right_px,
+            scatter_radius_px: self.scatter_radius_px,
+            highlight_level: u8::try_from(self.highlight_level).ok(),
+            dark_level: u8::try_from(self.dark_level).ok(),
+            ..ConfidenceParams::default()
+        }
     }
+}
+
+/// Runs a filter on one tick's inputs into the outputs that are read.
+fn filter<'f>(input: &In<'f>, out: &mut Out<'_>, run: impl FnOnce(Job<'f, '_>) -> Result<()>) -> Result<()> {
+    let given = filter_input(input)?;
+    let (width, height) = (given.disparity.width, given.disparity.height);
+    let confidence_is_read = out.confidence.is_read();
+    let disparity = out.disparity.alloc(width, height)?;
+    let confidence = if confidence_is_read { Some(out.confidence.alloc(width, height)?) } else { None };
+    run(Job { given, disparity, confidence })
+}
+
+/// What a filter works on.
+struct Job<'f, 'o> {
+    given: FilterInput<'f>,
+    disparity: ViewMut<'o, f32>,
+    confidence: Option<ViewMut<'o, f32>>,
 }
 
 /// Parameters of the weighted-least-squares filter.
@@ -109,24 +145,14 @@ pub struct DisparityWlsParams {
     /// Colour distance over which the coupling of two pixels falls to 1/e.
     #[param(default = 1.5, range = 0.1..=100.0, step = 0.1)]
     sigma_color: f32,
-    /// Rounds of row and column solves.
+    /// Number of iterations over rows and columns.
     #[param(default = 3, range = 1..=8)]
     iterations: usize,
-    /// Support below which a pixel stays unknown; 0 fills all that is reached.
+    /// Support below which a pixel stays unknown; 0 fills all pixels that the filter reaches.
     #[param(default = 0.05, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_support: f32,
-    /// Largest difference to the right view's disparity that is trusted.
-    #[param(default = 1.5, range = 0.0..=16.0, step = 0.1, unit = "px")]
-    left_right_px: f32,
-    /// Radius of the neighbourhood whose scatter lowers confidence: 5 after `stereo_bm`, 3 after `stereo_sgbm`, 0 for none.
-    #[param(default = 5, range = 0..=15, unit = "px")]
-    scatter_radius_px: usize,
-    /// Gray level from which on a pixel is a highlight and not trusted; 256 trusts all.
-    #[param(default = 250, range = 1..=256)]
-    highlight_level: u32,
-    /// Gray level up to which a pixel lies outside the scope's picture; -1 trusts all.
-    #[param(default = 4, range = -1..=255)]
-    dark_level: i32,
+    #[param(flatten)]
+    trust: TrustParams,
 }
 
 impl DisparityWlsParams {
@@ -136,7 +162,7 @@ impl DisparityWlsParams {
             sigma_color: self.sigma_color,
             iterations: self.iterations,
             min_support: self.min_support,
-            confidence: judge(self.left_right_px, self.scatter_radius_px, self.highlight_level, self.dark_level),
+            confidence: self.trust.kernel(),
         }
     }
 }
@@ -175,12 +201,9 @@ impl Node for DisparityWls {
         if *self.kernel.params() != wanted {
             self.kernel.set_params(wanted)?;
         }
-        let given = filter_input(&input)?;
-        let (width, height) = (given.disparity.width, given.disparity.height);
-        let confidence_is_read = out.confidence.is_read();
-        let disparity = out.disparity.alloc(width, height)?;
-        let confidence = if confidence_is_read { Some(out.confidence.alloc(width, height)?) } else { None };
-        self.kernel.compute(given, cx.pool(), disparity, confidence)?;
+        filter(&input, &mut out, |job| {
+            Ok(self.kernel.compute(job.given, cx.pool(), job.disparity, job.confidence)?)
+        })?;
         Ok(())
     }
 }
@@ -197,7 +220,7 @@ pub struct DisparityFbsParams {
     /// Weight of smoothness against closeness to the given map.
     #[param(default = 0.5, range = 0.0..=10000.0, step = 0.05)]
     lambda: f32,
-    /// Most steps of conjugate gradients.
+    /// Largest number of conjugate gradient steps.
     #[param(default = 25, range = 1..=200)]
     iterations: usize,
     /// Residual at which the solver stops.
@@ -206,21 +229,11 @@ pub struct DisparityFbsParams {
     /// Support below which a pixel stays unknown.
     #[param(default = 0.05, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_support: f32,
-    /// Start from the solution of the frame before.
+    /// Starts from the solution of the previous frame.
     #[param(default = true)]
     warm_start: bool,
-    /// Largest difference to the right view's disparity that is trusted.
-    #[param(default = 1.5, range = 0.0..=16.0, step = 0.1, unit = "px")]
-    left_right_px: f32,
-    /// Radius of the neighbourhood whose scatter lowers confidence, 0 for none.
-    #[param(default = 5, range = 0..=15, unit = "px")]
-    scatter_radius_px: usize,
-    /// Gray level from which on a pixel is a highlight and not trusted; 256 trusts all.
-    #[param(default = 250, range = 1..=256)]
-    highlight_level: u32,
-    /// Gray level up to which a pixel lies outside the scope's picture; -1 trusts all.
-    #[param(default = 4, range = -1..=255)]
-    dark_level: i32,
+    #[param(flatten)]
+    trust: TrustParams,
 }
 
 impl DisparityFbsParams {
@@ -233,7 +246,7 @@ impl DisparityFbsParams {
             tolerance: self.tolerance,
             min_support: self.min_support,
             warm_start: self.warm_start,
-            confidence: judge(self.left_right_px, self.scatter_radius_px, self.highlight_level, self.dark_level),
+            confidence: self.trust.kernel(),
         }
     }
 }
@@ -272,12 +285,9 @@ impl Node for DisparityFbs {
         if *self.kernel.params() != wanted {
             self.kernel.set_params(wanted)?;
         }
-        let given = filter_input(&input)?;
-        let (width, height) = (given.disparity.width, given.disparity.height);
-        let confidence_is_read = out.confidence.is_read();
-        let disparity = out.disparity.alloc(width, height)?;
-        let confidence = if confidence_is_read { Some(out.confidence.alloc(width, height)?) } else { None };
-        self.kernel.compute(given, cx.pool(), disparity, confidence)?;
+        filter(&input, &mut out, |job| {
+            Ok(self.kernel.compute(job.given, cx.pool(), job.disparity, job.confidence)?)
+        })?;
         cx.metric("solver_steps", self.kernel.steps() as f64);
         cx.metric("grid_vertices", self.kernel.vertices() as f64);
         Ok(())

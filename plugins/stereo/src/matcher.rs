@@ -4,7 +4,7 @@ use panoscope_imaging::Rect;
 use panoscope_imaging::stereo::{self, SearchParams, SharedField, SpeckleFilter, StereoError};
 use panoscope_node::abi;
 use panoscope_node::{
-    Context, Disparity, Gray8, Image, Parallel, Ports, Result, Slot, Validation, Value, View, ViewMut, error,
+    Context, Disparity, Gray8, Image, Parallel, Params, Ports, Result, Slot, Validation, Value, View, ViewMut, error,
 };
 
 /// Inputs.
@@ -14,16 +14,16 @@ pub struct In<'f> {
     left: Image<'f, Gray8>,
     /// Rectified right view of the same instant, same size.
     right: Image<'f, Gray8>,
-    /// Part of the left view that is matched; all of it when unconnected.
+    /// Part of the left view that is matched; the whole view when unconnected.
     roi: Option<Value<'f, abi::Roi>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Pixels of the left rectified view, positive; NaN where unmatched.
+    /// Disparity of the left rectified view, px, positive; NaN where unmatched.
     disparity: Slot<'f, Disparity>,
-    /// The same from the right view's pixels: `x_left = x_right + disparity`.
+    /// Disparity of the right rectified view, px: `x_left = x_right + disparity`; NaN where unmatched.
     disparity_right: Slot<'f, Disparity>,
 }
 
@@ -40,13 +40,37 @@ pub trait Engine {
     ) -> Result<(), StereoError>;
 }
 
-/// Where the search lies, and what is dropped behind it.
-#[derive(Clone, Copy, Debug)]
-pub struct Search {
-    /// The offset.
-    pub place: SearchParams,
-    /// Patches of at most so many pixels are taken for wrong; 0 keeps all.
-    pub speckle_area_px: usize,
+/// Parameters of the search, and of what is dropped after it.
+#[derive(Params, Clone, Copy, Debug)]
+pub struct SearchWindow {
+    /// Finds the offset of the search from the region that both views show.
+    #[param(default = true)]
+    auto_offset: bool,
+    /// Smallest disparity that is searched when the offset is not found from the pictures.
+    #[param(default = 0, range = -1024..=2048, unit = "px")]
+    pub min_disparity_px: i32,
+    /// Number of disparities that are searched.
+    #[param(default = 128, range = 32..=512, step = 32, unit = "px")]
+    pub search_px: usize,
+    /// Warns that the calibration does not fit when the median distance of matched points from their rows exceeds this; 0 never warns.
+    #[param(default = 1.0, range = 0.0..=20.0, step = 0.1, unit = "px")]
+    drift_px: f32,
+    /// Removes patches of the left map with at most this many pixels as wrong matches; 0 keeps all.
+    #[param(default = 0, range = 0..=10000, unit = "px")]
+    speckle_area_px: usize,
+}
+
+impl SearchWindow {
+    /// For the search of the offset.
+    fn offset(&self) -> SearchParams {
+        SearchParams {
+            auto_offset: self.auto_offset,
+            min_disparity_px: self.min_disparity_px,
+            keeps_asked: false,
+            search_px: self.search_px,
+            drift_px: self.drift_px,
+        }
+    }
 }
 
 /// Largest step of disparity within a speckle.
@@ -103,7 +127,7 @@ impl Matcher {
         cx: &Context<'f>,
         input: &In<'f>,
         out: &mut Out<'f>,
-        search: Search,
+        window: SearchWindow,
         engine: &mut E,
         prepare: impl FnOnce(&mut E, i32) -> Result<(), StereoError>,
     ) -> Result<()> {
@@ -116,7 +140,8 @@ impl Matcher {
             ));
         }
         let roi = input.roi.as_ref().map_or(Rect::whole(width, height), |roi| inside(roi, width, height));
-        let offset_px = self.search.begin(cx, [left, right], &search.place, cx.pool())?;
+        let search = window.offset();
+        let offset_px = self.search.begin(cx, [left, right], &search, cx.pool())?;
         prepare(engine, offset_px)?;
         let disparity = out.disparity.alloc(width, height)?;
         // A region was chosen by who knows what the views share; the whole frame is cut down to that by the maps of both views.
@@ -143,8 +168,8 @@ impl Matcher {
                 ViewMut { data: &mut *disparity.data, ..disparity }
             }
         };
-        self.speckles.remove(&mut map, roi, search.speckle_area_px, SPECKLE_STEP_PX);
-        self.search.end(cx, [left, right], disparity.as_view(), !chosen, &search.place);
+        self.speckles.remove(&mut map, roi, window.speckle_area_px, SPECKLE_STEP_PX);
+        self.search.end(cx, [left, right], disparity.as_view(), !chosen, &search);
         Ok(())
     }
 }

@@ -12,18 +12,18 @@ use panoscope_calibration::packet as calibration;
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Left view as its camera took it.
+    /// Left view, not rectified.
     left: Image<'f, Bgr8>,
     /// Right view of the same instant.
     right: Image<'f, Bgr8>,
-    /// Calibration of the cameras; the last one seen stays in use.
+    /// Calibration of the cameras; the newest one is used until another arrives.
     calibration: Option<Value<'f, Calibration>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Rectified left view; black where its camera does not reach.
+    /// Rectified left view; black outside the camera's picture.
     left: Slot<'f, Bgr8>,
     /// Rectified right view.
     right: Slot<'f, Bgr8>,
@@ -34,7 +34,7 @@ pub struct Out<'f> {
 /// Parameters.
 #[derive(Params)]
 pub struct RectifyNodeParams {
-    /// Computes nothing and hands the views on: for views that some other program has rectified.
+    /// Passes the views on unchanged: for views that another program has rectified.
     #[param(default = false)]
     bypass: bool,
 }

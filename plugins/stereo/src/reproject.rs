@@ -13,7 +13,7 @@ use panoscope_calibration::packet as calibration;
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Rectified left view, gray8 or bgr8: the points' colours.
+    /// Rectified left view, gray8 or bgr8, for the colours of the points.
     image: AnyImage<'f>,
     /// Disparity of the left view.
     disparity: Image<'f, Disparity>,
@@ -35,10 +35,10 @@ pub struct Out<'f> {
 /// Parameters.
 #[derive(Params)]
 pub struct ReprojectNodeParams {
-    /// Nearest depth kept.
+    /// Smallest depth that is kept.
     #[param(default = 5.0, range = 0.1..=10000.0, step = 1.0, unit = "mm")]
     near_mm: f32,
-    /// Farthest depth kept.
+    /// Largest depth that is kept.
     #[param(default = 500.0, range = 1.0..=100000.0, step = 1.0, unit = "mm")]
     far_mm: f32,
     /// Confidence below which a pixel is dropped, where a confidence map is connected.
@@ -47,7 +47,7 @@ pub struct ReprojectNodeParams {
     /// Largest step of disparity between neighbours of one surface.
     #[param(default = 1.0, range = 0.01..=64.0, step = 0.05, unit = "px")]
     surface_step_px: f32,
-    /// Of eight neighbours, how many must lie on the pixel's own surface: drops flying pixels; 0 keeps all.
+    /// Smallest number of the eight neighbours on the same surface: removes flying pixels; 0 keeps all.
     #[param(default = 5, range = 0..=8)]
     min_neighbours: usize,
 }

@@ -1,46 +1,32 @@
 //! `stereo_bm`: block matching, a rectified pair in, disparity maps of both views out (thesis, fig. 3.7).
 
-use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams, SearchParams};
+use panoscope_imaging::stereo::{BlockMatcher, BlockMatchingParams};
 use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result, Validation};
 
-use crate::matcher::{In, Matcher, Out, Search, check_kernel};
+use crate::matcher::{In, Matcher, Out, SearchWindow, check_kernel};
 use crate::shrunk::Shrunk;
 
 /// Parameters.
 #[derive(Params)]
 pub struct StereoBmParams {
-    /// Find the offset of the search from the region that the views share.
-    #[param(default = true)]
-    auto_offset: bool,
-    /// Smallest disparity searched when the offset is not found from the pictures.
-    #[param(default = 0, range = -1024..=2048, unit = "px")]
-    min_disparity_px: i32,
-    /// Width of the disparity search.
-    #[param(default = 128, range = 32..=512, step = 32, unit = "px")]
-    search_px: usize,
-    /// Median distance of matched points from their rows at which a warning is given that the calibration does not fit; 0 gives
-    /// none.
-    #[param(default = 1.0, range = 0.0..=20.0, step = 0.1, unit = "px")]
-    drift_px: f32,
-    /// Patches of the left map of at most so many pixels are dropped as wrong matches; 0 keeps all.
-    #[param(default = 0, range = 0..=10000, unit = "px")]
-    speckle_area_px: usize,
-    /// Side of the square window that is compared.
+    #[param(flatten)]
+    search: SearchWindow,
+    /// Side of the square window in which views are compared.
     #[param(default = 15, range = 3..=31, step = 2, unit = "px")]
     block_px: usize,
-    /// Clip of the horizontal edge response that is compared; 0 compares gray values.
+    /// Limit of the horizontal edge response that is compared; 0 compares gray values.
     #[param(default = 31, range = 0..=31)]
     prefilter_cap: u8,
-    /// Windows with less edge response than this are not matched; 0 keeps all.
+    /// Smallest edge response of a window that is matched; 0 matches all.
     #[param(default = 10, range = 0..=20000)]
     texture: u32,
-    /// A pixel is dropped when another disparity costs at most so much more than the best; 0 keeps all.
+    /// Drops a pixel when another disparity costs at most this much more than the best one; 0 keeps all.
     #[param(default = 15, range = 0..=100, unit = "%")]
     uniqueness: u32,
     /// Largest difference between the disparities of both views; -1 does not check.
     #[param(default = 1, range = -1..=64, unit = "px")]
     left_right_px: i32,
-    /// Matches views shrunk by this factor: a coarser map, much faster.
+    /// Factor by which views are shrunk before they are matched: a coarser map, much faster.
     #[param(default = 1, range = 1..=8)]
     scale: usize,
 }
@@ -56,8 +42,8 @@ impl StereoBmParams {
         let scale = self.scale.max(1);
         // Rounded down: what lies beyond the end by less than a shrunk pixel costs a whole block of disparities.
         let first = min_disparity_px.div_euclid(scale as i32);
-        let end = (min_disparity_px + self.search_px as i32).div_euclid(scale as i32) + 1;
-        let search = if scale == 1 { self.search_px } else { (end - first).max(1) as usize - 1 };
+        let end = (min_disparity_px + self.search.search_px as i32).div_euclid(scale as i32) + 1;
+        let search = if scale == 1 { self.search.search_px } else { (end - first).max(1) as usize - 1 };
         let block = if scale == 1 { self.block_px } else { (self.block_px / scale).max(LEAST_BLOCK_PX) | 1 };
         BlockMatchingParams {
             min_disparity_px: first,
@@ -88,11 +74,11 @@ impl Node for StereoBm {
     type Params = StereoBmParams;
 
     fn validate(params: &StereoBmParams, check: &mut Validation<'_>) {
-        check_kernel(check, params.kernel(params.min_disparity_px).validate());
+        check_kernel(check, params.kernel(params.search.min_disparity_px).validate());
     }
 
     fn open(_: &Open<'_>, params: &StereoBmParams) -> Result<Self> {
-        let kernel = BlockMatcher::new(params.kernel(params.min_disparity_px))?;
+        let kernel = BlockMatcher::new(params.kernel(params.search.min_disparity_px))?;
         Ok(Self { kernel: Shrunk::new(kernel), matcher: Matcher::new()? })
     }
 
@@ -103,16 +89,8 @@ impl Node for StereoBm {
         mut out: Out<'f>,
         params: &StereoBmParams,
     ) -> Result<()> {
-        let place = SearchParams {
-            auto_offset: params.auto_offset,
-            min_disparity_px: params.min_disparity_px,
-            keeps_asked: false,
-            search_px: params.search_px,
-            drift_px: params.drift_px,
-        };
-        let search = Search { place, speckle_area_px: params.speckle_area_px };
         self.kernel.factor = params.scale;
-        self.matcher.process(cx, &input, &mut out, search, &mut self.kernel, |shrunk, offset_px| {
+        self.matcher.process(cx, &input, &mut out, params.search, &mut self.kernel, |shrunk, offset_px| {
             let wanted = params.kernel(offset_px);
             if *shrunk.kernel.params() == wanted { Ok(()) } else { shrunk.kernel.set_params(wanted) }
         })

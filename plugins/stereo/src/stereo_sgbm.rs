@@ -1,46 +1,32 @@
 //! `stereo_sgbm`: semi-global matching, a rectified pair in, disparity maps of both views out.
 
 use panoscope_imaging::Rect;
-use panoscope_imaging::stereo::{SearchParams, SemiGlobalMatcher, SemiGlobalParams, StereoError};
+use panoscope_imaging::stereo::{SemiGlobalMatcher, SemiGlobalParams, StereoError};
 use panoscope_node::{Context, Node, NodeInfo, Open, Parallel, Params, Result, Validation, View, ViewMut};
 
-use crate::matcher::{Engine, In, Matcher, Out, Search, check_kernel};
+use crate::matcher::{Engine, In, Matcher, Out, SearchWindow, check_kernel};
 
 /// Parameters.
 #[derive(Params)]
 pub struct StereoSgbmParams {
-    /// Find the offset of the search from the region that the views share.
-    #[param(default = true)]
-    auto_offset: bool,
-    /// Smallest disparity searched when the offset is not found from the pictures.
-    #[param(default = 0, range = -1024..=2048, unit = "px")]
-    min_disparity_px: i32,
-    /// Width of the disparity search.
-    #[param(default = 128, range = 32..=512, step = 32, unit = "px")]
-    search_px: usize,
-    /// Median distance of matched points from their rows at which a warning is given that the calibration does not fit; 0 gives
-    /// none.
-    #[param(default = 1.0, range = 0.0..=20.0, step = 0.1, unit = "px")]
-    drift_px: f32,
-    /// Patches of the left map of at most so many pixels are dropped as wrong matches; 0 keeps all.
-    #[param(default = 0, range = 0..=10000, unit = "px")]
-    speckle_area_px: usize,
-    /// Side of the square window that is compared.
+    #[param(flatten)]
+    search: SearchWindow,
+    /// Side of the square window in which views are compared.
     #[param(default = 5, range = 3..=7, step = 2, unit = "px")]
     block_px: usize,
-    /// Clip of the horizontal edge response that is compared; 0 compares gray values.
+    /// Limit of the horizontal edge response that is compared; 0 compares gray values.
     #[param(default = 31, range = 0..=31)]
     prefilter_cap: u8,
-    /// Charge for a change of disparity by one; must be below `large_penalty`.
+    /// Penalty of a change of disparity by 1 px; must be below `large_penalty`.
     #[param(default = 10, range = 1..=100)]
     small_penalty: u8,
-    /// Charge for a larger change.
+    /// Penalty of a larger change of disparity.
     #[param(default = 100, range = 2..=120)]
     large_penalty: u8,
-    /// Follow diagonal paths too: smoother, slower.
+    /// Aggregates along diagonal paths too: smoother, slower.
     #[param(default = true)]
     diagonals: bool,
-    /// A pixel is dropped when another disparity costs at most so much more than the best; 0 keeps all.
+    /// Drops a pixel when another disparity costs at most this much more than the best one; 0 keeps all.
     #[param(default = 5, range = 0..=100, unit = "%")]
     uniqueness: u32,
     /// Largest difference between the disparities of both views; -1 does not check.
@@ -52,7 +38,7 @@ impl StereoSgbmParams {
     fn kernel(&self, min_disparity_px: i32) -> SemiGlobalParams {
         SemiGlobalParams {
             min_disparity_px,
-            search_px: self.search_px,
+            search_px: self.search.search_px,
             block_px: self.block_px,
             prefilter_cap: self.prefilter_cap,
             small_penalty: self.small_penalty,
@@ -101,11 +87,11 @@ impl Node for StereoSgbm {
             );
             return check.error("small_penalty", message, "lower `small_penalty` or raise `large_penalty`");
         }
-        check_kernel(check, params.kernel(params.min_disparity_px).validate());
+        check_kernel(check, params.kernel(params.search.min_disparity_px).validate());
     }
 
     fn open(_: &Open<'_>, params: &StereoSgbmParams) -> Result<Self> {
-        let kernel = SemiGlobalMatcher::new(params.kernel(params.min_disparity_px))?;
+        let kernel = SemiGlobalMatcher::new(params.kernel(params.search.min_disparity_px))?;
         Ok(Self { kernel, matcher: Matcher::new()? })
     }
 
@@ -116,15 +102,7 @@ impl Node for StereoSgbm {
         mut out: Out<'f>,
         params: &StereoSgbmParams,
     ) -> Result<()> {
-        let place = SearchParams {
-            auto_offset: params.auto_offset,
-            min_disparity_px: params.min_disparity_px,
-            keeps_asked: false,
-            search_px: params.search_px,
-            drift_px: params.drift_px,
-        };
-        let search = Search { place, speckle_area_px: params.speckle_area_px };
-        self.matcher.process(cx, &input, &mut out, search, &mut self.kernel, |kernel, offset_px| {
+        self.matcher.process(cx, &input, &mut out, params.search, &mut self.kernel, |kernel, offset_px| {
             let wanted = params.kernel(offset_px);
             if *kernel.params() == wanted { Ok(()) } else { kernel.set_params(wanted) }
         })

@@ -180,8 +180,8 @@ fn a_slow_drift_is_warned_of_at_the_limit_and_its_end_is_told() -> TestResult {
             run(&mut node, left, right)?;
         }
         assert_eq!(node.metric("drifted"), Some(0.0));
-        let told = node.logs().iter().filter(|line| line.message.contains("rows again")).count();
-        assert_eq!(told, usize::from(first.is_some()), "limit {limit}");
+        let warnings = node.logs().iter().filter(|line| line.message.contains("rows again")).count();
+        assert_eq!(warnings, usize::from(first.is_some()), "limit {limit}");
         // Said once, not at every tick.
         let warnings = node.logs().iter().filter(|line| line.message.contains("off their rows")).count();
         assert_eq!(warnings, usize::from(first.is_some()), "limit {limit}");

@@ -9,18 +9,18 @@ use panoscope_node::{
     Value, View, error,
 };
 
-/// How the line between two views is found.
+/// Method that finds the seam between two views.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Seam {
-    /// Exact minimum cut over the shrunken overlap.
+    /// Exact minimum cut of the shrunk overlap.
     GraphCut,
-    /// Shortest path through the shrunken overlap.
+    /// Shortest path through the shrunk overlap.
     DynamicProgramming,
     /// Later views cover earlier ones.
     None,
 }
 
-/// What the seam pays for passing between two pixels.
+/// Cost of the seam between two pixels.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Cost {
     /// Euclidean colour difference of the two views (thesis 2.2).
@@ -29,16 +29,16 @@ pub enum Cost {
     ColorGradient,
 }
 
-/// What is shown when a frame's registration is lost or implausible.
+/// Output while a frame's registration is lost or implausible.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum OnLost {
     /// The panorama of this frame's views with the last good homography, marked as lost.
     Last,
-    /// Nothing: the outputs stay empty until the next good frame (thesis 2.4.3).
+    /// None: the outputs stay empty until the next good frame (thesis 2.4.3).
     Skip,
 }
 
-/// How the views are joined along the seam.
+/// Blending of the views along the seam.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Blend {
     /// Laplacian pyramid.
@@ -49,42 +49,42 @@ pub enum Blend {
     None,
 }
 
-/// How exposure is evened out.
+/// Exposure correction.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Exposure {
     /// One gain per view.
     Gain,
     /// One gain per view and colour.
     ChannelGain,
-    /// Views stay as they are.
+    /// None.
     None,
 }
 
 /// Parameters of the composite.
 #[derive(Params, Clone, PartialEq)]
 pub struct CompositeNodeParams {
-    /// How the line between two views is found.
+    /// Method that finds the seam between two views.
     #[param(default = "graph_cut")]
     seam: Seam,
-    /// Shrink factor of the overlap in which the seam is found; 1 finds it at full size.
+    /// Factor by which the overlap is shrunk before the seam is found; 1 finds it at full size.
     #[param(default = 10, range = 1..=64)]
     seam_scale: u32,
-    /// Frames after which the seam is found anew at the latest.
+    /// Largest number of frames before the seam is found again.
     #[param(default = 15, range = 1..=10000, unit = "frames")]
     seam_interval: u32,
-    /// What the seam pays for passing between two pixels.
+    /// Cost of the seam between two pixels.
     #[param(default = "color_gradient")]
     seam_cost: Cost,
-    /// Colour difference that a seam must gain before it leaves its last course; 0 finds each seam without regard to the last.
+    /// Colour difference that a new seam must gain over the previous one; 0 ignores the previous seam.
     #[param(default = 0.5, range = 0.0..=20.0, step = 0.1, unit = "levels")]
     seam_hold: f32,
-    /// How the views are joined along the seam.
+    /// Blending of the views along the seam.
     #[param(default = "multi_band")]
     blend: Blend,
     /// Width of the transition across the seam.
     #[param(default = 32, range = 0..=256, unit = "px")]
     blend_px: u32,
-    /// How exposure is evened out.
+    /// Exposure correction.
     #[param(default = "channel_gain")]
     exposure: Exposure,
     /// Width of the panorama; 0 takes it from the first good registration.
@@ -93,22 +93,22 @@ pub struct CompositeNodeParams {
     /// Height of the panorama; 0 takes it from the first good registration.
     #[param(default = 0, range = 0..=8192, unit = "px")]
     canvas_height: u32,
-    /// Room kept free around the first good registration, so that the canvas can hold still.
+    /// Margin around the first good registration, so that the canvas need not move.
     #[param(default = 16, range = 0..=512, unit = "px")]
     canvas_margin: u32,
-    /// Frames in a row that must leave the canvas before it grows; 0 holds it still for ever.
+    /// Number of frames in a row that must leave the canvas before it grows; 0 never grows it.
     #[param(default = 0, range = 0..=10000, unit = "frames")]
     canvas_grow: u32,
-    /// Draw an arrow that points up in the left view.
+    /// Draws an arrow that points up in the left view.
     #[param(default = false)]
     up_cue: bool,
     /// Direction of up in the left view, clockwise from the picture's top.
     #[param(default = 0.0, range = -180.0..=180.0, step = 1.0, unit = "deg")]
     up_deg: f32,
-    /// Mark frames whose registration is lost.
+    /// Marks frames whose registration is lost.
     #[param(default = true)]
     mark_lost: bool,
-    /// What is shown when a frame's registration is lost or implausible.
+    /// Output while a frame's registration is lost or implausible.
     #[param(default = "last")]
     on_lost: OnLost,
 }
@@ -159,22 +159,22 @@ pub struct In<'f> {
     right: Option<Image<'f, Bgr8>>,
     /// Maps right-view pixels to left-view pixels.
     homography: Option<Value<'f, Homography>>,
-    /// Two to eight views instead of `left` and `right`; the first one gives the plane.
+    /// Two to eight views instead of `left` and `right`; the panorama lies in the plane of the first.
     views: Option<List<'f, Image<'f, Bgr8>>>,
-    /// One homography per further view of `views`: maps its pixels to the first view's.
+    /// One homography for each further view of `views`, which maps its pixels to the first view's.
     homographies: Option<List<'f, Value<'f, Homography>>>,
 }
 
 /// Outputs of the composite.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The wide picture; black where no view reaches.
+    /// The panorama; black outside all views.
     panorama: Slot<'f, Bgr8>,
-    /// 255 where a view reaches.
+    /// 255 inside the views, 0 elsewhere.
     mask: Slot<'f, Mask>,
-    /// Where the first view lies in the panorama.
+    /// Rectangle of the first view in the panorama, px.
     canvas: Slot<'f, Roi>,
-    /// Which view each pixel shows: 0 none, 1 the first, 2 the second and so on.
+    /// View that each pixel shows: 0 none, 1 the first, 2 the second and so on.
     shown: Slot<'f, Gray8>,
 }
 

@@ -7,25 +7,25 @@ use panoscope_node::{Bgr8, Context, Image, Node, NodeInfo, Open, Params, Ports, 
 /// Parameters of the cut.
 #[derive(Params, Clone, PartialEq)]
 pub struct CutViewsParams {
-    /// Share of a view's width that the other view shows too.
+    /// Overlap of both views, as a share of their width.
     #[param(default = 0.5, range = 0.1..=0.9, step = 0.05, unit = "ratio")]
     overlap: f64,
-    /// How far the corners of the right view are drawn out of shape at most.
+    /// Largest displacement of the right view's corners by its perspective.
     #[param(default = 12.0, range = 0.0..=200.0, step = 1.0, unit = "px")]
     perspective_px: f64,
-    /// How far each corner of the right view sways; 0 holds still.
+    /// Amplitude of the movement of each corner of the right view; 0 stands still.
     #[param(default = 2.0, range = 0.0..=50.0, step = 0.5, unit = "px")]
     sway_px: f64,
-    /// Length of one sway.
+    /// Period of the movement.
     #[param(default = 60, range = 2..=10000, unit = "frames")]
     sway_frames: u32,
     /// Exposure of the right view relative to the left one.
     #[param(default = 0.9, range = 0.25..=1.9, step = 0.01, unit = "ratio")]
     right_exposure: f32,
-    /// Standard deviation of the noise that each view gets, gray levels.
+    /// Standard deviation of the noise added to each view, gray levels.
     #[param(default = 2.0, range = 0.0..=32.0, step = 0.5)]
     noise_levels: f32,
-    /// Seed of shape, sway and noise.
+    /// Seed of shape, movement and noise.
     #[param(default = 7, range = 0..=1_000_000_000)]
     seed: u64,
 }
@@ -47,7 +47,7 @@ impl CutViewsParams {
 /// Inputs of the cut.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The picture that is cut.
+    /// The picture to cut.
     image: Image<'f, Bgr8>,
 }
 
@@ -60,7 +60,7 @@ pub struct Out<'f> {
     right: Slot<'f, Bgr8>,
     /// True homography: maps right-view pixels to left-view pixels.
     homography: Slot<'f, Homography>,
-    /// Where the left view lies in the picture.
+    /// Rectangle of the left view in the picture, px.
     left_in_image: Slot<'f, Roi>,
 }
 

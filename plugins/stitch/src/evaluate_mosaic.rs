@@ -14,7 +14,7 @@ const LEAST_POINTS: usize = 12;
 /// Parameters of the evaluation.
 #[derive(Params, Clone, PartialEq)]
 pub struct EvaluateMosaicParams {
-    /// Points are compared every so many pixels.
+    /// Spacing of the points that are compared.
     #[param(default = 40, range = 4..=200, unit = "px")]
     step: u32,
 }
@@ -22,7 +22,7 @@ pub struct EvaluateMosaicParams {
 /// Inputs of the evaluation.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// The frame's place that is judged.
+    /// The map of the frame to evaluate.
     homography: Option<Value<'f, Homography>>,
     /// True pose of the camera in the scene.
     pose: Value<'f, Pose>,

@@ -37,22 +37,22 @@ const STATE_NONE: f64 = 3.0;
 /// Parameters of the evaluation.
 #[derive(Params, Clone, PartialEq)]
 pub struct EvaluateParams {
-    /// Column of the wide truth at which the left view begins; -1 as the phantom has it, an eighth of the extra width.
+    /// Column of the wide truth at which the left view begins; -1: as in the phantom, an eighth of the extra width.
     #[param(default = -1, range = -1..=8192, unit = "px")]
     wide_x: i32,
-    /// Row of the wide truth at which the left view begins; -1 as the phantom has it, an eighth of the extra height.
+    /// Row of the wide truth at which the left view begins; -1: as in the phantom, an eighth of the extra height.
     #[param(default = -1, range = -1..=8192, unit = "px")]
     wide_y: i32,
     /// Half the width of the band along the seam that is compared.
     #[param(default = 16, range = 1..=256, unit = "px")]
     seam_band: u32,
-    /// True correspondences are taken every so many pixels.
+    /// Spacing of the true correspondences.
     #[param(default = 8, range = 1..=64, unit = "px")]
     step: u32,
-    /// Pictures are compared on every so many ticks; they take longer than stitching.
+    /// Number of ticks between comparisons of pictures, which take longer than stitching.
     #[param(default = 3, range = 1..=1000, unit = "frames")]
     every: u32,
-    /// Where nothing true is connected, judge the alignment by correspondences that are found by correlation alone, on the same ticks.
+    /// Without a connected truth, evaluates the alignment by correspondences found by correlation, on the same ticks.
     #[param(default = false)]
     correlate: bool,
     /// Columns by which the right view is displaced, in units of the true disparity.
@@ -70,25 +70,25 @@ pub struct In<'f> {
     left: Image<'f, Bgr8>,
     /// Right view.
     right: Image<'f, Bgr8>,
-    /// The registration that is judged.
+    /// The registration to evaluate.
     homography: Option<Value<'f, Homography>>,
-    /// The panorama that is judged.
+    /// The panorama to evaluate.
     panorama: Option<Image<'f, Bgr8>>,
-    /// Where the left view lies in the panorama.
+    /// Rectangle of the left view in the panorama, px.
     canvas: Option<Value<'f, Roi>>,
-    /// Which view each pixel of the panorama shows.
+    /// View that each pixel of the panorama shows.
     shown: Option<Image<'f, Gray8>>,
-    /// True disparity of the left view.
+    /// True disparity of the left view, px.
     disparity: Option<Image<'f, Disparity>>,
     /// 255 where the right camera sees the same point.
     visible: Option<Image<'f, Mask>>,
-    /// True homography, or the best there is.
+    /// True homography, or the best available.
     truth: Option<Value<'f, Homography>>,
-    /// What one wide camera at the left camera's place would see.
+    /// Picture of one wide camera at the left camera's position.
     wide: Option<Image<'f, Bgr8>>,
-    /// What all cameras together see, on the pixels of `wide`.
+    /// 255 in each pixel of `wide` that at least one camera shows.
     footprint: Option<Image<'f, Mask>>,
-    /// Where the left view lies in `wide`; wins over the parameters.
+    /// Rectangle of the left view in `wide`, px; overrides the parameters.
     left_in_wide: Option<Value<'f, Roi>>,
 }
 
@@ -107,7 +107,7 @@ pub struct EvaluateStitch {
     ticks: u64,
 }
 
-/// Root mean square way of a 3 x 3 grid of right-view points between two maps.
+/// Root mean square distance between two maps over a 3 x 3 grid of right-view points.
 fn way_px(a: &Map, b: &Map, size: (usize, usize)) -> f64 {
     let mut squares = 0.0;
     for i in 0..9 {

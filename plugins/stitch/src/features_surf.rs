@@ -9,7 +9,7 @@ pub struct FeaturesSurfParams {
     /// Least determinant of the Hessian of a keypoint.
     #[param(default = 100.0, range = 0.0..=20000.0, step = 1.0)]
     hessian_threshold: f32,
-    /// Keypoints per view at most, strongest first; 0 takes all.
+    /// Largest number of keypoints per view, strongest first; 0 takes all.
     #[param(default = 0, range = 0..=100_000, unit = "points")]
     max_points: u32,
     /// Octaves of the scale space.
@@ -18,31 +18,31 @@ pub struct FeaturesSurfParams {
     /// Filters per octave.
     #[param(default = 4, range = 3..=8)]
     layers: u32,
-    /// Leave out the orientation: for cameras that are hardly rotated against each other.
+    /// Ignores the orientation of keypoints: for cameras that are hardly rotated against each other.
     #[param(default = false)]
     upright: bool,
-    /// Keypoints are ranked by response over size to this power: fine detail is placed more exactly.
+    /// Power of the size by which responses are divided for ranking: fine detail is located more exactly.
     #[param(default = 1.0, range = 0.0..=4.0, step = 0.1)]
     fine_bias: f32,
-    /// Look at the picture doubled in size: finer keypoints, about four times the work. Only with `scale` 1.
+    /// Doubles the picture first: finer keypoints, about four times the time. Only with `scale` 1.
     #[param(default = false)]
     upsample: bool,
-    /// Size of the descriptor's window over the usual one.
+    /// Size of the descriptor's window relative to the usual one.
     #[param(default = 1.0, range = 0.5..=4.0, step = 0.05, unit = "ratio")]
     window: f32,
-    /// Descriptors of 128 elements, from a narrow and a wide window, instead of 64: more right matches, slower.
+    /// Descriptors of 128 instead of 64 elements, from a narrow and a wide window: more correct matches, slower.
     #[param(default = false)]
     extended: bool,
-    /// Look again at each candidate with Gaussian derivatives.
+    /// Locates each keypoint more exactly with Gaussian derivatives; slow.
     #[param(default = true)]
     second_look: bool,
-    /// Shrink factor before the search.
+    /// Factor by which the picture is shrunk before the search.
     #[param(default = 1, range = 1..=8)]
     scale: u32,
     /// Largest ratio of the best to the second-best distance of a match.
     #[param(default = 0.8, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
     ratio: f32,
-    /// Keep a match only when each point is the other's best.
+    /// Keeps a match only when each point is the other's best.
     #[param(default = true)]
     mutual: bool,
 }
@@ -70,7 +70,7 @@ impl FeaturesSurfParams {
 pub struct In<'f> {
     /// Left view, or the only one.
     left: Image<'f, Gray8>,
-    /// Right view; may have another size. Without it nothing is matched.
+    /// Right view, of any size. Without it no matches are made.
     right: Option<Image<'f, Gray8>>,
 }
 
@@ -81,7 +81,7 @@ pub struct Out<'f> {
     left_points: Slot<'f, TableData>,
     /// Keypoints of the right view.
     right_points: Slot<'f, TableData>,
-    /// Matches: row numbers of both tables.
+    /// Matches: row numbers in both tables.
     matches: Slot<'f, TableData>,
 }
 

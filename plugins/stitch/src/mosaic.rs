@@ -42,61 +42,61 @@ pub struct MosaicNodeParams {
     /// Which part of the mosaic is shown.
     #[param(default = "fit")]
     view: ShownPart,
-    /// Picture pixels per pixel of the first frame: the most for `fit`, fixed for `follow`.
+    /// Pixels of the picture per pixel of the first frame: the maximum for `fit`, fixed for `follow`.
     #[param(default = 1.0, range = 0.05..=2.0, step = 0.05, unit = "ratio")]
     zoom: f64,
-    /// Register against earlier keyframes and spread the error of closed loops; otherwise against the newest keyframes only.
+    /// Registers against earlier keyframes too, and distributes the error of closed loops. Off: registers against the newest keyframes only.
     #[param(default = true)]
     loop_closure: bool,
-    /// Keyframes at most: for a new one the oldest is dropped, with its part of the picture. One of 640x480 takes 1.4 MB.
+    /// Largest number of keyframes. A new one then replaces the oldest, with its part of the picture. One of 640x480 takes 1.4 MB.
     #[param(default = 60, range = 2..=500)]
     max_keyframes: u32,
-    /// A frame that shares less than this with every keyframe becomes one.
+    /// Overlap with keyframes below which a frame becomes a keyframe.
     #[param(default = 0.7, range = 0.3..=0.95, step = 0.01, unit = "ratio")]
     keyframe_overlap: f64,
-    /// Maps between keyframes: fewer parameters drift less on curved tissue and fit a tilting camera worse.
+    /// Model of the maps between keyframes. Fewer parameters drift less on curved tissue and fit a tilting camera worse.
     #[param(default = "homography")]
     model: Model,
-    /// Shrink factor before features are found.
+    /// Factor by which the picture is shrunk before features are found.
     #[param(default = 2, range = 1..=8)]
     scale: u32,
     /// Least determinant of the Hessian of a keypoint.
     #[param(default = 50.0, range = 1.0..=20000.0, step = 1.0)]
     hessian_threshold: f32,
-    /// Keypoints per frame at most.
+    /// Largest number of keypoints per frame.
     #[param(default = 500, range = 50..=10000, unit = "points")]
     max_points: u32,
-    /// Leave out the orientation of keypoints: for a scope that hardly turns about its axis.
+    /// Ignores the orientation of keypoints: for a scope that hardly turns about its axis.
     #[param(default = false)]
     upright: bool,
     /// Largest ratio of the best to the second-best distance of a match.
     #[param(default = 0.8, range = 0.3..=1.0, step = 0.01, unit = "ratio")]
     ratio: f32,
-    /// Radius around the predicted place in which matches are sought first; 0 searches everywhere.
+    /// Radius around the predicted position in which matches are searched first; 0 searches everywhere.
     #[param(default = 80.0, range = 0.0..=1000.0, step = 1.0, unit = "px")]
     gate_px: f32,
     /// Largest reprojection error of an inlier.
     #[param(default = 3.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
     ransac_px: f64,
-    /// Fewer inliers than this are no registration; without a prediction, and for closed loops, 1.6 times as many are asked for.
+    /// Smallest number of inliers of a registration; 1.6 times as many without a prediction and for closed loops.
     #[param(default = 15, range = 6..=1000, unit = "points")]
     min_inliers: u32,
-    /// Share of the matches that must agree; without a prediction, and for closed loops, 1.6 times as large.
+    /// Smallest share of matches that are inliers; 1.6 times as large without a prediction and for closed loops.
     #[param(default = 0.25, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_inlier_share: f64,
-    /// Draw the mosaic anew when keyframes move by more than this in the picture.
+    /// Movement of keyframes in the picture after which the mosaic is drawn again.
     #[param(default = 1.0, range = 0.0..=20.0, step = 0.1, unit = "px")]
     redraw_px: f64,
-    /// Even out the exposure of keyframes.
+    /// Equalises the exposure of keyframes.
     #[param(default = true)]
     exposure: bool,
-    /// Draw the newest frame on top, with its border.
+    /// Draws the newest frame on top, with its border.
     #[param(default = true)]
     live: bool,
-    /// Mark the picture while the camera is lost.
+    /// Marks the picture while the camera is lost.
     #[param(default = true)]
     mark_lost: bool,
-    /// Every change of this number begins a new mosaic.
+    /// Each change of this number starts a new mosaic.
     #[param(default = 0, range = 0..=1_000_000)]
     restart: u32,
 }
@@ -151,17 +151,17 @@ pub struct In<'f> {
 /// Outputs of the mosaic.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// All that was seen; black elsewhere.
+    /// The mosaic; black where nothing was seen.
     mosaic: Slot<'f, Bgr8>,
-    /// Maps pixels of this frame to those of the first keyframe; fresh, or lost (then the last good one).
+    /// Maps pixels of this frame to those of the first keyframe. State: fresh, or lost (then the last good map).
     homography: Slot<'f, Homography>,
     /// Maps pixels of the first keyframe to those of `mosaic`.
     view: Slot<'f, Homography>,
-    /// One row. `state`: 0 fresh, 2 lost. `coverage_pct`: area of the keyframes in percent of one frame. `drift_px`, `drift_pct`: how far off the
-    /// last closed loop was before its error was spread, and in percent of the way round it; NaN before any. `spread_px`: distance of the
-    /// keyframes' shared points after the last adjustment.
+    /// One row per tick. `state`: 0 fresh, 2 lost. `coverage_pct`: area of the keyframes in percent of one frame. `drift_px`, `drift_pct`: error of
+    /// the last closed loop before it was distributed, and in percent of the loop's length; NaN before any. `spread_px`: distance of the keyframes'
+    /// shared points after the last adjustment.
     table: Slot<'f, TableData>,
-    /// The same in words, a line each.
+    /// The same as text, one line each.
     text: Slot<'f, TextPacket>,
 }
 

@@ -1,13 +1,13 @@
 //! `register_grid`: a disparity map in, the homography between the two pictures out (thesis, chapter 4).
 
-use panoscope_imaging::geometry::{LostWatch, RansacParams, RmsWatch};
+use panoscope_imaging::geometry::RansacParams;
 use panoscope_imaging::stitch::{CellPoint, GridParams, RectifiedView, RegisterGrid};
 use panoscope_node::abi::{Calibration, Camera};
 use panoscope_node::{Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Ports, Result, Value};
 
-use crate::registration::{Found, Out};
+use crate::registration::{KeepParams, Out, Registered, Reporter};
 
-/// Which disparity a grid cell gives.
+/// Point that a grid cell contributes.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Point {
     /// The middle of the cell with the median of its disparities.
@@ -25,10 +25,10 @@ pub struct RegisterGridParams {
     /// Columns of the grid on the overlap.
     #[param(default = 24, range = 2..=200)]
     columns: u32,
-    /// What each cell gives.
+    /// Point that each cell contributes.
     #[param(default = "median")]
     point: Point,
-    /// Every so many pixels of a cell are looked at.
+    /// Spacing of the pixels that are read in a cell.
     #[param(default = 3, range = 1..=16, unit = "px")]
     scale: u32,
     /// Share of a cell's pixels that must have a disparity.
@@ -37,21 +37,11 @@ pub struct RegisterGridParams {
     /// Largest reprojection error of an inlier.
     #[param(default = 4.0, range = 0.2..=40.0, step = 0.1, unit = "px")]
     ransac_px: f64,
-    /// Fewer inliers than this are no registration.
+    /// Smallest number of inliers of a registration.
     #[param(default = 12, range = 4..=1000, unit = "points")]
     min_inliers: u32,
-    /// Keep the homography before while its median error on the new inliers is below this; 0 refits every frame.
-    #[param(default = 0.8, range = 0.0..=10.0, step = 0.1, unit = "px")]
-    stability_px: f64,
-    /// Weight of the frame before beside that of all inliers: holds still what the overlap leaves open; 0 fits the inliers alone.
-    #[param(default = 1.0, range = 0.0..=4.0, step = 0.05, unit = "ratio")]
-    calm: f64,
-    /// A homography whose inliers are further off than this (root mean square) is not used: the one before is held, then lost. 0 uses all.
-    #[param(default = 18.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
-    max_rms_px: f64,
-    /// Failed frames in a row for which the homography before still counts as held.
-    #[param(default = 5, range = 0..=1000, unit = "frames")]
-    hold_frames: u32,
+    #[param(flatten)]
+    keep: KeepParams,
 }
 
 impl RegisterGridParams {
@@ -68,10 +58,10 @@ impl RegisterGridParams {
             least_valid: self.least_valid,
             ransac: RansacParams { threshold_px: self.ransac_px, ..default.ransac },
             min_inliers: self.min_inliers as usize,
-            stability_px: self.stability_px,
-            anchor_fit: self.calm,
-            max_rms_px: self.max_rms_px,
-            hold_frames: self.hold_frames as usize,
+            stability_px: self.keep.stability_px,
+            anchor_fit: self.keep.calm,
+            max_rms_px: self.keep.max_rms_px,
+            hold_frames: self.keep.hold_frames as usize,
             ..default
         }
     }
@@ -82,16 +72,15 @@ impl RegisterGridParams {
 pub struct In<'f> {
     /// Disparity of the left rectified view, full size.
     disparity: Image<'f, Disparity>,
-    /// Calibration of the pictures that are to be stitched: the homography is between them, not between the rectified views, unless
-    /// it says that they are rectified already.
+    /// Calibration of the pictures to stitch. The homography is between these pictures, not between the rectified views, unless the calibration says
+    /// that they are rectified.
     calibration: Value<'f, Calibration>,
 }
 
 /// See the module.
 pub struct RegisterGridNode {
     kernel: RegisterGrid,
-    watch: RmsWatch,
-    lost: LostWatch,
+    reporter: Reporter,
 }
 
 /// One side of a calibration.
@@ -135,7 +124,7 @@ impl Node for RegisterGridNode {
     type Params = RegisterGridParams;
 
     fn open(_: &Open<'_>, params: &RegisterGridParams) -> Result<Self> {
-        Ok(Self { kernel: RegisterGrid::new(params.kernel()), watch: RmsWatch::default(), lost: LostWatch::default() })
+        Ok(Self { kernel: RegisterGrid::new(params.kernel()), reporter: Reporter::default() })
     }
 
     fn process<'f>(
@@ -155,15 +144,16 @@ impl Node for RegisterGridNode {
         let right = view(&c.right, &c.rectified_from_right, &c.right_projection, rectified);
         let found = self.kernel.register(input.disparity.view(), &left, &right);
         cx.metric("grid_points", found.points as f64);
-        self.watch.look(cx, found.rms_px, found.refused_rms_px, params.max_rms_px);
-        self.lost.observe(cx, found.state, "move back, clean the lenses, or widen the search of the disparity");
-        out.set(&Found {
+        let found = Registered {
             left_from_right: &found.left_from_right,
             rms_px: found.rms_px,
+            refused_rms_px: found.refused_rms_px,
             inliers: found.inliers,
             state: found.state,
             roi_left: &found.roi_left,
             roi_right: &found.roi_right,
-        })
+        };
+        let help = "move back, clean the lenses, or widen the search of the disparity";
+        self.reporter.finish(cx, &mut out, &found, params.keep.max_rms_px, help)
     }
 }

@@ -2,36 +2,35 @@
 
 use panoscope_imaging::features::{self, MatchParams, RegisterParams, SurfParams};
 use panoscope_imaging::geometry::ransac::RansacParams;
-use panoscope_imaging::geometry::{LostWatch, RmsWatch};
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result};
 
-use crate::registration::{Found, Out};
+use crate::registration::{KeepParams, Out, Registered, Reporter};
 
 /// Parameters of the registration.
 #[derive(Params, Clone, PartialEq)]
 pub struct RegisterSurfParams {
-    /// Search only the overlap of the frame before, shrunk by `scale`; otherwise whole frames at full size.
+    /// Searches only the overlap of the previous frame, shrunk by `scale`. Off: searches whole frames at full size.
     #[param(default = true)]
     roi: bool,
-    /// Shrink factor of the search regions when `roi` is on.
+    /// Factor by which the search regions are shrunk when `roi` is on.
     #[param(default = 2, range = 1..=8)]
     scale: u32,
     /// Least determinant of the Hessian of a keypoint.
     #[param(default = 50.0, range = 1.0..=20000.0, step = 1.0)]
     hessian_threshold: f32,
-    /// Keypoints per view at most, strongest first.
+    /// Largest number of keypoints per view, strongest first.
     #[param(default = 400, range = 16..=10000, unit = "points")]
     max_points: u32,
-    /// Spread the keypoints over the search region: each cell of a 6 x 4 grid has its share before the strongest fill up.
+    /// Spreads the keypoints over the search region: each cell of a 6 x 4 grid takes its share before the strongest fill the rest.
     #[param(default = true)]
     spread: bool,
-    /// Look again at each candidate with Gaussian derivatives: places it more exactly, and takes as long as all the rest.
+    /// Locates each keypoint more exactly with Gaussian derivatives; doubles the time.
     #[param(default = false)]
     second_look: bool,
     /// Octaves of the scale space.
     #[param(default = 4, range = 1..=4)]
     octaves: u32,
-    /// Leave out the orientation: for cameras that are hardly rotated against each other.
+    /// Ignores the orientation of keypoints: for cameras that are hardly rotated against each other.
     #[param(default = true)]
     upright: bool,
     /// Largest ratio of the best to the second-best distance of a match.
@@ -40,22 +39,12 @@ pub struct RegisterSurfParams {
     /// Largest reprojection error of an inlier.
     #[param(default = 5.0, range = 0.2..=20.0, step = 0.1, unit = "px")]
     ransac_px: f64,
-    /// Fewer inliers than this are no registration.
+    /// Smallest number of inliers of a registration.
     #[param(default = 8, range = 4..=1000, unit = "points")]
     min_inliers: u32,
-    /// Keep the homography before while its median error on the new inliers is below this; 0 refits every frame.
-    #[param(default = 0.8, range = 0.0..=10.0, step = 0.1, unit = "px")]
-    stability_px: f64,
-    /// Weight of the frame before beside that of all inliers: holds still what the overlap leaves open; 0 fits the inliers alone.
-    #[param(default = 1.0, range = 0.0..=4.0, step = 0.05, unit = "ratio")]
-    calm: f64,
-    /// A homography whose inliers are further off than this (root mean square) is not used: the one before is held, then lost. 0 uses all.
-    #[param(default = 18.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
-    max_rms_px: f64,
-    /// Failed frames in a row for which the homography before still counts as held.
-    #[param(default = 5, range = 0..=1000, unit = "frames")]
-    hold_frames: u32,
-    /// Find narrow overlaps too: when whole views give nothing, search a pair of facing sides at full size. Only with `roi`.
+    #[param(flatten)]
+    keep: KeepParams,
+    /// Finds narrow overlaps too: when whole views do not match, searches facing sides at full size. Only with `roi`.
     #[param(default = false)]
     strips: bool,
 }
@@ -81,10 +70,10 @@ impl RegisterSurfParams {
             matching: MatchParams { ratio: self.ratio, ..default.matching },
             ransac: RansacParams { threshold_px: self.ransac_px, ..default.ransac },
             min_inliers: self.min_inliers as usize,
-            stability_px: self.stability_px,
-            anchor_fit: self.calm,
-            max_rms_px: self.max_rms_px,
-            hold_frames: self.hold_frames as usize,
+            stability_px: self.keep.stability_px,
+            anchor_fit: self.keep.calm,
+            max_rms_px: self.keep.max_rms_px,
+            hold_frames: self.keep.hold_frames as usize,
             strips: self.strips,
             ..default
         }
@@ -103,8 +92,7 @@ pub struct In<'f> {
 /// See the module.
 pub struct RegisterSurf {
     kernel: features::RegisterSurf,
-    watch: RmsWatch,
-    lost: LostWatch,
+    reporter: Reporter,
 }
 
 impl Node for RegisterSurf {
@@ -118,11 +106,7 @@ impl Node for RegisterSurf {
     type Params = RegisterSurfParams;
 
     fn open(_: &Open<'_>, params: &RegisterSurfParams) -> Result<Self> {
-        Ok(Self {
-            kernel: features::RegisterSurf::new(params.kernel()),
-            watch: RmsWatch::default(),
-            lost: LostWatch::default(),
-        })
+        Ok(Self { kernel: features::RegisterSurf::new(params.kernel()), reporter: Reporter::default() })
     }
 
     fn process<'f>(
@@ -137,15 +121,16 @@ impl Node for RegisterSurf {
             self.kernel.set_params(wanted);
         }
         let found = self.kernel.register(input.left.view(), input.right.view(), cx.pool());
-        self.watch.look(cx, found.rms_px, found.refused_rms_px, params.max_rms_px);
-        self.lost.observe(cx, found.state, "move back, clean the lenses, or set `strips = true`");
-        out.set(&Found {
+        let found = Registered {
             left_from_right: &found.left_from_right,
             rms_px: found.rms_px,
+            refused_rms_px: found.refused_rms_px,
             inliers: found.inliers,
             state: found.state,
             roi_left: &found.roi_left,
             roi_right: &found.roi_right,
-        })
+        };
+        let help = "move back, clean the lenses, or set `strips = true`";
+        self.reporter.finish(cx, &mut out, &found, params.keep.max_rms_px, help)
     }
 }

@@ -1,28 +1,74 @@
-//! What every registration node gives out, whatever it looks at.
+//! What registration nodes share: outputs, the parameters that keep a homography, the warnings.
 
 use panoscope_imaging::Rect;
-use panoscope_imaging::geometry::{self, RegistrationState};
+use panoscope_imaging::geometry::{self, LostWatch, RegistrationState, RmsWatch};
 use panoscope_node::abi::{self, Homography, Roi};
-use panoscope_node::{Ports, Result, Slot};
+use panoscope_node::{Context, Params, Ports, Result, Slot};
 
 /// Outputs of a registration.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Maps right-view pixels to left-view pixels; fresh, held or lost.
+    /// Maps right-view pixels to left-view pixels, with its state: fresh, held or lost.
     homography: Slot<'f, Homography>,
-    /// Part of the left view that the right view shares.
+    /// Part of the left view that the right view shows too.
     roi_left: Slot<'f, Roi>,
-    /// Part of the right view that the left view shares.
+    /// Part of the right view that the left view shows too.
     roi_right: Slot<'f, Roi>,
 }
 
-/// What a kernel found, in words that the kernels share.
-pub struct Found<'a> {
+/// Parameters of every registration: how long a homography is kept, and when it is given up.
+#[derive(Params, Clone, PartialEq)]
+pub struct KeepParams {
+    /// Keeps the previous homography while its median error on the new inliers is below this; 0 fits anew in every frame.
+    #[param(default = 0.8, range = 0.0..=10.0, step = 0.1, unit = "px")]
+    pub stability_px: f64,
+    /// Weight of the previous frame's homography beside that of all inliers. It steadies the parts of the picture that the overlap does not
+    /// determine; 0 fits the inliers alone.
+    #[param(default = 1.0, range = 0.0..=4.0, step = 0.05, unit = "ratio")]
+    pub calm: f64,
+    /// Largest root mean square error of the inliers. A worse homography is not used: the previous one is held, then lost. 0 uses all.
+    #[param(default = 18.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
+    pub max_rms_px: f64,
+    /// Number of failed frames in a row during which the previous homography counts as held; after them it is lost.
+    #[param(default = 5, range = 0..=1000, unit = "frames")]
+    pub hold_frames: u32,
+}
+
+/// Reports a registration that gets worse or is lost, and makes the outputs.
+#[derive(Default)]
+pub struct Reporter {
+    rms: RmsWatch,
+    lost: LostWatch,
+}
+
+impl Reporter {
+    /// One tick. `help` says what a user can do when the views no longer fit together.
+    ///
+    /// # Errors
+    /// The host has no memory.
+    pub fn finish(
+        &mut self,
+        cx: &Context<'_>,
+        out: &mut Out<'_>,
+        found: &Registered<'_>,
+        max_rms_px: f64,
+        help: &str,
+    ) -> Result<()> {
+        self.rms.look(cx, found.rms_px, found.refused_rms_px, max_rms_px);
+        self.lost.observe(cx, found.state, help);
+        out.set(found)
+    }
+}
+
+/// Result of a registration kernel.
+pub struct Registered<'a> {
     /// Maps right-view pixels to left-view pixels.
     pub left_from_right: &'a geometry::Homography,
     /// Root mean square distance of the inliers in px.
     pub rms_px: f64,
-    /// Correspondences that agree.
+    /// The same of a homography that was refused for it.
+    pub refused_rms_px: Option<f64>,
+    /// Number of inliers.
     pub inliers: usize,
     /// Fresh, held or lost.
     pub state: RegistrationState,
@@ -32,8 +78,8 @@ pub struct Found<'a> {
     pub roi_right: &'a Rect,
 }
 
-/// As the contract states it.
-fn contract(state: RegistrationState) -> u32 {
+/// The state as a constant of the ABI.
+fn abi_state(state: RegistrationState) -> u32 {
     match state {
         RegistrationState::Fresh => abi::STATE_FRESH,
         RegistrationState::Held => abi::STATE_HELD,
@@ -47,12 +93,12 @@ fn roi(rect: &Rect) -> Roi {
 
 impl Out<'_> {
     /// Makes all outputs.
-    pub fn set(&mut self, found: &Found<'_>) -> Result<()> {
+    fn set(&mut self, found: &Registered<'_>) -> Result<()> {
         self.homography.set(Homography {
             left_from_right: found.left_from_right.0,
             rms_px: found.rms_px,
             inliers: found.inliers as u32,
-            state: contract(found.state),
+            state: abi_state(found.state),
         })?;
         self.roi_left.set(roi(found.roi_left))?;
         self.roi_right.set(roi(found.roi_right))

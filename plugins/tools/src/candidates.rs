@@ -1,25 +1,73 @@
-//! What a network answers, as boxes in the picture: decoding of each kind of export, and non-maximum suppression.
+//! Boxes from a network's outputs: decoding of each kind of export, and non-maximum suppression.
 
 use crate::export_kind::ExportKind;
 use crate::letterbox::Placement;
 use crate::model::Tensor;
+
+/// Outputs that do not fit the kind of export.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DecodeError {
+    /// No outputs.
+    #[error("the network returned nothing")]
+    NoOutput,
+    /// The first output holds no 32-bit floats.
+    #[error("the network's first output is no f32 tensor")]
+    NotFloat,
+    /// A number of dimensions that the kind does not have.
+    #[error("the output of a {kind} network has three dimensions")]
+    Dimensions {
+        /// Kind of export.
+        kind: &'static str,
+    },
+    /// Rows that do not fit the size of the input.
+    #[error("{rows} rows of {values} values do not fit a YOLOX input of {width}x{height}")]
+    YoloxRows {
+        /// Rows of the output.
+        rows: usize,
+        /// Values of a row.
+        values: usize,
+        /// Columns of the input, px.
+        width: usize,
+        /// Rows of the input, px.
+        height: usize,
+    },
+    /// Rows of a length that the kind does not have.
+    #[error("{rows} boxes of {values} values are no output of a {kind} network")]
+    Rows {
+        /// Kind of export.
+        kind: &'static str,
+        /// Boxes of the output.
+        rows: usize,
+        /// Values of a box.
+        values: usize,
+    },
+    /// DETR without its two outputs.
+    #[error("a DETR network has the outputs logits 1xNxC and boxes 1xNx4")]
+    DetrOutputs,
+    /// DETR with another type of values.
+    #[error("logits and boxes of a DETR network are f32")]
+    DetrType,
+    /// DETR with outputs of different lengths.
+    #[error("logits and boxes of a DETR network have equally many rows")]
+    DetrRows,
+}
 
 /// A box before suppression, in px of the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     /// Left, top, right, bottom.
     pub corners: [f32; 4],
-    /// 0..1.
+    /// Confidence, 0 to 1.
     pub score: f32,
-    /// Class number.
+    /// Index of the class.
     pub class_index: u32,
-    /// Row of the network's answer it came from.
+    /// Row of the network's output.
     pub row: u32,
 }
 
 impl Candidate {
-    /// A box given by corners in px of the network's input, carried back into a picture of `picture` px (width, height). What is not finite, or
-    /// empty in the picture, is no box.
+    /// A box given by corners in px of the network's input, moved to a picture of `picture` px (width, height). None when it is not finite, or empty in
+    /// the picture.
     pub fn placed(
         placement: &Placement,
         picture: (usize, usize),
@@ -51,17 +99,17 @@ fn best(scores: impl Iterator<Item = f32>) -> (u32, f32) {
 
 /// Collects candidates above `score`, in the picture's pixels.
 pub struct Decoder<'a> {
-    /// What kind of export answered.
+    /// Kind of the export.
     pub kind: ExportKind,
     /// Width and height in px of the network's input.
     pub input: (usize, usize),
-    /// Where the picture lay in it.
+    /// Placement of the picture in the input.
     pub placement: Placement,
     /// Width and height in px of the picture.
     pub picture: (usize, usize),
-    /// Lowest score kept.
+    /// Lowest score that is retained.
     pub min_score: f32,
-    /// Where they go.
+    /// The candidates.
     pub out: &'a mut Vec<Candidate>,
 }
 
@@ -80,12 +128,14 @@ impl Decoder<'_> {
         );
     }
 
-    /// Decodes `outputs`; shapes were checked when the kind was found out, and are checked again here because networks with
-    /// free sizes may answer anything.
-    pub fn decode(&mut self, outputs: &[Tensor<'_>]) -> Result<(), String> {
+    /// Decodes `outputs`. Checks shapes again, because a network of free size may change them.
+    ///
+    /// # Errors
+    /// Outputs that do not fit the kind.
+    pub fn decode(&mut self, outputs: &[Tensor<'_>]) -> Result<(), DecodeError> {
         self.out.clear();
-        let first = outputs.first().ok_or("the network answered nothing")?;
-        let floats = first.data.floats().ok_or("the network's first output is no f32 tensor")?;
+        let first = outputs.first().ok_or(DecodeError::NoOutput)?;
+        let floats = first.data.floats().ok_or(DecodeError::NotFloat)?;
         match self.kind {
             ExportKind::YoloxRaw => self.yolox(floats, &first.shape),
             ExportKind::YoloxDecoded | ExportKind::YoloV5 => self.rows(floats, &first.shape),
@@ -95,14 +145,12 @@ impl Decoder<'_> {
         }
     }
 
-    fn yolox(&mut self, values: &[f32], shape: &[usize]) -> Result<(), String> {
-        let [.., rows, len] = *shape else { return Err("a YOLOX answer has three dimensions".into()) };
+    fn yolox(&mut self, values: &[f32], shape: &[usize]) -> Result<(), DecodeError> {
+        let [.., rows, len] = *shape else { return Err(DecodeError::Dimensions { kind: "YOLOX" }) };
         let cells: usize = STRIDES.iter().map(|s| (self.input.0 / s) * (self.input.1 / s)).sum();
         if rows != cells || len < 6 || values.len() < rows * len {
-            return Err(format!(
-                "{rows} rows of {len} values do not fit a YOLOX input of {}x{}",
-                self.input.0, self.input.1
-            ));
+            let (width, height) = self.input;
+            return Err(DecodeError::YoloxRows { rows, values: len, width, height });
         }
         let mut row = 0;
         for stride in STRIDES {
@@ -127,10 +175,10 @@ impl Decoder<'_> {
         Ok(())
     }
 
-    fn rows(&mut self, values: &[f32], shape: &[usize]) -> Result<(), String> {
-        let [.., rows, len] = *shape else { return Err("a YOLOv5 answer has three dimensions".into()) };
+    fn rows(&mut self, values: &[f32], shape: &[usize]) -> Result<(), DecodeError> {
+        let [.., rows, len] = *shape else { return Err(DecodeError::Dimensions { kind: "YOLOv5" }) };
         if len < 6 || values.len() < rows * len {
-            return Err(format!("{rows} rows of {len} values are no YOLOv5 answer"));
+            return Err(DecodeError::Rows { kind: "YOLOv5", rows, values: len });
         }
         for (row, v) in values.chunks_exact(len).enumerate() {
             if v[4] > self.min_score {
@@ -143,10 +191,10 @@ impl Decoder<'_> {
         Ok(())
     }
 
-    fn columns(&mut self, values: &[f32], shape: &[usize], masks: usize) -> Result<(), String> {
-        let [.., len, rows] = *shape else { return Err("a YOLOv8 answer has three dimensions".into()) };
+    fn columns(&mut self, values: &[f32], shape: &[usize], masks: usize) -> Result<(), DecodeError> {
+        let [.., len, rows] = *shape else { return Err(DecodeError::Dimensions { kind: "YOLOv8" }) };
         if len < 5 + masks || values.len() < rows * len {
-            return Err(format!("{len} values of {rows} boxes are no YOLOv8 answer"));
+            return Err(DecodeError::Rows { kind: "YOLOv8", rows, values: len });
         }
         for row in 0..rows {
             let at = |k: usize| values[k * rows + row];
@@ -158,10 +206,10 @@ impl Decoder<'_> {
         Ok(())
     }
 
-    fn end_to_end(&mut self, values: &[f32], shape: &[usize]) -> Result<(), String> {
-        let [.., rows, len] = *shape else { return Err("an end-to-end answer has three dimensions".into()) };
+    fn end_to_end(&mut self, values: &[f32], shape: &[usize]) -> Result<(), DecodeError> {
+        let [.., rows, len] = *shape else { return Err(DecodeError::Dimensions { kind: "end-to-end" }) };
         if len < 6 || values.len() < rows * len {
-            return Err(format!("{rows} rows of {len} values are no end-to-end answer"));
+            return Err(DecodeError::Rows { kind: "end-to-end", rows, values: len });
         }
         for (row, v) in values.chunks_exact(len).enumerate() {
             if v[4] > self.min_score && v[5] >= 0.0 {
@@ -171,17 +219,17 @@ impl Decoder<'_> {
         Ok(())
     }
 
-    fn detr(&mut self, outputs: &[Tensor<'_>]) -> Result<(), String> {
+    fn detr(&mut self, outputs: &[Tensor<'_>]) -> Result<(), DecodeError> {
         let of = |boxes: bool| outputs.iter().find(|t| (t.shape.last() == Some(&4)) == boxes && t.shape.len() == 3);
         let (Some(logits), Some(boxes)) = (of(false), of(true)) else {
-            return Err("a DETR answer has logits 1xNxC and boxes 1xNx4".into());
+            return Err(DecodeError::DetrOutputs);
         };
         let (Some(scores), Some(places)) = (logits.data.floats(), boxes.data.floats()) else {
-            return Err("logits and boxes of a DETR answer are f32".into());
+            return Err(DecodeError::DetrType);
         };
         let classes = logits.shape[2];
         if classes == 0 || logits.shape[1] != boxes.shape[1] {
-            return Err("logits and boxes of a DETR answer have as many rows".into());
+            return Err(DecodeError::DetrRows);
         }
         let (w, h) = (self.input.0 as f32, self.input.1 as f32);
         for (row, (s, b)) in scores.chunks_exact(classes).zip(places.chunks_exact(4)).enumerate() {
@@ -195,7 +243,7 @@ impl Decoder<'_> {
     }
 }
 
-/// Intersection over union.
+/// Intersection over union of two boxes (left, top, right, bottom).
 pub fn iou(a: &[f32; 4], b: &[f32; 4]) -> f32 {
     let w = (a[2].min(b[2]) - a[0].max(b[0])).max(0.0);
     let h = (a[3].min(b[3]) - a[1].max(b[1])).max(0.0);
@@ -204,25 +252,25 @@ pub fn iou(a: &[f32; 4], b: &[f32; 4]) -> f32 {
     if union > 0.0 { w * h / union } else { 0.0 }
 }
 
-/// Keeps the best of each heap of boxes, highest score first, `max` at most. `agnostic` lets boxes of different classes displace each
-/// other. Ties go to the earlier row, so that the result does not depend on the sort.
+/// Non-maximum suppression: retains the best of overlapping boxes, highest score first, `max` at most. With `agnostic`, boxes of different classes
+/// suppress each other. Ties go to the earlier row, so that the result does not depend on the sort.
 pub fn suppress(candidates: &mut Vec<Candidate>, iou_limit: f32, agnostic: bool, max: usize) {
     candidates.sort_unstable_by(|a, b| b.score.total_cmp(&a.score).then(a.row.cmp(&b.row)));
-    // A network gone wild answers thousands: the strongest of them are enough to find `max`.
+    // A bad network returns thousands of boxes: the best of them are enough to find `max`.
     candidates.truncate(3000);
-    let mut kept = 0;
+    let mut retained = 0;
     for i in 0..candidates.len() {
         let c = candidates[i];
-        let free = candidates[..kept]
+        let free = candidates[..retained]
             .iter()
             .all(|k| (!agnostic && k.class_index != c.class_index) || iou(&k.corners, &c.corners) <= iou_limit);
         if free {
-            candidates[kept] = c;
-            kept += 1;
-            if kept == max {
+            candidates[retained] = c;
+            retained += 1;
+            if retained == max {
                 break;
             }
         }
     }
-    candidates.truncate(kept);
+    candidates.truncate(retained);
 }

@@ -8,36 +8,36 @@ use crate::proximity;
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Table of `proximity`; nothing of a tip in it warns of nothing.
+    /// Table of `proximity`. A tip without a row has no warning.
     table: Option<Table<'f>>,
-    /// True distances (`clearance` of the phantom): `track_id`, `seen`, `tissue_mm`, `tip_mm`. Ticks in which a tip is not seen are not judged.
+    /// True distances (`clearance` of the phantom): `track_id`, `seen`, `tissue_mm`, `tip_mm`. Ticks in which a tip is not seen are not evaluated.
     truth: Table<'f>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Counts since the start, of all tips together: the first row takes thresholds to the letter, the second one leaves what comes within `margin_mm`
-    /// of them to either side. Columns of warnings of tissue, then of other tips.
+    /// Counts since the start, for all tips together. The first row takes thresholds exactly, the second one tolerates `margin_mm` around them.
+    /// Columns for warnings of tissue, then of other tips.
     table: Slot<'f, TableData>,
 }
 
 /// Parameters. The first four as `proximity` has them.
 #[derive(Params)]
 pub struct JudgeParams {
-    /// Distance to the tissue at which a tip is near.
+    /// Distance to the tissue below which a tip counts as near.
     #[param(default = 5.0, range = 0.1..=50.0, step = 0.1, unit = "mm", reopen)]
     warn_mm: f64,
-    /// Distance between tips at which they are near each other.
+    /// Distance between tips below which they count as near.
     #[param(default = 8.0, range = 0.1..=100.0, step = 0.1, unit = "mm", reopen)]
     tips_mm: f64,
-    /// How much farther away than where it began a warning ends.
+    /// Hysteresis: a warning ends at a distance larger by this than where it begins.
     #[param(default = 1.0, range = 0.0..=20.0, step = 0.1, unit = "mm", reopen)]
     release_mm: f64,
-    /// How long a distance has to stay beyond a threshold before a warning begins or ends.
+    /// Time for which a distance must stay beyond a threshold before a warning begins or ends.
     #[param(default = 60.0, range = 0.0..=5000.0, step = 10.0, unit = "ms", reopen)]
     min_ms: f64,
-    /// Approaches that come no nearer than this below the threshold may be warned of or not, and so with warnings.
+    /// Tolerance around each threshold: approaches and warnings within it count neither as right nor as wrong.
     #[param(default = 1.0, range = 0.0..=20.0, step = 0.1, unit = "mm", reopen)]
     margin_mm: f64,
     /// Longest delay of a warning.
@@ -68,10 +68,10 @@ pub const COLUMNS: [&str; 19] = [
     "tips_known",
 ];
 
-/// Tips that are judged.
+/// Most tips that are evaluated.
 const MOST_TIPS: usize = 16;
 
-/// Of one tip: warnings of tissue and of other tips, to the letter and with the margin.
+/// Counts of one tip: warnings of tissue and of other tips, with exact thresholds and with the margin.
 struct Tip {
     track_id: f64,
     judges: [[Judge; 2]; 2],
@@ -83,7 +83,7 @@ pub struct EvaluateProximity {
     tips: Vec<Tip>,
 }
 
-/// Where columns stand in a table.
+/// Positions of columns in a table.
 fn columns<const N: usize>(table: &Table<'_>, what: &str, names: [&str; N]) -> Result<[usize; N]> {
     let mut places = [0; N];
     for (place, name) in places.iter_mut().zip(names) {

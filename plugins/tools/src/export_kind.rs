@@ -1,10 +1,29 @@
-//! Which of the exports that people have a model is, told from its answer's shapes and its metadata.
+//! Recognises a model's kind of export from the shapes of its outputs and its metadata.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::finite::Rows;
 use crate::letterbox::{Fit, PixelForm};
 use crate::model::Tensor;
+
+/// A model of no known kind.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{path} answers {shapes} to a picture of {width}x{height}: expected 1x{cells}x(5+C) (YOLOX), 1x{anchors}x(5+C) (YOLOv5), 1x(4+C)x{cells} (YOLOv8 and later), 1xNx6 (end to end) or logits 1xNxC with boxes 1xNx4 (DETR); name the kind with `layout`",
+    path = path.display(), anchors = 3 * cells
+)]
+pub struct UnknownKind {
+    /// File of the model.
+    pub path: PathBuf,
+    /// Names and shapes of its outputs.
+    pub shapes: String,
+    /// Columns of its input, px.
+    pub width: usize,
+    /// Rows of its input, px.
+    pub height: usize,
+    /// Cells that an anchor-free head has for this input.
+    pub cells: usize,
+}
 
 /// A family of exports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,7 +46,7 @@ pub enum ExportKind {
 }
 
 impl ExportKind {
-    /// How the family wants its pixels.
+    /// Form of the pixels that the family takes.
     pub fn pixel_form(self) -> PixelForm {
         let unit = PixelForm { rgb: true, mean: [0.0; 3], gain: [1.0 / 255.0; 3], fit: Fit::Centre };
         match self {
@@ -39,12 +58,12 @@ impl ExportKind {
         }
     }
 
-    /// How the rows of an answer lie in memory.
+    /// How the rows of an output lie in memory.
     pub fn rows(self) -> Rows {
         if matches!(self, Self::YoloV8 { .. }) { Rows::Columns } else { Rows::Whole }
     }
 
-    /// Number of classes in an answer.
+    /// Number of classes, by the shapes of the outputs.
     pub fn classes(self, outputs: &[Tensor<'_>]) -> usize {
         let last = |i: usize| outputs.get(i).and_then(|t| t.shape.last().copied()).unwrap_or(0);
         match self {
@@ -71,25 +90,21 @@ fn shapes(outputs: &[Tensor<'_>]) -> String {
     outputs.iter().map(one).collect::<Vec<_>>().join(", ")
 }
 
-/// Tells the kind from one answer of the model at `path` to a picture of `input` px (width, height); the error says what was found and what
-/// would do. `end_to_end`: the file says of itself that suppression is inside.
+/// Recognises the kind from the outputs of the model at `path` for a picture of `input` px (width, height). `end_to_end`: the file's metadata says that
+/// suppression is inside.
+///
+/// # Errors
+/// Shapes of no known kind.
 pub fn recognise(
     path: &Path,
     input: (usize, usize),
     end_to_end: bool,
     outputs: &[Tensor<'_>],
-) -> Result<ExportKind, String> {
+) -> Result<ExportKind, UnknownKind> {
     let n = cells(input);
     let unknown = || {
-        Err(format!(
-            "{} answers {} to a picture of {}x{}: expected 1x{n}x(5+C) (YOLOX), 1x{}x(5+C) (YOLOv5), 1x(4+C)x{n} (YOLOv8 and later), \
-             1xNx6 (end to end) or logits 1xNxC with boxes 1xNx4 (DETR); name the kind with `layout`",
-            path.display(),
-            shapes(outputs),
-            input.0,
-            input.1,
-            3 * n
-        ))
+        let (width, height) = input;
+        Err(UnknownKind { path: path.to_owned(), shapes: shapes(outputs), width, height, cells: n })
     };
     let ranks: Vec<&[usize]> = outputs.iter().map(|t| t.shape.as_slice()).collect();
     match ranks[..] {

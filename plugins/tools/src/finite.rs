@@ -1,15 +1,34 @@
-//! Values of a network's answer that are no numbers: without a look at them a broken network finds nothing, in silence.
+//! Checks a network's outputs for values that are not finite. Without it a broken network would find nothing, without an error.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::model::Tensor;
 
-/// Whether no box can come of the value. Minus infinity is a sure "no" of a classifier.
+/// A network whose outputs are unusable.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{path} is broken: {bad} of {values} values of its output `{output}` are NaN or infinite, {extent}; export the network again, or try it in full precision (f32)",
+    path = path.display()
+)]
+pub struct BrokenNetwork {
+    /// File of the network.
+    pub path: PathBuf,
+    /// Name of the output.
+    pub output: String,
+    /// Values that are not finite.
+    pub bad: usize,
+    /// All values of the output.
+    pub values: usize,
+    /// How far the damage reaches, in words.
+    pub extent: &'static str,
+}
+
+/// Whether a value makes its box unusable. Minus infinity is a certain "no" of a classifier.
 fn is_bad(value: &f32) -> bool {
     value.is_nan() || *value == f32::INFINITY
 }
 
-/// How the rows of an answer lie in its tensors.
+/// How the rows of an output lie in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rows {
     /// One row after the other: `... x rows x values`.
@@ -21,37 +40,32 @@ pub enum Rows {
 /// Counts the values of boxes, scores and logits that are NaN or infinite.
 ///
 /// # Errors
-/// No row of an output is sound, or a map of masks or prototypes holds no number at all: the network is broken.
-pub fn count_bad(path: &Path, outputs: &[Tensor<'_>], rows: Rows) -> Result<usize, String> {
+/// No row of an output is usable, or no value of a map of masks or prototypes is finite.
+pub fn count_bad(path: &Path, outputs: &[Tensor<'_>], rows: Rows) -> Result<usize, BrokenNetwork> {
     let mut total = 0;
     for tensor in outputs {
         let Some(values) = tensor.data.floats().filter(|values| !values.is_empty()) else { continue };
-        let broken = |bad: usize, what: &str| {
-            Err(format!(
-                "{} is broken: {bad} of {} values of its output `{}` are NaN or infinite, {what}; export the network again, \
-                 or try it in full precision (f32)",
-                path.display(),
-                values.len(),
-                tensor.name
-            ))
+        let broken = |bad: usize, extent: &'static str| {
+            let output = tensor.name.to_owned();
+            Err(BrokenNetwork { path: path.to_owned(), output, bad, values: values.len(), extent })
         };
         if !values.iter().any(|value| value.is_finite()) {
             return broken(values.len(), "that is all of them");
         }
-        // Masks and prototypes are large; one that is partly damaged shows in its mask alone.
+        // Masks and prototypes are large, and partial damage shows only in the mask concerned.
         if tensor.shape.len() > 3 {
             continue;
         }
         let bad = values.iter().filter(|value| is_bad(value)).count();
         total += bad;
-        if bad > 0 && !has_sound_row(values, &tensor.shape, rows) {
+        if bad > 0 && !has_usable_row(values, &tensor.shape, rows) {
             return broken(bad, "some in each row");
         }
     }
     Ok(total)
 }
 
-fn has_sound_row(values: &[f32], shape: &[usize], rows: Rows) -> bool {
+fn has_usable_row(values: &[f32], shape: &[usize], rows: Rows) -> bool {
     let last = shape.last().copied().unwrap_or(1).max(1);
     match rows {
         _ if shape.len() < 2 => values.iter().any(|value| !is_bad(value)),
@@ -65,7 +79,7 @@ mod tests {
     use super::*;
     use crate::model::Values;
 
-    fn count(values: &[f32], shape: &[usize], rows: Rows) -> Result<usize, String> {
+    fn count(values: &[f32], shape: &[usize], rows: Rows) -> Result<usize, BrokenNetwork> {
         let tensor = Tensor { name: "out", shape: shape.to_vec(), data: Values::Float(values) };
         count_bad(Path::new("m.onnx"), &[tensor], rows)
     }
@@ -75,12 +89,15 @@ mod tests {
         let (nan, inf) = (f32::NAN, f32::INFINITY);
         assert_eq!(count(&[1.0, 2.0, 3.0, 4.0], &[1, 2, 2], Rows::Whole), Ok(0));
         assert_eq!(count(&[1.0, 2.0, nan, inf], &[1, 2, 2], Rows::Whole), Ok(2));
-        let told = count(&[1.0, nan, 3.0, inf], &[1, 2, 2], Rows::Whole).unwrap_err();
-        assert!(told.starts_with("m.onnx is broken: 2 of 4 values of its output `out` are NaN or infinite"), "{told}");
+        let error = count(&[1.0, nan, 3.0, inf], &[1, 2, 2], Rows::Whole).unwrap_err().to_string();
+        assert!(
+            error.starts_with("m.onnx is broken: 2 of 4 values of its output `out` are NaN or infinite"),
+            "{error}"
+        );
         // The same numbers in columns: the first row is 1 and 3, sound.
         assert_eq!(count(&[1.0, nan, 3.0, inf], &[1, 2, 2], Rows::Columns), Ok(2));
         assert!(count(&[nan, 1.0, 1.0, nan], &[1, 2, 2], Rows::Columns).is_err());
-        assert!(count(&[nan; 16], &[1, 1, 4, 4], Rows::Whole).unwrap_err().contains("all of them"));
+        assert!(count(&[nan; 16], &[1, 1, 4, 4], Rows::Whole).unwrap_err().to_string().contains("all of them"));
         assert_eq!(count(&[nan, 1.0], &[1, 1, 1, 2], Rows::Whole), Ok(0), "a mask that is partly damaged");
         // Nothing found, and a class that is ruled out.
         assert_eq!(count(&[], &[0, 4], Rows::Whole), Ok(0));

@@ -1,13 +1,35 @@
-//! Names of classes, from a file or from what the export says of itself.
+//! Names of classes, from a file or from the metadata of an export.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// Reads one name a line; empty lines at the end do not count.
-pub fn from_file(path: &Path) -> Result<Vec<String>, String> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|e| format!("cannot read the labels {}: {e}; one name a line is expected", path.display()))?;
+/// Why a file gives no names.
+#[derive(Debug, thiserror::Error)]
+pub enum LabelsError {
+    /// The file cannot be read.
+    #[error("cannot read the labels {path}: {cause}; one name a line is expected", path = path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        cause: std::io::Error,
+    },
+    /// All lines are empty.
+    #[error("{path} holds no names", path = path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// Reads one name per line; empty lines at the end are ignored.
+///
+/// # Errors
+/// A file that cannot be read, or has no names.
+pub fn from_file(path: &Path) -> Result<Vec<String>, LabelsError> {
+    let text =
+        std::fs::read_to_string(path).map_err(|cause| LabelsError::Unreadable { path: path.to_owned(), cause })?;
     let names: Vec<String> = text.trim_end().lines().map(|l| l.trim().to_owned()).collect();
-    if names.iter().all(String::is_empty) { Err(format!("{} holds no names", path.display())) } else { Ok(names) }
+    if names.iter().all(String::is_empty) { Err(LabelsError::Empty { path: path.to_owned() }) } else { Ok(names) }
 }
 
 /// Reads `{0: 'grasper', 1: "hook"}` and `['grasper', 'hook']`, as exports write them.
@@ -37,7 +59,7 @@ pub fn from_metadata(text: &str) -> Option<Vec<String>> {
                 _ => name.push(c),
             }
         }
-        // A table of more than a few thousand names serves no detector.
+        // No detector has more than a few thousand classes.
         if index > 9999 {
             return None;
         }

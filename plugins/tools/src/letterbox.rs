@@ -3,20 +3,20 @@
 use panoscope_imaging::SharedMut;
 use panoscope_node::{Parallel, View};
 
-/// How the network wants its pixels.
+/// Form of the pixels that a network takes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PixelForm {
     /// Red first; else blue first.
     pub rgb: bool,
     /// Subtracted from 0..255, per channel in the network's order.
     pub mean: [f32; 3],
-    /// Multiplied after that.
+    /// Multiplied after the subtraction, per channel.
     pub gain: [f32; 3],
-    /// Where the picture lies in the input.
+    /// Placement of the picture in the input.
     pub fit: Fit,
 }
 
-/// Where the picture lies in the network's input.
+/// Placement of the picture in the network's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fit {
     /// Sides kept in proportion, upper left corner, gray 114 beside it (YOLOX).

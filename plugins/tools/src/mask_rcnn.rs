@@ -29,14 +29,14 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Boxes and masks in px of the picture, best first, with their label table.
+    /// Boxes and masks in px of the picture, highest score first, with their labels.
     instances: Slot<'f, LabeledInstances>,
 }
 
-/// Whose export it is.
+/// Family of the export.
 #[derive(Choice, Clone, Copy, PartialEq, Eq)]
 pub enum Family {
-    /// Told from the answer's shapes and the model's metadata.
+    /// Recognised from the shapes of the outputs and the model's metadata.
     Auto,
     /// Red first, 0..1; class 0 is background; masks of the whole picture or of 28 px.
     Torchvision,
@@ -49,37 +49,37 @@ pub enum Family {
 /// Parameters.
 #[derive(Params)]
 pub struct MaskRcnnParams {
-    /// The network, an .onnx file.
+    /// ONNX file of the network.
     #[param(default = "models/instrument_masks.onnx", reopen, must_exist, shipped)]
     model: PathBuf,
-    /// Whose export it is.
+    /// Family of the export.
     #[param(default = "auto", reopen)]
     family: Family,
     /// Lowest score of an instance.
     #[param(default = 0.5, range = 0.001..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
-    /// Overlap (intersection over union) beyond which the weaker of two boxes of a class goes.
+    /// Overlap (intersection over union) above which the box with the lower score is dropped, within a class.
     #[param(default = 0.5, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
     max_overlap: f32,
-    /// Share of certainty from which a pixel belongs to the mask.
+    /// Probability from which a pixel belongs to the mask.
     #[param(default = 0.5, range = 0.01..=0.99, step = 0.01, unit = "ratio")]
     mask_threshold: f32,
-    /// Most instances given on.
+    /// Largest number of instances in the output.
     #[param(default = 20, range = 1..=200)]
     max_instances: usize,
-    /// Names of the classes, one a line; empty takes those in the model file.
+    /// File with the names of the classes, one per line. Empty: the names in the model file.
     #[param(default = "", reopen)]
     labels: PathBuf,
-    /// Width of the network's picture, where the model takes any.
+    /// Width of the network's input, for models that accept any size.
     #[param(default = 640, range = 32..=4096, step = 32, unit = "px", reopen)]
     input_width: usize,
-    /// Height of the network's picture, where the model takes any.
+    /// Height of the network's input, for models that accept any size.
     #[param(default = 480, range = 32..=4096, step = 32, unit = "px", reopen)]
     input_height: usize,
-    /// Numbers that stay with each tool over time.
+    /// Gives each tool a number (`track_id`) that it keeps over time.
     #[param(default = true)]
     track: bool,
-    /// Threads of the network; 0 takes as many as the host has.
+    /// Number of threads of the network; 0 uses as many as the host has.
     #[param(default = 0, range = 0..=64, reopen)]
     threads: usize,
 }
@@ -90,10 +90,10 @@ pub struct MaskRcnn {
     path: PathBuf,
     family: Family,
     candidates: Vec<Candidate>,
-    /// Kept certainties per candidate, one after the other: whole or small maps, or prototypes' sums.
+    /// Probabilities per candidate, one map after the other: whole or small maps, or sums of prototypes.
     maps: Vec<f32>,
     map_size: (usize, usize),
-    /// Work memory of painting: where each column of a box lies in its map, and a row of the map for each task.
+    /// Buffers of painting: position of each column of a box in its map, and a row of the map for each task.
     places: Vec<Place>,
     lines: Vec<f32>,
     items: Vec<Detection>,
@@ -101,7 +101,7 @@ pub struct MaskRcnn {
     tracker: Tracker,
 }
 
-/// The four answers of a Mask R-CNN, whatever their order.
+/// The four outputs of a Mask R-CNN, in any order.
 struct Answer<'a> {
     boxes: &'a [f32],
     scores: &'a [f32],
@@ -150,7 +150,7 @@ fn sort_out<'a>(path: &Path, outputs: &[Tensor<'a>]) -> Result<Answer<'a>> {
 /// Rows of a mask that one task paints.
 const ROWS_PER_CHUNK: usize = 32;
 
-/// Where along one side of a map a pixel's value lies: between cell `first` and the next, counted from a cell of zeros before the map.
+/// Position of a pixel along one side of a map: between cell `first` and the next, counted from a cell of zeros before the map.
 #[derive(Clone, Copy, Default)]
 struct Place {
     first: u32,
@@ -158,7 +158,7 @@ struct Place {
 }
 
 impl Place {
-    /// Of a coordinate in cells, whose centres are whole numbers; outside the map its value is that of the zeros around it.
+    /// The position of a coordinate in cells, whose centres are whole numbers. Outside the map the value is that of the zeros around it.
     fn new(at: f32, cells: usize) -> Self {
         if at > -1.0 && at < cells as f32 {
             let low = at.floor();
@@ -168,7 +168,7 @@ impl Place {
     }
 }
 
-/// What a map covers.
+/// The area that a map covers.
 #[derive(Clone, Copy, PartialEq)]
 enum Covers {
     /// Its own box.
@@ -246,7 +246,7 @@ fn mix(map: &[f32], (width, height): (usize, usize), at: Place, line: &mut [f32]
     }
 }
 
-/// YOLO exports that segment answer their boxes in columns.
+/// Segmenting YOLO exports return their boxes in columns.
 fn rows_of(is_yolo: bool) -> Rows {
     if is_yolo { Rows::Columns } else { Rows::Whole }
 }
@@ -279,7 +279,7 @@ impl Node for MaskRcnn {
         let path = network.model.path().to_owned();
         let (family, classes) = network.model.run(&gray, |outputs| -> Result<_> {
             let segments = matches!(outputs, [boxes, _] if boxes.shape.len() == 3);
-            count_bad(&path, outputs, rows_of(segments)).map_err(|e| error!("{e}"))?;
+            count_bad(&path, outputs, rows_of(segments))?;
             if let [boxes, prototypes] = outputs
                 && let ([1, len, _], [1, masks, _, _]) = (&boxes.shape[..], &prototypes.shape[..])
                 && matches!(params.family, Family::Auto | Family::YoloSeg)
@@ -290,7 +290,7 @@ impl Node for MaskRcnn {
             let family = match (params.family, named.as_deref()) {
                 (Family::Auto, Some("detectron2")) => Family::Detectron2,
                 (Family::Auto, Some("torchvision")) => Family::Torchvision,
-                // Detectron2 leaves pasting to the reader; torchvision pastes unless it was told not to.
+                // Detectron2's masks have to be pasted here; torchvision pastes them itself unless its export disables that.
                 (Family::Auto, _) if answer.map_size.0 <= 56 && answer.map_size != (w, h) => Family::Detectron2,
                 (Family::Auto, _) => Family::Torchvision,
                 (asked, _) => asked,
@@ -327,8 +327,8 @@ impl Node for MaskRcnn {
         let family = self.family;
         let Self { network: Network { model, letterbox, damage, .. }, path, candidates, maps, map_size, .. } = self;
         let covers = model.run(&letterbox.input, |outputs| -> Result<Covers> {
-            let bad = count_bad(path, outputs, rows_of(family == Family::YoloSeg)).map_err(|e| error!("{e}"))?;
-            damage.tell(cx, path, bad);
+            let bad = count_bad(path, outputs, rows_of(family == Family::YoloSeg))?;
+            damage.report(cx, path, bad);
             maps.clear();
             candidates.clear();
             if family == Family::YoloSeg {
@@ -338,8 +338,7 @@ impl Node for MaskRcnn {
                 };
                 let kind = ExportKind::YoloV8 { masks };
                 Decoder { kind, input: net, placement, picture: size, min_score: params.min_score, out: candidates }
-                    .decode(outputs)
-                    .map_err(|e| error!("{e}"))?;
+                    .decode(outputs)?;
                 suppress(candidates, params.max_overlap, false, params.max_instances);
                 let (Some(boxes), Some(shapes)) = (outputs[0].data.floats(), prototypes.data.floats()) else {
                     return Err(error!("boxes and prototypes are f32"));

@@ -23,7 +23,7 @@ pub enum ModelError {
     Open {
         /// The file.
         path: PathBuf,
-        /// What it said.
+        /// Its message.
         reason: String,
     },
     /// Its input is no picture.
@@ -47,7 +47,7 @@ pub enum ModelError {
     Run {
         /// The file.
         path: PathBuf,
-        /// What ONNX Runtime said.
+        /// ONNX Runtime's message.
         reason: String,
     },
 }
@@ -85,7 +85,7 @@ pub struct Model {
     session: Session,
     path: PathBuf,
     input_name: String,
-    /// Rank 3 (torchvision's detectors) or 4 (everyone else).
+    /// Rank of the input: 3 (torchvision's detectors) or 4 (all others).
     rank: usize,
     width: usize,
     height: usize,
@@ -105,7 +105,7 @@ fn describe(outlets: &[Outlet]) -> String {
 }
 
 impl Model {
-    /// Opens a file. `size` is used where the model takes any size; 0 for "the model says".
+    /// Opens a file. `size` is used where the model accepts any size; 0 takes the model's.
     pub fn open(path: &Path, threads: usize, size: (usize, usize)) -> Result<Self, ModelError> {
         let environment = runtime_library::environment()?;
         let file = onnx_file::read(path)?;

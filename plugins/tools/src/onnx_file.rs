@@ -5,12 +5,12 @@
 
 use std::path::{Component, Path, PathBuf};
 
-/// Graphs inside graphs: deeper ones serve to exhaust whoever reads them.
+/// Depth of nested graphs; deeper files are attacks on the reader.
 const MAX_DEPTH: usize = 16;
-/// What a protobuf message may hold.
+/// Kinds of protobuf messages in an ONNX file.
 const MAX_BYTES: u64 = 2 << 30;
 
-/// Why a model file is not opened.
+/// Why a model file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum OnnxFileError {
     /// The file cannot be read.
@@ -26,7 +26,7 @@ pub enum OnnxFileError {
     TooLarge {
         /// The file.
         path: PathBuf,
-        /// Its length.
+        /// Its length, bytes.
         bytes: u64,
     },
     /// Not an ONNX file, or cut off.
@@ -36,7 +36,7 @@ pub enum OnnxFileError {
         path: PathBuf,
         /// What is wrong.
         reason: &'static str,
-        /// Where.
+        /// Position in the file, bytes.
         offset: usize,
     },
     /// Weights outside the model's folder.
@@ -44,15 +44,15 @@ pub enum OnnxFileError {
     Outside {
         /// The file.
         path: PathBuf,
-        /// What it names.
+        /// The file that it names.
         location: String,
     },
-    /// Weights that are not there.
+    /// A missing file of weights.
     #[error("{path} keeps its weights in `{location}`, which is not beside it: copy both files", path = path.display())]
     MissingWeights {
         /// The file.
         path: PathBuf,
-        /// What it names.
+        /// The file that it names.
         location: String,
     },
 }
@@ -71,7 +71,7 @@ enum Message {
 }
 
 impl Message {
-    /// What stands in a length-delimited field, where it matters.
+    /// Kind of the message in a length-delimited field, where it matters.
     fn child(self, field: u64) -> Option<Self> {
         Some(match (self, field) {
             (Self::Model, 7) => Self::Graph,
@@ -164,16 +164,16 @@ impl Walk<'_> {
     }
 }
 
-/// A model file that was looked through.
+/// A checked model file.
 #[derive(Debug)]
 pub struct OnnxFile {
     /// The whole file.
     pub bytes: Vec<u8>,
-    /// Part of its weights stand in files beside it.
+    /// Whether part of its weights is in files beside it.
     pub has_weights_beside: bool,
 }
 
-/// Reads the file and looks through it. It is given back only when all it names lies beside it.
+/// Reads and checks the file. Refuses it when it names files outside its folder.
 pub fn read(path: &Path) -> Result<OnnxFile, OnnxFileError> {
     let failed = |source| OnnxFileError::Read { path: path.to_owned(), source };
     let bytes = std::fs::metadata(path).map_err(failed)?.len();

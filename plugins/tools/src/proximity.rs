@@ -14,58 +14,58 @@ use crate::silhouette::{Cues, Silhouette};
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Tips in the left rectified camera's frame, one of each tool: two words for one tip would be two tips that touch. Where they have numbers,
-    /// warnings stay with these; else with the input.
+    /// Tips in the left rectified camera's frame, mm, one per tool: two detections of one tip would count as two tips that touch. Warnings follow the
+    /// tool's number where it has one, otherwise the input.
     tip: List<'f, Value<'f, Tip>>,
-    /// Depth of the left rectified view. Without it `cloud` is taken.
+    /// Depth of the left rectified view, mm. Without it `cloud` is used.
     depth: Option<Image<'f, Depth>>,
-    /// The same as points, one per pixel.
+    /// Points of the left rectified view, mm, one per pixel.
     cloud: Option<Cloud<'f>>,
     /// Calibration of the rectified views.
     calibration: Value<'f, Calibration>,
-    /// Which pixels are instrument: masks. One of `instances`, `detections` and `mask` has to be connected.
+    /// Masks of the instruments. Connect one of `instances`, `detections` and `mask`.
     instances: Option<Instances<'f>>,
-    /// The same as boxes: instruments are cut out of them by depth, and by colour where `image` is connected.
+    /// Boxes around instruments, which are segmented by depth, and by colour where `image` is connected.
     detections: Option<Detections<'f>>,
-    /// The same as one mask of all instruments.
+    /// One mask of all instruments.
     mask: Option<Image<'f, Mask>>,
-    /// The picture that boxes were found in, bgr8.
+    /// The picture in which boxes were found, bgr8.
     image: Option<AnyImage<'f>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// One row per tip: its number and class, its pixel and place, distance to the tissue and the pixel of the nearest point, whether that point is seen or lies
-    /// hidden behind an instrument, and the state: -1 not known, 0 clear, 1 near, 2 contact; distance to the nearest other tip, its number, and the
-    /// state: 0 clear, 1 near; age of the surface. `overlay` draws it.
+    /// One row per tip: its number and class, its pixel and position (mm), distance to the tissue (mm) and the pixel of the nearest point, whether
+    /// that point is seen or hidden behind an instrument, and the state: -1 unknown, 0 clear, 1 near, 2 contact; distance to the nearest other tip
+    /// (mm), its number, and the state: 0 clear, 1 near; age of the surface (ms). `overlay` draws it.
     table: Slot<'f, TableData>,
-    /// What to warn of, a line each; empty when there is nothing.
+    /// The warnings, one per line; empty when there is none.
     text: Slot<'f, TextPacket>,
 }
 
 /// Parameters.
 #[derive(Params)]
 pub struct ProximityParams {
-    /// Distance to the tissue at which a tip is near.
+    /// Distance to the tissue below which a tip counts as near.
     #[param(default = 5.0, range = 0.1..=50.0, step = 0.1, unit = "mm")]
     warn_mm: f64,
-    /// Distance to the tissue at which a tip touches it.
+    /// Distance to the tissue below which a tip counts as touching it.
     #[param(default = 1.0, range = -20.0..=50.0, step = 0.1, unit = "mm")]
     contact_mm: f64,
-    /// Distance between tips at which they are near each other.
+    /// Distance between tips below which they count as near.
     #[param(default = 8.0, range = 0.1..=100.0, step = 0.1, unit = "mm")]
     tips_mm: f64,
-    /// How much farther away than where it began a warning ends.
+    /// Hysteresis: a warning ends at a distance larger by this than where it begins.
     #[param(default = 1.0, range = 0.0..=20.0, step = 0.1, unit = "mm")]
     release_mm: f64,
-    /// How long a distance has to stay beyond a threshold before a warning begins or ends.
+    /// Time for which a distance must stay beyond a threshold before a warning begins or ends.
     #[param(default = 60.0, range = 0.0..=5000.0, step = 10.0, unit = "ms")]
     min_ms: f64,
-    /// Rim around instruments whose depth is not the tissue's: matchers mix both there.
+    /// Width of the rim around instruments that is not used as tissue: matchers mix both depths there.
     #[param(default = 6, range = 0..=64, unit = "px")]
     rim_px: usize,
-    /// Age beyond which a surface, or a tip, is no longer known.
+    /// Age after which a surface, or a tip, counts as unknown.
     #[param(default = 300.0, range = 0.0..=10000.0, step = 10.0, unit = "ms")]
     max_age_ms: f64,
 }
@@ -90,12 +90,12 @@ pub const COLUMNS: [&str; 16] = [
     "age_ms",
 ];
 
-/// Tips of one tick that are looked at.
+/// Most tips of one tick that are used.
 const MOST_TIPS: usize = 16;
-/// Time after which the warnings of a tip that is gone are forgotten, ns.
+/// Time after which the warnings of a lost tip are dropped, ns.
 const MEMORY_NS: i64 = 1_000_000_000;
 
-/// Warnings of one tip.
+/// State of the warnings of one tip.
 #[derive(Clone, Copy)]
 struct Watch {
     key: i64,
@@ -109,7 +109,7 @@ struct Watch {
 #[derive(Default)]
 pub struct Proximity {
     surface: Surface,
-    /// Capture time of the depth that the surface was made of.
+    /// Capture time of the depth from which the surface was built, ns.
     surface_ns: Option<i64>,
     silhouette: Silhouette,
     tool: Vec<bool>,
@@ -119,7 +119,7 @@ pub struct Proximity {
     words: String,
 }
 
-/// A tip that counts.
+/// A tip that is used.
 #[derive(Clone, Copy)]
 struct Known {
     tip: Tip,
@@ -131,7 +131,7 @@ fn distance(a: &Tip, b: &Tip) -> f64 {
 }
 
 impl Proximity {
-    /// Marks the pixels of instruments; false where nothing says which they are.
+    /// Marks the pixels of instruments; returns false when they are unknown.
     fn mark_tools(
         &mut self,
         input: &In<'_>,
@@ -180,7 +180,7 @@ impl Proximity {
                 let corners = [item.x_px, item.y_px, item.x_px + item.width_px, item.y_px + item.height_px];
                 let is_cut = self.silhouette.cut(corners, &cues);
                 let clip = |v: f32, most: usize| v.clamp(0.0, most as f32) as usize;
-                // What cannot be told apart is all left out.
+                // Without a segmentation the whole box is excluded.
                 for y in clip(corners[1], size.1)..clip(corners[3].ceil(), size.1) {
                     for x in clip(corners[0], size.0)..clip(corners[2].ceil(), size.0) {
                         tool[y * size.0 + x] |= !is_cut || self.silhouette.contains(x, y);
@@ -191,7 +191,7 @@ impl Proximity {
         Ok(input.mask.is_some() || input.instances.is_some() || input.detections.is_some())
     }
 
-    /// Makes the surface anew when there is a newer depth, and something says where the instruments are.
+    /// Builds the surface again when a newer depth has arrived and the instruments' pixels are known.
     fn renew(&mut self, input: &In<'_>, rim_px: usize) -> Result<()> {
         let c = &input.calibration;
         let p = &c.left_projection;
@@ -232,7 +232,7 @@ impl Proximity {
     }
 }
 
-/// What a tip is called: its class where that has a name, and its number.
+/// Name of a tip: its class where that has a name, and its number.
 fn call(words: &mut String, names: &str, tip: &Tip) {
     let class = names.lines().nth(tip.class_index as usize).filter(|name| !name.is_empty()).unwrap_or("tip");
     words.push_str(class);
@@ -263,7 +263,7 @@ impl Node for Proximity {
         let max_age_ns = (params.max_age_ms * 1e6) as i64;
         if self.surface_ns.is_some_and(|made| made > now_ns) || self.watches.iter().any(|watch| watch.seen_ns > now_ns)
         {
-            // Time went back.
+            // Time went backwards.
             self.surface_ns = None;
             self.watches.clear();
         }
@@ -298,7 +298,7 @@ impl Node for Proximity {
         let (mut nearest_mm, mut warnings) = (f64::NAN, 0);
         for Known { tip, key } in known.iter().flatten() {
             let nearest = if is_surface_known { self.surface.nearest(tip.xyz_mm) } else { None };
-            // Where the surface ahead of the tip is not known, what is known says only how far tissue is at most.
+            // Where the surface ahead of the tip is unknown, the known surface gives only an upper bound of the distance.
             let nearest = nearest.filter(|nearest| nearest.is_known_ahead || nearest.distance_mm <= params.warn_mm);
             let tissue_mm = nearest.map_or(f64::NAN, |nearest| nearest.distance_mm);
             let others = known.iter().flatten().filter(|other| other.key != *key);
@@ -308,7 +308,7 @@ impl Node for Proximity {
             watch.seen_ns = now_ns;
             let is_near = watch.near.step(now_s, tissue_mm, &rule(params.warn_mm));
             let is_contact = watch.contact.step(now_s, tissue_mm, &rule(params.contact_mm));
-            // Without another tip there is nothing to run into.
+            // Without another tip there is no distance between tips.
             let is_close =
                 watch.other.step(now_s, if other.is_some() { tip_mm } else { f64::INFINITY }, &rule(params.tips_mm));
             let state = match () {

@@ -5,23 +5,43 @@ use std::sync::OnceLock;
 
 use ort::environment::Environment;
 
-/// Why there is no ONNX Runtime.
-#[derive(Clone, Debug)]
+/// No file is a usable ONNX Runtime.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error(
+    "ONNX Runtime's shared library is not there: run `cargo xtask onnxruntime`, or name the file in ORT_DYLIB_PATH (tried: {})",
+    .tried.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
+)]
 pub struct LibraryError {
-    tried: Vec<String>,
+    /// Each file that was tried.
+    pub tried: Vec<FileError>,
 }
 
-impl std::fmt::Display for LibraryError {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(
-            f,
-            "ONNX Runtime's shared library is not there: run `cargo xtask onnxruntime`, or name the file in ORT_DYLIB_PATH (tried: {})",
-            self.tried.join("; ")
-        )
-    }
+/// Why one file is no usable ONNX Runtime.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum FileError {
+    /// The system does not load it.
+    #[error("{path}: {reason}", path = path.display())]
+    NotLoaded {
+        /// The file.
+        path: PathBuf,
+        /// The system's message.
+        reason: String,
+    },
+    /// It is another library.
+    #[error("{path}: has no OrtGetApiBase", path = path.display())]
+    OtherLibrary {
+        /// The file.
+        path: PathBuf,
+    },
+    /// ONNX Runtime does not start.
+    #[error("{path}: {reason}", path = path.display())]
+    NotStarted {
+        /// The file.
+        path: PathBuf,
+        /// Its message.
+        reason: String,
+    },
 }
-
-impl std::error::Error for LibraryError {}
 
 fn libraries_in(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
@@ -33,52 +53,56 @@ fn libraries_in(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Where the library may stand: the variable first, then beside the program, then the system's own.
-fn places() -> Vec<PathBuf> {
+/// Files to try: the variable's first, then those beside the program, then the system's.
+fn candidates() -> Vec<PathBuf> {
     if let Some(named) = std::env::var_os("ORT_DYLIB_PATH").filter(|p| !p.is_empty()) {
         return vec![named.into()];
     }
-    let mut places = Vec::new();
+    let mut files = Vec::new();
     if let Ok(program) = std::env::current_exe() {
         for folder in program.ancestors().skip(1).take(4) {
-            places.extend(libraries_in(&folder.join("onnxruntime")));
+            files.extend(libraries_in(&folder.join("onnxruntime")));
         }
     }
-    places.push("libonnxruntime.so".into());
-    places
+    files.push("libonnxruntime.so".into());
+    files
 }
 
-/// Whether the file is an ONNX Runtime: `ort` itself ends the process over one that is not.
-fn probe(path: &Path) -> Result<(), String> {
-    // SAFETY: opening runs the library's constructors; that is what naming it asks for.
-    let library = unsafe { libloading::Library::new(path) }.map_err(|e| format!("{}: {e}", path.display()))?;
-    // SAFETY: only the address is looked at.
+/// Checks that a file is an ONNX Runtime, because `ort` ends the process when it is not.
+fn probe(path: &Path) -> Result<(), FileError> {
+    let not_loaded = |e: libloading::Error| FileError::NotLoaded { path: path.to_owned(), reason: e.to_string() };
+    // SAFETY: opening runs the library's constructors. The user chose the file, by the variable or by its place beside the program.
+    let library = unsafe { libloading::Library::new(path) }.map_err(not_loaded)?;
+    // SAFETY: the symbol's address is compared with null and never called, so its type does not matter.
     let found = unsafe { library.get::<unsafe extern "C" fn()>(b"OrtGetApiBase\0") }.map(drop);
     // Its threads and statics outlive any handle.
     std::mem::forget(library);
-    found.map_err(|_| format!("{}: has no OrtGetApiBase", path.display()))
+    found.map_err(|_| FileError::OtherLibrary { path: path.to_owned() })
+}
+
+fn not_started(file: &Path, error: &dyn std::error::Error) -> FileError {
+    FileError::NotStarted { path: file.to_owned(), reason: error.to_string() }
 }
 
 fn open() -> Result<Environment, LibraryError> {
     let mut tried = Vec::new();
-    for place in places() {
-        let opened = probe(&place).and_then(|()| {
-            let builder = ort::init_from(&place).map_err(|e| format!("{}: {e}", place.display()))?;
-            builder
-                .with_name("panoscope")
-                .with_telemetry(false)
-                .build()
-                .map_err(|e| format!("{}: {e}", place.display()))
+    for file in candidates() {
+        let opened = probe(&file).and_then(|()| {
+            let builder = ort::init_from(&file).map_err(|e| not_started(&file, &e))?;
+            builder.with_name("panoscope").with_telemetry(false).build().map_err(|e| not_started(&file, &e))
         });
         match opened {
             Ok(environment) => return Ok(environment),
-            Err(reason) => tried.push(reason),
+            Err(error) => tried.push(error),
         }
     }
     Err(LibraryError { tried })
 }
 
 /// The process's ONNX Runtime.
+///
+/// # Errors
+/// No usable library was found.
 pub fn environment() -> Result<&'static Environment, LibraryError> {
     static ENVIRONMENT: OnceLock<Result<Environment, LibraryError>> = OnceLock::new();
     ENVIRONMENT.get_or_init(open).as_ref().map_err(Clone::clone)

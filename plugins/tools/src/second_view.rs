@@ -1,8 +1,8 @@
-//! How far an instrument's end stands from the cameras, by where the other view shows it.
+//! Depth of an instrument's end, by comparing it between both views.
 //!
-//! A matcher compares windows, and in a window around a thin end most pixels are tissue: it finds the tissue's disparity, or none. Here both views are
-//! told apart into instrument and tissue first, by the colours that its silhouette taught, and those maps are compared: the outline of an end is
-//! seen in both views, however smooth its steel is.
+//! A matcher compares windows, and in a window around a thin end most pixels are tissue: it finds the tissue's disparity, or none. Here both views
+//! are first classified into instrument and tissue, by the colours learned from its silhouette, and these maps are compared: the outline of an end is
+//! visible in both views, however smooth its steel is.
 
 use panoscope_node::View;
 
@@ -12,20 +12,20 @@ use crate::silhouette::Silhouette;
 /// Half the sides of the window that is compared, px at 640 columns.
 const HALF_WIDTH: f64 = 26.0;
 const HALF_HEIGHT: f64 = 18.0;
-/// The window's middle lies so much of its half width inside the instrument.
+/// Distance of the window's centre inside the instrument, as a share of its half width.
 const INSIDE: f64 = 0.4;
-/// Columns that these are stated for.
+/// Columns of the picture for which these sizes are stated.
 const COLUMNS: f64 = 640.0;
-/// What a pixel outside the silhouette says at most.
+/// Upper limit of the log-likelihood ratio of a pixel outside the silhouette.
 const OUTSIDE: f32 = -2.0;
-/// Least normalised correlation of both views, and how much better than every place farther off than `BESIDE_PX` it is.
+/// Smallest normalised correlation of both views, and smallest lead over every position farther away than `BESIDE_PX`.
 const LEAST: f32 = 0.6;
 const BETTER: f32 = 0.03;
 const BESIDE_PX: usize = 6;
 /// Share of the window that is instrument, at least and at most: an end has both around it.
 const SHARES: (f32, f32) = (0.03, 0.9);
 
-/// Compares an end between two views; its memory is kept between pictures.
+/// Compares an end between two views; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct SecondView {
     left: Vec<f32>,
@@ -61,7 +61,7 @@ impl SecondView {
         if columns < 8 || rows < 8 {
             return None;
         }
-        // The window may lie anywhere that is wholly in the other view.
+        // The window must be completely in the other view.
         let first = range.0.max(0.0).ceil() as usize;
         let last = (range.1.max(0.0) as usize).min(x0);
         if first + 2 * BESIDE_PX >= last {
@@ -75,11 +75,11 @@ impl SecondView {
         let mut inside = 0;
         for y in y0..y1 {
             for x in x0..x1 {
-                let said = silhouette.says(pixel(left, x, y))?;
+                let ratio = silhouette.log_ratio(pixel(left, x, y))?;
                 let is_own = silhouette.contains(x, y);
                 inside += usize::from(is_own);
-                // What looks like the instrument but does not hang together with it lies elsewhere in space.
-                self.left.push(if is_own { said } else { said.min(OUTSIDE) });
+                // Pixels that look like the instrument but are not connected with it are elsewhere in space.
+                self.left.push(if is_own { ratio } else { ratio.min(OUTSIDE) });
             }
         }
         let share = inside as f32 / (columns * rows) as f32;
@@ -91,23 +91,23 @@ impl SecondView {
         self.right.clear();
         for y in y0..y1 {
             for x in from..to {
-                self.right.push(silhouette.says(pixel(right, x, y))?);
+                self.right.push(silhouette.log_ratio(pixel(right, x, y))?);
             }
         }
         let count = (columns * rows) as f32;
         let mean = self.left.iter().sum::<f32>() / count;
-        self.left.iter_mut().for_each(|said| *said -= mean);
-        let own = self.left.iter().map(|said| said * said).sum::<f32>();
+        self.left.iter_mut().for_each(|ratio| *ratio -= mean);
+        let own = self.left.iter().map(|ratio| ratio * ratio).sum::<f32>();
         // One fit per disparity, from `last` down to `first`, as the window moves to the right.
         self.fit.clear();
         for offset in 0..=last - first {
             let (mut cross, mut sum, mut square) = (0.0_f32, 0.0_f32, 0.0_f32);
             for row in 0..rows {
                 let theirs = &self.right[row * strip + offset..row * strip + offset + columns];
-                for (own, said) in self.left[row * columns..(row + 1) * columns].iter().zip(theirs) {
-                    cross += own * said;
-                    sum += said;
-                    square += said * said;
+                for (own, ratio) in self.left[row * columns..(row + 1) * columns].iter().zip(theirs) {
+                    cross += own * ratio;
+                    sum += ratio;
+                    square += ratio * ratio;
                 }
             }
             let spread = (square - sum * sum / count).max(1e-3);

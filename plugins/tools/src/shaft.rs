@@ -4,20 +4,20 @@
 #[derive(Clone, Copy, Debug)]
 pub struct Mask<'a> {
     bits: &'a [u8],
-    /// Columns.
+    /// Columns, px.
     pub width: usize,
-    /// Rows.
+    /// Rows, px.
     pub height: usize,
 }
 
 impl<'a> Mask<'a> {
-    /// Bits as a mask; rows that are missing are empty.
+    /// Bits as a mask; missing rows are empty.
     pub fn new(bits: &'a [u8], width: usize, height: usize) -> Self {
         let height = bits.len().checked_div(width.div_ceil(8)).map_or(0, |rows| height.min(rows));
         Self { bits, width, height }
     }
 
-    /// Whether a pixel belongs to the mask; none outside does.
+    /// Whether a pixel belongs to the mask; false outside it.
     pub fn contains(&self, x: usize, y: usize) -> bool {
         x < self.width && y < self.height && self.bits[y * self.width.div_ceil(8) + x / 8] & (0x80 >> (x % 8)) != 0
     }
@@ -70,9 +70,9 @@ impl<'a> Mask<'a> {
 /// An end of an instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct End {
-    /// Horizontal, px.
+    /// Column, px.
     pub u_px: f64,
-    /// Vertical, px.
+    /// Row, px.
     pub v_px: f64,
     /// Unit vector from the instrument's inside towards this end.
     pub direction: [f64; 2],
@@ -87,23 +87,23 @@ pub struct TipPixel {
     pub jaws: Option<[End; 2]>,
 }
 
-/// How far along the axis the end is averaged, in px: the outermost pixel alone is noise.
+/// Length along the axis over which the end is averaged, px: the outermost pixel alone is noisy.
 const END_PX: f64 = 2.0;
-/// Last part of the length over which the middle between both sides is taken.
+/// Last share of the length over which the middle between both sides is computed.
 const END_SHARE: f64 = 0.08;
-/// From this ratio of variances on a mask has a direction of its own, if that agrees with where it enters; a wide one points away from its entry.
+/// Ratio of variances from which a mask has its own direction, if that agrees with its entry; a wider mask points away from its entry.
 const LONG: f64 = 6.0;
-/// From this one on it has one whatever it touches: a shaft that runs along the border.
+/// Ratio of variances from which it has its own direction in any case: a shaft along the border.
 const VERY_LONG: f64 = 20.0;
 /// Gap between parts of the border that count as one.
 const BORDER_GAP_PX: usize = 3;
-/// Lines across the axis that a mask is cut into at most.
+/// Most lines across the axis into which a mask is cut.
 const MOST_LINES: f64 = 256.0;
 /// Parts of a mask with less than this share of its pixels are no instrument.
 const SPECK_SHARE: f64 = 0.1;
-/// Parts that begin within this share of a mask's length come in from outside.
+/// Parts that begin within this share of a mask's length enter from outside.
 const ENTRY_SHARE: f64 = 0.15;
-/// How long the shorter jaw has to be beside the longer one, and how long at least: what is shorter is the outline's roughness.
+/// Smallest length of the shorter jaw: as a share of the longer one, and in px. Shorter parts are roughness of the outline.
 const JAW_SHARE: f64 = 0.35;
 const JAW_PX: f64 = 5.0;
 
@@ -116,19 +116,19 @@ struct Run {
     branch: u32,
 }
 
-/// What grows back from one end of a mask, until a longer branch takes it over.
+/// A branch from one end of a mask to where a longer branch takes it over.
 #[derive(Clone, Copy, Debug)]
 struct Branch {
     end_line: u32,
-    /// The longer one that took it over, or itself.
+    /// The longer branch that took it over, or itself.
     owner: u32,
-    /// Where that was; where it begins, if nothing took it over.
+    /// Line where that happened; its own start, if no branch took it over.
     fork_line: u32,
     /// Steps in its runs.
     size: f64,
 }
 
-/// Finds tips; its memory is kept between pictures.
+/// Finds tips; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct TipFinder {
     runs: Vec<Run>,
@@ -325,7 +325,7 @@ impl TipFinder {
         }
     }
 
-    /// The branch that reaches farthest of those that are no specks, and the jaw beside it with the line where they part.
+    /// The farthest branch that is no speck, and the jaw beside it with the line where they part.
     fn fork(&self, lines: &Lines) -> Option<(u32, Option<(u32, u32)>)> {
         let whole = |number: &u32| self.branches[*number as usize].owner == *number;
         let numbers = || 0..self.branches.len() as u32;
@@ -336,7 +336,7 @@ impl TipFinder {
         // A jaw of its own is the other one's where the joint lies outside the picture: then both begin side by side.
         let from = |b: &Branch| if b.owner == longest { b.fork_line } else { b.fork_line.max(begin) };
         let length = |b: &Branch| b.end_line.saturating_sub(from(b));
-        // What another instrument cuts off begins farther in.
+        // A part that another instrument cuts off begins farther inside.
         let enters = |begin: u32| f64::from(begin) <= ENTRY_SHARE * lines.lines as f64;
         let is_own =
             |n: &u32, b: &Branch| whole(n) && b.size >= SPECK_SHARE * all && enters(b.fork_line) && enters(begin);

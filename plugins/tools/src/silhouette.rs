@@ -9,7 +9,7 @@ use panoscope_node::View;
 
 use crate::shaft::{End, Mask, TipPixel};
 
-/// What tells an instrument from tissue; at least one of both.
+/// Cues that distinguish an instrument from tissue; at least one of both.
 #[derive(Clone, Copy)]
 pub struct Cues<'a> {
     /// Width and height of the picture, px.
@@ -20,40 +20,40 @@ pub struct Cues<'a> {
     pub nearness: Option<&'a dyn Fn(usize, usize) -> f32>,
 }
 
-/// How far beyond a box its instrument is looked for, as a share of the box's sides, and at least.
+/// Margin around a box in which its instrument is searched: as a share of the box's sides, and the least, px.
 const MARGIN: f32 = 0.15;
 const MARGIN_PX: f32 = 6.0;
-/// Cells along the longer side of the region, at most.
+/// Most cells along the longer side of the region.
 const MOST_CELLS: f32 = 128.0;
-/// Cells below which nothing can be told.
+/// Fewest cells of a region that can be segmented.
 const FEWEST_CELLS: usize = 64;
 /// Brightness (sum of three channels) below which colour fades to gray.
 const DARK: f32 = 36.0;
-/// How many deviations a single cue counts for, for and against an instrument.
+/// Limits of a single cue, against and for an instrument, in standard deviations.
 const MOST_FOR: f32 = 5.0;
 const MOST_AGAINST: f32 = -2.0;
-/// From this sum of both cues on a cell is thought to be instrument at first.
+/// Sum of both cues from which a cell is instrument in the first guess.
 const FIRST_GUESS: f32 = 3.0;
-/// How many deviations before the surface something certainly stands before it.
+/// Standard deviations in front of the surface from which a cell is certainly in front of it.
 const BEFORE: f32 = 2.0;
-/// Share of the largest part's cells from which on another one may be a jaw, and of its own cells that have to be gray then.
+/// Share of the largest part's cells from which another part may be a jaw, and share of its own cells that must be gray then.
 const JAW_SHARE: f32 = 0.3;
 const MOST_OF: f32 = 0.7;
-/// From how many deviations less red than tissue on something is certainly gray.
+/// Standard deviations less red than tissue from which a cell is certainly gray.
 const GRAY: f32 = 1.5;
-/// What learned colours have to say of a cell beside the instrument that is added to it.
+/// Log-likelihood ratio of the learned colours from which a cell beside the instrument is added to it.
 const GROWS: f32 = 1.0;
-/// Brightness from which on a gray cell may be glare on wet tissue.
+/// Brightness from which a gray cell may be glare on wet tissue.
 const GLARE: f32 = 0.75;
-/// Least deviation of the surface's nearness, as a share of it, and of its redness: below is what matching and noise cost.
+/// Smallest standard deviation of the surface's nearness, as a share of it, and of its redness: the errors of matching and noise.
 const NEARNESS_FLOOR: f32 = 0.006;
 const REDNESS_FLOOR: f32 = 0.02;
-/// Classes of redness and of brightness that colours are learned in.
+/// Number of classes of redness and of brightness for learned colours.
 const REDS: usize = 16;
 const BRIGHTS: usize = 8;
-/// Most that colour or nearness say in the end, as a logarithm of a ratio of likelihoods.
-const MOST_SAID: f32 = 3.0;
-/// Share of the box's cells that an instrument covers at least and at most.
+/// Limit of the final log-likelihood ratio of colour or nearness.
+const LOG_RATIO_LIMIT: f32 = 3.0;
+/// Smallest and largest share of the box's cells that an instrument covers.
 const COVERS: (f32, f32) = (0.04, 0.9);
 
 /// A region of the picture as cells.
@@ -103,23 +103,23 @@ impl Region {
     }
 }
 
-/// Cuts instruments out; its memory is kept between pictures.
+/// Segments instruments; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct Silhouette {
     region: Region,
-    /// Per cell: how red (0 gray), how bright (0..1), how near; NaN where unknown.
+    /// Per cell: redness (0 gray), brightness (0 to 1), nearness; NaN where unknown.
     redness: Vec<f32>,
     bright: Vec<f32>,
     near: Vec<f32>,
-    /// What speaks for an instrument; before anything was learned.
+    /// Score for an instrument, and the score before colours were learned.
     score: Vec<f32>,
     first: Vec<f32>,
-    /// What redness alone says, in deviations; what the learned colours say.
+    /// Score of redness alone, in standard deviations; log-likelihood ratio of the learned colours.
     gray: Vec<f32>,
     colour: Vec<f32>,
-    /// What each class of colours says; empty before any were learned.
-    said: Vec<f32>,
-    /// Work memory.
+    /// Log-likelihood ratio of each class of colours; empty before any were learned.
+    log_ratios: Vec<f32>,
+    /// Buffers.
     sorted: Vec<f32>,
     blurred: Vec<f32>,
     part: Vec<u32>,
@@ -152,13 +152,13 @@ fn class_of(redness: f32, bright: f32) -> usize {
     red * BRIGHTS + bright
 }
 
-/// How red (0 gray) and how bright (0..1) a colour is, of blue, green and red from 0 to 255.
+/// Redness (0 gray) and brightness (0 to 1) of a colour: blue, green and red from 0 to 255.
 fn shade([b, g, r]: [f32; 3]) -> (f32, f32) {
     ((r - b) / (r + g + b + DARK), (r + g + b) / (3.0 * 255.0))
 }
 
 impl Silhouette {
-    /// Cuts the instrument of a box (left, top, right, bottom, px) out. Answers whether there is one to be told from what surrounds it.
+    /// Segments the instrument in a box (left, top, right, bottom, px). Returns whether it can be distinguished from its surroundings.
     pub fn cut(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> bool {
         self.bits.clear();
         let Some(region) = Region::around(corners, cues.size) else { return false };
@@ -166,18 +166,18 @@ impl Silhouette {
         self.sample(cues);
         self.score.clear();
         self.score.resize(region.width * region.height, 0.0);
-        let told = [self.judge_redness(), self.judge_nearness()];
-        if !told[1] {
+        let is_known = [self.judge_redness(), self.judge_nearness()];
+        if !is_known[1] {
             self.near.fill(f32::NAN);
         }
-        if !told.contains(&true) {
+        if !is_known.contains(&true) {
             return false;
         }
         self.colour.clear();
-        self.said.clear();
+        self.log_ratios.clear();
         self.first.clone_from(&self.score);
         for _ in 0..2 {
-            if told[0] {
+            if is_known[0] {
                 self.learn_colours();
             }
             self.blur();
@@ -208,9 +208,9 @@ impl Silhouette {
 
     /// What the colours learned of the last instrument say of a pixel (blue, green, red), of either view: above 0 it is instrument, below 0
     /// tissue. None where none were learned.
-    pub fn says(&self, pixel: [u8; 3]) -> Option<f32> {
+    pub fn log_ratio(&self, pixel: [u8; 3]) -> Option<f32> {
         let (redness, bright) = shade(pixel.map(f32::from));
-        self.said.get(class_of(redness, bright)).copied()
+        self.log_ratios.get(class_of(redness, bright)).copied()
     }
 
     /// A tip of [`Silhouette::mask`] in px of the picture.
@@ -258,7 +258,7 @@ impl Silhouette {
         }
     }
 
-    /// Adds what redness says: less than around the box speaks for an instrument.
+    /// Adds the score of redness: less red than around the box indicates an instrument.
     fn judge_redness(&mut self) -> bool {
         let Self { region, redness, sorted, score, gray, .. } = self;
         gray.clear();
@@ -275,7 +275,7 @@ impl Silhouette {
         true
     }
 
-    /// Adds what nearness says: what stands before the surface, a plane fitted to what is left when nearer things are dropped.
+    /// Adds the score of nearness: in front of the surface, a plane fitted after nearer cells are dropped.
     fn judge_nearness(&mut self) -> bool {
         let Self { region, near, sorted, score, .. } = self;
         let known = near.iter().filter(|v| v.is_finite()).count();
@@ -329,7 +329,7 @@ impl Silhouette {
         true
     }
 
-    /// Learns the colours of what is instrument by now and of what is not, and judges all cells anew.
+    /// Learns the colours of instrument and surroundings from the present score, and scores all cells again.
     fn learn_colours(&mut self) {
         let (mut tool, mut tissue) = ([1.0_f32; REDS * BRIGHTS], [1.0_f32; REDS * BRIGHTS]);
         let (mut tools, mut tissues) = (tool.len() as f32, tissue.len() as f32);
@@ -352,20 +352,22 @@ impl Silhouette {
                 tissues += 1.0;
             }
         }
-        self.said.clear();
-        let ratio = |of: usize| ((tool[of] / tools) / (tissue[of] / tissues)).ln().clamp(-MOST_SAID, MOST_SAID);
-        self.said.extend((0..tool.len()).map(ratio));
+        self.log_ratios.clear();
+        let ratio =
+            |of: usize| ((tool[of] / tools) / (tissue[of] / tissues)).ln().clamp(-LOG_RATIO_LIMIT, LOG_RATIO_LIMIT);
+        self.log_ratios.extend((0..tool.len()).map(ratio));
         self.colour.clear();
         self.colour.resize(self.score.len(), f32::NAN);
         for index in 0..self.score.len() {
             let (redness, bright) = (self.redness[index], self.bright[index]);
-            let mut said = 0.0;
+            let mut log_ratio = 0.0;
             if redness.is_finite() {
-                said = self.said[class_of(redness, bright)];
-                self.colour[index] = said;
+                log_ratio = self.log_ratios[class_of(redness, bright)];
+                self.colour[index] = log_ratio;
             }
             // Both cues together, before anything was learned, say where; the learned colours say how far.
-            self.score[index] = said + (self.first[index] - FIRST_GUESS).clamp(-MOST_SAID, MOST_SAID) + FIRST_GUESS;
+            self.score[index] =
+                log_ratio + (self.first[index] - FIRST_GUESS).clamp(-LOG_RATIO_LIMIT, LOG_RATIO_LIMIT) + FIRST_GUESS;
         }
     }
 
@@ -444,7 +446,7 @@ impl Silhouette {
         true
     }
 
-    /// Takes a second part for the other jaw, where the joint of both lies outside the picture or the box.
+    /// Adds a second part as the other jaw, where the joint of both is outside the picture or the box.
     fn join_jaw(&mut self, best: u32, best_cells: usize) {
         let is_gray = |part: u32| {
             let cells = || (0..self.part.len()).filter(|index| self.part[*index] == part);
@@ -485,7 +487,7 @@ impl Silhouette {
     }
 }
 
-/// Solves three equations by Cramer's rule; none where they do not tell.
+/// Solves three equations by Cramer's rule; none where they are singular.
 fn solve(m: [[f64; 3]; 3], v: [f64; 3]) -> Option<[f64; 3]> {
     let det = |a: [[f64; 3]; 3]| {
         a[0][0] * (a[1][1] * a[2][2] - a[1][2] * a[2][1]) - a[0][1] * (a[1][0] * a[2][2] - a[1][2] * a[2][0])

@@ -15,65 +15,65 @@ use panoscope_tracking::skill::{Measures, Sample, Session, Settings};
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Tips in the left rectified camera's frame: best one `tip_track` per hand.
+    /// Tips in the left rectified camera's frame, mm. Connect one `tip_track` per hand.
     tip: List<'f, Value<'f, Tip>>,
-    /// Where the left camera stood, in a frame that rests: without it the camera's own movement counts as the tips'.
+    /// Pose of the left camera in the scene. Without it the camera's own movement counts as the tips' movement.
     camera_pose: Option<Value<'f, Pose>>,
-    /// Name of the phase of the operation that goes on.
+    /// Name of the present phase of the operation.
     phase: Option<Text<'f>>,
-    /// Table of `proximity`: touches of the tissue are counted where it is connected.
+    /// Table of `proximity`. With it, touches of the tissue are counted.
     proximity: Option<Table<'f>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// One row per tool and phase: number of the tool, its class, of the phase (-1: all phases), then all measures since the start. Times count from the
-    /// tool's first picture.
+    /// One row per tool and phase: number and class of the tool, number of the phase (-1: all phases), then all measures since the start. Times count
+    /// from the tool's first picture.
     table: Slot<'f, TableData>,
-    /// One row per pair of tools: their numbers, the time in which both were seen, in which both moved, the share of movement that both made together,
-    /// and the correlation of their speeds.
+    /// One row per pair of tools: their numbers, time with both in view, time with both moving, share of the movement made together, correlation of
+    /// their speeds.
     pairs: Slot<'f, TableData>,
-    /// The most important measures, a line per tool.
+    /// The main measures as text, one line per tool.
     text: Slot<'f, TextPacket>,
 }
 
-/// Which tips are of one tool.
+/// Which tips belong to one tool.
 #[derive(Choice, Clone, Copy, PartialEq)]
 pub enum Tools {
-    /// Those that come in at one input: each hand has its own.
+    /// Tips at one input: each hand has its own.
     Input,
-    /// Those with one number.
+    /// Tips with one number.
     Track,
-    /// Those of one class.
+    /// Tips of one class.
     Class,
 }
 
 /// Parameters.
 #[derive(Params)]
 pub struct SkillParams {
-    /// Which tips are of one tool.
+    /// Which tips belong to one tool.
     #[param(default = "input", reopen)]
     tools: Tools,
-    /// Lowest score of a tip that counts: one that is only predicted loses score.
+    /// Lowest score of a tip that is used. The score of a predicted tip falls with time.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f64,
-    /// Longest time between two tips that is bridged; beyond it the tool is out of view.
+    /// Longest gap between two tips that is bridged. After a longer gap the tool was out of view.
     #[param(default = 250.0, range = 10.0..=5000.0, step = 10.0, unit = "ms", reopen)]
     max_gap_ms: f64,
-    /// Half width of the window that speed is taken from.
+    /// Half the width of the window from which speed is computed.
     #[param(default = 80.0, range = 10.0..=1000.0, step = 10.0, unit = "ms", reopen)]
     window_ms: f64,
-    /// Speed below which a tool rests.
+    /// Speed below which a tool counts as resting.
     #[param(default = 3.0, range = 0.1..=50.0, step = 0.1, unit = "mm/s", reopen)]
     rest_mm_s: f64,
-    /// Shortest rest that is idleness.
+    /// Shortest rest that counts as idle time.
     #[param(default = 300.0, range = 10.0..=10000.0, step = 10.0, unit = "ms", reopen)]
     rest_ms: f64,
-    /// Distance of the knots that jerk is smoothed with.
+    /// Distance of the knots of the spline that jerk is computed from.
     #[param(default = 100.0, range = 20.0..=1000.0, step = 10.0, unit = "ms", reopen)]
     knot_ms: f64,
-    /// Distance to the tissue at which a tip touches it.
+    /// Distance to the tissue below which a tip counts as touching it.
     #[param(default = 1.5, range = -5.0..=20.0, step = 0.1, unit = "mm", reopen)]
     touch_mm: f64,
     /// Shortest touch that counts.
@@ -96,14 +96,14 @@ pub const COLUMNS: [&str; KEYS.len() + FIGURES.len()] = {
 /// Columns of the pairs.
 pub const PAIRS: [&str; 6] = ["a", "b", "seen_s", "both_s", "overlap", "correlation"];
 
-/// Poses of the camera that are kept for tips that come late.
+/// Most poses of the camera that are stored for late tips.
 const MOST_POSES: usize = 64;
 
 /// See the module.
 pub struct Skill {
     session: Session,
     poses: VecDeque<(i64, Isometry3<f64>)>,
-    /// Class of each tool, and capture time of the newest tip of each input.
+    /// Class of each tool; capture time of the newest tip of each input, ns.
     classes: Vec<u32>,
     looked_ns: Vec<i64>,
     refused: bool,
@@ -131,7 +131,7 @@ fn pose_of(pose: &Pose) -> Option<Isometry3<f64>> {
     all.iter().all(|v| v.is_finite()).then(|| Isometry3::from_parts(Translation3::new(tx, ty, tz), turn))
 }
 
-/// Distance to the tissue of a tip with a number, by the table of `proximity`; NaN where that does not tell.
+/// Distance to the tissue of a tip with a number, by the table of `proximity`, mm; NaN where it is unknown.
 fn tissue_mm(table: &Table<'_>, track_id: i64) -> Result<f64> {
     let column = |name: &str| {
         let place = table.names().position(|n| n == name);
@@ -144,7 +144,7 @@ fn tissue_mm(table: &Table<'_>, track_id: i64) -> Result<f64> {
 }
 
 impl Skill {
-    fn tell(&mut self) {
+    fn set_text(&mut self) {
         self.words.clear();
         for (tool, class) in self.session.tools().zip(&self.classes) {
             let m = tool.total;
@@ -265,7 +265,7 @@ impl Node for Skill {
             }
         }
         if out.text.is_read() && !self.classes.is_empty() {
-            self.tell();
+            self.set_text();
             out.text.set_text(self.words.trim_end())?;
         }
         Ok(())

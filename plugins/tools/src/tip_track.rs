@@ -3,55 +3,55 @@
 use std::collections::VecDeque;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use panoscope_arm_core::kalman::Model;
-use panoscope_arm_core::tracker::{Known, Report, Rules, Tracker};
 use panoscope_node::abi::{Calibration, Pose, Tip};
 use panoscope_node::{Context, List, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value, error};
+use panoscope_tracking::kalman::Model;
+use panoscope_tracking::tracker::{Known, Report, Rules, Tracker};
 
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Tips of one or more detectors, in the left rectified camera's frame as it stood when their pictures were taken. A detector that is slower
-    /// than the camera is best wired with `align = "latest"`: each of its tips counts once, and as old as it is.
+    /// Tips of one or more detectors, mm, in the left rectified camera's frame at the time of their pictures. Wire a detector that is slower than the
+    /// camera with `align = "latest"`: each of its tips is used once, with the age of its picture.
     tip: List<'f, Value<'f, Tip>>,
-    /// Where the left camera stood, in a frame that rests: without it the filter takes the camera's own movement for the tip's.
+    /// Pose of the left camera in the scene. Without it the camera's own movement counts as the tip's movement.
     camera_pose: Option<Value<'f, Pose>>,
-    /// Calibration of the rectified views: how well depth is known, and where predicted tips lie in the picture.
+    /// Calibration of the rectified views, for the uncertainty of depth and for the pixels of predicted tips.
     calibration: Option<Value<'f, Calibration>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The leading tip in the left camera's frame. A tip that is only predicted loses score with the age of the picture that it was seen in last.
-    /// Empty when lost.
+    /// The leading tip in the left camera's frame, mm. The score of a predicted tip falls with the time since it was last seen. Empty when lost.
     tip: Slot<'f, Tip>,
-    /// One row per tick while the tip is known: time, place from the camera and in the resting frame, velocity, what is known.
+    /// One row per tick while the tip is known: position in the camera's frame and in the scene (mm), velocity (mm/s), standard deviation (mm), time
+    /// since it was seen (ms), score, number of the tool.
     table: Slot<'f, TableData>,
 }
 
 /// Parameters.
 #[derive(Params)]
 pub struct TrackParams {
-    /// Accelerations of a tool that are not known; higher follows faster and is less smooth; mm/s^2.
+    /// Standard deviation of a tool's unknown acceleration, mm/s^2. Higher values follow faster and are less smooth.
     #[param(default = 200.0, range = 1.0..=5000.0, step = 1.0)]
     acceleration: f64,
-    /// Squared Mahalanobis distance beyond which a tip belongs to something else; 16.3 keeps 99.9 % of the true ones.
+    /// Squared Mahalanobis distance above which a detection is not of this tip; 16.3 accepts 99.9 % of the true ones.
     #[param(default = 16.3, range = 1.0..=200.0, step = 0.1)]
     gate: f64,
-    /// How well a tip is known in the picture: standard deviation.
+    /// Standard deviation of a tip's position in the picture.
     #[param(default = 1.0, range = 0.05..=20.0, step = 0.05, unit = "px")]
     lateral_px: f64,
-    /// How well its disparity is known: standard deviation.
+    /// Standard deviation of a tip's disparity.
     #[param(default = 0.5, range = 0.05..=20.0, step = 0.05, unit = "px")]
     disparity_px: f64,
-    /// Lowest score of a tip that counts.
+    /// Lowest score of a tip that is used.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f64,
-    /// Longest time that an unseen tip is predicted for.
+    /// Longest prediction of an unseen tip; after it the tip is lost.
     #[param(default = 300.0, range = 0.0..=2000.0, step = 10.0, unit = "ms")]
     max_gap_ms: f64,
-    /// Time for which another tool has to be seen alone before it leads.
+    /// Time for which only other tools must be seen before one of them leads.
     #[param(default = 600.0, range = 0.0..=10000.0, step = 10.0, unit = "ms")]
     switch_ms: f64,
 }
@@ -73,20 +73,20 @@ pub const COLUMNS: [&str; 13] = [
     "track_id",
 ];
 
-/// Tips of one tick that are looked at.
-const MOST_NEWS: usize = 16;
-/// Poses of the camera that are kept for tips that come late.
+/// Most tips of one tick that are used.
+const MOST_TIPS: usize = 16;
+/// Most poses of the camera that are stored for late tips.
 const MOST_POSES: usize = 64;
 
-/// Follows a tip.
+/// Tracks the leading tip.
 pub struct TipTrack {
     tracker: Tracker,
     last: Option<(Tip, i64)>,
     had_pose: bool,
-    /// Where the camera stood in the last ticks.
+    /// Poses of the camera in the last ticks, with their capture times, ns.
     poses: VecDeque<(i64, Isometry3<f64>)>,
-    /// Capture time of the newest tip of each detector that was looked at.
-    looked_ns: Vec<i64>,
+    /// Capture time of the newest tip used of each detector, ns.
+    used_ns: Vec<i64>,
 }
 
 fn pose_of(pose: &Pose) -> Option<Isometry3<f64>> {
@@ -101,7 +101,7 @@ impl Node for TipTrack {
     const INFO: NodeInfo = NodeInfo::compute(
         "tip_track",
         "tools",
-        "Follows the leading tool's tip in space: filters it, tells it from others, predicts it over short gaps.",
+        "Tracks the leading tool's tip in space: filters it, distinguishes it from other tips, predicts it over short gaps.",
     );
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
@@ -109,7 +109,7 @@ impl Node for TipTrack {
 
     fn open(_: &Open<'_>, _: &TrackParams) -> Result<Self> {
         let poses = VecDeque::with_capacity(MOST_POSES);
-        Ok(Self { tracker: Tracker::default(), last: None, had_pose: false, poses, looked_ns: Vec::new() })
+        Ok(Self { tracker: Tracker::default(), last: None, had_pose: false, poses, used_ns: Vec::new() })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &TrackParams) -> Result<()> {
@@ -140,30 +140,30 @@ impl Node for TipTrack {
             None => Isometry3::identity(),
         };
         if input.camera_pose.is_some() != self.had_pose {
-            // Another frame: what was filtered lies elsewhere now.
+            // The frame has changed, so positions of the filter are invalid.
             self.had_pose = input.camera_pose.is_some();
             self.tracker = Tracker::default();
         }
         let now_ns = cx.tick().capture_ns;
         if self.poses.back().is_some_and(|(newest, _)| *newest >= now_ns) {
-            // Time went back.
+            // Time went backwards.
             self.poses.clear();
-            self.looked_ns.fill(i64::MIN);
+            self.used_ns.fill(i64::MIN);
         }
         if self.poses.len() == MOST_POSES {
             self.poses.pop_front();
         }
         self.poses.push_back((now_ns, room_from_camera));
-        self.looked_ns.resize(input.tip.len(), i64::MIN);
-        let (poses, looked_ns) = (&self.poses, &mut self.looked_ns);
+        self.used_ns.resize(input.tip.len(), i64::MIN);
+        let (poses, used_ns) = (&self.poses, &mut self.used_ns);
         let tips = || {
             let all = input.tip.iter().enumerate().filter_map(|(index, tip)| Some((index, tip?)));
             all.filter(|(_, tip)| tip.xyz_valid == 1 && tip.tick().capture_ns <= now_ns)
         };
-        // What was looked at before is no news.
-        let news = tips().filter_map(|(index, tip)| {
+        // Tips that were used before are skipped.
+        let new_tips = tips().filter_map(|(index, tip)| {
             let seen_ns = tip.tick().capture_ns;
-            let is_new = std::mem::replace(&mut looked_ns[index], seen_ns) < seen_ns;
+            let is_new = std::mem::replace(&mut used_ns[index], seen_ns) < seen_ns;
             is_new.then(|| {
                 let at = Vector3::from(tip.xyz_mm);
                 let then = poses.iter().min_by_key(|(pose_ns, _)| pose_ns.abs_diff(seen_ns));
@@ -181,8 +181,8 @@ impl Node for TipTrack {
                 (index, seen)
             })
         });
-        let (mut from, mut count) = ([0_usize; MOST_NEWS], 0);
-        let reports = news.take(MOST_NEWS).map(|(index, report)| {
+        let (mut from, mut count) = ([0_usize; MOST_TIPS], 0);
+        let reports = new_tips.take(MOST_TIPS).map(|(index, report)| {
             from[count] = index;
             count += 1;
             report
@@ -197,7 +197,7 @@ impl Node for TipTrack {
             let index = from.get(report).copied();
             self.last = index.and_then(|index| input.tip.get(index)).map(|tip| (*tip, tip.tick().capture_ns));
         }
-        // From the picture that it was seen in last: what a slow detector says is old when it comes.
+        // Counts from the picture in which it was last seen: tips of a slow detector are old when they arrive.
         let gap_s = self.last.map_or(0.0, |(_, seen_ns)| now_ns.saturating_sub(seen_ns) as f64 * 1e-9);
         let fade = if gap_s > 0.0 { (1.0 - gap_s / rules.max_gap_s.max(1e-9)).clamp(0.0, 1.0) } else { 1.0 };
         let (Some((room, speed)), Some((mut tip, _))) = (self.tracker.state(), self.last) else { return Ok(()) };

@@ -16,30 +16,30 @@ use crate::silhouette::{Cues, Silhouette};
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Boxes of tools in the left rectified view. Those of a detector that is slower than the camera, wired with `align = "latest"`, are moved with
-    /// the tip, and the tool is cut out of them in the picture of this tick: a tip is as new as `image`, not as its box.
+    /// Boxes of tools in the left rectified view. Boxes of a detector that is slower than the camera (wired with `align = "latest"`) are moved along
+    /// with the tip, and the tool is segmented in the picture of this tick: a tip is as new as `image`, not as its box.
     detections: Option<Detections<'f>>,
-    /// Tools with masks: preferred to boxes.
+    /// Tools with masks; used instead of boxes.
     instances: Option<Instances<'f>>,
-    /// The picture that boxes were found in, bgr8: with it, or with depth, the tool is cut out of its box and its end found there; without both the
-    /// tip is where the box ends, off by half the box's width.
+    /// The picture in which boxes were found, bgr8. With it, or with depth, the tool is segmented inside its box and its end is the tip. Without both
+    /// the tip is the end of the box, wrong by up to half the box's width.
     image: Option<AnyImage<'f>>,
-    /// The right rectified view of the same tick, bgr8: an end that is cut out of its box has the depth at which both views show it. Ends are
-    /// often thinner than a matcher's window, whose depth there is the tissue's.
+    /// Right rectified view of the same tick, bgr8. With it the depth of a segmented tool end is found by comparing both views. Tool ends are often
+    /// thinner than a matcher's window, which returns the depth of the tissue there.
     right: Option<AnyImage<'f>>,
-    /// Depth of the left rectified view, for the place in space.
+    /// Depth of the left rectified view, mm, for the position in space.
     depth: Option<Image<'f, Depth>>,
-    /// Disparity of the left rectified view, where no depth is connected. Best as a matcher gives it: filters fill what was not matched, and so mix
-    /// a thin end with the tissue behind it.
+    /// Disparity of the left rectified view, px, used where no depth is connected. Connect the matcher's map: filters fill unmatched pixels and so
+    /// mix a thin tool end with the tissue behind it.
     disparity: Option<Image<'f, Disparity>>,
-    /// Calibration of the rectified views, for the place in space.
+    /// Calibration of the rectified views, for the position in space.
     calibration: Option<Value<'f, Calibration>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// The leading tool's tip; empty when no tool is found, or when masks and depth show that another tool stands before its end.
+    /// Tip of the leading tool. Empty when no tool is found, or when masks and depth show that another tool hides its end.
     tip: Slot<'f, Tip>,
 }
 
@@ -49,18 +49,17 @@ pub struct ToolTipParams {
     /// Name of the class to follow; empty takes any.
     #[param(default = "")]
     class: String,
-    /// Lowest score of a tool. Where any class will do, boxes of several classes around one tool count together: they say what it may be, and
-    /// their sum how sure it is that it is one.
+    /// Lowest score of a tool. Without a given class, the scores of overlapping boxes of several classes are added.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
-    /// The same of the tool that led before, while boxes overlap: a weak box where a tool was sure to be is of that tool (after Zhang et al. 2022,
-    /// ByteTrack).
+    /// Lowest score of a box that overlaps the previous box of the leading tool: a weak box at the place of a certain tool is that tool (after Zhang
+    /// et al. 2022, ByteTrack).
     #[param(default = 0.1, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     keep_score: f32,
-    /// Radius around the tip in which depth is looked for.
+    /// Radius around the tip within which depth is read.
     #[param(default = 6, range = 1..=64, unit = "px")]
     radius_px: usize,
-    /// Oldest boxes in which a tool is looked for, and how long one is remembered where the detector finds none.
+    /// Age up to which a box is used, and time for which the last box is used while the detector finds none.
     #[param(default = 300.0, range = 0.0..=1000.0, step = 10.0, unit = "ms")]
     max_age_ms: f64,
 }
@@ -73,56 +72,56 @@ pub struct ToolTip {
     silhouette: Silhouette,
     second: SecondView,
     kept: Option<Kept>,
-    /// How far both ends of open jaws lie from the middle between them, mm, and when that was seen.
+    /// Distance of both ends of open jaws from the middle between them, mm, and when it was seen, ns.
     half: Option<(f64, i64)>,
-    /// Place of the last tip from the camera, mm, and when it was there.
+    /// Depth of the last tip, mm, and its capture time, ns.
     last: Option<([f64; 3], i64)>,
-    /// Capture times and places of the last tips, px.
-    sights: VecDeque<(i64, [f64; 2])>,
+    /// Capture times, ns, and positions, px, of the last tips.
+    observations: VecDeque<(i64, [f64; 2])>,
 }
 
-/// The tool that led last.
+/// The last leading tool.
 struct Leading {
-    /// The number that it is called by, and the one that the detector gave it last.
+    /// Its number in the output, and the newest one from the detector.
     called: i64,
     number: i64,
     corners: [f32; 4],
-    /// Numbers of other tools that were seen beside it then.
+    /// Numbers of other tools seen in the same tick.
     others: [i64; 16],
-    /// Ticks since.
+    /// Ticks since it was seen.
     missed: u32,
 }
 
-/// The box of the tool that led last.
+/// The last box of the leading tool.
 struct Kept {
     item: Detection,
-    /// Capture time of the picture that it was found in.
+    /// Capture time of the picture in which it was found, ns.
     found_ns: i64,
-    /// How sure the tool was, and when.
+    /// Score of the tool, and when it was found, ns.
     score: f32,
     scored_ns: i64,
 }
 
 impl Kept {
-    /// How sure the tool still is.
+    /// Score of the tool now.
     fn score_at(&self, now_ns: i64) -> f32 {
         self.score * 0.5_f32.powf(now_ns.saturating_sub(self.scored_ns).max(0) as f32 * 1e-9 / HALF_S)
     }
 }
 
-/// Time in which a tool that is cut out of weak boxes is half as sure, s.
+/// Time in which the score of a tool that is found in weak boxes only halves, s.
 const HALF_S: f32 = 0.5;
-/// Overlap from which on boxes of different classes are thought to be of one tool.
+/// Overlap from which boxes of different classes count as one tool.
 const SAME_TOOL_IOU: f32 = 0.5;
-/// The same for a box and the one that led before.
+/// Overlap from which a box counts as the last leading box's tool.
 const STILL_IOU: f32 = 0.35;
-/// A tip nearer to the picture's border than this share of its width is where a tool leaves it, and a box at the border that is no thicker than the
-/// other share shows a shaft that crosses it.
+/// Shares of the picture's width: a tip nearer to the border than the first is where a tool leaves the picture; a box at the border thinner than the
+/// second shows a shaft that crosses it.
 const BORDER_SHARE: f64 = 0.01;
 const STRIP_SHARE: f32 = 0.06;
-/// Boxes that are tried until one has its tip in the picture.
+/// Most boxes that are tried until one has its tip in the picture.
 const MOST_TRIES: usize = 4;
-/// Ticks for which a tool that led may come back under another number.
+/// Ticks within which the leading tool may return with another number.
 const MEMORY_TICKS: u32 = 15;
 
 fn corners_of(d: &Detection) -> [f32; 4] {
@@ -134,8 +133,8 @@ fn moved([x0, y0, x1, y1]: [f32; 4], [dx, dy]: [f32; 2]) -> [f32; 4] {
 }
 
 impl Leading {
-    /// How surely a box is of this tool: it has its number, or stands where it stood, and was no other tool then. Detectors that are in two minds
-    /// about a tool's class give it a new number whenever they change it.
+    /// Score that a box is this tool: it has the tool's number, or is where the tool was and was not another tool then. Detectors that change a
+    /// tool's class give it a new number each time.
     fn claims(&self, item: &Detection) -> u8 {
         if item.track_id >= 0 && item.track_id == self.number {
             return 2;
@@ -145,7 +144,7 @@ impl Leading {
     }
 }
 
-/// How sure it is that a box is of a tool, of whatever class.
+/// Score that a box is a tool of any class.
 fn sureness(item: &Detection, items: &[Detection]) -> f32 {
     let own = corners_of(item);
     let mut sum = item.score;
@@ -155,7 +154,7 @@ fn sureness(item: &Detection, items: &[Detection]) -> f32 {
             let before = items[..index].iter();
             !before.filter(|d| d.class_index == other.class_index).any(is_same)
         };
-        // Best first: one word per class.
+        // Best first: one score per class.
         if other.class_index != item.class_index && is_same(other) && is_first() {
             sum += other.score;
         }
@@ -163,30 +162,30 @@ fn sureness(item: &Detection, items: &[Detection]) -> f32 {
     sum.min(1.0)
 }
 
-/// Depth values needed around the tip for a place to be trusted.
+/// Fewest depth values around the tip for a position in space.
 const MIN_VALUES: usize = 6;
 
-/// Times the radius within which a mask's own depth is looked for at most.
+/// Largest multiple of the radius within which a mask's own depth is searched.
 const WIDER: usize = 8;
-/// Tips that are remembered for boxes that come late.
-const MOST_SIGHTS: usize = 16;
-/// Between these distances an end is looked for in the other view, mm.
+/// Number of tips stored for late boxes.
+const MOST_OBSERVATIONS: usize = 16;
+/// Range of depths in which an end is searched in the other view, mm.
 const REACH_MM: (f64, f64) = (20.0, 250.0);
-/// Most that the depths of two jaws of one instrument differ, mm.
+/// Largest difference of depth between two jaws of one instrument, mm.
 const JAWS_MM: f64 = 10.0;
-/// How far the ends of open jaws may lie from their middle, mm, and for how long that is remembered while one jaw hides the other, ns.
+/// Largest distance of the ends of open jaws from their middle, mm, and time for which it is stored while one jaw hides the other, ns.
 const MOST_HALF_MM: f64 = 12.0;
 const HALF_NS: i64 = 2_000_000_000;
-/// Time in which jaws that are seen nearer together are thought to have closed by half, ns.
+/// Time in which the stored opening halves while the jaws are seen nearer together, ns.
 const HALF_FADES_NS: f64 = 0.7e9;
-/// How old the last tip may be that tells which jaw is in view, ns.
+/// Largest age of the last tip that decides which jaw is in view, ns.
 const LAST_NS: i64 = 200_000_000;
-/// How much nearer than a tip something has to stand to hide it, mm.
+/// Smallest distance in front of a tip of what hides it, mm.
 const BEFORE_MM: f32 = 1.0;
-/// Share of the pixels around a tip that another instrument has to take, to be what hides it.
+/// Smallest share of the pixels around a tip that belong to another instrument which hides it.
 const HIDING_SHARE: f32 = 0.12;
 
-/// Whether another instrument, of which `other` tells the pixels, stands around a tip and before it.
+/// Whether another instrument, with the pixels of `other`, is around a tip and in front of it.
 fn is_behind(
     at: (f64, f64),
     z_mm: f32,
@@ -209,7 +208,7 @@ fn is_behind(
     before > HIDING_SHARE * all
 }
 
-/// What is known of depth.
+/// Depth or disparity of the left view.
 struct Space<'a> {
     depth: Option<View<'a, f32>>,
     disparity: Option<View<'a, f32>>,
@@ -223,7 +222,7 @@ impl Space<'_> {
         self.depth.as_ref().or(self.disparity.as_ref()).map(|view| (view.width, view.height))
     }
 
-    /// mm; NaN where unknown.
+    /// Depth at a pixel, mm; NaN where unknown.
     fn depth_mm(&self, x: usize, y: usize) -> f32 {
         match (&self.depth, &self.disparity) {
             (Some(view), _) => view.row(y)[x],
@@ -232,7 +231,7 @@ impl Space<'_> {
         }
     }
 
-    /// Grows as 1/depth does, in whatever unit.
+    /// A value proportional to 1/depth.
     fn nearness(&self, x: usize, y: usize) -> f32 {
         match (&self.depth, &self.disparity) {
             (_, Some(view)) => view.row(y)[x],
@@ -243,15 +242,15 @@ impl Space<'_> {
 }
 
 impl ToolTip {
-    /// How far the tip has moved since boxes of this age were found, px; nothing where that is not known.
+    /// Movement of the tip since boxes of this age were found, px; 0 where it is unknown.
     fn shift(&mut self, now_ns: i64, age_ns: i64) -> [f32; 2] {
-        if self.sights.back().is_some_and(|(newest_ns, _)| *newest_ns > now_ns) {
-            // Time went back.
-            self.sights.clear();
+        if self.observations.back().is_some_and(|(newest_ns, _)| *newest_ns > now_ns) {
+            // Time went backwards.
+            self.observations.clear();
         }
         let seen_ns = now_ns.saturating_sub(age_ns);
-        let then = self.sights.iter().min_by_key(|(sight_ns, _)| sight_ns.abs_diff(seen_ns));
-        match (then, self.sights.back()) {
+        let then = self.observations.iter().min_by_key(|(observed_ns, _)| observed_ns.abs_diff(seen_ns));
+        match (then, self.observations.back()) {
             (Some((_, then)), Some((_, last))) if age_ns > 0 => {
                 [(last[0] - then[0]) as f32, (last[1] - then[1]) as f32]
             }
@@ -259,8 +258,8 @@ impl ToolTip {
         }
     }
 
-    /// Depth of the middle of open jaws of which one end is seen at `z_mm`: jaws that open along the line of sight hide each other, and the tip seems
-    /// to jump to the nearer one. Of both depths the one counts that is nearer to the last tip's; mm.
+    /// Depth of the middle of open jaws of which one end is seen at `z_mm`, mm. Jaws that open along the viewing direction hide each other, and the
+    /// tip would jump to the nearer one. Returns the depth nearer to the last tip's.
     fn middle_mm(&self, z_mm: f64, now_ns: i64) -> f64 {
         let is_recent = |at_ns: i64, longest_ns: i64| (0..=longest_ns).contains(&now_ns.saturating_sub(at_ns));
         let half = self.half.filter(|(_, at_ns)| is_recent(*at_ns, HALF_NS));
@@ -271,14 +270,14 @@ impl ToolTip {
         }
     }
 
-    /// The tip of the instrument in a box, if it can be told from what surrounds it.
+    /// The tip of the instrument in a box, if it can be segmented.
     fn cut_tip(&mut self, corners: [f32; 4], cues: &Cues<'_>) -> Option<TipPixel> {
         let is_cut = self.silhouette.cut(corners, cues);
         let tip = is_cut.then(|| self.finder.of_mask(self.silhouette.mask())).flatten();
         tip.map(|tip| self.silhouette.place(tip))
     }
 
-    /// Median depth of what lies around the tip on the tool: the nearer surface, since a tool stands before the tissue.
+    /// Median depth of the tool around the tip: the nearer surface, because a tool is in front of the tissue.
     fn depth_at(
         near: &mut Vec<f32>,
         at: (f64, f64),
@@ -327,17 +326,17 @@ impl Node for ToolTip {
             kept: None,
             half: None,
             last: None,
-            sights: VecDeque::with_capacity(MOST_SIGHTS),
+            observations: VecDeque::with_capacity(MOST_OBSERVATIONS),
         })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &ToolTipParams) -> Result<()> {
         let masks = input.instances;
-        // Empty on ticks that the detector, slower than the camera, left out.
+        // Empty in ticks that the detector, slower than the camera, skipped.
         let Some(found) = masks.map(|m| m.detections()).or(input.detections) else { return Ok(()) };
         let now_ns = cx.tick().capture_ns;
         let age_ns = now_ns.saturating_sub(found.tick().capture_ns).max(0);
-        // Outlines cannot be moved to another picture, and boxes only so far.
+        // Masks cannot be moved to another picture, and boxes only by a limited distance.
         if age_ns > 0 && (masks.is_some() || age_ns as f64 > params.max_age_ms * 1e6) {
             return Ok(());
         }
@@ -362,7 +361,7 @@ impl Node for ToolTip {
         let score = |d: &Detection| if params.class.is_empty() { sureness(d, items) } else { d.score };
         let leading = self.leading.take().filter(|leading| leading.missed <= MEMORY_TICKS);
         let claim = |d: &Detection| leading.as_ref().map_or(0, |leading| leading.claims(d));
-        // The tool that led before goes on leading while it is seen; else the surest one.
+        // The leading tool keeps leading while it is seen; otherwise the one with the highest score leads.
         let order = |(_, a): &(usize, &Detection), (_, b): &(usize, &Detection)| {
             claim(a).cmp(&claim(b)).then(score(a).total_cmp(&score(b))).then(a.score.total_cmp(&b.score))
         };
@@ -390,7 +389,7 @@ impl Node for ToolTip {
             .kept
             .take()
             .filter(|kept| (0.0..=params.max_age_ms * 1e6).contains(&((now_ns - kept.found_ns) as f64)));
-        // A tool whose end lies at the picture's border has its tip elsewhere: boxes of shafts at the border are of this kind.
+        // A tool that ends at the picture's border has its tip outside, as boxes of shafts at the border do.
         let mut tried = [usize::MAX; MOST_TRIES];
         let (mut is_cut, mut best) = (false, None);
         for try_number in 0..MOST_TRIES {
@@ -408,7 +407,7 @@ impl Node for ToolTip {
                 tip = self.cut_tip(corners, &cues);
                 is_cut = tip.is_some();
             }
-            // An old box alone says where the tool was.
+            // Only an old box: it shows where the tool was.
             let Some(tip) = tip.or_else(|| (age_ns == 0).then(|| tip_of_box(corners, size.0, size.1))) else {
                 continue;
             };
@@ -418,13 +417,13 @@ impl Node for ToolTip {
             }
         }
         let is_found = best.is_some();
-        // Where the detector sees another tool now, that is what the picture would show.
+        // Where the detector finds another tool now, the picture would show that one.
         let is_taken = |kept: &Kept| {
             let own = corners_of(&kept.item);
             items.iter().any(|d| claim(d) == 0 && iou(&corners_of(d), &own) >= STILL_IOU)
         };
         if let Some(kept) = kept.as_ref().filter(|kept| !is_found && masks.is_none() && !is_taken(kept)) {
-            // The detector misses it; the picture may show it all the same.
+            // The detector misses it, but the picture may show it.
             let shift = self.shift(now_ns, now_ns - kept.found_ns);
             best = self.cut_tip(moved(corners_of(&kept.item), shift), &cues).filter(|tip| is_inside(&tip.tip)).map(
                 |tip| {
@@ -466,12 +465,12 @@ impl Node for ToolTip {
                 masks.is_some_and(|m| Mask::new(m.mask(item), size.0, size.1).contains(x, y))
             };
             let (silhouette, is_masked) = (&self.silhouette, masks.is_some());
-            // Where the tool's pixels are known, no other surface counts.
+            // Where the tool's pixels are known, other surfaces are ignored.
             let own_depth = |x: usize, y: usize| {
                 let own = if is_masked { of(index, x, y) } else { !is_cut || silhouette.contains(x, y) };
                 if own { depth_of(x, y) } else { f32::NAN }
             };
-            // Nor does what a matcher took from the surface behind a thin end, unless nothing else is known.
+            // Depth that a matcher took from the surface behind a thin end is ignored too, unless there is no other.
             let clear_depth = |x: usize, y: usize| {
                 if is_cut && silhouette.has_surface_depth(x, y) { f32::NAN } else { own_depth(x, y) }
             };
@@ -491,17 +490,17 @@ impl Node for ToolTip {
             }
             let known_mm = depths.iter().flatten().copied().next();
             for (depth, end) in depths.iter_mut().zip(ends).filter(|(depth, _)| depth.is_none()) {
-                // Looked for a little inside the tool: at its very end half of the pixels are tissue.
+                // Searched a little inside the tool: at its end half of the pixels are tissue.
                 let step = params.radius_px as f64 / 2.0;
                 let inside = (end.u_px - end.direction[0] * step, end.v_px - end.direction[1] * step);
                 let mut within = |depth_of: &dyn Fn(usize, usize) -> f32| {
                     let mut radii = (1..=widest).map(|times| times * params.radius_px);
                     radii.find_map(|radius| Self::depth_at(near, inside, radius, depth_size, depth_of))
                 };
-                // Where both views were looked at, no place is better than one that may be the tissue's.
+                // Where both views were compared, no position is better than one that may be the tissue's.
                 let z = within(&clear_depth).or_else(|| if views.is_none() { within(&own_depth) } else { None });
                 let z = z.map(f64::from);
-                // A jaw stands near the other one, whose depth both views showed.
+                // A jaw is near the other one, whose depth was found in both views.
                 *depth = z.filter(|z| known_mm.is_none_or(|known| (z - known).abs() <= JAWS_MM));
             }
             if let [Some(one), Some(two)] = depths
@@ -510,7 +509,7 @@ impl Node for ToolTip {
             {
                 let at = |end: &End, z: f64| [(end.u_px - p[2]) / p[0] * z, (end.v_px - p[6]) / p[5] * z, z];
                 let apart = at(a, one).iter().zip(at(b, two)).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
-                // Just before one jaw hides the other both ends are taken for the nearer one: what was seen before fades slowly.
+                // Just before one jaw hides the other, both ends seem to be the nearer one: the stored opening decays slowly.
                 let faded = self.half.map_or(0.0, |(half, at_ns)| {
                     half * 0.5_f64.powf(now_ns.saturating_sub(at_ns).max(0) as f64 / HALF_FADES_NS)
                 });
@@ -531,12 +530,13 @@ impl Node for ToolTip {
                 sum.iter_mut().zip(place).for_each(|(sum, v)| *sum += v);
                 count += 1.0;
             }
-            // What seems its end is where another instrument hides it: no tip is better than a wrong one. Of two jaws one still tells about where.
+            // The apparent end is where another instrument hides the tool: no tip is better than a wrong one. Of two jaws one still gives an
+            // estimate.
             if count > 0.0 && hidden == count {
                 return Ok(());
             }
             if count > 1.0 {
-                // Between jaws the middle in space, which is seen a little beside the middle in the picture.
+                // Between jaws the middle in space, which is not exactly the middle in the picture.
                 xyz_mm = sum.map(|v| v / count);
                 (u_px, v_px) = (p[0] * xyz_mm[0] / xyz_mm[2] + p[2], p[5] * xyz_mm[1] / xyz_mm[2] + p[6]);
             } else if count > 0.0 {
@@ -548,10 +548,10 @@ impl Node for ToolTip {
         if valid {
             self.last = Some((xyz_mm, now_ns));
         }
-        if self.sights.len() == MOST_SIGHTS {
-            self.sights.pop_front();
+        if self.observations.len() == MOST_OBSERVATIONS {
+            self.observations.pop_front();
         }
-        self.sights.push_back((now_ns, [tip.u_px, tip.v_px]));
+        self.observations.push_back((now_ns, [tip.u_px, tip.v_px]));
         out.tip.set(Tip {
             u_px,
             v_px,

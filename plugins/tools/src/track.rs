@@ -7,9 +7,9 @@ use crate::candidates::iou;
 struct Track {
     id: i64,
     class_index: u32,
-    /// Left, upper, right and lower edge, in px, where the object should be now.
+    /// Predicted left, upper, right and lower edge, px.
     corners: [f32; 4],
-    /// Of the edges, in px/s.
+    /// Velocity of the edges, px/s.
     velocity: [f32; 4],
     /// Time since the object was seen, in s.
     unseen_s: f32,
@@ -17,7 +17,7 @@ struct Track {
     missed: u32,
 }
 
-/// Gives detections their `track_id`.
+/// Assigns a `track_id` to detections.
 #[derive(Default)]
 pub struct Tracker {
     tracks: Vec<Track>,
@@ -26,11 +26,11 @@ pub struct Tracker {
     last_ns: Option<i64>,
 }
 
-/// Overlap under which a box is another object.
+/// Overlap below which a box is another object.
 const MIN_IOU: f32 = 0.2;
-/// An unseen object is remembered for so long ...
+/// Longest time for which an unseen object keeps its number, ns ...
 const MEMORY_S: f32 = 0.5;
-/// ... and for so many ticks, for detectors that are slower.
+/// ... or ticks, for slower detectors.
 const MEMORY_TICKS: u32 = 3;
 /// The velocity of an unseen object falls by this share in each 30th of a second.
 const FADE: f32 = 0.7;
@@ -40,7 +40,8 @@ fn corners_of(d: &Detection) -> [f32; 4] {
 }
 
 impl Tracker {
-    /// Names the objects of one tick, whose picture was taken at `capture_ns`. Objects move by the time that passed, however many ticks came in it.
+    /// Assigns numbers to the objects of one tick, whose picture was taken at `capture_ns`. Objects move by the time passed, whatever the number of
+    /// ticks.
     pub fn follow(&mut self, items: &mut [Detection], capture_ns: i64) {
         let dt_s = self.last_ns.replace(capture_ns).map_or(0.0, |last| capture_ns.saturating_sub(last) as f32 * 1e-9);
         if dt_s < 0.0 {

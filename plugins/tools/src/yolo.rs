@@ -26,7 +26,7 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Boxes in px of the picture, best first, with their label table.
+    /// Boxes in px of the picture, highest score first, with their labels.
     detections: Slot<'f, LabeledDetections>,
 }
 
@@ -67,7 +67,7 @@ impl Layout {
 /// Parameters.
 #[derive(Params)]
 pub struct YoloParams {
-    /// The network, an .onnx file.
+    /// ONNX file of the network.
     #[param(default = "models/instruments.onnx", reopen, must_exist, shipped)]
     model: PathBuf,
     /// Family of the export.
@@ -76,28 +76,28 @@ pub struct YoloParams {
     /// Lowest score of a box.
     #[param(default = 0.3, range = 0.001..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
-    /// Overlap (intersection over union) beyond which the weaker of two boxes goes.
+    /// Overlap (intersection over union) above which the box with the lower score is dropped.
     #[param(default = 0.5, range = 0.05..=1.0, step = 0.05, unit = "ratio")]
     max_overlap: f32,
-    /// Boxes of different classes displace each other too.
+    /// Boxes of different classes suppress each other too.
     #[param(default = false)]
     class_agnostic: bool,
-    /// Most boxes given on.
+    /// Largest number of boxes in the output.
     #[param(default = 50, range = 1..=1000)]
     max_boxes: usize,
-    /// Names of the classes, one a line; empty takes those in the model file.
+    /// File with the names of the classes, one per line. Empty: the names in the model file.
     #[param(default = "", reopen)]
     labels: PathBuf,
-    /// Width of the network's picture, where the model takes any.
+    /// Width of the network's input, for models that accept any size.
     #[param(default = 640, range = 32..=4096, step = 32, unit = "px", reopen)]
     input_width: usize,
-    /// Height of the network's picture, where the model takes any.
+    /// Height of the network's input, for models that accept any size.
     #[param(default = 640, range = 32..=4096, step = 32, unit = "px", reopen)]
     input_height: usize,
-    /// Numbers that stay with each tool over time.
+    /// Gives each tool a number (`track_id`) that it keeps over time.
     #[param(default = true)]
     track: bool,
-    /// Threads of the network; 0 takes as many as the host has.
+    /// Number of threads of the network; 0 uses as many as the host has.
     #[param(default = 0, range = 0..=64, reopen)]
     threads: usize,
 }
@@ -111,18 +111,18 @@ pub(crate) struct Network {
     pub damage: Damage,
 }
 
-/// Remembers whether values that are no numbers were warned of.
+/// Warns once of values that are not finite.
 #[derive(Default)]
 pub(crate) struct Damage {
-    told: bool,
+    is_warned: bool,
 }
 
 impl Damage {
-    /// Reports `bad` values of one answer that are NaN or infinite: the rows that hold them give no boxes.
-    pub fn tell(&mut self, cx: &Context<'_>, path: &std::path::Path, bad: usize) {
+    /// Reports `bad` values of one run that are NaN or infinite: rows with such values give no boxes.
+    pub fn report(&mut self, cx: &Context<'_>, path: &std::path::Path, bad: usize) {
         cx.metric("bad_values", bad as f64);
-        if bad > 0 && !self.told {
-            self.told = true;
+        if bad > 0 && !self.is_warned {
+            self.is_warned = true;
             cx.warn(&format!(
                 "{} answers {bad} values that are NaN or infinite; rows that hold them give no boxes (metric `bad_values` counts on)",
                 path.display()
@@ -145,7 +145,7 @@ impl Network {
         let mut names = if file.as_os_str().is_empty() {
             self.model.metadata("names").and_then(labels::from_metadata).unwrap_or_default()
         } else {
-            labels::from_file(file).map_err(|e| error!("{e}"))?
+            labels::from_file(file)?
         };
         if classes > 0 && !names.is_empty() && names.len() != classes {
             return Err(error!(
@@ -160,12 +160,12 @@ impl Network {
     }
 }
 
-/// Reports a file of labels that does not serve.
+/// Reports a file of labels that cannot be used.
 pub(crate) fn check_labels(check: &mut Validation<'_>, file: &std::path::Path) {
     if !file.as_os_str().is_empty()
-        && let Err(why) = labels::from_file(file)
+        && let Err(error) = labels::from_file(file)
     {
-        check.error("labels", why, "");
+        check.error("labels", error.to_string(), "");
     }
 }
 
@@ -215,18 +215,17 @@ impl Node for Yolo {
     fn open(open: &Open<'_>, params: &YoloParams) -> Result<Self> {
         let size = (params.input_width, params.input_height);
         let mut network = Network::open(open, &params.model, params.threads, size)?;
-        // One run on gray shows the shapes of the answer, and warms everything up.
+        // One run on a gray picture gives the shapes of the outputs and warms the network up.
         let (w, h) = network.model.input_size();
         let gray = vec![0.5f32; 3 * w * h];
         let path = network.model.path().to_owned();
         let end_to_end = network.model.metadata("end2end").is_some_and(|v| v.eq_ignore_ascii_case("true"));
-        let told = params.layout.kind();
-        let answer = network.model.run(&gray, |outputs| {
-            let kind = told.map_or_else(|| recognise(&path, (w, h), end_to_end, outputs), Ok)?;
+        let chosen = params.layout.kind();
+        let (kind, classes) = network.model.run(&gray, |outputs| -> Result<_> {
+            let kind = chosen.map_or_else(|| recognise(&path, (w, h), end_to_end, outputs), Ok)?;
             count_bad(&path, outputs, kind.rows())?;
-            Ok::<_, String>((kind, kind.classes(outputs)))
-        })?;
-        let (kind, classes) = answer.map_err(|e| error!("{e}"))?;
+            Ok((kind, kind.classes(outputs)))
+        })??;
         network.name_classes(&params.labels, classes)?;
         Ok(Self { network, kind, candidates: Vec::new(), items: Vec::new(), tracker: Tracker::default() })
     }
@@ -246,11 +245,12 @@ impl Node for Yolo {
         };
         let Network { model, letterbox, labels, path, damage } = &mut self.network;
         let rows = self.kind.rows();
-        let bad = model.run(&letterbox.input, |outputs| {
+        let bad = model.run(&letterbox.input, |outputs| -> Result<usize> {
             let bad = count_bad(path, outputs, rows)?;
-            decoder.decode(outputs).map(|()| bad)
-        })?;
-        damage.tell(cx, path, bad.map_err(|e| error!("{e}"))?);
+            decoder.decode(outputs)?;
+            Ok(bad)
+        })??;
+        damage.report(cx, path, bad);
         suppress(&mut self.candidates, params.max_overlap, params.class_agnostic, params.max_boxes);
         self.items.clear();
         self.items.extend(self.candidates.iter().map(detection));

@@ -266,7 +266,7 @@ fn ask(program: &Path, model: &Path, big: bool, most: Duration) -> Result<(Vec<S
 #[ignore = "started by the campaign"]
 fn child_of_the_campaign() {
     let Some(path) = std::env::var_os(CASE) else {
-        println!("skipped: no case was named");
+        panoscope_testing::skipped!("no case was named");
         return;
     };
     child(Path::new(&path), std::env::var("PANOSCOPE_HOSTILE_BIG").is_ok_and(|v| v == "1"));

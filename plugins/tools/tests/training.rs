@@ -9,7 +9,7 @@ fn the_reader_of_via_annotations_passes_its_tests() {
     let mut python = Command::new("python3");
     python.current_dir(folder).args(["-B", "-m", "unittest", "-v", "test_via"]);
     match python.output() {
-        Err(error) => println!("skipped: no python3: {error}"),
+        Err(error) => panoscope_testing::skipped!("no python3: {error}"),
         Ok(output) => {
             let said = String::from_utf8_lossy(&output.stderr);
             assert!(output.status.success() && said.contains("... ok"), "{said}");

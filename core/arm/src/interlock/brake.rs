@@ -1,8 +1,8 @@
-//! The way to a standstill, known before it is needed.
+//! Stops that are planned before they are needed.
 //!
-//! First the acceleration is let go in a straight line, then the speed is taken back along its own direction with bounded acceleration and
-//! jerk. All joints keep their proportions, so that a movement about the trocar ends as one. Both parts have closed forms in whole steps:
-//! what is checked is exactly what would be driven.
+//! First the acceleration falls linearly to 0, then the speed is reduced along its own direction with bounded acceleration and jerk. All joints keep
+//! their proportions, so that a movement about the trocar stays one. Both parts have closed forms in whole steps: the stop that is checked is exactly
+//! the one that would be driven.
 
 use super::caps::{Caps, STEP_S, share};
 use crate::chain::JointVector;
@@ -10,21 +10,21 @@ use crate::chain::JointVector;
 /// Angles, speeds and accelerations of the joints: one set-point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SetPoint {
-    /// rad.
+    /// Joint angles, rad.
     pub position: JointVector,
-    /// rad/s.
+    /// Joint velocities, rad/s.
     pub velocity: JointVector,
-    /// rad/s^2.
+    /// Joint accelerations, rad/s^2.
     pub acceleration: JointVector,
 }
 
 impl SetPoint {
-    /// Standing still.
+    /// At rest at these angles.
     pub fn at_rest(position: JointVector) -> Self {
         Self { position, velocity: JointVector::zeros(), acceleration: JointVector::zeros() }
     }
 
-    /// Whether nothing moves.
+    /// Whether speeds and accelerations are 0.
     pub fn is_at_rest(&self) -> bool {
         self.velocity == JointVector::zeros() && self.acceleration == JointVector::zeros()
     }
@@ -34,13 +34,13 @@ impl SetPoint {
 #[derive(Clone, Copy, Debug)]
 pub struct Brake {
     from: SetPoint,
-    /// Steps in which the acceleration is let go.
+    /// Steps in which the acceleration falls to 0.
     release: u32,
-    /// Where that ends; its velocity is the direction of the rest.
+    /// Set-point after these steps; its velocity is the direction of braking.
     then: SetPoint,
-    /// Steps in which braking sets in, and lets go again.
+    /// Steps in which braking increases, and in which it decreases again.
     ramp: u32,
-    /// Steps of full braking between.
+    /// Steps of full braking between them.
     hold: u32,
     /// Jerk along the direction, 1/s^3.
     jerk: f64,
@@ -57,7 +57,7 @@ impl Brake {
         }
         let most_acceleration = share(&brake.then.velocity, &caps.acceleration);
         let most_jerk = share(&brake.then.velocity, &caps.jerk);
-        // Speeds that no encoder sees are dropped: without this the last step would divide by nothing.
+        // Speeds below an encoder's resolution are dropped, so that the last step does not divide by 0.
         if most_jerk <= 1e-15 {
             return brake;
         }
@@ -73,12 +73,12 @@ impl Brake {
         brake
     }
 
-    /// Steps until everything stands.
+    /// Steps until the arm is at rest.
     pub fn steps(&self) -> u32 {
         self.release + 2 * self.ramp + self.hold
     }
 
-    /// Steps after which the acceleration at the start is let go.
+    /// Steps after which the initial acceleration is 0.
     pub fn release_steps(&self) -> u32 {
         self.release
     }
@@ -91,16 +91,16 @@ impl Brake {
         if step < self.release {
             return self.releasing(step);
         }
-        let (way, speed, braking) = self.straight((step - self.release).min(2 * self.ramp + self.hold));
+        let (distance, speed, braking) = self.straight((step - self.release).min(2 * self.ramp + self.hold));
         let direction = self.then.velocity;
-        let position = self.then.position + direction * way;
+        let position = self.then.position + direction * distance;
         if step >= self.steps() {
             return SetPoint::at_rest(position);
         }
         SetPoint { position, velocity: direction * speed, acceleration: direction * braking }
     }
 
-    /// While the acceleration is let go.
+    /// The set-point while the acceleration falls.
     fn releasing(&self, step: u32) -> SetPoint {
         let (h, k, n, start) = (STEP_S, f64::from(step), f64::from(self.release), &self.from);
         let velocity = start.velocity + start.acceleration * (h * (k - k * (k + 1.0) / (2.0 * n)));
@@ -109,7 +109,7 @@ impl Brake {
         SetPoint { position, velocity, acceleration: start.acceleration * (1.0 - k / n) }
     }
 
-    /// Way (s), share of the speed, and braking (1/s) after `step` steps of the second part.
+    /// Distance in units of the initial speed (s), share of that speed, and braking (1/s) after `step` steps of the second part.
     fn straight(&self, step: u32) -> (f64, f64, f64) {
         let (h, j, n) = (STEP_S, self.jerk, f64::from(self.ramp));
         let setting_in = |k: f64| {
@@ -118,16 +118,16 @@ impl Brake {
         if step <= self.ramp {
             return setting_in(f64::from(step));
         }
-        let (way, speed, peak) = setting_in(n);
-        let full = |m: f64| (way + h * (m * speed + peak * h * m * (m + 1.0) / 2.0), speed + peak * h * m, peak);
+        let (distance, speed, peak) = setting_in(n);
+        let full = |m: f64| (distance + h * (m * speed + peak * h * m * (m + 1.0) / 2.0), speed + peak * h * m, peak);
         if step <= self.ramp + self.hold {
             return full(f64::from(step - self.ramp));
         }
-        let (way, speed, _) = full(f64::from(self.hold));
+        let (distance, speed, _) = full(f64::from(self.hold));
         let m = f64::from(step - self.ramp - self.hold);
         let fall = j * h * h;
         (
-            way + h * (m * speed - fall * (n * m * (m + 1.0) / 2.0 - m * (m + 1.0) * (m + 2.0) / 6.0)),
+            distance + h * (m * speed - fall * (n * m * (m + 1.0) / 2.0 - m * (m + 1.0) * (m + 2.0) / 6.0)),
             speed - fall * (m * n - m * (m + 1.0) / 2.0),
             -j * h * (n - m),
         )

@@ -1,4 +1,4 @@
-//! What the arm may never do. The ceilings are constants: an arm's file may lower them, nothing may raise them.
+//! The arm's limits. They are constants: an arm's file may lower them, nothing may raise them.
 
 use std::time::Duration;
 
@@ -16,24 +16,24 @@ pub const ACCELERATION_RAD_S2: f64 = 2.0;
 pub const JERK_RAD_S3: f64 = 30.0;
 /// Highest speed of the camera, mm/s.
 pub const CAMERA_MM_S: f64 = 60.0;
-/// Farthest that the tube's axis may pass by the trocar, mm.
+/// Largest distance of the tube's axis from the trocar, mm.
 pub const PIVOT_MM: f64 = 1.0;
-/// Largest angle of the tube to where it stands at home, rad.
+/// Largest angle of the tube to its direction at home, rad.
 pub const TILT_RAD: f64 = 0.6;
 /// Smallest and largest depth of the tube's end beyond the trocar, mm.
 pub const DEPTH_MM: (f64, f64) = (20.0, 190.0);
-/// Oldest demand that is followed: the loop has to prove itself alive this often.
+/// Age up to which a demand is followed: a dead loop stops the arm after this time.
 pub const DEMAND_AGE: Duration = Duration::from_millis(30);
-/// Oldest tip that any setting can allow.
+/// Largest age of a tip that a setting can allow.
 pub const TIP_AGE: Duration = Duration::from_millis(300);
 /// Longest time between two calls that still counts as running.
 pub const LONGEST_CALL: Duration = Duration::from_millis(250);
 
-/// Room kept between what is planned and the limits: plans are looked at in places, not everywhere.
-const ANGLE_ROOM_RAD: f64 = 0.012;
-const PIVOT_ROOM_MM: f64 = 0.15;
-const TILT_ROOM_RAD: f64 = 0.01;
-const DEPTH_ROOM_MM: f64 = 1.0;
+/// Margins between planned movements and the limits, because plans are checked at some steps only.
+const ANGLE_MARGIN_RAD: f64 = 0.012;
+const PIVOT_MARGIN_MM: f64 = 0.15;
+const TILT_MARGIN_RAD: f64 = 0.01;
+const DEPTH_MARGIN_MM: f64 = 1.0;
 const CAMERA_ROOM: f64 = 0.93;
 
 /// Limits of one arm.
@@ -51,32 +51,32 @@ pub struct Caps {
     pub jerk: JointVector,
 }
 
-/// Where the tube stands in the trocar.
+/// Pose of the tube relative to the trocar.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
-    /// How far the tube's axis passes by the trocar, mm.
+pub struct TubePose {
+    /// Distance of the tube's axis from the trocar, mm.
     pub pivot_mm: f64,
-    /// How far the tube's end stands beyond the trocar, mm.
+    /// Depth of the tube's end beyond the trocar, mm.
     pub depth_mm: f64,
-    /// Angle of the tube to where it stands at home, rad.
+    /// Angle of the tube to its direction at home, rad.
     pub tilt_rad: f64,
 }
 
-impl Place {
-    /// Of an arm that stands so; `home` is the direction of the tube at home.
+impl TubePose {
+    /// The tube of an arm in this stance; `home` is its direction at home.
     pub fn of(chain: &Chain, stance: &Stance, home: &nalgebra::Vector3<f64>) -> Self {
         let trocar = stance.trocar_in_tip(&chain.trocar_mm());
         let along = stance.base_from_tip * nalgebra::Vector3::z();
         Self { pivot_mm: trocar.x.hypot(trocar.y), depth_mm: -trocar.z, tilt_rad: along.angle(home) }
     }
 
-    /// Whether the place is allowed; `room` keeps away from the border. NaN is not allowed.
-    pub fn is_allowed(&self, room: bool) -> bool {
-        let room = if room { 1.0 } else { 0.0 };
-        self.pivot_mm <= PIVOT_MM - room * PIVOT_ROOM_MM
-            && self.tilt_rad <= TILT_RAD - room * TILT_ROOM_RAD
-            && self.depth_mm >= DEPTH_MM.0 + room * DEPTH_ROOM_MM
-            && self.depth_mm <= DEPTH_MM.1 - room * DEPTH_ROOM_MM
+    /// Whether the pose is within the limits, reduced by the margins if wanted. NaN is not.
+    pub fn is_allowed(&self, with_margin: bool) -> bool {
+        let margin = if with_margin { 1.0 } else { 0.0 };
+        self.pivot_mm <= PIVOT_MM - margin * PIVOT_MARGIN_MM
+            && self.tilt_rad <= TILT_RAD - margin * TILT_MARGIN_RAD
+            && self.depth_mm >= DEPTH_MM.0 + margin * DEPTH_MARGIN_MM
+            && self.depth_mm <= DEPTH_MM.1 - margin * DEPTH_MARGIN_MM
     }
 }
 
@@ -86,7 +86,7 @@ pub fn share(values: &JointVector, limits: &JointVector) -> f64 {
 }
 
 impl Caps {
-    /// The ceilings, and what the arm's own file allows where that is less.
+    /// The constants, lowered to the limits in the arm's file where those are less.
     pub fn of(chain: &Chain) -> Self {
         let each = |of: &dyn Fn(usize) -> f64| JointVector::from_fn(|k, _| of(k));
         let joints = chain.joints();
@@ -99,13 +99,13 @@ impl Caps {
         }
     }
 
-    /// Whether all angles are allowed; `room` keeps away from the border. NaN is not allowed.
-    pub fn angles_allowed(&self, angles_rad: &JointVector, room: bool) -> bool {
-        let room = if room { ANGLE_ROOM_RAD } else { 0.0 };
-        (0..JOINTS).all(|k| angles_rad[k] >= self.lower_rad[k] + room && angles_rad[k] <= self.upper_rad[k] - room)
+    /// Whether all angles are within the limits, reduced by the margin if wanted. NaN is not.
+    pub fn angles_allowed(&self, angles_rad: &JointVector, with_margin: bool) -> bool {
+        let margin = if with_margin { ANGLE_MARGIN_RAD } else { 0.0 };
+        (0..JOINTS).all(|k| angles_rad[k] >= self.lower_rad[k] + margin && angles_rad[k] <= self.upper_rad[k] - margin)
     }
 
-    /// Whether the camera's speed is allowed, with room.
+    /// Whether the camera's speed is within its limit, reduced by the margin.
     pub fn camera_allowed(&self, mm_s: f64) -> bool {
         mm_s <= CAMERA_MM_S * CAMERA_ROOM
     }

@@ -5,13 +5,13 @@ use std::fmt;
 /// Why the arm is stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// Somebody stopped it; latches.
+    /// A person stopped it; latches.
     EmergencyStop,
-    /// The arm is not where it was sent; latches.
+    /// The arm does not follow its set-points; latches.
     NotFollowing,
-    /// The device's line broke off; latches.
+    /// The connection to the device was lost; latches.
     Unplugged,
-    /// The device talks nonsense; latches.
+    /// The device's answers are invalid; latches.
     Garbage,
     /// The device does not answer in time; latches.
     Stalled,
@@ -19,19 +19,19 @@ pub enum Cause {
     DeviceStopped,
     /// The clock went backwards or jumped.
     Clock,
-    /// No tip has been told of.
+    /// No tip has arrived.
     NoTip,
     /// The newest tip is too old.
     OldTip,
-    /// The tip's score is too low: doubtful, or only predicted.
+    /// The tip's score is too low: uncertain, or only predicted.
     DoubtfulTip,
-    /// The tip's place in space is not known.
+    /// The tip's position in space is not known.
     FlatTip,
-    /// Nobody asks for a movement.
+    /// No movement is requested.
     NoDemand,
-    /// The last demand is too old: the loop does not run.
+    /// The newest demand is too old: the loop does not run.
     LoopStalled,
-    /// A demand that is no number, or of another number of joints.
+    /// The demand is not finite, or has another number of joints.
     BadDemand,
     /// Further movement would leave the limits of joints or workspace.
     Limit,
@@ -62,7 +62,7 @@ impl Cause {
         Self::ALL.iter().position(|cause| *cause == self).map_or(0, |index| index + 1)
     }
 
-    /// Whether the arm stays stopped until a person lets it go.
+    /// Whether the arm stays stopped until a person releases it.
     pub fn latches(self) -> bool {
         matches!(
             self,
@@ -103,10 +103,10 @@ impl fmt::Display for Cause {
     }
 }
 
-/// Something worth a line in the log.
+/// A stop, or its end, for the log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Event {
-    /// When, on the clock that the interlock is called with, ns.
+    /// Time of the clock that the interlock is called with, ns.
     pub at_ns: i64,
     /// The cause of a stop; none when the arm moves again.
     pub stop: Option<Cause>,

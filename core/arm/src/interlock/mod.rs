@@ -1,4 +1,4 @@
-//! The last stage before set-points: whatever asks for motion, and however wrongly, what leaves here keeps the caps.
+//! The last stage before set-points: whatever motion is requested, its output stays within the limits.
 //!
 //! Where it stands. Three watchdogs, each outside what the one before it can break:
 //! 1. `arm_pid` asks for nothing without a fresh tip. It is a node like any other and may be replaced or wrong.
@@ -7,10 +7,10 @@
 //!    or the host's scheduler does not.
 //! 3. The device stops by itself when set-points stop coming (30 ms, see the serial protocol): that holds when the whole process dies.
 //!
-//! How it keeps the caps. State is one [`SetPoint`]; time goes in steps of 1 ms. From each state that is ever entered a stop has been planned
-//! ([`Brake`], closed form) and checked against joint limits and workspace. A demand is followed for up to 10 steps at a time, and only if from
-//! their end there is such a stop; else the stop known already is driven. So by induction no sequence of inputs leads outside. All changes
-//! scale the joints together, so that movements about the trocar stay such.
+//! How it keeps the limits. The state is one [`SetPoint`]; time advances in steps of 1 ms. For each state a stop has been planned ([`Brake`], closed
+//! form) and checked against joint limits and workspace before the state is entered. A demand is followed for up to 10 steps at a time, and only if
+//! such a stop exists from their end; otherwise the known stop is driven. By induction no sequence of inputs leaves the limits. All changes scale the
+//! joints together, so that movements about the trocar stay such.
 
 mod brake;
 pub mod caps;
@@ -23,24 +23,24 @@ use nalgebra::Vector3;
 use crate::chain::{Chain, JOINTS, JointVector};
 
 pub use brake::{Brake, SetPoint};
-pub use caps::{Caps, Place};
+pub use caps::{Caps, TubePose};
 pub use cause::{Cause, Event};
 
 use caps::{STEP_NS, STEP_S, share};
 
 /// Most steps planned at once.
 const CHUNK_STEPS: u32 = 10;
-/// Shares of a demand that are tried, one after the other.
+/// Shares of a demand that are tried in turn.
 const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
-/// Shorter breaks of the demand (a tick that comes late) are no stops worth a line.
+/// Shorter gaps in the demands (a late tick) are not reported as stops.
 const NOTED_AFTER_STEPS: u32 = 25;
-/// Events kept until somebody takes them.
+/// Most events that wait to be taken.
 const MOST_EVENTS: usize = 32;
 
-/// What a user may set; the ceilings in [`caps`] hold whatever stands here.
+/// Settings of the user; the limits in [`caps`] hold whatever they are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Oldest tip that is followed, ms; at most 300.
+    /// Age up to which a tip is followed, ms; at most 300.
     pub max_age_ms: f64,
     /// Lowest score of a tip that is followed.
     pub min_score: f64,
@@ -52,12 +52,12 @@ impl Default for Settings {
     }
 }
 
-/// What is known of the tip that the arm follows.
+/// What the interlock needs to know of the tip that the arm follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Evidence {
-    /// 0..1; what a tracker only predicts has lost score.
+    /// Score, 0 to 1; lower while the tip is only predicted.
     pub score: f64,
-    /// Whether its place in space is known.
+    /// Whether its position in space is known.
     pub in_space: bool,
 }
 
@@ -69,9 +69,9 @@ pub struct Interlock {
     settings: Settings,
     now_ns: i64,
     state: SetPoint,
-    /// The stop that is driven, and the steps done of it.
+    /// The stop that is being driven, and its steps so far.
     braking: Option<(Brake, u32)>,
-    /// The stop that is possible from `state`.
+    /// The planned stop from `state`.
     escape: Brake,
     tip: Option<(i64, Evidence)>,
     demand: Option<(i64, Option<JointVector>)>,
@@ -86,8 +86,8 @@ pub struct Interlock {
 }
 
 impl Interlock {
-    /// An arm at rest at `angles_rad`; it moves once it is told of a tip and a demand. Angles outside the limits are moved to the limits: the
-    /// caller compares [`Interlock::set_point`] with where the arm is.
+    /// An arm at rest at `angles_rad`; it moves once a tip and a demand have arrived. Angles outside the limits are clamped: the caller compares
+    /// [`Interlock::set_point`] with the arm's angles.
     pub fn new(chain: Chain, angles_rad: JointVector, now_ns: i64) -> Self {
         let caps = Caps::of(&chain);
         let home = chain.stance(&JointVector::zeros()).base_from_tip * Vector3::z();
@@ -118,7 +118,7 @@ impl Interlock {
         }
     }
 
-    /// Says what time it is before the first step: nothing has passed until now.
+    /// Sets the time before the first step.
     pub fn start_clock(&mut self, now_ns: i64) {
         self.now_ns = now_ns;
         self.tip = None;
@@ -135,7 +135,7 @@ impl Interlock {
         &self.caps
     }
 
-    /// What a user set, as far as the ceilings allow; what is no number counts as the strictest.
+    /// Takes the user's settings as far as the limits allow; NaN counts as the strictest.
     pub fn set(&mut self, settings: Settings) {
         let oldest = caps::TIP_AGE.as_secs_f64() * 1e3;
         let strict =
@@ -146,53 +146,53 @@ impl Interlock {
         };
     }
 
-    /// Tells of the tip that the arm follows.
+    /// Takes the newest tip that the arm follows.
     pub fn tip(&mut self, now_ns: i64, evidence: Evidence) {
         self.tip = Some((now_ns, evidence));
     }
 
-    /// Asks for joint velocities in rad/s. Anything but six numbers is a demand that makes no sense, and stops.
+    /// Requests joint velocities, rad/s. Anything but six finite numbers is an invalid demand, which stops the arm.
     pub fn demand(&mut self, now_ns: i64, velocity_rad_s: &[f64]) {
         let sound = velocity_rad_s.len() == JOINTS && velocity_rad_s.iter().all(|v| v.is_finite());
         self.demand = Some((now_ns, sound.then(|| JointVector::from_column_slice(velocity_rad_s))));
     }
 
-    /// Stops for a cause that latches.
+    /// Stops the arm and latches the cause.
     pub fn latch(&mut self, cause: Cause) {
         if self.latched.is_none() {
             self.latched = Some(cause);
         }
     }
 
-    /// Lets a latched stop go; motion needs a new tip and a new demand.
+    /// Releases a latched stop; motion needs a new tip and a new demand.
     pub fn release(&mut self) {
         self.latched = None;
         self.tip = None;
         self.demand = None;
     }
 
-    /// The stop that latched.
+    /// Cause of the latched stop.
     pub fn latched(&self) -> Option<Cause> {
         self.latched
     }
 
-    /// Why the arm stands, or brakes for longer than a tick's lateness; none while it follows.
+    /// Cause of a stop that has lasted longer than a late tick; none while the arm follows.
     pub fn stopped(&self) -> Option<Cause> {
         self.noted
     }
 
-    /// Why the newest set-point brakes; none where it follows. A demand dies after 30 ms, so at 30 ticks a second this says so for the last
-    /// 3 ms of each: see [`Interlock::stopped`].
+    /// Cause for which the newest set-point brakes; none where it follows. A demand expires after 30 ms, so at 30 ticks per second this is set in the
+    /// last 3 ms of each tick: see [`Interlock::stopped`].
     pub fn stop(&self) -> Option<Cause> {
         self.stop
     }
 
-    /// Stops noted so far.
+    /// Number of stops.
     pub fn stops(&self) -> u64 {
         self.stops
     }
 
-    /// Goes on counting stops from a number.
+    /// Continues to count stops from a number.
     pub fn count_stops_from(&mut self, stops: u64) {
         self.stops = stops;
     }
@@ -202,9 +202,9 @@ impl Interlock {
         &self.state
     }
 
-    /// Where the tube stands in the trocar by the newest set-point.
-    pub fn place(&self) -> Place {
-        Place::of(&self.chain, &self.chain.stance(&self.state.position), &self.home)
+    /// Pose of the tube relative to the trocar at the newest set-point.
+    pub fn tube(&self) -> TubePose {
+        TubePose::of(&self.chain, &self.chain.stance(&self.state.position), &self.home)
     }
 
     /// The next event for the log.
@@ -212,12 +212,12 @@ impl Interlock {
         self.events.pop_front()
     }
 
-    /// Steps to `now_ns`, telling each set-point (one per ms). Time that goes backwards makes no step, a jump no more than 250.
+    /// Advances to `now_ns` and calls `each` with every set-point (one per ms). Time that goes backwards makes no step, a jump at most 250 steps.
     pub fn advance(&mut self, now_ns: i64, each: &mut dyn FnMut(&SetPoint)) {
         let longest_ns = caps::LONGEST_CALL.as_nanos() as i64;
         let passed_ns = now_ns.saturating_sub(self.now_ns);
         if passed_ns < 0 || passed_ns > longest_ns {
-            // What was told is of another time.
+            // Tips and demands are of another time.
             self.clock_jumped = true;
             self.tip = None;
             self.demand = None;
@@ -230,7 +230,7 @@ impl Interlock {
         }
     }
 
-    /// Whether the state could be stopped from without leaving the limits.
+    /// Whether a stop from this state stays within the limits.
     fn is_safe(&self, brake: &Brake) -> bool {
         let end = brake.steps();
         let release = brake.release_steps();
@@ -260,23 +260,23 @@ impl Interlock {
                 return false;
             }
             let stance = self.chain.stance(&point.position);
-            Place::of(&self.chain, &stance, &self.home).is_allowed(true)
+            TubePose::of(&self.chain, &stance, &self.home).is_allowed(true)
                 && self.caps.camera_allowed(stance.camera_velocity(&point.velocity).norm())
         })
     }
 
-    /// Why not to follow at this moment.
+    /// Cause not to follow at this moment.
     fn reason(&self) -> Option<Cause> {
         if let Some(cause) = self.latched {
             return Some(cause);
         }
-        // What comes from the future is as wrong as what is old.
+        // A tip from the future is as invalid as an old one.
         let age = |at_ns: i64| self.now_ns.saturating_sub(at_ns).saturating_abs();
         match self.tip {
             None if self.clock_jumped => return Some(Cause::Clock),
             None => return Some(Cause::NoTip),
             Some((at, _)) if age(at) as f64 > self.settings.max_age_ms * 1e6 => return Some(Cause::OldTip),
-            // Written so that a score that is no number stops.
+            // Written so that a NaN score stops the arm.
             Some((_, tip)) if !(tip.score >= self.settings.min_score && tip.score > 0.0 && tip.score <= 1.0) => {
                 return Some(Cause::DoubtfulTip);
             }
@@ -291,14 +291,14 @@ impl Interlock {
         }
     }
 
-    /// Drives up to `most` steps; answers how many.
+    /// Drives up to `most` steps; returns their number.
     fn chunk(&mut self, most: u32, each: &mut dyn FnMut(&SetPoint)) -> u32 {
         let mut reason = self.reason();
         let mut steps = most;
         if reason.is_none()
             && let Some((told_ns, Some(wanted))) = self.demand
         {
-            // Not beyond the age at which the demand dies.
+            // Not beyond the time at which the demand expires.
             let left_ns = caps::DEMAND_AGE.as_nanos() as i64 - self.now_ns.saturating_sub(told_ns);
             steps = steps.min((left_ns / STEP_NS).clamp(1, i64::from(CHUNK_STEPS)) as u32);
             let wanted = self.tamed(&wanted);
@@ -330,14 +330,14 @@ impl Interlock {
         if most > 1.0 { wanted / most } else { *wanted }
     }
 
-    /// Follows a velocity for some steps if there is a safe stop from their end; else does nothing.
+    /// Follows a velocity for some steps if a safe stop exists from their end; otherwise does nothing.
     fn try_follow(&mut self, wanted: &JointVector, steps: u32, each: &mut dyn FnMut(&SetPoint)) -> bool {
         let mut points = [self.state; CHUNK_STEPS as usize];
         let mut at = self.state;
         for point in points.iter_mut().take(steps as usize) {
             let missing = wanted - at.velocity;
             let share_of = |limits: &JointVector| share(&missing, limits).max(1e-30);
-            // The acceleration from which the speed asked for is reached just when it is let go.
+            // The acceleration with which the requested speed is reached just as it falls to 0.
             let stretch = (0.98 / share_of(&self.caps.acceleration))
                 .min(0.9 * (2.0 / share_of(&self.caps.jerk)).sqrt())
                 .min(0.2 / STEP_S);
@@ -361,7 +361,7 @@ impl Interlock {
         true
     }
 
-    /// Notes time and cause.
+    /// Records time and cause.
     fn passed(&mut self, steps: u32, stop: Option<Cause>) {
         self.now_ns = self.now_ns.saturating_add(i64::from(steps) * STEP_NS);
         self.stop = stop;

@@ -1,4 +1,4 @@
-//! Steps and ramps of a tip before the simulated arm, without tracker and pictures: what a controller makes of them.
+//! Responses of a controller and the simulated arm to steps and ramps of a tip, without tracker and pictures.
 
 use nalgebra::{Point3, Vector3};
 
@@ -11,12 +11,12 @@ use crate::dynamics::{Quality, SimArm};
 use crate::interlock::{Evidence, Interlock};
 use crate::task::{self, Errors, Wanted};
 
-/// What is tuned: both directions in the picture have one set of gains, the distance another.
+/// The channels that are tuned: both directions in the picture share one set of gains, the distance has another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channel {
-    /// The tip's place in the picture, tried across.
+    /// The tip's position in the picture, tested horizontally.
     Picture,
-    /// Its distance.
+    /// The tip's distance.
     Distance,
 }
 
@@ -24,7 +24,7 @@ impl Channel {
     /// Both.
     pub const ALL: [Self; 2] = [Self::Picture, Self::Distance];
 
-    /// As parameters are named.
+    /// Prefix of the parameters' names.
     pub fn name(self) -> &'static str {
         match self {
             Self::Picture => "picture",
@@ -46,24 +46,24 @@ impl Channel {
 pub struct Course {
     /// The arm.
     pub chain: Chain,
-    /// How good it is.
+    /// Imperfections of the arm.
     pub quality: Quality,
     /// The cameras.
     pub eyes: Eyes,
-    /// Pictures a second.
+    /// Pictures per second.
     pub rate_hz: f64,
     /// Standard deviation of a tip in the picture and of its disparity, px; 0 for none.
     pub noise_px: f64,
 }
 
-/// How the tip moves, from where it should be.
+/// Movement of the tip, from its set-point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Motion {
-    /// Jumps by so many mm.
+    /// A jump by this distance, mm.
     Step(f64),
-    /// Moves at so many mm/s for [`RAMP_S`], and rests.
+    /// A movement at this speed, mm/s, for [`RAMP_S`], then rest.
     Ramp(f64),
-    /// Swings to and fro by so many mm, [`SWING_HZ`] times a second: what accelerates, as hands do.
+    /// Swings of this amplitude, mm, at [`SWING_HZ`]: accelerates as hands do.
     Swing(f64),
 }
 
@@ -71,9 +71,9 @@ pub enum Motion {
 pub const START_S: f64 = 1.0;
 /// Length of a ramp, s.
 pub const RAMP_S: f64 = 2.0;
-/// How often a swing comes and goes, Hz.
+/// Frequency of a swing, Hz.
 pub const SWING_HZ: f64 = 0.5;
-/// What is watched after a motion begins, s.
+/// Observed time after the start of a motion, s.
 pub const WATCHED_S: f64 = 3.5;
 
 impl Motion {
@@ -106,25 +106,25 @@ impl Motion {
 /// One tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Since the motion began, s; below 0 before.
+    /// Time since the start of the motion, s; below 0 before.
     pub at_s: f64,
-    /// How far the true tip lies from where it should be along the channel's direction, mm.
+    /// Error of the true tip along the channel's direction, mm.
     pub error_mm: f64,
-    /// Change of the camera's velocity, mm/s^2.
+    /// Acceleration of the camera, mm/s^2.
     pub camera_mm_s2: f64,
 }
 
-/// What a controller knows in a tick.
+/// Inputs of a controller in a tick.
 struct Tick<'a> {
     now_ns: i64,
-    /// From the left camera, as well as it is seen, mm.
+    /// The tip in the left camera's frame with the noise of detection, mm.
     tip_mm: Vector3<f64>,
     joints: &'a JointVector,
     set_point: &'a JointVector,
 }
 
 impl Course {
-    /// The arm that ships before the scope of the thesis.
+    /// The default arm with the scope of the thesis.
     pub fn shipped(chain: Chain) -> Self {
         let eyes = Eyes { focal_px: (750.0, 750.0), baseline_mm: 15.0 };
         Self { chain, quality: Quality::default(), eyes, rate_hz: 30.0, noise_px: 0.0 }
@@ -146,8 +146,8 @@ impl Course {
         self.drive(ticks, goals.distance_mm, channel, &offset, &mut control)
     }
 
-    /// Lets the arm swing with a relay in the place of one channel's PID; the other channels are held by weak gains. Nothing predicts and nothing is
-    /// fed forward: what is found is the limit of stability of a plain loop.
+    /// Makes the arm oscillate with a relay in place of one channel's PID; weak gains hold the other channels. Without prediction and feed-forward,
+    /// so that the limit of stability is that of a plain loop.
     ///
     /// # Errors
     /// See [`Relay::swing`] and [`Course::play`].
@@ -242,11 +242,11 @@ struct Loop<'a> {
     lock: Interlock,
     arm: SimArm,
     dice: Dice,
-    /// Left camera, seen from where it stands at home.
+    /// Left camera, in the frame of the left camera at home.
     camera: nalgebra::Isometry3<f64>,
-    room: nalgebra::Isometry3<f64>,
+    base_from_home: nalgebra::Isometry3<f64>,
     encoders: JointVector,
-    /// Where the tip rests, in the frame of the camera at home.
+    /// Resting position of the tip in the frame of the camera at home, mm.
     home_mm: Vector3<f64>,
     now_ns: i64,
     tick: i64,
@@ -254,13 +254,13 @@ struct Loop<'a> {
 
 impl<'a> Loop<'a> {
     fn new(course: &'a Course, distance_mm: f64) -> Self {
-        let room = course.chain.stance(&JointVector::zeros()).base_from_camera;
+        let base_from_home = course.chain.stance(&JointVector::zeros()).base_from_camera;
         Self {
             lock: Interlock::new(course.chain.clone(), JointVector::zeros(), 0),
             arm: SimArm::new(course.quality, JointVector::zeros()),
             dice: Dice::new(5),
             camera: nalgebra::Isometry3::identity(),
-            room,
+            base_from_home,
             encoders: JointVector::zeros(),
             home_mm: goal_mm(distance_mm, course.eyes.baseline_mm),
             now_ns: 0,
@@ -288,7 +288,7 @@ impl<'a> Loop<'a> {
         self.noisy(truth)
     }
 
-    /// Gives the demand to the interlock and lets one tick pass.
+    /// Passes the demand to the interlock and advances by one tick.
     fn move_on(&mut self, velocity: Option<JointVector>) -> Result<(), TuneError> {
         self.lock.tip(self.now_ns, Evidence { score: 1.0, in_space: true });
         if let Some(velocity) = velocity {
@@ -299,7 +299,7 @@ impl<'a> Loop<'a> {
         let arm = &mut self.arm;
         self.lock.advance(next_ns, &mut |point| arm.step(point));
         self.now_ns = next_ns;
-        self.camera = self.room.inverse() * self.course.chain.stance(self.arm.links()).base_from_camera;
+        self.camera = self.base_from_home.inverse() * self.course.chain.stance(self.arm.links()).base_from_camera;
         let dice = &mut self.dice;
         self.encoders = self.arm.encoders(|| dice.bits());
         // The first ticks have no demand yet.
@@ -310,27 +310,27 @@ impl<'a> Loop<'a> {
     }
 }
 
-/// What a response comes to.
+/// Measures of a response.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Response {
-    /// From 10 to 90 % of the way, s; NaN where it never gets there.
+    /// Rise time from 10 to 90 % of the step, s; NaN if it never rises.
     pub rise_s: f64,
-    /// How far it goes too far, % of the way.
+    /// Overshoot, % of the step.
     pub overshoot_pct: f64,
-    /// From the step until the error stays within [`BAND`] of the way, s; NaN where it does not.
+    /// Settling time, from the step until the error stays within [`BAND`] of it, s; NaN if it does not.
     pub settling_s: f64,
     /// Mean size of the error over the last half second, mm.
     pub steady_mm: f64,
-    /// Integral of time times size of the error, mm s^2; time counts anew when a ramp ends, as what is summed up on it goes then.
+    /// Integral of time times absolute error, mm s^2. Time restarts when a ramp ends, because the sum of the ramp decays then.
     pub itae: f64,
-    /// Root mean square change of the camera's velocity, mm/s^2.
+    /// Root mean square acceleration of the camera, mm/s^2.
     pub shake_mm_s2: f64,
 }
 
-/// Band of settling, share of the way: above the dead zone of the controller.
+/// Band of settling as a share of the step: above the dead zone of the controller.
 pub const BAND: f64 = 0.1;
 
-/// Measures a response to a step; of other motions only `itae`, `steady_mm` and `shake_mm_s2` mean something.
+/// Measures a response to a step; for other motions only `itae`, `steady_mm` and `shake_mm_s2` are meaningful.
 pub fn measure(samples: &[Sample], motion: Motion) -> Response {
     let way_mm = match motion {
         Motion::Step(way_mm) => way_mm,

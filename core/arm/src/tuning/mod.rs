@@ -6,10 +6,10 @@ pub mod search;
 
 use thiserror::Error;
 
-/// Why gains were not found.
+/// Why no gains were found.
 #[derive(Debug, Error, PartialEq)]
 pub enum TuneError {
-    /// A relay that cannot work.
+    /// Invalid parameters of the relay.
     #[error("the relay's {what} is {value}: it has to be above 0")]
     BadRelay {
         /// Which of its numbers.
@@ -17,34 +17,34 @@ pub enum TuneError {
         /// The number.
         value: f64,
     },
-    /// The loop does not swing.
+    /// The loop does not oscillate.
     #[error(
         "the loop swung {periods} times in {seconds:.1} s, 12 are needed: give the relay a larger amplitude, or less hysteresis"
     )]
     NoSwing {
-        /// Whole periods that were seen.
+        /// Whole periods observed.
         periods: usize,
-        /// How long, s.
+        /// Time observed, s.
         seconds: f64,
     },
-    /// The loop does not swing steadily.
+    /// The oscillation does not become steady.
     #[error("after {seconds:.1} s periods of the loop still differ by {:.0} %: no limit of stability can be told", share * 100.0)]
     Uneven {
         /// Largest difference, as a share of the mean period.
         share: f64,
-        /// How long, s.
+        /// Time observed, s.
         seconds: f64,
     },
-    /// The loop answers no number.
+    /// The loop's output is not finite.
     #[error("the loop answered no number after {at_s:.2} s")]
     NotFinite {
-        /// When, s.
+        /// Time, s.
         at_s: f64,
     },
     /// The arm does not follow.
     #[error("the simulated arm stopped after {at_s:.2} s: {cause}; it cannot be tuned with these parameters")]
     Stopped {
-        /// When, s.
+        /// Time, s.
         at_s: f64,
         /// Why, in the interlock's words.
         cause: String,

@@ -1,42 +1,41 @@
 //! Relay feedback (Astrom and Hagglund 1984, "Automatic tuning of simple regulators with specifications on phase and amplitude margins"): a relay in
-//! the controller's place makes the loop swing at the period at which a proportional controller would just keep it swinging.
+//! the controller's place makes the loop oscillate at the period at which a proportional controller would just sustain it.
 
 use std::f64::consts::{PI, TAU};
 
 use super::TuneError;
 
-/// How a loop is made to swing.
+/// Parameters of the relay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Relay {
-    /// What the relay puts out, with the sign of the error, E/s.
+    /// Amplitude of the output, which has the sign of the error, E/s.
     pub amplitude: f64,
     /// Errors below this do not switch it, E: more than the noise.
     pub hysteresis: f64,
     /// Time from one sample to the next, s.
     pub step_s: f64,
-    /// Longest time that the swinging may take to become steady, s.
+    /// Time limit for a steady oscillation, s.
     pub longest_s: f64,
 }
 
 /// The limit of stability of a loop under proportional control.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ultimate {
-    /// Gain at which the loop would swing forever, 1/s.
+    /// Gain at which the loop would oscillate forever, 1/s.
     pub gain: f64,
-    /// Period of that, s.
+    /// Period of this oscillation, s.
     pub period_s: f64,
-    /// Peak of the relay's own swing, E.
+    /// Peak error of the relay's oscillation, E.
     pub swing: f64,
 }
 
-/// Periods that are measured, after as many that are not.
+/// Number of periods that are measured, after as many that are skipped.
 const PERIODS: usize = 6;
 /// Largest difference between measured periods, as a share of their mean.
 const STEADY: f64 = 0.15;
 
 impl Relay {
-    /// Lets `plant` swing: it is given what the relay puts out for one step and answers the error after it; the error falls while the output is
-    /// above 0.
+    /// Makes `plant` oscillate: it takes the relay's output for one step and returns the error after it. The error falls while the output is above 0.
     ///
     /// The gain is the ratio of the first harmonics of both signals over whole periods, not of the relay's amplitude to the peak: that
     /// describing function is 19 % off for an integrator with dead time, whose swing is a triangle.
@@ -99,7 +98,7 @@ impl Relay {
     }
 }
 
-/// Gains by a rule from a loop's limit of stability.
+/// Rules that compute gains from a loop's limit of stability.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
     /// Ziegler and Nichols 1942, "Optimum settings for automatic controllers": a quarter of each swing is left in the next.
@@ -111,7 +110,7 @@ pub enum Rule {
     Amigo,
 }
 
-/// Which parts of a PID are used.
+/// Parts of a PID.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Parts {
     /// Proportional.
@@ -123,10 +122,10 @@ pub enum Parts {
 }
 
 impl Parts {
-    /// All, from the plainest.
+    /// All, from the simplest.
     pub const ALL: [Self; 3] = [Self::P, Self::Pi, Self::Pid];
 
-    /// As they are written.
+    /// Name.
     pub fn name(self) -> &'static str {
         match self {
             Self::P => "P",
@@ -151,7 +150,7 @@ impl Rule {
     /// All rules.
     pub const ALL: [Self; 3] = [Self::ZieglerNichols, Self::TyreusLuyben, Self::Amigo];
 
-    /// As it is written.
+    /// Name.
     pub fn name(self) -> &'static str {
         match self {
             Self::ZieglerNichols => "Ziegler-Nichols",
@@ -187,12 +186,12 @@ mod tests {
 
     const RELAY: Relay = Relay { amplitude: 2.0, hysteresis: 0.0, step_s: 1e-3, longest_s: 60.0 };
 
-    /// A plant behind a dead time, in steps of 1 ms: `answer` takes one input and gives one output.
+    /// A plant behind a dead time, in steps of 1 ms: `answer` takes one input and returns one output.
     fn late(dead_s: f64, mut answer: impl FnMut(f64) -> f64) -> impl FnMut(f64) -> f64 {
-        let mut way = std::collections::VecDeque::from(vec![0.0; (dead_s / 1e-3).round() as usize]);
+        let mut queue = std::collections::VecDeque::from(vec![0.0; (dead_s / 1e-3).round() as usize]);
         move |input| {
-            way.push_back(input);
-            let input = way.pop_front().unwrap_or(input);
+            queue.push_back(input);
+            let input = queue.pop_front().unwrap_or(input);
             // The error of a goal that lies at 0.
             -answer(input)
         }

@@ -7,26 +7,26 @@ use crate::control::Goals;
 use crate::dynamics::Quality;
 use crate::pid::Gains;
 
-/// Size of the steps and speed of the ramps that gains are judged by.
+/// Size of the steps with which gains are evaluated, mm.
 pub const STEP_MM: f64 = 3.0;
-/// See [`STEP_MM`].
+/// Speed of the ramps with which gains are evaluated, mm/s.
 pub const RAMP_MM_S: f64 = 12.0;
 /// Amplitude of the swings, mm: 25 mm/s in the middle.
 pub const SWING_MM: f64 = 8.0;
-/// What an error of 1 mm while the tip swings costs, mm s^2.
+/// Cost of an error of 1 mm while the tip swings, mm s^2.
 pub const SWING_COST: f64 = 2.0;
-/// An arm this much later than the one that is tuned counts as much: gains shall bear an arm that is not known well, ms.
+/// Extra latency of a second arm with the same weight: gains must be robust to errors of the model, ms.
 pub const LATER_MS: f64 = 30.0;
-/// Noise of the tips that gains are judged with, px.
+/// Noise of the tips with which gains are evaluated, px.
 pub const NOISE_PX: f64 = 0.5;
-/// What a camera that shakes costs: 100 mm/s^2 as much as this ITAE, mm s^2.
+/// Cost of a camera acceleration of 100 mm/s^2, mm s^2.
 pub const SHAKE_COST: f64 = 0.15;
-/// What each per cent of overshoot beyond the limit costs, mm s^2.
+/// Cost of each percent of overshoot beyond the limit, mm s^2.
 pub const OVERSHOOT_COST: f64 = 1.0;
 /// Smallest and largest gains that are tried: 1/s, 1/s^2, 1.
 pub type Ranges = [(f64, f64); 3];
-/// Most that the proportional gain may be of the loop's limit of stability: what Ziegler and Nichols give a PID. The controller's predictor takes dead
-/// time away only as far as its model of the arm holds, and errors of a few mm do not show that it fails.
+/// Largest proportional gain as a share of the loop's limit of stability: that of Ziegler and Nichols for a PID. The controller's predictor
+/// compensates dead time only as far as its model of the arm is right, and errors of a few mm do not reveal where it is wrong.
 pub const MOST_OF_ULTIMATE: f64 = 0.6;
 
 /// Gains that are tried on a loop.
@@ -34,10 +34,10 @@ pub fn ranges(ultimate: &Ultimate) -> Ranges {
     [(0.5, (MOST_OF_ULTIMATE * ultimate.gain).max(0.5)), (0.02, 10.0), (0.005, 1.0)]
 }
 
-/// What some gains cost, and of what.
+/// Cost of gains, with its parts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cost {
-    /// The sum, less is better, mm s^2.
+    /// The sum, mm s^2.
     pub total: f64,
     /// ITAE of a step and of a ramp, mean of both arms, mm s^2.
     pub itae: f64,
@@ -45,7 +45,7 @@ pub struct Cost {
     pub swing_mm: f64,
     /// Overshoot of the step, the larger of both arms, %.
     pub overshoot_pct: f64,
-    /// Shaking of the camera, mean of both arms, mm/s^2.
+    /// Acceleration of the camera, mean of both arms, mm/s^2.
     pub shake_mm_s2: f64,
 }
 
@@ -60,8 +60,8 @@ pub fn with(goals: &Goals, channel: Channel, tuned: Tuned) -> Goals {
     goals
 }
 
-/// Judges gains: `itae(step) + itae(ramp) + SWING_COST * error(swing) + SHAKE_COST * shake / 100 + OVERSHOOT_COST * (overshoot - limit)`, as the mean of the arm as it is and
-/// one that is [`LATER_MS`] later. Errors are those of exact tips, shaking that of noisy ones.
+/// Evaluates gains: `itae(step) + itae(ramp) + SWING_COST * error(swing) + SHAKE_COST * shake / 100 + OVERSHOOT_COST * (overshoot - limit)`, as the
+/// mean of the arm and of one that is [`LATER_MS`] later. Errors are those of exact tips, shaking that of noisy ones.
 ///
 /// # Errors
 /// See [`Course::play`].
@@ -93,7 +93,7 @@ pub fn cost(
     Ok(Cost { total, itae, swing_mm, overshoot_pct, shake_mm_s2: shake })
 }
 
-/// Where a search begins: the gains of all rules, and those that were found for fewer parts, with a little of what they lack.
+/// Start points of a search: the gains of all rules, and those found for fewer parts, with a little of the missing part.
 pub fn starts(ultimate: &Ultimate, parts: Parts, fewer: Option<Tuned>) -> Vec<Tuned> {
     let mut out: Vec<Tuned> = Rule::ALL.iter().filter_map(|rule| rule.gains(ultimate, parts)).collect();
     if let Some(fewer) = fewer {
@@ -104,8 +104,8 @@ pub fn starts(ultimate: &Ultimate, parts: Parts, fewer: Option<Tuned>) -> Vec<Tu
     out
 }
 
-/// The best gains that are found from any of `starts`, and what they cost. Gains that `parts` leaves out are 0. Each trial is told to `tried`, which may end the search by
-/// answering false.
+/// Searches from all `starts`; returns the best gains and their cost. Gains of unused parts are 0. Calls `tried` after each trial, which ends the
+/// search by returning false.
 ///
 /// # Errors
 /// See [`Course::play`].
@@ -161,14 +161,14 @@ pub fn search(
     Ok((tuned(at), best))
 }
 
-/// What gains do, on exact tips.
+/// Responses with some gains, with exact tips.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Report {
     /// Response to a step of [`STEP_MM`].
     pub step: Response,
     /// Error while a ramp of [`RAMP_MM_S`] is followed, mm.
     pub ramp_mm: f64,
-    /// The same where nothing of the tip's own movement is fed forward: what the PID alone does.
+    /// The same without feed-forward: the PID alone.
     pub ramp_alone_mm: f64,
 }
 

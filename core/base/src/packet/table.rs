@@ -21,7 +21,7 @@ pub struct Table<'b> {
 }
 
 impl<'b> Table<'b> {
-    /// Reads a packet; bytes behind the last number are ignored.
+    /// Reads a packet; bytes behind the last number are ignored. All columns may be without a name.
     ///
     /// # Errors
     /// When the bytes end before the last number, or the names are no text, wrongly padded, or not one per column.
@@ -35,8 +35,8 @@ impl<'b> Table<'b> {
         let names = fields.text("names", names_len)?.trim_end_matches('\0');
         // The contract separates names; a line feed behind the last one is no further name.
         let names = names.strip_suffix('\n').unwrap_or(names);
-        let count = if columns == 0 && names.is_empty() { 0 } else { names.split('\n').count() };
-        if count != columns {
+        let count = names.split('\n').count();
+        if count != columns && !names.is_empty() {
             return Err(PacketError::Names { names: count, columns });
         }
         let cells_len = rows.checked_mul(columns).and_then(|count| count.checked_mul(CELL));
@@ -44,9 +44,10 @@ impl<'b> Table<'b> {
         Ok(Self { names, columns, rows, cells, byte_len: fields.position() })
     }
 
-    /// Column names with their units, such as `distance_mm`.
+    /// Column names with their units, such as `distance_mm`; none when several columns have no names.
     pub fn names(&self) -> impl Iterator<Item = &'b str> + use<'b> {
-        self.names.split('\n').take(self.columns)
+        let count = if self.names.is_empty() && self.columns > 1 { 0 } else { self.columns };
+        self.names.split('\n').take(count)
     }
 
     /// Number of columns.

@@ -6,9 +6,10 @@ use anyhow::Result;
 use panoscope_graph::{Arg, GraphOptions, GraphText};
 use serde_json::json;
 
-use crate::graph_file::{Given, Ready};
-use crate::terminal::{raw, say, stdout_color};
-use crate::{End, graph_file, probe};
+use crate::given::Given;
+use crate::terminal::{out, raw, stdout_color};
+use crate::{End, probe};
+use panoscope_eval::graph_file::{self, Ready};
 
 /// Arguments of `check`.
 #[derive(clap::Args)]
@@ -65,7 +66,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         if arguments.json {
             let ok = facts.is_some();
             let missing = facts.map(|f| f.missing).unwrap_or_default();
-            say!(
+            out!(
                 "{}",
                 json!({ "file": name.to_string(), "ok": ok, "missing_args": missing, "diagnostics": diagnostics })
             );
@@ -77,7 +78,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
                 true => String::new(),
                 false => format!("; to run it needs {}", missing.join(", ")),
             };
-            say!("{name}: ok ({nodes} nodes, {edges} connections{missing})");
+            out!("{name}: ok ({nodes} nodes, {edges} connections{missing})");
         }
     }
     Ok(end)

@@ -3,11 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
+use panoscope_eval::text_table::table;
 use panoscope_record::compare::{Content, FirstCell, PortDifference, compare, compare_recordings};
-use panoscope_record::{Digests, Recording};
+use panoscope_record::{Digests, Recording, RecordingError};
 
 use crate::End;
-use crate::terminal::{raw, table, tell};
+use crate::numbers::{NumberError, number_in};
+use crate::terminal::{log, raw};
 
 /// Arguments of `compare`.
 #[derive(clap::Args)]
@@ -22,9 +24,19 @@ pub struct Arguments {
     tolerance: f64,
 }
 
-fn tolerance(text: &str) -> Result<f64, String> {
-    let number: f64 = text.parse().map_err(|_| format!("{text} is no number"))?;
-    if number.is_finite() && number >= 0.0 { Ok(number) } else { Err("a number from 0 on".to_owned()) }
+fn tolerance(text: &str) -> Result<f64, NumberError> {
+    number_in(text, 0.0..=f64::MAX, "number", "a number from 0 on")
+}
+
+/// Why a run cannot be compared.
+#[derive(Debug, thiserror::Error)]
+enum OpenError {
+    /// Fingerprints that cannot be read.
+    #[error("{}: {cause}; give a recording (.mcap) or fingerprints written by --digests (.json)", path.display())]
+    Digests { path: PathBuf, cause: std::io::Error },
+    /// A recording that cannot be read.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
 }
 
 enum Run {
@@ -33,17 +45,12 @@ enum Run {
 }
 
 impl Run {
-    fn open(path: &Path) -> Result<Self, String> {
+    fn open(path: &Path) -> Result<Self, OpenError> {
         if path.extension().is_some_and(|e| e == "json") {
-            let digests = Digests::read(path).map_err(|e| {
-                format!(
-                    "{}: {e}; give a recording (.mcap) or fingerprints written by --digests (.json)",
-                    path.display()
-                )
-            })?;
+            let digests = Digests::read(path).map_err(|cause| OpenError::Digests { path: path.to_owned(), cause })?;
             return Ok(Self::Digests(digests));
         }
-        Recording::open(path).map(|r| Self::Recording(Box::new(r))).map_err(|e| e.to_string())
+        Ok(Self::Recording(Box::new(Recording::open(path)?)))
     }
 
     fn digests(&self) -> Digests {
@@ -60,7 +67,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         (Ok(a), Ok(b)) => (a, b),
         (a, b) => {
             for error in [a.err(), b.err()].into_iter().flatten() {
-                tell!("error: {error}");
+                log!("error: {error}");
             }
             return Ok(End::Wrong);
         }
@@ -69,14 +76,14 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         (Run::Recording(a), Run::Recording(b)) => match compare_recordings(a, b, arguments.tolerance) {
             Ok(differences) => differences,
             Err(error) => {
-                tell!("error: {error}");
+                log!("error: {error}");
                 return Ok(End::Failed);
             }
         },
         _ => compare(&a.digests(), &b.digests()),
     };
     if differences.iter().all(|d| d.packets.0 == 0 || d.packets.1 == 0) {
-        tell!(
+        log!(
             "error: {} and {} have no port in common; record both with --all-ports, or of one graph",
             arguments.a.display(),
             arguments.b.display()

@@ -4,8 +4,9 @@ use anyhow::Result;
 use panoscope_graph::{NodeKind, NodeType, Param, ParamKind, Port};
 use panoscope_loader::Loader;
 
-use crate::terminal::{say, tell};
-use crate::{End, graph_file};
+use crate::End;
+use crate::terminal::{log, out};
+use panoscope_eval::graph_file;
 
 /// Arguments of `describe`.
 #[derive(clap::Args)]
@@ -35,16 +36,16 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         match loader.load(plugin) {
             Ok(loaded) => types.extend(loaded.node_types.into_iter().filter(|t| t.name == name)),
             Err(problem) => {
-                tell!("error: {}", problem.message);
+                log!("error: {}", problem.message);
                 if !problem.help.is_empty() {
-                    tell!("    help: {}", problem.help);
+                    log!("    help: {}", problem.help);
                 }
                 return Ok(End::Wrong);
             }
         }
     }
     if arguments.json {
-        say!("{}", serde_json::to_string_pretty(&types)?);
+        out!("{}", serde_json::to_string_pretty(&types)?);
     } else {
         types.iter().for_each(show);
     }
@@ -53,16 +54,16 @@ pub fn run(arguments: &Arguments) -> Result<End> {
 
 fn unknown(loader: &Loader, plugin: Option<&str>, name: &str) -> End {
     match plugin {
-        Some(plugin) => tell!("error: no plugin `{plugin}` with a node type `{name}` was found"),
-        None => tell!("error: no plugin offers a node type `{name}`"),
+        Some(plugin) => log!("error: no plugin `{plugin}` with a node type `{name}` was found"),
+        None => log!("error: no plugin offers a node type `{name}`"),
     }
     let types: Vec<&str> = loader.found().flat_map(|f| f.note.node_types.iter().map(String::as_str)).collect();
     // As far from the name as the graph checker allows: a third of the letters.
     let distance = |other: &str| strsim::damerau_levenshtein(name, other);
     let close = |other: &&str| distance(other) <= (name.chars().count() / 3).max(1) || other.contains(name);
     match types.iter().copied().filter(close).min_by_key(|other| distance(other)) {
-        Some(nearest) => tell!("    help: did you mean `{nearest}`?"),
-        None => tell!("    help: `panoscope list` shows what there is"),
+        Some(nearest) => log!("    help: did you mean `{nearest}`?"),
+        None => log!("    help: `panoscope list` shows what there is"),
     }
     End::Wrong
 }
@@ -83,13 +84,13 @@ fn show(node_type: &NodeType) {
             traits.push(word);
         }
     }
-    say!("{} (plugin {}, {}; {})", node_type.name, node_type.plugin, node_type.family, traits.join(", "));
+    out!("{} (plugin {}, {}; {})", node_type.name, node_type.plugin, node_type.family, traits.join(", "));
     paragraph(2, &node_type.doc);
     ports("inputs", &node_type.inputs);
     ports("outputs", &node_type.outputs);
     if !node_type.params.is_empty() {
-        say!("");
-        say!("params");
+        out!("");
+        out!("params");
     }
     for param in &node_type.params {
         show_param(param);
@@ -98,7 +99,7 @@ fn show(node_type: &NodeType) {
 
 fn paragraph(indent: usize, text: &str) {
     for line in text.lines() {
-        say!("{:indent$}{}", "", line.trim_end());
+        out!("{:indent$}{}", "", line.trim_end());
     }
 }
 
@@ -106,8 +107,8 @@ fn ports(title: &str, ports: &[Port]) {
     if ports.is_empty() {
         return;
     }
-    say!("");
-    say!("{title}");
+    out!("");
+    out!("{title}");
     for port in ports {
         let mut about = port.packet.name.clone();
         if !port.packet.formats.is_empty() {
@@ -119,7 +120,7 @@ fn ports(title: &str, ports: &[Port]) {
         if port.optional {
             about.push_str(", optional");
         }
-        say!("  {}: {about}", port.name);
+        out!("  {}: {about}", port.name);
         paragraph(6, &port.doc);
     }
 }
@@ -170,6 +171,6 @@ fn show_param(param: &Param) {
         words if words.is_empty() || matches!(param.kind, ParamKind::Path { .. }) => String::new(),
         words => format!("; {words}"),
     };
-    say!("  {} = {default}{unit}{limits}: {}{pick}{reopen}", param.name, param.kind.expected());
+    out!("  {} = {default}{unit}{limits}: {}{pick}{reopen}", param.name, param.kind.expected());
     paragraph(6, &param.doc);
 }

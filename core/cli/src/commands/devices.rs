@@ -7,7 +7,7 @@ use anyhow::Result;
 use serde::Serialize;
 
 use crate::End;
-use crate::terminal::say;
+use crate::terminal::out;
 
 /// Arguments of `devices`.
 #[derive(clap::Args)]
@@ -57,11 +57,11 @@ pub fn cameras() -> Vec<Device> {
 pub fn run(arguments: &Arguments) -> Result<End> {
     let cameras = cameras();
     if arguments.json {
-        say!("{}", serde_json::to_string_pretty(&cameras)?);
+        out!("{}", serde_json::to_string_pretty(&cameras)?);
         return Ok(End::Done);
     }
     if cameras.is_empty() {
-        say!("no cameras (no video devices in /sys/class/video4linux)");
+        out!("no cameras (no video devices in /sys/class/video4linux)");
     }
     for camera in &cameras {
         let note = match camera.accessible {
@@ -69,7 +69,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             Some(false) => "  (no permission: join the group `video`)",
             None => "  (its device file is missing)",
         };
-        say!("{}  {}{note}", camera.path.display(), camera.name);
+        out!("{}  {}{note}", camera.path.display(), camera.name);
     }
     Ok(End::Done)
 }

@@ -9,9 +9,10 @@ use panoscope_engine::Machine;
 use panoscope_loader as loader;
 
 use super::devices;
+use crate::End;
 use crate::installation::Installation;
-use crate::terminal::{say, stdout_color};
-use crate::{End, graph_file};
+use crate::terminal::{out, stdout_color};
+use panoscope_eval::graph_file;
 
 /// How a thing stands.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -37,17 +38,17 @@ impl Doctor {
         };
         let word = if self.color { format!("{style}{word}\x1b[0m") } else { word.to_owned() };
         self.bad += usize::from(state == State::Bad);
-        say!("  {word} {what}: {about}");
+        out!("  {word} {what}: {about}");
     }
 
     fn installation(&mut self) {
-        say!("installation");
+        out!("installation");
         let description = self.installation.description();
         self.say(State::Fine, env!("CARGO_PKG_VERSION"), &description);
     }
 
     fn machine(&mut self) {
-        say!("machine");
+        out!("machine");
         let machine = Machine::here(0);
         self.say(State::Fine, "processor", &format!("{}, {} cores for this process", machine.cpu, machine.cores));
         let memory = fs::read_to_string("/proc/meminfo").unwrap_or_default();
@@ -84,7 +85,7 @@ impl Doctor {
     }
 
     fn plugins(&mut self) {
-        say!("plugins");
+        out!("plugins");
         let mut any = false;
         for folder in loader::search_path(&[]) {
             let found = panoscope_loader::Loader::search(std::slice::from_ref(&folder));
@@ -94,14 +95,15 @@ impl Doctor {
                 (false, _) => "no such folder".to_owned(),
                 (true, n) => format!("{n} plugins"),
             };
-            say!("          searched {}: {about}", folder.display());
+            out!("          searched {}: {about}", folder.display());
         }
         let loader = graph_file::all_plugins();
         let names: Vec<String> = loader.found().map(|f| f.note.name.clone()).collect();
         for name in names {
             match loader.load(&name) {
                 Ok(loaded) => {
-                    let about = format!("{}, loads, {} node types", loaded.found.note.version, loaded.node_types.len());
+                    let about =
+                        format!("{}, loads, {} node types", loaded.plugin.note.version, loaded.node_types.len());
                     self.say(State::Fine, &name, &about);
                 }
                 Err(problem) => {
@@ -124,7 +126,7 @@ impl Doctor {
     }
 
     fn programs(&mut self) {
-        say!("programs and libraries");
+        out!("programs and libraries");
         for (program, package, what) in [
             ("ffmpeg", "ffmpeg", "turns recordings into other formats"),
             ("ffprobe", "ffmpeg", "looks into recordings"),
@@ -176,7 +178,7 @@ impl Doctor {
     }
 
     fn cameras(&mut self) {
-        say!("cameras");
+        out!("cameras");
         let cameras = devices::cameras();
         if cameras.is_empty() {
             self.say(State::Optional, "cameras", "no video devices; files and the phantom work without");

@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use anyhow::Result;
 use panoscope_graph::GraphOptions;
 
-use crate::graph_file::Given;
+use crate::End;
+use crate::given::Given;
 use crate::terminal::{raw, stderr_color};
-use crate::{End, graph_file};
+use panoscope_eval::graph_file;
 
 /// Arguments of `dot`.
 #[derive(clap::Args)]
@@ -27,7 +28,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             Ok(End::Done)
         }
         Err(diagnostics) => {
-            crate::terminal::tell!("{}", diagnostics.render(stderr_color()).trim_end());
+            crate::terminal::log!("{}", diagnostics.render(stderr_color()).trim_end());
             Ok(End::Wrong)
         }
     }

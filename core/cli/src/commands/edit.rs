@@ -7,7 +7,7 @@ use std::process::Command;
 use anyhow::{Context, Result};
 
 use crate::End;
-use crate::terminal::tell;
+use crate::terminal::log;
 
 /// The programs of the windows, each beside this one.
 const EDITOR: &str = "panoscope-editor";
@@ -28,13 +28,13 @@ pub fn run(arguments: &Arguments, theatre: bool) -> Result<End> {
     // The editor offers templates for a file that is to be; it looks after the rest.
     let new = !theatre && !arguments.graph.exists() && arguments.graph.extension().is_some_and(|e| e == "toml");
     if !arguments.graph.is_file() && !new {
-        tell!("error: there is no graph file {}", arguments.graph.display());
+        log!("error: there is no graph file {}", arguments.graph.display());
         return Ok(End::Wrong);
     }
     let this = std::env::current_exe().context("this program's own place is not known")?;
     let beside = this.with_file_name(if theatre { THEATRE } else { EDITOR });
     if !beside.is_file() {
-        tell!(
+        log!(
             "error: the window's program is missing: {} does not exist\n  help: `cargo xtask build` builds it",
             beside.display()
         );

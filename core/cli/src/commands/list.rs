@@ -3,8 +3,9 @@
 use anyhow::Result;
 use serde_json::json;
 
-use crate::terminal::{say, tell};
-use crate::{End, graph_file};
+use crate::End;
+use crate::terminal::{log, out};
+use panoscope_eval::graph_file;
 
 /// Arguments of `list`.
 #[derive(clap::Args)]
@@ -31,27 +32,27 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             })
             .collect();
         let all = json!({ "plugins": plugins, "problems": loader.problems() });
-        say!("{}", serde_json::to_string_pretty(&all)?);
+        out!("{}", serde_json::to_string_pretty(&all)?);
         return Ok(End::Done);
     }
     let mut any = false;
     for found in loader.found() {
         any = true;
-        say!("{} {}  ({})", found.note.name, found.note.version, found.file.display());
+        out!("{} {}  ({})", found.note.name, found.note.version, found.file.display());
         for node_type in &found.note.node_types {
-            say!("    {node_type}");
+            out!("    {node_type}");
         }
     }
     for problem in loader.problems() {
-        tell!("warning: {}", problem.message);
+        log!("warning: {}", problem.message);
         if !problem.help.is_empty() {
-            tell!("    help: {}", problem.help);
+            log!("    help: {}", problem.help);
         }
     }
     if !any {
-        tell!("no plugins were found; folders searched:");
+        log!("no plugins were found; folders searched:");
         for folder in panoscope_loader::search_path(&[]) {
-            tell!("    {}", folder.display());
+            log!("    {}", folder.display());
         }
     }
     Ok(End::Done)

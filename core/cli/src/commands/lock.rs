@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use panoscope_loader::lock::{Lock, THEATRE_PLUGINS, lock_path};
 
-use crate::graph_file::Given;
-use crate::terminal::{raw, say, stderr_color, tell};
-use crate::{End, graph_file};
+use crate::End;
+use crate::given::Given;
+use crate::terminal::{log, out, raw, stderr_color};
+use panoscope_eval::graph_file;
 
 /// Arguments of `lock`.
 #[derive(clap::Args)]
@@ -27,7 +28,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     let ready = match graph_file::open(path, &arguments.given.options(&[])) {
         Ok(ready) => ready,
         Err(diagnostics) => {
-            tell!("{}", diagnostics.render(stderr_color()).trim_end());
+            log!("{}", diagnostics.render(stderr_color()).trim_end());
             return Ok(End::Wrong);
         }
     };
@@ -37,7 +38,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     }
     let missing: Vec<&str> = now.files.iter().filter(|f| f.sha256.is_empty()).map(|f| f.name.as_str()).collect();
     if !missing.is_empty() {
-        tell!("error: files that the graph names are not there: {}", missing.join(", "));
+        log!("error: files that the graph names are not there: {}", missing.join(", "));
         return Ok(End::Wrong);
     }
     let was = Lock::read(path).ok().flatten();
@@ -47,24 +48,24 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         words += &format!("  {:<12} {:<28} {:>10} bytes  {}\n", file.kind, file.name, file.bytes, &file.sha256[..16]);
     }
     raw(&words);
-    say!("{}: {} files locked", file.display(), now.files.len());
+    out!("{}: {} files locked", file.display(), now.files.len());
     for difference in was.iter().flat_map(|was| was.differences(&now)) {
-        say!("  {difference}");
+        out!("  {difference}");
     }
     Ok(End::Done)
 }
 
 fn verify(path: &Path, now: &Lock) -> Result<End> {
     let Some(was) = Lock::read(path)? else {
-        tell!("error: {} was never locked: {} is not there", path.display(), lock_path(path).display());
+        log!("error: {} was never locked: {} is not there", path.display(), lock_path(path).display());
         return Ok(End::Wrong);
     };
     let differences = was.differences(now);
     for difference in &differences {
-        tell!("error: {difference}");
+        log!("error: {difference}");
     }
     if differences.is_empty() {
-        say!("{}: as it was locked ({} files)", path.display(), now.files.len());
+        out!("{}: as it was locked ({} files)", path.display(), now.files.len());
         return Ok(End::Done);
     }
     Ok(End::Failed)

@@ -17,7 +17,6 @@ pub mod new;
 pub mod record;
 pub mod replay;
 pub mod run;
-mod scene;
 pub mod schema;
 pub mod soak;
 pub mod sweep;

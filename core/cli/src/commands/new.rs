@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
-use crate::terminal::{say, tell};
-use crate::{End, graph_file};
+use crate::End;
+use crate::terminal::{log, out};
+use panoscope_eval::graph_file;
 
 /// Arguments of `new`.
 #[derive(clap::Args)]
@@ -125,12 +126,12 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     match write(plugin) {
         Ok(folder) => {
             let (build, test) = if plugin.c { ("make", "make test") } else { ("cargo build", "cargo test") };
-            say!("made {}; next:", folder.display());
-            say!("    cd {} && {test} && {build} && panoscope run {}.toml --frames 10", folder.display(), plugin.name);
+            out!("made {}; next:", folder.display());
+            out!("    cd {} && {test} && {build} && panoscope run {}.toml --frames 10", folder.display(), plugin.name);
             Ok(End::Done)
         }
         Err(error) => {
-            tell!("error: {error:#}");
+            log!("error: {error:#}");
             Ok(End::Wrong)
         }
     }

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use anyhow::Result;
 use panoscope_record::{RecordOptions, Recorded};
 
-use super::run::{self, Ran};
+use super::run::{self, RunEnd};
 use crate::End;
 use crate::judge::{Verdict, Weight};
-use crate::terminal::tell;
+use crate::terminal::log;
 
 /// Arguments of `record`.
 #[derive(clap::Args)]
@@ -47,8 +47,8 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         ..RecordOptions::default()
     };
     Ok(match run::run_with(&arguments.run, Some(options), |_| {})? {
-        Ran::Not(end) => end,
-        Ran::Over { mut verdict, recorded } => {
+        RunEnd::Not(end) => end,
+        RunEnd::Over { mut verdict, recorded } => {
             if let Some(recorded) = recorded {
                 told(&recorded, &arguments.output, &arguments.ports, &mut verdict);
             }
@@ -60,7 +60,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
 /// Says what a recording came to and writes its fingerprints.
 pub fn told(recorded: &Recorded, file: &std::path::Path, ports: &Ports, verdict: &mut Verdict) {
     let mb = recorded.bytes as f64 / 1e6;
-    tell!("recorded {} source ticks, {mb:.1} MB: {}", recorded.ticks, file.display());
+    log!("recorded {} source ticks, {mb:.1} MB: {}", recorded.ticks, file.display());
     if recorded.gaps > 0 {
         let words = format!(
             "{} ticks are not in the recording because the disk was too slow; --read-ports-only records less",
@@ -79,7 +79,7 @@ pub fn write_digests(recorded: &Recorded, ports: &Ports, verdict: &mut Verdict) 
     let (Some(path), Some(digests)) = (&ports.digests, &recorded.digests) else { return };
     match digests.write(path) {
         Ok(()) => {
-            tell!("fingerprints of {} packets on {} ports: {}", digests.packets(), digests.ports.len(), path.display());
+            log!("fingerprints of {} packets on {} ports: {}", digests.packets(), digests.ports.len(), path.display());
         }
         Err(cause) => verdict.add(Weight::Error, format!("cannot write {}: {cause}", path.display())),
     }

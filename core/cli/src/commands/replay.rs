@@ -11,10 +11,11 @@ use panoscope_record::{RecordOptions, Recording, Replay, ReplayError, ReplayOpti
 use super::record::{Ports, told, write_digests};
 use super::run;
 use crate::End;
-use crate::graph_file::{self, Given};
+use crate::given::Given;
 use crate::judge::Weight;
 use crate::progress::Progress;
-use crate::terminal::{say, stderr_color, tell};
+use crate::terminal::{log, out, stderr_color};
+use panoscope_eval::graph_file;
 
 /// Arguments of `replay`.
 #[derive(clap::Args)]
@@ -57,19 +58,19 @@ pub struct Arguments {
 /// Plays a recording.
 pub fn run(arguments: &Arguments) -> Result<End> {
     if arguments.ports.all_ports && arguments.output.is_none() {
-        tell!("error: --all-ports says what the recording of the replay holds: name one with -o FILE.mcap");
+        log!("error: --all-ports says what the recording of the replay holds: name one with -o FILE.mcap");
         return Ok(End::Wrong);
     }
     let same = |a: &PathBuf, b: &PathBuf| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
     if arguments.output.as_ref().is_some_and(|out| same(out, &arguments.recording)) {
-        tell!("error: -o {} is the recording that is played; name another file", arguments.recording.display());
+        log!("error: -o {} is the recording that is played; name another file", arguments.recording.display());
         return Ok(End::Wrong);
     }
     let on_duty = signals::opening();
     let recording = match Recording::open(&arguments.recording) {
         Ok(recording) => Arc::new(recording),
         Err(error) => {
-            tell!("error: {error}");
+            log!("error: {error}");
             return Ok(End::Wrong);
         }
     };
@@ -81,13 +82,13 @@ pub fn run(arguments: &Arguments) -> Result<End> {
                 Some((path.clone(), ready.text.flattened(&ready.catalog).into_owned()))
             }
             Err(diagnostics) => {
-                tell!("{}", diagnostics.render(stderr_color()).trim_end());
+                log!("{}", diagnostics.render(stderr_color()).trim_end());
                 return Ok(End::Wrong);
             }
         },
         None if arguments.given.words().is_empty() => None,
         None => {
-            tell!(
+            log!(
                 "error: --with and arguments belong to a graph: name one with --graph, or change the recorded one with --set"
             );
             return Ok(End::Wrong);
@@ -108,7 +109,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
             all_ports: arguments.ports.all_ports,
             all_source_ports: false,
             // The replay waits for nobody: no packet may be missing.
-            most_waiting_bytes: usize::MAX,
+            max_queued_bytes: usize::MAX,
         }),
         engine: Options {
             threads: arguments.threads.map_or(0, usize::from),
@@ -121,22 +122,22 @@ pub fn run(arguments: &Arguments) -> Result<End> {
         Ok(replay) => replay,
         Err(ReplayError::Check(diagnostics)) => {
             progress.finish();
-            tell!("{}", diagnostics.render(stderr_color()).trim_end());
+            log!("{}", diagnostics.render(stderr_color()).trim_end());
             return Ok(End::Wrong);
         }
         Err(error) => {
             progress.finish();
-            tell!("error: {error}");
+            log!("error: {error}");
             if !matches!(error, ReplayError::Start(_)) {
                 return Ok(End::Wrong);
             }
-            say!("failed: the graph did not start");
+            out!("failed: the graph did not start");
             return Ok(End::Failed);
         }
     };
     let on_duty = on_duty.watching();
     for warning in &replay.warnings {
-        tell!("note: {warning}");
+        log!("note: {warning}");
     }
     let engine = replay.engine();
     let followed = std::thread::scope(|scope| {

@@ -13,11 +13,12 @@ use panoscope_loader::Live;
 use panoscope_loader::live::FileWatch;
 use panoscope_record::{RecordOptions, Recorded, Recorder, head};
 
-use crate::graph_file::Given;
+use crate::given::Given;
 use crate::judge::{Facts, Verdict, Weight, judge};
 use crate::progress::Progress;
-use crate::terminal::{raw, say, stderr_color, tell};
-use crate::{End, allocations, graph_file, interrupt, summary};
+use crate::terminal::{log, out, raw, stderr_color};
+use crate::{End, allocations, interrupt, summary};
+use panoscope_eval::graph_file;
 
 /// How long nodes may take to finish after the end of a run was asked for.
 pub const PATIENCE: Duration = Duration::from_secs(30);
@@ -61,13 +62,13 @@ pub struct Arguments {
 /// Runs a graph to its end.
 pub fn run(arguments: &Arguments) -> Result<End> {
     Ok(match run_with(arguments, None, |_| {})? {
-        Ran::Not(end) => end,
-        Ran::Over { verdict, .. } => conclude(&verdict),
+        RunEnd::Not(end) => end,
+        RunEnd::Over { verdict, .. } => conclude(&verdict),
     })
 }
 
 /// What became of a run.
-pub enum Ran {
+pub enum RunEnd {
     /// It did not begin; why has been said.
     Not(End),
     /// It is over; the verdict is still to be told, with [`conclude`].
@@ -80,18 +81,18 @@ pub enum Ran {
 }
 
 /// Runs a graph to its end, recorded where wanted, with a look at the engine ten times a second.
-pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: impl FnMut(&Engine)) -> Result<Ran> {
+pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: impl FnMut(&Engine)) -> Result<RunEnd> {
     let on_duty = signals::opening();
     let given = arguments.given.options(&arguments.set);
     let ready = match graph_file::open(&arguments.graph, &given) {
         Ok(ready) => ready,
         Err(diagnostics) => {
-            tell!("{}", diagnostics.render(stderr_color()).trim_end());
-            return Ok(Ran::Not(End::Wrong));
+            log!("{}", diagnostics.render(stderr_color()).trim_end());
+            return Ok(RunEnd::Not(End::Wrong));
         }
     };
     if !ready.warnings.is_empty() {
-        tell!("{}", ready.warnings.render(stderr_color()).trim_end());
+        log!("{}", ready.warnings.render(stderr_color()).trim_end());
     }
     let graph = ready.graph.clone();
     let mut progress = Progress::new(&graph.name, arguments.frames, !arguments.headless);
@@ -126,13 +127,13 @@ pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: 
         Ok(engine) => engine,
         Err(error) => {
             progress.finish();
-            tell!("error: {error}");
-            say!("failed: the graph did not start");
-            return Ok(Ran::Not(End::Failed));
+            log!("error: {error}");
+            out!("failed: the graph did not start");
+            return Ok(RunEnd::Not(End::Failed));
         }
     };
     let on_duty = on_duty.watching();
-    allocations::leave_this_thread_out();
+    allocations::exclude_this_thread();
     let mut changes = arguments.watch.then(|| {
         let files = ready.text.files().into_iter().skip(1).map(|f| PathBuf::from(f.path));
         let files = FileWatch::new(&arguments.graph, &ready.loader).with_files(files);
@@ -149,7 +150,7 @@ pub fn run_with(arguments: &Arguments, record: Option<RecordOptions>, mut look: 
     if let Some(path) = &arguments.report {
         report_into(path, &engine.report(), &mut verdict);
     }
-    Ok(Ran::Over { verdict, recorded: recorder.map(|r| Box::new(r.finish())) })
+    Ok(RunEnd::Over { verdict, recorded: recorder.map(|r| Box::new(r.finish())) })
 }
 
 /// Closes a run that is over or to end, shows its summary and judges it.
@@ -170,11 +171,11 @@ pub fn close(engine: &Engine, on_duty: signals::OnDuty, frames: Option<u64>, pro
 pub fn conclude(verdict: &Verdict) -> End {
     for finding in &verdict.findings {
         match finding.weight {
-            Weight::Error => tell!("error: {}", finding.words),
-            Weight::Warning => tell!("warning: {}", finding.words),
+            Weight::Error => log!("error: {}", finding.words),
+            Weight::Warning => log!("warning: {}", finding.words),
         }
     }
-    say!("{}", verdict.last_line());
+    out!("{}", verdict.last_line());
     verdict.end()
 }
 
@@ -199,7 +200,7 @@ pub fn watch(engine: &Engine, progress: &mut Progress, mut look: impl FnMut()) {
 
 /// Makes the running graph what the files say now, or says why not.
 fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>, given: &GraphOptions) {
-    let changed = files.look();
+    let changed = files.poll();
     let mut results = Vec::new();
     if changed.plugins {
         results.push(live.reload_plugins());
@@ -207,14 +208,14 @@ fn apply_changes(files: &mut FileWatch, live: &mut Live<&Engine>, given: &GraphO
     if changed.graph {
         match GraphText::load_with(files.path(), given) {
             Ok(text) => results.push(live.apply(&text)),
-            Err(diagnostics) => tell!("{}\nthe old graph runs on", diagnostics.render(stderr_color()).trim_end()),
+            Err(diagnostics) => log!("{}\nthe old graph runs on", diagnostics.render(stderr_color()).trim_end()),
         }
     }
     for result in results {
         match result {
             Ok(applied) if applied.is_nothing() => {}
-            Ok(applied) => tell!("changed: {applied}"),
-            Err(error) => tell!("error: {error}"),
+            Ok(applied) => log!("changed: {applied}"),
+            Err(error) => log!("error: {error}"),
         }
     }
 }

@@ -2,8 +2,9 @@
 
 use anyhow::Result;
 
-use crate::terminal::{say, tell};
-use crate::{End, graph_file};
+use crate::End;
+use crate::terminal::{log, out};
+use panoscope_eval::graph_file;
 
 /// Writes the JSON Schema of graph files for all plugins of this machine.
 pub fn run() -> Result<End> {
@@ -11,8 +12,8 @@ pub fn run() -> Result<End> {
     let names: Vec<String> = loader.found().map(|f| f.note.name.clone()).collect();
     let catalog = loader.catalog(&names);
     for problem in &catalog.problems {
-        tell!("warning: {}", problem.message);
+        log!("warning: {}", problem.message);
     }
-    say!("{}", serde_json::to_string_pretty(&panoscope_graph::json_schema(&catalog))?);
+    out!("{}", serde_json::to_string_pretty(&panoscope_graph::json_schema(&catalog))?);
     Ok(End::Done)
 }

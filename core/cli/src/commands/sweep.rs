@@ -4,15 +4,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use panoscope_eval::sweep::{Point, Request, Summary, Sweep, SweepError, csv};
+use panoscope_eval::plot;
+use panoscope_eval::sweep::{self, Point, Request, Sweep, SweepError};
 use panoscope_graph::{Diagnostics, GraphText, check};
 use panoscope_loader::{self as loader, Loader};
-use panoscope_record::Recording;
-use serde_json::{Value, json};
+use panoscope_record::{Recording, RecordingError};
 
-use super::eval::plot::{self, Chart, Series, Style};
-use crate::graph_file::Given;
-use crate::terminal::{raw, say, stderr_color, table, tell};
+use crate::given::Given;
+use crate::terminal::{log, out, raw, stderr_color};
 use crate::{End, interrupt};
 
 /// Arguments of `sweep`.
@@ -65,34 +64,33 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<End> {
     let sweep = match prepare(arguments) {
         Ok(sweep) => sweep,
-        Err(words) => {
-            tell!("{words}");
+        Err(refusal) => {
+            log!("{refusal}");
             return Ok(End::Wrong);
         }
     };
     interrupt::listen();
     let mut points: Vec<Point> = Vec::new();
     let ran = sweep.run(&interrupt::asked, |point| {
-        tell!("{} of {}: {}", points.len() + 1, sweep.len(), told(&arguments.param, sweep.unit(), &point));
+        log!("{} of {}: {}", points.len() + 1, sweep.len(), sweep::line(&sweep, &point));
         points.push(point);
     });
     if let Err(error) = ran {
-        tell!("error: {error}");
+        log!("error: {error}");
         return Ok(End::Wrong);
     }
-    show(arguments, &points);
+    raw(&sweep::table(&sweep, &points));
     let write = |path: &Path, text: String| {
         std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
     };
     if let Some(path) = &arguments.json {
-        let rows: Vec<Value> = points.iter().map(|point| row(arguments, sweep.unit(), point)).collect();
-        write(path, serde_json::to_string_pretty(&rows)? + "\n")?;
+        write(path, sweep::json(&sweep, &points)?)?;
     }
     if let Some(path) = &arguments.csv {
-        write(path, csv(&arguments.param, &arguments.measure, &points))?;
+        write(path, sweep::csv(&arguments.param, &arguments.measure, &points))?;
     }
     if let Some(path) = &arguments.plot {
-        plot::save(path, &[chart(arguments, &sweep, &points)])?;
+        plot::save(path, &[sweep::chart(&sweep, &points)])?;
     }
     Ok(conclude(&points, sweep.len()))
 }
@@ -105,27 +103,47 @@ fn conclude(points: &[Point], wanted: usize) -> End {
         (m, p) if m == p => ("stopped", End::Done),
         _ => ("failed", End::Failed),
     };
-    say!("{how}: {measured} of {wanted} values measured");
+    out!("{how}: {measured} of {wanted} values measured");
     end
 }
 
-/// The sweep, or what is wrong, in words.
-fn prepare(arguments: &Arguments) -> Result<Sweep, String> {
-    let colored = |error: SweepError| match error {
-        SweepError::Check(diagnostics) => diagnostics.render(stderr_color()).trim_end().to_owned(),
-        other => format!("error: {other}"),
-    };
-    let shown = |d: Diagnostics| d.render(stderr_color()).trim_end().to_owned();
-    let text = GraphText::load_with(&arguments.graph, &arguments.given.options(&arguments.set)).map_err(shown)?;
+/// Why nothing can be swept.
+#[derive(Debug, thiserror::Error)]
+enum Refusal {
+    /// The graph has mistakes.
+    #[error("{}", diagnostics.render(stderr_color()).trim_end())]
+    Graph { diagnostics: Diagnostics },
+    /// The recording cannot be read.
+    #[error("error: {0}")]
+    Recording(#[from] RecordingError),
+    /// Parameter or measure cannot be used.
+    #[error("error: {0}")]
+    Sweep(SweepError),
+}
+
+impl From<SweepError> for Refusal {
+    fn from(error: SweepError) -> Self {
+        match error {
+            SweepError::Check(diagnostics) => Self::Graph { diagnostics },
+            other => Self::Sweep(other),
+        }
+    }
+}
+
+/// Checks what the arguments ask for.
+fn prepare(arguments: &Arguments) -> Result<Sweep, Refusal> {
+    let refused = |diagnostics| Refusal::Graph { diagnostics };
+    let given = arguments.given.options(&arguments.set);
+    let text = GraphText::load_with(&arguments.graph, &given).map_err(refused)?;
     let recording = match &arguments.recording {
-        Some(file) => Some(Arc::new(Recording::open(file).map_err(|error| format!("error: {error}"))?)),
+        Some(file) => Some(Arc::new(Recording::open(file)?)),
         None => None,
     };
     let loader = Arc::new(Loader::search(&loader::search_path(&text.plugin_paths())));
     let catalog = loader.catalog(&text.plugins());
     if !text.is_plain() {
         // What is wrong is shown in the files it stands in.
-        check(&text, &catalog).into_result().map_err(shown)?;
+        check(&text, &catalog).into_result().map_err(refused)?;
     }
     let request = Request {
         path: arguments.graph.clone(),
@@ -140,79 +158,5 @@ fn prepare(arguments: &Arguments) -> Result<Sweep, String> {
         recording,
         threads: arguments.threads.map_or(0, usize::from),
     };
-    Sweep::new(request, loader).map_err(colored)
-}
-
-fn number(value: f64) -> String {
-    if value.abs() >= 1000.0 { format!("{value:.0}") } else { format!("{value:.4}") }
-}
-
-fn told(param: &str, unit: &str, point: &Point) -> String {
-    let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-    match &point.result {
-        Ok(s) => format!("{param} = {}{unit}: {}", point.value, number(s.mean)),
-        Err(why) => format!("{param} = {}{unit}: {why}", point.value),
-    }
-}
-
-fn show(arguments: &Arguments, points: &[Point]) {
-    let head = [arguments.param.as_str(), "mean", "median", "min", "max", "deviation", "count", "missing"];
-    let mut rows = vec![head.map(str::to_owned).to_vec()];
-    for point in points {
-        let mut cells = vec![point.value.clone()];
-        match &point.result {
-            Ok(Summary { count, missing, mean, median, min, max, deviation }) => {
-                cells.extend([mean, median, min, max, deviation].map(|v| number(*v)));
-                cells.extend([count.to_string(), missing.to_string()]);
-            }
-            Err(_) => cells.push("failed".to_owned()),
-        }
-        rows.push(cells);
-    }
-    raw(&table(&rows));
-}
-
-fn row(arguments: &Arguments, unit: &str, point: &Point) -> Value {
-    let (summary, failed) = match &point.result {
-        Ok(summary) => (Some(summary), None),
-        Err(why) => (None, Some(why)),
-    };
-    // JSON has no NaN: what is unknown is null.
-    let of = |value: fn(&Summary) -> f64| summary.map(value).filter(|v| v.is_finite());
-    json!({
-        "param": arguments.param,
-        "value": point.value,
-        "at": point.at,
-        "unit": unit,
-        "measure": arguments.measure,
-        "mean": of(|s| s.mean),
-        "median": of(|s| s.median),
-        "min": of(|s| s.min),
-        "max": of(|s| s.max),
-        "deviation": of(|s| s.deviation),
-        "count": summary.map(|s| s.count),
-        "missing": summary.map(|s| s.missing),
-        "failed": failed,
-    })
-}
-
-fn chart(arguments: &Arguments, sweep: &Sweep, points: &[Point]) -> Chart {
-    let (unit, has_words) = (sweep.unit(), sweep.has_words());
-    let known = || points.iter().filter_map(|p| Some((p.at, p.result.as_ref().ok()?)));
-    let bars = known().flat_map(|(at, s)| [(at, s.min), (at, s.max)]).collect();
-    let means = known().map(|(at, s)| (at, s.mean)).collect();
-    let series = |name: &str, style, color, points| Series { name: name.to_owned(), style, color, points };
-    Chart {
-        title: format!("{} over {}", arguments.measure, arguments.param),
-        x_label: if unit.is_empty() { arguments.param.clone() } else { format!("{} [{unit}]", arguments.param) },
-        y_label: arguments.measure.clone(),
-        // Between words there is nothing.
-        series: vec![
-            series("smallest to largest", Style::Bars, 1, bars),
-            series("mean", if has_words { Style::Dots } else { Style::Line }, 0, means),
-        ],
-        from_zero: false,
-        log: false,
-        words: if has_words { points.iter().map(|p| (p.at, p.value.clone())).collect() } else { Vec::new() },
-    }
+    Ok(Sweep::new(request, loader)?)
 }

@@ -1,4 +1,4 @@
-//! Graphs of the `flow` plugin, run by the real engine.
+//! Graphs of the plugins `flow` and `fixtures`, run by the real engine.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 use std::path::{Path, PathBuf};
@@ -13,43 +13,26 @@ use panoscope_loader::Loader;
 /// Longest that any graph here may take.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-const NAMES: [&str; 2] = ["libflow.so", "libpanoscope_flow.so"];
+/// Plugins that the tests here use: `flow` ships, the others lie in `tests/plugins`.
+const PLUGINS: [&str; 3] = ["flow", "fixtures", "chaos"];
 
-/// The built `flow` plugin: out of `PANOSCOPE_PLUGIN_PATH`, else built now.
+/// The library of the `flow` plugin.
 pub fn flow_plugin() -> &'static Path {
     static FILE: OnceLock<PathBuf> = OnceLock::new();
     FILE.get_or_init(|| {
-        let path = std::env::var_os("PANOSCOPE_PLUGIN_PATH").unwrap_or_default();
-        let given = std::env::split_paths(&path).flat_map(|folder| NAMES.map(|name| folder.join(name)));
-        given.into_iter().find(|file| file.is_file()).unwrap_or_else(build)
+        let loader = loader();
+        loader.found().find(|f| f.note.name == "flow").expect("`folders` has it").file.clone()
     })
 }
 
-fn build() -> PathBuf {
-    let test = std::env::current_exe().expect("a test has a file");
-    let profile_dir = test.parent().and_then(Path::parent).expect("tests lie in <target>/<profile>/deps");
-    let release = profile_dir.ends_with("release");
-    let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
-    cargo.args(["build", "--quiet", "--package", "panoscope-flow", "--manifest-path"]);
-    cargo.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../Cargo.toml"));
-    cargo.arg("--target-dir").arg(profile_dir.parent().expect("a target folder"));
-    if release {
-        cargo.arg("--release");
-    }
-    assert!(cargo.status().expect("cargo runs").success(), "panoscope-flow does not build");
-    let file = profile_dir.join(NAMES[1]);
-    assert!(file.is_file(), "{} was not built", file.display());
-    file
-}
-
-/// A loader that sees the folder of the `flow` plugin only.
+/// A loader that sees the built plugins.
 pub fn loader() -> Loader {
-    Loader::search(&[flow_plugin().parent().expect("a folder").to_owned()])
+    Loader::search(folders())
 }
 
-/// Starts a graph of `flow` nodes: `mode`, then the node tables.
+/// Starts a graph of `flow` and `fixtures` nodes: `mode`, then the node tables.
 pub fn start(mode: &str, nodes: &str, options: Options) -> Result<Engine, String> {
-    let text = format!("mode = \"{mode}\"\nplugins = [\"flow\"]\n{nodes}");
+    let text = format!("mode = \"{mode}\"\nplugins = [\"flow\", \"fixtures\"]\n{nodes}");
     let text = GraphText::parse(&scratch_dir().join("test.toml"), &text);
     let loader = loader();
     let catalog = loader.catalog(&text.plugins());
@@ -94,24 +77,29 @@ pub fn ledger(path: &Path) -> Vec<(u64, Vec<Option<u64>>)> {
         .collect()
 }
 
-/// The built plugins: out of `PANOSCOPE_PLUGIN_PATH`, else built now.
+/// Folders of the built plugins: those of `PANOSCOPE_PLUGIN_PATH`, or where cargo builds them now.
 pub fn folders() -> &'static [PathBuf] {
     static FOLDERS: OnceLock<Vec<PathBuf>> = OnceLock::new();
     FOLDERS.get_or_init(|| {
         let path = std::env::var_os("PANOSCOPE_PLUGIN_PATH").unwrap_or_default();
         let given: Vec<PathBuf> = std::env::split_paths(&path).filter(|p| p.is_dir()).collect();
-        let has = |plugin: &str| Loader::search(&given).found().any(|f| f.note.name == plugin);
-        if has("flow") && has("chaos") { given } else { vec![build_both()] }
+        let loader = Loader::search(&given);
+        let has = |plugin: &&str| loader.found().any(|f| f.note.name == **plugin);
+        if PLUGINS.iter().all(has) { given } else { vec![build()] }
     })
 }
 
-fn build_both() -> PathBuf {
+/// Builds the plugins and returns the folder that holds them.
+fn build() -> PathBuf {
     let test = std::env::current_exe().expect("a test has a file");
     let profile_dir = test.parent().and_then(Path::parent).expect("tests lie in <target>/<profile>/deps");
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
-    cargo.args(["build", "--quiet", "--package", "panoscope-flow", "--package", "panoscope-chaos", "--manifest-path"]);
+    cargo.args(["build", "--quiet", "--manifest-path"]);
     cargo.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../Cargo.toml"));
     cargo.arg("--target-dir").arg(profile_dir.parent().expect("a target folder"));
+    for plugin in PLUGINS {
+        cargo.args(["--package", &format!("panoscope-{plugin}")]);
+    }
     if profile_dir.ends_with("release") {
         cargo.arg("--release");
     }

@@ -4,7 +4,8 @@ use std::fmt;
 
 use panoscope_graph::{Catalog, Graph};
 
-use super::{SweepError, part};
+use super::error::{RowError, SweepError};
+use super::part;
 use panoscope_base::packet::{Numbers, has_numbers};
 use panoscope_engine::{NodeReport, Report};
 
@@ -51,8 +52,8 @@ pub enum Measure {
         /// Of a table.
         rows: Rows,
     },
-    /// A number that the node tells, tick by tick, or a counter, at the end of the run.
-    Told {
+    /// A number that the node reports, tick by tick, or a counter, at the end of the run.
+    Number {
         /// The node.
         node: String,
         /// The number's name.
@@ -68,13 +69,13 @@ impl fmt::Display for Measure {
                 Rows::Nth(row) => write!(f, "{node}.{port}.{column}[{row}]"),
                 Rows::All => write!(f, "{node}.{port}.{column}[*]"),
             },
-            Self::Port { node, port: name, .. } | Self::Told { node, name } => write!(f, "{node}.{name}"),
+            Self::Port { node, port: name, .. } | Self::Number { node, name } => write!(f, "{node}.{name}"),
         }
     }
 }
 
 impl Measure {
-    /// Reads `node.port`, `node.port.column` or `node.name`; answers the node's position, too.
+    /// Reads `node.port`, `node.port.column` or `node.name`; returns the position of the node, too.
     pub(super) fn of(text: &str, graph: &Graph, catalog: &Catalog) -> Result<(Self, usize), SweepError> {
         let bad = |reason: String| SweepError::Measure { measure: text.to_owned(), reason };
         let words = "write it as NODE.PORT, NODE.PORT.COLUMN or NODE.NUMBER";
@@ -83,19 +84,19 @@ impl Measure {
         let node_type = graph.nodes[node].node_type(catalog);
         let (port, column, rows) = match rest.split_once('.') {
             Some((port, column)) => {
-                let (column, rows) = rows_of(column).map_err(&bad)?;
+                let (column, rows) = rows_of(column).map_err(|error| bad(error.to_string()))?;
                 (port, Some(column.to_owned()), rows)
             }
             None => (rest, None, Rows::Only),
         };
-        let told: Vec<&str> =
+        let outputs: Vec<&str> =
             node_type.outputs.iter().filter(|p| has_numbers(&p.packet.name)).map(|p| p.name.as_str()).collect();
         let Some(output) = node_type.output(port) else {
             if column.is_some() {
-                let told = part::list(&told);
-                return Err(bad(format!("`{id}` has no output `{port}`; its outputs with numbers: {told}")));
+                let outputs = part::list(&outputs);
+                return Err(bad(format!("`{id}` has no output `{port}`; its outputs with numbers: {outputs}")));
             }
-            return Ok((Self::Told { node: id.to_owned(), name: port.to_owned() }, node));
+            return Ok((Self::Number { node: id.to_owned(), name: port.to_owned() }, node));
         };
         let packet = node_type.outputs[output].packet.name.clone();
         match (packet.as_str(), &column) {
@@ -103,53 +104,53 @@ impl Measure {
             ("scalar", Some(_)) => return Err(bad("a scalar has no columns".to_owned())),
             ("table", None) => return Err(bad(format!("it is a table: name a column, {id}.{port}.COLUMN"))),
             _ => {
-                let told = part::list(&told);
-                return Err(bad(format!("it carries {packet}, no numbers; outputs of `{id}` with numbers: {told}")));
+                let outputs = part::list(&outputs);
+                return Err(bad(format!("it carries {packet}, no numbers; outputs of `{id}` with numbers: {outputs}")));
             }
         }
         Ok((Self::Port { node: id.to_owned(), port: port.to_owned(), packet, column, rows }, node))
     }
 
-    /// Why what was heard shows that there is no such measure, for any value.
-    pub(super) fn wrong(&self, heard: &Heard) -> Option<String> {
+    /// Why the received packets show that there is no such measure at any value.
+    pub(super) fn wrong(&self, received: &Received) -> Option<String> {
         let Self::Port { column: Some(column), rows, .. } = self else { return None };
-        if let Some(others) = &heard.others {
+        if let Some(others) = &received.others {
             let others: Vec<&str> = others.iter().map(String::as_str).collect();
             return Some(format!("there is no column `{column}`; columns are {}", part::list(&others)));
         }
-        (*rows == Rows::Only && heard.most_rows > 1).then(|| {
+        (*rows == Rows::Only && received.most_rows > 1).then(|| {
             format!(
                 "the table has {} rows, which may be different measures: name one, {self}[1] to {self}[{}], or take all as one with {self}[*]",
-                heard.most_rows, heard.most_rows
+                received.most_rows, received.most_rows
             )
         })
     }
 
-    /// What a run came to.
-    pub(super) fn summary(&self, heard: &Heard, report: &Report) -> Result<Summary, NoSummary> {
-        if let Some(reason) = self.wrong(heard) {
+    /// Statistics of a run.
+    pub(super) fn summary(&self, received: &Received, report: &Report) -> Result<Summary, NoSummary> {
+        if let Some(reason) = self.wrong(received) {
             return Err(NoSummary::Measure(reason));
         }
         match self {
             Self::Port { rows, .. } => {
                 if let Rows::Nth(row) = rows
-                    && heard.most_rows > 0
-                    && *row > heard.most_rows
+                    && received.most_rows > 0
+                    && *row > received.most_rows
                 {
-                    let most = heard.most_rows;
+                    let most = received.most_rows;
                     return Err(NoSummary::Run(format!("there is no row {row}: the table has up to {most}")));
                 }
-                if heard.values.is_empty() && heard.missing == 0 {
+                if received.values.is_empty() && received.missing == 0 {
                     return Err(NoSummary::Run("nothing came out of it".to_owned()));
                 }
-                Ok(Summary::of(&heard.values, heard.missing))
+                Ok(Summary::of(&received.values, received.missing))
             }
-            Self::Told { node, name } => {
+            Self::Number { node, name } => {
                 let ran = |node: &str| NoSummary::Run(format!("`{node}` did not run"));
                 let found = report.nodes.get(node).ok_or_else(|| ran(node))?;
-                if !heard.told.is_empty() {
+                if !received.numbers.is_empty() {
                     let (finite, unknown): (Vec<f64>, Vec<f64>) =
-                        heard.told.iter().map(|(_, v)| *v).partition(|v| v.is_finite());
+                        received.numbers.iter().map(|(_, v)| *v).partition(|v| v.is_finite());
                     return Ok(Summary::of(&finite, unknown.len() as u64));
                 }
                 if found.count == 0 && found.metrics.is_empty() && !COUNTERS.contains(&name.as_str()) {
@@ -166,61 +167,61 @@ impl Measure {
     }
 }
 
-/// Why a run came to nothing.
+/// Why a run gave no statistics.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum NoSummary {
-    /// There is no such measure: other values would come to nothing, too.
+    /// There is no such measure: other values would not have it either.
     Measure(String),
     /// This run failed.
     Run(String),
 }
 
 /// A column and which rows of it: `x_mm`, `x_mm[2]`, `x_mm[*]`.
-fn rows_of(column: &str) -> Result<(&str, Rows), String> {
+fn rows_of(column: &str) -> Result<(&str, Rows), RowError> {
     let Some((name, index)) = column.strip_suffix(']').and_then(|c| c.rsplit_once('[')) else {
         return Ok((column, Rows::Only));
     };
     match (index, index.parse::<usize>()) {
         ("*", _) => Ok((name, Rows::All)),
         (_, Ok(row)) if row > 0 => Ok((name, Rows::Nth(row))),
-        _ => Err(format!("`[{index}]` is no row: write {name}[1] for the first one, {name}[*] for all")),
+        _ => Err(RowError { column: name.to_owned(), index: index.to_owned() }),
     }
 }
 
 /// Values of a port so far.
 #[derive(Debug, Default)]
-pub(super) struct Heard {
+pub(super) struct Received {
     values: Vec<f64>,
     missing: u64,
     /// Columns of a table that does not have the wanted one.
     others: Option<Vec<String>>,
     /// The most rows that a table had.
     most_rows: usize,
-    /// Numbers that were told: tick and value.
-    told: Vec<((u32, u64), f64)>,
+    /// Numbers that the node reported: tick and value.
+    numbers: Vec<((u32, u64), f64)>,
 }
 
-impl Heard {
+impl Received {
     /// Takes a packet.
     pub fn take(&mut self, bytes: &[u8], packet: &str, column: Option<&str>, rows: Rows) {
-        let Ok(Some(told)) = Numbers::read(bytes, packet) else { return };
+        let Ok(Some(numbers)) = Numbers::read(bytes, packet) else { return };
         let at = match column {
             None => 0,
-            Some(wanted) => match told.names.iter().position(|name| name == wanted) {
+            Some(wanted) => match numbers.names.iter().position(|name| name == wanted) {
                 Some(at) => at,
                 None => {
-                    self.others = Some(told.names);
+                    self.others = Some(numbers.names);
                     return;
                 }
             },
         };
-        let count = told.rows().count();
+        let count = numbers.rows().count();
         self.most_rows = self.most_rows.max(count);
         let wanted = |index: usize| match rows {
             Rows::Nth(row) => index + 1 == row,
             Rows::Only | Rows::All => true,
         };
-        let values = told.rows().enumerate().filter(|(index, _)| wanted(*index)).filter_map(|(_, row)| row.get(at));
+        let values = numbers.rows().enumerate().filter(|(index, _)| wanted(*index)).filter_map(|(_, row)| row.get(at));
         for value in values {
             if value.is_finite() { self.values.push(*value) } else { self.missing += 1 }
         }
@@ -229,16 +230,16 @@ impl Heard {
         }
     }
 
-    /// Takes a number that a node told; the last one of a tick counts.
-    pub fn tell(&mut self, tick: (u32, u64), value: f64) {
-        match self.told.last_mut() {
+    /// Takes a number that the node reported; the last one of a tick counts.
+    pub fn take_number(&mut self, tick: (u32, u64), value: f64) {
+        match self.numbers.last_mut() {
             Some((last, slot)) if *last == tick => *slot = value,
-            _ => self.told.push((tick, value)),
+            _ => self.numbers.push((tick, value)),
         }
     }
 }
 
-/// What many values of a measure came to.
+/// Statistics of the values of a measure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
     /// Finite values.
@@ -283,7 +284,7 @@ impl Summary {
 
 #[cfg(test)]
 mod tests {
-    use super::{Heard, Measure, Rows, Summary, rows_of};
+    use super::{Measure, Received, Rows, Summary, rows_of};
 
     fn table(rows: &[[f64; 2]]) -> Vec<u8> {
         let mut bytes: Vec<u8> = [rows.len() as u32, 2, 8, 0].iter().flat_map(|n| n.to_le_bytes()).collect();
@@ -292,10 +293,10 @@ mod tests {
         bytes
     }
 
-    fn heard(rows: Rows, packets: &[&[[f64; 2]]]) -> Heard {
-        let mut heard = Heard::default();
-        packets.iter().for_each(|packet| heard.take(&table(packet), "table", Some("mm"), rows));
-        heard
+    fn received(rows: Rows, packets: &[&[[f64; 2]]]) -> Received {
+        let mut received = Received::default();
+        packets.iter().for_each(|packet| received.take(&table(packet), "table", Some("mm"), rows));
+        received
     }
 
     #[test]
@@ -308,12 +309,12 @@ mod tests {
             rows,
         };
         let two: [&[[f64; 2]]; 2] = [&[[10.0, 0.1], [70.0, 0.2]], &[[12.0, 0.1], [72.0, 0.2]]];
-        let wrong = of(Rows::Only).wrong(&heard(Rows::Only, &two)).expect("two measures are no one");
+        let wrong = of(Rows::Only).wrong(&received(Rows::Only, &two)).expect("two measures are no one");
         assert!(wrong.contains("measure.table.mm[1] to measure.table.mm[2]"), "{wrong}");
-        assert!(of(Rows::Only).wrong(&heard(Rows::Only, &[&[[10.0, 0.1]], &[]])).is_none());
-        assert_eq!(heard(Rows::Nth(2), &two).values, [70.0, 72.0]);
-        assert_eq!(heard(Rows::All, &two).values, [10.0, 70.0, 12.0, 72.0]);
-        let short = heard(Rows::Nth(2), &[&[[10.0, 0.1]], &[[1.0, 0.1], [2.0, 0.1]]]);
+        assert!(of(Rows::Only).wrong(&received(Rows::Only, &[&[[10.0, 0.1]], &[]])).is_none());
+        assert_eq!(received(Rows::Nth(2), &two).values, [70.0, 72.0]);
+        assert_eq!(received(Rows::All, &two).values, [10.0, 70.0, 12.0, 72.0]);
+        let short = received(Rows::Nth(2), &[&[[10.0, 0.1]], &[[1.0, 0.1], [2.0, 0.1]]]);
         assert_eq!((short.values, short.missing), (vec![2.0], 1));
         assert_eq!(rows_of("mm[3]"), Ok(("mm", Rows::Nth(3))));
         assert_eq!(rows_of("mm[*]"), Ok(("mm", Rows::All)));
@@ -322,12 +323,12 @@ mod tests {
     }
 
     #[test]
-    fn a_number_told_twice_in_a_tick_counts_once() {
-        let mut heard = Heard::default();
+    fn a_number_reported_twice_in_a_tick_counts_once() {
+        let mut received = Received::default();
         for (tick, value) in [((0, 1), 5.0), ((0, 1), 6.0), ((0, 2), 7.0)] {
-            heard.tell(tick, value);
+            received.take_number(tick, value);
         }
-        assert_eq!(heard.told, [((0, 1), 6.0), ((0, 2), 7.0)]);
+        assert_eq!(received.numbers, [((0, 1), 6.0), ((0, 2), 7.0)]);
     }
 
     #[test]

@@ -3,6 +3,8 @@
 use panoscope_graph::Graph;
 use toml::{Table, Value};
 
+use super::error::PartError;
+
 /// Names in a sentence.
 pub(super) fn list(names: &[&str]) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
@@ -26,13 +28,13 @@ pub(super) fn needed(graph: &Graph, node: usize) -> Vec<bool> {
 }
 
 /// The text of a graph with only these nodes, in batch.
-pub(super) fn text(whole: &str, graph: &Graph, kept: &[bool]) -> Result<String, String> {
-    let mut table: Table = whole.parse().map_err(|e: toml::de::Error| e.message().to_owned())?;
+pub(super) fn text(whole: &str, graph: &Graph, kept: &[bool]) -> Result<String, PartError> {
+    let mut table: Table = whole.parse()?;
     table.remove("preset");
     table.remove("editor");
     table.insert("mode".to_owned(), "batch".into());
     if let Some(nodes) = table.get_mut("nodes").and_then(Value::as_table_mut) {
         nodes.retain(|id, _| graph.node(id).is_some_and(|node| kept[node]));
     }
-    toml::to_string(&table).map_err(|e| e.to_string())
+    Ok(toml::to_string(&table)?)
 }

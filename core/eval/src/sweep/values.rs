@@ -2,8 +2,7 @@
 
 use panoscope_graph::{ParamKind, ParamValue};
 
-/// Most values of one sweep.
-pub const MOST_STEPS: usize = 1000;
+use super::error::{MOST_STEPS, ValuesError};
 
 /// A value as a graph file writes it.
 pub fn shown(value: &ParamValue) -> String {
@@ -24,8 +23,8 @@ pub(super) fn of(
     from: Option<f64>,
     to: Option<f64>,
     steps: usize,
-) -> Result<Vec<(ParamValue, f64)>, String> {
-    let unbounded = || "it has no limits of its own: say from where to where".to_owned();
+) -> Result<Vec<(ParamValue, f64)>, ValuesError> {
+    let unbounded = || ValuesError::Unbounded;
     match kind {
         ParamKind::Bool { .. } => Ok(vec![(ParamValue::Bool(false), 0.0), (ParamValue::Bool(true), 1.0)]),
         ParamKind::Choice { choices, .. } => {
@@ -41,7 +40,7 @@ pub(super) fn of(
             let (low, high) = ((from.min(to) - base) / step, (from.max(to) - base) / step);
             let (low, high) = (low.ceil(), high.floor());
             if low > high {
-                return Err(format!("no value that is allowed lies from {from} to {to}: they are {step} apart"));
+                return Err(ValuesError::NoneAllowed { from, to, step });
             }
             let mut values: Vec<(ParamValue, f64)> = Vec::new();
             for number in spread(from, to, steps)? {
@@ -59,20 +58,20 @@ pub(super) fn of(
             accepted(kind, values.into_iter().map(|v| (ParamValue::Float(v), v)).collect())
         }
         ParamKind::Text { .. } | ParamKind::Path { .. } | ParamKind::Floats { .. } => {
-            Err(format!("{} cannot be swept: take a number, a switch or a choice", kind.expected()))
+            Err(ValuesError::Kind { kind: kind.expected().to_string() })
         }
     }
 }
 
-fn spread(from: f64, to: f64, steps: usize) -> Result<Vec<f64>, String> {
+fn spread(from: f64, to: f64, steps: usize) -> Result<Vec<f64>, ValuesError> {
     if !(from.is_finite() && to.is_finite()) {
-        return Err("both ends must be finite numbers".to_owned());
+        return Err(ValuesError::NotFinite);
     }
     if !(2..=MOST_STEPS).contains(&steps) {
-        return Err(format!("{steps} steps: from 2 to {MOST_STEPS} values can be tried"));
+        return Err(ValuesError::Steps { steps });
     }
     if from == to {
-        return Err(format!("both ends are {from}: there is nothing between them"));
+        return Err(ValuesError::Empty { end: from });
     }
     let part = |k: usize| k as f64 / (steps - 1) as f64;
     // Rounded to digits that a person would write.
@@ -85,8 +84,11 @@ fn spread(from: f64, to: f64, steps: usize) -> Result<Vec<f64>, String> {
     Ok((0..steps).map(at).collect())
 }
 
-fn accepted(kind: &ParamKind, values: Vec<(ParamValue, f64)>) -> Result<Vec<(ParamValue, f64)>, String> {
-    values.iter().try_for_each(|(value, _)| kind.accepts(value).map_err(|why| format!("{}: {why}", shown(value))))?;
+fn accepted(kind: &ParamKind, values: Vec<(ParamValue, f64)>) -> Result<Vec<(ParamValue, f64)>, ValuesError> {
+    for (value, _) in &values {
+        let refused = |reason: String| ValuesError::Refused { value: shown(value), reason };
+        kind.accepts(value).map_err(|reason| refused(reason.to_string()))?;
+    }
     Ok(values)
 }
 
@@ -106,9 +108,9 @@ mod tests {
         assert_eq!(words(&int, 5.0, 9.0, 9), ["5", "7", "9"], "values that become one are taken once");
         assert_eq!(words(&int, 6.0, 24.0, 4), ["7", "13", "19", "23"], "no value lies beyond what was asked for");
         assert_eq!(words(&int, 24.0, 6.0, 2), ["23", "7"], "backwards, too");
-        assert!(of(&int, Some(6.0), Some(6.5), 2).is_err_and(|why| why.contains("2 apart")));
+        assert!(of(&int, Some(6.0), Some(6.5), 2).is_err_and(|why| why.to_string().contains("2 apart")));
         assert_eq!(of(&int, None, None, 3).map(|v| v.len()), Ok(3));
-        assert!(of(&int, Some(1.0), Some(9.0), 3).is_err_and(|why| why.contains("outside 5 to 25")));
+        assert!(of(&int, Some(1.0), Some(9.0), 3).is_err_and(|why| why.to_string().contains("outside 5 to 25")));
         assert!(of(&int, Some(5.0), Some(9.0), 1).is_err());
     }
 
@@ -117,7 +119,7 @@ mod tests {
         let float = ParamKind::Float { default: 0.0, min: Some(0.0), max: None, step: None };
         assert_eq!(words(&float, 0.0, 1.0, 4), ["0.0", "0.33333", "0.66667", "1.0"]);
         assert_eq!(words(&float, 1.0, 0.0, 2), ["1.0", "0.0"], "backwards, too");
-        assert!(of(&float, None, None, 4).is_err_and(|why| why.contains("no limits")));
+        assert!(of(&float, None, None, 4).is_err_and(|why| why.to_string().contains("no limits")));
         let choice = ParamKind::Choice { default: "b".to_owned(), choices: vec!["a".to_owned(), "b".to_owned()] };
         assert_eq!(of(&choice, None, None, 9).map(|v| v.len()), Ok(2));
         assert!(of(&ParamKind::Text { default: String::new() }, None, None, 2).is_err());

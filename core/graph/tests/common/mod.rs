@@ -1,6 +1,8 @@
 //! A fixed catalog after the node table of the design, so that messages do not change when a plugin does.
 #![allow(dead_code)]
 
+pub mod graphs;
+
 use panoscope_graph::{
     Catalog, NodeKind, NodeSetup, NodeType, Offer, PacketType, Param, ParamKind, ParamProblem, ParamValue, Pick,
     PluginProblem, Port, Severity, Validator,

@@ -68,6 +68,6 @@ pub fn shared(path: &str) -> Option<PathBuf> {
     if file.exists() {
         return Some(file);
     }
-    println!("skipped: shared/{path} is not there");
+    panoscope_testing::skipped!("shared/{path} is not there");
     None
 }

@@ -1,114 +1,37 @@
-//! The calls of the contract, as the harness makes them.
+//! The ABI calls that the harness makes: open, process, finish, save and load state.
 
 use std::ffi::c_void;
-use std::sync::Mutex;
-
-use panoscope_base::random::SplitMix64;
 
 use crate::abi::{self, Frame, PortRange, Str, Tick};
-use crate::output::Slot;
-use crate::port::{PortField, RawCall};
 
 use super::error::HarnessError;
-use super::host::{CallState, Said};
+use super::host::{CallState, Reported, bare_call};
 use super::inputs::Pending;
 use super::outputs::Outputs;
-use super::{Harness, Setup, memory};
+use super::{Harness, memory};
 
-/// Media time between two ticks.
+/// Media time between two ticks: 30 ticks per second.
 const TICK_NS: i64 = 33_333_333;
-
-impl CallState {
-    fn new(pool: u32, outputs: &mut [Frame], formats: Vec<u32>, seed: u64) -> Self {
-        Self {
-            pool,
-            outputs: outputs.as_mut_ptr(),
-            outputs_len: outputs.len(),
-            formats,
-            random: Mutex::new(SplitMix64(seed)),
-            said: Mutex::default(),
-            files: None,
-            answer: Mutex::default(),
-        }
-    }
-
-    fn in_run(mut self, setup: &Setup) -> Self {
-        self.files = Some((setup.files.clone(), setup.node_id.clone()));
-        self
-    }
-
-    fn into_said(self) -> Said {
-        self.said.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner())
-    }
-}
-
-/// A call without frames or parameters.
-fn bare_call(host: &abi::Host, state: &mut CallState, tick: Tick) -> abi::Call {
-    abi::Call {
-        struct_size: size_of::<abi::Call>() as u32,
-        flags: 0,
-        host,
-        call: (&raw mut *state).cast(),
-        tick,
-        inputs: std::ptr::null(),
-        inputs_len: 0,
-        input_ranges: std::ptr::null(),
-        input_ranges_len: 0,
-        outputs: state.outputs,
-        outputs_len: state.outputs_len,
-        params: std::ptr::null(),
-        params_len: 0,
-        params_version: 0,
-        outputs_read: u64::MAX,
-    }
-}
-
-/// Makes one frame through an output slot, so that packets with variable length are laid out in one place only.
-pub(super) fn make_frame<T>(
-    pool: u32,
-    host: &abi::Host,
-    fill: impl FnOnce(&mut Slot<'_, T>) -> crate::Result<()>,
-) -> crate::Result<Frame>
-where
-    for<'f> Slot<'f, T>: PortField<'f>,
-{
-    let mut outputs = [Frame::EMPTY];
-    let mut state = CallState::new(pool, &mut outputs, vec![0], 0);
-    let mut call = bare_call(host, &mut state, Tick::default());
-    // SAFETY: the call and all that it points to lives until the end of this function.
-    let mut slot = Slot::<T>::bind(unsafe { RawCall::new(&mut call) }, 0, "input")?;
-    let result = fill(&mut slot);
-    let [frame] = outputs;
-    match result {
-        Ok(()) => Ok(frame),
-        Err(error) => {
-            if !frame.is_empty() {
-                memory::release(frame.buffer);
-            }
-            Err(error)
-        }
-    }
-}
 
 impl<N> Harness<N> {
     fn flags(&self) -> u32 {
         if self.setup.batch { abi::CALL_BATCH } else { 0 }
     }
 
-    /// What a node's random numbers begin with: node and tick, nothing else.
+    /// The seed of the node's random numbers; depends on node and tick only.
     fn seed(&self) -> u64 {
         let tick = self.next_tick;
         let hash = abi::fnv1a(abi::FNV_START, self.setup.node_id.as_bytes());
         abi::fnv1a(abi::fnv1a(hash, &tick.seq.to_le_bytes()), &tick.source.to_le_bytes())
     }
 
-    /// Takes over what the node told the host; answers its words.
-    fn take(&mut self, said: Said) -> (Option<String>, Option<String>) {
-        self.said.logs.extend(said.logs);
-        self.said.metrics.extend(said.metrics);
-        self.said.copies += said.copies;
-        self.said.allocated_bytes += said.allocated_bytes;
-        (said.failure, said.problem.or_else(|| memory::broken(self.pool)))
+    /// Stores what the node reported during a call. Returns its failure message and the first violation of the contract.
+    fn take_reported(&mut self, reported: Reported) -> (Option<String>, Option<String>) {
+        self.reported.logs.extend(reported.logs);
+        self.reported.metrics.extend(reported.metrics);
+        self.reported.copies += reported.copies;
+        self.reported.allocated_bytes += reported.allocated_bytes;
+        (reported.failure, reported.problem.or_else(|| memory::take_violation(self.pool)))
     }
 
     fn function<F>(&self, function: Option<F>, name: &'static str) -> Result<F, HarnessError> {
@@ -116,7 +39,7 @@ impl<N> Harness<N> {
     }
 
     fn descriptor(&self) -> &abi::NodeType {
-        // SAFETY: descriptors are immutable and outlive the process (checked when the harness was made).
+        // SAFETY: the maker of the harness guarantees a descriptor that is immutable and stays valid until the process ends.
         unsafe { &*self.descriptor }
     }
 
@@ -125,35 +48,35 @@ impl<N> Harness<N> {
         if let Some(instance) = self.instance.take()
             && let Some(close) = self.descriptor().close
         {
-            // SAFETY: the instance came from `open` and is given up here.
+            // SAFETY: the instance came from `open`; `take` made sure that nothing uses it afterwards.
             unsafe { close(instance) };
         }
         self.setup.files.release(&self.setup.node_id);
     }
 
-    /// Has the node complete its files and closes it, as the runtime does at the end of a run.
+    /// Lets the node complete its files and closes it, as the runtime does at the end of a run.
     ///
     /// # Errors
-    /// What the node could not complete.
+    /// The node's own error or panic, a violation of the contract.
     pub fn finish(&mut self) -> Result<(), HarnessError> {
         let mut result = Ok(());
         if let (Some(finish_node), Some(instance)) = (self.descriptor().finish_function(), self.instance) {
             let mut state = CallState::new(self.pool, &mut [], Vec::new(), self.seed()).in_run(&self.setup);
-            // SAFETY: an open instance; the handle lives for the length of the call.
+            // SAFETY: the instance is open and used by this thread only; `state` lives until the call returns.
             let status = unsafe { finish_node(instance, &*self.host, (&raw mut state).cast()) };
-            let (failure, problem) = self.take(state.into_said());
+            let (failure, problem) = self.take_reported(state.into_reported());
             result = finish("finish", status, failure, problem);
         }
         self.close();
         result
     }
 
-    /// Closes the node without having it complete anything, as the runtime does with an instance that was opened for a change which was refused.
+    /// Closes the node without `finish`, as the runtime does with an instance that was opened for a change and then not used.
     pub fn discard(mut self) {
         self.close();
     }
 
-    /// Closes the node and opens it with the parameters in force, as the runtime does after a fault.
+    /// Closes the node and opens it with the current parameters, as the runtime does after a fault.
     pub fn reopen(&mut self) -> Result<(), HarnessError> {
         let _ = self.finish();
         let open = self.function(self.descriptor().open, "open")?;
@@ -171,9 +94,9 @@ impl<N> Harness<N> {
             outputs_read: self.outputs_read,
         };
         let mut instance: *mut c_void = std::ptr::null_mut();
-        // SAFETY: the call and all that it points to lives for the length of the call.
+        // SAFETY: the call and all that it points to are locals that live until the call returns.
         let status = unsafe { open(&mut call, &mut instance) };
-        let (failure, problem) = self.take(state.into_said());
+        let (failure, problem) = self.take_reported(state.into_reported());
         if status == abi::STATUS_OK {
             self.instance = Some(instance);
         }
@@ -182,15 +105,15 @@ impl<N> Harness<N> {
 
     /// Processes one tick with the inputs given since the last call.
     ///
-    /// A required input that was said to be empty skips the node and empties all its outputs, as in a graph.
+    /// A required input that is empty skips the node and empties all its outputs, as in a graph.
     ///
     /// # Errors
-    /// A mistake in the inputs, a required input that was not given, the node's own error or panic, a breach of the contract.
+    /// A mistake in the inputs, a missing required input, the node's own error or panic, a violation of the contract.
     pub fn process(&mut self) -> Result<Outputs, HarnessError> {
         let result = self.process_given();
         self.drop_inputs();
-        let step = self.next_tick;
-        self.next_tick = Tick { seq: step.seq + 1, capture_ns: step.capture_ns + TICK_NS, ..step };
+        let tick = self.next_tick;
+        self.next_tick = Tick { seq: tick.seq + 1, capture_ns: tick.capture_ns + TICK_NS, ..tick };
         result
     }
 
@@ -215,7 +138,7 @@ impl<N> Harness<N> {
             let given: &[Frame] = match waiting {
                 Pending::Unconnected if port.optional => &[],
                 Pending::Unconnected => {
-                    let problem = format!("input `{}` is required: hand it a frame or say `input_empty`", port.name);
+                    let problem = format!("input `{}` is required: give it a frame or call `input_empty`", port.name);
                     return Err(HarnessError::port(problem));
                 }
                 Pending::Frames(frames) => frames,
@@ -244,19 +167,19 @@ impl<N> Harness<N> {
             outputs_read: self.outputs_read,
             ..bare_call(&self.host, &mut state, tick)
         };
-        // SAFETY: an open instance, and a call whose parts live for its length.
+        // SAFETY: the instance is open and used by this thread only; all that the call points to are locals that outlive it.
         let status = unsafe { process(instance, &mut call) };
         let tick = call.tick;
-        let (failure, problem) = self.take(state.into_said());
-        let mut made =
+        let (failure, problem) = self.take_reported(state.into_reported());
+        let mut result =
             self.collect(tick, if status == abi::STATUS_OK { &outputs } else { &[] }, false, status == abi::STATUS_END);
         outputs.iter().filter(|f| !f.is_empty()).for_each(|f| memory::release(f.buffer));
         if status == abi::STATUS_OK {
-            made.set_fault(failure.clone());
+            result.set_fault(failure.clone());
         }
-        // An end with words is an end that came too early.
+        // An end with a message means that the source ended before its data was complete.
         let status = if status == abi::STATUS_END && failure.is_none() { abi::STATUS_OK } else { status };
-        finish("process", status, failure, problem).map(|()| made)
+        finish("process", status, failure, problem).map(|()| result)
     }
 
     fn collect(&self, tick: Tick, frames: &[Frame], skipped: bool, ended: bool) -> Outputs {
@@ -270,31 +193,31 @@ impl<N> Harness<N> {
     /// Formats that each output may be made with.
     fn output_formats(&self) -> Vec<u32> {
         let node = self.descriptor();
-        // SAFETY: the descriptor was checked when the harness was made.
+        // SAFETY: `node_types` checked the pointers and lengths when the harness was made.
         let ports = (0..node.outputs_len).map(|index| unsafe { &*node.outputs.add(index) });
-        // Plain data declares no format: its frames are bytes.
+        // Plain data declares no format; its frames are bytes.
         ports.map(|p| if p.formats == 0 { abi::format_bit(abi::FORMAT_BYTES) } else { p.formats }).collect()
     }
 
-    /// State that the node would hand to its replacement; `None` when it has none.
+    /// The state that the node would hand to its replacement; `None` when it has none.
     ///
     /// # Errors
-    /// What the node answers.
+    /// The node's own error or panic.
     pub fn save_state(&mut self) -> Result<Option<Vec<u8>>, HarnessError> {
         let (Some(save), Some(instance)) = (self.descriptor().save_state, self.instance) else { return Ok(None) };
         let mut sink: Option<Vec<u8>> = None;
-        // SAFETY: an open instance; the sink is what this host's `save` expects.
+        // SAFETY: the instance is open and used by this thread only; the sink has the type that this host's `save` casts to.
         let status = unsafe { save(instance, &*self.host, (&raw mut sink).cast()) };
         finish("save_state", status, None, None).map(|()| sink)
     }
 
-    /// Hands the node what an earlier instance saved.
+    /// Hands the node the state that an earlier instance saved.
     ///
     /// # Errors
-    /// What the node answers.
+    /// The node's own error or panic.
     pub fn load_state(&mut self, state: &[u8]) -> Result<(), HarnessError> {
         let (Some(load), Some(instance)) = (self.descriptor().load_state, self.instance) else { return Ok(()) };
-        // SAFETY: an open instance and a borrowed slice.
+        // SAFETY: the instance is open and used by this thread only; `state` is a slice of that length.
         finish("load_state", unsafe { load(instance, state.as_ptr(), state.len()) }, None, None)
     }
 }
@@ -309,7 +232,7 @@ fn finish(
         (Some(problem), _) => Err(HarnessError::Contract { problem }),
         (None, abi::STATUS_OK) => Ok(()),
         (None, status) => {
-            let message = failure.unwrap_or_else(|| "the node gave no words".to_owned());
+            let message = failure.unwrap_or_else(|| "the node failed without an error message".to_owned());
             Err(HarnessError::Node { call, status, message })
         }
     }

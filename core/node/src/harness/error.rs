@@ -1,19 +1,19 @@
-//! What can go wrong in a test that runs one node.
+//! Errors of a test that runs one node.
 
 use std::fmt;
 
 use crate::abi;
 
-/// Why the harness could not do what it was asked.
+/// Why a call of the harness failed.
 #[derive(thiserror::Error)]
 pub enum HarnessError {
     /// The node type's descriptor is malformed.
     #[error(transparent)]
     Descriptor(#[from] panoscope_graph::from_abi::FromAbiError),
-    /// The parameters' text has mistakes; the message is the one that a graph file would get.
+    /// The parameters' text has mistakes, rendered as for a graph file.
     #[error("{rendered}")]
     Params {
-        /// All mistakes with line and underline.
+        /// All mistakes, each with its line and an underline.
         rendered: String,
     },
     /// A port that does not exist, or data that does not fit it.
@@ -22,25 +22,25 @@ pub enum HarnessError {
         /// What is wrong.
         problem: String,
     },
-    /// The node answered with an error.
-    #[error("{call} answered {}: {message}", status_name(*.status))]
+    /// The node returned an error.
+    #[error("{call} returned {}: {message}", status_name(*.status))]
     Node {
         /// `open`, `process`, `finish`, `save_state` or `load_state`.
         call: &'static str,
-        /// The contract's status.
+        /// The ABI status.
         status: abi::Status,
-        /// The words it gave to the host.
+        /// The message that the node passed to the host.
         message: String,
     },
-    /// The node used the host in a way that the contract forbids.
-    #[error("the node broke the contract: {problem}")]
+    /// The node used the host in a way that the ABI forbids.
+    #[error("the node violated the ABI: {problem}")]
     Contract {
-        /// What it did.
+        /// What the node did.
         problem: String,
     },
 }
 
-/// Tests end with `?` or `unwrap`: both shall show the words, not a struct.
+/// Shows the message, because tests end with `?` or `unwrap`, which print `Debug`.
 impl fmt::Debug for HarnessError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Display::fmt(self, f)
@@ -52,7 +52,7 @@ impl HarnessError {
         Self::Port { problem: problem.into() }
     }
 
-    /// The contract's status, when the node itself answered.
+    /// The ABI status, when the node itself returned an error.
     pub fn status(&self) -> Option<abi::Status> {
         match self {
             Self::Node { status, .. } => Some(*status),

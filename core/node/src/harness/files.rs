@@ -1,4 +1,4 @@
-//! Files that nodes of one run claim.
+//! Claims of nodes on the files that they write.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -6,36 +6,48 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::abi;
 
-/// The files of one run. Harnesses that are opened with the same value act as nodes of one graph.
+/// The file claims of one run. Harnesses that are opened with the same value act as nodes of one graph.
 #[derive(Clone, Debug, Default)]
-pub struct Files(Arc<Mutex<State>>);
+pub struct Files(Arc<Mutex<Claims>>);
 
 #[derive(Debug, Default)]
-struct State {
+struct Claims {
     /// How often a path was begun.
     begun: HashMap<String, u32>,
-    /// Path and the open node that holds it.
+    /// Path, and the open node that claims it.
     held: Vec<(String, String)>,
 }
 
+/// A claim on a file that another node writes.
+#[derive(Debug, thiserror::Error)]
+#[error("node `{holder}` already writes {path}")]
+pub(super) struct FileTaken {
+    /// The node that writes the file.
+    pub(super) holder: String,
+    path: String,
+}
+
 impl Files {
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn claims(&self) -> MutexGuard<'_, Claims> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// As the host's `claim_file`: the path to write, or the node that holds it.
-    pub(super) fn claim(&self, node: &str, path: &str, action: u32) -> Result<String, String> {
-        let mut state = self.state();
-        if let Some((_, other)) = state.held.iter().find(|(held, by)| held == path && by != node) {
-            return Err(other.clone());
+    /// As the host's `claim_file`: returns the path to write.
+    ///
+    /// # Errors
+    /// Another open node claims the file.
+    pub(super) fn claim(&self, node: &str, path: &str, action: u32) -> Result<String, FileTaken> {
+        let mut claims = self.claims();
+        if let Some((_, other)) = claims.held.iter().find(|(held, by)| held == path && by != node) {
+            return Err(FileTaken { holder: other.clone(), path: path.to_owned() });
         }
-        if !state.held.iter().any(|(held, by)| held == path && by == node) {
-            state.held.push((path.to_owned(), node.to_owned()));
+        if !claims.held.iter().any(|(held, by)| held == path && by == node) {
+            claims.held.push((path.to_owned(), node.to_owned()));
         }
         if action == abi::CLAIM_HOLD {
             return Ok(path.to_owned());
         }
-        let begun = state.begun.entry(path.to_owned()).or_default();
+        let begun = claims.begun.entry(path.to_owned()).or_default();
         loop {
             *begun += 1;
             let file = part_name(path, *begun);
@@ -45,9 +57,9 @@ impl Files {
         }
     }
 
-    /// Gives back what a node held.
+    /// Drops the claims of a node.
     pub(super) fn release(&self, node: &str) {
-        self.state().held.retain(|(_, by)| by != node);
+        self.claims().held.retain(|(_, by)| by != node);
     }
 }
 

@@ -1,4 +1,4 @@
-//! The contract's host for one node in one process: every function, nothing faked.
+//! A host for one node in a test: implements every function of the ABI.
 
 use std::ffi::c_void;
 use std::sync::Mutex;
@@ -7,64 +7,88 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use panoscope_base::format;
 use panoscope_base::random::SplitMix64;
 
-use crate::abi::{self, BufferId, Frame, Status, Str};
+use crate::abi::{self, BufferId, Frame, Status, Str, Tick};
 
 use super::files::Files;
 use super::memory;
-use super::{Level, LogLine, Metric};
+use super::{Level, LogLine, Metric, Setup};
 
-/// What a running call's handle points to.
+/// The state of a running call; the call's handle points to it.
 pub(super) struct CallState {
     pub(super) pool: u32,
-    /// The call's outputs; the node reads the same memory.
+    /// The call's outputs, shared with the node.
     pub(super) outputs: *mut Frame,
     pub(super) outputs_len: usize,
-    /// Bit set of formats that each output may have, and whether formats are checked.
+    /// Bit set of the formats that each output may have; 0 allows all.
     pub(super) formats: Vec<u32>,
     pub(super) random: Mutex<SplitMix64>,
-    pub(super) said: Mutex<Said>,
-    /// The run's files and the node's name; none while inputs are made.
+    pub(super) reported: Mutex<Reported>,
+    /// The run's file claims and the node's name; `None` while inputs are made.
     pub(super) files: Option<(Files, String)>,
-    /// The last answer of `claim_file`, lent to the node.
-    pub(super) answer: Mutex<String>,
+    /// The last text that `claim_file` returned; lent to the node until the next call of it.
+    pub(super) claimed: Mutex<String>,
 }
 
-/// What a node told the host.
+/// What a node reported to the host.
 #[derive(Default)]
-pub(super) struct Said {
+pub(super) struct Reported {
     pub(super) logs: Vec<LogLine>,
     pub(super) metrics: Vec<Metric>,
     pub(super) failure: Option<String>,
     pub(super) copies: u64,
     pub(super) allocated_bytes: u64,
+    /// The first violation of the ABI.
     pub(super) problem: Option<String>,
 }
 
 impl CallState {
+    pub(super) fn new(pool: u32, outputs: &mut [Frame], formats: Vec<u32>, seed: u64) -> Self {
+        Self {
+            pool,
+            outputs: outputs.as_mut_ptr(),
+            outputs_len: outputs.len(),
+            formats,
+            random: Mutex::new(SplitMix64(seed)),
+            reported: Mutex::default(),
+            files: None,
+            claimed: Mutex::default(),
+        }
+    }
+
+    pub(super) fn in_run(mut self, setup: &Setup) -> Self {
+        self.files = Some((setup.files.clone(), setup.node_id.clone()));
+        self
+    }
+
+    pub(super) fn into_reported(self) -> Reported {
+        self.reported.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+
     /// # Safety
     /// `call` is the handle of the running call.
     unsafe fn of<'a>(call: *mut c_void) -> Option<&'a CallState> {
-        // SAFETY: the caller's promise; null is answered with `None`.
+        // SAFETY: the caller passes the handle of the running call, whose state lives until the call returns; null gives `None`.
         unsafe { call.cast::<CallState>().as_ref() }
     }
 
-    fn said(&self) -> std::sync::MutexGuard<'_, Said> {
-        self.said.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    fn reported(&self) -> std::sync::MutexGuard<'_, Reported> {
+        self.reported.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
-    fn blame(&self, problem: String) -> Status {
-        self.said().problem.get_or_insert(problem);
+    /// Records a violation of the ABI and returns the status for it.
+    fn violation(&self, problem: String) -> Status {
+        self.reported().problem.get_or_insert(problem);
         abi::STATUS_INVALID
     }
 
     fn output(&self, index: u32) -> Option<*mut Frame> {
-        // SAFETY: inside the call's outputs.
+        // SAFETY: the index is below the number of outputs, which `new` took from a slice.
         ((index as usize) < self.outputs_len).then(|| unsafe { self.outputs.add(index as usize) })
     }
 
-    /// Replaces output `slot`, giving up what stood there.
+    /// Replaces output `slot` and releases the frame that it held.
     fn put(&self, slot: *mut Frame, frame: Frame) {
-        // SAFETY: `slot` points into the call's outputs, which live as long as the call; no reference to them is held.
+        // SAFETY: `slot` points into the call's outputs, which live as long as the call; nobody holds a reference to them.
         let old = unsafe { slot.replace(frame) };
         if !old.is_empty() {
             memory::release(old.buffer);
@@ -72,14 +96,35 @@ impl CallState {
     }
 }
 
-/// The table that a harness passes in its calls; `threads` take part in loops.
+/// A call without frames or parameters.
+pub(super) fn bare_call(host: &abi::Host, state: &mut CallState, tick: Tick) -> abi::Call {
+    abi::Call {
+        struct_size: size_of::<abi::Call>() as u32,
+        flags: 0,
+        host,
+        call: (&raw mut *state).cast(),
+        tick,
+        inputs: std::ptr::null(),
+        inputs_len: 0,
+        input_ranges: std::ptr::null(),
+        input_ranges_len: 0,
+        outputs: state.outputs,
+        outputs_len: state.outputs_len,
+        params: std::ptr::null(),
+        params_len: 0,
+        params_version: 0,
+        outputs_read: u64::MAX,
+    }
+}
+
+/// The function table for calls of one harness; loops run on `threads` threads.
 pub(super) fn table(threads: usize) -> Box<abi::Host> {
     Box::new(abi::Host {
         struct_size: size_of::<abi::Host>() as u32,
         abi_major: abi::ABI_MAJOR,
         abi_minor: abi::ABI_MINOR,
         threads: threads as u32,
-        // The number itself: what `parallel_for` needs to know of its harness.
+        // The number of threads itself: `parallel_for` needs nothing else of its harness.
         ctx: std::ptr::without_provenance_mut(threads),
         alloc: Some(alloc),
         forward: Some(forward),
@@ -98,7 +143,7 @@ pub(super) fn table(threads: usize) -> Box<abi::Host> {
     })
 }
 
-/// The table for functions that need no running call; the same for the whole process.
+/// The function table outside calls; one for the whole process.
 pub(super) fn attached() -> &'static abi::Host {
     static TABLE: std::sync::OnceLock<Box<abi::Host>> = std::sync::OnceLock::new();
     TABLE.get_or_init(|| table(1))
@@ -113,43 +158,43 @@ unsafe extern "C" fn alloc(
     stride_bytes: u32,
     len: usize,
 ) -> Status {
-    // SAFETY: the node passes the handle of its call.
+    // SAFETY: the ABI requires the node to pass the handle of its running call.
     let Some(state) = (unsafe { CallState::of(call) }) else { return abi::STATUS_INVALID };
     let Some(slot) = state.output(output) else {
-        return state.blame(format!("it made output {output}, there are {}", state.outputs_len));
+        return state.violation(format!("it made output {output}, there are {}", state.outputs_len));
     };
     let allowed = state.formats[output as usize];
     if allowed != 0 && (format > 31 || allowed & abi::format_bit(format) == 0) {
-        return state.blame(format!("output {output} was made with format {format}, which it does not declare"));
+        return state.violation(format!("output {output} was made with format {format}, which it does not declare"));
     }
     let Some(known) = format::of(format) else {
-        return state.blame(format!("format {format} does not exist"));
+        return state.violation(format!("format {format} does not exist"));
     };
     if format != abi::FORMAT_BYTES {
         let (columns, rows, stride) = (width as usize, height as usize, stride_bytes as usize);
         let need = format::image_bytes(columns, rows, stride, known.pixel_bytes());
         let Some(need) = need.filter(|_| width > 0 && height > 0) else {
-            return state.blame(format!("output {output}: {width}x{height} with {stride_bytes} bytes a row"));
+            return state.violation(format!("output {output}: {width}x{height} with {stride_bytes} bytes a row"));
         };
         if len < need {
-            return state.blame(format!("output {output}: {len} bytes are too few for {width}x{height}"));
+            return state.violation(format!("output {output}: {len} bytes are too few for {width}x{height}"));
         }
     }
     let Some((buffer, data)) = memory::allocate(state.pool, len) else { return abi::STATUS_EXHAUSTED };
-    state.said().allocated_bytes += len as u64;
+    state.reported().allocated_bytes += len as u64;
     state.put(slot, Frame { buffer, data, len, format, width, height, stride_bytes, ..Frame::EMPTY });
     abi::STATUS_OK
 }
 
 unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame) -> Status {
-    // SAFETY: the node passes the handle of its call.
+    // SAFETY: the ABI requires the node to pass the handle of its running call.
     let Some(state) = (unsafe { CallState::of(call) }) else { return abi::STATUS_INVALID };
-    // SAFETY: null, or a frame of the node's.
+    // SAFETY: the ABI requires null or a pointer to a readable frame.
     let Some(frame) = (unsafe { frame.as_ref() }) else {
-        return state.blame("it forwarded a null frame".to_owned());
+        return state.violation("it forwarded a null frame".to_owned());
     };
     let Some(slot) = state.output(output) else {
-        return state.blame(format!("it made output {output}, there are {}", state.outputs_len));
+        return state.violation(format!("it made output {output}, there are {}", state.outputs_len));
     };
     let frame = *frame;
     if frame.is_empty() {
@@ -157,37 +202,37 @@ unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame
         return abi::STATUS_OK;
     }
     if frame.buffer.pool != state.pool || !memory::retain(frame.buffer) {
-        return state.blame(format!("output {output}: it forwarded a buffer that it does not hold"));
+        return state.violation(format!("output {output}: it forwarded a buffer that it does not hold"));
     }
     state.put(slot, Frame { data: memory::resolve(frame.buffer), ..frame });
     abi::STATUS_OK
 }
 
 unsafe extern "C" fn make_mut(call: *mut c_void, output: u32) -> Status {
-    // SAFETY: the node passes the handle of its call.
+    // SAFETY: the ABI requires the node to pass the handle of its running call.
     let Some(state) = (unsafe { CallState::of(call) }) else { return abi::STATUS_INVALID };
     let Some(slot) = state.output(output) else {
-        return state.blame(format!("it asked to write output {output}, there are {}", state.outputs_len));
+        return state.violation(format!("it asked to write output {output}, there are {}", state.outputs_len));
     };
-    // SAFETY: inside the call's outputs.
+    // SAFETY: `output` returns a pointer into the call's outputs, which live as long as the call.
     let frame = unsafe { slot.read() };
     if frame.is_empty() {
-        return state.blame(format!("it asked to write output {output}, which is empty"));
+        return state.violation(format!("it asked to write output {output}, which is empty"));
     }
     if memory::holders(frame.buffer) == 1 {
         return abi::STATUS_OK;
     }
-    // SAFETY: the output holds the buffer, so its bytes are there.
+    // SAFETY: the output holds a reference to the buffer, so its `len` bytes are readable.
     let bytes = unsafe { std::slice::from_raw_parts(memory::resolve(frame.buffer), frame.len) };
     let Some(copy) = memory::store(state.pool, bytes, frame) else { return abi::STATUS_EXHAUSTED };
-    state.said().copies += 1;
+    state.reported().copies += 1;
     state.put(slot, copy);
     abi::STATUS_OK
 }
 
 unsafe extern "C" fn retain(_: *mut c_void, buffer: BufferId) {
     if !memory::retain(buffer) {
-        memory::blame(buffer.pool, "it retained a buffer that is gone".to_owned());
+        memory::record_violation(buffer.pool, "it retained a buffer that is gone".to_owned());
     }
 }
 
@@ -199,28 +244,28 @@ unsafe extern "C" fn resolve(_: *mut c_void, buffer: BufferId) -> *mut u8 {
     memory::resolve(buffer)
 }
 
-/// The node's pointer, shared by the threads of its loop.
+/// The pointer that a node passes to the chunks of its loop.
 #[derive(Clone, Copy)]
-struct Data(*mut c_void);
-// SAFETY: the contract lets chunks run on any thread.
-unsafe impl Send for Data {}
-// SAFETY: as above.
-unsafe impl Sync for Data {}
+struct NodePointer(*mut c_void);
+// SAFETY: the ABI requires the node to allow its chunks on any thread.
+unsafe impl Send for NodePointer {}
+// SAFETY: the ABI requires the node to allow its chunks on several threads at once.
+unsafe impl Sync for NodePointer {}
 
 unsafe extern "C" fn parallel_for(ctx: *mut c_void, chunks: usize, body: abi::ChunkFn, data: *mut c_void) -> Status {
     let Some(body) = body else { return abi::STATUS_INVALID };
     let helpers = ctx.addr().min(chunks).saturating_sub(1);
     let next = AtomicUsize::new(0);
-    let data = Data(data);
+    let data = NodePointer(data);
     let work = || {
-        // The whole wrapper is borrowed, not its pointer alone, so that the closure may go to another thread.
+        // Borrows the whole wrapper, not only its pointer, so that the closure is `Send`.
         let data = &data;
         loop {
             let index = next.fetch_add(1, Ordering::Relaxed);
             if index >= chunks {
                 return;
             }
-            // SAFETY: the node's function with the node's pointer, each index once, all done before this function returns.
+            // SAFETY: the node's function is called with the node's pointer, once per index, and all calls end before this function returns.
             unsafe { body(data.0, index) };
         }
     };
@@ -231,13 +276,13 @@ unsafe extern "C" fn parallel_for(ctx: *mut c_void, chunks: usize, body: abi::Ch
     abi::STATUS_OK
 }
 
-unsafe fn words(text: Str) -> String {
-    // SAFETY: the node's text is valid for the length of the function that takes it.
+unsafe fn text_of(text: Str) -> String {
+    // SAFETY: the ABI requires a text to be readable until the function that takes it returns.
     String::from_utf8_lossy(unsafe { text.bytes() }).into_owned()
 }
 
 unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
-    // SAFETY: the node passes the handle of its call and a text valid for this function.
+    // SAFETY: the ABI requires the handle of the running call and a text that is readable until this function returns.
     unsafe {
         let Some(state) = CallState::of(call) else { return };
         let level = match level {
@@ -246,34 +291,34 @@ unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
             abi::LOG_INFO => Level::Info,
             abi::LOG_DEBUG => Level::Debug,
             other => {
-                state.blame(format!("it wrote a log line of level {other}"));
+                state.violation(format!("it wrote a log line of level {other}"));
                 return;
             }
         };
-        state.said().logs.push(LogLine { level, message: words(message) });
+        state.reported().logs.push(LogLine { level, message: text_of(message) });
     }
 }
 
 unsafe extern "C" fn fail(call: *mut c_void, message: Str) {
-    // SAFETY: the node passes the handle of its call and a text valid for this function.
+    // SAFETY: the ABI requires the handle of the running call and a text that is readable until this function returns.
     unsafe {
         if let Some(state) = CallState::of(call) {
-            state.said().failure = Some(words(message));
+            state.reported().failure = Some(text_of(message));
         }
     }
 }
 
 unsafe extern "C" fn metric(call: *mut c_void, name: Str, value: f64) {
-    // SAFETY: the node passes the handle of its call and a text valid for this function.
+    // SAFETY: the ABI requires the handle of the running call and a text that is readable until this function returns.
     unsafe {
         if let Some(state) = CallState::of(call) {
-            state.said().metrics.push(Metric { name: words(name), value });
+            state.reported().metrics.push(Metric { name: text_of(name), value });
         }
     }
 }
 
 unsafe extern "C" fn random(call: *mut c_void) -> u64 {
-    // SAFETY: the node passes the handle of its call.
+    // SAFETY: the ABI requires the node to pass the handle of its running call.
     let Some(state) = (unsafe { CallState::of(call) }) else { return 0 };
     state.random.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).bits()
 }
@@ -282,7 +327,7 @@ unsafe extern "C" fn save(sink: *mut c_void, bytes: *const u8, len: usize) {
     if sink.is_null() || (bytes.is_null() && len > 0) {
         return;
     }
-    // SAFETY: `sink` is the vector that `Harness::save_state` passed; `bytes` is valid for `len`.
+    // SAFETY: the node passes on the `sink` that it got from `Harness::save_state`, and `len` readable bytes.
     unsafe {
         let sink = &mut *sink.cast::<Option<Vec<u8>>>();
         let bytes = if len == 0 { &[] } else { std::slice::from_raw_parts(bytes, len) };
@@ -291,20 +336,20 @@ unsafe extern "C" fn save(sink: *mut c_void, bytes: *const u8, len: usize) {
 }
 
 unsafe extern "C" fn claim_file(call: *mut c_void, path: Str, action: u32, file: *mut Str) -> Status {
-    // SAFETY: the node passes the handle of its call, a text valid for this function and a place for the answer.
+    // SAFETY: the ABI requires the handle of the running call, a readable text, and null or a writable `file`.
     unsafe {
         let Some(state) = CallState::of(call) else { return abi::STATUS_INVALID };
         if file.is_null() || action > abi::CLAIM_BEGIN_NEW {
-            return state.blame(format!("it claimed a file with action {action}"));
+            return state.violation(format!("it claimed a file with action {action}"));
         }
         let Some((files, node)) = &state.files else { return abi::STATUS_INVALID };
-        let (status, text) = match files.claim(node, &words(path), action) {
+        let (status, text) = match files.claim(node, &text_of(path), action) {
             Ok(path) => (abi::STATUS_OK, path),
-            Err(other) => (abi::STATUS_INVALID, other),
+            Err(taken) => (abi::STATUS_INVALID, taken.holder),
         };
-        let mut answer = state.answer.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        *answer = text;
-        *file = Str::borrow(&answer);
+        let mut claimed = state.claimed.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        *claimed = text;
+        *file = Str::borrow(&claimed);
         status
     }
 }

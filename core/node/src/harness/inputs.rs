@@ -1,22 +1,21 @@
-//! Frames that a test hands to the node.
+//! Frames that a test gives to the node's inputs.
 
 use crate::View;
-use crate::abi::{self, Detection, Frame};
-use crate::detections::{LabeledDetections, LabeledInstances};
+use crate::abi::{self, Detection, Frame, Tick};
 use crate::output::Slot;
-use crate::packet::{Packet, Plane, PointCloud, TextPacket};
-use crate::port::PortField;
-use crate::table::TableData;
+use crate::packet::{LabeledDetections, LabeledInstances, Packet, Plane, PointCloud, TableData, TextPacket};
+use crate::port::{PortField, RawCall};
 
 use super::error::HarnessError;
+use super::host::{CallState, bare_call};
 use super::outputs::copy_rows;
-use super::{Harness, call, memory, there_are};
+use super::{Harness, available, memory};
 
-/// What waits at an input port for the next call.
+/// What an input port holds for the next call.
 pub(super) enum Pending {
-    /// Nothing was said.
+    /// Nothing was given.
     Unconnected,
-    /// Frames, [`Frame::EMPTY`] for those said to be empty.
+    /// Frames; [`Frame::EMPTY`] for an empty one.
     Frames(Vec<Frame>),
 }
 
@@ -29,9 +28,36 @@ impl Pending {
     }
 }
 
+/// Makes one frame through an output slot, so that only `Slot` lays out packets of variable length.
+fn make_frame<T>(
+    pool: u32,
+    host: &abi::Host,
+    fill: impl FnOnce(&mut Slot<'_, T>) -> crate::Result<()>,
+) -> crate::Result<Frame>
+where
+    for<'f> Slot<'f, T>: PortField<'f>,
+{
+    let mut outputs = [Frame::EMPTY];
+    let mut state = CallState::new(pool, &mut outputs, vec![0], 0);
+    let mut call = bare_call(host, &mut state, Tick::default());
+    // SAFETY: the call and all that it points to are locals that live until the end of this function.
+    let mut slot = Slot::<T>::bind(unsafe { RawCall::new(&mut call) }, 0, "input")?;
+    let result = fill(&mut slot);
+    let [frame] = outputs;
+    match result {
+        Ok(()) => Ok(frame),
+        Err(error) => {
+            if !frame.is_empty() {
+                memory::release(frame.buffer);
+            }
+            Err(error)
+        }
+    }
+}
+
 impl<N> Harness<N> {
-    /// Hands an image (or mask, disparity map, ...) of `width` x `height` pixels to an input. On a list input every call adds an entry.
-    /// A mistake is reported by the next [`Harness::process`].
+    /// Gives an input an image (or mask, disparity map, ...) of `width` x `height` pixels. On a list input every call adds an entry.
+    /// The next [`Harness::process`] reports a mistake.
     pub fn input_image<P: Plane>(&mut self, name: &str, width: usize, height: usize, data: &[P::Element]) -> &mut Self {
         self.input_image_with_stride::<P>(name, width, height, width * P::CHANNELS, data)
     }
@@ -67,22 +93,22 @@ impl<N> Harness<N> {
         self.accept(name, P::PACKET, 0, P::FORMAT, frame)
     }
 
-    /// Hands plain data to an input: a homography, a calibration, an own packet.
+    /// Gives an input plain data: a homography, a calibration, a packet of the plugin's own.
     pub fn input_value<T: Packet>(&mut self, name: &str, value: T) -> &mut Self {
-        self.made::<T>(name, T::NAME, T::LAYOUT_HASH, |slot| slot.set(value))
+        self.fill::<T>(name, T::NAME, T::LAYOUT_HASH, |slot| slot.set(value))
     }
 
-    /// Hands a text to an input.
+    /// Gives an input a text.
     pub fn input_text(&mut self, name: &str, text: &str) -> &mut Self {
-        self.made::<TextPacket>(name, "text", 0, |slot| slot.set_text(text))
+        self.fill::<TextPacket>(name, "text", 0, |slot| slot.set_text(text))
     }
 
-    /// Hands a table to an input: `columns` are names with their units, `values` stand in row order.
+    /// Gives an input a table: `columns` are names with their units, `values` are in row order.
     pub fn input_table(&mut self, name: &str, columns: &[&str], values: &[f64]) -> &mut Self {
-        self.made::<TableData>(name, "table", 0, |slot| slot.set_table(columns, values))
+        self.fill::<TableData>(name, "table", 0, |slot| slot.set_table(columns, values))
     }
 
-    /// Hands boxes to an input. `labels` are names separated by line feeds, `image_size` is width, height in px.
+    /// Gives an input boxes. `labels` are names separated by line feeds, `image_size` is width, height in px.
     pub fn input_detections(
         &mut self,
         name: &str,
@@ -90,10 +116,10 @@ impl<N> Harness<N> {
         labels: &str,
         image_size: (usize, usize),
     ) -> &mut Self {
-        self.made::<LabeledDetections>(name, "detections", 0, |slot| slot.set_detections(items, labels, image_size))
+        self.fill::<LabeledDetections>(name, "detections", 0, |slot| slot.set_detections(items, labels, image_size))
     }
 
-    /// Hands boxes with bit masks to an input, see [`crate::detections::mask_len`].
+    /// Gives an input boxes with bit masks, see [`crate::detections::mask_len`].
     pub fn input_instances(
         &mut self,
         name: &str,
@@ -102,32 +128,34 @@ impl<N> Harness<N> {
         image_size: (usize, usize),
         masks: &[u8],
     ) -> &mut Self {
-        self.made::<LabeledInstances>(name, "instances", 0, |slot| slot.set_instances(items, labels, image_size, masks))
+        self.fill::<LabeledInstances>(name, "instances", 0, |slot| slot.set_instances(items, labels, image_size, masks))
     }
 
-    /// Hands a point cloud to an input.
+    /// Gives an input a point cloud: `width * height` points, row after row.
     pub fn input_cloud(&mut self, name: &str, width: usize, height: usize, points: &[abi::CloudPoint]) -> &mut Self {
         if points.len() != width * height {
-            return self.refuse(format!("input `{name}`: {width}x{height} points were said, {} given", points.len()));
+            return self
+                .refuse(format!("input `{name}`: {width}x{height} points were expected, {} given", points.len()));
         }
-        self.made::<PointCloud>(name, "cloud", 0, |slot| {
+        self.fill::<PointCloud>(name, "cloud", 0, |slot| {
             copy_rows(View::new(points, width, height, 1), slot.alloc_cloud(width, height)?);
             Ok(())
         })
     }
 
-    /// Says that an input is connected but empty for the next tick. On a list input every call adds an empty entry.
+    /// Marks an input as connected but empty for the next tick. On a list input every call adds an empty entry.
     pub fn input_empty(&mut self, name: &str) -> &mut Self {
-        self.place(name, Frame::EMPTY)
+        self.put(name, Frame::EMPTY)
     }
 
+    /// Stores the first mistake, for the next call.
     fn refuse(&mut self, problem: String) -> &mut Self {
         self.problem.get_or_insert_with(|| HarnessError::port(problem));
         self
     }
 
-    /// Makes a frame the way a node would.
-    fn made<T>(
+    /// Gives an input a frame that is made as a node's output would be.
+    fn fill<T>(
         &mut self,
         name: &str,
         packet: &str,
@@ -137,13 +165,13 @@ impl<N> Harness<N> {
     where
         for<'f> Slot<'f, T>: PortField<'f>,
     {
-        match call::make_frame::<T>(self.pool, &self.host, fill) {
+        match make_frame::<T>(self.pool, &self.host, fill) {
             Ok(frame) => self.accept(name, packet, layout_hash, frame.format, Some(frame)),
             Err(error) => self.refuse(format!("input `{name}`: {error}")),
         }
     }
 
-    /// Checks what was given against the port's declaration.
+    /// Checks a frame against the port's declaration and stores it for the next call.
     fn accept(&mut self, name: &str, packet: &str, layout_hash: u64, format: u32, frame: Option<Frame>) -> &mut Self {
         let Some(frame) = frame else {
             return self.refuse(format!("input `{name}`: no more buffers are allowed"));
@@ -168,17 +196,17 @@ impl<N> Harness<N> {
                 memory::release(frame.buffer);
                 self.refuse(problem)
             }
-            None => self.place(name, frame),
+            None => self.put(name, frame),
         }
     }
 
-    fn place(&mut self, name: &str, frame: Frame) -> &mut Self {
+    fn put(&mut self, name: &str, frame: Frame) -> &mut Self {
         let Some(index) = self.node_type.input(name) else {
             if !frame.is_empty() {
                 memory::release(frame.buffer);
             }
             let names = self.node_type.inputs.iter().map(|p| p.name.as_str());
-            let problem = format!("there is no input `{name}`{}", there_are(name, names));
+            let problem = format!("there is no input `{name}`{}", available(name, names));
             return self.refuse(problem);
         };
         let is_list = self.node_type.inputs[index].list;
@@ -188,14 +216,14 @@ impl<N> Harness<N> {
                 if !frame.is_empty() {
                     memory::release(frame.buffer);
                 }
-                return self.refuse(format!("input `{name}` was given twice; it is no list"));
+                return self.refuse(format!("input `{name}` was given twice; it is not a list"));
             }
             waiting => *waiting = Pending::Frames(vec![frame]),
         }
         self
     }
 
-    /// Gives up what waits at the inputs.
+    /// Releases the frames given for the next call.
     pub(super) fn drop_inputs(&mut self) {
         for waiting in &mut self.pending {
             if let Pending::Frames(frames) = std::mem::replace(waiting, Pending::Unconnected) {

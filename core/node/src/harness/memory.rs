@@ -1,6 +1,6 @@
-//! Frame memory of all harnesses of the process: heap buffers with a count of holders.
+//! Frame memory of all harnesses of the process: heap buffers with reference counts.
 //!
-//! One table for all, since a plugin knows one host: `retain` and `release` find a harness by the pool number in the buffer's name.
+//! There is one table for all, because a plugin has one host: `retain` and `release` find a harness by the pool number of the buffer.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -8,9 +8,9 @@ use std::sync::{Mutex, MutexGuard, OnceLock};
 
 use crate::abi::{self, BufferId};
 
-/// Alignment of every buffer in bytes, as the host's pool gives.
+/// Alignment of every buffer in bytes, the same as in the host's pool.
 const ALIGN: usize = 64;
-/// What fresh memory is filled with, so that a node that leaves pixels unwritten shows.
+/// Fill value of fresh memory; makes pixels visible that a node did not write.
 pub(super) const FRESH: u8 = 0xA5;
 
 #[repr(C, align(64))]
@@ -34,8 +34,8 @@ struct Pool {
     next: u64,
     /// Buffers that may be alive at once.
     limit: Option<usize>,
-    /// First misuse.
-    broken: Option<String>,
+    /// The first violation of the ABI.
+    violation: Option<String>,
 }
 
 fn pools() -> MutexGuard<'static, HashMap<u32, Pool>> {
@@ -43,7 +43,7 @@ fn pools() -> MutexGuard<'static, HashMap<u32, Pool>> {
     POOLS.get_or_init(Mutex::default).lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-/// Opens a pool and answers its number.
+/// Opens a pool and returns its number.
 pub(super) fn open_pool() -> u32 {
     static NEXT: AtomicU32 = AtomicU32::new(1);
     let number = NEXT.fetch_add(1, Ordering::Relaxed);
@@ -51,29 +51,29 @@ pub(super) fn open_pool() -> u32 {
     number
 }
 
-/// Frees a pool; answers how many buffers were still held.
+/// Frees a pool; returns how many buffers were still held.
 pub(super) fn close_pool(pool: u32) -> usize {
     pools().remove(&pool).map_or(0, |pool| pool.buffers.len())
 }
 
-/// Buffers alive in a pool.
+/// Number of buffers alive in a pool.
 pub(super) fn alive(pool: u32) -> usize {
     pools().get(&pool).map_or(0, |pool| pool.buffers.len())
 }
 
-/// Allows so many buffers at once.
+/// Sets how many buffers may be alive at once; `None` for no limit.
 pub(super) fn limit(pool: u32, buffers: Option<usize>) {
     if let Some(pool) = pools().get_mut(&pool) {
         pool.limit = buffers;
     }
 }
 
-/// The first misuse of the pool, if any.
-pub(super) fn broken(pool: u32) -> Option<String> {
-    pools().get_mut(&pool).and_then(|pool| pool.broken.take())
+/// Takes the first violation of the ABI with this pool, if any.
+pub(super) fn take_violation(pool: u32) -> Option<String> {
+    pools().get_mut(&pool).and_then(|pool| pool.violation.take())
 }
 
-/// A buffer of `len` bytes with one holder; `None` when the pool is exhausted.
+/// Allocates a buffer of `len` bytes with one reference; `None` when the pool is exhausted.
 pub(super) fn allocate(pool: u32, len: usize) -> Option<(BufferId, *mut u8)> {
     let mut pools = pools();
     let entry = pools.get_mut(&pool)?;
@@ -89,12 +89,12 @@ pub(super) fn allocate(pool: u32, len: usize) -> Option<(BufferId, *mut u8)> {
     Some((BufferId { pool, reserved: 0, offset }, address))
 }
 
-/// Adds a holder; false when there is no such buffer.
+/// Adds a reference; false when there is no such buffer.
 pub(super) fn retain(id: BufferId) -> bool {
     with(id, |buffer| buffer.holders += 1).is_some()
 }
 
-/// Takes a holder away and frees the buffer with the last one.
+/// Drops a reference and frees the buffer with the last one.
 pub(super) fn release(id: BufferId) {
     let mut pools = pools();
     let Some(pool) = pools.get_mut(&id.pool) else { return };
@@ -102,15 +102,15 @@ pub(super) fn release(id: BufferId) {
         Some(buffer) if buffer.holders > 1 => buffer.holders -= 1,
         Some(_) => drop(pool.buffers.remove(&id.offset)),
         None => {
-            pool.broken.get_or_insert_with(|| "it released a buffer that nobody holds".to_owned());
+            pool.violation.get_or_insert_with(|| "it released a buffer that nobody holds".to_owned());
         }
     }
 }
 
-/// Notes a misuse.
-pub(super) fn blame(pool: u32, problem: String) {
+/// Records a violation of the ABI, unless there is one already.
+pub(super) fn record_violation(pool: u32, problem: String) {
     if let Some(pool) = pools().get_mut(&pool) {
-        pool.broken.get_or_insert(problem);
+        pool.violation.get_or_insert(problem);
     }
 }
 
@@ -119,7 +119,7 @@ pub(super) fn resolve(id: BufferId) -> *mut u8 {
     with(id, Buffer::address).unwrap_or(std::ptr::null_mut())
 }
 
-/// Number of holders; 0 when there is no such buffer.
+/// Number of references; 0 when there is no such buffer.
 pub(super) fn holders(id: BufferId) -> u32 {
     with(id, |buffer| buffer.holders).unwrap_or(0)
 }
@@ -128,10 +128,10 @@ fn with<R>(id: BufferId, body: impl FnOnce(&mut Buffer) -> R) -> Option<R> {
     pools().get_mut(&id.pool)?.buffers.get_mut(&id.offset).map(body)
 }
 
-/// Copies `bytes` into a fresh buffer described by `frame`, which then names it.
+/// Copies `bytes` into a fresh buffer. Returns `frame` with that buffer; `None` when the pool is exhausted.
 pub(super) fn store(pool: u32, bytes: &[u8], frame: abi::Frame) -> Option<abi::Frame> {
     let (buffer, data) = allocate(pool, bytes.len())?;
-    // SAFETY: fresh memory of at least that length, which nobody else knows of.
+    // SAFETY: `allocate` returned memory of at least that length that nobody else refers to yet.
     unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), data, bytes.len()) };
     Some(abi::Frame { buffer, data, len: bytes.len(), ..frame })
 }

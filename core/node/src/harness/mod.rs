@@ -6,8 +6,8 @@
 //! let disparity = out.plane::<Disparity>("disparity")?;
 //! ```
 //!
-//! Parameters are checked as in a graph file, with the same messages. Fresh memory is filled with `0xA5`, so that pixels which a
-//! node forgets show. When the harness is dropped every buffer must have come back, or the test fails.
+//! Parameters are checked as in a graph file, with the same messages. Fresh memory is filled with `0xA5`, so that unwritten pixels are
+//! visible. When the harness is dropped, the node must have released every buffer, or the test fails.
 
 mod call;
 mod error;
@@ -33,38 +33,38 @@ use crate::Node;
 use crate::abi::{self, Str};
 use crate::export::NodeTypeOf;
 
-/// How loud a log line is.
+/// Severity of a log line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Level {
-    /// Stops the node.
+    /// The node cannot go on.
     Error,
     /// The user should know.
     Warn,
     /// Progress.
     Info,
-    /// For whoever debugs the node.
+    /// For debugging the node.
     Debug,
 }
 
 /// A line that the node logged.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogLine {
-    /// How loud.
+    /// Severity.
     pub level: Level,
-    /// The words.
+    /// The line's text.
     pub message: String,
 }
 
 /// A number that the node reported.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Metric {
-    /// Its name.
+    /// Name, such as `inliers`.
     pub name: String,
-    /// The number.
+    /// Value, in the unit that the name ends with.
     pub value: f64,
 }
 
-/// Stands for a node type that is known only by its descriptor, such as one from C.
+/// Placeholder for a node type that is known only by its descriptor, such as one written in C.
 pub enum Foreign {}
 
 /// How a node is opened.
@@ -101,37 +101,37 @@ impl From<&str> for Setup {
 }
 
 impl Setup {
-    /// `toml` is what would stand under `[nodes.NAME]`: `params = { ... }`.
+    /// `toml`: the text under `[nodes.NAME]` of a graph file, such as `params = { ... }`.
     pub fn new(toml: &str) -> Self {
         toml.into()
     }
 
-    /// The node's name in the graph; `node` unless given.
+    /// Sets the node's name in the graph; default `node`.
     pub fn node_id(self, node_id: &str) -> Self {
         Self { node_id: node_id.to_owned(), ..self }
     }
 
-    /// Folder of the graph file, which paths are relative to; the current folder unless given.
+    /// Sets the folder of the graph file, to which paths are relative; default is the current folder.
     pub fn graph_dir(self, graph_dir: impl AsRef<Path>) -> Self {
         Self { graph_dir: graph_dir.as_ref().to_owned(), ..self }
     }
 
-    /// Threads that take part in loops; 1 unless given.
+    /// Sets the number of threads that run loops; default 1.
     pub fn threads(self, threads: usize) -> Self {
         Self { threads: threads.max(1), ..self }
     }
 
-    /// As in a graph with `mode = "batch"`.
+    /// Runs the node as in a graph with `mode = "batch"`.
     pub fn batch(self) -> Self {
         Self { batch: true, ..self }
     }
 
-    /// The run that the node belongs to; one of its own unless given.
+    /// Sets the run that the node belongs to; default is a run of its own.
     pub fn files(self, files: &Files) -> Self {
         Self { files: files.clone(), ..self }
     }
 
-    /// Only these outputs have a reader; all have one unless given.
+    /// Gives a reader to these outputs only; by default all outputs have one.
     pub fn read_only(self, outputs: &[&str]) -> Self {
         Self { read: Some(outputs.iter().map(|o| (*o).to_owned()).collect()), ..self }
     }
@@ -152,15 +152,15 @@ pub struct Harness<N = Foreign> {
     next_tick: abi::Tick,
     pending: Vec<inputs::Pending>,
     problem: Option<HarnessError>,
-    said: host::Said,
+    reported: host::Reported,
     node: PhantomData<fn() -> N>,
 }
 
 impl<N: Node> Harness<N> {
-    /// Opens the node with the text that would stand under `[nodes.NAME]` of a graph file; empty for the defaults.
+    /// Opens the node with the text under `[nodes.NAME]` of a graph file; empty for the defaults.
     ///
     /// # Errors
-    /// Mistakes in the text, with the messages of a graph file; what the node's `open` answers.
+    /// Mistakes in the text, with the messages of a graph file; an error or panic of the node's `open`.
     pub fn from_toml(toml: &str) -> Result<Self, HarnessError> {
         Self::open(Setup::new(toml))
     }
@@ -174,8 +174,8 @@ impl<N: Node> Harness<N> {
         Self::with(descriptor, node_type, setup)
     }
 
-    /// What the node's own check says when a graph is checked whose only connections go to the inputs `connected`
-    /// (a list may stand in it several times). Nothing is opened.
+    /// Runs the node's own check as for a graph whose only connections go to the inputs `connected`
+    /// (a list input may be named several times). Opens nothing.
     ///
     /// # Errors
     /// Mistakes in the text, with the messages of a graph file; an input or output that the node does not have.
@@ -186,7 +186,7 @@ impl<N: Node> Harness<N> {
         for name in connected {
             let Some(index) = node_type.input(name) else {
                 let names = node_type.inputs.iter().map(|i| i.name.as_str());
-                return Err(HarnessError::port(format!("there is no input `{name}`{}", there_are(name, names))));
+                return Err(HarnessError::port(format!("there is no input `{name}`{}", available(name, names))));
             };
             connections[index] += 1;
         }
@@ -202,7 +202,7 @@ impl<N: Node> Harness<N> {
     }
 
     fn described() -> Result<(&'static abi::NodeType, NodeType), HarnessError> {
-        // SAFETY: the table is never freed.
+        // SAFETY: `attached` returns a static table, valid until the process ends.
         unsafe { crate::host::attach(host::attached()) };
         crate::export::install_panic_hook();
         let descriptor: &'static abi::NodeType = &NodeTypeOf::<N>::NODE_TYPE;
@@ -220,7 +220,7 @@ impl<N: Node> Harness<N> {
             note: std::ptr::null(),
             attach: None,
         };
-        // SAFETY: descriptors made by this crate.
+        // SAFETY: the descriptor is made by this crate from statics, and `plugin` lives until `node_types` returns.
         let node_type = unsafe { node_types(&plugin) }?.remove(0);
         Ok((descriptor, node_type))
     }
@@ -233,18 +233,18 @@ impl Harness<Foreign> {
     /// A malformed descriptor, an unknown type; else as [`Harness::from_toml`].
     ///
     /// # Safety
-    /// `plugin` is the answer of a plugin's entry function, valid until the process ends, and the plugin keeps the contract.
+    /// `plugin` was returned by a plugin's entry function and is valid until the process ends, and the plugin obeys the ABI.
     pub unsafe fn of_plugin(plugin: *const abi::Plugin, name: &str, setup: Setup) -> Result<Self, HarnessError> {
-        // SAFETY: the caller's promise.
+        // SAFETY: the caller guarantees a valid descriptor of a plugin.
         let types = unsafe { node_types(plugin) }?;
         let names = || types.iter().map(|t| t.name.as_str());
         let Some(index) = names().position(|n| n == name) else {
             return Err(HarnessError::port(format!(
                 "the plugin has no node type `{name}`{}",
-                there_are(name, names())
+                available(name, names())
             )));
         };
-        // SAFETY: `node_types` went through the same pointers.
+        // SAFETY: `node_types` checked these pointers, and the caller guarantees that they stay valid.
         unsafe {
             if let Some(attach) = (*plugin).attach {
                 attach(host::attached());
@@ -270,7 +270,7 @@ impl<N> Harness<N> {
             next_tick: abi::Tick::default(),
             pending: (0..node_type.inputs.len()).map(|_| inputs::Pending::Unconnected).collect(),
             problem: None,
-            said: host::Said::default(),
+            reported: host::Reported::default(),
             node_type,
             setup,
             node: PhantomData,
@@ -279,16 +279,16 @@ impl<N> Harness<N> {
         Ok(harness)
     }
 
-    /// The node type as a graph file sees it: ports, parameters, texts.
+    /// The node type's entry in the catalogue: ports, parameters, texts.
     pub fn node_type(&self) -> &NodeType {
         &self.node_type
     }
 
-    /// Gives the node other parameters, as an editor does while the graph runs: what stands in `toml` replaces all earlier text.
+    /// Changes the node's parameters, as an editor does while the graph runs: `toml` replaces all earlier text.
     /// A change of a `reopen` parameter closes the node and opens it again.
     ///
     /// # Errors
-    /// As [`Harness::from_toml`]; after mistakes in the text the old parameters stay.
+    /// As [`Harness::from_toml`]; when the text has mistakes, the old parameters stay.
     pub fn set_params(&mut self, toml: &str) -> Result<(), HarnessError> {
         let values = params::read(&self.node_type, &self.setup.graph_dir, toml)?;
         let declared = self.node_type.params.iter().zip(values.iter().zip(&self.values));
@@ -299,86 +299,86 @@ impl<N> Harness<N> {
         if reopen { self.reopen() } else { Ok(()) }
     }
 
-    /// The tick of the next call; later calls count on from it. Without it ticks begin at 0, 30 in a second of media time.
+    /// Sets the tick of the next call; later calls count on from it. By default ticks begin at 0, with 30 per second of media time.
     pub fn at_tick(&mut self, seq: u64, capture_ns: i64) -> &mut Self {
         self.next_tick = abi::Tick { seq, capture_ns, ..self.next_tick };
         self
     }
 
-    /// Allows the node to hold no more than so many buffers at once, inputs included: the next one is refused as exhausted.
+    /// Limits the buffers that may be alive at once, inputs included: a further allocation returns `STATUS_EXHAUSTED`.
     pub fn limit_buffers(&mut self, buffers: usize) -> &mut Self {
         memory::limit(self.pool, Some(buffers));
         self
     }
 
-    /// Everything the node logged since it was made.
+    /// All log lines of the node since the harness was made.
     pub fn logs(&self) -> &[LogLine] {
-        &self.said.logs
+        &self.reported.logs
     }
 
-    /// Every number the node reported since it was made, in order.
+    /// All metrics of the node since the harness was made, in order.
     pub fn metrics(&self) -> &[Metric] {
-        &self.said.metrics
+        &self.reported.metrics
     }
 
-    /// The last value of a metric.
+    /// The last value of a metric; `None` when it was never reported.
     pub fn metric(&self, name: &str) -> Option<f64> {
-        self.said.metrics.iter().rev().find(|m| m.name == name).map(|m| m.value)
+        self.reported.metrics.iter().rev().find(|m| m.name == name).map(|m| m.value)
     }
 
-    /// Frames copied by the host because they were written while shared.
+    /// Number of frames that the host copied because the node wrote to them while they were shared.
     pub fn copies(&self) -> u64 {
-        self.said.copies
+        self.reported.copies
     }
 
-    /// Bytes of outputs made so far.
+    /// Bytes of all outputs allocated so far.
     pub fn allocated_bytes(&self) -> u64 {
-        self.said.allocated_bytes
+        self.reported.allocated_bytes
     }
 
-    /// Buffers that the node keeps between calls.
+    /// Number of buffers that the node retains between calls.
     pub fn kept_buffers(&self) -> usize {
-        let waiting = self.pending.iter().map(inputs::Pending::buffers).sum::<usize>();
-        memory::alive(self.pool).saturating_sub(waiting)
+        let pending = self.pending.iter().map(inputs::Pending::buffers).sum::<usize>();
+        memory::alive(self.pool).saturating_sub(pending)
     }
 }
 
 impl<N> Drop for Harness<N> {
     fn drop(&mut self) {
-        // A test that looks at the outcome calls `finish` itself.
+        // A test that checks the result calls `finish` itself.
         let _ = self.finish();
         self.drop_inputs();
-        let broken = memory::broken(self.pool);
+        let violation = memory::take_violation(self.pool);
         let left = memory::close_pool(self.pool);
         if std::thread::panicking() {
             return;
         }
         assert!(left == 0, "the node was closed and still holds {left} frames: every `retain` needs a `release`");
-        if let Some(problem) = broken {
-            panic!("the node broke the contract: {problem}");
+        if let Some(problem) = violation {
+            panic!("the node violated the ABI: {problem}");
         }
     }
 }
 
-/// Bits of the outputs that have a reader.
+/// Bit set of the outputs that have a reader.
 fn outputs_read(node_type: &NodeType, setup: &Setup) -> Result<u64, HarnessError> {
     let Some(read) = &setup.read else { return Ok(u64::MAX) };
     let mut bits = 0;
     for name in read {
         let Some(index) = node_type.output(name) else {
             let names = node_type.outputs.iter().map(|o| o.name.as_str());
-            return Err(HarnessError::port(format!("there is no output `{name}`{}", there_are(name, names))));
+            return Err(HarnessError::port(format!("there is no output `{name}`{}", available(name, names))));
         };
         bits |= 1_u64.checked_shl(index as u32).unwrap_or(0);
     }
     Ok(bits)
 }
 
-/// The list of what there is, to follow a name that is not in it.
-fn there_are<'a>(wanted: &str, names: impl Iterator<Item = &'a str>) -> String {
+/// The end of a message about an unknown name: lists the names that exist.
+fn available<'a>(wanted: &str, names: impl Iterator<Item = &'a str>) -> String {
     let names: Vec<&str> = names.collect();
     match names.as_slice() {
-        [] => ": there are none".to_owned(),
+        [] => ": it has none".to_owned(),
         names if names.iter().any(|n| n.eq_ignore_ascii_case(wanted)) => format!(": names are lower case ({wanted})"),
         names => format!("; there are: {}", names.join(", ")),
     }

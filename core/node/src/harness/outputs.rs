@@ -1,4 +1,4 @@
-//! What a node made in one call.
+//! The outputs of one call of a node.
 
 use crate::abi::{self, BufferId, Frame, Tick};
 use crate::detections::{Detections, Instances};
@@ -7,8 +7,8 @@ use crate::packet::{Packet, Plane};
 use crate::table::Table;
 use crate::{View, ViewMut};
 
+use super::available;
 use super::error::HarnessError;
-use super::there_are;
 
 /// One output, copied out of the host's memory.
 struct Output {
@@ -16,7 +16,7 @@ struct Output {
     packet: String,
     /// Describes `memory`; `None` when the output is empty.
     frame: Option<Frame>,
-    /// Where the host had it.
+    /// The host's buffer that it was copied from.
     buffer: BufferId,
     _memory: Box<[u64]>,
 }
@@ -39,7 +39,7 @@ impl Outputs {
         self.fault = fault;
     }
 
-    /// What the node reported as a fault although it goes on.
+    /// The fault that the node reported although it goes on.
     pub fn fault(&self) -> Option<&str> {
         self.fault.as_deref()
     }
@@ -48,19 +48,19 @@ impl Outputs {
         let given = bytes(frame);
         let mut memory = vec![0_u64; given.len().div_ceil(8)].into_boxed_slice();
         let data: *mut u8 = memory.as_mut_ptr().cast();
-        // SAFETY: room for all bytes was made, and the two do not overlap.
+        // SAFETY: `memory` is a fresh allocation of at least `given.len()` bytes, so the two do not overlap.
         unsafe { std::ptr::copy_nonoverlapping(given.as_ptr(), data, given.len()) };
         let copy = (!frame.is_empty()).then_some(Frame { data, tick: self.tick, ..*frame });
         let (name, packet) = (name.to_owned(), packet.to_owned());
         self.list.push(Output { name, packet, frame: copy, buffer: frame.buffer, _memory: memory });
     }
 
-    /// Whether the node was not called, because a required input was empty.
+    /// Whether the node was skipped, because a required input was empty.
     pub fn skipped(&self) -> bool {
         self.skipped
     }
 
-    /// Whether a source said that nothing comes after this call.
+    /// Whether a source ended with this call.
     pub fn ended(&self) -> bool {
         self.ended
     }
@@ -74,7 +74,7 @@ impl Outputs {
         self.list.iter().find(|o| o.name == name).ok_or_else(|| {
             HarnessError::port(format!(
                 "there is no output `{name}`{}",
-                there_are(name, self.list.iter().map(|o| o.name.as_str()))
+                available(name, self.list.iter().map(|o| o.name.as_str()))
             ))
         })
     }
@@ -84,15 +84,15 @@ impl Outputs {
         Ok(self.find(name)?.frame.is_none())
     }
 
-    /// The host's buffer behind the output, to see that a frame was handed on and not copied.
+    /// The host's buffer of the output, to check that a frame was forwarded and not copied.
     pub fn buffer(&self, name: &str) -> Result<BufferId, HarnessError> {
         Ok(self.find(name)?.buffer)
     }
 
-    /// The output as any input type that a node may declare.
+    /// The output as any type that an input may declare. Fails when the packet type differs or the output is empty.
     pub fn get<'a, T: FromFrame<'a>>(&'a self, name: &str) -> Result<T, HarnessError> {
         let output = self.find(name)?;
-        // SAFETY: the declaration's texts are static.
+        // SAFETY: `FromFrame::PORT` is made from static texts.
         let packet = unsafe { T::PORT.packet.text() }.unwrap_or_default();
         if packet != output.packet {
             return Err(HarnessError::port(format!("output `{name}` is `{}`, not `{packet}`", output.packet)));
@@ -103,48 +103,48 @@ impl Outputs {
         T::from_frame(frame).map_err(|error| HarnessError::port(format!("output `{name}`: {error}")))
     }
 
-    /// The pixels of an image, mask, disparity map and so on.
+    /// The pixels of an image, mask, disparity map or other plane.
     pub fn plane<P: Plane>(&self, name: &str) -> Result<View<'_, P::Element>, HarnessError> {
         Ok(self.get::<Image<'_, P>>(name)?.view())
     }
 
-    /// Plain data.
+    /// The value of a plain-data output.
     pub fn value<T: Packet>(&self, name: &str) -> Result<T, HarnessError> {
         Ok(*self.get::<Value<'_, T>>(name)?)
     }
 
-    /// A text.
+    /// The text of a `text` output.
     pub fn text(&self, name: &str) -> Result<&str, HarnessError> {
         Ok(self.get::<Text<'_>>(name)?.as_str())
     }
 
-    /// A table.
+    /// The table of a `table` output.
     pub fn table(&self, name: &str) -> Result<Table<'_>, HarnessError> {
         self.get(name)
     }
 
-    /// Boxes.
+    /// The boxes of a `detections` output.
     pub fn detections(&self, name: &str) -> Result<Detections<'_>, HarnessError> {
         self.get(name)
     }
 
-    /// Boxes with masks.
+    /// The boxes and masks of an `instances` output.
     pub fn instances(&self, name: &str) -> Result<Instances<'_>, HarnessError> {
         self.get(name)
     }
 
-    /// A point cloud, row after row.
+    /// The points of a `cloud` output, row after row.
     pub fn cloud(&self, name: &str) -> Result<&[abi::CloudPoint], HarnessError> {
         Ok(self.get::<Cloud<'_>>(name)?.points())
     }
 
-    /// The bytes as they are; empty when the output is empty.
+    /// The raw bytes; empty when the output is empty.
     pub fn bytes(&self, name: &str) -> Result<&[u8], HarnessError> {
         Ok(self.find(name)?.frame.as_ref().map_or(&[], bytes))
     }
 }
 
-/// Copies `from` row by row: strides may differ.
+/// Copies `from` row by row, because strides may differ.
 pub(super) fn copy_rows<E: Copy>(from: View<'_, E>, mut to: ViewMut<'_, E>) {
     for y in 0..from.height {
         to.row_mut(y).copy_from_slice(from.row(y));

@@ -1,4 +1,4 @@
-//! Parameters from TOML text, with the checks and messages of a graph file.
+//! Reads parameters from TOML text, with the checks and messages of a graph file.
 
 use std::path::Path;
 
@@ -6,14 +6,14 @@ use panoscope_graph::{Catalog, GraphText, NodeType, ParamValue, Severity, check}
 
 use super::error::HarnessError;
 
-/// Lines of the graph that stand before the test's text.
+/// Lines of the generated graph before the test's text.
 const HEAD_LINES: usize = 3;
 
 /// Checks `toml`, the text under `[nodes.NAME]` of a graph file, as far as it concerns parameters.
 pub(super) fn read(node_type: &NodeType, graph_dir: &Path, toml: &str) -> Result<Vec<ParamValue>, HarnessError> {
     let plugin = &node_type.plugin;
     let text = format!("plugins = [\"{plugin}\"]\n[nodes.node]\ntype = \"{}\"\n{toml}", node_type.name);
-    // The harness feeds inputs by hand: a graph without wires is checked. What the node itself checks comes with its `open`.
+    // Tests give inputs by hand, so the graph is checked without connections. The node's own check runs in `open`.
     let alone = NodeType { inputs: Vec::new(), source: true, side_effects: true, validator: None, ..node_type.clone() };
     let catalog = Catalog { plugins: vec![plugin.clone()], node_types: vec![alone], ..Catalog::default() };
     let checked = check(&GraphText::parse(&graph_dir.join("node.toml"), &text), &catalog);

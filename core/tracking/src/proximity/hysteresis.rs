@@ -30,7 +30,7 @@ impl Hysteresis {
         self.since_s
     }
 
-    /// A distance at a time; answers whether the warning is on. A distance that is not known changes nothing.
+    /// Takes the distance at a time; returns whether the warning is on. An unknown distance changes nothing.
     pub fn step(&mut self, now_s: f64, distance_mm: f64, rule: &Rule) -> bool {
         if distance_mm.is_nan() {
             return self.is_on;

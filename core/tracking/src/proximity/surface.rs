@@ -26,7 +26,7 @@ pub struct Lens {
 }
 
 impl Lens {
-    /// Place of a pixel at a depth, mm.
+    /// Position of a pixel at a depth, mm.
     pub fn place(&self, u: f64, v: f64, z: f64) -> [f64; 3] {
         [(u - self.cx) / self.fx * z, (v - self.cy) / self.fy * z, z]
     }
@@ -40,7 +40,7 @@ impl Lens {
 /// The point of the tissue that is nearest to a tip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nearest {
-    /// mm; below 0 where the tip lies behind the surface.
+    /// Distance, mm; below 0 where the tip is behind the surface.
     pub distance_mm: f64,
     /// The point, mm.
     pub place_mm: [f64; 3],
@@ -153,7 +153,7 @@ impl Surface {
         ((column * CELL_PX) as f64 + half, (row * CELL_PX) as f64 + half)
     }
 
-    /// Place of a cell; none where its depth is unknown.
+    /// Position of a cell, mm; none where its depth is unknown.
     fn place(&self, column: usize, row: usize) -> Option<[f64; 3]> {
         let z = self.z_mm.get(row * self.columns + column).copied().filter(|z| z.is_finite())?;
         let (u, v) = Self::middle(column, row);

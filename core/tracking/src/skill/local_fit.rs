@@ -1,4 +1,4 @@
-//! Place and velocity from samples at any times: a cubic fitted around the wanted time.
+//! Position and velocity from samples at any times: a cubic fitted around the wanted time.
 //!
 //! Savitzky and Golay 1964, "Smoothing and differentiation of data by simplified least squares procedures", without the even spacing: weights fall
 //! off as (1 - |u|^3)^3 (Cleveland 1979). Exact for places that are cubics of time.
@@ -8,12 +8,12 @@ use super::Sample;
 /// Samples that a fit takes at least, where there are as many.
 pub const FEWEST: usize = 7;
 
-/// Place and velocity at one time. The fourth number is the depth along the view.
+/// Position (mm) and velocity (mm/s) at one time. The fourth number is the depth along the view.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct State {
-    /// mm.
+    /// Position, mm.
     pub place: [f64; 4],
-    /// mm/s.
+    /// Velocity, mm/s.
     pub velocity: [f64; 4],
 }
 

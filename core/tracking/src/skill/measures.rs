@@ -197,7 +197,7 @@ impl Measures {
         share(self.squared_jerk, self.measured_s).sqrt()
     }
 
-    /// The room it worked in.
+    /// The workspace.
     pub fn space(&self) -> &Workspace {
         &self.space
     }

@@ -1,7 +1,7 @@
 //! Measures of surgical skill from the tracks of instrument tips.
 //!
-//! A [`Session`] takes samples as they come, in bounded memory, and answers [`Measures`] per tool and per phase, and [`Together`] per pair of tools.
-//! What each measure means, with its source, is said where it is computed:
+//! A [`Session`] takes samples as they come, in bounded memory, and returns [`Measures`] per tool and per phase, and [`Together`] per pair of tools.
+//! What each measure means, with its source, is documented where it is computed:
 //!
 //! | measure | file | source |
 //! |---|---|---|
@@ -45,7 +45,7 @@ pub const CELL_S: f64 = 0.01;
 pub struct Sample {
     /// Time, s.
     pub at_s: f64,
-    /// Place in a frame that rests, mm.
+    /// Position in the scene, mm.
     pub place_mm: [f64; 3],
     /// Depth along the view: z in the camera's frame, mm.
     pub depth_mm: f64,

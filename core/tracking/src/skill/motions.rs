@@ -22,7 +22,7 @@ impl Timing {
     /// All.
     pub const ALL: [Self; 3] = [Self::Even, Self::Uneven, Self::Lossy];
 
-    /// Name.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Even => "even",
@@ -53,11 +53,11 @@ type Path = Box<dyn Fn(f64) -> Option<[f64; 3]>>;
 
 /// A motion of one or two tools.
 pub struct Motion {
-    /// Name.
+    /// Name in tables.
     pub name: &'static str,
-    /// s.
+    /// Duration, s.
     pub length_s: f64,
-    /// Where each tool is at a time; none while it is out of view.
+    /// Position of each tool at a time, mm; none while it is out of view.
     pub paths: Vec<Path>,
     /// Distance to the tissue of all tools at a time.
     pub tissue_mm: fn(f64) -> f64,

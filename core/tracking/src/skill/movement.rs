@@ -24,7 +24,7 @@ const PROFILE_STEP_S: f64 = 0.01;
 pub struct Movement {
     /// Its begin, s.
     pub start_s: f64,
-    /// s.
+    /// Duration, s.
     pub duration_s: f64,
     /// Length of its path, mm.
     pub path_mm: f64,
@@ -40,7 +40,7 @@ pub struct Movement {
     pub sparc: Option<f64>,
 }
 
-/// Measures movements; keeps its memory between them.
+/// Measures movements; reuses its buffers.
 #[derive(Clone, Debug, Default)]
 pub struct Meter {
     spline: Spline,

@@ -8,9 +8,9 @@ pub use super::tool::Cell;
 use super::tool::{Sink, Tool};
 use super::{Sample, Settings, Together};
 
-/// Most tools that are told apart.
+/// Largest number of tools.
 pub const MOST_TOOLS: usize = 16;
-/// Most phases that are told apart; what comes later is counted as the last one.
+/// Largest number of phases; later ones count as the last.
 pub const MOST_PHASES: usize = 64;
 /// Movements that are kept for [`Session::take_movements`].
 const MOST_MOVEMENTS: usize = 256;

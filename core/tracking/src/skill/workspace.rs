@@ -1,4 +1,4 @@
-//! The room that a tip works in.
+//! The workspace of a tip.
 
 /// Box and spread of places that are added one by one.
 ///

@@ -1,13 +1,14 @@
-//! The window: what is shown where.
+//! The editor's window: draws all panels and handles what the user asks for.
 
-mod acts;
-mod begin;
+mod commands;
 mod conflict;
-mod picks;
+mod new_graph;
+mod picking;
+mod saving;
 mod script;
 
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -19,43 +20,43 @@ use crate::actions;
 use crate::canvas::{Canvas, Scene};
 use crate::palette::{Palette, Types};
 use crate::panels::files::Files;
-use crate::panels::inspector::{self, Wish};
+use crate::panels::inspector::{self, InspectorRequest};
 use crate::panels::plots::{Export, Plots};
 use crate::panels::sweep::SweepPanel;
 use crate::panels::top::{self, Switches};
 use crate::panels::{below, history, overview, plugins};
 use crate::picker::Picker;
-use crate::space::Space;
+use crate::view3d::View3d;
 use crate::viewer::{Source, Viewer};
 use panoscope_editor_model::disk::{self, DiskWatch};
 use panoscope_editor_model::document::Document;
-use panoscope_editor_model::numbered::next_file;
-use panoscope_editor_model::observe::{Counters, LARGE_INTERVAL, Observer, Output, THUMBNAIL_INTERVAL, Wanted};
+use panoscope_editor_model::numbered::{FolderError, next_file};
+use panoscope_editor_model::observe::{Counters, LARGE_INTERVAL, Observer, Output, PreviewRequest, THUMBNAIL_INTERVAL};
 use panoscope_editor_model::ops::Detour;
 use panoscope_editor_model::picture::is_pictorial;
 use panoscope_editor_model::session::{Phase, Session, Status};
-use panoscope_editor_widgets::Shown;
+use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
 
-pub use begin::{templates, with_source};
 use conflict::Conflict;
+pub use new_graph::{templates, with_source};
 use panoscope_editor_widgets::{Costs, Shot};
 
-/// Pixels across of a thumbnail; enough for a sharp one at zoom 1 and double density.
+/// Width of a thumbnail in px; sharp at zoom 1 on a screen of double density.
 const THUMBNAIL: usize = 416;
-/// Pixels across of the big picture.
+/// Width of the large view in px.
 const LARGE: usize = 2048;
-/// How long a note stays.
+/// How long a notification is shown.
 const NOTE: Duration = Duration::from_secs(6);
 
-/// How the window is opened.
+/// Options of the window.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// Most ticks of each source.
+    /// Maximum number of ticks of each source.
     pub frames: Option<u64>,
-    /// Size of everything; 0 leaves it as it is.
+    /// Scale of everything; 0 for the default.
     pub scale: f32,
-    /// Pictures and costs of the window, for `cargo xtask screens` and `panoscope bench editor`.
+    /// Screenshot and costs of the window, for `cargo xtask screens` and `panoscope bench editor`.
     pub shot: Shot,
     /// Overlays and values of the graph's arguments.
     pub given: GraphOptions,
@@ -66,13 +67,24 @@ pub struct Options {
 #[error("no thread could be started: {0}")]
 pub struct OpenError(#[from] std::io::Error);
 
+/// Why curves were not written.
+#[derive(Debug, thiserror::Error)]
+enum ExportError {
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    #[error(transparent)]
+    Table(#[from] std::io::Error),
+    #[error(transparent)]
+    Picture(#[from] image::ImageError),
+}
+
 /// The window.
 pub struct App {
     pub(crate) session: Session,
     pub(crate) observer: Observer,
     pub(crate) document: Document,
     pub(crate) canvas: Canvas,
-    pub(crate) shown: Shown,
+    pub(crate) shown: OutputCache,
     pub(crate) viewer: Viewer,
     plots: Plots,
     sweep: SweepPanel,
@@ -84,23 +96,24 @@ pub struct App {
     plugins: bool,
     pub(crate) switches: Switches,
     pub(crate) detours: HashMap<String, Vec<Detour>>,
-    /// The line of the text that was asked for.
+    /// The highlighted line of the file's text.
     reading: below::Reading,
     disk: DiskWatch,
     conflict: Option<Conflict>,
-    /// The view moves with every frame, to be measured.
+    /// Whether the view moves with every frame, for measurements.
     panning: bool,
-    note: Option<(String, bool, Instant)>,
-    asked: u64,
+    notification: Option<(String, bool, Instant)>,
+    /// Revision of the document that was last passed to the session.
+    requested_revision: u64,
     shot: Shot,
     costs: Costs,
 }
 
 impl App {
-    /// Opens a graph file whose text was read, and sets it going if it is right.
+    /// Opens a window on the graph file at `path` with its text, and starts the graph if it is valid.
     ///
     /// # Errors
-    /// The system gave no thread.
+    /// A thread cannot be started.
     pub fn open(ctx: &Context, path: &Path, text: &str, options: Options) -> Result<Self, OpenError> {
         theme::apply(ctx);
         if options.scale > 0.0 {
@@ -112,14 +125,14 @@ impl App {
         session.set_wake(Arc::new(move || for_wake.request_repaint()));
         let observer = Observer::new(session.handle())?;
         let document = Document::with_options(path, text, session.loader(), options.given);
-        if document.view().right {
+        if document.view().valid {
             session.run(document.runnable());
         }
         Ok(Self {
             observer,
             document,
             canvas: Canvas::default(),
-            shown: Shown::default(),
+            shown: OutputCache::default(),
             viewer: Viewer::default(),
             plots: Plots::default(),
             sweep: SweepPanel::default(),
@@ -135,25 +148,25 @@ impl App {
             disk: DiskWatch::new(path),
             conflict: None,
             panning: false,
-            note: None,
-            asked: 1,
+            notification: None,
+            requested_revision: 1,
             shot: options.shot,
             costs: Costs::default(),
             session,
         })
     }
 
-    /// The document.
+    /// The graph file being edited.
     pub fn document(&self) -> &Document {
         &self.document
     }
 
-    /// The session.
+    /// The session that runs the graph.
     pub fn session(&self) -> &Session {
         &self.session
     }
 
-    /// The canvas.
+    /// The canvas that shows the graph.
     pub fn canvas(&self) -> &Canvas {
         &self.canvas
     }
@@ -164,47 +177,47 @@ impl App {
     }
 
     /// The 3-D view.
-    pub fn space(&self) -> &Space {
-        self.viewer.space_now()
+    pub fn view3d(&self) -> &View3d {
+        self.viewer.view3d_state()
     }
 
-    /// Whether a cloud is shown as a surface, seen from where the user looks at it now.
+    /// Whether a cloud is shown as a surface, rendered from the current viewpoint.
     pub fn has_surface(&self) -> bool {
-        let painted = self.viewed().and_then(|output| self.shown.look(output)?.painted.as_ref());
-        painted.is_some_and(|painted| self.viewer.sight() == Some(painted.sight))
+        let depth_buffer = self.viewed().and_then(|output| self.shown.packet(output)?.depth_buffer.as_ref());
+        depth_buffer.is_some_and(|depth_buffer| self.viewer.viewpoint() == Some(depth_buffer.viewpoint))
     }
 
-    /// Place of the line between two outputs, as a part of the picture's width, while they are compared by wipe.
+    /// Position of the line between two outputs, as a fraction of the image's width, while they are compared by wipe.
     pub fn wipe(&self) -> Option<f32> {
         self.viewer.wipe_line()
     }
 
-    /// Wires in words, each with the most packets that waited on it since the window was opened, as far as is remembered.
+    /// The description of each wire, with its maximum queue length in the recorded history.
     pub fn queues(&self) -> Vec<(String, f64)> {
         let (counters, view) = (self.observer.counters(), self.document.view());
         let most = |points: &std::collections::VecDeque<[f64; 2]>| points.iter().map(|p| p[1]).fold(0.0, f64::max);
         counters.queues.iter().map(|(end, points)| (view.wire_name(end), most(points))).collect()
     }
 
-    /// Mean CPU time of the window's thread per frame in ms, and frames drawn so far.
+    /// Mean CPU time of the window's thread per frame in ms, and the number of frames.
     pub fn cost(&self) -> (f64, u64) {
         self.costs.mean()
     }
 
-    /// Tells the user something for a while.
-    pub(crate) fn tell(&mut self, words: impl Into<String>, wrong: bool) {
-        self.note = Some((words.into(), wrong, Instant::now()));
+    /// Shows a notification for some seconds; `wrong` marks it as an error.
+    pub(crate) fn notify(&mut self, message: impl Into<String>, wrong: bool) {
+        self.notification = Some((message.into(), wrong, Instant::now()));
     }
 
     pub(crate) fn try_edit<T, E: std::fmt::Display>(&mut self, result: Result<T, E>) -> Option<T> {
-        result.map_err(|e| self.tell(e.to_string(), true)).ok()
+        result.map_err(|e| self.notify(e.to_string(), true)).ok()
     }
 
-    /// Asks the session to run a text that is new and right.
-    fn follow(&mut self) {
-        if self.asked != self.document.revision() {
-            self.asked = self.document.revision();
-            if self.document.view().right {
+    /// Requests the session to run a new, valid text.
+    fn run_document(&mut self) {
+        if self.requested_revision != self.document.revision() {
+            self.requested_revision = self.document.revision();
+            if self.document.view().valid {
                 self.session.run(self.document.runnable());
             }
         }
@@ -216,22 +229,22 @@ impl App {
         let ctx = ui.ctx().clone();
         let status = self.session.status();
         self.document.set_loader(self.session.loader());
-        if self.document.history().waits() && *status.running == **self.document.runnable() {
-            self.document.in_force(status.tick);
+        if self.document.history().has_pending() && *status.running == **self.document.runnable() {
+            self.document.set_tick(status.tick);
         }
         self.shown.update(&ctx, self.observer.take());
-        if let Some(text) = self.disk.look() {
+        if let Some(text) = self.disk.poll() {
             self.changed_on_disk(text);
         }
         let typing = ctx.text_edit_focused();
-        // While something asks for an answer, keys are for that.
+        // While a picker or a dialog is open, it gets the keys.
         if self.picker.is_some() && !self.help {
             for action in ctx.input_mut(actions::pressed_while_picking) {
-                self.act(action);
+                self.perform(action);
             }
         } else if self.palette.is_none() && self.files.is_none() && !self.help && !self.plugins {
             for action in ctx.input_mut(|input| actions::pressed(input, typing)) {
-                self.act(action);
+                self.perform(action);
             }
             self.clipboard(&ctx, typing);
             self.arrows(&ctx, typing);
@@ -246,9 +259,9 @@ impl App {
         self.palettes(&ctx);
         self.offer_templates(&ctx);
         self.take_dropped(&ctx);
-        self.notes(&ctx);
-        self.follow();
-        self.want();
+        self.show_notification(&ctx);
+        self.run_document();
+        self.request_previews();
         ctx.request_repaint_after(DiskWatch::INTERVAL);
         self.play_script(&ctx);
         self.shot.take(&ctx);
@@ -258,24 +271,24 @@ impl App {
     fn panels(&mut self, ui: &mut Ui, status: &Status) {
         let counters = self.observer.counters();
         let bar = Frame::new().fill(theme::PANEL).inner_margin(Margin::symmetric(16, 8));
-        let asked = Panel::top("top")
+        let actions = Panel::top("top")
             .frame(bar)
             .exact_size(44.0)
             .show(ui, |ui| top::show(ui, &self.document, status, &counters, self.switches));
-        asked.inner.into_iter().for_each(|action| self.act(action));
+        actions.inner.into_iter().for_each(|action| self.perform(action));
         self.conflict_bar(ui);
         self.side(ui, &counters);
         self.below(ui, status, &counters);
         let view = self.document.view().clone();
-        let trouble = status.trouble.as_ref().and_then(|t| Some((t.node.as_deref()?, t.words.as_str())));
+        let problem = status.problem.as_ref().and_then(|t| Some((t.node.as_deref()?, t.message.as_str())));
         CentralPanel::no_frame().show(ui, |ui| {
             let rect = ui.available_rect_before_wrap();
             if self.viewer.source().is_some() {
                 ui.allocate_rect(rect, egui::Sense::hover());
-                let (others, ways) = (self.sources(), self.ways());
-                let ways: Vec<Output> = ways.into_iter().map(|(output, _)| output).collect();
-                let stands = self.viewer.show(ui, rect, &self.shown, &others, &ways);
-                self.pick_on(ui, stands);
+                let (others, trajectories) = (self.sources(), self.trajectories());
+                let trajectories: Vec<Output> = trajectories.into_iter().map(|(output, _)| output).collect();
+                let image_rects = self.viewer.show(ui, rect, &self.shown, &others, &trajectories);
+                self.pick_on(ui, image_rects);
                 return;
             }
             let scene = Scene {
@@ -284,36 +297,38 @@ impl App {
                 shown: &self.shown,
                 heat: self.switches.heat,
                 running: status.phase == Phase::Running,
-                trouble,
+                problem,
             };
-            let asks = self.canvas.show(ui, &scene, self.document.revision());
-            asks.into_iter().for_each(|ask| self.answer(ask));
+            let requests = self.canvas.show(ui, &scene, self.document.revision());
+            requests.into_iter().for_each(|request| self.handle_canvas(request));
         });
     }
 
-    /// The selected node, or the graph as a whole. Always there, so that a click moves nothing.
+    /// The panel of the selected node, or of the whole graph. It is always visible, so that selecting does not move the canvas.
     fn side(&mut self, ui: &mut Ui, counters: &Counters) {
         let side = Frame::new().fill(theme::PANEL).inner_margin(Margin::same(16));
         let panel = Panel::right("side").frame(side).default_size(320.0).size_range(260.0..=520.0);
         let view = self.document.view().clone();
         let Some(node) = self.selected().and_then(|id| view.node(&id)) else {
             let count = self.canvas.selected.len();
-            let wishes = panel.show(ui, |ui| overview::show(ui, &self.document, counters, count));
-            for wish in wishes.inner {
-                match wish {
-                    overview::Wish::Go(id) => self.canvas.show_node(&view, &id),
-                    overview::Wish::Param(id, change) => self.grant(&id, Wish::Param(change)),
+            let requests = panel.show(ui, |ui| overview::show(ui, &self.document, counters, count));
+            for request in requests.inner {
+                match request {
+                    overview::OverviewRequest::Go(id) => self.canvas.show_node(&view, &id),
+                    overview::OverviewRequest::Param(id, change) => {
+                        self.handle_inspector(&id, InspectorRequest::Param(change))
+                    }
                 }
             }
             return;
         };
-        let wishes =
+        let requests =
             panel.show(ui, |ui| inspector::show(ui, &self.document, counters, &self.shown, &self.canvas, node));
         let id = view.nodes[node].id().to_owned();
-        wishes.inner.into_iter().for_each(|wish| self.grant(&id, wish));
+        requests.inner.into_iter().for_each(|request| self.handle_inspector(&id, request));
     }
 
-    /// Mistakes, curves and text, where they are switched on.
+    /// The panels below and beside the canvas that are switched on: text, problems, history, sweep, plots.
     fn below(&mut self, ui: &mut Ui, status: &Status, counters: &Counters) {
         let frame = Frame::new().fill(theme::PANEL).inner_margin(Margin::symmetric(16, 12));
         let selected: Vec<String> = self.canvas.selected.iter().cloned().collect();
@@ -327,7 +342,7 @@ impl App {
             if let Some(spot) = go {
                 if let Some(line) = spot.line {
                     self.reading.go_to(line);
-                    // A mistake that is no node's is shown where it stands.
+                    // A mistake outside of nodes is shown in the text.
                     self.switches.text |= spot.node.is_none();
                 }
                 if let Some(id) = spot.node {
@@ -345,9 +360,9 @@ impl App {
         if self.switches.sweep {
             let panel = Panel::bottom("sweep").frame(frame).default_size(270.0).size_range(160.0..=560.0);
             let (selected, path) = (self.selected(), self.session.path().to_owned());
-            let wish = panel
+            let request = panel
                 .show(ui, |ui| self.sweep.show(ui, &self.document, counters, &self.shown, selected.as_deref(), &path));
-            wish.inner.into_iter().for_each(|wish| self.grant_sweep(wish));
+            request.inner.into_iter().for_each(|request| self.handle_sweep(request));
         }
         if self.switches.plots {
             let panel = Panel::bottom("plots").frame(frame).default_size(220.0).size_range(120.0..=520.0);
@@ -358,23 +373,24 @@ impl App {
         }
     }
 
-    /// Writes curves into `out/`, under the next number.
+    /// Writes curves to a file in `out/` with the next number.
     pub(super) fn export(&mut self, what: &str, export: Export) {
         let ending = if matches!(export, Export::Csv(_)) { "csv" } else { "png" };
-        let written = next_file(Path::new("out"), what, ending).and_then(|file| {
+        let write = || -> Result<PathBuf, ExportError> {
+            let file = next_file(Path::new("out"), what, ending)?;
             match export {
-                Export::Csv(text) => disk::replace(&file, text.as_bytes(), None).map_err(|e| e.to_string())?,
-                Export::Picture(picture) => picture.save(&file).map_err(|e| e.to_string())?,
+                Export::Csv(text) => disk::replace(&file, text.as_bytes(), None)?,
+                Export::Picture(picture) => picture.save(&file)?,
             }
             Ok(file)
-        });
-        match written {
-            Ok(file) => self.tell(format!("written: {}", file.display()), false),
-            Err(why) => self.tell(format!("the curves were not written: {why}"), true),
+        };
+        match write() {
+            Ok(file) => self.notify(format!("written: {}", file.display()), false),
+            Err(error) => self.notify(format!("the curves were not written: {error}"), true),
         }
     }
 
-    /// Outputs that can be compared in the viewer: those that are read, and those that nodes show.
+    /// Outputs that can be compared in the viewer: those that are read, and those with a thumbnail.
     fn sources(&self) -> Vec<Source> {
         let view = self.document.view();
         let mut found: Vec<Source> = Vec::new();
@@ -393,14 +409,14 @@ impl App {
         found
     }
 
-    /// Outputs that the 3-D view shows as lines: tips, poses, the links of an arm.
-    fn ways(&self) -> Vec<(Output, String)> {
+    /// Outputs that the 3D view shows as lines: tips, poses, arm links.
+    fn trajectories(&self) -> Vec<(Output, String)> {
         let mut found = self.outputs_of(&["tip", "pose", "table"]);
         found.retain(|(output, packet)| packet != "table" || output.port == LINKS);
         found
     }
 
-    /// Outputs of some types of packets, with these.
+    /// Outputs whose packets are of one of the given types, with the type.
     fn outputs_of(&self, packets: &[&str]) -> Vec<(Output, String)> {
         let nodes = self.document.view().nodes.iter();
         let outputs = nodes.flat_map(|n| n.node_type.iter().flat_map(|t| &t.outputs).map(move |port| (n.id(), port)));
@@ -426,8 +442,8 @@ impl App {
         }
         if self.plugins {
             match plugins::show(ctx, &self.session.loader(), self.document.catalog()) {
-                Some(plugins::Asked::Reload) => self.session.reload_plugins(),
-                Some(plugins::Asked::Close) => self.plugins = false,
+                Some(plugins::PluginsRequest::Reload) => self.session.reload_plugins(),
+                Some(plugins::PluginsRequest::Close) => self.plugins = false,
                 None => {}
             }
         }
@@ -437,23 +453,24 @@ impl App {
             let shown = modal.frame(frame).show(ctx, |ui| {
                 ui.label(RichText::new("Keys").size(16.0));
                 ui.add_space(2.0 * theme::STEP);
-                let keys = actions::ALL.iter().map(|(action, .., words)| (actions::key_words(*action), *words));
+                let keys =
+                    actions::ALL.iter().map(|(action, .., description)| (actions::key_name(*action), *description));
                 let more = [
                     ("Ctrl+C, X, V", "Copy, cut, paste nodes as text"),
-                    ("1 to 9", "Recall what was looked at"),
-                    ("Ctrl and +, -, 0", "Size of everything"),
-                    ("Arrows", "Move the view; large: turn a surface, move the wipe"),
+                    ("1 to 9", "Show a recently viewed output"),
+                    ("Ctrl and +, -, 0", "Scale of the window"),
+                    ("Arrows", "Move the view; in the viewer: turn a surface, move the wipe"),
                     ("Shift and arrows", "Move the selected nodes"),
                     ("Shift and drag", "Select with a frame"),
                     ("Double click", "Add a node there"),
                 ];
-                let all: Vec<_> = keys.chain(more.map(|(key, words)| (key.to_owned(), words))).collect();
+                let all: Vec<_> = keys.chain(more.map(|(key, description)| (key.to_owned(), description))).collect();
                 ui.horizontal_top(|ui| {
                     for (side, part) in all.chunks(all.len().div_ceil(2)).enumerate() {
                         egui::Grid::new(("keys", side)).num_columns(2).spacing([24.0, 6.0]).show(ui, |ui| {
-                            for (key, words) in part {
+                            for (key, description) in part {
                                 ui.label(RichText::new(key).color(theme::ACCENT));
-                                ui.label(*words);
+                                ui.label(*description);
                                 ui.end_row();
                             }
                         });
@@ -465,17 +482,17 @@ impl App {
         }
     }
 
-    /// The selected node, when it is one.
+    /// The selected node, if exactly one is selected.
     pub fn selected(&self) -> Option<String> {
         let mut selected = self.canvas.selected.iter();
         selected.next().filter(|_| selected.next().is_none()).cloned()
     }
 
-    /// What was told last, at the lower edge; never over a picture's middle.
-    fn notes(&mut self, ctx: &Context) {
-        let Some((words, wrong, since)) = &self.note else { return };
+    /// Draws the last notification at the lower edge.
+    fn show_notification(&mut self, ctx: &Context) {
+        let Some((message, wrong, since)) = &self.notification else { return };
         if since.elapsed() > NOTE {
-            self.note = None;
+            self.notification = None;
             return;
         }
         ctx.request_repaint_after(NOTE.saturating_sub(since.elapsed()));
@@ -490,52 +507,52 @@ impl App {
                     .corner_radius(6.0)
                     .inner_margin(Margin::symmetric(12, 8))
                     .show(ui, |ui| {
-                        ui.add(egui::Label::new(RichText::new(words)).wrap_mode(egui::TextWrapMode::Extend))
+                        ui.add(egui::Label::new(RichText::new(message)).wrap_mode(egui::TextWrapMode::Extend))
                     });
             });
     }
 
-    /// Tells the observer what can be seen.
-    fn want(&mut self) {
-        let mut wanted: HashMap<Output, Wanted> = HashMap::new();
-        let mut want = |output: &Output, packet: &str, most_width: usize| {
-            let entry = wanted
+    /// Requests previews of the visible outputs from the observer.
+    fn request_previews(&mut self) {
+        let mut requests: HashMap<Output, PreviewRequest> = HashMap::new();
+        let mut request = |output: &Output, packet: &str, max_width: usize| {
+            let entry = requests
                 .entry(output.clone())
-                .or_insert_with(|| Wanted { packet: packet.to_owned(), ..Wanted::default() });
-            entry.most_width = entry.most_width.max(most_width);
+                .or_insert_with(|| PreviewRequest { packet: packet.to_owned(), ..PreviewRequest::default() });
+            entry.max_width = entry.max_width.max(max_width);
         };
         if self.viewer.source().is_some() {
-            self.viewer.sources().for_each(|s| want(&s.output, &s.packet, LARGE));
-            if self.viewer.sight().is_some() {
-                self.ways().iter().for_each(|(output, packet)| want(output, packet, 1));
+            self.viewer.sources().for_each(|s| request(&s.output, &s.packet, LARGE));
+            if self.viewer.viewpoint().is_some() {
+                self.trajectories().iter().for_each(|(output, packet)| request(output, packet, 1));
             }
         } else {
             let width = self.canvas.thumbnail_width(THUMBNAIL);
-            self.canvas.visible().for_each(|(output, packet)| want(output, packet, width));
+            self.canvas.visible().for_each(|(output, packet)| request(output, packet, width));
         }
         if let Some(node) = self.selected().and_then(|id| self.document.view().node(&id))
             && let Some((output, packet)) = self.canvas.shown_output(self.document.view(), node)
         {
-            want(&output, &packet, if is_pictorial(&packet) { THUMBNAIL } else { 1 });
+            request(&output, &packet, if is_pictorial(&packet) { THUMBNAIL } else { 1 });
         }
         let values = self.switches.plots && self.plots.wants_values();
         if values || self.switches.sweep {
-            self.outputs_of(&["scalar", "table"]).iter().for_each(|(output, packet)| want(output, packet, 1));
+            self.outputs_of(&["scalar", "table"]).iter().for_each(|(output, packet)| request(output, packet, 1));
         }
         if values {
             let outputs = self.outputs_of(&["scalar", "table"]);
             let outputs: Vec<Output> = outputs.into_iter().map(|(output, _)| output).collect();
             self.plots.follow(&self.shown, &outputs);
         }
-        if let (Some(sight), Some(source)) = (self.viewer.sight(), self.viewer.source())
-            && let Some(wanted) = wanted.get_mut(&source.output)
+        if let (Some(viewpoint), Some(source)) = (self.viewer.viewpoint(), self.viewer.source())
+            && let Some(requests) = requests.get_mut(&source.output)
         {
-            wanted.sight = Some(sight);
+            requests.viewpoint = Some(viewpoint);
         }
         let view = self.document.view();
-        self.shown.keep(|output| wanted.contains_key(output) || view.node(&output.node).is_some());
+        self.shown.retain(|output| requests.contains_key(output) || view.node(&output.node).is_some());
         let large = self.viewer.source().is_some();
-        self.observer.want(wanted, if large { LARGE_INTERVAL } else { THUMBNAIL_INTERVAL });
+        self.observer.set_requests(requests, if large { LARGE_INTERVAL } else { THUMBNAIL_INTERVAL });
     }
 }
 

@@ -1,4 +1,4 @@
-//! Steps that `--do` asks for: a script of what a user would do.
+//! Performs the steps of a `--do` script.
 
 use eframe::egui::{self, Context};
 
@@ -7,7 +7,7 @@ use crate::actions;
 use panoscope_editor_model::observe::Output;
 
 impl App {
-    /// Does what `--do` asks for, once the graph has had time to start.
+    /// Performs the steps that are due.
     pub(super) fn play_script(&mut self, ctx: &Context) {
         while let Some(step) = self.shot.step() {
             self.play(&step);
@@ -19,7 +19,7 @@ impl App {
         }
     }
 
-    /// One step of a script: `select:NODE`, `view:NODE.PORT`, `set:NODE.PARAM=VALUE`, `pick:NODE.PARAM`, `browse:NODE.PARAM`,
+    /// Performs one step of a script: `select:NODE`, `view:NODE.PORT`, `set:NODE.PARAM=VALUE`, `pick:NODE.PARAM`, `browse:NODE.PARAM`,
     /// `sweep:NODE.PARAM MEASURE`, `orbit:YAW,PITCH,ZOOM`, `heat`, ...
     fn play(&mut self, step: &str) {
         let (word, rest) = step.split_once(':').unwrap_or((step, ""));
@@ -34,15 +34,15 @@ impl App {
             "pan" => self.panning = true,
             "zoom" => self.canvas.zoom_by(rest.parse().unwrap_or(0)),
             "orbit" => match rest.split(',').map(|n| n.trim().parse()).collect::<Result<Vec<f32>, _>>().as_deref() {
-                Ok([yaw, pitch, zoom]) => self.viewer.space().look_from(*yaw, *pitch, *zoom),
-                _ => self.tell("orbit takes yaw and pitch in rad and the size: orbit:1.2,0.3,0.5", true),
+                Ok([yaw, pitch, zoom]) => self.viewer.view3d().look_from(*yaw, *pitch, *zoom),
+                _ => self.notify("orbit needs yaw and pitch in rad and the zoom: orbit:1.2,0.3,0.5", true),
             },
             "select" => self.canvas.select_only(rest),
             "view" | "compare" if rest.contains('.') => {
                 if let Some((node, port)) = rest.split_once('.') {
                     let output = Output::new(node, port);
                     match word {
-                        "view" => self.look_at(output),
+                        "view" => self.view_large(output),
                         _ => {
                             let source = self.source(output);
                             self.viewer.compare(Some(source));
@@ -53,8 +53,8 @@ impl App {
             _ => {
                 let named = actions::ALL.iter().find(|(a, ..)| format!("{a:?}").eq_ignore_ascii_case(word));
                 match named {
-                    Some((action, ..)) => self.act(*action),
-                    None => self.tell(format!("there is no action `{word}`"), true),
+                    Some((action, ..)) => self.perform(*action),
+                    None => self.notify(format!("there is no action `{word}`"), true),
                 }
             }
         }

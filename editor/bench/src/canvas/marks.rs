@@ -1,20 +1,20 @@
-//! Titled frames around nodes, and notes: drawn behind the graph, moved and named by hand. They stand in `[editor]`.
+//! Frames around nodes, and notes: drawn behind the graph, moved and edited by the user, stored in `[editor]`.
 
 use eframe::egui::{
     Align2, CornerRadius, FontId, Id, Key, Pos2, Rect, Sense, Stroke, StrokeKind, TextEdit, Ui, UiBuilder, Vec2,
     WidgetInfo, WidgetType, pos2, vec2,
 };
 
-use super::touch::Ask;
+use super::interaction::CanvasRequest;
 use super::{Canvas, Scene};
 use panoscope_editor_model::Mark;
 use panoscope_editor_widgets::theme;
 
-/// Height of a frame's title.
+/// Height of a frame's title, in points at zoom 1.
 const TITLE: f32 = 28.0;
-/// Room between a frame and the nodes that it is made around.
+/// Distance between a frame and the nodes inside when it is created.
 const ROOM: f32 = 24.0;
-/// Side of the corner that a frame is resized at.
+/// Size of the corner for resizing a frame.
 const CORNER: f32 = 18.0;
 /// Width of a note.
 const NOTE: f32 = 220.0;
@@ -28,16 +28,16 @@ fn kind_of(mark: &Mark) -> &'static str {
     if mark.size.is_some() { "Frame" } else { "Note" }
 }
 
-/// What is being done to a mark.
+/// The user's current manipulation of a mark.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) enum Hand {
+pub(super) enum MarkEdit {
     #[default]
     None,
-    /// It is moved, with the nodes that lay in it.
+    /// It is moved, with the nodes inside.
     Move { mark: usize, nodes: Vec<String> },
-    /// Its corner is pulled.
+    /// It is resized.
     Size { mark: usize },
-    /// Its text is typed.
+    /// Its text is edited.
     Text { mark: usize, begun: bool },
 }
 
@@ -46,15 +46,15 @@ fn on_grid(v: f32) -> f32 {
 }
 
 impl Canvas {
-    /// Selected mark.
+    /// Index of the selected mark.
     pub fn selected_mark(&self) -> Option<usize> {
         self.selected_mark.filter(|m| *m < self.marks.len())
     }
 
-    /// Makes a frame around the selected nodes, or in the middle of the view, and lets its title be typed.
+    /// Adds a frame around the selected nodes, or in the middle of the view, and starts editing its title. Returns all marks.
     pub fn frame_selection(&mut self) -> Vec<Mark> {
         let nodes = self.ids.iter().zip(&self.shapes).filter(|(id, _)| self.selected.contains(*id));
-        let rects = nodes.filter_map(|(id, shape)| Some(Rect::from_min_size(*self.places.get(id)?, shape.size)));
+        let rects = nodes.filter_map(|(id, shape)| Some(Rect::from_min_size(*self.positions.get(id)?, shape.size)));
         let around =
             rects.reduce(|a, b| a.union(b)).unwrap_or(Rect::from_center_size(self.middle(), vec2(400.0, 240.0)));
         let rect = Rect::from_min_max(around.min - vec2(ROOM, ROOM + TITLE), around.max + vec2(ROOM, ROOM));
@@ -62,7 +62,7 @@ impl Canvas {
         self.add_mark(Mark { text: "Frame".to_owned(), at: (on_grid(rect.left()), on_grid(rect.top())), size })
     }
 
-    /// Adds a note in the middle of the view and lets it be typed.
+    /// Adds a note in the middle of the view and starts editing it. Returns all marks.
     pub fn add_note(&mut self) -> Vec<Mark> {
         let at = self.middle();
         self.add_mark(Mark { text: "Note".to_owned(), at: (at.x, at.y), size: None })
@@ -70,11 +70,11 @@ impl Canvas {
 
     fn add_mark(&mut self, mark: Mark) -> Vec<Mark> {
         self.marks.push(mark);
-        self.hand = Hand::Text { mark: self.marks.len() - 1, begun: false };
+        self.mark_edit = MarkEdit::Text { mark: self.marks.len() - 1, begun: false };
         self.marks.clone()
     }
 
-    /// The marks without the selected one.
+    /// Removes the selected mark and returns the others; `None` when no mark is selected.
     pub fn without_selected_mark(&mut self) -> Option<Vec<Mark>> {
         let mark = self.selected_mark()?;
         self.selected_mark = None;
@@ -82,10 +82,10 @@ impl Canvas {
         Some(self.marks.clone())
     }
 
-    /// New places of the selected nodes with their left edges, or with fewer columns than rows their upper edges, in line.
+    /// New positions of the selected nodes, aligned in a row or, if they are spread more vertically, in a column.
     pub fn aligned(&self) -> Vec<(String, (f32, f32))> {
         let nodes: Vec<(&String, Pos2)> =
-            self.selected.iter().filter_map(|id| Some((id, *self.places.get(id)?))).collect();
+            self.selected.iter().filter_map(|id| Some((id, *self.positions.get(id)?))).collect();
         let span = |axis: fn(&Pos2) -> f32| {
             let values = nodes.iter().map(|(_, p)| axis(p));
             values.clone().fold(f32::MIN, f32::max) - values.fold(f32::MAX, f32::min)
@@ -93,25 +93,25 @@ impl Canvas {
         let mean = |axis: fn(&Pos2) -> f32| {
             on_grid(nodes.iter().map(|(_, p)| axis(p)).sum::<f32>() / nodes.len().max(1) as f32)
         };
-        // What lies rather beside each other is put on one height, what lies rather above each other in one column.
+        // Spread more horizontally: a row, else a column.
         let (wide, x, y) = (span(|p| p.x) > span(|p| p.y), mean(|p| p.x), mean(|p| p.y));
         nodes.iter().map(|(id, p)| ((*id).clone(), if wide { (p.x, y) } else { (x, p.y) })).collect()
     }
 
-    /// New places of the selected nodes, each moved by this.
+    /// New positions of the selected nodes, each moved by `by`.
     pub fn nudged(&self, by: Vec2) -> Vec<(String, (f32, f32))> {
-        let places = self.selected.iter().filter_map(|id| Some((id.clone(), *self.places.get(id)? + by)));
-        places.map(|(id, at)| (id, (at.x, at.y))).collect()
+        let positions = self.selected.iter().filter_map(|id| Some((id.clone(), *self.positions.get(id)? + by)));
+        positions.map(|(id, at)| (id, (at.x, at.y))).collect()
     }
 
-    /// Draws the marks and lets them be touched.
-    pub(super) fn show_marks(&mut self, ui: &mut Ui, scene: &Scene<'_>, asks: &mut Vec<Ask>) {
+    /// Draws the marks and handles input on them.
+    pub(super) fn show_marks(&mut self, ui: &mut Ui, scene: &Scene<'_>, requests: &mut Vec<CanvasRequest>) {
         for mark in 0..self.marks.len() {
-            self.show_mark(ui, scene, mark, asks);
+            self.show_mark(ui, scene, mark, requests);
         }
     }
 
-    fn show_mark(&mut self, ui: &mut Ui, scene: &Scene<'_>, mark: usize, asks: &mut Vec<Ask>) {
+    fn show_mark(&mut self, ui: &mut Ui, scene: &Scene<'_>, mark: usize, requests: &mut Vec<CanvasRequest>) {
         let this = self.marks[mark].clone();
         let (transform, scale) = (self.transform(), self.scale());
         let framed = this.size.is_some();
@@ -127,16 +127,16 @@ impl Canvas {
         }
         let handle = if framed { Rect::from_min_size(rect.min, vec2(rect.width(), TITLE * scale)) } else { rect };
         let body = ui.interact(handle, Id::new(("mark", mark)), Sense::click_and_drag());
-        let words = format!("{} {}", kind_of(&this), this.text);
+        let label = format!("{} {}", kind_of(&this), this.text);
         let selected = self.selected_mark == Some(mark);
-        body.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, selected, words.clone()));
+        body.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, selected, label.clone()));
         let edge = if selected { theme::ACCENT } else { theme::LINE };
         let painter = ui.painter();
         let radius = CornerRadius::same((10.0 * scale).clamp(2.0, 12.0) as u8);
         let fill =
             if framed { theme::PANEL.gamma_multiply(0.6) } else { theme::family("overlay").gamma_multiply(0.10) };
         painter.rect(rect, radius, fill, Stroke::new(1.0, edge), StrokeKind::Inside);
-        let typing = matches!(self.hand, Hand::Text { mark: m, .. } if m == mark);
+        let typing = matches!(self.mark_edit, MarkEdit::Text { mark: m, .. } if m == mark);
         if !typing {
             painter.galley(rect.min + vec2(8.0, 6.0) * scale, galley, color);
         }
@@ -147,21 +147,21 @@ impl Canvas {
         }
         if body.drag_started() {
             let nodes = if framed { self.nodes_inside(scene, rect_of(&this)) } else { Vec::new() };
-            self.hand = Hand::Move { mark, nodes };
+            self.mark_edit = MarkEdit::Move { mark, nodes };
         }
         if body.double_clicked() {
-            self.hand = Hand::Text { mark, begun: false };
+            self.mark_edit = MarkEdit::Text { mark, begun: false };
         }
         if framed {
             let corner = Rect::from_min_max(rect.max - Vec2::splat(CORNER * scale), rect.max);
             let pull = ui.interact(corner, Id::new(("mark corner", mark)), Sense::drag());
-            pull.widget_info(|| WidgetInfo::labeled(WidgetType::Other, true, format!("Size of {words}")));
+            pull.widget_info(|| WidgetInfo::labeled(WidgetType::Other, true, format!("Size of {label}")));
             if pull.hovered() || pull.dragged() {
                 let at = Align2::RIGHT_BOTTOM;
                 ui.painter().text(rect.max - vec2(4.0, 2.0), at, "◢", FontId::proportional(12.0), theme::MUTED);
             }
             if pull.drag_started() {
-                self.hand = Hand::Size { mark };
+                self.mark_edit = MarkEdit::Size { mark };
             }
             if pull.dragged()
                 && let Some((w, h)) = &mut self.marks[mark].size
@@ -170,61 +170,61 @@ impl Canvas {
                 (*w, *h) = ((*w + by.x).max(80.0), (*h + by.y).max(60.0));
             }
             if pull.drag_stopped() {
-                self.put_down(mark, asks);
+                self.finish_mark_edit(mark, requests);
             }
         }
         if body.dragged() {
             self.drag_mark(mark, body.drag_delta() / scale);
         }
         if body.drag_stopped() {
-            self.put_down(mark, asks);
+            self.finish_mark_edit(mark, requests);
         }
-        if let Hand::Text { mark: m, begun } = self.hand.clone()
+        if let MarkEdit::Text { mark: m, begun } = self.mark_edit.clone()
             && m == mark
         {
-            self.type_mark(ui, mark, handle, begun, asks);
+            self.type_mark(ui, mark, handle, begun, requests);
         }
     }
 
     fn nodes_inside(&self, scene: &Scene<'_>, frame: Rect) -> Vec<String> {
         let inside = |n: &usize| {
             let id = scene.view.nodes[*n].id();
-            let place = self.places.get(id).copied().unwrap_or_default();
-            frame.contains_rect(Rect::from_min_size(place, self.shapes[*n].size))
+            let position = self.positions.get(id).copied().unwrap_or_default();
+            frame.contains_rect(Rect::from_min_size(position, self.shapes[*n].size))
         };
         (0..scene.view.nodes.len()).filter(inside).map(|n| scene.view.nodes[n].id().to_owned()).collect()
     }
 
     fn drag_mark(&mut self, mark: usize, by: Vec2) {
-        let Hand::Move { nodes, .. } = &self.hand else { return };
+        let MarkEdit::Move { nodes, .. } = &self.mark_edit else { return };
         let (x, y) = self.marks[mark].at;
         self.marks[mark].at = (x + by.x, y + by.y);
         self.fit = false;
         for id in nodes {
-            if let Some(place) = self.places.get_mut(id) {
-                *place += by;
+            if let Some(position) = self.positions.get_mut(id) {
+                *position += by;
             }
         }
     }
 
-    /// Onto the grid, and told.
-    fn put_down(&mut self, mark: usize, asks: &mut Vec<Ask>) {
-        let hand = std::mem::take(&mut self.hand);
+    /// Ends a move or resize: snaps the mark to the grid and requests the change.
+    fn finish_mark_edit(&mut self, mark: usize, requests: &mut Vec<CanvasRequest>) {
+        let mark_edit = std::mem::take(&mut self.mark_edit);
         let (x, y) = self.marks[mark].at;
         let shift = vec2(on_grid(x) - x, on_grid(y) - y);
         self.marks[mark].at = (on_grid(x), on_grid(y));
         if let Some((w, h)) = &mut self.marks[mark].size {
             (*w, *h) = (on_grid(*w), on_grid(*h));
         }
-        let nodes = if let Hand::Move { nodes, .. } = hand { nodes } else { Vec::new() };
+        let nodes = if let MarkEdit::Move { nodes, .. } = mark_edit { nodes } else { Vec::new() };
         let moved = nodes.into_iter().filter_map(|id| {
-            let at = *self.places.get(&id)? + shift;
+            let at = *self.positions.get(&id)? + shift;
             Some((id, at))
         });
-        asks.push(Ask::Marks { marks: self.marks.clone(), moved: moved.collect() });
+        requests.push(CanvasRequest::Marks { marks: self.marks.clone(), moved: moved.collect() });
     }
 
-    fn type_mark(&mut self, ui: &mut Ui, mark: usize, rect: Rect, begun: bool, asks: &mut Vec<Ask>) {
+    fn type_mark(&mut self, ui: &mut Ui, mark: usize, rect: Rect, begun: bool, requests: &mut Vec<CanvasRequest>) {
         let framed = self.marks[mark].size.is_some();
         let mut text = self.marks[mark].text.clone();
         let scope = ui.scope_builder(UiBuilder::new().max_rect(rect.shrink(2.0)), |ui| {
@@ -235,13 +235,13 @@ impl Canvas {
         ui.ctx().accesskit_node_builder(response.id, |n| n.set_label("Text of the mark"));
         if !begun {
             response.request_focus();
-            self.hand = Hand::Text { mark, begun: true };
+            self.mark_edit = MarkEdit::Text { mark, begun: true };
         }
         self.marks[mark].text = text;
         let left = response.lost_focus() || ui.input(|i| i.key_pressed(Key::Escape));
         if begun && left {
-            self.hand = Hand::None;
-            asks.push(Ask::Marks { marks: self.marks.clone(), moved: Vec::new() });
+            self.mark_edit = MarkEdit::None;
+            requests.push(CanvasRequest::Marks { marks: self.marks.clone(), moved: Vec::new() });
         }
     }
 }

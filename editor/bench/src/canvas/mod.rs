@@ -1,77 +1,78 @@
-//! The graph as it is drawn and touched: places, zoom, what is selected, what is being dragged. What a touch means for the graph is told as
-//! [`Ask`]s; nothing is changed here.
+//! The canvas: draws the graph and handles input on it. Its state is positions, zoom, selection and the current drag. Changes of the graph
+//! are returned as [`CanvasRequest`]s; the canvas does not change the graph itself.
 
+mod curve;
+mod interaction;
 mod marks;
 mod paint;
 mod shape;
-mod touch;
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
 use eframe::egui::emath::TSTransform;
 use eframe::egui::{Pos2, Rect, Sense, Ui, Vec2, WidgetInfo, WidgetType, pos2, vec2};
 
-use panoscope_editor_model::document::View;
+use panoscope_editor_model::document::GraphView;
 use panoscope_editor_model::layout;
 use panoscope_editor_model::observe::{Counters, Output};
-use panoscope_editor_widgets::Shown;
+use panoscope_editor_widgets::OutputCache;
 
+pub use interaction::{CanvasRequest, End};
 use panoscope_editor_model::Mark;
 pub use shape::{Pin, Shape, shown_output};
-pub use touch::{Ask, End};
 
-/// Distance of a new node from the one that it is put beside, in points at zoom 1.
+/// Distance between a new node and the selected one beside it, in points at zoom 1.
 const BESIDE: f32 = 64.0;
 
-/// Zoom in powers of the eighth root of two.
+/// Range of the zoom; each step is a factor of the eighth root of two.
 const ZOOM_STEPS: std::ops::RangeInclusive<i32> = -28..=8;
 
-/// How things stand around the canvas; read only.
+/// What the canvas draws.
 pub struct Scene<'a> {
-    /// What is drawn.
-    pub view: &'a View,
-    /// Times and faults.
+    /// The graph.
+    pub view: &'a GraphView,
+    /// Times and faults of the nodes.
     pub counters: &'a Counters,
-    /// Pictures and words of outputs.
-    pub shown: &'a Shown,
-    /// Colours say where time goes.
+    /// Previews of the outputs.
+    pub shown: &'a OutputCache,
+    /// Whether nodes are coloured by their load.
     pub heat: bool,
-    /// The graph runs.
+    /// Whether the graph runs.
     pub running: bool,
-    /// Node that the last change failed at, with the reason.
-    pub trouble: Option<(&'a str, &'a str)>,
+    /// The node at which the last change failed, with the reason.
+    pub problem: Option<(&'a str, &'a str)>,
 }
 
-/// The canvas's own state.
+/// The state of the canvas.
 pub struct Canvas {
     zoom: i32,
     /// Screen distance from the canvas's middle to the graph's origin.
     offset: Vec2,
-    places: HashMap<String, Pos2>,
+    positions: HashMap<String, Pos2>,
     shapes: Vec<Shape>,
     /// Names of the nodes that the shapes belong to.
     ids: Vec<String>,
-    /// Ways around the nodes between two others, while both are where the layout put them.
+    /// Paths of wires that pass other nodes, while both end nodes are where the layout put them.
     lanes: HashMap<(usize, usize), Vec<[Pos2; 2]>>,
     laid_out: Option<u64>,
-    /// The whole graph is kept in view until the user moves it.
+    /// Whether the whole graph is kept in view; the user's movement ends it.
     fit: bool,
     fitted: Option<(Rect, u64)>,
-    drag: touch::Drag,
-    /// Nodes that show all outputs.
+    drag: interaction::Drag,
+    /// Nodes that show all ports.
     unfolded: HashSet<String>,
-    /// Chosen thumbnails.
+    /// The output that a node shows, where the user chose it.
     chosen: HashMap<String, String>,
     /// Selected nodes.
     pub selected: BTreeSet<String>,
-    /// Selected wire: consumer, input, place in the list.
+    /// Selected wire: consumer, input, index in the list.
     pub selected_wire: Option<(String, String, usize)>,
     marks: Vec<Mark>,
     selected_mark: Option<usize>,
-    hand: marks::Hand,
+    mark_edit: marks::MarkEdit,
     /// Output under the pointer.
     pub under_pointer: Option<Output>,
-    /// Part of the window that it was drawn in last.
+    /// The part of the window that it was last drawn in.
     pub rect: Rect,
 }
 
@@ -80,21 +81,21 @@ impl Default for Canvas {
         Self {
             zoom: 0,
             offset: Vec2::ZERO,
-            places: HashMap::new(),
+            positions: HashMap::new(),
             shapes: Vec::new(),
             ids: Vec::new(),
             lanes: HashMap::new(),
             laid_out: None,
             fit: true,
             fitted: None,
-            drag: touch::Drag::None,
+            drag: interaction::Drag::None,
             unfolded: HashSet::new(),
             chosen: HashMap::new(),
             selected: BTreeSet::new(),
             selected_wire: None,
             marks: Vec::new(),
             selected_mark: None,
-            hand: marks::Hand::default(),
+            mark_edit: marks::MarkEdit::default(),
             under_pointer: None,
             rect: Rect::from_min_size(Pos2::ZERO, vec2(800.0, 600.0)),
         }
@@ -102,7 +103,7 @@ impl Default for Canvas {
 }
 
 impl Canvas {
-    /// Shows the whole graph, and keeps it in view until it is moved.
+    /// Shows the whole graph, and keeps it in view until the user moves it.
     pub fn fit(&mut self) {
         self.fit = true;
         self.fitted = None;
@@ -130,7 +131,7 @@ impl Canvas {
         self.offset = middle + (self.offset - middle) * (self.scale() / before);
     }
 
-    /// From the graph's points to the window's.
+    /// The transform from the graph's points to the window's.
     fn transform(&self) -> TSTransform {
         TSTransform::new(self.rect.center().to_vec2() + self.offset, self.scale())
     }
@@ -141,20 +142,20 @@ impl Canvas {
         pos2((at.x / 8.0).round() * 8.0, (at.y / 8.0).round() * 8.0)
     }
 
-    /// Where a node that is added by key goes, if there is room: right of the one that is selected, as far as that is seen, else the middle.
+    /// Preferred position of a new node: right of the selected node if that is visible, else the middle of the view.
     pub fn place_for_new(&self) -> Pos2 {
         let last = self.selected.iter().next_back();
         let shape = last.and_then(|id| self.ids.iter().position(|known| known == id)).and_then(|n| self.shapes.get(n));
         let beside =
-            last.and_then(|id| self.place(id)).zip(shape).map(|(at, shape)| at + vec2(shape.size.x + BESIDE, 0.0));
+            last.and_then(|id| self.position(id)).zip(shape).map(|(at, shape)| at + vec2(shape.size.x + BESIDE, 0.0));
         let seen = |at: &Pos2| self.rect.contains(self.transform() * *at);
         beside.filter(seen).unwrap_or_else(|| self.middle())
     }
 
-    /// By how much nodes that were just added, as one group, must move so that they lie on no other.
-    pub fn way_to_free_ground(&mut self, view: &View, revision: u64, added: &[String]) -> Vec2 {
-        // The others as they stood before: those without a place of their own must not have to yield.
-        let before = self.places.clone();
+    /// The translation that moves a group of added nodes so that they overlap no other node.
+    pub fn offset_to_free_space(&mut self, view: &GraphView, revision: u64, added: &[String]) -> Vec2 {
+        // The other nodes as they were before, so that nodes without a position in the file do not move.
+        let before = self.positions.clone();
         self.lay_out(view, revision);
         let grounds = view.nodes.iter().zip(&self.shapes).filter_map(|(node, shape)| {
             let at = node.position.map(|(x, y)| pos2(x, y)).or_else(|| before.get(node.id()).copied())?;
@@ -162,34 +163,34 @@ impl Canvas {
         });
         let (new, others): (Vec<_>, Vec<_>) = grounds.partition(|(new, _)| *new);
         let Some(group) = new.into_iter().map(|(_, rect)| rect).reduce(|a, b| a.union(b)) else { return Vec2::ZERO };
-        let taken: Vec<layout::Ground> = others.iter().map(|(_, r)| (r.min.into(), r.size().into())).collect();
+        let taken: Vec<layout::Rectangle> = others.iter().map(|(_, r)| (r.min.into(), r.size().into())).collect();
         Pos2::from(layout::free(group.min.into(), group.size().into(), &taken)) - group.min
     }
 
-    /// Moves the view, where a node lies outside of it.
-    pub fn keep_in_view(&mut self, view: &View, revision: u64, id: &str) {
+    /// Moves the view if a node is outside of it.
+    pub fn keep_in_view(&mut self, view: &GraphView, revision: u64, id: &str) {
         self.lay_out(view, revision);
-        let node = view.node(id).and_then(|n| self.shapes.get(n)).zip(self.place(id));
-        let Some((shape, place)) = node.filter(|_| !self.fit) else { return };
-        let rect = Rect::from_min_size(self.transform() * place, shape.size * self.scale());
+        let node = view.node(id).and_then(|n| self.shapes.get(n)).zip(self.position(id));
+        let Some((shape, position)) = node.filter(|_| !self.fit) else { return };
+        let rect = Rect::from_min_size(self.transform() * position, shape.size * self.scale());
         if !self.rect.contains_rect(rect) {
             self.offset -= rect.center() - self.rect.center();
         }
     }
 
-    /// Where a node is drawn.
-    pub fn place(&self, id: &str) -> Option<Pos2> {
-        self.places.get(id).copied()
+    /// Position of a node.
+    pub fn position(&self, id: &str) -> Option<Pos2> {
+        self.positions.get(id).copied()
     }
 
-    /// Moves the view so that a node is in its middle, and selects it.
-    pub fn show_node(&mut self, view: &View, id: &str) {
-        if let (Some(node), Some(place)) = (view.node(id), self.places.get(id))
+    /// Centres the view on a node and selects it.
+    pub fn show_node(&mut self, view: &GraphView, id: &str) {
+        if let (Some(node), Some(position)) = (view.node(id), self.positions.get(id))
             && let Some(shape) = self.shapes.get(node)
         {
             self.fit = false;
             self.zoom = self.zoom.max(-8);
-            self.offset = -(place.to_vec2() + shape.size / 2.0) * self.scale();
+            self.offset = -(position.to_vec2() + shape.size / 2.0) * self.scale();
             self.select_only(id);
         }
     }
@@ -201,36 +202,36 @@ impl Canvas {
         self.selected_mark = None;
     }
 
-    /// Which output a node shows.
-    pub fn shown_output(&self, view: &View, node: usize) -> Option<(Output, String)> {
+    /// The output that a node shows, with its packet type.
+    pub fn shown_output(&self, view: &GraphView, node: usize) -> Option<(Output, String)> {
         shown_output(view, node, self.chosen.get(view.nodes[node].id()).map(String::as_str))
     }
 
-    /// Chooses which output a node shows.
+    /// Sets the output that a node shows.
     pub fn choose_output(&mut self, node: &str, port: &str) {
         self.chosen.insert(node.to_owned(), port.to_owned());
         self.laid_out = None;
     }
 
-    /// Pixels across of a thumbnail that has `full` at zoom 1.
+    /// Width of a thumbnail in px at the current zoom, if it is `full` at zoom 1.
     pub fn thumbnail_width(&self, full: usize) -> usize {
         (full as f32 * self.scale().clamp(0.25, 1.0)) as usize
     }
 
-    /// Outputs whose thumbnails can be seen now, with the types of their packets.
+    /// Outputs whose thumbnails are visible, with their packet types.
     pub fn visible(&self) -> impl Iterator<Item = (&Output, &str)> {
-        let small = self.scale() < paint::PICTURES;
+        let small = self.scale() < shape::PICTURES;
         let seen = self.transform().inverse() * self.rect;
         let shapes = self.shapes.iter().zip(&self.ids).filter(move |(shape, id)| {
-            let place = self.places.get(*id).filter(|_| !small);
-            place.is_some_and(|place| seen.intersects(Rect::from_min_size(*place, shape.size)))
+            let position = self.positions.get(*id).filter(|_| !small);
+            position.is_some_and(|position| seen.intersects(Rect::from_min_size(*position, shape.size)))
         });
         let outputs = shapes.flat_map(|(shape, _)| shape.output.iter().chain(&shape.backdrop));
         outputs.map(|(output, packet)| (output, packet.as_str()))
     }
 
-    /// Lays nodes out anew when the text has changed.
-    fn lay_out(&mut self, view: &View, revision: u64) {
+    /// Lays out the nodes again when the text has changed.
+    fn lay_out(&mut self, view: &GraphView, revision: u64) {
         if self.laid_out == Some(revision) {
             return;
         }
@@ -241,34 +242,34 @@ impl Canvas {
             .collect();
         let sizes: Vec<[f32; 2]> = self.shapes.iter().map(|s| [s.size.x, s.size.y]).collect();
         let edges: Vec<(usize, usize)> = view.wires.iter().filter(|w| !w.delayed).map(|w| (w.from, w.to)).collect();
-        // A lone node that has its own place leaves the others where they are.
+        // An unconnected node with a position in the file does not affect the layout.
         let laid: Vec<usize> = (0..view.nodes.len())
             .filter(|n| view.nodes[*n].position.is_none() || edges.iter().any(|(from, to)| from == n || to == n))
             .collect();
         let automatic = layout::layered_part(&sizes, &edges, &laid);
-        // Nodes that the file gives no place yield to those that it does.
-        let mut taken: Vec<layout::Ground> = (view.nodes.iter().zip(&sizes))
+        // Nodes without a position in the file are placed around those with one.
+        let mut taken: Vec<layout::Rectangle> = (view.nodes.iter().zip(&sizes))
             .filter_map(|(node, size)| node.position.map(|(x, y)| ([x, y], *size)))
             .collect();
         let placed = taken.len();
-        self.places = HashMap::with_capacity(view.nodes.len());
+        self.positions = HashMap::with_capacity(view.nodes.len());
         for (n, node) in view.nodes.iter().enumerate() {
             let at = match node.position {
                 Some((x, y)) => [x, y],
-                None if placed == 0 => automatic.places[n],
+                None if placed == 0 => automatic.positions[n],
                 None => {
-                    let at = layout::clear_of(automatic.places[n], sizes[n], &taken);
+                    let at = layout::clear_of(automatic.positions[n], sizes[n], &taken);
                     taken.push((at, sizes[n]));
                     at
                 }
             };
-            self.places.insert(node.id().to_owned(), pos2(at[0], at[1]));
+            self.positions.insert(node.id().to_owned(), pos2(at[0], at[1]));
         }
         let untouched = |n: usize| view.nodes[n].position.is_none();
         let ways = automatic.lanes.into_iter().filter(|((from, to), _)| untouched(*from) && untouched(*to));
         self.lanes =
             ways.map(|(ends, lane)| (ends, lane.into_iter().map(|s| s.map(|[x, y]| pos2(x, y))).collect())).collect();
-        if !matches!(self.hand, marks::Hand::Text { .. }) {
+        if !matches!(self.mark_edit, marks::MarkEdit::Text { .. }) {
             self.marks.clone_from(&view.marks);
         }
         let known = |id: &String| view.node(id).is_some();
@@ -280,10 +281,10 @@ impl Canvas {
         self.selected_wire = self.selected_wire.take().filter(wire);
     }
 
-    /// The part of the graph that nodes take.
-    fn extent(&self, view: &View) -> Option<Rect> {
+    /// The bounding rectangle of nodes and marks.
+    fn extent(&self, view: &GraphView) -> Option<Rect> {
         let rects = view.nodes.iter().zip(&self.shapes).map(|(node, shape)| {
-            Rect::from_min_size(self.places.get(node.id()).copied().unwrap_or_default(), shape.size)
+            Rect::from_min_size(self.positions.get(node.id()).copied().unwrap_or_default(), shape.size)
         });
         let marks = view.marks.iter().map(|m| {
             let (w, h) = m.size.unwrap_or((220.0, 40.0));
@@ -292,7 +293,7 @@ impl Canvas {
         rects.chain(marks).reduce(|a, b| a.union(b))
     }
 
-    fn fit_now(&mut self, view: &View) {
+    fn fit_now(&mut self, view: &GraphView) {
         if let Some(extent) = self.extent(view) {
             let room = self.rect.shrink(32.0).size();
             let scale = (room.x / extent.width()).min(room.y / extent.height()).clamp(1e-3, 1.0);
@@ -301,35 +302,35 @@ impl Canvas {
         }
     }
 
-    /// Draws the graph into the rest of `ui` and answers what was asked for.
-    pub fn show(&mut self, ui: &mut Ui, scene: &Scene<'_>, revision: u64) -> Vec<Ask> {
+    /// Draws the graph into the remaining space of `ui`; returns the user's requests.
+    pub fn show(&mut self, ui: &mut Ui, scene: &Scene<'_>, revision: u64) -> Vec<CanvasRequest> {
         self.lay_out(scene.view, revision);
         let rect = ui.available_rect_before_wrap();
         self.rect = rect;
-        if self.fit && self.fitted != Some((rect, revision)) && matches!(self.drag, touch::Drag::None) {
+        if self.fit && self.fitted != Some((rect, revision)) && matches!(self.drag, interaction::Drag::None) {
             self.fitted = Some((rect, revision));
             self.fit_now(scene.view);
         }
-        let mut asks = Vec::new();
+        let mut requests = Vec::new();
         ui.set_clip_rect(rect.intersect(ui.clip_rect()));
         let ground = ui.allocate_rect(rect, Sense::click_and_drag());
         ground.widget_info(|| WidgetInfo::labeled(WidgetType::Panel, true, "Graph"));
-        self.touch_ground(ui, &ground, scene, &mut asks);
+        self.touch_ground(ui, &ground, scene, &mut requests);
         let painter = ui.painter().clone();
         self.paint_ground(&painter);
-        self.show_marks(ui, scene, &mut asks);
+        self.show_marks(ui, scene, &mut requests);
         self.paint_wires(&painter, scene);
         self.under_pointer = None;
         let order = self.order(scene.view);
         for node in order {
-            self.show_node_at(ui, scene, node, &mut asks);
+            self.show_node_at(ui, scene, node, &mut requests);
         }
         self.paint_drag(ui, scene);
-        asks
+        requests
     }
 
-    /// Selected nodes last, so that they lie above the others.
-    fn order(&self, view: &View) -> Vec<usize> {
+    /// The drawing order: selected nodes last, so that they are on top.
+    fn order(&self, view: &GraphView) -> Vec<usize> {
         let mut order: Vec<usize> = (0..view.nodes.len()).collect();
         order.sort_by_key(|&n| self.selected.contains(view.nodes[n].id()));
         order

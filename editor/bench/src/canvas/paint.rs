@@ -1,4 +1,4 @@
-//! How the graph looks.
+//! Draws the graph: background, wires, nodes, drags.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -10,78 +10,27 @@ use eframe::egui::{
     Ui, pos2, vec2,
 };
 
-use super::shape::{HEADER, PAD, Pin};
-use super::touch::{Drag, may_wire};
+use super::curve::{bow, flattened, on_curve, rounded};
+use super::interaction::{Drag, check_wire};
+use super::shape::{DETAIL, HEADER, PAD, PICTURES, Pin};
 use super::{Canvas, Scene};
-use panoscope_editor_model::content::{Content, Found};
-use panoscope_editor_model::document::{View, Wire};
+use panoscope_editor_model::content::{Content, DetectedBox};
+use panoscope_editor_model::document::{GraphView, Wire};
+use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme::{self, PinShape};
-use panoscope_editor_widgets::time_words;
 
-/// Below this zoom a node shows its name and picture only.
-pub const DETAIL: f32 = 0.38;
-/// Below this zoom it shows no picture either.
-pub const PICTURES: f32 = 0.2;
-/// Room between a wire that leads back and the nodes above it, points at zoom 1.
+/// Distance between a backward wire and the nodes above it, points at zoom 1.
 const BELOW: f32 = 20.0;
-/// A fault is new for so long.
+/// How long a fault is shown as new.
 const NEW_FAULT_MS: u64 = 3000;
-
-/// A point of a curve, `t` 0..=1.
-pub(super) fn on_curve(p: &[Pos2; 4], t: f32) -> Pos2 {
-    let s = 1.0 - t;
-    let weights = [s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t];
-    let mut at = Pos2::ZERO;
-    for (p, w) in p.iter().zip(weights) {
-        at += p.to_vec2() * w;
-    }
-    at
-}
-
-/// A curve as few straight pieces as eyes take for one: most wires of a large graph are one piece.
-fn flattened(p: &[Pos2; 4]) -> Vec<Pos2> {
-    const TOLERANCE: f32 = 0.25;
-    let chord = (p[3] - p[0]).normalized();
-    let aside = |q: Pos2| ((q - p[0]).x * chord.y - (q - p[0]).y * chord.x).abs();
-    if aside(p[1]).max(aside(p[2])) < TOLERANCE {
-        return vec![p[0], p[3]];
-    }
-    // Error of n equal steps: an eighth of the second derivative's largest value over n squared.
-    let bend = |a: Pos2, b: Pos2, c: Pos2| (a.to_vec2() - 2.0 * b.to_vec2() + c.to_vec2()).length();
-    let most = 6.0 * bend(p[0], p[1], p[2]).max(bend(p[1], p[2], p[3]));
-    let count = (most / (8.0 * TOLERANCE)).sqrt().ceil().clamp(2.0, 64.0) as usize;
-    (0..=count).map(|i| on_curve(p, i as f32 / count as f32)).collect()
-}
-
-fn bow(from: Pos2, to: Pos2, scale: f32) -> [Pos2; 4] {
-    let reach = ((to.x - from.x).abs() * 0.5).max(40.0 * scale).min(220.0 * scale);
-    [from, from + vec2(reach, 0.0), to - vec2(reach, 0.0), to]
-}
-
-/// Straight ways between corners, with round turns.
-fn rounded(corners: &[Pos2]) -> Vec<[Pos2; 4]> {
-    const RADIUS: f32 = 14.0;
-    let straight = |a: Pos2, b: Pos2| [a, a + (b - a) / 3.0, b - (b - a) / 3.0, b];
-    let (mut at, mut curves) = (corners[0], Vec::with_capacity(2 * corners.len()));
-    for three in corners.windows(3) {
-        let [a, b, c] = [three[0], three[1], three[2]];
-        let radius = RADIUS.min((b - a).length() / 2.0).min((c - b).length() / 2.0);
-        let (before, after) = (b - (b - a).normalized() * radius, b + (c - b).normalized() * radius);
-        curves.push(straight(at, before));
-        curves.push([before, before + (b - before) * 0.55, after + (b - after) * 0.55, after]);
-        at = after;
-    }
-    curves.push(straight(at, corners[corners.len() - 1]));
-    curves
-}
 
 impl Canvas {
     fn font(&self, size: f32) -> FontId {
-        // Half points: fewer sizes for the font's texture.
+        // Rounded to half points, so that the font texture needs fewer sizes.
         FontId::new(((size * self.scale()) * 2.0).round() / 2.0, FontFamily::Proportional)
     }
 
-    /// Points of the grid. What is behind them is what the window is cleared to: drivers without hardware pay for every pixel that is filled.
+    /// Draws the grid points. The background is the window's clear colour, because filling pixels is slow with software rendering.
     pub(super) fn paint_ground(&self, painter: &Painter) {
         let step = 32.0 * self.scale();
         if step < 14.0 {
@@ -101,26 +50,26 @@ impl Canvas {
         }
     }
 
-    /// Where a pin is in the window.
-    fn pin_at(&self, view: &View, node: usize, port: &str, input: bool) -> Option<(Pos2, String)> {
+    /// Position of a pin in the window, and its packet type.
+    fn pin_at(&self, view: &GraphView, node: usize, port: &str, input: bool) -> Option<(Pos2, String)> {
         let shape = self.shapes.get(node)?;
-        let place = self.places.get(view.nodes[node].id())?;
+        let position = self.positions.get(view.nodes[node].id())?;
         let (at, packet) = match shape.pin(port, input) {
             Some(pin) => (pin.at, pin.packet.clone()),
-            // A port that its type does not have: at the header.
+            // A port that the type does not have is drawn at the header.
             None => (pos2(if input { 0.0 } else { shape.size.x }, HEADER / 2.0), String::new()),
         };
-        Some((self.transform() * (*place + at.to_vec2()), packet))
+        Some((self.transform() * (*position + at.to_vec2()), packet))
     }
 
-    /// The parts of a wire, one after the other.
-    pub(super) fn curves(&self, view: &View, wire: &Wire) -> Vec<[Pos2; 4]> {
+    /// The curves that a wire consists of.
+    pub(super) fn curves(&self, view: &GraphView, wire: &Wire) -> Vec<[Pos2; 4]> {
         let ends = (self.pin_at(view, wire.from, &wire.output, false), self.pin_at(view, wire.to, &wire.input, true));
         let (Some((from, _)), Some((to, _))) = ends else { return Vec::new() };
         let Some(lane) = self.lanes.get(&(wire.from, wire.to)) else {
             return if to.x > from.x { vec![bow(from, to, self.scale())] } else { self.around(view, wire, from, to) };
         };
-        // Wires of one lane run beside each other.
+        // Wires of one lane are drawn beside each other.
         let mut beside = view.wires.iter().filter(|w| w.from == wire.from && w.to == wire.to);
         let shift = vec2(0.0, beside.position(|w| w == wire).unwrap_or(0) as f32 * 7.0 - 3.0);
         let (transform, mut at, mut curves) = (self.transform(), from, Vec::new());
@@ -135,17 +84,17 @@ impl Canvas {
         curves
     }
 
-    /// A wire that leads back: below the nodes between its ends, through none.
-    fn around(&self, view: &View, wire: &Wire, from: Pos2, to: Pos2) -> Vec<[Pos2; 4]> {
+    /// The path of a backward wire, below the nodes between its ends.
+    fn around(&self, view: &GraphView, wire: &Wire, from: Pos2, to: Pos2) -> Vec<[Pos2; 4]> {
         let transform = self.transform();
         let (from, to) = (transform.inverse() * from, transform.inverse() * to);
         let rects: Vec<Rect> = (view.nodes.iter().zip(&self.shapes))
             .map(|(node, shape)| {
-                Rect::from_min_size(self.places.get(node.id()).copied().unwrap_or_default(), shape.size)
+                Rect::from_min_size(self.positions.get(node.id()).copied().unwrap_or_default(), shape.size)
             })
             .collect();
         let bottom = |n: usize| rects.get(n).map_or(f32::MIN, Rect::bottom);
-        // Wires that lead back run beside each other.
+        // Backward wires are drawn beside each other.
         let beside = view.wires.iter().filter(|w| w.delayed).position(|w| w == wire).unwrap_or(0);
         let room = BELOW + (beside % 4) as f32 * 7.0;
         let mut low = bottom(wire.from).max(bottom(wire.to)) + room;
@@ -212,7 +161,7 @@ impl Canvas {
         let radius = CornerRadius::same((8.0 * scale).clamp(2.0, 12.0) as u8);
         let share = counters.map_or(0.0, |c| (c.p50_ms * c.fps / 1e3) as f32);
         let fill = if scene.heat { theme::heat(share) } else { theme::RAISED };
-        let wrong = !this.mistakes.is_empty() || scene.trouble.is_some_and(|(n, _)| n == id);
+        let wrong = !this.mistakes.is_empty() || scene.problem.is_some_and(|(n, _)| n == id);
         let stroke = match (wrong, selected, hovered) {
             (true, ..) => Stroke::new(2.0, theme::FAULT),
             (_, true, _) => Stroke::new(2.0, theme::ACCENT),
@@ -231,13 +180,13 @@ impl Canvas {
         painter.rect_filled(bar, left, family);
         let line = rect.top() + HEADER * scale / 2.0;
         if scale < DETAIL {
-            // The name stays readable: above the box it has all the width there is.
+            // The name is drawn above the box, where it has more width.
             let font = FontId::proportional(11.0);
             let name = elided(painter, id, font, theme::TEXT, rect.width() + 48.0 * scale);
             let at = pos2(rect.left(), rect.top() - name.size().y - 1.0);
             painter.galley(at, name, theme::TEXT);
             self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
-            // Without pins and numbers all the room is the picture's.
+            // Without pins and numbers the preview gets all the space.
             let room = rect.shrink(PAD * scale);
             let room = Rect::from_min_max(pos2(room.left(), rect.top() + HEADER * scale), room.max);
             self.paint_picture(painter, scene, node, room);
@@ -249,9 +198,9 @@ impl Canvas {
         self.paint_light(ui, scene, node, pos2(rect.right() - 14.0 * scale, line));
         let room = rect.width() - name_width - 52.0 * scale;
         if room > 30.0 * scale {
-            let words = elided(painter, &this.outline.type_name, self.font(11.0), theme::MUTED, room);
-            let at = pos2(rect.right() - 26.0 * scale - words.size().x, line - words.size().y / 2.0);
-            painter.galley(at, words, theme::MUTED);
+            let caption = elided(painter, &this.outline.type_name, self.font(11.0), theme::MUTED, room);
+            let at = pos2(rect.right() - 26.0 * scale - caption.size().x, line - caption.size().y / 2.0);
+            painter.galley(at, caption, theme::MUTED);
         }
         let shape = &self.shapes[node];
         if let Some(picture) = shape.picture {
@@ -259,29 +208,29 @@ impl Canvas {
             self.paint_picture(painter, scene, node, frame);
         }
         let transform = self.transform();
-        let place = self.places.get(id).copied().unwrap_or_default();
+        let position = self.positions.get(id).copied().unwrap_or_default();
         for pin in &shape.pins {
-            let at = transform * (place + pin.at.to_vec2());
+            let at = transform * (position + pin.at.to_vec2());
             self.paint_pin(painter, pin, at);
             let (align, shift) = if pin.input { (Align2::LEFT_CENTER, 10.0) } else { (Align2::RIGHT_CENTER, -10.0) };
-            let color = if pin.wanting { theme::FAULT } else { theme::MUTED };
+            let color = if pin.missing { theme::FAULT } else { theme::MUTED };
             painter.text(at + vec2(shift * scale, 0.0), align, &pin.name, self.font(11.5), color);
         }
         if let Some(fold) = shape.fold {
-            let rect = transform * fold.translate(place.to_vec2());
-            let words = if shape.folded > 0 { format!("{} more", shape.folded) } else { "fewer".to_owned() };
+            let rect = transform * fold.translate(position.to_vec2());
+            let caption = if shape.folded > 0 { format!("{} more", shape.folded) } else { "fewer".to_owned() };
             painter.text(
                 rect.right_center() - vec2(2.0 * scale, 0.0),
                 Align2::RIGHT_CENTER,
-                words,
+                caption,
                 self.font(11.0),
                 theme::ACCENT,
             );
         }
-        self.paint_footer(painter, scene, node, transform * shape.footer.translate(place.to_vec2()));
+        self.paint_footer(painter, scene, node, transform * shape.footer.translate(position.to_vec2()));
     }
 
-    /// The fault light.
+    /// Draws the status light.
     fn paint_light(&self, ui: &Ui, scene: &Scene<'_>, node: usize, at: Pos2) {
         let id = scene.view.nodes[node].id();
         let fault = scene.counters.faults.get(id);
@@ -297,17 +246,17 @@ impl Canvas {
         let radius = (4.0 * self.scale()).max(2.5);
         ui.painter().circle_filled(at, radius, color);
         if fault.is_some() {
-            // Colour is not the only sign.
+            // A ring marks a fault without relying on colour.
             ui.painter().circle_stroke(at, radius + 2.5, Stroke::new(1.0, color));
         }
     }
 
-    /// What a node makes, inside `frame`: its picture, or words; where those are too small, how long it takes.
+    /// Draws a node's preview in `frame`: its image or text; at a small zoom, the node's time instead of a text.
     fn paint_picture(&self, painter: &Painter, scene: &Scene<'_>, node: usize, frame: Rect) {
         let shape = &self.shapes[node];
         let scale = self.scale();
         let Some((output, packet)) = &shape.output else { return };
-        // Boxes stand on the picture that they were found in.
+        // Boxes are drawn on the image that was searched.
         let below = shape.backdrop.as_ref().map_or(output, |(below, _)| below);
         match scene.shown.texture(below) {
             Some((texture, size)) => {
@@ -322,22 +271,22 @@ impl Canvas {
                     whole,
                     if stale.is_some() { Color32::from_gray(96) } else { Color32::WHITE },
                 );
-                if let Some(Content::Boxes(found)) = scene.shown.look(output).map(|l| &l.content) {
+                if let Some(Content::Boxes(found)) = scene.shown.packet(output).map(|l| &l.content) {
                     paint_boxes(painter, inner, found, (scale >= DETAIL).then(|| self.font(11.0)));
                 }
                 if let Some(age) = stale.filter(|_| scene.running && scale >= DETAIL) {
-                    let words = format!("{} s old", age.as_secs());
-                    painter.text(frame.center(), Align2::CENTER_CENTER, words, self.font(13.0), theme::WARN);
+                    let caption = format!("{} s old", age.as_secs());
+                    painter.text(frame.center(), Align2::CENTER_CENTER, caption, self.font(13.0), theme::WARN);
                 }
             }
             None if scale < DETAIL => {
                 let counters = scene.counters.nodes.get(scene.view.nodes[node].id());
                 if let Some(counters) = counters.filter(|c| c.fps > 0.0) {
-                    let words = time_words(counters.p50_ms);
+                    let caption = format_time(counters.p50_ms);
                     painter.text(
                         frame.center(),
                         Align2::CENTER_CENTER,
-                        words,
+                        caption,
                         FontId::proportional(10.0),
                         theme::MUTED,
                     );
@@ -345,9 +294,9 @@ impl Canvas {
             }
             None => {
                 painter.rect_filled(frame, 4.0 * scale, theme::SUNK);
-                let words = scene.shown.words(output).unwrap_or(packet);
+                let caption = scene.shown.text(output).unwrap_or(packet);
                 let galley =
-                    painter.layout(words.to_owned(), self.font(11.0), theme::TEXT, frame.width() - 16.0 * scale);
+                    painter.layout(caption.to_owned(), self.font(11.0), theme::TEXT, frame.width() - 16.0 * scale);
                 let clipped = painter.with_clip_rect(frame.intersect(self.rect));
                 let at = frame.left_center() + vec2(8.0 * scale, -galley.size().y / 2.0);
                 clipped.galley(pos2(at.x, at.y.max(frame.top() + 4.0)), galley, theme::TEXT);
@@ -358,7 +307,7 @@ impl Canvas {
     fn paint_pin(&self, painter: &Painter, pin: &Pin, at: Pos2) {
         let r = 5.0 * self.scale();
         let color = theme::packet(&pin.packet);
-        let (fill, stroke) = if pin.wanting {
+        let (fill, stroke) = if pin.missing {
             (theme::RAISED, Stroke::new(1.5, theme::FAULT))
         } else {
             (color, Stroke::new(1.5, theme::GROUND))
@@ -385,13 +334,13 @@ impl Canvas {
         }
     }
 
-    /// Times and rates, or what is wrong.
+    /// Draws times and rates, or the node's first error.
     fn paint_footer(&self, painter: &Painter, scene: &Scene<'_>, node: usize, rect: Rect) {
         let this = &scene.view.nodes[node];
         let font = self.font(11.0);
-        let trouble = scene.trouble.filter(|(n, _)| *n == this.id()).map(|(_, words)| words.to_owned());
-        if let Some(words) = this.mistakes.first().cloned().or(trouble) {
-            let galley = elided(painter, &words, font, theme::FAULT, rect.width());
+        let problem = scene.problem.filter(|(n, _)| *n == this.id()).map(|(_, caption)| caption.to_owned());
+        if let Some(caption) = this.mistakes.first().cloned().or(problem) {
+            let galley = elided(painter, &caption, font, theme::FAULT, rect.width());
             painter.galley(pos2(rect.left(), rect.center().y - galley.size().y / 2.0), galley, theme::FAULT);
             return;
         }
@@ -399,7 +348,7 @@ impl Canvas {
         let mut right = LayoutJob::default();
         let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
         if let Some(fault) = scene.counters.faults.get(this.id()) {
-            let (count, word) = (c.faults.max(1), fault_word(fault));
+            let (count, word) = (c.faults.max(1), fault_name(fault));
             let plural = if count > 1 { "s" } else { "" };
             right.append(&format!("{count} {word}{plural}  "), 0.0, plain(theme::WARN));
         }
@@ -408,26 +357,26 @@ impl Canvas {
             right.append(&format!("{} drop{plural}  ", c.dropped), 0.0, plain(theme::WARN));
         }
         if let Some(age) = c.age_p50_ms.filter(|a| *a > 0.0) {
-            right.append(&format!("age {}  ", time_words(age)), 0.0, plain(theme::MUTED));
+            right.append(&format!("age {}  ", format_time(age)), 0.0, plain(theme::MUTED));
         }
         right.append(&format!("{:.0} fps", c.fps), 0.0, plain(theme::TEXT));
         let right = painter.layout_job(right);
         let middle = rect.center().y;
         painter.galley(pos2(rect.right() - right.size().x, middle - right.size().y / 2.0), right.clone(), theme::TEXT);
-        // As much of the times as there is room for.
-        let p50 = time_words(c.p50_ms);
+        // The longest text that fits.
+        let p50 = format_time(c.p50_ms);
         let lefts = match c.fps > 0.0 {
-            true => vec![format!("{p50} · p99 {}", time_words(c.p99_ms)), p50],
+            true => vec![format!("{p50} · p99 {}", format_time(c.p99_ms)), p50],
             false => vec!["at rest".to_owned()],
         };
         let room = rect.width() - right.size().x - 8.0 * self.scale();
-        let galleys = lefts.into_iter().map(|words| painter.layout_no_wrap(words, font.clone(), theme::MUTED));
+        let galleys = lefts.into_iter().map(|caption| painter.layout_no_wrap(caption, font.clone(), theme::MUTED));
         if let Some(left) = galleys.into_iter().find(|g| g.size().x <= room) {
             painter.galley(pos2(rect.left(), middle - left.size().y / 2.0), left, theme::MUTED);
         }
     }
 
-    /// The wire or the frame that is being drawn.
+    /// Draws the wire or selection frame that is being dragged.
     pub(super) fn paint_drag(&self, ui: &Ui, scene: &Scene<'_>) {
         let Some(pointer) = ui.input(|i| i.pointer.latest_pos()) else { return };
         let painter = ui.painter();
@@ -441,7 +390,7 @@ impl Canvas {
                 let Some(node) = scene.view.node(&from.node) else { return };
                 let Some((start, packet)) = self.pin_at(scene.view, node, &from.port, from.input) else { return };
                 let over = self.pin_near(scene.view, from, pointer);
-                let verdict = over.as_ref().map(|end| may_wire(scene.view, from, end));
+                let verdict = over.as_ref().map(|end| check_wire(scene.view, from, end));
                 let end = over.as_ref().and_then(|end| {
                     Some(self.pin_at(scene.view, scene.view.node(&end.node)?, &end.port, end.input)?.0)
                 });
@@ -458,7 +407,7 @@ impl Canvas {
                     painter.circle_stroke(end, 9.0 * self.scale(), Stroke::new(2.0, color));
                 }
                 if let Some(Err(why)) = verdict {
-                    say(painter, pointer + vec2(16.0, 12.0), &why);
+                    show_hint(painter, pointer + vec2(16.0, 12.0), &why.to_string());
                 }
             }
             Drag::None | Drag::Nodes { .. } => {}
@@ -466,7 +415,7 @@ impl Canvas {
     }
 }
 
-/// A small node as few rectangles: where hundreds are in view, round and soft edges are most of what there is to draw.
+/// A small node as a few rectangles: with hundreds of nodes in view, round and antialiased edges would dominate the drawing time.
 fn plain_node(rect: Rect, fill: Color32, edge: Stroke, bar: Color32) -> Mesh {
     let (mut mesh, w) = (Mesh::default(), edge.width);
     let outer = rect.expand(w);
@@ -479,7 +428,7 @@ fn plain_node(rect: Rect, fill: Color32, edge: Stroke, bar: Color32) -> Mesh {
     mesh
 }
 
-fn fault_word(fault: &panoscope_engine::fault::Fault) -> &'static str {
+fn fault_name(fault: &panoscope_engine::fault::Fault) -> &'static str {
     use panoscope_engine::fault::Cause;
     match fault.cause {
         Cause::Panic => "panic",
@@ -490,16 +439,16 @@ fn fault_word(fault: &panoscope_engine::fault::Fault) -> &'static str {
     }
 }
 
-/// Boxes with their names; colours are those of the classes.
-pub(crate) fn paint_boxes(painter: &Painter, picture: Rect, found: &[Found], font: Option<FontId>) {
-    for thing in found {
-        let [x, y, w, h] = thing.share;
+/// Draws boxes with their labels in the colours of their classes.
+fn paint_boxes(painter: &Painter, picture: Rect, boxes: &[DetectedBox], font: Option<FontId>) {
+    for detected in boxes {
+        let [x, y, w, h] = detected.share;
         let at = picture.min + vec2(x * picture.width(), y * picture.height());
         let rect = Rect::from_min_size(at, vec2(w * picture.width(), h * picture.height())).intersect(picture);
-        let color = theme::class(thing.class);
+        let color = theme::class(detected.class);
         painter.rect_stroke(rect, 1.0, Stroke::new(1.5, color), StrokeKind::Inside);
         if let Some(font) = font.clone() {
-            let galley = painter.layout_no_wrap(thing.words.clone(), font, theme::SUNK);
+            let galley = painter.layout_no_wrap(detected.label.clone(), font, theme::SUNK);
             let at = pos2(rect.left(), (rect.top() - galley.size().y).max(picture.top()));
             painter.rect_filled(Rect::from_min_size(at, galley.size() + vec2(6.0, 0.0)), 1.0, color);
             painter.galley(at + vec2(3.0, 0.0), galley, theme::SUNK);
@@ -507,7 +456,7 @@ pub(crate) fn paint_boxes(painter: &Painter, picture: Rect, found: &[Found], fon
     }
 }
 
-/// One line that ends in dots where the room does.
+/// Lays out one line of text, truncated with an ellipsis to `width`.
 fn elided(
     painter: &Painter,
     text: &str,
@@ -522,43 +471,11 @@ fn elided(
     painter.layout_job(job)
 }
 
-/// A short note beside the pointer.
-fn say(painter: &Painter, at: Pos2, words: &str) {
+/// Draws a short message beside the pointer.
+fn show_hint(painter: &Painter, at: Pos2, caption: &str) {
     let font = FontId::new(12.0, FontFamily::Proportional);
-    let galley = painter.layout(words.to_owned(), font, theme::TEXT, 280.0);
+    let galley = painter.layout(caption.to_owned(), font, theme::TEXT, 280.0);
     let rect = Rect::from_min_size(at, galley.size() + vec2(16.0, 12.0));
     painter.rect(rect, 4.0, theme::PANEL, Stroke::new(1.0, theme::FAULT), StrokeKind::Inside);
     painter.galley(rect.min + vec2(8.0, 6.0), galley, theme::TEXT);
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn wires_are_few_pieces_and_keep_to_their_curve() {
-        let straight = bow(pos2(0.0, 5.0), pos2(300.0, 5.0), 1.0);
-        assert_eq!(flattened(&straight).len(), 2);
-        let curve = bow(pos2(0.0, 0.0), pos2(120.0, 400.0), 1.0);
-        let points = flattened(&curve);
-        assert!((8..=64).contains(&points.len()), "{}", points.len());
-        let apart = |at: Pos2| {
-            let near = points.windows(2).map(|pair| {
-                let way = pair[1] - pair[0];
-                let along = ((at - pair[0]).dot(way) / way.length_sq()).clamp(0.0, 1.0);
-                at.distance(pair[0] + way * along)
-            });
-            near.fold(f32::MAX, f32::min)
-        };
-        let worst = (0..=500).map(|i| apart(on_curve(&curve, i as f32 / 500.0))).fold(0.0, f32::max);
-        assert!(worst < 0.3, "{worst}");
-    }
-
-    #[test]
-    fn ways_back_have_round_turns_and_no_gaps() {
-        let corners = [pos2(10.0, 0.0), pos2(40.0, 0.0), pos2(40.0, 90.0), pos2(-60.0, 90.0), pos2(-60.0, 20.0)];
-        let curves = rounded(&corners);
-        assert!(curves.windows(2).all(|pair| pair[0][3] == pair[1][0]), "{curves:?}");
-        assert_eq!((curves[0][0], curves[curves.len() - 1][3]), (corners[0], corners[4]));
-    }
 }

@@ -1,66 +1,70 @@
-//! Where the parts of a node are drawn, in points at zoom 1, from the node's upper left corner.
+//! The layout of a node's parts, in points at zoom 1 from the node's upper left corner.
 
 use std::collections::HashSet;
 
 use eframe::egui::{Pos2, Rect, Vec2, pos2, vec2};
 
-use panoscope_editor_model::document::{NodeView, View};
+use panoscope_editor_model::document::{GraphView, NodeView};
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::picture::is_pictorial;
 
+/// Below this zoom a node shows its name and picture only.
+pub const DETAIL: f32 = 0.38;
+/// Below this zoom it shows no picture either.
+pub const PICTURES: f32 = 0.2;
 /// Width of every node.
 pub const WIDTH: f32 = 208.0;
-/// Name and type.
+/// Height of the header with name and type.
 pub const HEADER: f32 = 36.0;
 const PICTURE: f32 = 120.0;
 const WORDS: f32 = 52.0;
 const ROW: f32 = 20.0;
 const FOOTER: f32 = 28.0;
-/// Between the parts of a node and its edge.
+/// Distance between the parts of a node and its edge.
 pub const PAD: f32 = 8.0;
-/// Most optional inputs, and most outputs, that are shown unconnected.
-const MOST_FREE: usize = 3;
+/// Maximum number of unconnected optional inputs, and of unread outputs, that are shown.
+const MAX_UNCONNECTED: usize = 3;
 
-/// One end of wires.
+/// The pin of a port.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pin {
     /// The port's name.
     pub name: String,
     /// Type of its packets; empty when it is not known.
     pub packet: String,
-    /// An input, on the left.
+    /// Whether it is an input (left) or an output (right).
     pub input: bool,
-    /// Takes several wires.
+    /// Whether it takes several wires.
     pub list: bool,
-    /// Must be connected and is not.
-    pub wanting: bool,
-    /// Its middle.
+    /// Whether it must be connected and is not.
+    pub missing: bool,
+    /// Its centre.
     pub at: Pos2,
 }
 
-/// The parts of a node.
+/// The layout of a node.
 #[derive(Clone, Debug)]
 pub struct Shape {
     /// Width and height.
     pub size: Vec2,
-    /// The picture or the words of [`Self::output`].
+    /// Rectangle of the preview of [`Self::output`].
     pub picture: Option<Rect>,
-    /// Which output is shown, and the type of its packets.
+    /// The output that is shown, and its packet type.
     pub output: Option<(Output, String)>,
-    /// The picture below the boxes of [`Self::output`].
+    /// The image on which the boxes of [`Self::output`] are drawn.
     pub backdrop: Option<(Output, String)>,
     /// Inputs, then outputs.
     pub pins: Vec<Pin>,
-    /// Ports that are folded away.
+    /// Number of hidden ports.
     pub folded: usize,
-    /// Where the number of folded ports stands.
+    /// Rectangle of the button that shows or hides ports.
     pub fold: Option<Rect>,
-    /// Times and rates.
+    /// Rectangle of times and rates.
     pub footer: Rect,
 }
 
-/// The output whose thumbnail a node shows: the chosen one, else the first picture that is read, else what a sink takes.
-pub fn shown_output(view: &View, node: usize, chosen: Option<&str>) -> Option<(Output, String)> {
+/// The output that a node shows: the chosen one, else its first image that is read, else another output; for a sink, its input.
+pub fn shown_output(view: &GraphView, node: usize, chosen: Option<&str>) -> Option<(Output, String)> {
     let this = &view.nodes[node];
     let of = |node: &NodeView, port: &str| {
         let packet = node.output(port).map(|p| p.packet.name.clone())?;
@@ -83,8 +87,8 @@ pub fn shown_output(view: &View, node: usize, chosen: Option<&str>) -> Option<(O
     of(&view.nodes[wire.from], &wire.output)
 }
 
-/// The picture that things were found in: what feeds a node that shows boxes.
-fn backdrop(view: &View, node: usize, packet: &str) -> Option<(Output, String)> {
+/// The image that was searched: the image input of a node that shows boxes.
+fn backdrop(view: &GraphView, node: usize, packet: &str) -> Option<(Output, String)> {
     if !matches!(packet, "detections" | "instances") {
         return None;
     }
@@ -97,7 +101,7 @@ fn backdrop(view: &View, node: usize, packet: &str) -> Option<(Output, String)> 
 
 impl Shape {
     /// Lays a node out. `unfolded` names nodes that show all their ports.
-    pub fn of(view: &View, node: usize, unfolded: &HashSet<String>, chosen: Option<&str>) -> Self {
+    pub fn of(view: &GraphView, node: usize, unfolded: &HashSet<String>, chosen: Option<&str>) -> Self {
         let this = &view.nodes[node];
         let output = shown_output(view, node, chosen);
         let backdrop = output.as_ref().and_then(|(_, packet)| backdrop(view, node, packet));
@@ -131,19 +135,19 @@ impl Shape {
     }
 }
 
-/// Pins of a node that are shown: inputs, outputs, and how many ports are folded away.
-fn ports(view: &View, node: usize, unfolded: bool) -> (Vec<Pin>, Vec<Pin>, usize) {
+/// The visible pins of a node: inputs, outputs, and the number of hidden ports.
+fn ports(view: &GraphView, node: usize, unfolded: bool) -> (Vec<Pin>, Vec<Pin>, usize) {
     let this = &view.nodes[node];
     let pin = |name: &str, packet: &str, input: bool| Pin {
         name: name.to_owned(),
         packet: packet.to_owned(),
         input,
         list: false,
-        wanting: false,
+        missing: false,
         at: Pos2::ZERO,
     };
     let Some(node_type) = &this.node_type else {
-        // What is wired of a type that is not known.
+        // The node type is not known: show the connected ports.
         let mut outputs: Vec<Pin> = Vec::new();
         for wire in view.wires.iter().filter(|w| w.from == node) {
             if !outputs.iter().any(|p| p.name == wire.output) {
@@ -153,7 +157,7 @@ fn ports(view: &View, node: usize, unfolded: bool) -> (Vec<Pin>, Vec<Pin>, usize
         return (this.outline.inputs.iter().map(|i| pin(&i.port, "", true)).collect(), outputs, 0);
     };
     let is_connected = |name: &str| this.outline.inputs.iter().any(|i| i.port == name && !i.from.is_empty());
-    let mut spare = MOST_FREE;
+    let mut spare = MAX_UNCONNECTED;
     let seen = node_type.inputs.iter().filter(|port| {
         let needed = unfolded || !port.optional || is_connected(&port.name);
         let shown = needed || spare > 0;
@@ -163,12 +167,12 @@ fn ports(view: &View, node: usize, unfolded: bool) -> (Vec<Pin>, Vec<Pin>, usize
     let inputs: Vec<Pin> = seen
         .map(|port| {
             let connected = is_connected(&port.name);
-            let (list, wanting) = (port.list, !port.optional && !connected);
-            Pin { list, wanting, ..pin(&port.name, &port.packet.name, true) }
+            let (list, missing) = (port.list, !port.optional && !connected);
+            Pin { list, missing, ..pin(&port.name, &port.packet.name, true) }
         })
         .collect();
     let read = |name: &str| view.wires.iter().any(|w| w.from == node && w.output == name);
-    let mut free = MOST_FREE.saturating_sub(node_type.outputs.iter().filter(|p| read(&p.name)).count());
+    let mut free = MAX_UNCONNECTED.saturating_sub(node_type.outputs.iter().filter(|p| read(&p.name)).count());
     let mut outputs = Vec::new();
     for port in &node_type.outputs {
         let shown = unfolded || read(&port.name) || free > 0;

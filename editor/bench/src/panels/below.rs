@@ -1,4 +1,4 @@
-//! What can stand below the canvas: mistakes and faults; and the file's text beside it.
+//! The panel of problems below the canvas, and the panel of the file's text beside it.
 
 use eframe::egui::text::LayoutJob;
 use eframe::egui::{
@@ -13,24 +13,24 @@ use panoscope_editor_model::observe::Counters;
 use panoscope_editor_model::session::Status;
 use panoscope_editor_widgets::theme;
 
-/// Where something is wrong.
+/// The location of a problem.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Spot {
-    /// The node, where it is one's.
+    /// The node, if the problem is in one.
     pub node: Option<String>,
-    /// Line of the file, from 1 on.
+    /// Line of the file, from 1.
     pub line: Option<usize>,
 }
 
-/// What is wrong, and what went wrong; answers the place that was clicked.
+/// Shows mistakes in the file and recent faults; returns the location of the one that was clicked.
 pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters) -> Option<Spot> {
     let view = document.view();
     let mut go = None;
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
-        if let Some(trouble) = &status.trouble {
-            let place = trouble.node.clone().unwrap_or_else(|| "change refused".to_owned());
-            if row(ui, theme::FAULT, &place, &trouble.words) {
-                go = Some(Spot { node: trouble.node.clone(), line: None });
+        if let Some(problem) = &status.problem {
+            let place = problem.node.clone().unwrap_or_else(|| "change not applied".to_owned());
+            if row(ui, theme::FAULT, &place, &problem.message) {
+                go = Some(Spot { node: problem.node.clone(), line: None });
             }
         }
         for d in &view.diagnostics {
@@ -40,17 +40,17 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
                 true => format!("line {}", d.line),
                 false => format!("{}, line {}", d.file, d.line),
             };
-            let mut words = d.message.clone();
+            let mut message = d.message.clone();
             for more in [&d.label, &d.help] {
                 if !more.is_empty() {
-                    words += &format!(" · {more}");
+                    message += &format!(" · {more}");
                 }
             }
-            if row(ui, color, &place, &words) {
+            if row(ui, color, &place, &message) {
                 go = Some(Spot { node, line: (d.file == view.file).then_some(d.line) });
             }
         }
-        if view.diagnostics.is_empty() && status.trouble.is_none() {
+        if view.diagnostics.is_empty() && status.problem.is_none() {
             ui.label(RichText::new("The file has no mistakes.").color(theme::MUTED));
         }
         if !counters.fault_list.is_empty() {
@@ -58,8 +58,8 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
         }
         for fault in counters.fault_list.iter().rev().take(100) {
             let place = format!("{:.1} s  {}", fault.run_ms / 1e3, fault.node);
-            let words = format!("{} ({})", fault.words, format!("{:?}", fault.done).to_lowercase());
-            if row(ui, theme::WARN, &place, &words) {
+            let message = format!("{} ({})", fault.words, format!("{:?}", fault.done).to_lowercase());
+            if row(ui, theme::WARN, &place, &message) {
                 go = Some(Spot { node: Some(fault.node.clone()), line: None });
             }
         }
@@ -67,33 +67,33 @@ pub fn problems(ui: &mut Ui, document: &Document, status: &Status, counters: &Co
     go
 }
 
-fn row(ui: &mut Ui, color: Color32, place: &str, words: &str) -> bool {
+fn row(ui: &mut Ui, color: Color32, place: &str, message: &str) -> bool {
     let mut job = LayoutJob::default();
     let format = |color, size| TextFormat { font_id: FontId::proportional(size), color, ..TextFormat::default() };
     job.append(&format!("{place}   "), 0.0, format(color, 12.0));
-    job.append(words, 0.0, format(theme::TEXT, 12.0));
+    job.append(message, 0.0, format(theme::TEXT, 12.0));
     let label = ui.add(Label::new(job).sense(Sense::click()).selectable(false));
-    let name = format!("{place}: {words}");
+    let name = format!("{place}: {message}");
     label.widget_info(|| WidgetInfo::labeled(WidgetType::Link, true, name.clone()));
     label.on_hover_cursor(eframe::egui::CursorIcon::PointingHand).clicked()
 }
 
-/// The line that the text shows.
+/// The highlighted line of the text.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Reading {
     line: Option<usize>,
-    /// It is not in view yet.
+    /// Whether to scroll to it.
     go: bool,
 }
 
 impl Reading {
-    /// Brings a line into view and makes it stand out.
+    /// Highlights a line and scrolls to it.
     pub fn go_to(&mut self, line: usize) {
         *self = Self { line: Some(line), go: true };
     }
 }
 
-/// The file's text with its line numbers; the lines of `marked` nodes stand out, and the one that was asked for. To read only.
+/// Shows the file's text, read-only with line numbers. Highlights the lines of `marked` nodes and the line of `reading`.
 pub fn text(ui: &mut Ui, document: &Document, marked: &[String], reading: &mut Reading) {
     let font = FontId::monospace(12.0);
     let plain = |color| TextFormat { font_id: font.clone(), color, ..TextFormat::default() };
@@ -111,21 +111,21 @@ pub fn text(ui: &mut Ui, document: &Document, marked: &[String], reading: &mut R
             }
             let mark = if wrong.contains(&(number + 1)) { theme::FAULT } else { theme::MUTED.gamma_multiply(0.6) };
             job.append(&format!("{:>4}  ", number + 1), 0.0, plain(mark));
-            for (words, color) in coloured(line) {
+            for (part, color) in coloured(line) {
                 let mut format = plain(color);
                 if reading.line == Some(number + 1) {
                     format.background = theme::FAULT.gamma_multiply(0.25);
                 } else if inside {
                     format.background = theme::ACCENT.gamma_multiply(0.12);
                 }
-                job.append(words, 0.0, format);
+                job.append(part, 0.0, format);
             }
             job.append("\n", 0.0, plain(theme::TEXT));
         }
         let label = ui.add(Label::new(job).extend());
         label.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, "Text of the file"));
         if let Some(line) = reading.line.filter(|_| std::mem::take(&mut reading.go)) {
-            // Each line takes the same room; behind the last one is an empty one.
+            // All lines have the same height; the text ends with an empty line.
             let height = label.rect.height() / (document.text().lines().count() + 1) as f32;
             let top = label.rect.top() + (line.max(1) - 1) as f32 * height;
             let at = Rect::from_min_size(pos2(label.rect.left(), top), vec2(1.0, height));
@@ -134,7 +134,7 @@ pub fn text(ui: &mut Ui, document: &Document, marked: &[String], reading: &mut R
     });
 }
 
-/// A line of TOML in parts: comment, header, key, the rest.
+/// Splits a line of TOML into coloured parts: header or key, value, comment.
 fn coloured(line: &str) -> Vec<(&str, Color32)> {
     let mut quoted = false;
     let comment = line.char_indices().find(|&(_, c)| {

@@ -1,23 +1,23 @@
-//! A picture of a part of the window, to be written to a file.
+//! A screenshot of a part of the window, for export.
 
 use std::sync::Arc;
 
 use eframe::egui::{Context, Event, Rect, UserData, ViewportCommand};
 
-/// A part of the window whose picture was asked for.
+/// A requested screenshot of a part of the window.
 #[derive(Default)]
 pub struct Cutout {
     rect: Option<Rect>,
 }
 
 impl Cutout {
-    /// Asks for a picture of `rect`.
-    pub fn ask(&mut self, ctx: &Context, rect: Rect) {
+    /// Requests a screenshot of `rect`.
+    pub fn request(&mut self, ctx: &Context, rect: Rect) {
         self.rect = Some(rect);
         ctx.send_viewport_cmd(ViewportCommand::Screenshot(UserData::default()));
     }
 
-    /// The picture, once it is there.
+    /// The screenshot, once it is taken.
     pub fn taken(&mut self, ctx: &Context) -> Option<image::RgbImage> {
         let rect = self.rect?;
         let image = ctx.input(|i| {

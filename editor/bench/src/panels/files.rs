@@ -1,4 +1,4 @@
-//! A list of folders and files over the window, to pick one by typing, by keys or by click. No dialog of the system is asked for.
+//! A dialog to pick a file by typing, by keys or by clicks. It does not use the system's file dialog.
 
 use std::path::{Path, PathBuf};
 
@@ -10,10 +10,10 @@ use eframe::egui::{
 use crate::search;
 use panoscope_editor_widgets::theme;
 
-/// Most entries of a folder that are read.
-const MOST: usize = 5000;
+/// Maximum number of entries of a folder.
+const MAX_ENTRIES: usize = 5000;
 
-/// What the file is for.
+/// What the picked file is for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Target {
     /// A parameter of a node.
@@ -23,7 +23,7 @@ pub enum Target {
         /// Its parameter.
         param: String,
     },
-    /// The recording that a sweep goes over.
+    /// The recording for a sweep.
     Recording,
 }
 
@@ -32,12 +32,12 @@ struct Entry {
     folder: bool,
 }
 
-/// The open list.
+/// The open dialog.
 pub struct Files {
-    /// What the file is for.
+    /// What the picked file is for.
     pub target: Target,
     folder: PathBuf,
-    /// Folder that paths in the graph start from.
+    /// The folder that relative paths in the graph start from.
     base: PathBuf,
     entries: Vec<Entry>,
     typed: String,
@@ -47,7 +47,7 @@ pub struct Files {
 }
 
 impl Files {
-    /// Opens it where `now`, as the graph writes it, lies; `base` is the graph's folder.
+    /// Opens the dialog in the folder of `now`, a path as written in the graph; `base` is the graph's folder.
     pub fn new(target: Target, base: &Path, now: &str) -> Self {
         let base = std::path::absolute(base).unwrap_or_else(|_| base.to_owned());
         let folder = if now.is_empty() { base.clone() } else { base.join(now) };
@@ -77,7 +77,7 @@ impl Files {
                     let name = e.file_name().into_string().ok().filter(|n| !n.starts_with('.'))?;
                     Some(Entry { name, folder: e.path().is_dir() })
                 };
-                self.entries.extend(list.flatten().filter_map(entry).take(MOST));
+                self.entries.extend(list.flatten().filter_map(entry).take(MAX_ENTRIES));
                 self.entries.sort_by(|a, b| (!a.folder, &a.name).cmp(&(!b.folder, &b.name)));
             }
             Err(error) => self.wrong = Some(format!("{} cannot be read: {error}", self.folder.display())),
@@ -89,19 +89,19 @@ impl Files {
         self.read();
     }
 
-    /// The folder above.
+    /// Goes to the parent folder.
     fn up(&mut self) {
         if let Some(parent) = self.folder.parent().map(Path::to_owned) {
             self.enter(parent);
         }
     }
 
-    /// A path as the graph writes it: from its own folder where it lies in there.
+    /// A path as written in the graph: relative if it is inside the graph's folder.
     fn written(&self, path: &Path) -> String {
         path.strip_prefix(&self.base).unwrap_or(path).to_string_lossy().into_owned()
     }
 
-    /// Shows it; answers `Some(None)` when it was left without picking.
+    /// Shows the dialog; returns the picked path, or `Some(None)` when it was closed without picking.
     pub fn show(&mut self, ctx: &Context) -> Option<Option<String>> {
         let order = match self.typed.is_empty() {
             true => (0..self.entries.len()).collect(),
@@ -118,9 +118,9 @@ impl Files {
         let above = self.typed.is_empty() && take(Key::Backspace);
         let enter = take(Key::Enter);
         let mut picked = order.get(self.chosen).copied().filter(|_| enter);
-        // A name that no entry has is that of a file to be made.
+        // A name that no entry has is the name of a new file.
         let new = enter && picked.is_none() && !self.typed.trim().is_empty();
-        let mut answer = new.then(|| Some(self.written(&self.folder.join(self.typed.trim()))));
+        let mut result = new.then(|| Some(self.written(&self.folder.join(self.typed.trim()))));
         let mut go_up = above;
         let frame = Frame::popup(&ctx.global_style()).inner_margin(12.0);
         let area = Modal::default_area(Id::new("files")).anchor(Align2::CENTER_TOP, vec2(0.0, 96.0));
@@ -131,9 +131,9 @@ impl Files {
             .show(ctx, |ui| {
                 ui.set_width(560.0);
                 ui.horizontal(|ui| {
-                    go_up |= ui.button("Up").on_hover_text("The folder above (Backspace)").clicked();
-                    let words = RichText::new(self.folder.display().to_string()).size(12.0).color(theme::MUTED);
-                    ui.add(Label::new(words).truncate());
+                    go_up |= ui.button("Up").on_hover_text("Parent folder (Backspace)").clicked();
+                    let caption = RichText::new(self.folder.display().to_string()).size(12.0).color(theme::MUTED);
+                    ui.add(Label::new(caption).truncate());
                 });
                 let hint = "Type a part of the name, or a new name";
                 if search::field(ui, &mut self.typed, &mut self.fresh, hint, "File name") {
@@ -147,14 +147,14 @@ impl Files {
                             picked = Some(index);
                         }
                     }
-                    let words = match (&self.wrong, order.is_empty(), self.typed.is_empty()) {
+                    let caption = match (&self.wrong, order.is_empty(), self.typed.is_empty()) {
                         (Some(why), ..) => why.clone(),
                         (_, true, true) => "the folder is empty".to_owned(),
-                        (_, true, false) => "no file is called so; Enter takes it as the name of a new one".to_owned(),
+                        (_, true, false) => "no file has this name; Enter uses it for a new file".to_owned(),
                         _ => String::new(),
                     };
-                    if !words.is_empty() {
-                        ui.label(RichText::new(words).color(theme::MUTED));
+                    if !caption.is_empty() {
+                        ui.label(RichText::new(caption).color(theme::MUTED));
                     }
                 });
             });
@@ -164,22 +164,22 @@ impl Files {
                 self.enter(path);
                 self.fresh = true;
             } else {
-                answer = Some(Some(self.written(&path)));
+                result = Some(Some(self.written(&path)));
             }
         } else if go_up {
             self.up();
             self.fresh = true;
         }
-        if answer.is_none() && shown.should_close() { Some(None) } else { answer }
+        if result.is_none() && shown.should_close() { Some(None) } else { result }
     }
 }
 
-/// One row; answers whether it was clicked.
+/// Draws one row; returns whether it was clicked.
 fn row_of(ui: &mut Ui, entry: &Entry, chosen: bool) -> bool {
     let (rect, row) = ui.allocate_exact_size(vec2(ui.available_width(), 26.0), Sense::click());
     let kind = if entry.folder { "Folder" } else { "File" };
-    let words = format!("{kind} {}", entry.name);
-    row.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, chosen, words.clone()));
+    let caption = format!("{kind} {}", entry.name);
+    row.widget_info(|| WidgetInfo::selected(WidgetType::SelectableLabel, true, chosen, caption.clone()));
     search::mark_row(ui, rect, &row, chosen);
     let name = if entry.folder { format!("{}/", entry.name) } else { entry.name.clone() };
     let color = if entry.folder { theme::ACCENT } else { theme::TEXT };

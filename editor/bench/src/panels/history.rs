@@ -1,4 +1,4 @@
-//! What became of the parameters, newest first: a click goes back to how values were after a change.
+//! The history of parameter changes, newest first. A click restores the values after a change.
 
 use eframe::egui::{Button, Grid, RichText, ScrollArea, Ui, WidgetInfo, WidgetType};
 use toml::Value;
@@ -8,11 +8,11 @@ use panoscope_editor_model::document::{Document, default_value};
 use panoscope_editor_model::picture::short;
 use panoscope_editor_widgets::theme;
 
-/// Most rows that are shown.
-const MOST_ROWS: usize = 200;
+/// Maximum number of rows.
+const MAX_ROWS: usize = 200;
 
-/// A value in words; without one, the default.
-fn words(document: &Document, node: &str, param: &str, value: Option<&Value>) -> String {
+/// Formats a value; `None` is the default.
+fn format_value(document: &Document, node: &str, param: &str, value: Option<&Value>) -> String {
     let declared = || {
         let view = document.view();
         let node_type = view.nodes[view.node(node)?].node_type.as_ref()?;
@@ -30,7 +30,7 @@ fn words(document: &Document, node: &str, param: &str, value: Option<&Value>) ->
     }
 }
 
-/// Shows it; answers how many changes are to be in force.
+/// Shows the panel; returns the number of changes to apply.
 pub fn show(ui: &mut Ui, document: &Document) -> Option<usize> {
     let history = document.history();
     let (count, at) = (history.changes().len(), history.at());
@@ -39,31 +39,32 @@ pub fn show(ui: &mut Ui, document: &Document) -> Option<usize> {
         let back = ui.add_enabled(at > 0, Button::new("Back")).on_hover_text(actions::hint(Action::Back));
         let forth = ui.add_enabled(at < count, Button::new("Forward")).on_hover_text(actions::hint(Action::Forward));
         go = (back.clicked().then(|| at.saturating_sub(1))).or(forth.clicked().then_some(at + 1));
-        let words = match count {
+        let summary = match count {
             0 => "No value was changed yet.".to_owned(),
-            _ if at < count => format!("{at} of {count} changes are in force"),
+            _ if at < count => format!("{at} of {count} changes are applied"),
             1 => "1 change".to_owned(),
             _ => format!("{count} changes"),
         };
-        ui.label(RichText::new(words).color(theme::MUTED));
+        ui.label(RichText::new(summary).color(theme::MUTED));
     });
     ui.add_space(theme::STEP);
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         Grid::new("history").num_columns(4).spacing([24.0, 4.0]).show(ui, |ui| {
-            for (number, change) in history.changes().enumerate().rev().take(MOST_ROWS) {
-                let in_force = number < at;
+            for (number, change) in history.changes().enumerate().rev().take(MAX_ROWS) {
+                let applied = number < at;
                 let [from, to] =
-                    [&change.from, &change.to].map(|v| words(document, &change.node, &change.param, v.as_ref()));
+                    [&change.from, &change.to].map(|v| format_value(document, &change.node, &change.param, v.as_ref()));
                 let name = format!("{}.{}", change.node, change.param);
-                let color = if in_force { theme::TEXT } else { theme::MUTED };
+                let color = if applied { theme::TEXT } else { theme::MUTED };
                 let tick = change.tick.map_or_else(|| "waits".to_owned(), |tick| format!("tick {tick}"));
                 ui.label(RichText::new(tick).size(12.0).color(theme::MUTED));
                 ui.label(RichText::new(change.by.word()).size(12.0).color(theme::MUTED));
-                let last = in_force && number + 1 == at;
+                let last = applied && number + 1 == at;
                 let button = Button::new(RichText::new(&name).size(12.5).color(color)).selected(last);
-                let row = ui.add(button.frame_when_inactive(last)).on_hover_text("Back to how values were then");
-                let told = format!("Change {}: {name} from {from} to {to}", number + 1);
-                row.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, last, told.clone()));
+                let row =
+                    ui.add(button.frame_when_inactive(last)).on_hover_text("Restores the values after this change");
+                let description = format!("Change {}: {name} from {from} to {to}", number + 1);
+                row.widget_info(|| WidgetInfo::selected(WidgetType::Button, true, last, description.clone()));
                 if row.clicked() {
                     go = Some(number + 1);
                 }

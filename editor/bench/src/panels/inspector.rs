@@ -1,4 +1,4 @@
-//! The selected node: what it shows, how it does, what feeds it, what can be set.
+//! The panel of the selected node: preview, times, inputs, parameters.
 
 use eframe::egui::{
     Align, Button, ComboBox, Grid, Image, Label, Layout, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2,
@@ -12,47 +12,47 @@ use crate::canvas::Canvas;
 use panoscope_editor_model::document::{Document, NodeView};
 use panoscope_editor_model::observe::{Counters, Output};
 use panoscope_editor_widgets::theme;
-use panoscope_editor_widgets::{Shown, time_words};
+use panoscope_editor_widgets::{OutputCache, format_time};
 
-/// What was asked for.
+/// A request about the selected node.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Wish {
-    /// Something about a parameter.
-    Param(params::Asked),
+pub enum InspectorRequest {
+    /// A request about a parameter.
+    Param(params::ParamRequest),
     /// Sweep one of its parameters.
     Sweep,
-    /// Connect a place of an input to an output, or take the wire off.
+    /// Connect an input to an output, or disconnect it.
     Input {
         /// The input.
         input: String,
-        /// Place in a list.
+        /// Index in a list.
         index: usize,
-        /// The output.
+        /// The output; `None` to disconnect.
         from: Option<Output>,
     },
-    /// Show an output large.
-    Look(Output),
-    /// Show another output on the node.
+    /// Show an output in the viewer.
+    ViewLarge(Output),
+    /// Show this output on the node.
     Thumbnail(String),
-    /// Give the node another name.
+    /// Rename the node.
     Rename(String),
 }
 
-/// Shows a node.
+/// Shows the panel of a node; returns the user's requests.
 pub fn show(
     ui: &mut Ui,
     document: &Document,
     counters: &Counters,
-    shown: &Shown,
+    shown: &OutputCache,
     canvas: &Canvas,
     node: usize,
-) -> Vec<Wish> {
+) -> Vec<InspectorRequest> {
     let view = document.view();
     let this = &view.nodes[node];
-    let mut wishes = Vec::new();
+    let mut requests = Vec::new();
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
-        title(ui, this, &mut wishes);
-        picture(ui, document, shown, canvas, node, &mut wishes);
+        title(ui, this, &mut requests);
+        picture(ui, document, shown, canvas, node, &mut requests);
         for mistake in &this.mistakes {
             ui.label(RichText::new(mistake).color(theme::FAULT));
         }
@@ -60,7 +60,7 @@ pub fn show(
         let node_type = this.node_type.as_ref();
         if node_type.is_some_and(|t| !t.inputs.is_empty()) {
             section(ui, "Inputs");
-            inputs(ui, document, node, &mut wishes);
+            inputs(ui, document, node, &mut requests);
         }
         if node_type.is_some_and(|t| !t.params.is_empty()) {
             section(ui, "Parameters");
@@ -69,25 +69,25 @@ pub fn show(
                 let sweep = ui.add(button.frame(false)).on_hover_text(actions::hint(Action::Sweep));
                 sweep.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, "Sweep a parameter"));
                 if sweep.clicked() {
-                    wishes.push(Wish::Sweep);
+                    requests.push(InspectorRequest::Sweep);
                 }
                 ui.add_space(theme::STEP);
             }
-            wishes.extend(params::show(ui, document, this).into_iter().map(Wish::Param));
+            requests.extend(params::show(ui, document, this).into_iter().map(InspectorRequest::Param));
         }
         ui.add_space(6.0 * theme::STEP);
     });
-    wishes
+    requests
 }
 
-/// A quiet heading.
-pub fn section(ui: &mut Ui, words: &str) {
+/// Shows the heading of a section.
+pub fn section(ui: &mut Ui, caption: &str) {
     ui.add_space(3.0 * theme::STEP);
-    ui.label(RichText::new(words.to_uppercase()).size(10.5).color(theme::MUTED).extra_letter_spacing(0.8));
+    ui.label(RichText::new(caption.to_uppercase()).size(10.5).color(theme::MUTED).extra_letter_spacing(0.8));
     ui.add_space(theme::STEP / 2.0);
 }
 
-fn title(ui: &mut Ui, this: &NodeView, wishes: &mut Vec<Wish>) {
+fn title(ui: &mut Ui, this: &NodeView, requests: &mut Vec<InspectorRequest>) {
     ui.horizontal(|ui| {
         let (rect, _) = ui.allocate_exact_size(vec2(4.0, 20.0), Sense::hover());
         ui.painter().rect_filled(rect, 2.0, theme::family(this.family()));
@@ -104,46 +104,53 @@ fn title(ui: &mut Ui, this: &NodeView, wishes: &mut Vec<Wish>) {
         } else {
             ui.data_mut(|d| d.remove_temp::<String>(id));
             if response.lost_focus() && name != this.id() {
-                wishes.push(Wish::Rename(name));
+                requests.push(InspectorRequest::Rename(name));
             }
         }
     });
-    let words = match &this.node_type {
+    let caption = match &this.node_type {
         Some(t) => format!("{} · {}", t.name, t.plugin),
         None => format!("{} · not known", this.outline.type_name),
     };
-    ui.label(RichText::new(words).size(11.5).color(theme::MUTED));
+    ui.label(RichText::new(caption).size(11.5).color(theme::MUTED));
     if let Some(line) = this.node_type.as_ref().and_then(|t| t.doc.lines().next()) {
         ui.label(RichText::new(line).size(12.0));
     }
     ui.add_space(theme::STEP);
 }
 
-fn picture(ui: &mut Ui, document: &Document, shown: &Shown, canvas: &Canvas, node: usize, wishes: &mut Vec<Wish>) {
+fn picture(
+    ui: &mut Ui,
+    document: &Document,
+    shown: &OutputCache,
+    canvas: &Canvas,
+    node: usize,
+    requests: &mut Vec<InspectorRequest>,
+) {
     let view = document.view();
     let Some((output, _)) = canvas.shown_output(view, node) else { return };
     let width = ui.available_width();
     if let Some((texture, size)) = shown.texture(&output) {
         let fit = (width / size.x).min(240.0 / size.y);
         let image = Image::new((texture, size * fit)).corner_radius(4.0).sense(Sense::click());
-        let response = ui.add(image).on_hover_text("Click to see it large (V)");
-        let words = format!("Show {output} large");
-        response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, words.clone()));
+        let response = ui.add(image).on_hover_text("Click to open it in the viewer (V)");
+        let caption = format!("Show {output} large");
+        response.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, caption.clone()));
         if response.clicked() {
-            wishes.push(Wish::Look(output.clone()));
+            requests.push(InspectorRequest::ViewLarge(output.clone()));
         }
     }
-    if let Some(words) = shown.words(&output) {
-        ui.label(RichText::new(words).size(12.0).color(theme::MUTED));
+    if let Some(caption) = shown.text(&output) {
+        ui.label(RichText::new(caption).size(12.0).color(theme::MUTED));
     }
     let outputs = view.nodes[node].node_type.as_ref().map_or(&[][..], |t| &t.outputs);
     if outputs.len() > 1 {
         let combo = ComboBox::from_id_salt("shown").selected_text(&output.port).width(width - 8.0);
         let response = combo.show_ui(ui, |ui| {
             for port in outputs {
-                let words = format!("{} ({})", port.name, port.packet.name);
-                if ui.selectable_label(port.name == output.port, words).clicked() {
-                    wishes.push(Wish::Thumbnail(port.name.clone()));
+                let caption = format!("{} ({})", port.name, port.packet.name);
+                if ui.selectable_label(port.name == output.port, caption).clicked() {
+                    requests.push(InspectorRequest::Thumbnail(port.name.clone()));
                 }
             }
         });
@@ -157,10 +164,10 @@ fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView) {
     ui.add_space(theme::STEP);
     let mut rows: Vec<(&str, String)> = vec![
         ("rate", format!("{:.1} fps", c.fps)),
-        ("time", format!("{}  ·  p99 {}", time_words(c.p50_ms), time_words(c.p99_ms))),
+        ("time", format!("{}  ·  p99 {}", format_time(c.p50_ms), format_time(c.p99_ms))),
     ];
     if let (Some(p50), Some(p99)) = (c.age_p50_ms, c.age_p99_ms) {
-        rows.push(("age", format!("{}  ·  p99 {}", time_words(p50), time_words(p99))));
+        rows.push(("age", format!("{}  ·  p99 {}", format_time(p50), format_time(p99))));
     }
     rows.push(("ticks", format!("{}  ·  {} dropped", c.count, c.dropped)));
     for (name, value) in c.metrics.iter().take(8) {
@@ -177,13 +184,13 @@ fn numbers(ui: &mut Ui, counters: &Counters, this: &NodeView) {
         section(ui, "Last fault");
         let done = format!("{:?}", fault.done).to_lowercase();
         ui.label(RichText::new(&fault.words).size(12.0).color(theme::WARN));
-        let words = format!("{:?}, {} so far; then: {done}", fault.cause, c.faults.max(fault.count));
-        ui.label(RichText::new(words).size(11.5).color(theme::MUTED));
+        let caption = format!("{:?}, {} so far; then: {done}", fault.cause, c.faults.max(fault.count));
+        ui.label(RichText::new(caption).size(11.5).color(theme::MUTED));
     }
 }
 
-/// A row per place of each input, with what could stand there.
-fn inputs(ui: &mut Ui, document: &Document, node: usize, wishes: &mut Vec<Wish>) {
+/// Shows a row for each entry of each input, with the outputs that fit.
+fn inputs(ui: &mut Ui, document: &Document, node: usize, requests: &mut Vec<InspectorRequest>) {
     let view = document.view();
     let this = &view.nodes[node];
     let Some(node_type) = &this.node_type else { return };
@@ -206,12 +213,16 @@ fn inputs(ui: &mut Ui, document: &Document, node: usize, wishes: &mut Vec<Wish>)
                     ComboBox::from_id_salt((&port.name, index)).selected_text(now).width(ui.available_width() - 8.0);
                 let response = combo.show_ui(ui, |ui| {
                     if from.is_some() && ui.selectable_label(false, "not connected").clicked() {
-                        wishes.push(Wish::Input { input: port.name.clone(), index, from: None });
+                        requests.push(InspectorRequest::Input { input: port.name.clone(), index, from: None });
                     }
                     for output in candidates(document, node, &port.name) {
                         let same = from.as_ref() == Some(&output);
                         if ui.selectable_label(same, output.to_string()).clicked() && !same {
-                            wishes.push(Wish::Input { input: port.name.clone(), index, from: Some(output) });
+                            requests.push(InspectorRequest::Input {
+                                input: port.name.clone(),
+                                index,
+                                from: Some(output),
+                            });
                         }
                     }
                 });
@@ -222,13 +233,13 @@ fn inputs(ui: &mut Ui, document: &Document, node: usize, wishes: &mut Vec<Wish>)
     }
 }
 
-/// Outputs that fit an input.
+/// The outputs that fit an input.
 pub fn candidates(document: &Document, node: usize, input: &str) -> Vec<Output> {
     let view = document.view();
     let mut found = Vec::new();
     for (from, other) in view.nodes.iter().enumerate().filter(|(n, _)| *n != node) {
         for port in other.node_type.iter().flat_map(|t| &t.outputs) {
-            if view.may_wire(from, &port.name, node, input).is_ok() {
+            if view.check_wire(from, &port.name, node, input).is_ok() {
                 found.push(Output::new(other.id(), &port.name));
             }
         }

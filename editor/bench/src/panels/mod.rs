@@ -1,4 +1,4 @@
-//! What stands around the canvas.
+//! The panels around the canvas, and dialogs.
 
 pub mod below;
 pub mod cutout;

@@ -1,4 +1,4 @@
-//! The graph as a whole, shown while no single node is selected.
+//! The panel of the whole graph, shown while not exactly one node is selected.
 
 use eframe::egui::{Grid, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType, vec2};
 
@@ -6,25 +6,25 @@ use super::inspector::section;
 use super::params;
 use panoscope_editor_model::document::{Document, NodeView};
 use panoscope_editor_model::observe::Counters;
+use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme;
-use panoscope_editor_widgets::time_words;
 
-/// What was asked for.
+/// A request of this panel.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Wish {
+pub enum OverviewRequest {
     /// Go to a node.
     Go(String),
-    /// Something about a parameter of a node.
-    Param(String, params::Asked),
+    /// A request about a parameter of a node.
+    Param(String, params::ParamRequest),
 }
 
-/// What the file says of itself: the comment that it opens with.
+/// The comment at the beginning of the file.
 fn opening(text: &str) -> String {
     let lines = text.lines().take_while(|line| line.starts_with('#'));
     lines.map(|line| line.trim_start_matches('#').trim()).collect::<Vec<_>>().join(" ")
 }
 
-/// Settings that the preset pins, as (node, parameter, label).
+/// The parameters that the preset pins: node, parameter, label.
 fn pinned(document: &Document) -> Vec<(String, String, String)> {
     let Ok(table) = document.text().parse::<toml::Table>() else { return Vec::new() };
     let pins = table.get("preset").and_then(|p| p.get("pinned")).and_then(toml::Value::as_array);
@@ -36,10 +36,10 @@ fn pinned(document: &Document) -> Vec<(String, String, String)> {
     pins.into_iter().flatten().filter_map(pin).collect()
 }
 
-/// Shows it.
-pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usize) -> Vec<Wish> {
+/// Shows the panel; returns the user's requests.
+pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usize) -> Vec<OverviewRequest> {
     let view = document.view();
-    let mut wishes = Vec::new();
+    let mut requests = Vec::new();
     ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
         if selected > 1 {
             ui.label(RichText::new(format!("{selected} nodes selected")).size(15.0));
@@ -57,18 +57,18 @@ pub fn show(ui: &mut Ui, document: &Document, counters: &Counters, selected: usi
             if let (Some(this), Some(declared)) = (this, declared) {
                 ui.push_id((&node, &param), |ui| {
                     let change = params::one(ui, document, this, declared, &label);
-                    wishes.extend(change.map(|c| Wish::Param(node.clone(), c)));
+                    requests.extend(change.map(|c| OverviewRequest::Param(node.clone(), c)));
                 });
             }
         }
         section(ui, "Where time goes");
-        shares(ui, &view.nodes, counters, &mut wishes);
+        shares(ui, &view.nodes, counters, &mut requests);
     });
-    wishes
+    requests
 }
 
-/// A bar per node: the share of one core that it takes.
-fn shares(ui: &mut Ui, nodes: &[NodeView], counters: &Counters, wishes: &mut Vec<Wish>) {
+/// Shows a bar per node: its share of one core.
+fn shares(ui: &mut Ui, nodes: &[NodeView], counters: &Counters, requests: &mut Vec<OverviewRequest>) {
     let mut rows: Vec<(&NodeView, f64, f64)> = nodes
         .iter()
         .filter_map(|n| counters.nodes.get(n.id()).map(|c| (n, c.p50_ms, c.p50_ms * c.fps / 1e3)))
@@ -98,10 +98,10 @@ fn shares(ui: &mut Ui, nodes: &[NodeView], counters: &Counters, wishes: &mut Vec
             let at = |x| eframe::egui::pos2(x, middle);
             use eframe::egui::Align2;
             painter.text(at(rect.left()), Align2::LEFT_CENTER, node.id(), font.clone(), theme::TEXT);
-            let words = format!("{}   {:.0} %", time_words(p50_ms), share * 100.0);
-            painter.text(at(rect.right()), Align2::RIGHT_CENTER, words, font, theme::MUTED);
+            let caption = format!("{}   {:.0} %", format_time(p50_ms), share * 100.0);
+            painter.text(at(rect.right()), Align2::RIGHT_CENTER, caption, font, theme::MUTED);
             if row.clicked() {
-                wishes.push(Wish::Go(node.id().to_owned()));
+                requests.push(OverviewRequest::Go(node.id().to_owned()));
             }
             ui.end_row();
         }

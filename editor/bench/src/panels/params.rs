@@ -1,4 +1,4 @@
-//! Widgets made from the one declaration of a parameter: unit, step, range, default.
+//! Widgets for parameters, made from their declarations: unit, step, range, default.
 
 use eframe::egui::{
     Align, Button, ComboBox, DragValue, Layout, Response, RichText, Sense, Slider, SliderClamping, TextEdit, Ui,
@@ -8,59 +8,59 @@ use panoscope_graph::{Param, ParamKind, Pick};
 
 use panoscope_editor_model::document::{Document, NodeView, default_value};
 use panoscope_editor_widgets::theme;
-use panoscope_editor_widgets::unit_words;
+use panoscope_editor_widgets::unit_suffix;
 
-/// A change that was asked for.
+/// A requested change of a parameter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Change {
     /// The parameter.
     pub param: String,
-    /// Its new value; `None` takes it out of the file, so that the default holds.
+    /// Its new value; `None` removes it from the file, so that the default applies.
     pub value: Option<toml::Value>,
 }
 
-/// What was asked for.
+/// A request about a parameter.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Asked {
-    /// Another value.
+pub enum ParamRequest {
+    /// Change its value.
     Change(Change),
-    /// Points or rectangles are to be picked on the picture.
+    /// Pick points or rectangles on an image.
     Pick(String),
-    /// A file is to be picked.
+    /// Pick a file.
     Browse(String),
 }
 
-/// Shows all parameters of a node; answers what was asked for.
-pub fn show(ui: &mut Ui, document: &Document, node: &NodeView) -> Vec<Asked> {
+/// Shows all parameters of a node; returns the user's requests.
+pub fn show(ui: &mut Ui, document: &Document, node: &NodeView) -> Vec<ParamRequest> {
     let params = node.node_type.iter().flat_map(|t| &t.params);
     let one = |p: &Param| ui.push_id(&p.name, |ui| one(ui, document, node, p, &title(p))).inner;
     params.filter_map(one).collect()
 }
 
-/// A parameter's name in words, without the unit, which stands behind the value.
+/// A parameter's name as a title, without the unit, which is shown after the value.
 fn title(param: &Param) -> String {
     let unit = format!("_{}", param.unit.replace('/', "_"));
     let bare = param.name.strip_suffix(&unit).filter(|_| !param.unit.is_empty());
     bare.unwrap_or(&param.name).replace('_', " ")
 }
 
-/// Shows one parameter under `title`; answers what was asked for.
-pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, title: &str) -> Option<Asked> {
+/// Shows one parameter under `title`; returns the user's request.
+pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, title: &str) -> Option<ParamRequest> {
     let given = node.outline.params.get(&param.name);
     let value = given.cloned().unwrap_or_else(|| default_value(&param.kind));
     let differs = document.differs_from_file(node, &param.name);
-    let (mut change, mut asked) = (None, None);
+    let (mut change, mut request) = (None, None);
     ui.spacing_mut().item_spacing.y = 2.0;
     ui.horizontal(|ui| {
         ui.spacing_mut().interact_size.y = 18.0;
         let color = if differs { theme::ACCENT } else { theme::TEXT };
-        let reopens = if param.reopen { "\nA change opens the node anew." } else { "" };
+        let reopens = if param.reopen { "\nA change reopens the node." } else { "" };
         ui.label(RichText::new(title).color(color).size(12.5)).on_hover_text(format!("{}{reopens}", param.doc));
         if differs {
             let (rect, dot) = ui.allocate_exact_size(vec2(8.0, 8.0), Sense::hover());
             ui.painter().circle_filled(rect.center(), 3.0, theme::ACCENT);
-            let words = format!("{} differs from the file", param.name);
-            dot.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, words.clone()));
+            let caption = format!("{} differs from the file", param.name);
+            dot.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, caption.clone()));
             dot.on_hover_text("Differs from the file");
         }
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
@@ -73,27 +73,31 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
             }
             if given.is_some() {
                 let reset = Button::new(RichText::new("reset").size(11.0).color(theme::MUTED)).frame(false);
-                let reset = ui.add(reset).on_hover_text("Takes it out of the file: the default holds");
-                let words = format!("Reset {}", param.name);
-                reset.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, words.clone()));
+                let reset = ui.add(reset).on_hover_text("Removes it from the file, so that the default applies");
+                let caption = format!("Reset {}", param.name);
+                reset.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, caption.clone()));
                 if reset.clicked() {
                     change = Some(Change { param: param.name.clone(), value: None });
                 }
             }
-            let (pick, words, hint) = match param.pick {
-                Pick::Points => ("Pick", "in picture", "On the picture: click to add, drag to move"),
-                Pick::Rectangles => ("Pick", "in picture", "On the picture: drag to draw, handles to change"),
+            let (pick, text, hint) = match param.pick {
+                Pick::Points => ("Pick", "on image", "On the image: click to add, drag to move"),
+                Pick::Rectangles => ("Pick", "on image", "On the image: drag to draw, use the handles to change"),
                 Pick::File => ("Browse", "browse", "Files and folders"),
                 Pick::None => ("", "", ""),
             };
-            if !words.is_empty() {
-                let button = Button::new(RichText::new(words).size(11.0).color(theme::ACCENT)).frame(false);
+            if !text.is_empty() {
+                let button = Button::new(RichText::new(text).size(11.0).color(theme::ACCENT)).frame(false);
                 let button = ui.add(button).on_hover_text(hint);
-                let words = format!("{pick} {}", param.name);
-                button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, words.clone()));
+                let caption = format!("{pick} {}", param.name);
+                button.widget_info(|| WidgetInfo::labeled(WidgetType::Button, true, caption.clone()));
                 if button.clicked() {
                     let name = param.name.clone();
-                    asked = Some(if param.pick == Pick::File { Asked::Browse(name) } else { Asked::Pick(name) });
+                    request = Some(if param.pick == Pick::File {
+                        ParamRequest::Browse(name)
+                    } else {
+                        ParamRequest::Pick(name)
+                    });
                 }
             }
             if new.is_some() {
@@ -105,24 +109,24 @@ pub fn one(ui: &mut Ui, document: &Document, node: &NodeView, param: &Param, tit
         change = Some(Change { param: param.name.clone(), value: Some(value) });
     }
     ui.add_space(2.0 * theme::STEP);
-    asked.or(change.map(Asked::Change))
+    request.or(change.map(ParamRequest::Change))
 }
 
-/// The widget of one parameter; answers a new value.
+/// Shows the widget of one parameter; returns a new value.
 fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value> {
-    let unit = unit_words(&param.unit);
+    let unit = unit_suffix(&param.unit);
     let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
     let label = param.name.clone();
     ui.spacing_mut().slider_width = (ui.available_width() - 92.0).max(60.0);
     let (response, new): (_, Option<toml::Value>) = match &param.kind {
-        // A box beside its name.
+        // The checkbox is shown beside the name.
         ParamKind::Bool { .. } => return None,
         ParamKind::Int { default, min, max, step } => {
             let mut number = value.as_integer().unwrap_or(*default);
             let response = match (min, max) {
                 (Some(min), Some(max)) => {
                     let step = step.unwrap_or(1).max(1);
-                    // Steps count from the minimum, which a slider's own steps do not.
+                    // Steps count from the minimum; egui's slider steps count from 0.
                     let mut steps = (number - min).div_euclid(step);
                     let before = steps;
                     ui.horizontal(|ui| {
@@ -216,23 +220,23 @@ fn widget(ui: &mut Ui, param: &Param, value: &toml::Value) -> Option<toml::Value
     if !matches!(param.kind, ParamKind::Int { .. } | ParamKind::Float { .. }) {
         name(&response, &label);
     }
-    // What is shown rounded is not changed by being shown.
+    // Showing a rounded value must not change it.
     new.filter(|new| new != value)
 }
 
-/// A slider and the value beside it, to be typed: both have a name, and either counts.
+/// Labels a slider and the number field beside it; a change of either counts.
 fn beside(slider: Response, typed: Response, label: &str) -> Response {
     name(&typed, &format!("{label} value"));
     name(&slider, label);
     slider.union(typed)
 }
 
-/// Gives a widget its name for screen readers and tests.
+/// Labels a widget for screen readers and tests.
 fn name(response: &Response, label: &str) {
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label(label.to_owned()));
 }
 
-/// A text that counts when Enter is pressed or the field is left.
+/// A text field whose value counts when Enter is pressed or the field loses the focus.
 fn text_field(ui: &mut Ui, label: &str, now: &str, read: impl Fn(&str) -> Option<toml::Value>) -> Option<toml::Value> {
     let id = ui.make_persistent_id(("typed", label));
     let mut typed = ui.data(|d| d.get_temp::<String>(id)).unwrap_or_else(|| now.to_owned());

@@ -1,4 +1,4 @@
-//! Curves: times, rates and drops of nodes, and the numbers that scalar and table ports tell; as CSV and as pictures, too.
+//! The panel of plots: times, rates and queues of nodes, and values of scalar and table outputs. Exports CSV and PNG.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write as _;
@@ -8,14 +8,14 @@ use egui_plot::{Corner, Legend, Line, Plot, PlotPoints};
 
 use super::cutout::Cutout;
 use panoscope_editor_model::content::Content;
-use panoscope_editor_model::document::View;
+use panoscope_editor_model::document::GraphView;
 use panoscope_editor_model::observe::{Counters, Output, Point};
-use panoscope_editor_widgets::Shown;
+use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
 
-/// Most curves at once.
-const MOST_CURVES: usize = 8;
-/// Points of a value's history.
+/// Maximum number of curves.
+const MAX_CURVES: usize = 8;
+/// Maximum number of points of a value's curve.
 const HISTORY: usize = 1200;
 
 /// What the curves show.
@@ -24,20 +24,20 @@ pub enum Kind {
     /// Median time of a call, ms.
     #[default]
     Times,
-    /// 99 % of the calls took no longer, ms.
+    /// 99th percentile of the time of a call, ms.
     Slowest,
     /// Calls per second.
     Rate,
-    /// Most packets that waited on a wire.
+    /// Maximum queue length of a wire.
     Queues,
-    /// Numbers that scalar and table ports tell.
+    /// Values of scalar and table outputs.
     Values,
 }
 
 impl Kind {
     const ALL: [Self; 5] = [Self::Times, Self::Slowest, Self::Rate, Self::Queues, Self::Values];
 
-    fn words(self) -> &'static str {
+    fn label(self) -> &'static str {
         match self {
             Self::Times => "Median time",
             Self::Slowest => "99 % time",
@@ -65,10 +65,10 @@ impl Kind {
     }
 }
 
-/// A curve: its name, and its points with seconds that end at 0.
+/// A curve: its name, and its points as [seconds before now, value].
 type Curve = (String, Vec<[f64; 2]>);
 
-/// The panel's own state.
+/// The state of the panel.
 #[derive(Default)]
 pub struct Plots {
     kind: Kind,
@@ -77,53 +77,53 @@ pub struct Plots {
     cutout: Cutout,
 }
 
-/// What is to be written.
+/// The contents of an exported file.
 pub enum Export {
     /// A table of all curves.
     Csv(String),
-    /// A picture of the plot.
+    /// An image of the plot.
     Picture(image::RgbImage),
 }
 
 impl Plots {
-    /// Whether numbers of ports are shown, so that these are wanted.
+    /// Whether values of outputs are shown.
     pub fn wants_values(&self) -> bool {
         self.kind == Kind::Values
     }
 
-    /// Shows numbers of ports, or times again.
+    /// Sets what the curves show.
     pub fn set_kind(&mut self, kind: Kind) {
         self.kind = kind;
     }
 
-    /// Takes what the ports tell; of each port every tick that was seen.
-    pub fn follow(&mut self, shown: &Shown, outputs: &[Output]) {
+    /// Appends the newest values of the outputs to their curves.
+    pub fn follow(&mut self, shown: &OutputCache, outputs: &[Output]) {
         for output in outputs {
-            let Some(look) = shown.look(output) else { continue };
-            let Content::Numbers(numbers) = &look.content else { continue };
-            let last = self.seen.insert(output.clone(), look.seq);
-            if last == Some(look.seq) {
+            let Some(packet) = shown.packet(output) else { continue };
+            let Content::Numbers(numbers) = &packet.content else { continue };
+            let last = self.seen.insert(output.clone(), packet.seq);
+            if last == Some(packet.seq) {
                 continue;
             }
-            let begun_anew = last.is_some_and(|last| look.seq < last);
+            let restarted = last.is_some_and(|last| packet.seq < last);
             for (name, value) in numbers.iter().filter(|(_, value)| value.is_finite()) {
                 let curve = self.values.entry(format!("{output} {name}")).or_default();
-                if begun_anew {
+                if restarted {
                     curve.clear();
                 }
                 if curve.len() >= HISTORY {
                     curve.pop_front();
                 }
-                curve.push_back([look.capture_ms / 1e3, *value]);
+                curve.push_back([packet.capture_ms / 1e3, *value]);
             }
         }
         self.values.retain(|name, _| outputs.iter().any(|o| name.starts_with(&format!("{o} "))));
     }
 
-    fn curves(&self, view: &View, counters: &Counters, selected: &[String]) -> Vec<Curve> {
+    fn curves(&self, view: &GraphView, counters: &Counters, selected: &[String]) -> Vec<Curve> {
         let chosen = |id: &str| selected.is_empty() || selected.iter().any(|s| s == id);
         if self.kind == Kind::Queues {
-            // Wires that something ever waited on; the fullest first.
+            // Wires whose queue was not always empty; the longest queue first.
             let most = |points: &VecDeque<[f64; 2]>| points.iter().map(|p| p[1]).fold(0.0, f64::max);
             let end = counters.queues.values().filter_map(|q| q.back()).map(|p| p[0]).fold(0.0, f64::max);
             let mut wires: Vec<_> =
@@ -132,11 +132,11 @@ impl Plots {
             let curve = |(wire, q): (&panoscope_editor_model::observe::WireEnd, &VecDeque<[f64; 2]>)| {
                 (view.wire_name(wire), q.iter().map(|p| [p[0] - end, p[1]]).collect())
             };
-            return wires.into_iter().take(MOST_CURVES).map(curve).collect();
+            return wires.into_iter().take(MAX_CURVES).map(curve).collect();
         }
         if self.kind == Kind::Values {
             let of_node = |name: &str| name.split('.').next().is_some_and(chosen);
-            let curves = self.values.iter().filter(|(name, _)| of_node(name)).take(MOST_CURVES);
+            let curves = self.values.iter().filter(|(name, _)| of_node(name)).take(MAX_CURVES);
             let end = self.values.values().filter_map(|c| c.back()).map(|p| p[0]).fold(0.0, f64::max);
             return curves.map(|(name, c)| (name.clone(), c.iter().map(|p| [p[0] - end, p[1]]).collect())).collect();
         }
@@ -148,24 +148,24 @@ impl Plots {
             let history = counters.history.get(id)?;
             Some((id.clone(), history.iter().map(|p| [p.at_s - end, self.kind.of(p)]).collect()))
         };
-        nodes.into_iter().take(MOST_CURVES).filter_map(curve).collect()
+        nodes.into_iter().take(MAX_CURVES).filter_map(curve).collect()
     }
 
-    /// Shows the panel; answers what is to be written.
-    pub fn show(&mut self, ui: &mut Ui, view: &View, counters: &Counters, selected: &[String]) -> Option<Export> {
+    /// Shows the panel; returns what to export.
+    pub fn show(&mut self, ui: &mut Ui, view: &GraphView, counters: &Counters, selected: &[String]) -> Option<Export> {
         let curves = self.curves(view, counters, selected);
         let mut export = self.cutout.taken(ui.ctx()).map(Export::Picture);
         let empty = curves.is_empty();
-        let mut asked = false;
+        let mut requested = false;
         ui.horizontal(|ui| {
             for kind in Kind::ALL {
-                if ui.add(Button::new(kind.words()).selected(self.kind == kind)).clicked() {
+                if ui.add(Button::new(kind.label()).selected(self.kind == kind)).clicked() {
                     self.kind = kind;
                 }
             }
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                asked = ui.button("PNG").on_hover_text("Writes a picture of the curves into out/").clicked();
-                if ui.button("CSV").on_hover_text("Writes all points of the curves into out/").clicked() {
+                requested = ui.button("PNG").on_hover_text("Writes an image of the plot to out/").clicked();
+                if ui.button("CSV").on_hover_text("Writes all points of the curves to out/").clicked() {
                     export = Some(Export::Csv(csv(self.kind, &curves)));
                 }
             });
@@ -181,7 +181,7 @@ impl Plots {
         if self.kind != Kind::Values {
             plot = plot.include_y(0.0);
         }
-        // The grid takes the text's colour.
+        // The grid uses the text colour.
         ui.visuals_mut().override_text_color = Some(theme::MUTED.gamma_multiply(0.8));
         let shown = plot.show(ui, |plot| {
             for (k, (name, points)) in curves.into_iter().enumerate() {
@@ -190,23 +190,23 @@ impl Plots {
             }
         });
         shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, "Times"));
-        if asked {
-            self.cutout.ask(ui.ctx(), shown.response.rect);
+        if requested {
+            self.cutout.request(ui.ctx(), shown.response.rect);
         }
         if empty {
-            let words = match self.kind {
-                Kind::Queues => "nothing waits on any wire: each node takes what comes at once",
-                Kind::Values => "no scalar or table has come yet",
+            let caption = match self.kind {
+                Kind::Queues => "all queues are empty: every node keeps up",
+                Kind::Values => "no scalar or table was received yet",
                 _ => "nothing runs",
             };
             let font = FontId::proportional(13.0);
-            ui.painter().text(shown.response.rect.center(), Align2::CENTER_CENTER, words, font, theme::MUTED);
+            ui.painter().text(shown.response.rect.center(), Align2::CENTER_CENTER, caption, font, theme::MUTED);
         }
         export
     }
 }
 
-/// All points, one a line.
+/// All points as CSV, one per line.
 fn csv(kind: Kind, curves: &[Curve]) -> String {
     let mut out = format!("curve,time_s,{}\n", kind.axis().replace(' ', "_"));
     for (name, points) in curves {
@@ -222,29 +222,29 @@ fn csv(kind: Kind, curves: &[Curve]) -> String {
 mod tests {
     use super::*;
     use eframe::egui::Context;
-    use panoscope_editor_model::picture::Look;
+    use panoscope_editor_model::picture::RenderedPacket;
     use std::collections::HashMap;
 
     #[test]
     fn values_of_ports_become_curves_and_a_table() {
         let (mut plots, output) = (Plots::default(), Output::new("pid", "errors"));
         plots.set_kind(Kind::Values);
-        let mut shown = Shown::default();
+        let mut shown = OutputCache::default();
         for seq in 0..3u64 {
             let content = Content::Numbers(vec![("x mm".to_owned(), seq as f64), ("y".to_owned(), f64::NAN)]);
-            let look = Look { seq, capture_ms: seq as f64 * 100.0, content, ..Look::default() };
-            shown.update(&Context::default(), HashMap::from([(output.clone(), look)]));
-            // Looked at twice it counts once.
+            let packet = RenderedPacket { seq, capture_ms: seq as f64 * 100.0, content, ..RenderedPacket::default() };
+            shown.update(&Context::default(), HashMap::from([(output.clone(), packet)]));
+            // The same packet counts once.
             plots.follow(&shown, std::slice::from_ref(&output));
             plots.follow(&shown, std::slice::from_ref(&output));
         }
-        let curves = plots.curves(&View::default(), &Counters::default(), &[]);
+        let curves = plots.curves(&GraphView::default(), &Counters::default(), &[]);
         assert_eq!(curves, [("pid.errors x mm".to_owned(), vec![[-0.2, 0.0], [-0.1, 1.0], [0.0, 2.0]])]);
         assert_eq!(csv(Kind::Values, &curves).lines().nth(3), Some("\"pid.errors x mm\",0.000,2"));
-        assert!(plots.curves(&View::default(), &Counters::default(), &["other".to_owned()]).is_empty());
+        assert!(plots.curves(&GraphView::default(), &Counters::default(), &["other".to_owned()]).is_empty());
         plots.follow(&shown, &[]);
         assert!(
-            plots.curves(&View::default(), &Counters::default(), &[]).is_empty(),
+            plots.curves(&GraphView::default(), &Counters::default(), &[]).is_empty(),
             "a node that is gone has no curve"
         );
     }

@@ -1,4 +1,4 @@
-//! The plugins that can be seen from here: what they offer, where they came from.
+//! The dialog with all plugins that were found: their node types and files.
 
 use eframe::egui::text::{LayoutJob, TextFormat};
 use eframe::egui::{CollapsingHeader, Context, FontId, Frame, Margin, Modal, RichText, ScrollArea};
@@ -7,29 +7,29 @@ use panoscope_loader::Loader;
 
 use panoscope_editor_widgets::theme;
 
-/// Letters of the names of a plugin's nodes that have room beside its own name.
-const MOST_LETTERS: usize = 68;
+/// Maximum number of letters of the list of node types beside a plugin's name.
+const MAX_LETTERS: usize = 68;
 
-/// What was asked for.
+/// A request of this dialog.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Asked {
+pub enum PluginsRequest {
     /// Swap rebuilt plugins in.
     Reload,
-    /// Close the list.
+    /// Close the dialog.
     Close,
 }
 
-/// Shows the list over the window; `catalog` holds the plugins that the graph uses.
-pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Asked> {
+/// Shows the dialog; `catalog` has the plugins that the graph uses.
+pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<PluginsRequest> {
     let modal = Modal::new("plugins".into()).backdrop_color(theme::SUNK.gamma_multiply(0.5));
     let frame = Frame::popup(&ctx.global_style()).inner_margin(Margin::same(24));
-    let mut asked = None;
+    let mut request = None;
     let shown = modal.frame(frame).show(ctx, |ui| {
         ui.set_width(560.0);
         ui.horizontal(|ui| {
             ui.label(RichText::new("Plugins").size(16.0));
             if ui.button("Reload").on_hover_text("Swaps rebuilt plugins into the running graph").clicked() {
-                asked = Some(Asked::Reload);
+                request = Some(PluginsRequest::Reload);
             }
         });
         let height = ctx.content_rect().height();
@@ -47,12 +47,12 @@ pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Asked> 
                 let small = FontId::proportional(12.0);
                 let rest = TextFormat { font_id: small, color: theme::MUTED, ..Default::default() };
                 let nodes = found.note.node_types.join(", ");
-                let shown: String = nodes.chars().take(MOST_LETTERS).collect();
+                let shown: String = nodes.chars().take(MAX_LETTERS).collect();
                 let dots = if shown.len() < nodes.len() { "..." } else { "" };
                 title.append(&format!("   {shown}{dots}"), 0.0, rest);
                 CollapsingHeader::new(title).id_salt(("plugin", name)).show(ui, |ui| {
-                    let words = format!("{version}   {}", found.file.display());
-                    ui.label(RichText::new(words).size(11.0).color(theme::MUTED));
+                    let caption = format!("{version}   {}", found.file.display());
+                    ui.label(RichText::new(caption).size(11.0).color(theme::MUTED));
                     let types = catalog.node_types.iter().filter(|t| t.plugin == *name);
                     for node_type in types {
                         ui.label(RichText::new(&node_type.name).color(theme::ACCENT));
@@ -69,5 +69,5 @@ pub fn show(ctx: &Context, loader: &Loader, catalog: &Catalog) -> Option<Asked> 
             }
         });
     });
-    asked.or(shown.should_close().then_some(Asked::Close))
+    request.or(shown.should_close().then_some(PluginsRequest::Close))
 }

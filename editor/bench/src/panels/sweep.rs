@@ -1,4 +1,4 @@
-//! A sweep of one parameter: what it does to a measure, while the graph in the window goes on.
+//! The panel of a parameter sweep: its settings, and a plot of the measure over the parameter. The graph in the window keeps running.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -20,26 +20,26 @@ use panoscope_editor_model::document::Document;
 use panoscope_editor_model::observe::{Counters, Output};
 use panoscope_editor_model::picture::short;
 use panoscope_editor_model::sweeping::{Job, Progress};
-use panoscope_editor_widgets::Shown;
+use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
-use panoscope_editor_widgets::unit_words;
+use panoscope_editor_widgets::unit_suffix;
 
-/// Columns of the settings, in points.
+/// Width of the settings, in points.
 const SETTINGS_WIDTH: f32 = 320.0;
-/// Threads of a sweep: the graph in the window has the rest.
+/// Number of threads of a sweep; the others are left to the graph in the window.
 const THREADS: usize = 1;
 
-/// What was asked for.
-pub enum Wish {
-    /// Begin.
+/// A request of this panel.
+pub enum SweepRequest {
+    /// Start a sweep over a recording; an empty path for the graph's own sources.
     Start(Request, PathBuf),
-    /// Write what was found.
+    /// Export the result.
     Export(Export),
-    /// Pick a recording from the folders.
+    /// Pick a recording.
     Browse,
 }
 
-/// The panel's own state.
+/// The state of the panel.
 pub struct SweepPanel {
     /// `node.param`.
     param: String,
@@ -73,12 +73,12 @@ impl Default for SweepPanel {
 }
 
 impl SweepPanel {
-    /// How the sweep stands that was begun last.
+    /// The progress of the last sweep.
     pub fn progress(&self) -> Option<Progress> {
         self.job.as_ref().map(Job::progress)
     }
 
-    /// Begins a sweep; one that is under way ends.
+    /// Starts a sweep and ends a running one.
     pub fn start(
         &mut self,
         request: Request,
@@ -93,7 +93,7 @@ impl SweepPanel {
         }
     }
 
-    /// Sweeps a parameter next, from one end of its range to the other.
+    /// Selects a parameter and its whole range for the next sweep.
     pub fn choose(&mut self, document: &Document, node: &str, param: &str) {
         self.param = format!("{node}.{param}");
         let view = document.view();
@@ -114,24 +114,24 @@ impl SweepPanel {
         };
     }
 
-    /// What a short sweep of the chosen parameter asks for.
-    pub fn quick(&mut self, document: &Document, path: &Path, measure: &str) -> Wish {
+    /// The request for a short sweep of the selected parameter.
+    pub fn quick(&mut self, document: &Document, path: &Path, measure: &str) -> SweepRequest {
         measure.clone_into(&mut self.measure);
         self.frames = 6;
         self.request(document, path)
     }
 
-    /// Shows the panel.
+    /// Shows the panel; returns the user's request.
     pub fn show(
         &mut self,
         ui: &mut Ui,
         document: &Document,
         counters: &Counters,
-        shown: &Shown,
+        shown: &OutputCache,
         selected: Option<&str>,
         path: &Path,
-    ) -> Option<Wish> {
-        let mut wish = self.cutout.taken(ui.ctx()).map(|picture| Wish::Export(Export::Picture(picture)));
+    ) -> Option<SweepRequest> {
+        let mut request = self.cutout.taken(ui.ctx()).map(|picture| SweepRequest::Export(Export::Picture(picture)));
         let progress = self.progress();
         if !sweepable(document).contains(&self.param) {
             let all = sweepable(document);
@@ -148,18 +148,18 @@ impl SweepPanel {
                 |ui| {
                     ui.set_width(SETTINGS_WIDTH);
                     ScrollArea::vertical().id_salt("sweep settings").auto_shrink([false, false]).show(ui, |ui| {
-                        let asked = self.settings(ui, document, counters, shown, path, progress.as_ref());
-                        wish = asked.or(wish.take());
+                        let requested = self.settings(ui, document, counters, shown, path, progress.as_ref());
+                        request = requested.or(request.take());
                     });
                 },
             );
             ui.separator();
             ui.vertical(|ui| {
                 let export = self.result(ui, progress.as_ref());
-                wish = export.map(Wish::Export).or(wish.take());
+                request = export.map(SweepRequest::Export).or(request.take());
             });
         });
-        wish
+        request
     }
 
     fn settings(
@@ -167,11 +167,11 @@ impl SweepPanel {
         ui: &mut Ui,
         document: &Document,
         counters: &Counters,
-        shown: &Shown,
+        shown: &OutputCache,
         path: &Path,
         progress: Option<&Progress>,
-    ) -> Option<Wish> {
-        let mut wish = None;
+    ) -> Option<SweepRequest> {
+        let mut request = None;
         let runs = progress.is_some_and(|p| !p.done);
         ui.spacing_mut().item_spacing.y = theme::STEP;
         row(ui, "parameter", |ui| {
@@ -223,8 +223,8 @@ impl SweepPanel {
             let hint = "the graph's own sources";
             let field = ui.add(TextEdit::singleline(&mut self.recording).hint_text(hint).desired_width(width));
             name(ui, field.id, "Recording to sweep over");
-            if ui.button("File").on_hover_text("A recording (.mcap) that gives the pictures").clicked() {
-                wish = Some(Wish::Browse);
+            if ui.button("File").on_hover_text("A recording (.mcap) that replaces the graph's sources").clicked() {
+                request = Some(SweepRequest::Browse);
             }
         });
         row(ui, "of each", |ui| {
@@ -233,28 +233,28 @@ impl SweepPanel {
         });
         row(ui, "", |ui| {
             if runs {
-                if ui.button("Cancel").on_hover_text("What was found stays").clicked()
+                if ui.button("Cancel").on_hover_text("The values measured so far stay").clicked()
                     && let Some(job) = &self.job
                 {
                     job.cancel();
                 }
             } else if ui
                 .add_enabled(!self.param.is_empty() && !self.measure.is_empty(), Button::new("Start the sweep"))
-                .on_hover_text("Runs beside the graph, in batch, without nodes that write or move")
-                .on_disabled_hover_text("Say what is measured first")
+                .on_hover_text("Runs beside the graph in batch mode, without nodes that have side effects")
+                .on_disabled_hover_text("Choose a parameter and a measure first")
                 .clicked()
             {
-                wish = Some(self.request(document, path));
+                request = Some(self.request(document, path));
             }
         });
         let wrong = self.wrong.as_ref().or(progress.and_then(|p| p.failed.as_ref()));
-        if let Some(words) = wrong {
-            ui.add(Label::new(RichText::new(words).size(12.0).color(theme::FAULT)).wrap());
+        if let Some(error) = wrong {
+            ui.add(Label::new(RichText::new(error).size(12.0).color(theme::FAULT)).wrap());
         }
-        wish
+        request
     }
 
-    fn request(&self, document: &Document, path: &Path) -> Wish {
+    fn request(&self, document: &Document, path: &Path) -> SweepRequest {
         let recording = self.recording.trim();
         let recording = match recording.is_empty() {
             true => PathBuf::new(),
@@ -273,23 +273,23 @@ impl SweepPanel {
             recording: None,
             threads: THREADS,
         };
-        Wish::Start(request, recording)
+        SweepRequest::Start(request, recording)
     }
 
-    /// The plot, with how far it is.
+    /// Shows the progress and the plot; returns what to export.
     fn result(&mut self, ui: &mut Ui, progress: Option<&Progress>) -> Option<Export> {
         let Some(progress) = progress else {
-            let words = "One run per value, of the same pictures, while the graph here goes on.";
-            ui.label(RichText::new(words).color(theme::MUTED));
+            let caption = "Runs the graph once per value on the same frames. The graph in this window keeps running.";
+            ui.label(RichText::new(caption).color(theme::MUTED));
             return None;
         };
         let mut export = None;
-        let mut asked = false;
+        let mut requested = false;
         ui.horizontal(|ui| {
             ui.label(format!("{} over {}", progress.measure, progress.param));
-            let words = match (progress.total, progress.points.len()) {
-                _ if progress.failed.is_some() => "did not begin".to_owned(),
-                (0, _) => "being looked at".to_owned(),
+            let caption = match (progress.total, progress.points.len()) {
+                _ if progress.failed.is_some() => "did not start".to_owned(),
+                (0, _) => "preparing".to_owned(),
                 (total, done) if progress.cancelled => format!("cancelled after {done} of {total}"),
                 (total, done) if progress.done => format!("{done} of {total} values"),
                 (total, done) => {
@@ -297,12 +297,12 @@ impl SweepPanel {
                     format!("{done} of {total}")
                 }
             };
-            ui.label(RichText::new(words).color(theme::MUTED));
+            ui.label(RichText::new(caption).color(theme::MUTED));
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
                 let some = !progress.points.is_empty();
-                let png = ui.add_enabled(some, Button::new("PNG")).on_hover_text("Writes a picture of it into out/");
-                asked = png.clicked();
-                let table = ui.add_enabled(some, Button::new("CSV")).on_hover_text("Writes all values into out/");
+                let png = ui.add_enabled(some, Button::new("PNG")).on_hover_text("Writes an image of the plot to out/");
+                requested = png.clicked();
+                let table = ui.add_enabled(some, Button::new("CSV")).on_hover_text("Writes all values to out/");
                 if table.clicked() {
                     export = Some(Export::Csv(csv(&progress.param, &progress.measure, &progress.points)));
                 }
@@ -310,12 +310,12 @@ impl SweepPanel {
         });
         let failed = progress.points.iter().find_map(|p| Some((&p.value, p.result.as_ref().err()?)));
         if let Some((value, why)) = failed {
-            let words = format!("at {value}: {}", why.lines().next().unwrap_or_default());
-            ui.add(Label::new(RichText::new(words).size(12.0).color(theme::FAULT)).truncate());
+            let caption = format!("at {value}: {}", why.reason.lines().next().unwrap_or_default());
+            ui.add(Label::new(RichText::new(caption).size(12.0).color(theme::FAULT)).truncate());
         }
         let response = plot(ui, progress);
-        if asked {
-            self.cutout.ask(ui.ctx(), response.rect);
+        if requested {
+            self.cutout.request(ui.ctx(), response.rect);
         }
         export
     }
@@ -326,8 +326,8 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
         points.iter().filter_map(|p| Some((p.at, *p.result.as_ref().ok()?))).collect()
     };
     let known = known(&progress.points);
-    let words: Vec<(f64, String)> = progress.points.iter().map(|p| (p.at, p.value.clone())).collect();
-    let has_words = progress.words;
+    let labels: Vec<(f64, String)> = progress.points.iter().map(|p| (p.at, p.value.clone())).collect();
+    let is_text = progress.is_text;
     let axis = match progress.unit.is_empty() {
         true => progress.param.clone(),
         false => format!("{} [{}]", progress.param, progress.unit),
@@ -340,9 +340,9 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
         .allow_scroll(false)
         .x_axis_formatter(move |mark, _| {
             let near = |(at, _): &&(f64, String)| (at - mark.value).abs() < 1e-9 && at.fract() == 0.0;
-            // Between words there is nothing.
-            let between = || if has_words { String::new() } else { short(mark.value) };
-            words.iter().find(near).map_or_else(between, |(_, word)| word.clone())
+            // Words have no labels between them.
+            let between = || if is_text { String::new() } else { short(mark.value) };
+            labels.iter().find(near).map_or_else(between, |(_, word)| word.clone())
         })
         .show(ui, |plot| {
             for (at, s) in &known {
@@ -350,18 +350,19 @@ fn plot(ui: &mut Ui, progress: &Progress) -> Response {
                 plot.line(Line::new("smallest to largest", ends).color(theme::class(1).gamma_multiply(0.7)).width(2.0));
             }
             let means: PlotPoints<'_> = known.iter().map(|(at, s)| [*at, s.mean]).collect();
-            if !has_words {
+            if !is_text {
                 plot.line(Line::new("mean", means).color(theme::class(0)).width(1.8));
             }
             let dots: PlotPoints<'_> = known.iter().map(|(at, s)| [*at, s.mean]).collect();
             plot.points(Points::new("mean", dots).color(theme::class(0)).radius(3.0));
         });
     let place = |at: f64| {
-        let word = progress.points.iter().find(|p| has_words && p.at == at);
+        let word = progress.points.iter().find(|p| is_text && p.at == at);
         word.map_or_else(|| short(at), |p| p.value.clone())
     };
-    let told = known.iter().map(|(at, s)| format!("{}: {}", place(*at), short(s.mean))).collect::<Vec<_>>().join(", ");
-    shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Sweep: {told}")));
+    let description =
+        known.iter().map(|(at, s)| format!("{}: {}", place(*at), short(s.mean))).collect::<Vec<_>>().join(", ");
+    shown.response.widget_info(|| WidgetInfo::labeled(WidgetType::Image, true, format!("Sweep: {description}")));
     shown.response
 }
 
@@ -379,14 +380,14 @@ fn name(ui: &Ui, id: Id, label: &str) {
     ui.ctx().accesskit_node_builder(id, |node| node.set_label(label.to_owned()));
 }
 
-/// All parameters that can be swept, as `node.param`.
+/// The parameters that can be swept, as `node.param`.
 fn sweepable(document: &Document) -> Vec<String> {
     let nodes = document.view().nodes.iter();
     let params = nodes.flat_map(|n| n.node_type.iter().flat_map(|t| &t.params).map(move |p| (n.id(), p)));
     params.filter(|(_, p)| can_sweep(&p.kind)).map(|(id, p)| format!("{id}.{}", p.name)).collect()
 }
 
-/// Whether a parameter is a number; its unit, to stand behind one; its step.
+/// Whether a parameter is a number; its unit, to follow a number; its step.
 fn kind_of(document: &Document, param: &str) -> (bool, String, Option<f64>) {
     let view = document.view();
     let declared = param.split_once('.').and_then(|(node, param)| {
@@ -394,7 +395,7 @@ fn kind_of(document: &Document, param: &str) -> (bool, String, Option<f64>) {
         node_type.params.iter().find(|p| p.name == param)
     });
     let Some(declared) = declared else { return (false, String::new(), None) };
-    let unit = unit_words(&declared.unit);
+    let unit = unit_suffix(&declared.unit);
     let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
     match &declared.kind {
         ParamKind::Int { step, .. } => (true, unit, Some(step.unwrap_or(1) as f64)),
@@ -403,8 +404,8 @@ fn kind_of(document: &Document, param: &str) -> (bool, String, Option<f64>) {
     }
 }
 
-/// What could be measured: scalar ports, columns of tables that were seen, numbers that nodes told, times.
-fn measures(document: &Document, counters: &Counters, shown: &Shown) -> Vec<String> {
+/// Possible measures: scalar outputs, columns of tables received so far, metrics, times.
+fn measures(document: &Document, counters: &Counters, shown: &OutputCache) -> Vec<String> {
     let mut found = Vec::new();
     for node in &document.view().nodes {
         let outputs = node.node_type.iter().flat_map(|t| &t.outputs).filter(|p| has_numbers(&p.packet.name));
@@ -412,7 +413,7 @@ fn measures(document: &Document, counters: &Counters, shown: &Shown) -> Vec<Stri
             let output = Output::new(node.id(), &port.name);
             if port.packet.name == "scalar" {
                 found.push(output.to_string());
-            } else if let Some(Content::Numbers(numbers)) = shown.look(&output).map(|l| &l.content) {
+            } else if let Some(Content::Numbers(numbers)) = shown.packet(&output).map(|l| &l.content) {
                 found.extend(numbers.iter().map(|(column, _)| format!("{output}.{column}")));
             }
         }

@@ -1,4 +1,4 @@
-//! The bar above the canvas: what runs, how it does, what can be done.
+//! The bar above the canvas: state of the run, rates, buttons.
 
 use eframe::egui::{Align, Button, Layout, RichText, Sense, Ui, WidgetInfo, WidgetType, vec2};
 
@@ -7,43 +7,43 @@ use panoscope_editor_model::disk::is_full;
 use panoscope_editor_model::document::Document;
 use panoscope_editor_model::observe::Counters;
 use panoscope_editor_model::session::{Phase, Status};
+use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme;
-use panoscope_editor_widgets::time_words;
 
-/// Which switches are on.
+/// Which panels and modes are switched on.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Switches {
-    /// Heat map.
+    /// The heat map.
     pub heat: bool,
-    /// Text of the file.
+    /// The panel of the file's text.
     pub text: bool,
-    /// Curves.
+    /// The panel of plots.
     pub plots: bool,
-    /// Mistakes and faults.
+    /// The panel of mistakes and faults.
     pub problems: bool,
-    /// What became of the parameters.
+    /// The panel of the parameter history.
     pub history: bool,
-    /// A sweep.
+    /// The panel of a sweep.
     pub sweep: bool,
 }
 
-/// Shows the bar; answers the actions asked for.
+/// Shows the bar; returns the actions that the user requests.
 pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters, on: Switches) -> Vec<Action> {
-    let mut asked = Vec::new();
+    let mut actions = Vec::new();
     ui.horizontal_centered(|ui| {
         ui.spacing_mut().item_spacing.x = theme::STEP * 1.5;
         ui.label(RichText::new(&document.view().name).size(15.0).strong());
         if document.is_changed() {
             ui.label(RichText::new("changed").size(11.5).color(theme::ACCENT))
-                .on_hover_text("The file holds another text");
+                .on_hover_text("There are unsaved changes");
         }
         ui.add_space(2.0 * theme::STEP);
         state(ui, document, status, counters);
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            let mut button = |ui: &mut Ui, action, words: &str, selected: bool, enabled: bool| {
-                let button = Button::new(words).selected(selected).frame_when_inactive(selected);
+            let mut button = |ui: &mut Ui, action, caption: &str, selected: bool, enabled: bool| {
+                let button = Button::new(caption).selected(selected).frame_when_inactive(selected);
                 if ui.add_enabled(enabled, button).on_hover_text(actions::hint(action)).clicked() {
-                    asked.push(action);
+                    actions.push(action);
                 }
             };
             button(ui, Action::Help, "Keys", false, true);
@@ -52,9 +52,9 @@ pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counte
             button(ui, Action::Plots, "Plots", on.plots, true);
             button(ui, Action::Text, "Text", on.text, true);
             button(ui, Action::Heat, "Heat", on.heat, true);
-            let wrong = document.view().diagnostics.len() + usize::from(status.trouble.is_some());
-            let words = if wrong == 0 { "Problems".to_owned() } else { format!("Problems {wrong}") };
-            button(ui, Action::Problems, &words, on.problems, true);
+            let wrong = document.view().diagnostics.len() + usize::from(status.problem.is_some());
+            let caption = if wrong == 0 { "Problems".to_owned() } else { format!("Problems {wrong}") };
+            button(ui, Action::Problems, &caption, on.problems, true);
             ui.separator();
             button(ui, Action::Fit, "Fit", false, true);
             button(ui, Action::Find, "Find", false, true);
@@ -68,49 +68,49 @@ pub fn show(ui: &mut Ui, document: &Document, status: &Status, counters: &Counte
             }
         });
     });
-    asked
+    actions
 }
 
 fn state(ui: &mut Ui, document: &Document, status: &Status, counters: &Counters) {
     let behind = *status.running != **document.runnable();
     let off = counters.switched_off().map(|fault| match is_full(&fault.words) {
-        true => format!("the disk is full: `{}` writes nothing more", fault.node),
-        false => format!("`{}` is switched off after a fault", fault.node),
+        true => format!("the disk is full: `{}` has stopped writing", fault.node),
+        false => format!("`{}` is bypassed after a fault", fault.node),
     });
     let off = off.min();
-    let (color, words) = match &status.phase {
-        Phase::Idle if document.view().right => (theme::MUTED, "not started".to_owned()),
+    let (color, caption) = match &status.phase {
+        Phase::Idle if document.view().valid => (theme::MUTED, "not started".to_owned()),
         Phase::Idle if document.view().nodes.is_empty() && document.view().diagnostics.is_empty() => {
-            (theme::MUTED, "no nodes yet: A adds one".to_owned())
+            (theme::MUTED, "no nodes yet: press A to add one".to_owned())
         }
         Phase::Idle => (theme::FAULT, "the file has mistakes".to_owned()),
         Phase::Starting => (theme::MUTED, "starting".to_owned()),
-        Phase::Running if status.trouble.is_some() => {
-            (theme::FAULT, "the change was refused; the old graph runs".to_owned())
+        Phase::Running if status.problem.is_some() => {
+            (theme::FAULT, "the change failed; the old graph keeps running".to_owned())
         }
-        Phase::Running if behind && !document.view().right => {
-            (theme::WARN, "unfinished; the last right graph runs".to_owned())
+        Phase::Running if behind && !document.view().valid => {
+            (theme::WARN, "the file has mistakes; the last valid graph keeps running".to_owned())
         }
         Phase::Running | Phase::Ended if off.is_some() => (theme::FAULT, off.unwrap_or_default()),
         Phase::Running => (theme::family("source"), "running".to_owned()),
-        Phase::Ended => (theme::MUTED, "the run has ended, its files are finished".to_owned()),
+        Phase::Ended => (theme::MUTED, "the run has ended and its files are finished".to_owned()),
         Phase::Failed(why) => (theme::FAULT, why.clone()),
     };
     let (rect, dot) = ui.allocate_exact_size(vec2(10.0, 10.0), Sense::hover());
     ui.painter().circle_filled(rect.center(), 4.0, color);
-    dot.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, format!("State: {words}")));
-    ui.label(RichText::new(&words).size(12.0).color(theme::MUTED));
+    dot.widget_info(|| WidgetInfo::labeled(WidgetType::Label, true, format!("State: {caption}")));
+    ui.label(RichText::new(&caption).size(12.0).color(theme::MUTED));
     if status.phase == Phase::Running {
         let fps = counters.nodes.values().map(|n| n.fps).fold(0.0, f64::max);
         let age = counters.nodes.values().filter_map(|n| n.age_p99_ms).fold(0.0, f64::max);
         let drops: u64 = counters.nodes.values().map(|n| n.dropped).sum();
-        let mut words = format!("{fps:.0} fps");
+        let mut caption = format!("{fps:.0} fps");
         if age > 0.0 {
-            words += &format!("  ·  age p99 {}", time_words(age));
+            caption += &format!("  ·  age p99 {}", format_time(age));
         }
         if drops > 0 {
-            words += &format!("  ·  {drops} drop{}", if drops > 1 { "s" } else { "" });
+            caption += &format!("  ·  {drops} drop{}", if drops > 1 { "s" } else { "" });
         }
-        ui.label(RichText::new(words).size(12.0));
+        ui.label(RichText::new(caption).size(12.0));
     }
 }

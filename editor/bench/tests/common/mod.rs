@@ -1,10 +1,10 @@
-//! The window over running graphs of the `flow` plugin, without a screen.
+//! The editor's window on running graphs of the `flow` plugin, without a screen.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 #[path = "../../../theatre/tests/common/golden.rs"]
 pub mod golden;
-#[path = "../../../theatre/tests/common/hand.rs"]
-pub mod hand;
+#[path = "../../../theatre/tests/common/input.rs"]
+pub mod input;
 #[path = "../../../theatre/tests/common/shared.rs"]
 mod shared;
 
@@ -19,11 +19,11 @@ use panoscope_editor_model::session::Phase;
 
 pub use shared::{Folder, PATIENCE, has_plugin};
 
-/// Two paths that have nothing to do with each other; `kept` writes down every tick of the first one.
+/// Two independent paths; `kept` records every tick of the first one.
 pub const GRAPH: &str = r#"# Two paths.
 name = "two"
 mode = "live"
-plugins = ["flow"]   # small nodes
+plugins = ["flow", "fixtures"]   # small nodes
 
 [nodes.a]            # the path that nobody touches
 type = "frames"
@@ -85,7 +85,7 @@ impl Window {
         self.harness.state().as_ref().expect("the window is open")
     }
 
-    /// Draws frames until something holds.
+    /// Draws frames until a condition holds.
     pub fn until(&mut self, what: &str, holds: impl Fn(&App) -> bool) {
         let until = Instant::now() + PATIENCE;
         loop {
@@ -99,7 +99,7 @@ impl Window {
         }
     }
 
-    /// Draws frames until a widget of that name is there.
+    /// Draws frames until a widget of this name is shown.
     pub fn until_shown(&mut self, label: &str) {
         let until = Instant::now() + PATIENCE;
         while self.harness.query_by_label_contains(label).is_none() {
@@ -109,7 +109,7 @@ impl Window {
         }
     }
 
-    /// Clicks a button until a widget of that name is there: a click in a frame in which the panel moves meets nothing.
+    /// Clicks a button until a widget of this name is shown, because a click has no effect in a frame in which the panel moves.
     pub fn click_until_shown(&mut self, button: &str, label: &str) {
         let until = Instant::now() + PATIENCE;
         while self.harness.query_by_label_contains(label).is_none() {
@@ -146,11 +146,11 @@ impl Window {
         assert_eq!(self.app().selected().as_deref(), Some(id));
     }
 
-    /// Drags from one named thing to another.
+    /// Drags from one named widget to another.
     pub fn drag(&mut self, from: &str, to: &str) {
         let at = |label: &str| self.harness.get_by_label(label).rect().center();
         let (from, to) = (at(from), at(to));
-        hand::drag(&mut self.harness, from, to);
+        input::drag(&mut self.harness, from, to);
     }
 
     /// Waits until the text of the document runs.
@@ -167,7 +167,7 @@ impl Window {
         engine.graph().nodes.into_iter().map(|n| n.id).collect()
     }
 
-    /// Closes the window: the run ends, files are finished.
+    /// Ends the run and finishes its files, as closing the window does.
     pub fn close(mut self) -> panoscope_engine::Report {
         self.until("some ticks have come through", |app| {
             let engine = app.session().handle().engine().expect("it runs");
@@ -179,7 +179,7 @@ impl Window {
     }
 }
 
-/// Asserts that the untouched path of [`GRAPH`] lost nothing: every tick is written down, none was dropped.
+/// Asserts that the first path of [`GRAPH`] lost no tick: every tick is recorded, none was dropped.
 pub fn nothing_lost(folder: &Folder, report: &panoscope_engine::Report) {
     let text = std::fs::read_to_string(folder.0.join("kept.jsonl")).expect("the ledger was written");
     let seqs: Vec<u64> = text

@@ -1,4 +1,4 @@
-//! Pictures of the window, painted without any graphics card, and compared with those that are kept. `PANOSCOPE_BLESS=1` writes them anew.
+//! Renders screenshots of the window without a graphics card and compares them with golden images. `PANOSCOPE_BLESS=1` writes the images.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 use std::cell::RefCell;
@@ -12,14 +12,14 @@ use egui_kittest::TestRenderer;
 use image::RgbImage;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 
-/// With this variable set, tests write what they would compare with.
+/// With this variable set, tests write the golden images instead of comparing.
 const BLESS: &str = "PANOSCOPE_BLESS";
-/// A channel that differs by more counts as another colour.
+/// Largest difference of a channel that counts as the same colour.
 const LEAST_DIFFERENCE: u8 = 24;
-/// Share of the pixels that may have another colour: rounding differs from processor to processor.
+/// Share of the pixels that may have another colour, because rounding differs between processors.
 const MOST_DIFFERENT: f64 = 0.0005;
 
-/// The textures as egui hands them over.
+/// The textures that egui has uploaded.
 #[derive(Clone, Default)]
 pub struct Textures(Rc<RefCell<HashMap<TextureId, ColorImage>>>);
 
@@ -87,7 +87,7 @@ impl Canvas {
         if area == 0.0 || !area.is_finite() {
             return;
         }
-        // All triangles the same way round.
+        // Gives all triangles the same orientation.
         let order = if area > 0.0 { [0, 1, 2] } else { [0, 2, 1] };
         let (corners, at, area) = (order.map(|k| corners[k]), order.map(|k| at[k]), area.abs());
         let low =
@@ -97,7 +97,7 @@ impl Canvas {
         let columns =
             (low(0, clip.left()).max(0.0) as usize)..(high(0, clip.right()).max(0.0) as usize).min(self.width);
         let rows = (low(1, clip.top()).max(0.0) as usize)..(high(1, clip.bottom()).max(0.0) as usize).min(self.height);
-        // Pixels on an edge that two triangles share belong to one of them.
+        // A pixel on a shared edge belongs to only one of the two triangles.
         let owns = |a: [f64; 2], b: [f64; 2]| (a[1] == b[1] && b[0] > a[0]) || b[1] < a[1];
         for y in rows {
             for x in columns.clone() {
@@ -132,7 +132,7 @@ impl Canvas {
     }
 }
 
-/// What a frame looks like in a window that is cleared to `ground`.
+/// Renders a frame on the background `ground`.
 pub fn paint(ctx: &Context, output: &FullOutput, textures: &Textures, ground: Color32) -> RgbImage {
     let points = output.pixels_per_point;
     let size = ctx.viewport_rect().size() * points;
@@ -153,7 +153,7 @@ pub fn paint(ctx: &Context, output: &FullOutput, textures: &Textures, ground: Co
     RgbImage::from_raw(width as u32, height as u32, bytes).expect("three bytes per pixel")
 }
 
-/// Compares a picture with the one that is kept under `name`; `masked` parts tell times and are left out.
+/// Compares a screenshot with the golden image `name`; `masked` rectangles, such as those with times, are not compared.
 pub fn compare(name: &str, mut picture: RgbImage, masked: &[Rect]) {
     for rect in masked {
         let within = |v: f32, most: u32| (v.round().max(0.0) as u32).min(most);
@@ -175,7 +175,7 @@ pub fn compare(name: &str, mut picture: RgbImage, masked: &[Rect]) {
     let now = std::env::temp_dir().join(format!("panoscope_{name}_now.png"));
     let look = || {
         picture.save(&now).expect("temporary files can be written");
-        format!("the picture of now is {}; {BLESS}=1 keeps it", now.display())
+        format!("the current screenshot is {}; {BLESS}=1 makes it the golden image", now.display())
     };
     let Ok(old) = image::open(&kept) else { panic!("there is no {}: {}", kept.display(), look()) };
     let old = old.to_rgb8();
@@ -185,5 +185,5 @@ pub fn compare(name: &str, mut picture: RgbImage, masked: &[Rect]) {
     };
     let count = old.pixels().zip(picture.pixels()).filter(differs).count();
     let share = count as f64 / f64::from(old.width() * old.height());
-    assert!(share <= MOST_DIFFERENT, "{count} pixels of {name} look otherwise: {}", look());
+    assert!(share <= MOST_DIFFERENT, "{count} pixels of {name} differ: {}", look());
 }

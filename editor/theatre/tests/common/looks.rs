@@ -1,9 +1,9 @@
-//! The graph whose pictures are kept.
+//! The graph of the golden images.
 
-/// Ticks of each source: enough that the window sees the last one.
+/// Number of ticks of each source, enough that the window receives the last one.
 pub const TICKS: u64 = 40;
 
-/// A small graph of all kinds of widgets; each tick of it looks the same every time.
+/// A small graph with all kinds of widgets; its ticks are the same in every run.
 pub const GRAPH: &str = r#"# What is drawn for the kept pictures: two paths, numbers, a setting.
 name = "looks"
 plugins = ["flow"]

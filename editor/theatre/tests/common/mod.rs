@@ -1,8 +1,8 @@
-//! The theatre over running graphs, without a screen.
+//! Helpers for tests of the theatre.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 pub mod golden;
-pub mod hand;
+pub mod input;
 mod shared;
 pub mod window;
 

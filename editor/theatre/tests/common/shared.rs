@@ -1,4 +1,4 @@
-//! What tests of every window need.
+//! Helpers for tests of both windows.
 #![allow(dead_code, reason = "each test binary uses a part")]
 
 use std::path::PathBuf;
@@ -6,19 +6,22 @@ use std::time::Duration;
 
 use panoscope_loader::{self as loader, Loader};
 
-/// Longest that anything here may take.
+/// Maximum time to wait for a condition.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Whether a plugin can be loaded; a test that needs it is skipped otherwise.
+/// Whether a plugin can be loaded; a test that needs it is skipped otherwise. Test graphs with nodes of `flow` have nodes
+/// of the test plugin `fixtures` beside them, so `flow` asks for both.
 pub fn has_plugin(name: &str) -> bool {
-    let found = Loader::search(&loader::search_path(&[])).found().any(|f| f.note.name == name);
-    if !found {
-        println!("skipped: plugin `{name}` is not built; `cargo xtask build` builds it");
+    let needed: &[&str] = if name == "flow" { &["flow", "fixtures"] } else { &[name] };
+    let loader = Loader::search(&loader::search_path(&[]));
+    let missing = needed.iter().find(|name| !loader.found().any(|f| f.note.name == **name));
+    if let Some(name) = missing {
+        panoscope_testing::skipped!("plugin `{name}` is not in PANOSCOPE_PLUGIN_PATH; `cargo xtask test` sets it");
     }
-    found
+    missing.is_none()
 }
 
-/// A folder that no other test uses, removed at the end.
+/// A temporary folder of one test, removed at the end.
 pub struct Folder(pub PathBuf);
 
 impl Folder {

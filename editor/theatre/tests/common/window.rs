@@ -1,4 +1,4 @@
-//! The theatre over running graphs, without a screen.
+//! The theatre on running graphs, without a screen.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -15,7 +15,7 @@ use super::{Folder, PATIENCE};
 /// A camera, two stages, a setting.
 pub const GRAPH: &str = r#"# Seen by a surgeon.
 name = "case"
-plugins = ["flow"]
+plugins = ["flow", "fixtures"]
 
 [nodes.camera]
 type = "frames"
@@ -42,7 +42,7 @@ pub struct Window {
     pub textures: Textures,
 }
 
-/// Options that keep stills and clips in a folder of the test's own.
+/// Options that write stills and clips to the test's folder.
 pub fn options(folder: &Folder) -> Options {
     Options { folder: folder.0.join("kept"), ..Options::default() }
 }
@@ -75,24 +75,24 @@ impl Window {
         self.harness.state().as_ref().expect("it is open")
     }
 
-    /// Draws frames until something holds.
+    /// Draws frames until a condition holds.
     pub fn until(&mut self, what: &str, holds: impl Fn(&Theatre) -> bool) {
         let until = Instant::now() + PATIENCE;
         self.harness.step();
         while !holds(self.theatre()) {
-            let told = self.theatre().notices();
-            assert!(Instant::now() < until, "not in time: {what}; told is {told:?}");
+            let notices = self.theatre().notices();
+            assert!(Instant::now() < until, "not in time: {what}; notices: {notices:?}");
             std::thread::sleep(Duration::from_millis(15));
             self.harness.step();
         }
     }
 
-    /// Draws frames until something of these words is told.
-    pub fn until_told(&mut self, words: &str) {
-        self.until(words, |t| t.notices().iter().any(|n| n.words.contains(words)));
+    /// Draws frames until a notice with this text is shown.
+    pub fn until_notice(&mut self, message: &str) {
+        self.until(message, |t| t.notices().iter().any(|n| n.message.contains(message)));
     }
 
-    /// Draws frames until a widget of that name is there.
+    /// Draws frames until a widget of this name is shown.
     pub fn until_shown(&mut self, label: &str) {
         let until = Instant::now() + PATIENCE;
         while self.harness.query_by_label_contains(label).is_none() {
@@ -114,7 +114,7 @@ impl Window {
         self.harness.step();
     }
 
-    /// Names of the files that are kept.
+    /// Names of the files in the folder for stills and clips.
     pub fn kept(&self) -> Vec<String> {
         let files = std::fs::read_dir(self.folder.0.join("kept")).into_iter().flatten().flatten();
         let mut names: Vec<String> = files.map(|f| f.file_name().to_string_lossy().into_owned()).collect();
@@ -122,7 +122,7 @@ impl Window {
         names
     }
 
-    pub fn told(&self) -> Vec<String> {
-        self.theatre().notices().iter().map(|n| n.words.clone()).collect()
+    pub fn notices(&self) -> Vec<String> {
+        self.theatre().notices().iter().map(|n| n.message.clone()).collect()
     }
 }

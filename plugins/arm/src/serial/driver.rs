@@ -1,7 +1,7 @@
-//! The driver's own thread: it owns line and interlock, and goes on when the graph does not.
+//! The driver's own thread. It owns the line and the interlock, and keeps running when the graph stalls.
 //!
-//! Every 10 ms it reads what the arm answered, steps the interlock to now, and sends a set-point while anything moves. The node leaves demands and
-//! tips with their arrival times; nobody waits for anybody. This thread has a clock of its own, since it has to see that others stopped.
+//! Every 10 ms it reads the arm's answers, advances the interlock to the present, and sends a set-point while anything moves. The node posts requests
+//! and tips; neither thread waits for the other. This thread has its own clock, because it has to notice that the graph has stalled.
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -16,62 +16,62 @@ use panoscope_arm_core::{Chain, Interlock, JointVector};
 
 use super::port::{Port, PortError};
 
-/// Time between two lines.
+/// Time between two lines to the arm.
 const PERIOD: Duration = Duration::from_millis(10);
-/// How long an arm may take to answer for the first time.
+/// Time limit of the arm's first answer.
 const FIRST_ANSWER: Duration = Duration::from_millis(500);
-/// Lines without sense in a row that are put down to noise.
+/// Unreadable lines in a row that count as noise; more stop the arm.
 const NOISE_LINES: u32 = 2;
-/// How far the arm may lag behind its set-points, s of its speed, and beside that, rad.
+/// Largest lag of the arm behind its set-points: s at its speed, plus rad.
 const LAG_S: f64 = 0.15;
 const LAG_RAD: f64 = 0.02;
 
-/// Where the line is.
+/// How to reach the arm.
 #[derive(Clone, Debug)]
-pub struct Place {
+pub struct Connection {
     /// The device's file.
     pub path: PathBuf,
     /// Bits per second.
     pub baud: u32,
-    /// Longest time without an answer.
+    /// Time without an answer after which the arm is stopped.
     pub answer_within: Duration,
 }
 
-/// What the node leaves for the thread.
+/// Posted by the node, taken by the thread.
 #[derive(Debug, Default)]
 pub struct Inbox {
-    /// Joint velocities, rad/s, as many as were asked for.
+    /// Requested joint velocities, rad/s, and their number.
     pub demand: Option<([f64; 8], usize)>,
-    /// What the tip proves, and how old it was when it came.
+    /// The newest tip, and its age when the node received it.
     pub tip: Option<(Evidence, Duration)>,
-    /// Settings.
+    /// New settings of the interlock.
     pub settings: Option<Settings>,
-    /// Whether somebody presses.
+    /// Whether `emergency_stop` is on.
     pub emergency_stop: bool,
-    /// A latched stop is to be let go.
+    /// Releases a latched stop.
     pub release: bool,
 }
 
-/// What the thread knows.
+/// State of the arm, written by the thread, read by the node.
 #[derive(Clone, Debug)]
 pub struct Outbox {
-    /// Where the encoders are, rad.
+    /// Joint angles by the encoders, rad.
     pub encoders: JointVector,
-    /// Where the set-points are, rad and rad/s.
+    /// Newest set-point: rad and rad/s.
     pub set_point: (JointVector, JointVector),
-    /// Why it stands.
+    /// Cause of the present stop.
     pub stop: Option<Cause>,
     /// Whether the stop latched.
     pub latched: bool,
-    /// Stops so far.
+    /// Stops since the driver started.
     pub stops: u64,
     /// Age of the newest answer, ms.
     pub answer_age_ms: f64,
-    /// How far the set-points miss the trocar, mm, and how deep the tube stands, mm.
+    /// Distance of the tube from the trocar at the set-points, mm.
     pub pivot_mm: f64,
-    /// See `pivot_mm`.
+    /// Depth of the tube behind the trocar at the set-points, mm.
     pub depth_mm: f64,
-    /// For the log; bounded.
+    /// Events for the log, 64 at most.
     pub events: VecDeque<Event>,
 }
 
@@ -82,7 +82,7 @@ struct Shared {
     leave: AtomicBool,
 }
 
-/// Latched stops outlive the node: one that is opened again on the same line starts with them.
+/// Latched stops outlive the node: a driver that is opened again on the same line starts stopped.
 static LATCHED: Mutex<Vec<(PathBuf, Cause)>> = Mutex::new(Vec::new());
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -106,12 +106,12 @@ impl Driver {
     /// Opens the line, asks where the arm is, and starts the thread.
     ///
     /// # Errors
-    /// No such line, nobody there that speaks the protocol, no thread to be had.
-    pub fn start(place: &Place, chain: Chain) -> Result<Self, PortError> {
-        let mut line = ArmLine::open(place)?;
-        line.encoders = line.hello(&place.path)?;
+    /// The line cannot be opened, no arm answers on it, or the thread cannot be started.
+    pub fn start(connection: &Connection, chain: Chain) -> Result<Self, PortError> {
+        let mut line = ArmLine::open(connection)?;
+        line.encoders = line.hello(&connection.path)?;
         let mut lock = Interlock::new(chain, line.encoders, 0);
-        let known = locked(&LATCHED).iter().find(|(path, _)| *path == place.path).map(|(_, cause)| *cause);
+        let known = locked(&LATCHED).iter().find(|(path, _)| *path == connection.path).map(|(_, cause)| *cause);
         if let Some(cause) = known {
             lock.latch(cause);
         }
@@ -122,8 +122,8 @@ impl Driver {
             latched: lock.latched().is_some(),
             stops: 0,
             answer_age_ms: 0.0,
-            pivot_mm: lock.place().pivot_mm,
-            depth_mm: lock.place().depth_mm,
+            pivot_mm: lock.tube().pivot_mm,
+            depth_mm: lock.tube().depth_mm,
             events: VecDeque::with_capacity(64),
         };
         let shared = Arc::new(Shared {
@@ -133,7 +133,7 @@ impl Driver {
         });
         let mut work = Work {
             shared: Arc::clone(&shared),
-            place: place.clone(),
+            connection: connection.clone(),
             line: Some(line),
             lock,
             start: Instant::now(),
@@ -146,13 +146,13 @@ impl Driver {
         Ok(Self { shared, thread: Some(thread) })
     }
 
-    /// Leaves something for the thread.
-    pub fn tell(&self, what: impl FnOnce(&mut Inbox)) {
+    /// Posts to the thread.
+    pub fn post(&self, what: impl FnOnce(&mut Inbox)) {
         what(&mut locked(&self.shared.inbox));
     }
 
-    /// What the thread knows; its events are taken by `event`.
-    pub fn look(&self, mut event: impl FnMut(Event)) -> Outbox {
+    /// The newest state. Calls `event` once for each new event.
+    pub fn read(&self, mut event: impl FnMut(Event)) -> Outbox {
         let mut outbox = locked(&self.shared.outbox);
         while let Some(next) = outbox.events.pop_front() {
             event(next);
@@ -165,13 +165,13 @@ impl Drop for Driver {
     fn drop(&mut self) {
         self.shared.leave.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take() {
-            // A panic in there was told by its hook; the arm's own watchdog has stopped it.
+            // The panic hook has reported a panic there; the arm's own watchdog has stopped the arm.
             let _ = thread.join();
         }
     }
 }
 
-/// The line with what came over it.
+/// The open line and the newest answer.
 struct ArmLine {
     port: Port,
     reader: Reader,
@@ -184,9 +184,9 @@ struct ArmLine {
 }
 
 impl ArmLine {
-    fn open(place: &Place) -> Result<Self, PortError> {
+    fn open(connection: &Connection) -> Result<Self, PortError> {
         Ok(Self {
-            port: Port::open(&place.path, place.baud)?,
+            port: Port::open(&connection.path, connection.baud)?,
             reader: Reader::default(),
             seq: 0,
             encoders: JointVector::zeros(),
@@ -204,10 +204,10 @@ impl ArmLine {
         self.port.write(&self.out)
     }
 
-    /// Reads what is there.
+    /// Reads all answers that have arrived.
     fn listen(&mut self) -> Result<(), PortError> {
         let mut buffer = [0; 512];
-        // A device that never stops talking is not listened to for ever.
+        // Bounded, so that a device that sends without pause cannot hold this thread.
         for _ in 0..16 {
             let count = self.port.read(&mut buffer)?;
             if count == 0 {
@@ -247,7 +247,7 @@ impl ArmLine {
 /// What the thread owns.
 struct Work {
     shared: Arc<Shared>,
-    place: Place,
+    connection: Connection,
     line: Option<ArmLine>,
     lock: Interlock,
     start: Instant,
@@ -264,7 +264,7 @@ impl Work {
         let mut leaving = None;
         loop {
             if self.shared.leave.load(Ordering::Acquire) {
-                // Nothing is asked for any more: the interlock brakes, then the thread goes.
+                // No more requests arrive: the interlock brakes, then the thread ends.
                 let since = *leaving.get_or_insert_with(Instant::now);
                 if self.lock.set_point().is_at_rest() || since.elapsed() > Duration::from_secs(2) {
                     return;
@@ -273,7 +273,7 @@ impl Work {
             self.turn(leaving.is_some());
             next += PERIOD;
             let now = Instant::now();
-            // Turns that were missed are not made up for.
+            // Missed periods are skipped, not made up for.
             next = next.max(now);
             std::thread::sleep(next - now);
         }
@@ -285,7 +285,7 @@ impl Work {
             self.lock.latch(cause);
         }
         let inbox = std::mem::take(&mut *locked(&self.shared.inbox));
-        // Stays pressed until the node says otherwise.
+        // Stays on until the node posts again.
         locked(&self.shared.inbox).emergency_stop |= inbox.emergency_stop;
         if let Some(settings) = inbox.settings {
             self.lock.set(settings);
@@ -318,12 +318,12 @@ impl Work {
         }
         if self.lock.latched() != self.was_latched {
             self.was_latched = self.lock.latched();
-            remember(&self.place.path, self.was_latched);
+            remember(&self.connection.path, self.was_latched);
         }
         self.report(point);
     }
 
-    /// Reads answers; a cause when something is wrong with them.
+    /// Reads answers. Returns a cause to stop when they are missing or wrong.
     fn listen(&mut self) -> Option<Cause> {
         let line = self.line.as_mut()?;
         if line.listen().is_err() {
@@ -334,7 +334,7 @@ impl Work {
             line.nonsense = 0;
             return Some(Cause::Garbage);
         }
-        if line.answered.elapsed() > self.place.answer_within + PERIOD {
+        if line.answered.elapsed() > self.connection.answer_within + PERIOD {
             return Some(Cause::Stalled);
         }
         if !line.is_ready {
@@ -345,16 +345,16 @@ impl Work {
         (off > LAG_RAD + LAG_S * point.velocity.amax().max(0.1)).then_some(Cause::NotFollowing)
     }
 
-    /// Lets a latched stop go: the line is opened again if it broke off, and set-points begin where the arm is.
+    /// Releases a latched stop. Opens a lost line again; set-points start at the arm's present angles.
     fn release(&mut self) {
         if !self.lock.set_point().is_at_rest() {
             return;
         }
         if self.line.is_none() {
-            self.line = ArmLine::open(&self.place).ok();
+            self.line = ArmLine::open(&self.connection).ok();
         }
         let Some(line) = &mut self.line else { return };
-        let Ok(encoders) = line.hello(&self.place.path) else { return };
+        let Ok(encoders) = line.hello(&self.connection.path) else { return };
         let (now_ns, stops) = (self.now_ns(), self.lock.stops());
         let mut lock = Interlock::new(self.lock.chain().clone(), encoders, now_ns);
         lock.count_stops_from(stops);
@@ -362,7 +362,7 @@ impl Work {
     }
 
     fn report(&mut self, point: panoscope_arm_core::SetPoint) {
-        let place = self.lock.place();
+        let tube = self.lock.tube();
         let mut outbox = locked(&self.shared.outbox);
         if let Some(line) = &self.line {
             outbox.encoders = line.encoders;
@@ -372,7 +372,7 @@ impl Work {
         outbox.stop = self.lock.stopped();
         outbox.latched = self.lock.latched().is_some();
         outbox.stops = self.lock.stops();
-        (outbox.pivot_mm, outbox.depth_mm) = (place.pivot_mm, place.depth_mm);
+        (outbox.pivot_mm, outbox.depth_mm) = (tube.pivot_mm, tube.depth_mm);
         while let Some(event) = self.lock.take_event() {
             if outbox.events.len() == 64 {
                 outbox.events.pop_front();

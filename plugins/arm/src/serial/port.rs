@@ -9,37 +9,37 @@ use rustix::fs::OFlags;
 use rustix::termios::{self, OptionalActions};
 use thiserror::Error;
 
-/// What is wrong with a serial line.
+/// Errors of a serial line.
 #[derive(Debug, Error)]
 pub enum PortError {
-    /// It cannot be opened.
+    /// The device cannot be opened.
     #[error("{path} cannot be opened: {cause}; is the arm plugged in, and may this user read and write the device?", path = path.display())]
     Open {
         /// The device's file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         cause: std::io::Error,
     },
-    /// It is no serial line.
+    /// The file is no serial line.
     #[error("{path} is no serial line: {cause}", path = path.display())]
     NoLine {
         /// The device's file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         cause: std::io::Error,
     },
-    /// Nobody speaks the protocol there.
+    /// The device does not answer in the arm's protocol.
     #[error("{path}: no arm answered within {wait_ms} ms ({garbage} lines made no sense)", path = path.display())]
     NoArm {
         /// The device's file.
         path: PathBuf,
-        /// How long was waited.
+        /// Time waited, ms.
         wait_ms: u128,
-        /// Lines that were no answers.
+        /// Lines received that are no answers.
         garbage: u32,
     },
-    /// It broke off.
-    #[error("the line broke off: {0}")]
+    /// The connection was lost.
+    #[error("the serial line was lost: {0}")]
     Gone(std::io::Error),
 }
 
@@ -53,7 +53,7 @@ impl Port {
     /// Opens a device as raw bytes at a speed.
     ///
     /// # Errors
-    /// No such device, no permission, no terminal, a speed that it does not have.
+    /// The device does not exist, is not permitted, is no terminal, or does not have this speed.
     pub fn open(path: &Path, baud: u32) -> Result<Self, PortError> {
         let flags = (OFlags::NOCTTY | OFlags::NONBLOCK).bits() as i32;
         let file = OpenOptions::new()
@@ -70,10 +70,10 @@ impl Port {
         Ok(Self { file })
     }
 
-    /// What has arrived, up to the buffer's length; 0 when nothing has.
+    /// Reads what has arrived, up to the buffer's length. Returns the number of bytes, 0 for none.
     ///
     /// # Errors
-    /// The line broke off.
+    /// The connection was lost.
     pub fn read(&mut self, buffer: &mut [u8]) -> Result<usize, PortError> {
         match self.file.read(buffer) {
             // A terminal that was hung up reads as ended.
@@ -84,11 +84,10 @@ impl Port {
         }
     }
 
-    /// Sends a line. One that does not fit into the system's buffer is dropped whole or in part: its sum will not fit, and the arm's watchdog
-    /// counts on.
+    /// Sends a line. What does not fit into the system's buffer is dropped: the arm then sees a wrong checksum and its watchdog keeps counting.
     ///
     /// # Errors
-    /// The line broke off.
+    /// The connection was lost.
     pub fn write(&mut self, bytes: &[u8]) -> Result<(), PortError> {
         match self.file.write(bytes) {
             Ok(_) => Ok(()),

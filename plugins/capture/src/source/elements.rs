@@ -84,13 +84,13 @@ pub fn names(pipeline: &str) -> Vec<&str> {
     parts.filter_map(|part| part.split_whitespace().next()).filter(is_name).collect()
 }
 
-/// The first of `names` that this machine does not have; `None` also where that cannot be told.
+/// The first of `names` that this machine does not have; `None` also when it is unknown.
 pub fn missing<'t>(names: &[&'t str]) -> Option<&'t str> {
     let registry = Registry::get()?;
     names.iter().copied().find(|name| !registry.has(name))
 }
 
-/// The first element of a pipeline that this machine does not have; `None` also where that cannot be told.
+/// The first element of a pipeline that this machine does not have; `None` also when it is unknown.
 pub fn unknown_element(pipeline: &str) -> Option<&str> {
     missing(&names(pipeline))
 }
@@ -111,7 +111,7 @@ mod tests {
     #[test]
     fn a_misspelt_element_is_found_without_a_pipeline() {
         if Registry::get().is_none() {
-            println!("skipped: this OpenCV has no GStreamer");
+            panoscope_testing::skipped!("this OpenCV has no GStreamer");
             return;
         }
         assert_eq!(unknown_element("videotestsorce num-buffers=2 ! appsink"), Some("videotestsorce"));

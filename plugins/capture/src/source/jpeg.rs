@@ -1,23 +1,25 @@
-//! JPEG pictures: whole ones only.
+//! Checks that a JPEG is whole.
 //!
-//! Decoders fill what a damaged file lacks with gray or leave the memory as it was, which holds the picture before. So the file is
-//! read marker by marker first, and whatever ends before its end marker is refused.
+//! Decoders fill missing parts of a damaged file with gray, or leave the memory unchanged, which holds the previous picture. So the file is read
+//! marker by marker first, and a file without its end marker is refused.
 
-use super::picture::Picture;
+use std::borrow::Cow;
+
+use super::error::JpegError;
 
 const SOI: u8 = 0xD8;
 const EOI: u8 = 0xD9;
 const SOS: u8 = 0xDA;
 const DHT: u8 = 0xC4;
 
-/// What a look at the markers found.
+/// Positions of a JPEG's markers, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Markers {
     /// Behind the end marker.
     end: usize,
     /// Where the first scan begins.
     first_scan: usize,
-    /// There are Huffman tables.
+    /// Whether the file has Huffman tables.
     has_tables: bool,
 }
 
@@ -25,14 +27,14 @@ struct Markers {
 ///
 /// # Errors
 /// What is missing.
-fn markers(bytes: &[u8]) -> Result<Markers, String> {
-    let cut = |at: usize| format!("the JPEG is cut off after {at} bytes: its end is missing");
+fn markers(bytes: &[u8]) -> Result<Markers, JpegError> {
+    let cut = |bytes: usize| JpegError::CutOff { bytes };
     if bytes.get(..2) != Some(&[0xFF, SOI]) {
-        return Err("it does not begin as a JPEG".to_owned());
+        return Err(JpegError::NotJpeg);
     }
     let (mut at, mut first_scan, mut has_tables) = (2, None, false);
     loop {
-        // The next marker; bytes of a scan are passed over.
+        // The next marker; bytes of a scan are skipped.
         let marker = loop {
             let Some(found) = bytes[at..].iter().position(|byte| *byte == 0xFF) else { return Err(cut(bytes.len())) };
             at += found + 1;
@@ -49,7 +51,7 @@ fn markers(bytes: &[u8]) -> Result<Markers, String> {
         };
         match marker {
             EOI => {
-                let Some(first_scan) = first_scan else { return Err("the JPEG holds no picture".to_owned()) };
+                let Some(first_scan) = first_scan else { return Err(JpegError::NoPicture) };
                 return Ok(Markers { end: at, first_scan, has_tables });
             }
             SOI | 0x01 => continue,
@@ -65,17 +67,17 @@ fn markers(bytes: &[u8]) -> Result<Markers, String> {
     }
 }
 
-/// Decodes a JPEG, or a frame of a Motion JPEG, which may lack the standard Huffman tables.
+/// The bytes of one whole JPEG: without what follows its end, and with the standard Huffman tables where it has none, as in Motion JPEG.
 ///
 /// # Errors
-/// What is damaged or missing.
-pub fn decode(bytes: &[u8]) -> Result<Picture, String> {
+/// A JPEG that is not whole.
+pub fn whole(bytes: &[u8]) -> Result<Cow<'_, [u8]>, JpegError> {
     let found = markers(bytes)?;
     if found.has_tables {
-        return super::images::decode(&bytes[..found.end], image::ImageFormat::Jpeg);
+        return Ok(Cow::Borrowed(&bytes[..found.end]));
     }
     let (head, rest) = bytes[..found.end].split_at(found.first_scan);
-    super::images::decode(&[head, &standard_tables(), rest].concat(), image::ImageFormat::Jpeg)
+    Ok(Cow::Owned([head, &standard_tables(), rest].concat()))
 }
 
 /// The tables of the standard (ITU-T T.81, annex K.3), which Motion JPEG may leave out.
@@ -139,6 +141,6 @@ mod tests {
         // The end marker of a preview inside a segment is not the picture's.
         let preview = [0xFF, 0xE1, 0, 8, 0xFF, SOI, 0xFF, EOI, 0, 0];
         let cut = [&[0xFF, SOI][..], &preview, &scan].concat();
-        assert!(markers(&cut).unwrap_err().contains("cut off"));
+        assert_eq!(markers(&cut), Err(JpegError::CutOff { bytes: cut.len() }));
     }
 }

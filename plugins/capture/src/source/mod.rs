@@ -1,91 +1,27 @@
 //! Where pictures come from: one [`Source`] per camera, file, image sequence or pipeline.
 
+mod decode;
+mod demands;
 mod elements;
+mod error;
 mod images;
 mod jpeg;
 mod name;
+mod open;
 mod opening;
 mod picture;
 mod stream;
 
-use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::path::Path;
 
+pub use demands::{Clock, Demands, Grab, Lock};
 pub use elements::unknown_element;
+pub use error::CaptureError;
 pub use name::SourceName;
 pub use picture::{Picture, Samples, white_of_bits};
-pub use stream::{Demands, Lock};
 
 use images::Images;
 use stream::Stream;
-
-/// Why a source gives no picture.
-#[derive(Debug, thiserror::Error)]
-pub enum CaptureError {
-    /// A file that is not there.
-    #[error("there is no file {path}{hint}", path = path.display())]
-    Missing {
-        /// Absolute path.
-        path: PathBuf,
-        /// What else there is.
-        hint: String,
-    },
-    /// A camera that is not there.
-    #[error("there is no camera {path}: {present}", path = path.display())]
-    NoDevice {
-        /// The device's file.
-        path: PathBuf,
-        /// Which there are.
-        present: String,
-    },
-    /// A pattern or folder without any image.
-    #[error("no image matches {pattern}; {hint}")]
-    NoMatch {
-        /// Absolute pattern.
-        pattern: String,
-        /// What would help.
-        hint: String,
-    },
-    /// A file that cannot be read or is no image.
-    #[error("{path}{place} cannot be read: {reason}", path = path.display())]
-    Unreadable {
-        /// Absolute path.
-        path: PathBuf,
-        /// Its number in a series.
-        place: String,
-        /// Why.
-        reason: String,
-    },
-    /// A device, video or pipeline that does not open.
-    #[error("{name} does not open: {reason}")]
-    Closed {
-        /// What was asked for.
-        name: String,
-        /// Why, and what would help.
-        reason: String,
-    },
-    /// OpenCV's words.
-    #[error("{name}: {reason}")]
-    OpenCv {
-        /// What was asked for.
-        name: String,
-        /// OpenCV's message.
-        reason: String,
-    },
-}
-
-/// What a grab found.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Grab {
-    /// A picture waits, taken at this time.
-    Ready(Instant),
-    /// Nothing comes any more.
-    End,
-    /// Nothing comes any more, but more was promised: what is missing.
-    Failed(String),
-    /// The device is gone; it is opened again with growing pauses.
-    Lost,
-}
 
 /// One source.
 pub enum Source {
@@ -96,23 +32,23 @@ pub enum Source {
 }
 
 impl Source {
-    /// Opens `name`; `keep` keeps decoded images, which are shown again.
+    /// Opens `name`. With `is_repeated` decoded images stay in memory.
     ///
     /// # Errors
-    /// What is missing, damaged, refused or does not answer in time, and what would help.
-    pub fn open(name: &SourceName, demands: Demands, keep: bool) -> Result<Self, CaptureError> {
+    /// The source is missing, damaged, refused, or does not open in time.
+    pub fn open(name: &SourceName, demands: Demands, is_repeated: bool) -> Result<Self, CaptureError> {
         match name {
-            SourceName::Images(files) => Ok(Self::Images(Images::new(files.clone(), keep))),
+            SourceName::Images(files) => Ok(Self::Images(Images::new(files.clone(), is_repeated))),
             SourceName::Image(file) => Ok(Self::Images(Images::still(file.clone()))),
             other => Ok(Self::Stream(Box::new(Stream::open(other, demands)?))),
         }
     }
 
     /// Takes the next picture without decoding it, so that several sources are grabbed at nearly the same time.
-    pub fn grab(&mut self) -> Grab {
+    pub fn grab(&mut self, clock: Clock<'_>) -> Grab {
         match self {
-            Self::Images(images) => images.grab(),
-            Self::Stream(stream) => stream.grab(),
+            Self::Images(images) => images.grab(clock),
+            Self::Stream(stream) => stream.grab(clock),
         }
     }
 
@@ -128,10 +64,10 @@ impl Source {
         }
     }
 
-    /// Starts anew.
+    /// Starts again at the first picture.
     ///
     /// # Errors
-    /// A video that does not open any more.
+    /// A video that no longer opens.
     pub fn rewind(&mut self) -> Result<(), CaptureError> {
         match self {
             Self::Images(images) => {
@@ -143,7 +79,7 @@ impl Source {
         }
     }
 
-    /// Frames per second that the source itself tells.
+    /// Frames per second by the file or the driver.
     pub fn native_fps(&self) -> Option<f64> {
         match self {
             Self::Images(_) => None,
@@ -151,7 +87,7 @@ impl Source {
         }
     }
 
-    /// Pictures that have been grabbed since the start.
+    /// Number of pictures grabbed since the start.
     pub fn grabbed(&self) -> u64 {
         match self {
             Self::Images(images) => images.grabbed(),
@@ -159,7 +95,7 @@ impl Source {
         }
     }
 
-    /// Pictures that are left, as far as the source knows.
+    /// Number of pictures left, as far as it is known.
     pub fn left(&self) -> u64 {
         match self {
             Self::Images(images) if images.is_still() => 0,
@@ -168,8 +104,8 @@ impl Source {
         }
     }
 
-    /// Time of the picture that was grabbed since the first one, in s. `rate_hz` is that of pictures without a time of their own and, when
-    /// `is_forced`, of all. `None` for what has no place in time: a still, a live source.
+    /// Time of the grabbed picture since the first one, in s. `rate_hz` is the rate of pictures without a time of their own and, when `is_forced`, of all.
+    /// `None` for stills and live sources.
     pub fn media_s(&self, rate_hz: f64, is_forced: bool) -> Option<f64> {
         let by_rate = self.grabbed().saturating_sub(1) as f64 / rate_hz;
         match self {
@@ -206,7 +142,7 @@ impl Source {
         }
     }
 
-    /// The file that comes next, where every picture has one of its own.
+    /// The next file, where every picture is a file.
     pub fn next_file(&self) -> Option<&Path> {
         match self {
             Self::Images(images) => images.next_file(),
@@ -214,7 +150,7 @@ impl Source {
         }
     }
 
-    /// Goes on behind `grabbed` pictures, or at `file` where that is still there.
+    /// Continues after `grabbed` pictures, or at `file` where it still exists.
     pub fn go_to(&mut self, grabbed: u64, file: Option<&Path>) {
         match self {
             Self::Images(images) if !images.is_still() => images.go_to(file, grabbed),

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use panoscope_calibration::pictures::{self, is_image, is_pattern};
 
-use super::CaptureError;
+use super::error::CaptureError;
 use crate::devices;
 
 /// What a text names.

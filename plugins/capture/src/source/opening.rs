@@ -1,25 +1,28 @@
-//! Opening with a limit. OpenCV, FFmpeg and GStreamer wait for an answer as long as it takes, some for ever: the call stands on a
-//! thread of its own, which is left behind when it does not return.
+//! Opening with a time limit. OpenCV, FFmpeg and GStreamer may wait for ever, so the call runs on a thread of its own, which is abandoned when it does
+//! not return in time.
 
 use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError, channel};
 use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use opencv::videoio::VideoCapture;
 
-use super::stream::{Demands, open};
-use super::{CaptureError, SourceName};
+use super::demands::Demands;
+use super::error::CaptureError;
+use super::name::SourceName;
+use super::open::open;
 
 /// Calls that have not returned yet, by the source's name.
 static RUNNING: Mutex<BTreeMap<String, usize>> = Mutex::new(BTreeMap::new());
-/// So many calls may hang for one source; more would only leave more threads behind.
+/// Most calls that may hang for one source; each abandoned call holds a thread.
 const MOST_RUNNING: usize = 3;
 
 /// A call that opens a source.
 pub struct Opening {
     name: SourceName,
-    since: Instant,
+    /// Time of the host's clock at the first [`Self::poll`], ns.
+    since_ns: Option<i64>,
     limit: Duration,
     result: Receiver<Result<VideoCapture, CaptureError>>,
 }
@@ -50,17 +53,17 @@ impl Opening {
         let started = std::thread::Builder::new().name("open source".to_owned()).spawn(move || {
             let opened = open(&task, demands);
             returned(&key_of_task);
-            // Nobody listens any more when it took too long: the source closes again here.
+            // After the limit nobody receives it: the source closes again here.
             let _ = sender.send(opened);
         });
         if let Err(error) = started {
             returned(&key);
             return Err(closed(format!("no thread starts: {error}")));
         }
-        Ok(Self { name: name.clone(), since: Instant::now(), limit: demands.open_limit, result })
+        Ok(Self { name: name.clone(), since_ns: None, limit: demands.open_limit, result })
     }
 
-    /// Waits for the end of the call, or of the limit.
+    /// Waits for the result of the call, or for the limit.
     ///
     /// # Errors
     /// Why the source does not open.
@@ -72,11 +75,13 @@ impl Opening {
         }
     }
 
-    /// The end of the call, if it has come, or of the limit.
-    pub fn poll(&self) -> Option<Result<VideoCapture, CaptureError>> {
+    /// The result of the call, or of the limit, once there is one. The limit counts from the first poll.
+    pub fn poll(&mut self, now_ns: i64) -> Option<Result<VideoCapture, CaptureError>> {
+        let passed_ns = now_ns.saturating_sub(*self.since_ns.get_or_insert(now_ns));
+        let is_in_time = passed_ns < i64::try_from(self.limit.as_nanos()).unwrap_or(i64::MAX);
         match self.result.try_recv() {
             Ok(opened) => Some(opened),
-            Err(TryRecvError::Empty) if self.since.elapsed() < self.limit => None,
+            Err(TryRecvError::Empty) if is_in_time => None,
             Err(TryRecvError::Empty) => Some(Err(self.too_late())),
             Err(TryRecvError::Disconnected) => Some(Err(self.broken())),
         }

@@ -16,7 +16,7 @@ pub enum Samples {
 pub struct Picture {
     /// Columns in px.
     pub width: usize,
-    /// Rows.
+    /// Rows, px.
     pub height: usize,
     /// Its values.
     pub samples: Samples,

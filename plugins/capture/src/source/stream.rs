@@ -1,64 +1,42 @@
 //! Devices, video files, network streams and pipelines, through OpenCV's `VideoCapture`.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use opencv::core::{Mat, Vector};
+use opencv::core::Mat;
 use opencv::prelude::*;
 use opencv::videoio::{self, VideoCapture};
 
-use super::images::copy_mat;
+use super::decode::{copy_mat, decode_jpeg};
+use super::demands::{Clock, Demands, Grab, Lock};
+use super::error::{CaptureError, FrameError, PictureError};
+use super::name::SourceName;
 use super::opening::Opening;
 use super::picture::Picture;
-use super::{CaptureError, Grab, SourceName, elements, jpeg};
-use crate::devices;
 
+/// Pause before the first attempt to open a lost source again.
 const FIRST_WAIT: Duration = Duration::from_millis(250);
+/// Longest pause between two attempts.
 const LONGEST_WAIT: Duration = Duration::from_secs(5);
-/// A network stream that is silent for so long is lost. Shorter than what the host takes for a call that hangs.
-const READ_LIMIT: Duration = Duration::from_millis(1500);
-
 /// V4L2's "manual" in the terms of OpenCV's `CAP_PROP_AUTO_EXPOSURE`.
 const MANUAL_EXPOSURE: f64 = 1.0;
 
-/// A video may miss so many frames of what its header says: many headers hold an estimate.
-const UNSAID_FRAMES: u64 = 2;
+/// Frames that a video may lack of the number in its header, which is often an estimate.
+const HEADER_ERROR_FRAMES: u64 = 2;
 /// Frames up to which a position is reached by reading, which is exact, instead of seeking, which is fast.
 const READ_TO: u64 = 500;
-/// Times of a container that are rounded to milliseconds are no news beside the frame rate.
+/// Containers round times to milliseconds: times that differ less from the frame rate's are ignored, s.
 const ROUNDING_S: f64 = 0.0015;
 
-/// What a device is asked for; 0 leaves it as it is. And how long opening may take.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Demands {
-    /// Columns in px.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// Frames per second.
-    pub fps: f64,
-    /// Longest time that opening may take.
-    pub open_limit: Duration,
-}
-
-/// What a lock holds: exposure and gain, white balance.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Lock {
-    /// Exposure and gain in the driver's units.
-    pub exposure: Option<(f64, f64)>,
-    /// Colour temperature in K.
-    pub white_balance_k: Option<f64>,
-}
-
-/// Whether there is something to grab from.
+/// State of the connection.
 enum State {
     Open(VideoCapture),
-    /// Lost; to be opened at this time, and how long to wait if that fails.
-    Waiting(Instant, Duration),
-    /// Being opened; how long to wait if that fails.
+    /// Lost. Opened again at this time of the host's clock (ns); the last pause before it.
+    Waiting(i64, Duration),
+    /// Being opened; the last pause before it.
     Opening(Opening, Duration),
 }
 
-/// An open stream, or a device that is waited for.
+/// An open stream, or a lost device that is opened again.
 pub struct Stream {
     name: SourceName,
     demands: Demands,
@@ -68,89 +46,14 @@ pub struct Stream {
     is_finite: bool,
     /// Frames since the start.
     frames: u64,
-    /// Frames that its header, or the pipeline, promises; 0 when it does not say.
+    /// Number of frames by the file's header or the pipeline; 0 when unknown.
     expected: u64,
     fps: Option<f64>,
     first_pos_s: Option<f64>,
     media_s: Option<f64>,
-    /// Frames to be passed over before the next one is grabbed.
+    /// Index of the frame that the next grab returns; 0 for the next one.
     go_to: u64,
     lock: Lock,
-}
-
-/// Opens what `name` says. Waits as long as it takes: see [`Opening`].
-pub(super) fn open(name: &SourceName, demands: Demands) -> Result<VideoCapture, CaptureError> {
-    let closed = |reason: String| CaptureError::Closed { name: name.in_words(), reason };
-    let millis = |limit: Duration| i32::try_from(limit.as_millis()).unwrap_or(i32::MAX);
-    let opened = match name {
-        SourceName::Device(number) => VideoCapture::new(*number, videoio::CAP_V4L2),
-        SourceName::Pipeline(text) => {
-            let has_sink = text.contains("appsink");
-            let tail = " ! videoconvert ! video/x-raw,format=BGR ! appsink";
-            let text = if has_sink { text.clone() } else { format!("{text}{tail}") };
-            if let Some(missing) = elements::missing(&elements::names(&text)) {
-                return Err(closed(format!(
-                    "GStreamer has no element `{missing}`: is it spelt right, and is the package installed that brings it? gst-inspect-1.0 lists what there is"
-                )));
-            }
-            VideoCapture::from_file(&text, videoio::CAP_GSTREAMER)
-        }
-        SourceName::Address(text) => {
-            let limits = [
-                videoio::CAP_PROP_OPEN_TIMEOUT_MSEC,
-                millis(demands.open_limit),
-                videoio::CAP_PROP_READ_TIMEOUT_MSEC,
-                millis(READ_LIMIT),
-            ];
-            VideoCapture::from_file_with_params(text, videoio::CAP_FFMPEG, &Vector::from_slice(&limits))
-        }
-        SourceName::Video(path) | SourceName::Image(path) => VideoCapture::from_file(path, videoio::CAP_FFMPEG),
-        SourceName::Images(_) => VideoCapture::default(),
-    };
-    let mut capture = opened.map_err(|error| closed(error.message))?;
-    if !capture.is_opened().unwrap_or(false) {
-        return Err(closed(match name {
-            SourceName::Device(_) => {
-                format!("it may be in use by another program, or be no camera; {}", devices::in_words())
-            }
-            SourceName::Pipeline(_) => {
-                "GStreamer refused it, or this OpenCV has no GStreamer: try it with gst-launch-1.0 first".into()
-            }
-            SourceName::Address(_) => "nothing answers at this address".into(),
-            _ => "it is no video that FFmpeg knows, or it is damaged".into(),
-        }));
-    }
-    if matches!(name, SourceName::Device(_)) {
-        let wishes = [
-            (videoio::CAP_PROP_FRAME_WIDTH, f64::from(demands.width)),
-            (videoio::CAP_PROP_FRAME_HEIGHT, f64::from(demands.height)),
-            (videoio::CAP_PROP_FPS, demands.fps),
-        ];
-        for (property, value) in wishes {
-            if value > 0.0 {
-                // A driver takes the nearest mode; what came of it is seen in the first picture.
-                let _ = capture.set(property, value);
-            }
-        }
-        // One waiting picture instead of several: age matters more than completeness.
-        let _ = capture.set(videoio::CAP_PROP_BUFFERSIZE, 1.0);
-    }
-    take_jpegs(&mut capture, name);
-    Ok(capture)
-}
-
-/// Asks for the JPEGs of a Motion JPEG as they are. OpenCV's decoders leave the picture before where a frame is damaged, and say nothing.
-fn take_jpegs(capture: &mut VideoCapture, name: &SourceName) {
-    let code = capture.get(videoio::CAP_PROP_FOURCC).unwrap_or(0.0) as i64 as u32;
-    if !matches!(&code.to_le_bytes(), b"MJPG" | b"JPEG" | b"mjpg" | b"jpeg") {
-        return;
-    }
-    // Where the answer is no, decoded pictures come as before.
-    let _ = match name {
-        SourceName::Device(_) => capture.set(videoio::CAP_PROP_CONVERT_RGB, 0.0),
-        SourceName::Video(_) | SourceName::Address(_) => capture.set(videoio::CAP_PROP_FORMAT, -1.0),
-        _ => return,
-    };
 }
 
 /// Pictures after which a pipeline ends, and whether it is made of files.
@@ -164,7 +67,7 @@ fn end_of(text: &str) -> (u64, bool) {
 }
 
 impl Stream {
-    /// Opens what `name` says, within the limit.
+    /// Opens `name` within the time limit.
     ///
     /// # Errors
     /// [`CaptureError::Closed`].
@@ -238,20 +141,20 @@ impl Stream {
         Ok(())
     }
 
-    /// Whether there is something to grab from; a lost source is opened again with growing pauses, without waiting for it here.
-    fn is_open(&mut self) -> bool {
+    /// Whether there is something to grab from. Opens a lost source again with growing pauses, without waiting for it here.
+    fn is_open(&mut self, clock: Clock<'_>) -> bool {
         loop {
-            let (next, is_settled) = match &self.state {
+            let (next, is_settled) = match &mut self.state {
                 State::Open(_) => return true,
-                State::Waiting(when, _) if Instant::now() < *when => return false,
+                State::Waiting(when, _) if clock() < *when => return false,
                 State::Waiting(_, wait) => match Opening::start(&self.name, self.demands) {
                     Ok(opening) => (State::Opening(opening, *wait), false),
-                    Err(_) => (again(*wait), true),
+                    Err(_) => (again(*wait, clock()), true),
                 },
-                State::Opening(opening, wait) => match opening.poll() {
+                State::Opening(opening, wait) => match opening.poll(clock()) {
                     None => return false,
                     Some(Ok(capture)) => (State::Open(capture), false),
-                    Some(Err(_)) => (again(*wait), true),
+                    Some(Err(_)) => (again(*wait, clock()), true),
                 },
             };
             self.state = next;
@@ -271,8 +174,8 @@ impl Stream {
         is_grabbed
     }
 
-    /// Passes over what lies before the position asked for.
-    fn pass_over(&mut self) -> bool {
+    /// Skips the frames before the one asked for.
+    fn skip_to_target(&mut self) -> bool {
         let target = std::mem::take(&mut self.go_to);
         if target > self.frames + READ_TO
             && let State::Open(capture) = &mut self.state
@@ -293,14 +196,14 @@ impl Stream {
     }
 
     /// Takes the next picture without decoding it.
-    pub fn grab(&mut self) -> Grab {
-        if !self.is_open() {
+    pub fn grab(&mut self, clock: Clock<'_>) -> Grab {
+        if !self.is_open(clock) {
             return Grab::Lost;
         }
-        let is_there = if self.is_finite && self.go_to > 0 { self.pass_over() } else { true };
+        let is_there = if self.is_finite && self.go_to > 0 { self.skip_to_target() } else { true };
         if is_there && self.grab_one() {
             self.note_time();
-            return Grab::Ready(Instant::now());
+            return Grab::Ready(clock());
         }
         if self.is_finite {
             return match self.missing() {
@@ -308,7 +211,7 @@ impl Stream {
                 None => Grab::End,
             };
         }
-        self.state = State::Waiting(Instant::now() + FIRST_WAIT, FIRST_WAIT);
+        self.state = waiting(FIRST_WAIT, clock());
         Grab::Lost
     }
 
@@ -331,12 +234,12 @@ impl Stream {
         };
     }
 
-    /// What is missing at the end of a file or pipeline that promised more.
+    /// A message about missing frames at the end of a file or pipeline that announced more.
     fn missing(&self) -> Option<String> {
-        let (read, told) = (self.frames, self.expected);
-        (told > read + UNSAID_FRAMES + read / 100).then(|| {
+        let (read, announced) = (self.frames, self.expected);
+        (announced > read + HEADER_ERROR_FRAMES + read / 100).then(|| {
             format!(
-                "{} ended after {read} of {told} frames: it is cut off or damaged, or a frame in it cannot be decoded",
+                "{} ended after {read} of {announced} frames: it is cut off or damaged, or a frame in it cannot be decoded",
                 self.name.in_words()
             )
         })
@@ -345,48 +248,50 @@ impl Stream {
     /// Decodes the picture that was grabbed.
     ///
     /// # Errors
-    /// [`CaptureError::OpenCv`] with the number of the frame. `out` is empty then.
+    /// [`CaptureError::Frame`]. `out` is empty then.
     pub fn retrieve(&mut self, out: &mut Picture) -> Result<(), CaptureError> {
         out.clear();
         let result = self.try_retrieve(out);
         if result.is_err() {
-            // Nothing of a failure is left for the next frame.
+            // The next frame must not show parts of this one.
             self.mat = Mat::default();
             out.clear();
         }
         let expected = self.expected;
-        let count = if expected > 0 { format!(" of {expected}") } else { String::new() };
-        result.map_err(|reason| CaptureError::OpenCv {
+        result.map_err(|cause| CaptureError::Frame {
             name: self.name.in_words(),
-            reason: format!("frame {}{count} cannot be decoded: {reason}", self.frames),
+            frame: self.frames,
+            of_expected: if expected > 0 { format!(" of {expected}") } else { String::new() },
+            cause,
         })
     }
 
-    fn try_retrieve(&mut self, out: &mut Picture) -> Result<(), String> {
-        let words = |error: opencv::Error| error.message;
-        let State::Open(capture) = &mut self.state else { return Err("the source is not open".to_owned()) };
-        if !capture.retrieve(&mut self.mat, 0).map_err(words)? {
-            return Err("the decoder gave nothing".to_owned());
+    fn try_retrieve(&mut self, out: &mut Picture) -> Result<(), FrameError> {
+        let State::Open(capture) = &mut self.state else { return Err(FrameError::NotOpen) };
+        if !capture.retrieve(&mut self.mat, 0).map_err(PictureError::from)? {
+            return Err(FrameError::NoPicture);
         }
         let mat = &self.mat;
         if mat.rows() == 1 && mat.cols() > 1 && mat.channels() == 1 && mat.depth() == opencv::core::CV_8U {
-            *out = jpeg::decode(mat.data_bytes().map_err(words)?)?;
-            let told = |property| capture.get(property).unwrap_or(0.0) as usize;
-            let size = (told(videoio::CAP_PROP_FRAME_WIDTH), told(videoio::CAP_PROP_FRAME_HEIGHT));
+            *out = decode_jpeg(mat.data_bytes().map_err(PictureError::from)?)?;
+            let announced = |property| capture.get(property).unwrap_or(0.0) as usize;
+            let size = (announced(videoio::CAP_PROP_FRAME_WIDTH), announced(videoio::CAP_PROP_FRAME_HEIGHT));
             if size.0 > 0 && size.1 > 0 && size != (out.width, out.height) {
-                return Err(format!(
-                    "a JPEG of {}x{} came where {}x{} was announced (interlaced?): convert it to another format",
-                    out.width, out.height, size.0, size.1
-                ));
+                return Err(FrameError::OtherSize {
+                    width: out.width,
+                    height: out.height,
+                    announced_width: size.0,
+                    announced_height: size.1,
+                });
             }
             return Ok(());
         }
-        copy_mat(mat, out).map_err(words)?;
-        if out.bytes() == 0 { Err("an empty picture came".to_owned()) } else { Ok(()) }
+        copy_mat(mat, out).map_err(PictureError::from)?;
+        if out.bytes() == 0 { Err(FrameError::Empty) } else { Ok(()) }
     }
 
-    /// What the device's automatics have found.
-    pub fn found(&self) -> Lock {
+    /// Values that the device's automatics have set.
+    pub fn automatic_values(&self) -> Lock {
         let State::Open(capture) = &self.state else { return Lock::default() };
         let get = |property| capture.get(property).ok().filter(|value| *value > 0.0);
         let gain = get(videoio::CAP_PROP_GAIN).unwrap_or(0.0);
@@ -396,7 +301,7 @@ impl Stream {
         }
     }
 
-    /// Switches the automatics off and holds `lock`, after a reconnection too. Answers whether the driver took everything.
+    /// Switches the automatics off and sets `lock`, after a reconnection too. Returns whether the driver accepted all values.
     pub fn set_lock(&mut self, lock: Lock) -> bool {
         self.lock = lock;
         self.apply_lock()
@@ -404,8 +309,8 @@ impl Stream {
 
     fn apply_lock(&mut self) -> bool {
         let State::Open(capture) = &mut self.state else { return false };
-        let mut taken = true;
-        let mut set = |property, value| taken &= capture.set(property, value).unwrap_or(false);
+        let mut is_accepted = true;
+        let mut set = |property, value| is_accepted &= capture.set(property, value).unwrap_or(false);
         if let Some((exposure, gain)) = self.lock.exposure {
             set(videoio::CAP_PROP_AUTO_EXPOSURE, MANUAL_EXPOSURE);
             set(videoio::CAP_PROP_EXPOSURE, exposure);
@@ -417,14 +322,18 @@ impl Stream {
             set(videoio::CAP_PROP_AUTO_WB, 0.0);
             set(videoio::CAP_PROP_WB_TEMPERATURE, temperature);
         }
-        taken
+        is_accepted
     }
 }
 
-/// Waits twice as long before the next attempt.
-fn again(wait: Duration) -> State {
-    let wait = (wait * 2).min(LONGEST_WAIT);
-    State::Waiting(Instant::now() + wait, wait)
+/// The next attempt after twice the pause.
+fn again(wait: Duration, now_ns: i64) -> State {
+    waiting((wait * 2).min(LONGEST_WAIT), now_ns)
+}
+
+/// The next attempt after a pause.
+fn waiting(wait: Duration, now_ns: i64) -> State {
+    State::Waiting(now_ns.saturating_add(wait.as_nanos() as i64), wait)
 }
 
 #[cfg(test)]

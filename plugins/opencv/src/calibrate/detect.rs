@@ -121,11 +121,11 @@ pub fn same_order(board: &Board, left: &Points, right: &mut Points) {
     if matches!(board, Board::Charuco { .. }) || left.len() != right.len() || left.len() < 2 {
         return;
     }
-    let way = |points: &Points| {
+    let direction = |points: &Points| {
         let (a, b) = (points[0].1, points[points.len() - 1].1);
         [b[0] - a[0], b[1] - a[1]]
     };
-    let (a, b) = (way(left), way(right));
+    let (a, b) = (direction(left), direction(right));
     if a[0] * b[0] + a[1] * b[1] < 0.0 {
         let places: Vec<[f32; 2]> = right.iter().rev().map(|(_, place)| *place).collect();
         right.iter_mut().zip(places).for_each(|(point, place)| point.1 = place);

@@ -47,7 +47,7 @@ pub fn corners(views: [View<'_, u8>; 2], points: [&Points; 2], count: usize, out
     }
 }
 
-/// Share of the picture's cells in which points of the pairs lie.
+/// Share of the picture's cells that contain points of the pairs.
 pub fn covered(pairs: &[&Pair], side: usize, size: (usize, usize)) -> f64 {
     let counts = count_cells(pairs, side, size);
     counts.iter().filter(|count| **count > 0).count() as f64 / counts.len() as f64
@@ -64,7 +64,7 @@ fn count_cells(pairs: &[&Pair], side: usize, size: (usize, usize)) -> Vec<usize>
     counts
 }
 
-/// Where points were seen, left and right: cells without any are red, the others the greener the more points they hold.
+/// Coverage by points, left and right: cells without points are red, others greener with more points.
 pub fn coverage(pairs: &[&Pair], size: (usize, usize), out: &mut ViewMut<'_, u8>) {
     let (width, height) = size;
     for side in 0..2 {

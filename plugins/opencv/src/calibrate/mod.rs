@@ -20,11 +20,11 @@ use detect::{Detector, Points, same_order};
 use neighbours::keep_fitting;
 use solve::{Model, Pair, Procedure, Solution, solve};
 
-/// Fewer common points say too little about a view.
+/// Fewest common points of a usable view.
 const LEAST_POINTS: usize = 8;
-/// A view stands out when its error is this many times the median of all views.
+/// A view is an outlier when its error is this many times the median of all views.
 const STANDS_OUT: f64 = 3.0;
-/// Views whose error is below this never stand out, px.
+/// Views with a smaller error are never outliers, px.
 const FINE_PX: f64 = 0.3;
 /// Columns of the table.
 const COLUMNS: [&str; 9] = [
@@ -39,12 +39,12 @@ const COLUMNS: [&str; 9] = [
     "solved",
 ];
 
-/// Whose steps are taken.
+/// Procedure of the calibration.
 #[derive(Choice, Clone, Copy, Debug, PartialEq)]
 pub enum Method {
-    /// Each camera, then both together; views that stand out are left out.
+    /// Each camera, then both together, without outliers.
     Own,
-    /// Every view found, with the steps and flags of OpenCV's sample `stereo_calib`: the peer.
+    /// All views, with the steps and flags of OpenCV's sample `stereo_calib`, for comparison.
     Sample,
 }
 
@@ -55,25 +55,25 @@ pub struct CalibrateParams {
     /// or charuco:19x26:5mm:4mm:4x4_250 (squares, their side, the markers' side, dictionary).
     #[param(default = "chessboard:9x6:25mm", reopen)]
     board: String,
-    /// Distortion that is solved for.
+    /// Model of the distortion.
     #[param(default = "standard", reopen)]
     model: Model,
-    /// Whose steps are taken.
+    /// Procedure of the calibration.
     #[param(default = "own", reopen)]
     method: Method,
-    /// Solves once, after so many ticks; 0: after every view that takes part.
+    /// Number of ticks after which the calibration is solved once; 0 solves after each accepted view.
     #[param(default = 0, range = 0..=100_000, unit = "frames", reopen)]
     solve_at: u64,
-    /// Fewer views are not solved.
+    /// Smallest number of views to solve with.
     #[param(default = 5, range = 3..=100, unit = "frames")]
     min_views: usize,
-    /// With so many views no more are taken.
+    /// Largest number of views.
     #[param(default = 60, range = 3..=1000, unit = "frames")]
     max_views: usize,
-    /// How far, in parts of the picture's diagonal, points must have moved on average since every view before.
+    /// Smallest mean movement of the points since every earlier view, as a share of the picture's diagonal.
     #[param(default = 0.0, range = 0.0..=0.5, step = 0.005, unit = "ratio")]
     min_move: f64,
-    /// Leaves out views whose error stands out.
+    /// Skips views whose error is an outlier.
     #[param(default = true)]
     reject: bool,
 }
@@ -81,7 +81,7 @@ pub struct CalibrateParams {
 /// Inputs.
 #[derive(Ports)]
 pub struct In<'f> {
-    /// Left view as its camera took it.
+    /// Left view, not rectified.
     left: Image<'f, Gray8>,
     /// Right view of the same instant, same size.
     right: Image<'f, Gray8>,
@@ -90,21 +90,21 @@ pub struct In<'f> {
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// Both cameras with their rectification, whenever they have been solved for.
+    /// Calibration with rectification, in each tick in which it was solved.
     calibration: Slot<'f, Calibration>,
-    /// A row per view: its number from 0, its state (0 used, else why not), points, errors in px, and the share of each
-    /// picture that the board fills.
+    /// One row per view: its number from 0, its state (0 used, otherwise the reason), number of points, errors in px, and the share of each picture
+    /// that the board fills.
     table: Slot<'f, TableData>,
-    /// Both views side by side with the points found.
+    /// Both views side by side with the detected points.
     image: Slot<'f, Bgr8>,
-    /// Where points were seen in each view, whenever the cameras have been solved for.
+    /// Coverage of each view by points, in each tick in which the calibration was solved.
     coverage: Slot<'f, Bgr8>,
-    /// The rectified view that fills most of the picture, with rows ruled across, whenever the cameras have been solved for.
+    /// The rectified pair with the largest board, with lines along the rows, in each tick in which the calibration was solved.
     epipolar: Slot<'f, Bgr8>,
 }
 
-/// One pair of views that came.
-struct Seen {
+/// One pair of views.
+struct BoardView {
     state: ViewState,
     pair: Pair,
     /// Share of each picture that the board's box fills.
@@ -117,9 +117,9 @@ pub struct CalibrateStereo {
     places_mm: Vec<[f64; 2]>,
     detector: Detector,
     procedure: Procedure,
-    seen: Vec<Seen>,
+    seen: Vec<BoardView>,
     size: Option<(usize, usize)>,
-    /// Index and pictures of the view that fills most.
+    /// Index and pictures of the view with the largest board.
     largest: Option<(usize, [Vec<u8>; 2])>,
     solution: Option<(Vec<usize>, Solution)>,
     threads: Threads,
@@ -204,7 +204,7 @@ impl Node for CalibrateStereo {
 }
 
 impl CalibrateStereo {
-    /// Finds the board in both views and keeps what is common.
+    /// Finds the board in both views; keeps the common points.
     fn look(&mut self, cx: &Context<'_>, views: [View<'_, u8>; 2], params: &CalibrateParams) -> Result<[Points; 2]> {
         let size = (views[0].width, views[0].height);
         let is_other_size = (views[1].width, views[1].height) != size || self.size.is_some_and(|known| known != size);
@@ -255,11 +255,11 @@ impl CalibrateStereo {
             cx.warn(&format!("view {index} is left out: {}", state.words()));
         }
         cx.metric("views_used", (used + usize::from(state == ViewState::Used)) as f64);
-        self.seen.push(Seen { state, pair, area });
+        self.seen.push(BoardView { state, pair, area });
         Ok(found)
     }
 
-    /// Whether the points lie where they lay in a view before.
+    /// Whether the points are where they were in an earlier view.
     fn is_alike(&self, pair: &Pair, size: (usize, usize), min_move: f64) -> bool {
         let least_px = min_move * (size.0 as f64).hypot(size.1 as f64);
         if least_px <= 0.0 {
@@ -279,7 +279,7 @@ impl CalibrateStereo {
         })
     }
 
-    /// Solves with all views in use; views that stand out are left out one by one, at most a third of them.
+    /// Solves with all views in use. Skips outliers one by one, at most a third of all.
     fn solve(&mut self, cx: &Context<'_>, params: &CalibrateParams) -> bool {
         let Some(size) = self.size else {
             cx.warn("there is no view to calibrate from");
@@ -291,8 +291,8 @@ impl CalibrateStereo {
         }
         let mut used: Vec<usize> =
             (0..self.seen.len()).filter(|index| self.seen[*index].state == ViewState::Used).collect();
-        let most_left_out = used.len() / 3;
-        let mut left_out = 0;
+        let most_skipped = used.len() / 3;
+        let mut skipped = 0;
         loop {
             if used.len() < params.min_views {
                 if params.solve_at > 0 {
@@ -309,7 +309,7 @@ impl CalibrateStereo {
                 }
             };
             let worst = standing_out(&solution.errors_px)
-                .filter(|_| params.reject && self.procedure != Procedure::Sample && left_out < most_left_out);
+                .filter(|_| params.reject && self.procedure != Procedure::Sample && skipped < most_skipped);
             let Some(worst) = worst else {
                 cx.metric("reproj_px", solution.calibration.rms_px);
                 self.solution = Some((used, solution));
@@ -319,7 +319,7 @@ impl CalibrateStereo {
             let [a, b] = solution.errors_px[worst];
             self.seen[index].state = ViewState::LargeError;
             cx.warn(&format!("view {index} is left out: its error of {:.2} px stands out", a.max(b)));
-            left_out += 1;
+            skipped += 1;
         }
     }
 
@@ -373,7 +373,7 @@ impl CalibrateStereo {
     }
 }
 
-/// Index of the view whose error stands out most from the others'.
+/// Index of the worst outlier.
 fn standing_out(errors_px: &[[f64; 2]]) -> Option<usize> {
     let worst: Vec<f64> = errors_px.iter().map(|[a, b]| a.max(*b)).collect();
     let mut sorted = worst.clone();
@@ -393,7 +393,7 @@ fn area(points: &[[f32; 2]], size: (usize, usize)) -> f64 {
     if points.is_empty() { 0.0 } else { range(0) * range(1) / (size.0 * size.1) as f64 }
 }
 
-/// Whether all points lie in one row or column of the board, from which no camera can be told.
+/// Whether all points are in one row or column of the board, which does not determine a camera.
 fn is_one_line(board_mm: &[[f64; 2]]) -> bool {
     (0..2).any(|axis| board_mm.iter().all(|p| p[axis] == board_mm[0][axis]))
 }

@@ -3,14 +3,14 @@
 
 use super::detect::Points;
 
-/// Neighbours lie within so many squares.
+/// Distance of neighbours, squares.
 const REACH_SQUARES: f64 = 2.9;
-/// Fewer neighbours cannot vouch for a point.
+/// Fewest neighbours that can confirm a point.
 const LEAST_NEIGHBOURS: usize = 4;
-/// A point may lie so far from where its neighbours put it, in squares.
+/// Largest distance of a point from its neighbours' prediction, squares.
 const TOLERANCE_SQUARES: f64 = 0.15;
 
-/// Leaves only points that lie where an affine map through their neighbours puts them; the worst goes first.
+/// Removes points that are far from the prediction by an affine map through their neighbours, the worst first.
 pub fn keep_fitting(points: &mut Points, places_mm: &[[f64; 2]], square_mm: f64) {
     while let Some(worst) = worst(points, places_mm, square_mm) {
         points.remove(worst);
@@ -24,7 +24,7 @@ fn worst(points: &Points, places_mm: &[[f64; 2]], square_mm: f64) -> Option<usiz
     (error > TOLERANCE_SQUARES).then_some(index)
 }
 
-/// Distance in squares from where the neighbours put the point; infinite where they cannot.
+/// Distance of the point from its neighbours' prediction, squares; infinite without one.
 fn misfit(points: &Points, index: usize, places_mm: &[[f64; 2]], square_mm: f64) -> f64 {
     let place = |id: usize| places_mm.get(id).copied().unwrap_or([f64::NAN; 2]);
     let own = place(points[index].0);
@@ -56,7 +56,7 @@ fn misfit(points: &Points, index: usize, places_mm: &[[f64; 2]], square_mm: f64)
     (u[0] - f64::from(px[0])).hypot(v[0] - f64::from(px[1])) / square_px.max(1e-9)
 }
 
-/// Cramer's rule; none where the neighbours lie on one line.
+/// Cramer's rule; none where the neighbours are collinear.
 fn solve3(m: [[f64; 3]; 3], side: [f64; 3]) -> Option<[f64; 3]> {
     let det = |m: [[f64; 3]; 3]| {
         m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])

@@ -12,7 +12,7 @@ use panoscope_imaging::stereo::{CameraModel, Rectification};
 use panoscope_node::Choice;
 use panoscope_node::abi::{Calibration, Camera};
 
-/// Distortion that is solved for.
+/// Model of the distortion.
 #[derive(Choice, Clone, Copy, Debug, PartialEq)]
 pub enum Model {
     /// k1, k2.
@@ -36,7 +36,7 @@ impl Model {
     }
 }
 
-/// How the cameras are solved for.
+/// Procedure of solving.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Procedure {
     /// Each camera, then both together.
@@ -48,16 +48,16 @@ pub enum Procedure {
 /// Points of one board seen by both cameras.
 #[derive(Clone, Debug)]
 pub struct Pair {
-    /// Places on the board, mm.
+    /// Positions on the board, mm.
     pub board_mm: Vec<[f64; 2]>,
-    /// Places in the left and right view, px.
+    /// Positions in the left and right view, px.
     pub px: [Vec<[f32; 2]>; 2],
 }
 
-/// Both cameras, and how well they explain each view.
+/// Both cameras, with the errors of each view.
 #[derive(Clone, Debug)]
 pub struct Solution {
-    /// With its rectification.
+    /// The calibration with its rectification.
     pub calibration: Calibration,
     /// Root mean square reprojection error of each view, left and right, px.
     pub errors_px: Vec<[f64; 2]>,
@@ -82,7 +82,7 @@ fn camera(size: Size, k: &Mat, d: &Mat) -> opencv::Result<Camera> {
 /// Why there is no solution.
 #[derive(Debug)]
 pub enum Unsolved {
-    /// OpenCV's words.
+    /// OpenCV's message.
     OpenCv(opencv::Error),
     /// Cameras that no rectification exists for: swapped, one above the other.
     Impossible(String),

@@ -1,30 +1,9 @@
 //! Calibration boards printed on a flat card, with exact places in mm, and the poses in which they are shown.
 
+use super::kinds::BoardPrint;
 use super::marks::{BOARD_CENTRE_MM, SQUARE_MM, board_ink, edge};
 use super::math::{Pose, Stream, cos_turns, sin_turns};
 use super::params::SceneParams;
-
-/// What is printed on the board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BoardPrint {
-    /// 10 x 7 squares of 3 mm: `chessboard:9x6:3mm`.
-    Chessboard,
-    /// OpenCV's asymmetric grid of 4 x 11 circles: `circles:4x11:3mm`.
-    Circles,
-    /// 10 x 7 squares of 3 mm with markers of 2.25 mm: `charuco:10x7:3mm:2.25mm:4x4_50`.
-    Charuco,
-}
-
-impl BoardPrint {
-    /// The board as `calibrate_stereo` names it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Chessboard => "chessboard:9x6:3mm",
-            Self::Circles => "circles:4x11:3mm",
-            Self::Charuco => "charuco:10x7:3mm:2.25mm:4x4_50",
-        }
-    }
-}
 
 /// Columns and rows of squares.
 const SQUARES: [i32; 2] = [10, 7];
@@ -69,7 +48,7 @@ fn circles_ink(x: f32, y: f32, texel_mm: f32) -> Option<f32> {
 }
 
 fn charuco_ink(x: f32, y: f32, texel_mm: f32) -> Option<f32> {
-    // The chessboard's black and white change places: the top left square is black.
+    // Black and white are exchanged: the top left square is black.
     let (u, v) = ((x - BOARD_CENTRE_MM[0]) / SQUARE_MM, (y - BOARD_CENTRE_MM[1]) / SQUARE_MM);
     let inside = edge((5.0 - u.abs()).min(3.5 - v.abs()) * SQUARE_MM, texel_mm);
     let chess = inside - board_ink(x, y, texel_mm)?;
@@ -115,14 +94,14 @@ fn area_share(number: usize, u: f32, v: f32, texel: f32) -> f32 {
     share / (texel * texel)
 }
 
-/// Pose in which the scripted camera shows the board at a frame: each frame another, tilted up to 30 degrees, so that the
-/// frames together can calibrate. Around 85 mm all of the board stays in both views.
+/// Pose in which the scripted camera shows the board at a frame. Each frame has another pose, tilted by up to 30 degrees, so that all frames
+/// together can calibrate. From about 85 mm all of the board is in both views.
 pub fn shown_pose(params: &SceneParams, frame: u64) -> Pose {
     let mut stream = Stream::new(params.seed, 500 + frame as u32);
     let mut range = |low: f32, high: f32| f64::from(stream.range(low, high));
-    // Degrees; a steady spread of tilts in all directions tells the focal length best.
-    let (lean, way) = (range(12.0, 30.0), range(0.0, 1.0));
-    let tilt = [lean * sin_turns(way), lean * cos_turns(way), range(-20.0, 20.0)];
+    // Degrees. An even spread of tilts in all directions determines the focal length best.
+    let (lean, turns) = (range(12.0, 30.0), range(0.0, 1.0));
+    let tilt = [lean * sin_turns(turns), lean * cos_turns(turns), range(-20.0, 20.0)];
     let away = params.distance_mm * range(0.90, 1.15);
     let slack = 0.10 * params.distance_mm;
     let seen = [f64::from(BOARD_CENTRE_MM[0]) + slack * range(-1.0, 1.0), slack * range(-1.0, 1.0), away];

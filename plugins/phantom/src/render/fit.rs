@@ -1,6 +1,15 @@
 //! Least-squares homography of exact correspondences.
 
-use super::truth::PlaneFit;
+/// The plane homography that fits the true correspondences of the shared field best.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneFit {
+    /// `left_from_right`, row by row; the last number is 1.
+    pub left_from_right: [f64; 9],
+    /// Root mean square of the distance between mapped and true place, px.
+    pub rms_px: f64,
+    /// Correspondences used.
+    pub points: usize,
+}
 
 /// Fits `left_from_right` to rows `[u_right, v_right, u_left, v_left]`: a linear solution with normalised
 /// coordinates (Hartley and Zisserman, section 4.4), then Gauss-Newton steps on the distance in the left view.

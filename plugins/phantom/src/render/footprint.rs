@@ -2,10 +2,11 @@
 
 use panoscope_imaging::{Parallel, ViewMut};
 
+use super::canvas::Canvas;
+use super::eye::{Eye, check_size};
 use super::math::Pose;
 use super::params::PhantomError;
-use super::phantom::{Eye, Phantom, check_size};
-use super::truth::Canvas;
+use super::phantom::Phantom;
 
 impl Phantom {
     /// Marks with 255 each pixel of the wide view whose tissue lies inside the picture of at least one camera; others are 0.

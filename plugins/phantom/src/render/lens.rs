@@ -9,9 +9,9 @@ pub const TILE: usize = LANES;
 /// Rays `(x, y, 1)` of every pixel, and of the corners of 8x8 tiles.
 #[derive(Clone, Debug)]
 pub struct Lens {
-    /// Columns.
+    /// Columns, px.
     pub width: usize,
-    /// Rows.
+    /// Rows, px.
     pub height: usize,
     /// Columns rounded up to whole packets.
     pub padded: usize,

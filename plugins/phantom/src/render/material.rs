@@ -3,10 +3,11 @@
 use panoscope_imaging::{Parallel, SharedMut};
 
 use super::boards;
+use super::kinds::{BoardPrint, SceneKind};
 use super::marks;
 use super::math::{Stream, smoothstep};
 use super::noise::Layers;
-use super::params::{SceneKind, SceneParams};
+use super::params::SceneParams;
 use super::relief::{NODES, Relief};
 use super::vessels::{Growth, draw_vessels};
 
@@ -184,7 +185,7 @@ struct RowWork {
 
 struct Skin<'a> {
     scene: SceneKind,
-    board: boards::BoardPrint,
+    board: BoardPrint,
     relief: &'a Relief,
     palette: Palette,
     texel_mm: f32,

@@ -5,11 +5,14 @@
 //! number give the same bytes with AVX2 or without, on any number of threads and on any machine.
 
 mod boards;
+pub(crate) mod canvas;
 mod cast;
 mod clearance;
 mod effects;
+mod eye;
 mod fit;
 mod footprint;
+mod kinds;
 mod lanes;
 pub(crate) mod lens;
 mod marks;
@@ -21,21 +24,22 @@ mod params;
 mod phantom;
 mod relief;
 mod scenario;
+mod scratch;
 mod shade;
 mod solid;
 #[cfg(test)]
 mod tests;
 mod tools;
-pub(crate) mod truth;
+mod truth;
 mod vessels;
 
-pub use boards::BoardPrint;
+pub use canvas::Canvas;
+pub use fit::PlaneFit;
+pub use kinds::{BoardPrint, SceneKind, ToolKind};
 pub use marks::{BLOCKS_MM, BOARD_CENTRE_MM, LENGTHS_MM, RULERS_Y_MM, SQUARE_MM};
 pub use math::{Pose, chance};
-pub use params::{
-    BlackOut, CameraModel, CameraPath, Incident, IncidentKind, PhantomError, Rig, SceneKind, SceneParams,
-};
+pub use params::{BlackOut, CameraModel, CameraPath, Incident, IncidentKind, PhantomError, Rig, SceneParams};
 pub use phantom::Phantom;
 pub use scenario::ToolMotion;
-pub use tools::{ToolKind, ToolTruth};
-pub use truth::{Canvas, PlaneFit, TruthMut};
+pub use tools::ToolTruth;
+pub use truth::TruthMut;

@@ -1,8 +1,9 @@
 //! The scripted camera and the patient's breath.
 
 use super::boards;
+use super::kinds::SceneKind;
 use super::math::{Pose, Stream, cos_turns, sin_turns};
-use super::params::{CameraPath, IncidentKind, SceneKind, SceneParams};
+use super::params::{CameraPath, IncidentKind, SceneParams};
 
 /// How far a jump goes: aside by a third of what a camera sees, and nearer.
 const JUMP_MM: [f64; 3] = [12.0, -7.0, 8.0];
@@ -44,7 +45,7 @@ impl Sway {
     }
 }
 
-/// A way at a steady speed. The scene repeats itself, so it has no end.
+/// Movement at a constant speed. The scene repeats itself, so it never ends.
 #[derive(Clone, Copy, Debug)]
 struct Glide {
     /// mm/s.
@@ -56,12 +57,12 @@ struct Glide {
 impl Glide {
     /// Offset from the place at time 0.
     fn at(&self, seconds: f64) -> [f64; 3] {
-        let way = self.speed * seconds;
+        let distance_mm = self.speed * seconds;
         // A triangle wave: nearer and away at one speed.
-        let turns = GLIDE[2] * way / (4.0 * self.depth_mm) + 0.25;
+        let turns = GLIDE[2] * distance_mm / (4.0 * self.depth_mm) + 0.25;
         let saw = turns - turns.floor();
         let triangle = if saw < 0.5 { 4.0 * saw - 1.0 } else { 3.0 - 4.0 * saw };
-        [GLIDE[0] * way, GLIDE[1] * way, self.depth_mm * triangle]
+        [GLIDE[0] * distance_mm, GLIDE[1] * distance_mm, self.depth_mm * triangle]
     }
 }
 

@@ -1,12 +1,11 @@
-//! What a phantom is made from: the scene, the sensor's faults, the cameras.
+//! Parameters of a phantom: the scene, the sensor's faults, the cameras.
 
 use thiserror::Error;
 
-use super::boards::BoardPrint;
+use super::kinds::{BoardPrint, SceneKind, ToolKind};
 use super::scenario::ToolMotion;
-use super::tools::ToolKind;
 
-/// Why a phantom cannot be made or a picture not be drawn.
+/// Why a phantom cannot be built, or a picture cannot be drawn.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum PhantomError {
     /// No scene of that name.
@@ -61,42 +60,11 @@ pub enum PhantomError {
     BadDistortion {
         /// Camera of the rig.
         camera: usize,
-        /// Column.
+        /// Column, px.
         u: usize,
-        /// Row.
+        /// Row, px.
         v: usize,
     },
-}
-
-/// The scenes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SceneKind {
-    /// Smooth lobes, thin surface vessels, some fat, a membrane.
-    Liver,
-    /// Loops of bowel with branching vessels and fat between them.
-    Bowel,
-    /// A deep pocket between folds, 20 mm to more than 70 mm away.
-    Cavity,
-    /// A phantom box: printed rulers, crosses of known spacing, blocks of known height.
-    Box,
-    /// A flat calibration board; a moving camera shows it in another pose each frame.
-    Board,
-}
-
-impl SceneKind {
-    /// All scenes.
-    pub const ALL: [Self; 5] = [Self::Liver, Self::Bowel, Self::Cavity, Self::Box, Self::Board];
-
-    /// Name in a graph file.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Liver => "liver",
-            Self::Bowel => "bowel",
-            Self::Cavity => "cavity",
-            Self::Box => "box",
-            Self::Board => "board",
-        }
-    }
 }
 
 impl std::str::FromStr for SceneKind {
@@ -166,11 +134,11 @@ pub struct SceneParams {
 /// How the scripted camera moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CameraPath {
-    /// Seeded swings about the place where it rests.
+    /// Seeded swings about its resting position.
     Sway,
-    /// Along a circle parallel to the tissue, again and again, with turns and changes of height that close with each lap.
+    /// Laps on a circle parallel to the tissue, with turns and changes of height that close with each lap.
     Ring,
-    /// On along the tissue, and nearer and away in turn, at the top speed all the time.
+    /// Along the tissue, alternately nearer and farther, always at top speed.
     Glide,
 }
 
@@ -179,7 +147,7 @@ pub enum CameraPath {
 pub enum IncidentKind {
     /// Dense smoke before both cameras.
     Smoke,
-    /// The scope is shaken: every picture is drawn out by some 40 px.
+    /// The scope shakes: each picture is blurred over about 40 px.
     Blur,
     /// The scope jumps to another place at the first frame and stays there.
     Jump,
@@ -190,7 +158,7 @@ pub enum IncidentKind {
 /// Something that goes wrong in the frames `first..end`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Incident {
-    /// What.
+    /// What goes wrong.
     pub kind: IncidentKind,
     /// First bad frame.
     pub first: u64,
@@ -283,17 +251,17 @@ impl SceneParams {
 /// One pinhole camera with OpenCV's distortion `k1 k2 p1 p2 k3`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraModel {
-    /// Columns.
+    /// Columns, px.
     pub width: usize,
-    /// Rows.
+    /// Rows, px.
     pub height: usize,
     /// Focal length along x, px.
     pub fx: f64,
     /// Focal length along y, px.
     pub fy: f64,
-    /// Principal point, px; the centre of the first pixel is 0.
+    /// Column of the principal point, px; the centre of the first pixel is 0.
     pub cx: f64,
-    /// Principal point, px.
+    /// Row of the principal point, px.
     pub cy: f64,
     /// `k1, k2, p1, p2, k3`.
     pub distortion: [f64; 5],
@@ -329,7 +297,7 @@ impl CameraModel {
 pub struct Rig {
     /// Cameras; the first is the reference (left, or top left).
     pub cameras: Vec<CameraModel>,
-    /// The light's place in the first camera's frame, mm.
+    /// Position of the light in the first camera's frame, mm.
     pub light_mm: [f64; 3],
 }
 

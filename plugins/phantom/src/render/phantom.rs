@@ -1,32 +1,33 @@
-//! The phantom: what is kept between frames, and the drawing of one.
+//! The phantom: its state between frames, and how it draws one.
 
 use panoscope_imaging::{Parallel, SharedMut, ViewMut};
 
 use super::cast::{Coarse, Field, Station};
 use super::effects::{self, Smoke};
+use super::eye::{Eye, check_size, equip, station_at};
 use super::lens::Lens;
 use super::material::{self, TEXELS};
 use super::math::{Pose, hash};
 use super::motion::Script;
 use super::params::{CameraModel, IncidentKind, PhantomError, Rig, SceneParams};
 use super::relief::{NODES, Relief};
+use super::scratch::TruthScratch;
 use super::shade::{self, portable};
 use super::shade::{Picture, Sensor, Skin, rows_of};
 use super::tools::{self, Tool};
-use super::truth::TruthWork;
 
 /// Rows drawn by one chunk; a multiple of the tile.
 const CHUNK_ROWS: usize = 16;
-/// Sub-frames of a picture that is taken while the scope is shaken.
+/// Sub-frames of a picture during the incident `blur`.
 const SHAKEN_FRAMES: usize = 12;
-/// Way of the scope while such a picture is taken, mm along x, y and z.
+/// Movement of the scope during such a picture, mm along x, y and z.
 const SHAKEN_MM: [f64; 3] = [2.4, 1.2, 0.0];
 /// Density of the smoke of an incident.
 const INCIDENT_SMOKE: f32 = 0.95;
 /// Tissue that lies on a lens, lit from within: B, G, R.
 const COVERED: [u8; 3] = [22, 18, 88];
 
-/// A scene and the cameras that look at it.
+/// A scene and its cameras.
 pub struct Phantom {
     pub(super) params: SceneParams,
     pub(super) rig: Rig,
@@ -41,25 +42,8 @@ pub struct Phantom {
     z_mm: Vec<f32>,
     breath_mm: f32,
     pub(super) eyes: Vec<Eye>,
-    pub(super) truth: TruthWork,
+    pub(super) truth: TruthScratch,
     portable: bool,
-}
-
-/// One camera with its work memory.
-pub(super) struct Eye {
-    pub(super) model: CameraModel,
-    pub(super) lens: Lens,
-    pub(super) stations: Vec<(Station, Coarse)>,
-    drops: Vec<u8>,
-    smoke: Vec<f32>,
-}
-
-impl Eye {
-    pub(super) fn new(model: CameraModel, camera: usize, subframes: usize) -> Result<Self, PhantomError> {
-        let lens = Lens::new(&model, camera)?;
-        let stations = (0..subframes).map(|_| (Station::default(), Coarse::new(&lens))).collect();
-        Ok(Self { model, lens, stations, drops: Vec::new(), smoke: Vec::new() })
-    }
 }
 
 impl Phantom {
@@ -87,7 +71,7 @@ impl Phantom {
         let texels = material::bake(&params, &relief, pool);
         let script = Script::new(&params);
         let tools = tools::cast_of(&params);
-        let truth = TruthWork::new(&rig.cameras)?;
+        let truth = TruthScratch::new(&rig.cameras)?;
         let z_mm = relief.z_mm.clone();
         Ok(Self {
             params,
@@ -210,7 +194,7 @@ impl Phantom {
                 let part = share * params.shutter * if count > 1 { 1.0 } else { 0.0 };
                 let mut pose = pose.unwrap_or_else(|| script.pose(frame as f64 + part));
                 if shaken {
-                    pose.translation_mm.iter_mut().zip(SHAKEN_MM).for_each(|(place, way)| *place += share * way);
+                    pose.translation_mm.iter_mut().zip(SHAKEN_MM).for_each(|(place, shift)| *place += share * shift);
                 }
                 *station = station_at(&pose, eye.model.offset_mm, rig.light_mm, period);
                 let seconds = (frame as f64 + part) / params.fps;
@@ -316,55 +300,4 @@ impl Phantom {
             portable::colour(&picture, first, &mut out);
         });
     }
-}
-
-/// Brings the instruments into the frame of a camera `offset_mm` beside the first one.
-pub(super) fn equip(
-    tools: &[Tool],
-    seconds: f64,
-    pose: &Pose,
-    offset_mm: [f64; 3],
-    light_mm: [f64; 3],
-    lens: &Lens,
-    coarse: &mut Coarse,
-) {
-    coarse.light = std::array::from_fn(|i| light_mm[i] - offset_mm[i]);
-    coarse.parts.clear();
-    for tool in tools {
-        tool.at(seconds).place_in_camera(pose, offset_mm, &mut coarse.parts);
-    }
-    coarse.sort_parts(lens);
-}
-
-/// A camera `offset_mm` beside the first one, in the scene frame wrapped to the first period.
-pub(super) fn station_at(pose: &Pose, offset_mm: [f64; 3], light_mm: [f64; 3], period_mm: f64) -> Station {
-    let centre = pose.apply(offset_mm);
-    let light = pose.apply(light_mm);
-    let wrap = [(centre[0] / period_mm).floor() * period_mm, (centre[1] / period_mm).floor() * period_mm, 0.0];
-    Station {
-        centre: std::array::from_fn(|i| (centre[i] - wrap[i]) as f32),
-        rotation: pose.rotation().map(|row| row.map(|v| v as f32)),
-        light: std::array::from_fn(|i| (light[i] - wrap[i]) as f32),
-    }
-}
-
-pub(super) fn check_size<T>(
-    index: usize,
-    view: &ViewMut<T>,
-    width: usize,
-    height: usize,
-    channels: usize,
-) -> Result<(), PhantomError> {
-    if (view.width, view.height, view.channels) == (width, height, channels) {
-        return Ok(());
-    }
-    Err(PhantomError::WrongSize {
-        view: index,
-        width: view.width,
-        height: view.height,
-        channels: view.channels,
-        want_width: width,
-        want_height: height,
-        want_channels: channels,
-    })
 }

@@ -5,10 +5,11 @@
 
 use panoscope_imaging::{Parallel, SharedMut};
 
+use super::kinds::SceneKind;
 use super::marks;
 use super::math::smoothstep;
 use super::noise::Layers;
-use super::params::{SceneKind, SceneParams};
+use super::params::SceneParams;
 
 /// Nodes per period in each direction.
 pub const NODES: usize = 512;

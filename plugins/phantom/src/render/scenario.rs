@@ -4,7 +4,7 @@
 
 use super::math::{Stream, cos_turns, sin_turns};
 
-/// How the leading instrument moves.
+/// Movement of the first instrument.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ToolMotion {
     /// As all others: slow swings about a home of the seed's choice.
@@ -79,8 +79,8 @@ impl Script {
             for k in 0..POINTS {
                 // The last one leads home, so that the script closes.
                 let to = if k + 1 == POINTS { [0.0; 3] } else { REACH_MM.map(|r| f64::from(stream.range(-r, r))) };
-                let way = (0..3).map(|k| (to[k] - at[k]) * (to[k] - at[k])).sum::<f64>().sqrt();
-                let length_s = bell_s(way, f64::from(stream.range(STROKE_MM_S.0, STROKE_MM_S.1))).max(0.1);
+                let distance_mm = (0..3).map(|k| (to[k] - at[k]) * (to[k] - at[k])).sum::<f64>().sqrt();
+                let length_s = bell_s(distance_mm, f64::from(stream.range(STROKE_MM_S.0, STROKE_MM_S.1))).max(0.1);
                 strokes.push(Stroke { from: at, to, start_s: clock, length_s });
                 clock += length_s + f64::from(stream.range(0.1, 0.6));
                 at = to;

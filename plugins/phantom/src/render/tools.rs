@@ -1,49 +1,12 @@
-//! Seven kinds of instrument, jointed and moving, and what is true of them in a picture.
+//! Instruments: shapes and joints of the seven kinds, their movement, their truth in a picture.
 
+use super::kinds::ToolKind;
 use super::math::{Pose, Stream, sin_turns};
 use super::params::SceneParams;
 use super::scenario::Script;
 use super::solid::{Paint, Part, Solid, add, dot};
 
-/// The instruments of the m2cai16-tool-locations data set.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ToolKind {
-    /// Two blunt jaws.
-    Grasper,
-    /// Two slim jaws on a blue joint.
-    Bipolar,
-    /// A thin wire bent to an L.
-    Hook,
-    /// Two flat blades.
-    Scissors,
-    /// A thick shaft with two angled jaws.
-    Clipper,
-    /// A plain steel tube.
-    Irrigator,
-    /// A soft bag on a rod.
-    SpecimenBag,
-}
-
-impl ToolKind {
-    /// All kinds.
-    pub const ALL: [Self; 7] =
-        [Self::Grasper, Self::Bipolar, Self::Hook, Self::Scissors, Self::Clipper, Self::Irrigator, Self::SpecimenBag];
-
-    /// Name in a label table.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Grasper => "grasper",
-            Self::Bipolar => "bipolar",
-            Self::Hook => "hook",
-            Self::Scissors => "scissors",
-            Self::Clipper => "clipper",
-            Self::Irrigator => "irrigator",
-            Self::SpecimenBag => "specimen_bag",
-        }
-    }
-}
-
-/// What is true of one instrument in the first camera's ideal view.
+/// Truth of one instrument in the first camera's ideal view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolTruth {
     /// Kind.

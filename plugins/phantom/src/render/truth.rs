@@ -5,26 +5,27 @@
 
 use panoscope_imaging::{Parallel, SharedMut, ViewMut};
 
+use super::canvas::Canvas;
 use super::cast::{Coarse, FAR_MM, Station};
+use super::eye::{Eye, check_size, equip, station_at};
+use super::fit::{PlaneFit, homography};
 use super::lanes::LANES;
 use super::lens::TILE;
 use super::math::Pose;
 use super::params::{CameraModel, PhantomError};
-use super::phantom::{Eye, Phantom, check_size, equip, station_at};
+use super::phantom::Phantom;
+use super::scratch::TruthScratch;
 use super::shade::{self, Sensor, portable};
 use super::tools::{ToolTruth, to_camera};
 
-/// Longest side of the wide picture, px.
-pub const MOST_WIDE_PX: usize = 8192;
-
 /// Rows of one chunk.
 const CHUNK_ROWS: usize = 16;
-/// A point counts as seen when the other camera's first hit lies within this of it along its axis, mm.
+/// A point is visible when the other camera's first hit lies within this distance along its axis, mm.
 const SEEN_MM: f32 = 0.05;
-/// How much of its own instrument may stand before a visible tip, mm.
+/// Depth of its own instrument that may lie in front of a visible tip, mm.
 const TIP_DEPTH_MM: f64 = 2.0;
 
-/// What is asked for; every plane is the size of the first camera, one channel.
+/// The planes to compute. Each has the size of the first camera and one channel.
 #[derive(Debug, Default)]
 pub struct TruthMut<'a> {
     /// Depth along the first camera's axis, mm; NaN where its ray meets nothing.
@@ -36,63 +37,8 @@ pub struct TruthMut<'a> {
     pub visible: Option<ViewMut<'a, u8>>,
 }
 
-/// The plane homography that fits the true correspondences of the shared field best.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlaneFit {
-    /// `left_from_right`, row by row; the last number is 1.
-    pub left_from_right: [f64; 9],
-    /// Root mean square of the distance between mapped and true place, px.
-    pub rms_px: f64,
-    /// Correspondences used.
-    pub points: usize,
-}
-
-/// Where a wide picture lies: pixel `(u, v)` of it is pixel `(u - offset_x, v - offset_y)` of the first camera.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Canvas {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Column of the first camera's first pixel.
-    pub offset_x: f64,
-    /// Row of the first camera's first pixel.
-    pub offset_y: f64,
-}
-
-impl Canvas {
-    /// Refuses sizes that cannot be drawn.
-    pub(super) fn check(&self) -> Result<(), PhantomError> {
-        for (name, value, low) in [("canvas width", self.width, 8.0), ("canvas height", self.height, 8.0)] {
-            let high = MOST_WIDE_PX as f64;
-            if !(low..=high).contains(&(value as f64)) {
-                return Err(PhantomError::OutOfRange { name, value: value as f64, low, high });
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Memory of the truth, kept between frames.
-#[derive(Default)]
-pub(super) struct TruthWork {
-    eyes: Vec<Eye>,
-    depth_mm: Vec<f32>,
-    pairs: Vec<[f64; 4]>,
-    pub(super) wide: Option<(Canvas, Eye)>,
-    pub(super) wide_depth_mm: Vec<f32>,
-}
-
-impl TruthWork {
-    pub(super) fn new(cameras: &[CameraModel]) -> Result<Self, PhantomError> {
-        let ideal = |(i, model): (usize, &CameraModel)| Eye::new(CameraModel { distortion: [0.0; 5], ..*model }, i, 1);
-        let eyes = cameras.iter().take(2).enumerate().map(ideal).collect::<Result<_, _>>()?;
-        Ok(Self { eyes, ..Self::default() })
-    }
-}
-
 impl Phantom {
-    /// Computes what `out` asks for. Allocates nothing after the first call.
+    /// Computes the planes in `out`. Allocates nothing after the first call.
     ///
     /// # Errors
     /// Planes of the wrong size, a pose that is not finite; disparity or visibility of a rig of one camera.
@@ -132,7 +78,12 @@ impl Phantom {
     }
 
     /// Depth of the first camera into the work memory, which the caller puts back.
-    fn solve_depth(&mut self, frame: u64, pose: Option<Pose>, pool: &dyn Parallel) -> Result<TruthWork, PhantomError> {
+    fn solve_depth(
+        &mut self,
+        frame: u64,
+        pose: Option<Pose>,
+        pool: &dyn Parallel,
+    ) -> Result<TruthScratch, PhantomError> {
         let pose = pose.unwrap_or_else(|| self.pose(frame));
         if !pose.is_finite() {
             return Err(PhantomError::BadPose);
@@ -147,7 +98,7 @@ impl Phantom {
             equip(&self.tools, seconds, &pose, eye.model.offset_mm, self.rig.light_mm, &eye.lens, coarse);
             self.coarse(&eye.lens, station, coarse, pool);
         }
-        let TruthWork { eyes, depth_mm, .. } = &mut work;
+        let TruthScratch { eyes, depth_mm, .. } = &mut work;
         self.depth_of(&eyes[0], pool, depth_mm);
         Ok(work)
     }
@@ -175,7 +126,7 @@ impl Phantom {
     }
 
     /// Marks the points that the second camera sees too.
-    fn see(&self, work: &mut TruthWork, pool: &dyn Parallel, plane: &mut ViewMut<u8>) {
+    fn see(&self, work: &mut TruthScratch, pool: &dyn Parallel, plane: &mut ViewMut<u8>) {
         let (left, right) = (&work.eyes[0], &work.eyes[1]);
         let (width, height) = (left.lens.width, left.lens.height);
         let (station, coarse) = &right.stations[0];
@@ -327,7 +278,7 @@ impl Phantom {
                 }
             }
         }
-        let fit = super::fit::homography(&pairs);
+        let fit = homography(&pairs);
         work.pairs = pairs;
         self.truth = work;
         Ok(fit)

@@ -1,20 +1,20 @@
-//! What the packets of a table consist of, said once for JSON lines and CSV.
+//! The fields of packets in tables, declared once for JSON lines and CSV.
 
 use panoscope_node::abi::{self, Detection, Homography, Joints, Pose, Roi, Scalar, Tip};
 
 use super::json;
 
-/// Takes the named parts of a packet.
+/// Receives the named fields of a packet.
 pub trait Fields {
     /// A number; a NaN means unknown.
     fn number(&mut self, name: &str, value: f64);
     /// Several numbers of one kind.
     fn numbers(&mut self, name: &str, values: &[f64]);
-    /// Words.
+    /// A text.
     fn text(&mut self, name: &str, value: &str);
 }
 
-/// The words in a zero-padded name.
+/// The text of a zero-padded name.
 pub fn padded(bytes: &[u8]) -> std::borrow::Cow<'_, str> {
     let len = bytes.iter().position(|&b| b == 0).unwrap_or(bytes.len());
     String::from_utf8_lossy(&bytes[..len])

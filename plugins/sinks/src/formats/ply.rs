@@ -25,7 +25,7 @@ pub fn triangles(points: &[CloudPoint], width: usize, max_slope: f32) -> impl It
     })
 }
 
-/// Writes the points whose place is known; answers how many. Coordinates in mm, left rectified camera frame (x right, y
+/// Writes the known points; returns their number. Coordinates in mm, left rectified camera frame (x right, y
 /// down, z forward). With `max_slope` the surface between neighbours in rows of `width` points is written too, see [`triangles`].
 ///
 /// # Errors

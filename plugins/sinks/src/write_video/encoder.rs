@@ -9,16 +9,16 @@ use opencv::videoio::{CAP_FFMPEG, VideoCapture, VideoWriter};
 use opencv::{core, imgcodecs, imgproc};
 use panoscope_node::{NodeError, Result as NodeResult};
 
-use super::Codec;
+use super::codec::Codec;
 use super::timeline::{Pacing, Timeline};
 use crate::formats::mkv::Muxer;
 use crate::target::{SinkError, sync};
 
-/// Frame rate of a video whose pictures do not tell one.
+/// Frame rate of a video of one picture.
 const FALLBACK_FPS: f64 = 30.0;
 
 enum State {
-    /// Nothing has arrived.
+    /// No picture has arrived.
     New,
     /// The first picture waits for the second one, whose time gives the frame rate.
     First {
@@ -40,8 +40,8 @@ enum State {
 
 /// Writes one video file.
 pub struct Encoder {
-    asked: PathBuf,
-    /// Where the newest part is.
+    requested: PathBuf,
+    /// Path of the newest part.
     path: PathBuf,
     codec: Codec,
     own: bool,
@@ -57,9 +57,9 @@ pub struct Picture<'a> {
     pub bgr: &'a [u8],
     /// Width and height in px, the same for all pictures of a file.
     pub size: (usize, usize),
-    /// When it was taken, in ns.
+    /// Its time, ns.
     pub at_ns: i64,
-    /// Of JPEG, in %.
+    /// Quality of JPEG, %.
     pub quality: i32,
 }
 
@@ -99,7 +99,7 @@ impl Encoder {
     pub fn new(path: &Path, ending: &str, codec: Codec, fps: f64) -> Self {
         let own = codec == Codec::Mjpg && ending == "mkv";
         Self {
-            asked: path.to_owned(),
+            requested: path.to_owned(),
             path: path.to_owned(),
             codec,
             own,
@@ -110,7 +110,7 @@ impl Encoder {
         }
     }
 
-    /// Appends a picture. `begin` is asked before a file is created, and answers the path to create.
+    /// Appends a picture. Calls `begin` before it creates a file, which returns the path to create.
     ///
     /// # Errors
     /// Of the encoder and of the file, which is complete then and ends with the picture before; the next picture begins another one.
@@ -120,11 +120,11 @@ impl Encoder {
         begin: impl FnOnce(&Path) -> NodeResult<PathBuf>,
     ) -> Result<(), NodeError> {
         if matches!(self.state, State::New) {
-            self.path = begin(&self.asked)?;
+            self.path = begin(&self.requested)?;
         }
         let pushed = self.append(picture);
         if pushed.is_err() {
-            // The first error is the one to tell.
+            // The first error is the one to report.
             let _ = self.finish();
         }
         Ok(pushed?)
@@ -220,7 +220,7 @@ impl Encoder {
             Codec::Ffv1 => b"FFV1",
         };
         let refuse = |reason: String| SinkError::Encode { path: self.path.clone(), reason };
-        // A file that cannot be made is told apart from a codec that is missing.
+        // Distinguishes a file that cannot be created from a missing codec.
         File::create(&self.path).map_err(|error| SinkError::io(&self.path, error))?;
         let (width, height) = self.even_size();
         let size = Size::new(width as i32, height as i32);
@@ -280,7 +280,7 @@ impl Encoder {
         };
         writer.release().map_err(|error| failed(&self.path, error))?;
         File::open(&self.path).and_then(|file| sync(&file)).map_err(|error| SinkError::io(&self.path, error))?;
-        // FFmpeg does not say when a write fails.
+        // FFmpeg does not report failed writes.
         let plays = self.path.to_str().is_some_and(|path| {
             VideoCapture::from_file(path, CAP_FFMPEG).and_then(|video| video.is_opened()).unwrap_or(false)
         });

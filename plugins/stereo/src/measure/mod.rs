@@ -13,7 +13,7 @@ use panoscope_node::{
 use panoscope_calibration::packet as calibration;
 use surface::Surface;
 
-/// What is measured.
+/// Kind of measurement.
 #[derive(Choice, Clone, Copy, Debug, PartialEq)]
 pub enum Kind {
     /// Each pair of points: straight distance.
@@ -49,41 +49,41 @@ impl Kind {
     }
 }
 
-/// Inputs: `cloud` or `depth`; points from tips and detections join those of the parameter.
+/// Inputs: `cloud` or `depth`; points of tips and detections follow those of the parameter.
 #[derive(Ports)]
 pub struct In<'f> {
     /// Points of the left rectified view.
     cloud: Option<Cloud<'f>>,
     /// Depth of the left rectified view; needs `calibration`.
     depth: Option<Image<'f, Depth>>,
-    /// Calibration of the rectified views; without it errors cannot be stated.
+    /// Calibration of the rectified views; without it errors are unknown.
     calibration: Option<Value<'f, Calibration>>,
-    /// Tips of tools: one point each, behind those of the parameter. A tip that is missing in a tick is an unknown point.
+    /// Tips of tools: one point each, after those of the parameter. A tip that is missing in a tick is an unknown point.
     tips: Option<List<'f, Value<'f, Tip>>>,
-    /// Boxes in the left rectified view: the middle of each is a point, behind those of the parameter and the tips.
+    /// Boxes in the left rectified view: the centre of each is a point, after those of the parameter and the tips.
     detections: Option<Detections<'f>>,
 }
 
 /// Outputs.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// One row per item: its points, its value and the error that 95 % of measurements stay within; NaN where unknown.
+    /// One row per item: its points, its value and the 95 % error bound; NaN where unknown.
     table: Slot<'f, TableData>,
 }
 
 /// Parameters.
 #[derive(Params)]
 pub struct MeasureParams {
-    /// What is measured.
+    /// Kind of measurement.
     #[param(default = "distance")]
     kind: Kind,
     /// Points of the left rectified view in px: u, v, u, v, ...
     #[param(default = [], points)]
     points: Vec<f64>,
-    /// Radius of the neighbourhood that stands for a point.
+    /// Radius of the neighbourhood to which a surface is fitted at each point.
     #[param(default = 4, range = 1..=32, unit = "px")]
     radius_px: usize,
-    /// Standard deviation of a filtered disparity, beside the scatter around the point.
+    /// Standard deviation of a filtered disparity, in addition to the scatter around the point.
     #[param(default = Noise::USUAL.disparity_px, range = 0.0..=4.0, step = 0.01, unit = "px")]
     disparity_noise_px: f64,
     /// Standard deviation of the calibration's disparity offset; its reprojection error is used when larger.
@@ -141,10 +141,10 @@ impl Measure {
             given.push([tip.u_px, tip.v_px]);
             let seen = at(tip.u_px, tip.v_px);
             // Whoever found the tip knows what belongs to the tool and what lies behind it.
-            let told = (tip.xyz_valid == 1)
+            let given = (tip.xyz_valid == 1)
                 .then_some(tip.xyz_mm)
                 .filter(|xyz| xyz[2] > 0.0 && xyz.iter().all(|v| v.is_finite()));
-            places.push(told.map_or(seen, |[x, y, z]| {
+            places.push(given.map_or(seen, |[x, y, z]| {
                 let scatter = seen.map_or(0.0, |point| point.scatter);
                 Some(SurfacePoint { ray: [x / z, y / z], inverse_depth: 1.0 / z, scatter })
             }));

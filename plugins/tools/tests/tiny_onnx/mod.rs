@@ -113,7 +113,7 @@ pub fn runtime_is_there() -> bool {
     match panoscope_tools::runtime_library::environment() {
         Ok(_) => true,
         Err(e) => {
-            println!("skipped: {e}");
+            panoscope_testing::skipped!("{e}");
             false
         }
     }

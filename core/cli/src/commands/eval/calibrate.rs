@@ -1,37 +1,14 @@
-//! `panoscope eval calibrate`: `panoscope calibrate` on real pairs beside OpenCV's own sample, and on the phantom's boards
-//! beside its truth.
+//! `panoscope eval calibrate`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, Result};
-use panoscope_abi::Calibration;
-use panoscope_calibration::Board;
-
-use crate::commands::bench::record::Figure;
-use crate::commands::calibrate::plan::Source;
-use crate::commands::calibrate::{self, report};
-use crate::terminal::tell;
-
-const PEER: &str = "OpenCV's sample stereo_calib";
-/// Where the phantom's boards stand, mm: both cameras see all of them.
-const DISTANCE_MM: f64 = 85.0;
-/// Views of each of the phantom's boards.
-const PHANTOM_VIEWS: u64 = 30;
-/// The phantom's truth.
-const FOCAL_PX: f64 = 750.0;
-const BASELINE_MM: f64 = 15.0;
-/// Boards of the phantom and what they are as boards.
-const PHANTOM_BOARDS: [(&str, &str); 3] = [
-    ("chessboard", "chessboard:9x6:3mm"),
-    ("circles", "circles:4x11:3mm"),
-    ("charuco", "charuco:10x7:3mm:2.25mm:4x4_50"),
-];
+use panoscope_eval::eval::calibrate::{self, Options};
 
 /// Arguments of `eval calibrate`.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Only these cases; may be given again. Without it all.
-    #[arg(long, value_parser = ["chessboard", "laparoscope", "phantom"])]
+    #[arg(long, value_parser = calibrate::CASES)]
     case: Vec<String>,
     /// Folder of data sets, searched before the usual ones. May be given again.
     #[arg(long, value_name = "DIR")]
@@ -44,129 +21,10 @@ pub struct Arguments {
     pub json: Option<PathBuf>,
 }
 
-/// What a calibration came to.
-struct Made {
-    calibration: Calibration,
-    views: report::Views,
-}
-
-fn made(arguments: &calibrate::Arguments, source: &Source, pictures: Option<&Path>) -> Result<Made> {
-    let seen = calibrate::look_at(arguments, source)?;
-    let views = report::Views::of(&calibrate::table_of(&seen)?, source);
-    let packet = seen.packets[0].as_ref().context("too few views could be used")?;
-    let calibration = report::calibration(packet.bytes()).context("the calibration is cut off")?;
-    if let Some(folder) = pictures {
-        calibrate::pictures(&seen, folder)?;
+impl Arguments {
+    /// What the library judges.
+    pub fn options(&self) -> Options {
+        let Self { case, data, pictures, .. } = self;
+        Options { cases: case.clone(), data: data.clone(), pictures: pictures.clone() }
     }
-    Ok(Made { calibration, views })
-}
-
-/// Judges.
-pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
-    let usual = ["../shared/data", "/usr/share/doc/opencv-doc/examples/data"];
-    let folders: Vec<PathBuf> = arguments.data.iter().cloned().chain(usual.map(PathBuf::from)).collect();
-    let find = |name: &str| folders.iter().map(|folder| folder.join(name)).find(|path| path.exists());
-    let wanted = |case: &str| arguments.case.is_empty() || arguments.case.iter().any(|c| c == case);
-    let pictures = |case: &str| arguments.pictures.as_ref().map(|folder| folder.join(case));
-    let mut figures = Vec::new();
-    if wanted("chessboard") {
-        match find("left01.jpg") {
-            Some(first) => chessboard(&first, pictures("chessboard").as_deref(), &mut figures)?,
-            None => {
-                tell!("skipped: chessboard: there is no left01.jpg in the data folders (Debian package opencv-doc)")
-            }
-        }
-    }
-    if wanted("laparoscope") {
-        match find("calibration/charuco_laparoscope") {
-            Some(folder) => laparoscope(&folder, pictures("laparoscope").as_deref(), &mut figures)?,
-            None => tell!("skipped: laparoscope: there is no calibration/charuco_laparoscope in the data folders"),
-        }
-    }
-    if wanted("phantom") {
-        for (print, board) in PHANTOM_BOARDS {
-            phantom(print, board.parse()?, pictures(print).as_deref(), &mut figures)?;
-        }
-    }
-    Ok(Some(figures))
-}
-
-fn board(name: &str) -> Result<Board> {
-    Ok(name.parse()?)
-}
-
-/// The 13 pairs of OpenCV's documentation: our steps and the sample's, on the same pictures.
-fn chessboard(first: &Path, pictures: Option<&Path>, figures: &mut Vec<Figure>) -> Result<()> {
-    let pattern = |side: &str| first.with_file_name(format!("{side}??.jpg")).display().to_string();
-    let mut arguments = calibrate::Arguments::new(&pattern("left"), &pattern("right"), board("chessboard:9x6:25mm")?);
-    let source = Source::of(&arguments)?;
-    let own = made(&arguments, &source, pictures)?;
-    arguments.keep_all = true;
-    let all = made(&arguments, &source, None)?;
-    arguments.method = "sample".into();
-    let sample = made(&arguments, &source, None)?;
-    let input = format!("{} pairs 640x480 of opencv-doc", own.views.len());
-    let mut add = |name: &str, made: &Made, unit, of: &dyn Fn(&Made) -> f64| {
-        figures.push(Figure::new(name, of(made), unit, &input).beside(PEER, Some(of(&sample))));
-    };
-    add("reproj_px/chessboard", &own, "px", &|made| made.calibration.rms_px);
-    add("reproj_px/chessboard_all_views", &all, "px", &|made| made.calibration.rms_px);
-    add("epipolar_px/chessboard", &own, "px", &|made| made.views.epipolar_px());
-    add("epipolar_px/chessboard_all_views", &all, "px", &|made| made.views.epipolar_px());
-    for (name, value, peer) in [
-        ("focal_px/chessboard", own.calibration.left.fx, sample.calibration.left.fx),
-        ("baseline_mm/chessboard", own.calibration.baseline_mm, sample.calibration.baseline_mm),
-    ] {
-        let unit = if name.starts_with("focal") { "px" } else { "mm" };
-        let mut figure = Figure::new(name, value, unit, &input).beside(PEER, Some(peer));
-        // Neither more nor less is better.
-        figure.ratio = None;
-        figures.push(figure);
-    }
-    figures.push(Figure::new("views_used/chessboard", own.views.solved() as f64, "frames", &input));
-    Ok(())
-}
-
-fn laparoscope(folder: &Path, pictures: Option<&Path>, figures: &mut Vec<Figure>) -> Result<()> {
-    let side = |name: &str| folder.join(name).display().to_string();
-    let board = board("charuco:19x26:5mm:4mm:4x4_250")?;
-    let arguments = calibrate::Arguments::new(&side("ExtractedFrames_L"), &side("ExtractedFrames_R"), board);
-    let source = Source::of(&arguments)?;
-    let made = made(&arguments, &source, pictures)?;
-    made.views.tell_left_out();
-    let input = format!("{} pairs 720x576 of a laparoscope, ChArUco", made.views.len());
-    for (name, value, unit) in [
-        ("reproj_px/laparoscope", made.calibration.rms_px, "px"),
-        ("epipolar_px/laparoscope", made.views.epipolar_px(), "px"),
-        ("baseline_mm/laparoscope", made.calibration.baseline_mm, "mm"),
-        ("views_used/laparoscope", made.views.solved() as f64, "frames"),
-    ] {
-        figures.push(Figure::new(name, value, unit, &input));
-    }
-    Ok(())
-}
-
-/// A board of the phantom, whose cameras are known exactly.
-fn phantom(print: &str, board: Board, pictures: Option<&Path>, figures: &mut Vec<Figure>) -> Result<()> {
-    let text = format!(
-        "mode = \"batch\"\nplugins = [\"phantom\"]\n[nodes.scope]\ntype = \"phantom\"\nparams = {{ scene = \"board\", board = \"{print}\", distance_mm = {DISTANCE_MM:?} }}\n"
-    );
-    let source = Source::Graph("eval.toml".into(), text);
-    let mut arguments = calibrate::Arguments::new("scope.left", "scope.right", board);
-    // The phantom's lenses are perfect: what is solved for beyond that only follows the noise.
-    arguments.model = "radial".into();
-    arguments.frames = Some(PHANTOM_VIEWS);
-    let made = made(&arguments, &source, pictures)?;
-    let input = format!("{board}, {} views of the phantom 640x480 with its sensor's noise", made.views.solved());
-    let c = &made.calibration;
-    let focal = [c.left.fx, c.left.fy, c.right.fx, c.right.fy];
-    let focal_error = focal.iter().map(|f| 100.0 * (f - FOCAL_PX).abs() / FOCAL_PX).fold(0.0, f64::max);
-    for (name, value, unit) in [
-        ("reproj_px", c.rms_px, "px"),
-        ("focal_error_pct", focal_error, "%"),
-        ("baseline_error_mm", (c.baseline_mm - BASELINE_MM).abs(), "mm"),
-    ] {
-        figures.push(Figure::new(&format!("{name}/phantom_{print}"), value, unit, &input));
-    }
-    Ok(())
 }

@@ -3,23 +3,21 @@
 mod arm;
 mod calibrate;
 mod detect;
-pub mod disparity;
-pub mod look;
+mod disparity;
 mod mosaic;
-pub mod plot;
 mod proximity;
-mod rewire;
 mod skill;
-pub mod stitch;
+mod stitch;
 mod surf;
 
 use std::path::PathBuf;
 
 use anyhow::Result;
+use panoscope_eval::{EvalError, eval, figures};
 
-pub use self::detect::{Scratch, quoted, shipped};
-use super::bench::record;
 use crate::End;
+use crate::session::Terminal;
+use crate::terminal::{log, raw};
 
 /// What is judged.
 #[derive(clap::Subcommand)]
@@ -44,25 +42,52 @@ pub enum Eval {
     Proximity(proximity::Arguments),
 }
 
-/// Judges.
+/// Judges, and shows and writes the figures.
 pub fn run(eval: &Eval) -> Result<End> {
     crate::interrupt::listen();
-    let (figures, json): (_, &Option<PathBuf>) = match eval {
-        Eval::Surf(arguments) => (surf::judge(arguments)?, &arguments.json),
-        Eval::Stitch(arguments) => (stitch::judge(arguments)?, &arguments.json),
-        Eval::Mosaic(arguments) => (mosaic::judge(arguments)?, &arguments.json),
-        Eval::Disparity(arguments) => (disparity::judge(arguments)?, &arguments.json),
-        Eval::Calibrate(arguments) => (calibrate::judge(arguments)?, &arguments.json),
-        Eval::Detect(arguments) => (detect::judge(arguments)?, &arguments.json),
-        Eval::Arm(arguments) => (arm::judge(arguments)?, &arguments.json),
-        Eval::Skill(arguments) if !arguments.files.is_empty() => return skill::report(arguments),
-        Eval::Skill(arguments) => (skill::judge(arguments)?, &arguments.json),
-        Eval::Proximity(arguments) => (proximity::judge(arguments)?, &arguments.json),
+    if let Eval::Skill(arguments) = eval
+        && !arguments.files.is_empty()
+    {
+        return skill::report(&Terminal, arguments);
+    }
+    let (found, json) = match judge(eval) {
+        Ok((Some(found), json)) => (found, json),
+        Ok((None, _)) => return Ok(End::Wrong),
+        Err(error) => return refused(error),
     };
-    let Some(figures) = figures else { return Ok(End::Wrong) };
-    record::show(&figures);
+    raw(&figures::table(&found));
     if let Some(path) = json {
-        record::write(path, &figures)?;
+        figures::write(path, &found)?;
     }
     Ok(End::Done)
+}
+
+/// The figures, if there are any, and where they are written.
+fn judge(eval: &Eval) -> Result<(Option<Vec<figures::Figure>>, &Option<PathBuf>)> {
+    let session = &Terminal;
+    Ok(match eval {
+        Eval::Surf(arguments) => (Some(eval::surf::judge(session, &arguments.options())?), &arguments.json),
+        Eval::Stitch(arguments) => {
+            let found = stitch::judge(session, arguments)?;
+            // Why each case was skipped has been shown.
+            ((!found.is_empty()).then_some(found), &arguments.json)
+        }
+        Eval::Mosaic(arguments) => (Some(eval::mosaic::judge(session, &arguments.options())?), &arguments.json),
+        Eval::Disparity(arguments) => (Some(eval::disparity::judge(session, &arguments.options())?), &arguments.json),
+        Eval::Calibrate(arguments) => (Some(eval::calibrate::judge(session, &arguments.options())?), &arguments.json),
+        Eval::Detect(arguments) => (Some(detect::judge(session, arguments)?), &arguments.json),
+        Eval::Arm(arguments) => (Some(eval::arm::judge(session, &arguments.options())?), &arguments.json),
+        Eval::Skill(arguments) => (skill::judge(arguments)?, &arguments.json),
+        Eval::Proximity(arguments) => (Some(eval::proximity::judge(session, &arguments.options())?), &arguments.json),
+    })
+}
+
+/// Shows an error of the arguments or the graph; every other error is the caller's.
+fn refused(error: anyhow::Error) -> Result<End> {
+    match error.downcast_ref::<EvalError>() {
+        Some(EvalError::Check { diagnostics }) => raw(&diagnostics.render(false)),
+        Some(EvalError::Options { reason }) => log!("error: {reason}"),
+        _ => return Err(error),
+    }
+    Ok(End::Wrong)
 }

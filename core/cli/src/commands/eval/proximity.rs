@@ -1,146 +1,46 @@
-//! `panoscope eval proximity`: false and missed warnings near tissue and other tips, beside the phantom's exact distances.
+//! `panoscope eval proximity`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, Result, ensure};
-
-use super::look::{self, Pace, Plan, Table};
-use crate::commands::bench::record::Figure;
-
-/// Ways to know where tips, tissue and instruments are.
-///
-/// `exact`: exact tips, depth and masks, so that only what instruments hide is guessed. `matched`: depth from block matching instead. `found`: tips
-/// found in masks too. `boxes`: the same with boxes instead of masks, as a detector gives them.
-const CHAINS: [&str; 4] = ["exact", "matched", "found", "boxes"];
+use panoscope_eval::eval::proximity::{self, Options};
 
 /// Arguments of `eval proximity`.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Only these ways to know depth and instruments; may be given again. Without it all.
-    #[arg(long, value_parser = CHAINS)]
+    #[arg(long, value_parser = proximity::CHAINS)]
     chain: Vec<String>,
     /// Only these scenes; may be given again. Without it both.
-    #[arg(long, value_parser = ["bowel", "liver"])]
+    #[arg(long, value_parser = proximity::SCENES)]
     scene: Vec<String>,
     /// Length of each run, s of media time.
-    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=3600))]
+    #[arg(long, default_value_t = proximity::Options::default().seconds, value_parser = clap::value_parser!(u32).range(1..=3600))]
     seconds: u32,
     /// Width of the phantom's pictures, px.
-    #[arg(long, default_value_t = 640, value_parser = clap::value_parser!(u32).range(160..=1920))]
+    #[arg(long, default_value_t = proximity::Options::default().width, value_parser = clap::value_parser!(u32).range(160..=1920))]
     width: u32,
     /// Mean distance of the tissue, mm: the nearer, the closer to it the instruments work.
-    #[arg(long, default_value_t = 60.0)]
+    #[arg(long, default_value_t = proximity::Options::default().distance_mm)]
     distance_mm: f64,
     /// Seed of scenes and movements.
-    #[arg(long, default_value_t = 7)]
+    #[arg(long, default_value_t = proximity::Options::default().seed)]
     seed: u64,
     /// Writes the figures as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub json: Option<PathBuf>,
 }
 
-fn text(chain: &str, scene: &str, arguments: &Arguments) -> String {
-    let Arguments { width, seed, distance_mm, .. } = arguments;
-    let height = width * 3 / 4;
-    let (found, masked) = match chain {
-        "boxes" => ("detections", "detections = \"scope.detections\", image = \"scope.left\""),
-        _ => ("instances", "instances = \"scope.instances\""),
-    };
-    let image = if found == "detections" { ", image = \"scope.left\"" } else { "" };
-    let (nodes, tip_depth, depth) = match chain {
-        "exact" => ("", "depth = \"scope.depth\"", "scope.depth"),
-        _ => (
-            r#"[nodes.match]
-type = "stereo_bm"
-inputs = { left = "scope.left", right = "scope.right" }
-
-[nodes.points]
-type = "reproject"
-inputs = { image = "scope.left", disparity = "match.disparity", calibration = "scope.calibration" }
-"#,
-            "disparity = \"match.disparity\"",
-            "points.depth",
-        ),
-    };
-    let tip = |class: &str| {
-        format!(
-            "[nodes.{class}]\ntype = \"tool_tip\"\ninputs = {{ {found} = \"scope.{found}\"{image}, {tip_depth}, calibration = \"scope.calibration\" }}\nparams = {{ class = \"{class}\" }}\n"
-        )
-    };
-    let is_told = matches!(chain, "exact" | "matched");
-    let finders = if is_told { String::new() } else { tip("grasper") + &tip("hook") };
-    let tips = if is_told { "\"scope.lead\", \"scope.second\"" } else { "\"grasper.tip\", \"hook.tip\"" };
-    format!(
-        r#"# Warnings that `panoscope eval proximity` judges.
-mode = "batch"
-plugins = ["phantom", "stereo", "tools"]
-
-[nodes.scope]
-type = "phantom"
-params = {{ scene = "{scene}", seed = {seed}, distance_mm = {distance_mm:?}, width = {width}, height = {height}, tools = 2, tool_kinds = "grasper, hook", tool_motion = "strokes", speed_mm_s = 2.0 }}
-
-{nodes}
-{finders}
-[nodes.near]
-type = "proximity"
-inputs = {{ tip = [{tips}], depth = "{depth}", {masked}, calibration = "scope.calibration" }}
-
-[nodes.judge]
-type = "evaluate_proximity"
-inputs = {{ table = "near.table", truth = "scope.clearance" }}
-"#
-    )
-}
-
-/// Judges.
-pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
-    let wants = |list: &[String], name: &str| list.is_empty() || list.iter().any(|n| n == name);
-    let mut figures = Vec::new();
-    for scene in ["bowel", "liver"].into_iter().filter(|scene| wants(&arguments.scene, scene)) {
-        for chain in CHAINS.into_iter().filter(|chain| wants(&arguments.chain, chain)) {
-            ensure!(!crate::interrupt::asked(), "interrupted");
-            let text = text(chain, scene, arguments);
-            let path = format!("eval_proximity_{chain}.toml");
-            let plan = Plan {
-                text: &text,
-                path: Path::new(&path),
-                frames: Some(u64::from(arguments.seconds) * 30),
-                threads: 0,
-                ports: &[("judge", "table")],
-                pace: Pace::Free,
-            };
-            let seen = look::run(&plan)?;
-            let packet = seen.packets[0].as_ref().context("the judge saw nothing")?;
-            let table = Table::read(packet.bytes()).context("the judge's table could not be read")?;
-            listed(&table, &format!("{chain}/{scene}"), arguments, &mut figures)?;
+impl Arguments {
+    /// What the library judges.
+    pub fn options(&self) -> Options {
+        let Self { chain, scene, seconds, width, distance_mm, seed, .. } = self;
+        Options {
+            chains: chain.clone(),
+            scenes: scene.clone(),
+            seconds: *seconds,
+            width: *width,
+            distance_mm: *distance_mm,
+            seed: *seed,
         }
     }
-    Ok(Some(figures))
-}
-
-/// Figures of one run.
-fn listed(table: &Table, case: &str, arguments: &Arguments, figures: &mut Vec<Figure>) -> Result<()> {
-    let value = |row: usize, name: &str| -> Result<f64> {
-        let column = table.column(name).with_context(|| format!("the judge's table has no column {name}"))?;
-        column.get(row).copied().context("the judge's table has too few rows")
-    };
-    let margin = value(1, "margin_mm")?;
-    let (width, height) = (arguments.width, arguments.width * 3 / 4);
-    let input = format!("two instruments on the phantom, {width}x{height}, {} s at 30 Hz", arguments.seconds);
-    let mut add = |name: &str, of: f64, unit| figures.push(Figure::new(&format!("{name}/{case}"), of, unit, &input));
-    for kind in ["tissue", "tips"] {
-        let of = |row: usize, what: &str| value(row, &format!("{kind}_{what}"));
-        add(&format!("{kind}_approaches"), of(1, "approaches")?, "");
-        add(&format!("{kind}_missed"), of(1, "missed")?, "");
-        add(&format!("{kind}_false"), of(1, "false")?, "");
-        add(&format!("{kind}_warnings"), of(1, "warnings")?, "");
-        add(&format!("{kind}_delay_ms"), of(1, "delay_ms")?, "ms");
-        add(&format!("{kind}_rms_mm"), of(0, "rms_mm")?, "mm");
-        add(&format!("{kind}_known_pct"), 100.0 * of(0, "known")? / of(0, "ticks")?.max(1.0), "%");
-        add(&format!("{kind}_strict_approaches"), of(0, "approaches")?, "");
-        add(&format!("{kind}_strict_missed"), of(0, "missed")?, "");
-        add(&format!("{kind}_strict_false"), of(0, "false")?, "");
-    }
-    add("margin_mm", margin, "mm");
-    Ok(())
 }

@@ -1,0 +1,145 @@
+//! `panoscope bench`: what the runtime itself costs.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use panoscope_eval::{bench, figures};
+
+use crate::session::Terminal;
+use crate::terminal::raw;
+use crate::{End, allocations, interrupt};
+
+/// What is measured.
+#[derive(clap::Subcommand)]
+pub enum Bench {
+    /// From node to node: inline, between threads, paced; beside GStreamer.
+    Hop(Arguments),
+    /// Checking and starting large graphs.
+    Start(Arguments),
+    /// Cost of a tick against the number of nodes.
+    Scale(Arguments),
+    /// The stereo chain step by step, beside OpenCV's.
+    Stereo(Stereo),
+    /// What the editor's window costs the graph and its own thread. Needs a screen, or Xvfb.
+    Editor(Arguments),
+    /// Registration, seam and blend at three sizes, beside OpenCV.
+    Stitch(Stitch),
+    /// Detector and segmenter on a picture of 640x480, beside plain ONNX Runtime in Python.
+    Tools(Tools),
+    /// A whole graph on views rendered beforehand: pictures a second, their age at 30 a second, where the time goes.
+    System(System),
+}
+
+/// Arguments of every bench.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Writes the figures as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    json: Option<PathBuf>,
+    /// Fewer frames and rounds: a look, not a measurement.
+    #[arg(long)]
+    quick: bool,
+}
+
+/// Arguments of `bench stereo`.
+#[derive(clap::Args)]
+#[group(skip)]
+pub struct Stereo {
+    #[command(flatten)]
+    common: Arguments,
+    /// Draws measured lengths and depths beside the true ones.
+    #[arg(long, value_name = "FILE.png")]
+    plot: Option<PathBuf>,
+}
+
+/// Arguments of `bench stitch`.
+#[derive(clap::Args)]
+#[group(skip)]
+pub struct Stitch {
+    #[command(flatten)]
+    common: Arguments,
+    /// Only pictures of this size; may be given again.
+    #[arg(long, value_parser = bench::stitch::SIZE_NAMES)]
+    size: Vec<String>,
+    /// Draws the time of each frame at 640x480: registration, seam and the whole.
+    #[arg(long, value_name = "FILE.png")]
+    plot: Option<PathBuf>,
+}
+
+/// Arguments of `bench tools`.
+#[derive(clap::Args)]
+// The flattened arguments bring their own group of the same name.
+#[group(skip)]
+pub struct Tools {
+    #[command(flatten)]
+    common: Arguments,
+    /// Measures plain ONNX Runtime in Python beside it; without a program `python3`.
+    #[arg(long, value_name = "PROGRAM", num_args = 0..=1, default_missing_value = "python3")]
+    python: Option<PathBuf>,
+    /// Detector; else the one that ships.
+    #[arg(long, value_name = "FILE.onnx")]
+    model: Option<PathBuf>,
+    /// Segmenter; else the one that ships.
+    #[arg(long, value_name = "FILE.onnx")]
+    masks: Option<PathBuf>,
+}
+
+/// Arguments of this bench.
+#[derive(clap::Args)]
+#[group(skip)]
+pub struct System {
+    #[command(flatten)]
+    common: Arguments,
+    /// Graph with a `phantom`, whose views are rendered beforehand.
+    #[arg(value_name = "GRAPH", default_value = "graphs/surgeon.toml")]
+    graph: PathBuf,
+}
+
+/// Measures, and shows and writes the figures.
+pub fn run(bench: &Bench) -> Result<End> {
+    allocations::exclude_this_thread();
+    let (found, arguments) = measure(bench)?;
+    raw(&figures::table(&found));
+    if let Some(path) = &arguments.json {
+        figures::write(path, &found)?;
+    }
+    Ok(End::Done)
+}
+
+fn measure(bench: &Bench) -> Result<(Vec<figures::Figure>, &Arguments)> {
+    let session = &Terminal;
+    Ok(match bench {
+        Bench::Hop(arguments) => {
+            interrupt::listen();
+            (bench::hop::measure(session, arguments.quick)?, arguments)
+        }
+        Bench::Start(arguments) => (bench::start::measure(arguments.quick)?, arguments),
+        Bench::Scale(arguments) => (bench::scale::measure(session, arguments.quick)?, arguments),
+        Bench::Stereo(Stereo { common, plot }) => {
+            let options = bench::stereo::Options { quick: common.quick, plot: plot.clone() };
+            (bench::stereo::measure(session, &options)?, common)
+        }
+        Bench::Editor(arguments) => {
+            let program = std::env::current_exe()?;
+            let editor = program.with_file_name("panoscope-editor");
+            (bench::editor::measure(&bench::editor::Options { program, editor, quick: arguments.quick })?, arguments)
+        }
+        Bench::Stitch(Stitch { common, size, plot }) => {
+            interrupt::listen();
+            let options = bench::stitch::Options { quick: common.quick, sizes: size.clone(), plot: plot.clone() };
+            (bench::stitch::measure(session, &options)?, common)
+        }
+        Bench::Tools(Tools { common, python, model, masks }) => {
+            let (python, model, masks) = (python.clone(), model.clone(), masks.clone());
+            (
+                bench::tools::measure(session, &bench::tools::Options { quick: common.quick, python, model, masks })?,
+                common,
+            )
+        }
+        Bench::System(System { common, graph }) => {
+            interrupt::listen();
+            let options = bench::system::Options { quick: common.quick, graph: graph.clone() };
+            (bench::system::measure(session, &options)?, common)
+        }
+    })
+}

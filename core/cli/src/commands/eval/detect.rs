@@ -1,0 +1,102 @@
+//! `panoscope eval detect`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use panoscope_eval::Session;
+use panoscope_eval::eval::detect::{self, Options};
+use panoscope_eval::figures::Figure;
+
+use crate::terminal::raw;
+
+/// Another program that judges the same finds.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum SelfCheck {
+    /// COCO's own tools for Python.
+    Pycocotools,
+}
+
+/// Arguments of `eval detect`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Only these cases; may be given again. Without it all: `test` (official test split), `left_out` (whole operations that the
+    /// model never saw), `polygons` (real frames with outlines), `phantom` (held-out scenes), `tips` (tips on the phantom).
+    #[arg(long, value_parser = detect::CASES)]
+    case: Vec<String>,
+    /// Detector; else the one that ships.
+    #[arg(long, value_name = "FILE.onnx")]
+    model: Option<PathBuf>,
+    /// Segmenter; else the one that ships.
+    #[arg(long, value_name = "FILE.onnx")]
+    masks: Option<PathBuf>,
+    /// Detector trained without the operations of --left-out, for the case `left_out`.
+    #[arg(long, value_name = "FILE.onnx")]
+    left_out_model: Option<PathBuf>,
+    /// Operations of the case `left_out`.
+    #[arg(long, value_delimiter = ',', default_value = "v02,v08", value_name = "NAMES")]
+    left_out: Vec<String>,
+    /// Own truth instead of the cases: a COCO or VIA file, or a folder of VOC, labelme or YOLO truth. Judges --model, and --masks where it is given.
+    #[arg(long, value_name = "PATH")]
+    truth: Option<PathBuf>,
+    /// Which split of --truth: a list of VOC's ImageSets, a COCO file, a YOLO folder.
+    #[arg(long, value_name = "NAME")]
+    split: Option<String>,
+    /// Folder of the pictures of --truth, where they are not beside it.
+    #[arg(long, value_name = "DIR")]
+    images: Option<PathBuf>,
+    /// Folder of data sets, searched before the usual ones. May be given again.
+    #[arg(long, value_name = "DIR")]
+    data: Vec<PathBuf>,
+    /// Sets a parameter of the node, as in a graph file. May be given again.
+    #[arg(long, value_name = "PARAM=VALUE")]
+    set: Vec<String>,
+    /// Judges the same finds with another program, and fails where figures differ in the fourth decimal.
+    #[arg(long, value_enum, value_name = "PROGRAM")]
+    selfcheck: Option<SelfCheck>,
+    /// Python of --selfcheck.
+    #[arg(long, value_name = "PROGRAM", default_value = "python3")]
+    python: PathBuf,
+    /// Folder for pictures: curves, confusions, contact sheets of the worst misses.
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
+    /// Writes tables 5.1 to 5.5 of the thesis as Markdown; `-` shows them.
+    #[arg(long, value_name = "FILE.md")]
+    tables: Option<PathBuf>,
+    /// Writes the figures as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    pub json: Option<PathBuf>,
+}
+
+impl Arguments {
+    fn options(&self) -> Options {
+        Options {
+            cases: self.case.clone(),
+            model: self.model.clone(),
+            masks: self.masks.clone(),
+            held_out_model: self.left_out_model.clone(),
+            held_out: self.left_out.clone(),
+            truth: self.truth.clone(),
+            split: self.split.clone(),
+            images: self.images.clone(),
+            data: self.data.clone(),
+            settings: self.set.clone(),
+            python: self.python.clone(),
+            pictures: self.pictures.clone(),
+            selfcheck: self.selfcheck.map(|SelfCheck::Pycocotools| detect::SelfCheck::Pycocotools),
+        }
+    }
+}
+
+/// Judges, and writes the thesis's tables where they are asked for.
+pub fn judge(session: &dyn Session, arguments: &Arguments) -> Result<Vec<Figure>> {
+    let judgement = detect::judge(session, &arguments.options())?;
+    if let Some(path) = &arguments.tables {
+        let text = judgement.tables();
+        if path == Path::new("-") {
+            raw(&text);
+        } else {
+            std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
+        }
+    }
+    Ok(judgement.figures)
+}

@@ -1,0 +1,107 @@
+//! `panoscope tune`: gains of the arm's PID, found on the simulated arm.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use panoscope_arm_core::tuning::relay::Rule;
+use panoscope_eval::{EvalError, tune};
+
+use crate::session::Terminal;
+use crate::terminal::{log, out, raw, stderr_color};
+use crate::{End, interrupt};
+
+/// Arguments of `tune`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Graph file whose controller and simulated arm are tuned. Without it: the arm that ships, with the defaults of `arm_pid` and `arm_sim`.
+    graph: Option<PathBuf>,
+    /// The `arm_pid` of the graph; only needed where it has several.
+    #[arg(long, value_name = "ID", requires = "graph")]
+    node: Option<String>,
+    /// Sets a parameter of the graph before. May be given again.
+    #[arg(long, value_name = "NODE.PARAM=VALUE", requires = "graph")]
+    set: Vec<String>,
+    /// How gains are found: by rules from the limit of stability, which relay feedback finds, or by a search that begins at them.
+    #[arg(long, value_enum, default_value_t = Method::Search)]
+    method: Method,
+    /// The rule of --method relay.
+    #[arg(long, value_enum, default_value_t = RuleName::TyreusLuyben)]
+    rule: RuleName,
+    /// Overshoot of a step that the search leaves unpunished, %.
+    #[arg(long, default_value_t = tune::Options::default().overshoot_pct)]
+    overshoot: f64,
+    /// Share of the tip's own movement that is fed forward; 0 tunes the PID alone, as the thesis has it. Without it what the node has.
+    #[arg(long, value_name = "SHARE")]
+    feed_forward: Option<f64>,
+    /// Draws the responses of P, PI and PID to a step and to a ramp.
+    #[arg(long, value_name = "FILE.png")]
+    plot: Option<PathBuf>,
+    /// Writes limits of stability, gains and responses as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    json: Option<PathBuf>,
+}
+
+/// See [`Arguments`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Method {
+    Relay,
+    Search,
+}
+
+/// Names of [`Rule`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum RuleName {
+    ZieglerNichols,
+    TyreusLuyben,
+    Amigo,
+}
+
+impl RuleName {
+    fn rule(self) -> Rule {
+        match self {
+            Self::ZieglerNichols => Rule::ZieglerNichols,
+            Self::TyreusLuyben => Rule::TyreusLuyben,
+            Self::Amigo => Rule::Amigo,
+        }
+    }
+}
+
+/// Finds gains, and shows and writes them.
+pub fn run(arguments: &Arguments) -> Result<End> {
+    interrupt::listen();
+    let method = match arguments.method {
+        Method::Relay => tune::Method::Relay(arguments.rule.rule()),
+        Method::Search => tune::Method::Search,
+    };
+    let options = tune::Options {
+        graph: arguments.graph.clone(),
+        node: arguments.node.clone(),
+        settings: arguments.set.clone(),
+        method,
+        overshoot_pct: arguments.overshoot,
+        feed_forward: arguments.feed_forward,
+    };
+    let tunings = match tune::tune(&Terminal, &options) {
+        Ok(tunings) => tunings,
+        Err(EvalError::Options { reason }) => {
+            log!("error: {reason}");
+            return Ok(End::Wrong);
+        }
+        Err(EvalError::Check { diagnostics }) => {
+            log!("{}", diagnostics.render(stderr_color()).trim_end());
+            return Ok(End::Wrong);
+        }
+        Err(error) => return Err(error.into()),
+    };
+    raw(&tunings.tables());
+    tunings.effort().iter().for_each(|line| log!("{line}"));
+    out!("");
+    raw(&tunings.fragment());
+    if let Some(path) = &arguments.plot {
+        tunings.plot(path)?;
+    }
+    if let Some(path) = &arguments.json {
+        std::fs::write(path, tunings.json()?).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(End::Done)
+}

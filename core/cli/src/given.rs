@@ -1,0 +1,33 @@
+//! What a command line gives to a graph: overlays and values of arguments.
+
+use std::path::PathBuf;
+
+use panoscope_graph::{GraphOptions, command_line};
+
+/// What a command line gives to a graph besides settings. Arguments that the graph declares are among them, see [`command_line`].
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct Given {
+    /// Overlay file: replaces nodes of the same name and defaults of arguments. May be given again.
+    #[arg(long, value_name = "OVERLAY")]
+    with: Vec<PathBuf>,
+    #[arg(long = "graph-arg", value_name = "NAME=VALUE", hide = true)]
+    graph_args: Vec<String>,
+}
+
+impl Given {
+    /// As options to open the graph, with `node.param=value` settings.
+    pub fn options(&self, settings: &[String]) -> GraphOptions {
+        GraphOptions {
+            with: self.with.clone(),
+            args: self.graph_args.iter().map(|text| command_line::split(text)).collect(),
+            set: settings.to_vec(),
+            ..GraphOptions::default()
+        }
+    }
+
+    /// The same as words of a command line.
+    pub fn words(&self) -> Vec<String> {
+        let with = self.with.iter().map(|file| format!("--with={}", file.display()));
+        with.chain(self.graph_args.iter().map(|arg| format!("--graph-arg={arg}"))).collect()
+    }
+}

@@ -1,0 +1,114 @@
+//! Graphs of test frames and pass-through nodes, made as TOML text and run by the real engine.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::time::Duration;
+
+use panoscope_engine::{Engine, Options, Outcome, Report};
+use panoscope_graph::GraphText;
+
+use crate::error::{EvalError, Result};
+use crate::graph_file;
+use crate::session::{Session, check_cancelled};
+use crate::system::usage;
+
+/// What every hop carries.
+pub const INPUT: &str = "640x480 bgr8";
+
+/// How frames come and go.
+#[derive(Clone, Copy)]
+pub enum Pace {
+    /// As fast as they are taken, none lost.
+    Saturated,
+    /// Live, at so many frames per second.
+    Hz(f64),
+}
+
+/// `frames` -> `count` nodes of type `node` in a row -> `drain`.
+pub fn chain(node: &str, count: usize, queue: Option<u32>, pace: Pace) -> String {
+    let mut text = head(pace);
+    let mut last = "source".to_owned();
+    for index in 0..count {
+        let _ = write!(text, "[nodes.n{index}]\ntype = \"{node}\"\ninputs = {{ image = {} }}\n", edge(&last, queue));
+        last = format!("n{index}");
+    }
+    let _ = write!(text, "[nodes.sink]\ntype = \"drain\"\ninputs = {{ image = {} }}\n", edge(&last, queue));
+    text
+}
+
+/// `frames` -> `pass` -> as many `drain` nodes side by side.
+pub fn fan_out(readers: usize) -> String {
+    let mut text = head(Pace::Saturated);
+    text.push_str("[nodes.n0]\ntype = \"pass\"\ninputs = { image = \"source.image\" }\n");
+    for index in 0..readers {
+        let _ = write!(text, "[nodes.sink{index}]\ntype = \"drain\"\ninputs = {{ image = \"n0.image\" }}\n");
+    }
+    text
+}
+
+fn head(pace: Pace) -> String {
+    let (mode, rate) = match pace {
+        Pace::Saturated => ("batch", 30.0),
+        Pace::Hz(rate) => ("live", rate),
+    };
+    format!(
+        "mode = \"{mode}\"\nplugins = [\"flow\"]\n[nodes.source]\ntype = \"frames\"\nparams = {{ pattern = \"none\", rate_hz = {rate:?} }}\n"
+    )
+}
+
+fn edge(from: &str, queue: Option<u32>) -> String {
+    match queue {
+        Some(queue) => format!("{{ from = \"{from}.image\", queue = {queue} }}"),
+        None => format!("\"{from}.image\""),
+    }
+}
+
+/// What a run took.
+pub struct Run {
+    /// Counters of the engine.
+    pub report: Report,
+    /// Processor time of the whole process, all threads.
+    pub cpu_seconds: f64,
+    /// Times a thread gave its core up to wait.
+    pub waits: u64,
+}
+
+impl Run {
+    /// Wall time per tick.
+    pub fn ns_per_tick(&self) -> f64 {
+        self.report.seconds * 1e9 / self.report.frames.max(1) as f64
+    }
+}
+
+/// Runs a graph for so many frames.
+pub fn run(session: &dyn Session, text: &str, frames: u64) -> Result<Run> {
+    let text = GraphText::parse(Path::new("bench.toml"), text);
+    let ready = match graph_file::ready(&text) {
+        Ok(ready) => ready,
+        Err(diagnostics) => {
+            return Err(EvalError::Graph { diagnostics: diagnostics.render(false).trim_end().to_owned() });
+        }
+    };
+    let counters = session.allocation_counters();
+    let options = Options {
+        frames: Some(frames),
+        process_allocations: counters.process,
+        thread_allocations: counters.thread,
+        ..Options::default()
+    };
+    let before = usage();
+    let engine = Engine::start(ready.graph, &ready.catalog, &ready.loader, options)?;
+    while !engine.wait(Some(Duration::from_millis(100))) {
+        check_cancelled(session)?;
+    }
+    let outcome = engine.close(Duration::from_secs(10));
+    let after = usage();
+    if let Outcome::Failed(reason) = outcome {
+        return Err(EvalError::Run { reason });
+    }
+    Ok(Run {
+        report: engine.report(),
+        cpu_seconds: after.cpu_seconds - before.cpu_seconds,
+        waits: after.voluntary_waits - before.voluntary_waits,
+    })
+}

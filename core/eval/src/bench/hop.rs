@@ -1,0 +1,196 @@
+//! What a frame's way from node to node costs.
+
+use super::graph::{self, INPUT, Pace};
+use super::gstreamer::GStreamer;
+use crate::error::Result;
+use crate::figures::Figure;
+use crate::session::{Session, note};
+use crate::statistics as fit;
+
+const INLINE: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
+const THREADS: [usize; 4] = [1, 2, 4, 8];
+const PACED_HZ: f64 = 200.0;
+const QUEUE: u32 = 64;
+const IDENTITY: &str = "identity silent=true signal-handoffs=false";
+// `silent`: it need not signal that it runs full or empty.
+const GST_QUEUE: &str = "queue silent=true max-size-buffers=64 max-size-bytes=0 max-size-time=0";
+
+/// Least time per chain length over the rounds, ours and the peer's.
+struct Series {
+    lengths: Vec<usize>,
+    ours: Vec<f64>,
+    peer: Vec<Option<f64>>,
+}
+
+impl Series {
+    fn new(lengths: &[usize]) -> Self {
+        let n = lengths.len();
+        Self { lengths: lengths.to_vec(), ours: vec![f64::INFINITY; n], peer: vec![None; n] }
+    }
+
+    fn peer_min(&mut self, index: usize, value: f64) {
+        let slot = &mut self.peer[index];
+        *slot = Some(slot.map_or(value, |v| v.min(value)));
+    }
+
+    fn slope(&self) -> f64 {
+        let points: Vec<_> = self.lengths.iter().zip(&self.ours).map(|(&n, &v)| (n as f64, v)).collect();
+        fit::line(&points).0
+    }
+
+    fn peer_slope(&self) -> Option<f64> {
+        let points: Option<Vec<_>> =
+            self.lengths.iter().zip(&self.peer).map(|(&n, v)| Some((n as f64, (*v)?))).collect();
+        Some(fit::line(&points?).0)
+    }
+
+    fn points(&self, session: &dyn Session, title: &str) {
+        let text = |v: f64| format!("{v:.0}");
+        let ours: Vec<String> =
+            self.lengths.iter().zip(&self.ours).map(|(n, v)| format!("{n}: {}", text(*v))).collect();
+        note!(session, "{title}, ns by chain length: {}", ours.join(", "));
+        let peer: Vec<String> = self.peer.iter().flatten().map(|v| text(*v)).collect();
+        if !peer.is_empty() {
+            note!(session, "    GStreamer: {}", peer.join(", "));
+        }
+    }
+}
+
+/// Measures all cases, turn about with GStreamer where it is installed.
+pub fn measure(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
+    let gst = GStreamer::open();
+    if gst.is_none() {
+        note!(session, "GStreamer is not installed: measured without a peer");
+    }
+    let mut figures = inline(session, quick, gst.as_ref())?;
+    figures.extend(saturated(session, quick, gst.as_ref())?);
+    figures.extend(paced(session, quick, gst.as_ref())?);
+    figures.extend(copies(session, quick)?);
+    Ok(figures)
+}
+
+fn inline(session: &dyn Session, quick: bool, gst: Option<&GStreamer>) -> Result<Vec<Figure>> {
+    // Many short runs: the least of them is the one that nothing else disturbed.
+    let (frames, rounds) = if quick { (3_000, 4) } else { (8_000, 15) };
+    let mut wall = Series::new(&INLINE);
+    let mut cpu = Series::new(&INLINE);
+    let mut allocations = Vec::new();
+    for _ in 0..rounds {
+        for (index, &length) in INLINE.iter().enumerate() {
+            let run = graph::run(session, &graph::chain("pass", length, Some(QUEUE), Pace::Saturated), frames)?;
+            wall.ours[index] = wall.ours[index].min(run.ns_per_tick());
+            cpu.ours[index] = cpu.ours[index].min(run.cpu_seconds * 1e9 / frames as f64);
+            allocations.extend(run.report.allocations_per_frame);
+            if let Some(gst) = gst {
+                wall.peer_min(index, gst.run(session, &vec![IDENTITY; length], frames, None)?.ns_per_frame);
+            }
+        }
+    }
+    wall.points(session, "inline chain, time per tick");
+    cpu.points(session, "inline chain, processor time per tick");
+    let peer = "GStreamer identity";
+    let mut figures = vec![
+        Figure::new("hop_inline", wall.slope(), "ns", INPUT).beside(peer, wall.peer_slope()),
+        Figure::new("hop_inline/processor_time", cpu.slope(), "ns", INPUT),
+    ];
+    // The median: a worker that wakes for the first time late in a run sets up its thread-locals then.
+    allocations.sort_by(f64::total_cmp);
+    if let Some(&median) = allocations.get(allocations.len() / 2) {
+        figures.push(Figure::new("allocations_per_frame", median, "1/frame", "inline chains of 1 to 64 nodes"));
+    }
+    let frames = if quick { 200 } else { 1_000 };
+    let run = graph::run(session, &graph::chain("pass", 64, None, Pace::Hz(PACED_HZ)), frames)?;
+    let gst_run = gst.map(|gst| gst.run(session, &[IDENTITY; 64], frames, Some(PACED_HZ))).transpose()?;
+    if let Some(path) = run.report.paths.get("sink") {
+        let input = "640x480 bgr8, 64 nodes at 200 Hz, source to sink";
+        for (name, ms, q) in [("p50", path.age_p50_ms, 0.5), ("p99", path.age_p99_ms, 0.99)] {
+            let value = gst_run.as_ref().map(|r| r.age_ns(q));
+            figures.push(Figure::new(&format!("chain_tick/{name}"), ms * 1e6, "ns", input).beside(peer, value));
+        }
+    }
+    Ok(figures)
+}
+
+fn saturated(session: &dyn Session, quick: bool, gst: Option<&GStreamer>) -> Result<Vec<Figure>> {
+    let (frames, rounds) = if quick { (5_000, 2) } else { (20_000, 8) };
+    let mut series = Series::new(&THREADS);
+    for _ in 0..rounds {
+        for (index, &length) in THREADS.iter().enumerate() {
+            let run =
+                graph::run(session, &graph::chain("pass_blocking", length, Some(QUEUE), Pace::Saturated), frames)?;
+            series.ours[index] = series.ours[index].min(run.ns_per_tick());
+            if let Some(gst) = gst {
+                series.peer_min(index, gst.run(session, &vec![GST_QUEUE; length], frames, None)?.ns_per_frame);
+            }
+        }
+    }
+    series.points(session, "chain of threads, saturated, time per tick");
+    // With fewer threads than make all cores busy a slope would credit idle cores; all hops of the longest chain are paid for.
+    let longest = THREADS.len() - 1;
+    let per_hop = |ns: f64| ns / THREADS[longest] as f64;
+    let (peer, input) = ("GStreamer queue", "640x480 bgr8, queues of 64, saturated");
+    let whole = format!("{input}: time per frame through 8 threads / 8");
+    Ok(vec![
+        Figure::new("hop_thread", per_hop(series.ours[longest]), "ns", &whole)
+            .beside(peer, series.peer[longest].map(per_hop)),
+        Figure::new("hop_thread/slope", series.slope(), "ns", input).beside(peer, series.peer_slope()),
+    ])
+}
+
+fn paced(session: &dyn Session, quick: bool, gst: Option<&GStreamer>) -> Result<Vec<Figure>> {
+    let (frames, rounds) = if quick { (200, 1) } else { (300, 3) };
+    let mut p50 = Series::new(&THREADS);
+    let mut p99 = Series::new(&THREADS);
+    let (mut cpu_share, mut waits) = (f64::INFINITY, 0.0);
+    for _ in 0..rounds {
+        for (index, &length) in THREADS.iter().enumerate() {
+            let run = graph::run(session, &graph::chain("pass_blocking", length, None, Pace::Hz(PACED_HZ)), frames)?;
+            if let Some(path) = run.report.paths.get("sink") {
+                p50.ours[index] = p50.ours[index].min(path.age_p50_ms * 1e6);
+                p99.ours[index] = p99.ours[index].min(path.age_p99_ms * 1e6);
+            }
+            if length == 8 {
+                cpu_share = f64::min(cpu_share, 100.0 * run.cpu_seconds / run.report.seconds.max(1e-9));
+                waits = run.waits as f64 / frames as f64;
+            }
+            if let Some(gst) = gst {
+                let run = gst.run(session, &vec![GST_QUEUE; length], frames, Some(PACED_HZ))?;
+                p50.peer_min(index, run.age_ns(0.5));
+                p99.peer_min(index, run.age_ns(0.99));
+            }
+        }
+    }
+    p50.points(session, "chain of threads at 200 Hz, median age at the sink");
+    p99.points(session, "chain of threads at 200 Hz, 99 % age at the sink");
+    let (peer, input) = ("GStreamer queue", "640x480 bgr8 at 200 Hz");
+    // No slope here: the rare late frames of each length are its own.
+    let longest = THREADS.len() - 1;
+    let per_hop = |age_ns: f64| age_ns / THREADS[longest] as f64;
+    Ok(vec![
+        Figure::new("hop_thread_paced", p50.slope(), "ns", input).beside(peer, p50.peer_slope()),
+        Figure::new(
+            "hop_thread_paced/p99",
+            per_hop(p99.ours[longest]),
+            "ns",
+            "8 threads at 200 Hz, age at the sink / 8",
+        )
+        .beside(peer, p99.peer[longest].map(per_hop)),
+        Figure::new(
+            "hop_thread_paced/processor_pct",
+            cpu_share,
+            "% of one core",
+            "8 threads at 200 Hz: waiting does not spin",
+        ),
+        Figure::new("hop_thread_paced/waits_per_frame", waits, "1/frame", "8 threads at 200 Hz"),
+    ])
+}
+
+fn copies(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
+    let run = graph::run(session, &graph::fan_out(4), if quick { 1_000 } else { 10_000 })?;
+    let copies: u64 = run.report.nodes.values().map(|n| n.copies + n.conversions).sum();
+    let mut figures = vec![Figure::new("fan_out_copies", copies as f64, "1", "640x480 bgr8 to 4 readers")];
+    if let Some(allocations) = run.report.allocations_per_frame {
+        figures.push(Figure::new("allocations_per_frame/fan_out", allocations, "1/frame", "640x480 bgr8 to 4 readers"));
+    }
+    Ok(figures)
+}

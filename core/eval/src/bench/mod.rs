@@ -1,0 +1,12 @@
+//! What the runtime itself costs.
+
+pub mod editor;
+mod graph;
+mod gstreamer;
+pub mod hop;
+pub mod scale;
+pub mod start;
+pub mod stereo;
+pub mod stitch;
+pub mod system;
+pub mod tools;

@@ -1,0 +1,259 @@
+//! `bench stitch --plot`: times of each frame, as the thesis's figures 2.11 (registration), 2.12 (seam) and 4.9 (the whole) draw them.
+//!
+//! Each tick has the machine for itself. A stage takes from the packets that it needs to the packet that it makes: registration from the
+//! pair to the homography (disparity included), the composite from there to the panorama. Our composite tells what the seam took, the
+//! sampling of the overlap included; OpenCV's does not: there it is what a frame takes beyond the same frame without a seam.
+
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+use panoscope_engine::{Listener, NumberListener};
+
+use super::way::{Seam, Way, text_of};
+use crate::error::Result;
+use crate::inputs::Folder;
+use crate::inputs::pairs::Pairs;
+use crate::plot::{self, Chart, Series, Style};
+use crate::run::{self, Pace, Plan};
+use crate::session::Session;
+use crate::text_table::table;
+
+/// Pairs that are rendered and drawn; a second and a half of the camera, and three.
+const FRAMES: (u64, u64) = (48, 96);
+const SIZE: (u32, u32) = (640, 480);
+const THREADS: usize = 2;
+
+/// Where a tick is: the pair is there, the homography is found, the panorama is drawn.
+const STAGES: [(&str, &str); 3] = [("files", "right"), ("register", "homography"), ("wide", "panorama")];
+
+/// Times of one way on every frame, ms; NaN where a frame has none.
+#[derive(Clone, Debug, PartialEq)]
+struct Curve {
+    registration: Vec<f64>,
+    /// With a seam in this frame.
+    composite: Vec<f64>,
+    seam: Vec<f64>,
+}
+
+impl Curve {
+    fn whole(&self) -> Vec<f64> {
+        self.registration.iter().zip(&self.composite).map(|(a, b)| a + b).collect()
+    }
+}
+
+/// When each stage of each tick was done.
+type Moments = Vec<[Option<Instant>; 3]>;
+
+/// What is heard while a graph runs.
+struct Heard {
+    moments: Moments,
+    /// What the composite tells of its seam in each tick, ms; NaN where it tells nothing.
+    seam: Vec<f64>,
+}
+
+/// Time between two stages of each tick, ms.
+fn between(moments: &Moments, from: usize, to: usize) -> Vec<f64> {
+    let ms = |tick: &[Option<Instant>; 3]| match (tick[from], tick[to]) {
+        (Some(from), Some(to)) => to.saturating_duration_since(from).as_secs_f64() * 1e3,
+        _ => f64::NAN,
+    };
+    moments.iter().map(ms).collect()
+}
+
+/// The smaller time of each frame: what is above it was the machine's doing.
+fn least(best: &mut Vec<f64>, other: Vec<f64>) {
+    if best.is_empty() {
+        *best = other;
+        return;
+    }
+    best.iter_mut().zip(other).for_each(|(best, other)| *best = best.min(other));
+}
+
+fn lock(heard: &Mutex<Heard>) -> MutexGuard<'_, Heard> {
+    heard.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn run(session: &dyn Session, pairs: &Pairs, way: Way, seam: Seam, frames: u64) -> Result<Heard> {
+    let text = text_of(pairs, SIZE.0, way, seam, THREADS);
+    let count = frames as usize;
+    let heard = Arc::new(Mutex::new(Heard { moments: vec![[None; 3]; count], seam: vec![f64::NAN; count] }));
+    let listen = STAGES.iter().enumerate().map(|(stage, (node, output))| {
+        let heard = Arc::clone(&heard);
+        let hear = Arc::new(move |packet: &panoscope_engine::memory::FrameRef| {
+            let now = Instant::now();
+            if let Some(tick) = lock(&heard).moments.get_mut(packet.tick().seq as usize) {
+                tick[stage] = Some(now);
+            }
+        });
+        Listener { node: (*node).to_owned(), output: (*output).to_owned(), hear }
+    });
+    let told = Arc::clone(&heard);
+    let hear = move |tick: &panoscope_abi::Tick, name: &str, value: f64| {
+        if name == "seam_ms"
+            && let Some(seam) = lock(&told).seam.get_mut(tick.seq as usize)
+        {
+            *seam = value;
+        }
+    };
+    let numbers = NumberListener { node: "wide".to_owned(), hear: Arc::new(hear) };
+    let pool = if way.is_opencv() { 1 } else { THREADS };
+    let plan = Plan {
+        text: &text,
+        path: Path::new("bench.toml"),
+        frames: Some(frames),
+        threads: pool,
+        ports: &[],
+        pace: Pace::Alone,
+    };
+    run::run_and_listen(session, &plan, listen.collect(), Some(numbers))?;
+    let mut heard = lock(&heard);
+    Ok(Heard { moments: std::mem::take(&mut heard.moments), seam: std::mem::take(&mut heard.seam) })
+}
+
+fn curve(session: &dyn Session, pairs: &Pairs, way: Way, frames: u64, rounds: usize) -> Result<Curve> {
+    let [mut registration, mut composite, mut seam] = [Vec::new(), Vec::new(), Vec::new()];
+    for _ in 0..rounds {
+        let every = run(session, pairs, way, Seam::EveryFrame, frames)?;
+        least(&mut registration, between(&every.moments, 0, 1));
+        least(&mut composite, between(&every.moments, 1, 2));
+        let told = if way.is_opencv() {
+            let without = between(&run(session, pairs, way, Seam::Once, frames)?.moments, 1, 2);
+            between(&every.moments, 1, 2).iter().zip(&without).map(|(with, without)| with - without).collect()
+        } else {
+            every.seam
+        };
+        least(&mut seam, told);
+    }
+    // The first frame reserves memory.
+    [&mut registration, &mut composite, &mut seam].into_iter().for_each(|all| all[0] = f64::NAN);
+    Ok(Curve { registration, composite, seam })
+}
+
+/// A figure of the thesis: its title, what it shows, and one line per way.
+struct Drawn {
+    title: &'static str,
+    lines: Vec<(&'static str, Vec<f64>)>,
+}
+
+fn drawn(conventional: &Curve, roi: &Curve, grid: &Curve, peer: &Curve) -> [Drawn; 3] {
+    let of = |name: &'static str, values: &[f64]| (name, values.to_vec());
+    [
+        Drawn {
+            title: "2.11: registration of each frame",
+            lines: vec![
+                of("OpenCV", &peer.registration),
+                of("conventional", &conventional.registration),
+                of("proposed (ROI)", &roi.registration),
+            ],
+        },
+        Drawn {
+            title: "2.12: seam of each frame",
+            lines: vec![
+                of("OpenCV", &peer.seam),
+                of("conventional", &conventional.seam),
+                of("proposed (ROI)", &roi.seam),
+            ],
+        },
+        Drawn {
+            title: "4.9: whole stitching of each frame",
+            lines: vec![("SURF (ROI)", roi.whole()), ("grid", grid.whole())],
+        },
+    ]
+}
+
+fn sorted(values: &[f64]) -> Vec<f64> {
+    let mut known: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    known.sort_by(f64::total_cmp);
+    known
+}
+
+fn charts(all: &[Drawn]) -> Vec<Chart> {
+    let line = |(color, (name, values)): (usize, &(&'static str, Vec<f64>))| Series {
+        name: (*name).to_owned(),
+        style: Style::Line,
+        color,
+        points: values.iter().enumerate().map(|(frame, ms)| (frame as f64, *ms)).collect(),
+    };
+    let chart = |drawn: &Drawn| {
+        let medians: Vec<f64> = drawn.lines.iter().filter_map(|(_, v)| sorted(v).get(v.len() / 2).copied()).collect();
+        let (low, high) = medians.iter().fold((f64::MAX, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
+        let log = high > 8.0 * low;
+        Chart {
+            title: format!("Figure {}", drawn.title),
+            x_label: "frame".to_owned(),
+            y_label: if log { "time, ms (logarithmic)".to_owned() } else { "time, ms".to_owned() },
+            series: drawn.lines.iter().enumerate().map(line).collect(),
+            from_zero: true,
+            log,
+            ..Chart::default()
+        }
+    };
+    all.iter().map(chart).collect()
+}
+
+fn rows(all: &[Drawn]) -> String {
+    let mut rows = vec![["figure, ms", "least", "median", "most"].map(str::to_owned).to_vec()];
+    for drawn in all {
+        for (name, values) in &drawn.lines {
+            let known = sorted(values);
+            let at = |index: usize| known.get(index).map_or_else(|| "-".to_owned(), |ms| format!("{ms:.2}"));
+            let figure = drawn.title.split(':').next().unwrap_or_default();
+            rows.push(vec![format!("{figure} {name}"), at(0), at(known.len() / 2), at(known.len().saturating_sub(1))]);
+        }
+    }
+    table(&rows)
+}
+
+/// Measures every frame and draws the three figures.
+pub fn plot(session: &dyn Session, folder: &Folder, quick: bool, path: &Path) -> Result<()> {
+    let (frames, rounds) = if quick { (FRAMES.0, 3) } else { (FRAMES.1, 5) };
+    let scope = format!("width = {}, height = {}", SIZE.0, SIZE.1);
+    let pairs = Pairs::of(session, folder, "curves", &scope, frames)?;
+    let [conventional, roi, grid] =
+        [Way::Conventional, Way::Roi, Way::Grid].map(|way| curve(session, &pairs, way, frames, rounds));
+    // Half a second a frame.
+    let peer = curve(session, &pairs, Way::OpencvFull, frames / 4, 1)?;
+    let all = drawn(&conventional?, &roi?, &grid?, &peer);
+    session.table(&format!("Figures 2.11, 2.12 and 4.9: times of {frames} frames, a seam in each\n{}\n", rows(&all)));
+    plot::save(path, &charts(&all))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn a_stage_takes_from_what_it_needs_to_what_it_makes() {
+        let start = Instant::now();
+        let at = |ms: u64| Some(start + Duration::from_millis(ms));
+        let moments = vec![[at(0), at(5), at(7)], [at(10), None, None], [at(20), at(21), at(50)]];
+        let registration = between(&moments, 0, 1);
+        assert_eq!((registration[0], registration[2]), (5.0, 1.0));
+        assert!(registration[1].is_nan(), "a frame that is lost has no time");
+        assert_eq!(between(&moments, 1, 2)[2], 29.0);
+        let mut best = Vec::new();
+        least(&mut best, vec![3.0, f64::NAN, 2.0]);
+        least(&mut best, vec![1.0, 4.0, 9.0]);
+        assert_eq!(best, [1.0, 4.0, 2.0]);
+    }
+
+    #[test]
+    fn a_figure_is_logarithmic_where_one_curve_is_far_above_the_other() {
+        let curve = |registration: f64, seam: f64| Curve {
+            registration: vec![f64::NAN, registration, registration],
+            composite: vec![f64::NAN, seam + 1.0, seam + 2.0],
+            seam: vec![f64::NAN, seam, seam + 1.0],
+        };
+        let all = drawn(&curve(20.0, 60.0), &curve(1.0, 0.5), &curve(1.5, 0.5), &curve(90.0, 600.0));
+        let charts = charts(&all);
+        assert_eq!(charts.iter().map(|chart| chart.log).collect::<Vec<_>>(), [true, true, false]);
+        assert!(charts[1].y_label.contains("ms") && charts[1].title.contains("2.12"), "{charts:?}");
+        assert_eq!(charts[2].series[1].points[2].1, 1.5 + 2.5);
+        let text = rows(&all);
+        let line = text.lines().find(|line| line.contains("2.12 conventional")).unwrap_or_else(|| panic!("{text}"));
+        assert_eq!(line.split_whitespace().rev().take(3).collect::<Vec<_>>(), ["61.00", "61.00", "60.00"]);
+    }
+}

@@ -1,0 +1,174 @@
+//! A whole graph (graphs/surgeon.toml) on views rendered beforehand, so that nothing but the system is at
+//! work: how many pictures a second it makes when nothing holds it back, and how old they are at 30 a second.
+
+use std::path::{Path, PathBuf};
+
+use panoscope_engine::Report;
+use toml::{Table, Value};
+
+use crate::error::{Context, FileAction, OnFile, Result};
+use crate::figures::Figure;
+use crate::inputs::Folder;
+use crate::inputs::pairs::Pairs;
+use crate::run::{self, Pace, Plan};
+use crate::session::{Session, note};
+use crate::text_table::table;
+
+/// Pairs that are rendered and played round and round.
+const PAIRS: u64 = 120;
+/// Type of the source that is rendered beforehand.
+const SOURCE: &str = "phantom";
+
+fn run(session: &dyn Session, text: &str, path: &Path, frames: u64, pace: Pace) -> Result<Report> {
+    Ok(run::run(session, &Plan { text, path, frames: Some(frames), threads: 0, ports: &[], pace })?.report)
+}
+
+fn nodes(graph: &mut Table) -> Result<&mut Table> {
+    graph.get_mut("nodes").and_then(Value::as_table_mut).context("the graph has no [nodes]")
+}
+
+fn kind(node: &Value) -> &str {
+    node.get("type").and_then(Value::as_str).unwrap_or("")
+}
+
+fn source(graph: &mut Table) -> Result<(String, Value)> {
+    let nodes = nodes(graph)?;
+    let found = nodes.iter().find(|(_, node)| kind(node) == SOURCE);
+    let (name, node) = found
+        .context("the graph has no `phantom`: the bench renders its views beforehand and plays them in its place")?;
+    Ok((name.clone(), node.clone()))
+}
+
+/// The graph with its phantom played from files and its sinks writing into `folder`.
+fn played(graph: &Table, folder: &Path, name: &str, capture: &str) -> Result<String> {
+    let mut graph = graph.clone();
+    if let Some(plugins) = graph.get_mut("plugins").and_then(Value::as_array_mut) {
+        plugins.push(Value::String("capture".to_owned()));
+    }
+    let nodes = nodes(&mut graph)?;
+    nodes.insert(name.to_owned(), Value::Table(capture.parse()?));
+    // Cameras know no truth: what lists take from the phantom besides its views is left out.
+    let truth = |entry: &Value| {
+        let from = entry.as_str().or_else(|| entry.get("from").and_then(Value::as_str)).unwrap_or("");
+        from.split_once('.')
+            .is_some_and(|(node, port)| node == name && !matches!(port, "left" | "right" | "calibration"))
+    };
+    for inputs in nodes.iter_mut().filter_map(|(_, node)| node.get_mut("inputs").and_then(Value::as_table_mut)) {
+        inputs.retain(|_, input| !truth(input));
+        for list in inputs.iter_mut().filter_map(|(_, input)| input.as_array_mut()) {
+            list.retain(|entry| !truth(entry));
+        }
+    }
+    for (id, node) in nodes.iter_mut().filter(|(_, node)| kind(node).starts_with("write_")) {
+        let path = node.get("params").and_then(|p| p.get("path")).and_then(Value::as_str).unwrap_or("out");
+        let file = Path::new(path).file_name().map_or_else(|| id.clone(), |f| f.to_string_lossy().into_owned());
+        let place = folder.join(format!("{id}_{file}")).to_string_lossy().into_owned();
+        let node = node.as_table_mut().context("a node is a table")?;
+        let params = node.entry("params").or_insert_with(|| Value::Table(Table::new()));
+        if let Some(params) = params.as_table_mut() {
+            params.insert("path".to_owned(), Value::String(place));
+        }
+    }
+    Ok(toml::to_string(&graph)?)
+}
+
+fn show(session: &dyn Session, report: &Report) {
+    let mut rows = vec![
+        ["node", "calls", "per picture", "p50 ms", "p99 ms", "ms of work per picture"].map(str::to_owned).to_vec(),
+    ];
+    let pictures = report.frames.max(1) as f64;
+    let mut nodes: Vec<_> = report.nodes.iter().collect();
+    let work = |n: &panoscope_engine::NodeReport| n.p50_ms * n.count as f64 / pictures;
+    nodes.sort_by(|a, b| work(b.1).total_cmp(&work(a.1)));
+    for (id, node) in nodes {
+        rows.push(vec![
+            id.clone(),
+            node.count.to_string(),
+            format!("{:.2}", node.count as f64 / pictures),
+            format!("{:.2}", node.p50_ms),
+            format!("{:.2}", node.p99_ms),
+            format!("{:.2}", work(node)),
+        ]);
+    }
+    session.table(&table(&rows));
+}
+
+/// Options of [`measure`].
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Fewer frames and rounds: a quick look instead of a measurement.
+    pub quick: bool,
+    /// Graph with a `phantom`, whose views are rendered beforehand.
+    pub graph: PathBuf,
+}
+
+/// Measures the graph: unpaced for `system_fps`, at 30 pictures a second for the ages.
+pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
+    let (path, quick) = (options.graph.as_path(), options.quick);
+    let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
+    let mut graph: Table = text.parse().with_context(|| format!("{} is no graph", path.display()))?;
+    let (name, phantom) = source(&mut graph)?;
+    let folder = Folder::new("panoscope-bench-system")?;
+    note!(session, "rendering {PAIRS} pairs");
+    let pairs = Pairs::render(session, &folder, "pairs", &phantom, PAIRS)?;
+    let [unheld, held] = ["off", "on"].map(|pace| played(&graph, folder.path(), &name, &pairs.node(pace)));
+    let (unheld, held) = (unheld?, held?);
+    // The first time round each picture is decoded, later ones are kept.
+    let (frames, rounds) = if quick { (480, 1) } else { (1800, 2) };
+    let input = format!("{} on {PAIRS} rendered pairs", path.file_name().unwrap_or_default().to_string_lossy());
+    let mut fastest: Option<Report> = None;
+    let mut paced: Option<Report> = None;
+    for _ in 0..rounds {
+        let report = run(session, &unheld, path, frames, Pace::Free)?;
+        if fastest.as_ref().is_none_or(|best| screen_fps(&report) > screen_fps(best)) {
+            fastest = Some(report);
+        }
+        let report = run(session, &held, path, frames, Pace::Camera)?;
+        let age = |r: &Report| slowest(r).1;
+        if paced.as_ref().is_none_or(|best| age(&report) < age(best)) {
+            paced = Some(report);
+        }
+    }
+    let (fastest, paced) = fastest.zip(paced).context("nothing was measured")?;
+    note!(session, "unpaced, {} pictures in {:.1} s:", fastest.frames, fastest.seconds);
+    show(session, &fastest);
+    note!(session, "at 30 pictures a second:");
+    show(session, &paced);
+    let mut figures = vec![Figure::new("system_fps", screen_fps(&fastest), "1/s", &input)];
+    let (sink, age) = slowest(&paced);
+    figures.push(Figure::new("system_age_p99", age, "ms", &format!("{input}, 30 a second, slowest sink {sink}")));
+    for (sink, path) in &paced.paths {
+        figures.push(Figure::new(&format!("system_age_p99/{sink}"), path.age_p99_ms, "ms", &input));
+    }
+    if let Some(path) = behind_the_arm(&mut graph)?.and_then(|sink| paced.paths.get(&sink)) {
+        figures.push(Figure::new("setpoint_age_p50", path.age_p50_ms, "ms", &input));
+        figures.push(Figure::new("setpoint_age_p99", path.age_p99_ms, "ms", &input));
+    }
+    Ok(figures)
+}
+
+/// Pictures a second of the sink that got fewest of those that take every tick.
+fn screen_fps(report: &Report) -> f64 {
+    let most = report.paths.keys().filter_map(|id| report.nodes.get(id)).map(|n| n.count).max().unwrap_or(0);
+    most as f64 / report.seconds.max(1e-9)
+}
+
+/// The sink that writes what an arm's driver puts out, and nothing else.
+fn behind_the_arm(graph: &mut Table) -> Result<Option<String>> {
+    let nodes = nodes(graph)?;
+    let is_arm = |input: &Value| {
+        let from = input.as_str().and_then(|from| from.split_once('.'));
+        from.and_then(|(node, _)| nodes.get(node))
+            .is_some_and(|node| kind(node).starts_with("arm_") && kind(node) != "arm_pid")
+    };
+    let only_arm = |node: &&Value| {
+        let inputs = node.get("inputs").and_then(Value::as_table);
+        kind(node) == "write_table" && inputs.is_some_and(|inputs| inputs.values().all(is_arm))
+    };
+    Ok(nodes.iter().find(|(_, node)| only_arm(node)).map(|(id, _)| id.clone()))
+}
+
+fn slowest(report: &Report) -> (String, f64) {
+    let oldest = report.paths.iter().max_by(|a, b| a.1.age_p99_ms.total_cmp(&b.1.age_p99_ms));
+    oldest.map_or((String::new(), f64::NAN), |(id, path)| (id.clone(), path.age_p99_ms))
+}

@@ -1,0 +1,260 @@
+//! What can go wrong while something is measured.
+
+use std::error::Error;
+use std::fmt::{self, Write as _};
+use std::path::{Path, PathBuf};
+
+use panoscope_graph::Diagnostics;
+
+/// A cause of any type.
+pub type Cause = Box<dyn Error + Send + Sync>;
+
+/// Result of evaluation code.
+pub type Result<T, E = EvalError> = std::result::Result<T, E>;
+
+/// What was tried with a file, a folder or a program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileAction {
+    /// Reading a file.
+    Read,
+    /// Writing a file.
+    Write,
+    /// Creating a folder.
+    Create,
+    /// Starting a program.
+    Start,
+}
+
+impl fmt::Display for FileAction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Read => "read",
+            Self::Write => "write",
+            Self::Create => "make",
+            Self::Start => "start",
+        })
+    }
+}
+
+/// Why an evaluation or a bench came to no result.
+///
+/// `Display` gives one line without the cause; [`chain`] appends the causes.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EvalError {
+    /// [`Session::is_cancelled`](crate::Session::is_cancelled) returned true.
+    #[error("interrupted")]
+    Cancelled,
+    /// The options contradict each other, are out of range, or name something that is not there. Nothing ran.
+    #[error("{reason}")]
+    Options {
+        /// What is wrong, and how to correct it.
+        reason: String,
+    },
+    /// The user's graph has mistakes. Nothing ran.
+    #[error("{}", diagnostics.render(false))]
+    Check {
+        /// The mistakes with their lines.
+        diagnostics: Diagnostics,
+    },
+    /// A graph that the evaluation made does not pass the check.
+    #[error("{diagnostics}")]
+    Graph {
+        /// The mistakes with their lines, rendered without colour, without a line break at the end.
+        diagnostics: String,
+    },
+    /// A graph does not have what the evaluation needs.
+    #[error("{reason}")]
+    Wiring {
+        /// What is missing.
+        reason: String,
+    },
+    /// A run of a graph failed as a whole.
+    #[error("{reason}")]
+    Run {
+        /// The engine's reason.
+        reason: String,
+    },
+    /// A node failed in every call.
+    #[error("node `{node}` failed: {reason}")]
+    Node {
+        /// Its name in the graph.
+        node: String,
+        /// Its last message.
+        reason: String,
+    },
+    /// The graph has no such output.
+    #[error("there is no output {node}.{port}")]
+    Output {
+        /// Name of the node.
+        node: String,
+        /// Name of the output.
+        port: String,
+    },
+    /// A run ended without something that is needed to judge it.
+    #[error("{what}")]
+    Incomplete {
+        /// What is missing.
+        what: String,
+    },
+    /// A table has no such column.
+    #[error("{table} has no column {column}")]
+    Column {
+        /// Whose table.
+        table: &'static str,
+        /// Name of the column.
+        column: String,
+    },
+    /// A file, a folder or a program could not be used.
+    #[error("cannot {action} {}", path.display())]
+    File {
+        /// What was tried.
+        action: FileAction,
+        /// The file, folder or program.
+        path: PathBuf,
+        /// Why it failed.
+        source: Cause,
+    },
+    /// An input file has the wrong content.
+    #[error("{reason}")]
+    Input {
+        /// The file, the place in it, what was expected.
+        reason: String,
+    },
+    /// Another program, run for comparison, failed or disagrees.
+    #[error("{reason}")]
+    Peer {
+        /// What happened, and how to correct it.
+        reason: String,
+    },
+    /// Something failed at a known place.
+    #[error("{place}")]
+    At {
+        /// Where: a file, a line, a step.
+        place: String,
+        /// Why.
+        source: Cause,
+    },
+    /// The engine did not start.
+    #[error(transparent)]
+    Start(#[from] panoscope_engine::StartError),
+    /// An operation of the system failed.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+    /// JSON could not be read or written.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    /// Text is no TOML.
+    #[error(transparent)]
+    TomlRead(#[from] toml::de::Error),
+    /// A table cannot be written as TOML.
+    #[error(transparent)]
+    TomlWrite(#[from] toml::ser::Error),
+    /// A stereo algorithm refused its input.
+    #[error(transparent)]
+    Stereo(#[from] panoscope_imaging::stereo::StereoError),
+    /// A calibration file could not be read or written.
+    #[error(transparent)]
+    Calibration(#[from] panoscope_calibration::FileError),
+    /// A text describes no calibration board.
+    #[error(transparent)]
+    Board(#[from] panoscope_calibration::BoardError),
+    /// An arm's description cannot be used.
+    #[error(transparent)]
+    Arm(#[from] panoscope_arm_core::ArmError),
+    /// The arm's controller could not be tuned.
+    #[error(transparent)]
+    Tune(#[from] panoscope_arm_core::tuning::TuneError),
+}
+
+impl EvalError {
+    /// An error of a file, folder or program.
+    pub(crate) fn file(action: FileAction, path: impl AsRef<Path>, source: impl Into<Cause>) -> Self {
+        Self::File { action, path: path.as_ref().to_owned(), source: source.into() }
+    }
+}
+
+/// An error and all its causes in one line, separated by colons.
+pub fn chain(error: &dyn Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let _ = write!(text, ": {error}");
+        cause = error.source();
+    }
+    text
+}
+
+/// Adds the place to an error, or makes one where there is nothing.
+pub(crate) trait Context<T> {
+    /// With a fixed text.
+    fn context(self, text: &str) -> Result<T>;
+    /// With a text that is made when it is needed.
+    fn with_context(self, text: impl FnOnce() -> String) -> Result<T>;
+}
+
+impl<T> Context<T> for Option<T> {
+    fn context(self, text: &str) -> Result<T> {
+        self.ok_or_else(|| EvalError::Incomplete { what: text.to_owned() })
+    }
+
+    fn with_context(self, text: impl FnOnce() -> String) -> Result<T> {
+        self.ok_or_else(|| EvalError::Incomplete { what: text() })
+    }
+}
+
+impl<T, E: Into<Cause>> Context<T> for std::result::Result<T, E> {
+    fn context(self, text: &str) -> Result<T> {
+        self.map_err(|source| EvalError::At { place: text.to_owned(), source: source.into() })
+    }
+
+    fn with_context(self, text: impl FnOnce() -> String) -> Result<T> {
+        self.map_err(|source| EvalError::At { place: text(), source: source.into() })
+    }
+}
+
+/// Names the file of an operation that failed.
+pub(crate) trait OnFile<T> {
+    /// `action` failed on `path`.
+    fn on_file(self, action: FileAction, path: impl AsRef<Path>) -> Result<T>;
+}
+
+impl<T, E: Into<Cause>> OnFile<T> for std::result::Result<T, E> {
+    fn on_file(self, action: FileAction, path: impl AsRef<Path>) -> Result<T> {
+        self.map_err(|source| EvalError::file(action, path, source))
+    }
+}
+
+/// Returns with an error about an input file.
+macro_rules! bail {
+    ($($argument:tt)*) => {
+        return Err($crate::error::EvalError::Input { reason: format!($($argument)*) })
+    };
+}
+
+/// Returns with an error about an input file unless a condition holds.
+macro_rules! ensure {
+    ($condition:expr, $($argument:tt)*) => {
+        if $condition {
+        } else {
+            $crate::error::bail!($($argument)*);
+        }
+    };
+}
+
+pub(crate) use {bail, ensure};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_chain_names_the_file_and_the_cause() {
+        let missing = std::fs::read("/nonexistent/truth.json").on_file(FileAction::Read, "/nonexistent/truth.json");
+        let error = missing.expect_err("there is no such file");
+        assert_eq!(error.to_string(), "cannot read /nonexistent/truth.json");
+        let text = chain(&error);
+        assert!(text.starts_with("cannot read /nonexistent/truth.json: No such file"), "{text}");
+        assert_eq!(chain(&EvalError::Cancelled), "interrupted");
+    }
+}

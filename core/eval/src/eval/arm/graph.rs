@@ -1,0 +1,205 @@
+//! The closed loop as a graph: phantom, tip, tracker, controller, arm, and back.
+
+use std::path::{Path, PathBuf};
+
+use panoscope_arm_core::rehearsal::Row;
+
+use super::preset;
+use crate::error::{Context, EvalError, FileAction, OnFile, Result};
+use crate::inputs::Folder;
+use crate::packets::Table;
+use crate::run::{self, Pace, Plan};
+use crate::session::Session;
+
+/// Movements of the phantom's leading tool, and sources of its tip.
+///
+/// Up to `leave` the exact tip is given while it is in view. `cross` and `occlusion` find it in true masks and depth, among other tools that pass before it;
+/// `masks` so too, alone; `smoke` in true masks and the depth that stereo finds in smoke; `detector` in boxes of the detector that ships and the
+/// depth that stereo finds.
+pub const SCENARIOS: [&str; 11] =
+    ["still", "step", "ramp", "circle", "strokes", "leave", "cross", "occlusion", "masks", "smoke", DETECTOR];
+/// The scenario that needs a model.
+pub const DETECTOR: &str = "detector";
+
+/// A run.
+pub struct Run {
+    /// One per tick.
+    pub rows: Vec<Row>,
+    /// Of the pictures, px.
+    pub size: (u32, u32),
+}
+
+/// What a scenario puts into the graph.
+struct Scene {
+    /// Parameters of the phantom.
+    phantom: &'static str,
+    /// Nodes between phantom and tracker.
+    nodes: String,
+    /// Outputs with tips.
+    tips: &'static str,
+}
+
+const STEREO: &str = r#"
+[nodes.match]
+type = "stereo_bm"
+inputs = { left = "scope.left", right = "scope.right" }
+"#;
+
+fn finder(id: &str, from: &str, depth: &str, class: &str) -> String {
+    format!(
+        "[nodes.{id}]\ntype = \"tool_tip\"\ninputs = {{ {from}, {depth}, calibration = \"scope.calibration\" }}\nparams = {{ class = \"{class}\" }}\n"
+    )
+}
+
+fn scene(name: &str) -> Scene {
+    let model = crate::inputs::shipped_model("instruments.onnx").unwrap_or_default();
+    let (masks, true_depth) = ("instances = \"scope.instances\"", "depth = \"scope.depth\"");
+    let stereo_depth = "disparity = \"match.disparity\"";
+    let exact = |phantom| Scene { phantom, nodes: String::new(), tips: "\"scope.tip\"" };
+    let found = |phantom, nodes| Scene { phantom, nodes, tips: "\"found.tip\"" };
+    let alone = "tools = 1, tool_kinds = \"grasper\"";
+    match name {
+        "cross" => Scene {
+            phantom: "tools = 2, tool_kinds = \"grasper, clipper\"",
+            nodes: finder("one", masks, true_depth, "grasper") + &finder("two", masks, true_depth, "clipper"),
+            tips: "\"one.tip\", \"two.tip\"",
+        },
+        "occlusion" => {
+            found("tools = 3, tool_kinds = \"grasper, hook, bipolar\"", finder("found", masks, true_depth, "grasper"))
+        }
+        "masks" => found(alone, finder("found", masks, true_depth, "")),
+        "smoke" => found(
+            "tools = 1, tool_kinds = \"grasper\", smoke = 0.5, noise = 2.0",
+            STEREO.to_owned() + &finder("found", masks, stereo_depth, ""),
+        ),
+        DETECTOR => found(
+            "tools = 1, tool_kinds = \"grasper\"",
+            STEREO.to_owned()
+                + &format!(
+                    "[nodes.find]\ntype = \"yolo\"\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {model:?}, min_score = 0.1 }}\n"
+                )
+                + &finder("found", "detections = \"find.detections\", image = \"scope.left\"", stereo_depth, ""),
+        ),
+        _ => exact(alone),
+    }
+}
+
+/// The graph of a scenario, with what stands at its end.
+fn text(name: &str, seed: u64, size: (u32, u32), mode: &str, end: &str) -> String {
+    let motion = match name {
+        "masks" | "occlusion" | "smoke" | DETECTOR => "strokes",
+        name => name,
+    };
+    let Scene { phantom, nodes, tips } = scene(name);
+    let (width, height) = size;
+    format!(
+        r#"# The closed loop that `panoscope eval arm` judges.
+mode = "{mode}"
+plugins = ["phantom", "stereo", "tools", "arm", "sinks"]
+
+[nodes.scope]
+type = "phantom"
+inputs = {{ camera_pose = {{ from = "arm.camera_pose", delay = 1 }} }}
+params = {{ seed = {seed}, distance_mm = 85.0, width = {width}, height = {height}, {phantom}, tool_motion = "{motion}" }}
+
+{nodes}
+[nodes.track]
+type = "tip_track"
+inputs = {{ tip = [{tips}], camera_pose = {{ from = "arm.camera_pose", delay = 1 }}, calibration = "scope.calibration" }}
+
+[nodes.control]
+type = "arm_pid"
+inputs = {{ tip = "track.tip", joints = {{ from = "arm.joints", delay = 1 }}, setpoint = {{ from = "arm.setpoint", delay = 1 }}, calibration = "scope.calibration" }}
+
+[nodes.arm]
+type = "arm_sim"
+inputs = {{ joints = "control.joints", tip = "track.tip" }}
+
+{end}
+"#
+    )
+}
+
+const JUDGE: &str = r#"[nodes.judge]
+type = "evaluate_arm"
+inputs = { tip = "scope.lead", arm = "arm.table", track = "track.table", calibration = "scope.calibration" }
+"#;
+
+/// Runs a scenario and reads what the judge saw.
+pub fn run(session: &dyn Session, name: &str, seed: u64, seconds: u32, width: u32) -> Result<Run> {
+    let size = (width, width * 3 / 4);
+    let text = text(name, seed, size, "batch", JUDGE);
+    judged(session, &text, Path::new(&format!("eval_arm_{name}.toml")), name, seconds, size)
+}
+
+/// The same for a graph that ships.
+pub fn run_preset(session: &dyn Session, name: &str, seed: u64, seconds: u32, file: PathBuf) -> Result<Run> {
+    let text = std::fs::read_to_string(&file).on_file(FileAction::Read, &file)?;
+    let preset = preset::of(name, seed, &text, file)?;
+    judged(session, &preset.text, &preset.path, name, seconds, preset.size)
+}
+
+fn judged(session: &dyn Session, text: &str, path: &Path, name: &str, seconds: u32, size: (u32, u32)) -> Result<Run> {
+    let plan = Plan {
+        text,
+        path,
+        frames: Some(u64::from(seconds) * 30),
+        threads: 0,
+        ports: &[("judge", "table")],
+        pace: Pace::Free,
+    };
+    let seen = run::run(session, &plan)?;
+    let packet = seen.packets[0].as_ref().context("the judge saw nothing")?;
+    let table = Table::read(packet.bytes()).context("the judge's table could not be read")?;
+    let column = |name: &str| {
+        table.column(name).ok_or_else(|| EvalError::Column { table: "the judge's table", column: name.to_owned() })
+    };
+    let [time, error, u, v, distance] =
+        ["time_s", "error_mm", "error_u_px", "error_v_px", "error_distance_mm"].map(column);
+    let [view, is_seen, pivot, following, speed, change] =
+        ["in_view", "seen", "pivot_mm", "following", "camera_mm_s", "camera_mm_s2"].map(column);
+    let (time, error, u, v, distance) = (time?, error?, u?, v?, distance?);
+    let (view, is_seen, pivot, following, speed, change) = (view?, is_seen?, pivot?, following?, speed?, change?);
+    let (gap, off) = (column("gap_ms")?, column("track_off_mm")?);
+    // Pictures of all sizes are judged as if they had 640 columns.
+    let scale = 640.0 / f64::from(size.0);
+    let rows = (0..time.len())
+        .map(|k| Row {
+            at_s: time[k],
+            error_mm: error[k],
+            error_px: [u[k] * scale, v[k] * scale],
+            distance_error_mm: distance[k],
+            in_view: view[k] > 0.5,
+            is_hidden: view[k] > 0.5 && is_seen[k] < 0.5,
+            is_away: name == "leave" && (0.0..11.5).contains(&((time[k] - 2.0).max(0.0) % 12.0)),
+            pivot_mm: pivot[k],
+            following: following[k] > 0.5,
+            camera_mm_s: speed[k],
+            camera_mm_s2: change[k],
+            gap_s: gap[k] * 1e-3,
+            track_off_mm: off[k],
+        })
+        .collect();
+    Ok(Run { rows, size })
+}
+
+/// Age of the arm's set-points from the cameras' shutter on, in ms, median and 99 %: the loop live at 30 pictures a second, rendering included.
+pub fn set_point_age(session: &dyn Session, seed: u64, seconds: u32, width: u32) -> Result<(f64, f64)> {
+    let folder = Folder::new("panoscope-eval-arm")?;
+    let sink = format!(
+        "[nodes.sent]\ntype = \"write_table\"\ninputs = {{ joints = \"arm.setpoint\" }}\nparams = {{ path = {:?} }}\n",
+        folder.path().join("setpoints.csv")
+    );
+    let text = text("strokes", seed, (width, width * 3 / 4), "live", &sink);
+    let plan = Plan {
+        text: &text,
+        path: Path::new("eval_arm_age.toml"),
+        frames: Some(u64::from(seconds) * 30),
+        threads: 0,
+        ports: &[],
+        pace: Pace::Camera,
+    };
+    let report = run::run(session, &plan)?.report;
+    let ages = report.paths.get("sent").context("no set-point was sent")?;
+    Ok((ages.age_p50_ms, ages.age_p99_ms))
+}

@@ -1,0 +1,112 @@
+//! What a model finds: the real nodes on the real pictures, run by the engine.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::score::Find;
+use super::truth::{Truth, normal_name, read_found};
+use crate::error::{Context, Result, bail};
+use crate::inputs::{Folder, quoted};
+use crate::run::{self, Pace, Plan};
+use crate::session::{Session, note};
+
+/// Which node judges.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Node {
+    /// `yolo`.
+    Yolo,
+    /// `mask_rcnn`.
+    MaskRcnn,
+}
+
+impl Node {
+    /// Its type.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Yolo => "yolo",
+            Self::MaskRcnn => "mask_rcnn",
+        }
+    }
+
+    fn port(self) -> &'static str {
+        match self {
+            Self::Yolo => "detections",
+            Self::MaskRcnn => "instances",
+        }
+    }
+}
+
+/// Detections of all pictures and the time that they took.
+pub struct Detections {
+    /// Picture by picture; class numbers are those of the truth.
+    pub finds: Vec<Vec<Find>>,
+    /// Median time of the node, ms.
+    pub ms: f64,
+}
+
+/// Parameters as people measure AP: all but the weakest finds, class by class, a wide net against doubles. `settings` win.
+fn node_params(node: Node, model: &Path, settings: &[String]) -> String {
+    let most = match node {
+        Node::Yolo => "max_boxes = 100",
+        Node::MaskRcnn => "max_instances = 100",
+    };
+    let mut params = vec![format!("model = {}", quoted(model))];
+    params.extend(["min_score = 0.01", "max_overlap = 0.65", "track = false", most].map(str::to_owned));
+    let name = |setting: &str| setting.split('=').next().unwrap_or("").trim().to_owned();
+    params.retain(|p| !settings.iter().any(|s| name(s) == name(p)));
+    params.extend(settings.iter().cloned());
+    params.join(", ")
+}
+
+/// Runs `model` in `node` over the pictures of `truth`. With `settings` (`param = value`) the node's parameters change.
+pub fn run(session: &dyn Session, node: Node, model: &Path, truth: &Truth, settings: &[String]) -> Result<Detections> {
+    let scratch = Folder::new("panoscope-eval")?;
+    let out = scratch.path().join("found.json");
+    let params = node_params(node, model, settings);
+    let absolute = |p: &PathBuf| std::path::absolute(p).unwrap_or_else(|_| p.clone());
+    let files: String = truth.pictures.iter().map(|p| format!("{}\n", absolute(&p.path).to_string_lossy())).collect();
+    let text = format!(
+        "mode = \"batch\"\nplugins = [\"capture\", \"tools\", \"sinks\"]\n\
+         [nodes.files]\ntype = \"capture\"\nparams = {{ left = {} , pace = \"off\" }}\n\
+         [nodes.find]\ntype = \"{}\"\nbudget_ms = 60000\ninputs = {{ image = \"files.left\" }}\nparams = {{ {params} }}\n\
+         [nodes.out]\ntype = \"write_table\"\ninputs = {{ {} = \"find.{}\" }}\nparams = {{ path = {} }}\n",
+        toml::Value::String(files),
+        node.name(),
+        node.port(),
+        node.port(),
+        quoted(&out),
+    );
+    let count = truth.pictures.len() as u64;
+    let path = scratch.path().join("eval.toml");
+    let plan = Plan { text: &text, path: &path, frames: Some(count), threads: 0, ports: &[], pace: Pace::Free };
+    let seen = run::run(session, &plan)?;
+    let report = seen.report.nodes.get("find").context("the node did not run")?;
+    if report.faults > 0 {
+        bail!("`{}` failed on {} of {count} pictures", node.name(), report.faults);
+    }
+    let found = read_found(&out)?;
+    let mut strangers: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut finds = Vec::new();
+    if found.by_image.len() != truth.pictures.len() {
+        bail!("`{}` answered {} of {count} pictures", node.name(), found.by_image.len());
+    }
+    for (picture, annotations) in truth.pictures.iter().zip(found.by_image.values()) {
+        let mut list = Vec::new();
+        for a in annotations {
+            let name = found.names.get(&a.category_id).map_or("", String::as_str);
+            let Some(class) = truth.classes.iter().position(|c| *c == normal_name(name)) else {
+                *strangers.entry(name).or_default() += 1;
+                continue;
+            };
+            let mask = a.segmentation.as_ref().map(|s| s.mask(picture.width, picture.height)).transpose();
+            let mask = mask.with_context(|| picture.path.display().to_string())?;
+            list.push(Find { class, bbox: a.bbox, mask, score: a.score });
+        }
+        finds.push(list);
+    }
+    if !strangers.is_empty() {
+        let names: Vec<String> = strangers.iter().map(|(n, c)| format!("{c} of `{n}`")).collect();
+        note!(session, "left out, since the truth knows no such class: {}", names.join(", "));
+    }
+    Ok(Detections { finds, ms: report.p50_ms })
+}

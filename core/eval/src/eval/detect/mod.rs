@@ -1,0 +1,337 @@
+//! Detectors and segmenters beside true boxes, outlines and tips (thesis, chapter 5).
+//!
+//! Pictures go through the real nodes, run by the engine; what they find is judged by COCO's and VOC's rules ([`score`]).
+
+mod find;
+mod judged;
+mod mask;
+mod phantom;
+mod picture;
+mod score;
+mod selfcheck;
+mod tables;
+mod truth;
+
+use std::path::{Path, PathBuf};
+
+use self::find::Node;
+use self::judged::Judged;
+use self::phantom::Tips;
+use self::score::{Shape, score};
+use self::truth::Truth;
+use crate::error::{EvalError, FileAction, OnFile, Result, bail};
+use crate::figures::Figure;
+use crate::inputs::{Folder, shipped_model};
+use crate::session::{Session, check_cancelled, note};
+use crate::text_table::table;
+
+/// Another program that judges the same finds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SelfCheck {
+    /// COCO's own tools for Python.
+    Pycocotools,
+}
+
+/// Options of [`judge`].
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The cases that are judged; if empty, all: `test` (official test split), `left_out` (whole operations that the
+    /// model never saw), `polygons` (real frames with outlines), `phantom` (held-out scenes), `tips` (tips on the phantom).
+    pub cases: Vec<String>,
+    /// Detector; else the one that ships.
+    pub model: Option<PathBuf>,
+    /// Segmenter; else the one that ships.
+    pub masks: Option<PathBuf>,
+    /// Detector trained without the operations of --left-out, for the case `left_out`.
+    pub held_out_model: Option<PathBuf>,
+    /// Operations of the case `left_out`.
+    pub held_out: Vec<String>,
+    /// Own truth instead of the cases: a COCO or VIA file, or a folder of VOC, labelme or YOLO truth. Judges --model, and --masks where it is given.
+    pub truth: Option<PathBuf>,
+    /// Which split of --truth: a list of VOC's ImageSets, a COCO file, a YOLO folder.
+    pub split: Option<String>,
+    /// Folder of the pictures of --truth, where they are not beside it.
+    pub images: Option<PathBuf>,
+    /// Folders of data sets, searched before the usual ones.
+    pub data: Vec<PathBuf>,
+    /// Sets a parameter of the node, as in a graph file.
+    pub settings: Vec<String>,
+    /// Judges the same finds with another program, and fails where figures differ in the fourth decimal.
+    pub selfcheck: Option<SelfCheck>,
+    /// Python of --selfcheck.
+    pub python: PathBuf,
+    /// Folder for pictures: curves, confusions, contact sheets of the worst misses.
+    pub pictures: Option<PathBuf>,
+}
+
+/// Names of the cases.
+pub const CASES: [&str; 5] = ["test", "left_out", "polygons", "phantom", "tips"];
+
+/// What the cases share.
+struct Judge<'a> {
+    session: &'a dyn Session,
+    options: &'a Options,
+    folders: Vec<PathBuf>,
+    judged: Vec<Judged>,
+    figures: Vec<Figure>,
+}
+
+impl Judge<'_> {
+    fn detector(&self) -> Option<PathBuf> {
+        self.options.model.clone().or_else(|| shipped_model("instruments.onnx"))
+    }
+
+    fn segmenter(&self) -> Option<PathBuf> {
+        self.options.masks.clone().or_else(|| shipped_model("instrument_masks.onnx"))
+    }
+
+    /// A data set in the folders that are searched, or words that it is skipped.
+    fn data(&self, case: &str, name: &str) -> Option<PathBuf> {
+        let found = self.folders.iter().map(|f| f.join(name)).find(|p| p.is_dir());
+        if found.is_none() {
+            let looked: Vec<String> = self.folders.iter().map(|f| f.display().to_string()).collect();
+            note!(
+                self.session,
+                "skipped: {case}: there is no {name} in {}; name its folder with --data",
+                looked.join(", ")
+            );
+        }
+        found
+    }
+
+    fn model(&self, case: &str, model: Option<PathBuf>, option: &str) -> Option<PathBuf> {
+        if model.is_none() {
+            note!(self.session, "skipped: {case}: no model; name one with {option}");
+        }
+        model
+    }
+
+    /// Runs, scores, draws, compares; adds figures.
+    fn one(&mut self, case: &str, node: Node, model: &Path, truth: Truth) -> Result<()> {
+        let found = find::run(self.session, node, model, &truth, &self.options.settings)?;
+        let objects: Vec<_> = truth.pictures.iter().map(|p| p.objects.clone()).collect();
+        let classes = truth.classes.len();
+        let boxes = score(&objects, &found.finds, classes, Shape::Box);
+        let with_masks = node == Node::MaskRcnn && truth.has_masks();
+        let masks = with_masks.then(|| score(&objects, &found.finds, classes, Shape::Mask));
+        if self.options.selfcheck.is_some() {
+            selfcheck::compare(self.session, &self.options.python, &truth, &found.finds, Shape::Box, &boxes)?;
+            if let Some(masks) = &masks {
+                selfcheck::compare(self.session, &self.options.python, &truth, &found.finds, Shape::Mask, masks)?;
+            }
+        }
+        let judged = Judged { case: case.to_owned(), node, truth, finds: found.finds, boxes, masks, ms: found.ms };
+        self.draw(&judged)?;
+        self.report(&judged, model);
+        self.judged.push(judged);
+        Ok(())
+    }
+
+    fn draw(&self, j: &Judged) -> Result<()> {
+        let Some(folder) = &self.options.pictures else { return Ok(()) };
+        let (shape, scores) = match &j.masks {
+            Some(masks) => (Shape::Mask, masks),
+            None => (Shape::Box, &j.boxes),
+        };
+        let file = |what: &str| folder.join(format!("{}_{}_{what}.png", j.case, j.node.name()));
+        let title = format!("{} on {} ({} frames)", j.node.name(), j.case, j.truth.pictures.len());
+        picture::curves(&file("curves"), &title, &j.truth.classes, scores)?;
+        let counts = picture::confusion(&j.truth, &j.finds, shape);
+        picture::confusion_picture(&file("confusion"), &title, &j.truth.classes, &counts)?;
+        picture::sheet(&file("misses"), &j.truth, &j.finds, shape, false)?;
+        picture::sheet(&file("first"), &j.truth, &j.finds, shape, true)
+    }
+
+    /// Reports a table of classes and adds the figures.
+    fn report(&mut self, j: &Judged, model: &Path) {
+        let words =
+            ["class", "truth", "found", "AP50", "AP", "AP50 VOC", "best F1", "at score", "mask AP50", "mask AP"];
+        let mut rows = vec![words.map(str::to_owned).to_vec()];
+        let percent = |v: f64| if v.is_nan() { "-".to_owned() } else { format!("{:.1} %", v * 100.0) };
+        for (k, (name, c)) in j.truth.classes.iter().zip(&j.boxes.classes).enumerate() {
+            let m = j.masks.as_ref().map(|m| &m.classes[k]);
+            rows.push(vec![
+                name.clone(),
+                c.truths.to_string(),
+                c.finds.to_string(),
+                percent(c.ap[0]),
+                percent(c.mean_ap()),
+                percent(c.voc),
+                percent(c.best_f1.0),
+                format!("{:.2}", c.best_f1.1),
+                m.map_or_else(String::new, |m| percent(m.ap[0])),
+                m.map_or_else(String::new, |m| percent(m.mean_ap())),
+            ]);
+        }
+        note!(
+            self.session,
+            "{} on {}: {} frames, {:.1} ms each",
+            model.display(),
+            j.case,
+            j.truth.pictures.len(),
+            j.ms
+        );
+        self.session.table(&table(&rows));
+        let input =
+            format!("{}, {} frames", model.file_name().unwrap_or_default().to_string_lossy(), j.truth.pictures.len());
+        let mut figure = |name: String, value: f64| {
+            if !value.is_nan() {
+                self.figures.push(Figure::new(&name, value, "1", &input));
+            }
+        };
+        let case = &j.case;
+        if j.node == Node::Yolo {
+            // The one figure that has a name of its own.
+            let name = if case == "left_out" { "map50_left_out".to_owned() } else { format!("map50/{case}") };
+            figure(name, j.boxes.ap_at(0));
+            figure(format!("map50_voc/{case}"), j.boxes.voc());
+            figure(format!("map/{case}"), j.boxes.ap());
+            for (name, c) in j.truth.classes.iter().zip(&j.boxes.classes) {
+                figure(format!("ap50/{case}/{name}"), c.ap[0]);
+            }
+        } else {
+            figure(format!("mask_box_ap50/{case}"), j.boxes.ap_at(0));
+            if let Some(m) = &j.masks {
+                figure(format!("mask_ap/{case}"), m.ap());
+                figure(format!("mask_ap50/{case}"), m.ap_at(0));
+                for (name, c) in j.truth.classes.iter().zip(&m.classes) {
+                    figure(format!("mask_ap50/{case}/{name}"), c.ap[0]);
+                }
+            }
+        }
+    }
+
+    fn test(&mut self) -> Result<()> {
+        let Some(folder) = self.data("test", "m2cai16-tool-locations") else { return Ok(()) };
+        let Some(model) = self.model("test", self.detector(), "--model") else { return Ok(()) };
+        let truth = truth::read(self.session, &folder, Some("test"), None)?;
+        self.one("test", Node::Yolo, &model, truth)
+    }
+
+    fn held_out(&mut self) -> Result<()> {
+        let Some(folder) = self.data("left_out", "m2cai16-tool-locations") else { return Ok(()) };
+        let model = self.options.held_out_model.clone();
+        let Some(model) = self.model("left_out", model, "--left-out-model (trained with --without)") else {
+            return Ok(());
+        };
+        let mut truth = truth::read(self.session, &folder, Some("trainval"), None)?.only(&self.options.held_out);
+        let more = truth::read(self.session, &folder, Some("test"), None)?.only(&self.options.held_out);
+        truth.pictures.extend(more.ordered(&truth.classes).pictures);
+        if truth.pictures.is_empty() {
+            bail!("no frame is of the operations {}", self.options.held_out.join(", "));
+        }
+        self.one("left_out", Node::Yolo, &model, truth)
+    }
+
+    fn polygons(&mut self) -> Result<()> {
+        let Some(folder) = self.data("polygons", "cholec_polygons") else { return Ok(()) };
+        let Some(model) = self.model("polygons", self.segmenter(), "--masks") else { return Ok(()) };
+        self.one("polygons", Node::MaskRcnn, &model, truth::read(self.session, &folder, None, None)?)
+    }
+
+    fn phantom(&mut self) -> Result<()> {
+        let Some(model) = self.model("phantom", self.segmenter(), "--masks") else { return Ok(()) };
+        let scratch = Folder::new("panoscope-phantom")?;
+        let truth = phantom::frames(self.session, &scratch)?;
+        self.one("phantom", Node::MaskRcnn, &model, truth)
+    }
+
+    fn tips(&mut self) -> Result<()> {
+        let mut cases = vec![("true_masks", phantom::From::TrueMasks)];
+        let (masks, boxes) = (self.segmenter(), self.detector());
+        if let Some(model) = &masks {
+            cases.push(("masks", phantom::From::Model(Node::MaskRcnn, model)));
+        }
+        if let Some(model) = &boxes {
+            cases.push(("boxes", phantom::From::Model(Node::Yolo, model)));
+        }
+        for (name, from) in cases {
+            let tips = phantom::tips(self.session, from)?;
+            let found = tips.errors_px.len();
+            note!(
+                self.session,
+                "tips from {name}: {found} of {} found, median {:.1} px, {:.2} mm",
+                tips.seen,
+                Tips::median(&tips.errors_px),
+                Tips::median(&tips.errors_mm)
+            );
+            let one = |k: &(&str, usize, usize, f64)| format!("{} {}/{} {:.1} px", k.0, k.2, k.1, k.3);
+            note!(self.session, "  {}", tips.kinds.iter().map(one).collect::<Vec<_>>().join(", "));
+            let input = format!("phantom 640x360, one instrument, {} tips", tips.seen);
+            let mut figure = |what: &str, value: f64, unit| {
+                if !value.is_nan() {
+                    self.figures.push(Figure::new(&format!("{what}/{name}"), value, unit, &input));
+                }
+            };
+            figure("tip_error_px", Tips::median(&tips.errors_px), "px");
+            figure("tip_error_mm", Tips::median(&tips.errors_mm), "mm");
+            figure("tip_found", found as f64 / tips.seen.max(1) as f64, "1");
+        }
+        Ok(())
+    }
+
+    /// The truth that was named.
+    fn given(&mut self, path: &Path) -> Result<()> {
+        let a = self.options;
+        let truth = truth::read(self.session, path, a.split.as_deref(), a.images.as_deref())?;
+        let case = a.split.clone().unwrap_or_else(|| "given".to_owned());
+        if let Some(model) = a.masks.as_ref() {
+            self.one(&case, Node::MaskRcnn, model, truth.clone())?;
+        }
+        let model = self.detector().filter(|_| a.model.is_some() || a.masks.is_none());
+        if let Some(model) = model {
+            return self.one(&case, Node::Yolo, &model, truth);
+        }
+        if a.masks.is_none() {
+            note!(self.session, "skipped: {case}: no model; name one with --model or --masks");
+        }
+        Ok(())
+    }
+}
+
+/// Result of [`judge`].
+pub struct Judgement {
+    /// All figures.
+    pub figures: Vec<Figure>,
+    judged: Vec<Judged>,
+}
+
+impl Judgement {
+    /// Tables 5.1 to 5.5 of the thesis as Markdown.
+    pub fn tables(&self) -> String {
+        tables::all(&self.judged)
+    }
+}
+
+/// Judges the models on each wanted case whose data is there, or on the given truth.
+///
+/// # Errors
+/// A model is not there, a file has the wrong content, a run fails, a self-check disagrees, or the session is cancelled.
+pub fn judge(session: &dyn Session, options: &Options) -> Result<Judgement> {
+    for model in [&options.model, &options.masks, &options.held_out_model].into_iter().flatten() {
+        if !model.is_file() {
+            return Err(EvalError::Options { reason: format!("there is no model {}", model.display()) });
+        }
+    }
+    let usual = ["target/data", "../shared/data", "../shared/data/instances"];
+    let folders = options.data.iter().cloned().chain(usual.map(PathBuf::from)).collect();
+    if let Some(folder) = &options.pictures {
+        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
+    }
+    let mut judge = Judge { session, options, folders, judged: Vec::new(), figures: Vec::new() };
+    if let Some(path) = &options.truth {
+        judge.given(path)?;
+    } else {
+        for case in CASES.iter().filter(|c| options.cases.is_empty() || options.cases.iter().any(|a| a == *c)) {
+            match *case {
+                "test" => judge.test()?,
+                "left_out" => judge.held_out()?,
+                "polygons" => judge.polygons()?,
+                "phantom" => judge.phantom()?,
+                _ => judge.tips()?,
+            }
+            check_cancelled(session)?;
+        }
+    }
+    Ok(Judgement { figures: judge.figures, judged: judge.judged })
+}

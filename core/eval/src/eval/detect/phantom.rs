@@ -1,0 +1,144 @@
+//! Held-out scenes of the phantom: their pictures with exact outlines, and how far found tips lie from the true ones.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::find::Node;
+use super::truth::{self, Truth};
+use crate::error::{Context, FileAction, OnFile, Result};
+use crate::inputs::{Folder, quoted};
+use crate::run::{self, Pace, Plan};
+use crate::session::{Session, check_cancelled};
+
+/// Seeds beyond those that training draws.
+const FIRST_SEED: u64 = 2_000_001;
+const SCENES: [&str; 3] = ["liver", "bowel", "cavity"];
+/// Instruments of the scenes in which tips are looked for, one each.
+const KINDS: [&str; 7] = ["grasper", "bipolar", "hook", "scissors", "clipper", "irrigator", "specimen_bag"];
+/// Pictures of each scene, a second apart.
+const FRAMES: u64 = 12;
+
+/// Renders frames with one to four instruments into `scratch`.
+pub fn frames(session: &dyn Session, scratch: &Folder) -> Result<Truth> {
+    let mut all = Truth::default();
+    for index in 0..9u64 {
+        let folder = scratch.path().join(format!("scene{index}"));
+        std::fs::create_dir_all(&folder).on_file(FileAction::Create, &folder)?;
+        let text = format!(
+            "mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]\n\
+             [nodes.scope]\ntype = \"phantom\"\n\
+             params = {{ scene = \"{}\", seed = {}, tools = {}, rate_hz = 1.0, width = 640, height = 360, distance_mm = {:?} }}\n\
+             [nodes.pictures]\ntype = \"write_images\"\ninputs = {{ image = \"scope.left\" }}\nparams = {{ path = \"{{seq}}.png\" }}\n\
+             [nodes.truth]\ntype = \"write_table\"\ninputs = {{ instances = \"scope.instances\" }}\nparams = {{ path = \"truth.json\" }}\n",
+            SCENES[index as usize % 3],
+            FIRST_SEED + index,
+            1 + index % 4,
+            40.0 + 5.0 * index as f64,
+        );
+        let path = folder.join("eval.toml");
+        let plan = Plan { text: &text, path: &path, frames: Some(FRAMES), threads: 0, ports: &[], pace: Pace::Free };
+        run::run(session, &plan)?;
+        let scene = truth::read(session, &folder.join("truth.json"), None, None)?;
+        all.classes = scene.classes;
+        all.pictures.extend(scene.pictures);
+        check_cancelled(session)?;
+    }
+    Ok(all)
+}
+
+/// Tips found beside true ones.
+#[derive(Default)]
+pub struct Tips {
+    /// Ticks in which a tip is seen.
+    pub seen: usize,
+    /// Distances in the picture of those that were found, px.
+    pub errors_px: Vec<f64>,
+    /// Distances in space of those with a valid place, mm.
+    pub errors_mm: Vec<f64>,
+    /// Per kind of instrument: tips seen, found, and their median distance in px.
+    pub kinds: Vec<(&'static str, usize, usize, f64)>,
+}
+
+impl Tips {
+    /// Median of some distances; NaN of none.
+    pub fn median(values: &[f64]) -> f64 {
+        let mut sorted = values.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+    }
+}
+
+/// What the tip is found from.
+#[derive(Clone, Copy)]
+pub enum From<'a> {
+    /// True outlines: what `tool_tip` alone costs.
+    TrueMasks,
+    /// A model's boxes or outlines.
+    Model(Node, &'a Path),
+}
+
+fn lines(path: &Path) -> Result<Vec<Value>> {
+    let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
+    text.lines().map(|l| serde_json::from_str(l).with_context(|| format!("{} is damaged", path.display()))).collect()
+}
+
+/// Runs scenes with one instrument each through `tool_tip` with the true depth.
+pub fn tips(session: &dyn Session, from: From<'_>) -> Result<Tips> {
+    let scratch = Folder::new("panoscope-tips")?;
+    let (finder, inputs) = match from {
+        From::TrueMasks => (String::new(), "instances = \"scope.instances\""),
+        From::Model(Node::Yolo, model) => (
+            format!(
+                "[nodes.find]\ntype = \"yolo\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n",
+                quoted(model)
+            ),
+            "detections = \"find.detections\", image = \"scope.left\"",
+        ),
+        From::Model(Node::MaskRcnn, model) => (
+            format!(
+                "[nodes.find]\ntype = \"mask_rcnn\"\nbudget_ms = 60000\ninputs = {{ image = \"scope.left\" }}\nparams = {{ model = {} }}\n",
+                quoted(model)
+            ),
+            "instances = \"find.instances\"",
+        ),
+    };
+    let mut out = Tips::default();
+    for (index, kind) in KINDS.iter().enumerate() {
+        let text = format!(
+            "mode = \"batch\"\nplugins = [\"phantom\", \"tools\", \"sinks\"]\n\
+             [nodes.scope]\ntype = \"phantom\"\n\
+             params = {{ scene = \"{}\", seed = {}, tools = 1, tool_kinds = \"{kind}\", \
+             rate_hz = 1.0, width = 640, height = 360, distance_mm = 80.0, speed_mm_s = 4.0 }}\n{finder}\
+             [nodes.tip]\ntype = \"tool_tip\"\ninputs = {{ {inputs}, depth = \"scope.depth\", calibration = \"scope.calibration\" }}\n\
+             [nodes.found]\ntype = \"write_table\"\ninputs = {{ tip = \"tip.tip\" }}\nparams = {{ path = \"found.jsonl\" }}\n\
+             [nodes.truth]\ntype = \"write_table\"\ninputs = {{ tip = \"scope.tip\" }}\nparams = {{ path = \"truth.jsonl\" }}\n",
+            SCENES[index % 3],
+            FIRST_SEED + 100 + index as u64,
+        );
+        let path = scratch.path().join("eval.toml");
+        let plan = Plan { text: &text, path: &path, frames: Some(FRAMES), threads: 0, ports: &[], pace: Pace::Free };
+        run::run(session, &plan)?;
+        let (found, real) = (lines(&scratch.path().join("found.jsonl"))?, lines(&scratch.path().join("truth.jsonl"))?);
+        let place = |line: &Value| -> Option<([f64; 2], Option<Vec<f64>>)> {
+            let tip = line.get("tip")?;
+            let xyz = tip.get("xyz_mm").and_then(Value::as_array);
+            let xyz = xyz.and_then(|v| v.iter().map(Value::as_f64).collect::<Option<Vec<f64>>>());
+            Some(([tip.get("u_px")?.as_f64()?, tip.get("v_px")?.as_f64()?], xyz))
+        };
+        let seq = |line: &Value| line.get("seq").and_then(Value::as_u64);
+        let (seen_before, found_before) = (out.seen, out.errors_px.len());
+        for line in &real {
+            let Some((uv, xyz)) = place(line) else { continue };
+            out.seen += 1;
+            let Some((own, own_xyz)) = found.iter().find(|f| seq(f) == seq(line)).and_then(place) else { continue };
+            out.errors_px.push((own[0] - uv[0]).hypot(own[1] - uv[1]));
+            if let (Some(a), Some(b)) = (own_xyz, xyz) {
+                out.errors_mm.push(a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt());
+            }
+        }
+        let own = &out.errors_px[found_before..];
+        out.kinds.push((kind, out.seen - seen_before, own.len(), Tips::median(own)));
+    }
+    Ok(out)
+}

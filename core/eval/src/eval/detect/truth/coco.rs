@@ -1,0 +1,151 @@
+//! COCO: one JSON file for all pictures.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::Deserialize;
+
+use super::{Picture, Truth, outlined};
+use crate::error::{Context, FileAction, OnFile, Result, bail};
+use crate::eval::detect::mask::Mask;
+use crate::eval::detect::score::Object;
+
+#[derive(Deserialize)]
+struct File {
+    images: Vec<Image>,
+    #[serde(default)]
+    annotations: Vec<Annotation>,
+    #[serde(default)]
+    categories: Vec<Category>,
+}
+
+#[derive(Deserialize)]
+struct Image {
+    id: u64,
+    file_name: String,
+    width: usize,
+    height: usize,
+}
+
+#[derive(Deserialize)]
+struct Category {
+    id: u64,
+    name: String,
+}
+
+/// An annotation, of the truth or as the node `write_table` writes what was found.
+#[derive(Deserialize)]
+pub struct Annotation {
+    /// Picture.
+    pub image_id: u64,
+    /// Class.
+    pub category_id: u64,
+    /// Left, top, width, height.
+    pub bbox: [f64; 4],
+    /// Outline.
+    #[serde(default)]
+    pub segmentation: Option<Segmentation>,
+    #[serde(default)]
+    iscrowd: u8,
+    /// Certainty.
+    #[serde(default)]
+    pub score: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+pub enum Segmentation {
+    Runs { size: [usize; 2], counts: Vec<u64> },
+    Packed { size: [usize; 2], counts: String },
+    Polygons(Vec<Vec<f64>>),
+}
+
+impl Segmentation {
+    /// The mask in a picture of `width` x `height` px.
+    pub fn mask(&self, width: usize, height: usize) -> Result<Mask> {
+        let (size, mask) = match self {
+            Self::Runs { size, counts } => (*size, Mask::from_runs(size[1], size[0], counts)),
+            Self::Packed { size, counts } => (*size, Mask::from_packed(size[1], size[0], counts)),
+            Self::Polygons(lists) => {
+                let mut mask = Mask::new(width, height);
+                for list in lists {
+                    let points: Vec<[f64; 2]> = list.chunks_exact(2).map(|p| [p[0], p[1]]).collect();
+                    mask.add_polygon(&points);
+                }
+                ([height, width], Some(mask))
+            }
+        };
+        if size != [height, width] {
+            bail!("a mask of {}x{} in a picture of {width}x{height}", size[1], size[0]);
+        }
+        mask.context("run lengths that do not cover the picture")
+    }
+}
+
+/// What a file of found boxes holds: per picture id its annotations, and the class names by id.
+pub struct FoundFile {
+    /// By picture.
+    pub by_image: BTreeMap<u64, Vec<Annotation>>,
+    /// By class.
+    pub names: BTreeMap<u64, String>,
+}
+
+/// Reads a file that `write_table` wrote.
+pub fn read_found(path: &Path) -> Result<FoundFile> {
+    let file = parse(path)?;
+    let mut by_image: BTreeMap<u64, Vec<Annotation>> = file.images.iter().map(|i| (i.id, Vec::new())).collect();
+    for a in file.annotations {
+        by_image.entry(a.image_id).or_default().push(a);
+    }
+    Ok(FoundFile { by_image, names: file.categories.into_iter().map(|c| (c.id, c.name)).collect() })
+}
+
+fn parse(path: &Path) -> Result<File> {
+    let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
+    serde_json::from_str(&text).with_context(|| format!("{} is neither a COCO nor a VIA file", path.display()))
+}
+
+pub fn read(path: &Path, folder: &Path) -> Result<Truth> {
+    let file = parse(path)?;
+    let mut truth = Truth::default();
+    let classes: BTreeMap<u64, usize> = file.categories.iter().map(|c| (c.id, truth.class(&c.name))).collect();
+    let mut place = BTreeMap::new();
+    for image in file.images {
+        let mut picture = folder.join(&image.file_name);
+        if !picture.is_file() && folder.join("images").join(&image.file_name).is_file() {
+            picture = folder.join("images").join(&image.file_name);
+        }
+        if !picture.is_file() {
+            bail!("{} names {}, which is not in {}", path.display(), image.file_name, folder.display());
+        }
+        if image.width.checked_mul(image.height).is_none_or(|n| n == 0 || n > 1 << 28) {
+            bail!("{}: {} of {}x{} px", path.display(), image.file_name, image.width, image.height);
+        }
+        place.insert(image.id, truth.pictures.len());
+        let (width, height) = (image.width, image.height);
+        truth.pictures.push(Picture { path: picture, width, height, objects: Vec::new() });
+    }
+    for a in file.annotations {
+        let (Some(&at), Some(&class)) = (place.get(&a.image_id), classes.get(&a.category_id)) else {
+            bail!(
+                "{}: an annotation of picture {} and category {}, which it does not list",
+                path.display(),
+                a.image_id,
+                a.category_id
+            );
+        };
+        let picture = &mut truth.pictures[at];
+        let ignored = a.iscrowd != 0;
+        let object = match &a.segmentation {
+            Some(shape) => {
+                let mask = shape
+                    .mask(picture.width, picture.height)
+                    .with_context(|| format!("{}: {}", path.display(), picture.path.display()))?;
+                outlined(class, mask, ignored).map(|o| Object { bbox: a.bbox, ..o })
+            }
+            None => Some(Object { class, bbox: a.bbox, mask: None, ignored }),
+        };
+        picture.objects.extend(object);
+    }
+    Ok(truth)
+}

@@ -1,0 +1,177 @@
+//! True boxes and outlines from the forms that people keep them in: VOC XML, COCO JSON, labelme JSON, VIA JSON, YOLO text.
+
+mod coco;
+mod labelme;
+mod via;
+mod voc;
+mod yolo_text;
+
+use std::path::{Path, PathBuf};
+
+use super::mask::Mask;
+use super::score::Object;
+use crate::error::{FileAction, OnFile, Result, bail};
+use crate::session::Session;
+
+pub use coco::read_found;
+
+/// A picture with what is in it.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// The file.
+    pub path: PathBuf,
+    /// Columns of the picture.
+    pub width: usize,
+    /// Rows of the picture.
+    pub height: usize,
+    /// What is in it.
+    pub objects: Vec<Object>,
+}
+
+impl Picture {
+    /// Name without folder and ending.
+    pub fn stem(&self) -> String {
+        self.path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned())
+    }
+
+    /// The operation it comes from: what stands before the last underscore of its name, `v02` of `v02_001250`.
+    pub fn operation(&self) -> String {
+        let stem = self.stem();
+        stem.rsplit_once('_').map_or(stem.clone(), |(operation, _)| operation.to_owned())
+    }
+}
+
+/// Pictures and the classes that their truth names.
+#[derive(Clone, Debug, Default)]
+pub struct Truth {
+    /// Class names, normalised.
+    pub classes: Vec<String>,
+    /// Pictures in order.
+    pub pictures: Vec<Picture>,
+}
+
+/// `SpecimenBag`, `Specimen Bag` and `specimen_bag` are one class.
+pub fn normal_name(name: &str) -> String {
+    let mut out = String::new();
+    let mut before = ' ';
+    for c in name.trim().chars() {
+        if c.is_whitespace() || c == '-' {
+            if !out.ends_with('_') {
+                out.push('_');
+            }
+        } else {
+            if c.is_uppercase() && before.is_lowercase() {
+                out.push('_');
+            }
+            out.extend(c.to_lowercase());
+        }
+        before = c;
+    }
+    out
+}
+
+impl Truth {
+    /// Number of a class, new ones at the end.
+    fn class(&mut self, name: &str) -> usize {
+        let name = normal_name(name);
+        self.classes.iter().position(|c| *c == name).unwrap_or_else(|| {
+            self.classes.push(name);
+            self.classes.len() - 1
+        })
+    }
+
+    /// Whether any object has an outline.
+    pub fn has_masks(&self) -> bool {
+        self.pictures.iter().any(|p| p.objects.iter().any(|o| o.mask.is_some()))
+    }
+
+    /// Only the pictures of these operations.
+    pub fn only(&self, operations: &[String]) -> Self {
+        let wanted = |p: &&Picture| operations.contains(&p.operation());
+        Self { classes: self.classes.clone(), pictures: self.pictures.iter().filter(wanted).cloned().collect() }
+    }
+
+    /// Classes in an order of their own: `order` first, as far as they are there or wanted, then the others by name.
+    pub fn ordered(mut self, order: &[String]) -> Self {
+        let mut classes: Vec<String> = order.iter().map(|name| normal_name(name)).collect();
+        let mut others: Vec<String> = self.classes.iter().filter(|c| !classes.contains(c)).cloned().collect();
+        others.sort();
+        classes.extend(others);
+        let place: Vec<usize> = self.classes.iter().map(|c| classes.iter().position(|o| o == c).unwrap_or(0)).collect();
+        for object in self.pictures.iter_mut().flat_map(|p| &mut p.objects) {
+            object.class = place[object.class];
+        }
+        self.classes = classes;
+        self
+    }
+}
+
+/// Width and height of a picture file.
+fn size_of(path: &Path) -> Result<(usize, usize)> {
+    let (w, h) = image::image_dimensions(path).on_file(FileAction::Read, path)?;
+    Ok((w as usize, h as usize))
+}
+
+const PICTURES: [&str; 5] = ["jpg", "jpeg", "png", "JPG", "PNG"];
+
+/// The picture called `stem` in the first of `folders` that has one.
+fn picture_called(folders: &[PathBuf], stem: &str) -> Option<PathBuf> {
+    let all = folders.iter().flat_map(|f| PICTURES.iter().map(move |e| f.join(format!("{stem}.{e}"))));
+    all.into_iter().find(|p| p.is_file())
+}
+
+/// Files of a folder with one of these endings, by name.
+fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let has = |p: &PathBuf| p.extension().is_some_and(|e| endings.iter().any(|w| e.eq_ignore_ascii_case(w)));
+    let mut found: Vec<PathBuf> = entries.flatten().map(|e| e.path()).filter(has).collect();
+    found.sort();
+    found
+}
+
+/// One file for all pictures: of VIA, or of COCO.
+fn one_file(path: &Path, folder: &Path) -> Result<Truth> {
+    let text = std::fs::read_to_string(path).on_file(FileAction::Read, path)?;
+    let value: Option<serde_json::Value> = serde_json::from_str(&text).ok();
+    match value.as_ref().and_then(via::pictures) {
+        Some(pictures) => via::read(path, pictures, folder),
+        None => coco::read(path, folder),
+    }
+}
+
+/// Reads whichever form `path` is or holds. `split` chooses a list of VOC, COCO or YOLO; nothing takes all.
+pub fn read(session: &dyn Session, path: &Path, split: Option<&str>, images: Option<&Path>) -> Result<Truth> {
+    if path.is_file() {
+        let folder = images.or(path.parent()).unwrap_or(Path::new(""));
+        return one_file(path, folder);
+    }
+    if !path.is_dir() {
+        bail!("{} is not there: give a COCO or VIA file, or a folder of VOC, labelme or YOLO truth", path.display());
+    }
+    let annotations = path.join("Annotations");
+    if annotations.is_dir() {
+        return voc::read(session, path, split);
+    }
+    if let Some(file) = split.map(|s| path.join(format!("{s}.json"))).filter(|f| f.is_file()) {
+        return one_file(&file, images.unwrap_or(path));
+    }
+    if path.join("labels").is_dir() || path.join("images").is_dir() {
+        return yolo_text::read(path, split);
+    }
+    let polygons = [path.to_owned(), path.join("ann_dir")].into_iter().find(|f| !files(f, &["json"]).is_empty());
+    if let Some(folder) = polygons {
+        return labelme::read(&folder, images);
+    }
+    bail!(
+        "{}: no Annotations/ (VOC), no SPLIT.json (COCO, VIA), no labels/ (YOLO) and no labelme files in it",
+        path.display()
+    )
+}
+
+/// An object from an outline; `None` when the outline holds no pixel.
+fn outlined(class: usize, mask: Mask, ignored: bool) -> Option<Object> {
+    (mask.area > 0).then(|| Object { class, bbox: mask.bounds(), mask: Some(mask), ignored })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,70 @@
+//! Disparity maps beside true disparities and surfaces, and left beside right.
+
+mod chains;
+mod data;
+mod given;
+mod judge;
+mod liver;
+mod outside;
+mod phantom;
+mod picture;
+mod rectified;
+mod sets;
+mod truth_files;
+
+use std::path::PathBuf;
+
+use crate::error::{FileAction, OnFile, Result};
+use crate::figures::Figure;
+use crate::session::{Session, check_cancelled};
+use judge::Judge;
+
+pub use given::Pair;
+
+/// Options of [`judge`].
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The cases that are judged; if empty, all.
+    pub cases: Vec<String>,
+    /// Folders of data sets, searched before the usual ones.
+    pub data: Vec<PathBuf>,
+    /// A pair of the user's instead of the cases.
+    pub pair: Option<Pair>,
+    /// Folder for pictures of disparities and errors.
+    pub pictures: Option<PathBuf>,
+}
+
+/// Names of the cases.
+pub const CASES: [&str; 8] =
+    ["truth", "range", "phantom", "aloe", "motorcycle", "synthetic_liver", "silicone_heart", "hamlyn"];
+
+/// Judges disparities on the given pair, or on each wanted case whose data is there.
+///
+/// # Errors
+/// A file has the wrong content, a run fails, or the session is cancelled.
+pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
+    let usual = ["target/data", "../shared/data/stereo", "/usr/share/doc/opencv-doc/examples/data"];
+    let folders = options.data.iter().cloned().chain(usual.map(PathBuf::from)).collect();
+    if let Some(folder) = &options.pictures {
+        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
+    }
+    let mut judge = Judge { session, folders, pictures: options.pictures.as_deref(), figures: Vec::new() };
+    if let Some(pair) = &options.pair {
+        judge.given(pair)?;
+        return Ok(judge.figures);
+    }
+    for case in CASES.iter().filter(|case| options.cases.is_empty() || options.cases.iter().any(|c| c == *case)) {
+        check_cancelled(session)?;
+        match *case {
+            "truth" => judge.outside()?,
+            "range" => judge.range()?,
+            "phantom" => judge.phantom()?,
+            "aloe" => judge.aloe()?,
+            "motorcycle" => judge.motorcycle()?,
+            "synthetic_liver" => judge.liver()?,
+            "silicone_heart" => judge.heart()?,
+            _ => judge.hamlyn()?,
+        }
+    }
+    Ok(judge.figures)
+}

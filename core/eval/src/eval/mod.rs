@@ -1,0 +1,11 @@
+//! How good results are, beside truth and peers.
+
+pub mod arm;
+pub mod calibrate;
+pub mod detect;
+pub mod disparity;
+pub mod mosaic;
+pub mod proximity;
+pub mod skill;
+pub mod stitch;
+pub mod surf;

@@ -1,0 +1,258 @@
+//! Where a mosaic puts its frames, beside the truth, with loop closure and without.
+//!
+//! One camera of the phantom goes round a ring over a plane and over curved tissue. `end_drift`: where it is back at the start; `lap_drift`: root mean square
+//! over the last lap; `floor`: what the best homography of each frame leaves, 0 for a plane.
+
+use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
+
+use crate::error::{Context, EvalError, FileAction, OnFile, Result};
+use crate::figures::Figure;
+use crate::inputs::quoted;
+use crate::packets::Table;
+use crate::plot::{self, Chart, Series, Style};
+use crate::run::{self, Pace, Plan};
+use crate::session::{Session, check_cancelled};
+
+/// Scenes: bowel without relief, and tissue as it is.
+pub const SCENES: [&str; 3] = ["plane", "bowel", "liver"];
+/// What closed loops are compared with.
+const PEER: &str = "the same without loop closure";
+/// Pictures a second.
+const RATE_HZ: f64 = 30.0;
+/// Frames at the end of the path over which the closing error is taken.
+const END_FRAMES: usize = 10;
+/// Keyframes held: enough for every path here, so that nothing is dropped while drift is measured.
+const KEYFRAMES: u32 = 200;
+/// Height of the phantom's ring, for its length.
+const RISE_MM: f64 = 1.5;
+
+/// Options of [`judge`].
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The scenes that are judged; if empty, all.
+    pub scenes: Vec<String>,
+    /// Maps between keyframes.
+    pub model: String,
+    /// Laps of the path; drift is taken over the last one.
+    pub laps: u32,
+    /// Diameter of the path, mm.
+    pub path_mm: f64,
+    /// Speed of the camera, mm/s.
+    pub speed_mm_s: f64,
+    /// Mean distance of the tissue, mm.
+    pub distance_mm: f64,
+    /// Width of the camera's pictures, px.
+    pub width: u32,
+    /// Seed of the scenes.
+    pub seed: u64,
+    /// Folder for the mosaics.
+    pub pictures: Option<PathBuf>,
+    /// PNG file for drift over time, a chart per scene.
+    pub plot: Option<PathBuf>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            scenes: Vec::new(),
+            model: "homography".to_owned(),
+            laps: 2,
+            path_mm: 40.0,
+            speed_mm_s: 20.0,
+            distance_mm: 50.0,
+            width: 640,
+            seed: 7,
+            pictures: None,
+            plot: None,
+        }
+    }
+}
+
+impl Options {
+    /// Frames of all laps and a few more, so that the camera has come back.
+    fn frames(&self) -> u64 {
+        let rise = RISE_MM * (self.distance_mm / 50.0).min(1.0);
+        let path_mm = TAU * (self.path_mm / 2.0).hypot(2.0 * rise);
+        (f64::from(self.laps) * path_mm / self.speed_mm_s * RATE_HZ).ceil() as u64 + 1
+    }
+}
+
+fn text(scene: &str, is_closed: bool, options: &Options) -> String {
+    let Options { width, seed, distance_mm, path_mm, speed_mm_s, model, .. } = options;
+    let height = width * 3 / 4;
+    let (tissue, relief) = if scene == "plane" { ("bowel", 0.0) } else { (scene, 1.0) };
+    let still = options.pictures.as_ref().map_or_else(String::new, |folder| {
+        let name = format!("{scene}_{}.png", if is_closed { "closed" } else { "open" });
+        format!(
+            "[nodes.still]\ntype = \"write_images\"\ninputs = {{ image = \"mosaic.mosaic\" }}\nparams = {{ path = {}, at_end = true }}\n",
+            quoted(&folder.join(name))
+        )
+    });
+    format!(
+        r#"# The mosaic that `panoscope eval mosaic` judges.
+mode = "batch"
+plugins = ["phantom", "stitch", "sinks"]
+
+[nodes.scope]
+type = "phantom"
+params = {{ scene = "{tissue}", relief = {relief:?}, seed = {seed}, distance_mm = {distance_mm:?}, width = {width}, height = {height}, rate_hz = {RATE_HZ:?}, camera_path = "ring", path_mm = {path_mm:?}, speed_mm_s = {speed_mm_s:?}, breathing_mm = 0.0 }}
+
+[nodes.mosaic]
+type = "mosaic"
+inputs = {{ image = "scope.left" }}
+params = {{ loop_closure = {is_closed}, model = "{model}", max_keyframes = {KEYFRAMES} }}
+
+[nodes.judge]
+type = "evaluate_mosaic"
+inputs = {{ homography = "mosaic.homography", pose = "scope.pose", depth = "scope.depth", calibration = "scope.calibration" }}
+
+{still}"#
+    )
+}
+
+/// What one run came to.
+struct Judged {
+    /// Per tick.
+    rows: Table,
+    /// The mosaic's own last row.
+    own: Table,
+    p50_ms: f64,
+    p99_ms: f64,
+    max_ms: f64,
+}
+
+impl Judged {
+    fn column(&self, name: &str) -> Result<Vec<f64>> {
+        self.rows.column(name).ok_or_else(|| EvalError::Column { table: "the judge's table", column: name.to_owned() })
+    }
+
+    fn own(&self, name: &str) -> Result<f64> {
+        let column = self
+            .own
+            .column(name)
+            .ok_or_else(|| EvalError::Column { table: "the mosaic's table", column: name.to_owned() })?;
+        column.first().copied().context("the mosaic's table is empty")
+    }
+
+    /// Median over the path's end, where the camera is back where it began.
+    fn end(&self, name: &str) -> Result<f64> {
+        let column = self.column(name)?;
+        let mut last: Vec<f64> = column.iter().rev().take(END_FRAMES).copied().filter(|v| v.is_finite()).collect();
+        last.sort_by(f64::total_cmp);
+        Ok(last.get(last.len() / 2).copied().unwrap_or(f64::NAN))
+    }
+
+    /// Root mean square over the last of `laps` laps.
+    fn last_lap(&self, name: &str, laps: u32) -> Result<f64> {
+        let column = self.column(name)?;
+        let from = column.len() - column.len() / laps.max(1) as usize;
+        let known = || column[from..].iter().filter(|v| v.is_finite());
+        Ok((known().map(|v| v * v).sum::<f64>() / known().count() as f64).sqrt())
+    }
+}
+
+fn run(session: &dyn Session, scene: &str, is_closed: bool, options: &Options) -> Result<Judged> {
+    let text = text(scene, is_closed, options);
+    let plan = Plan {
+        text: &text,
+        path: Path::new("eval_mosaic.toml"),
+        frames: Some(options.frames()),
+        threads: 0,
+        ports: &[("judge", "table"), ("mosaic", "table")],
+        pace: Pace::Alone,
+    };
+    let seen = run::run(session, &plan)?;
+    let table = |index: usize| -> Result<Table> {
+        let packet = seen.packets[index].as_ref().context("a table stayed empty")?;
+        Table::read(packet.bytes()).context("a table could not be read")
+    };
+    let node = seen.report.nodes.get("mosaic").context("the mosaic is not in the report")?;
+    Ok(Judged { rows: table(0)?, own: table(1)?, p50_ms: node.p50_ms, p99_ms: node.p99_ms, max_ms: node.max_ms })
+}
+
+/// Drift of the mosaic on each scene, with loop closure beside without.
+///
+/// # Errors
+/// An option is out of range, a run fails, a file cannot be written, or the session is cancelled.
+pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
+    for (name, value, low, high) in [
+        ("--speed-mm-s", options.speed_mm_s, 1.0, 25.0),
+        ("--path-mm", options.path_mm, 1.0, 100.0),
+        ("--distance-mm", options.distance_mm, 15.0, 150.0),
+    ] {
+        if !(low..=high).contains(&value) {
+            return Err(EvalError::Options { reason: format!("{name} is {value}; give {low} to {high}") });
+        }
+    }
+    if let Some(folder) = &options.pictures {
+        std::fs::create_dir_all(folder).on_file(FileAction::Create, folder)?;
+    }
+    let mut figures = Vec::new();
+    let mut charts = Vec::new();
+    let wanted = |scene: &&str| options.scenes.is_empty() || options.scenes.iter().any(|s| s == scene);
+    for scene in SCENES.into_iter().filter(wanted) {
+        check_cancelled(session)?;
+        let closed = run(session, scene, true, options)?;
+        let open = run(session, scene, false, options)?;
+        listed(scene, &closed, &open, options, &mut figures)?;
+        charts.push(chart(scene, &closed, &open)?);
+    }
+    if let Some(path) = &options.plot {
+        plot::save(path, &charts)?;
+    }
+    Ok(figures)
+}
+
+/// Figures of one scene.
+fn listed(scene: &str, closed: &Judged, open: &Judged, options: &Options, figures: &mut Vec<Figure>) -> Result<()> {
+    let (width, height, laps) = (options.width, options.width * 3 / 4, options.laps);
+    let input = format!(
+        "ring of {} mm at {} mm/s, {} mm over the tissue, {laps} laps, {width}x{height}, {}",
+        options.path_mm, options.speed_mm_s, options.distance_mm, options.model
+    );
+    let figure = |name: &str, value: f64, unit| Figure::new(&format!("{name}/{scene}"), value, unit, &input);
+    let mut pair = |name: &str, unit, of: &dyn Fn(&Judged) -> Result<f64>| -> Result<()> {
+        figures.push(figure(name, of(closed)?, unit).beside(PEER, Some(of(open)?)));
+        Ok(())
+    };
+    pair("end_drift_px", "px", &|j| j.end("drift_px"))?;
+    pair("end_drift_mm", "mm", &|j| j.end("drift_mm"))?;
+    pair("end_drift_pct", "% of the path", &|j| j.end("drift_pct"))?;
+    pair("lap_drift_px", "px", &|j| j.last_lap("drift_px", laps))?;
+    pair("lap_drift_mm", "mm", &|j| j.last_lap("drift_mm", laps))?;
+    figures.push(figure("floor_px", closed.last_lap("floor_px", laps)?, "px"));
+    let states = closed.column("state")?;
+    let fresh = states.iter().filter(|state| **state == 0.0).count() as f64;
+    figures.push(figure("registered_pct", 100.0 * fresh / states.len().max(1) as f64, "%"));
+    for (name, unit) in [("coverage_pct", "% of a view"), ("keyframes", ""), ("closures", ""), ("relocalised", "")] {
+        figures.push(figure(name, closed.own(name)?, unit));
+    }
+    figures.push(figure("own_drift_px", closed.own("drift_px")?, "px"));
+    figures.push(figure("frame_ms", closed.p50_ms, "ms"));
+    figures.push(figure("frame_ms_p99", closed.p99_ms, "ms"));
+    figures.push(figure("frame_ms_max", closed.max_ms, "ms"));
+    Ok(())
+}
+
+/// Drift over time.
+fn chart(scene: &str, closed: &Judged, open: &Judged) -> Result<Chart> {
+    let series = |name: &str, color: usize, values: Vec<f64>| Series {
+        name: name.to_owned(),
+        style: Style::Line,
+        color,
+        points: values.into_iter().enumerate().map(|(tick, value)| (tick as f64 / RATE_HZ, value)).collect(),
+    };
+    Ok(Chart {
+        title: format!("Mosaic on {scene}: where frames are put, beside the truth"),
+        x_label: "time, s".to_owned(),
+        y_label: "drift, px".to_owned(),
+        series: vec![
+            series("open chain", 1, open.column("drift_px")?),
+            series("closed loops", 0, closed.column("drift_px")?),
+            series("best homography", 2, closed.column("floor_px")?),
+        ],
+        from_zero: true,
+        ..Chart::default()
+    })
+}

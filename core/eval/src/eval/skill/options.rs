@@ -1,0 +1,46 @@
+//! What a report of skill is made from.
+
+use std::path::PathBuf;
+
+use panoscope_tracking::skill::Settings;
+
+/// Words in the name of a tool that can grasp.
+pub const GRASPING: &str = "grasper,bipolar,clipper,forceps,needle";
+
+/// Options of [`judge`](super::judge) and [`Study::read`](super::Study::read).
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Tracks of tips, best one per hand: tables of `tip_track` (or `proximity`, which tells of touches too), or tips, as `write_table` writes them
+    /// (.csv, .jsonl). Without any, the measures are judged beside motions that are known in closed form.
+    pub files: Vec<PathBuf>,
+    /// Phases of the operation, a line each: begin in s of capture time, comma, name. Else the column `phase` or `text` of the tracks tells.
+    pub phases: Option<PathBuf>,
+    /// Names of the classes by their numbers, separated by commas.
+    pub labels: String,
+    /// Words in the names of tools that grasp, separated by commas: only their touches are counted as grasps.
+    pub grasping: String,
+    /// Speed below which a tool rests, mm/s.
+    pub rest_mm_s: f64,
+    /// Longest time between two tips that is bridged, ms.
+    pub max_gap_ms: f64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        let settings = Settings::default();
+        Self {
+            files: Vec::new(),
+            phases: None,
+            labels: String::new(),
+            grasping: GRASPING.to_owned(),
+            rest_mm_s: settings.rest_mm_s,
+            max_gap_ms: 1e3 * settings.max_gap_s,
+        }
+    }
+}
+
+impl Options {
+    pub(super) fn settings(&self) -> Settings {
+        Settings { rest_mm_s: self.rest_mm_s, max_gap_s: self.max_gap_ms * 1e-3, ..Settings::default() }
+    }
+}

@@ -1,0 +1,184 @@
+//! Pictures on which a graph is judged instead of its own.
+
+use std::path::{Path, PathBuf};
+
+use panoscope_abi::{Calibration, Camera};
+use toml::{Table, Value};
+
+use crate::error::Result;
+use crate::inputs::find;
+use crate::inputs::wiring::Wiring;
+
+/// Names of all cases; the graph's own source first.
+pub const CASES: [&str; 4] = ["own", "cut", "hamlyn", "leuven"];
+
+/// Operation whose frames are cut.
+const OPERATION: &str = "v05_*.jpg";
+/// Columns and rows of the Hamlyn pairs.
+const HAMLYN: (u32, u32) = (640, 480);
+
+/// A case that can be run.
+pub struct Case {
+    /// Its name in figures; empty for the graph's own source.
+    pub name: &'static str,
+    /// The graph on its pictures.
+    pub wiring: Wiring,
+    /// What was judged, in words.
+    pub input: String,
+    /// A parameter that lets the views hold still against each other: node, name, value.
+    pub still: Vec<(String, &'static str, Value)>,
+}
+
+/// What gives the pictures.
+#[derive(Clone, Debug)]
+pub struct Source {
+    /// The node.
+    pub node: Table,
+    /// Plugins that it needs.
+    pub plugin: &'static str,
+    /// Whether it gives true disparities; otherwise correspondences are found by correlation.
+    pub has_truth: bool,
+}
+
+impl Source {
+    /// The phantom with these parameters; later ones win.
+    pub fn phantom<'a>(params: impl IntoIterator<Item = (&'a str, Value)>) -> Self {
+        let params: Table = params.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        let mut node = Table::new();
+        node.insert("type".to_owned(), "phantom".into());
+        node.insert("params".to_owned(), params.into());
+        Self { node, plugin: "phantom", has_truth: true }
+    }
+}
+
+/// Folders in which data sets are searched: the given ones, then the usual ones.
+pub fn data_folders(given: &[PathBuf]) -> Vec<PathBuf> {
+    let usual = ["../shared/data", "../shared/data/stereo", "/usr/share/doc/opencv-doc/examples/data"];
+    given.iter().cloned().chain(usual.map(PathBuf::from)).collect()
+}
+
+fn node(kind: &str, inputs: &[(&str, &str)], params: &[(&str, Value)]) -> Table {
+    let mut node = Table::new();
+    node.insert("type".to_owned(), kind.into());
+    if !inputs.is_empty() {
+        let inputs: Table = inputs.iter().map(|(port, from)| ((*port).to_owned(), Value::from(*from))).collect();
+        node.insert("inputs".to_owned(), inputs.into());
+    }
+    let params: Table = params.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect();
+    node.insert("params".to_owned(), params.into());
+    node
+}
+
+fn text(path: &Path) -> Value {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    path.to_string_lossy().into_owned().into()
+}
+
+/// Of two views whose rows already agree: the homography that a disparity grid finds does not depend on the focal length, so any does.
+fn rectified((width, height): (u32, u32)) -> Calibration {
+    const EYE: [f64; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let (focal, baseline_mm) = (f64::from(width), 5.0);
+    let (cx, cy) = ((f64::from(width) - 1.0) / 2.0, (f64::from(height) - 1.0) / 2.0);
+    let camera = Camera { width, height, fx: focal, fy: focal, cx, cy, distortion: [0.0; 14] };
+    let projection = |tx: f64| [focal, 0.0, cx, tx, 0.0, focal, cy, 0.0, 0.0, 0.0, 1.0, 0.0];
+    Calibration {
+        left: camera,
+        right: camera,
+        right_from_left_rotation: EYE,
+        right_from_left_mm: [-baseline_mm, 0.0, 0.0],
+        rectified_from_left: EYE,
+        rectified_from_right: EYE,
+        left_projection: projection(0.0),
+        right_projection: projection(-focal * baseline_mm),
+        baseline_mm,
+        rms_px: 0.0,
+        is_rectified: 1,
+        reserved: 0,
+    }
+}
+
+/// Plays the Hamlyn pairs of a folder; their calibration is put into `work`.
+pub fn hamlyn(folder: &Path, work: &Path) -> Result<Source> {
+    let file = work.join("hamlyn.yml");
+    panoscope_calibration::write(&file, &rectified(HAMLYN))?;
+    let params = [
+        ("left", text(&folder.join("left"))),
+        ("right", text(&folder.join("right"))),
+        ("calibration", text(&file)),
+        ("loop", true.into()),
+    ];
+    Ok(Source { node: node("capture", &[], &params), plugin: "capture", has_truth: false })
+}
+
+/// Where pictures are sought, and where files that only this run needs are put.
+pub struct Places<'a> {
+    /// Folders of data sets.
+    pub folders: &'a [PathBuf],
+    /// A folder that is removed at the end.
+    pub work: &'a Path,
+}
+
+/// Why a case is left out.
+pub enum Missing {
+    /// The pictures are not there.
+    Pictures(&'static str),
+    /// The graph reads what these pictures do not have.
+    Port(String),
+}
+
+/// The graph on the pictures of a case.
+pub fn case(name: &'static str, graph: &Wiring, places: &Places<'_>) -> Result<Result<Case, Missing>> {
+    let wired = |made: Result<Wiring>| made.map_err(|error| Missing::Port(error.to_string()));
+    match name {
+        "cut" => {
+            let Some(folder) = find(places.folders, "m2cai16-tool-locations/JPEGImages") else {
+                return Ok(Err(Missing::Pictures("m2cai16-tool-locations")));
+            };
+            let files = [("left", text(&folder.join(OPERATION))), ("loop", true.into())];
+            let more = [("cut_files", node("capture", &[], &files))];
+            let source = node("cut_views", &[("image", "cut_files.left")], &[]);
+            let made = graph.with_source(source, &["left", "right"], &more, &["capture", "stitch"]);
+            let still = graph.composites[0].views[0].split('.').next().unwrap_or_default().to_owned();
+            Ok(wired(made).map(|wiring| Case {
+                name: "cut",
+                wiring,
+                input: "m2cai16 frames cut in two views, truth: the uncut frame".to_owned(),
+                still: vec![(still, "sway_px", 0.0.into())],
+            }))
+        }
+        "hamlyn" => {
+            let Some(folder) = find(places.folders, "hamlyn_640x480") else {
+                return Ok(Err(Missing::Pictures("hamlyn_640x480")));
+            };
+            let source = hamlyn(&folder, places.work)?;
+            let made = graph.with_source(source.node, &["left", "right", "calibration"], &[], &[source.plugin]);
+            Ok(wired(made).map(|wiring| Case {
+                name: "hamlyn",
+                wiring,
+                input: "Hamlyn pairs 640x480 with parallax, residual of correspondences found by correlation"
+                    .to_owned(),
+                still: Vec::new(),
+            }))
+        }
+        "leuven" => {
+            let Some(left) = find(places.folders, "leuvenA.jpg") else {
+                return Ok(Err(Missing::Pictures("leuvenA.jpg (Debian package opencv-doc)")));
+            };
+            let right = left.with_file_name("leuvenB.jpg");
+            let params = [("left", text(&left)), ("right", text(&right)), ("loop", true.into())];
+            let made = graph.with_source(node("capture", &[], &params), &["left", "right"], &[], &["capture"]);
+            Ok(wired(made).map(|wiring| Case {
+                name: "leuven",
+                wiring,
+                input: "leuven, residual of correspondences found by correlation".to_owned(),
+                still: Vec::new(),
+            }))
+        }
+        _ => {
+            let still = graph.phantom().map_or_else(Vec::new, |phantom| {
+                vec![(phantom.clone(), "speed_mm_s", 0.0.into()), (phantom, "breathing_mm", 0.0.into())]
+            });
+            Ok(Ok(Case { name: "", wiring: graph.clone(), input: graph.name.clone(), still }))
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! Lists of camera speeds as the command line takes them.
+
+use crate::error::Result;
+
+/// Fastest camera that the phantom plays, cm/s.
+pub const MOST_CM_S: f64 = 20.0;
+/// Steps of a range are as round as possible and no more than this.
+const MOST_STEPS: f64 = 10.0;
+/// Speeds of one list.
+const MOST_SPEEDS: usize = 100;
+
+/// Speeds of a sweep, cm/s, ascending.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SpeedList(pub Vec<f64>);
+
+/// Why a text is no list of speeds.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SpeedListError {
+    /// A part is no number.
+    #[error("`{text}` is no number; give speeds in cm/s as `1,2.5,10` or a range as `0.5..10` or `0.5..10:0.5`")]
+    NoNumber {
+        /// The part.
+        text: String,
+    },
+    /// A speed or a step that the phantom's camera cannot have.
+    #[error("{speed_cm_s} cm/s is outside 0 to {MOST_CM_S}, which is what the phantom's camera can do")]
+    OutOfRange {
+        /// The speed.
+        speed_cm_s: f64,
+    },
+    /// The first end of a range is not below the second.
+    #[error("the range `{range}` does not ascend; the slower speed stands first")]
+    NotAscending {
+        /// The range.
+        range: String,
+    },
+    /// A range has too many speeds.
+    #[error("the range `{range}` has more than {MOST_SPEEDS} speeds; give a larger step")]
+    StepTooSmall {
+        /// The range.
+        range: String,
+    },
+    /// The list has too many speeds.
+    #[error("{count} speeds are given, {MOST_SPEEDS} are the most")]
+    TooMany {
+        /// Speeds given.
+        count: usize,
+    },
+}
+
+/// A speed in words.
+fn speed(text: &str) -> Result<f64, SpeedListError> {
+    let text = text.trim();
+    let speed_cm_s: f64 = text.parse().map_err(|_| SpeedListError::NoNumber { text: text.to_owned() })?;
+    if (0.0..=MOST_CM_S).contains(&speed_cm_s) {
+        Ok(speed_cm_s)
+    } else {
+        Err(SpeedListError::OutOfRange { speed_cm_s })
+    }
+}
+
+/// A round step that divides a range into at most ten parts.
+fn round_step(range: f64) -> f64 {
+    let magnitude = 10f64.powf((range / MOST_STEPS).log10().floor());
+    let fits = |step: &f64| range / step <= MOST_STEPS + 1e-9;
+    [1.0, 2.0, 5.0, 10.0].map(|m| m * magnitude).into_iter().find(fits).unwrap_or(magnitude)
+}
+
+/// Both ends and the multiples of a step between them.
+fn range(text: &str, from: &str, rest: &str) -> Result<Vec<f64>, SpeedListError> {
+    let (to, step) = match rest.split_once(':') {
+        Some((to, step)) => (to, Some(speed(step)?)),
+        None => (rest, None),
+    };
+    let (from, to) = (speed(from)?, speed(to)?);
+    if from >= to {
+        return Err(SpeedListError::NotAscending { range: text.to_owned() });
+    }
+    let step = step.unwrap_or_else(|| round_step(to - from));
+    if step <= 0.0 || (to - from) / step > MOST_SPEEDS as f64 {
+        return Err(SpeedListError::StepTooSmall { range: text.to_owned() });
+    }
+    let first = (from / step).floor() as i64 + 1;
+    let multiples = (first..).map(|k| k as f64 * step).take_while(|v| *v < to - step * 1e-6);
+    Ok([from].into_iter().chain(multiples.filter(|v| *v > from + step * 1e-6)).chain([to]).collect())
+}
+
+impl std::str::FromStr for SpeedList {
+    type Err = SpeedListError;
+
+    fn from_str(text: &str) -> Result<Self, SpeedListError> {
+        let mut all = Vec::new();
+        for part in text.split(',') {
+            match part.split_once("..") {
+                Some((from, rest)) => all.extend(range(part, from, rest)?),
+                None => all.push(speed(part)?),
+            }
+        }
+        all.sort_by(f64::total_cmp);
+        all.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+        if all.len() > MOST_SPEEDS {
+            return Err(SpeedListError::TooMany { count: all.len() });
+        }
+        Ok(Self(all))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::SpeedList;
+
+    fn speeds(text: &str) -> Vec<f64> {
+        let list: SpeedList = text.parse().unwrap_or_else(|error| panic!("{text}: {error}"));
+        list.0
+    }
+
+    #[test]
+    fn a_range_has_its_ends_and_round_speeds_between() {
+        assert_eq!(speeds("0.5..10"), [0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0]);
+        assert_eq!(speeds("0.5..2:0.5"), [0.5, 1.0, 1.5, 2.0]);
+        assert_eq!(speeds("1..1.25:0.1"), [1.0, 1.1, 1.2000000000000002, 1.25]);
+        assert_eq!(speeds("0..0.2").len(), 11);
+        assert_eq!(speeds("3..4:5"), [3.0, 4.0]);
+    }
+
+    #[test]
+    fn lists_and_ranges_are_joined_and_put_in_order() {
+        assert_eq!(speeds("10, 2.5,0"), [0.0, 2.5, 10.0]);
+        assert_eq!(
+            speeds("2..4,2.5,3"),
+            [
+                2.0,
+                2.2,
+                2.4000000000000004,
+                2.5,
+                2.6,
+                2.8000000000000003,
+                3.0,
+                3.2,
+                3.4000000000000004,
+                3.6,
+                3.8000000000000003,
+                4.0
+            ]
+        );
+    }
+
+    #[test]
+    fn what_is_no_speed_is_refused_in_words() {
+        for (text, words) in [
+            ("", "no number"),
+            ("fast", "`fast` is no number"),
+            ("1,,2", "`` is no number"),
+            ("5..1", "`5..1` does not ascend"),
+            ("2..2", "does not ascend"),
+            ("-1", "outside 0 to 20"),
+            ("1..300", "outside 0 to 20"),
+            ("nan", "outside"),
+            ("0..10:0", "larger step"),
+            ("0..10:0.01", "larger step"),
+            ("0..10:-1", "outside"),
+            ("1..", "`` is no number"),
+        ] {
+            let error = text.parse::<SpeedList>().expect_err(text).to_string();
+            assert!(error.contains(words), "{text}: {error}");
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! Pairs of the phantom, rendered once and played round and round, so that no rendering is in what is timed.
+
+use std::path::{Path, PathBuf};
+
+use toml::{Table, Value};
+
+use crate::error::{Context, FileAction, OnFile, Result};
+use crate::inputs::Folder;
+use crate::packets;
+use crate::run::{self, Pace, Plan};
+use crate::session::Session;
+
+/// Pictures and calibration of one rendered scene, in a folder of their own.
+pub struct Pairs {
+    folder: PathBuf,
+}
+
+impl Pairs {
+    /// Renders `count` pairs with a node `phantom` as a graph has it. Its inputs are left out: without a loop through the arm the
+    /// cameras follow their script.
+    pub fn render(session: &dyn Session, place: &Folder, name: &str, phantom: &Value, count: u64) -> Result<Self> {
+        let folder = place.path().join(name);
+        std::fs::create_dir_all(&folder).on_file(FileAction::Create, &folder)?;
+        let mut phantom = phantom.clone();
+        if let Some(node) = phantom.as_table_mut() {
+            node.remove("inputs");
+        }
+        let mut nodes = Table::new();
+        nodes.insert("scope".to_owned(), phantom);
+        for side in ["left", "right"] {
+            let path = folder.join(format!("{side}_{{seq:4}}.png"));
+            let text = format!(
+                "type = \"write_images\"\ninputs = {{ image = \"scope.{side}\" }}\nparams = {{ path = {path:?} }}"
+            );
+            nodes.insert(side.to_owned(), Value::Table(text.parse()?));
+        }
+        let mut graph: Table = "mode = \"batch\"\nplugins = [\"phantom\", \"sinks\"]".parse()?;
+        graph.insert("nodes".to_owned(), Value::Table(nodes));
+        let seen = run::run(
+            session,
+            &Plan {
+                text: &toml::to_string(&graph)?,
+                path: Path::new("bench.toml"),
+                frames: Some(count),
+                threads: 0,
+                ports: &[("scope", "calibration")],
+                pace: Pace::Free,
+            },
+        )?;
+        let packet = seen.packets.into_iter().next().flatten().context("the phantom gave no calibration")?;
+        let calibration = packets::calibration(packet.bytes()).context("the phantom's calibration is cut off")?;
+        panoscope_calibration::write(&folder.join("calibration.yaml"), &calibration)?;
+        Ok(Self { folder })
+    }
+
+    /// As [`Pairs::render`], with the phantom's parameters as TOML writes them within braces.
+    pub fn of(session: &dyn Session, place: &Folder, name: &str, params: &str, count: u64) -> Result<Self> {
+        let node: Table = format!("type = \"phantom\"\nparams = {{ {params} }}").parse()?;
+        Self::render(session, place, name, &Value::Table(node), count)
+    }
+
+    /// Type and parameters of a node that plays them at a camera's times (`pace` on), or as fast as they are taken (off).
+    pub fn node(&self, pace: &str) -> String {
+        format!(
+            "type = \"capture\"\nparams = {{ left = {:?}, right = {:?}, calibration = {:?}, loop = true, rate_hz = 30.0, pace = {pace:?} }}\n",
+            self.folder.join("left_*.png"),
+            self.folder.join("right_*.png"),
+            self.folder.join("calibration.yaml"),
+        )
+    }
+
+    /// The first left picture.
+    pub fn first(&self) -> PathBuf {
+        self.folder.join("left_0000.png")
+    }
+}

@@ -1,0 +1,407 @@
+//! A graph made fit for judging: no files written, every frame processed, an `evaluate_stitch` behind each composite.
+
+use std::collections::BTreeSet;
+
+use crate::error::{Result, bail};
+use toml::{Table, Value};
+
+/// A composite of the graph and what feeds it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Composite {
+    /// Its name in the graph.
+    pub id: String,
+    /// Where its views come from: `node.port`, the one in whose plane the panorama lies first.
+    pub views: Vec<String>,
+    /// Where the homographies of the further views come from.
+    pub homographies: Vec<String>,
+}
+
+impl Composite {
+    /// Further views: each has a judge of its own.
+    pub fn pairs(&self) -> usize {
+        self.homographies.len()
+    }
+
+    /// Name of the judge of further view `pair`, counted from 0.
+    pub fn judge(&self, pair: usize) -> String {
+        if self.pairs() == 1 { format!("judge_{}", self.id) } else { format!("judge_{}_{}", self.id, pair + 1) }
+    }
+}
+
+/// Which inputs a judge gets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Judged {
+    /// All that there are.
+    Pictures,
+    /// What registration is judged by: comparing pictures takes longer than stitching.
+    Registration,
+    /// Registration, and the area that the panorama covers.
+    Area,
+}
+
+/// A graph file, taken apart.
+#[derive(Clone, Debug)]
+pub struct Wiring {
+    graph: Table,
+    /// Its name.
+    pub name: String,
+    /// All composites.
+    pub composites: Vec<Composite>,
+}
+
+fn from(value: &Value) -> Option<&str> {
+    match value {
+        Value::String(text) => Some(text),
+        Value::Table(table) => table.get("from")?.as_str(),
+        _ => None,
+    }
+}
+
+fn node_of(reference: &str) -> &str {
+    reference.split_once('.').map_or(reference, |(node, _)| node)
+}
+
+/// Number of the phantom's camera whose picture an output is: 1 to 3, row by row behind the first.
+fn camera_of(reference: &str) -> Option<u8> {
+    match reference.split_once('.')?.1 {
+        "right" | "view1" => Some(1),
+        "view2" => Some(2),
+        "view3" => Some(3),
+        _ => None,
+    }
+}
+
+fn is_type(node: &Value, wanted: &str) -> bool {
+    let name = node.get("type").and_then(Value::as_str).unwrap_or_default();
+    name.rsplit('/').next() == Some(wanted)
+}
+
+/// Everything that a node reads.
+fn references(node: &Value) -> Vec<String> {
+    let inputs = node.get("inputs").and_then(Value::as_table);
+    let mut all = Vec::new();
+    for value in inputs.into_iter().flat_map(Table::values) {
+        match value {
+            Value::Array(list) => all.extend(list.iter().filter_map(from).map(str::to_owned)),
+            one => all.extend(from(one).map(str::to_owned)),
+        }
+    }
+    all
+}
+
+impl Wiring {
+    /// Takes a graph apart.
+    ///
+    /// # Errors
+    /// When the text is no TOML or holds no composite of two views.
+    pub fn of(text: &str, stem: &str) -> Result<Self> {
+        let mut graph: Table = text.parse()?;
+        let name = graph.get("name").and_then(Value::as_str).unwrap_or(stem).to_owned();
+        graph.remove("preset");
+        graph.remove("editor");
+        graph.insert("mode".to_owned(), "batch".into());
+        let Some(nodes) = graph.get_mut("nodes").and_then(Value::as_table_mut) else { bail!("the graph has no nodes") };
+        let is_sink = |node: &Value| {
+            let name = node.get("type").and_then(Value::as_str).unwrap_or_default();
+            name.rsplit('/').next().is_some_and(|name| name.starts_with("write_") || name == "preview")
+        };
+        nodes.retain(|_, node| !is_sink(node));
+        let mut composites = Vec::new();
+        for (id, node) in nodes.iter() {
+            if !is_type(node, "composite") && !is_type(node, "composite_opencv") {
+                continue;
+            }
+            let input = |name: &str| node.get("inputs")?.get(name);
+            let one = |name: &str| input(name).and_then(from).map(str::to_owned);
+            let list = |name: &str| -> Option<Vec<String>> {
+                input(name)?.as_array()?.iter().map(|value| from(value).map(str::to_owned)).collect()
+            };
+            let (views, homographies) = match (one("left"), one("right"), one("homography")) {
+                (Some(left), Some(right), Some(homography)) => (vec![left, right], vec![homography]),
+                _ => match (list("views"), list("homographies")) {
+                    (Some(views), Some(maps)) if views.len() == maps.len() + 1 && !maps.is_empty() => (views, maps),
+                    _ => continue,
+                },
+            };
+            composites.push(Composite { id: id.clone(), views, homographies });
+        }
+        if composites.is_empty() {
+            bail!(
+                "the graph has no composite with `left`, `right` and `homography`, or `views` and `homographies`: there is nothing to judge"
+            );
+        }
+        Ok(Self { graph, name, composites })
+    }
+
+    fn nodes(&mut self) -> Option<&mut Table> {
+        self.graph.get_mut("nodes")?.as_table_mut()
+    }
+
+    fn node(&self, id: &str) -> Option<&Value> {
+        self.graph.get("nodes")?.get(id)
+    }
+
+    /// Name of the phantom that the first composite's first view comes from, if it does.
+    pub fn phantom(&self) -> Option<String> {
+        let id = node_of(self.composites.first()?.views.first()?);
+        is_type(self.node(id)?, "phantom").then(|| id.to_owned())
+    }
+
+    /// The same graph with other views: the node that gives the first composite its views is replaced by `source`, whose type has the
+    /// outputs `ports`; `more` nodes feed it.
+    ///
+    /// # Errors
+    /// When the graph reads something of its source that the new one does not have.
+    pub fn with_source(&self, source: Table, ports: &[&str], more: &[(&str, Table)], plugins: &[&str]) -> Result<Self> {
+        let mut out = self.clone();
+        let id = node_of(&self.composites[0].views[0]).to_owned();
+        let Some(nodes) = out.nodes() else { bail!("the graph has no nodes") };
+        for (name, node) in nodes.iter().filter(|(name, _)| **name != id) {
+            for (node_id, port) in references(node).iter().filter_map(|r| r.split_once('.')) {
+                if node_id == id && !ports.contains(&port) {
+                    bail!("`{name}` reads `{id}.{port}`, which these pictures do not have");
+                }
+            }
+        }
+        nodes.insert(id, source.into());
+        for (name, node) in more {
+            nodes.insert((*name).to_owned(), node.clone().into());
+        }
+        plugins.iter().for_each(|name| out.plugin(name));
+        Ok(out)
+    }
+
+    /// Sets a parameter.
+    pub fn set(&mut self, node: &str, param: &str, value: impl Into<Value>) {
+        let Some(node) = self.nodes().and_then(|nodes| nodes.get_mut(node)?.as_table_mut()) else { return };
+        let params = node.entry("params").or_insert_with(|| Value::Table(Table::new()));
+        if let Some(params) = params.as_table_mut() {
+            params.insert(param.to_owned(), value.into());
+        }
+    }
+
+    /// Loads this plugin too.
+    pub fn plugin(&mut self, name: &str) {
+        let list = self.graph.entry("plugins").or_insert_with(|| Value::Array(Vec::new()));
+        if let Some(list) = list.as_array_mut()
+            && !list.iter().any(|p| p.as_str() == Some(name))
+        {
+            list.push(name.into());
+        }
+    }
+
+    /// Adds a node.
+    pub fn add(&mut self, id: &str, kind: &str, inputs: &[(&str, String)], params: Table) {
+        let inputs: Table = inputs.iter().map(|(port, from)| ((*port).to_owned(), from.clone().into())).collect();
+        let mut node = Table::new();
+        node.insert("type".to_owned(), kind.into());
+        node.insert("inputs".to_owned(), inputs.into());
+        node.insert("params".to_owned(), params.into());
+        // Comparing pictures and OpenCV's cuts may take seconds; that is no hang.
+        node.insert("budget_ms".to_owned(), 60_000.into());
+        if let Some(nodes) = self.nodes() {
+            nodes.insert(id.to_owned(), node.into());
+        }
+    }
+
+    /// Names of the nodes that these outputs come from, up to the node `stop`, which is left out.
+    fn upstream(&self, outputs: &[&str], stop: Option<&str>) -> BTreeSet<String> {
+        let mut all = BTreeSet::new();
+        let mut next: Vec<String> = outputs.iter().map(|output| node_of(output).to_owned()).collect();
+        while let Some(id) = next.pop() {
+            if stop == Some(id.as_str()) {
+                continue;
+            }
+            let inputs = self.node(&id).map(references).unwrap_or_default();
+            next.extend(inputs.iter().map(|r| node_of(r).to_owned()).filter(|n| !all.contains(n)));
+            all.insert(id);
+        }
+        all
+    }
+
+    /// Name of the node that gives the first composite its first view.
+    pub fn source(&self) -> &str {
+        node_of(&self.composites[0].views[0])
+    }
+
+    /// The nodes that find the first composite's first homography from what its source gives, by name.
+    pub fn registration(&self) -> Vec<(String, Table)> {
+        let ids = self.upstream(&[&self.composites[0].homographies[0]], Some(self.source()));
+        ids.into_iter().filter_map(|id| Some((id.clone(), self.node(&id)?.as_table()?.clone()))).collect()
+    }
+
+    /// Whether the graph has a node of this name.
+    pub fn has(&self, node: &str) -> bool {
+        self.node(node).is_some()
+    }
+
+    /// The same source with OpenCV's registration and composite in place of all that stitches; without a composite for
+    /// [`Judged::Registration`]. None where there are more than two views, which OpenCV's node does not take.
+    pub fn peer(&self, judged: Judged, seam_megapixels: f64, threads: i64) -> Option<Self> {
+        let mut out = self.clone();
+        let [left, right] = &self.composites[0].views[..] else { return None };
+        let keep = self.upstream(&[left, right], None);
+        if let Some(nodes) = out.nodes() {
+            nodes.retain(|id, _| keep.contains(id));
+        }
+        out.plugin("opencv");
+        let with = |more: &[(&str, Value)]| {
+            let mut params: Table = more.iter().map(|(k, v)| ((*k).to_owned(), v.clone())).collect();
+            params.insert("threads".to_owned(), threads.into());
+            params
+        };
+        let views = [("left", left.clone()), ("right", right.clone())];
+        out.add("peer_register", "register_opencv", &views, with(&[]));
+        let homography = "peer_register.homography".to_owned();
+        if judged != Judged::Registration {
+            let inputs = [views[0].clone(), views[1].clone(), ("homography", homography.clone())];
+            out.add("peer_wide", "composite_opencv", &inputs, with(&[("seam_megapixels", seam_megapixels.into())]));
+        }
+        out.composites = vec![Composite {
+            id: "peer_wide".to_owned(),
+            views: self.composites[0].views.clone(),
+            homographies: vec![homography],
+        }];
+        Some(out)
+    }
+
+    /// Puts an `evaluate_stitch` behind each pair of views of each composite, wired to what truth the source has.
+    pub fn judged(&self, judged: Judged) -> Self {
+        let mut out = self.clone();
+        out.plugin("stitch");
+        for composite in &self.composites {
+            let source = node_of(&composite.views[0]);
+            let is = |kind: &str| self.node(source).is_some_and(|node| is_type(node, kind));
+            for pair in 0..composite.pairs() {
+                let mut inputs = vec![
+                    ("left", composite.views[0].clone()),
+                    ("right", composite.views[pair + 1].clone()),
+                    ("homography", composite.homographies[pair].clone()),
+                ];
+                let mut params = Table::new();
+                let mut wire = |names: &[(&'static str, &str)], node: &str| {
+                    inputs.extend(names.iter().map(|(port, output)| (*port, format!("{node}.{output}"))));
+                };
+                if judged != Judged::Registration {
+                    wire(&[("panorama", "panorama"), ("canvas", "canvas"), ("shown", "shown")], &composite.id);
+                }
+                // The phantom's disparity is that of its first two cameras; the others stand as many baselines away from the first.
+                let camera = camera_of(&composite.views[pair + 1]);
+                match () {
+                    () if is("phantom") && camera == Some(1) => {
+                        wire(&[("disparity", "disparity"), ("visible", "visible"), ("truth", "homography")], source);
+                    }
+                    () if is("phantom") && camera.is_some() => {
+                        wire(&[("disparity", "disparity")], source);
+                        let camera = camera.unwrap_or_default();
+                        params.insert("along_x".to_owned(), f64::from(camera % 2).into());
+                        params.insert("along_y".to_owned(), f64::from(camera / 2).into());
+                    }
+                    () if is("cut_views") => {
+                        wire(&[("truth", "homography"), ("left_in_wide", "left_in_image")], source)
+                    }
+                    () => _ = params.insert("correlate".to_owned(), true.into()),
+                }
+                match judged {
+                    Judged::Pictures if is("phantom") => wire(&[("wide", "wide")], source),
+                    Judged::Area if is("phantom") => wire(&[("footprint", "footprint")], source),
+                    _ => {}
+                }
+                if judged == Judged::Pictures && is("cut_views") {
+                    let whole = self.node(source).map(references).unwrap_or_default();
+                    inputs.extend(whole.into_iter().map(|from| ("wide", from)));
+                }
+                out.add(&composite.judge(pair), "evaluate_stitch", &inputs, params);
+            }
+        }
+        out
+    }
+
+    /// As graph text.
+    pub fn text(&self) -> String {
+        self.graph.to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Judged, Table, Wiring};
+
+    const GRAPH: &str = r#"
+plugins = ["phantom", "stitch", "sinks"]
+[nodes.scope]
+type = "phantom"
+[nodes.register]
+type = "register_surf"
+inputs = { left = "scope.left", right = { from = "scope.right" } }
+[nodes.wide]
+type = "composite"
+inputs = { left = "scope.left", right = { from = "scope.right" }, homography = "register.homography" }
+[nodes.video]
+type = "write_video"
+inputs = { image = "wide.panorama" }
+"#;
+
+    #[test]
+    fn sinks_go_and_a_judge_comes() {
+        let mut wiring = Wiring::of(GRAPH, "x").unwrap();
+        assert_eq!((wiring.name.as_str(), wiring.phantom()), ("x", Some("scope".to_owned())));
+        wiring.set("scope", "noise", 0.5);
+        let text = wiring.judged(Judged::Pictures).text();
+        assert!(
+            !text.contains("write_video") && text.contains("mode = \"batch\"") && text.contains("noise = 0.5"),
+            "{text}"
+        );
+        let table: toml::Table = text.parse().unwrap();
+        let judge = &table["nodes"]["judge_wide"]["inputs"];
+        assert_eq!(judge["right"].as_str(), Some("scope.right"));
+        assert_eq!(judge["truth"].as_str(), Some("scope.homography"));
+        let text = wiring.judged(Judged::Registration).text();
+        assert!(!text.contains("panorama =") && !text.contains("scope.wide"), "{text}");
+    }
+
+    #[test]
+    fn the_peer_keeps_the_source_only() {
+        let text = Wiring::of(GRAPH, "x").unwrap().peer(Judged::Pictures, 0.1, 2).unwrap().text();
+        assert!(text.contains("register_opencv") && !text.contains("register_surf"), "{text}");
+        assert!(Wiring::of("[nodes.a]\ntype = \"phantom\"\n", "x").is_err());
+    }
+
+    #[test]
+    fn four_views_have_three_judges_and_no_peer() {
+        let graph = r#"
+[nodes.scope]
+type = "phantom"
+[nodes.wide]
+type = "composite"
+inputs = { views = ["scope.view0", "scope.view1", "scope.view2", "scope.view3"], homographies = ["a.homography", "b.homography", "c.homography"] }
+"#;
+        let wiring = Wiring::of(graph, "x").unwrap();
+        assert!(wiring.peer(Judged::Pictures, 0.1, 2).is_none());
+        let table: toml::Table = wiring.judged(Judged::Pictures).text().parse().unwrap();
+        assert_eq!(table["nodes"]["judge_wide_1"]["inputs"]["disparity"].as_str(), Some("scope.disparity"));
+        let third = &table["nodes"]["judge_wide_3"];
+        assert_eq!(third["inputs"]["right"].as_str(), Some("scope.view3"));
+        assert_eq!(third["inputs"]["disparity"].as_str(), Some("scope.disparity"));
+        let along = ["along_x", "along_y"].map(|name| third["params"][name].as_float());
+        assert_eq!((along, third["inputs"].get("truth")), ([Some(1.0), Some(1.0)], None));
+        let table: toml::Table = wiring.judged(Judged::Area).text().parse().unwrap();
+        let second = &table["nodes"]["judge_wide_2"];
+        assert_eq!(second["inputs"]["footprint"].as_str(), Some("scope.footprint"));
+        assert_eq!((second["params"]["along_x"].as_float(), second["inputs"].get("wide")), (Some(0.0), None));
+    }
+
+    #[test]
+    fn another_source_must_have_what_is_read() {
+        let wiring = Wiring::of(GRAPH, "x").unwrap();
+        let source: Table = "type = \"cut_views\"\ninputs = { image = \"files.left\" }".parse().unwrap();
+        let files: Table = "type = \"capture\"".parse().unwrap();
+        let made = wiring.with_source(source.clone(), &["left", "right"], &[("files", files)], &["capture"]).unwrap();
+        let table: toml::Table = made.judged(Judged::Pictures).text().parse().unwrap();
+        let judge = &table["nodes"]["judge_wide"]["inputs"];
+        assert_eq!(judge["wide"].as_str(), Some("files.left"));
+        assert_eq!(judge["truth"].as_str(), Some("scope.homography"));
+        let error = wiring.with_source(source, &["left"], &[], &[]).unwrap_err();
+        assert!(error.to_string().contains("`scope.right`"), "{error}");
+    }
+}

@@ -1,0 +1,116 @@
+//! How well views are registered: a graph run with judges behind its composites.
+
+use std::path::Path;
+
+use crate::error::{Context, EvalError, Result};
+use crate::inputs::wiring::{Judged, Wiring};
+use crate::packets::Table;
+use crate::run::{self, Pace, Plan, RunOutput};
+use crate::session::Session;
+use crate::statistics::{finite, mean, rms};
+
+/// State of a registration of its own, as the judge writes it.
+const FRESH: f64 = 0.0;
+
+/// Measures of one pair of views; NaN where there is no truth.
+#[derive(Clone, Debug)]
+pub struct Registration {
+    /// Share of frames with a fresh registration.
+    pub stitched_pct: f64,
+    /// Root mean square distance of mapped from true places in the overlap.
+    pub align_px: f64,
+    /// The same of the best plane: what parallax leaves.
+    pub floor_px: f64,
+    /// Peak signal-to-noise ratio of both views in the overlap.
+    pub psnr_overlap_db: f64,
+    /// Structural similarity of both views in the overlap, 0 to 1.
+    pub ssim_overlap: f64,
+    /// Peak signal-to-noise ratio along the seam.
+    pub psnr_seam_db: f64,
+    /// Structural similarity along the seam, 0 to 1.
+    pub ssim_seam: f64,
+    /// Area that the panorama shows, in percent of one view.
+    pub fov_pct: f64,
+    /// Largest share of the views that the panorama cut off.
+    pub cropped_pct: f64,
+}
+
+/// Reads a judge's table.
+///
+/// # Errors
+/// A column is missing.
+pub fn registration(rows: &Table) -> Result<Registration> {
+    let column =
+        |name: &str| rows.column(name).ok_or_else(|| EvalError::Column { table: "the table", column: name.to_owned() });
+    let state = column("state")?;
+    let fresh = state.iter().filter(|s| **s == FRESH).count();
+    Ok(Registration {
+        stitched_pct: 100.0 * fresh as f64 / state.len().max(1) as f64,
+        align_px: rms(&column("align_px")?),
+        floor_px: rms(&column("floor_px")?),
+        psnr_overlap_db: mean(&column("psnr_overlap_db")?),
+        ssim_overlap: mean(&column("ssim_overlap")?),
+        psnr_seam_db: mean(&column("psnr_seam_db")?),
+        ssim_seam: mean(&column("ssim_seam")?),
+        fov_pct: mean(&column("fov_pct")?),
+        cropped_pct: finite(&column("cropped_pct")?).fold(f64::NAN, f64::max),
+    })
+}
+
+/// One graph with its judges, run.
+pub struct JudgedRun {
+    /// One table per judge, in the order of [`judges`].
+    pub tables: Vec<Table>,
+    /// Packets and counters of the run.
+    pub output: RunOutput,
+}
+
+/// Names of the judges and what figures call them.
+pub fn judges(wiring: &Wiring) -> Vec<(String, String)> {
+    let mut all = Vec::new();
+    for composite in &wiring.composites {
+        for pair in 0..composite.pairs() {
+            let view = if composite.pairs() > 1 { format!("view{}", pair + 1) } else { String::new() };
+            let id = if wiring.composites.len() > 1 { composite.id.clone() } else { String::new() };
+            all.push((
+                composite.judge(pair),
+                [id, view].into_iter().filter(|p| !p.is_empty()).collect::<Vec<_>>().join("_"),
+            ));
+        }
+    }
+    all
+}
+
+/// Runs a graph with its judges for `frames` ticks; messages call it `path`.
+///
+/// # Errors
+/// The graph does not run, or a judge put out no table.
+pub fn run_judged(
+    session: &dyn Session,
+    wiring: &Wiring,
+    judged: Judged,
+    path: &Path,
+    frames: u64,
+) -> Result<JudgedRun> {
+    let text = wiring.judged(judged).text();
+    let names = judges(wiring);
+    let ports: Vec<(&str, &str)> = names.iter().map(|(name, _)| (name.as_str(), "table")).collect();
+    let plan = Plan { text: &text, path, frames: Some(frames), threads: 0, ports: &ports, pace: Pace::Free };
+    let output = run::run(session, &plan)?;
+    let mut tables = Vec::new();
+    for packet in &output.packets {
+        let bytes = packet.as_ref().context("the judge saw nothing")?.bytes();
+        tables.push(Table::read(bytes).context("the judge's table could not be read")?);
+    }
+    Ok(JudgedRun { tables, output })
+}
+
+/// How well the first composite of a graph (TOML text) is registered over `frames` ticks.
+///
+/// # Errors
+/// The graph has no composite, or does not run.
+pub fn registration_of(session: &dyn Session, text: &str, frames: u64) -> Result<Registration> {
+    let wiring = Wiring::of(text, "bench")?;
+    let run = run_judged(session, &wiring, Judged::Registration, Path::new("bench.toml"), frames)?;
+    registration(run.tables.first().context("there is no judge")?)
+}

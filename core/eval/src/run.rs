@@ -1,0 +1,114 @@
+//! Running a graph made as text, and reading what its nodes put out.
+
+use std::path::Path;
+use std::time::Duration;
+
+use panoscope_engine::memory::FrameRef;
+use panoscope_engine::{Engine, Listener, NumberListener, Options, Outcome, Preview, Report};
+use panoscope_graph::GraphText;
+
+use crate::error::{EvalError, Result};
+use crate::graph_file;
+use crate::session::{Session, check_cancelled};
+
+/// How a graph is run.
+pub struct Plan<'a> {
+    /// The graph.
+    pub text: &'a str,
+    /// What messages call it; its folder is what paths start from.
+    pub path: &'a Path,
+    /// Ticks of each source.
+    pub frames: Option<u64>,
+    /// Threads of the pool; 0: one per core.
+    pub threads: usize,
+    /// Node and output whose newest packet is wanted at the end.
+    pub ports: &'a [(&'a str, &'a str)],
+    /// When ticks begin.
+    pub pace: Pace,
+}
+
+/// When a tick begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// At the capture time of its frame.
+    Camera,
+    /// As soon as the graph takes it; ticks overlap.
+    Free,
+    /// When the one before it has ended: nothing but the node is at work while it is timed.
+    Alone,
+}
+
+/// What a run left behind.
+pub struct RunOutput {
+    /// The newest packet of each port asked for; none when there was none.
+    pub packets: Vec<Option<FrameRef>>,
+    /// Counters of the engine.
+    pub report: Report,
+}
+
+/// Runs the graph to its end; without a number of frames until each port has shown a packet.
+pub fn run(session: &dyn Session, plan: &Plan<'_>) -> Result<RunOutput> {
+    run_and_listen(session, plan, Vec::new(), None)
+}
+
+/// As [`run`], with ports whose every packet is heard, and a node whose told numbers are.
+pub fn run_and_listen(
+    session: &dyn Session,
+    plan: &Plan<'_>,
+    listen: Vec<Listener>,
+    numbers: Option<NumberListener>,
+) -> Result<RunOutput> {
+    let text = GraphText::parse(plan.path, plan.text);
+    let ready = match graph_file::ready(&text) {
+        Ok(ready) => ready,
+        Err(diagnostics) => {
+            return Err(EvalError::Graph { diagnostics: diagnostics.render(false).trim_end().to_owned() });
+        }
+    };
+    let counters = session.allocation_counters();
+    let options = Options {
+        threads: plan.threads,
+        frames: plan.frames,
+        paced: plan.pace == Pace::Camera,
+        ticks_at_once: (plan.pace == Pace::Alone).then_some(1),
+        listen,
+        numbers,
+        graph_dir: plan.path.parent().unwrap_or(Path::new("")).to_owned(),
+        process_allocations: counters.process,
+        thread_allocations: counters.thread,
+        ..Options::default()
+    };
+    let engine = Engine::start(ready.graph, &ready.catalog, &ready.loader, options)?;
+    let previews: Vec<Preview> = plan
+        .ports
+        .iter()
+        .map(|&(node, port)| {
+            let missing = || EvalError::Output { node: node.to_owned(), port: port.to_owned() };
+            engine.preview(node, port).ok_or_else(missing)
+        })
+        .collect::<Result<_>>()?;
+    let mut packets: Vec<Option<FrameRef>> = plan.ports.iter().map(|_| None).collect();
+    loop {
+        let ended = engine.wait(Some(Duration::from_millis(10)));
+        for (packet, preview) in packets.iter_mut().zip(&previews) {
+            if let Some(newer) = preview.take() {
+                *packet = Some(newer);
+            }
+        }
+        if ended || (plan.frames.is_none() && packets.iter().all(Option::is_some)) {
+            break;
+        }
+        check_cancelled(session)?;
+    }
+    let outcome = engine.close(Duration::from_secs(10));
+    if let Outcome::Failed(reason) = outcome {
+        return Err(EvalError::Run { reason });
+    }
+    let report = engine.report();
+    if let Some((node, _)) = report.nodes.iter().find(|(_, n)| n.faults > 0 && n.faults >= n.count) {
+        let last = engine.recent_log().into_iter().rev().find(|(_, id, _)| id == node);
+        let reason = last.map_or_else(String::new, |(_, _, text)| text);
+        return Err(EvalError::Node { node: node.clone(), reason });
+    }
+    Ok(RunOutput { packets, report })
+}

@@ -1,0 +1,177 @@
+//! Memory of a running graph over minutes, and whether it grows.
+
+use std::fmt::Write as _;
+use std::time::Instant;
+
+use panoscope_engine::Engine;
+use panoscope_engine::memory::memory;
+
+use crate::system;
+
+/// State of the process at one time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Since the first sample.
+    pub seconds: f64,
+    /// Resident memory of the process.
+    pub rss_mb: f64,
+    /// Frames so far.
+    pub frames: u64,
+    /// Frame memory handed out.
+    pub pool_mb: f64,
+    /// Frames dropped so far.
+    pub dropped: u64,
+    /// Faults so far.
+    pub faults: u64,
+}
+
+/// Samples of a run, one per second.
+#[derive(Clone, Debug, Default)]
+pub struct Soak {
+    samples: Vec<Sample>,
+    began: Option<Instant>,
+}
+
+/// How memory grew after the warm-up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Growth {
+    /// When the warm-up ended.
+    pub from_seconds: f64,
+    /// Slope of the straight line through the samples.
+    pub mb_per_hour: f64,
+    /// Standard error of the slope.
+    pub error_mb_per_hour: f64,
+    /// Resident memory in the last sample.
+    pub resident_mb: f64,
+    /// Most growth that is not reported: noise of a run of this length, or 5 % of the resident memory per hour.
+    pub tolerated_mb_per_hour: f64,
+}
+
+impl Growth {
+    /// Whether memory grows by more than is tolerated.
+    pub fn is_leak(&self) -> bool {
+        self.mb_per_hour > self.tolerated_mb_per_hour
+    }
+}
+
+impl Soak {
+    /// Takes a sample if a second has passed since the last one. Returns the seconds since the first sample.
+    pub fn observe(&mut self, engine: &Engine) -> f64 {
+        let since = *self.began.get_or_insert_with(Instant::now);
+        if since.elapsed().as_secs_f64() >= self.samples.len() as f64 {
+            self.samples.push(sample(engine, since));
+        }
+        since.elapsed().as_secs_f64()
+    }
+
+    /// All samples.
+    pub fn samples(&self) -> &[Sample] {
+        &self.samples
+    }
+
+    /// All samples as CSV.
+    pub fn csv(&self) -> String {
+        let mut text = String::from("seconds,resident_mb,frames,frame_memory_mb,dropped,faults\n");
+        for Sample { seconds, rss_mb, frames, pool_mb, dropped, faults } in &self.samples {
+            let _ = writeln!(text, "{seconds:.2},{rss_mb:.3},{frames},{pool_mb:.3},{dropped},{faults}");
+        }
+        text
+    }
+
+    /// Memory over time as rows of text with bars.
+    pub fn curve(&self) -> String {
+        curve(&self.samples)
+    }
+
+    /// Growth of the memory after the warm-up.
+    pub fn growth(&self) -> Growth {
+        // Threads, pools and files settle in the first third.
+        let settled = &self.samples[self.samples.len() / 3..];
+        let (mb_per_hour, error_mb_per_hour) = slope(settled);
+        let resident_mb = settled.last().map_or(0.0, |s| s.rss_mb);
+        Growth {
+            from_seconds: settled.first().map_or(0.0, |s| s.seconds),
+            mb_per_hour,
+            error_mb_per_hour,
+            resident_mb,
+            tolerated_mb_per_hour: (resident_mb * TOLERATED_SHARE).max(3.0 * error_mb_per_hour),
+        }
+    }
+}
+
+fn sample(engine: &Engine, since: Instant) -> Sample {
+    let report = engine.report();
+    Sample {
+        seconds: since.elapsed().as_secs_f64(),
+        rss_mb: system::resident_mb(),
+        frames: report.frames,
+        pool_mb: memory().in_use_bytes() as f64 / 1e6,
+        dropped: report.nodes.values().map(|n| n.dropped).sum(),
+        faults: report.nodes.values().map(|n| n.faults).sum(),
+    }
+}
+
+/// Growth in MB per hour and its standard error: a straight line through the samples by least squares.
+fn slope(samples: &[Sample]) -> (f64, f64) {
+    let n = samples.len() as f64;
+    if n < 3.0 {
+        return (0.0, f64::INFINITY);
+    }
+    let mean_x = samples.iter().map(|s| s.seconds).sum::<f64>() / n;
+    let mean_y = samples.iter().map(|s| s.rss_mb).sum::<f64>() / n;
+    let sxx: f64 = samples.iter().map(|s| (s.seconds - mean_x).powi(2)).sum();
+    let sxy: f64 = samples.iter().map(|s| (s.seconds - mean_x) * (s.rss_mb - mean_y)).sum();
+    let slope = sxy / sxx.max(f64::MIN_POSITIVE);
+    let rest: f64 = samples.iter().map(|s| (s.rss_mb - mean_y - slope * (s.seconds - mean_x)).powi(2)).sum();
+    (slope * 3600.0, (rest / (n - 2.0) / sxx.max(f64::MIN_POSITIVE)).sqrt() * 3600.0)
+}
+
+/// Memory over time as rows of a text.
+fn curve(samples: &[Sample]) -> String {
+    const ROWS: usize = 30;
+    let (low, high) = samples.iter().fold((f64::MAX, 0.0f64), |(l, h), s| (l.min(s.rss_mb), h.max(s.rss_mb)));
+    let mut text = String::from("seconds  resident MB  frame MB   frames  dropped  faults\n");
+    for row in 0..ROWS.min(samples.len()) {
+        let sample = &samples[row * (samples.len() - 1) / (ROWS.min(samples.len()) - 1).max(1)];
+        let bar = ((sample.rss_mb - low) / (high - low).max(0.1) * 30.0) as usize;
+        let Sample { seconds, rss_mb, frames, pool_mb, dropped, faults } = *sample;
+        let _ = writeln!(
+            text,
+            "{seconds:7.0}  {rss_mb:11.1}  {pool_mb:8.1}  {frames:7}  {dropped:7}  {faults:6}  {}",
+            "#".repeat(bar)
+        );
+    }
+    text
+}
+
+/// Growth that is tolerated, as a share of the resident memory per hour.
+const TOLERATED_SHARE: f64 = 0.05;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn soak(rss_mb: impl Fn(f64) -> f64) -> Soak {
+        let sample = |k: u32| {
+            let seconds = f64::from(k);
+            Sample { seconds, rss_mb: rss_mb(seconds), frames: 0, pool_mb: 0.0, dropped: 0, faults: 0 }
+        };
+        Soak { samples: (0..300).map(sample).collect(), began: None }
+    }
+
+    #[test]
+    fn steady_growth_is_a_leak_and_a_warm_up_is_not() {
+        let leak = soak(|seconds| 100.0 + seconds / 3600.0 * 60.0).growth();
+        assert!(leak.is_leak() && (leak.mb_per_hour - 60.0).abs() < 1e-6, "{leak:?}");
+        let warm_up = soak(|seconds| 100.0 + seconds.min(60.0) + 0.1 * (seconds % 2.0)).growth();
+        assert!(!warm_up.is_leak() && warm_up.mb_per_hour.abs() < 1.0, "{warm_up:?}");
+        assert_eq!(warm_up.from_seconds, 100.0);
+    }
+
+    #[test]
+    fn a_curve_and_a_csv_have_the_samples() {
+        let soak = soak(|seconds| 100.0 + seconds);
+        assert_eq!((soak.csv().lines().count(), soak.curve().lines().count()), (301, 31));
+        assert!(soak.curve().lines().last().is_some_and(|line| line.ends_with(&"#".repeat(30))), "{}", soak.curve());
+    }
+}

@@ -1,0 +1,84 @@
+//! What can go wrong with a sweep.
+
+use panoscope_graph::Diagnostics;
+
+/// Most values of one sweep.
+pub const MOST_STEPS: usize = 1000;
+
+/// Why nothing can be swept.
+#[derive(Debug, thiserror::Error)]
+pub enum SweepError {
+    /// The graph has mistakes.
+    #[error("the graph has mistakes:\n{}", .0.render(false))]
+    Check(Diagnostics),
+    /// The parameter is not there, or cannot be swept.
+    #[error("`{param}`: {reason}")]
+    Param {
+        /// As asked for.
+        param: String,
+        /// What is wrong, and how to correct it.
+        reason: String,
+    },
+    /// The measure is not there, or tells no numbers.
+    #[error("`{measure}`: {reason}")]
+    Measure {
+        /// As asked for.
+        measure: String,
+        /// What is wrong, and how to correct it.
+        reason: String,
+    },
+    /// A node that acts on the world stands between the sources and the measure.
+    #[error(
+        "`{measure}` needs node `{node}`, which acts on the world (writes files or moves things): measure before it"
+    )]
+    Acts {
+        /// As asked for.
+        measure: String,
+        /// The node.
+        node: String,
+    },
+}
+
+/// Why nothing was measured at one value.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{reason}")]
+pub struct PointError {
+    /// Why the run failed, or what it did not put out.
+    pub reason: String,
+}
+
+/// Why a parameter has no values to sweep.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub(super) enum ValuesError {
+    #[error("it has no limits of its own: say from where to where")]
+    Unbounded,
+    #[error("no value that is allowed lies from {from} to {to}: they are {step} apart")]
+    NoneAllowed { from: f64, to: f64, step: f64 },
+    #[error("{kind} cannot be swept: take a number, a switch or a choice")]
+    Kind { kind: String },
+    #[error("both ends must be finite numbers")]
+    NotFinite,
+    #[error("{steps} steps: from 2 to {MOST_STEPS} values can be tried")]
+    Steps { steps: usize },
+    #[error("both ends are {end}: there is nothing between them")]
+    Empty { end: f64 },
+    #[error("{value}: {reason}")]
+    Refused { value: String, reason: String },
+}
+
+/// A row of a table that cannot exist.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`[{index}]` is no row: write {column}[1] for the first one, {column}[*] for all")]
+pub(super) struct RowError {
+    pub column: String,
+    pub index: String,
+}
+
+/// Why a graph's text cannot be reduced to a part of it.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum PartError {
+    #[error("{}", .0.message())]
+    Read(#[from] toml::de::Error),
+    #[error(transparent)]
+    Write(#[from] toml::ser::Error),
+}

@@ -1,0 +1,8 @@
+//! Gains of the arm's PID, found on the simulated arm: relay feedback, rules, a search.
+
+mod params;
+mod report;
+mod search;
+
+pub use params::Plant;
+pub use search::{Candidate, Method, Options, Tuning, Tunings, tune};

@@ -1,0 +1,375 @@
+//! Performs what the user asks for: by key, button, canvas or panel.
+
+use eframe::egui::{Context, Event, Modifiers, Vec2, vec2};
+use panoscope_eval::sweep::can_sweep;
+
+use super::App;
+use crate::actions::Action;
+use crate::canvas::CanvasRequest;
+use crate::palette::{Palette, Picked, Purpose};
+use crate::panels::inspector::InspectorRequest;
+use crate::panels::params::ParamRequest;
+use crate::viewer::Source;
+use panoscope_editor_model::observe::Output;
+use panoscope_editor_model::ops::{self, PendingWire};
+use panoscope_editor_widgets::ARROWS;
+
+/// Distance that an arrow key moves the view, in points.
+const PAN: f32 = 64.0;
+/// Distance that Shift and an arrow key move nodes, in points of the graph: two grid steps.
+const NUDGE: f32 = 16.0;
+
+impl App {
+    /// Performs a request of the canvas.
+    pub(super) fn handle_canvas(&mut self, request: CanvasRequest) {
+        let doc = &mut self.document;
+        match request {
+            CanvasRequest::Wire { output, input, moved } => {
+                let from = Output::new(&output.node, &output.port);
+                let moved = moved.as_ref().map(|(end, index)| (end.node.as_str(), end.port.as_str(), *index));
+                let result = ops::wire(doc, &from, (&input.node, &input.port), None, moved);
+                self.try_edit(result);
+            }
+            CanvasRequest::Unwire { input, index } => {
+                let result = ops::unwire(doc, &input.node, &input.port, index);
+                self.try_edit(result);
+            }
+            CanvasRequest::Move(places) => {
+                let places: Vec<_> = places.into_iter().map(|(id, at)| (id, (at.x, at.y))).collect();
+                let result = ops::move_nodes(doc, &places);
+                self.try_edit(result);
+            }
+            CanvasRequest::Marks { marks, moved } => {
+                let moved: Vec<_> = moved.into_iter().map(|(id, at)| (id, (at.x, at.y))).collect();
+                let result = ops::set_marks(doc, &marks, &moved);
+                self.try_edit(result);
+            }
+            CanvasRequest::Insert { node, wire } => {
+                let result = ops::insert(doc, &node, (&wire.0, &wire.1, wire.2));
+                self.try_edit(result);
+            }
+            CanvasRequest::ViewLarge(output) => self.view_large(output),
+            CanvasRequest::Add { at, end } => {
+                let pending = end.map(|end| {
+                    if end.input {
+                        PendingWire::Input(end.node, end.port)
+                    } else {
+                        PendingWire::Output(Output::new(&end.node, &end.port))
+                    }
+                });
+                self.open_palette(Purpose::Add { at: (at.x, at.y), pending });
+            }
+            CanvasRequest::Report(error) => self.notify(error.to_string(), true),
+        }
+    }
+
+    /// Performs a request of the inspector about a node.
+    pub(super) fn handle_inspector(&mut self, node: &str, request: InspectorRequest) {
+        let doc = &mut self.document;
+        match request {
+            InspectorRequest::Sweep => {
+                self.canvas.select_only(node);
+                self.switches.sweep = true;
+                let swept = doc.view().node(node).and_then(|n| {
+                    let params = &doc.view().nodes[n].node_type.as_ref()?.params;
+                    params.iter().find(|p| can_sweep(&p.kind)).map(|p| p.name.clone())
+                });
+                if let Some(param) = swept {
+                    self.sweep.choose(&self.document, node, &param);
+                }
+            }
+            InspectorRequest::Param(ParamRequest::Pick(param)) => self.begin_picking(node, &param),
+            InspectorRequest::Param(ParamRequest::Browse(param)) => self.browse(node, &param),
+            InspectorRequest::Param(ParamRequest::Change(change)) => {
+                let result = ops::set_param(doc, node, &change.param, change.value.as_ref());
+                self.try_edit(result);
+            }
+            InspectorRequest::Input { input, index, from: Some(from) } => {
+                // An index behind the end of a list adds an entry.
+                let index = Some(index).filter(|i| *i != usize::MAX);
+                let result = ops::wire(doc, &from, (node, &input), index, None);
+                self.try_edit(result);
+            }
+            InspectorRequest::Input { input, index, from: None } => {
+                let result = ops::unwire(doc, node, &input, index);
+                self.try_edit(result);
+            }
+            InspectorRequest::ViewLarge(output) => self.view_large(output),
+            InspectorRequest::Thumbnail(port) => self.canvas.choose_output(node, &port),
+            InspectorRequest::Rename(name) => {
+                let result = ops::rename(doc, node, &name);
+                if self.try_edit(result).is_some() {
+                    self.canvas.select_only(&name);
+                }
+            }
+        }
+    }
+
+    /// Shows an output in the viewer.
+    pub(super) fn view_large(&mut self, output: Output) {
+        if self.picker.take().is_some() {
+            self.viewer.set_picking(false);
+        }
+        let source = self.source(output);
+        self.viewer.open(source);
+    }
+
+    /// Performs an action.
+    pub fn perform(&mut self, action: Action) {
+        match action {
+            Action::Undo => {
+                if let Some(label) = self.document.undo() {
+                    self.notify(format!("undone: {label}"), false);
+                }
+            }
+            Action::Redo => {
+                if let Some(label) = self.document.redo() {
+                    self.notify(format!("done again: {label}"), false);
+                }
+            }
+            Action::Save => self.save(),
+            Action::Fit => self.canvas.fit(),
+            Action::ZoomIn if self.viewer.viewpoint().is_some() => self.viewer.view3d().zoom_by(1.0),
+            Action::ZoomOut if self.viewer.viewpoint().is_some() => self.viewer.view3d().zoom_by(-1.0),
+            Action::ZoomIn => self.canvas.zoom_by(2),
+            Action::ZoomOut => self.canvas.zoom_by(-2),
+            Action::Delete => self.delete(),
+            Action::Duplicate => self.duplicate(),
+            Action::Bypass => self.bypass(),
+            Action::SelectAll => {
+                self.canvas.selected = self.document.view().nodes.iter().map(|n| n.id().to_owned()).collect();
+            }
+            Action::Next => self.select_next(false),
+            Action::NextToo => self.select_next(true),
+            Action::Frame | Action::Note => {
+                let frame = action == Action::Frame;
+                let marks = if frame { self.canvas.frame_selection() } else { self.canvas.add_note() };
+                let result = ops::set_marks(&mut self.document, &marks, &[]);
+                self.try_edit(result);
+            }
+            Action::Align => {
+                let places = self.canvas.aligned();
+                if places.len() > 1 {
+                    let result = ops::move_nodes(&mut self.document, &places);
+                    self.try_edit(result);
+                } else {
+                    self.notify("select at least two nodes to align", true);
+                }
+            }
+            Action::View => self.view(),
+            Action::Heat => self.switches.heat ^= true,
+            Action::Text => self.switches.text ^= true,
+            Action::Plots => self.switches.plots ^= true,
+            Action::History => self.switches.history ^= true,
+            Action::Back => self.step_to(self.document.history().at().saturating_sub(1)),
+            Action::Forward => self.step_to(self.document.history().at() + 1),
+            Action::Sweep => self.switches.sweep ^= true,
+            Action::Problems => self.switches.problems ^= true,
+            Action::Restart => self.session.restart(self.document.runnable()),
+            Action::Plugins => self.plugins = true,
+            Action::Reload => self.session.reload_plugins(),
+            Action::Escape if self.picker.is_some() => self.end_picking(),
+            Action::Escape => {
+                if !self.viewer.close() {
+                    self.canvas.selected.clear();
+                    self.canvas.selected_wire = None;
+                }
+            }
+            Action::Add => {
+                let at = self.canvas.place_for_new();
+                self.open_palette(Purpose::Add { at: (at.x, at.y), pending: None });
+            }
+            Action::Connect => match self.selected() {
+                Some(node) => self.open_palette(Purpose::Connect { node }),
+                None => self.notify("select one node to connect", true),
+            },
+            Action::Find => self.open_palette(Purpose::Find),
+            Action::Help => self.help = true,
+            Action::Compare => self.compare(),
+        }
+    }
+
+    /// An output with its packet type.
+    pub(super) fn source(&self, output: Output) -> Source {
+        let view = self.document.view();
+        let packet = view.node(&output.node).and_then(|n| view.packet(n, &output.port)).map(|p| p.name.clone());
+        Source { output, packet: packet.unwrap_or_default() }
+    }
+
+    /// Compares the output in the viewer with the next one, and after the last one with none.
+    fn compare(&mut self) {
+        let Some(shown) = self.viewer.source().cloned() else { return };
+        let others: Vec<Source> = self.sources().into_iter().filter(|s| *s != shown).collect();
+        let now = self.viewer.sources().nth(1).and_then(|b| others.iter().position(|o| o == b));
+        let next = others.get(now.map_or(0, |n| n + 1)).cloned();
+        self.viewer.compare(next);
+    }
+
+    fn open_palette(&mut self, purpose: Purpose) {
+        if matches!(purpose, Purpose::Add { .. }) {
+            let handle = self.session.handle();
+            self.types.gather(self.session.loader(), move || handle.wake());
+        }
+        self.palette = Some(Palette::new(purpose));
+    }
+
+    /// Performs what was picked in the palette.
+    pub(super) fn pick(&mut self, picked: Picked) {
+        match picked {
+            Picked::Add(node_type, at, pending) => {
+                let result = ops::add(&mut self.document, &node_type, at, pending.as_ref());
+                if let Some(id) = self.try_edit(result) {
+                    self.make_room(std::slice::from_ref(&id));
+                    self.canvas.select_only(&id);
+                    self.canvas.keep_in_view(&self.document.view().clone(), self.document.revision(), &id);
+                }
+            }
+            Picked::Connect(node, input, from) => {
+                self.handle_inspector(&node, InspectorRequest::Input { input, index: usize::MAX, from: Some(from) })
+            }
+            Picked::Go(id) => self.canvas.show_node(&self.document.view().clone(), &id),
+        }
+    }
+
+    /// Moves added nodes so that they do not overlap others, as part of the same undo step.
+    fn make_room(&mut self, added: &[String]) {
+        let view = self.document.view().clone();
+        let by = self.canvas.offset_to_free_space(&view, self.document.revision(), added);
+        if by == Vec2::ZERO {
+            return;
+        }
+        let result = self.document.amend(|edit| {
+            for id in added {
+                if let Some((x, y)) = view.node(id).and_then(|n| view.nodes[n].position) {
+                    edit.set_position(id, f64::from(x + by.x), f64::from(y + by.y));
+                }
+            }
+            Ok(())
+        });
+        self.try_edit(result);
+    }
+
+    /// Copies, cuts and pastes nodes as text.
+    pub(super) fn clipboard(&mut self, ctx: &Context, typing: bool) {
+        if typing {
+            return;
+        }
+        let events = ctx.input(|i| i.events.clone());
+        for event in events {
+            match event {
+                Event::Copy | Event::Cut if !self.canvas.selected.is_empty() => {
+                    let nodes: Vec<String> = self.canvas.selected.iter().cloned().collect();
+                    let result = ops::copy(&self.document, &nodes);
+                    if let Some(text) = self.try_edit(result) {
+                        ctx.copy_text(text);
+                        if event == Event::Cut {
+                            self.delete();
+                        }
+                    }
+                }
+                Event::Paste(text) => {
+                    let at = self.canvas.middle();
+                    let result = ops::paste(&mut self.document, &text, (at.x, at.y));
+                    if let Some(names) = self.try_edit(result) {
+                        self.make_room(&names);
+                        self.canvas.selected = names.into_iter().collect();
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Arrow keys move the view, with Shift the selected nodes. While the viewer is open, it gets the arrow keys.
+    pub(super) fn arrows(&mut self, ctx: &Context, typing: bool) {
+        if typing || self.viewer.source().is_some() || ctx.memory(|m| m.focused().is_some()) {
+            return;
+        }
+        for (key, [x, y]) in ARROWS {
+            let direction = vec2(x, y);
+            if ctx.input_mut(|i| i.consume_key(Modifiers::SHIFT, key)) {
+                let places = self.canvas.nudged(direction * NUDGE);
+                let result = ops::nudge_nodes(&mut self.document, &places);
+                self.try_edit(result);
+            } else if ctx.input_mut(|i| i.consume_key(Modifiers::NONE, key)) {
+                self.canvas.pan_by(direction * -PAN);
+            }
+        }
+    }
+
+    fn view(&mut self) {
+        self.end_picking();
+        if self.viewer.close() {
+            return;
+        }
+        let view = self.document.view().clone();
+        let of_selected = || {
+            let node = self.canvas.selected.iter().next().and_then(|id| view.node(id))?;
+            Some(self.canvas.shown_output(&view, node)?.0)
+        };
+        if let Some(output) = self.canvas.under_pointer.clone().or_else(of_selected) {
+            self.view_large(output);
+        }
+    }
+
+    /// Selects the node after the last selected one; `extend` keeps the current selection.
+    fn select_next(&mut self, extend: bool) {
+        let view = self.document.view().clone();
+        let now = self.canvas.selected.iter().filter_map(|id| view.node(id)).max();
+        let next = now.map_or(0, |n| (n + 1) % view.nodes.len().max(1));
+        match view.nodes.get(next) {
+            Some(node) if extend => drop(self.canvas.selected.insert(node.id().to_owned())),
+            Some(node) => self.canvas.select_only(node.id()),
+            None => {}
+        }
+    }
+
+    fn delete(&mut self) {
+        if let Some((node, input, index)) = self.canvas.selected_wire.take() {
+            let result = ops::unwire(&mut self.document, &node, &input, index);
+            self.try_edit(result);
+            return;
+        }
+        if let Some(marks) = self.canvas.without_selected_mark() {
+            let result = ops::set_marks(&mut self.document, &marks, &[]);
+            self.try_edit(result);
+            return;
+        }
+        let nodes: Vec<String> = self.canvas.selected.iter().cloned().collect();
+        if !nodes.is_empty() {
+            let result = ops::remove(&mut self.document, &nodes);
+            self.try_edit(result);
+        }
+    }
+
+    fn duplicate(&mut self) {
+        let canvas = &self.canvas;
+        let nodes: Vec<(String, (f32, f32))> =
+            canvas.selected.iter().filter_map(|id| canvas.position(id).map(|at| (id.clone(), (at.x, at.y)))).collect();
+        if nodes.is_empty() {
+            return;
+        }
+        let result = ops::duplicate(&mut self.document, &nodes);
+        if let Some(copies) = self.try_edit(result) {
+            self.make_room(&copies);
+            self.canvas.selected = copies.into_iter().collect();
+        }
+    }
+
+    fn bypass(&mut self) {
+        for id in self.canvas.selected.clone() {
+            if let Some(detours) = self.detours.remove(&id) {
+                let result = ops::end_bypass(&mut self.document, &id, &detours);
+                // The bypass was undone already, so it is started again.
+                if self.try_edit(result) != Some(false) {
+                    continue;
+                }
+            }
+            let result = ops::bypass(&mut self.document, &id);
+            if let Some(detours) = self.try_edit(result) {
+                self.notify(format!("{id} is bypassed"), false);
+                self.detours.insert(id, detours);
+            }
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! The curves that wires are drawn as.
+
+use eframe::egui::{Pos2, vec2};
+
+/// A point of a curve, `t` 0..=1.
+pub(super) fn on_curve(p: &[Pos2; 4], t: f32) -> Pos2 {
+    let s = 1.0 - t;
+    let weights = [s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t];
+    let mut at = Pos2::ZERO;
+    for (p, w) in p.iter().zip(weights) {
+        at += p.to_vec2() * w;
+    }
+    at
+}
+
+/// Approximates a curve by as few segments as are not visible; most wires of a large graph are one segment.
+pub(super) fn flattened(p: &[Pos2; 4]) -> Vec<Pos2> {
+    const TOLERANCE: f32 = 0.25;
+    let chord = (p[3] - p[0]).normalized();
+    let aside = |q: Pos2| ((q - p[0]).x * chord.y - (q - p[0]).y * chord.x).abs();
+    if aside(p[1]).max(aside(p[2])) < TOLERANCE {
+        return vec![p[0], p[3]];
+    }
+    // The error of n equal steps is at most max|second derivative| / (8 n^2).
+    let bend = |a: Pos2, b: Pos2, c: Pos2| (a.to_vec2() - 2.0 * b.to_vec2() + c.to_vec2()).length();
+    let most = 6.0 * bend(p[0], p[1], p[2]).max(bend(p[1], p[2], p[3]));
+    let count = (most / (8.0 * TOLERANCE)).sqrt().ceil().clamp(2.0, 64.0) as usize;
+    (0..=count).map(|i| on_curve(p, i as f32 / count as f32)).collect()
+}
+
+/// The curve of a wire between two pins.
+pub(super) fn bow(from: Pos2, to: Pos2, scale: f32) -> [Pos2; 4] {
+    let reach = ((to.x - from.x).abs() * 0.5).max(40.0 * scale).min(220.0 * scale);
+    [from, from + vec2(reach, 0.0), to - vec2(reach, 0.0), to]
+}
+
+/// Straight segments between corners, with rounded turns.
+pub(super) fn rounded(corners: &[Pos2]) -> Vec<[Pos2; 4]> {
+    const RADIUS: f32 = 14.0;
+    let straight = |a: Pos2, b: Pos2| [a, a + (b - a) / 3.0, b - (b - a) / 3.0, b];
+    let (mut at, mut curves) = (corners[0], Vec::with_capacity(2 * corners.len()));
+    for three in corners.windows(3) {
+        let [a, b, c] = [three[0], three[1], three[2]];
+        let radius = RADIUS.min((b - a).length() / 2.0).min((c - b).length() / 2.0);
+        let (before, after) = (b - (b - a).normalized() * radius, b + (c - b).normalized() * radius);
+        curves.push(straight(at, before));
+        curves.push([before, before + (b - before) * 0.55, after + (b - after) * 0.55, after]);
+        at = after;
+    }
+    curves.push(straight(at, corners[corners.len() - 1]));
+    curves
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eframe::egui::pos2;
+
+    #[test]
+    fn wires_are_few_pieces_and_keep_to_their_curve() {
+        let straight = bow(pos2(0.0, 5.0), pos2(300.0, 5.0), 1.0);
+        assert_eq!(flattened(&straight).len(), 2);
+        let curve = bow(pos2(0.0, 0.0), pos2(120.0, 400.0), 1.0);
+        let points = flattened(&curve);
+        assert!((8..=64).contains(&points.len()), "{}", points.len());
+        let apart = |at: Pos2| {
+            let near = points.windows(2).map(|pair| {
+                let delta = pair[1] - pair[0];
+                let along = ((at - pair[0]).dot(delta) / delta.length_sq()).clamp(0.0, 1.0);
+                at.distance(pair[0] + delta * along)
+            });
+            near.fold(f32::MAX, f32::min)
+        };
+        let worst = (0..=500).map(|i| apart(on_curve(&curve, i as f32 / 500.0))).fold(0.0, f32::max);
+        assert!(worst < 0.3, "{worst}");
+    }
+
+    #[test]
+    fn paths_around_nodes_have_rounded_turns_and_no_gaps() {
+        let corners = [pos2(10.0, 0.0), pos2(40.0, 0.0), pos2(40.0, 90.0), pos2(-60.0, 90.0), pos2(-60.0, 20.0)];
+        let curves = rounded(&corners);
+        assert!(curves.windows(2).all(|pair| pair[0][3] == pair[1][0]), "{curves:?}");
+        assert_eq!((curves[0][0], curves[curves.len() - 1][3]), (corners[0], corners[4]));
+    }
+}

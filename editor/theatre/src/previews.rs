@@ -1,0 +1,176 @@
+//! Requests and receives previews, falls back to the raw view, and collects the facts for notices.
+
+use std::collections::HashMap;
+use std::time::{Duration, Instant};
+
+use eframe::egui::Context;
+use panoscope_engine::clock;
+
+use super::measure::Measure;
+use super::notices::{Facts, STOPPED, metric_is_on};
+use super::{Pane, Theatre, Verified};
+use panoscope_editor_model::content::Content;
+use panoscope_editor_model::observe::{Counters, Output, PreviewRequest};
+use panoscope_editor_model::session::{Phase, Status};
+
+/// Minimum time between two previews.
+const INTERVAL: Duration = Duration::from_millis(33);
+/// How long a view may take for its first image before it counts as stopped.
+const FIRST: Duration = Duration::from_secs(5);
+/// Maximum width of a view, px.
+const MAX_WIDTH: usize = 4096;
+/// Width of the preview of a camera that is only monitored, px.
+const WATCHED_WIDTH: usize = 64;
+
+/// When the last packet of an output was received, and when its tick entered the graph.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LastPacket {
+    at: Instant,
+    ingest_ns: Option<u64>,
+}
+
+impl Theatre {
+    /// Takes the previews received since the last frame.
+    pub(super) fn take_previews(&mut self, ctx: &Context) {
+        let mut previews = self.observer.take();
+        let now = Instant::now();
+        for (output, packet) in &previews {
+            self.last_packets.insert(output.clone(), LastPacket { at: now, ingest_ns: packet.ingest_ns });
+        }
+        if let Some(rig) = &self.plan.rig
+            && let Some(Content::Rig(known)) = previews.get(&rig.calibration).map(|packet| &packet.content)
+        {
+            self.rig = Some(*known);
+        }
+        if let (Some(known), Some(rig)) = (self.rig, &self.plan.rig) {
+            self.measure.set_rig(known, rig.noise);
+        }
+        if let Some(cloud) = self.plan.cloud.clone().filter(|_| self.measure.is_waiting())
+            && let Some(packet) = previews.remove(&cloud)
+            && packet.cloud.is_some()
+        {
+            self.measure.take(ctx, &cloud, packet);
+            self.frozen = Some(now);
+        }
+        if let Some(raw) = self.plan.raw.as_ref().map(|raw| &raw.output)
+            && let Some(packet) = previews.get(raw)
+        {
+            self.live.update(ctx, HashMap::from([(raw.clone(), packet.clone())]));
+        }
+        if self.frozen.is_none() {
+            self.shown.update(ctx, previews);
+        }
+    }
+
+    /// Runs only the sources when the whole graph cannot run.
+    pub(super) fn fall_back(&mut self, status: &Status) {
+        match status.phase {
+            Phase::Running if self.running_since.is_none() => self.running_since = Some(Instant::now()),
+            Phase::Running => {}
+            _ => self.running_since = None,
+        }
+        if self.raw_only.is_some() || status.busy {
+            return;
+        }
+        let why = match (&status.phase, &status.problem) {
+            (Phase::Failed(why), _) => why.clone(),
+            (Phase::Idle | Phase::Ended, Some(problem)) => problem.message.clone(),
+            _ => return,
+        };
+        self.take_clip();
+        match self.plan.raw_only(&self.text) {
+            Ok(text) => self.session.restart(&text),
+            Err(error) => self.notify(error.to_string(), true),
+        }
+        self.raw_only = Some(why);
+        self.frozen = None;
+        self.measure = Measure::default();
+    }
+
+    /// The current facts for notices.
+    pub(super) fn facts(&mut self, status: &Status, counters: &Counters) -> Facts {
+        let running = status.phase == Phase::Running;
+        let since = self.running_since.map(|s| s.elapsed()).unwrap_or_default();
+        let silent =
+            |output: &Output| self.last_packets.get(output).map(|last_packets| last_packets.at.elapsed().min(since));
+        let has_stopped = |output: &Output| silent(output).map_or(since > FIRST, |age| age > STOPPED);
+        let lost = self.plan.cameras.iter().filter(|c| running && has_stopped(&c.output));
+        let lost: Vec<_> = lost.map(|c| (c.label.clone(), silent(&c.output))).collect();
+        let raw_goes_on = self.plan.raw.as_ref().is_some_and(|raw| !has_stopped(&raw.output));
+        let looking = running && self.frozen.is_none() && self.raw_only.is_none();
+        let stopped = self.displayed().into_iter().filter(|_| looking && raw_goes_on && !self.measure.is_waiting());
+        let stopped = stopped.filter(|p| has_stopped(&p.output) && !self.plan.is_source(&p.output.node));
+        let stopped: Vec<String> = stopped.map(|p| p.label.clone()).collect();
+        let main = self.plan.views.get(self.layout.main()).map(|v| v.output.clone());
+        let age_ms = main.filter(|_| looking).and_then(|main| self.age_ms(&main));
+        let calibrated = |metric| metric_is_on(counters, metric);
+        let problem = status.problem.as_ref().filter(|_| !status.busy).map(|t| t.message.clone());
+        let nothing_runs = match &status.phase {
+            Phase::Failed(why) => Some(why.clone()),
+            Phase::Idle | Phase::Ended => problem.clone(),
+            Phase::Starting | Phase::Running => None,
+        };
+        let source_faults = counters.faults.iter().filter(|(node, _)| self.plan.is_source(node));
+        Facts {
+            // Set only when the sources alone do not run either.
+            why_dark: nothing_runs.filter(|_| !status.busy && self.raw_only.is_some()),
+            source_faults: source_faults.map(|(node, fault)| (node.clone(), fault.words.clone())).collect(),
+            phase: status.phase.clone(),
+            problem,
+            raw_only: self.raw_only.clone(),
+            emergency: self.emergency,
+            lost,
+            stopped,
+            age_ms,
+            stages: self.stages.update(counters, Instant::now()),
+            free_bytes: self.storage.free_bytes(),
+            recording: self.clip.is_some(),
+            drifted: calibrated("drifted"),
+            swapped: calibrated("views_swapped"),
+            unlocked: match &self.verified {
+                Verified::Differs(how) => Some(how.clone()),
+                Verified::AsLocked | Verified::Never => None,
+            },
+        }
+    }
+
+    /// Age of an output's last packet, from the tick's entry into the graph until now.
+    pub(super) fn age_ms(&self, output: &Output) -> Option<f64> {
+        let ingest_ns = self.last_packets.get(output)?.ingest_ns?;
+        Some(clock::now_ns().saturating_sub(ingest_ns) as f64 / 1e6)
+    }
+
+    /// Requests previews of the visible outputs from the observer.
+    pub(super) fn request_previews(&mut self) {
+        let mut requests: HashMap<Output, PreviewRequest> = HashMap::new();
+        let of = |pane: &Pane, max_width| PreviewRequest {
+            packet: pane.packet.clone(),
+            max_width,
+            ..PreviewRequest::default()
+        };
+        for camera in &self.plan.cameras {
+            requests.insert(camera.output.clone(), of(camera, WATCHED_WIDTH));
+        }
+        if let Some(raw) = &self.plan.raw {
+            requests.insert(raw.output.clone(), of(raw, MAX_WIDTH));
+        }
+        if let Some(rig) = self.plan.rig.as_ref().filter(|_| self.measure.is_on() && self.rig.is_none()) {
+            let packet = "calibration".to_owned();
+            requests
+                .insert(rig.calibration.clone(), PreviewRequest { packet, max_width: 1, ..PreviewRequest::default() });
+        }
+        if self.frozen.is_none() && self.raw_only.is_none() {
+            for pane in self.displayed() {
+                let viewpoint =
+                    (pane.packet == "cloud").then(|| self.viewpoints.get(&pane.output).copied().unwrap_or_default());
+                requests.insert(pane.output.clone(), PreviewRequest { viewpoint, ..of(pane, MAX_WIDTH) });
+            }
+            if let Some(cloud) = self.plan.cloud.as_ref().filter(|_| self.measure.is_waiting()) {
+                let packet = "cloud".to_owned();
+                let points = PreviewRequest { packet, max_width: MAX_WIDTH, points: true, ..PreviewRequest::default() };
+                requests.insert(cloud.clone(), points);
+            }
+        }
+        self.observer.set_requests(requests, INTERVAL);
+    }
+}

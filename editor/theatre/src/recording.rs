@@ -1,0 +1,120 @@
+//! Records stills and clips of the views.
+
+use super::notices::{FULL_BYTES, STOPPED};
+use super::storage::{self, Clip};
+use super::{Pane, Theatre};
+use panoscope_editor_model::disk::is_full;
+use panoscope_editor_model::observe::Counters;
+use panoscope_editor_model::session::Status;
+
+impl Theatre {
+    /// Saves a still of the main view, or of the image being measured.
+    pub(super) fn still(&mut self) {
+        let pixels = if self.measure.is_on() {
+            self.measure.pixels()
+        } else {
+            let main = self.plan.views.get(self.layout.main());
+            let raw = self.plan.raw.as_ref().filter(|_| self.raw_only.is_some());
+            match raw {
+                Some(raw) => self.live.pixels(&raw.output).cloned(),
+                None => main.and_then(|m| self.shown.pixels(&m.output).cloned()),
+            }
+        };
+        let result = pixels.map(|pixels| self.storage.still(pixels));
+        match result {
+            Some(Ok(())) => {}
+            Some(Err(error)) => self.notify(error.to_string(), true),
+            None => self.notify("there is no image yet", true),
+        }
+    }
+
+    /// The view to record: the main view if it is an image, else the first image.
+    fn clip_view(&self) -> Option<Pane> {
+        let raw = self.plan.raw.as_ref().filter(|_| self.raw_only.is_some());
+        let main = self.plan.views.get(self.layout.main());
+        let others = self.plan.views.iter().chain(&self.plan.raw);
+        raw.into_iter().chain(main).chain(others).find(|p| p.packet == "image").cloned()
+    }
+
+    /// Starts or ends a clip.
+    pub(super) fn record(&mut self) {
+        if self.clip.is_some() {
+            self.end_clip();
+            return;
+        }
+        if self.raw_only.is_some() {
+            self.notify("a clip needs the whole graph; only stills can be saved now", true);
+            return;
+        }
+        let Some(pane) = self.clip_view() else {
+            let packets: Vec<&str> = self.plan.views.iter().map(|v| v.packet.as_str()).collect();
+            let message = match packets.is_empty() {
+                true => "this graph shows no image, so there is nothing to record".to_owned(),
+                false => format!(
+                    "a clip needs an image, but this graph shows only {}: save a still, or add an image to the preset",
+                    packets.join(" and ")
+                ),
+            };
+            return self.notify(message, true);
+        };
+        let main = self.plan.views.get(self.layout.main()).filter(|_| self.raw_only.is_none());
+        let instead = main
+            .filter(|m| m.output != pane.output)
+            .map(|m| format!("{} is not an image: the clip shows {}", m.label, pane.label));
+        if self.storage.free_bytes().is_some_and(|free| free < FULL_BYTES) {
+            return self.notify("the disk is full", true);
+        }
+        match self.storage.start_clip(&self.text, &pane.output) {
+            Ok((text, clip)) => {
+                self.clip = Some(clip);
+                self.run(text);
+                if let Some(message) = instead {
+                    self.notify(message, false);
+                }
+            }
+            Err(error) => self.notify(error.to_string(), true),
+        }
+    }
+
+    /// Removes the clip from the graph's text and returns it.
+    pub(super) fn take_clip(&mut self) -> Option<Clip> {
+        let clip = self.clip.take()?;
+        if let Ok(text) = storage::without_clip(&self.text, &clip.node) {
+            self.text = text;
+        }
+        Some(clip)
+    }
+
+    fn end_clip(&mut self) {
+        if let Some(clip) = self.take_clip() {
+            self.run(self.text.clone());
+            self.notify(format!("{} is saved", clip.file.file_name().unwrap_or_default().to_string_lossy()), false);
+        }
+    }
+
+    /// Reports written stills, and ends a clip that cannot continue.
+    pub(super) fn update_recordings(&mut self, status: &Status, counters: &Counters) {
+        for done in self.storage.finished() {
+            match done {
+                Ok(name) => self.notify(format!("{name} is saved"), false),
+                Err(error) => self.notify(error.to_string(), true),
+            }
+        }
+        let Some(clip) = &self.clip else { return };
+        let name = clip.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let fault = counters.faults.get(&clip.node).map(|f| f.words.clone());
+        let refused = status.problem.as_ref().filter(|_| !status.busy && clip.since.elapsed() > STOPPED);
+        let full = self.storage.free_bytes().is_some_and(|free| free < FULL_BYTES);
+        if let Some(problem) = refused {
+            let message = format!("the clip could not be started: {}", problem.message);
+            self.take_clip();
+            self.run(self.text.clone());
+            self.notify(message, true);
+        } else if full || fault.is_some() {
+            self.end_clip();
+            let full = full || fault.as_ref().is_some_and(|f| is_full(f));
+            let why = if full { "the disk is full".to_owned() } else { fault.unwrap_or_default() };
+            self.notify(format!("{name} ended early: {why}; the part recorded so far is saved"), true);
+        }
+    }
+}

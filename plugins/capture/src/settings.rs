@@ -1,0 +1,266 @@
+//! Parameters of `capture`, and the checks that need no source to be open.
+
+use std::path::{Path, PathBuf};
+
+use panoscope_node::abi::Calibration;
+use panoscope_node::{Choice, NodeError, Params, Rect, Result, Validation};
+
+use crate::crop::{self, Halves};
+use crate::source::{CaptureError, SourceName, unknown_element};
+
+/// Most views of one node.
+pub const MAX_VIEWS: usize = 4;
+
+/// How one source holds two views.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Split {
+    /// Every source is one view.
+    None,
+    /// The left view is the left half.
+    SideBySide,
+    /// The left view is the upper half.
+    TopBottom,
+}
+
+/// When the node holds pictures back to their rate.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// In live mode. In batch mode pictures come as fast as they are read.
+    Auto,
+    /// Always.
+    On,
+    /// Never.
+    Off,
+}
+
+/// How the node handles a damaged picture.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OnDamage {
+    /// The node fails and names the file. In batch mode its pictures end there; in live mode it continues with the next one.
+    Fail,
+    /// The tick is empty, with a warning; the next picture follows.
+    Skip,
+}
+
+/// Parameters.
+#[derive(Params)]
+pub struct Settings {
+    /// Left view: camera number or /dev/videoN, video file, image, folder of images, pattern (dir/*.png or img_%04d.png), stream address, or
+    /// GStreamer pipeline (any text with !). Pictures of folders and patterns are paired by the numbers in their names, videos by time.
+    #[param(default = "", reopen, file)]
+    pub left: String,
+    /// Right view, as `left`.
+    #[param(default = "", reopen, file)]
+    pub right: String,
+    /// Up to four views instead of `left` and `right`, separated by semicolons.
+    #[param(default = "", reopen)]
+    pub views: String,
+    /// Splits one picture into both views; give `left` only.
+    #[param(default = "none", reopen)]
+    pub split: Split,
+    /// Crop in px: x, y, width, height once for all views, or once for each. Width or height 0 reaches to the edge. Pictures are split first.
+    #[param(default = [], range = 0..=16, rectangles)]
+    pub crop: Vec<f64>,
+    /// Starts files again at their end. Without it a single image is one tick in batch mode.
+    #[param(default = false, reopen)]
+    pub r#loop: bool,
+    /// Pictures per second of media time, for all views. 0 takes the times in the videos, and 30 per second for images.
+    #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
+    pub rate_hz: f64,
+    /// When to hold pictures back to their rate. Cameras keep their own pace.
+    #[param(default = "auto")]
+    pub pace: Pace,
+    /// Number of ticks after which the source ends; 0 never ends it.
+    #[param(default = 0, range = 0..=1000000000, unit = "frames")]
+    pub frames: u64,
+    /// Columns requested from cameras; 0 leaves their mode.
+    #[param(default = 0, range = 0..=16384, unit = "px", reopen)]
+    pub width: u32,
+    /// Rows requested from cameras; 0 leaves their mode.
+    #[param(default = 0, range = 0..=16384, unit = "px", reopen)]
+    pub height: u32,
+    /// Pictures per second requested from cameras; 0 leaves their mode.
+    #[param(default = 0.0, range = 0.0..=1000.0, unit = "Hz", reopen)]
+    pub fps: f64,
+    /// Locks exposure and gain of all cameras at the values of view 0 after `lock_after` pictures.
+    #[param(default = false, reopen)]
+    pub lock_exposure: bool,
+    /// Locks the white balance of all cameras at the value of view 0 after `lock_after` pictures.
+    #[param(default = false, reopen)]
+    pub lock_white_balance: bool,
+    /// Number of pictures after which exposure and white balance are locked.
+    #[param(default = 30, range = 0..=10000, unit = "frames", reopen)]
+    pub lock_after: u64,
+    /// How a damaged picture is handled.
+    #[param(default = "fail")]
+    pub on_damage: OnDamage,
+    /// Bit depth of pictures with more than eight bits: 12 makes 4095 white. 0 finds it from the values and logs it.
+    #[param(default = 0, range = 0..=16)]
+    pub bit_depth: u32,
+    /// Time limit for opening a camera, stream or pipeline.
+    #[param(default = 10.0, range = 0.1..=600.0, unit = "s", reopen)]
+    pub open_limit_s: f64,
+    /// Calibration file of the first two views: OpenCV's FileStorage YAML or a Kalibr camera chain; the two files of ROS (left;
+    /// right) or of OpenCV's sample (intrinsics; extrinsics) are separated by a semicolon.
+    #[param(default = "", reopen, file)]
+    pub calibration: String,
+}
+
+/// Why the parameters name no sources.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SourcesError {
+    /// Nothing is given.
+    #[error("no source: give `left` and `right` (camera, video, images or pipeline), `left` with `split`, or `views`")]
+    None,
+    /// Both forms are given.
+    #[error("give either `views` or `left` and `right`, not both")]
+    Both,
+    /// `right` is given alone.
+    #[error("`right` is given without `left`")]
+    RightAlone,
+    /// More views than the node has.
+    #[error("{count} views are given, {MAX_VIEWS} are the most")]
+    TooMany {
+        /// Views given.
+        count: usize,
+    },
+    /// `split` with more than one source.
+    #[error("`split` cuts one picture in two: give `left` only")]
+    SplitOfMany,
+}
+
+impl SourcesError {
+    /// The parameter that is wrong.
+    pub fn param(self) -> &'static str {
+        match self {
+            Self::None => "left",
+            Self::Both | Self::TooMany { .. } => "views",
+            Self::RightAlone => "right",
+            Self::SplitOfMany => "split",
+        }
+    }
+}
+
+impl Settings {
+    /// The texts that name sources, each with its parameter.
+    ///
+    /// # Errors
+    /// No source, too many, or forms that exclude each other.
+    pub fn source_texts(&self) -> std::result::Result<Vec<(&'static str, &str)>, SourcesError> {
+        let pair = [self.left.trim(), self.right.trim()];
+        let list: Vec<&str> = self.views.split([';', '\n']).map(str::trim).filter(|t| !t.is_empty()).collect();
+        let texts: Vec<(&'static str, &str)> = match (pair, list.is_empty()) {
+            (["", ""], true) => return Err(SourcesError::None),
+            (["", ""], false) => list.into_iter().map(|text| ("views", text)).collect(),
+            (_, false) => return Err(SourcesError::Both),
+            (["", _], true) => return Err(SourcesError::RightAlone),
+            ([left, ""], true) => vec![("left", left)],
+            ([left, right], true) => vec![("left", left), ("right", right)],
+        };
+        if texts.len() > MAX_VIEWS {
+            return Err(SourcesError::TooMany { count: texts.len() });
+        }
+        if self.split != Split::None && texts.len() != 1 {
+            return Err(SourcesError::SplitOfMany);
+        }
+        Ok(texts)
+    }
+
+    /// Reads the calibration, if a file is given.
+    ///
+    /// # Errors
+    /// A file that is no calibration.
+    pub fn read_calibration(&self, folder: &Path) -> Result<Option<Calibration>> {
+        let names = self.calibration.split(';').map(str::trim).filter(|name| !name.is_empty());
+        let files: Vec<PathBuf> = names.map(|name| folder.join(name)).collect();
+        if files.is_empty() {
+            return Ok(None);
+        }
+        panoscope_calibration::read(&files).map(Some).map_err(|error| NodeError::new(format!("calibration: {error}")))
+    }
+
+    /// Reports what cannot work, without opening a source.
+    pub fn check(&self, check: &mut Validation<'_>) {
+        let folder = check.graph_dir();
+        if let Err(error) = self.read_calibration(folder) {
+            check.error("calibration", error.message(), "");
+        } else if self.calibration.trim().is_empty() && check.is_read("calibration") == Some(true) {
+            let message = "output `calibration` is read and stays empty: no calibration file is given";
+            check.warning("calibration", message, "give a file, as in calibration = \"stereo.yaml\"");
+        }
+        let texts = match self.source_texts() {
+            Ok(texts) => texts,
+            Err(error) => return check.error(error.param(), error.to_string(), ""),
+        };
+        let mut names = Vec::with_capacity(texts.len());
+        for (param, text) in texts {
+            if text.contains('!')
+                && let Some(element) = unknown_element(text)
+            {
+                let message = format!("the pipeline names `{element}`, which is no GStreamer element of this machine");
+                check.error(
+                    param,
+                    message,
+                    "correct the name, or install its plugin; gst-inspect-1.0 lists all elements",
+                );
+            }
+            names.push(match SourceName::parse(text, folder) {
+                Ok(name) => Some(name),
+                // A camera may be plugged in before the graph runs.
+                Err(error @ CaptureError::NoDevice { .. }) => {
+                    check.warning(param, error.to_string(), "plug it in before the graph runs");
+                    None
+                }
+                Err(error) => {
+                    check.error(param, error.to_string(), "");
+                    None
+                }
+            });
+        }
+        self.check_crops(&names, check);
+        let views = if self.split == Split::None { names.len() } else { 2 };
+        let missing = [("right", 1), ("view1", 1), ("view2", 2), ("view3", 3)];
+        if let Some((output, _)) =
+            missing.iter().find(|(name, view)| *view >= views && check.is_read(name) == Some(true))
+        {
+            let message = format!(
+                "output `{output}` is read and stays empty: {views} view{} given",
+                if views == 1 { " is" } else { "s are" }
+            );
+            check.node_warning(message, "name one more source, or set `split`");
+        }
+    }
+
+    /// How a picture is split, where it is.
+    pub fn halves(&self) -> Option<Halves> {
+        match self.split {
+            Split::None => None,
+            Split::SideBySide => Some(Halves::SideBySide),
+            Split::TopBottom => Some(Halves::TopBottom),
+        }
+    }
+
+    /// Reports crops that fit no picture, or not the first image of a view.
+    fn check_crops(&self, names: &[Option<SourceName>], check: &mut Validation<'_>) {
+        let views = if self.split == Split::None { names.len() } else { 2 };
+        for view in 0..views {
+            let crop = match crop::of_view(&self.crop, view, views) {
+                Ok(Some(crop)) => crop,
+                Ok(None) => return,
+                Err(error) => return check.error("crop", error.to_string(), ""),
+            };
+            let name = names.get(if self.split == Split::None { view } else { 0 }).and_then(Option::as_ref);
+            let checked = match name.and_then(SourceName::picture_size) {
+                Some((width, height)) => {
+                    let whole = Rect::whole(width, height);
+                    crop::part(self.halves().map_or(whole, |halves| halves.of(whole, view)), crop).map(drop)
+                }
+                // The picture is not known yet: only numbers that fit no picture are refused.
+                None => crop::whole_numbers(crop).map(drop),
+            };
+            if let Err(error) = checked {
+                return check.error("crop", format!("view {view}: {error}"), "give x, y, width, height in px");
+            }
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! Errors of sources and pictures.
+
+use std::path::PathBuf;
+
+/// Why a source gives no picture.
+#[derive(Debug, thiserror::Error)]
+pub enum CaptureError {
+    /// The file does not exist.
+    #[error("there is no file {path}{hint}", path = path.display())]
+    Missing {
+        /// Absolute path.
+        path: PathBuf,
+        /// More about the place, or empty.
+        hint: String,
+    },
+    /// The camera does not exist.
+    #[error("there is no camera {path}: {present}", path = path.display())]
+    NoDevice {
+        /// The device's file.
+        path: PathBuf,
+        /// The cameras of this machine, in words.
+        present: String,
+    },
+    /// A pattern or folder without any image.
+    #[error("no image matches {pattern}; {hint}")]
+    NoMatch {
+        /// Absolute pattern.
+        pattern: String,
+        /// What to do.
+        hint: String,
+    },
+    /// A file that cannot be read or is no image.
+    #[error("{path}{place} cannot be read: {cause}", path = path.display())]
+    Unreadable {
+        /// Absolute path.
+        path: PathBuf,
+        /// Its number in a series, or empty.
+        place: String,
+        /// What is wrong with the file.
+        cause: PictureError,
+    },
+    /// A device, video or pipeline that does not open.
+    #[error("{name} does not open: {reason}")]
+    Closed {
+        /// The source, in words.
+        name: String,
+        /// Why, and what to do.
+        reason: String,
+    },
+    /// A frame of a device, video or pipeline that cannot be decoded.
+    #[error("{name}: frame {frame}{of_expected} cannot be decoded: {cause}")]
+    Frame {
+        /// The source, in words.
+        name: String,
+        /// Number of the frame, from 1.
+        frame: u64,
+        /// Number of frames that the source announces, as ` of N`, or empty.
+        of_expected: String,
+        /// What is wrong with the frame.
+        cause: FrameError,
+    },
+}
+
+/// What is wrong with a frame of a stream.
+#[derive(Debug, thiserror::Error)]
+pub enum FrameError {
+    /// The source has been lost.
+    #[error("the source is not open")]
+    NotOpen,
+    /// The decoder returned no picture.
+    #[error("the decoder gave nothing")]
+    NoPicture,
+    /// The decoder returned a picture of no pixels.
+    #[error("an empty picture came")]
+    Empty,
+    /// A JPEG of another size than the stream announces.
+    #[error(
+        "a JPEG of {width}x{height} came where {announced_width}x{announced_height} was announced (interlaced?): convert it to another format"
+    )]
+    OtherSize {
+        /// Columns of the JPEG, px.
+        width: usize,
+        /// Rows of the JPEG, px.
+        height: usize,
+        /// Columns announced, px.
+        announced_width: usize,
+        /// Rows announced, px.
+        announced_height: usize,
+    },
+    /// The frame holds a damaged picture.
+    #[error(transparent)]
+    Picture(#[from] PictureError),
+}
+
+/// What is wrong with the bytes of a picture.
+#[derive(Debug, thiserror::Error)]
+pub enum PictureError {
+    /// The file cannot be read.
+    #[error("{cause}")]
+    Read {
+        /// The system's error.
+        cause: std::io::Error,
+    },
+    /// The file has no bytes.
+    #[error("the file is empty")]
+    Empty,
+    /// No decoder takes it.
+    #[error("the file is no image that OpenCV knows, or it is damaged")]
+    Unknown,
+    /// A PNG or JPEG that its decoder refuses.
+    #[error("the image is damaged: {cause}")]
+    Damaged {
+        /// The decoder's error.
+        cause: image::ImageError,
+    },
+    /// Parts of the picture are not in the file.
+    #[error("the image is damaged: parts of it cannot be decoded")]
+    Incomplete,
+    /// A JPEG that is not whole.
+    #[error(transparent)]
+    Jpeg(#[from] JpegError),
+    /// OpenCV refuses it.
+    #[error("{message}")]
+    OpenCv {
+        /// OpenCV's message.
+        message: String,
+    },
+}
+
+impl From<opencv::Error> for PictureError {
+    fn from(error: opencv::Error) -> Self {
+        Self::OpenCv { message: error.message }
+    }
+}
+
+/// What is wrong with the markers of a JPEG.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum JpegError {
+    /// The first bytes are not those of a JPEG.
+    #[error("it does not begin as a JPEG")]
+    NotJpeg,
+    /// The end marker is missing.
+    #[error("the JPEG is cut off after {bytes} bytes: its end is missing")]
+    CutOff {
+        /// Bytes that there are.
+        bytes: usize,
+    },
+    /// No scan stands before the end marker.
+    #[error("the JPEG holds no picture")]
+    NoPicture,
+}

@@ -1,0 +1,119 @@
+//! Capture times of the ticks, and waiting until a picture is due.
+
+use std::time::Duration;
+
+use crate::source::Clock;
+
+/// Longest wait for a picture's time: a jump in a file's times is not waited for.
+const LONGEST_PAUSE: Duration = Duration::from_millis(1500);
+
+/// Times of one instance. All times are ns; those of the host's clock come from the caller.
+#[derive(Debug)]
+pub struct Timing {
+    /// Capture time of the newest tick; -1 before the first.
+    pub capture_ns: i64,
+    /// Time of the clock, and the capture time then, that the pace counts from.
+    pace_from: Option<(i64, i64)>,
+    /// The same for devices, whose capture time is the clock's.
+    device_from: Option<(i64, i64)>,
+}
+
+impl Default for Timing {
+    fn default() -> Self {
+        Self { capture_ns: -1, pace_from: None, device_from: None }
+    }
+}
+
+/// Where the time of a picture comes from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Time {
+    /// The source gives it: media time, s.
+    Media(f64),
+    /// The host's clock, for a device.
+    Device,
+    /// The number of the tick and the rate, Hz.
+    Rate(u64, f64),
+}
+
+impl Timing {
+    /// Sets and returns the capture time of a tick, always later than the one before.
+    pub fn advance(&mut self, time: Time, clock: Clock<'_>) -> i64 {
+        let next_ns = match time {
+            Time::Media(media_s) => (media_s * 1e9).round() as i64,
+            Time::Device => {
+                let now_ns = clock();
+                let (start_ns, first_ns) = *self.device_from.get_or_insert((now_ns, self.capture_ns + 1));
+                first_ns + now_ns.saturating_sub(start_ns)
+            }
+            Time::Rate(tick, rate_hz) => (tick as f64 * 1e9 / rate_hz).round() as i64,
+        };
+        self.capture_ns = next_ns.max(self.capture_ns + 1);
+        self.capture_ns
+    }
+
+    /// Forgets the pace: the next picture that is paced is due at once.
+    pub fn reset_pace(&mut self) {
+        self.pace_from = None;
+    }
+
+    /// Sleeps until the newest picture is due. `period` is the time between two pictures.
+    pub fn wait(&mut self, period: Duration, clock: Clock<'_>) {
+        let now_ns = clock();
+        let (start_ns, first_ns) = *self.pace_from.get_or_insert((now_ns, self.capture_ns));
+        let due_ns = start_ns.saturating_add((self.capture_ns - first_ns).max(0));
+        let pause = Duration::from_nanos(u64::try_from(due_ns.saturating_sub(now_ns)).unwrap_or(0));
+        std::thread::sleep(pause.min(LONGEST_PAUSE));
+        let late = Duration::from_nanos(u64::try_from(now_ns.saturating_sub(due_ns)).unwrap_or(0));
+        // After a long pause the missed pictures are not made up for.
+        if late > period || pause > LONGEST_PAUSE {
+            self.pace_from = Some((clock(), self.capture_ns));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::*;
+
+    #[test]
+    fn devices_take_the_hosts_time_and_never_repeat_one() {
+        let now_ns = Cell::new(7_000);
+        let clock = || now_ns.get();
+        let mut timing = Timing::default();
+        assert_eq!(timing.advance(Time::Device, &clock), 0);
+        assert_eq!(timing.advance(Time::Device, &clock), 1, "the clock stands still");
+        now_ns.set(7_500);
+        assert_eq!(timing.advance(Time::Device, &clock), 500);
+        now_ns.set(0);
+        assert_eq!(timing.advance(Time::Device, &clock), 501, "the clock went back");
+    }
+
+    #[test]
+    fn media_times_never_go_back() {
+        let mut timing = Timing::default();
+        let clock = || panic!("media time needs no clock");
+        assert_eq!(timing.advance(Time::Media(0.5), &clock), 500_000_000);
+        assert_eq!(timing.advance(Time::Media(0.4), &clock), 500_000_001);
+        assert_eq!(timing.advance(Time::Rate(30, 30.0), &clock), 1_000_000_000);
+    }
+
+    #[test]
+    fn a_picture_that_is_late_by_more_than_its_period_starts_the_pace_anew() {
+        let now_ns = Cell::new(0);
+        let clock = || now_ns.get();
+        let period = Duration::from_millis(1);
+        let mut timing = Timing { capture_ns: 0, ..Timing::default() };
+        timing.wait(period, &clock);
+        assert_eq!(timing.pace_from, Some((0, 0)));
+        (timing.capture_ns, _) = (1_000_000, now_ns.set(1_500_000));
+        timing.wait(period, &clock);
+        assert_eq!(timing.pace_from, Some((0, 0)), "late by half a period");
+        (timing.capture_ns, _) = (2_000_000, now_ns.set(9_000_000));
+        timing.wait(period, &clock);
+        assert_eq!(timing.pace_from, Some((9_000_000, 2_000_000)));
+        timing.reset_pace();
+        assert_eq!(timing.pace_from, None);
+    }
+}

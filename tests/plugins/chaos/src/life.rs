@@ -1,0 +1,224 @@
+//! `chaos_life` and `chaos_device` hand pictures on, `chaos_camera` makes them; what does not return is not their work on a tick but what comes before and after:
+//! opening, closing, handing a state over.
+
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
+
+use panoscope_node::{
+    Choice, Context, Gray8, Image, NoPorts, Node, NodeInfo, Open, Parallel, Params, Ports, Result, Slot, error,
+};
+
+use crate::harm::wait;
+
+/// Times that a node of a name was opened.
+static OPENED: Mutex<Option<HashMap<String, u64>>> = Mutex::new(None);
+
+/// What does not return.
+#[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hangs {
+    /// Nothing.
+    Never,
+    /// Opening.
+    Open,
+    /// A chunk of a loop on the host's pool, while it opens.
+    OpenInLoop,
+    /// Closing.
+    Close,
+    /// Saving a state.
+    Save,
+    /// Taking a state over.
+    Load,
+}
+
+/// What goes wrong, and when.
+#[derive(Params)]
+pub struct Life {
+    /// What does not return for `hang_ms`.
+    #[param(default = "never", reopen)]
+    hangs: Hangs,
+    /// How long it does not return.
+    #[param(default = 60000.0, range = 0.0..=1000000000.0, unit = "ms", reopen)]
+    hang_ms: f64,
+    /// Of openings of nodes of this name in the process, so many return at once.
+    #[param(default = 0, range = 0..=1000000000, reopen)]
+    quick_opens: u64,
+    /// So many after these do not return in time; the rest does.
+    #[param(default = 1000000000, range = 0..=1000000000, reopen)]
+    slow_opens: u64,
+    /// Tick that fails, once; 0 for none.
+    #[param(default = 0, range = 0..=1000000000, reopen)]
+    fails_at: u64,
+    /// Another number opens the node again.
+    #[param(default = 0, range = 0..=1000000000, reopen)]
+    #[allow(dead_code, reason = "only its change matters")]
+    turn: u64,
+}
+
+/// One gray picture.
+#[derive(Ports)]
+pub struct In<'f> {
+    /// The picture.
+    image: Image<'f, Gray8>,
+}
+
+/// The picture handed on.
+#[derive(Ports)]
+pub struct Out<'f> {
+    /// The same buffer as the input.
+    image: Slot<'f, Gray8>,
+}
+
+struct Instance {
+    hangs: Hangs,
+    hang_ms: f64,
+    fails_at: u64,
+}
+
+impl Instance {
+    fn open(open: &Open<'_>, life: &Life) -> Self {
+        let number = {
+            let mut opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner);
+            let count = opened.get_or_insert_default().entry(open.node_id().to_owned()).or_default();
+            *count += 1;
+            *count
+        };
+        let slow = (life.quick_opens + 1..=life.quick_opens + life.slow_opens).contains(&number);
+        match life.hangs {
+            Hangs::Open if slow => wait(life.hang_ms),
+            Hangs::OpenInLoop if slow => open.pool().run(16, &|_| wait(life.hang_ms)),
+            _ => {}
+        }
+        Self { hangs: life.hangs, hang_ms: life.hang_ms, fails_at: life.fails_at }
+    }
+
+    fn fail(&self, cx: &Context<'_>) -> Result<()> {
+        if self.fails_at > 0 && cx.tick().seq == self.fails_at {
+            return Err(error!("told to fail at tick {}", self.fails_at));
+        }
+        Ok(())
+    }
+
+    fn process(&mut self, cx: &Context<'_>, input: &In<'_>, out: &mut Out<'_>) -> Result<()> {
+        self.fail(cx)?;
+        out.image.forward(input.image.frame())
+    }
+
+    fn save(&self) -> Option<Vec<u8>> {
+        if self.hangs == Hangs::Save {
+            wait(self.hang_ms);
+        }
+        Some(vec![1])
+    }
+
+    fn load(&self) {
+        if self.hangs == Hangs::Load {
+            wait(self.hang_ms);
+        }
+    }
+}
+
+impl Drop for Instance {
+    fn drop(&mut self) {
+        if self.hangs == Hangs::Close {
+            wait(self.hang_ms);
+        }
+    }
+}
+
+/// A node that can be open beside its successor.
+pub struct ChaosLife(Instance);
+
+impl Node for ChaosLife {
+    const INFO: NodeInfo =
+        NodeInfo::compute("chaos_life", "flow", "Does not return from opening or closing, on request.");
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = Life;
+
+    fn open(open: &Open<'_>, life: &Life) -> Result<Self> {
+        Ok(Self(Instance::open(open, life)))
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, _: &Life) -> Result<()> {
+        self.0.process(cx, &input, &mut out)
+    }
+
+    fn save_state(&self) -> Option<Vec<u8>> {
+        self.0.save()
+    }
+
+    fn load_state(&mut self, _: &[u8]) -> Result<()> {
+        self.0.load();
+        Ok(())
+    }
+}
+
+/// A node that has to be closed before its successor is opened.
+pub struct ChaosDevice(Instance);
+
+impl Node for ChaosDevice {
+    const INFO: NodeInfo =
+        NodeInfo::compute("chaos_device", "flow", "As `chaos_life`, but closed before its successor opens.")
+            .exclusive();
+    type In<'f> = In<'f>;
+    type Out<'f> = Out<'f>;
+    type Params = Life;
+
+    fn open(open: &Open<'_>, life: &Life) -> Result<Self> {
+        Ok(Self(Instance::open(open, life)))
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, _: &Life) -> Result<()> {
+        self.0.process(cx, &input, &mut out)
+    }
+
+    fn save_state(&self) -> Option<Vec<u8>> {
+        self.0.save()
+    }
+
+    fn load_state(&mut self, _: &[u8]) -> Result<()> {
+        self.0.load();
+        Ok(())
+    }
+}
+
+/// Made pictures.
+#[derive(Ports)]
+pub struct Made<'f> {
+    /// A black picture.
+    image: Slot<'f, Gray8>,
+}
+
+/// A source: it is asked for its position when it fails.
+pub struct ChaosCamera(Instance);
+
+impl Node for ChaosCamera {
+    const INFO: NodeInfo =
+        NodeInfo::compute("chaos_camera", "source", "As `chaos_life`, but a source, 200 frames per second.").source();
+    type In<'f> = NoPorts;
+    type Out<'f> = Made<'f>;
+    type Params = Life;
+
+    fn open(open: &Open<'_>, life: &Life) -> Result<Self> {
+        Ok(Self(Instance::open(open, life)))
+    }
+
+    fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Made<'f>, _: &Life) -> Result<()> {
+        self.0.fail(cx)?;
+        cx.set_capture_ns(cx.tick().seq as i64 * 5_000_000);
+        let mut plane = out.image.alloc(16, 8)?;
+        for y in 0..plane.height {
+            plane.row_mut(y).fill(0);
+        }
+        Ok(())
+    }
+
+    fn save_state(&self) -> Option<Vec<u8>> {
+        self.0.save()
+    }
+
+    fn load_state(&mut self, _: &[u8]) -> Result<()> {
+        self.0.load();
+        Ok(())
+    }
+}
