@@ -15,7 +15,7 @@ use crate::fault::{Action, Cause};
 use crate::guard::{CallError, OpenError};
 use crate::log::Level;
 use crate::node::NodeRuntime;
-use crate::node::backoff_ms;
+use crate::node::failures::backoff_ms;
 use crate::outbox::panic_words;
 use crate::plan::Plan;
 use crate::retained;

@@ -18,6 +18,7 @@ pub mod command_line;
 mod diagnostic;
 mod dot;
 pub mod edit;
+mod edit_error;
 mod file;
 mod flatten;
 #[cfg(feature = "abi")]

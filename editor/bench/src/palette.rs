@@ -126,7 +126,7 @@ impl Palette {
                 pairs.map(entry).collect()
             }
             Purpose::Find => {
-                let entry = |n: &panoscope_editor_model::document::NodeView| Entry {
+                let entry = |n: &panoscope_editor_model::graph_view::NodeView| Entry {
                     name: n.id().to_owned(),
                     side: n.outline.type_name.clone(),
                     doc: n.node_type.as_ref().and_then(|t| t.doc.lines().next()).unwrap_or_default().to_owned(),

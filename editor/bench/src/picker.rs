@@ -6,7 +6,8 @@ use eframe::egui::{
 };
 use panoscope_graph::Pick;
 
-use panoscope_editor_model::document::{Document, GraphView};
+use panoscope_editor_model::document::Document;
+use panoscope_editor_model::graph_view::GraphView;
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::picture::is_pictorial;
 use panoscope_editor_widgets::ARROWS;

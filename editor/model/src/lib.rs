@@ -7,6 +7,7 @@
 pub mod content;
 pub mod disk;
 pub mod document;
+pub mod graph_view;
 pub mod history;
 pub mod layout;
 mod mark;

@@ -3,7 +3,8 @@
 use panoscope_graph::edit::{EditError, GraphEdit};
 use panoscope_graph::{GraphText, NodeType};
 
-use crate::document::{Document, FRAMES, GraphView, NOTES, Wire};
+use crate::document::Document;
+use crate::graph_view::{FRAMES, GraphView, NOTES, Wire};
 use crate::history::Origin;
 use crate::mark::Mark;
 use crate::observe::Output;

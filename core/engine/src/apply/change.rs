@@ -7,9 +7,27 @@ use panoscope_graph::{Align, Catalog, Graph};
 use super::ApplyError;
 use crate::claims::Claims;
 use crate::engine::{Current, type_name};
+use crate::instance::Instance;
 use crate::node::NodeRuntime;
+use crate::params::Snapshot;
 use crate::plan::{self, Extent, Plan};
 use crate::region::Region;
+
+/// When a change is to be made.
+pub(super) enum When<'a> {
+    Now,
+    /// Before these ticks.
+    At(&'a [(String, u64)]),
+    /// At the position that this change had in the run that the decider repeats.
+    Recorded(usize),
+}
+
+/// An instance opened for the change, with its node of the new graph and its values.
+pub(super) struct Opened {
+    pub node: usize,
+    pub instance: Instance,
+    pub snapshot: Arc<Snapshot>,
+}
 
 /// When the new instance of a node opens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

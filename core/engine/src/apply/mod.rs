@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use panoscope_graph::{Catalog, Graph, Mode};
 
-use self::change::{Change, NodeChange, Opens};
+use self::change::{Change, NodeChange, Opened, Opens, When};
 pub(crate) use self::change_lock::ChangeLock;
 pub use self::outcome::{Applied, ApplyError};
 use self::switch::Switch;
@@ -37,22 +37,6 @@ const LONGEST_DRAIN: Duration = Duration::from_secs(10);
 
 /// Longest wait for the threads of nodes that were removed.
 const LONGEST_LEAVE: Duration = Duration::from_secs(2);
-
-/// When a change is to be made.
-enum When<'a> {
-    Now,
-    /// Before these ticks.
-    At(&'a [(String, u64)]),
-    /// At the position that this change had in the run that the decider repeats.
-    Recorded(usize),
-}
-
-/// An instance opened for the change, with its node of the new graph and its values.
-struct Opened {
-    node: usize,
-    instance: Instance,
-    snapshot: Arc<Snapshot>,
-}
 
 impl Engine {
     /// Changes the running graph into another one that was checked against `catalog`, as one transaction: all of it or nothing.
@@ -506,14 +490,6 @@ impl Engine {
 /// The error of a call that did not return.
 fn no_answer(node: &str, error: &CallError) -> ApplyError {
     ApplyError::NoReturn { node: node.to_owned(), reason: error.to_string() }
-}
-
-/// Takes a node out of the graph; `true` when it was not finished.
-fn retire(runtime: &Arc<NodeRuntime>) -> bool {
-    let unfinished = lock(&runtime.join).finish();
-    runtime.recovery.begin_restart();
-    runtime.runner.retire();
-    unfinished
 }
 
 /// A node of a paused region that is still busy.

@@ -6,10 +6,11 @@ use std::time::Instant;
 
 use panoscope_graph::{Catalog, Graph};
 
-use super::change::{Change, NodeChange, Opens, connections, inherited};
-use super::{Applied, Opened, When, retire};
+use super::change::{Change, NodeChange, Opened, Opens, When, connections, inherited};
+use super::outcome::Applied;
 use crate::engine::{Current, Engine, type_name};
 use crate::instance::Instance;
+use crate::node::NodeRuntime;
 use crate::observe::Event;
 use crate::params::Snapshot;
 use crate::plan::{self, Extent, Plan};
@@ -253,6 +254,14 @@ impl Switch<'_> {
         }
         finished
     }
+}
+
+/// Takes a node out of the graph; `true` when it was not finished.
+fn retire(runtime: &Arc<NodeRuntime>) -> bool {
+    let unfinished = lock(&runtime.join).finish();
+    runtime.recovery.begin_restart();
+    runtime.runner.retire();
+    unfinished
 }
 
 fn has_region(plan: &Plan, region: &Arc<Region>) -> bool {

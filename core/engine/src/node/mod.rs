@@ -3,7 +3,7 @@
 mod call;
 mod config;
 mod decided;
-mod failures;
+pub(crate) mod failures;
 mod finish;
 pub(crate) mod open;
 mod progress;
@@ -21,7 +21,6 @@ use panoscope_graph::{NodeKind, OnFault};
 
 pub(crate) use self::config::LONGEST_BUDGET_NS;
 use self::config::{Config, ConfigEpoch};
-pub(crate) use self::failures::backoff_ms;
 use self::progress::Progress;
 pub(crate) use self::progress::SizeChange;
 use self::recovery::Recovery;

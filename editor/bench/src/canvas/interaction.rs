@@ -5,7 +5,7 @@ use eframe::egui::{Id, Modifiers, Pos2, Rect, Response, Sense, Ui, Vec2, WidgetI
 use super::curve::on_curve;
 use super::shape::DETAIL;
 use super::{Canvas, Mark, Scene};
-use panoscope_editor_model::document::{GraphView, WireError};
+use panoscope_editor_model::graph_view::{GraphView, WireError};
 use panoscope_editor_model::observe::Output;
 
 /// Distance within which a dragged wire snaps to a pin, in points of the window.

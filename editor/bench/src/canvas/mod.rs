@@ -12,7 +12,7 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 use eframe::egui::emath::TSTransform;
 use eframe::egui::{Pos2, Rect, Sense, Ui, Vec2, WidgetInfo, WidgetType, pos2, vec2};
 
-use panoscope_editor_model::document::GraphView;
+use panoscope_editor_model::graph_view::GraphView;
 use panoscope_editor_model::layout;
 use panoscope_editor_model::observe::{Counters, Output};
 use panoscope_editor_widgets::OutputCache;

@@ -15,7 +15,7 @@ use super::interaction::{Drag, check_wire};
 use super::shape::{DETAIL, HEADER, PAD, PICTURES, Pin};
 use super::{Canvas, Scene};
 use panoscope_editor_model::content::{Content, DetectedBox};
-use panoscope_editor_model::document::{GraphView, Wire};
+use panoscope_editor_model::graph_view::{GraphView, Wire};
 use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme::{self, PinShape};
 

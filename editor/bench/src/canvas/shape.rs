@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use eframe::egui::{Pos2, Rect, Vec2, pos2, vec2};
 
-use panoscope_editor_model::document::{GraphView, NodeView};
+use panoscope_editor_model::graph_view::{GraphView, NodeView};
 use panoscope_editor_model::observe::Output;
 use panoscope_editor_model::picture::is_pictorial;
 

@@ -4,7 +4,8 @@ use eframe::egui::{Grid, RichText, ScrollArea, Sense, Ui, WidgetInfo, WidgetType
 
 use super::inspector::section;
 use super::params;
-use panoscope_editor_model::document::{Document, NodeView};
+use panoscope_editor_model::document::Document;
+use panoscope_editor_model::graph_view::NodeView;
 use panoscope_editor_model::observe::Counters;
 use panoscope_editor_widgets::format_time;
 use panoscope_editor_widgets::theme;

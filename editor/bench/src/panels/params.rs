@@ -6,7 +6,8 @@ use eframe::egui::{
 };
 use panoscope_graph::{Param, ParamKind, Pick};
 
-use panoscope_editor_model::document::{Document, NodeView, default_value};
+use panoscope_editor_model::document::{Document, default_value};
+use panoscope_editor_model::graph_view::NodeView;
 use panoscope_editor_widgets::theme;
 use panoscope_editor_widgets::unit_suffix;
 

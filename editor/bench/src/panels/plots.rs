@@ -8,7 +8,7 @@ use egui_plot::{Corner, Legend, Line, Plot, PlotPoints};
 
 use super::cutout::Cutout;
 use panoscope_editor_model::content::Content;
-use panoscope_editor_model::document::GraphView;
+use panoscope_editor_model::graph_view::GraphView;
 use panoscope_editor_model::observe::{Counters, Output, Point};
 use panoscope_editor_widgets::OutputCache;
 use panoscope_editor_widgets::theme;
