@@ -328,13 +328,16 @@ impl Worker {
             *lock(&self.shared.engine) = Some(Arc::clone(&live.0));
             self.live = Some(live.1);
             self.done = false;
-            self.shared.update(|s| s.phase = Phase::Running);
             "started".to_owned()
         });
-        if message.is_err() {
-            self.shared.update(|s| s.phase = if self.live.is_some() { Phase::Ended } else { Phase::Idle });
-        }
+        let phase = match (&message, &self.live) {
+            (Ok(_), _) => Phase::Running,
+            (Err(_), Some(_)) => Phase::Ended,
+            (Err(_), None) => Phase::Idle,
+        };
+        // The phase last: who sees the graph running also sees its text and generation.
         self.report(message, text);
+        self.shared.update(|s| s.phase = phase);
     }
 
     fn open(&self, text: &str) -> Result<(Arc<Engine>, Live<Arc<Engine>>), RunProblem> {
