@@ -135,7 +135,7 @@ impl Help {
         let program = &self.program;
         let entry = self.known.entry(key).or_insert_with(|| {
             let help = |program: &Path, words: &[&str]| {
-                let output = Command::new(program).args(words).arg("--help").output();
+                let output = Command::new(program).args(words).arg("--help").current_dir(root()).output();
                 let output = output.unwrap_or_else(|error| panic!("{}: {error}", program.display()));
                 output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
             };
@@ -165,11 +165,24 @@ impl Help {
         let Some(help) = self.of(path) else {
             return (!is_window).then(|| format!("there is no command `{}`", path.join(" ")));
         };
-        let known: BTreeSet<&str> = help.split(|c: char| !(c.is_alphanumeric() || c == '-')).collect();
+        let mut known = options_in(help);
+        // A graph that ships adds options of its own, and so does an overlay.
+        let files: Vec<&str> =
+            words.iter().filter(|w| w.ends_with(".toml") && root().join(w).exists()).copied().collect();
+        if let Some((graph, overlays)) = files.split_first() {
+            let with = overlays.iter().flat_map(|file| ["--with", file]);
+            let asked: Vec<&str> = path.iter().copied().chain([*graph]).chain(with).collect();
+            known.extend(self.of(&asked).map(options_in).unwrap_or_default());
+        }
         let options = words.iter().filter(|w| w.starts_with("--"));
-        let mut unknown = options.map(|w| w.split('=').next().unwrap_or(w)).filter(|w| !known.contains(w));
+        let mut unknown = options.map(|w| w.split('=').next().unwrap_or(w)).filter(|w| !known.contains(*w));
         unknown.next().map(|option| format!("`{}` takes no {option}", path.join(" ")))
     }
+}
+
+/// The words of a `--help`, options among them.
+fn options_in(help: &str) -> BTreeSet<String> {
+    help.split(|c: char| !(c.is_alphanumeric() || c == '-')).map(str::to_owned).collect()
 }
 
 fn is_word(word: &str) -> bool {
@@ -243,10 +256,12 @@ fn the_table_of_commands_has_each_command_and_its_options() {
 /// A folder as the reader has it: a copy of the graphs, beside the plugins and their models.
 fn reader_folder(name: &str) -> PathBuf {
     let folder = scratch(&format!("documents-{}", name.replace('/', "-")));
-    std::fs::create_dir_all(folder.join("graphs")).expect("a folder");
-    for entry in std::fs::read_dir(root().join("graphs")).expect("graphs").flatten() {
-        if entry.path().extension().is_some_and(|e| e == "toml") {
-            std::fs::copy(entry.path(), folder.join("graphs").join(entry.file_name())).expect("a copy");
+    for graphs in ["graphs", "graphs/parts", "graphs/sources"] {
+        std::fs::create_dir_all(folder.join(graphs)).expect("a folder");
+        for entry in std::fs::read_dir(root().join(graphs)).expect("graphs").flatten() {
+            if entry.path().extension().is_some_and(|e| e == "toml") {
+                std::fs::copy(entry.path(), folder.join(graphs).join(entry.file_name())).expect("a copy");
+            }
         }
     }
     for part in ["plugins", "core", "tests"] {

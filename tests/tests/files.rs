@@ -88,7 +88,7 @@ fn a_refused_change_of_path_leaves_the_file_as_it_is() {
     let mut live = start(&graph(&video("out", &file, ""))).expect("a good graph");
     more_frames(&live, "out");
     // The first is found when the new node opens, the second when the new graph is checked.
-    let unchanged = [("/proc/nowhere/v.mkv", "nothing was changed"), ("/dev/null/v.mkv", "the old one runs on")];
+    let unchanged = [("/proc/nowhere/v.mkv", "nothing was changed"), ("/dev/null/v.mkv", "the old one keeps running")];
     for (path, words) in unchanged {
         let refused =
             live.set_param("out", "path", &path.into()).expect_err("nothing can be written there").to_string();

@@ -45,7 +45,7 @@ fn has_flow() -> bool {
         .chain([beside])
         .any(|folder| ["libflow.so", "libpanoscope_flow.so"].iter().any(|name| folder.join(name).is_file()));
     if !there {
-        println!("skipped: plugin `flow` is not built");
+        panoscope_testing::skipped!("plugin `flow` is not built");
     }
     there
 }
