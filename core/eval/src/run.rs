@@ -11,6 +11,9 @@ use crate::error::{EvalError, Result};
 use crate::graph_file;
 use crate::session::{Session, check_cancelled};
 
+/// Longest wait for nodes that do not close.
+const CLOSE_LIMIT: Duration = Duration::from_secs(10);
+
 /// How a graph is run.
 pub struct Plan<'a> {
     /// The graph.
@@ -44,6 +47,17 @@ pub struct RunOutput {
     pub packets: Vec<Option<FrameRef>>,
     /// Counters of the engine.
     pub report: Report,
+}
+
+/// Closes a graph and returns its counters.
+///
+/// # Errors
+/// The run failed.
+pub(crate) fn close(engine: &Engine) -> Result<Report> {
+    match engine.close(CLOSE_LIMIT) {
+        Outcome::Done => Ok(engine.report()),
+        Outcome::Failed(reason) => Err(EvalError::Run { reason }),
+    }
 }
 
 /// Runs the graph to its end; without a number of frames until each port has shown a packet.
@@ -88,23 +102,26 @@ pub fn run_and_listen(
         })
         .collect::<Result<_>>()?;
     let mut packets: Vec<Option<FrameRef>> = plan.ports.iter().map(|_| None).collect();
-    loop {
-        let ended = engine.wait(Some(Duration::from_millis(10)));
+    let mut take_newest = || {
         for (packet, preview) in packets.iter_mut().zip(&previews) {
             if let Some(newer) = preview.take() {
                 *packet = Some(newer);
             }
         }
-        if ended || (plan.frames.is_none() && packets.iter().all(Option::is_some)) {
-            break;
+        packets.iter().all(Option::is_some)
+    };
+    let mut complete = false;
+    engine.watch(Duration::from_millis(10), |engine| {
+        if !complete && take_newest() && plan.frames.is_none() {
+            complete = true;
+            engine.stop();
         }
-        check_cancelled(session)?;
+        check_cancelled(session)
+    })?;
+    if !complete {
+        take_newest();
     }
-    let outcome = engine.close(Duration::from_secs(10));
-    if let Outcome::Failed(reason) = outcome {
-        return Err(EvalError::Run { reason });
-    }
-    let report = engine.report();
+    let report = close(&engine)?;
     if let Some((node, _)) = report.nodes.iter().find(|(_, n)| n.faults > 0 && n.faults >= n.count) {
         let last = engine.recent_log().into_iter().rev().find(|(_, id, _)| id == node);
         let reason = last.map_or_else(String::new, |(_, _, text)| text);

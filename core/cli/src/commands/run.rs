@@ -179,23 +179,28 @@ pub fn conclude(verdict: &Verdict) -> End {
     verdict.end()
 }
 
+/// A stopped run did not end within [`PATIENCE`].
+struct OutOfPatience;
+
 /// Shows progress until the end of the run, or until the user's patience with a stopped one is over.
 pub fn watch(engine: &Engine, progress: &mut Progress, mut look: impl FnMut()) {
     let mut stopped: Option<Instant> = None;
-    while !engine.wait(Some(Duration::from_millis(100))) {
+    // Closing the engine names the nodes that do not return.
+    let _ = engine.watch(Duration::from_millis(100), |engine| {
         progress.update(&engine.report());
-        if stopped.is_none() {
-            look();
-        }
         match stopped {
-            Some(since) if since.elapsed() > PATIENCE => return,
-            None if interrupt::asked() => {
-                engine.stop();
-                stopped = Some(Instant::now());
+            Some(since) if since.elapsed() > PATIENCE => return Err(OutOfPatience),
+            Some(_) => {}
+            None => {
+                look();
+                if interrupt::asked() {
+                    engine.stop();
+                    stopped = Some(Instant::now());
+                }
             }
-            _ => {}
         }
-    }
+        Ok(())
+    });
 }
 
 /// Makes the running graph what the files say now, or says why not.

@@ -246,6 +246,15 @@ impl Engine {
         true
     }
 
+    /// Waits until the run ends, calling `each_step` every `step`. Returns the error with which it broke off, if it did; the caller closes the
+    /// engine in either case.
+    pub fn watch<E>(&self, step: Duration, mut each_step: impl FnMut(&Self) -> Result<(), E>) -> Result<(), E> {
+        while !self.wait(Some(step)) {
+            each_step(self)?;
+        }
+        Ok(())
+    }
+
     /// Stops the sources, waits, and closes all nodes, so that files are finished. `patience` limits the wait for nodes that do not return,
     /// and then for nodes that do not close (at least one second each); the log names those that it leaves behind. A change of the graph in
     /// progress fails.

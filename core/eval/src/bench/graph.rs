@@ -4,11 +4,12 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Duration;
 
-use panoscope_engine::{Engine, Options, Outcome, Report};
+use panoscope_engine::{Engine, Options, Report};
 use panoscope_graph::GraphText;
 
 use crate::error::{EvalError, Result};
 use crate::graph_file;
+use crate::run;
 use crate::session::{Session, check_cancelled};
 use crate::system::usage;
 
@@ -98,16 +99,11 @@ pub fn run(session: &dyn Session, text: &str, frames: u64) -> Result<Run> {
     };
     let before = usage();
     let engine = Engine::start(ready.graph, &ready.catalog, &ready.loader, options)?;
-    while !engine.wait(Some(Duration::from_millis(100))) {
-        check_cancelled(session)?;
-    }
-    let outcome = engine.close(Duration::from_secs(10));
+    engine.watch(Duration::from_millis(100), |_| check_cancelled(session))?;
+    let report = run::close(&engine)?;
     let after = usage();
-    if let Outcome::Failed(reason) = outcome {
-        return Err(EvalError::Run { reason });
-    }
     Ok(Run {
-        report: engine.report(),
+        report,
         cpu_seconds: after.cpu_seconds - before.cpu_seconds,
         waits: after.voluntary_waits - before.voluntary_waits,
     })

@@ -1,5 +1,6 @@
 //! Checking a sweep and running it.
 
+use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -189,11 +190,12 @@ impl Sweep {
             ..Options::default()
         };
         let wait = |engine: &Engine| {
-            while !engine.wait(Some(Duration::from_millis(50))) {
+            let Ok(()) = engine.watch(Duration::from_millis(50), |engine| {
                 if cancelled() || self.measure.wrong(&lock(&received)).is_some() {
                     engine.stop();
                 }
-            }
+                Ok::<(), Infallible>(())
+            });
             let outcome = engine.close(PATIENCE);
             (outcome, engine.report())
         };
