@@ -12,7 +12,10 @@ fn has_plugins(names: &[&str]) -> bool {
     let catalog = Loader::search(&search_path(&[])).catalog(&all);
     let has = names.iter().all(|name| catalog.has_plugin(name));
     if !has {
-        println!("skipped: the plugins {} are not built together; `cargo xtask test` builds them", names.join(", "));
+        panoscope_testing::skipped!(
+            "the plugins {} are not built together; `cargo xtask test` builds them",
+            names.join(", ")
+        );
     }
     has
 }
