@@ -72,6 +72,7 @@ pub fn run_and_listen(
     listen: Vec<Listener>,
     numbers: Option<NumberListener>,
 ) -> Result<RunOutput> {
+    check_cancelled(session)?;
     let text = GraphText::parse(plan.path, plan.text);
     let ready = match graph_file::ready(&text) {
         Ok(ready) => ready,

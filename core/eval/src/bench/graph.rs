@@ -83,6 +83,7 @@ impl Run {
 
 /// Runs a graph for so many frames.
 pub fn run(session: &dyn Session, text: &str, frames: u64) -> Result<Run> {
+    check_cancelled(session)?;
     let text = GraphText::parse(Path::new("bench.toml"), text);
     let ready = match graph_file::ready(&text) {
         Ok(ready) => ready,
