@@ -2,7 +2,7 @@
 
 use panoscope_engine::ending::signals;
 
-/// From now on a signal is answered by whoever calls [`asked`], until the command ends.
+/// From now on the code that calls [`asked`] handles signals, until the command ends.
 pub fn listen() {
     std::mem::forget(signals::watching());
 }

@@ -9,7 +9,7 @@
 //! - the engine says so (`on_fault = "stop"`), or the recording of the run has gaps.
 //!
 //! A run that its user stops is done, unless one of these holds. Ticks dropped in live mode are what live mode is for: they are counted, no more.
-//! A node that never ran because another node (a gate, a detector) made nothing is told as a warning.
+//! A node that never ran because another node (a gate, a detector) made nothing is a warning.
 
 use std::collections::BTreeSet;
 
@@ -160,7 +160,7 @@ pub fn judge(facts: &Facts<'_>) -> Verdict {
 }
 
 fn faults_of(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdict) {
-    // Whatever the graph says about faults: what was to be written is gone. Its faults are those that this tells of.
+    // Data is lost, whatever the graph says about faults. The faults of the node are part of this finding.
     if let Some(reason) = facts.report.stopped.get(id) {
         verdict.error(format!("node `{id}` lost data: {reason}"));
         return;
@@ -179,13 +179,13 @@ fn faults_of(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdi
     }
 }
 
-/// Sources are judged by what they made; what failed or was left out is told otherwise.
+/// Sources are judged by what they made; failures and bypasses are reported elsewhere.
 fn never_ran(node: &NodeReport) -> bool {
     node.count == 0 && node.made.is_none() && node.faults == 0 && !node.muted
 }
 
 fn idle(facts: &Facts<'_>, id: &str, node: &NodeReport, verdict: &mut Verdict) {
-    // Why a node that waits for others never ran is told where the waiting begins.
+    // The reason why a waiting node never ran is reported at the first node that made nothing.
     let maker = |output: &String| facts.report.nodes.get(output.split('.').next().unwrap_or_default());
     let from_source: Vec<&str> =
         node.never_got.iter().filter(|o| maker(o).is_some_and(|m| m.made.is_some())).map(String::as_str).collect();
@@ -332,7 +332,7 @@ mod tests {
         let verdict = judge(&facts(&stopped));
         assert_eq!((verdict.end(), verdict.findings.len()), (End::Failed, 1));
         assert_eq!(verdict.findings[0].words, "node `sink` lost data: the disk is full");
-        // Also where the graph lets the node be left out, and said once.
+        // Also where the graph allows a bypass, and only once.
         stopped.nodes.get_mut("sink").expect("there").faults = 1;
         let verdict = judge(&Facts { bypassed: BTreeSet::from(["sink"]), ..facts(&stopped) });
         assert_eq!((verdict.end(), verdict.findings.len()), (End::Failed, 1));

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-/// Why a text is not the number that is wanted.
+/// Why a text is not the required number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NumberError {
     /// It is no number.
@@ -10,7 +10,7 @@ pub enum NumberError {
     NoNumber {
         /// What was given.
         text: String,
-        /// What is wanted.
+        /// What is required.
         what: &'static str,
     },
     /// It is outside the range.

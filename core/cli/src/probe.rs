@@ -1,4 +1,4 @@
-//! Foreign models are opened in a child process first: a file that exhausts or ends whoever reads it does so there.
+//! Foreign models are opened in a child process first: a file that exhausts memory or crashes its reader does so there.
 //!
 //! `panoscope check` starts this program again with the hidden command `probe-node GRAPH NODE`, which limits its own memory and processor
 //! time and opens that one node.
@@ -35,7 +35,7 @@ pub struct Arguments {
     given: Given,
 }
 
-/// What the child answers, as one line of JSON.
+/// The child's result, as one line of JSON.
 #[derive(Serialize, Deserialize)]
 struct Answer {
     /// Why the node cannot be opened.
@@ -83,7 +83,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
     Ok(End::Done)
 }
 
-/// How the child ended, when it gave no answer.
+/// How the child ended if it gave no result.
 fn died(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     match status.signal() {

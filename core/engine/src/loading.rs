@@ -10,7 +10,7 @@ use crate::host;
 
 /// The table of host functions for a plugin; valid until the process ends.
 ///
-/// `descriptor` is the plugin's own description. It tells plugins apart and is not read.
+/// `descriptor` is the plugin's own description. It identifies the plugin and is not read.
 pub fn plugin_table(descriptor: *const abi::Plugin) -> *const abi::Host {
     host::plugin_table(descriptor)
 }

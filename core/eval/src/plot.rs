@@ -88,7 +88,7 @@ fn parts(low: f64, high: f64, step: f64) -> impl Iterator<Item = f64> {
     (0..=((high - low) / step).round() as usize).map(move |i| low + i as f64 * step)
 }
 
-/// An axis: its ends, and places with what stands there.
+/// An axis: its ends, and positions with their labels.
 #[derive(Debug, PartialEq)]
 struct Axis {
     ends: (f64, f64),

@@ -24,7 +24,7 @@ pub struct Plan<'a> {
     pub frames: Option<u64>,
     /// Threads of the pool; 0: one per core.
     pub threads: usize,
-    /// Node and output whose newest packet is wanted at the end.
+    /// Node and output whose newest packet is returned.
     pub ports: &'a [(&'a str, &'a str)],
     /// When ticks begin.
     pub pace: Pace,
@@ -65,7 +65,7 @@ pub fn run(session: &dyn Session, plan: &Plan<'_>) -> Result<RunOutput> {
     run_and_listen(session, plan, Vec::new(), None)
 }
 
-/// As [`run`], with ports whose every packet is heard, and a node whose told numbers are.
+/// As [`run`], with listeners on all packets of ports and on the metrics of a node.
 pub fn run_and_listen(
     session: &dyn Session,
     plan: &Plan<'_>,

@@ -22,7 +22,7 @@ pub(crate) fn usage() -> Usage {
     Usage { cpu_seconds: seconds(usage.ru_utime) + seconds(usage.ru_stime), voluntary_waits: usage.ru_nvcsw as u64 }
 }
 
-/// Resident memory of this process, MB; 0 where `/proc` does not tell.
+/// Resident memory of this process, MB; 0 if `/proc` does not have it.
 pub(crate) fn resident_mb() -> f64 {
     // In pages; see proc(5). The second number is the resident part.
     let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();

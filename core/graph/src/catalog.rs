@@ -17,7 +17,7 @@ pub struct Catalog {
     /// Plugins that were found (or named) but cannot be used. Reported at the `plugins` entry that names them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub problems: Vec<PluginProblem>,
-    /// Node types of plugins that were found and not loaded, by name only: they tell which plugin a graph forgot to list.
+    /// Node types of plugins that were found and not loaded, by name only, to find the plugin that a graph forgot to list.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub offers: Vec<Offer>,
 }

@@ -29,7 +29,7 @@ pub struct Note {
     pub span: Range<usize>,
     /// The whole line.
     pub line_text: String,
-    /// What stands there.
+    /// What is there instead.
     pub label: String,
     width: usize,
 }

@@ -472,7 +472,7 @@ fn reads(value: &EditValue, id: &str) -> bool {
     text.and_then(|t| t.split_once('.')).is_some_and(|(node, _)| node == id)
 }
 
-/// Takes connections that read `id` out of an input; answers whether nothing is left of it.
+/// Removes connections that read `id` from an input. Returns whether nothing is left of it.
 fn without(item: &mut Item, id: &str) -> bool {
     if let Some(array) = item.as_array_mut() {
         array.retain(|v| !reads(v, id));

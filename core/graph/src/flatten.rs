@@ -110,7 +110,7 @@ impl GraphText {
     }
 
     /// The graph as one text that means the same, with the nodes of parts under their whole names (`[nodes."depth/match"]`), values of arguments
-    /// in place and paths of other folders made absolute. The text itself where the graph is one plain file. The catalog tells which values are
+    /// in place and paths of other folders made absolute. The text itself where the graph is one plain file. The catalog says which values are
     /// paths; the graph must be right.
     pub fn flattened(&self, catalog: &Catalog) -> Cow<'_, str> {
         if self.is_plain() { Cow::Borrowed(self.text()) } else { Cow::Owned(self.write(catalog)) }
@@ -214,7 +214,7 @@ impl GraphText {
         &self.sources.of(&value.span).dir
     }
 
-    /// Whether a value stands in another folder than the graph file.
+    /// Whether a value comes from a file in another folder than the graph file.
     fn is_elsewhere(&self, value: &Value) -> bool {
         tidy(self.dir_of(value)) != tidy(&self.sources.first().dir)
     }

@@ -28,7 +28,7 @@ pub enum FromAbiError {
     /// The descriptor does not open with the magic number.
     #[error("the descriptor opens with {found:#018x} instead of PANOSCOPE_MAGIC: this is no Panoscope plugin")]
     Magic {
-        /// What stands there.
+        /// What is there instead.
         found: u64,
     },
     /// Another major version of the contract.
@@ -144,7 +144,7 @@ const MAX_INT: f64 = 9_007_199_254_740_992.0;
 /// The first thing that is wrong with the descriptor.
 ///
 /// # Safety
-/// `plugin` is null or the answer of a plugin's entry function: pointers in it that are neither null nor misaligned are valid
+/// `plugin` is null or what a plugin's entry function returned: pointers in it that are neither null nor misaligned are valid
 /// for their stated length. Nothing of it is referred to by the result.
 pub unsafe fn node_types(plugin: *const abi::Plugin) -> Result<Vec<NodeType>> {
     if plugin.is_null() {

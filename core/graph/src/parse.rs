@@ -11,11 +11,11 @@ use toml::de::{DeTable, DeValue};
 pub(crate) struct Parsed {
     pub(crate) root: Table,
     pub(crate) diagnostics: Diagnostics,
-    /// Something was left out, so what seems missing may only be unreadable.
+    /// A line was skipped, so what seems missing may only be unreadable.
     pub(crate) incomplete: bool,
 }
 
-/// Most rounds of skipping broken lines before the rest of the file is given up.
+/// Largest number of broken lines that are skipped before the rest of the file is ignored.
 const ROUNDS: usize = 50;
 
 /// Bytes parsed over all rounds: a long file that is broken everywhere is not a graph, and parsing it must not take long.
@@ -84,7 +84,7 @@ pub(crate) fn parse_value(text: &str) -> Option<Value> {
     errors.is_empty().then(|| from_toml(&value))
 }
 
-/// Keys of nodes that were renamed to tell two of them apart get their name back from the text.
+/// Restores the names of nodes that were renamed to distinguish two of them.
 fn with_source_keys(mut root: Table, source: &Source) -> Table {
     for (key, value) in &mut root {
         if key.value != "nodes" {

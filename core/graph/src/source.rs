@@ -81,7 +81,7 @@ impl Source {
     }
 }
 
-/// All texts of a graph, one behind the other: a span of bytes tells which text it lies in. The first is the graph file.
+/// All texts of a graph, one behind the other: a span of bytes identifies its text. The first is the graph file.
 #[derive(Clone, Debug)]
 pub(crate) struct Sources {
     list: Vec<Source>,

@@ -4,7 +4,7 @@ use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result};
 
 use crate::ports::{In, Out};
 
-/// How many pictures are left out.
+/// How many pictures are skipped.
 #[derive(Params)]
 pub struct Thinning {
     /// One picture in this many passes; the output is empty for the others.

@@ -116,7 +116,7 @@ impl Model {
         // What went wrong comes back as an error; a second line on the terminal would only cover the progress.
         let builder = builder.with_log_level(ort::logging::LogLevel::Fatal).map_err(|e| refused(e.to_string()))?;
         // Threads spin while the network runs (waking them between its hundred steps would cost as much as the steps) and stop with its end: a
-        // waiting thread that goes on spinning takes the core from the next node.
+        // waiting thread that keeps spinning takes the core from the next node.
         let builder = builder.with_intra_op_spinning(true).map_err(|e| refused(e.to_string()))?;
         let builder =
             builder.with_config_entry("session.force_spinning_stop", "1").map_err(|e| refused(e.to_string()))?;

@@ -1,6 +1,6 @@
 //! An instrument cut out of its box: what stands before the tissue and is not as red.
 //!
-//! A detector's box says where an instrument's working end is, not where it ends. Two things tell its pixels: it stands nearer to the camera
+//! A detector's box says where an instrument's working end is, not where it ends. Two things identify its pixels: it is nearer to the camera
 //! than the surface around it, and it is gray, black or blue where tissue is red to yellow. What both say of first guesses teaches the colours of this
 //! instrument and of this tissue, as in GrabCut (Rother, Kolmogorov, Blake 2004) with histograms instead of mixtures and without a cut; the largest
 //! connected part in the box is the instrument.

@@ -3,7 +3,7 @@
 //! Where it stands. Three watchdogs, each outside what the one before it can break:
 //! 1. `arm_pid` asks for nothing without a fresh tip. It is a node like any other and may be replaced or wrong.
 //! 2. This interlock lives in the driver (`arm_sim`, `arm_serial`), after the graph's last wire. It looks at the tip itself, at the age of the
-//!    demand, and at every limit, and steps on a clock of the driver's: with real hardware a thread that goes on when the graph, the controller
+//!    demand, and at every limit, and steps on a clock of the driver's: with real hardware a thread that continues when the graph, the controller
 //!    or the host's scheduler does not.
 //! 3. The device stops by itself when set-points stop coming (30 ms, see the serial protocol): that holds when the whole process dies.
 //!

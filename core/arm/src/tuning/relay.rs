@@ -42,7 +42,7 @@ impl Relay {
     ///
     /// # Errors
     /// [`TuneError::BadRelay`] for an amplitude, step or time that is not above 0; [`TuneError::NoSwing`] where the error does not cross 0 often
-    /// enough, or not steadily; [`TuneError::NotFinite`] where the plant answers no number.
+    /// enough, or not steadily; [`TuneError::NotFinite`] where the plant returns no finite number.
     pub fn swing(&self, plant: &mut dyn FnMut(f64) -> f64) -> Result<Ultimate, TuneError> {
         for (what, value) in [("amplitude", self.amplitude), ("step", self.step_s), ("longest time", self.longest_s)] {
             if !(value > 0.0 && value.is_finite()) {

@@ -24,7 +24,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// What is told of a right graph.
+/// The report of a correct graph.
 struct Facts {
     nodes: usize,
     edges: usize,

@@ -28,7 +28,7 @@ pub struct Device {
     pub accessible: Option<bool>,
 }
 
-/// Video devices that give pictures; those for metadata only are left out.
+/// Video devices that give pictures, without those for metadata only.
 pub fn cameras() -> Vec<Device> {
     let Ok(entries) = fs::read_dir("/sys/class/video4linux") else { return Vec::new() };
     let mut numbered: Vec<(u32, Device)> = entries

@@ -1,4 +1,4 @@
-//! `panoscope record`: a run that is written down whole.
+//! `panoscope record`: runs a graph and records it completely.
 
 use std::path::PathBuf;
 

@@ -71,7 +71,7 @@ pub fn run(arguments: &Arguments) -> Result<End> {
 pub enum RunEnd {
     /// It did not begin; why has been said.
     Not(End),
-    /// It is over; the verdict is still to be told, with [`conclude`].
+    /// It is over; [`conclude`] prints the verdict.
     Over {
         /// What it came to.
         verdict: Verdict,

@@ -108,7 +108,7 @@ impl Config {
         old.map(|(instance, _)| instance)
     }
 
-    /// Whether an instance waits. The epoch tells a call when to look.
+    /// Whether an instance waits. A call checks this when the epoch changed.
     pub fn has_replacement(&self) -> bool {
         self.has_replacement.load(Ordering::Relaxed)
     }

@@ -15,7 +15,7 @@ pub(crate) struct Runner {
     has_thread: AtomicBool,
     /// Recent longest time of the inline chain that starts here; `u64::MAX` before the first.
     chain_ns: AtomicU64,
-    /// The request to leave and its answer, see [`Leave`].
+    /// The request to leave and its acknowledgement, see [`Leave`].
     pub leave: Leave,
 }
 

@@ -112,7 +112,7 @@ unsafe extern "C" fn hang_deeper(data: *mut c_void, _: usize) {
     unsafe { parallel_for(16, Some(hang), data) };
 }
 
-/// A pool whose task 0 hangs in `body` on all workers, and whose other tasks tell their number.
+/// A pool whose task 0 hangs in `body` on all workers, and whose other tasks report their number.
 fn stuck(
     threads: usize,
     body: unsafe extern "C" fn(*mut c_void, usize),
@@ -159,7 +159,7 @@ fn all_who_are_stuck_in_nested_loops_are_given_up() {
             pool.push(task + 1, Urgency::Urgent);
         }
         gate.open();
-        // What a thread does that was given up is nobody else's.
+        // The work of an abandoned thread belongs to no other thread.
         let until = Instant::now() + PATIENCE;
         while !lock(&pool.inner.state).given_up.is_empty() {
             assert!(Instant::now() < until, "they leave when they come back");

@@ -116,7 +116,7 @@ impl Bench<'_> {
         Self::json(&file)
     }
 
-    /// What the window tells of a run.
+    /// What the window reports of a run.
     fn with(&self, graph: &Path, actions: &[&str]) -> Result<Value> {
         let editor = &self.options.editor;
         if !editor.is_file() {

@@ -47,7 +47,7 @@ fn played(graph: &Table, folder: &Path, name: &str, capture: &str) -> Result<Str
     }
     let nodes = nodes(&mut graph)?;
     nodes.insert(name.to_owned(), Value::Table(capture.parse()?));
-    // Cameras know no truth: what lists take from the phantom besides its views is left out.
+    // Cameras know no truth: lists lose what they take from the phantom besides its views.
     let truth = |entry: &Value| {
         let from = entry.as_str().or_else(|| entry.get("from").and_then(Value::as_str)).unwrap_or("");
         from.split_once('.')

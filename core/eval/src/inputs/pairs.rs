@@ -16,7 +16,7 @@ pub struct Pairs {
 }
 
 impl Pairs {
-    /// Renders `count` pairs with a node `phantom` as a graph has it. Its inputs are left out: without a loop through the arm the
+    /// Renders `count` pairs with a node `phantom` as a graph has it. Its inputs are removed: without a loop through the arm the
     /// cameras follow their script.
     pub fn render(session: &dyn Session, place: &Folder, name: &str, phantom: &Value, count: u64) -> Result<Self> {
         let folder = place.path().join(name);

@@ -204,7 +204,7 @@ impl Wiring {
         }
     }
 
-    /// Names of the nodes that these outputs come from, up to the node `stop`, which is left out.
+    /// Names of the nodes that these outputs come from, up to the node `stop`, exclusive.
     fn upstream(&self, outputs: &[&str], stop: Option<&str>) -> BTreeSet<String> {
         let mut all = BTreeSet::new();
         let mut next: Vec<String> = outputs.iter().map(|output| node_of(output).to_owned()).collect();

@@ -19,7 +19,7 @@ pub enum SweepError {
         /// What is wrong, and how to correct it.
         reason: String,
     },
-    /// The measure is not there, or tells no numbers.
+    /// The measure does not exist, or has no numbers.
     #[error("`{measure}`: {reason}")]
     Measure {
         /// As asked for.

@@ -20,7 +20,7 @@ enum Head {
 }
 
 impl<'a> Checker<'a> {
-    /// Checks the flow and answers the order of the nodes.
+    /// Checks the flow and returns the order of the nodes.
     pub(super) fn flow(&mut self) -> Vec<usize> {
         // Edges that carry this tick's value; those a cycle's message proposes to delay are taken out as it does.
         let mut direct: Vec<bool> = self.links.iter().map(|l| l.delay == 0).collect();

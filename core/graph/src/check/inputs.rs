@@ -156,7 +156,7 @@ impl<'a> Checker<'a> {
         self.error("unknown-output", &(span.start + dot..span.end), message).label(label).help(help);
     }
 
-    /// Whether the packets fit; answers whether the host converts.
+    /// Checks that the packets fit. Returns whether the host converts.
     fn packets(&mut self, to_node: usize, reference: &RefText, from_node: usize, output: &Port, input: &Port) -> bool {
         let (sent, taken) = (&output.packet, &input.packet);
         let from = format!("{}.{}", reference.node, reference.port);

@@ -263,7 +263,7 @@ impl<'a> Checker<'a> {
 
     fn missing_file(&self, param: &Param, value: &Value, text: &str) -> Wrong {
         let path = self.resolve_at(&value.span, text);
-        // The longest part of the path that is there tells where to look.
+        // The longest part of the path that exists shows where to look.
         let there = path.ancestors().skip(1).find(|p| p.as_os_str().is_empty() || p.exists());
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let same_folder = there.is_some_and(|t| Some(t) == path.parent());

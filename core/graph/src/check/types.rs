@@ -72,7 +72,7 @@ impl<'a> Checker<'a> {
         by(file) || self.text.overlays.contains(&file) && by(0)
     }
 
-    /// The file that a node stands in.
+    /// The file that a node is in.
     fn file_of(&self, node: &NodeText) -> usize {
         self.text.sources.index(node.id.span.start)
     }

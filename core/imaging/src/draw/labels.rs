@@ -45,7 +45,7 @@ impl Labels {
         self.taken.clear();
     }
 
-    /// Keeps labels away from an area. One that is not finite is left out.
+    /// Keeps labels away from an area. Ignores one that is not finite.
     pub fn take(&mut self, area: Area) {
         if area.is_finite() {
             self.taken.push(area);

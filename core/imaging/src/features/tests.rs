@@ -91,7 +91,7 @@ fn blobs_are_found_where_they_are() {
             });
             let near = near.unwrap_or_else(|| panic!("no keypoint at {x},{y}: {keypoints:?}"));
             assert_eq!(keypoints.laplacian[near], if height < 0.0 { 1 } else { -1 });
-            // A blob answers most at the filter whose Gaussian matches it.
+            // A blob has its largest response at the filter whose Gaussian matches it.
             let ratio = f64::from(keypoints.size_px[near]) / (sigma * 9.0 / 1.2);
             assert!((0.6..1.4).contains(&ratio), "size {} for sigma {sigma}", keypoints.size_px[near]);
         }

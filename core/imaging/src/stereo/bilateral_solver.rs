@@ -269,7 +269,7 @@ impl BilateralSolver {
 }
 
 /// One row of pixels read from the grid: between the cells' centres, values of the four nearest cells of the pixel's luminance are
-/// mixed, those without a value left out; the grid would show otherwise.
+/// mixed, without those that have no value; the grid would show otherwise.
 struct Slice<'a> {
     grid: &'a BilateralGrid,
     reach: &'a [[f32; 2]],

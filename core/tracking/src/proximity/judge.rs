@@ -161,7 +161,7 @@ impl Judge {
         }
     }
 
-    /// The counts, with what goes on now as if it ended here.
+    /// The counts, with the current contact as if it ended here.
     pub fn verdict(&self) -> Verdict {
         let mut ended = self.clone();
         ended.close_approach();

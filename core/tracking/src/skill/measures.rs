@@ -213,7 +213,7 @@ impl Measures {
     }
 
     /// Touches of the tissue; none where distances are not known. Of a tool that grasps each touch that lasts is counted as a grasp, whether its jaws
-    /// close or not: tracks of tips do not tell.
+    /// close or not: tracks of tips do not show it.
     pub fn contacts(&self) -> Option<u64> {
         self.contacts
     }

@@ -178,7 +178,7 @@ pub fn all(settings: &Settings) -> Vec<Motion> {
         tissue_mm: nothing_near,
         known: vec![
             ("time_s", count * (s + rest) + rest),
-            // What a reach covers below the speed of rest is left out by definition.
+            // By definition a reach excludes what it covers below the speed of rest.
             ("path_mm", count * length * (1.0 - 2.0 * reach(slow))),
             ("peak_speed_mm_s", 1.875 * length / s),
             ("economy", 1.0),
@@ -284,7 +284,7 @@ pub fn all(settings: &Settings) -> Vec<Motion> {
     motions
 }
 
-/// Samples a motion, measures it, and answers what is known beside what was measured.
+/// Samples a motion, measures it, and returns known and measured values.
 pub fn check(motion: &Motion, timing: Timing, settings: &Settings) -> Vec<Checked> {
     let mut session = Session::new(*settings);
     for t in timing.times_s(motion.length_s) {

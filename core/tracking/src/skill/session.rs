@@ -34,7 +34,7 @@ struct Pair {
     phases: Vec<Together>,
 }
 
-/// Measures an operation while it goes on. Its memory is bounded: about a megabyte per tool, however long it lasts.
+/// Measures an operation while it runs. Memory is bounded: about a megabyte per tool, however long it lasts.
 #[derive(Default)]
 pub struct Session {
     settings: Settings,
@@ -67,7 +67,7 @@ impl Session {
         &self.phases
     }
 
-    /// The phase that goes on now.
+    /// The current phase.
     pub fn phase(&self) -> usize {
         self.phase
     }
@@ -139,7 +139,7 @@ impl Session {
         (&mut self.tools[index], sink)
     }
 
-    /// A tool was seen. Samples of one tool come in the order of time: those that do not are left out, and so are numbers of no tool.
+    /// A tool was seen. Samples of one tool come in the order of time: others are ignored, and so are numbers of no tool.
     pub fn observe(&mut self, tool: usize, sample: Sample) {
         if tool < self.tools.len() {
             let (tool, mut sink) = self.part(tool);

@@ -49,7 +49,7 @@ pub struct Tool {
     pub name: String,
     pub total: Measures,
     pub phases: Vec<Measures>,
-    /// Decided cells that no pair has looked at; those out of view are left out.
+    /// Decided cells that no pair has looked at; those out of view are excluded.
     pub waiting: VecDeque<(i64, bool, f32)>,
     /// All cells before this one are decided.
     pub decided: i64,
@@ -80,7 +80,7 @@ impl Tool {
         }
     }
 
-    /// Takes a sample; one that is not newer than the last, or holds no place, is left out.
+    /// Takes a sample; one that is not newer than the last, or holds no position, is ignored.
     pub fn observe(&mut self, sample: Sample, sink: &mut Sink<'_>) {
         let is_place = sample.place_mm.iter().all(|v| v.is_finite()) && sample.at_s.is_finite();
         if !is_place || self.samples.last().is_some_and(|last| sample.at_s <= last.at_s) {

@@ -1,7 +1,7 @@
 //! `calibrate_stereo`: gathers views of a printed board and solves for both cameras.
 //!
 //! A view takes part when the board is found in both pictures, stands elsewhere than in the views before, and is explained
-//! by the solution as well as the others are: a view whose error stands out is left out and the rest solved anew.
+//! by the solution as well as the others are: a view whose error is an outlier is excluded and the rest is solved again.
 
 mod detect;
 mod draw;

@@ -57,7 +57,7 @@ fn master(out: &mut Vec<u8>, tag: u32, fill: impl FnOnce(&mut Vec<u8>)) {
 
 /// Where a video goes.
 pub trait Output: Write + Seek {
-    /// Cuts off what lies behind `len` bytes; writing goes on there.
+    /// Truncates the file to `len` bytes; writing continues there.
     ///
     /// # Errors
     /// Those of the system.

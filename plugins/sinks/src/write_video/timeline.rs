@@ -21,7 +21,7 @@ impl Timeline {
         Self { rate_hz, ..Self::default() }
     }
 
-    /// When the next picture, taken at `at_ns`, is shown, in ms from the first one: later than the one before. A source that begins anew goes on
+    /// When the next picture, taken at `at_ns`, is shown, in ms from the first one: later than the one before. A source that restarts continues
     /// one step after its last picture.
     pub fn next_ms(&mut self, at_ns: i64) -> u64 {
         let time_ms = if self.rate_hz > 0.0 {

@@ -1,7 +1,7 @@
 //! `bench stitch --plot`: times of each frame, as the thesis's figures 2.11 (registration), 2.12 (seam) and 4.9 (the whole) draw them.
 //!
 //! Each tick has the machine for itself. A stage takes from the packets that it needs to the packet that it makes: registration from the
-//! pair to the homography (disparity included), the composite from there to the panorama. Our composite tells what the seam took, the
+//! pair to the homography (disparity included), the composite from there to the panorama. Our composite reports the time of the seam, the
 //! sampling of the overlap included; OpenCV's does not: there it is what a frame takes beyond the same frame without a seam.
 
 use std::path::Path;
@@ -48,7 +48,7 @@ type Moments = Vec<[Option<Instant>; 3]>;
 /// What is heard while a graph runs.
 struct Heard {
     moments: Moments,
-    /// What the composite tells of its seam in each tick, ms; NaN where it tells nothing.
+    /// Time of the seam in each tick as the composite reports it, ms; NaN where it reports none.
     seam: Vec<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! A graph that ships, judged as it is: its own phantom, size, rates and tip; only its files are left out and a judge is added.
+//! A graph that ships, judged as it is: its own phantom, size, rates and tip; its sinks are removed and a judge is added.
 
 use std::path::{Path, PathBuf};
 

@@ -123,7 +123,7 @@ impl Scores {
 /// Finds of a class in a picture, best first, and how they meet the truth at each threshold.
 struct Met {
     scores: Vec<f64>,
-    /// Per threshold and find: matched, left out.
+    /// Per threshold and detection: matched, ignored.
     hits: [Vec<(bool, bool)>; 10],
     /// The same by VOC's rule.
     voc: Vec<(bool, bool)>,
@@ -261,7 +261,7 @@ pub fn score(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize, shape:
 }
 
 /// How a picture's truths and finds meet whatever their classes, at an overlap of 0.5: for each pair both numbers. Crowds, finds on them and finds
-/// under `min_score` are left out.
+/// under `min_score` are ignored.
 pub fn pairs(truths: &[Object], finds: &[Find], min_score: f64, shape: Shape) -> Vec<(Option<usize>, Option<usize>)> {
     let mut all: Vec<(f64, usize, usize)> = Vec::new();
     for (f, find) in finds.iter().enumerate().filter(|(_, f)| f.score >= min_score) {

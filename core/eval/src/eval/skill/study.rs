@@ -206,7 +206,7 @@ fn read(session: &dyn Session, options: &Options) -> Result<Study> {
             study.session.set_phase(name.lines().next().unwrap_or("").trim());
         }
         if let Some(tip) = row.tip {
-            // Files are hands; numbers tell tools of one hand apart.
+            // Files are hands; numbers distinguish tools of one hand.
             let key = (file as u64) << 32 | u64::from(tip.track_id as u32);
             let name = || {
                 let class =

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-/// Colours told apart by people who see few (Okabe and Ito).
+/// Colours that people with colour blindness can distinguish (Okabe and Ito).
 pub const COLORS: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
 
 /// Width of plots over time, px.

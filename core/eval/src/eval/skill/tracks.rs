@@ -12,7 +12,7 @@ use panoscope_tracking::skill::Sample;
 pub struct Row {
     /// Capture time, s.
     pub at_s: f64,
-    /// The phase that goes on, where the file tells.
+    /// The current phase, if the file has it.
     pub phase: Option<String>,
     /// The tip, while it is seen.
     pub tip: Option<Tip>,
@@ -23,7 +23,7 @@ pub struct Row {
 pub struct Tip {
     /// Number of the tool; -1 where the file has none.
     pub track_id: i64,
-    /// Class of the tool, where the file tells.
+    /// Class of the tool, if the file has it.
     pub class_index: Option<u32>,
     /// What the session takes.
     pub sample: Sample,
@@ -47,7 +47,7 @@ pub struct Track {
     ready: std::collections::VecDeque<Row>,
 }
 
-/// Cells of a CSV line; none while a quoted cell goes on in the next line.
+/// Cells of a CSV line; none while a quoted cell continues in the next line.
 fn cells(line: &str) -> Option<Vec<String>> {
     let (mut cells, mut cell, mut is_quoted) = (Vec::new(), String::new(), false);
     let mut chars = line.chars().peekable();

@@ -300,7 +300,7 @@ pub struct Options {
 
 /// Judges each graph on hard pictures: share of stitched frames, alignment, time, jitter.
 ///
-/// No figures are returned if every case was skipped; the session is told why.
+/// Returns no figures if every case was skipped; the session receives the reasons.
 ///
 /// # Errors
 /// A graph or a setting cannot be used, a run fails, or the picture cannot be written.

@@ -217,7 +217,7 @@ fn stages(session: &dyn Session, run: &JudgedRun) {
 
 /// Judges registration and panorama of a graph on each wanted kind of pictures.
 ///
-/// No figures are returned if every case was skipped; the session is told why.
+/// Returns no figures if every case was skipped; the session receives the reasons.
 ///
 /// # Errors
 /// The graph has mistakes or nothing to judge, a run fails, or a file cannot be written.

@@ -118,7 +118,7 @@ pub struct Places<'a> {
     pub work: &'a Path,
 }
 
-/// Why a case is left out.
+/// Why a case is skipped.
 pub enum Missing {
     /// The pictures are not there.
     Pictures(&'static str),

@@ -35,7 +35,7 @@ const RATIO: f64 = 0.8;
 const SURF_THRESHOLD: f64 = 1.0;
 const AKAZE_THRESHOLD: f64 = 1e-5;
 /// So many points are more than a picture of half a million pixels holds of distinct ones at its own size: SURF looks at it
-/// doubled then, with a wider window to tell the small ones apart.
+/// doubled then, with a wider window to distinguish the small ones.
 const MANY_POINTS: usize = 1500;
 
 /// Options of [`judge`].

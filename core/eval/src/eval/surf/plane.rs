@@ -114,7 +114,7 @@ fn correlation(patch: &[f32], second: View<'_, u8>, targets: &[Point], dx: f64, 
     }
     let count = patch.len().max(1) as f64;
     let (spread_a, spread_b) = (aa - a * a / count, bb - b * b / count);
-    // Less than four gray levels of contrast tell nothing.
+    // Less than four gray levels of contrast are not used.
     if spread_a.min(spread_b) < 16.0 * count {
         0.0
     } else {
