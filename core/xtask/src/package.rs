@@ -120,6 +120,8 @@ impl<'a> Release<'a> {
         fs::create_dir_all(&share)?;
         copy_tree(&library.join("graphs"), &share.join("panoscope/graphs"))?;
         fs::remove_dir_all(library.join("graphs"))?;
+        // Graphs name models as `../plugins/...`.
+        symlink("../../lib/panoscope/plugins", share.join("panoscope/plugins"))?;
         let doc = share.join("doc/panoscope");
         fs::create_dir_all(&doc)?;
         for file in fs::read_dir(library.join("onnxruntime")).into_iter().flatten().flatten() {
