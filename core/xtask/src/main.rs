@@ -37,7 +37,7 @@ cargo xtask COMMAND
   test [SUITE] [-- args of `cargo test`]
                        installs what is missing, builds, checks format and lints, runs all tests; suites: all, lint, code, faults,
                        hostile-models, disk, kill
-  setup [--bench]      installs the system packages that are missing (--bench: the peers of `bench` too)
+  setup                installs the system packages that are missing
   build [--release]    builds the program, the editor and the plugins, laid out so that they also run outside cargo
   bench [args]         builds in release and runs `panoscope bench args`
   install DIR          puts a release build (program, editor, plugins with models, ONNX Runtime, graphs) into DIR
@@ -74,10 +74,10 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
         "demo" => demo::demo(&Workspace::locate()?, rest)?,
         "test" => return test::test(&Workspace::locate()?, rest),
         "setup" => {
-            let bench = flag(rest, "--bench")?;
-            let mut purposes = vec![Purpose::Build, Purpose::Test];
-            purposes.extend(bench.then_some(Purpose::Bench));
-            if setup::ensure(&purposes)? == setup::Outcome::NothingMissing {
+            if let Some(other) = rest.first() {
+                bail!("unexpected argument `{other}`");
+            }
+            if setup::ensure(&[Purpose::Build, Purpose::Test])? == setup::Outcome::NothingMissing {
                 println!("Nothing is missing.");
             }
         }
@@ -100,7 +100,7 @@ fn dispatch(args: &[String]) -> Result<ExitCode> {
             }
         }
         "bench" => {
-            setup::ensure(&[Purpose::Build, Purpose::Bench])?;
+            setup::ensure(&[Purpose::Build])?;
             let built = build::build(&Workspace::locate()?, Profile::Release)?;
             process::run(built.panoscope().arg("bench").args(rest))?;
         }

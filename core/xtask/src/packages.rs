@@ -17,8 +17,6 @@ pub enum Purpose {
     Build,
     /// Test data: tests that need it skip without.
     Test,
-    /// A peer that benches measure beside us: its figures are left out without.
-    Bench,
     /// Fetching files from Python wheels.
     Wheels,
     /// Pictures of the windows on a virtual screen.
@@ -30,7 +28,7 @@ pub enum Purpose {
 impl Purpose {
     /// Whether work can go on without packages of this purpose.
     pub fn is_optional(self) -> bool {
-        matches!(self, Self::Test | Self::Bench)
+        matches!(self, Self::Test)
     }
 }
 
@@ -38,6 +36,8 @@ impl Purpose {
 enum Evidence {
     Program(&'static str),
     PkgConfig(&'static str),
+    /// An element that `gst-inspect-1.0` finds.
+    GStreamer(&'static str),
     AnyFile(&'static [&'static str]),
     Libclang,
 }
@@ -104,6 +104,55 @@ pub static PACKAGES: &[Package] = &[
             "/opt/homebrew/include/opencv4/opencv2/ximgproc.hpp",
         ]),
     ),
+    // Video in and out.
+    package(
+        Purpose::Build,
+        "libgstreamer-plugins-base1.0-dev",
+        [Some("gstreamer1-plugins-base-devel"), Some("gst-plugins-base"), Some("gstreamer")],
+        Evidence::PkgConfig("gstreamer-app-1.0"),
+    ),
+    package(
+        Purpose::Build,
+        "libgstrtspserver-1.0-dev",
+        [Some("gstreamer1-rtsp-server-devel"), Some("gst-rtsp-server"), Some("gstreamer")],
+        Evidence::PkgConfig("gstreamer-rtsp-server-1.0"),
+    ),
+    package(
+        Purpose::Build,
+        "gstreamer1.0-plugins-base",
+        [Some("gstreamer1-plugins-base"), Some("gst-plugins-base"), Some("gstreamer")],
+        Evidence::GStreamer("videoconvert"),
+    ),
+    package(
+        Purpose::Build,
+        "gstreamer1.0-plugins-good",
+        [Some("gstreamer1-plugins-good"), Some("gst-plugins-good"), Some("gstreamer")],
+        Evidence::GStreamer("matroskamux"),
+    ),
+    package(
+        Purpose::Build,
+        "gstreamer1.0-plugins-bad",
+        [Some("gstreamer1-plugins-bad-free"), Some("gst-plugins-bad"), Some("gstreamer")],
+        Evidence::GStreamer("h264parse"),
+    ),
+    package(
+        Purpose::Build,
+        "gstreamer1.0-plugins-ugly",
+        [Some("gstreamer1-plugins-ugly"), Some("gst-plugins-ugly"), Some("gstreamer")],
+        Evidence::GStreamer("x264enc"),
+    ),
+    package(
+        Purpose::Build,
+        "gstreamer1.0-libav",
+        [Some("gstreamer1-plugin-libav"), Some("gst-libav"), Some("gstreamer")],
+        Evidence::GStreamer("avdec_h264"),
+    ),
+    package(
+        Purpose::Build,
+        "gstreamer1.0-tools",
+        [Some("gstreamer1"), Some("gstreamer"), Some("gstreamer")],
+        Evidence::Program("gst-launch-1.0"),
+    ),
     package(Purpose::Package, "dpkg-dev", [None, None, None], Evidence::Program("dpkg-shlibdeps")),
     package(
         Purpose::Package,
@@ -112,24 +161,6 @@ pub static PACKAGES: &[Package] = &[
         Evidence::Program("strip"),
     ),
     package(Purpose::Test, "opencv-doc", [None, None, None], Evidence::AnyFile(&[OPENCV_DOC_DATA])),
-    package(
-        Purpose::Bench,
-        "gstreamer1.0-tools",
-        [Some("gstreamer1"), Some("gstreamer"), Some("gstreamer")],
-        Evidence::Program("gst-launch-1.0"),
-    ),
-    package(
-        Purpose::Bench,
-        "gstreamer1.0-plugins-base",
-        [Some("gstreamer1-plugins-base"), Some("gst-plugins-base"), Some("gstreamer")],
-        Evidence::PkgConfig("gstreamer-plugins-base-1.0"),
-    ),
-    package(
-        Purpose::Bench,
-        "libgstreamer1.0-dev",
-        [Some("gstreamer1-devel"), Some("gstreamer"), Some("gstreamer")],
-        Evidence::PkgConfig("gstreamer-1.0"),
-    ),
     package(
         Purpose::Wheels,
         "python3-pip",
@@ -219,6 +250,10 @@ fn shows(evidence: &Evidence) -> bool {
         Evidence::AnyFile(paths) => paths.iter().any(|path| Path::new(path).exists()),
         Evidence::PkgConfig(module) => {
             let found = Command::new("pkg-config").args(["--exists", module]).status();
+            found.is_ok_and(|status| status.success())
+        }
+        Evidence::GStreamer(element) => {
+            let found = Command::new("gst-inspect-1.0").args(["--exists", element]).status();
             found.is_ok_and(|status| status.success())
         }
         Evidence::Libclang => libclang_is_found(),

@@ -1,0 +1,91 @@
+//! Elements by name, with the package to install when one is missing.
+
+use std::sync::OnceLock;
+
+use gstreamer::{Element, ElementFactory};
+
+use crate::MediaError;
+
+/// Elements that are used by name, and Debian's package of each.
+const PACKAGES: &[(&str, &[&str])] = &[
+    (
+        "gstreamer1.0-plugins-base",
+        &["appsink", "appsrc", "decodebin", "uridecodebin", "videoconvert", "videoscale", "videorate", "videotestsrc"],
+    ),
+    (
+        "gstreamer1.0-plugins-good",
+        &[
+            "v4l2src",
+            "rtspsrc",
+            "rtpbin",
+            "jpegdec",
+            "jpegenc",
+            "matroskamux",
+            "matroskademux",
+            "avimux",
+            "avidemux",
+            "qtdemux",
+            "qtmux",
+            "deinterlace",
+            "rtph264pay",
+            "rtph265pay",
+            "rtpjpegpay",
+            "rtph264depay",
+        ],
+    ),
+    ("gstreamer1.0-plugins-bad", &["h264parse", "h265parse", "jpegparse", "openh264enc", "openh264dec"]),
+    ("gstreamer1.0-plugins-ugly", &["x264enc"]),
+    ("gstreamer1.0-libav", &["avdec_h264", "avdec_h265", "avdec_mjpeg", "avenc_ffv1", "avdec_ffv1"]),
+    ("gstreamer1.0-rtsp", &["rtspclientsink"]),
+];
+
+/// Starts GStreamer; later calls return the first call's result.
+///
+/// # Errors
+/// GStreamer cannot be initialized.
+pub fn init() -> Result<(), MediaError> {
+    static STARTED: OnceLock<Result<(), String>> = OnceLock::new();
+    STARTED
+        .get_or_init(|| gstreamer::init().map_err(|error| error.to_string()))
+        .clone()
+        .map_err(|reason| MediaError::Init { reason })
+}
+
+/// Makes the element `name`.
+///
+/// # Errors
+/// GStreamer cannot start, or no plugin has the element: the error names the package to install.
+pub fn make(name: &str) -> Result<Element, MediaError> {
+    init()?;
+    ElementFactory::make(name)
+        .build()
+        .map_err(|_| MediaError::MissingElement { element: name.to_owned(), package: package_of(name) })
+}
+
+/// Debian's package that holds `element`.
+fn package_of(element: &str) -> &'static str {
+    PACKAGES
+        .iter()
+        .find(|(_, elements)| elements.contains(&element))
+        .map_or("gstreamer1.0-plugins-bad", |(package, _)| package)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_element_names_its_package() {
+        let error = make("nosuchencoder").expect_err("there is no such element").to_string();
+        assert!(error.contains("`nosuchencoder`") && error.contains("apt install gstreamer1.0-"), "{error}");
+    }
+
+    #[test]
+    fn every_listed_element_is_installed() {
+        for (package, elements) in PACKAGES {
+            for element in *elements {
+                assert!(make(element).is_ok(), "{element} of {package}");
+            }
+        }
+    }
+}
