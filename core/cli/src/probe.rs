@@ -50,7 +50,7 @@ fn limit(resource: libc::__rlimit_resource_t, most: u64) {
 
 /// The child's part.
 pub fn run(arguments: &Arguments) -> Result<End> {
-    // Whoever ends the parent ends this, too.
+    // A signal that ends the parent ends this process, too.
     // SAFETY: a plain system call.
     unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) };
     limit(libc::RLIMIT_AS, MEMORY_BYTES);
@@ -156,7 +156,7 @@ pub fn models(path: &Path, text: &GraphText, ready: &Ready, given: &Given) -> Di
         };
         let message = format!("`{}` of `{}` ({}) cannot be used: {reason}", param.name, node.id, node.type_name);
         let help = if severity == Severity::Error {
-            "name a model that this node reads; `panoscope describe` tells which"
+            "name a model that this node reads; see `panoscope describe`"
         } else {
             "the model was not looked at"
         };

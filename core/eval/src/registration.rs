@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::error::{Context, EvalError, Result};
-use crate::inputs::wiring::{Judged, Wiring};
+use crate::inputs::wiring::{JudgeInputs, Wiring};
 use crate::packets::Table;
 use crate::run::{self, Pace, Plan, RunOutput};
 use crate::session::Session;
@@ -88,7 +88,7 @@ pub fn judges(wiring: &Wiring) -> Vec<(String, String)> {
 pub fn run_judged(
     session: &dyn Session,
     wiring: &Wiring,
-    judged: Judged,
+    judged: JudgeInputs,
     path: &Path,
     frames: u64,
 ) -> Result<JudgedRun> {
@@ -111,6 +111,6 @@ pub fn run_judged(
 /// The graph has no composite, or does not run.
 pub fn registration_of(session: &dyn Session, text: &str, frames: u64) -> Result<Registration> {
     let wiring = Wiring::of(text, "bench")?;
-    let run = run_judged(session, &wiring, Judged::Registration, Path::new("bench.toml"), frames)?;
+    let run = run_judged(session, &wiring, JudgeInputs::Registration, Path::new("bench.toml"), frames)?;
     registration(run.tables.first().context("there is no judge")?)
 }

@@ -154,7 +154,7 @@ fn mistakes_are_named_before_anything_runs() {
     let told =
         Sweep::new(request("level.gain", "level.sharpness"), Arc::new(loader())).unwrap_or_else(|e| panic!("{e}"));
     let error = told.run(&|| false, |_| panic!("nothing was measured")).expect_err("no such number").to_string();
-    assert!(error.contains("tells no number `sharpness`; it tells level, p50_ms"), "{error}");
+    assert!(error.contains("reports no number `sharpness`; it reports level, p50_ms"), "{error}");
 }
 
 #[test]

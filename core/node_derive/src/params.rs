@@ -58,7 +58,7 @@ struct Attribute {
     flatten: Option<Ident>,
 }
 
-/// Endings of parameter names that state a unit, longest first: whoever reads `window_px` in a graph file takes it for pixels.
+/// Endings of parameter names that state a unit, longest first: a reader of a graph file takes `window_px` for pixels.
 const ENDINGS: &[(&str, &[&str])] = &[
     ("_mm_s2", &["mm/s2"]),
     ("_px_s", &["px/s"]),

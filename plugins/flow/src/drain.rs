@@ -1,14 +1,14 @@
-//! `drain` and `drain_blocking`: the end of a line.
+//! `drain` and `drain_blocking`: sinks that count pictures.
 
 use panoscope_node::abi::{FNV_START, Frame, fnv1a};
 use panoscope_node::{Context, NoPorts, Node, NodeInfo, Open, Params, Result};
 
 use crate::ports::In;
 
-/// What a sink does with a picture.
+/// Parameters of both sinks.
 #[derive(Params)]
-pub struct Look {
-    /// Read all bytes and tell a digest of everything that came, as the metric `digest`.
+pub struct DrainParams {
+    /// Reads all bytes and reports a digest of everything received, as the metric `digest`.
     #[param(default = false)]
     digest: bool,
 }
@@ -30,7 +30,7 @@ struct Count {
 }
 
 impl Count {
-    fn take(&mut self, cx: &Context<'_>, frame: &Frame, params: &Look) {
+    fn take(&mut self, cx: &Context<'_>, frame: &Frame, params: &DrainParams) {
         self.frames += 1;
         if params.digest {
             let before = if self.frames == 1 { FNV_START } else { self.digest };
@@ -47,17 +47,16 @@ impl Count {
 pub struct Drain(Count);
 
 impl Node for Drain {
-    const INFO: NodeInfo =
-        NodeInfo::compute("drain", "sink", "Takes pictures, counts them and lets them go.").side_effects();
+    const INFO: NodeInfo = NodeInfo::compute("drain", "sink", "Counts pictures and releases them.").side_effects();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
-    type Params = Look;
+    type Params = DrainParams;
 
-    fn open(_: &Open<'_>, _: &Look) -> Result<Self> {
+    fn open(_: &Open<'_>, _: &DrainParams) -> Result<Self> {
         Ok(Self::default())
     }
 
-    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Look) -> Result<()> {
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &DrainParams) -> Result<()> {
         self.0.take(cx, input.image.frame(), params);
         Ok(())
     }
@@ -69,17 +68,17 @@ pub struct DrainBlocking(Count);
 
 impl Node for DrainBlocking {
     const INFO: NodeInfo =
-        NodeInfo::blocking("drain_blocking", "sink", "Takes pictures on its own thread, counts them and lets them go.")
+        NodeInfo::blocking("drain_blocking", "sink", "Counts pictures and releases them, on its own thread.")
             .side_effects();
     type In<'f> = In<'f>;
     type Out<'f> = NoPorts;
-    type Params = Look;
+    type Params = DrainParams;
 
-    fn open(_: &Open<'_>, _: &Look) -> Result<Self> {
+    fn open(_: &Open<'_>, _: &DrainParams) -> Result<Self> {
         Ok(Self::default())
     }
 
-    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &Look) -> Result<()> {
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, _: NoPorts, params: &DrainParams) -> Result<()> {
         self.0.take(cx, input.image.frame(), params);
         Ok(())
     }

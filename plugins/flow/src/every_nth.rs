@@ -12,11 +12,11 @@ pub struct Thinning {
     n: u64,
 }
 
-/// Lets every n-th picture through, counted by tick number, so that branches thinned alike stay together.
+/// Forwards every n-th picture, counted by tick number, so that branches thinned alike stay together.
 pub struct EveryNth;
 
 impl Node for EveryNth {
-    const INFO: NodeInfo = NodeInfo::compute("every_nth", "flow", "Lets every n-th picture through.");
+    const INFO: NodeInfo = NodeInfo::compute("every_nth", "flow", "Forwards every n-th picture.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Thinning;

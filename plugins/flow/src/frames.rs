@@ -5,7 +5,7 @@ use panoscope_node::{
     Rgba8, Slot, ViewMut, random,
 };
 
-/// The picture made.
+/// The output.
 #[derive(Ports)]
 pub struct Out<'f> {
     /// The test frame.
@@ -38,9 +38,9 @@ pub enum Pattern {
     None,
 }
 
-/// What to make.
+/// Size, format, pattern and rate of the frames.
 #[derive(Params)]
-pub struct Wish {
+pub struct FramesParams {
     /// Width.
     #[param(default = 640, range = 1..=16384, unit = "px")]
     width_px: usize,
@@ -86,13 +86,13 @@ impl Node for Frames {
     const INFO: NodeInfo = NodeInfo::compute("frames", "source", "Makes test frames.").source();
     type In<'f> = NoPorts;
     type Out<'f> = Out<'f>;
-    type Params = Wish;
+    type Params = FramesParams;
 
-    fn open(_: &Open<'_>, _: &Wish) -> Result<Self> {
+    fn open(_: &Open<'_>, _: &FramesParams) -> Result<Self> {
         Ok(Self)
     }
 
-    fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Out<'f>, params: &Wish) -> Result<()> {
+    fn process<'f>(&mut self, cx: &Context<'f>, _: NoPorts, mut out: Out<'f>, params: &FramesParams) -> Result<()> {
         let seq = cx.tick().seq;
         if params.count > 0 && seq >= params.count {
             cx.end();

@@ -1,4 +1,4 @@
-//! `level`: how bright pictures are, as numbers.
+//! `level`: the brightness of pictures, as numbers.
 
 use panoscope_node::abi::Scalar;
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, View};
@@ -15,25 +15,25 @@ pub struct In<'f> {
 pub struct Out<'f> {
     /// Mean of the window, times the gain.
     level: Slot<'f, Scalar>,
-    /// Mean, smallest and largest value of the window, and the mean of the spots, each times the gain; NaN where nothing is looked at.
+    /// Mean, smallest and largest value of the window, and the mean of the spots, each times the gain; NaN without window and spots.
     levels: Slot<'f, TableData>,
 }
 
-/// What is looked at.
+/// The window and the spots that are measured.
 #[derive(Params)]
-pub struct Look {
+pub struct LevelParams {
     /// Factor of all levels.
     #[param(default = 1.0, range = 0.0..=8.0, step = 0.1, unit = "ratio")]
     gain: f64,
-    /// Part of the picture that is looked at: x, y, width, height; without it, all of it.
+    /// Part of the picture that is measured: x, y, width, height; without it, all of it.
     #[param(default = [], range = 0..=4, unit = "px", rectangles)]
     window: Vec<f64>,
-    /// Points that are looked at besides: u, v, u, v, ...
+    /// Further points that are measured: u, v, u, v, ...
     #[param(default = [], range = 0..=32, unit = "px", points)]
     spots: Vec<f64>,
 }
 
-/// Tells how bright pictures are.
+/// Measures the brightness of pictures.
 pub struct Level;
 
 /// Rows and columns of the window inside the picture.
@@ -48,16 +48,16 @@ fn window(image: &View<'_, u8>, window: &[f64]) -> (std::ops::Range<usize>, std:
 }
 
 impl Node for Level {
-    const INFO: NodeInfo = NodeInfo::compute("level", "flow", "Tells how bright pictures are.");
+    const INFO: NodeInfo = NodeInfo::compute("level", "flow", "Measures the brightness of pictures.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
-    type Params = Look;
+    type Params = LevelParams;
 
-    fn open(_: &Open<'_>, _: &Look) -> Result<Self> {
+    fn open(_: &Open<'_>, _: &LevelParams) -> Result<Self> {
         Ok(Self)
     }
 
-    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &Look) -> Result<()> {
+    fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &LevelParams) -> Result<()> {
         let image = input.image.view();
         let (rows, columns) = window(&image, &params.window);
         let (mut sum, mut count, mut least, mut most) = (0u64, 0u64, u8::MAX, 0);

@@ -6,11 +6,11 @@ use panoscope_node::{Context, Node, NodeInfo, Open, Params, Result};
 
 use crate::ports::{In, Out};
 
-/// Hands pictures on, inline after their producer.
+/// Forwards pictures, inline after their producer.
 pub struct Pass;
 
 impl Node for Pass {
-    const INFO: NodeInfo = NodeInfo::compute("pass", "flow", "Hands pictures on without a copy.");
+    const INFO: NodeInfo = NodeInfo::compute("pass", "flow", "Forwards pictures without a copy.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = ();
@@ -32,15 +32,12 @@ pub struct Wait {
     wait_ms: f64,
 }
 
-/// Hands pictures on from a thread of its own, after a pause.
+/// Forwards pictures from a thread of its own, after a pause.
 pub struct PassBlocking;
 
 impl Node for PassBlocking {
-    const INFO: NodeInfo = NodeInfo::blocking(
-        "pass_blocking",
-        "flow",
-        "Hands pictures on from its own thread, after a pause if asked to.",
-    );
+    const INFO: NodeInfo =
+        NodeInfo::blocking("pass_blocking", "flow", "Forwards pictures from its own thread, after an optional pause.");
     type In<'f> = In<'f>;
     type Out<'f> = Out<'f>;
     type Params = Wait;

@@ -98,20 +98,20 @@ pub struct CompositeOpencv {
 }
 
 /// A view on the canvas.
-struct Placed {
+struct CanvasView {
     corner: Point,
     image: Mat,
     mask: Mat,
 }
 
-fn upright(view: View<'_, u8>, canvas: &Canvas) -> opencv::Result<Placed> {
+fn upright(view: View<'_, u8>, canvas: &Canvas) -> opencv::Result<CanvasView> {
     let white = Scalar::all(255.0);
     let mask = Mat::new_rows_cols_with_default(view.height as i32, view.width as i32, CV_8UC1, white)?;
     let image = borrowed(view)?.try_clone()?;
-    Ok(Placed { corner: Point::new(canvas.left, canvas.top), image, mask })
+    Ok(CanvasView { corner: Point::new(canvas.left, canvas.top), image, mask })
 }
 
-fn warped(view: View<'_, u8>, map: &Map, canvas: &Canvas) -> opencv::Result<Placed> {
+fn warped(view: View<'_, u8>, map: &Map, canvas: &Canvas) -> opencv::Result<CanvasView> {
     let moved = Map::translation(f64::from(canvas.left), f64::from(canvas.top)).compose(map);
     let corners = moved.map_corners(view.width, view.height).unwrap_or([[0.0; 2]; 4]);
     let bound = |axis: usize, side: usize| {
@@ -129,24 +129,24 @@ fn warped(view: View<'_, u8>, map: &Map, canvas: &Canvas) -> opencv::Result<Plac
     imgproc::warp_perspective(&borrowed(view)?, &mut image, &matrix, size, INTER_LINEAR, BORDER_REFLECT, black)?;
     let white = Mat::new_rows_cols_with_default(view.height as i32, view.width as i32, CV_8UC1, Scalar::all(255.0))?;
     imgproc::warp_perspective(&white, &mut mask, &matrix, size, INTER_NEAREST, BORDER_CONSTANT, black)?;
-    Ok(Placed { corner: Point::new(x, y), image, mask })
+    Ok(CanvasView { corner: Point::new(x, y), image, mask })
 }
 
 /// The view shrunk for gains and seam.
-fn shrunk(view: &Placed, scale: f64) -> opencv::Result<Placed> {
+fn shrunk(view: &CanvasView, scale: f64) -> opencv::Result<CanvasView> {
     let (mut image, mut mask) = (Mat::default(), Mat::default());
     imgproc::resize(&view.image, &mut image, Size::default(), scale, scale, INTER_LINEAR_EXACT)?;
     imgproc::resize(&view.mask, &mut mask, Size::default(), scale, scale, INTER_NEAREST)?;
     let at = |v: i32| (f64::from(v) * scale).round() as i32;
-    Ok(Placed { corner: Point::new(at(view.corner.x), at(view.corner.y)), image, mask })
+    Ok(CanvasView { corner: Point::new(at(view.corner.x), at(view.corner.y)), image, mask })
 }
 
-fn corners(views: &[Placed; 2]) -> Vector<Point> {
+fn corners(views: &[CanvasView; 2]) -> Vector<Point> {
     views.iter().map(|view| view.corner).collect()
 }
 
 /// Estimates one gain per view where they overlap.
-fn gains(views: &[Placed; 2]) -> opencv::Result<Detail_GainCompensator> {
+fn gains(views: &[CanvasView; 2]) -> opencv::Result<Detail_GainCompensator> {
     let mut compensator = Detail_GainCompensator::default()?;
     let (mut images, mut masks) = (Vector::<UMat>::new(), Vector::<UMat>::new());
     for view in views {
@@ -157,7 +157,7 @@ fn gains(views: &[Placed; 2]) -> opencv::Result<Detail_GainCompensator> {
     Ok(compensator)
 }
 
-fn apply(compensator: &mut Detail_GainCompensator, views: &mut [Placed; 2]) -> opencv::Result<()> {
+fn apply(compensator: &mut Detail_GainCompensator, views: &mut [CanvasView; 2]) -> opencv::Result<()> {
     for (index, view) in views.iter_mut().enumerate() {
         let (image, mask) = (&mut view.image, &view.mask);
         Detail_ExposureCompensatorTrait::apply(compensator, index as i32, view.corner, image, mask)?;
@@ -166,7 +166,7 @@ fn apply(compensator: &mut Detail_GainCompensator, views: &mut [Placed; 2]) -> o
 }
 
 /// The masks of both views cut along the seam, as large as the views.
-fn seam(views: &[Placed; 2], params: &CompositeOpencvParams) -> opencv::Result<[Mat; 2]> {
+fn seam(views: &[CanvasView; 2], params: &CompositeOpencvParams) -> opencv::Result<[Mat; 2]> {
     const TERMINAL_COST: f32 = 10_000.0;
     const BAD_REGION_PENALTY: f32 = 1_000.0;
     let (mut images, mut masks) = (Vector::<UMat>::new(), Vector::<UMat>::new());

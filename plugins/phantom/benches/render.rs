@@ -9,7 +9,7 @@ use panoscope_base::Threads;
 use panoscope_imaging::{Serial, ViewMut};
 use panoscope_phantom::render::{Phantom, Rig, SceneKind, SceneParams, TruthMut};
 
-/// Time this thread spent on a core so far, ns, where the system tells (Linux): says more than the clock on a
+/// Time this thread spent on a core so far, ns, where the system reports it (Linux): says more than the clock on a
 /// busy machine.
 fn core_ns() -> Option<f64> {
     std::fs::read_to_string("/proc/thread-self/schedstat").ok()?.split(' ').next()?.parse().ok()

@@ -78,7 +78,7 @@ fn says_what_it_cannot_match<N: Node>() -> TestResult {
     let said = |node: &Harness<N>, words: &str| node.logs().iter().filter(|line| line.message.contains(words)).count();
     assert_eq!(said(&node, "`auto_offset` on"), 1, "{:?}", node.logs());
     assert!(node.metric("in_search_pct").is_some_and(|share| share < 25.0));
-    // A moment without light is no news, a long one is, and so is its end.
+    // A short loss of light is not reported; a long one is, and so is its end.
     let mut node = Harness::<N>::from_toml("params = { search_px = 64 }")?;
     let dark = vec![5; SIZE.0 * SIZE.1];
     for (views, calls, poor) in

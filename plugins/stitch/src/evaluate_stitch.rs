@@ -2,7 +2,7 @@
 
 use panoscope_imaging::geometry::{Homography as Map, Point, Ransac, RansacParams};
 use panoscope_imaging::stitch::correspond::{CorrespondParams, correspondences};
-use panoscope_imaging::stitch::evaluate::{Gray, Likeness, TruePairs, likeness, overlap, seam_band};
+use panoscope_imaging::stitch::evaluate::{Gray, RegionSimilarity, TruePairs, likeness, overlap, seam_band};
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{
     Bgr8, Context, Disparity, Gray8, Image, Mask, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, Value,
@@ -218,7 +218,7 @@ fn areas(shown: View<'_, u8>, footprint: Option<View<'_, u8>>, canvas: Roi, offs
 }
 
 impl EvaluateStitch {
-    fn pictures(&self, input: &In<'_>, map: &Map, params: &EvaluateParams) -> [Option<Likeness>; 2] {
+    fn pictures(&self, input: &In<'_>, map: &Map, params: &EvaluateParams) -> [Option<RegionSimilarity>; 2] {
         let (Some(panorama), Some(canvas), Some(wide)) = (&input.panorama, &input.canvas, &input.wide) else {
             return [None; 2];
         };

@@ -5,7 +5,7 @@ use panoscope_imaging::stitch::{CellPoint, GridParams, RectifiedView, RegisterGr
 use panoscope_node::abi::{Calibration, Camera};
 use panoscope_node::{Choice, Context, Disparity, Image, Node, NodeInfo, Open, Params, Ports, Result, Value};
 
-use crate::registration::{KeepParams, Out, Registered, Reporter};
+use crate::registration::{HoldParams, Out, Registered, Reporter};
 
 /// Point that a grid cell contributes.
 #[derive(Choice, Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,7 +41,7 @@ pub struct RegisterGridParams {
     #[param(default = 12, range = 4..=1000, unit = "points")]
     min_inliers: u32,
     #[param(flatten)]
-    keep: KeepParams,
+    keep: HoldParams,
 }
 
 impl RegisterGridParams {
@@ -59,7 +59,7 @@ impl RegisterGridParams {
             ransac: RansacParams { threshold_px: self.ransac_px, ..default.ransac },
             min_inliers: self.min_inliers as usize,
             stability_px: self.keep.stability_px,
-            anchor_fit: self.keep.calm,
+            anchor_fit: self.keep.anchor_fit,
             max_rms_px: self.keep.max_rms_px,
             hold_frames: self.keep.hold_frames as usize,
             ..default

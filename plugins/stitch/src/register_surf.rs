@@ -4,7 +4,7 @@ use panoscope_imaging::features::{self, MatchParams, RegisterParams, SurfParams}
 use panoscope_imaging::geometry::ransac::RansacParams;
 use panoscope_node::{Context, Gray8, Image, Node, NodeInfo, Open, Params, Ports, Result};
 
-use crate::registration::{KeepParams, Out, Registered, Reporter};
+use crate::registration::{HoldParams, Out, Registered, Reporter};
 
 /// Parameters of the registration.
 #[derive(Params, Clone, PartialEq)]
@@ -43,7 +43,7 @@ pub struct RegisterSurfParams {
     #[param(default = 8, range = 4..=1000, unit = "points")]
     min_inliers: u32,
     #[param(flatten)]
-    keep: KeepParams,
+    keep: HoldParams,
     /// Finds narrow overlaps too: when whole views do not match, searches facing sides at full size. Only with `roi`.
     #[param(default = false)]
     strips: bool,
@@ -71,7 +71,7 @@ impl RegisterSurfParams {
             ransac: RansacParams { threshold_px: self.ransac_px, ..default.ransac },
             min_inliers: self.min_inliers as usize,
             stability_px: self.keep.stability_px,
-            anchor_fit: self.keep.calm,
+            anchor_fit: self.keep.anchor_fit,
             max_rms_px: self.keep.max_rms_px,
             hold_frames: self.keep.hold_frames as usize,
             strips: self.strips,

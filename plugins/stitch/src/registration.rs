@@ -1,7 +1,7 @@
 //! What registration nodes share: outputs, the parameters that keep a homography, the warnings.
 
 use panoscope_imaging::Rect;
-use panoscope_imaging::geometry::{self, LostWatch, RegistrationState, RmsWatch};
+use panoscope_imaging::geometry::{self, RegistrationMonitor, RegistrationState, RmsWatch};
 use panoscope_node::abi::{self, Homography, Roi};
 use panoscope_node::{Context, Params, Ports, Result, Slot};
 
@@ -18,14 +18,14 @@ pub struct Out<'f> {
 
 /// Parameters of every registration: how long a homography is kept, and when it is given up.
 #[derive(Params, Clone, PartialEq)]
-pub struct KeepParams {
+pub struct HoldParams {
     /// Keeps the previous homography while its median error on the new inliers is below this; 0 fits anew in every frame.
     #[param(default = 0.8, range = 0.0..=10.0, step = 0.1, unit = "px")]
     pub stability_px: f64,
     /// Weight of the previous frame's homography beside that of all inliers. It steadies the parts of the picture that the overlap does not
     /// determine; 0 fits the inliers alone.
     #[param(default = 1.0, range = 0.0..=4.0, step = 0.05, unit = "ratio")]
-    pub calm: f64,
+    pub anchor_fit: f64,
     /// Largest root mean square error of the inliers. A worse homography is not used: the previous one is held, then lost. 0 uses all.
     #[param(default = 18.0, range = 0.0..=100.0, step = 0.5, unit = "px")]
     pub max_rms_px: f64,
@@ -38,7 +38,7 @@ pub struct KeepParams {
 #[derive(Default)]
 pub struct Reporter {
     rms: RmsWatch,
-    lost: LostWatch,
+    lost: RegistrationMonitor,
 }
 
 impl Reporter {

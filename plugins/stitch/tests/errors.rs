@@ -89,7 +89,7 @@ fn spots(side: usize) -> Vec<u8> {
 fn features_that_no_plane_explains_are_not_called_fresh() {
     let open = |limit: f64| {
         let toml = format!(
-            "params = {{ roi = false, ransac_px = 20.0, stability_px = 0.0, calm = 0.0, max_rms_px = {limit:.1} }}"
+            "params = {{ roi = false, ransac_px = 20.0, stability_px = 0.0, anchor_fit = 0.0, max_rms_px = {limit:.1} }}"
         );
         Harness::<RegisterSurf>::open(Setup::new(&toml)).unwrap()
     };

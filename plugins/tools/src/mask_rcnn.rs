@@ -94,7 +94,7 @@ pub struct MaskRcnn {
     maps: Vec<f32>,
     map_size: (usize, usize),
     /// Buffers of painting: position of each column of a box in its map, and a row of the map for each task.
-    places: Vec<Place>,
+    places: Vec<CellPosition>,
     lines: Vec<f32>,
     items: Vec<Detection>,
     bits: Vec<u8>,
@@ -102,7 +102,7 @@ pub struct MaskRcnn {
 }
 
 /// The four outputs of a Mask R-CNN, in any order.
-struct Answer<'a> {
+struct NetworkOutputs<'a> {
     boxes: &'a [f32],
     scores: &'a [f32],
     labels: Option<&'a [i64]>,
@@ -111,7 +111,7 @@ struct Answer<'a> {
     count: usize,
 }
 
-fn sort_out<'a>(path: &Path, outputs: &[Tensor<'a>]) -> Result<Answer<'a>> {
+fn sort_out<'a>(path: &Path, outputs: &[Tensor<'a>]) -> Result<NetworkOutputs<'a>> {
     let floats = |rank: usize, last: Option<usize>| {
         outputs.iter().find_map(|t| {
             let fits = t.shape.len() == rank && last.is_none_or(|n| t.shape.last() == Some(&n));
@@ -144,7 +144,7 @@ fn sort_out<'a>(path: &Path, outputs: &[Tensor<'a>]) -> Result<Answer<'a>> {
     if !whole {
         return Err(error!("{}: boxes, scores and masks of the answer do not have as many rows", path.display()));
     }
-    Ok(Answer { boxes, scores, labels, masks, map_size: (width, height), count })
+    Ok(NetworkOutputs { boxes, scores, labels, masks, map_size: (width, height), count })
 }
 
 /// Rows of a mask that one task paints.
@@ -152,12 +152,12 @@ const ROWS_PER_CHUNK: usize = 32;
 
 /// Position of a pixel along one side of a map: between cell `first` and the next, counted from a cell of zeros before the map.
 #[derive(Clone, Copy, Default)]
-struct Place {
+struct CellPosition {
     first: u32,
     share: f32,
 }
 
-impl Place {
+impl CellPosition {
     /// The position of a coordinate in cells, whose centres are whole numbers. Outside the map the value is that of the zeros around it.
     fn new(at: f32, cells: usize) -> Self {
         if at > -1.0 && at < cells as f32 {
@@ -204,7 +204,7 @@ impl MaskRcnn {
                 }
             };
             self.places.clear();
-            self.places.extend(columns.clone().map(|x| Place::new(along(0, x as f32 + 0.5), width)));
+            self.places.extend(columns.clone().map(|x| CellPosition::new(along(0, x as f32 + 0.5), width)));
             let places = &self.places;
             let bits = SharedMut::new(&mut self.bits[i * len..(i + 1) * len]);
             let lines = SharedMut::new(&mut self.lines);
@@ -213,7 +213,7 @@ impl MaskRcnn {
                 let line = unsafe { lines.part(chunk * line_len, line_len) };
                 let first = rows.start + chunk * ROWS_PER_CHUNK;
                 for y in first..(first + ROWS_PER_CHUNK).min(rows.end) {
-                    let at = Place::new(along(1, y as f32 + 0.5), height);
+                    let at = CellPosition::new(along(1, y as f32 + 0.5), height);
                     mix(map, (width, height), at, line);
                     // SAFETY: one row, painted by this chunk alone.
                     let row = unsafe { bits.part(y * row_bytes, row_bytes) };
@@ -229,7 +229,7 @@ impl MaskRcnn {
 }
 
 /// A row of the map at a height between two of its rows, with a zero before and after it.
-fn mix(map: &[f32], (width, height): (usize, usize), at: Place, line: &mut [f32]) {
+fn mix(map: &[f32], (width, height): (usize, usize), at: CellPosition, line: &mut [f32]) {
     let row = |index: usize| (1..=height).contains(&index).then(|| &map[(index - 1) * width..index * width]);
     let first = at.first as usize;
     let share = at.share;

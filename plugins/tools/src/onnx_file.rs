@@ -94,13 +94,13 @@ impl Message {
 
 type Fault = (&'static str, usize);
 
-struct Walk<'a> {
+struct MessageReader<'a> {
     data: &'a [u8],
     locations: Vec<String>,
     has_graph: bool,
 }
 
-impl Walk<'_> {
+impl MessageReader<'_> {
     fn varint(&self, at: &mut usize, end: usize) -> Result<u64, Fault> {
         let (mut value, mut shift) = (0u64, 0);
         loop {
@@ -181,7 +181,7 @@ pub fn read(path: &Path) -> Result<OnnxFile, OnnxFileError> {
         return Err(OnnxFileError::TooLarge { path: path.to_owned(), bytes });
     }
     let data = std::fs::read(path).map_err(failed)?;
-    let mut walk = Walk { data: &data, locations: Vec::new(), has_graph: false };
+    let mut walk = MessageReader { data: &data, locations: Vec::new(), has_graph: false };
     let malformed = |reason, offset| OnnxFileError::Malformed { path: path.to_owned(), reason, offset };
     walk.message(Message::Model, 0, data.len(), 0).map_err(|(reason, offset)| malformed(reason, offset))?;
     if !walk.has_graph {

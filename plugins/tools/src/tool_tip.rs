@@ -71,7 +71,7 @@ pub struct ToolTip {
     finder: TipFinder,
     silhouette: Silhouette,
     second: SecondView,
-    kept: Option<Kept>,
+    kept: Option<LastBox>,
     /// Distance of both ends of open jaws from the middle between them, mm, and when it was seen, ns.
     half: Option<(f64, i64)>,
     /// Depth of the last tip, mm, and its capture time, ns.
@@ -93,7 +93,7 @@ struct Leading {
 }
 
 /// The last box of the leading tool.
-struct Kept {
+struct LastBox {
     item: Detection,
     /// Capture time of the picture in which it was found, ns.
     found_ns: i64,
@@ -102,7 +102,7 @@ struct Kept {
     scored_ns: i64,
 }
 
-impl Kept {
+impl LastBox {
     /// Score of the tool now.
     fn score_at(&self, now_ns: i64) -> f32 {
         self.score * 0.5_f32.powf(now_ns.saturating_sub(self.scored_ns).max(0) as f32 * 1e-9 / HALF_S)
@@ -418,7 +418,7 @@ impl Node for ToolTip {
         }
         let is_found = best.is_some();
         // Where the detector finds another tool now, the picture would show that one.
-        let is_taken = |kept: &Kept| {
+        let is_taken = |kept: &LastBox| {
             let own = corners_of(&kept.item);
             items.iter().any(|d| claim(d) == 0 && iou(&corners_of(d), &own) >= STILL_IOU)
         };
@@ -444,7 +444,7 @@ impl Node for ToolTip {
             kept.as_ref().filter(|_| is_cut && (is_same || !is_found)).map_or(0.0, |kept| kept.score_at(now_ns));
         let sure = if box_score >= params.min_score { box_score } else { box_score.max(before) };
         let found_ns = if is_found { found.tick().capture_ns } else { kept.map_or(now_ns, |kept| kept.found_ns) };
-        self.kept = Some(Kept { item, found_ns, score: sure, scored_ns: now_ns });
+        self.kept = Some(LastBox { item, found_ns, score: sure, scored_ns: now_ns });
         if is_found {
             let corners = corners_of(&item);
             let mut others = [-1; 16];

@@ -149,7 +149,7 @@ impl Network {
         };
         if classes > 0 && !names.is_empty() && names.len() != classes {
             return Err(error!(
-                "{} tells {classes} classes apart, the label table has {} names",
+                "{} has {classes} classes, the label table has {} names",
                 self.model.path().display(),
                 names.len()
             ));

@@ -145,7 +145,7 @@ fn a_tool_is_cut_out_of_its_box_by_picture_or_depth() -> Result<(), HarnessError
             assert_eq!(found.xyz_valid, u32::from(!plane.is_empty()));
             assert!(plane.is_empty() || (found.xyz_mm[2] - 60.0).abs() < 0.5, "{found:?}");
         }
-        // The box alone tells less.
+        // The box alone is less exact.
         assert!(off(&find(false, "")?) > 6.0);
     }
     Ok(())

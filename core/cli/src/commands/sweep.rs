@@ -32,7 +32,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 9)]
     steps: usize,
     /// A scalar port, a column of a table port (`COLUMN[2]` for the second of several rows, `COLUMN[*]` for all), or a number or counter that a
-    /// node tells (p50_ms, ...).
+    /// node reports (p50_ms, ...).
     #[arg(long, value_name = "NODE.PORT[.COLUMN]")]
     measure: String,
     /// Most ticks of each source per value.

@@ -112,7 +112,7 @@ inputs = {{ homography = "mosaic.homography", pose = "scope.pose", depth = "scop
 }
 
 /// What one run came to.
-struct Judged {
+struct JudgeInputs {
     /// Per tick.
     rows: Table,
     /// The mosaic's own last row.
@@ -122,7 +122,7 @@ struct Judged {
     max_ms: f64,
 }
 
-impl Judged {
+impl JudgeInputs {
     fn column(&self, name: &str) -> Result<Vec<f64>> {
         self.rows.column(name).ok_or_else(|| EvalError::Column { table: "the judge's table", column: name.to_owned() })
     }
@@ -152,7 +152,7 @@ impl Judged {
     }
 }
 
-fn run(session: &dyn Session, scene: &str, is_closed: bool, options: &Options) -> Result<Judged> {
+fn run(session: &dyn Session, scene: &str, is_closed: bool, options: &Options) -> Result<JudgeInputs> {
     let text = text(scene, is_closed, options);
     let plan = Plan {
         text: &text,
@@ -168,7 +168,7 @@ fn run(session: &dyn Session, scene: &str, is_closed: bool, options: &Options) -
         Table::read(packet.bytes()).context("a table could not be read")
     };
     let node = seen.report.nodes.get("mosaic").context("the mosaic is not in the report")?;
-    Ok(Judged { rows: table(0)?, own: table(1)?, p50_ms: node.p50_ms, p99_ms: node.p99_ms, max_ms: node.max_ms })
+    Ok(JudgeInputs { rows: table(0)?, own: table(1)?, p50_ms: node.p50_ms, p99_ms: node.p99_ms, max_ms: node.max_ms })
 }
 
 /// Drift of the mosaic on each scene, with loop closure beside without.
@@ -205,14 +205,20 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
 }
 
 /// Figures of one scene.
-fn listed(scene: &str, closed: &Judged, open: &Judged, options: &Options, figures: &mut Vec<Figure>) -> Result<()> {
+fn listed(
+    scene: &str,
+    closed: &JudgeInputs,
+    open: &JudgeInputs,
+    options: &Options,
+    figures: &mut Vec<Figure>,
+) -> Result<()> {
     let (width, height, laps) = (options.width, options.width * 3 / 4, options.laps);
     let input = format!(
         "ring of {} mm at {} mm/s, {} mm over the tissue, {laps} laps, {width}x{height}, {}",
         options.path_mm, options.speed_mm_s, options.distance_mm, options.model
     );
     let figure = |name: &str, value: f64, unit| Figure::new(&format!("{name}/{scene}"), value, unit, &input);
-    let mut pair = |name: &str, unit, of: &dyn Fn(&Judged) -> Result<f64>| -> Result<()> {
+    let mut pair = |name: &str, unit, of: &dyn Fn(&JudgeInputs) -> Result<f64>| -> Result<()> {
         figures.push(figure(name, of(closed)?, unit).beside(PEER, Some(of(open)?)));
         Ok(())
     };
@@ -236,7 +242,7 @@ fn listed(scene: &str, closed: &Judged, open: &Judged, options: &Options, figure
 }
 
 /// Drift over time.
-fn chart(scene: &str, closed: &Judged, open: &Judged) -> Result<Chart> {
+fn chart(scene: &str, closed: &JudgeInputs, open: &JudgeInputs) -> Result<Chart> {
     let series = |name: &str, color: usize, values: Vec<f64>| Series {
         name: name.to_owned(),
         style: Style::Line,

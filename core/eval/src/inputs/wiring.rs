@@ -30,7 +30,7 @@ impl Composite {
 
 /// Which inputs a judge gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Judged {
+pub enum JudgeInputs {
     /// All that there are.
     Pictures,
     /// What registration is judged by: comparing pictures takes longer than stitching.
@@ -236,8 +236,8 @@ impl Wiring {
     }
 
     /// The same source with OpenCV's registration and composite in place of all that stitches; without a composite for
-    /// [`Judged::Registration`]. None where there are more than two views, which OpenCV's node does not take.
-    pub fn peer(&self, judged: Judged, seam_megapixels: f64, threads: i64) -> Option<Self> {
+    /// [`JudgeInputs::Registration`]. None where there are more than two views, which OpenCV's node does not take.
+    pub fn peer(&self, judged: JudgeInputs, seam_megapixels: f64, threads: i64) -> Option<Self> {
         let mut out = self.clone();
         let [left, right] = &self.composites[0].views[..] else { return None };
         let keep = self.upstream(&[left, right], None);
@@ -253,7 +253,7 @@ impl Wiring {
         let views = [("left", left.clone()), ("right", right.clone())];
         out.add("peer_register", "register_opencv", &views, with(&[]));
         let homography = "peer_register.homography".to_owned();
-        if judged != Judged::Registration {
+        if judged != JudgeInputs::Registration {
             let inputs = [views[0].clone(), views[1].clone(), ("homography", homography.clone())];
             out.add("peer_wide", "composite_opencv", &inputs, with(&[("seam_megapixels", seam_megapixels.into())]));
         }
@@ -266,7 +266,7 @@ impl Wiring {
     }
 
     /// Puts an `evaluate_stitch` behind each pair of views of each composite, wired to what truth the source has.
-    pub fn judged(&self, judged: Judged) -> Self {
+    pub fn judged(&self, judged: JudgeInputs) -> Self {
         let mut out = self.clone();
         out.plugin("stitch");
         for composite in &self.composites {
@@ -282,7 +282,7 @@ impl Wiring {
                 let mut wire = |names: &[(&'static str, &str)], node: &str| {
                     inputs.extend(names.iter().map(|(port, output)| (*port, format!("{node}.{output}"))));
                 };
-                if judged != Judged::Registration {
+                if judged != JudgeInputs::Registration {
                     wire(&[("panorama", "panorama"), ("canvas", "canvas"), ("shown", "shown")], &composite.id);
                 }
                 // The phantom's disparity is that of its first two cameras; the others stand as many baselines away from the first.
@@ -303,11 +303,11 @@ impl Wiring {
                     () => _ = params.insert("correlate".to_owned(), true.into()),
                 }
                 match judged {
-                    Judged::Pictures if is("phantom") => wire(&[("wide", "wide")], source),
-                    Judged::Area if is("phantom") => wire(&[("footprint", "footprint")], source),
+                    JudgeInputs::Pictures if is("phantom") => wire(&[("wide", "wide")], source),
+                    JudgeInputs::Area if is("phantom") => wire(&[("footprint", "footprint")], source),
                     _ => {}
                 }
-                if judged == Judged::Pictures && is("cut_views") {
+                if judged == JudgeInputs::Pictures && is("cut_views") {
                     let whole = self.node(source).map(references).unwrap_or_default();
                     inputs.extend(whole.into_iter().map(|from| ("wide", from)));
                 }
@@ -325,7 +325,7 @@ impl Wiring {
 
 #[cfg(test)]
 mod tests {
-    use super::{Judged, Table, Wiring};
+    use super::{JudgeInputs, Table, Wiring};
 
     const GRAPH: &str = r#"
 plugins = ["phantom", "stitch", "sinks"]
@@ -347,7 +347,7 @@ inputs = { image = "wide.panorama" }
         let mut wiring = Wiring::of(GRAPH, "x").unwrap();
         assert_eq!((wiring.name.as_str(), wiring.phantom()), ("x", Some("scope".to_owned())));
         wiring.set("scope", "noise", 0.5);
-        let text = wiring.judged(Judged::Pictures).text();
+        let text = wiring.judged(JudgeInputs::Pictures).text();
         assert!(
             !text.contains("write_video") && text.contains("mode = \"batch\"") && text.contains("noise = 0.5"),
             "{text}"
@@ -356,13 +356,13 @@ inputs = { image = "wide.panorama" }
         let judge = &table["nodes"]["judge_wide"]["inputs"];
         assert_eq!(judge["right"].as_str(), Some("scope.right"));
         assert_eq!(judge["truth"].as_str(), Some("scope.homography"));
-        let text = wiring.judged(Judged::Registration).text();
+        let text = wiring.judged(JudgeInputs::Registration).text();
         assert!(!text.contains("panorama =") && !text.contains("scope.wide"), "{text}");
     }
 
     #[test]
     fn the_peer_keeps_the_source_only() {
-        let text = Wiring::of(GRAPH, "x").unwrap().peer(Judged::Pictures, 0.1, 2).unwrap().text();
+        let text = Wiring::of(GRAPH, "x").unwrap().peer(JudgeInputs::Pictures, 0.1, 2).unwrap().text();
         assert!(text.contains("register_opencv") && !text.contains("register_surf"), "{text}");
         assert!(Wiring::of("[nodes.a]\ntype = \"phantom\"\n", "x").is_err());
     }
@@ -377,15 +377,15 @@ type = "composite"
 inputs = { views = ["scope.view0", "scope.view1", "scope.view2", "scope.view3"], homographies = ["a.homography", "b.homography", "c.homography"] }
 "#;
         let wiring = Wiring::of(graph, "x").unwrap();
-        assert!(wiring.peer(Judged::Pictures, 0.1, 2).is_none());
-        let table: toml::Table = wiring.judged(Judged::Pictures).text().parse().unwrap();
+        assert!(wiring.peer(JudgeInputs::Pictures, 0.1, 2).is_none());
+        let table: toml::Table = wiring.judged(JudgeInputs::Pictures).text().parse().unwrap();
         assert_eq!(table["nodes"]["judge_wide_1"]["inputs"]["disparity"].as_str(), Some("scope.disparity"));
         let third = &table["nodes"]["judge_wide_3"];
         assert_eq!(third["inputs"]["right"].as_str(), Some("scope.view3"));
         assert_eq!(third["inputs"]["disparity"].as_str(), Some("scope.disparity"));
         let along = ["along_x", "along_y"].map(|name| third["params"][name].as_float());
         assert_eq!((along, third["inputs"].get("truth")), ([Some(1.0), Some(1.0)], None));
-        let table: toml::Table = wiring.judged(Judged::Area).text().parse().unwrap();
+        let table: toml::Table = wiring.judged(JudgeInputs::Area).text().parse().unwrap();
         let second = &table["nodes"]["judge_wide_2"];
         assert_eq!(second["inputs"]["footprint"].as_str(), Some("scope.footprint"));
         assert_eq!((second["params"]["along_x"].as_float(), second["inputs"].get("wide")), (Some(0.0), None));
@@ -397,7 +397,7 @@ inputs = { views = ["scope.view0", "scope.view1", "scope.view2", "scope.view3"],
         let source: Table = "type = \"cut_views\"\ninputs = { image = \"files.left\" }".parse().unwrap();
         let files: Table = "type = \"capture\"".parse().unwrap();
         let made = wiring.with_source(source.clone(), &["left", "right"], &[("files", files)], &["capture"]).unwrap();
-        let table: toml::Table = made.judged(Judged::Pictures).text().parse().unwrap();
+        let table: toml::Table = made.judged(JudgeInputs::Pictures).text().parse().unwrap();
         let judge = &table["nodes"]["judge_wide"]["inputs"];
         assert_eq!(judge["wide"].as_str(), Some("files.left"));
         assert_eq!(judge["truth"].as_str(), Some("scope.homography"));

@@ -159,7 +159,10 @@ impl Measure {
                 let value = counter(found, name).ok_or_else(|| {
                     let names = found.metrics.keys().map(String::as_str);
                     let names: Vec<&str> = names.chain(COUNTERS).collect();
-                    NoSummary::Measure(format!("`{node}` tells no number `{name}`; it tells {}", part::list(&names)))
+                    NoSummary::Measure(format!(
+                        "`{node}` reports no number `{name}`; it reports {}",
+                        part::list(&names)
+                    ))
                 })?;
                 Ok(Summary::of(&[value], 0))
             }

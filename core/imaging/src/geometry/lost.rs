@@ -8,12 +8,12 @@ const LOST_FRAMES: u32 = 30;
 
 /// Warns once when many frames in a row have no registration, and reports once when they have one again.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct LostWatch {
+pub struct RegistrationMonitor {
     has_warned: bool,
     lost_frames: u32,
 }
 
-impl LostWatch {
+impl RegistrationMonitor {
     /// Takes the state of one frame. `help` closes the warning: what the user can do.
     pub fn observe(&mut self, report: &dyn Report, state: RegistrationState, help: &str) {
         match state {
@@ -58,7 +58,7 @@ mod tests {
 
     #[test]
     fn one_warning_and_one_end_of_it() {
-        let (heard, mut watch) = (Heard::default(), LostWatch::default());
+        let (heard, mut watch) = (Heard::default(), RegistrationMonitor::default());
         let mut look = |state, times: u32| (0..times).for_each(|_| watch.observe(&heard, state, "move back"));
         look(RegistrationState::Lost, LOST_FRAMES - 1);
         look(RegistrationState::Fresh, 1);

@@ -17,7 +17,7 @@ mod tests;
 
 pub use anchor_fit::{AnchorFit, shift_of};
 pub use homography::{Homography, Point, SINGULAR_DETERMINANT};
-pub use lost::LostWatch;
+pub use lost::RegistrationMonitor;
 pub use plausible::Plausibility;
 pub use ransac::{Ransac, RansacError, RansacFit, RansacParams};
 pub use rms::{RmsWatch, rms_of};

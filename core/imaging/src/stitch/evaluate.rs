@@ -35,9 +35,9 @@ impl Gray {
     }
 }
 
-/// Likeness of two pictures inside a region.
+/// RegionSimilarity of two pictures inside a region.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Likeness {
+pub struct RegionSimilarity {
     /// Peak signal-to-noise ratio, dB.
     pub psnr_db: f64,
     /// Mean structural similarity, 1 at most; NaN when no window lies in the region.
@@ -47,7 +47,7 @@ pub struct Likeness {
 }
 
 /// Compares `picture` with `truth` where `region` is true; both have its size. `None` when it is empty.
-pub fn likeness(picture: &Gray, truth: &Gray, region: &[bool]) -> Option<Likeness> {
+pub fn likeness(picture: &Gray, truth: &Gray, region: &[bool]) -> Option<RegionSimilarity> {
     let inside = || region.iter().zip(picture.data.iter().zip(&truth.data)).filter(|(r, _)| **r).map(|(_, pair)| pair);
     let (mut pixels, mut cross, mut square) = (0usize, 0.0f64, 0.0f64);
     for (&p, &t) in inside() {
@@ -61,7 +61,7 @@ pub fn likeness(picture: &Gray, truth: &Gray, region: &[bool]) -> Option<Likenes
     let gain = if square > 0.0 { (cross / square) as f32 } else { 1.0 };
     let error: f64 = inside().map(|(&p, &t)| f64::from(p * gain - t).powi(2)).sum::<f64>() / pixels as f64;
     let psnr_db = 10.0 * (255.0f64.powi(2) / error.max(1e-9)).log10();
-    Some(Likeness { psnr_db, ssim: ssim(picture, truth, region, gain), pixels })
+    Some(RegionSimilarity { psnr_db, ssim: ssim(picture, truth, region, gain), pixels })
 }
 
 fn ssim(picture: &Gray, truth: &Gray, region: &[bool], gain: f32) -> f64 {

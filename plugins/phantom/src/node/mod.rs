@@ -24,14 +24,14 @@ pub struct PhantomNode {
     calibration: Calibration,
     canvas: Canvas,
     labels: String,
-    tools: ToolWork,
+    tools: ToolBuffers,
     /// Buffer for a dropped view.
     unseen: Vec<u8>,
 }
 
 /// Buffers of the instruments' truth, reused from tick to tick.
 #[derive(Default)]
-struct ToolWork {
+struct ToolBuffers {
     ids: Vec<u8>,
     truth: Vec<ToolTruth>,
     items: Vec<Detection>,
@@ -85,7 +85,7 @@ impl Node for PhantomNode {
             calibration,
             canvas,
             labels: labels.join("\n"),
-            tools: ToolWork::default(),
+            tools: ToolBuffers::default(),
             unseen: Vec::new(),
         })
     }
@@ -204,7 +204,7 @@ impl PhantomNode {
             return Ok(());
         }
         let (width, height) = (self.calibration.left.width as usize, self.calibration.left.height as usize);
-        let ToolWork { ids, truth, items, masks, clearances_mm, rows } = &mut self.tools;
+        let ToolBuffers { ids, truth, items, masks, clearances_mm, rows } = &mut self.tools;
         ids.resize(width * height, 0);
         self.phantom.tools(frame, pose, cx.pool(), &mut ViewMut::new(ids, width, height, 1), truth)?;
         let class_of = |kind: ToolKind| ToolKind::ALL.iter().position(|k| *k == kind).unwrap_or(0) as u32;

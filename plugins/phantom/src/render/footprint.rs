@@ -2,8 +2,8 @@
 
 use panoscope_imaging::{Parallel, ViewMut};
 
+use super::camera_buffers::{CameraBuffers, check_size};
 use super::canvas::Canvas;
-use super::eye::{Eye, check_size};
 use super::math::Pose;
 use super::params::PhantomError;
 use super::phantom::Phantom;
@@ -27,24 +27,24 @@ impl Phantom {
     ) -> Result<(), PhantomError> {
         canvas.check()?;
         check_size(0, plane, canvas.width, canvas.height, 1)?;
-        let eye = self.wide_eye(frame, pose, canvas, pool)?;
+        let buffers = self.wide_eye(frame, pose, canvas, pool)?;
         let mut depth_mm = std::mem::take(&mut self.truth.wide_depth_mm);
-        self.depth_of(&eye, pool, &mut depth_mm);
+        self.depth_of(&buffers, pool, &mut depth_mm);
         for (v, depth) in depth_mm.chunks_exact(canvas.width).enumerate() {
-            let y = eye.lens.y[v];
-            for ((out, x), depth) in plane.row_mut(v).iter_mut().zip(&eye.lens.x).zip(depth) {
+            let y = buffers.lens.y[v];
+            for ((out, x), depth) in plane.row_mut(v).iter_mut().zip(&buffers.lens.x).zip(depth) {
                 let point = [x * depth, y * depth, *depth].map(f64::from);
-                *out = if self.eyes.iter().any(|camera| is_inside(camera, point)) { 255 } else { 0 };
+                *out = if self.camera_buffers.iter().any(|camera| is_inside(camera, point)) { 255 } else { 0 };
             }
         }
         self.truth.wide_depth_mm = depth_mm;
-        self.truth.wide = Some((canvas, eye));
+        self.truth.wide = Some((canvas, buffers));
         Ok(())
     }
 }
 
 /// Whether a point of the first camera's frame lies inside the picture of `camera`; `false` for NaN.
-fn is_inside(camera: &Eye, point_mm: [f64; 3]) -> bool {
+fn is_inside(camera: &CameraBuffers, point_mm: [f64; 3]) -> bool {
     let model = &camera.model;
     let [x, y, z]: [f64; 3] = std::array::from_fn(|i| point_mm[i] - model.offset_mm[i]);
     let (u, v) = (x / z * model.fx + model.cx, y / z * model.fy + model.cy);

@@ -5,11 +5,11 @@
 //! number give the same bytes with AVX2 or without, on any number of threads and on any machine.
 
 mod boards;
+mod camera_buffers;
 pub(crate) mod canvas;
 mod cast;
 mod clearance;
 mod effects;
-mod eye;
 mod fit;
 mod footprint;
 mod kinds;

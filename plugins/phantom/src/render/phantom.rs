@@ -2,9 +2,9 @@
 
 use panoscope_imaging::{Parallel, SharedMut, ViewMut};
 
+use super::camera_buffers::{CameraBuffers, check_size, equip, station_at};
 use super::cast::{Coarse, Field, Station};
 use super::effects::{self, Smoke};
-use super::eye::{Eye, check_size, equip, station_at};
 use super::lens::Lens;
 use super::material::{self, TEXELS};
 use super::math::{Pose, hash};
@@ -41,7 +41,7 @@ pub struct Phantom {
     /// Surface of the frame drawn last.
     z_mm: Vec<f32>,
     breath_mm: f32,
-    pub(super) eyes: Vec<Eye>,
+    pub(super) camera_buffers: Vec<CameraBuffers>,
     pub(super) truth: TruthScratch,
     portable: bool,
 }
@@ -58,12 +58,12 @@ impl Phantom {
         let is = |kind: IncidentKind| params.incident.is_some_and(|i| i.kind == kind);
         let most = if is(IncidentKind::Blur) { subframes.max(SHAKEN_FRAMES) } else { subframes };
         let density = if is(IncidentKind::Smoke) { INCIDENT_SMOKE } else { params.smoke };
-        let eye = |(i, model): (usize, &CameraModel)| Eye::new(*model, i, most);
-        let mut eyes = rig.cameras.iter().enumerate().map(eye).collect::<Result<Vec<_>, _>>()?;
-        for (camera, eye) in eyes.iter_mut().enumerate() {
-            eye.drops = effects::drops(&eye.lens, params.seed, camera, params.blood_drops);
+        let buffers = |(i, model): (usize, &CameraModel)| CameraBuffers::new(*model, i, most);
+        let mut camera_buffers = rig.cameras.iter().enumerate().map(buffers).collect::<Result<Vec<_>, _>>()?;
+        for (camera, buffers) in camera_buffers.iter_mut().enumerate() {
+            buffers.drops = effects::drops(&buffers.lens, params.seed, camera, params.blood_drops);
             if density > 0.0 {
-                eye.smoke = vec![0.0; eye.lens.grid_padded * eye.lens.grid_height];
+                buffers.smoke = vec![0.0; buffers.lens.grid_padded * buffers.lens.grid_height];
             }
         }
         let smoke = (density > 0.0).then(|| Smoke::new(params.seed, density));
@@ -84,7 +84,7 @@ impl Phantom {
             tools,
             z_mm,
             breath_mm: 0.0,
-            eyes,
+            camera_buffers,
             truth,
             portable: false,
         })
@@ -126,21 +126,21 @@ impl Phantom {
         pool: &dyn Parallel,
         views: &mut [ViewMut<u8>],
     ) -> Result<(), PhantomError> {
-        if views.len() != self.eyes.len() {
-            return Err(PhantomError::WrongViewCount { got: views.len(), want: self.eyes.len() });
+        if views.len() != self.camera_buffers.len() {
+            return Err(PhantomError::WrongViewCount { got: views.len(), want: self.camera_buffers.len() });
         }
-        for (i, (view, eye)) in views.iter().zip(&self.eyes).enumerate() {
-            check_size(i, view, eye.lens.width, eye.lens.height, 3)?;
+        for (i, (view, buffers)) in views.iter().zip(&self.camera_buffers).enumerate() {
+            check_size(i, view, buffers.lens.width, buffers.lens.height, 3)?;
         }
         self.place(frame, pose)?;
         self.breathe(frame, pool);
-        let mut eyes = std::mem::take(&mut self.eyes);
-        let cameras = eyes.len();
+        let mut camera_buffers = std::mem::take(&mut self.camera_buffers);
+        let cameras = camera_buffers.len();
         // The smoke of an incident comes and goes.
         let clear = self.params.incident.is_some_and(|i| i.kind == IncidentKind::Smoke)
             && !self.suffers(IncidentKind::Smoke, frame)
             && self.params.smoke == 0.0;
-        for (camera, (eye, view)) in eyes.iter_mut().zip(views).enumerate() {
+        for (camera, (buffers, view)) in camera_buffers.iter_mut().zip(views).enumerate() {
             let black = self.params.black.is_some_and(|b| b.camera == camera && (b.first..b.end).contains(&frame));
             if black {
                 (0..view.height).for_each(|y| view.row_mut(y).fill(0));
@@ -151,24 +151,24 @@ impl Phantom {
                 continue;
             }
             let used = self.subframes_at(frame);
-            for (station, coarse) in &mut eye.stations[..used] {
-                self.coarse(&eye.lens, station, coarse, pool);
+            for (station, coarse) in &mut buffers.stations[..used] {
+                self.coarse(&buffers.lens, station, coarse, pool);
             }
             if let Some(smoke) = self.smoke.as_ref().filter(|_| !clear) {
                 let (pose, seconds) = (pose.unwrap_or_else(|| self.pose(frame)), frame as f64 / self.params.fps);
-                smoke.fill(&eye.lens, &pose, eye.model.offset_mm, seconds, pool, &mut eye.smoke);
+                smoke.fill(&buffers.lens, &pose, buffers.model.offset_mm, seconds, pool, &mut buffers.smoke);
             }
             let words = [self.params.seed as u32, (self.params.seed >> 32) as u32, frame as u32, (frame >> 32) as u32];
             let sensor = Sensor {
-                gain: eye.model.white_balance.map(|w| w * eye.model.exposure * self.params.light),
+                gain: buffers.model.white_balance.map(|w| w * buffers.model.exposure * self.params.light),
                 noise: self.params.noise,
                 key: hash(&[words[0], words[1], words[2], words[3], camera as u32]),
-                smoke: if clear { &[] } else { &eye.smoke },
-                drops: &eye.drops,
+                smoke: if clear { &[] } else { &buffers.smoke },
+                drops: &buffers.drops,
             };
-            self.draw(&eye.lens, &eye.stations[..used], sensor, pool, view);
+            self.draw(&buffers.lens, &buffers.stations[..used], sensor, pool, view);
         }
-        self.eyes = eyes;
+        self.camera_buffers = camera_buffers;
         Ok(())
     }
 
@@ -188,17 +188,17 @@ impl Phantom {
         }
         let (count, shaken) = (self.subframes_at(frame), self.suffers(IncidentKind::Blur, frame));
         let (params, script, rig, period) = (&self.params, &self.script, &self.rig, f64::from(self.relief.period_mm));
-        for eye in &mut self.eyes {
-            for (k, (station, coarse)) in eye.stations[..count].iter_mut().enumerate() {
+        for buffers in &mut self.camera_buffers {
+            for (k, (station, coarse)) in buffers.stations[..count].iter_mut().enumerate() {
                 let share = (k as f64 + 0.5) / count as f64 - 0.5;
                 let part = share * params.shutter * if count > 1 { 1.0 } else { 0.0 };
                 let mut pose = pose.unwrap_or_else(|| script.pose(frame as f64 + part));
                 if shaken {
                     pose.translation_mm.iter_mut().zip(SHAKEN_MM).for_each(|(place, shift)| *place += share * shift);
                 }
-                *station = station_at(&pose, eye.model.offset_mm, rig.light_mm, period);
+                *station = station_at(&pose, buffers.model.offset_mm, rig.light_mm, period);
                 let seconds = (frame as f64 + part) / params.fps;
-                equip(&self.tools, seconds, &pose, eye.model.offset_mm, rig.light_mm, &eye.lens, coarse);
+                equip(&self.tools, seconds, &pose, buffers.model.offset_mm, rig.light_mm, &buffers.lens, coarse);
             }
         }
         Ok(())

@@ -133,7 +133,7 @@ fn shade<L: Lanes>(picture: &Picture, station: &Station, rays: &Rays<L>, t: L) -
     }
     let one = L::splat(1.0);
     let zero = L::splat(0.0);
-    // Unnormalised: normal (sx, sy, -1), towards the light l, towards the eye -d.
+    // Unnormalised: normal (sx, sy, -1), towards the light l, towards the buffers -d.
     let [lx, ly, lz] = [L::splat(station.light[0]) - x, L::splat(station.light[1]) - y, L::splat(station.light[2]) - z];
     let l2 = lx * lx + ly * ly + lz * lz;
     let inv_l = one / l2.sqrt();

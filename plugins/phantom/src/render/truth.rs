@@ -5,9 +5,9 @@
 
 use panoscope_imaging::{Parallel, SharedMut, ViewMut};
 
+use super::camera_buffers::{CameraBuffers, check_size, equip, station_at};
 use super::canvas::Canvas;
 use super::cast::{Coarse, FAR_MM, Station};
-use super::eye::{Eye, check_size, equip, station_at};
 use super::fit::{PlaneFit, homography};
 use super::lanes::LANES;
 use super::lens::TILE;
@@ -49,13 +49,13 @@ impl Phantom {
         pool: &dyn Parallel,
         mut out: TruthMut,
     ) -> Result<(), PhantomError> {
-        let (width, height) = (self.eyes[0].lens.width, self.eyes[0].lens.height);
+        let (width, height) = (self.camera_buffers[0].lens.width, self.camera_buffers[0].lens.height);
         for (i, plane) in [&out.depth_mm, &out.disparity_px].into_iter().enumerate() {
             plane.as_ref().map_or(Ok(()), |plane| check_size(i, plane, width, height, 1))?;
         }
         out.visible.as_ref().map_or(Ok(()), |plane| check_size(2, plane, width, height, 1))?;
-        if self.eyes.len() < 2 && (out.disparity_px.is_some() || out.visible.is_some()) {
-            return Err(PhantomError::WrongViewCount { got: self.eyes.len(), want: 2 });
+        if self.camera_buffers.len() < 2 && (out.disparity_px.is_some() || out.visible.is_some()) {
+            return Err(PhantomError::WrongViewCount { got: self.camera_buffers.len(), want: 2 });
         }
         let mut work = self.solve_depth(frame, pose, pool)?;
         if let Some(plane) = &mut out.depth_mm {
@@ -64,7 +64,7 @@ impl Phantom {
             }
         }
         if let Some(plane) = &mut out.disparity_px {
-            let (left, right) = (&work.eyes[0].model, &work.eyes[1].model);
+            let (left, right) = (&work.camera_buffers[0].model, &work.camera_buffers[1].model);
             let scale = (left.fx * (right.offset_mm[0] - left.offset_mm[0])) as f32;
             for (y, depth) in work.depth_mm.chunks_exact(width).enumerate() {
                 plane.row_mut(y).iter_mut().zip(depth).for_each(|(out, depth)| *out = scale / depth);
@@ -91,23 +91,23 @@ impl Phantom {
         self.breathe(frame, pool);
         let mut work = std::mem::take(&mut self.truth);
         let period = f64::from(self.relief.period_mm);
-        for eye in &mut work.eyes {
-            let (station, coarse) = &mut eye.stations[0];
-            *station = station_at(&pose, eye.model.offset_mm, self.rig.light_mm, period);
+        for buffers in &mut work.camera_buffers {
+            let (station, coarse) = &mut buffers.stations[0];
+            *station = station_at(&pose, buffers.model.offset_mm, self.rig.light_mm, period);
             let seconds = frame as f64 / self.params.fps;
-            equip(&self.tools, seconds, &pose, eye.model.offset_mm, self.rig.light_mm, &eye.lens, coarse);
-            self.coarse(&eye.lens, station, coarse, pool);
+            equip(&self.tools, seconds, &pose, buffers.model.offset_mm, self.rig.light_mm, &buffers.lens, coarse);
+            self.coarse(&buffers.lens, station, coarse, pool);
         }
-        let TruthScratch { eyes, depth_mm, .. } = &mut work;
-        self.depth_of(&eyes[0], pool, depth_mm);
+        let TruthScratch { camera_buffers, depth_mm, .. } = &mut work;
+        self.depth_of(&camera_buffers[0], pool, depth_mm);
         Ok(work)
     }
 
     /// Depth of each pixel of an ideal camera whose coarse pass is done, mm; NaN where its ray meets nothing.
-    pub(super) fn depth_of(&self, eye: &Eye, pool: &dyn Parallel, depth_mm: &mut Vec<f32>) {
-        let lens = &eye.lens;
+    pub(super) fn depth_of(&self, buffers: &CameraBuffers, pool: &dyn Parallel, depth_mm: &mut Vec<f32>) {
+        let lens = &buffers.lens;
         depth_mm.resize(lens.width * lens.height, 0.0);
-        let (station, coarse) = &eye.stations[0];
+        let (station, coarse) = &buffers.stations[0];
         let (field, wide) = (self.field(), self.wide_lanes());
         let shared = SharedMut::new(depth_mm);
         pool.run(lens.height.div_ceil(CHUNK_ROWS), &|chunk| {
@@ -127,7 +127,7 @@ impl Phantom {
 
     /// Marks the points that the second camera sees too.
     fn see(&self, work: &mut TruthScratch, pool: &dyn Parallel, plane: &mut ViewMut<u8>) {
-        let (left, right) = (&work.eyes[0], &work.eyes[1]);
+        let (left, right) = (&work.camera_buffers[0], &work.camera_buffers[1]);
         let (width, height) = (left.lens.width, left.lens.height);
         let (station, coarse) = &right.stations[0];
         let offset: [f64; 3] = std::array::from_fn(|i| right.model.offset_mm[i] - left.model.offset_mm[i]);
@@ -194,10 +194,10 @@ impl Phantom {
         ids: &mut ViewMut<u8>,
         out: &mut Vec<ToolTruth>,
     ) -> Result<(), PhantomError> {
-        check_size(0, ids, self.eyes[0].lens.width, self.eyes[0].lens.height, 1)?;
+        check_size(0, ids, self.camera_buffers[0].lens.width, self.camera_buffers[0].lens.height, 1)?;
         let work = self.solve_depth(frame, pose, pool)?;
-        let eye = &work.eyes[0];
-        let (lens, coarse) = (&eye.lens, &eye.stations[0].1);
+        let buffers = &work.camera_buffers[0];
+        let (lens, coarse) = (&buffers.lens, &buffers.stations[0].1);
         let pose = pose.unwrap_or_else(|| self.pose(frame));
         out.clear();
         for tool in &self.tools {
@@ -205,7 +205,7 @@ impl Phantom {
             let tip_mm = to_camera(&pose, [0.0; 3], posed.tip);
             let tip_px = if tip_mm[2] > 0.0 {
                 let (x, y) = (tip_mm[0] / tip_mm[2], tip_mm[1] / tip_mm[2]);
-                [x * eye.model.fx + eye.model.cx, y * eye.model.fy + eye.model.cy]
+                [x * buffers.model.fx + buffers.model.cx, y * buffers.model.fy + buffers.model.cy]
             } else {
                 [f64::NAN; 2]
             };
@@ -253,13 +253,13 @@ impl Phantom {
         pose: Option<Pose>,
         pool: &dyn Parallel,
     ) -> Result<Option<PlaneFit>, PhantomError> {
-        if self.eyes.len() < 2 {
-            return Err(PhantomError::WrongViewCount { got: self.eyes.len(), want: 2 });
+        if self.camera_buffers.len() < 2 {
+            return Err(PhantomError::WrongViewCount { got: self.camera_buffers.len(), want: 2 });
         }
         let mut work = self.solve_depth(frame, pose, pool)?;
         let mut pairs = std::mem::take(&mut work.pairs);
         pairs.clear();
-        let (left, right) = (&work.eyes[0], &work.eyes[1]);
+        let (left, right) = (&work.camera_buffers[0], &work.camera_buffers[1]);
         let (station, field, wide) = (&right.stations[0].0, self.field(), self.wide_lanes());
         let offset: [f64; 3] = std::array::from_fn(|i| right.model.offset_mm[i] - left.model.offset_mm[i]);
         for v in (4..left.lens.height).step_by(8) {
@@ -299,11 +299,11 @@ impl Phantom {
     ) -> Result<(), PhantomError> {
         canvas.check()?;
         check_size(0, view, canvas.width, canvas.height, 3)?;
-        let eye = self.wide_eye(frame, pose, canvas, pool)?;
-        let gain = eye.model.white_balance.map(|w| w * eye.model.exposure * self.params.light);
+        let buffers = self.wide_eye(frame, pose, canvas, pool)?;
+        let gain = buffers.model.white_balance.map(|w| w * buffers.model.exposure * self.params.light);
         let sensor = Sensor { gain, noise: 0.0, key: 0, smoke: &[], drops: &[] };
-        self.draw(&eye.lens, &eye.stations[..1], sensor, pool, view);
-        self.truth.wide = Some((canvas, eye));
+        self.draw(&buffers.lens, &buffers.stations[..1], sensor, pool, view);
+        self.truth.wide = Some((canvas, buffers));
         Ok(())
     }
 
@@ -314,43 +314,43 @@ impl Phantom {
         pose: Option<Pose>,
         canvas: Canvas,
         pool: &dyn Parallel,
-    ) -> Result<Eye, PhantomError> {
+    ) -> Result<CameraBuffers, PhantomError> {
         let pose = pose.unwrap_or_else(|| self.pose(frame));
         if !pose.is_finite() {
             return Err(PhantomError::BadPose);
         }
         self.breathe(frame, pool);
         let kept = self.truth.wide.take().filter(|(of, _)| *of == canvas);
-        let mut eye = match kept {
-            Some((_, eye)) => eye,
+        let mut buffers = match kept {
+            Some((_, buffers)) => buffers,
             None => {
                 let model = CameraModel {
                     width: canvas.width,
                     height: canvas.height,
-                    cx: self.eyes[0].model.cx + canvas.offset_x,
-                    cy: self.eyes[0].model.cy + canvas.offset_y,
+                    cx: self.camera_buffers[0].model.cx + canvas.offset_x,
+                    cy: self.camera_buffers[0].model.cy + canvas.offset_y,
                     distortion: [0.0; 5],
-                    ..self.eyes[0].model
+                    ..self.camera_buffers[0].model
                 };
-                Eye::new(model, 0, 1)?
+                CameraBuffers::new(model, 0, 1)?
             }
         };
         let period = f64::from(self.relief.period_mm);
-        let (station, coarse) = &mut eye.stations[0];
-        *station = station_at(&pose, eye.model.offset_mm, self.rig.light_mm, period);
+        let (station, coarse) = &mut buffers.stations[0];
+        *station = station_at(&pose, buffers.model.offset_mm, self.rig.light_mm, period);
         let seconds = frame as f64 / self.params.fps;
-        equip(&self.tools, seconds, &pose, eye.model.offset_mm, self.rig.light_mm, &eye.lens, coarse);
-        self.coarse(&eye.lens, station, coarse, pool);
-        Ok(eye)
+        equip(&self.tools, seconds, &pose, buffers.model.offset_mm, self.rig.light_mm, &buffers.lens, coarse);
+        self.coarse(&buffers.lens, station, coarse, pool);
+        Ok(buffers)
     }
 }
 
 /// Smallest depth of the corners around a tile, mm.
-fn nearest_around(coarse: &Coarse, eye: &Eye, column: usize, line: usize) -> f32 {
+fn nearest_around(coarse: &Coarse, buffers: &CameraBuffers, column: usize, line: usize) -> f32 {
     let mut nearest = FAR_MM;
-    for v in line.saturating_sub(1)..=(line + 2).min(eye.lens.grid_height - 1) {
-        for u in column.saturating_sub(1)..=(column + 2).min(eye.lens.grid_width - 1) {
-            nearest = nearest.min(coarse.depth_mm[v * eye.lens.grid_padded + u]);
+    for v in line.saturating_sub(1)..=(line + 2).min(buffers.lens.grid_height - 1) {
+        for u in column.saturating_sub(1)..=(column + 2).min(buffers.lens.grid_width - 1) {
+            nearest = nearest.min(coarse.depth_mm[v * buffers.lens.grid_padded + u]);
         }
     }
     nearest

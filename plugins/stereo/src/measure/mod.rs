@@ -140,7 +140,7 @@ impl Measure {
             };
             given.push([tip.u_px, tip.v_px]);
             let seen = at(tip.u_px, tip.v_px);
-            // Whoever found the tip knows what belongs to the tool and what lies behind it.
+            // The tip finder has already separated the tool from what lies behind it.
             let given = (tip.xyz_valid == 1)
                 .then_some(tip.xyz_mm)
                 .filter(|xyz| xyz[2] > 0.0 && xyz.iter().all(|v| v.is_finite()));

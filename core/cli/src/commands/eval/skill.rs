@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use panoscope_eval::Session;
-use panoscope_eval::eval::skill::{self, Options, Study};
+use panoscope_eval::eval::skill::{self, Options, SkillStudy};
 use panoscope_eval::figures::Figure;
 
 use crate::End;
@@ -13,14 +13,14 @@ use crate::terminal::{log, raw};
 /// Arguments of `eval skill`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Tracks of tips, best one per hand: tables of `tip_track` (or `proximity`, which tells of touches too), or tips, as `write_table` writes them
+    /// Tracks of tips, best one per hand: tables of `tip_track` (or `proximity`, which reports touches too), or tips, as `write_table` writes them
     /// (.csv, .jsonl). Without any, the measures are judged beside motions that are known in closed form.
     #[arg(value_name = "TRACK")]
     pub files: Vec<PathBuf>,
     /// Writes the report as a page with plots.
     #[arg(long, value_name = "FILE.html")]
     html: Option<PathBuf>,
-    /// Phases of the operation, a line each: begin in s of capture time, comma, name. Else the column `phase` or `text` of the tracks tells.
+    /// Phases of the operation, a line each: begin in s of capture time, comma, name. By default the column `phase` or `text` of the tracks.
     #[arg(long, value_name = "FILE.csv")]
     phases: Option<PathBuf>,
     /// Names of the classes by their numbers, separated by commas.
@@ -65,7 +65,7 @@ pub fn judge(arguments: &Arguments) -> Result<Option<Vec<Figure>>> {
 
 /// Reads tracks and reports: a table on the terminal, JSON and a page where they are asked for.
 pub fn report(session: &dyn Session, arguments: &Arguments) -> Result<End> {
-    let study = Study::read(session, &arguments.options())?;
+    let study = SkillStudy::read(session, &arguments.options())?;
     raw(&study.table());
     if study.refused_tips() > 0 {
         log!("warning: {} tips belong to more than 16 tools and are not measured", study.refused_tips());

@@ -10,7 +10,7 @@ use std::time::Instant;
 
 use panoscope_engine::{Listener, NumberListener};
 
-use super::way::{Seam, Way, text_of};
+use super::method::{Method, Seam, text_of};
 use crate::error::Result;
 use crate::inputs::Folder;
 use crate::inputs::pairs::Pairs;
@@ -19,15 +19,15 @@ use crate::run::{self, Pace, Plan};
 use crate::session::Session;
 use crate::text_table::table;
 
-/// Pairs that are rendered and drawn; a second and a half of the camera, and three.
+/// Pairs that are rendered and figures; a second and a half of the camera, and three.
 const FRAMES: (u64, u64) = (48, 96);
 const SIZE: (u32, u32) = (640, 480);
 const THREADS: usize = 2;
 
-/// Where a tick is: the pair is there, the homography is found, the panorama is drawn.
+/// Where a tick is: the pair is there, the homography is found, the panorama is figures.
 const STAGES: [(&str, &str); 3] = [("files", "right"), ("register", "homography"), ("wide", "panorama")];
 
-/// Times of one way on every frame, ms; NaN where a frame has none.
+/// Times of one method on every frame, ms; NaN where a frame has none.
 #[derive(Clone, Debug, PartialEq)]
 struct Curve {
     registration: Vec<f64>,
@@ -46,7 +46,7 @@ impl Curve {
 type Moments = Vec<[Option<Instant>; 3]>;
 
 /// What is heard while a graph runs.
-struct Heard {
+struct StageTimes {
     moments: Moments,
     /// Time of the seam in each tick as the composite reports it, ms; NaN where it reports none.
     seam: Vec<f64>,
@@ -70,14 +70,14 @@ fn least(best: &mut Vec<f64>, other: Vec<f64>) {
     best.iter_mut().zip(other).for_each(|(best, other)| *best = best.min(other));
 }
 
-fn lock(heard: &Mutex<Heard>) -> MutexGuard<'_, Heard> {
+fn lock(heard: &Mutex<StageTimes>) -> MutexGuard<'_, StageTimes> {
     heard.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn run(session: &dyn Session, pairs: &Pairs, way: Way, seam: Seam, frames: u64) -> Result<Heard> {
-    let text = text_of(pairs, SIZE.0, way, seam, THREADS);
+fn run(session: &dyn Session, pairs: &Pairs, method: Method, seam: Seam, frames: u64) -> Result<StageTimes> {
+    let text = text_of(pairs, SIZE.0, method, seam, THREADS);
     let count = frames as usize;
-    let heard = Arc::new(Mutex::new(Heard { moments: vec![[None; 3]; count], seam: vec![f64::NAN; count] }));
+    let heard = Arc::new(Mutex::new(StageTimes { moments: vec![[None; 3]; count], seam: vec![f64::NAN; count] }));
     let listen = STAGES.iter().enumerate().map(|(stage, (node, output))| {
         let heard = Arc::clone(&heard);
         let hear = Arc::new(move |packet: &panoscope_engine::memory::FrameRef| {
@@ -97,7 +97,7 @@ fn run(session: &dyn Session, pairs: &Pairs, way: Way, seam: Seam, frames: u64) 
         }
     };
     let numbers = NumberListener { node: "wide".to_owned(), hear: Arc::new(hear) };
-    let pool = if way.is_opencv() { 1 } else { THREADS };
+    let pool = if method.is_opencv() { 1 } else { THREADS };
     let plan = Plan {
         text: &text,
         path: Path::new("bench.toml"),
@@ -108,17 +108,17 @@ fn run(session: &dyn Session, pairs: &Pairs, way: Way, seam: Seam, frames: u64) 
     };
     run::run_and_listen(session, &plan, listen.collect(), Some(numbers))?;
     let mut heard = lock(&heard);
-    Ok(Heard { moments: std::mem::take(&mut heard.moments), seam: std::mem::take(&mut heard.seam) })
+    Ok(StageTimes { moments: std::mem::take(&mut heard.moments), seam: std::mem::take(&mut heard.seam) })
 }
 
-fn curve(session: &dyn Session, pairs: &Pairs, way: Way, frames: u64, rounds: usize) -> Result<Curve> {
+fn curve(session: &dyn Session, pairs: &Pairs, method: Method, frames: u64, rounds: usize) -> Result<Curve> {
     let [mut registration, mut composite, mut seam] = [Vec::new(), Vec::new(), Vec::new()];
     for _ in 0..rounds {
-        let every = run(session, pairs, way, Seam::EveryFrame, frames)?;
+        let every = run(session, pairs, method, Seam::EveryFrame, frames)?;
         least(&mut registration, between(&every.moments, 0, 1));
         least(&mut composite, between(&every.moments, 1, 2));
-        let told = if way.is_opencv() {
-            let without = between(&run(session, pairs, way, Seam::Once, frames)?.moments, 1, 2);
+        let told = if method.is_opencv() {
+            let without = between(&run(session, pairs, method, Seam::Once, frames)?.moments, 1, 2);
             between(&every.moments, 1, 2).iter().zip(&without).map(|(with, without)| with - without).collect()
         } else {
             every.seam
@@ -130,16 +130,16 @@ fn curve(session: &dyn Session, pairs: &Pairs, way: Way, frames: u64, rounds: us
     Ok(Curve { registration, composite, seam })
 }
 
-/// A figure of the thesis: its title, what it shows, and one line per way.
-struct Drawn {
+/// A figure of the thesis: its title, what it shows, and one line per method.
+struct Figure {
     title: &'static str,
     lines: Vec<(&'static str, Vec<f64>)>,
 }
 
-fn drawn(conventional: &Curve, roi: &Curve, grid: &Curve, peer: &Curve) -> [Drawn; 3] {
+fn figures(conventional: &Curve, roi: &Curve, grid: &Curve, peer: &Curve) -> [Figure; 3] {
     let of = |name: &'static str, values: &[f64]| (name, values.to_vec());
     [
-        Drawn {
+        Figure {
             title: "2.11: registration of each frame",
             lines: vec![
                 of("OpenCV", &peer.registration),
@@ -147,7 +147,7 @@ fn drawn(conventional: &Curve, roi: &Curve, grid: &Curve, peer: &Curve) -> [Draw
                 of("proposed (ROI)", &roi.registration),
             ],
         },
-        Drawn {
+        Figure {
             title: "2.12: seam of each frame",
             lines: vec![
                 of("OpenCV", &peer.seam),
@@ -155,7 +155,7 @@ fn drawn(conventional: &Curve, roi: &Curve, grid: &Curve, peer: &Curve) -> [Draw
                 of("proposed (ROI)", &roi.seam),
             ],
         },
-        Drawn {
+        Figure {
             title: "4.9: whole stitching of each frame",
             lines: vec![("SURF (ROI)", roi.whole()), ("grid", grid.whole())],
         },
@@ -168,22 +168,22 @@ fn sorted(values: &[f64]) -> Vec<f64> {
     known
 }
 
-fn charts(all: &[Drawn]) -> Vec<Chart> {
+fn charts(all: &[Figure]) -> Vec<Chart> {
     let line = |(color, (name, values)): (usize, &(&'static str, Vec<f64>))| Series {
         name: (*name).to_owned(),
         style: Style::Line,
         color,
         points: values.iter().enumerate().map(|(frame, ms)| (frame as f64, *ms)).collect(),
     };
-    let chart = |drawn: &Drawn| {
-        let medians: Vec<f64> = drawn.lines.iter().filter_map(|(_, v)| sorted(v).get(v.len() / 2).copied()).collect();
+    let chart = |figures: &Figure| {
+        let medians: Vec<f64> = figures.lines.iter().filter_map(|(_, v)| sorted(v).get(v.len() / 2).copied()).collect();
         let (low, high) = medians.iter().fold((f64::MAX, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
         let log = high > 8.0 * low;
         Chart {
-            title: format!("Figure {}", drawn.title),
+            title: format!("Figure {}", figures.title),
             x_label: "frame".to_owned(),
             y_label: if log { "time, ms (logarithmic)".to_owned() } else { "time, ms".to_owned() },
-            series: drawn.lines.iter().enumerate().map(line).collect(),
+            series: figures.lines.iter().enumerate().map(line).collect(),
             from_zero: true,
             log,
             ..Chart::default()
@@ -192,13 +192,13 @@ fn charts(all: &[Drawn]) -> Vec<Chart> {
     all.iter().map(chart).collect()
 }
 
-fn rows(all: &[Drawn]) -> String {
+fn rows(all: &[Figure]) -> String {
     let mut rows = vec![["figure, ms", "least", "median", "most"].map(str::to_owned).to_vec()];
-    for drawn in all {
-        for (name, values) in &drawn.lines {
+    for figures in all {
+        for (name, values) in &figures.lines {
             let known = sorted(values);
             let at = |index: usize| known.get(index).map_or_else(|| "-".to_owned(), |ms| format!("{ms:.2}"));
-            let figure = drawn.title.split(':').next().unwrap_or_default();
+            let figure = figures.title.split(':').next().unwrap_or_default();
             rows.push(vec![format!("{figure} {name}"), at(0), at(known.len() / 2), at(known.len().saturating_sub(1))]);
         }
     }
@@ -211,10 +211,10 @@ pub fn plot(session: &dyn Session, folder: &Folder, quick: bool, path: &Path) ->
     let scope = format!("width = {}, height = {}", SIZE.0, SIZE.1);
     let pairs = Pairs::of(session, folder, "curves", &scope, frames)?;
     let [conventional, roi, grid] =
-        [Way::Conventional, Way::Roi, Way::Grid].map(|way| curve(session, &pairs, way, frames, rounds));
+        [Method::Conventional, Method::Roi, Method::Grid].map(|method| curve(session, &pairs, method, frames, rounds));
     // Half a second a frame.
-    let peer = curve(session, &pairs, Way::OpencvFull, frames / 4, 1)?;
-    let all = drawn(&conventional?, &roi?, &grid?, &peer);
+    let peer = curve(session, &pairs, Method::OpencvFull, frames / 4, 1)?;
+    let all = figures(&conventional?, &roi?, &grid?, &peer);
     session.table(&format!("Figures 2.11, 2.12 and 4.9: times of {frames} frames, a seam in each\n{}\n", rows(&all)));
     plot::save(path, &charts(&all))
 }
@@ -247,7 +247,7 @@ mod tests {
             composite: vec![f64::NAN, seam + 1.0, seam + 2.0],
             seam: vec![f64::NAN, seam, seam + 1.0],
         };
-        let all = drawn(&curve(20.0, 60.0), &curve(1.0, 0.5), &curve(1.5, 0.5), &curve(90.0, 600.0));
+        let all = figures(&curve(20.0, 60.0), &curve(1.0, 0.5), &curve(1.5, 0.5), &curve(90.0, 600.0));
         let charts = charts(&all);
         assert_eq!(charts.iter().map(|chart| chart.log).collect::<Vec<_>>(), [true, true, false]);
         assert!(charts[1].y_label.contains("ms") && charts[1].title.contains("2.12"), "{charts:?}");

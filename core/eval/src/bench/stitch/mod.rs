@@ -11,15 +11,15 @@
 //! in and out of frames that they add are small beside what those take. `plugins/opencv/tests/reference.cpp` does the same work without
 //! us; a test holds the nodes against it. The options are the fastest that do the job:
 //! - SIFT. Debian's OpenCV has no SURF. ORB takes a tenth of the time, but registers at most half of the frames of the phantom's liver,
-//!   AKAZE none. Brute force one way with the ratio test: matched both ways it takes twice as long and keeps the same inliers.
+//!   AKAZE none. Brute force in one direction with the ratio test: matched in both directions it takes twice as long and keeps the same inliers.
 //! - The graph cut on differences of colour, as OpenCV's own stitcher takes it. Over gradients, the default of the bare class, it takes
 //!   two to three times as long.
 //! - Features at 0.6 megapixel, gains and seam at 0.1, as OpenCV's own stitcher has it; and, as the thesis has it, all at full size.
 //! - Its fastest seam that looks at the picture is the shortest path (`DpSeamFinder`): measured as a third peer.
 
 mod curves;
+mod method;
 mod times;
-mod way;
 
 use std::path::{Path, PathBuf};
 
@@ -33,8 +33,8 @@ use crate::registration;
 use crate::run::{self, Pace, Plan};
 use crate::session::{Session, note};
 use crate::text_table::table;
+use method::{Method, PICTURES, Seam, text_of};
 use times::{Stages, Times};
-use way::{PICTURES, Seam, Way, text_of};
 
 /// Options of [`measure`].
 #[derive(Clone, Debug)]
@@ -61,24 +61,24 @@ fn run(session: &dyn Session, text: &str, frames: u64, threads: usize, pace: Pac
     Ok(run::run(session, &plan)?.report)
 }
 
-/// Runs one way once. OpenCV brings its own threads: its nodes run on a pool of one.
+/// Runs one method once. OpenCV brings its own threads: its nodes run on a pool of one.
 fn once(
     session: &dyn Session,
     pairs: &Pairs,
     width: u32,
-    way: Way,
+    method: Method,
     seam: Seam,
     threads: usize,
     quick: bool,
 ) -> Result<Stages> {
-    let pool = if way.is_opencv() { 1 } else { threads };
-    let text = text_of(pairs, width, way, seam, threads);
-    Ok(Stages::of(&run(session, &text, way.frames(width, quick), pool, Pace::Alone)?))
+    let pool = if method.is_opencv() { 1 } else { threads };
+    let text = text_of(pairs, width, method, seam, threads);
+    Ok(Stages::of(&run(session, &text, method.frames(width, quick), pool, Pace::Alone)?))
 }
 
-/// A way of stitching the phantom's views as they are rendered; `scope` are its further parameters.
-fn on_the_phantom(way: Way, scope: &str) -> String {
-    let nodes = way.nodes(640, 2, Seam::Default).replace("files.", "scope.");
+/// A method of stitching the phantom's views as they are rendered; `scope` are its further parameters.
+fn on_the_phantom(method: Method, scope: &str) -> String {
+    let nodes = method.nodes(640, 2, Seam::Default).replace("files.", "scope.");
     let scope = format!("[nodes.scope]\ntype = \"phantom\"\nparams = {{ {scope} }}\n");
     format!("mode = \"live\"\nplugins = [\"phantom\", \"stereo\", \"stitch\", \"flow\"]\n{nodes}{scope}")
 }
@@ -93,14 +93,14 @@ fn quality(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
     for (scene, seed) in SCENES {
         let (mut share, mut error) = (vec![format!("{scene} {seed}")], vec![format!("{scene} {seed}")]);
         let mut floor = f64::NAN;
-        for way in [Way::Conventional, Way::Roi, Way::Grid] {
-            let text = on_the_phantom(way, &format!("scene = \"{scene}\", seed = {seed}"));
+        for method in [Method::Conventional, Method::Roi, Method::Grid] {
+            let text = on_the_phantom(method, &format!("scene = \"{scene}\", seed = {seed}"));
             let marks = registration::registration_of(session, &text, frames)?;
             share.push(format!("{:.1}", marks.stitched_pct));
             error.push(format!("{:.2}", marks.align_px));
             floor = marks.floor_px;
             let (case, input) =
-                (format!("{}_{scene}_{seed}", way.name()), format!("phantom {scene} 640x480, {frames} frames"));
+                (format!("{}_{scene}_{seed}", method.name()), format!("phantom {scene} 640x480, {frames} frames"));
             figures.push(Figure::new(&format!("stitched_share/{case}"), marks.stitched_pct, "%", &input));
             figures.push(Figure::new(&format!("align_px/{case}"), marks.align_px, "px", &input));
         }
@@ -114,8 +114,8 @@ fn quality(session: &dyn Session, quick: bool) -> Result<Vec<Figure>> {
 }
 
 /// Heap allocations of the whole process per frame in steady state, with the phantom as the source: decoding files is not counted.
-fn allocations(session: &dyn Session, way: Way, quick: bool) -> Result<Option<f64>> {
-    let text = on_the_phantom(way, "") + "[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"wide.panorama\" }\n";
+fn allocations(session: &dyn Session, method: Method, quick: bool) -> Result<Option<f64>> {
+    let text = on_the_phantom(method, "") + "[nodes.sink]\ntype = \"drain\"\ninputs = { image = \"wide.panorama\" }\n";
     Ok(run(session, &text, if quick { 80 } else { 200 }, 2, Pace::Free)?.allocations_per_frame)
 }
 
@@ -151,28 +151,29 @@ fn measured(
     size: (u32, u32),
     threads: usize,
     quick: bool,
-) -> Result<Vec<(Way, Times)>> {
-    let mut ways = vec![Way::Roi, Way::Grid, Way::Conventional, Way::OpencvFair, Way::OpencvPath];
+) -> Result<Vec<(Method, Times)>> {
+    let mut methods = vec![Method::Roi, Method::Grid, Method::Conventional, Method::OpencvTenth, Method::OpencvPath];
     // The cut at full resolution takes minutes on larger pictures.
     if size.0 == 640 || !quick {
-        ways.push(Way::OpencvFull);
+        methods.push(Method::OpencvFull);
     }
     let rounds = if quick { 1 } else { 3 };
-    // Of each way: its stages, its composite with a seam in each frame, and with one in the first alone.
-    let mut best: Vec<_> = ways.into_iter().map(|way| (way, Stages::WORST, f64::INFINITY, f64::INFINITY)).collect();
+    // Of each method: its stages, its composite with a seam in each frame, and with one in the first alone.
+    let mut best: Vec<_> =
+        methods.into_iter().map(|method| (method, Stages::WORST, f64::INFINITY, f64::INFINITY)).collect();
     for round in 0..rounds {
-        for (way, default, every, kept) in &mut best {
-            if round > 0 && *way == Way::OpencvFull && size.0 > 640 {
+        for (method, default, every, kept) in &mut best {
+            if round > 0 && *method == Method::OpencvFull && size.0 > 640 {
                 continue;
             }
-            let run = |seam| once(session, pairs, size.0, *way, seam, threads, quick);
+            let run = |seam| once(session, pairs, size.0, *method, seam, threads, quick);
             *default = default.better(run(Seam::Default)?);
-            let each = if way.always_finds() { default.composite } else { run(Seam::EveryFrame)?.composite };
+            let each = if method.always_finds() { default.composite } else { run(Seam::EveryFrame)?.composite };
             *every = every.min(each);
             *kept = kept.min(run(Seam::Once)?.composite);
         }
     }
-    Ok(best.into_iter().map(|(way, default, every, kept)| (way, Times::of(default, every, kept))).collect())
+    Ok(best.into_iter().map(|(method, default, every, kept)| (method, Times::of(default, every, kept))).collect())
 }
 
 /// Measures all cases.
@@ -187,7 +188,7 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
     let mut figures = Vec::new();
     let mut rows = vec![
         [
-            "size, threads, way",
+            "size, threads, method",
             "disparity",
             "2.1 registration",
             "2.2 seam when found",
@@ -206,9 +207,9 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
         let pairs = Pairs::of(session, &folder, &size.0.to_string(), &scope, PICTURES)?;
         for &threads in threads {
             let all = measured(session, &pairs, size, threads, quick)?;
-            for (way, t) in &all {
+            for (method, t) in &all {
                 let ms = |v: f64| format!("{v:.2}");
-                let name = format!("{}x{}, {threads}, {}", size.0, size.1, way.name());
+                let name = format!("{}x{}, {threads}, {}", size.0, size.1, method.name());
                 let stages = [t.matching, t.register, t.seam_found, t.seam, t.rest, t.whole(), t.every_frame()];
                 let gpu = std::iter::once(NO_GPU.to_owned());
                 rows.push(std::iter::once(name).chain(stages.map(ms)).chain(gpu).collect());
@@ -221,8 +222,8 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
         return Ok(figures);
     }
     figures.extend(quality(session, quick)?);
-    for (name, way) in [("stitch_roi", Way::Roi), ("stitch_grid", Way::Grid)] {
-        if let Some(count) = allocations(session, way, quick)? {
+    for (name, method) in [("stitch_roi", Method::Roi), ("stitch_grid", Method::Grid)] {
+        if let Some(count) = allocations(session, method, quick)? {
             figures.push(Figure::new(
                 &format!("allocations_per_frame/{name}"),
                 count,
@@ -248,10 +249,10 @@ pub fn measure(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> 
     Ok(figures)
 }
 
-fn figures_of(all: &[(Way, Times)], size: (u32, u32), threads: usize) -> Vec<Figure> {
-    let of = |way: Way| all.iter().find(|(w, _)| *w == way).map(|(_, times)| *times);
-    let whole = |way: Way| of(way).map(|times| times.whole());
-    let (full, fair, path) = (whole(Way::OpencvFull), whole(Way::OpencvFair), whole(Way::OpencvPath));
+fn figures_of(all: &[(Method, Times)], size: (u32, u32), threads: usize) -> Vec<Figure> {
+    let of = |method: Method| all.iter().find(|(w, _)| *w == method).map(|(_, times)| *times);
+    let whole = |method: Method| of(method).map(|times| times.whole());
+    let (full, fair, path) = (whole(Method::OpencvFull), whole(Method::OpencvTenth), whole(Method::OpencvPath));
     // The names that others read stand for 640x480 on two threads, and for 1080p.
     let case = match (size.0, threads) {
         (640, 2) => String::new(),
@@ -261,21 +262,21 @@ fn figures_of(all: &[(Way, Times)], size: (u32, u32), threads: usize) -> Vec<Fig
     let sub = |part: &str| if case.contains('/') { format!("{case}_{part}") } else { format!("{case}/{part}") };
     let input = format!("{}x{} phantom, {threads} threads", size.0, size.1);
     let mut out = Vec::new();
-    for (name, way) in
-        [("stitch_roi", Way::Roi), ("stitch_grid", Way::Grid), ("stitch_conventional", Way::Conventional)]
+    for (name, method) in
+        [("stitch_roi", Method::Roi), ("stitch_grid", Method::Grid), ("stitch_conventional", Method::Conventional)]
     {
-        let Some(times) = of(way) else { continue };
+        let Some(times) = of(method) else { continue };
         let mut figure = |name: &str, value: f64, peer: &str, peer_value: Option<f64>| {
             out.push(Figure::new(name, value, "ms", &input).beside(peer, peer_value));
         };
         figure(&format!("{name}{case}"), times.whole(), FULL, full);
         figure(&format!("{name}{}", sub("fair")), times.whole(), FAIR, fair);
         figure(&format!("{name}{}", sub("shortest_path")), times.whole(), PATH, path);
-        if !way.always_finds() {
+        if !method.always_finds() {
             figure(&format!("{name}{}", sub("every_frame")), times.every_frame(), FAIR, fair);
             figure(&format!("{name}{}", sub("every_frame_full")), times.every_frame(), FULL, full);
         }
-        let peer = of(Way::OpencvFair);
+        let peer = of(Method::OpencvTenth);
         let parts = [
             ("registration", times.registration(), peer.map(|p| p.register)),
             ("seam", times.seam, peer.map(|p| p.seam)),
@@ -291,7 +292,7 @@ fn figures_of(all: &[(Way, Times)], size: (u32, u32), threads: usize) -> Vec<Fig
 
 #[cfg(test)]
 mod tests {
-    use super::{FAIR, FULL, PATH, Stages, Times, Way, figures_of};
+    use super::{FAIR, FULL, Method, PATH, Stages, Times, figures_of};
 
     #[test]
     fn a_seam_in_some_frames_counts_as_many_times_as_it_was_found() {
@@ -312,11 +313,11 @@ mod tests {
     fn every_frame_stands_beside_the_peer_that_finds_a_seam_in_every_frame() {
         let times = |seam_found: f64, seam: f64| Times { matching: 0.0, register: 1.0, rest: 1.0, seam_found, seam };
         let all = [
-            (Way::Roi, times(2.0, 0.25)),
-            (Way::Conventional, times(8.0, 8.0)),
-            (Way::OpencvFull, times(98.0, 98.0)),
-            (Way::OpencvFair, times(38.0, 38.0)),
-            (Way::OpencvPath, times(6.0, 6.0)),
+            (Method::Roi, times(2.0, 0.25)),
+            (Method::Conventional, times(8.0, 8.0)),
+            (Method::OpencvFull, times(98.0, 98.0)),
+            (Method::OpencvTenth, times(38.0, 38.0)),
+            (Method::OpencvPath, times(6.0, 6.0)),
         ];
         let figures = figures_of(&all, (640, 480), 2);
         let seen = |name: &str| {

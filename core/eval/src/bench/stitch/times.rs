@@ -41,7 +41,7 @@ impl Stages {
     }
 }
 
-/// Times per frame of one way, ms.
+/// Times per frame of one method, ms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Times {
     pub matching: f64,

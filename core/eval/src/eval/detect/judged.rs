@@ -5,7 +5,7 @@ use super::score::{Find, Scores};
 use super::truth::Truth;
 
 /// A model judged on a case.
-pub struct Judged {
+pub struct JudgeInputs {
     pub case: String,
     pub node: Node,
     pub truth: Truth,

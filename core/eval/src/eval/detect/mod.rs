@@ -15,7 +15,7 @@ mod truth;
 use std::path::{Path, PathBuf};
 
 use self::find::Node;
-use self::judged::Judged;
+use self::judged::JudgeInputs;
 use self::phantom::Tips;
 use self::score::{Shape, score};
 use self::truth::Truth;
@@ -72,7 +72,7 @@ struct Judge<'a> {
     session: &'a dyn Session,
     options: &'a Options,
     folders: Vec<PathBuf>,
-    judged: Vec<Judged>,
+    judged: Vec<JudgeInputs>,
     figures: Vec<Figure>,
 }
 
@@ -120,14 +120,14 @@ impl Judge<'_> {
                 selfcheck::compare(self.session, &self.options.python, &truth, &found.finds, Shape::Mask, masks)?;
             }
         }
-        let judged = Judged { case: case.to_owned(), node, truth, finds: found.finds, boxes, masks, ms: found.ms };
+        let judged = JudgeInputs { case: case.to_owned(), node, truth, finds: found.finds, boxes, masks, ms: found.ms };
         self.draw(&judged)?;
         self.report(&judged, model);
         self.judged.push(judged);
         Ok(())
     }
 
-    fn draw(&self, j: &Judged) -> Result<()> {
+    fn draw(&self, j: &JudgeInputs) -> Result<()> {
         let Some(folder) = &self.options.pictures else { return Ok(()) };
         let (shape, scores) = match &j.masks {
             Some(masks) => (Shape::Mask, masks),
@@ -143,7 +143,7 @@ impl Judge<'_> {
     }
 
     /// Reports a table of classes and adds the figures.
-    fn report(&mut self, j: &Judged, model: &Path) {
+    fn report(&mut self, j: &JudgeInputs, model: &Path) {
         let words =
             ["class", "truth", "found", "AP50", "AP", "AP50 VOC", "best F1", "at score", "mask AP50", "mask AP"];
         let mut rows = vec![words.map(str::to_owned).to_vec()];
@@ -293,7 +293,7 @@ impl Judge<'_> {
 pub struct Judgement {
     /// All figures.
     pub figures: Vec<Figure>,
-    judged: Vec<Judged>,
+    judged: Vec<JudgeInputs>,
 }
 
 impl Judgement {

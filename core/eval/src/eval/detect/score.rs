@@ -121,7 +121,7 @@ impl Scores {
 }
 
 /// Finds of a class in a picture, best first, and how they meet the truth at each threshold.
-struct Met {
+struct MatchedDetections {
     scores: Vec<f64>,
     /// Per threshold and detection: matched, ignored.
     hits: [Vec<(bool, bool)>; 10],
@@ -130,7 +130,7 @@ struct Met {
     truths: usize,
 }
 
-fn meet(finds: &[&Find], truths: &[&Object], shape: Shape) -> Met {
+fn meet(finds: &[&Find], truths: &[&Object], shape: Shape) -> MatchedDetections {
     let mut order: Vec<usize> = (0..finds.len()).collect();
     order.sort_by(|&a, &b| finds[b].score.total_cmp(&finds[a].score));
     order.truncate(MAX_FINDS);
@@ -180,7 +180,7 @@ fn meet(finds: &[&Find], truths: &[&Object], shape: Shape) -> Met {
         })
         .collect();
     let truths = real.iter().filter(|t| !t.ignored).count();
-    Met { scores: order.iter().map(|&f| finds[f].score).collect(), hits, voc, truths }
+    MatchedDetections { scores: order.iter().map(|&f| finds[f].score).collect(), hits, voc, truths }
 }
 
 /// Recall and precision after each find that counts, best first; with the finds' scores.
@@ -227,7 +227,7 @@ fn area(curve: &[(f64, f64)]) -> f64 {
 /// Scores `finds` against `truths`, picture by picture.
 pub fn score(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize, shape: Shape) -> Scores {
     let one = |class: usize| {
-        let met: Vec<Met> = truths
+        let met: Vec<MatchedDetections> = truths
             .iter()
             .zip(finds)
             .map(|(t, f)| {
@@ -237,19 +237,19 @@ pub fn score(truths: &[Vec<Object>], finds: &[Vec<Find>], classes: usize, shape:
             })
             .collect();
         let total: usize = met.iter().map(|m| m.truths).sum();
-        let rows = |pick: &dyn Fn(&Met) -> &Vec<(bool, bool)>| {
+        let rows = |pick: &dyn Fn(&MatchedDetections) -> &Vec<(bool, bool)>| {
             let all = met.iter().flat_map(|m| m.scores.iter().copied().zip(pick(m).iter().copied()));
             let mut rows: Vec<(f64, bool)> =
                 all.filter(|(_, (_, left_out))| !left_out).map(|(s, (hit, _))| (s, hit)).collect();
             rows.sort_by(|a, b| b.0.total_cmp(&a.0));
             rows
         };
-        let at_half = rows(&|m: &Met| &m.hits[0]);
+        let at_half = rows(&|m: &MatchedDetections| &m.hits[0]);
         if total == 0 {
             return ClassScore { finds: at_half.len(), ap: [f64::NAN; 10], voc: f64::NAN, ..ClassScore::default() };
         }
-        let ap = std::array::from_fn(|t| at_101_recalls(&curve(&rows(&|m: &Met| &m.hits[t]), total)));
-        let voc = area(&curve(&rows(&|m: &Met| &m.voc), total));
+        let ap = std::array::from_fn(|t| at_101_recalls(&curve(&rows(&|m: &MatchedDetections| &m.hits[t]), total)));
+        let voc = area(&curve(&rows(&|m: &MatchedDetections| &m.voc), total));
         let points = curve(&at_half, total);
         let best_f1 = points.iter().zip(&at_half).fold((0.0, 0.0), |best, (&(r, p), &(s, _))| {
             let f1 = if r + p > 0.0 { 2.0 * r * p / (r + p) } else { 0.0 };

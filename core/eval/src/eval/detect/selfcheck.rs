@@ -33,7 +33,7 @@ print(json.dumps({"ap": mean(p), "ap50": mean(p[0]), "classes": [[mean(p[:, :, k
 "#;
 
 #[derive(Deserialize)]
-struct Theirs {
+struct PeerScores {
     ap: Option<f64>,
     ap50: Option<f64>,
     classes: Vec<[Option<f64>; 2]>,
@@ -140,7 +140,7 @@ pub fn compare(
     if !output.status.success() {
         bail!("pycocotools failed: {}", words.lines().last().unwrap_or("no reason given"));
     }
-    let theirs: Theirs = serde_json::from_slice(&output.stdout).context("pycocotools answered something else")?;
+    let theirs: PeerScores = serde_json::from_slice(&output.stdout).context("pycocotools answered something else")?;
     let mut worst = 0f64;
     let mut check = |what: &str, own: f64, other: Option<f64>| -> Result<()> {
         let Some(other) = other else {

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::find::Node;
-use super::judged::Judged;
+use super::judged::JudgeInputs;
 use super::picture::confusion;
 use super::score::{Scores, Shape};
 use super::truth::Truth;
@@ -44,7 +44,7 @@ fn counts(truth: &Truth, name: &str) -> (usize, usize) {
     (truth.pictures.iter().filter(|p| of(p) > 0).count(), truth.pictures.iter().map(of).sum())
 }
 
-fn data(out: &mut String, title: &str, list: &[&Judged]) {
+fn data(out: &mut String, title: &str, list: &[&JudgeInputs]) {
     if list.is_empty() {
         return;
     }
@@ -65,7 +65,7 @@ fn data(out: &mut String, title: &str, list: &[&Judged]) {
     row(out, &cells);
 }
 
-fn found(out: &mut String, title: &str, list: &[&Judged], shape: Shape) {
+fn found(out: &mut String, title: &str, list: &[&JudgeInputs], shape: Shape) {
     if list.is_empty() {
         return;
     }
@@ -89,7 +89,7 @@ fn found(out: &mut String, title: &str, list: &[&Judged], shape: Shape) {
     }
 }
 
-fn precision(out: &mut String, title: &str, list: &[(&Judged, &str, &Scores)]) {
+fn precision(out: &mut String, title: &str, list: &[(&JudgeInputs, &str, &Scores)]) {
     if list.is_empty() {
         return;
     }
@@ -120,8 +120,8 @@ fn precision(out: &mut String, title: &str, list: &[(&Judged, &str, &Scores)]) {
 }
 
 /// All tables of what was judged.
-pub fn all(judged: &[Judged]) -> String {
-    let of = |node: Node| -> Vec<&Judged> { judged.iter().filter(|j| j.node == node).collect() };
+pub fn all(judged: &[JudgeInputs]) -> String {
+    let of = |node: Node| -> Vec<&JudgeInputs> { judged.iter().filter(|j| j.node == node).collect() };
     let (boxes, masks) = (of(Node::Yolo), of(Node::MaskRcnn));
     let mut out = String::from(
         "# Tables 5.1 to 5.5, rebuilt\n\nFrames of each case are what lies on this machine; nothing is copied from the thesis.\n",
@@ -147,13 +147,13 @@ mod tests {
     use super::*;
 
     /// A case whose classes are numbered as they stand there, one object of each; its AP is 0.1 for `hook`, 0.2 for the others.
-    fn case(name: &str, classes: &[&str]) -> Judged {
+    fn case(name: &str, classes: &[&str]) -> JudgeInputs {
         let object = |class| Object { class, bbox: [0.0, 0.0, 9.0, 9.0], mask: None, ignored: false };
         let picture =
             Picture { path: "a.png".into(), width: 64, height: 48, objects: (0..classes.len()).map(object).collect() };
         let score =
             |class: &&str| ClassScore { ap: [if *class == "hook" { 0.1 } else { 0.2 }; 10], ..ClassScore::default() };
-        Judged {
+        JudgeInputs {
             case: name.to_owned(),
             node: Node::MaskRcnn,
             truth: Truth { classes: classes.iter().map(|c| (*c).to_owned()).collect(), pictures: vec![picture] },

@@ -14,7 +14,7 @@ use crate::figures::Figure;
 
 pub use options::{GRASPING, Options};
 pub use page::page;
-pub use study::Study;
+pub use study::SkillStudy;
 
 /// Judges the measures beside motions that are known in closed form, sampled evenly, at uneven times, and with pictures lost.
 pub fn judge(options: &Options) -> Result<Vec<Figure>> {

@@ -7,13 +7,13 @@ use panoscope_tracking::skill::Settings;
 /// Words in the name of a tool that can grasp.
 pub const GRASPING: &str = "grasper,bipolar,clipper,forceps,needle";
 
-/// Options of [`judge`](super::judge) and [`Study::read`](super::Study::read).
+/// Options of [`judge`](super::judge) and [`SkillStudy::read`](super::SkillStudy::read).
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Tracks of tips, best one per hand: tables of `tip_track` (or `proximity`, which tells of touches too), or tips, as `write_table` writes them
+    /// Tracks of tips, best one per hand: tables of `tip_track` (or `proximity`, which reports touches too), or tips, as `write_table` writes them
     /// (.csv, .jsonl). Without any, the measures are judged beside motions that are known in closed form.
     pub files: Vec<PathBuf>,
-    /// Phases of the operation, a line each: begin in s of capture time, comma, name. Else the column `phase` or `text` of the tracks tells.
+    /// Phases of the operation, a line each: begin in s of capture time, comma, name. By default the column `phase` or `text` of the tracks.
     pub phases: Option<PathBuf>,
     /// Names of the classes by their numbers, separated by commas.
     pub labels: String,

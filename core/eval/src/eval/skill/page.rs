@@ -5,7 +5,7 @@ use std::fmt::Write;
 use panoscope_tracking::skill::measures::FIGURES;
 use panoscope_tracking::skill::{Measures, Movement};
 
-use super::study::{Study, shown};
+use super::study::{SkillStudy, shown};
 use super::svg::{Axis, COLORS, Plot, WIDTH, escaped};
 
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#1a1a1a;background:#fff}\
@@ -80,7 +80,7 @@ fn measures_table(out: &mut String, heads: &[&str], columns: &[(&Measures, Optio
 }
 
 /// The page.
-pub fn page(study: &Study) -> String {
+pub fn page(study: &SkillStudy) -> String {
     let mut out = String::from(
         "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>Surgical skill</title><style>",
     );
@@ -120,7 +120,7 @@ pub fn page(study: &Study) -> String {
     out
 }
 
-fn pairs(out: &mut String, study: &Study, names: &[&str]) {
+fn pairs(out: &mut String, study: &SkillStudy, names: &[&str]) {
     if names.len() < 2 {
         return;
     }
@@ -140,7 +140,7 @@ fn pairs(out: &mut String, study: &Study, names: &[&str]) {
     out.push_str("</table>\n");
 }
 
-fn over_time(out: &mut String, study: &Study, names: &[&str]) {
+fn over_time(out: &mut String, study: &SkillStudy, names: &[&str]) {
     let (from, to) = study.span_s;
     // Times on plots begin with the recording.
     let time = Axis::around(0.0, to - from);
@@ -183,7 +183,7 @@ fn over_time(out: &mut String, study: &Study, names: &[&str]) {
     out.push_str(&plot.end());
 }
 
-fn paths(out: &mut String, study: &Study) {
+fn paths(out: &mut String, study: &SkillStudy) {
     out.push_str("<h2>Paths</h2><div class=\"two\">");
     for (title, axes, labels) in [
         ("path as the camera looks", [0, 1], ("across, mm", "down, mm")),
@@ -210,7 +210,7 @@ fn paths(out: &mut String, study: &Study) {
     out.push_str("</div>");
 }
 
-fn movements(out: &mut String, study: &Study) {
+fn movements(out: &mut String, study: &SkillStudy) {
     let all = || study.traces.iter().flat_map(|trace| &trace.movements);
     if all().next().is_none() {
         return;

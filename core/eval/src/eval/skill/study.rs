@@ -15,7 +15,7 @@ use crate::session::{Session, check_cancelled};
 use crate::text_table::table;
 
 /// What a report is made of.
-pub struct Study {
+pub struct SkillStudy {
     pub(super) session: skill::Session,
     pub(super) traces: Vec<Trace>,
     grasping: Vec<String>,
@@ -49,7 +49,7 @@ fn read_phases(path: &Path) -> Result<Vec<(f64, String)>> {
     Ok(phases)
 }
 
-impl Study {
+impl SkillStudy {
     /// Reads the tracks and measures.
     ///
     /// # Errors
@@ -163,7 +163,7 @@ pub(super) fn shown(value: f64) -> String {
 }
 
 /// Reads all tracks in order of time.
-fn read(session: &dyn Session, options: &Options) -> Result<Study> {
+fn read(session: &dyn Session, options: &Options) -> Result<SkillStudy> {
     let list = |text: &str| -> Vec<String> {
         text.split(',').map(|word| word.trim().to_lowercase()).filter(|word| !word.is_empty()).collect()
     };
@@ -173,7 +173,7 @@ fn read(session: &dyn Session, options: &Options) -> Result<Study> {
     let mut tracks = options.files.iter().map(|path| Track::open(path)).collect::<Result<Vec<_>>>()?;
     let stem = |path: &PathBuf| path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
     let stems: Vec<String> = options.files.iter().map(stem).collect();
-    let mut study = Study {
+    let mut study = SkillStudy {
         session: skill::Session::new(options.settings()).keep_cells(),
         traces: Vec::new(),
         grasping: list(&options.grasping),

@@ -237,11 +237,11 @@ mod tests {
     #[test]
     fn settings_reach_the_source_and_each_graph_that_has_the_node() {
         let mut methods = built_in(&["ROI", "grid"]).unwrap();
-        let settings = ["match.scale=4", "scope.smoke=0.5", "register.calm = 0.25"].map(str::to_owned);
+        let settings = ["match.scale=4", "scope.smoke=0.5", "register.anchor_fit = 0.25"].map(str::to_owned);
         set_all(&mut methods, &settings).unwrap();
         let texts: Vec<String> = methods.iter().map(|m| m.wiring.text()).collect();
         assert!(texts[1].contains("scale = 4") && !texts[0].contains("scale = 4"));
-        assert!(texts.iter().all(|text| text.contains("calm = 0.25")));
+        assert!(texts.iter().all(|text| text.contains("anchor_fit = 0.25")));
         assert_eq!(source_params(&settings).collect::<Vec<_>>(), [("smoke", Value::from(0.5))]);
         for (text, words) in [("nobody.x=1", "no"), ("plain", "NODE.PARAM=VALUE")] {
             let error = set_all(&mut methods, &[text.to_owned()]).unwrap_err();

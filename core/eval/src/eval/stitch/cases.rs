@@ -9,7 +9,7 @@ use toml::Value;
 
 use super::beside::{self, Method, Times};
 use super::sources::{self, Source};
-use super::tally::{self, Tally};
+use super::tally::{self, StitchScore};
 use crate::error::{FileAction, OnFile, Result};
 use crate::figures::Figure;
 use crate::inputs::{Folder, find};
@@ -66,14 +66,14 @@ const SCENES: [&str; 2] = ["liver", "bowel"];
 /// What one method did in one case.
 #[derive(Clone, Debug, Default)]
 struct Outcome {
-    tally: Tally,
+    tally: StitchScore,
     /// How far the picture's grid moves from frame to frame while nothing moves, RMS px; NaN where the case has no rest.
     jitter_px: f64,
     times: Option<Times>,
 }
 
 /// One case, judged.
-struct Judged {
+struct CaseResult {
     name: String,
     title: String,
     input: String,
@@ -107,7 +107,7 @@ fn on_the_phantom(
     methods: &[Method],
     frames: u64,
     settings: &[String],
-) -> Result<Judged> {
+) -> Result<CaseResult> {
     let mut outcomes = vec![Outcome { jitter_px: f64::NAN, ..Outcome::default() }; methods.len()];
     let (mut all_floors, mut jitters) = (Vec::new(), vec![Vec::new(); methods.len()]);
     for scene in SCENES {
@@ -115,7 +115,7 @@ fn on_the_phantom(
         let tables = beside::judged(session, methods, &source, frames.div_ceil(2))?;
         let floors = tally::floors(&tables.iter().collect::<Vec<_>>());
         for (outcome, rows) in outcomes.iter_mut().zip(&tables) {
-            outcome.tally = outcome.tally.and(&Tally::of(rows, &floors, 0)?);
+            outcome.tally = outcome.tally.and(&StitchScore::of(rows, &floors, 0)?);
         }
         all_floors.extend(floors);
         if case.can_rest {
@@ -133,7 +133,7 @@ fn on_the_phantom(
     }
     let input = format!("phantom liver and bowel 640x480, {}, {} frames", case.title, 2 * frames.div_ceil(2));
     let (name, title) = (case.name.to_owned(), case.title.to_owned());
-    Ok(Judged { name, title, input, outcomes, floor_px: rms(&all_floors) })
+    Ok(CaseResult { name, title, input, outcomes, floor_px: rms(&all_floors) })
 }
 
 /// Real stereo pairs, where they are; without truth and at rest never.
@@ -142,7 +142,7 @@ fn on_real_pairs(
     methods: &[Method],
     folders: &[PathBuf],
     work: &Path,
-) -> Result<Option<Judged>> {
+) -> Result<Option<CaseResult>> {
     let Some(folder) = find(folders, "hamlyn_640x480") else { return Ok(None) };
     let source = sources::hamlyn(&folder, work)?;
     let pairs = std::fs::read_dir(folder.join("left")).on_file(FileAction::Read, &folder)?.count() as u64;
@@ -151,7 +151,7 @@ fn on_real_pairs(
     let mut outcomes = Vec::new();
     for (method, rows) in methods.iter().zip(&tables) {
         outcomes.push(Outcome {
-            tally: Tally::of(rows, &floors, 0)?,
+            tally: StitchScore::of(rows, &floors, 0)?,
             jitter_px: f64::NAN,
             times: Some(beside::timed(session, method, &source, TIMED.min(pairs))?),
         });
@@ -160,7 +160,7 @@ fn on_real_pairs(
     let input =
         format!("Hamlyn pairs 640x480, {judged} of {pairs} frames, judged by correspondences found by correlation");
     let (name, title) = ("hamlyn".to_owned(), "real pairs (Hamlyn)".to_owned());
-    Ok(Some(Judged { name, title, input, outcomes, floor_px: rms(&floors) }))
+    Ok(Some(CaseResult { name, title, input, outcomes, floor_px: rms(&floors) }))
 }
 
 /// A measure: title of its table, name and unit of its figures, digits behind the point, and what it is of an outcome.
@@ -204,7 +204,7 @@ const MEASURES: [Measure; 5] = [
     Measure { title: "jitter at rest, px", name: "jitter_px", unit: "px", places: 2, value: |o| o.jitter_px },
 ];
 
-fn tables(names: &[&str], all: &[Judged]) -> String {
+fn tables(names: &[&str], all: &[CaseResult]) -> String {
     let mut text = String::new();
     for measure in &MEASURES {
         let is_alignment = measure.name == "align_px";
@@ -224,7 +224,7 @@ fn tables(names: &[&str], all: &[Judged]) -> String {
     text
 }
 
-fn charts(names: &[&str], all: &[Judged]) -> Vec<Chart> {
+fn charts(names: &[&str], all: &[CaseResult]) -> Vec<Chart> {
     let words: Vec<(f64, String)> =
         all.iter().enumerate().map(|(at, judged)| (at as f64, judged.name.clone())).collect();
     let wanted = MEASURES.iter().filter(|measure| measure.name != "wrong_share");
@@ -257,7 +257,7 @@ fn charts(names: &[&str], all: &[Judged]) -> Vec<Chart> {
     wanted.map(of).collect()
 }
 
-fn figures(names: &[&str], all: &[Judged]) -> Vec<Figure> {
+fn figures(names: &[&str], all: &[CaseResult]) -> Vec<Figure> {
     let mut out = Vec::new();
     for judged in all {
         for (name, outcome) in names.iter().zip(&judged.outcomes) {
@@ -331,14 +331,14 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
 mod tests {
     use super::*;
 
-    fn judged(title: &str, stitched: [usize; 2]) -> Judged {
+    fn judged(title: &str, stitched: [usize; 2]) -> CaseResult {
         let outcome = |stitched| Outcome {
-            tally: Tally { frames: 50, stitched, wrong: 5, ..Tally::default() },
+            tally: StitchScore { frames: 50, stitched, wrong: 5, ..StitchScore::default() },
             jitter_px: f64::NAN,
             times: Some(Times { registration_ms: 2.0, composite_ms: 0.5 }),
         };
         let outcomes = stitched.map(outcome).into();
-        Judged { name: title.to_owned(), title: title.to_owned(), input: String::new(), outcomes, floor_px: 1.25 }
+        CaseResult { name: title.to_owned(), title: title.to_owned(), input: String::new(), outcomes, floor_px: 1.25 }
     }
 
     #[test]

@@ -10,7 +10,7 @@ use super::graphs;
 use super::incidents::WRONG;
 use crate::error::{EvalError, Result};
 use crate::figures::Figure;
-use crate::inputs::wiring::{Composite, Judged, Wiring};
+use crate::inputs::wiring::{Composite, JudgeInputs, Wiring};
 use crate::packets::Table;
 use crate::registration::run_judged;
 use crate::session::Session;
@@ -211,7 +211,7 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
                 wiring.set(phantom, "scene", scene);
                 wiring.set(phantom, "distance_mm", *distance_mm);
                 wiring.set(phantom, "wide_factor", WIDE_FACTOR);
-                let run = run_judged(session, &wiring, Judged::Area, path, options.frames)?;
+                let run = run_judged(session, &wiring, JudgeInputs::Area, path, options.frames)?;
                 let mut tables = run.tables.as_slice();
                 for composite in &wiring.composites {
                     let (own, rest) = tables.split_at(composite.pairs().min(tables.len()));

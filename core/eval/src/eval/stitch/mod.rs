@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use crate::error::{FileAction, OnFile, Result};
 use crate::figures::Figure;
 use crate::inputs::Folder;
-use crate::inputs::wiring::Judged;
+use crate::inputs::wiring::JudgeInputs;
 use crate::packets::Table;
 use crate::plot::{self, Chart, Series, Style};
 use crate::registration::{JudgedRun, Registration, judges, registration, run_judged};
@@ -71,9 +71,11 @@ fn judge_all(
     frames: u64,
     is_peer: bool,
 ) -> Result<Option<(Vec<Marks>, JudgedRun)>> {
-    let of = |judged: Judged| if is_peer { case.wiring.peer(judged, 0.0, 2) } else { Some(case.wiring.clone()) };
-    let (Some(whole), Some(plain)) = (of(Judged::Pictures), of(Judged::Registration)) else { return Ok(None) };
-    let main = run_judged(session, &whole, Judged::Pictures, path, frames)?;
+    let of = |judged: JudgeInputs| if is_peer { case.wiring.peer(judged, 0.0, 2) } else { Some(case.wiring.clone()) };
+    let (Some(whole), Some(plain)) = (of(JudgeInputs::Pictures), of(JudgeInputs::Registration)) else {
+        return Ok(None);
+    };
+    let main = run_judged(session, &whole, JudgeInputs::Pictures, path, frames)?;
     let mut all = Vec::new();
     for rows in &main.tables {
         all.push(Marks { registration: registration(rows)?, jitter_px: f64::NAN, recovery: Vec::new() });
@@ -84,7 +86,7 @@ fn judge_all(
             still.set(node, param, value.clone());
         }
         for (marks, rows) in
-            all.iter_mut().zip(&run_judged(session, &still, Judged::Registration, path, frames.min(40))?.tables)
+            all.iter_mut().zip(&run_judged(session, &still, JudgeInputs::Registration, path, frames.min(40))?.tables)
         {
             let motion_px = rows.column("move_px").unwrap_or_default();
             marks.jitter_px = rms(motion_px.get(SETTLE..).unwrap_or_default());
@@ -99,7 +101,7 @@ fn judge_all(
         bad.set(&phantom, incident.window[0], incidents::WINDOW.0);
         bad.set(&phantom, incident.window[1], incidents::WINDOW.1);
         for (marks, rows) in
-            all.iter_mut().zip(&run_judged(session, &bad, Judged::Registration, path, incidents::TICKS)?.tables)
+            all.iter_mut().zip(&run_judged(session, &bad, JudgeInputs::Registration, path, incidents::TICKS)?.tables)
         {
             marks.recovery.extend(incidents::recovery(incident, rows).map(|found| (incident.name, found)));
         }

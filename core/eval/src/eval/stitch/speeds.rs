@@ -11,7 +11,7 @@ use toml::Value;
 use super::beside::{self, Method};
 use super::sources::Source;
 use super::speed_list::SpeedList;
-use super::tally::{self, Tally};
+use super::tally::{self, StitchScore};
 use crate::error::Result;
 use crate::figures::Figure;
 use crate::plot::{self, Chart, Series, Style};
@@ -55,7 +55,7 @@ fn source((scene, seed): (&str, i64), speed_cm_s: f64, settings: &[String]) -> S
 /// All methods at one speed.
 struct Point {
     speed_cm_s: f64,
-    tallies: Vec<Tally>,
+    tallies: Vec<StitchScore>,
     /// What the best plane leaves, px.
     floor_px: f64,
 }
@@ -67,14 +67,14 @@ fn point(
     frames: u64,
     settings: &[String],
 ) -> Result<Point> {
-    let mut tallies = vec![Tally::default(); methods.len()];
+    let mut tallies = vec![StitchScore::default(); methods.len()];
     let mut all = Vec::new();
     for place in PLACES {
         // Half of the frames that one run of a graph has: two places of each tissue.
         let tables = beside::judged(session, methods, &source(place, speed_cm_s, settings), frames.div_ceil(2))?;
         let floors = tally::floors(&tables.iter().collect::<Vec<_>>());
         for (tally, rows) in tallies.iter_mut().zip(&tables) {
-            *tally = tally.and(&Tally::of(rows, &floors, 0)?);
+            *tally = tally.and(&StitchScore::of(rows, &floors, 0)?);
         }
         all.extend(floors);
     }
@@ -88,13 +88,13 @@ fn followed_cm_s(points: &[Point], method: usize) -> Option<f64> {
 }
 
 /// What a tally comes to.
-type Measure = fn(&Tally) -> f64;
+type Measure = fn(&StitchScore) -> f64;
 
 fn tables(methods: &[Method], points: &[Point]) -> String {
     let measures: [(&str, Measure, usize); 3] = [
-        ("stitched, %", Tally::stitched_pct, 1),
-        ("believed and wrong, %", Tally::wrong_pct, 1),
-        ("alignment of stitched frames, px", Tally::align_px, 2),
+        ("stitched, %", StitchScore::stitched_pct, 1),
+        ("believed and wrong, %", StitchScore::wrong_pct, 1),
+        ("alignment of stitched frames, px", StitchScore::align_px, 2),
     ];
     let mut text = String::new();
     for (name, value, places) in measures {
@@ -130,11 +130,11 @@ fn charts(methods: &[Method], points: &[Point]) -> Vec<Chart> {
         title: "Stitched frames over camera speed".to_owned(),
         x_label: x_label.clone(),
         y_label: "stitched, %".to_owned(),
-        series: all(Tally::stitched_pct),
+        series: all(StitchScore::stitched_pct),
         from_zero: true,
         ..Chart::default()
     };
-    let mut series = all(Tally::align_px);
+    let mut series = all(StitchScore::align_px);
     series.push(line("best plane", methods.len(), &|point| point.floor_px));
     let align = Chart {
         title: "Alignment of stitched frames".to_owned(),
@@ -212,8 +212,8 @@ pub fn judge(session: &dyn Session, options: &Options) -> Result<Vec<Figure>> {
 mod tests {
     use super::*;
 
-    fn tally(stitched: usize, wrong: usize) -> Tally {
-        Tally { frames: 100, stitched, wrong, ..Tally::default() }
+    fn tally(stitched: usize, wrong: usize) -> StitchScore {
+        StitchScore { frames: 100, stitched, wrong, ..StitchScore::default() }
     }
 
     fn points() -> Vec<Point> {

@@ -18,7 +18,7 @@ pub fn rule() -> String {
 
 /// One run of one method.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Tally {
+pub struct StitchScore {
     /// Frames that were judged.
     pub frames: usize,
     /// Of them, those that count as stitched.
@@ -29,7 +29,7 @@ pub struct Tally {
     pub squares: (f64, usize),
 }
 
-impl Tally {
+impl StitchScore {
     /// Reads a judge's table; frames from `settle` on count.
     ///
     /// `floors_px`: alignment error of the best plane in each tick; NaN where it is unknown, and such a tick is not judged.
@@ -113,11 +113,11 @@ mod tests {
         const NONE: f64 = f64::NAN;
         // Right, right at the limit of 2 x 1 + 6 px, beyond it, unknown, held, lost.
         let table = rows(&[0.0, 0.0, 0.0, 0.0, 1.0, 2.0], &[6.0, 8.0, 8.1, NONE, 1.0, NONE], &[1.0; 6]);
-        let tally = Tally::of(&table, &floors(&[&table]), 0).unwrap();
+        let tally = StitchScore::of(&table, &floors(&[&table]), 0).unwrap();
         assert_eq!((tally.frames, tally.stitched, tally.wrong), (6, 2, 2));
         assert!((tally.align_px() - 50f64.sqrt()).abs() < 1e-9);
         assert!((tally.stitched_pct() - 100.0 / 3.0).abs() < 1e-9);
-        let settled = Tally::of(&table, &floors(&[&table]), 2).unwrap();
+        let settled = StitchScore::of(&table, &floors(&[&table]), 2).unwrap();
         assert_eq!((settled.frames, settled.stitched, settled.wrong), (4, 0, 2));
         assert!(settled.align_px().is_nan());
         let both = tally.and(&settled);
@@ -132,7 +132,7 @@ mod tests {
         let floors = floors(&[&a, &b]);
         assert_eq!((floors[0], floors[1], floors[2].is_nan()), (3.0, 2.0, true));
         // A tick that no judge knows is not judged; one that another knows is lost by this one.
-        let tally = Tally::of(&a, &floors, 0).unwrap();
+        let tally = StitchScore::of(&a, &floors, 0).unwrap();
         assert_eq!((tally.frames, tally.stitched, tally.wrong), (2, 0, 1));
     }
 }

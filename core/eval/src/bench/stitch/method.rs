@@ -1,4 +1,4 @@
-//! The ways of stitching that are timed, as graph text.
+//! The methods of stitching that are timed, as graph text.
 
 use std::fmt::Write as _;
 
@@ -17,20 +17,20 @@ pub enum Seam {
     Once,
 }
 
-/// A way of stitching.
+/// A method of stitching.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Way {
+pub enum Method {
     Roi,
     Conventional,
     Grid,
     OpencvFull,
-    OpencvFair,
+    OpencvTenth,
     OpencvPath,
 }
 
-impl Way {
+impl Method {
     pub fn is_opencv(self) -> bool {
-        matches!(self, Self::OpencvFull | Self::OpencvFair | Self::OpencvPath)
+        matches!(self, Self::OpencvFull | Self::OpencvTenth | Self::OpencvPath)
     }
 
     /// Whether its default is a seam in each frame.
@@ -44,7 +44,7 @@ impl Way {
             Self::Conventional => "conventional",
             Self::Grid => "grid",
             Self::OpencvFull => "OpenCV full",
-            Self::OpencvFair => "OpenCV 0.1 MP",
+            Self::OpencvTenth => "OpenCV 0.1 MP",
             Self::OpencvPath => "OpenCV shortest path",
         }
     }
@@ -59,7 +59,7 @@ impl Way {
                 "type = \"register_surf\"\ninputs = {{ {views} }}\nparams = {{ roi = false, spread = false, second_look = true, max_points = 2000, upright = false, stability_px = 0.0 }}"
             ),
             Self::Grid => "type = \"register_grid\"\ninputs = { disparity = \"match.disparity\", calibration = \"files.calibration\" }\nparams = { ransac_px = 12.0 }".to_owned(),
-            Self::OpencvFull | Self::OpencvFair | Self::OpencvPath => {
+            Self::OpencvFull | Self::OpencvTenth | Self::OpencvPath => {
                 let work = if self == Self::OpencvFull { 0.0 } else { 0.6 };
                 format!(
                     "type = \"register_opencv\"\ninputs = {{ {views} }}\nparams = {{ threads = {threads}, mutual = false, work_megapixels = {work:?} }}"
@@ -72,13 +72,13 @@ impl Way {
             Self::Conventional if seam == Seam::Once => ("composite", "seam_scale = 10".to_owned()),
             Self::Conventional => ("composite", "seam_scale = 1".to_owned()),
             Self::OpencvFull => ("composite_opencv", format!("threads = {threads}")),
-            Self::OpencvFair | Self::OpencvPath => {
+            Self::OpencvTenth | Self::OpencvPath => {
                 ("composite_opencv", format!("threads = {threads}, seam_megapixels = 0.1"))
             }
         };
         params.push_str(match (self, seam) {
-            (Self::OpencvFull | Self::OpencvFair | Self::OpencvPath, Seam::Once) => ", seam = \"none\"",
-            (Self::OpencvFull | Self::OpencvFair, _) => "",
+            (Self::OpencvFull | Self::OpencvTenth | Self::OpencvPath, Seam::Once) => ", seam = \"none\"",
+            (Self::OpencvFull | Self::OpencvTenth, _) => "",
             (Self::OpencvPath, _) => ", seam = \"dynamic_programming\"",
             (_, Seam::Once) => ", seam_interval = 10000",
             (Self::Conventional, _) | (_, Seam::EveryFrame) => ", seam_interval = 1",
@@ -104,18 +104,18 @@ impl Way {
             Self::Conventional => many / 6,
             // Each pair once: how long a cut takes depends on the pair more than on anything else.
             Self::OpencvFull if width > 640 => 2,
-            Self::OpencvFull | Self::OpencvFair if quick => PICTURES / 2,
-            Self::OpencvFull | Self::OpencvFair | Self::OpencvPath => PICTURES,
+            Self::OpencvFull | Self::OpencvTenth if quick => PICTURES / 2,
+            Self::OpencvFull | Self::OpencvTenth | Self::OpencvPath => PICTURES,
         }
     }
 }
 
-/// Graph of one way on rendered pairs.
-pub fn text_of(pairs: &Pairs, width: u32, way: Way, seam: Seam, threads: usize) -> String {
+/// Graph of one method on rendered pairs.
+pub fn text_of(pairs: &Pairs, width: u32, method: Method, seam: Seam, threads: usize) -> String {
     format!(
         "mode = \"batch\"\nplugins = [\"capture\", \"stereo\", \"stitch\", \"opencv\", \"flow\"]\n[nodes.files]\n{}{}\
          [nodes.sink]\ntype = \"drain\"\ninputs = {{ image = \"wide.panorama\" }}\n",
         pairs.node("off"),
-        way.nodes(width, threads, seam)
+        method.nodes(width, threads, seam)
     )
 }

@@ -9,7 +9,7 @@ use super::params::{CameraModel, PhantomError};
 use super::tools::Tool;
 
 /// One camera with its buffers.
-pub(super) struct Eye {
+pub(super) struct CameraBuffers {
     pub(super) model: CameraModel,
     pub(super) lens: Lens,
     pub(super) stations: Vec<(Station, Coarse)>,
@@ -17,7 +17,7 @@ pub(super) struct Eye {
     pub(super) smoke: Vec<f32>,
 }
 
-impl Eye {
+impl CameraBuffers {
     pub(super) fn new(model: CameraModel, camera: usize, subframes: usize) -> Result<Self, PhantomError> {
         let lens = Lens::new(&model, camera)?;
         let stations = (0..subframes).map(|_| (Station::default(), Coarse::new(&lens))).collect();
