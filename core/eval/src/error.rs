@@ -127,7 +127,7 @@ pub enum EvalError {
         /// What happened, and how to correct it.
         reason: String,
     },
-    /// Something failed at a known place.
+    /// Something failed at a known position.
     #[error("{place}")]
     At {
         /// Where: a file, a line, a step.

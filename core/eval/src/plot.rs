@@ -38,7 +38,7 @@ pub struct Series {
     pub style: Style,
     /// Which colour it takes.
     pub color: usize,
-    /// Places; those that are not finite are missing.
+    /// Positions; those that are not finite are missing.
     pub points: Vec<(f64, f64)>,
 }
 
@@ -57,7 +57,7 @@ pub struct Chart {
     pub from_zero: bool,
     /// The vertical axis is logarithmic; values of 0 and less are missing.
     pub log: bool,
-    /// Places along that have a word instead of a number; where there are any, the axis has no numbers.
+    /// Positions along that have a word instead of a number; where there are any, the axis has no numbers.
     pub words: Vec<(f64, String)>,
 }
 

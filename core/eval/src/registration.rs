@@ -17,7 +17,7 @@ const FRESH: f64 = 0.0;
 pub struct Registration {
     /// Share of frames with a fresh registration.
     pub stitched_pct: f64,
-    /// Root mean square distance of mapped from true places in the overlap.
+    /// Root mean square distance of mapped from true positions in the overlap.
     pub align_px: f64,
     /// The same of the best plane: what parallax leaves.
     pub floor_px: f64,

@@ -35,7 +35,7 @@ pub struct In<'f> {
 /// Outputs of the evaluation.
 #[derive(Ports)]
 pub struct Out<'f> {
-    /// A row for every tick so far; NaN where the frame has no place. `state`: 0 fresh, 2 lost, 3 none. `drift_px`: root mean square distance, over the
+    /// A row for every tick so far; NaN where the frame has no position. `state`: 0 fresh, 2 lost, 3 none. `drift_px`: root mean square distance, over the
     /// frame, between where the mosaic puts its points and where the camera of the first frame would see them; `drift_mm`: the same on the
     /// tissue; `drift_pct`: of the camera's path so far. `floor_px`: what the best homography leaves, 0 for a plane. `start_mm`: distance of the
     /// camera from where it began.

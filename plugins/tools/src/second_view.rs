@@ -35,7 +35,7 @@ pub struct SecondView {
 
 impl SecondView {
     /// Disparity of an end of the instrument that `silhouette` cut out last, px; disparities from `range` are tried. None where colours were not
-    /// learned, the end is not seen in the other view, or no place fits clearly better than all others. Both views are rectified and of one size, blue,
+    /// learned, the end is not seen in the other view, or no position fits clearly better than all others. Both views are rectified and of one size, blue,
     /// green, red. Cost O(window x range).
     pub fn disparity(
         &mut self,

@@ -52,7 +52,7 @@ pub struct ToolTipParams {
     /// Lowest score of a tool. Without a given class, the scores of overlapping boxes of several classes are added.
     #[param(default = 0.3, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     min_score: f32,
-    /// Lowest score of a box that overlaps the previous box of the leading tool: a weak box at the place of a certain tool is that tool (after Zhang
+    /// Lowest score of a box that overlaps the previous box of the leading tool: a weak box at the position of a certain tool is that tool (after Zhang
     /// et al. 2022, ByteTrack).
     #[param(default = 0.1, range = 0.0..=1.0, step = 0.01, unit = "ratio")]
     keep_score: f32,

@@ -8,7 +8,7 @@ use crate::packets::Table;
 use crate::run::{self, Pace, Plan};
 use crate::session::{Session, check_cancelled};
 
-/// Sources of the places of tips, tissue and instruments.
+/// Sources of the positions of tips, tissue and instruments.
 ///
 /// `exact`: exact tips, depth and masks, so that only what instruments hide is guessed. `matched`: depth from block matching instead. `found`: tips
 /// found in masks too. `boxes`: the same with boxes instead of masks, as a detector gives them.

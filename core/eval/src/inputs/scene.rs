@@ -5,7 +5,7 @@ pub fn rectified_phantom(mode: &str, plugins: &[&str], params: &str) -> String {
     rectified(mode, plugins, &format!("type = \"phantom\"\nparams = {{ {params} }}\n"))
 }
 
-/// The same with any source of pairs and their calibration in the place of the phantom.
+/// The same with any source of pairs and their calibration in place of the phantom.
 pub fn rectified(mode: &str, plugins: &[&str], source: &str) -> String {
     let plugins: String = plugins.iter().map(|name| format!(", \"{name}\"")).collect();
     format!(

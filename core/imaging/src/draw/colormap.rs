@@ -54,7 +54,7 @@ impl Colormap {
             Self::Viridian => &VIRIDIAN,
             Self::Gray => return [(place * 255.0 + 0.5) as u8; 3],
         };
-        // Catmull-Rom through the table: no visible kinks between its places.
+        // Catmull-Rom through the table: no visible kinks between its positions.
         let x = place * (table.len() - 1) as f32;
         let i = (x as usize).min(table.len() - 2);
         let t = x - i as f32;

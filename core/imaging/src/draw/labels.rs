@@ -83,7 +83,7 @@ impl Labels {
             (anchor.x - w, above),
             (left, below - h),
         ];
-        // A label that would leave the picture sideways is moved in; one that would leave it above or below has its other places.
+        // A label that would leave the picture sideways is moved in; one that would leave it above or below has its other positions.
         let inside = |(x, y): (f32, f32)| {
             let x = x.clamp(0.0, self.width - w);
             (y >= 0.0 && y + h <= self.height).then_some((x, y))

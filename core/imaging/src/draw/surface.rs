@@ -5,7 +5,7 @@
 use super::{Color, line, text};
 use crate::ViewMut;
 
-/// A cloud as rows of points; a point is its place in mm and its colour, `None` where unknown.
+/// A cloud as rows of points; a point is its position in mm and its colour, `None` where unknown.
 pub trait SurfacePoints: Sync {
     /// Points per row, rows.
     fn size(&self) -> (usize, usize);
@@ -38,7 +38,7 @@ impl Default for Orbit {
     }
 }
 
-/// Where places of the camera's frame stand on a picture that was painted, and back.
+/// Where positions of the camera's frame stand on a picture that was painted, and back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Projection {
     /// What the surface turns about, mm.
@@ -129,7 +129,7 @@ impl SurfacePainter {
         &self.depth
     }
 
-    /// Draws the surface into `out` (BGR) with a ruler of its length in mm at the place of its middle. Nothing known leaves the background
+    /// Draws the surface into `out` (BGR) with a ruler of its length in mm at the position of its middle. Nothing known leaves the background
     /// and returns `None`.
     pub fn paint(
         &mut self,

@@ -100,7 +100,7 @@ struct Side {
     blocks: Vec<[[i32; LANES]; PAIRS]>,
     /// Squared length of each slot's descriptor; so large for padding that it never wins.
     norms: Vec<[i32; LANES]>,
-    /// Places in the left frame, for gating.
+    /// Positions in the left frame, for gating.
     x: Vec<[f32; LANES]>,
     y: Vec<[f32; LANES]>,
     /// First block of the second sign.

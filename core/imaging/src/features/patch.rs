@@ -15,7 +15,7 @@ const LEAST_STEP: f32 = 1.0;
 /// Where a patch lies on a pyramid level.
 #[derive(Clone, Copy)]
 pub(crate) struct Grid {
-    /// Place of the patch's centre, in pixels of the level.
+    /// Position of the patch's centre, in pixels of the level.
     pub(super) x: f32,
     pub(super) y: f32,
     /// Step along a row of the patch, in pixels of the level; a column's step is at right angles.

@@ -2,7 +2,7 @@
 //!
 //! SURF samples box filters of side `s` on the integral image. A pyramid level whose pixels are about
 //! that large, read with bilinear interpolation, gives the same smoothed samples at any angle and
-//! sub-pixel place for two gathers per eight samples.
+//! sub-pixel position for two gathers per eight samples.
 
 use crate::simd::{dispatch, grow};
 use crate::{Parallel, SharedMut, Simd, View};

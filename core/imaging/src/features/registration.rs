@@ -33,7 +33,7 @@ pub struct RegisterParams {
     pub gate_px: f32,
     /// Robust estimation; the threshold is in full-frame pixels.
     pub ransac: RansacParams,
-    /// Inliers below which a homography is not believed; at least 4 (thesis 2.4.3).
+    /// Inliers below which a homography is rejected; at least 4 (thesis 2.4.3).
     pub min_inliers: usize,
     /// What a warped frame may look like.
     pub plausibility: Plausibility,
@@ -43,7 +43,7 @@ pub struct RegisterParams {
     /// Weight of the frame before (of a plain shift in the first frame) beside that of all inliers, 0..=4: what the overlap leaves open, the far corners
     /// above all, then moves slowly instead of jumping with every change of inliers. 0: the inliers alone.
     pub anchor_fit: f64,
-    /// A homography whose inliers are further off than this (rms, px) is not believed; 0 believes all.
+    /// A homography whose inliers are further off than this (rms, px) is rejected; 0 accepts all.
     pub max_rms_px: f64,
     /// Failed frames in a row for which the homography before still counts as held rather than lost.
     pub hold_frames: usize,
@@ -90,7 +90,7 @@ pub struct Registration {
     pub inliers: usize,
     /// Root mean square reprojection error of the inliers in the left frame, in pixels; 0 unless fresh.
     pub rms_px: f64,
-    /// The error for which this frame's homography was not believed, px.
+    /// The error for which this frame's homography was rejected, px.
     pub refused_rms_px: Option<f64>,
     /// Overlap in the left frame (the next search region); the whole frame unless fresh.
     pub roi_left: Rect,

@@ -1,4 +1,4 @@
-//! Samples of a patch that is not turned: its columns lie at the same places in every row.
+//! Samples of a patch that is not turned: its columns lie at the same positions in every row.
 //!
 //! Sixteen pixels of two image rows are first blended into one line; eight samples are then picked from it by permuting vectors. That
 //! needs no gather, which costs as much as a load for each element.

@@ -227,7 +227,7 @@ impl Adjust {
     }
 }
 
-/// Adds an edge's pairs to the normal equations. Places change by a small map before them: `pose (I + change)`.
+/// Adds an edge's pairs to the normal equations. Positions change by a small map before them: `pose (I + change)`.
 fn linearise(
     edge: &Edge,
     (a, b): (usize, usize),

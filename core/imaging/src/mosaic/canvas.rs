@@ -154,7 +154,7 @@ impl Canvas {
                     });
                     let pixels = pixels.0.as_chunks::<LANES>().0.iter().zip(&weights);
                     for (out, (pixel, weight)) in out.as_chunks_mut::<LANES>().0.iter_mut().zip(pixels) {
-                        // The fourth byte of a pixel is 0: its place takes the weight itself.
+                        // The fourth byte of a pixel is 0: its position takes the weight itself.
                         let levels = [f32::from(pixel[0]), f32::from(pixel[1]), f32::from(pixel[2]), 1.0];
                         for lane in 0..LANES {
                             out[lane] += weight * levels[lane];

@@ -132,7 +132,7 @@ pub enum MosaicState {
 /// Result of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MosaicReport {
-    /// Whether the newest frame has its place.
+    /// Whether the newest frame has its position.
     pub state: MosaicState,
     /// Maps pixels of the newest frame to those of the first keyframe; the last good one when lost.
     pub mosaic_from_frame: Homography,

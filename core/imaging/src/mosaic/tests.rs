@@ -57,7 +57,7 @@ fn ring(loop_closure: bool, steps: usize, radius: f64) -> (Mosaic, MosaicReport,
         last = add(&mut mosaic, &on_ring(step, steps, radius), BARREL);
         assert_eq!(last.state, MosaicState::Fresh, "step {step}");
     }
-    // The first frame lies at the scene's origin: what is true of the mosaic is the camera's place.
+    // The first frame lies at the scene's origin: what is true of the mosaic is the camera's position.
     let off = off_px(&last.mosaic_from_frame, &on_ring(steps, steps, radius));
     (mosaic, last, off)
 }

@@ -23,7 +23,7 @@ pub(super) enum Test {
     Strict,
 }
 
-/// A frame's place in a keyframe.
+/// A frame's position in a keyframe.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Link {
     pub keyframe_from_frame: Homography,

@@ -26,11 +26,11 @@ const EARLIER: usize = 3;
 /// Earlier keyframes are sought within a frame's side times the first, and the second share of the way round the loop.
 const SEARCH: (f64, f64) = (0.9, 0.05);
 /// A loop that would move the newest keyframe by more than a frame's side times the first, and the second share of the way
-/// round it, is not believed.
+/// round it, is rejected.
 const BELIEVED: (f64, f64) = (0.4, 0.15);
 /// Without loop closure frames are registered against this many of the newest keyframes.
 const NEWEST: usize = 2;
-/// Areas of a frame in the mosaic, in frames, between which a place is believed.
+/// Areas of a frame in the mosaic, in frames, between which a position is accepted.
 const AREAS: (f64, f64) = (0.05, 20.0);
 /// Neighbours further off than this after a keyframe was added are adjusted, in pixels.
 const SETTLE_PX: f64 = 0.5;
@@ -60,7 +60,7 @@ pub struct Mosaic {
     tracker: Tracker,
     canvas: Canvas,
     is_shown: bool,
-    /// No edge disagrees with the places.
+    /// No edge disagrees with the positions.
     is_settled: bool,
     /// Keyframe that the newest frame was registered to.
     active: u64,
@@ -227,7 +227,7 @@ impl Mosaic {
         true
     }
 
-    /// Finds the frame's place, and makes it a keyframe where little of it is known.
+    /// Finds the frame's position, and makes it a keyframe where little of it is known.
     fn register_frame(&mut self, pool: &dyn Parallel) -> bool {
         let was_fresh = self.report.state == MosaicState::Fresh;
         let before = self.outline.map(|outline| outline.centre);
@@ -366,8 +366,8 @@ impl Mosaic {
         other
     }
 
-    /// Adds an edge between keyframes; one that disagrees with their places leaves them to be settled. False for an edge that is
-    /// not believed.
+    /// Adds an edge between keyframes; one that disagrees with their positions leaves them to be settled. False for an edge that is
+    /// rejected.
     fn connect(&mut self, edge: Edge) -> bool {
         let (Some(from), Some(to)) = (index_of(&self.keyframes, edge.from), index_of(&self.keyframes, edge.to)) else {
             return false;
@@ -389,7 +389,7 @@ impl Mosaic {
         true
     }
 
-    /// Adjusts all places when an edge disagrees with them, and draws the mosaic anew when they moved noticeably.
+    /// Adjusts all positions when an edge disagrees with them, and draws the mosaic anew when they moved noticeably.
     fn settle(&mut self, pool: &dyn Parallel) {
         if std::mem::replace(&mut self.is_settled, true) {
             return;

@@ -16,7 +16,7 @@ const HALF: usize = 7;
 const REACH: isize = 2;
 /// Correlation that the coarsest level must reach, and by how much every other place must fall short of it.
 const COARSE: (f32, f32) = (0.75, 0.08);
-/// Places this near belong to the same top, px.
+/// Positions this near belong to the same top, px.
 const SAME_TOP: usize = 2;
 /// Smallest spread of a patch's gray levels for a correlation.
 const LEAST_DEVIATION: f32 = 2.0;

@@ -21,7 +21,7 @@ pub struct CutParams {
     pub overlap: f64,
     /// How far each corner of the right view is drawn in at most, px.
     pub perspective_px: f64,
-    /// How far each corner sways around its place, px.
+    /// How far each corner sways around its position, px.
     pub sway_px: f64,
     /// Frames of one sway.
     pub sway_frames: f64,

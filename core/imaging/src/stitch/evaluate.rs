@@ -180,7 +180,7 @@ impl TruePairs<'_> {
         })
     }
 
-    /// Root mean square distance between mapped and true places of the points that both views see, px of the left view, and how
+    /// Root mean square distance between mapped and true positions of the points that both views see, px of the left view, and how
     /// many there are; `None` when there are none.
     pub fn alignment(&self, left_from_other: &Homography) -> Option<(f64, usize)> {
         let (mut squares, mut count) = (0.0, 0usize);

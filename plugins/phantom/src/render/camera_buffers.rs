@@ -1,4 +1,4 @@
-//! One camera of the rig: its lens, and its place in a frame.
+//! One camera of the rig: its lens, and its position in a frame.
 
 use panoscope_imaging::ViewMut;
 
@@ -25,7 +25,7 @@ impl CameraBuffers {
     }
 }
 
-/// Places the instruments in the frame of a camera `offset_mm` beside the first one.
+/// Transforms the instruments into the frame of a camera `offset_mm` beside the first one.
 pub(super) fn equip(
     tools: &[Tool],
     seconds: f64,

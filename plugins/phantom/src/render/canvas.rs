@@ -1,4 +1,4 @@
-//! The wide picture: its size, and its place around the first camera's picture.
+//! The wide picture: its size, and its position around the first camera's picture.
 
 use super::params::PhantomError;
 

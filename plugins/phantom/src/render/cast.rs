@@ -26,7 +26,7 @@ pub struct Field<'a> {
     pub nearest_mm: f32,
 }
 
-/// One camera's place in one (sub-)frame, in the scene frame wrapped to the first period.
+/// One camera's position in one (sub-)frame, in the scene frame wrapped to the first period.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Station {
     /// Centre of projection, mm.

@@ -5,7 +5,7 @@
 pub struct PlaneFit {
     /// `left_from_right`, row by row; the last number is 1.
     pub left_from_right: [f64; 9],
-    /// Root mean square of the distance between mapped and true place, px.
+    /// Root mean square of the distance between mapped and true position, px.
     pub rms_px: f64,
     /// Correspondences used.
     pub points: usize,

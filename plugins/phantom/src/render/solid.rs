@@ -60,7 +60,7 @@ pub struct Solid {
     /// Sine and squared cosine of the cone's half angle; the sine is 1 or more where one ball holds the other.
     sine: f64,
     cos2: f64,
-    /// Place of the origin along the axis, radius of the cone there, and the constant term of its equation.
+    /// Position of the origin along the axis, radius of the cone there, and the constant term of its equation.
     s: f64,
     m: f64,
     c: f64,
@@ -96,7 +96,7 @@ impl Solid {
             let b = self.cos2 * (od - self.s * du) + self.m * self.sine * du;
             let root = b * b - a * self.c;
             if a > 1e-12 {
-                // The cone holds both balls: who misses it misses all, and who enters it outside the stretch
+                // The cone holds both balls: a ray that misses it misses all, and a ray that enters it outside the stretch
                 // between the circles of contact enters by the ball on that side.
                 if root < 0.0 {
                     return None;

@@ -39,7 +39,7 @@ pub struct Tool {
     id: u8,
     /// Where it passes the wall of the belly, scene, mm.
     trocar: [f64; 3],
-    /// Mean place of the tip, scene, mm.
+    /// Mean position of the tip, scene, mm.
     home: [f64; 3],
     /// Amplitude mm, frequency Hz and phase of the tip along x, y, z.
     sway: [[f64; 3]; 3],
@@ -177,7 +177,7 @@ impl Tool {
             ToolKind::Irrigator => 10.0,
             ToolKind::SpecimenBag => 24.0,
         };
-        // The joint lies where the tip's place along the shaft leads back to.
+        // The joint lies where the tip's position along the shaft leads back to.
         let joint = add(tip, z, -reach);
         let place = |px: f64, py: f64, pz: f64| add(add(add(joint, x, px), y, py), z, pz);
         let round = (y, 1.0);

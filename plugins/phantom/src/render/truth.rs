@@ -284,7 +284,7 @@ impl Phantom {
         Ok(fit)
     }
 
-    /// Draws what one ideal camera at the first camera's place, with a larger sensor, would see: no noise, no
+    /// Draws what one ideal camera at the first camera's position, with a larger sensor, would see: no noise, no
     /// distortion. Allocates only when the canvas changes.
     ///
     /// # Errors

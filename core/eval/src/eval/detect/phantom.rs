@@ -54,7 +54,7 @@ pub struct Tips {
     pub seen: usize,
     /// Distances in the picture of those that were found, px.
     pub errors_px: Vec<f64>,
-    /// Distances in space of those with a valid place, mm.
+    /// Distances in space of those with a valid position, mm.
     pub errors_mm: Vec<f64>,
     /// Per kind of instrument: tips seen, found, and their median distance in px.
     pub kinds: Vec<(&'static str, usize, usize, f64)>,

@@ -1,4 +1,4 @@
-//! Pictures of scores: curves of precision and recall, who is taken for whom, the worst misses.
+//! Pictures of scores: curves of precision and recall, class confusions, the worst misses.
 
 use std::path::Path;
 

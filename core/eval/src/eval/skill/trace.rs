@@ -5,7 +5,7 @@ use panoscope_tracking::skill::{CELL_S, Cell, Movement};
 
 /// Parts of time that are kept; when there are more, pairs become one.
 const MOST_PARTS: usize = 1200;
-/// Places of the path that are kept, and movements; so too.
+/// Positions of the path that are kept, and movements; so too.
 const MOST_PLACES: usize = 4000;
 const MOST_MOVEMENTS: usize = 4000;
 
@@ -26,7 +26,7 @@ pub struct Trace {
     /// Cell that the first part begins with.
     pub first: i64,
     pub parts: Vec<Part>,
-    /// Places, mm, and whether the tool was in view all the way from the one before.
+    /// Positions, mm, and whether the tool was in view all the way from the one before.
     pub places: Vec<([f64; 3], bool)>,
     per_place: i64,
     last_cell: i64,

@@ -49,12 +49,12 @@ struct Reach {
     /// Area shown, true area of the union of all views, in percent of one view; means over all frames.
     total_pct: f64,
     truth_pct: f64,
-    /// Area that the panorama covers, be it right or not.
+    /// Area that the panorama covers, whether right or wrong.
     covered_pct: f64,
     /// Share of frames whose registrations are all fresh and right.
     stitched_pct: f64,
     frames: usize,
-    /// Frames of which a registration was reported as lost, and frames called good that are wrong.
+    /// Frames of which a registration was reported as lost, and frames accepted although wrong.
     lost: usize,
     wrong: usize,
     /// Root mean square alignment error of good frames, and what the best planes leave, px.

@@ -6,7 +6,7 @@ use crate::packets::Table;
 pub const WINDOW: (i64, i64) = (20, 10);
 /// Ticks of a run: enough good ones behind the bad ones.
 pub const TICKS: u64 = (WINDOW.0 + WINDOW.1) as u64 + 10;
-/// A registration is a wrong one that lies further from the true places than this many times the best plane does, and so many px more.
+/// A registration is a wrong one that lies further from the true positions than this many times the best plane does, and so many px more.
 pub const WRONG: (f64, f64) = (2.0, 6.0);
 const FRESH: f64 = 0.0;
 

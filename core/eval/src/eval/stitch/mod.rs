@@ -169,7 +169,7 @@ fn figures(session: &dyn Session, case: &str, marks: &Marks, peer: Option<&Marks
     out
 }
 
-/// Alignment and likeness along the seam over time, ours beside the peer's.
+/// Alignment and similarity along the seam over time, ours beside the peer's.
 fn charts(case: &str, name: &str, rows: &Table, peer: Option<&Table>) -> Vec<Chart> {
     let of = |rows: &Table, column: &str| -> Vec<(f64, f64)> {
         rows.column(column).unwrap_or_default().into_iter().enumerate().map(|(tick, v)| (tick as f64, v)).collect()

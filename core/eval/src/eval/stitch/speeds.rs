@@ -70,7 +70,7 @@ fn point(
     let mut tallies = vec![StitchScore::default(); methods.len()];
     let mut all = Vec::new();
     for place in PLACES {
-        // Half of the frames that one run of a graph has: two places of each tissue.
+        // Half of the frames that one run of a graph has: two positions of each tissue.
         let tables = beside::judged(session, methods, &source(place, speed_cm_s, settings), frames.div_ceil(2))?;
         let floors = tally::floors(&tables.iter().collect::<Vec<_>>());
         for (tally, rows) in tallies.iter_mut().zip(&tables) {

@@ -23,7 +23,7 @@ pub struct StitchScore {
     pub frames: usize,
     /// Of them, those that count as stitched.
     pub stitched: usize,
-    /// Those whose registration was believed and is wrong.
+    /// Those whose registration was accepted and is wrong.
     pub wrong: usize,
     /// Sum of squares of the alignment error of the stitched frames, px squared, and how many they are.
     pub squares: (f64, usize),
@@ -79,7 +79,7 @@ impl StitchScore {
         self.pct(self.stitched)
     }
 
-    /// Share of frames with a believed registration that is wrong.
+    /// Share of frames with an accepted registration that is wrong.
     pub fn wrong_pct(&self) -> f64 {
         self.pct(self.wrong)
     }
