@@ -17,6 +17,7 @@ use crate::pool;
 use crate::retained;
 use crate::stats::bump;
 use crate::sync::lock;
+use crate::times::{self, CallTimes};
 
 /// The target of a `call` handle.
 pub(crate) struct CallContext<'a> {
@@ -44,6 +45,8 @@ pub(crate) struct CallContext<'a> {
     /// State of the generator; `None` until the node asks for a number.
     pub random: Option<SplitMix64>,
     pub tick: abi::Tick,
+    pub times: CallTimes<'a>,
+    pub context: &'a RunContext,
     /// Whether to wait for frame memory (batch) instead of dropping the tick (live).
     pub wait_for_memory: bool,
 }
@@ -84,6 +87,8 @@ impl<'a> CallContext<'a> {
             refused: None,
             random: None,
             tick: abi::Tick::default(),
+            times: CallTimes::new(None),
+            context,
             wait_for_memory: context.ignores_wall_clock(),
         }
     }
@@ -115,15 +120,22 @@ impl CallContext<'_> {
         }
     }
 
-    /// Writes the description of an output that exists.
+    /// Writes the description of an output that exists. `frame.tick.flags` is its own lag behind the tick.
     #[inline]
     fn write(&mut self, index: u32, frame: &Frame) {
         // SAFETY: `shown` and `outputs` hold `outputs_len` frames each, more than `index` (the callers' promise).
         let (slot, shown) = unsafe { (&mut *self.outputs.add(index as usize), &mut *self.shown.add(index as usize)) };
+        let tick = abi::Tick { flags: self.tick.flags.max(frame.tick.flags), ..self.tick };
         *slot = *frame;
-        slot.tick = self.tick;
+        slot.tick = tick;
         *shown = *frame;
-        shown.tick = self.tick;
+        shown.tick = tick;
+    }
+
+    /// Lag of a forwarded frame: one that was made at another tick, such as a retained one, keeps the age of its light.
+    #[inline]
+    fn lag_of(&self, tick: &abi::Tick) -> u32 {
+        if (tick.seq, tick.source) == (self.tick.seq, self.tick.source) { 0 } else { self.lag_behind(tick) }
     }
 
     /// Whether output `index` may be a frame of this description.
@@ -201,7 +213,8 @@ unsafe extern "C" fn forward(call: *mut c_void, output: u32, frame: *const Frame
     let (Some(call_context), Some(frame)) = (unsafe { (call_context(call), frame.as_ref()) }) else {
         return abi::STATUS_INVALID;
     };
-    let frame = *frame;
+    let mut frame = *frame;
+    frame.tick.flags = call_context.lag_of(&frame.tick);
     if output as usize >= call_context.outputs_len {
         return abi::STATUS_INVALID;
     }
@@ -377,6 +390,10 @@ pub(crate) fn table(threads: usize) -> Host {
         save: Some(save),
         claim_file: Some(claim_file),
         clock_ns: Some(clock_ns),
+        set_arrived_ns: Some(times::set_arrived_ns),
+        arrived_ns: Some(times::arrived_ns),
+        age_ns: Some(times::age_ns),
+        set_lag_ns: Some(times::set_lag_ns),
     }
 }
 

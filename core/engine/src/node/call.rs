@@ -22,6 +22,7 @@ use crate::params::Snapshot;
 use crate::retained::attention;
 use crate::scratch::{CallOutputs, clear};
 use crate::stats::bump;
+use crate::times::CallTimes;
 
 /// Whether to call a node for a tick.
 enum Due {
@@ -279,6 +280,8 @@ impl NodeRuntime {
             refused: None,
             random: None,
             tick: *tick,
+            times: CallTimes::new(Some(ports.sources)),
+            context,
             wait_for_memory: context.ignores_wall_clock(),
         };
         let mut call = abi::Call {
@@ -305,11 +308,21 @@ impl NodeRuntime {
         current_node::end_call();
         let refused = call_context.refused.take();
         let reports = call_context.has_failure && status >= abi::STATUS_OK;
+        if call_context.times.is_asked() {
+            self.record_ages(context, tick, &mut call_context);
+        }
+        let lag = call_context.times.lag();
+        if lag > tick.flags {
+            // Readers see the age that the node declared.
+            tick.flags = lag;
+            made.outputs.iter_mut().for_each(|frame| frame.tick.flags = frame.tick.flags.max(lag));
+        }
         if let Some(lent) = call_context.lent {
             // From here on the output holds the input's reference.
             ports.inputs[lent.input as usize].forget();
         }
         if exec.source {
+            exec.arrived_ns = call_context.times.arrived_ns();
             tick.capture_ns = call.tick.capture_ns;
             for frame in made.outputs.iter_mut().filter(|f| !f.is_empty()) {
                 frame.tick = *tick;
@@ -319,6 +332,12 @@ impl NodeRuntime {
             self.reported(exec, context, tick, status);
         }
         (status, refused)
+    }
+
+    /// Passes to the observer what the node was answered about the time of its inputs.
+    #[cold]
+    fn record_ages(&self, context: &RunContext, tick: &Tick, call: &mut CallContext<'_>) {
+        self.record_event(context, |node| Event::Ages { node, tick: *tick, ages: call.answered() });
     }
 
     /// Checks the outputs of a call that reported success.
