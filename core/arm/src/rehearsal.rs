@@ -260,6 +260,7 @@ pub fn play(chain: &Chain, scenario: Scenario, seed: u64, seconds: f64, rate_hz:
         let tip = tracker.state().map(|(place, _)| SeenTip {
             xyz_mm: camera.inverse_transform_point(&Point3::from(place)).coords,
             score: fade * if smoky { 0.55 } else { 0.9 },
+            age_s: 0.0,
         });
         let demand = controller.step(now_ns, tip, &encoders, Some(&set_point), &eyes, goals);
         lock.advance(now_ns, &mut |point| arm.step(point));
