@@ -6,8 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use panoscope_base::packet::Table;
-use panoscope_engine::preview::Listener;
-use panoscope_engine::{Engine, Options};
+use panoscope_engine::{Engine, Listener, Options};
 use panoscope_loader::Live;
 use panoscope_tests::{load, scratch};
 
