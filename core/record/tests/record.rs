@@ -220,7 +220,11 @@ fn ages_are_decisions_that_a_replay_repeats() {
     assert!(asked >= 120, "{asked} answers are recorded");
     // The tables hold the ages, which no other run has: the clock goes on meanwhile, and a replay is as fast as it can.
     for threads in [1, 4] {
-        assert_same(&format!("{threads} threads"), &original, &replay(&file, threads).unwrap_or_else(|e| panic!("{e}")));
+        assert_same(
+            &format!("{threads} threads"),
+            &original,
+            &replay(&file, threads).unwrap_or_else(|e| panic!("{e}")),
+        );
     }
     let _ = std::fs::remove_file(&file);
 }

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use panoscope_arm_core::Interlock;
 use panoscope_arm_core::interlock::{Cause, Evidence};
-use panoscope_node::{Context, Timed};
 use panoscope_node::abi::Tip;
+use panoscope_node::{Context, Timed};
 
 /// Latches and releases stops as a driver's parameters ask.
 #[derive(Clone, Copy, Debug, Default)]

@@ -235,7 +235,8 @@ fn the_largest_age_is_real_time_whatever_the_camera_says() -> Result<(), Harness
 /// Speed of a tip, mm/s, and the requested speed, rad/s, after some ticks of a camera whose ticks are `claimed_ns` apart by its word and `true_ns` by the
 /// clock. The tip moves at 10 mm/s.
 fn measured(claimed_ns: i64, true_ns: i64, age_ms: u64) -> Result<(f64, f64), HarnessError> {
-    let mut control = Harness::<ArmPid>::from_toml("params = { picture_d = 0.0, picture_i = 0.0, dead_zone_px = 0.0 }")?;
+    let mut control =
+        Harness::<ArmPid>::from_toml("params = { picture_d = 0.0, picture_i = 0.0, dead_zone_px = 0.0 }")?;
     let mut last = (f64::NAN, f64::NAN);
     for n in 0..60 {
         let at_mm = 7.5 + 10.0 * (n - 60) as f64 * true_ns as f64 * 1e-9;

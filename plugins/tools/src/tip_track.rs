@@ -113,7 +113,14 @@ impl Node for TipTrack {
 
     fn open(_: &Open<'_>, _: &TrackParams) -> Result<Self> {
         let poses = VecDeque::with_capacity(MOST_POSES);
-        Ok(Self { tracker: Tracker::default(), last: None, had_pose: false, poses, used_ns: Vec::new(), time: RealTime::default() })
+        Ok(Self {
+            tracker: Tracker::default(),
+            last: None,
+            had_pose: false,
+            poses,
+            used_ns: Vec::new(),
+            time: RealTime::default(),
+        })
     }
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &TrackParams) -> Result<()> {
@@ -202,7 +209,8 @@ impl Node for TipTrack {
         }
         if let Known::Seen(report) = known {
             let index = from.get(report).copied();
-            self.last = index.and_then(|index| input.tip.get(index)).map(|tip| (*tip, real_ns.saturating_sub(age_ns(&tip))));
+            self.last =
+                index.and_then(|index| input.tip.get(index)).map(|tip| (*tip, real_ns.saturating_sub(age_ns(&tip))));
         }
         // Counts from the picture in which it was last seen: tips of a slow detector are old when they arrive.
         let gap_s = self.last.map_or(0.0, |(_, seen_ns)| real_ns.saturating_sub(seen_ns) as f64 * 1e-9);

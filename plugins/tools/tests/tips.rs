@@ -321,7 +321,11 @@ fn a_camera_slower_than_it_says_neither_stretches_predictions_nor_speeds() -> Re
             xyz_valid: 1,
             track_id: -1,
         };
-        if tick < 40 { node.input_value("tip", tip) } else { node.input_empty("tip") };
+        if tick < 40 {
+            node.input_value("tip", tip)
+        } else {
+            node.input_empty("tip")
+        };
         let out = node.input_value("calibration", calibration()).process()?;
         if tick == 39 {
             speed_mm_s = out.table("table")?.rows().next().map_or(0.0, |row| row[6]);

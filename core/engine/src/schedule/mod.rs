@@ -315,8 +315,8 @@ impl Shared {
         self.show(last_cell, &made.outputs);
         for (port, output) in made.outputs.iter_mut().enumerate() {
             let raw = std::mem::replace(output, Frame::EMPTY);
-            // SAFETY: an output of a call that has ended is empty or holds its reference, which `made` no longer has after the `replace`.
             let tick = if raw.is_empty() { tick } else { raw.tick };
+            // SAFETY: an output of a call that has ended is empty or holds its reference, which `made` no longer has after the `replace`.
             let frame = unsafe { FrameRef::adopt(Frame { tick, ..raw }) };
             self.deliver_port(plan, last, port, frame, ready);
         }

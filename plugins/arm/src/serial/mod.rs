@@ -6,9 +6,7 @@ mod port;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use panoscope_node::{
-    Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation,
-};
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation};
 
 use crate::declared::{In, MotionOut, StopParams};
 use crate::guard::{self, age_ns};
@@ -108,9 +106,9 @@ impl Node for ArmSerial {
             inbox.tip = tip.or(inbox.tip);
             inbox.demand = demand.or(inbox.demand);
         });
-        let known = self
-            .driver
-            .read(|event| if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) })?;
+        let known = self.driver.read(|event| {
+            if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) }
+        })?;
         let stance = self.chain.stance(&known.encoders);
         let (position_rad, velocity_rad_s) = &known.set_point;
         out.motion.set(&stance, &self.home, (&known.encoders, velocity_rad_s), (position_rad, velocity_rad_s))?;
