@@ -9,9 +9,9 @@ use panoscope_base::random::SplitMix64;
 use crate::claims::{Claimed, Holds};
 use crate::clock;
 use crate::fault::Cause;
-use crate::log::{Level, Log};
+use crate::log::Level;
 use crate::memory::{FrameRef, MemoryError, memory};
-use crate::node::{NodeRuntime, Refused, RunContext};
+use crate::node::{NodeRuntime, Refused, RunContext, Sources};
 use crate::outputs;
 use crate::pool;
 use crate::retained;
@@ -35,7 +35,6 @@ pub(crate) struct CallContext<'a> {
     pub runtime: &'a NodeRuntime,
     /// Files that the instance claims.
     pub holds: &'a Holds,
-    pub log: &'a Log,
     /// The node's error message; the buffer is reused.
     pub failure: &'a mut String,
     /// Whether the node reported a fault during this call.
@@ -45,10 +44,13 @@ pub(crate) struct CallContext<'a> {
     /// State of the generator; `None` until the node asks for a number.
     pub random: Option<SplitMix64>,
     pub tick: abi::Tick,
-    pub times: CallTimes<'a>,
     pub context: &'a RunContext,
-    /// Whether to wait for frame memory (batch) instead of dropping the tick (live).
-    pub wait_for_memory: bool,
+    /// The sources of the graph; none in calls that have no tick.
+    pub sources: Option<&'a dyn Sources>,
+    /// What the node asks and declares about times; none in calls that have no tick.
+    pub times: Option<&'a mut CallTimes>,
+    /// Whether `times` was used in this call.
+    pub has_times: bool,
 }
 
 /// See [`CallContext::lent`].
@@ -81,15 +83,15 @@ impl<'a> CallContext<'a> {
             first_formats: 0,
             runtime,
             holds,
-            log: &context.log,
             failure,
             has_failure: false,
             refused: None,
             random: None,
             tick: abi::Tick::default(),
-            times: CallTimes::new(None),
             context,
-            wait_for_memory: context.ignores_wall_clock(),
+            sources: None,
+            times: None,
+            has_times: false,
         }
     }
 }
@@ -169,7 +171,8 @@ impl CallContext<'_> {
     }
 
     fn allocate(&self, len: usize) -> Result<(BufferId, *mut u8), Status> {
-        let mut patience_ms = if self.wait_for_memory { 5_000 } else { 0 };
+        // In batch a tick waits for frame memory, in live it is dropped.
+        let mut patience_ms = if self.context.ignores_wall_clock() { 5_000 } else { 0 };
         loop {
             match memory().allocate(len) {
                 Ok(buffer) => return Ok(buffer),
@@ -295,7 +298,7 @@ unsafe extern "C" fn log(call: *mut c_void, level: u32, message: Str) {
             _ => Level::Debug,
         };
         // SAFETY: the plugin lends the text for the length of this call (the contract).
-        call_context.log.write(level, &call_context.runtime.id, &unsafe { words(message) });
+        call_context.context.log.write(level, &call_context.runtime.id, &unsafe { words(message) });
     }
 }
 

@@ -184,7 +184,7 @@ impl Shared {
             return Step::GivenUp;
         }
         scratch.inputs.clear();
-        let (bypassed, declared_ns) = (exec.bypassed, exec.arrived_ns.take());
+        let (bypassed, declared_ns) = (exec.bypassed, exec.times.take_arrived_ns());
         runtime.exec.put(exec);
         let made = &mut scratch.made[0];
         if outcome != CallOutcome::Ok {

@@ -7,15 +7,14 @@ use panoscope_abi::{INPUT_TICK, Tick};
 use crate::clock;
 use crate::decide::Ages;
 use crate::host::{CallContext, call_context};
-use crate::node::{RunContext, Sources, lag_flags, lag_ns};
+use crate::node::{lag_flags, lag_ns};
 
 /// Inputs from this index on share a bit of [`CallTimes::asked`]; [`INPUT_TICK`] has the bit after it.
 const LAST_BIT: u32 = 62;
 
-/// The times of one call.
-pub(crate) struct CallTimes<'a> {
-    /// The sources of the graph; none in calls that have no tick.
-    sources: Option<&'a dyn Sources>,
+/// The times of one call. Between two calls only the arrival that a source declared is kept.
+#[derive(Default)]
+pub(crate) struct CallTimes {
     /// The moment for which ages are given, once one was asked for.
     now_ns: Option<i64>,
     /// Inputs whose time was asked for, one bit each, see [`bit`].
@@ -24,32 +23,14 @@ pub(crate) struct CallTimes<'a> {
     recorded: Option<Box<Ages>>,
     /// Lag of all outputs, see [`Tick::flags`].
     lag: u32,
-    /// For a source: arrival of the tick.
+    /// For a source: arrival of the tick, ns of the host's clock.
     arrived_ns: Option<i64>,
 }
 
-impl<'a> CallTimes<'a> {
-    /// Nothing asked yet.
-    #[inline]
-    pub fn new(sources: Option<&'a dyn Sources>) -> Self {
-        Self { sources, now_ns: None, asked: 0, recorded: None, lag: 0, arrived_ns: None }
-    }
-
-    /// Lag that the node declared for its outputs.
-    #[inline]
-    pub fn lag(&self) -> u32 {
-        self.lag
-    }
-
-    /// Arrival that a source declared for its tick, ns of the host's clock.
-    pub fn arrived_ns(&self) -> Option<i64> {
-        self.arrived_ns
-    }
-
-    /// Whether the node asked for a time.
-    #[inline]
-    pub fn is_asked(&self) -> bool {
-        self.asked != 0
+impl CallTimes {
+    /// Takes the arrival that a source declared for the tick of its last call, ns of the host's clock.
+    pub fn take_arrived_ns(&mut self) -> Option<i64> {
+        self.arrived_ns.take()
     }
 }
 
@@ -63,32 +44,34 @@ fn wall_ns() -> i64 {
 }
 
 impl CallContext<'_> {
-    fn run(&self) -> &RunContext {
-        self.context
+    /// The times of this call; `None` where it has no tick.
+    fn times(&mut self) -> Option<&mut CallTimes> {
+        self.has_times = true;
+        self.times.as_deref_mut()
     }
 
     /// The moment of this call for ages: media time where results must not depend on the wall clock.
-    fn now_ns(&mut self) -> i64 {
-        if let Some(now_ns) = self.times.now_ns {
-            return now_ns;
+    fn now_ns(&mut self) -> Option<i64> {
+        let (run, runtime, tick) = (self.context, self.runtime, self.tick);
+        let times = self.times()?;
+        if times.now_ns.is_none() {
+            let decider = run.decider.as_deref().filter(|d| d.leads_nodes());
+            times.recorded = decider.and_then(|d| d.ages(&runtime.id, &tick)).map(Box::new);
+            times.now_ns = Some(match &times.recorded {
+                Some(recorded) => recorded.now_ns,
+                None if run.ignores_wall_clock() => tick.capture_ns,
+                None => wall_ns(),
+            });
         }
-        let decider = self.run().decider.as_deref().filter(|d| d.leads_nodes());
-        self.times.recorded = decider.and_then(|d| d.ages(&self.runtime.id, &self.tick)).map(Box::new);
-        let now_ns = match &self.times.recorded {
-            Some(recorded) => recorded.now_ns,
-            None if self.run().ignores_wall_clock() => self.tick.capture_ns,
-            None => wall_ns(),
-        };
-        self.times.now_ns = Some(now_ns);
-        now_ns
+        times.now_ns
     }
 
     /// When the light of a packet arrived, by the clock of [`Self::now_ns`].
     fn light_ns(&self, tick: &Tick) -> Option<i64> {
-        if self.run().ignores_wall_clock() {
+        if self.context.ignores_wall_clock() {
             return Some(tick.capture_ns.saturating_sub(lag_ns(tick)));
         }
-        self.times.sources?.light_ns(tick)
+        self.sources?.light_ns(tick)
     }
 
     /// The tick of an input that is not empty.
@@ -102,16 +85,16 @@ impl CallContext<'_> {
     }
 
     fn input_light_ns(&mut self, input: u32) -> Option<i64> {
-        self.now_ns();
+        self.now_ns()?;
         let tick = self.tick_of(input)?;
-        self.times.asked |= bit(input);
-        if let Some(recorded) = &self.times.recorded {
-            let known = recorded.arrived.iter().find(|(index, _)| *index == input);
-            if let Some((_, arrived_ns)) = known {
-                return *arrived_ns;
-            }
+        let times = self.times()?;
+        times.asked |= bit(input);
+        let recorded = times.recorded.as_ref();
+        let known = recorded.and_then(|recorded| recorded.arrived.iter().find(|(index, _)| *index == input));
+        match known {
+            Some((_, arrived_ns)) => *arrived_ns,
+            None => self.light_ns(&tick),
         }
-        self.light_ns(&tick)
     }
 
     /// How much older the light of another tick's packet is than that of this call's tick, as [`Tick::flags`].
@@ -126,20 +109,31 @@ impl CallContext<'_> {
         }
     }
 
-    /// What the node was answered in this call.
-    #[cold]
-    pub fn answered(&mut self) -> Ages {
-        let now_ns = self.now_ns();
-        let asked = |input: &u32| self.times.asked & bit(*input) != 0;
-        let inputs: Vec<u32> = (0..self.inputs_len as u32).chain([INPUT_TICK]).filter(asked).collect();
-        Ages { now_ns, arrived: inputs.into_iter().map(|input| (input, self.input_light_ns(input))).collect() }
+    /// What the node was answered in this call; `None` when it asked nothing.
+    pub fn answered(&mut self) -> Option<Ages> {
+        let asked = self.times()?.asked;
+        if asked == 0 {
+            return None;
+        }
+        let now_ns = self.now_ns()?;
+        let inputs = (0..self.inputs_len as u32).chain([INPUT_TICK]).filter(|input| asked & bit(*input) != 0);
+        Some(Ages { now_ns, arrived: inputs.map(|input| (input, self.input_light_ns(input))).collect() })
+    }
+
+    /// Ends the use of the times in this call. Returns the lag that the node declared for its outputs.
+    pub fn end_times(&mut self) -> u32 {
+        let Some(times) = self.times() else { return 0 };
+        let (lag, arrived_ns) = (times.lag, times.arrived_ns);
+        *times = CallTimes { arrived_ns, ..CallTimes::default() };
+        lag
     }
 }
 
 pub(crate) unsafe extern "C" fn set_arrived_ns(call: *mut c_void, arrived_ns: i64) {
     // SAFETY: plugins pass back the handle of the running call (the contract).
-    if let Some(call_context) = unsafe { call_context(call) } {
-        call_context.times.arrived_ns = Some(arrived_ns.min(wall_ns()));
+    let call_context = unsafe { call_context(call) };
+    if let Some(times) = call_context.and_then(CallContext::times) {
+        times.arrived_ns = Some(arrived_ns.min(wall_ns()));
     }
 }
 
@@ -153,12 +147,14 @@ pub(crate) unsafe extern "C" fn age_ns(call: *mut c_void, input: u32) -> i64 {
     // SAFETY: plugins pass back the handle of the running call (the contract).
     let Some(call_context) = (unsafe { call_context(call) }) else { return i64::MAX };
     let arrived_ns = call_context.input_light_ns(input);
-    arrived_ns.map_or(i64::MAX, |arrived_ns| call_context.now_ns().saturating_sub(arrived_ns).max(0))
+    let now_ns = call_context.now_ns();
+    now_ns.zip(arrived_ns).map_or(i64::MAX, |(now_ns, arrived_ns)| now_ns.saturating_sub(arrived_ns).max(0))
 }
 
 pub(crate) unsafe extern "C" fn set_lag_ns(call: *mut c_void, lag_ns: i64) {
     // SAFETY: plugins pass back the handle of the running call (the contract).
-    if let Some(call_context) = unsafe { call_context(call) }.filter(|call_context| !call_context.runtime.source) {
-        call_context.times.lag = lag_flags(lag_ns);
+    let call_context = unsafe { call_context(call) }.filter(|call_context| !call_context.runtime.source);
+    if let Some(times) = call_context.and_then(CallContext::times) {
+        times.lag = lag_flags(lag_ns);
     }
 }

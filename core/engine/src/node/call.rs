@@ -22,7 +22,6 @@ use crate::params::Snapshot;
 use crate::retained::attention;
 use crate::scratch::{CallOutputs, clear};
 use crate::stats::bump;
-use crate::times::CallTimes;
 
 /// Whether to call a node for a tick.
 enum Due {
@@ -274,15 +273,15 @@ impl NodeRuntime {
             first_formats: exec.first_formats(),
             runtime: self,
             holds: &exec.instance.holds,
-            log: &context.log,
             failure: &mut exec.failure,
             has_failure: false,
             refused: None,
             random: None,
             tick: *tick,
-            times: CallTimes::new(Some(ports.sources)),
             context,
-            wait_for_memory: context.ignores_wall_clock(),
+            sources: Some(ports.sources),
+            times: Some(&mut exec.times),
+            has_times: false,
         };
         let mut call = abi::Call {
             struct_size: size_of::<abi::Call>() as u32,
@@ -308,21 +307,14 @@ impl NodeRuntime {
         current_node::end_call();
         let refused = call_context.refused.take();
         let reports = call_context.has_failure && status >= abi::STATUS_OK;
-        if call_context.times.is_asked() {
-            self.record_ages(context, tick, &mut call_context);
-        }
-        let lag = call_context.times.lag();
-        if lag > tick.flags {
-            // Readers see the age that the node declared.
-            tick.flags = lag;
-            made.outputs.iter_mut().for_each(|frame| frame.tick.flags = frame.tick.flags.max(lag));
+        if call_context.has_times {
+            self.take_times(tick, &mut call_context, &mut made.outputs);
         }
         if let Some(lent) = call_context.lent {
             // From here on the output holds the input's reference.
             ports.inputs[lent.input as usize].forget();
         }
         if exec.source {
-            exec.arrived_ns = call_context.times.arrived_ns();
             tick.capture_ns = call.tick.capture_ns;
             for frame in made.outputs.iter_mut().filter(|f| !f.is_empty()) {
                 frame.tick = *tick;
@@ -334,10 +326,16 @@ impl NodeRuntime {
         (status, refused)
     }
 
-    /// Passes to the observer what the node was answered about the time of its inputs.
+    /// Passes to the observer what the node was answered about the time of its inputs, and to its readers the age that it declared.
     #[cold]
-    fn record_ages(&self, context: &RunContext, tick: &Tick, call: &mut CallContext<'_>) {
-        self.record_event(context, |node| Event::Ages { node, tick: *tick, ages: call.answered() });
+    fn take_times(&self, tick: &mut Tick, call: &mut CallContext<'_>, outputs: &mut [abi::Frame]) {
+        let run = call.context;
+        if let Some(ages) = run.observer.as_ref().and_then(|_| call.answered()) {
+            self.record_event(run, |node| Event::Ages { node, tick: *tick, ages });
+        }
+        let lag = call.end_times();
+        tick.flags = tick.flags.max(lag);
+        outputs.iter_mut().for_each(|frame| frame.tick.flags = frame.tick.flags.max(lag));
     }
 
     /// Checks the outputs of a call that reported success.
