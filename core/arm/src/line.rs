@@ -109,7 +109,7 @@ impl Line {
         let vector = |words: &mut std::str::Split<'_, char>| -> Option<JointVector> {
             let mut out = JointVector::zeros();
             for k in 0..JOINTS {
-                out[k] = words.next()?.parse::<i64>().ok().filter(|v| v.abs() <= 9_000_000_000)? as f64 * 1e-6;
+                out[k] = words.next()?.parse::<i64>().ok().filter(|v| v.unsigned_abs() <= 9_000_000_000)? as f64 * 1e-6;
             }
             Some(out)
         };
@@ -195,6 +195,18 @@ mod tests {
                 assert_eq!(text(back), bytes);
             }
         }
+    }
+
+    #[test]
+    fn numbers_beyond_the_range_are_no_line() {
+        let line = |number: i64| {
+            let body = format!("A 7 R {number} 0 0 0 0 0");
+            Line::read(format!("{body}*{:02X}", sum(body.as_bytes())).as_bytes())
+        };
+        for number in [i64::MIN, i64::MIN + 1, -9_000_000_001, 9_000_000_001, i64::MAX] {
+            assert!(line(number).is_none(), "{number}");
+        }
+        assert!(line(-9_000_000_000).is_some());
     }
 
     #[test]

@@ -35,11 +35,13 @@ pub enum Cause {
     BadDemand,
     /// Further movement would leave the limits of joints or workspace.
     Limit,
+    /// The driver's thread ended by itself; latches.
+    DriverFailed,
 }
 
 impl Cause {
     /// All causes; a cause's index is its number in tables.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::EmergencyStop,
         Self::NotFollowing,
         Self::Unplugged,
@@ -55,6 +57,7 @@ impl Cause {
         Self::LoopStalled,
         Self::BadDemand,
         Self::Limit,
+        Self::DriverFailed,
     ];
 
     /// Its number in tables, from 1; 0 stands for no stop.
@@ -72,6 +75,7 @@ impl Cause {
                 | Self::Garbage
                 | Self::Stalled
                 | Self::DeviceStopped
+                | Self::DriverFailed
         )
     }
 
@@ -93,6 +97,7 @@ impl Cause {
             Self::LoopStalled => "the control loop does not run",
             Self::BadDemand => "the demand makes no sense",
             Self::Limit => "at the limit of joints or workspace",
+            Self::DriverFailed => "the arm's driver failed",
         }
     }
 }

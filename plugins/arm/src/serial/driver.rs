@@ -37,13 +37,33 @@ pub struct Connection {
     pub answer_within: Duration,
 }
 
+/// When a packet was posted, and how old its light was then.
+#[derive(Clone, Copy, Debug)]
+pub struct Light {
+    /// When the node received the packet.
+    pub posted: Instant,
+    /// Age of the light at that moment.
+    pub age_ns: i64,
+}
+
+/// Requested joint velocities.
+#[derive(Clone, Copy, Debug)]
+pub struct Demand {
+    /// rad/s.
+    pub velocity: [f64; 8],
+    /// How many of them were given.
+    pub count: usize,
+    /// Its time and that of the light that it was computed from.
+    pub light: Light,
+}
+
 /// Posted by the node, taken by the thread.
 #[derive(Debug, Default)]
 pub struct Inbox {
-    /// Requested joint velocities, rad/s, and their number.
-    pub demand: Option<([f64; 8], usize)>,
-    /// The newest tip, and its age when the node received it.
-    pub tip: Option<(Evidence, Duration)>,
+    /// Requested joint velocities.
+    pub demand: Option<Demand>,
+    /// The newest tip.
+    pub tip: Option<(Evidence, Light)>,
     /// New settings of the interlock.
     pub settings: Option<Settings>,
     /// Whether `emergency_stop` is on.
@@ -98,6 +118,7 @@ fn remember(path: &std::path::Path, cause: Option<Cause>) {
 
 /// The running driver.
 pub struct Driver {
+    path: PathBuf,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
 }
@@ -143,7 +164,7 @@ impl Driver {
             .name("arm_serial".to_owned())
             .spawn(move || work.run())
             .map_err(PortError::Gone)?;
-        Ok(Self { shared, thread: Some(thread) })
+        Ok(Self { path: connection.path.clone(), shared, thread: Some(thread) })
     }
 
     /// Posts to the thread.
@@ -152,12 +173,19 @@ impl Driver {
     }
 
     /// The newest state. Calls `event` once for each new event.
-    pub fn read(&self, mut event: impl FnMut(Event)) -> Outbox {
+    ///
+    /// # Errors
+    /// The thread has ended by itself. The stop is latched: a driver that is opened again on this line starts stopped.
+    pub fn read(&self, mut event: impl FnMut(Event)) -> Result<Outbox, PortError> {
+        if self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
+            remember(&self.path, Some(Cause::DriverFailed));
+            return Err(PortError::DriverFailed);
+        }
         let mut outbox = locked(&self.shared.outbox);
         while let Some(next) = outbox.events.pop_front() {
             event(next);
         }
-        outbox.clone()
+        Ok(outbox.clone())
     }
 }
 
@@ -255,8 +283,13 @@ struct Work {
 }
 
 impl Work {
+    /// A moment by the interlock's clock, ns.
+    fn at(&self, moment: Instant) -> i64 {
+        i64::try_from(moment.saturating_duration_since(self.start).as_nanos()).unwrap_or(i64::MAX)
+    }
+
     fn now_ns(&self) -> i64 {
-        i64::try_from(self.start.elapsed().as_nanos()).unwrap_or(i64::MAX)
+        self.at(Instant::now())
     }
 
     fn run(&mut self) {
@@ -296,11 +329,13 @@ impl Work {
         if inbox.emergency_stop {
             self.lock.latch(Cause::EmergencyStop);
         }
-        if let Some((evidence, age)) = inbox.tip.filter(|_| !leaving) {
-            self.lock.tip(now_ns.saturating_sub(age.as_nanos() as i64), evidence);
+        if let Some((evidence, light)) = inbox.tip.filter(|_| !leaving) {
+            self.lock.tip(self.at(light.posted).saturating_sub(light.age_ns), evidence);
         }
-        if let Some((values, count)) = inbox.demand.filter(|_| !leaving) {
-            self.lock.demand(now_ns, &values[..count.min(values.len())]);
+        if let Some(Demand { velocity, count, light }) = inbox.demand.filter(|_| !leaving) {
+            let made_ns = self.at(light.posted);
+            let velocity = &velocity[..count.min(velocity.len())];
+            self.lock.demand_of_light(made_ns, made_ns.saturating_sub(light.age_ns), velocity);
         }
         self.lock.advance(now_ns, &mut |_| {});
         let point = *self.lock.set_point();
@@ -379,5 +414,47 @@ impl Work {
             }
             outbox.events.push_back(event);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_that_ends_by_itself_is_an_error_and_latches() {
+        let chain = crate::joints::arm_of(std::path::Path::new("")).expect("the arm of the plugin");
+        let encoders = JointVector::zeros();
+        let lock = Interlock::new(chain, encoders, 0);
+        let outbox = Outbox {
+            encoders,
+            set_point: (encoders, encoders),
+            stop: None,
+            latched: false,
+            stops: 0,
+            answer_age_ms: 0.0,
+            pivot_mm: lock.tube().pivot_mm,
+            depth_mm: lock.tube().depth_mm,
+            events: VecDeque::new(),
+        };
+        let (inbox, outbox, leave) = (Mutex::default(), Mutex::new(outbox), AtomicBool::new(false));
+        let shared = Arc::new(Shared { inbox, outbox, leave });
+        let (end, ended) = std::sync::mpsc::channel::<()>();
+        let thread = std::thread::spawn(move || {
+            let _ = ended.recv();
+            panic!("as a driver's thread may");
+        });
+        let path = PathBuf::from("/dev/of_the_test");
+        let driver = Driver { path: path.clone(), shared, thread: Some(thread) };
+        assert!(driver.read(|_| {}).is_ok_and(|outbox| outbox.stop.is_none()));
+        drop(end);
+        while driver.read(|_| {}).is_ok() {
+            std::thread::yield_now();
+        }
+        assert!(driver.read(|_| {}).is_err_and(|error| error.to_string().contains("driver")));
+        drop(driver);
+        let known = locked(&LATCHED).iter().find(|(known, _)| *known == path).map(|(_, cause)| *cause);
+        assert_eq!(known, Some(Cause::DriverFailed), "the next driver on this line starts stopped");
+        remember(&path, None);
     }
 }

@@ -4,17 +4,14 @@ mod driver;
 mod port;
 
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use panoscope_node::abi::Tip;
-use panoscope_node::{
-    Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation, Value,
-};
+use panoscope_node::{Context, Node, NodeInfo, Open, Params, Ports, Result, Slot, TableData, TextPacket, Validation};
 
 use crate::declared::{In, MotionOut, StopParams};
-use crate::guard;
+use crate::guard::{self, age_ns};
 use crate::joints::{arm_of, check_arm, requested};
-use driver::{Connection, Driver};
+use driver::{Connection, Demand, Driver, Light};
 
 /// Outputs.
 #[derive(Ports)]
@@ -94,28 +91,24 @@ impl Node for ArmSerial {
 
     fn process<'f>(&mut self, cx: &Context<'f>, input: In<'f>, mut out: Out<'f>, params: &SerialParams) -> Result<()> {
         let release = self.reset.replace(params.stop.reset).is_some_and(|old| old != params.stop.reset);
-        // The tip's age in media time when it got here; from here on the driver's own clock counts.
-        let now_ns = cx.tick().capture_ns;
-        let age = |tip: &Value<'_, Tip>| {
-            let ns = now_ns.saturating_sub(tip.tick().capture_ns);
-            Duration::from_nanos(ns.unsigned_abs())
-        };
+        // The age of the light when it got here; from here on the driver's own clock counts.
+        let posted = Instant::now();
+        let tip = input.tip.as_ref().map(|tip| (guard::evidence(tip), Light { posted, age_ns: age_ns(cx, tip) }));
+        let demand = input.joints.as_ref().filter(|_| params.enabled).map(|joints| {
+            let (values, mut velocity) = (requested(joints), [0.0; 8]);
+            velocity[..values.len()].copy_from_slice(values);
+            Demand { velocity, count: values.len(), light: Light { posted, age_ns: age_ns(cx, joints) } }
+        });
         self.driver.post(|inbox| {
             inbox.settings = Some(params.stop.settings());
             inbox.emergency_stop = params.stop.emergency_stop;
             inbox.release |= release;
-            if let Some(tip) = &input.tip {
-                inbox.tip = Some((guard::evidence(tip), age(tip)));
-            }
-            if let Some(joints) = input.joints.as_ref().filter(|_| params.enabled) {
-                let (values, mut retained) = (requested(joints), [0.0; 8]);
-                retained[..values.len()].copy_from_slice(values);
-                inbox.demand = Some((retained, values.len()));
-            }
+            inbox.tip = tip.or(inbox.tip);
+            inbox.demand = demand.or(inbox.demand);
         });
-        let known = self
-            .driver
-            .read(|event| if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) });
+        let known = self.driver.read(|event| {
+            if event.stop.is_some() { cx.warn(&event.to_string()) } else { cx.info(&event.to_string()) }
+        })?;
         let stance = self.chain.stance(&known.encoders);
         let (position_rad, velocity_rad_s) = &known.set_point;
         out.motion.set(&stance, &self.home, (&known.encoders, velocity_rad_s), (position_rad, velocity_rad_s))?;

@@ -38,6 +38,11 @@ pub enum PortError {
         /// Lines received that are no answers.
         garbage: u32,
     },
+    /// The driver's thread ended by itself.
+    #[error(
+        "the arm's driver ended by itself, so no set-points are sent and the arm's own watchdog stops it; the stop is latched: check the arm, then change `reset`"
+    )]
+    DriverFailed,
     /// The connection was lost.
     #[error("the serial line was lost: {0}")]
     Gone(std::io::Error),
