@@ -91,8 +91,13 @@ struct Reported {
     stopped: bool,
 }
 
-const SINKS: [Sink; 8] = [
+const SINKS: [Sink; 9] = [
     Sink { name: "video", run: |f, n, ack| run::<WriteVideo>(f, "path = \"v.mkv\"", n, ack, picture), read: videos },
+    Sink {
+        name: "h264",
+        run: |f, n, ack| run::<WriteVideo>(f, "path = \"v.mkv\", codec = \"h264\"", n, ack, picture),
+        read: videos,
+    },
     Sink {
         name: "images",
         run: |f, n, ack| run::<WriteImages>(f, "path = \"{seq}.png\"", n, ack, picture),
