@@ -100,6 +100,8 @@ pub struct Encoder {
     pipeline: Pipeline,
     bus: Bus,
     source: Pad,
+    /// Takes the packets; a link does not keep a pad alive.
+    sink: Pad,
     encoder: Element,
     settings: EncoderSettings,
     /// Size of the incoming pictures, which are fitted into the video's size.
@@ -288,7 +290,7 @@ impl Encoder {
         source.link(&first).map_err(|error| wired(&error))?;
         last.link(&sink).map_err(|error| wired(&error))?;
         let bus = pipeline.bus().ok_or_else(|| wired(&"the pipeline has no bus"))?;
-        let encoder = Self { pipeline, bus, source, encoder, settings, input: None, picture: None, collected };
+        let encoder = Self { pipeline, bus, source, sink, encoder, settings, input: None, picture: None, collected };
         if encoder.pipeline.set_state(State::Playing).is_err() {
             return Err(encoder.error("it does not start"));
         }
@@ -427,5 +429,7 @@ impl Drop for Encoder {
     fn drop(&mut self) {
         // Stopping cannot fail in a way that anybody could repair.
         let _ = self.pipeline.set_state(State::Null);
+        let _ = self.source.set_active(false);
+        let _ = self.sink.set_active(false);
     }
 }
