@@ -62,7 +62,8 @@ impl ContainerFile {
         let pipeline = Pipeline::new();
         let failed = |error: &dyn std::fmt::Display| MediaError::Encoder { encoder: name.to_owned(), reason: error.to_string() };
         pipeline.add_many([source.upcast_ref(), &muxer, &file]).map_err(|error| failed(&error))?;
-        source.link(&muxer).map_err(|_| failed(&format!("it does not take {caps}")))?;
+        // Any other pad, for sound, would be linked as well.
+        source.link_pads(None, &muxer, Some("video_%u")).map_err(|_| failed(&format!("it does not take {caps}")))?;
         muxer.link(&file).map_err(|error| failed(&error))?;
         let bus = pipeline.bus().ok_or_else(|| failed(&"the pipeline has no bus"))?;
         let file = Self { pipeline, source, bus };

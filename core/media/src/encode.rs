@@ -3,11 +3,14 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use gstreamer::prelude::*;
-use gstreamer::{Buffer, Bus, Caps, ClockTime, Element, Fraction, MessageView, Pad, PadDirection, Pipeline, State};
+use gstreamer::{Buffer, Bus, Caps, ClockTime, Element, EventView, FormattedSegment, Fraction, MessageView, Pad, PadDirection, Pipeline, State};
 use gstreamer_video::{DownstreamForceKeyUnitEvent, VideoFormat, VideoInfo};
 
 use crate::MediaError;
 use crate::elements::{init, make};
+
+/// Parts of an FFV1 picture that are encoded in parallel.
+const FFV1_SLICES: i32 = 4;
 
 /// How pictures are compressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,7 +94,31 @@ impl Packet {
 #[derive(Default)]
 struct Collected {
     caps: Option<Caps>,
+    /// Encoders count their times from another origin than the pictures': the segment tells.
+    segment: FormattedSegment<ClockTime>,
     packets: Vec<Packet>,
+}
+
+impl Collected {
+    fn event(&mut self, event: &gstreamer::Event) {
+        match event.view() {
+            EventView::Caps(event) => self.caps = Some(event.caps_owned()),
+            EventView::Segment(event) => {
+                if let Some(segment) = event.segment().downcast_ref::<ClockTime>() {
+                    self.segment = segment.clone();
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn packet(&mut self, mut buffer: Buffer) {
+        let time = buffer.pts().and_then(|time| self.segment.to_running_time(time));
+        let writable = buffer.make_mut();
+        writable.set_pts(time);
+        writable.set_dts(None);
+        self.packets.push(Packet { buffer });
+    }
 }
 
 /// Encodes in the thread of the caller: no queue, so that a picture's packet is there when [`Encoder::encode`] returns, and none is lost when
@@ -191,11 +218,10 @@ impl VideoCodec {
                 }
             }
             Self::Mpeg4 { quality_pct } => {
-                /// FFmpeg's `FF_QP2LAMBDA`.
-                const LAMBDA_PER_QP: i32 = 118;
                 let quantizer = 1 + (100 - i32::from(quality_pct)) * 30 / 100;
-                encoder.set_property_from_str("flags", "qscale");
-                encoder.set_property("global-quality", quantizer * LAMBDA_PER_QP);
+                // Its own mode of constant quality ignores the quantizer.
+                encoder.set_property("qmin", quantizer);
+                encoder.set_property("qmax", quantizer);
                 encoder.set_property("gop-size", key_interval as i32);
             }
             Self::Vp8 { quality_pct } => {
@@ -208,7 +234,11 @@ impl VideoCodec {
                 encoder.set_property("keyframe-max-dist", key_interval as i32);
                 encoder.set_property("timebase", Fraction::new(1, 1000));
             }
-            Self::Ffv1 => encoder.set_property("gop-size", 1_i32),
+            Self::Ffv1 => {
+                encoder.set_property("gop-size", 1_i32);
+                encoder.set_property("slices", FFV1_SLICES);
+                encoder.set_property_from_str("threads", "auto");
+            }
         }
     }
 
@@ -270,17 +300,15 @@ impl Encoder {
         };
         let collected = Arc::new(Mutex::new(Collected::default()));
         let source = Pad::builder(PadDirection::Src).name("pictures").build();
-        let (packets, caps) = (Arc::clone(&collected), Arc::clone(&collected));
+        let (packets, events) = (Arc::clone(&collected), Arc::clone(&collected));
         let sink = Pad::builder(PadDirection::Sink)
             .name("packets")
             .chain_function(move |_, _, buffer| {
-                lock(&packets).packets.push(Packet { buffer });
+                lock(&packets).packet(buffer);
                 Ok(gstreamer::FlowSuccess::Ok)
             })
             .event_function(move |_, _, event| {
-                if let gstreamer::EventView::Caps(event) = event.view() {
-                    lock(&caps).caps = Some(event.caps_owned());
-                }
+                lock(&events).event(&event);
                 true
             })
             .build();
@@ -368,7 +396,7 @@ impl Encoder {
         }
         self.source.push_event(gstreamer::event::Caps::new(&caps));
         if self.input.is_none() {
-            let segment = gstreamer::FormattedSegment::<ClockTime>::new();
+            let segment = FormattedSegment::<ClockTime>::new();
             self.source.push_event(gstreamer::event::Segment::new(&segment));
         }
         self.input = Some(info.clone());

@@ -152,8 +152,8 @@ fn clients_see_the_pictures_of_every_codec_and_come_and_go() {
 fn streams_share_a_port_and_end_alone() {
     let mut wide = Source::new(r#"port = 0, path = "/wide""#);
     let port = wide.port();
-    // Both asked for port 0 at this address.
-    let mut depth = Source::of(open_as("depth", r#"port = 0, path = "depth/left", codec = "mjpg""#).unwrap(), 2000);
+    let params = format!(r#"port = {port}, path = "depth/left", codec = "mjpg""#);
+    let mut depth = Source::of(open_as("depth", &params).unwrap(), 2000);
     assert_eq!(depth.port(), port);
     let mut first = Client::connect(port, "/wide", "tcp");
     let mut second = Client::connect(port, "/depth/left", "tcp");
@@ -164,7 +164,7 @@ fn streams_share_a_port_and_end_alone() {
         first.numbers.len() >= 10 && second.numbers.len() >= 10
     });
     assert!(first.numbers.iter().all(|n| *n < 2000) && second.numbers.iter().all(|n| *n >= 2000));
-    let message = open_as("other", r#"port = 0, path = "/wide/""#).err().expect("a path has one stream");
+    let message = open_as("other", &format!(r#"port = {port}, path = "/wide/""#)).err().expect("a path has one stream");
     assert!(message.contains("`out`") && message.contains("/wide") && message.contains("another `path`"), "{message}");
     depth.node.finish().unwrap();
     drop(depth);
@@ -172,7 +172,7 @@ fn streams_share_a_port_and_end_alone() {
     let before = first.look();
     wide.show_until("the other goes on", |_| first.look() > before + 10);
     // The path is free again.
-    drop(open_as("other", r#"port = 0, path = "/depth/left""#).unwrap());
+    drop(open_as("other", &format!(r#"port = {port}, path = "/depth/left""#)).unwrap());
 }
 
 #[test]

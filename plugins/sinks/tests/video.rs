@@ -77,7 +77,7 @@ fn every_codec_keeps_all_pictures_and_their_times() {
         let pictures = decode(&file);
         let mut numbers: Vec<u64> = pictures.iter().map(|p| p.number().expect("a number")).collect();
         let times: Vec<i64> =
-            pictures.iter().map(|p| (p.time_ns.expect("a time") as f64 / 1e6).round() as i64).collect();
+            pictures.iter().map(|p| p.time_ns.map_or(-1, |ns| (ns as f64 / 1e6).round() as i64)).collect();
         if *ending == "avi" {
             // A constant rate: the picture before the gap is repeated.
             assert_eq!(numbers.len(), 33, "{codec}.{ending}: {numbers:?}");
@@ -156,30 +156,6 @@ fn files_that_cannot_hold_a_codec_are_refused() {
         let found = Harness::<WriteVideo>::problems(&setup.graph_dir(&folder.0), &["image"]).unwrap();
         let message = found.iter().map(|problem| problem.message.as_str()).collect::<String>();
         assert!(message.contains(&format!("a .{ending} file cannot hold")), "{codec}.{ending}: {message}");
-    }
-}
-
-#[test]
-fn a_full_disk_is_met_by_every_kind_of_file() {
-    let folder = Folder::new("full_video");
-    for ending in ["mkv", "mp4", "mov", "avi"] {
-        let name = format!("v.{ending}");
-        std::os::unix::fs::symlink("/dev/full", folder.0.join(&name)).unwrap();
-        let mut node = open(&folder.0, &format!(r#"path = "{name}""#));
-        let mut errors = Vec::new();
-        for number in 0..40_u64 {
-            node.at_tick(number, number as i64 * 40_000_000);
-            let picture = numbered(SIZE_PX, number);
-            let processed = node.input_image::<Bgr8>("image", SIZE_PX.0, SIZE_PX.1, &picture).process();
-            errors.extend(processed.err());
-            if !errors.is_empty() {
-                break;
-            }
-        }
-        errors.extend(node.finish().err());
-        let first = errors.first().unwrap_or_else(|| panic!("{ending}: not reported"));
-        assert!(first.to_string().contains("the disk is full"), "{ending}: {first}");
-        assert_eq!(first.status(), Some(panoscope_node::abi::STATUS_STOPPED), "{ending}");
     }
 }
 

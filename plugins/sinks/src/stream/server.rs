@@ -59,8 +59,6 @@ pub fn path_problem(path: &str) -> Option<String> {
 }
 
 struct Server {
-    /// As it was asked for; the port may be 0.
-    asked: SocketAddr,
     bound: SocketAddr,
     rtsp: RTSPServer,
     mounts: RTSPMountPoints,
@@ -126,7 +124,6 @@ impl Server {
             .spawn(run)
             .map_err(|error| failed(error.to_string()))?;
         Ok(Self {
-            asked,
             bound: SocketAddr::new(asked.ip(), port),
             rtsp,
             mounts,
@@ -138,11 +135,11 @@ impl Server {
         })
     }
 
-    /// The running server of an address, or a new one.
+    /// The running server of an address, or a new one. Port 0 always gives a new one.
     fn get(asked: SocketAddr) -> Result<Arc<Self>, ServeError> {
         let mut servers = SERVERS.lock().unwrap_or_else(PoisonError::into_inner);
         servers.retain(|server| server.strong_count() > 0);
-        if let Some(server) = servers.iter().filter_map(Weak::upgrade).find(|server| server.asked == asked) {
+        if let Some(server) = servers.iter().filter_map(Weak::upgrade).find(|server| server.bound == asked) {
             return Ok(server);
         }
         let server = Arc::new(Self::start(asked)?);
