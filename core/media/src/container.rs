@@ -12,6 +12,9 @@ use crate::{MediaError, Packet};
 /// Compressed bytes that may wait for the disk, before a push waits.
 const WAITING_BYTES: u64 = 8 << 20;
 
+/// How long the only picture of a file is shown.
+const FIRST_DURATION: ClockTime = ClockTime::from_mseconds(33);
+
 /// Longest wait for the end of a file, s: a disk that takes longer has failed.
 const END_WAIT_S: u64 = 120;
 
@@ -31,6 +34,10 @@ pub struct ContainerFile {
     pipeline: Pipeline,
     source: AppSrc,
     bus: Bus,
+    /// The newest packet, whose duration the next one tells.
+    held: Option<Packet>,
+    duration: ClockTime,
+    has_failed: bool,
 }
 
 impl Container {
@@ -58,6 +65,9 @@ impl ContainerFile {
         // Written as it comes, not when it is due.
         file.set_property("sync", false);
         file.set_property("async", false);
+        // A write that fails is reported with the picture that it belongs to. (And the element repeats its first buffer where the system writes only
+        // a part of several.)
+        file.set_property_from_str("buffer-mode", "unbuffered");
         let source = AppSrc::builder().caps(caps).format(Format::Time).max_bytes(WAITING_BYTES).block(true).build();
         let pipeline = Pipeline::new();
         let failed = |error: &dyn std::fmt::Display| MediaError::Encoder { encoder: name.to_owned(), reason: error.to_string() };
@@ -66,25 +76,33 @@ impl ContainerFile {
         source.link_pads(None, &muxer, Some("video_%u")).map_err(|_| failed(&format!("it does not take {caps}")))?;
         muxer.link(&file).map_err(|error| failed(&error))?;
         let bus = pipeline.bus().ok_or_else(|| failed(&"the pipeline has no bus"))?;
-        let file = Self { pipeline, source, bus };
+        let file = Self { pipeline, source, bus, held: None, duration: FIRST_DURATION, has_failed: false };
         if file.pipeline.set_state(State::Playing).is_err() {
             return Err(file.bus_error().unwrap_or_else(|| failed(&"it does not start")));
         }
         Ok(file)
     }
 
-    /// Appends a packet that is shown for `duration_ns`.
+    /// Appends a packet; times grow. It is written when the next one has come.
     ///
     /// # Errors
     /// The file could not be written, also of earlier packets.
-    pub fn push(&mut self, packet: Packet, duration_ns: Option<u64>) -> Result<(), MediaError> {
-        let mut buffer = packet.buffer;
+    pub fn push(&mut self, packet: Packet) -> Result<(), MediaError> {
+        let result = self.release(packet.buffer.pts());
+        self.held = Some(packet);
+        self.has_failed |= result.is_err();
+        result
+    }
+
+    /// Hands the packet that is held to the muxer, to be shown until `next`, or for as long as the one before.
+    fn release(&mut self, next: Option<ClockTime>) -> Result<(), MediaError> {
+        let Some(Packet { mut buffer }) = self.held.take() else { return Ok(()) };
+        let time = buffer.pts();
+        let until_next = next.zip(time).and_then(|(next, time)| next.checked_sub(time));
+        self.duration = until_next.unwrap_or(self.duration);
         let writable = buffer.make_mut();
-        if let Some(duration_ns) = duration_ns {
-            writable.set_duration(ClockTime::from_nseconds(duration_ns));
-        }
-        // No picture is shown before an earlier one.
-        let time = writable.pts();
+        writable.set_duration(self.duration);
+        // Pictures are encoded in the order in which they are shown.
         writable.set_dts(time);
         let pushed = self.source.push_buffer(buffer);
         match (self.bus_error(), pushed) {
@@ -94,11 +112,15 @@ impl ContainerFile {
         }
     }
 
-    /// Writes the index. The file is with the system on return, which may not have put it on the disk.
+    /// Writes the index. The file is with the system on return, which may not have put it on the disk. After an error of `push` there is no end.
     ///
     /// # Errors
     /// The file could not be written.
     pub fn finish(&mut self) -> Result<(), MediaError> {
+        if self.has_failed {
+            return Ok(());
+        }
+        self.release(None)?;
         // Refused only after an error, which is on the bus.
         let _ = self.source.end_of_stream();
         let ends = [MessageType::Eos, MessageType::Error];

@@ -1,5 +1,6 @@
 //! Pictures to packets: an encoder that is called like a function.
 
+use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use gstreamer::prelude::*;
@@ -71,8 +72,8 @@ pub struct EncoderSettings {
     pub framing: Framing,
     /// Columns and rows of the video in px. H.264 and HEVC have even sizes: an odd last column or row is repeated.
     pub size_px: (usize, usize),
-    /// Pictures per second where the rate is constant; otherwise each picture has its own time.
-    pub rate_hz: Option<Fraction>,
+    /// Pictures per second, which a bit rate refers to and files of a constant rate state. Each packet keeps the time of its picture all the same.
+    pub rate_hz: Fraction,
     /// Distance of key frames in pictures, for codecs that have other frames.
     pub key_interval: u32,
 }
@@ -94,31 +95,7 @@ impl Packet {
 #[derive(Default)]
 struct Collected {
     caps: Option<Caps>,
-    /// Encoders count their times from another origin than the pictures': the segment tells.
-    segment: FormattedSegment<ClockTime>,
     packets: Vec<Packet>,
-}
-
-impl Collected {
-    fn event(&mut self, event: &gstreamer::Event) {
-        match event.view() {
-            EventView::Caps(event) => self.caps = Some(event.caps_owned()),
-            EventView::Segment(event) => {
-                if let Some(segment) = event.segment().downcast_ref::<ClockTime>() {
-                    self.segment = segment.clone();
-                }
-            }
-            _ => {}
-        }
-    }
-
-    fn packet(&mut self, mut buffer: Buffer) {
-        let time = buffer.pts().and_then(|time| self.segment.to_running_time(time));
-        let writable = buffer.make_mut();
-        writable.set_pts(time);
-        writable.set_dts(None);
-        self.packets.push(Packet { buffer });
-    }
 }
 
 /// Encodes in the thread of the caller: no queue, so that a picture's packet is there when [`Encoder::encode`] returns, and none is lost when
@@ -135,6 +112,10 @@ pub struct Encoder {
     input: Option<VideoInfo>,
     /// Reused once the elements have released it.
     picture: Option<Buffer>,
+    pictures: u64,
+    /// Times of the pictures whose packets are still to come. The elements count pictures at a constant rate, because codecs spend bits by the
+    /// time between pictures and some cannot hold a time in ms; packets come in the order of their pictures.
+    times_ns: VecDeque<u64>,
     collected: Arc<Mutex<Collected>>,
 }
 
@@ -232,7 +213,6 @@ impl VideoCodec {
                 encoder.set_property("cpu-used", 8_i32);
                 encoder.set_property("lag-in-frames", 0_i32);
                 encoder.set_property("keyframe-max-dist", key_interval as i32);
-                encoder.set_property("timebase", Fraction::new(1, 1000));
             }
             Self::Ffv1 => {
                 encoder.set_property("gop-size", 1_i32);
@@ -304,11 +284,13 @@ impl Encoder {
         let sink = Pad::builder(PadDirection::Sink)
             .name("packets")
             .chain_function(move |_, _, buffer| {
-                lock(&packets).packet(buffer);
+                lock(&packets).packets.push(Packet { buffer });
                 Ok(gstreamer::FlowSuccess::Ok)
             })
             .event_function(move |_, _, event| {
-                lock(&events).event(&event);
+                if let EventView::Caps(event) = event.view() {
+                    lock(&events).caps = Some(event.caps_owned());
+                }
                 true
             })
             .build();
@@ -318,7 +300,7 @@ impl Encoder {
         source.link(&first).map_err(|error| wired(&error))?;
         last.link(&sink).map_err(|error| wired(&error))?;
         let bus = pipeline.bus().ok_or_else(|| wired(&"the pipeline has no bus"))?;
-        let encoder = Self { pipeline, bus, source, sink, encoder, settings, input: None, picture: None, collected };
+        let encoder = Self { pipeline, bus, source, sink, encoder, settings, input: None, picture: None, pictures: 0, times_ns: VecDeque::new(), collected };
         if encoder.pipeline.set_state(State::Playing).is_err() {
             return Err(encoder.error("it does not start"));
         }
@@ -356,7 +338,8 @@ impl Encoder {
     /// # Errors
     /// The encoder fails, or `bgr` does not have this size.
     pub fn encode(&mut self, bgr: &[u8], size_px: (usize, usize), time_ns: u64) -> Result<Vec<Packet>, MediaError> {
-        let buffer = self.fill(bgr, size_px, time_ns)?;
+        let buffer = self.fill(bgr, size_px)?;
+        self.times_ns.push_back(time_ns);
         self.picture = Some(buffer.clone());
         let pushed = self.source.push(buffer);
         if let Err(error) = pushed {
@@ -379,17 +362,22 @@ impl Encoder {
         Ok(self.take())
     }
 
-    fn take(&self) -> Vec<Packet> {
-        std::mem::take(&mut lock(&self.collected).packets)
+    fn take(&mut self) -> Vec<Packet> {
+        let mut packets = std::mem::take(&mut lock(&self.collected).packets);
+        for packet in &mut packets {
+            let writable = packet.buffer.make_mut();
+            writable.set_pts(self.times_ns.pop_front().map(ClockTime::from_nseconds));
+            writable.set_dts(None);
+            writable.set_duration(None);
+        }
+        packets
     }
 
     /// Announces the size of the pictures that follow.
     fn begin(&mut self, (width, height): (usize, usize)) -> Result<VideoInfo, MediaError> {
         let too_large = || self.failure(format!("{width}x{height} px is no size of a picture"));
         let (width, height) = (u32::try_from(width).map_err(|_| too_large())?, u32::try_from(height).map_err(|_| too_large())?);
-        // Without a constant rate milliseconds are the clock of codecs that count in pictures.
-        let rate_hz = self.settings.rate_hz.unwrap_or(Fraction::new(1000, 1));
-        let info = VideoInfo::builder(VideoFormat::Bgr, width, height).fps(rate_hz).build().map_err(|_| too_large())?;
+        let info = VideoInfo::builder(VideoFormat::Bgr, width, height).fps(self.settings.rate_hz).build().map_err(|_| too_large())?;
         let caps = info.to_caps().map_err(|error| self.failure(error.to_string()))?;
         if self.input.is_none() {
             self.source.push_event(gstreamer::event::StreamStart::new("pictures"));
@@ -403,7 +391,7 @@ impl Encoder {
         Ok(info)
     }
 
-    fn fill(&mut self, bgr: &[u8], size_px: (usize, usize), time_ns: u64) -> Result<Buffer, MediaError> {
+    fn fill(&mut self, bgr: &[u8], size_px: (usize, usize)) -> Result<Buffer, MediaError> {
         let (columns, rows) = size_px;
         if columns == 0 || rows == 0 || bgr.len() != columns * rows * 3 {
             return Err(self.failure(format!("a picture of {columns}x{rows} px has {} bytes", bgr.len())));
@@ -422,7 +410,10 @@ impl Encoder {
             None => Buffer::with_size(info.size()).map_err(|error| self.failure(error.to_string()))?,
         };
         let Some(writable) = buffer.get_mut() else { return Err(self.failure("its picture is in use".to_owned())) };
-        writable.set_pts(ClockTime::from_nseconds(time_ns));
+        let rate_hz = self.settings.rate_hz;
+        let (frames, seconds) = (rate_hz.numer().max(1) as u64, rate_hz.denom().max(1) as u64);
+        writable.set_pts(ClockTime::SECOND.mul_div_round(self.pictures * seconds, frames));
+        self.pictures += 1;
         {
             let mut map = writable.map_writable().map_err(|error| self.failure(error.to_string()))?;
             for (y, target) in map.chunks_exact_mut(stride).take(held.1).enumerate() {

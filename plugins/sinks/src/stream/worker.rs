@@ -123,7 +123,7 @@ fn run(shared: &Shared, codec: VideoCodec, key_interval: u32) -> Result<(), Medi
                     codec,
                     framing: Framing::StartCodes,
                     size_px,
-                    rate_hz: Some(Fraction::new(NOMINAL_HZ, 1)),
+                    rate_hz: Fraction::new(NOMINAL_HZ, 1),
                     key_interval,
                 };
                 &mut current.insert((Encoder::new(settings)?, size_px)).0

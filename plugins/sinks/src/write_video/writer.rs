@@ -12,7 +12,7 @@ use super::timeline::{Pacing, Timeline};
 use crate::formats::mkv::{Muxer, Track};
 use crate::target::{SinkError, sync};
 
-/// Frame rate of a video of one picture, where the file needs a rate.
+/// Frame rate where pictures have their own times or there is only one.
 const FALLBACK_FPS: f64 = 30.0;
 
 /// Distance of key frames: a damaged picture spoils no more than so many.
@@ -72,10 +72,6 @@ impl FrameCount {
         let time_ns = (self.frames as f64 * 1e9 / self.rate_hz).round() as u64;
         self.frames += 1;
         time_ns
-    }
-
-    fn step_ns(&self) -> u64 {
-        (1e9 / self.rate_hz).round() as u64
     }
 }
 
@@ -191,8 +187,8 @@ impl VideoWriter {
 
     fn open(&mut self, size_px: (usize, usize), quality_pct: u8, pace: Pace) -> Result<(), SinkError> {
         let rate_hz = match &pace {
-            Pace::Timed(_) => None,
-            Pace::Counted(rate) | Pace::Repeated { rate, .. } => Some(fraction(rate.rate_hz)),
+            Pace::Timed(_) => fraction(FALLBACK_FPS),
+            Pace::Counted(rate) | Pace::Repeated { rate, .. } => fraction(rate.rate_hz),
         };
         let encoder = Encoder::new(EncoderSettings {
             codec: self.settings.codec.with(quality_pct, self.settings.crf),
@@ -248,7 +244,7 @@ impl Video {
                 for _ in 0..pacing.repeats(at_ns) {
                     let packets = self.encoder.encode(last, *last_size_px, rate.next_ns());
                     let packets = packets.map_err(|error| failed(path, error))?;
-                    self.output.write(settings, path, &self.encoder, packets, Some(rate.step_ns()))?;
+                    self.output.write(settings, path, &self.encoder, packets)?;
                 }
                 last.clear();
                 last.extend_from_slice(bgr);
@@ -257,12 +253,12 @@ impl Video {
             }
         };
         let packets = self.encoder.encode(bgr, size_px, time_ns).map_err(|error| failed(path, error))?;
-        self.output.write(settings, path, &self.encoder, packets, self.pace.step_ns())
+        self.output.write(settings, path, &self.encoder, packets)
     }
 
     fn finish(mut self, settings: &VideoSettings, path: &Path) -> Result<(), SinkError> {
         let rest = self.encoder.finish().map_err(|error| failed(path, error));
-        let rest = rest.and_then(|rest| self.output.write(settings, path, &self.encoder, rest, self.pace.step_ns()));
+        let rest = rest.and_then(|rest| self.output.write(settings, path, &self.encoder, rest));
         let finished = match &mut self.output {
             Output::None => Ok(()),
             Output::Matroska(muxer) => muxer.finish().map_err(|error| SinkError::io(path, error)),
@@ -275,16 +271,6 @@ impl Video {
     }
 }
 
-impl Pace {
-    /// How long each picture is shown, where that is constant.
-    fn step_ns(&self) -> Option<u64> {
-        match self {
-            Self::Timed(_) => None,
-            Self::Counted(rate) | Self::Repeated { rate, .. } => Some(rate.step_ns()),
-        }
-    }
-}
-
 impl Output {
     fn write(
         &mut self,
@@ -292,7 +278,6 @@ impl Output {
         path: &Path,
         encoder: &Encoder,
         packets: Vec<Packet>,
-        step_ns: Option<u64>,
     ) -> Result<(), SinkError> {
         for packet in packets {
             if matches!(self, Self::None) {
@@ -307,7 +292,7 @@ impl Output {
                         .push(time_ms, &bytes, packet.is_key())
                         .map_err(|error| SinkError::io(path, error))?;
                 }
-                Self::Indexed(file) => file.push(packet, step_ns).map_err(|error| failed(path, error))?,
+                Self::Indexed(file) => file.push(packet).map_err(|error| failed(path, error))?,
             }
         }
         Ok(())
