@@ -3,6 +3,7 @@
 mod common;
 
 use std::net::{TcpListener, UdpSocket};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use common::{Decoded, numbered};
@@ -334,4 +335,43 @@ fn mistakes_are_named_with_their_remedies() {
     }
     let message = open_as("out", r#"codec = "av1""#).err().expect("an unknown codec");
     assert!(message.contains("h264") && message.contains("av1"), "{message}");
+}
+
+/// Latency from the call that shows a picture to the decoded picture at a player on this machine. The figures are printed; the limit only says
+/// that pictures do not queue up.
+#[test]
+fn pictures_arrive_while_they_are_new() {
+    const PICTURES: usize = 90;
+    for codec in ["h264", "hevc", "mjpg"] {
+        let mut source = Source::new(&format!(r#"port = 0, codec = "{codec}""#));
+        let port = source.port();
+        let client = Client::connect(port, "/live", "tcp");
+        let shown = Arc::new(Mutex::new(Vec::<Instant>::new()));
+        let (sender, latencies) = std::sync::mpsc::channel();
+        let times = Arc::clone(&shown);
+        let arrive = move |sink: &AppSink| {
+            let sample = sink.pull_sample().map_err(|_| gstreamer::FlowError::Eos)?;
+            let now = Instant::now();
+            let number = Decoded::of(&sample).number();
+            // Picture 0 was shown to learn the port.
+            let time = number.and_then(|number| times.lock().unwrap().get(number as usize - 1).copied());
+            if let Some(time) = time {
+                let _ = sender.send(now - time);
+            }
+            Ok(gstreamer::FlowSuccess::Ok)
+        };
+        client.sink.set_callbacks(gstreamer_app::AppSinkCallbacks::builder().new_sample(arrive).build());
+        let mut arrived = Vec::new();
+        source.show_until("pictures arrive", |_| {
+            shown.lock().unwrap().push(Instant::now());
+            arrived.extend(latencies.try_iter());
+            arrived.len() >= PICTURES
+        });
+        // The first ones waited for the player to connect.
+        let mut settled = arrived.split_off(PICTURES / 3);
+        settled.sort();
+        let (p50, p99) = (settled[settled.len() / 2], settled[settled.len() * 99 / 100]);
+        println!("stream_latency/{codec}: p50 {:.1} ms, p99 {:.1} ms", p50.as_secs_f64() * 1e3, p99.as_secs_f64() * 1e3);
+        assert!(p99 < Duration::from_secs(2), "{codec}: {p99:?}");
+    }
 }
